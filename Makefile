@@ -1,0 +1,50 @@
+# Thalweg: the commands of the README. Each does the set-up that it needs.
+SHELL := bash
+SIZE ?= demo
+CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
+PY := .venv/bin/python
+SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
+
+.PHONY: help env demo report real-logs test check test-slow fuzz benchmark lock clean
+
+help: ## list the commands
+	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+env: .venv/.complete ## make .venv from the lock file
+.venv/.complete: envs/requirements.lock envs/make-venv.sh
+	@envs/make-venv.sh
+
+demo: env ## raw logs of the digital twin -> riverbank; SIZE=tiny|demo|mulde
+	@$(SNAKEMAKE) --config campaign=$(SIZE)
+	@$(PY) -m thalweg summary results/$(SIZE)
+
+report: env ## one self-contained page of the campaign SIZE
+	@$(SNAKEMAKE) --config campaign=$(SIZE) --report results/$(SIZE)/report.html
+
+real-logs: env ## page of other people's recordings (THALWEG_DATA)
+	@$(SNAKEMAKE) real_logs
+
+test: env check ## static checks and the test suite
+	@$(PY) -m pytest -n $(CORES) --dist worksteal -m "not slow"
+
+check: env ## static checks only
+	@.venv/bin/ruff check .
+	@.venv/bin/ruff format --check .
+	@$(PY) -m mypy
+	@.venv/bin/snakefmt --check Snakefile workflow
+	@envs/check-workflow.sh
+
+test-slow: env ## long studies
+	@$(PY) -m pytest -m slow --benchmark-disable tests
+
+fuzz: env ## every binary reader on 10,000 mutated inputs
+	@THALWEG_FUZZ=10000 $(PY) -m pytest -n $(CORES) -k fuzz tests/ingest
+
+benchmark: env ## speed against named peers
+	@$(PY) -m pytest tests/benchmarks -m slow -s
+
+lock: ## renew the lock file (needs uv)
+	@envs/lock.sh
+
+clean: ## remove results, logs and benchmarks; keeps .venv
+	@rm -rf results/* logs benchmarks .snakemake

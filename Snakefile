@@ -1,0 +1,57 @@
+"""Thalweg: raw logs of a survey boat -> georeferenced riverbank and riverbed.
+
+snakemake                              the campaign of config/config.yaml
+snakemake --config campaign=tiny       another one; a list or a path works as well
+snakemake real_logs                    page of other people's recordings
+"""
+
+from snakemake.utils import min_version
+
+min_version("9.20")
+
+import sys
+from pathlib import Path
+
+# Makes the library importable here, in `script:` jobs and in every cluster job, installed or not.
+sys.path.insert(0, str(Path(workflow.basedir) / "src"))
+
+
+configfile: Path(workflow.basedir) / "config" / "config.yaml"
+
+
+report: "workflow/report/workflow.rst"
+
+
+include: "workflow/rules/common.smk"
+include: "workflow/rules/simulation.smk"
+include: "workflow/rules/ingest.smk"
+include: "workflow/rules/timing.smk"
+include: "workflow/rules/orientation.smk"
+include: "workflow/rules/lidar.smk"
+include: "workflow/rules/accuracy.smk"
+include: "workflow/rules/figures.smk"
+include: "workflow/rules/real_logs.smk"
+
+
+localrules:
+    all,
+    real_logs,
+
+
+rule all:
+    """Every table and picture of the chosen campaigns."""
+    default_target: True
+    input:
+        [final_outputs(name) for name in CAMPAIGNS],
+
+
+rule real_logs:
+    """Tables and pictures of the real recordings in THALWEG_DATA."""
+    input:
+        "results/real_logs/index.html",
+
+
+onerror:
+    print(
+        "\nA job failed. Its message stands above; the traceback is in the file under logs/ named there."
+    )

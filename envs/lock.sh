@@ -1,0 +1,7 @@
+#!/usr/bin/env bash
+# Renew envs/requirements.lock from pyproject.toml: one lock for Python 3.11 to 3.13 on any platform, with hashes.
+# Needs uv on the PATH. The lock names no registry host.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+uv pip compile pyproject.toml --extra dev --extra hpc --universal --python-version 3.11 \
+    --generate-hashes --no-emit-index-url --no-header --output-file envs/requirements.lock "$@"

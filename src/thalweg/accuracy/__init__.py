@@ -1,0 +1,1 @@
+"""How accurate a cloud is, and whether its predicted sigmas say so."""

@@ -1,0 +1,1 @@
+"""Frames, time scales, tables, clouds and errors: what every other room stands on."""

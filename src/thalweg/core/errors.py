@@ -1,0 +1,56 @@
+"""The errors that Thalweg shows to people.
+
+Every message answers four questions in the same order: where, what was found, what was expected,
+what to do about it.
+"""
+
+from pathlib import Path
+
+
+class ThalwegError(Exception):
+    """Base of all errors raised on purpose; its text is meant to be read by a user.
+
+    Parameters
+    ----------
+    found : what is wrong, with the value that was met.
+    expected : what would have been right.
+    where : file, and inside it the packet, line or byte offset.
+    cure : what the user can do.
+    """
+
+    def __init__(self, found: str, *, expected: str = "", where: str | Path = "", cure: str = "") -> None:
+        self.found = found
+        self.expected = expected
+        self.where = str(where)
+        self.cure = cure
+        text = f"{self.where}: {found}" if self.where else found
+        if expected:
+            text += f"; expected {expected}"
+        text += "."
+        if cure:
+            text += f" {cure.rstrip('.')}."
+        super().__init__(text)
+
+
+class InputError(ThalwegError):
+    """A file or table cannot be used: missing, empty, of another format, or damaged beyond reading."""
+
+
+class UnsupportedError(InputError):
+    """A file is valid, but of an instrument model or variant that is not implemented."""
+
+
+class ClockError(ThalwegError):
+    """A stream cannot be put on the GPS time axis."""
+
+
+class GeometryError(ThalwegError):
+    """A frame, pose or coordinate operation is undefined or would lose accuracy."""
+
+
+class ConfigError(ThalwegError):
+    """The campaign file is wrong; the message lists every mistake with its path and cure."""
+
+
+class CoverageError(ThalwegError):
+    """Data are asked for outside the time span or area in which they exist."""

@@ -1,0 +1,99 @@
+"""Parquet tables whose schema carries unit, meaning, kind and format version.
+
+A table kind is a ``pyarrow.Schema``; each field's metadata hold ``unit`` and ``doc``, the schema's own
+metadata ``kind`` and ``version``. Writing checks the data against the schema, reading checks the file
+against the kind that the caller expects.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from thalweg.core.errors import InputError
+
+
+def column(name: str, dtype: pa.DataType, unit: str, doc: str) -> "pa.Field[Any]":
+    """A column of a table kind: name (with its unit suffix), type, unit ("1" if none) and meaning."""
+    return pa.field(name, dtype, metadata={"unit": unit, "doc": doc})
+
+
+def table_kind(kind: str, version: int, columns: "list[pa.Field[Any]]") -> pa.Schema:
+    """A table kind from its columns; raise ``version`` whenever a reader of the old form would misread."""
+    return pa.schema(columns, metadata={"kind": kind, "version": str(version)})
+
+
+def kind_of(schema: pa.Schema) -> tuple[str, int]:
+    """Kind and format version of a schema; ``("", 0)`` for a foreign one."""
+    meta = schema.metadata or {}
+    return meta.get(b"kind", b"").decode(), int(meta.get(b"version", b"0"))
+
+
+def write_table(
+    path: Path, frame: pd.DataFrame, schema: pa.Schema, meta: Mapping[str, Any] | None = None
+) -> None:
+    """Write a table of a documented kind.
+
+    Parameters
+    ----------
+    path : target, ``.parquet``.
+    frame : columns as the schema names them, in any order.
+    schema : made by `table_kind`.
+    meta : JSON-able facts that belong to the whole table (origin of the frame, source files).
+
+    Raises
+    ------
+    InputError : columns are missing, unknown, or not convertible.
+    """
+    kind, _ = kind_of(schema)
+    missing = [n for n in schema.names if n not in frame.columns]
+    unknown = [n for n in frame.columns if n not in schema.names]
+    if missing or unknown:
+        raise InputError(
+            f"columns missing: {missing or 'none'}, unknown: {unknown or 'none'}",
+            expected=f"the columns of table kind '{kind}'",
+            where=path,
+        )
+    try:
+        table = pa.Table.from_pandas(
+            frame[list(schema.names)], schema=schema, preserve_index=False, safe=True
+        )
+    except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
+        raise InputError(f"a column does not fit table kind '{kind}': {error}", where=path) from error
+    metadata = {**(schema.metadata or {}), b"meta": json.dumps(dict(meta or {})).encode()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(table.replace_schema_metadata(metadata), path, compression="zstd")
+
+
+def read_table(path: Path, schema: pa.Schema) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Read a table of the expected kind; returns the frame and the facts stored with it.
+
+    Raises
+    ------
+    InputError : the file is missing, no Parquet, of another kind or of another format version.
+    """
+    kind, version = kind_of(schema)
+    cure = f"Rebuild it with this version of Thalweg (table kind '{kind}', version {version})"
+    if not path.is_file():
+        raise InputError("file not found", expected=f"a table of kind '{kind}'", where=path)
+    try:
+        table = pq.read_table(path)
+    except pa.ArrowInvalid as error:
+        raise InputError(f"not a Parquet file ({error})", expected=f"kind '{kind}'", where=path) from error
+    found_kind, found_version = kind_of(table.schema)
+    if found_kind != kind or found_version != version:
+        raise InputError(
+            f"table kind '{found_kind or 'none'}' version {found_version}",
+            expected=f"'{kind}' version {version}",
+            where=path,
+            cure=cure,
+        )
+    missing = [n for n in schema.names if n not in table.column_names]
+    if missing:
+        raise InputError(f"columns missing: {missing}", where=path, cure=cure)
+    meta = json.loads((table.schema.metadata or {}).get(b"meta", b"{}"))
+    return table.select(list(schema.names)).to_pandas(), meta

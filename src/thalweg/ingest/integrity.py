@@ -1,0 +1,159 @@
+"""What a reader says about a log: counts, losses, gaps, clock state. Nothing is lost without a number."""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from thalweg.core.timescales import utc_text_from_gps
+
+TimeScale = Literal["gps", "utc", "device", "host", "none"]
+"""Scale of a stream's own stamps: GPS or UTC if disciplined, else its free-running clock."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Gap:
+    """A hole in a stream: where it begins, how long it is and what is known about its cause."""
+
+    t_start_s: float
+    duration_s: float
+    lost: int = 0
+    """Records estimated to be lost, 0 if unknown."""
+
+
+@dataclass(slots=True, kw_only=True)
+class IntegrityReport:
+    """Findings about one stream of one or several files.
+
+    ``t_first_s`` and ``t_last_s`` are adjusted GPS times if ``synchronised`` is true, else seconds on
+    the device's own clock. ``losses`` counts what is missing or damaged (bytes or records, the key
+    says which); ``notes`` are sentences for people, worst first.
+    """
+
+    stream: str
+    format: str
+    files: list[str]
+    model: str = ""
+    time_scale: TimeScale = "none"
+    synchronised: bool = False
+    t_first_s: float | None = None
+    t_last_s: float | None = None
+    bytes_read: int = 0
+    counts: dict[str, int] = field(default_factory=dict)
+    losses: dict[str, int] = field(default_factory=dict)
+    rates_hz: dict[str, float] = field(default_factory=dict)
+    gaps: list[Gap] = field(default_factory=list)
+    details: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def clean(self) -> bool:
+        """True if nothing is missing or damaged."""
+        return not any(self.losses.values()) and not self.gaps
+
+    def lose(self, what: str, n: int = 1) -> None:
+        """Count a loss."""
+        self.losses[what] = self.losses.get(what, 0) + int(n)
+
+    def count(self, what: str, n: int = 1) -> None:
+        """Count something read."""
+        self.counts[what] = self.counts.get(what, 0) + int(n)
+
+    def note(self, sentence: str) -> None:
+        """Add a sentence for people, once."""
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+    def to_json(self) -> str:
+        """JSON text; NaN is written as null."""
+        return json.dumps(_plain(asdict(self)), indent=2, allow_nan=False) + "\n"
+
+    def write(self, path: Path) -> None:
+        """Write the report as JSON."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(self.to_json())
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a report written by `write`."""
+        data = json.loads(path.read_text())
+        data["gaps"] = [Gap(**gap) for gap in data["gaps"]]
+        return cls(**data)
+
+    def lines(self) -> list[str]:
+        """The report as text lines for a terminal."""
+        out = [f"{self.stream}: {self.format}" + (f", {self.model}" if self.model else "")]
+        out += [f"  file      {name}" for name in self.files]
+        if self.t_first_s is not None and self.t_last_s is not None:
+            span = self.t_last_s - self.t_first_s
+            if self.synchronised:
+                out.append(
+                    f"  time      {utc_text_from_gps(self.t_first_s)} .. "
+                    f"{utc_text_from_gps(self.t_last_s)} ({span:.3f} s), stamps in {self.time_scale.upper()}"
+                )
+            else:
+                out.append(
+                    f"  time      unsynchronised: {self.t_first_s:.6f} .. {self.t_last_s:.6f} s "
+                    f"({span:.3f} s) on the {self.time_scale} clock"
+                )
+        else:
+            out.append("  time      none")
+        for title, numbers in (("counts", self.counts), ("losses", self.losses)):
+            text = ", ".join(f"{k} {v:,}" for k, v in numbers.items()) or "none"
+            out.append(f"  {title:9s} {text}")
+        if self.rates_hz:
+            out.append("  rates     " + ", ".join(f"{k} {v:.4g} Hz" for k, v in self.rates_hz.items()))
+        if self.gaps:
+            longest = max(self.gaps, key=lambda g: g.duration_s)
+            lost = sum(g.lost for g in self.gaps)
+            out.append(
+                f"  gaps      {len(self.gaps)}, longest {longest.duration_s:.6g} s"
+                + (f", about {lost:,} records lost" if lost else "")
+            )
+        for key, value in self.details.items():
+            out.append(f"  {key:9s} {value}")
+        out += [f"  note      {sentence}" for sentence in self.notes]
+        return out
+
+
+def find_gaps(t_s: ArrayLike, factor: float = 1.5) -> list[Gap]:
+    """Gaps of a regular stream: steps longer than ``factor`` times the median step.
+
+    Parameters
+    ----------
+    t_s : (n,) stamps in seconds, increasing; NaN are left out.
+    factor : what counts as a gap, in steps.
+    """
+    t = np.asarray(t_s, dtype=np.float64)
+    t = t[np.isfinite(t)]
+    if t.size < 3:
+        return []
+    step = np.diff(t)
+    normal = float(np.median(step[step > 0])) if np.any(step > 0) else 0.0
+    if normal <= 0:
+        return []
+    holes = np.flatnonzero(step > factor * normal)
+    return [
+        Gap(
+            t_start_s=float(t[i]),
+            duration_s=float(step[i]),
+            lost=max(0, round(float(step[i]) / normal) - 1),
+        )
+        for i in holes
+    ]
+
+
+def _plain(value: Any) -> Any:
+    """The value with numpy scalars as Python numbers and non-finite numbers as None, for JSON."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

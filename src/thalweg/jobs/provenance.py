@@ -1,0 +1,93 @@
+"""Where a result comes from: the JSON beside each artefact."""
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+import subprocess
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import thalweg
+
+FORMAT_VERSION = 1
+LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "numba", "laspy", "pyproj", "open3d-cpu", "open3d",
+             "sbp", "pyrtklib5", "matplotlib", "snakemake")  # fmt: skip
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, or of the sorted names and contents of a folder."""
+    digest = hashlib.sha256()
+    members = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    for member in members:
+        if path.is_dir():
+            digest.update(member.relative_to(path).as_posix().encode())
+        with member.open("rb") as stream:
+            while chunk := stream.read(1 << 22):
+                digest.update(chunk)
+    return digest.hexdigest()
+
+
+def git_commit(folder: Path) -> str | None:
+    """Commit of the checkout that holds a folder, with ``+`` appended if it has changes; None outside git."""
+    try:
+        commit = _git(folder, "rev-parse", "HEAD")
+        dirty = _git(folder, "status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return commit + ("+" if dirty else "")
+
+
+def _git(folder: Path, *words: str) -> str:
+    run = subprocess.run(["git", "-C", str(folder), *words], capture_output=True, text=True, check=True)
+    return run.stdout.strip()
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that shape results, as installed."""
+    versions = {"python": platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def write_provenance(
+    outputs: list[Path],
+    *,
+    rule: str,
+    inputs: list[Path],
+    params: Mapping[str, Any],
+    code: str,
+    threads: int,
+    wall_s: float,
+) -> None:
+    """Write ``<output>.meta.json`` beside each output of a job.
+
+    It holds the version, the commit, the code hash, the parameters, the checksums of all inputs and of the
+    output itself, the library versions, threads and wall time. No host, user or absolute path of the
+    package is recorded.
+    """
+    record = {
+        "format_version": FORMAT_VERSION,
+        "rule": rule,
+        "thalweg": thalweg.__version__,
+        "commit": git_commit(Path(thalweg.__file__).parent),
+        "code": code,
+        "params": {k: params[k] for k in sorted(params)},
+        "inputs": {str(p): sha256_of(p) for p in inputs if p.exists()},
+        "libraries": library_versions(),
+        "threads": threads,
+        "wall_s": round(wall_s, 3),
+        "written_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+    for output in outputs:
+        beside = output.with_name(output.name + ".meta.json")
+        text = json.dumps(
+            {"output": str(output), "sha256": sha256_of(output), **record}, indent=2, default=str
+        )
+        beside.write_text(text + "\n")

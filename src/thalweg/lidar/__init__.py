@@ -1,0 +1,1 @@
+"""Lidar points: from the scanner frame into the world, each with its own pose."""

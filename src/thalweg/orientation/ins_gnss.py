@@ -1,0 +1,265 @@
+"""Trajectory from GNSS antenna positions and INS attitudes (T 3.1.1, P1 eq. 7-8).
+
+The antenna track is interpolated to the times of the INS states, and the lever arm is taken off with the
+attitude of that moment: ``x_wcs_ics = x_wcs_antenna - R_wcs_ics @ lever_ics_antenna``.
+"""
+
+import itertools
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from thalweg.core.errors import CoverageError, InputError
+from thalweg.core.frames import LocalFrame, rotation_enu_body
+from thalweg.core.timescales import utc_text_from_gps
+from thalweg.core.trajectory import Trajectory
+from thalweg.core.types import ArrayB, ArrayF
+
+
+@dataclass(slots=True, kw_only=True)
+class TrajectorySummary:
+    """What was used and what was left out on the way to a trajectory."""
+
+    n_positions: int = 0
+    n_positions_used: int = 0
+    n_states: int = 0
+    n_nodes_valid: int = 0
+    fixes: dict[str, int] = field(default_factory=dict)
+    gaps: list[tuple[float, float]] = field(default_factory=list)
+    """Start (adjusted GPS time) and length in seconds of the holes that were not bridged."""
+    notes: list[str] = field(default_factory=list)
+
+
+def build_trajectory(
+    positions: pd.DataFrame,
+    states: pd.DataFrame,
+    frame: LocalFrame,
+    *,
+    lever_ics_antenna_m: ArrayLike,
+    sigma_lever_m: ArrayLike,
+    accept_fixes: list[str],
+    max_gap_s: float,
+    max_attitude_gap_s: float,
+    sigma_attitude_rad: ArrayLike,
+) -> tuple[Trajectory, TrajectorySummary]:
+    """Join antenna positions and INS attitudes.
+
+    Parameters
+    ----------
+    positions : table kind ``gnss_position``: the antenna.
+    states : table kind ``ins_state``: attitudes, at the rate that the nodes will have.
+    frame : the world frame.
+    lever_ics_antenna_m : (3,) antenna phase centre in the body frame ics.
+    sigma_lever_m : (3,) its standard deviations.
+    accept_fixes : kinds of solution that may enter, for instance ``["fixed"]``.
+    max_gap_s : longest hole between positions that is interpolated.
+    max_attitude_gap_s : longest hole between INS states that is interpolated.
+    sigma_attitude_rad : (3,) roll, pitch, heading; stands in where the log states none.
+
+    Raises
+    ------
+    InputError : no position of an accepted fix, or no state with GPS time.
+    CoverageError : positions and states do not overlap in time.
+
+    Notes
+    -----
+    Positions between epochs come from a cubic spline within each unbroken segment. Their covariance is
+    interpolated linearly: errors of neighbouring epochs are strongly correlated, so that averaging would
+    claim an accuracy that is not there.
+    """
+    summary = TrajectorySummary(n_positions=len(positions), n_states=len(states))
+    used = _usable_positions(positions, accept_fixes, summary)
+    ins = _usable_states(states, summary)
+    t_states = ins["t_gps_s"].to_numpy()
+    t_positions = used["t_gps_s"].to_numpy()
+    if t_states[-1] < t_positions[0] or t_positions[-1] < t_states[0]:
+        raise CoverageError(
+            f"INS states cover {utc_text_from_gps(t_states[0])} .. {utc_text_from_gps(t_states[-1])}, "
+            f"positions {utc_text_from_gps(t_positions[0])} .. {utc_text_from_gps(t_positions[-1])}",
+            expected="streams of the same survey that overlap in time",
+            cure="Check that the logs belong together, and the dates and time scales of both",
+        )
+    antenna, cov_antenna, covered = _interpolate_positions(used, frame, t_states, max_gap_s, summary)
+    lat_deg, lon_deg, _ = frame.to_geodetic(antenna)
+    R_wcs_ics = _attitude(ins, frame, lat_deg, lon_deg)
+    lever = np.asarray(lever_ics_antenna_m, dtype=np.float64)
+    sigma_att = np.column_stack([
+        np.where(np.isfinite(stated), stated, fallback)
+        for stated, fallback in zip(
+            ins[["sigma_roll_rad", "sigma_pitch_rad", "sigma_heading_rad"]].to_numpy().T,
+            np.asarray(sigma_attitude_rad, dtype=np.float64),
+            strict=True,
+        )
+    ])  # fmt: skip
+    cov_lever = R_wcs_ics @ np.diag(np.square(np.asarray(sigma_lever_m))) @ np.swapaxes(R_wcs_ics, 1, 2)
+    nodes = Trajectory(
+        frame=frame,
+        t_gps_s=t_states,
+        position_wcs_m=antenna - R_wcs_ics @ lever,
+        quaternion_wcs_ics=Rotation.from_matrix(R_wcs_ics).as_quat(),
+        cov_position_m2=cov_antenna + cov_lever,
+        sigma_attitude_rad=sigma_att,
+        valid=covered,
+    )
+    trajectory = break_at_gaps(nodes, max_attitude_gap_s, summary)
+    summary.n_nodes_valid = int(trajectory.valid.sum())
+    trajectory.span()  # refuses a trajectory without any valid node
+    return trajectory, summary
+
+
+def trajectory_from_states(
+    states: pd.DataFrame, frame: LocalFrame, *, max_attitude_gap_s: float, sigma_attitude_rad: ArrayLike
+) -> tuple[Trajectory, TrajectorySummary]:
+    """Trajectory of an INS that gives position and attitude itself (its own filter, or SBET).
+
+    Parameters
+    ----------
+    states : table kind ``ins_state``, positions at the ics origin.
+    frame, max_attitude_gap_s, sigma_attitude_rad : as in `build_trajectory`.
+
+    Raises
+    ------
+    InputError : no state carries GPS time.
+    """
+    summary = TrajectorySummary(n_states=len(states))
+    ins = _usable_states(states, summary)
+    sigma = ins[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
+    stated = ins[["sigma_roll_rad", "sigma_pitch_rad", "sigma_heading_rad"]].to_numpy()
+    nodes = Trajectory(
+        frame=frame,
+        t_gps_s=ins["t_gps_s"].to_numpy(),
+        position_wcs_m=frame.from_geodetic(ins["lat_deg"], ins["lon_deg"], ins["h_ell_m"]),
+        quaternion_wcs_ics=Rotation.from_matrix(
+            _attitude(ins, frame, ins["lat_deg"].to_numpy(), ins["lon_deg"].to_numpy())
+        ).as_quat(),
+        cov_position_m2=np.square(sigma)[:, :, None] * np.eye(3),
+        sigma_attitude_rad=np.where(np.isfinite(stated), stated, np.asarray(sigma_attitude_rad)),
+        valid=np.isfinite(sigma).all(axis=1),
+    )
+    trajectory = break_at_gaps(nodes, max_attitude_gap_s, summary)
+    summary.n_nodes_valid = int(trajectory.valid.sum())
+    trajectory.span()
+    return trajectory, summary
+
+
+def break_at_gaps(trajectory: Trajectory, max_gap_s: float, summary: TrajectorySummary) -> Trajectory:
+    """Put an invalid node into each hole longer than ``max_gap_s``: nothing is interpolated across it."""
+    t = trajectory.t_gps_s
+    holes = np.flatnonzero(np.diff(t) > max_gap_s)
+    if not holes.size:
+        return trajectory
+    for i in holes:
+        summary.gaps.append((float(t[i]), float(t[i + 1] - t[i])))
+    summary.notes.append(f"{holes.size} holes in the INS states longer than {max_gap_s:g} s were not bridged")
+    at = holes + 1
+
+    def insert(values: ArrayF) -> ArrayF:
+        return np.insert(values, at, values[holes], axis=0)
+
+    return Trajectory(
+        frame=trajectory.frame,
+        t_gps_s=np.insert(t, at, (t[holes] + t[at]) / 2),
+        position_wcs_m=insert(trajectory.position_wcs_m),
+        quaternion_wcs_ics=insert(trajectory.quaternion_wcs_ics),
+        cov_position_m2=insert(trajectory.cov_position_m2),
+        sigma_attitude_rad=insert(trajectory.sigma_attitude_rad),
+        valid=np.insert(trajectory.valid, at, False),
+    )
+
+
+def _usable_positions(
+    positions: pd.DataFrame, accept_fixes: list[str], summary: TrajectorySummary
+) -> pd.DataFrame:
+    summary.fixes = {str(k): int(v) for k, v in positions["fix"].value_counts().sort_index().items()}
+    accepted = positions[positions["fix"].isin(accept_fixes)]
+    timed = accepted.dropna(subset=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m"])
+    timed = timed.sort_values("t_gps_s", kind="stable").drop_duplicates("t_gps_s")
+    if len(timed) < 4:
+        raise InputError(
+            f"{len(timed)} usable positions of {len(positions)} (fixes met: {summary.fixes or 'none'})",
+            expected=f"at least 4 epochs with GPS time and a fix among {accept_fixes}",
+            cure="Check the position log, or allow more kinds in orientation.accept_fixes",
+        )
+    summary.n_positions_used = len(timed)
+    refused = len(positions) - len(accepted)
+    if refused:
+        summary.notes.append(f"{refused} positions were left out for their fix; accepted: {accept_fixes}")
+    if len(timed) < len(accepted):
+        summary.notes.append(f"{len(accepted) - len(timed)} positions without time or with a repeated time")
+    return timed
+
+
+def _usable_states(states: pd.DataFrame, summary: TrajectorySummary) -> pd.DataFrame:
+    timed = states.dropna(subset=["t_gps_s", "roll_rad", "pitch_rad", "heading_rad"])
+    timed = timed.sort_values("t_gps_s", kind="stable").drop_duplicates("t_gps_s")
+    if len(timed) < 2:
+        raise InputError(
+            f"{len(timed)} of {len(states)} INS states carry GPS time and attitude",
+            expected="an INS log whose UTC is initialised",
+            cure="Start logging after the INS has GNSS reception; look at the integrity report of the INS",
+        )
+    if len(timed) < len(states):
+        summary.notes.append(
+            f"{len(states) - len(timed)} INS states without GPS time or repeated were left out"
+        )
+    return timed
+
+
+def _attitude(states: pd.DataFrame, frame: LocalFrame, lat_deg: ArrayF, lon_deg: ArrayF) -> ArrayF:
+    """``R_wcs_ics`` (n, 3, 3): the INS states its angles in the local level of where it is."""
+    R_enu_ics = rotation_enu_body(states["roll_rad"], states["pitch_rad"], states["heading_rad"])
+    return np.asarray(frame.R_wcs_enu(lat_deg, lon_deg) @ R_enu_ics)
+
+
+def _interpolate_positions(
+    positions: pd.DataFrame, frame: LocalFrame, t: ArrayF, max_gap_s: float, summary: TrajectorySummary
+) -> tuple[ArrayF, ArrayF, ArrayB]:
+    """Antenna in wcs (n, 3), its covariance (n, 3, 3), and whether the time is covered (n,)."""
+    epochs = positions["t_gps_s"].to_numpy()
+    enu = frame.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
+    cov = _covariances(positions)
+    breaks = np.flatnonzero(np.diff(epochs) > max_gap_s)
+    for i in breaks:
+        summary.gaps.append((float(epochs[i]), float(epochs[i + 1] - epochs[i])))
+    if breaks.size:
+        summary.notes.append(
+            f"{breaks.size} holes in the positions longer than {max_gap_s:g} s were not bridged"
+        )
+    at_antenna = np.full((len(t), 3), np.nan)
+    cov_antenna = np.full((len(t), 3, 3), np.nan)
+    bounds = [0, *(breaks + 1).tolist(), len(epochs)]
+    for first, end in itertools.pairwise(bounds):
+        inside = (t >= epochs[first]) & (t <= epochs[end - 1])
+        if end - first < 4 or not inside.any():
+            continue
+        segment = slice(first, end)
+        at_antenna[inside] = CubicSpline(epochs[segment], enu[segment])(t[inside])
+        cov_antenna[inside] = _linear(epochs[segment], cov[segment], t[inside])
+    covered = np.isfinite(at_antenna[:, 0]) & np.isfinite(cov_antenna[:, 0, 0])
+    outside = int((~covered).sum())
+    if outside:
+        summary.notes.append(f"{outside} INS states have no position (outside the track, or in a hole of it)")
+    return (
+        np.where(covered[:, None], at_antenna, 0.0),
+        np.where(covered[:, None, None], cov_antenna, 0.0),
+        covered,
+    )
+
+
+def _linear(x: ArrayF, values: ArrayF, at: ArrayF) -> ArrayF:
+    right = np.clip(np.searchsorted(x, at, side="right"), 1, len(x) - 1)
+    u = ((at - x[right - 1]) / (x[right] - x[right - 1]))[:, None, None]
+    return np.asarray(values[right - 1] * (1 - u) + values[right] * u)
+
+
+def _covariances(positions: pd.DataFrame) -> ArrayF:
+    cov = np.zeros((len(positions), 3, 3))
+    for i, name in enumerate(("sigma_east_m", "sigma_north_m", "sigma_up_m")):
+        cov[:, i, i] = np.square(positions[name].to_numpy())
+    for name, i, j in (("cov_en_m2", 0, 1), ("cov_eu_m2", 0, 2), ("cov_nu_m2", 1, 2)):
+        cov[:, i, j] = cov[:, j, i] = np.nan_to_num(positions[name].to_numpy())
+    return cov

@@ -1,0 +1,1 @@
+"""One GPS time axis for all streams."""

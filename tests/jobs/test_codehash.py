@@ -1,0 +1,66 @@
+"""The code version of a rule follows the modules that its script reaches, and nothing else."""
+
+from pathlib import Path
+
+import pytest
+
+from thalweg.core.errors import InputError
+from thalweg.jobs import codehash
+
+FILES = {
+    "pkg/__init__.py": "",
+    "pkg/core/__init__.py": "",
+    "pkg/core/a.py": 'def f():\n    """Old words."""\n    return 1\n',
+    "pkg/lidar/__init__.py": "",
+    "pkg/lidar/b.py": "from pkg.core.a import f\n",
+    "pkg/lidar/lazy.py": "def g():\n    from pkg.core import a\n    return a.f()\n",
+    "pkg/figures/__init__.py": "",
+    "pkg/figures/c.py": "x = 1\n",
+    "scripts/direct.py": "from pkg.lidar.b import f\n",
+    "scripts/lazy.py": "import pkg.lidar.lazy\n",
+    "scripts/picture.py": "from pkg.figures import c\n",
+}
+
+
+def versions(root: Path) -> dict[str, str]:
+    for cached in (codehash._parse, codehash._imports, codehash._tree_hash):
+        cached.cache_clear()
+    return {
+        name: codehash.code_version(name, scripts=root / "scripts", package_root=root / "pkg")
+        for name in ("direct", "lazy", "picture")
+    }
+
+
+@pytest.fixture
+def house(tmp_path: Path) -> Path:
+    for name, text in FILES.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+def test_an_edit_reaches_exactly_its_users(house: Path) -> None:
+    before = versions(house)
+    (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
+    after = versions(house)
+    assert [name for name in before if before[name] != after[name]] == ["direct", "lazy"]
+    (house / "pkg/figures/c.py").write_text("x = 2\n")
+    last = versions(house)
+    assert [name for name in after if after[name] != last[name]] == ["picture"]
+
+
+def test_words_cost_no_rerun(house: Path) -> None:
+    before = versions(house)
+    (house / "pkg/core/a.py").write_text('# why\ndef f():\n    """New words."""\n    return 1\n')
+    assert versions(house) == before
+
+
+def test_every_shipped_script_has_a_version(repository: Path) -> None:
+    scripts = sorted(p.stem for p in (repository / "workflow" / "scripts").glob("*.py"))
+    assert scripts
+    assert all(len(codehash.code_version(name)) == 12 for name in scripts)
+
+
+def test_an_unknown_script_is_named() -> None:
+    with pytest.raises(InputError, match=r"no_such_rule\.py: entry script not found"):
+        codehash.code_version("no_such_rule")

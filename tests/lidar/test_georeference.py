@@ -1,0 +1,179 @@
+"""Points into the world: fast kernel against the slow form, scipy, and real airborne shots."""
+
+import struct
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.frames import LocalFrame, rotation_ecef_enu, rotation_enu_body, rotation_opk
+from thalweg.core.trajectory import Trajectory
+from thalweg.lidar.georeference import Mount, georeference_points
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+
+
+def make_trajectory(n: int = 200, rate_hz: float = 50.0, invalid: slice | None = None) -> Trajectory:
+    t = 4.0e8 + np.arange(n) / rate_hz
+    s = t - t[0]
+    heading = 1.0 + 0.12 * s + 0.05 * np.sin(1.3 * s)
+    R = rotation_enu_body(0.05 * np.sin(1.9 * s), 0.03 * np.sin(1.4 * s), heading)
+    valid = np.ones(n, dtype=bool)
+    if invalid is not None:
+        valid[invalid] = False
+    return Trajectory(
+        frame=FRAME,
+        t_gps_s=t,
+        position_wcs_m=np.column_stack([0.4 * s, np.sin(0.2 * s), 0.02 * np.sin(2 * s)]),
+        quaternion_wcs_ics=Rotation.from_matrix(R).as_quat(),
+        cov_position_m2=np.tile(np.diag([4e-4, 4e-4, 9e-4]), (n, 1, 1)),
+        sigma_attitude_rad=np.full((n, 3), 0.002),
+        valid=valid,
+    )
+
+
+MOUNT = Mount(
+    R_ics_sensor=rotation_opk(0.01, -np.pi / 2 + 0.02, 0.03), lever_ics_m=np.array([-0.4, 0.1, -0.5])
+)
+
+
+def random_points(rng: np.random.Generator, trajectory: Trajectory, n: int = 5000):
+    xyz = rng.normal(scale=20.0, size=(n, 3)).astype(np.float32)
+    t = np.sort(rng.uniform(trajectory.t_gps_s[0], trajectory.t_gps_s[-1], n))
+    return xyz, t
+
+
+def test_kernel_agrees_with_the_slow_form(rng: np.random.Generator) -> None:
+    trajectory = make_trajectory()
+    xyz, t = random_points(rng, trajectory)
+    points, has_pose = georeference_points(xyz, t, trajectory, MOUNT)
+    position, rotation, inside = trajectory.at(t)
+    body = xyz.astype(np.float64) @ MOUNT.R_ics_sensor.T + MOUNT.lever_ics_m
+    slow = np.einsum("nij,nj->ni", rotation, body) + position
+    assert has_pose.all()
+    assert inside.all()
+    # chord against arc: a^3/124 = 3e-10 rad for 0.14 deg between nodes, at 60 m
+    np.testing.assert_allclose(points, slow, atol=1e-7)
+
+
+def test_kernel_agrees_with_scipy(rng: np.random.Generator) -> None:
+    trajectory = make_trajectory()
+    xyz, t = random_points(rng, trajectory, 500)
+    points, _ = georeference_points(xyz, t, trajectory, MOUNT)
+    slerp = Slerp(trajectory.t_gps_s, Rotation.from_quat(trajectory.quaternion_wcs_ics))
+    peer = slerp(t).apply(xyz @ MOUNT.R_ics_sensor.T + MOUNT.lever_ics_m)
+    for axis in range(3):
+        peer[:, axis] += np.interp(t, trajectory.t_gps_s, trajectory.position_wcs_m[:, axis])
+    np.testing.assert_allclose(points, peer, atol=1e-7)
+
+
+def test_order_of_points_does_not_matter(rng: np.random.Generator) -> None:
+    trajectory = make_trajectory()
+    xyz, t = random_points(rng, trajectory)
+    points, _ = georeference_points(xyz, t, trajectory, MOUNT)
+    order = rng.permutation(len(t))
+    shuffled, _ = georeference_points(xyz[order], t[order], trajectory, MOUNT)
+    np.testing.assert_array_equal(shuffled, points[order])
+
+
+def test_no_pose_outside_in_gaps_and_without_time() -> None:
+    trajectory = make_trajectory(invalid=slice(50, 60))
+    t0 = trajectory.t_gps_s[0]
+    t = np.array(
+        [t0 - 1e-6, t0, t0 + 55.5 / 50, t0 + 49.5 / 50, t0 + 48.5 / 50, np.nan, trajectory.t_gps_s[-1] + 1]
+    )
+    points, has_pose = georeference_points(np.ones((7, 3)), t, trajectory, MOUNT)
+    assert has_pose.tolist() == [False, True, False, False, True, False, False]
+    assert np.isnan(points[~has_pose]).all()
+    assert np.isfinite(points[has_pose]).all()
+
+
+def test_sign_of_the_nominal_mount() -> None:
+    """With phi = -90 deg the spin axis (scs z) points backwards, so azimuth sweeps the cross-section."""
+    mount = Mount(R_ics_sensor=rotation_opk(0.0, -np.pi / 2, 0.0), lever_ics_m=np.zeros(3))
+    n = 2
+    north = Trajectory(
+        frame=FRAME,
+        t_gps_s=np.arange(n) + 0.0,
+        position_wcs_m=np.zeros((n, 3)),
+        quaternion_wcs_ics=Rotation.from_matrix(
+            rotation_enu_body(np.zeros(n), np.zeros(n), np.zeros(n))
+        ).as_quat(),
+        cov_position_m2=np.zeros((n, 3, 3)),
+        sigma_attitude_rad=np.zeros((n, 3)),
+        valid=np.ones(n, dtype=bool),
+    )
+    axes, _ = georeference_points(np.eye(3), np.full(3, 0.5), north, mount)
+    # heading north: ics x = north, y = east, z = down
+    np.testing.assert_allclose(axes[2], [0, -1, 0], atol=1e-12)  # scs z -> backwards -> south
+    np.testing.assert_allclose(axes[1], [1, 0, 0], atol=1e-12)  # scs y -> right -> east
+    np.testing.assert_allclose(axes[0], [0, 0, -1], atol=1e-12)  # scs x -> down
+
+
+def test_a_matrix_that_is_no_rotation_is_refused() -> None:
+    with pytest.raises(GeometryError, match="no rotation matrix"):
+        Mount(R_ics_sensor=np.diag([1.0, 1.0, -1.0]), lever_ics_m=np.zeros(3))
+
+
+def test_shapes_are_named_in_the_message() -> None:
+    with pytest.raises(GeometryError, match=r"xyz.shape=\(4, 2\)"):
+        georeference_points(np.zeros((4, 2)), np.zeros(4), make_trajectory(), MOUNT)
+
+
+@pytest.mark.real
+def test_real_airborne_shots_reach_the_published_point(data_dir) -> None:
+    """georef_optech_csd: 1000 shots with pose and boresight; PDAL's unit test publishes point 0."""
+    raw = (data_dir / "georef_optech_csd" / "sample.csd").read_bytes()
+    head = struct.Struct("<4s64s32sfHHddIH")
+    (*_, header_bytes, week, _t_first, _t_last, n, _strips) = head.unpack_from(raw)
+    assert (week, n) == (1660, 1000)
+    misalignment = np.array(struct.unpack_from("<3d", raw, head.size + 1024))
+    imu_misalignment = np.array(struct.unpack_from("<3d", raw, head.size + 1024 + 24))
+    record = np.dtype([
+        ("t", "<f8"), ("n", "u1"), ("r", "<f4", 4), ("i", "<u2", 4), ("scan", "<f4"), ("roll", "<f4"),
+        ("pitch", "<f4"), ("head", "<f4"), ("lat", "<f8"), ("lon", "<f8"), ("h", "<f4"),
+    ])  # fmt: skip
+    shots = np.frombuffer(raw[header_bytes:], record)[:n]
+    lon = np.where(shots["lon"] < -2 * np.pi, shots["lon"] + 2 * np.pi, shots["lon"])
+    lat_deg, lon_deg = np.rad2deg(shots["lat"]), np.rad2deg(lon)
+    frame = LocalFrame(lat_deg=float(lat_deg[0]), lon_deg=float(lon_deg[0]), h_ell_m=float(shots["h"][0]))
+    # Optech's body is x right, y forward, z up; ours is forward, right, down.
+    R_ics_optech = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    roll, pitch, heading = shots["roll"], shots["pitch"], shots["head"]
+    R_local = rotation_enu_body(roll, pitch, heading)
+    # each attitude refers to the local vertical of its own position, not to the origin of the frame
+    R_ecef_enu = np.stack([rotation_ecef_enu(a, b) for a, b in zip(lat_deg, lon_deg, strict=True)])
+    R_wcs_ics = frame.R_ecef_enu.T @ R_ecef_enu @ R_local
+    trajectory = Trajectory(
+        frame=frame,
+        t_gps_s=shots["t"].astype(float),
+        position_wcs_m=frame.from_geodetic(lat_deg, lon_deg, shots["h"]),
+        quaternion_wcs_ics=Rotation.from_matrix(R_wcs_ics).as_quat(),
+        cov_position_m2=np.zeros((n, 3, 3)),
+        sigma_attitude_rad=np.zeros((n, 3)),
+        valid=np.ones(n, dtype=bool),
+    )
+    d_roll, d_pitch, d_heading = misalignment + imu_misalignment
+    boresight = R_ics_optech @ optech_rotation(d_roll, d_pitch, d_heading)
+    mount = Mount(R_ics_sensor=boresight, lever_ics_m=np.zeros(3))
+    r, s = shots["r"][:, 0].astype(float), shots["scan"].astype(float)
+    xyz = np.column_stack([r * np.sin(s), np.zeros(n), -r * np.cos(s)])
+    points, has_pose = georeference_points(xyz, shots["t"], trajectory, mount)
+    lat, lon_out, h = frame.to_geodetic(points)
+    assert has_pose.all()
+    # PROVENANCE: rigorous ECEF solution of point 0 and extent of all. Times repeat to 14 us and ranges
+    # come as float32, so 0.1 mm (1e-9 deg) is the resolution of the comparison.
+    assert lon_out[0] == pytest.approx(-82.5540287355991, abs=2e-9)
+    assert lat[0] == pytest.approx(36.53461149505515, abs=2e-9)
+    assert h[0] == pytest.approx(344.81291, abs=2e-4)
+    assert (h.min(), h.max()) == pytest.approx((334.0339, 356.7845), abs=2e-4)
+    assert (lat.min(), lat.max()) == pytest.approx((36.534564850, 36.537182465), abs=3e-9)
+    # PDAL linearises (no earth curvature): 14.3 mm away, 4.0 mm of it in height
+    pdal = frame.from_geodetic(36.534611447321907, -82.554028877408555, 344.80889224602356)
+    assert np.linalg.norm(pdal - points[0]) == pytest.approx(0.0143, abs=3e-4)
+
+
+def optech_rotation(roll: float, pitch: float, heading: float) -> np.ndarray:
+    """Optech's convention in its own axes (x right, y forward, z up): R_z(-h) R_x(p) R_y(r)."""
+    return Rotation.from_euler("ZXY", [-heading, pitch, roll]).as_matrix()

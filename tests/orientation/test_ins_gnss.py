@@ -1,0 +1,162 @@
+"""Antenna positions + INS attitudes -> trajectory: signs, lever arms, gaps, fixes, covariance."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.errors import CoverageError, InputError
+from thalweg.core.frames import LocalFrame, roll_pitch_heading, rotation_enu_body
+from thalweg.core.trajectory import TRAJECTORY, Trajectory
+from thalweg.orientation.ins_gnss import build_trajectory, trajectory_from_states
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+LEVER = np.array([0.30, -0.20, -0.80])  # forward, right, down: the antenna is above the INS
+T0 = 4.0e8
+
+
+def motion(t: np.ndarray, far_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Position of the ics origin and R_wcs_ics of a boat that turns and rolls."""
+    s = t - T0
+    position = np.column_stack([far_m + 0.4 * s, 2 * np.sin(0.3 * s), 0.02 * np.sin(2 * s)])
+    return position, rotation_enu_body(0.05 * np.sin(1.9 * s), 0.03 * np.sin(1.4 * s), 1.0 + 0.12 * s)
+
+
+def survey(far_m: float = 0.0, duration_s: float = 20.0) -> tuple[pd.DataFrame, pd.DataFrame]:
+    t_ins = T0 + np.arange(0, duration_s, 0.02)
+    position, R = motion(t_ins, far_m)
+    lat, lon, h = FRAME.to_geodetic(position)
+    R_local = np.swapaxes(FRAME.R_wcs_enu(lat, lon), 1, 2) @ R  # an INS states its own local level
+    roll, pitch, heading = roll_pitch_heading(R_local)
+    states = pd.DataFrame({
+        "t_gps_s": t_ins, "roll_rad": roll, "pitch_rad": pitch, "heading_rad": heading,
+        "lat_deg": lat, "lon_deg": lon, "h_ell_m": h,
+        "sigma_roll_rad": np.nan, "sigma_pitch_rad": np.nan, "sigma_heading_rad": np.nan,
+        "sigma_north_m": 0.6, "sigma_east_m": 0.5, "sigma_up_m": 1.0,
+    })  # fmt: skip
+    t_gnss = T0 + np.arange(0, duration_s, 0.1)
+    position, R = motion(t_gnss, far_m)
+    lat, lon, h = FRAME.to_geodetic(position + R @ LEVER)
+    positions = pd.DataFrame({
+        "t_gps_s": t_gnss, "lat_deg": lat, "lon_deg": lon, "h_ell_m": h, "fix": "fixed",
+        "sigma_east_m": 0.02, "sigma_north_m": 0.02, "sigma_up_m": 0.03,
+        "cov_en_m2": 1e-4, "cov_eu_m2": np.nan, "cov_nu_m2": np.nan,
+    })  # fmt: skip
+    return positions, states
+
+
+def build(positions: pd.DataFrame, states: pd.DataFrame, **changes):
+    options = {
+        "lever_ics_antenna_m": LEVER, "sigma_lever_m": np.array([0.01, 0.02, 0.03]),
+        "accept_fixes": ["fixed"], "max_gap_s": 0.5, "max_attitude_gap_s": 0.2,
+        "sigma_attitude_rad": np.deg2rad([0.1, 0.1, 0.2]),
+    }  # fmt: skip
+    return build_trajectory(positions, states, FRAME, **(options | changes))
+
+
+@pytest.mark.parametrize("far_m", [0.0, 1500.0])
+def test_the_motion_comes_back(far_m: float) -> None:
+    """1500 m from the origin the local vertical of the INS is tilted by 0.013 deg: must be taken off."""
+    positions, states = survey(far_m)
+    trajectory, summary = build(positions, states)
+    use = trajectory.valid
+    position, R = motion(trajectory.t_gps_s[use], far_m)
+    # cubic spline of a sine of 0.3 rad at 0.1 s steps (antenna swings with roll): below 0.1 mm
+    np.testing.assert_allclose(trajectory.position_wcs_m[use], position, atol=1e-4)
+    R_found = trajectory.at(trajectory.t_gps_s[use][:-1])[1]
+    # 1e-6 rad: the antenna's level is taken instead of the INS's, 0.9 m / 6371 km = 1.4e-7 rad
+    np.testing.assert_allclose(R_found, R[:-1], atol=1e-6)
+    assert summary.n_positions_used == len(positions)
+    assert use.mean() > 0.99
+
+
+def test_a_wrong_sign_of_the_lever_arm_is_seen() -> None:
+    positions, states = survey()
+    trajectory, _ = build(positions, states, lever_ics_antenna_m=-LEVER)
+    position, _ = motion(trajectory.t_gps_s)
+    error = np.linalg.norm(trajectory.position_wcs_m - position, axis=1)[trajectory.valid]
+    assert error.min() == pytest.approx(2 * np.linalg.norm(LEVER), abs=0.01)
+
+
+def test_covariance_holds_position_and_lever_arm() -> None:
+    positions, states = survey()
+    trajectory, _ = build(positions, states)
+    cov = trajectory.cov_position_m2[100]
+    R = motion(trajectory.t_gps_s[[100]])[1][0]
+    expected = (
+        np.array([[4e-4, 1e-4, 0], [1e-4, 4e-4, 0], [0, 0, 9e-4]]) + R @ np.diag([1e-4, 4e-4, 9e-4]) @ R.T
+    )
+    np.testing.assert_allclose(cov, expected, rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(trajectory.sigma_attitude_rad[100], np.deg2rad([0.1, 0.1, 0.2]))
+
+
+def test_sigmas_of_the_log_win_over_the_configured_ones() -> None:
+    positions, states = survey()
+    states["sigma_heading_rad"] = 0.01
+    trajectory, _ = build(positions, states)
+    np.testing.assert_allclose(trajectory.sigma_attitude_rad[:, 2], 0.01)
+
+
+def test_a_hole_in_the_positions_is_not_bridged() -> None:
+    positions, states = survey()
+    s = positions["t_gps_s"] - T0
+    trajectory, summary = build(positions[(s < 8.05) | (s > 10.05)], states)
+    inside = (trajectory.t_gps_s > T0 + 8.01) & (trajectory.t_gps_s < T0 + 10.09)
+    assert not trajectory.valid[inside].any()
+    assert trajectory.valid[(trajectory.t_gps_s < T0 + 8) & (trajectory.t_gps_s >= T0)].all()
+    assert len(summary.gaps) == 1
+    assert summary.gaps[0][1] == pytest.approx(2.1, abs=1e-6)
+
+
+def test_a_hole_in_the_attitudes_is_not_bridged() -> None:
+    positions, states = survey()
+    s = states["t_gps_s"] - T0
+    trajectory, summary = build(positions, states[(s < 5) | (s > 7)])
+    _, _, inside = trajectory.at(T0 + np.array([4.5, 5.5, 6.0, 6.9, 7.5]))
+    assert inside.tolist() == [True, False, False, False, True]
+    assert summary.gaps[-1][1] == pytest.approx(2.04, abs=1e-6)
+
+
+def test_a_float_solution_enters_only_if_accepted() -> None:
+    positions, states = survey()
+    positions.loc[positions.index[50:80], "fix"] = "float"
+    strict, summary = build(positions, states)
+    assert summary.fixes == {"fixed": 170, "float": 30}
+    assert summary.n_positions_used == 170
+    assert not strict.at(np.array([T0 + 6.5]))[2][0]
+    loose, _ = build(positions, states, accept_fixes=["fixed", "float"])
+    assert loose.at(np.array([T0 + 6.5]))[2][0]
+
+
+def test_bad_input_is_told_with_numbers() -> None:
+    positions, states = survey()
+    single = positions.assign(fix="single")
+    with pytest.raises(InputError, match=r"0 usable positions of 200 \(fixes met: \{'single': 200\}\)"):
+        build(single, states)
+    with pytest.raises(InputError, match="0 of 1000 INS states carry GPS time"):
+        build(positions, states.assign(t_gps_s=np.nan))
+    with pytest.raises(CoverageError, match="overlap in time"):
+        build(positions.assign(t_gps_s=positions["t_gps_s"] + 3600), states)
+
+
+def test_an_ins_alone_gives_a_trajectory() -> None:
+    _, states = survey(1500.0)
+    trajectory, _ = trajectory_from_states(
+        states, FRAME, max_attitude_gap_s=0.2, sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2])
+    )
+    position, R = motion(trajectory.t_gps_s, 1500.0)
+    np.testing.assert_allclose(trajectory.position_wcs_m, position, atol=1e-6)
+    np.testing.assert_allclose(trajectory.at(trajectory.t_gps_s[:-1])[1], R[:-1], atol=1e-9)
+    np.testing.assert_allclose(np.diag(trajectory.cov_position_m2[0]), [0.25, 0.36, 1.0])
+
+
+def test_a_trajectory_survives_the_file(tmp_path) -> None:
+    positions, states = survey()
+    trajectory, _ = build(positions, states)
+    path = tmp_path / "trajectory.parquet"
+    trajectory.write(path)
+    again = Trajectory.read(path)
+    assert again.frame == FRAME
+    for name in ("t_gps_s", "position_wcs_m", "quaternion_wcs_ics", "sigma_attitude_rad", "valid"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(trajectory, name))
+    np.testing.assert_allclose(again.cov_position_m2, trajectory.cov_position_m2, rtol=1e-12, atol=1e-18)
+    assert TRAJECTORY.field("sigma_up_m").metadata[b"unit"] == b"m"

@@ -1,0 +1,124 @@
+"""What all rules share: the validated campaigns, and functions that find a campaign's files."""
+
+import os
+
+from thalweg.config.load import load_campaigns
+from thalweg.jobs.codehash import code_version
+
+ROOT = Path(workflow.basedir)
+CAMPAIGNS = load_campaigns(config["campaign"], ROOT / "config" / "campaigns")
+
+
+wildcard_constraints:
+    campaign="|".join(CAMPAIGNS),
+    recording="[a-z0-9_.-]+",
+
+
+def section(name):
+    """Input function for params: one section of the campaign's settings, as plain values."""
+    return lambda wildcards: CAMPAIGNS[wildcards.campaign].plain()[name]
+
+
+def is_twin(name):
+    """True if the digital twin writes the logs of a campaign."""
+    return CAMPAIGNS[name].twin is not None
+
+
+TWIN_LOGS = {
+    "lidar": ["lidar.pcap"],
+    "ins": ["ins.anpp"],
+    "sbp": ["rover.sbp"],
+    "pos": ["ppk.pos"],
+    "depth": ["echo.nmea"],
+    "reference": ["tls_1.laz", "tls_2.laz", "tls_3.laz"],
+}
+
+
+def logs_of(name, stream):
+    """Files of a stream of a campaign: the twin's, or those that the campaign file names."""
+    if is_twin(name):
+        return [
+            f"results/{name}/simulation/logs/{log}" for log in TWIN_LOGS.get(stream, [])
+        ]
+    return [str(p) for p in CAMPAIGNS[name].log_files(stream)]
+
+
+def raw(stream):
+    """Input function: the raw files of one stream."""
+    return lambda wildcards: logs_of(wildcards.campaign, stream)
+
+
+def position_logs(wildcards):
+    """Input function: the files behind the campaign's source of positions."""
+    source = CAMPAIGNS[wildcards.campaign].orientation.position_source
+    streams = {
+        "pos": ["pos"],
+        "sbp": ["sbp"],
+        "ppk": ["sbp", "base", "nav"],
+        "sbet": ["sbet"],
+        "ins": ["ins"],
+    }
+    return [
+        log for stream in streams[source] for log in logs_of(wildcards.campaign, stream)
+    ]
+
+
+STREAM_NAMES = {"lidar": "lidar", "ins": "ins", "sbp": "gnss", "depth": "depth"}
+
+
+def streams_of(name):
+    """The streams of a campaign that have logs, as the ingest rules name their results."""
+    found = [result for stream, result in STREAM_NAMES.items() if logs_of(name, stream)]
+    return [*found, "positions"]
+
+
+def reports(wildcards):
+    """Input function: the integrity reports of all streams of a campaign."""
+    return [
+        f"results/{wildcards.campaign}/ingest/{stream}.integrity.json"
+        for stream in streams_of(wildcards.campaign)
+    ]
+
+
+def final_outputs(name):
+    """The tables and pictures that `all` builds for a campaign."""
+    base = f"results/{name}"
+    pictures = ["survey_map", "streams_in_time", "cloud_overview", "cloud_detail"]
+    outputs = [
+        f"{base}/lidar/points.laz",
+        f"{base}/timing/streams.csv",
+        *(f"{base}/figures/{picture}.png" for picture in pictures),
+        f"{base}/summary.csv",
+    ]
+    if CAMPAIGNS[name].georeferencing.export_map:
+        outputs.append(f"{base}/lidar/points_map.laz")
+    if is_twin(name):
+        outputs += [
+            f"{base}/accuracy/truth_statistics.csv",
+            f"{base}/figures/error_versus_range.png",
+            *logs_of(name, "reference"),
+        ]
+    return outputs
+
+
+def memory(base_mb, per_input_mb=0.0):
+    """Resource function: memory from the size of the inputs, more on each attempt."""
+    return lambda wildcards, input, attempt: int(
+        (base_mb + per_input_mb * input.size_mb) * attempt
+    )
+
+
+def minutes(base, per_input_gb=0.0):
+    """Resource function: wall time in minutes from the size of the inputs, more on each attempt."""
+    return (
+        lambda wildcards, input, attempt: int(
+            (base + per_input_gb * input.size_mb / 1000) * attempt
+        )
+        + 1
+    )
+
+
+def truth_statistics(wildcards):
+    """Input function: the comparison with the truth, where there is one."""
+    name = wildcards.campaign
+    return [f"results/{name}/accuracy/truth_statistics.csv"] if is_twin(name) else []

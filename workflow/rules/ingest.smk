@@ -1,0 +1,131 @@
+"""Raw logs -> documented tables and integrity reports."""
+
+
+rule scan_lidar:
+    """Clock, counts and losses of the lidar log; the points are streamed later."""
+    input:
+        lidar=raw("lidar"),
+    output:
+        clock="results/{campaign}/ingest/lidar.clock.json",
+        integrity="results/{campaign}/ingest/lidar.integrity.json",
+    log:
+        "logs/{campaign}/ingest/scan_lidar.log",
+    benchmark:
+        "benchmarks/{campaign}/ingest/scan_lidar.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10, 20),
+    params:
+        code=code_version("scan_lidar"),
+        lidar_options=section("lidar"),
+    message:
+        "{wildcards.campaign}: clock and integrity of the lidar log"
+    script:
+        "../scripts/scan_lidar.py"
+
+
+rule read_ins:
+    """States of the INS."""
+    input:
+        ins=raw("ins"),
+    output:
+        states="results/{campaign}/ingest/ins_states.parquet",
+        integrity="results/{campaign}/ingest/ins.integrity.json",
+    log:
+        "logs/{campaign}/ingest/read_ins.log",
+    benchmark:
+        "benchmarks/{campaign}/ingest/read_ins.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500, 20),
+        runtime=minutes(10),
+    params:
+        code=code_version("read_ins"),
+    message:
+        "{wildcards.campaign}: INS log"
+    script:
+        "../scripts/read_ins.py"
+
+
+rule read_gnss:
+    """On-board solution of the GNSS receiver."""
+    input:
+        sbp=raw("sbp"),
+    output:
+        positions="results/{campaign}/ingest/gnss_positions.parquet",
+        integrity="results/{campaign}/ingest/gnss.integrity.json",
+    log:
+        "logs/{campaign}/ingest/read_gnss.log",
+    benchmark:
+        "benchmarks/{campaign}/ingest/read_gnss.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500, 20),
+        runtime=minutes(10),
+    params:
+        code=code_version("read_gnss"),
+    message:
+        "{wildcards.campaign}: GNSS receiver log"
+    script:
+        "../scripts/read_gnss.py"
+
+
+rule read_positions:
+    """Positions of the antenna from the source that the campaign chooses (PPK included)."""
+    input:
+        logs=position_logs,
+    output:
+        positions="results/{campaign}/ingest/positions.parquet",
+        integrity="results/{campaign}/ingest/positions.integrity.json",
+    log:
+        "logs/{campaign}/ingest/read_positions.log",
+    benchmark:
+        "benchmarks/{campaign}/ingest/read_positions.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000, 20),
+        runtime=minutes(20, 60),
+    params:
+        code=code_version("read_positions"),
+        orientation=section("orientation"),
+        logs_section=section("logs"),
+        ppk=section("ppk"),
+    message:
+        "{wildcards.campaign}: positions"
+    script:
+        "../scripts/read_positions.py"
+
+
+rule read_depth:
+    """Soundings of the echo sounder."""
+    input:
+        depth=raw("depth"),
+    output:
+        depths="results/{campaign}/ingest/depths.parquet",
+        integrity="results/{campaign}/ingest/depth.integrity.json",
+    log:
+        "logs/{campaign}/ingest/read_depth.log",
+    benchmark:
+        "benchmarks/{campaign}/ingest/read_depth.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("read_depth"),
+        logs_section=section("logs"),
+    message:
+        "{wildcards.campaign}: depth log"
+    script:
+        "../scripts/read_depth.py"

@@ -1,0 +1,56 @@
+"""Packets -> points in the world."""
+
+
+rule georeference_lidar:
+    """Every lidar point into the world with its own pose."""
+    input:
+        lidar=raw("lidar"),
+        clock="results/{campaign}/ingest/lidar.clock.json",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        points="results/{campaign}/lidar/points.laz",
+        counts="results/{campaign}/lidar/counts.csv",
+    log:
+        "logs/{campaign}/lidar/georeference_lidar.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/georeference_lidar.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10, 20),
+    params:
+        code=code_version("georeference_lidar"),
+        lidar_options=section("lidar"),
+        mounts=section("mounts"),
+        georeferencing=section("georeferencing"),
+    message:
+        "{wildcards.campaign}: lidar points into the world"
+    script:
+        "../scripts/georeference_lidar.py"
+
+
+rule export_map:
+    """The cloud in the national grid, for other programs."""
+    input:
+        points="results/{campaign}/lidar/points.laz",
+    output:
+        points_map="results/{campaign}/lidar/points_map.laz",
+    log:
+        "logs/{campaign}/lidar/export_map.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/export_map.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(10, 60),
+    params:
+        code=code_version("export_map"),
+        campaign=section("campaign"),
+    message:
+        "{wildcards.campaign}: cloud in the map grid"
+    script:
+        "../scripts/export_map.py"

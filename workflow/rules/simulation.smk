@@ -1,0 +1,183 @@
+"""The digital twin writes the raw logs of a campaign, and its truth apart from them."""
+
+
+rule simulate_scene:
+    """Mesh of the river reach."""
+    output:
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    log:
+        "logs/{campaign}/simulation/simulate_scene.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_scene.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_scene"),
+        campaign=section("campaign"),
+        twin=section("twin"),
+    message:
+        "{wildcards.campaign}: river reach of the digital twin"
+    script:
+        "../scripts/simulate_scene.py"
+
+
+rule simulate_voyage:
+    """True motion of the boat."""
+    output:
+        voyage="results/{campaign}/simulation/truth/trajectory.parquet",
+    log:
+        "logs/{campaign}/simulation/simulate_voyage.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_voyage.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_voyage"),
+        campaign=section("campaign"),
+        twin=section("twin"),
+    message:
+        "{wildcards.campaign}: voyage of the digital twin"
+    script:
+        "../scripts/simulate_voyage.py"
+
+
+rule simulate_lidar:
+    """VLP-16 packets: every shot cast from its own pose."""
+    input:
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    output:
+        pcap="results/{campaign}/simulation/logs/lidar.pcap",
+    log:
+        "logs/{campaign}/simulation/simulate_lidar.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_lidar.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(60),
+    params:
+        code=code_version("simulate_lidar"),
+        campaign=section("campaign"),
+        twin=section("twin"),
+        mounts=section("mounts"),
+    message:
+        "{wildcards.campaign}: lidar packets of the digital twin"
+    script:
+        "../scripts/simulate_lidar.py"
+
+
+rule simulate_ins:
+    """ANPP log of the INS."""
+    output:
+        anpp="results/{campaign}/simulation/logs/ins.anpp",
+    log:
+        "logs/{campaign}/simulation/simulate_ins.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_ins.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_ins"),
+        campaign=section("campaign"),
+        twin=section("twin"),
+    message:
+        "{wildcards.campaign}: INS log of the digital twin"
+    script:
+        "../scripts/simulate_ins.py"
+
+
+rule simulate_gnss:
+    """SBP log of the rover and the PPK track."""
+    output:
+        sbp="results/{campaign}/simulation/logs/rover.sbp",
+        pos="results/{campaign}/simulation/logs/ppk.pos",
+    log:
+        "logs/{campaign}/simulation/simulate_gnss.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_gnss.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_gnss"),
+        campaign=section("campaign"),
+        twin=section("twin"),
+        mounts=section("mounts"),
+    message:
+        "{wildcards.campaign}: GNSS logs of the digital twin"
+    script:
+        "../scripts/simulate_gnss.py"
+
+
+rule simulate_echo:
+    """NMEA log of the echo sounder."""
+    input:
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    output:
+        nmea="results/{campaign}/simulation/logs/echo.nmea",
+    log:
+        "logs/{campaign}/simulation/simulate_echo.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_echo.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_echo"),
+        campaign=section("campaign"),
+        twin=section("twin"),
+        mounts=section("mounts"),
+    message:
+        "{wildcards.campaign}: depth log of the digital twin"
+    script:
+        "../scripts/simulate_echo.py"
+
+
+rule simulate_tls:
+    """Terrestrial scans from three stations."""
+    input:
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    output:
+        scans=expand(
+            "results/{campaign}/simulation/logs/tls_{station}.laz",
+            station=[1, 2, 3],
+            allow_missing=True,
+        ),
+    log:
+        "logs/{campaign}/simulation/simulate_tls.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_tls.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_tls"),
+        campaign=section("campaign"),
+        twin=section("twin"),
+    message:
+        "{wildcards.campaign}: terrestrial scans of the digital twin"
+    script:
+        "../scripts/simulate_tls.py"

@@ -1,0 +1,44 @@
+"""Antenna positions and INS states -> trajectory of the boat."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thalweg.core.frames import LocalFrame
+from thalweg.core.tables import read_table
+from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
+from thalweg.jobs.job import run_job
+from thalweg.orientation.ins_gnss import build_trajectory
+
+
+def main(
+    *,
+    states: Path,
+    positions: Path,
+    trajectory: Path,
+    summary: Path,
+    campaign: dict[str, Any],
+    mounts: dict[str, Any],
+    orientation: dict[str, Any],
+    ins: dict[str, float],
+) -> None:
+    built, what = build_trajectory(
+        read_table(positions, GNSS_POSITION)[0],
+        read_table(states, INS_STATE)[0],
+        LocalFrame(**campaign["origin"]),
+        lever_ics_antenna_m=mounts["antenna"]["lever_ics_m"],
+        sigma_lever_m=mounts["antenna"]["sigma_lever_m"],
+        accept_fixes=orientation["accept_fixes"],
+        max_gap_s=orientation["max_gap_s"],
+        max_attitude_gap_s=orientation["max_attitude_gap_s"],
+        sigma_attitude_rad=np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
+    )
+    built.write(trajectory)
+    summary.write_text(json.dumps(asdict(what), indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,41 @@
+"""Cloud of a twin campaign -> its errors against the twin's truth."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thalweg.accuracy.truth import compare_cloud
+from thalweg.core.trajectory import Trajectory
+from thalweg.jobs.job import run_job
+from thalweg.lidar.georeference import Mount
+
+
+def main(
+    *,
+    points: Path,
+    trajectory: Path,
+    scene: Path,
+    voyage: Path,
+    statistics: Path,
+    by_range: Path,
+    campaign: dict[str, Any],
+    mounts: dict[str, Any],
+    lidar_options: dict[str, Any],
+) -> None:
+    numbers, classes = compare_cloud(
+        points,
+        Trajectory.read(trajectory),
+        scene,
+        Trajectory.read(voyage),
+        Mount.from_section(mounts["lidar"]),
+        sigma_component_m=lidar_options["sigma_component_m"],
+        vertical_corrections=lidar_options["vertical_corrections"],
+        rng=np.random.default_rng(campaign["seed"]),
+    )
+    numbers.to_csv(statistics, index=False)
+    classes.to_csv(by_range, index=False)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,17 @@
+"""Raw lidar log -> clock (GPS time of each packet) and integrity report."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.ingest.velodyne import LidarOptions, scan_lidar
+from thalweg.jobs.job import run_job
+
+
+def main(*, lidar: list[Path], clock: Path, integrity: Path, lidar_options: dict[str, Any]) -> None:
+    scan = scan_lidar(lidar, LidarOptions.from_section(lidar_options))
+    scan.clock.write(clock)
+    scan.report.write(integrity)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,14 @@
+"""Result tables of a campaign -> the most important figures in one table."""
+
+from pathlib import Path
+
+from thalweg.accuracy.summary import summary_table
+from thalweg.jobs.job import run_job
+
+
+def main(*, streams: Path, trajectory: Path, counts: Path, truth: list[Path], summary: Path) -> None:
+    summary_table(streams, trajectory, counts, truth[0] if truth else None).to_csv(summary, index=False)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
