@@ -2,6 +2,9 @@
 
 import os
 
+import yaml
+from snakemake.exceptions import WorkflowError
+
 from thalweg.config.load import load_campaigns
 from thalweg.jobs.codehash import code_version
 
@@ -17,6 +20,12 @@ wildcard_constraints:
 def section(name):
     """Input function for params: one section of the campaign's settings, as plain values."""
     return lambda wildcards: CAMPAIGNS[wildcards.campaign].plain()[name]
+
+
+def lidar_options(wildcards):
+    """Params function: how lidar packets become points (all of `lidar` but the assumed accuracy)."""
+    options = CAMPAIGNS[wildcards.campaign].plain()["lidar"]
+    return {key: value for key, value in options.items() if key != "sigma_component_m"}
 
 
 def is_twin(name):
@@ -48,19 +57,58 @@ def raw(stream):
     return lambda wildcards: logs_of(wildcards.campaign, stream)
 
 
+def position_source(wildcards):
+    """Params function: where the campaign's positions come from."""
+    return CAMPAIGNS[wildcards.campaign].orientation.position_source
+
+
+def ins_logs(wildcards):
+    """Input function: the files that hold attitudes, ANPP or SBET."""
+    return logs_of(
+        wildcards.campaign, "sbet" if position_source(wildcards) == "sbet" else "ins"
+    )
+
+
 def position_logs(wildcards):
-    """Input function: the files behind the campaign's source of positions."""
-    source = CAMPAIGNS[wildcards.campaign].orientation.position_source
-    streams = {
-        "pos": ["pos"],
-        "sbp": ["sbp"],
-        "ppk": ["sbp", "base", "nav"],
-        "sbet": ["sbet"],
-        "ins": ["ins"],
-    }
-    return [
-        log for stream in streams[source] for log in logs_of(wildcards.campaign, stream)
-    ]
+    """Input function: the files of the position source itself; none if the INS states hold them."""
+    stream = {"pos": "pos", "sbp": "sbp", "ppk": "rover"}.get(
+        position_source(wildcards)
+    )
+    return logs_of(wildcards.campaign, stream) if stream else []
+
+
+def base_logs(wildcards):
+    """Input function: raw GNSS of the base, where PPK needs it."""
+    return (
+        logs_of(wildcards.campaign, "base")
+        if position_source(wildcards) == "ppk"
+        else []
+    )
+
+
+def nav_logs(wildcards):
+    """Input function: navigation files, where PPK needs them."""
+    return (
+        logs_of(wildcards.campaign, "nav")
+        if position_source(wildcards) == "ppk"
+        else []
+    )
+
+
+def log_option(name, key):
+    """A plain value of the section `logs`; None for a twin."""
+    logs = CAMPAIGNS[name].plain()["logs"]
+    return logs[key] if logs else None
+
+
+def base_position(wildcards):
+    """Params function: how the campaign file states the position of the base."""
+    logs = CAMPAIGNS[wildcards.campaign].plain()["logs"]
+    return (
+        {key: value for key, value in logs["gnss"].items() if key.startswith("base_")}
+        if logs
+        else {}
+    )
 
 
 STREAM_NAMES = {"lidar": "lidar", "ins": "ins", "sbp": "gnss", "depth": "depth"}
@@ -122,3 +170,22 @@ def truth_statistics(wildcards):
     """Input function: the comparison with the truth, where there is one."""
     name = wildcards.campaign
     return [f"results/{name}/accuracy/truth_statistics.csv"] if is_twin(name) else []
+
+
+with open(ROOT / "resources" / "real_recordings.yaml") as stream:
+    RECORDINGS = {entry["id"]: entry for entry in yaml.safe_load(stream)}
+REAL_DATA = Path(os.environ.get("THALWEG_DATA", ROOT.parent / "shared" / "data"))
+
+
+def recording_files(key):
+    """Input function: files of one real recording, with a word of help where the folder is absent."""
+
+    def files(wildcards):
+        names = RECORDINGS[wildcards.recording].get(key, [])
+        if names and not REAL_DATA.is_dir():
+            raise WorkflowError(
+                f"The real recordings are not at {REAL_DATA}. Set THALWEG_DATA to their folder."
+            )
+        return [str(REAL_DATA / name) for name in names]
+
+    return files

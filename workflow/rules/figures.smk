@@ -8,7 +8,7 @@ rule plot_survey_map:
         positions="results/{campaign}/ingest/positions.parquet",
         points="results/{campaign}/lidar/points.laz",
     output:
-        survey_map=report(
+        survey_map_png=report(
             "results/{campaign}/figures/survey_map.png",
             caption="../report/survey_map.rst",
             category="Survey",
@@ -39,7 +39,7 @@ rule plot_streams_in_time:
     input:
         reports=reports,
     output:
-        streams_in_time=report(
+        streams_in_time_png=report(
             "results/{campaign}/figures/streams_in_time.png",
             caption="../report/streams_in_time.rst",
             category="Survey",
@@ -71,7 +71,7 @@ rule plot_cloud_overview:
         points="results/{campaign}/lidar/points.laz",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
     output:
-        cloud_overview=report(
+        cloud_overview_png=report(
             "results/{campaign}/figures/cloud_overview.png",
             caption="../report/cloud_overview.rst",
             category="Point cloud",
@@ -103,7 +103,7 @@ rule plot_cloud_detail:
         points="results/{campaign}/lidar/points.laz",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
     output:
-        cloud_detail=report(
+        cloud_detail_png=report(
             "results/{campaign}/figures/cloud_detail.png",
             caption="../report/cloud_detail.rst",
             category="Point cloud",
@@ -133,9 +133,8 @@ rule plot_error_versus_range:
     """Observed and predicted error by range."""
     input:
         by_range="results/{campaign}/accuracy/truth_by_range.csv",
-        statistics="results/{campaign}/accuracy/truth_statistics.csv",
     output:
-        error_versus_range=report(
+        error_versus_range_png=report(
             "results/{campaign}/figures/error_versus_range.png",
             caption="../report/error_versus_range.rst",
             category="Accuracy",

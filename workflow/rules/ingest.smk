@@ -20,7 +20,7 @@ rule scan_lidar:
         runtime=minutes(10, 20),
     params:
         code=code_version("scan_lidar"),
-        lidar_options=section("lidar"),
+        lidar_options=lidar_options,
     message:
         "{wildcards.campaign}: clock and integrity of the lidar log"
     script:
@@ -30,7 +30,7 @@ rule scan_lidar:
 rule read_ins:
     """States of the INS."""
     input:
-        ins=raw("ins"),
+        ins=ins_logs,
     output:
         states="results/{campaign}/ingest/ins_states.parquet",
         integrity="results/{campaign}/ingest/ins.integrity.json",
@@ -46,6 +46,8 @@ rule read_ins:
         runtime=minutes(10),
     params:
         code=code_version("read_ins"),
+        source=position_source,
+        gps_week=lambda wildcards: log_option(wildcards.campaign, "gps_week"),
     message:
         "{wildcards.campaign}: INS log"
     script:
@@ -81,6 +83,9 @@ rule read_positions:
     """Positions of the antenna from the source that the campaign chooses (PPK included)."""
     input:
         logs=position_logs,
+        base=base_logs,
+        nav=nav_logs,
+        states="results/{campaign}/ingest/ins_states.parquet",
     output:
         positions="results/{campaign}/ingest/positions.parquet",
         integrity="results/{campaign}/ingest/positions.integrity.json",
@@ -96,9 +101,9 @@ rule read_positions:
         runtime=minutes(20, 60),
     params:
         code=code_version("read_positions"),
-        orientation=section("orientation"),
-        logs_section=section("logs"),
+        source=position_source,
         ppk=section("ppk"),
+        base_position=base_position,
     message:
         "{wildcards.campaign}: positions"
     script:
@@ -124,7 +129,7 @@ rule read_depth:
         runtime=minutes(10),
     params:
         code=code_version("read_depth"),
-        logs_section=section("logs"),
+        date=lambda wildcards: log_option(wildcards.campaign, "depth_date"),
     message:
         "{wildcards.campaign}: depth log"
     script:

@@ -22,7 +22,7 @@ rule georeference_lidar:
         runtime=minutes(10, 20),
     params:
         code=code_version("georeference_lidar"),
-        lidar_options=section("lidar"),
+        lidar_options=lidar_options,
         mounts=section("mounts"),
         georeferencing=section("georeferencing"),
     message:

@@ -11,7 +11,7 @@ from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
 from thalweg.jobs.job import run_job
-from thalweg.orientation.ins_gnss import build_trajectory
+from thalweg.orientation.ins_gnss import build_trajectory, trajectory_from_states
 
 
 def main(
@@ -25,17 +25,26 @@ def main(
     orientation: dict[str, Any],
     ins: dict[str, float],
 ) -> None:
-    built, what = build_trajectory(
-        read_table(positions, GNSS_POSITION)[0],
-        read_table(states, INS_STATE)[0],
-        LocalFrame(**campaign["origin"]),
-        lever_ics_antenna_m=mounts["antenna"]["lever_ics_m"],
-        sigma_lever_m=mounts["antenna"]["sigma_lever_m"],
-        accept_fixes=orientation["accept_fixes"],
-        max_gap_s=orientation["max_gap_s"],
-        max_attitude_gap_s=orientation["max_attitude_gap_s"],
-        sigma_attitude_rad=np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
-    )
+    frame = LocalFrame(**campaign["origin"])
+    table, _ = read_table(states, INS_STATE)
+    sigma_attitude_rad = np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")])
+    max_attitude_gap_s = orientation["max_attitude_gap_s"]
+    if orientation["position_source"] in ("ins", "sbet"):
+        built, what = trajectory_from_states(
+            table, frame, max_attitude_gap_s=max_attitude_gap_s, sigma_attitude_rad=sigma_attitude_rad
+        )
+    else:
+        built, what = build_trajectory(
+            read_table(positions, GNSS_POSITION)[0],
+            table,
+            frame,
+            lever_ics_antenna_m=mounts["antenna"]["lever_ics_m"],
+            sigma_lever_m=mounts["antenna"]["sigma_lever_m"],
+            accept_fixes=orientation["accept_fixes"],
+            max_gap_s=orientation["max_gap_s"],
+            max_attitude_gap_s=max_attitude_gap_s,
+            sigma_attitude_rad=sigma_attitude_rad,
+        )
     built.write(trajectory)
     summary.write_text(json.dumps(asdict(what), indent=2) + "\n")
 

@@ -9,6 +9,7 @@ from thalweg.accuracy.truth import compare_cloud
 from thalweg.core.trajectory import Trajectory
 from thalweg.jobs.job import run_job
 from thalweg.lidar.georeference import Mount
+from thalweg.simulation.scene import Scene
 
 
 def main(
@@ -25,10 +26,10 @@ def main(
 ) -> None:
     numbers, classes = compare_cloud(
         points,
-        Trajectory.read(trajectory),
-        scene,
-        Trajectory.read(voyage),
-        Mount.from_section(mounts["lidar"]),
+        estimated=Trajectory.read(trajectory),
+        true=Trajectory.read(voyage),
+        mount=Mount.from_section(mounts["lidar"]),
+        surface=Scene.read(scene).caster(),
         sigma_component_m=lidar_options["sigma_component_m"],
         vertical_corrections=lidar_options["vertical_corrections"],
         rng=np.random.default_rng(campaign["seed"]),

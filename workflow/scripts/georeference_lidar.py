@@ -1,5 +1,6 @@
 """Lidar packets and trajectory -> cloud in the world frame (LAZ) and the count of what was left out."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,8 @@ def main(
 ) -> None:
     tally = georeference_log(
         lidar,
-        LidarOptions.from_section(lidar_options),
-        LidarClock.read(clock),
+        LidarOptions(**lidar_options),
+        LidarClock.from_dict(json.loads(clock.read_text())),
         Trajectory.read(trajectory),
         Mount.from_section(mounts["lidar"]),
         points,

@@ -2,7 +2,6 @@
 
 import datetime as dt
 from pathlib import Path
-from typing import Any
 
 from thalweg.core.tables import write_table
 from thalweg.ingest.nmea import read_nmea
@@ -10,8 +9,7 @@ from thalweg.ingest.schemas import DEPTH
 from thalweg.jobs.job import run_job
 
 
-def main(*, depth: list[Path], depths: Path, integrity: Path, logs_section: dict[str, Any] | None) -> None:
-    date = (logs_section or {}).get("depth_date")
+def main(*, depth: list[Path], depths: Path, integrity: Path, date: str | None) -> None:
     log = read_nmea(depth, date=dt.date.fromisoformat(date) if date else None)
     write_table(depths, log.depths, DEPTH)
     log.report.stream = "depth"

@@ -1,5 +1,6 @@
 """Raw lidar log -> clock (GPS time of each packet) and integrity report."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,8 @@ from thalweg.jobs.job import run_job
 
 
 def main(*, lidar: list[Path], clock: Path, integrity: Path, lidar_options: dict[str, Any]) -> None:
-    scan = scan_lidar(lidar, LidarOptions.from_section(lidar_options))
-    scan.clock.write(clock)
+    scan = scan_lidar(lidar, LidarOptions(**lidar_options))
+    clock.write_text(json.dumps(scan.clock.to_dict()) + "\n")
     scan.report.write(integrity)
 
 

@@ -5,6 +5,7 @@ where the point should be. Only this room may read the truth.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,8 @@ from thalweg.accuracy.statistics import block_band, by_range_class, describe_err
 from thalweg.core.raycast import RayCaster
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayB, ArrayF
+from thalweg.ingest.velodyne_model import RING, VERTICAL_CORRECTION_M
+from thalweg.lidar.cloud import sample_cloud
 from thalweg.lidar.georeference import Mount
 
 
@@ -90,6 +93,47 @@ def point_errors(
         cov_wcs_m2=cov,
         outlier=~hit | (np.abs(np.where(hit, true_range, np.inf) - range_m) > outlier_m),
     )
+
+
+def compare_cloud(
+    points: Path,
+    *,
+    estimated: Trajectory,
+    true: Trajectory,
+    mount: Mount,
+    surface: RayCaster,
+    sigma_component_m: float,
+    vertical_corrections: bool,
+    rng: np.random.Generator,
+    max_points: int = 300_000,
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Errors of a cloud on disk: an even sample of its points, see `point_errors` and `error_tables`.
+
+    Parameters
+    ----------
+    points : LAZ in the world frame with extra dimension ``ring``.
+    estimated, true : the trajectory that made the cloud, and the twin's own.
+    mount, surface, sigma_component_m : as in `point_errors`.
+    vertical_corrections : were the lasers' vertical offsets applied?
+    rng : for the band of the normalised error.
+    max_points : size of the sample.
+    """
+    cloud = sample_cloud(points, max_points)
+    by_ring = VERTICAL_CORRECTION_M[np.argsort(RING)] * vertical_corrections
+    errors = point_errors(
+        cloud["xyz_m"],
+        cloud["t_gps_s"],
+        by_ring[cloud["ring"]],
+        estimated=estimated,
+        true=true,
+        mount=mount,
+        surface=surface,
+        sigma_component_m=sigma_component_m,
+        # Attitude errors of 0.1 .. 0.2 deg move a beam by decimetres at 50 m; on a slope the true range then
+        # differs as much. More than half a metre is another surface.
+        outlier_m=0.5,
+    )
+    return error_tables(errors, block_s=5.0, rng=rng)
 
 
 def error_tables(

@@ -7,13 +7,16 @@ along instead of searched; attitudes are interpolated along the chord and normal
 slerp by less than ``a**3 / 124`` for an angle ``a`` between nodes (1e-9 rad at 50 Hz and 7 deg/s).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
 from thalweg.core.errors import GeometryError
+from thalweg.core.frames import rotation_opk
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayB, ArrayF, ArrayF32
 
@@ -40,6 +43,15 @@ class Mount:
         # 1e-9: a product of three rotations in float64 is orthogonal to a few 1e-16.
         if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9) or np.linalg.det(R) < 0:
             raise GeometryError("R_ics_sensor is no rotation matrix", expected="orthogonal, determinant +1")
+
+    @classmethod
+    def from_section(cls, section: Mapping[str, Any]) -> Self:
+        """The mount that a campaign file describes: omega, phi, kappa in degrees, ``lever_ics_m``."""
+        angles = np.deg2rad([section["omega_deg"], section["phi_deg"], section["kappa_deg"]])
+        return cls(
+            R_ics_sensor=rotation_opk(*angles),
+            lever_ics_m=np.asarray(section["lever_ics_m"], dtype=np.float64),
+        )
 
 
 def georeference_points(

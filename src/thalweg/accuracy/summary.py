@@ -1,0 +1,63 @@
+"""The most important figures of a campaign in one table: quantity, value, unit, where it comes from."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+
+COLUMNS = ["quantity", "value", "unit", "source"]
+
+
+def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | None) -> pd.DataFrame:
+    """Collect the figures that a surveyor looks at first.
+
+    Parameters
+    ----------
+    streams : table of the time axis (CSV).
+    trajectory : summary of the trajectory (JSON).
+    counts : what became of the lidar points (CSV).
+    truth : statistics against the twin's truth (CSV), or None for a real campaign.
+
+    Returns
+    -------
+    Columns ``quantity, value, unit, source``.
+    """
+    rows: list[tuple[str, float, str, str]] = []
+    for stream in pd.read_csv(streams).itertuples():
+        rows.append((f"{stream.stream}: duration", float(stream.duration_s), "s", streams.name))
+        rows.append((f"{stream.stream}: records lost or damaged", float(stream.lost), "1", streams.name))
+    poses = json.loads(trajectory.read_text())
+    share = poses["n_positions_used"] / poses["n_positions"] if poses["n_positions"] else 0.0
+    rows.append(("positions used", 100 * share, "%", trajectory.name))
+    rows.append(("trajectory nodes with a valid pose", float(poses["n_nodes_valid"]), "1", trajectory.name))
+    rows += [
+        (f"lidar points: {count.what}", float(count.n), "1", counts.name)
+        for count in pd.read_csv(counts).itertuples()
+    ]
+    if truth is not None:
+        table = pd.read_csv(truth)
+        wanted = {
+            "rmse_3d": "error against the truth of the twin, 3D RMSE",
+            "predicted_3d": "error predicted, 3D RMSE",
+            "normalised_squared_error": "normalised squared error (1 = honest sigmas)",
+            "normalised_squared_error_low95": "  its 95 % band, lower end",
+            "normalised_squared_error_high95": "  its 95 % band, upper end",
+        }
+        inliers = table[table["points"] == "without outliers"].set_index("quantity")
+        rows += [
+            (text, float(inliers.loc[key, "value"]), str(inliers.loc[key, "unit"]), truth.name)
+            for key, text in wanted.items()
+        ]
+        everything = table[table["points"] == "all"].set_index("quantity")
+        share = 100 * float(everything.loc["outlier_share", "value"])
+        rows.append(("points whose true beam meets another surface", share, "%", truth.name))
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def summary_lines(table: pd.DataFrame) -> list[str]:
+    """The table as aligned text lines for a terminal."""
+    lines = []
+    for row in table.itertuples():
+        value = f"{row.value:,.0f}" if float(row.value) == round(row.value) else f"{row.value:,.3f}"
+        lines.append(f"  {row.quantity:52s} {value:>16s} {'' if row.unit == '1' else row.unit}".rstrip())
+    return lines

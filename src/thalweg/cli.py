@@ -1,0 +1,222 @@
+"""The command ``thalweg``: what is not a rule of the workflow.
+
+Heavy libraries are imported by the commands that need them, so that help and mistakes come at once.
+"""
+
+import argparse
+import csv
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from thalweg.core.errors import ConfigError, InputError, ThalwegError
+
+CAMPAIGNS = Path("config") / "campaigns"
+
+EXIT_MISTAKE = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line.
+
+    Parameters
+    ----------
+    arguments : words after ``thalweg``; those of the process if None.
+
+    Returns
+    -------
+    int
+        0 if all is well, 2 for mistakes of the user or damaged files.
+    """
+    options = _parser().parse_args(arguments)
+    command: Callable[[argparse.Namespace], int] = options.command
+    try:
+        code = command(options)
+        sys.stdout.flush()
+    except ThalwegError as error:
+        sys.stdout.flush()
+        print(error, file=sys.stderr)
+        return EXIT_MISTAKE
+    except BrokenPipeError:
+        # The reader of a pipe (`head`) has seen enough. Python would complain again while it shuts down.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="thalweg",
+        description="Raw logs of a survey boat -> models of riverbanks and riverbed. The processing itself "
+        "runs by `snakemake`; these commands help around it.",
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    new = commands.add_parser("new-campaign", help="write a commented campaign file")
+    new.add_argument("id", help="short name: small letters, digits, underscores")
+    new.add_argument(
+        "--from-logs", type=Path, metavar="FOLDER", help="fill in the logs of this folder, known by content"
+    )
+    new.add_argument(
+        "--origin", type=float, nargs=3, metavar=("LAT_DEG", "LON_DEG", "H_ELL_M"),
+        help="point near the survey: origin of the local frame",
+    )  # fmt: skip
+    new.add_argument("--folder", type=Path, default=CAMPAIGNS, help="where to write (default: %(default)s)")
+    new.set_defaults(command=_new_campaign)
+
+    check = commands.add_parser("check-config", help="check campaign files: all mistakes at once")
+    check.add_argument("files", nargs="+", metavar="FILE", help="campaign file, or id of one")
+    check.set_defaults(command=_check_config)
+
+    describe = commands.add_parser("describe", help="what is in a raw log: counts, gaps, losses, clock")
+    describe.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    describe.add_argument("--json", action="store_true", help="as JSON")
+    describe.set_defaults(command=_describe)
+
+    summary = commands.add_parser("summary", help="print the summary of a processed campaign")
+    summary.add_argument("folder", type=Path, metavar="FOLDER", help="results/<campaign>")
+    summary.set_defaults(command=_summary)
+
+    schema = commands.add_parser("schema", help="JSON schema of campaign files")
+    schema.add_argument("--write", action="store_true", help="renew the generated files in the config folder")
+    schema.add_argument(
+        "--folder", type=Path, default=CAMPAIGNS.parent, help="config folder (default: %(default)s)"
+    )
+    schema.set_defaults(command=_schema)
+    return parser
+
+
+def _new_campaign(options: argparse.Namespace) -> int:
+    from thalweg.config.identity import ID_PATTERN
+    from thalweg.config.template import campaign_text
+
+    name, folder = options.id, options.folder
+    if not re.fullmatch(ID_PATTERN, name):
+        raise ConfigError(
+            f"{name!r} cannot be the id of a campaign",
+            expected="small letters, digits and underscores, beginning with a letter",
+            cure="Choose another id: it names files and folders",
+        )
+    path = folder / f"{name}.yaml"
+    if path.exists():
+        raise ConfigError("the file exists already", where=path, cure="Choose another id, or edit this file")
+    files = _sort_logs(options.from_logs) if options.from_logs else None
+    schema = os.path.relpath(CAMPAIGNS.parent.absolute() / "schema.json", folder.absolute())
+    text = campaign_text(
+        name,
+        folder=folder,
+        files=files,
+        origin=tuple(options.origin) if options.origin else None,
+        schema=Path(schema).as_posix(),
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    print(f"Wrote {path}. Edit the lines marked CHANGE, then run: thalweg check-config {path}")
+    return 0
+
+
+def _sort_logs(folder: Path) -> dict[str, list[Path]]:
+    """Files of a folder by stream, recognised by their content."""
+    from thalweg.config.template import stream_of
+    from thalweg.ingest.recognise import recognise
+
+    if not folder.is_dir():
+        raise InputError("no such folder", where=folder, expected="a folder of raw logs")
+    streams: dict[str, list[Path]] = {}
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        try:
+            kind = recognise(path)
+        except ThalwegError as error:
+            print(f"left out: {error}", file=sys.stderr)
+            continue
+        stream = stream_of(kind, path)
+        if stream is None:
+            print(f"left out: {path}: no place for a log of the kind {kind}", file=sys.stderr)
+        else:
+            print(f"{stream:10s} {path} ({kind})")
+            streams.setdefault(stream, []).append(path)
+    if not streams:
+        raise InputError(
+            "no raw log was recognised",
+            where=folder,
+            expected="Velodyne, ANPP, SBP, RINEX, NMEA, .pos, SBET or point clouds",
+            cure="Look at single files with `thalweg describe FILE`",
+        )
+    return streams
+
+
+def _check_config(options: argparse.Namespace) -> int:
+    from thalweg.config.load import load_campaigns
+    from thalweg.config.logs import STREAM_KEYS
+
+    for name, campaign in load_campaigns(options.files, CAMPAIGNS).items():
+        counts = {stream: len(campaign.log_files(stream)) for stream in STREAM_KEYS}
+        files = ", ".join(f"{n} {stream}" for stream, n in counts.items() if n)
+        source = f"files: {files}" if campaign.logs else "digital twin"
+        identity = campaign.campaign
+        print(
+            f"{name}: ok. {identity.title}; {identity.crs}; "
+            f"positions from {campaign.orientation.position_source}; {source}"
+        )
+    return 0
+
+
+def _describe(options: argparse.Namespace) -> int:
+    from thalweg.ingest.describe import describe
+
+    code = 0
+    texts: list[str] = []
+    for path in options.files:
+        try:
+            report = describe(path)
+        except ThalwegError as error:
+            sys.stdout.flush()
+            print(error, file=sys.stderr)
+            code = EXIT_MISTAKE
+            continue
+        if options.json:
+            texts.append(report.to_json().rstrip("\n"))
+        else:
+            print("\n".join(report.lines()))
+    if options.json and texts:
+        print(texts[0] if len(options.files) == 1 else "[\n" + ",\n".join(texts) + "\n]")
+    return code
+
+
+def _summary(options: argparse.Namespace) -> int:
+    path = options.folder / "summary.csv"
+    if not path.is_file():
+        raise InputError(
+            "no such file",
+            where=path,
+            expected="results of a processed campaign",
+            cure=f"Run: snakemake --cores all --config campaign={options.folder.name}",
+        )
+    with path.open(encoding="utf-8", newline="") as stream:
+        rows = [row for row in csv.reader(stream) if row]
+    n = max((len(row) for row in rows), default=0)
+    rows = [row + [""] * (n - len(row)) for row in rows]
+    widths = [max(len(row[i]) for row in rows) for i in range(n)]
+    for row in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    return 0
+
+
+def _schema(options: argparse.Namespace) -> int:
+    from thalweg.config.generate import schema_text, write_generated
+
+    if not options.write:
+        print(schema_text(), end="")
+        return 0
+    if not options.folder.is_dir():
+        raise ConfigError(
+            "no such folder",
+            where=options.folder,
+            expected="the config folder of the repository",
+            cure="Run the command at the root of the repository, or give --folder",
+        )
+    changed = write_generated(options.folder)
+    print(f"Renewed {', '.join(map(str, changed))}" if changed else "All generated files are in step")
+    return 0

@@ -1,0 +1,73 @@
+"""The whole campaign file as one model."""
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import ConfigDict, Field
+
+from thalweg.config.base import Section
+from thalweg.config.identity import Identity
+from thalweg.config.lidar import Lidar
+from thalweg.config.logs import STREAM_KEYS, Logs
+from thalweg.config.mounts import Mounts
+from thalweg.config.navigation import Ins, Orientation, Ppk
+from thalweg.config.products import Figures, Georeferencing
+from thalweg.config.twin import TwinConfig
+
+
+class Campaign(Section):
+    """One survey: who, where, its logs (or the digital twin that writes them), and all settings."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"anyOf": [{"required": ["twin"]}, {"required": ["logs"]}]},
+    )
+
+    campaign: Identity = Field(description="Name, map and world frame")
+    twin: TwinConfig | None = Field(
+        default=None, description="The digital twin writes the logs; exactly one of `twin` and `logs`"
+    )
+    logs: Logs | None = Field(
+        default=None, description="Raw logs of a real survey; exactly one of `twin` and `logs`"
+    )
+    lidar: Lidar = Field(default=Lidar(), description="Decoding of the lidar")
+    mounts: Mounts = Field(default=Mounts(), description="Sensors in the body frame of the INS")
+    ins: Ins = Field(default=Ins(), description="Accuracy of the INS attitude")
+    ppk: Ppk = Field(default=Ppk(), description="Post-processing of raw GNSS")
+    orientation: Orientation = Field(default=Orientation(), description="Trajectory")
+    georeferencing: Georeferencing = Field(
+        default=Georeferencing(), description="Lidar points into the world"
+    )
+    figures: Figures = Field(default=Figures(), description="Pictures")
+
+    @property
+    def id(self) -> str:
+        """Short name of the campaign."""
+        return self.campaign.id
+
+    def log_files(self, stream: str) -> list[Path]:
+        """Files of one stream of a real survey, absolute; empty for a twin.
+
+        Parameters
+        ----------
+        stream : ``lidar``, ``ins``, ``rover``, ``sbp`` (rover files without RINEX), ``base``, ``nav``,
+            ``pos``, ``sbet``, ``depth`` or ``reference``.
+
+        Raises
+        ------
+        KeyError : no such stream.
+        """
+        key = "rover" if stream == "sbp" else stream
+        if key not in STREAM_KEYS:
+            raise KeyError(stream)
+        paths = [Path(p) for p in self.logs.files(key)] if self.logs else []
+        return [p for p in paths if not is_rinex_name(p)] if stream == "sbp" else paths
+
+    def plain(self) -> dict[str, Any]:
+        """All settings as plain dicts, lists, text and numbers, as Snakemake compares them."""
+        return self.model_dump(mode="json")
+
+
+def is_rinex_name(path: Path) -> bool:
+    """True for the usual names of RINEX observation files: ``.obs``, ``.rnx``, ``.21o``."""
+    suffix = path.suffix.lower()
+    return suffix in {".obs", ".rnx"} or (len(suffix) == 4 and suffix[1:3].isdigit() and suffix[3] == "o")

@@ -1,0 +1,121 @@
+"""Are the logs there, are they files with content, and is each named once?"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from thalweg.config.logs import STREAM_KEYS, Logs
+from thalweg.config.mistakes import Key, Mistake
+from thalweg.config.paths import anchor, expand, is_pattern, missing_cure
+
+
+def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tuple[str, ...]]]:
+    """Check every path of a campaign.
+
+    Parameters
+    ----------
+    logs : paths and patterns as written.
+    folder : folder of the campaign file.
+
+    Returns
+    -------
+    mistakes : missing, empty or unreadable files, patterns without match, files named twice.
+    files : absolute paths of each stream, patterns replaced by their sorted matches.
+    """
+    mistakes: list[Mistake] = []
+    files: dict[str, tuple[str, ...]] = {}
+    first_use: dict[Path, tuple[tuple[Key, ...], str]] = {}
+    for stream, keys in STREAM_KEYS.items():
+        paths: list[str] = []
+        for i, text in enumerate(logs.files(stream)):
+            where: tuple[Key, ...] = ("logs", *keys, i)
+            if "\0" in text:
+                mistakes.append(_no_path(where, text))
+                continue
+            matches = expand(text, folder)
+            if not matches:
+                mistakes.append(_no_match(where, text, folder))
+            for path in matches:
+                mistakes += _check_file(where, text, path)
+                mistakes += _check_twice(where, path, first_use)
+                paths.append(str(path))
+        files[stream] = tuple(paths)
+    return mistakes, files
+
+
+def _no_path(where: tuple[Key, ...], text: str) -> Mistake:
+    return Mistake(
+        path=where, found=f"found {text!r}", expected="a path", cure="Remove the character \\0 from the path"
+    )
+
+
+def _no_match(where: tuple[Key, ...], text: str, folder: Path) -> Mistake:
+    path = anchor(text, folder)
+    fixed = path.parent
+    while is_pattern(str(fixed)):
+        fixed = fixed.parent
+    return Mistake(
+        path=where,
+        found=f"{text}: the pattern matches no file",
+        expected="at least one file",
+        cure=missing_cure(fixed / path.name),
+    )
+
+
+def _check_file(where: tuple[Key, ...], text: str, path: Path) -> Iterator[Mistake]:
+    try:
+        if path.is_dir():
+            yield Mistake(
+                path=where,
+                found=f"{text}: this is a folder",
+                expected="a file",
+                cure=f"Name the files in it, for instance with a pattern: {text.rstrip('/')}/*",
+            )
+        elif not path.exists():
+            yield Mistake(
+                path=where,
+                found=f"{text}: no such file",
+                expected=f"a log at {path}",
+                cure=missing_cure(path),
+            )
+        elif path.stat().st_size == 0:
+            yield Mistake(
+                path=where,
+                found=f"{text}: the file is empty ({path})",
+                expected="a log with content",
+                cure="Copy the log again, or remove the file from the list",
+            )
+        else:
+            with path.open("rb"):
+                pass
+    except OSError as error:
+        yield Mistake(
+            path=where,
+            found=f"{text}: {error.strerror or error} ({path})",
+            expected="a readable file",
+            cure="Check the permissions of the file and of its folder",
+        )
+
+
+def _check_twice(
+    where: tuple[Key, ...], path: Path, first_use: dict[Path, tuple[tuple[Key, ...], str]]
+) -> Iterator[Mistake]:
+    real = path.resolve()
+    if real not in first_use:
+        first_use[real] = (where, path.name)
+        return
+    other, _ = first_use[real]
+    before = Mistake(path=other, found="").dotted
+    same_stream = other[:-1] == where[:-1]
+    if {other[2:3], where[2:3]} <= {("rover",), ("base",), ("nav",)} and not same_stream:
+        key = str(where[2])
+        cure = (
+            f"Remove it from {key}: an empty {key} means that the rover's SBP log carries "
+            f"{'the corrections of the base' if key == 'base' else 'the ephemerides'}"
+        )
+    elif same_stream:
+        cure = "Remove one of them: each record would be read twice"
+    else:
+        cure = "One file is one stream: remove it where it does not belong"
+    yield Mistake(
+        path=where, found=f"{path.name} is already named at {before}", expected="each file once", cure=cure
+    )

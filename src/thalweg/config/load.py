@@ -1,0 +1,134 @@
+"""Load campaign files: one, or those that ``config.yaml`` or the command line choose."""
+
+from pathlib import Path
+
+from thalweg.config.campaign import Campaign
+from thalweg.config.hints import nearest
+from thalweg.config.mistakes import CampaignError, Mistake
+from thalweg.config.validate import validate
+from thalweg.config.yaml_lines import read_yaml
+
+
+def load_campaign(path: Path | str) -> Campaign:
+    """Load and check one campaign file.
+
+    Parameters
+    ----------
+    path : YAML file. Paths of logs in it are relative to its folder.
+
+    Returns
+    -------
+    Campaign
+        With absolute paths of all logs; patterns are replaced by the files that match, sorted by name.
+
+    Raises
+    ------
+    CampaignError : a `ConfigError` that lists every mistake: file, line, path, what was found, what was
+        expected, and the cure.
+    """
+    campaign, mistakes = check_campaign(Path(path))
+    if campaign is None:
+        raise CampaignError(mistakes)
+    return campaign
+
+
+def check_campaign(path: Path) -> tuple[Campaign | None, list[Mistake]]:
+    """The campaign of a file, or None and all its mistakes."""
+    return validate(read_yaml(path), path)
+
+
+def load_campaigns(choice: object, folder: Path) -> dict[str, Campaign]:
+    """Load the chosen campaigns.
+
+    Parameters
+    ----------
+    choice : an id (a file ``<id>.yaml`` in ``folder``), a path to a YAML file, or a list of them.
+    folder : folder of campaign files.
+
+    Returns
+    -------
+    dict
+        By id, in the order of the choice.
+
+    Raises
+    ------
+    CampaignError : lists the mistakes of all chosen files, unknown ids, and ids that stand twice.
+    """
+    entries = list(choice) if isinstance(choice, list | tuple) else [choice]
+    mistakes: list[Mistake] = []
+    campaigns: dict[str, Campaign] = {}
+    files: dict[str, Path] = {}
+    if not entries:
+        mistakes.append(_no_choice(choice, folder))
+    for entry in entries:
+        path = campaign_path(entry, folder)
+        if isinstance(path, Mistake):
+            mistakes.append(path)
+            continue
+        campaign, found = check_campaign(path)
+        mistakes += found
+        if campaign is None:
+            continue
+        if campaign.id in campaigns:
+            mistakes.append(_twice(campaign.id, files[campaign.id], path))
+        campaigns.setdefault(campaign.id, campaign)
+        files.setdefault(campaign.id, path)
+    if mistakes:
+        raise CampaignError(list(dict.fromkeys(mistakes)))
+    return campaigns
+
+
+def campaign_path(entry: object, folder: Path) -> Path | Mistake:
+    """The file of an entry of ``campaign:``, or the mistake in it."""
+    if not isinstance(entry, str) or not entry.strip():
+        return _no_choice(entry, folder)
+    text = entry.strip()
+    if "/" in text or text.endswith((".yaml", ".yml")):
+        path = Path(text).expanduser()
+        return path if path.is_absolute() or path.exists() else _inside(path, folder)
+    path = folder / f"{text}.yaml"
+    if path.is_file():
+        return path
+    known = campaign_ids(folder)
+    near = nearest(text, known)
+    cure = f"Did you mean {near}? " if near else ""
+    if "," in text:
+        cure = f'Choose several with a list: --config campaign="[{text}]". '
+    return Mistake(
+        path=("campaign",),
+        found=f"there is no campaign {text!r} in {folder}",
+        expected=f"one of {', '.join(known)}, or a path" if known else "a path to a campaign file",
+        cure=f"{cure}Make a new one with `thalweg new-campaign`",
+    )
+
+
+def campaign_ids(folder: Path) -> list[str]:
+    """Ids of the campaign files in a folder, sorted."""
+    return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+def _inside(path: Path, folder: Path) -> Path:
+    """A path given relative to the campaigns' folder, where it exists there; else the path itself."""
+    return folder / path if (folder / path).exists() else path
+
+
+def _no_choice(choice: object, folder: Path) -> Mistake:
+    known = ", ".join(campaign_ids(folder))
+    return Mistake(
+        path=("campaign",),
+        found=f"found {choice!r}",
+        expected="the id of a campaign, a path to its file, or a list of them",
+        cure=f"Write for instance campaign: demo in config/config.yaml. Known ids: {known or 'none'}",
+    )
+
+
+def _twice(name: str, first: Path, second: Path) -> Mistake:
+    same = first.resolve() == second.resolve()
+    return Mistake(
+        path=("campaign",),
+        found=f"campaign {name!r} is chosen twice"
+        if same
+        else f"two files have the id {name!r}: {first} and {second}",
+        expected="each id once",
+        cure="Remove one of them from the list" if same else "Rename one file and its campaign.id",
+    )

@@ -1,0 +1,91 @@
+"""Section ``logs``: the files that the instruments wrote."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field
+
+from thalweg.config.base import Section
+from thalweg.config.values import Finite, Vector3
+
+Files = tuple[Annotated[str, Field(min_length=1)], ...]
+"""Paths or glob patterns, as in the file; absolute paths once the campaign is loaded."""
+
+STREAM_KEYS = {
+    "lidar": ("lidar",),
+    "ins": ("ins",),
+    "rover": ("gnss", "rover"),
+    "base": ("gnss", "base"),
+    "nav": ("gnss", "nav"),
+    "pos": ("positions",),
+    "sbet": ("sbet",),
+    "depth": ("depth",),
+    "reference": ("reference",),
+}
+"""Stream name -> keys below ``logs``."""
+
+
+class BasePosition(Section):
+    """Geodetic position of the base antenna."""
+
+    lat_deg: Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)] = Field(
+        description="Latitude of the base antenna, degrees"
+    )
+    lon_deg: Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)] = Field(
+        description="Longitude of the base antenna, degrees"
+    )
+    h_ell_m: Finite = Field(ge=-500, le=9000, description="Ellipsoidal height of the base antenna, metres")
+
+
+class GnssLogs(Section):
+    """Raw GNSS of the boat and of the base; paths as in `Logs`."""
+
+    rover: Files = Field(default=(), description="Boat's receiver: SBP, or RINEX observations (ppk only)")
+    base: Files = Field(
+        default=(),
+        description="Base: SBP or RINEX observations; empty if corrections are inside the rover's SBP",
+    )
+    nav: Files = Field(default=(), description="RINEX navigation; empty if the SBP carries ephemerides")
+    base_ecef_m: Vector3 | None = Field(
+        default=None, description="Base antenna, earth-centred x, y, z, metres"
+    )
+    base_llh: BasePosition | None = Field(default=None, description="Base antenna, geodetic")
+    base_from: Literal["sbp", "rinex_header"] | None = Field(
+        default=None, description="Take the base antenna from the log: `sbp` messages or the `rinex_header`"
+    )
+    base_antenna_delta_enu_m: Vector3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="From the given base position to its antenna reference point: east, north, up, metres",
+    )
+
+
+class Logs(Section):
+    """Files of each stream, in order of time. Relative to this file or absolute; ``~`` and globs work."""
+
+    lidar: Files = Field(default=(), description="Velodyne captures: pcap, pcapng or bare payloads")
+    ins: Files = Field(default=(), description="Advanced Navigation ANPP logs")
+    gnss: GnssLogs = Field(default=GnssLogs(), description="Raw GNSS of boat and base")
+    positions: Files = Field(default=(), description="RTKLIB .pos files of the boat's antenna")
+    sbet: Files = Field(default=(), description="Applanix SBET trajectories")
+    gps_week: int | None = Field(
+        default=None, ge=1024, le=4095, description="GPS week of the SBET's first record, not modulo 1024"
+    )
+    depth: Files = Field(default=(), description="Echo sounder, NMEA 0183")
+    depth_date: str | None = Field(
+        default=None,
+        pattern=r"^\d{4}-\d{2}-\d{2}$",
+        description="UTC date `YYYY-MM-DD` of the first sounding, for NMEA logs without date",
+    )
+    reference: Files = Field(default=(), description="Reference clouds: LAS, LAZ, PLY, E57")
+
+    def files(self, stream: str) -> tuple[str, ...]:
+        """Paths of one stream, named as in `STREAM_KEYS`."""
+        value: object = self
+        for key in STREAM_KEYS[stream]:
+            value = getattr(value, key)
+        return value if isinstance(value, tuple) else ()
+
+    def with_files(self, files: dict[str, tuple[str, ...]]) -> Self:
+        """A copy with other paths."""
+        top = {STREAM_KEYS[s][0]: paths for s, paths in files.items() if len(STREAM_KEYS[s]) == 1}
+        nested = {STREAM_KEYS[s][1]: paths for s, paths in files.items() if len(STREAM_KEYS[s]) == 2}
+        return self.model_copy(update={**top, "gnss": self.gnss.model_copy(update=nested)})

@@ -1,0 +1,145 @@
+"""A new campaign file with comments, from nothing or from a folder of logs."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from thalweg.config.check_place import utm_code
+
+PLACEHOLDERS: Mapping[str, Sequence[str]] = {
+    "lidar": ["raw/lidar/*.pcap"],
+    "ins": ["raw/ins/*.anpp"],
+    "positions": ["raw/gnss/boat.pos"],
+    "depth": [],
+    "reference": [],
+}
+"""Logs of a campaign of which no files are known yet."""
+
+STREAM_OF_KIND: Mapping[str, str] = {
+    "capture": "lidar", "velodyne_payloads": "lidar", "anpp": "ins", "sbp": "rover", "rinex": "rover",
+    "pos": "positions", "nmea": "depth", "sbet": "sbet", "las": "reference", "ply": "reference",
+    "e57": "reference",
+}  # fmt: skip
+"""Kind of a file (`thalweg.ingest.recognise`) -> stream of ``logs``."""
+
+
+def stream_of(kind: str, path: Path) -> str | None:
+    """Stream of ``logs`` in which a file of a recognised kind belongs; None for kinds without a place.
+
+    A raw GNSS log whose name holds ``base`` or ``ref`` is the base's; RINEX says itself whether it is
+    navigation.
+
+    Examples
+    --------
+    >>> stream_of("sbp", Path("base_station.sbp")), stream_of("anpp", Path("boat.bin"))
+    ('base', 'ins')
+    """
+    if kind == "rinex" and _rinex_type(path) in {"N", "G", "H"}:
+        return "nav"
+    stream = STREAM_OF_KIND.get(kind)
+    if stream == "rover" and any(mark in path.name.lower() for mark in ("base", "ref")):
+        return "base"
+    return stream
+
+
+def _rinex_type(path: Path) -> str:
+    """Letter in column 21 of the first line: O observations, N navigation (G, H in RINEX 2)."""
+    with path.open("rb") as stream:
+        return stream.readline(100)[20:21].decode("ascii", "replace").upper()
+
+
+def campaign_text(
+    name: str,
+    *,
+    folder: Path,
+    files: Mapping[str, Sequence[Path]] | None = None,
+    origin: tuple[float, float, float] | None = None,
+    schema: str = "../schema.json",
+) -> str:
+    """Text of a new campaign file.
+
+    Parameters
+    ----------
+    name : id of the campaign.
+    folder : folder that the file will stand in; paths are written relative to it where that is short.
+    files : logs by stream; placeholders if None.
+    origin : latitude and longitude in degrees and ellipsoidal height in metres; a placeholder if None.
+    schema : path of the JSON schema from ``folder``, for editors.
+    """
+    lat, lon, h = origin or (51.05, 13.25, 300.0)
+    mark = "" if origin else "  # CHANGE: a point near the survey"
+    listed = {k: list(v) for k, v in PLACEHOLDERS.items()}
+    if files is not None:
+        listed = {k: [_relative(p, folder) for p in v] for k, v in files.items()}
+    source, gnss = _source(listed)
+    levers = "  # CHANGE: metres forward, right, down of the INS"
+    lines = [
+        f"# yaml-language-server: $schema={schema}",
+        "# Every key, its unit and its default: config/README.md. Check with: thalweg check-config THIS_FILE",
+        "campaign:",
+        f"  id: {name}",
+        f"  title: {name}  # CHANGE: one line for figures and reports",
+        f"  crs: {utm_code(lat, lon)}  # CRS of the map exports, projected, in metres",
+        f"  origin: {{lat_deg: {lat}, lon_deg: {lon}, h_ell_m: {h}}}{mark}",
+        "  seed: 1",
+        "",
+        "logs:  # relative to this file or absolute; ~ and patterns like raw/*.pcap work",
+        *_list("lidar", listed.get("lidar", []), "Velodyne captures"),
+        *_list("ins", listed.get("ins", []), "Advanced Navigation ANPP"),
+        *gnss,
+        *_list("positions", listed.get("positions", []), "RTKLIB .pos"),
+        *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
+        *(["  # gps_week: 2235  # CHANGE: week of the SBET"] if listed.get("sbet") else []),
+        *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
+        *_list("reference", listed.get("reference", []), "clouds to compare with: LAS, LAZ, PLY, E57"),
+        "",
+        "mounts:  # body frame of the INS: x forward, y right, z down",
+        "  lidar:",
+        "    omega_deg: 0.0",
+        "    phi_deg: -90.0  # spin axis points backwards",
+        "    kappa_deg: 0.0",
+        f"    lever_ics_m: [0.0, 0.0, 0.0]{levers}",
+        "  antenna:",
+        f"    lever_ics_m: [0.0, 0.0, 0.0]{levers}",
+        "",
+        "orientation:",
+        f"  position_source: {source}  # pos, sbp, ppk, sbet or ins",
+        "  accept_fixes: [fixed]",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _source(listed: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
+    """Best source of positions for these logs, and the lines of the GNSS logs."""
+    gnss: list[str] = []
+    if any(listed.get(key) for key in ("rover", "base", "nav")):
+        gnss = ["  gnss:"]
+        for key, meaning in (("rover", "the boat"), ("base", "the base"), ("nav", "ephemerides")):
+            gnss += [f"  {line}" for line in _list(key, listed.get(key, []), meaning)]
+    else:
+        gnss = ["  # gnss: {rover: [], base: [], nav: []}  # raw GNSS: SBP or RINEX"]
+    if listed.get("positions"):
+        return "pos", gnss
+    if listed.get("sbet"):
+        return "sbet", gnss
+    if listed.get("base"):
+        return "ppk", [*gnss, "    base_from: rinex_header  # CHANGE: or sbp, base_ecef_m, base_llh"]
+    return ("sbp" if listed.get("rover") else "ins" if listed.get("ins") else "pos"), gnss
+
+
+def _list(key: str, paths: Sequence[str], meaning: str) -> list[str]:
+    if not paths:
+        return [f"  # {key}: []  # {meaning}"]
+    if len(paths) == 1:
+        return [f"  {key}: [{_quoted(paths[0])}]  # {meaning}"]
+    return [f"  {key}:  # {meaning}", *(f"    - {_quoted(path)}" for path in paths)]
+
+
+def _quoted(text: str) -> str:
+    plain = all(c.isalnum() or c in "/._-~+" for c in text) and text[0] not in "-~"
+    return text if plain else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _relative(path: Path, folder: Path) -> str:
+    relative = os.path.relpath(path.absolute(), folder.absolute())
+    return path.absolute().as_posix() if relative.count("..") > 3 else Path(relative).as_posix()

@@ -1,0 +1,26 @@
+"""Kinds of values that several sections share."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+"""A number that is neither infinite nor NaN."""
+
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+"""A finite number of at least zero."""
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+"""A finite number above zero."""
+
+Vector3 = tuple[Finite, Finite, Finite]
+"""Three numbers, x, y, z."""
+
+Sigma3 = tuple[NonNegative, NonNegative, NonNegative]
+"""Standard deviations of three components."""
+
+Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+"""An angle in degrees."""
+
+SigmaAngle = Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)]
+"""Standard deviation of an angle in degrees."""

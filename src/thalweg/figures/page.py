@@ -1,0 +1,189 @@
+"""A page of text, tables and pictures in one HTML file: no scripts, nothing fetched from anywhere."""
+
+import base64
+import io
+import math
+import re
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import Any, Final, Self
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from thalweg.core.errors import InputError
+from thalweg.figures.style import save
+
+PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+
+STYLE: Final = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; max-width: 62rem;
+  margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.7rem; line-height: 1.2; }
+h2 { font-size: 1.25rem; margin-top: 2.5rem; border-top: 1px solid #ccc; padding-top: 1rem; }
+nav ul { columns: 2; padding-left: 1.2rem; }
+a { color: #0072b2; }
+figure { margin: 1.2rem 0; }
+figure img { max-width: 100%; height: auto; border: 1px solid #ddd; }
+figcaption, caption { font-size: .9rem; color: #444; text-align: left; margin: .3rem 0; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabular-nums; }
+th, td { padding: .2rem .7rem; border-bottom: 1px solid #ddd; text-align: left; vertical-align: top; }
+th { border-bottom: 2px solid #888; }
+th .unit { font-weight: normal; color: #555; }
+td.number, th.number { text-align: right; white-space: nowrap; }
+pre { background: #f5f5f5; padding: .7rem; overflow-x: auto; font-size: .82rem; line-height: 1.35; }
+@media print { h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
+"""
+
+
+class Page:
+    """A self-contained HTML page, built from top to bottom; each method returns the page.
+
+    Parameters
+    ----------
+    title : heading and name of the page.
+    lead : first paragraph.
+
+    Examples
+    --------
+    >>> page = Page("Logs").section("Lidar").text("52 revolutions & no gap")
+    >>> "52 revolutions &amp; no gap" in page.html()
+    True
+    """
+
+    def __init__(self, title: str, lead: str = "") -> None:
+        self.title = title
+        self._body: list[str] = [f"<p>{escape(lead)}</p>"] if lead else []
+        self._sections: list[tuple[str, str]] = []
+
+    def section(self, name: str) -> Self:
+        """Begin a section; it gets a line in the list of contents."""
+        stem = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "section"
+        used = {anchor for anchor, _ in self._sections}
+        anchor, number = stem, 2
+        while anchor in used:
+            anchor, number = f"{stem}-{number}", number + 1
+        self._sections.append((anchor, name))
+        self._body.append(f'<h2 id="{anchor}">{escape(name)}</h2>')
+        return self
+
+    def text(self, words: str) -> Self:
+        """Add text; blank lines separate paragraphs."""
+        parts = [part.strip() for part in re.split(r"\n\s*\n", words) if part.strip()]
+        self._body += [f"<p>{escape(part)}</p>" for part in parts]
+        return self
+
+    def lines(self, lines: list[str]) -> Self:
+        """Add lines of fixed width, such as those of `IntegrityReport.lines`."""
+        self._body.append(f"<pre>{escape(chr(10).join(lines))}</pre>")
+        return self
+
+    def figure(self, picture: Figure | Path, caption: str, *, dpi: int = 130) -> Self:
+        """Add a picture: a figure, drawn at ``dpi``, or a PNG file.
+
+        Raises
+        ------
+        InputError : the file is missing or no PNG.
+        """
+        data = _png(picture, dpi)
+        code = base64.b64encode(data).decode()
+        self._body.append(
+            f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{code}">'
+            f"<figcaption>{escape(caption)}</figcaption></figure>"
+        )
+        return self
+
+    def table(
+        self, frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None = None, *, digits: int = 6
+    ) -> Self:
+        """Add a table.
+
+        Parameters
+        ----------
+        frame : its columns become the columns; the index is not shown.
+        caption : stands above the table.
+        units : column -> unit, shown in its head.
+        digits : significant digits of numbers with a fraction.
+
+        Raises
+        ------
+        InputError : a unit for a column that is not there.
+        """
+        unknown = [name for name in units or {} if name not in frame.columns]
+        if unknown:
+            raise InputError(f"units for columns {unknown}", expected=f"columns {list(frame.columns)}")
+        numeric = {name: pd.api.types.is_numeric_dtype(frame[name]) for name in frame.columns}
+        head = "".join(
+            f"<th{_class(numeric[name])}>{escape(str(name))}{_unit((units or {}).get(str(name), ''))}</th>"
+            for name in frame.columns
+        )
+        rows = "".join(
+            "<tr>"
+            + "".join(
+                f"<td{_class(numeric[name])}>{escape(_cell(value, digits))}</td>"
+                for name, value in zip(frame.columns, row, strict=True)
+            )
+            + "</tr>\n"
+            for row in frame.itertuples(index=False, name=None)
+        )
+        self._body.append(
+            f'<div class="scroll"><table><caption>{escape(caption)}</caption>\n'
+            f"<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}</tbody></table></div>"
+        )
+        return self
+
+    def html(self) -> str:
+        """The page as text."""
+        contents = "".join(
+            f'<li><a href="#{anchor}">{escape(name)}</a></li>' for anchor, name in self._sections
+        )
+        nav = f"<nav><ul>{contents}</ul></nav>\n" if len(self._sections) > 1 else ""
+        body = "\n".join(self._body)
+        return (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<title>{escape(self.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+            f"<h1>{escape(self.title)}</h1>\n{nav}{body}\n</body>\n</html>\n"
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the page; the same content gives the same bytes."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(self.html(), encoding="utf-8")
+
+
+def _png(picture: Figure | Path, dpi: int) -> bytes:
+    if isinstance(picture, Figure):
+        memory = io.BytesIO()
+        save(picture, memory, dpi=dpi)
+        return memory.getvalue()
+    if not picture.is_file():
+        raise InputError("file not found", expected="a PNG picture", where=picture)
+    data = picture.read_bytes()
+    if not data.startswith(PNG_SIGNATURE):
+        raise InputError("not a PNG file", expected="a picture that `save` wrote as .png", where=picture)
+    return data
+
+
+def _class(numeric: bool) -> str:
+    return ' class="number"' if numeric else ""
+
+
+def _unit(unit: str) -> str:
+    return f' <span class="unit">/ {escape(unit)}</span>' if unit else ""
+
+
+def _cell(value: Any, digits: int) -> str:
+    """A value as people write it: no ``nan``, thousands apart, as many digits as asked for."""
+    if value is None or value is pd.NaT or value is pd.NA:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}".replace(",", "\N{NO-BREAK SPACE}")
+    if isinstance(value, float):
+        return f"{value:.{digits}g}" if math.isfinite(value) else "–"
+    return str(value)

@@ -1,0 +1,235 @@
+"""Look of all figures: style, size, colours, the mark of the digital twin, and how a figure is saved."""
+
+from collections.abc import Callable
+from functools import cache, wraps
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from cmcrameri import cm
+from matplotlib.axes import Axes
+from matplotlib.colors import Colormap
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from numpy.typing import ArrayLike
+
+from thalweg.core.errors import InputError
+
+WIDTH_MM: Final = 170.0
+"""Width of every figure: the type area of an A4 page."""
+
+MM_PER_INCH: Final = 25.4
+
+BLUE: Final = "#0072B2"
+VERMILION: Final = "#D55E00"
+GREEN: Final = "#009E73"
+PURPLE: Final = "#CC79A7"
+ORANGE: Final = "#E69F00"
+SKY: Final = "#56B4E9"
+RED: Final = "#C1121F"
+GREY: Final = "0.45"
+
+HEIGHT_MAP: Final[Colormap] = cm.batlow
+TIME_MAP: Final[Colormap] = cm.batlow
+DEPTH_MAP: Final[Colormap] = cm.imola_r
+INTENSITY_MAP: Final[Colormap] = cm.lipari
+RING_MAP: Final[Colormap] = cm.hawaii
+"""Perceptually uniform maps of F. Crameri, readable with colour blindness and in grey print."""
+
+FIX_LOOK: Final[dict[str, tuple[str, str]]] = {
+    "fixed": (BLUE, "."),
+    "float": (ORANGE, "^"),
+    "ppp": (GREEN, "."),
+    "dgnss": (PURPLE, "v"),
+    "sbas": (PURPLE, "<"),
+    "omnistar": (PURPLE, ">"),
+    "3d": (VERMILION, "x"),
+    "2d": (VERMILION, "+"),
+    "single": (VERMILION, "x"),
+    "dead_reckoning": (GREY, "s"),
+    "none": ("black", "1"),
+}
+"""Colour and marker of each fix of the position and INS tables, best first."""
+
+FORMATS: Final = ("png", "pdf", "svg")
+
+TWIN_MARK: Final = "digital twin"
+
+HALO: Final = (withStroke(linewidth=2.2, foreground="white"),)
+"""White rim that keeps lines and letters readable on a picture."""
+
+_MM_PER_LETTER: Final = 1.55
+_MM_PER_HANDLE: Final = 9.0
+
+P = ParamSpec("P")
+
+
+@cache
+def _parameters() -> Any:
+    """Matplotlib's own defaults with the style on top: the user's matplotlibrc has no say."""
+    style = Path(__file__).with_name("thalweg.mplstyle")
+    settings = mpl.rc_params_from_file(style, use_default_template=True)
+    return {key: value for key, value in settings.items() if not key.startswith("backend")}
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Decorator: draw a figure in the style of the project."""
+
+    @wraps(draw)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with mpl.rc_context(_parameters()):
+            return draw(*args, **kwargs)
+
+    return inner
+
+
+def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
+    """An empty figure of the project's width with its title and, for a twin, the mark in the corner.
+
+    Parameters
+    ----------
+    height_mm : height of the page part.
+    title : bold first line; states n.
+    twin : true if the data were made by the digital twin.
+    """
+    figure = Figure(figsize=(WIDTH_MM / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
+    figure.suptitle(title, x=0.012, ha="left")
+    if twin:
+        figure.text(
+            0.988, 1.0 - 1.8 / height_mm, TWIN_MARK, ha="right", va="top", fontsize=8, fontweight="bold",
+            color="white", gid="twin-mark",
+            bbox={"boxstyle": "round,pad=0.25", "facecolor": PURPLE, "edgecolor": "none"},
+        )  # fmt: skip
+    return figure
+
+
+def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200) -> None:
+    """Write a figure as PNG, PDF or SVG; the same figure gives the same bytes.
+
+    Parameters
+    ----------
+    figure : made by a function of this room.
+    path : target, its suffix says the format; or a buffer, which gets a PNG.
+    dpi : dots per inch of PNG and of pictures inside PDF and SVG.
+
+    Raises
+    ------
+    InputError : a suffix other than png, pdf or svg.
+    """
+    kind = path.suffix.lower().lstrip(".") if isinstance(path, Path) else "png"
+    if kind not in FORMATS:
+        raise InputError(
+            f"figure format '{kind}'", expected=f"one of {', '.join(FORMATS)}", where=str(path),
+            cure="Set figures.format",
+        )  # fmt: skip
+    # A date or a version in the file would make two runs differ.
+    date = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
+    if isinstance(path, Path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with mpl.rc_context(_parameters()):
+        figure.savefig(path, dpi=dpi, format=kind, metadata=date)
+
+
+def count(n: int) -> str:
+    """A number of things with thousands apart: ``12 345``.
+
+    Examples
+    --------
+    >>> count(1234567).split()
+    ['1', '234', '567']
+    """
+    return f"{n:,}".replace(",", "\N{NO-BREAK SPACE}")
+
+
+def robust_limits(values: ArrayLike, low: float = 1.0, high: float = 99.0) -> tuple[float, float]:
+    """Limits of a colour scale: percentiles of the finite values, never equal; (0, 1) without any value."""
+    v = np.asarray(values, dtype=np.float64)
+    v = v[np.isfinite(v)]
+    if not v.size:
+        return 0.0, 1.0
+    a, b = (float(x) for x in np.percentile(v, [low, high]))
+    if b - a > 1e-9 * max(abs(a), abs(b), 1e-6):
+        return a, b
+    half = 0.5 * max(abs(a), 1.0)
+    return a - half, b + half
+
+
+def plural(n: int, thing: str) -> str:
+    """``1 gap``, ``2 gaps``, ``no gap``.
+
+    Examples
+    --------
+    >>> [plural(n, "gap") for n in (0, 1, 2)]
+    ['no gap', '1 gap', '2 gaps']
+    """
+    return f"{count(n) if n else 'no'} {thing}{'s' if n > 1 else ''}"
+
+
+def legend_below(figure: Figure, ax: Axes, *, title: str | None = None) -> None:
+    """Put the legend of an axes below the figure, in as many columns as the width holds."""
+    handles, labels = ax.get_legend_handles_labels()
+    if not handles:
+        return
+    widths = [_MM_PER_HANDLE + _MM_PER_LETTER * len(label) for label in labels]
+    columns = 1
+    for n in range(2, len(labels) + 1):
+        if sum(float(part.max()) for part in np.array_split(np.array(widths), n)) <= WIDTH_MM:
+            columns = n
+    figure.legend(handles, labels, loc="outside lower left", ncols=columns, title=title, alignment="left")
+
+
+def round_length(wanted: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above ``wanted``.
+
+    Examples
+    --------
+    >>> [round_length(x) for x in (0.7, 34.0, 1999.0)]
+    [0.5, 20.0, 1000.0]
+    """
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(power * max(f for f in (1, 2, 5) if f * power <= wanted * (1 + 1e-12)))
+
+
+def length_text(length_m: float) -> str:
+    """``5 m``, ``0.2 m`` or ``2 km``."""
+    return f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
+
+
+def scale_bar(ax: Axes, *, span_m: float, colour: str = "black") -> float:
+    """Draw a scale bar in the lower left corner; returns its length in metres.
+
+    Parameters
+    ----------
+    ax : axes with equal scales whose limits are set.
+    span_m : width of the axes in metres.
+    colour : of bar and text.
+    """
+    length_m = round_length(0.22 * span_m)
+    width = length_m / span_m
+    x, y = 0.02, 0.045
+    ax.plot(
+        (x, x + width), (y, y), color=colour, lw=1.6, marker="|", ms=6, mew=1.2, transform=ax.transAxes,
+        clip_on=False, zorder=9, gid="scale-bar", path_effects=HALO,
+    )  # fmt: skip
+    ax.annotate(
+        length_text(length_m), (x + width / 2, y), xycoords="axes fraction", xytext=(0, 3),
+        textcoords="offset points", ha="center", va="bottom", fontsize=7, color=colour, zorder=9,
+        gid="scale-text", path_effects=HALO,
+    )  # fmt: skip
+    return length_m
+
+
+def north_arrow(ax: Axes, *, xy: tuple[float, float] = (0.965, 0.95)) -> None:
+    """Draw a north arrow; north is up in every plan view."""
+    ax.annotate(
+        "N", xy=xy, xytext=(0, -26), xycoords="axes fraction", textcoords="offset points", ha="center",
+        va="center", fontsize=8, fontweight="bold", zorder=9, gid="north-arrow", path_effects=HALO,
+        arrowprops={"arrowstyle": "-|>", "lw": 1.2, "color": "black", "shrinkA": 4, "shrinkB": 0},
+    )  # fmt: skip
+
+
+def plan_height_mm(span_x_m: float, span_y_m: float) -> float:
+    """Height of a figure whose one panel shows an area of the given size at equal scales."""
+    return 0.80 * WIDTH_MM * span_y_m / span_x_m + 28.0

@@ -1,0 +1,143 @@
+"""What kind of log a file is, by its content; names and endings are not trusted."""
+
+import re
+import struct
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from thalweg.core.errors import InputError
+
+HEAD_BYTES: Final = 65_536
+
+KINDS: Final[dict[str, str]] = {
+    "capture": "network capture (pcap, pcapng)",
+    "velodyne_payloads": "bare Velodyne payloads",
+    "anpp": "Advanced Navigation ANPP log",
+    "sbp": "Swift SBP log",
+    "pos": "RTKLIB .pos solution",
+    "nmea": "NMEA 0183 log",
+    "rinex": "RINEX file",
+    "sbet": "SBET trajectory",
+    "las": "LAS/LAZ cloud",
+    "ply": "PLY cloud or mesh",
+    "e57": "E57 cloud",
+}
+"""Kind -> words for people."""
+
+_MAGIC: Final = (
+    (b"\xd4\xc3\xb2\xa1", "capture"),
+    (b"\xa1\xb2\xc3\xd4", "capture"),
+    (b"\x4d\x3c\xb2\xa1", "capture"),
+    (b"\xa1\xb2\x3c\x4d", "capture"),
+    (b"\x0a\x0d\x0d\x0a", "capture"),
+    (b"LASF", "las"),
+    (b"ply", "ply"),
+    (b"ASTM-E57", "e57"),
+)
+_NMEA = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},[^\r\n*]*(\*[0-9A-Fa-f]{2})?")
+_POS_LINE = re.compile(rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d|\d{4}[ ,;\t]+\d{1,6}\.\d+)([ ,;\t]+[-\d.:]+){6,}")
+_PAYLOAD = 1206
+_SBET_RECORD = 136
+
+
+def recognise(path: Path) -> str:
+    """Kind of a file, one of the keys of `KINDS`.
+
+    Raises
+    ------
+    InputError : the file is missing, empty, a folder, or of no kind that Thalweg reads.
+    """
+    if not path.exists():
+        raise InputError("file not found", where=path, cure="Check the path")
+    if path.is_dir():
+        raise InputError("this is a folder", where=path, expected="a file")
+    with path.open("rb") as stream:
+        head = stream.read(HEAD_BYTES)
+    if not head:
+        raise InputError("the file is empty", where=path, expected="a raw log", cure="Check the logger and copy")
+    for magic, kind in _MAGIC:
+        if head.startswith(magic):
+            return kind
+    for kind, matches in (
+        ("rinex", _is_rinex),
+        ("velodyne_payloads", _is_payloads),
+        ("pos", _is_pos),
+        ("nmea", _is_nmea),
+    ):
+        if matches(head):
+            return kind
+    framed = {"sbp": _sbp_bytes(head), "anpp": _anpp_bytes(head)}
+    best = max(framed, key=lambda kind: framed[kind])
+    # a tenth: real logs begin with garbage, and a chance CRC match covers a few bytes of 65,536 only
+    if framed[best] > 0.1 * len(head):
+        return best
+    if _is_sbet(head, path.stat().st_size):
+        return "sbet"
+    raise InputError(
+        f"the content is of no known kind (begins with {head[:12].hex(' ')})",
+        where=path,
+        expected=", ".join(KINDS.values()),
+        cure="Check that the file is a raw log and not compressed",
+    )
+
+
+def _is_rinex(head: bytes) -> bool:
+    first = head.split(b"\n", 1)[0]
+    return b"RINEX VERSION / TYPE" in first or b"CRINEX VERS" in first
+
+
+def _is_payloads(head: bytes) -> bool:
+    starts = range(0, min(len(head), 8 * _PAYLOAD) - 2, _PAYLOAD)
+    return len(head) >= _PAYLOAD and all(head[i : i + 2] == b"\xff\xee" for i in starts)
+
+
+def _is_pos(head: bytes) -> bool:
+    comment = head.startswith(b"%") and (b"GPST" in head or b"UTC" in head or b"JST" in head)
+    return comment or (head.isascii() and _POS_LINE.search(head) is not None)
+
+
+def _is_nmea(head: bytes) -> bool:
+    covered = sum(len(found.group()) for found in _NMEA.finditer(head))
+    return covered > 0.3 * len(head)
+
+
+def _sbp_bytes(head: bytes) -> int:
+    """Bytes of the head inside SBP frames whose CRC is right (CRC16-CCITT, 0x1021, start 0)."""
+    from sbp.msg import crc16
+
+    covered = i = 0
+    while (i := head.find(b"\x55", i)) >= 0 and i + 8 <= len(head):
+        end = i + 8 + head[i + 5]
+        if end <= len(head) and crc16(head[i + 1 : end - 2]) == struct.unpack_from("<H", head, end - 2)[0]:
+            covered += end - i
+            i = end
+        else:
+            i += 1
+    return covered
+
+
+def _anpp_bytes(head: bytes) -> int:
+    """Bytes of the head inside ANPP frames whose LRC and CRC are right."""
+    from thalweg.ingest.anpp_frames import find_packets
+
+    return int(sum(5 + length for length in find_packets(np.frombuffer(head, dtype=np.uint8)).length))
+
+
+def _is_sbet(head: bytes, size: int) -> bool:
+    if size < 2 * _SBET_RECORD:
+        return False
+    for byte_order in "<>":
+        records = np.frombuffer(head[: len(head) // _SBET_RECORD * _SBET_RECORD], f"{byte_order}f8").reshape(-1, 17)
+        time, lat, lon, height = records[:, :4].T
+        if (
+            np.isfinite(records[:, :4]).all()
+            and (np.abs(lat) <= np.pi / 2).all()
+            and (np.abs(lon) <= 2 * np.pi).all()
+            and (np.abs(height) < 20_000).all()
+            and (time >= 0).all()
+            and np.ptp(time) > 0
+        ):
+            return True
+    return False

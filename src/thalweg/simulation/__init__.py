@@ -1,0 +1,1 @@
+"""The digital twin: river, boat, sensors, writers of raw logs, truth."""

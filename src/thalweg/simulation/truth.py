@@ -1,0 +1,52 @@
+"""The truth of the digital twin; only the room ``accuracy`` and the tests may read it."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from thalweg.config.twin import TwinConfig
+from thalweg.core.frames import LocalFrame
+from thalweg.core.trajectory import Trajectory
+from thalweg.simulation.voyage import LEAD_S, Voyage
+
+TRUTH_RATE_HZ: Final = 200.0
+
+
+def true_trajectory(voyage: Voyage, frame: LocalFrame) -> Trajectory:
+    """The true poses at 200 Hz, from 2.5 s before to 2.5 s after the lidar log, with zero sigmas."""
+    span = voyage.config.duration_s + 2 * LEAD_S + 1.0
+    steps = np.arange(int(np.ceil(span * TRUTH_RATE_HZ)) + 1) / TRUTH_RATE_HZ
+    t = voyage.start_gps_s - LEAD_S - 0.5 + steps
+    return Trajectory(
+        frame=frame,
+        t_gps_s=t,
+        position_wcs_m=voyage.position_wcs_m(t),
+        quaternion_wcs_ics=Rotation.from_matrix(voyage.R_wcs_ics(t)).as_quat(),
+        cov_position_m2=np.zeros((len(t), 3, 3)),
+        sigma_attitude_rad=np.zeros((len(t), 3)),
+        valid=np.ones(len(t), dtype=np.bool_),
+    )
+
+
+def simulate_voyage(config: TwinConfig, seed: int, frame: LocalFrame, out_trajectory: Path) -> None:
+    """Write the true trajectory, table kind ``trajectory``.
+
+    Parameters
+    ----------
+    config : section ``twin``.
+    seed : seed of the campaign.
+    frame : the world frame.
+    out_trajectory : target, ``.parquet``.
+    """
+    true_trajectory(Voyage(config, seed), frame).write(out_trajectory, {"source": "digital twin, truth"})
+
+
+def write_effects(path: Path | None, stream: str, facts: Mapping[str, Any]) -> None:
+    """Write what was done to a log as JSON, beside the truth; nothing if ``path`` is None."""
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps({"stream": stream, **facts}, indent=2) + "\n")

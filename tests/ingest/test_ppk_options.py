@@ -1,0 +1,88 @@
+"""Options of a PPK run: table of mistakes, sections of a campaign file, words for the engine."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import ConfigError
+from thalweg.ingest.ppk_options import PpkOptions, engine_settings
+
+BASE = (-2706105.2018, -4261210.8062, 3885598.6411)
+LLH = (37.773497750, -122.417811914, -6.2480)  # of BASE, header of the engine's own .pos file
+
+
+@pytest.mark.parametrize(
+    ("options", "fragment"),
+    [
+        ({}, "given by nothing: exactly one of base_ecef_m, base_llh"),
+        ({"base_ecef_m": BASE, "base_llh": LLH}, "given by base_ecef_m and base_llh"),
+        ({"base_ecef_m": BASE, "base_source": "from_sbp"}, "given by base_ecef_m and base_source"),
+        ({"base_source": "average"}, "not one of from_sbp, rinex_header"),
+        ({"base_ecef_m": (0.0, 0.0, 0.0)}, "all zero"),
+        ({"base_llh": (0.0, 0.0, 0.0)}, "all zero"),
+        ({"base_ecef_m": LLH}, "from the centre of the earth"),
+        ({"base_ecef_m": (np.nan, 0.0, 0.0)}, "not three finite numbers"),
+        ({"base_ecef_m": BASE[:2]}, "not three finite numbers"),
+        ({"base_llh": (137.77, 22.4, 5.0)}, "not latitude (deg)"),
+        ({"base_ecef_m": BASE, "base_antenna_delta_enu_m": (0.0, np.inf, 0.0)}, "not three finite metres"),
+        ({"base_ecef_m": BASE, "systems": ("GPS", "GALILEO")}, "'GALILEO'"),
+        ({"base_ecef_m": BASE, "systems": ()}, "systems is ()"),
+        ({"base_ecef_m": BASE, "ambiguity": "fixed"}, "ambiguity is 'fixed', not one of"),
+        ({"base_ecef_m": BASE, "direction": "both"}, "direction is 'both'"),
+        ({"base_ecef_m": BASE, "frequencies": "l2"}, "frequencies is 'l2'"),
+        ({"base_ecef_m": BASE, "frequencies": "l1", "iono": "dual-freq"}, "needs two frequencies"),
+        ({"base_ecef_m": BASE, "elevation_mask_deg": 95.0}, "elevation_mask_deg is 95.0"),
+        ({"base_ecef_m": BASE, "elevation_mask_deg": np.nan}, "elevation_mask_deg is nan"),
+        ({"base_ecef_m": BASE, "ratio_threshold": 0.5}, "ratio_threshold is 0.5"),
+        ({"base_ecef_m": BASE, "max_age_s": 0.0}, "max_age_s is 0.0"),
+    ],
+)
+def test_mistakes(options: dict[str, object], fragment: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        PpkOptions(**options)
+    assert fragment in str(caught.value)
+
+
+def test_all_mistakes_at_once() -> None:
+    with pytest.raises(ConfigError) as caught:
+        PpkOptions(direction="both", max_age_s=-1.0)
+    assert all(word in str(caught.value) for word in ("direction", "max_age_s", "base position"))
+
+
+def test_frozen() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        PpkOptions(base_ecef_m=BASE).dynamics = True
+
+
+def test_geodetic_base_is_the_earth_centred_one() -> None:
+    a = PpkOptions(base_llh=LLH).explicit_base_ecef_m
+    assert a == pytest.approx(BASE, abs=2e-4)  # nine decimals of a degree are 0.1 mm
+
+
+def test_sections_of_a_campaign() -> None:
+    ppk = {"systems": ["GPS", "GAL"], "direction": "combined", "max_age_s": 10.0}
+    place = {"base_ecef_m": None, "base_llh": None, "base_from": "sbp"}
+    options = PpkOptions.from_sections(ppk, place)
+    assert options == PpkOptions(
+        systems=("GPS", "GAL"), direction="combined", max_age_s=10.0, base_source="from_sbp"
+    )
+    llh = dict(zip(("lat_deg", "lon_deg", "h_ell_m"), LLH, strict=True))
+    assert PpkOptions.from_sections({}, {"base_llh": llh}) == PpkOptions(base_llh=LLH)
+    with pytest.raises(ConfigError, match="unknown PPK options: elevation"):
+        PpkOptions.from_sections({"elevation": 3}, {"base_from": "rinex_header"})
+
+
+def test_section_of_the_config_has_the_same_keys_and_defaults() -> None:
+    navigation = pytest.importorskip("thalweg.config.navigation")
+    section = navigation.Ppk().model_dump()
+    assert PpkOptions.from_sections(section, {"base_from": "sbp"}) == PpkOptions(base_source="from_sbp")
+
+
+def test_engine_words() -> None:
+    options = PpkOptions(base_ecef_m=BASE, systems=("GPS", "GAL", "QZS"), ambiguity="fix-and-hold")
+    words = engine_settings(options, np.array(BASE))
+    assert words["pos1-navsys"] == "25"  # 1 + 8 + 16, tools/ppk_cssrlib_demo5.conf
+    assert words["pos2-armode"] == "fix-and-hold"
+    assert words["ant2-postype"] == "xyz"
+    assert [float(words[f"ant2-pos{k}"]) for k in (1, 2, 3)] == list(BASE)

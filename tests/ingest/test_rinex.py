@@ -1,0 +1,308 @@
+"""RINEX scanner: figures of real and synthetic files, damage, fuzz."""
+
+import random
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import InputError, ThalwegError, UnsupportedError
+from thalweg.core.timescales import LeapSecondWarning, utc_text_from_gps
+from thalweg.ingest.rinex import describe_rinex, scan_rinex, whole_records
+
+
+def line(text: str, label: str) -> str:
+    return f"{text:60s}{label}\n"
+
+
+def obs_3(
+    n_epochs: int = 5,
+    *,
+    satellites: tuple[str, ...] = ("G05", "G08", "E11"),
+    first_s: int = 0,
+    day: int = 12,
+    position: str = " -2706105.2018 -4261210.8062  3885598.6411",
+    version: str = "     3.04",
+    scale: str = "GPS",
+) -> str:
+    head = [
+        line(f"{version:20s}{'OBSERVATION DATA':20s}M", "RINEX VERSION / TYPE"),
+        line("MARK", "MARKER NAME"),
+        line(f"{'4711':20s}{'TESTREC':20s}1.0", "REC # / TYPE / VERS"),
+        line(f"{'1':20s}TESTANT", "ANT # / TYPE"),
+        line(position, "APPROX POSITION XYZ"),
+        line("        0.1000        0.0000        0.0000", "ANTENNA: DELTA H/E/N"),
+        line("G    4 C1C L1C C2S L2S", "SYS / # / OBS TYPES"),
+        line("E    2 C1C L1C", "SYS / # / OBS TYPES"),
+        line(f"  2017    05    {day:02d}    18    45   14.0000000     {scale}", "TIME OF FIRST OBS"),
+        line("", "END OF HEADER"),
+    ]
+    for k in range(first_s, first_s + n_epochs):
+        minute, second = divmod(45 * 60 + 14 + k, 60)
+        head.append(f"> 2017 05 {day:02d} 18 {minute:02d} {second:2d}.0000000  0{len(satellites):3d}\n")
+        head += [f"{s}{23870514.32 + k:14.3f}  {125440402.25 + k:14.3f} 7\n" for s in satellites]
+    return "".join(head)
+
+
+def obs_2(n_epochs: int = 3, n_sat: int = 14) -> str:
+    """RINEX 2.11 with seven codes (two lines a satellite) and more than 12 satellites (two list lines)."""
+    text = line(f"{'     2.11':20s}{'OBSERVATION DATA':20s}G (GPS)", "RINEX VERSION / TYPE")
+    text += line("     7    C1    L1    D1    S1    P2    L2    S2", "# / TYPES OF OBSERV")
+    text += line("", "END OF HEADER")
+    names = [f"G{k:2d}" for k in range(1, n_sat + 1)]
+    for k in range(n_epochs):
+        text += f" 17  5 12 18 45 {14 + k:2d}.0000000  0{n_sat:3d}{''.join(names[:12])}\n"
+        if n_sat > 12:
+            text += " " * 32 + "".join(names[12:]) + "\n"
+        for _ in names:
+            text += "".join(f"{20000000.0 + k:14.3f}  " for _ in range(5)) + "\n"
+            text += f"{20000000.0:14.3f}  {48.0:14.3f}  \n"
+    return text
+
+
+def nav_3(systems: str = "GG", *, day: int = 12, hour: int = 20) -> str:
+    text = line(f"{'     3.04':20s}{'N: GNSS NAV DATA':20s}M", "RINEX VERSION / TYPE") + line(
+        "", "END OF HEADER"
+    )
+    for k, letter in enumerate(systems):
+        text += f"{letter}{k + 1:02d} 2017 05 {day:02d} {hour:02d} 00 00 -.4D-04  .1D-11  .0D+00\n"
+        text += "      .480000000000D+02 -.8D+01  .5D-08  .2D+01\n" * (3 if letter in "RS" else 7)
+    return text
+
+
+def write(folder: Path, name: str, text: str | bytes) -> Path:
+    path = folder / name
+    path.write_bytes(text.encode("latin-1") if isinstance(text, str) else text)
+    return path
+
+
+@pytest.mark.parametrize("version", ["     3.04", "     4.01"])
+def test_observation_3_and_4(tmp_path: Path, version: str) -> None:
+    report = describe_rinex(write(tmp_path, "a.obs", obs_3(70, version=version)))
+    assert report.counts == {"epochs": 70, "satellite records": 210}
+    assert report.clean
+    assert report.synchronised
+    assert report.t_first_s is not None
+    assert report.t_last_s is not None
+    assert utc_text_from_gps(report.t_first_s) == "2017-05-12T18:44:56.000Z"  # GPS - UTC = 18 s
+    assert report.t_last_s - report.t_first_s == 69.0
+    assert report.rates_hz == {"epochs": 1.0}
+    assert report.model == "TESTREC"
+    assert report.details["systems"] == "GPS, GAL"
+    assert report.details["marker"] == "MARK"
+    assert report.details["antenna"] == "TESTANT"
+    assert report.details["approx_ecef_m"] == [-2706105.2018, -4261210.8062, 3885598.6411]
+    assert report.details["antenna_delta_hen_m"] == [0.1, 0.0, 0.0]
+
+
+def test_observation_2_with_continuation_lines(tmp_path: Path) -> None:
+    scan = scan_rinex(write(tmp_path, "a.17o", obs_2()))
+    assert scan.version == "2.11"
+    assert scan.systems == ("GPS",)
+    assert np.array_equal(np.diff(scan.t_gps_s), [1.0, 1.0])
+    assert scan.n_satellite_records == 42
+    assert not scan.losses
+
+
+@pytest.mark.parametrize(("scale", "offset_s"), [("GPS", 0.0), ("GAL", 0.0), ("BDT", 14.0), ("GLO", 18.0)])
+def test_time_scales(tmp_path: Path, scale: str, offset_s: float) -> None:
+    gps = scan_rinex(write(tmp_path, "a.obs", obs_3(1))).t_gps_s
+    other = scan_rinex(write(tmp_path, "b.obs", obs_3(1, scale=scale))).t_gps_s
+    assert other[0] - gps[0] == offset_s
+
+
+def test_navigation_systems_and_time(tmp_path: Path) -> None:
+    scan = scan_rinex(write(tmp_path, "a.nav", nav_3("GGREC")))
+    assert {k: v.size for k, v in scan.nav_t_gps_s.items()} == {"GPS": 2, "GLO": 1, "GAL": 1, "BDS": 1}
+    gps = scan.nav_t_gps_s["GPS"][0]
+    assert scan.nav_t_gps_s["GLO"][0] - gps == 18.0  # UTC
+    assert scan.nav_t_gps_s["BDS"][0] - gps == 14.0  # BDT
+    report = describe_rinex(scan.path)
+    assert report.counts == {"ephemerides": 5}
+    assert report.details["GPS"] == (
+        "2 ephemerides, reference times 2017-05-12T19:59:42Z .. 2017-05-12T19:59:42Z"
+    )
+
+
+def test_navigation_2(tmp_path: Path) -> None:
+    text = line(f"{'     2.11':20s}NAVIGATION DATA", "RINEX VERSION / TYPE") + line("", "END OF HEADER")
+    text += " 5 17  5 12 20  0  0.0-.463202595711D-04 .17D-11 .0D+00\n" + "    .48D+02 -.8D+01\n" * 7
+    scan = scan_rinex(write(tmp_path, "a.17n", text))
+    assert scan.nav_t_gps_s["GPS"].size == 1
+    assert utc_text_from_gps(float(scan.t_gps_s[0]), 0) == "2017-05-12T19:59:42Z"
+    assert not scan.losses
+
+
+def test_navigation_4_skips_what_is_no_ephemeris(tmp_path: Path) -> None:
+    text = line(f"{'     4.00':20s}NAVIGATION DATA", "RINEX VERSION / TYPE") + line("", "END OF HEADER")
+    text += "> ION G05 LNAV\n    2017 05 12 18 00 00 .1D-07\n"
+    text += "> EPH G05 LNAV\nG05 2017 05 12 20 00 00-.4D-04 .1D-11 .0D+00\n" + "     .48D+02\n" * 7
+    path = write(tmp_path, "a.rnx", text)
+    scan = scan_rinex(path)
+    assert scan.t_gps_s.size == 1
+    assert not scan.losses
+    assert whole_records(scan, path.read_bytes()).decode() == text
+
+
+@pytest.mark.parametrize(
+    ("change", "losses", "epochs_left"),
+    [
+        (lambda t: t[:-20], {"epochs_cut": 1}, 4),
+        (lambda t: t.replace("45 16.0000000", "4x 16.0000000"), {"epochs_garbled": 1}, 4),
+        (lambda t: t.replace("45 16.0000000  0  3", "45 16.0000000  0  9"), {"epochs_cut": 1}, 4),
+        (lambda t: t.replace("45 16.0000000  0  3", "45 16.0000000  0  2"), {"lines_unplaced": 1}, 5),
+        (lambda t: t.replace("23870516.320", "2387\x00516.320", 1), {"epochs_garbled": 1}, 4),
+        (lambda t: t.replace("2017 05 12 18 45 16", "2017 13 12 18 45 16"), {"epochs_garbled": 1}, 4),
+        (lambda t: t + "garbage\n", {"lines_unplaced": 1}, 5),
+    ],
+)
+def test_damage_is_counted_and_the_rest_is_kept(tmp_path: Path, change, losses, epochs_left) -> None:
+    path = write(tmp_path, "a.obs", change(obs_3(5)))
+    scan = scan_rinex(path)
+    assert scan.losses == losses
+    assert scan.t_gps_s.size == epochs_left
+    clean = scan_rinex(write(tmp_path, "b.obs", whole_records(scan, path.read_bytes())))
+    assert not clean.losses
+    assert np.array_equal(clean.t_gps_s, scan.t_gps_s)
+    assert any("damaged or cut" in note for note in describe_rinex(path).notes)
+
+
+def test_cut_epoch_of_version_2(tmp_path: Path) -> None:
+    scan = scan_rinex(write(tmp_path, "a.17o", obs_2()[:-150]))
+    assert scan.losses == {"epochs_cut": 1}
+    assert scan.t_gps_s.size == 2
+
+
+def test_damage_of_version_2_is_local(tmp_path: Path) -> None:
+    for old, new, losses in (
+        ("45 15.0", "7x 15.0", {"epochs_cut": 1}),  # its lines fall to the epoch before, which is too long
+        ("12 18 45 15.0", "12 28 45 15.0", {"epochs_garbled": 1}),
+        ("20000001.000", "2000000?.000", {"epochs_garbled": 1}),
+    ):
+        scan = scan_rinex(write(tmp_path, "a.17o", obs_2().replace(old, new, 1)))
+        assert scan.losses == losses
+        assert np.array_equal(np.diff(scan.t_gps_s), [2.0])
+
+
+def test_event_of_version_2(tmp_path: Path) -> None:
+    event = f"{'':28s}4  1\n" + line("antenna lifted", "COMMENT")
+    scan = scan_rinex(write(tmp_path, "a.17o", obs_2(2) + event))
+    assert scan.t_gps_s.size == 2
+    assert not scan.losses
+
+
+def test_events_are_no_epochs(tmp_path: Path) -> None:
+    event = f">{'':30s}4  1\n" + line("antenna lifted", "COMMENT")
+    scan = scan_rinex(write(tmp_path, "a.obs", obs_3(3) + event))
+    assert scan.t_gps_s.size == 3
+    assert not scan.losses
+
+
+BAD = [
+    (b"", InputError, "the file is empty"),
+    (b"\x1f\x8b\x08\x00rest", UnsupportedError, "gunzip a.obs"),
+    (b"\x1f\x9d\x90", UnsupportedError, "uncompress a.obs"),
+    (b"PK\x03\x04", UnsupportedError, "unzip a.obs"),
+    (b"1.0                 COMPACT RINEX FORMAT", UnsupportedError, "crx2rnx a.obs"),
+    (b"$GPGGA,184455.40,3746.4\r\n", InputError, "the first line is '$GPGGA"),
+    (bytes(range(256)), InputError, "expected a RINEX header"),
+    (obs_3()[:300].encode(), InputError, "the header does not end"),
+    (
+        line("     5.00           OBSERVATION DATA", "RINEX VERSION / TYPE").encode(),
+        UnsupportedError,
+        "version 5.00",
+    ),
+    (
+        line("     3.04           METEOROLOGICAL DATA", "RINEX VERSION / TYPE").encode(),
+        UnsupportedError,
+        "file type 'METEOROLOGICAL DATA'",
+    ),
+]
+
+
+@pytest.mark.parametrize(("data", "kind", "fragment"), BAD)
+def test_bad_files(tmp_path: Path, data: bytes, kind: type[ThalwegError], fragment: str) -> None:
+    path = write(tmp_path, "a.obs", data)
+    with pytest.raises(kind) as caught:
+        describe_rinex(path)
+    assert fragment in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="file not found"):
+        describe_rinex(tmp_path / "none.obs")
+
+
+def test_header_only_is_said(tmp_path: Path) -> None:
+    report = describe_rinex(write(tmp_path, "a.nav", nav_3("")))
+    assert report.counts == {"ephemerides": 0}
+    assert not report.synchronised
+    assert "The file holds a header only." in report.notes
+
+
+def mutate(data: bytes, random_: random.Random) -> bytes:
+    """Bit flips, cuts, insertions, duplicated slices, zero runs."""
+    out = bytearray(data)
+    for _ in range(random_.randint(1, 6)):
+        a = random_.randrange(len(out) + 1)
+        b = min(len(out), a + random_.randint(1, 120))
+        match random_.randrange(5):
+            case 0 if a < len(out):
+                out[a] ^= 1 << random_.randrange(8)
+            case 1:
+                del out[a:b]
+            case 2:
+                out[a:a] = random_.randbytes(random_.randint(1, 60))
+            case 3:
+                out[a:a] = out[a:b]
+            case _:
+                out[a:b] = bytes(b - a)
+    return bytes(out)
+
+
+def test_fuzz_rinex(tmp_path: Path, fuzz_count: int) -> None:
+    sources = [s.encode() for s in (obs_3(20), obs_2(4), nav_3("GREC"))]
+    began = time.monotonic()
+    for seed in range(fuzz_count):
+        random_ = random.Random(seed)
+        path = write(tmp_path, "f.rnx", mutate(sources[seed % 3], random_))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", LeapSecondWarning)  # a flipped year may lie in the future
+                scan = scan_rinex(path)
+                describe_rinex(path)
+        except ThalwegError as error:
+            assert str(path) in str(error)  # noqa: PT017
+        else:
+            assert np.all(np.isfinite(scan.t_gps_s))
+    assert time.monotonic() - began < 0.05 * fuzz_count + 5.0  # 1 ms a file is usual
+
+
+REAL = [
+    ("rinex_cssrlib_kinematic_2021/SEPT265G.21O", "epochs", 360, "2021-09-22T06:29:42.000Z"),
+    ("rinex_cssrlib_kinematic_2021/3034265G.21O", "epochs", 360, "2021-09-22T06:29:42.000Z"),
+    ("sbp_piksi_rtk_2017/reference/piksi_rover.obs", "epochs", 400, "2017-05-12T18:44:56.000Z"),
+    ("sbp_piksi_rtk_2017/reference/piksi_base.obs", "epochs", 439, "2017-05-12T18:44:16.000Z"),
+]
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(("name", "what", "n", "first"), REAL)
+def test_real_files(data_dir: Path, name: str, what: str, n: int, first: str) -> None:
+    report = describe_rinex(data_dir / name)  # figures of the PROVENANCE.md files, UTC = GPST - 18 s
+    assert report.counts[what] == n
+    assert report.clean
+    assert report.t_first_s is not None
+    assert utc_text_from_gps(report.t_first_s) == first
+
+
+@pytest.mark.real
+def test_real_navigation(data_dir: Path) -> None:
+    path = data_dir / "rinex_cssrlib_kinematic_2021" / "SEPT2650.21P"
+    heads = [ln for ln in path.read_text().splitlines() if ln[:1] in "GREJCIS" and ln[3:8] == " 2021"]
+    report = describe_rinex(path)
+    assert report.counts == {"ephemerides": len(heads)}
+    assert report.clean

@@ -1,0 +1,181 @@
+"""The command ``thalweg``."""
+
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from thalweg.cli import main
+from thalweg.config.load import check_campaign, load_campaign
+from thalweg.core.errors import InputError
+from thalweg.ingest.integrity import IntegrityReport
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    """An empty folder as working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_new_campaign_lacks_only_its_files(here, capsys):
+    assert main(["new-campaign", "saale_2", "--origin", "51.2", "11.9", "120"]) == 0
+    path = Path("config/campaigns/saale_2.yaml")
+    assert f"thalweg check-config {path}" in capsys.readouterr().out
+    _, mistakes = check_campaign(path)
+    assert {m.dotted for m in mistakes} == {"logs.lidar[0]", "logs.ins[0]", "logs.positions[0]"}
+    assert all("file" in m.found for m in mistakes)
+    text = path.read_text()
+    assert text.startswith("# yaml-language-server: $schema=../schema.json\n")
+    assert "crs: EPSG:32632" in text  # 11.9 degrees east lies in zone 32
+    for name in ("raw/lidar/a.pcap", "raw/ins/a.anpp", "raw/gnss/boat.pos"):
+        file = path.parent / name
+        file.parent.mkdir(parents=True)
+        file.write_bytes(b"x")
+    assert load_campaign(path).campaign.origin.lon_deg == 11.9
+
+
+@pytest.mark.parametrize(
+    ("name", "fragment"),
+    [("Saale", "cannot be the id"), ("1a", "cannot be the id"), ("there", "exists already")],
+)
+def test_new_campaign_refuses(here, capsys, name, fragment):
+    Path("there.yaml").write_text("mine")
+    assert main(["new-campaign", name, "--folder", "."]) == 2
+    assert fragment in capsys.readouterr().err
+    assert Path("there.yaml").read_text() == "mine"
+
+
+def _put_logs(folder: Path) -> None:
+    folder.mkdir()
+    for name, content in {
+        "a b.pcap": b"pcap", "boat.bin": b"anpp", "rover.sbp": b"sbp", "notes.txt": b"what",
+        "base.obs": b"rinex" + b" " * 15 + b"O", "brdc.rnx": b"rinex" + b" " * 15 + b"N",
+    }.items():  # fmt: skip
+        (folder / name).write_bytes(content)
+
+
+def _recognise(path: Path) -> str:
+    word = path.read_bytes()[:5].decode().strip()
+    if word == "what":
+        raise InputError("the content is of no known kind", where=path)
+    return {"pcap": "capture"}.get(word, word)
+
+
+def test_new_campaign_from_logs(here, capsys, monkeypatch):
+    """Files are sorted by their content; what is not known is named and left out."""
+    module = types.ModuleType("thalweg.ingest.recognise")
+    module.recognise = _recognise
+    monkeypatch.setitem(sys.modules, "thalweg.ingest.recognise", module)
+    _put_logs(here / "raw")
+    assert main(["new-campaign", "mine", "--from-logs", "raw", "--folder", "."]) == 0
+    said = capsys.readouterr()
+    assert "left out" in said.err
+    assert "notes.txt" in said.err
+    campaign = load_campaign("mine.yaml")
+    assert campaign.orientation.position_source == "ppk"
+    for stream, names in {
+        "lidar": ["a b.pcap"], "ins": ["boat.bin"], "rover": ["rover.sbp"], "base": ["base.obs"],
+        "nav": ["brdc.rnx"], "pos": [], "depth": [],
+    }.items():  # fmt: skip
+        assert campaign.log_files(stream) == [here / "raw" / name for name in names]
+
+
+def test_new_campaign_from_a_folder_without_logs(here, capsys, monkeypatch):
+    module = types.ModuleType("thalweg.ingest.recognise")
+    module.recognise = _recognise
+    monkeypatch.setitem(sys.modules, "thalweg.ingest.recognise", module)
+    Path("raw").mkdir()
+    assert main(["new-campaign", "mine", "--from-logs", "raw", "--folder", "."]) == 2
+    assert "no raw log was recognised" in capsys.readouterr().err
+    assert main(["new-campaign", "mine", "--from-logs", "rax", "--folder", "."]) == 2
+    assert "rax: no such folder" in capsys.readouterr().err
+    assert not Path("mine.yaml").exists()
+
+
+def test_check_config(repository, monkeypatch, capsys):
+    monkeypatch.chdir(repository)
+    assert main(["check-config", "tiny", "config/campaigns/demo.yaml"]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].startswith("tiny: ok. ")
+    assert out[1].startswith("demo: ok. ")
+    assert "digital twin" in out[0]
+
+
+def test_check_config_lists_all_mistakes(here, capsys):
+    main(["new-campaign", "mine", "--folder", "."])
+    assert main(["check-config", "mine.yaml", "none.yaml"]) == 2
+    said = capsys.readouterr().err
+    assert "4 mistakes in the campaign settings" in said
+    assert "Traceback" not in said
+
+
+def _fake_describe(monkeypatch) -> None:
+    def describe(path: Path) -> IntegrityReport:
+        if path.name == "bad":
+            raise InputError("the file is empty", where=path)
+        return IntegrityReport(stream="lidar", format="pcap", files=[str(path)])
+
+    module = types.ModuleType("thalweg.ingest.describe")
+    module.describe = describe
+    monkeypatch.setitem(sys.modules, "thalweg.ingest.describe", module)
+
+
+def test_describe(monkeypatch, capsys):
+    _fake_describe(monkeypatch)
+    assert main(["describe", "one", "two"]) == 0
+    assert "lidar: pcap\n  file      one\n" in capsys.readouterr().out
+
+
+def test_describe_goes_on_after_a_bad_file(monkeypatch, capsys):
+    _fake_describe(monkeypatch)
+    assert main(["describe", "bad", "two"]) == 2
+    said = capsys.readouterr()
+    assert "bad: the file is empty." in said.err
+    assert "two" in said.out
+
+
+def test_describe_as_json(monkeypatch, capsys):
+    import json
+
+    _fake_describe(monkeypatch)
+    assert main(["describe", "--json", "one"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == ["one"]
+    assert main(["describe", "--json", "one", "bad", "two"]) == 2
+    assert [r["files"] for r in json.loads(capsys.readouterr().out)] == [["one"], ["two"]]
+
+
+def test_summary(here, capsys):
+    (here / "summary.csv").write_text('what,value\n"points, kept",12\nrms_m,0.5\n')
+    assert main(["summary", "."]) == 0
+    assert capsys.readouterr().out == "what          value\npoints, kept  12\nrms_m         0.5\n"
+    assert main(["summary", "results/tiny"]) == 2
+    assert "--config campaign=tiny" in capsys.readouterr().err
+
+
+def test_schema(here, capsys):
+    assert main(["schema"]) == 0
+    assert capsys.readouterr().out.startswith('{\n  "$schema"')
+    assert main(["schema", "--write"]) == 2
+    assert "Run the command at the root of the repository" in capsys.readouterr().err
+    assert main(["schema", "--write", "--folder", "."]) == 0
+    assert {p.name for p in here.iterdir()} == {"schema.json", "defaults.yaml"}
+    assert main(["schema", "--write", "--folder", "."]) == 0
+    assert capsys.readouterr().out.endswith("All generated files are in step\n")
+
+
+def test_wrong_words_show_the_usage(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["chek"])
+    assert caught.value.code == 2
+    assert "new-campaign" in capsys.readouterr().err
+
+
+def test_module_and_closed_pipe():
+    """`python -m thalweg schema | head -1` ends without complaint, with the exit code of success."""
+    command = f"{sys.executable} -m thalweg schema | head -n 1; echo ${{PIPESTATUS[0]}}"
+    out = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
+    assert out.stdout == "{\n0\n"
+    assert out.stderr == ""

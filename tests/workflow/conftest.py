@@ -1,0 +1,83 @@
+"""One run of the tiny campaign, killed half-way and resumed, serves all workflow tests."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+COPIED = ("Snakefile", "config", "envs", "profiles", "src", "workflow")
+
+
+@dataclass(frozen=True)
+class House:
+    """A copy of the repository in which Snakemake can be run and files can be edited."""
+
+    root: Path
+
+    def command(self, *words: str) -> list[str]:
+        return [sys.executable, "-m", "snakemake", "--cores", "2", *words]
+
+    def environment(self) -> dict[str, str]:
+        # the copy must stand on its own, whatever is installed
+        return {**os.environ, "PYTHONPATH": str(self.root / "src")}
+
+    def snakemake(self, *words: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+        run = subprocess.run(
+            self.command(*words),
+            cwd=self.root,
+            env=self.environment(),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if check and run.returncode:
+            raise AssertionError(f"snakemake {' '.join(words)} failed:\n{run.stdout}\n{run.stderr}")
+        return run
+
+
+def copy_house(repository: Path, target: Path) -> House:
+    for name in COPIED:
+        source = repository / name
+        if source.is_dir():
+            shutil.copytree(source, target / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, target / name)
+    return House(target)
+
+
+@pytest.fixture(scope="session")
+def empty_house(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> House:
+    """A copy without results, for dry runs."""
+    return copy_house(repository, tmp_path_factory.mktemp("house"))
+
+
+@pytest.fixture(scope="session")
+def tiny_house(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> House:
+    """A copy in which the tiny campaign ran, was killed during the lidar simulation, and was resumed."""
+    house = copy_house(repository, tmp_path_factory.mktemp("tiny"))
+    process = subprocess.Popen(
+        house.command("--config", "campaign=tiny"), cwd=house.root, env=house.environment(),
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    begun = house.root / "logs/tiny/simulation/simulate_lidar.log"
+    wait_for(lambda: begun.exists() or process.poll() is not None, seconds=120)
+    assert process.poll() is None, "the run ended before it could be killed"
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    house.snakemake("--unlock", "--config", "campaign=tiny")
+    house.snakemake("--config", "campaign=tiny")
+    return house
+
+
+def wait_for(condition: Callable[[], bool], seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, f"nothing happened in {seconds} s"
+        time.sleep(0.1)

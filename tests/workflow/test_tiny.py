@@ -1,0 +1,130 @@
+"""The tiny campaign from raw bytes to pictures: results, idempotence, and exactly the right reruns."""
+
+import json
+import re
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pandas as pd
+import pytest
+
+pytestmark = pytest.mark.workflow
+
+BASE = "results/tiny"
+
+
+def planned(house, *words: str) -> set[str]:
+    """Rules that a dry run would execute."""
+    run = house.snakemake("--dry-run", "--config", "campaign=tiny", *words)
+    table = re.search(r"(?ms)^job\s+count\n-.*?\n(.*?)^total", run.stdout + run.stderr)
+    if table is None:
+        assert "Nothing to be done" in run.stdout + run.stderr
+        return set()
+    return {line.split()[0] for line in table.group(1).splitlines() if line.strip()} - {"all"}
+
+
+def edited(house, module: str, addition: str):
+    """Append a statement to a module, and give back a function that undoes it."""
+    path = house.root / "src/thalweg" / module
+    before = path.read_text()
+    path.write_text(before + addition)
+    return lambda: path.write_text(before)
+
+
+def test_everything_promised_is_there(tiny_house) -> None:
+    base = tiny_house.root / BASE
+    for name in ("lidar/points.laz", "lidar/points_map.laz", "timing/streams.csv", "summary.csv"):
+        assert (base / name).stat().st_size > 0, name
+        assert (base / f"{name}.meta.json").is_file(), name
+    for picture in ("survey_map", "streams_in_time", "cloud_overview", "cloud_detail", "error_versus_range"):
+        assert (base / f"figures/{picture}.png").stat().st_size > 20_000, picture
+
+
+def test_the_cloud_is_what_the_conventions_say(tiny_house) -> None:
+    with laspy.open(tiny_house.root / BASE / "lidar/points.laz") as reader:
+        header = reader.header
+        assert str(header.version) == "1.4"
+        assert header.global_encoding.gps_time_type == laspy.header.GpsTimeType.STANDARD
+        assert header.parse_crs() is not None
+        assert header.scales.max() <= 0.001
+        names = set(header.point_format.dimension_names)
+        assert {"range", "ring", "gps_time", "intensity", "return_number"} <= names
+        points = reader.read()
+    assert len(points) > 500_000
+    assert set(np.unique(points["ring"])) == set(range(16))
+    reported = pd.read_csv(tiny_house.root / BASE / "lidar/counts.csv").set_index("what")["n"]
+    assert reported["written"] == len(points)
+
+
+def test_the_map_cloud_lies_on_the_map(tiny_house) -> None:
+    with laspy.open(tiny_house.root / BASE / "lidar/points_map.laz") as reader:
+        assert reader.header.parse_crs().to_epsg() == 25833
+        assert 3e5 < reader.header.mins[0] < 6e5
+        assert 5.5e6 < reader.header.mins[1] < 5.9e6
+
+
+def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house) -> None:
+    """Two-sided: worse means an error of the chain, better means that truth leaked in or sigmas are padded."""
+    table = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_statistics.csv")
+    inliers = table[table["points"] == "without outliers"].set_index("quantity")["value"]
+    ratio = inliers["rmse_3d"] / inliers["predicted_3d"]
+    # Errors of attitude and position are correlated over seconds: 25 s hold some ten independent values of
+    # each, so one campaign scatters by about 1/sqrt(2*10) = 22 % about 1; two standard deviations.
+    assert 0.6 < ratio < 1.45
+    everything = table[table["points"] == "all"].set_index("quantity")["value"]
+    assert everything["outlier_share"] < 0.1
+
+
+def test_all_streams_share_one_axis(tiny_house) -> None:
+    streams = pd.read_csv(tiny_house.root / BASE / "timing/streams.csv").set_index("stream")
+    assert set(streams.index) == {"lidar", "ins", "gnss", "depth", "positions"}
+    assert streams["synchronised"].all()
+    assert (streams["duration_s"] > 15).all()
+
+
+def test_provenance_names_inputs_and_code(tiny_house) -> None:
+    record = json.loads((tiny_house.root / BASE / "lidar/points.laz.meta.json").read_text())
+    assert record["rule"] == "georeference_lidar"
+    assert re.fullmatch(r"[0-9a-f]{12}", record["code"])
+    assert f"{BASE}/simulation/logs/lidar.pcap" in record["inputs"]
+    assert not any(Path(name).is_absolute() for name in record["inputs"])
+
+
+def test_a_second_call_has_nothing_to_do(tiny_house) -> None:
+    assert planned(tiny_house) == set()
+
+
+def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
+    pictures = {"plot_survey_map", "plot_streams_in_time", "plot_cloud_overview", "plot_cloud_detail",
+                "plot_error_versus_range"}  # fmt: skip
+    undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
+    assert planned(tiny_house) == pictures
+    undo()
+    undo = edited(tiny_house, "orientation/ins_gnss.py", "\n_edited = 1\n")
+    after_trajectory = {
+        "build_trajectory",
+        "georeference_lidar",
+        "export_map",
+        "compare_with_truth",
+        "summarise",
+    }
+    assert planned(tiny_house) == after_trajectory | (pictures - {"plot_streams_in_time"})
+    undo()
+    undo = edited(tiny_house, "ingest/nmea.py", "\n# why, not what\n")
+    assert planned(tiny_house) == set()
+    undo()
+    assert planned(tiny_house) == set()
+
+
+def test_the_log_tells_what_the_job_did(tiny_house) -> None:
+    text = (tiny_house.root / "logs/tiny/lidar/georeference_lidar.log").read_text()
+    assert "rule georeference_lidar done" in text
+    assert (tiny_house.root / "benchmarks/tiny/lidar/georeference_lidar.jsonl").stat().st_size > 0
+
+
+def test_the_report_is_one_page(tiny_house) -> None:
+    tiny_house.snakemake("--config", "campaign=tiny", "--report", "report.html")
+    page = (tiny_house.root / "report.html").read_text()
+    assert "survey_map" in page
+    assert len(page) > 500_000

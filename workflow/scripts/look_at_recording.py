@@ -1,0 +1,29 @@
+"""One real recording -> integrity report and first picture."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.figures.first_look import first_look
+from thalweg.figures.style import save
+from thalweg.ingest.describe import load_recording
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    files: list[Path],
+    base: list[Path],
+    nav: list[Path],
+    integrity: Path,
+    picture: Path,
+    reader: str,
+    title: str,
+    options: dict[str, Any],
+) -> None:
+    recording = load_recording(files, reader=reader, base=base, nav=nav, options=options)
+    recording.report.write(integrity)
+    save(first_look(recording, title=title), picture)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,42 @@
+"""Cloud and trajectory -> a detail of the bank by intensity."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thalweg.core.las import iter_laz
+from thalweg.core.trajectory import Trajectory
+from thalweg.figures.cloud import choose_segment, cloud_detail
+from thalweg.figures.style import save
+from thalweg.jobs.job import run_job
+from thalweg.lidar.cloud import sample_cloud
+
+
+def main(
+    *,
+    points: Path,
+    trajectory: Path,
+    cloud_detail_png: Path,
+    figures: dict[str, Any],
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    segment = choose_segment(sample_cloud(points, 500_000)["xyz_m"], Trajectory.read(trajectory))
+    xyz, intensity = [], []
+    for chunk in iter_laz(points, 1_000_000):
+        inside = segment.contains(chunk["xyz_m"])
+        xyz.append(chunk["xyz_m"][inside])
+        intensity.append(chunk["intensity"][inside])
+    figure = cloud_detail(
+        np.concatenate(xyz),
+        np.concatenate(intensity),
+        segment=segment,
+        title=f"Detail of the bank, seen from the water: {campaign['title']}",
+        twin=twin,
+    )
+    save(figure, cloud_detail_png, dpi=figures["dpi"])
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,34 @@
+"""Cloud and trajectory -> oblique view of the reach."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.core.las import iter_laz
+from thalweg.core.trajectory import Trajectory
+from thalweg.figures.cloud import cloud_overview
+from thalweg.figures.splat import ObliqueView, Splat
+from thalweg.figures.style import save
+from thalweg.jobs.job import run_job
+from thalweg.lidar.cloud import sample_cloud
+
+
+def main(
+    *,
+    points: Path,
+    trajectory: Path,
+    cloud_overview_png: Path,
+    figures: dict[str, Any],
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    splat = Splat(ObliqueView.fit(sample_cloud(points, 200_000)["xyz_m"]))
+    for chunk in iter_laz(points, 1_000_000):
+        splat.add(chunk["xyz_m"], chunk["xyz_m"][:, 2])
+    figure = cloud_overview(
+        splat, Trajectory.read(trajectory), title=f"Point cloud of the reach: {campaign['title']}", twin=twin
+    )
+    save(figure, cloud_overview_png, dpi=figures["dpi"])
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,28 @@
+"""Range classes of the comparison with the truth -> observed against predicted error."""
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from thalweg.figures.errors import error_versus_range
+from thalweg.figures.style import save
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    by_range: Path,
+    error_versus_range_png: Path,
+    figures: dict[str, Any],
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    figure = error_versus_range(
+        pd.read_csv(by_range), title=f"Error of the cloud by range: {campaign['title']}", twin=twin
+    )
+    save(figure, error_versus_range_png, dpi=figures["dpi"])
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

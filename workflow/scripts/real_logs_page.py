@@ -1,0 +1,17 @@
+"""Integrity reports and first pictures of all real recordings -> one page and one table."""
+
+from pathlib import Path
+
+from thalweg.figures.recordings_page import recordings_page, recordings_table
+from thalweg.ingest.integrity import IntegrityReport
+from thalweg.jobs.job import run_job
+
+
+def main(*, integrity: list[Path], pictures: list[Path], page: Path, table: Path, titles: list[str]) -> None:
+    reports = [IntegrityReport.read(path) for path in integrity]
+    recordings_table(reports, titles).to_csv(table, index=False)
+    recordings_page(reports, titles, pictures).write(page)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
