@@ -148,9 +148,18 @@ def test_describe_as_json(monkeypatch, capsys):
 
 
 def test_summary(here, capsys):
-    (here / "summary.csv").write_text('what,value\n"points, kept",12\nrms_m,0.5\n')
-    assert main(["summary", "."]) == 0
-    assert capsys.readouterr().out == "what          value\npoints, kept  12\nrms_m         0.5\n"
+    folder = here / "mulde"
+    (folder / "figures").mkdir(parents=True)
+    (folder / "figures/survey_map.png").touch()
+    (folder / "summary.csv").write_text(
+        "quantity,value,unit,source\npositions used,99.5,%,x\nlidar points: written,1234567.0,1,y\n"
+    )
+    assert main(["summary", "mulde"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["positions", "used", "99.500", "%"] in lines
+    assert ["lidar", "points:", "written", "1,234,567"] in lines
+    assert ["mulde/figures/survey_map.png"] in lines
+    assert ["mulde/summary.csv"] in lines
     assert main(["summary", "results/tiny"]) == 2
     assert "--config campaign=tiny" in capsys.readouterr().err
 

@@ -4,13 +4,13 @@ Heavy libraries are imported by the commands that need them, so that help and mi
 """
 
 import argparse
-import csv
 import os
 import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import thalweg
 from thalweg.core.errors import ConfigError, InputError, ThalwegError
 
 CAMPAIGNS = Path("config") / "campaigns"
@@ -52,6 +52,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Raw logs of a survey boat -> models of riverbanks and riverbed. The processing itself "
         "runs by `snakemake`; these commands help around it.",
     )
+    parser.add_argument("--version", action="version", version=f"thalweg {thalweg.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     new = commands.add_parser("new-campaign", help="write a commented campaign file")
@@ -129,7 +130,7 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
         try:
             kind = recognise(path)
         except ThalwegError as error:
-            print(f"left out: {error}", file=sys.stderr)
+            print(f"left out: {path}: {error.found}", file=sys.stderr)
             continue
         stream = stream_of(kind, path)
         if stream is None:
@@ -194,13 +195,18 @@ def _summary(options: argparse.Namespace) -> int:
             expected="results of a processed campaign",
             cure=f"Run: snakemake --cores all --config campaign={options.folder.name}",
         )
-    with path.open(encoding="utf-8", newline="") as stream:
-        rows = [row for row in csv.reader(stream) if row]
-    n = max((len(row) for row in rows), default=0)
-    rows = [row + [""] * (n - len(row)) for row in rows]
-    widths = [max(len(row[i]) for row in rows) for i in range(n)]
-    for row in rows:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    import pandas as pd
+
+    from thalweg.accuracy.summary import summary_lines
+
+    print(f"\nSummary of campaign {options.folder.name}")
+    print("\n".join(summary_lines(pd.read_csv(path))))
+    pictures = sorted((options.folder / "figures").glob("*.p*[gf]"))
+    clouds = sorted((options.folder / "lidar").glob("*.laz"))
+    tables = sorted(p for p in options.folder.rglob("*") if p.suffix in {".csv", ".parquet"})
+    for title, paths in (("Pictures", pictures), ("Clouds", clouds), ("Tables", tables)):
+        print(f"\n{title}:")
+        print("\n".join(f"  {p}" for p in paths if "simulation" not in p.parts) or "  none")
     return 0
 
 

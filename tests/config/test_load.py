@@ -167,3 +167,23 @@ def test_import_is_light():
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+def test_ppk_settings_are_understood_by_the_engine(write, removed):
+    """The sections `ppk` and `logs.gnss` become the engine's options without loss."""
+    engine = pytest.importorskip("thalweg.ingest.ppk_options").PpkOptions
+    changes = {
+        "orientation.position_source": "ppk",
+        "logs.positions": removed,
+        "logs.gnss": {
+            "rover": ["raw/rover.sbp"],
+            "base_llh": {"lat_deg": 51.0, "lon_deg": 13.3, "h_ell_m": 310.0},
+        },
+        "ppk": {"systems": ["GPS", "GAL"], "direction": "combined"},
+    }
+    plain = load_campaign(write(changes)).plain()
+    base = {key: value for key, value in plain["logs"]["gnss"].items() if key.startswith("base_")}
+    options = engine.from_sections(plain["ppk"], base)
+    assert options.base_llh == (51.0, 13.3, 310.0)
+    assert options.systems == ("GPS", "GAL")
+    assert options.direction == "combined"

@@ -166,6 +166,11 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
         "logs.gnss.rover",
         ("missing", "raw log of the boat's receiver", "position_source: pos"),
     ),
+    (
+        {"orientation.position_source": "sbp", "logs.gnss": {"rover": ["raw/boat.obs"]}},
+        "logs.gnss.rover",
+        ("RINEX files only", "position_source: ppk"),
+    ),
     ({"orientation.position_source": "sbet"}, "logs.sbet", ("missing", "SBET files")),
     (
         {"orientation.position_source": "sbet", "logs.sbet": ["raw/base.sbp"]},

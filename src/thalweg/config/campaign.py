@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field
 from thalweg.config.base import Section
 from thalweg.config.identity import Identity
 from thalweg.config.lidar import Lidar
-from thalweg.config.logs import STREAM_KEYS, Logs
+from thalweg.config.logs import STREAM_KEYS, Logs, is_rinex_name
 from thalweg.config.mounts import Mounts
 from thalweg.config.navigation import Ins, Orientation, Ppk
 from thalweg.config.products import Figures, Georeferencing
@@ -65,9 +65,3 @@ class Campaign(Section):
     def plain(self) -> dict[str, Any]:
         """All settings as plain dicts, lists, text and numbers, as Snakemake compares them."""
         return self.model_dump(mode="json")
-
-
-def is_rinex_name(path: Path) -> bool:
-    """True for the usual names of RINEX observation files: ``.obs``, ``.rnx``, ``.21o``."""
-    suffix = path.suffix.lower()
-    return suffix in {".obs", ".rnx"} or (len(suffix) == 4 and suffix[1:3].isdigit() and suffix[3] == "o")

@@ -12,7 +12,7 @@ from thalweg.config.check_place import check_base, check_crs
 from thalweg.config.hints import radians_cure
 from thalweg.config.identity import ID_PATTERN
 from thalweg.config.lidar import Lidar
-from thalweg.config.logs import Logs
+from thalweg.config.logs import Logs, is_rinex_name
 from thalweg.config.messages import show
 from thalweg.config.mistakes import Key, Mistake
 from thalweg.config.mounts import LidarMount, Mounts
@@ -228,6 +228,14 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
             found="missing",
             expected=_WHAT["lidar"],
             cure="Add the line `lidar: [lidar/*.pcap]`",
+        )
+    rover = logs.gnss.rover
+    if source == "sbp" and rover and all(is_rinex_name(Path(name)) for name in rover):
+        yield Mistake(
+            path=("logs", "gnss", "rover"),
+            found="RINEX files only, which hold observations and no positions",
+            expected="SBP logs, needed for orientation.position_source: sbp",
+            cure="Name the SBP log, or choose position_source: ppk",
         )
     if source == "ppk" and not any(parts.raw("logs", "gnss", key) for key in _BASE_KEYS):
         yield Mistake(

@@ -1,5 +1,6 @@
 """Section ``logs``: the files that the instruments wrote."""
 
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field
@@ -89,3 +90,9 @@ class Logs(Section):
         top = {STREAM_KEYS[s][0]: paths for s, paths in files.items() if len(STREAM_KEYS[s]) == 1}
         nested = {STREAM_KEYS[s][1]: paths for s, paths in files.items() if len(STREAM_KEYS[s]) == 2}
         return self.model_copy(update={**top, "gnss": self.gnss.model_copy(update=nested)})
+
+
+def is_rinex_name(path: Path) -> bool:
+    """True for the usual names of RINEX observation files: ``.obs``, ``.rnx``, ``.21o``."""
+    suffix = path.suffix.lower()
+    return suffix in {".obs", ".rnx"} or (len(suffix) == 4 and suffix[1:3].isdigit() and suffix[3] == "o")

@@ -30,6 +30,9 @@ from thalweg.figures.style import (
 SEARCH_CELL_M: Final = 1.0
 """Cell of the grid on which the densest stretch of bank is looked for."""
 
+NOISE_M: Final = 0.03
+"""Accuracy of a lidar point (P2 eq. 7); shading at a finer scale would show noise."""
+
 CLEAR_EXTENT: Final = 1.5
 """Length over width from which the track tells the direction of the river."""
 
@@ -56,7 +59,8 @@ def cloud_overview(
     splat = cloud if isinstance(cloud, Splat) else _splat_of(cloud)
     view = splat.view
     limits = height_limits_m or robust_limits(splat.buffers()[1], 0.5, 99.5)
-    head = f"{title}, n = {count(splat.n_drawn)} points"
+    of_all = f" of {count(splat.n_added)}" if splat.n_drawn < splat.n_added else ""
+    head = f"{title}, n = {count(splat.n_drawn)}{of_all} points"
     # Scale bar and axes stand in a free strip below the picture.
     strip_px = 0.09 * view.width_px
     shape = (view.height_px + strip_px) / view.width_px
@@ -230,7 +234,15 @@ def cloud_detail(
     figure = new_figure(0.80 * WIDTH_MM * view.height_px / view.width_px + 26.0, head, twin=twin)
     ax = figure.add_subplot()
     bottom = high - view.height_px * pixel
-    _show(ax, splat, INTENSITY_MAP, limits, shading=0.5, extent=(0.0, segment.length_m, bottom, high))
+    _show(
+        ax,
+        splat,
+        INTENSITY_MAP,
+        limits,
+        shading=0.8,
+        noise_m=NOISE_M,
+        extent=(0.0, segment.length_m, bottom, high),
+    )
     ax.set_xlabel("along the bank / m")
     ax.set_ylabel("height in the local frame / m")
     figure.colorbar(
@@ -253,10 +265,11 @@ def _show(
     limits: tuple[float, float],
     *,
     shading: float,
+    noise_m: float = 0.0,
     extent: tuple[float, float, float, float] | None = None,
 ) -> None:
     table = colours(np.linspace(0, 1, 256))[:, :3]
-    picture = splat.image(table, limits, radius_px=splat.radius_px(), shading=shading)
+    picture = splat.image(table, limits, radius_px=splat.radius_px(), shading=shading, noise_m=noise_m)
     box = extent or (0.0, float(splat.view.width_px), float(splat.view.height_px), 0.0)
     ax.imshow(picture, extent=box, interpolation="antialiased", gid="cloud")
 

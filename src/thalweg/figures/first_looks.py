@@ -14,13 +14,13 @@ from thalweg.core.timescales import utc_text_from_gps
 from thalweg.core.types import ArrayB, ArrayF
 from thalweg.figures.style import (
     BLUE,
-    FIX_LOOK,
     GREEN,
     GREY,
     INTENSITY_MAP,
     RING_MAP,
     VERMILION,
     count,
+    fix_looks,
     legend_below,
     new_figure,
     robust_limits,
@@ -29,6 +29,10 @@ from thalweg.figures.style import (
 
 MAX_DOTS: Final = 150_000
 """Most dots of a scatter plot; beyond it every k-th point is drawn and the title says so."""
+
+
+LEAST_REACH_M: Final = 0.5
+"""Smallest half width of a plan view."""
 
 
 @styled
@@ -67,7 +71,7 @@ def lidar_first_look(
     figure = new_figure(98.0, f"{title}, n = {count(n)} points{drawn}", twin=twin)
     plan, side = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
     low, high = robust_limits(shown, 2, 98)
-    reach = 1.05 * float(np.percentile(np.abs(points[:, :2]), 99.5))
+    reach = max(1.05 * float(np.percentile(np.abs(points[:, :2]), 99.5)), LEAST_REACH_M)
     dots = plan.scatter(*points[:, :2].T, c=shown, s=0.8, lw=0, cmap=INTENSITY_MAP, vmin=low, vmax=high,
                         rasterized=True)  # fmt: skip
     plan.plot(0, 0, marker="+", color=VERMILION, ms=8, mew=1.2)
@@ -76,7 +80,7 @@ def lidar_first_look(
     figure.colorbar(dots, ax=plan, label="intensity / 1", orientation="horizontal", aspect=35, extend="both")
     distance = np.hypot(points[:, 0], points[:, 1])
     dots = side.scatter(distance, points[:, 2], c=rings, s=0.8, lw=0, cmap=RING_MAP, rasterized=True)
-    side.set(xlim=(0, 1.05 * np.percentile(distance, 99.5)), xlabel="horizontal distance / m",
+    side.set(xlim=(0, max(1.05 * np.percentile(distance, 99.5), LEAST_REACH_M)), xlabel="horizontal distance / m",
              ylabel="z (up) / m", title="from the side, all directions in one")  # fmt: skip
     a, b = robust_limits(points[:, 2], 0.2, 99.8)
     side.set_ylim(a - 0.05 * (b - a), b + 0.05 * (b - a))
@@ -118,9 +122,8 @@ def track_first_look(positions: pd.DataFrame, *, title: str = "GNSS positions", 
     plan = figure.add_subplot(grid[:, 0])
     up, sigma = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
     fixes = rows["fix"].to_numpy()
-    for fix in [f for f in FIX_LOOK if f in fixes] + sorted(set(fixes) - set(FIX_LOOK)):
+    for fix, colour, marker in fix_looks(fixes):
         here = fixes == fix
-        colour, marker = FIX_LOOK.get(fix, (GREY, "."))
         look: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 3, "color": colour, "rasterized": True}
         plan.plot(enu[here, 0], enu[here, 1], **look,
                   label=f"{fix.replace('_', ' ')}, n = {count(int(here.sum()))}")  # fmt: skip
@@ -134,16 +137,16 @@ def track_first_look(positions: pd.DataFrame, *, title: str = "GNSS positions", 
     up.grid()
     up.tick_params(labelbottom=False)
     up.sharex(sigma)
-    for name, colour in (("east", BLUE), ("north", GREEN), ("up", VERMILION)):
+    for name, colour, dash in (("east", BLUE, "-"), ("north", GREEN, "--"), ("up", VERMILION, "-")):
         values = rows[f"sigma_{name}_m"].to_numpy(dtype=np.float64)
         if np.any(values > 0):
-            sigma.plot(when, np.where(values > 0, values, np.nan), lw=0.9, color=colour, label=name)
+            sigma.plot(when, np.where(values > 0, values, np.nan), lw=0.9, ls=dash, color=colour, label=name)
     if sigma.lines:
         sigma.set_yscale("log")
-        sigma.legend(loc="upper right", ncols=3)
-        sigma.set_title("standard deviation as stated")
+        _legend_above(sigma)
+        sigma.set_title("sigma as stated")
     else:
-        sigma.set_title("no standard deviation stated")
+        sigma.set_title("no sigma stated")
     sigma.set(xlabel=label, ylabel="sigma / m")
     sigma.grid()
     legend_below(figure, plan)
@@ -183,21 +186,22 @@ def attitude_first_look(states: pd.DataFrame, *, title: str = "INS states", twin
     _line(heading, order, degrees, jumps, color=BLUE)
     for name, colour in (("north", GREEN), ("east", BLUE), ("down", VERMILION)):
         _line(speed, order, states[f"v_{name}_mps"].to_numpy(), broken, color=colour, label=name)
-    kinds = [f for f in FIX_LOOK if f in set(states["fix"])] + sorted(set(states["fix"]) - set(FIX_LOOK))
-    for row, kind in enumerate(kinds):
+    kinds = fix_looks(states["fix"])
+    numbers = states["fix"].value_counts()
+    for row, (kind, colour, _) in enumerate(kinds):
         here = (states["fix"] == kind).to_numpy()
         fix.plot(order[here], np.full(int(here.sum()), row), ls="none", marker="|", ms=5,
-                 color=FIX_LOOK.get(kind, (GREY, "."))[0], rasterized=True)  # fmt: skip
-    fix.set_yticks(range(len(kinds)), [f"{k}, n = {count(int((states['fix'] == k).sum()))}" for k in kinds])
+                 color=colour, rasterized=True)  # fmt: skip
+    fix.set_yticks(range(len(kinds)), [f"{kind}, n = {count(int(numbers[kind]))}" for kind, _, _ in kinds])
     fix.set_ylim(len(kinds) - 0.4, -0.6)
     tilt.set_ylabel("angle / °")
     heading.set_ylabel("heading / °")
     speed.set_ylabel("velocity / (m/s)")
     fix.set_xlabel(label)
-    tilt.legend(loc="upper right", ncols=2)
-    speed.legend(loc="upper right", ncols=3)
     for ax in (tilt, heading, speed):
         ax.grid()
+    for ax in (tilt, speed):
+        _legend_above(ax)
     figure.align_ylabels([tilt, heading, speed])
     return figure
 
@@ -241,11 +245,16 @@ def depth_first_look(
                 label=f"{sentence}, n = {count(int(here.sum()))}{said}")  # fmt: skip
     low, high = float(rows["depth_m"].min()), float(rows["depth_m"].max())
     margin = max(0.08 * (high - low), 0.05)
-    ax.set_ylim(high + margin, min(low - margin, max(0.0, low - margin)))
+    ax.set_ylim(high + margin, low - margin)
     ax.set(xlabel=label, ylabel="depth / m (downwards)")
     ax.grid()
     legend_below(figure, ax)
     return figure
+
+
+def _legend_above(ax: Axes) -> None:
+    """A legend that hides nothing: above the right end of the axes."""
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, borderaxespad=0.0)
 
 
 def _time_axis(t_gps_s: ArrayF, what: str) -> tuple[ArrayF, str]:

@@ -14,10 +14,10 @@ from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayB, ArrayF
 from thalweg.figures.style import (
     DEPTH_MAP,
-    FIX_LOOK,
     RED,
     TIME_MAP,
     count,
+    fix_looks,
     legend_below,
     new_figure,
     north_arrow,
@@ -172,12 +172,9 @@ def _draw_fixes(ax: Axes, trajectory: Trajectory, positions: pd.DataFrame) -> No
     height = use["h_ell_m"].fillna(frame.h_ell_m)
     enu = frame.from_geodetic(use["lat_deg"].to_numpy(), use["lon_deg"].to_numpy(), height.to_numpy())
     fixes = use["fix"].to_numpy()
-    for fix, (colour, marker) in FIX_LOOK.items():
+    for fix, colour, marker in fix_looks(fixes):
         here = fixes == fix
-        n = int(here.sum())
-        if not n:
-            continue
-        label = f"{fix.replace('_', ' ')}, n = {count(n)} epochs"
+        label = f"{fix.replace('_', ' ')}, n = {count(int(here.sum()))} epochs"
         if fix in GOOD_FIXES:
             ax.plot([], [], color="0.3", lw=1.8, label=label)
             continue

@@ -210,6 +210,7 @@ class Splat:
         *,
         radius_px: int = 1,
         shading: float = 1.0,
+        noise_m: float = 0.0,
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> ArrayU8:
         """The picture as RGB, shape (height, width, 3).
@@ -220,6 +221,7 @@ class Splat:
         limits : values of the first and the last colour; values beyond take those.
         radius_px : half size of a point.
         shading : strength of the eye-dome shading, 0 for none.
+        noise_m : depth noise of the points, which the shading is not to show.
         background : colour where nothing is, 0..1.
         """
         depth, values = self.buffers(radius_px)
@@ -228,12 +230,12 @@ class Splat:
         share = np.clip((np.where(np.isfinite(values), values, low) - low) / (high - low), 0.0, 1.0)
         picture = np.asarray(colours)[np.rint(share * (len(colours) - 1)).astype(np.int64)]
         if shading > 0:
-            picture = picture * np.exp(-shading * eye_dome(depth, self.view.pixel_m))[..., None]
+            picture = picture * np.exp(-shading * eye_dome(depth, self.view.pixel_m, noise_m))[..., None]
         picture = np.where(filled[..., None], picture, np.asarray(background))
         return np.asarray(np.rint(picture * 255.0), dtype=np.uint8)
 
 
-def eye_dome(depth_m: ArrayF, pixel_m: float) -> ArrayF:
+def eye_dome(depth_m: ArrayF, pixel_m: float, noise_m: float = 0.0) -> ArrayF:
     """How far each pixel lies behind its neighbours; 0 on a plane of any slope.
 
     Mean over four pairs of opposite neighbours and the radii `EDL_RADII_PX` of the depth by which the pixel
@@ -245,6 +247,7 @@ def eye_dome(depth_m: ArrayF, pixel_m: float) -> ArrayF:
     ----------
     depth_m : (h, w) depth, NaN where nothing is.
     pixel_m : size of a pixel.
+    noise_m : added to the distance in the picture, so that depth noise casts no shade.
     """
     total = np.zeros_like(depth_m)
     h, w = depth_m.shape
@@ -255,7 +258,7 @@ def eye_dome(depth_m: ArrayF, pixel_m: float) -> ArrayF:
             for sign in (-1, 1):
                 y, x = radius * (1 + sign * dy), radius * (1 + sign * dx)
                 behind += np.nan_to_num(depth_m - padded[y : y + h, x : x + w])
-            total += np.clip(0.5 * behind / (pixel_m * radius), 0.0, EDL_CAP)
+            total += np.clip(0.5 * behind / (pixel_m * radius + noise_m), 0.0, EDL_CAP)
     return total / (4 * len(EDL_RADII_PX))
 
 

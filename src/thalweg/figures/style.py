@@ -1,6 +1,6 @@
 """Look of all figures: style, size, colours, the mark of the digital twin, and how a figure is saved."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, wraps
 from io import BytesIO
 from pathlib import Path
@@ -154,6 +154,19 @@ def robust_limits(values: ArrayLike, low: float = 1.0, high: float = 99.0) -> tu
         return a, b
     half = 0.5 * max(abs(a), 1.0)
     return a - half, b + half
+
+
+def fix_looks(fixes: Iterable[str]) -> list[tuple[str, str, str]]:
+    """Fix, colour and marker of the fixes that occur, best first, unknown ones last.
+
+    Examples
+    --------
+    >>> [fix for fix, _, _ in fix_looks(["single", "odd", "fixed", "fixed"])]
+    ['fixed', 'single', 'odd']
+    """
+    met = set(fixes)
+    known = [fix for fix in FIX_LOOK if fix in met]
+    return [(fix, *FIX_LOOK.get(fix, (GREY, "."))) for fix in [*known, *sorted(met - set(FIX_LOOK))]]
 
 
 def plural(n: int, thing: str) -> str:

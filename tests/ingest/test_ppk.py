@@ -1,0 +1,250 @@
+"""PPK inputs, the process border of the engine, and its .pos text: bad input and crashes, no recordings."""
+
+import binascii
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.errors import ConfigError, InputError, ThalwegError
+from thalweg.core.tables import read_table, write_table
+from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest.ppk import PpkOptions, PpkSolution, run_ppk
+from thalweg.ingest.ppk_engine import check_settings, run_worker, write_settings
+from thalweg.ingest.ppk_pos import read_engine_pos
+from thalweg.ingest.schemas import GNSS_POSITION
+
+BASE = (-2706105.2018, -4261210.8062, 3885598.6411)
+OPTIONS = PpkOptions(base_ecef_m=BASE, systems=("GPS", "GAL"))
+
+
+def line(text: str, label: str) -> str:
+    return f"{text:60s}{label}\n"
+
+
+def observations(
+    minute: int = 45, systems: str = "GE", position: tuple[float, ...] = BASE, n: int = 5
+) -> bytes:
+    text = line(f"{'     3.04':20s}{'OBSERVATION DATA':20s}M", "RINEX VERSION / TYPE")
+    text += line("".join(f"{x:14.4f}" for x in position), "APPROX POSITION XYZ")
+    text += "".join(line(f"{s}    4 C1C L1C C2S L2S", "SYS / # / OBS TYPES") for s in systems)
+    text += line("  2017    05    12    18    45   14.0000000     GPS", "TIME OF FIRST OBS")
+    text += line("", "END OF HEADER")
+    for k in range(n):
+        text += f"> 2017 05 12 18 {minute:02d} {14 + k:2d}.0000000  0{4 * len(systems):3d}\n"
+        for s in systems:
+            text += "".join(
+                f"{s}{p:02d}{23870514.32 + k:14.3f}  {125440402.25:14.3f}  \n" for p in range(1, 5)
+            )
+    return text.encode()
+
+
+def ephemerides(day: int = 12, systems: str = "GE") -> bytes:
+    text = line(f"{'     3.04':20s}{'N: GNSS NAV DATA':20s}M", "RINEX VERSION / TYPE") + line(
+        "", "END OF HEADER"
+    )
+    for s in systems:
+        text += f"{s}01 2017 05 {day:02d} 20 00 00 -.4D-04  .1D-11  .0D+00\n" + "      .48D+02\n" * 7
+    return text.encode()
+
+
+def sbp_frame(kind: int, sender: int, payload: bytes) -> bytes:
+    body = struct.pack("<HHB", kind, sender, len(payload)) + payload
+    return b"\x55" + body + struct.pack("<H", binascii.crc_hqx(body, 0))
+
+
+HEARTBEATS = sbp_frame(0xFFFF, 12027, bytes(4)) * 5
+ROVER_ONLY = HEARTBEATS + sbp_frame(0x004A, 12027, struct.pack("<IiHB", 499514000, 0, 1948, 0x10)) * 3
+
+GOOD = {"rover": observations(), "base": observations(n=9), "nav": ephemerides()}
+BAD_INPUT: list[tuple[str, dict[str, bytes | None], dict[str, object], str]] = [
+    ("no overlap", {"base": observations(minute=10)}, {}, "do not overlap in time"),
+    ("nav empty file", {"nav": b""}, {}, "the file is empty"),
+    ("nav header only", {"nav": ephemerides(systems="")}, {}, "the navigation files hold no ephemeris"),
+    ("nav not given", {"nav": None}, {}, "no navigation file is given"),
+    ("nav of another day", {"nav": ephemerides(day=14)}, {}, "no ephemeris of GAL, GPS is valid"),
+    ("nav of another system", {"nav": ephemerides(systems="R")}, {}, "hold GLO 2017-05-12T20:00:00Z"),
+    ("obs as nav", {"nav": observations(minute=46)}, {}, "RINEX observation data given as navigation"),
+    ("nav as rover", {"rover": ephemerides(day=11)}, {}, "RINEX navigation data given as rover"),
+    ("nav as base", {"base": ephemerides(day=11)}, {}, "RINEX navigation data given as base"),
+    ("rover is base", {"base": observations()}, {}, "the same content is given as rover"),
+    ("rover without base", {"base": None}, {}, "a RINEX rover holds no corrections"),
+    ("text file", {"rover": b"hello world\n" * 99}, {}, "neither an SBP log nor a RINEX file"),
+    ("gzip", {"base": b"\x1f\x8b\x08rest"}, {}, "Unpack it: gunzip"),
+    ("Hatanaka", {"base": b"3.0                 COMPACT RINEX FORMAT\n"}, {}, "crx2rnx"),
+    ("cut in the header", {"rover": observations()[:200]}, {}, "the header does not end"),
+    ("cut before the first epoch", {"rover": observations(n=1)[:-30]}, {}, "no epoch with observations of the rover"),
+    ("no common system", {"base": observations(systems="R")}, {}, "none of the systems GPS, GAL is in rover"),
+    (
+        "zero base header",
+        {"base": observations(n=9, position=(0.0, 0.0, 0.0))},
+        {"base_ecef_m": None, "base_source": "rinex_header"},
+        "the APPROX POSITION XYZ of the base is all zero",
+    ),
+    (
+        "base from SBP without SBP",
+        {},
+        {"base_ecef_m": None, "base_source": "from_sbp"},
+        "no valid MsgBasePosECEF among 0",
+    ),
+    ("SBP without observations", {"rover": HEARTBEATS, "base": None}, {}, "no rover observations (MsgObs)"),
+    ("SBP without corrections", {"rover": ROVER_ONLY, "base": None}, {}, "no base observations (MsgObs of sender 0)"),
+    ("SBP cut to nothing", {"rover": ROVER_ONLY[:7], "base": None}, {}, "neither an SBP log nor a RINEX file"),
+]  # fmt: skip
+
+
+def run(folder: Path, files: dict[str, bytes | None], options: dict[str, object]) -> PpkSolution:
+    paths = {}
+    for role, data in {**GOOD, **files}.items():
+        if data is not None:
+            paths[role] = folder / f"{role}.rnx"
+            paths[role].write_bytes(data)
+    base = [paths["base"]] if "base" in paths else None
+    nav = [paths["nav"]] if "nav" in paths else []
+    chosen = PpkOptions(**{"base_ecef_m": BASE, "systems": ("GPS", "GAL"), **options})
+    return run_ppk([paths["rover"]], base, nav, chosen)
+
+
+@pytest.mark.parametrize(
+    ("files", "options", "fragment"), [b[1:] for b in BAD_INPUT], ids=[b[0] for b in BAD_INPUT]
+)
+def test_bad_input(tmp_path: Path, files, options, fragment: str) -> None:
+    with pytest.raises(InputError) as caught:
+        run(tmp_path, files, options)
+    assert fragment in str(caught.value)
+    assert caught.value.where.startswith(str(tmp_path))
+    assert caught.value.expected
+
+
+def test_no_files_and_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no rover files"):
+        run_ppk([], None, [], OPTIONS)
+    with pytest.raises(InputError, match="file not found"):
+        run_ppk([tmp_path / "none.sbp"], None, [], OPTIONS)
+
+
+def test_unusable_observations_give_an_error_with_what_the_engine_printed(tmp_path: Path) -> None:
+    """Ephemerides of zeros pass the checks before the run; no position comes out, and that is said."""
+    with pytest.raises(InputError, match=r"no position for 5 rover epochs; it printed: .+"):
+        run(tmp_path, {}, {})
+
+
+CRASHES = [
+    ("import os; os.abort()", "crashed with SIGABRT"),
+    ("import ctypes; print('before', flush=True); ctypes.string_at(0)", "crashed with SIGSEGV; it printed: before"),
+    ("import sys; print('reading ephemeris'); sys.exit(3)", "ended with exit code 3; it printed: reading ephemeris"),
+    ("raise ValueError('inside')", "ValueError: inside"),
+    ("pass", "ended with exit code 0"),
+    ("import time; print('stuck', flush=True); time.sleep(60)", "did not finish within 1 s; it printed: stuck"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("code", "fragment"), CRASHES)
+def test_crash_of_the_engine_is_an_input_error(tmp_path: Path, code: str, fragment: str) -> None:
+    worker = tmp_path / "worker.py"
+    worker.write_text(code)
+    with pytest.raises(InputError) as caught:
+        run_worker(
+            [], tmp_path, where="rover.sbp", time_limit_s=1.0 if "sleep" in code else 60.0, worker=worker
+        )
+    assert fragment in str(caught.value)
+    assert str(caught.value).startswith("rover.sbp: the RTKLIB engine")
+
+
+def test_progress_lines_are_told_once(tmp_path: Path) -> None:
+    worker = tmp_path / "worker.py"
+    worker.write_text(
+        "import json, sys\n"
+        "[print(f'processing : 2017/05/12 18:45:{k:02d}.0 Q=1', end='\\r') for k in range(60)]\n"
+        "print('\\nno nav data')\n"
+        "open(sys.argv[2], 'w').write(json.dumps({'engine': 'x', 'answers': []}))\n"
+    )
+    answer = run_worker([], tmp_path, where="", time_limit_s=60.0, worker=worker)
+    assert answer.output == "processing : 2017/05/12 18:45:59.0 Q=1 | no nav data"
+
+
+def test_a_setting_that_the_engine_ignores_is_found(tmp_path: Path) -> None:
+    """The engine keeps its default for a word that it does not know, and says nothing."""
+    settings = {"pos2-armode": "nonsense", "pos1-elmask": "10"}
+    write_settings(tmp_path / "a.conf", settings)
+    task = {
+        "action": "solve", "config": str(tmp_path / "a.conf"), "readback": str(tmp_path / "a.taken"),
+        "inputs": [], "output": str(tmp_path / "a.pos"), "interval_s": 0.0,
+    }  # fmt: skip
+    answer = run_worker([task], tmp_path, where="", time_limit_s=60.0)
+    assert answer.engine.startswith("RTKLIB EX")
+    with pytest.raises(ConfigError) as caught:
+        check_settings(tmp_path / "a.taken", settings)
+    assert "pos2-armode: asked 'nonsense', taken 'continuous'" in str(caught.value)
+    assert "elmask" not in str(caught.value)
+
+
+POS = (
+    "%  GPST  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn   sde   sdu   sdne   sdeu   sdun age ratio\n"
+    "1948 499911.000000   37.773452096 -122.417872458    -6.3120   1   9   0.0054   0.0048   0.0107  -0.0001"
+    "   0.0019  -0.0048   0.00   19.3\n"
+    "1948 499912.500000   37.773452115 -122.417872452    -6.3109   5   9   3.0   2.0   5.0  1.0   0.0  -2.0 1.5 0.0\n"
+)  # fmt: skip
+
+
+def test_engine_pos(tmp_path: Path) -> None:
+    path = tmp_path / "a.pos"
+    path.write_text(POS)
+    table = read_engine_pos(path)
+    first, second = table.iloc[0], table.iloc[1]
+    assert first["t_gps_s"] == 1948 * 604800 + 499911.0 - 1e9
+    assert (first["sigma_north_m"], first["sigma_east_m"], first["sigma_up_m"]) == (0.0054, 0.0048, 0.0107)
+    assert first["cov_en_m2"] == pytest.approx(-1e-8)  # a signed square root is written
+    assert first["cov_eu_m2"] == pytest.approx(0.0019**2)
+    assert first["cov_nu_m2"] == pytest.approx(-(0.0048**2))
+    assert list(table["fix"]) == ["fixed", "single"]
+    assert (second["cov_en_m2"], second["cov_eu_m2"], second["cov_nu_m2"]) == (1.0, 0.0, -4.0)
+    write_table(tmp_path / "a.parquet", table, GNSS_POSITION)
+    back, _ = read_table(tmp_path / "a.parquet", GNSS_POSITION)
+    pd.testing.assert_frame_equal(back, table[back.columns.tolist()], check_dtype=False)
+
+
+@pytest.mark.parametrize("bad", ["1948 499911.0 37.7", "garbage", POS.splitlines()[1] + " 7"])
+def test_bad_engine_pos(tmp_path: Path, bad: str) -> None:
+    path = tmp_path / "a.pos"
+    path.write_text(POS + bad + "\n")
+    with pytest.raises(InputError, match=r"a\.pos, line 4: .* is no solution line"):
+        read_engine_pos(path)
+
+
+def test_no_pos_is_an_empty_table(tmp_path: Path) -> None:
+    table = read_engine_pos(tmp_path / "none.pos")
+    assert table.empty
+    assert list(table.columns) == list(GNSS_POSITION.names)
+
+
+def solution(n_fixed: int, n_float: int, n_none: int) -> PpkSolution:
+    n = n_fixed + n_float + n_none
+    report = IntegrityReport(stream="PPK positions", format="SBP", files=["rover.sbp"])
+    report.details = {
+        "fix_ratio": n_fixed / n, "n_rover_epochs": n, "n_fixed": n_fixed, "n_float": n_float,
+        "n_single": 0, "n_other": 0, "n_none": n_none,
+    }  # fmt: skip
+    table = pd.DataFrame({"fix": ["fixed"] * n_fixed + ["float"] * n_float})
+    return PpkSolution(positions=table, report=report, options=OPTIONS, base_ecef_m=np.array(BASE))
+
+
+def test_require_fixed_counts_epochs_without_solution() -> None:
+    s = solution(90, 5, 5)
+    s.require_fixed(0.9)
+    assert len(s.fixed) == 90
+    with pytest.raises(ThalwegError) as caught:
+        s.require_fixed(0.95)
+    assert (
+        "90.0 % of 100 rover epochs are fixed (90 fixed, 5 float, 0 single, 0 other, 5 without solution)"
+        in str(caught.value)
+    )
+    assert "at least 95.0 %" in str(caught.value)
+
+
+def test_worker_answers_in_json(tmp_path: Path) -> None:
+    run_worker([], tmp_path, where="", time_limit_s=60.0)
+    assert json.loads((tmp_path / "answer.json").read_text())["answers"] == []

@@ -1,0 +1,402 @@
+"""VLP-16 points: geometry, timing and returns against a slow decoder, other readers and published values."""
+
+import importlib.util
+import math
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import velodyne_decoder as vd
+
+from thalweg.core.errors import ConfigError, InputError, ThalwegError, UnsupportedError
+from thalweg.core.timescales import gps_from_unix
+from thalweg.ingest.velodyne import LidarOptions, PointBlock, iter_points, scan_lidar
+from thalweg.ingest.velodyne_model import ELEVATION_DEG, RING, VERTICAL_CORRECTION_M
+
+_builder = Path(__file__).with_name("test_velodyne_log.py")
+_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
+log = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(log)
+
+HOUR = 1_700_000_000 // 3600 * 3600
+NAMES = list(PointBlock.__dataclass_fields__)
+MANUAL = {  # VLP-16 manual, table 9-1: laser -> elevation in degrees, vertical correction in mm
+    0: (-15, 11.2), 1: (1, -0.7), 2: (-13, 9.7), 3: (3, -2.2), 4: (-11, 8.1), 5: (5, -3.7), 6: (-9, 6.6),
+    7: (7, -5.1), 8: (-7, 5.1), 9: (9, -6.6), 10: (-5, 3.7), 11: (11, -8.1), 12: (-3, 2.2), 13: (13, -9.7),
+    14: (-1, 0.7), 15: (15, -11.2),
+}  # fmt: skip
+
+
+def points(files, options=None, **kwargs):
+    """All points as a dict of arrays."""
+    files = [files] if isinstance(files, Path) else files
+    blocks = list(iter_points(files, options, **kwargs))
+    return {n: np.concatenate([getattr(b, n) for b in blocks]) for n in NAMES}
+
+
+def write(path, frames):
+    path.write_bytes(log.pcap(frames))
+    return path
+
+
+def slow_decoder(packets, corrected=True):
+    """One row a point: t_us, x, y, z, range, azimuth in rad, laser, intensity, return, returns, packet."""
+    rows = []
+    for number, packet in enumerate(packets):
+        toh, mode, _ = struct.unpack_from("<IBB", packet, 1200)
+        per = 2 if mode == 0x39 else 1
+        azimuth = [struct.unpack_from("<H", packet, 100 * b + 2)[0] for b in range(12)]
+        for b in range(0, 12, per):
+            if b + per < 12:
+                gap = (azimuth[b + per] - azimuth[b]) % 36000
+            else:
+                gap = (azimuth[b] - azimuth[b - per]) % 36000
+            for shot in range(32):
+                firing, laser = divmod(shot, 16)
+                delay_us = firing * 55.296 + laser * 2.304
+                alpha = math.radians((azimuth[b] + gap * delay_us / 110.592) % 36000 / 100)
+                found = []
+                for block in range(b, b + per):
+                    d, i = struct.unpack_from("<HB", packet, 100 * block + 4 + 3 * shot)
+                    if d and d not in [f[0] for f in found]:
+                        found.append((d, i))
+                for k, (d, i) in enumerate(sorted(found)):
+                    omega, up = math.radians(MANUAL[laser][0]), MANUAL[laser][1] * 1e-3 * corrected
+                    r = d * 0.002
+                    rows.append(
+                        (
+                            toh + b // per * 110.592 + delay_us,
+                            r * math.cos(omega) * math.sin(alpha),
+                            r * math.cos(omega) * math.cos(alpha),
+                            r * math.sin(omega) + up,
+                            r, alpha, laser, i, k + 1, len(found), number,
+                        )
+                    )  # fmt: skip
+    return np.array(rows)
+
+
+def assert_equal_to_slow(p, slow):
+    assert len(p["range_m"]) == len(slow)
+    # float64 of a few thousand seconds resolves 5e-13 s
+    assert p["t_device_s"] == pytest.approx(slow[:, 0] * 1e-6, abs=1e-9, rel=0)
+    # float32 of 100 m resolves 7.6 um, half of it is the rounding
+    assert p["xyz_scs_m"] == pytest.approx(slow[:, 1:4], abs=4e-6, rel=0)
+    assert p["range_m"] == pytest.approx(slow[:, 4], abs=4e-6, rel=0)
+    # float32 of 2 pi resolves 4.8e-7
+    assert p["azimuth_rad"] == pytest.approx(slow[:, 5], abs=3e-7, rel=0)
+    for column, name in (
+        (6, "laser"),
+        (7, "intensity"),
+        (8, "return_number"),
+        (9, "n_returns"),
+        (10, "packet"),
+    ):
+        assert np.array_equal(p[name], slow[:, column]), name
+    assert np.array_equal(p["ring"], [(MANUAL[int(v)][0] + 15) // 2 for v in slow[:, 6]])
+
+
+def test_tables_of_the_manual():
+    assert {
+        k: (e, v) for k, (e, v) in enumerate(zip(ELEVATION_DEG, VERTICAL_CORRECTION_M * 1e3, strict=True))
+    } == ({k: (e, pytest.approx(v)) for k, (e, v) in MANUAL.items()})
+    assert np.array_equal(ELEVATION_DEG[np.argsort(RING)], np.arange(-15, 16, 2))
+
+
+@pytest.mark.parametrize("corrected", [True, False])
+@pytest.mark.parametrize("mode", [0x37, 0x38, 0x39])
+def test_equals_slow_decoder(tmp_path, mode, corrected):
+    stamps = log.times(70, mode=mode)
+    data = log.data_packets(stamps, mode=mode, az0=35_800)  # crosses the wrap at once
+    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(row, 2368)) for row in data])
+    p = points(path, LidarOptions(vertical_corrections=corrected))
+    assert_equal_to_slow(p, slow_decoder([row.tobytes() for row in data], corrected))
+    assert (np.diff(p["t_device_s"]) >= 0).all()
+    assert np.isnan(p["t_gps_s"]).all()
+
+
+def test_azimuth_of_36000_is_zero(tmp_path):
+    data = log.data_packets(log.times(2))
+    az = data.view(log.PAYLOAD)["b"]["az"]
+    az[0, 0, :5] = [35_920, 35_960, 36_000, 40, 80]
+    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(row, 2368)) for row in data])
+    p = points(path)
+    assert_equal_to_slow(p, slow_decoder([row.tobytes() for row in data]))
+    block = np.floor((p["t_device_s"] - 1.0) / 110.592e-6 + 1e-6)
+    third = p["azimuth_rad"][(block == 2) & (p["packet"] == 0)]
+    assert third.min() == pytest.approx(0.0, abs=1e-4)
+    assert third.max() <= math.radians(0.4)
+    assert scan_lidar([path]).report.clean
+
+
+def test_return_mode_changes_within_a_file(tmp_path):
+    a = log.data_packets(log.times(20), mode=0x37)
+    b = log.data_packets(log.times(20, 1_000_000 + 20 * 1327.104, 0x39), mode=0x39)
+    data = np.concatenate([a, b])
+    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(row, 2368)) for row in data])
+    scan = scan_lidar([path])
+    assert scan.return_mode == "mixed"
+    assert (
+        "The return mode changes within the recording (packets: strongest 20, dual 20)." in scan.report.notes
+    )
+    assert scan.report.clean  # the change of the packet interval is no gap
+    assert_equal_to_slow(points(path), slow_decoder([row.tobytes() for row in data]))
+
+
+def dual_shot(tmp_path, last, strongest, options):
+    """Points of one dual packet in which a single shot has the two given (distance, intensity)."""
+    data = log.data_packets(log.times(1, mode=0x39), mode=0x39)
+    block = data.view(log.PAYLOAD)["b"][0, 0]
+    block["c"]["d"] = 0
+    block["c"]["d"][2:4, 7] = last[0], strongest[0]
+    block["c"]["i"][2:4, 7] = last[1], strongest[1]
+    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(data[0], 2368))])
+    p = points(path, options) if scan_lidar([path], options).n_points else dict.fromkeys(NAMES, np.empty(0))
+    return list(zip(p["range_m"].round(3).tolist(), *(p[n].tolist() for n in NAMES[7:10]), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("last", "strongest", "returns", "expected"),
+    [
+        ((5000, 9), (5000, 9), "all", [(10.0, 9, 1, 1)]),
+        ((5000, 8), (5000, 9), "all", [(10.0, 9, 1, 1)]),
+        ((6000, 8), (5000, 9), "all", [(10.0, 9, 1, 2), (12.0, 8, 2, 2)]),
+        ((6000, 8), (5000, 9), "strongest", [(10.0, 9, 1, 2)]),
+        ((6000, 8), (5000, 9), "last", [(12.0, 8, 2, 2)]),
+        # the strongest one is also the last: the other block then holds the second strongest
+        ((4000, 3), (5000, 9), "all", [(8.0, 3, 1, 2), (10.0, 9, 2, 2)]),
+        ((4000, 3), (5000, 9), "strongest", [(10.0, 9, 2, 2)]),
+        ((4000, 3), (5000, 9), "last", [(10.0, 9, 2, 2)]),
+        ((0, 0), (5000, 9), "all", [(10.0, 9, 1, 1)]),
+        ((4000, 3), (0, 0), "strongest", [(8.0, 3, 1, 1)]),
+        ((0, 0), (0, 0), "all", []),
+    ],
+)
+def test_returns_of_a_dual_shot(tmp_path, last, strongest, returns, expected):
+    assert dual_shot(tmp_path, last, strongest, LidarOptions(returns=returns)) == expected
+
+
+def test_range_limits_leave_the_numbering_alone(tmp_path):
+    shot = (6000, 8), (5000, 9)
+    assert dual_shot(tmp_path, *shot, LidarOptions(min_range_m=10.001)) == [(12.0, 8, 2, 2)]
+    assert dual_shot(tmp_path, *shot, LidarOptions(max_range_m=10.0)) == [(10.0, 9, 1, 2)]
+    assert dual_shot(tmp_path, *shot, LidarOptions(min_range_m=10.0, max_range_m=12.0)) == [
+        (10.0, 9, 1, 2),
+        (12.0, 8, 2, 2),
+    ]
+
+
+def test_blocks_of_points_are_bounded_and_complete(tmp_path):
+    path = write(tmp_path / "a.pcap", log.recording(log.times(200)))
+    scan = scan_lidar([path])
+    blocks = list(iter_points([path], clock=scan.clock, max_points=1000))
+    assert max(b.n for b in blocks) <= 1000
+    assert sum(b.n for b in blocks) == scan.n_points
+    whole = points(path)
+    for name in NAMES:
+        joined = np.concatenate([getattr(b, name) for b in blocks])
+        assert np.array_equal(joined, whole[name], equal_nan=True)
+
+
+def test_a_damaged_block_is_skipped_and_counted(tmp_path):
+    data = log.data_packets(log.times(3))
+    good = slow_decoder([row.tobytes() for row in data])
+    b = data.view(log.PAYLOAD)["b"]
+    b["flag"][1, 0, 4] = 0xDDFF
+    b["az"][2, 0, 7] = 36_001
+    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(row, 2368)) for row in data])
+    scan, p = scan_lidar([path]), points(path)
+    assert scan.report.losses == {"blocks_with_bad_flag": 1, "blocks_with_bad_azimuth": 1}
+    block = np.floor((good[:, 0] - 1e6 - np.rint(good[:, 10] * 1327.104)) / 110.592 + 1e-6)
+    left = ~(((good[:, 10] == 1) & (block == 4)) | ((good[:, 10] == 2) & (block == 7)))
+    assert len(p["range_m"]) == left.sum() == scan.n_points
+    # The block before the damaged one takes the gap before it; the encoder jitter here is 0.01 degrees.
+    assert p["xyz_scs_m"] == pytest.approx(good[left, 1:4], abs=100 * math.radians(0.011))
+
+
+def test_limited_field_of_view_is_told(tmp_path):
+    data = log.data_packets(log.times(3))
+    data.view(log.PAYLOAD)["b"]["az"][1, 0, 6:] += 9000
+    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(row, 2368)) for row in data])
+    assert any("azimuth jumps within a packet 1 times" in n for n in scan_lidar([path]).report.notes)
+    p = points(path)
+    turn = np.diff(np.unwrap(p["azimuth_rad"][p["packet"] == 1].astype(float)))
+    assert np.sort(turn)[-2] < math.radians(0.5)  # one jump, nothing smeared across it
+
+
+@pytest.mark.parametrize(
+    ("product", "name"),
+    [
+        (0x21, "HDL-32E"),
+        (0x24, "Puck Hi-Res"),
+        (0x28, "VLP-32C"),
+        (0xA1, "VLS-128"),
+        (0x20, "HDL-64E"),
+        (0x77, "unk"),
+    ],
+)
+def test_other_models_are_refused_by_name(tmp_path, product, name):
+    path = write(tmp_path / "a.pcap", log.recording(log.times(30), product=product))
+    with pytest.raises(UnsupportedError, match=f"{name}.*expected VLP-16.*set lidar.model to VLP-16"):
+        scan_lidar([path])
+    scan = scan_lidar([path], LidarOptions(model="VLP-16"))
+    assert scan.report.notes[0].startswith(f"The packets say {name}")
+    assert scan.n_points == len(points(path, LidarOptions(model="VLP-16"))["range_m"]) > 9000
+
+
+def test_bad_settings():
+    with pytest.raises(ConfigError, match="lidar.returns 'first'"):
+        LidarOptions(returns="first")
+    with pytest.raises(ConfigError, match="lidar ranges 5.0 .. 2.0 m"):
+        LidarOptions(min_range_m=5.0, max_range_m=2.0)
+    with pytest.raises(ConfigError, match="UDP port 0"):
+        LidarOptions(data_port=0)
+    with pytest.raises(InputError, match="no lidar files"):
+        scan_lidar([])
+
+
+def test_wrong_model_setting(tmp_path):
+    path = write(tmp_path / "a.pcap", log.recording(log.times(3)))
+    with pytest.raises(UnsupportedError, match="lidar.model 'VLP-32C'"):
+        scan_lidar([path], LidarOptions(model="VLP-32C"))
+
+
+def test_wanting_a_return_that_was_not_recorded_is_told(tmp_path):
+    path = write(tmp_path / "a.pcap", log.recording(log.times(30), mode=0x37))
+    scan = scan_lidar([path], LidarOptions(returns="last"))
+    assert scan.n_points == scan_lidar([path]).n_points
+    assert any("the sensor recorded the strongest return only" in n for n in scan.report.notes)
+
+
+def test_fuzz_velodyne(tmp_path, fuzz_count, rng):
+    capture = importlib.util.spec_from_file_location("captures", Path(__file__).with_name("test_capture.py"))
+    mutations = importlib.util.module_from_spec(capture)
+    capture.loader.exec_module(mutations)
+    a = log.pcap(log.recording(log.times(24, 3_599_985_000), hour_unix=HOUR, every=3))
+    b = log.data_packets(log.times(24, mode=0x39), mode=0x39).tobytes()
+    used = 0
+    for k in range(fuzz_count):
+        path = tmp_path / "f"
+        path.write_bytes(mutations.mutate((a, b)[k % 2], rng))
+        try:
+            scan = scan_lidar([path])
+            n = sum(block.n for block in iter_points([path], clock=scan.clock))
+        except ThalwegError:
+            continue
+        assert n == scan.n_points
+        assert scan.report.to_json()
+        used += n > 0
+    assert used > fuzz_count // 2
+
+
+VELOVIEW = "vlp16_veloview/vlp-16-test-90deg-1-50-frames.pcap"
+MRPT = "vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap"
+
+
+@pytest.mark.real
+def test_veloview_published_values(data_dir):
+    path, options = data_dir / VELOVIEW, LidarOptions(model="VLP-16", vertical_corrections=False)
+    scan = scan_lidar([path], options)
+    assert scan.n_points == 700_400
+    assert not scan.report.synchronised
+    assert any("HDL-32E" in n for n in scan.report.notes)
+    p = points(path, options)
+    # A frame ends where a block's azimuth falls, as in VeloView; blocks are told apart by their time.
+    block = np.floor((p["t_device_s"] - p["t_device_s"][0]) / 110.592e-6 + 0.5).astype(np.int64)
+    del block
+    frame = frame_numbers(path, p)
+    counts = np.bincount(frame)
+    assert counts.size == 52
+    assert counts[[0, 2, 16, 51]].tolist() == [5736, 13898, 13860, 274]
+    xyz, intensity = p["xyz_scs_m"][frame == 16], p["intensity"][frame == 16]
+    # VeloView prints six digits
+    assert xyz[0] == pytest.approx([0.0801272, 6.04037, -1.61865], abs=5e-6)
+    assert xyz[-1] == pytest.approx([-0.0094354, 4.91462, 1.31687], abs=5e-6)
+    assert intensity[[0, -1]].tolist() == [4, 29]
+
+
+def frame_numbers(path, p):
+    """Number of the revolution of each point: a new one begins where the azimuth of a block falls."""
+    from thalweg.ingest.capture import Stream, read_payloads
+
+    (rows,) = [b[0].payload for b in read_payloads(path, [Stream(port=2368, size=1206)])]
+    packets = np.ascontiguousarray(rows).view(log.PAYLOAD)["b"][:, 0]
+    frame = np.cumsum(np.diff(packets["az"].ravel().astype(int), prepend=-1) < 0)
+    return np.repeat(frame, (packets["c"]["d"] > 0).sum(axis=2).ravel())
+
+
+@pytest.mark.real
+def test_mrpt_times(data_dir):
+    scan = scan_lidar([data_dir / MRPT])
+    p = points(data_dir / MRPT, clock=scan.clock)
+    first_s = float(gps_from_unix(1_453_364_282, 340_595))  # 2016-01-21T08:18:02.340595 UTC, GPS - UTC = 17 s
+    assert first_s == 1_453_364_282.340595 - 315_964_800 - 1e9 + 17
+    assert scan.n_points == len(p["range_m"]) == 73_486
+    assert scan.report.synchronised
+    assert scan.report.clean
+    assert scan.report.t_first_s == pytest.approx(first_s, abs=6e-8, rel=0)  # resolution of float64 there
+    assert p["t_gps_s"] - (p["t_device_s"] - 1082.340595) == pytest.approx(first_s, abs=1.2e-7, rel=0)
+    assert p["t_gps_s"][0] == pytest.approx(first_s + 13 * 2.304e-6, abs=6e-8, rel=0)  # laser 13 sees first
+    assert scan.report.details["host_minus_sensor_s"] == pytest.approx(0.36812, abs=5e-6)
+    assert scan.report.counts["pps_locked"] == 57
+
+
+@pytest.mark.real
+def test_timm_dual_and_last(data_dir):
+    scan = scan_lidar([data_dir / "vlp16_timm_rawpayload/dual_1500pkt.bin"])
+    assert scan.return_mode == "dual"
+    assert len(scan.report.gaps) == 32
+    assert scan.report.counts["shots_with_two_returns"] == 1936
+    # 506092 values are not zero; a shot with one return holds it twice
+    assert scan.n_points == (506_092 - 2 * 1936) // 2 + 2 * 1936
+    p = points(data_dir / "vlp16_timm_rawpayload/dual_1500pkt.bin")
+    assert (p["n_returns"] == 2).sum() == 2 * 1936
+    last = scan_lidar([data_dir / "vlp16_timm_rawpayload/last_1500pkt.bin"])
+    assert (last.return_mode, last.n_points, last.report.clean) == ("last", 500_259, True)
+
+
+def velodyne_decoder_points(path):
+    """Points of velodyne-decoder in its own order, times on the hour of the first scan."""
+    if path.suffix == ".pcap":
+        scans = list(vd.read_pcap(str(path), vd.Config(), as_pcl_structs=True))
+    else:
+        decoder = vd.StreamDecoder(vd.Config())
+        rows = np.fromfile(path, "u1").reshape(-1, 1206)
+        hour = 1_500_000_000 // 3600 * 3600
+        scans = [
+            decoder.decode(hour + float(row[1200:1204].copy().view("<u4")[0]) * 1e-6, row.tobytes(), True)
+            for row in rows
+        ]
+        scans = [s for s in [*scans, decoder.finish(True)] if s is not None]
+    t_s = np.concatenate([s[1]["time"].astype(float) + s[0].device for s in scans])
+    return np.concatenate([s[1] for s in scans]), t_s - math.floor(t_s[0] / 3600) * 3600
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    "name", [MRPT, "vlp16_timm_rawpayload/dual_1500pkt.bin", "vlp16_timm_rawpayload/last_1500pkt.bin"]
+)
+def test_point_by_point_against_velodyne_decoder(data_dir, name):
+    theirs, t_s = velodyne_decoder_points(data_dir / name)
+    p = points(data_dir / name)
+    assert len(theirs) == len(p["range_m"])
+    flat = np.hypot(theirs["x"], theirs["y"])
+    a = np.lexsort((flat, theirs["ring"], np.rint(t_s * 1e7)))
+    b = np.lexsort((p["range_m"], p["ring"], np.rint(p["t_device_s"] * 1e7)))
+    theirs, flat, t_s, p = theirs[a], flat[a], t_s[a], {k: v[b] for k, v in p.items()}
+    assert np.array_equal(theirs["ring"], p["ring"])
+    assert np.array_equal(theirs["intensity"], p["intensity"])
+    assert t_s == pytest.approx(p["t_device_s"], abs=3e-7, rel=0)  # float64 of a Unix time
+    x, y, z = p["xyz_scs_m"].astype(float).T
+    assert flat == pytest.approx(np.hypot(x, y), abs=8e-6, rel=0)  # float32
+    # Its vertical offsets are computed, the manual's are rounded to 0.1 mm.
+    assert theirs["z"] == pytest.approx(z, abs=5.5e-5, rel=0)
+    # Its x is forward, y left. It rounds the azimuth to 0.01 degrees and takes the mean rate of a packet,
+    # where the gap to the next block is used here; real gaps scatter by some hundredths of a degree.
+    turn = np.arctan2(-theirs["y"].astype(float), theirs["x"]) - np.arctan2(x, y)
+    turn = np.degrees((turn + np.pi) % (2 * np.pi) - np.pi)
+    assert np.abs(turn).max() < 0.03
+    assert np.abs(np.mean(turn)) < 0.001
+    share = np.rint((p["laser"] * 2.304) * 10)
+    at_block = (share == 0) & (np.abs(turn) < 0.0051)
+    assert at_block.sum() > 0.4 * (share == 0).sum()  # half of laser 0 fires at the very azimuth of a block
