@@ -309,28 +309,6 @@ def test_same_payloads_as_dpkt(data_dir):
     assert t_host == pytest.approx([float(t) for t, u in expected if u.dport == 2368], abs=1e-6, rel=0)
 
 
-def mutate(content, rng):
-    """One random damage: bits, cut, insertion, repeated slice, zeros."""
-    out = bytearray(content)
-    for _ in range(int(rng.integers(1, 4))):
-        a = int(rng.integers(0, max(1, len(out))))
-        n = int(rng.integers(1, 3000))
-        kind = int(rng.integers(0, 5))
-        if kind == 0:
-            for i in rng.integers(0, max(1, len(out)), 20):
-                if i < len(out):
-                    out[i] ^= 1 << int(rng.integers(0, 8))
-        elif kind == 1:
-            del out[a : a + n if rng.random() < 0.7 else len(out)]
-        elif kind == 2:
-            out[a:a] = rng.bytes(n)
-        elif kind == 3:
-            out[a:a] = out[a : a + n]
-        else:
-            out[a : a + n] = b"\0" * min(n, len(out) - a)
-    return bytes(out)
-
-
 def test_fuzz_capture(tmp_path, fuzz_count, rng):
     samples = [
         log.pcap(frames_of()),
@@ -340,7 +318,7 @@ def test_fuzz_capture(tmp_path, fuzz_count, rng):
     ]
     read_on = 0
     for k in range(fuzz_count):
-        content = mutate(samples[k % 4], rng)
+        content = log.mutate(samples[k % 4], rng)
         try:
             chunk = 4096 if k % 8 < 4 else 1 << 16
             ((payload, _, _), _), tally = read(tmp_path / "f", content, chunk_bytes=chunk)

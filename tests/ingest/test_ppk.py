@@ -10,11 +10,15 @@ import pandas as pd
 import pytest
 
 from thalweg.core.errors import ConfigError, InputError, ThalwegError
-from thalweg.core.tables import read_table, write_table
 from thalweg.ingest.integrity import IntegrityReport
 from thalweg.ingest.ppk import PpkOptions, PpkSolution, run_ppk
 from thalweg.ingest.ppk_engine import check_settings, run_worker, write_settings
-from thalweg.ingest.ppk_pos import read_engine_pos
+from thalweg.ingest.ppk_positions import (
+    SIGMA_FLOOR_M,
+    covariance_enu,
+    read_solution,
+    replace_covariances,
+)
 from thalweg.ingest.schemas import GNSS_POSITION
 
 BASE = (-2706105.2018, -4261210.8062, 3885598.6411)
@@ -76,7 +80,12 @@ BAD_INPUT: list[tuple[str, dict[str, bytes | None], dict[str, object], str]] = [
     ("gzip", {"base": b"\x1f\x8b\x08rest"}, {}, "Unpack it: gunzip"),
     ("Hatanaka", {"base": b"3.0                 COMPACT RINEX FORMAT\n"}, {}, "crx2rnx"),
     ("cut in the header", {"rover": observations()[:200]}, {}, "the header does not end"),
-    ("cut before the first epoch", {"rover": observations(n=1)[:-30]}, {}, "no epoch with observations of the rover"),
+    (
+        "cut before the first epoch",
+        {"rover": observations(n=1)[:-30]},
+        {},
+        "no epoch with observations of the rover",
+    ),
     ("no common system", {"base": observations(systems="R")}, {}, "none of the systems GPS, GAL is in rover"),
     (
         "zero base header",
@@ -91,9 +100,19 @@ BAD_INPUT: list[tuple[str, dict[str, bytes | None], dict[str, object], str]] = [
         "no valid MsgBasePosECEF among 0",
     ),
     ("SBP without observations", {"rover": HEARTBEATS, "base": None}, {}, "no rover observations (MsgObs)"),
-    ("SBP without corrections", {"rover": ROVER_ONLY, "base": None}, {}, "no base observations (MsgObs of sender 0)"),
-    ("SBP cut to nothing", {"rover": ROVER_ONLY[:7], "base": None}, {}, "neither an SBP log nor a RINEX file"),
-]  # fmt: skip
+    (
+        "SBP without corrections",
+        {"rover": ROVER_ONLY, "base": None},
+        {},
+        "no base observations (MsgObs of sender 0)",
+    ),
+    (
+        "SBP cut to nothing",
+        {"rover": ROVER_ONLY[:7], "base": None},
+        {},
+        "neither an SBP log nor a RINEX file",
+    ),
+]
 
 
 def run(folder: Path, files: dict[str, bytes | None], options: dict[str, object]) -> PpkSolution:
@@ -134,12 +153,21 @@ def test_unusable_observations_give_an_error_with_what_the_engine_printed(tmp_pa
 
 CRASHES = [
     ("import os; os.abort()", "crashed with SIGABRT"),
-    ("import ctypes; print('before', flush=True); ctypes.string_at(0)", "crashed with SIGSEGV; it printed: before"),
-    ("import sys; print('reading ephemeris'); sys.exit(3)", "ended with exit code 3; it printed: reading ephemeris"),
+    (
+        "import ctypes; print('before', flush=True); ctypes.string_at(0)",
+        "crashed with SIGSEGV; it printed: before",
+    ),
+    (
+        "import sys; print('reading ephemeris'); sys.exit(3)",
+        "ended with exit code 3; it printed: reading ephemeris",
+    ),
     ("raise ValueError('inside')", "ValueError: inside"),
     ("pass", "ended with exit code 0"),
-    ("import time; print('stuck', flush=True); time.sleep(60)", "did not finish within 1 s; it printed: stuck"),
-]  # fmt: skip
+    (
+        "import time; print('stuck', flush=True); time.sleep(60)",
+        "did not finish within 1 s; it printed: stuck",
+    ),
+]
 
 
 @pytest.mark.parametrize(("code", "fragment"), CRASHES)
@@ -178,47 +206,84 @@ def test_a_setting_that_the_engine_ignores_is_found(tmp_path: Path) -> None:
     assert answer.engine.startswith("RTKLIB EX")
     with pytest.raises(ConfigError) as caught:
         check_settings(tmp_path / "a.taken", settings)
-    assert "pos2-armode: asked 'nonsense', taken 'continuous'" in str(caught.value)
+    assert "pos2-armode: asked 'nonsense', taken 'fix-and-hold'" in str(caught.value)
     assert "elmask" not in str(caught.value)
 
 
-POS = (
-    "%  GPST  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn   sde   sdu   sdne   sdeu   sdun age ratio\n"
+HEAD = (
+    "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)"
+    "  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio\n"
+)
+LINE = (
     "1948 499911.000000   37.773452096 -122.417872458    -6.3120   1   9   0.0054   0.0048   0.0107  -0.0001"
     "   0.0019  -0.0048   0.00   19.3\n"
-    "1948 499912.500000   37.773452115 -122.417872452    -6.3109   5   9   3.0   2.0   5.0  1.0   0.0  -2.0 1.5 0.0\n"
-)  # fmt: skip
+)
 
 
-def test_engine_pos(tmp_path: Path) -> None:
+def test_solution_of_the_engine(tmp_path: Path) -> None:
     path = tmp_path / "a.pos"
-    path.write_text(POS)
-    table = read_engine_pos(path)
-    first, second = table.iloc[0], table.iloc[1]
-    assert first["t_gps_s"] == 1948 * 604800 + 499911.0 - 1e9
-    assert (first["sigma_north_m"], first["sigma_east_m"], first["sigma_up_m"]) == (0.0054, 0.0048, 0.0107)
-    assert first["cov_en_m2"] == pytest.approx(-1e-8)  # a signed square root is written
-    assert first["cov_eu_m2"] == pytest.approx(0.0019**2)
-    assert first["cov_nu_m2"] == pytest.approx(-(0.0048**2))
-    assert list(table["fix"]) == ["fixed", "single"]
-    assert (second["cov_en_m2"], second["cov_eu_m2"], second["cov_nu_m2"]) == (1.0, 0.0, -4.0)
-    write_table(tmp_path / "a.parquet", table, GNSS_POSITION)
-    back, _ = read_table(tmp_path / "a.parquet", GNSS_POSITION)
-    pd.testing.assert_frame_equal(back, table[back.columns.tolist()], check_dtype=False)
+    path.write_text(HEAD + LINE)
+    row = read_solution(path).iloc[0]
+    assert row["t_gps_s"] == 1948 * 604800 + 499911.0 - 1e9
+    assert [row[f"sigma_{n}_m"] for n in ("north", "east", "up")] == pytest.approx([0.0054, 0.0048, 0.0107])
+    assert row["cov_en_m2"] == pytest.approx(-1e-8)  # a signed square root is written
+    assert row["cov_eu_m2"] == pytest.approx(0.0019**2)
+    assert row["cov_nu_m2"] == pytest.approx(-(0.0048**2))
+    assert row["fix"] == "fixed"
 
 
-@pytest.mark.parametrize("bad", ["1948 499911.0 37.7", "garbage", POS.splitlines()[1] + " 7"])
-def test_bad_engine_pos(tmp_path: Path, bad: str) -> None:
+def test_no_solution_is_an_empty_table(tmp_path: Path) -> None:
     path = tmp_path / "a.pos"
-    path.write_text(POS + bad + "\n")
-    with pytest.raises(InputError, match=r"a\.pos, line 4: .* is no solution line"):
-        read_engine_pos(path)
+    assert list(read_solution(path).columns) == list(GNSS_POSITION.names)
+    path.write_text(HEAD)
+    assert read_solution(path).empty
+    assert replace_covariances(read_solution(path))[1] == 0
 
 
-def test_no_pos_is_an_empty_table(tmp_path: Path) -> None:
-    table = read_engine_pos(tmp_path / "none.pos")
-    assert table.empty
-    assert list(table.columns) == list(GNSS_POSITION.names)
+@pytest.mark.parametrize("bad", ["1948 499911.0 37.7", LINE.strip() + " 7", "1948 " + "x " * 14])
+def test_damaged_solution_is_refused(tmp_path: Path, bad: str) -> None:
+    path = tmp_path / "a.pos"
+    path.write_text(HEAD + LINE + bad + "\n")
+    with pytest.raises(InputError, match="1 lines of the engine's solution are damaged"):
+        read_solution(path)
+
+
+def noisy(n: int = 61) -> pd.DataFrame:
+    table = pd.DataFrame({name: np.zeros(n) for name in GNSS_POSITION.names})
+    table["fix"] = "fixed"
+    table[["sigma_east_m", "sigma_north_m", "sigma_up_m"]] = (0.003, 0.004, 0.01)
+    table["cov_nu_m2"] = -1.2e-5
+    return table
+
+
+def test_indefinite_covariance_is_replaced_by_its_neighbours() -> None:
+    table = noisy()
+    table.loc[30, "sigma_east_m"] = 0.0
+    table.loc[30, "cov_en_m2"] = 9e-6
+    table.loc[31, "fix"] = "float"
+    table.loc[31, "sigma_east_m"] = 0.5
+    fixed, n = replace_covariances(table)
+    assert n == 1
+    expected = noisy()
+    expected.loc[31, ["fix", "sigma_east_m"]] = ["float", 0.5]
+    pd.testing.assert_frame_equal(fixed, expected, rtol=1e-9, check_exact=False)
+    assert table.loc[30, "sigma_east_m"] == 0.0  # the argument stays as it was
+
+
+def test_covariance_without_good_neighbours_is_raised_to_the_floor() -> None:
+    table = noisy(1)
+    table["sigma_up_m"] = 1e-4
+    fixed, n = replace_covariances(table)
+    assert n == 1
+    assert np.linalg.eigvalsh(covariance_enu(fixed)[0])[0] == pytest.approx(SIGMA_FLOOR_M**2, rel=1e-6)
+
+
+def test_good_and_unknown_covariances_stay() -> None:
+    table = noisy()
+    table.loc[3, "cov_en_m2"] = np.nan
+    fixed, n = replace_covariances(table)
+    assert n == 0
+    pd.testing.assert_frame_equal(fixed, table)
 
 
 def solution(n_fixed: int, n_float: int, n_none: int) -> PpkSolution:

@@ -1,6 +1,8 @@
 """RINEX scanner: figures of real and synthetic files, damage, fuzz."""
 
 import random
+import subprocess
+import sys
 import time
 import warnings
 from pathlib import Path
@@ -297,6 +299,29 @@ def test_real_files(data_dir: Path, name: str, what: str, n: int, first: str) ->
     assert report.clean
     assert report.t_first_s is not None
     assert utc_text_from_gps(report.t_first_s) == first
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("version", [211, 304, 400])
+def test_files_written_by_rtklib(data_dir: Path, tmp_path: Path, version: int) -> None:
+    """The same observations written by another program in three versions of the format."""
+    log = data_dir / "sbp_piksi_rtk_2017" / "2017-05-12-v1.1.26.sbp"
+    code = (
+        "import sys, pyrtklib5 as r\n"
+        "o = r.rnxopt_t(); o.rnxver = int(sys.argv[2]); o.navsys = 1; o.obstype = 15; o.freqtype = 31\n"
+        "r.convrnx(r.STRFMT_SBP, o, sys.argv[1], ['a.obs', 'a.nav', '', '', '', '', '', '', ''])\n"
+    )
+    command = [sys.executable, "-c", code, str(log), str(version)]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    scan = scan_rinex(tmp_path / "a.obs")
+    reference = scan_rinex(log.parent / "reference" / "piksi_rover.obs")
+    assert scan.version == f"{version / 100:.2f}"
+    assert not scan.losses
+    assert np.array_equal(scan.t_gps_s, reference.t_gps_s)
+    assert scan.n_satellite_records == reference.n_satellite_records
+    nav = scan_rinex(tmp_path / "a.nav")
+    assert not nav.losses
+    assert nav.nav_t_gps_s["GPS"].size == 10  # as sbp2rinex wrote: reference/piksi_rover.nav
 
 
 @pytest.mark.real

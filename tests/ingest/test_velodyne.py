@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import velodyne_decoder as vd
 
 from thalweg.core.errors import ConfigError, InputError, ThalwegError, UnsupportedError
-from thalweg.core.timescales import gps_from_unix
 from thalweg.ingest.velodyne import LidarOptions, PointBlock, iter_points, scan_lidar
 from thalweg.ingest.velodyne_model import ELEVATION_DEG, RING, VERTICAL_CORRECTION_M
 
@@ -33,6 +31,11 @@ def points(files, options=None, **kwargs):
     files = [files] if isinstance(files, Path) else files
     blocks = list(iter_points(files, options, **kwargs))
     return {n: np.concatenate([getattr(b, n) for b in blocks]) for n in NAMES}
+
+
+def close(found, expected, atol):
+    """Equal to within ``atol``; pytest.approx takes seconds for arrays of this size."""
+    np.testing.assert_allclose(found, expected, rtol=0, atol=atol)
 
 
 def write(path, frames):
@@ -79,12 +82,12 @@ def slow_decoder(packets, corrected=True):
 def assert_equal_to_slow(p, slow):
     assert len(p["range_m"]) == len(slow)
     # float64 of a few thousand seconds resolves 5e-13 s
-    assert p["t_device_s"] == pytest.approx(slow[:, 0] * 1e-6, abs=1e-9, rel=0)
+    close(p["t_device_s"], slow[:, 0] * 1e-6, 1e-9)
     # float32 of 100 m resolves 7.6 um, half of it is the rounding
-    assert p["xyz_scs_m"] == pytest.approx(slow[:, 1:4], abs=4e-6, rel=0)
-    assert p["range_m"] == pytest.approx(slow[:, 4], abs=4e-6, rel=0)
+    close(p["xyz_scs_m"], slow[:, 1:4], 4e-6)
+    close(p["range_m"], slow[:, 4], 4e-6)
     # float32 of 2 pi resolves 4.8e-7
-    assert p["azimuth_rad"] == pytest.approx(slow[:, 5], abs=3e-7, rel=0)
+    close(p["azimuth_rad"], slow[:, 5], 3e-7)
     for column, name in (
         (6, "laser"),
         (7, "intensity"),
@@ -245,9 +248,9 @@ def test_other_models_are_refused_by_name(tmp_path, product, name):
 
 
 def test_bad_settings():
-    with pytest.raises(ConfigError, match="lidar.returns 'first'"):
+    with pytest.raises(ConfigError, match=r"lidar\.returns 'first'"):
         LidarOptions(returns="first")
-    with pytest.raises(ConfigError, match="lidar ranges 5.0 .. 2.0 m"):
+    with pytest.raises(ConfigError, match=r"lidar ranges 5\.0 \.\. 2\.0 m"):
         LidarOptions(min_range_m=5.0, max_range_m=2.0)
     with pytest.raises(ConfigError, match="UDP port 0"):
         LidarOptions(data_port=0)
@@ -257,7 +260,7 @@ def test_bad_settings():
 
 def test_wrong_model_setting(tmp_path):
     path = write(tmp_path / "a.pcap", log.recording(log.times(3)))
-    with pytest.raises(UnsupportedError, match="lidar.model 'VLP-32C'"):
+    with pytest.raises(UnsupportedError, match=r"lidar\.model 'VLP-32C'"):
         scan_lidar([path], LidarOptions(model="VLP-32C"))
 
 
@@ -269,15 +272,12 @@ def test_wanting_a_return_that_was_not_recorded_is_told(tmp_path):
 
 
 def test_fuzz_velodyne(tmp_path, fuzz_count, rng):
-    capture = importlib.util.spec_from_file_location("captures", Path(__file__).with_name("test_capture.py"))
-    mutations = importlib.util.module_from_spec(capture)
-    capture.loader.exec_module(mutations)
     a = log.pcap(log.recording(log.times(24, 3_599_985_000), hour_unix=HOUR, every=3))
     b = log.data_packets(log.times(24, mode=0x39), mode=0x39).tobytes()
     used = 0
     for k in range(fuzz_count):
         path = tmp_path / "f"
-        path.write_bytes(mutations.mutate((a, b)[k % 2], rng))
+        path.write_bytes(log.mutate((a, b)[k % 2], rng))
         try:
             scan = scan_lidar([path])
             n = sum(block.n for block in iter_points([path], clock=scan.clock))
@@ -287,116 +287,3 @@ def test_fuzz_velodyne(tmp_path, fuzz_count, rng):
         assert scan.report.to_json()
         used += n > 0
     assert used > fuzz_count // 2
-
-
-VELOVIEW = "vlp16_veloview/vlp-16-test-90deg-1-50-frames.pcap"
-MRPT = "vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap"
-
-
-@pytest.mark.real
-def test_veloview_published_values(data_dir):
-    path, options = data_dir / VELOVIEW, LidarOptions(model="VLP-16", vertical_corrections=False)
-    scan = scan_lidar([path], options)
-    assert scan.n_points == 700_400
-    assert not scan.report.synchronised
-    assert any("HDL-32E" in n for n in scan.report.notes)
-    p = points(path, options)
-    # A frame ends where a block's azimuth falls, as in VeloView; blocks are told apart by their time.
-    block = np.floor((p["t_device_s"] - p["t_device_s"][0]) / 110.592e-6 + 0.5).astype(np.int64)
-    del block
-    frame = frame_numbers(path, p)
-    counts = np.bincount(frame)
-    assert counts.size == 52
-    assert counts[[0, 2, 16, 51]].tolist() == [5736, 13898, 13860, 274]
-    xyz, intensity = p["xyz_scs_m"][frame == 16], p["intensity"][frame == 16]
-    # VeloView prints six digits
-    assert xyz[0] == pytest.approx([0.0801272, 6.04037, -1.61865], abs=5e-6)
-    assert xyz[-1] == pytest.approx([-0.0094354, 4.91462, 1.31687], abs=5e-6)
-    assert intensity[[0, -1]].tolist() == [4, 29]
-
-
-def frame_numbers(path, p):
-    """Number of the revolution of each point: a new one begins where the azimuth of a block falls."""
-    from thalweg.ingest.capture import Stream, read_payloads
-
-    (rows,) = [b[0].payload for b in read_payloads(path, [Stream(port=2368, size=1206)])]
-    packets = np.ascontiguousarray(rows).view(log.PAYLOAD)["b"][:, 0]
-    frame = np.cumsum(np.diff(packets["az"].ravel().astype(int), prepend=-1) < 0)
-    return np.repeat(frame, (packets["c"]["d"] > 0).sum(axis=2).ravel())
-
-
-@pytest.mark.real
-def test_mrpt_times(data_dir):
-    scan = scan_lidar([data_dir / MRPT])
-    p = points(data_dir / MRPT, clock=scan.clock)
-    first_s = float(gps_from_unix(1_453_364_282, 340_595))  # 2016-01-21T08:18:02.340595 UTC, GPS - UTC = 17 s
-    assert first_s == 1_453_364_282.340595 - 315_964_800 - 1e9 + 17
-    assert scan.n_points == len(p["range_m"]) == 73_486
-    assert scan.report.synchronised
-    assert scan.report.clean
-    assert scan.report.t_first_s == pytest.approx(first_s, abs=6e-8, rel=0)  # resolution of float64 there
-    assert p["t_gps_s"] - (p["t_device_s"] - 1082.340595) == pytest.approx(first_s, abs=1.2e-7, rel=0)
-    assert p["t_gps_s"][0] == pytest.approx(first_s + 13 * 2.304e-6, abs=6e-8, rel=0)  # laser 13 sees first
-    assert scan.report.details["host_minus_sensor_s"] == pytest.approx(0.36812, abs=5e-6)
-    assert scan.report.counts["pps_locked"] == 57
-
-
-@pytest.mark.real
-def test_timm_dual_and_last(data_dir):
-    scan = scan_lidar([data_dir / "vlp16_timm_rawpayload/dual_1500pkt.bin"])
-    assert scan.return_mode == "dual"
-    assert len(scan.report.gaps) == 32
-    assert scan.report.counts["shots_with_two_returns"] == 1936
-    # 506092 values are not zero; a shot with one return holds it twice
-    assert scan.n_points == (506_092 - 2 * 1936) // 2 + 2 * 1936
-    p = points(data_dir / "vlp16_timm_rawpayload/dual_1500pkt.bin")
-    assert (p["n_returns"] == 2).sum() == 2 * 1936
-    last = scan_lidar([data_dir / "vlp16_timm_rawpayload/last_1500pkt.bin"])
-    assert (last.return_mode, last.n_points, last.report.clean) == ("last", 500_259, True)
-
-
-def velodyne_decoder_points(path):
-    """Points of velodyne-decoder in its own order, times on the hour of the first scan."""
-    if path.suffix == ".pcap":
-        scans = list(vd.read_pcap(str(path), vd.Config(), as_pcl_structs=True))
-    else:
-        decoder = vd.StreamDecoder(vd.Config())
-        rows = np.fromfile(path, "u1").reshape(-1, 1206)
-        hour = 1_500_000_000 // 3600 * 3600
-        scans = [
-            decoder.decode(hour + float(row[1200:1204].copy().view("<u4")[0]) * 1e-6, row.tobytes(), True)
-            for row in rows
-        ]
-        scans = [s for s in [*scans, decoder.finish(True)] if s is not None]
-    t_s = np.concatenate([s[1]["time"].astype(float) + s[0].device for s in scans])
-    return np.concatenate([s[1] for s in scans]), t_s - math.floor(t_s[0] / 3600) * 3600
-
-
-@pytest.mark.real
-@pytest.mark.parametrize(
-    "name", [MRPT, "vlp16_timm_rawpayload/dual_1500pkt.bin", "vlp16_timm_rawpayload/last_1500pkt.bin"]
-)
-def test_point_by_point_against_velodyne_decoder(data_dir, name):
-    theirs, t_s = velodyne_decoder_points(data_dir / name)
-    p = points(data_dir / name)
-    assert len(theirs) == len(p["range_m"])
-    flat = np.hypot(theirs["x"], theirs["y"])
-    a = np.lexsort((flat, theirs["ring"], np.rint(t_s * 1e7)))
-    b = np.lexsort((p["range_m"], p["ring"], np.rint(p["t_device_s"] * 1e7)))
-    theirs, flat, t_s, p = theirs[a], flat[a], t_s[a], {k: v[b] for k, v in p.items()}
-    assert np.array_equal(theirs["ring"], p["ring"])
-    assert np.array_equal(theirs["intensity"], p["intensity"])
-    assert t_s == pytest.approx(p["t_device_s"], abs=3e-7, rel=0)  # float64 of a Unix time
-    x, y, z = p["xyz_scs_m"].astype(float).T
-    assert flat == pytest.approx(np.hypot(x, y), abs=8e-6, rel=0)  # float32
-    # Its vertical offsets are computed, the manual's are rounded to 0.1 mm.
-    assert theirs["z"] == pytest.approx(z, abs=5.5e-5, rel=0)
-    # Its x is forward, y left. It rounds the azimuth to 0.01 degrees and takes the mean rate of a packet,
-    # where the gap to the next block is used here; real gaps scatter by some hundredths of a degree.
-    turn = np.arctan2(-theirs["y"].astype(float), theirs["x"]) - np.arctan2(x, y)
-    turn = np.degrees((turn + np.pi) % (2 * np.pi) - np.pi)
-    assert np.abs(turn).max() < 0.03
-    assert np.abs(np.mean(turn)) < 0.001
-    share = np.rint((p["laser"] * 2.304) * 10)
-    at_block = (share == 0) & (np.abs(turn) < 0.0051)
-    assert at_block.sum() > 0.4 * (share == 0).sum()  # half of laser 0 fires at the very azimuth of a block

@@ -55,6 +55,7 @@ rule simulate_lidar:
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
         pcap="results/{campaign}/simulation/logs/lidar.pcap",
+        effects="results/{campaign}/simulation/truth/lidar_effects.json",
     log:
         "logs/{campaign}/simulation/simulate_lidar.log",
     benchmark:
@@ -80,6 +81,7 @@ rule simulate_ins:
     """ANPP log of the INS."""
     output:
         anpp="results/{campaign}/simulation/logs/ins.anpp",
+        effects="results/{campaign}/simulation/truth/ins_effects.json",
     log:
         "logs/{campaign}/simulation/simulate_ins.log",
     benchmark:
@@ -105,6 +107,7 @@ rule simulate_gnss:
     output:
         sbp="results/{campaign}/simulation/logs/rover.sbp",
         pos="results/{campaign}/simulation/logs/ppk.pos",
+        effects="results/{campaign}/simulation/truth/gnss_effects.json",
     log:
         "logs/{campaign}/simulation/simulate_gnss.log",
     benchmark:
@@ -132,6 +135,7 @@ rule simulate_echo:
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
         nmea="results/{campaign}/simulation/logs/echo.nmea",
+        effects="results/{campaign}/simulation/truth/echo_effects.json",
     log:
         "logs/{campaign}/simulation/simulate_echo.log",
     benchmark:
@@ -163,6 +167,7 @@ rule simulate_tls:
             station=[1, 2, 3],
             allow_missing=True,
         ),
+        effects="results/{campaign}/simulation/truth/tls_effects.json",
     log:
         "logs/{campaign}/simulation/simulate_tls.log",
     benchmark:

@@ -9,7 +9,10 @@ from thalweg.accuracy.truth import compare_cloud
 from thalweg.core.trajectory import Trajectory
 from thalweg.jobs.job import run_job
 from thalweg.lidar.georeference import Mount
+from thalweg.simulation.materials import Material
 from thalweg.simulation.scene import Scene
+
+BARE_GROUND = [Material.BED, Material.SOIL, Material.GRASS]
 
 
 def main(
@@ -24,12 +27,14 @@ def main(
     mounts: dict[str, Any],
     lidar_options: dict[str, Any],
 ) -> None:
+    reach = Scene.read(scene)
     numbers, classes = compare_cloud(
         points,
         estimated=Trajectory.read(trajectory),
         true=Trajectory.read(voyage),
         mount=Mount.from_section(mounts["lidar"]),
-        surface=Scene.read(scene).caster(),
+        surface=reach.caster(),
+        bare_ground=np.isin(reach.material, BARE_GROUND),
         sigma_component_m=lidar_options["sigma_component_m"],
         vertical_corrections=lidar_options["vertical_corrections"],
         rng=np.random.default_rng(campaign["seed"]),

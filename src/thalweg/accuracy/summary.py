@@ -37,20 +37,19 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
     if truth is not None:
         table = pd.read_csv(truth)
         wanted = {
-            "rmse_3d": "error against the truth of the twin, 3D RMSE",
-            "predicted_3d": "error predicted, 3D RMSE",
-            "normalised_squared_error": "normalised squared error (1 = honest sigmas)",
+            "rmse": "bare ground: RMSE against the truth of the twin",
+            "predicted_rmse": "bare ground: RMSE predicted",
+            "normalised_squared_error": "bare ground: normalised squared error (1 = honest)",
             "normalised_squared_error_low95": "  its 95 % band, lower end",
             "normalised_squared_error_high95": "  its 95 % band, upper end",
         }
-        inliers = table[table["points"] == "without outliers"].set_index("quantity")
+        ground = table[table["points"] == "bare ground"].set_index("quantity")
         rows += [
-            (text, float(inliers.loc[key, "value"]), str(inliers.loc[key, "unit"]), truth.name)
+            (text, float(ground.loc[key, "value"]), str(ground.loc[key, "unit"]), truth.name)
             for key, text in wanted.items()
         ]
-        everything = table[table["points"] == "all"].set_index("quantity")
-        share = 100 * float(everything.loc["outlier_share", "value"])
-        rows.append(("points whose true beam meets another surface", share, "%", truth.name))
+        share = 100 * float(ground.loc["share_of_points", "value"])
+        rows.append(("bare ground: share of all points", share, "%", truth.name))
     return pd.DataFrame(rows, columns=COLUMNS)
 
 

@@ -1,7 +1,9 @@
 """A georeferenced cloud of the digital twin against the twin's truth, point by point.
 
-The beam of each point is cast again from the true pose at its time; where it meets the true surface is
-where the point should be. Only this room may read the truth.
+The beam of each point is cast again from the true pose at its time. Where it meets the true surface, the
+surface's normal is taken, and the error of the point is its signed distance from the plane of that triangle
+along the normal: the part of a point's error that displaces a surface, and the part that remains defined when
+a beam is a little off its nominal direction. Its prediction is ``n^T C n``. Only this room may read the truth.
 """
 
 from dataclasses import dataclass
@@ -19,20 +21,24 @@ from thalweg.ingest.velodyne_model import RING, VERTICAL_CORRECTION_M
 from thalweg.lidar.cloud import sample_cloud
 from thalweg.lidar.georeference import Mount
 
+POINT_CLASSES = ("all", "bare ground")
+"""The two sets of points for which every number is given: with and without the outlier rule."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointErrors:
-    """Errors of points against the truth, one row a point.
+    """Errors of points against the truth, one row a point whose true beam hits anything.
 
-    ``error_wcs_m`` (n, 3) is estimate minus truth, ``cov_wcs_m2`` (n, 3, 3) its prediction, ``outlier`` (n,)
-    marks points whose true beam meets another surface (edges, foliage): their error is no measurement error.
+    ``error_m`` (n,) is the signed distance from the true surface along its normal, ``sigma_m`` (n,) its
+    prediction; ``bare_ground`` (n,) is false for points whose true beam meets another kind of surface, or the
+    same one at another range: edges and foliage, where the error is no measurement error.
     """
 
     t_gps_s: ArrayF
     range_m: ArrayF
-    error_wcs_m: ArrayF
-    cov_wcs_m2: ArrayF
-    outlier: ArrayB
+    error_m: ArrayF
+    sigma_m: ArrayF
+    bare_ground: ArrayB
 
 
 def point_errors(
@@ -44,10 +50,11 @@ def point_errors(
     true: Trajectory,
     mount: Mount,
     surface: RayCaster,
+    bare_ground: ArrayB,
     sigma_component_m: float,
     outlier_m: float,
 ) -> PointErrors:
-    """Compare georeferenced points with where their beams truly hit.
+    """Compare georeferenced points with the surface that their beams truly hit.
 
     Parameters
     ----------
@@ -57,8 +64,9 @@ def point_errors(
     true : the twin's own.
     mount : pose of the scanner on the boat (true and assumed alike).
     surface : the true surface.
+    bare_ground : (m,) for each triangle: is it bare ground?
     sigma_component_m : predicted lidar sigma per component.
-    outlier_m : a true range that differs from the measured one by more is another surface.
+    outlier_m : a true range that differs from the measured one by more belongs to another surface.
     """
     position, R_est, known = estimated.at(t_gps_s)
     true_position, R_true, known_true = true.at(t_gps_s)
@@ -70,28 +78,30 @@ def point_errors(
     body = np.einsum("nji,nj->ni", R_est, points - position)
     beam = (body - mount.lever_ics_m) @ mount.R_ics_sensor - offset
     range_m = np.linalg.norm(beam, axis=1)
-    origin = (
-        np.einsum("nij,nj->ni", R_true, offset @ mount.R_ics_sensor.T + mount.lever_ics_m) + true_position
-    )
+    origin = np.einsum("nij,nj->ni", R_true, offset @ mount.R_ics_sensor.T + mount.lever_ics_m)
     direction = np.einsum("nij,nj->ni", R_true, (beam / range_m[:, None]) @ mount.R_ics_sensor.T)
-    true_range = surface.cast(origin, direction).t_hit_m
-    hit = np.isfinite(true_range)
-    truth = origin + np.where(hit, true_range, 0.0)[:, None] * direction
-    index = np.clip(np.searchsorted(estimated.t_gps_s, t) - 1, 0, None)
+    hits = surface.cast(origin + true_position, direction)
+    hit = np.isfinite(hits.t_hit_m)
+    true_range = np.where(hit, hits.t_hit_m, 0.0)
+    truth = origin + true_position + true_range[:, None] * direction
+    # the side that the beam comes from is outside, whatever the order of the triangle's corners
+    normal = hits.normal * -np.sign(np.einsum("ni,ni->n", hits.normal, direction))[:, None]
+    node = np.clip(np.searchsorted(estimated.t_gps_s, t) - 1, 0, None)
     cov = point_covariance(
         points,
         position,
         R_est,
-        estimated.cov_position_m2[index],
-        estimated.sigma_attitude_rad[index],
+        estimated.cov_position_m2[node],
+        estimated.sigma_attitude_rad[node],
         sigma_component_m,
     )
+    ground = hit & bare_ground[np.clip(hits.primitive, 0, None)]
     return PointErrors(
-        t_gps_s=t,
-        range_m=range_m,
-        error_wcs_m=np.where(hit[:, None], points - truth, np.nan),
-        cov_wcs_m2=cov,
-        outlier=~hit | (np.abs(np.where(hit, true_range, np.inf) - range_m) > outlier_m),
+        t_gps_s=t[hit],
+        range_m=range_m[hit],
+        error_m=np.einsum("ni,ni->n", normal, points - truth)[hit],
+        sigma_m=np.sqrt(np.einsum("ni,nij,nj->n", normal, cov, normal))[hit],
+        bare_ground=(ground & (np.abs(true_range - range_m) <= outlier_m))[hit],
     )
 
 
@@ -102,6 +112,7 @@ def compare_cloud(
     true: Trajectory,
     mount: Mount,
     surface: RayCaster,
+    bare_ground: ArrayB,
     sigma_component_m: float,
     vertical_corrections: bool,
     rng: np.random.Generator,
@@ -113,7 +124,7 @@ def compare_cloud(
     ----------
     points : LAZ in the world frame with extra dimension ``ring``.
     estimated, true : the trajectory that made the cloud, and the twin's own.
-    mount, surface, sigma_component_m : as in `point_errors`.
+    mount, surface, bare_ground, sigma_component_m : as in `point_errors`.
     vertical_corrections : were the lasers' vertical offsets applied?
     rng : for the band of the normalised error.
     max_points : size of the sample.
@@ -128,6 +139,7 @@ def compare_cloud(
         true=true,
         mount=mount,
         surface=surface,
+        bare_ground=bare_ground,
         sigma_component_m=sigma_component_m,
         # Attitude errors of 0.1 .. 0.2 deg move a beam by decimetres at 50 m; on a slope the true range then
         # differs as much. More than half a metre is another surface.
@@ -141,30 +153,36 @@ def error_tables(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Statistics of errors with and without the outlier rule, and observed against predicted by range.
 
+    Parameters
+    ----------
+    errors : from `point_errors`.
+    block_s : length of the blocks of the bootstrap, several correlation times of the pose errors.
+    rng : source of randomness of the bootstrap.
+
     Returns
     -------
-    statistics : columns ``quantity``, ``points`` (all | without outliers), ``value``, ``unit``.
-    by_range : see `by_range_class`; without outliers.
+    statistics : columns ``quantity``, ``points`` (see `POINT_CLASSES`), ``value``, ``unit``.
+        ``normalised_squared_error`` is the mean of squared error over predicted variance, 1 if the sigmas
+        are honest, with the ends of its 95 % band.
+    by_range : see `by_range_class`; bare ground.
     """
     rows: list[tuple[str, str, float, str]] = []
-    inlier = ~errors.outlier
-    for label, use in (("all", np.isfinite(errors.error_wcs_m[:, 0])), ("without outliers", inlier)):
-        for axis, name in enumerate(("east", "north", "up")):
-            for quantity, value in describe_errors(errors.error_wcs_m[use, axis]).items():
-                bare, _, unit = quantity.rpartition("_")
-                rows.append((f"{name}_{bare or quantity}", label, value, unit if bare else "1"))
-        rmse_3d = float(np.sqrt(np.mean(np.sum(errors.error_wcs_m[use] ** 2, axis=1))))
-        predicted = float(np.sqrt(np.mean(np.trace(errors.cov_wcs_m2[use], axis1=1, axis2=2))))
-        rows += [("rmse_3d", label, rmse_3d, "m"), ("predicted_3d", label, predicted, "m")]
-    e, cov = errors.error_wcs_m[inlier], errors.cov_wcs_m2[inlier]
-    nees = np.einsum("ni,ni->n", e, np.linalg.solve(cov, e[:, :, None])[:, :, 0]) / 3.0
-    mean, low, high = block_band(nees, errors.t_gps_s[inlier], block_s=block_s, rng=rng)
-    rows += [
-        ("normalised_squared_error", "without outliers", mean, "1"),
-        ("normalised_squared_error_low95", "without outliers", low, "1"),
-        ("normalised_squared_error_high95", "without outliers", high, "1"),
-        ("outlier_share", "all", float(np.mean(errors.outlier)), "1"),
-    ]
+    for label, use in zip(POINT_CLASSES, (np.ones_like(errors.bare_ground), errors.bare_ground), strict=True):
+        e, sigma = errors.error_m[use], errors.sigma_m[use]
+        for quantity, value in describe_errors(e).items():
+            bare, _, unit = quantity.rpartition("_")
+            rows.append((bare or quantity, label, value, unit if bare else "1"))
+        rows.append(("predicted_rmse", label, float(np.sqrt(np.mean(sigma**2))), "m"))
+        mean, low, high = block_band((e / sigma) ** 2, errors.t_gps_s[use], block_s=block_s, rng=rng)
+        rows += [
+            ("normalised_squared_error", label, mean, "1"),
+            ("normalised_squared_error_low95", label, low, "1"),
+            ("normalised_squared_error_high95", label, high, "1"),
+        ]
+    rows.append(("share_of_points", POINT_CLASSES[1], float(np.mean(errors.bare_ground)), "1"))
     statistics = pd.DataFrame(rows, columns=["quantity", "points", "value", "unit"])
-    by_range = by_range_class(errors.range_m[inlier], np.sum(e**2, axis=1), np.trace(cov, axis1=1, axis2=2))
+    ground = errors.bare_ground
+    by_range = by_range_class(
+        errors.range_m[ground], errors.error_m[ground] ** 2, errors.sigma_m[ground] ** 2
+    )
     return statistics, by_range

@@ -58,7 +58,7 @@ def _open3d() -> Any:
         raise ThalwegError(
             f"Open3D cannot be loaded: {error}",
             expected="the packages open3d (open3d-cpu on Linux) and libusb-package",
-            cure="Install Thalweg's locked environment again; on Debian `apt install libusb-1.0-0 libgl1 libgomp1`",
+            cure="Install the locked environment again; on Debian also the packages libgl1 and libgomp1",
         ) from error
     return open3d
 

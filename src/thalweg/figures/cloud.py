@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from thalweg.core.errors import GeometryError
 from thalweg.core.trajectory import Trajectory
@@ -186,7 +187,7 @@ def _across_river(track_en_m: ArrayF, centre_en_m: ArrayF, towards: ArrayF, *, r
 @styled
 def cloud_detail(
     points_wcs_m: ArrayF,
-    intensity: ArrayF,
+    intensity: ArrayLike,
     *,
     segment: BankSegment,
     percentiles: tuple[float, float] = (2.0, 98.0),

@@ -28,7 +28,7 @@ from thalweg.figures.style import (
 )
 
 MAX_DOTS: Final = 150_000
-"""Most dots of a scatter plot; beyond it every k-th point is drawn and the title says so."""
+"""Most dots of a scatter plot; beyond it one of k points is drawn and the title says so."""
 
 
 LEAST_REACH_M: Final = 0.5
@@ -37,7 +37,7 @@ LEAST_REACH_M: Final = 0.5
 
 @styled
 def lidar_first_look(
-    points_scs_m: ArrayF,
+    points_scs_m: ArrayLike,
     intensity: ArrayLike,
     ring: ArrayLike,
     *,
@@ -67,7 +67,7 @@ def lidar_first_look(
     points = points[finite][::step]
     shown = np.asarray(intensity, dtype=np.float64)[finite][::step]
     rings = np.asarray(ring)[finite][::step]
-    drawn = f", every {step}th drawn" if step > 1 else ""
+    drawn = f", 1 of {step} drawn" if step > 1 else ""
     figure = new_figure(98.0, f"{title}, n = {count(n)} points{drawn}", twin=twin)
     plan, side = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
     low, high = robust_limits(shown, 2, 98)
@@ -80,8 +80,9 @@ def lidar_first_look(
     figure.colorbar(dots, ax=plan, label="intensity / 1", orientation="horizontal", aspect=35, extend="both")
     distance = np.hypot(points[:, 0], points[:, 1])
     dots = side.scatter(distance, points[:, 2], c=rings, s=0.8, lw=0, cmap=RING_MAP, rasterized=True)
-    side.set(xlim=(0, max(1.05 * np.percentile(distance, 99.5), LEAST_REACH_M)), xlabel="horizontal distance / m",
-             ylabel="z (up) / m", title="from the side, all directions in one")  # fmt: skip
+    side.set_xlim(0, max(1.05 * float(np.percentile(distance, 99.5)), LEAST_REACH_M))
+    side.set(xlabel="horizontal distance / m", ylabel="z (up) / m")
+    side.set_title("from the side, all directions in one")
     a, b = robust_limits(points[:, 2], 0.2, 99.8)
     side.set_ylim(a - 0.05 * (b - a), b + 0.05 * (b - a))
     side.grid()
@@ -144,10 +145,9 @@ def track_first_look(positions: pd.DataFrame, *, title: str = "GNSS positions", 
     if sigma.lines:
         sigma.set_yscale("log")
         _legend_above(sigma)
-        sigma.set_title("sigma as stated")
     else:
         sigma.set_title("no sigma stated")
-    sigma.set(xlabel=label, ylabel="sigma / m")
+    sigma.set(xlabel=label, ylabel="stated sigma / m")
     sigma.grid()
     legend_below(figure, plan)
     return figure

@@ -121,8 +121,14 @@ def view_axes(azimuth_rad: float, elevation_rad: float) -> ArrayF:
 
 
 def across_azimuth(points_wcs_m: ArrayF) -> float:
-    """Azimuth across the longest horizontal extent of points, of the two the one nearer to north."""
-    en = points_wcs_m[:, :2] - points_wcs_m[:, :2].mean(axis=0)
+    """Azimuth across the longest horizontal extent of points, of the two the one nearer to north.
+
+    The farthest 2 % of the points have no say: one stray would turn the view.
+    """
+    en = points_wcs_m[:, :2] - np.median(points_wcs_m[:, :2], axis=0)
+    distance = np.linalg.norm(en, axis=1)
+    en = en[distance <= np.percentile(distance, 98.0)]
+    en = en - en.mean(axis=0)
     _, vectors = np.linalg.eigh(en.T @ en)
     east, north = vectors[:, 0] * (1.0 if vectors[1, 0] >= 0 else -1.0)
     return float(np.arctan2(east, north))

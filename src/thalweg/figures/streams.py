@@ -18,7 +18,8 @@ from thalweg.ingest.integrity import IntegrityReport
 
 BAR: Final = 0.56
 CLOCK_WORDS: Final = (
-    "clock", "pps", "leap", "utc", "toh", "drift", "jitter", "rollover", "host", "sync", "time", "lock",
+    "clock", "pps", "leap", "utc", "toh", "drift", "jitter", "rollover", "host", "sync", "rmc",
+    "time", "lock",
 )  # fmt: skip
 """A detail of a report belongs to the clock panel if its key has one of these words."""
 
@@ -65,15 +66,15 @@ def streams_in_time(
     ax.set_yticks(range(len(reports)), [_row_name(report) for report in reports])
     pad = 0.01 * (end - start)
     ax.set_xlim(_date(start - pad), _date(end + pad))
-    locator = mdates.AutoDateLocator(tz=dt.UTC, minticks=4, maxticks=8)  # type: ignore[no-untyped-call]
-    ax.xaxis.set_major_locator(locator)
-    ax.xaxis.set_major_formatter(
-        mdates.ConciseDateFormatter(locator, tz=dt.UTC, show_offset=False)  # type: ignore[no-untyped-call]
-    )
-    timed = any(r.synchronised for r in reports)
-    ax.set_xlabel(f"UTC on {utc_text_from_gps(start)[:10]} / h:min:s" if timed else "no GPS time")
-    if not timed:
+    if any(r.synchronised for r in reports):
+        locator = mdates.AutoDateLocator(tz=dt.UTC, minticks=4, maxticks=8)  # type: ignore[no-untyped-call]
+        form = mdates.ConciseDateFormatter(locator, tz=dt.UTC, show_offset=False)  # type: ignore[no-untyped-call]
+        ax.xaxis.set_major_locator(locator)
+        ax.xaxis.set_major_formatter(form)
+        ax.set_xlabel(f"UTC on {utc_text_from_gps(start)[:10]} / h:min:s")
+    else:
         ax.set_xticks([])
+        ax.set_xlabel("no GPS time")
     ax.grid(axis="x")
     _draw_legend(ax)
     _draw_clocks(text, clocks)

@@ -1,5 +1,6 @@
 """Look of all figures: style, size, colours, the mark of the digital twin, and how a figure is saved."""
 
+import textwrap
 from collections.abc import Callable, Iterable
 from functools import cache, wraps
 from io import BytesIO
@@ -60,6 +61,10 @@ TWIN_MARK: Final = "digital twin"
 HALO: Final = (withStroke(linewidth=2.2, foreground="white"),)
 """White rim that keeps lines and letters readable on a picture."""
 
+TITLE_LETTERS: Final = 68
+"""Letters of a line of the title that leave room for the mark of the twin."""
+
+_MM_PER_TITLE_LINE: Final = 4.0
 _MM_PER_LETTER: Final = 1.55
 _MM_PER_HANDLE: Final = 9.0
 
@@ -90,12 +95,15 @@ def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
 
     Parameters
     ----------
-    height_mm : height of the page part.
-    title : bold first line; states n.
+    height_mm : height of the page part; each further line of the title adds to it.
+    title : bold first lines; states n. Broken where it would run into the mark.
     twin : true if the data were made by the digital twin.
     """
+    # "n = 5" stays together.
+    lines = textwrap.wrap(title.replace(" = ", "\u00a0=\u00a0"), TITLE_LETTERS)
+    height_mm += _MM_PER_TITLE_LINE * (len(lines) - 1)
     figure = Figure(figsize=(WIDTH_MM / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
-    figure.suptitle(title, x=0.012, ha="left")
+    figure.suptitle("\n".join(lines).replace("\u00a0=\u00a0", " = "), x=0.012, ha="left")
     if twin:
         figure.text(
             0.988, 1.0 - 1.8 / height_mm, TWIN_MARK, ha="right", va="top", fontsize=8, fontweight="bold",
@@ -188,7 +196,7 @@ def legend_below(figure: Figure, ax: Axes, *, title: str | None = None) -> None:
     widths = [_MM_PER_HANDLE + _MM_PER_LETTER * len(label) for label in labels]
     columns = 1
     for n in range(2, len(labels) + 1):
-        if sum(float(part.max()) for part in np.array_split(np.array(widths), n)) <= WIDTH_MM:
+        if sum(float(part.max()) for part in np.array_split(np.array(widths), n)) <= WIDTH_MM - 4.0:
             columns = n
     figure.legend(handles, labels, loc="outside lower left", ncols=columns, title=title, alignment="left")
 

@@ -9,7 +9,15 @@ import numpy as np
 from numba import njit
 
 from thalweg.core.types import AnyArray, ArrayI, ArrayU8
-from thalweg.ingest.anpp_sbp_stream import BAD_CRC, CUT, RUN_START, PacketBlock, StreamTally, find_in, skip_byte
+from thalweg.ingest.anpp_sbp_stream import (
+    BAD_CRC,
+    CUT,
+    RUN_START,
+    PacketBlock,
+    StreamTally,
+    find_in,
+    skip_byte,
+)
 
 __all__ = ["crc16", "find_anpp", "find_packets"]
 
@@ -82,7 +90,7 @@ def find_anpp(
                 i += 1
             break
         if (np.int64(buf[i]) + buf[i + 1] + buf[i + 2] + buf[i + 3] + buf[i + 4]) & 0xFF == 0:
-            size = np.int64(buf[i + 2])
+            size = int(buf[i + 2])
             end = i + 5 + size
             if end > n:
                 if not final:

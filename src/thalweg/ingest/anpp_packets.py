@@ -59,23 +59,35 @@ VARIABLE: Final = frozenset({PASSTHROUGH, GNSS_RECEIVER})
 """Decoded packets without a fixed length."""
 
 NAMES: Final[Mapping[int, str]] = {
-    0: "acknowledge", 1: "request", 2: "boot mode", 3: "device information", 10: "serial port passthrough",
-    13: "extended device information", 14: "subcomponent information", 20: "system state", 21: "unix time",
-    22: "formatted time", 23: "status", 24: "position standard deviation", 25: "velocity standard deviation",
+    0: "acknowledge", 1: "request", 2: "boot mode", 3: "device information", 4: "restore factory settings",
+    5: "reset", 7: "file transfer request", 8: "file transfer acknowledge", 9: "file transfer",
+    10: "serial port passthrough", 11: "IP configuration", 13: "extended device information",
+    14: "subcomponent information", 20: "system state", 21: "unix time", 22: "formatted time", 23: "status",
+    24: "position standard deviation", 25: "velocity standard deviation",
     26: "euler orientation standard deviation", 27: "quaternion orientation standard deviation",
     28: "raw sensors", 29: "raw GNSS", 30: "satellites", 31: "detailed satellites", 32: "geodetic position",
     33: "ECEF position", 34: "UTM position", 35: "NED velocity", 36: "body velocity", 37: "acceleration",
     38: "body acceleration", 39: "euler orientation", 40: "quaternion orientation", 41: "DCM orientation",
-    42: "angular velocity", 43: "angular acceleration", 44: "external position and velocity",
+    42: "angular velocity", 43: "angular acceleration", 44: "external position velocity",
     45: "external position", 46: "external velocity", 47: "external body velocity", 48: "external heading",
     49: "running time", 50: "local magnetic field", 51: "odometer state", 52: "external time",
     53: "external depth", 54: "geoid height", 55: "RTCM corrections", 57: "wind", 58: "heave",
     60: "raw satellite data", 61: "raw satellite ephemeris", 66: "GNSS summary", 67: "external odometer",
-    68: "external air data", 69: "GNSS receiver information", 70: "raw DVL data", 80: "base station",
-    83: "zero angular velocity", 84: "extended satellites", 85: "sensor temperatures",
-    86: "system temperatures", 89: "vessel motion", 92: "GNSS position velocity time", 93: "GNSS orientation",
-    180: "packet timer period", 181: "packets period", 182: "baud rates", 185: "installation alignment",
-    186: "filter options", 194: "reference point offsets", 195: "GPIO output configuration",
+    68: "external air data", 69: "GNSS receiver information", 70: "raw DVL data",
+    71: "north seeking initialisation status", 72: "gimbal state", 73: "automotive",
+    75: "external magnetometers", 80: "base station", 83: "zero angular velocity",
+    84: "extended satellites", 85: "sensor temperatures", 86: "system temperatures", 89: "vessel motion",
+    90: "automatic magnetometer calibration status", 91: "external sound velocity sensor",
+    92: "GNSS position velocity time", 93: "GNSS orientation", 94: "LVS line of sight",
+    95: "filter aiding source status", 96: "pose initialisation", 180: "packet timer period",
+    181: "packets period", 182: "baud rates", 184: "sensor ranges", 185: "installation alignment",
+    186: "filter options", 188: "GPIO configuration", 189: "magnetic calibration values",
+    190: "magnetic calibration configuration", 191: "magnetic calibration status",
+    192: "odometer configuration", 193: "set zero orientation alignment", 194: "reference point offsets",
+    195: "GPIO output configuration", 196: "dual antenna configuration", 197: "GNSS configuration",
+    198: "user data", 199: "GPIO input configuration", 202: "IP dataports configuration",
+    203: "CAN configuration", 206: "LVS line of sight configuration", 207: "aiding source config 1",
+    208: "aiding source config 2", 209: "external temperature sensor configuration",
 }  # fmt: skip
 
 DEVICES: Final[Mapping[int, str]] = {
@@ -90,7 +102,9 @@ DEVICES: Final[Mapping[int, str]] = {
 STATE_FIX: Final = np.array(["none", "2d", "3d", "sbas", "dgnss", "omnistar", "float", "fixed"], dtype=object)
 """Bits 4-6 of the filter status, in the words of table kind ``ins_state``."""
 
-GNSS_FIX: Final = np.array(["none", "single", "single", "sbas", "dgnss", "ppp", "float", "fixed"], dtype=object)
+GNSS_FIX: Final = np.array(
+    ["none", "single", "single", "sbas", "dgnss", "ppp", "float", "fixed"], dtype=object
+)
 """The same types in the words of table kind ``gnss_position`` (omnistar is a PPP service)."""
 
 FILTER_ORIENTATION, FILTER_INS, FILTER_HEADING, FILTER_UTC = 1, 2, 4, 8

@@ -30,9 +30,7 @@ class Records:
 
     def take(self, keep: ArrayB) -> "Records":
         """Some of the packets."""
-        return Records(
-            fields=self.fields[keep], packet=self.packet[keep], position=self.position[keep]
-        )
+        return Records(fields=self.fields[keep], packet=self.packet[keep], position=self.position[keep])
 
 
 @dataclass(slots=True, kw_only=True)

@@ -120,8 +120,8 @@ class StreamTally:
                 f"{size:,} at {self.place(int(start))}" for start, size in self.holes[: min(n, 3)]
             )
             report.note(
-                f"{int(self.cells[SKIPPED]):,} bytes in {n} stretch{'es' if n > 1 else ''} belong to no intact "
-                f"{packet} ({named}{', ...' if n > 3 else ''}): damage or a cut; everything around is kept."
+                f"{int(self.cells[SKIPPED]):,} bytes in {n} stretch{'es' if n > 1 else ''} belong to no "
+                f"intact {packet} ({named}{', ...' if n > 3 else ''}): damage or a cut; everything around is kept."
             )
         for path, size in zip(self.files, self.sizes, strict=True):
             if size == 0:

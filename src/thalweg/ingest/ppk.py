@@ -27,7 +27,7 @@ from thalweg.ingest.ppk_engine import (
 )
 from thalweg.ingest.ppk_inputs import PpkInputs, preflight, prepare_inputs
 from thalweg.ingest.ppk_options import PpkOptions, ecef_fault, engine_settings
-from thalweg.ingest.ppk_pos import read_engine_pos
+from thalweg.ingest.ppk_positions import read_solution, replace_covariances
 
 __all__ = ["PpkOptions", "PpkSolution", "run_ppk"]
 
@@ -104,7 +104,7 @@ def run_ppk(
     -------
     PpkSolution; ``report.details`` holds fix_ratio (of all rover epochs), n_fixed, n_float, n_single,
     n_other, n_none, n_rover_epochs, baseline_m (median) and baseline_max_m, base_ecef_m, base_check_m
-    (distance to the base's own single-point position), engine and options.
+    (distance to the base's own single-point position), n_covariances_replaced, engine and options.
 
     Raises
     ------
@@ -131,9 +131,16 @@ def run_ppk(
             cure="; ".join(notes + base_notes + check_notes)
             or "Check systems and frequencies of both receivers",
         )
+    positions, n_replaced = replace_covariances(positions)
     files = [str(file) for file in [*rover, *(base or []), *nav]]
     report = _report(positions, inputs, options, base_ecef_m, answer, files)
-    report.details["base_check_m"] = base_check_m
+    report.details |= {"base_check_m": base_check_m, "n_covariances_replaced": n_replaced}
+    if n_replaced:
+        report.note(
+            f"{n_replaced} covariances of the engine were indefinite or below 0.5 mm (lost digits) and are "
+            "replaced by the median of their neighbours"
+            + ("." if options.dynamics else "; with dynamics=True the engine keeps its digits.")
+        )
     for sentence in inputs.notes + check_notes + base_notes + notes:
         report.note(sentence)
     return PpkSolution(positions=positions, report=report, options=options, base_ecef_m=base_ecef_m)
@@ -221,7 +228,7 @@ def _solve(
     }
     answer = run_worker([task], folder, where=where, time_limit_s=time_limit_s)
     check_settings(readback, settings)
-    return read_engine_pos(output), answer
+    return read_solution(output), answer
 
 
 def _check_base(single: pd.DataFrame, base_ecef_m: ArrayF, base_file: Path) -> tuple[float | None, list[str]]:

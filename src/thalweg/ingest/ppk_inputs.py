@@ -14,7 +14,7 @@ from thalweg.core.types import ArrayF
 from thalweg.ingest.ppk_engine import run_worker
 from thalweg.ingest.ppk_options import PpkOptions
 from thalweg.ingest.ppk_sbp import EPHEMERIDES, OLD_OBSERVATIONS, SbpFrames, looks_like_sbp, walk_sbp
-from thalweg.ingest.rinex import RinexScan, scan_rinex, whole_records
+from thalweg.ingest.rinex import RinexScan, rinex_kind, scan_rinex, whole_records
 
 Kind = Literal["SBP", "observation", "navigation"]
 
@@ -73,7 +73,7 @@ def kind_of_file(path: Path) -> Kind:
     if b"RINEX VERSION" not in head[:100] and looks_like_sbp(head):
         return "SBP"
     try:
-        return scan_rinex(path).kind
+        return rinex_kind(path, head)
     except InputError as error:
         if "first line" not in error.found:
             raise

@@ -52,7 +52,8 @@ class PpkOptions:
     direction : ``"combined"`` weights a forward and a backward filter; the two share the observations.
     ratio_threshold : least ratio of the second-best to the best integer set for a fix.
     iono, tropo : atmosphere models, in RTKLIB's words.
-    dynamics : True estimates velocity and acceleration too.
+    dynamics : True estimates velocity and acceleration too. False starts each epoch anew, and lost digits
+        make the engine's covariances noisy (`thalweg.ingest.ppk_positions.replace_covariances`).
     max_age_s : base observations older than that are not used.
 
     Raises

@@ -37,7 +37,9 @@ _MAGIC: Final = (
     (b"ASTM-E57", "e57"),
 )
 _NMEA = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},[^\r\n*]*(\*[0-9A-Fa-f]{2})?")
-_POS_LINE = re.compile(rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d|\d{4}[ ,;\t]+\d{1,6}\.\d+)([ ,;\t]+[-\d.:]+){6,}")
+_POS_LINE = re.compile(
+    rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d|\d{4}[ ,;\t]+\d{1,6}\.\d+)([ ,;\t]+[-\d.:]+){6,}"
+)
 _PAYLOAD = 1206
 _SBET_RECORD = 136
 
@@ -56,7 +58,9 @@ def recognise(path: Path) -> str:
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
     if not head:
-        raise InputError("the file is empty", where=path, expected="a raw log", cure="Check the logger and copy")
+        raise InputError(
+            "the file is empty", where=path, expected="a raw log", cure="Check the logger and copy"
+        )
     for magic, kind in _MAGIC:
         if head.startswith(magic):
             return kind
@@ -129,7 +133,9 @@ def _is_sbet(head: bytes, size: int) -> bool:
     if size < 2 * _SBET_RECORD:
         return False
     for byte_order in "<>":
-        records = np.frombuffer(head[: len(head) // _SBET_RECORD * _SBET_RECORD], f"{byte_order}f8").reshape(-1, 17)
+        records = np.frombuffer(head[: len(head) // _SBET_RECORD * _SBET_RECORD], f"{byte_order}f8").reshape(
+            -1, 17
+        )
         time, lat, lon, height = records[:, :4].T
         if (
             np.isfinite(records[:, :4]).all()

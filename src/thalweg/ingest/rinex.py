@@ -140,6 +140,12 @@ def scan_rinex(path: Path) -> RinexScan:
     )
 
 
+def rinex_kind(path: Path, head: bytes) -> Literal["observation", "navigation"]:
+    """Kind of a RINEX file by its first bytes; ``path`` is for messages. Raises as `scan_rinex` does."""
+    _check_container(path, head)
+    return _first_line(path, head[:120].decode("latin-1").partition("\n")[0].rstrip("\r"))[1]
+
+
 def describe_rinex(path: Path) -> IntegrityReport:
     """Integrity report of a RINEX observation or navigation file; raises as `scan_rinex` does."""
     scan = scan_rinex(path)

@@ -209,23 +209,26 @@ def _base(
             raise GeometryError(f"ref_ecef_m={ref_ecef_m!r}", expected="three earth-centred coordinates, m")
         return base
     text = header.get("ref pos", [""])[0]
-    fields = [f for f in SEPARATORS.split(text) if f]
-    try:
-        numbers = [float(f) for f in fields]
-        if len(numbers) == 7:
-            numbers = [_degrees(fields[:3]), _degrees(fields[3:6]), numbers[6]]
-        if len(numbers) != 3 or not np.any(numbers):
-            raise ValueError(text)
-    except ValueError as error:
+    numbers = _reference(text)
+    if len(numbers) != 3 or not np.any(numbers):
         raise InputError(
             f"a baseline east, north, up without the position of its base (ref pos {text!r})",
             expected="a header line '% ref pos : ...'",
             where=path,
             cure="Give the base's earth-centred position, or solve with out-solformat=llh or xyz",
-        ) from error
+        )
     if np.linalg.norm(numbers) > 6e6:
         return np.array(numbers)
     return np.array(_TO_ECEF.transform(numbers[1], numbers[0], numbers[2]))
+
+
+def _reference(text: str) -> list[float]:
+    fields = [f for f in SEPARATORS.split(text) if f]
+    try:
+        numbers = [float(f) for f in fields]
+        return [_degrees(fields[:3]), _degrees(fields[3:6]), numbers[6]] if len(numbers) == 7 else numbers
+    except ValueError:
+        return []
 
 
 def _table(rows: ArrayF, layout: Layout, base: ArrayF | None) -> pd.DataFrame:
@@ -262,7 +265,7 @@ def _table(rows: ArrayF, layout: Layout, base: ArrayF | None) -> pd.DataFrame:
         {
             "t_gps_s": t,
             "lat_deg": lat,
-            "lon_deg": (lon + 180.0) % 360.0 - 180.0,
+            "lon_deg": np.where(lon > 180.0, lon - 360.0, lon),
             "h_ell_m": height,
             "fix": [FIX_OF_QUALITY[int(q)] for q in values.get("Q", np.zeros(n))],
             "n_sats": values.get("ns", np.full(n, -1.0)).astype(np.int32),

@@ -64,6 +64,10 @@ def layout_from_header(header_lines: list[str], first_fields: list[str]) -> Layo
         form = next((_POSITION[n] for n in bare if n in _POSITION), None)
         if form is None or "Q" not in bare:
             continue
+        columns = bare[bare.index("Q") :]
+        if len(columns) >= 8 and all(n.startswith("sd") for n in columns[2:8]):
+            # RTKLIB prints "sdue" above the column "sdun" of degrees-minutes-seconds; its order is fixed.
+            columns[2:8] = _ORDER[form]
         scale = {"UTC": "utc", "JST": "jst"}.get(bare[0], "gps")
         return Layout(
             form=form,  # type: ignore[arg-type]
@@ -71,7 +75,7 @@ def layout_from_header(header_lines: list[str], first_fields: list[str]) -> Layo
             calendar=calendar,
             scale=scale,  # type: ignore[arg-type]
             geodetic=geodetic,
-            names=tuple(bare[bare.index("Q") :]),
+            names=tuple(columns),
             guesses=() if bare[0] in ("GPST", "UTC", "JST") else ("times are taken as GPS time",),
         )
     return _guess(first_fields, calendar, geodetic)

@@ -29,6 +29,8 @@ HEAD_S: Final = 5.0
 """Packets this long before the first position packet of a recording share its PPS state."""
 BREAK_S: Final = 10.0
 """After a hole this long the PPS state counts as unknown until it is reported again."""
+SET_S: Final = 1.0
+"""A longer jump of the free-running clock, up to `HEAD_S` before it locks, is the clock being set."""
 _HOUR_S: Final = 3600
 
 
@@ -54,7 +56,7 @@ def parse_rmc(sentence: bytes) -> tuple[float, str]:
     if not star or check[:2].upper() != b"%02X" % total:
         return math.nan, "bad checksum"
     fields = body.decode("ascii", "replace").split(",")
-    if len(fields) < 10 or fields[0][0] != "$" or fields[0][3:] != "RMC":
+    if len(fields) < 10 or not fields[0].startswith("$") or fields[0][3:] != "RMC":
         return math.nan, "not RMC"
     if fields[2] != "A":
         return math.nan, "no fix"
@@ -146,10 +148,16 @@ class ClockBuilder:
     unconfirmed_t_us: int = 0
     last_locked_packet: int = 0
     last_sentence: bytes = b""
-    last_report_t_us: int = -1
+    last_report_t_us: int | None = None
+    holes_s: float = 0.0
+    """Holes in the data since the last report."""
     longest_silence_s: float = 0.0
     worst_lag_s: float = 0.0
-    newest_us: int = -1
+    newest_us: int | None = None
+    free_jumps: dict[int, int] = field(default_factory=dict)
+    """Packets behind a jump of the free-running clock, and their stamps."""
+    clock_set: set[int] = field(default_factory=set)
+    """Packets before which the sensor set its clock on locking."""
     jumps: list[tuple[int, float]] = field(default_factory=list)
     """Packets behind a hole since the last locked report, with its length in seconds."""
 
@@ -181,11 +189,21 @@ class ClockBuilder:
 
     def _hole(self, block: PacketBlock, packet: int, jump_s: float) -> None:
         self.jumps.append((packet, jump_s))
-        if jump_s > BREAK_S or jump_s < 0:
+        self.holes_s += jump_s
+        locked = not math.isnan(self.stretches[-1].offset_s)
+        if not locked and self.unconfirmed_from < 0 and (jump_s > SET_S or jump_s < 0):
+            self.free_jumps[packet] = self._t_us(block, packet)
+        if (jump_s > BREAK_S or jump_s < 0) and (locked or self.unconfirmed_from >= 0):
             self.unconfirmed_t_us = int(block.t_us[packet - block.first_packet])
             self.unconfirmed_from = packet
-            if not math.isnan(self.stretches[-1].offset_s):
+            if locked:
                 self._push(packet, self.unconfirmed_t_us, math.nan, "PPS state unknown after a hole")
+
+    def silence_s(self, now_us: int) -> float:
+        """Longest time that had data but no report, up to now."""
+        if self.last_report_t_us is None:
+            return 0.0
+        return max(self.longest_silence_s, (now_us - self.last_report_t_us) * 1e-6 - self.holes_s)
 
     def _count(self, what: str) -> None:
         self.counts[what] = self.counts.get(what, 0) + 1
@@ -196,15 +214,14 @@ class ClockBuilder:
             self._count("position_packets_damaged")
             return
         self._count(f"pps_{PPS_STATES[position.pps]}")
-        if position.after_packet == block.first_packet and self.newest_us >= 0:
+        if position.after_packet == block.first_packet and self.newest_us is not None:
             reference = self.newest_us
         else:
             reference = self._t_us(block, position.after_packet - 1)
         half = HOUR_US // 2
         now_us = reference + (position.toh_us - reference + half) % HOUR_US - half
-        if self.last_report_t_us >= 0:
-            self.longest_silence_s = max(self.longest_silence_s, (now_us - self.last_report_t_us) * 1e-6)
-        self.last_report_t_us = now_us
+        self.longest_silence_s = self.silence_s(now_us)
+        self.last_report_t_us, self.holes_s = now_us, 0.0
         if position.pps != LOCKED:
             self._unlock(block, position, f"PPS {PPS_STATES[position.pps]}")
             return
@@ -236,6 +253,9 @@ class ClockBuilder:
     def _lock(self, block: PacketBlock, packet: int, total_s: float) -> None:
         """GPS time minus unrolled stamp is ``total_s``; it holds from ``packet`` on."""
         first = packet
+        now_us = self._t_us(block, packet - 1)
+        self.clock_set |= {k for k, t_us in self.free_jumps.items() if abs(now_us - t_us) <= HEAD_S * 1e6}
+        self.free_jumps = {}
         if math.isnan(self.known_offset_s):
             self.known_offset_s = total_s - self.extra_s
         difference_s = total_s - self.extra_s - self.known_offset_s

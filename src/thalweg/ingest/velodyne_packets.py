@@ -4,6 +4,7 @@ Packets are put on a device time that does not turn over at the hour. What arriv
 impossible stamp is told apart from an hour rollover by its distance from the newest packet.
 """
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -84,7 +85,7 @@ class PacketBlock:
     event : (n,) `NORMAL` .. `STEP_BACK`.
     jump_us : (n,) distance from the newest packet before, 0 where it is unknown.
     sender, t_host_s : as in `PayloadBlock`.
-    positions : position packets, ordered; `after_packet` lies within this block.
+    positions : position packets among and right behind these packets, ordered.
     """
 
     payload: ArrayU8
@@ -210,14 +211,14 @@ def _sequence(
     """Unroll and judge the first ``n`` packets; the rows behind them only serve to look ahead."""
     for i in range(n):
         newest = state[_NEWEST]
-        t_us[i] = max(newest, 0)
+        t_us[i] = newest
         jump_us[i] = 0
         if not valid[i]:
             event[i] = UNUSABLE
             continue
         event[i] = NORMAL
         j = _next_valid(i, valid)
-        if newest < 0:
+        if state[_COUNT] == 0:
             k = _next_valid(j, valid)
             if k < valid.size:
                 jump, on = _wrap(toh_us[j] - toh_us[i]), _wrap(toh_us[k] - toh_us[j])
@@ -261,7 +262,7 @@ class _Sequencer:
 
     def __init__(self, any_product: bool) -> None:
         self.any_product = any_product
-        self.state = np.array([-1, 0, 0, 0, -2], dtype=np.int64)
+        self.state = np.array([0, 0, 0, 0, -2], dtype=np.int64)
         self.old_t = np.empty(_MEMORY, dtype=np.int64)
         self.old_mark = np.empty(_MEMORY, dtype=np.int64)
 
@@ -271,11 +272,11 @@ class _Sequencer:
         _headers(payload, self.any_product, *out)
         return out
 
-    def judge(self, data: PayloadBlock, ahead: PayloadBlock | None) -> tuple[ArrayI, ArrayU8, ArrayI]:
-        n = data.payload.shape[0]
-        heads = self.headers(data.payload)
-        if ahead is not None:
-            more = self.headers(ahead.payload[: 2 * _LOOK_AHEAD])
+    def judge(self, payload: ArrayU8, ahead: Sequence[ArrayU8]) -> tuple[ArrayI, ArrayU8, ArrayI]:
+        n = payload.shape[0]
+        heads = self.headers(payload)
+        for rows in ahead:
+            more = self.headers(rows)
             heads = tuple(np.concatenate(pair) for pair in zip(heads, more, strict=True))  # type: ignore[assignment]
         out = np.empty(n, np.int64), np.empty(n, np.uint8), np.empty(n, np.int64)
         _sequence(n, *heads, self.state, self.old_t, self.old_mark, *out)
@@ -323,41 +324,46 @@ def read_packets(
     found = StreamTally() if tally is None else tally
     streams = (Stream(port=data_port, size=DATA_SIZE), Stream(port=position_port, size=POSITION_SIZE))
     sequencer = _Sequencer(any_product)
-    pending: PayloadBlock | None = None
-    pending_first, n_data = 0, 0
-    positions: list[PositionPacket] = []
-
-    def settle(ahead: PayloadBlock | None) -> PacketBlock | None:
-        nonlocal positions
-        if pending is None:
-            return None
-        t_us, event, jump_us = sequencer.judge(pending, ahead)
-        block = PacketBlock(
-            payload=pending.payload,
-            first_packet=pending_first,
-            t_us=t_us,
-            event=event,
-            jump_us=jump_us,
-            sender=pending.sender,
-            t_host_s=pending.t_host_s,
-            positions=tuple(positions),
-        )
-        positions = []
-        return block
-
+    waiting: deque[tuple[PayloadBlock, int]] = deque()
+    positions: deque[PositionPacket] = deque()
+    n_data = 0
     for path in files:
         found.file_starts.append(n_data)
         for data, position in read_payloads(
             path, streams, bare=_BARE, tally=found.capture, chunk_bytes=chunk_bytes
         ):
             if data.record.size:
-                block = settle(data)
-                pending, pending_first = data, n_data
-                if block is not None:
-                    yield block
-            positions += _positions(position, data, n_data)
+                waiting.append((data, n_data))
+            positions.extend(_positions(position, data, n_data))
             n_data += data.record.size
+            while waiting and n_data - waiting[0][1] - waiting[0][0].record.size >= 2 * _LOOK_AHEAD:
+                yield _next_block(waiting, positions, sequencer)
         found.formats.append(found.capture.format)
-    block = settle(None)
-    if block is not None:
-        yield block
+    while waiting:
+        yield _next_block(waiting, positions, sequencer)
+
+
+def _next_block(
+    waiting: "deque[tuple[PayloadBlock, int]]", positions: "deque[PositionPacket]", sequencer: _Sequencer
+) -> PacketBlock:
+    """Judge the first waiting piece by the heads of those behind it."""
+    data, first_packet = waiting.popleft()
+    heads: list[ArrayU8] = []
+    for behind, _ in waiting:
+        heads.append(behind.payload[: 2 * _LOOK_AHEAD])
+        if sum(len(head) for head in heads) >= 2 * _LOOK_AHEAD:
+            break
+    t_us, event, jump_us = sequencer.judge(data.payload, heads)
+    mine: list[PositionPacket] = []
+    while positions and (not waiting or positions[0].after_packet <= waiting[0][1]):
+        mine.append(positions.popleft())
+    return PacketBlock(
+        payload=data.payload,
+        first_packet=first_packet,
+        t_us=t_us,
+        event=event,
+        jump_us=jump_us,
+        sender=data.sender,
+        t_host_s=data.t_host_s,
+        positions=tuple(mine),
+    )

@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -104,20 +105,20 @@ class Findings:
             if math.isfinite(block.t_host_s[keep[0]]):
                 packet = block.first_packet + int(keep[0])
                 self.host.append((packet, int(block.t_us[keep[0]]), float(block.t_host_s[keep[0]])))
-        for i in np.flatnonzero((block.event == GAP) | (block.event == LATE)):
+        for i in np.flatnonzero((block.event == GAP) | (block.event == LATE) | (block.event == STEP_BACK)):
             self._hole(block, int(i))
 
     def _hole(self, block: PacketBlock, i: int) -> None:
         t_us, jump_us = int(block.t_us[i]), int(block.jump_us[i])
-        if block.event[i] == GAP:
+        if block.event[i] != LATE:
             step_s = PACKET_S[int(block.payload[i, 1204])]
-            lost = max(1, round(jump_us * 1e-6 / step_s) - 1)
+            lost = round(jump_us * 1e-6 / step_s) - 1
             self.holes.append(Hole(block.first_packet + i, t_us, jump_us, lost, step_s))
             return
         for hole in self.holes[-_RECENT_GAPS:]:
             if hole.end_us - hole.jump_us < t_us < hole.end_us:
                 hole.lost -= 1
-        self.holes[-_RECENT_GAPS:] = [h for h in self.holes[-_RECENT_GAPS:] if h.lost > 0]
+        self.holes[-_RECENT_GAPS:] = [h for h in self.holes[-_RECENT_GAPS:] if h.lost > 0 or h.jump_us < 0]
 
 
 def _add(counter: Counter[int], values: "np.typing.NDArray[np.integer]") -> None:
@@ -181,7 +182,7 @@ def write_report(
     """Put the findings of a scan into its report."""
     _write_times(report, found, builder, clock, position_port)
     _write_counts(report, found, tally, builder, counters)
-    _write_gaps(report, found, clock)
+    _write_gaps(report, found, builder, clock)
     duration_s = (found.last[1] - found.first[1]) * 1e-6
     if duration_s > 0:
         report.rates_hz["packets"] = (found.n_kept - 1) / duration_s
@@ -208,7 +209,7 @@ def write_report(
             f"The azimuth jumps within a packet {int(counters[JUMPS])} times (a limited field of view or "
             "damaged blocks): times behind such a jump may be early."
         )
-    for note in tally.capture.notes:
+    for note in builder.notes + tally.capture.notes:
         report.note(note)
 
 
@@ -247,7 +248,7 @@ def _write_times(
     unsynchronised = sum(ends[i] - clock.first_packet[i] for i in free)
     if unsynchronised:
         report.lose("unsynchronised_packets", unsynchronised)
-    silence_s = max(builder.longest_silence_s, last_s - (builder.last_report_t_us * 1e-6))
+    silence_s = builder.silence_s(found.last[1])
     if silence_s > _SILENCE_S:
         report.note(
             f"No position packets for up to {silence_s:.0f} s: the PPS state is taken to be unchanged there."
@@ -292,23 +293,34 @@ def _write_counts(
             report.lose(name, int(counters[index]))
 
 
-def _write_gaps(report: IntegrityReport, found: Findings, clock: LidarClock) -> None:
+def _write_gaps(report: IntegrityReport, found: Findings, builder: ClockBuilder, clock: LidarClock) -> None:
     """List the holes, on GPS time if the report is on it (NaN where it is not known)."""
-    holes = list(found.holes)
-    seen = {hole.packet for hole in holes}
-    for i in range(1, len(clock.first_packet)):
-        hidden_s = clock.device_extra_s[i] - clock.device_extra_s[i - 1]
-        packet = clock.first_packet[i]
-        if hidden_s > 0 and packet not in seen and report.t_first_s is not None:
-            holes.append(Hole(packet, found.first[1], 0, 0, PACKET_S[max(found.modes)]))
-    for hole in sorted(holes, key=lambda h: h.packet):
-        around = np.array([hole.packet - 1, hole.packet])
+    holes = {hole.packet: hole for hole in found.holes}
+    step_s = PACKET_S[max(found.modes)]
+    for before, after in pairwise(builder.stretches):
+        if after.extra_s > before.extra_s and after.first not in holes:
+            holes[after.first] = Hole(after.first, after.t_us, round(step_s * 1e6), 0, step_s)
+    for packet, hole in sorted(holes.items()):
+        if packet in builder.clock_set:
+            if hole.jump_us < 0:
+                report.losses["clock_set_back"] -= 1
+            report.note(
+                f"The sensor set its clock by {hole.jump_us * 1e-6:+.6f} s (whole hours apart) before packet "
+                f"{packet}, when it locked to the PPS; no packet is taken to be missing there."
+            )
+            continue
+        around = np.array([packet - 1, packet])
         extra_s = clock.extra_s(around)
+        hidden_s = float(extra_s[1] - extra_s[0])
+        duration_s = hole.jump_us * 1e-6 + hidden_s
+        if duration_s <= 0:
+            continue  # the clock was set back: counted as such, nothing is missing
+        if hole.jump_us < 0:
+            report.losses["clock_set_back"] -= 1
         start_s = (hole.end_us - hole.jump_us) * 1e-6 + float(extra_s[0])
-        duration_s = hole.jump_us * 1e-6 + float(extra_s[1] - extra_s[0])
-        lost = hole.lost + round((duration_s - hole.jump_us * 1e-6) / hole.step_s)
         if report.synchronised:
             start_s += float(clock.offset_s(around)[0])
+        lost = hole.lost + round(hidden_s / hole.step_s)
         report.gaps.append(Gap(t_start_s=start_s, duration_s=duration_s, lost=lost))
     lost = sum(gap.lost for gap in report.gaps)
     if lost:

@@ -1,4 +1,4 @@
-"""Where the beams of a VLP-16 start and point at any firing (VLP-16 User Manual 63-9243 Rev. D, chapter 9)."""
+"""Where the beams of a VLP-16 start and point at any firing (User Manual 63-9243 Rev. D, chapter 9)."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -14,13 +14,13 @@ FIRING_S: Final = 55.296e-6
 LASER_S: Final = 2.304e-6
 """From one laser to the next."""
 ELEVATION_RAD: Final[ArrayF] = np.deg2rad(
-    np.array([-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15], dtype=np.float64)
+    np.array([-15.0, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15])
 )
 HEIGHT_M: Final[ArrayF] = 1e-3 * np.array(
     [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
 )
 """Heights at which the lasers cross the spin axis, table 9-1."""
-_DELAY_S: Final[ArrayF] = LASER_S * np.arange(16)
+_DELAY_S: Final[ArrayF] = np.arange(16, dtype=np.float64) * LASER_S
 
 _WOBBLE: Final = 5e-4
 """Relative change of the motor's speed; it swings with 0.7 Hz."""

@@ -1,4 +1,4 @@
-"""The clocks of a lidar recording: time past the hour, PPS state, RMC sentences, and the recording computer."""
+"""The clocks of a lidar recording: time past the hour, PPS state, RMC sentences, recording computer."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -51,8 +51,8 @@ class LidarClock:
         t = np.asarray(t_s, dtype=np.float64)
         # UTC of the hour: leap seconds never change the minute and second that GPS time gives here, because
         # the start is given in UTC and no leap second falls into a recording.
-        locked = (self._start_us % HOUR_US + np.floor(t * 1e6).astype(np.int64)) % HOUR_US
-        free = _FREE_START_US + np.floor(t * (1.0 + _FREE_DRIFT) * 1e6).astype(np.int64)
+        locked = (self._start_us % HOUR_US + np.rint(t * 1e6).astype(np.int64)) % HOUR_US
+        free = _FREE_START_US + np.rint(t * (1.0 + _FREE_DRIFT) * 1e6).astype(np.int64)
         return np.where(t >= self._late_s, locked, free % HOUR_US)
 
     def host_ns(self, t_s: float) -> int:

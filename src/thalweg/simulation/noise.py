@@ -29,7 +29,9 @@ def value_noise(x: ArrayF, y: ArrayF, wavelength_m: float, seed: int) -> ArrayF:
     return np.asarray(low + (c + (d - c) * u - low) * v)
 
 
-def fractal_noise(x: ArrayF, y: ArrayF, longest_m: float, octaves: int, seed: int, gain: float = 0.55) -> ArrayF:
+def fractal_noise(
+    x: ArrayF, y: ArrayF, longest_m: float, octaves: int, seed: int, gain: float = 0.55
+) -> ArrayF:
     """Sum of value noises; each octave has half the wavelength and ``gain`` times the amplitude."""
     total = np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
     for octave in range(octaves):

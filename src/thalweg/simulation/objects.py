@@ -122,7 +122,7 @@ def _prism(sides: int) -> tuple[ArrayF, ArrayI]:
     """A closed upright prism of radius 1 and height 1 over the ground, corners at half steps."""
     turn = 2 * np.pi * (np.arange(sides) + 0.5) / sides
     ring = np.stack([np.cos(turn), np.sin(turn), np.zeros(sides)], axis=1)
-    vertices = np.concatenate([ring, ring + [0, 0, 1.0], [[0, 0, 1.0]]])
+    vertices = np.concatenate([ring, ring + np.array([0.0, 0.0, 1.0]), [[0.0, 0.0, 1.0]]])
     i, k = np.arange(sides), (np.arange(sides) + 1) % sides
     top = np.full(sides, 2 * sides)
     faces = np.concatenate(

@@ -11,7 +11,7 @@ import numpy as np
 from thalweg.config.twin import TwinConfig
 from thalweg.core.errors import InputError
 from thalweg.core.raycast import RayCaster
-from thalweg.core.types import ArrayF, ArrayI, ArrayU8
+from thalweg.core.types import ArrayB, ArrayF, ArrayI, ArrayU8
 from thalweg.simulation.materials import REFLECTANCE, Material
 from thalweg.simulation.objects import MeshParts, add_buildings, add_bushes, add_posts, add_stones
 from thalweg.simulation.random import generator
@@ -60,7 +60,7 @@ class Scene:
         """Ray caster of the mesh; its triangle numbers are those of this scene."""
         return RayCaster(self.vertices_wcs_m, self.triangles)
 
-    def _part(self, keep: ArrayI) -> Self:
+    def _part(self, keep: ArrayB) -> Self:
         return type(self)(
             vertices_wcs_m=self.vertices_wcs_m,
             triangles=self.triangles[keep],

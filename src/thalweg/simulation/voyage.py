@@ -145,9 +145,9 @@ class Voyage:
     def _sail(self, zigzag: _Zigzag) -> None:
         boat, river = self.config.boat, self.river
         steps = int(np.ceil((self.config.duration_s + 2 * PAD_S) / _NODE_S)) + 1
-        t = np.arange(-1, steps + 1) * _NODE_S - PAD_S
+        t = np.asarray(np.arange(-1, steps + 1) * _NODE_S - PAD_S, dtype=np.float64)
         nodes, weights = np.polynomial.legendre.leggauss(3)
-        course = zigzag.course(t[:-1, None] + _NODE_S / 2 * (1 + nodes))
+        course = zigzag.course(np.asarray(t[:-1, None] + _NODE_S / 2 * (1 + nodes), dtype=np.float64))
         across = boat.speed_mps * np.sin(course) @ weights * _NODE_S / 2
         n = np.concatenate([[0.0], np.cumsum(across)])
         n -= np.interp(0.0, t, n)

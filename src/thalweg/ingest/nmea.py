@@ -1,0 +1,293 @@
+"""NMEA 0183 logs: positions, depths and headings with the UTC time that the sentences carry.
+
+Time. GGA, RMC, GLL, GST and ZDA carry the second of the UTC day, RMC and ZDA the date too. A depth has no
+time of its own: it gets the time of the latest time sentence before it (``t_day_s``), so it may be late
+by up to the interval of these sentences plus the latency of the instrument. No time is interpolated
+here; that is the task of ``timing``. Without any date, and if the caller knows none, nothing is
+synchronised: ``t_gps_s`` stays NaN.
+
+Heights are ellipsoidal: GGA field 9 (above the geoid) plus field 11 (geoid above ellipsoid).
+The offset of DPT is handed on and never added.
+"""
+
+import datetime as dt
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.core.errors import InputError
+from thalweg.core.timescales import DAY_S, gps_from_unix
+from thalweg.core.types import ArrayF
+from thalweg.ingest.integrity import IntegrityReport, find_gaps
+from thalweg.ingest.nmea_fields import (
+    FIX_OF_MODE,
+    FIX_OF_QUALITY,
+    below_depth,
+    days_of_date,
+    degrees,
+    number,
+    second_of_day,
+)
+from thalweg.ingest.nmea_positions import Fix, position_table
+from thalweg.ingest.nmea_scan import Sentence, scan_sentences
+from thalweg.ingest.schemas import DEPTH
+
+_TIME_FIELD: Final = {"GGA": 1, "RMC": 1, "GLL": 5, "GST": 1, "ZDA": 1}
+_WANTED: Final = frozenset(k.encode() for k in (*_TIME_FIELD, "HDT", "DBT", "DPT", "DBS"))
+_HALF_DAY_S: Final = 43_200
+_NAN: Final = float("nan")
+_DEPTH_FLOATS: Final = ("t_day_s", "midnights", "day_zero", "t_host_s", "depth_m", "offset_m")
+
+
+@dataclass(slots=True, kw_only=True)
+class NmeaLog:
+    """A log: positions (``gnss_position``), depths (``depth``), headings, and the report.
+
+    ``headings`` has ``t_gps_s`` and ``t_day_s`` (as of a depth), ``heading_deg`` (clockwise from true
+    north, HDT) and ``line``.
+    """
+
+    positions: pd.DataFrame
+    depths: pd.DataFrame
+    headings: pd.DataFrame
+    report: IntegrityReport
+
+
+@dataclass(slots=True)
+class _Clock:
+    """UTC of the log: the second of the day, midnights since the start, and the date as far as known."""
+
+    second: float = _NAN
+    midnights: int = 0
+    day_zero: float = _NAN
+    """Days since 1970 of midnight count 0, by the latest date sentence."""
+    steps_back: int = 0
+
+    def to(self, second: float) -> None:
+        """Go on to the time of a sentence."""
+        step = second - self.second
+        if step < -_HALF_DAY_S:
+            self.midnights += 1
+        elif step > _HALF_DAY_S and self.midnights and self.second < 60 and second > DAY_S - 60:
+            self.midnights -= 1  # a sentence of before midnight that came late
+        elif step < 0:
+            self.steps_back += 1
+        self.second = second
+
+
+@dataclass(slots=True)
+class _Rows:
+    clock: _Clock = field(default_factory=_Clock)
+    fixes: list[Fix] = field(default_factory=list)
+    sigmas: list[tuple[float, ...]] = field(default_factory=list)
+    depths: list[tuple[float, float, float, float, float, float, str, int]] = field(default_factory=list)
+    headings: list[tuple[float, float, float, float, int]] = field(default_factory=list)
+
+
+def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
+    """Read one or several NMEA logs.
+
+    Parameters
+    ----------
+    files : in the order of time.
+    date : UTC date of the first sentence, for logs that carry none; where a log states its date, that
+        one is used.
+
+    Returns
+    -------
+    Positions of GGA, RMC and GLL: of sentences with the same time the one that says most (GGA, then RMC,
+    then GLL). Standard deviations come from GST of the same time.
+
+    Raises
+    ------
+    InputError : a file is missing, or no file holds a sentence.
+    """
+    if not files:
+        raise InputError("no NMEA log given", expected="at least one file")
+    report = IntegrityReport(stream="nmea", format="NMEA 0183", files=[str(f) for f in files])
+    rows = _Rows()
+    bad: list[str] = []
+    for path in files:
+        for sentence in scan_sentences(path, _WANTED, report):
+            try:
+                _take(sentence, rows, report)
+            except (ValueError, IndexError):
+                bad.append(f"{path.name} line {sentence.line}")
+    if not report.counts.get("sentences", 0) + report.counts.get("sentences_without_checksum", 0):
+        raise InputError(
+            f"no NMEA sentence in {report.bytes_read:,} bytes"
+            + f" ({report.losses.get('bad_checksum', 0)} with a wrong checksum)",
+            expected="lines such as $GPGGA,...*hh",
+            where=", ".join(map(str, files)),
+            cure="Check that this is a plain text log and not compressed",
+        )
+    if bad:
+        report.lose("malformed_sentences", len(bad))
+        report.details["malformed"] = ", ".join(bad[:20]) + (" ..." if len(bad) > 20 else "")
+        report.note(f"{len(bad)} sentences have a good frame but impossible fields, the first at {bad[0]}.")
+    if rows.clock.steps_back:
+        report.lose("time_steps_back", rows.clock.steps_back)
+    return _log(rows, date, report)
+
+
+def _take(sentence: Sentence, rows: _Rows, report: IntegrityReport) -> None:
+    kind, f = sentence.kind, sentence.fields
+    clock = rows.clock
+    if kind in _TIME_FIELD:
+        text = f[_TIME_FIELD[kind]] if len(f) > _TIME_FIELD[kind] else ""
+        second = second_of_day(text) if text.strip() else _NAN
+        day = _date(kind, f)
+        fix = _fix(kind, f)  # before the clock moves: a malformed sentence must not set the time
+        if second == second:
+            clock.to(second)
+            if day is not None:
+                _set_date(day, rows)
+        if kind == "GST":
+            values = [number(f, i) for i in range(3, 9)]
+            rows.sigmas.append((second, float(clock.midnights), *values))
+        elif fix is not None:
+            fix.second, fix.midnights, fix.day_zero = second, clock.midnights, clock.day_zero
+            rows.fixes.append(fix)
+        elif kind != "ZDA":
+            report.count("sentences_without_position")
+    elif kind == "HDT":
+        heading = number(f, 1)
+        if heading == heading:
+            if not 0 <= heading <= 360:
+                raise ValueError(heading)
+            rows.headings.append((clock.second, clock.midnights, clock.day_zero, heading, sentence.line))
+    else:
+        depth = number(f, 1) if kind == "DPT" else below_depth(f)
+        if depth != depth:
+            report.count("empty_depths")
+            return
+        offset = number(f, 2) if kind == "DPT" else _NAN
+        if depth < 0:
+            raise ValueError(depth)
+        rows.depths.append(
+            (
+                clock.second,
+                clock.midnights,
+                clock.day_zero,
+                sentence.t_host_s,
+                depth,
+                offset,
+                kind,
+                sentence.line,
+            )
+        )
+
+
+def _date(kind: str, f: list[str]) -> int | None:
+    if kind == "RMC" and len(f) > 9 and f[9].strip():
+        if len(f[9]) != 6:
+            raise ValueError(f[9])
+        return days_of_date(int(f[9][:2]), int(f[9][2:4]), int(f[9][4:]))
+    if kind == "ZDA" and len(f) > 4 and all(x.strip() for x in f[2:5]):
+        return days_of_date(int(f[2]), int(f[3]), int(f[4]))
+    return None
+
+
+def _set_date(day: int, rows: _Rows) -> None:
+    """Take the date of a sentence; sentences of the same second that came before it belong to it too."""
+    clock = rows.clock
+    day_zero = float(day - clock.midnights)
+    if day_zero == clock.day_zero:
+        return
+    clock.day_zero = day_zero
+    for fix in reversed(rows.fixes):
+        if (fix.second, fix.midnights) != (clock.second, clock.midnights):
+            break
+        fix.day_zero = day_zero
+
+
+def _fix(kind: str, f: list[str]) -> Fix | None:
+    at = {"GGA": 2, "RMC": 3, "GLL": 1}.get(kind)
+    if at is None or len(f) < at + 4 or not (f[at].strip() and f[at + 2].strip()):
+        return None
+    fix = Fix(kind=kind, lat_deg=degrees(f[at], f[at + 1]), lon_deg=degrees(f[at + 2], f[at + 3]))
+    if kind == "GGA":
+        fix.fix = FIX_OF_QUALITY.get(f[6] if len(f) > 6 else "", "none")
+        satellites = number(f, 7)
+        fix.n_sats = int(satellites) if satellites == satellites else -1
+        fix.h_ell_m = number(f, 9) + number(f, 11)
+        fix.age_s = number(f, 13)
+    else:
+        status, mode = (f[2], f[12:13]) if kind == "RMC" else ("".join(f[6:7]), f[7:8])
+        # NMEA 2.0 GLL ends before the status
+        fix.fix = FIX_OF_MODE.get("".join(mode), "none") if status in ("A", "D", "") else "none"
+    return fix
+
+
+def _log(rows: _Rows, date: dt.date | None, report: IntegrityReport) -> NmeaLog:
+    given = _NAN if date is None else float(days_of_date(date.day, date.month, date.year))
+    dated = [x for x in [fix.day_zero for fix in rows.fixes] + [d[2] for d in rows.depths] if x == x]
+    first = dated[0] if dated else rows.clock.day_zero
+    if first == first:
+        if given == given and given != first:
+            report.note(f"The log states its own date; the given date {date} is not used.")
+    else:
+        first = given
+
+    def seconds(second: ArrayF, midnights: ArrayF, day_zero: ArrayF) -> ArrayF:
+        day = np.where(np.isfinite(day_zero), day_zero, first) + midnights
+        leap = (second >= DAY_S).astype(np.float64)
+        whole = np.floor(second - leap)
+        return gps_from_unix(day * DAY_S + whole) + (second - leap - whole) + leap
+
+    positions = position_table(rows.fixes, rows.sigmas, seconds, report)
+    depth = pd.DataFrame(
+        rows.depths,
+        columns=[*_DEPTH_FLOATS, "sentence", "line"],
+    ).astype(dict.fromkeys(_DEPTH_FLOATS, np.float64))
+    heading = pd.DataFrame(
+        rows.headings, columns=["t_day_s", "midnights", "day_zero", "heading_deg", "line"], dtype=np.float64
+    ).astype({"line": np.int64})
+    for table in (depth, heading):
+        table["t_gps_s"] = seconds(*(table[n].to_numpy() for n in ("t_day_s", "midnights", "day_zero")))
+    depths = depth[list(DEPTH.names)].astype({"line": np.int64, "sentence": object})
+    headings = heading[["t_gps_s", "t_day_s", "heading_deg", "line"]]
+    _summarise(report, positions, depths, rows, have_date=first == first)
+    return NmeaLog(positions=positions, depths=depths, headings=headings, report=report)
+
+
+def _summarise(
+    report: IntegrityReport, positions: pd.DataFrame, depths: pd.DataFrame, rows: _Rows, *, have_date: bool
+) -> None:
+    for what, n in (("positions", len(positions)), ("depths", len(depths)), ("headings", len(rows.headings))):
+        report.count(what, n)
+    t = np.concatenate([positions["t_gps_s"], depths["t_gps_s"]])
+    t = t[np.isfinite(t)]
+    report.synchronised = bool(t.size)
+    has_time = rows.clock.second == rows.clock.second
+    report.time_scale = "utc" if has_time else "none"
+    if t.size:
+        report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
+    elif has_time:
+        days = [(x.midnights * DAY_S + x.second) for x in rows.fixes] + [
+            x[1] * DAY_S + x[0] for x in rows.depths
+        ]
+        known = [x for x in days if x == x]
+        if known:
+            report.t_first_s, report.t_last_s = min(known), max(known)
+        if not have_date:
+            report.note(
+                "The log has times but no date: nothing is synchronised. Give the UTC date of its start."
+            )
+    else:
+        report.note("The log has no time sentence: nothing is synchronised.")
+    regular = positions["t_gps_s"].dropna().drop_duplicates().to_numpy()
+    report.gaps = find_gaps(regular)
+    if len(regular) > 2 and np.any(np.diff(regular) > 0):
+        report.rates_hz["positions"] = 1.0 / float(np.median(np.diff(regular)[np.diff(regular) > 0]))
+    offsets = sorted(depths["offset_m"].dropna().unique())
+    if offsets:
+        report.details["DPT offsets"] = ", ".join(f"{x:g} m" for x in offsets)
+    if (depths["sentence"] == "DBS").any():
+        report.note("DBS depths are below the water line, all others below the transducer.")
+    if depths["t_host_s"].notna().any():
+        report.note("Stamps of the logger stand beside the depths (t_host_s); they are taken as UTC.")

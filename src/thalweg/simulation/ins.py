@@ -1,0 +1,211 @@
+"""The INS: attitudes with slowly varying errors, a single-frequency position, and its ANPP log."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from thalweg.config.twin import TwinConfig
+from thalweg.core.errors import ConfigError
+from thalweg.core.frames import R_ENU_NED, LocalFrame, roll_pitch_heading
+from thalweg.core.types import ArrayF
+from thalweg.simulation.echo import true_depth_m
+from thalweg.simulation.effects import damage_file
+from thalweg.simulation.random import gauss_markov, generator
+from thalweg.simulation.scene import Scene
+from thalweg.simulation.truth import write_effects
+from thalweg.simulation.voyage import LEAD_S, Voyage, epochs, start_unix
+from thalweg.simulation.writers import anpp
+from thalweg.simulation.writers.nmea import moment
+
+_CHUNK: Final = 5000
+_GRAVITY_MPS2: Final = 9.81
+_MAGNETIC_NED_MG: Final = np.array([199.0, 15.0, 453.0])
+"""Earth's field in Saxony, milligauss."""
+_STATUS_READY: Final = 0b0010_0000_0111 | 2 << 4
+"""Orientation, INS and heading initialised, 3D fix, internal GNSS on."""
+_STATUS_UTC: Final = 0b1000
+_GYRO_NOISE_RADPS: Final = np.deg2rad(0.05)
+_ACCEL_NOISE_MPS2: Final = 0.01
+
+
+def attitude_errors_rad(config: TwinConfig, seed: int, t_gps_s: ArrayF, start_gps_s: float) -> ArrayF:
+    """Errors (n, 3) of roll, pitch and heading: Gauss-Markov processes, and the heading's drift."""
+    ins = config.ins
+    rng = generator(seed, "ins attitude")
+    sigmas = np.deg2rad([ins.sigma_roll_deg, ins.sigma_pitch_deg, ins.sigma_heading_deg])
+    errors = [
+        gauss_markov(rng, len(t_gps_s), 1.0 / ins.rate_hz, sigma, ins.attitude_time_s) for sigma in sigmas
+    ]
+    out = np.stack(errors, axis=1)
+    out[:, 2] += np.deg2rad(ins.heading_drift_degpmin) / 60.0 * (t_gps_s - start_gps_s)
+    return np.asarray(out)
+
+
+def simulate_ins(
+    config: TwinConfig,
+    seed: int,
+    frame: LocalFrame,
+    out_anpp: Path,
+    *,
+    scene: Path | None = None,
+    lever_ics_echo_m: ArrayLike | None = None,
+    out_effects: Path | None = None,
+) -> dict[str, Any]:
+    """Record the voyage with the INS and write its ANPP log.
+
+    Attitudes refer to the vertical and the north at the boat, positions to the ics origin. Packets: 20 at
+    the rate of the settings, each with 26 and 28; 21 and 22 once a second; 3 at the beginning.
+
+    Parameters
+    ----------
+    config : section ``twin``.
+    seed : seed of the campaign.
+    frame : the world frame.
+    out_anpp : target.
+    scene, lever_ics_echo_m : file of `simulate_scene` and true place of the transducer; needed only if
+        ``twin.ins.depth_rate_hz`` asks for depth packets.
+    out_effects : where to write what was done to the log (JSON), beside the truth.
+
+    Returns
+    -------
+    facts : numbers of states and depth packets, and the defects of the log.
+
+    Raises
+    ------
+    ConfigError : depth packets are asked for, but scene or lever arm is not given.
+    """
+    ins = config.ins
+    voyage = Voyage(config, seed)
+    t = epochs(config, ins.rate_hz)
+    depth = _depth_packets(config, seed, voyage, t, scene, lever_ics_echo_m)
+    attitude = attitude_errors_rad(config, seed, t, voyage.start_gps_s)
+    rng = generator(seed, "ins position")
+    position_error = np.stack(
+        [gauss_markov(rng, len(t), 1.0 / ins.rate_hz, s, ins.position_time_s) for s in ins.sigma_position_m],
+        axis=1,
+    )
+    noise = generator(seed, "ins raw")
+    out_anpp.parent.mkdir(parents=True, exist_ok=True)
+    with out_anpp.open("wb") as file:
+        file.write(anpp.device_information(4400, 1000, (20, 21, 512)))
+        for first in range(0, len(t), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            rows = _rows(voyage, frame, t[part], attitude[part], position_error[part], noise)
+            for row, extra in zip(rows, depth[part], strict=True):
+                file.write(_packets(config, row) + extra)
+    facts = {
+        "states": len(t),
+        "depths": sum(1 for extra in depth if extra),
+        "utc_known_after_s": config.effects.ins_clock_late_s,
+        "heading_drift_degpmin": ins.heading_drift_degpmin,
+        **damage_file(out_anpp, "ins", config.effects, generator(seed, "ins effects")),
+    }
+    write_effects(out_effects, "ins", facts)
+    return facts
+
+
+def _depth_packets(
+    config: TwinConfig,
+    seed: int,
+    voyage: Voyage,
+    t: ArrayF,
+    scene: Path | None,
+    lever_ics_echo_m: ArrayLike | None,
+) -> list[bytes]:
+    """The depth packet that follows each state, empty where there is none."""
+    out = [b""] * len(t)
+    if config.ins.depth_rate_hz == 0:
+        return out
+    if scene is None or lever_ics_echo_m is None:
+        raise ConfigError(
+            f"twin.ins.depth_rate_hz is {config.ins.depth_rate_hz}, but no scene and lever arm are given",
+            expected="the scene and the place of the echo sounder",
+            cure="Set twin.ins.depth_rate_hz to 0: the depths are in the NMEA log",
+        )
+    every = max(1, round(config.ins.rate_hz / config.ins.depth_rate_hz))
+    sigma = config.echo.sigma_m
+    depth = true_depth_m(voyage, Scene.read(scene), t[::every], lever_ics_echo_m)
+    depth = depth + generator(seed, "ins depth").normal(0.0, sigma, len(depth))
+    for i, value in enumerate(depth.tolist()):
+        if np.isfinite(value) and 0 < value <= config.echo.max_depth_m:
+            out[i * every] = anpp.external_depth(value, sigma)
+    return out
+
+
+def _rows(
+    voyage: Voyage,
+    frame: LocalFrame,
+    t: ArrayF,
+    attitude_error: ArrayF,
+    position_error: ArrayF,
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """What the INS reports at its epochs, as plain lists."""
+    lat, lon, height = frame.to_geodetic(voyage.position_wcs_m(t) + position_error)
+    R_wcs_ics = voyage.R_wcs_ics(t)
+    R_wcs_enu = frame.R_wcs_enu(lat, lon)
+    R_enu_ics = np.swapaxes(R_wcs_enu, 1, 2) @ R_wcs_ics
+    angles = np.stack(roll_pitch_heading(R_enu_ics), axis=1) + attitude_error
+    angles[:, 2] = np.mod(angles[:, 2], 2 * np.pi)
+    to_enu = np.swapaxes(R_wcs_enu, 1, 2)
+    velocity_ned = np.einsum("nij,nj->ni", to_enu, voyage.velocity_wcs_mps(t)) @ R_ENU_NED.T
+    acceleration = np.einsum("nij,nj->ni", to_enu, voyage.velocity_wcs_mps(t, 2))
+    to_body = np.swapaxes(R_enu_ics, 1, 2)
+    body = np.einsum("nij,nj->ni", to_body, acceleration)
+    force = np.einsum("nij,nj->ni", to_body, acceleration + np.array([0.0, 0.0, _GRAVITY_MPS2]))
+    rates = voyage.rates_ics_radps(t)
+    magnetic = np.einsum("nij,j->ni", to_body, R_ENU_NED @ _MAGNETIC_NED_MG)
+    n = len(t)
+    start_us = np.int64(start_unix(voyage.config)[0]) * 1_000_000 + start_unix(voyage.config)[1]
+    columns: dict[str, Any] = {
+        "since_start": t - voyage.start_gps_s,
+        # Counted from the start in whole microseconds: a Unix time in float64 steps by 0.24 us.
+        "unix_us": start_us + np.rint((t - voyage.start_gps_s) * 1e6).astype(np.int64),
+        "place": np.stack([np.deg2rad(lat), np.deg2rad(lon), height], axis=1),
+        "velocity": velocity_ned,
+        "acceleration": body,
+        "g": np.linalg.norm(force, axis=1) / 9.80665,
+        "angles": angles,
+        "rates": rates + rng.normal(0, _GYRO_NOISE_RADPS / 5, (n, 3)),
+        "accel_raw": force + rng.normal(0, _ACCEL_NOISE_MPS2, (n, 3)),
+        "gyro_raw": rates + rng.normal(0, _GYRO_NOISE_RADPS, (n, 3)),
+        "magnetic": magnetic + rng.normal(0, 0.5, (n, 3)),
+    }
+    plain = {name: value.tolist() for name, value in columns.items()}
+    return [dict(zip(plain, values, strict=True)) for values in zip(*plain.values(), strict=True)]
+
+
+def _packets(config: TwinConfig, row: dict[str, Any]) -> bytes:
+    ins = config.ins
+    running_s = row["since_start"] + LEAD_S + 1.0
+    synchronised = row["since_start"] >= config.effects.ins_clock_late_s or (
+        config.effects.ins_clock_late_s == 0
+    )
+    unix_us = row["unix_us"] if synchronised else round(running_s * 1e6)
+    status = _STATUS_READY | (_STATUS_UTC if synchronised else 0)
+    east, north, up = ins.sigma_position_m
+    out = anpp.system_state(
+        0,
+        status,
+        unix_us,
+        row["place"],
+        row["velocity"],
+        row["acceleration"],
+        row["g"],
+        row["angles"],
+        row["rates"],
+        (north, east, up),
+    )
+    sigmas = np.deg2rad([ins.sigma_roll_deg, ins.sigma_pitch_deg, ins.sigma_heading_deg]).tolist()
+    out += anpp.orientation_sigma(sigmas)
+    out += anpp.raw_sensors(row["accel_raw"], row["gyro_raw"], row["magnetic"], 31.0, 98_100.0, 29.5)
+    if unix_us % 1_000_000 < 1_000_000 / ins.rate_hz:
+        when = moment(unix_us)
+        day = when.timetuple().tm_yday - 1
+        out += anpp.unix_time(unix_us)
+        out += anpp.formatted_time(
+            when.microsecond, when.year, day, when.month - 1, when.day, (when.hour, when.minute, when.second)
+        )
+    return out

@@ -1,0 +1,36 @@
+"""Terrestrial scans as LAZ 1.4 (ASPRS LAS 1.4 R15), point format 6."""
+
+from pathlib import Path
+
+import laspy
+import numpy as np
+from pyproj import CRS
+
+from thalweg.core.types import AnyArray, ArrayF
+
+
+def write_scan(path: Path, points_m: ArrayF, reflectance: ArrayF, crs: CRS | None, station: int) -> None:
+    """Write one scan position.
+
+    Parameters
+    ----------
+    path : target, ``.laz``.
+    points_m : (n, 3) coordinates, in the CRS or in a local frame.
+    reflectance : (n,) 0 to 1, written as intensity 0 to 65535.
+    crs : reference system for the header; None for local coordinates.
+    station : number of the scan position, written as point source id.
+    """
+    head = laspy.LasHeader(point_format=6, version="1.4")
+    head.scales = np.full(3, 0.001)
+    head.offsets = np.floor(points_m.min(axis=0)) if len(points_m) else np.zeros(3)
+    if crs is not None:
+        head.add_crs(crs)
+    cloud = laspy.LasData(head)
+    cloud.x, cloud.y, cloud.z = points_m.T
+    intensity: AnyArray = np.clip(np.rint(reflectance * 65535), 0, 65535).astype(np.uint16)
+    cloud.intensity = intensity
+    ones: AnyArray = np.ones(len(points_m), dtype=np.uint8)
+    cloud.return_number, cloud.number_of_returns = ones, ones
+    cloud.point_source_id = np.full(len(points_m), station, dtype=np.uint16)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cloud.write(str(path))

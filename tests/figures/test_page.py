@@ -1,0 +1,131 @@
+"""The page: valid, self-contained, escaped, the same bytes twice."""
+
+import base64
+from html.parser import HTMLParser
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.errors import InputError
+from thalweg.figures.maps import survey_map
+from thalweg.figures.page import Page
+from thalweg.figures.style import save
+
+VOID = {"meta", "img", "br", "link", "hr", "input"}
+
+
+class Checker(HTMLParser):
+    """Keeps the stack of open elements and everything that a browser would fetch."""
+
+    def __init__(self):
+        super().__init__(convert_charrefs=True)
+        self.open, self.errors, self.links, self.images, self.ids = [], [], [], [], []
+        self.text, self.tags = "", []
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.tags.append(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        self.ids += [found["id"]] if "id" in found else []
+        self.links += [found[k] for k in ("href", "action", "data", "poster") if k in found]
+        self.images += [found["src"]] if "src" in found else []
+
+    def handle_endtag(self, tag):
+        if not self.open or self.open.pop() != tag:
+            self.errors.append(tag)
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def check(html):
+    checker = Checker()
+    checker.feed(html)
+    checker.close()
+    assert not checker.errors
+    assert not checker.open
+    return checker
+
+
+@pytest.fixture
+def table():
+    return pd.DataFrame({
+        "stream": ["lidar", "<ins> & co"], "n": [1_234_567, 3], "rate_hz": [753.512345, np.nan],
+        "locked": [True, False],
+    })  # fmt: skip
+
+
+@pytest.fixture
+def page(trajectory, table):
+    page = Page("Logs & <people>", "What other people recorded.")
+    page.section("Lidar").text("First.\n\nSecond <b>third</b>.").figure(
+        survey_map(trajectory), 'a "map" <n>', dpi=50
+    )
+    return page.section("Lidar").table(table, "Streams & rates", {"rate_hz": "Hz"}).lines(["a  <b>", "c"])
+
+
+def test_page_is_well_formed_and_self_contained(page):
+    html = page.html()
+    found = check(html)
+    assert html.startswith("<!DOCTYPE html>")
+    assert "script" not in found.tags
+    assert "link" not in found.tags
+    assert all(link.startswith("#") for link in found.links)
+    assert all(image.startswith("data:image/png;base64,") for image in found.images)
+    for word in ("http://", "https://", "url(", "@import"):
+        assert word not in html
+
+
+def test_contents_point_to_sections_of_the_same_name(page):
+    found = check(page.html())
+    assert found.ids == ["lidar", "lidar-2"]
+    assert found.links == ["#lidar", "#lidar-2"]
+
+
+def test_text_is_escaped(page):
+    html = page.html()
+    text = check(html).text
+    for words in ("Logs & <people>", "Second <b>third</b>.", "<ins> & co", "a  <b>\nc", 'a "map" <n>'):
+        assert words in text
+    assert "<people>" not in html
+    assert html.count("<p>") == 3
+
+
+def test_table_numbers_and_units(page):
+    text = check(page.html()).text
+    for words in ("1\N{NO-BREAK SPACE}234\N{NO-BREAK SPACE}567", "753.512", "–", "yes", "no", "rate_hz / Hz"):
+        assert words in text
+    assert "nan" not in text.lower()
+
+
+def test_png_file_is_embedded_unchanged(tmp_path, trajectory):
+    path = tmp_path / "map.png"
+    save(survey_map(trajectory), path, dpi=50)
+    (image,) = check(Page("x").figure(path, "map").html()).images
+    assert base64.b64decode(image.partition(",")[2]) == path.read_bytes()
+
+
+def test_same_page_gives_same_bytes(tmp_path, trajectory, table):
+    for name in ("a", "b"):
+        page = Page("Logs").section("One").figure(survey_map(trajectory), "map", dpi=50).table(table, "t")
+        page.write(tmp_path / "deep" / f"{name}.html")
+    a, b = ((tmp_path / "deep" / f"{name}.html").read_bytes() for name in "ab")
+    assert a == b
+
+
+def test_bad_parts_are_refused(tmp_path, table):
+    with pytest.raises(InputError, match=r"absent\.png: file not found"):
+        Page("x").figure(tmp_path / "absent.png", "c")
+    text = tmp_path / "text.png"
+    text.write_text("no picture")
+    with pytest.raises(InputError, match="not a PNG file"):
+        Page("x").figure(text, "c")
+    with pytest.raises(InputError, match=r"units for columns \['speed'\]"):
+        Page("x").table(table, "c", {"speed": "m/s"})
+
+
+def test_empty_table_and_section_without_letters():
+    page = Page("x").section("§§").section("§§").table(pd.DataFrame({"a": []}), "nothing")
+    assert check(page.html()).ids == ["section", "section-2"]

@@ -1,0 +1,196 @@
+"""Streams in time, errors by range, and normalised errors."""
+
+import matplotlib.dates as mdates
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.errors import InputError
+from thalweg.core.timescales import unix_from_gps
+from thalweg.figures.errors import error_histograms, error_versus_range
+from thalweg.figures.streams import clock_lines, streams_in_time, time_span
+from thalweg.figures.style import save
+from thalweg.ingest.integrity import Gap, IntegrityReport
+
+T0 = 178_649_913.4
+
+
+def by_gid(figure, gid):
+    return figure.findobj(lambda artist: artist.get_gid() == gid)
+
+
+@pytest.fixture
+def reports():
+    return [
+        IntegrityReport(
+            stream="lidar", format="pcap", files=["a"], model="VLP-16", time_scale="utc", synchronised=True,
+            t_first_s=T0 + 10, t_last_s=T0 + 110, counts={"packets": 75_400, "points": 2_000_000},
+            losses={"packets": 3}, rates_hz={"packets": 753.5}, gaps=[Gap(t_start_s=T0 + 50, duration_s=4.0)],
+            details={"unsynchronised_s": [[T0 + 10, T0 + 21.0]], "host_minus_sensor_s": 0.36812},
+        ),
+        IntegrityReport(
+            stream="ins", format="ANPP", files=["b"], time_scale="utc", synchronised=True, t_first_s=T0,
+            t_last_s=T0 + 100, counts={"states": 5000}, rates_hz={"states": 50.0},
+        ),
+        IntegrityReport(
+            stream="depth", format="NMEA", files=["c"], time_scale="host", t_first_s=5.0, t_last_s=65.0,
+            counts={"soundings": 600},
+        ),
+        IntegrityReport(stream="positions", format="pos", files=["d"]),
+    ]  # fmt: skip
+
+
+def bars(figure, gid):
+    return [
+        (p.get_x() * 86_400, p.get_width() * 86_400, round(p.get_y() + p.get_height() / 2))
+        for p in by_gid(figure, gid)
+    ]
+
+
+def test_bars_are_spans_on_the_utc_axis(reports):
+    found = bars(streams_in_time(reports), "stream")
+    # Days since 1970 in float64 resolve 0.3 us.
+    assert found == [
+        (pytest.approx(float(unix_from_gps(T0 + 10)), abs=1e-5), pytest.approx(100.0, abs=1e-5), 0),
+        (pytest.approx(float(unix_from_gps(T0)), abs=1e-5), pytest.approx(100.0, abs=1e-5), 1),
+    ]
+
+
+def test_gaps_and_unsynchronised_parts(reports):
+    figure = streams_in_time(reports)
+    ((start, length, row),) = bars(figure, "gap")
+    assert (start, length, row) == (
+        pytest.approx(float(unix_from_gps(T0 + 50)), abs=1e-5), pytest.approx(4.0, abs=1e-5), 0,
+    )  # fmt: skip
+    part, whole = bars(figure, "unsynchronised")
+    assert part == (
+        pytest.approx(float(unix_from_gps(T0 + 10)), abs=1e-5), pytest.approx(11.0, abs=1e-5), 0,
+    )  # fmt: skip
+    # A stream without GPS time begins at the start of the axis.
+    assert whole == (pytest.approx(float(unix_from_gps(T0)), abs=1e-5), pytest.approx(60.0, abs=1e-5), 2)
+    assert all(p.get_hatch() for p in by_gid(figure, "unsynchronised"))
+
+
+def test_short_gaps_are_still_seen(reports):
+    reports[0].gaps = [Gap(t_start_s=T0 + 50, duration_s=0.001)]
+    ((start, length, _),) = bars(streams_in_time(reports), "gap")
+    assert length == pytest.approx(0.002 * 110, rel=1e-3)
+    assert start + length / 2 == pytest.approx(float(unix_from_gps(T0 + 50.0005)), abs=1e-4)
+
+
+def test_rates_counts_and_clocks(reports):
+    figure = streams_in_time(reports)
+    numbers = [t.get_text().replace("\N{NO-BREAK SPACE}", " ") for t in by_gid(figure, "stream-numbers")]
+    assert numbers[0] == "753.5 Hz, n = 2 000 000 points\n1 gap, longest 4 s; losses 3"
+    assert numbers[1] == "50 Hz, n = 5 000 states"
+    lines = [t.get_text() for t in by_gid(figure, "clock-line")]
+    assert lines[0] == "stamps in UTC;  host minus sensor s: 0.36812"
+    assert lines[2] == "NO GPS TIME, stamps of the host clock"
+    assert "UTC on 2017-05-12" in figure.axes[0].get_xlabel()
+    assert "n = 4 streams" in figure.get_suptitle()
+
+
+def test_ticks_are_utc(reports):
+    figure = streams_in_time(reports)
+    figure.draw_without_rendering()
+    ax = figure.axes[0]
+    first = mdates.num2date(ax.get_xlim()[0])
+    assert f"{first:%Y-%m-%dT%H:%M}" == "2017-05-12T18:44"
+    assert "18:45" in [t.get_text() for t in ax.get_xticklabels()]
+
+
+def test_long_clock_details_break_into_lines():
+    report = IntegrityReport(
+        stream="x", format="y", files=[], synchronised=True, time_scale="gps",
+        details={f"clock_{i}": "word " * 8 for i in range(6)} | {"product": "no clock"},
+    )  # fmt: skip
+    lines = clock_lines(report)
+    assert len(lines) > 1
+    assert max(map(len, lines)) <= 150
+    assert "no clock" not in " ".join(lines)
+
+
+def test_only_streams_without_gps_time(tmp_path, reports):
+    assert time_span(reports[2:]) == (0.0, 60.0)
+    save(streams_in_time(reports[2:]), tmp_path / "streams.png", dpi=60)
+
+
+def test_no_stream_is_refused():
+    with pytest.raises(InputError, match="no stream to draw"):
+        streams_in_time([])
+
+
+@pytest.fixture
+def by_range():
+    return pd.DataFrame(
+        {
+            "range_m": [2, 3, 4, 5],
+            "n": [1000, 500, 40, 5],
+            "rmse_observed_m": [0.030, 0.041, 0.049, 0.9],
+            "rmse_predicted_m": [0.031, 0.040, 0.050, 0.060],
+        }
+    )
+
+
+def test_error_versus_range_shows_the_table(by_range):
+    figure = error_versus_range(by_range, outlier_rule="edges left out", twin=True)
+    upper, _, lower = figure.axes
+    lines = {line.get_label(): line for line in upper.lines}
+    np.testing.assert_allclose(lines["predicted"].get_ydata(), [31, 40, 50, 60])
+    np.testing.assert_allclose(lines["observed"].get_ydata(), [30, 41, 49])
+    np.testing.assert_allclose(lines["observed, fewer than 30 points"].get_ydata(), [900])
+    assert "beyond the axis, n = 1" in lines
+    (ratio,) = by_gid(figure, "ratio")
+    np.testing.assert_allclose(ratio.get_ydata(), [30 / 31, 41 / 40, 49 / 50])
+    assert [bar.get_height() for bar in lower.patches] == [1000, 500, 40, 5]
+    assert (upper.get_ylabel(), lower.get_xlabel()) == ("RMSE / mm", "range / m")
+    assert "edges left out" in upper.get_title(loc="left")
+    assert "n = 1\N{NO-BREAK SPACE}545 points" in figure.get_suptitle()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.drop(columns="n"), r"columns missing: \['n'\]"),
+        (lambda t: t.iloc[:0], "a table without a row"),
+    ],
+)
+def test_bad_tables_are_refused(by_range, change, message):
+    with pytest.raises(InputError, match=message):
+        error_versus_range(change(by_range))
+
+
+def test_one_class_and_zero_prediction(tmp_path, by_range):
+    one = by_range.iloc[:1].assign(rmse_predicted_m=0.0, rmse_observed_m=0.0)
+    save(error_versus_range(one), tmp_path / "one.png", dpi=60)
+
+
+def test_histograms_are_densities_of_all_values(rng):
+    values = np.concatenate([rng.normal(0, 1, 9_000), np.full(1_000, 50.0), [np.nan]])
+    figure = error_histograms({"up": values})
+    (ax,) = figure.axes
+    (stairs,) = by_gid(figure, "histogram")
+    heights, edges, _ = stairs.get_data()
+    # The 10 % beyond the ends are missing from the bars, not spread over them.
+    assert np.sum(heights * np.diff(edges)) == pytest.approx(0.9, abs=1e-9)
+    title = ax.get_title(loc="left").replace("\N{NO-BREAK SPACE}", " ")
+    assert "n = 10 000" in title
+    assert "1 000 beyond ±5" in title
+    assert ax.get_xlabel() == "error over predicted sigma / 1"
+
+
+def test_histogram_is_drawn_against_the_standard_normal():
+    figure = error_histograms({"east": np.zeros(3), "north": np.zeros(3)}, outlier_rule="none left out")
+    assert len(figure.axes) == 2
+    curve = figure.axes[0].lines[0]
+    assert np.max(curve.get_ydata()) == pytest.approx(1 / np.sqrt(2 * np.pi))
+    assert figure.legends[0].get_title().get_text() == "none left out"
+
+
+@pytest.mark.parametrize(
+    ("normalised", "message"),
+    [({}, "no normalised errors"), ({"up": np.array([np.nan])}, "component 'up' has no finite")],
+)
+def test_histograms_of_nothing_are_refused(normalised, message):
+    with pytest.raises(InputError, match=message):
+        error_histograms(normalised)

@@ -1,0 +1,89 @@
+"""What all figures share: bytes, the mark, sizes, and what the helpers count."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from thalweg.core.errors import InputError
+from thalweg.figures import style
+from thalweg.figures.maps import survey_map
+
+
+def texts(figure):
+    return [t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text() and t.get_visible()]
+
+
+@pytest.mark.parametrize("kind", ["png", "pdf", "svg"])
+def test_same_figure_gives_same_bytes(tmp_path, trajectory, positions, kind):
+    for name in ("one", "two"):
+        style.save(survey_map(trajectory, positions, twin=True), tmp_path / f"{name}.{kind}", dpi=80)
+    assert (tmp_path / f"one.{kind}").read_bytes() == (tmp_path / f"two.{kind}").read_bytes()
+
+
+def test_the_users_settings_have_no_say(tmp_path, trajectory):
+    style.save(survey_map(trajectory), tmp_path / "plain.png", dpi=80)
+    with mpl.rc_context({"font.size": 20, "axes.facecolor": "red", "savefig.bbox": "tight"}):
+        style.save(survey_map(trajectory), tmp_path / "loud.png", dpi=80)
+    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "loud.png").read_bytes()
+
+
+def test_drawing_leaves_the_users_settings_alone(trajectory):
+    before = dict(mpl.rcParams)
+    survey_map(trajectory)
+    assert dict(mpl.rcParams) == before
+
+
+def test_unknown_format_is_refused(tmp_path, trajectory):
+    with pytest.raises(InputError, match=r"format 'jpg'; expected one of png, pdf, svg.*figures\.format"):
+        style.save(survey_map(trajectory), tmp_path / "map.jpg")
+    assert not list(tmp_path.iterdir())
+
+
+def test_png_has_the_width_of_the_page(tmp_path, trajectory):
+    from matplotlib.image import imread
+
+    style.save(survey_map(trajectory), tmp_path / "map.png", dpi=254)
+    # 170 mm at 10 dots a millimetre; one dot for rounding.
+    assert imread(tmp_path / "map.png").shape[1] == pytest.approx(1700, abs=1)
+
+
+@pytest.mark.parametrize("twin", [True, False])
+def test_the_mark_of_the_twin(trajectory, twin):
+    figure = survey_map(trajectory, twin=twin)
+    marks = [t for t in figure.texts if t.get_gid() == "twin-mark"]
+    assert [m.get_text() for m in marks] == (["digital twin"] if twin else [])
+
+
+def test_a_long_title_keeps_clear_of_the_mark(trajectory):
+    title = "Survey map: Freiberger Mulde between the weir and the bridge, second epoch with the higher water"
+    figure = survey_map(trajectory, title=title, twin=True)
+    figure.draw_without_rendering()
+    (mark,) = [t for t in figure.texts if t.get_gid() == "twin-mark"]
+    assert figure.get_suptitle().count("\n") >= 1
+    assert " ".join(figure.get_suptitle().split("\n")).startswith(title)
+    assert figure._suptitle.get_window_extent().x1 < mark.get_window_extent().x0
+    assert figure._suptitle.get_window_extent().y0 > figure.axes[0].get_window_extent().y1
+
+
+def test_robust_limits():
+    assert style.robust_limits(np.arange(101.0), 10, 90) == (10.0, 90.0)
+    assert style.robust_limits([]) == (0.0, 1.0)
+    assert style.robust_limits([np.nan, 5.0, 5.0]) == (2.5, 7.5)
+
+
+@pytest.mark.parametrize(("metres", "text"), [(0.2, "0.2 m"), (50.0, "50 m"), (2000.0, "2 km")])
+def test_length_text(metres, text):
+    assert style.length_text(metres) == text
+
+
+def test_legend_below_fits_the_page():
+    draw = style.styled(lambda: style.new_figure(80.0, "n = 0", twin=False))
+    figure = draw()
+    ax = figure.add_subplot()
+    for i in range(7):
+        ax.plot([], [], label=f"entry {i} with rather many words")
+    style.legend_below(figure, ax)
+    figure.draw_without_rendering()
+    box = figure.legends[0].get_window_extent()
+    assert box.x1 <= figure.bbox.x1
+    assert len(figure.legends[0].get_texts()) == 7

@@ -1,0 +1,360 @@
+"""NMEA logs: real boats, a second reader sentence by sentence, clocks without dates, damaged bytes."""
+
+import datetime as dt
+import json
+from functools import reduce
+from operator import xor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pynmeagps import NMEAReader
+
+from thalweg.core.errors import InputError
+from thalweg.core.tables import write_table
+from thalweg.core.timescales import gps_from_unix, gps_from_week
+from thalweg.ingest.nmea import NmeaLog, read_nmea
+from thalweg.ingest.schemas import DEPTH, GNSS_POSITION
+
+GGA = "GPGGA,{},5251.0094,N,00518.8172,E,4,12,0.60,10.500,M,46.800,M,1.2,0123"
+RMC = "GPRMC,{},A,5251.0093,N,00518.8170,E,5.6,230.5,{},1.4,E,A"
+
+
+def sentence(body: str) -> str:
+    return f"${body}*{reduce(xor, body.encode()):02X}\r\n"
+
+
+def log_of(tmp_path: Path, text: str | bytes, date: dt.date | None = None) -> NmeaLog:
+    path = tmp_path / "boat.log"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_nmea([path], date)
+
+
+def gps(year: int, month: int, day: int, hour: int, minute: int, second: float) -> float:
+    whole = int(second)
+    moment = dt.datetime(year, month, day, hour, minute, whole, tzinfo=dt.UTC)
+    return float(gps_from_unix(moment.timestamp())) + (second - whole)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("name", "figures"),
+    [
+        # PROVENANCE.md: sentences, depths (n, min, mean, max), offsets, positions, steps back
+        ("humminbird-M37", (98, {"DPT": (33, 2.0, 2.3152, 2.6)}, [0.0], 33, 1)),
+        ("sounder", (244, {"DBT": (122, 2.3, 2.318, 2.5)}, [], 122, 0)),
+        ("bundg_zeus_9",
+         (4999, {"DPT": (149, 5.2, 5.657, 6.7), "DBT": (148, 5.2, 5.6581, 6.7)}, [0.4], 431, 0)),
+    ],
+)  # fmt: skip
+def test_real_boats_have_the_published_figures(data_dir: Path, name: str, figures: tuple) -> None:  # type: ignore[type-arg]
+    n, depths, offsets, n_positions, steps_back = figures
+    log = read_nmea([data_dir / "nmea_gpsd_depth" / f"{name}.log"])
+    assert log.report.counts["sentences"] == n
+    assert log.report.losses == ({"time_steps_back": steps_back} if steps_back else {})
+    assert log.report.counts["position_sentences"] == n_positions
+    for kind, (count, low, mean, high) in depths.items():
+        found = log.depths.loc[log.depths["sentence"] == kind, "depth_m"]
+        assert (len(found), found.min(), found.max()) == (count, low, high)
+        # the figures are rounded to 1e-3 or 1e-4
+        assert found.mean() == pytest.approx(mean, abs=5e-4)
+    assert sorted(log.depths["offset_m"].dropna().unique()) == offsets
+
+
+@pytest.mark.real
+def test_dates_of_real_boats(data_dir: Path) -> None:
+    folder = data_dir / "nmea_gpsd_depth"
+    # PROVENANCE.md: 09:47:36 .. 09:50:04 UTC, RMC date 200818; GPS - UTC = 18 s
+    report = read_nmea([folder / "bundg_zeus_9.log"]).report
+    assert report.synchronised
+    assert report.t_first_s == gps(2018, 8, 20, 9, 47, 36)
+    assert report.t_last_s == gps(2018, 8, 20, 9, 50, 4)
+    # no date: 16:43:26 .. 16:47:28
+    log = read_nmea([folder / "sounder.log"])
+    assert not log.report.synchronised
+    assert log.depths["t_gps_s"].isna().all()
+    assert any("no date" in note for note in log.report.notes)
+    assert (log.report.t_first_s, log.report.t_last_s) == (60206.0, 60448.0)
+    dated = read_nmea([folder / "sounder.log"], dt.date(2012, 1, 19))
+    assert dated.report.t_first_s == gps(2012, 1, 19, 16, 43, 26)
+    # 2012-01-19: GPS - UTC = 15 s
+    assert dated.report.t_first_s == float(gps_from_week(1671, 4 * 86400 + 60206 + 15))
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("name", ["humminbird-M37", "sounder", "bundg_zeus_9"])
+def test_same_values_as_pynmeagps(data_dir: Path, name: str) -> None:
+    path = data_dir / "nmea_gpsd_depth" / f"{name}.log"
+    depths, positions = [], {}
+    with path.open("rb") as stream:
+        for number, raw in enumerate(stream, start=1):
+            message = NMEAReader.parse(raw) if raw.startswith(b"$") else None
+            if message is None:
+                continue
+            if message.msgID in ("DBT", "DPT"):
+                depth = message.depthm if message.msgID == "DBT" else message.depth
+                depths.append((number, message.msgID, depth))
+            elif message.msgID in ("GGA", "RMC", "GLL"):
+                rank = {"GGA": 0, "RMC": 1, "GLL": 2}[message.msgID]
+                positions.setdefault((len(positions), message.time, rank), (message.lat, message.lon))
+    log = read_nmea([path])
+    ours = list(log.depths[["line", "sentence", "depth_m"]].itertuples(index=False, name=None))
+    assert ours == depths
+    epochs: list[tuple[dt.time, int, tuple[float, float]]] = []
+    for (_, time, rank), where in positions.items():
+        if not epochs or epochs[-1][0] != time:
+            epochs.append((time, rank, where))
+        elif rank < epochs[-1][1]:
+            epochs[-1] = (time, rank, where)
+    theirs = np.array([where for _, _, where in epochs])
+    # pynmeagps rounds to 10 digits
+    np.testing.assert_allclose(log.positions[["lat_deg", "lon_deg"]], theirs, rtol=0, atol=1e-10)
+
+
+def gpsd_reports(path: Path) -> list[dict]:  # type: ignore[type-arg]
+    lines = path.with_suffix(".log.chk").read_text().splitlines()
+    return [json.loads(line) for line in lines if line.startswith('{"class":"TPV"')]
+
+
+@pytest.mark.real
+def test_same_positions_as_gpsd(data_dir: Path) -> None:
+    path = data_dir / "nmea_gpsd_depth" / "humminbird-M37.log"
+    positions = read_nmea([path]).positions
+    # gpsd's expected output stands at a date a GPS rollover later; the time of the day is right
+    second = (positions["t_gps_s"] - gps(2006, 9, 16, 0, 0, 0)).round(3)
+    ours = set(zip(second, positions["lat_deg"].round(9), positions["lon_deg"].round(9), strict=True))
+    theirs = set()
+    for report in gpsd_reports(path):
+        time = dt.datetime.fromisoformat(report["time"])
+        theirs.add((time.hour * 3600.0 + time.minute * 60 + time.second, report["lat"], report["lon"]))
+    assert len(theirs) > 20
+    assert theirs <= ours
+
+
+@pytest.mark.real
+def test_same_depths_and_heights_as_gpsd(data_dir: Path) -> None:
+    path = data_dir / "nmea_gpsd_depth" / "bundg_zeus_9.log"
+    log, reports = read_nmea([path]), gpsd_reports(path)
+
+    def steps(values: list[float]) -> list[float]:
+        return [b for a, b in zip([np.nan, *values], values, strict=False) if a != b]
+
+    # gpsd repeats the latest depth; it reports none before its first position
+    theirs = steps([r["depth"] for r in reports if "depth" in r])
+    ours = steps(log.depths["depth_m"].to_list())
+    assert len(theirs) > 10
+    assert ours[-len(theirs) :] == theirs
+    heights = log.positions["h_ell_m"].dropna().round(6)
+    assert {r["altHAE"] for r in reports if "altHAE" in r} == set(heights)
+
+
+def test_gga_gives_ellipsoidal_height_and_fix(tmp_path: Path) -> None:
+    log = log_of(tmp_path, sentence(RMC.format("094735", "200818")) + sentence(GGA.format("094736.25")))
+    row = log.positions.iloc[1]
+    assert row["h_ell_m"] == pytest.approx(57.3)  # 10.5 + 46.8
+    assert (row["fix"], row["n_sats"], row["age_s"]) == ("fixed", 12, 1.2)
+    assert row["t_gps_s"] == gps(2018, 8, 20, 9, 47, 36.25)
+    assert row["lat_deg"] == pytest.approx(52 + 51.0094 / 60, abs=1e-12)
+    write_table(tmp_path / "p.parquet", log.positions, GNSS_POSITION)
+    write_table(tmp_path / "d.parquet", log.depths, DEPTH)
+
+
+@pytest.mark.parametrize(
+    ("quality", "fix"),
+    list(
+        zip(
+            "0123456789",
+            ["none", "single", "dgnss", "single", "fixed", "float", "dead_reckoning", "none", "none", "sbas"],
+            strict=True,
+        )
+    ),
+)
+def test_gga_quality(tmp_path: Path, quality: str, fix: str) -> None:
+    log = log_of(tmp_path, sentence(GGA.format("094736").replace("E,4,12", f"E,{quality},12")))
+    assert log.positions["fix"][0] == fix
+
+
+def test_gst_becomes_a_covariance(tmp_path: Path) -> None:
+    # ellipse 0.05 x 0.02 m, semi-major axis 30 degrees from north
+    a, b, angle = 0.05, 0.02, np.deg2rad(30.0)
+    axis, across = np.array([np.sin(angle), np.cos(angle)]), np.array([np.cos(angle), -np.sin(angle)])
+    covariance = a**2 * np.outer(axis, axis) + b**2 * np.outer(across, across)
+    east, north = np.sqrt(np.diag(covariance))
+    gst = f"GPGST,094736,0.1,{a},{b},30.0,{north:.6f},{east:.6f},0.07"
+    row = log_of(tmp_path, sentence(GGA.format("094736")) + sentence(gst)).positions.iloc[0]
+    # six decimals in the sentence
+    assert (row["sigma_east_m"], row["sigma_north_m"]) == pytest.approx((east, north), abs=1e-6)
+    assert row["sigma_up_m"] == 0.07
+    assert row["cov_en_m2"] == pytest.approx(covariance[0, 1], rel=1e-12)
+    assert np.isnan(row["cov_eu_m2"])
+
+
+def test_depths_of_all_sentences(tmp_path: Path) -> None:
+    text = (
+        sentence("SDDPT,5.3,-0.4,100.0")
+        + sentence("IIDBT,7.5,f,2.3,M,1.2,F")
+        + sentence("SDDBS,10.0,f,,M,,F")
+    )
+    text += sentence("SDDBT,,f,,M,1.0,F") + sentence("SDDPT,,") + sentence("SDDPT,4.0,")
+    log = log_of(tmp_path, text)
+    # metres first, then feet (0.3048 m), then fathoms (1.8288 m)
+    np.testing.assert_allclose(log.depths["depth_m"], [5.3, 2.3, 3.048, 1.8288, 4.0], rtol=1e-15)
+    np.testing.assert_array_equal(log.depths["offset_m"], [-0.4, np.nan, np.nan, np.nan, np.nan])
+    assert list(log.depths["sentence"]) == ["DPT", "DBT", "DBS", "DBT", "DPT"]
+    assert log.report.counts["empty_depths"] == 1
+    assert not log.report.synchronised
+
+
+def test_depth_takes_the_latest_time_and_nothing_is_interpolated(tmp_path: Path) -> None:
+    dpt = sentence("SDDPT,5.3,0.4")
+    text = dpt + sentence(RMC.format("094736", "200818")) + dpt + dpt + sentence(GGA.format("094737")) + dpt
+    log = log_of(tmp_path, text)
+    np.testing.assert_array_equal(log.depths["t_day_s"], [np.nan, 35256.0, 35256.0, 35257.0])
+    assert np.isnan(log.depths["t_gps_s"][0])
+    assert log.depths["t_gps_s"][3] == gps(2018, 8, 20, 9, 47, 37)
+
+
+@pytest.mark.parametrize("given", [dt.date(2018, 8, 20), None])
+def test_midnight(tmp_path: Path, given: dt.date | None) -> None:
+    times = ["235958", "235959", "000000", "000001"]
+    text = "".join(sentence(GGA.format(t)) + sentence("SDDPT,5.3,0.4") for t in times)
+    if given is None:  # the date comes late, from the new day
+        text += sentence("GPZDA,000001,21,08,2018,00,00")
+    log = log_of(tmp_path, text, given)
+    expected = gps(2018, 8, 20, 23, 59, 58) + np.arange(4)
+    np.testing.assert_array_equal(log.positions["t_gps_s"], expected)
+    np.testing.assert_array_equal(log.depths["t_gps_s"], expected)
+    assert "time_steps_back" not in log.report.losses
+
+
+def test_late_sentence_of_the_old_day(tmp_path: Path) -> None:
+    text = (
+        sentence(GGA.format("235959")) + sentence(GGA.format("000000.2")) + sentence(GGA.format("235959.9"))
+    )
+    log = log_of(tmp_path, text + sentence(GGA.format("000001")), dt.date(2018, 8, 20))
+    seconds = log.positions["t_gps_s"] - gps(2018, 8, 20, 23, 59, 59)
+    np.testing.assert_allclose(seconds, [0.0, 1.2, 0.9, 2.0], atol=1e-6)  # float64 at 1e8 s: 3e-8
+
+
+def test_first_sentence_after_days_switched_off_gets_the_new_date(tmp_path: Path) -> None:
+    text = sentence(RMC.format("094736", "200818")) + sentence(GGA.format("101010"))
+    text += sentence(RMC.format("101010", "230818"))
+    log = log_of(tmp_path, text)
+    assert log.positions["t_gps_s"].to_list() == [gps(2018, 8, 20, 9, 47, 36), gps(2018, 8, 23, 10, 10, 10)]
+
+
+def test_leap_second(tmp_path: Path) -> None:
+    text = sentence(RMC.format("235959", "311216")) + sentence(RMC.format("235960", "311216"))
+    log = log_of(tmp_path, text + sentence(RMC.format("000000", "010117")))
+    assert log.positions["t_gps_s"].to_list() == [float(gps_from_week(1930, 16.0 + i)) for i in range(3)]
+
+
+def test_own_date_beats_the_given_one(tmp_path: Path) -> None:
+    log = log_of(tmp_path, sentence(RMC.format("094736", "200818")), dt.date(2020, 1, 1))
+    assert log.positions["t_gps_s"][0] == gps(2018, 8, 20, 9, 47, 36)
+    assert any("2020-01-01 is not used" in note for note in log.report.notes)
+
+
+def test_steps_back_are_counted(tmp_path: Path) -> None:
+    text = "".join(sentence(GGA.format(t)) for t in ("194124", "194111", "194112"))
+    assert log_of(tmp_path, text).report.losses == {"time_steps_back": 1}
+
+
+@pytest.mark.parametrize("ending", ["\r\n", "\n", "\r", "\n\r"])
+def test_line_endings(tmp_path: Path, ending: str) -> None:
+    text = (sentence(GGA.format("094736")) + sentence("SDDPT,5.3,0.4")).replace("\r\n", ending)
+    log = log_of(tmp_path, text)
+    assert len(log.positions) == 1
+    assert log.report.clean
+    assert log.depths["line"][0] == (3 if ending == "\n\r" else 2)
+
+
+@pytest.mark.parametrize(
+    ("prefix", "t_host_s"),
+    [
+        ("1534758456.125 ", 1534758456.125),
+        ("1534758456125,", 1534758456.125),
+        ("2018-08-20T09:47:36.125Z ", 1534758456.125),
+        ("[2018-08-20 09:47:36.125] ", 1534758456.125),
+        ("\\s:GP1,c:1534758456*" + f"{reduce(xor, b's:GP1,c:1534758456'):02X}\\", 1534758456.0),
+    ],
+)
+def test_prefixes_of_loggers(tmp_path: Path, prefix: str, t_host_s: float) -> None:
+    text = f"{prefix}{sentence('SDDPT,5.3,0.4')}" * 2
+    log = log_of(tmp_path, text)
+    np.testing.assert_array_equal(log.depths["t_host_s"], [t_host_s, t_host_s])
+    assert log.report.counts["prefixed_sentences"] == 2
+    assert log.report.losses == {}
+
+
+def test_rubbish_is_survived_and_counted(tmp_path: Path) -> None:
+    good = sentence("SDDPT,5.3,0.4").encode()
+    cut = good[:9]  # runs into the next sentence
+    wrong = good.replace(b"5.3", b"6.3")
+    rubbish = bytes(range(128, 256)) + b"\r\n"
+    absent = b"$SDDPT,7.7,0.4\r\n"
+    malformed = sentence("SDDPT,x,0.4").encode() + sentence(GGA.format("256136")).encode()
+    log = log_of(tmp_path, good + cut + good + wrong + rubbish + absent + malformed + good)
+    np.testing.assert_array_equal(log.depths["depth_m"], [5.3, 5.3, 5.3])
+    assert log.report.losses == {
+        "bad_checksum": 1,
+        "without_checksum": 2,
+        "foreign_bytes": 128,
+        "malformed_sentences": 2,
+    }
+    assert "boat.log line 6" in log.report.details["malformed"]
+
+
+def test_log_without_any_checksum_is_read(tmp_path: Path) -> None:
+    log = log_of(tmp_path, "$SDDPT,5.3,0.4\n$SDDPT,5.4,0.4\n")
+    assert len(log.depths) == 2
+    assert log.report.counts["sentences_without_checksum"] == 2
+
+
+def test_chunks_do_not_cut_sentences(tmp_path: Path) -> None:
+    text = "".join(sentence(f"SDDPT,{i % 97}.25,0.4") for i in range(230_000))  # 5 MB: two chunks
+    log = log_of(tmp_path, text)
+    assert log.report.clean
+    np.testing.assert_array_equal(log.depths["depth_m"], np.arange(230_000) % 97 + 0.25)
+    np.testing.assert_array_equal(log.depths["line"], np.arange(1, 230_001))
+
+
+@pytest.mark.parametrize(
+    ("content", "fragment"),
+    [
+        (b"", "no NMEA sentence in 0 bytes"),
+        (b"\x1f\x8b\x08" + bytes(range(256)) * 9, "no NMEA sentence"),
+        (b"$SDDPT,5.3,0.4*00\r\n", "1 with a wrong checksum"),
+        ("$SDDPT,5.3,0.4*7B\r\n".encode("utf-16"), "no NMEA sentence"),
+    ],
+)
+def test_bad_input_has_a_message(tmp_path: Path, content: bytes, fragment: str) -> None:
+    with pytest.raises(InputError, match=fragment) as caught:
+        log_of(tmp_path, content)
+    assert "boat.log" in str(caught.value)
+
+
+def test_missing_file() -> None:
+    with pytest.raises(InputError, match="file not found"):
+        read_nmea([Path("nowhere.log")])
+
+
+def test_fuzz_nmea(tmp_path: Path, fuzz_count: int, rng: np.random.Generator) -> None:
+    text = "".join(
+        sentence(RMC.format(f"0947{i:02d}", "200818"))
+        + sentence(GGA.format(f"0947{i:02d}"))
+        + sentence("SDDPT,5.3,0")
+        for i in range(8)
+    ).encode()
+    path = tmp_path / "fuzz.log"
+    for _ in range(fuzz_count):
+        data = bytearray(text)
+        for _ in range(int(rng.integers(1, 20))):
+            at = int(rng.integers(0, len(data)))
+            data[at] = int(rng.integers(0, 256))
+        path.write_bytes(bytes(data[: int(rng.integers(1, len(data) + 1))]))
+        try:
+            log = read_nmea([path])
+        except InputError:
+            continue
+        assert len(log.positions) <= 24

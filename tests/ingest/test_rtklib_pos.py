@@ -1,0 +1,250 @@
+"""RTKLIB .pos files: every variant that the engine itself writes, and damaged ones."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyproj import Transformer
+
+from thalweg.core.errors import InputError
+from thalweg.core.tables import write_table
+from thalweg.core.timescales import gps_from_week
+from thalweg.ingest.rtklib_pos import read_pos
+from thalweg.ingest.schemas import GNSS_POSITION
+
+HEAD = (
+    "% program   : RTKLIB\n% ref pos   :  50.000000000   13.000000000   200.0000\n%\n"
+    "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix)\n"
+    "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)"
+    "  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio\n"
+)
+LINE = (
+    "2017/05/12 18:45:13.400   50.000000000   13.000000000   200.0000   1  11   0.0030   0.0020   0.0060"
+    "  -0.0010   0.0015  -0.0025   0.40   12.3\n"
+)
+TO_ECEF = Transformer.from_crs(4979, 4978, always_xy=True)
+
+RUN = """
+import sys, pyrtklib5 as r
+conf, folder, *files = sys.argv[1:]
+variants = dict(
+    base={}, tow={"out-timeform": "tow"}, utc={"out-timesys": "utc"}, jst={"out-timesys": "jst"},
+    utctow={"out-timesys": "utc", "out-timeform": "tow"}, dms={"out-degform": "dms"},
+    xyz={"out-solformat": "xyz"}, enu={"out-solformat": "enu"}, geodetic={"out-height": "geodetic"},
+    comma={"out-fieldsep": ","}, tab={"out-fieldsep": "\\\\t"}, bare={"out-outhead": "off"},
+    velocity={"out-outvel": "on"}, dmscomma={"out-degform": "dms", "out-fieldsep": ";"},
+    enudms={"out-solformat": "enu", "out-degform": "dms"},
+)
+text = open(conf).read()
+for name, options in variants.items():
+    lines = [l for l in text.splitlines() if l.split("=")[0].strip() not in options]
+    open(folder + "/o.conf", "w").write("\\n".join(lines + [f"{k}={v}" for k, v in options.items()]) + "\\n")
+    r.resetsysopts()
+    assert r.loadopts(folder + "/o.conf", r.sysopts.ptr) == 1
+    p, s, f, a, b = r.prcopt_t(), r.solopt_t(), r.filopt_t(), r.gtime_t(), r.gtime_t()
+    r.getsysopts(p, s, f)
+    a.time = b.time = 0
+    r.postpos(a, b, 0.0, 0.0, p, s, f, files, len(files), f"{folder}/{name}.pos", "", "")
+"""
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def variants(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pos")
+    drive = data_dir / "rinex_cssrlib_kinematic_2021"
+    files = [str(drive / name) for name in ("SEPT265G.21O", "3034265G.21O", "SEPT2650.21P")]
+    conf = str(data_dir / "tools" / "ppk_cssrlib_demo5.conf")
+    # a process of its own: the engine keeps its options in global memory
+    subprocess.run([sys.executable, "-c", RUN, conf, str(folder), *files], check=True, capture_output=True)
+    return folder
+
+
+@pytest.mark.real
+def test_real_drive_has_the_published_figures(variants: Path) -> None:
+    log = read_pos([variants / "base.pos"])
+    fix = log.positions["fix"].value_counts()
+    # PROVENANCE.md of the recording: Q1 348, Q2 12
+    assert dict(fix) == {"fixed": 348, "float": 12}
+    assert log.report.losses == {}
+    start = log.positions[log.positions["fix"] == "fixed"].iloc[0]
+    # PROVENANCE.md, first fixed epoch: start 35.342058031 139.521986442 47.5632
+    assert (start["lat_deg"], start["lon_deg"]) == (35.342058031, 139.521986442)
+    assert start["h_ell_m"] == 47.5632
+    # 2021-09-22 06:30:00 GPST is week 2176, second 282600
+    assert log.report.t_first_s == float(gps_from_week(2176, 282600.0))
+    assert log.report.rates_hz["positions"] == pytest.approx(1.0)
+    assert "ref pos" in log.header
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("tow", "utc", "jst", "utctow", "dms", "xyz", "enu", "geodetic"),
+        *("comma", "tab", "bare", "velocity", "dmscomma", "enudms"),
+    ],
+)
+def test_all_variants_of_one_solution_agree(variants: Path, name: str) -> None:
+    base = read_pos([variants / "base.pos"]).positions
+    log = read_pos([variants / f"{name}.pos"])
+    other = log.positions
+    assert len(other) == len(base)
+    # times have 3 digits
+    np.testing.assert_allclose(other["t_gps_s"], base["t_gps_s"], atol=1e-6)
+    assert list(other["fix"]) == list(base["fix"])
+    for column in ("n_sats", "age_s", "ratio"):
+        np.testing.assert_array_equal(other[column], base[column])
+    if name == "geodetic":
+        assert other["h_ell_m"].isna().all()
+        assert any("geoid" in note for note in log.report.notes)
+        other = other.assign(h_ell_m=base["h_ell_m"])
+    position, expected = (
+        np.stack(TO_ECEF.transform(f["lon_deg"], f["lat_deg"], f["h_ell_m"])).T for f in (other, base)
+    )
+    # 1e-9 deg = 0.11 mm, 1e-5" = 0.3 mm, x/y/z and baselines 0.05 mm; the reference position of a
+    # baseline is itself rounded to 1e-9 deg: twice the largest of these.
+    np.testing.assert_allclose(position, expected, atol=6e-4)
+    sigma = [f[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy() for f in (other, base)]
+    largest = sigma[1].max(axis=1)
+    # Each number r is a root rounded by 5e-5, so r^2 is off by 1e-4 r at most; a rotation sums 9 of them, and
+    # in x, y, z each may be as large as the largest sigma. The signed roots of covariances count double.
+    bound = 1e-3 * largest + 1e-7
+    difference = [np.abs(sigma[0] ** 2 - sigma[1] ** 2).T]
+    difference.append(np.abs(np.stack([other[c] - base[c] for c in ("cov_en_m2", "cov_eu_m2", "cov_nu_m2")])))
+    assert np.all(np.concatenate(difference) <= bound)
+
+
+def test_covariance_signs_and_order(tmp_path: Path) -> None:
+    row = read_pos([write(tmp_path / "a.pos", HEAD + LINE)]).positions.iloc[0]
+    assert (row["sigma_north_m"], row["sigma_east_m"], row["sigma_up_m"]) == (0.003, 0.002, 0.006)
+    # sdne, sdeu, sdun of the line: signed roots
+    assert row["cov_en_m2"] == pytest.approx(-(0.001**2))
+    assert row["cov_eu_m2"] == pytest.approx(0.0015**2)
+    assert row["cov_nu_m2"] == pytest.approx(-(0.0025**2))
+    assert (row["fix"], row["n_sats"], row["age_s"], row["ratio"]) == ("fixed", 11, 0.4, 12.3)
+
+
+def test_covariance_of_earth_centred_coordinates_is_rotated(tmp_path: Path) -> None:
+    head = "%  GPST x-ecef y-ecef z-ecef Q ns sdx(m) sdy(m) sdz(m) sdxy(m) sdyz(m) sdzx(m) age(s) ratio\n"
+    # On the equator at longitude 90 deg: up is y, east is -x, north is z.
+    line = "1948 499513.400 0.0 6378137.0 0.0 2 9 0.01 0.02 0.03 0.004 0.005 -0.006 1.0 2.0\n"
+    row = read_pos([write(tmp_path / "a.pos", head + line)]).positions.iloc[0]
+    assert row["lat_deg"] == pytest.approx(0.0, abs=1e-12)
+    assert row["lon_deg"] == pytest.approx(90.0)
+    sigmas = row[["sigma_east_m", "sigma_up_m", "sigma_north_m"]].to_numpy(dtype=float)
+    np.testing.assert_allclose(sigmas, [0.01, 0.02, 0.03], rtol=1e-12)
+    assert row["cov_eu_m2"] == pytest.approx(-(0.004**2))
+    assert row["cov_nu_m2"] == pytest.approx(0.005**2)
+    assert row["cov_en_m2"] == pytest.approx(0.006**2)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "gps_week_second"),
+    [
+        ("%  UTC", (1930, 17.4 + 0)),  # 2017-01-01T00:00:00 UTC is second 18 of the week
+        ("%  GPST", (1929, 604799.4)),
+    ],
+)
+def test_leap_second_stamp(tmp_path: Path, stamp: str, gps_week_second: tuple[int, float]) -> None:
+    second = "60.400" if "UTC" in stamp else "59.400"
+    text = HEAD.replace("%  GPST", stamp) + LINE.replace(
+        "2017/05/12 18:45:13.400", f"2016/12/31 23:59:{second}"
+    )
+    t = read_pos([write(tmp_path / "a.pos", text)]).positions["t_gps_s"][0]
+    # float64 resolves 30 ns here
+    assert t == pytest.approx(float(gps_from_week(*gps_week_second)), abs=1e-7)
+
+
+def test_signs_of_degrees_minutes_seconds(tmp_path: Path) -> None:
+    head = HEAD.replace("latitude(deg) longitude(deg)", "latitude(d'\") longitude(d'\")")
+    line = LINE.replace("50.000000000   13.000000000", "  -0 30 00.00000   -70 15 36.00000")
+    row = read_pos([write(tmp_path / "a.pos", head + line)]).positions.iloc[0]
+    assert (row["lat_deg"], row["lon_deg"]) == pytest.approx((-0.5, -70.26))
+
+
+def test_all_qualities(tmp_path: Path) -> None:
+    lines = [
+        LINE.replace("18:45:13", f"18:45:{13 + q}").replace("   1  11", f"   {q}  11") for q in range(1, 8)
+    ]
+    log = read_pos([write(tmp_path / "a.pos", HEAD + "".join(lines))])
+    expected = ["fixed", "float", "sbas", "dgnss", "single", "ppp", "dead_reckoning"]
+    assert list(log.positions["fix"]) == expected
+    write_table(tmp_path / "a.parquet", log.positions, GNSS_POSITION)
+
+
+def test_damaged_lines_are_counted_with_their_numbers(tmp_path: Path) -> None:
+    damaged = [
+        LINE[:60] + "\n",
+        LINE.replace("50.0", "5x.0"),
+        LINE.replace("/05/", "/13/"),
+        "\x00\x01rubbish\n",
+    ]
+    damaged += [
+        LINE.replace("18:45", "25:45"),
+        LINE.replace("   1  11", "   9  11"),
+        LINE.replace("50.0", "150.0"),
+    ]
+    text = (
+        HEAD
+        + LINE
+        + "".join(damaged)
+        + LINE.replace("13.400", "13.600")
+        + LINE.replace("13.400", "13.800")[:90]
+    )
+    log = read_pos([write(tmp_path / "a.pos", text)])
+    assert len(log.positions) == 2
+    assert log.report.losses == {"damaged_lines": 8}
+    assert "7, 8, 9, 10, 11, 12, 13, 15" in log.report.details["damaged_lines"].values()
+
+
+def test_gaps_steps_back_and_several_files(tmp_path: Path) -> None:
+    lines = [LINE.replace("13.400", f"{s:06.3f}") for s in (10.0, 10.2, 10.4, 10.6, 12.0, 12.2, 12.2, 12.4)]
+    first = write(tmp_path / "a.pos", HEAD + "".join(lines))
+    second = write(
+        tmp_path / "b.pos", HEAD.replace("%  GPST", "%  UTC") + LINE.replace("18:45:13", "18:44:50")
+    )
+    log = read_pos([first, second])
+    assert log.report.counts["positions"] == 9
+    assert log.report.losses == {"time_steps_back": 1, "repeated_epochs": 1}
+    assert [gap.lost for gap in log.report.gaps] == [6]
+    assert "UTC" in log.report.lines()[3]
+
+
+def test_missing_header_is_said(tmp_path: Path) -> None:
+    log = read_pos([write(tmp_path / "a.pos", LINE)])
+    assert log.positions["lat_deg"][0] == 50.0
+    assert any("taken as latitude" in note for note in log.report.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "fragment"),
+    [
+        ("", "the file is empty"),
+        (HEAD, "only a header"),
+        ("$GPGGA,123519,4807.038,N*47\n", "none of 1 lines is a position"),
+        ("\x89PNG\r\n\x1a\n" * 40, "none of"),
+        (HEAD + LINE[:70], "line 6"),
+        (
+            HEAD.replace("latitude(deg) longitude(deg)  height(m)", "e-baseline n-baseline u-baseline")
+            .replace("ref pos", "unk pos")
+            + LINE,
+            "without the position of its base",
+        ),
+    ],
+)  # fmt: skip
+def test_bad_input_has_a_message(tmp_path: Path, text: str, fragment: str) -> None:
+    with pytest.raises(InputError, match=fragment) as caught:
+        read_pos([write(tmp_path / "bad.pos", text)])
+    assert "bad.pos" in str(caught.value)
+
+
+def test_missing_file() -> None:
+    with pytest.raises(InputError, match="file not found"):
+        read_pos([Path("nowhere.pos")])

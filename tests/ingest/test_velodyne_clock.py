@@ -1,0 +1,255 @@
+"""GPS time of lidar packets: lock, hour, rollover, holes, and what is not synchronised."""
+
+import importlib.util
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thalweg.core.timescales import gps_from_unix
+from thalweg.ingest.velodyne import LidarClock, iter_points, scan_lidar
+from thalweg.ingest.velodyne_clock import parse_rmc
+
+_builder = Path(__file__).with_name("test_velodyne_log.py")
+_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
+log = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(log)
+
+HOUR = 1_700_000_000 // 3600 * 3600
+GPS_HOUR = float(gps_from_unix(HOUR))
+
+
+def save(path, frames):
+    path.write_bytes(log.pcap(frames))
+    return path
+
+
+def packet_times(files):
+    """GPS and device time of each packet's first firing; NaN where the packet gave no point."""
+    scan = scan_lidar(files)
+    n = scan.report.counts["data_packets"]
+    gps, device = np.full(n, np.nan), np.full(n, np.nan)
+    for b in iter_points(files, clock=scan.clock):
+        first = np.unique(b.packet, return_index=True)[1]
+        # the first point of a packet is some lasers after its stamp: 2.304 us each
+        delay_s = b.laser[first] * 2.304e-6
+        gps[b.packet[first]] = b.t_gps_s[first] - delay_s
+        device[b.packet[first]] = b.t_device_s[first] - delay_s
+    return gps, device, scan
+
+
+def assert_gps(gps, stamps_us):
+    """Equal to UTC of the stamps; 0.5 us is the rounding of the packet stamp, 0.12 us float64 there."""
+    np.testing.assert_allclose(gps - GPS_HOUR, np.asarray(stamps_us) * 1e-6, rtol=0, atol=0.7e-6)
+
+
+@pytest.mark.parametrize("lag_s", [-0.2, 0.0, 0.4, 1.2])
+@pytest.mark.parametrize("t0_us", [5e6, 1_800_000_000.0, 3_599_960_000.0, 3_599_100_000.0, 3_600_000_100.0])
+def test_hour_from_rmc_at_any_place_of_the_hour(tmp_path, lag_s, t0_us):
+    stamps = log.times(100, t0_us)
+    path = save(tmp_path / "a", log.recording(stamps, hour_unix=HOUR, lag_s=lag_s))
+    gps, device, scan = packet_times([path])
+    assert_gps(gps, stamps)
+    assert (np.diff(device) > 0).all()
+    assert scan.report.synchronised
+    assert scan.report.time_scale == "utc"
+    assert scan.report.clean
+    assert scan.report.t_first_s == pytest.approx(GPS_HOUR + t0_us * 1e-6, abs=1e-6)
+    assert scan.report.t_last_s == pytest.approx(GPS_HOUR + stamps[-1] * 1e-6, abs=1e-6)
+
+
+def test_device_time_runs_on_over_the_hour(tmp_path):
+    stamps = log.times(200, 3_599_900_000.0)
+    path = save(tmp_path / "a", log.recording(stamps, every=0))
+    gps, device, scan = packet_times([path])
+    np.testing.assert_allclose(device, np.rint(stamps) * 1e-6, rtol=0, atol=1e-9)
+    assert np.isnan(gps).all()
+    assert scan.report.notes == [
+        "The lidar is unsynchronised: there are no position packets on UDP port 8308. Its points have no GPS "
+        "time, t_device_s is the sensor's free-running clock."
+    ]
+    assert not scan.report.synchronised
+    assert scan.report.time_scale == "device"
+    assert scan.report.t_last_s == pytest.approx(stamps[-1] * 1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("state", "words"), [(0, "absent in 10"), (1, "synchronising in 10"), (3, "error in 10")]
+)
+def test_pps_that_is_never_locked(tmp_path, state, words):
+    path = save(tmp_path / "a", log.recording(log.times(100), hour_unix=HOUR, pps=lambda k: state))
+    gps, _, scan = packet_times([path])
+    assert np.isnan(gps).all()
+    assert not scan.report.synchronised
+    assert (
+        f"unsynchronised: the PPS was never locked ({words} of 10 position packets)" in scan.report.notes[0]
+    )
+
+
+@pytest.mark.parametrize("every", [1, 4, 10])
+@pytest.mark.parametrize("start_us", [12_345_678.0, 2_000_000_000.0, 3_598_500_000.0])
+def test_pps_acquired_late(tmp_path, every, start_us):
+    utc = log.times(300, 1_234_567_890.0)
+    toh = np.where(np.arange(300) < 150, start_us + utc - utc[0], utc)
+    frames = log.recording(
+        utc, hour_unix=HOUR, every=every, toh=toh, pps=lambda k: 2 if k >= 155 else 1 if k > 50 else 0
+    )
+    path = save(tmp_path / "a", frames)
+    gps, _, scan = packet_times([path])
+    first = next(k for k in range(155, 300) if k % every == every - 1) + 1
+    assert np.isnan(gps[:first]).all()
+    assert_gps(gps[first:], utc[first:])
+    report = scan.report
+    assert report.synchronised
+    assert {k: n for k, n in report.losses.items() if n} == {"unsynchronised_packets": first}
+    assert not report.gaps  # the jump of the stamps is the setting of the clock
+    assert sum("The sensor set its clock by" in n and "before packet 150," in n for n in report.notes) == 1
+    assert any(n.startswith("Unsynchronised for ") and "PPS absent" in n for n in report.notes)
+    assert any(f"to {first - 1}; PPS synchronising" in n for n in report.notes)
+    assert report.t_first_s == pytest.approx(GPS_HOUR + utc[first] * 1e-6, abs=2e-3)
+
+
+def test_hole_before_the_lock_is_a_hole(tmp_path):
+    stamps = np.delete(log.times(300), np.arange(80, 85))
+    frames = log.recording(stamps, hour_unix=HOUR, every=10, pps=lambda k: 2 if k >= 150 else 1)
+    _, _, scan = packet_times([save(tmp_path / "a", frames)])
+    assert [g.lost for g in scan.report.gaps] == [5]
+    assert not any("set its clock" in n for n in scan.report.notes)
+
+
+def test_lock_lost_in_the_middle(tmp_path):
+    stamps = log.times(300)
+    frames = log.recording(stamps, hour_unix=HOUR, every=10, pps=lambda k: 3 if 100 <= k < 200 else 2)
+    gps, _, scan = packet_times([save(tmp_path / "a", frames)])
+    good = np.r_[0:110, 210:300]
+    assert_gps(gps[good], stamps[good])
+    assert np.isnan(gps[110:210]).all()
+    assert any("packets 110 to 209; PPS error" in n for n in scan.report.notes)
+    assert any("Unsynchronised for 0.133 s, from 1.145" in n for n in scan.report.notes)
+
+
+def test_first_position_packet_comes_late(tmp_path):
+    stamps = log.times(6000)
+    frames = log.recording(stamps, hour_unix=HOUR, every=5900)
+    gps, _, scan = packet_times([save(tmp_path / "a", frames)])
+    # Its state holds for the 5 s before it; what lies further back is not known.
+    known = stamps >= stamps[5899] - 5e6
+    assert_gps(gps[known], stamps[known])
+    assert np.isnan(gps[~known]).all()
+    assert any("no position packet yet" in n for n in scan.report.notes)
+
+
+def test_position_packets_before_the_first_data_packet(tmp_path):
+    stamps = log.times(50, 3_600_000_050.0)
+    early = [
+        log.ethernet(log.udp(log.position_packet(3_599_999_000 + 300 * k, 2, log.rmc(HOUR + 3599.2)), 8308))
+        for k in range(4)
+    ]
+    frames = early + log.recording(stamps, every=0)
+    gps, _, _ = packet_times([save(tmp_path / "a", frames)])
+    assert_gps(gps, stamps)
+
+
+@pytest.mark.parametrize("hours", [1, 2, 5])
+@pytest.mark.parametrize("hole_us", [0.0, 700_000_000.0, 3_500_000_000.0])
+def test_hole_longer_than_an_hour(tmp_path, hours, hole_us):
+    a = log.times(100)
+    b = log.times(100, a[-1] + 1327.104 + hole_us + hours * 3.6e9)
+    files = [
+        save(tmp_path / "a", log.recording(a, hour_unix=HOUR)),
+        save(tmp_path / "b", log.recording(b, hour_unix=HOUR, seed=2)),
+    ]
+    gps, device, scan = packet_times(files)
+    assert_gps(gps, np.concatenate([a, b]))
+    np.testing.assert_allclose(device, np.rint(np.r_[a, b]) * 1e-6, rtol=0, atol=1e-5)
+    assert len(scan.report.gaps) == 1
+    assert scan.report.gaps[0].duration_s == pytest.approx((b[0] - a[-1]) * 1e-6, abs=2e-3)
+    assert not scan.report.losses.get("clock_set_back")
+    assert scan.report.gaps[0].t_start_s == pytest.approx(GPS_HOUR + a[-1] * 1e-6, abs=2e-6)
+    assert any("longer than the packet stamps can tell" in n for n in scan.report.notes)
+
+
+def test_sentence_that_is_damaged_stale_or_without_fix(tmp_path):
+    stamps = log.times(200)
+    frames = log.recording(stamps, hour_unix=HOUR, every=10)
+    position = [k for k, f in enumerate(frames) if len(f) == 554]
+    frames[position[3]] = frames[position[3]].replace(b"$GPRMC,22", b"$GPRMC,23")
+    frames[position[5]] = log.ethernet(log.udp(log.position_packet(stamps[59], 2, b"$GPRMC,,V,,,,,,,"), 8308))
+    gps, _, scan = packet_times([save(tmp_path / "a", frames)])
+    assert_gps(gps, stamps)  # the lock holds, the hour is known
+    assert scan.report.losses["rmc_with_bad_checksum"] == 2
+    assert scan.report.synchronised
+
+
+@pytest.mark.parametrize(
+    ("sentence", "why"),
+    [
+        (b"", "empty"),
+        (log.rmc(HOUR, status="V"), "no fix"),
+        (log.rmc(HOUR).replace(b"*", b"1*"), "bad checksum"),
+        (log.rmc(HOUR + 600), "disagree by 599 s"),
+    ],
+)
+def test_locked_pps_without_a_usable_hour(tmp_path, sentence, why):
+    frames = log.recording(log.times(40), every=0)
+    for k in (35, 25, 15, 5):
+        stamp = 1_000_000 + 1327 * k
+        frames.insert(k, log.ethernet(log.udp(log.position_packet(stamp, 2, sentence), 8308)))
+    gps, _, scan = packet_times([save(tmp_path / "a", frames)])
+    assert np.isnan(gps).all()
+    assert "unsynchronised: the PPS was locked, but no sentence named the hour" in scan.report.notes[0]
+    assert why in scan.report.notes[0]
+
+
+def test_the_host_clock_plays_no_part(tmp_path):
+    frames = log.recording(log.times(50), hour_unix=HOUR)
+    (tmp_path / "a").write_bytes(log.pcap(frames))
+    (tmp_path / "b").write_bytes(log.pcap(frames, t0=1_000_000_000.0))
+    a, b = (np.concatenate([x.t_gps_s for x in iter_points([tmp_path / n])]) for n in "ab")
+    assert np.array_equal(a, b)
+    offset = scan_lidar([tmp_path / "b"]).report.details["host_minus_sensor_s"]
+    assert offset == pytest.approx(1_000_000_000 - HOUR - 1.0, abs=1e-5)
+
+
+def test_clock_survives_json():
+    clock = LidarClock(first_packet=(0, 7), device_extra_s=(0.0, 3600.0), gps_minus_device_s=(math.nan, 5.0))
+    again = LidarClock.from_dict(json.loads(json.dumps(clock.to_dict(), allow_nan=False)))
+    packet = np.array([0, 6, 7, 9])
+    assert np.array_equal(again.gps_time(packet, np.ones(4)), [np.nan, np.nan, 6.0, 6.0], equal_nan=True)
+    assert np.array_equal(again.extra_s(packet), [0, 0, 3600, 3600])
+
+
+def checked(body):
+    total = 0
+    for c in body:
+        total ^= c
+    return b"$" + body + b"*%02X" % total
+
+
+@pytest.mark.parametrize(
+    ("sentence", "unix_s", "why"),
+    [
+        (checked(b"GPRMC,081802.00,A,,,,,,,210116,,,A"), 1_453_364_282.0, ""),
+        (checked(b"GNRMC,081802.25,A,,,,,,,210116,,,A"), 1_453_364_282.25, ""),
+        (checked(b"GPRMC,081802,A,,,,,,,210116"), 1_453_364_282.0, ""),
+        (checked(b"GPRMC,000000,A,,,,,,,290224"), 1_709_164_800.0, ""),
+        (b"", math.nan, "empty"),
+        (checked(b"GPGGA,081802,A,,,,,,,210116"), math.nan, "not RMC"),
+        (checked(b"GPRMC,081802,V,,,,,,,210116"), math.nan, "no fix"),
+        (checked(b"GPRMC,081802,A,,,,,,,"), math.nan, "no date"),
+        (checked(b"GPRMC,,A,,,,,,,210116"), math.nan, "no date"),
+        (checked(b"GPRMC,081802,A,,,,,,,310216"), math.nan, "no date"),
+        (checked(b"GPRMC,081802,A,,,,,,,050180"), math.nan, "no date"),
+        (checked(b"GPRMC,081802.x,A,,,,,,,210116"), math.nan, "no date"),
+        (b"$GPRMC,081802,A,,,,,,,210116", math.nan, "bad checksum"),
+        (b"\xff\xfe\x00*", math.nan, "bad checksum"),
+        (checked(b",,,,,,,,,,,"), math.nan, "not RMC"),
+        (b"," + checked(b"GPRMC,,,,,,,,,,,")[1:], math.nan, "not RMC"),
+    ],
+)
+def test_rmc(sentence, unix_s, why):
+    found, reason = parse_rmc(sentence)
+    assert reason == why
+    assert found == pytest.approx(unix_s, abs=0, nan_ok=True)

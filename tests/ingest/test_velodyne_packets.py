@@ -1,0 +1,226 @@
+"""The packet stream: holes, duplicates, disorder, damage, split logs, foreign packets."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import InputError, UnsupportedError
+from thalweg.ingest.velodyne import LidarOptions, iter_points, scan_lidar
+from thalweg.ingest.velodyne_packets import read_packets
+
+_builder = Path(__file__).with_name("test_velodyne_log.py")
+_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
+log = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(log)
+
+STEP = 1327.104
+
+
+def stream(files, chunk_bytes=8 << 20):
+    """Unrolled stamps of the packets kept, and all events."""
+    blocks = list(
+        read_packets(files, any_product=False, data_port=2368, position_port=8308, chunk_bytes=chunk_bytes)
+    )
+    kept = np.concatenate([b.t_us[b.keep] for b in blocks])
+    return kept, np.concatenate([b.event for b in blocks])
+
+
+def save(path, rows):
+    path.write_bytes(log.pcap([log.ethernet(log.udp(row, 2368)) for row in rows]))
+    return path
+
+
+def check_points(files, stamps):
+    """The points are those of the given packets, in any order."""
+    t_s = np.concatenate([b.t_device_s for b in iter_points(files)])
+    assert t_s.size == scan_lidar(files).n_points
+    found = np.unique(np.floor((t_s * 1e6 - stamps[0]) / STEP + 1e-3))
+    expected = np.unique(np.floor((np.asarray(stamps) - stamps[0]) / STEP + 1e-3))
+    assert np.array_equal(found, expected)
+
+
+def test_unbroken_stream_is_clean(tmp_path):
+    stamps = log.times(100)
+    report = scan_lidar([save(tmp_path / "a", log.data_packets(stamps))]).report
+    assert report.clean
+    assert report.counts["data_packets"] == 100
+    assert report.rates_hz["packets"] == pytest.approx(1e6 / STEP, rel=1e-5)
+    # floor of the azimuth to 0.01 degrees loses at most 0.01 of 4.4 degrees a packet
+    assert report.rates_hz["rotation"] == pytest.approx(20 / 36000 / 55.296e-6, rel=3e-3)
+
+
+@pytest.mark.parametrize("mode", [0x37, 0x39])
+@pytest.mark.parametrize("missing", [[40], [40, 41, 42], [40, 70, 71], [0], []])
+def test_lost_packets(tmp_path, missing, mode):
+    stamps = log.times(100, mode=mode)
+    rows = np.delete(log.data_packets(stamps, mode=mode), missing, axis=0)
+    report = scan_lidar([save(tmp_path / "a", rows)]).report
+    inner = [m for m in missing if m]
+    assert report.losses.get("packets_lost_estimated", 0) == len(inner)
+    runs = [m for m in inner if m - 1 not in inner]
+    assert [g.t_start_s for g in report.gaps] == pytest.approx([stamps[m - 1] * 1e-6 for m in runs], abs=1e-6)
+    assert sum(g.duration_s for g in report.gaps) == pytest.approx(
+        (len(inner) + len(runs)) * log.PACKET_US[mode] * 1e-6, abs=2e-6 * len(runs)
+    )
+
+
+def test_a_jitter_of_less_than_half_a_step_is_no_gap(tmp_path):
+    stamps = log.times(50)
+    stamps[25] += 0.4 * STEP
+    assert scan_lidar([save(tmp_path / "a", log.data_packets(stamps))]).report.clean
+    stamps[26:] += 0.95 * STEP
+    assert len(scan_lidar([save(tmp_path / "b", log.data_packets(stamps))]).report.gaps) == 1
+
+
+@pytest.mark.parametrize("t0_us", [1e6, 3_599_950_000.0])
+def test_out_of_order_packets_are_kept_and_no_rollover(tmp_path, t0_us):
+    stamps = log.times(100, t0_us)
+    order = np.arange(100)
+    order[[36, 37, 38, 39, 40]] = [38, 37, 39, 40, 36]
+    path = save(tmp_path / "a", log.data_packets(stamps)[order])
+    kept, _ = stream([path])
+    assert np.array_equal(np.sort(kept), np.rint(stamps))
+    report = scan_lidar([path]).report
+    assert report.losses == {"out_of_order_packets": 2}
+    assert not report.gaps
+    assert report.t_last_s == pytest.approx(stamps[-1] * 1e-6, abs=1e-6)
+    check_points([path], stamps)
+
+
+@pytest.mark.parametrize("t0_us", [1e6, 3_599_950_000.0])
+def test_duplicates_are_dropped(tmp_path, t0_us):
+    stamps = log.times(100, t0_us)
+    order = np.repeat(np.arange(100), np.where(np.isin(np.arange(100), [5, 38, 39, 99]), 2, 1))
+    order = np.insert(order, 60, [20, 21])
+    path = save(tmp_path / "a", log.data_packets(stamps)[order])
+    kept, _ = stream([path])
+    assert np.array_equal(kept, np.rint(stamps))
+    report = scan_lidar([path]).report
+    assert report.losses == {"duplicate_packets": 6}
+    check_points([path], stamps)
+
+
+def test_every_packet_twice(tmp_path):
+    stamps = log.times(100)
+    path = save(tmp_path / "a", np.repeat(log.data_packets(stamps), 2, axis=0))
+    assert scan_lidar([path]).report.losses == {"duplicate_packets": 100}
+    check_points([path], stamps)
+
+
+@pytest.mark.parametrize("wrong_us", [500_000_000, 3_599_000_000, 1_900_000_000, 4_000_000_000])
+@pytest.mark.parametrize("where", [0, 50, 31, 32])
+def test_one_wrong_stamp_costs_one_packet(tmp_path, wrong_us, where):
+    stamps = log.times(100, 100_000_000)
+    rows = log.data_packets(stamps)
+    rows.view(log.PAYLOAD)["toh"][where] = wrong_us
+    path = save(tmp_path / "a", rows)
+    kept, _ = stream([path])
+    assert np.array_equal(kept, np.delete(np.rint(stamps), where))
+    key = "unusable_packets" if wrong_us >= 3_600_000_000 else "packets_with_wrong_stamp"
+    assert scan_lidar([path]).report.losses[key] == 1
+
+
+def test_clock_set_back(tmp_path):
+    stamps = np.concatenate([log.times(60, 500_000_000), log.times(60, 499_700_000)])
+    path = save(tmp_path / "a", log.data_packets(stamps))
+    kept, _ = stream([path])
+    assert np.array_equal(kept, np.rint(stamps))
+    assert scan_lidar([path]).report.losses == {"clock_set_back": 1}
+
+
+@pytest.mark.parametrize("overlap", [0, 1, 30])
+def test_split_logs_that_overlap(tmp_path, overlap):
+    stamps = log.times(120)
+    rows = log.data_packets(stamps)
+    files = [save(tmp_path / "a", rows[:60]), save(tmp_path / "b", rows[60 - overlap :])]
+    kept, _ = stream(files)
+    assert np.array_equal(kept, np.rint(stamps))
+    report = scan_lidar(files).report
+    assert report.losses == ({"duplicate_packets": overlap} if overlap else {})
+    assert report.files == [str(f) for f in files]
+    check_points(files, stamps)
+
+
+def test_overlap_whose_first_packet_only_the_second_file_has(tmp_path):
+    stamps = log.times(200)
+    rows = log.data_packets(stamps)
+    files = [save(tmp_path / "a", np.delete(rows[:120], 60, axis=0)), save(tmp_path / "b", rows[60:])]
+    kept, _ = stream(files)
+    assert np.array_equal(np.sort(kept), np.rint(stamps))
+    report = scan_lidar(files).report
+    assert report.losses == {"duplicate_packets": 59, "out_of_order_packets": 1}
+    assert not report.gaps
+
+
+def test_missing_part_between_split_logs_is_a_gap(tmp_path):
+    stamps = log.times(2400)
+    rows = log.data_packets(stamps)
+    files = [save(tmp_path / "a", rows[:60]), save(tmp_path / "b", rows[2260:])]
+    report = scan_lidar(files).report
+    assert [g.lost for g in report.gaps] == [2200]
+    assert report.gaps[0].duration_s == pytest.approx(2201 * STEP * 1e-6, abs=2e-6)
+    with pytest.raises(InputError, match=r"b\.pcap: cannot be read"):
+        scan_lidar([files[0], tmp_path / "b.pcap", files[1]])
+
+
+@pytest.mark.parametrize("chunk", [4096, 50_000])
+def test_pieces_do_not_change_the_judgement(tmp_path, chunk, rng):
+    stamps = np.delete(log.times(400, 3_599_800_000), [55, 90, 91, 200])
+    order = np.arange(stamps.size)
+    for a in rng.integers(0, 390, 12):
+        order[a : a + 3] = order[a : a + 3][::-1]
+    order = np.insert(order, rng.integers(5, 390, 9), rng.integers(0, 390, 9))
+    rows = log.data_packets(stamps)[order]
+    rows.view(log.PAYLOAD)["toh"][[70, 300]] = 1_234_567_890
+    path = save(tmp_path / "a", rows)
+    whole, pieces = stream([path]), stream([path], chunk)
+    assert np.array_equal(whole[0], pieces[0])
+    assert np.array_equal(whole[1], pieces[1])
+
+
+def test_packets_of_other_kinds_are_dropped_and_counted(tmp_path):
+    stamps = log.times(60)
+    rows = log.data_packets(stamps)
+    p = rows.view(log.PAYLOAD)[:, 0]
+    p["mode"][10] = 0x00
+    p["product"][20] = 0x28
+    p["b"]["flag"][30] = 0
+    path = save(tmp_path / "a", rows)
+    report = scan_lidar([path]).report
+    assert report.losses["unusable_packets"] == 3
+    assert report.losses["packets_lost_estimated"] == 3
+    assert any("1 of VLP-32C" in n for n in report.notes)
+    check_points([path], np.delete(stamps, [10, 20, 30]))
+
+
+def test_unknown_return_mode_is_refused(tmp_path):
+    rows = log.data_packets(log.times(10))
+    rows[:, 1204] = 0
+    with pytest.raises(
+        UnsupportedError, match=r"none of 10 data packets can be used \(return mode byte 0x00"
+    ):
+        scan_lidar([save(tmp_path / "a", rows)])
+
+
+def test_wrong_port_is_named(tmp_path):
+    path = tmp_path / "a.pcap"
+    path.write_bytes(log.pcap([log.ethernet(log.udp(row, 2369)) for row in log.data_packets(log.times(10))]))
+    with pytest.raises(InputError, match=r"no lidar packets.*10 payloads.*port 2369: set lidar\.data_port"):
+        scan_lidar([path])
+    assert scan_lidar([path], LidarOptions(data_port=2369)).report.counts["data_packets"] == 10
+
+
+def test_two_lidars_in_one_capture_are_refused(tmp_path):
+    rows = log.data_packets(log.times(40))
+    frames = [log.ethernet(log.udp(r, 2368, sender=(192, 168, 1, 201 + k % 2))) for k, r in enumerate(rows)]
+    (tmp_path / "a").write_bytes(log.pcap(frames))
+    with pytest.raises(InputError, match=r"2 senders: 192\.168\.1\.201, 192\.168\.1\.202"):
+        scan_lidar([tmp_path / "a"])
+
+
+def test_file_without_packets(tmp_path):
+    (tmp_path / "a").write_bytes(log.pcap([]))
+    with pytest.raises(InputError, match=r"no lidar packets \(the file holds: nothing\); expected 1206-byte"):
+        scan_lidar([tmp_path / "a"])

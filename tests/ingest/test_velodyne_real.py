@@ -1,0 +1,140 @@
+"""VLP-16 recordings of other people: published values, and velodyne-decoder point by point."""
+
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import velodyne_decoder as vd
+
+from thalweg.core.timescales import gps_from_unix
+from thalweg.ingest.capture import Stream, read_payloads
+from thalweg.ingest.velodyne import LidarOptions, PointBlock, iter_points, scan_lidar
+
+_builder = Path(__file__).with_name("test_velodyne_log.py")
+_spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
+log = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(log)
+
+VELOVIEW = "vlp16_veloview/vlp-16-test-90deg-1-50-frames.pcap"
+MRPT = "vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap"
+
+
+def points(path, options=None, clock=None):
+    """All points as a dict of arrays."""
+    blocks = list(iter_points([path], options, clock=clock))
+    return {n: np.concatenate([getattr(b, n) for b in blocks]) for n in PointBlock.__dataclass_fields__}
+
+
+def close(found, expected, atol):
+    """Equal to within ``atol``; pytest.approx takes seconds for arrays of this size."""
+    np.testing.assert_allclose(found, expected, rtol=0, atol=atol)
+
+
+@pytest.mark.real
+def test_veloview_published_values(data_dir):
+    path, options = data_dir / VELOVIEW, LidarOptions(model="VLP-16", vertical_corrections=False)
+    scan = scan_lidar([path], options)
+    assert scan.n_points == 700_400
+    assert not scan.report.synchronised
+    assert any("HDL-32E" in n for n in scan.report.notes)
+    p = points(path, options)
+    # A frame ends where a block's azimuth falls, as in VeloView.
+    frame = frame_numbers(path, p)
+    counts = np.bincount(frame)
+    assert counts.size == 52
+    assert counts[[0, 2, 16, 51]].tolist() == [5736, 13898, 13860, 274]
+    xyz, intensity = p["xyz_scs_m"][frame == 16], p["intensity"][frame == 16]
+    # VeloView prints six digits
+    assert xyz[0] == pytest.approx([0.0801272, 6.04037, -1.61865], abs=5e-6)
+    assert xyz[-1] == pytest.approx([-0.0094354, 4.91462, 1.31687], abs=5e-6)
+    assert intensity[[0, -1]].tolist() == [4, 29]
+
+
+def frame_numbers(path, p):
+    """Number of the revolution of each point: a new one begins where the azimuth of a block falls."""
+    (rows,) = [b[0].payload for b in read_payloads(path, [Stream(port=2368, size=1206)])]
+    packets = np.ascontiguousarray(rows).view(log.PAYLOAD)["b"][:, 0]
+    frame = np.cumsum(np.diff(packets["az"].ravel().astype(int), prepend=-1) < 0)
+    return np.repeat(frame, (packets["c"]["d"] > 0).sum(axis=2).ravel())
+
+
+@pytest.mark.real
+def test_mrpt_times(data_dir):
+    scan = scan_lidar([data_dir / MRPT])
+    p = points(data_dir / MRPT, clock=scan.clock)
+    first_s = float(gps_from_unix(1_453_364_282, 340_595))  # 2016-01-21T08:18:02.340595 UTC, GPS - UTC = 17 s
+    assert first_s == 1_453_364_282.340595 - 315_964_800 - 1e9 + 17
+    assert scan.n_points == len(p["range_m"]) == 73_486
+    assert scan.report.synchronised
+    assert scan.report.clean
+    close(scan.report.t_first_s, first_s, 6e-8)  # resolution of float64 there
+    close(p["t_gps_s"] - (p["t_device_s"] - 1082.340595), first_s, 1.2e-7)
+    close(p["t_gps_s"][0], first_s + 13 * 2.304e-6, 6e-8)  # laser 13 sees first
+    assert scan.report.details["host_minus_sensor_s"] == pytest.approx(0.36812, abs=5e-6)
+    assert scan.report.counts["pps_locked"] == 57
+
+
+@pytest.mark.real
+def test_timm_dual_and_last(data_dir):
+    scan = scan_lidar([data_dir / "vlp16_timm_rawpayload/dual_1500pkt.bin"])
+    assert scan.return_mode == "dual"
+    assert len(scan.report.gaps) == 32
+    assert scan.report.counts["shots_with_two_returns"] == 1936
+    rows = np.fromfile(data_dir / "vlp16_timm_rawpayload/dual_1500pkt.bin", log.PAYLOAD)
+    d = rows["b"]["c"]["d"]
+    equal = ((d[:, 0::2] == d[:, 1::2]) & (d[:, 0::2] > 0)).sum()
+    assert (d > 0).sum() == 506_092
+    assert scan.n_points == 506_092 - equal == 255_112
+    p = points(data_dir / "vlp16_timm_rawpayload/dual_1500pkt.bin")
+    assert (p["n_returns"] == 2).sum() == 2 * 1936
+    last = scan_lidar([data_dir / "vlp16_timm_rawpayload/last_1500pkt.bin"])
+    assert (last.return_mode, last.n_points, last.report.clean) == ("last", 500_259, True)
+
+
+def velodyne_decoder_points(path):
+    """Points of velodyne-decoder in its own order, times on the hour of the first scan."""
+    if path.suffix == ".pcap":
+        scans = list(vd.read_pcap(str(path), vd.Config(), as_pcl_structs=True))
+    else:
+        decoder = vd.StreamDecoder(vd.Config())
+        rows = np.fromfile(path, "u1").reshape(-1, 1206)
+        hour = 1_500_000_000 // 3600 * 3600
+        scans = [
+            decoder.decode(hour + float(row[1200:1204].copy().view("<u4")[0]) * 1e-6, row.tobytes(), True)
+            for row in rows
+        ]
+        scans = [s for s in [*scans, decoder.finish(True)] if s is not None]
+    t_s = np.concatenate([s[1]["time"].astype(float) + s[0].device for s in scans])
+    return np.concatenate([s[1] for s in scans]), t_s - math.floor(t_s[0] / 3600) * 3600
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    "name", [MRPT, "vlp16_timm_rawpayload/dual_1500pkt.bin", "vlp16_timm_rawpayload/last_1500pkt.bin"]
+)
+def test_point_by_point_against_velodyne_decoder(data_dir, name):
+    theirs, t_s = velodyne_decoder_points(data_dir / name)
+    p = points(data_dir / name)
+    assert len(theirs) == len(p["range_m"])
+    flat = np.hypot(theirs["x"], theirs["y"])
+    a = np.lexsort((flat, theirs["ring"], np.rint(t_s * 1e7)))
+    b = np.lexsort((p["range_m"], p["ring"], np.rint(p["t_device_s"] * 1e7)))
+    theirs, flat, t_s, p = theirs[a], flat[a], t_s[a], {k: v[b] for k, v in p.items()}
+    assert np.array_equal(theirs["ring"], p["ring"])
+    assert np.array_equal(theirs["intensity"], p["intensity"])
+    close(t_s, p["t_device_s"], 3e-7)  # float64 of a Unix time
+    x, y, z = p["xyz_scs_m"].astype(float).T
+    close(flat, np.hypot(x, y), 8e-6)  # float32
+    # Its vertical offsets are computed, the manual's are rounded to 0.1 mm.
+    close(theirs["z"], z, 5.5e-5)
+    # Its x is forward, y left. It rounds the azimuth to 0.01 degrees and takes the mean rate of a packet,
+    # where the gap to the next block is used here; real gaps scatter by some hundredths of a degree.
+    turn = np.arctan2(-theirs["y"].astype(float), theirs["x"]) - np.arctan2(x, y)
+    turn = np.degrees((turn + np.pi) % (2 * np.pi) - np.pi)
+    assert np.abs(turn).max() < 0.03
+    assert np.abs(np.mean(turn)) < 0.001
+    share = np.rint((p["laser"] * 2.304) * 10)
+    at_block = (share == 0) & (np.abs(turn) < 0.0051)
+    assert at_block.sum() > 0.4 * (share == 0).sum()  # half of laser 0 fires at the very azimuth of a block

@@ -1,0 +1,33 @@
+"""Campaign file -> SBP log and post-processed track of the digital twin's GNSS receiver."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.config.twin import TwinConfig
+from thalweg.core.frames import LocalFrame
+from thalweg.jobs.job import run_job
+from thalweg.simulation.gnss import simulate_gnss
+
+
+def main(
+    *,
+    sbp: Path,
+    pos: Path,
+    effects: Path,
+    campaign: dict[str, Any],
+    twin: dict[str, Any],
+    mounts: dict[str, Any],
+) -> None:
+    simulate_gnss(
+        TwinConfig(**twin),
+        campaign["seed"],
+        LocalFrame(**campaign["origin"]),
+        sbp,
+        pos,
+        lever_ics_antenna_m=mounts["antenna"]["lever_ics_m"],
+        out_effects=effects,
+    )
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
