@@ -111,6 +111,23 @@ def test_pps_acquired_late(tmp_path, every, start_us):
     assert report.t_first_s == pytest.approx(GPS_HOUR + utc[first] * 1e-6, abs=2e-3)
 
 
+def test_locked_position_packet_just_before_the_first_packet_of_the_new_time(tmp_path):
+    utc = log.times(100, 1_234_567_890.0)
+    toh = np.where(np.arange(100) < 50, 140_550_000.0 + utc - utc[0], utc)
+    frames = [log.ethernet(log.udp(row, 2368)) for row in log.data_packets(toh)]
+    early = log.position_packet(toh[9] + 100, 1, log.rmc(HOUR + 1234))
+    for k in (90, 70):
+        state = log.position_packet(toh[k] + 100, 2, log.rmc(HOUR + 1234))
+        frames.insert(k, log.ethernet(log.udp(state, 8308)))
+    frames.insert(50, log.ethernet(log.udp(log.position_packet(toh[50] - 50, 2, log.rmc(HOUR + 1234)), 8308)))
+    frames.insert(10, log.ethernet(log.udp(early, 8308)))
+    gps, _, scan = packet_times([save(tmp_path / "a", frames)])
+    assert np.isnan(gps[:50]).all()
+    assert_gps(gps[50:], utc[50:])
+    assert not scan.report.gaps
+    assert scan.report.losses == {"unsynchronised_packets": 50}
+
+
 def test_hole_before_the_lock_is_a_hole(tmp_path):
     stamps = np.delete(log.times(300), np.arange(80, 85))
     frames = log.recording(stamps, hour_unix=HOUR, every=10, pps=lambda k: 2 if k >= 150 else 1)
@@ -169,6 +186,21 @@ def test_hole_longer_than_an_hour(tmp_path, hours, hole_us):
     assert not scan.report.losses.get("clock_set_back")
     assert scan.report.gaps[0].t_start_s == pytest.approx(GPS_HOUR + a[-1] * 1e-6, abs=2e-6)
     assert any("longer than the packet stamps can tell" in n for n in scan.report.notes)
+
+
+@pytest.mark.parametrize(("hole_s", "known"), [(2, True), (20, False)])
+def test_lock_is_not_taken_for_granted_over_a_long_hole(tmp_path, hole_s, known):
+    a = log.times(100)
+    b = log.times(100, a[-1] + hole_s * 1e6)
+    files = [
+        save(tmp_path / "a", log.recording(a, hour_unix=HOUR)),
+        save(tmp_path / "b", log.recording(b, hour_unix=HOUR, pps=lambda k: 1)),
+    ]
+    gps, _, scan = packet_times(files)
+    assert_gps(gps[:100], a)
+    assert np.isfinite(gps[100:110]).all() == known
+    assert np.isnan(gps[110:]).all()
+    assert scan.report.losses["unsynchronised_packets"] == (90 if known else 100)
 
 
 def test_sentence_that_is_damaged_stale_or_without_fix(tmp_path):

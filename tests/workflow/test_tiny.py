@@ -65,7 +65,7 @@ def test_the_map_cloud_lies_on_the_map(tiny_house) -> None:
 
 
 def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house) -> None:
-    """Two-sided: worse means an error of the chain, better means that truth leaked in or sigmas are padded."""
+    """Two-sided: worse is an error of the chain, better means that truth leaked in or sigmas are padded."""
     table = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_statistics.csv")
     ground = table[table["points"] == "bare ground"].set_index("quantity")["value"]
     ratio = ground["rmse"] / ground["predicted_rmse"]

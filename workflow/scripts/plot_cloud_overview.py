@@ -5,7 +5,7 @@ from typing import Any
 
 from thalweg.core.las import iter_laz
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.cloud import cloud_overview
+from thalweg.figures.cloud import bankward_azimuth, cloud_overview
 from thalweg.figures.splat import ObliqueView, Splat
 from thalweg.figures.style import save
 from thalweg.jobs.job import run_job
@@ -21,12 +21,11 @@ def main(
     twin: bool,
     campaign: dict[str, Any],
 ) -> None:
-    splat = Splat(ObliqueView.fit(sample_cloud(points, 200_000)["xyz_m"]))
+    sample, track = sample_cloud(points, 500_000)["xyz_m"], Trajectory.read(trajectory)
+    splat = Splat(ObliqueView.fit(sample, azimuth_rad=bankward_azimuth(sample, track)))
     for chunk in iter_laz(points, 1_000_000):
         splat.add(chunk["xyz_m"], chunk["xyz_m"][:, 2])
-    figure = cloud_overview(
-        splat, Trajectory.read(trajectory), title=f"Point cloud of the reach: {campaign['title']}", twin=twin
-    )
+    figure = cloud_overview(splat, track, title=f"Point cloud of the reach: {campaign['title']}", twin=twin)
     save(figure, cloud_overview_png, dpi=figures["dpi"])
 
 

@@ -19,7 +19,11 @@ def main(
     campaign: dict[str, Any],
 ) -> None:
     figure = error_versus_range(
-        pd.read_csv(by_range), title=f"Error of the cloud by range: {campaign['title']}", twin=twin
+        pd.read_csv(by_range),
+        quantity="error along the surface normal",
+        outlier_rule="bare ground only: beams that truly meet soil or grass, at a range within 0.5 m",
+        title=f"Error of the cloud by range: {campaign['title']}",
+        twin=twin,
     )
     save(figure, error_versus_range_png, dpi=figures["dpi"])
 

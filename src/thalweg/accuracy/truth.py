@@ -2,8 +2,9 @@
 
 The beam of each point is cast again from the true pose at its time. Where it meets the true surface, the
 surface's normal is taken, and the error of the point is its signed distance from the plane of that triangle
-along the normal: the part of a point's error that displaces a surface, and the part that remains defined when
-a beam is a little off its nominal direction. Its prediction is ``n^T C n``. Only this room may read the truth.
+along the normal: the part of a point's error that displaces a surface, and the part that remains defined
+when a beam is a little off its nominal direction. Its prediction is ``n^T C n``. Only this room may read the
+truth.
 """
 
 from dataclasses import dataclass

@@ -14,7 +14,7 @@ from thalweg.core.errors import GeometryError
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayB, ArrayF
 from thalweg.figures.maps import track_gaps
-from thalweg.figures.splat import ObliqueView, Splat
+from thalweg.figures.splat import ObliqueView, Splat, across_azimuth
 from thalweg.figures.style import (
     HALO,
     HEIGHT_MAP,
@@ -184,6 +184,19 @@ def _across_river(track_en_m: ArrayF, centre_en_m: ArrayF, towards: ArrayF, *, r
     return np.asarray(across if across @ towards >= 0 else -across)
 
 
+def bankward_azimuth(points_wcs_m: ArrayF, trajectory: Trajectory) -> float:
+    """Direction of view across the reach from which the best measured bank shows its face.
+
+    Parameters
+    ----------
+    points_wcs_m : (n, 3) the cloud or an even sample of it.
+    trajectory : the boat, which saw the faces.
+    """
+    across = across_azimuth(points_wcs_m)
+    bank = choose_segment(points_wcs_m, trajectory).azimuth_rad
+    return across if np.cos(across - bank) >= 0 else across + np.pi
+
+
 @styled
 def cloud_detail(
     points_wcs_m: ArrayF,
@@ -294,5 +307,7 @@ def _axes_triad(ax: Axes, view: ObliqueView, strip_px: float) -> None:
             "", xy=(tip[0], tip[1]), xytext=(origin[0], origin[1]), annotation_clip=False,
             arrowprops={"arrowstyle": "-|>", "lw": 0.9, "color": "black", "shrinkA": 0, "shrinkB": 0},
         )  # fmt: skip
-        text = origin + 1.3 * (tip - origin)
+        # Seen along a meridian north and up fall on one line: their names stand on either side of it.
+        aside = {"N": 0.35, "U": -0.35}.get(name, 0.0) * size
+        text = origin + 1.3 * (tip - origin) + np.array([aside, 0.0])
         ax.text(text[0], text[1], name, fontsize=7, ha="center", va="center", gid=f"axis-{name}")

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from thalweg.ingest import anpp_packets as ap
@@ -63,6 +64,12 @@ def read_anpp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> AnppL
     InputError : no files, a file that cannot be read or holds no ANPP packet, or all files are empty.
     """
     records = collect([Path(f) for f in files], chunk_bytes)
+    # a number that no device should send is a finding in the report, not an error of arithmetic
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _log_of(records)
+
+
+def _log_of(records: AnppRecords) -> AnppLog:
     repeated = drop_repeated(records)
     clock = build_clock(records)
     report = IntegrityReport(stream="ins", format="ANPP", files=[])
@@ -71,7 +78,7 @@ def read_anpp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> AnppL
     records.tally.write(report, "packet")
     with_sigma = tables.add_orientation_sigmas(states, records, clock)
     raw, raw_counts = tables.raw_table(records, clock)
-    gnss, no_fix = tables.gnss_table(records, clock)
+    gnss, no_fix, impossible_gnss = tables.gnss_table(records, clock)
     depth, no_depth = tables.depth_table(records, clock)
     heave = tables.heave_table(records, clock)
     text, wrong_text = passthrough_table(records, clock)
@@ -92,6 +99,8 @@ def read_anpp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> AnppL
         "nmea_sentences_with_wrong_checksum": wrong_text,
         "packets_of_wrong_size": sum(records.wrong_size.values()),
         "impossible_times": clock.n_impossible,
+        "states_with_impossible_position": tables.blank_impossible(states),
+        "gnss_positions_impossible": impossible_gnss,
     }.items():
         if n:
             report.lose(name, n)

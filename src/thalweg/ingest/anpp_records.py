@@ -185,10 +185,16 @@ def build_clock(records: AnppRecords) -> Clock:
 
 
 def _calendar(fields: AnyArray) -> tuple[ArrayF, ArrayB]:
-    """Unix time of packet 22, whose month and day count from 0, and whether the date exists."""
-    ok = (fields["month"] < 12) & (fields["day"] < 31) & (fields["year"] >= 1970) & (fields["year"] < 2107)
+    """Unix time of packet 22, whose month (not its day) counts from 0, and whether the date exists."""
+    ok = (
+        (fields["month"] < 12)
+        & (fields["day"] >= 1)
+        & (fields["day"] <= 31)
+        & (fields["year"] >= 1970)
+        & (fields["year"] < 2107)
+    )
     ok &= (fields["hour"] < 24) & (fields["minute"] < 60) & (fields["second"] < 61)
     months = np.where(ok, (fields["year"].astype(np.int64) - 1970) * 12 + fields["month"], 0)
     days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
     seconds = (fields["hour"].astype(np.int64) * 60 + fields["minute"]) * 60 + fields["second"]
-    return ((days + fields["day"]) * 86_400 + seconds).astype(np.float64), np.asarray(ok)
+    return ((days + fields["day"] - 1) * 86_400 + seconds).astype(np.float64), np.asarray(ok)

@@ -121,7 +121,7 @@ class StreamTally:
             )
             report.note(
                 f"{int(self.cells[SKIPPED]):,} bytes in {n} stretch{'es' if n > 1 else ''} belong to no "
-                f"intact {packet} ({named}{', ...' if n > 3 else ''}): damage or a cut; everything around is kept."
+                f"intact {packet} ({named}{', ...' if n > 3 else ''}): damage or a cut; all around is kept."
             )
         for path, size in zip(self.files, self.sizes, strict=True):
             if size == 0:

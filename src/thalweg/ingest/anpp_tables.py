@@ -7,7 +7,7 @@ import pandas as pd
 import pyarrow as pa
 
 from thalweg.core.tables import column, table_kind
-from thalweg.core.types import AnyArray, ArrayF, ArrayI
+from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.ingest import anpp_packets as ap
 from thalweg.ingest.anpp_records import AnppRecords, Clock, gps_time, possible_utc
 from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_RAW, INS_STATE
@@ -174,8 +174,8 @@ def stamps(clock: Clock, packet: ArrayI) -> tuple[ArrayF, ArrayF]:
     return t_gps, _times(clock, packet)[1]
 
 
-def gnss_table(records: AnppRecords, clock: Clock) -> tuple[pd.DataFrame, int]:
-    """Antenna positions (29, or 92 of newer devices) as ``gnss_position``; and how many had no fix.
+def gnss_table(records: AnppRecords, clock: Clock) -> tuple[pd.DataFrame, int, int]:
+    """Antenna positions (29, or 92) as ``gnss_position``; how many had no fix, how many cannot be.
 
     Positions without fix are left out. Packets 29 win if both are logged.
     Satellites are those of the packet 30 of the same moment, else -1.
@@ -184,8 +184,8 @@ def gnss_table(records: AnppRecords, clock: Clock) -> tuple[pd.DataFrame, int]:
     time_bit = 1 << 4 if source == ap.RAW_GNSS else 1 << 10
     r = records.of(source)
     has_fix = r.fields["flags"] & 7 != 0
-    finite = np.isfinite(r.fields["lat"]) & np.isfinite(r.fields["lon"])
-    kept = r.take(np.asarray(has_fix & finite))
+    possible = _possible(np.rad2deg(r.fields["lat"]), np.rad2deg(r.fields["lon"]), r.fields["height"])
+    kept = r.take(np.asarray(has_fix & possible))
     f = kept.fields
     valid = (f["flags"] & time_bit != 0) & possible_utc(f["unix_s"], f["us"])
     nan = np.full(f.size, np.nan)
@@ -204,7 +204,21 @@ def gnss_table(records: AnppRecords, clock: Clock) -> tuple[pd.DataFrame, int]:
             **dict.fromkeys(("cov_en_m2", "cov_eu_m2", "cov_nu_m2", "age_s", "ratio"), nan),
         },
     )
-    return table, int(r.packet.size - kept.packet.size)
+    return table, int((~has_fix).sum()), int((has_fix & ~possible).sum())
+
+
+def _possible(lat_deg: AnyArray, lon_deg: AnyArray, h_m: AnyArray) -> ArrayB:
+    """False for positions that are not on this planet (one metre around the poles is let through)."""
+    return np.asarray((np.abs(lat_deg) <= 90.00001) & (np.abs(lon_deg) <= 360.0) & (np.abs(h_m) < 1e7))
+
+
+def blank_impossible(states: pd.DataFrame) -> int:
+    """Set positions that cannot be to NaN, in place; returns how many."""
+    columns = ["lat_deg", "lon_deg", "h_ell_m"]
+    wrong = ~_possible(*(states[name].to_numpy() for name in columns))
+    if wrong.any():
+        states.loc[wrong, columns] = np.nan
+    return int(wrong.sum())
 
 
 def _satellites(records: AnppRecords, clock: Clock, packet: ArrayI) -> ArrayI:

@@ -134,8 +134,9 @@ def _utc(report: IntegrityReport, offset_s: ArrayF, unix_s: ArrayF) -> None:
     wrong = np.abs(offset_s - table) > _UTC_TOLERANCE_S
     if wrong.any():
         first = int(np.argmax(wrong))
+        moment = utc_text_from_unix(unix_s[first])
         report.note(
-            f"The receiver states GPS - UTC = {offset_s[first]:.3f} s at {utc_text_from_unix(unix_s[first])}, "
+            f"The receiver states GPS - UTC = {offset_s[first]:.3f} s at {moment}, "
             f"the table of leap seconds (complete until {LEAP_TABLE_VALID_UNTIL}) {table[first]:.0f} s "
             f"({int(wrong.sum()):,} of {wrong.size:,} stamps differ). GPS times come from MsgGPSTime and do "
             "not depend on it."

@@ -19,13 +19,14 @@ from thalweg.ingest.velodyne_clock import ClockBuilder, LidarClock
 from thalweg.ingest.velodyne_decode import (
     N_COUNTERS,
     RETURNS,
+    SHOT_TABLE,
     PointBlock,
     count_points,
     decode,
     empty_points,
     vertical_offset_m,
 )
-from thalweg.ingest.velodyne_model import DATA_PORT, POSITION_PORT, RANGE_UNIT_M, choose_model
+from thalweg.ingest.velodyne_model import BLOCK_S, DATA_PORT, POSITION_PORT, RANGE_UNIT_M, choose_model
 from thalweg.ingest.velodyne_packets import PacketBlock, StreamTally, read_packets
 from thalweg.ingest.velodyne_report import Findings, check_senders, no_packets, write_report
 
@@ -244,6 +245,8 @@ def _decode(
         block.first_packet + int(piece.start),
         t_device_s,
         offset_s,
+        BLOCK_S,
+        SHOT_TABLE,
         vertical_offset_m(options.vertical_corrections),
         RETURNS[options.returns],
         low,

@@ -188,6 +188,8 @@ class ClockBuilder:
         self.stretches.append(_Stretch(first, t_us, self.extra_s, offset_s, why))
 
     def _hole(self, block: PacketBlock, packet: int, jump_s: float) -> None:
+        if packet in self.clock_set:
+            return
         self.jumps.append((packet, jump_s))
         self.holes_s += jump_s
         locked = not math.isnan(self.stretches[-1].offset_s)
@@ -240,6 +242,9 @@ class ClockBuilder:
                 self._unlock(block, position, f"RMC and packet stamps disagree by {abs(lag_s):.0f} s")
             return
         self.worst_lag_s = max(self.worst_lag_s, -lag_s)
+        free = math.isnan(self.stretches[-1].offset_s) and self.unconfirmed_from < 0
+        if free and abs(now_us - reference) > SET_S * 1e6:
+            self.clock_set.add(position.after_packet)  # this packet has the new time, the next data too
         hour_unix_s = _HOUR_S * round((rmc_s - position.toh_us * 1e-6) / _HOUR_S)
         gps_hour_s = float(gps_from_unix(hour_unix_s))
         self._lock(block, position.after_packet, gps_hour_s - (now_us - position.toh_us) // 1_000_000)

@@ -32,10 +32,19 @@ _MAX_GAP: Final = 400
 DELAY_S: Final[ArrayF] = (np.arange(2)[:, None] * FIRING_S + np.arange(LASERS)[None, :] * LASER_S).ravel()
 """Delay of each of the 32 shots of a block behind its first one."""
 
-_SHARE: Final[ArrayF] = DELAY_S / BLOCK_S
-_COS: Final[ArrayF] = np.tile(np.cos(np.radians(ELEVATION_DEG)), 2)
-_SIN: Final[ArrayF] = np.tile(np.sin(np.radians(ELEVATION_DEG)), 2)
-_RING: Final[ArrayU8] = np.tile(RING, 2).astype(np.uint8)
+SHOT_TABLE: Final[ArrayF] = np.stack(
+    [
+        DELAY_S,
+        DELAY_S / BLOCK_S,
+        np.tile(np.cos(np.radians(ELEVATION_DEG)), 2),
+        np.tile(np.sin(np.radians(ELEVATION_DEG)), 2),
+        np.tile(RING, 2),
+    ]
+)
+"""Delay, share of the azimuth gap, cosine and sine of the elevation, and ring of the 32 shots of a block.
+
+An argument of `decode`, not a global in it: numba's cache does not see edits in another module.
+"""
 
 BAD_FLAG, BAD_AZIMUTH, JUMPS, GAP_SUM, GAP_COUNT, TWO_RETURNS = range(6)
 N_COUNTERS: Final = 6
@@ -183,6 +192,8 @@ def decode(
     first_packet: int,
     t_device_s: ArrayF,
     offset_s: ArrayF,
+    block_s: float,
+    shots: ArrayF,
     offset_z_m: ArrayF,
     returns: int,
     low: int,
@@ -221,7 +232,7 @@ def decode(
                 continue
             q = 100 * per * g + 4
             sin_a, cos_a = np.sin(azimuth[g] * unit), np.cos(azimuth[g] * unit)
-            t_block = t_device_s[p] + g * BLOCK_S
+            t_block = t_device_s[p] + g * block_s
             for c in range(32):
                 j = q + 3 * c
                 d = np.int64(row[j]) | np.int64(row[j + 1]) << 8
@@ -243,8 +254,8 @@ def decode(
                         distance[k], brightness[k] = d, row[j + 2]
                         distance[1 - k], brightness[1 - k] = s, row[j + 102]
                         wanted[0], wanted[1] = _select(distance[0], distance[1], s, returns, low, high)
-                a = azimuth[g] + gap[g] * _SHARE[c]
-                x = gap[g] * _SHARE[c] * unit
+                a = azimuth[g] + gap[g] * shots[1, c]
+                x = gap[g] * shots[1, c] * unit
                 x2 = x * x
                 # Series of sine and cosine of the small turn since the block's azimuth: below 0.07 rad
                 # the first term left out is under 1e-10.
@@ -257,15 +268,15 @@ def decode(
                     if not wanted[r]:
                         continue
                     length = distance[r] * 0.002
-                    flat = length * _COS[c]
+                    flat = length * shots[2, c]
                     o_xyz[w, 0] = flat * sin_c
                     o_xyz[w, 1] = flat * cos_c
-                    o_xyz[w, 2] = length * _SIN[c] + offset_z_m[c & 15]
+                    o_xyz[w, 2] = length * shots[3, c] + offset_z_m[c & 15]
                     o_range[w] = length
                     o_azimuth[w] = a * unit
-                    o_device[w] = t_block + DELAY_S[c]
+                    o_device[w] = t_block + shots[0, c]
                     o_gps[w] = o_device[w] + offset_s[p]
-                    o_ring[w] = _RING[c]
+                    o_ring[w] = np.uint8(shots[4, c])
                     o_laser[w] = c & 15
                     o_intensity[w] = brightness[r]
                     o_return[w] = r + 1

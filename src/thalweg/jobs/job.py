@@ -17,7 +17,7 @@ from thalweg.jobs.provenance import write_provenance
 
 log = logging.getLogger("thalweg")
 
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def run_job(main: Callable[..., None], snakemake: Any) -> None:
@@ -94,6 +94,7 @@ def _limit_threads(threads: int) -> None:
     if "numba" in sys.modules:
         import numba
 
+        # Not by NUMBA_NUM_THREADS: numba refuses a change of it once a kernel has run.
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
 
 

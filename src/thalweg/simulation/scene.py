@@ -99,7 +99,7 @@ class Scene:
         if not path.is_file():
             raise InputError("file not found", expected="a scene of the digital twin", where=path, cure=cure)
         try:
-            with np.load(path, allow_pickle=False) as data:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
                 facts = json.loads(str(data["facts"]))
                 vertices, triangles, material = (
                     data["vertices_wcs_m"],

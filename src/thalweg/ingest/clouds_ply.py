@@ -1,0 +1,162 @@
+"""Vertices of a PLY file (ascii, binary of either byte order); faces are no points and are left out.
+
+Format: G. Turk, "The PLY Polygon File Format" (1994).
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from thalweg.core.errors import InputError, UnsupportedError
+from thalweg.core.types import AnyArray
+from thalweg.ingest.clouds_raw import RawCloud, eight_bit
+from thalweg.ingest.integrity import IntegrityReport
+
+_TYPES: Final = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+_ORDERS: Final = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+_INTENSITY: Final = ("intensity", "scalar_intensity", "reflectance", "scalar_reflectance")
+_COLOURS: Final = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+_HEAD_BYTES: Final = 1 << 20
+
+
+@dataclass(slots=True)
+class _Element:
+    name: str
+    count: int
+    fields: list[tuple[str, str]]
+    lists: bool = False
+
+
+def read_ply(path: Path, report: IntegrityReport) -> RawCloud:
+    """Vertices of a PLY file.
+
+    Raises
+    ------
+    InputError : the header is damaged, or there are no vertices with x, y, z.
+    UnsupportedError : vertices with list properties, or behind an element with lists.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    found = re.search(rb"(?:^|[\r\n])end_header[ \t]*(\r\n|\n|\r)", head)
+    if found is None:
+        raise InputError(
+            "the header has no end", expected="a line 'end_header'", where=path, cure="Copy the file again"
+        )
+    form, elements, comments = _header(head[: found.start()].decode("latin-1"), path)
+    report.format = f"PLY {form}"
+    if comments:
+        report.details["comments"] = "; ".join(comments)[:500]
+    index = next((i for i, e in enumerate(elements) if e.name == "vertex"), None)
+    if index is None:
+        raise InputError("no element 'vertex'", expected="points", where=path)
+    vertex, before = elements[index], elements[:index]
+    if vertex.lists or any(e.lists for e in before):
+        raise UnsupportedError(
+            "list properties in or before the vertices", expected="plain vertices first", where=path, cure="Export as LAZ"
+        )
+    names = [n for n, _ in vertex.fields]
+    if not {"x", "y", "z"} <= set(names) or len(set(names)) < len(names):
+        raise InputError(f"vertex properties {names}", expected="x, y, z, each once", where=path)
+    table = _body(path, found.end(), form, before, vertex, report)
+    report.count("points_declared", vertex.count)
+    for element in elements[index + 1 :]:
+        if element.count:
+            report.note(f"{element.count:,} elements '{element.name}' are no points and are left out.")
+    types = dict(vertex.fields)
+    return RawCloud(
+        points=np.stack([table[a].astype(np.float64) for a in "xyz"], axis=-1),
+        intensity=next((table[n].astype(np.float32) for n in _INTENSITY if n in types), None),
+        rgb=next((eight_bit(_stack(table, c), report) for c in _COLOURS if set(c) <= set(types)), None),
+        normals=_stack(table, ("nx", "ny", "nz")).astype(np.float32) if {"nx", "ny", "nz"} <= set(types) else None,
+        single_precision="f4" in (types["x"], types["y"], types["z"]) and form != "ascii",
+    )
+
+
+def _header(text: str, path: Path) -> tuple[str, list[_Element], list[str]]:
+    form, elements, comments = "", [], []  # type: str, list[_Element], list[str]
+    for number, line in enumerate(re.split(r"\r\n|\n|\r", text), start=1):
+        words = line.split()
+        try:
+            match words:
+                case ["ply"] | [] | ["obj_info", *_]:
+                    pass
+                case ["comment", *_]:
+                    comments.append(line[8:].strip())
+                case ["format", kind, "1.0"] if kind in _ORDERS:
+                    form = kind
+                case ["element", name, count]:
+                    elements.append(_Element(name, int(count), []))
+                case ["property", "list", _, _, _] if elements:
+                    elements[-1].lists = True
+                case ["property", kind, name] if elements:
+                    elements[-1].fields.append((name.lower(), _TYPES[kind]))
+                case _:
+                    raise ValueError(line)
+        except (ValueError, KeyError) as error:
+            raise InputError(
+                f"line {number} of the header is {line[:60]!r}",
+                expected="format, element or property of PLY 1.0",
+                where=path,
+                cure="Export the cloud again",
+            ) from error
+    if not form or any(e.count < 0 for e in elements):
+        raise InputError("the header states no format, or negative counts", expected="PLY 1.0", where=path)
+    return form, elements, comments
+
+
+def _body(
+    path: Path, start: int, form: str, before: list[_Element], vertex: _Element, report: IntegrityReport
+) -> AnyArray:
+    """Vertices present, as a structured array."""
+    if form == "ascii":
+        return _ascii(path, start + 0, sum(e.count for e in before), vertex, report)
+    order = _ORDERS[form]
+    start += sum(e.count * np.dtype([(n, order + t) for n, t in e.fields]).itemsize for e in before)
+    dtype = np.dtype([(n, order + t) for n, t in vertex.fields])
+    present = min(max(path.stat().st_size - start, 0) // dtype.itemsize, vertex.count)
+    _cut(present, vertex.count, report)
+    return np.fromfile(path, dtype, count=present, offset=start) if present else np.zeros(0, dtype)
+
+
+def _ascii(path: Path, start: int, skip: int, vertex: _Element, report: IntegrityReport) -> AnyArray:
+    with path.open("rb") as stream:
+        stream.seek(start)
+        lines = stream.read().decode("latin-1").splitlines()[skip:]
+    lines = [line for line in lines if line.strip()][: vertex.count]
+    width = len(vertex.fields)
+    rows = []
+    for line in lines:
+        try:
+            row = [float(x) for x in line.split()]
+        except ValueError:
+            row = []
+        if len(row) == width:
+            rows.append(row)
+    if damaged := len(lines) - len(rows):
+        report.lose("damaged_lines", damaged)
+    _cut(len(lines), vertex.count, report)
+    values = np.array(rows, dtype=np.float64).reshape(-1, width)
+    table = np.zeros(len(values), dtype=[(n, t if t in ("u1", "u2") else "f8") for n, t in vertex.fields])
+    for i, (name, kind) in enumerate(vertex.fields):
+        column = values[:, i]
+        if kind in ("u1", "u2"):
+            column = np.clip(np.nan_to_num(column), 0, np.iinfo(kind).max)
+        table[name] = column
+    return table
+
+
+def _cut(present: int, declared: int, report: IntegrityReport) -> None:
+    if present < declared:
+        report.lose("points_missing", declared - present)
+        report.note(f"The file is cut: {present:,} of {declared:,} points are there.")
+
+
+def _stack(table: AnyArray, names: tuple[str, ...]) -> AnyArray:
+    return np.stack([table[n] for n in names], axis=-1)

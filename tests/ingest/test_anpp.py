@@ -1,0 +1,384 @@
+"""The ANPP reader on synthetic logs: clock, tables, files that overlap, bad input, fuzz."""
+
+import binascii
+import datetime as dt
+import struct
+import time
+from collections.abc import Sequence
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import InputError, ThalwegError
+from thalweg.core.tables import read_table, write_table
+from thalweg.core.timescales import LeapSecondWarning, gps_from_unix
+from thalweg.ingest.anpp import AnppLog, read_anpp
+from thalweg.ingest.anpp_tables import HEAVE, PASSTHROUGH
+from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_RAW, INS_STATE
+
+T0 = 1_494_614_695  # 2017-05-12T18:44:55 UTC
+UTC_FIXED = 0x8 | 7 << 4 | 0x7
+NO_UTC = 0x1
+
+
+def packet(packet_id: int, payload: bytes) -> bytes:
+    head = bytes([packet_id, len(payload)]) + struct.pack("<H", binascii.crc_hqx(payload, 0xFFFF))
+    return bytes([-sum(head) & 0xFF]) + head + payload
+
+
+def state(
+    t_us: int, *, filter_status: int = UTC_FIXED, system: int = 0, rpy: Sequence[float] = (0.1, -0.2, 0.3)
+) -> bytes:
+    t = T0 * 1_000_000 + t_us
+    numbers = [0.5, -0.25, 0.125, 1, 2, 3, 9.5, *rpy, 0.01, 0.02, 0.03, 0.02, 0.03, 0.05]
+    head = struct.pack("<HHII3d", system, filter_status, t // 10**6, t % 10**6, 0.9, 0.23, 150.25)
+    return packet(20, head + struct.pack("<16f", *numbers))
+
+
+def raw(value: float = 1.0) -> bytes:
+    return packet(28, struct.pack("<12f", *(value + k for k in range(12))))
+
+
+def gnss(t_us: int, flags: int = 7 | 1 << 4) -> bytes:
+    t = T0 * 1_000_000 + t_us
+    head = struct.pack("<II3d", t // 10**6, t % 10**6, 0.9, 0.23, 151.0)
+    return packet(29, head + struct.pack("<10fH", 1, 2, 3, 0.02, 0.01, 0.04, 0, 0, 0, 0, flags))
+
+
+def nmea(body: str) -> bytes:
+    return f"${body}*{reduce(int.__xor__, body.encode()):02X}".encode()
+
+
+def read(tmp_path: Path, *logs: bytes) -> AnppLog:
+    files = []
+    for k, data in enumerate(logs):
+        files.append(tmp_path / f"{k}.anpp")
+        files[-1].write_bytes(data)
+    return read_anpp(files)
+
+
+def test_state_with_utc_is_on_the_gps_axis(tmp_path: Path) -> None:
+    log = read(tmp_path, b"".join(state(k * 100_000) for k in range(5)))
+    t = log.states["t_gps_s"].to_numpy()
+    # 60 ns is the resolution of adjusted GPS time in float64
+    np.testing.assert_allclose(t, 178_649_913.0 + np.arange(5) * 0.1, atol=6e-8)
+    row = log.states.iloc[0]
+    assert row["lat_deg"] == np.rad2deg(0.9)
+    assert row["v_down_mps"] == 0.125
+    assert row["heading_rad"] == np.float32(0.3)
+    assert row["sigma_north_m"] == np.float32(0.02)
+    assert row["sigma_east_m"] == np.float32(0.03)
+    assert row["fix"] == "fixed"
+    assert np.isnan(row["sigma_roll_rad"])
+    assert log.report.synchronised
+    assert log.report.time_scale == "utc"
+    assert log.report.clean
+
+
+def test_tables_fit_their_kinds(tmp_path: Path) -> None:
+    data = state(0) + raw() + gnss(0) + packet(53, struct.pack("<2f", 2.5, 0.1))
+    data += packet(58, struct.pack("<4f", 1, 2, 3, 4)) + packet(10, b"\x01" + nmea("GPZDA,,,,,,"))
+    log = read(tmp_path, data)
+    for name, table, kind in (
+        ("s", log.states, INS_STATE),
+        ("r", log.raw, INS_RAW),
+        ("g", log.gnss, GNSS_POSITION),
+        ("d", log.depth, DEPTH),
+        ("h", log.heave, HEAVE),
+        ("p", log.passthrough, PASSTHROUGH),
+    ):
+        assert len(table) == 1
+        write_table(tmp_path / f"{name}.parquet", table, kind)
+        assert len(read_table(tmp_path / f"{name}.parquet", kind)[0]) == 1
+    empty = read(tmp_path, packet(49, bytes(8)))
+    write_table(tmp_path / "e.parquet", empty.states, INS_STATE)
+    write_table(tmp_path / "e.parquet", empty.gnss, GNSS_POSITION)
+    assert any("no packet with a time" in note for note in empty.report.notes)
+    assert '"packets": 1' in empty.report.to_json()
+
+
+@pytest.mark.parametrize(
+    ("heading", "expected"),
+    [(-0.5, 2 * np.pi - 0.5), (7.0, 7.0 - 2 * np.pi), (-1e-30, 0.0), (0.0, 0.0)],
+)
+def test_heading_is_in_one_turn(heading: float, expected: float, tmp_path: Path) -> None:
+    log = read(tmp_path, state(0, rpy=(0, 0, heading)))
+    # float32 in the packet
+    assert log.states["heading_rad"][0] == pytest.approx(expected, abs=5e-7)
+    assert 0 <= log.states["heading_rad"][0] < 2 * np.pi
+
+
+@pytest.mark.parametrize(
+    ("bits", "word"),
+    list(enumerate(["none", "2d", "3d", "sbas", "dgnss", "omnistar", "float", "fixed"])),
+)
+def test_fix_words(bits: int, word: str, tmp_path: Path) -> None:
+    assert read(tmp_path, state(0, filter_status=8 | bits << 4)).states["fix"][0] == word
+
+
+def test_before_utc_there_is_no_gps_time(tmp_path: Path) -> None:
+    boot = -T0 * 1_000_000  # the device counts from 1970 until it knows better
+    data = b"".join(state(boot + k * 100_000, filter_status=NO_UTC) + raw() for k in range(3))
+    data += b"".join(state(k * 100_000) + raw() for k in range(4))
+    log = read(tmp_path, data)
+    assert log.states["t_gps_s"].isna().tolist() == [True] * 3 + [False] * 4
+    assert log.raw["t_gps_s"].isna().tolist() == [True] * 3 + [False] * 4
+    np.testing.assert_allclose(log.states["t_device_s"][:3], [0.0, 0.1, 0.2], atol=1e-15)  # last bit
+    assert log.report.synchronised
+    assert not log.report.gaps  # setting the clock is no gap
+    assert any("3 of 7 states carry no valid UTC" in note for note in log.report.notes)
+
+
+def test_utc_bit_with_an_impossible_date_is_not_believed(tmp_path: Path) -> None:
+    log = read(tmp_path, state(0) + state(-T0 * 1_000_000) + state(200_000))
+    assert log.states["t_gps_s"].isna().tolist() == [False, True, False]
+    assert log.report.losses["impossible_times"] == 1
+
+
+def test_raw_packet_takes_the_state_before_it(tmp_path: Path) -> None:
+    data = raw(0) + b"".join(state(k * 50_000) + raw(k + 1) for k in range(4))
+    log = read(tmp_path, data)
+    assert np.isnan(log.raw["t_device_s"][0])
+    np.testing.assert_array_equal(log.raw["t_device_s"][1:], log.states["t_device_s"])
+    np.testing.assert_array_equal(log.raw["t_gps_s"][1:], log.states["t_gps_s"])
+    assert log.raw["accel_x_mps2"].tolist() == [0, 1, 2, 3, 4]
+    assert log.report.counts["raw_sensors_without_time"] == 1
+
+
+def test_raw_packets_faster_than_states_count_on(tmp_path: Path) -> None:
+    data = b"".join(state(k * 100_000) + raw() * 4 for k in range(6))
+    log = read(tmp_path, data)
+    # 0.5 us: the resolution of a Unix time in float64
+    np.testing.assert_allclose(log.raw["t_device_s"] - T0, np.arange(24) * 0.025, atol=5e-7)
+    assert log.report.counts["raw_sensors_between_states"] == 18
+
+
+def test_orientation_sigmas_come_from_the_nearest_packet_26(tmp_path: Path) -> None:
+    data = b""
+    for k in range(10):
+        data += state(k * 100_000)
+        if k in (0, 4):
+            data += packet(26, struct.pack("<3f", 0.01 + k, 0.02 + k, 0.03 + k))
+    log = read(tmp_path, data + state(60_000_000))
+    got = log.states["sigma_heading_rad"].to_numpy()
+    np.testing.assert_array_equal(got[:3], np.float64(np.float32(0.03)))
+    np.testing.assert_array_equal(got[3:10], np.float64(np.float32(4.03)))
+    assert np.isnan(got[10])  # a minute later that packet says nothing any more
+
+
+def test_gnss_positions_have_their_own_time_and_sigmas(tmp_path: Path) -> None:
+    satellites = packet(30, struct.pack("<2f5B", 1, 1, 8, 4, 2, 3, 1))
+    data = state(0) + gnss(-20_000) + satellites + state(50_000) + gnss(30_000, flags=2) + gnss(0, flags=0)
+    log = read(tmp_path, data)
+    assert log.gnss["fix"].tolist() == ["fixed", "single"]
+    assert log.gnss["t_gps_s"][0] == pytest.approx(178_649_912.98, abs=6e-8)
+    assert np.isnan(log.gnss["t_gps_s"][1])  # its own bit says that the time is not valid
+    assert log.gnss["n_sats"].tolist() == [18, -1]
+    row = log.gnss.iloc[0]
+    assert (row["sigma_north_m"], row["sigma_east_m"]) == (np.float32(0.02), np.float32(0.01))
+    assert log.report.counts["gnss_positions_without_fix"] == 1
+
+
+def test_packet_92_stands_in_for_29(tmp_path: Path) -> None:
+    head = struct.pack("<BBHII3d", 0, 0, 6 | 1 << 10, T0, 0, 0.9, 0.23, 151.0)
+    pvt = packet(92, head + struct.pack("<9fI", 0.02, 0.01, 0.04, 1, 2, 3, 0, 0, 0, 55))
+    log = read(tmp_path, state(0) + pvt)
+    assert log.gnss[["fix", "sigma_up_m"]].iloc[0].tolist() == ["float", np.float32(0.04)]
+    assert log.gnss["t_gps_s"][0] == float(gps_from_unix(T0))
+
+
+def test_depths(tmp_path: Path) -> None:
+    depth = [packet(53, struct.pack("<2f", value, 0)) for value in (2.5, float("nan"), 3.5)]
+    log = read(tmp_path, state(0) + depth[0] + state(1_000_000) + depth[1] + depth[2])
+    assert log.depth["depth_m"].tolist() == [2.5, 3.5]
+    np.testing.assert_array_equal(log.depth["t_gps_s"], log.states["t_gps_s"])
+    assert log.depth["line"].tolist() == [2, 5]
+    assert log.depth["sentence"].tolist() == ["ANPP53", "ANPP53"]
+    assert log.report.losses == {"depths_not_a_number": 1}
+
+
+def test_nmea_sentences_in_passthrough_packets(tmp_path: Path) -> None:
+    good = [nmea(f"SDDPT,{depth},0.3") for depth in (2.5, 2.7)]
+    text = good[0] + b"\r\n$SDDPT,2.6,0.3*00\r\n$SDD" + good[1] + b"\r\n"
+    pieces = [packet(10, b"\x01" + text[a : a + 10]) for a in range(0, len(text), 10)]
+    log = read(tmp_path, b"".join(state(k * 100_000) + p for k, p in enumerate(pieces)) + packet(10, b""))
+    assert log.passthrough["sentence"].tolist() == [sentence.decode() for sentence in good]
+    assert log.passthrough["route"].tolist() == ["auxiliary", "auxiliary"]
+    assert log.passthrough["packet"].tolist() == [4, 12]
+    assert log.passthrough["t_gps_s"][0] == log.states["t_gps_s"][1]
+    assert log.report.losses == {"nmea_sentences_with_wrong_checksum": 1}
+
+
+def test_calendar_packet_gives_time_too(tmp_path: Path) -> None:
+    moment = dt.datetime(2016, 2, 29, 23, 59, 58, tzinfo=dt.UTC)
+    calendar = struct.pack("<IHHBBBBBB", 250_000, 2016, 59, 1, 29, 1, 23, 59, 58)
+    status = packet(23, struct.pack("<HH", 0, 8))
+    log = read(tmp_path, status + packet(22, calendar) + raw() + packet(22, b"\xff" * 14) + raw())
+    assert log.raw["t_device_s"][0] == moment.timestamp() + 0.25
+    assert log.raw["t_gps_s"][0] == float(gps_from_unix(moment.timestamp(), 250_000))
+    assert log.report.losses == {"impossible_times": 1}
+
+
+def test_gap_backward_step_and_repeated_time_are_counted(tmp_path: Path) -> None:
+    steps = [0, 1, 2, 3, 9, 10, 8, 9, 9, 10]
+    log = read(tmp_path, b"".join(state(k * 100_000, rpy=(i, 0, 0)) for i, k in enumerate(steps)))
+    assert log.report.losses == {"time_steps_backwards": 1, "times_repeated": 1}
+    assert [g.lost for g in log.report.gaps] == [5]
+    assert len(log.states) == 10
+
+
+def test_files_that_overlap_are_joined_once(tmp_path: Path) -> None:
+    epochs = [state(k * 100_000) + raw(k) + packet(53, struct.pack("<2f", 2, 0)) for k in range(30)]
+    one, two = b"".join(epochs[:20]), b"".join(epochs[15:])
+    log = read(tmp_path, one, two)
+    whole = read(tmp_path, one + b"".join(epochs[20:]))
+    for name in ("states", "raw", "depth"):
+        got, want = getattr(log, name), getattr(whole, name)
+        np.testing.assert_array_equal(got["t_gps_s"], want["t_gps_s"])
+    assert log.report.counts["repeated_packets_dropped"] == 15
+    assert not log.report.losses
+    assert log.packet_counts[20] == 35
+
+
+def test_a_packet_split_between_files_is_whole(tmp_path: Path) -> None:
+    data = b"".join(state(k * 100_000) for k in range(10))
+    log = read(tmp_path, data[:333], data[333:])
+    assert len(log.states) == 10
+    assert log.report.clean
+
+
+def test_positions_that_cannot_be_are_blanked(tmp_path: Path) -> None:
+    wild = struct.pack("<HHII3d16f", 0, UTC_FIXED, T0, 100_000, 2.0, 1e308, np.inf, *[0.0] * 16)
+    log = read(tmp_path, state(0) + packet(20, wild) + gnss(0))
+    assert log.states["lat_deg"].isna().tolist() == [False, True]
+    assert log.states["t_gps_s"].notna().all()
+    assert log.report.losses == {"states_with_impossible_position": 1}
+
+
+def test_unknown_ids_and_odd_sizes_are_counted(tmp_path: Path) -> None:
+    log = read(tmp_path, state(0) + packet(222, b"abc") * 3 + packet(28, bytes(13)) + packet(20, bytes(99)))
+    assert log.packet_counts == {20: 2, 28: 1, 222: 3}
+    assert log.report.details["packets by id"]["222 unknown"] == 3
+    assert log.report.losses == {"packets_of_wrong_size": 2}
+    assert any("28 raw sensors are not of the documented size of 48" in n for n in log.report.notes)
+
+
+def test_device_and_alarms(tmp_path: Path) -> None:
+    data = packet(3, struct.pack("<6I", 1234, 5, 100, 1, 2, 3)) + state(0, system=1 << 12)
+    log = read(tmp_path, data + packet(3, struct.pack("<6I", 1234, 9999, 100, 1, 2, 3)))
+    assert log.report.model == "Spatial Dual, device id 9999"
+    assert any("low voltage alarm in 1 of 1" in note for note in log.report.notes)
+    assert any("2 different devices" in note for note in log.report.notes)
+
+
+def test_stamps_behind_the_leap_table_warn(tmp_path: Path) -> None:
+    with pytest.warns(LeapSecondWarning):
+        read(tmp_path, state(15 * 365 * 86_400 * 1_000_000))
+
+
+BAD = [
+    (None, "No such file"),
+    (b"", "the file is empty"),
+    (b"\x00" * 4000, "not one intact ANPP packet in 4,000 bytes"),
+    (b"$GPGGA,1,2,3*00\r\n" * 50, "the file begins with 24 47 50 47"),
+    (state(0)[:-1], "not one intact ANPP packet in 104 bytes"),
+    (b"\xff" * 70_000, "Give files as the device"),
+]
+
+
+@pytest.mark.parametrize(("data", "message"), BAD)
+def test_bad_input_is_refused_with_a_reason(data: bytes | None, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.anpp"
+    if data is not None:
+        path.write_bytes(data)
+    with pytest.raises(InputError, match=message) as caught:
+        read_anpp([path])
+    assert str(path) in str(caught.value)
+
+
+def test_no_file_and_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no files with ANPP packets"):
+        read_anpp([])
+    with pytest.raises(InputError, match="cannot be read"):
+        read_anpp([tmp_path])
+
+
+def test_an_empty_file_among_others_is_counted(tmp_path: Path) -> None:
+    log = read(tmp_path, state(0), b"")
+    assert log.report.losses == {"empty_files": 1}
+
+
+def test_a_rest_of_a_packet_as_last_file_is_no_error(tmp_path: Path) -> None:
+    log = read(tmp_path, state(0), state(1)[:30])
+    assert log.report.losses == {"bytes_outside_packets": 30, "packets_cut_at_end": 1}
+
+
+def small_log() -> bytes:
+    data = packet(3, struct.pack("<6I", 1, 5, 1, 1, 2, 3))
+    for k in range(12):
+        data += state(k * 100_000) + raw(k) + packet(26, struct.pack("<3f", 0.1, 0.1, 0.1))
+        data += gnss(k * 100_000) + packet(53, struct.pack("<2f", 2.0, 0.1))
+        data += packet(10, b"\x00" + nmea("SDDPT,2.5,0.3")) + packet(
+            22, struct.pack("<IHH6B", 1, 2017, 0, 4, 12, 0, 1, 1, k)
+        )
+    return data
+
+
+def mutate(data: bytes, rng: np.random.Generator) -> bytes:
+    out = bytearray(data)
+    for _ in range(int(rng.integers(1, 8))):
+        at, n = int(rng.integers(len(out))), int(rng.integers(1, 120))
+        match int(rng.integers(6)):
+            case 0:
+                out[at] ^= 1 << int(rng.integers(8))
+            case 1:
+                del out[at : at + n]
+            case 2:
+                out[at:at] = rng.bytes(n)
+            case 3:
+                out[at:at] = out[at // 2 : at // 2 + n]
+            case 4:
+                out[at : at + n] = bytes(len(out[at : at + n]))
+            case _:
+                del out[at + 8 :]
+        out = out or bytearray(b"\x00")
+    return bytes(out)
+
+
+def mutate_inside(data: bytes, rng: np.random.Generator) -> bytes:
+    """Damage payloads and lengths but keep all checksums right: values that no device sends."""
+    out, i = b"", 0
+    while i < len(data):
+        size = data[i + 2]
+        payload = bytearray(data[i + 5 : i + 5 + size])
+        if payload and rng.random() < 0.3:
+            payload = bytearray(rng.bytes(size if rng.random() < 0.7 else int(rng.integers(256))))
+        packet_id = data[i + 1] if rng.random() < 0.95 else int(rng.integers(256))
+        out += packet(packet_id, bytes(payload))
+        i += 5 + size
+    return out
+
+
+@pytest.mark.filterwarnings("ignore::thalweg.core.timescales.LeapSecondWarning")
+@pytest.mark.parametrize("inside", [False, True])
+def test_fuzz_anpp(inside: bool, fuzz_count: int, rng: np.random.Generator, tmp_path: Path) -> None:
+    data, path = small_log(), tmp_path / "fuzz.anpp"
+    begin, read_count = time.monotonic(), 0
+    for _ in range(fuzz_count):
+        path.write_bytes((mutate_inside if inside else mutate)(data, rng))
+        try:
+            log = read_anpp([path])
+        except ThalwegError:
+            continue
+        read_count += 1
+        size = path.stat().st_size
+        outside = log.report.losses.get("bytes_outside_packets", 0)
+        assert log.report.bytes_read == size
+        assert 0 <= outside < size
+        assert outside == 0 or not inside
+        assert len(log.states) <= log.packet_counts.get(20, 0)
+        log.report.to_json()
+    assert read_count > 0.8 * fuzz_count
+    assert time.monotonic() - begin < 0.5 * fuzz_count  # no input may hang the reader

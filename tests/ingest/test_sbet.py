@@ -1,0 +1,205 @@
+"""SBET trajectories: conventions against closed forms, week rollover, damaged files."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyproj import Geod
+
+from thalweg.core.errors import InputError, ThalwegError
+from thalweg.core.tables import write_table
+from thalweg.core.timescales import gps_from_week
+from thalweg.core.types import ArrayF
+from thalweg.ingest.sbet import read_sbet
+from thalweg.ingest.schemas import INS_STATE
+
+WEEK = 1948
+HEADING = np.deg2rad(60.0)
+WANDER = np.deg2rad(-25.0)
+SPEED = 2.0
+
+
+def records(n: int = 200, start_s: float = 499513.0, rate_hz: float = 50.0) -> ArrayF:
+    """A boat going straight at 2 m/s on a course of 60 degrees, in the frame of POSPac."""
+    t = np.arange(n) / rate_hz
+    lon, lat, _ = Geod(ellps="WGS84").fwd(
+        np.full(n, 13.25), np.full(n, 51.05), np.full(n, np.rad2deg(HEADING)), SPEED * t
+    )
+    a = np.zeros((n, 17))
+    a[:, 0] = np.mod(start_s + t, 604800)
+    a[:, 1], a[:, 2], a[:, 3] = np.deg2rad(lat), np.deg2rad(lon), 123.4
+    # The x axis of the wander frame points to azimuth -a, y to azimuth -90 deg - a, z up.
+    a[:, 4] = SPEED * np.cos(HEADING + WANDER)
+    a[:, 5] = -SPEED * np.sin(HEADING + WANDER)
+    a[:, 6] = 0.3
+    a[:, 7:11] = 0.02, -0.03, HEADING + WANDER, WANDER
+    a[:, 14:17] = 0.1, 0.2, 0.3
+    return a
+
+
+def smrmsg(n: int = 5, start_s: float = 499513.0) -> ArrayF:
+    a = np.tile([0.0, 0.01, 0.02, 0.03, 0.1, 0.1, 0.1, 1.0, 2.0, 3.0], (n, 1))
+    a[:, 0] = start_s + np.arange(n)
+    return a
+
+
+def write(path: Path, array: ArrayF | bytes) -> Path:
+    path.write_bytes(array if isinstance(array, bytes) else array.astype("<f8").tobytes())
+    return path
+
+
+def test_states(tmp_path: Path) -> None:
+    log = read_sbet([write(tmp_path / "a.out", records())], WEEK)
+    s = log.states
+    np.testing.assert_array_equal(s["t_gps_s"], gps_from_week(WEEK, records()[:, 0]))
+    np.testing.assert_allclose(s["lat_deg"], np.rad2deg(records()[:, 1]), rtol=1e-15)
+    np.testing.assert_allclose(s["heading_rad"], HEADING, rtol=1e-14)
+    np.testing.assert_allclose(s["v_north_mps"], SPEED * np.cos(HEADING), rtol=1e-14)
+    np.testing.assert_allclose(s["v_east_mps"], SPEED * np.sin(HEADING), rtol=1e-14)
+    np.testing.assert_allclose(s["v_down_mps"], -0.3)
+    assert s[["roll_rad", "pitch_rad", "rate_z_radps"]].iloc[0].to_list() == [0.02, -0.03, 0.3]
+    assert s["sigma_north_m"].isna().all()
+    assert log.report.rates_hz["records"] == pytest.approx(50.0, rel=1e-6)
+    assert "POSPac" in log.report.details["velocity"]
+    assert log.report.clean
+    write_table(tmp_path / "a.parquet", s, INS_STATE)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "words"),
+    [
+        ((SPEED * np.cos(HEADING), SPEED * np.sin(HEADING), -0.3), "north, east, down"),
+        ((SPEED * np.sin(HEADING), SPEED * np.cos(HEADING), 0.3), "east, north, up"),
+    ],
+)
+def test_velocities_of_other_makers(tmp_path: Path, velocity: tuple[float, ...], words: str) -> None:
+    a = records()
+    a[:, 9:11] = HEADING, 0.0
+    a[:, 4:7] = velocity
+    log = read_sbet([write(tmp_path / "a.out", a)], WEEK)
+    assert log.report.details["velocity"].startswith(words)
+    np.testing.assert_allclose(log.states["v_east_mps"], SPEED * np.sin(HEADING))
+    np.testing.assert_allclose(log.states["v_down_mps"], -0.3)
+
+
+def test_velocities_that_contradict_the_positions_are_left_empty(tmp_path: Path) -> None:
+    a = records()
+    a[:, 4:7] = 0.0
+    log = read_sbet([write(tmp_path / "a.out", a)], WEEK)
+    assert log.states["v_north_mps"].isna().all()
+    assert any("contradict" in note for note in log.report.notes)
+
+
+def test_smrmsg(tmp_path: Path) -> None:
+    companion = write(tmp_path / "smrmsg_a.out", smrmsg())
+    s = read_sbet([write(tmp_path / "a.out", records())], WEEK, [companion]).states
+    np.testing.assert_allclose(s["sigma_north_m"], 0.01)
+    np.testing.assert_allclose(s["sigma_up_m"], 0.03)
+    # three arc minutes
+    np.testing.assert_allclose(s["sigma_heading_rad"], np.deg2rad(0.05))
+    with pytest.raises(InputError, match="same solution"):
+        read_sbet([tmp_path / "a.out"], WEEK, [write(tmp_path / "b.out", smrmsg(start_s=9000.0))])
+
+
+def test_week_rollover(tmp_path: Path) -> None:
+    log = read_sbet([write(tmp_path / "a.out", records(start_s=604798.0))], WEEK)
+    # float64 resolves 30 ns at this date
+    np.testing.assert_allclose(np.diff(log.states["t_gps_s"]), 0.02, atol=1e-7)
+    assert log.report.t_last_s == pytest.approx(float(gps_from_week(WEEK + 1, 1.98)), abs=1e-7)
+    assert log.report.clean
+
+
+def test_utc_seconds(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.out", records())
+    gps, utc = (read_sbet([path], WEEK, utc=u).states["t_gps_s"] for u in (False, True))
+    # GPS - UTC = 18 s in 2017
+    np.testing.assert_allclose(utc - gps, 18.0, atol=1e-7)
+
+
+def test_cut_file_keeps_whole_records(tmp_path: Path) -> None:
+    raw = records(10).astype("<f8").tobytes()
+    log = read_sbet([write(tmp_path / "a.out", raw[:-17])], WEEK)
+    assert len(log.states) == 9
+    assert log.report.losses == {"bytes_of_a_cut_record": 136 - 17}
+
+
+def test_damaged_records_are_dropped_and_counted(tmp_path: Path) -> None:
+    a = records(100)
+    a[3, 0] = np.nan
+    a[5, 1] = 3.0
+    a[6, 9] = 1e30
+    a[7, 16] = np.inf
+    log = read_sbet([write(tmp_path / "a.out", a)], WEEK)
+    assert len(log.states) == 96
+    assert log.report.losses == {
+        "impossible_times": 1,
+        "impossible_positions": 1,
+        "impossible_attitudes": 1,
+        "not_finite_or_huge": 1,
+    }
+    assert [gap.lost for gap in log.report.gaps] == [1, 3]
+
+
+def test_big_endian_is_read_and_said(tmp_path: Path) -> None:
+    log = read_sbet([write(tmp_path / "a.out", records().astype(">f8").tobytes())], WEEK)
+    assert log.states["h_ell_m"][0] == 123.4
+    assert any("big-endian" in note for note in log.report.notes)
+
+
+@pytest.mark.parametrize(
+    ("content", "week", "fragment"),
+    [
+        (records(5), None, "GPS week None"),
+        (records(5), -3, "GPS week -3"),
+        (b"", WEEK, "0 bytes"),
+        (b"abc", WEEK, "3 bytes"),
+        (b"time,lat,lon\n" * 400, WEEK, "not made of records of 17 doubles"),
+        (np.full((5, 17), 1e7), WEEK, "not made of records"),
+        (np.full((5, 17), 100.0), WEEK, "no record has possible values"),
+    ],
+)
+def test_bad_input_has_a_message(
+    tmp_path: Path, content: ArrayF | bytes, week: int | None, fragment: str
+) -> None:
+    with pytest.raises(InputError, match=fragment) as caught:
+        read_sbet([write(tmp_path / "bad.out", content)], week)
+    assert "bad.out" in str(caught.value)
+
+
+def test_missing_file() -> None:
+    with pytest.raises(InputError, match="file not found"):
+        read_sbet([Path("nowhere.out")], WEEK)
+
+
+def test_fuzz_sbet(tmp_path: Path, fuzz_count: int, rng: np.random.Generator) -> None:
+    raw = records(20).astype("<f8").tobytes()
+    sigma = smrmsg().astype("<f8").tobytes()
+    for _ in range(fuzz_count):
+        paths = []
+        for name, source in (("a.out", raw), ("s.out", sigma)):
+            data = bytearray(source)
+            for _ in range(int(rng.integers(1, 12))):
+                at = int(rng.integers(0, len(data)))
+                match int(rng.integers(0, 5)):
+                    case 0:
+                        data[at] ^= 1 << int(rng.integers(0, 8))
+                    case 1:
+                        data = data[: at + 1]
+                    case 2:
+                        data[at:at] = rng.bytes(int(rng.integers(1, 20)))
+                    case 3:
+                        data[at:at] = data[at : at + 200]
+                    case _:
+                        data[at : at + 40] = bytes(len(data[at : at + 40]))
+            paths.append(write(tmp_path / name, bytes(data)))
+        try:
+            log = read_sbet(paths[:1], WEEK, paths[1:])
+        except ThalwegError:
+            continue
+        assert np.isfinite(log.states["t_gps_s"]).all()
+
+
+def test_record_layout_by_struct(tmp_path: Path) -> None:
+    raw = struct.pack("<17d", *records(1)[0]) * 1 + struct.pack("<17d", *records(2)[1])
+    assert len(read_sbet([write(tmp_path / "a.out", raw)], WEEK).states) == 2

@@ -1,0 +1,247 @@
+"""The SBP reader on Swift receivers' logs, message by message against the library ``sbp``."""
+
+import warnings
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sbp.client import Framer
+from sbp.client.drivers.file_driver import FileDriver
+
+from thalweg.core.timescales import gps_from_week
+from thalweg.ingest import sbp_messages as sm
+from thalweg.ingest.sbp_frames import find_messages
+from thalweg.ingest.sbp_log import SbpLog, read_sbp
+from thalweg.ingest.sbp_records import SbpRecords, collect
+
+pytestmark = pytest.mark.real
+
+RTK = "sbp_piksi_rtk_2017/2017-05-12-v1.1.26.sbp"
+COLD = "sbp_piksi_coldstart_2017/20170513-180207.1.1.26.bin"
+FILTER = "sbp_libsbp_samples/filter.bin"
+ROUNDTRIP = "sbp_libsbp_samples/roundtrip.sbp"
+SHORT = "sbp_libsbp_samples/short.sbp"
+
+
+def library(path: Path) -> list[Any]:
+    with path.open("rb") as stream, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the library stamps each message with a deprecated utcnow()
+        return [message for message, _ in Framer(FileDriver(stream).read, None, skip_metadata=True)]
+
+
+@pytest.fixture(scope="module")
+def rtk(data_dir: Path) -> SbpLog:
+    return read_sbp([data_dir / RTK])
+
+
+@pytest.fixture(scope="module")
+def rtk_library(data_dir: Path) -> list[Any]:
+    return library(data_dir / RTK)
+
+
+def expected_fields(messages: list[Any], kind: int) -> dict[str, list[Any]]:
+    """Columns of one message type as the library decodes it."""
+    names = sm.LAYOUTS[kind].names or ()
+    own = {"ns": "ns_residual"} if kind != sm.UTC_TIME else {}
+    out: dict[str, list[Any]] = {name: [] for name in names}
+    for m in messages:
+        if m.msg_type == kind:
+            for name in names:
+                if kind == sm.OBS:
+                    value = m.header.n_obs if name == "n_obs" else getattr(m.header.t, own.get(name, name))
+                else:
+                    value = getattr(m, own.get(name, name))
+                out[name].append(value)
+    return out
+
+
+def same_as_library(records: SbpRecords, messages: list[Any]) -> int:
+    compared = 0
+    for kind in sm.LAYOUTS:
+        found = records.of(kind)
+        want = expected_fields(messages, kind)
+        senders = [m.sender for m in messages if m.msg_type == kind]
+        assert found.sender.tolist() == senders
+        for name, values in want.items():
+            np.testing.assert_array_equal(found.fields[name], np.array(values, found.fields[name].dtype))
+            compared += len(values)
+    return compared
+
+
+def test_every_wanted_message_of_the_rtk_log_equals_the_library(
+    data_dir: Path, rtk_library: list[Any]
+) -> None:
+    records = collect([data_dir / RTK])
+    assert same_as_library(records, rtk_library) > 200_000
+    want = Counter((m.msg_type, m.sender) for m in rtk_library)
+    assert records.counts == want
+    signals = Counter((m.sender, o.sid.code) for m in rtk_library if m.msg_type == sm.OBS for o in m.obs)
+    assert records.signals == signals
+
+
+@pytest.mark.parametrize("name", [FILTER, ROUNDTRIP])
+def test_every_wanted_message_of_other_firmware_equals_the_library(data_dir: Path, name: str) -> None:
+    messages, records = library(data_dir / name), collect([data_dir / name])
+    same_as_library(records, messages)
+    assert records.counts == Counter((m.msg_type, m.sender) for m in messages)
+    assert records.signals == Counter(
+        (m.sender, o.sid.code) for m in messages if m.msg_type == sm.OBS for o in m.obs
+    )
+
+
+def test_the_library_loses_sound_messages_behind_damage(data_dir: Path) -> None:
+    """Its framer swallows a damaged frame whole; what lies inside it is found here."""
+    ours = find_messages(np.fromfile(data_dir / SHORT, np.uint8))
+    theirs = library(data_dir / SHORT)
+    assert len(theirs) == 2382  # PROVENANCE
+    assert ours.kind.size == 2395
+    mine, i = list(zip(ours.kind.tolist(), ours.sender.tolist(), ours.length.tolist(), strict=True)), 0
+    for m in theirs:  # each of theirs is among ours, in the same order
+        i = mine.index((m.msg_type, m.sender, m.length), i) + 1
+
+
+def test_rtk_figures_of_the_provenance(rtk: SbpLog) -> None:
+    report, t = rtk.report, rtk.positions["t_gps_s"].to_numpy()
+    assert sum(rtk.message_counts.values()) == 59065
+    assert len(rtk.message_counts) == 32
+    assert rtk.message_counts[sm.OBS, 12027] == 1193
+    assert rtk.message_counts[sm.OBS, 0] == 1317
+    assert rtk.message_counts[sm.POS_LLH, 12027] == 4392
+    assert report.counts["ephemerides"] == 87
+    assert report.counts["positions_without_fix_dropped"] == 396
+    assert rtk.positions["fix"].value_counts().to_dict() == {"fixed": 3689, "float": 288, "single": 19}
+    fixed = t[(rtk.positions["fix"] == "fixed").to_numpy()]
+    # nanosecond residuals of the receiver's clock are below a microsecond here
+    assert fixed[0] == pytest.approx(float(gps_from_week(1948, 499544.1)), abs=1e-6)
+    assert fixed[-1] == pytest.approx(float(gps_from_week(1948, 499912.9)), abs=1e-6)
+    assert t[0] == pytest.approx(float(gps_from_week(1948, 499513.4)), abs=1e-6)
+    assert rtk.obs_epochs == {
+        0: (439, float(gps_from_week(1948, 499474)), float(gps_from_week(1948, 499912))),
+        12027: (400, float(gps_from_week(1948, 499514)), float(gps_from_week(1948, 499913))),
+    }
+    assert rtk.gps_minus_utc_s == 18.0
+    assert report.details["GPS - UTC"] == {"18.000 s": 3996}
+    assert report.synchronised
+    assert report.time_scale == "gps"
+    assert not report.gaps
+    assert report.rates_hz["positions"] == pytest.approx(10.0, rel=1e-5)
+    assert report.losses == {"bytes_outside_messages": 102, "messages_cut_at_end": 1}
+
+
+def test_rtk_solution_of_the_provenance(rtk: SbpLog) -> None:
+    assert rtk.base_ecef_m is not None
+    # the PROVENANCE prints four decimals of a metre, nine of a degree
+    np.testing.assert_allclose(rtk.base_ecef_m, [-2706105.2018, -4261210.8062, 3885598.6411], atol=5.1e-5)
+    fixed = rtk.baselines[rtk.baselines["fix"] == "fixed"]
+    assert len(fixed) == 3689
+    mean = fixed[["north_m", "east_m", "down_m"]].mean().to_numpy()
+    np.testing.assert_allclose(mean, [-5.0640, -5.3335, 0.0425], atol=5.1e-5)
+    mean = rtk.positions[rtk.positions["fix"] == "fixed"][["lat_deg", "lon_deg", "h_ell_m"]].mean()
+    np.testing.assert_allclose(mean[:2], [37.773452126, -122.417872451], atol=5.1e-10)
+    assert mean["h_ell_m"] == pytest.approx(-6.3070, abs=5.1e-5)
+    row = rtk.positions.iloc[-1]
+    assert (row["sigma_east_m"], row["sigma_north_m"], row["sigma_up_m"]) == (0.013, 0.013, 0.026)
+    assert row["age_s"] == pytest.approx(0.9)
+    assert row["n_sats"] == 9
+
+
+def test_every_position_equals_the_library(rtk: SbpLog, rtk_library: list[Any]) -> None:
+    want = [m for m in rtk_library if m.msg_type == sm.POS_LLH and m.flags & 7]
+    assert len(want) == len(rtk.positions)
+    for name, key in (("lat_deg", "lat"), ("lon_deg", "lon"), ("h_ell_m", "height"), ("n_sats", "n_sats")):
+        np.testing.assert_array_equal(rtk.positions[name], [getattr(m, key) for m in want])
+    tow = np.array([m.tow for m in want])
+    # the residual of MsgGPSTime is at most half a millisecond
+    np.testing.assert_allclose(rtk.positions["t_gps_s"], gps_from_week(1948, tow * 1e-3), atol=5.001e-4)
+
+
+def test_coldstart_figures_of_the_provenance(data_dir: Path) -> None:
+    log = read_sbp([data_dir / COLD])
+    assert sum(log.message_counts.values()) == 61599
+    assert {k: n for k, n in log.message_counts.items() if k[0] == sm.OBS} == {(sm.OBS, 12027): 1253}
+    assert log.positions["fix"].value_counts().to_dict() == {"single": 4276}
+    assert log.report.counts["positions_without_fix_dropped"] == 410
+    assert log.positions["t_gps_s"].iloc[0] == pytest.approx(float(gps_from_week(1949, 3799.4)), abs=1e-6)
+    assert log.positions["t_gps_s"].iloc[-1] == pytest.approx(float(gps_from_week(1949, 4226.9)), abs=1e-6)
+    assert log.obs_epochs == {
+        12027: (428, float(gps_from_week(1949, 3800)), float(gps_from_week(1949, 4227)))
+    }
+    assert log.base_ecef_m is None
+    assert log.baselines.empty
+
+
+def test_sample_figures_of_the_provenance(data_dir: Path) -> None:
+    filtered = read_sbp([data_dir / FILTER])
+    assert sum(filtered.message_counts.values()) == 7056
+    assert (filtered.report.counts["imu_raw"], filtered.report.counts["mag_raw"]) == (1622, 203)
+    assert filtered.report.t_first_s == pytest.approx(float(gps_from_week(2259, 178220.4)), abs=1e-6)
+    assert filtered.report.t_last_s == pytest.approx(float(gps_from_week(2259, 178236.3)), abs=1e-6)
+    assert filtered.report.details["GPS - UTC"] == {"18.000 s": 160}
+    assert filtered.report.clean
+    roundtrip = read_sbp([data_dir / ROUNDTRIP])
+    assert sum(roundtrip.message_counts.values()) == 5000
+    assert len(roundtrip.positions) == 466
+    assert roundtrip.report.t_first_s == pytest.approx(float(gps_from_week(2098, 271497.8)), abs=1e-6)
+    assert roundtrip.report.t_last_s == pytest.approx(float(gps_from_week(2098, 271544.3)), abs=1e-6)
+    short = read_sbp([data_dir / SHORT])
+    assert short.message_counts[sm.POS_LLH, 45490] == 188
+    assert short.report.counts["positions_without_fix_dropped"] == 187
+    assert short.positions["t_gps_s"].tolist() == [
+        pytest.approx(float(gps_from_week(2038, 155149.5)), abs=5e-4)
+    ]
+
+
+def test_stated_accuracy_is_the_longer_axis_of_the_ellipse(data_dir: Path) -> None:
+    """Where a receiver sends both, the accuracy of MsgPosLLH is this axis, in whole millimetres."""
+    records = collect([data_dir / FILTER])
+    plain, cov = records.of(sm.POS_LLH).fields, records.of(sm.POS_LLH_COV).fields
+    np.testing.assert_array_equal(plain["tow"], cov["tow"])
+    half_trace = (cov["cov_n_n"] + cov["cov_e_e"]) / 2
+    radius = np.hypot((cov["cov_n_n"] - cov["cov_e_e"]) / 2, cov["cov_n_e"])
+    axis_mm = 1e3 * np.sqrt(half_trace + radius)
+    np.testing.assert_allclose(plain["h_accuracy"], axis_mm, atol=1.0)  # whole millimetres
+    np.testing.assert_allclose(plain["v_accuracy"], 1e3 * np.sqrt(cov["cov_d_d"]), atol=1.0)
+
+
+def test_covariances_are_turned_to_east_north_up(data_dir: Path) -> None:
+    log, cov = read_sbp([data_dir / FILTER]), collect([data_dir / FILTER]).of(sm.POS_LLH_COV).fields
+    p = log.positions
+    for name, want in (
+        ("sigma_east_m", np.sqrt(cov["cov_e_e"].astype(float))),
+        ("sigma_north_m", np.sqrt(cov["cov_n_n"].astype(float))),
+        ("sigma_up_m", np.sqrt(cov["cov_d_d"].astype(float))),
+        ("cov_en_m2", cov["cov_n_e"].astype(float)),
+        ("cov_eu_m2", -cov["cov_e_d"].astype(float)),
+        ("cov_nu_m2", -cov["cov_n_d"].astype(float)),
+    ):
+        np.testing.assert_allclose(p[name], want, rtol=1e-12)  # products with exact ones and zeros
+
+
+def test_earth_centred_messages_say_the_same(data_dir: Path, tmp_path: Path) -> None:
+    """A log without geodetic messages: position and covariance come from MsgPosECEF(Cov)."""
+    data = np.fromfile(data_dir / FILTER, np.uint8)
+    block = find_messages(data)
+    unwanted = [sm.POS_LLH, sm.POS_LLH_COV, sm.POS_LLH_GNSS, sm.POS_LLH_COV_GNSS]
+    keep = ~np.isin(block.kind, unwanted)
+    pieces = [data[o - 6 : o + n + 2] for o, n in zip(block.offset[keep], block.length[keep], strict=True)]
+    path = tmp_path / "ecef.sbp"
+    path.write_bytes(np.concatenate(pieces).tobytes())
+    ecef, llh = read_sbp([path]).positions, read_sbp([data_dir / FILTER]).positions
+    assert len(ecef) == len(llh) == 160
+    np.testing.assert_array_equal(ecef["t_gps_s"], llh["t_gps_s"])
+    # 1e-9 deg is 0.1 mm: both messages come from one double precision solution
+    np.testing.assert_allclose(ecef[["lat_deg", "lon_deg"]], llh[["lat_deg", "lon_deg"]], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ecef["h_ell_m"], llh["h_ell_m"], rtol=0, atol=1e-4)
+    for name in ("sigma_east_m", "sigma_north_m", "sigma_up_m", "cov_en_m2", "cov_eu_m2", "cov_nu_m2"):
+        # float32 covariances, turned by the receiver in float32 too
+        np.testing.assert_allclose(ecef[name], llh[name], rtol=1e-4, atol=1e-5)
+
+
+def test_the_log_twice_is_the_log_once(data_dir: Path) -> None:
+    one, two = read_sbp([data_dir / ROUNDTRIP]), read_sbp([data_dir / ROUNDTRIP] * 2)
+    np.testing.assert_array_equal(one.positions["t_gps_s"], two.positions["t_gps_s"])
+    assert two.report.counts["positions_repeated_dropped"] == 466
+    assert len(two.velocities) == len(one.velocities)
+    assert two.obs_epochs == one.obs_epochs

@@ -1,0 +1,124 @@
+"""The true motion: derivatives agree with differences, the boat stays in the water and sees both banks."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.config.twin import TwinConfig
+from thalweg.core.errors import ConfigError, CoverageError
+from thalweg.core.frames import LocalFrame
+from thalweg.simulation.random import gauss_markov, generator
+from thalweg.simulation.truth import true_trajectory
+from thalweg.simulation.voyage import Voyage, epochs
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+
+
+@pytest.fixture(scope="module", params=["tiny", "demo", "mulde"])
+def voyage(request: pytest.FixtureRequest) -> Voyage:
+    return Voyage(TwinConfig.of_size(request.param), 3)
+
+
+def test_rates_and_velocities_are_the_derivatives_of_the_pose(
+    voyage: Voyage, rng: np.random.Generator
+) -> None:
+    t = voyage.start_gps_s + rng.uniform(0, voyage.config.duration_s, 400)
+    h = 1e-3
+    # Time differences are taken as the floats give them: at 3e8 s they step by 60 ns.
+    before, after = t - h, t + h
+    step = (after - before)[:, None]
+    velocity = (voyage.position_wcs_m(after) - voyage.position_wcs_m(before)) / step
+    # h^2/6 times the third derivative (50 rad/s^3 of sway at most) is 1e-7 m/s; 60 ns stamps give 2e-4 of it.
+    np.testing.assert_allclose(voyage.velocity_wcs_mps(t), velocity, atol=2e-5)
+    acceleration = (voyage.velocity_wcs_mps(after) - voyage.velocity_wcs_mps(before)) / step
+    # The Hermite spline's second derivative is right to the square of its 20 ms nodes.
+    np.testing.assert_allclose(voyage.velocity_wcs_mps(t, 2), acceleration, atol=2e-3)
+    turn = Rotation.from_matrix(voyage.R_wcs_ics(before)).inv() * Rotation.from_matrix(
+        voyage.R_wcs_ics(after)
+    )
+    np.testing.assert_allclose(voyage.rates_ics_radps(t), turn.as_rotvec() / step, atol=2e-5)
+    lever = np.array([1.0, -2.0, 0.5])
+    moved = (voyage.sensor_wcs_m(after, lever) - voyage.sensor_wcs_m(before, lever)) / step
+    np.testing.assert_allclose(voyage.sensor_velocity_wcs_mps(t, lever), moved, atol=5e-5)
+
+
+def test_speed_and_turn_rate_are_those_of_the_settings(voyage: Voyage) -> None:
+    boat = voyage.config.boat
+    t = voyage.start_gps_s + np.arange(0, voyage.config.duration_s, 0.05)
+    speed = np.linalg.norm(voyage.velocity_wcs_mps(t)[:, :2], axis=1)
+    # 1e-6: error of the Hermite spline between nodes.
+    np.testing.assert_allclose(speed, boat.speed_mps, rtol=1e-6)
+    v = voyage.velocity_wcs_mps(t)
+    turning = np.abs(np.gradient(np.unwrap(np.arctan2(v[:, 1], v[:, 0])), t))
+    # The meander adds its own curvature to the zigzag's turns: at most 0.3 degrees/s here.
+    assert np.rad2deg(turning.max()) == pytest.approx(boat.turn_rate_degps, abs=0.5)
+
+
+def test_the_zigzag_reaches_both_sides_and_stays_in_the_water(voyage: Voyage) -> None:
+    config = voyage.config
+    t = voyage.start_gps_s + np.arange(-4.9, config.duration_s + 4.9, 0.1)
+    p = voyage.position_wcs_m(t)
+    s, n = voyage.river.to_flow(p[:, 0], p[:, 1])
+    np.testing.assert_allclose(voyage.river.to_wcs(s, n), p[:, :2], atol=1e-9)
+    amplitude = 0.94 * config.scene.width_m / 2 - config.boat.bank_distance_m
+    assert n.max() == pytest.approx(amplitude, rel=0.05)
+    assert n.min() == pytest.approx(-amplitude, rel=0.05)
+    draught_m = 0.2
+    assert np.min(voyage.river.depth(s, n)) > draught_m + 0.3
+    assert np.max(np.abs(s)) < config.scene.length_m / 2
+
+
+def test_the_truth_file_holds_the_motion(voyage: Voyage) -> None:
+    truth = true_trajectory(voyage, FRAME)
+    t = voyage.start_gps_s + np.linspace(0, min(20.0, voyage.config.duration_s), 333)
+    position, rotation, valid = truth.at(t)
+    assert valid.all()
+    # Chord error of 5 ms nodes: a dt^2 / 8 with a < 1.1 m/s^2 is 3.5 um.
+    np.testing.assert_allclose(position, voyage.position_wcs_m(t), atol=5e-6)
+    np.testing.assert_allclose(rotation, voyage.R_wcs_ics(t), atol=5e-6)
+
+
+def test_outside_its_time_the_boat_is_nowhere() -> None:
+    voyage = Voyage(TwinConfig.of_size("tiny"), 3)
+    with pytest.raises(CoverageError, match="after the start"):
+        voyage.position_wcs_m(np.array([voyage.start_gps_s + 31.0]))
+
+
+@pytest.mark.parametrize(
+    ("changes", "found"),
+    [
+        ({"boat": {"bank_distance_m": 11.0}}, "leaves no water in the middle"),
+        ({"duration_s": 120.0}, "along a reach of 130 m"),
+    ],
+)
+def test_an_impossible_voyage_is_refused(changes: dict[str, object], found: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        Voyage(TwinConfig.of_size("tiny", **changes), 3)
+    assert found in str(error.value)
+    assert "twin." in error.value.cure
+
+
+def test_epochs_lie_on_the_gps_grid() -> None:
+    config = TwinConfig.of_size("tiny", start_utc="2021-05-12T08:59:58.333Z")
+    t = epochs(config, 10.0)
+    # 1e-7: step of float64 at 3e8 s.
+    np.testing.assert_allclose(t * 10, np.rint(t * 10), atol=1e-6)
+    np.testing.assert_allclose(np.diff(t), 0.1, atol=1e-7)
+
+
+def test_gauss_markov_has_its_sigma_and_its_correlation_two_sided() -> None:
+    x = gauss_markov(np.random.default_rng(1), 400_000, 0.1, 2.0, 1.0)
+    # 400,000 samples with 20 correlated steps each: 20,000 independent ones, sigma known to 0.5 %.
+    assert np.std(x) == pytest.approx(2.0, rel=0.02)
+    for lag in (1, 10, 20):
+        found = np.mean(x[lag:] * x[:-lag]) / np.mean(x * x)
+        assert found == pytest.approx(np.exp(-0.1 * lag), abs=0.02)
+    # Stationary from the first epoch: 3,000 starts give sigma to 1.3 %.
+    starts = [gauss_markov(np.random.default_rng(k), 2, 0.1, 2.0, 1.0) for k in range(3000)]
+    assert np.std([s[0] for s in starts]) == pytest.approx(2.0, rel=0.05)
+    assert np.std([s[1] for s in starts]) == pytest.approx(2.0, rel=0.05)
+
+
+def test_generators_differ_by_name_and_seed() -> None:
+    drawn = [generator(seed, name).integers(2**60) for seed in (1, 2) for name in ("lidar", "ins", "ins raw")]
+    assert len(set(drawn)) == 6
