@@ -31,7 +31,7 @@ def test_slanting_rays_meet_a_plane_where_they_must(rng: np.random.Generator, sh
 def test_a_quarter_metre_survives_at_map_coordinates() -> None:
     """At 5.6e6 m Open3D alone said 0.0 m for this distance."""
     caster = RayCaster(SQUARE + UTM, FACES)
-    nearest = caster.closest_points(UTM + [[1.0, 2.0, 0.25], [-3.0, 2.0, -4.0]])
+    nearest = caster.closest_points(UTM + np.array([[1.0, 2.0, 0.25], [-3.0, 2.0, -4.0]]))
     # 1e-6: float32 at 4 m.
     np.testing.assert_allclose(nearest.distance_m, [0.25, 5.0], atol=1e-6)
     np.testing.assert_allclose(nearest.point_m - UTM, [[1, 2, 0], [0, 2, 0]], atol=1e-5)

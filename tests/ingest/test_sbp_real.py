@@ -142,7 +142,8 @@ def test_rtk_solution_of_the_provenance(rtk: SbpLog) -> None:
     np.testing.assert_allclose(mean[:2], [37.773452126, -122.417872451], atol=5.1e-10)
     assert mean["h_ell_m"] == pytest.approx(-6.3070, abs=5.1e-5)
     row = rtk.positions.iloc[-1]
-    assert (row["sigma_east_m"], row["sigma_north_m"], row["sigma_up_m"]) == (0.013, 0.013, 0.026)
+    sigmas = row[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].tolist()
+    assert sigmas == pytest.approx([0.013, 0.013, 0.026], rel=1e-12)  # whole millimetres
     assert row["age_s"] == pytest.approx(0.9)
     assert row["n_sats"] == 9
 

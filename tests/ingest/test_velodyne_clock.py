@@ -103,7 +103,7 @@ def test_pps_acquired_late(tmp_path, every, start_us):
     assert_gps(gps[first:], utc[first:])
     report = scan.report
     assert report.synchronised
-    assert {k: n for k, n in report.losses.items() if n} == {"unsynchronised_packets": first}
+    assert report.losses == {"unsynchronised_packets": first}
     assert not report.gaps  # the jump of the stamps is the setting of the clock
     assert sum("The sensor set its clock by" in n and "before packet 150," in n for n in report.notes) == 1
     assert any(n.startswith("Unsynchronised for ") and "PPS absent" in n for n in report.notes)
@@ -111,21 +111,30 @@ def test_pps_acquired_late(tmp_path, every, start_us):
     assert report.t_first_s == pytest.approx(GPS_HOUR + utc[first] * 1e-6, abs=2e-3)
 
 
-def test_locked_position_packet_just_before_the_first_packet_of_the_new_time(tmp_path):
+@pytest.mark.parametrize("ahead", [0, 1, 3])
+@pytest.mark.parametrize("free_us", [140_550_000.0, 1_300_000_000.0, 3_000_000_000.0])
+def test_locked_position_packet_before_the_first_data_packet_of_the_new_time(tmp_path, ahead, free_us):
     utc = log.times(100, 1_234_567_890.0)
-    toh = np.where(np.arange(100) < 50, 140_550_000.0 + utc - utc[0], utc)
+    toh = np.where(np.arange(100) < 50, free_us + utc - utc[0], utc)
     frames = [log.ethernet(log.udp(row, 2368)) for row in log.data_packets(toh)]
     early = log.position_packet(toh[9] + 100, 1, log.rmc(HOUR + 1234))
     for k in (90, 70):
         state = log.position_packet(toh[k] + 100, 2, log.rmc(HOUR + 1234))
         frames.insert(k, log.ethernet(log.udp(state, 8308)))
-    frames.insert(50, log.ethernet(log.udp(log.position_packet(toh[50] - 50, 2, log.rmc(HOUR + 1234)), 8308)))
+    frames.insert(
+        50 - ahead, log.ethernet(log.udp(log.position_packet(toh[50] - 50, 2, log.rmc(HOUR + 1234)), 8308))
+    )
     frames.insert(10, log.ethernet(log.udp(early, 8308)))
     gps, _, scan = packet_times([save(tmp_path / "a", frames)])
     assert np.isnan(gps[:50]).all()
     assert_gps(gps[50:], utc[50:])
     assert not scan.report.gaps
     assert scan.report.losses == {"unsynchronised_packets": 50}
+    ends = np.rint(toh[[0, 49]]) * 1e-6
+    assert any(f"from {ends[0]:.6f} to {ends[1]:.6f} s of device time" in n for n in scan.report.notes)
+    assert scan.report.t_first_s == pytest.approx(GPS_HOUR + utc[50] * 1e-6, abs=2e-6)
+    assert not any("No position packets" in n for n in scan.report.notes)
+    assert scan.report.rates_hz["packets"] == pytest.approx(1e6 / 1327.104, rel=1e-4)
 
 
 def test_hole_before_the_lock_is_a_hole(tmp_path):
@@ -144,7 +153,7 @@ def test_lock_lost_in_the_middle(tmp_path):
     assert_gps(gps[good], stamps[good])
     assert np.isnan(gps[110:210]).all()
     assert any("packets 110 to 209; PPS error" in n for n in scan.report.notes)
-    assert any("Unsynchronised for 0.133 s, from 1.145" in n for n in scan.report.notes)
+    assert any("Unsynchronised for 0.131 s, from 1.145" in n for n in scan.report.notes)
 
 
 def test_first_position_packet_comes_late(tmp_path):

@@ -1,6 +1,5 @@
 """A short twin that several tests look at: 4 s across a full hour, all logs, and its truth."""
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,9 +38,6 @@ class Twin:
 
     def path(self, name: str) -> Path:
         return self.folder / name
-
-    def effects(self, stream: str) -> dict[str, Any]:
-        return dict(json.loads(self.path(f"{stream}.json").read_text()))
 
 
 def record_lidar(twin_folder: Path, out: Path, config: TwinConfig) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The lidar: every shot at its own pose, noise as configured, packets that other people's programs read."""
 
+import json
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -154,7 +155,8 @@ def test_water_sky_and_range_limits(twin: Any, record: Recorder) -> None:
     assert Material.BED not in material, "water is opaque to the lidar"
     assert set(material) >= {Material.SOIL, Material.STONE, Material.GRASS, Material.LEAF, Material.WATER}
     near = table["range_m"][material == Material.WATER]
-    assert near.max() < 1.0, "water returns from straight below only"
+    # The share falls with the 8th power of the cosine: at 60 degrees, twice the height of 0.45 m, to 0.4 %.
+    assert np.mean(near < 0.9) > 0.99, "water returns from straight below only"
     assert table["brightness"].between(1, 100).all()
     path, _, config = record("near", lidar={"max_range_m": 12.0, "water_returns": 0.0})
     table, _, material = matched(path)
@@ -218,13 +220,11 @@ def test_losses_copies_and_swaps_are_those_reported(record: Recorder) -> None:
 
 
 def json_of(path: Path) -> dict[str, Any]:
-    import json
-
     return dict(json.loads(path.with_suffix(".json").read_text()))
 
 
 def test_dual_returns_are_pairs_of_blocks(record: Recorder) -> None:
-    path, facts, _ = record("dual", lidar={"returns": "dual"}, duration_s=2.0)
+    path, _, _ = record("dual", lidar={"returns": "dual"}, duration_s=2.0)
     packets = np.frombuffer(b"".join(read_capture(path)[0]), dtype=np.uint8).reshape(-1, 1206)
     assert set(packets[:, 1204]) == {0x39}
     toh = packets[:, 1200:1204].copy().view("<u4")[:, 0].astype(np.int64)
@@ -248,7 +248,7 @@ def test_mixed_pixels_lie_between_two_surfaces(record: Recorder, twin: Any, moun
     quiet = {"sigma_range_m": 0.0, "sigma_lateral_m": 0.0}
     off = []
     for name, mixed in (("unmixed", False), ("mixed", True)):
-        path, _, _ = record(name, lidar=quiet, effects={"mixed_pixels": mixed}, duration_s=2.0)
+        path, _, _ = record(name, lidar=quiet, effects={"mixed_pixels": mixed})
         table, true, _ = matched(path)
         origin, _ = rays(table, twin.voyage, mount)
         off.append(np.abs(table["range_m"] - np.linalg.norm(true - origin, axis=1)))
@@ -310,7 +310,11 @@ def test_tshark_dissects_every_frame(twin: Any) -> None:
         command += ["-e", name]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     kinds = pd.Series(done.stdout.splitlines()).str.split("\t", expand=True).value_counts()
-    counts = {key[:3]: int(n) for key, n in kinds.items()}
+    counts: dict[tuple[str, ...], int] = {}
+    for key, n in kinds.items():
+        assert "udp" in key[3]
+        assert "malformed" not in key[3]
+        counts[key[:3]] = counts.get(key[:3], 0) + int(n)
     # Checksum status 1 is "good".
     assert counts == {
         ("2368", "1214", "1"): twin.facts["lidar"]["packets_written"],

@@ -91,8 +91,13 @@ def test_a_scene_survives_being_written(reach: Scene, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "found"),
-    [(None, "file not found"), (b"", "not a scene"), (b"PK\x03\x04rubbish", "not a scene"), (b"ply\n", "not a scene")],
-)  # fmt: skip
+    [
+        (None, "file not found"),
+        (b"", "not a scene"),
+        (b"PK\x03\x04rubbish", "not a scene"),
+        (b"ply\n", "not a scene"),
+    ],
+)
 def test_what_is_no_scene_is_refused(tmp_path: Path, content: bytes | None, found: str) -> None:
     path = tmp_path / "scene.npz"
     if content is not None:

@@ -59,7 +59,7 @@ def test_defaults_are_the_published_inputs() -> None:
         ({"boat": {"speed": 1.0}}, ("boat", "speed"), "Extra inputs"),
         ({"effects": {"lost_packets": 2.0}}, ("effects", "lost_packets"), "less than or equal to 1"),
         ({"effects": {"damaged_streams": ["camera"]}}, ("effects", "damaged_streams", 0), "'lidar'"),
-        ({"boat": 3}, ("boat",), "valid dictionary"),
+        ({"boat": 3}, ("boat",), "should be an object"),
     ],
 )
 def test_mistakes_are_named(data: dict[str, object], place: tuple[object, ...], fragment: str) -> None:

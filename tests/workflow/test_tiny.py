@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import laspy
@@ -127,3 +129,55 @@ def test_the_report_is_one_page(tiny_house) -> None:
     page = (tiny_house.root / "report.html").read_text()
     assert "survey_map" in page
     assert len(page) > 500_000
+
+
+BOAT = """\
+campaign:
+  id: boat
+  title: the tiny twin's logs as a surveyor would hand them in
+  crs: EPSG:25833
+  origin: {{lat_deg: 51.05, lon_deg: 13.25, h_ell_m: 300.0}}
+logs:
+  lidar: [{logs}/lidar.pcap]
+  ins: [{logs}/ins.anpp]
+  gnss: {{rover: [{logs}/rover.sbp]}}
+  depth: [{logs}/*.nmea]
+mounts:
+  lidar: {{phi_deg: -90.0, lever_ics_m: [-0.350, 0.000, -0.250]}}
+  antenna: {{lever_ics_m: [0.100, 0.000, -0.450]}}
+orientation: {{position_source: {source}}}
+georeferencing: {{export_map: false}}
+"""
+
+
+@pytest.mark.parametrize("source", ["sbp", "ins"])
+def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
+    """The branch of real campaigns: files named in the campaign file, no twin, no truth, other positions."""
+    logs = tiny_house.root / BASE / "simulation/logs"
+    (tiny_house.root / "config/campaigns/boat.yaml").write_text(BOAT.format(logs=logs, source=source))
+    tiny_house.snakemake("--config", "campaign=boat", "--forcerun", "read_positions")
+    base = tiny_house.root / "results/boat"
+    summary = json.loads((base / "orientation/trajectory.json").read_text())
+    assert summary["n_nodes_valid"] > 1000
+    with laspy.open(base / "lidar/points.laz") as reader:
+        n = reader.header.point_count
+    with laspy.open(tiny_house.root / BASE / "lidar/points.laz") as reader:
+        assert n == pytest.approx(reader.header.point_count, rel=0.01)
+    assert not (base / "accuracy").exists() or not list((base / "accuracy").glob("truth*"))
+    assert not (base / "figures/error_versus_range.png").exists()
+    assert (base / "figures/cloud_detail.png").is_file()
+
+
+def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house) -> None:
+    logs = tiny_house.root / BASE / "simulation/logs"
+    run = subprocess.run(
+        [sys.executable, "-m", "thalweg", "new-campaign", "found", "--from-logs", str(logs),
+         "--origin", "51.05", "13.25", "300"],
+        cwd=tiny_house.root, env=tiny_house.environment(), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    text = (tiny_house.root / "config/campaigns/found.yaml").read_text()
+    (tiny_house.root / "config/campaigns/found.yaml").unlink()
+    for name in ("lidar.pcap", "ins.anpp", "rover.sbp", "ppk.pos", "echo.nmea", "tls_1.laz"):
+        assert name in text, name
+    assert "left out" in run.stderr  # the provenance files beside the logs are no logs, and that is said

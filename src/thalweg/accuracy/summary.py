@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -23,19 +24,15 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
     Columns ``quantity, value, unit, source``.
     """
     rows: list[tuple[str, float, str, str]] = []
-    for stream in pd.read_csv(streams).itertuples():
-        rows.append((f"{stream.stream}: duration", float(stream.duration_s), "s", streams.name))
-        rows.append((f"{stream.stream}: records lost or damaged", float(stream.lost), "1", streams.name))
+    for stream in _records(streams):
+        rows.append((f"{stream['stream']}: duration", stream["duration_s"], "s", streams.name))
+        rows.append((f"{stream['stream']}: records lost or damaged", stream["lost"], "1", streams.name))
     poses = json.loads(trajectory.read_text())
     share = poses["n_positions_used"] / poses["n_positions"] if poses["n_positions"] else 0.0
     rows.append(("positions used", 100 * share, "%", trajectory.name))
     rows.append(("trajectory nodes with a valid pose", float(poses["n_nodes_valid"]), "1", trajectory.name))
-    rows += [
-        (f"lidar points: {count.what}", float(count.n), "1", counts.name)
-        for count in pd.read_csv(counts).itertuples()
-    ]
+    rows += [(f"lidar points: {count['what']}", count["n"], "1", counts.name) for count in _records(counts)]
     if truth is not None:
-        table = pd.read_csv(truth)
         wanted = {
             "rmse": "bare ground: RMSE against the truth of the twin",
             "predicted_rmse": "bare ground: RMSE predicted",
@@ -43,12 +40,11 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
             "normalised_squared_error_low95": "  its 95 % band, lower end",
             "normalised_squared_error_high95": "  its 95 % band, upper end",
         }
-        ground = table[table["points"] == "bare ground"].set_index("quantity")
+        ground = {row["quantity"]: row for row in _records(truth) if row["points"] == "bare ground"}
         rows += [
-            (text, float(ground.loc[key, "value"]), str(ground.loc[key, "unit"]), truth.name)
-            for key, text in wanted.items()
+            (text, ground[key]["value"], ground[key]["unit"], truth.name) for key, text in wanted.items()
         ]
-        share = 100 * float(ground.loc["share_of_points", "value"])
+        share = 100 * ground["share_of_points"]["value"]
         rows.append(("bare ground: share of all points", share, "%", truth.name))
     return pd.DataFrame(rows, columns=COLUMNS)
 
@@ -56,7 +52,13 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
 def summary_lines(table: pd.DataFrame) -> list[str]:
     """The table as aligned text lines for a terminal."""
     lines = []
-    for row in table.itertuples():
-        value = f"{row.value:,.0f}" if float(row.value) == round(row.value) else f"{row.value:,.3f}"
-        lines.append(f"  {row.quantity:52s} {value:>16s} {'' if row.unit == '1' else row.unit}".rstrip())
+    for row in table.to_dict("records"):
+        number = float(row["value"])
+        value = f"{number:,.0f}" if number == round(number) else f"{number:,.3f}"
+        unit = "" if row["unit"] == "1" else row["unit"]
+        lines.append(f"  {row['quantity']:52s} {value:>16s} {unit}".rstrip())
     return lines
+
+
+def _records(path: Path) -> list[dict[str, Any]]:
+    return [{str(key): value for key, value in row.items()} for row in pd.read_csv(path).to_dict("records")]

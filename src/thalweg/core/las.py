@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 import thalweg
 from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.las_chunks import check_chunks
 from thalweg.core.las_columns import (
     OPTIONAL,
     ExtraDimension,
@@ -320,25 +321,31 @@ def iter_laz(path: Path, chunk_points: int = 1_000_000) -> Iterator[dict[str, An
     InputError : not a LAS file, or fewer points than the header declares (after the whole chunks).
     """
     check_las_bytes(path)
+    check_chunks(path)
     with library_errors(path, "read the LAS header"):
         reader = laspy.open(path)
     with reader:
         header = header_from_laspy(reader.header, path)
-        done = 0
-        while done < header.n_points:
-            want = min(chunk_points, header.n_points - done)
+        done, present = 0, header.n_points
+        if not reader.header.are_points_compressed:
+            room = path.stat().st_size - reader.header.offset_to_point_data
+            present = min(present, room // reader.header.point_format.size)
+        while done < present:
+            want = min(chunk_points, present - done)
             with library_errors(path, f"read points {done:,} to {done + want:,} of {header.n_points:,}"):
                 points = reader.read_points(want)
                 columns = columns_of(points, header)
             yield columns
             done += len(points)
             if len(points) < want:
-                raise InputError(
-                    f"the file ends after {done:,} points",
-                    expected=f"{header.n_points:,} points as its header says",
-                    where=path,
-                    cure="Copy the file again from its source",
-                )
+                break
+        if done < header.n_points:
+            raise InputError(
+                f"the file ends after {done:,} points",
+                expected=f"{header.n_points:,} points as its header says",
+                where=path,
+                cure="Copy the file again from its source",
+            )
 
 
 def read_laz(path: Path) -> tuple[dict[str, AnyArray], LazHeader]:

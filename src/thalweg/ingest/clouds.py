@@ -75,7 +75,9 @@ def read_cloud(path: Path) -> Cloud:
     UnsupportedError : another format.
     """
     if not path.is_file():
-        raise InputError("file not found", expected="a LAS, LAZ, PLY or E57 cloud", where=path, cure="Check the path")
+        raise InputError(
+            "file not found", expected="a LAS, LAZ, PLY or E57 cloud", where=path, cure="Check the path"
+        )
     with path.open("rb") as stream:
         head = stream.read(16)
     if not head:
@@ -93,19 +95,22 @@ def read_cloud(path: Path) -> Cloud:
 
 
 def _cloud(raw: RawCloud, report: IntegrityReport, path: Path) -> Cloud:
-    finite = np.isfinite(raw.points).all(axis=1)
+    finite: AnyArray = np.all(np.isfinite(raw.points), axis=1)
     if lost := int(np.count_nonzero(~finite)):
         report.lose("points_not_finite", lost)
     if not finite.any():
         raise InputError(
-            f"none of {len(finite):,} points is finite", expected="points", where=path, cure="Export the cloud again"
+            f"none of {len(finite):,} points is finite",
+            expected="points",
+            where=path,
+            cure="Export the cloud again",
         )
     if raw.single_precision:
         reach = float(np.abs(raw.points[finite]).max())
         if reach > _FLOAT32_REACH_M:
             report.note(
                 f"Coordinates up to {reach:.0f} m are stored in single precision: they resolve "
-                f"{float(np.spacing(np.float32(reach))) * 1000:.3g} mm only. Export with a shift or in doubles."
+                f"{float(np.spacing(np.float32(reach))) * 1000:.3g} mm only. Export doubles, or with a shift."
             )
 
     def keep(values: AnyArray | None) -> AnyArray | None:

@@ -70,13 +70,15 @@ def _check_header(path: Path) -> None:
         head = stream.read(48)
     if len(head) < 48:
         raise InputError(f"{size} bytes", expected="an E57 header of 48 bytes", where=path)
-    physical, xml_offset, xml_length, page = (int.from_bytes(head[i : i + 8], "little") for i in (16, 24, 32, 40))
+    physical, xml_offset, xml_length, page = (
+        int.from_bytes(head[i : i + 8], "little") for i in (16, 24, 32, 40)
+    )
     if physical != size or page != _PAGE or not 0 < xml_offset < size or not 0 < xml_length <= size:
         raise InputError(
-            f"header states {physical:,} bytes, pages of {page} and XML at {xml_offset:,}; the file has {size:,} bytes",
+            f"header states {physical:,} bytes, pages of {page}, XML at {xml_offset:,}; found {size:,}",
             expected="sizes that agree",
             where=path,
-            cure="The file is cut or damaged, and the XML that says where the points are stands at its end: copy it again",
+            cure="The file is cut or damaged; without the XML at its end no point is found: copy it again",
         )
 
 
@@ -177,5 +179,3 @@ def _colour_limit(header: Any) -> float:
     if not node.isDefined("colorLimits"):
         return 255.0
     return max(float(node["colorLimits"][f"{name}Maximum"].value()) for name in _COLOURS)
-
-

@@ -22,7 +22,11 @@ _TYPES: Final = {
 }  # fmt: skip
 _ORDERS: Final = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _INTENSITY: Final = ("intensity", "scalar_intensity", "reflectance", "scalar_reflectance")
-_COLOURS: Final = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+_COLOURS: Final = (
+    ("red", "green", "blue"),
+    ("r", "g", "b"),
+    ("diffuse_red", "diffuse_green", "diffuse_blue"),
+)
 _HEAD_BYTES: Final = 1 << 20
 
 
@@ -59,7 +63,10 @@ def read_ply(path: Path, report: IntegrityReport) -> RawCloud:
     vertex, before = elements[index], elements[:index]
     if vertex.lists or any(e.lists for e in before):
         raise UnsupportedError(
-            "list properties in or before the vertices", expected="plain vertices first", where=path, cure="Export as LAZ"
+            "list properties in or before the vertices",
+            expected="plain vertices first",
+            where=path,
+            cure="Export as LAZ",
         )
     names = [n for n, _ in vertex.fields]
     if not {"x", "y", "z"} <= set(names) or len(set(names)) < len(names):
@@ -74,7 +81,9 @@ def read_ply(path: Path, report: IntegrityReport) -> RawCloud:
         points=np.stack([table[a].astype(np.float64) for a in "xyz"], axis=-1),
         intensity=next((table[n].astype(np.float32) for n in _INTENSITY if n in types), None),
         rgb=next((eight_bit(_stack(table, c), report) for c in _COLOURS if set(c) <= set(types)), None),
-        normals=_stack(table, ("nx", "ny", "nz")).astype(np.float32) if {"nx", "ny", "nz"} <= set(types) else None,
+        normals=_stack(table, ("nx", "ny", "nz")).astype(np.float32)
+        if {"nx", "ny", "nz"} <= set(types)
+        else None,
         single_precision="f4" in (types["x"], types["y"], types["z"]) and form != "ascii",
     )
 
@@ -83,6 +92,7 @@ def _header(text: str, path: Path) -> tuple[str, list[_Element], list[str]]:
     form, elements, comments = "", [], []  # type: str, list[_Element], list[str]
     for number, line in enumerate(re.split(r"\r\n|\n|\r", text), start=1):
         words = line.split()
+        known = True
         try:
             match words:
                 case ["ply"] | [] | ["obj_info", *_]:
@@ -98,14 +108,16 @@ def _header(text: str, path: Path) -> tuple[str, list[_Element], list[str]]:
                 case ["property", kind, name] if elements:
                     elements[-1].fields.append((name.lower(), _TYPES[kind]))
                 case _:
-                    raise ValueError(line)
-        except (ValueError, KeyError) as error:
+                    known = False
+        except (ValueError, KeyError):
+            known = False
+        if not known:
             raise InputError(
                 f"line {number} of the header is {line[:60]!r}",
                 expected="format, element or property of PLY 1.0",
                 where=path,
                 cure="Export the cloud again",
-            ) from error
+            )
     if not form or any(e.count < 0 for e in elements):
         raise InputError("the header states no format, or negative counts", expected="PLY 1.0", where=path)
     return form, elements, comments
@@ -116,7 +128,7 @@ def _body(
 ) -> AnyArray:
     """Vertices present, as a structured array."""
     if form == "ascii":
-        return _ascii(path, start + 0, sum(e.count for e in before), vertex, report)
+        return _ascii(path, start, sum(e.count for e in before), vertex, report)
     order = _ORDERS[form]
     start += sum(e.count * np.dtype([(n, order + t) for n, t in e.fields]).itemsize for e in before)
     dtype = np.dtype([(n, order + t) for n, t in vertex.fields])

@@ -9,9 +9,13 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core.errors import InputError
+from thalweg.core.timescales import gps_from_week
 from thalweg.core.types import AnyArray, ArrayF32
 from thalweg.ingest.integrity import IntegrityReport
 from thalweg.ingest.recognise import KINDS, recognise
+
+_ANY_WEEK = 2000
+"""Stands in for the week of an SBET that is only described; taken off again."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -133,8 +137,17 @@ def _rinex(kind: str, files: list[Path], options: dict[str, Any], points: bool) 
 def _sbet(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
     from thalweg.ingest.sbet import read_sbet
 
-    # Without a week the stamps stay seconds of the week: enough to describe the file.
-    log = read_sbet(files, gps_week=options.get("gps_week"))
+    week = options.get("gps_week")
+    log = read_sbet(files, gps_week=_ANY_WEEK if week is None else week)
+    if week is None:
+        # Enough to describe the file: its stamps as they stand there, and no GPS time.
+        t0 = float(gps_from_week(_ANY_WEEK, 0.0))
+        report = log.report
+        report.synchronised = False
+        report.t_first_s = None if report.t_first_s is None else report.t_first_s - t0
+        report.t_last_s = None if report.t_last_s is None else report.t_last_s - t0
+        report.note("An SBET holds seconds of the week only: give its GPS week (logs.gps_week) to place it.")
+        log.states["t_gps_s"] = np.nan
     return Recording(kind=kind, report=log.report, tables={"states": log.states})
 
 

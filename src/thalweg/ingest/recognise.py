@@ -38,7 +38,8 @@ _MAGIC: Final = (
 )
 _NMEA = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},[^\r\n*]*(\*[0-9A-Fa-f]{2})?")
 _POS_LINE = re.compile(
-    rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d|\d{4}[ ,;\t]+\d{1,6}\.\d+)([ ,;\t]+[-\d.:]+){6,}"
+    rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d(\.\d+)?|\d{4}[ ,;\t]+\d{1,6}\.\d+)"
+    rb"([ ,;\t]+[-\d.:]+){6,}"
 )
 _PAYLOAD = 1206
 _SBET_RECORD = 136
@@ -137,13 +138,18 @@ def _is_sbet(head: bytes, size: int) -> bool:
             -1, 17
         )
         time, lat, lon, height = records[:, :4].T
+        if not np.isfinite(records[:, :4]).all():
+            continue
+        step = np.diff(time)
         if (
-            np.isfinite(records[:, :4]).all()
-            and (np.abs(lat) <= np.pi / 2).all()
+            (np.abs(lat) <= np.pi / 2).all()
             and (np.abs(lon) <= 2 * np.pi).all()
             and (np.abs(height) < 20_000).all()
+            # zeros and denormal numbers are bytes of something else: a survey is not at latitude 0.000000
+            and (np.abs(lat) > 1e-9).all()
             and (time >= 0).all()
-            and np.ptp(time) > 0
+            and (step > 0).mean() > 0.9
+            and np.median(step) < 10
         ):
             return True
     return False

@@ -67,6 +67,12 @@ def read_sbp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> SbpLog
     InputError : no files, a file that cannot be read or holds no SBP message, or all files are empty.
     """
     records = collect([Path(f) for f in files], chunk_bytes)
+    # a number that no receiver should send is a finding in the report, not an error of arithmetic
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _log_of(records)
+
+
+def _log_of(records: SbpRecords) -> SbpLog:
     sender, others = _rover(records)
     track = build_track(records, sender or None)
     dropped = tables.Dropped()

@@ -124,6 +124,8 @@ class LidarClock:
 @dataclass(slots=True)
 class _Stretch:
     first: int
+    before_us: int
+    """Unrolled stamp of the packet before the first one."""
     t_us: int
     extra_s: float
     offset_s: float
@@ -146,6 +148,7 @@ class ClockBuilder:
     unconfirmed_from: int = 0
     """Packets from here on had no report of the PPS state yet, -1 if there was one."""
     unconfirmed_t_us: int = 0
+    unconfirmed_before_us: int = 0
     last_locked_packet: int = 0
     last_sentence: bytes = b""
     last_report_t_us: int | None = None
@@ -156,6 +159,8 @@ class ClockBuilder:
     newest_us: int | None = None
     free_jumps: dict[int, int] = field(default_factory=dict)
     """Packets behind a jump of the free-running clock, and their stamps."""
+    pending_s: float = math.nan
+    """GPS time minus unrolled stamp from the next jump on, told by a position packet ahead of the data."""
     clock_set: set[int] = field(default_factory=set)
     """Packets before which the sensor set its clock on locking."""
     jumps: list[tuple[int, float]] = field(default_factory=list)
@@ -164,8 +169,8 @@ class ClockBuilder:
     def feed(self, block: PacketBlock) -> None:
         """Take in the next block of the stream."""
         if not self.stretches:
-            self._push(0, int(block.t_us[0]), math.nan, "no position packet yet")
-            self.unconfirmed_t_us = int(block.t_us[0])
+            self.unconfirmed_t_us = self.unconfirmed_before_us = int(block.t_us[0])
+            self._push(block, 0, math.nan, "no position packet yet")
         marked = np.flatnonzero((block.event == GAP) | (block.event == STEP_BACK))
         queue = [(block.first_packet + int(i), float(block.jump_us[i]) * 1e-6) for i in marked]
         for position in block.positions:
@@ -182,13 +187,25 @@ class ClockBuilder:
             return self.unconfirmed_t_us
         return int(block.t_us[min(max(packet - block.first_packet, 0), block.t_us.size - 1)])
 
-    def _push(self, first: int, t_us: int, offset_s: float, why: str) -> None:
+    def _before_us(self, block: PacketBlock, packet: int) -> int:
+        """Unrolled stamp of the packet before ``packet``."""
+        if packet == self.unconfirmed_from:
+            return self.unconfirmed_before_us
+        if packet <= block.first_packet and self.newest_us is not None:
+            return self.newest_us
+        return self._t_us(block, packet - 1)
+
+    def _push(self, block: PacketBlock, first: int, offset_s: float, why: str) -> None:
+        before_us, t_us = self._before_us(block, first), self._t_us(block, first)
         while self.stretches and self.stretches[-1].first >= first:
             self.stretches.pop()
-        self.stretches.append(_Stretch(first, t_us, self.extra_s, offset_s, why))
+        self.stretches.append(_Stretch(first, before_us, t_us, self.extra_s, offset_s, why))
 
     def _hole(self, block: PacketBlock, packet: int, jump_s: float) -> None:
-        if packet in self.clock_set:
+        if not math.isnan(self.pending_s) and abs(jump_s) > SET_S:
+            self.holes_s += jump_s
+            self.clock_set.add(packet)
+            self._lock(block, packet, self.pending_s)
             return
         self.jumps.append((packet, jump_s))
         self.holes_s += jump_s
@@ -196,10 +213,11 @@ class ClockBuilder:
         if not locked and self.unconfirmed_from < 0 and (jump_s > SET_S or jump_s < 0):
             self.free_jumps[packet] = self._t_us(block, packet)
         if (jump_s > BREAK_S or jump_s < 0) and (locked or self.unconfirmed_from >= 0):
-            self.unconfirmed_t_us = int(block.t_us[packet - block.first_packet])
             self.unconfirmed_from = packet
+            self.unconfirmed_t_us = int(block.t_us[packet - block.first_packet])
+            self.unconfirmed_before_us = self.unconfirmed_t_us - round(jump_s * 1e6)
             if locked:
-                self._push(packet, self.unconfirmed_t_us, math.nan, "PPS state unknown after a hole")
+                self._push(block, packet, math.nan, "PPS state unknown after a hole")
 
     def silence_s(self, now_us: int) -> float:
         """Longest time that had data but no report, up to now."""
@@ -222,8 +240,8 @@ class ClockBuilder:
             reference = self._t_us(block, position.after_packet - 1)
         half = HOUR_US // 2
         now_us = reference + (position.toh_us - reference + half) % HOUR_US - half
-        self.longest_silence_s = self.silence_s(now_us)
-        self.last_report_t_us, self.holes_s = now_us, 0.0
+        self.longest_silence_s = self.silence_s(reference)
+        self.last_report_t_us, self.holes_s, self.pending_s = reference, 0.0, math.nan
         if position.pps != LOCKED:
             self._unlock(block, position, f"PPS {PPS_STATES[position.pps]}")
             return
@@ -242,17 +260,19 @@ class ClockBuilder:
                 self._unlock(block, position, f"RMC and packet stamps disagree by {abs(lag_s):.0f} s")
             return
         self.worst_lag_s = max(self.worst_lag_s, -lag_s)
+        hour_unix_s = _HOUR_S * round((rmc_s - position.toh_us * 1e-6) / _HOUR_S)
+        total_s = float(gps_from_unix(hour_unix_s)) - (now_us - position.toh_us) // 1_000_000
         free = math.isnan(self.stretches[-1].offset_s) and self.unconfirmed_from < 0
         if free and abs(now_us - reference) > SET_S * 1e6:
-            self.clock_set.add(position.after_packet)  # this packet has the new time, the next data too
-        hour_unix_s = _HOUR_S * round((rmc_s - position.toh_us * 1e-6) / _HOUR_S)
-        gps_hour_s = float(gps_from_unix(hour_unix_s))
-        self._lock(block, position.after_packet, gps_hour_s - (now_us - position.toh_us) // 1_000_000)
+            # The new time stands in this packet, but data packets fired before it may still be under way.
+            self.pending_s = total_s
+        else:
+            self._lock(block, position.after_packet, total_s)
 
     def _unlock(self, block: PacketBlock, position: PositionPacket, why: str) -> None:
         packet = position.after_packet if self.unconfirmed_from < 0 else self.unconfirmed_from
         if not math.isnan(self.stretches[-1].offset_s) or self.stretches[-1].why != why:
-            self._push(packet, self._t_us(block, packet), math.nan, why)
+            self._push(block, packet, math.nan, why)
         self.unconfirmed_from = -1
 
     def _lock(self, block: PacketBlock, packet: int, total_s: float) -> None:
@@ -280,7 +300,7 @@ class ClockBuilder:
             else:
                 first = min(first, block.first_packet + int(np.searchsorted(block.t_us, earliest_us)))
         if difference_s or math.isnan(self.stretches[-1].offset_s):
-            self._push(first, self._t_us(block, first), self.known_offset_s, "")
+            self._push(block, first, self.known_offset_s, "")
         self.unconfirmed_from = -1
         self.last_locked_packet = packet
         self.jumps = []

@@ -57,7 +57,8 @@ class PointBlock:
     Attributes
     ----------
     t_gps_s : (n,) adjusted GPS time of the shot; NaN where the sensor was unsynchronised.
-    t_device_s : (n,) seconds past the hour of the first packet on the device's clock, unrolled.
+    t_device_s : (n,) seconds past the hour of the first packet on the device's clock, unrolled; it jumps only
+        where the sensor set its clock.
     xyz_scs_m : (n, 3) coordinates in the sensor frame: x right, y forward (azimuth 0), z up.
     range_m : (n,) measured distance.
     azimuth_rad : (n,) clockwise from forward, seen from above, [0, 2 pi].

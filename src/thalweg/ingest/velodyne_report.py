@@ -68,6 +68,9 @@ class Findings:
     all_modes: Counter[int] = field(default_factory=Counter)
     senders: Counter[int] = field(default_factory=Counter)
     events: Counter[int] = field(default_factory=Counter)
+    n_steps: int = 0
+    steps_us: int = 0
+    """Steps of less than a second from packet to packet, and their sum."""
     holes: list[Hole] = field(default_factory=list)
     first: tuple[int, int] = (0, 0)
     last: tuple[int, int] = (0, 0)
@@ -96,6 +99,10 @@ class Findings:
         _add(self.events, block.event)
         _add(self.all_modes, block.payload[:, 1204])
         _add(self.modes, block.payload[keep, 1204])
+        step_us = block.jump_us[keep]
+        step_us = step_us[(step_us > 0) & (step_us < 1_000_000)]
+        self.n_steps += step_us.size
+        self.steps_us += int(step_us.sum())
         if keep.size:
             if self.n_kept == keep.size:
                 self.first = (block.first_packet + int(keep[0]), int(block.t_us[keep[0]]))
@@ -183,9 +190,8 @@ def write_report(
     _write_times(report, found, builder, clock, position_port)
     _write_counts(report, found, tally, builder, counters)
     _write_gaps(report, found, builder, clock)
-    duration_s = (found.last[1] - found.first[1]) * 1e-6
-    if duration_s > 0:
-        report.rates_hz["packets"] = (found.n_kept - 1) / duration_s
+    if found.steps_us > 0:
+        report.rates_hz["packets"] = found.n_steps / (found.steps_us * 1e-6)
     if counters[GAP_COUNT]:
         degrees = counters[GAP_SUM] / counters[GAP_COUNT] / 100
         report.rates_hz["rotation"] = float(degrees / 360 / BLOCK_S)
@@ -219,7 +225,7 @@ def _write_times(
     ends = [*clock.first_packet[1:], found.n_packets]
     device = [s.t_us * 1e-6 + s.extra_s for s in builder.stretches]
     last_s = found.last[1] * 1e-6 + float(clock.extra_s(np.array([found.last[0]]))[0])
-    stops = [*device[1:], last_s]
+    stops = [after.before_us * 1e-6 + s.extra_s for s, after in pairwise(builder.stretches)] + [last_s]
     locked = [not math.isnan(v) for v in clock.gps_minus_device_s]
     report.synchronised = any(locked)
     report.time_scale = "utc" if report.synchronised else "device"
@@ -303,7 +309,7 @@ def _write_gaps(report: IntegrityReport, found: Findings, builder: ClockBuilder,
     for packet, hole in sorted(holes.items()):
         if packet in builder.clock_set:
             if hole.jump_us < 0:
-                report.losses["clock_set_back"] -= 1
+                _undo_set_back(report)
             report.note(
                 f"The sensor set its clock by {hole.jump_us * 1e-6:+.6f} s (whole hours apart) before packet "
                 f"{packet}, when it locked to the PPS; no packet is taken to be missing there."
@@ -316,7 +322,7 @@ def _write_gaps(report: IntegrityReport, found: Findings, builder: ClockBuilder,
         if duration_s <= 0:
             continue  # the clock was set back: counted as such, nothing is missing
         if hole.jump_us < 0:
-            report.losses["clock_set_back"] -= 1
+            _undo_set_back(report)
         start_s = (hole.end_us - hole.jump_us) * 1e-6 + float(extra_s[0])
         if report.synchronised:
             start_s += float(clock.offset_s(around)[0])
@@ -325,3 +331,10 @@ def _write_gaps(report: IntegrityReport, found: Findings, builder: ClockBuilder,
     lost = sum(gap.lost for gap in report.gaps)
     if lost:
         report.lose("packets_lost_estimated", lost)
+
+
+def _undo_set_back(report: IntegrityReport) -> None:
+    """Take back a loss that turned out to be none."""
+    report.losses["clock_set_back"] -= 1
+    if not report.losses["clock_set_back"]:
+        del report.losses["clock_set_back"]

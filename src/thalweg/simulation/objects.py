@@ -38,7 +38,7 @@ class MeshParts:
         )
 
 
-def _repeat(shape: ArrayF, faces: ArrayI, copies: ArrayF) -> tuple[ArrayF, ArrayI]:
+def _repeat(faces: ArrayI, copies: ArrayF) -> tuple[ArrayF, ArrayI]:
     """Vertices and triangles of many copies, each given by its own (k, 3) vertices."""
     n, k = copies.shape[:2]
     shift = (np.arange(n) * k)[:, None, None]
@@ -81,7 +81,7 @@ def add_stones(parts: MeshParts, river: River, rng: np.random.Generator) -> None
     x = cos * local[..., 0] - sin * local[..., 1]
     y = sin * local[..., 0] + cos * local[..., 1]
     stones = np.stack([x, y, local[..., 2]], axis=-1) + _stand(river, s, n)[:, None, :]
-    vertices, triangles = _repeat(ball, faces, stones)
+    vertices, triangles = _repeat(faces, stones)
     parts.add(vertices, triangles, np.full(len(triangles), Material.STONE))
 
 
@@ -114,7 +114,7 @@ def _add_leaves(parts: MeshParts, centres: ArrayF, rng: np.random.Generator) -> 
     v /= np.linalg.norm(v, axis=1, keepdims=True)
     size = rng.uniform(0.03, 0.07, (m, 1))
     corners = np.stack([centres - u * size, centres + v * size / 2, centres + u * size], axis=1)
-    vertices, triangles = _repeat(corners[0], np.array([[0, 1, 2]]), corners)
+    vertices, triangles = _repeat(np.array([[0, 1, 2]]), corners)
     parts.add(vertices, triangles, np.full(len(triangles), Material.LEAF))
 
 
@@ -148,7 +148,7 @@ def add_posts(parts: MeshParts, river: River, rng: np.random.Generator) -> None:
     radius, height = rng.uniform(0.05, 0.14, count), rng.uniform(1.2, 3.0, count)
     scale = np.stack([radius, radius, height + 0.3], axis=1)
     foot = _stand(river, s, n) - [0.0, 0.0, 0.3]
-    vertices, triangles = _repeat(shape, faces, shape[None] * scale[:, None] + foot[:, None])
+    vertices, triangles = _repeat(faces, shape[None] * scale[:, None] + foot[:, None])
     parts.add(vertices, triangles, np.full(len(triangles), Material.WOOD))
 
 
@@ -164,5 +164,5 @@ def add_buildings(parts: MeshParts, river: River, rng: np.random.Generator) -> N
     scale = np.stack([rng.uniform(5, 8, c.buildings), rng.uniform(4, 6, c.buildings),
                       rng.uniform(5, 9, c.buildings)], axis=1)  # fmt: skip
     foot = _stand(river, s, n) - [0.0, 0.0, 1.0]
-    vertices, triangles = _repeat(shape, faces, shape[None] * scale[:, None] + foot[:, None])
+    vertices, triangles = _repeat(faces, shape[None] * scale[:, None] + foot[:, None])
     parts.add(vertices, triangles, np.full(len(triangles), Material.WALL))

@@ -11,7 +11,7 @@ def generator(seed: int, name: str) -> np.random.Generator:
 
     Examples
     --------
-    >>> generator(1, "lidar").integers(100) == generator(1, "lidar").integers(100)
+    >>> bool(generator(1, "lidar").integers(100) == generator(1, "lidar").integers(100))
     True
     """
     return np.random.default_rng([seed, *name.encode()])

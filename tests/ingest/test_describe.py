@@ -1,0 +1,155 @@
+"""`thalweg describe`: what a file is by its content, and what is said about it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from thalweg.core.errors import InputError, UnsupportedError
+from thalweg.figures.first_look import first_look
+from thalweg.figures.recordings_page import recordings_page, recordings_table
+from thalweg.figures.style import save
+from thalweg.ingest.describe import describe, load_recording
+from thalweg.ingest.recognise import recognise
+
+REAL = [
+    ("vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap", "capture", "VLP-16", "points", 73_486, True),
+    ("vlp16_timm_rawpayload/dual_1500pkt.bin", "velodyne_payloads", "VLP-16", "data_packets", 1500, False),
+    ("vlp16_timm_rawpayload/last_1500pkt.bin", "velodyne_payloads", "VLP-16", "points", 500_259, False),
+    ("anpp_sdk_log/Log.anpp", "anpp", "Boreas D90", "packets", 632, False),
+    ("sbp_piksi_rtk_2017/2017-05-12-v1.1.26.sbp", "sbp", "", "messages", 59_065, True),
+    ("sbp_piksi_coldstart_2017/20170513-180207.1.1.26.bin", "sbp", "", "messages", 61_599, True),
+    ("sbp_libsbp_samples/filter.bin", "sbp", "", "messages", 7_056, True),
+    ("nmea_gpsd_depth/humminbird-M37.log", "nmea", "", "sentences", 98, True),
+    ("nmea_gpsd_depth/sounder.log", "nmea", "", "sentences", 244, False),
+    ("nmea_gpsd_depth/bundg_zeus_9.log", "nmea", "", "sentences", 4999, True),
+    ("rinex_cssrlib_kinematic_2021/SEPT265G.21O", "rinex", "MOSAIC", "epochs", 360, True),
+    ("rinex_cssrlib_kinematic_2021/SEPT2650.21P", "rinex", "", "", 0, True),
+]
+"""File, kind, part of the model, a count of PROVENANCE.md, synchronised."""
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(("name", "kind", "model", "what", "n", "synchronised"), REAL)
+def test_real_recordings_are_known_by_content(
+    data_dir: Path, tmp_path: Path, name: str, kind: str, model: str, what: str, n: int, synchronised: bool
+) -> None:
+    anonymous = tmp_path / "log"
+    anonymous.symlink_to(data_dir / name)
+    assert recognise(anonymous) == kind
+    report = describe(anonymous)
+    assert model in report.model
+    assert not what or report.counts[what] == n
+    assert report.synchronised == synchronised
+    text = "\n".join(report.lines())
+    assert "unsynchronised" in text or synchronised
+    assert report.to_json()
+
+
+@pytest.mark.real
+def test_a_wrong_product_byte_needs_the_model(data_dir: Path) -> None:
+    path = data_dir / "vlp16_veloview/vlp-16-test-90deg-1-50-frames.pcap"
+    with pytest.raises(UnsupportedError, match=r"HDL-32E.*set lidar\.model to VLP-16"):
+        describe(path)
+    report = describe(path, {"model": "VLP-16"})
+    assert report.counts["points"] == 700_400
+    assert any("HDL-32E" in note for note in report.notes)
+
+
+def sbet_bytes(byte_order: str = "<", n: int = 20) -> bytes:
+    records = np.zeros((n, 17))
+    records[:, 0] = 298_000.0 + np.arange(n) * 0.005
+    records[:, 1:4] = [0.89, 0.23, 250.0]
+    return records.astype(f"{byte_order}f8").tobytes()
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (sbet_bytes(), "sbet"),
+        (sbet_bytes() + b"cut", "sbet"),
+        (b"ply\nformat ascii 1.0\n", "ply"),
+        (b"LASF" + bytes(300), "las"),
+        (b"ASTM-E57" + bytes(100), "e57"),
+        (b"2021/05/12 08:31:07.000 51.05 13.25 300.0 1 12 0.01 0.01 0.02 0 0 0 0 9.9\n", "pos"),
+        (b"2157 289867.000 51.05 13.25 300.0 1 12 0.01 0.01 0.02 0 0 0 0 9.9\n", "pos"),
+        (b"rubbish\r\n$GPRMC,081836,A,3751.65,S,14507.36,E,000.0,360.0,130998,011.3,E*62\r\n", "nmea"),
+    ],
+)
+def test_small_files_are_known_by_content(tmp_path: Path, content: bytes, kind: str) -> None:
+    path = tmp_path / "wrong_ending.jpg"
+    path.write_bytes(content)
+    assert recognise(path) == kind
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "the file is empty"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(500), "of no known kind"),
+        (b"Dear diary, today the river was high.\n" * 50, "of no known kind"),
+        (bytes(5000), "of no known kind"),
+    ],
+)
+def test_foreign_files_are_refused_with_the_known_kinds(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "foreign"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        describe(path)
+
+
+def test_missing_files_and_folders_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="file not found"):
+        describe(tmp_path / "none.pcap")
+    with pytest.raises(InputError, match="this is a folder"):
+        describe(tmp_path)
+
+
+def test_random_bytes_are_never_taken_for_a_log(rng: np.random.Generator, tmp_path: Path) -> None:
+    """Chance CRC matches cover a few bytes of 64 kB; a tenth is demanded."""
+    path = tmp_path / "noise"
+    for _ in range(20):
+        path.write_bytes(rng.integers(0, 256, 65_536, dtype=np.uint8).tobytes())
+        with pytest.raises(InputError, match="of no known kind"):
+            recognise(path)
+
+
+@pytest.mark.real
+def test_the_page_shows_every_recording(data_dir: Path, repository: Path, tmp_path: Path) -> None:
+    entries = yaml.safe_load((repository / "resources/real_recordings.yaml").read_text())
+    chosen = [e for e in entries if e["id"] in ("anpp_sdk_log", "nmea_sounder")]
+    reports, pictures = [], []
+    for entry in chosen:
+        recording = load_recording([data_dir / name for name in entry["files"]])
+        reports.append(recording.report)
+        pictures.append(tmp_path / f"{entry['id']}.png")
+        save(first_look(recording, title=entry["title"]), pictures[-1], dpi=50)
+    titles = [e["title"] for e in chosen]
+    table = recordings_table(reports, titles)
+    assert table["time"].tolist() == ["unsynchronised", "unsynchronised"]
+    html = recordings_page(reports, titles, pictures).html()
+    assert html.count("data:image/png;base64,") == 2
+    assert all(title in html for title in titles)
+    assert "http" not in html.replace("http-equiv", "")
+
+
+@pytest.mark.real
+def test_every_listed_recording_exists(data_dir: Path, repository: Path) -> None:
+    entries = yaml.safe_load((repository / "resources/real_recordings.yaml").read_text())
+    assert len({e["id"] for e in entries}) == len(entries) >= 15
+    for entry in entries:
+        for name in [*entry["files"], *entry.get("base", []), *entry.get("nav", [])]:
+            assert (data_dir / name).is_file(), name
+
+
+def test_an_sbet_without_week_is_described_but_not_placed(tmp_path: Path) -> None:
+    path = tmp_path / "trajectory"
+    path.write_bytes(sbet_bytes())
+    report = describe(path)
+    assert not report.synchronised
+    assert report.t_first_s == pytest.approx(298_000.0)
+    assert any("logs.gps_week" in note for note in report.notes)
+    placed = describe(path, {"gps_week": 2157})
+    assert placed.synchronised
+    assert placed.t_first_s == pytest.approx(2157 * 604_800 - 1e9 + 298_000.0)
