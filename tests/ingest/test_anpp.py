@@ -242,6 +242,17 @@ def test_files_that_overlap_are_joined_once(tmp_path: Path) -> None:
     assert log.packet_counts[20] == 35
 
 
+def test_an_overlap_that_begins_between_state_and_raw(tmp_path: Path) -> None:
+    epochs = [state(k * 100_000) + raw(k) for k in range(30)]
+    log = read(tmp_path, b"".join(epochs[:20]), raw(14) + b"".join(epochs[15:]))
+    assert log.raw["accel_x_mps2"].tolist() == list(range(30))
+    np.testing.assert_array_equal(log.raw["t_gps_s"], log.states["t_gps_s"])
+    # without overlap the same raw packet belongs to the last state of the file before
+    log = read(tmp_path, b"".join(epochs[:20])[: -len(raw())], raw(19) + b"".join(epochs[20:]))
+    np.testing.assert_array_equal(log.raw["t_gps_s"], log.states["t_gps_s"])
+    assert log.report.clean
+
+
 def test_a_packet_split_between_files_is_whole(tmp_path: Path) -> None:
     data = b"".join(state(k * 100_000) for k in range(10))
     log = read(tmp_path, data[:333], data[333:])

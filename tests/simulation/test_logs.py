@@ -344,16 +344,14 @@ def test_scans_lie_on_the_surface_within_their_noise(twin: Any, scene: Scene) ->
         assert 0.0003 < np.median(distance) < 0.003
 
 
-def test_as_many_scans_as_stations(twin: Any, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="2 files for 3 stations"):
-        simulate_tls(
-            twin.config,
-            SEED,
-            FRAME,
-            twin.path("scene.npz"),
-            [tmp_path / "1", tmp_path / "2"],
-            crs="EPSG:25833",
-        )
+def test_each_target_is_a_station_of_its_own(twin: Any, tmp_path: Path) -> None:
+    targets = [tmp_path / "1.laz", tmp_path / "2.laz"]
+    facts = simulate_tls(twin.config, SEED, FRAME, twin.path("scene.npz"), targets, crs="EPSG:25833")
+    centres = np.array([station["centre_wcs_m"] for station in facts["stations"]])
+    assert centres.shape == (2, 3)
+    # 0.6 of the reach of 130 m lies between the outermost stations
+    assert np.linalg.norm(centres[1] - centres[0]) == pytest.approx(78.0, rel=0.05)
+    assert all(path.stat().st_size > 0 for path in targets)
 
 
 def test_the_twin_shares_no_code_with_the_readers(repository: Path) -> None:

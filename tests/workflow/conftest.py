@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-COPIED = ("Snakefile", "config", "envs", "profiles", "src", "workflow")
+COPIED = ("Snakefile", "config", "envs", "profiles", "resources", "src", "workflow")
 
 
 @dataclass(frozen=True)

@@ -207,7 +207,6 @@ class TwinTls(Section):
     sigma_station_m: NonNegative = Field(
         default=0.0, le=1, description="Error of each station's position per axis, metres"
     )
-    stations: Annotated[int, Field(ge=1, le=9)] = Field(default=3, description="Number of stations")
     coordinates: Literal["map", "local"] = Field(
         default="map", description="Coordinates in the files: grid of campaign.crs, or the local frame"
     )
@@ -256,6 +255,9 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
         },
         "boat": {"speed_mps": 2.4, "turn_rate_degps": 24.0, "zigzag_deg": 50.0, "bank_distance_m": 5.0},
         "tls": {"spacing_m": 0.05},
+        # Short correlation: 25 s then hold enough independent errors to compare them with their sigmas.
+        "ins": {"attitude_time_s": 1.0},
+        "gnss": {"correlation_time_s": 1.0},
     },
     "demo": {"duration_s": 180.0},
     "mulde": {

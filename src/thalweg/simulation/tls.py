@@ -8,7 +8,6 @@ import numpy as np
 from pyproj import CRS
 
 from thalweg.config.twin import TwinConfig
-from thalweg.core.errors import ConfigError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.raycast import RayCaster
 from thalweg.core.types import ArrayF
@@ -29,9 +28,8 @@ _SPREAD: Final = 0.3
 _CHUNK: Final = 500_000
 
 
-def station_positions(config: TwinConfig, river: River) -> ArrayF:
-    """Scanner centres (n, 3) in wcs, along the left bank."""
-    count = config.tls.stations
+def station_positions(config: TwinConfig, river: River, count: int) -> ArrayF:
+    """Scanner centres (count, 3) in wcs, along the left bank."""
     s = np.linspace(-1.0, 1.0, count) if count > 1 else np.zeros(1)
     s = s * _SPREAD * config.scene.length_m
     n = river.half_width(s) + _BEHIND_SHORE_M
@@ -95,30 +93,20 @@ def simulate_tls(
     seed : seed of the campaign.
     frame : the world frame.
     scene : file of `simulate_scene`.
-    out_scans : targets, as many as ``twin.tls.stations``.
+    out_scans : one target a station; the stations share the reach evenly.
     crs : projected CRS of the campaign; heights in the files are ellipsoidal.
     out_effects : where to write station positions and errors (JSON), beside the truth.
 
     Returns
     -------
     facts : number of points and position of each station.
-
-    Raises
-    ------
-    ConfigError : the number of targets is not the number of stations.
     """
-    if len(out_scans) != config.tls.stations:
-        raise ConfigError(
-            f"{len(out_scans)} files for {config.tls.stations} stations",
-            expected="one file a station",
-            cure=f"Set twin.tls.stations to {len(out_scans)}",
-        )
     world, river = Scene.read(scene), River(config.scene, seed)
     caster = world.caster()
     system = CRS.from_user_input(crs) if config.tls.coordinates == "map" else None
     facts: dict[str, Any] = {"stations": []}
     for number, (path, centre) in enumerate(
-        zip(out_scans, station_positions(config, river), strict=True), start=1
+        zip(out_scans, station_positions(config, river, len(out_scans)), strict=True), start=1
     ):
         rng = generator(seed, f"tls {number}")
         shift = rng.normal(0.0, config.tls.sigma_station_m, 3)

@@ -1,0 +1,178 @@
+"""Rotations, the local frame and map export against scipy, pyproj and closed forms."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import CRS, Geod, Transformer
+from scipy.spatial.transform import Rotation
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.frames import (
+    R_ENU_NED,
+    LocalFrame,
+    grid_factors,
+    roll_pitch_heading,
+    rotation_ecef_enu,
+    rotation_enu_body,
+    rotation_opk,
+    rotation_x,
+    rotation_y,
+    rotation_z,
+    transform,
+)
+
+ANGLES = st.floats(-np.pi, np.pi)
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+UTM = CRS(25833)
+TO_ECEF = Transformer.from_crs(4979, 4978, always_xy=True)
+
+
+@given(ANGLES, ANGLES, ANGLES)
+def test_rotations_as_scipy_makes_them(a: float, b: float, c: float) -> None:
+    # upper case: intrinsic axes, so R = R_x(a) R_y(b) R_z(c); a product of three rotations: 1e-15
+    expected = Rotation.from_euler("XYZ", [a, b, c]).as_matrix()
+    np.testing.assert_allclose(rotation_opk(a, b, c), expected, atol=1e-14)
+    for make, axis in ((rotation_x, "x"), (rotation_y, "y"), (rotation_z, "z")):
+        np.testing.assert_allclose(make(a), Rotation.from_euler(axis, a).as_matrix(), atol=1e-15)
+
+
+@given(ANGLES, ANGLES, ANGLES)
+def test_body_rotation_is_the_aerospace_sequence(roll: float, pitch: float, heading: float) -> None:
+    expected = R_ENU_NED @ Rotation.from_euler("ZYX", [heading, pitch, roll]).as_matrix()
+    np.testing.assert_allclose(rotation_enu_body(roll, pitch, heading), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("angles_deg", "body", "enu"),
+    [
+        ((0, 0, 0), (1, 0, 0), (0, 1, 0)),  # heading north: forward is north
+        ((0, 0, 90), (1, 0, 0), (1, 0, 0)),  # heading east
+        ((0, 0, 90), (0, 1, 0), (0, -1, 0)),  # then right is south
+        ((0, 90, 0), (1, 0, 0), (0, 0, 1)),  # nose up
+        ((90, 0, 0), (0, 1, 0), (0, 0, -1)),  # right side down
+        ((0, 0, 45), (0, 0, 1), (0, 0, -1)),  # body z is down
+    ],
+)
+def test_signs_of_attitude(
+    angles_deg: tuple[float, ...], body: tuple[float, ...], enu: tuple[float, ...]
+) -> None:
+    R = rotation_enu_body(*np.deg2rad(angles_deg))
+    np.testing.assert_allclose(R @ body, enu, atol=1e-15)
+
+
+@given(ANGLES, st.floats(-1.55, 1.55), st.floats(0, 2 * np.pi, exclude_max=True))
+def test_attitude_round_trip(roll: float, pitch: float, heading: float) -> None:
+    r, p, h = roll_pitch_heading(rotation_enu_body(roll, pitch, heading))
+
+    def same(a: float, b: float, tolerance: float) -> bool:
+        return abs((a - b + np.pi) % (2 * np.pi) - np.pi) < tolerance
+
+    # at a pitch of 1.55 rad arcsin and the two arctangents lose a factor of 1 / cos(1.55) = 48
+    assert same(float(r), roll, 1e-13)
+    assert abs(float(p) - pitch) < 1e-13
+    assert same(float(h), heading, 1e-13)
+    assert 0 <= float(h) < 2 * np.pi or float(h) == pytest.approx(2 * np.pi)
+
+
+def test_attitudes_broadcast() -> None:
+    R = rotation_enu_body(np.zeros((4, 1)), 0.1, np.linspace(0, 1, 3))
+    assert R.shape == (4, 3, 3, 3)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+
+
+def test_transform_has_its_parts() -> None:
+    T = transform(rotation_z(0.3), [1, 2, 3])
+    np.testing.assert_allclose(T @ [1, 0, 0, 1], [np.cos(0.3) + 1, np.sin(0.3) + 2, 3, 1])
+
+
+def test_enu_axes_at_a_position() -> None:
+    R = rotation_ecef_enu(51.05, 13.25)
+    h = 1.0
+    up = np.subtract(TO_ECEF.transform(13.25, 51.05, 300 + h), TO_ECEF.transform(13.25, 51.05, 300))
+    # differences of 6e6 m: 1e-9
+    np.testing.assert_allclose(R @ [0, 0, 1], up, atol=3e-9)
+    north = np.subtract(
+        TO_ECEF.transform(13.25, 51.05 + 1e-5, 300), TO_ECEF.transform(13.25, 51.05 - 1e-5, 300)
+    )
+    np.testing.assert_allclose(R @ [0, 1, 0], north / np.linalg.norm(north), atol=1e-8)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
+    assert rotation_ecef_enu(np.zeros(5), np.arange(5)).shape == (5, 3, 3)
+
+
+def test_local_frame_is_the_rotated_difference_of_earth_centred_coordinates() -> None:
+    rng = np.random.default_rng(0)
+    lat, lon, h = (
+        51.05 + rng.uniform(-0.02, 0.02, 50),
+        13.25 + rng.uniform(-0.02, 0.02, 50),
+        rng.uniform(0, 500, 50),
+    )
+    ecef = np.stack(TO_ECEF.transform(lon, lat, h), axis=-1)
+    origin = np.array(TO_ECEF.transform(13.25, 51.05, 300.0))
+    expected = (ecef - origin) @ rotation_ecef_enu(51.05, 13.25)
+    # earth-centred coordinates in float64: 1e-9 m
+    np.testing.assert_allclose(FRAME.from_geodetic(lat, lon, h), expected, atol=5e-9)
+    np.testing.assert_allclose(FRAME.from_ecef(ecef), expected, atol=5e-9)
+    back = FRAME.to_geodetic(expected)
+    # 1e-14 of a degree is 1 nm
+    np.testing.assert_allclose(back[0], lat, atol=1e-12)
+    np.testing.assert_allclose(back[1], lon, atol=1e-12)
+    np.testing.assert_allclose(back[2], h, atol=5e-9)
+
+
+def test_vertical_elsewhere() -> None:
+    np.testing.assert_allclose(FRAME.R_wcs_enu(51.05, 13.25), np.eye(3), atol=1e-15)
+    # 0.0135 degrees of latitude are 1.5 km: that much the vertical turns
+    up = FRAME.R_wcs_enu(51.05 + 0.0135, 13.25)[:, 2]
+    assert np.rad2deg(np.arccos(up[2])) == pytest.approx(0.0135, rel=1e-6)
+    assert up[1] > 0
+
+
+def test_map_export_as_pyproj_does_it() -> None:
+    points = np.random.default_rng(1).uniform(-2000, 2000, (40, 3))
+    lat, lon, h = FRAME.to_geodetic(points)
+    # from the datum of the grid: no shift
+    east, north = Transformer.from_crs(4258, 25833, always_xy=True).transform(lon, lat)
+    np.testing.assert_allclose(FRAME.to_map(points, UTM), np.stack([east, north, h], axis=-1), atol=1e-8)
+    compound = FRAME.to_map(points, CRS("EPSG:25833+7837"))
+    np.testing.assert_allclose(compound, FRAME.to_map(points, UTM), atol=1e-9)  # height stays ellipsoidal
+
+
+@pytest.mark.parametrize("code", [4326, 4979, 4978])
+def test_map_export_refuses_what_is_no_map(code: int) -> None:
+    with pytest.raises(GeometryError, match="is not a projected CRS"):
+        FRAME.to_map(np.zeros((1, 3)), CRS(code))
+
+
+def test_map_export_refuses_a_grid_of_another_place() -> None:
+    nowhere = LocalFrame(lat_deg=0.0, lon_deg=105.0, h_ell_m=0.0)  # 90 degrees off the central meridian
+    with pytest.raises(GeometryError, match="points cannot be expressed in"):
+        nowhere.to_map(np.zeros((1, 3)), CRS(25833))
+
+
+@pytest.mark.parametrize(("lat", "lon"), [(51.05, 13.25), (51.05, 17.5), (51.05, 12.2), (35.0, 16.0)])
+def test_grid_factors_against_finite_differences(lat: float, lon: float) -> None:
+    frame = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=0.0)
+    step = 10.0
+    a, b = frame.to_map(np.array([[0, -step, 0], [0, step, 0]]), UTM)
+    convergence, scale = grid_factors(UTM, lat, lon)
+    # the chord of 20 m against the ellipsoid, and grid coordinates of 6e6 m in float64: 1e-10 relative
+    assert np.hypot(*(b - a)[:2]) / (2 * step) == pytest.approx(scale, abs=1e-9)
+    # azimuth of true north in the grid is minus the convergence
+    azimuth = np.arctan2(b[0] - a[0], b[1] - a[1])
+    assert azimuth == pytest.approx(-convergence, abs=1e-8)
+    # east of the central meridian grid north lies east of true north
+    assert np.sign(convergence) == np.sign(lon - 15.0)
+
+
+def test_headings_in_the_frame_and_in_the_grid() -> None:
+    """A true heading is a direction in the frame; in the grid it is turned by the convergence."""
+    heading = np.deg2rad(30.0)
+    lon, lat, _ = Geod(ellps="WGS84").fwd(13.25, 51.05, 30.0, 10.0)
+    end = FRAME.from_geodetic(lat, lon, 300.0)
+    # 10 m on the ellipsoid against the plane: 1e-6 of the height and length
+    assert np.arctan2(end[0], end[1]) == pytest.approx(heading, abs=1e-6)
+    start_map, end_map = FRAME.to_map(np.array([[0.0, 0.0, 0.0], end]), UTM)
+    convergence, _ = grid_factors(UTM, 51.05, 13.25)
+    in_grid = np.arctan2(*(end_map - start_map)[:2])
+    assert in_grid == pytest.approx(heading - convergence, abs=2e-6)
