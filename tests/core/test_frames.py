@@ -144,10 +144,17 @@ def test_map_export_refuses_what_is_no_map(code: int) -> None:
         FRAME.to_map(np.zeros((1, 3)), CRS(code))
 
 
-def test_map_export_refuses_a_grid_of_another_place() -> None:
-    nowhere = LocalFrame(lat_deg=0.0, lon_deg=105.0, h_ell_m=0.0)  # 90 degrees off the central meridian
-    with pytest.raises(GeometryError, match="points cannot be expressed in"):
+@pytest.mark.parametrize(("lat", "lon"), [(0.0, 105.0), (51.0, 60.0), (51.0, -75.0), (-33.0, 15.0)])
+def test_map_export_refuses_a_grid_of_another_place(lat: float, lon: float) -> None:
+    """PROJ alone gives plausible nonsense for most of these places."""
+    nowhere = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=0.0)
+    with pytest.raises(GeometryError, match="1 of 1 points are outside the area of use"):
         nowhere.to_map(np.zeros((1, 3)), CRS(25833))
+
+
+def test_a_survey_may_reach_over_the_border_of_its_zone() -> None:
+    beside = LocalFrame(lat_deg=51.0, lon_deg=18.5, h_ell_m=0.0)  # zone 33 ends at 18 degrees
+    assert beside.to_map(np.zeros((1, 3)), CRS(25833)).shape == (1, 3)
 
 
 @pytest.mark.parametrize(("lat", "lon"), [(51.05, 13.25), (51.05, 17.5), (51.05, 12.2), (35.0, 16.0)])

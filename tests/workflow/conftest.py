@@ -53,6 +53,12 @@ def copy_house(repository: Path, target: Path) -> House:
 
 
 @pytest.fixture(scope="session")
+def house_builder() -> Callable[[Path, Path], House]:
+    """`copy_house`, for tests that need a copy of their own."""
+    return copy_house
+
+
+@pytest.fixture(scope="session")
 def empty_house(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> House:
     """A copy without results, for dry runs."""
     return copy_house(repository, tmp_path_factory.mktemp("house"))

@@ -174,7 +174,8 @@ class LocalFrame:
 
         Raises
         ------
-        GeometryError : the CRS is not projected, or PROJ knows no exact operation to it.
+        GeometryError : the CRS is not projected, a point lies far outside its area of use, or PROJ knows no
+            exact operation to it.
         """
         if not crs.is_projected:
             raise GeometryError(
@@ -183,6 +184,7 @@ class LocalFrame:
                 cure="Set campaign.crs to the national grid of the survey area",
             )
         lat, lon, h = self.to_geodetic(points_wcs)
+        _check_area_of_use(crs, lat, lon)
         horizontal = crs.sub_crs_list[0] if crs.is_compound else crs
         geodetic = horizontal.geodetic_crs
         if geodetic is None:
@@ -200,6 +202,29 @@ class LocalFrame:
                 cure="Check campaign.crs and campaign.origin",
             ) from error
         return np.stack([east, north, h], axis=-1)
+
+
+def _check_area_of_use(crs: CRS, lat_deg: ArrayF, lon_deg: ArrayF, margin_deg: float = 3.0) -> None:
+    """Refuse points far outside a grid's area of use, where PROJ returns nonsense without a word.
+
+    The margin is half a zone of UTM: surveys at the border of a zone are commonly kept in one grid.
+    """
+    area = crs.area_of_use
+    if area is None:
+        return
+    east_of_west = np.mod(lon_deg - (area.west - margin_deg), 360.0)
+    width = np.mod(area.east - area.west, 360.0) + 2 * margin_deg
+    outside = (
+        (lat_deg < area.south - margin_deg) | (lat_deg > area.north + margin_deg) | (east_of_west > width)
+    )
+    if np.any(outside):
+        first = int(np.argmax(np.ravel(outside)))
+        raise GeometryError(
+            f"{int(np.sum(outside))} of {np.size(outside)} points are outside the area of use of "
+            f"'{crs.name}', the first at latitude {np.ravel(lat_deg)[first]:.4f}, longitude {np.ravel(lon_deg)[first]:.4f}",
+            expected=f"latitude {area.south} .. {area.north}, longitude {area.west} .. {area.east}",
+            cure="Check campaign.crs and campaign.origin",
+        )
 
 
 def rotation_ecef_enu(lat_deg: ArrayLike, lon_deg: ArrayLike) -> ArrayF:

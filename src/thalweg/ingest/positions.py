@@ -8,6 +8,7 @@ import pandas as pd
 from thalweg.core.errors import InputError
 from thalweg.core.tables import read_table
 from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest.ppk_positions import replace_covariances
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
 
 
@@ -80,4 +81,12 @@ def read_positions(
     else:
         raise InputError(f"position source '{source}'", expected="pos, sbp, ppk, sbet or ins")
     report.stream = "positions"
+    if source != "ppk":  # which has done so itself
+        positions, n_replaced = replace_covariances(positions)
+        if n_replaced:
+            report.lose("covariances_replaced", n_replaced)
+            report.note(
+                f"{n_replaced} covariances were not positive definite, or below 0.5 mm: replaced by the "
+                "median of their neighbours of the same fix."
+            )
     return positions, report

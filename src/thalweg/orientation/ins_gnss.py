@@ -176,12 +176,13 @@ def _usable_positions(
 ) -> pd.DataFrame:
     summary.fixes = {str(k): int(v) for k, v in positions["fix"].value_counts().sort_index().items()}
     accepted = positions[positions["fix"].isin(accept_fixes)]
-    timed = accepted.dropna(subset=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m"])
+    sigmas = ["sigma_east_m", "sigma_north_m", "sigma_up_m"]
+    timed = accepted.dropna(subset=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", *sigmas])
     timed = timed.sort_values("t_gps_s", kind="stable").drop_duplicates("t_gps_s")
     if len(timed) < 4:
         raise InputError(
             f"{len(timed)} usable positions of {len(positions)} (fixes met: {summary.fixes or 'none'})",
-            expected=f"at least 4 epochs with GPS time and a fix among {accept_fixes}",
+            expected=f"at least 4 epochs with GPS time, height, sigmas and a fix among {accept_fixes}",
             cure="Check the position log, or allow more kinds in orientation.accept_fixes",
         )
     summary.n_positions_used = len(timed)
@@ -189,7 +190,8 @@ def _usable_positions(
     if refused:
         summary.notes.append(f"{refused} positions were left out for their fix; accepted: {accept_fixes}")
     if len(timed) < len(accepted):
-        summary.notes.append(f"{len(accepted) - len(timed)} positions without time or with a repeated time")
+        lacking = len(accepted) - len(timed)
+        summary.notes.append(f"{lacking} positions without time, height or sigmas, or with a repeated time")
     return timed
 
 
