@@ -25,7 +25,7 @@ real-logs: env ## page of other people's recordings (THALWEG_DATA)
 	@$(SNAKEMAKE) real_logs
 
 test: env check ## static checks and the test suite
-	@$(PY) -m pytest -n $(CORES) --dist worksteal -m "not slow"
+	@$(PY) -m pytest -n $(CORES) --dist loadgroup -m "not slow"
 
 check: env ## static checks only
 	@.venv/bin/ruff check .

@@ -20,7 +20,7 @@ from thalweg.lidar.georeference import Mount
 from thalweg.simulation.materials import Material
 from thalweg.simulation.scene import Scene
 
-pytestmark = pytest.mark.workflow
+pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("tiny")]
 
 BASE = "results/tiny"
 

@@ -221,7 +221,8 @@ def _check_area_of_use(crs: CRS, lat_deg: ArrayF, lon_deg: ArrayF, margin_deg: f
         first = int(np.argmax(np.ravel(outside)))
         raise GeometryError(
             f"{int(np.sum(outside))} of {np.size(outside)} points are outside the area of use of "
-            f"'{crs.name}', the first at latitude {np.ravel(lat_deg)[first]:.4f}, longitude {np.ravel(lon_deg)[first]:.4f}",
+            f"'{crs.name}', the first at latitude {np.ravel(lat_deg)[first]:.4f}, longitude "
+            f"{np.ravel(lon_deg)[first]:.4f}",
             expected=f"latitude {area.south} .. {area.north}, longitude {area.west} .. {area.east}",
             cure="Check campaign.crs and campaign.origin",
         )

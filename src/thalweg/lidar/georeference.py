@@ -20,6 +20,9 @@ from thalweg.core.frames import rotation_opk
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayB, ArrayF, ArrayF32
 
+# Open3D brings an old TBB into the process, which numba would try first and complain about.
+nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mount:
