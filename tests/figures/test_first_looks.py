@@ -113,3 +113,4 @@ def test_nothing_to_look_at_is_refused(positions, states, depths):
 
 def test_all_points_at_one_place(tmp_path):
     save(lidar_first_look(np.zeros((5, 3)), np.zeros(5), np.zeros(5)), tmp_path / "x.png", dpi=60)
+    assert (tmp_path / "x.png").read_bytes().startswith(b"\x89PNG")

@@ -163,6 +163,7 @@ def test_bad_tables_are_refused(by_range, change, message):
 def test_one_class_and_zero_prediction(tmp_path, by_range):
     one = by_range.iloc[:1].assign(rmse_predicted_m=0.0, rmse_observed_m=0.0)
     save(error_versus_range(one), tmp_path / "one.png", dpi=60)
+    assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_histograms_are_densities_of_all_values(rng):
