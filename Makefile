@@ -38,7 +38,7 @@ test-slow: env ## long studies
 	@$(PY) -m pytest -m slow --benchmark-disable tests
 
 fuzz: env ## every binary reader on 10,000 mutated inputs
-	@THALWEG_FUZZ=10000 $(PY) -m pytest -n $(CORES) -k fuzz tests/ingest
+	@THALWEG_FUZZ=10000 $(PY) -m pytest -n $(CORES) -k fuzz tests/ingest tests/core
 
 benchmark: env ## speed against named peers
 	@$(PY) -m pytest tests/benchmarks -m slow -s

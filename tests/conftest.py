@@ -1,6 +1,12 @@
 """Fixtures shared by all tests."""
 
+import faulthandler
 import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -34,3 +40,125 @@ def fuzz_count() -> int:
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
     """Generator seeded by the name of the test: another test never changes its numbers."""
     return np.random.default_rng(list(request.node.name.encode()))
+
+
+class Fuzz:
+    """Damaged inputs for a reader, each under a time limit, and the count of what became of them.
+
+    A loop over `inputs` calls `was_read` for each input that was not refused; `check` follows it.
+    """
+
+    def __init__(self, rng: np.random.Generator, count: int) -> None:
+        self.rng, self.count = rng, count
+        self.n_inputs = self.n_read = self.n_clean = 0
+
+    def damaged(self, data: bytes, *, most: int = 8, longest: int = 120, head: int = 0) -> bytes:
+        """Bit flips, other bytes, holes, insertions, repeated and foreign slices, zero runs, cut ends.
+
+        Parameters
+        ----------
+        most : places that are damaged at most.
+        longest : bytes of one damage.
+        head : 60 % of the damage is done to so many first bytes; 0: anywhere.
+        """
+        out, rng = bytearray(data), self.rng
+        for _ in range(int(rng.integers(1, most + 1))):
+            room = min(head, len(out)) if head and rng.random() < 0.6 else len(out)
+            at, n = int(rng.integers(room)), int(rng.integers(1, longest + 1))
+            match int(rng.integers(8)):
+                case 0:
+                    out[at] ^= 1 << int(rng.integers(8))
+                case 1:
+                    out[at] = int(rng.integers(256))
+                case 2:
+                    del out[at : at + n]
+                case 3:
+                    out[at:at] = rng.bytes(n)
+                case 4:
+                    out[at:at] = out[at : at + n]
+                case 5:
+                    out[at:at] = out[at // 2 : at // 2 + n]
+                case 6:
+                    out[at : at + n] = bytes(len(out[at : at + n]))
+                case _:
+                    del out[at + 1 :]
+            out = out or bytearray(1)
+        return bytes(out)
+
+    def inputs(
+        self,
+        *sources: bytes,
+        by: Callable[[bytes, np.random.Generator], bytes] | None = None,
+        count: int | None = None,
+        limit_s: float = 10.0,
+        **how: int,
+    ) -> Iterator[bytes]:
+        """Damaged versions of the sources in turn; the body of the loop must be done within ``limit_s``."""
+        self.count = self.count if count is None else count
+        for k in range(self.count):
+            source = sources[k % len(sources)]
+            data = self.damaged(source, **how) if by is None else by(source, self.rng)
+            self.n_inputs += 1
+            with time_limit(limit_s, f"input {k}"):
+                yield data
+
+    def was_read(self, *, reported: bool = False) -> None:
+        """The input at hand gave a table; ``reported``: its report names losses or gaps."""
+        self.n_read += 1
+        self.n_clean += not reported
+
+    def check(self, *, read: float, troubled: float) -> None:
+        """At least these shares of the inputs were read, and were refused or reported to be damaged."""
+        assert self.n_inputs == self.count
+        assert self.n_read >= read * self.count, f"{self.n_read} of {self.count} inputs were read"
+        found = self.count - self.n_clean
+        assert found >= troubled * self.count, f"{found} of {self.count} inputs were refused or reported"
+
+
+@contextmanager
+def time_limit(limit_s: float, what: str) -> Iterator[None]:
+    """Raise TimeoutError in a block that takes longer; a hang in compiled code ends the process.
+
+    Python's alarm is not seen inside compiled code, so a watchdog stands behind it.
+    """
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    def ring(*_: object) -> None:
+        raise TimeoutError(f"{what}: not done within {limit_s:g} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, limit_s)
+    faulthandler.dump_traceback_later(limit_s + 20.0, exit=True)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@contextmanager
+def memory_limit(extra_bytes: int) -> Iterator[None]:
+    """MemoryError for whatever needs more address space than now plus ``extra_bytes``; Linux only."""
+    if not sys.platform.startswith("linux"):
+        yield
+        return
+    import resource
+
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    limits = [pages * resource.getpagesize() + extra_bytes, *(x for x in before if x >= 0)]
+    resource.setrlimit(resource.RLIMIT_AS, (min(limits), before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@pytest.fixture
+def fuzz(rng: np.random.Generator, fuzz_count: int) -> Iterator[Fuzz]:
+    """Damaged inputs under limits of time and memory (2 GB above the start of the test)."""
+    with memory_limit(2 << 30):
+        yield Fuzz(rng, fuzz_count)

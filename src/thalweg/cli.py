@@ -120,13 +120,14 @@ def _new_campaign(options: argparse.Namespace) -> int:
 
 def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     """Files of a folder by stream, recognised by their content."""
+    from thalweg.config.paths import natural_order
     from thalweg.config.template import stream_of
     from thalweg.ingest.recognise import recognise
 
     if not folder.is_dir():
         raise InputError("no such folder", where=folder, expected="a folder of raw logs")
     streams: dict[str, list[Path]] = {}
-    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+    for path in sorted((p for p in folder.rglob("*") if p.is_file()), key=natural_order):
         try:
             kind = recognise(path)
         except ThalwegError as error:

@@ -49,7 +49,7 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     ({"georeferencing.export_map": 1}, "georeferencing.export_map", ("true or false",)),
     ({"lidar.model": "VLP16"}, "lidar.model", ("one of auto, VLP-16", "Did you mean VLP-16?")),
     ({"lidar.model": "vlp-16"}, "lidar.model", ("Did you mean VLP-16?",)),
-    ({"figures.format": "bmp"}, "figures.format", ("one of png, pdf", "Choose one of these")),
+    ({"figures.format": "bmp"}, "figures.format", ("unknown",)),
     ({"ppk.systems": ["gps"]}, "ppk.systems[0]", ("one of GPS, GLO", "Did you mean GPS?")),
     ({"ppk.systems": []}, "ppk.systems", ("found 0 values", "at least one")),
     ({"orientation.accept_fixes": "fixed"}, "orientation.accept_fixes", ("Write a list: [fixed]",)),

@@ -3,10 +3,10 @@
 import binascii
 import datetime as dt
 import struct
-import time
 from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -337,27 +337,6 @@ def small_log() -> bytes:
     return data
 
 
-def mutate(data: bytes, rng: np.random.Generator) -> bytes:
-    out = bytearray(data)
-    for _ in range(int(rng.integers(1, 8))):
-        at, n = int(rng.integers(len(out))), int(rng.integers(1, 120))
-        match int(rng.integers(6)):
-            case 0:
-                out[at] ^= 1 << int(rng.integers(8))
-            case 1:
-                del out[at : at + n]
-            case 2:
-                out[at:at] = rng.bytes(n)
-            case 3:
-                out[at:at] = out[at // 2 : at // 2 + n]
-            case 4:
-                out[at : at + n] = bytes(len(out[at : at + n]))
-            case _:
-                del out[at + 8 :]
-        out = out or bytearray(b"\x00")
-    return bytes(out)
-
-
 def mutate_inside(data: bytes, rng: np.random.Generator) -> bytes:
     """Damage payloads and lengths but keep all checksums right: values that no device sends."""
     out, i = b"", 0
@@ -374,22 +353,19 @@ def mutate_inside(data: bytes, rng: np.random.Generator) -> bytes:
 
 @pytest.mark.filterwarnings("ignore::thalweg.core.timescales.LeapSecondWarning")
 @pytest.mark.parametrize("inside", [False, True])
-def test_fuzz_anpp(inside: bool, fuzz_count: int, rng: np.random.Generator, tmp_path: Path) -> None:
-    data, path = small_log(), tmp_path / "fuzz.anpp"
-    begin, read_count = time.monotonic(), 0
-    for _ in range(fuzz_count):
-        path.write_bytes((mutate_inside if inside else mutate)(data, rng))
+def test_fuzz_anpp(inside: bool, fuzz: Any, tmp_path: Path) -> None:
+    path = tmp_path / "fuzz.anpp"
+    for data in fuzz.inputs(small_log(), by=mutate_inside if inside else None):
+        path.write_bytes(data)
         try:
             log = read_anpp([path])
         except ThalwegError:
             continue
-        read_count += 1
-        size = path.stat().st_size
+        fuzz.was_read(reported=not log.report.clean)
         outside = log.report.losses.get("bytes_outside_packets", 0)
-        assert log.report.bytes_read == size
-        assert 0 <= outside < size
+        assert log.report.bytes_read == len(data)
+        assert 0 <= outside < len(data)
         assert outside == 0 or not inside
         assert len(log.states) <= log.packet_counts.get(20, 0)
         log.report.to_json()
-    assert read_count > 0.8 * fuzz_count
-    assert time.monotonic() - begin < 0.5 * fuzz_count  # no input may hang the reader
+    fuzz.check(read=0.8, troubled=0.5)

@@ -309,22 +309,21 @@ def test_same_payloads_as_dpkt(data_dir):
     assert t_host == pytest.approx([float(t) for t, u in expected if u.dport == 2368], abs=1e-6, rel=0)
 
 
-def test_fuzz_capture(tmp_path, fuzz_count, rng):
+def test_fuzz_capture(tmp_path, fuzz):
     samples = [
         log.pcap(frames_of()),
         log.pcap(frames_of(), big=True, nano=True),
         section() + interface() + b"".join(map(enhanced, frames_of())),
         DATA.tobytes(),
     ]
-    read_on = 0
-    for k in range(fuzz_count):
-        content = log.mutate(samples[k % 4], rng)
+    for k, content in enumerate(fuzz.inputs(*samples, most=3, longest=3000)):
         try:
             chunk = 4096 if k % 8 < 4 else 1 << 16
             ((payload, _, _), _), tally = read(tmp_path / "f", content, chunk_bytes=chunk)
         except ThalwegError:
             continue
-        read_on += len(payload) > 0
+        if len(payload):
+            fuzz.was_read(reported=any(tally.losses.values()) or len(payload) < len(DATA))
         assert payload.shape[1] == 1206
         assert tally.bytes_read == len(content)
-    assert read_on > fuzz_count // 2
+    fuzz.check(read=0.5, troubled=0.5)

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from thalweg.core.errors import InputError, UnsupportedError
-from thalweg.figures.first_look import first_look
+from thalweg.figures.first_look import first_looks_of
 from thalweg.figures.recordings_page import recordings_page, recordings_table
 from thalweg.figures.style import save
 from thalweg.ingest.describe import describe, load_recording
@@ -123,13 +123,15 @@ def test_the_page_shows_every_recording(data_dir: Path, repository: Path, tmp_pa
     for entry in chosen:
         recording = load_recording([data_dir / name for name in entry["files"]])
         reports.append(recording.report)
-        pictures.append(tmp_path / f"{entry['id']}.png")
-        save(first_look(recording, title=entry["title"]), pictures[-1], dpi=50)
+        pictures.append([])
+        for name, figure in first_looks_of(recording, title=entry["title"]).items():
+            pictures[-1].append(tmp_path / f"{entry['id']}_{name}.png")
+            save(figure, pictures[-1][-1], dpi=50)
     titles = [e["title"] for e in chosen]
     table = recordings_table(reports, titles)
     assert table["time"].tolist() == ["unsynchronised", "unsynchronised"]
     html = recordings_page(reports, titles, pictures).html()
-    assert html.count("data:image/png;base64,") == 2
+    assert html.count("data:image/png;base64,") == 3  # attitudes; depths and track
     assert all(title in html for title in titles)
     assert "http" not in html.replace("http-equiv", "")
 

@@ -5,12 +5,13 @@ import json
 from functools import reduce
 from operator import xor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from pynmeagps import NMEAReader
 
-from thalweg.core.errors import InputError
+from thalweg.core.errors import InputError, ThalwegError
 from thalweg.core.tables import write_table
 from thalweg.core.timescales import gps_from_unix, gps_from_week
 from thalweg.ingest.nmea import NmeaLog, read_nmea
@@ -333,22 +334,21 @@ def test_missing_file() -> None:
         read_nmea([Path("nowhere.log")])
 
 
-def test_fuzz_nmea(tmp_path: Path, fuzz_count: int, rng: np.random.Generator) -> None:
+def test_fuzz_nmea(tmp_path: Path, fuzz: Any) -> None:
     text = "".join(
         sentence(RMC.format(f"0947{i:02d}", "200818"))
         + sentence(GGA.format(f"0947{i:02d}"))
         + sentence("SDDPT,5.3,0")
         for i in range(8)
-    ).encode()
+    )
     path = tmp_path / "fuzz.log"
-    for _ in range(fuzz_count):
-        data = bytearray(text)
-        for _ in range(int(rng.integers(1, 20))):
-            at = int(rng.integers(0, len(data)))
-            data[at] = int(rng.integers(0, 256))
-        path.write_bytes(bytes(data[: int(rng.integers(1, len(data) + 1))]))
+    for data in fuzz.inputs(text.encode()):
+        path.write_bytes(data)
         try:
             log = read_nmea([path])
-        except InputError:
+        except ThalwegError:
             continue
-        assert len(log.positions) <= 24
+        fuzz.was_read(reported=not log.report.clean)
+        assert len(log.positions) <= data.count(b"$")
+        assert len(log.depths) <= data.count(b"DPT")
+    fuzz.check(read=0.5, troubled=0.5)

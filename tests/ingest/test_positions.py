@@ -49,7 +49,7 @@ def test_an_indefinite_covariance_does_not_pass(tmp_path: Path) -> None:
     path = tmp_path / "track.pos"
     path.write_text("\n".join(lines) + "\n")
     table, report = read_positions("pos", [path], states=tmp_path / "x", **NOTHING)
-    assert report.losses["covariances_replaced"] == 1
+    assert report.counts["covariances_replaced"] == 1
     assert table["cov_en_m2"].abs().max() < 1e-6
     np.testing.assert_allclose(positions_from_states(states())["sigma_up_m"], np.arange(5.0))
 

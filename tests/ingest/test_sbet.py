@@ -2,6 +2,7 @@
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -172,32 +173,18 @@ def test_missing_file() -> None:
         read_sbet([Path("nowhere.out")], WEEK)
 
 
-def test_fuzz_sbet(tmp_path: Path, fuzz_count: int, rng: np.random.Generator) -> None:
+def test_fuzz_sbet(tmp_path: Path, fuzz: Any) -> None:
     raw = records(20).astype("<f8").tobytes()
     sigma = smrmsg().astype("<f8").tobytes()
-    for _ in range(fuzz_count):
-        paths = []
-        for name, source in (("a.out", raw), ("s.out", sigma)):
-            data = bytearray(source)
-            for _ in range(int(rng.integers(1, 12))):
-                at = int(rng.integers(0, len(data)))
-                match int(rng.integers(0, 5)):
-                    case 0:
-                        data[at] ^= 1 << int(rng.integers(0, 8))
-                    case 1:
-                        data = data[: at + 1]
-                    case 2:
-                        data[at:at] = rng.bytes(int(rng.integers(1, 20)))
-                    case 3:
-                        data[at:at] = data[at : at + 200]
-                    case _:
-                        data[at : at + 40] = bytes(len(data[at : at + 40]))
-            paths.append(write(tmp_path / name, bytes(data)))
+    for data in fuzz.inputs(raw, most=4):
+        paths = [write(tmp_path / "a.out", data), write(tmp_path / "s.out", fuzz.damaged(sigma))]
         try:
             log = read_sbet(paths[:1], WEEK, paths[1:])
         except ThalwegError:
             continue
+        fuzz.was_read(reported=not log.report.clean)
         assert np.isfinite(log.states["t_gps_s"]).all()
+    fuzz.check(read=0.3, troubled=0.5)
 
 
 def test_record_layout_by_struct(tmp_path: Path) -> None:

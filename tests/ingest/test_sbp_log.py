@@ -2,9 +2,9 @@
 
 import binascii
 import struct
-import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +14,8 @@ from thalweg.core.tables import write_table
 from thalweg.core.timescales import LeapSecondWarning, gps_from_week
 from thalweg.ingest import sbp_messages as sm
 from thalweg.ingest.anpp_sbp_stream import BAD_CRC, CUT, SKIPPED, StreamTally
+from thalweg.ingest.ppk_sbp import looks_like_sbp, walk_sbp
+from thalweg.ingest.recognise import recognise
 from thalweg.ingest.sbp_frames import find_messages
 from thalweg.ingest.sbp_log import SbpLog, read_sbp
 from thalweg.ingest.sbp_tables import GNSS_BASELINE, GNSS_EVENT, GNSS_VELOCITY
@@ -82,6 +84,7 @@ def reference(data: bytes) -> Iterator[tuple[int, int, int, int]]:
         end = i + 6 + length
         if (
             data[i] == 0x55
+            and kind != 0
             and end + 2 <= len(data)
             and struct.unpack_from("<H", data, end)[0] == binascii.crc_hqx(data[i + 1 : end], 0)
         ):
@@ -106,6 +109,20 @@ def test_framing_equals_the_reference_on_damaged_logs(rng: np.random.Generator) 
         got = list(zip(b.kind.tolist(), b.sender.tolist(), b.offset.tolist(), b.length.tolist(), strict=True))
         assert got == list(reference(bytes(data)))
         assert tally.cells[SKIPPED] == len(data) - sum(8 + n for *_, n in got)
+
+
+def test_a_run_of_zeros_is_no_message(tmp_path: Path) -> None:
+    """The CRC of 55 and seven zeros is right, but no message has type 0."""
+    data, tally = gps(TOW) + b"\x55" + bytes(7) + llh(TOW) + b"\x55" + bytes(40), StreamTally()
+    found = find_messages(np.frombuffer(data, np.uint8), tally)
+    assert found.kind.tolist() == [sm.GPS_TIME, sm.POS_LLH]
+    assert (tally.cells[SKIPPED], tally.cells[BAD_CRC], tally.cells[CUT]) == (49, 0, 0)
+    path = tmp_path / "zeros.bin"
+    path.write_bytes((b"\x55" + bytes(7)) * 500)
+    with pytest.raises(InputError, match="of no known kind"):
+        recognise(path)
+    assert walk_sbp(path.read_bytes()).bytes_lost == 4000
+    assert not looks_like_sbp(path.read_bytes())
 
 
 def test_a_false_preamble_hides_nothing() -> None:
@@ -377,27 +394,6 @@ def small_log() -> bytes:
     return data
 
 
-def mutate(data: bytes, rng: np.random.Generator) -> bytes:
-    out = bytearray(data)
-    for _ in range(int(rng.integers(1, 8))):
-        at, n = int(rng.integers(len(out))), int(rng.integers(1, 120))
-        match int(rng.integers(6)):
-            case 0:
-                out[at] ^= 1 << int(rng.integers(8))
-            case 1:
-                del out[at : at + n]
-            case 2:
-                out[at:at] = rng.bytes(n)
-            case 3:
-                out[at:at] = out[at // 2 : at // 2 + n]
-            case 4:
-                out[at : at + n] = bytes(len(out[at : at + n]))
-            case _:
-                del out[at + 8 :]
-        out = out or bytearray(b"\x00")
-    return bytes(out)
-
-
 def mutate_inside(data: bytes, rng: np.random.Generator) -> bytes:
     """Damage payloads and lengths but keep all checksums right: values that no receiver sends."""
     out = b""
@@ -414,22 +410,19 @@ def mutate_inside(data: bytes, rng: np.random.Generator) -> bytes:
 
 @pytest.mark.filterwarnings("ignore::thalweg.core.timescales.LeapSecondWarning")
 @pytest.mark.parametrize("inside", [False, True])
-def test_fuzz_sbp(inside: bool, fuzz_count: int, rng: np.random.Generator, tmp_path: Path) -> None:
-    data, path = small_log(), tmp_path / "fuzz.sbp"
-    begin, read_count = time.monotonic(), 0
-    for _ in range(fuzz_count):
-        path.write_bytes((mutate_inside if inside else mutate)(data, rng))
+def test_fuzz_sbp(inside: bool, fuzz: Any, tmp_path: Path) -> None:
+    path = tmp_path / "fuzz.sbp"
+    for data in fuzz.inputs(small_log(), by=mutate_inside if inside else None):
+        path.write_bytes(data)
         try:
             log = read_sbp([path])
         except ThalwegError:
             continue
-        read_count += 1
-        size = path.stat().st_size
+        fuzz.was_read(reported=not log.report.clean)
         outside = log.report.losses.get("bytes_outside_messages", 0)
-        assert log.report.bytes_read == size
-        assert 0 <= outside < size
+        assert log.report.bytes_read == len(data)
+        assert 0 <= outside < len(data)
         assert outside == 0 or not inside
         assert log.positions["lat_deg"].abs().max() <= 90 or log.positions.empty
         log.report.to_json()
-    assert read_count > 0.8 * fuzz_count
-    assert time.monotonic() - begin < 0.5 * fuzz_count  # no input may hang the reader
+    fuzz.check(read=0.8, troubled=0.5)

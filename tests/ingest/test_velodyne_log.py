@@ -115,28 +115,6 @@ def recording(t_us, *, hour_unix=None, every=10, pps=lambda k: 2, lag_s=0.4, toh
     return frames
 
 
-def mutate(content, rng):
-    """One random damage: bits, cut, insertion, repeated slice, zeros."""
-    out = bytearray(content)
-    for _ in range(int(rng.integers(1, 4))):
-        a = int(rng.integers(0, max(1, len(out))))
-        n = int(rng.integers(1, 3000))
-        kind = int(rng.integers(0, 5))
-        if kind == 0:
-            for i in rng.integers(0, max(1, len(out)), 20):
-                if i < len(out):
-                    out[i] ^= 1 << int(rng.integers(0, 8))
-        elif kind == 1:
-            del out[a : a + n if rng.random() < 0.7 else len(out)]
-        elif kind == 2:
-            out[a:a] = rng.bytes(n)
-        elif kind == 3:
-            out[a:a] = out[a : a + n]
-        else:
-            out[a : a + n] = b"\0" * min(n, len(out) - a)
-    return bytes(out)
-
-
 def test_builder_writes_what_dpkt_reads():
     frames = recording(times(25), hour_unix=1_700_000_000 // 3600 * 3600)
     found = []

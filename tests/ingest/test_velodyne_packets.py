@@ -154,6 +154,47 @@ def test_overlap_whose_first_packet_only_the_second_file_has(tmp_path):
     assert not report.gaps
 
 
+@pytest.mark.parametrize("every", [0, 10])
+@pytest.mark.parametrize(
+    ("order", "early"), [([0, 2, 1, 3], [2]), ([0, 2, 1], [2]), ([1, 0, 2], [1]), ([2, 1, 0], [1, 2])]
+)
+def test_parts_in_wrong_order_are_told_and_nothing_is_lost(tmp_path, order, early, every):
+    n = 400  # half a second a part
+    hour = 1_700_000_000 // 3600 * 3600
+    stamps = log.times(4 * n, 5e6)
+    parts = [
+        log.recording(stamps[k * n : (k + 1) * n], seed=k, every=every, hour_unix=hour) for k in range(4)
+    ]
+    files = [tmp_path / f"part_{k}" for k in order]
+    for k, path in zip(order, files, strict=True):
+        path.write_bytes(log.pcap(parts[k]))
+    scan, right = scan_lidar(files), scan_lidar(sorted(files))
+    assert right.report.clean
+    assert not any("out of order" in note for note in right.report.notes)
+    report = scan.report
+    assert report.synchronised == right.report.synchronised == bool(every)
+    assert scan.n_points == right.n_points
+    assert report.losses["files_out_of_order"] == len(early)
+    (note,) = (note for note in report.notes if note.startswith("Files out of order: list them in order of"))
+    for k in early:
+        assert f"part_{order[k]} begins" in note
+    assert "packets_lost_estimated" not in report.losses
+    assert "clock_set_back" not in report.losses
+    # the packet stamps are whole microseconds
+    assert report.t_first_s == pytest.approx(right.report.t_first_s, abs=2e-6)
+    assert report.t_last_s == pytest.approx(right.report.t_last_s, abs=2e-6)
+
+
+def test_the_newest_packet_ends_the_recording(tmp_path):
+    """A short second file of late packets only: the recording ends with the newest packet."""
+    stamps = log.times(100)
+    rows = log.data_packets(stamps)
+    files = [save(tmp_path / "a", np.delete(rows, [50, 51], axis=0)), save(tmp_path / "b", rows[50:52])]
+    report = scan_lidar(files).report
+    assert report.t_last_s == pytest.approx(stamps[-1] * 1e-6, abs=1e-6)
+    assert report.losses == {"out_of_order_packets": 2}
+
+
 def test_missing_part_between_split_logs_is_a_gap(tmp_path):
     stamps = log.times(2400)
     rows = log.data_packets(stamps)

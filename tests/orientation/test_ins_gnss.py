@@ -31,6 +31,7 @@ def survey(far_m: float = 0.0, duration_s: float = 20.0) -> tuple[pd.DataFrame, 
         "t_gps_s": t_ins, "roll_rad": roll, "pitch_rad": pitch, "heading_rad": heading,
         "lat_deg": lat, "lon_deg": lon, "h_ell_m": h,
         "sigma_roll_rad": np.nan, "sigma_pitch_rad": np.nan, "sigma_heading_rad": np.nan,
+        "filter_status": np.uint16(0b1111),
         "sigma_north_m": 0.6, "sigma_east_m": 0.5, "sigma_up_m": 1.0,
     })  # fmt: skip
     t_gnss = T0 + np.arange(0, duration_s, 0.1)
@@ -160,3 +161,53 @@ def test_a_trajectory_survives_the_file(tmp_path) -> None:
         np.testing.assert_array_equal(getattr(again, name), getattr(trajectory, name))
     np.testing.assert_allclose(again.cov_position_m2, trajectory.cov_position_m2, rtol=1e-12, atol=1e-18)
     assert TRAJECTORY.field("sigma_up_m").metadata[b"unit"] == b"m"
+
+
+def test_states_from_before_the_filter_was_ready_are_left_out() -> None:
+    """A Spatial logs attitudes at once; before heading is initialised they are arbitrary."""
+    positions, states = survey()
+    states.loc[states.index[:300], "filter_status"] = np.uint16(0b1001)  # orientation and UTC, no heading
+    trajectory, summary = build(positions, states)
+    assert trajectory.t_gps_s[0] == pytest.approx(T0 + 6.0, abs=1e-6)
+    assert any("300 INS states from before the filter was initialised" in note for note in summary.notes)
+    with pytest.raises(InputError, match="0 of 1000 INS states carry GPS time and an initialised attitude"):
+        build(positions, states.assign(filter_status=np.uint16(0b1000)))
+
+
+def test_a_rate_of_just_the_limit_is_no_row_of_gaps(rng: np.random.Generator) -> None:
+    """Stamps of a 10 Hz INS scatter by microseconds: half of all steps are above a limit of 0.1 s."""
+    positions, states = survey()
+    slow = states.iloc[::5].copy()
+    slow["t_gps_s"] += rng.normal(scale=20e-6, size=len(slow))
+    trajectory, summary = build(positions, slow, max_attitude_gap_s=0.1)
+    assert summary.gaps == []
+    assert trajectory.valid.mean() > 0.98
+
+
+def test_an_ins_slower_than_the_limit_is_told_the_key() -> None:
+    positions, states = survey()
+    with pytest.raises(InputError, match=r"come every 0\.2 s.*orientation\.max_attitude_gap_s = 0\.1 s"):
+        build(positions, states.iloc[::10], max_attitude_gap_s=0.1)
+
+
+def test_states_without_position_or_sigma() -> None:
+    _, states = survey()
+    options = {"max_attitude_gap_s": 0.2, "sigma_attitude_rad": np.deg2rad([0.1, 0.1, 0.2])}
+    holey = states.copy()
+    holey.loc[holey.index[100:110], "lat_deg"] = np.nan
+    trajectory, summary = trajectory_from_states(holey, FRAME, **options)
+    assert any("10 INS states without a position" in note for note in summary.notes)
+    assert np.isfinite(trajectory.position_wcs_m).all()
+    bare = states.assign(sigma_north_m=np.nan)
+    with pytest.raises(InputError, match=r"none of them with sigmas.*logs\.smrmsg, or ins\.sigma_position_m"):
+        trajectory_from_states(bare, FRAME, **options)
+    given, _ = trajectory_from_states(bare, FRAME, sigma_position_m=[0.05, 0.06, 0.1], **options)
+    np.testing.assert_allclose(np.diag(given.cov_position_m2[0]), [0.25, 0.0036, 1.0])
+
+
+def test_the_antenna_is_the_pivot(tmp_path) -> None:
+    positions, states = survey()
+    trajectory, _ = build(positions, states)
+    np.testing.assert_array_equal(trajectory.pivot_ics_m, LEVER)
+    trajectory.write(tmp_path / "t.parquet")
+    np.testing.assert_array_equal(Trajectory.read(tmp_path / "t.parquet").pivot_ics_m, LEVER)

@@ -13,7 +13,10 @@ import pytest
 
 from thalweg.accuracy.truth import compare_cloud
 from thalweg.core.frames import rotation_opk
+from thalweg.core.tables import read_table
+from thalweg.core.timescales import week_from_gps
 from thalweg.core.trajectory import Trajectory
+from thalweg.ingest.schemas import INS_STATE
 from thalweg.ingest.velodyne import LidarOptions, scan_lidar
 from thalweg.lidar.cloud import georeference_log
 from thalweg.lidar.georeference import Mount
@@ -45,7 +48,13 @@ def edited(house, module: str, addition: str):
 
 def test_everything_promised_is_there(tiny_house) -> None:
     base = tiny_house.root / BASE
-    for name in ("lidar/points.laz", "lidar/points_map.laz", "timing/streams.csv", "summary.csv"):
+    for name in (
+        "lidar/points.laz",
+        "lidar/points_map.laz",
+        "timing/streams.csv",
+        "summary.csv",
+        "ingest/reference.laz",
+    ):
         assert (base / name).stat().st_size > 0, name
         assert (base / f"{name}.meta.json").is_file(), name
     for picture in ("survey_map", "streams_in_time", "cloud_overview", "cloud_detail", "error_versus_range"):
@@ -83,6 +92,9 @@ def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house) ->
     # Errors of attitude and position are correlated over a second: 25 s hold some 12 independent values of
     # each, so one campaign scatters by about 1/sqrt(2*12) = 20 % about 1; two standard deviations.
     assert 0.6 < ratio < 1.4
+    assert ground["honest_low95"] < 1 < ground["honest_high95"]
+    # a bias is no part of the prediction: its own bound is what 12 independent pose errors leave as a mean
+    assert abs(ground["bias"]) < 2 * ground["predicted_rmse"] / np.sqrt(12)
     assert ground["share_of_points"] > 0.7
 
 
@@ -136,7 +148,9 @@ def test_the_log_tells_what_the_job_did(tiny_house) -> None:
 def test_the_report_is_one_page(tiny_house) -> None:
     tiny_house.snakemake("--config", "campaign=tiny", "--report", "report.html")
     page = (tiny_house.root / "report.html").read_text()
-    assert "survey_map" in page
+    pictures = ("survey_map", "streams_in_time", "cloud_overview", "cloud_detail", "error_versus_range")
+    assert all(picture in page for picture in pictures)
+    assert not re.findall(r"<(?:script|img|link)[^>]+(?:src|href)=[\"']https?://", page)
     assert len(page) > 500_000
 
 
@@ -155,19 +169,42 @@ mounts:
   lidar: {{phi_deg: -90.0, lever_ics_m: [-0.350, 0.000, -0.250]}}
   antenna: {{lever_ics_m: [0.100, 0.000, -0.450]}}
 orientation: {{position_source: {source}}}
+{more}
 georeferencing: {{export_map: false}}
 """
 
 
-@pytest.mark.parametrize("source", ["sbp", "ins"])
+def write_sbet(states: Path, target: Path) -> int:
+    """The states of the tiny boat as an SBET (wander angle 0); returns the GPS week."""
+    table, _ = read_table(states, INS_STATE)
+    week, tow_s = week_from_gps(table["t_gps_s"])
+    records = np.zeros((len(table), 17))
+    records[:, 0] = tow_s
+    records[:, 1:3] = np.deg2rad(table[["lat_deg", "lon_deg"]])
+    records[:, 3] = table["h_ell_m"]
+    records[:, 7:10] = table[["roll_rad", "pitch_rad", "heading_rad"]]
+    records.astype("<f8").tofile(target)
+    return int(week[0])
+
+
+@pytest.mark.parametrize("source", ["sbp", "ins", "sbet"])
 def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
     """The branch of real campaigns: files named in the campaign file, no twin, no truth, other positions."""
     logs = tiny_house.root / BASE / "simulation/logs"
-    (tiny_house.root / "config/campaigns/boat.yaml").write_text(BOAT.format(logs=logs, source=source))
-    tiny_house.snakemake("--config", "campaign=boat", "--forcerun", "read_positions")
+    text, more = BOAT, ""
+    if source == "sbet":
+        week = write_sbet(tiny_house.root / BASE / "ingest/ins_states.parquet", tiny_house.root / "boat.sbet")
+        text = text.replace(
+            "  ins: [{logs}/ins.anpp]", f"  sbet: [{tiny_house.root}/boat.sbet]\n  gps_week: {week}"
+        )
+        more = "ins: {sigma_position_m: [0.6, 0.6, 1.0]}"
+    campaign = text.format(logs=logs, source=source, more=more)
+    (tiny_house.root / "config/campaigns/boat.yaml").write_text(campaign)
+    tiny_house.snakemake("--config", "campaign=boat")
     base = tiny_house.root / "results/boat"
     summary = json.loads((base / "orientation/trajectory.json").read_text())
     assert summary["n_nodes_valid"] > 1000
+    assert summary["n_positions_used"] > 200
     with laspy.open(base / "lidar/points.laz") as reader:
         n = reader.header.point_count
     with laspy.open(tiny_house.root / BASE / "lidar/points.laz") as reader:
@@ -217,7 +254,7 @@ def test_with_the_true_poses_the_lidar_noise_remains(
         bare_ground=np.isin(reach.material, [Material.BED, Material.SOIL, Material.GRASS]),
         sigma_component_m=0.0173,
         vertical_corrections=True,
-        rng=np.random.default_rng(1),
+        correlation_s=1.0,
     )
     ground = statistics[statistics["points"] == "bare ground"].set_index("quantity")["value"]
     # NMAD of n = 140,000 normal values is known to 0.3 %; facets of 25 cm bend within a beam's offset and

@@ -23,8 +23,8 @@ rule compare_with_truth:
         runtime=minutes(10),
     params:
         code=code_version("compare_with_truth"),
-        campaign=section("campaign"),
-        mounts=section("mounts"),
+        twin=section("twin"),
+        mounts=mounts_of("lidar"),
         lidar_options=section("lidar"),
     message:
         "{wildcards.campaign}: cloud against the truth of the digital twin"

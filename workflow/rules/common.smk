@@ -28,6 +28,27 @@ def lidar_options(wildcards):
     return {key: value for key, value in options.items() if key != "sigma_component_m"}
 
 
+def identity(*keys):
+    """Input function for params: only those keys of the section `campaign`, so that a new title reruns pictures."""
+    return lambda wildcards: {
+        key: CAMPAIGNS[wildcards.campaign].plain()["campaign"][key] for key in keys
+    }
+
+
+def mounts_of(*sensors):
+    """Input function for params: only the mounts of those sensors."""
+    return lambda wildcards: {
+        sensor: CAMPAIGNS[wildcards.campaign].plain()["mounts"][sensor]
+        for sensor in sensors
+    }
+
+
+def georeferencing(wildcards):
+    """Params function: the section `georeferencing` without the wish for a map."""
+    options = CAMPAIGNS[wildcards.campaign].plain()["georeferencing"]
+    return {key: value for key, value in options.items() if key != "export_map"}
+
+
 def is_twin(name):
     """True if the digital twin writes the logs of a campaign."""
     return CAMPAIGNS[name].twin is not None
@@ -66,6 +87,15 @@ def ins_logs(wildcards):
     """Input function: the files that hold attitudes, ANPP or SBET."""
     return logs_of(
         wildcards.campaign, "sbet" if position_source(wildcards) == "sbet" else "ins"
+    )
+
+
+def smrmsg_logs(wildcards):
+    """Input function: the standard deviations of an SBET, where there are any."""
+    return (
+        logs_of(wildcards.campaign, "smrmsg")
+        if position_source(wildcards) == "sbet"
+        else []
     )
 
 
@@ -111,13 +141,19 @@ def base_position(wildcards):
     )
 
 
-STREAM_NAMES = {"lidar": "lidar", "ins": "ins", "sbp": "gnss", "depth": "depth"}
+STREAM_NAMES = {
+    "lidar": "lidar",
+    "ins": "ins",
+    "sbet": "ins",
+    "sbp": "gnss",
+    "depth": "depth",
+}
 
 
 def streams_of(name):
     """The streams of a campaign that have logs, as the ingest rules name their results."""
     found = [result for stream, result in STREAM_NAMES.items() if logs_of(name, stream)]
-    return [*found, "positions"]
+    return [*dict.fromkeys(found), "positions"]
 
 
 def reports(wildcards):
@@ -144,8 +180,9 @@ def final_outputs(name):
         outputs += [
             f"{base}/accuracy/truth_statistics.csv",
             f"{base}/figures/error_versus_range.png",
-            *logs_of(name, "reference"),
         ]
+    if logs_of(name, "reference"):
+        outputs.append(f"{base}/ingest/reference.laz")
     return outputs
 
 

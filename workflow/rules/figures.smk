@@ -27,7 +27,7 @@ rule plot_survey_map:
         code=code_version("plot_survey_map"),
         figures=section("figures"),
         twin=lambda wildcards: is_twin(wildcards.campaign),
-        campaign=section("campaign"),
+        campaign=identity("title", "crs"),
     message:
         "{wildcards.campaign}: survey map"
     script:
@@ -58,7 +58,7 @@ rule plot_streams_in_time:
         code=code_version("plot_streams_in_time"),
         figures=section("figures"),
         twin=lambda wildcards: is_twin(wildcards.campaign),
-        campaign=section("campaign"),
+        campaign=identity("title", "crs"),
     message:
         "{wildcards.campaign}: streams in time"
     script:
@@ -90,7 +90,7 @@ rule plot_cloud_overview:
         code=code_version("plot_cloud_overview"),
         figures=section("figures"),
         twin=lambda wildcards: is_twin(wildcards.campaign),
-        campaign=section("campaign"),
+        campaign=identity("title", "crs"),
     message:
         "{wildcards.campaign}: cloud of the reach"
     script:
@@ -122,7 +122,7 @@ rule plot_cloud_detail:
         code=code_version("plot_cloud_detail"),
         figures=section("figures"),
         twin=lambda wildcards: is_twin(wildcards.campaign),
-        campaign=section("campaign"),
+        campaign=identity("title", "crs"),
     message:
         "{wildcards.campaign}: detail of the bank"
     script:
@@ -153,7 +153,7 @@ rule plot_error_versus_range:
         code=code_version("plot_error_versus_range"),
         figures=section("figures"),
         twin=lambda wildcards: is_twin(wildcards.campaign),
-        campaign=section("campaign"),
+        campaign=identity("title", "crs"),
     message:
         "{wildcards.campaign}: error versus range"
     script:

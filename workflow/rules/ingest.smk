@@ -31,8 +31,10 @@ rule read_ins:
     """States of the INS."""
     input:
         ins=ins_logs,
+        smrmsg=smrmsg_logs,
     output:
         states="results/{campaign}/ingest/ins_states.parquet",
+        depths="results/{campaign}/ingest/ins_depths.parquet",
         integrity="results/{campaign}/ingest/ins.integrity.json",
     log:
         "logs/{campaign}/ingest/read_ins.log",
@@ -134,3 +136,29 @@ rule read_depth:
         "{wildcards.campaign}: depth log"
     script:
         "../scripts/read_depth.py"
+
+
+rule read_reference:
+    """Reference clouds -> one cloud in the world frame, a station a source id."""
+    input:
+        reference=raw("reference"),
+    output:
+        cloud="results/{campaign}/ingest/reference.laz",
+        integrity="results/{campaign}/ingest/reference.integrity.json",
+    log:
+        "logs/{campaign}/ingest/read_reference.log",
+    benchmark:
+        "benchmarks/{campaign}/ingest/read_reference.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000, 30),
+        runtime=minutes(10, 60),
+    params:
+        code=code_version("read_reference"),
+        campaign=identity("origin", "crs"),
+    message:
+        "{wildcards.campaign}: reference clouds"
+    script:
+        "../scripts/read_reference.py"

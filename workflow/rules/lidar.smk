@@ -23,8 +23,8 @@ rule georeference_lidar:
     params:
         code=code_version("georeference_lidar"),
         lidar_options=lidar_options,
-        mounts=section("mounts"),
-        georeferencing=section("georeferencing"),
+        mounts=mounts_of("lidar"),
+        georeferencing=georeferencing,
     message:
         "{wildcards.campaign}: lidar points into the world"
     script:
@@ -49,7 +49,7 @@ rule export_map:
         runtime=minutes(10, 60),
     params:
         code=code_version("export_map"),
-        campaign=section("campaign"),
+        campaign=identity("crs"),
     message:
         "{wildcards.campaign}: cloud in the map grid"
     script:

@@ -22,8 +22,8 @@ rule build_trajectory:
         runtime=minutes(10),
     params:
         code=code_version("build_trajectory"),
-        campaign=section("campaign"),
-        mounts=section("mounts"),
+        campaign=identity("origin"),
+        mounts=mounts_of("antenna"),
         orientation=section("orientation"),
         ins=section("ins"),
     message:

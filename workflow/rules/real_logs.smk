@@ -9,7 +9,7 @@ rule look_at_recording:
         nav=recording_files("nav"),
     output:
         integrity="results/real_logs/{recording}.integrity.json",
-        picture="results/real_logs/{recording}.png",
+        pictures=directory("results/real_logs/{recording}"),
     log:
         "logs/real_logs/look_at_recording_{recording}.log",
     benchmark:
@@ -37,7 +37,7 @@ rule real_logs_page:
         integrity=expand(
             "results/real_logs/{recording}.integrity.json", recording=RECORDINGS
         ),
-        pictures=expand("results/real_logs/{recording}.png", recording=RECORDINGS),
+        pictures=expand("results/real_logs/{recording}", recording=RECORDINGS),
     output:
         page="results/real_logs/index.html",
         table="results/real_logs/recordings.csv",

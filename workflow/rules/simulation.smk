@@ -17,7 +17,7 @@ rule simulate_scene:
         runtime=minutes(10),
     params:
         code=code_version("simulate_scene"),
-        campaign=section("campaign"),
+        campaign=identity("origin", "seed"),
         twin=section("twin"),
     message:
         "{wildcards.campaign}: river reach of the digital twin"
@@ -41,7 +41,7 @@ rule simulate_voyage:
         runtime=minutes(10),
     params:
         code=code_version("simulate_voyage"),
-        campaign=section("campaign"),
+        campaign=identity("origin", "seed"),
         twin=section("twin"),
     message:
         "{wildcards.campaign}: voyage of the digital twin"
@@ -68,9 +68,9 @@ rule simulate_lidar:
         runtime=minutes(60),
     params:
         code=code_version("simulate_lidar"),
-        campaign=section("campaign"),
+        campaign=identity("origin", "seed"),
         twin=section("twin"),
-        mounts=section("mounts"),
+        mounts=mounts_of("lidar"),
     message:
         "{wildcards.campaign}: lidar packets of the digital twin"
     script:
@@ -79,6 +79,8 @@ rule simulate_lidar:
 
 rule simulate_ins:
     """ANPP log of the INS."""
+    input:
+        scene="results/{campaign}/simulation/truth/scene.npz",
     output:
         anpp="results/{campaign}/simulation/logs/ins.anpp",
         effects="results/{campaign}/simulation/truth/ins_effects.json",
@@ -94,8 +96,9 @@ rule simulate_ins:
         runtime=minutes(10),
     params:
         code=code_version("simulate_ins"),
-        campaign=section("campaign"),
+        campaign=identity("origin", "seed"),
         twin=section("twin"),
+        mounts=mounts_of("echo_sounder"),
     message:
         "{wildcards.campaign}: INS log of the digital twin"
     script:
@@ -120,9 +123,9 @@ rule simulate_gnss:
         runtime=minutes(10),
     params:
         code=code_version("simulate_gnss"),
-        campaign=section("campaign"),
+        campaign=identity("origin", "seed"),
         twin=section("twin"),
-        mounts=section("mounts"),
+        mounts=mounts_of("antenna"),
     message:
         "{wildcards.campaign}: GNSS logs of the digital twin"
     script:
@@ -148,9 +151,9 @@ rule simulate_echo:
         runtime=minutes(10),
     params:
         code=code_version("simulate_echo"),
-        campaign=section("campaign"),
+        campaign=identity("origin", "seed"),
         twin=section("twin"),
-        mounts=section("mounts"),
+        mounts=mounts_of("echo_sounder"),
     message:
         "{wildcards.campaign}: depth log of the digital twin"
     script:
@@ -180,7 +183,7 @@ rule simulate_tls:
         runtime=minutes(10),
     params:
         code=code_version("simulate_tls"),
-        campaign=section("campaign"),
+        campaign=identity("origin", "seed", "crs"),
         twin=section("twin"),
     message:
         "{wildcards.campaign}: terrestrial scans of the digital twin"

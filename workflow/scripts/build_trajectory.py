@@ -11,7 +11,7 @@ from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
 from thalweg.jobs.job import run_job
-from thalweg.orientation.ins_gnss import build_trajectory, trajectory_from_states
+from thalweg.orientation.ins_gnss import NAVIGATION_INITIALISED, build_trajectory, trajectory_from_states
 
 
 def main(
@@ -23,15 +23,22 @@ def main(
     campaign: dict[str, Any],
     mounts: dict[str, Any],
     orientation: dict[str, Any],
-    ins: dict[str, float],
+    ins: dict[str, Any],
 ) -> None:
     frame = LocalFrame(**campaign["origin"])
     table, _ = read_table(states, INS_STATE)
     sigma_attitude_rad = np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")])
     max_attitude_gap_s = orientation["max_attitude_gap_s"]
     if orientation["position_source"] in ("ins", "sbet"):
+        # An SBET is a finished solution without status words; an INS log tells when its filter was ready.
+        required = 0 if orientation["position_source"] == "sbet" else NAVIGATION_INITIALISED
         built, what = trajectory_from_states(
-            table, frame, max_attitude_gap_s=max_attitude_gap_s, sigma_attitude_rad=sigma_attitude_rad
+            table,
+            frame,
+            max_attitude_gap_s=max_attitude_gap_s,
+            sigma_attitude_rad=sigma_attitude_rad,
+            sigma_position_m=ins["sigma_position_m"],
+            required_status=required,
         )
     else:
         built, what = build_trajectory(

@@ -23,7 +23,7 @@ def main(
     voyage: Path,
     statistics: Path,
     by_range: Path,
-    campaign: dict[str, Any],
+    twin: dict[str, Any],
     mounts: dict[str, Any],
     lidar_options: dict[str, Any],
 ) -> None:
@@ -37,7 +37,7 @@ def main(
         bare_ground=np.isin(reach.material, BARE_GROUND),
         sigma_component_m=lidar_options["sigma_component_m"],
         vertical_corrections=lidar_options["vertical_corrections"],
-        rng=np.random.default_rng(campaign["seed"]),
+        correlation_s=max(twin["ins"]["attitude_time_s"], twin["gnss"]["correlation_time_s"]),
     )
     numbers.to_csv(statistics, index=False)
     classes.to_csv(by_range, index=False)

@@ -32,6 +32,7 @@ def main(
         min_range_m=georeferencing["min_range_m"],
         max_range_m=georeferencing["max_range_m"],
         laz_scale_m=georeferencing["laz_scale_m"],
+        chunk_points=georeferencing["chunk_points"],
     )
     tally.table().to_csv(counts, index=False)
 

@@ -1,9 +1,9 @@
-"""One real recording -> integrity report and first picture."""
+"""One real recording -> integrity report and first pictures."""
 
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.first_look import first_look
+from thalweg.figures.first_look import first_looks_of
 from thalweg.figures.style import save
 from thalweg.ingest.describe import load_recording
 from thalweg.jobs.job import run_job
@@ -15,14 +15,16 @@ def main(
     base: list[Path],
     nav: list[Path],
     integrity: Path,
-    picture: Path,
+    pictures: Path,
     reader: str,
     title: str,
     options: dict[str, Any],
 ) -> None:
     recording = load_recording(files, reader=reader, base=base, nav=nav, options=options)
     recording.report.write(integrity)
-    save(first_look(recording, title=title), picture)
+    pictures.mkdir(parents=True, exist_ok=True)
+    for name, figure in first_looks_of(recording, title=title).items():
+        save(figure, pictures / f"{name}.png")
 
 
 if "snakemake" in globals():

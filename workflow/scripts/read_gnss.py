@@ -1,17 +1,17 @@
-"""SBP log -> on-board positions and integrity report."""
+"""Log of the GNSS receiver -> on-board positions and integrity report."""
 
 from pathlib import Path
 
 from thalweg.core.tables import write_table
-from thalweg.ingest.sbp_log import read_sbp
+from thalweg.ingest.positions import read_receiver
 from thalweg.ingest.schemas import GNSS_POSITION
 from thalweg.jobs.job import run_job
 
 
 def main(*, sbp: list[Path], positions: Path, integrity: Path) -> None:
-    log = read_sbp(sbp)
-    write_table(positions, log.positions, GNSS_POSITION)
-    log.report.write(integrity)
+    table, report = read_receiver(sbp)
+    write_table(positions, table, GNSS_POSITION)
+    report.write(integrity)
 
 
 if "snakemake" in globals():

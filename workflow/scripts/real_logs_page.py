@@ -10,7 +10,8 @@ from thalweg.jobs.job import run_job
 def main(*, integrity: list[Path], pictures: list[Path], page: Path, table: Path, titles: list[str]) -> None:
     reports = [IntegrityReport.read(path) for path in integrity]
     recordings_table(reports, titles).to_csv(table, index=False)
-    recordings_page(reports, titles, pictures).write(page)
+    looks = [sorted(folder.glob("*.png")) for folder in pictures]
+    recordings_page(reports, titles, looks).write(page)
 
 
 if "snakemake" in globals():

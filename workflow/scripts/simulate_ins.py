@@ -1,4 +1,4 @@
-"""Campaign file -> ANPP log of the digital twin's INS."""
+"""Campaign file and river reach -> ANPP log of the digital twin's INS."""
 
 from pathlib import Path
 from typing import Any
@@ -9,9 +9,24 @@ from thalweg.jobs.job import run_job
 from thalweg.simulation.ins import simulate_ins
 
 
-def main(*, anpp: Path, effects: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:
-    frame = LocalFrame(**campaign["origin"])
-    simulate_ins(TwinConfig(**twin), campaign["seed"], frame, anpp, out_effects=effects)
+def main(
+    *,
+    scene: Path,
+    anpp: Path,
+    effects: Path,
+    campaign: dict[str, Any],
+    twin: dict[str, Any],
+    mounts: dict[str, Any],
+) -> None:
+    simulate_ins(
+        TwinConfig(**twin),
+        campaign["seed"],
+        LocalFrame(**campaign["origin"]),
+        anpp,
+        scene=scene,
+        lever_ics_echo_m=mounts["echo_sounder"]["lever_ics_m"],
+        out_effects=effects,
+    )
 
 
 if "snakemake" in globals():

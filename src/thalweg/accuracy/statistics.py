@@ -4,6 +4,7 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+from scipy.stats import chi2
 
 from thalweg.core.types import ArrayF
 
@@ -55,31 +56,26 @@ def by_range_class(range_m: ArrayF, squared_error_m2: ArrayF, predicted_m2: Arra
     return table.reset_index()
 
 
-def block_band(
-    values: ArrayF, t_s: ArrayF, *, block_s: float, rng: np.random.Generator, draws: int = 500
-) -> tuple[float, float, float]:
-    """Mean of a time series with its 95 % band by a block bootstrap.
+def independent_values(duration_s: float, correlation_s: float) -> float:
+    """How many independent squared errors a series of a Gauss-Markov error holds.
 
-    Errors of neighbouring points share one pose, so points are no independent samples: whole blocks of time
-    are drawn with replacement.
+    The mean of ``x**2`` over a time ``T`` has the variance ``2 sigma^4 / N`` with
+    ``N = T / (2 t (1 - t/T (1 - exp(-T/t))))`` and ``t = tau / 2``: squares of an error of correlation time
+    ``tau`` are correlated over half of it. For ``T`` far above ``tau`` this is ``T / tau``; it is never
+    below 1.
 
-    Parameters
-    ----------
-    values, t_s : (n,) series and times.
-    block_s : length of a block; several correlation times of the errors.
-    rng : source of randomness.
-    draws : number of bootstrap samples.
-
-    Returns
-    -------
-    mean, lower, upper.
+    Examples
+    --------
+    >>> round(independent_values(180.0, 20.0), 1)
+    9.5
     """
-    block = np.floor((t_s - t_s.min()) / block_s).astype(np.int64)
-    total = np.bincount(block, weights=values)
-    n = np.bincount(block).astype(np.float64)
-    keep = n > 0
-    total, n = total[keep], n[keep]
-    pick = rng.integers(0, len(n), size=(draws, len(n)))
-    means = total[pick].sum(axis=1) / n[pick].sum(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
-    return float(total.sum() / n.sum()), float(low), float(high)
+    t = correlation_s / 2
+    ratio = t / duration_s
+    return max(1.0, float(1.0 / (2 * ratio * (1 - ratio * -np.expm1(-1.0 / ratio)))))
+
+
+def chi_square_band(n_independent: float, level: float = 0.95) -> tuple[float, float]:
+    """Where the mean of ``n_independent`` normalised squared errors lies with a probability of ``level``."""
+    low = float(chi2.ppf((1 - level) / 2, n_independent))
+    high = float(chi2.ppf((1 + level) / 2, n_independent))
+    return low / n_independent, high / n_independent

@@ -26,7 +26,10 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
     rows: list[tuple[str, float, str, str]] = []
     for stream in _records(streams):
         rows.append((f"{stream['stream']}: duration", stream["duration_s"], "s", streams.name))
-        rows.append((f"{stream['stream']}: records lost or damaged", stream["lost"], "1", streams.name))
+        rows.append(
+            (f"{stream['stream']}: records lost or damaged", stream["lost_records"], "1", streams.name)
+        )
+        rows.append((f"{stream['stream']}: bytes lost", stream["lost_bytes"], "1", streams.name))
     poses = json.loads(trajectory.read_text())
     share = poses["n_positions_used"] / poses["n_positions"] if poses["n_positions"] else 0.0
     rows.append(("positions used", 100 * share, "%", trajectory.name))
@@ -36,9 +39,9 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
         wanted = {
             "rmse": "bare ground: RMSE against the truth of the twin",
             "predicted_rmse": "bare ground: RMSE predicted",
-            "normalised_squared_error": "bare ground: normalised squared error (1 = honest)",
-            "normalised_squared_error_low95": "  its 95 % band, lower end",
-            "normalised_squared_error_high95": "  its 95 % band, upper end",
+            "normalised_squared_error": "bare ground: normalised squared error",
+            "honest_low95": "  if sigmas are honest: above (95 %)",
+            "honest_high95": "  if sigmas are honest: below (95 %)",
         }
         ground = {row["quantity"]: row for row in _records(truth) if row["points"] == "bare ground"}
         rows += [

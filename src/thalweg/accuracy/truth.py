@@ -9,20 +9,33 @@ truth.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.prediction import point_covariance
-from thalweg.accuracy.statistics import block_band, by_range_class, describe_errors
+from thalweg.accuracy.statistics import (
+    by_range_class,
+    chi_square_band,
+    describe_errors,
+    independent_values,
+)
+from thalweg.core.errors import CoverageError
 from thalweg.core.raycast import RayCaster
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayB, ArrayF
 from thalweg.ingest.velodyne_model import RING, VERTICAL_CORRECTION_M
 from thalweg.lidar.cloud import sample_cloud
+from thalweg.lidar.covariance import point_covariance
 from thalweg.lidar.georeference import Mount
 
-POINT_CLASSES = ("all", "bare ground")
+LEAST_COSINE: Final = 0.2
+"""Cosine of the incidence angle below which a beam grazes: 78 degrees from the normal."""
+
+GROSS_SIGMAS: Final = 6.0
+"""An error of more than that many sigmas belongs to another surface; of normal errors 2e-9 are lost."""
+
+POINT_CLASSES: Final = ("all", "bare ground")
 """The two sets of points for which every number is given: with and without the outlier rule."""
 
 
@@ -31,8 +44,8 @@ class PointErrors:
     """Errors of points against the truth, one row a point whose true beam hits anything.
 
     ``error_m`` (n,) is the signed distance from the true surface along its normal, ``sigma_m`` (n,) its
-    prediction; ``bare_ground`` (n,) is false for points whose true beam meets another kind of surface, or the
-    same one at another range: edges and foliage, where the error is no measurement error.
+    prediction; ``bare_ground`` (n,) is false for points whose true beam meets another kind of surface or
+    meets it at a grazing angle, and for gross errors: there the measured point belongs to another surface.
     """
 
     t_gps_s: ArrayF
@@ -53,7 +66,6 @@ def point_errors(
     surface: RayCaster,
     bare_ground: ArrayB,
     sigma_component_m: float,
-    outlier_m: float,
 ) -> PointErrors:
     """Compare georeferenced points with the surface that their beams truly hit.
 
@@ -67,7 +79,6 @@ def point_errors(
     surface : the true surface.
     bare_ground : (m,) for each triangle: is it bare ground?
     sigma_component_m : predicted lidar sigma per component.
-    outlier_m : a true range that differs from the measured one by more belongs to another surface.
     """
     position, R_est, known = estimated.at(t_gps_s)
     true_position, R_true, known_true = true.at(t_gps_s)
@@ -90,19 +101,22 @@ def point_errors(
     node = np.clip(np.searchsorted(estimated.t_gps_s, t) - 1, 0, None)
     cov = point_covariance(
         points,
-        position,
+        position + np.einsum("nij,j->ni", R_est, estimated.pivot_ics_m),
         R_est,
         estimated.cov_position_m2[node],
         estimated.sigma_attitude_rad[node],
         sigma_component_m,
     )
-    ground = hit & bare_ground[np.clip(hits.primitive, 0, None)]
+    error = np.einsum("ni,ni->n", normal, points - truth)
+    sigma = np.sqrt(np.einsum("ni,nij,nj->n", normal, cov, normal))
+    steep = -np.einsum("ni,ni->n", normal, direction) > LEAST_COSINE
+    ground = bare_ground[np.clip(hits.primitive, 0, None)] & steep & (np.abs(error) < GROSS_SIGMAS * sigma)
     return PointErrors(
         t_gps_s=t[hit],
         range_m=range_m[hit],
-        error_m=np.einsum("ni,ni->n", normal, points - truth)[hit],
-        sigma_m=np.sqrt(np.einsum("ni,nij,nj->n", normal, cov, normal))[hit],
-        bare_ground=(ground & (np.abs(true_range - range_m) <= outlier_m))[hit],
+        error_m=error[hit],
+        sigma_m=sigma[hit],
+        bare_ground=ground[hit],
     )
 
 
@@ -116,7 +130,7 @@ def compare_cloud(
     bare_ground: ArrayB,
     sigma_component_m: float,
     vertical_corrections: bool,
-    rng: np.random.Generator,
+    correlation_s: float,
     max_points: int = 300_000,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Errors of a cloud on disk: an even sample of its points, see `point_errors` and `error_tables`.
@@ -127,7 +141,7 @@ def compare_cloud(
     estimated, true : the trajectory that made the cloud, and the twin's own.
     mount, surface, bare_ground, sigma_component_m : as in `point_errors`.
     vertical_corrections : were the lasers' vertical offsets applied?
-    rng : for the band of the normalised error.
+    correlation_s : longest correlation time among the errors of the poses.
     max_points : size of the sample.
     """
     cloud = sample_cloud(points, max_points)
@@ -142,31 +156,37 @@ def compare_cloud(
         surface=surface,
         bare_ground=bare_ground,
         sigma_component_m=sigma_component_m,
-        # Attitude errors of 0.1 .. 0.2 deg move a beam by decimetres at 50 m; on a slope the true range then
-        # differs as much. More than half a metre is another surface.
-        outlier_m=0.5,
     )
-    return error_tables(errors, block_s=5.0, rng=rng)
+    return error_tables(errors, correlation_s=correlation_s)
 
 
-def error_tables(
-    errors: PointErrors, *, block_s: float, rng: np.random.Generator
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Statistics of errors with and without the outlier rule, and observed against predicted by range.
 
     Parameters
     ----------
     errors : from `point_errors`.
-    block_s : length of the blocks of the bootstrap, several correlation times of the pose errors.
-    rng : source of randomness of the bootstrap.
+    correlation_s : longest correlation time among the errors of the poses: points that share a pose error are
+        no independent samples.
 
     Returns
     -------
     statistics : columns ``quantity``, ``points`` (see `POINT_CLASSES`), ``value``, ``unit``.
-        ``normalised_squared_error`` is the mean of squared error over predicted variance, 1 if the sigmas
-        are honest, with the ends of its 95 % band.
+        ``normalised_squared_error`` is the mean of squared error over predicted variance. Honest sigmas leave
+        it between ``honest_low95`` and ``honest_high95``: with a probability of 95 % if one error of that
+        correlation time made all of it, of more if several errors add up.
     by_range : see `by_range_class`; bare ground.
+
+    Raises
+    ------
+    CoverageError : no point lies on bare ground.
     """
+    if not errors.bare_ground.any():
+        raise CoverageError(
+            f"none of {len(errors.error_m):,} points lies on bare ground",
+            expected="points whose true beam meets soil or grass",
+            cure="Check the poses: is the cloud where the banks are?",
+        )
     rows: list[tuple[str, str, float, str]] = []
     for label, use in zip(POINT_CLASSES, (np.ones_like(errors.bare_ground), errors.bare_ground), strict=True):
         e, sigma = errors.error_m[use], errors.sigma_m[use]
@@ -174,12 +194,14 @@ def error_tables(
             bare, _, unit = quantity.rpartition("_")
             rows.append((bare or quantity, label, value, unit if bare else "1"))
         rows.append(("predicted_rmse", label, float(np.sqrt(np.mean(sigma**2))), "m"))
-        mean, low, high = block_band((e / sigma) ** 2, errors.t_gps_s[use], block_s=block_s, rng=rng)
-        rows += [
-            ("normalised_squared_error", label, mean, "1"),
-            ("normalised_squared_error_low95", label, low, "1"),
-            ("normalised_squared_error_high95", label, high, "1"),
-        ]
+        rows.append(("normalised_squared_error", label, float(np.mean((e / sigma) ** 2)), "1"))
+    n = independent_values(float(np.ptp(errors.t_gps_s)), correlation_s)
+    low, high = chi_square_band(n)
+    rows += [
+        ("independent_values", POINT_CLASSES[1], n, "1"),
+        ("honest_low95", POINT_CLASSES[1], low, "1"),
+        ("honest_high95", POINT_CLASSES[1], high, "1"),
+    ]
     rows.append(("share_of_points", POINT_CLASSES[1], float(np.mean(errors.bare_ground)), "1"))
     statistics = pd.DataFrame(rows, columns=["quantity", "points", "value", "unit"])
     ground = errors.bare_ground

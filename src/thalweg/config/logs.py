@@ -19,6 +19,7 @@ STREAM_KEYS = {
     "nav": ("gnss", "nav"),
     "pos": ("positions",),
     "sbet": ("sbet",),
+    "smrmsg": ("smrmsg",),
     "depth": ("depth",),
     "reference": ("reference",),
 }
@@ -67,6 +68,7 @@ class Logs(Section):
     gnss: GnssLogs = Field(default=GnssLogs(), description="Raw GNSS of boat and base")
     positions: Files = Field(default=(), description="RTKLIB .pos files of the boat's antenna")
     sbet: Files = Field(default=(), description="Applanix SBET trajectories")
+    smrmsg: Files = Field(default=(), description="Standard deviations that belong to the SBET files")
     gps_week: int | None = Field(
         default=None, ge=1024, le=4095, description="GPS week of the SBET's first record, not modulo 1024"
     )

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from thalweg.config.base import Section
-from thalweg.config.values import Positive
+from thalweg.config.values import Positive, Sigma3
 
 SigmaAttitude = Annotated[float, Field(gt=0, le=45, allow_inf_nan=False)]
 Fix = Literal["fixed", "float", "sbas", "dgnss", "single", "ppp", "omnistar", "dead_reckoning"]
@@ -19,6 +19,11 @@ class Ins(Section):
     sigma_pitch_deg: SigmaAttitude = Field(default=0.1, description="Standard deviation of pitch, degrees")
     sigma_heading_deg: SigmaAttitude = Field(
         default=0.2, description="Standard deviation of heading, degrees"
+    )
+    sigma_position_m: Sigma3 | None = Field(
+        default=None,
+        description="Standard deviations east, north, up of positions from `ins` or `sbet` whose log states "
+        "none, metres",
     )
 
 

@@ -3,6 +3,7 @@
 import difflib
 import glob
 import os
+import re
 from pathlib import Path
 
 _MAGIC = set("*?[")
@@ -19,17 +20,30 @@ def anchor(text: str, folder: Path) -> Path:
 
 
 def expand(text: str, folder: Path) -> list[Path]:
-    """Files that a path or a pattern names, sorted by name; empty if a pattern matches none.
+    """Files that a path or a pattern names, sorted by name (see `natural_order`); empty if a pattern matches none.
 
     An existing file whose name holds pattern characters is taken as it is.
     """
     path = anchor(text, folder)
     if not is_pattern(text) or path.exists():
         return [path]
-    return sorted(
-        Path(match)
-        for match in glob.glob(str(path), recursive=True)  # noqa: PTH207 - absolute patterns
-        if Path(match).is_file()
+    matches = (Path(m) for m in glob.glob(str(path), recursive=True))  # noqa: PTH207 - absolute patterns
+    return sorted((m for m in matches if m.is_file()), key=natural_order)
+
+
+def natural_order(path: Path) -> tuple[tuple[tuple[int, int, str], ...], ...]:
+    """Sort key of paths, folder by folder, in which numbers count by value: part_2 before part_10.
+
+    Names that differ in leading zeros only are told apart by their text.
+
+    Examples
+    --------
+    >>> [p.name for p in sorted(map(Path, ["part_10.pcap", "part_2.pcap", "part_1.pcap"]), key=natural_order)]
+    ['part_1.pcap', 'part_2.pcap', 'part_10.pcap']
+    """
+    return tuple(
+        (*((0, int(t), "") if t.isdecimal() else (1, 0, t) for t in re.split(r"(\d+)", part)), (2, 0, part))
+        for part in path.parts
     )
 
 

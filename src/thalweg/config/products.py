@@ -1,6 +1,6 @@
 """Sections ``georeferencing`` and ``figures``: what comes out."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -30,7 +30,6 @@ class Figures(Section):
     """Pictures."""
 
     dpi: int = Field(default=200, ge=50, le=1200, description="Resolution, dots per inch")
-    format: Literal["png", "pdf"] = Field(default="png", description="File format")
     max_points: int = Field(
         default=2_000_000, ge=1_000, le=100_000_000, description="Points drawn at most in a scatter plot"
     )

@@ -177,22 +177,9 @@ class LocalFrame:
         GeometryError : the CRS is not projected, a point lies far outside its area of use, or PROJ knows no
             exact operation to it.
         """
-        if not crs.is_projected:
-            raise GeometryError(
-                f"'{crs.name}' is not a projected CRS",
-                expected="a map projection such as EPSG:25833",
-                cure="Set campaign.crs to the national grid of the survey area",
-            )
+        projection = _map_projection(crs)
         lat, lon, h = self.to_geodetic(points_wcs)
         _check_area_of_use(crs, lat, lon)
-        horizontal = crs.sub_crs_list[0] if crs.is_compound else crs
-        geodetic = horizontal.geodetic_crs
-        if geodetic is None:
-            raise GeometryError(f"'{crs.name}' has no geodetic base", expected="a projected CRS")
-        # Positions are in the frame of the corrections; the grid is taken in its own datum, no shift applied.
-        projection = Transformer.from_crs(
-            geodetic.to_2d(), horizontal.to_2d(), always_xy=True, allow_ballpark=False
-        )
         try:
             east, north = projection.transform(lon, lat, errcheck=True)
         except ProjError as error:
@@ -202,6 +189,40 @@ class LocalFrame:
                 cure="Check campaign.crs and campaign.origin",
             ) from error
         return np.stack([east, north, h], axis=-1)
+
+    def from_map(self, points_map: ArrayLike, crs: CRS) -> ArrayF:
+        """Local points (..., 3) from easting, northing in a projected CRS, ellipsoidal height; import only.
+
+        Raises
+        ------
+        GeometryError : the CRS is not projected, or the points lie far outside its area of use.
+        """
+        p = np.asarray(points_map, dtype=np.float64)
+        lon, lat = _map_projection(crs).transform(p[..., 0], p[..., 1], direction="INVERSE")
+        if not np.all(np.isfinite(lon[np.isfinite(p[..., 0])])):
+            raise GeometryError(
+                f"coordinates outside of '{crs.name}'",
+                expected="eastings and northings of that grid",
+                cure="Check the CRS of the file, or campaign.crs",
+            )
+        _check_area_of_use(crs, np.asarray(lat), np.asarray(lon))
+        return self.from_geodetic(lat, lon, p[..., 2])
+
+
+def _map_projection(crs: CRS) -> Transformer:
+    """Longitude, latitude in degrees -> easting, northing of a projected CRS, in the CRS's own datum."""
+    if not crs.is_projected:
+        raise GeometryError(
+            f"'{crs.name}' is not a projected CRS",
+            expected="a map projection such as EPSG:25833",
+            cure="Set campaign.crs to the national grid of the survey area",
+        )
+    horizontal = crs.sub_crs_list[0] if crs.is_compound else crs
+    geodetic = horizontal.geodetic_crs
+    if geodetic is None:
+        raise GeometryError(f"'{crs.name}' has no geodetic base", expected="a projected CRS")
+    # Positions are in the frame of the corrections; the grid is taken in its own datum, no shift applied.
+    return Transformer.from_crs(geodetic.to_2d(), horizontal.to_2d(), always_xy=True, allow_ballpark=False)
 
 
 def _check_area_of_use(crs: CRS, lat_deg: ArrayF, lon_deg: ArrayF, margin_deg: float = 3.0) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -31,6 +32,36 @@ def kind_of(schema: pa.Schema) -> tuple[str, int]:
     """Kind and format version of a schema; ``("", 0)`` for a foreign one."""
     meta = schema.metadata or {}
     return meta.get(b"kind", b"").decode(), int(meta.get(b"version", b"0"))
+
+
+def frame_of(schema: pa.Schema, values: Mapping[str, Any]) -> pd.DataFrame:
+    """DataFrame in the column order and with the types of a table kind.
+
+    Parameters
+    ----------
+    schema : made by `table_kind`.
+    values : (n,) array-like of each column of the kind; other keys are left out.
+
+    Raises
+    ------
+    InputError : a column of the kind has no values, or has values of another type.
+    """
+    missing = [name for name in schema.names if name not in values]
+    kind, _ = kind_of(schema)
+    if missing:
+        raise InputError(f"columns missing: {missing}", expected=f"the columns of table kind '{kind}'")
+    out = {}
+    for item in schema:
+        value = values[item.name]
+        try:
+            out[item.name] = (
+                value if pa.types.is_string(item.type) else np.asarray(value, item.type.to_pandas_dtype())
+            )
+        except (ValueError, TypeError) as error:
+            raise InputError(
+                f"column '{item.name}' holds no {item.type} ({error})", expected=f"table kind '{kind}'"
+            ) from error
+    return pd.DataFrame(out)
 
 
 def write_table(

@@ -6,7 +6,7 @@ linear and attitudes follow the shortest arc; nodes are dense enough for that (t
 1 m/s^2 the chord error is a dt^2 / 8 = 0.05 mm). A node may be invalid: nothing is interpolated across it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -52,6 +52,8 @@ class Trajectory:
     cov_position_m2 : (n, 3, 3) in wcs.
     sigma_attitude_rad : (n, 3) about body x, body y and the vertical (roll, pitch, heading).
     valid : (n,) false where the pose is not to be used.
+    pivot_ics_m : (3,) the point of the boat whose position was measured (the antenna): an error of the
+        attitude turns the boat about it, not about the ics origin.
 
     Raises
     ------
@@ -65,6 +67,7 @@ class Trajectory:
     cov_position_m2: ArrayF
     sigma_attitude_rad: ArrayF
     valid: ArrayB
+    pivot_ics_m: ArrayF = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         n = len(self.t_gps_s)
@@ -142,7 +145,8 @@ class Trajectory:
         origin = {
             "lat_deg": self.frame.lat_deg, "lon_deg": self.frame.lon_deg, "h_ell_m": self.frame.h_ell_m,
         }  # fmt: skip
-        write_table(path, pd.DataFrame(columns), TRAJECTORY, {**(meta or {}), "origin": origin})
+        facts = {**(meta or {}), "origin": origin, "pivot_ics_m": self.pivot_ics_m.tolist()}
+        write_table(path, pd.DataFrame(columns), TRAJECTORY, facts)
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -161,4 +165,5 @@ class Trajectory:
             cov_position_m2=cov,
             sigma_attitude_rad=table[["sigma_roll_rad", "sigma_pitch_rad", "sigma_heading_rad"]].to_numpy(),
             valid=table["valid"].to_numpy(dtype=np.bool_),
+            pivot_ics_m=np.array(meta["pivot_ics_m"], dtype=np.float64),
         )

@@ -37,12 +37,12 @@ def recordings_table(reports: list[IntegrityReport], titles: list[str]) -> pd.Da
     return pd.DataFrame(rows)
 
 
-def recordings_page(reports: list[IntegrityReport], titles: list[str], pictures: list[Path]) -> Page:
+def recordings_page(reports: list[IntegrityReport], titles: list[str], pictures: list[list[Path]]) -> Page:
     """The page: overview table, then a section for each recording.
 
     Parameters
     ----------
-    reports, titles, pictures : one each a recording, in the same order.
+    reports, titles, pictures : one each a recording, in the same order; pictures are lists of PNG files.
     """
     page = Page(
         "Real recordings",
@@ -52,6 +52,8 @@ def recordings_page(reports: list[IntegrityReport], titles: list[str], pictures:
     page.section("All recordings").table(
         recordings_table(reports, titles), "What was recorded, and how whole it is", units={"duration_s": "s"}
     )
-    for report, title, picture in zip(reports, titles, pictures, strict=True):
-        page.section(title).lines(report.lines()).figure(picture, f"First look: {title}")
+    for report, title, looks in zip(reports, titles, pictures, strict=True):
+        page.section(title).lines(report.lines())
+        for picture in looks:
+            page.figure(picture, f"First look at the {picture.stem}: {title}")
     return page

@@ -10,11 +10,32 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from thalweg.core.errors import InputError
 from thalweg.core.types import AnyArray, ArrayI, ArrayU8
+from thalweg.ingest.anpp_sbp_walk import (
+    BAD_CRC,
+    CUT,
+    HOLES,
+    N_CELLS,
+    RUN_END,
+    RUN_START,
+    SKIPPED,
+    gather,
+)
 from thalweg.ingest.integrity import IntegrityReport
+
+__all__ = [
+    "BAD_CRC",
+    "CUT",
+    "HOLES",
+    "SKIPPED",
+    "Finder",
+    "PacketBlock",
+    "StreamTally",
+    "find_in",
+    "read_packets",
+]
 
 CHUNK_BYTES: Final = 8 << 20
 """Bytes read at a time."""
@@ -22,33 +43,8 @@ CHUNK_BYTES: Final = 8 << 20
 MAX_HOLES: Final = 20
 """Damaged stretches that are located; the rest is only counted."""
 
-SKIPPED, BAD_CRC, CUT, HOLES, RUN_START, RUN_END = range(6)
-"""Cells of the tally: bytes outside of packets, check sum errors where a packet was due, packets cut by
-the end of the log, stretches of skipped bytes, first byte and end of the stretch at hand (-1: none)."""
-
 Finder = Callable[..., tuple[int, int]]
 """``find(buf, start, base, final, kind, sender, offset, length, tally, holes) -> (packets, next byte)``."""
-
-
-@njit(cache=True, nogil=True)
-def skip_byte(i: int, tally: ArrayI, holes: ArrayI) -> None:
-    """Count byte ``i`` of the stream as outside of any packet."""
-    if tally[RUN_START] < 0:
-        tally[RUN_START] = i
-        tally[HOLES] += 1
-    tally[RUN_END] = i + 1
-    tally[SKIPPED] += 1
-    k = tally[HOLES] - 1
-    if k < holes.shape[0]:
-        holes[k, 0] = tally[RUN_START]
-        holes[k, 1] = i + 1 - tally[RUN_START]
-
-
-@njit(cache=True, nogil=True)
-def _gather(buf: ArrayU8, start: ArrayI, out: ArrayU8) -> None:
-    for i in range(start.size):
-        for j in range(out.shape[1]):
-            out[i, j] = buf[start[i] + j]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +71,7 @@ class PacketBlock:
     def payloads(self, rows: ArrayI, size: int) -> ArrayU8:
         """Payloads of some packets as (n, size) bytes; ``size`` must not exceed their lengths."""
         out = np.empty((rows.size, size), dtype=np.uint8)
-        _gather(self.buf, self.offset[rows], out)
+        gather(self.buf, self.offset[rows], out)
         return out
 
 
@@ -131,7 +127,7 @@ class StreamTally:
 
 def new_tally() -> tuple[ArrayI, ArrayI]:
     """Cells and hole list for one walk."""
-    cells = np.zeros(6, dtype=np.int64)
+    cells = np.zeros(N_CELLS, dtype=np.int64)
     cells[RUN_START] = cells[RUN_END] = -1
     return cells, np.zeros((MAX_HOLES, 2), dtype=np.int64)
 

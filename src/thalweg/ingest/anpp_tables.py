@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.core.tables import column, table_kind
+from thalweg.core.tables import column, frame_of, table_kind
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.ingest import anpp_packets as ap
 from thalweg.ingest.anpp_records import AnppRecords, Clock, gps_time, possible_utc
@@ -36,17 +36,6 @@ PASSTHROUGH = table_kind(
 
 _MAX_SIGMA_AGE_S: Final = 1.0
 """Orientation sigmas older than this and than 1.5 of their own steps belong to no state."""
-
-
-def frame_of(schema: pa.Schema, values: dict[str, Any]) -> pd.DataFrame:
-    """DataFrame in the column order and with the types of a table kind."""
-    out = {}
-    for item in schema:
-        value = values[item.name]
-        out[item.name] = (
-            value if pa.types.is_string(item.type) else np.asarray(value, item.type.to_pandas_dtype())
-        )
-    return pd.DataFrame(out)
 
 
 def states_table(records: AnppRecords) -> pd.DataFrame:

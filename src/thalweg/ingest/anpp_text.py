@@ -7,8 +7,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from thalweg.core.tables import frame_of
 from thalweg.ingest.anpp_records import AnppRecords, Clock
-from thalweg.ingest.anpp_tables import PASSTHROUGH, frame_of, stamps
+from thalweg.ingest.anpp_tables import PASSTHROUGH, stamps
 
 _ROUTES: Final = {0: "gpio", 1: "auxiliary"}
 _SENTENCE: Final = re.compile(rb"[$!]([ \"#%-)+-~]{1,250})\*([0-9A-Fa-f]{2})")

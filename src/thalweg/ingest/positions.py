@@ -9,6 +9,7 @@ from thalweg.core.errors import InputError
 from thalweg.core.tables import read_table
 from thalweg.ingest.integrity import IntegrityReport
 from thalweg.ingest.ppk_positions import replace_covariances
+from thalweg.ingest.recognise import recognise
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
 
 
@@ -22,6 +23,33 @@ def positions_from_states(states: pd.DataFrame) -> pd.DataFrame:
         if name not in table:
             table[name] = float("nan")
     return table[list(GNSS_POSITION.names)]
+
+
+def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
+    """The solution that a GNSS receiver computed on board, from its SBP log.
+
+    A receiver that logged raw observations only (RINEX) has none: the table is then empty, and the report is
+    that of the observations.
+
+    Parameters
+    ----------
+    files : log of the rover, SBP or RINEX observations.
+
+    Raises
+    ------
+    InputError : a file is neither.
+    """
+    sbp = [path for path in files if recognise(path) == "sbp"]
+    if sbp:
+        from thalweg.ingest.sbp_log import read_sbp
+
+        log = read_sbp(sbp)
+        return log.positions, log.report
+    from thalweg.ingest.rinex import describe_rinex
+
+    report = describe_rinex(files[0])
+    report.stream = "gnss"
+    return GNSS_POSITION.empty_table().to_pandas(), report
 
 
 def read_positions(
@@ -84,7 +112,7 @@ def read_positions(
     if source != "ppk":  # which has done so itself
         positions, n_replaced = replace_covariances(positions)
         if n_replaced:
-            report.lose("covariances_replaced", n_replaced)
+            report.count("covariances_replaced", n_replaced)
             report.note(
                 f"{n_replaced} covariances were not positive definite, or below 0.5 mm: replaced by the "
                 "median of their neighbours of the same fix."

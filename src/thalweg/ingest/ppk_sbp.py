@@ -1,17 +1,12 @@
-"""Frame walk through an SBP log for PPK: intact frames, lost bytes, base position, who sent observations.
+"""SBP log as PPK sees it: intact frames, lost bytes, base position, who sent observations."""
 
-Frame: 0x55, type u16, sender u16, length u8, payload, CRC16-CCITT (0x1021, start 0) over type to payload, all
-little endian (Swift Binary Protocol specification, section 3).
-"""
-
-import binascii
-import struct
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from thalweg.core.types import ArrayF
+from thalweg.ingest.sbp_frames import find_messages
 
 MSG_BASE_POS_ECEF: Final = 0x0048
 MSG_OBS: Final = 0x004A
@@ -45,27 +40,13 @@ class SbpFrames:
 
 def walk_sbp(data: bytes) -> SbpFrames:
     """Walk through all frames; bytes that belong to no intact frame are counted, never skipped silently."""
-    counts: dict[tuple[int, int], int] = {}
-    base: list[tuple[float, float, float]] = []
-    position = intact = frames = 0
-    size = len(data)
-    while (position := data.find(b"\x55", position)) >= 0 and position + 8 <= size:
-        kind, sender, length = struct.unpack_from("<HHB", data, position + 1)
-        end = position + 8 + length
-        if end > size or kind == 0:  # 0x55 before a run of zeros passes the CRC; no message has type 0
-            position += 1
-            continue
-        (crc,) = struct.unpack_from("<H", data, end - 2)
-        if binascii.crc_hqx(data[position + 1 : end - 2], 0) != crc:
-            position += 1
-            continue
-        counts[kind, sender] = counts.get((kind, sender), 0) + 1
-        if kind == MSG_BASE_POS_ECEF and length == 24:
-            base.append(struct.unpack_from("<3d", data, position + 6))
-        frames += 1
-        intact += end - position
-        position = end
-    return SbpFrames(counts, frames, size - intact, np.array(base, dtype=np.float64).reshape(-1, 3))
+    found = find_messages(np.frombuffer(data, dtype=np.uint8))
+    pairs, number = np.unique(np.stack([found.kind, found.sender]), axis=1, return_counts=True)
+    counts = {(int(k), int(s)): int(n) for k, s, n in zip(*pairs, number, strict=True)}
+    stated = np.flatnonzero((found.kind == MSG_BASE_POS_ECEF) & (found.length == 24))
+    base = found.payloads(stated, 24).view("<f8").astype(np.float64)
+    intact = int(found.length.sum()) + 8 * found.length.size
+    return SbpFrames(counts, found.kind.size, len(data) - intact, base)
 
 
 def looks_like_sbp(data: bytes) -> bool:

@@ -1,13 +1,13 @@
 """What kind of log a file is, by its content; names and endings are not trusted."""
 
 import re
-import struct
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from thalweg.core.errors import InputError
+from thalweg.core.types import AnyArray
 
 HEAD_BYTES: Final = 65_536
 
@@ -109,25 +109,21 @@ def _is_nmea(head: bytes) -> bool:
 
 
 def _sbp_bytes(head: bytes) -> int:
-    """Bytes of the head inside SBP frames whose CRC is right (CRC16-CCITT, 0x1021, start 0)."""
-    from sbp.msg import crc16
+    """Bytes of the head inside SBP messages whose CRC is right."""
+    from thalweg.ingest.sbp_frames import find_messages
 
-    covered = i = 0
-    while (i := head.find(b"\x55", i)) >= 0 and i + 8 <= len(head):
-        end = i + 8 + head[i + 5]
-        if end <= len(head) and crc16(head[i + 1 : end - 2]) == struct.unpack_from("<H", head, end - 2)[0]:
-            covered += end - i
-            i = end
-        else:
-            i += 1
-    return covered
+    return _covered(find_messages(np.frombuffer(head, dtype=np.uint8)).length, 8)
 
 
 def _anpp_bytes(head: bytes) -> int:
     """Bytes of the head inside ANPP frames whose LRC and CRC are right."""
     from thalweg.ingest.anpp_frames import find_packets
 
-    return int(sum(5 + length for length in find_packets(np.frombuffer(head, dtype=np.uint8)).length))
+    return _covered(find_packets(np.frombuffer(head, dtype=np.uint8)).length, 5)
+
+
+def _covered(length: AnyArray, frame_bytes: int) -> int:
+    return int(length.sum()) + frame_bytes * length.size
 
 
 def _is_sbet(head: bytes, size: int) -> bool:

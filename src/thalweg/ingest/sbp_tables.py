@@ -8,12 +8,11 @@ import pandas as pd
 import pyarrow as pa
 from pyproj import Transformer
 
-from thalweg.core.frames import rotation_ecef_enu
-from thalweg.core.tables import column, table_kind
+from thalweg.core.frames import R_ENU_NED, rotation_ecef_enu
+from thalweg.core.tables import column, frame_of, table_kind
 from thalweg.core.timescales import gps_from_week
 from thalweg.core.types import AnyArray, ArrayF
 from thalweg.ingest import sbp_messages as sm
-from thalweg.ingest.anpp_tables import frame_of
 from thalweg.ingest.sbp_records import Messages, SbpRecords
 from thalweg.ingest.sbp_time import WeekTrack, possible_week
 from thalweg.ingest.schemas import GNSS_POSITION
@@ -166,8 +165,7 @@ def _geodetic(m: Messages, kind: int) -> dict[str, Any]:
     out = {"lat_deg": f["lat"], "lon_deg": f["lon"], "h_ell_m": f["height"]}
     if kind in (sm.POS_LLH_COV, sm.POS_LLH_COV_GNSS):
         C = _matrix(f, "ned")
-        to_enu = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-        return out | _sigmas(to_enu @ C @ to_enu)
+        return out | _sigmas(R_ENU_NED @ C @ R_ENU_NED.T)
     horizontal, vertical = _millimetres(f["h_accuracy"]), _millimetres(f["v_accuracy"])
     return out | {"sigma_east_m": horizontal, "sigma_north_m": horizontal, "sigma_up_m": vertical}
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from thalweg.core.errors import ConfigError, InputError
 from thalweg.core.types import ArrayF, ArrayI
+from thalweg.ingest.capture import CHUNK_BYTES
 from thalweg.ingest.integrity import IntegrityReport
 from thalweg.ingest.velodyne_clock import ClockBuilder, LidarClock
 from thalweg.ingest.velodyne_decode import (
@@ -107,7 +108,7 @@ class LidarScan:
 
 
 def _packets(
-    files: Sequence[Path], options: LidarOptions, tally: StreamTally | None = None
+    files: Sequence[Path], options: LidarOptions, chunk_bytes: int, tally: StreamTally | None = None
 ) -> Iterator[PacketBlock]:
     return read_packets(
         files,
@@ -115,6 +116,7 @@ def _packets(
         data_port=options.data_port,
         position_port=options.position_port,
         tally=tally,
+        chunk_bytes=chunk_bytes,
     )
 
 
@@ -125,14 +127,18 @@ def _count(block: PacketBlock, options: LidarOptions, counters: ArrayI) -> Array
     return points
 
 
-def scan_lidar(files: Sequence[Path], options: LidarOptions | None = None) -> LidarScan:
+def scan_lidar(
+    files: Sequence[Path], options: LidarOptions | None = None, chunk_bytes: int = CHUNK_BYTES
+) -> LidarScan:
     """Read a recording once: integrity, clock, model, return mode and number of points.
 
     Parameters
     ----------
     files : pcap, pcapng or bare payloads; parts of one recording in the order of recording. Packets that
-        overlap are dropped and counted, a hole between files is a gap.
+        overlap are dropped and counted, a hole between files is a gap. Files in another order than that of
+        time are told by name in the report.
     options : see `LidarOptions`.
+    chunk_bytes : bytes read at a time.
 
     Raises
     ------
@@ -144,10 +150,10 @@ def scan_lidar(files: Sequence[Path], options: LidarOptions | None = None) -> Li
     if not paths:
         raise InputError("no lidar files", expected="at least one log", cure="Set logs.lidar")
     tally, clock, findings = StreamTally(), ClockBuilder(), Findings()
-    clock.file_starts = tally.file_starts
+    clock.file_starts = findings.parts.file_starts = tally.file_starts
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     n_points = 0
-    for block in _packets(paths, options, tally):
+    for block in _packets(paths, options, chunk_bytes, tally):
         n_points += int(_count(block, options, counters).sum())
         findings.feed(block)
         clock.feed(block)
@@ -189,6 +195,7 @@ def iter_points(
     options: LidarOptions | None = None,
     clock: LidarClock | None = None,
     max_points: int = 1_000_000,
+    chunk_bytes: int = CHUNK_BYTES,
 ) -> Iterator[PointBlock]:
     """Points of a recording, block by block, in stream order.
 
@@ -197,6 +204,7 @@ def iter_points(
     files, options : as given to `scan_lidar`.
     clock : from `scan_lidar`; without it the files are scanned first.
     max_points : no block is larger (at least 384, the most that one packet holds).
+    chunk_bytes : bytes read at a time.
 
     Raises
     ------
@@ -205,11 +213,11 @@ def iter_points(
     options = LidarOptions() if options is None else options
     paths = [Path(f) for f in files]
     if clock is None:
-        clock = scan_lidar(paths, options).clock
+        clock = scan_lidar(paths, options, chunk_bytes).clock
     limit = max(int(max_points), _MIN_BLOCK_POINTS)
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     rate = 40.0
-    for block in _packets(paths, options):
+    for block in _packets(paths, options, chunk_bytes):
         points = _count(block, options, counters)
         packet = block.first_packet + np.arange(points.size)
         t_device_s = block.t_us * 1e-6 + clock.extra_s(packet)

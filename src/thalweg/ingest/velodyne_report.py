@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from thalweg.ingest.velodyne_packets import (
     PacketBlock,
     StreamTally,
 )
+from thalweg.ingest.velodyne_parts import Parts
 
 _RECENT_GAPS = 64
 _NAMED = 10
@@ -74,9 +76,10 @@ class Findings:
     holes: list[Hole] = field(default_factory=list)
     first: tuple[int, int] = (0, 0)
     last: tuple[int, int] = (0, 0)
-    """Index and unrolled stamp of the first and of the newest packet kept."""
+    """Index and unrolled stamp of the first and of the last packet kept that was not late."""
     host: list[tuple[int, int, float]] = field(default_factory=list)
     """Index, unrolled stamp and host stamp of one packet of each piece."""
+    parts: Parts = field(default_factory=Parts)
 
     @property
     def product(self) -> int:
@@ -107,8 +110,9 @@ class Findings:
             if self.n_kept == keep.size:
                 self.first = (block.first_packet + int(keep[0]), int(block.t_us[keep[0]]))
             newest = keep[block.event[keep] != LATE]
-            row = int(newest[-1]) if newest.size else int(keep[-1])
-            self.last = (block.first_packet + row, int(block.t_us[row]))
+            if newest.size:
+                self.last = (block.first_packet + int(newest[-1]), int(block.t_us[newest[-1]]))
+            self.parts.feed(block, keep)
             if math.isfinite(block.t_host_s[keep[0]]):
                 packet = block.first_packet + int(keep[0])
                 self.host.append((packet, int(block.t_us[keep[0]]), float(block.t_host_s[keep[0]])))
@@ -189,6 +193,7 @@ def write_report(
     """Put the findings of a scan into its report."""
     _write_times(report, found, builder, clock, position_port)
     _write_counts(report, found, tally, builder, counters)
+    _write_order(report, found, clock)
     _write_gaps(report, found, builder, clock)
     if found.steps_us > 0:
         report.rates_hz["packets"] = found.n_steps / (found.steps_us * 1e-6)
@@ -224,7 +229,7 @@ def _write_times(
 ) -> None:
     ends = [*clock.first_packet[1:], found.n_packets]
     device = [s.t_us * 1e-6 + s.extra_s for s in builder.stretches]
-    last_s = found.last[1] * 1e-6 + float(clock.extra_s(np.array([found.last[0]]))[0])
+    last_s = found.parts.newest_s(clock)
     stops = [after.before_us * 1e-6 + s.extra_s for s, after in pairwise(builder.stretches)] + [last_s]
     locked = [not math.isnan(v) for v in clock.gps_minus_device_s]
     report.synchronised = any(locked)
@@ -260,6 +265,31 @@ def _write_times(
             f"No position packets for up to {silence_s:.0f} s: the PPS state is taken to be unchanged there."
         )
     report.details["rmc_age_s"] = round(builder.worst_lag_s, 3)
+
+
+def _write_order(report: IntegrityReport, found: Findings, clock: LidarClock) -> None:
+    """Name the files that were given in another order than that of time; what they fill is no hole."""
+    early = found.parts.early(clock)
+    if not early:
+        return
+    named = ", ".join(
+        f"{Path(report.files[part.file]).name} begins {ahead_s:.3f} s before the end of the file before it"
+        for part, ahead_s in early[:_NAMED]
+    )
+    report.note(
+        f"Files out of order: list them in order of time ({named}). If the order is right, the sensor's clock "
+        "was set back between the files, or they lie more than half an hour apart."
+    )
+    report.lose("files_out_of_order", len(early))
+    for _ in (part for part, _ in early if part.event == STEP_BACK):
+        _undo_set_back(report)
+    device_s, gps_s = found.parts.first_s(clock)
+    first_s = gps_s if report.synchronised else device_s
+    if report.t_first_s is not None and first_s < report.t_first_s:
+        report.t_first_s = first_s
+    for hole in found.holes:
+        hole.lost -= found.parts.within(hole.end_us - hole.jump_us, hole.end_us) if hole.jump_us > 0 else 0
+    found.holes = [hole for hole in found.holes if hole.lost > 0 or hole.jump_us < 0]
 
 
 def _why(builder: ClockBuilder, position_port: int) -> str:

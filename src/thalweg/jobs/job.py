@@ -37,7 +37,7 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     params = dict(snakemake.params.items())
     code = str(params.pop("code", ""))
     # Nothing in the library draws from these global generators; seeding them covers third-party code.
-    random.seed(int(params.get("seed", 0)))
+    random.seed(int(params.get("campaign", {}).get("seed", 0)))
     arguments = job_arguments(main, snakemake)
     log.info("rule %s starts with %d threads", snakemake.rule, snakemake.threads)
     start = time.perf_counter()
@@ -85,7 +85,14 @@ def job_arguments(main: Callable[..., None], snakemake: Any) -> dict[str, Any]:
 def _as_paths(value: Any, hint: Any) -> Any:
     if get_origin(hint) is list and get_args(hint) == (Path,):
         return [Path(value)] if isinstance(value, str) else [Path(v) for v in value]
-    return Path(value) if isinstance(value, str) else Path(value[0])
+    if isinstance(value, str):
+        return Path(value)
+    if len(value) != 1:
+        raise InputError(
+            f"{len(value)} files for a script that takes one: {[str(v) for v in value]}",
+            expected="one file, or a script whose parameter is list[Path]",
+        )
+    return Path(value[0])
 
 
 def _limit_threads(threads: int) -> None:

@@ -6,6 +6,7 @@ attitude of that moment: ``x_wcs_ics = x_wcs_antenna - R_wcs_ics @ lever_ics_ant
 
 import itertools
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,15 @@ from thalweg.core.frames import LocalFrame, rotation_enu_body
 from thalweg.core.timescales import utc_text_from_gps
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayB, ArrayF
+
+ATTITUDE_INITIALISED: Final = 0b101
+"""Bits of the ANPP filter status without which an attitude is arbitrary: orientation and heading."""
+
+NAVIGATION_INITIALISED: Final = 0b111
+"""The same, and the navigation filter, without which the INS's own position is arbitrary."""
+
+JITTER_S: Final = 1e-3
+"""Stamps of a regular stream scatter by microseconds; a step of just the limit is no gap for that."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -45,6 +55,7 @@ def build_trajectory(
     max_gap_s: float,
     max_attitude_gap_s: float,
     sigma_attitude_rad: ArrayLike,
+    required_status: int = ATTITUDE_INITIALISED,
 ) -> tuple[Trajectory, TrajectorySummary]:
     """Join antenna positions and INS attitudes.
 
@@ -59,6 +70,7 @@ def build_trajectory(
     max_gap_s : longest hole between positions that is interpolated.
     max_attitude_gap_s : longest hole between INS states that is interpolated.
     sigma_attitude_rad : (3,) roll, pitch, heading; stands in where the log states none.
+    required_status : bits of the filter status that a state must have; others are left out and counted.
 
     Raises
     ------
@@ -73,7 +85,7 @@ def build_trajectory(
     """
     summary = TrajectorySummary(n_positions=len(positions), n_states=len(states))
     used = _usable_positions(positions, accept_fixes, summary)
-    ins = _usable_states(states, summary)
+    ins = _usable_states(states, summary, max_attitude_gap_s, required_status)
     t_states = ins["t_gps_s"].to_numpy()
     t_positions = used["t_gps_s"].to_numpy()
     if t_states[-1] < t_positions[0] or t_positions[-1] < t_states[0]:
@@ -104,6 +116,7 @@ def build_trajectory(
         cov_position_m2=cov_antenna + cov_lever,
         sigma_attitude_rad=sigma_att,
         valid=covered,
+        pivot_ics_m=lever,
     )
     trajectory = break_at_gaps(nodes, max_attitude_gap_s, summary)
     summary.n_nodes_valid = int(trajectory.valid.sum())
@@ -112,22 +125,45 @@ def build_trajectory(
 
 
 def trajectory_from_states(
-    states: pd.DataFrame, frame: LocalFrame, *, max_attitude_gap_s: float, sigma_attitude_rad: ArrayLike
+    states: pd.DataFrame,
+    frame: LocalFrame,
+    *,
+    max_attitude_gap_s: float,
+    sigma_attitude_rad: ArrayLike,
+    sigma_position_m: ArrayLike | None = None,
+    required_status: int = NAVIGATION_INITIALISED,
 ) -> tuple[Trajectory, TrajectorySummary]:
     """Trajectory of an INS that gives position and attitude itself (its own filter, or SBET).
 
     Parameters
     ----------
     states : table kind ``ins_state``, positions at the ics origin.
-    frame, max_attitude_gap_s, sigma_attitude_rad : as in `build_trajectory`.
+    frame, max_attitude_gap_s, sigma_attitude_rad, required_status : as in `build_trajectory`; an SBET knows
+        no status, so nothing can be required of it.
+    sigma_position_m : (3,) east, north, up; stands in where the log states none.
 
     Raises
     ------
-    InputError : no state carries GPS time.
+    InputError : no state carries GPS time, or there are no sigmas of the positions.
     """
-    summary = TrajectorySummary(n_states=len(states))
-    ins = _usable_states(states, summary)
+    summary = TrajectorySummary(n_positions=len(states), n_states=len(states))
+    ins = _usable_states(states, summary, max_attitude_gap_s, required_status)
+    placed = ins.dropna(subset=["lat_deg", "lon_deg", "h_ell_m"])
+    if len(placed) < len(ins):
+        summary.notes.append(f"{len(ins) - len(placed)} INS states without a position were left out")
+    ins = placed
     sigma = ins[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
+    if sigma_position_m is not None:
+        sigma = np.where(np.isfinite(sigma), sigma, np.asarray(sigma_position_m, dtype=np.float64))
+    if len(ins) < 2 or not np.isfinite(sigma).all(axis=1).any():
+        raise InputError(
+            f"{len(ins)} states with a position, none of them with sigmas"
+            if len(ins)
+            else "no position at all",
+            expected="positions whose accuracy is known",
+            cure="Give the SMRMSG file of an SBET in logs.smrmsg, or ins.sigma_position_m",
+        )
+    summary.n_positions_used = len(ins)
     stated = ins[["sigma_roll_rad", "sigma_pitch_rad", "sigma_heading_rad"]].to_numpy()
     nodes = Trajectory(
         frame=frame,
@@ -149,7 +185,7 @@ def trajectory_from_states(
 def break_at_gaps(trajectory: Trajectory, max_gap_s: float, summary: TrajectorySummary) -> Trajectory:
     """Put an invalid node into each hole longer than ``max_gap_s``: nothing is interpolated across it."""
     t = trajectory.t_gps_s
-    holes = np.flatnonzero(np.diff(t) > max_gap_s)
+    holes = np.flatnonzero(np.diff(t) > max_gap_s + JITTER_S)
     if not holes.size:
         return trajectory
     for i in holes:
@@ -168,6 +204,7 @@ def break_at_gaps(trajectory: Trajectory, max_gap_s: float, summary: TrajectoryS
         cov_position_m2=insert(trajectory.cov_position_m2),
         sigma_attitude_rad=insert(trajectory.sigma_attitude_rad),
         valid=np.insert(trajectory.valid, at, False),
+        pivot_ics_m=trajectory.pivot_ics_m,
     )
 
 
@@ -195,18 +232,32 @@ def _usable_positions(
     return timed
 
 
-def _usable_states(states: pd.DataFrame, summary: TrajectorySummary) -> pd.DataFrame:
-    timed = states.dropna(subset=["t_gps_s", "roll_rad", "pitch_rad", "heading_rad"])
+def _usable_states(
+    states: pd.DataFrame, summary: TrajectorySummary, max_attitude_gap_s: float, required_status: int
+) -> pd.DataFrame:
+    ready = states[(states["filter_status"].to_numpy(dtype=np.int64) & required_status) == required_status]
+    if len(ready) < len(states):
+        summary.notes.append(
+            f"{len(states) - len(ready)} INS states from before the filter was initialised were left out"
+        )
+    timed = ready.dropna(subset=["t_gps_s", "roll_rad", "pitch_rad", "heading_rad"])
     timed = timed.sort_values("t_gps_s", kind="stable").drop_duplicates("t_gps_s")
     if len(timed) < 2:
         raise InputError(
-            f"{len(timed)} of {len(states)} INS states carry GPS time and attitude",
-            expected="an INS log whose UTC is initialised",
+            f"{len(timed)} of {len(states)} INS states carry GPS time and an initialised attitude",
+            expected="an INS log whose UTC, orientation and heading are initialised",
             cure="Start logging after the INS has GNSS reception; look at the integrity report of the INS",
         )
-    if len(timed) < len(states):
+    if len(timed) < len(ready):
         summary.notes.append(
-            f"{len(states) - len(timed)} INS states without GPS time or repeated were left out"
+            f"{len(ready) - len(timed)} INS states without GPS time or repeated were left out"
+        )
+    step_s = float(np.median(np.diff(timed["t_gps_s"])))
+    if step_s > max_attitude_gap_s + JITTER_S:
+        raise InputError(
+            f"INS states come every {step_s:g} s",
+            expected=f"at most orientation.max_attitude_gap_s = {max_attitude_gap_s:g} s between them",
+            cure="Raise orientation.max_attitude_gap_s if the boat turns slowly enough for that rate",
         )
     return timed
 
@@ -224,7 +275,7 @@ def _interpolate_positions(
     epochs = positions["t_gps_s"].to_numpy()
     enu = frame.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
     cov = _covariances(positions)
-    breaks = np.flatnonzero(np.diff(epochs) > max_gap_s)
+    breaks = np.flatnonzero(np.diff(epochs) > max_gap_s + JITTER_S)
     for i in breaks:
         summary.gaps.append((float(epochs[i]), float(epochs[i + 1] - epochs[i])))
     if breaks.size:

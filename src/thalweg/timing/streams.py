@@ -13,8 +13,8 @@ def stream_table(reports: list[IntegrityReport]) -> pd.DataFrame:
     Returns
     -------
     Columns ``stream, format, model, synchronised, time_scale, t_first_s, t_last_s, first_utc, last_utc,
-    duration_s, rate_hz, n_gaps, longest_gap_s, lost, notes``. ``t_*`` are adjusted GPS times of synchronised
-    streams, device times of others; ``rate_hz`` is the first rate that the reader states.
+    duration_s, rate_hz, n_gaps, longest_gap_s, lost_records, lost_bytes, notes``. ``t_*`` are adjusted GPS
+    times of synchronised streams, device times of others; ``rate_hz`` is the first rate that is stated.
     """
     rows = []
     for report in reports:
@@ -34,7 +34,8 @@ def stream_table(reports: list[IntegrityReport]) -> pd.DataFrame:
             "rate_hz": next(iter(report.rates_hz.values()), None),
             "n_gaps": len(report.gaps),
             "longest_gap_s": max((g.duration_s for g in report.gaps), default=0.0),
-            "lost": sum(report.losses.values()),
+            "lost_records": sum(n for what, n in report.losses.items() if "bytes" not in what),
+            "lost_bytes": sum(n for what, n in report.losses.items() if "bytes" in what),
             "notes": " | ".join(report.notes),
         })  # fmt: skip
     return pd.DataFrame(rows)
@@ -64,7 +65,7 @@ def common_span(reports: list[IntegrityReport], needed: list[str]) -> tuple[floa
                 f"stream '{name}' ({report.format}) never gets GPS time: " + "; ".join(report.notes),
                 where=", ".join(report.files),
                 expected="stamps that are tied to GPS or UTC",
-                cure="Check PPS and NMEA cabling and the GNSS reception, or drop the stream",
+                cure="Check PPS and NMEA cabling and the GNSS reception of that instrument",
             )
     spans = {name: (by_name[name].t_first_s or 0.0, by_name[name].t_last_s or 0.0) for name in needed}
     first = max(span[0] for span in spans.values())

@@ -5,7 +5,8 @@ heading-pitch-roll sequence and an isotropic lidar error (T Table 3.1, P2 eq. 7)
 
     C = C_position + A diag(sigma_roll^2, sigma_pitch^2, sigma_heading^2) A^T + sigma_component^2 I
 
-where the columns of ``A`` are ``a_k x (x_wcs - x_wcs_ics)``.
+where the columns of ``A`` are ``a_k x (x_wcs - x_wcs_pivot)`` and the pivot is the point of the boat whose
+position was measured.
 """
 
 import numpy as np
@@ -28,7 +29,7 @@ def attitude_axes(R_wcs_ics: ArrayF) -> ArrayF:
 
 def point_covariance(
     points_wcs_m: ArrayF,
-    position_wcs_m: ArrayF,
+    pivot_wcs_m: ArrayF,
     R_wcs_ics: ArrayF,
     cov_position_m2: ArrayF,
     sigma_attitude_rad: ArrayF,
@@ -39,12 +40,12 @@ def point_covariance(
     Parameters
     ----------
     points_wcs_m : (n, 3).
-    position_wcs_m : (n, 3) ics origin at the time of each point.
+    pivot_wcs_m : (n, 3) the measured point of the boat (the antenna) at the time of each point.
     R_wcs_ics : (n, 3, 3).
     cov_position_m2 : (n, 3, 3).
     sigma_attitude_rad : (n, 3) roll, pitch, heading.
     sigma_component_m : standard deviation of the lidar in each component.
     """
-    arm = (points_wcs_m - position_wcs_m)[:, None, :]
+    arm = (points_wcs_m - pivot_wcs_m)[:, None, :]
     A = np.swapaxes(np.cross(attitude_axes(R_wcs_ics), arm), 1, 2) * sigma_attitude_rad[:, None, :]
     return cov_position_m2 + A @ np.swapaxes(A, 1, 2) + sigma_component_m**2 * np.eye(3)

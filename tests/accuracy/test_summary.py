@@ -1,0 +1,135 @@
+"""The summary of a campaign: which figures, with which units, from which file, and how they are printed."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from thalweg.accuracy.summary import COLUMNS, summary_lines, summary_table
+from thalweg.ingest.integrity import IntegrityReport
+from thalweg.timing.streams import stream_table
+
+TRUTH = """\
+quantity,points,value,unit
+n,all,1000,1
+rmse,all,3.5,m
+predicted_rmse,all,0.04,m
+normalised_squared_error,all,88.0,1
+n,bare ground,800,1
+rmse,bare ground,0.033,m
+predicted_rmse,bare ground,0.031,m
+normalised_squared_error,bare ground,1.07,1
+independent_values,bare ground,12.5,1
+honest_low95,bare ground,0.37,1
+honest_high95,bare ground,1.94,1
+share_of_points,bare ground,0.8,1
+"""
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, Path]:
+    """Tables as the rules before `summarise` leave them."""
+    lidar = IntegrityReport(
+        stream="lidar", format="pcap", files=["lidar.pcap"], time_scale="utc", synchronised=True,
+        t_first_s=300_000_000.0, t_last_s=300_000_025.5,
+        losses={"packets_missing": 7, "bytes_outside_packets": 1206},
+    )  # fmt: skip
+    depth = IntegrityReport(stream="depth", format="nmea", files=["echo.nmea"], time_scale="none")
+    paths = {
+        "streams": tmp_path / "streams.csv",
+        "trajectory": tmp_path / "trajectory.json",
+        "counts": tmp_path / "counts.csv",
+        "truth": tmp_path / "truth_statistics.csv",
+    }
+    stream_table([lidar, depth]).to_csv(paths["streams"], index=False)
+    paths["trajectory"].write_text(
+        json.dumps({"n_positions": 250, "n_positions_used": 240, "n_nodes_valid": 1250})
+    )
+    paths["counts"].write_text("what,n\ndecoded,5000\nwritten,4321\n")
+    paths["truth"].write_text(TRUTH)
+    return paths
+
+
+def values(table: pd.DataFrame) -> dict[str, tuple[float, str, str]]:
+    """Quantity -> value, unit, source."""
+    assert table["quantity"].is_unique
+    return {row.quantity: (row.value, row.unit, row.source) for row in table.itertuples()}
+
+
+def test_figures_of_a_real_campaign(files: dict[str, Path]) -> None:
+    table = summary_table(files["streams"], files["trajectory"], files["counts"], None)
+    assert list(table.columns) == COLUMNS
+    found = values(table)
+    assert found["lidar: duration"] == (25.5, "s", "streams.csv")
+    assert found["lidar: records lost or damaged"] == (7, "1", "streams.csv")
+    assert found["lidar: bytes lost"] == (1206, "1", "streams.csv")
+    assert found["depth: bytes lost"] == (0, "1", "streams.csv")
+    assert found["positions used"] == (96.0, "%", "trajectory.json")
+    assert found["trajectory nodes with a valid pose"] == (1250, "1", "trajectory.json")
+    assert found["lidar points: decoded"] == (5000, "1", "counts.csv")
+    assert found["lidar points: written"] == (4321, "1", "counts.csv")
+    # nothing is said about accuracy where there is no truth
+    assert not any("bare ground" in name or "honest" in name for name in found)
+
+
+def test_figures_of_a_twin_are_those_of_bare_ground(files: dict[str, Path]) -> None:
+    without = summary_table(files["streams"], files["trajectory"], files["counts"], None)
+    table = summary_table(files["streams"], files["trajectory"], files["counts"], files["truth"])
+    added = values(table.iloc[len(without) :])
+    source = "truth_statistics.csv"
+    assert added == {
+        "bare ground: RMSE against the truth of the twin": (0.033, "m", source),
+        "bare ground: RMSE predicted": (0.031, "m", source),
+        "bare ground: normalised squared error": (1.07, "1", source),
+        "  if sigmas are honest: above (95 %)": (0.37, "1", source),
+        "  if sigmas are honest: below (95 %)": (1.94, "1", source),
+        "bare ground: share of all points": (80.0, "%", source),
+    }
+
+
+def test_no_positions_are_no_share(files: dict[str, Path]) -> None:
+    """INS-only campaigns have no GNSS positions."""
+    files["trajectory"].write_text(
+        json.dumps({"n_positions": 0, "n_positions_used": 0, "n_nodes_valid": 1250})
+    )
+    table = summary_table(files["streams"], files["trajectory"], files["counts"], None)
+    assert values(table)["positions used"] == (0.0, "%", "trajectory.json")
+
+
+def test_lines_are_aligned_and_numbers_readable() -> None:
+    rows = [
+        ("lidar: duration", 25.5, "s", "streams.csv"),
+        ("lidar points: written", 2_012_345.0, "1", "counts.csv"),
+        ("bare ground: RMSE against the truth of the twin", 0.0331, "m", "truth_statistics.csv"),
+        ("heading", -12.25, "deg", "x"),
+    ]
+    lines = summary_lines(pd.DataFrame(rows, columns=COLUMNS))
+    assert [line.split("  ")[-1].strip() for line in lines] == [
+        "25.500 s",
+        "2,012,345",
+        "0.033 m",
+        "-12.250 deg",
+    ]
+    # two blanks, 52 of text, one blank, 16 of number: units begin in one column, numbers end in one
+    assert [line[:2] + line[2:54].rstrip() for line in lines] == [f"  {row[0]}" for row in rows]
+    assert all(len(line[:71]) == 71 and line[70] in "0123456789" for line in lines)
+    assert [line[71:] for line in lines] == [" s", "", " m", " deg"]
+
+
+def test_every_quantity_fits_its_column(files: dict[str, Path]) -> None:
+    table = summary_table(files["streams"], files["trajectory"], files["counts"], files["truth"])
+    assert table["quantity"].str.len().max() <= 52
+    lines = summary_lines(table[table["value"].notna()])
+    assert all(line[70].isdigit() and line[71:72] in ("", " ") for line in lines)
+
+
+@pytest.mark.xfail(raises=ValueError, strict=True, reason="summary_lines rounds a number that is not there")
+def test_a_stream_without_times_is_printed(files: dict[str, Path]) -> None:
+    """A depth log without date has no duration; its empty number stopped the whole summary."""
+    table = summary_table(files["streams"], files["trajectory"], files["counts"], None)
+    table.to_csv(files["streams"].with_name("summary.csv"), index=False)
+    lines = summary_lines(pd.read_csv(files["streams"].with_name("summary.csv")))
+    (line,) = [line for line in lines if line.startswith("  depth: duration")]
+    assert len(lines) == len(table)
+    assert not any(character.isdigit() for character in line)

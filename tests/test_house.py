@@ -1,0 +1,337 @@
+"""Rules of the house that no single room can keep: imports, lock file, rules, scripts, tracked files."""
+
+import ast
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+# ---------------------------------------------------------------- lock file
+
+
+def locked(repository: Path) -> dict[str, list[str]]:
+    """Versions of each package in the lock file; packages with markers may have several."""
+    found: dict[str, list[str]] = {}
+    for name, version in re.findall(
+        r"(?m)^([\w.-]+)==([\w.+]+)", (repository / "envs/requirements.lock").read_text()
+    ):
+        found.setdefault(canonicalize_name(name), []).append(version)
+    return found
+
+
+def test_every_locked_package_has_its_hash_and_names_no_place(repository: Path) -> None:
+    text = (repository / "envs/requirements.lock").read_text()
+    # pip's own rule: a line that ends in a backslash goes on in the next
+    lines = [
+        line
+        for line in text.replace("\\\n", " ").splitlines()
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    assert len(lines) > 50
+    form = re.compile(r"[\w.-]+==[\w.+]+( ; [^#]+?)?(\s+--hash=sha256:[0-9a-f]{64})+\s*")
+    assert [line[:60] for line in lines if not form.fullmatch(line)] == []
+    place = re.compile(r"https?:|index-url|find-links|file:| @ |(?<![\w.])[/~][\w.-]+/|[A-Za-z]:\\")
+    assert [line for line in text.splitlines() if place.search(line)] == []
+
+
+def test_every_dependency_is_locked_at_a_version_that_fits(repository: Path) -> None:
+    settings = tomllib.loads((repository / "pyproject.toml").read_text())
+    project = settings["project"]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *extras["dev"], *extras["hpc"], *settings["build-system"]["requires"]]
+    versions = locked(repository)
+    for requirement in map(Requirement, wanted):
+        found = versions.get(canonicalize_name(requirement.name), [])
+        assert found, f"{requirement} is not in the lock file: run `make lock`"
+        assert all(version in requirement.specifier for version in found), (requirement, found)
+
+
+def test_the_conda_environment_keeps_step_with_the_lock(repository: Path) -> None:
+    listed = yaml.safe_load((repository / "envs/thalweg.yaml").read_text())["dependencies"]
+    pins = [text for entry in listed for text in (entry["pip"] if isinstance(entry, dict) else [entry])]
+    versions = locked(repository)
+    pinned = [re.split("==?", text) for text in pins if "=" in text and not text.startswith("python=")]
+    assert len(pinned) > 5
+    for name, version in pinned:
+        assert any(f"{v}.".startswith(f"{version}.") for v in versions[canonicalize_name(name)]), name
+
+
+# ---------------------------------------------------------------- Open3D without libusb
+
+NO_LIBUSB = """\
+import ctypes, ctypes.util, sys
+ctypes.util.find_library = lambda name: None
+loaded, real = [], ctypes.CDLL
+class Watched(real):
+    def __init__(self, name, *rest, **more):
+        loaded.append(name)
+        super().__init__(name, *rest, **more)
+ctypes.CDLL = Watched
+{broken}
+from thalweg.core.errors import ThalwegError
+from thalweg.core.raycast import _open3d
+try:
+    print(_open3d().__name__, any("usb" in str(name) for name in loaded))
+except ThalwegError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(
+    ("broken", "answers"),
+    [
+        ("", ["open3d True"]),
+        (
+            "sys.modules['libusb_package'] = None",
+            ["Open3D cannot be loaded", "libusb-package", "Install the locked environment again"],
+        ),
+        (
+            "import libusb_package; libusb_package.get_library_path = lambda: 'damaged.so'",
+            ["Open3D cannot be loaded", "damaged.so", "Install the locked environment again"],
+        ),
+    ],
+    ids=["the wheel's libusb", "no wheel", "a damaged wheel"],
+)
+def test_open3d_on_a_system_without_libusb(repository: Path, broken: str, answers: list[str]) -> None:
+    """Minimal systems lack libusb-1.0, and Open3D's import failed there with a bare OSError."""
+    run = subprocess.run(
+        [sys.executable, "-c", NO_LIBUSB.format(broken=broken)], cwd=repository / "src",
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    for answer in answers:
+        assert answer in run.stdout
+
+
+# ---------------------------------------------------------------- who imports whom
+
+ROOMS = (
+    "core", "ingest", "timing", "calibration", "orientation", "lidar", "bathymetry", "triangulation",
+    "fusion", "accuracy", "deformation", "reproduction",
+)  # fmt: skip
+"""Data flow down this list."""
+
+MAY_IMPORT = {
+    **{room: set(ROOMS[: i + 1]) for i, room in enumerate(ROOMS)},
+    "simulation": {*ROOMS, "simulation", "config"},
+    "figures": {*ROOMS, "figures"},
+    "config": {"core", "config"},
+    "jobs": {"core", "jobs"},
+    "cli": {*ROOMS, "simulation", "figures", "config", "jobs", "cli"},
+    "__main__": {"cli"},
+    "__init__": set(),
+}
+
+DRAWING = {"matplotlib", "mpl_toolkits", "cmcrameri"}
+
+
+def imports(path: Path) -> Iterator[tuple[str, int]]:
+    """Dotted names that a file imports, at its head or lazily, with their lines."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            module = "." * node.level + (node.module or "")
+            yield from (
+                (f"{module}.{alias.name}" if module == "thalweg" else module, node.lineno)
+                for alias in node.names
+            )
+
+
+def violations(package: Path) -> list[str]:
+    """Imports that break the order of the rooms."""
+    found = []
+    for path in sorted(package.rglob("*.py")):
+        inside = path.relative_to(package)
+        room = inside.parts[0].removesuffix(".py")
+        for name, line in imports(path):
+            top, *rest = name.split(".")
+            if top == "thalweg" and rest and rest[0] not in MAY_IMPORT[room] | {"__version__"}:
+                found.append(f"{inside}:{line}: {room} imports {rest[0]}")
+            if top in DRAWING and room != "figures":
+                found.append(f"{inside}:{line}: {top} outside figures")
+            if not top:
+                found.append(f"{inside}:{line}: a relative import, which code_version does not follow")
+    return found
+
+
+def test_no_room_imports_a_lower_one(repository: Path) -> None:
+    package = repository / "src/thalweg"
+    assert {p.name for p in package.iterdir() if (p / "__init__.py").is_file()} <= set(MAY_IMPORT)
+    assert violations(package) == []
+
+
+def test_the_order_is_that_of_the_contributing_page(repository: Path) -> None:
+    text = (repository / "CONTRIBUTING.md").read_text()
+    order = re.search(r"no room imports a lower one:(.*?)\. `simulation`", text, re.S)
+    assert order
+    assert tuple(re.findall(r"`(\w+)`", order.group(1))) == ROOMS
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "answer"),
+    [
+        ("core/a.py", "def f():\n    from thalweg.lidar.cloud import g\n", "core imports lidar"),
+        ("ingest/a.py", "from thalweg import config\n", "ingest imports config"),
+        ("accuracy/a.py", "import thalweg.simulation.scene\n", "accuracy imports simulation"),
+        ("jobs/a.py", "from thalweg.ingest import anpp\n", "jobs imports ingest"),
+        ("simulation/a.py", "from thalweg.figures.style import mark\n", "simulation imports figures"),
+        ("lidar/a.py", "import matplotlib.pyplot as plt\n", "matplotlib outside figures"),
+        ("lidar/a.py", "from .cloud import g\n", "relative import"),
+    ],
+)
+def test_a_wrong_import_is_found(tmp_path: Path, path: str, text: str, answer: str) -> None:
+    (tmp_path / path).parent.mkdir()
+    (tmp_path / path).write_text(text)
+    (found,) = violations(tmp_path)
+    assert answer in found
+
+
+# ---------------------------------------------------------------- rules and entry scripts
+
+FIELDS = (
+    "input", "output", "log", "benchmark", "conda", "threads", "resources", "params", "message", "script",
+)  # fmt: skip
+"""As snakefmt leaves them; the docstring stands before."""
+
+
+def rule_fields(repository: Path) -> dict[str, list[str]]:
+    """Fields of each rule as they stand in the file."""
+    found = {}
+    for path in sorted((repository / "workflow/rules").glob("*.smk")):
+        for text in re.split(r"(?m)^(?:rule|checkpoint) ", path.read_text())[1:]:
+            name = re.match(r"\w+", text)
+            assert name, path
+            assert text.split("\n")[1].startswith('    """'), f"{name.group()} has no docstring"
+            found[name.group()] = re.findall(r"(?m)^    (\w+):", text)
+    return found
+
+
+def test_the_fields_of_a_rule_stand_in_one_order(repository: Path) -> None:
+    rules = rule_fields(repository)
+    assert len(rules) >= 26
+    # rules of the twin may begin from nothing
+    assert {name for name, fields in rules.items() if set(FIELDS) - {"input"} - set(fields)} == set()
+    assert {
+        name: fields for name, fields in rules.items() if fields != [f for f in FIELDS if f in fields]
+    } == {}
+
+
+def test_entry_scripts_only_unpack_and_call(repository: Path) -> None:
+    scripts = sorted((repository / "workflow/scripts").glob("*.py"))
+    assert len(scripts) >= 26
+    for path in scripts:
+        text = path.read_text()
+        assert len(text.splitlines()) <= 60, path.name
+        assert text.endswith('\n\nif "snakemake" in globals():\n    run_job(main, snakemake)\n'), path.name
+        assert "__future__" not in text, path.name  # a SyntaxError in a `script:` file
+        assert not {name.split(".")[0] for name, _ in imports(path)} & DRAWING, path.name
+        (main,) = [n for n in ast.parse(text).body if isinstance(n, ast.FunctionDef) and n.name == "main"]
+        assert not main.args.args, f"{path.name}: run_job passes keywords"
+        assert all(argument.annotation for argument in main.args.kwonlyargs), path.name
+
+
+# ---------------------------------------------------------------- tracked files
+
+HOST = re.compile(r"https?://[\w.-]*(?:pypi\.org|pythonhosted|debian\.org|npmjs)[\w./-]*")
+MACHINE_PATH = re.compile(r"(?<![\w.])/(?:work|farm|root|tmp|home|Users)/[\w.-]+")
+
+
+@pytest.fixture(scope="module")
+def tracked(repository: Path) -> list[Path]:
+    if not (repository / ".git").exists():
+        pytest.skip("not a git checkout: which files are tracked is unknown")
+    run = subprocess.run(
+        ["git", "-C", str(repository), "ls-files", "-z"], capture_output=True, text=True, check=True
+    )
+    return [p for name in run.stdout.split("\0") if name and (p := repository / name).is_file()]
+
+
+def test_no_tracked_file_names_a_registry_or_a_machine(tracked: list[Path], repository: Path) -> None:
+    found, texts = [], 0
+    for path in tracked:
+        try:
+            text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+        texts += 1
+        found += [
+            f"{path.relative_to(repository)}: {hit.group()}"
+            for hit in (HOST.search(text), MACHINE_PATH.search(text))
+            if hit
+        ]
+    assert texts > 100
+    assert found == []
+
+
+def test_the_patterns_find_what_they_are_for() -> None:
+    # put together here, so that this file itself stays clean
+    assert HOST.search("see https:" + "//files.pythonhosted.org/packages/x.whl")
+    assert MACHINE_PATH.search("read('/" + "home/anna/survey.pcap')")
+    assert not MACHINE_PATH.search("src/work/a.py and https://example.org/home/page and ../tmp/x")
+
+
+def test_no_tracked_file_is_above_a_megabyte(tracked: list[Path], repository: Path) -> None:
+    sizes = {str(p.relative_to(repository)): p.stat().st_size for p in tracked}
+    assert {name: size for name, size in sizes.items() if size > 1_000_000} == {}
+
+
+# ---------------------------------------------------------------- settings
+
+WITHOUT_USE = {
+    "mounts.lidar.sigma_omega_deg": "carried for per-point covariances",
+    "mounts.lidar.sigma_phi_deg": "carried for per-point covariances",
+    "mounts.lidar.sigma_kappa_deg": "carried for per-point covariances",
+}
+"""Keys of a campaign file that no code uses yet, and why they are accepted all the same."""
+
+
+def leaf_keys(node: dict[str, Any], defs: dict[str, Any], prefix: str = "") -> Iterator[str]:
+    """Dotted keys of a campaign file that hold a value, not a section."""
+    for key, value in node["properties"].items():
+        sections = [part["$ref"] for part in (value, *value.get("anyOf", [])) if "$ref" in part]
+        for section in sections:
+            yield from leaf_keys(defs[section.rsplit("/", 1)[1]], defs, f"{prefix}{key}.")
+        if not sections:
+            yield prefix + key
+
+
+def words(path: Path) -> set[str]:
+    """Names and whole texts in a file's code; comments and docstrings do not count."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        match node:
+            case ast.Attribute(attr=word) | ast.Name(id=word) | ast.arg(arg=word):
+                found.add(word)
+            case ast.keyword(arg=str(word)) | ast.Constant(value=str(word)):
+                found.add(word)
+    return found
+
+
+def test_every_setting_is_used_or_says_why_not(repository: Path) -> None:
+    """By the name of the key alone: a name that several sections share counts for all of them."""
+    schema = json.loads((repository / "config/schema.json").read_text())
+    keys = list(leaf_keys(schema, schema["$defs"]))
+    assert len(keys) > 100
+    library = repository / "src/thalweg"
+    used: set[str] = set()
+    for path in library.rglob("*.py"):
+        if path.relative_to(library).parts[0] != "config":
+            used |= words(path)
+    for path in (repository / "workflow/scripts").glob("*.py"):
+        used |= words(path)
+    for path in (repository / "workflow/rules").glob("*.smk"):
+        used |= set(re.findall(r"\w+", re.sub(r"#.*", "", path.read_text())))
+    unused = {key for key in keys if key.rsplit(".", 1)[-1] not in used}
+    # both ways: a key that found its use must leave the list
+    assert unused == set(WITHOUT_USE)
+    assert all(WITHOUT_USE.values())
