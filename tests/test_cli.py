@@ -20,10 +20,21 @@ def here(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
+def fill_levers(path: Path | str) -> None:
+    """What a user does with the lines marked CHANGE."""
+    text = Path(path).read_text()
+    assert text.count("lever_ics_m: CHANGE") == 2
+    Path(path).write_text(text.replace("lever_ics_m: CHANGE", "lever_ics_m: [0.1, 0.0, -0.4]"))
+
+
 def test_new_campaign_lacks_only_its_files(here, capsys):
     assert main(["new-campaign", "saale_2", "--origin", "51.2", "11.9", "120"]) == 0
     path = Path("config/campaigns/saale_2.yaml")
     assert f"thalweg check-config {path}" in capsys.readouterr().out
+    _, mistakes = check_campaign(path)
+    # no lever arm of zero is taken in silence
+    assert {"mounts.lidar.lever_ics_m", "mounts.antenna.lever_ics_m"} <= {m.dotted for m in mistakes}
+    fill_levers(path)
     _, mistakes = check_campaign(path)
     assert {m.dotted for m in mistakes} == {"logs.lidar[0]", "logs.ins[0]", "logs.positions[0]"}
     assert all("file" in m.found for m in mistakes)
@@ -74,6 +85,7 @@ def test_new_campaign_from_logs(here, capsys, monkeypatch):
     said = capsys.readouterr()
     assert "left out" in said.err
     assert "notes.txt" in said.err
+    fill_levers("mine.yaml")
     campaign = load_campaign("mine.yaml")
     assert campaign.orientation.position_source == "ppk"
     for stream, names in {
@@ -81,6 +93,19 @@ def test_new_campaign_from_logs(here, capsys, monkeypatch):
         "nav": ["brdc.rnx"], "pos": [], "depth": [],
     }.items():  # fmt: skip
         assert campaign.log_files(stream) == [here / "raw" / name for name in names]
+
+
+def test_new_campaign_lists_numbered_parts_in_their_order(here, monkeypatch):
+    module = types.ModuleType("thalweg.ingest.recognise")
+    module.recognise = _recognise
+    monkeypatch.setitem(sys.modules, "thalweg.ingest.recognise", module)
+    _put_logs(here / "raw")
+    for k in (10, 2, 1):
+        (here / "raw" / f"part_{k}.pcap").write_bytes(b"pcap ")
+    assert main(["new-campaign", "mine", "--from-logs", "raw", "--folder", "."]) == 0
+    fill_levers("mine.yaml")
+    names = [path.name for path in load_campaign("mine.yaml").log_files("lidar")]
+    assert names == ["a b.pcap", "part_1.pcap", "part_2.pcap", "part_10.pcap"]
 
 
 def test_new_campaign_from_a_folder_without_logs(here, capsys, monkeypatch):
@@ -108,12 +133,12 @@ def test_check_config_lists_all_mistakes(here, capsys):
     main(["new-campaign", "mine", "--folder", "."])
     assert main(["check-config", "mine.yaml", "none.yaml"]) == 2
     said = capsys.readouterr().err
-    assert "4 mistakes in the campaign settings" in said
+    assert "6 mistakes in the campaign settings" in said
     assert "Traceback" not in said
 
 
 def _fake_describe(monkeypatch) -> None:
-    def describe(path: Path) -> IntegrityReport:
+    def describe(path: Path, options: object = None) -> IntegrityReport:
         if path.name == "bad":
             raise InputError("the file is empty", where=path)
         return IntegrityReport(stream="lidar", format="pcap", files=[str(path)])
@@ -188,3 +213,33 @@ def test_module_and_closed_pipe():
     out = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
     assert out.stdout == "{\n0\n"
     assert out.stderr == ""
+
+
+def test_check_config_looks_into_the_logs(here, capsys):
+    """Lidar and INS swapped, an observation file as track: told before the first job, all at once."""
+    raw = here / "raw"
+    raw.mkdir()
+    (raw / "scan.pcap").write_bytes(b"\xd4\xc3\xb2\xa1" + bytes(100))
+    (raw / "boat.obs").write_bytes(
+        b"     3.04           OBSERVATION DATA    M                   RINEX VERSION / TYPE\n"
+    )
+    (here / "mine.yaml").write_text(
+        "campaign: {id: mine, title: x, crs: EPSG:25833, "
+        "origin: {lat_deg: 51.0, lon_deg: 13.2, h_ell_m: 300.0}}\n"
+        "logs: {lidar: [raw/boat.obs], ins: [raw/scan.pcap], positions: [raw/track.pos]}\n"
+        "mounts: {lidar: {lever_ics_m: [0.1, 0.0, 0.1]}, antenna: {lever_ics_m: [0.1, 0.0, -0.4]}}\n"
+    )
+    (raw / "track.pos").write_bytes(b"Dear diary, today the river was high.")
+    assert main(["check-config", "mine.yaml"]) == 2
+    said = capsys.readouterr().err
+    assert "logs.lidar: " in said
+    assert "holds a RINEX file; expected: network capture" in said
+    assert "holds a network capture (pcap, pcapng); expected: Advanced Navigation ANPP log" in said
+    assert "logs.positions: " in said
+    assert "of no known kind" in said
+
+
+def test_files_that_cannot_be_opened(here, capsys):
+    long_name = "x" * 300
+    assert main(["describe", long_name]) == 2
+    assert "Traceback" not in capsys.readouterr().err

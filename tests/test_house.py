@@ -15,6 +15,8 @@ import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from thalweg.jobs.codehash import reached_modules
+
 # ---------------------------------------------------------------- lock file
 
 
@@ -175,6 +177,22 @@ def test_the_order_is_that_of_the_contributing_page(repository: Path) -> None:
     order = re.search(r"no room imports a lower one:(.*?)\. `simulation`", text, re.S)
     assert order
     assert tuple(re.findall(r"`(\w+)`", order.group(1))) == ROOMS
+
+
+UNREACHED = {
+    "__main__.py": "the command line",
+    "cli.py": "the command line",
+    "jobs/codehash.py": "called by the rules",
+}
+"""Modules outside `config` that no entry script imports, and why."""
+
+
+def test_code_versions_cover_the_library(repository: Path) -> None:
+    """A module that is reached in another way than by imports could be edited without a rerun."""
+    package = repository / "src/thalweg"
+    reached = {m for p in (repository / "workflow/scripts").glob("*.py") for m in reached_modules(p, package)}
+    modules = {m for m in package.rglob("*.py") if m.relative_to(package).parts[0] != "config"}
+    assert {m.relative_to(package).as_posix() for m in modules - reached} == set(UNREACHED)
 
 
 @pytest.mark.parametrize(

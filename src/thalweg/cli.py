@@ -7,11 +7,16 @@ import argparse
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import thalweg
 from thalweg.core.errors import ConfigError, InputError, ThalwegError
+
+if TYPE_CHECKING:
+    from thalweg.config.campaign import Campaign
 
 CAMPAIGNS = Path("config") / "campaigns"
 
@@ -32,6 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
+    warnings.showwarning = _show_warning  # type: ignore[assignment]
     try:
         code = command(options)
         sys.stdout.flush()
@@ -39,11 +45,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         print(error, file=sys.stderr)
         return EXIT_MISTAKE
-    except BrokenPipeError:
-        # The reader of a pipe (`head`) has seen enough. Python would complain again while it shuts down.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            # The reader of a pipe (`head`) has seen enough. Python would complain again while it shuts down.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        sys.stdout.flush()
+        print(
+            f"{error.filename or 'a file'}: {error.strerror or error}. Check the path and its permissions.",
+            file=sys.stderr,
+        )
+        return EXIT_MISTAKE
     return code
+
+
+def _show_warning(message: Warning | str, *_: object) -> None:
+    """Warnings as sentences: people do not need the line of the library that had them."""
+    print(f"note: {message}", file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -73,6 +91,9 @@ def _parser() -> argparse.ArgumentParser:
 
     describe = commands.add_parser("describe", help="what is in a raw log: counts, gaps, losses, clock")
     describe.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    describe.add_argument(
+        "--model", choices=["VLP-16"], help="lidar model, where the packets state a wrong one"
+    )
     describe.add_argument("--json", action="store_true", help="as JSON")
     describe.set_defaults(command=_describe)
 
@@ -154,6 +175,7 @@ def _check_config(options: argparse.Namespace) -> int:
     from thalweg.config.logs import STREAM_KEYS
 
     for name, campaign in load_campaigns(options.files, CAMPAIGNS).items():
+        _check_contents(campaign)
         counts = {stream: len(campaign.log_files(stream)) for stream in STREAM_KEYS}
         files = ", ".join(f"{n} {stream}" for stream, n in counts.items() if n)
         source = f"files: {files}" if campaign.logs else "digital twin"
@@ -165,14 +187,42 @@ def _check_config(options: argparse.Namespace) -> int:
     return 0
 
 
+def _check_contents(campaign: "Campaign") -> None:
+    """Are the logs what the campaign file takes them for? All misplaced files are named at once."""
+    from thalweg.config.logs import STREAM_KEYS
+    from thalweg.config.template import KINDS_OF_STREAM
+    from thalweg.ingest.recognise import KINDS, recognise
+
+    wrong = []
+    for stream, keys in STREAM_KEYS.items():
+        for path in campaign.log_files(stream):
+            try:
+                kind = recognise(path)
+            except InputError as error:
+                wrong.append(f"  logs.{'.'.join(keys)}: {error}")
+                continue
+            fitting = KINDS_OF_STREAM[stream]
+            if fitting and kind not in fitting:
+                expected = " or ".join(KINDS[name] for name in fitting)
+                wrong.append(f"  logs.{'.'.join(keys)}: {path} holds a {KINDS[kind]}; expected: {expected}.")
+    if wrong:
+        raise ConfigError(
+            "files that are not what they are named for:\n" + "\n".join(wrong),
+            where=campaign.id,
+            cure="Name each file under its own key; `thalweg describe FILE` says what a file is",
+        )
+
+
 def _describe(options: argparse.Namespace) -> int:
     from thalweg.ingest.describe import describe
+    from thalweg.ingest.recognise import recognise
 
     code = 0
     texts: list[str] = []
     for path in options.files:
         try:
-            report = describe(path)
+            lidar = options.model is not None and recognise(path) in ("capture", "velodyne_payloads")
+            report = describe(path, {"model": options.model} if lidar else None)
         except ThalwegError as error:
             sys.stdout.flush()
             print(error, file=sys.stderr)

@@ -9,6 +9,7 @@ import pytest
 
 from thalweg.config.load import load_campaign, load_campaigns
 from thalweg.config.mistakes import CampaignError
+from thalweg.config.paths import natural_order
 
 SHIPPED = sorted((Path(__file__).resolve().parents[2] / "config" / "campaigns").glob("*.yaml"))
 
@@ -188,3 +189,19 @@ def test_ppk_settings_are_understood_by_the_engine(write, removed):
     assert options.base_llh == (51.0, 13.3, 310.0)
     assert options.systems == ("GPS", "GAL")
     assert options.direction == "combined"
+
+
+def test_a_pattern_lists_numbered_parts_in_their_order(write, survey):
+    (survey / "raw2").mkdir()
+    for k in (10, 9, 1, 2, 100):
+        (survey / f"raw2/part_{k}.pcap").write_bytes(b"x")
+    campaign = load_campaign(write({"logs.lidar": ["raw2/*.pcap"]}))
+    assert [p.stem for p in campaign.log_files("lidar")] == [f"part_{k}" for k in (1, 2, 9, 10, 100)]
+
+
+def test_natural_order_of_names():
+    names = ["a/x2", "a/x10", "a/x", "a/X1", "a10/x", "a2/x", "a/07", "a/7", "a/lidar.pcap1", "a/lidar.pcap"]
+    found = [str(p) for p in sorted(map(Path, names), key=natural_order)]
+    assert found == [
+        "a/07", "a/7", "a/X1", "a/lidar.pcap", "a/lidar.pcap1", "a/x", "a/x2", "a/x10", "a2/x", "a10/x",
+    ]  # fmt: skip

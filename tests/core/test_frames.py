@@ -152,6 +152,18 @@ def test_map_export_refuses_a_grid_of_another_place(lat: float, lon: float) -> N
         nowhere.to_map(np.zeros((1, 3)), CRS(25833))
 
 
+@pytest.mark.parametrize("code", [31468, 5668, 2398])
+def test_map_export_refuses_another_datum(code: int) -> None:
+    """Gauss-Krueger on Bessel and Krassowsky: a projection without a datum shift is some 180 m away."""
+    with pytest.raises(GeometryError, match="another datum than that of GNSS positions"):
+        FRAME.to_map(np.zeros((1, 3)), CRS(code))
+
+
+def test_map_export_refuses_a_web_map() -> None:
+    with pytest.raises(GeometryError, match=r"stretches distances by \+5\d\.\d %"):
+        FRAME.to_map(np.zeros((1, 3)), CRS(3857))
+
+
 def test_a_survey_may_reach_over_the_border_of_its_zone() -> None:
     beside = LocalFrame(lat_deg=51.0, lon_deg=18.5, h_ell_m=0.0)  # zone 33 ends at 18 degrees
     assert beside.to_map(np.zeros((1, 3)), CRS(25833)).shape == (1, 3)

@@ -242,4 +242,4 @@ def test_fuzz_laz(tmp_path: Path, fuzz: Any, capfd: pytest.CaptureFixture[str]) 
         fuzz.was_read()
         assert len(found["xyz_m"]) == header.n_points
     capfd.readouterr()  # the Rust library prints its panics
-    fuzz.check(read=0.1, troubled=0.1)
+    fuzz.check(read=0.15, troubled=0.3)

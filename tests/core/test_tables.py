@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from thalweg.core.errors import InputError
-from thalweg.core.tables import column, kind_of, read_table, table_kind, write_table
+from thalweg.core.tables import column, frame_of, kind_of, read_table, table_kind, write_table
 from thalweg.ingest import schemas
 
 KIND = table_kind(
@@ -97,3 +97,18 @@ def test_refused_on_reading(tmp_path: Path) -> None:
     write_table(path, frame()[["t_gps_s", "n"]], fewer)
     with pytest.raises(InputError, match=r"columns missing: \['fix'\]"):
         read_table(path, KIND)
+
+
+def test_frame_of_gives_order_and_types_of_the_kind(tmp_path: Path) -> None:
+    values = {"fix": np.array(["a", "b"], dtype=object), "n": [1.0, 2.0], "t_gps_s": [1, 2], "more": [0, 0]}
+    found = frame_of(KIND, values)
+    assert list(found.columns) == ["t_gps_s", "n", "fix"]
+    assert [str(t) for t in found.dtypes[:2]] == ["float64", "int32"]
+    write_table(tmp_path / "a.parquet", found, KIND)
+
+
+def test_frame_of_names_what_is_wrong() -> None:
+    with pytest.raises(InputError, match=r"columns missing: \['n'\].*'demo'"):
+        frame_of(KIND, {"fix": ["a"], "t_gps_s": [1.0]})
+    with pytest.raises(InputError, match="column 'n' holds no int32"):
+        frame_of(KIND, {"fix": ["a"], "t_gps_s": [1.0], "n": ["x"]})

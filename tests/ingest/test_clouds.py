@@ -276,4 +276,5 @@ def test_fuzz_clouds(tmp_path: Path, kind: str, fuzz: Any, capfd: pytest.Capture
         fuzz.was_read()
         assert np.isfinite(cloud.points).all()
     capfd.readouterr()  # the Rust library prints its panics
-    fuzz.check(read=0.1, troubled=0.1)
+    # E57 pages carry check sums and LAZ is compressed: most damage is fatal there
+    fuzz.check(read={"ply": 0.4, "las": 0.5, "laz": 0.1, "e57": 0.05}[kind], troubled=0.1)

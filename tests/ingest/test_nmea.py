@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from pynmeagps import NMEAReader
 
@@ -312,6 +313,66 @@ def test_chunks_do_not_cut_sentences(tmp_path: Path) -> None:
     assert log.report.clean
     np.testing.assert_array_equal(log.depths["depth_m"], np.arange(230_000) % 97 + 0.25)
     np.testing.assert_array_equal(log.depths["line"], np.arange(1, 230_001))
+
+
+def overlapping_logs(tmp_path: Path, seconds: list[str], date: str, cuts: tuple[int, int]) -> list[Path]:
+    """A log cut in two that share a stretch, and the log in one piece; two equal depths a second."""
+    depth = sentence("SDDPT,5.3,0.4")
+    epochs = [
+        sentence(GGA.format(t)) + (sentence(RMC.format(t, date)) if date else "") + 2 * depth for t in seconds
+    ]
+    parts = (epochs[: cuts[1]], epochs[cuts[0] :], epochs)
+    paths = [tmp_path / f"{name}.log" for name in ("a", "b", "whole")]
+    for path, part in zip(paths, parts, strict=True):
+        path.write_text("".join(part))
+    return paths
+
+
+@pytest.mark.parametrize("date", ["200818", ""])
+def test_files_that_overlap_are_joined(tmp_path: Path, date: str) -> None:
+    given = None if date else dt.date(2018, 8, 20)
+    a, b, whole = overlapping_logs(tmp_path, [f"0947{i:02d}" for i in range(40)], date, (15, 25))
+    log, one = read_nmea([a, b], given), read_nmea([whole], given)
+    pd.testing.assert_frame_equal(log.positions, one.positions)
+    pd.testing.assert_frame_equal(log.depths.drop(columns="line"), one.depths.drop(columns="line"))
+    assert len(log.depths) == 80
+    assert log.report.clean
+    assert log.report.counts["repeated_positions_dropped"] == 10
+    assert log.report.counts["repeated_depths_dropped"] == 20
+    assert log.report.counts["positions"] == 40
+
+
+def test_an_overlap_over_midnight_without_dates(tmp_path: Path) -> None:
+    """The second file begins ten minutes before midnight, the first one ends ten minutes behind it."""
+    minutes = [(23, m) for m in range(30, 60)] + [(0, m) for m in range(20)]
+    a, b, whole = overlapping_logs(tmp_path, [f"{h:02d}{m:02d}00" for h, m in minutes], "", (20, 40))
+    log, one = (read_nmea(files, dt.date(2018, 8, 20)) for files in ([a, b], [whole]))
+    pd.testing.assert_frame_equal(log.positions, one.positions)
+    assert log.report.clean
+    assert log.report.counts["repeated_positions_dropped"] == 20
+
+
+def test_files_in_wrong_order_are_told(tmp_path: Path) -> None:
+    a, b, _ = overlapping_logs(tmp_path, [f"0947{i:02d}" for i in range(40)], "200818", (20, 20))
+    log = read_nmea([b, a])
+    assert len(log.positions) == 40
+    assert log.report.losses == {"time_steps_back": 1}
+
+
+def test_undated_files_of_two_days_are_no_overlap(tmp_path: Path) -> None:
+    a, b, _ = overlapping_logs(tmp_path, [f"0947{i:02d}" for i in range(40)], "", (15, 25))
+    log = read_nmea([a, b])
+    assert len(log.positions) == 50
+    assert log.report.losses == {"time_steps_back": 1}
+
+
+def test_depths_ahead_of_the_first_time_of_a_file_take_none_from_the_file_before(tmp_path: Path) -> None:
+    a, b = tmp_path / "a.log", tmp_path / "b.log"
+    a.write_text(sentence(RMC.format("094700", "200818")) + sentence("SDDPT,5.1,0.4"))
+    b.write_text(sentence("SDDPT,5.2,0.4") + sentence(RMC.format("120000", "200818")))
+    depths = read_nmea([a, b]).depths
+    assert depths["t_gps_s"].isna().tolist() == [False, True]
+    assert depths["depth_m"].tolist() == [5.1, 5.2]
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from pyproj import Transformer
 
@@ -248,3 +249,23 @@ def test_bad_input_has_a_message(tmp_path: Path, text: str, fragment: str) -> No
 def test_missing_file() -> None:
     with pytest.raises(InputError, match="file not found"):
         read_pos([Path("nowhere.pos")])
+
+
+def test_files_that_overlap_are_joined(tmp_path: Path) -> None:
+    def lines(first: int, last: int, lat: str = "50.000000000") -> str:
+        return HEAD + "".join(
+            LINE.replace("13.400", f"{k:02d}.000").replace("50.000000000", lat, 1) for k in range(first, last)
+        )
+
+    a, b = write(tmp_path / "a.pos", lines(0, 30)), write(tmp_path / "b.pos", lines(20, 50))
+    log, whole = read_pos([a, b]), read_pos([write(tmp_path / "whole.pos", lines(0, 50))])
+    pd.testing.assert_frame_equal(log.positions, whole.positions)
+    assert log.report.clean
+    assert log.report.counts["repeated_positions_dropped"] == 10
+    assert log.report.counts["positions"] == log.report.counts["fix_fixed"] == 50
+    assert any("10 positions that occur in two of them" in note for note in log.report.notes)
+    assert "repeated_positions_dropped" not in whole.report.counts
+    # the same times with other positions are two solutions: nothing is dropped, and it is told
+    other = read_pos([a, write(tmp_path / "c.pos", lines(20, 50, "50.000000001"))])
+    assert len(other.positions) == 60
+    assert other.report.losses == {"time_steps_back": 1}

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from pyproj import Geod
 
@@ -190,3 +191,24 @@ def test_fuzz_sbet(tmp_path: Path, fuzz: Any) -> None:
 def test_record_layout_by_struct(tmp_path: Path) -> None:
     raw = struct.pack("<17d", *records(1)[0]) * 1 + struct.pack("<17d", *records(2)[1])
     assert len(read_sbet([write(tmp_path / "a.out", raw)], WEEK).states) == 2
+
+
+def test_files_that_overlap_are_joined(tmp_path: Path) -> None:
+    whole, sigma = records(200), smrmsg(9)
+    files = [write(tmp_path / "a.out", whole[:120]), write(tmp_path / "b.out", whole[90:])]
+    sigmas = [write(tmp_path / "s.out", sigma[:6]), write(tmp_path / "t.out", sigma[4:])]
+    log = read_sbet(files, WEEK, sigmas)
+    one = read_sbet([write(tmp_path / "c.out", whole)], WEEK, [write(tmp_path / "u.out", sigma)])
+    pd.testing.assert_frame_equal(log.states, one.states)
+    assert log.report.clean
+    assert log.report.counts == {
+        "records": 200,
+        "repeated_records_dropped": 30,
+        "repeated_smrmsg_records_dropped": 2,
+    }
+    assert one.report.counts == {"records": 200}
+    other = whole[90:].copy()
+    other[:, 3] += 0.001
+    mixed = read_sbet([files[0], write(tmp_path / "d.out", other)], WEEK)
+    assert len(mixed.states) == 230
+    assert mixed.report.losses == {"time_steps_back": 1}

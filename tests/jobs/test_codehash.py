@@ -49,6 +49,13 @@ def test_an_edit_reaches_exactly_its_users(house: Path) -> None:
     assert [name for name in after if after[name] != last[name]] == ["picture"]
 
 
+def test_a_style_file_counts_as_code(house: Path) -> None:
+    before = versions(house)
+    (house / "pkg/figures/look.mplstyle").write_text("font.size: 8\n")
+    after = versions(house)
+    assert [name for name in before if before[name] != after[name]] == ["picture"]
+
+
 def test_words_cost_no_rerun(house: Path) -> None:
     before = versions(house)
     (house / "pkg/core/a.py").write_text('# why\ndef f():\n    """New words."""\n    return 1\n')

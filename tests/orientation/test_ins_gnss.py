@@ -211,3 +211,33 @@ def test_the_antenna_is_the_pivot(tmp_path) -> None:
     np.testing.assert_array_equal(trajectory.pivot_ics_m, LEVER)
     trajectory.write(tmp_path / "t.parquet")
     np.testing.assert_array_equal(Trajectory.read(tmp_path / "t.parquet").pivot_ics_m, LEVER)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lat_deg": 500 / 111_200}, r"200 of 200 positions disagree.* 50\d\.\d m in plan"),  # base 500 m off
+        ({"h_ell_m": -45.0}, r"positions disagree.*-4[45]\.\d m in height"),  # heights above the geoid
+    ],
+)
+def test_positions_that_contradict_the_ins_are_refused(change: dict[str, float], message: str) -> None:
+    positions, states = survey()
+    for name, value in change.items():
+        positions[name] += value
+    with pytest.raises(InputError, match=message):
+        build(positions, states)
+
+
+def test_a_damaged_position_is_left_out() -> None:
+    positions, states = survey()
+    positions.loc[positions.index[100], "lat_deg"] += 10.0
+    trajectory, summary = build(positions, states)
+    assert any("1 positions far from the INS's own were left out" in note for note in summary.notes)
+    position, _ = motion(trajectory.t_gps_s[trajectory.valid])
+    np.testing.assert_allclose(trajectory.position_wcs_m[trajectory.valid], position, atol=1e-3)
+
+
+def test_an_origin_on_another_river_is_refused() -> None:
+    positions, states = survey(far_m=161_000.0, duration_s=5.0)
+    with pytest.raises(InputError, match=r"16\d km from the origin.*campaign\.origin"):
+        build(positions, states)

@@ -89,11 +89,11 @@ def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house) ->
     table = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_statistics.csv")
     ground = table[table["points"] == "bare ground"].set_index("quantity")["value"]
     ratio = ground["rmse"] / ground["predicted_rmse"]
-    # Errors of attitude and position are correlated over a second: 25 s hold some 12 independent values of
-    # each, so one campaign scatters by about 1/sqrt(2*12) = 20 % about 1; two standard deviations.
+    # Errors of attitude and position are correlated over a second: 25 s hold some 25 independent squares of
+    # each, so one campaign scatters by about 1/sqrt(2*25) = 14 % about 1; three standard deviations.
     assert 0.6 < ratio < 1.4
     assert ground["honest_low95"] < 1 < ground["honest_high95"]
-    # a bias is no part of the prediction: its own bound is what 12 independent pose errors leave as a mean
+    # a bias is no part of the prediction: its bound is what 12 independent pose errors leave as a mean
     assert abs(ground["bias"]) < 2 * ground["predicted_rmse"] / np.sqrt(12)
     assert ground["share_of_points"] > 0.7
 

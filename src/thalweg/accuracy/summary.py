@@ -56,11 +56,16 @@ def summary_lines(table: pd.DataFrame) -> list[str]:
     """The table as aligned text lines for a terminal."""
     lines = []
     for row in table.to_dict("records"):
-        number = float(row["value"])
-        value = f"{number:,.0f}" if number == round(number) else f"{number:,.3f}"
+        value = _number_text(float(row["value"]))
         unit = "" if row["unit"] == "1" else row["unit"]
         lines.append(f"  {row['quantity']:52s} {value:>16s} {unit}".rstrip())
     return lines
+
+
+def _number_text(number: float) -> str:
+    if pd.isna(number):
+        return "-"
+    return f"{number:,.0f}" if number == round(number) else f"{number:,.3f}"
 
 
 def _records(path: Path) -> list[dict[str, Any]]:

@@ -154,12 +154,15 @@ def _check_mounts(parts: Parts) -> Iterator[Mistake]:
         for key, limit in (("lever_ics_m", MAX_LEVER_M), ("sigma_lever_m", MAX_SIGMA_LEVER_M)):
             values = getattr(mount, key)
             if max(abs(v) for v in values) >= limit:
-                metres = ", ".join(f"{v / 1000:g}" for v in values)
+                as_mm, as_cm = (", ".join(f"{v / unit:g}" for v in values) for unit in (1000, 100))
+                # Nobody mounts a sensor 35 mm away by the decimetre: below a metre centimetres are as likely.
+                small = key == "lever_ics_m" and max(abs(v) for v in values) < 100
+                both = f"centimetres: write [{as_cm}]; or millimetres: [{as_mm}]"
                 yield Mistake(
                     path=("mounts", name, key),
                     found=f"found {show(list(values))}",
                     expected=f"components below {limit:g} m",
-                    cure=f"This looks like millimetres: write [{metres}]",
+                    cure="This looks like " + (both if small else f"millimetres: write [{as_mm}]"),
                 )
         if isinstance(mount, LidarMount):
             for key in ("omega_deg", "phi_deg", "kappa_deg"):

@@ -20,7 +20,7 @@ def anchor(text: str, folder: Path) -> Path:
 
 
 def expand(text: str, folder: Path) -> list[Path]:
-    """Files that a path or a pattern names, sorted by name (see `natural_order`); empty if a pattern matches none.
+    """Files that a path or a pattern names, in `natural_order`; empty if a pattern matches none.
 
     An existing file whose name holds pattern characters is taken as it is.
     """
@@ -31,20 +31,19 @@ def expand(text: str, folder: Path) -> list[Path]:
     return sorted((m for m in matches if m.is_file()), key=natural_order)
 
 
-def natural_order(path: Path) -> tuple[tuple[tuple[int, int, str], ...], ...]:
+def natural_order(path: Path) -> tuple[tuple[tuple[str | int, ...], ...], tuple[str, ...]]:
     """Sort key of paths, folder by folder, in which numbers count by value: part_2 before part_10.
 
     Names that differ in leading zeros only are told apart by their text.
 
     Examples
     --------
-    >>> [p.name for p in sorted(map(Path, ["part_10.pcap", "part_2.pcap", "part_1.pcap"]), key=natural_order)]
-    ['part_1.pcap', 'part_2.pcap', 'part_10.pcap']
+    >>> [p.name for p in sorted(map(Path, ["part_10.pcap", "part_2.pcap", "part.pcap"]), key=natural_order)]
+    ['part.pcap', 'part_2.pcap', 'part_10.pcap']
     """
-    return tuple(
-        (*((0, int(t), "") if t.isdecimal() else (1, 0, t) for t in re.split(r"(\d+)", part)), (2, 0, part))
-        for part in path.parts
-    )
+    # the pieces are text, number, text, ... in turn, so that like is compared with like
+    pieces = (re.split(r"(\d+)", part) for part in path.parts)
+    return tuple(tuple(int(t) if k % 2 else t for k, t in enumerate(p)) for p in pieces), path.parts
 
 
 def nearest_names(path: Path) -> list[str]:

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 from thalweg.config.check_place import utm_code
 
@@ -21,6 +22,21 @@ STREAM_OF_KIND: Mapping[str, str] = {
     "e57": "reference",
 }  # fmt: skip
 """Kind of a file (`thalweg.ingest.recognise`) -> stream of ``logs``."""
+
+
+KINDS_OF_STREAM: Final[Mapping[str, tuple[str, ...]]] = {
+    "lidar": ("capture", "velodyne_payloads"),
+    "ins": ("anpp",),
+    "rover": ("sbp", "rinex"),
+    "base": ("sbp", "rinex"),
+    "nav": ("rinex",),
+    "pos": ("pos",),
+    "sbet": ("sbet",),
+    "smrmsg": (),  # has no mark of its own
+    "depth": ("nmea",),
+    "reference": ("las", "ply", "e57"),
+}
+"""Kinds of content (see `thalweg.ingest.recognise`) that fit a stream; empty where it cannot be told."""
 
 
 def stream_of(kind: str, path: Path) -> str | None:
@@ -98,9 +114,9 @@ def campaign_text(
         "    omega_deg: 0.0",
         "    phi_deg: -90.0  # spin axis points backwards",
         "    kappa_deg: 0.0",
-        f"    lever_ics_m: [0.0, 0.0, 0.0]{levers}",
+        f"    lever_ics_m: CHANGE{levers}",
         "  antenna:",
-        f"    lever_ics_m: [0.0, 0.0, 0.0]{levers}",
+        f"    lever_ics_m: CHANGE{levers}",
         "",
         "orientation:",
         f"  position_source: {source}  # pos, sbp, ppk, sbet or ins",

@@ -21,6 +21,13 @@ R_ENU_NED: Final[ArrayF] = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0
 """Axes of north-east-down expressed in east-north-up (its own inverse)."""
 
 
+GRS80_SEMI_MAJOR_M: Final = 6_378_137.0
+"""Semi-major axis of GRS80 and of WGS84."""
+
+MAX_SCALE_ERROR: Final = 0.005
+"""Scale error beyond which a projection is no survey grid: within its zone UTM stays below 0.1 %."""
+
+
 def rotation_x(angle_rad: float) -> ArrayF:
     """Rotation about x: ``[[1, 0, 0], [0, c, -s], [0, s, c]]``."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
@@ -180,6 +187,13 @@ class LocalFrame:
         projection = _map_projection(crs)
         lat, lon, h = self.to_geodetic(points_wcs)
         _check_area_of_use(crs, lat, lon)
+        scale = grid_factors(crs, self.lat_deg, self.lon_deg)[1]
+        if abs(scale - 1.0) > MAX_SCALE_ERROR:
+            raise GeometryError(
+                f"'{crs.name}' stretches distances by {100 * (scale - 1):+.1f} % here",
+                expected=f"a survey grid, within {100 * MAX_SCALE_ERROR:.1f} %",
+                cure="Set campaign.crs to the national grid of the survey area",
+            )
         try:
             east, north = projection.transform(lon, lat, errcheck=True)
         except ProjError as error:
@@ -221,7 +235,16 @@ def _map_projection(crs: CRS) -> Transformer:
     geodetic = horizontal.geodetic_crs
     if geodetic is None:
         raise GeometryError(f"'{crs.name}' has no geodetic base", expected="a projected CRS")
-    # Positions are in the frame of the corrections; the grid is taken in its own datum, no shift applied.
+    ellipsoid = geodetic.ellipsoid
+    if ellipsoid is None or abs(ellipsoid.semi_major_metre - GRS80_SEMI_MAJOR_M) > 0.5:
+        # Without this check a Gauss-Krueger grid (Bessel ellipsoid) came out 180 m away, without a word.
+        raise GeometryError(
+            f"'{crs.name}' is on the ellipsoid {ellipsoid.name if ellipsoid else 'unknown'}, another datum "
+            "than that of GNSS positions",
+            expected="a grid on GRS80 or WGS84, such as ETRS89 / UTM",
+            cure="Export to such a grid, and transform it with the grid files of the land survey afterwards",
+        )
+    # Positions are in the frame of the corrections (ETRS89, WGS84 ...): taken as the datum of the grid.
     return Transformer.from_crs(geodetic.to_2d(), horizontal.to_2d(), always_xy=True, allow_ballpark=False)
 
 
@@ -233,8 +256,11 @@ def _check_area_of_use(crs: CRS, lat_deg: ArrayF, lon_deg: ArrayF, margin_deg: f
     area = crs.area_of_use
     if area is None:
         return
-    east_of_west = np.mod(lon_deg - (area.west - margin_deg), 360.0)
-    width = np.mod(area.east - area.west, 360.0) + 2 * margin_deg
+    span = area.east - area.west
+    width = (span if span >= 0 else span + 360.0) + 2 * margin_deg
+    east_of_west = (
+        np.mod(lon_deg - (area.west - margin_deg), 360.0) if width < 360.0 else np.zeros_like(lon_deg)
+    )
     outside = (
         (lat_deg < area.south - margin_deg) | (lat_deg > area.north + margin_deg) | (east_of_west > width)
     )

@@ -21,7 +21,7 @@ import pandas as pd
 
 from thalweg.core.errors import InputError
 from thalweg.core.timescales import DAY_S, gps_from_unix
-from thalweg.core.types import ArrayF
+from thalweg.core.types import ArrayF, ArrayI
 from thalweg.ingest.integrity import IntegrityReport, find_gaps
 from thalweg.ingest.nmea_fields import (
     FIX_OF_MODE,
@@ -34,6 +34,7 @@ from thalweg.ingest.nmea_fields import (
 )
 from thalweg.ingest.nmea_positions import Fix, position_table
 from thalweg.ingest.nmea_scan import Sentence, scan_sentences
+from thalweg.ingest.overlap import repeated_rows, say_repeated
 from thalweg.ingest.schemas import DEPTH
 
 _TIME_FIELD: Final = {"GGA": 1, "RMC": 1, "GLL": 5, "GST": 1, "ZDA": 1}
@@ -66,17 +67,36 @@ class _Clock:
     day_zero: float = _NAN
     """Days since 1970 of midnight count 0, by the latest date sentence."""
     steps_back: int = 0
+    file: int = 0
+    begins: bool = False
+    """No time sentence of this file was met, though there were others before it."""
+    files_back: list[int] = field(default_factory=list)
+    """Files that begin before the end of the one before."""
+
+    def next_file(self) -> None:
+        """Go on to the next file: its first time may lie before the end of the one before."""
+        self.file += 1
+        self.begins = True
 
     def to(self, second: float) -> None:
         """Go on to the time of a sentence."""
         step = second - self.second
         if step < -_HALF_DAY_S:
             self.midnights += 1
-        elif step > _HALF_DAY_S and self.midnights and self.second < 60 and second > DAY_S - 60:
-            self.midnights -= 1  # a sentence of before midnight that came late
+        elif (
+            step > _HALF_DAY_S
+            and self.midnights
+            and (self.begins or (self.second < 60 and second > DAY_S - 60))
+        ):
+            self.midnights -= 1  # a sentence of before midnight that came late, or a file that overlaps
+            if self.begins:
+                self.files_back.append(self.file)
+        elif step < 0 and self.begins:
+            self.files_back.append(self.file)
         elif step < 0:
             self.steps_back += 1
         self.second = second
+        self.begins = False
 
 
 @dataclass(slots=True)
@@ -84,8 +104,8 @@ class _Rows:
     clock: _Clock = field(default_factory=_Clock)
     fixes: list[Fix] = field(default_factory=list)
     sigmas: list[tuple[float, ...]] = field(default_factory=list)
-    depths: list[tuple[float, float, float, float, float, float, str, int]] = field(default_factory=list)
-    headings: list[tuple[float, float, float, float, int]] = field(default_factory=list)
+    depths: list[tuple[float, float, float, float, float, float, str, int, int]] = field(default_factory=list)
+    headings: list[tuple[float, float, float, float, int, int]] = field(default_factory=list)
 
 
 def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
@@ -93,7 +113,7 @@ def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
 
     Parameters
     ----------
-    files : in the order of time.
+    files : in the order of time; what two of them hold at the same GPS time is kept once.
     date : UTC date of the first sentence, for logs that carry none; where a log states its date, that
         one is used.
 
@@ -111,7 +131,9 @@ def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
     report = IntegrityReport(stream="nmea", format="NMEA 0183", files=[str(f) for f in files])
     rows = _Rows()
     bad: list[str] = []
-    for path in files:
+    for index, path in enumerate(files):
+        if index:
+            rows.clock.next_file()
         for sentence in scan_sentences(path, _WANTED, report):
             try:
                 _take(sentence, rows, report)
@@ -129,8 +151,6 @@ def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
         report.lose("malformed_sentences", len(bad))
         report.details["malformed"] = ", ".join(bad[:20]) + (" ..." if len(bad) > 20 else "")
         report.note(f"{len(bad)} sentences have a good frame but impossible fields, the first at {bad[0]}.")
-    if rows.clock.steps_back:
-        report.lose("time_steps_back", rows.clock.steps_back)
     return _log(rows, date, report)
 
 
@@ -151,6 +171,7 @@ def _take(sentence: Sentence, rows: _Rows, report: IntegrityReport) -> None:
             rows.sigmas.append((second, float(clock.midnights), *values))
         elif fix is not None:
             fix.second, fix.midnights, fix.day_zero = second, clock.midnights, clock.day_zero
+            fix.file = clock.file
             rows.fixes.append(fix)
         elif kind != "ZDA":
             report.count("sentences_without_position")
@@ -159,7 +180,7 @@ def _take(sentence: Sentence, rows: _Rows, report: IntegrityReport) -> None:
         if heading == heading:
             if not 0 <= heading <= 360:
                 raise ValueError(heading)
-            rows.headings.append((clock.second, clock.midnights, clock.day_zero, heading, sentence.line))
+            rows.headings.append((*_now(clock), heading, sentence.line, clock.file))
     else:
         depth = number(f, 1) if kind == "DPT" else below_depth(f)
         if depth != depth:
@@ -170,16 +191,25 @@ def _take(sentence: Sentence, rows: _Rows, report: IntegrityReport) -> None:
             raise ValueError(depth)
         rows.depths.append(
             (
-                clock.second,
-                clock.midnights,
-                clock.day_zero,
+                *_now(clock),
                 sentence.t_host_s,
                 depth,
                 offset,
                 kind,
                 sentence.line,
+                clock.file,
             )
         )
+
+
+def _now(clock: _Clock) -> tuple[float, float, float]:
+    """Second of the day, midnights and day of midnight 0 for a sentence without a time of its own.
+
+    What stands ahead of a file's first time sentence has none: the last time of the file before may be older
+    by hours, or newer where the files overlap.
+    """
+    second = _NAN if clock.begins else clock.second
+    return second, float(clock.midnights), clock.day_zero
 
 
 def _date(kind: str, f: list[str]) -> int | None:
@@ -239,26 +269,55 @@ def _log(rows: _Rows, date: dt.date | None, report: IntegrityReport) -> NmeaLog:
         whole = np.floor(second - leap)
         return gps_from_unix(day * DAY_S + whole) + (second - leap - whole) + leap
 
-    positions = position_table(rows.fixes, rows.sigmas, seconds, report)
+    positions, position_file = position_table(rows.fixes, rows.sigmas, seconds, report)
     depth = pd.DataFrame(
         rows.depths,
-        columns=[*_DEPTH_FLOATS, "sentence", "line"],
+        columns=[*_DEPTH_FLOATS, "sentence", "line", "file"],
     ).astype(dict.fromkeys(_DEPTH_FLOATS, np.float64))
     heading = pd.DataFrame(
-        rows.headings, columns=["t_day_s", "midnights", "day_zero", "heading_deg", "line"], dtype=np.float64
-    ).astype({"line": np.int64})
+        rows.headings,
+        columns=["t_day_s", "midnights", "day_zero", "heading_deg", "line", "file"],
+        dtype=np.float64,
+    ).astype({"line": np.int64, "file": np.int64})
     for table in (depth, heading):
         table["t_gps_s"] = seconds(*(table[n].to_numpy() for n in ("t_day_s", "midnights", "day_zero")))
+    overlapping: set[int] = set()
+    positions = _once(positions, position_file, "positions", overlapping, report)
+    depth = _once(depth, depth["file"].to_numpy(), "depths", overlapping, report)
+    heading = _once(heading, heading["file"].to_numpy(), "headings", overlapping, report)
+    back = rows.clock.steps_back + len(set(rows.clock.files_back) - overlapping)
+    if back:
+        report.lose("time_steps_back", back)
     depths = depth[list(DEPTH.names)].astype({"line": np.int64, "sentence": object})
     headings = heading[["t_gps_s", "t_day_s", "heading_deg", "line"]]
-    _summarise(report, positions, depths, rows, have_date=first == first)
+    _summarise(report, positions, depths, len(headings), rows, have_date=first == first)
     return NmeaLog(positions=positions, depths=depths, headings=headings, report=report)
 
 
+def _once(
+    table: pd.DataFrame, file: ArrayI, what: str, overlapping: set[int], report: IntegrityReport
+) -> pd.DataFrame:
+    """The table without what an earlier file holds at the same time; such files go into ``overlapping``.
+
+    Rows without GPS time are all kept: a second of an unknown day is no time stamp.
+    """
+    content = table.drop(columns=["line", "file", "midnights", "day_zero"], errors="ignore")
+    repeated = repeated_rows(content, file) & np.isfinite(table["t_gps_s"].to_numpy())
+    overlapping.update(np.unique(file[repeated]).tolist())
+    say_repeated(report, what, int(repeated.sum()))
+    return table[~repeated].reset_index(drop=True)
+
+
 def _summarise(
-    report: IntegrityReport, positions: pd.DataFrame, depths: pd.DataFrame, rows: _Rows, *, have_date: bool
+    report: IntegrityReport,
+    positions: pd.DataFrame,
+    depths: pd.DataFrame,
+    n_headings: int,
+    rows: _Rows,
+    *,
+    have_date: bool,
 ) -> None:
-    for what, n in (("positions", len(positions)), ("depths", len(depths)), ("headings", len(rows.headings))):
+    for what, n in (("positions", len(positions)), ("depths", len(depths)), ("headings", n_headings)):
         report.count(what, n)
     t = np.concatenate([positions["t_gps_s"], depths["t_gps_s"]])
     t = t[np.isfinite(t)]

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.types import ArrayF
+from thalweg.core.types import ArrayF, ArrayI
 from thalweg.ingest.integrity import IntegrityReport
 from thalweg.ingest.schemas import GNSS_POSITION
 
@@ -32,12 +32,14 @@ class Fix:
     second: float = _NAN
     midnights: int = 0
     day_zero: float = _NAN
+    file: int = 0
+    """Number of the file that holds the sentence."""
 
 
 def position_table(
     fixes: list[Fix], sigmas: list[tuple[float, ...]], seconds: Seconds, report: IntegrityReport
-) -> pd.DataFrame:
-    """Table of kind ``gnss_position``, one row an epoch.
+) -> tuple[pd.DataFrame, ArrayI]:
+    """Table of kind ``gnss_position``, one row an epoch, and the number of the file of each row.
 
     Parameters
     ----------
@@ -98,7 +100,7 @@ def position_table(
     bare = sum(f.kind == "GGA" and f.h_ell_m != f.h_ell_m for f in kept)
     if bare:
         report.note(f"{bare} GGA sentences have no geoid separation: no ellipsoidal height can be given.")
-    return table[list(GNSS_POSITION.names)]
+    return table[list(GNSS_POSITION.names)], np.array([f.file for f in kept], dtype=np.int64)
 
 
 _FLOATS: Final = ("second", "midnights", "day_zero", "lat_deg", "lon_deg", "h_ell_m", "age_s")

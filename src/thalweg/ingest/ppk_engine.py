@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core.errors import ConfigError, InputError
+from thalweg.ingest import ppk_worker
 
-WORKER = Path(__file__).with_name("ppk_worker.py")
+# Imported for its path only: so an edit of the worker counts as an edit of what runs it.
+WORKER = Path(ppk_worker.__file__)
 
 
 @dataclass(frozen=True, slots=True)

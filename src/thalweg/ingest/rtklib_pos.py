@@ -23,6 +23,7 @@ from thalweg.core.frames import rotation_ecef_enu
 from thalweg.core.timescales import ADJUSTED_OFFSET_S, DAY_S, GPS_EPOCH_UNIX_S, WEEK_S, gps_from_unix
 from thalweg.core.types import AnyArray, ArrayF
 from thalweg.ingest.integrity import IntegrityReport, find_gaps
+from thalweg.ingest.overlap import repeated_rows, say_repeated
 from thalweg.ingest.rtklib_pos_layout import SEPARATORS, Layout, covariance_names, layout_from_header
 from thalweg.ingest.schemas import GNSS_POSITION
 
@@ -50,7 +51,7 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
 
     Parameters
     ----------
-    files : in the order of time.
+    files : in the order of time; positions that two of them hold alike are kept once.
     ref_ecef_m : (3,) earth-centred position of the base, for baselines; if None it comes from the line
         ``ref pos`` of the header.
 
@@ -72,6 +73,9 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
     header: dict[str, list[str]] = {}
     tables = [_read_one(path, ref_ecef_m, report, header) for path in files]
     positions = pd.concat(tables, ignore_index=True)
+    repeated = repeated_rows(positions, np.repeat(np.arange(len(tables)), [len(x) for x in tables]))
+    positions = positions[~repeated].reset_index(drop=True)
+    say_repeated(report, "positions", int(repeated.sum()))
     t = positions["t_gps_s"].to_numpy()
     report.synchronised = True
     report.t_first_s, report.t_last_s = float(t.min()), float(t.max())

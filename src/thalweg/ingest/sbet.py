@@ -36,6 +36,7 @@ from thalweg.core.timescales import (
 )
 from thalweg.core.types import AnyArray, ArrayF
 from thalweg.ingest.integrity import IntegrityReport, find_gaps
+from thalweg.ingest.overlap import repeated_rows, say_repeated
 from thalweg.ingest.schemas import INS_STATE
 
 _FIELDS: Final = 17
@@ -66,7 +67,7 @@ def read_sbet(
 
     Parameters
     ----------
-    files : in the order of time.
+    files : in the order of time; records that two of them hold alike are kept once.
     gps_week : full GPS week of the first record; an SBET does not state it. From a date:
         ``week_from_gps(gps_from_unix(unix_time_of_the_date))[0]``.
     smrmsg : companions with the standard deviations, taken at the time of each record (linear).
@@ -97,7 +98,7 @@ def read_sbet(
         time_scale="utc" if utc else "gps",
         synchronised=True,
     )
-    records = np.concatenate([_records(path, _FIELDS, report) for path in files])
+    records = _joined(files, _FIELDS, "records", report)
     records = records[_plausible(records, report)]
     if not len(records):
         raise InputError(
@@ -118,6 +119,16 @@ def read_sbet(
     report.gaps = find_gaps(t)
     report.note("An SBET states no GPS fix and no filter status: those columns are empty.")
     return SbetLog(states=states[list(INS_STATE.names)], report=report)
+
+
+def _joined(files: Sequence[Path], n_fields: int, what: str, report: IntegrityReport) -> ArrayF:
+    """Records of all files, those that two files hold alike once."""
+    parts = [_records(path, n_fields, report) for path in files]
+    records = np.concatenate(parts)
+    file = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    repeated = repeated_rows(pd.DataFrame(records), file)
+    say_repeated(report, what, int(repeated.sum()))
+    return records[~repeated]
 
 
 def _records(path: Path, n_fields: int, report: IntegrityReport) -> ArrayF:
@@ -288,7 +299,7 @@ def _sigmas(
         report.note("Without the smrmsg file nothing is known about the standard deviations.")
         return {name: np.full(len(t), np.nan) for name in columns}
     report.files += [str(f) for f in files]
-    records = np.concatenate([_records(path, _SMRMSG_FIELDS, report) for path in files])
+    records = _joined(files, _SMRMSG_FIELDS, "smrmsg records", report)
     with np.errstate(invalid="ignore"):
         good = _possible_times(records[:, 0]) & ((records[:, 1:] >= 0) & (records[:, 1:] < 1e9)).all(axis=1)
     if lost := int(np.count_nonzero(~good)):

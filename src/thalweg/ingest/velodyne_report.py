@@ -277,8 +277,8 @@ def _write_order(report: IntegrityReport, found: Findings, clock: LidarClock) ->
         for part, ahead_s in early[:_NAMED]
     )
     report.note(
-        f"Files out of order: list them in order of time ({named}). If the order is right, the sensor's clock "
-        "was set back between the files, or they lie more than half an hour apart."
+        f"Files out of order: list them in order of time ({named}). If the order is right, "
+        "the sensor's clock was set back between the files, or they lie more than half an hour apart."
     )
     report.lose("files_out_of_order", len(early))
     for _ in (part for part, _ in early if part.event == STEP_BACK):

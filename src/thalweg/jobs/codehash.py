@@ -16,6 +16,9 @@ from thalweg.core.errors import InputError
 PACKAGE_ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = PACKAGE_ROOT.parents[1] / "workflow" / "scripts"
 
+DATA_SUFFIXES = {".mplstyle", ".csv", ".yaml", ".json"}
+"""Files inside the package that count as code."""
+
 _DIGITS = 12
 
 
@@ -44,6 +47,10 @@ def code_version(script: str, *, scripts: Path = SCRIPTS, package_root: Path = P
     for module in sorted(reached_modules(path, package_root)):
         digest.update(module.relative_to(package_root).as_posix().encode())
         digest.update(_tree_hash(module))
+        if module.name == "__init__.py":
+            # what is no module but shapes results, such as the style of the figures
+            for data in sorted(p for p in module.parent.iterdir() if p.suffix in DATA_SUFFIXES):
+                digest.update(data.name.encode() + data.read_bytes())
     return digest.hexdigest()[:_DIGITS]
 
 

@@ -26,6 +26,13 @@ ATTITUDE_INITIALISED: Final = 0b101
 NAVIGATION_INITIALISED: Final = 0b111
 """The same, and the navigation filter, without which the INS's own position is arbitrary."""
 
+PLAIN_SLACK_M: Final = 5.0
+HEIGHT_SLACK_M: Final = 10.0
+"""Slack of the INS's coarse position in plan and height: lever arm, and filters too sure of themselves."""
+
+MAX_DISTANCE_M: Final = 20_000.0
+"""Farthest a survey may be from the origin of its local frame."""
+
 JITTER_S: Final = 1e-3
 """Stamps of a regular stream scatter by microseconds; a step of just the limit is no gap for that."""
 
@@ -95,7 +102,9 @@ def build_trajectory(
             expected="streams of the same survey that overlap in time",
             cure="Check that the logs belong together, and the dates and time scales of both",
         )
+    used = _agree_with_ins(used, ins, frame, summary)
     antenna, cov_antenna, covered = _interpolate_positions(used, frame, t_states, max_gap_s, summary)
+    _check_origin(antenna[covered], frame)
     lat_deg, lon_deg, _ = frame.to_geodetic(antenna)
     R_wcs_ics = _attitude(ins, frame, lat_deg, lon_deg)
     lever = np.asarray(lever_ics_antenna_m, dtype=np.float64)
@@ -206,6 +215,69 @@ def break_at_gaps(trajectory: Trajectory, max_gap_s: float, summary: TrajectoryS
         valid=np.insert(trajectory.valid, at, False),
         pivot_ics_m=trajectory.pivot_ics_m,
     )
+
+
+def _agree_with_ins(
+    positions: pd.DataFrame, ins: pd.DataFrame, frame: LocalFrame, summary: TrajectorySummary
+) -> pd.DataFrame:
+    """The positions that agree with what the INS itself says of its place, within its own accuracy.
+
+    A base that is 500 m off, heights above the geoid instead of the ellipsoid, a wrong time scale, a damaged
+    digit: the INS's coarse position sees them all.
+
+    Raises
+    ------
+    InputError : more than a fifth of the positions disagree.
+    """
+    known = ins.dropna(
+        subset=["lat_deg", "lon_deg", "h_ell_m", "sigma_north_m", "sigma_east_m", "sigma_up_m"]
+    )
+    status = known["filter_status"].to_numpy(dtype=np.int64)
+    known = known[(status & NAVIGATION_INITIALISED) == NAVIGATION_INITIALISED]
+    t = positions["t_gps_s"].to_numpy()
+    if len(known) < 2:
+        summary.notes.append("The INS states no position of its own: the positions could not be checked")
+        return positions
+    t_ins = known["t_gps_s"].to_numpy()
+    coarse = frame.from_geodetic(known["lat_deg"], known["lon_deg"], known["h_ell_m"])
+    enu = frame.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
+    d = enu - np.column_stack([np.interp(t, t_ins, coarse[:, axis]) for axis in range(3)])
+    sigma = np.column_stack([
+        np.interp(t, t_ins, known[name]) for name in ("sigma_east_m", "sigma_north_m", "sigma_up_m")
+    ])  # fmt: skip
+    plan = np.hypot(d[:, 0], d[:, 1])
+    limit_plan = PLAIN_SLACK_M + 6 * np.hypot(sigma[:, 0], sigma[:, 1])
+    limit_height = HEIGHT_SLACK_M + 6 * sigma[:, 2]
+    inside = (t >= t_ins[0]) & (t <= t_ins[-1])
+    off = inside & ((plan > limit_plan) | (np.abs(d[:, 2]) > limit_height))
+    if off.sum() > 0.2 * max(inside.sum(), 1):
+        in_plan, in_height = float(np.median(plan[inside])), float(np.median(d[inside, 2]))
+        raise InputError(
+            f"{int(off.sum())} of {int(inside.sum())} positions disagree with the INS's own: in the median "
+            f"{in_plan:.1f} m in plan and {in_height:+.1f} m in height",
+            expected=f"at most {float(np.median(limit_plan)):.1f} m and "
+            f"{float(np.median(limit_height)):.1f} m, six sigmas of the INS and some slack",
+            cure="Check the base position, the time scale (GPST or UTC) and the kind of heights (ellipsoidal "
+            "or above the geoid) of the position log",
+        )
+    if off.any():
+        summary.notes.append(f"{int(off.sum())} positions far from the INS's own were left out")
+        summary.n_positions_used -= int(off.sum())
+    return positions[~off]
+
+
+def _check_origin(points_wcs_m: ArrayF, frame: LocalFrame) -> None:
+    """Refuse a survey far from the origin: heights of a tangent plane are 31 m off the ellipsoid at 20 km."""
+    if not len(points_wcs_m):
+        return
+    distance_m = float(np.median(np.linalg.norm(points_wcs_m[:, :2], axis=1)))
+    if distance_m > MAX_DISTANCE_M:
+        raise InputError(
+            f"the survey is {distance_m / 1000:.0f} km from the origin of the local frame "
+            f"({frame.lat_deg}, {frame.lon_deg})",
+            expected=f"an origin within {MAX_DISTANCE_M / 1000:.0f} km",
+            cure="Set campaign.origin to a point of the survey",
+        )
 
 
 def _usable_positions(
