@@ -1,5 +1,7 @@
 """`thalweg describe`: what a file is by its content, and what is said about it."""
 
+import os
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +92,8 @@ def test_small_files_are_known_by_content(tmp_path: Path, content: bytes, kind: 
         (b"\x89PNG\r\n\x1a\n" + bytes(500), "of no known kind"),
         (b"Dear diary, today the river was high.\n" * 50, "of no known kind"),
         (bytes(5000), "of no known kind"),
+        (b"\x1f\x8b" + bytes(100), r"compressed \(gzip\).*gunzip"),
+        ("%  GPST  latitude".encode("utf-16"), "UTF-16"),
     ],
 )
 def test_foreign_files_are_refused_with_the_known_kinds(tmp_path: Path, content: bytes, message: str) -> None:
@@ -155,3 +159,33 @@ def test_an_sbet_without_week_is_described_but_not_placed(tmp_path: Path) -> Non
     placed = describe(path, {"gps_week": 2157})
     assert placed.synchronised
     assert placed.t_first_s == pytest.approx(2157 * 604_800 - 1e9 + 298_000.0)
+
+
+def test_a_pipe_does_not_hang(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.sbp")
+    with pytest.raises(InputError, match="pipe or a device"):
+        describe(tmp_path / "pipe.sbp")
+
+
+@pytest.mark.real
+def test_what_follows_zeros_or_a_second_capture_is_not_lost(data_dir: Path, tmp_path: Path) -> None:
+    """A middle third of zeros, and two captures in one file: both once ended the reading there."""
+    raw = (data_dir / "vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap").read_bytes()
+    whole = describe(data_dir / "vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap").counts["points"]
+    n = len(raw)
+    (tmp_path / "holed").write_bytes(raw[: n // 3] + bytes(n // 3) + raw[2 * (n // 3) :])
+    holed = describe(tmp_path / "holed")
+    assert 0.6 * whole < holed.counts["points"] < 0.72 * whole
+    assert sum(holed.losses.values()) > 100_000
+    # the second capture a year later (31,622,400 s) by the host's stamps; the sensor's own are unchanged
+    later = bytearray(raw)
+    o = 24
+    while o < n:
+        second, _, length = struct.unpack_from("<III", later, o)
+        struct.pack_into("<I", later, o, second + 31_622_400)
+        o += 16 + length
+    (tmp_path / "two").write_bytes(raw + bytes(later))
+    two = describe(tmp_path / "two")
+    # the packets of the second capture repeat the first's: read, and dropped as duplicates
+    assert two.counts["points"] == whole
+    assert two.losses["duplicate_packets"] == 293

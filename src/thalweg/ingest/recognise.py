@@ -41,6 +41,21 @@ _POS_LINE = re.compile(
     rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d(\.\d+)?|\d{4}[ ,;\t]+\d{1,6}\.\d+)"
     rb"([ ,;\t]+[-\d.:]+){6,}"
 )
+_WRAPPED: Final = (
+    (b"\x1f\x8b", "the file is compressed (gzip)", "Unpack it with gunzip"),
+    (b"PK\x03\x04", "the file is a zip archive", "Unpack it with unzip"),
+    (b"BZh", "the file is compressed (bzip2)", "Unpack it with bunzip2"),
+    (b"\xfd7zXZ", "the file is compressed (xz)", "Unpack it with unxz"),
+    (b"\xff\xfe", "the file is text in UTF-16", "Save it as plain text (ASCII or UTF-8 without mark)"),
+    (b"\xfe\xff", "the file is text in UTF-16", "Save it as plain text (ASCII or UTF-8 without mark)"),
+    (
+        b"\xef\xbb\xbf",
+        "the file begins with a UTF-8 byte order mark",
+        "Save it as plain text without the mark",
+    ),
+)
+"""First bytes of files that may be a log in a wrapping: what to say and to do."""
+
 _PAYLOAD = 1206
 _SBET_RECORD = 136
 
@@ -56,8 +71,17 @@ def recognise(path: Path) -> str:
         raise InputError("file not found", where=path, cure="Check the path")
     if path.is_dir():
         raise InputError("this is a folder", where=path, expected="a file")
-    with path.open("rb") as stream:
-        head = stream.read(HEAD_BYTES)
+    if not path.is_file():
+        raise InputError("this is a pipe or a device", where=path, expected="a file")
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEAD_BYTES)
+    except OSError as error:
+        raise InputError(
+            f"the file cannot be read: {error.strerror}",
+            where=path,
+            cure="Check its permissions and the disk",
+        ) from error
     if not head:
         raise InputError(
             "the file is empty", where=path, expected="a raw log", cure="Check the logger and copy"
@@ -80,6 +104,9 @@ def recognise(path: Path) -> str:
         return best
     if _is_sbet(head, path.stat().st_size):
         return "sbet"
+    for mark, words, cure in _WRAPPED:
+        if head.startswith(mark):
+            raise InputError(words, where=path, expected="the raw log itself", cure=cure)
     raise InputError(
         f"the content is of no known kind (begins with {head[:12].hex(' ')})",
         where=path,

@@ -185,7 +185,13 @@ def walk_pcap(
         fraction = _u32(buf, o + 4, big)
         length = _u32(buf, o + 8, big)
         original = _u32(buf, o + 12, big)
-        if fraction >= ticks_per_s or length > MAX_RECORD or (check_length and length > original):
+        # A record of no bytes is none: zeros, or the header of a second capture appended to the first.
+        if (
+            length == 0
+            or fraction >= ticks_per_s
+            or length > MAX_RECORD
+            or (check_length and length > original)
+        ):
             return BAD, o, last, k, second
         if o + 16 + length > n:
             return NEED, o, last, k, second
@@ -213,17 +219,31 @@ def _pcap_header(buf: ArrayU8, o: int, big: bool, ticks_per_s: int, second: int)
 def find_pcap(
     buf: ArrayU8, n: int, o: int, big: bool, ticks_per_s: int, second: int, final: bool
 ) -> tuple[int, int]:
-    """Next offset from ``o`` where two sound records follow each other, or one that ends the file."""
+    """Next offset from ``o`` where sound records follow each other, or one that ends the file.
+
+    Two records are enough within a day of the last one; four that agree among themselves are demanded for
+    another time (a second capture appended to the first).
+    """
     while o + 16 <= n:
-        length = _pcap_header(buf, o, big, ticks_per_s, second)
+        length = _pcap_header(buf, o, big, ticks_per_s, -1)
         if length >= 0:
+            here = _u32(buf, o, big)
+            near = second < 0 or abs(here - second) <= _DAY_S
+            left = 1 if near else 3
             after = o + 16 + length
-            if after + 16 <= n:
-                if _pcap_header(buf, after, big, ticks_per_s, second) >= 0:
-                    return FOUND, o
-            elif not final:
+            sound = True
+            while sound and left > 0:
+                if after + 16 > n:
+                    break
+                following = _pcap_header(buf, after, big, ticks_per_s, here)
+                sound = following >= 0
+                after += 16 + following
+                left -= 1
+            if sound and left == 0:
+                return FOUND, o
+            if sound and not final:
                 return NEED, o
-            elif after == n:
+            if sound and near and after == n:
                 return FOUND, o
         o += 1
     return NEED, o
