@@ -413,3 +413,19 @@ def test_fuzz_nmea(tmp_path: Path, fuzz: Any) -> None:
         assert len(log.positions) <= data.count(b"$")
         assert len(log.depths) <= data.count(b"DPT")
     fuzz.check(read=0.5, troubled=0.5)
+
+
+def test_a_jump_of_the_date_is_told(tmp_path: Path) -> None:
+    """A receiver whose week counter rolled over says 2001 first and 2021 later."""
+
+    def rmc(clock: str, date: str) -> str:
+        body = f"GPRMC,{clock},A,5103.0000,N,01315.0000,E,0.5,90.0,{date},,,A"
+        return f"${body}*{reduce(xor, body.encode()):02X}\r\n"
+
+    path = tmp_path / "jump.nmea"
+    path.write_text(rmc("083107", "260901") + rmc("083108", "260901") + rmc("083109", "120521"))
+    report = read_nmea([path]).report
+    assert report.losses["date_jumps"] == 1
+    assert any("week counter" in note for note in report.notes)
+    path.write_text(rmc("235958", "110521") + rmc("235959", "110521") + rmc("000000", "120521"))
+    assert "date_jumps" not in read_nmea([path]).report.losses

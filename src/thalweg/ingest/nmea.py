@@ -67,6 +67,8 @@ class _Clock:
     day_zero: float = _NAN
     """Days since 1970 of midnight count 0, by the latest date sentence."""
     steps_back: int = 0
+    date_jumps: int = 0
+    """Changes of the date that no midnight explains."""
     file: int = 0
     begins: bool = False
     """No time sentence of this file was met, though there were others before it."""
@@ -228,6 +230,8 @@ def _set_date(day: int, rows: _Rows) -> None:
     day_zero = float(day - clock.midnights)
     if day_zero == clock.day_zero:
         return
+    if clock.day_zero == clock.day_zero and not clock.begins:
+        clock.date_jumps += 1
     clock.day_zero = day_zero
     for fix in reversed(rows.fixes):
         if (fix.second, fix.midnights) != (clock.second, clock.midnights):
@@ -288,6 +292,12 @@ def _log(rows: _Rows, date: dt.date | None, report: IntegrityReport) -> NmeaLog:
     back = rows.clock.steps_back + len(set(rows.clock.files_back) - overlapping)
     if back:
         report.lose("time_steps_back", back)
+    if rows.clock.date_jumps:
+        report.lose("date_jumps", rows.clock.date_jumps)
+        report.note(
+            f"The date jumps {rows.clock.date_jumps} times without a midnight: two logs in one file, or a "
+            "receiver whose week counter rolled over (1024 weeks)."
+        )
     depths = depth[list(DEPTH.names)].astype({"line": np.int64, "sentence": object})
     headings = heading[["t_gps_s", "t_day_s", "heading_deg", "line"]]
     _summarise(report, positions, depths, len(headings), rows, have_date=first == first)
