@@ -1,5 +1,6 @@
 """The limits under which damaged inputs are read do bite."""
 
+import itertools
 import signal
 import sys
 import time
@@ -62,7 +63,7 @@ def test_a_loop_that_ends_early_fails(fuzz: Any) -> None:
 
 def test_damage_is_of_every_kind_and_the_same_each_time(fuzz: Any) -> None:
     source = bytes(range(200))
-    found = list(fuzz.inputs(source, most=2))
+    found = list(itertools.islice(fuzz.inputs(source, most=2), 300))  # 200 bytes hold no 10,000 damages
     sizes = np.array([len(data) for data in found])
     assert min(sizes) >= 1
     for some in (sizes < 200, sizes == 200, sizes > 200):
