@@ -37,6 +37,7 @@ def test_without_the_folder_people_are_told_what_to_set(house) -> None:
 def test_the_page_of_real_recordings(house, data_dir) -> None:
     result = run(house, str(data_dir))
     assert result.returncode == 0, result.stderr
+    assert "Error" not in result.stderr
     folder = house.root / "results/real_logs"
     table = pd.read_csv(folder / "recordings.csv")
     assert len(table) == 3

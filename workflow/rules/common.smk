@@ -11,10 +11,13 @@ from thalweg.jobs.codehash import code_version
 ROOT = Path(workflow.basedir)
 CAMPAIGNS = load_campaigns(config["campaign"], ROOT / "config" / "campaigns")
 
+with open(ROOT / "resources" / "real_recordings.yaml") as stream:
+    RECORDINGS = {entry["id"]: entry for entry in yaml.safe_load(stream)}
+
 
 wildcard_constraints:
     campaign="|".join(CAMPAIGNS),
-    recording="[a-z0-9_.-]+",
+    recording="|".join(RECORDINGS),
 
 
 def section(name):
@@ -209,8 +212,6 @@ def truth_statistics(wildcards):
     return [f"results/{name}/accuracy/truth_statistics.csv"] if is_twin(name) else []
 
 
-with open(ROOT / "resources" / "real_recordings.yaml") as stream:
-    RECORDINGS = {entry["id"]: entry for entry in yaml.safe_load(stream)}
 REAL_DATA = Path(os.environ.get("THALWEG_DATA", ROOT.parent / "shared" / "data"))
 
 

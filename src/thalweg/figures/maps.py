@@ -212,4 +212,4 @@ def _draw_cloud(ax: Axes, cloud: ArrayF, low: ArrayF, high: ArrayF) -> None:
     )  # fmt: skip
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
-    ax.plot([], [], ls="none", marker="s", color="0.75", label=f"cloud, n = {count(len(cloud))} points")
+    ax.plot([], [], ls="none", marker="s", color="0.75", label=f"cloud, n = {count(len(cloud))} points drawn")

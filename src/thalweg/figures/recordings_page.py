@@ -49,8 +49,14 @@ def recordings_page(reports: list[IntegrityReport], titles: list[str], pictures:
         "Logs that other people recorded with the instruments that Thalweg reads. Nothing here was made "
         "by the digital twin; sources, licences and checksums stand in the PROVENANCE.md of each folder.",
     )
+    overview = recordings_table(reports, titles)
+    # All counts stand in the sections; the largest is enough here, and words instead of keys can be wrapped.
+    largest = [max(r.counts.items(), key=lambda item: item[1], default=("none", 0)) for r in reports]
+    overview["counts"] = [f"{n:,} {what}" for what, n in largest]
+    for name in ("counts", "losses"):
+        overview[name] = overview[name].str.replace("_", " ")
     page.section("All recordings").table(
-        recordings_table(reports, titles), "What was recorded, and how whole it is", units={"duration_s": "s"}
+        overview, "What was recorded, and how whole it is", units={"duration_s": "s"}
     )
     for report, title, looks in zip(reports, titles, pictures, strict=True):
         page.section(title).lines(report.lines())
