@@ -1,5 +1,8 @@
 """The other logs: other people's programs read them, and their errors are those of the settings."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -210,6 +213,39 @@ def sbp_messages(path: Path) -> list[Any]:
 
 def antenna(voyage: Voyage, t: Any) -> Any:
     return voyage.position_wcs_m(t) + voyage.R_wcs_ics(t) @ ANTENNA_M
+
+
+READSOL = """
+import json, os, sys
+import pyrtklib5 as rtk
+buffer = rtk.solbuf_t()
+assert rtk.readsol([sys.argv[1]], 1, buffer) == 1
+rows, kept = [], []
+for k in range(buffer.n):
+    s = rtk.getsol(buffer, k)
+    kept.append(s)  # the wrapper frees what belongs to the buffer
+    values = [s.rr[i] for i in range(3)] + [s.qr[i] for i in range(3)]
+    rows.append([s.time.time + s.time.sec, s.stat, s.ns, *values])
+print(json.dumps(rows), flush=True)
+os._exit(0)
+"""
+
+
+def test_rtklib_itself_reads_the_track(twin: Any) -> None:
+    """RTKLIB's readsol in a process of its own (C code): epochs, fix, satellites, position, variances."""
+    run = subprocess.run(
+        [sys.executable, "-c", READSOL, str(twin.path("ppk.pos"))], capture_output=True, text=True, check=True
+    )
+    found = np.array(json.loads(run.stdout.splitlines()[-1]))
+    table = read_pos(twin.path("ppk.pos"))
+    assert len(found) == len(table)
+    assert set(found[:, 1]) == {1}
+    wcs = FRAME.from_ecef(found[:, 3:6])
+    mine = FRAME.from_geodetic(table["lat"], table["lon"], table["h"])
+    # nine digits of a degree are 0.1 mm, four of a metre 0.05 mm
+    np.testing.assert_allclose(wcs, mine, atol=5e-4)
+    ecef_trace = found[:, 6:9].sum(axis=1)
+    np.testing.assert_allclose(ecef_trace, (table[["sdn", "sde", "sdu"]] ** 2).sum(axis=1), rtol=1e-3)
 
 
 def test_positions_are_the_antennas_with_the_drawn_errors(twin: Any) -> None:
