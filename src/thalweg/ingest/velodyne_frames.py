@@ -221,8 +221,7 @@ def find_pcap(
 ) -> tuple[int, int]:
     """Next offset from ``o`` where sound records follow each other, or one that ends the file.
 
-    Two records are enough within a day of the last one; four that agree among themselves are demanded for
-    another time (a second capture appended to the first).
+    Two are enough within a day of the last record, four for another time (an appended second capture).
     """
     while o + 16 <= n:
         length = _pcap_header(buf, o, big, ticks_per_s, -1)
