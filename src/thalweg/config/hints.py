@@ -67,6 +67,7 @@ def range_cure(path: tuple[Key, ...], value: float) -> str:
     key = next((k for k in reversed(path) if isinstance(k, str)), "")
 
     def fits(number: float) -> bool:
+        """Is a number inside the limits of the key?"""
         return (low is None or number >= low) and (high is None or number <= high)
 
     if key == "gps_week" and 0 <= value < 1024:

@@ -82,6 +82,7 @@ def check_chunks(path: Path) -> None:
     size = path.stat().st_size
 
     def refuse(found: str) -> InputError:
+        """The error of a damaged chunk table."""
         return InputError(
             found,
             expected="a chunk table that fits the file",

@@ -197,6 +197,7 @@ def check_las_bytes(path: Path) -> None:
     cure = "Copy the file again from its source; the header is damaged"
 
     def refuse(found: str, expected: str) -> InputError:
+        """The error of a damaged header."""
         return InputError(found, expected=expected, where=path, cure=cure)
 
     if head[:4] != b"LASF":

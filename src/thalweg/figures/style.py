@@ -84,6 +84,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        """Draw under the house's style, whatever the user's own is."""
         with mpl.rc_context(_parameters()):
             return draw(*args, **kwargs)
 

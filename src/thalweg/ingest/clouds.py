@@ -114,6 +114,7 @@ def _cloud(raw: RawCloud, report: IntegrityReport, path: Path) -> Cloud:
             )
 
     def keep(values: AnyArray | None) -> AnyArray | None:
+        """A column without the rows of points that are not finite."""
         if values is None:
             return None
         return values if lost == 0 else values[finite]

@@ -268,6 +268,7 @@ def _log(rows: _Rows, date: dt.date | None, report: IntegrityReport) -> NmeaLog:
         first = given
 
     def seconds(second: ArrayF, midnights: ArrayF, day_zero: ArrayF) -> ArrayF:
+        """GPS time of seconds of the day; second 60 of a leap second is one after second 59."""
         day = np.where(np.isfinite(day_zero), day_zero, first) + midnights
         leap = (second >= DAY_S).astype(np.float64)
         whole = np.floor(second - leap)

@@ -267,12 +267,14 @@ class _Sequencer:
         self.old_mark = np.empty(_MEMORY, dtype=np.int64)
 
     def headers(self, payload: ArrayU8) -> tuple[ArrayI, ArrayB, AnyArray, ArrayI]:
+        """Stamp, usability, expected step and signature of each packet, see `_headers`."""
         n = payload.shape[0]
         out = np.empty(n, np.int64), np.empty(n, np.bool_), np.empty(n), np.empty(n, np.int64)
         _headers(payload, self.any_product, *out)
         return out
 
     def judge(self, payload: ArrayU8, ahead: Sequence[ArrayU8]) -> tuple[ArrayI, ArrayU8, ArrayI]:
+        """Unrolled time, event and jump of the clock at each packet, knowing the packets ``ahead``."""
         n = payload.shape[0]
         heads = self.headers(payload)
         for rows in ahead:

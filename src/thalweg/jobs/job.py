@@ -117,6 +117,7 @@ def _start_log(path: Path | None) -> None:
         root.addHandler(handler)
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        """Traceback to the log, message to the people."""
         log.critical("job failed", exc_info=(kind, error, trace))
         # People see the message; the traceback is for whoever opens the log.
         sys.stderr.write(f"\n{kind.__name__}: {error}\n" if isinstance(error, ThalwegError) else "")
