@@ -24,3 +24,5 @@ Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 
 SigmaAngle = Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)]
 """Standard deviation of an angle in degrees."""
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=0, le=1_000_000)]

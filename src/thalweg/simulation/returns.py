@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.config.twin import TwinLidar
+from thalweg.config.twin_lidar import TwinLidar
 from thalweg.core.raycast import RayCaster
 from thalweg.core.types import ArrayB, ArrayF, ArrayU8
 from thalweg.simulation.materials import REFLECTANCE, Material

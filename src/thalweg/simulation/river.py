@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from thalweg.config.twin import TwinScene
+from thalweg.config.twin_scene import TwinScene
 from thalweg.core.types import ArrayF
 from thalweg.simulation.noise import fractal_noise, value_noise
 from thalweg.simulation.random import generator

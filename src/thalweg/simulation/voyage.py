@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from thalweg.config.twin import TwinBoat, TwinConfig
+from thalweg.config.twin import TwinConfig
+from thalweg.config.twin_scene import TwinBoat
 from thalweg.core.errors import ConfigError, CoverageError
 from thalweg.core.frames import rotation_enu_body
 from thalweg.core.timescales import gps_from_unix
