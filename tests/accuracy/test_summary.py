@@ -8,6 +8,7 @@ import pytest
 
 from thalweg.accuracy.summary import COLUMNS, summary_lines, summary_table
 from thalweg.ingest.integrity import IntegrityReport
+from thalweg.lidar.filters import reason_table
 from thalweg.timing.streams import stream_table
 
 TRUTH = """\
@@ -44,9 +45,16 @@ def files(tmp_path: Path) -> dict[str, Path]:
     }
     stream_table([lidar, depth]).to_csv(paths["streams"], index=False)
     paths["trajectory"].write_text(
-        json.dumps({"n_positions": 250, "n_positions_used": 240, "n_nodes_valid": 1250})
+        json.dumps(
+            {
+                "n_positions": 250,
+                "n_positions_used": 240,
+                "n_nodes_valid": 1250,
+                "gaps": [[1.0, 2.5], [9.0, 4.0]],
+            }
+        )
     )
-    paths["counts"].write_text("what,n\ndecoded,5000\nwritten,4321\n")
+    reason_table([4321, 0, 0, 679, 0, 0, 0, 0, 0, 0]).to_csv(paths["counts"], index=False)
     paths["truth"].write_text(TRUTH)
     return paths
 
@@ -67,8 +75,12 @@ def test_figures_of_a_real_campaign(files: dict[str, Path]) -> None:
     assert found["depth: bytes lost"] == (0, "1", "streams.csv")
     assert found["positions used"] == (96.0, "%", "trajectory.json")
     assert found["trajectory nodes with a valid pose"] == (1250, "1", "trajectory.json")
-    assert found["lidar points: decoded"] == (5000, "1", "counts.csv")
-    assert found["lidar points: written"] == (4321, "1", "counts.csv")
+    assert found["gaps in the trajectory"] == (2, "1", "trajectory.json")
+    assert found["gaps in the trajectory, together"] == (6.5, "s", "trajectory.json")
+    assert found["lidar points decoded"] == (5000, "1", "counts.csv")
+    assert found["  in the cloud"] == (4321, "1", "counts.csv")
+    assert found["  nearer than the shortest range"] == (679, "1", "counts.csv")
+    assert "  on the own boat" not in found  # reasons that removed nothing are not listed
     # nothing is said about accuracy where there is no truth
     assert not any("bare ground" in name or "honest" in name for name in found)
 

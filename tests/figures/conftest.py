@@ -27,8 +27,7 @@ def make_trajectory(n=400, length_m=100.0, azimuth_deg=70.0, invalid=(slice(150,
         t_gps_s=T0_GPS_S + 0.1 * np.arange(n),
         position_wcs_m=position,
         quaternion_wcs_ics=np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)),
-        cov_position_m2=np.tile(4e-4 * np.eye(3), (n, 1, 1)),
-        sigma_attitude_rad=np.full((n, 3), 2e-3),
+        cov_pose_wcs=np.tile(4e-4 * np.diag([1.0, 1, 1, 0.01, 0.01, 0.01]), (n, 1, 1)),
         valid=valid,
     )
 

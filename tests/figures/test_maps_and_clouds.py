@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError
-from thalweg.figures.cloud import BankSegment, choose_segment, cloud_detail, cloud_overview
+from thalweg.figures.cloud import (
+    BankSegment,
+    balanced_gamma,
+    bankward_azimuth,
+    choose_segment,
+    cloud_detail,
+    cloud_overview,
+)
 from thalweg.figures.maps import survey_map, track_gaps
 from thalweg.figures.splat import ObliqueView, Splat
 from thalweg.figures.style import save
@@ -167,6 +174,65 @@ def test_segment_on_the_other_bank_is_seen_the_other_way(trajectory, bank):
     mirrored[:, :2] -= 2 * (bank.points[:, :2] @ [-c, s])[:, None] * np.array([-c, s])
     segment = choose_segment(mirrored, trajectory)
     assert np.array([np.sin(segment.azimuth_rad), np.cos(segment.azimuth_rad)]) @ [c, -s] > 0.95
+
+
+def test_the_background_lies_behind_the_bank_only():
+    points = np.array([[0.0, y, 0.0] for y in (-13.0, -11.0, 11.0, 13.0, 41.0, 43.0)])
+    segment = BankSegment(centre_en_m=np.zeros(2), azimuth_rad=0.0, length_m=14.0)
+    assert segment.contains(points).tolist() == [False, True, True, False, False, False]
+    deep = BankSegment(centre_en_m=np.zeros(2), azimuth_rad=0.0, length_m=14.0, background_m=30.0)
+    assert deep.contains(points).tolist() == [False, True, True, True, True, False]
+
+
+def test_the_side_with_the_taller_things_stands_behind(trajectory, bank):
+    """Seen from their side, trees would hide the slope below them."""
+    s, c = np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))
+    left, right = np.array([-c, s]), np.array([c, -s])  # seen along the track
+    for tall, flat in ((left, right), (right, left)):
+        along = np.linspace(0, 100, 4000)[:, None] * np.array([s, c])
+        trees = np.column_stack([along + 20.0 * tall, np.tile([2.0, 18.0], 2000)])
+        # More points on the flat side: they alone would turn the view.
+        low = np.tile(np.column_stack([along + 12.0 * flat, np.full(4000, 0.5)]), (3, 1))
+        azimuth = bankward_azimuth(np.concatenate([trees, low]), trajectory)
+        assert np.array([np.sin(azimuth), np.cos(azimuth)]) @ tall > 0.9
+
+
+def test_sides_of_equal_height_are_seen_towards_the_better_measured_one(trajectory, bank):
+    s, c = np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))
+    opposite = bank.points[::20].copy()
+    opposite[:, :2] -= 2 * (opposite[:, :2] @ [-c, s])[:, None] * np.array([-c, s])
+    azimuth = bankward_azimuth(np.concatenate([bank.points, opposite]), trajectory)
+    assert np.array([np.sin(azimuth), np.cos(azimuth)]) @ [-c, s] > 0.9
+
+
+def test_gamma_puts_the_median_at_the_middle_of_the_colours():
+    values = np.array([0.0, 4.0, 4.0, 4.0, 16.0, np.nan])
+    assert (4.0 / 16.0) ** balanced_gamma(values, (0.0, 16.0)) == pytest.approx(0.5)
+    # High medians are left alone, low ones lifted as far as colours stay apart.
+    assert balanced_gamma(np.full(5, 12.0), (0.0, 16.0)) == 1.0
+    assert balanced_gamma(np.full(5, 0.01), (0.0, 16.0)) == 0.4
+    assert balanced_gamma(np.full(5, np.nan), (0.0, 16.0)) == 1.0
+
+
+def test_the_bent_colours_are_those_of_the_colour_bar(trajectory, bank):
+    """A pixel and the bar give one height one colour, also on a bent scale."""
+    splat = Splat(ObliqueView.fit(bank.points, width_px=400))
+    splat.add(bank.points, bank.points[:, 2])
+    figure = cloud_overview(splat, height_limits_m=(0.0, 30.0))
+    bar = next(ax for ax in figure.axes if ax.get_ylabel() == "height in the local frame / m")
+    mappable = bar._colorbar.mappable
+    assert mappable.norm.gamma < 0.8
+    heights = splat.buffers(splat.radius_px())[1]
+    picture = by_gid(figure, "cloud")[0].get_array()[:, :, :3] / 255.0
+    # The lowest rows of the table stand for a few millimetres each, over which a bent scale runs fast.
+    shown = (np.nan_to_num(heights) > 0.1) & (picture.sum(axis=2) > 0.6)
+    assert shown.sum() > 1000
+    # Shading darkens, but keeps the mixture of red, green and blue.
+    found, bars = picture[shown], mappable.to_rgba(heights[shown])[:, :3]
+    # 8 bits of three channels that add up to 0.6 or more: 0.006; as much again for the table's rows.
+    np.testing.assert_allclose(
+        found / found.sum(axis=1, keepdims=True), bars / bars.sum(axis=1, keepdims=True), rtol=0, atol=0.012
+    )
 
 
 def test_along_runs_to_the_right_of_the_view():

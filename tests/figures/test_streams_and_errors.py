@@ -8,9 +8,10 @@ import pytest
 from thalweg.core.errors import InputError
 from thalweg.core.timescales import unix_from_gps
 from thalweg.figures.errors import error_histograms, error_versus_range
-from thalweg.figures.streams import clock_lines, streams_in_time, time_span
+from thalweg.figures.streams import clock_lines, streams_in_time, time_span, timing_words
 from thalweg.figures.style import save
 from thalweg.ingest.integrity import Gap, IntegrityReport
+from thalweg.ingest.stamps import StreamTiming
 
 T0 = 178_649_913.4
 
@@ -26,7 +27,11 @@ def reports():
             stream="lidar", format="pcap", files=["a"], model="VLP-16", time_scale="utc", synchronised=True,
             t_first_s=T0 + 10, t_last_s=T0 + 110, counts={"packets": 75_400, "points": 2_000_000},
             losses={"packets": 3}, rates_hz={"packets": 753.5}, gaps=[Gap(t_start_s=T0 + 50, duration_s=4.0)],
-            details={"unsynchronised_s": [[T0 + 10, T0 + 21.0]], "host_minus_sensor_s": 0.36812},
+            details={"host_minus_sensor_s": 0.36812},
+            timing=StreamTiming(
+                pps_locked_share=0.9, pps_unlocked_start_s=4.0, pps_losses=1, unsynchronised_s=11.0,
+                unsynchronised=[(T0 + 6, T0 + 10), (T0 + 30, T0 + 37)],
+            ),
         ),
         IntegrityReport(
             stream="ins", format="ANPP", files=["b"], time_scale="utc", synchronised=True, t_first_s=T0,
@@ -62,13 +67,42 @@ def test_gaps_and_unsynchronised_parts(reports):
     assert (start, length, row) == (
         pytest.approx(float(unix_from_gps(T0 + 50)), abs=1e-5), pytest.approx(4.0, abs=1e-5), 0,
     )  # fmt: skip
-    part, whole = bars(figure, "unsynchronised")
-    assert part == (
-        pytest.approx(float(unix_from_gps(T0 + 10)), abs=1e-5), pytest.approx(11.0, abs=1e-5), 0,
-    )  # fmt: skip
+    before, part, whole = bars(figure, "unsynchronised")
+    for found, begin, length in ((before, T0 + 6, 4.0), (part, T0 + 30, 7.0)):
+        assert found == (
+            pytest.approx(float(unix_from_gps(begin)), abs=1e-5), pytest.approx(length, abs=1e-5), 0,
+        )  # fmt: skip
     # A stream without GPS time begins at the start of the axis.
     assert whole == (pytest.approx(float(unix_from_gps(T0)), abs=1e-5), pytest.approx(60.0, abs=1e-5), 2)
     assert all(p.get_hatch() for p in by_gid(figure, "unsynchronised"))
+
+
+def test_the_pps_is_drawn_where_it_was_locked(reports):
+    figure = streams_in_time(reports)
+    lines = by_gid(figure, "pps")
+    found = [tuple(np.asarray(line.get_xdata()) * 86_400 - float(unix_from_gps(T0))) for line in lines]
+    # Days since 1970 in float64 resolve 0.3 us.
+    np.testing.assert_allclose(found, [(10.0, 30.0), (37.0, 110.0)], atol=1e-5)
+
+
+def test_a_part_before_the_first_gps_time_is_on_the_axis(reports):
+    reports[0].timing.unsynchronised = [(T0 - 8, T0 + 10)]
+    assert time_span(reports) == (T0 - 8, T0 + 110)
+
+
+def test_the_clock_in_words():
+    timing = StreamTiming(
+        period_s=0.0013271, jitter_s=2.9e-7, jitter_max_s=0.0, resolution_s=1e-6, clock="host",
+        clock_offset_s=0.368, sigma_clock_offset_s=2e-5, clock_drift_ppm=-1.25, sigma_clock_drift_ppm=0.3,
+    )  # fmt: skip
+    assert timing_words(timing) == [
+        "step 1.327 ms, jitter 0.29 µs, at most 0 s",
+        "resolved to 1 µs",
+        "host clock +0.368 s ± 20 µs, drift -1.25 ± 0.3 ppm",
+    ]
+    assert timing_words(StreamTiming(clock="device", clock_set_s=1.62e9)) == [
+        "device clock was set by +1.62e+09 s"
+    ]
 
 
 def test_short_gaps_are_still_seen(reports):
@@ -84,8 +118,12 @@ def test_rates_counts_and_clocks(reports):
     assert numbers[0] == "753.5 Hz, n = 2 000 000 points\n1 gap, longest 4 s; losses 3"
     assert numbers[1] == "50 Hz, n = 5 000 states"
     lines = [t.get_text() for t in by_gid(figure, "clock-line")]
-    assert lines[0] == "stamps in UTC;  host minus sensor s: 0.36812"
-    assert lines[2] == "NO GPS TIME, stamps of the host clock"
+    assert (
+        lines[0]
+        == "stamps in UTC;  PPS locked 90 % (first after 4 s, then lost once);  11.000 s without GPS time"
+    )
+    assert lines[1] == "host minus sensor s: 0.36812"
+    assert lines[3] == "NO GPS TIME, stamps of the host clock"
     assert "UTC on 2017-05-12" in figure.axes[0].get_xlabel()
     assert "n = 4 streams" in figure.get_suptitle()
 

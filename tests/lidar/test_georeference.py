@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import LocalFrame, rotation_ecef_enu, rotation_enu_body, rotation_opk
 from thalweg.core.trajectory import Trajectory
-from thalweg.lidar.georeference import Mount, georeference_points
+from thalweg.lidar.georeference import georeference_points
+from thalweg.lidar.mount import Mount
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
@@ -27,8 +28,7 @@ def make_trajectory(n: int = 200, rate_hz: float = 50.0, invalid: slice | None =
         t_gps_s=t,
         position_wcs_m=np.column_stack([0.4 * s, np.sin(0.2 * s), 0.02 * np.sin(2 * s)]),
         quaternion_wcs_ics=Rotation.from_matrix(R).as_quat(),
-        cov_position_m2=np.tile(np.diag([4e-4, 4e-4, 9e-4]), (n, 1, 1)),
-        sigma_attitude_rad=np.full((n, 3), 0.002),
+        cov_pose_wcs=np.tile(np.diag([4e-4, 4e-4, 9e-4, 4e-6, 4e-6, 4e-6]), (n, 1, 1)),
         valid=valid,
     )
 
@@ -36,6 +36,11 @@ def make_trajectory(n: int = 200, rate_hz: float = 50.0, invalid: slice | None =
 MOUNT = Mount(
     R_ics_sensor=rotation_opk(0.01, -np.pi / 2 + 0.02, 0.03), lever_ics_m=np.array([-0.4, 0.1, -0.5])
 )
+
+
+def world(*arguments) -> tuple[np.ndarray, np.ndarray]:
+    found = georeference_points(*arguments)
+    return found.points_wcs_m, found.has_pose
 
 
 def random_points(rng: np.random.Generator, trajectory: Trajectory, n: int = 5000):
@@ -47,7 +52,7 @@ def random_points(rng: np.random.Generator, trajectory: Trajectory, n: int = 500
 def test_kernel_agrees_with_the_slow_form(rng: np.random.Generator) -> None:
     trajectory = make_trajectory()
     xyz, t = random_points(rng, trajectory)
-    points, has_pose = georeference_points(xyz, t, trajectory, MOUNT)
+    points, has_pose = world(xyz, t, trajectory, MOUNT)
     position, rotation, inside = trajectory.at(t)
     body = xyz.astype(np.float64) @ MOUNT.R_ics_sensor.T + MOUNT.lever_ics_m
     slow = np.einsum("nij,nj->ni", rotation, body) + position
@@ -60,7 +65,7 @@ def test_kernel_agrees_with_the_slow_form(rng: np.random.Generator) -> None:
 def test_kernel_agrees_with_scipy(rng: np.random.Generator) -> None:
     trajectory = make_trajectory()
     xyz, t = random_points(rng, trajectory, 500)
-    points, _ = georeference_points(xyz, t, trajectory, MOUNT)
+    points, _ = world(xyz, t, trajectory, MOUNT)
     slerp = Slerp(trajectory.t_gps_s, Rotation.from_quat(trajectory.quaternion_wcs_ics))
     peer = slerp(t).apply(xyz @ MOUNT.R_ics_sensor.T + MOUNT.lever_ics_m)
     for axis in range(3):
@@ -71,9 +76,9 @@ def test_kernel_agrees_with_scipy(rng: np.random.Generator) -> None:
 def test_order_of_points_does_not_matter(rng: np.random.Generator) -> None:
     trajectory = make_trajectory()
     xyz, t = random_points(rng, trajectory)
-    points, _ = georeference_points(xyz, t, trajectory, MOUNT)
+    points, _ = world(xyz, t, trajectory, MOUNT)
     order = rng.permutation(len(t))
-    shuffled, _ = georeference_points(xyz[order], t[order], trajectory, MOUNT)
+    shuffled, _ = world(xyz[order], t[order], trajectory, MOUNT)
     np.testing.assert_array_equal(shuffled, points[order])
 
 
@@ -83,7 +88,7 @@ def test_no_pose_outside_in_gaps_and_without_time() -> None:
     t = np.array(
         [t0 - 1e-6, t0, t0 + 55.5 / 50, t0 + 49.5 / 50, t0 + 48.5 / 50, np.nan, trajectory.t_gps_s[-1] + 1]
     )
-    points, has_pose = georeference_points(np.ones((7, 3)), t, trajectory, MOUNT)
+    points, has_pose = world(np.ones((7, 3)), t, trajectory, MOUNT)
     assert has_pose.tolist() == [False, True, False, False, True, False, False]
     assert np.isnan(points[~has_pose]).all()
     assert np.isfinite(points[has_pose]).all()
@@ -100,11 +105,10 @@ def test_sign_of_the_nominal_mount() -> None:
         quaternion_wcs_ics=Rotation.from_matrix(
             rotation_enu_body(np.zeros(n), np.zeros(n), np.zeros(n))
         ).as_quat(),
-        cov_position_m2=np.zeros((n, 3, 3)),
-        sigma_attitude_rad=np.zeros((n, 3)),
+        cov_pose_wcs=np.zeros((n, 6, 6)),
         valid=np.ones(n, dtype=bool),
     )
-    axes, _ = georeference_points(np.eye(3), np.full(3, 0.5), north, mount)
+    axes, _ = world(np.eye(3), np.full(3, 0.5), north, mount)
     # heading north: ics x = north, y = east, z = down
     np.testing.assert_allclose(axes[2], [0, -1, 0], atol=1e-12)  # scs z -> backwards -> south
     np.testing.assert_allclose(axes[1], [1, 0, 0], atol=1e-12)  # scs y -> right -> east
@@ -150,8 +154,7 @@ def test_real_airborne_shots_reach_the_published_point(data_dir) -> None:
         t_gps_s=shots["t"].astype(float),
         position_wcs_m=frame.from_geodetic(lat_deg, lon_deg, shots["h"]),
         quaternion_wcs_ics=Rotation.from_matrix(R_wcs_ics).as_quat(),
-        cov_position_m2=np.zeros((n, 3, 3)),
-        sigma_attitude_rad=np.zeros((n, 3)),
+        cov_pose_wcs=np.zeros((n, 6, 6)),
         valid=np.ones(n, dtype=bool),
     )
     d_roll, d_pitch, d_heading = misalignment + imu_misalignment
@@ -159,7 +162,7 @@ def test_real_airborne_shots_reach_the_published_point(data_dir) -> None:
     mount = Mount(R_ics_sensor=boresight, lever_ics_m=np.zeros(3))
     r, s = shots["r"][:, 0].astype(float), shots["scan"].astype(float)
     xyz = np.column_stack([r * np.sin(s), np.zeros(n), -r * np.cos(s)])
-    points, has_pose = georeference_points(xyz, shots["t"], trajectory, mount)
+    points, has_pose = world(xyz, shots["t"], trajectory, mount)
     lat, lon_out, h = frame.to_geodetic(points)
     assert has_pose.all()
     # PROVENANCE: rigorous ECEF solution of point 0 and extent of all. Times repeat to 14 us and ranges

@@ -27,11 +27,14 @@ def survey(far_m: float = 0.0, duration_s: float = 20.0) -> tuple[pd.DataFrame, 
     lat, lon, h = FRAME.to_geodetic(position)
     R_local = np.swapaxes(FRAME.R_wcs_enu(lat, lon), 1, 2) @ R  # an INS states its own local level
     roll, pitch, heading = roll_pitch_heading(R_local)
+    step = 1e-3  # differences over 2 ms: motion of 2 rad/s changes its rate by 1e-6 of itself
+    wcs_mps = (motion(t_ins + step, far_m)[0] - motion(t_ins - step, far_m)[0]) / (2 * step)
+    v_east, v_north, v_up = np.einsum("nji,nj->in", FRAME.R_wcs_enu(lat, lon), wcs_mps)
     states = pd.DataFrame({
         "t_gps_s": t_ins, "roll_rad": roll, "pitch_rad": pitch, "heading_rad": heading,
         "lat_deg": lat, "lon_deg": lon, "h_ell_m": h,
         "sigma_roll_rad": np.nan, "sigma_pitch_rad": np.nan, "sigma_heading_rad": np.nan,
-        "filter_status": np.uint16(0b1111),
+        "filter_status": np.uint16(0b1111), "v_north_mps": v_north, "v_east_mps": v_east, "v_down_mps": -v_up,
         "sigma_north_m": 0.6, "sigma_east_m": 0.5, "sigma_up_m": 1.0,
     })  # fmt: skip
     t_gnss = T0 + np.arange(0, duration_s, 0.1)
@@ -81,20 +84,25 @@ def test_a_wrong_sign_of_the_lever_arm_is_seen() -> None:
 def test_covariance_holds_position_and_lever_arm() -> None:
     positions, states = survey()
     trajectory, _ = build(positions, states)
-    cov = trajectory.cov_position_m2[100]
+    cov = trajectory.cov_pose_wcs[100, :3, :3]
     R = motion(trajectory.t_gps_s[[100]])[1][0]
+    # an error of the attitude turns the boat about its antenna: the ics origin moves by the lever arm
+    arm = np.cross(np.eye(3), R @ LEVER)
+    turned = arm.T @ trajectory.cov_pose_wcs[100, 3:, 3:] @ arm
     expected = (
-        np.array([[4e-4, 1e-4, 0], [1e-4, 4e-4, 0], [0, 0, 9e-4]]) + R @ np.diag([1e-4, 4e-4, 9e-4]) @ R.T
+        np.array([[4e-4, 1e-4, 0], [1e-4, 4e-4, 0], [0, 0, 9e-4]])
+        + R @ np.diag([1e-4, 4e-4, 9e-4]) @ R.T
+        + turned
     )
     np.testing.assert_allclose(cov, expected, rtol=1e-4, atol=1e-9)
-    np.testing.assert_allclose(trajectory.sigma_attitude_rad[100], np.deg2rad([0.1, 0.1, 0.2]))
+    np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[100], np.deg2rad([0.1, 0.1, 0.2]))
 
 
 def test_sigmas_of_the_log_win_over_the_configured_ones() -> None:
     positions, states = survey()
     states["sigma_heading_rad"] = 0.01
     trajectory, _ = build(positions, states)
-    np.testing.assert_allclose(trajectory.sigma_attitude_rad[:, 2], 0.01)
+    np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[:, 2], 0.01)
 
 
 def test_a_hole_in_the_positions_is_not_bridged() -> None:
@@ -147,7 +155,7 @@ def test_an_ins_alone_gives_a_trajectory() -> None:
     position, R = motion(trajectory.t_gps_s, 1500.0)
     np.testing.assert_allclose(trajectory.position_wcs_m, position, atol=1e-6)
     np.testing.assert_allclose(trajectory.at(trajectory.t_gps_s[:-1])[1], R[:-1], atol=1e-9)
-    np.testing.assert_allclose(np.diag(trajectory.cov_position_m2[0]), [0.25, 0.36, 1.0])
+    np.testing.assert_allclose(np.diag(trajectory.cov_pose_wcs[0])[:3], [0.25, 0.36, 1.0])
 
 
 def test_a_trajectory_survives_the_file(tmp_path) -> None:
@@ -157,9 +165,9 @@ def test_a_trajectory_survives_the_file(tmp_path) -> None:
     trajectory.write(path)
     again = Trajectory.read(path)
     assert again.frame == FRAME
-    for name in ("t_gps_s", "position_wcs_m", "quaternion_wcs_ics", "sigma_attitude_rad", "valid"):
+    for name in ("t_gps_s", "position_wcs_m", "quaternion_wcs_ics", "valid"):
         np.testing.assert_array_equal(getattr(again, name), getattr(trajectory, name))
-    np.testing.assert_allclose(again.cov_position_m2, trajectory.cov_position_m2, rtol=1e-12, atol=1e-18)
+    np.testing.assert_allclose(again.cov_pose_wcs, trajectory.cov_pose_wcs, rtol=1e-12, atol=1e-18)
     assert TRAJECTORY.field("sigma_up_m").metadata[b"unit"] == b"m"
 
 
@@ -202,15 +210,22 @@ def test_states_without_position_or_sigma() -> None:
     with pytest.raises(InputError, match=r"none of them with sigmas.*logs\.smrmsg, or ins\.sigma_position_m"):
         trajectory_from_states(bare, FRAME, **options)
     given, _ = trajectory_from_states(bare, FRAME, sigma_position_m=[0.05, 0.06, 0.1], **options)
-    np.testing.assert_allclose(np.diag(given.cov_position_m2[0]), [0.25, 0.0036, 1.0])
+    np.testing.assert_allclose(np.diag(given.cov_pose_wcs[0])[:3], [0.25, 0.0036, 1.0])
 
 
-def test_the_antenna_is_the_pivot(tmp_path) -> None:
+def test_the_boat_turns_about_its_antenna(rng: np.random.Generator) -> None:
+    """The antenna stays where it was measured, whatever the attitude: its position has no attitude in it."""
     positions, states = survey()
-    trajectory, _ = build(positions, states)
-    np.testing.assert_array_equal(trajectory.pivot_ics_m, LEVER)
-    trajectory.write(tmp_path / "t.parquet")
-    np.testing.assert_array_equal(Trajectory.read(tmp_path / "t.parquet").pivot_ics_m, LEVER)
+    trajectory, _ = build(positions, states, sigma_lever_m=np.zeros(3))
+    node = 100
+    R = motion(trajectory.t_gps_s[[node]])[1][0]
+    draws = rng.multivariate_normal(np.zeros(6), trajectory.cov_pose_wcs[node], 20_000)
+    antenna = draws[:, :3] + np.cross(draws[:, 3:], R @ LEVER)
+    # the covariance of the antenna as the log states it; 1 % from 20,000 draws
+    expected = np.array([[4e-4, 1e-4, 0], [1e-4, 4e-4, 0], [0, 0, 9e-4]])
+    np.testing.assert_allclose(np.cov(antenna.T), expected, atol=3e-5)
+    correlation = np.corrcoef(antenna.T, draws[:, 3:].T)[:3, 3:]
+    np.testing.assert_allclose(correlation, 0.0, atol=0.04)
 
 
 @pytest.mark.parametrize(
@@ -241,3 +256,17 @@ def test_an_origin_on_another_river_is_refused() -> None:
     positions, states = survey(far_m=161_000.0, duration_s=5.0)
     with pytest.raises(InputError, match=r"16\d km from the origin.*campaign\.origin"):
         build(positions, states)
+
+
+def test_velocities_of_the_ins_keep_what_sparse_epochs_miss() -> None:
+    """At 1 Hz a spline cannot follow roll and heave; the INS's own velocity can."""
+    positions, states = survey()
+    sparse = positions.iloc[::10]
+    errors = {}
+    for interpolation in ("cubic", "ins_velocity"):
+        trajectory, summary = build(sparse, states, max_gap_s=1.5, interpolation=interpolation)
+        use = trajectory.valid
+        position, _ = motion(trajectory.t_gps_s[use])
+        errors[interpolation] = np.sqrt(np.mean((trajectory.position_wcs_m[use] - position) ** 2))
+        assert summary.sigma_interpolation_m is not None
+    assert errors["ins_velocity"] < 0.2 * errors["cubic"], errors

@@ -50,11 +50,11 @@ def normalised_errors(folder: Path, seed: int, **changes) -> tuple[np.ndarray, n
     position, R, inside = true_trajectory(Voyage(config, seed), FRAME).at(trajectory.t_gps_s[nodes])
     assert inside.all()
     error = trajectory.position_wcs_m[nodes] - position
-    variance = np.diagonal(trajectory.cov_position_m2[nodes], axis1=1, axis2=2)
+    variance = trajectory.sigma_position_m[nodes] ** 2
     R_found = trajectory.at(trajectory.t_gps_s[nodes] + 1e-9)[1]
     small = np.einsum("nji,njk->nik", R, R_found)  # R_true^T R_found, near the identity: body-frame rotation
     angles = np.stack([small[:, 2, 1], small[:, 0, 2], small[:, 1, 0]], axis=1)
-    return error**2 / variance, angles**2 / trajectory.sigma_attitude_rad[nodes] ** 2
+    return error**2 / variance, angles**2 / trajectory.sigma_roll_pitch_heading_rad()[nodes] ** 2
 
 
 def study(folder: Path, **changes) -> tuple[np.ndarray, np.ndarray]:

@@ -24,12 +24,14 @@ from thalweg.core.errors import ConfigError
 from thalweg.core.frames import LocalFrame, roll_pitch_heading
 from thalweg.core.timescales import gps_from_unix, gps_from_week
 from thalweg.jobs.codehash import reached_modules
+from thalweg.simulation.attitude_errors import attitude_errors_rad
 from thalweg.simulation.echo import true_depth_m
-from thalweg.simulation.gnss import antenna_errors_m, simulate_gnss
-from thalweg.simulation.ins import attitude_errors_rad, simulate_ins
+from thalweg.simulation.gnss import antenna_errors_m, simulate_gnss, stated_sigmas_m
+from thalweg.simulation.ins import simulate_ins
 from thalweg.simulation.materials import Material
 from thalweg.simulation.river import River
 from thalweg.simulation.scene import Scene
+from thalweg.simulation.shadow import Solution
 from thalweg.simulation.tls import simulate_tls
 from thalweg.simulation.voyage import Voyage, epochs
 from thalweg.simulation.writers import anpp, nmea
@@ -215,6 +217,12 @@ def antenna(voyage: Voyage, t: Any) -> Any:
     return voyage.position_wcs_m(t) + voyage.R_wcs_ics(t) @ ANTENNA_M
 
 
+def fixed_errors(config: TwinConfig, seed: int, engine: str, n: int) -> Any:
+    """Errors of n epochs with fixed solutions."""
+    kinds = np.full(n, int(Solution.FIXED))
+    return antenna_errors_m(config, seed, engine, kinds, stated_sigmas_m(config.gnss, kinds))
+
+
 READSOL = """
 import json, os, sys
 import pyrtklib5 as rtk
@@ -255,7 +263,7 @@ def test_positions_are_the_antennas_with_the_drawn_errors(twin: Any) -> None:
     t = table["t"].to_numpy()
     np.testing.assert_allclose(t, epochs(twin.config, 10.0), atol=1e-6)
     error = FRAME.from_geodetic(table["lat"], table["lon"], table["h"]) - antenna(twin.voyage, t)
-    drawn = antenna_errors_m(twin.config, SEED, "ppk", n, np.zeros(n, dtype=bool))
+    drawn = fixed_errors(twin.config, SEED, "ppk", n)
     # Nine decimals of a degree are 0.06 mm, four of a metre 0.05 mm.
     np.testing.assert_allclose(error, drawn, atol=1e-4)
     assert (table["q"] == 1).all()
@@ -285,7 +293,7 @@ def test_the_sbp_log_is_read_by_swifts_library(twin: Any) -> None:
     error = FRAME.from_geodetic(
         [m.lat for m in pos], [m.lon for m in pos], [m.height for m in pos]
     ) - antenna(twin.voyage, t)
-    drawn = antenna_errors_m(twin.config, SEED, "rtk", 80, np.zeros(80, dtype=bool))
+    drawn = fixed_errors(twin.config, SEED, "rtk", 80)
     # Doubles: only the geodetic round trip remains.
     np.testing.assert_allclose(error, drawn, atol=1e-6)
     assert {m.flags for m in pos} == {4}
@@ -293,8 +301,7 @@ def test_the_sbp_log_is_read_by_swifts_library(twin: Any) -> None:
 
 def test_antenna_errors_have_their_sigmas_two_sided() -> None:
     config = TwinConfig.of_size("tiny", gnss={"correlation_time_s": 0.5})
-    none = np.zeros(300, dtype=bool)
-    found = np.concatenate([antenna_errors_m(config, seed, "ppk", 300, none) for seed in range(60)])
+    found = np.concatenate([fixed_errors(config, seed, "ppk", 300) for seed in range(60)])
     # 18,000 values, 10 of them correlated: sigma known to 1.7 %.
     np.testing.assert_allclose(found.std(axis=0), [0.02, 0.02, 0.03], rtol=0.07)
 
@@ -375,8 +382,11 @@ def test_scans_lie_on_the_surface_within_their_noise(twin: Any, scene: Scene) ->
         off = (reach - hits.t_hit_m)[np.abs(reach - hits.t_hit_m) < 0.05]
         assert len(off) > 0.9 * len(reach)
         distance = caster.closest_points(points).distance_m
+        # Points of several surfaces in one footprint lie between them: 0.7 % are mixed, some of them by 5 cm.
+        near = distance < 0.02
+        assert np.mean(near) > 0.985
         # 3 mm at 50 m in 3D; stations see the bank at 25 to 60 m; steps of 1 mm in the file.
-        assert np.sqrt(np.mean(distance**2)) < 0.004
+        assert np.sqrt(np.mean(distance[near] ** 2)) < 0.004
         assert 0.0003 < np.median(distance) < 0.003
 
 

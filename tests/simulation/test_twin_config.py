@@ -27,8 +27,8 @@ def test_a_key_beside_the_size_changes_only_itself() -> None:
 
 
 def test_sizes_last_as_long_as_they_say_and_tiny_crosses_an_hour() -> None:
-    lengths = {size: TwinConfig.of_size(size).duration_s for size in ("tiny", "demo", "mulde")}
-    assert lengths == {"tiny": 25.0, "demo": 180.0, "mulde": 1025.0}
+    lengths = {size: TwinConfig.of_size(size).duration_s for size in SIZES}
+    assert lengths == {"tiny": 25.0, "demo": 180.0, "mulde": 1025.0, "reach": 4150.0}
     for size, crosses in (("tiny", 1), ("demo", 0), ("mulde", 0)):
         config = TwinConfig.of_size(size)
         whole, micros = start_unix(config)
@@ -52,7 +52,7 @@ def test_defaults_are_the_published_inputs() -> None:
 @pytest.mark.parametrize(
     ("data", "place", "fragment"),
     [
-        ({"size": "huge"}, ("size",), "'tiny', 'demo' or 'mulde'"),
+        ({"size": "huge"}, ("size",), "'tiny', 'demo', 'mulde' or 'reach'"),
         ({"start_utc": "2021-05-12T08:00:00"}, ("start_utc",), "not a UTC time"),
         ({"start_utc": "2021-05-12T08:00:00+02:00"}, ("start_utc",), "not a UTC time"),
         ({"start_utc": "yesterday"}, ("start_utc",), "not a UTC time"),

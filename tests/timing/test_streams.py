@@ -7,7 +7,9 @@ import pytest
 from thalweg.core.errors import ClockError
 from thalweg.core.timescales import gps_from_unix
 from thalweg.ingest.integrity import Gap, IntegrityReport
-from thalweg.timing.streams import common_span, stream_table
+from thalweg.ingest.stamps import StreamTiming
+from thalweg.timing.lag import Lag
+from thalweg.timing.streams import common_span, gaps_text, stream_table
 
 T0 = float(gps_from_unix(1_620_808_267))  # 2021-05-12T08:31:07Z
 
@@ -28,7 +30,11 @@ def report(stream: str, first: float | None, last: float | None, **more: object)
 
 COLUMNS = [
     "stream", "format", "model", "synchronised", "time_scale", "t_first_s", "t_last_s", "first_utc",
-    "last_utc", "duration_s", "rate_hz", "n_gaps", "longest_gap_s", "lost_records", "lost_bytes", "notes",
+    "last_utc", "duration_s", "rate_hz", "period_s", "jitter_s", "jitter_max_s", "resolution_s", "clock",
+    "clock_offset_s", "sigma_clock_offset_s", "clock_drift_ppm", "sigma_clock_drift_ppm", "clock_set_s",
+    "pps_locked_share", "pps_unlocked_start_s", "pps_losses", "unsynchronised_s", "lag_against", "lag_s",
+    "sigma_lag_s", "lag_n", "lag_significant", "n_gaps", "longest_gap_s", "gaps", "lost_records",
+    "lost_bytes", "notes",
 ]  # fmt: skip
 
 
@@ -50,6 +56,44 @@ def test_a_row_tells_all_about_a_synchronised_stream() -> None:
     assert row["rate_hz"] == 754.0
     assert (row["n_gaps"], row["longest_gap_s"]) == (2, 1.5)
     assert row["notes"] == "worst | second"
+
+
+def test_the_clock_and_the_offset_to_another_stream_stand_in_the_row(tmp_path) -> None:
+    timing = StreamTiming(
+        period_s=0.0013271, jitter_s=1e-6, jitter_max_s=2e-5, resolution_s=1e-6, clock="host",
+        clock_offset_s=0.4, sigma_clock_offset_s=1e-4, clock_drift_ppm=3.0, sigma_clock_drift_ppm=0.5,
+        pps_locked_share=0.9, pps_unlocked_start_s=2.5, pps_losses=1, unsynchronised_s=2.6,
+    )  # fmt: skip
+    streams = [report("lidar", 0.0, 25.0, timing=timing), report("positions", 0.0, 25.0, rates_hz={"p": 4.0})]
+    lag = Lag(offset_s=0.04, sigma_s=0.003, n=250)
+    stream_table(streams, {"positions": ("ins", lag)}).to_csv(tmp_path / "streams.csv", index=False)
+    lidar, positions = pd.read_csv(tmp_path / "streams.csv").to_dict("records")
+    for name in ("period_s", "jitter_s", "jitter_max_s", "resolution_s", "clock", "clock_offset_s",
+                 "sigma_clock_offset_s", "clock_drift_ppm", "sigma_clock_drift_ppm", "pps_locked_share",
+                 "pps_unlocked_start_s", "pps_losses", "unsynchronised_s"):  # fmt: skip
+        assert lidar[name] == getattr(timing, name), name
+    assert np.isnan(lidar["lag_s"])
+    assert (positions["lag_against"], positions["lag_s"], positions["sigma_lag_s"]) == ("ins", 0.04, 0.003)
+    assert positions["lag_significant"]
+    # a reader that states a rate only: its period follows
+    assert positions["period_s"] == 0.25
+
+
+def test_an_offset_that_could_not_be_found_leaves_empty_cells() -> None:
+    lag = Lag(offset_s=np.nan, sigma_s=np.nan, n=3)
+    (row,) = stream_table([report("positions", 0.0, 1.0)], {"positions": ("ins", lag)}).to_dict("records")
+    assert row["lag_against"] == "ins"
+    assert row["lag_s"] is None
+    assert row["lag_significant"] is None
+
+
+def test_gaps_are_listed_in_order_the_longest_twenty() -> None:
+    gaps = [Gap(t_start_s=float(i), duration_s=0.1 * i) for i in range(1, 25)]
+    words = gaps_text(gaps[::-1], gps=False).split(" | ")
+    assert words[0] == "5.000 +0.500 s"
+    assert words[-2:] == ["24.000 +2.400 s", "4 shorter ones"]
+    assert len(words) == 21
+    assert gaps_text([Gap(t_start_s=T0, duration_s=1.0)], gps=True) == "2021-05-12T08:31:07.000Z +1.000 s"
 
 
 def test_an_unsynchronised_stream_keeps_device_times_and_gets_no_date() -> None:

@@ -8,6 +8,7 @@ rule compare_with_truth:
         trajectory="results/{campaign}/orientation/trajectory.parquet",
         scene="results/{campaign}/simulation/truth/scene.npz",
         voyage="results/{campaign}/simulation/truth/trajectory.parquet",
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
     output:
         statistics="results/{campaign}/accuracy/truth_statistics.csv",
         by_range="results/{campaign}/accuracy/truth_by_range.csv",

@@ -25,12 +25,6 @@ def section(name):
     return lambda wildcards: CAMPAIGNS[wildcards.campaign].plain()[name]
 
 
-def lidar_options(wildcards):
-    """Params function: how lidar packets become points (all of `lidar` but the assumed accuracy)."""
-    options = CAMPAIGNS[wildcards.campaign].plain()["lidar"]
-    return {key: value for key, value in options.items() if key != "sigma_component_m"}
-
-
 def identity(*keys):
     """Input function for params: only those keys of the section `campaign`, so that a new title reruns pictures."""
     return lambda wildcards: {
@@ -170,7 +164,17 @@ def reports(wildcards):
 def final_outputs(name):
     """The tables and pictures that `all` builds for a campaign."""
     base = f"results/{name}"
-    pictures = ["survey_map", "streams_in_time", "cloud_overview", "cloud_detail"]
+    pictures = [
+        "survey_map",
+        "streams_in_time",
+        "trajectory",
+        "cloud_overview",
+        "cloud_detail",
+        "cloud_by_sigma",
+        "cloud_by_range",
+        "footprints",
+        "removed_points",
+    ]
     outputs = [
         f"{base}/lidar/points.laz",
         f"{base}/timing/streams.csv",
@@ -183,9 +187,13 @@ def final_outputs(name):
         outputs += [
             f"{base}/accuracy/truth_statistics.csv",
             f"{base}/figures/error_versus_range.png",
+            f"{base}/figures/scene_view.png",
         ]
     if logs_of(name, "reference"):
-        outputs.append(f"{base}/ingest/reference.laz")
+        outputs += [
+            f"{base}/ingest/reference.laz",
+            f"{base}/figures/reference_view.png",
+        ]
     return outputs
 
 

@@ -158,3 +158,233 @@ rule plot_error_versus_range:
         "{wildcards.campaign}: error versus range"
     script:
         "../scripts/plot_error_versus_range.py"
+
+
+rule plot_trajectory:
+    """The track with its sigmas and gaps."""
+    input:
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+        summary="results/{campaign}/orientation/trajectory.json",
+    output:
+        trajectory_png=report(
+            "results/{campaign}/figures/trajectory.png",
+            caption="../report/trajectory.rst",
+            category="Survey",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_trajectory.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_trajectory.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("plot_trajectory"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title", "crs"),
+    message:
+        "{wildcards.campaign}: trajectory with sigmas"
+    script:
+        "../scripts/plot_trajectory.py"
+
+
+rule plot_cloud_by_sigma:
+    """The cloud by predicted sigma, and sigma against range (T Table 3.1)."""
+    input:
+        points="results/{campaign}/lidar/points.laz",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        cloud_by_sigma_png=report(
+            "results/{campaign}/figures/cloud_by_sigma.png",
+            caption="../report/cloud_by_sigma.rst",
+            category="Point cloud",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_cloud_by_sigma.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_cloud_by_sigma.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10, 30),
+    params:
+        code=code_version("plot_cloud_by_sigma"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title", "crs"),
+    message:
+        "{wildcards.campaign}: cloud by sigma"
+    script:
+        "../scripts/plot_cloud_by_sigma.py"
+
+
+rule plot_cloud_by_range:
+    """The cloud by measured range."""
+    input:
+        points="results/{campaign}/lidar/points.laz",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        cloud_by_range_png=report(
+            "results/{campaign}/figures/cloud_by_range.png",
+            caption="../report/cloud_by_range.rst",
+            category="Point cloud",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_cloud_by_range.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_cloud_by_range.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10, 30),
+    params:
+        code=code_version("plot_cloud_by_range"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title", "crs"),
+    message:
+        "{wildcards.campaign}: cloud by range"
+    script:
+        "../scripts/plot_cloud_by_range.py"
+
+
+rule plot_footprints:
+    """One revolution of the lidar and its footprints (P2 Fig. 17)."""
+    input:
+        points="results/{campaign}/lidar/points.laz",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        footprints_png=report(
+            "results/{campaign}/figures/footprints.png",
+            caption="../report/footprints.rst",
+            category="Point cloud",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_footprints.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_footprints.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10, 30),
+    params:
+        code=code_version("plot_footprints"),
+        lidar_accuracy=section("lidar_accuracy"),
+        mounts=mounts_of("lidar"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title", "crs"),
+    message:
+        "{wildcards.campaign}: footprints"
+    script:
+        "../scripts/plot_footprints.py"
+
+
+rule plot_reference_view:
+    """The terrestrial scan as seen from the river (P2 Fig. 7)."""
+    input:
+        reference="results/{campaign}/ingest/reference.laz",
+        integrity="results/{campaign}/ingest/reference.integrity.json",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        reference_view_png=report(
+            "results/{campaign}/figures/reference_view.png",
+            caption="../report/reference_view.rst",
+            category="Accuracy",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_reference_view.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_reference_view.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10, 30),
+    params:
+        code=code_version("plot_reference_view"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title", "crs"),
+    message:
+        "{wildcards.campaign}: terrestrial scan"
+    script:
+        "../scripts/plot_reference_view.py"
+
+
+rule plot_removed_points:
+    """What each filter took from the cloud."""
+    input:
+        points="results/{campaign}/lidar/points.laz",
+        removed="results/{campaign}/lidar/removed.parquet",
+        counts="results/{campaign}/lidar/counts.csv",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        removed_points_png=report(
+            "results/{campaign}/figures/removed_points.png",
+            caption="../report/removed_points.rst",
+            category="Point cloud",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_removed_points.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_removed_points.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("plot_removed_points"),
+        filters=section("filters"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title", "crs"),
+    message:
+        "{wildcards.campaign}: what the filters took"
+    script:
+        "../scripts/plot_removed_points.py"
+
+
+rule plot_scene_view:
+    """The bank of the twin as a camera on the boat would see it."""
+    input:
+        bank="results/{campaign}/simulation/truth/view_bank.npz",
+        detail="results/{campaign}/simulation/truth/view_detail.npz",
+    output:
+        scene_view_png=report(
+            "results/{campaign}/figures/scene_view.png",
+            caption="../report/scene_view.rst",
+            category="Survey",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_scene_view.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_scene_view.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("plot_scene_view"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title", "crs"),
+    message:
+        "{wildcards.campaign}: view from the boat"
+    script:
+        "../scripts/plot_scene_view.py"

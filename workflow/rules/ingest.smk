@@ -20,7 +20,7 @@ rule scan_lidar:
         runtime=minutes(10, 20),
     params:
         code=code_version("scan_lidar"),
-        lidar_options=lidar_options,
+        lidar_options=section("lidar"),
     message:
         "{wildcards.campaign}: clock and integrity of the lidar log"
     script:

@@ -9,6 +9,7 @@ rule georeference_lidar:
         trajectory="results/{campaign}/orientation/trajectory.parquet",
     output:
         points="results/{campaign}/lidar/points.laz",
+        removed="results/{campaign}/lidar/removed.parquet",
         counts="results/{campaign}/lidar/counts.csv",
     log:
         "logs/{campaign}/lidar/georeference_lidar.log",
@@ -22,9 +23,11 @@ rule georeference_lidar:
         runtime=minutes(10, 20),
     params:
         code=code_version("georeference_lidar"),
-        lidar_options=lidar_options,
+        lidar_options=section("lidar"),
+        lidar_accuracy=section("lidar_accuracy"),
         mounts=mounts_of("lidar"),
         georeferencing=georeferencing,
+        filters=section("filters"),
     message:
         "{wildcards.campaign}: lidar points into the world"
     script:

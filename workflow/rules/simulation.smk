@@ -49,9 +49,35 @@ rule simulate_voyage:
         "../scripts/simulate_voyage.py"
 
 
+rule simulate_mounts:
+    """Where the sensors truly sit on the boat."""
+    output:
+        true_mounts_file="results/{campaign}/simulation/truth/mounts.json",
+    log:
+        "logs/{campaign}/simulation/simulate_mounts.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_mounts.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_mounts"),
+        campaign=identity("seed"),
+        twin=section("twin"),
+        mounts=mounts_of("lidar", "antenna", "echo_sounder"),
+    message:
+        "{wildcards.campaign}: true mounts of the digital twin"
+    script:
+        "../scripts/simulate_mounts.py"
+
+
 rule simulate_lidar:
     """VLP-16 packets: every shot cast from its own pose."""
     input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
         pcap="results/{campaign}/simulation/logs/lidar.pcap",
@@ -70,7 +96,6 @@ rule simulate_lidar:
         code=code_version("simulate_lidar"),
         campaign=identity("origin", "seed"),
         twin=section("twin"),
-        mounts=mounts_of("lidar"),
     message:
         "{wildcards.campaign}: lidar packets of the digital twin"
     script:
@@ -80,6 +105,7 @@ rule simulate_lidar:
 rule simulate_ins:
     """ANPP log of the INS."""
     input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
         anpp="results/{campaign}/simulation/logs/ins.anpp",
@@ -98,7 +124,6 @@ rule simulate_ins:
         code=code_version("simulate_ins"),
         campaign=identity("origin", "seed"),
         twin=section("twin"),
-        mounts=mounts_of("echo_sounder"),
     message:
         "{wildcards.campaign}: INS log of the digital twin"
     script:
@@ -107,6 +132,9 @@ rule simulate_ins:
 
 rule simulate_gnss:
     """SBP log of the rover and the PPK track."""
+    input:
+        scene="results/{campaign}/simulation/truth/scene.npz",
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
     output:
         sbp="results/{campaign}/simulation/logs/rover.sbp",
         pos="results/{campaign}/simulation/logs/ppk.pos",
@@ -125,7 +153,6 @@ rule simulate_gnss:
         code=code_version("simulate_gnss"),
         campaign=identity("origin", "seed"),
         twin=section("twin"),
-        mounts=mounts_of("antenna"),
     message:
         "{wildcards.campaign}: GNSS logs of the digital twin"
     script:
@@ -135,6 +162,7 @@ rule simulate_gnss:
 rule simulate_echo:
     """NMEA log of the echo sounder."""
     input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
         nmea="results/{campaign}/simulation/logs/echo.nmea",
@@ -153,7 +181,6 @@ rule simulate_echo:
         code=code_version("simulate_echo"),
         campaign=identity("origin", "seed"),
         twin=section("twin"),
-        mounts=mounts_of("echo_sounder"),
     message:
         "{wildcards.campaign}: depth log of the digital twin"
     script:
@@ -189,3 +216,30 @@ rule simulate_tls:
         "{wildcards.campaign}: terrestrial scans of the digital twin"
     script:
         "../scripts/simulate_tls.py"
+
+
+rule simulate_view:
+    """Two pictures of the bank as a camera on the boat would see it."""
+    input:
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    output:
+        bank="results/{campaign}/simulation/truth/view_bank.npz",
+        detail="results/{campaign}/simulation/truth/view_detail.npz",
+    log:
+        "logs/{campaign}/simulation/simulate_view.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_view.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_view"),
+        campaign=identity("origin", "seed"),
+        twin=section("twin"),
+    message:
+        "{wildcards.campaign}: view from the boat"
+    script:
+        "../scripts/simulate_view.py"

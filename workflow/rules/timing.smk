@@ -5,6 +5,8 @@ rule align_streams:
     """Do all streams carry GPS time, and do they overlap?"""
     input:
         reports=reports,
+        states="results/{campaign}/ingest/ins_states.parquet",
+        positions="results/{campaign}/ingest/positions.parquet",
     output:
         streams="results/{campaign}/timing/streams.csv",
     log:
@@ -19,6 +21,9 @@ rule align_streams:
         runtime=minutes(10),
     params:
         code=code_version("align_streams"),
+        campaign=identity("origin"),
+        mounts=mounts_of("antenna"),
+        source=position_source,
     message:
         "{wildcards.campaign}: time axis of all streams"
     script:

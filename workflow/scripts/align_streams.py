@@ -1,16 +1,39 @@
-"""Integrity reports of all streams -> table of the common time axis."""
+"""Integrity reports of all streams, INS states and positions -> table of the common time axis."""
 
 from pathlib import Path
+from typing import Any
 
+from thalweg.core.frames import LocalFrame
+from thalweg.core.tables import read_table
 from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
 from thalweg.jobs.job import run_job
+from thalweg.timing.lag import Lag, ins_position_lag
 from thalweg.timing.streams import common_span, stream_table
 
 
-def main(*, reports: list[Path], streams: Path) -> None:
+def main(
+    *,
+    reports: list[Path],
+    states: Path,
+    positions: Path,
+    streams: Path,
+    campaign: dict[str, Any],
+    mounts: dict[str, Any],
+    source: str,
+) -> None:
     found = [IntegrityReport.read(path) for path in reports]
     common_span(found, needed=["lidar", "ins", "positions"])
-    stream_table(found).to_csv(streams, index=False)
+    lags: dict[str, tuple[str, Lag]] = {}
+    if source not in ("ins", "sbet"):  # whose positions are those of the INS itself
+        lag = ins_position_lag(
+            read_table(states, INS_STATE)[0],
+            read_table(positions, GNSS_POSITION)[0],
+            LocalFrame(**campaign["origin"]),
+            lever_ics_antenna_m=mounts["antenna"]["lever_ics_m"],
+        )
+        lags["positions"] = ("ins", lag)
+    stream_table(found, lags).to_csv(streams, index=False)
 
 
 if "snakemake" in globals():

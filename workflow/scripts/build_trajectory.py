@@ -11,7 +11,8 @@ from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
 from thalweg.jobs.job import run_job
-from thalweg.orientation.ins_gnss import NAVIGATION_INITIALISED, build_trajectory, trajectory_from_states
+from thalweg.orientation.ins_gnss import build_trajectory, trajectory_from_states
+from thalweg.orientation.selection import NAVIGATION_INITIALISED
 
 
 def main(
@@ -47,10 +48,9 @@ def main(
             frame,
             lever_ics_antenna_m=mounts["antenna"]["lever_ics_m"],
             sigma_lever_m=mounts["antenna"]["sigma_lever_m"],
-            accept_fixes=orientation["accept_fixes"],
-            max_gap_s=orientation["max_gap_s"],
             max_attitude_gap_s=max_attitude_gap_s,
             sigma_attitude_rad=sigma_attitude_rad,
+            **{key: orientation[key] for key in ("accept_fixes", "max_gap_s", "interpolation")},
         )
     built.write(trajectory)
     summary.write_text(json.dumps(asdict(what), indent=2) + "\n")

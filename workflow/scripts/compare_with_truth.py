@@ -3,16 +3,13 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from thalweg.accuracy.truth import compare_cloud
+from thalweg.accuracy.truth import Truth, compare_cloud
 from thalweg.core.trajectory import Trajectory
 from thalweg.jobs.job import run_job
-from thalweg.lidar.georeference import Mount
-from thalweg.simulation.materials import Material
+from thalweg.lidar.mount import Mount
+from thalweg.simulation.materials import BARE_GROUND
 from thalweg.simulation.scene import Scene
-
-BARE_GROUND = [Material.BED, Material.SOIL, Material.GRASS]
+from thalweg.simulation.true_mounts import read_true_mounts
 
 
 def main(
@@ -21,6 +18,7 @@ def main(
     trajectory: Path,
     scene: Path,
     voyage: Path,
+    true_mounts: Path,
     statistics: Path,
     by_range: Path,
     twin: dict[str, Any],
@@ -31,11 +29,14 @@ def main(
     numbers, classes = compare_cloud(
         points,
         estimated=Trajectory.read(trajectory),
-        true=Trajectory.read(voyage),
         mount=Mount.from_section(mounts["lidar"]),
-        surface=reach.caster(),
-        bare_ground=np.isin(reach.material, BARE_GROUND),
-        sigma_component_m=lidar_options["sigma_component_m"],
+        truth=Truth(
+            trajectory=Trajectory.read(voyage),
+            mount=Mount.from_section(read_true_mounts(true_mounts)["lidar"]),
+            surface=reach.caster(),
+            bare_ground=BARE_GROUND[reach.material],
+            divergence_rad=twin["lidar"]["divergence_mrad"] / 1000.0,
+        ),
         vertical_corrections=lidar_options["vertical_corrections"],
         correlation_s=max(twin["ins"]["attitude_time_s"], twin["gnss"]["correlation_time_s"]),
     )

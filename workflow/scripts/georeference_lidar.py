@@ -1,4 +1,4 @@
-"""Lidar packets and trajectory -> cloud in the world frame (LAZ) and the count of what was left out."""
+"""Lidar packets and trajectory -> cloud in the world frame (LAZ), and what was left out of it and why."""
 
 import json
 from pathlib import Path
@@ -7,8 +7,10 @@ from typing import Any
 from thalweg.core.trajectory import Trajectory
 from thalweg.ingest.velodyne import LidarClock, LidarOptions
 from thalweg.jobs.job import run_job
-from thalweg.lidar.cloud import georeference_log
-from thalweg.lidar.georeference import Mount
+from thalweg.lidar.cloud import LogSettings, georeference_log
+from thalweg.lidar.covariance import BeamErrors
+from thalweg.lidar.filters import FilterSettings
+from thalweg.lidar.mount import Mount
 
 
 def main(
@@ -17,24 +19,29 @@ def main(
     clock: Path,
     trajectory: Path,
     points: Path,
+    removed: Path,
     counts: Path,
     lidar_options: dict[str, Any],
+    lidar_accuracy: dict[str, Any],
     mounts: dict[str, Any],
     georeferencing: dict[str, Any],
+    filters: dict[str, Any],
 ) -> None:
-    tally = georeference_log(
+    table = georeference_log(
         lidar,
         LidarOptions(**lidar_options),
         LidarClock.from_dict(json.loads(clock.read_text())),
         Trajectory.read(trajectory),
-        Mount.from_section(mounts["lidar"]),
+        LogSettings(
+            mount=Mount.from_section(mounts["lidar"]),
+            beam=BeamErrors.from_section(lidar_accuracy),
+            filters=FilterSettings.from_section(filters),
+            **georeferencing,
+        ),
         points,
-        min_range_m=georeferencing["min_range_m"],
-        max_range_m=georeferencing["max_range_m"],
-        laz_scale_m=georeferencing["laz_scale_m"],
-        chunk_points=georeferencing["chunk_points"],
+        out_removed=removed,
     )
-    tally.table().to_csv(counts, index=False)
+    table.to_csv(counts, index=False)
 
 
 if "snakemake" in globals():

@@ -22,7 +22,8 @@ def main(
     twin: bool,
     campaign: dict[str, Any],
 ) -> None:
-    segment = choose_segment(sample_cloud(points, 500_000)["xyz_m"], Trajectory.read(trajectory))
+    sample, track = sample_cloud(points, 500_000)["xyz_m"], Trajectory.read(trajectory)
+    segment = choose_segment(sample, track, length_m=40.0, background_m=80.0)
     xyz, intensity = [], []
     for chunk in iter_laz(points, 1_000_000):
         inside = segment.contains(chunk["xyz_m"])

@@ -21,7 +21,7 @@ def main(
     figure = error_versus_range(
         pd.read_csv(by_range),
         quantity="error along the surface normal",
-        outlier_rule="bare ground: beams on soil or grass below 78° incidence, errors below 6 sigma",
+        outlier_rule="bare ground: whole footprints on it below 78° incidence, errors below 6 sigma",
         title=f"Error of the cloud by range: {campaign['title']}",
         twin=twin,
     )

@@ -7,16 +7,18 @@ from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
 from thalweg.jobs.job import run_job
 from thalweg.simulation.gnss import simulate_gnss
+from thalweg.simulation.true_mounts import read_true_mounts
 
 
 def main(
     *,
+    scene: Path,
+    true_mounts: Path,
     sbp: Path,
     pos: Path,
     effects: Path,
     campaign: dict[str, Any],
     twin: dict[str, Any],
-    mounts: dict[str, Any],
 ) -> None:
     simulate_gnss(
         TwinConfig(**twin),
@@ -24,7 +26,8 @@ def main(
         LocalFrame(**campaign["origin"]),
         sbp,
         pos,
-        lever_ics_antenna_m=mounts["antenna"]["lever_ics_m"],
+        lever_ics_antenna_m=read_true_mounts(true_mounts)["antenna"]["lever_ics_m"],
+        scene=scene,
         out_effects=effects,
     )
 

@@ -7,16 +7,17 @@ from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
 from thalweg.jobs.job import run_job
 from thalweg.simulation.ins import simulate_ins
+from thalweg.simulation.true_mounts import read_true_mounts
 
 
 def main(
     *,
+    true_mounts: Path,
     scene: Path,
     anpp: Path,
     effects: Path,
     campaign: dict[str, Any],
     twin: dict[str, Any],
-    mounts: dict[str, Any],
 ) -> None:
     simulate_ins(
         TwinConfig(**twin),
@@ -24,7 +25,7 @@ def main(
         LocalFrame(**campaign["origin"]),
         anpp,
         scene=scene,
-        lever_ics_echo_m=mounts["echo_sounder"]["lever_ics_m"],
+        lever_ics_echo_m=read_true_mounts(true_mounts)["echo_sounder"]["lever_ics_m"],
         out_effects=effects,
     )
 

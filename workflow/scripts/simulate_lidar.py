@@ -6,20 +6,21 @@ from typing import Any
 from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
 from thalweg.jobs.job import run_job
-from thalweg.lidar.georeference import Mount
+from thalweg.lidar.mount import Mount
 from thalweg.simulation.lidar import simulate_lidar
+from thalweg.simulation.true_mounts import read_true_mounts
 
 
 def main(
     *,
+    true_mounts: Path,
     scene: Path,
     pcap: Path,
     effects: Path,
     campaign: dict[str, Any],
     twin: dict[str, Any],
-    mounts: dict[str, Any],
 ) -> None:
-    mount = Mount.from_section(mounts["lidar"])
+    mount = Mount.from_section(read_true_mounts(true_mounts)["lidar"])
     simulate_lidar(
         TwinConfig(**twin),
         campaign["seed"],

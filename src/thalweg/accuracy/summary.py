@@ -34,7 +34,12 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
     share = poses["n_positions_used"] / poses["n_positions"] if poses["n_positions"] else 0.0
     rows.append(("positions used", 100 * share, "%", trajectory.name))
     rows.append(("trajectory nodes with a valid pose", float(poses["n_nodes_valid"]), "1", trajectory.name))
-    rows += [(f"lidar points: {count['what']}", count["n"], "1", counts.name) for count in _records(counts)]
+    gaps = poses.get("gaps", [])
+    rows.append(("gaps in the trajectory", float(len(gaps)), "1", trajectory.name))
+    rows.append(("gaps in the trajectory, together", sum(length for _, length in gaps), "s", trajectory.name))
+    reasons = _records(counts)
+    rows.append(("lidar points decoded", sum(row["n"] for row in reasons), "1", counts.name))
+    rows += [(f"  {row['words']}", row["n"], "1", counts.name) for row in reasons if row["n"]]
     if truth is not None:
         wanted = {
             "rmse": "bare ground: RMSE against the truth of the twin",

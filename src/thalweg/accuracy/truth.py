@@ -1,10 +1,11 @@
 """A georeferenced cloud of the digital twin against the twin's truth, point by point.
 
-The beam of each point is cast again from the true pose at its time. Where it meets the true surface, the
-surface's normal is taken, and the error of the point is its signed distance from the plane of that triangle
-along the normal: the part of a point's error that displaces a surface, and the part that remains defined
-when a beam is a little off its nominal direction. Its prediction is ``n^T C n``. Only this room may read the
-truth.
+The beam of each point is cast again from the true pose and mount at its time: seven rays, in the middle and
+on a ring inside the footprint. The plane through what they meet is the true surface as a beam of that width
+sees it. The error of the point is its signed distance from that plane along the normal: the part of a point's
+error that displaces a surface, and the part that remains defined when a beam is a little off its nominal
+direction. Its prediction is ``n^T C n`` with the covariance that the cloud itself carries. Only this room may
+read the truth.
 """
 
 from dataclasses import dataclass
@@ -20,14 +21,13 @@ from thalweg.accuracy.statistics import (
     describe_errors,
     independent_values,
 )
-from thalweg.core.errors import CoverageError
+from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.raycast import RayCaster
 from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayB, ArrayF
+from thalweg.core.types import AnyArray, ArrayB, ArrayF
 from thalweg.ingest.velodyne_model import RING, VERTICAL_CORRECTION_M
-from thalweg.lidar.cloud import sample_cloud
-from thalweg.lidar.covariance import point_covariance
-from thalweg.lidar.georeference import Mount
+from thalweg.lidar.cloud import CORRELATIONS, SIGMAS, sample_cloud
+from thalweg.lidar.mount import Mount
 
 LEAST_COSINE: Final = 0.2
 """Cosine of the incidence angle below which a beam grazes: 78 degrees from the normal."""
@@ -38,13 +38,17 @@ GROSS_SIGMAS: Final = 6.0
 POINT_CLASSES: Final = ("all", "bare ground")
 """The two sets of points for which every number is given: with and without the outlier rule."""
 
+_RING: Final = 6
+_RING_SHARE: Final = 1.0 / np.sqrt(2.0)
+"""Radius of the ring of rays over that of the footprint: the mean square distance in a uniform disc."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointErrors:
     """Errors of points against the truth, one row a point whose true beam hits anything.
 
     ``error_m`` (n,) is the signed distance from the true surface along its normal, ``sigma_m`` (n,) its
-    prediction; ``bare_ground`` (n,) is false for points whose true beam meets another kind of surface or
+    prediction; ``bare_ground`` (n,) is false for points whose footprint meets anything but bare ground, or
     meets it at a grazing angle, and for gross errors: there the measured point belongs to another surface.
     """
 
@@ -55,62 +59,64 @@ class PointErrors:
     bare_ground: ArrayB
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """What the twin knows and the processing must not.
+
+    Parameters
+    ----------
+    trajectory : the true poses.
+    mount : the true mount of the scanner.
+    surface : the true surface.
+    bare_ground : (m,) for each of its triangles: is it bare ground?
+    divergence_rad : full divergence of the beam.
+    """
+
+    trajectory: Trajectory
+    mount: Mount
+    surface: RayCaster
+    bare_ground: ArrayB
+    divergence_rad: float
+
+
 def point_errors(
     points_wcs_m: ArrayF,
     t_gps_s: ArrayF,
+    cov_m2: ArrayF,
     beam_offset_m: ArrayF,
     *,
     estimated: Trajectory,
-    true: Trajectory,
     mount: Mount,
-    surface: RayCaster,
-    bare_ground: ArrayB,
-    sigma_component_m: float,
+    truth: Truth,
 ) -> PointErrors:
     """Compare georeferenced points with the surface that their beams truly hit.
 
     Parameters
     ----------
-    points_wcs_m, t_gps_s : (n, 3), (n,) the cloud.
+    points_wcs_m, t_gps_s, cov_m2 : (n, 3), (n,), (n, 3, 3) the cloud.
     beam_offset_m : (n,) height of each beam's origin above the scs origin (VLP-16 vertical offsets).
-    estimated : the trajectory that made the cloud.
-    true : the twin's own.
-    mount : pose of the scanner on the boat (true and assumed alike).
-    surface : the true surface.
-    bare_ground : (m,) for each triangle: is it bare ground?
-    sigma_component_m : predicted lidar sigma per component.
+    estimated, mount : the trajectory and the mount that made the cloud.
+    truth : the twin's own.
     """
     position, R_est, known = estimated.at(t_gps_s)
-    true_position, R_true, known_true = true.at(t_gps_s)
+    true_position, R_true, known_true = truth.trajectory.at(t_gps_s)
     keep = known & known_true
     position, R_est, true_position, R_true = (a[keep] for a in (position, R_est, true_position, R_true))
-    points, t = points_wcs_m[keep], t_gps_s[keep]
+    points, t, cov = points_wcs_m[keep], t_gps_s[keep], cov_m2[keep]
     offset = np.zeros_like(points)
     offset[:, 2] = beam_offset_m[keep]
     body = np.einsum("nji,nj->ni", R_est, points - position)
     beam = (body - mount.lever_ics_m) @ mount.R_ics_sensor - offset
     range_m = np.linalg.norm(beam, axis=1)
-    origin = np.einsum("nij,nj->ni", R_true, offset @ mount.R_ics_sensor.T + mount.lever_ics_m)
-    direction = np.einsum("nij,nj->ni", R_true, (beam / range_m[:, None]) @ mount.R_ics_sensor.T)
-    hits = surface.cast(origin + true_position, direction)
-    hit = np.isfinite(hits.t_hit_m)
-    true_range = np.where(hit, hits.t_hit_m, 0.0)
-    truth = origin + true_position + true_range[:, None] * direction
-    # the side that the beam comes from is outside, whatever the order of the triangle's corners
-    normal = hits.normal * -np.sign(np.einsum("ni,ni->n", hits.normal, direction))[:, None]
-    node = np.clip(np.searchsorted(estimated.t_gps_s, t) - 1, 0, None)
-    cov = point_covariance(
-        points,
-        position + np.einsum("nij,j->ni", R_est, estimated.pivot_ics_m),
-        R_est,
-        estimated.cov_position_m2[node],
-        estimated.sigma_attitude_rad[node],
-        sigma_component_m,
-    )
-    error = np.einsum("ni,ni->n", normal, points - truth)
+    R_wcs_scs = R_true @ truth.mount.R_ics_sensor
+    origin = true_position + np.einsum("nij,j->ni", R_true, truth.mount.lever_ics_m)
+    origin += np.einsum("nij,nj->ni", R_wcs_scs, offset)
+    direction = np.einsum("nij,nj->ni", R_wcs_scs, beam / range_m[:, None])
+    centre, normal, hit, ground = _surface_in_footprint(origin, direction, truth)
+    error = np.einsum("ni,ni->n", normal, points - centre)
     sigma = np.sqrt(np.einsum("ni,nij,nj->n", normal, cov, normal))
     steep = -np.einsum("ni,ni->n", normal, direction) > LEAST_COSINE
-    ground = bare_ground[np.clip(hits.primitive, 0, None)] & steep & (np.abs(error) < GROSS_SIGMAS * sigma)
+    ground &= steep & (np.abs(error) < GROSS_SIGMAS * sigma)
     return PointErrors(
         t_gps_s=t[hit],
         range_m=range_m[hit],
@@ -120,15 +126,48 @@ def point_errors(
     )
 
 
+def _surface_in_footprint(
+    origin: ArrayF, direction: ArrayF, truth: Truth
+) -> tuple[ArrayF, ArrayF, ArrayB, ArrayB]:
+    """Centre and unit normal of the surface in each footprint, whether its middle is hit, and bare ground.
+
+    The normal points to the side that the beam comes from. Where a ray of the ring meets nothing, the
+    triangle that the middle ray meets gives the normal.
+    """
+    middle = truth.surface.cast(origin, direction)
+    hit = np.isfinite(middle.t_hit_m)
+    centre = origin + np.where(hit, middle.t_hit_m, 0.0)[:, None] * direction
+    ground = hit & truth.bare_ground[np.clip(middle.primitive, 0, None)]
+    helper = np.eye(3)[np.argmin(np.abs(direction), axis=1)]
+    right = np.cross(direction, helper)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    up = np.cross(right, direction)
+    radius = _RING_SHARE * truth.divergence_rad / 2
+    ring, complete = [], hit.copy()
+    for angle in 2 * np.pi * np.arange(_RING) / _RING:
+        ray = direction + radius * (np.cos(angle) * right + np.sin(angle) * up)
+        found = truth.surface.cast(origin, ray)
+        there = np.isfinite(found.t_hit_m)
+        complete &= there
+        ground &= there & truth.bare_ground[np.clip(found.primitive, 0, None)]
+        ring.append(origin + np.where(there, found.t_hit_m, 0.0)[:, None] * ray)
+    corners = np.stack(ring, axis=1)
+    corners -= centre[:, None, :]
+    # Newell's normal of the ring, and the mean of all seven points as the place of the plane.
+    newell = np.sum(np.cross(corners, np.roll(corners, -1, axis=1)), axis=1)
+    length = np.linalg.norm(newell, axis=1, keepdims=True)
+    plane = complete & (length[:, 0] > 0)
+    normal = np.where(plane[:, None], newell / np.where(length > 0, length, 1.0), middle.normal)
+    normal *= -np.sign(np.einsum("ni,ni->n", normal, direction))[:, None]
+    return np.where(plane[:, None], centre + corners.sum(axis=1) / (_RING + 1), centre), normal, hit, ground
+
+
 def compare_cloud(
     points: Path,
     *,
     estimated: Trajectory,
-    true: Trajectory,
     mount: Mount,
-    surface: RayCaster,
-    bare_ground: ArrayB,
-    sigma_component_m: float,
+    truth: Truth,
     vertical_corrections: bool,
     correlation_s: float,
     max_points: int = 300_000,
@@ -137,27 +176,51 @@ def compare_cloud(
 
     Parameters
     ----------
-    points : LAZ in the world frame with extra dimension ``ring``.
-    estimated, true : the trajectory that made the cloud, and the twin's own.
-    mount, surface, bare_ground, sigma_component_m : as in `point_errors`.
+    points : LAZ in the world frame with the extra dimension ``ring``, standard deviations and correlations.
+    estimated, mount, truth : as in `point_errors`.
     vertical_corrections : were the lasers' vertical offsets applied?
     correlation_s : longest correlation time among the errors of the poses.
     max_points : size of the sample.
+
+    Raises
+    ------
+    InputError : the cloud does not carry the full covariance of its points.
+    CoverageError : no point lies on bare ground.
     """
     cloud = sample_cloud(points, max_points)
     by_ring = VERTICAL_CORRECTION_M[np.argsort(RING)] * vertical_corrections
     errors = point_errors(
         cloud["xyz_m"],
         cloud["t_gps_s"],
+        cloud_covariance(cloud, points),
         by_ring[cloud["ring"]],
         estimated=estimated,
-        true=true,
         mount=mount,
-        surface=surface,
-        bare_ground=bare_ground,
-        sigma_component_m=sigma_component_m,
+        truth=truth,
     )
     return error_tables(errors, correlation_s=correlation_s)
+
+
+def cloud_covariance(cloud: dict[str, AnyArray], path: Path) -> ArrayF:
+    """Covariance (n, 3, 3) that the points of a cloud carry.
+
+    Raises
+    ------
+    InputError : the cloud has no standard deviations or no correlations.
+    """
+    lacking = [name for name in (*SIGMAS, *CORRELATIONS) if name not in cloud]
+    if lacking:
+        raise InputError(
+            f"the cloud has no {', '.join(lacking)}",
+            expected="standard deviations and correlations of each point",
+            where=path,
+            cure="Set georeferencing.correlations to true and georeference again",
+        )
+    sigma = np.stack([cloud[name] for name in SIGMAS], axis=1).astype(np.float64)
+    correlation = np.tile(np.eye(3), (len(sigma), 1, 1))
+    for name, i, j in zip(CORRELATIONS, (0, 0, 1), (1, 2, 2), strict=True):
+        correlation[:, i, j] = correlation[:, j, i] = cloud[name]
+    return np.asarray(correlation * sigma[:, :, None] * sigma[:, None, :])
 
 
 def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -184,7 +247,7 @@ def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataF
     if not errors.bare_ground.any():
         raise CoverageError(
             f"none of {len(errors.error_m):,} points lies on bare ground",
-            expected="points whose true beam meets soil or grass",
+            expected="points whose whole footprint meets soil, grass, gravel or bed",
             cure="Check the poses: is the cloud where the banks are?",
         )
     rows: list[tuple[str, str, float, str]] = []

@@ -6,8 +6,9 @@ from typing import Any
 from pydantic import ConfigDict, Field
 
 from thalweg.config.base import Section
+from thalweg.config.filters import Filters
 from thalweg.config.identity import Identity
-from thalweg.config.lidar import Lidar
+from thalweg.config.lidar import Lidar, LidarAccuracy
 from thalweg.config.logs import STREAM_KEYS, Logs, is_rinex_name
 from thalweg.config.mounts import Mounts
 from thalweg.config.navigation import Ins, Orientation, Ppk
@@ -30,6 +31,9 @@ class Campaign(Section):
         default=None, description="Raw logs of a real survey; exactly one of `twin` and `logs`"
     )
     lidar: Lidar = Field(default=Lidar(), description="Decoding of the lidar")
+    lidar_accuracy: LidarAccuracy = Field(
+        default=LidarAccuracy(), description="Accuracy of a single measurement of the lidar"
+    )
     mounts: Mounts = Field(default=Mounts(), description="Sensors in the body frame of the INS")
     ins: Ins = Field(default=Ins(), description="Accuracy of the INS attitude")
     ppk: Ppk = Field(default=Ppk(), description="Post-processing of raw GNSS")
@@ -37,6 +41,7 @@ class Campaign(Section):
     georeferencing: Georeferencing = Field(
         default=Georeferencing(), description="Lidar points into the world"
     )
+    filters: Filters = Field(default=Filters(), description="Points that are left out of the cloud")
     figures: Figures = Field(default=Figures(), description="Pictures")
 
     @property

@@ -1,4 +1,4 @@
-"""Section ``lidar``: how scanner packets become points."""
+"""Sections ``lidar`` and ``lidar_accuracy``: how scanner packets become points, and what those are worth."""
 
 from typing import Annotated, Literal
 
@@ -28,10 +28,35 @@ class Lidar(Section):
     max_range_m: Positive = Field(
         default=130.0, le=250, description="Longer measured ranges are dropped at decoding, metres"
     )
+    data_port: Port = Field(default=2368, description="UDP port of the data packets")
+    position_port: Port = Field(default=8308, description="UDP port of the position packets")
+
+
+class LidarAccuracy(Section):
+    """What a single measurement of the scanner is worth; makes the covariance of each point."""
+
     sigma_component_m: Positive = Field(
         default=0.0173,
         le=1,
-        description="Standard deviation of each coordinate of a point, metres (3 cm / sqrt 3, P2 eq. 7)",
+        description="Standard deviation along the beam and in both directions across it, metres "
+        "(3 cm / sqrt 3, P2 eq. 7)",
     )
-    data_port: Port = Field(default=2368, description="UDP port of the data packets")
-    position_port: Port = Field(default=8308, description="UDP port of the position packets")
+    divergence_mrad: NonNegative = Field(
+        default=3.0, le=50, description="Full divergence of the beam, milliradians (P2 section 7)"
+    )
+    footprint_share: NonNegative = Field(
+        default=0.177,
+        le=0.5,
+        description="Standard deviation of the echo's place in its footprint, in each direction, as a share "
+        "of the diameter: 0.25 if it may be anywhere (Lichti and Gordon 2004), 0.177 if three speckle cells "
+        "share the energy",
+    )
+    sigma_weak_m: NonNegative = Field(
+        default=0.03,
+        le=10,
+        description="Further range noise of the echo of a 10 % target at 100 m, metres; goes with the square "
+        "of the range over the reflectivity",
+    )
+    sigma_time_s: NonNegative = Field(
+        default=1e-6, le=1, description="Standard deviation of the scanner's stamps, seconds (PPS, T 3.1.2)"
+    )

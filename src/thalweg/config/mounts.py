@@ -4,10 +4,15 @@ Body frame ics: x forward, y right, z down. ``R_ics_scs = R_x(omega) R_y(phi) R_
 ``x_ics = R_ics_scs @ x_scs + lever_ics_m``. Default sigmas: Table 3.1 of the thesis.
 """
 
-from pydantic import Field
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
 
 from thalweg.config.base import Section
 from thalweg.config.values import Angle, Sigma3, SigmaAngle, Vector3
+
+Correlation = Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]
+Row6 = tuple[Correlation, Correlation, Correlation, Correlation, Correlation, Correlation]
 
 
 class LidarMount(Section):
@@ -27,6 +32,30 @@ class LidarMount(Section):
     sigma_lever_m: Sigma3 = Field(
         default=(0.0005, 0.0002, 0.0001), description="Standard deviations of the lever arm, metres"
     )
+    correlation: tuple[Row6, Row6, Row6, Row6, Row6, Row6] | None = Field(
+        default=None,
+        description="Correlation matrix of omega, phi, kappa, x, y, z from the calibration; null: "
+        "uncorrelated",
+    )
+
+    @model_validator(mode="after")
+    def _correlation_is_one(self) -> Self:
+        if self.correlation is not None:
+            import numpy as np  # here: every job imports this module, few of them have correlations
+
+            matrix = np.asarray(self.correlation)
+            # 1e-6: matrices are written with six digits or more.
+            like = np.allclose(matrix, matrix.T, atol=1e-6)
+            if (
+                not like
+                or not np.allclose(np.diag(matrix), 1.0, atol=1e-6)
+                or np.linalg.eigvalsh(matrix)[0] < -1e-6
+            ):
+                raise ValueError(
+                    "no correlation matrix: it must be symmetric, with ones in the diagonal, and without "
+                    "negative eigenvalues"
+                )
+        return self
 
 
 class Lever(Section):

@@ -76,6 +76,11 @@ class Orientation(Section):
     accept_fixes: tuple[Fix, ...] = Field(
         default=("fixed",), min_length=1, description="Kinds of GNSS solution that may enter the trajectory"
     )
+    interpolation: Literal["cubic", "ins_velocity"] = Field(
+        default="cubic",
+        description="Positions between epochs: `cubic` spline, or along the velocity of the INS, which keeps "
+        "motion that is faster than the epochs",
+    )
     max_gap_s: Positive = Field(
         default=1.0, le=60, description="Longest hole between positions that is interpolated, seconds"
     )

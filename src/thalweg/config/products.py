@@ -12,7 +12,7 @@ class Georeferencing(Section):
     """Lidar points into the world frame."""
 
     min_range_m: NonNegative = Field(
-        default=1.5, le=250, description="Nearer points are left out: the own hull, metres"
+        default=0.5, le=250, description="Nearer points are left out, metres; the own boat has its own filter"
     )
     max_range_m: Positive = Field(default=100.0, le=250, description="Farther points are left out, metres")
     chunk_points: int = Field(
@@ -20,6 +20,10 @@ class Georeferencing(Section):
     )
     laz_scale_m: Annotated[float, Field(ge=1e-5, le=0.01, allow_inf_nan=False)] = Field(
         default=0.001, description="Resolution of coordinates in LAZ files, metres"
+    )
+    correlations: bool = Field(
+        default=False,
+        description="Write the correlations of each point's coordinates beside its three standard deviations",
     )
     export_map: bool = Field(
         default=True, description="Also write the cloud in map coordinates (`campaign.crs`)"

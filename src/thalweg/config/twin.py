@@ -17,7 +17,7 @@ from thalweg.config.twin_navigation import TwinEcho, TwinGnss, TwinIns
 from thalweg.config.twin_scene import TwinBoat, TwinScene
 from thalweg.config.values import Count, NonNegative, Positive, Share
 
-Size = Literal["tiny", "demo", "mulde"]
+Size = Literal["tiny", "demo", "mulde", "reach"]
 Stream = Literal["lidar", "ins", "gnss", "echo"]
 
 
@@ -61,8 +61,9 @@ class TwinEffects(Section):
     gnss_floats: tuple[tuple[NonNegative, Positive], ...] = Field(
         default=(), description="Times with float solutions only: begin after the start and length, seconds"
     )
-    mixed_pixels: bool = Field(
-        default=False, description="Beams that meet two near surfaces return a range between them"
+    mount_errors: bool = Field(
+        default=True,
+        description="Sensors sit off the campaign's mounts by errors of the stated sigmas",
     )
 
 
@@ -72,8 +73,10 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
         "start_utc": "2021-05-12T08:59:48Z",
         "duration_s": 25.0,
         "scene": {
-            "length_m": 130.0, "width_m": 22.0, "depth_m": 1.6, "embankment_height_m": 4.0, "grid_m": 0.25,
-            "stones_per_m": 5.0, "bushes_per_100m": 25.0, "buildings": 1,
+            "length_m": 130.0, "width_m": 22.0, "depth_m": 1.6, "embankment_height_m": 4.0, "grid_m": 0.1,
+            "shelf_width_m": 1.5, "stones_per_m": 8.0, "cobbles_per_m": 30.0, "bushes_per_100m": 30.0,
+            "trees_per_100m": 9.0, "grass_per_m": 12.0, "reeds_per_m": 3.0, "leaves_per_bush": 300,
+            "leaves_per_tree": 1500, "buildings": 1,
         },
         "boat": {"speed_mps": 2.4, "turn_rate_degps": 24.0, "zigzag_deg": 50.0, "bank_distance_m": 5.0},
         "tls": {"spacing_m": 0.05},
@@ -81,11 +84,31 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
         "ins": {"attitude_time_s": 1.0},
         "gnss": {"correlation_time_s": 1.0},
     },
-    "demo": {"duration_s": 180.0},
+    # Under the bridge the receiver loses its fix: a gap that is meant to be seen.
+    "demo": {
+        "duration_s": 180.0,
+        "scene": {"weir": True, "bridge": True, "bridge_place": 0.3},
+        "boat": {"speed_mps": 1.2},
+        "gnss": {"shadow": True},
+    },
     "mulde": {
         "duration_s": 1025.0,
-        "scene": {"length_m": 460.0, "grid_m": 0.25},
+        "scene": {"length_m": 370.0, "leaves_per_bush": 550, "leaves_per_tree": 4500, "buildings": 4},
         "boat": {"speed_mps": 0.4},
+        "gnss": {"shadow": True},
+    },
+    # P1: the weir stands in the west, so the river flows there; its pool is the deep water beside it. At this
+    # speed about 75 million shots of the lidar meet something else than water.
+    "reach": {
+        "duration_s": 4150.0,
+        "scene": {
+            "length_m": 1640.0, "flow_deg": 180.0, "meander_deg": 9.0, "meander_length_m": 520.0,
+            "grid_m": 0.1, "weir": True, "weir_place": 0.97, "bridge": True, "stones_per_m": 7.0,
+            "cobbles_per_m": 20.0, "bushes_per_100m": 60.0, "trees_per_100m": 14.0, "grass_per_m": 14.0,
+            "reeds_per_m": 3.0, "leaves_per_bush": 300, "leaves_per_tree": 1600, "buildings": 14,
+        },
+        "boat": {"speed_mps": 0.518},
+        "gnss": {"mode": "single_frequency", "shadow": True},
     },
 }  # fmt: skip
 """What the sizes change against the defaults."""
@@ -96,7 +119,8 @@ class TwinConfig(Section):
 
     size: Size = Field(
         default="demo",
-        description="Set of values: `tiny` 25 s for tests, `demo` 3 min, `mulde` 17 min as in P2",
+        description="Set of values: `tiny` 25 s for tests, `demo` 3 min, `mulde` 17 min as in P2, "
+        "`reach` 1.5 km as in P1",
     )
     start_utc: UtcText = Field(
         default="2021-05-12T08:31:07Z", description="Begin of the lidar log, UTC, as 2021-05-12T08:31:07Z"

@@ -291,3 +291,15 @@ def grid_factors(crs: CRS, lat_deg: float, lon_deg: float) -> tuple[float, float
     """
     factors = Proj(crs).get_factors(lon_deg, lat_deg)
     return float(np.deg2rad(factors.meridian_convergence)), float(factors.meridional_scale)
+
+
+def attitude_axes(R_wcs_ics: ArrayF) -> ArrayF:
+    """Axes in wcs about which roll, pitch and heading turn, shape (n, 3 angles, 3).
+
+    Roll turns about body x, pitch about the horizontal axis to the right of the heading, heading about the
+    vertical (clockwise, that is about down).
+    """
+    _, _, heading = roll_pitch_heading(R_wcs_ics)
+    right_ned = np.stack([-np.sin(heading), np.cos(heading), np.zeros_like(heading)], axis=-1)
+    down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), right_ned.shape)
+    return np.stack([R_wcs_ics[..., :, 0], right_ned @ R_ENU_NED.T, down], axis=-2)

@@ -1,14 +1,22 @@
-"""The pose of the boat over time: ``T_wcs_ics`` with sigmas at nodes, and what lies between them.
+"""The pose of the boat over time: ``T_wcs_ics`` with covariance at nodes, and what lies between them.
 
 A trajectory is a list of nodes in the world frame: position of the INS reference point (``ics`` origin),
-attitude as a unit quaternion of ``R_wcs_ics``, and their standard deviations. Between nodes positions are
+attitude as a unit quaternion of ``R_wcs_ics``, and the covariance of both. Between nodes positions are
 linear and attitudes follow the shortest arc; nodes are dense enough for that (the INS rate; at 50 Hz and
 1 m/s^2 the chord error is a dt^2 / 8 = 0.05 mm). A node may be invalid: nothing is interpolated across it.
+
+The pose error of a node is ``(dx, dtheta)``: a shift of the ics origin in wcs and a small rotation vector in
+wcs, ``R_true = exp([dtheta]x) R_estimated``. Its covariance is a full 6x6 matrix, so that a position and an
+attitude that err together are told apart from two that do not: a position measured at an antenna gives an ics
+origin whose error depends on that of the attitude. Between nodes the covariance is interpolated linearly.
+That is an upper bound: it exceeds the covariance of the interpolated pose by ``u (1 - u)`` times the
+covariance of the difference of both nodes' errors, which is small for the strongly correlated errors of
+neighbouring nodes.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import pandas as pd
@@ -16,24 +24,26 @@ import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
 from thalweg.core.errors import CoverageError, GeometryError
-from thalweg.core.frames import LocalFrame
+from thalweg.core.frames import LocalFrame, attitude_axes
 from thalweg.core.tables import column, read_table, table_kind, write_table
-from thalweg.core.types import ArrayB, ArrayF
+from thalweg.core.types import ArrayB, ArrayF, ArrayI
 
 _F = pa.float64()
 
+_PARTS: Final = ("east", "north", "up", "rotation_east", "rotation_north", "rotation_up")
+_UPPER: Final = np.triu_indices(6, 1)
+_SIGMAS: Final = tuple(f"sigma_{part}_{'rad' if 'rotation' in part else 'm'}" for part in _PARTS)
+_CORRELATIONS: Final = tuple(f"correlation_{_PARTS[i]}_{_PARTS[j]}" for i, j in zip(*_UPPER, strict=True))
+
 TRAJECTORY = table_kind(
     "trajectory",
-    1,
+    2,
     [
         column("t_gps_s", _F, "s", "adjusted standard GPS time, strictly increasing"),
         *(column(f"{a}_m", _F, "m", f"{a} of the ics origin in wcs") for a in ("east", "north", "up")),
         *(column(f"q{a}", _F, "1", f"quaternion of R_wcs_ics, {a} (scalar last)") for a in "xyzw"),
-        *(column(f"sigma_{a}_m", _F, "m", f"standard deviation {a}") for a in ("east", "north", "up")),
-        *(column(f"cov_{a}_m2", _F, "m^2", f"position covariance {a}") for a in ("en", "eu", "nu")),
-        column("sigma_roll_rad", _F, "rad", "standard deviation about body x (forward)"),
-        column("sigma_pitch_rad", _F, "rad", "standard deviation about body y (right)"),
-        column("sigma_heading_rad", _F, "rad", "standard deviation about the vertical"),
+        *(column(name, _F, name.rpartition("_")[2], "standard deviation") for name in _SIGMAS),
+        *(column(name, _F, "1", "correlation of two errors of the pose") for name in _CORRELATIONS),
         column("valid", pa.bool_(), "1", "false inside a gap: no point gets a pose from such a node"),
     ],
 )  # fmt: skip
@@ -49,11 +59,9 @@ class Trajectory:
     t_gps_s : (n,) strictly increasing.
     position_wcs_m : (n, 3) position of the ics origin.
     quaternion_wcs_ics : (n, 4) scalar last, unit length, neighbours in the same hemisphere.
-    cov_position_m2 : (n, 3, 3) in wcs.
-    sigma_attitude_rad : (n, 3) about body x, body y and the vertical (roll, pitch, heading).
+    cov_pose_wcs : (n, 6, 6) covariance of (east, north, up of the ics origin in metres; small rotation about
+        east, north, up in radians).
     valid : (n,) false where the pose is not to be used.
-    pivot_ics_m : (3,) the point of the boat whose position was measured (the antenna): an error of the
-        attitude turns the boat about it, not about the ics origin.
 
     Raises
     ------
@@ -64,18 +72,15 @@ class Trajectory:
     t_gps_s: ArrayF
     position_wcs_m: ArrayF
     quaternion_wcs_ics: ArrayF
-    cov_position_m2: ArrayF
-    sigma_attitude_rad: ArrayF
+    cov_pose_wcs: ArrayF
     valid: ArrayB
-    pivot_ics_m: ArrayF = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         n = len(self.t_gps_s)
         shapes = {
             "position_wcs_m": (self.position_wcs_m.shape, (n, 3)),
             "quaternion_wcs_ics": (self.quaternion_wcs_ics.shape, (n, 4)),
-            "cov_position_m2": (self.cov_position_m2.shape, (n, 3, 3)),
-            "sigma_attitude_rad": (self.sigma_attitude_rad.shape, (n, 3)),
+            "cov_pose_wcs": (self.cov_pose_wcs.shape, (n, 6, 6)),
             "valid": (self.valid.shape, (n,)),
         }
         for name, (found, expected) in shapes.items():
@@ -104,16 +109,48 @@ class Trajectory:
 
         The slow, clear form of what the georeferencing kernel does; invalid outside the nodes.
         """
-        t = np.asarray(t_gps_s, dtype=np.float64)
-        right = np.clip(np.searchsorted(self.t_gps_s, t, side="right"), 1, len(self.t_gps_s) - 1)
-        left = right - 1
-        u = (t - self.t_gps_s[left]) / (self.t_gps_s[right] - self.t_gps_s[left])
+        left, right, u = self._between(t_gps_s)
         inside = (u >= 0) & (u <= 1) & self.valid[left] & self.valid[right]
         position = self.position_wcs_m[left] * (1 - u)[:, None] + self.position_wcs_m[right] * u[:, None]
         start = Rotation.from_quat(self.quaternion_wcs_ics[left])
         arc = (start.inv() * Rotation.from_quat(self.quaternion_wcs_ics[right])).as_rotvec()
         rotation = (start * Rotation.from_rotvec(arc * u[:, None])).as_matrix()
         return position, rotation, inside
+
+    def cov_at(self, t_gps_s: ArrayF) -> ArrayF:
+        """Covariance (m, 6, 6) of the pose at times within the nodes, interpolated linearly."""
+        left, right, u = self._between(t_gps_s)
+        v = u[:, None, None]
+        return np.asarray(self.cov_pose_wcs[left] * (1 - v) + self.cov_pose_wcs[right] * v)
+
+    def rates(self) -> tuple[ArrayF, ArrayF]:
+        """Velocity (n - 1, 3) of the ics origin, m/s, and angular velocity (n - 1, 3) in wcs, rad/s.
+
+        One row for each interval between nodes.
+        """
+        step = np.diff(self.t_gps_s)[:, None]
+        rotation = Rotation.from_quat(self.quaternion_wcs_ics)
+        turned = (rotation[1:] * rotation[:-1].inv()).as_rotvec()
+        return np.diff(self.position_wcs_m, axis=0) / step, turned / step
+
+    @property
+    def sigma_position_m(self) -> ArrayF:
+        """Standard deviations (n, 3) of east, north, up of the ics origin."""
+        return np.sqrt(np.diagonal(self.cov_pose_wcs, axis1=1, axis2=2)[:, :3])
+
+    def sigma_roll_pitch_heading_rad(self) -> ArrayF:
+        """Standard deviations (n, 3) of roll, pitch and heading, radians."""
+        axes = attitude_axes(Rotation.from_quat(self.quaternion_wcs_ics).as_matrix())
+        to_angles = np.linalg.inv(np.swapaxes(axes, 1, 2))
+        cov = to_angles @ self.cov_pose_wcs[:, 3:, 3:] @ np.swapaxes(to_angles, 1, 2)
+        return np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+
+    def _between(self, t_gps_s: ArrayF) -> tuple[ArrayI, ArrayI, ArrayF]:
+        """Nodes left and right of times, and the share of the way from one to the other."""
+        t = np.asarray(t_gps_s, dtype=np.float64)
+        right = np.clip(np.searchsorted(self.t_gps_s, t, side="right"), 1, len(self.t_gps_s) - 1)
+        left = right - 1
+        return left, right, (t - self.t_gps_s[left]) / (self.t_gps_s[right] - self.t_gps_s[left])
 
     def span(self) -> tuple[float, float]:
         """First and last node time.
@@ -133,37 +170,33 @@ class Trajectory:
 
     def write(self, path: Path, meta: dict[str, Any] | None = None) -> None:
         """Write as Parquet table of kind ``trajectory``, with the frame's origin in its facts."""
-        c = self.cov_position_m2
+        sigma = np.sqrt(np.diagonal(self.cov_pose_wcs, axis1=1, axis2=2))
+        scale = np.where(sigma > 0, sigma, 1.0)
+        correlation = self.cov_pose_wcs / scale[:, :, None] / scale[:, None, :]
         columns: dict[str, Any] = {"t_gps_s": self.t_gps_s}
-        columns |= {f"{a}_m": self.position_wcs_m[:, i] for i, a in enumerate(("east", "north", "up"))}
+        columns |= {f"{a}_m": self.position_wcs_m[:, i] for i, a in enumerate(_PARTS[:3])}
         columns |= {f"q{a}": self.quaternion_wcs_ics[:, i] for i, a in enumerate("xyzw")}
-        columns |= {f"sigma_{a}_m": np.sqrt(c[:, i, i]) for i, a in enumerate(("east", "north", "up"))}
-        columns |= {"cov_en_m2": c[:, 0, 1], "cov_eu_m2": c[:, 0, 2], "cov_nu_m2": c[:, 1, 2]}
-        angles = ("roll", "pitch", "heading")
-        columns |= {f"sigma_{a}_rad": self.sigma_attitude_rad[:, i] for i, a in enumerate(angles)}
+        columns |= {name: sigma[:, i] for i, name in enumerate(_SIGMAS)}
+        columns |= {name: correlation[:, i, j] for name, i, j in zip(_CORRELATIONS, *_UPPER, strict=True)}
         columns["valid"] = self.valid
         origin = {
             "lat_deg": self.frame.lat_deg, "lon_deg": self.frame.lon_deg, "h_ell_m": self.frame.h_ell_m,
         }  # fmt: skip
-        facts = {**(meta or {}), "origin": origin, "pivot_ics_m": self.pivot_ics_m.tolist()}
-        write_table(path, pd.DataFrame(columns), TRAJECTORY, facts)
+        write_table(path, pd.DataFrame(columns), TRAJECTORY, {**(meta or {}), "origin": origin})
 
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read a trajectory written by `write`."""
         table, meta = read_table(path, TRAJECTORY)
-        sigma = table[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
-        cov = np.zeros((len(table), 3, 3))
-        cov[:, [0, 1, 2], [0, 1, 2]] = sigma**2
-        for name, i, j in (("cov_en_m2", 0, 1), ("cov_eu_m2", 0, 2), ("cov_nu_m2", 1, 2)):
-            cov[:, i, j] = cov[:, j, i] = table[name].to_numpy()
+        sigma = table[list(_SIGMAS)].to_numpy()
+        correlation = np.tile(np.eye(6), (len(table), 1, 1))
+        for name, i, j in zip(_CORRELATIONS, *_UPPER, strict=True):
+            correlation[:, i, j] = correlation[:, j, i] = table[name].to_numpy()
         return cls(
             frame=LocalFrame(**meta["origin"]),
             t_gps_s=table["t_gps_s"].to_numpy(),
             position_wcs_m=table[["east_m", "north_m", "up_m"]].to_numpy(),
             quaternion_wcs_ics=table[["qx", "qy", "qz", "qw"]].to_numpy(),
-            cov_position_m2=cov,
-            sigma_attitude_rad=table[["sigma_roll_rad", "sigma_pitch_rad", "sigma_heading_rad"]].to_numpy(),
+            cov_pose_wcs=correlation * sigma[:, :, None] * sigma[:, None, :],
             valid=table["valid"].to_numpy(dtype=np.bool_),
-            pivot_ics_m=np.array(meta["pivot_ics_m"], dtype=np.float64),
         )

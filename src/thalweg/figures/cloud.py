@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, Normalize
+from matplotlib.colors import Colormap, Normalize, PowerNorm
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
@@ -34,13 +34,19 @@ SEARCH_CELL_M: Final = 1.0
 NOISE_M: Final = 0.03
 """Accuracy of a lidar point (P2 eq. 7); shading at a finer scale would show noise."""
 
+CLEARLY_HIGHER_M: Final = 1.0
+"""Difference of the heights of both sides (90th percentile) from which the higher one is put behind."""
+
+STRIP: Final = 0.09
+"""Free strip below the picture of a reach, for scale bar and axes, as a share of the width."""
+
 CLEAR_EXTENT: Final = 1.5
 """Length over width from which the track tells the direction of the river."""
 
 
 @styled
 def cloud_overview(
-    cloud: ArrayF | Splat,
+    cloud: ArrayF | Splat[ObliqueView],
     trajectory: Trajectory | None = None,
     *,
     height_limits_m: tuple[float, float] | None = None,
@@ -59,15 +65,64 @@ def cloud_overview(
     """
     splat = cloud if isinstance(cloud, Splat) else _splat_of(cloud)
     view = splat.view
-    limits = height_limits_m or robust_limits(splat.buffers()[1], 0.5, 99.5)
+    heights = splat.buffers()[1]
+    limits = height_limits_m or robust_limits(heights, 0.5, 99.5)
     of_all = f" of {count(splat.n_added)}" if splat.n_drawn < splat.n_added else ""
     head = f"{title}, n = {count(splat.n_drawn)}{of_all} points"
-    # Scale bar and axes stand in a free strip below the picture.
-    strip_px = 0.09 * view.width_px
-    shape = (view.height_px + strip_px) / view.width_px
-    figure = new_figure(max(0.84 * WIDTH_MM * shape + 12.0, 60.0), head, twin=twin)
+    figure = new_figure(max(reach_mm(view) + 12.0, 60.0), head, twin=twin)
     ax = figure.add_subplot()
-    _show(ax, splat, HEIGHT_MAP, limits, shading=1.0)
+    label = "height in the local frame / m"
+    gamma = balanced_gamma(heights, limits)
+    draw_reach(figure, ax, splat, HEIGHT_MAP, limits, label=label, trajectory=trajectory, gamma=gamma)
+    return figure
+
+
+def balanced_gamma(values: ArrayF, limits: tuple[float, float]) -> float:
+    """Exponent of a colour scale that puts the median of the values at its middle; 0.4 to 1.
+
+    Trees of 30 m leave the lowest fifth of a linear scale to a bank of 6 m, which the survey is about.
+    """
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 1.0
+    share = float((np.median(finite) - limits[0]) / (limits[1] - limits[0]))
+    return float(np.clip(np.log(0.5) / np.log(np.clip(share, 1e-6, 0.999)), 0.4, 1.0))
+
+
+def reach_mm(view: ObliqueView) -> float:
+    """Height on paper of a view of the reach that fills the width beside its colour bar."""
+    return 0.84 * WIDTH_MM * (view.height_px / view.width_px + STRIP)
+
+
+def draw_reach(
+    figure: Figure,
+    ax: Axes,
+    splat: Splat[ObliqueView],
+    colours: Colormap,
+    limits: tuple[float, float],
+    *,
+    label: str,
+    trajectory: Trajectory | None = None,
+    shading: float = 1.0,
+    factor: float = 1.0,
+    gamma: float = 1.0,
+) -> None:
+    """The picture of a reach with its colour bar, track, scale bar and directions.
+
+    Parameters
+    ----------
+    figure, ax : where.
+    splat : the picture.
+    colours, limits : colour scale of the splat's values.
+    label : of the colour bar.
+    trajectory : track of the boat, drawn as a line.
+    shading : strength of the eye-dome shading.
+    factor : units of the colour bar in one unit of the splat's values.
+    gamma : exponent of the colour scale, below 1 for more colours at its lower end.
+    """
+    view = splat.view
+    strip_px = STRIP * view.width_px
+    _show(ax, splat, colours, limits, shading=shading, gamma=gamma)
     ax.set_axis_off()
     if trajectory is not None:
         _draw_track(ax, view, trajectory)
@@ -76,10 +131,9 @@ def cloud_overview(
     scale_bar(ax, span_m=view.width_px * view.pixel_m)
     _axes_triad(ax, view, strip_px)
     figure.colorbar(
-        ScalarMappable(Normalize(*limits), HEIGHT_MAP), ax=ax, label="height in the local frame / m",
-        aspect=25, shrink=0.9, pad=0.01, extend="both",
+        ScalarMappable(PowerNorm(gamma, factor * limits[0], factor * limits[1]), colours), ax=ax,
+        label=label, aspect=25, shrink=0.9, pad=0.01, extend="both",
     )  # fmt: skip
-    return figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,12 +146,14 @@ class BankSegment:
     azimuth_rad : direction of view from the water onto the bank, clockwise from north.
     length_m : length along the bank.
     depth_m : how far before and behind the centre points belong to it.
+    background_m : how far behind it points still do, so that trees and buildings stand in the background.
     """
 
     centre_en_m: ArrayF
     azimuth_rad: float
     length_m: float
     depth_m: float = 12.0
+    background_m: float = 0.0
 
     def along_and_away(self, points_wcs_m: ArrayF) -> tuple[ArrayF, ArrayF]:
         """Metres along the bank from the left end, and metres away from the water behind the centre."""
@@ -109,7 +165,8 @@ class BankSegment:
         """(n,) true for points of the stretch; use it to pick them from chunks."""
         along, away = self.along_and_away(points_wcs_m)
         with np.errstate(invalid="ignore"):
-            return np.asarray((along >= 0) & (along <= self.length_m) & (np.abs(away) <= self.depth_m))
+            beside = (along >= 0) & (along <= self.length_m)
+            return np.asarray(beside & (away >= -self.depth_m) & (away <= self.depth_m + self.background_m))
 
 
 def choose_segment(
@@ -119,6 +176,7 @@ def choose_segment(
     length_m: float = 14.0,
     min_distance_m: float = 2.0,
     max_distance_m: float = 25.0,
+    background_m: float = 0.0,
 ) -> BankSegment:
     """The stretch of bank with most points, looked at from the nearest piece of the track.
 
@@ -128,6 +186,7 @@ def choose_segment(
     trajectory : track of the boat, to know the side of the water.
     length_m : length of the stretch.
     min_distance_m, max_distance_m : horizontal distance of the bank from the track.
+    background_m : depth of the background that belongs to the stretch.
 
     Raises
     ------
@@ -165,7 +224,12 @@ def choose_segment(
     towards = np.average((grid - nearest[(slice(None), *around)].transpose(1, 2, 0)).reshape(-1, 2), axis=0,
                          weights=weight.ravel())  # fmt: skip
     away = _across_river(track, centre, towards, reach_m=2.0 * length_m)
-    return BankSegment(centre_en_m=centre, azimuth_rad=float(np.arctan2(away[0], away[1])), length_m=length_m)
+    return BankSegment(
+        centre_en_m=centre,
+        azimuth_rad=float(np.arctan2(away[0], away[1])),
+        length_m=length_m,
+        background_m=background_m,
+    )
 
 
 def _across_river(track_en_m: ArrayF, centre_en_m: ArrayF, towards: ArrayF, *, reach_m: float) -> ArrayF:
@@ -185,14 +249,29 @@ def _across_river(track_en_m: ArrayF, centre_en_m: ArrayF, towards: ArrayF, *, r
 
 
 def bankward_azimuth(points_wcs_m: ArrayF, trajectory: Trajectory) -> float:
-    """Direction of view across the reach from which the best measured bank shows its face.
+    """Direction of view across the reach from which the banks hide each other least.
+
+    The side with the taller things stands behind: seen the other way its trees would hide its own slope.
+    Where neither side is taller, the best measured bank shows its face.
 
     Parameters
     ----------
     points_wcs_m : (n, 3) the cloud or an even sample of it.
     trajectory : the boat, which saw the faces.
     """
+    from scipy.spatial import cKDTree
+
     across = across_azimuth(points_wcs_m)
+    finite = points_wcs_m[np.isfinite(points_wcs_m).all(axis=1)]
+    finite = finite[:: max(1, len(finite) // 50_000)]
+    track = trajectory.position_wcs_m[trajectory.valid, :2]
+    _, nearest = cKDTree(track).query(finite[:, :2])
+    far_side = (finite[:, :2] - track[nearest]) @ np.array([np.sin(across), np.cos(across)]) > 0
+    if far_side.any() and not far_side.all():
+        tall = [float(np.percentile(finite[side, 2], 90.0)) for side in (far_side, ~far_side)]
+        higher = tall[0] - tall[1]
+        if abs(higher) > CLEARLY_HIGHER_M:
+            return across if higher > 0 else across + np.pi
     bank = choose_segment(points_wcs_m, trajectory).azimuth_rad
     return across if np.cos(across - bank) >= 0 else across + np.pi
 
@@ -266,7 +345,7 @@ def cloud_detail(
     return figure
 
 
-def _splat_of(points_wcs_m: ArrayF) -> Splat:
+def _splat_of(points_wcs_m: ArrayF) -> Splat[ObliqueView]:
     splat = Splat(ObliqueView.fit(points_wcs_m))
     splat.add(points_wcs_m, points_wcs_m[:, 2])
     return splat
@@ -274,15 +353,17 @@ def _splat_of(points_wcs_m: ArrayF) -> Splat:
 
 def _show(
     ax: Axes,
-    splat: Splat,
+    splat: Splat[ObliqueView],
     colours: Colormap,
     limits: tuple[float, float],
     *,
     shading: float,
     noise_m: float = 0.0,
+    gamma: float = 1.0,
     extent: tuple[float, float, float, float] | None = None,
 ) -> None:
-    table = colours(np.linspace(0, 1, 256))[:, :3]
+    # The splat's own scale is linear: the table bends.
+    table = colours(np.linspace(0, 1, 4096) ** gamma)[:, :3]
     picture = splat.image(table, limits, radius_px=splat.radius_px(), shading=shading, noise_m=noise_m)
     box = extent or (0.0, float(splat.view.width_px), float(splat.view.height_px), 0.0)
     ax.imshow(picture, extent=box, interpolation="antialiased", gid="cloud")

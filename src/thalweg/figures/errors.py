@@ -69,7 +69,7 @@ def error_versus_range(
         upper.plot(r[above], np.full(int(above.sum()), 0.97 * upper.get_ylim()[1]), color=BLUE, ls="none",
                    marker="^", mfc="white", label=f"beyond the axis, n = {int(above.sum())}")  # fmt: skip
     upper.set_ylabel("RMSE / mm")
-    upper.set_title(quantity + (f"; {outlier_rule}" if outlier_rule else ""))
+    upper.set_title("\n".join(filter(None, [quantity, outlier_rule])))
     upper.legend(loc="upper left", ncols=2)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = observed / predicted

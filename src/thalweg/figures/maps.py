@@ -4,9 +4,13 @@ from typing import Final, Literal
 
 import numpy as np
 import pandas as pd
+from cmcrameri import cm
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
+from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from thalweg.core.errors import GeometryError
 from thalweg.core.timescales import utc_text_from_gps
@@ -30,6 +34,12 @@ from thalweg.figures.style import (
 
 GOOD_FIXES: Final = ("fixed", "ppp")
 """Fixes that get no mark of their own on the track."""
+
+SIGMA_MAP: Final[Colormap] = ListedColormap(cm.lajolla_r(np.linspace(0.12, 0.92, 256)), "thalweg_sigma")
+"""Light where a sigma is small, dark where it is large; without the ends that vanish on paper."""
+
+LOG_RATIO: Final = 12.0
+"""Largest over smallest sigma from which a logarithmic scale shows both."""
 
 SHAPE: Final = (0.35, 1.2)
 """Least and largest height over width of a map; a longer reach gets free land beside it."""
@@ -67,7 +77,7 @@ def survey_map(
     valid = trajectory.valid
     has_depth = soundings is not None and len(soundings) > 0
     shown = [east_north[valid]] + ([soundings[:, :2]] if soundings is not None else [])
-    low, high = _extent(np.concatenate(shown), cloud_en)
+    low, high = map_extent(np.concatenate(shown), cloud_en)
     first, last = (utc_text_from_gps(t, 0) for t in trajectory.span())
     head = f"{title}, n = {count(int(valid.sum()))} poses, {first[:10]} {first[11:19]} to {last[11:19]} UTC"
     figure = new_figure(plan_height_mm(high[0] - low[0], high[1] - low[1]), head, twin=twin)
@@ -91,7 +101,7 @@ def survey_map(
         figure.colorbar(lines, ax=ax, label=label, shrink=0.8, aspect=30, pad=0.01)
     if positions is not None:
         _draw_fixes(ax, trajectory, positions)
-    _draw_ends(ax, trajectory)
+    draw_ends(ax, trajectory)
     origin = trajectory.frame
     grid = f"; map grid {crs}" if crs else ""
     ax.set_xlabel(f"east / m   (local frame at {origin.lat_deg:.5f}°, {origin.lon_deg:.5f}°{grid})")
@@ -111,8 +121,18 @@ def track_gaps(trajectory: Trajectory) -> list[tuple[float, float]]:
     return [(float(t[i]), float(t[i + 1] - t[i])) for i in broken]
 
 
-def _extent(track: ArrayF, cloud: ArrayF | None) -> tuple[ArrayF, ArrayF]:
-    """Lower and upper east, north of the map: the track with the bulk of the cloud and a margin."""
+def map_extent(track: ArrayF, cloud: ArrayF | None) -> tuple[ArrayF, ArrayF]:
+    """Lower and upper east, north of a map: the track with the bulk of the cloud and a margin.
+
+    Parameters
+    ----------
+    track : (n, 2) east, north in wcs.
+    cloud : (m, 2) or (m, 3) in wcs; its outermost percent on each side has no say.
+
+    Raises
+    ------
+    GeometryError : a track without a point.
+    """
     if not len(track):
         raise GeometryError("a trajectory without a valid node", expected="at least one pose to draw")
     low, high = track.min(axis=0), track.max(axis=0)
@@ -184,7 +204,8 @@ def _draw_fixes(ax: Axes, trajectory: Trajectory, positions: pd.DataFrame) -> No
         )  # fmt: skip
 
 
-def _draw_ends(ax: Axes, trajectory: Trajectory) -> None:
+def draw_ends(ax: Axes, trajectory: Trajectory) -> None:
+    """Mark where the track begins and where it ends."""
     en = trajectory.position_wcs_m[trajectory.valid, :2]
     for point, name, face in ((en[0], "start", "white"), (en[-1], "end", "black")):
         ax.plot(*point, ls="none", marker="D", ms=5.5, mfc=face, mec="black", mew=1.0, zorder=8, label=name)
@@ -213,3 +234,27 @@ def _draw_cloud(ax: Axes, cloud: ArrayF, low: ArrayF, high: ArrayF) -> None:
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
     ax.plot([], [], ls="none", marker="s", color="0.75", label=f"cloud, n = {count(len(cloud))} points drawn")
+
+
+def sigma_norm(sigma: ArrayF) -> Normalize:
+    """Colour scale of sigmas: logarithmic where they differ much, never narrower than a fifth of its middle.
+
+    Without the second, rounding errors of a constant sigma would fill the whole scale.
+    """
+    finite = sigma[np.isfinite(sigma) & (sigma > 0)]
+    if not finite.size:
+        return Normalize(0.0, 1.0)
+    low, high = (float(v) for v in np.percentile(finite, [0.5, 99.5]))
+    if high > LOG_RATIO * low:
+        return LogNorm(low, high)
+    middle = 0.5 * (low + high)
+    half = max(0.5 * (high - low), 0.1 * middle)
+    return Normalize(middle - half, middle + half)
+
+
+def plain_numbers(axis: Axis, norm: Normalize) -> None:
+    """Numbers such as 0.05 and 20 in place of powers of ten, if the scale is logarithmic."""
+    if isinstance(norm, LogNorm):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())

@@ -7,7 +7,7 @@ smallest key and chunks merge by a minimum.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Final, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,28 @@ EDL_RADII_PX: Final = (1, 2, 4)
 
 EDL_CAP: Final = 2.0
 """Most that one neighbour counts, in depth steps per pixel distance: silhouettes stay dark, not black."""
+
+
+class View(Protocol):
+    """What a `Splat` needs to know of a projection."""
+
+    @property
+    def width_px(self) -> int:
+        """Width of the picture."""
+
+    @property
+    def height_px(self) -> int:
+        """Height of the picture."""
+
+    @property
+    def pixel_m(self) -> float:
+        """Size of a pixel at the scene, which scales the shading."""
+
+    def project(self, points_wcs_m: ArrayF) -> ArrayF:
+        """Column, row (pixel units, 0 at the upper left corner) and depth in metres, shape (n, 3)."""
+
+
+ViewT = TypeVar("ViewT", bound=View)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,7 +156,7 @@ def across_azimuth(points_wcs_m: ArrayF) -> float:
     return float(np.arctan2(east, north))
 
 
-class Splat:
+class Splat(Generic[ViewT]):
     """A picture that grows chunk by chunk.
 
     Parameters
@@ -146,7 +168,7 @@ class Splat:
     n_added, n_drawn : points given, and points of them that are finite and inside the picture.
     """
 
-    def __init__(self, view: ObliqueView) -> None:
+    def __init__(self, view: ViewT) -> None:
         self.view = view
         self.n_added = 0
         self.n_drawn = 0

@@ -13,8 +13,9 @@ from matplotlib.patches import Patch
 
 from thalweg.core.errors import InputError
 from thalweg.core.timescales import unix_from_gps, utc_text_from_gps
-from thalweg.figures.style import BLUE, RED, count, new_figure, plural, styled
+from thalweg.figures.style import BLUE, GREEN, RED, count, new_figure, plural, styled
 from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest.stamps import StreamTiming
 
 BAR: Final = 0.56
 CLOCK_WORDS: Final = (
@@ -22,9 +23,6 @@ CLOCK_WORDS: Final = (
     "time", "lock",
 )  # fmt: skip
 """A detail of a report belongs to the clock panel if its key has one of these words."""
-
-UNSYNCHRONISED_KEY: Final = "unsynchronised_s"
-"""Detail of a report that lists pairs (from, to) in adjusted GPS time whose records have no GPS time."""
 
 ROW_MM: Final = 7.5
 LINE_MM: Final = 3.9
@@ -38,8 +36,9 @@ def streams_in_time(
 ) -> Figure:
     """One bar a stream on the UTC axis, gaps, unsynchronised parts, rates, counts; below, the clocks.
 
-    Streams without GPS time are drawn hatched from the start of the axis: their length is known, their place
-    is not.
+    Parts without GPS time are hatched: beside synchronised parts of the same stream their place is known.
+    Whole streams without GPS time begin at the start of the axis: their length is known, their place is not.
+    A line below the bar of a stream with a PPS input shows where it was locked.
 
     Parameters
     ----------
@@ -82,15 +81,16 @@ def streams_in_time(
 
 
 def time_span(reports: list[IntegrityReport]) -> tuple[float, float]:
-    """Span of the time axis in adjusted GPS time: from the first to the last synchronised stamp.
+    """Span of the time axis in adjusted GPS time: from the first to the last stamp that has a place on it.
 
     Without any synchronised stream the axis begins at 0 and is as long as the longest stream.
     """
     timed = [r for r in reports if r.synchronised and r.t_first_s is not None and r.t_last_s is not None]
     lengths = [_length(r) for r in reports if not r.synchronised]
     if timed:
-        start = min(r.t_first_s for r in timed if r.t_first_s is not None)
-        end = max(r.t_last_s for r in timed if r.t_last_s is not None)
+        loose = [span for r in timed for span in r.timing.unsynchronised]
+        start = min([r.t_first_s for r in timed if r.t_first_s is not None] + [a for a, _ in loose])
+        end = max([r.t_last_s for r in timed if r.t_last_s is not None] + [b for _, b in loose])
     else:
         start, end = 0.0, max(lengths, default=1.0)
     return start, max(end, start + 1.0)
@@ -101,9 +101,9 @@ def clock_lines(report: IntegrityReport) -> list[str]:
     state = f"stamps in {report.time_scale.upper()}" if report.synchronised else "NO GPS TIME"
     if not report.synchronised and report.time_scale != "none":
         state += f", stamps of the {report.time_scale} clock"
-    parts = [state]
+    parts = [state, *timing_words(report.timing)]
     for key, value in report.details.items():
-        if key == UNSYNCHRONISED_KEY or not any(word in key.lower() for word in CLOCK_WORDS):
+        if not any(word in key.lower() for word in CLOCK_WORDS):
             continue
         shown = _plain_value(value)
         if shown:
@@ -115,6 +115,46 @@ def clock_lines(report: IntegrityReport) -> list[str]:
         else:
             lines.append(part[:118])
     return lines
+
+
+def timing_words(timing: StreamTiming) -> list[str]:
+    """The clock of a stream in words: regularity, PPS, other clocks, time without GPS."""
+    words = []
+    if timing.period_s is not None and timing.jitter_s is not None:
+        most = "" if timing.jitter_max_s is None else f", at most {span_text(timing.jitter_max_s)}"
+        words.append(f"step {span_text(timing.period_s)}, jitter {span_text(timing.jitter_s)}{most}")
+    if timing.resolution_s is not None:
+        words.append(f"resolved to {span_text(timing.resolution_s)}")
+    if timing.pps_locked_share is not None:
+        start = span_text(timing.pps_unlocked_start_s or 0.0)
+        losses = timing.pps_losses or 0
+        lost = {0: "never lost", 1: "lost once"}.get(losses, f"lost {losses} times")
+        words.append(f"PPS locked {100 * timing.pps_locked_share:.4g} % (first after {start}, then {lost})")
+    if timing.clock_offset_s is not None:
+        spread = f" ± {span_text(timing.sigma_clock_offset_s)}" if timing.sigma_clock_offset_s else ""
+        text = f"{timing.clock} clock {timing.clock_offset_s:+.6g} s{spread}"
+        if timing.clock_drift_ppm is not None:
+            text += f", drift {timing.clock_drift_ppm:+.3g} ± {timing.sigma_clock_drift_ppm or 0.0:.2g} ppm"
+        words.append(text)
+    if timing.clock_set_s is not None:
+        words.append(f"{timing.clock} clock was set by {timing.clock_set_s:+.6g} s")
+    if timing.unsynchronised_s:
+        words.append(f"{timing.unsynchronised_s:.3f} s without GPS time")
+    return words
+
+
+def span_text(seconds: float) -> str:
+    """A short time with a unit that suits it.
+
+    Examples
+    --------
+    >>> span_text(0.1), span_text(0.0013271), span_text(2.9e-7), span_text(0.0)
+    ('100 ms', '1.327 ms', '0.29 µs', '0 s')
+    """
+    size = abs(seconds)
+    if size >= 1.0 or size == 0.0:
+        return f"{seconds:.4g} s"
+    return f"{seconds * 1e3:.4g} ms" if size >= 1e-3 else f"{seconds * 1e6:.3g} µs"
 
 
 def _plain_value(value: Any) -> str:
@@ -171,13 +211,27 @@ def _draw_stream(ax: Axes, row: int, report: IntegrityReport, start: float, end:
         )  # fmt: skip
         return
     _bar(ax, row, first, last, "stream")
-    for a, b in report.details.get(UNSYNCHRONISED_KEY, []) or []:
-        if a is not None and b is not None:
-            _bar(ax, row, float(a), float(b), "unsynchronised")
+    loose = report.timing.unsynchronised
+    for a, b in loose:
+        _bar(ax, row, a, b, "unsynchronised")
+    if report.timing.pps_locked_share is not None:
+        for a, b in _locked_spans(first, last, loose):
+            ax.plot([_date(a), _date(b)], [row + 0.5 * BAR + 0.07] * 2, color=GREEN, lw=1.6, gid="pps",
+                    solid_capstyle="butt")  # fmt: skip
     least = MIN_GAP_SHARE * (end - start)
     for gap in report.gaps:
         middle, half = gap.t_start_s + 0.5 * gap.duration_s, 0.5 * max(gap.duration_s, least)
         _bar(ax, row, middle - half, middle + half, "gap")
+
+
+def _locked_spans(first: float, last: float, loose: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """What is left of a span when the parts without GPS time are taken out."""
+    spans, begin = [], first
+    for a, b in sorted(loose):
+        if a > begin:
+            spans.append((begin, a))
+        begin = max(begin, b)
+    return [*spans, (begin, last)] if last > begin else spans
 
 
 def _bar(ax: Axes, row: int, a: float, b: float, kind: str) -> None:
@@ -207,8 +261,9 @@ def _draw_legend(ax: Axes) -> None:
         Patch(color=BLUE, label="records on the GPS time axis"),
         Patch(color=RED, label="gap"),
         Patch(facecolor="0.92", edgecolor="0.35", hatch="/////", label="without GPS time"),
+        Line2D([], [], color=GREEN, lw=1.6, label="PPS locked"),
     ]
-    ax.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3, frameon=False,
+    ax.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=4, frameon=False,
               borderaxespad=0.2)  # fmt: skip
 
 

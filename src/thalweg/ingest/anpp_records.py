@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from thalweg.core.timescales import GPS_EPOCH_UNIX_S, gps_from_unix
+from thalweg.core.timescales import gps_from_unix
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.ingest import anpp_packets as ap
 from thalweg.ingest.anpp_frames import find_anpp
 from thalweg.ingest.anpp_sbp_stream import CHUNK_BYTES, PacketBlock, StreamTally, read_packets
+from thalweg.ingest.stamps import possible_unix
 
 CURE = "Give files as the device or its Manager program logs them (.anpp), not exported text"
 
@@ -149,8 +150,8 @@ def gps_time(unix_s: AnyArray, us: AnyArray, valid: ArrayB) -> ArrayF:
 
 
 def possible_utc(unix_s: AnyArray, us: AnyArray) -> ArrayB:
-    """False where a stamp lies before GPS time began or has more than a second of microseconds."""
-    return np.asarray((unix_s >= GPS_EPOCH_UNIX_S) & (us < 1_000_000))
+    """False where no survey can have been made, or where a stamp has more than a second of microseconds."""
+    return possible_unix(unix_s) & (us < 1_000_000)
 
 
 def build_clock(records: AnppRecords) -> Clock:

@@ -1,5 +1,7 @@
 """What the integrity report says about an ANPP log: device, clock, gaps, alarms."""
 
+from typing import Final
+
 import numpy as np
 import pandas as pd
 
@@ -7,6 +9,9 @@ from thalweg.core.types import ArrayF
 from thalweg.ingest import anpp_packets as ap
 from thalweg.ingest.anpp_records import AnppRecords, Clock
 from thalweg.ingest.integrity import IntegrityReport, find_gaps
+
+_RESOLUTION_S: Final = 1e-6
+"""Packets 20, 21 and 22 state whole microseconds."""
 
 
 def describe_log(report: IntegrityReport, records: AnppRecords, clock: Clock, states: pd.DataFrame) -> None:
@@ -51,6 +56,7 @@ def _time(report: IntegrityReport, clock: Clock, states: pd.DataFrame) -> None:
     t = gps[known] if report.synchronised else device
     report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
     report.gaps = find_gaps(t)
+    _timing(report, device, gps, t)
     _steps(report, t, what)
     if not known.any():
         report.note(
@@ -62,6 +68,19 @@ def _time(report: IntegrityReport, clock: Clock, states: pd.DataFrame) -> None:
             f"{int((~known).sum()):,} of {device.size:,} {what} carry no valid UTC (UTC not initialised, or "
             "an impossible date) and have no GPS time; they are kept with the device's own clock."
         )
+
+
+def _timing(report: IntegrityReport, device: ArrayF, gps: ArrayF, t: ArrayF) -> None:
+    """Period and jitter, times before UTC was initialised, and the step of the clock when it was."""
+    timing = report.timing
+    timing.describe_stamps(t, _RESOLUTION_S)
+    timing.place_unsynchronised(device, gps)
+    known = np.isfinite(gps)
+    begins = np.flatnonzero(known[1:] & ~known[:-1])
+    if begins.size:
+        i = int(begins[0])
+        timing.clock = "device"
+        timing.clock_set_s = float(device[i + 1] - device[i]) - (timing.period_s or 0.0)
 
 
 def _steps(report: IntegrityReport, t: ArrayF, what: str) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from thalweg.core.timescales import utc_text_from_gps
+from thalweg.ingest.stamps import StreamTiming
 
 TimeScale = Literal["gps", "utc", "device", "host", "none"]
 """Scale of a stream's own stamps: GPS or UTC if disciplined, else its free-running clock."""
@@ -30,7 +31,7 @@ class IntegrityReport:
 
     ``t_first_s`` and ``t_last_s`` are adjusted GPS times if ``synchronised`` is true, else seconds on
     the device's own clock. ``losses`` counts what is missing or damaged (bytes or records, the key
-    says which); ``notes`` are sentences for people, worst first.
+    says which); ``timing`` is the state of the clock; ``notes`` are sentences for people, worst first.
     """
 
     stream: str
@@ -46,6 +47,7 @@ class IntegrityReport:
     losses: dict[str, int] = field(default_factory=dict)
     rates_hz: dict[str, float] = field(default_factory=dict)
     gaps: list[Gap] = field(default_factory=list)
+    timing: StreamTiming = field(default_factory=StreamTiming)
     details: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -81,6 +83,9 @@ class IntegrityReport:
         """Read a report written by `write`."""
         data = json.loads(path.read_text())
         data["gaps"] = [Gap(**gap) for gap in data["gaps"]]
+        timing = StreamTiming(**data.pop("timing", {}))
+        timing.unsynchronised = [(float(a), float(b)) for a, b in timing.unsynchronised]
+        data["timing"] = timing
         return cls(**data)
 
     def lines(self) -> list[str]:
@@ -104,6 +109,11 @@ class IntegrityReport:
         for title, numbers in (("counts", self.counts), ("losses", self.losses)):
             text = ", ".join(f"{k} {v:,}" for k, v in numbers.items()) or "none"
             out.append(f"  {title:9s} {text}")
+        if self.timing.period_s is not None and self.timing.jitter_s is not None:
+            out.append(
+                f"  stamps    every {self.timing.period_s:.6g} s, jitter {self.timing.jitter_s:.2g} s, "
+                f"at most {self.timing.jitter_max_s or 0.0:.2g} s"
+            )
         if self.rates_hz:
             out.append("  rates     " + ", ".join(f"{k} {v:.4g} Hz" for k, v in self.rates_hz.items()))
         if self.gaps:

@@ -108,6 +108,10 @@ class _Rows:
     sigmas: list[tuple[float, ...]] = field(default_factory=list)
     depths: list[tuple[float, float, float, float, float, float, str, int, int]] = field(default_factory=list)
     headings: list[tuple[float, float, float, float, int, int]] = field(default_factory=list)
+    host: list[tuple[float, float, float, float]] = field(default_factory=list)
+    """Second, midnights and day zero of time sentences that stand behind a stamp of the logger, and it."""
+    decimals: int = 0
+    """Most decimals of a time of day."""
 
 
 def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
@@ -168,6 +172,9 @@ def _take(sentence: Sentence, rows: _Rows, report: IntegrityReport) -> None:
             clock.to(second)
             if day is not None:
                 _set_date(day, rows)
+            rows.decimals = max(rows.decimals, len(text.partition(".")[2].strip()))
+            if sentence.t_host_s == sentence.t_host_s:
+                rows.host.append((second, float(clock.midnights), clock.day_zero, sentence.t_host_s))
         if kind == "GST":
             values = [number(f, i) for i in range(3, 9)]
             rows.sigmas.append((second, float(clock.midnights), *values))
@@ -301,6 +308,8 @@ def _log(rows: _Rows, date: dt.date | None, report: IntegrityReport) -> NmeaLog:
         )
     depths = depth[list(DEPTH.names)].astype({"line": np.int64, "sentence": object})
     headings = heading[["t_gps_s", "t_day_s", "heading_deg", "line"]]
+    host = np.array(rows.host, dtype=np.float64).reshape(-1, 4)
+    report.timing.describe_host(seconds(*host[:, :3].T), host[:, 3])
     _summarise(report, positions, depths, len(headings), rows, have_date=first == first)
     return NmeaLog(positions=positions, depths=depths, headings=headings, report=report)
 
@@ -352,6 +361,7 @@ def _summarise(
         report.note("The log has no time sentence: nothing is synchronised.")
     regular = positions["t_gps_s"].dropna().drop_duplicates().to_numpy()
     report.gaps = find_gaps(regular)
+    report.timing.describe_stamps(regular, 10.0**-rows.decimals if has_time else None)
     if len(regular) > 2 and np.any(np.diff(regular) > 0):
         report.rates_hz["positions"] = 1.0 / float(np.median(np.diff(regular)[np.diff(regular) > 0]))
     offsets = sorted(depths["offset_m"].dropna().unique())

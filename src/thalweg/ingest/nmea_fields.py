@@ -3,6 +3,9 @@
 import datetime as dt
 from typing import Final
 
+from thalweg.core.timescales import DAY_S
+from thalweg.ingest.stamps import possible_unix
+
 FOOT_M: Final = 0.3048
 FATHOM_M: Final = 1.8288
 
@@ -37,17 +40,18 @@ def second_of_day(text: str) -> float:
 
 
 def days_of_date(day: int, month: int, year: int) -> int:
-    """Days since 1970-01-01; a year of two digits is 1980 to 2079.
+    """Days since 1970-01-01; a year of two digits is 1980 to 2057.
 
     Raises
     ------
-    ValueError : no date, or one before GPS time.
+    ValueError : no date, or one at which no survey can have been made.
     """
     if year < 100:
         year += 1900 if year >= 80 else 2000
-    if year < 1980:
+    days = dt.date(year, month, day).toordinal() - _UNIX_ORDINAL
+    if not possible_unix(days * DAY_S):
         raise ValueError(year)
-    return dt.date(year, month, day).toordinal() - _UNIX_ORDINAL
+    return days
 
 
 def degrees(text: str, side: str) -> float:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from thalweg.core.errors import InputError
@@ -109,6 +110,11 @@ def read_positions(
     else:
         raise InputError(f"position source '{source}'", expected="pos, sbp, ppk, sbet or ins")
     report.stream = "positions"
+    if report.timing.period_s is None:
+        t_gps_s = positions["t_gps_s"].to_numpy()
+        report.timing.describe_stamps(t_gps_s)
+        untimed = int((~np.isfinite(t_gps_s)).sum())
+        report.timing.unsynchronised_s = untimed * (report.timing.period_s or 0.0)
     if source != "ppk":  # which has done so itself
         positions, n_replaced = replace_covariances(positions)
         if n_replaced:

@@ -26,6 +26,7 @@ from thalweg.ingest.integrity import IntegrityReport, find_gaps
 from thalweg.ingest.overlap import repeated_rows, say_repeated
 from thalweg.ingest.rtklib_pos_layout import SEPARATORS, Layout, covariance_names, layout_from_header
 from thalweg.ingest.schemas import GNSS_POSITION
+from thalweg.ingest.stamps import FIRST_UNIX_S, LAST_UNIX_S
 
 FIX_OF_QUALITY: Final = {
     0: "none", 1: "fixed", 2: "float", 3: "sbas", 4: "dgnss", 5: "single", 6: "ppp", 7: "dead_reckoning",
@@ -84,6 +85,8 @@ def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosL
         if n:
             report.lose(what, int(n))
     report.gaps = find_gaps(t)
+    report.timing.describe_stamps(t)
+    report.timing.unsynchronised_s = 0.0
     if np.any(step > 0):
         report.rates_hz = {"positions": 1.0 / float(np.median(step[step > 0]))}
     report.count("positions", len(positions))
@@ -125,6 +128,8 @@ def _read_one(
             bad.append(number)
             first_bad = first_bad or f"line {number}: {line[:60]!r}"
         else:
+            if not rows:
+                _note_resolution(fields[1], report)
             rows.append(row)
     if layout is None or not rows:
         raise InputError(
@@ -152,6 +157,12 @@ def _read_one(
     return _table(np.array(rows), layout, base)
 
 
+def _note_resolution(text: str, report: IntegrityReport) -> None:
+    """The unit of the stamps of a file, from the decimals of its first; the coarsest of all files counts."""
+    unit_s = 10.0 ** -len(text.partition(".")[2])
+    report.timing.resolution_s = max(unit_s, report.timing.resolution_s or 0.0)
+
+
 def _row(fields: list[str], layout: Layout) -> list[float] | None:
     """Numbers of a line: second of its scale since 1970, leap second 0/1, coordinates, other columns."""
     if len(fields) != layout.n_fields:
@@ -173,7 +184,7 @@ def _row(fields: list[str], layout: Layout) -> list[float] | None:
             if not (0 <= tow < WEEK_S + 1):
                 return None
             time, fraction, leap = float(GPS_EPOCH_UNIX_S + week * WEEK_S), tow, 0.0
-        if time + fraction < GPS_EPOCH_UNIX_S:
+        if not FIRST_UNIX_S <= time + fraction <= LAST_UNIX_S:
             return None
         at = 2
         if layout.dms:

@@ -117,6 +117,8 @@ def read_sbet(
     if np.any(step > 0):
         report.rates_hz["records"] = 1.0 / float(np.median(step[step > 0]))
     report.gaps = find_gaps(t)
+    report.timing.describe_stamps(t)
+    report.timing.unsynchronised_s = 0.0
     report.note("An SBET states no GPS fix and no filter status: those columns are empty.")
     return SbetLog(states=states[list(INS_STATE.names)], report=report)
 

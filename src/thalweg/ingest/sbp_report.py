@@ -14,6 +14,8 @@ from thalweg.ingest.sbp_records import SbpRecords
 from thalweg.ingest.sbp_time import WeekTrack
 
 _BASE_MOVE_M: Final = 0.001
+_MILLISECOND_S: Final = 1e-3
+_NANOSECOND_S: Final = 1e-9
 _UTC_TOLERANCE_S: Final = 0.0015
 """Offsets are rounded to a millisecond; leap seconds differ by whole seconds."""
 
@@ -77,6 +79,9 @@ def _clock(report: IntegrityReport, track: WeekTrack, positions: pd.DataFrame) -
         return
     report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
     report.gaps = find_gaps(t)
+    report.timing.describe_stamps(t, _NANOSECOND_S if track.ns.any() else _MILLISECOND_S)
+    untimed = len(positions) - int(np.isfinite(positions["t_gps_s"]).sum())
+    report.timing.unsynchronised_s = untimed * (report.timing.period_s or 0.0)
     report.details["GPS week from"] = track.source
     step = np.diff(t)
     if (step > 0).any():

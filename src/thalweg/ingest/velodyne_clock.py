@@ -15,8 +15,9 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from thalweg.core.timescales import GPS_EPOCH_UNIX_S, gps_from_unix
+from thalweg.core.timescales import gps_from_unix
 from thalweg.core.types import ArrayF, ArrayI
+from thalweg.ingest.stamps import possible_unix
 from thalweg.ingest.velodyne_model import HOUR_US
 from thalweg.ingest.velodyne_packets import GAP, STEP_BACK, PacketBlock, PositionPacket
 
@@ -70,7 +71,7 @@ def parse_rmc(sentence: bytes) -> tuple[float, str]:
     except ValueError:
         return math.nan, "no date"
     unix_s = day + 3600 * int(clock[:2]) + 60 * int(clock[2:4]) + int(clock[4:6]) + second
-    return (unix_s, "") if unix_s >= GPS_EPOCH_UNIX_S and second < 1.0 else (math.nan, "no date")
+    return (unix_s, "") if possible_unix(unix_s) and second < 1.0 else (math.nan, "no date")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -34,6 +34,7 @@ from thalweg.ingest.velodyne_packets import (
     StreamTally,
 )
 from thalweg.ingest.velodyne_parts import Parts
+from thalweg.ingest.velodyne_timing import LONGEST_STEP_US, HostPairs, write_timing
 
 _RECENT_GAPS = 64
 _NAMED = 10
@@ -73,12 +74,15 @@ class Findings:
     n_steps: int = 0
     steps_us: int = 0
     """Steps of less than a second from packet to packet, and their sum."""
+    step_counts: ArrayI = field(default_factory=lambda: np.zeros(LONGEST_STEP_US + 1, dtype=np.int64))
+    """How often each step in microseconds occurred; the last entry holds all longer ones."""
     holes: list[Hole] = field(default_factory=list)
     first: tuple[int, int] = (0, 0)
     last: tuple[int, int] = (0, 0)
     """Index and unrolled stamp of the first and of the last packet kept that was not late."""
     host: list[tuple[int, int, float]] = field(default_factory=list)
     """Index, unrolled stamp and host stamp of one packet of each piece."""
+    host_pairs: HostPairs = field(default_factory=HostPairs)
     parts: Parts = field(default_factory=Parts)
 
     @property
@@ -106,6 +110,7 @@ class Findings:
         step_us = step_us[(step_us > 0) & (step_us < 1_000_000)]
         self.n_steps += step_us.size
         self.steps_us += int(step_us.sum())
+        self.step_counts += np.bincount(np.minimum(step_us, LONGEST_STEP_US), minlength=LONGEST_STEP_US + 1)
         if keep.size:
             if self.n_kept == keep.size:
                 self.first = (block.first_packet + int(keep[0]), int(block.t_us[keep[0]]))
@@ -113,6 +118,7 @@ class Findings:
             if newest.size:
                 self.last = (block.first_packet + int(newest[-1]), int(block.t_us[newest[-1]]))
             self.parts.feed(block, keep)
+            self.host_pairs.feed(block, keep)
             if math.isfinite(block.t_host_s[keep[0]]):
                 packet = block.first_packet + int(keep[0])
                 self.host.append((packet, int(block.t_us[keep[0]]), float(block.t_host_s[keep[0]])))
@@ -191,7 +197,7 @@ def write_report(
     position_port: int,
 ) -> None:
     """Put the findings of a scan into its report."""
-    _write_times(report, found, builder, clock, position_port)
+    stops = _write_times(report, found, builder, clock, position_port)
     _write_counts(report, found, tally, builder, counters)
     _write_order(report, found, clock)
     _write_gaps(report, found, builder, clock)
@@ -202,6 +208,8 @@ def write_report(
         report.rates_hz["rotation"] = float(degrees / 360 / BLOCK_S)
     report.details["return_mode"] = found.return_mode
     report.details["product"] = product_name(found.product)
+    set_s = {h.packet: h.jump_us * 1e-6 for h in found.holes if h.packet in builder.clock_set}
+    write_timing(report, found.step_counts, found.host_pairs.table(), builder, clock, stops, set_s)
     host = np.array(found.host).reshape(-1, 3)
     packet = host[:, 0].astype(np.int64)
     gps_s = host[:, 1] * 1e-6 + clock.extra_s(packet) + clock.offset_s(packet)
@@ -226,7 +234,8 @@ def write_report(
 
 def _write_times(
     report: IntegrityReport, found: Findings, builder: ClockBuilder, clock: LidarClock, position_port: int
-) -> None:
+) -> list[float]:
+    """Span and synchronisation; returns the ends of the clock's stretches on the device's clock."""
     ends = [*clock.first_packet[1:], found.n_packets]
     device = [s.t_us * 1e-6 + s.extra_s for s in builder.stretches]
     last_s = found.parts.newest_s(clock)
@@ -246,7 +255,7 @@ def _write_times(
             f"The lidar is unsynchronised: {_why(builder, position_port)}. Its points have no GPS time, "
             "t_device_s is the sensor's free-running clock."
         )
-        return
+        return stops
     free = [i for i, good in enumerate(locked) if not good]
     for i in free[:_NAMED]:
         report.note(
@@ -265,6 +274,7 @@ def _write_times(
             f"No position packets for up to {silence_s:.0f} s: the PPS state is taken to be unchanged there."
         )
     report.details["rmc_age_s"] = round(builder.worst_lag_s, 3)
+    return stops
 
 
 def _write_order(report: IntegrityReport, found: Findings, clock: LidarClock) -> None:

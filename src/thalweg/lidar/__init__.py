@@ -1,1 +1,1 @@
-"""Lidar points: from the scanner frame into the world, each with its own pose."""
+"""Lidar points: from the scanner frame into the world, each with its own pose and covariance."""

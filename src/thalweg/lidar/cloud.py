@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -11,33 +12,69 @@ from pyproj import CRS
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.las import LazWriter, iter_laz, laz_header
+from thalweg.core.las_columns import ExtraDimension
+from thalweg.core.tables import write_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import AnyArray
+from thalweg.core.types import AnyArray, ArrayB, ArrayF32, ArrayU8
 from thalweg.ingest.velodyne import LidarClock, LidarOptions, iter_points
-from thalweg.lidar.georeference import Mount, georeference_points
+from thalweg.ingest.velodyne_decode import PointBlock
+from thalweg.lidar.covariance import BeamErrors
+from thalweg.lidar.filters import (
+    REMOVED_POINTS,
+    FilterSettings,
+    Reason,
+    RemovedSample,
+    classify,
+    count_reasons,
+    reason_table,
+    water_level_m,
+)
+from thalweg.lidar.georeference import WorldPoints, georeference_points
+from thalweg.lidar.mount import Mount
+from thalweg.lidar.occupancy import Occupancy
 
-EXTRA_DIMENSIONS = {
+SIGMAS: Final = ("sigma_east", "sigma_north", "sigma_up")
+"""Extra dimensions with the standard deviations of a point along the axes of wcs, metres."""
+
+CORRELATIONS: Final = ("corr_east_north", "corr_east_up", "corr_north_up")
+"""Extra dimensions with the correlations of a point's coordinates; with `SIGMAS` its full covariance."""
+
+EXTRA_DIMENSIONS: Final[dict[str, ExtraDimension]] = {
     "range": ("f4", "measured range, m"),
     "ring": ("u1", "beam, 0 lowest .. 15 highest"),
+    **dict.fromkeys(SIGMAS, ("u4", "standard deviation, m", 0.0001)),
 }
-"""Extra bytes of a georeferenced cloud: name -> (type, description)."""
+"""Extra bytes of a georeferenced cloud: name -> (type, description, scale)."""
+
+CORRELATION_DIMENSIONS: Final[dict[str, ExtraDimension]] = dict.fromkeys(
+    CORRELATIONS, ("i2", "correlation", 0.0001)
+)
+"""Extra bytes of the full covariance, on request."""
 
 
-@dataclass(slots=True, kw_only=True)
-class Tally:
-    """What became of the points of a log; ``written`` and the reasons add up to ``decoded``."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogSettings:
+    """How a lidar log becomes a cloud.
 
-    decoded: int = 0
-    written: int = 0
-    without_gps_time: int = 0
-    nearer_than_min_range: int = 0
-    farther_than_max_range: int = 0
-    without_pose: int = 0
+    Parameters
+    ----------
+    mount : pose of the scanner on the boat with its covariance.
+    beam : accuracy of a single measurement.
+    filters : which points are left out.
+    min_range_m, max_range_m : shorter and longer ranges are left out.
+    laz_scale_m : resolution of the coordinates.
+    correlations : write the correlations of each point's coordinates too.
+    chunk_points : points held at a time.
+    """
 
-    def table(self) -> pd.DataFrame:
-        """Columns ``what``, ``n``."""
-        words = {name: name.replace("_", " ") for name in self.__slots__}
-        return pd.DataFrame([(words[name], getattr(self, name)) for name in words], columns=["what", "n"])
+    mount: Mount
+    beam: BeamErrors
+    filters: FilterSettings
+    min_range_m: float
+    max_range_m: float
+    laz_scale_m: float = 0.001
+    correlations: bool = False
+    chunk_points: int = 1_000_000
 
 
 def georeference_log(
@@ -45,66 +82,147 @@ def georeference_log(
     options: LidarOptions,
     clock: LidarClock,
     trajectory: Trajectory,
-    mount: Mount,
+    settings: LogSettings,
     out: Path,
     *,
-    min_range_m: float,
-    max_range_m: float,
-    laz_scale_m: float,
-    chunk_points: int = 1_000_000,
-) -> Tally:
+    out_removed: Path | None = None,
+) -> pd.DataFrame:
     """Stream a lidar log into a LAZ cloud in the world frame; memory does not grow with the log.
+
+    The log is decoded twice where a filter has to know what lies about a point: the first pass counts points
+    in a sparse grid, the second one writes.
 
     Parameters
     ----------
     files : the log, in order of time.
     options : how packets become points.
     clock : GPS time of each packet, from `scan_lidar`.
-    trajectory, mount : poses.
+    trajectory : poses of the boat with their covariance.
+    settings : mount, accuracy, filters.
     out : target, ``.laz``.
-    min_range_m, max_range_m : shorter (own hull) and longer ranges are left out, and counted.
-    laz_scale_m : resolution of the coordinates.
-    chunk_points : points held at a time.
+    out_removed : where to write a sample of the points that were left out, table kind ``removed_points``.
+
+    Returns
+    -------
+    What became of the points, see `thalweg.lidar.filters.reason_table`; the numbers add up to all that were
+    decoded.
 
     Raises
     ------
-    CoverageError : no point got a pose.
+    CoverageError : no point is left.
     """
-    tally = Tally()
-    with LazWriter(out, trajectory.frame, scale_m=laz_scale_m, extra_dimensions=EXTRA_DIMENSIONS) as writer:
-        for block in iter_points(files, options, clock=clock, max_points=chunk_points):
-            timed = np.isfinite(block.t_gps_s)
-            near = timed & (block.range_m < min_range_m)
-            far = timed & (block.range_m > max_range_m)
-            points, has_pose = georeference_points(block.xyz_scs_m, block.t_gps_s, trajectory, mount)
-            keep = has_pose & ~near & ~far
-            tally.decoded += len(timed)
-            tally.without_gps_time += int((~timed).sum())
-            tally.nearer_than_min_range += int(near.sum())
-            tally.farther_than_max_range += int(far.sum())
-            tally.without_pose += int((timed & ~near & ~far & ~has_pose).sum())
-            tally.written += int(keep.sum())
-            if keep.any():
-                writer.append(
-                    points[keep],
-                    t_gps_s=block.t_gps_s[keep],
-                    intensity=block.intensity[keep],
-                    return_number=block.return_number[keep],
-                    number_of_returns=block.n_returns[keep],
-                    extra={"range": block.range_m[keep], "ring": block.ring[keep]},
+    occupancy = None
+    if settings.filters.needs_occupancy:
+        occupancy = Occupancy(settings.filters.isolated_radius_m)
+        for block in iter_points(files, options, clock=clock, max_points=settings.chunk_points):
+            first = _classified(block, trajectory, settings, None)
+            occupancy.add(first.points.points_wcs_m, first.reasons == Reason.KEPT)
+        occupancy.freeze()
+    counts = np.zeros(len(Reason), dtype=np.int64)
+    removed = RemovedSample()
+    extra = EXTRA_DIMENSIONS | (CORRELATION_DIMENSIONS if settings.correlations else {})
+    with LazWriter(out, trajectory.frame, scale_m=settings.laz_scale_m, extra_dimensions=extra) as writer:
+        for block in iter_points(files, options, clock=clock, max_points=settings.chunk_points):
+            found = _classified(block, trajectory, settings, occupancy)
+            counts += count_reasons(found.reasons)
+            keep = found.reasons == Reason.KEPT
+            if out_removed is not None:
+                removed.add(
+                    found.reasons,
+                    t_gps_s=block.t_gps_s,
+                    points_wcs_m=found.points.points_wcs_m,
+                    x_ics_m=found.x_ics_m,
+                    range_m=block.range_m,
                 )
-        if not tally.written:
+            if keep.any():
+                _append(writer, block, found.points, keep, correlations=settings.correlations)
+        if not counts[Reason.KEPT]:
+            table = reason_table(counts).query("n > 0")
+            what = ", ".join(f"{row.n:,} {row.reason}" for row in table.itertuples()) or "no points at all"
             raise CoverageError(
-                f"none of {tally.decoded:,} lidar points got a pose ({tally})",
-                expected="a trajectory that covers the lidar log",
+                f"none of {counts.sum():,} lidar points is left: {what}",
+                expected="a trajectory that covers the lidar log, and filters that leave something",
                 where=", ".join(str(f) for f in files),
                 cure="Look at streams.csv: do the streams overlap, is the lidar synchronised?",
             )
-    return tally
+    if out_removed is not None:
+        write_table(out_removed, removed.table(), REMOVED_POINTS)
+    return reason_table(counts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Classified:
+    """Points of a block in the world and in the body frame, and the reason of each to be left out."""
+
+    points: WorldPoints
+    x_ics_m: ArrayF32
+    reasons: ArrayU8
+
+
+def _classified(
+    block: PointBlock, trajectory: Trajectory, settings: LogSettings, occupancy: Occupancy | None
+) -> _Classified:
+    filters = settings.filters
+    with_sigma = occupancy is not None or not filters.needs_occupancy or filters.max_sigma_m is not None
+    points = georeference_points(
+        block.xyz_scs_m,
+        block.t_gps_s,
+        trajectory,
+        settings.mount,
+        beam=settings.beam if with_sigma else None,
+        range_m=block.range_m,
+        reflectivity=block.intensity,
+    )
+    x_ics_m = in_body(block.xyz_scs_m, settings.mount)
+    reasons = classify(
+        timed=np.isfinite(block.t_gps_s),
+        has_pose=points.has_pose,
+        range_m=block.range_m,
+        x_ics_m=x_ics_m,
+        points_wcs_m=points.points_wcs_m,
+        water_level_m=water_level_m(block.t_gps_s, trajectory, filters.water_line_ics_m),
+        settings=filters,
+        min_range_m=settings.min_range_m,
+        max_range_m=settings.max_range_m,
+        sigma_max_m=points.sigmas_m().max(axis=1) if filters.max_sigma_m is not None else None,
+        occupancy=occupancy,
+    )
+    return _Classified(points=points, x_ics_m=x_ics_m, reasons=reasons)
+
+
+def in_body(xyz_scs_m: ArrayF32, mount: Mount) -> ArrayF32:
+    """Points (n, 3) of the scanner in the body frame ics, float32."""
+    R, lever = mount.R_ics_sensor.astype(np.float32), mount.lever_ics_m.astype(np.float32)
+    x, y, z = xyz_scs_m.T
+    out = np.empty_like(xyz_scs_m)
+    for i in range(3):  # a matrix product would wake the threads of BLAS, which costs more than it does
+        out[:, i] = R[i, 0] * x + R[i, 1] * y + R[i, 2] * z + lever[i]
+    return out
+
+
+def _append(
+    writer: LazWriter, block: PointBlock, points: WorldPoints, keep: ArrayB, *, correlations: bool
+) -> None:
+    extra: dict[str, AnyArray] = {"range": block.range_m[keep], "ring": block.ring[keep]}
+    kept = points.where(keep)
+    extra |= dict(zip(SIGMAS, kept.sigmas_m().T, strict=True))
+    if correlations:
+        extra |= dict(zip(CORRELATIONS, kept.correlations().T, strict=True))
+    writer.append(
+        kept.points_wcs_m,
+        t_gps_s=block.t_gps_s[keep],
+        intensity=block.intensity[keep],
+        return_number=block.return_number[keep],
+        number_of_returns=block.n_returns[keep],
+        extra=extra,
+    )
 
 
 def export_map(points: Path, out: Path, crs: str, chunk_points: int = 1_000_000) -> None:
     """Write a cloud of the world frame in map coordinates with ellipsoidal heights.
+
+    Standard deviations and correlations are copied: they refer to true east and north, from which the axes of
+    the grid differ by the meridian convergence.
 
     Parameters
     ----------
@@ -124,7 +242,9 @@ def export_map(points: Path, out: Path, crs: str, chunk_points: int = 1_000_000)
             "the cloud is not in a local frame", where=points, expected="a cloud made by Thalweg"
         )
     target = CRS.from_user_input(crs)
-    with LazWriter(out, target, scale_m=header.scale_m, extra_dimensions=EXTRA_DIMENSIONS) as writer:
+    known = EXTRA_DIMENSIONS | CORRELATION_DIMENSIONS
+    extra = {name: known[name] for name in header.extra_dimensions if name in known}
+    with LazWriter(out, target, scale_m=header.scale_m, extra_dimensions=extra) as writer:
         for chunk in iter_laz(points, chunk_points):
             writer.append(
                 frame.to_map(chunk["xyz_m"], target),
@@ -132,7 +252,7 @@ def export_map(points: Path, out: Path, crs: str, chunk_points: int = 1_000_000)
                 intensity=chunk["intensity"],
                 return_number=chunk["return_number"],
                 number_of_returns=chunk["number_of_returns"],
-                extra={name: chunk[name] for name in EXTRA_DIMENSIONS},
+                extra={name: chunk[name] for name in extra},
             )
 
 

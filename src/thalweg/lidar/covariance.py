@@ -1,51 +1,157 @@
-"""First-order prediction of a georeferenced point's covariance from pose and lidar sigmas.
+"""First-order covariance of a georeferenced point: the chain of T Table 3.1 at the actual pose and beam.
 
-``x_wcs = x_wcs_ics + R_wcs_ics (R_ics_scs x_scs + l)``; with small angle errors about the axes of the
-heading-pitch-roll sequence and an isotropic lidar error (T Table 3.1, P2 eq. 7)::
+``x_wcs = x_wcs_ics + R_wcs_ics (R_ics_scs x_scs + l)`` (P1 eq. 7-8) has fifteen inputs in T Table 3.1: three
+angles and three coordinates of the platform, three angles and three coordinates of the mount, three of the
+point in the scanner. Time is the sixteenth: what the platform moves until the stamp is right. With small
+rotations ``dtheta`` as vectors, in wcs for the platform and in ics for the mount, the derivatives are::
 
-    C = C_position + A diag(sigma_roll^2, sigma_pitch^2, sigma_heading^2) A^T + sigma_component^2 I
+    dx_wcs = dx + dtheta x (x_wcs - x_wcs_ics) + R_wcs_ics (dtheta_mount x R_ics_scs x_scs + dl)
+             + (range, right, up) errors of the beam + (v + omega x (x_wcs - x_wcs_ics)) dt
 
-where the columns of ``A`` are ``a_k x (x_wcs - x_wcs_pivot)`` and the pivot is the point of the boat whose
-position was measured.
+The table takes 17 mm for each coordinate in the scanner at any range (P2 eq. 7). Here the beam adds to that
+where in its footprint the echo arose, across the beam, and how weak the echo was, along it. An inclined
+surface needs no term of its own: an echo that is off by ``d`` across the beam lies ``d sin(i)`` off the
+surface along its normal, which is what ``n^T C n`` gives for incidence ``i``.
 """
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Self
 
 import numpy as np
 
-from thalweg.core.frames import R_ENU_NED, roll_pitch_heading
+from thalweg.core.errors import GeometryError
 from thalweg.core.types import ArrayF
 
+INPUTS: Final = (
+    "east", "north", "up", "rotation_east", "rotation_north", "rotation_up",
+    "mount_rotation_x", "mount_rotation_y", "mount_rotation_z", "lever_x", "lever_y", "lever_z",
+    "range", "across_right", "across_up", "time",
+)  # fmt: skip
+"""Columns of `point_jacobian`."""
 
-def attitude_axes(R_wcs_ics: ArrayF) -> ArrayF:
-    """Axes in wcs about which roll, pitch and heading turn, shape (n, 3 angles, 3).
-
-    Roll turns about body x, pitch about the horizontal axis to the right of the heading, heading about the
-    vertical (clockwise, that is about down).
-    """
-    _, _, heading = roll_pitch_heading(R_wcs_ics)
-    right_ned = np.stack([-np.sin(heading), np.cos(heading), np.zeros_like(heading)], axis=-1)
-    down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), right_ned.shape)
-    return np.stack([R_wcs_ics[..., :, 0], right_ned @ R_ENU_NED.T, down], axis=-2)
+WEAK_RANGE_M: Final = 100.0
+WEAK_REFLECTIVITY: Final = 10.0
+"""The echo to which `BeamErrors.sigma_weak_m` belongs: reflectivity in percent, as the sensor reports it."""
 
 
-def point_covariance(
-    points_wcs_m: ArrayF,
-    pivot_wcs_m: ArrayF,
-    R_wcs_ics: ArrayF,
-    cov_position_m2: ArrayF,
-    sigma_attitude_rad: ArrayF,
-    sigma_component_m: float,
-) -> ArrayF:
-    """Covariance (n, 3, 3) of points in wcs.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BeamErrors:
+    """What a single measurement of the scanner is worth.
 
     Parameters
     ----------
-    points_wcs_m : (n, 3).
-    pivot_wcs_m : (n, 3) the measured point of the boat (the antenna) at the time of each point.
-    R_wcs_ics : (n, 3, 3).
-    cov_position_m2 : (n, 3, 3).
-    sigma_attitude_rad : (n, 3) roll, pitch, heading.
-    sigma_component_m : standard deviation of the lidar in each component.
+    sigma_component_m : standard deviation along the beam and in both directions across it (P2 eq. 7).
+    divergence_rad : full divergence of the beam.
+    footprint_share : standard deviation of the echo's place in its footprint, in each direction, as a share
+        of the footprint's diameter: 1/4 if it may be anywhere in it (Lichti and Gordon 2004).
+    sigma_weak_m : further range noise of the echo of a 10 % target at 100 m; it goes with one over the
+        received power, so with the square of the range and the inverse of the reflectivity.
+    sigma_time_s : standard deviation of the scanner's stamps against the trajectory.
+
+    Raises
+    ------
+    GeometryError : a value is negative or not finite.
     """
-    arm = (points_wcs_m - pivot_wcs_m)[:, None, :]
-    A = np.swapaxes(np.cross(attitude_axes(R_wcs_ics), arm), 1, 2) * sigma_attitude_rad[:, None, :]
-    return cov_position_m2 + A @ np.swapaxes(A, 1, 2) + sigma_component_m**2 * np.eye(3)
+
+    sigma_component_m: float
+    divergence_rad: float = 0.0
+    footprint_share: float = 0.25
+    sigma_weak_m: float = 0.0
+    sigma_time_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        values = {name: getattr(self, name) for name in self.__slots__}
+        bad = {name: value for name, value in values.items() if not 0 <= value < np.inf}
+        if bad:
+            raise GeometryError(f"accuracy of the lidar {bad}", expected="finite values of at least 0")
+
+    @classmethod
+    def from_section(cls, section: Mapping[str, Any]) -> Self:
+        """From section ``lidar_accuracy`` of a campaign file."""
+        values = dict(section)
+        return cls(divergence_rad=values.pop("divergence_mrad") / 1000.0, **values)
+
+    def variances(self, range_m: ArrayF, reflectivity: ArrayF) -> tuple[ArrayF, ArrayF]:
+        """Variances along the beam and across it in each direction, m^2, both (n,).
+
+        Parameters
+        ----------
+        range_m : (n,) measured range.
+        reflectivity : (n,) percent, as the sensor reports it; below 1 counts as 1.
+        """
+        r = np.asarray(range_m, dtype=np.float64)
+        faint = WEAK_REFLECTIVITY / np.maximum(reflectivity, 1.0) * (r / WEAK_RANGE_M) ** 2
+        base = self.sigma_component_m**2
+        along = base + (self.sigma_weak_m * faint) ** 2
+        across = base + (self.footprint_share * self.divergence_rad * r) ** 2
+        return along, across
+
+
+def point_jacobian(
+    xyz_scs_m: ArrayF,
+    R_wcs_ics: ArrayF,
+    R_ics_scs: ArrayF,
+    lever_ics_m: ArrayF,
+    velocity_mps: ArrayF,
+    rate_wcs_radps: ArrayF,
+) -> ArrayF:
+    """Derivatives of points in wcs by their inputs, see `INPUTS`, shape (n, 3, 16).
+
+    Parameters
+    ----------
+    xyz_scs_m : (n, 3) points in the scanner frame.
+    R_wcs_ics : (n, 3, 3) attitude at the time of each point.
+    R_ics_scs, lever_ics_m : (3, 3), (3,) mount of the scanner.
+    velocity_mps, rate_wcs_radps : (n, 3) velocity of the ics origin and angular velocity, both in wcs.
+    """
+    body = np.asarray(xyz_scs_m, dtype=np.float64) @ R_ics_scs.T
+    arm = np.einsum("nij,nj->ni", R_wcs_ics, body + lever_ics_m)
+    beam = np.einsum("nij,nj->ni", R_wcs_ics, body)
+    out = np.zeros((len(body), 3, 16))
+    out[:, :, 0:3] = np.eye(3)
+    out[:, :, 3:6] = -_cross_matrix(arm)
+    out[:, :, 6:9] = -R_wcs_ics @ _cross_matrix(body)
+    out[:, :, 9:12] = R_wcs_ics
+    out[:, :, 12] = beam / np.linalg.norm(beam, axis=1, keepdims=True)
+    out[:, :, 13], out[:, :, 14] = _two_across(out[:, :, 12])
+    out[:, :, 15] = velocity_mps + np.cross(rate_wcs_radps, arm)
+    return out
+
+
+def point_covariance(
+    jacobian: ArrayF, cov_pose_wcs: ArrayF, cov_mount_ics: ArrayF, variances: tuple[ArrayF, ArrayF],
+    sigma_time_s: float = 0.0,
+) -> ArrayF:  # fmt: skip
+    """Covariance (n, 3, 3) of points in wcs: ``J S J^T``, the slow and clear form of the kernel.
+
+    Parameters
+    ----------
+    jacobian : (n, 3, 16) from `point_jacobian`.
+    cov_pose_wcs : (n, 6, 6) of the poses, see `thalweg.core.trajectory`.
+    cov_mount_ics : (6, 6) of the mount: rotation vector in ics, lever arm.
+    variances : (n,) along and (n,) across the beam, from `BeamErrors.variances`.
+    sigma_time_s : standard deviation of the stamps.
+    """
+    along, across = variances
+    S = np.zeros((len(jacobian), 16, 16))
+    S[:, :6, :6] = cov_pose_wcs
+    S[:, 6:12, 6:12] = cov_mount_ics
+    S[:, 12, 12], S[:, 13, 13], S[:, 14, 14] = along, across, across
+    S[:, 15, 15] = sigma_time_s**2
+    return np.asarray(jacobian @ S @ np.swapaxes(jacobian, 1, 2))
+
+
+def _cross_matrix(a: ArrayF) -> ArrayF:
+    """``[a]x`` (n, 3, 3), so that ``[a]x b = a x b``."""
+    out = np.zeros((len(a), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -a[:, 2], a[:, 1], -a[:, 0]
+    return out - np.swapaxes(out, 1, 2)
+
+
+def _two_across(direction: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Two unit vectors (n, 3) that make a right-handed frame with ``direction``."""
+    least = np.argmin(np.abs(direction), axis=1)
+    first = np.cross(direction, np.eye(3)[least])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(direction, first)

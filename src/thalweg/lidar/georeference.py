@@ -2,77 +2,95 @@
 
 ``x_ics = R_ics_scs @ x_scs + lever_ics_scs`` and ``x_wcs = R_wcs_ics(t) @ x_ics + x_wcs_ics(t)``.
 
-The kernel makes one pass over the points: they come nearly in time order, so the node interval is carried
-along instead of searched; attitudes are interpolated along the chord and normalised, which differs from
-slerp by less than ``a**3 / 124`` for an angle ``a`` between nodes (1e-9 rad at 50 Hz and 7 deg/s).
+Attitudes are interpolated along the chord and normalised, which differs from slerp by less than
+``a**3 / 124`` for an angle ``a`` between nodes (1e-9 rad at 50 Hz and 7 deg/s). The covariance is that of
+`thalweg.lidar.covariance`, written out; the tests compare both.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
 from thalweg.core.errors import GeometryError
-from thalweg.core.frames import rotation_opk
 from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayB, ArrayF, ArrayF32
-
-# Open3D brings an old TBB into the process, which numba would try first and complain about.
-nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32
+from thalweg.lidar.covariance import WEAK_RANGE_M, WEAK_REFLECTIVITY, BeamErrors
+from thalweg.lidar.georeference_kernels import georeference, georeference_with_covariance
+from thalweg.lidar.mount import Mount
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mount:
-    """A sensor on the boat: ``x_ics = R_ics_sensor @ x_sensor + lever_ics_m``.
+class WorldPoints:
+    """Points in the world.
 
-    Parameters
-    ----------
-    R_ics_sensor : (3, 3) rotation.
-    lever_ics_m : (3,) sensor origin in the body frame.
-
-    Raises
-    ------
-    GeometryError : the matrix is no rotation.
+    ``points_wcs_m`` (n, 3), NaN where there is no valid pose; ``has_pose`` (n,), false outside the
+    trajectory, in its gaps, and for points without GPS time; ``cov_m2`` (n, 6) float32: the elements ee, en,
+    eu, nn, nu, uu of each covariance in wcs, NaN where there is no pose, or None if it was not asked for.
     """
 
-    R_ics_sensor: ArrayF
-    lever_ics_m: ArrayF
+    points_wcs_m: ArrayF
+    has_pose: ArrayB
+    cov_m2: ArrayF32 | None = None
 
-    def __post_init__(self) -> None:
-        R = np.asarray(self.R_ics_sensor)
-        # 1e-9: a product of three rotations in float64 is orthogonal to a few 1e-16.
-        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9) or np.linalg.det(R) < 0:
-            raise GeometryError("R_ics_sensor is no rotation matrix", expected="orthogonal, determinant +1")
+    def sigmas_m(self) -> ArrayF32:
+        """Standard deviations (n, 3) east, north, up.
 
-    @classmethod
-    def from_section(cls, section: Mapping[str, Any]) -> Self:
-        """The mount that a campaign file describes: omega, phi, kappa in degrees, ``lever_ics_m``."""
-        angles = np.deg2rad([section["omega_deg"], section["phi_deg"], section["kappa_deg"]])
-        return cls(
-            R_ics_sensor=rotation_opk(*angles),
-            lever_ics_m=np.asarray(section["lever_ics_m"], dtype=np.float64),
+        Raises
+        ------
+        GeometryError : the points were made without covariances.
+        """
+        return np.asarray(np.sqrt(self._cov()[:, [0, 3, 5]]))
+
+    def correlations(self) -> ArrayF32:
+        """Correlations (n, 3) east-north, east-up, north-up.
+
+        Raises
+        ------
+        GeometryError : the points were made without covariances.
+        """
+        e, n, u = self.sigmas_m().T
+        en, eu, nu = self._cov()[:, [1, 2, 4]].T
+        return np.stack([en / (e * n), eu / (e * u), nu / (n * u)], axis=1)
+
+    def where(self, keep: ArrayB) -> "WorldPoints":
+        """The points for which ``keep`` (n,) is true."""
+        return WorldPoints(
+            points_wcs_m=self.points_wcs_m[keep],
+            has_pose=self.has_pose[keep],
+            cov_m2=None if self.cov_m2 is None else self.cov_m2[keep],
         )
+
+    def _cov(self) -> ArrayF32:
+        if self.cov_m2 is None:
+            raise GeometryError("points without covariances", expected="georeferenced with `beam`")
+        return self.cov_m2
 
 
 def georeference_points(
-    xyz_scs_m: ArrayLike, t_gps_s: ArrayLike, trajectory: Trajectory, mount: Mount
-) -> tuple[ArrayF, ArrayB]:
+    xyz_scs_m: ArrayLike,
+    t_gps_s: ArrayLike,
+    trajectory: Trajectory,
+    mount: Mount,
+    *,
+    beam: BeamErrors | None = None,
+    range_m: ArrayLike | None = None,
+    reflectivity: ArrayLike | None = None,
+) -> WorldPoints:
     """Transform points of a moving scanner into the world frame.
 
     Parameters
     ----------
     xyz_scs_m : (n, 3) float32 or float64, scanner frame.
     t_gps_s : (n,) time of each point; NaN gives no pose.
-    trajectory : poses of the boat.
-    mount : pose of the scanner on the boat.
+    trajectory : poses of the boat with their covariance.
+    mount : pose of the scanner on the boat with its covariance.
+    beam : accuracy of the scanner; with it, and ``range_m`` (n,) and ``reflectivity`` (n,) in percent, the
+        covariance of each point is predicted.
 
-    Returns
-    -------
-    points_wcs_m : (n, 3) float64; NaN where there is no valid pose.
-    has_pose : (n,) false outside the trajectory, in its gaps, and for points without GPS time.
+    Raises
+    ------
+    GeometryError : arrays whose shapes do not match.
     """
     xyz = np.ascontiguousarray(xyz_scs_m, dtype=np.float32)
     t = np.ascontiguousarray(t_gps_s, dtype=np.float64)
@@ -80,67 +98,49 @@ def georeference_points(
         raise GeometryError(f"{xyz.shape=}, {t.shape=}", expected="(n, 3) points and (n,) times")
     points = np.empty((len(xyz), 3))
     has_pose = np.zeros(len(xyz), dtype=np.bool_)
-    _georeference(
-        xyz,
-        t,
+    poses = (
         trajectory.t_gps_s,
         trajectory.position_wcs_m,
         trajectory.quaternion_wcs_ics,
         trajectory.valid,
-        np.ascontiguousarray(mount.R_ics_sensor, dtype=np.float64),
-        np.ascontiguousarray(mount.lever_ics_m, dtype=np.float64),
+    )
+    R = np.ascontiguousarray(mount.R_ics_sensor, dtype=np.float64)
+    lever = np.ascontiguousarray(mount.lever_ics_m, dtype=np.float64)
+    if beam is None:
+        georeference(xyz, t, *poses, R, lever, points, has_pose)
+        return WorldPoints(points_wcs_m=points, has_pose=has_pose)
+    along, across = _per_point(xyz, range_m), _per_point(xyz, reflectivity)
+    cov = np.empty((len(xyz), 6), dtype=np.float32)
+    georeference_with_covariance(
+        xyz,
+        t,
+        along,
+        across,
+        *poses,
+        np.ascontiguousarray(trajectory.cov_pose_wcs),
+        R,
+        lever,
+        np.ascontiguousarray(mount.cov_ics, dtype=np.float64),
+        _beam_numbers(beam),
         points,
         has_pose,
+        cov,
     )
-    return points, has_pose
+    return WorldPoints(points_wcs_m=points, has_pose=has_pose, cov_m2=cov)
 
 
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def _georeference(
-    xyz: ArrayF32,
-    t: ArrayF,
-    node_t: ArrayF,
-    node_x: ArrayF,
-    node_q: ArrayF,
-    node_valid: ArrayB,
-    R: ArrayF,
-    lever: ArrayF,
-    out: ArrayF,
-    has_pose: ArrayB,
-) -> None:
-    n, m = len(t), len(node_t)
-    block = 16384  # large enough to amortise one binary search, small enough to balance two cores
-    for b in nb.prange((n + block - 1) // block):
-        start, stop = b * block, min((b + 1) * block, n)
-        j = min(max(np.searchsorted(node_t, t[start], side="right") - 1, 0), m - 2)
-        for i in range(start, stop):
-            ti = t[i]
-            if not (ti >= node_t[0] and ti <= node_t[m - 1]):
-                out[i, 0] = out[i, 1] = out[i, 2] = np.nan
-                continue
-            while j < m - 2 and ti >= node_t[j + 1]:
-                j += 1
-            while j > 0 and ti < node_t[j]:
-                j -= 1
-            if not (node_valid[j] and node_valid[j + 1]):
-                out[i, 0] = out[i, 1] = out[i, 2] = np.nan
-                continue
-            u = (ti - node_t[j]) / (node_t[j + 1] - node_t[j])
-            v = 1.0 - u
-            x, y, z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
-            bx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + lever[0]
-            by = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + lever[1]
-            bz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + lever[2]
-            q0 = v * node_q[j, 0] + u * node_q[j + 1, 0]
-            q1 = v * node_q[j, 1] + u * node_q[j + 1, 1]
-            q2 = v * node_q[j, 2] + u * node_q[j + 1, 2]
-            q3 = v * node_q[j, 3] + u * node_q[j + 1, 3]
-            # x' = x + 2/|q|^2 q_v x (q_v x x + q_w x): rotation by an unnormalised quaternion
-            g = 2.0 / (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
-            cx = q1 * bz - q2 * by + q3 * bx
-            cy = q2 * bx - q0 * bz + q3 * by
-            cz = q0 * by - q1 * bx + q3 * bz
-            out[i, 0] = bx + g * (q1 * cz - q2 * cy) + v * node_x[j, 0] + u * node_x[j + 1, 0]
-            out[i, 1] = by + g * (q2 * cx - q0 * cz) + v * node_x[j, 1] + u * node_x[j + 1, 1]
-            out[i, 2] = bz + g * (q0 * cy - q1 * cx) + v * node_x[j, 2] + u * node_x[j + 1, 2]
-            has_pose[i] = True
+def _per_point(xyz: ArrayF32, values: ArrayLike | None) -> AnyArray:
+    array = np.ascontiguousarray(np.zeros(0) if values is None else values)
+    if array.shape != (len(xyz),):
+        raise GeometryError(
+            f"{array.shape} values for {len(xyz)} points",
+            expected="one range and one reflectivity for each point if its covariance is asked for",
+        )
+    return array
+
+
+def _beam_numbers(beam: BeamErrors) -> ArrayF:
+    """The beam's variances as coefficients of range and reflectivity, for the kernel."""
+    weak = beam.sigma_weak_m * WEAK_REFLECTIVITY / WEAK_RANGE_M**2
+    spot = beam.footprint_share * beam.divergence_rad
+    return np.array([beam.sigma_component_m**2, spot**2, weak**2, beam.sigma_time_s**2])

@@ -4,51 +4,33 @@ The antenna track is interpolated to the times of the INS states, and the lever 
 attitude of that moment: ``x_wcs_ics = x_wcs_antenna - R_wcs_ics @ lever_ics_antenna``.
 """
 
-import itertools
-from dataclasses import dataclass, field
-from typing import Final
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.frames import LocalFrame, rotation_enu_body
+from thalweg.core.frames import LocalFrame, attitude_axes, rotation_enu_body
 from thalweg.core.timescales import utc_text_from_gps
 from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayB, ArrayF
-
-ATTITUDE_INITIALISED: Final = 0b101
-"""Bits of the ANPP filter status without which an attitude is arbitrary: orientation and heading."""
-
-NAVIGATION_INITIALISED: Final = 0b111
-"""The same, and the navigation filter, without which the INS's own position is arbitrary."""
-
-PLAIN_SLACK_M: Final = 5.0
-HEIGHT_SLACK_M: Final = 10.0
-"""Slack of the INS's coarse position in plan and height: lever arm, and filters too sure of themselves."""
-
-MAX_DISTANCE_M: Final = 20_000.0
-"""Farthest a survey may be from the origin of its local frame."""
-
-JITTER_S: Final = 1e-3
-"""Stamps of a regular stream scatter by microseconds; a step of just the limit is no gap for that."""
-
-
-@dataclass(slots=True, kw_only=True)
-class TrajectorySummary:
-    """What was used and what was left out on the way to a trajectory."""
-
-    n_positions: int = 0
-    n_positions_used: int = 0
-    n_states: int = 0
-    n_nodes_valid: int = 0
-    fixes: dict[str, int] = field(default_factory=dict)
-    gaps: list[tuple[float, float]] = field(default_factory=list)
-    """Start (adjusted GPS time) and length in seconds of the holes that were not bridged."""
-    notes: list[str] = field(default_factory=list)
+from thalweg.core.types import ArrayF
+from thalweg.orientation.interpolation import (
+    JITTER_S,
+    Interpolated,
+    bridge_with_velocity,
+    interpolate_positions,
+)
+from thalweg.orientation.selection import (
+    ATTITUDE_INITIALISED,
+    NAVIGATION_INITIALISED,
+    TrajectorySummary,
+    agree_with_ins,
+    check_origin,
+    usable_positions,
+    usable_states,
+)
 
 
 def build_trajectory(
@@ -63,6 +45,7 @@ def build_trajectory(
     max_attitude_gap_s: float,
     sigma_attitude_rad: ArrayLike,
     required_status: int = ATTITUDE_INITIALISED,
+    interpolation: Literal["cubic", "ins_velocity"] = "cubic",
 ) -> tuple[Trajectory, TrajectorySummary]:
     """Join antenna positions and INS attitudes.
 
@@ -78,21 +61,16 @@ def build_trajectory(
     max_attitude_gap_s : longest hole between INS states that is interpolated.
     sigma_attitude_rad : (3,) roll, pitch, heading; stands in where the log states none.
     required_status : bits of the filter status that a state must have; others are left out and counted.
+    interpolation : positions between epochs by a cubic spline, or along the velocity of the INS.
 
     Raises
     ------
     InputError : no position of an accepted fix, or no state with GPS time.
     CoverageError : positions and states do not overlap in time.
-
-    Notes
-    -----
-    Positions between epochs come from a cubic spline within each unbroken segment. Their covariance is
-    interpolated linearly: errors of neighbouring epochs are strongly correlated, so that averaging would
-    claim an accuracy that is not there.
     """
     summary = TrajectorySummary(n_positions=len(positions), n_states=len(states))
-    used = _usable_positions(positions, accept_fixes, summary)
-    ins = _usable_states(states, summary, max_attitude_gap_s, required_status)
+    used = usable_positions(positions, accept_fixes, summary)
+    ins = usable_states(states, summary, max_attitude_gap_s, required_status)
     t_states = ins["t_gps_s"].to_numpy()
     t_positions = used["t_gps_s"].to_numpy()
     if t_states[-1] < t_positions[0] or t_positions[-1] < t_states[0]:
@@ -102,12 +80,24 @@ def build_trajectory(
             expected="streams of the same survey that overlap in time",
             cure="Check that the logs belong together, and the dates and time scales of both",
         )
-    used = _agree_with_ins(used, ins, frame, summary)
-    antenna, cov_antenna, covered = _interpolate_positions(used, frame, t_states, max_gap_s, summary)
-    _check_origin(antenna[covered], frame)
+    used = agree_with_ins(used, ins, frame, summary)
+    lever = np.asarray(lever_ics_antenna_m, dtype=np.float64)
+    found = _antenna_at(
+        used,
+        ins,
+        frame,
+        lever,
+        summary,
+        max_gap_s=max_gap_s,
+        max_attitude_gap_s=max_attitude_gap_s,
+        interpolation=interpolation,
+    )
+    covered = found.covered
+    antenna = np.where(covered[:, None], found.position_m, 0.0)
+    cov_antenna = np.where(covered[:, None, None], found.cov_m2, 0.0)
+    check_origin(antenna[covered], frame)
     lat_deg, lon_deg, _ = frame.to_geodetic(antenna)
     R_wcs_ics = _attitude(ins, frame, lat_deg, lon_deg)
-    lever = np.asarray(lever_ics_antenna_m, dtype=np.float64)
     sigma_att = np.column_stack([
         np.where(np.isfinite(stated), stated, fallback)
         for stated, fallback in zip(
@@ -116,16 +106,19 @@ def build_trajectory(
             strict=True,
         )
     ])  # fmt: skip
-    cov_lever = R_wcs_ics @ np.diag(np.square(np.asarray(sigma_lever_m))) @ np.swapaxes(R_wcs_ics, 1, 2)
     nodes = Trajectory(
         frame=frame,
         t_gps_s=t_states,
         position_wcs_m=antenna - R_wcs_ics @ lever,
         quaternion_wcs_ics=Rotation.from_matrix(R_wcs_ics).as_quat(),
-        cov_position_m2=cov_antenna + cov_lever,
-        sigma_attitude_rad=sigma_att,
+        cov_pose_wcs=pose_covariance(
+            R_wcs_ics,
+            cov_antenna,
+            sigma_att,
+            lever_ics_m=lever,
+            sigma_lever_m=np.asarray(sigma_lever_m, dtype=np.float64),
+        ),
         valid=covered,
-        pivot_ics_m=lever,
     )
     trajectory = break_at_gaps(nodes, max_attitude_gap_s, summary)
     summary.n_nodes_valid = int(trajectory.valid.sum())
@@ -156,7 +149,7 @@ def trajectory_from_states(
     InputError : no state carries GPS time, or there are no sigmas of the positions.
     """
     summary = TrajectorySummary(n_positions=len(states), n_states=len(states))
-    ins = _usable_states(states, summary, max_attitude_gap_s, required_status)
+    ins = usable_states(states, summary, max_attitude_gap_s, required_status)
     placed = ins.dropna(subset=["lat_deg", "lon_deg", "h_ell_m"])
     if len(placed) < len(ins):
         summary.notes.append(f"{len(ins) - len(placed)} INS states without a position were left out")
@@ -174,16 +167,19 @@ def trajectory_from_states(
         )
     summary.n_positions_used = len(ins)
     stated = ins[["sigma_roll_rad", "sigma_pitch_rad", "sigma_heading_rad"]].to_numpy()
+    known = np.isfinite(sigma).all(axis=1)
+    R_wcs_ics = _attitude(ins, frame, ins["lat_deg"].to_numpy(), ins["lon_deg"].to_numpy())
     nodes = Trajectory(
         frame=frame,
         t_gps_s=ins["t_gps_s"].to_numpy(),
         position_wcs_m=frame.from_geodetic(ins["lat_deg"], ins["lon_deg"], ins["h_ell_m"]),
-        quaternion_wcs_ics=Rotation.from_matrix(
-            _attitude(ins, frame, ins["lat_deg"].to_numpy(), ins["lon_deg"].to_numpy())
-        ).as_quat(),
-        cov_position_m2=np.square(sigma)[:, :, None] * np.eye(3),
-        sigma_attitude_rad=np.where(np.isfinite(stated), stated, np.asarray(sigma_attitude_rad)),
-        valid=np.isfinite(sigma).all(axis=1),
+        quaternion_wcs_ics=Rotation.from_matrix(R_wcs_ics).as_quat(),
+        cov_pose_wcs=pose_covariance(
+            R_wcs_ics,
+            np.square(np.where(known[:, None], sigma, 0.0))[:, :, None] * np.eye(3),
+            np.where(np.isfinite(stated), stated, np.asarray(sigma_attitude_rad)),
+        ),
+        valid=known,
     )
     trajectory = break_at_gaps(nodes, max_attitude_gap_s, summary)
     summary.n_nodes_valid = int(trajectory.valid.sum())
@@ -210,128 +206,46 @@ def break_at_gaps(trajectory: Trajectory, max_gap_s: float, summary: TrajectoryS
         t_gps_s=np.insert(t, at, (t[holes] + t[at]) / 2),
         position_wcs_m=insert(trajectory.position_wcs_m),
         quaternion_wcs_ics=insert(trajectory.quaternion_wcs_ics),
-        cov_position_m2=insert(trajectory.cov_position_m2),
-        sigma_attitude_rad=insert(trajectory.sigma_attitude_rad),
+        cov_pose_wcs=insert(trajectory.cov_pose_wcs),
         valid=np.insert(trajectory.valid, at, False),
-        pivot_ics_m=trajectory.pivot_ics_m,
     )
 
 
-def _agree_with_ins(
-    positions: pd.DataFrame, ins: pd.DataFrame, frame: LocalFrame, summary: TrajectorySummary
-) -> pd.DataFrame:
-    """The positions that agree with what the INS itself says of its place, within its own accuracy.
+def pose_covariance(
+    R_wcs_ics: ArrayF,
+    cov_position_m2: ArrayF,
+    sigma_attitude_rad: ArrayF,
+    *,
+    lever_ics_m: ArrayLike = (0.0, 0.0, 0.0),
+    sigma_lever_m: ArrayLike = (0.0, 0.0, 0.0),
+) -> ArrayF:
+    """Covariance (n, 6, 6) of ics origin and attitude from a measured point of the boat and three angles.
 
-    A base that is 500 m off, heights above the geoid instead of the ellipsoid, a wrong time scale, a damaged
-    digit: the INS's coarse position sees them all.
+    With ``x_ics = x_antenna - R l`` and a small rotation ``dtheta`` in wcs::
 
-    Raises
-    ------
-    InputError : more than a fifth of the positions disagree.
+        dx_ics = dx_antenna + (R l) x dtheta - R dl
+
+    Parameters
+    ----------
+    R_wcs_ics : (n, 3, 3).
+    cov_position_m2 : (n, 3, 3) of the measured point (the antenna) in wcs.
+    sigma_attitude_rad : (n, 3) roll, pitch, heading, taken as uncorrelated.
+    lever_ics_m, sigma_lever_m : (3,) the measured point in ics, and its standard deviations.
     """
-    known = ins.dropna(
-        subset=["lat_deg", "lon_deg", "h_ell_m", "sigma_north_m", "sigma_east_m", "sigma_up_m"]
+    axes = np.swapaxes(attitude_axes(R_wcs_ics), 1, 2) * sigma_attitude_rad[:, None, :]
+    cov_rotation = axes @ np.swapaxes(axes, 1, 2)
+    x, y, z = np.moveaxis(R_wcs_ics @ np.asarray(lever_ics_m, dtype=np.float64), -1, 0)
+    o = np.zeros_like(x)
+    turn = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(-1, 3, 3)
+    lever = R_wcs_ics * np.asarray(sigma_lever_m, dtype=np.float64)
+    cov = np.empty((len(R_wcs_ics), 6, 6))
+    cov[:, 3:, 3:] = cov_rotation
+    cov[:, :3, 3:] = turn @ cov_rotation
+    cov[:, 3:, :3] = np.swapaxes(cov[:, :3, 3:], 1, 2)
+    cov[:, :3, :3] = (
+        cov_position_m2 + cov[:, :3, 3:] @ np.swapaxes(turn, 1, 2) + lever @ np.swapaxes(lever, 1, 2)
     )
-    status = known["filter_status"].to_numpy(dtype=np.int64)
-    known = known[(status & NAVIGATION_INITIALISED) == NAVIGATION_INITIALISED]
-    t = positions["t_gps_s"].to_numpy()
-    if len(known) < 2:
-        summary.notes.append("The INS states no position of its own: the positions could not be checked")
-        return positions
-    t_ins = known["t_gps_s"].to_numpy()
-    coarse = frame.from_geodetic(known["lat_deg"], known["lon_deg"], known["h_ell_m"])
-    enu = frame.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
-    d = enu - np.column_stack([np.interp(t, t_ins, coarse[:, axis]) for axis in range(3)])
-    sigma = np.column_stack([
-        np.interp(t, t_ins, known[name]) for name in ("sigma_east_m", "sigma_north_m", "sigma_up_m")
-    ])  # fmt: skip
-    plan = np.hypot(d[:, 0], d[:, 1])
-    limit_plan = PLAIN_SLACK_M + 6 * np.hypot(sigma[:, 0], sigma[:, 1])
-    limit_height = HEIGHT_SLACK_M + 6 * sigma[:, 2]
-    inside = (t >= t_ins[0]) & (t <= t_ins[-1])
-    off = inside & ((plan > limit_plan) | (np.abs(d[:, 2]) > limit_height))
-    if off.sum() > 0.2 * max(inside.sum(), 1):
-        in_plan, in_height = float(np.median(plan[inside])), float(np.median(d[inside, 2]))
-        raise InputError(
-            f"{int(off.sum())} of {int(inside.sum())} positions disagree with the INS's own: in the median "
-            f"{in_plan:.1f} m in plan and {in_height:+.1f} m in height",
-            expected=f"at most {float(np.median(limit_plan)):.1f} m and "
-            f"{float(np.median(limit_height)):.1f} m, six sigmas of the INS and some slack",
-            cure="Check the base position, the time scale (GPST or UTC) and the kind of heights (ellipsoidal "
-            "or above the geoid) of the position log",
-        )
-    if off.any():
-        summary.notes.append(f"{int(off.sum())} positions far from the INS's own were left out")
-        summary.n_positions_used -= int(off.sum())
-    return positions[~off]
-
-
-def _check_origin(points_wcs_m: ArrayF, frame: LocalFrame) -> None:
-    """Refuse a survey far from the origin: heights of a tangent plane are 31 m off the ellipsoid at 20 km."""
-    if not len(points_wcs_m):
-        return
-    distance_m = float(np.median(np.linalg.norm(points_wcs_m[:, :2], axis=1)))
-    if distance_m > MAX_DISTANCE_M:
-        raise InputError(
-            f"the survey is {distance_m / 1000:.0f} km from the origin of the local frame "
-            f"({frame.lat_deg}, {frame.lon_deg})",
-            expected=f"an origin within {MAX_DISTANCE_M / 1000:.0f} km",
-            cure="Set campaign.origin to a point of the survey",
-        )
-
-
-def _usable_positions(
-    positions: pd.DataFrame, accept_fixes: list[str], summary: TrajectorySummary
-) -> pd.DataFrame:
-    summary.fixes = {str(k): int(v) for k, v in positions["fix"].value_counts().sort_index().items()}
-    accepted = positions[positions["fix"].isin(accept_fixes)]
-    sigmas = ["sigma_east_m", "sigma_north_m", "sigma_up_m"]
-    timed = accepted.dropna(subset=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", *sigmas])
-    timed = timed.sort_values("t_gps_s", kind="stable").drop_duplicates("t_gps_s")
-    if len(timed) < 4:
-        raise InputError(
-            f"{len(timed)} usable positions of {len(positions)} (fixes met: {summary.fixes or 'none'})",
-            expected=f"at least 4 epochs with GPS time, height, sigmas and a fix among {accept_fixes}",
-            cure="Check the position log, or allow more kinds in orientation.accept_fixes",
-        )
-    summary.n_positions_used = len(timed)
-    refused = len(positions) - len(accepted)
-    if refused:
-        summary.notes.append(f"{refused} positions were left out for their fix; accepted: {accept_fixes}")
-    if len(timed) < len(accepted):
-        lacking = len(accepted) - len(timed)
-        summary.notes.append(f"{lacking} positions without time, height or sigmas, or with a repeated time")
-    return timed
-
-
-def _usable_states(
-    states: pd.DataFrame, summary: TrajectorySummary, max_attitude_gap_s: float, required_status: int
-) -> pd.DataFrame:
-    ready = states[(states["filter_status"].to_numpy(dtype=np.int64) & required_status) == required_status]
-    if len(ready) < len(states):
-        summary.notes.append(
-            f"{len(states) - len(ready)} INS states from before the filter was initialised were left out"
-        )
-    timed = ready.dropna(subset=["t_gps_s", "roll_rad", "pitch_rad", "heading_rad"])
-    timed = timed.sort_values("t_gps_s", kind="stable").drop_duplicates("t_gps_s")
-    if len(timed) < 2:
-        raise InputError(
-            f"{len(timed)} of {len(states)} INS states carry GPS time and an initialised attitude",
-            expected="an INS log whose UTC, orientation and heading are initialised",
-            cure="Start logging after the INS has GNSS reception; look at the integrity report of the INS",
-        )
-    if len(timed) < len(ready):
-        summary.notes.append(
-            f"{len(ready) - len(timed)} INS states without GPS time or repeated were left out"
-        )
-    step_s = float(np.median(np.diff(timed["t_gps_s"])))
-    if step_s > max_attitude_gap_s + JITTER_S:
-        raise InputError(
-            f"INS states come every {step_s:g} s",
-            expected=f"at most orientation.max_attitude_gap_s = {max_attitude_gap_s:g} s between them",
-            cure="Raise orientation.max_attitude_gap_s if the boat turns slowly enough for that rate",
-        )
-    return timed
+    return cov
 
 
 def _attitude(states: pd.DataFrame, frame: LocalFrame, lat_deg: ArrayF, lon_deg: ArrayF) -> ArrayF:
@@ -340,45 +254,55 @@ def _attitude(states: pd.DataFrame, frame: LocalFrame, lat_deg: ArrayF, lon_deg:
     return np.asarray(frame.R_wcs_enu(lat_deg, lon_deg) @ R_enu_ics)
 
 
-def _interpolate_positions(
-    positions: pd.DataFrame, frame: LocalFrame, t: ArrayF, max_gap_s: float, summary: TrajectorySummary
-) -> tuple[ArrayF, ArrayF, ArrayB]:
-    """Antenna in wcs (n, 3), its covariance (n, 3, 3), and whether the time is covered (n,)."""
+def _antenna_at(
+    positions: pd.DataFrame,
+    ins: pd.DataFrame,
+    frame: LocalFrame,
+    lever_ics_m: ArrayF,
+    summary: TrajectorySummary,
+    *,
+    max_gap_s: float,
+    max_attitude_gap_s: float,
+    interpolation: str,
+) -> Interpolated:
+    """The antenna at the times of the INS states, in wcs."""
     epochs = positions["t_gps_s"].to_numpy()
     enu = frame.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
-    cov = _covariances(positions)
-    breaks = np.flatnonzero(np.diff(epochs) > max_gap_s + JITTER_S)
-    for i in breaks:
-        summary.gaps.append((float(epochs[i]), float(epochs[i + 1] - epochs[i])))
-    if breaks.size:
-        summary.notes.append(
-            f"{breaks.size} holes in the positions longer than {max_gap_s:g} s were not bridged"
+    at = ins["t_gps_s"].to_numpy()
+    if interpolation == "cubic":
+        found = interpolate_positions(epochs, enu, _covariances(positions), at, max_gap_s=max_gap_s)
+    else:
+        lat_deg, lon_deg, _ = frame.to_geodetic(np.stack([np.interp(at, epochs, a) for a in enu.T], axis=1))
+        enu_mps = ins[["v_east_mps", "v_north_mps", "v_down_mps"]].to_numpy() * [1.0, 1.0, -1.0]
+        known = np.isfinite(enu_mps).all(axis=1)
+        if known.sum() < len(known):
+            summary.notes.append(f"{int((~known).sum())} INS states without a velocity guide no position")
+        found = bridge_with_velocity(
+            epochs,
+            enu,
+            _covariances(positions),
+            at,
+            max_gap_s=max_gap_s,
+            velocity_t_s=at[known],
+            velocity_mps=np.einsum("nij,nj->ni", frame.R_wcs_enu(lat_deg, lon_deg), enu_mps)[known],
+            sigma_velocity_mps=None,
+            offset_m=(_attitude(ins, frame, lat_deg, lon_deg) @ lever_ics_m)[known],
+            max_velocity_gap_s=max_attitude_gap_s,
         )
-    at_antenna = np.full((len(t), 3), np.nan)
-    cov_antenna = np.full((len(t), 3, 3), np.nan)
-    bounds = [0, *(breaks + 1).tolist(), len(epochs)]
-    for first, end in itertools.pairwise(bounds):
-        inside = (t >= epochs[first]) & (t <= epochs[end - 1])
-        if end - first < 4 or not inside.any():
-            continue
-        segment = slice(first, end)
-        at_antenna[inside] = CubicSpline(epochs[segment], enu[segment])(t[inside])
-        cov_antenna[inside] = _linear(epochs[segment], cov[segment], t[inside])
-    covered = np.isfinite(at_antenna[:, 0]) & np.isfinite(cov_antenna[:, 0, 0])
-    outside = int((~covered).sum())
+    summary.gaps += found.gaps
+    if found.gaps:
+        summary.notes.append(
+            f"{len(found.gaps)} holes in the positions longer than {max_gap_s:g} s were not bridged"
+        )
+    for start_s, n in found.short_segments:
+        summary.notes.append(f"{n} positions from {utc_text_from_gps(start_s)} stand alone between holes")
+    outside = int((~found.covered).sum())
     if outside:
         summary.notes.append(f"{outside} INS states have no position (outside the track, or in a hole of it)")
-    return (
-        np.where(covered[:, None], at_antenna, 0.0),
-        np.where(covered[:, None, None], cov_antenna, 0.0),
-        covered,
-    )
-
-
-def _linear(x: ArrayF, values: ArrayF, at: ArrayF) -> ArrayF:
-    right = np.clip(np.searchsorted(x, at, side="right"), 1, len(x) - 1)
-    u = ((at - x[right - 1]) / (x[right] - x[right - 1]))[:, None, None]
-    return np.asarray(values[right - 1] * (1 - u) + values[right] * u)
+    if found.covered.any():
+        worst = found.sigma_interpolation_m[found.covered].max(axis=0)
+        summary.sigma_interpolation_m = tuple(float(value) for value in worst)
+    return found
 
 
 def _covariances(positions: pd.DataFrame) -> ArrayF:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
+import numba as nb
 import numpy as np
 
 from thalweg.core.frames import rotation_enu_body
@@ -20,7 +21,10 @@ HEIGHT_M: Final[ArrayF] = 1e-3 * np.array(
     [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
 )
 """Heights at which the lasers cross the spin axis, table 9-1."""
-_DELAY_S: Final[ArrayF] = np.arange(16, dtype=np.float64) * LASER_S
+_LASERS: Final[ArrayF] = np.stack(
+    [np.sin(ELEVATION_RAD), np.cos(ELEVATION_RAD), HEIGHT_M, np.arange(16) * LASER_S]
+)
+"""Sine and cosine of the elevation, height and delay of each laser: argument of the kernel."""
 
 _WOBBLE: Final = 5e-4
 """Relative change of the motor's speed; it swings with 0.7 Hz."""
@@ -29,11 +33,12 @@ _WOBBLE_HZ: Final = 0.7
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beams:
-    """Rays of whole firings: ``origin_wcs_m`` and ``direction_wcs`` (n, 16, 3), ``across`` (2, n, 16, 3)."""
+    """Rays of whole firings, each array (n, 16, 3): origins and unit directions in ics and in wcs."""
 
+    origin_ics_m: ArrayF
+    direction_ics: ArrayF
     origin_wcs_m: ArrayF
     direction_wcs: ArrayF
-    across_wcs: ArrayF | None
 
 
 def azimuth_deg(t_s: ArrayF, rotation_hz: float, start_deg: float) -> ArrayF:
@@ -52,7 +57,6 @@ def beams(
     *,
     vertical_offsets: bool,
     lateral_m: ArrayF | None = None,
-    with_across: bool = False,
 ) -> Beams:
     """Rays of firings, each laser at its own time and pose.
 
@@ -63,56 +67,58 @@ def beams(
     azimuth_rad : (n, 16) azimuth of each shot.
     R_ics_scs, lever_ics_scs_m : mount of the scanner.
     vertical_offsets : lasers cross the spin axis at the heights of the manual's table.
-    lateral_m : (2, n, 16) offset of each beam across itself, to the right and upward.
-    with_across : also return the two directions across each beam.
+    lateral_m : (n, 16, 2) offset of each beam across itself, to the right and upward.
 
     Notes
     -----
     The pose is exact at each firing; within a firing (35 us) position and attitude change linearly, which
     is right to 1e-9 rad and 1e-10 m at the greatest rates of the boat.
     """
-    R_wcs_ics = rotation_enu_body(*voyage.angles_at(t_s))
-    position = voyage.position_at(t_s)
-    velocity = voyage.velocity_wcs_mps(voyage.start_gps_s + t_s)
-    rates = voyage.rates_at(t_s)
-    sin_a, cos_a = np.sin(azimuth_rad), np.cos(azimuth_rad)
-    sin_e, cos_e = np.sin(ELEVATION_RAD), np.cos(ELEVATION_RAD)
-    zero = np.zeros_like(sin_a)
-    direction = np.stack([cos_e * sin_a, cos_e * cos_a, sin_e + zero], axis=-1)
-    origin = np.zeros_like(direction)
-    if vertical_offsets:
-        origin[..., 2] = HEIGHT_M
-    right = up = None
-    if lateral_m is not None or with_across:
-        right = np.stack([cos_a, -sin_a, zero], axis=-1)
-        up = np.stack([-sin_e * sin_a, -sin_e * cos_a, cos_e + zero], axis=-1)
-    if lateral_m is not None and right is not None and up is not None:
-        origin += lateral_m[0][..., None] * right + lateral_m[1][..., None] * up
-
-    def turned(vectors_scs: ArrayF, lever: ArrayF) -> ArrayF:
-        body = vectors_scs @ R_ics_scs.T + lever
-        # R(t + d) x = R(t) (x + d omega x x), to first order in d.
-        body = body + _DELAY_S[:, None] * _cross(rates[:, None, :], body)
-        return np.asarray(body @ np.swapaxes(R_wcs_ics, 1, 2))
-
-    none = np.zeros(3)
-    moved = position[:, None, :] + _DELAY_S[None, :, None] * velocity[:, None, :]
-    across = None
-    if with_across and right is not None and up is not None:
-        across = np.stack([turned(right, none), turned(up, none)])
-    return Beams(
-        origin_wcs_m=moved + turned(origin, np.asarray(lever_ics_scs_m, dtype=np.float64)),
-        direction_wcs=turned(direction, none),
-        across_wcs=across,
+    lasers = _LASERS.copy()
+    lasers[2] *= vertical_offsets
+    out = [np.empty((*azimuth_rad.shape, 3)) for _ in range(4)]
+    _aim(
+        azimuth_rad,
+        np.zeros((*azimuth_rad.shape, 2)) if lateral_m is None else lateral_m,
+        lasers,
+        np.ascontiguousarray(R_ics_scs, dtype=np.float64),
+        np.asarray(lever_ics_scs_m, dtype=np.float64),
+        rotation_enu_body(*voyage.angles_at(t_s)),
+        voyage.rates_at(t_s),
+        voyage.position_at(t_s),
+        voyage.velocity_wcs_mps(voyage.start_gps_s + t_s),
+        *out,
     )
+    return Beams(origin_ics_m=out[0], direction_ics=out[1], origin_wcs_m=out[2], direction_wcs=out[3])
 
 
-def _cross(a: ArrayF, b: ArrayF) -> ArrayF:
-    return np.stack(
-        [
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ],
-        axis=-1,
-    )
+@nb.njit(cache=True, error_model="numpy")
+def _aim(  # type: ignore[no-untyped-def]
+    azimuth, lateral, lasers, mount, lever, attitude, rates, position, velocity, o_ics, d_ics, o_wcs, d_wcs
+):
+    for i in range(len(azimuth)):
+        R, w = attitude[i], rates[i]
+        for j in range(azimuth.shape[1]):
+            sin_a, cos_a = np.sin(azimuth[i, j]), np.cos(azimuth[i, j])
+            sin_e, cos_e, height, delay = lasers[0, j], lasers[1, j], lasers[2, j], lasers[3, j]
+            right, up = lateral[i, j, 0], lateral[i, j, 1]
+            dx, dy, dz = cos_e * sin_a, cos_e * cos_a, sin_e
+            ox = right * cos_a - up * sin_e * sin_a
+            oy = -right * sin_a - up * sin_e * cos_a
+            oz = height + up * cos_e
+            for k in range(3):
+                d_ics[i, j, k] = mount[k, 0] * dx + mount[k, 1] * dy + mount[k, 2] * dz
+                o_ics[i, j, k] = lever[k] + mount[k, 0] * ox + mount[k, 1] * oy + mount[k, 2] * oz
+            # R(t + d) x = R(t) (x + d omega x x), to first order in d.
+            b = d_ics[i, j]
+            dx = b[0] + delay * (w[1] * b[2] - w[2] * b[1])
+            dy = b[1] + delay * (w[2] * b[0] - w[0] * b[2])
+            dz = b[2] + delay * (w[0] * b[1] - w[1] * b[0])
+            b = o_ics[i, j]
+            ox = b[0] + delay * (w[1] * b[2] - w[2] * b[1])
+            oy = b[1] + delay * (w[2] * b[0] - w[0] * b[2])
+            oz = b[2] + delay * (w[0] * b[1] - w[1] * b[0])
+            for k in range(3):
+                d_wcs[i, j, k] = R[k, 0] * dx + R[k, 1] * dy + R[k, 2] * dz
+                moved = position[i, k] + delay * velocity[i, k]
+                o_wcs[i, j, k] = moved + (R[k, 0] * ox + R[k, 1] * oy + R[k, 2] * oz)

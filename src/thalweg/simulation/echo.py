@@ -13,8 +13,9 @@ from thalweg.simulation.effects import damage_file
 from thalweg.simulation.materials import Material
 from thalweg.simulation.random import gauss_markov, generator
 from thalweg.simulation.scene import Scene
+from thalweg.simulation.stamps import unix_us
 from thalweg.simulation.truth import write_effects
-from thalweg.simulation.voyage import Voyage, epochs, start_unix
+from thalweg.simulation.voyage import Voyage, epochs
 from thalweg.simulation.writers import nmea
 
 _UNDULATION_M: Final = 45.0
@@ -54,6 +55,10 @@ def simulate_echo(
     Returns
     -------
     facts : number of pings, and the defects of the log.
+
+    Raises
+    ------
+    ConfigError : a leap second falls into the recording.
     """
     echo = config.echo
     voyage = Voyage(config, seed)
@@ -71,12 +76,10 @@ def simulate_echo(
     v = voyage.velocity_wcs_mps(t)
     course = np.rad2deg(np.arctan2(v[:, 0], v[:, 1])).tolist()
     speed = np.hypot(v[:, 0], v[:, 1]).tolist()
-    whole, micros = start_unix(config)
-    unix_us = whole * 1_000_000 + micros + np.rint((t - voyage.start_gps_s) * 1e6).astype(np.int64)
     second = -1
     out_nmea.parent.mkdir(parents=True, exist_ok=True)
     with out_nmea.open("w", encoding="ascii", newline="") as file:
-        for i, stamp in enumerate(unix_us.tolist()):
+        for i, stamp in enumerate(unix_us(config, t).tolist()):
             lines = [nmea.rmc(stamp, lat[i], lon[i], speed[i], course[i])]
             if stamp // 1_000_000 != second:
                 second = stamp // 1_000_000

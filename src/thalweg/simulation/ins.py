@@ -1,4 +1,8 @@
-"""The INS: attitudes with slowly varying errors, a single-frequency position, and its ANPP log."""
+"""The INS: attitudes with slowly varying errors, a single-frequency position, and its ANPP log.
+
+The sigmas that the log states (packets 20 and 26) are those of the settings, the published ones by default: a
+real unit does not know of the fields of the motors or of its drift either.
+"""
 
 from pathlib import Path
 from typing import Any, Final
@@ -10,37 +14,26 @@ from thalweg.config.twin import TwinConfig
 from thalweg.core.errors import ConfigError
 from thalweg.core.frames import R_ENU_NED, LocalFrame, roll_pitch_heading
 from thalweg.core.types import ArrayF
+from thalweg.simulation.attitude_errors import attitude_errors_rad, unstated_heading_errors_rad
 from thalweg.simulation.echo import true_depth_m
 from thalweg.simulation.effects import damage_file
+from thalweg.simulation.magnetic import EARTH_NED_MG, boat_field_mg
 from thalweg.simulation.random import gauss_markov, generator
 from thalweg.simulation.scene import Scene
+from thalweg.simulation.stamps import unix_us
 from thalweg.simulation.truth import write_effects
-from thalweg.simulation.voyage import LEAD_S, Voyage, epochs, start_unix
+from thalweg.simulation.voyage import LEAD_S, Voyage, epochs
 from thalweg.simulation.writers import anpp
 from thalweg.simulation.writers.nmea import moment
 
 _CHUNK: Final = 5000
 _GRAVITY_MPS2: Final = 9.81
-_MAGNETIC_NED_MG: Final = np.array([199.0, 15.0, 453.0])
-"""Earth's field in Saxony, milligauss."""
 _STATUS_READY: Final = 0b0010_0000_0111 | 2 << 4
 """Orientation, INS and heading initialised, 3D fix, internal GNSS on."""
 _STATUS_UTC: Final = 0b1000
 _GYRO_NOISE_RADPS: Final = np.deg2rad(0.05)
 _ACCEL_NOISE_MPS2: Final = 0.01
-
-
-def attitude_errors_rad(config: TwinConfig, seed: int, t_gps_s: ArrayF, start_gps_s: float) -> ArrayF:
-    """Errors (n, 3) of roll, pitch and heading: Gauss-Markov processes, and the heading's drift."""
-    ins = config.ins
-    rng = generator(seed, "ins attitude")
-    sigmas = np.deg2rad([ins.sigma_roll_deg, ins.sigma_pitch_deg, ins.sigma_heading_deg])
-    errors = [
-        gauss_markov(rng, len(t_gps_s), 1.0 / ins.rate_hz, sigma, ins.attitude_time_s) for sigma in sigmas
-    ]
-    out = np.stack(errors, axis=1)
-    out[:, 2] += np.deg2rad(ins.heading_drift_degpmin) / 60.0 * (t_gps_s - start_gps_s)
-    return np.asarray(out)
+_MAGNETIC_NOISE_MG: Final = 0.5
 
 
 def simulate_ins(
@@ -70,29 +63,37 @@ def simulate_ins(
 
     Returns
     -------
-    facts : numbers of states and depth packets, and the defects of the log.
+    facts : numbers of states and depth packets, drifts, fields of the boat, the heading error that no sigma
+        states (RMS and extremes), and the defects of the log.
 
     Raises
     ------
-    ConfigError : depth packets are asked for, but scene or lever arm is not given.
+    ConfigError : depth packets are asked for, but scene or lever arm is not given; a leap second falls into
+        the recording.
     """
     ins = config.ins
     voyage = Voyage(config, seed)
     t = epochs(config, ins.rate_hz)
     depth = _depth_packets(config, seed, voyage, t, scene, lever_ics_echo_m)
+    boat_field = boat_field_mg(ins, _thrust(config, voyage, t))
+    unstated = unstated_heading_errors_rad(config, voyage, t, boat_field)
     attitude = attitude_errors_rad(config, seed, t, voyage.start_gps_s)
+    attitude[:, 2] += unstated
     rng = generator(seed, "ins position")
     position_error = np.stack(
         [gauss_markov(rng, len(t), 1.0 / ins.rate_hz, s, ins.position_time_s) for s in ins.sigma_position_m],
         axis=1,
     )
+    bias = np.deg2rad(ins.gyro_bias_degps) * generator(seed, "ins gyro bias").standard_normal(3)
     noise = generator(seed, "ins raw")
     out_anpp.parent.mkdir(parents=True, exist_ok=True)
     with out_anpp.open("wb") as file:
         file.write(anpp.device_information(4400, 1000, (20, 21, 512)))
         for first in range(0, len(t), _CHUNK):
             part = slice(first, first + _CHUNK)
-            rows = _rows(voyage, frame, t[part], attitude[part], position_error[part], noise)
+            rows = _rows(
+                voyage, frame, t[part], attitude[part], position_error[part], boat_field[part], bias, noise
+            )
             for row, extra in zip(rows, depth[part], strict=True):
                 file.write(_packets(config, row) + extra)
     facts = {
@@ -100,10 +101,31 @@ def simulate_ins(
         "depths": sum(1 for extra in depth if extra),
         "utc_known_after_s": config.effects.ins_clock_late_s,
         "heading_drift_degpmin": ins.heading_drift_degpmin,
+        "standing_drift_degpmin": ins.standing_drift_degpmin,
+        "gyro_bias_degps": np.rad2deg(bias).tolist(),
+        "hard_iron_mg": list(ins.hard_iron_mg),
+        "motor_field_mg": [list(field) for field in ins.motor_field_mg],
+        "boat_field_max_mg": float(np.linalg.norm(boat_field, axis=1).max(initial=0.0)),
+        "unstated_heading_error_deg": _extent_deg(unstated),
         **damage_file(out_anpp, "ins", config.effects, generator(seed, "ins effects")),
     }
     write_effects(out_effects, "ins", facts)
     return facts
+
+
+def _thrust(config: TwinConfig, voyage: Voyage, t: ArrayF) -> ArrayF:
+    """Thrust (n, 2) of the motors, where their field asks for it."""
+    return voyage.thrust(t) if np.any(config.ins.motor_field_mg) else np.zeros((len(t), 2))
+
+
+def _extent_deg(errors_rad: ArrayF) -> dict[str, float]:
+    """RMS, least and greatest of errors, degrees."""
+    degrees = np.rad2deg(errors_rad)
+    return {
+        "rms": float(np.sqrt(np.mean(degrees**2))),
+        "min": float(degrees.min()),
+        "max": float(degrees.max()),
+    }
 
 
 def _depth_packets(
@@ -140,6 +162,8 @@ def _rows(
     t: ArrayF,
     attitude_error: ArrayF,
     position_error: ArrayF,
+    boat_field_mg: ArrayF,
+    gyro_bias_radps: ArrayF,
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
     """What the INS reports at its epochs, as plain lists."""
@@ -156,13 +180,11 @@ def _rows(
     body = np.einsum("nij,nj->ni", to_body, acceleration)
     force = np.einsum("nij,nj->ni", to_body, acceleration + np.array([0.0, 0.0, _GRAVITY_MPS2]))
     rates = voyage.rates_ics_radps(t)
-    magnetic = np.einsum("nij,j->ni", to_body, R_ENU_NED @ _MAGNETIC_NED_MG)
+    magnetic = np.einsum("nij,j->ni", to_body, R_ENU_NED @ EARTH_NED_MG) + boat_field_mg
     n = len(t)
-    start_us = np.int64(start_unix(voyage.config)[0]) * 1_000_000 + start_unix(voyage.config)[1]
     columns: dict[str, Any] = {
         "since_start": t - voyage.start_gps_s,
-        # Counted from the start in whole microseconds: a Unix time in float64 steps by 0.24 us.
-        "unix_us": start_us + np.rint((t - voyage.start_gps_s) * 1e6).astype(np.int64),
+        "unix_us": unix_us(voyage.config, t),
         "place": np.stack([np.deg2rad(lat), np.deg2rad(lon), height], axis=1),
         "velocity": velocity_ned,
         "acceleration": body,
@@ -170,8 +192,8 @@ def _rows(
         "angles": angles,
         "rates": rates + rng.normal(0, _GYRO_NOISE_RADPS / 5, (n, 3)),
         "accel_raw": force + rng.normal(0, _ACCEL_NOISE_MPS2, (n, 3)),
-        "gyro_raw": rates + rng.normal(0, _GYRO_NOISE_RADPS, (n, 3)),
-        "magnetic": magnetic + rng.normal(0, 0.5, (n, 3)),
+        "gyro_raw": rates + gyro_bias_radps + rng.normal(0, _GYRO_NOISE_RADPS, (n, 3)),
+        "magnetic": magnetic + rng.normal(0, _MAGNETIC_NOISE_MG, (n, 3)),
     }
     plain = {name: value.tolist() for name, value in columns.items()}
     return [dict(zip(plain, values, strict=True)) for values in zip(*plain.values(), strict=True)]

@@ -8,7 +8,8 @@ import numpy as np
 from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
 from thalweg.core.types import ArrayF, ArrayI
-from thalweg.simulation.voyage import Voyage, start_unix
+from thalweg.simulation.stamps import check_leap_seconds, start_us
+from thalweg.simulation.voyage import Voyage
 from thalweg.simulation.writers.nmea import rmc
 
 HOUR_US: Final = 3_600_000_000
@@ -28,14 +29,18 @@ class LidarClock:
     config : section ``twin``.
     voyage : true motion, for the position in RMC.
     frame : the world frame.
+
+    Raises
+    ------
+    ConfigError : a leap second falls into the recording.
     """
 
     def __init__(self, config: TwinConfig, voyage: Voyage, frame: LocalFrame) -> None:
         self._config = config
         self._voyage = voyage
         self._frame = frame
-        whole, micros = start_unix(config)
-        self._start_us = whole * 1_000_000 + micros
+        check_leap_seconds(config)
+        self._start_us = start_us(config)
         self._late_s = config.effects.pps_late_s
         self._next_position = 0
         self._sentences: dict[int, str] = {}
@@ -50,7 +55,7 @@ class LidarClock:
         """Stamps of events at seconds since the start; they jump when the PPS is acquired."""
         t = np.asarray(t_s, dtype=np.float64)
         # UTC of the hour: leap seconds never change the minute and second that GPS time gives here, because
-        # the start is given in UTC and no leap second falls into a recording.
+        # the start is given in UTC and recordings with a leap second inside are refused.
         locked = (self._start_us % HOUR_US + np.rint(t * 1e6).astype(np.int64)) % HOUR_US
         free = _FREE_START_US + np.rint(t * (1.0 + _FREE_DRIFT) * 1e6).astype(np.int64)
         return np.where(t >= self._late_s, locked, free % HOUR_US)

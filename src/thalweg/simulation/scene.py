@@ -1,7 +1,7 @@
-"""The scene of the digital twin: bed, banks, stones, bushes, posts, buildings and water as one mesh."""
+"""The scene of the digital twin: terrain, water, stones, plants and buildings as one mesh."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 from zipfile import BadZipFile
@@ -11,17 +11,24 @@ import numpy as np
 from thalweg.config.twin import TwinConfig
 from thalweg.core.errors import InputError
 from thalweg.core.raycast import RayCaster
-from thalweg.core.types import ArrayB, ArrayF, ArrayI, ArrayU8
+from thalweg.core.types import ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8
+from thalweg.simulation.buildings import add_bridge, add_buildings, add_posts, add_railway, add_weir
 from thalweg.simulation.materials import REFLECTANCE, Material
-from thalweg.simulation.objects import MeshParts, add_buildings, add_bushes, add_posts, add_stones
-from thalweg.simulation.random import generator
+from thalweg.simulation.mesh import MeshParts
 from thalweg.simulation.river import River
+from thalweg.simulation.stones import add_boulders, add_cobbles
+from thalweg.simulation.terrain import add_terrain, add_water
+from thalweg.simulation.vegetation import (
+    add_background,
+    add_bushes,
+    add_fallen_tree,
+    add_grass,
+    add_reeds,
+    add_trees,
+)
 
-FORMAT = 1
+FORMAT = 2
 """Version of the scene file."""
-
-_REACH_M = 60.0
-"""How far the land goes on behind the shores."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,12 +41,19 @@ class Scene:
     triangles : (m, 3) corners, counter-clockwise seen from outside or above.
     material : (m,) values of `Material`.
     water_level_m : up coordinate of the water.
+    variation : (m,) 0 to 1, what tells like things apart: leaves, stones, patches of the ground.
+        Without it all are 0.
     """
 
     vertices_wcs_m: ArrayF
     triangles: ArrayI
     material: ArrayU8
     water_level_m: float
+    variation: ArrayF32 = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
+
+    def __post_init__(self) -> None:
+        if len(self.variation) != len(self.triangles):
+            object.__setattr__(self, "variation", np.zeros(len(self.triangles), dtype=np.float32))
 
     @property
     def reflectance(self) -> ArrayF:
@@ -66,6 +80,7 @@ class Scene:
             triangles=self.triangles[keep],
             material=self.material[keep],
             water_level_m=self.water_level_m,
+            variation=self.variation[keep],
         )
 
     def write(self, path: Path) -> None:
@@ -81,9 +96,10 @@ class Scene:
         with path.open("wb") as file:
             np.savez(
                 file,
-                vertices_wcs_m=self.vertices_wcs_m,
+                vertices_wcs_m=self.vertices_wcs_m.astype(np.float32),
                 triangles=self.triangles.astype(np.int32),
                 material=self.material,
+                variation=self.variation,
                 facts=np.array(json.dumps(facts)),
             )
 
@@ -101,11 +117,9 @@ class Scene:
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
                 facts = json.loads(str(data["facts"]))
-                vertices, triangles, material = (
-                    data["vertices_wcs_m"],
-                    data["triangles"],
-                    data["material"],
-                )
+                vertices, triangles = data["vertices_wcs_m"], data["triangles"]
+                material = data["material"]
+                variation = data["variation"] if facts.get("version") == FORMAT else None
         except (KeyError, ValueError, OSError, EOFError, BadZipFile) as error:
             raise InputError(
                 f"not a scene ({error})", expected="a scene of the digital twin", where=path, cure=cure
@@ -118,10 +132,11 @@ class Scene:
                 cure=cure,
             )
         return cls(
-            vertices_wcs_m=vertices,
+            vertices_wcs_m=vertices.astype(np.float64),
             triangles=triangles.astype(np.int64),
             material=material,
             water_level_m=float(facts["water_level_m"]),
+            variation=np.asarray(variation, dtype=np.float32),
         )
 
 
@@ -135,81 +150,23 @@ def build_scene(config: TwinConfig, seed: int) -> Scene:
     """
     river = River(config.scene, seed)
     parts = MeshParts()
-    _add_terrain(parts, river)
-    rng = generator(seed, "scene")
-    add_stones(parts, river, rng)
-    add_bushes(parts, river, rng)
-    add_posts(parts, river, rng)
-    add_buildings(parts, river, rng)
-    _add_water(parts, river)
-    vertices, triangles, material = parts.joined()
+    add_terrain(parts, river)
+    add_water(parts, river)
+    for add in (add_boulders, add_cobbles, add_bushes, add_trees, add_background, add_grass, add_reeds,
+                add_fallen_tree, add_buildings, add_posts):  # fmt: skip
+        add(parts, river, river.seed)
+    for build in (add_railway, add_weir, add_bridge):
+        build(parts, river)
+    vertices, triangles, material, variation = parts.joined()
     return Scene(
         vertices_wcs_m=vertices,
         triangles=triangles,
         material=material,
         water_level_m=config.scene.water_level_m,
+        variation=variation,
     )
 
 
 def simulate_scene(config: TwinConfig, seed: int, out_scene: Path) -> None:
     """Build the scene and write it."""
     build_scene(config, seed).write(out_scene)
-
-
-def _across(river: River) -> ArrayF:
-    """Grid lines across the river as offsets from the right shore, the middle and the left shore."""
-    c = river.config
-    fine = c.grid_m
-    slope_width = c.embankment_height_m / np.tan(np.deg2rad(c.embankment_slope_deg)) + 2.0
-    bed = np.linspace(-1.0, 1.0, max(8, int(c.width_m / (2 * fine))) + 1)
-    right = _graded(fine, slope_width, _REACH_M)
-    left = _graded(fine, 4.0, _REACH_M)
-    return np.concatenate([-1.0 - right[::-1] / 1000.0, bed, 1.0 + left / 1000.0])
-
-
-def _graded(fine: float, fine_width: float, reach: float) -> ArrayF:
-    """Offsets from ``fine`` to ``reach``: fine steps first, then ever coarser ones."""
-    offsets = list(np.arange(fine, fine_width, fine))
-    step = fine
-    while offsets[-1] < reach:
-        step = min(step * 1.25, 4.0)
-        offsets.append(offsets[-1] + step)
-    return np.array(offsets)
-
-
-def _add_terrain(parts: MeshParts, river: River) -> None:
-    c = river.config
-    s = np.linspace(-c.length_m / 2, c.length_m / 2, int(c.length_m / c.grid_m) + 1)
-    code = _across(river)
-    w = river.half_width(s)[:, None]
-    # Codes within [-1, 1] are shares of the half width, beyond them thousandths are metres behind the shore:
-    # so a grid line runs exactly along each shore.
-    beyond = np.sign(code) * np.maximum(np.abs(code) - 1.0, 0.0) * 1000.0
-    n = np.clip(code, -1.0, 1.0)[None, :] * w + beyond[None, :]
-    s2 = np.broadcast_to(s[:, None], n.shape)
-    z = river.height(s2, n)
-    xy = river.to_wcs(s2, n)
-    vertices = np.concatenate([xy, z[..., None]], axis=-1).reshape(-1, 3)
-    rows, columns = n.shape
-    i, j = np.arange(rows - 1)[:, None], np.arange(columns - 1)[None, :]
-    a = (i * columns + j).ravel()
-    b, d, e = a + 1, a + columns, a + columns + 1
-    triangles = np.concatenate([np.stack([a, d, e], axis=1), np.stack([a, e, b], axis=1)])
-    middle = np.broadcast_to((code[:-1] + code[1:])[None, :] / 2, (rows - 1, columns - 1)).ravel()
-    kind = np.where(np.abs(middle) < 1.0, Material.BED, np.where(middle < 0, Material.SOIL, Material.GRASS))
-    parts.add(vertices, triangles, np.concatenate([kind, kind]))
-
-
-def _add_water(parts: MeshParts, river: River) -> None:
-    c = river.config
-    s = np.linspace(-c.length_m / 2, c.length_m / 2, int(c.length_m / 2.0) + 1)
-    share = np.linspace(-1.0, 1.0, 9)
-    n = share[None, :] * river.half_width(s)[:, None]
-    xy = river.to_wcs(np.broadcast_to(s[:, None], n.shape), n)
-    vertices = np.concatenate([xy, np.full((*n.shape, 1), c.water_level_m)], axis=-1).reshape(-1, 3)
-    rows, columns = n.shape
-    i, j = np.arange(rows - 1)[:, None], np.arange(columns - 1)[None, :]
-    a = (i * columns + j).ravel()
-    b, d, e = a + 1, a + columns, a + columns + 1
-    triangles = np.concatenate([np.stack([a, d, e], axis=1), np.stack([a, e, b], axis=1)])
-    parts.add(vertices, triangles, np.full(len(triangles), Material.WATER))

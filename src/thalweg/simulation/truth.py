@@ -26,8 +26,7 @@ def true_trajectory(voyage: Voyage, frame: LocalFrame) -> Trajectory:
         t_gps_s=t,
         position_wcs_m=voyage.position_wcs_m(t),
         quaternion_wcs_ics=Rotation.from_matrix(voyage.R_wcs_ics(t)).as_quat(),
-        cov_position_m2=np.zeros((len(t), 3, 3)),
-        sigma_attitude_rad=np.zeros((len(t), 3)),
+        cov_pose_wcs=np.zeros((len(t), 6, 6)),
         valid=np.ones(len(t), dtype=np.bool_),
     )
 

@@ -21,6 +21,7 @@ from thalweg.core.timescales import gps_from_unix
 from thalweg.core.types import ArrayF
 from thalweg.simulation.random import generator
 from thalweg.simulation.river import River
+from thalweg.simulation.sway import Sway, draw_sways
 
 PAD_S: Final = 5.0
 """The motion is defined this long before and after the lidar log."""
@@ -29,6 +30,19 @@ LEAD_S: Final = 2.0
 """INS, GNSS and echo sounder record this long before and after the lidar."""
 
 _NODE_S: Final = 0.02
+_GRAVITY_MPS2: Final = 9.81
+_IDLE: Final = 0.08
+"""Share of the full thrust below which a motor does not turn."""
+
+_FULL_SPEED_MPS: Final = 2.5
+"""Speed of the boat at full thrust; faster voyages run at full thrust."""
+
+_DIFFERENCE_S: Final = 1.6
+"""Share of the full thrust by which the motors differ, per rad/s of turn rate."""
+
+_DIFFERENCE_S2: Final = 0.8
+"""The same per rad/s^2 of turn acceleration: the boat's inertia."""
+
 _PEAK: Final = 15.0 / 8.0
 """Greatest slope of the quintic smooth step."""
 
@@ -63,13 +77,24 @@ class _Zigzag:
         return np.asarray(np.where(second, -angle, angle))
 
 
-def _plan(boat: TwinBoat, amplitude_m: float) -> _Zigzag:
-    """Legs and turns that stay within ``amplitude_m`` of the middle; flatter legs where turns need it."""
+def _plan(boat: TwinBoat, amplitude_m: float, curvature_1pm: float) -> _Zigzag:
+    """Legs and turns that stay within ``amplitude_m`` of the middle; flatter legs where turns need it.
+
+    The river's own bends turn the boat too: the turns of the zigzag leave room for its greatest curvature.
+    """
+    bends = boat.speed_mps * curvature_1pm / (1.0 - curvature_1pm * amplitude_m)
+    rate = np.deg2rad(boat.turn_rate_degps) - bends
+    if rate <= 0:
+        raise ConfigError(
+            f"the river's bends alone turn the boat by {np.rad2deg(bends):.2f} degrees/s",
+            expected=f"less than twin.boat.turn_rate_degps, {boat.turn_rate_degps}",
+            cure="Lower twin.boat.speed_mps or twin.scene.meander_deg, or raise twin.boat.turn_rate_degps",
+        )
     u = (np.arange(400) + 0.5) / 800
     step = u**3 * (10 + u * (6 * u - 15))
     angle = np.deg2rad(boat.zigzag_deg)
     while angle > np.deg2rad(1.0):
-        turn_s = _PEAK * 2 * angle / np.deg2rad(boat.turn_rate_degps)
+        turn_s = _PEAK * 2 * angle / rate
         # Way across the river in the first half of a turn, while the course still leads to the bank.
         overshoot = boat.speed_mps * turn_s / 2 * float(np.mean(np.sin(angle * (1 - 2 * step))))
         if overshoot <= amplitude_m:
@@ -78,26 +103,6 @@ def _plan(boat: TwinBoat, amplitude_m: float) -> _Zigzag:
         angle *= 0.95
     # A zigzag of a degree is none: go straight.
     return _Zigzag(0.0, 10.0, 1.0)
-
-
-@dataclass(frozen=True, slots=True)
-class _Sway:
-    """Sum of three sinusoids and its derivatives."""
-
-    amplitude: ArrayF
-    rate: ArrayF
-    phase: ArrayF
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, amplitude: float, period_s: float) -> "_Sway":
-        periods = period_s * np.array([1.0, 0.53, 2.3]) * rng.uniform(0.9, 1.1, 3)
-        return cls(amplitude * np.array([0.6, 0.25, 0.15]), 2 * np.pi / periods, rng.uniform(0, 2 * np.pi, 3))
-
-    def __call__(self, t_s: ArrayF, derivative: int = 0) -> ArrayF:
-        total = np.zeros(np.shape(t_s))
-        for a, w, p in zip(self.amplitude, self.rate, self.phase, strict=True):
-            total = total + a * w**derivative * np.sin(w * t_s + p + derivative * np.pi / 2)
-        return total
 
 
 @dataclass(slots=True)
@@ -120,7 +125,7 @@ class Voyage:
     start_gps_s: float = field(init=False)
     _xy: CubicHermiteSpline = field(init=False)
     _course: CubicSpline = field(init=False)
-    _sways: dict[str, _Sway] = field(init=False)
+    _sways: dict[str, Sway] = field(init=False)
 
     def __post_init__(self) -> None:
         c = self.config
@@ -133,15 +138,8 @@ class Voyage:
                 expected=f"less than 0.47 times twin.scene.width_m, {0.47 * c.scene.width_m:.1f}",
                 cure="Lower twin.boat.bank_distance_m or raise twin.scene.width_m",
             )
-        self._sail(_plan(c.boat, amplitude))
-        rng = generator(self.seed, "voyage")
-        degree = np.pi / 180
-        self._sways = {
-            "roll": _Sway.draw(rng, c.boat.roll_deg * degree, 2.1),
-            "pitch": _Sway.draw(rng, c.boat.pitch_deg * degree, 1.7),
-            "yaw": _Sway.draw(rng, c.boat.yaw_deg * degree, 4.3),
-            "heave": _Sway.draw(rng, c.boat.heave_m, 2.6),
-        }
+        self._sail(_plan(c.boat, amplitude, self.river.greatest_curvature))
+        self._sways = draw_sways(generator(self.seed, "voyage"), c.boat)
 
     def _sail(self, zigzag: _Zigzag) -> None:
         boat, river = self.config.boat, self.river
@@ -156,7 +154,7 @@ class Voyage:
         # Heun steps for s: the correction by the curvature is small and smooth.
         s = np.zeros_like(n)
         s[0] = -np.sum(along) / 2
-        k_amp = np.deg2rad(river.config.meander_deg) * 2 * np.pi / river.config.meander_length_m
+        k_amp = river.greatest_curvature
         k = 2 * np.pi / river.config.meander_length_m
         position = float(s[0])
         for i in range(len(along)):
@@ -220,7 +218,13 @@ class Voyage:
     def angles_at(self, t_s: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
         """As `angles_rad`, for seconds since the start."""
         heading = np.pi / 2 - self._course(t_s) + self._sways["yaw"](t_s)
-        return self._sways["roll"](t_s), self._sways["pitch"](t_s), np.mod(heading, 2 * np.pi)
+        return self._roll(t_s), self._sways["pitch"](t_s), np.mod(heading, 2 * np.pi)
+
+    def _roll(self, t_s: ArrayF, derivative: int = 0) -> ArrayF:
+        # The course turns counter-clockwise; in a turn to the left the boat heels to the right, outwards.
+        boat = self.config.boat
+        heel = boat.heel_share * boat.speed_mps / _GRAVITY_MPS2 * self._course(t_s, 1 + derivative)
+        return np.asarray(self._sways["roll"](t_s, derivative) + heel)
 
     def R_wcs_ics(self, t_gps_s: ArrayF) -> ArrayF:
         """Attitude (n, 3, 3)."""
@@ -236,13 +240,28 @@ class Voyage:
 
     def rates_at(self, t_s: ArrayF) -> ArrayF:
         """As `rates_ics_radps`, for seconds since the start."""
-        roll, pitch = self._sways["roll"](t_s), self._sways["pitch"](t_s)
-        roll_d, pitch_d = self._sways["roll"](t_s, 1), self._sways["pitch"](t_s, 1)
+        roll, pitch = self._roll(t_s), self._sways["pitch"](t_s)
+        roll_d, pitch_d = self._roll(t_s, 1), self._sways["pitch"](t_s, 1)
         heading_d = self._sways["yaw"](t_s, 1) - self._course(t_s, 1)
         p = roll_d - heading_d * np.sin(pitch)
         q = pitch_d * np.cos(roll) + heading_d * np.cos(pitch) * np.sin(roll)
         r = -pitch_d * np.sin(roll) + heading_d * np.cos(pitch) * np.cos(roll)
         return np.stack([p, q, r], axis=-1)
+
+    def thrust(self, t_gps_s: ArrayF) -> ArrayF:
+        """Thrust (n, 2) of the left and the right motor as a share of the full one, 0 to 1.
+
+        The mean holds the speed against a drag that grows with its square, above the idle share. A turn to
+        the right needs more thrust on the left, in proportion to turn rate and turn acceleration. The motors
+        do not push backwards: where the inner one would have to, it stops and the outer one does its part.
+        """
+        t = self.since_start(t_gps_s)
+        boat = self.config.boat
+        mean = min(1.0, _IDLE + (1.0 - _IDLE) * (boat.speed_mps / _FULL_SPEED_MPS) ** 2)
+        half = -0.5 * (_DIFFERENCE_S * self._course(t, 1) + _DIFFERENCE_S2 * self._course(t, 2))
+        pair = np.stack([mean + half, mean - half], axis=-1)
+        lacking = np.minimum(pair, 0.0)
+        return np.asarray(np.clip(pair - lacking - lacking[..., ::-1], 0.0, 1.0))
 
     def sensor_wcs_m(self, t_gps_s: ArrayF, lever_ics_m: ArrayF) -> ArrayF:
         """Position (n, 3) of a point of the boat that is given in its body frame."""

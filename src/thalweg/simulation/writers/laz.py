@@ -9,7 +9,16 @@ from pyproj import CRS
 from thalweg.core.types import AnyArray, ArrayF
 
 
-def write_scan(path: Path, points_m: ArrayF, reflectance: ArrayF, crs: CRS | None, station: int) -> None:
+def write_scan(
+    path: Path,
+    points_m: ArrayF,
+    reflectance: ArrayF,
+    crs: CRS | None,
+    station: int,
+    *,
+    return_number: AnyArray | None = None,
+    number_of_returns: AnyArray | None = None,
+) -> None:
     """Write one scan position.
 
     Parameters
@@ -19,6 +28,7 @@ def write_scan(path: Path, points_m: ArrayF, reflectance: ArrayF, crs: CRS | Non
     reflectance : (n,) 0 to 1, written as intensity 0 to 65535.
     crs : reference system for the header; None for local coordinates.
     station : number of the scan position, written as point source id.
+    return_number, number_of_returns : (n,) of each point, 1 the nearest; all 1 by default.
     """
     head = laspy.LasHeader(point_format=6, version="1.4")
     head.scales = np.full(3, 0.001)
@@ -30,7 +40,8 @@ def write_scan(path: Path, points_m: ArrayF, reflectance: ArrayF, crs: CRS | Non
     intensity: AnyArray = np.clip(np.rint(reflectance * 65535), 0, 65535).astype(np.uint16)
     cloud.intensity = intensity
     ones: AnyArray = np.ones(len(points_m), dtype=np.uint8)
-    cloud.return_number, cloud.number_of_returns = ones, ones
+    cloud.return_number = ones if return_number is None else return_number.astype(np.uint8)
+    cloud.number_of_returns = ones if number_of_returns is None else number_of_returns.astype(np.uint8)
     cloud.point_source_id = np.full(len(points_m), station, dtype=np.uint16)
     path.parent.mkdir(parents=True, exist_ok=True)
     cloud.write(str(path))

@@ -24,9 +24,10 @@ def _epoch(gpst_us: int) -> str:
     return f"{t:%Y/%m/%d %H:%M:%S}.{t.microsecond // 100_000} GPST (week{week:04d} {rest / 1e6:8.1f}s)"
 
 
-def header(program: str, first_us: int, last_us: int, base_llh: tuple[float, float, float]) -> str:
-    """Comment lines above the solutions."""
-    lat, lon, height = base_llh
+def header(
+    program: str, first_us: int, last_us: int, base_llh: tuple[float, float, float] | None = None
+) -> str:
+    """Comment lines above the solutions; without a base those of a single-frequency code solution."""
     return "\n".join(
         [
             f"% program   : {program}",
@@ -35,8 +36,8 @@ def header(program: str, first_us: int, last_us: int, base_llh: tuple[float, flo
             "% inp file  : rover.nav",
             f"% obs start : {_epoch(first_us)}",
             f"% obs end   : {_epoch(last_us)}",
-            "% pos mode  : kinematic",
-            "% freqs     : L1+L2",
+            f"% pos mode  : {'single' if base_llh is None else 'kinematic'}",
+            f"% freqs     : {'L1' if base_llh is None else 'L1+L2'}",
             "% solution  : combined",
             "% elev mask : 15.0 deg",
             "% dynamics  : off",
@@ -49,7 +50,7 @@ def header(program: str, first_us: int, last_us: int, base_llh: tuple[float, flo
             "% val thres : 3.0",
             "% antenna1  :                       ( 0.0000  0.0000  0.0000)",
             "% antenna2  :                       ( 0.0000  0.0000  0.0000)",
-            f"% ref pos   :{lat:14.9f} {lon:14.9f} {height:10.4f}",
+            *([] if base_llh is None else ["% ref pos   :{:14.9f} {:14.9f} {:10.4f}".format(*base_llh)]),
             "%",
             "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,"
             "ns=# of satellites)",

@@ -1,0 +1,214 @@
+"""What the stamps of a stream say about its clock: period, jitter, offset, drift, and times without GPS."""
+
+import datetime as dt
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from thalweg.core.timescales import GPS_EPOCH_UNIX_S, LEAP_TABLE_VALID_UNTIL, unix_from_gps
+from thalweg.core.types import ArrayB, ArrayF
+
+FIRST_UNIX_S: Final = GPS_EPOCH_UNIX_S
+LAST_UNIX_S: Final = (
+    dt.datetime.fromisoformat(LEAP_TABLE_VALID_UNTIL).replace(tzinfo=dt.UTC).timestamp() + 30 * 31_557_600
+)
+"""No survey was made before GPS time began, nor 30 years behind the last known leap second."""
+
+_NMAD: Final = 1.4826
+_LEAST_FIT: Final = 4
+"""Pairs of stamps without which no drift is fitted."""
+_FIT_BLOCKS: Final = 20
+_LONGEST_STEP: Final = 10.5
+"""Steps of more periods are holes and say nothing of jitter."""
+
+
+@dataclass(slots=True, kw_only=True)
+class StreamTiming:
+    """The clock of one stream; None where the log does not tell.
+
+    Attributes
+    ----------
+    period_s : nominal step from stamp to stamp.
+    jitter_s, jitter_max_s : robust standard deviation (NMAD) and largest of the steps' deviations from whole
+        periods, as far as the stamps resolve them.
+    resolution_s : unit of the stamps.
+    clock : which other clock the log also shows: ``host`` (the logger's) or ``device`` (free-running).
+    clock_offset_s, sigma_clock_offset_s : that clock minus UTC, in the middle of the log, and its sigma.
+    clock_drift_ppm, sigma_clock_drift_ppm : how much faster that clock runs than GPS, and its sigma.
+    clock_set_s : how far the stream's own clock jumped when it got GPS time.
+    pps_locked_share : share of the recorded time with a locked PPS.
+    pps_unlocked_start_s : time without it before it locked first.
+    pps_losses : how often it was lost afterwards.
+    unsynchronised_s : recorded time that has no GPS time.
+    unsynchronised : from and to of these times, placed on GPS time against their neighbours.
+    """
+
+    period_s: float | None = None
+    jitter_s: float | None = None
+    jitter_max_s: float | None = None
+    resolution_s: float | None = None
+    clock: str = ""
+    clock_offset_s: float | None = None
+    sigma_clock_offset_s: float | None = None
+    clock_drift_ppm: float | None = None
+    sigma_clock_drift_ppm: float | None = None
+    clock_set_s: float | None = None
+    pps_locked_share: float | None = None
+    pps_unlocked_start_s: float | None = None
+    pps_losses: int | None = None
+    unsynchronised_s: float | None = None
+    unsynchronised: list[tuple[float, float]] = field(default_factory=list)
+
+    def describe_stamps(self, t_s: ArrayLike, resolution_s: float | None = None) -> None:
+        """Take period and jitter from stamps (n,); NaN, repeated stamps and steps back are left out.
+
+        Parameters
+        ----------
+        t_s : (n,) in the order of the log.
+        resolution_s : unit of the stamps, if the format tells.
+        """
+        t = np.asarray(t_s, dtype=np.float64)
+        step = np.diff(t[np.isfinite(t)])
+        step = step[step > 0]
+        if resolution_s is not None:
+            self.resolution_s = resolution_s
+        if step.size < 2:
+            return
+        self.describe_steps(step, np.ones(step.size))
+
+    def describe_steps(self, step_s: ArrayF, n: ArrayF) -> None:
+        """The same from positive steps (k,) and how often each occurred (k,)."""
+        middle = weighted_median(step_s, n)
+        period = regular_period(step_s, n, middle)
+        # over a long hole the rounding of the period itself would count
+        short = step_s < _LONGEST_STEP * period
+        step_s, n = step_s[short], n[short]
+        off = np.abs(step_s - np.rint(step_s / period) * period)
+        self.period_s = period
+        self.jitter_s = _NMAD * weighted_median(off, n)
+        self.jitter_max_s = float(off.max())
+
+    def describe_host(self, t_gps_s: ArrayF, t_host_s: ArrayF) -> None:
+        """Take offset and drift of the logger's clock (n,), in Unix time, against GPS times (n,)."""
+        known = np.isfinite(t_gps_s) & np.isfinite(t_host_s)
+        fit = fit_clock(unix_from_gps(t_gps_s[known]), t_host_s[known])
+        if fit is None:
+            return
+        self.clock = "host"
+        self.clock_offset_s, self.sigma_clock_offset_s = fit.offset_s, _number(fit.sigma_offset_s)
+        self.clock_drift_ppm, self.sigma_clock_drift_ppm = (
+            _number(fit.drift_ppm),
+            _number(fit.sigma_drift_ppm),
+        )
+
+    def place_unsynchronised(self, t_device_s: ArrayLike, t_gps_s: ArrayLike) -> None:
+        """Stretches of stamps without GPS time: their length by the device, their place by the neighbours.
+
+        Parameters
+        ----------
+        t_device_s : (n,) the device's clock, in the order of the log.
+        t_gps_s : (n,) NaN where there is no GPS time.
+        """
+        device, gps = np.asarray(t_device_s, np.float64), np.asarray(t_gps_s, np.float64)
+        self.unsynchronised, self.unsynchronised_s = [], 0.0
+        for first, stop in _stretches(~np.isfinite(gps)):
+            length = max(float(device[stop - 1] - device[first]), 0.0) + (self.period_s or 0.0)
+            self.unsynchronised_s += length
+            if first > 0:
+                begin = float(gps[first - 1])
+                end = float(gps[stop]) if stop < len(gps) else begin + length
+            elif stop < len(gps):
+                end = float(gps[stop])
+                begin = end - length
+            else:
+                continue
+            self.unsynchronised.append((begin, max(end, begin)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockFit:
+    """A clock against another: ``clock - reference = offset + drift (t - middle)``.
+
+    ``sigma_*`` are NaN where a straight line explains everything for want of pairs.
+    """
+
+    offset_s: float
+    sigma_offset_s: float
+    drift_ppm: float
+    sigma_drift_ppm: float
+    n: int
+
+
+def fit_clock(reference_s: ArrayLike, clock_s: ArrayLike) -> ClockFit | None:
+    """Offset and drift of a clock from pairs of simultaneous stamps, with sigmas.
+
+    Stamps are late by transport, in bursts: residuals are correlated. The sigmas are those of a straight line
+    through medians of up to 20 blocks of pairs, whose scatter holds what neighbouring pairs share.
+
+    Parameters
+    ----------
+    reference_s, clock_s : (n,) pairs; NaN are left out.
+
+    Returns
+    -------
+    None with fewer than one pair; offset only (drift NaN) with fewer than four.
+    """
+    t, c = np.asarray(reference_s, np.float64), np.asarray(clock_s, np.float64)
+    known = np.isfinite(t) & np.isfinite(c)
+    t, d = t[known], (c - t)[known]
+    order = np.argsort(t, kind="stable")
+    t, d = t[order], d[order]
+    nan = float("nan")
+    if not t.size:
+        return None
+    if t.size < _LEAST_FIT or t[-1] <= t[0]:
+        return ClockFit(
+            offset_s=float(np.median(d)), sigma_offset_s=nan, drift_ppm=nan, sigma_drift_ppm=nan, n=t.size
+        )
+    blocks = np.array_split(np.arange(t.size), min(_FIT_BLOCKS, t.size))
+    # near zero: clocks that are years apart, multiplied by rounded times, would make a drift of their own
+    t0, d0 = t[0], float(np.median(d))
+    x = np.array([(t[b] - t0).mean() for b in blocks])
+    y = np.array([np.median(d[b] - d0) for b in blocks])
+    centre, x = float(x.mean()), x - x.mean()
+    middle, spread = float(y.mean()), float(np.square(x).sum())
+    slope = float((x * y).sum() / spread)
+    scatter = float(np.square(y - middle - slope * x).sum() / (len(y) - 2))
+    return ClockFit(
+        offset_s=d0 + middle + slope * (float((t - t0).mean()) - centre),
+        sigma_offset_s=float(np.sqrt(scatter / len(y))),
+        drift_ppm=slope * 1e6,
+        sigma_drift_ppm=float(np.sqrt(scatter / spread)) * 1e6,
+        n=t.size,
+    )
+
+
+def possible_unix(unix_s: ArrayLike) -> ArrayB:
+    """False for UTC stamps at which no survey can have been made: before 1980, or after 2057."""
+    unix = np.asarray(unix_s, dtype=np.float64)
+    return np.asarray((unix >= FIRST_UNIX_S) & (unix <= LAST_UNIX_S))
+
+
+def weighted_median(values: ArrayF, n: ArrayF) -> float:
+    """Median of values (k,) that occurred n (k,) times each."""
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(n[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def regular_period(step_s: ArrayF, n: ArrayF, middle_s: float) -> float:
+    """Period of a regular stream: mean of the steps near the median, whose rounding averages out."""
+    near = np.abs(step_s - middle_s) < 0.25 * middle_s
+    return float(np.average(step_s[near], weights=n[near]))
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _stretches(mark: ArrayB) -> list[tuple[int, int]]:
+    """Begin and end (exclusive) of the runs of true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mark, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -1,0 +1,412 @@
+"""Which points of a georeferenced cloud are left out, and why: one reason each, every one counted.
+
+The cloud is streamed twice. In the first pass `classify` without a grid finds what a point tells by itself,
+and what is kept goes into an `Occupancy`. In the second pass `classify` with the frozen grid also knows what
+lies about each point::
+
+    for block in blocks:  # first pass
+        occupancy.add(points_wcs_m, classify(..., occupancy=None) == Reason.KEPT)
+    occupancy.freeze()
+    for block in blocks:  # second pass
+        reasons = classify(..., occupancy=occupancy)
+
+**Below the water.** Light of 905 nm sees no ground through water: absorption (6.8 per metre; Hale and Querry
+1973) leaves 2 % of the light on its way through 0.3 m and back. A point lower than the water level at the
+boat by more than ``below_water_m`` is therefore no surface. Most such points are *mirror ghosts*: the water
+reflects the beam onto the bank, and as the sensor knows one straight way only, the point appears where the
+bank's mirror image is. It is named so if the place mirrored at the water level of its own shot lies on the
+cloud above the water: within `GHOST_RADII` neighbourhood radii of so many points that it would not be
+isolated. Waves of slope ``a`` shift the image by ``2 a`` times the way behind the reflection. On a bank 10 to
+25 m away all ghosts are named on still water, 99.8 % with waves of 0.5 degrees (one sigma in each direction),
+91 % with 1 degree, 66 % with 2 degrees; the others are called below the water. Both are left out: only the
+name is at stake. `tests/lidar/test_filters.py`.
+
+*Limits.* The water level is that of the boat, for all points of a shot: land below a weir, or down a river of
+1 per mille beyond 300 m, lies lower and needs a larger margin. Ghosts of things lower than the margin stay.
+
+**Isolated points.** Fewer than ``isolated_neighbours`` others of the whole cloud within
+``isolated_radius_m``; what `Occupancy` promises holds: no point with enough others within the radius is left
+out. A shot gives at most two returns, so with 2 or more wanted it cannot save itself; a bird or a swarm of
+insects hit by several shots of one revolution can. On a 1:2 slope 40 to 90 m beside a boat at up to 1 m/s
+less than 1e-5 of a VLP-16's points are lost. Beyond each 50 m the radius grows by itself once, as shots
+lie wider there. Land seen at a grazing angle below 1 degree, with tens of metres between shots, still loses
+points: switch the filter off where such land matters.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Final, Self
+
+import numba as nb
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from numpy.typing import ArrayLike
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.tables import column, frame_of, table_kind
+from thalweg.core.trajectory import Trajectory
+from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8
+from thalweg.lidar.occupancy import Occupancy
+
+# Open3D brings an old TBB into the process, which numba would try first and complain about.
+nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+
+
+GHOST_RADII: Final = 2
+"""How many neighbourhood radii a mirror image may miss the cloud by: waves blur it."""
+
+
+class Reason(IntEnum):
+    """Why a point was left out, in the order of precedence; 0 is kept."""
+
+    KEPT = 0
+    NO_GPS_TIME = 1
+    NO_POSE = 2
+    TOO_NEAR = 3
+    TOO_FAR = 4
+    OWN_HULL = 5
+    UNCERTAIN = 6
+    BELOW_WATER = 7
+    MIRROR_GHOST = 8
+    ISOLATED = 9
+
+
+REMOVED: Final = tuple(reason for reason in Reason if reason != Reason.KEPT)
+"""All reasons for which points are left out."""
+
+WORDS: Final[dict[Reason, str]] = {
+    Reason.KEPT: "in the cloud",
+    Reason.NO_GPS_TIME: "shot while the lidar's clock was not synchronised",
+    Reason.NO_POSE: "shot outside the trajectory or in one of its gaps",
+    Reason.TOO_NEAR: "nearer than the shortest range",
+    Reason.TOO_FAR: "farther than the longest range",
+    Reason.OWN_HULL: "on the own boat",
+    Reason.UNCERTAIN: "predicted sigma above the limit",
+    Reason.BELOW_WATER: "below the water, where no surface can be seen",
+    Reason.MIRROR_GHOST: "mirror image of the bank, reflected by the water",
+    Reason.ISOLATED: "too few other points about it",
+}
+"""What each reason says to people."""
+
+
+FAR_STEP_M: Final = 50.0
+"""Beyond this range, and each multiple of it, the radius of the isolated points grows by itself once."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterSettings:
+    """Section ``filters`` of a campaign file.
+
+    Parameters
+    ----------
+    hull_low_ics_m, hull_high_ics_m : corners of the box of the own boat in the body frame; None: off.
+    max_sigma_m : largest predicted sigma of a kept point; None: off.
+    water_line_ics_m : down coordinate of the water line in the body frame, boat at rest.
+    below_water_m : points lower than this below the water level are left out; None: off.
+    mirror_ghosts : tell mirror ghosts from other points below the water.
+    isolated_radius_m, isolated_neighbours : least number of others within a radius; 0: off.
+    """
+
+    hull_low_ics_m: tuple[float, float, float] | None
+    hull_high_ics_m: tuple[float, float, float] | None
+    max_sigma_m: float | None
+    water_line_ics_m: float
+    below_water_m: float | None
+    mirror_ghosts: bool
+    isolated_radius_m: float
+    isolated_neighbours: int
+
+    @classmethod
+    def from_section(cls, section: Mapping[str, Any]) -> Self:
+        """The settings that a campaign file gives."""
+        return cls(**section)
+
+    @property
+    def needs_occupancy(self) -> bool:
+        """Whether a first pass over the cloud changes anything."""
+        return self.isolated_neighbours > 0 or (self.below_water_m is not None and self.mirror_ghosts)
+
+
+def water_level_m(t_gps_s: ArrayLike, trajectory: Trajectory, water_line_ics_m: float) -> ArrayF:
+    """Height of the water at the boat at given times, (n,) up in wcs.
+
+    It is the height of the ics origin, linear between nodes, less the depth of the water line below it. Roll
+    and pitch are not regarded: the line below the INS moves by ``0.2 m (1 - cos 5 deg)`` = 1 mm only. Heave
+    and errors of the height move boat, water and points alike.
+
+    Parameters
+    ----------
+    t_gps_s : (n,) times; the value means nothing where there is no pose.
+    trajectory : poses of the boat.
+    water_line_ics_m : down coordinate of the water line in the body frame.
+    """
+    t = np.asarray(t_gps_s, dtype=np.float64)
+    up_m = np.interp(t, trajectory.t_gps_s, trajectory.position_wcs_m[:, 2])
+    return np.asarray(up_m - water_line_ics_m)
+
+
+def classify(
+    *,
+    timed: ArrayB,
+    has_pose: ArrayB,
+    range_m: ArrayLike,
+    x_ics_m: ArrayLike,
+    points_wcs_m: ArrayF,
+    water_level_m: ArrayLike,
+    settings: FilterSettings,
+    min_range_m: float,
+    max_range_m: float,
+    sigma_max_m: ArrayLike | None = None,
+    occupancy: Occupancy | None = None,
+) -> ArrayU8:
+    """The reason of each point, the first in the order of `Reason` that holds.
+
+    Parameters
+    ----------
+    timed : (n,) the shot has a GPS time.
+    has_pose : (n,) the shot has a pose.
+    range_m : (n,) measured range.
+    x_ics_m : (n, 3) points in the body frame; float32 is used.
+    points_wcs_m : (n, 3) points in wcs; not looked at without a pose.
+    water_level_m : (n,) height of the water at the boat, from `water_level_m`.
+    settings : what is to be left out.
+    min_range_m, max_range_m : both ends belong to the cloud.
+    sigma_max_m : (n,) largest predicted sigma of the point's coordinates; NaN is above each limit.
+    occupancy : frozen grid of the points that were kept without it; None in the first pass.
+
+    Returns
+    -------
+    (n,) values of `Reason`. Without a grid mirror ghosts are `Reason.BELOW_WATER`, and none is isolated.
+
+    Raises
+    ------
+    GeometryError : arrays of different lengths, or a limit of sigma without sigmas.
+    """
+    with_sigma = settings.max_sigma_m is not None
+    if with_sigma and sigma_max_m is None:
+        raise GeometryError("filters.max_sigma_m is set, but no sigmas were predicted")
+    with_hull = settings.hull_low_ics_m is not None and settings.hull_high_ics_m is not None
+    points = np.ascontiguousarray(points_wcs_m, dtype=np.float64)
+    ranges: ArrayF32 = np.ascontiguousarray(range_m, dtype=np.float32)
+    level = np.ascontiguousarray(water_level_m, dtype=np.float64)
+    arrays = {
+        "timed": np.ascontiguousarray(timed, dtype=np.bool_),
+        "has_pose": np.ascontiguousarray(has_pose, dtype=np.bool_),
+        "range_m": ranges,
+        "x_ics_m": np.ascontiguousarray(x_ics_m, dtype=np.float32),
+        "points_wcs_m": points,
+        "water_level_m": level,
+    }
+    if with_sigma:
+        arrays["sigma_max_m"] = np.ascontiguousarray(sigma_max_m, dtype=np.float32)
+    n = len(points)
+    for name, values in arrays.items():
+        if values.shape != ((n, 3) if name in {"x_ics_m", "points_wcs_m"} else (n,)):
+            raise GeometryError(f"{name}.shape={values.shape}", expected=f"one entry for each of {n} points")
+    out = np.empty(n, dtype=np.uint8)
+    _first_reason(
+        arrays["timed"],
+        arrays["has_pose"],
+        ranges,
+        arrays["x_ics_m"],
+        points,
+        level,
+        arrays.get("sigma_max_m", np.empty(0, dtype=np.float32)),
+        np.array([min_range_m, max_range_m], dtype=np.float32),
+        with_hull,
+        np.array([settings.hull_low_ics_m, settings.hull_high_ics_m] if with_hull else np.zeros((2, 3))),
+        np.inf if settings.max_sigma_m is None else settings.max_sigma_m,
+        np.inf if settings.below_water_m is None else settings.below_water_m,
+        out,
+    )
+    if occupancy is not None:
+        _look_around(out, points, ranges, level, settings, occupancy)
+    return out
+
+
+def _look_around(
+    reasons: ArrayU8,
+    points: ArrayF,
+    range_m: ArrayF32,
+    level: ArrayF,
+    settings: FilterSettings,
+    occupancy: Occupancy,
+) -> None:
+    """Change `reasons` by what the grid tells: ghosts among the points below the water, isolated ones."""
+    least = settings.isolated_neighbours
+    if settings.mirror_ghosts:
+        below = np.flatnonzero(reasons == Reason.BELOW_WATER)
+        image = points[below]
+        image[:, 2] = 2.0 * level[below] - image[:, 2]
+        # an image needs no company of its own: it is no point of the cloud
+        enough = max(least, 1)
+        on_cloud = occupancy.near(image, enough=enough, radii=GHOST_RADII) >= enough
+        reasons[below[on_cloud]] = Reason.MIRROR_GHOST
+    if least > 0:
+        kept = np.flatnonzero(reasons == Reason.KEPT)
+        alone = kept[occupancy.neighbours(points[kept], enough=least) < least]
+        # Beams spread: far points may have their neighbours farther away. Each one counts itself.
+        reach = 1 + (range_m[alone] // FAR_STEP_M).astype(np.int64)
+        for radii in np.unique(reach[reach > 1]).tolist():
+            far = reach == radii
+            some = occupancy.near(points[alone[far]], enough=least + 1, radii=min(radii, 16)) > least
+            reach[far] = np.where(some, 0, radii)
+        reasons[alone[reach > 0]] = Reason.ISOLATED
+
+
+@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+def _first_reason(
+    timed: ArrayB,
+    has_pose: ArrayB,
+    range_m: ArrayF32,
+    x_ics: ArrayF32,
+    points: ArrayF,
+    level: ArrayF,
+    sigma: ArrayF32,
+    ranges: ArrayF32,
+    with_hull: bool,
+    hull: ArrayF,
+    max_sigma: float,
+    below_water: float,
+    out: ArrayU8,
+) -> None:
+    """Reasons that a point tells by itself; the numbers are those of `Reason`."""
+    for i in nb.prange(len(out)):
+        if not timed[i]:
+            out[i] = 1
+        elif not has_pose[i]:
+            out[i] = 2
+        elif not range_m[i] >= ranges[0]:
+            out[i] = 3
+        elif not range_m[i] <= ranges[1]:
+            out[i] = 4
+        elif (
+            with_hull
+            and hull[0, 0] <= x_ics[i, 0] <= hull[1, 0]
+            and hull[0, 1] <= x_ics[i, 1] <= hull[1, 1]
+            and hull[0, 2] <= x_ics[i, 2] <= hull[1, 2]
+        ):
+            out[i] = 5
+        elif len(sigma) > 0 and not sigma[i] <= max_sigma:
+            out[i] = 6
+        elif points[i, 2] < level[i] - below_water:
+            out[i] = 7
+        else:
+            out[i] = 0
+
+
+def count_reasons(reasons: ArrayU8) -> ArrayI:
+    """Number of points of each reason, (10,); sums over chunks add up."""
+    return np.bincount(reasons, minlength=len(Reason)).astype(np.int64)
+
+
+def reason_table(counts: ArrayLike) -> pd.DataFrame:
+    """Numbers for people: columns ``reason``, ``n``, ``share`` of all points, ``words``.
+
+    Parameters
+    ----------
+    counts : (10,) from `count_reasons`; kept points included, so that they add up to all decoded points.
+
+    Examples
+    --------
+    >>> reason_table([6, 0, 0, 2, 0, 0, 0, 0, 0, 0]).query("n > 0")[["reason", "n", "share"]]
+         reason  n  share
+    0      kept  6   0.75
+    3  too_near  2   0.25
+    """
+    n = np.asarray(counts, dtype=np.int64)
+    return pd.DataFrame({
+        "reason": [reason.name.lower() for reason in Reason],
+        "n": n,
+        "share": n / max(int(n.sum()), 1),
+        "words": [WORDS[reason] for reason in Reason],
+    })  # fmt: skip
+
+
+_WCS = ("east", "north", "up")
+
+REMOVED_POINTS: Final = table_kind(
+    "removed_points",
+    1,
+    [
+        column("reason", pa.string(), "1", "name of thalweg.lidar.filters.Reason in small letters"),
+        column("t_gps_s", pa.float64(), "s", "adjusted standard GPS time of the shot; NaN without"),
+        *(column(f"{a}_m", pa.float64(), "m", f"{a} in wcs; NaN without a pose") for a in _WCS),
+        *(column(f"{a}_ics_m", pa.float32(), "m", f"{a} in the body frame") for a in "xyz"),
+        column("range_m", pa.float32(), "m", "measured range"),
+    ],
+)
+"""An even sample of the points that were left out, so many at most for each reason."""
+
+
+class RemovedSample:
+    """An even sample of the removed points of each reason, of bounded size, from a log of unknown length.
+
+    The points of a reason are numbered as they come, and a hash of the number decides: those below a
+    threshold stay, and when they become too many the threshold is halved. So each point has the same chance,
+    the sample does not depend on the pieces in which the log comes, and holds about half of ``most`` points
+    or more. Every k-th point would not do: a scanner of 16 lasers repeats itself.
+
+    Parameters
+    ----------
+    most : points kept at most for each reason.
+    """
+
+    def __init__(self, most: int = 20_000) -> None:
+        self.most = most
+        self._seen = dict.fromkeys(REMOVED, 0)
+        self._threshold = dict.fromkeys(REMOVED, 1 << 64)
+        self._hashes: dict[Reason, AnyArray] = {r: np.empty(0, np.uint64) for r in REMOVED}
+        self._rows: dict[Reason, ArrayF] = {r: np.empty((0, 8)) for r in REMOVED}
+
+    def add(
+        self,
+        reasons: ArrayU8,
+        *,
+        t_gps_s: ArrayLike,
+        points_wcs_m: ArrayLike,
+        x_ics_m: ArrayLike,
+        range_m: ArrayLike,
+    ) -> None:
+        """Take part of the removed points of a chunk.
+
+        Parameters
+        ----------
+        reasons : (n,) from `classify` with the grid.
+        t_gps_s, points_wcs_m, x_ics_m, range_m : (n,), (n, 3), (n, 3), (n,) of the same points.
+        """
+        columns = [np.asarray(values) for values in (t_gps_s, points_wcs_m, x_ics_m, range_m)]
+        for reason in REMOVED:
+            index = np.flatnonzero(reasons == reason)
+            if not len(index):
+                continue
+            hashes = _stirred(self._seen[reason] + np.arange(len(index), dtype=np.uint64))
+            self._seen[reason] += len(index)
+            drawn = hashes <= np.uint64(self._threshold[reason] - 1)
+            rows = np.column_stack([values[index[drawn]] for values in columns])
+            self._hashes[reason] = np.concatenate([self._hashes[reason], hashes[drawn]])
+            self._rows[reason] = np.concatenate([self._rows[reason], rows])
+            while len(self._hashes[reason]) > self.most:
+                self._threshold[reason] //= 2
+                stay = self._hashes[reason] <= np.uint64(self._threshold[reason] - 1)
+                self._hashes[reason], self._rows[reason] = (
+                    self._hashes[reason][stay],
+                    self._rows[reason][stay],
+                )
+
+    def table(self) -> pd.DataFrame:
+        """The sample as a table of kind ``removed_points``: reason by reason, in the order of the log."""
+        rows = np.concatenate([self._rows[reason] for reason in REMOVED])
+        names = [name for name in REMOVED_POINTS.names if name != "reason"]
+        reason = [r.name.lower() for r in REMOVED for _ in range(len(self._rows[r]))]
+        return frame_of(REMOVED_POINTS, {"reason": reason, **dict(zip(names, rows.T, strict=True))})
+
+
+def _stirred(numbers: AnyArray) -> AnyArray:
+    """Hash of (n,) uint64 numbers, even over all 64 bits: SplitMix64 (Steele, Lea and Flood 2014)."""
+    z = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))

@@ -1,0 +1,137 @@
+"""Where the sensors of the twin really sit: the campaign's mounts are estimates, the true ones differ.
+
+The processing reads the estimates from the campaign file, the instruments of the twin sit at the true mounts.
+An error of a mount is constant over the whole recording, so it can be told from noise only over many seeds.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from thalweg.core.errors import ConfigError, InputError
+from thalweg.core.types import ArrayF
+from thalweg.simulation.random import generator
+
+KIND: Final = "thalweg twin mounts"
+ANGLES: Final = ("omega_deg", "phi_deg", "kappa_deg")
+_CURE: Final = "Build it again with the rule that simulates the mounts"
+
+
+def true_mounts(mounts: Mapping[str, Any], seed: int, *, on: bool) -> dict[str, Any]:
+    """The true mounts: the campaign's values plus normal errors of the stated sigmas.
+
+    Parameters
+    ----------
+    mounts : section ``mounts`` or a part of it as plain values: a mapping of sensors, each with
+        ``lever_ics_m`` and ``sigma_lever_m``; the lidar also with ``omega_deg``, ``phi_deg``, ``kappa_deg``,
+        their sigmas and, if given, ``correlation``: the (6, 6) matrix of omega, phi, kappa, x, y, z.
+    seed : seed of the campaign. Each sensor has a stream of its own, so the sensors that are asked for
+        do not change each other.
+    on : ``twin.effects.mount_errors``; False gives the campaign's values.
+
+    Returns
+    -------
+    true : the same structure with the true angles and lever arms; the sigmas are untouched.
+
+    Raises
+    ------
+    ConfigError : a correlation matrix that is none.
+    """
+    true = deepcopy({name: dict(mount) for name, mount in mounts.items() if isinstance(mount, Mapping)})
+    for name, mount in true.items():
+        keys = ANGLES if ANGLES[0] in mount else ()
+        sigmas = [mount[f"sigma_{key}"] for key in keys] + list(mount["sigma_lever_m"])
+        white = generator(seed, f"mount {name}").standard_normal(len(sigmas))
+        if not on:
+            continue
+        errors = np.asarray(sigmas) * (_root(mount.get("correlation"), len(sigmas), name) @ white)
+        for key, error in zip(keys, errors.tolist(), strict=False):
+            mount[key] = float(mount[key]) + error
+        lever = np.asarray(mount["lever_ics_m"], dtype=np.float64) + errors[-3:]
+        mount["lever_ics_m"] = lever.tolist()
+    return true
+
+
+def mount_errors(true: Mapping[str, Any], estimated: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """True minus estimated, for each sensor: angles in degrees, lever arms in metres."""
+    errors: dict[str, dict[str, Any]] = {}
+    for name, mount in true.items():
+        known = estimated[name]
+        errors[name] = {key: float(mount[key] - known[key]) for key in ANGLES if key in mount}
+        off = np.asarray(mount["lever_ics_m"]) - np.asarray(known["lever_ics_m"])
+        errors[name]["lever_ics_m"] = off.tolist()
+    return errors
+
+
+def write_true_mounts(path: Path, true: Mapping[str, Any], estimated: Mapping[str, Any]) -> None:
+    """Write the true mounts as JSON beside the truth, with their differences from the campaign's.
+
+    Parameters
+    ----------
+    path : target.
+    true : what `true_mounts` gave.
+    estimated : the campaign's mounts that it was drawn around.
+    """
+    facts = {
+        "kind": KIND,
+        "version": 1,
+        "mounts": true,
+        "true_minus_estimated": mount_errors(true, estimated),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(facts, indent=2) + "\n")
+
+
+def read_true_mounts(path: Path) -> dict[str, Any]:
+    """Read the mounts that `write_true_mounts` wrote, in the structure of the section ``mounts``.
+
+    Raises
+    ------
+    InputError : the file is missing or something else.
+    """
+    if not path.is_file():
+        raise InputError("file not found", expected="true mounts of the twin", where=path, cure=_CURE)
+    try:
+        facts = json.loads(path.read_text())
+        known, mounts = (facts["kind"], facts["version"]) == (KIND, 1), dict(facts["mounts"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"no true mounts ({error!r})", expected=f"{KIND}, version 1", where=path, cure=_CURE
+        ) from error
+    if not known:
+        raise InputError(
+            f"{facts['kind']}, version {facts['version']}",
+            expected=f"{KIND}, version 1",
+            where=path,
+            cure=_CURE,
+        )
+    return mounts
+
+
+def _root(correlation: Sequence[Sequence[float]] | None, n: int, name: str) -> ArrayF:
+    """Symmetric square root of a correlation matrix (n, n); the identity where none is given."""
+    if correlation is None:
+        return np.eye(n)
+    matrix = np.asarray(correlation, dtype=np.float64)
+    where = f"mounts.{name}.correlation"
+    if matrix.shape != (n, n):
+        raise ConfigError(f"a matrix of shape {matrix.shape}", expected=f"({n}, {n})", where=where)
+    fits = (
+        np.isfinite(matrix).all()
+        and np.allclose(matrix, matrix.T, atol=1e-6)
+        and np.allclose(np.diag(matrix), 1.0)
+    )
+    values, vectors = np.linalg.eigh(matrix) if fits else (np.array([-1.0]), np.eye(n))
+    # Estimated matrices are rounded: an eigenvalue may be a rounding error below zero.
+    if values.min() < -1e-6:
+        raise ConfigError(
+            "a matrix that is no correlation matrix",
+            expected="a symmetric matrix with a diagonal of ones and without negative eigenvalues",
+            where=where,
+            cure="Take the correlations from the adjustment's covariance: C_ij / sqrt(C_ii C_jj)",
+        )
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)

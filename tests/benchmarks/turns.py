@@ -1,0 +1,31 @@
+"""What the speed benchmarks share: sizes, and jobs measured in turns."""
+
+import os
+import statistics
+import time
+from collections.abc import Callable, Mapping
+
+SHARE = float(os.environ.get("THALWEG_BENCHMARK_SHARE", "1"))
+"""Share of the full size that the benchmarks of points run with, for a quick look: 0.05 takes a minute."""
+
+
+def sized(n_points: float) -> int:
+    """The number of points for this run, at least a thousand."""
+    return max(round(n_points * SHARE), 1000)
+
+
+def in_turns(jobs: Mapping[str, Callable[[], object]], rounds: int = 3) -> dict[str, float]:
+    """Median seconds of each job; taken in turns, so that a busy machine disturbs all of them."""
+    took: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(rounds):
+        for name, job in jobs.items():
+            begin = time.perf_counter()
+            job()
+            took[name].append(time.perf_counter() - begin)
+    return {name: statistics.median(seconds) for name, seconds in took.items()}
+
+
+def millions(n_points: int, seconds: float) -> str:
+    """Points per second for people."""
+    rate = n_points / seconds / 1e6
+    return f"{rate:.{0 if rate >= 20 else 1 if rate >= 2 else 2}f} M points/s"

@@ -1,0 +1,155 @@
+"""Footprints of the lidar: their true size and shape, and where the detail lies."""
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.figures.footprints import (
+    best_moment,
+    candidate_moments,
+    choose_patch,
+    footprint_ellipses,
+    footprints,
+)
+from thalweg.figures.style import save
+
+
+def by_gid(figure, gid):
+    return figure.findobj(lambda artist: artist.get_gid() == gid)
+
+
+@pytest.fixture
+def frame():
+    """A wall 30 m north of the scanner, 40 m wide, and one 12 m south of it with twice as many points."""
+    east, up = (a.ravel() for a in np.meshgrid(np.linspace(-20, 20, 81), np.linspace(0, 4, 21)))
+    wall = np.stack([east, np.full(east.size, 30.0), up], axis=1)
+    near = np.tile(wall * [1, 0, 1] + [0, -12.0, 0], (2, 1))
+    points = np.concatenate([near, wall])
+    return points, np.tile([0.0, 0.0, 1.0], (len(points), 1))
+
+
+def test_the_patch_lies_at_the_distance_asked_for(frame):
+    patch = choose_patch(*frame, distance_m=30.0)
+    assert patch.centre_wcs_m[1] == pytest.approx(30.0)
+    assert patch.range_m == pytest.approx(30.0, abs=2.0)  # one class of distances
+    assert choose_patch(*frame, distance_m=12.0).centre_wcs_m[1] == pytest.approx(-12.0)
+    # Nothing lies at 200 m: the farthest there is stands in.
+    assert choose_patch(*frame, distance_m=200.0).range_m > 30.0
+
+
+def test_the_patch_is_seen_along_its_beams(frame):
+    patch = choose_patch(*frame)
+    axes = np.stack([patch.right, patch.up, patch.away])
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    assert patch.right[2] == 0.0
+    assert patch.right[0] > 0.9  # looking north, east is to the right
+    assert patch.up[2] > 0.9
+    place = patch.project(frame[0][patch.inside])
+    assert np.abs(place).max() <= 1.5
+    # The grid of 0.5 x 0.2 m: 6 to 7 columns and 15 to 16 rows on 3 x 3 m.
+    assert 80 <= patch.inside.sum() <= 120
+    assert not patch.inside[: 2 * 81 * 21].any()
+
+
+def test_straight_up_has_a_level_direction_too():
+    points = np.array([[0.0, 0.0, 30.0], [0.01, 0.0, 30.0], [-0.01, 0.0, 30.0]])
+    patch = choose_patch(points, np.zeros((3, 3)))
+    np.testing.assert_allclose(patch.away, [0, 0, 1], atol=1e-6)
+    assert np.linalg.norm(patch.right) == pytest.approx(1.0)
+
+
+def test_three_milliradians_are_nine_centimetres_at_thirty_metres(frame):
+    patch = choose_patch(*frame)
+    width, height, _ = footprint_ellipses(30.0 * patch.away[None], patch, divergence_mrad=3.0)
+    # P2 section 7.
+    assert (width[0], height[0]) == (pytest.approx(0.09), pytest.approx(0.09))
+
+
+def test_an_ellipse_is_the_shadow_of_the_circle_across_its_beam(frame, rng):
+    """A circle across an oblique beam, cast point by point onto the plane of the patch."""
+    patch = choose_patch(*frame)
+    beam = 25.0 * (patch.away + 0.5 * patch.right + 0.3 * patch.up) / np.linalg.norm([1.0, 0.5, 0.3])
+    a, b = np.linalg.svd(beam[None] / 25.0)[2][1:]
+    turn = np.linspace(0, 2 * np.pi, 200)[:, None]
+    circle = 0.5 * 0.003 * 25.0 * (np.cos(turn) * a + np.sin(turn) * b)
+    u, v = circle @ patch.right, circle @ patch.up
+    (width,), (height,), (angle,) = footprint_ellipses(beam[None], patch, divergence_mrad=3.0)
+    c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+    on = ((u * c + v * s) / (0.5 * width)) ** 2 + ((-u * s + v * c) / (0.5 * height)) ** 2
+    np.testing.assert_allclose(on, 1.0, atol=1e-9)
+
+
+def test_figure_draws_every_footprint_to_scale(frame, tmp_path):
+    figure = footprints(*frame, divergence_mrad=3.0, title="Test", twin=True)
+    patch = choose_patch(*frame)
+    (rings,) = by_gid(figure, "footprints")
+    assert len(rings.get_offsets()) == patch.inside.sum()
+    assert figure.axes[1].get_aspect() == 1.0
+    # Drawn: sizes of an EllipseCollection in data units.
+    range_m = np.linalg.norm(frame[0] - frame[1], axis=1)[patch.inside]
+    np.testing.assert_allclose(np.sort(rings.get_heights()), np.sort(0.003 * range_m))
+    (named,), (spot,) = by_gid(figure, "named-footprint"), by_gid(figure, "tls-spot")
+    assert named.radius / spot.radius == pytest.approx(10.0)
+    assert f"{200 * named.radius:.1f} cm" in [t.get_text() for t in by_gid(figure, "size-text")]
+    assert "3 mrad · 30.0 m = 9.0 cm; TLS spot 0.9 cm" in figure.axes[1].get_title(loc="left")
+    assert f"n = {patch.inside.sum()}" in figure.axes[1].get_title(loc="left")
+    assert len(by_gid(figure, "frame")[0].get_offsets()) == len(frame[0])
+    assert len(by_gid(figure, "twin-mark")) == 1
+    save(figure, tmp_path / "figure.png", dpi=50)
+
+
+def test_points_without_a_pose_are_left_out(frame):
+    points, scanner = frame[0], frame[1].copy()
+    scanner[-200:] = np.nan
+    figure = footprints(points, scanner, divergence_mrad=3.0)
+    assert len(by_gid(figure, "frame")[0].get_offsets()) == len(points) - 200
+
+
+def test_the_moments_are_those_with_most_points_near_the_distance():
+    t = 100.0 + np.array([0.05, 0.06, 0.31, 0.32, 0.33, 0.55, 0.56, 0.57, 0.58])
+    r = np.array([30.0, 30.0, 29.0, 31.0, 30.0, 5.0, 5.0, 5.0, 5.0])
+    # Revolutions are counted from the first point, at 100.05.
+    assert candidate_moments(t, r, most=9) == [pytest.approx(100.25), pytest.approx(100.05)]
+    # Without a point near 30 m the tolerance grows.
+    assert candidate_moments(t[5:], r[5:]) == [pytest.approx(100.55)]
+
+
+def test_the_best_moment_has_the_best_filled_patch(trajectory):
+    """Two revolutions with as many points at 30 m: scattered over 60 degrees, and in one place."""
+    t = trajectory.t_gps_s[[20, 60]]
+    at, R, _ = trajectory.at(t + 0.05)
+    lever = np.array([0.5, 0.0, -0.2])
+    spread = np.linspace(-0.5, 0.5, 60)
+    points = []
+    for k, width in ((0, 1.0), (1, 0.04)):
+        a = width * spread
+        ring = 30.0 * np.stack([np.sin(a), np.cos(a), np.zeros(60)], axis=1)
+        points.append(at[k] + R[k] @ lever + ring)
+    stamps = np.repeat(t, 60) + np.tile(np.linspace(0.02, 0.08, 60), 2)
+    start = best_moment(np.concatenate(points), stamps, np.full(120, 30.0), trajectory, lever)
+    assert start <= t[1] + 0.02
+    assert start + 0.1 > t[1] + 0.08
+
+
+def test_no_pose_at_any_moment_is_refused(trajectory):
+    t = trajectory.t_gps_s[-1] + np.array([100.0, 101.0])
+    with pytest.raises(GeometryError, match="no point of 2 revolutions has a pose"):
+        best_moment(np.ones((2, 3)), t, np.full(2, 30.0), trajectory, [0, 0, 0])
+
+
+def test_one_point_makes_a_figure(tmp_path):
+    figure = footprints(np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3)), divergence_mrad=3.0)
+    save(figure, tmp_path / "one.png", dpi=50)
+
+
+def test_nothing_to_draw_is_refused(frame):
+    with pytest.raises(GeometryError, match=r"0 points without a beam.*another moment"):
+        footprints(np.empty((0, 3)), np.empty((0, 3)), divergence_mrad=3.0)
+    with pytest.raises(GeometryError, match="without a beam"):
+        footprints(frame[0], np.full_like(frame[0], np.nan), divergence_mrad=3.0)
+    with pytest.raises(GeometryError, match=r"\(n, 3\) twice"):
+        footprints(frame[0], frame[1][:-1], divergence_mrad=3.0)
+    with pytest.raises(InputError, match="above 0"):
+        footprints(*frame, divergence_mrad=0.0)
+    with pytest.raises(InputError, match="none of 2 points has a time and a range"):
+        candidate_moments(np.full(2, np.nan), np.ones(2))

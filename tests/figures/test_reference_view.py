@@ -1,0 +1,175 @@
+"""The terrestrial scan in equal angles: geometry of the view, choice of the viewpoint, what is drawn."""
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import CoverageError, GeometryError, InputError
+from thalweg.figures.reference_view import (
+    EYE_M,
+    PanoramaView,
+    angles_from,
+    reference_view,
+    viewpoint_on_track,
+)
+from thalweg.figures.splat import Splat
+from thalweg.figures.style import save
+
+
+def by_gid(figure, gid):
+    return figure.findobj(lambda artist: artist.get_gid() == gid)
+
+
+def view_at(viewpoint=(0.0, 0.0, 0.0), left_deg=350.0, top_deg=10.0, pixel_deg=1.0, width=40, height=20):
+    return PanoramaView(
+        viewpoint_wcs_m=np.array(viewpoint), left_rad=np.deg2rad(left_deg), top_rad=np.deg2rad(top_deg),
+        pixel_rad=np.deg2rad(pixel_deg), width_px=width, height_px=height, distance_m=20.0,
+    )  # fmt: skip
+
+
+def test_angles_are_those_of_a_compass():
+    azimuth, elevation, distance = angles_from(
+        np.array([1.0, 1.0, 1.0]), np.array([[1.0, 6.0, 1.0], [6.0, 1.0, 6.0], [1.0, 1.0, -2.0]])
+    )
+    np.testing.assert_allclose(np.rad2deg(azimuth[:2]), [0.0, 90.0], atol=1e-12)
+    np.testing.assert_allclose(np.rad2deg(elevation), [0.0, 45.0, -90.0], atol=1e-12)
+    np.testing.assert_allclose(distance, [5.0, np.hypot(5, 5), 3.0])
+
+
+def test_columns_run_on_across_north():
+    """Azimuths 355, 5 and 15 degrees in a view that begins at 350."""
+    a = np.deg2rad([355.0, 5.0, 15.0])
+    points = 10.0 * np.stack([np.sin(a), np.cos(a), np.zeros(3)], axis=1)
+    column, row, depth = view_at().project(points).T
+    np.testing.assert_allclose(column, [5.0, 15.0, 25.0])
+    np.testing.assert_allclose(row, 10.0)
+    np.testing.assert_allclose(depth, 10.0)
+    assert view_at().extent_deg == pytest.approx((350.0, 390.0, -10.0, 10.0))
+
+
+def test_the_nearer_point_of_a_direction_is_seen_and_the_nearest_ones_are_not():
+    splat = Splat(view_at())
+    away = np.array([np.sin(0.0876), np.cos(0.0876), 0.002])
+    splat.add(np.array([30.0, 12.0, 1.0])[:, None] * away, np.array([1.0, 2.0, 3.0]))
+    values = splat.buffers()[1]
+    assert values[np.isfinite(values)].tolist() == [2.0]
+    assert splat.n_drawn == 2
+
+
+def test_fit_holds_a_wall_and_is_centred_on_it(rng):
+    wall = np.stack([rng.uniform(-12, 12, 5000), np.full(5000, 20.0), rng.uniform(-2, 9, 5000)], axis=1)
+    view = PanoramaView.fit(wall, np.zeros(3), width_px=400)
+    column, row, _ = view.project(wall).T
+    inside = (column >= 0) & (column < 400) & (row >= 0) & (row < view.height_px)
+    assert inside.mean() > 0.95  # keep = 0.97 across, 0.996 in height
+    left, right, low, high = view.extent_deg
+    half = np.rad2deg(np.arctan2(12, 20))
+    assert left - 360 == pytest.approx(-half, abs=1.5)
+    assert right - 360 == pytest.approx(half, abs=1.5)
+    assert (high - low) / (right - left) == pytest.approx(view.height_px / 400)
+
+
+def test_a_long_low_bank_is_cut_to_a_shape_that_can_be_read(rng):
+    bank = np.stack(
+        [rng.uniform(-300, 300, 20_000), np.full(20_000, 20.0), rng.uniform(0, 4, 20_000)], axis=1
+    )
+    eye = np.array([0.0, 0.0, 2.0])
+    view = PanoramaView.fit(bank, eye, azimuth_rad=np.deg2rad(5.0), width_px=1000)
+    left, right, low, high = view.extent_deg
+    assert right - left == pytest.approx(40.0, abs=25.0)
+    assert (high - low) / (right - left) > 0.13
+    assert (left + right) / 2 - 360 == pytest.approx(5.0)
+    # Without a direction: where most of the points are, which is somewhere along the bank.
+    assert PanoramaView.fit(bank, eye, width_px=1000).height_px > 130
+
+
+def test_the_viewpoint_is_on_the_track_opposite_the_densest_bank(trajectory, bank):
+    eye, azimuth_rad = viewpoint_on_track(bank.points, trajectory)
+    track = trajectory.position_wcs_m[trajectory.valid]
+    assert np.min(np.linalg.norm(track + np.array([0, 0, EYE_M]) - eye, axis=1)) < 1e-9
+    s, c = np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))
+    along, across = eye[:2] @ [s, c], eye[:2] @ [-c, s]
+    # Stretch of 30 m; the bank lies at +9 to +15 m, the track swings between -6 and +6 m.
+    assert along == pytest.approx(bank.middle_along_m, abs=16.0)
+    assert across < -3.0
+    # The zigzag over a stretch of about 90 m does not average out exactly.
+    turned = (azimuth_rad - bank.azimuth_rad + np.pi) % (2 * np.pi) - np.pi
+    assert abs(turned) < np.deg2rad(12.0)
+
+
+def test_a_cloud_of_another_place_is_refused(trajectory, bank):
+    with pytest.raises(CoverageError, match=r"nowhere within 400 m.*CRS"):
+        viewpoint_on_track(bank.points + np.array([5000.0, 0.0, 0.0]), trajectory)
+    # 200 m beside the track still is a reference.
+    far, _ = viewpoint_on_track(bank.points + np.array([0.0, 200.0, 0.0]), trajectory)
+    assert np.isfinite(far).all()
+
+
+@pytest.fixture
+def scanned(trajectory, bank):
+    source = 1 + (np.arange(len(bank.points)) % 3)
+    view = PanoramaView.fit(bank.points, viewpoint_on_track(bank.points, trajectory)[0], width_px=300)
+    splat = Splat(view)
+    splat.add(bank.points[source == 2], bank.intensity[source == 2])
+    return splat, source
+
+
+def test_figure_names_the_scan_and_counts_its_points(trajectory, bank, scanned):
+    splat, source = scanned
+    figure = reference_view(
+        splat, bank.points, source, trajectory, shown=2, names={1: "a", 2: "tls_2", 3: "c"},
+        counts={1: 10, 2: 20, 3: 30}, title="Test", twin=True,
+    )  # fmt: skip
+    n = f"{splat.n_drawn:,}".replace(",", "\N{NO-BREAK SPACE}")
+    title = figure.get_suptitle().replace("\n", " ")
+    assert f"scan tls_2, n = {n} of 13\N{NO-BREAK SPACE}333 points" in title
+    labels = [t.get_text() for legend in figure.legends for t in legend.get_texts()]
+    assert {"scan a, n = 10", "scan tls_2, n = 20", "scan c, n = 30", "track of the boat"} <= set(labels)
+    upper, lower = figure.axes[:2]
+    assert upper.get_ylabel() == "elevation / °"
+    assert (lower.get_xlabel(), lower.get_ylabel()) == ("east / m", "north / m")
+    (picture,) = by_gid(figure, "panorama")
+    assert tuple(picture.get_extent()) == splat.view.extent_deg
+    (place,) = by_gid(figure, "viewpoint")
+    np.testing.assert_allclose(place.get_xydata()[0], splat.view.viewpoint_wcs_m[:2])
+    assert len(by_gid(figure, "twin-mark")) == len(by_gid(figure, "scale-bar")) == 1
+
+
+def test_black_is_no_return_and_nothing_else(trajectory, bank, scanned):
+    splat, source = scanned
+    (picture,) = by_gid(reference_view(splat, bank.points, source), "panorama")
+    black = np.all(picture.get_array() == 0, axis=2)
+    nothing = ~np.isfinite(splat.buffers(splat.radius_px())[1])
+    np.testing.assert_array_equal(black, nothing)
+    assert 0.02 < black.mean() < 0.98
+
+
+def test_the_sector_points_at_the_bank(trajectory, bank, scanned):
+    splat, source = scanned
+    (sector,) = by_gid(reference_view(splat, bank.points, source, trajectory), "sector")
+    middle = np.deg2rad(0.5 * (sector.theta1 + sector.theta2))
+    towards = bank.points[:20_000, :2].mean(axis=0) - splat.view.viewpoint_wcs_m[:2]
+    assert np.array([np.cos(middle), np.sin(middle)]) @ towards / np.linalg.norm(towards) > 0.9
+
+
+def test_scans_without_numbers_of_their_own_and_without_intensity(tmp_path, trajectory, bank):
+    """A merged cloud: one source, no intensity."""
+    view = PanoramaView.fit(bank.points, viewpoint_on_track(bank.points, trajectory)[0], width_px=300)
+    splat = Splat(view)
+    splat.add(bank.points, np.zeros(len(bank.points)))
+    figure = reference_view(splat, bank.points, np.zeros(len(bank.points), dtype=np.uint16), trajectory)
+    assert "all scans" in figure.get_suptitle()
+    save(figure, tmp_path / "merged.png", dpi=50)
+
+
+def test_one_point_makes_a_figure_and_none_is_refused(tmp_path, trajectory):
+    point = np.array([[50.0, 40.0, 2.0]])
+    view = PanoramaView.fit(point, viewpoint_on_track(point, trajectory)[0], width_px=200)
+    splat = Splat(view)
+    splat.add(point, np.array([3.0]))
+    save(reference_view(splat, point, np.array([1]), trajectory), tmp_path / "one.png", dpi=50)
+    with pytest.raises(GeometryError, match="none of 0 points lies in the panorama"):
+        reference_view(Splat(view), point, np.array([1]), trajectory)
+    with pytest.raises(InputError, match="as many as points"):
+        reference_view(splat, point, np.array([1, 2]), trajectory)
+    with pytest.raises(GeometryError, match="none of 1 points lies more than 3 m"):
+        PanoramaView.fit(np.zeros((1, 3)), np.zeros(3))

@@ -1,0 +1,200 @@
+"""What each filter left out: the data behind the panels."""
+
+import logging
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.config.filters import Filters
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.figures.removed import Across, along_reach, removed_points
+from thalweg.figures.style import save
+from thalweg.lidar.filters import REMOVED, REMOVED_POINTS, WORDS, Reason, reason_table
+
+FILTERS = Filters().model_dump()
+AZIMUTH_RAD = np.deg2rad(70.0)  # of the track in conftest
+
+
+def by_gid(artist, gid):
+    return artist.findobj(lambda found: found.get_gid() == gid)
+
+
+def world(along, left, up):
+    """Points at metres along the straight axis of the track of conftest and left of it."""
+    s, c = np.sin(AZIMUTH_RAD), np.cos(AZIMUTH_RAD)
+    return np.stack(np.broadcast_arrays(along * s - left * c, along * c + left * s, up), axis=1)
+
+
+def sample(rng, trajectory, n=200):
+    """``n`` removed points of each reason, and the counts: ten times as many mirror ghosts were removed."""
+    frames = []
+    for reason in REMOVED:
+        xyz = world(rng.uniform(10, 90, n), rng.choice([-1, 1], n) * rng.uniform(15, 40, n), 4.0)
+        if reason in (Reason.BELOW_WATER, Reason.MIRROR_GHOST):
+            xyz[:, 2] = rng.uniform(-4, 0.9, n)
+        if reason in (Reason.NO_GPS_TIME, Reason.NO_POSE):
+            xyz[:] = np.nan
+        values = dict(zip(("east_m", "north_m", "up_m"), xyz.T, strict=True))
+        body = rng.uniform([-0.5, -0.3, -0.1], [0.5, 0.3, 0.2], (n, 3))
+        values |= dict(zip(("x_ics_m", "y_ics_m", "z_ics_m"), body.T, strict=True))
+        t = np.full(n, np.nan) if reason == Reason.NO_GPS_TIME else trajectory.t_gps_s[155]
+        frames.append(pd.DataFrame({"reason": reason.name.lower(), "t_gps_s": t, **values, "range_m": 1.0}))
+    counts = np.full(len(Reason), n)
+    counts[Reason.KEPT], counts[Reason.MIRROR_GHOST] = 100_000, 10 * n
+    return pd.concat(frames)[list(REMOVED_POINTS.names)], reason_table(counts)
+
+
+def panel(figure, name):
+    (ax,) = [a for a in figure.axes if a.get_title("left").startswith(f"{name}: ")]
+    return ax
+
+
+def test_one_panel_for_each_reason_with_its_numbers(rng, trajectory, bank):
+    removed, counts = sample(rng, trajectory)
+    figure = removed_points(removed, counts, bank.points, trajectory, filters=FILTERS)
+    titles = [ax.get_title("left") for ax in figure.axes if ax.get_title("left")]
+    assert len(titles) == len(REMOVED)
+    assert [t.split("\n")[1] for t in titles] == [WORDS[r] for r in REMOVED]
+    # 200 of 103,600 points
+    assert titles[0].startswith("no GPS time: n = 200, 0.19 %")
+    ghosts = panel(figure, "mirror ghost")
+    assert ghosts.get_title("left").startswith("mirror ghost: n = 2\N{NO-BREAK SPACE}000, 1.9 %")
+    (note,) = by_gid(ghosts, "note")
+    drawn = len(by_gid(ghosts, "removed")[0].get_xdata())
+    assert note.get_text().split(",")[0] == f"{drawn} drawn"
+    assert 195 <= drawn <= 200
+    head = figure.get_suptitle().replace("\n", " ")
+    assert "n = 3\N{NO-BREAK SPACE}600 of 103\N{NO-BREAK SPACE}600 points (3.5 %)" in head
+    for ax in figure.axes[: len(REMOVED)]:
+        assert "/ m" in ax.get_xlabel() + ax.get_ylabel() or "/ s" in ax.get_xlabel()
+
+
+def test_reasons_that_took_nothing_are_named_and_have_no_panel(rng, trajectory, bank):
+    removed, counts = sample(rng, trajectory)
+    few = counts[counts["reason"].isin(["kept", "isolated", "too_far", "below_water"])]
+    figure = removed_points(removed, few, bank.points, trajectory)
+    assert len([ax for ax in figure.axes if ax.axison]) == 3
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == (
+        "Left out nothing: no GPS time, no pose, too near, own hull, uncertain, mirror ghost"
+    )
+    labels = [t.get_text() for t in legend.get_texts()]
+    assert len(labels) == len(set(labels))
+    assert {"cloud, even sample", "left out", "track of the boat", "water level at the boat"} == set(labels)
+
+
+def test_nothing_left_out_says_so(trajectory, bank):
+    counts = reason_table(np.eye(len(Reason), dtype=int)[0] * 7)
+    empty = pd.DataFrame({name: [] for name in REMOVED_POINTS.names})
+    figure = removed_points(empty, counts, bank.points, trajectory)
+    assert "n = 0 of 7 points" in figure.get_suptitle()
+    assert figure.axes[0].texts[0].get_text() == "No filter left out a point."
+
+
+def test_distance_and_height_across_the_river(trajectory):
+    across = Across(trajectory, 0.2)
+    points = world(np.array([70.7, 70.7]), np.array([30.0, -30.0]), np.array([1.3, 5.3]))
+    left, right = across(points)
+    track = trajectory.position_wcs_m[trajectory.valid, :2]
+    nearest = np.linalg.norm(points[:, None, :2] - track, axis=2).min(axis=1)
+    # a point each 0.5 m on a crest with a radius of 4 m: 0.25^2 (1/4 + 1/24) / 2 = 9 mm more at most
+    assert left[0] == pytest.approx(-nearest[0], abs=0.01)
+    assert right[0] == pytest.approx(nearest[1], abs=0.01)
+    # the ics origin is at 1.5 m, the water line 0.2 m below it; heights are interpolated between equal ones
+    assert left[1] == pytest.approx(0.0, abs=1e-12)
+    assert right[1] == pytest.approx(4.0, abs=1e-12)
+
+
+def test_section_shows_points_below_the_limit(rng, trajectory, bank):
+    removed, counts = sample(rng, trajectory)
+    figure = removed_points(removed, counts, bank.points, trajectory, filters=FILTERS)
+    ax = panel(figure, "below water")
+    (dots,) = by_gid(ax, "removed")
+    (limit,) = by_gid(ax, "limit")
+    here = removed[removed["reason"] == "below_water"]
+    expected = here["up_m"].to_numpy() - 1.3
+    assert np.isin(dots.get_ydata().round(9), expected.round(9)).all()
+    assert len(dots.get_ydata()) >= 0.98 * len(expected)
+    assert limit.get_ydata()[0] == -FILTERS["below_water_m"]
+    low, high = ax.get_ylim()
+    assert low < dots.get_ydata().min()
+    # room above the water for the bank of which a ghost is the image
+    assert high >= -low
+
+
+def test_plan_is_turned_along_the_reach(rng, trajectory, bank):
+    removed, counts = sample(rng, trajectory)
+    figure = removed_points(removed, counts, bank.points, trajectory, filters=FILTERS)
+    ax = panel(figure, "isolated")
+    (dots,) = by_gid(ax, "removed")
+    assert ax.get_aspect() == 1.0
+    along, across = dots.get_data()
+    # the longest extent of a zigzag of 100 m x 12 m is within 3 deg of its axis
+    assert np.ptp(along) == pytest.approx(80.0, abs=6.0)
+    assert np.abs(across).min() > 8.0
+    R = along_reach(trajectory.position_wcs_m)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    np.testing.assert_allclose(R @ R.T, np.eye(2), atol=1e-12)  # of unit vectors in float64
+    assert R[0] @ [np.sin(AZIMUTH_RAD), np.cos(AZIMUTH_RAD)] > 0.99
+    # a track to the west is shown eastward too, and north is up on a west-east reach
+    np.testing.assert_allclose(along_reach(np.array([[0.0, 0], [-9, 0], [-20, 0]])), np.eye(2), atol=1e-12)
+
+
+def test_own_hull_in_its_box_seen_from_the_stern(rng, trajectory, bank):
+    removed, counts = sample(rng, trajectory)
+    ax = panel(removed_points(removed, counts, bank.points, trajectory, filters=FILTERS), "own hull")
+    (box,) = by_gid(ax, "hull")
+    assert box.get_bbox().extents == pytest.approx([-0.5, -0.45, 0.5, 0.8])  # right, up: z is down
+    (dots,) = by_gid(ax, "removed")
+    here = removed[removed["reason"] == "own_hull"]
+    assert len(dots.get_xdata()) == len(here)
+    np.testing.assert_array_equal(dots.get_xdata(), here["y_ics_m"])
+    np.testing.assert_array_equal(dots.get_ydata(), -here["z_ics_m"])
+
+
+def test_points_without_a_pose_stand_in_the_gap(rng, trajectory, bank):
+    removed, counts = sample(rng, trajectory)
+    counts.loc[counts["reason"] == "no_pose", "n"] = 5000
+    ax = panel(removed_points(removed, counts, bank.points, trajectory), "no pose")
+    (bars,) = by_gid(ax, "removed")
+    rate, edges, _ = bars.get_data()
+    # the sample of 200 stands for 5000
+    assert np.sum(rate * np.diff(edges)) == pytest.approx(5000)
+    peak = edges[np.argmax(rate)]
+    assert peak <= 15.5 <= peak + np.diff(edges)[0]  # node 155 at 10 Hz
+    (poses,) = by_gid(ax, "poses")
+    assert np.isnan(poses.get_ydata()).sum() == 10
+
+
+def test_far_strays_do_not_shrink_the_picture(rng, trajectory, bank):
+    removed, counts = sample(rng, trajectory, n=2000)
+    first = np.flatnonzero(removed["reason"] == "below_water")[0]
+    removed.iloc[first, removed.columns.get_loc("up_m")] = -500.0
+    ax = panel(removed_points(removed, counts, bank.points, trajectory, filters=FILTERS), "below water")
+    assert ax.get_ylim()[0] > -10.0
+    (note,) = by_gid(ax, "note")
+    assert "beyond the axes" in note.get_text()
+
+
+def test_wrong_tables_are_refused(rng, trajectory, bank):
+    removed, counts = sample(rng, trajectory)
+    with pytest.raises(InputError, match=r"columns missing: \['n'\]"):
+        removed_points(removed, counts.drop(columns="n"), bank.points, trajectory)
+    with pytest.raises(InputError, match="unknown reasons: bored"):
+        removed_points(removed, counts.replace("isolated", "bored"), bank.points, trajectory)
+    with pytest.raises(InputError, match="no sample of the reasons isolated"):
+        removed_points(removed[removed["reason"] != "isolated"], counts, bank.points, trajectory)
+    trajectory.valid[:] = False
+    with pytest.raises(GeometryError, match="without a valid node"):
+        removed_points(removed, counts, bank.points, trajectory)
+
+
+def test_same_data_same_bytes_without_a_warning(rng, trajectory, bank, tmp_path, caplog):
+    removed, counts = sample(rng, trajectory)
+    with caplog.at_level(logging.WARNING):
+        for name in ("a.png", "b.png"):
+            figure = removed_points(removed, counts, bank.points, trajectory, filters=FILTERS, twin=True)
+            save(figure, tmp_path / name, dpi=60)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert caplog.records == []

@@ -1,0 +1,169 @@
+"""Clocks in numbers: jitter, offset and drift with sigma, time without GPS, stamps that cannot be."""
+
+import numpy as np
+import pytest
+
+from thalweg.config.twin import TwinConfig
+from thalweg.core.frames import LocalFrame
+from thalweg.core.timescales import gps_from_unix
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest.nmea import read_nmea
+from thalweg.ingest.rtklib_pos import read_pos
+from thalweg.ingest.stamps import StreamTiming, fit_clock, possible_unix
+from thalweg.simulation.ins import simulate_ins
+
+T0 = 3.0e8
+
+
+def test_jitter_of_a_regular_stream_with_gaps(rng) -> None:
+    t = T0 + np.arange(2000) * 0.1
+    noisy = np.delete(t + rng.normal(0, 1e-4, 2000), [100, 101, 102, 900])
+    timing = StreamTiming()
+    timing.describe_stamps(noisy, 1e-6)
+    # the period is a mean of 2000 steps of 0.14 ms scatter
+    assert timing.period_s == pytest.approx(0.1, abs=1e-5)
+    # a step holds two errors: sqrt(2) 0.1 ms; NMAD of 2000 values scatters by 3 %
+    assert timing.jitter_s == pytest.approx(1.414e-4, rel=0.1)
+    assert 3.5e-4 < timing.jitter_max_s < 1e-3
+    assert timing.resolution_s == 1e-6
+
+
+def test_a_single_late_stamp_is_seen_in_the_greatest_only() -> None:
+    t = np.arange(100) * 0.1
+    t[50] += 0.03
+    timing = StreamTiming()
+    timing.describe_stamps(t)
+    assert timing.jitter_s < 1e-3
+    assert timing.jitter_max_s == pytest.approx(0.03, abs=1e-3)
+
+
+@pytest.mark.parametrize("t", [[], [1.0], [np.nan, np.nan, 2.0], [1.0, 1.0, 1.0], [3.0, 2.0, 1.0]])
+def test_stamps_that_say_nothing(t: list[float]) -> None:
+    timing = StreamTiming()
+    timing.describe_stamps(np.array(t))
+    assert timing.period_s is None
+    assert timing.jitter_s is None
+
+
+def test_clock_fits_are_as_good_as_they_say() -> None:
+    """Stamps late in bursts of ten: the sigmas of offset and drift hold that, over 300 seeds."""
+    squares = []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        t = np.arange(1000) * 0.1
+        late = np.repeat(rng.normal(0, 1e-3, 100), 10) + rng.normal(0, 3e-4, 1000)
+        fit = fit_clock(t, t + 0.5 + 20e-6 * (t - t.mean()) + late)
+        assert fit is not None
+        squares.append([((fit.offset_s - 0.5) / fit.sigma_offset_s) ** 2,
+                        ((fit.drift_ppm - 20) / fit.sigma_drift_ppm) ** 2])  # fmt: skip
+    # 18 degrees of freedom: t-distributed, mean square 18/16; its mean over 300 scatters by 0.1 (99.9 %: 0.3)
+    np.testing.assert_allclose(np.mean(squares, axis=0), 18 / 16, atol=0.3)
+
+
+def test_few_pairs_give_an_offset_only_and_none_nothing() -> None:
+    fit = fit_clock([1.0, 2.0], [1.5, 2.5])
+    assert fit is not None
+    assert fit.offset_s == 0.5
+    assert np.isnan([fit.sigma_offset_s, fit.drift_ppm, fit.sigma_drift_ppm]).all()
+    assert fit_clock([np.nan], [1.0]) is None
+
+
+def test_times_without_gps_are_placed_beside_their_neighbours() -> None:
+    gps = T0 + np.arange(10) * 1.0
+    device = 50.0 + np.arange(10)
+    for lost, spans, total in (
+        ([0, 1, 2], [(0.0, 3.0)], 3.0),
+        ([4, 5], [(3.0, 6.0)], 2.0),
+        ([8, 9], [(7.0, 9.0)], 2.0),
+        ([0, 9], [(0.0, 1.0), (8.0, 9.0)], 2.0),
+        ([], [], 0.0),
+        (range(10), [], 10.0),
+    ):
+        t = gps.copy()
+        t[list(lost)] = np.nan
+        timing = StreamTiming(period_s=1.0)
+        timing.place_unsynchronised(device, t)
+        assert [(a - T0, b - T0) for a, b in timing.unsynchronised] == spans
+        assert timing.unsynchronised_s == total
+
+
+def test_a_report_comes_back_from_json_with_its_clock(tmp_path) -> None:
+    timing = StreamTiming(period_s=0.1, clock="host", pps_losses=2, unsynchronised=[(1.0, 2.0)])
+    report = IntegrityReport(stream="lidar", format="x", files=[], timing=timing)
+    report.write(tmp_path / "a.json")
+    assert IntegrityReport.read(tmp_path / "a.json") == report
+    # reports of earlier versions have no clock
+
+
+def test_an_ins_that_learns_utc_late_says_when_and_by_how_much(tmp_path) -> None:
+    config = TwinConfig.of_size("tiny", duration_s=5.0, effects={"ins_clock_late_s": 1.5})
+    frame = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+    simulate_ins(config, 1, frame, tmp_path / "a.anpp")
+    report = read_anpp([tmp_path / "a.anpp"]).report
+    ((begin, end),) = report.timing.unsynchronised
+    # from 2 s before the lidar to 1.5 s after its start; float64 resolves 60 ns
+    assert end == pytest.approx(report.t_first_s, abs=1e-6)
+    assert end - begin == pytest.approx(3.5, abs=1e-6)
+    assert report.timing.unsynchronised_s == pytest.approx(3.5, abs=1e-6)
+    # the clock counted from 1970 plus 1 s
+    assert report.timing.clock_set_s == pytest.approx(1.6208e9, rel=1e-4)
+    assert report.timing.resolution_s == 1e-6
+
+
+def rmc(clock: str) -> str:
+    body = f"GPGGA,{clock},5103.000,N,01315.000,E,4,12,0.8,200.0,M,44.0,M,,"
+    total = 0
+    for letter in body:
+        total ^= ord(letter)
+    return f"${body}*{total:02X}"
+
+
+def test_the_logger_of_an_nmea_log_is_compared_with_its_sentences(tmp_path) -> None:
+    import datetime as dt
+
+    day = dt.datetime(2021, 5, 12, tzinfo=dt.UTC).timestamp()
+    lines = [
+        f"{day + 36_000 + i * 1.00001 + 0.25:.6f} {rmc(f'10{i // 60:02d}{i % 60:02d}.00')}" for i in range(90)
+    ]
+    (tmp_path / "a.nmea").write_text("\n".join(lines) + "\n")
+    timing = read_nmea([tmp_path / "a.nmea"], date=dt.date(2021, 5, 12)).report.timing
+    assert timing.clock == "host"
+    # the middle of 90 s at 10 ppm: 0.25 s and 0.45 ms; Unix times in float64 resolve 0.2 us
+    assert timing.clock_offset_s == pytest.approx(0.250445, abs=2e-6)
+    assert timing.clock_drift_ppm == pytest.approx(10.0, abs=0.1)
+    assert timing.resolution_s == 0.01
+    assert timing.period_s == pytest.approx(1.0)
+
+
+POS = [
+    "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)"
+    "  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio",
+    "{}   51.050000000   13.250000000   300.0000   1  12   0.0100   0.0100   0.0200   0.0000   0.0000"
+    "   0.0000   0.00   20.0",
+]
+
+
+@pytest.mark.parametrize(
+    "stamp", ["2821/05/12 08:00:01.100", "1979/12/31 23:59:59.000", "2057/07/01 00:00:00.000"]
+)
+def test_positions_at_impossible_times_are_damaged_lines(tmp_path, stamp: str) -> None:
+    """A flipped bit made 2021 into 2821, and the line passed for a position."""
+    head, row = POS
+    rows = [row.format(f"2021/05/12 08:00:0{i}.000") for i in range(4)]
+    rows[2] = row.format(stamp)
+    (tmp_path / "a.pos").write_text("\n".join([head, *rows]) + "\n")
+    log = read_pos([tmp_path / "a.pos"])
+    assert len(log.positions) == 3
+    assert log.report.losses["damaged_lines"] == 1
+    assert log.positions["t_gps_s"].max() - log.positions["t_gps_s"].min() == pytest.approx(3.0)
+    assert log.report.timing.resolution_s == 0.001
+
+
+def test_what_is_a_possible_time() -> None:
+    def unix(text: str) -> float:
+        return np.datetime64(text, "s").astype(np.int64)
+
+    times = [unix(x) for x in ("1980-01-05T23:59:59", "1980-01-06", "2021-05-12", "2057-06-27", "2058-01-01")]
+    assert possible_unix(times).tolist() == [False, True, True, True, False]
+    assert float(gps_from_unix(unix("2021-05-12"))) > 0

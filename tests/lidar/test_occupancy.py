@@ -1,0 +1,134 @@
+"""The sparse grid of counts: what it promises, whatever the order and the pieces of the cloud."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from thalweg.core.errors import GeometryError
+from thalweg.lidar.occupancy import CELLS_PER_RADIUS, MOST_COUNTED, Occupancy
+
+RADIUS_M = 0.5
+
+
+def cloud(rng: np.random.Generator, n: int = 6000) -> np.ndarray:
+    """A surface on both sides of the origin with points strewn about it."""
+    surface = np.column_stack([rng.uniform(-8, 8, (n, 2)), rng.normal(scale=0.05, size=n)])
+    return np.concatenate([surface, rng.uniform(-8, 8, (n // 4, 3))])
+
+
+def filled(points: np.ndarray, radius_m: float = RADIUS_M) -> Occupancy:
+    grid = Occupancy(radius_m)
+    grid.add(points)
+    grid.freeze()
+    return grid
+
+
+def slow_count(points: np.ndarray, places: np.ndarray, radius_m: float = RADIUS_M) -> np.ndarray:
+    """Points in the cells that the sphere touches: by distance of each place to each cell's box."""
+    cell_m = radius_m / CELLS_PER_RADIUS
+    cells, n = np.unique(np.floor(points / cell_m), axis=0, return_counts=True)
+    low = cells * cell_m
+    gap = np.maximum(np.maximum(low - places[:, None], places[:, None] - low - cell_m), 0.0)
+    # 1e-9: the grid compares in cells, this in metres
+    return ((gap**2).sum(axis=2) <= radius_m**2 + 1e-9) @ np.minimum(n, 255)
+
+
+def test_counts_are_those_of_the_touched_cells(rng: np.random.Generator) -> None:
+    points = cloud(rng)
+    grid = filled(points)
+    places = np.concatenate([points[::20], rng.uniform(-9, 9, (300, 3))])
+    expected = np.minimum(slow_count(points, places), MOST_COUNTED)
+    np.testing.assert_array_equal(grid.near(places, enough=MOST_COUNTED), expected)
+    for enough in (1, 4, 50):
+        np.testing.assert_array_equal(grid.near(places, enough=enough), np.minimum(expected, enough))
+
+
+def test_no_neighbour_within_the_radius_is_missed_and_none_beyond_the_reach_counts(
+    rng: np.random.Generator,
+) -> None:
+    points = cloud(rng, 3000)
+    grid = filled(points)
+    found = grid.neighbours(points)
+    tree = cKDTree(points)
+    at_least = tree.query_ball_point(points, RADIUS_M, return_length=True) - 1
+    at_most = tree.query_ball_point(points, grid.reach_m, return_length=True) - 1
+    assert (found >= np.minimum(at_least, MOST_COUNTED - 1)).all()
+    assert (found <= at_most).all()
+    assert grid.reach_m == pytest.approx(1.866 * RADIUS_M, abs=1e-3 * RADIUS_M)
+    # the bounds are no empty words: both numbers differ for most points
+    assert np.mean(at_least < at_most) > 0.5
+
+
+def test_order_and_pieces_do_not_matter(rng: np.random.Generator) -> None:
+    points = cloud(rng, 40_000) * 4.0  # enough blocks that the table grows
+    use = rng.random(len(points)) < 0.7
+    whole = Occupancy(RADIUS_M)
+    whole.add(points, use)
+    assert len(whole._counts) > 4096  # it has grown
+    pieces = Occupancy(RADIUS_M)
+    order = rng.permutation(len(points))
+    for part in np.array_split(order, 37):
+        pieces.add(points[part], use[part])
+    only = Occupancy(RADIUS_M)
+    only.add(points[use])
+    for grid in (whole, pieces, only):
+        grid.freeze()
+    expected = whole.near(points, enough=100)
+    for grid in (pieces, only):
+        np.testing.assert_array_equal(grid.near(points, enough=100), expected)
+        assert grid.n_points == use.sum()
+    backwards = whole.near(points[::-1].copy(), enough=100)
+    np.testing.assert_array_equal(backwards[::-1], expected)
+
+
+def test_points_that_do_not_count_may_lie_anywhere() -> None:
+    points = np.array([[0.0, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0], [1e12, 0, 0], [0.1, 0, 0]])
+    grid = Occupancy(RADIUS_M)
+    grid.add(points, [True, False, False, False, True])
+    grid.freeze()
+    assert grid.near(points, enough=5).tolist() == [2, 0, 0, 0, 2]
+    assert grid.neighbours(points, enough=5).tolist() == [1, 0, 0, 0, 1]
+
+
+def test_a_crowded_cell_does_not_overflow() -> None:
+    grid = Occupancy(RADIUS_M)
+    for _ in range(5):
+        grid.add(np.full((100, 3), 0.1))
+    grid.freeze()
+    assert grid.near([[0.1, 0.1, 0.1]], enough=MOST_COUNTED).tolist() == [MOST_COUNTED]
+    assert grid.n_points == 500
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -2.0e6])
+def test_a_counted_point_without_a_place_is_refused(bad: float) -> None:
+    with pytest.raises(GeometryError, match=r"a point at \[0.0, (nan|inf|-2000000.0), 0.0\] m.*trajectory"):
+        Occupancy(RADIUS_M).add([[0.0, 0.0, 0.0], [0.0, bad, 0.0]])
+
+
+def test_wrong_use_is_refused() -> None:
+    grid = Occupancy(RADIUS_M)
+    with pytest.raises(GeometryError, match=r"expected \(n, 3\) points and \(n,\) where"):
+        grid.add(np.zeros((3, 3)), [True])
+    with pytest.raises(GeometryError, match=r"points of shape \(3, 2\)"):
+        grid.add(np.zeros((3, 2)))
+    # an answer before the last point would depend on the pieces of the cloud
+    with pytest.raises(RuntimeError, match="after freeze"):
+        grid.near(np.zeros((1, 3)), enough=1)
+    grid.freeze()
+    with pytest.raises(RuntimeError, match="frozen"):
+        grid.add(np.zeros((1, 3)))
+    for enough in (0, 255):
+        with pytest.raises(GeometryError, match="1 to 254"):
+            grid.near(np.zeros((1, 3)), enough=enough)
+    for radius in (0.0, -1.0, np.nan):
+        with pytest.raises(GeometryError, match="a positive number"):
+            Occupancy(radius)
+
+
+def test_memory_follows_the_surface_not_the_points(rng: np.random.Generator) -> None:
+    few, many = Occupancy(RADIUS_M), Occupancy(RADIUS_M)
+    square = np.array([20.0, 20.0, 0.0])
+    few.add(rng.random((50_000, 3)) * square)
+    for _ in range(10):
+        many.add(rng.random((50_000, 3)) * square)
+    assert many.n_bytes <= 1.1 * few.n_bytes

@@ -1,0 +1,17 @@
+"""River reach and campaign file -> two pictures of the bank as a camera on the boat would see it (truth)."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.config.twin import TwinConfig
+from thalweg.core.frames import LocalFrame
+from thalweg.jobs.job import run_job
+from thalweg.simulation.view import simulate_view
+
+
+def main(*, scene: Path, bank: Path, detail: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:
+    simulate_view(TwinConfig(**twin), campaign["seed"], LocalFrame(**campaign["origin"]), scene, bank, detail)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
