@@ -13,25 +13,29 @@ from typing import Any
 import numpy as np
 import pytest
 
+from thalweg.accuracy.returns import TrueReturns, sample_of_known_points
 from thalweg.accuracy.statistics import chi_square_band, independent_values
 from thalweg.accuracy.truth import PointErrors, Truth, cloud_covariance, point_errors
 from thalweg.config.campaign import Campaign
 from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
+from thalweg.core.tables import read_table
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.rtklib_pos import read_pos
 from thalweg.ingest.velodyne import LidarOptions, scan_lidar
 from thalweg.ingest.velodyne_model import RING, VERTICAL_CORRECTION_M
-from thalweg.lidar.cloud import LogSettings, georeference_log, sample_cloud
+from thalweg.lidar.cloud import LogSettings, georeference_log
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
 from thalweg.orientation.ins_gnss import build_trajectory
+from thalweg.simulation.footprint import EchoKind
 from thalweg.simulation.gnss import simulate_gnss
 from thalweg.simulation.ins import simulate_ins
 from thalweg.simulation.lidar import simulate_lidar
 from thalweg.simulation.materials import BARE_GROUND
 from thalweg.simulation.scene import Scene, simulate_scene
+from thalweg.simulation.shots import LIDAR_SHOTS
 from thalweg.simulation.true_mounts import true_mounts
 from thalweg.simulation.truth import true_trajectory
 from thalweg.simulation.voyage import Voyage
@@ -69,14 +73,14 @@ def survey(seed: int, folder: Path, twin: dict[str, Any]) -> PointErrors:
     """A survey from raw logs to the errors of its points."""
     plain = campaign(twin)
     config = TwinConfig(**plain["twin"])
-    names = ("scene.npz", "lidar.pcap", "ins.anpp", "rover.sbp", "ppk.pos", "points.laz")
-    scene, pcap, anpp, sbp, pos, points = (folder / f"{seed}_{name}" for name in names)
+    names = ("scene.npz", "lidar.pcap", "ins.anpp", "rover.sbp", "ppk.pos", "points.laz", "shots.parquet")
+    scene, pcap, anpp, sbp, pos, points, shots = (folder / f"{seed}_{name}" for name in names)
     true = true_mounts(plain["mounts"], seed, on=config.effects.mount_errors)
     mount, true_mount = (Mount.from_section(m["lidar"]) for m in (plain["mounts"], true))
     simulate_scene(config, seed, scene)
     simulate_lidar(
         config, seed, FRAME, scene, pcap,
-        R_ics_scs=true_mount.R_ics_sensor, lever_ics_scs_m=true_mount.lever_ics_m,
+        R_ics_scs=true_mount.R_ics_sensor, lever_ics_scs_m=true_mount.lever_ics_m, out_shots=shots,
     )  # fmt: skip
     simulate_ins(config, seed, FRAME, anpp)
     simulate_gnss(config, seed, FRAME, sbp, pos, lever_ics_antenna_m=true["antenna"]["lever_ics_m"])
@@ -102,7 +106,10 @@ def survey(seed: int, folder: Path, twin: dict[str, Any]) -> PointErrors:
     )
     georeference_log([pcap], options, scan_lidar([pcap], options).clock, trajectory, settings, points)
     reach = Scene.read(scene)
-    cloud = sample_cloud(points, 20_000)
+    returns = TrueReturns.from_table(read_table(shots, LIDAR_SHOTS)[0], {int(k): k.name for k in EchoKind})
+    cloud = sample_of_known_points(points, returns, 20_000)
+    row = cloud["true_row"]
+    bare = np.append(BARE_GROUND, np.zeros(256 - len(BARE_GROUND), dtype=np.bool_))
     return point_errors(
         cloud["xyz_m"],
         cloud["t_gps_s"],
@@ -117,6 +124,7 @@ def survey(seed: int, folder: Path, twin: dict[str, Any]) -> PointErrors:
             bare_ground=BARE_GROUND[reach.material],
             divergence_rad=config.lidar.divergence_mrad / 1000.0,
         ),
+        from_ground=(returns.kind[row] == EchoKind.SURFACE) & bare[returns.material[row]],
     )
 
 
@@ -182,7 +190,7 @@ def test_errors_of_seeds_have_no_common_sign(honest: list[PointErrors]) -> None:
         # 40 mG across the boat turn a compass by 11 degrees where the earth has 200 mG; the INS follows late
         {"ins": {"motor_field_mg": ((0.0, 40.0, 0.0), (0.0, 40.0, 0.0)), "magnetic_time_s": 2.0}},
         {"ins": {"heading_drift_degpmin": 15.0}},
-        {"lidar": {"sigma_range_m": 0.06}},
+        {"lidar": {"sigma_range_m": 0.12}},
     ],
     ids=["motor fields", "heading drift", "range noise"],
 )
@@ -195,3 +203,16 @@ def test_sigmas_that_promise_too_little_are_seen(honest: list[PointErrors]) -> N
     """Two-sided: claimed sigmas a quarter too large leave the band below."""
     modest = [dataclasses.replace(errors, sigma_m=1.25 * errors.sigma_m) for errors in honest]
     assert normalised(modest).mean() < band(SEEDS)[0]
+
+
+@pytest.mark.slow
+def test_on_the_whole_river_too(tmp_path: Path) -> None:
+    """The reach of `tiny` with stones, cobbles, bushes, trees, grass, houses: the same band, a little wider.
+
+    Spots that graze a bump or a stone are counted in, which no sigma of a beam foresees; on a bank with
+    relief of centimetres they widen the mean square by some percent.
+    """
+    whole = dict.fromkeys(BARE) | TwinConfig.of_size("tiny").scene.model_dump(include=set(BARE))
+    values = normalised(study(tmp_path, 20, scene=whole))
+    low, high = band(20)
+    assert low < values.mean() < 1.1 * high, values

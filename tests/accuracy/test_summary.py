@@ -17,6 +17,8 @@ n,all,1000,1
 rmse,all,3.5,m
 predicted_rmse,all,0.04,m
 normalised_squared_error,all,88.0,1
+rmse,bare ground with gross errors,0.34,m
+gross_errors,bare ground with gross errors,7,1
 n,bare ground,800,1
 rmse,bare ground,0.033,m
 predicted_rmse,bare ground,0.031,m
@@ -96,6 +98,8 @@ def test_figures_of_a_twin_are_those_of_bare_ground(files: dict[str, Path]) -> N
         "bare ground: normalised squared error": (1.07, "1", source),
         "  if sigmas are honest: above (95 %)": (0.37, "1", source),
         "  if sigmas are honest: below (95 %)": (1.94, "1", source),
+        "bare ground: RMSE with gross errors": (0.34, "m", source),
+        "bare ground: gross errors": (7.0, "1", source),
         "bare ground: share of all points": (80.0, "%", source),
     }
 

@@ -34,7 +34,8 @@ GOOD: dict[str, Any] = {
         "gnss": {"rover": ["raw/rover.sbp"]},
         "depth": ["raw/echo.nmea"],
     },
-    "lidar": {"model": "VLP-16", "min_range_m": 0.5, "max_range_m": 120.0},
+    "lidar": {"model": "VLP-16"},
+    "georeferencing": {"min_range_m": 0.5, "max_range_m": 120.0},
     "mounts": {
         "lidar": {"phi_deg": -90.0, "lever_ics_m": [-0.35, 0.0, -0.25]},
         "antenna": {"lever_ics_m": [0.1, 0.0, -0.45]},

@@ -21,7 +21,7 @@ def test_good_campaign(write, survey):
     assert campaign.log_files("lidar") == [survey / "raw/lidar_1.pcap", survey / "raw/lidar_2.pcap"]
     assert campaign.log_files("rover") == campaign.log_files("sbp") == [survey / "raw/rover.sbp"]
     assert campaign.log_files("base") == []
-    assert campaign.lidar.max_range_m == 120.0
+    assert campaign.georeferencing.max_range_m == 120.0
     with pytest.raises(KeyError):
         campaign.log_files("radar")
 
@@ -39,7 +39,7 @@ def test_plain_values_are_those_of_json(write):
 def test_values_cannot_change(write):
     campaign = load_campaign(write())
     with pytest.raises(ValueError, match="frozen"):
-        campaign.lidar.max_range_m = 3.0
+        campaign.georeferencing.max_range_m = 3.0
 
 
 def test_patterns_home_and_absolute_paths(write, survey, monkeypatch):
@@ -136,7 +136,7 @@ def test_bad_choices(choice, fragments, write, survey):
 
 
 def test_mistakes_of_several_files_come_together(write, survey):
-    write({"lidar.max_range_m": -1})
+    write({"georeferencing.max_range_m": -1})
     write({"campaign.id": "two", "lidar.model": "x"}, name="two.yaml")
     with pytest.raises(CampaignError) as caught:
         load_campaigns(["good", "two", "three"], survey)

@@ -15,9 +15,13 @@ GONE = "<removed>"
 TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     # keys and sections
     ({"campaign.titel": "x"}, "campaign.titel", ("unknown key", "one of id, title", "Did you mean title?")),
-    ({"lidar.max_range": 9}, "lidar.max_range", ("Did you mean max_range_m?",)),
-    ({"lidar.max_range_mm": 9}, "lidar.max_range_mm", ("Did you mean max_range_m, in metres?",)),
-    ({"lidar.MAX_RANGE_M": 9}, "lidar.MAX_RANGE_M", ("Did you mean max_range_m?",)),
+    ({"georeferencing.max_range": 9}, "georeferencing.max_range", ("Did you mean max_range_m?",)),
+    (
+        {"georeferencing.max_range_mm": 9},
+        "georeferencing.max_range_mm",
+        ("Did you mean max_range_m, in metres?",),
+    ),
+    ({"georeferencing.MAX_RANGE_M": 9}, "georeferencing.MAX_RANGE_M", ("Did you mean max_range_m?",)),
     ({"ppk.max_gap_s": 1}, "ppk.max_gap_s", ("belongs to orientation.max_gap_s", "move it there")),
     ({"crs": "EPSG:25833"}, "crs", ("belongs to campaign.crs",)),
     ({"lidars": {}}, "lidars", ("unknown key", "Did you mean lidar?")),
@@ -30,13 +34,33 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     ({"lidar": "VLP-16"}, "lidar", ("found 'VLP-16'", "a section with keys", "indented")),
     ({"mounts.lidar": [1, 2]}, "mounts.lidar", ("found [1, 2]", "a section with keys")),
     # kinds of values
-    ({"lidar.max_range_m": "100 m"}, "lidar.max_range_m", ("'100 m'", "number alone", "metres")),
-    ({"lidar.max_range_m": "99,5"}, "lidar.max_range_m", ("'99,5'", "Write a decimal point: 99.5")),
-    ({"lidar.max_range_m": "'99'"}, "lidar.max_range_m", ("a number above 0 up to 250 (metres)",)),
-    ({"lidar.max_range_m": None}, "lidar.max_range_m", ("found nothing", "then the default holds")),
-    ({"lidar.max_range_m": True}, "lidar.max_range_m", ("found true", "Write a number")),
-    ({"lidar.max_range_m": [1.0]}, "lidar.max_range_m", ("found [1.0]", "without brackets")),
-    ({"lidar.max_range_m": float("nan")}, "lidar.max_range_m", ("found nan", "a number")),
+    (
+        {"georeferencing.max_range_m": "100 m"},
+        "georeferencing.max_range_m",
+        ("'100 m'", "number alone", "metres"),
+    ),
+    (
+        {"georeferencing.max_range_m": "99,5"},
+        "georeferencing.max_range_m",
+        ("'99,5'", "Write a decimal point: 99.5"),
+    ),
+    (
+        {"georeferencing.max_range_m": "'99'"},
+        "georeferencing.max_range_m",
+        ("a number above 0 up to 250 (metres)",),
+    ),
+    (
+        {"georeferencing.max_range_m": None},
+        "georeferencing.max_range_m",
+        ("found nothing", "then the default holds"),
+    ),
+    ({"georeferencing.max_range_m": True}, "georeferencing.max_range_m", ("found true", "Write a number")),
+    (
+        {"georeferencing.max_range_m": [1.0]},
+        "georeferencing.max_range_m",
+        ("found [1.0]", "without brackets"),
+    ),
+    ({"georeferencing.max_range_m": float("nan")}, "georeferencing.max_range_m", ("found nan", "a number")),
     ({"ins.sigma_roll_deg": float("inf")}, "ins.sigma_roll_deg", ("found inf", "up to 45 (degrees)")),
     ({"campaign.seed": 1.5}, "campaign.seed", ("found 1.5", "whole number", "without decimals")),
     ({"campaign.seed": "1"}, "campaign.seed", ("found '1'", "Remove the quotes")),
@@ -93,18 +117,21 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     ({"campaign.origin.h_ell_m": 300000}, "campaign.origin.h_ell_m", ("looks like millimetres: write 300",)),
     # ranges and units
     (
-        {"lidar.max_range_m": 120000},
-        "lidar.max_range_m",
+        {"georeferencing.max_range_m": 120000},
+        "georeferencing.max_range_m",
         ("found 120000", "looks like millimetres: write 120"),
     ),
-    ({"lidar.min_range_m": -1}, "lidar.min_range_m", ("from 0 to 250 (metres)", "without the sign: 1")),
-    ({"lidar.min_range_m": 130}, "lidar.min_range_m", ("max_range_m = 120", "Swap the two numbers")),
-    ({"georeferencing.min_range_m": 100}, "georeferencing.min_range_m", ("a minimum below the maximum",)),
     (
-        {"georeferencing": {"min_range_m": 130, "max_range_m": 140}},
-        "georeferencing",
-        ("0.5 .. 120 m are decoded", "ranges that overlap"),
+        {"georeferencing.min_range_m": -1},
+        "georeferencing.min_range_m",
+        ("from 0 to 250 (metres)", "without the sign: 1"),
     ),
+    (
+        {"georeferencing.min_range_m": 130},
+        "georeferencing.min_range_m",
+        ("max_range_m = 120", "Swap the two numbers"),
+    ),
+    ({"georeferencing.min_range_m": 121}, "georeferencing.min_range_m", ("a minimum below the maximum",)),
     ({"lidar.data_port": 8308}, "lidar.data_port", ("both 8308", "2368")),
     ({"lidar.data_port": 99999}, "lidar.data_port", ("from 1 to 65535",)),
     ({"orientation.max_gap_s": 500}, "orientation.max_gap_s", ("looks like milliseconds: write 0.5",)),
@@ -246,7 +273,7 @@ def test_one_mistake_gives_one_line(write):
         {"logs.lidar": "raw/lidar_1.pcap"},
         {"mounts.lidar.lever_ics_m": [1]},
         {"campaign.id": "Mulde 2021"},
-        {"lidar.max_range_m": 120000},
+        {"georeferencing.max_range_m": 120000},
         {"campaign.crs": "EPSG:2263x"},
     ):
         error = mistakes_of(write(changes))
@@ -261,7 +288,7 @@ def test_all_mistakes_come_at_once(write):
         "campaign.crs": "EPSG:4326",
         "campaign.seed": "one",
         "lidar.model": "HDL",
-        "lidar.min_range_m": 200,
+        "georeferencing.min_range_m": 200,
         "logs.ins": ["raw/boat.anp"],
         "logs.depth": ["raw/empty.pcap"],
         "logs.gps_week": "x",
@@ -272,9 +299,9 @@ def test_all_mistakes_come_at_once(write):
     }
     error = mistakes_of(write(changes))
     assert {m.dotted for m in error.mistakes} == {
-        "campaign.titel", "campaign.crs", "campaign.seed", "lidar.model", "lidar.min_range_m", "logs.ins[0]",
-        "logs.depth[0]", "logs.gps_week", "logs.sbet", "mounts.lidar.phi_deg", "mounts.lidar.sigma_phi_deg",
-        "mounts.antenna.lever_ics_m",
+        "campaign.titel", "campaign.crs", "campaign.seed", "lidar.model", "georeferencing.min_range_m",
+        "logs.ins[0]", "logs.depth[0]", "logs.gps_week", "logs.sbet", "mounts.lidar.phi_deg",
+        "mounts.lidar.sigma_phi_deg", "mounts.antenna.lever_ics_m",
     }  # fmt: skip
     assert str(error).startswith(f"{len(error.mistakes)} mistakes in the campaign settings:\n")
     assert len(str(error).splitlines()) == 1 + len(error.mistakes)
@@ -296,7 +323,7 @@ def test_lines_are_those_of_the_file(write, survey):
     assert len(error.mistakes) == 2
     for mistake in error.mistakes:
         row = rows[mistake.line - 1]
-        assert ("max_range_m: -2" in row) if mistake.path[0] == "lidar" else ("lidar_3.pcap" in row)
+        assert ("max_range_m: -2" in row) if mistake.path[0] == "georeferencing" else ("lidar_3.pcap" in row)
 
 
 def test_twin_sources(write, removed):

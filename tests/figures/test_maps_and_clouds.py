@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError
-from thalweg.figures.cloud import (
-    BankSegment,
-    balanced_gamma,
-    bankward_azimuth,
-    choose_segment,
-    cloud_detail,
-    cloud_overview,
-)
+from thalweg.figures.bank import BankSegment, bankward_azimuth, choose_segment
+from thalweg.figures.cloud import balanced_gamma, bent_ticks, cloud_detail, cloud_overview
 from thalweg.figures.maps import survey_map, track_gaps
 from thalweg.figures.splat import ObliqueView, Splat
 from thalweg.figures.style import save

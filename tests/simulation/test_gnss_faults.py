@@ -107,6 +107,30 @@ def test_an_open_sky_changes_the_number_of_satellites_only(record: Any) -> None:
     assert facts["spans_not_fixed"] == {"rtk": [], "ppk": []}
 
 
+def test_the_velocities_have_their_stated_sigma_two_sided(record: Any) -> None:
+    _, exact = record("exact", twin(sigma_velocity_mps=0.0))
+    _, noisy = record("noisy", twin())
+    _, loud = record("loud", twin(sigma_velocity_mps=0.3))
+    assert (exact / "ppk.pos").read_bytes() == (noisy / "ppk.pos").read_bytes()
+    before, after, most = (read_sbp([f / "rover.sbp"]) for f in (exact, noisy, loud))
+    assert before.positions.equals(after.positions)
+    names = ["v_north_mps", "v_east_mps", "v_down_mps"]
+    t = after.velocities["t_gps_s"].to_numpy()
+    true = Voyage(twin(), SEED).sensor_velocity_wcs_mps(t, ANTENNA_M)[:, [1, 0, 2]] * [1, 1, -1]
+    # Whole millimetres per second.
+    np.testing.assert_allclose(before.velocities[names], true, atol=6e-4)
+    for log, sigma in ((after, 0.03), (most, 0.3)):
+        error = log.velocities[names].to_numpy() - true
+        n = error.size
+        assert n > 800
+        # Two-sided, four sigma of a standard deviation from n values.
+        assert abs(error.std() / sigma - 1.0) < 4 / np.sqrt(2 * n)
+        # New in each epoch: the correlation of neighbours is known to 1 / sqrt(n).
+        assert abs(np.mean(error[1:] * error[:-1])) < 4 / np.sqrt(n) * sigma**2
+        for name in ("sigma_h_mps", "sigma_v_mps"):
+            np.testing.assert_allclose(log.velocities[name], sigma, rtol=1e-9)
+
+
 def test_a_low_bridge_makes_one_outage(record: Any) -> None:
     """A deck 1.5 m above the antenna and 20 m wide: seen from its middle it reaches down to 9 degrees."""
     config = twin(shadow=True, refix_s=5.0)

@@ -235,6 +235,31 @@ def test_the_inss_own_position_has_its_sigmas_and_times(tmp_path: Path) -> None:
     )
 
 
+def test_the_velocities_have_their_sigma_and_time_two_sided(tmp_path: Path) -> None:
+    """0.05 m/s as published; here with a short correlation, so that one log shows it."""
+    config = TwinConfig.of_size("tiny", duration_s=25.0, ins={"velocity_time_s": 0.2})
+    simulate_ins(config, SEED, FRAME, tmp_path / "ins.anpp")
+    states = read_anpp([tmp_path / "ins.anpp"]).states
+    true = Voyage(config, SEED).velocity_wcs_mps(epochs(config, 50.0)) * [1, 1, -1]
+    error = states[["v_east_mps", "v_north_mps", "v_down_mps"]].to_numpy() - true
+    # 29 s hold 73 independent values: a sigma is known to 8 %, a mean to 0.006 m/s.
+    np.testing.assert_allclose(error.std(axis=0), 0.05, rtol=0.3)
+    np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=0.024)
+    lagged = np.mean(error[10:] * error[:-10], axis=0) / np.var(error, axis=0)
+    np.testing.assert_allclose(lagged, np.exp(-1.0), atol=0.3)
+    # Axes of their own.
+    assert np.max(np.abs(np.corrcoef(error.T) - np.eye(3))) < 0.5
+
+
+def test_errors_of_the_velocity_are_in_the_velocity_only(tmp_path: Path, plain: Any) -> None:
+    log, _, _ = record(tmp_path, twin(sigma_velocity_mps=0.0))
+    assert_equal_but(plain[0].states, log.states, "v_east_mps", "v_north_mps", "v_down_mps")
+    assert_equal_but(plain[0].raw, log.raw)
+    true = Voyage(twin(), SEED).velocity_wcs_mps(epochs(twin(), 50.0)) * [1, 1, -1]
+    # The level at the boat differs from that of the origin by 50 m / 6.4e6 m.
+    np.testing.assert_allclose(log.states[["v_east_mps", "v_north_mps", "v_down_mps"]], true, atol=1e-4)
+
+
 def test_gauss_markov_is_stationary_from_the_first_value() -> None:
     first = np.array([gauss_markov(generator(seed, "x"), 3, 1.0, 2.0, 50.0) for seed in range(2000)])
     # 2000 draws: sigma known to 1.6 %.

@@ -12,10 +12,9 @@ import pytest
 
 from thalweg.config.twin import TwinConfig
 from thalweg.core.tables import read_table
-from thalweg.simulation.footprint import EchoKind
 from thalweg.simulation.materials import Material
 from thalweg.simulation.scene import Scene
-from thalweg.simulation.shots import LIDAR_SHOTS
+from thalweg.simulation.shots import LIDAR_SHOTS, EchoKind
 from thalweg.simulation.voyage import Voyage, start_gps_s
 
 Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]

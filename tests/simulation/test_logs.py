@@ -27,7 +27,7 @@ from thalweg.jobs.codehash import reached_modules
 from thalweg.simulation.attitude_errors import attitude_errors_rad
 from thalweg.simulation.echo import true_depth_m
 from thalweg.simulation.gnss import antenna_errors_m, simulate_gnss, stated_sigmas_m
-from thalweg.simulation.ins import simulate_ins
+from thalweg.simulation.ins import simulate_ins, velocity_errors_mps
 from thalweg.simulation.materials import Material
 from thalweg.simulation.river import River
 from thalweg.simulation.scene import Scene
@@ -105,9 +105,10 @@ def test_the_ins_states_are_the_true_pose_with_the_drawn_errors(twin: Any) -> No
     drawn = attitude_errors_rad(twin.config, SEED, t, voyage.start_gps_s)
     # float32 angles up to 2 pi resolve 5e-7.
     np.testing.assert_allclose(error, drawn, atol=6e-7)
-    v = voyage.velocity_wcs_mps(t)
+    v = voyage.velocity_wcs_mps(t)[:, [1, 0, 2]] * [1, 1, -1]
+    drawn = velocity_errors_mps(twin.config, SEED, len(t))
     # The level at the boat differs from that of the origin by 50 m / 6.4e6 m.
-    np.testing.assert_allclose(table[["vn", "ve", "vd"]], v[:, [1, 0, 2]] * [1, 1, -1], atol=1e-4)
+    np.testing.assert_allclose(table[["vn", "ve", "vd"]] - v, drawn, atol=1e-4)
     p = FRAME.from_geodetic(np.rad2deg(table["lat"]), np.rad2deg(table["lon"]), table["h"])
     off = p - voyage.position_wcs_m(t)
     assert 0.05 < np.sqrt(np.mean(off**2)) < 3.0, "single-frequency positions"

@@ -7,12 +7,13 @@ from scipy import stats
 from thalweg.core.raycast import RayCaster
 from thalweg.core.types import ArrayF, ArrayI
 from thalweg.simulation.beams import ELEVATION_RAD
-from thalweg.simulation.footprint import Beam, Echoes, EchoKind, Surfaces, echoes_of, part_of
+from thalweg.simulation.footprint import Beam, Echoes, Surfaces, echoes_of, part_of
 from thalweg.simulation.ghosts import fresnel, ghosts, overlap
 from thalweg.simulation.hull import LENGTH_M, WIDTH_M, Hull, hull_mesh
 from thalweg.simulation.materials import REFLECTANCE, Material
 from thalweg.simulation.returns import choose, quantise, range_sigma_m, seen
 from thalweg.simulation.shot_random import ShotRandom
+from thalweg.simulation.shots import EchoKind
 from thalweg.simulation.waves import Waves
 
 DIVERGENCE = 0.003

@@ -182,7 +182,7 @@ def test_shelves_along_both_shores_are_shallow(size: str) -> None:
 
 def test_the_bed_is_deep_before_the_weir() -> None:
     base = TwinConfig.of_size("demo").scene
-    plain, dammed = River(base, SEED), River(base.model_copy(update={"weir": True}), SEED)
+    plain, dammed = (River(base.model_copy(update={"weir": weir}), SEED) for weir in (False, True))
     s0 = dammed.weir_s_m()
     assert 0.9 * base.length_m / 2 < s0 < base.length_m / 2
     s = np.array([s0 - 2.0, s0 - 30.0, -100.0])

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from thalweg.accuracy.returns import TrueReturns
 from thalweg.accuracy.truth import Truth, compare_cloud
 from thalweg.config.filters import Filters
 from thalweg.config.lidar import LidarAccuracy
@@ -24,8 +25,10 @@ from thalweg.lidar.cloud import CORRELATIONS, SIGMAS, LogSettings, georeference_
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
+from thalweg.simulation.footprint import EchoKind
 from thalweg.simulation.materials import BARE_GROUND
 from thalweg.simulation.scene import Scene
+from thalweg.simulation.shots import LIDAR_SHOTS
 from thalweg.simulation.true_mounts import read_true_mounts
 
 pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("tiny")]
@@ -100,7 +103,9 @@ def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house) ->
     assert ground["honest_low95"] < 1 < ground["honest_high95"]
     # a bias is no part of the prediction: its bound is what 12 independent pose errors leave as a mean
     assert abs(ground["bias"]) < 2 * ground["predicted_rmse"] / np.sqrt(12)
-    assert ground["share_of_points"] > 0.7
+    assert (
+        ground["share_of_points"] > 0.3
+    )  # the rest are trees, bushes, stones, and footprints across an edge
 
 
 def test_all_streams_share_one_axis(tiny_house) -> None:
@@ -123,8 +128,14 @@ def test_a_second_call_has_nothing_to_do(tiny_house) -> None:
 
 
 def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
-    pictures = {"plot_survey_map", "plot_streams_in_time", "plot_cloud_overview", "plot_cloud_detail",
-                "plot_error_versus_range"}  # fmt: skip
+    of_streams, of_views = {"plot_streams_in_time"}, {"plot_scene_view"}
+    of_clouds = {
+        "plot_survey_map", "plot_trajectory", "plot_cloud_overview", "plot_cloud_detail",
+        "plot_cloud_by_sigma", "plot_cloud_by_range", "plot_footprints", "plot_removed_points",
+        "plot_error_versus_range",
+        "plot_reference_view",
+    }  # fmt: skip
+    pictures = of_streams | of_views | of_clouds
     undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
     assert planned(tiny_house) == pictures
     undo()
@@ -136,7 +147,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "compare_with_truth",
         "summarise",
     }
-    assert planned(tiny_house) == after_trajectory | (pictures - {"plot_streams_in_time"})
+    assert planned(tiny_house) == after_trajectory | of_clouds
     undo()
     undo = edited(tiny_house, "ingest/nmea.py", "\n# why, not what\n")
     assert planned(tiny_house) == set()
@@ -153,7 +164,7 @@ def test_the_log_tells_what_the_job_did(tiny_house) -> None:
 def test_the_report_is_one_page(tiny_house) -> None:
     tiny_house.snakemake("--config", "campaign=tiny", "--report", "report.html")
     page = (tiny_house.root / "report.html").read_text()
-    pictures = ("survey_map", "streams_in_time", "cloud_overview", "cloud_detail", "error_versus_range")
+    pictures = ("survey_map", "streams_in_time", "cloud_overview", "removed_points", "scene_view")
     assert all(picture in page for picture in pictures)
     assert not re.findall(r"<(?:script|img|link)[^>]+(?:src|href)=[\"']https?://", page)
     assert len(page) > 500_000
@@ -244,6 +255,7 @@ def test_with_the_true_poses_the_lidar_noise_remains(
     true = Trajectory.read(simulation / "truth/trajectory.parquet")
     reach = Scene.read(simulation / "truth/scene.npz")
     mount = Mount.from_section(read_true_mounts(simulation / "truth/mounts.json")["lidar"])
+    shots, _ = read_table(simulation / "truth/lidar_shots.parquet", LIDAR_SHOTS)
     mount = replace(mount, cov_ics=np.zeros((6, 6)))
     assumed = replace(mount, lever_ics_m=mount.lever_ics_m + np.array([0.0, sideways_error_m, 0.0]))
     settings = LogSettings(
@@ -266,10 +278,24 @@ def test_with_the_true_poses_the_lidar_noise_remains(
             bare_ground=BARE_GROUND[reach.material],
             divergence_rad=0.003,
         ),
+        returns=TrueReturns.from_table(shots, {int(k): k.name for k in EchoKind}),
+        bare_materials=BARE_GROUND,
         vertical_corrections=True,
         correlation_s=1.0,
     )
     ground = statistics[statistics["points"] == "bare ground"].set_index("quantity")["value"]
-    # Poses and mount are exact: predicted is the beam alone. The mean of n > 10,000 normalised squares of
-    # independent shots is known to 1.4 %; facets bend within a footprint, which widens the tails. 6 %.
-    assert (abs(ground["normalised_squared_error"] - 1) < 0.06) == honest
+    # Poses and mount are exact: predicted is the beam alone. The NMAD of n = 50,000 normalised errors is
+    # known to 0.6 %; spots that graze a bump widen the tails (0.7 % beyond 3 sigma), not the middle. 3 %.
+    assert (abs(ground["normalised_nmad"] - 1) < 0.03) == honest
+
+
+def test_filters_take_what_they_should_and_leave_the_rest(tiny_house) -> None:
+    """Scored against the truth of single shots: ghosts and the own boat go, surfaces stay."""
+    scores = pd.read_csv(tiny_house.root / BASE / "accuracy/filter_scores.csv").set_index("kind")
+    assert set(scores.index) == {"SURFACE", "MIXED", "GHOST", "HULL"}
+    assert (scores["n"] > 500).all()
+    kept = scores["share_kept"]
+    assert kept["SURFACE"] > 0.99  # the water beside the boat and single leaves far away are surfaces too
+    assert kept["HULL"] < 0.001
+    # ghosts of what is lower than the margin of 0.3 m, twice that after reflection by a wave, stay
+    assert kept["GHOST"] < 0.08

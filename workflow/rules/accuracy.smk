@@ -9,9 +9,11 @@ rule compare_with_truth:
         scene="results/{campaign}/simulation/truth/scene.npz",
         voyage="results/{campaign}/simulation/truth/trajectory.parquet",
         true_mounts="results/{campaign}/simulation/truth/mounts.json",
+        shots="results/{campaign}/simulation/truth/lidar_shots.parquet",
     output:
         statistics="results/{campaign}/accuracy/truth_statistics.csv",
         by_range="results/{campaign}/accuracy/truth_by_range.csv",
+        scores="results/{campaign}/accuracy/filter_scores.csv",
     log:
         "logs/{campaign}/accuracy/compare_with_truth.log",
     benchmark:
@@ -27,6 +29,7 @@ rule compare_with_truth:
         twin=section("twin"),
         mounts=mounts_of("lidar"),
         lidar_options=section("lidar"),
+        orientation=section("orientation"),
     message:
         "{wildcards.campaign}: cloud against the truth of the digital twin"
     script:

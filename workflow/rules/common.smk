@@ -186,6 +186,7 @@ def final_outputs(name):
     if is_twin(name):
         outputs += [
             f"{base}/accuracy/truth_statistics.csv",
+            f"{base}/accuracy/filter_scores.csv",
             f"{base}/figures/error_versus_range.png",
             f"{base}/figures/scene_view.png",
         ]

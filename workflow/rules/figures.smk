@@ -361,8 +361,8 @@ rule plot_removed_points:
 rule plot_scene_view:
     """The bank of the twin as a camera on the boat would see it."""
     input:
-        bank="results/{campaign}/simulation/truth/view_bank.npz",
-        detail="results/{campaign}/simulation/truth/view_detail.npz",
+        bank="results/{campaign}/simulation/pictures/view_bank.npz",
+        detail="results/{campaign}/simulation/pictures/view_detail.npz",
     output:
         scene_view_png=report(
             "results/{campaign}/figures/scene_view.png",

@@ -81,6 +81,7 @@ rule simulate_lidar:
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
         pcap="results/{campaign}/simulation/logs/lidar.pcap",
+        shots="results/{campaign}/simulation/truth/lidar_shots.parquet",
         effects="results/{campaign}/simulation/truth/lidar_effects.json",
     log:
         "logs/{campaign}/simulation/simulate_lidar.log",
@@ -223,8 +224,8 @@ rule simulate_view:
     input:
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
-        bank="results/{campaign}/simulation/truth/view_bank.npz",
-        detail="results/{campaign}/simulation/truth/view_detail.npz",
+        bank="results/{campaign}/simulation/pictures/view_bank.npz",
+        detail="results/{campaign}/simulation/pictures/view_detail.npz",
     log:
         "logs/{campaign}/simulation/simulate_view.log",
     benchmark:

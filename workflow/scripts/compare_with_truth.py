@@ -1,15 +1,20 @@
-"""Cloud of a twin campaign -> its errors against the twin's truth."""
+"""Cloud of a twin campaign -> its errors against the twin's truth, and what the filters took."""
 
 from pathlib import Path
 from typing import Any
 
+from thalweg.accuracy.returns import TrueReturns, filter_scores
 from thalweg.accuracy.truth import Truth, compare_cloud
+from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
 from thalweg.jobs.job import run_job
 from thalweg.lidar.mount import Mount
+from thalweg.simulation.footprint import EchoKind
 from thalweg.simulation.materials import BARE_GROUND
 from thalweg.simulation.scene import Scene
+from thalweg.simulation.shots import LIDAR_SHOTS
 from thalweg.simulation.true_mounts import read_true_mounts
+from thalweg.simulation.truth import longest_correlation_s
 
 
 def main(
@@ -18,17 +23,21 @@ def main(
     trajectory: Path,
     scene: Path,
     voyage: Path,
+    shots: Path,
     true_mounts: Path,
     statistics: Path,
     by_range: Path,
+    scores: Path,
     twin: dict[str, Any],
     mounts: dict[str, Any],
     lidar_options: dict[str, Any],
+    orientation: dict[str, Any],
 ) -> None:
-    reach = Scene.read(scene)
+    reach, estimated = Scene.read(scene), Trajectory.read(trajectory)
+    returns = TrueReturns.from_table(read_table(shots, LIDAR_SHOTS)[0], {int(k): k.name for k in EchoKind})
     numbers, classes = compare_cloud(
         points,
-        estimated=Trajectory.read(trajectory),
+        estimated=estimated,
         mount=Mount.from_section(mounts["lidar"]),
         truth=Truth(
             trajectory=Trajectory.read(voyage),
@@ -37,9 +46,12 @@ def main(
             bare_ground=BARE_GROUND[reach.material],
             divergence_rad=twin["lidar"]["divergence_mrad"] / 1000.0,
         ),
+        returns=returns,
+        bare_materials=BARE_GROUND,
         vertical_corrections=lidar_options["vertical_corrections"],
-        correlation_s=max(twin["ins"]["attitude_time_s"], twin["gnss"]["correlation_time_s"]),
+        correlation_s=longest_correlation_s(twin, orientation["position_source"]),
     )
+    filter_scores(points, returns, estimated.at(returns.t_gps_s)[2]).to_csv(scores, index=False)
     numbers.to_csv(statistics, index=False)
     classes.to_csv(by_range, index=False)
 

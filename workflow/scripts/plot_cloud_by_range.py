@@ -5,7 +5,7 @@ from typing import Any
 
 from thalweg.core.las import iter_laz
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.cloud import bankward_azimuth
+from thalweg.figures.bank import bankward_azimuth
 from thalweg.figures.cloud_quality import cloud_by_range
 from thalweg.figures.splat import ObliqueView, Splat
 from thalweg.figures.style import save

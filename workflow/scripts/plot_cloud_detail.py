@@ -7,7 +7,8 @@ import numpy as np
 
 from thalweg.core.las import iter_laz
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.cloud import choose_segment, cloud_detail
+from thalweg.figures.bank import choose_segment
+from thalweg.figures.cloud import cloud_detail
 from thalweg.figures.style import save
 from thalweg.jobs.job import run_job
 from thalweg.lidar.cloud import sample_cloud

@@ -5,7 +5,8 @@ from typing import Any
 
 from thalweg.core.las import iter_laz
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.cloud import bankward_azimuth, cloud_overview
+from thalweg.figures.bank import bankward_azimuth
+from thalweg.figures.cloud import cloud_overview
 from thalweg.figures.splat import ObliqueView, Splat
 from thalweg.figures.style import save
 from thalweg.jobs.job import run_job

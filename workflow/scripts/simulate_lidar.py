@@ -16,6 +16,7 @@ def main(
     true_mounts: Path,
     scene: Path,
     pcap: Path,
+    shots: Path,
     effects: Path,
     campaign: dict[str, Any],
     twin: dict[str, Any],
@@ -29,6 +30,7 @@ def main(
         pcap,
         R_ics_scs=mount.R_ics_sensor,
         lever_ics_scs_m=mount.lever_ics_m,
+        out_shots=shots,
         out_effects=effects,
     )
 

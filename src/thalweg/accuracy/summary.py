@@ -52,6 +52,9 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
         rows += [
             (text, ground[key]["value"], ground[key]["unit"], truth.name) for key, text in wanted.items()
         ]
+        with_gross = {r["quantity"]: r for r in _records(truth) if r["points"].endswith("gross errors")}
+        rows.append(("bare ground: RMSE with gross errors", with_gross["rmse"]["value"], "m", truth.name))
+        rows.append(("bare ground: gross errors", with_gross["gross_errors"]["value"], "1", truth.name))
         share = 100 * ground["share_of_points"]["value"]
         rows.append(("bare ground: share of all points", share, "%", truth.name))
     return pd.DataFrame(rows, columns=COLUMNS)

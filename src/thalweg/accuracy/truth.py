@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from thalweg.accuracy.returns import TrueReturns, sample_of_known_points
 from thalweg.accuracy.statistics import (
     by_range_class,
     chi_square_band,
@@ -26,7 +27,7 @@ from thalweg.core.raycast import RayCaster
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import AnyArray, ArrayB, ArrayF
 from thalweg.ingest.velodyne_model import RING, VERTICAL_CORRECTION_M
-from thalweg.lidar.cloud import CORRELATIONS, SIGMAS, sample_cloud
+from thalweg.lidar.cloud import CORRELATIONS, SIGMAS
 from thalweg.lidar.mount import Mount
 
 LEAST_COSINE: Final = 0.2
@@ -35,8 +36,8 @@ LEAST_COSINE: Final = 0.2
 GROSS_SIGMAS: Final = 6.0
 """An error of more than that many sigmas belongs to another surface; of normal errors 2e-9 are lost."""
 
-POINT_CLASSES: Final = ("all", "bare ground")
-"""The two sets of points for which every number is given: with and without the outlier rule."""
+POINT_CLASSES: Final = ("all", "bare ground with gross errors", "bare ground")
+"""The sets of points for which every number is given; the last is the second one with the outlier rule."""
 
 _RING: Final = 6
 _RING_SHARE: Final = 1.0 / np.sqrt(2.0)
@@ -48,15 +49,24 @@ class PointErrors:
     """Errors of points against the truth, one row a point whose true beam hits anything.
 
     ``error_m`` (n,) is the signed distance from the true surface along its normal, ``sigma_m`` (n,) its
-    prediction; ``bare_ground`` (n,) is false for points whose footprint meets anything but bare ground, or
-    meets it at a grazing angle, and for gross errors: there the measured point belongs to another surface.
+    prediction; ``on_ground`` (n,) is true for points that came from bare ground alone, at no grazing angle.
     """
 
     t_gps_s: ArrayF
     range_m: ArrayF
     error_m: ArrayF
     sigma_m: ArrayF
-    bare_ground: ArrayB
+    on_ground: ArrayB
+
+    @property
+    def gross(self) -> ArrayB:
+        """Errors above `GROSS_SIGMAS`."""
+        return np.abs(self.error_m) >= GROSS_SIGMAS * self.sigma_m
+
+    @property
+    def bare_ground(self) -> ArrayB:
+        """Points on bare ground without gross errors."""
+        return self.on_ground & ~self.gross
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,6 +98,7 @@ def point_errors(
     estimated: Trajectory,
     mount: Mount,
     truth: Truth,
+    from_ground: ArrayB | None = None,
 ) -> PointErrors:
     """Compare georeferenced points with the surface that their beams truly hit.
 
@@ -97,6 +108,7 @@ def point_errors(
     beam_offset_m : (n,) height of each beam's origin above the scs origin (VLP-16 vertical offsets).
     estimated, mount : the trajectory and the mount that made the cloud.
     truth : the twin's own.
+    from_ground : (n,) whether all of the echo came from bare ground; by default only the rays decide.
     """
     position, R_est, known = estimated.at(t_gps_s)
     true_position, R_true, known_true = truth.trajectory.at(t_gps_s)
@@ -116,13 +128,15 @@ def point_errors(
     error = np.einsum("ni,ni->n", normal, points - centre)
     sigma = np.sqrt(np.einsum("ni,nij,nj->n", normal, cov, normal))
     steep = -np.einsum("ni,ni->n", normal, direction) > LEAST_COSINE
-    ground &= steep & (np.abs(error) < GROSS_SIGMAS * sigma)
+    ground &= steep
+    if from_ground is not None:
+        ground &= from_ground[keep]
     return PointErrors(
         t_gps_s=t[hit],
         range_m=range_m[hit],
         error_m=error[hit],
         sigma_m=sigma[hit],
-        bare_ground=ground[hit],
+        on_ground=ground[hit],
     )
 
 
@@ -168,16 +182,23 @@ def compare_cloud(
     estimated: Trajectory,
     mount: Mount,
     truth: Truth,
+    returns: TrueReturns,
+    bare_materials: ArrayB,
     vertical_corrections: bool,
     correlation_s: float,
     max_points: int = 300_000,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Errors of a cloud on disk: an even sample of its points, see `point_errors` and `error_tables`.
 
+    Only points whose shots are known are taken, so that bare ground can be told from ground with a blade of
+    grass in the footprint: the echo must have come from one surface, and that must be bare.
+
     Parameters
     ----------
     points : LAZ in the world frame with the extra dimension ``ring``, standard deviations and correlations.
     estimated, mount, truth : as in `point_errors`.
+    returns : the twin's own returns.
+    bare_materials : for each number of a material: is it bare ground?
     vertical_corrections : were the lasers' vertical offsets applied?
     correlation_s : longest correlation time among the errors of the poses.
     max_points : size of the sample.
@@ -187,7 +208,11 @@ def compare_cloud(
     InputError : the cloud does not carry the full covariance of its points.
     CoverageError : no point lies on bare ground.
     """
-    cloud = sample_cloud(points, max_points)
+    cloud = sample_of_known_points(points, returns, max_points)
+    row = cloud["true_row"]
+    # materials beyond the scene's own (the boat) are no ground
+    bare = np.zeros(256, dtype=np.bool_)
+    bare[: len(bare_materials)] = bare_materials
     by_ring = VERTICAL_CORRECTION_M[np.argsort(RING)] * vertical_corrections
     errors = point_errors(
         cloud["xyz_m"],
@@ -197,6 +222,7 @@ def compare_cloud(
         estimated=estimated,
         mount=mount,
         truth=truth,
+        from_ground=(returns.kind[row] == 0) & bare[returns.material[row]],
     )
     return error_tables(errors, correlation_s=correlation_s)
 
@@ -235,10 +261,12 @@ def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataF
     Returns
     -------
     statistics : columns ``quantity``, ``points`` (see `POINT_CLASSES`), ``value``, ``unit``.
-        ``normalised_squared_error`` is the mean of squared error over predicted variance. Honest sigmas leave
-        it between ``honest_low95`` and ``honest_high95``: with a probability of 95 % if one error of that
-        correlation time made all of it, of more if several errors add up.
-    by_range : see `by_range_class`; bare ground.
+        ``normalised_squared_error`` is the mean of squared error over predicted variance, ``normalised_nmad``
+        the NMAD of error over predicted sigma. Honest sigmas leave the former between ``honest_low95`` and
+        ``honest_high95``: with a probability of 95 % if one error of that correlation time made all of it, of
+        more if several errors add up. ``gross_errors`` counts what the outlier rule takes.
+    by_range : see `by_range_class`; bare ground. ``ratio_low95`` and ``ratio_high95`` are the band of
+        observed over predicted RMSE, the same for all classes: they share the poses.
 
     Raises
     ------
@@ -251,24 +279,28 @@ def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataF
             cure="Check the poses: is the cloud where the banks are?",
         )
     rows: list[tuple[str, str, float, str]] = []
-    for label, use in zip(POINT_CLASSES, (np.ones_like(errors.bare_ground), errors.bare_ground), strict=True):
+    sets = (np.ones_like(errors.on_ground), errors.on_ground, errors.bare_ground)
+    for label, use in zip(POINT_CLASSES, sets, strict=True):
         e, sigma = errors.error_m[use], errors.sigma_m[use]
         for quantity, value in describe_errors(e).items():
             bare, _, unit = quantity.rpartition("_")
             rows.append((bare or quantity, label, value, unit if bare else "1"))
         rows.append(("predicted_rmse", label, float(np.sqrt(np.mean(sigma**2))), "m"))
         rows.append(("normalised_squared_error", label, float(np.mean((e / sigma) ** 2)), "1"))
+        rows.append(("normalised_nmad", label, describe_errors(e / sigma).get("nmad_m", np.nan), "1"))
     n = independent_values(float(np.ptp(errors.t_gps_s)), correlation_s)
     low, high = chi_square_band(n)
     rows += [
-        ("independent_values", POINT_CLASSES[1], n, "1"),
-        ("honest_low95", POINT_CLASSES[1], low, "1"),
-        ("honest_high95", POINT_CLASSES[1], high, "1"),
+        ("independent_values", POINT_CLASSES[2], n, "1"),
+        ("honest_low95", POINT_CLASSES[2], low, "1"),
+        ("honest_high95", POINT_CLASSES[2], high, "1"),
+        ("share_of_points", POINT_CLASSES[2], float(np.mean(errors.bare_ground)), "1"),
+        ("gross_errors", POINT_CLASSES[1], float(np.sum(errors.on_ground & errors.gross)), "1"),
     ]
-    rows.append(("share_of_points", POINT_CLASSES[1], float(np.mean(errors.bare_ground)), "1"))
     statistics = pd.DataFrame(rows, columns=["quantity", "points", "value", "unit"])
     ground = errors.bare_ground
     by_range = by_range_class(
         errors.range_m[ground], errors.error_m[ground] ** 2, errors.sigma_m[ground] ** 2
     )
+    by_range["ratio_low95"], by_range["ratio_high95"] = np.sqrt(low), np.sqrt(high)
     return statistics, by_range

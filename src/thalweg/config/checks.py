@@ -113,25 +113,14 @@ def _check_input(parts: Parts) -> Iterator[Mistake]:
 
 
 def _check_ranges(parts: Parts) -> Iterator[Mistake]:
-    for name, section in (("lidar", parts.lidar), ("georeferencing", parts.georeferencing)):
-        if section is not None and section.min_range_m >= section.max_range_m:
-            key = "min_range_m" if parts.raw(name, "min_range_m") is not None else "max_range_m"
-            yield Mistake(
-                path=(name, key),
-                found=f"min_range_m = {section.min_range_m:g} and max_range_m = {section.max_range_m:g}",
-                expected="a minimum below the maximum",
-                cure="Swap the two numbers, or widen the range",
-            )
-    lidar, kept = parts.lidar, parts.georeferencing
-    if not lidar or not kept or lidar.min_range_m >= lidar.max_range_m:
-        return
-    if kept.min_range_m >= lidar.max_range_m or kept.max_range_m <= lidar.min_range_m:
+    section = parts.georeferencing
+    if section is not None and section.min_range_m >= section.max_range_m:
+        key = "min_range_m" if parts.raw("georeferencing", "min_range_m") is not None else "max_range_m"
         yield Mistake(
-            path=("georeferencing",),
-            found=f"ranges {kept.min_range_m:g} .. {kept.max_range_m:g} m are kept here, but "
-            f"{lidar.min_range_m:g} .. {lidar.max_range_m:g} m are decoded",
-            expected="ranges that overlap",
-            cure="Adapt lidar.min_range_m and lidar.max_range_m, or those of georeferencing",
+            path=("georeferencing", key),
+            found=f"min_range_m = {section.min_range_m:g} and max_range_m = {section.max_range_m:g}",
+            expected="a minimum below the maximum",
+            cure="Swap the two numbers, or widen the range",
         )
 
 

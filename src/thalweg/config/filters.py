@@ -16,12 +16,12 @@ class Filters(Section):
     """Points that are left out of the cloud and counted; each has one reason, the first that holds."""
 
     hull_low_ics_m: Vector3 | None = Field(
-        default=(-0.75, -0.50, -0.80),
-        description="Box around the own boat in the body frame, lowest forward, right, down, metres; null in "
-        "both corners: off. Of use where `georeferencing.min_range_m` is shorter than the boat",
+        default=(-0.90, -1.50, -0.80),
+        description="Box around the own boat and the water beside it in the body frame, lowest forward, "
+        "right, down, metres; null in both corners: off",
     )
     hull_high_ics_m: Vector3 | None = Field(
-        default=(0.75, 0.50, 0.45),
+        default=(0.90, 1.50, 0.45),
         description="The other corner of that box, highest forward, right, down, metres",
     )
     max_sigma_m: Positive | None = Field(

@@ -22,12 +22,6 @@ class Lidar(Section):
     returns: Literal["all", "strongest", "last"] = Field(
         default="all", description="Which returns of a dual-return log are kept"
     )
-    min_range_m: NonNegative = Field(
-        default=0.5, le=250, description="Shorter measured ranges are dropped at decoding, metres"
-    )
-    max_range_m: Positive = Field(
-        default=130.0, le=250, description="Longer measured ranges are dropped at decoding, metres"
-    )
     data_port: Port = Field(default=2368, description="UDP port of the data packets")
     position_port: Port = Field(default=8308, description="UDP port of the position packets")
 

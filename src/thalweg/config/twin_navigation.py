@@ -32,6 +32,14 @@ class TwinIns(Section):
     position_time_s: Positive = Field(
         default=60.0, description="Correlation time of the position errors, seconds"
     )
+    sigma_velocity_mps: NonNegative = Field(
+        default=0.05,
+        le=10,
+        description="Error of the velocity north, east and down, m/s (data sheet of the Spatial)",
+    )
+    velocity_time_s: Positive = Field(
+        default=10.0, description="Correlation time of the velocity errors (Gauss-Markov), seconds"
+    )
     heading_drift_degpmin: Finite = Field(
         default=0.0, description="Drift of the heading on top of its error, degrees/min; not in the sigmas"
     )
@@ -97,6 +105,11 @@ class TwinGnss(Section):
     )
     single_time_s: Positive = Field(
         default=100.0, description="Correlation time of code solutions (Gauss-Markov), seconds"
+    )
+    sigma_velocity_mps: NonNegative = Field(
+        default=0.03,
+        le=10,
+        description="Noise of the receiver's Doppler velocity north, east and down, m/s; new in each epoch",
     )
     shadow: bool = Field(
         default=False,

@@ -1,6 +1,5 @@
 """Pictures of the point cloud: the whole reach (P1 Fig. 4) and a detail of the bank (P1 Fig. 5)."""
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,9 +11,10 @@ from numpy.typing import ArrayLike
 
 from thalweg.core.errors import GeometryError
 from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayB, ArrayF
+from thalweg.core.types import ArrayF
+from thalweg.figures.bank import BankSegment
 from thalweg.figures.maps import track_gaps
-from thalweg.figures.splat import ObliqueView, Splat, across_azimuth
+from thalweg.figures.splat import ObliqueView, Splat
 from thalweg.figures.style import (
     HALO,
     HEIGHT_MAP,
@@ -28,20 +28,18 @@ from thalweg.figures.style import (
     styled,
 )
 
-SEARCH_CELL_M: Final = 1.0
-"""Cell of the grid on which the densest stretch of bank is looked for."""
-
 NOISE_M: Final = 0.03
 """Accuracy of a lidar point (P2 eq. 7); shading at a finer scale would show noise."""
 
-CLEARLY_HIGHER_M: Final = 1.0
-"""Difference of the heights of both sides (90th percentile) from which the higher one is put behind."""
+TICK_APART: Final = 0.055
+"""Least distance of two ticks of a bent colour scale, as a share of its length."""
 
 STRIP: Final = 0.09
 """Free strip below the picture of a reach, for scale bar and axes, as a share of the width."""
 
-CLEAR_EXTENT: Final = 1.5
-"""Length over width from which the track tells the direction of the river."""
+
+STRAYS: Final = 30
+"""Most points above the upper edge of a detail that are taken for strays."""
 
 
 @styled
@@ -130,150 +128,35 @@ def draw_reach(
     ax.set_ylim(view.height_px + strip_px, 0)
     scale_bar(ax, span_m=view.width_px * view.pixel_m)
     _axes_triad(ax, view, strip_px)
+    ends = factor * limits[0], factor * limits[1]
     figure.colorbar(
-        ScalarMappable(PowerNorm(gamma, factor * limits[0], factor * limits[1]), colours), ax=ax,
-        label=label, aspect=25, shrink=0.9, pad=0.01, extend="both",
+        ScalarMappable(PowerNorm(gamma, *ends), colours), ax=ax, label=label, aspect=25, shrink=0.9, pad=0.01,
+        extend="both", ticks=None if gamma == 1.0 else bent_ticks(ends, gamma),
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BankSegment:
-    """A stretch of bank as it is seen from the water.
+def bent_ticks(limits: tuple[float, float], gamma: float) -> list[float]:
+    """Round values that fill a bent colour scale: the roundest first, then what fits between them.
 
-    Parameters
-    ----------
-    centre_en_m : (2,) middle of the stretch in wcs.
-    azimuth_rad : direction of view from the water onto the bank, clockwise from north.
-    length_m : length along the bank.
-    depth_m : how far before and behind the centre points belong to it.
-    background_m : how far behind it points still do, so that trees and buildings stand in the background.
+    Examples
+    --------
+    >>> bent_ticks((0.0, 30.0), 0.5)
+    [0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0]
     """
-
-    centre_en_m: ArrayF
-    azimuth_rad: float
-    length_m: float
-    depth_m: float = 12.0
-    background_m: float = 0.0
-
-    def along_and_away(self, points_wcs_m: ArrayF) -> tuple[ArrayF, ArrayF]:
-        """Metres along the bank from the left end, and metres away from the water behind the centre."""
-        s, c = np.sin(self.azimuth_rad), np.cos(self.azimuth_rad)
-        east, north = (points_wcs_m[:, :2] - self.centre_en_m).T
-        return east * c - north * s + 0.5 * self.length_m, east * s + north * c
-
-    def contains(self, points_wcs_m: ArrayF) -> ArrayB:
-        """(n,) true for points of the stretch; use it to pick them from chunks."""
-        along, away = self.along_and_away(points_wcs_m)
-        with np.errstate(invalid="ignore"):
-            beside = (along >= 0) & (along <= self.length_m)
-            return np.asarray(beside & (away >= -self.depth_m) & (away <= self.depth_m + self.background_m))
-
-
-def choose_segment(
-    points_wcs_m: ArrayF,
-    trajectory: Trajectory,
-    *,
-    length_m: float = 14.0,
-    min_distance_m: float = 2.0,
-    max_distance_m: float = 25.0,
-    background_m: float = 0.0,
-) -> BankSegment:
-    """The stretch of bank with most points, looked at from the nearest piece of the track.
-
-    Parameters
-    ----------
-    points_wcs_m : (n, 3) the cloud or an even sample of it.
-    trajectory : track of the boat, to know the side of the water.
-    length_m : length of the stretch.
-    min_distance_m, max_distance_m : horizontal distance of the bank from the track.
-    background_m : depth of the background that belongs to the stretch.
-
-    Raises
-    ------
-    GeometryError : no point lies at such a distance.
-    """
-    from scipy.ndimage import distance_transform_edt, uniform_filter
-
-    finite = points_wcs_m[np.isfinite(points_wcs_m).all(axis=1)]
-    track = trajectory.position_wcs_m[trajectory.valid, :2]
-    low = track.min(axis=0) - max_distance_m - length_m
-    shape = np.ceil((track.max(axis=0) + max_distance_m + length_m - low) / SEARCH_CELL_M).astype(int)
-    cell = np.floor((finite[:, :2] - low) / SEARCH_CELL_M)
-    cell = cell[np.all((cell >= 0) & (cell < shape), axis=1)].astype(np.int64)
-    n = np.bincount(cell[:, 0] * shape[1] + cell[:, 1], minlength=int(shape.prod())).reshape(shape)
-    on_track = np.zeros(shape, dtype=bool)
-    dense = np.unique(np.floor((track - low) / SEARCH_CELL_M).astype(np.int64), axis=0)
-    on_track[dense[:, 0], dense[:, 1]] = True
-    distance, nearest = distance_transform_edt(~on_track, sampling=SEARCH_CELL_M, return_indices=True)
-    n = np.where((distance >= min_distance_m) & (distance <= max_distance_m), n, 0)
-    if not n.any():
-        raise GeometryError(
-            f"no point lies {min_distance_m:g} to {max_distance_m:g} m beside the track",
-            expected="a cloud of the banks",
-            cure="Check the mount of the lidar and the time axis of the streams",
-        )
-    window = max(3, round(length_m / SEARCH_CELL_M))
-    score = uniform_filter(n.astype(np.float64), window, mode="constant")
-    at = np.array(np.unravel_index(int(np.argmax(score)), score.shape))
-    around = tuple(slice(max(0, a - window // 2), a + window // 2 + 1) for a in at)
-    weight = n[around].astype(np.float64)
-    cells = (np.arange(s.start, s.start + k) for s, k in zip(around, weight.shape, strict=True))
-    grid = np.stack(np.meshgrid(*cells, indexing="ij"), axis=-1)
-    middle = np.average(grid.reshape(-1, 2), axis=0, weights=weight.ravel())
-    centre = low + (middle + 0.5) * SEARCH_CELL_M
-    towards = np.average((grid - nearest[(slice(None), *around)].transpose(1, 2, 0)).reshape(-1, 2), axis=0,
-                         weights=weight.ravel())  # fmt: skip
-    away = _across_river(track, centre, towards, reach_m=2.0 * length_m)
-    return BankSegment(
-        centre_en_m=centre,
-        azimuth_rad=float(np.arctan2(away[0], away[1])),
-        length_m=length_m,
-        background_m=background_m,
-    )
-
-
-def _across_river(track_en_m: ArrayF, centre_en_m: ArrayF, towards: ArrayF, *, reach_m: float) -> ArrayF:
-    """Unit vector from the water to the bank, across the axis of the track nearby.
-
-    A zigzag changes its direction at each turn, its longest extent does not. Where the track nearby has no
-    clear longest extent, the mean direction from the track to the bank stands in.
-    """
-    cells = np.unique(np.rint(track_en_m / SEARCH_CELL_M), axis=0) * SEARCH_CELL_M
-    near = np.linalg.norm(cells - centre_en_m, axis=1)
-    local = cells[near <= near.min() + reach_m]
-    spread, vectors = np.linalg.eigh(np.cov(local.T) if len(local) > 2 else np.eye(2))
-    if spread[1] < CLEAR_EXTENT**2 * spread[0]:
-        return np.asarray(towards / np.linalg.norm(towards))
-    across = vectors[:, 0]
-    return np.asarray(across if across @ towards >= 0 else -across)
-
-
-def bankward_azimuth(points_wcs_m: ArrayF, trajectory: Trajectory) -> float:
-    """Direction of view across the reach from which the banks hide each other least.
-
-    The side with the taller things stands behind: seen the other way its trees would hide its own slope.
-    Where neither side is taller, the best measured bank shows its face.
-
-    Parameters
-    ----------
-    points_wcs_m : (n, 3) the cloud or an even sample of it.
-    trajectory : the boat, which saw the faces.
-    """
-    from scipy.spatial import cKDTree
-
-    across = across_azimuth(points_wcs_m)
-    finite = points_wcs_m[np.isfinite(points_wcs_m).all(axis=1)]
-    finite = finite[:: max(1, len(finite) // 50_000)]
-    track = trajectory.position_wcs_m[trajectory.valid, :2]
-    _, nearest = cKDTree(track).query(finite[:, :2])
-    far_side = (finite[:, :2] - track[nearest]) @ np.array([np.sin(across), np.cos(across)]) > 0
-    if far_side.any() and not far_side.all():
-        tall = [float(np.percentile(finite[side, 2], 90.0)) for side in (far_side, ~far_side)]
-        higher = tall[0] - tall[1]
-        if abs(higher) > CLEARLY_HIGHER_M:
-            return across if higher > 0 else across + np.pi
-    bank = choose_segment(points_wcs_m, trajectory).azimuth_rad
-    return across if np.cos(across - bank) >= 0 else across + np.pi
+    low, high = limits
+    unit, top = 10.0 ** np.floor(np.log10(high - low)), high
+    ticks: list[float] = []
+    places: list[float] = []
+    for step in unit * np.array([1.0, 0.5, 0.2, 0.1, 0.05]):
+        for k in range(int(np.ceil(low / step - 1e-9)), int(np.floor(top / step + 1e-9)) + 1):
+            place = max((k * step - low) / (high - low), 0.0) ** gamma
+            if all(abs(place - other) >= TICK_APART for other in places):
+                ticks.append(round(float(k * step), 9) + 0.0)
+                places.append(place)
+        if step == 0.5 * unit and len(ticks) > 1:
+            # Finer ones only at the lower end, which the bend stretches.
+            top = sorted(ticks)[1]
+    return sorted(ticks)
 
 
 @styled
@@ -307,7 +190,10 @@ def cloud_detail(
     points, shown = points_wcs_m[inside], np.asarray(intensity, dtype=np.float64)[inside]
     if not len(points):
         raise GeometryError("no point in the stretch of bank", expected="a segment that meets the cloud")
-    low, high = (float(v) for v in np.percentile(points[:, 2], [0.1, 99.9]))
+    # A share of the points would cut the crowns, which are far off and hold few of them.
+    strays = min(STRAYS, len(points) // 1000)
+    low = float(np.percentile(points[:, 2], 0.1))
+    high = float(np.partition(points[:, 2], -1 - strays)[-1 - strays])
     low, high = low - 0.3, min(high, low + 0.6 * segment.length_m) + 0.3
     pixel = segment.length_m / width_px
     right = np.array([np.cos(segment.azimuth_rad), -np.sin(segment.azimuth_rad)])

@@ -13,20 +13,18 @@ from thalweg.core.errors import InputError
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF
 from thalweg.figures.cloud import draw_reach, reach_mm
-from thalweg.figures.maps import SIGMA_MAP
 from thalweg.figures.splat import ObliqueView, Splat
 from thalweg.figures.style import (
     BLUE,
     HALO,
+    RANGE_MAP,
+    SIGMA_MAP,
     VERMILION,
     count,
     new_figure,
     robust_limits,
     styled,
 )
-
-RANGE_MAP: Final[Colormap] = ListedColormap(cm.navia(np.linspace(0.05, 0.93, 256)), "thalweg_range")
-"""Dark where the scanner was near, light where it was far; without the ends that vanish on paper."""
 
 DENSITY_MAP: Final[Colormap] = ListedColormap(cm.grayC_r(np.linspace(0.06, 0.85, 256)), "thalweg_density")
 

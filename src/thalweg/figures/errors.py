@@ -31,7 +31,8 @@ def error_versus_range(
 
     Parameters
     ----------
-    table : columns ``range_m`` (centre of the class), ``n``, ``rmse_observed_m``, ``rmse_predicted_m``.
+    table : columns ``range_m`` (centre of the class), ``n``, ``rmse_observed_m``, ``rmse_predicted_m``, and
+        optionally ``ratio_low95`` and ``ratio_high95``, the band of their ratio, the same in each row.
     n_least : classes with fewer points are drawn hollow: their RMSE is uncertain.
     outlier_rule : sentence on what was left out.
     quantity : what the RMSE is of.
@@ -73,10 +74,17 @@ def error_versus_range(
     upper.legend(loc="upper left", ncols=2)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = observed / predicted
+    if "ratio_low95" in table.columns:
+        low, high = (float(table[f"ratio_{end}95"].iloc[0]) for end in ("low", "high"))
+        middle.axhspan(low, high, color=VERMILION, alpha=0.12, lw=0, gid="band")
+        text = "shaded: where honest sigmas leave the ratio of all points together, 95 %"
+        middle.set_title(text, fontsize="small")
     middle.axhline(1.0, color=VERMILION, lw=1.0)
     middle.plot(r[many], ratio[many], color=BLUE, marker="o", lw=0.8, gid="ratio")
     usable = ratio[many & np.isfinite(ratio)]
     reach = float(np.clip(np.max(np.abs(usable - 1.0)), 0.1, 1.5)) * 1.15 if usable.size else 0.5
+    if "ratio_high95" in table.columns:
+        reach = max(reach, 1.1 * float(table["ratio_high95"].iloc[0] - 1.0))
     middle.set_ylim(max(0.0, 1 - reach), 1 + reach)
     middle.set_ylabel("observed /\npredicted / 1")
     width = 0.8 * float(np.min(np.diff(r))) if r.size > 1 else 0.8

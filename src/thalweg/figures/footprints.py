@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayB, ArrayF
-from thalweg.figures.cloud_quality import RANGE_MAP
 from thalweg.figures.maps import map_extent
 from thalweg.figures.style import (
     HALO,
     ORANGE,
+    RANGE_MAP,
     RED,
     VERMILION,
     count,

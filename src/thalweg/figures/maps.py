@@ -4,11 +4,10 @@ from typing import Final, Literal
 
 import numpy as np
 import pandas as pd
-from cmcrameri import cm
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -34,9 +33,6 @@ from thalweg.figures.style import (
 
 GOOD_FIXES: Final = ("fixed", "ppp")
 """Fixes that get no mark of their own on the track."""
-
-SIGMA_MAP: Final[Colormap] = ListedColormap(cm.lajolla_r(np.linspace(0.12, 0.92, 256)), "thalweg_sigma")
-"""Light where a sigma is small, dark where it is large; without the ends that vanish on paper."""
 
 LOG_RATIO: Final = 12.0
 """Largest over smallest sigma from which a logarithmic scale shows both."""

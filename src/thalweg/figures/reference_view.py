@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-from cmcrameri import cm
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, ListedColormap, Normalize, to_rgb
+from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Wedge
 from matplotlib.ticker import FuncFormatter
@@ -16,7 +15,7 @@ from matplotlib.ticker import FuncFormatter
 from thalweg.core.errors import CoverageError, GeometryError, InputError
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import AnyArray, ArrayF
-from thalweg.figures.cloud import choose_segment
+from thalweg.figures.bank import choose_segment
 from thalweg.figures.maps import map_extent
 from thalweg.figures.splat import Splat
 from thalweg.figures.style import (
@@ -26,6 +25,7 @@ from thalweg.figures.style import (
     ORANGE,
     PURPLE,
     RED,
+    REFLECTANCE_MAP,
     SKY,
     VERMILION,
     WIDTH_MM,
@@ -37,9 +37,6 @@ from thalweg.figures.style import (
     scale_bar,
     styled,
 )
-
-REFLECTANCE_MAP: Final[Colormap] = ListedColormap(cm.grayC(np.linspace(0.2, 1.0, 256)), "thalweg_reflectance")
-"""Dark where little light returns, but never black: black is where nothing returned."""
 
 EYE_M: Final = 1.7
 """Height of the viewer above the INS of the boat."""

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from thalweg.core.errors import InputError
 from thalweg.core.types import ArrayU8
-from thalweg.figures.style import WIDTH_MM, new_figure, scale_bar, styled
+from thalweg.figures.style import WIDTH_MM, count, new_figure, scale_bar, styled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,9 +81,9 @@ def scene_view(bank: View, detail: View, *, title: str = "View from the boat", t
     """
     shares = [view.image.shape[0] / view.image.shape[1] for view in (bank, detail)]
     day, time = bank.utc[:10], bank.utc[11:19]
-    figure = new_figure(
-        WIDTH_MM * sum(shares) + 26.0, f"{title}, {day} {time} UTC, n = 2 pictures", twin=twin
-    )
+    pixels = sum(view.image.shape[0] * view.image.shape[1] for view in (bank, detail))
+    head = f"{title}, {day} {time} UTC, n = {count(pixels)} pixels"
+    figure = new_figure(WIDTH_MM * sum(shares) + 26.0, head, twin=twin)
     axes = figure.subplots(2, 1, gridspec_kw={"height_ratios": shares})
     _show(axes[0], bank, "a  Right bank from mid-river")
     _show(axes[1], detail, "b  Water line from the boat's nearest place")

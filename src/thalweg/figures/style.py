@@ -1,5 +1,6 @@
 """Look of all figures: style, size, colours, the mark of the digital twin, and how a figure is saved."""
 
+import re
 import textwrap
 from collections.abc import Callable, Iterable
 from functools import cache, wraps
@@ -11,7 +12,7 @@ import matplotlib as mpl
 import numpy as np
 from cmcrameri import cm
 from matplotlib.axes import Axes
-from matplotlib.colors import Colormap
+from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
@@ -38,6 +39,15 @@ DEPTH_MAP: Final[Colormap] = cm.imola_r
 INTENSITY_MAP: Final[Colormap] = cm.lipari
 RING_MAP: Final[Colormap] = cm.hawaii
 """Perceptually uniform maps of F. Crameri, readable with colour blindness and in grey print."""
+
+SIGMA_MAP: Final[Colormap] = ListedColormap(cm.lajolla_r(np.linspace(0.12, 0.92, 256)), "thalweg_sigma")
+"""Light where a sigma is small, dark where it is large; without the ends that vanish on paper."""
+
+RANGE_MAP: Final[Colormap] = ListedColormap(cm.navia(np.linspace(0.05, 0.93, 256)), "thalweg_range")
+"""Dark where the scanner was near, light where it was far; without the ends that vanish on paper."""
+
+REFLECTANCE_MAP: Final[Colormap] = ListedColormap(cm.grayC(np.linspace(0.2, 1.0, 256)), "thalweg_reflectance")
+"""Dark where little light returns, but never black: black is where nothing returned."""
 
 FIX_LOOK: Final[dict[str, tuple[str, str]]] = {
     "fixed": (BLUE, "."),
@@ -67,6 +77,8 @@ TITLE_LETTERS: Final = 68
 _MM_PER_TITLE_LINE: Final = 4.0
 _MM_PER_LETTER: Final = 1.55
 _MM_PER_HANDLE: Final = 9.0
+_GLUE: Final = "\N{FIGURE SPACE}"
+"""Stands for a space at which a title is not broken."""
 
 P = ParamSpec("P")
 
@@ -100,11 +112,12 @@ def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
     title : bold first lines; states n. Broken where it would run into the mark.
     twin : true if the data were made by the digital twin.
     """
-    # "n = 5" stays together.
-    lines = textwrap.wrap(title.replace(" = ", "\u00a0=\u00a0"), TITLE_LETTERS)
+    # "n = 5 points" stays together.
+    together = re.sub(r"n = [\d\u00a0]+(?: \w+)?", lambda found: found[0].replace(" ", _GLUE), title)
+    lines = textwrap.wrap(together.replace(" = ", f"{_GLUE}={_GLUE}"), TITLE_LETTERS)
     height_mm += _MM_PER_TITLE_LINE * (len(lines) - 1)
     figure = Figure(figsize=(WIDTH_MM / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
-    figure.suptitle("\n".join(lines).replace("\u00a0=\u00a0", " = "), x=0.012, ha="left")
+    figure.suptitle("\n".join(lines).replace(_GLUE, " "), x=0.012, ha="left")
     if twin:
         figure.text(
             0.988, 1.0 - 1.8 / height_mm, TWIN_MARK, ha="right", va="top", fontsize=8, fontweight="bold",

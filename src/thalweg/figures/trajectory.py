@@ -15,12 +15,13 @@ from thalweg.core.errors import GeometryError
 from thalweg.core.timescales import unix_from_gps, utc_text_from_gps
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF, ArrayI
-from thalweg.figures.maps import LOG_RATIO, SIGMA_MAP, draw_ends, map_extent, plain_numbers, sigma_norm
+from thalweg.figures.maps import LOG_RATIO, draw_ends, map_extent, plain_numbers, sigma_norm
 from thalweg.figures.style import (
     BLUE,
     GREEN,
     HALO,
     RED,
+    SIGMA_MAP,
     VERMILION,
     count,
     legend_below,

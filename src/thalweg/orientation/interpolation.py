@@ -228,7 +228,7 @@ def bridge_factor(interval_s: ArrayLike, velocity_time_s: float | None) -> Array
     Examples
     --------
     >>> [round(float(x), 4) for x in bridge_factor([0.1, 1.0, 10.0], 0.263)]
-    [0.0144, 0.0477, 0.0121]
+    [0.0138, 0.0476, 0.0121]
     """
     interval = np.asarray(interval_s, dtype=np.float64)
     if velocity_time_s is None:

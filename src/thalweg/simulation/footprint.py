@@ -15,7 +15,6 @@ their own.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Any, Final
 
 import numba as nb
@@ -25,18 +24,10 @@ from thalweg.core.raycast import Hits, RayCaster
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8
 from thalweg.simulation.materials import Material
 from thalweg.simulation.shot_random import ShotRandom
+from thalweg.simulation.shots import EchoKind
 
 STEP_M: Final = 0.05
 """An echo is a mixed one if it lies farther than this off the plane that its brightest cell has met."""
-
-
-class EchoKind(IntEnum):
-    """What an echo is, for scoring filters."""
-
-    SURFACE = 0
-    MIXED = 1
-    GHOST = 2
-    HULL = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -159,8 +159,9 @@ def simulate_gnss(
             points_wcs_m=antenna + errors, kinds=kinds, sigmas_m=sigmas, satellites=satellites
         )
     velocity_ned = voyage.sensor_velocity_wcs_mps(t, lever) @ R_ENU_NED.T
+    velocity_ned += generator(seed, "gnss velocity").normal(0.0, gnss.sigma_velocity_mps, velocity_ned.shape)
     _write_pos(out_pos, frame, gps_us(t), tracks["ppk"], with_base=config.gnss.mode == "ppk")
-    _write_sbp(out_sbp, frame, gps_us(t), unix_us(config, t), tracks["rtk"], velocity_ned, gnss.mode == "ppk")
+    _write_sbp(out_sbp, frame, gps_us(t), unix_us(config, t), tracks["rtk"], velocity_ned, gnss)
     facts = {
         "mode": gnss.mode,
         "epochs": len(t),
@@ -267,10 +268,11 @@ def _write_sbp(
     stamps_unix_us: ArrayI,
     track: _Track,
     velocity_ned: ArrayF,
-    with_base: bool,
+    gnss: TwinGnss,
 ) -> None:
     lat, lon, height = (a.tolist() for a in frame.to_geodetic(track.points_wcs_m))
     base = frame.origin_ecef_m + frame.R_ecef_enu @ _BASE_WCS_M
+    with_base = gnss.mode == "ppk"
     base_xyz = (float(base[0]), float(base[1]), float(base[2]))
     second = -1
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -289,5 +291,5 @@ def _write_sbp(
             file.write(
                 sbp.times(week, tow_ms, utc)
                 + sbp.position(tow_ms, (lat[i], lon[i], height[i]), (east, north, up), mode, count)
-                + sbp.velocity(tow_ms, (vn, ve, vd), count)
+                + sbp.velocity(tow_ms, (vn, ve, vd), gnss.sigma_velocity_mps, count)
             )

@@ -1,7 +1,8 @@
 """The INS: attitudes with slowly varying errors, a single-frequency position, and its ANPP log.
 
 The sigmas that the log states (packets 20 and 26) are those of the settings, the published ones by default: a
-real unit does not know of the fields of the motors or of its drift either.
+real unit does not know of the fields of the motors or of its drift either. The velocities of packet 20 have
+errors that vary slowly, too; no packet of this log states their sigma.
 """
 
 from pathlib import Path
@@ -84,6 +85,7 @@ def simulate_ins(
         [gauss_markov(rng, len(t), 1.0 / ins.rate_hz, s, ins.position_time_s) for s in ins.sigma_position_m],
         axis=1,
     )
+    velocity_error = velocity_errors_mps(config, seed, len(t))
     bias = np.deg2rad(ins.gyro_bias_degps) * generator(seed, "ins gyro bias").standard_normal(3)
     noise = generator(seed, "ins raw")
     out_anpp.parent.mkdir(parents=True, exist_ok=True)
@@ -92,8 +94,9 @@ def simulate_ins(
         for first in range(0, len(t), _CHUNK):
             part = slice(first, first + _CHUNK)
             rows = _rows(
-                voyage, frame, t[part], attitude[part], position_error[part], boat_field[part], bias, noise
-            )
+                voyage, frame, t[part], attitude[part], position_error[part], velocity_error[part],
+                boat_field[part], bias, noise,
+            )  # fmt: skip
             for row, extra in zip(rows, depth[part], strict=True):
                 file.write(_packets(config, row) + extra)
     facts = {
@@ -111,6 +114,16 @@ def simulate_ins(
     }
     write_effects(out_effects, "ins", facts)
     return facts
+
+
+def velocity_errors_mps(config: TwinConfig, seed: int, n: int) -> ArrayF:
+    """Errors (n, 3) of the velocity north, east, down: Gauss-Markov processes."""
+    ins = config.ins
+    rng = generator(seed, "ins velocity")
+    axes = [
+        gauss_markov(rng, n, 1.0 / ins.rate_hz, ins.sigma_velocity_mps, ins.velocity_time_s) for _ in range(3)
+    ]
+    return np.stack(axes, axis=1)
 
 
 def _thrust(config: TwinConfig, voyage: Voyage, t: ArrayF) -> ArrayF:
@@ -162,6 +175,7 @@ def _rows(
     t: ArrayF,
     attitude_error: ArrayF,
     position_error: ArrayF,
+    velocity_error: ArrayF,
     boat_field_mg: ArrayF,
     gyro_bias_radps: ArrayF,
     rng: np.random.Generator,
@@ -186,7 +200,7 @@ def _rows(
         "since_start": t - voyage.start_gps_s,
         "unix_us": unix_us(voyage.config, t),
         "place": np.stack([np.deg2rad(lat), np.deg2rad(lon), height], axis=1),
-        "velocity": velocity_ned,
+        "velocity": velocity_ned + velocity_error,
         "acceleration": body,
         "g": np.linalg.norm(force, axis=1) / 9.80665,
         "angles": angles,

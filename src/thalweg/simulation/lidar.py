@@ -14,7 +14,7 @@ from thalweg.simulation.lidar_clock import LidarClock
 from thalweg.simulation.random import generator
 from thalweg.simulation.scanner import COUNTS, LidarSensor, Shots
 from thalweg.simulation.scene import Scene
-from thalweg.simulation.shots import ShotWriter
+from thalweg.simulation.shots import ShotWriter, drawn_packets
 from thalweg.simulation.truth import write_effects
 from thalweg.simulation.voyage import Voyage
 from thalweg.simulation.writers.velodyne_pcap import CaptureWriter, data_payloads, position_payload
@@ -61,7 +61,9 @@ def simulate_lidar(
     out_pcap : target.
     R_ics_scs : (3, 3) true rotation from scanner to body frame.
     lever_ics_scs_m : (3,) true scanner origin in the body frame.
-    out_shots : where to write the true point of each return (table kind ``twin_lidar_shots``).
+    out_shots : where to write the true point of each return (table kind ``twin_lidar_shots``), of long
+        recordings that of whole packets drawn at random, see `thalweg.simulation.shots`. The table's facts
+        are ``share`` (chance of a packet), ``packets_fired`` and ``packets_drawn``.
     out_effects : where to write what was done to the log (JSON), beside the truth.
 
     Returns
@@ -78,13 +80,19 @@ def simulate_lidar(
     order = packet_order(config.effects, sensor.n_packets, defects)
     returns = swapped = 0
     counts = dict.fromkeys(COUNTS, 0)
+    drawn, share = drawn_packets(seed, sensor.n_packets, 16 * sensor.firings_per_packet)
+    table_facts = {
+        "share": share,
+        "packets_fired": sensor.n_packets,
+        "packets_drawn": int(np.count_nonzero(drawn)),
+    }
     with (
         CaptureWriter(out_pcap, nanoseconds=config.lidar.nanoseconds) as capture,
-        ShotWriter(out_shots) as truth,
+        ShotWriter(out_shots, table_facts) as truth,
     ):
         for first in range(0, sensor.n_packets, _CHUNK):
             shots = sensor.shoot(first, min(_CHUNK, sensor.n_packets - first))
-            shots.write_truth(truth, voyage.start_gps_s)
+            shots.write_truth(truth, voyage.start_gps_s, drawn[first : first + _CHUNK])
             azimuth, distance, brightness = packets(sensor, shots)
             returns += int(np.count_nonzero(distance))
             counts = {name: n + shots.counts[name] for name, n in counts.items()}

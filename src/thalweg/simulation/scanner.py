@@ -9,7 +9,7 @@ from thalweg.config.twin import TwinConfig
 from thalweg.config.twin_lidar import TwinLidar
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.simulation.beams import ELEVATION_RAD, FIRING_S, LASER_S, azimuth_deg, beams
-from thalweg.simulation.footprint import Beam, Echoes, EchoKind, Surfaces, echoes_of, part_of
+from thalweg.simulation.footprint import Beam, Echoes, Surfaces, echoes_of, part_of
 from thalweg.simulation.ghosts import ghosts
 from thalweg.simulation.hull import HULL_MATERIAL, Hull
 from thalweg.simulation.hull import REFLECTANCE as HULL_REFLECTANCE
@@ -25,7 +25,7 @@ from thalweg.simulation.returns import (
 )
 from thalweg.simulation.scene import Scene
 from thalweg.simulation.shot_random import ShotRandom
-from thalweg.simulation.shots import ShotWriter
+from thalweg.simulation.shots import EchoKind, ShotWriter
 from thalweg.simulation.voyage import Voyage
 from thalweg.simulation.waves import Waves
 
@@ -63,14 +63,23 @@ class Shots:
     echoes: Echoes
     counts: dict[str, int]
 
-    def write_truth(self, out: ShotWriter, start_gps_s: float) -> None:
-        """Write where the returns came from, in the order of time; in dual mode the nearer one first."""
+    def write_truth(self, out: ShotWriter, start_gps_s: float, drawn: ArrayB) -> None:
+        """Write where the returns came from, in the order of time; in dual mode the nearer one first.
+
+        Parameters
+        ----------
+        out : target.
+        start_gps_s : start of the recording.
+        drawn : (packets,) whether the truth of each packet of this piece is kept.
+        """
         t = start_gps_s + self.t_s[self.shot // 16] + LASER_S * (self.shot % 16)
-        two = self.last != self.other
+        kept = drawn[self.shot // (16 * len(self.t_s) // len(drawn))]
+        two = kept & (self.last != self.other)
         # Columns stand in the order of range.
-        row = np.concatenate([np.arange(len(t)), np.flatnonzero(two)])
-        column = np.concatenate([np.minimum(self.last, self.other), np.maximum(self.last, self.other)[two]])
-        number = np.repeat([1, 2], [len(t), int(two.sum())])
+        row = np.concatenate([np.flatnonzero(kept), np.flatnonzero(two)])
+        nearer, farther = np.minimum(self.last, self.other), np.maximum(self.last, self.other)
+        column = np.concatenate([nearer[kept], farther[two]])
+        number = np.repeat([1, 2], [int(kept.sum()), int(two.sum())])
         order = np.argsort(row, kind="stable")
         row, column = row[order], column[order]
         e = self.echoes

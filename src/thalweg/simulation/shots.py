@@ -5,19 +5,42 @@ beam met, or the point of the brightest part if the twin makes no mixed pixels. 
 lies between the surfaces, that of a ghost on the surface above the water that the mirrored beam came back
 from, and that of the own boat on the boat. The noise of the range is not in it; the beam's offset across
 itself is.
+
+A long recording has more shots than anybody needs to judge it by, so the truth is kept of whole packets drawn
+at random: each with the same chance, such that about 2.5 million shots are drawn, or all if there are fewer.
+The chance (``share``), the number of packets fired and of those drawn stand in the table's facts. A packet
+that is not drawn has no rows; a shot of a drawn packet has a row for each of its returns, so none if it has
+no return. Packets that the log lost later may be among them.
 """
 
+import json
+from collections.abc import Mapping
+from enum import IntEnum
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from thalweg.core.tables import column, table_kind
-from thalweg.core.types import AnyArray, ArrayF, ArrayU8
+from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayU8
+from thalweg.simulation.random import generator
 
 _F = pa.float64()
+
+MANY_SHOTS: Final = 2.5e6
+"""Shots whose truth is kept on average, of recordings with more than that."""
+
+
+class EchoKind(IntEnum):
+    """What an echo is, for scoring filters."""
+
+    SURFACE = 0
+    MIXED = 1
+    GHOST = 2
+    HULL = 3
+
 
 LIDAR_SHOTS: Final = table_kind(
     "twin_lidar_shots",
@@ -32,17 +55,25 @@ LIDAR_SHOTS: Final = table_kind(
 )  # fmt: skip
 
 
+def drawn_packets(seed: int, n_packets: int, shots_per_packet: int) -> tuple[ArrayB, float]:
+    """Which packets (n_packets,) keep the truth of their shots, and the chance that each of them had."""
+    share = min(1.0, MANY_SHOTS / max(n_packets * shots_per_packet, 1))
+    return generator(seed, "lidar truth packets").random(n_packets) < share, share
+
+
 class ShotWriter:
     """Writes table kind ``twin_lidar_shots`` piece by piece; does nothing without a path.
 
     Parameters
     ----------
     path : target, ``.parquet``, or None.
+    facts : JSON-able facts of the whole table.
     """
 
-    def __init__(self, path: Path | None) -> None:
+    def __init__(self, path: Path | None, facts: Mapping[str, Any]) -> None:
         self._writer: pq.ParquetWriter | None = None
-        self._schema = LIDAR_SHOTS.with_metadata({**(LIDAR_SHOTS.metadata or {}), b"meta": b"{}"})
+        meta = json.dumps(dict(facts)).encode()
+        self._schema = LIDAR_SHOTS.with_metadata({**(LIDAR_SHOTS.metadata or {}), b"meta": meta})
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = pq.ParquetWriter(path, self._schema, compression="zstd")

@@ -13,7 +13,7 @@ from thalweg.config.twin_lidar import TwinTls
 from thalweg.core.frames import LocalFrame
 from thalweg.core.raycast import RayCaster
 from thalweg.core.types import AnyArray, ArrayF, ArrayI
-from thalweg.simulation.footprint import Beam, EchoKind, Surfaces, echoes_of, part_of
+from thalweg.simulation.footprint import Beam, Surfaces, echoes_of, part_of
 from thalweg.simulation.materials import REFLECTANCE, REFLECTANCE_1550, Material
 from thalweg.simulation.outlook import outlook
 from thalweg.simulation.random import generator
@@ -21,6 +21,7 @@ from thalweg.simulation.returns import seen
 from thalweg.simulation.river import River
 from thalweg.simulation.scene import Scene
 from thalweg.simulation.shot_random import ShotRandom
+from thalweg.simulation.shots import EchoKind
 from thalweg.simulation.truth import write_effects
 from thalweg.simulation.writers.laz import write_scan
 

@@ -31,6 +31,24 @@ def true_trajectory(voyage: Voyage, frame: LocalFrame) -> Trajectory:
     )
 
 
+def longest_correlation_s(twin: Mapping[str, Any], position_source: str) -> float:
+    """Longest correlation time among the errors of the poses, as far as the stated sigmas hold them.
+
+    Parameters
+    ----------
+    twin : section ``twin`` as plain values.
+    position_source : ``orientation.position_source``.
+    """
+    config = TwinConfig(**twin)
+    if position_source == "ins":
+        positions_s = config.ins.position_time_s
+    elif config.gnss.mode == "single_frequency":
+        positions_s = config.gnss.single_time_s
+    else:
+        positions_s = config.gnss.correlation_time_s
+    return max(config.ins.attitude_time_s, positions_s)
+
+
 def simulate_voyage(config: TwinConfig, seed: int, frame: LocalFrame, out_trajectory: Path) -> None:
     """Write the true trajectory, table kind ``trajectory``.
 

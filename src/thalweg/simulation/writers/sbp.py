@@ -84,11 +84,20 @@ def position(
     return bytes(plain.to_binary()) + bytes(full.to_binary())
 
 
-def velocity(tow_ms: int, ned_mps: tuple[float, float, float], satellites: int) -> bytes:
-    """MsgVelNED, measured by Doppler."""
+def velocity(tow_ms: int, ned_mps: tuple[float, float, float], sigma_mps: float, satellites: int) -> bytes:
+    """MsgVelNED, measured by Doppler, with its standard deviation in each direction."""
     n, e, d = (round(1000 * v) for v in ned_mps)
+    accuracy = min(65535, round(1000 * sigma_mps))
     return bytes(
         MsgVelNED(
-            sender=ROVER, tow=tow_ms, n=n, e=e, d=d, h_accuracy=20, v_accuracy=30, n_sats=satellites, flags=1
+            sender=ROVER,
+            tow=tow_ms,
+            n=n,
+            e=e,
+            d=d,
+            h_accuracy=accuracy,
+            v_accuracy=accuracy,
+            n_sats=satellites,
+            flags=1,
         ).to_binary()
     )

@@ -1,0 +1,87 @@
+"""The trajectory: covariances between nodes, sigmas of the angles, rates, what it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.core.errors import CoverageError, GeometryError
+from thalweg.core.frames import LocalFrame, attitude_axes, rotation_enu_body
+from thalweg.core.trajectory import Trajectory
+
+
+def turning(n: int = 50, rate_hz: float = 10.0) -> Trajectory:
+    """Straight on at 0.4 m/s, turning by 7 degrees a second."""
+    s = np.arange(n) / rate_hz
+    R = rotation_enu_body(np.full(n, 0.02), np.full(n, -0.01), np.deg2rad(7.0) * s)
+    return Trajectory(
+        frame=LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0),
+        t_gps_s=3.0e8 + s,
+        position_wcs_m=np.column_stack([0.4 * s, 0 * s, 0 * s]),
+        quaternion_wcs_ics=Rotation.from_matrix(R).as_quat(),
+        cov_pose_wcs=np.tile(np.diag([4e-4, 4e-4, 9e-4, 3e-6, 3e-6, 12e-6]), (n, 1, 1)),
+        valid=np.ones(n, dtype=bool),
+    )
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.9, 1.0])
+def test_the_covariance_between_nodes_is_an_upper_bound(correlation: float) -> None:
+    """``(1-u) C1 + u C2`` exceeds the covariance of the interpolated error by ``u (1-u) Cov(e1 - e2)``."""
+    rng = np.random.default_rng(4)
+    a = rng.normal(size=(2, 6, 6))
+    C1, C2 = a @ np.swapaxes(a, 1, 2)
+    first, second = np.linalg.cholesky(C1), np.linalg.cholesky(C2)
+    between = correlation * first @ second.T
+    trajectory = turning(2)
+    trajectory = replace(trajectory, cov_pose_wcs=np.stack([C1, C2]))
+    for u in (0.0, 0.3, 0.5, 1.0):
+        t = trajectory.t_gps_s[0] + u * 0.1
+        stated = trajectory.cov_at(np.array([t]))[0]
+        true = (1 - u) ** 2 * C1 + u**2 * C2 + u * (1 - u) * (between + between.T)
+        slack = np.linalg.eigvalsh(stated - true)
+        # 3e8 s in float64 steps by 6e-8 s: u is known to 6e-7
+        assert slack[0] > -1e-5 * np.trace(stated)
+        if u in (0.0, 1.0):
+            np.testing.assert_allclose(stated, true, rtol=1e-5, atol=1e-5)
+
+
+def test_sigmas_of_roll_pitch_and_heading_come_back(rng: np.random.Generator) -> None:
+    n = 30
+    R = rotation_enu_body(rng.uniform(-0.3, 0.3, n), rng.uniform(-0.3, 0.3, n), rng.uniform(0, 6, n))
+    sigma = rng.uniform(0.001, 0.004, (n, 3))
+    axes = np.swapaxes(attitude_axes(R), 1, 2) * sigma[:, None, :]
+    cov = np.zeros((n, 6, 6))
+    cov[:, 3:, 3:] = axes @ np.swapaxes(axes, 1, 2)
+    trajectory = replace(turning(n), quaternion_wcs_ics=Rotation.from_matrix(R).as_quat(), cov_pose_wcs=cov)
+    np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad(), sigma, rtol=1e-9)
+
+
+def test_rates_are_those_of_the_motion() -> None:
+    velocity, rate = turning().rates()
+    np.testing.assert_allclose(velocity, np.tile([0.4, 0, 0], (49, 1)), atol=1e-6)
+    # clockwise from above: about down; stamps of 3e8 s resolve 6e-8 s of 0.1 s
+    np.testing.assert_allclose(rate, np.tile([0, 0, -np.deg2rad(7.0)], (49, 1)), atol=1e-6)
+
+
+def test_everything_survives_the_file(tmp_path, rng: np.random.Generator) -> None:
+    a = rng.normal(size=(50, 6, 6)) * [0.02, 0.02, 0.03, 2e-3, 2e-3, 4e-3]
+    trajectory = replace(turning(), cov_pose_wcs=np.swapaxes(a, 1, 2) @ a)
+    trajectory.write(tmp_path / "t.parquet")
+    again = Trajectory.read(tmp_path / "t.parquet")
+    scale = np.sqrt(np.einsum("nii->ni", trajectory.cov_pose_wcs))
+    error = (again.cov_pose_wcs - trajectory.cov_pose_wcs) / scale[:, :, None] / scale[:, None, :]
+    assert np.abs(error).max() < 1e-14
+    still = replace(trajectory, cov_pose_wcs=np.zeros((50, 6, 6)))  # no error at all has no correlation
+    still.write(tmp_path / "zero.parquet")
+    np.testing.assert_array_equal(Trajectory.read(tmp_path / "zero.parquet").cov_pose_wcs, 0.0)
+
+
+def test_what_is_refused() -> None:
+    good = turning()
+    with pytest.raises(GeometryError, match=r"cov_pose_wcs.shape=\(50, 3, 3\)"):
+        replace(good, cov_pose_wcs=np.zeros((50, 3, 3)))
+    with pytest.raises(GeometryError, match="strictly increasing"):
+        replace(good, t_gps_s=good.t_gps_s[::-1].copy())
+    with pytest.raises(CoverageError, match="no valid node"):
+        replace(good, valid=np.zeros(50, dtype=bool)).span()
