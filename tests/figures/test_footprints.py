@@ -98,6 +98,28 @@ def test_figure_draws_every_footprint_to_scale(frame, tmp_path):
     save(figure, tmp_path / "figure.png", dpi=50)
 
 
+def test_scale_bar_and_arrow_avoid_what_is_drawn(frame):
+    """Both walls fill the picture's right half: bar and arrow go to the left."""
+    points, scanner = frame
+    corner = np.array([[18.0, 28.0, 0.0], [18.0, -28.0, 0.0]])
+    crowd = np.repeat(corner, 300, axis=0) + np.random.default_rng(1).uniform(-8, 8, (600, 3))
+    figure = footprints(
+        np.concatenate([points, crowd]), np.concatenate([scanner, np.tile(scanner[0], (600, 1))]),
+        divergence_mrad=3.0,
+    )  # fmt: skip
+    ax = figure.axes[0]
+    (bar,), (arrow,) = by_gid(ax, "scale-bar"), by_gid(ax, "north-arrow")
+    drawn = np.concatenate([points, crowd])[:, :2]
+    low, high = np.transpose([ax.get_xlim(), ax.get_ylim()])
+    share = (drawn - low) / (high - low)
+    for x, y, width, height in (
+        (min(bar.get_xdata()), bar.get_ydata()[0] - 0.03, np.ptp(bar.get_xdata()), 0.1),
+        (arrow.xy[0] - 0.03, arrow.xy[1] - 0.2, 0.06, 0.2),
+    ):
+        inside = np.all((share > [x, y]) & (share < [x + width, y + height]), axis=1)
+        assert inside.sum() == 0
+
+
 def test_points_without_a_pose_are_left_out(frame):
     points, scanner = frame[0], frame[1].copy()
     scanner[-200:] = np.nan

@@ -170,6 +170,68 @@ def test_segment_on_the_other_bank_is_seen_the_other_way(trajectory, bank):
     assert np.array([np.sin(segment.azimuth_rad), np.cos(segment.azimuth_rad)]) @ [c, -s] > 0.95
 
 
+def reach(rng, trajectory, *, side, along, across, up, n):
+    """Points beside the track of 100 m at 70 degrees; across is counted away from the water."""
+    s, c = np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))
+    a, q, z = rng.uniform(*along, n), side * rng.uniform(*across, n), rng.uniform(*up, n)
+    return np.stack([a * s - q * c, a * c + q * s, z], axis=1)
+
+
+def test_a_bridge_does_not_win_by_its_walls(rng, trajectory):
+    """A bank of 100 m, a deck over the track and its abutment with thirty times the points of the bank."""
+    face = {"side": 1, "across": (9.0, 12.0), "up": (1.0, 4.0)}
+    bank = reach(rng, trajectory, along=(0, 100), n=30_000, **face)
+    abutment = reach(rng, trajectory, along=(40, 50), n=90_000, **face)
+    deck = reach(rng, trajectory, side=1, along=(42, 48), across=(-12.0, 12.0), up=(6.0, 7.0), n=5_000)
+    middle = [np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))]
+    without = choose_segment(np.concatenate([bank, abutment]), trajectory).centre_en_m @ middle
+    assert 40.0 < without < 50.0
+    found = choose_segment(np.concatenate([bank, abutment, deck]), trajectory).centre_en_m @ middle
+    # Half of the stretch and 10 m from the ends of the deck, less half a place of 1.4 m.
+    assert abs(found - 45.0) > 3.0 + 10.0 + 7.0 - 1.4
+
+
+def test_a_bank_covered_evenly_wins_over_a_wall_with_more_points(rng, trajectory):
+    """A wall that fills half of any stretch has most points, but is no bank along its whole length."""
+    bank = reach(rng, trajectory, side=1, along=(0, 100), across=(9.0, 12.0), up=(1.0, 4.0), n=30_000)
+    wall = reach(rng, trajectory, side=-1, along=(50, 57), across=(9.0, 10.0), up=(1.0, 4.0), n=90_000)
+    view = choose_segment(np.concatenate([bank, wall]), trajectory).azimuth_rad
+    across = np.array([-np.cos(np.deg2rad(70.0)), np.sin(np.deg2rad(70.0))])
+    assert np.array([np.sin(view), np.cos(view)]) @ across > 0.9
+
+
+def test_near_points_do_not_win_for_being_near(rng, trajectory):
+    """Three times as many points at half the distance are fewer for a scanner, and more for a scan from afar."""
+    far = reach(rng, trajectory, side=1, along=(0, 100), across=(20.0, 22.0), up=(1.0, 4.0), n=30_000)
+    near = reach(rng, trajectory, side=-1, along=(0, 100), across=(9.0, 11.0), up=(1.0, 4.0), n=45_000)
+    across = np.array([-np.cos(np.deg2rad(70.0)), np.sin(np.deg2rad(70.0))])
+    for seen, wanted in ((True, 1.0), (False, -1.0)):
+        view = choose_segment(np.concatenate([far, near]), trajectory, seen_from_track=seen).azimuth_rad
+        assert np.array([np.sin(view), np.cos(view)]) @ across * wanted > 0.9
+
+
+def test_trees_behind_are_wanted_with_a_background(rng, trajectory):
+    bank = reach(rng, trajectory, side=1, along=(0, 100), across=(9.0, 12.0), up=(1.0, 4.0), n=60_000)
+    trees = reach(rng, trajectory, side=1, along=(70, 95), across=(25.0, 40.0), up=(8.0, 20.0), n=3_000)
+    segment = choose_segment(np.concatenate([bank, trees]), trajectory, length_m=20.0, background_m=40.0)
+    along = segment.centre_en_m @ [np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))]
+    # Nine tenths of the best do: 80 % of the stretch has trees behind it.
+    assert 70.0 + 6.0 <= along <= 95.0 - 6.0
+
+
+@pytest.mark.parametrize(
+    ("limits", "gamma"), [((0.03, 32.0), 0.45), ((-0.2, 27.0), 0.4), ((103.0, 121.0), 0.6)]
+)
+def test_ticks_fill_a_bent_scale(limits, gamma):
+    ticks = np.array(bent_ticks(limits, gamma))
+    places = np.concatenate([[0.0], ((ticks - limits[0]) / (limits[1] - limits[0])) ** gamma, [1.0]])
+    assert 6 <= len(ticks) <= 14
+    assert np.diff(places[1:-1]).min() >= 0.055
+    assert np.diff(places).max() < 0.27
+    assert limits[0] <= ticks[0]
+    assert ticks[-1] <= limits[1]
+
+
 def test_the_background_lies_behind_the_bank_only():
     points = np.array([[0.0, y, 0.0] for y in (-13.0, -11.0, 11.0, 13.0, 41.0, 43.0)])
     segment = BankSegment(centre_en_m=np.zeros(2), azimuth_rad=0.0, length_m=14.0)

@@ -49,6 +49,8 @@ def test_the_figure_shows_both_pictures_with_their_scale(views):
     save(figure, buffer)
     texts = [t.get_text() for t in figure.findobj(lambda a: hasattr(a, "get_text"))]
     assert "digital twin" in texts
+    # 160 x 90 and 120 x 80.
+    assert any("n = 24\N{NO-BREAK SPACE}000 pixels" in t for t in texts)
     assert any("View from the boat" in t and "2021-05-12 08:31:07 UTC" in t for t in texts)
     for ax, view in zip(figure.axes, views, strict=True):
         (shown,) = ax.get_images()

@@ -7,8 +7,9 @@ import pytest
 
 from thalweg.core.errors import InputError
 from thalweg.core.timescales import unix_from_gps
+from thalweg.figures.clocks import StreamLag, clock_lines, lag_words, read_lags, timing_words
 from thalweg.figures.errors import error_histograms, error_versus_range
-from thalweg.figures.streams import clock_lines, streams_in_time, time_span, timing_words
+from thalweg.figures.streams import streams_in_time, time_span
 from thalweg.figures.style import save
 from thalweg.ingest.integrity import Gap, IntegrityReport
 from thalweg.ingest.stamps import StreamTiming
@@ -96,13 +97,82 @@ def test_the_clock_in_words():
         clock_offset_s=0.368, sigma_clock_offset_s=2e-5, clock_drift_ppm=-1.25, sigma_clock_drift_ppm=0.3,
     )  # fmt: skip
     assert timing_words(timing) == [
-        "step 1.327 ms, jitter 0.29 µs, at most 0 s",
-        "resolved to 1 µs",
-        "host clock +0.368 s ± 20 µs, drift -1.25 ± 0.3 ppm",
+        "step 1.327 ms, jitter at most the resolution of 1 µs",
+        "host clock 0.368 s ahead of UTC (± 20 µs), drift -1.25 ± 0.3 ppm",
     ]
+    timing.jitter_max_s, timing.clock_offset_s = 0.003, -0.368
+    assert timing_words(timing)[0] == "step 1.327 ms, jitter below the resolution of 1 µs, at most 3 ms"
+    assert "0.368 s behind UTC" in timing_words(timing)[1]
+    timing.jitter_s = 2e-4
+    assert timing_words(timing)[:2] == ["step 1.327 ms, jitter 200 µs, at most 3 ms", "resolution 1 µs"]
     assert timing_words(StreamTiming(clock="device", clock_set_s=1.62e9)) == [
         "device clock was set by +1.62e+09 s"
     ]
+
+
+def test_nothing_finer_than_the_stamps_is_said():
+    """Rounding of stamps gives jitters of 0.04 µs and drifts of 0 ± 0; neither is a finding."""
+    timing = StreamTiming(
+        period_s=0.1, jitter_s=3.5e-8, jitter_max_s=3.6e-8, clock="host", clock_offset_s=0.4,
+        sigma_clock_offset_s=0.0, clock_drift_ppm=0.0, sigma_clock_drift_ppm=0.0,
+    )  # fmt: skip
+    # Without a resolution 64 bits are the limit: 60 ns. Over 10 s three of them are 0.018 ppm.
+    assert timing_words(timing, 10.0) == [
+        "step 100 ms, jitter at most 0.0596 µs",
+        "host clock 0.4 s ahead of UTC (± 0.0596 µs), drift below 0.02 ppm",
+    ]
+    timing.resolution_s = 1e-3
+    assert timing_words(timing, 1000.0) == [
+        "step 100 ms, jitter at most the resolution of 1 ms",
+        "host clock 0.4 s ahead of UTC (± 1 ms), drift below 3 ppm",
+    ]
+
+
+def test_details_on_time_are_words():
+    report = IntegrityReport(
+        stream="gnss", format="SBP", files=[], time_scale="gps", synchronised=True,
+        details={
+            "rmc_age_s": 1.14, "host_minus_sensor_s": 0.401327, "GPS - UTC": {"18.000 s": 1841},
+            "free_running_drift_ppm": 12.5, "free_running_drift_sigma_ppm": 0.2, "lock_time_s": 3.0,
+        },
+    )  # fmt: skip
+    text = ";  ".join(clock_lines(report)).replace("\N{NO-BREAK SPACE}", " ")
+    assert text == (
+        "stamps in GPS;  GPS time message at most 1.14 s old;  host clock 0.401327 s ahead of the sensor's;  "
+        "GPS - UTC 18 s in 1 841 messages;  without GPS drift +12.5 ± 0.2 ppm;  lock time 3 s"
+    )
+    # The clock of the timing says the same.
+    report.timing = StreamTiming(clock="host", clock_offset_s=0.401327)
+    assert "sensor's" not in " ".join(clock_lines(report))
+
+
+def test_the_lag_says_what_it_cannot_tell(reports, tmp_path):
+    pd.DataFrame(
+        {
+            "stream": ["lidar", "ins", "positions", "depth"], "lag_against": ["", "positions", "ins", "ins"],
+            "lag_s": [np.nan, 0.25, -0.037, np.nan], "sigma_lag_s": [np.nan, 0.004, 0.115, np.nan],
+            "lag_significant": [None, True, False, None],
+        }
+    ).to_csv(tmp_path / "streams.csv", index=False)  # fmt: skip
+    lags = read_lags(tmp_path / "streams.csv")
+    assert lags["positions"] == StreamLag(against="ins", lag_s=-0.037, sigma_s=0.115, significant=False)
+    assert {stream: lag_words(lag) for stream, lag in lags.items()} == {
+        "ins": "LATE against positions by 250 ms ± 4 ms",
+        "positions": "lag against ins -37 ms ± 115 ms: cannot tell below 0.35 s",
+        "depth": "lag against ins cannot be told",
+    }
+    lines = [t.get_text() for t in by_gid(streams_in_time(reports, lags=lags), "clock-line")]
+    assert sum("cannot tell below 0.35 s" in line for line in lines) == 1
+    (tmp_path / "other.csv").write_text("stream\nins\n")
+    with pytest.raises(InputError, match="columns missing"):
+        read_lags(tmp_path / "other.csv")
+
+
+def test_a_gap_before_the_clock_was_set_has_no_place(reports):
+    reports[0].gaps.append(Gap(t_start_s=float("nan"), duration_s=2.0))
+    figure = streams_in_time(reports)
+    assert len(bars(figure, "gap")) == 1
+    assert "2 gaps" in by_gid(figure, "stream-numbers")[0].get_text()
 
 
 def test_short_gaps_are_still_seen(reports):
@@ -115,14 +185,14 @@ def test_short_gaps_are_still_seen(reports):
 def test_rates_counts_and_clocks(reports):
     figure = streams_in_time(reports)
     numbers = [t.get_text().replace("\N{NO-BREAK SPACE}", " ") for t in by_gid(figure, "stream-numbers")]
-    assert numbers[0] == "753.5 Hz, n = 2 000 000 points\n1 gap, longest 4 s; losses 3"
-    assert numbers[1] == "50 Hz, n = 5 000 states"
+    assert numbers[0] == "753.5 packets/s, n = 2 000 000 points\n1 gap, longest 4 s; losses 3"
+    assert numbers[1] == "50 states/s, n = 5 000 states"
     lines = [t.get_text() for t in by_gid(figure, "clock-line")]
     assert (
         lines[0]
         == "stamps in UTC;  PPS locked 90 % (first after 4 s, then lost once);  11.000 s without GPS time"
     )
-    assert lines[1] == "host minus sensor s: 0.36812"
+    assert lines[1] == "host clock 0.36812 s ahead of the sensor's"
     assert lines[3] == "NO GPS TIME, stamps of the host clock"
     assert "UTC on 2017-05-12" in figure.axes[0].get_xlabel()
     assert "n = 4 streams" in figure.get_suptitle()

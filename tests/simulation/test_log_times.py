@@ -163,7 +163,7 @@ def test_a_leap_second_inside_a_recording_is_refused(start: str, tmp_path: Path)
         lambda: simulate_echo(
             config, SEED, FRAME, bed(tmp_path), tmp_path / "echo.nmea", lever_ics_echo_m=[0.2, 0.0, 0.3]
         ),
-        lambda: LidarClock(config, Voyage(config, SEED), FRAME),
+        lambda: LidarClock(config, SEED, Voyage(config, SEED), FRAME),
     ]
     for make in makers:
         with pytest.raises(ConfigError, match="leap second") as caught:

@@ -301,6 +301,69 @@ def test_finer_sampling_smooths_and_keeps_the_picture(reach: Scene) -> None:
     assert abs(coarse.mean() - fine.mean()) < 4.0
 
 
+def test_the_exposure_follows_the_light() -> None:
+    rng = np.random.default_rng(1)
+    light = rng.uniform(0.02, 0.3, (40, 60, 3))
+    alone = developed(light, None)
+    # As bright in the shade, where all light is a fifth, and with a few glints of the sun.
+    assert np.array_equal(developed(0.2 * light, None), alone)
+    glints = light.copy()
+    glints[0, :10] = 50.0
+    # Ten of 2,400 pixels move the quartile by half a percent: one step of 255 at most.
+    assert np.max(np.abs(developed(glints, None).astype(int) - alone)[1:]) <= 1
+    luminance = light @ [0.2126, 0.7152, 0.0722]
+    grey = np.full((1, 1, 3), np.percentile(luminance, 75)) * metered(light)
+    # 0.6 of white in sRGB.
+    assert np.ptp(developed(grey, 1.0)) == 0
+    assert developed(grey, 1.0)[0, 0, 0] == pytest.approx(0.6 * 255, abs=4)
+    assert developed(np.zeros((2, 2, 3)), None).max() == 0
+
+
+def test_the_near_picture_is_taken_where_the_bank_is_sunlit(
+    reach: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = TwinConfig.of_size("tiny", duration_s=20.0)
+    voyage, frame = Voyage(config, 8), LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+    t = np.linspace(0.0, 20.0, 200)
+    n = voyage.river.to_flow(*voyage.position_at(t)[:, :2].T)[1]
+    place = voyage.position_at(t[[np.argmin(n)]])[0]
+    sun = Sun.at(start_unix(config)[0], frame.lat_deg, frame.lon_deg).direction_wcs
+    # A roof in the way of the sun to what the nearest place shows: 4 m before it and as far around.
+    centre = voyage.river.to_wcs(*(a + d for a, d in zip(
+        voyage.river.to_flow(place[:1], place[1:2]), (0.0, 0.0), strict=True)))[0]
+    s = voyage.river.to_flow(place[:1], place[1:2])[0]
+    shore = voyage.river.to_wcs(s, -voyage.river.shores(s)[0])[0]
+    assert np.linalg.norm(centre - place[:2]) < 0.1
+    middle = np.append(shore, reach.water_level_m) + 15.0 * sun
+
+    def shown(name: str, half_m: float) -> dict[str, Any]:
+        along = np.append(voyage.river.to_wcs(s + 1, 0 * s)[0] - voyage.river.to_wcs(s, 0 * s)[0], 0.0)
+        across = np.cross(sun, along)
+        corners = [middle + half_m * (a * along + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        shaded = replace(
+            reach,
+            vertices_wcs_m=np.vstack([reach.vertices_wcs_m, corners]),
+            triangles=np.vstack([reach.triangles, len(reach.vertices_wcs_m) + np.array([[0, 1, 2], [0, 2, 3]])]),
+            material=np.append(reach.material, [Material.WALL] * 2).astype(np.uint8),
+            variation=np.append(reach.variation, [0.0] * 2).astype(reach.variation.dtype),
+        )
+        shaded.write(tmp_path / f"{name}.npz")
+        simulate_view(
+            config, 8, frame, tmp_path / f"{name}.npz", tmp_path / "a.npz", tmp_path / f"{name} b.npz",
+            samples=1, shrink=16,
+        )  # fmt: skip
+        with np.load(tmp_path / f"{name} b.npz") as data:
+            return dict(json.loads(str(data["facts"])))
+
+    free, shaded, dark = shown("free", 0.01), shown("shaded", 3.0), shown("dark", 200.0)
+    moved = np.linalg.norm(np.subtract(free["position_wcs_m"], shaded["position_wcs_m"]))
+    assert moved > 0.5
+    # At most 3 m farther from the bank, and in the shade everywhere: the nearest.
+    across = [voyage.river.to_flow(*np.array(x["position_wcs_m"])[:2, None])[1][0] for x in (shaded, dark)]
+    assert 0.0 < across[0] - n.min() < 3.05
+    assert across[1] == pytest.approx(n.min(), abs=0.05)
+
+
 def test_views_are_written_and_say_where_they_are_from(reach: Scene, tmp_path: Path) -> None:
     config = TwinConfig.of_size("tiny", duration_s=8.0)
     reach.write(tmp_path / "scene.npz")

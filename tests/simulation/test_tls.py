@@ -21,7 +21,7 @@ from thalweg.simulation.tls import Scan, Station, scan, simulate_tls, station_po
 
 SEED = 5
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
-QUIET: dict[str, Any] = {"sigma_50m_m": 0.0, "divergence_mrad": 0.0}
+QUIET: dict[str, Any] = {"sigma_50m_m": 0.0, "sigma_floor_m": 0.0, "divergence_mrad": 0.0}
 
 
 def at(scene: Scene, centre: ArrayF, caster: RayCaster, **changes: Any) -> Station:
@@ -43,7 +43,7 @@ def centre(twin: Any, caster: RayCaster) -> ArrayF:
 
 @pytest.fixture(scope="module")
 def look(scene: Scene, centre: ArrayF, caster: RayCaster) -> Callable[..., Scan]:
-    """A scan of 120 by 35 degrees in steps of 5 mrad, with settings."""
+    """A scan of 120 by 60 degrees (20 below to 40 above the horizon), 5 mrad apart, with settings."""
 
     def again(step_rad: float = 0.005, **changes: Any) -> Scan:
         return scan(at(scene, centre, caster, **changes), scene, -np.pi / 2, step_rad)
@@ -68,14 +68,28 @@ def facing_wall(distance_m: float) -> tuple[Any, RayCaster, ArrayF, ArrayI]:
     return Wall(), RayCaster(wall, triangles), direction, np.arange(10_000)
 
 
-@pytest.mark.parametrize("distance_m", [25.0, 50.0, 100.0])
-def test_noise_is_three_millimetres_at_50_m(distance_m: float) -> None:
+@pytest.mark.parametrize(
+    ("floor_m", "distance_m", "sigma_m"),
+    [
+        # 1 mm and sqrt(3^2 - 1^2) mm at 50 m, that one in proportion to the distance.
+        (0.001, 1.0, 0.0010016),
+        (0.001, 25.0, 0.0017321),
+        (0.001, 50.0, 0.003),
+        (0.001, 100.0, 0.0057446),
+        # No floor: in proportion to the distance. All floor: the same everywhere.
+        (0.0, 1.0, 0.00006),
+        (0.0, 100.0, 0.006),
+        (0.003, 1.0, 0.003),
+        (0.003, 100.0, 0.003),
+    ],
+)
+def test_noise_is_three_millimetres_at_50_m(floor_m: float, distance_m: float, sigma_m: float) -> None:
     wall, caster, direction, ray = facing_wall(distance_m)
-    found = at(wall, np.zeros(3), caster, divergence_mrad=0.0).shoot(ray, direction)
+    found = at(wall, np.zeros(3), caster, divergence_mrad=0.0, sigma_floor_m=floor_m).shoot(ray, direction)
     error = found.points_wcs_m - distance_m * direction / direction[:, 1:2]
     # P2 5.1: 3 mm in 3D at 50 m. n = 10,000: 0.7 % a component, 0.4 % in all; four times that.
-    assert np.sqrt(np.mean(np.sum(error**2, axis=1))) == pytest.approx(0.003 * distance_m / 50, rel=0.02)
-    np.testing.assert_allclose(np.std(error, axis=0), 0.003 * distance_m / 50 / 3**0.5, rtol=0.03)
+    assert np.sqrt(np.mean(np.sum(error**2, axis=1))) == pytest.approx(sigma_m, rel=0.02)
+    np.testing.assert_allclose(np.std(error, axis=0), sigma_m / 3**0.5, rtol=0.03)
     np.testing.assert_allclose(found.reflectance, REFLECTANCE_1550[Material.WALL], rtol=1e-4)
 
 
@@ -85,7 +99,7 @@ def test_the_footprint_is_a_tenth_of_the_mobile_lidars() -> None:
     tilted, _, _, _ = facing_wall(50.0)
     direction = np.tile([np.sin(np.pi / 3), 0.5, 0.0], (len(ray), 1))
     centre = np.array([0.0, 25.0, 0.0]) - [25.0 * np.tan(np.pi / 3), 0, 0]
-    settings = {"sigma_50m_m": 0.0, "dark_dropouts": False}
+    settings = {"sigma_50m_m": 0.0, "sigma_floor_m": 0.0, "dark_dropouts": False}
     found = at(tilted, centre, caster, **settings).shoot(ray, direction)
     r = np.linalg.norm(found.points_wcs_m - centre, axis=1)
     # Two cells: sigma = divergence * 50 m / 4 * sqrt(2 / 3) across the beam, times tan(60 deg) along it; n
@@ -173,7 +187,7 @@ def test_each_fault_can_be_switched_off_alone(look: Callable[..., Scan]) -> None
     sharp = look(mixed_pixels=False)
     assert sharp.counts["mixed"] == 0 < full.counts["mixed"]
     assert len(sharp.points_wcs_m) == pytest.approx(len(full.points_wcs_m), rel=0.002)
-    exact, noisy = look(sigma_50m_m=0.0), full
+    exact, noisy = look(sigma_50m_m=0.0, sigma_floor_m=0.0), full
     assert len(exact.points_wcs_m) == len(noisy.points_wcs_m)
     np.testing.assert_array_equal(exact.reflectance, noisy.reflectance)
     assert 0 < np.max(np.linalg.norm(exact.points_wcs_m - noisy.points_wcs_m, axis=1)) < 0.05

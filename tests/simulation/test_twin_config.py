@@ -47,6 +47,8 @@ def test_defaults_are_the_published_inputs() -> None:
     assert config.gnss.sigma_m == (0.02, 0.02, 0.03)
     assert (config.boat.speed_mps, config.boat.turn_rate_degps) == (0.4, 7.0)
     assert (config.tls.spacing_m, config.tls.sigma_50m_m) == (0.025, 0.003)
+    # Data sheet of the Spatial.
+    assert ins.sigma_velocity_mps == 0.05
 
 
 @pytest.mark.parametrize(
@@ -60,6 +62,8 @@ def test_defaults_are_the_published_inputs() -> None:
         ({"effects": {"lost_packets": 2.0}}, ("effects", "lost_packets"), "less than or equal to 1"),
         ({"effects": {"damaged_streams": ["camera"]}}, ("effects", "damaged_streams", 0), "'lidar'"),
         ({"boat": 3}, ("boat",), "should be an object"),
+        ({"tls": {"sigma_50m_m": 0.0}}, ("tls",), "sigma_floor_m 0.001 is larger than sigma_50m_m 0.0"),
+        ({"tls": {"sigma_floor_m": 0.004}}, ("tls",), "lower it, to 0 for scans without noise"),
     ],
 )
 def test_mistakes_are_named(data: dict[str, object], place: tuple[object, ...], fragment: str) -> None:

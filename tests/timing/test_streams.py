@@ -200,3 +200,15 @@ def test_the_smallest_overlap_is_enough() -> None:
     step = np.spacing(T0)
     ins = report("ins", None, None, t_first_s=T0 + 25.0 - step, t_last_s=T0 + 50.0)
     assert common_span([LIDAR, ins], ["lidar", "ins"]) == (T0 + 25.0 - step, T0 + 25.0)
+
+
+def test_a_hole_before_the_clock_was_set_has_no_time(tmp_path) -> None:
+    """A packet that is lost while the lidar runs freely: the hole is counted, its place is not known."""
+    report = IntegrityReport(stream="lidar", format="pcap", files=["a"], time_scale="utc", synchronised=True,
+                             t_first_s=3.0e8, t_last_s=3.0e8 + 25)  # fmt: skip
+    report.gaps = [Gap(t_start_s=float("nan"), duration_s=0.1), Gap(t_start_s=3.0e8 + 5, duration_s=0.2)]
+    report.write(tmp_path / "lidar.integrity.json")
+    again = IntegrityReport.read(tmp_path / "lidar.integrity.json")
+    text = stream_table([again])["gaps"].iloc[0]
+    assert text.startswith("before the clock was set +0.100 s | ")
+    assert text.endswith("+0.200 s")

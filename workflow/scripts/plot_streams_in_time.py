@@ -1,8 +1,9 @@
-"""Integrity reports -> all streams on the time axis."""
+"""Integrity reports and table of streams -> all streams on the time axis."""
 
 from pathlib import Path
 from typing import Any
 
+from thalweg.figures.clocks import read_lags
 from thalweg.figures.streams import streams_in_time
 from thalweg.figures.style import save
 from thalweg.ingest.integrity import IntegrityReport
@@ -16,9 +17,11 @@ def main(
     figures: dict[str, Any],
     twin: bool,
     campaign: dict[str, Any],
+    streams: Path | None = None,
 ) -> None:
     figure = streams_in_time(
         [IntegrityReport.read(path) for path in reports],
+        lags=None if streams is None else read_lags(streams),
         title=f"Streams in time: {campaign['title']}",
         twin=twin,
     )

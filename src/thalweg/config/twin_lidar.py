@@ -1,8 +1,8 @@
 """The laser scanners of the digital twin and their faults; each fault has a key that switches it off."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from thalweg.config.base import Section
 from thalweg.config.values import Finite, NonNegative, Share
@@ -83,6 +83,12 @@ class TwinLidar(Section):
     host_clock_offset_s: Finite = Field(
         default=0.4, description="Recording computer's clock minus UTC, seconds"
     )
+    host_delay_s: NonNegative = Field(
+        default=0.0003,
+        le=0.1,
+        description="Mean delay from a packet's arrival to the recording computer's stamp (exponential), "
+        "seconds; 0: none",
+    )
     nanoseconds: bool = Field(default=False, description="Capture file with nanosecond stamps")
 
 
@@ -93,7 +99,15 @@ class TwinTls(Section):
         default=0.025, description="Point spacing on the right shore across the beam, metres"
     )
     sigma_50m_m: NonNegative = Field(
-        default=0.003, le=1, description="3D error at 50 m distance, metres; proportional to distance"
+        default=0.003,
+        le=1,
+        description="3D error at 50 m distance, metres; the part that grows with distance "
+        "and the floor together",
+    )
+    sigma_floor_m: NonNegative = Field(
+        default=0.001,
+        le=1,
+        description="Part of the 3D error that is the same at each distance, metres; at most sigma_50m_m",
     )
     sigma_station_m: NonNegative = Field(
         default=0.0, le=1, description="Error of each station's position per axis, metres"
@@ -136,3 +150,12 @@ class TwinTls(Section):
     coordinates: Literal["map", "local"] = Field(
         default="map", description="Coordinates in the files: grid of campaign.crs, or the local frame"
     )
+
+    @model_validator(mode="after")
+    def _check_floor(self) -> Self:
+        if self.sigma_floor_m > self.sigma_50m_m:
+            raise ValueError(
+                f"sigma_floor_m {self.sigma_floor_m} is larger than sigma_50m_m {self.sigma_50m_m}, of which "
+                "it is a part: lower it, to 0 for scans without noise"
+            )
+        return self

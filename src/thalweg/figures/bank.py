@@ -84,7 +84,7 @@ class _Surroundings:
     Parameters
     ----------
     cell_m : (n, 3) middles of the cells that hold a point.
-    weight_m2 : (n,) points times the square of their distance from the track: what they would be at 1 m.
+    weight : (n,) points, times the square of their distance from the track if they were seen from there.
     above_m : (n,) height above the nearest piece of the track.
     beside : (n,) true within the wanted distances from the track.
     overhead : (n,) true for what hangs over the track.
@@ -92,7 +92,7 @@ class _Surroundings:
     """
 
     cell_m: ArrayF
-    weight_m2: ArrayF
+    weight: ArrayF
     above_m: ArrayF
     beside: ArrayB
     overhead: ArrayB
@@ -107,14 +107,15 @@ def choose_segment(
     min_distance_m: float = 2.0,
     max_distance_m: float = 25.0,
     background_m: float = 0.0,
+    seen_from_track: bool = True,
 ) -> BankSegment:
     """The stretch of bank that is covered best along its whole length, looked at across the river.
 
     What counts is the seen share of the face of the bank, metre by metre from its foot to `BANK_M` above the
     boat, where it is nearly worst: a pier or a wall in a gap does not win by its points. With a background,
     stretches with things standing behind them come first. Places beside a bridge are left out as long as
-    there are others. Of stretches about as good the one with most points wins, each point counted with the
-    square of its distance, so that a bank does not win only for being near.
+    there are others. Of stretches about as good the one with most points wins; those of a cloud measured
+    from the track count with the square of their distance, so that a bank does not win for being near.
 
     Parameters
     ----------
@@ -123,12 +124,15 @@ def choose_segment(
     length_m : length of the stretch.
     min_distance_m, max_distance_m : horizontal distance of the bank from the track.
     background_m : depth of the background that belongs to the stretch.
+    seen_from_track : true if the cloud was measured from the track, false for one from elsewhere.
 
     Raises
     ------
     GeometryError : no point lies at such a distance.
     """
-    around = _surroundings(points_wcs_m, trajectory, min_distance_m, max_distance_m)
+    around = _surroundings(
+        points_wcs_m, trajectory, min_distance_m, max_distance_m, seen_from_track=seen_from_track
+    )
     if not around.beside.any():
         raise GeometryError(
             f"no point lies {min_distance_m:g} to {max_distance_m:g} m beside the track",
@@ -155,22 +159,27 @@ def choose_segment(
 
 
 def _surroundings(
-    points_wcs_m: ArrayF, trajectory: Trajectory, min_distance_m: float, max_distance_m: float
+    points_wcs_m: ArrayF,
+    trajectory: Trajectory,
+    min_distance_m: float,
+    max_distance_m: float,
+    *,
+    seen_from_track: bool,
 ) -> _Surroundings:
     from scipy.spatial import cKDTree
 
     finite = points_wcs_m[np.isfinite(points_wcs_m).all(axis=1)]
     key, n = np.unique(np.floor(finite / CELL_M).astype(np.int64), axis=0, return_counts=True)
-    cell = (key + 0.5) * CELL_M
+    cell = np.asarray((key + 0.5) * CELL_M)
     valid = trajectory.position_wcs_m[trajectory.valid]
     track = _dense(valid)
     distance, nearest = cKDTree(track[:, :2]).query(cell[:, :2])
     above = cell[:, 2] - track[nearest, 2]
-    beside = (distance >= min_distance_m) & (distance <= max_distance_m)
+    beside = np.asarray((distance >= min_distance_m) & (distance <= max_distance_m))
     low = beside & (above >= -BELOW_BOAT_M) & (above <= BANK_M)
     return _Surroundings(
         cell_m=cell,
-        weight_m2=n * distance**2,
+        weight=np.asarray(n * distance**2 if seen_from_track else n, dtype=np.float64),
         # A cloud without a point at the height of the boat is another kind of reference: all of it counts.
         above_m=above if low.any() else above - above[beside].min(initial=np.inf) - BELOW_BOAT_M,
         beside=beside,
@@ -202,7 +211,7 @@ def _rate(around: _Surroundings, place: BankSegment) -> tuple[float, float, Bank
     seen = np.zeros((n_columns, n_levels), dtype=bool)
     seen[column[face], level[face]] = True
     score = float(np.quantile(seen.mean(axis=1), EVEN_SHARE))
-    weight = around.weight_m2[face]
+    weight = around.weight[face]
     middle = float(np.average(away[face], weights=weight))
     if place.background_m > 0:
         behind = within & (level >= n_levels) & (away >= middle + BACKGROUND_FROM_M)

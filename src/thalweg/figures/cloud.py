@@ -132,6 +132,7 @@ def draw_reach(
     figure.colorbar(
         ScalarMappable(PowerNorm(gamma, *ends), colours), ax=ax, label=label, aspect=25, shrink=0.9, pad=0.01,
         extend="both", ticks=None if gamma == 1.0 else bent_ticks(ends, gamma),
+        format=None if gamma == 1.0 else "{x:g}",
     )  # fmt: skip
 
 
@@ -147,7 +148,7 @@ def bent_ticks(limits: tuple[float, float], gamma: float) -> list[float]:
     unit, top = 10.0 ** np.floor(np.log10(high - low)), high
     ticks: list[float] = []
     places: list[float] = []
-    for step in unit * np.array([1.0, 0.5, 0.2, 0.1, 0.05]):
+    for step in unit * np.array([1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01]):
         for k in range(int(np.ceil(low / step - 1e-9)), int(np.floor(top / step + 1e-9)) + 1):
             place = max((k * step - low) / (high - low), 0.0) ** gamma
             if all(abs(place - other) >= TICK_APART for other in places):
@@ -268,13 +269,16 @@ def _axes_triad(ax: Axes, view: ObliqueView, strip_px: float) -> None:
     """Small arrows of the directions of east, north and up in the strip below the picture."""
     size = 0.5 * strip_px
     origin = np.array([view.width_px - 2.0 * size, view.height_px + 1.3 * size])
-    for axis, name in enumerate("ENU"):
-        tip = origin + size * view.axes[:2, axis] * np.array([1.0, -1.0])
+    tips = size * view.axes[:2].T * np.array([1.0, -1.0])
+    texts = tips * (1.0 + 0.4 * size / np.maximum(np.linalg.norm(tips, axis=1, keepdims=True), 1e-6 * size))
+    for k in range(3):
+        # Axes that fall on one line have their names on either side of it.
+        crowd = np.linalg.norm(texts - texts[k], axis=1) < 0.6 * size
+        if crowd.sum() > 1:
+            texts[crowd, 0] += 0.3 * size * np.linspace(-1.0, 1.0, int(crowd.sum()))
+    for tip, text, name in zip(origin + tips, origin + texts, "ENU", strict=True):
         ax.annotate(
             "", xy=(tip[0], tip[1]), xytext=(origin[0], origin[1]), annotation_clip=False,
             arrowprops={"arrowstyle": "-|>", "lw": 0.9, "color": "black", "shrinkA": 0, "shrinkB": 0},
         )  # fmt: skip
-        # Seen along a meridian north and up fall on one line: their names stand on either side of it.
-        aside = {"N": 0.35, "U": -0.35}.get(name, 0.0) * size
-        text = origin + 1.3 * (tip - origin) + np.array([aside, 0.0])
         ax.text(text[0], text[1], name, fontsize=7, ha="center", va="center", gid=f"axis-{name}")

@@ -24,10 +24,9 @@ from thalweg.figures.style import (
     VERMILION,
     count,
     legend_below,
+    marks_in_free_corners,
     new_figure,
-    north_arrow,
     robust_limits,
-    scale_bar,
     styled,
 )
 
@@ -309,8 +308,8 @@ def _draw_frame(figure: Figure, ax: Axes, points: ArrayF, scanner: ArrayF, patch
     ax.set_title(f"a: scan pattern in plan view, n = {count(len(points))}\n{count(outside)} beyond the map")
     ax.set_xlabel("east / m")
     ax.set_ylabel("north / m")
-    scale_bar(ax, span_m=2.0 * half)
-    north_arrow(ax)
+    sight = np.linspace(place[:2], patch.centre_wcs_m[:2], 50)
+    marks_in_free_corners(ax, np.concatenate([points[:, :2], sight]))
     figure.colorbar(
         dots, ax=ax, label="measured range / m", location="bottom", pad=0.02, aspect=30, extend="both"
     )

@@ -31,10 +31,9 @@ from thalweg.figures.style import (
     WIDTH_MM,
     count,
     legend_below,
+    marks_in_free_corners,
     new_figure,
-    north_arrow,
     robust_limits,
-    scale_bar,
     styled,
 )
 
@@ -210,7 +209,9 @@ def viewpoint_on_track(
     reach_m = 25.0
     while True:
         try:
-            bank = choose_segment(sample_wcs_m, trajectory, length_m=30.0, max_distance_m=reach_m)
+            bank = choose_segment(
+                sample_wcs_m, trajectory, length_m=30.0, max_distance_m=reach_m, seen_from_track=False
+            )
             break
         except GeometryError:
             if reach_m >= FARTHEST_BANK_M:
@@ -350,5 +351,4 @@ def _draw_plan(
     ax.set_ylim(low[1], high[1])
     ax.set_xlabel("east / m")
     ax.set_ylabel("north / m")
-    scale_bar(ax, span_m=float(high[0] - low[0]))
-    north_arrow(ax)
+    marks_in_free_corners(ax, np.concatenate([points, track[np.isfinite(track[:, 0])], eye[None, :2]]))

@@ -13,17 +13,11 @@ from matplotlib.patches import Patch
 
 from thalweg.core.errors import InputError
 from thalweg.core.timescales import unix_from_gps, utc_text_from_gps
+from thalweg.figures.clocks import StreamLag, clock_lines, length_s
 from thalweg.figures.style import BLUE, GREEN, RED, count, new_figure, plural, styled
 from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.stamps import StreamTiming
 
 BAR: Final = 0.56
-CLOCK_WORDS: Final = (
-    "clock", "pps", "leap", "utc", "toh", "drift", "jitter", "rollover", "host", "sync", "rmc",
-    "time", "lock",
-)  # fmt: skip
-"""A detail of a report belongs to the clock panel if its key has one of these words."""
-
 ROW_MM: Final = 7.5
 LINE_MM: Final = 3.9
 MIN_GAP_SHARE: Final = 0.002
@@ -32,7 +26,11 @@ MIN_GAP_SHARE: Final = 0.002
 
 @styled
 def streams_in_time(
-    reports: list[IntegrityReport], *, title: str = "Streams in time", twin: bool = False
+    reports: list[IntegrityReport],
+    *,
+    lags: Mapping[str, StreamLag] | None = None,
+    title: str = "Streams in time",
+    twin: bool = False,
 ) -> Figure:
     """One bar a stream on the UTC axis, gaps, unsynchronised parts, rates, counts; below, the clocks.
 
@@ -43,6 +41,7 @@ def streams_in_time(
     Parameters
     ----------
     reports : one report a stream, drawn from top to bottom.
+    lags : stream -> its lag, for the streams that were compared with another one.
     title : first words of the title.
     twin : true if the digital twin made the data.
 
@@ -53,7 +52,10 @@ def streams_in_time(
     if not reports:
         raise InputError("no stream to draw", expected="at least one integrity report")
     start, end = time_span(reports)
-    clocks = [(report.stream, line) for report in reports for line in clock_lines(report)]
+    known = lags or {}
+    clocks = [
+        (report.stream, line) for report in reports for line in clock_lines(report, known.get(report.stream))
+    ]
     upper, lower = ROW_MM * len(reports) + 16.0, LINE_MM * len(clocks) + 6.0
     records = sum(_main_count(report)[1] for report in reports)
     head = f"{title}, n = {len(reports)} streams, {count(records)} records"
@@ -86,7 +88,7 @@ def time_span(reports: list[IntegrityReport]) -> tuple[float, float]:
     Without any synchronised stream the axis begins at 0 and is as long as the longest stream.
     """
     timed = [r for r in reports if r.synchronised and r.t_first_s is not None and r.t_last_s is not None]
-    lengths = [_length(r) for r in reports if not r.synchronised]
+    lengths = [length_s(r) for r in reports if not r.synchronised]
     if timed:
         loose = [span for r in timed for span in r.timing.unsynchronised]
         start = min([r.t_first_s for r in timed if r.t_first_s is not None] + [a for a, _ in loose])
@@ -94,87 +96,6 @@ def time_span(reports: list[IntegrityReport]) -> tuple[float, float]:
     else:
         start, end = 0.0, max(lengths, default=1.0)
     return start, max(end, start + 1.0)
-
-
-def clock_lines(report: IntegrityReport) -> list[str]:
-    """What the report says about the stream's clock: its scale, details on time, and notes on it."""
-    state = f"stamps in {report.time_scale.upper()}" if report.synchronised else "NO GPS TIME"
-    if not report.synchronised and report.time_scale != "none":
-        state += f", stamps of the {report.time_scale} clock"
-    parts = [state, *timing_words(report.timing)]
-    for key, value in report.details.items():
-        if not any(word in key.lower() for word in CLOCK_WORDS):
-            continue
-        shown = _plain_value(value)
-        if shown:
-            parts.append(f"{key.replace('_', ' ')}: {shown}")
-    lines: list[str] = []
-    for part in parts:
-        if lines and len(lines[-1]) + len(part) < 100:
-            lines[-1] += f";  {part}"
-        else:
-            lines.append(part[:118])
-    return lines
-
-
-def timing_words(timing: StreamTiming) -> list[str]:
-    """The clock of a stream in words: regularity, PPS, other clocks, time without GPS."""
-    words = []
-    if timing.period_s is not None and timing.jitter_s is not None:
-        most = "" if timing.jitter_max_s is None else f", at most {span_text(timing.jitter_max_s)}"
-        words.append(f"step {span_text(timing.period_s)}, jitter {span_text(timing.jitter_s)}{most}")
-    if timing.resolution_s is not None:
-        words.append(f"resolved to {span_text(timing.resolution_s)}")
-    if timing.pps_locked_share is not None:
-        start = span_text(timing.pps_unlocked_start_s or 0.0)
-        losses = timing.pps_losses or 0
-        lost = {0: "never lost", 1: "lost once"}.get(losses, f"lost {losses} times")
-        words.append(f"PPS locked {100 * timing.pps_locked_share:.4g} % (first after {start}, then {lost})")
-    if timing.clock_offset_s is not None:
-        spread = f" ± {span_text(timing.sigma_clock_offset_s)}" if timing.sigma_clock_offset_s else ""
-        text = f"{timing.clock} clock {timing.clock_offset_s:+.6g} s{spread}"
-        if timing.clock_drift_ppm is not None:
-            text += f", drift {timing.clock_drift_ppm:+.3g} ± {timing.sigma_clock_drift_ppm or 0.0:.2g} ppm"
-        words.append(text)
-    if timing.clock_set_s is not None:
-        words.append(f"{timing.clock} clock was set by {timing.clock_set_s:+.6g} s")
-    if timing.unsynchronised_s:
-        words.append(f"{timing.unsynchronised_s:.3f} s without GPS time")
-    return words
-
-
-def span_text(seconds: float) -> str:
-    """A short time with a unit that suits it.
-
-    Examples
-    --------
-    >>> span_text(0.1), span_text(0.0013271), span_text(2.9e-7), span_text(0.0)
-    ('100 ms', '1.327 ms', '0.29 µs', '0 s')
-    """
-    size = abs(seconds)
-    if size >= 1.0 or size == 0.0:
-        return f"{seconds:.4g} s"
-    return f"{seconds * 1e3:.4g} ms" if size >= 1e-3 else f"{seconds * 1e6:.3g} µs"
-
-
-def _plain_value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.7g}"
-    if isinstance(value, int | str):
-        return str(value)
-    if isinstance(value, Mapping):
-        return ", ".join(f"{k} {_plain_value(v)}" for k, v in value.items())
-    if isinstance(value, list | tuple) and len(value) <= 4:
-        return ", ".join(_plain_value(v) for v in value)
-    return ""
-
-
-def _length(report: IntegrityReport) -> float:
-    if report.t_first_s is None or report.t_last_s is None:
-        return 0.0
-    return report.t_last_s - report.t_first_s
 
 
 def _main_count(report: IntegrityReport) -> tuple[str, int]:
@@ -220,6 +141,8 @@ def _draw_stream(ax: Axes, row: int, report: IntegrityReport, start: float, end:
                     solid_capstyle="butt")  # fmt: skip
     least = MIN_GAP_SHARE * (end - start)
     for gap in report.gaps:
+        if not np.isfinite(gap.t_start_s):
+            continue  # it lies in the hatched part, where there is no time
         middle, half = gap.t_start_s + 0.5 * gap.duration_s, 0.5 * max(gap.duration_s, least)
         _bar(ax, row, middle - half, middle + half, "gap")
 
@@ -245,8 +168,8 @@ def _bar(ax: Axes, row: int, a: float, b: float, kind: str) -> None:
 
 def _rates_and_counts(report: IntegrityReport) -> str:
     name, n = _main_count(report)
-    rate = next(iter(report.rates_hz.values()), None)
-    first = f"{rate:.4g} Hz, " if rate is not None and np.isfinite(rate) else ""
+    what, rate = next(iter(report.rates_hz.items()), ("", np.nan))
+    first = f"{rate:.4g} {what.replace('_', ' ')}/s, " if np.isfinite(rate) else ""
     lines = [f"{first}n = {count(n)} {name.replace('_', ' ')}"]
     lost = sum(report.losses.values())
     if report.gaps or lost:

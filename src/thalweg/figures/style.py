@@ -18,6 +18,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
 from thalweg.core.errors import InputError
+from thalweg.core.types import ArrayF
 
 WIDTH_MM: Final = 170.0
 """Width of every figure: the type area of an A4 page."""
@@ -232,18 +233,21 @@ def length_text(length_m: float) -> str:
     return f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
 
 
-def scale_bar(ax: Axes, *, span_m: float, colour: str = "black") -> float:
-    """Draw a scale bar in the lower left corner; returns its length in metres.
+def scale_bar(
+    ax: Axes, *, span_m: float, colour: str = "black", xy: tuple[float, float] = (0.02, 0.045)
+) -> float:
+    """Draw a scale bar, in the lower left corner by default; returns its length in metres.
 
     Parameters
     ----------
     ax : axes with equal scales whose limits are set.
     span_m : width of the axes in metres.
     colour : of bar and text.
+    xy : its left end as shares of the axes.
     """
     length_m = round_length(0.22 * span_m)
     width = length_m / span_m
-    x, y = 0.02, 0.045
+    x, y = xy
     ax.plot(
         (x, x + width), (y, y), color=colour, lw=1.6, marker="|", ms=6, mew=1.2, transform=ax.transAxes,
         clip_on=False, zorder=9, gid="scale-bar", path_effects=HALO,
@@ -263,6 +267,34 @@ def north_arrow(ax: Axes, *, xy: tuple[float, float] = (0.965, 0.95)) -> None:
         va="center", fontsize=8, fontweight="bold", zorder=9, gid="north-arrow", path_effects=HALO,
         arrowprops={"arrowstyle": "-|>", "lw": 1.2, "color": "black", "shrinkA": 4, "shrinkB": 0},
     )  # fmt: skip
+
+
+def marks_in_free_corners(ax: Axes, points_en_m: ArrayF) -> None:
+    """Scale bar and north arrow of a plan in the two corners where they hide fewest points.
+
+    Parameters
+    ----------
+    ax : axes with equal scales whose limits are set.
+    points_en_m : (n, 2) what is drawn.
+    """
+    low, high = np.transpose([ax.get_xlim(), ax.get_ylim()])
+    share = (np.asarray(points_en_m) - low) / (high - low)
+    span_m = float(high[0] - low[0])
+    bar_share = round_length(0.22 * span_m) / span_m
+
+    def hidden(box: tuple[float, float, float, float]) -> int:
+        """Points within left, bottom, width, height."""
+        start, size = np.array(box[:2]), np.array(box[2:])
+        return int(np.sum(np.all((share >= start) & (share <= start + size), axis=1)))
+
+    # The usual corners come first: they win where all are free.
+    bars = {(x, y): hidden((x - 0.02, y - 0.045, bar_share + 0.05, 0.17)) for y in (0.045, 0.87)
+            for x in (0.02, 0.97 - bar_share)}  # fmt: skip
+    bar = min(bars, key=lambda xy: bars[xy])
+    arrows = {(x, y): hidden((x - 0.05, y - 0.25, 0.1, 0.3)) for y in (0.95, 0.25) for x in (0.955, 0.045)}
+    same = {xy for xy in arrows if (xy[0] > 0.5, xy[1] > 0.5) == (bar[0] > 0.5, bar[1] > 0.5)}
+    scale_bar(ax, span_m=span_m, xy=bar)
+    north_arrow(ax, xy=min((xy for xy in arrows if xy not in same), key=lambda xy: arrows[xy]))
 
 
 def plan_height_mm(span_x_m: float, span_y_m: float) -> float:

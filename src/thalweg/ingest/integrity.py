@@ -1,6 +1,7 @@
 """What a reader says about a log: counts, losses, gaps, clock state. Nothing is lost without a number."""
 
 import json
+import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -17,7 +18,10 @@ TimeScale = Literal["gps", "utc", "device", "host", "none"]
 
 @dataclass(slots=True, kw_only=True)
 class Gap:
-    """A hole in a stream: where it begins, how long it is and what is known about its cause."""
+    """A hole in a stream: where it begins, how long it is and what is known about its cause.
+
+    ``t_start_s`` is on the time scale of the stream, NaN where its clock was not set yet.
+    """
 
     t_start_s: float
     duration_s: float
@@ -82,7 +86,11 @@ class IntegrityReport:
     def read(cls, path: Path) -> Self:
         """Read a report written by `write`."""
         data = json.loads(path.read_text())
-        data["gaps"] = [Gap(**gap) for gap in data["gaps"]]
+        # JSON knows no NaN: a hole before the clock was set has no time
+        data["gaps"] = [
+            Gap(**{key: math.nan if value is None else value for key, value in gap.items()})
+            for gap in data["gaps"]
+        ]
         timing = StreamTiming(**data.pop("timing", {}))
         timing.unsynchronised = [(float(a), float(b)) for a, b in timing.unsynchronised]
         data["timing"] = timing

@@ -18,9 +18,6 @@ from thalweg.simulation.materials import COLOUR, Material
 # Open3D brings an old TBB into the process, which numba would try first and complain about.
 nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 
-FINEST_M: Final = 0.001
-"""Lattice spacing of the finest noise: a wavelength of 2 mm."""
-
 WET_M: Final = 0.2
 """Height above the water up to which ground is wet by waves and creeping water."""
 

@@ -41,19 +41,36 @@ def fresnel(cosine: ArrayF) -> ArrayF:
     return np.asarray((across**2 + along**2) / 2)
 
 
-def overlap(divergence_rad: float, hidden_slope_variance: ArrayF, cosine: ArrayF) -> ArrayF:
+def overlap(
+    divergence_rad: float, hidden_slope_variance: ArrayF, cosine: ArrayF, beyond: ArrayF | float = 1.0
+) -> ArrayF:
     """Share (n,) of the mirrored light that the receiver looks at, as waves within the footprint scatter it.
 
+    Parameters
+    ----------
+    divergence_rad : full divergence of the beam and of the receiver's view.
+    hidden_slope_variance : (n,) mean square length of the slopes of waves that the footprint hides.
+    cosine : (n,) of incidence on the water.
+    beyond : (n,) or one share of the way that lies behind the water.
+
+    Notes
+    -----
     Waves longer than the footprint turn the beam as a whole and its way back with it. Shorter ones scatter
-    both ways: by ``2 s`` in the plane of incidence and ``2 s cos(i)`` across it for a slope s (Cox and Munk
-    1954). Light and view, each a normal distribution of directions with variance d^2 on top of the beam's
-    own v = divergence^2 / 16, overlap by ``sqrt(v / (v + 2 d^2))`` in each of both directions.
+    it: a facet of slope s turns the light by ``2 s`` in the plane of incidence and ``2 s cos(i)`` across it
+    (Cox and Munk 1954). At the surface behind the water, a way R1 + R2 from the scanner, light that left at
+    an angle a and was turned by b lies ``(R1 + R2) a + R2 b`` off the middle. Seen from the scanner, the spot
+    of light has in each direction the variance ``v + d^2``: ``v = divergence^2 / 16`` of the beam, and d^2
+    the variance of ``b R2 / (R1 + R2)``. What the receiver sees is found by following its rays backwards, so it
+    is a spot of the same variance, whose facets are others. The echo is the integral of the product of both
+    densities, ``N(0; 2 (v + d^2))`` for normal ones. Over that without waves, ``N(0; 2 v)``, it is
+    ``sqrt(v / (v + d^2))`` in each of the two directions.
     """
     if divergence_rad == 0:
         return np.ones_like(cosine)
     own = divergence_rad**2 / 16
-    in_plane = 4 * hidden_slope_variance / 2
-    share = own / np.sqrt((own + 2 * in_plane) * (own + 2 * in_plane * cosine**2))
+    # Half of the mean square slope belongs to each direction.
+    in_plane = 4 * hidden_slope_variance / 2 * np.square(beyond)
+    share = own / np.sqrt((own + in_plane) * (own + in_plane * cosine**2))
     return np.asarray(share)
 
 
@@ -94,7 +111,7 @@ def ghosts(
     cosine = np.clip(-towards, 0.0, 1.0)
     strength = (
         fresnel(cosine) ** 2
-        * overlap(divergence_rad, waves.hidden_slope_variance(footprint), cosine)
+        * overlap(divergence_rad, waves.hidden_slope_variance(footprint), cosine, way / (range_m + way))
         * surfaces.strength(kind, hits.normal, mirrored, point[:, 2])
     )
     return Ghosts(

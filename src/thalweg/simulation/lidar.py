@@ -76,7 +76,7 @@ def simulate_lidar(
         config, seed, voyage, Scene.read(scene), R_ics_scs=R_ics_scs, lever_ics_scs_m=lever_ics_scs_m
     )
     defects = generator(seed, "lidar effects")
-    clock = LidarClock(config, voyage, frame)
+    clock = LidarClock(config, seed, voyage, frame)
     order = packet_order(config.effects, sensor.n_packets, defects)
     returns = swapped = 0
     counts = dict.fromkeys(COUNTS, 0)

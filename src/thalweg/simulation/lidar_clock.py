@@ -8,6 +8,7 @@ import numpy as np
 from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
 from thalweg.core.types import ArrayF, ArrayI
+from thalweg.simulation.random import generator
 from thalweg.simulation.stamps import check_leap_seconds, start_us
 from thalweg.simulation.voyage import Voyage
 from thalweg.simulation.writers.nmea import rmc
@@ -27,6 +28,7 @@ class LidarClock:
     Parameters
     ----------
     config : section ``twin``.
+    seed : seed of the campaign.
     voyage : true motion, for the position in RMC.
     frame : the world frame.
 
@@ -35,7 +37,7 @@ class LidarClock:
     ConfigError : a leap second falls into the recording.
     """
 
-    def __init__(self, config: TwinConfig, voyage: Voyage, frame: LocalFrame) -> None:
+    def __init__(self, config: TwinConfig, seed: int, voyage: Voyage, frame: LocalFrame) -> None:
         self._config = config
         self._voyage = voyage
         self._frame = frame
@@ -43,6 +45,8 @@ class LidarClock:
         self._start_us = start_us(config)
         self._late_s = config.effects.pps_late_s
         self._next_position = 0
+        self._host_rng = generator(seed, "lidar host delay")
+        self._host_s = -np.inf
         self._sentences: dict[int, str] = {}
 
     @property
@@ -61,9 +65,14 @@ class LidarClock:
         return np.where(t >= self._late_s, locked, free % HOUR_US)
 
     def host_ns(self, t_s: float) -> int:
-        """Unix time of the recording computer, which nobody set right."""
-        offset = self._config.lidar.host_clock_offset_s
-        return self._start_us * 1000 + round((t_s + offset) * 1e9)
+        """Unix time at which the recording computer, which nobody set right, captures the next packet.
+
+        Packets are taken one after the other: each waits for an exponential time of its own, and none is
+        stamped before the one that came earlier.
+        """
+        lidar = self._config.lidar
+        self._host_s = max(self._host_s, t_s + lidar.host_delay_s * self._host_rng.standard_exponential())
+        return self._start_us * 1000 + round((self._host_s + lidar.host_clock_offset_s) * 1e9)
 
     def positions_until(self, t_s: float) -> Iterator[float]:
         """Times of the position packets that are due and not yet sent."""

@@ -90,7 +90,7 @@ def render(
 
 
 class Painter:
-    """Makes pictures of one scene in one light.
+    """Makes pictures of one scene in one light, ``sun``; ``caster`` casts rays onto its land and bed.
 
     Parameters
     ----------
@@ -102,8 +102,8 @@ class Painter:
 
     def __init__(self, scene: Scene, *, sun: Sun, waves: Waves, cover: float = 0.4) -> None:
         dry = scene.without(Material.WATER)
-        self._sun, self._waves, self._cover = sun, waves, cover
-        self._caster = dry.caster()
+        self.sun, self._waves, self._cover = sun, waves, cover
+        self.caster = dry.caster()
         self._vertices = np.ascontiguousarray(dry.vertices_wcs_m, dtype=np.float64)
         self._triangles, self._material = dry.triangles, dry.material
         self._variation = dry.variation
@@ -122,7 +122,7 @@ class Painter:
         t_s: float = 0.0,
         samples: int = 1,
         ambient_rays: int = 4,
-        exposure: float = EXPOSURE,
+        exposure: float | None = EXPOSURE,
     ) -> Picture:
         """A picture.
 
@@ -132,7 +132,7 @@ class Painter:
         t_s : time for waves and clouds.
         samples : rays along each side of a pixel.
         ambient_rays : rays for the light of sky and surroundings, each at a quarter of the pixels.
-        exposure : light of 1 becomes this before the tone curve.
+        exposure : light of 1 becomes this before the tone curve; None: after the picture's brightness.
 
         Raises
         ------
@@ -165,7 +165,7 @@ class Painter:
     ) -> "_Passing":
         ray = camera.rays(offset)
         origin = np.broadcast_to(camera.position_wcs_m, ray.shape)
-        land = self._caster.cast(camera.position_wcs_m, ray)
+        land = self.caster.cast(camera.position_wcs_m, ray)
         with np.errstate(divide="ignore", invalid="ignore"):
             water = np.where(ray[:, 2] < 0, (self._level_m - origin[:, 2]) / ray[:, 2], np.inf)
         range_m = np.minimum(land.t_hit_m, water)
@@ -228,8 +228,8 @@ class Painter:
         total = np.zeros_like(points)
         for ray in range(rays):
             way = half_sphere(normal, grain, ray, rays)
-            hits = self._caster.cast(points + _LIFT_M * normal, way)
-            light = clear_sky(way, self._sun, with_sun=False)
+            hits = self.caster.cast(points + _LIFT_M * normal, way)
+            light = clear_sky(way, self.sun, with_sun=False)
             # Clouds even out, whiten and brighten what the clear sky gives.
             light = 0.5 * light + 0.5 * np.array([0.62, 0.64, 0.68])
             light[way[:, 2] < 0] *= 0.3
@@ -244,13 +244,13 @@ class Painter:
         """1 where the way to a random point of the sun is free, 0 where not."""
         turn = 2 * np.pi * hash01(grain, 1)
         out = _SUN_RADIUS_RAD * np.sqrt(hash01(grain, 2))
-        sun = self._sun.direction_wcs
+        sun = self.sun.direction_wcs
         right = np.array([sun[1], -sun[0], 0.0]) / max(float(np.hypot(sun[0], sun[1])), 1e-9)
         way = (
             sun + (out * np.cos(turn))[:, None] * right + (out * np.sin(turn))[:, None] * np.cross(sun, right)
         )
         side = np.where(np.sum(normal * sun, axis=1) >= 0, 1.0, -1.0)[:, None]
-        hits = self._caster.cast(points + _LIFT_M * side * normal, way)
+        hits = self.caster.cast(points + _LIFT_M * side * normal, way)
         return np.asarray(np.where(np.isfinite(hits.t_hit_m), 0.0, 1.0))
 
     def _surface(
@@ -261,24 +261,24 @@ class Painter:
         colour, relief = surface_look(
             points, normal, material, variation, footprint_m, water_level_m=self._level_m
         )
-        sun = self._sun.direction_wcs
+        sun = self.sun.direction_wcs
         thin = _THIN[material]
         faces = (np.sum(relief * sun, axis=1) > 0) | thin
         sunlit = np.zeros(len(points))
         sunlit[faces] = self._sunlit(points[faces] + shift[faces], normal[faces], grain[faces])
         dents = np.clip(1.0 + 0.7 * (relief[:, 2] - normal[:, 2]), 0.4, 1.5)[:, None]
-        light = lit(colour, relief, ray, thin, sunlit, ambient * dents, sun, self._sun.colour)
+        light = lit(colour, relief, ray, thin, sunlit, ambient * dents, sun, self.sun.colour)
         panes = np.flatnonzero(material == Material.GLASS)
         if len(panes):
             share = fresnel(-np.sum(ray[panes] * normal[panes], axis=1), 1.52)[:, None] * 1.7
-            light[panes] += share * sky(mirrored(ray[panes], normal[panes]), self._sun, cover=self._cover)
+            light[panes] += share * sky(mirrored(ray[panes], normal[panes]), self.sun, cover=self._cover)
         return light
 
     def _light(self, seen: "_Passing", first: "_Passing", t_s: float) -> ArrayF:
         """Linear light (n, 3) of all pixels for one ray each."""
         light = np.zeros_like(seen.ray)
         high = np.flatnonzero(seen.material == SKY)
-        light[high] = sky(seen.ray[high], self._sun, cover=self._cover, t_s=t_s)
+        light[high] = sky(seen.ray[high], self.sun, cover=self._cover, t_s=t_s)
         land = seen.land
         ambient = first.spread_to(seen)[land]
         light[land] = self._surface(
@@ -316,7 +316,7 @@ class Painter:
         return light
 
     def _daylight(self) -> ArrayF:
-        return np.asarray(self._sun.colour * np.sin(self._sun.elevation_rad) + 0.5)
+        return np.asarray(self.sun.colour * np.sin(self.sun.elevation_rad) + 0.5)
 
     def _murk(self) -> ArrayF:
         """Light (1, 3) from deep water."""
@@ -326,8 +326,8 @@ class Painter:
         self, points: ArrayF, back: ArrayF, spot_m: ArrayF, grain: AnyArray, t_s: float
     ) -> ArrayF:
         """Light (n, 3) that arrives at the water from the directions ``back``."""
-        light = sky(back, self._sun, cover=self._cover, t_s=t_s)
-        hits = self._caster.cast(points, back)
+        light = sky(back, self.sun, cover=self._cover, t_s=t_s)
+        hits = self.caster.cast(points, back)
         where = np.flatnonzero(np.isfinite(hits.t_hit_m))
         ray, range_m = back[where], hits.t_hit_m[where]
         normal, shift = self._normals(hits, where, ray)
@@ -343,7 +343,7 @@ class Painter:
 
     def _bed(self, points: ArrayF, down: ArrayF, footprint_m: ArrayF) -> ArrayF:
         """What the bed adds (n, 3) to the murk, seen through the water."""
-        hits = self._caster.cast(points, down)
+        hits = self.caster.cast(points, down)
         where = np.flatnonzero(hits.t_hit_m < 3.0)
         added = np.zeros_like(points)
         way = hits.t_hit_m[where]
@@ -353,7 +353,7 @@ class Painter:
             place, self._normals(hits, where, down[where])[0], self._materials(hits, where, place),
             self._variation[primitive], footprint_m[where], water_level_m=self._level_m,
         )  # fmt: skip
-        shade = 0.45 + 0.55 * np.clip(relief @ self._sun.direction_wcs, 0.0, 1.0)
+        shade = 0.45 + 0.55 * np.clip(relief @ self.sun.direction_wcs, 0.0, 1.0)
         depth = self._level_m - place[:, 2]
         added[where] = under_water(colour * shade[:, None], depth, way, self._daylight()) - self._murk()
         return added

@@ -17,6 +17,11 @@ nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 WATER_INDEX: Final = 1.333
 """Refractive index of water for visible light."""
 
+_LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
+_UPPER: Final = 0.21
+"""Exposed light of the upper quartile of a picture, which the tone curve makes 0.6 of white in sRGB: a camera
+meters for the middle tones, and the sky or a wet stone may burn out."""
+
 EXTINCTION_PM: Final = np.array([1.9, 1.35, 2.3])
 """Diffuse extinction of turbid river water for red, green and blue, 1/m: the bed is seen to about a metre."""
 
@@ -166,9 +171,18 @@ def under_water(bed_colour: ArrayF, depth_m: ArrayF, way_m: ArrayF, daylight: Ar
     return np.asarray(0.9 * daylight * (bed_colour * down * up + MURK * (1.0 - up)))
 
 
-def developed(light: ArrayF, exposure: float) -> ArrayU8:
-    """A picture (..., 3) of 8 bits from linear light: filmic tone curve (Narkowicz 2016), then sRGB."""
-    x = np.maximum(light * exposure, 0.0)
+def metered(light: ArrayF) -> float:
+    """Exposure as a camera chooses it: after the upper quartile of the luminance of a picture (..., 3)."""
+    luminance = np.maximum(light, 0.0) @ _LUMINANCE
+    return _UPPER / max(float(np.percentile(luminance, 75.0)), 1e-6)
+
+
+def developed(light: ArrayF, exposure: float | None) -> ArrayU8:
+    """A picture (..., 3) of 8 bits from linear light: filmic tone curve (Narkowicz 2016), then sRGB.
+
+    Without an exposure that of `metered` is taken.
+    """
+    x = np.maximum(light * (metered(light) if exposure is None else exposure), 0.0)
     x = np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0.0, 1.0)
     encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(x, 1 / 2.4) - 0.055)
     return np.asarray(np.rint(255.0 * encoded), dtype=np.uint8)

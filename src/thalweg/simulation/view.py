@@ -36,6 +36,14 @@ DETAIL_PX: Final = (1200, 800)
 DETAIL_PIXEL_M: Final = 0.003
 """Size of a pixel of the second picture at the water line."""
 
+_NEAR_M: Final = 3.0
+"""The second picture is taken from the places of the boat that are at most this much farther from the bank
+than the nearest one."""
+_MOST_PLACES: Final = 100
+_MOSTLY: Final = 0.5
+"""Share of a patch of the bank that is in the sun if it is mostly sunlit."""
+_LIFT_M: Final = 0.002
+
 _FALLBACK_SUN: Final = Sun(azimuth_rad=float(np.deg2rad(150.0)), elevation_rad=float(np.deg2rad(42.0)))
 _LOW_SUN_RAD: Final = float(np.deg2rad(8.0))
 
@@ -60,7 +68,8 @@ def simulate_view(
     frame : local frame; says where the sun stands.
     scene : written by `simulate_scene`.
     out_bank : the right bank, from the place in mid-river that the boat passes nearest to half time.
-    out_detail : the water line of the right bank, from the boat's place nearest to it.
+    out_detail : the water line of the right bank, from the boat's place nearest to it from which most of what
+        it shows is in the sun; if none of the places near the bank is such, from the nearest.
     samples : rays along each side of a pixel.
     shrink : pictures with this many times fewer and larger pixels along each side, for a quick look.
     """
@@ -71,11 +80,11 @@ def simulate_view(
     painter = Painter(world, sun=sun, waves=waves)
     t, n = _track(voyage)
     bank = int(np.argmin(np.abs(n) / np.ptp(n) + 0.3 * np.abs(t / config.duration_s - 0.5)))
-    near = int(np.argmin(n + 1e-3 * np.abs(t - config.duration_s / 2)))
+    near = _near_place(voyage, painter, world.water_level_m, t, n)
     for out, at, name in ((out_bank, bank, "bank"), (out_detail, near, "detail")):
         camera = _bank_camera(voyage, t[at]) if name == "bank" else _detail_camera(voyage, t[at])
         camera = _shrunk(camera, shrink)
-        picture = painter.paint(camera, t_s=float(t[at]), samples=samples)
+        picture = painter.paint(camera, t_s=float(t[at]), samples=samples, exposure=None)
         distance_m = _distance_m(picture)
         facts: dict[str, object] = {
             "format": "thalweg twin view",
@@ -100,6 +109,35 @@ def _track(voyage: Voyage) -> tuple[ArrayF, ArrayF]:
     t = np.linspace(0.0, voyage.config.duration_s, steps)
     position = voyage.position_at(t)
     return t, voyage.river.to_flow(position[:, 0], position[:, 1])[1]
+
+
+def _near_place(voyage: Voyage, painter: Painter, water_m: float, t: ArrayF, n: ArrayF) -> int:
+    """Which of the places (m,) is the nearest to the right bank that has most of it in the sun before it."""
+    score = n + 1e-3 * np.abs(t - voyage.config.duration_s / 2)
+    order = np.argsort(score, kind="stable")
+    order = order[score[order] <= score[order[0]] + _NEAR_M]
+    # A few dozen on a long voyage, the nearest one among them: they follow each other in steps of 4 cm.
+    order = order[:: -(-len(order) // _MOST_PLACES)]
+    for place in order.tolist():
+        if _sunlit_share(_detail_camera(voyage, t[place]), painter, water_m) > _MOSTLY:
+            return int(place)
+    return int(order[0])
+
+
+def _sunlit_share(camera: PictureCamera, painter: Painter, water_m: float) -> float:
+    """Share of the land in a picture that the sun shines on, from 30 by 20 rays."""
+    ray = _shrunk(camera, DETAIL_PX[0] // 30).rays((0.5, 0.5))
+    hits = painter.caster.cast(camera.position_wcs_m, ray)
+    point = camera.position_wcs_m + np.where(np.isfinite(hits.t_hit_m), hits.t_hit_m, 0.0)[:, None] * ray
+    land = np.isfinite(hits.t_hit_m) & (point[:, 2] > water_m)
+    if not land.any():
+        return 0.0
+    ray, point, normal = ray[land], point[land], hits.normal[land]
+    normal = np.where((np.sum(normal * ray, axis=1) > 0)[:, None], -normal, normal)
+    sun = painter.sun.direction_wcs
+    way = np.tile(sun, (len(point), 1))
+    free = ~np.isfinite(painter.caster.cast(point + _LIFT_M * normal, way).t_hit_m)
+    return float(np.mean(free & (normal @ sun > 0)))
 
 
 def _sun(config: TwinConfig, frame: LocalFrame) -> tuple[Sun, bool]:

@@ -174,11 +174,6 @@ class Voyage:
         self._xy = CubicHermiteSpline(t, river.to_wcs(s, n), velocity)
         self._course = CubicSpline(t, course_enu)
 
-    @property
-    def end_gps_s(self) -> float:
-        """End of the lidar log."""
-        return self.start_gps_s + self.config.duration_s
-
     def since_start(self, t_gps_s: ArrayF) -> ArrayF:
         """Seconds since the begin of the lidar log.
 

@@ -101,9 +101,11 @@ def gaps_text(gaps: list[Gap], *, gps: bool) -> str:
     '12.500 +0.250 s'
     """
     shown = sorted(gaps, key=lambda gap: -gap.duration_s)[:_NAMED_GAPS]
-    words = [
+    placed = sorted((gap for gap in shown if np.isfinite(gap.t_start_s)), key=lambda gap: gap.t_start_s)
+    words = [f"before the clock was set +{g.duration_s:.3f} s" for g in shown if not np.isfinite(g.t_start_s)]
+    words += [
         f"{utc_text_from_gps(gap.t_start_s) if gps else f'{gap.t_start_s:.3f}'} +{gap.duration_s:.3f} s"
-        for gap in sorted(shown, key=lambda gap: gap.t_start_s)
+        for gap in placed
     ]
     if len(gaps) > len(shown):
         words.append(f"{len(gaps) - len(shown)} shorter ones")
