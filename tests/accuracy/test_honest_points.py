@@ -29,13 +29,12 @@ from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
 from thalweg.orientation.ins_gnss import build_trajectory
-from thalweg.simulation.footprint import EchoKind
 from thalweg.simulation.gnss import simulate_gnss
 from thalweg.simulation.ins import simulate_ins
 from thalweg.simulation.lidar import simulate_lidar
 from thalweg.simulation.materials import BARE_GROUND
 from thalweg.simulation.scene import Scene, simulate_scene
-from thalweg.simulation.shots import LIDAR_SHOTS
+from thalweg.simulation.shots import LIDAR_SHOTS, EchoKind
 from thalweg.simulation.true_mounts import true_mounts
 from thalweg.simulation.truth import true_trajectory
 from thalweg.simulation.voyage import Voyage

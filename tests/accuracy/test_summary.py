@@ -98,6 +98,7 @@ def test_figures_of_a_twin_are_those_of_bare_ground(files: dict[str, Path]) -> N
         "bare ground: normalised squared error": (1.07, "1", source),
         "  if sigmas are honest: above (95 %)": (0.37, "1", source),
         "  if sigmas are honest: below (95 %)": (1.94, "1", source),
+        "  inside that band (1: yes, 0: no)": (1.0, "1", source),
         "bare ground: RMSE with gross errors": (0.34, "m", source),
         "bare ground: gross errors": (7.0, "1", source),
         "bare ground: share of all points": (80.0, "%", source),

@@ -145,7 +145,8 @@ def test_own_hull_in_its_box_seen_from_the_stern(rng, trajectory, bank):
     removed, counts = sample(rng, trajectory)
     ax = panel(removed_points(removed, counts, bank.points, trajectory, filters=FILTERS), "own hull")
     (box,) = by_gid(ax, "hull")
-    assert box.get_bbox().extents == pytest.approx([-0.5, -0.45, 0.5, 0.8])  # right, up: z is down
+    (_, left, top), (_, right, bottom) = FILTERS["hull_low_ics_m"], FILTERS["hull_high_ics_m"]
+    assert box.get_bbox().extents == pytest.approx([left, -bottom, right, -top])  # right, up: z is down
     (dots,) = by_gid(ax, "removed")
     here = removed[removed["reason"] == "own_hull"]
     assert len(dots.get_xdata()) == len(here)

@@ -2,6 +2,7 @@
 
 import datetime as dt
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from thalweg.simulation.shading import (
     fresnel,
     half_sphere,
     hash01,
+    metered,
     mirrored,
     refracted,
     smooth_normals,
@@ -28,6 +30,7 @@ from thalweg.simulation.shading import (
     vertex_normals,
 )
 from thalweg.simulation.view import simulate_view
+from thalweg.simulation.voyage import Voyage, start_unix
 from thalweg.simulation.waves import Waves
 
 NOON = Sun(azimuth_rad=np.pi, elevation_rad=np.deg2rad(60.0))
@@ -319,31 +322,30 @@ def test_the_exposure_follows_the_light() -> None:
     assert developed(np.zeros((2, 2, 3)), None).max() == 0
 
 
-def test_the_near_picture_is_taken_where_the_bank_is_sunlit(
-    reach: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_near_picture_is_taken_where_the_bank_is_sunlit(reach: Scene, tmp_path: Path) -> None:
     config = TwinConfig.of_size("tiny", duration_s=20.0)
     voyage, frame = Voyage(config, 8), LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
     t = np.linspace(0.0, 20.0, 200)
     n = voyage.river.to_flow(*voyage.position_at(t)[:, :2].T)[1]
     place = voyage.position_at(t[[np.argmin(n)]])[0]
     sun = Sun.at(start_unix(config)[0], frame.lat_deg, frame.lon_deg).direction_wcs
-    # A roof in the way of the sun to what the nearest place shows: 4 m before it and as far around.
-    centre = voyage.river.to_wcs(*(a + d for a, d in zip(
-        voyage.river.to_flow(place[:1], place[1:2]), (0.0, 0.0), strict=True)))[0]
+    # A plate 15 m off in the way of the sun to what the nearest place shows.
     s = voyage.river.to_flow(place[:1], place[1:2])[0]
     shore = voyage.river.to_wcs(s, -voyage.river.shores(s)[0])[0]
-    assert np.linalg.norm(centre - place[:2]) < 0.1
     middle = np.append(shore, reach.water_level_m) + 15.0 * sun
 
-    def shown(name: str, half_m: float) -> dict[str, Any]:
-        along = np.append(voyage.river.to_wcs(s + 1, 0 * s)[0] - voyage.river.to_wcs(s, 0 * s)[0], 0.0)
-        across = np.cross(sun, along)
-        corners = [middle + half_m * (a * along + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    along = np.append(voyage.river.to_wcs(s + 1, 0 * s)[0] - voyage.river.to_wcs(s, 0 * s)[0], 0.0)
+    across = np.cross(sun, along)
+
+    def shown(name: str, half_m: float, half_across_m: float) -> np.ndarray:
+        """Place of the camera under a plate of that size."""
+        a, b = half_m * along, half_across_m * across
+        corners = [middle - a - b, middle + a - b, middle + a + b, middle - a + b]
+        faces = len(reach.vertices_wcs_m) + np.array([[0, 1, 2], [0, 2, 3]])
         shaded = replace(
             reach,
             vertices_wcs_m=np.vstack([reach.vertices_wcs_m, corners]),
-            triangles=np.vstack([reach.triangles, len(reach.vertices_wcs_m) + np.array([[0, 1, 2], [0, 2, 3]])]),
+            triangles=np.vstack([reach.triangles, faces]).astype(reach.triangles.dtype),
             material=np.append(reach.material, [Material.WALL] * 2).astype(np.uint8),
             variation=np.append(reach.variation, [0.0] * 2).astype(reach.variation.dtype),
         )
@@ -353,15 +355,15 @@ def test_the_near_picture_is_taken_where_the_bank_is_sunlit(
             samples=1, shrink=16,
         )  # fmt: skip
         with np.load(tmp_path / f"{name} b.npz") as data:
-            return dict(json.loads(str(data["facts"])))
+            return np.array(json.loads(str(data["facts"]))["position_wcs_m"])
 
-    free, shaded, dark = shown("free", 0.01), shown("shaded", 3.0), shown("dark", 200.0)
-    moved = np.linalg.norm(np.subtract(free["position_wcs_m"], shaded["position_wcs_m"]))
-    assert moved > 0.5
-    # At most 3 m farther from the bank, and in the shade everywhere: the nearest.
-    across = [voyage.river.to_flow(*np.array(x["position_wcs_m"])[:2, None])[1][0] for x in (shaded, dark)]
-    assert 0.0 < across[0] - n.min() < 3.05
-    assert across[1] == pytest.approx(n.min(), abs=0.05)
+    free, shaded, dark = shown("free", 0.01, 0.01), shown("shaded", 3.0, 3.0), shown("dark", 60.0, 8.0)
+    assert np.linalg.norm(shaded - free) > 0.5
+    off = [voyage.river.to_flow(x[:1], x[1:2])[1][0] - n.min() for x in (free, shaded, dark)]
+    # At most 3 m farther from the bank than the nearest one, which is taken in the sun and if all is shady.
+    assert off[0] == pytest.approx(0.0, abs=0.05)
+    assert 0.05 < off[1] < 3.05
+    assert off[2] == pytest.approx(0.0, abs=0.05)
 
 
 def test_views_are_written_and_say_where_they_are_from(reach: Scene, tmp_path: Path) -> None:

@@ -25,10 +25,9 @@ from thalweg.lidar.cloud import CORRELATIONS, SIGMAS, LogSettings, georeference_
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
-from thalweg.simulation.footprint import EchoKind
 from thalweg.simulation.materials import BARE_GROUND
 from thalweg.simulation.scene import Scene
-from thalweg.simulation.shots import LIDAR_SHOTS
+from thalweg.simulation.shots import LIDAR_SHOTS, EchoKind
 from thalweg.simulation.true_mounts import read_true_mounts
 
 pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("tiny")]

@@ -26,7 +26,7 @@ rule compare_with_truth:
         runtime=minutes(10),
     params:
         code=code_version("compare_with_truth"),
-        twin=section("twin"),
+        twin=twin_parts("lidar", "ins", "gnss"),
         mounts=mounts_of("lidar"),
         lidar_options=section("lidar"),
         orientation=section("orientation"),

@@ -41,9 +41,26 @@ def mounts_of(*sensors):
 
 
 def georeferencing(wildcards):
-    """Params function: the section `georeferencing` without the wish for a map."""
+    """Params function: the section `georeferencing` without the wish for a map.
+
+    The comparison of a twin's cloud with the truth needs the full covariance of each point.
+    """
     options = CAMPAIGNS[wildcards.campaign].plain()["georeferencing"]
+    options["correlations"] |= is_twin(wildcards.campaign)
     return {key: value for key, value in options.items() if key != "export_map"}
+
+
+def twin_parts(*parts):
+    """Input function for params: those sections of the twin, and its size, start and length.
+
+    A job that names the parts it needs does not run again for a change in another.
+    """
+
+    def values(wildcards):
+        twin = CAMPAIGNS[wildcards.campaign].plain()["twin"]
+        return {key: twin[key] for key in ("size", "start_utc", "duration_s", *parts)}
+
+    return values
 
 
 def is_twin(name):
@@ -172,9 +189,10 @@ def final_outputs(name):
         "cloud_detail",
         "cloud_by_sigma",
         "cloud_by_range",
-        "footprints",
         "removed_points",
     ]
+    if CAMPAIGNS[name].lidar_accuracy.divergence_mrad > 0:
+        pictures.append("footprints")
     outputs = [
         f"{base}/lidar/points.laz",
         f"{base}/timing/streams.csv",

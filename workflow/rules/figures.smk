@@ -38,6 +38,7 @@ rule plot_streams_in_time:
     """All streams on the GPS time axis."""
     input:
         reports=reports,
+        streams="results/{campaign}/timing/streams.csv",
     output:
         streams_in_time_png=report(
             "results/{campaign}/figures/streams_in_time.png",

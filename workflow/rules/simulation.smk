@@ -18,7 +18,7 @@ rule simulate_scene:
     params:
         code=code_version("simulate_scene"),
         campaign=identity("origin", "seed"),
-        twin=section("twin"),
+        twin=twin_parts("scene"),
     message:
         "{wildcards.campaign}: river reach of the digital twin"
     script:
@@ -42,7 +42,7 @@ rule simulate_voyage:
     params:
         code=code_version("simulate_voyage"),
         campaign=identity("origin", "seed"),
-        twin=section("twin"),
+        twin=twin_parts("scene", "boat"),
     message:
         "{wildcards.campaign}: voyage of the digital twin"
     script:
@@ -66,7 +66,7 @@ rule simulate_mounts:
     params:
         code=code_version("simulate_mounts"),
         campaign=identity("seed"),
-        twin=section("twin"),
+        twin=twin_parts("effects"),
         mounts=mounts_of("lidar", "antenna", "echo_sounder"),
     message:
         "{wildcards.campaign}: true mounts of the digital twin"
@@ -96,7 +96,7 @@ rule simulate_lidar:
     params:
         code=code_version("simulate_lidar"),
         campaign=identity("origin", "seed"),
-        twin=section("twin"),
+        twin=twin_parts("scene", "boat", "lidar", "effects"),
     message:
         "{wildcards.campaign}: lidar packets of the digital twin"
     script:
@@ -124,7 +124,7 @@ rule simulate_ins:
     params:
         code=code_version("simulate_ins"),
         campaign=identity("origin", "seed"),
-        twin=section("twin"),
+        twin=twin_parts("scene", "boat", "ins", "echo", "effects"),
     message:
         "{wildcards.campaign}: INS log of the digital twin"
     script:
@@ -153,7 +153,7 @@ rule simulate_gnss:
     params:
         code=code_version("simulate_gnss"),
         campaign=identity("origin", "seed"),
-        twin=section("twin"),
+        twin=twin_parts("scene", "boat", "gnss", "effects"),
     message:
         "{wildcards.campaign}: GNSS logs of the digital twin"
     script:
@@ -181,7 +181,7 @@ rule simulate_echo:
     params:
         code=code_version("simulate_echo"),
         campaign=identity("origin", "seed"),
-        twin=section("twin"),
+        twin=twin_parts("scene", "boat", "echo", "effects"),
     message:
         "{wildcards.campaign}: depth log of the digital twin"
     script:
@@ -212,7 +212,7 @@ rule simulate_tls:
     params:
         code=code_version("simulate_tls"),
         campaign=identity("origin", "seed", "crs"),
-        twin=section("twin"),
+        twin=twin_parts("scene", "tls"),
     message:
         "{wildcards.campaign}: terrestrial scans of the digital twin"
     script:
@@ -239,7 +239,7 @@ rule simulate_view:
     params:
         code=code_version("simulate_view"),
         campaign=identity("origin", "seed"),
-        twin=section("twin"),
+        twin=twin_parts("scene", "boat", "lidar"),
     message:
         "{wildcards.campaign}: view from the boat"
     script:

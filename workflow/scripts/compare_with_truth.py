@@ -9,10 +9,9 @@ from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
 from thalweg.jobs.job import run_job
 from thalweg.lidar.mount import Mount
-from thalweg.simulation.footprint import EchoKind
 from thalweg.simulation.materials import BARE_GROUND
 from thalweg.simulation.scene import Scene
-from thalweg.simulation.shots import LIDAR_SHOTS
+from thalweg.simulation.shots import LIDAR_SHOTS, EchoKind
 from thalweg.simulation.true_mounts import read_true_mounts
 from thalweg.simulation.truth import longest_correlation_s
 

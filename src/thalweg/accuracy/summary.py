@@ -34,6 +34,8 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
     share = poses["n_positions_used"] / poses["n_positions"] if poses["n_positions"] else 0.0
     rows.append(("positions used", 100 * share, "%", trajectory.name))
     rows.append(("trajectory nodes with a valid pose", float(poses["n_nodes_valid"]), "1", trajectory.name))
+    without = float(poses["n_states"] - poses["n_nodes_valid"]) if "n_states" in poses else 0.0
+    rows.append(("INS states without a valid pose", max(without, 0.0), "1", trajectory.name))
     gaps = poses.get("gaps", [])
     rows.append(("gaps in the trajectory", float(len(gaps)), "1", trajectory.name))
     rows.append(("gaps in the trajectory, together", sum(length for _, length in gaps), "s", trajectory.name))
@@ -52,6 +54,9 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
         rows += [
             (text, ground[key]["value"], ground[key]["unit"], truth.name) for key, text in wanted.items()
         ]
+        honest = ground["honest_low95"]["value"] <= ground["normalised_squared_error"]["value"]
+        honest &= ground["normalised_squared_error"]["value"] <= ground["honest_high95"]["value"]
+        rows.append(("  inside that band (1: yes, 0: no)", float(honest), "1", truth.name))
         with_gross = {r["quantity"]: r for r in _records(truth) if r["points"].endswith("gross errors")}
         rows.append(("bare ground: RMSE with gross errors", with_gross["rmse"]["value"], "m", truth.name))
         rows.append(("bare ground: gross errors", with_gross["gross_errors"]["value"], "1", truth.name))

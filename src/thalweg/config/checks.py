@@ -262,6 +262,18 @@ def _check_twin_source(parts: Parts) -> Iterator[Mistake]:
             expected="pos, sbp or ins",
             cure="Write position_source: pos",
         )
+    mode = parts.raw("twin", "gnss", "mode")
+    if mode is None and parts.raw("twin", "size") == "reach":
+        mode = "single_frequency"
+    source = parts.orientation
+    single = mode == "single_frequency" and source is not None and source.position_source != "ins"
+    if source is not None and single and "single" not in source.accept_fixes:
+        yield Mistake(
+            path=("orientation", "accept_fixes"),
+            found=f"found {list(source.accept_fixes)}, but twin.gnss.mode is single_frequency",
+            expected="single among them: such a receiver never has a fixed solution",
+            cure="Write accept_fixes: [single], or position_source: ins",
+        )
 
 
 def _check_logs(logs: Logs) -> Iterator[Mistake]:

@@ -1,7 +1,8 @@
 """Section ``filters``: which lidar points are left out of the cloud, besides those out of range.
 
 Body frame ics: x forward, y right, z down. The default box holds the HyDrone of the thesis (1.17 m x 0.74 m,
-T 2.1) with antenna mast and echo sounder when the INS sits amidships.
+T 2.1) with antenna mast and echo sounder when the INS sits amidships, and the water beside it, which returns
+beams that fall steeply.
 """
 
 from typing import Annotated, Self
@@ -35,10 +36,15 @@ class Filters(Section):
         description="Water line below the INS, boat at rest, metres; roll and pitch are not regarded",
     )
     below_water_m: NonNegative | None = Field(
-        default=0.3,
+        default=0.05,
         le=50,
         description="Points farther below the water level at the boat are left out, metres; null: off, for "
         "instance below a weir, where land may lie lower than the boat",
+    )
+    below_water_sigmas: NonNegative = Field(
+        default=2.0,
+        le=10,
+        description="That margin grows by so many times the predicted sigma of the point's height",
     )
     mirror_ghosts: bool = Field(
         default=True,

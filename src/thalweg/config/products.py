@@ -23,7 +23,8 @@ class Georeferencing(Section):
     )
     correlations: bool = Field(
         default=False,
-        description="Write the correlations of each point's coordinates beside its three standard deviations",
+        description="Write the correlations of each point's coordinates beside its three standard "
+        "deviations; a twin's cloud always has them",
     )
     export_map: bool = Field(
         default=True, description="Also write the cloud in map coordinates (`campaign.crs`)"

@@ -142,7 +142,7 @@ def bent_ticks(limits: tuple[float, float], gamma: float) -> list[float]:
     Examples
     --------
     >>> bent_ticks((0.0, 30.0), 0.5)
-    [0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0]
+    [0.0, 0.2, 1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0]
     """
     low, high = limits
     unit, top = 10.0 ** np.floor(np.log10(high - low)), high

@@ -224,10 +224,14 @@ def viewpoint_on_track(
     track = trajectory.position_wcs_m[trajectory.valid]
     along, away = bank.along_and_away(track)
     abreast = np.abs(along - 0.5 * bank.length_m)
-    # On the water's side only. A zigzag passes the place on several legs: a metre farther off outweighs a
-    # metre to the side, more to the side than off would show the bank along itself.
+    # On the water's side only. A zigzag passes the place on several legs: a metre farther off outweighs two
+    # metres to the side, which half of the stretch bounds: farther aside one would look along the bank.
     near = (abreast <= max(0.5 * bank.length_m, float(abreast.min()) + 1.0)) & (away < 0)
-    best = int(np.argmin(np.where(near, away + abreast, np.inf))) if near.any() else int(np.argmin(abreast))
+    best = (
+        int(np.argmin(np.where(near, away + 0.5 * abreast, np.inf)))
+        if near.any()
+        else int(np.argmin(abreast))
+    )
     return np.asarray(track[best] + np.array([0.0, 0.0, eye_m])), bank.azimuth_rad
 
 

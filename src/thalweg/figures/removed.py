@@ -279,7 +279,9 @@ def _section(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
     ax.axhline(0.0, color=BLUE, lw=0.8, zorder=2, label="water level at the boat")
     margin = scene.filters.get("below_water_m")
     if margin is not None:
-        ax.axhline(-margin, color=BLUE, lw=0.8, ls="--", zorder=2, label="limit below the water", gid="limit")
+        grows = scene.filters.get("below_water_sigmas") or 0
+        label = "limit below the water" + (f", + {grows:g} sigma" if grows else "")
+        ax.axhline(-margin, color=BLUE, lw=0.8, ls="--", zorder=2, label=label, gid="limit")
     drawn = _scatter(ax, xy, limits)
     ax.set_xlim(*limits[:, 0])
     ax.set_ylim(*limits[:, 1])

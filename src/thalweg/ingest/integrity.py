@@ -88,7 +88,7 @@ class IntegrityReport:
         data = json.loads(path.read_text())
         # JSON knows no NaN: a hole before the clock was set has no time
         data["gaps"] = [
-            Gap(**{key: math.nan if value is None else value for key, value in gap.items()})
+            Gap(**(gap | {"t_start_s": math.nan if gap["t_start_s"] is None else gap["t_start_s"]}))
             for gap in data["gaps"]
         ]
         timing = StreamTiming(**data.pop("timing", {}))

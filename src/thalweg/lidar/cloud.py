@@ -143,11 +143,22 @@ def georeference_log(
                 f"none of {counts.sum():,} lidar points is left: {what}",
                 expected="a trajectory that covers the lidar log, and filters that leave something",
                 where=", ".join(str(f) for f in files),
-                cure="Look at streams.csv: do the streams overlap, is the lidar synchronised?",
+                cure=_cure(Reason(int(np.argmax(counts)))),
             )
     if out_removed is not None:
         write_table(out_removed, removed.table(), REMOVED_POINTS)
     return reason_table(counts)
+
+
+def _cure(most: Reason) -> str:
+    """What to do if nothing is left, by the reason that took most."""
+    match most:
+        case Reason.NO_GPS_TIME | Reason.NO_POSE:
+            return "Look at streams.csv: do the streams overlap, and is the lidar synchronised"
+        case Reason.TOO_NEAR | Reason.TOO_FAR:
+            return "Widen georeferencing.min_range_m and georeferencing.max_range_m"
+        case _:
+            return f"Relax the section filters: most points were left out as {most.name.lower()}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,16 +174,16 @@ def _classified(
     block: PointBlock, trajectory: Trajectory, settings: LogSettings, occupancy: Occupancy | None
 ) -> _Classified:
     filters = settings.filters
-    with_sigma = occupancy is not None or not filters.needs_occupancy or filters.max_sigma_m is not None
     points = georeference_points(
         block.xyz_scs_m,
         block.t_gps_s,
         trajectory,
         settings.mount,
-        beam=settings.beam if with_sigma else None,
+        beam=settings.beam,
         range_m=block.range_m,
         reflectivity=block.intensity,
     )
+    sigmas_m = points.sigmas_m()
     x_ics_m = in_body(block.xyz_scs_m, settings.mount)
     reasons = classify(
         timed=np.isfinite(block.t_gps_s),
@@ -184,7 +195,8 @@ def _classified(
         settings=filters,
         min_range_m=settings.min_range_m,
         max_range_m=settings.max_range_m,
-        sigma_max_m=points.sigmas_m().max(axis=1) if filters.max_sigma_m is not None else None,
+        sigma_max_m=sigmas_m.max(axis=1) if filters.max_sigma_m is not None else None,
+        sigma_up_m=sigmas_m[:, 2],
         occupancy=occupancy,
     )
     return _Classified(points=points, x_ics_m=x_ics_m, reasons=reasons)

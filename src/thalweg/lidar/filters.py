@@ -11,10 +11,11 @@ lies about each point::
         reasons = classify(..., occupancy=occupancy)
 
 **Below the water.** Light of 905 nm sees no ground through water: absorption (6.8 per metre; Hale and Querry
-1973) leaves 2 % of the light on its way through 0.3 m and back. A point lower than the water level at the
-boat by more than ``below_water_m`` is therefore no surface. Most such points are *mirror ghosts*: the water
-reflects the beam onto the bank, and as the sensor knows one straight way only, the point appears where the
-bank's mirror image is. It is named so if the place mirrored at the water level of its own shot lies on the
+1973) leaves half of the light on its way through 0.05 m and back, 2 % through 0.3 m, and the water mirrors
+flat beams away. A point lower than the water level at the boat by more than ``below_water_m`` and
+``below_water_sigmas`` times the sigma of its height is therefore taken for no surface. Most such points are
+*mirror ghosts*: the water reflects the beam onto the bank, and as the sensor knows one straight way only, the
+point appears where the bank's mirror image is. It is named so if the place mirrored at the water level of its own shot lies on the
 cloud above the water: within `GHOST_RADII` neighbourhood radii of so many points that it would not be
 isolated. Waves of slope ``a`` shift the image by ``2 a`` times the way behind the reflection. On a bank 10 to
 25 m away all ghosts are named on still water, 99.8 % with waves of 0.5 degrees (one sigma in each direction),
@@ -104,7 +105,8 @@ class FilterSettings:
     hull_low_ics_m, hull_high_ics_m : corners of the box of the own boat in the body frame; None: off.
     max_sigma_m : largest predicted sigma of a kept point; None: off.
     water_line_ics_m : down coordinate of the water line in the body frame, boat at rest.
-    below_water_m : points lower than this below the water level are left out; None: off.
+    below_water_m, below_water_sigmas : points lower than this below the water level, and so many times the
+        sigma of their height, are left out; None: off.
     mirror_ghosts : tell mirror ghosts from other points below the water.
     isolated_radius_m, isolated_neighbours : least number of others within a radius; 0: off.
     """
@@ -114,6 +116,7 @@ class FilterSettings:
     max_sigma_m: float | None
     water_line_ics_m: float
     below_water_m: float | None
+    below_water_sigmas: float
     mirror_ghosts: bool
     isolated_radius_m: float
     isolated_neighbours: int
@@ -159,6 +162,7 @@ def classify(
     min_range_m: float,
     max_range_m: float,
     sigma_max_m: ArrayLike | None = None,
+    sigma_up_m: ArrayLike | None = None,
     occupancy: Occupancy | None = None,
 ) -> ArrayU8:
     """The reason of each point, the first in the order of `Reason` that holds.
@@ -174,6 +178,7 @@ def classify(
     settings : what is to be left out.
     min_range_m, max_range_m : both ends belong to the cloud.
     sigma_max_m : (n,) largest predicted sigma of the point's coordinates; NaN is above each limit.
+    sigma_up_m : (n,) predicted sigma of its height, for the margin below the water; None counts as 0.
     occupancy : frozen grid of the points that were kept without it; None in the first pass.
 
     Returns
@@ -199,12 +204,18 @@ def classify(
         "points_wcs_m": points,
         "water_level_m": level,
     }
+    if sigma_up_m is not None:
+        arrays["sigma_up_m"] = np.ascontiguousarray(sigma_up_m, dtype=np.float64)
     if with_sigma:
         arrays["sigma_max_m"] = np.ascontiguousarray(sigma_max_m, dtype=np.float32)
     n = len(points)
     for name, values in arrays.items():
         if values.shape != ((n, 3) if name in {"x_ics_m", "points_wcs_m"} else (n,)):
             raise GeometryError(f"{name}.shape={values.shape}", expected=f"one entry for each of {n} points")
+    if sigma_up_m is None:
+        lowered = level
+    else:
+        lowered = level - settings.below_water_sigmas * np.asarray(sigma_up_m, dtype=np.float64)
     out = np.empty(n, dtype=np.uint8)
     _first_reason(
         arrays["timed"],
@@ -212,7 +223,7 @@ def classify(
         ranges,
         arrays["x_ics_m"],
         points,
-        level,
+        lowered,
         arrays.get("sigma_max_m", np.empty(0, dtype=np.float32)),
         np.array([min_range_m, max_range_m], dtype=np.float32),
         with_hull,

@@ -14,11 +14,11 @@ _SPARED_BYTES = 64
 
 def lost_packets(effects: TwinEffects, n: int, rng: np.random.Generator) -> ArrayB:
     """Which of ``n`` packets are missing: bursts at random places, (n,) bool."""
-    lost = np.zeros(n, dtype=np.bool_)
-    bursts = round(effects.lost_packets * n / effects.lost_burst)
-    for first in rng.integers(0, max(1, n - effects.lost_burst), bursts):
-        lost[first : first + effects.lost_burst] = True
-    return lost
+    pieces = -(-n // effects.lost_burst)
+    bursts = min(pieces, round(effects.lost_packets * n / effects.lost_burst))
+    hit = np.zeros(pieces, dtype=np.bool_)
+    hit[rng.choice(pieces, bursts, replace=False)] = True
+    return np.repeat(hit, effects.lost_burst)[:n]
 
 
 def packet_order(effects: TwinEffects, n: int, rng: np.random.Generator) -> ArrayI:

@@ -60,9 +60,9 @@ def overlap(
     (Cox and Munk 1954). At the surface behind the water, a way R1 + R2 from the scanner, light that left at
     an angle a and was turned by b lies ``(R1 + R2) a + R2 b`` off the middle. Seen from the scanner, the spot
     of light has in each direction the variance ``v + d^2``: ``v = divergence^2 / 16`` of the beam, and d^2
-    the variance of ``b R2 / (R1 + R2)``. What the receiver sees is found by following its rays backwards, so it
-    is a spot of the same variance, whose facets are others. The echo is the integral of the product of both
-    densities, ``N(0; 2 (v + d^2))`` for normal ones. Over that without waves, ``N(0; 2 v)``, it is
+    the variance of ``b R2 / (R1 + R2)``. What the receiver sees is found by following its rays backwards, so
+    it is a spot of the same variance, whose facets are others. The echo is the integral of the product of
+    both densities, ``N(0; 2 (v + d^2))`` for normal ones. Over that without waves, ``N(0; 2 v)``, it is
     ``sqrt(v / (v + d^2))`` in each of the two directions.
     """
     if divergence_rad == 0:

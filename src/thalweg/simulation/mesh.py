@@ -131,7 +131,7 @@ def tubes(axis: ArrayF, radius: ArrayF, sides: int) -> ArrayF:
     turn = 2 * np.pi * (np.arange(sides) + 0.5) / sides
     ring = np.cos(turn)[:, None] * u[:, :, None] + np.sin(turn)[:, None] * v[:, :, None]
     points = axis[:, :, None] + radius[:, :, None, None] * ring
-    return np.concatenate([points.reshape(len(axis), -1, 3), axis[:, -1:]], axis=1)
+    return np.concatenate([points.reshape(len(axis), axis.shape[1] * sides, 3), axis[:, -1:]], axis=1)
 
 
 _BOX = np.array([[x, y, z] for z in (0, 1) for y in (-0.5, 0.5) for x in (-0.5, 0.5)], dtype=np.float64)

@@ -293,7 +293,7 @@ def simulate_tls(
             path,
             points,
             found.reflectance,
-            system,
+            frame if system is None else system,
             number,
             return_number=found.return_number,
             number_of_returns=found.number_of_returns,
