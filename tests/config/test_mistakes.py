@@ -326,6 +326,14 @@ def test_lines_are_those_of_the_file(write, survey):
         assert ("max_range_m: -2" in row) if mistake.path[0] == "georeferencing" else ("lidar_3.pcap" in row)
 
 
+def test_a_code_receiver_never_fixes(write, removed):
+    """`single_frequency` with fixed solutions only would leave no position at all."""
+    twin = {"gnss": {"mode": "single_frequency"}}
+    error = mistakes_of(write({"logs": removed, "twin": twin, "orientation.position_source": "pos"}))
+    assert [m.dotted for m in error.mistakes] == ["orientation.accept_fixes"]
+    assert "Write accept_fixes: [single]" in str(error)
+
+
 def test_twin_sources(write, removed):
     """The twin writes neither raw observations nor SBET."""
     error = mistakes_of(write({"logs": removed, "twin": {}, "orientation.position_source": "ppk"}))

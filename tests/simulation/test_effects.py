@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from thalweg.config.twin import TwinConfig
+from thalweg.config.twin import TwinConfig, TwinEffects
 from thalweg.simulation.effects import damage_file, inside, lost_packets
 
 
@@ -34,3 +35,11 @@ def test_spans_and_bursts() -> None:
     lost = lost_packets(effects, 10_000, np.random.default_rng(2))
     # 100 bursts of 10; overlaps take some away.
     assert 0.085 < np.mean(lost) <= 0.1
+
+
+@pytest.mark.parametrize(("share", "burst"), [(0.01, 5), (0.5, 1), (1.0, 5), (1.0, 1)])
+def test_the_share_of_lost_packets_is_the_one_asked_for(share: float, burst: int) -> None:
+    effects = TwinEffects(lost_packets=share, lost_burst=burst)
+    lost = lost_packets(effects, 10_000, np.random.default_rng(3))
+    # rounded to whole bursts
+    assert lost.mean() == pytest.approx(share, abs=burst / 10_000)

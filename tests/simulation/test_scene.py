@@ -475,3 +475,10 @@ def test_leaves_of_a_bush_follow_the_setting() -> None:
     )
     # Two triangles a leaf; counts are rounded down plant by plant.
     assert many / few == pytest.approx(3.0, rel=0.05)
+
+
+@pytest.mark.parametrize("length_m", [20.0, 35.0, 60.0])
+def test_a_short_reach_is_a_reach(length_m: float) -> None:
+    """Some kinds of objects have no place on it: that is no reason to fail."""
+    base = TwinConfig.of_size("tiny", scene={"length_m": length_m}, duration_s=1.0)
+    assert len(build_scene(base, SEED).triangles) > 1000

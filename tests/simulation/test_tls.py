@@ -11,6 +11,7 @@ import pytest
 from thalweg.config.twin import TwinConfig
 from thalweg.config.twin_lidar import TwinTls
 from thalweg.core.frames import LocalFrame
+from thalweg.core.las import laz_header
 from thalweg.core.raycast import RayCaster
 from thalweg.core.types import ArrayF, ArrayI
 from thalweg.simulation.materials import REFLECTANCE, REFLECTANCE_1550, Material
@@ -112,6 +113,7 @@ def test_the_footprint_is_a_tenth_of_the_mobile_lidars() -> None:
 def test_points_on_the_far_shore_have_the_spacing_of_the_settings(twin: Any, tmp_path: Path) -> None:
     config = TwinConfig.of_size("tiny", tls={"spacing_m": 0.05, "coordinates": "local", **QUIET})
     simulate_tls(config, SEED, FRAME, twin.path("scene.npz"), [tmp_path / "1.laz"], crs="EPSG:25833")
+    assert laz_header(tmp_path / "1.laz").frame == FRAME  # or they would pass for coordinates of the grid
     cloud = laspy.read(tmp_path / "1.laz")
     points = np.column_stack([cloud.x, cloud.y, cloud.z])
     river = River(config.scene, SEED)

@@ -298,3 +298,18 @@ def test_filters_take_what_they_should_and_leave_the_rest(tiny_house) -> None:
     assert kept["HULL"] < 0.001
     # ghosts of what is lower than the margin of 0.3 m, twice that after reflection by a wave, stay
     assert kept["GHOST"] < 0.08
+
+
+def test_a_change_of_one_instrument_leaves_the_others_alone(tiny_house) -> None:
+    """Jobs of the twin name the parts they need: a finer terrestrial scan does not sail the boat again."""
+    campaign = tiny_house.root / "config/campaigns/tiny.yaml"
+    text = campaign.read_text()
+    try:
+        campaign.write_text(text.replace("  size: tiny\n", "  size: tiny\n  tls: {spacing_m: 0.06}\n"))
+        assert planned(tiny_house) == {"simulate_tls", "read_reference", "plot_reference_view"}
+        campaign.write_text(text + "\nlidar_accuracy: {footprint_share: 0.25}\n")
+        again = planned(tiny_house)
+        assert {"georeference_lidar", "export_map", "compare_with_truth", "plot_cloud_by_sigma"} <= again
+        assert not any(rule.startswith(("simulate_", "read_", "scan_", "build_")) for rule in again)
+    finally:
+        campaign.write_text(text)

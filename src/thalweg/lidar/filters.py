@@ -15,12 +15,12 @@ lies about each point::
 flat beams away. A point lower than the water level at the boat by more than ``below_water_m`` and
 ``below_water_sigmas`` times the sigma of its height is therefore taken for no surface. Most such points are
 *mirror ghosts*: the water reflects the beam onto the bank, and as the sensor knows one straight way only, the
-point appears where the bank's mirror image is. It is named so if the place mirrored at the water level of its own shot lies on the
-cloud above the water: within `GHOST_RADII` neighbourhood radii of so many points that it would not be
-isolated. Waves of slope ``a`` shift the image by ``2 a`` times the way behind the reflection. On a bank 10 to
-25 m away all ghosts are named on still water, 99.8 % with waves of 0.5 degrees (one sigma in each direction),
-91 % with 1 degree, 66 % with 2 degrees; the others are called below the water. Both are left out: only the
-name is at stake. `tests/lidar/test_filters.py`.
+point appears where the bank's mirror image is. It is named so if the place mirrored at the water level of its
+own shot lies on the cloud above the water: within `GHOST_RADII` neighbourhood radii of so many points that it
+would not be isolated. Waves of slope ``a`` shift the image by ``2 a`` times the way behind the reflection. On
+a bank 10 to 25 m away all ghosts are named on still water, 99.8 % with waves of 0.5 degrees (one sigma in
+each direction), 91 % with 1 degree, 66 % with 2 degrees; the others are called below the water. Both are left
+out: only the name is at stake. `tests/lidar/test_filters.py`.
 
 *Limits.* The water level is that of the boat, for all points of a shot: land below a weir, or down a river of
 1 per mille beyond 300 m, lies lower and needs a larger margin. Ghosts of things lower than the margin stay.
