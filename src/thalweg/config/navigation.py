@@ -85,5 +85,8 @@ class Orientation(Section):
         default=1.0, le=60, description="Longest hole between positions that is interpolated, seconds"
     )
     max_attitude_gap_s: Positive = Field(
-        default=0.1, le=10, description="Longest hole between INS states that is interpolated, seconds"
+        default=0.1,
+        le=10,
+        description="Longest hole between INS states that is interpolated, seconds; turning evenly is "
+        "assumed across it, and what that misses is in no sigma",
     )
