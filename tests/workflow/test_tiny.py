@@ -296,8 +296,8 @@ def test_filters_take_what_they_should_and_leave_the_rest(tiny_house) -> None:
     kept = scores["share_kept"]
     assert kept["SURFACE"] > 0.99  # the water beside the boat and single leaves far away are surfaces too
     assert kept["HULL"] < 0.001
-    # ghosts of what is lower than the margin of 0.3 m, twice that after reflection by a wave, stay
-    assert kept["GHOST"] < 0.08
+    # ghosts of what stands less than some decimetre above the water lie within the margin below it, and stay
+    assert kept["GHOST"] < 0.13
 
 
 def test_a_change_of_one_instrument_leaves_the_others_alone(tiny_house) -> None:

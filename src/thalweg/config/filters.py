@@ -44,7 +44,8 @@ class Filters(Section):
     below_water_sigmas: NonNegative = Field(
         default=2.0,
         le=10,
-        description="That margin grows by so many times the predicted sigma of the point's height",
+        description="That margin grows by so many times the predicted sigma of the point's height above the "
+        "boat",
     )
     mirror_ghosts: bool = Field(
         default=True,

@@ -15,7 +15,7 @@ from thalweg.core.las import LazWriter, iter_laz, laz_header
 from thalweg.core.las_columns import ExtraDimension
 from thalweg.core.tables import write_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import AnyArray, ArrayB, ArrayF32, ArrayU8
+from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8
 from thalweg.ingest.velodyne import LidarClock, LidarOptions, iter_points
 from thalweg.ingest.velodyne_decode import PointBlock
 from thalweg.lidar.covariance import BeamErrors
@@ -196,10 +196,17 @@ def _classified(
         min_range_m=settings.min_range_m,
         max_range_m=settings.max_range_m,
         sigma_max_m=sigmas_m.max(axis=1) if filters.max_sigma_m is not None else None,
-        sigma_up_m=sigmas_m[:, 2],
+        sigma_up_m=_sigma_above_boat_m(points, block.t_gps_s, trajectory),
         occupancy=occupancy,
     )
     return _Classified(points=points, x_ics_m=x_ics_m, reasons=reasons)
+
+
+def _sigma_above_boat_m(points: WorldPoints, t_gps_s: ArrayF, trajectory: Trajectory) -> ArrayF:
+    """Standard deviation (n,) of points' heights above the boat: its own error of height is in both."""
+    cov = np.square(points.sigmas_m()[:, 2], dtype=np.float64)
+    of_boat = np.interp(t_gps_s, trajectory.t_gps_s, trajectory.cov_pose_wcs[:, 2, 2])
+    return np.sqrt(np.maximum(cov - of_boat, 0.0))
 
 
 def in_body(xyz_scs_m: ArrayF32, mount: Mount) -> ArrayF32:

@@ -178,7 +178,8 @@ def classify(
     settings : what is to be left out.
     min_range_m, max_range_m : both ends belong to the cloud.
     sigma_max_m : (n,) largest predicted sigma of the point's coordinates; NaN is above each limit.
-    sigma_up_m : (n,) predicted sigma of its height, for the margin below the water; None counts as 0.
+    sigma_up_m : (n,) predicted sigma of its height above the boat, for the margin below the water; None
+        counts as 0.
     occupancy : frozen grid of the points that were kept without it; None in the first pass.
 
     Returns
