@@ -1,5 +1,6 @@
 """The receiver under a bridge, under leaves, on one frequency: kinds of solution, sigmas and errors."""
 
+import importlib.util
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -32,28 +33,12 @@ def twin(duration_s: float = 25.0, **gnss: Any) -> TwinConfig:
     return TwinConfig.of_size("tiny", duration_s=duration_s, gnss=gnss, boat={"zigzag_deg": 0.0})
 
 
-def sheet(centre: Any, along: Any, across: Any) -> tuple[ArrayF, np.ndarray]:
-    """A parallelogram of two triangles about a point, with half sides."""
-    c, a, b = (np.asarray(v, dtype=np.float64) for v in (centre, along, across))
-    return np.array([c - a - b, c + a - b, c + a + b, c - a + b]), np.array([[0, 1, 2], [0, 2, 3]])
-
-
-def scene_of(*parts: tuple[tuple[ArrayF, np.ndarray], Material]) -> Scene:
-    """A scene of a few sheets."""
-    vertices, triangles, material = [], [], []
-    for (v, f), kind in parts:
-        triangles.append(f + 4 * len(vertices))
-        vertices.append(v)
-        material += [int(kind)] * len(f)
-    return Scene(
-        vertices_wcs_m=np.concatenate(vertices),
-        triangles=np.concatenate(triangles),
-        material=np.array(material, dtype=np.uint8),
-        water_level_m=-1.0,
-    )
-
-
-GROUND = (sheet([0, 0, -30.0], [400, 0, 0], [0, 400, 0]), Material.BED)
+_spec = importlib.util.spec_from_file_location("sheets", Path(__file__).with_name("sheets.py"))
+assert _spec is not None
+assert _spec.loader is not None
+sheets = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(sheets)
+GROUND, scene_of, sheet = sheets.GROUND, sheets.scene_of, sheets.sheet
 
 
 def roof(t_s: float, half_along_m: float, above_m: float) -> tuple[ArrayF, np.ndarray]:

@@ -1,6 +1,7 @@
 """Satellites above the boat, what hides them, and which kind of solution is left."""
 
-from typing import Any
+import importlib.util
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,6 @@ from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
 from thalweg.core.types import ArrayF
 from thalweg.simulation.materials import Material
-from thalweg.simulation.scene import Scene
 from thalweg.simulation.shadow import SkyView, Solution, look_at_sky, multipath_share, solutions, spans
 from thalweg.simulation.sky import Constellation, dilution
 
@@ -18,29 +18,12 @@ SEED = 5
 T0 = 304_800_000.0
 GNSS = TwinConfig.of_size("tiny", gnss={"shadow": True}).gnss
 
-
-def sheet(centre: Any, along: Any, across: Any) -> tuple[ArrayF, np.ndarray]:
-    """A parallelogram of two triangles about a point, with half sides."""
-    c, a, b = (np.asarray(v, dtype=np.float64) for v in (centre, along, across))
-    return np.array([c - a - b, c + a - b, c + a + b, c - a + b]), np.array([[0, 1, 2], [0, 2, 3]])
-
-
-def scene_of(*parts: tuple[tuple[ArrayF, np.ndarray], Material]) -> Scene:
-    """A scene of a few sheets."""
-    vertices, triangles, material = [], [], []
-    for (v, f), kind in parts:
-        triangles.append(f + 4 * len(vertices))
-        vertices.append(v)
-        material += [int(kind)] * len(f)
-    return Scene(
-        vertices_wcs_m=np.concatenate(vertices),
-        triangles=np.concatenate(triangles),
-        material=np.array(material, dtype=np.uint8),
-        water_level_m=-1.0,
-    )
-
-
-GROUND = (sheet([0, 0, -30.0], [400, 0, 0], [0, 400, 0]), Material.BED)
+_spec = importlib.util.spec_from_file_location("sheets", Path(__file__).with_name("sheets.py"))
+assert _spec is not None
+assert _spec.loader is not None
+sheets = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(sheets)
+GROUND, scene_of, sheet = sheets.GROUND, sheets.scene_of, sheets.sheet
 
 
 def test_some_twenty_satellites_cross_the_sky_slowly() -> None:

@@ -11,7 +11,28 @@ Cells = Annotated[int, Field(ge=1, le=16)]
 """Number of sub-rays of a beam."""
 
 
-class TwinLidar(Section):
+class EchoFaults(Section):
+    """What any laser scanner makes of the light that comes back."""
+
+    mixed_pixels: bool = Field(
+        default=True,
+        description="Beams that meet two near surfaces return a range between them; "
+        "false: that of the brightest part",
+    )
+    dark_dropouts: bool = Field(
+        default=True,
+        description="Echoes that are too weak for their range are lost, those near the limit by chance",
+    )
+    detection_width: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=0.2,
+        description="Noise of the received signal at the limit of detection, as a share of the limit",
+    )
+    wet_band_m: NonNegative = Field(
+        default=0.1, le=2, description="Ground is wet up to this height above the water, metres"
+    )
+
+
+class TwinLidar(EchoFaults):
     """Velodyne VLP-16."""
 
     returns: Literal["strongest", "last", "dual"] = Field(default="strongest", description="Return mode")
@@ -36,30 +57,14 @@ class TwinLidar(Section):
     speckle_cells: Cells = Field(
         default=3, description="Parts of the footprint that shine independently of each other (speckle)"
     )
-    mixed_pixels: bool = Field(
-        default=True,
-        description="Beams that meet two near surfaces return a range between them; "
-        "false: that of the brightest part",
-    )
     max_range_m: Annotated[float, Field(gt=0, le=130)] = Field(
         default=100.0, description="Longest range with a return, metres"
-    )
-    dark_dropouts: bool = Field(
-        default=True,
-        description="Echoes that are too weak for their range are lost, those near the limit by chance",
-    )
-    detection_width: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.2,
-        description="Noise of the received signal at the limit of detection, as a share of the limit",
     )
     dropouts: Share = Field(
         default=0.005, description="Share of all shots except those on water that are lost by chance"
     )
     water_returns: Share = Field(
         default=0.05, description="Share of shots straight down on water that return; none at grazing angles"
-    )
-    wet_band_m: NonNegative = Field(
-        default=0.1, le=2, description="Ground is wet up to this height above the water, metres"
     )
     wet_reflectance: Share = Field(
         default=0.5, description="Reflectance of wet ground relative to dry; 1: no effect"
@@ -92,7 +97,7 @@ class TwinLidar(Section):
     nanoseconds: bool = Field(default=False, description="Capture file with nanosecond stamps")
 
 
-class TwinTls(Section):
+class TwinTls(EchoFaults):
     """Terrestrial laser scans of the right bank from stations on the left bank: Riegl VZ-400i (P2 5.1)."""
 
     spacing_m: Annotated[float, Field(ge=0.005, le=1)] = Field(
@@ -118,11 +123,6 @@ class TwinTls(Section):
     speckle_cells: Cells = Field(
         default=2, description="Parts of the footprint that shine independently of each other (speckle)"
     )
-    mixed_pixels: bool = Field(
-        default=True,
-        description="Beams that meet two near surfaces return a range between them; "
-        "false: that of the brightest part",
-    )
     multi_target: bool = Field(
         default=True, description="All echoes of a beam are written; false: the strongest only"
     )
@@ -132,18 +132,7 @@ class TwinTls(Section):
     max_range_m: Annotated[float, Field(gt=0, le=1000)] = Field(
         default=250.0, description="Longest range with a return, metres"
     )
-    dark_dropouts: bool = Field(
-        default=True,
-        description="Echoes that are too weak for their range are lost, those near the limit by chance",
-    )
-    detection_width: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.2,
-        description="Noise of the received signal at the limit of detection, as a share of the limit",
-    )
     dropouts: Share = Field(default=0.0, description="Share of all other shots that are lost by chance")
-    wet_band_m: NonNegative = Field(
-        default=0.1, le=2, description="Ground is wet up to this height above the water, metres"
-    )
     wet_reflectance: Share = Field(
         default=0.3, description="Reflectance of wet ground relative to dry; 1: no effect"
     )
