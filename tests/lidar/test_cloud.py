@@ -1,5 +1,6 @@
 """Clouds on disk: map export, even samples, and a tally that adds up."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -159,3 +160,17 @@ def test_the_size_of_the_pieces_changes_nothing(data_dir: Path, tmp_path: Path) 
     for name, values in small[1].items():
         # coordinates are whole millimetres from an offset that the first piece sets: the sum differs by 1e-16
         np.testing.assert_allclose(values, large[1][name], rtol=0, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.real
+def test_an_unlikely_water_level_is_told(data_dir: Path, tmp_path: Path, caplog) -> None:
+    log, options = [data_dir / LOG], LidarOptions()
+    clock, trajectory = scan_lidar(log, options).clock, still(T0_S, T0_S + 10.0)
+    wet = Filters(below_water_m=0.0, below_water_sigmas=0.0, water_line_ics_m=-0.5, mirror_ghosts=False)
+    options_wet = settings(max_range_m=50.0)
+    options_wet = replace(options_wet, filters=FilterSettings.from_section(wet.model_dump()))
+    georeference_log(log, options, clock, trajectory, options_wet, tmp_path / "wet.laz")
+    assert "of the points lie below the water level at the boat" in caplog.text
+    caplog.clear()
+    georeference_log(log, options, clock, trajectory, settings(max_range_m=50.0), tmp_path / "dry.laz")
+    assert not caplog.text

@@ -196,3 +196,9 @@ def test_gauss_markov_has_its_sigma_and_its_correlation_two_sided() -> None:
 def test_generators_differ_by_name_and_seed() -> None:
     drawn = [generator(seed, name).integers(2**60) for seed in (1, 2) for name in ("lidar", "ins", "ins raw")]
     assert len(set(drawn)) == 6
+
+
+def test_no_boat_sails_over_a_weir() -> None:
+    config = TwinConfig.of_size("tiny", scene={"weir": True, "weir_place": 0.1})
+    with pytest.raises(ConfigError, match=r"over the weir at 6 m.*Move twin\.scene\.weir_place"):
+        Voyage(config, 3)

@@ -1,5 +1,6 @@
 """From a lidar log to a cloud on disk: streaming, every point counted."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from thalweg.core.las import LazWriter, iter_laz, laz_header
 from thalweg.core.las_columns import ExtraDimension
 from thalweg.core.tables import write_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8
+from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8
 from thalweg.ingest.velodyne import LidarClock, LidarOptions, iter_points
 from thalweg.ingest.velodyne_decode import PointBlock
 from thalweg.lidar.covariance import BeamErrors
@@ -50,6 +51,12 @@ CORRELATION_DIMENSIONS: Final[dict[str, ExtraDimension]] = dict.fromkeys(
     CORRELATIONS, ("i2", "correlation", 0.0001)
 )
 """Extra bytes of the full covariance, on request."""
+
+
+MANY_BELOW_WATER: Final = 0.25
+"""Share of points below the water that waves and mirror images do not explain."""
+
+_LOG = logging.getLogger("thalweg")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,9 +152,22 @@ def georeference_log(
                 where=", ".join(str(f) for f in files),
                 cure=_cure(Reason(int(np.argmax(counts)))),
             )
+    _warn_of_water(counts)
     if out_removed is not None:
         write_table(out_removed, removed.table(), REMOVED_POINTS)
     return reason_table(counts)
+
+
+def _warn_of_water(counts: ArrayI) -> None:
+    """Say so if an unlikely share of the points lies below the water: is it where it is thought to be?"""
+    wet = int(counts[Reason.BELOW_WATER] + counts[Reason.MIRROR_GHOST])
+    share = wet / max(wet + int(counts[Reason.KEPT]), 1)
+    if share > MANY_BELOW_WATER:
+        _LOG.warning(
+            "%.0f %% of the points lie below the water level at the boat. Check filters.water_line_ics_m and "
+            "the heights of the positions; below a weir set filters.below_water_m to null",
+            100 * share,
+        )
 
 
 def _cure(most: Reason) -> str:

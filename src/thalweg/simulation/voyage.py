@@ -169,6 +169,13 @@ class Voyage:
                 expected="twin.scene.length_m longer than the voyage",
                 cure="Raise twin.scene.length_m, or lower twin.duration_s or twin.boat.speed_mps",
             )
+        if river.config.weir and s[0] < river.weir_s_m() < s[-1]:
+            raise ConfigError(
+                f"the boat sails from {s[0]:.0f} to {s[-1]:.0f} m along the reach, over the weir at "
+                f"{river.weir_s_m():.0f} m",
+                expected="a weir beyond the voyage",
+                cure="Move twin.scene.weir_place towards 1 or -1, or raise twin.scene.length_m",
+            )
         course_enu = river.angle(s) + zigzag.course(t)
         velocity = boat.speed_mps * np.stack([np.cos(course_enu), np.sin(course_enu)], axis=1)
         self._xy = CubicHermiteSpline(t, river.to_wcs(s, n), velocity)
