@@ -120,3 +120,4 @@ def test_one_point_makes_both_figures(tmp_path):
     point, one = np.array([[1.0, 2.0, 3.0]]), np.array([0.1])
     save(cloud_by_sigma(splat_of(point, one), 100 * one, one), tmp_path / "sigma.png", dpi=50)
     save(cloud_by_range(splat_of(point, one), 100 * one), tmp_path / "range.png", dpi=50)
+    assert all((tmp_path / name).stat().st_size > 5_000 for name in ("sigma.png", "range.png"))

@@ -162,6 +162,7 @@ def test_no_pose_at_any_moment_is_refused(trajectory):
 def test_one_point_makes_a_figure(tmp_path):
     figure = footprints(np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3)), divergence_mrad=3.0)
     save(figure, tmp_path / "one.png", dpi=50)
+    assert (tmp_path / "one.png").stat().st_size > 5_000
 
 
 def test_nothing_to_draw_is_refused(frame):

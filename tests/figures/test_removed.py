@@ -10,7 +10,8 @@ from thalweg.config.filters import Filters
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.figures.removed import Across, along_reach, removed_points
 from thalweg.figures.style import save
-from thalweg.lidar.filters import REMOVED, REMOVED_POINTS, WORDS, Reason, reason_table
+from thalweg.lidar.filters import REMOVED, WORDS, Reason, reason_table
+from thalweg.lidar.removed import REMOVED_POINTS
 
 FILTERS = Filters().model_dump()
 AZIMUTH_RAD = np.deg2rad(70.0)  # of the track in conftest

@@ -135,6 +135,7 @@ def test_one_pose_makes_a_sheet(tmp_path, trajectory, index):
     one = np.zeros(400, dtype=bool)
     one[index] = True
     save(trajectory_sheet(dataclasses.replace(trajectory, valid=one)), tmp_path / "one.png", dpi=50)
+    assert (tmp_path / "one.png").stat().st_size > 5_000
 
 
 def test_no_pose_and_no_sigma_are_refused(trajectory):

@@ -25,8 +25,9 @@ from thalweg.lidar.cloud import (
     sample_cloud,
 )
 from thalweg.lidar.covariance import BeamErrors
-from thalweg.lidar.filters import REMOVED_POINTS, FilterSettings
+from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
+from thalweg.lidar.removed import REMOVED_POINTS
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 

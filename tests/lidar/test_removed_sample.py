@@ -6,7 +6,8 @@ import numpy as np
 import pyarrow as pa
 
 from thalweg.core.tables import kind_of, read_table, write_table
-from thalweg.lidar.filters import REMOVED, REMOVED_POINTS, Reason, RemovedSample
+from thalweg.lidar.filters import REMOVED, Reason
+from thalweg.lidar.removed import REMOVED_POINTS, RemovedSample
 
 
 def sampled(reasons: np.ndarray, most: int, pieces: int) -> RemovedSample:

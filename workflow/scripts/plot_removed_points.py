@@ -11,7 +11,7 @@ from thalweg.figures.removed import removed_points
 from thalweg.figures.style import save
 from thalweg.jobs.job import run_job
 from thalweg.lidar.cloud import sample_cloud
-from thalweg.lidar.filters import REMOVED_POINTS
+from thalweg.lidar.removed import REMOVED_POINTS
 
 MOST_KEPT = 200_000
 """Points of the cloud that show a small picture where the banks are."""

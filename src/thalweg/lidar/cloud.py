@@ -21,10 +21,8 @@ from thalweg.ingest.velodyne import LidarClock, LidarOptions, iter_points
 from thalweg.ingest.velodyne_decode import PointBlock
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import (
-    REMOVED_POINTS,
     FilterSettings,
     Reason,
-    RemovedSample,
     classify,
     count_reasons,
     reason_table,
@@ -33,6 +31,7 @@ from thalweg.lidar.filters import (
 from thalweg.lidar.georeference import WorldPoints, georeference_points
 from thalweg.lidar.mount import Mount
 from thalweg.lidar.occupancy import Occupancy
+from thalweg.lidar.removed import REMOVED_POINTS, RemovedSample
 
 SIGMAS: Final = ("sigma_east", "sigma_north", "sigma_up")
 """Extra dimensions with the standard deviations of a point along the axes of wcs, metres."""

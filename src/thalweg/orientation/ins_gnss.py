@@ -199,6 +199,7 @@ def break_at_gaps(trajectory: Trajectory, max_gap_s: float, summary: TrajectoryS
     at = holes + 1
 
     def insert(values: ArrayF) -> ArrayF:
+        """Values with a node in the middle of each hole, a copy of the node before it."""
         return np.insert(values, at, values[holes], axis=0)
 
     return Trajectory(

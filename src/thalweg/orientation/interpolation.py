@@ -185,6 +185,7 @@ def bridge_with_velocity(
     way = speed.antiderivative()
 
     def along(when: ArrayF) -> ArrayF:
+        """The way of the antenna until each time: of the ics origin, and of the turning lever arm."""
         inside = np.clip(when, t[0], t[-1])
         return np.asarray(way(inside) + turning(inside))
 

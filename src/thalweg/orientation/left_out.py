@@ -127,6 +127,7 @@ def estimate_error(epochs_s: ArrayF, values: ArrayF, runs: list[slice], method: 
     explained = (1.0 + method.noise_gain) * noise
 
     def beyond_noise(k: int, kept: int) -> tuple[ArrayF, int]:
+        """Mean square of what left-out epochs miss beyond their noise, and how many there were."""
         squares, n = _left_out(epochs_s, values, runs, k, kept, step, method)
         return np.maximum(squares - explained, 0.0), n
 

@@ -160,6 +160,7 @@ def add_bridge(parts: MeshParts, river: River) -> None:
     def beam(
         ds: float, up: float, width: float, height: float, length: float = span, n: float = middle
     ) -> None:
+        """A box of concrete at a place along and across the river."""
         _boxes_along(parts, river, np.array([s0 + ds]), np.array([n]), np.array([up]),
                      np.array([width, length, height]), Material.CONCRETE)  # fmt: skip
 

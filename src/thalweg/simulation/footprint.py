@@ -203,6 +203,7 @@ def echoes_of(
     material = np.empty((n, cells), dtype=np.uint8)
 
     def meet(of: slice, origin: ArrayF, direction: ArrayF, hits: Hits) -> None:
+        """Fill in what some of the parts of the beams have met."""
         shape = range_m[:, of].shape
         kind = surfaces.kinds(hits)
         met = np.isfinite(hits.t_hit_m) & (kind != Material.WATER)

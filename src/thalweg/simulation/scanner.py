@@ -294,6 +294,7 @@ class LidarSensor:
             counts[name] = int(np.sum(reported == kind))
 
         def dense(values: ArrayI, column: ArrayI) -> ArrayI:
+            """One value a shot out of those with echoes, 0 for the others."""
             out = np.zeros(len(number), dtype=np.int64)
             out[shot] = values[row, column]
             return out

@@ -187,6 +187,7 @@ class _Obstacles:
 
     @classmethod
     def of(cls, scene: Scene) -> "_Obstacles":
+        """The parts of a scene that block, dim and mirror."""
         parts = (
             scene.without(*_DIMMING, Material.WATER),
             scene.only(*_DIMMING),

@@ -88,6 +88,7 @@ class _Looks:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, count: int, flat: float) -> "_Looks":
+        """So many stones by chance, ``flat`` times as high as wide."""
         return cls(
             shape=rng.integers(_SHAPES, size=count),
             turn=rng.uniform(0, 2 * np.pi, count),
