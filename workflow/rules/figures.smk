@@ -85,7 +85,7 @@ rule plot_cloud_overview:
         "../../envs/thalweg.yaml"
     threads: 1
     resources:
-        mem_mb=memory(3000),
+        mem_mb=memory(3000, 6),
         runtime=minutes(10, 30),
     params:
         code=code_version("plot_cloud_overview"),
@@ -117,7 +117,7 @@ rule plot_cloud_detail:
         "../../envs/thalweg.yaml"
     threads: 1
     resources:
-        mem_mb=memory(3000),
+        mem_mb=memory(3000, 6),
         runtime=minutes(10, 30),
     params:
         code=code_version("plot_cloud_detail"),
@@ -212,7 +212,7 @@ rule plot_cloud_by_sigma:
         "../../envs/thalweg.yaml"
     threads: 1
     resources:
-        mem_mb=memory(3000),
+        mem_mb=memory(3000, 6),
         runtime=minutes(10, 30),
     params:
         code=code_version("plot_cloud_by_sigma"),
@@ -244,7 +244,7 @@ rule plot_cloud_by_range:
         "../../envs/thalweg.yaml"
     threads: 1
     resources:
-        mem_mb=memory(3000),
+        mem_mb=memory(3000, 6),
         runtime=minutes(10, 30),
     params:
         code=code_version("plot_cloud_by_range"),
@@ -276,7 +276,7 @@ rule plot_footprints:
         "../../envs/thalweg.yaml"
     threads: 1
     resources:
-        mem_mb=memory(3000),
+        mem_mb=memory(3000, 6),
         runtime=minutes(10, 30),
     params:
         code=code_version("plot_footprints"),
@@ -311,7 +311,7 @@ rule plot_reference_view:
         "../../envs/thalweg.yaml"
     threads: 1
     resources:
-        mem_mb=memory(3000),
+        mem_mb=memory(3000, 6),
         runtime=minutes(10, 30),
     params:
         code=code_version("plot_reference_view"),
