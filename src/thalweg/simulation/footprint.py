@@ -15,11 +15,12 @@ their own.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numba as nb
 import numpy as np
 
+from thalweg.config.twin_lidar import TwinLidar, TwinTls
 from thalweg.core.raycast import Hits, RayCaster
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8
 from thalweg.simulation.materials import Material
@@ -153,6 +154,18 @@ class Beam:
     mixed: bool
     place: ShotRandom
     speckle: ShotRandom
+
+    @classmethod
+    def of(cls, settings: TwinLidar | TwinTls, seed: int, cause: str, *, pulse_m: float) -> Self:
+        """The beam of a scanner's settings, with random numbers of its own named after ``cause``."""
+        return cls(
+            divergence_rad=settings.divergence_mrad / 1000,
+            cells=settings.speckle_cells,
+            pulse_m=pulse_m,
+            mixed=settings.mixed_pixels,
+            place=ShotRandom.of(seed, f"{cause} footprint"),
+            speckle=ShotRandom.of(seed, f"{cause} speckle"),
+        )
 
     def first_cell(self, direction: ArrayF, shot: ArrayI) -> ArrayF:
         """Direction (n, 3) of the first sub-ray of shots."""

@@ -68,6 +68,7 @@ class _Zigzag:
     turn_s: float
 
     def course(self, t_s: ArrayF) -> ArrayF:
+        """Angle (n,) between course and flow at times since the start, radians."""
         half = self.leg_s + self.turn_s
         phase = np.mod(np.asarray(t_s) + self.leg_s / 2, 2 * half)
         second = phase >= half

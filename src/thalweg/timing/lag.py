@@ -113,6 +113,7 @@ def _coarse(spline: CubicSpline, t: ArrayF, v: ArrayF, max_lag_s: float) -> floa
     grid = np.arange(-max_lag_s, max_lag_s + step / 2, step)
 
     def misfit(offset: float) -> float:
+        """Sum of squares that an offset leaves, after a constant difference of both series."""
         rest = v[few] - spline(t[few] - offset)
         return float(np.square(rest - rest.mean(axis=0)).sum())
 
@@ -130,6 +131,7 @@ class _Grid:
 
     @classmethod
     def of(cls, t: ArrayF) -> Self:
+        """The regular grid on which times (n,) lie."""
         step = float(np.median(np.diff(t)))
         place = np.rint((t - t[0]) / step).astype(np.int64)
         return cls(float(t[0]), step, place, int(place[-1]) + 1)
