@@ -5,6 +5,7 @@ from typing import Any
 
 from pydantic import ConfigDict, Field
 
+from thalweg.config.accuracy import Accuracy, Reference
 from thalweg.config.base import Section
 from thalweg.config.filters import Filters
 from thalweg.config.identity import Identity
@@ -42,6 +43,8 @@ class Campaign(Section):
         default=Georeferencing(), description="Lidar points into the world"
     )
     filters: Filters = Field(default=Filters(), description="Points that are left out of the cloud")
+    reference: Reference = Field(default=Reference(), description="Reference cloud -> surface mesh")
+    accuracy: Accuracy = Field(default=Accuracy(), description="Comparison of the cloud with the reference")
     figures: Figures = Field(default=Figures(), description="Pictures")
 
     @property

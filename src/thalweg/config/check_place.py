@@ -21,7 +21,7 @@ _CRS_PATH = ("campaign", "crs")
 
 
 @lru_cache(maxsize=8)
-def _parse(text: str) -> "CRS | str":
+def parse_crs(text: str) -> "CRS | str":
     """The CRS, or what PROJ says against it. pyproj costs 0.15 s: it is imported only here."""
     from pyproj import CRS
     from pyproj.exceptions import CRSError
@@ -42,8 +42,8 @@ def check_crs(text: Any, origin: Any) -> Iterator[Mistake]:
     """
     if not isinstance(text, str):
         return
-    place = _geodetic(origin)
-    crs = _parse(text.strip())
+    place = geodetic_place(origin)
+    crs = parse_crs(text.strip())
     proposal = f"Write for instance {utm_code(*place[:2])}, UTM at the origin" if place else ""
     if isinstance(crs, str):
         reason = "is unknown to PROJ" if "not found" in crs else "is no CRS"
@@ -128,7 +128,7 @@ def check_base(gnss: GnssLogs, origin: Any) -> Iterator[Mistake]:
         key = "base_llh"
         llh = gnss.base_llh
         base = _ecef(llh.lat_deg, llh.lon_deg, llh.h_ell_m)
-    place = _geodetic(origin)
+    place = geodetic_place(origin)
     if base is None or place is None:
         return
     distance_km = math.dist(base, _ecef(*place)) / 1000
@@ -153,7 +153,7 @@ def utm_code(lat_deg: float, lon_deg: float) -> str:
     return f"EPSG:{(32600 if lat_deg >= 0 else 32700) + zone}"
 
 
-def _geodetic(origin: Any) -> tuple[float, float, float] | None:
+def geodetic_place(origin: Any) -> tuple[float, float, float] | None:
     """Latitude, longitude and height if all are numbers in range."""
     if not isinstance(origin, dict):
         return None

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from thalweg.config.accuracy import Accuracy
+from thalweg.config.check_area import check_accuracy_area
 from thalweg.config.check_files import check_files
 from thalweg.config.check_place import check_base, check_crs
 from thalweg.config.hints import radians_cure
@@ -39,6 +41,7 @@ class Parts:
     mounts: Mounts | None
     orientation: Orientation | None
     georeferencing: Georeferencing | None
+    accuracy: Accuracy | None
 
     def raw(self, *keys: str) -> Any:
         """Value as written in the file, None if absent."""
@@ -60,6 +63,9 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         *_check_lists(parts),
         *_check_ppk(parts),
     ]
+    if parts.accuracy is not None:
+        place = (parts.raw("campaign", "crs"), parts.raw("campaign", "origin"))
+        mistakes += check_accuracy_area(parts.accuracy, *place)
     files: dict[str, tuple[str, ...]] = {}
     if parts.logs is not None:
         found, files = check_files(parts.logs, parts.path.parent)

@@ -69,7 +69,7 @@ def _validate_models(data: dict[str, Any], path: Path) -> tuple[Campaign | None,
     return campaign, [], Parts(path=path, data=data, **sections)
 
 
-_SECTIONS = ("logs", "lidar", "mounts", "orientation", "georeferencing")
+_SECTIONS = ("logs", "lidar", "mounts", "orientation", "georeferencing", "accuracy")
 
 
 def _from_json(adapter: TypeAdapter[Any], data: Any) -> Any:
