@@ -243,3 +243,35 @@ def test_files_that_cannot_be_opened(here, capsys):
     long_name = "x" * 300
     assert main(["describe", long_name]) == 2
     assert "Traceback" not in capsys.readouterr().err
+
+
+BUDGETS = Path(__file__).parents[1] / "resources"
+
+
+def test_budget_prints_and_writes_influences(tmp_path, capsys):
+    file, cells = BUDGETS / "budgets/p2_table1.yaml", BUDGETS / "published/p2_table1.csv"
+    out = tmp_path / "influences.csv"
+    assert (
+        main(["budget", str(file), "--distances", "5,30", "--published", str(cells), "--csv", str(out)]) == 0
+    )
+    said = capsys.readouterr().out
+    assert "reconstructed, not published" in said
+    assert "21.1   21.18 =" in said
+    assert out.read_text().startswith("input,group,sigma,unit,provenance,source,distance_m,influence_mm")
+    assert len(out.read_text().splitlines()) == 1 + 2 * 17
+    assert main(["budget", str(file)]) == 0
+    assert "250.6" in capsys.readouterr().out
+
+
+def test_budget_refuses(tmp_path, capsys):
+    assert main(["budget", "nowhere.yaml"]) == 2
+    assert "nowhere.yaml: no such file" in capsys.readouterr().err
+    (tmp_path / "a.yaml").write_text("title: x\nframes: {a: 1}\n")
+    assert main(["budget", str(tmp_path / "a.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert "inputs is missing" in said
+    assert "frames.a: found 1" in said
+    for text in ("5,-1", "a", "", "nan"):
+        with pytest.raises(SystemExit):
+            main(["budget", "a.yaml", "--distances", text])
+        assert "expected distances in metres" in capsys.readouterr().err

@@ -101,6 +101,15 @@ def _parser() -> argparse.ArgumentParser:
     summary.add_argument("folder", type=Path, metavar="FOLDER", help="results/<campaign>")
     summary.set_defaults(command=_summary)
 
+    budget = commands.add_parser("budget", help="error budget of a chain of frames: what each input does")
+    budget.add_argument("file", type=Path, metavar="FILE", help="budget file; docs/budgets.md describes it")
+    budget.add_argument(
+        "--distances", type=_distances, metavar="M,M,...", help="other distances than the file's, in metres"
+    )
+    budget.add_argument("--published", type=Path, metavar="CSV", help="published cells: a verdict on each")
+    budget.add_argument("--csv", type=Path, metavar="OUT", help="write all influences to a CSV file")
+    budget.set_defaults(command=_budget)
+
     schema = commands.add_parser("schema", help="JSON schema of campaign files")
     schema.add_argument("--write", action="store_true", help="renew the generated files in the config folder")
     schema.add_argument(
@@ -258,6 +267,37 @@ def _summary(options: argparse.Namespace) -> int:
     for title, paths in (("Pictures", pictures), ("Clouds", clouds), ("Tables", tables)):
         print(f"\n{title}:")
         print("\n".join(f"  {p}" for p in paths if "simulation" not in p.parts) or "  none")
+    return 0
+
+
+def _distances(text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if not values or not all(0 < value < float("inf") for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r}; expected distances in metres such as 5,10,25,50")
+    return values
+
+
+def _budget(options: argparse.Namespace) -> int:
+    from dataclasses import replace
+
+    from thalweg.reproduction.budget_file import read_budget
+    from thalweg.reproduction.budget_tables import long_table, marks_line, text_lines
+    from thalweg.reproduction.published import read_published
+
+    budget = read_budget(options.file)
+    if options.distances:
+        budget = replace(budget, distances_m=options.distances)
+    published = read_published(options.published) if options.published else None
+    table = long_table(budget, published)
+    print("\n".join(text_lines(budget, published)))
+    if published is not None:
+        print(f"  printed, computed, verdict: {marks_line(table['verdict'])}")
+    if options.csv:
+        table.to_csv(options.csv, index=False)
+        print(f"Wrote {options.csv}")
     return 0
 
 

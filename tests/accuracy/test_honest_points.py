@@ -13,118 +13,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.accuracy.returns import TrueReturns, sample_of_known_points
 from thalweg.accuracy.statistics import chi_square_band, independent_values
-from thalweg.accuracy.truth import PointErrors, Truth, cloud_covariance, point_errors
-from thalweg.config.campaign import Campaign
+from thalweg.accuracy.truth import PointErrors
 from thalweg.config.twin import TwinConfig
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table
-from thalweg.ingest.anpp import read_anpp
-from thalweg.ingest.rtklib_pos import read_pos
-from thalweg.ingest.velodyne import LidarOptions, scan_lidar
-from thalweg.ingest.velodyne_model import RING, VERTICAL_CORRECTION_M
-from thalweg.lidar.cloud import LogSettings, georeference_log
-from thalweg.lidar.covariance import BeamErrors
-from thalweg.lidar.filters import FilterSettings
-from thalweg.lidar.mount import Mount
-from thalweg.orientation.ins_gnss import build_trajectory
-from thalweg.simulation.gnss import simulate_gnss
-from thalweg.simulation.ins import simulate_ins
-from thalweg.simulation.lidar import simulate_lidar
-from thalweg.simulation.materials import BARE_GROUND
-from thalweg.simulation.scene import Scene, simulate_scene
-from thalweg.simulation.shots import LIDAR_SHOTS, EchoKind
-from thalweg.simulation.true_mounts import true_mounts
-from thalweg.simulation.truth import true_trajectory
-from thalweg.simulation.voyage import Voyage
+from thalweg.simulation.survey import BARE, process, record, survey_settings
 
 SEEDS = 24
 DURATION_S, CORRELATION_S = 4.0, 0.5
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
-BARE = {
-    "stones_per_m": 0, "cobbles_per_m": 0, "bushes_per_100m": 0, "trees_per_100m": 0, "grass_per_m": 0,
-    "reeds_per_m": 0, "posts_per_100m": 0, "buildings": 0, "railway": False, "length_m": 60.0, "grid_m": 0.25,
-}  # fmt: skip
-MOUNTS = {
-    "lidar": {"phi_deg": -90.0, "lever_ics_m": (-0.35, 0.0, -0.25)},
-    "antenna": {"lever_ics_m": (0.1, 0.0, -0.45), "sigma_lever_m": (0.002, 0.002, 0.002)},
-}
 
 
-def campaign(twin: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a campaign of the twin as plain values: defaults wherever nothing is said."""
-    settings = {
+def survey(seed: int, folder: Path, twin: dict[str, Any]) -> PointErrors:
+    """A survey from raw logs to the errors of its points."""
+    settings: dict[str, Any] = {
         "size": "tiny",
         "duration_s": DURATION_S,
-        "scene": BARE,
+        "scene": BARE | {"length_m": 60.0, "grid_m": 0.25},
         "ins": {"attitude_time_s": CORRELATION_S},
         "gnss": {"correlation_time_s": CORRELATION_S},
     }
     for key, value in twin.items():
         settings[key] = settings.get(key, {}) | value
-    identity = {"id": "x", "title": "x", "crs": "EPSG:25833", "seed": 1,
-                "origin": {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}}  # fmt: skip
-    return Campaign.model_validate({"campaign": identity, "twin": settings, "mounts": MOUNTS}).plain()
-
-
-def survey(seed: int, folder: Path, twin: dict[str, Any]) -> PointErrors:
-    """A survey from raw logs to the errors of its points."""
-    plain = campaign(twin)
-    config = TwinConfig(**plain["twin"])
-    names = ("scene.npz", "lidar.pcap", "ins.anpp", "rover.sbp", "ppk.pos", "points.laz", "shots.parquet")
-    scene, pcap, anpp, sbp, pos, points, shots = (folder / f"{seed}_{name}" for name in names)
-    true = true_mounts(plain["mounts"], seed, on=config.effects.mount_errors)
-    mount, true_mount = (Mount.from_section(m["lidar"]) for m in (plain["mounts"], true))
-    simulate_scene(config, seed, scene)
-    simulate_lidar(
-        config, seed, FRAME, scene, pcap,
-        R_ics_scs=true_mount.R_ics_sensor, lever_ics_scs_m=true_mount.lever_ics_m, out_shots=shots,
-    )  # fmt: skip
-    simulate_ins(config, seed, FRAME, anpp)
-    simulate_gnss(config, seed, FRAME, sbp, pos, lever_ics_antenna_m=true["antenna"]["lever_ics_m"])
-    trajectory, _ = build_trajectory(
-        read_pos([pos]).positions,
-        read_anpp([anpp]).states,
-        FRAME,
-        lever_ics_antenna_m=plain["mounts"]["antenna"]["lever_ics_m"],
-        sigma_lever_m=plain["mounts"]["antenna"]["sigma_lever_m"],
-        accept_fixes=["fixed"],
-        max_gap_s=1.0,
-        max_attitude_gap_s=0.1,
-        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
-    )
-    options = LidarOptions()
-    settings = LogSettings(
-        mount=mount,
-        beam=BeamErrors.from_section(plain["lidar_accuracy"]),
-        filters=FilterSettings.from_section(plain["filters"]),
-        min_range_m=0.5,
-        max_range_m=100.0,
-        correlations=True,
-    )
-    georeference_log([pcap], options, scan_lidar([pcap], options).clock, trajectory, settings, points)
-    reach = Scene.read(scene)
-    returns = TrueReturns.from_table(read_table(shots, LIDAR_SHOTS)[0], {int(k): k.name for k in EchoKind})
-    cloud = sample_of_known_points(points, returns, 20_000)
-    row = cloud["true_row"]
-    bare = np.append(BARE_GROUND, np.zeros(256 - len(BARE_GROUND), dtype=np.bool_))
-    return point_errors(
-        cloud["xyz_m"],
-        cloud["t_gps_s"],
-        cloud_covariance(cloud, points),
-        VERTICAL_CORRECTION_M[np.argsort(RING)][cloud["ring"]],
-        estimated=trajectory,
-        mount=mount,
-        truth=Truth(
-            trajectory=true_trajectory(Voyage(config, seed), FRAME),
-            mount=true_mount,
-            surface=reach.caster(),
-            bare_ground=BARE_GROUND[reach.material],
-            divergence_rad=config.lidar.divergence_mrad / 1000.0,
-        ),
-        from_ground=(returns.kind[row] == EchoKind.SURFACE) & bare[returns.material[row]],
-    )
+    logs = record(survey_settings(settings, seed=seed), folder / f"{seed}")
+    errors = process(logs).errors()
+    logs.remove()
+    return errors
 
 
 def study(folder: Path, seeds: int = SEEDS, **twin: Any) -> list[PointErrors]:
@@ -211,7 +123,8 @@ def test_on_the_whole_river_too(tmp_path: Path) -> None:
     Spots that graze a bump or a stone are counted in, which no sigma of a beam foresees; on a bank with
     relief of centimetres they widen the mean square by some percent.
     """
-    whole = dict.fromkeys(BARE) | TwinConfig.of_size("tiny").scene.model_dump(include=set(BARE))
+    changed = {*BARE, "length_m", "grid_m"}
+    whole = TwinConfig.of_size("tiny").scene.model_dump(include=changed)
     values = normalised(study(tmp_path, 20, scene=whole))
     low, high = band(20)
     assert low < values.mean() < 1.1 * high, values

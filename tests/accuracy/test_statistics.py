@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 
 from thalweg.accuracy.statistics import (
+    NORMAL_SHARES,
     by_range_class,
     chi_square_band,
     describe_errors,
+    describe_shape,
+    fit_in_words,
+    honesty_in_words,
     independent_values,
+    outlier_limits,
+    ratio_band,
 )
 
 
@@ -54,3 +60,58 @@ def test_the_band_holds_for_correlated_errors(
 def test_uncorrelated_errors_are_all_independent() -> None:
     assert independent_values(1000.0, 1.0) == pytest.approx(1000.0, rel=0.001)
     assert independent_values(1.0, 1000.0) == pytest.approx(1.0, abs=0.001)
+
+
+def test_shares_of_a_normal_distribution_are_those_of_the_thesis() -> None:
+    """T 3.1.2: 68, 95 and 99.7 %."""
+    assert [round(100 * share, 1) for share in NORMAL_SHARES] == [68.3, 95.4, 99.7]
+
+
+def test_the_shape_of_known_distributions(rng: np.random.Generator) -> None:
+    normal = describe_shape(0.02 + 0.05 * rng.normal(size=200_000))
+    # standard errors of 200,000 normal values: skewness 0.005, kurtosis 0.011, shares 0.001
+    assert abs(normal["skewness"]) < 0.02
+    assert abs(normal["excess_kurtosis"]) < 0.04
+    for k, share in enumerate(NORMAL_SHARES, start=1):
+        assert normal[f"within_{k}_std"] == pytest.approx(share, abs=0.004)
+        assert normal[f"within_{k}_nmad"] == pytest.approx(share, abs=0.006)
+    assert "a normal distribution fits" in fit_in_words(normal)
+    uneven = describe_shape(rng.exponential(size=200_000))
+    assert uneven["skewness"] == pytest.approx(2.0, abs=0.1)
+    assert uneven["excess_kurtosis"] == pytest.approx(6.0, abs=0.8)
+    assert "more in the middle and far out" in fit_in_words(uneven)
+    assert "less in the middle" in fit_in_words(describe_shape(rng.random(200_000)))
+
+
+def test_the_shape_of_equal_and_of_no_errors() -> None:
+    same = describe_shape(np.full(9, 0.3))
+    assert same["skewness"] == same["excess_kurtosis"] == 0.0
+    assert same["within_1_std"] == 1.0
+    assert describe_shape(np.array([np.nan])) == {}
+
+
+def test_the_outlier_rule_is_about_the_median(rng: np.random.Generator) -> None:
+    errors = np.concatenate([0.06 + 0.05 * rng.normal(size=10_000), np.full(500, 3.0)])
+    low, high = outlier_limits(errors, 5.0)
+    assert (low + high) / 2 == pytest.approx(np.median(errors))
+    # NMAD of the good ones is 0.05; 5 % of gross errors on one side widen it by some percent
+    assert (high - low) / 2 == pytest.approx(0.25, rel=0.12)
+    assert outlier_limits(np.zeros(10), 5.0) == (-np.inf, np.inf)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "limits", "words"),
+    [
+        (1.02, (0.85, 1.19), "sigmas are honest: 1.02 is inside 0.85 to 1.19"),
+        (0.50, (0.85, 1.19), "errors are 2.0 times larger than predicted: 0.50 is outside 0.85 to 1.19"),
+        (2.00, (0.85, 1.19), "errors are 2.0 times smaller than predicted: 2.00 is outside 0.85 to 1.19"),
+        (1.02, (0.60, 2.50), "nothing speaks against the sigmas, but the band is wide"),
+    ],
+)
+def test_verdicts_in_words(ratio: float, limits: tuple[float, float], words: str) -> None:
+    assert words in honesty_in_words(ratio, *limits)
+
+
+def test_the_band_of_the_ratio_is_that_of_the_squares_turned_round() -> None:
+    low, high = chi_square_band(12.0)
+    assert ratio_band(12.0) == (pytest.approx(high**-0.5), pytest.approx(low**-0.5))

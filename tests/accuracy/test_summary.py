@@ -29,6 +29,22 @@ honest_high95,bare ground,1.94,1
 share_of_points,bare ground,0.8,1
 """
 
+REFERENCE = """\
+registration,points,quantity,value,unit
+as measured,all,n,2000,1
+as measured,all,rmse,0.31,m
+as measured,without outliers,n,1900,1
+as measured,without outliers,bias,0.055,m
+as measured,without outliers,rmse,0.112,m
+as measured,without outliers,nmad,0.067,m
+as measured,without outliers,predicted_rmse,0.074,m
+as measured,without outliers,ratio,0.66,1
+as measured,without outliers,ratio_low95,0.65,1
+as measured,without outliers,ratio_high95,2.1,1
+with registration,all,rmse,0.9,m
+with registration,without outliers,rmse,0.8,m
+"""
+
 
 @pytest.fixture
 def files(tmp_path: Path) -> dict[str, Path]:
@@ -44,6 +60,7 @@ def files(tmp_path: Path) -> dict[str, Path]:
         "trajectory": tmp_path / "trajectory.json",
         "counts": tmp_path / "counts.csv",
         "truth": tmp_path / "truth_statistics.csv",
+        "reference": tmp_path / "statistics.csv",
     }
     stream_table([lidar, depth]).to_csv(paths["streams"], index=False)
     paths["trajectory"].write_text(
@@ -58,6 +75,7 @@ def files(tmp_path: Path) -> dict[str, Path]:
     )
     reason_table([4321, 0, 0, 679, 0, 0, 0, 0, 0, 0]).to_csv(paths["counts"], index=False)
     paths["truth"].write_text(TRUTH)
+    paths["reference"].write_text(REFERENCE)
     return paths
 
 
@@ -68,7 +86,7 @@ def values(table: pd.DataFrame) -> dict[str, tuple[float, str, str]]:
 
 
 def test_figures_of_a_real_campaign(files: dict[str, Path]) -> None:
-    table = summary_table(files["streams"], files["trajectory"], files["counts"], None)
+    table = summary_table(files["streams"], files["trajectory"], files["counts"])
     assert list(table.columns) == COLUMNS
     found = values(table)
     assert found["lidar: duration"] == (25.5, "s", "streams.csv")
@@ -88,8 +106,8 @@ def test_figures_of_a_real_campaign(files: dict[str, Path]) -> None:
 
 
 def test_figures_of_a_twin_are_those_of_bare_ground(files: dict[str, Path]) -> None:
-    without = summary_table(files["streams"], files["trajectory"], files["counts"], None)
-    table = summary_table(files["streams"], files["trajectory"], files["counts"], files["truth"])
+    without = summary_table(files["streams"], files["trajectory"], files["counts"])
+    table = summary_table(files["streams"], files["trajectory"], files["counts"], truth=files["truth"])
     added = values(table.iloc[len(without) :])
     source = "truth_statistics.csv"
     assert added == {
@@ -105,12 +123,33 @@ def test_figures_of_a_twin_are_those_of_bare_ground(files: dict[str, Path]) -> N
     }
 
 
+def test_figures_of_a_comparison_are_those_as_measured(files: dict[str, Path]) -> None:
+    without = summary_table(files["streams"], files["trajectory"], files["counts"])
+    table = summary_table(
+        files["streams"], files["trajectory"], files["counts"], reference=files["reference"]
+    )
+    added = values(table.iloc[len(without) :])
+    source = "statistics.csv"
+    assert added == {
+        "points compared with the reference": (1900.0, "1", source),
+        "distance to the reference: mean": (0.055, "m", source),
+        "distance to the reference: RMSE": (0.112, "m", source),
+        "distance to the reference: NMAD": (0.067, "m", source),
+        "distance to the reference: RMSE predicted": (0.074, "m", source),
+        "distance to the reference: predicted / observed": (0.66, "1", source),
+        "  honest sigmas leave it above (95 %)": (0.65, "1", source),
+        "  honest sigmas leave it below (95 %)": (2.1, "1", source),
+        "distance to the reference: RMSE with outliers": (0.31, "m", source),
+        "distance to the reference: outliers": (pytest.approx(5.0), "%", source),
+    }
+
+
 def test_no_positions_are_no_share(files: dict[str, Path]) -> None:
     """INS-only campaigns have no GNSS positions."""
     files["trajectory"].write_text(
         json.dumps({"n_positions": 0, "n_positions_used": 0, "n_nodes_valid": 1250})
     )
-    table = summary_table(files["streams"], files["trajectory"], files["counts"], None)
+    table = summary_table(files["streams"], files["trajectory"], files["counts"])
     assert values(table)["positions used"] == (0.0, "%", "trajectory.json")
 
 
@@ -135,7 +174,11 @@ def test_lines_are_aligned_and_numbers_readable() -> None:
 
 
 def test_every_quantity_fits_its_column(files: dict[str, Path]) -> None:
-    table = summary_table(files["streams"], files["trajectory"], files["counts"], files["truth"])
+    table = summary_table(
+        files["streams"], files["trajectory"], files["counts"],
+        reference=files["reference"], truth=files["truth"],
+    )  # fmt: skip
+    values(table)  # no quantity stands twice
     assert table["quantity"].str.len().max() <= 52
     lines = summary_lines(table[table["value"].notna()])
     assert all(line[70].isdigit() and line[71:72] in ("", " ") for line in lines)
@@ -143,7 +186,7 @@ def test_every_quantity_fits_its_column(files: dict[str, Path]) -> None:
 
 def test_a_stream_without_times_is_printed(files: dict[str, Path]) -> None:
     """A depth log without date has no duration; its empty number stopped the whole summary."""
-    table = summary_table(files["streams"], files["trajectory"], files["counts"], None)
+    table = summary_table(files["streams"], files["trajectory"], files["counts"])
     table.to_csv(files["streams"].with_name("summary.csv"), index=False)
     lines = summary_lines(pd.read_csv(files["streams"].with_name("summary.csv")))
     (line,) = [line for line in lines if line.startswith("  depth: duration")]

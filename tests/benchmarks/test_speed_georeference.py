@@ -228,3 +228,14 @@ def test_covariance_beside_numpy(capsys: pytest.CaptureFixture[str]) -> None:
     scale = np.sqrt(cov[:, [0, 0, 0, 3, 3, 5]] * cov[:, [0, 3, 5, 3, 5, 5]])
     assert np.abs((own.cov_m2 - cov) / scale).max() < 2e-6
     assert ratio > 20
+
+
+def test_covariance_of_a_million_points(capsys: pytest.CaptureFixture[str]) -> None:
+    """Far below the 5 s that a million points may take on two cores; without the call that compiles."""
+    shots = Shots(1_000_000)
+    trajectory = boat(len(shots) / SHOTS_HZ)
+    with_covariance(shots, trajectory)
+    took = turns.in_turns({"own": lambda: with_covariance(shots, trajectory)})
+    with capsys.disabled():
+        print(f"\nCovariance of 1 million points: {1e3 * took['own']:.0f} ms")
+    assert took["own"] < 5.0

@@ -6,7 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from thalweg.accuracy.bank_frame import BankFrame
 from thalweg.core.frames import LocalFrame
+from thalweg.core.mesh import TriangleMesh
 from thalweg.core.trajectory import Trajectory
 from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_STATE
 
@@ -93,3 +95,56 @@ def bank(rng, trajectory):
         azimuth_rad=np.deg2rad(70.0 - 90.0),
         middle_along_m=57.0,
     )
+
+
+BANK_SLOPE_RAD = np.deg2rad(30.0)
+
+
+def make_plane_bank(*, length_m=60.0, height_m=8.0, cell_m=1.0):
+    """A bank to the south of a river along east: its frame, and the mesh of its plane."""
+    frame = BankFrame.of(
+        [100.0, -20.0, 3.0], [0.0, np.sin(BANK_SLOPE_RAD), np.cos(BANK_SLOPE_RAD)], [0.0, 1.0, 0.0]
+    )
+    columns, rows = int(length_m / cell_m) + 1, int(height_m / cell_m) + 1
+    along, up = np.meshgrid(
+        np.linspace(-length_m / 2, length_m / 2, columns), np.linspace(-height_m / 2, height_m / 2, rows)
+    )
+    vertices = frame.to_wcs(np.stack([along.ravel(), up.ravel(), np.zeros(along.size)], axis=1))
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    faces = np.concatenate([
+        np.stack([corner, corner + 1, corner + columns], axis=1),
+        np.stack([corner + 1, corner + columns + 1, corner + columns], axis=1),
+    ])  # fmt: skip
+    return frame, TriangleMesh(vertices_m=vertices, faces=faces, sigma_m=np.full(len(vertices), 0.004))
+
+
+def make_comparison(rng, *, n=20_000, mean_m=0.03, std_m=0.05, length_m=60.0, height_m=8.0):
+    """Points at normal distances from that bank, with a few outliers and some left out at the border."""
+    frame, mesh = make_plane_bank(length_m=length_m, height_m=height_m)
+    distance = rng.normal(mean_m, std_m, n)
+    distance[: n // 100] = rng.uniform(0.6, 1.5, n // 100)
+    along = rng.uniform(-length_m / 2, length_m / 2, n)
+    up = rng.uniform(-height_m / 2, height_m / 2, n)
+    bank = np.stack([along, up, distance], axis=1)
+    wcs = frame.to_wcs(bank)
+    border = np.abs(along) > length_m / 2 - 0.5
+    table = pd.DataFrame({
+        "t_gps_s": np.sort(rng.uniform(0.0, 40.0, n)), "east_m": wcs[:, 0], "north_m": wcs[:, 1],
+        "up_m": wcs[:, 2], "range_m": rng.uniform(5.0, 30.0, n).astype(np.float32), "distance_m": distance,
+        "normal_east": 0.0, "normal_north": np.sin(BANK_SLOPE_RAD), "normal_up": np.cos(BANK_SLOPE_RAD),
+        "sigma_normal_m": std_m, "sigma_reference_m": 0.006, "sigma_3d_m": 1.7 * std_m,
+        "at_border": border, "used": ~border, "outlier": ~border & (distance > 0.5),
+    })  # fmt: skip
+    return SimpleNamespace(table=table, mesh=mesh, frame=frame, bank=bank, slope_rad=BANK_SLOPE_RAD)
+
+
+@pytest.fixture(name="make_comparison")
+def make_comparison_fixture():
+    """The function `make_comparison`."""
+    return make_comparison
+
+
+@pytest.fixture
+def made(rng):
+    """A comparison of 20,000 points with a plane bank."""
+    return make_comparison(rng)

@@ -1,6 +1,69 @@
 """How accurate the results are. Only these rules may read the truth of the digital twin."""
 
 
+rule mesh_reference:
+    """Reference cloud near the area of interest -> surface mesh."""
+    input:
+        cloud="results/{campaign}/ingest/reference.laz",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        mesh="results/{campaign}/accuracy/reference_mesh.ply",
+        facts="results/{campaign}/accuracy/reference_mesh.json",
+    log:
+        "logs/{campaign}/accuracy/mesh_reference.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/mesh_reference.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000, 60),
+        runtime=minutes(10, 60),
+    params:
+        code=code_version("mesh_reference"),
+        campaign=identity("origin", "crs"),
+        reference=reference_surface,
+        area=area_of_interest,
+    message:
+        "{wildcards.campaign}: mesh of the reference"
+    script:
+        "../scripts/mesh_reference.py"
+
+
+rule compare_with_reference:
+    """Signed distance of each point from the reference mesh, and what its sigma predicts (P2 6.2)."""
+    input:
+        points="results/{campaign}/lidar/points.laz",
+        mesh="results/{campaign}/accuracy/reference_mesh.ply",
+    output:
+        cloud_to_mesh="results/{campaign}/accuracy/cloud_to_mesh.parquet",
+        statistics="results/{campaign}/accuracy/statistics.csv",
+        by_range="results/{campaign}/accuracy/by_range.csv",
+        spatial="results/{campaign}/accuracy/spatial.csv",
+        registration="results/{campaign}/accuracy/registration.json",
+    log:
+        "logs/{campaign}/accuracy/compare_with_reference.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/compare_with_reference.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000, 10),
+        runtime=minutes(15, 30),
+    params:
+        code=code_version("compare_with_reference"),
+        campaign=identity("crs", "seed"),
+        accuracy=comparison_settings,
+        reference=lambda wildcards: {
+            "sigma_m": CAMPAIGNS[wildcards.campaign].reference.sigma_m
+        },
+    message:
+        "{wildcards.campaign}: cloud against the reference"
+    script:
+        "../scripts/compare_with_reference.py"
+
+
 rule compare_with_truth:
     """Error of each point of a twin campaign against the true surface."""
     input:
@@ -42,6 +105,7 @@ rule summarise:
         streams="results/{campaign}/timing/streams.csv",
         trajectory="results/{campaign}/orientation/trajectory.json",
         counts="results/{campaign}/lidar/counts.csv",
+        reference=reference_statistics,
         truth=truth_statistics,
     output:
         summary="results/{campaign}/summary.csv",
@@ -61,3 +125,39 @@ rule summarise:
         "{wildcards.campaign}: summary"
     script:
         "../scripts/summarise.py"
+
+
+rule accuracy_page:
+    """Everything that was found out about the accuracy of a cloud, on one page."""
+    input:
+        comparison="results/{campaign}/accuracy/cloud_to_mesh.parquet",
+        statistics="results/{campaign}/accuracy/statistics.csv",
+        by_range="results/{campaign}/accuracy/by_range.csv",
+        registration="results/{campaign}/accuracy/registration.json",
+        mesh_facts="results/{campaign}/accuracy/reference_mesh.json",
+        pictures=accuracy_pictures,
+        captions=lambda wildcards: [
+            ROOT / "workflow" / "report" / f"{Path(picture).stem}.rst"
+            for picture in accuracy_pictures(wildcards)
+        ],
+        truth=truth_statistics,
+    output:
+        page="results/{campaign}/accuracy/index.html",
+    log:
+        "logs/{campaign}/accuracy/accuracy_page.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/accuracy_page.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("accuracy_page"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title"),
+    message:
+        "{wildcards.campaign}: accuracy page"
+    script:
+        "../scripts/accuracy_page.py"

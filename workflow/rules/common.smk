@@ -43,9 +43,10 @@ def mounts_of(*sensors):
 def georeferencing(wildcards):
     """Params function: the section `georeferencing` without the wish for a map.
 
-    The comparison of a twin's cloud with the truth needs the full covariance of each point.
+    Comparisons with a reference or with a twin's truth need the full covariance of each point.
     """
     options = CAMPAIGNS[wildcards.campaign].plain()["georeferencing"]
+    options["correlations"] |= has_reference(wildcards.campaign)
     options["correlations"] |= is_twin(wildcards.campaign)
     return {key: value for key, value in options.items() if key != "export_map"}
 
@@ -90,6 +91,11 @@ def logs_of(name, stream):
 def raw(stream):
     """Input function: the raw files of one stream."""
     return lambda wildcards: logs_of(wildcards.campaign, stream)
+
+
+def has_reference(name):
+    """True if a campaign has reference clouds."""
+    return bool(logs_of(name, "reference"))
 
 
 def position_source(wildcards):
@@ -178,6 +184,37 @@ def reports(wildcards):
     ]
 
 
+REFERENCE_PICTURES = [
+    "distance_map",
+    "cross_sections",
+    "distance_histogram",
+    "distance_by_range",
+]
+
+
+def accuracy_pictures(wildcards):
+    """Input function: the pictures of the accuracy page."""
+    names = REFERENCE_PICTURES + ["error_versus_range"] * is_twin(wildcards.campaign)
+    return [f"results/{wildcards.campaign}/figures/{name}.png" for name in names]
+
+
+def area_of_interest(wildcards):
+    """Params function: the part of the cloud that is compared with the reference."""
+    return CAMPAIGNS[wildcards.campaign].plain()["accuracy"]["area"]
+
+
+def reference_surface(wildcards):
+    """Params function: the section `reference` without the sigma, which no mesh depends on."""
+    options = CAMPAIGNS[wildcards.campaign].plain()["reference"]
+    return {key: value for key, value in options.items() if key != "sigma_m"}
+
+
+def comparison_settings(wildcards):
+    """Params function: the section `accuracy` without the cross sections, which are a picture's."""
+    options = CAMPAIGNS[wildcards.campaign].plain()["accuracy"]
+    return {key: value for key, value in options.items() if key != "sections"}
+
+
 def final_outputs(name):
     """The tables and pictures that `all` builds for a campaign."""
     base = f"results/{name}"
@@ -208,10 +245,16 @@ def final_outputs(name):
             f"{base}/figures/error_versus_range.png",
             f"{base}/figures/scene_view.png",
         ]
-    if logs_of(name, "reference"):
+    if has_reference(name):
         outputs += [
             f"{base}/ingest/reference.laz",
             f"{base}/figures/reference_view.png",
+            f"{base}/accuracy/reference_mesh.ply",
+            f"{base}/accuracy/statistics.csv",
+            f"{base}/accuracy/by_range.csv",
+            f"{base}/accuracy/spatial.csv",
+            f"{base}/accuracy/index.html",
+            *(f"{base}/figures/{picture}.png" for picture in REFERENCE_PICTURES),
         ]
     return outputs
 
@@ -237,6 +280,12 @@ def truth_statistics(wildcards):
     """Input function: the comparison with the truth, where there is one."""
     name = wildcards.campaign
     return [f"results/{name}/accuracy/truth_statistics.csv"] if is_twin(name) else []
+
+
+def reference_statistics(wildcards):
+    """Input function: the comparison with a reference, where there is one."""
+    name = wildcards.campaign
+    return [f"results/{name}/accuracy/statistics.csv"] if has_reference(name) else []
 
 
 REAL_DATA = Path(os.environ.get("THALWEG_DATA", ROOT.parent / "shared" / "data"))

@@ -389,3 +389,143 @@ rule plot_scene_view:
         "{wildcards.campaign}: view from the boat"
     script:
         "../scripts/plot_scene_view.py"
+
+
+rule plot_distance_map:
+    """Distance of the cloud from the reference on the bank (P2 Fig. 14, T Fig. 3.2)."""
+    input:
+        comparison="results/{campaign}/accuracy/cloud_to_mesh.parquet",
+        mesh="results/{campaign}/accuracy/reference_mesh.ply",
+        mesh_facts="results/{campaign}/accuracy/reference_mesh.json",
+    output:
+        distance_map_png=report(
+            "results/{campaign}/figures/distance_map.png",
+            caption="../report/distance_map.rst",
+            category="Accuracy",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_distance_map.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_distance_map.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000, 6),
+        runtime=minutes(10, 30),
+    params:
+        code=code_version("plot_distance_map"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title"),
+    message:
+        "{wildcards.campaign}: distance map"
+    script:
+        "../scripts/plot_distance_map.py"
+
+
+rule plot_cross_sections:
+    """Cross sections through cloud and reference (P2 Fig. 15)."""
+    input:
+        comparison="results/{campaign}/accuracy/cloud_to_mesh.parquet",
+        mesh="results/{campaign}/accuracy/reference_mesh.ply",
+        mesh_facts="results/{campaign}/accuracy/reference_mesh.json",
+        points="results/{campaign}/lidar/points.laz",
+        reference="results/{campaign}/ingest/reference.laz",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        cross_sections_png=report(
+            "results/{campaign}/figures/cross_sections.png",
+            caption="../report/cross_sections.rst",
+            category="Accuracy",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_cross_sections.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_cross_sections.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000, 6),
+        runtime=minutes(10, 30),
+    params:
+        code=code_version("plot_cross_sections"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title"),
+        sections=lambda wildcards: CAMPAIGNS[wildcards.campaign].plain()["accuracy"][
+            "sections"
+        ],
+        water_line_ics_m=lambda wildcards: CAMPAIGNS[
+            wildcards.campaign
+        ].filters.water_line_ics_m,
+    message:
+        "{wildcards.campaign}: cross sections"
+    script:
+        "../scripts/plot_cross_sections.py"
+
+
+rule plot_distance_histogram:
+    """Histogram of the distances with a normal fit (P2 Fig. 16a)."""
+    input:
+        comparison="results/{campaign}/accuracy/cloud_to_mesh.parquet",
+    output:
+        distance_histogram_png=report(
+            "results/{campaign}/figures/distance_histogram.png",
+            caption="../report/distance_histogram.rst",
+            category="Accuracy",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_distance_histogram.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_distance_histogram.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000, 10),
+        runtime=minutes(10),
+    params:
+        code=code_version("plot_distance_histogram"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title"),
+    message:
+        "{wildcards.campaign}: histogram of distances"
+    script:
+        "../scripts/plot_distance_histogram.py"
+
+
+rule plot_distance_by_range:
+    """Observed and predicted RMSE of the distances by range (P2 Fig. 16b)."""
+    input:
+        by_range="results/{campaign}/accuracy/by_range.csv",
+    output:
+        distance_by_range_png=report(
+            "results/{campaign}/figures/distance_by_range.png",
+            caption="../report/distance_by_range.rst",
+            category="Accuracy",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_distance_by_range.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_distance_by_range.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("plot_distance_by_range"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title"),
+        outlier_nmads=lambda wildcards: CAMPAIGNS[
+            wildcards.campaign
+        ].accuracy.outlier_nmads,
+    message:
+        "{wildcards.campaign}: distance by range"
+    script:
+        "../scripts/plot_distance_by_range.py"

@@ -6,8 +6,22 @@ from thalweg.accuracy.summary import summary_table
 from thalweg.jobs.job import run_job
 
 
-def main(*, streams: Path, trajectory: Path, counts: Path, truth: list[Path], summary: Path) -> None:
-    summary_table(streams, trajectory, counts, truth[0] if truth else None).to_csv(summary, index=False)
+def main(
+    *,
+    streams: Path,
+    trajectory: Path,
+    counts: Path,
+    reference: list[Path],
+    truth: list[Path],
+    summary: Path,
+) -> None:
+    summary_table(
+        streams,
+        trajectory,
+        counts,
+        reference=reference[0] if reference else None,
+        truth=truth[0] if truth else None,
+    ).to_csv(summary, index=False)
 
 
 if "snakemake" in globals():

@@ -26,6 +26,8 @@ class TrueReturns:
     return_number : (n,) 1 is the nearest return of the shot.
     kind : (n,) what the return is.
     material : (n,) number of the material that it came from.
+    point_wcs_m : (n, 3) where the echo arose: the beam's offset across itself and the echo's place in the
+        footprint are in it, the noise of the range is not.
     kinds : number -> name of the kinds; 0 is a single surface.
     """
 
@@ -33,6 +35,7 @@ class TrueReturns:
     return_number: AnyArray
     kind: AnyArray
     material: AnyArray
+    point_wcs_m: ArrayF
     kinds: Mapping[int, str]
 
     @classmethod
@@ -40,7 +43,8 @@ class TrueReturns:
         """From table kind ``twin_lidar_shots``."""
         ordered = shots.sort_values(["t_gps_s", "return_number"], kind="stable")
         columns = {n: ordered[n].to_numpy() for n in ("t_gps_s", "return_number", "kind", "material")}
-        return cls(kinds=kinds, **columns)
+        point = ordered[["east_m", "north_m", "up_m"]].to_numpy(dtype=np.float64)
+        return cls(kinds=kinds, point_wcs_m=point, **columns)
 
     def index(self, t_gps_s: ArrayF, return_number: AnyArray) -> ArrayI:
         """Row (m,) of each point of a cloud, -1 where its shot was not written."""

@@ -4,12 +4,21 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
-from thalweg.core.types import ArrayF
+from thalweg.core.types import ArrayF, ArrayI
 
 NMAD_FACTOR: Final = 1.4826
 """Median absolute deviation -> standard deviation of a normal distribution, 1 / Phi^-1(0.75)."""
+
+NORMAL_SHARES: Final = tuple(float(norm.cdf(k) - norm.cdf(-k)) for k in (1, 2, 3))
+"""Shares of a normal distribution within 1, 2 and 3 standard deviations of its mean."""
+
+WIDE_BAND: Final = 2.0
+"""A band whose limits differ by more than this factor confirms nothing."""
+
+FITTING_SHARE: Final = 0.02
+"""A normal distribution fits in words if the shares within 1, 2 and 3 sigma are met to this."""
 
 
 def describe_errors(errors_m: ArrayF) -> dict[str, float]:
@@ -32,6 +41,69 @@ def describe_errors(errors_m: ArrayF) -> dict[str, float]:
     }
 
 
+def describe_shape(errors_m: ArrayF) -> dict[str, float]:
+    """How signed errors are spread about two normal distributions: of largest likelihood, and robust.
+
+    The first has the mean (bias) and the standard deviation, the second the median and the NMAD. Returned are
+    ``skewness``, ``excess_kurtosis`` (both 0 for a normal), and the shares of the errors within 1, 2, 3
+    standard deviations of both, ``within_k_std`` and ``within_k_nmad``.
+
+    Examples
+    --------
+    >>> describe_shape(np.array([-1.0, -1.0, 1.0, 1.0]))["excess_kurtosis"]
+    -2.0
+    """
+    e = errors_m[np.isfinite(errors_m)]
+    known = describe_errors(e)
+    if not e.size:
+        return {}
+    std = known["std_m"]
+    standard = (e - known["bias_m"]) / std if std > 0 else np.zeros_like(e)
+    out = {
+        "skewness": float(np.mean(standard**3)),
+        "excess_kurtosis": float(np.mean(standard**4)) - 3.0 if std > 0 else 0.0,
+    }
+    for name, middle, sigma in (
+        ("std", known["bias_m"], std),
+        ("nmad", known["median_m"], known["nmad_m"]),
+    ):
+        distance = np.abs(e - middle)
+        out |= {f"within_{k}_{name}": float(np.mean(distance <= k * sigma)) for k in (1, 2, 3)}
+    return out
+
+
+def fit_in_words(shape: dict[str, float]) -> str:
+    """How well a normal distribution fits, from `describe_shape`."""
+    found = [shape[f"within_{k}_std"] for k in (1, 2, 3)]
+    shares = " / ".join(f"{100 * share:.1f}" for share in found)
+    normal = " / ".join(f"{100 * share:.1f}" for share in NORMAL_SHARES)
+    fits = max(abs(a - b) for a, b in zip(found, NORMAL_SHARES, strict=True)) < FITTING_SHARE
+    if fits:
+        words = "a normal distribution fits"
+    elif shape["excess_kurtosis"] > 0:
+        words = "more in the middle and far out than a normal distribution has"
+    else:
+        words = "less in the middle and far out than a normal distribution has"
+    return f"{shares} % lie within 1, 2, 3 sigma (normal: {normal} %): {words}"
+
+
+def outlier_limits(errors_m: ArrayF, nmads: float) -> tuple[float, float]:
+    """Lowest and highest error that the outlier rule ``|e - median| <= nmads * NMAD`` keeps.
+
+    Errors of which more than half are equal have no NMAD; then nothing is an outlier.
+    """
+    known = describe_errors(errors_m)
+    reach = nmads * known.get("nmad_m", 0.0)
+    if reach <= 0:
+        return -np.inf, np.inf
+    return known["median_m"] - reach, known["median_m"] + reach
+
+
+def range_class(range_m: ArrayF) -> ArrayI:
+    """The class (n,) of each range, in whole metres: ``D - 0.5 < d <= D + 0.5`` (P2 eq. 10)."""
+    return np.ceil(range_m - 0.5).astype(np.int64)
+
+
 def by_range_class(range_m: ArrayF, squared_error_m2: ArrayF, predicted_m2: ArrayF) -> pd.DataFrame:
     """Observed and predicted RMSE in range classes of 1 m, ``D - 0.5 < d <= D + 0.5`` (P2 eq. 10).
 
@@ -45,8 +117,9 @@ def by_range_class(range_m: ArrayF, squared_error_m2: ArrayF, predicted_m2: Arra
     -------
     Columns ``range_m``, ``n``, ``rmse_observed_m``, ``rmse_predicted_m``, one row a class that has points.
     """
-    centre = np.ceil(range_m - 0.5).astype(np.int64)
-    frame = pd.DataFrame({"range_m": centre, "observed": squared_error_m2, "predicted": predicted_m2})
+    frame = pd.DataFrame(
+        {"range_m": range_class(range_m), "observed": squared_error_m2, "predicted": predicted_m2}
+    )
     groups = frame.groupby("range_m", sort=True)
     table = pd.DataFrame({
         "n": groups.size(),
@@ -79,3 +152,37 @@ def chi_square_band(n_independent: float, level: float = 0.95) -> tuple[float, f
     low = float(chi2.ppf((1 - level) / 2, n_independent))
     high = float(chi2.ppf((1 + level) / 2, n_independent))
     return low / n_independent, high / n_independent
+
+
+def ratio_band(n_independent: float, level: float = 0.95) -> tuple[float, float]:
+    """Where honest sigmas leave the ratio of predicted to observed RMSE with a probability of ``level``.
+
+    Examples
+    --------
+    >>> [round(limit, 2) for limit in ratio_band(50)]
+    [0.84, 1.24]
+    """
+    low, high = chi_square_band(n_independent, level)
+    return high**-0.5, low**-0.5
+
+
+def honesty_in_words(ratio: float, low: float, high: float) -> str:
+    """Verdict on sigmas from the ratio of predicted to observed RMSE and its band.
+
+    Examples
+    --------
+    >>> honesty_in_words(1.02, 0.85, 1.19)
+    'sigmas are honest: 1.02 is inside 0.85 to 1.19'
+    >>> honesty_in_words(0.62, 0.85, 1.19)
+    'errors are 1.6 times larger than predicted: 0.62 is outside 0.85 to 1.19'
+    >>> honesty_in_words(0.70, 0.65, 2.10)
+    'nothing speaks against the sigmas, but the band is wide: 0.70 is inside 0.65 to 2.10'
+    """
+    band = f"{low:.2f} to {high:.2f}"
+    if low <= ratio <= high:
+        if high > WIDE_BAND * low:
+            return f"nothing speaks against the sigmas, but the band is wide: {ratio:.2f} is inside {band}"
+        return f"sigmas are honest: {ratio:.2f} is inside {band}"
+    if ratio < low:
+        return f"errors are {1 / ratio:.1f} times larger than predicted: {ratio:.2f} is outside {band}"
+    return f"errors are {ratio:.1f} times smaller than predicted: {ratio:.2f} is outside {band}"

@@ -9,7 +9,22 @@ import pandas as pd
 COLUMNS = ["quantity", "value", "unit", "source"]
 
 
-def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | None) -> pd.DataFrame:
+REFERENCE_FIGURES = {
+    "n": "points compared with the reference",
+    "bias": "distance to the reference: mean",
+    "rmse": "distance to the reference: RMSE",
+    "nmad": "distance to the reference: NMAD",
+    "predicted_rmse": "distance to the reference: RMSE predicted",
+    "ratio": "distance to the reference: predicted / observed",
+    "ratio_low95": "  honest sigmas leave it above (95 %)",
+    "ratio_high95": "  honest sigmas leave it below (95 %)",
+}
+"""Quantities of the comparison with a reference that a surveyor looks at first."""
+
+
+def summary_table(
+    streams: Path, trajectory: Path, counts: Path, *, reference: Path | None = None, truth: Path | None = None
+) -> pd.DataFrame:
     """Collect the figures that a surveyor looks at first.
 
     Parameters
@@ -17,6 +32,7 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
     streams : table of the time axis (CSV).
     trajectory : summary of the trajectory (JSON).
     counts : what became of the lidar points (CSV).
+    reference : statistics of the comparison with a reference (CSV), or None where there is none.
     truth : statistics against the twin's truth (CSV), or None for a real campaign.
 
     Returns
@@ -42,27 +58,52 @@ def summary_table(streams: Path, trajectory: Path, counts: Path, truth: Path | N
     reasons = _records(counts)
     rows.append(("lidar points decoded", sum(row["n"] for row in reasons), "1", counts.name))
     rows += [(f"  {row['words']}", row["n"], "1", counts.name) for row in reasons if row["n"]]
+    if reference is not None:
+        rows += _reference_rows(reference)
     if truth is not None:
-        wanted = {
-            "rmse": "bare ground: RMSE against the truth of the twin",
-            "predicted_rmse": "bare ground: RMSE predicted",
-            "normalised_squared_error": "bare ground: normalised squared error",
-            "honest_low95": "  if sigmas are honest: above (95 %)",
-            "honest_high95": "  if sigmas are honest: below (95 %)",
-        }
-        ground = {row["quantity"]: row for row in _records(truth) if row["points"] == "bare ground"}
-        rows += [
-            (text, ground[key]["value"], ground[key]["unit"], truth.name) for key, text in wanted.items()
-        ]
-        honest = ground["honest_low95"]["value"] <= ground["normalised_squared_error"]["value"]
-        honest &= ground["normalised_squared_error"]["value"] <= ground["honest_high95"]["value"]
-        rows.append(("  inside that band (1: yes, 0: no)", float(honest), "1", truth.name))
-        with_gross = {r["quantity"]: r for r in _records(truth) if r["points"].endswith("gross errors")}
-        rows.append(("bare ground: RMSE with gross errors", with_gross["rmse"]["value"], "m", truth.name))
-        rows.append(("bare ground: gross errors", with_gross["gross_errors"]["value"], "1", truth.name))
-        share = 100 * ground["share_of_points"]["value"]
-        rows.append(("bare ground: share of all points", share, "%", truth.name))
+        rows += _truth_rows(truth)
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _reference_rows(reference: Path) -> list[tuple[str, float, str, str]]:
+    """As measured, with the outlier rule, and the RMSE without it."""
+    table = [row for row in _records(reference) if row["registration"] == "as measured"]
+    inside = {row["quantity"]: row for row in table if row["points"] == "without outliers"}
+    everything = {row["quantity"]: row for row in table if row["points"] == "all"}
+    rows = [
+        (text, inside[key]["value"], inside[key]["unit"], reference.name)
+        for key, text in REFERENCE_FIGURES.items()
+    ]
+    rows.append(
+        ("distance to the reference: RMSE with outliers", everything["rmse"]["value"], "m", reference.name)
+    )
+    share = 100 * (1 - inside["n"]["value"] / everything["n"]["value"])
+    rows.append(("distance to the reference: outliers", share, "%", reference.name))
+    return rows
+
+
+def _truth_rows(truth: Path) -> list[tuple[str, float, str, str]]:
+    """Of a twin: bare ground against the truth."""
+    wanted = {
+        "rmse": "bare ground: RMSE against the truth of the twin",
+        "predicted_rmse": "bare ground: RMSE predicted",
+        "normalised_squared_error": "bare ground: normalised squared error",
+        "honest_low95": "  if sigmas are honest: above (95 %)",
+        "honest_high95": "  if sigmas are honest: below (95 %)",
+    }
+    ground = {row["quantity"]: row for row in _records(truth) if row["points"] == "bare ground"}
+    rows: list[tuple[str, float, str, str]] = [
+        (text, ground[key]["value"], ground[key]["unit"], truth.name) for key, text in wanted.items()
+    ]
+    honest = ground["honest_low95"]["value"] <= ground["normalised_squared_error"]["value"]
+    honest &= ground["normalised_squared_error"]["value"] <= ground["honest_high95"]["value"]
+    rows.append(("  inside that band (1: yes, 0: no)", float(honest), "1", truth.name))
+    with_gross = {r["quantity"]: r for r in _records(truth) if r["points"].endswith("gross errors")}
+    rows.append(("bare ground: RMSE with gross errors", with_gross["rmse"]["value"], "m", truth.name))
+    rows.append(("bare ground: gross errors", with_gross["gross_errors"]["value"], "1", truth.name))
+    share = 100 * ground["share_of_points"]["value"]
+    rows.append(("bare ground: share of all points", share, "%", truth.name))
+    return rows
 
 
 def summary_lines(table: pd.DataFrame) -> list[str]:

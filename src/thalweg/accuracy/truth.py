@@ -8,6 +8,7 @@ direction. Its prediction is ``n^T C n`` with the covariance that the cloud itse
 read the truth.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -67,6 +68,39 @@ class PointErrors:
     def bare_ground(self) -> ArrayB:
         """Points on bare ground without gross errors."""
         return self.on_ground & ~self.gross
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointErrors3d:
+    """Errors of points in three dimensions, one row a point.
+
+    ``error_m`` (n, 3) is the point minus the place where its echo arose, east, north and up; ``cov_m2``
+    (n, 3, 3) is its prediction.
+    """
+
+    t_gps_s: ArrayF
+    range_m: ArrayF
+    error_m: ArrayF
+    cov_m2: ArrayF
+
+    @property
+    def squared_m2(self) -> ArrayF:
+        """Square of the length of each error (n,)."""
+        return np.asarray(np.sum(self.error_m**2, axis=1))
+
+    @property
+    def predicted_m2(self) -> ArrayF:
+        """Its expectation (n,): the trace of the covariance, the square of P2 eq. 9."""
+        return np.asarray(np.trace(self.cov_m2, axis1=1, axis2=2))
+
+    @property
+    def normalised(self) -> ArrayF:
+        """Normalised squared error ``e^T C^-1 e / 3`` (n,), of expectation 1.
+
+        It sees the shape of the covariance too: an error across a flat ellipsoid counts more than one along it.
+        """
+        solved = np.linalg.solve(self.cov_m2, self.error_m[:, :, None])[:, :, 0]
+        return np.asarray(np.einsum("ni,ni->n", self.error_m, solved) / 3.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,6 +171,32 @@ def point_errors(
         error_m=error[hit],
         sigma_m=sigma[hit],
         on_ground=ground[hit],
+    )
+
+
+def point_errors_3d(cloud: Mapping[str, AnyArray], true_wcs_m: ArrayF, *, where: Path) -> PointErrors3d:
+    """Compare points with the places where their echoes arose.
+
+    The true place is that of the twin's own table of shots. The difference holds all that the covariance
+    predicts: the noise of the range along the beam; across it the beam's offset and the echo's place in its
+    footprint, as both are in the true place and the processing knows neither; and the errors of pose, mount and
+    stamp. Points whose echo is a mixed one or a mirror ghost have no such place: leave them out.
+
+    Parameters
+    ----------
+    cloud : ``xyz_m`` (n, 3), ``t_gps_s``, ``range``, standard deviations and correlations.
+    true_wcs_m : (n, 3) where their echoes arose, see `thalweg.accuracy.returns.TrueReturns`.
+    where : file of the cloud, for messages.
+
+    Raises
+    ------
+    InputError : the cloud does not carry the full covariance of its points.
+    """
+    return PointErrors3d(
+        t_gps_s=np.asarray(cloud["t_gps_s"]),
+        range_m=np.asarray(cloud["range"], dtype=np.float64),
+        error_m=np.asarray(cloud["xyz_m"] - true_wcs_m),
+        cov_m2=cloud_covariance(cloud, where),
     )
 
 
@@ -227,7 +287,7 @@ def compare_cloud(
     return error_tables(errors, correlation_s=correlation_s)
 
 
-def cloud_covariance(cloud: dict[str, AnyArray], path: Path) -> ArrayF:
+def cloud_covariance(cloud: Mapping[str, AnyArray], path: Path) -> ArrayF:
     """Covariance (n, 3, 3) that the points of a cloud carry.
 
     Raises

@@ -68,10 +68,15 @@ class Reference(Section):
         default=0.3,
         le=20,
         description="Points that stand farther than this in front of the lower envelope of the cloud are "
-        "vegetation or loose objects and left out, metres along the bank's normal; null: off",
+        "vegetation or loose objects and left out, metres along the bank's normal; null: off, and spikes of "
+        "single cells stay as well",
     )
-    poisson_depth: int = Field(
-        default=10, ge=5, le=14, description="Depth of the octree of the Poisson reconstruction"
+    poisson_depth: int | None = Field(
+        default=None,
+        ge=5,
+        le=14,
+        description="Depth of the octree of the Poisson reconstruction; null: deep enough for `cell_m`, "
+        "at most 12",
     )
 
 

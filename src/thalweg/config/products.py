@@ -24,7 +24,7 @@ class Georeferencing(Section):
     correlations: bool = Field(
         default=False,
         description="Write the correlations of each point's coordinates beside its three standard "
-        "deviations; a twin's cloud always has them",
+        "deviations; always so for a twin, and where there is a reference",
     )
     export_map: bool = Field(
         default=True, description="Also write the cloud in map coordinates (`campaign.crs`)"

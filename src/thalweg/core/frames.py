@@ -57,6 +57,24 @@ def rotation_opk(omega_rad: float, phi_rad: float, kappa_rad: float) -> ArrayF:
     return rotation_x(omega_rad) @ rotation_y(phi_rad) @ rotation_z(kappa_rad)
 
 
+def opk_axes(omega_rad: ArrayLike, phi_rad: ArrayLike) -> ArrayF:
+    """Axes (..., 3, 3), as columns, about which ``R_x(omega) R_y(phi) R_z(kappa)`` turns with each angle.
+
+    A small change of the angles is the rotation vector ``axes @ (domega, dphi, dkappa)`` in the outer frame.
+
+    Parameters
+    ----------
+    omega_rad, phi_rad : broadcastable arrays of shape (...,).
+    """
+    omega, phi = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (omega_rad, phi_rad)))
+    axes = np.zeros((*omega.shape, 3, 3))
+    axes[..., 0, 0] = 1.0
+    axes[..., 1, 1], axes[..., 2, 1] = np.cos(omega), np.sin(omega)
+    axes[..., 0, 2] = np.sin(phi)
+    axes[..., 1, 2], axes[..., 2, 2] = -np.sin(omega) * np.cos(phi), np.cos(omega) * np.cos(phi)
+    return axes
+
+
 def rotation_enu_body(roll_rad: ArrayLike, pitch_rad: ArrayLike, heading_rad: ArrayLike) -> ArrayF:
     """Rotation ``R_wcs_ics`` of an INS body frame (x forward, y right, z down) in east-north-up.
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayF
+from thalweg.core.types import ArrayB, ArrayF
 from thalweg.figures.style import BLUE, VERMILION, count, legend_below, new_figure, styled
 
 RANGE_COLUMNS = ("range_m", "n", "rmse_observed_m", "rmse_predicted_m")
@@ -56,19 +56,7 @@ def error_versus_range(
     upper, middle, lower = figure.subplots(3, 1, sharex=True, height_ratios=[2.6, 1.0, 1.0])
     many = n >= n_least
     upper.plot(r, predicted, color=VERMILION, lw=1.6, label="predicted", zorder=2)
-    upper.plot(r, observed, color=BLUE, lw=0.8, zorder=3)
-    upper.plot(r[many], observed[many], color=BLUE, ls="none", marker="o", label="observed", zorder=4)
-    if not many.all():
-        upper.plot(
-            r[~many], observed[~many], color=BLUE, ls="none", marker="o", mfc="white", zorder=4,
-            label=f"observed, fewer than {n_least} points",
-        )  # fmt: skip
-    top = max(float(np.nanmax(predicted)), float(np.nanmax(observed[many] if many.any() else observed)))
-    upper.set_ylim(0, 1.3 * top if top > 0 else 1.0)
-    above = observed > upper.get_ylim()[1]
-    if above.any():
-        upper.plot(r[above], np.full(int(above.sum()), 0.97 * upper.get_ylim()[1]), color=BLUE, ls="none",
-                   marker="^", mfc="white", label=f"beyond the axis, n = {int(above.sum())}")  # fmt: skip
+    draw_observed(upper, r, observed, many, n_least=n_least, also=predicted)
     upper.set_ylabel("RMSE / mm")
     upper.set_title("\n".join(filter(None, [quantity, outlier_rule])))
     upper.legend(loc="upper left", ncols=2)
@@ -97,6 +85,37 @@ def error_versus_range(
         ax.grid(axis="y")
     figure.align_ylabels([upper, middle, lower])
     return figure
+
+
+def draw_observed(
+    ax: Axes, range_m: ArrayF, observed: ArrayF, many: ArrayB, *, n_least: int, also: ArrayF
+) -> None:
+    """Errors observed by range class; hollow dots for classes with few points, arrows for what is beyond.
+
+    Sets the limits of the y axis: single classes with few points do not decide about them.
+
+    Parameters
+    ----------
+    ax : where.
+    range_m : (n,) centres of the classes.
+    observed : (n,) in the unit of the axis.
+    many : (n,) true for classes with at least ``n_least`` points.
+    n_least : for the legend.
+    also : values that have to be on the axis too.
+    """
+    ax.plot(range_m, observed, color=BLUE, lw=0.8, zorder=3)
+    ax.plot(range_m[many], observed[many], color=BLUE, ls="none", marker="o", label="observed", zorder=4)
+    if not many.all():
+        ax.plot(
+            range_m[~many], observed[~many], color=BLUE, ls="none", marker="o", mfc="white", zorder=4,
+            label=f"observed, fewer than {n_least} points",
+        )  # fmt: skip
+    top = max(float(np.nanmax(also)), float(np.nanmax(observed[many] if many.any() else observed)))
+    ax.set_ylim(0, 1.3 * top if top > 0 else 1.0)
+    above = observed > ax.get_ylim()[1]
+    if above.any():
+        ax.plot(range_m[above], np.full(int(above.sum()), 0.97 * ax.get_ylim()[1]), color=BLUE, ls="none",
+                marker="^", mfc="white", label=f"beyond the axis, n = {int(above.sum())}")  # fmt: skip
 
 
 @styled

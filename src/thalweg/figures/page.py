@@ -45,7 +45,7 @@ class Page:
     Parameters
     ----------
     title : heading and name of the page.
-    lead : first paragraph.
+    lead : first paragraph, above the list of contents.
 
     Examples
     --------
@@ -56,7 +56,8 @@ class Page:
 
     def __init__(self, title: str, lead: str = "") -> None:
         self.title = title
-        self._body: list[str] = [f"<p>{escape(lead)}</p>"] if lead else []
+        self._lead = f"<p>{escape(lead)}</p>\n" if lead else ""
+        self._body: list[str] = []
         self._sections: list[tuple[str, str]] = []
 
     def section(self, name: str) -> Self:
@@ -146,7 +147,7 @@ class Page:
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f"<title>{escape(self.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-            f"<h1>{escape(self.title)}</h1>\n{nav}{body}\n</body>\n</html>\n"
+            f"<h1>{escape(self.title)}</h1>\n{self._lead}{nav}{body}\n</body>\n</html>\n"
         )
 
     def write(self, path: Path) -> None:

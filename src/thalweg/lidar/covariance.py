@@ -12,6 +12,8 @@ The table takes 17 mm for each coordinate in the scanner at any range (P2 eq. 7)
 where in its footprint the echo arose, across the beam, and how weak the echo was, along it. An inclined
 surface needs no term of its own: an echo that is off by ``d`` across the beam lies ``d sin(i)`` off the
 surface along its normal, which is what ``n^T C n`` gives for incidence ``i``.
+
+The derivatives come from `thalweg.core.propagation`, the chain of frames that error budgets use as well.
 """
 
 from collections.abc import Mapping
@@ -21,6 +23,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from thalweg.core.errors import GeometryError
+from thalweg.core.propagation import SHIFT, TURN, Link, beam_axes, chain_derivatives, propagated
 from thalweg.core.types import ArrayF
 
 INPUTS: Final = (
@@ -105,17 +108,17 @@ def point_jacobian(
     R_ics_scs, lever_ics_m : (3, 3), (3,) mount of the scanner.
     velocity_mps, rate_wcs_radps : (n, 3) velocity of the ics origin and angular velocity, both in wcs.
     """
-    body = np.asarray(xyz_scs_m, dtype=np.float64) @ R_ics_scs.T
-    arm = np.einsum("nij,nj->ni", R_wcs_ics, body + lever_ics_m)
-    beam = np.einsum("nij,nj->ni", R_wcs_ics, body)
-    out = np.zeros((len(body), 3, 16))
-    out[:, :, 0:3] = np.eye(3)
-    out[:, :, 3:6] = -_cross_matrix(arm)
-    out[:, :, 6:9] = -R_wcs_ics @ _cross_matrix(body)
-    out[:, :, 9:12] = R_wcs_ics
-    out[:, :, 12] = beam / np.linalg.norm(beam, axis=1, keepdims=True)
-    out[:, :, 13], out[:, :, 14] = _two_across(out[:, :, 12])
-    out[:, :, 15] = velocity_mps + np.cross(rate_wcs_radps, arm)
+    xyz = np.asarray(xyz_scs_m, dtype=np.float64)
+    chain = chain_derivatives(
+        [Link(rotation=R_wcs_ics, shift_m=np.zeros(3)), Link(rotation=R_ics_scs, shift_m=lever_ics_m)], xyz
+    )
+    platform, mount = chain.by_link
+    moved = np.concatenate([velocity_mps, rate_wcs_radps], axis=1)
+    out = np.empty((len(xyz), 3, 16))
+    out[:, :, 0:6] = platform
+    out[:, :, 6:9], out[:, :, 9:12] = mount[:, :, TURN], mount[:, :, SHIFT]
+    out[:, :, 12:15] = beam_axes(np.einsum("nij,nj->ni", chain.by_point, xyz))
+    out[:, :, 15] = np.einsum("nij,nj->ni", platform, moved)
     return out
 
 
@@ -139,19 +142,4 @@ def point_covariance(
     S[:, 6:12, 6:12] = cov_mount_ics
     S[:, 12, 12], S[:, 13, 13], S[:, 14, 14] = along, across, across
     S[:, 15, 15] = sigma_time_s**2
-    return np.asarray(jacobian @ S @ np.swapaxes(jacobian, 1, 2))
-
-
-def _cross_matrix(a: ArrayF) -> ArrayF:
-    """``[a]x`` (n, 3, 3), so that ``[a]x b = a x b``."""
-    out = np.zeros((len(a), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -a[:, 2], a[:, 1], -a[:, 0]
-    return out - np.swapaxes(out, 1, 2)
-
-
-def _two_across(direction: ArrayF) -> tuple[ArrayF, ArrayF]:
-    """Two unit vectors (n, 3) that make a right-handed frame with ``direction``."""
-    least = np.argmin(np.abs(direction), axis=1)
-    first = np.cross(direction, np.eye(3)[least])
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(direction, first)
+    return propagated(jacobian, S)

@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 
 from thalweg.core.errors import GeometryError
-from thalweg.core.frames import rotation_opk
+from thalweg.core.frames import opk_axes, rotation_opk
 from thalweg.core.types import ArrayF
 
 
@@ -64,9 +64,3 @@ class Mount:
             lever_ics_m=np.asarray(section["lever_ics_m"], dtype=np.float64),
             cov_ics=to_vector @ (correlation * np.outer(sigma, sigma)) @ to_vector.T,
         )
-
-
-def opk_axes(omega_rad: float, phi_rad: float) -> ArrayF:
-    """Axes (3, 3), as columns, about which ``R_x(omega) R_y(phi) R_z(kappa)`` turns with each angle."""
-    R_omega, R_omega_phi = rotation_opk(omega_rad, 0.0, 0.0), rotation_opk(omega_rad, phi_rad, 0.0)
-    return np.stack([np.array([1.0, 0.0, 0.0]), R_omega[:, 1], R_omega_phi[:, 2]], axis=1)

@@ -1,0 +1,210 @@
+"""Statistics of cloud-to-mesh distances, observed against predicted: in all, and by range (P2 eq. 10).
+
+Ratios are predicted over observed RMSE: above 1 the points are better than their sigmas say. Honest sigmas
+leave a ratio inside its band with a probability of 95 % (`thalweg.accuracy.independent` says on which side
+that errs). Of 40 range classes two are therefore outside theirs by chance.
+"""
+
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.accuracy.comparison import ComparisonSettings
+from thalweg.accuracy.independent import correlated_sum, independent_squares
+from thalweg.accuracy.statistics import (
+    chi_square_band,
+    describe_errors,
+    describe_shape,
+    fit_in_words,
+    honesty_in_words,
+    outlier_limits,
+    range_class,
+    ratio_band,
+)
+from thalweg.core.types import ArrayB, ArrayF
+
+AS_MEASURED: Final = "as measured"
+REGISTERED: Final = "with registration"
+ALL: Final = "all"
+WITHOUT_OUTLIERS: Final = "without outliers"
+
+STATISTICS_COLUMNS: Final = ("registration", "points", "quantity", "value", "unit")
+BY_RANGE_COLUMNS: Final = (
+    "registration", "points", "range_m", "n", "rmse_observed_m", "rmse_predicted_m", "rmse_predicted_3d_m",
+    "ratio", "ratio_low95", "ratio_high95", "inside", "independent_values",
+)  # fmt: skip
+
+
+def point_sets(table: pd.DataFrame) -> dict[str, ArrayB]:
+    """Rows of a table `CLOUD_TO_MESH` that statistics are made of: with and without the outlier rule."""
+    used, outlier = table["used"].to_numpy(), table["outlier"].to_numpy()
+    return {ALL: used, WITHOUT_OUTLIERS: used & ~outlier}
+
+
+def statistics_table(
+    table: pd.DataFrame, settings: ComparisonSettings, registration: str = AS_MEASURED
+) -> pd.DataFrame:
+    """Statistics of the distances, with and without the outlier rule.
+
+    Parameters
+    ----------
+    table : kind `CLOUD_TO_MESH`.
+    settings : those of the comparison.
+    registration : what the first column says.
+
+    Returns
+    -------
+    One row a quantity with `STATISTICS_COLUMNS`. ``bias``, ``std``, ``rmse``, ``median``, ``nmad``, ``p95``:
+    see `describe_errors`; bias and std are the normal distribution of largest likelihood, median and NMAD the
+    robust one. Shape: see `describe_shape`. ``predicted_rmse``: normal component and reference;
+    ``predicted_rmse_3d``: P2 eq. 9. ``sigma_of_bias``: what the sigmas and the correlation time predict for
+    the mean. ``ratio``: predicted over observed RMSE, honest between ``ratio_low95``
+    and ``ratio_high95``. ``normalised_squared_error``: mean of squared distance over its variance, honest
+    between ``honest_low95`` and ``honest_high95``. ``range_p99``: 99 % of the points were measured nearer.
+    """
+    rows: list[tuple[str, str, str, float, str]] = []
+    for name, use in point_sets(table).items():
+        rows += [(registration, name, *row) for row in _statistics(table[use], settings)]
+    distance = table["distance_m"].to_numpy()[table["used"].to_numpy()]
+    low, high = outlier_limits(distance, settings.outlier_nmads)
+    outliers = float(table["outlier"].sum())
+    for quantity, value, unit in (
+        ("outliers", outliers, "1"),
+        ("outlier_limit_low", low, "m"),
+        ("outlier_limit_high", high, "m"),
+    ):
+        rows.append((registration, WITHOUT_OUTLIERS, quantity, float(value), unit))
+    return pd.DataFrame(rows, columns=list(STATISTICS_COLUMNS))
+
+
+def _statistics(points: pd.DataFrame, settings: ComparisonSettings) -> list[tuple[str, float, str]]:
+    distance = points["distance_m"].to_numpy()
+    rows: list[tuple[str, float, str]] = []
+    for quantity, value in describe_errors(distance).items():
+        bare, _, unit = quantity.rpartition("_")
+        rows.append((bare or quantity, value, unit if bare else "1"))
+    if not len(distance):
+        return rows
+    rows += [(quantity, value, "1") for quantity, value in describe_shape(distance).items()]
+    changing, constant, three_d = _variances(points, settings)
+    variance = changing + constant
+    t = points["t_gps_s"].to_numpy()
+    n_rmse = independent_squares(t, changing, settings.correlation_s, constant_m2=constant)
+    share = changing / variance
+    n_normalised = independent_squares(t, share, settings.correlation_s, constant_m2=1.0 - share)
+    ratio = float(np.sqrt(variance.mean() / np.mean(distance**2)))
+    low, high = ratio_band(n_rmse)
+    honest_low, honest_high = chi_square_band(n_normalised)
+    normalised = distance / np.sqrt(variance)
+    return [
+        *rows,
+        ("predicted_rmse", float(np.sqrt(variance.mean())), "m"),
+        ("predicted_rmse_3d", float(np.sqrt(three_d.mean())), "m"),
+        ("sigma_of_bias", float(np.sqrt(_variance_of_mean(t, changing, constant, settings))), "m"),
+        ("ratio", ratio, "1"),
+        ("ratio_low95", low, "1"),
+        ("ratio_high95", high, "1"),
+        ("independent_values", n_rmse, "1"),
+        ("normalised_squared_error", float(np.mean(normalised**2)), "1"),
+        ("honest_low95", honest_low, "1"),
+        ("honest_high95", honest_high, "1"),
+        ("normalised_nmad", describe_errors(normalised)["nmad_m"], "1"),
+        ("range_p99", float(np.percentile(points["range_m"], 99)), "m"),
+    ]
+
+
+def by_range_table(
+    table: pd.DataFrame, settings: ComparisonSettings, registration: str = AS_MEASURED
+) -> pd.DataFrame:
+    """Observed and predicted RMSE in the range classes of P2 eq. 10, each with its band.
+
+    Parameters
+    ----------
+    table, settings, registration : as for `statistics_table`.
+
+    Returns ------- One row a class that has points, with `BY_RANGE_COLUMNS`. The band of a class follows
+    from the times of its own points; ``inside`` says whether the ratio lies in it. The 3D total is no
+    prediction of a distance: it stands there because P2 compared with it.
+    """
+    rows = []
+    for name, use in point_sets(table).items():
+        points = table[use]
+        # of equal classes the points stay together, so that each class is a slice
+        centre = range_class(points["range_m"].to_numpy().astype(np.float64))
+        order = np.argsort(centre, kind="stable")
+        points, centre = points.iloc[order], centre[order]
+        distance, t = points["distance_m"].to_numpy(), points["t_gps_s"].to_numpy()
+        changing, constant, three_d = _variances(points, settings)
+        classes, first, count = np.unique(centre, return_index=True, return_counts=True)
+        for middle, start, n in zip(classes, first, count, strict=True):
+            part = slice(start, start + n)
+            values = independent_squares(
+                t[part], changing[part], settings.correlation_s, constant_m2=constant[part]
+            )
+            observed = float(np.sqrt(np.mean(distance[part] ** 2)))
+            predicted = float(np.sqrt(np.mean(changing[part] + constant[part])))
+            ratio = predicted / observed if observed > 0 else np.inf
+            low, high = ratio_band(values)
+            rows.append((
+                registration, name, int(middle), int(n), observed, predicted,
+                float(np.sqrt(np.mean(three_d[part]))), ratio, low, high, low <= ratio <= high, values,
+            ))  # fmt: skip
+    return pd.DataFrame(rows, columns=list(BY_RANGE_COLUMNS))
+
+
+def verdicts(statistics: pd.DataFrame, by_range: pd.DataFrame) -> list[dict[str, str]]:
+    """What the tables say, in words: one entry a registration and set of points.
+
+    Returns ------- Entries ``registration``, ``points``, ``sigmas`` (are they honest?), ``normal`` (does a
+    normal distribution fit?) and ``classes`` (how many range classes are outside their bands).
+    """
+    out = []
+    for (registration, points), rows in statistics.groupby(["registration", "points"], sort=False):
+        value = dict(zip(rows["quantity"], rows["value"], strict=True))
+        if "ratio" not in value:
+            continue
+        classes = by_range.query("registration == @registration and points == @points")
+        outside = classes[~classes["inside"]]
+        far = _runs(outside["range_m"].tolist())
+        out.append({
+            "registration": str(registration),
+            "points": str(points),
+            "sigmas": honesty_in_words(value["ratio"], value["ratio_low95"], value["ratio_high95"]),
+            "normal": fit_in_words(value),
+            "classes": f"{len(outside)} of {len(classes)} range classes are outside their band"
+            + (f" ({far} m)" if far else "")
+            + f"; {0.05 * len(classes):.1f} are to be expected by chance",
+        })  # fmt: skip
+    return out
+
+
+def _variance_of_mean(
+    t_gps_s: ArrayF, changing_m2: ArrayF, constant_m2: ArrayF, settings: ComparisonSettings
+) -> float:
+    """Predicted variance of the mean of distances whose errors share poses and a reference."""
+    order = np.argsort(t_gps_s, kind="stable")
+    shared = correlated_sum(t_gps_s[order], np.sqrt(changing_m2[order]), settings.correlation_s)
+    return (shared + float(np.sqrt(constant_m2).sum()) ** 2) / len(t_gps_s) ** 2
+
+
+def _runs(numbers: list[int]) -> str:
+    """Sorted whole numbers in words, neighbours as one run: ``15, 27 to 30``."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+
+
+def _variances(points: pd.DataFrame, settings: ComparisonSettings) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Predicted variance (n,) of each distance that changes in time, that is constant, and the 3D total.
+
+    Constant is the reference's position as a whole; the noise of its vertices counts as changing.
+    """
+    reference = points["sigma_reference_m"].to_numpy().astype(np.float64) ** 2
+    constant = np.minimum(reference, settings.reference_sigma_m**2)
+    changing = points["sigma_normal_m"].to_numpy().astype(np.float64) ** 2 + reference - constant
+    return changing, constant, points["sigma_3d_m"].to_numpy().astype(np.float64) ** 2

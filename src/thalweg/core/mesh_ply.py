@@ -1,0 +1,330 @@
+"""Meshes as PLY files: written with their origin, read from this and from other programs.
+
+Binary little-endian; vertices double ``x y z`` and float ``sigma_m``, faces ``vertex_indices`` and uchar
+``border``. Lines ``comment thalweg ...``, joined, are a JSON text with the origin of the world frame, the
+version of the format, and the facts about the mesh. It is cut into short lines because readers built on rply
+(Open3D, CloudCompare) refuse lines of more than a thousand characters.
+
+Format: G. Turk, "The PLY Polygon File Format" (1994).
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pyproj import CRS
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.mesh import TriangleMesh
+from thalweg.core.types import AnyArray, ArrayI
+
+FORMAT: Final = 1
+MAP_COORDINATES_M: Final = 20_000.0
+"""Coordinates of another program's mesh beyond this are those of a map grid."""
+
+_LINE: Final = 200
+_HEAD_BYTES: Final = 1 << 20
+_CURE: Final = "Build the mesh again with the rule mesh_reference, or export it as binary PLY"
+_TYPES: Final = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+_CORNERS: Final = ("vertex_indices", "vertex_index")
+
+
+def write_mesh(path: Path, mesh: TriangleMesh, frame: LocalFrame, facts: Mapping[str, Any]) -> None:
+    """Write a mesh; the file appears under its name only when it is complete.
+
+    Parameters
+    ----------
+    path : target, ``.ply``.
+    mesh : in wcs.
+    frame : the world frame.
+    facts : JSON-able facts about the mesh.
+
+    Raises
+    ------
+    GeometryError : more vertices than PLY's 32-bit indices count.
+    """
+    if len(mesh.vertices_m) > np.iinfo(np.int32).max:
+        raise GeometryError(f"{len(mesh.vertices_m):,} vertices", expected="fewer than 2^31", where=path)
+    origin = {"lat_deg": frame.lat_deg, "lon_deg": frame.lon_deg, "h_ell_m": frame.h_ell_m}
+    text = json.dumps({"format": FORMAT, "origin": origin, "facts": dict(facts)}, separators=(",", ":"))
+    comments = [f"comment thalweg {text[i : i + _LINE]}" for i in range(0, len(text), _LINE)]
+    vertices = np.empty(len(mesh.vertices_m), dtype=[(a, "<f8") for a in "xyz"] + [("sigma_m", "<f4")])
+    for axis, name in enumerate("xyz"):
+        vertices[name] = mesh.vertices_m[:, axis]
+    vertices["sigma_m"] = mesh.sigma_m
+    faces = np.empty(len(mesh.faces), dtype=[("n", "u1"), ("corners", "<i4", (3,)), ("border", "u1")])
+    faces["n"], faces["corners"], faces["border"] = 3, mesh.faces, mesh.border_faces()
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *comments,
+        f"element vertex {len(vertices)}",
+        *(f"property double {name}" for name in "xyz"),
+        "property float sigma_m",
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "property uchar border",
+        "end_header",
+    ]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.partial")
+    with partial.open("wb") as stream:
+        stream.write(("\n".join(header) + "\n").encode("ascii"))
+        vertices.tofile(stream)
+        faces.tofile(stream)
+    partial.replace(path)
+
+
+def read_mesh(path: Path) -> tuple[TriangleMesh, LocalFrame, dict[str, Any]]:
+    """A mesh written by `write_mesh`, its world frame, and its facts.
+
+    Raises
+    ------
+    InputError : no PLY, damaged, of another format version, or of another program (`read_any_mesh`).
+    """
+    found = _read(path)
+    if found.told is None:
+        raise InputError(
+            "a mesh of another program: it does not say in which frame it is",
+            expected="the comment 'thalweg' with the origin of the world frame",
+            where=path,
+            cure=_CURE,
+        )
+    return found.mesh(path, 0.0), LocalFrame(**found.told["origin"]), found.told["facts"]
+
+
+def read_any_mesh(
+    path: Path, frame: LocalFrame, crs: str, *, sigma_m: float = 0.0
+) -> tuple[TriangleMesh, str]:
+    """A mesh of this or of another program in the world frame, and a note about what had to be assumed.
+
+    Parameters
+    ----------
+    path : PLY, text or binary; polygons are cut into triangles.
+    frame : the world frame.
+    crs : map grid of the campaign, for coordinates that are those of a map.
+    sigma_m : standard deviation of vertices that have none of their own.
+
+    Raises
+    ------
+    InputError : no PLY mesh, damaged, in another local frame, or map coordinates in single precision.
+    GeometryError : map coordinates that do not lie in the grid.
+    """
+    found = _read(path)
+    mesh = found.mesh(path, sigma_m)
+    if found.told is not None:
+        theirs = LocalFrame(**found.told["origin"])
+        if theirs != frame:
+            raise InputError(
+                f"the mesh is in the local frame at {theirs}",
+                expected=f"the campaign's own, {frame}",
+                where=path,
+                cure="Process both with the same campaign.origin",
+            )
+        return mesh, ""
+    if np.abs(mesh.vertices_m[:, :2]).max(initial=0.0) < MAP_COORDINATES_M:
+        return mesh, f"{path.name} states no frame: taken as the world frame of the campaign."
+    if found.single_precision:
+        step = float(np.spacing(np.float32(np.abs(mesh.vertices_m).max())))
+        raise InputError(
+            f"map coordinates in single precision: their step is {step:.3g} m",
+            expected="double precision, or coordinates in the world frame",
+            where=path,
+            cure="Export the mesh with double coordinates, or subtract a known shift and give local ones",
+        )
+    moved = frame.from_map(mesh.vertices_m, CRS.from_user_input(crs))
+    return TriangleMesh(vertices_m=moved, faces=mesh.faces, sigma_m=mesh.sigma_m), (
+        f"{path.name} states no CRS: taken as {crs} with ellipsoidal heights."
+    )
+
+
+@dataclass(slots=True)
+class _Element:
+    name: str
+    count: int
+    fields: list[tuple[str, str]]
+    """Name and type; a list is written as ``count type:item type``."""
+
+    def dtype(self, order: str, corners: int) -> np.dtype[Any]:
+        """Type of a row whose lists all hold ``corners`` items."""
+        parts: list[Any] = []
+        for name, kind in self.fields:
+            if ":" in kind:
+                length, item = kind.split(":")
+                parts += [(f"n of {name}", order + length), (name, order + item, (corners,))]
+            else:
+                parts.append((name, order + kind))
+        return np.dtype(parts)
+
+    @property
+    def lists(self) -> list[str]:
+        return [name for name, kind in self.fields if ":" in kind]
+
+
+@dataclass(slots=True)
+class _Found:
+    vertices: AnyArray
+    faces: ArrayI
+    told: dict[str, Any] | None
+
+    @property
+    def single_precision(self) -> bool:
+        return bool(self.vertices.dtype["x"].itemsize < 8)
+
+    def mesh(self, path: Path, sigma_m: float) -> TriangleMesh:
+        """The mesh, with the given sigma if the vertices have none."""
+        v = self.vertices
+        points = np.stack([v[a].astype(np.float64) for a in "xyz"], axis=-1)
+        own = "sigma_m" in (v.dtype.names or ())
+        try:
+            return TriangleMesh(
+                vertices_m=points,
+                faces=self.faces,
+                sigma_m=v["sigma_m"].astype(np.float64) if own else np.full(len(v), float(sigma_m)),
+            )
+        except GeometryError as error:
+            raise InputError(error.found, expected=error.expected, where=path, cure=_CURE) from error
+
+
+def _read(path: Path) -> _Found:
+    if not path.is_file():
+        raise InputError("file not found", expected="a mesh (PLY)", where=path)
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    end = re.search(rb"(?:^|[\r\n])end_header[ \t]*(\r\n|\n|\r)", head)
+    if not head.startswith(b"ply") or end is None:
+        raise InputError("no PLY header", expected="a mesh (PLY)", where=path, cure=_CURE)
+    form, elements, comments = _header(head[: end.start()].decode("latin-1"), path)
+    names = [e.name for e in elements]
+    if names.count("vertex") != 1 or names.count("face") != 1:
+        raise InputError(
+            f"elements {names}", expected="vertices and faces: a mesh, not a cloud", where=path, cure=_CURE
+        )
+    vertex, face = elements[names.index("vertex")], elements[names.index("face")]
+    if not {"x", "y", "z"} <= {n for n, _ in vertex.fields} or not set(face.lists) & set(_CORNERS):
+        raise InputError(
+            f"vertices with {[n for n, _ in vertex.fields]}, faces with {[n for n, _ in face.fields]}",
+            expected="x, y, z and vertex_indices",
+            where=path,
+            cure=_CURE,
+        )
+    told = _told(comments, path)
+    simple = form != "ascii" and not vertex.lists and len(face.lists) == 1 and names[:2] == ["vertex", "face"]
+    read = _triangles(path, end.end(), form, vertex, face) if simple else None
+    vertices, faces = _polygons(path) if read is None else read
+    return _Found(vertices, faces, told)
+
+
+def _header(text: str, path: Path) -> tuple[str, list[_Element], list[str]]:
+    form, elements, comments = "", [], []  # type: str, list[_Element], list[str]
+    for number, line in enumerate(re.split(r"\r\n|\n|\r", text), start=1):
+        known = True
+        try:
+            match line.split():
+                case ["ply"] | [] | ["obj_info", *_]:
+                    pass
+                case ["comment", *_]:
+                    comments.append(line[8:])
+                case ["format", ("ascii" | "binary_little_endian" | "binary_big_endian") as form, "1.0"]:
+                    pass
+                case ["element", name, count]:
+                    elements.append(_Element(name, int(count), []))
+                case ["property", "list", length, item, name] if elements:
+                    elements[-1].fields.append((name, f"{_TYPES[length]}:{_TYPES[item]}"))
+                case ["property", kind, name] if elements:
+                    elements[-1].fields.append((name, _TYPES[kind]))
+                case _:
+                    known = False
+        except (ValueError, KeyError):
+            known = False
+        if not known:
+            raise InputError(
+                f"line {number} of the header is {line[:60]!r}",
+                expected="format, element or property of PLY 1.0",
+                where=path,
+                cure=_CURE,
+            )
+    if not form or any(e.count < 0 for e in elements):
+        raise InputError("the header states no format, or negative counts", expected="PLY 1.0", where=path)
+    return form, elements, comments
+
+
+def _told(comments: list[str], path: Path) -> dict[str, Any] | None:
+    text = "".join(line.removeprefix("thalweg ") for line in comments if line.startswith("thalweg "))
+    if not text:
+        return None
+    try:
+        told = json.loads(text)
+        version = told["format"]
+        LocalFrame(**told["origin"])
+        if version == FORMAT and isinstance(told["facts"], dict):
+            return dict(told)
+    except (ValueError, KeyError, TypeError, GeometryError) as error:
+        raise InputError(
+            f"the comment 'thalweg' is damaged ({error})", expected="JSON", where=path, cure=_CURE
+        ) from error
+    raise InputError(
+        f"a mesh of format version {version}", expected=f"version {FORMAT}", where=path, cure=_CURE
+    )
+
+
+def _triangles(
+    path: Path, start: int, form: str, vertex: _Element, face: _Element
+) -> tuple[AnyArray, ArrayI] | None:
+    """Vertices and faces of a binary file whose faces are all triangles; None if some are not."""
+    order = "<" if form == "binary_little_endian" else ">"
+    v_type, f_type = vertex.dtype(order, 3), face.dtype(order, 3)
+    room = path.stat().st_size - start
+    needed = vertex.count * v_type.itemsize
+    if room < needed:
+        raise _cut(path, f"{room // v_type.itemsize:,} of {vertex.count:,} vertices")
+    vertices = np.fromfile(path, v_type, count=vertex.count, offset=start)
+    table = np.fromfile(path, f_type, count=face.count, offset=start + needed)
+    name = face.lists[0]
+    if not (table[f"n of {name}"] == 3).all():
+        return None
+    if len(table) < face.count:
+        raise _cut(path, f"{len(table):,} of {face.count:,} faces")
+    return vertices, np.ascontiguousarray(table[name], dtype=np.int64)
+
+
+def _polygons(path: Path) -> tuple[AnyArray, ArrayI]:
+    """Vertices and faces of any PLY file, polygons as fans; slow, through plyfile."""
+    from plyfile import PlyData, PlyParseError
+
+    try:
+        data = PlyData.read(str(path))
+        vertices = np.array(data["vertex"].data)
+        face = data["face"].data
+        name = next(n for n in _CORNERS if n in face.dtype.names)
+        size = np.array([len(corners) for corners in face[name]], dtype=np.int64)
+        if (size < 3).any():
+            raise InputError(
+                f"{int((size < 3).sum()):,} faces of fewer than three corners", where=path, cure=_CURE
+            )
+        flat = np.concatenate([np.asarray(c, dtype=np.int64) for c in face[name]] or [np.zeros(0, np.int64)])
+    except (PlyParseError, ValueError, KeyError, StopIteration, MemoryError) as error:
+        raise InputError(f"damaged ({error})", expected="a mesh (PLY)", where=path, cure=_CURE) from error
+    return vertices, _fans(size, flat)
+
+
+def _fans(size: ArrayI, flat: ArrayI) -> ArrayI:
+    """Triangles of polygons of so many corners each: first corner, and each pair of those that follow."""
+    first = np.repeat(np.cumsum(size) - size, size - 2)
+    step = np.arange(len(first)) - np.repeat(np.cumsum(size - 2) - (size - 2), size - 2)
+    return np.stack([flat[first], flat[first + step + 1], flat[first + step + 2]], axis=1).reshape(-1, 3)
+
+
+def _cut(path: Path, there: str) -> InputError:
+    return InputError(
+        f"the file is cut: {there} are there", expected="as many as its header says", where=path, cure=_CURE
+    )

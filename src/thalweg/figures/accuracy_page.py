@@ -1,0 +1,284 @@
+"""One page on the accuracy of a cloud: the verdict first, then what it rests on, then its limits."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+
+from thalweg.accuracy.comparison_tables import AS_MEASURED, WITHOUT_OUTLIERS
+from thalweg.figures.accuracy_words import (
+    MESH_IN_WORDS,
+    POINTS_IN_WORDS,
+    REFERENCE_IN_WORDS,
+    explanation,
+    limits,
+    verdict,
+)
+from thalweg.figures.page import Page
+from thalweg.figures.style import count
+
+DISTANCES: Final = (
+    ("n", "n", "1", 1.0),
+    ("bias", "mean", "mm", 1e3),
+    ("median", "median", "mm", 1e3),
+    ("std", "std", "mm", 1e3),
+    ("nmad", "NMAD", "mm", 1e3),
+    ("rmse", "RMSE", "mm", 1e3),
+    ("p95", "95 % below", "mm", 1e3),
+)
+HONESTY: Final = (
+    ("rmse", "RMSE observed", "mm", 1e3),
+    ("predicted_rmse", "predicted, normal component", "mm", 1e3),
+    ("predicted_rmse_3d", "predicted, 3D", "mm", 1e3),
+    ("ratio", "ratio", "1", 1.0),
+    ("ratio_low95", "honest above", "1", 1.0),
+    ("ratio_high95", "honest below", "1", 1.0),
+    ("independent_values", "independent values", "1", 1.0),
+)
+SHAPE: Final = (
+    ("within_1_std", "within 1 std", "%", 1e2),
+    ("within_2_std", "within 2 std", "%", 1e2),
+    ("within_3_std", "within 3 std", "%", 1e2),
+    ("skewness", "skewness", "1", 1.0),
+    ("excess_kurtosis", "excess kurtosis", "1", 1.0),
+)
+TRUTH: Final = (
+    *DISTANCES,
+    ("predicted_rmse", "RMSE predicted", "mm", 1e3),
+    ("normalised_squared_error", "normalised squared error", "1", 1.0),
+)
+"""Columns of the tables: quantity, heading, unit, units in one of the table's own."""
+
+TRUTH_PICTURES: Final = ("error_versus_range",)
+"""Stems of pictures that belong to the comparison with the truth."""
+
+RANGE: Final = (
+    ("range_m", "range", "m", 1.0),
+    ("n", "n", "1", 1.0),
+    ("rmse_observed_m", "RMSE observed", "mm", 1e3),
+    ("rmse_predicted_m", "predicted, normal component", "mm", 1e3),
+    ("rmse_predicted_3d_m", "predicted, 3D", "mm", 1e3),
+    ("ratio", "ratio", "1", 1.0),
+    ("ratio_low95", "honest above", "1", 1.0),
+    ("ratio_high95", "honest below", "1", 1.0),
+    ("inside", "inside", "", 0.0),
+)
+
+
+def accuracy_page(
+    facts: Mapping[str, Any],
+    statistics: pd.DataFrame,
+    by_range: pd.DataFrame,
+    registration: Mapping[str, Any],
+    mesh_facts: Mapping[str, Any],
+    *,
+    pictures: Sequence[Path] = (),
+    captions: Mapping[str, str] | None = None,
+    truth: pd.DataFrame | None = None,
+    title: str = "Accuracy of the cloud",
+    twin: bool = False,
+) -> Page:
+    """The page that says how accurate a cloud is, whether its sigmas know it, and how that was found out.
+
+    Parameters
+    ----------
+    facts : of the comparison, as they stand in the metadata of its table.
+    statistics, by_range : tables of the comparison (CSV).
+    registration : what a rigid motion onto the reference does.
+    mesh_facts : of the reference mesh.
+    pictures : PNG files, shown in their order.
+    captions : stem of a picture -> its caption.
+    truth : for a twin, the statistics of the cloud's errors against the truth.
+    title : heading.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : the statistics hold no compared points as measured, or a picture is missing.
+    """
+    page = Page(title, " ".join(verdict(facts, statistics)))
+    if twin:
+        page.text(
+            "The digital twin made these data: survey and reference are simulated. The figures speak of the "
+            "software and of the models of the instruments, not of a real boat."
+        )
+    _statistics(page, facts, statistics)
+    of_truth = [path for path in pictures if path.stem in TRUTH_PICTURES and truth is not None]
+    _pictures(page, [path for path in pictures if path not in of_truth], captions or {})
+    _ranges(page, by_range)
+    page.section("Why distances are smaller than the 3D error").text(explanation(statistics))
+    _places(page, facts)
+    _registration(page, registration)
+    _compared(page, facts, mesh_facts)
+    if truth is not None and len(truth):
+        _truth(page, truth)
+        for picture in of_truth:
+            page.figure(picture, _caption(picture, captions or {}))
+    page.section("Limits").text(limits(facts, statistics))
+    return page
+
+
+def pivot(
+    table: pd.DataFrame, by: Sequence[str], columns: Sequence[tuple[str, str, str, float]]
+) -> tuple[pd.DataFrame, dict[str, str]]:
+    """A table of quantity and value with one row a set of points, and the units of its columns.
+
+    Parameters
+    ----------
+    table : columns ``quantity``, ``value`` and those of ``by``.
+    by : what names a row.
+    columns : quantity, heading, unit, factor; quantities that are not there are left out.
+    """
+    rows = []
+    for names, part in table.groupby(list(by), sort=False):
+        known = dict(zip(part["quantity"], part["value"], strict=True))
+        row: dict[str, Any] = dict(zip(by, names, strict=True))
+        for quantity, heading, _, factor in columns:
+            if quantity in known:
+                value = known[quantity] * factor
+                row[heading] = int(value) if quantity == "n" else float(value)
+        rows.append(row)
+    out = pd.DataFrame(rows)
+    units = {heading: unit for _, heading, unit, _ in columns if unit != "1" and heading in out.columns}
+    return out, units
+
+
+def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame) -> None:
+    by = ("registration", "points")
+    page.section("Statistics").text(
+        "Distances are positive in front of the reference, toward river and air, and negative behind it. "
+        "Mean and std are those of the normal distribution of largest likelihood, median and NMAD those of "
+        "the robust one."
+    )
+    page.table(*_with_caption(statistics, by, DISTANCES, "Distances of the cloud to the reference"), digits=4)
+    page.table(
+        *_with_caption(statistics, by, HONESTY, "Observed and predicted; ratio: predicted over observed"),
+        digits=4,
+    )
+    page.table(
+        *_with_caption(statistics, by, SHAPE, "Shape; a normal has 68.3, 95.4, 99.7 % and zero"), digits=3
+    )
+    sentences = pd.DataFrame(facts.get("verdicts", []))
+    if len(sentences):
+        sentences = sentences.drop(columns=["classes"], errors="ignore")
+        page.table(sentences.rename(columns={"normal": "normal distribution"}), "In words")
+
+
+def _with_caption(
+    table: pd.DataFrame, by: Sequence[str], columns: Sequence[tuple[str, str, str, float]], caption: str
+) -> tuple[pd.DataFrame, str, dict[str, str]]:
+    frame, units = pivot(table, by, columns)
+    return frame, caption, units
+
+
+def _pictures(page: Page, pictures: Sequence[Path], captions: Mapping[str, str]) -> None:
+    if pictures:
+        page.section("Figures")
+    for picture in pictures:
+        page.figure(picture, _caption(picture, captions))
+
+
+def _caption(picture: Path, captions: Mapping[str, str]) -> str:
+    return captions.get(picture.stem, picture.stem.replace("_", " "))
+
+
+def _ranges(page: Page, by_range: pd.DataFrame) -> None:
+    chosen = (by_range["registration"] == AS_MEASURED) & (by_range["points"] == WITHOUT_OUTLIERS)
+    rows = by_range[chosen]
+    out, units = pd.DataFrame(index=rows.index), {}
+    for name, heading, unit, factor in RANGE:
+        out[heading] = rows[name] * factor if factor not in (0.0, 1.0) else rows[name]
+        if unit not in ("", "1"):
+            units[heading] = unit
+    outside = int((~out["inside"].astype(bool)).sum())
+    page.section("By range").text(
+        f"{outside} of {len(out)} classes lie outside the band in which honest sigmas leave their ratio with "
+        f"95 %; {0.05 * len(out):.1f} are to be expected by chance."
+    )
+    page.table(out, "Classes of 1 m (D − 0.5 < d ≤ D + 0.5), as measured, without outliers", units, digits=4)
+
+
+def _places(page: Page, facts: Mapping[str, Any]) -> None:
+    page.section("By place").text(
+        "Sardemann et al. (2023) state for their bank that there is no local dependency of the accuracy. "
+        "Here that is tested: the bank is cut into cells, and Moran's I asks whether the mean distances of "
+        "neighbouring cells are alike. A place is measured from few poses, so a dependency on the place "
+        "may be one on the moment at which it was measured."
+    )
+    sentences = pd.DataFrame(facts.get("local_dependency", []))
+    if len(sentences):
+        page.table(sentences.rename(columns={"words": "verdict"}), "Does the accuracy depend on the place?")
+
+
+def _registration(page: Page, registration: Mapping[str, Any]) -> None:
+    page.section("Registration").text(str(registration.get("words", "")))
+    if not registration.get("done"):
+        return
+    rows = [
+        {
+            "motion": f"{what} {axis}",
+            "value": factor * values[axis],
+            "sigma": factor * sigmas[axis],
+            "unit": unit,
+        }
+        for what, values, sigmas, factor, unit in (
+            ("shift", registration["shift_m"], registration["sigma_shift_m"], 1e3, "mm"),
+            ("rotation about", registration["rotation_deg"], registration["sigma_rotation_deg"], 1.0, "°"),
+        )
+        for axis in values
+    ]  # fmt: skip
+    caption = "Motion of the cloud onto the reference, about the middle of its points"
+    page.table(pd.DataFrame(rows), caption, digits=3)
+    changes = []
+    for points, change in registration["change"].items():
+        row: dict[str, Any] = {"points": points}
+        for word, heading in (("bias", "mean"), ("rmse", "RMSE")):
+            row |= {f"{heading} {when}": 1e3 * change[f"{word}_{when}_m"] for when in ("before", "after")}
+        changes.append(row | {"share of the mean removed": 100.0 * change["share_of_bias_removed"]})
+    frame = pd.DataFrame(changes)
+    units = {name: "%" if name.startswith("share") else "mm" for name in frame.columns[1:]}
+    page.table(frame, "What it changes", units, digits=3)
+
+
+def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any]) -> None:
+    page.section("What was compared").text(
+        f"Area of interest: {facts.get('area', 'not stated')}. Each point is compared with the nearest "
+        "place of the reference surface; the sign is that of the side of the surface on which the point "
+        "lies."
+    )
+    for caption, counts, words, whole in (
+        ("What became of the points of the cloud", facts.get("counts", {}), POINTS_IN_WORDS, "points"),
+        ("What became of the reference", mesh_facts.get("counts", {}), REFERENCE_IN_WORDS, "given"),
+    ):
+        rows = [
+            {
+                "what": words.get(name, name.replace("_", " ")),
+                "n": int(n),
+                "share": float("nan")
+                if name.endswith("_faces")
+                else 100.0 * n / max(counts.get(whole, 0), 1),
+            }
+            for name, n in counts.items()
+        ]
+        if rows:
+            page.table(pd.DataFrame(rows), caption, {"share": "%"}, digits=3)
+    rows = [
+        {"what": words, "value": f"{mesh_facts[name]:.4g}" if unit != "1" else count(int(mesh_facts[name])),
+         "unit": "" if unit == "1" else unit}
+        for name, words, unit in MESH_IN_WORDS if name in mesh_facts
+    ]  # fmt: skip
+    if rows:
+        page.table(pd.DataFrame(rows), f"The reference surface (method {mesh_facts.get('method', '?')})")
+    for note in mesh_facts.get("notes", []):
+        page.text(str(note))
+
+
+def _truth(page: Page, truth: pd.DataFrame) -> None:
+    page.section("Against the truth of the digital twin").text(
+        "The twin knows the true surface. The errors of the points along its normal, without any reference "
+        "in between, say how much of the numbers above is due to the reference and to plants: bare ground "
+        "has no plants."
+    )
+    frame, units = pivot(truth, ("points",), TRUTH)
+    page.table(frame, "Errors of the cloud against the true surface", units, digits=4)

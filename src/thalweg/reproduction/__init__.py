@@ -1,0 +1,1 @@
+"""Published numbers recomputed: error budgets, their unpublished geometry, and a verdict on each cell."""

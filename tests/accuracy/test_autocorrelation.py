@@ -1,0 +1,167 @@
+"""No local accuracy dependency: said of white errors, denied of a deformation, and measured beside it."""
+
+import numpy as np
+import pytest
+
+from thalweg.accuracy.autocorrelation import (
+    PERMUTATIONS,
+    SIGNIFICANT,
+    Cells,
+    cells_of,
+    correlogram_of,
+    dependency_in_words,
+    local_dependency,
+    morans_i,
+    share_of_variance,
+)
+
+
+def bank(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Places on an inclined plane of 80 m by 10 m."""
+    along, up = rng.uniform(0, 80, n), rng.uniform(0, 10, n)
+    return np.stack([along, -0.87 * up, 0.5 * up], axis=1)
+
+
+def values(table) -> dict[str, float]:
+    once = table[table["distance_m"].isna()]
+    return dict(zip(once["quantity"], once["value"], strict=True))
+
+
+def smooth_field(rng: np.random.Generator, places: np.ndarray, length_m: float) -> np.ndarray:
+    """A field of unit variance with correlation exp(-d^2 / (2 L^2)): many waves of random direction."""
+    waves = rng.normal(size=(400, 3)) / length_m
+    phase = rng.uniform(0, 2 * np.pi, 400)
+    return np.sqrt(2 / 400) * np.cos(places @ waves.T + phase).sum(axis=1)
+
+
+def test_white_errors_depend_on_no_place(rng: np.random.Generator) -> None:
+    places = bank(rng, 60_000)
+    table = local_dependency(places, 0.05 * rng.normal(size=60_000), seed=1)
+    found = values(table)
+    assert dependency_in_words(table).startswith("no local accuracy dependency")
+    # 60 points a cell: components of variance of white errors scatter by 0.05 %
+    assert found["share_of_variance"] < 0.003
+    assert found["moran_i_expected"] == pytest.approx(-1 / (found["cells"] - 1))
+    assert abs(found["moran_z"]) < 3.5
+
+
+def test_white_errors_of_uneven_size_and_density_give_even_p_values(rng: np.random.Generator) -> None:
+    """Errors grow along the bank by a factor of ten, as with range: still no dependency of their mean."""
+    places = bank(rng, 12_000)
+    places = places[rng.random(len(places)) < 0.2 + 0.8 * (places[:, 0] / 80)]
+    sigma = 0.02 * (1 + 9 * places[:, 0] / 80)
+    tests = [local_dependency(places, sigma * rng.normal(size=len(places)), seed=k) for k in range(60)]
+    p = np.array([values(table)["moran_p"] for table in tests])
+    # 60 even numbers between 0 and 1: their mean scatters by 0.037; a share of 0.05 below 0.05 by 0.028
+    assert 0.38 < p.mean() < 0.62
+    assert np.mean(p < 0.05) < 0.15
+    assert np.mean(p < SIGNIFICANT) < 0.06
+
+
+def test_a_smooth_deformation_of_3_cm_is_found_and_measured(rng: np.random.Generator) -> None:
+    places = bank(rng, 60_000)
+    field = 0.03 * np.sin(places[:, 0] / 6.0)
+    table = local_dependency(places, field + 0.05 * rng.normal(size=60_000), seed=1)
+    found = values(table)
+    assert found["moran_p"] == 1 / (PERMUTATIONS + 1)
+    # the wave moves little within a cell of 1 m: nearly all of its variance lies between cells
+    assert found["std_of_places"] == pytest.approx(np.std(field), rel=0.05)
+    assert found["share_of_variance"] == pytest.approx(np.var(field) / (np.var(field) + 0.05**2), rel=0.08)
+    assert dependency_in_words(table).startswith("the accuracy depends on the place")
+
+
+def test_a_deformation_of_a_millimetre_is_significant_and_negligible(rng: np.random.Generator) -> None:
+    places = bank(rng, 300_000)
+    values_m = 0.0015 * np.sin(places[:, 0] / 6.0) + 0.05 * rng.normal(size=300_000)
+    words = dependency_in_words(local_dependency(places, values_m, seed=1))
+    assert words.startswith("a local accuracy dependency that is significant, but negligible")
+    assert words.endswith("of the variance, 1 mm")
+
+
+def test_the_correlation_length_of_a_known_field(rng: np.random.Generator) -> None:
+    """Correlation exp(-d^2 / (2 L^2)) falls to 1/e of that at d_0 where d^2 = 2 L^2 + d_0^2."""
+    found, first = [], []
+    for _ in range(4):
+        places = np.column_stack([rng.uniform(0, 150, 20_000), rng.uniform(0, 60, 20_000), np.zeros(20_000)])
+        field = 0.05 * smooth_field(rng, places, 5.0) + 0.005 * rng.normal(size=20_000)
+        table = local_dependency(places, field, seed=1, width_m=2.0)
+        found.append(values(table)["correlation_length"])
+        first.append(table["distance_m"].min())
+    # fields of 30 by 12 lengths: four of them know it to about 6 %; classes are 4 m wide
+    assert np.mean(found) == pytest.approx(np.sqrt(2 * 5.0**2 + np.mean(first) ** 2), rel=0.15)
+
+
+def grid(rng: np.random.Generator, size: int = 12) -> Cells:
+    x, y = (a.ravel().astype(float) for a in np.meshgrid(range(size), range(size)))
+    n = rng.integers(10, 90, size**2)
+    return Cells(
+        middle_m=np.stack([x, y, 0 * x], axis=1), mean_m=np.sin(x / 3) + 0.2 * rng.normal(size=size**2),
+        std_m=rng.uniform(0.5, 1.5, size**2), n=n, width_m=1.0, n_left_out=0,
+    )  # fmt: skip
+
+
+def test_morans_i_is_its_formula(rng: np.random.Generator) -> None:
+    cells = grid(rng)
+    z = (cells.mean_m - np.average(cells.mean_m, weights=cells.n)) * np.sqrt(cells.n) / cells.std_m
+    z -= z.mean()
+    distance = np.linalg.norm(cells.middle_m[:, None] - cells.middle_m[None], axis=2)
+    w = (distance > 0) & (distance <= 1.6)
+    expected = len(z) / w.sum() * (z @ w @ z) / (z @ z)
+    observed, _, z_score, p, pairs = morans_i(cells, seed=3)
+    assert observed == pytest.approx(expected, rel=1e-12)
+    assert pairs == w.sum() / 2
+    assert p == 1 / (PERMUTATIONS + 1)
+    # normal approximation of the spread without dependency (Cliff and Ord): about 1 / sqrt(pairs)
+    assert z_score == pytest.approx((observed + 1 / 143) * np.sqrt(pairs), rel=0.15)
+    assert morans_i(cells, seed=3) == morans_i(cells, seed=3)
+
+
+def test_components_of_variance_of_uneven_cells(rng: np.random.Generator) -> None:
+    """One-way random model with known components, cells of 10 to 90 points."""
+    shares, stds = [], []
+    for _ in range(40):
+        n = rng.integers(10, 90, 144)
+        cell = np.repeat(np.arange(144), n)
+        values_m = 0.02 * rng.normal(size=144)[cell] + 0.04 * rng.normal(size=len(cell))
+        mean = np.bincount(cell, values_m) / n
+        std = np.sqrt(np.bincount(cell, (values_m - mean[cell]) ** 2) / (n - 1))
+        cells = Cells(middle_m=np.zeros((144, 3)), mean_m=mean, std_m=std, n=n, width_m=1.0, n_left_out=0)
+        share, place = share_of_variance(cells)
+        shares.append(share)
+        stds.append(place)
+    # 144 places know a variance to 12 %, forty times that to 2 %
+    assert np.mean(shares) == pytest.approx(0.2, rel=0.06)
+    assert np.mean(stds) == pytest.approx(0.02, rel=0.04)
+
+
+def test_cells_hold_what_lies_in_them(rng: np.random.Generator) -> None:
+    places, values_m = bank(rng, 5000), rng.normal(size=5000)
+    cells = cells_of(places, values_m)
+    assert cells.n.sum() + cells.n_left_out == 5000
+    assert cells.n.min() >= 10
+    number = np.floor(places - places.min(axis=0)).astype(int)
+    first = (number == number[0]).all(axis=1)
+    k = np.argmin(np.linalg.norm(cells.middle_m - places[first].mean(axis=0), axis=1))
+    if first.sum() >= 10:
+        assert cells.mean_m[k] == pytest.approx(values_m[first].mean())
+        assert cells.std_m[k] == pytest.approx(values_m[first].std(ddof=1))
+
+
+def test_few_cells_are_said_to_be_few(rng: np.random.Generator) -> None:
+    places = rng.uniform(0, 3, (2000, 3)) * [1, 1, 0]
+    words = dependency_in_words(local_dependency(places, rng.normal(size=2000), seed=1))
+    assert words == "not tested: 9 cells with enough points, 30 are needed"
+
+
+def test_equal_distances_depend_on_nothing(rng: np.random.Generator) -> None:
+    table = local_dependency(bank(rng, 30_000), np.full(30_000, 0.02), seed=1)
+    assert values(table)["moran_p"] == 1.0
+    assert dependency_in_words(table).startswith("no local accuracy dependency")
+
+
+def test_the_correlogram_of_many_cells_is_that_of_a_sample(rng: np.random.Generator) -> None:
+    cells = grid(rng, 60)
+    found = correlogram_of(cells, seed=1)
+    assert found == correlogram_of(cells, seed=1)
+    assert sum(n for _, n, _, _ in found) < 2500 * 2499 / 2
+    assert found[0][2] > 0.8

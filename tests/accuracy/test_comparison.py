@@ -1,0 +1,159 @@
+"""A cloud against a mesh: distances, predictions, what is left out, the sample, clouds that lack sigmas."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thalweg.accuracy.area import Area
+from thalweg.accuracy.cloud_to_mesh import Surface
+from thalweg.accuracy.comparison import (
+    CLOUD_TO_MESH,
+    ComparisonSettings,
+    _Sample,
+    after_motion,
+    compare_with_mesh,
+)
+from thalweg.core.errors import InputError
+from thalweg.core.tables import read_table, write_table
+
+_spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
+bank = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(bank)
+
+SETTINGS = ComparisonSettings(reference_sigma_m=0.004)
+ADDITIVE = (
+    "outside_area", "far_from_reference", "not_in_sample", "beyond_max_distance", "left_out_at_border",
+    "without_normal", "compared",
+)  # fmt: skip
+
+
+def cloud_of(tmp_path: Path, xyz: np.ndarray, **more) -> Path:
+    return bank.write_cloud(tmp_path / "points.laz", xyz, **more)
+
+
+def test_distances_and_their_predictions_are_known(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A plane: points 6 cm behind it, covariance C, normal n: distance -6 cm, sigma sqrt(n C n)."""
+    xyz = bank.on_bank(rng, 2000) - 0.06 * bank.OUT
+    table, facts = compare_with_mesh(
+        cloud_of(tmp_path, xyz), bank.bank_mesh(), area=Area(), settings=SETTINGS
+    )
+    assert len(table) == facts["counts"]["compared"] == 2000
+    # LAZ keeps millimetres in each coordinate: half a millimetre along the normal, at most 0.87
+    assert abs(table["distance_m"] + 0.06).max() < 0.0009
+    normals = table[["normal_east", "normal_north", "normal_up"]].to_numpy()
+    np.testing.assert_allclose(normals, np.broadcast_to(bank.OUT, normals.shape), atol=1e-6)
+    C = bank.covariance()
+    # sigmas are kept to 0.1 mm, correlations to 1e-4
+    np.testing.assert_allclose(table["sigma_normal_m"], np.sqrt(bank.OUT @ C @ bank.OUT), rtol=2e-3)
+    np.testing.assert_allclose(table["sigma_3d_m"], np.sqrt(np.trace(C)), rtol=2e-3)
+    np.testing.assert_allclose(table["sigma_reference_m"], np.hypot(0.002, 0.004), rtol=1e-5)
+    assert table["used"].all()
+    assert not table["at_border"].any()
+
+
+def test_every_point_is_accounted_for(tmp_path: Path, rng: np.random.Generator) -> None:
+    good = bank.on_bank(rng, 3000) + 0.01 * rng.normal(size=(3000, 3))
+    wild = bank.on_bank(rng, 40) + 0.8 * bank.OUT
+    far = bank.on_bank(rng, 50) + 2.4 * bank.OUT
+    away = bank.on_bank(rng, 60) + 30.0 * bank.OUT
+    # beyond the eastern end of the mesh, half of them within 2 m of it
+    beside = bank.place(rng.uniform(40.1, 43.9, 70), rng.uniform(0.5, 7.5, 70), 0.0)
+    xyz = np.concatenate([good, wild, far, away, beside])
+    area = Area(polygon_en_m=np.array([[-15.0, -30], [60, -30], [60, 30], [-15, 30]]))
+    path = cloud_of(tmp_path, xyz)
+    table, facts = compare_with_mesh(path, bank.bank_mesh(), area=area, settings=SETTINGS)
+    counts = facts["counts"]
+    assert sum(counts[name] for name in ADDITIVE) == counts["points"] == len(xyz)
+    assert counts["outside_area"] == (~area.contains(np.round(xyz, 3))).sum()
+    near_end = beside[:, 0] < 22.0
+    inside = area.contains(np.round(np.concatenate([wild, far]), 3))
+    assert counts["left_out_at_border"] == pytest.approx(near_end.sum(), abs=1)
+    assert near_end.sum() > 20
+    assert counts["beyond_max_distance"] + counts["far_from_reference"] >= inside[40:].sum()
+    assert counts["outliers"] == table["outlier"].sum() == inside[:40].sum()
+    low, high = facts["outlier_limits_m"]
+    known = table["distance_m"][table["used"]]
+    nmad = 1.4826 * np.median(abs(known - np.median(known)))
+    assert (low, high) == pytest.approx((np.median(known) - 5 * nmad, np.median(known) + 5 * nmad))
+    keep = ComparisonSettings(border="keep")
+    kept, facts = compare_with_mesh(path, bank.bank_mesh(), area=area, settings=keep)
+    assert sum(facts["counts"][name] for name in ADDITIVE) == len(xyz)
+    assert facts["counts"]["left_out_at_border"] == 0
+    assert facts["counts"]["compared_at_border"] == counts["left_out_at_border"]
+    assert kept["used"].sum() == table["used"].sum() + counts["left_out_at_border"]
+    assert kept["at_border"].sum() == table["at_border"].sum()
+
+
+def test_the_table_goes_to_disk_and_back(tmp_path: Path, rng: np.random.Generator) -> None:
+    path = cloud_of(tmp_path, bank.on_bank(rng, 500))
+    table, facts = compare_with_mesh(path, bank.bank_mesh(), area=Area(), settings=SETTINGS)
+    write_table(tmp_path / "c2m.parquet", table, CLOUD_TO_MESH, facts)
+    again, told = read_table(tmp_path / "c2m.parquet", CLOUD_TO_MESH)
+    assert again.equals(table)
+    assert told == json.loads(json.dumps(facts))
+    assert told["area"] == "all that the reference covers"
+
+
+def test_a_large_cloud_is_sampled_without_preference(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Beams follow one another in a fixed order: every 16th point would always be of one beam."""
+    n = 32_000
+    ring = (np.arange(n) % 16).astype(np.uint8)
+    xyz = bank.on_bank(rng, n) + (ring[:, None] - 7.5) * 0.002 * bank.OUT
+    path = cloud_of(tmp_path, xyz, ring=ring)
+    settings = ComparisonSettings(max_points=2000)
+    table, facts = compare_with_mesh(path, bank.bank_mesh(), area=Area(), settings=settings)
+    assert len(table) == 2000
+    assert facts["counts"]["not_in_sample"] == n - 2000
+    assert (np.diff(table["t_gps_s"]) > 0).all()
+    beam = np.rint(table["distance_m"] / 0.002 + 7.5).clip(0, 15).astype(int)
+    # 125 of each beam, binomial: 11; rounding of coordinates moves some to the next beam
+    assert np.bincount(beam, minlength=16).min() > 70
+    again, _ = compare_with_mesh(path, bank.bank_mesh(), area=Area(), settings=settings)
+    assert again.equals(table)
+
+
+def test_the_sample_does_not_depend_on_the_chunks(rng: np.random.Generator) -> None:
+    xyz = rng.normal(size=(10_000, 3))
+    samples = []
+    for size in (10_000, 700, 33):
+        sample = _Sample(900, seed=4)
+        for first in range(0, len(xyz), size):
+            sample.add({"xyz_m": xyz[first : first + size]})
+        samples.append(sample.columns()["xyz_m"])
+    assert len(samples[0]) == 900
+    for other in samples[1:]:
+        np.testing.assert_array_equal(samples[0], other)
+    few = _Sample(900, seed=4)
+    few.add({"xyz_m": xyz[:900]})
+    np.testing.assert_array_equal(few.columns()["xyz_m"], xyz[:900])
+
+
+def test_points_that_were_moved_are_measured_anew(tmp_path: Path, rng: np.random.Generator) -> None:
+    xyz = bank.on_bank(rng, 1000) - 0.06 * bank.OUT
+    mesh = bank.bank_mesh()
+    table, _ = compare_with_mesh(cloud_of(tmp_path, xyz), mesh, area=Area(), settings=SETTINGS)
+    places = table[["east_m", "north_m", "up_m"]].to_numpy()
+    moved = after_motion(table, places + 0.06 * bank.OUT, Surface(mesh), SETTINGS)
+    assert abs(moved["distance_m"]).max() < 0.0009
+    assert moved["sigma_normal_m"].equals(table["sigma_normal_m"])
+    assert moved["t_gps_s"].equals(table["t_gps_s"])
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"correlations": None}, ["corr_east_north", "georeferencing.correlations"]),
+        ({"sigmas": (0.03, 0.0, 0.03)}, ["standard deviation of zero", "lidar_accuracy"]),
+    ],
+)
+def test_clouds_that_lack_their_covariance_are_refused(
+    tmp_path: Path, rng: np.random.Generator, more: dict, words: list[str]
+) -> None:
+    path = cloud_of(tmp_path, bank.on_bank(rng, 500), **more)
+    with pytest.raises(InputError) as refused:
+        compare_with_mesh(path, bank.bank_mesh(), area=Area(), settings=SETTINGS)
+    for word in ("points.laz", *words):
+        assert word in str(refused.value)

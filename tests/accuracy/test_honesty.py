@@ -1,0 +1,76 @@
+"""Bands over surveys: do they hold honest sigmas as often as they promise, and no others?"""
+
+import numpy as np
+import pytest
+
+from thalweg.accuracy.honesty import honesty_by_range, ratio_of_surveys
+from thalweg.core.errors import CoverageError
+
+
+def surveys(rng: np.random.Generator, m: int, independent: int) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of squared errors and of variances of surveys whose many points are worth a few values each."""
+    predicted = rng.uniform(200.0, 2000.0, m)
+    return predicted * rng.chisquare(independent, m) / independent, predicted
+
+
+def test_the_band_keeps_what_it_promises(rng: np.random.Generator) -> None:
+    outside = 0
+    for _ in range(2000):
+        ratio, low, high, _ = ratio_of_surveys(*surveys(rng, 36, 4), level=0.95)
+        outside += not low < ratio < high
+    # 0.05 promised; the logarithm of a chi-square sum is not quite normal. Binomial sigma: 0.005.
+    assert 0.035 < outside / 2000 < 0.08
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+def test_wrong_sigmas_leave_the_band(rng: np.random.Generator, factor: float) -> None:
+    seen = 0
+    for _ in range(200):
+        observed, predicted = surveys(rng, 36, 4)
+        ratio, low, high, _ = ratio_of_surveys(observed, factor**2 * predicted)
+        seen += not low < ratio < high
+    # log 1.56 = 0.45 is 3.2 sigmas of the logarithm: the weights leave 29 surveys of 4 values, sqrt(2 / 116) =
+    # 0.13, and the spread estimated from them adds a little; a normal variable passes 2 of 3.2 in 88 %
+    assert seen > 165
+
+
+def test_the_ratio_is_predicted_over_observed() -> None:
+    ratio, low, high, m = ratio_of_surveys(np.array([4.0, 4.0, 4.0]), np.array([1.0, 1.0, 1.0]))
+    assert (ratio, low, high) == pytest.approx((0.5, 1.0, 1.0))
+    assert m == pytest.approx(3.0)
+    # two surveys of three hardly have a point: worth one survey, not three
+    assert ratio_of_surveys(np.ones(3), np.array([1.0, 1e-3, 1e-3]))[3] == pytest.approx(1.0, abs=0.01)
+
+
+def test_one_survey_tells_no_spread() -> None:
+    with pytest.raises(CoverageError, match="1 surveys with points"):
+        ratio_of_surveys(np.array([1.0, 0.0]), np.array([1.0, 0.0]))
+    with pytest.raises(CoverageError, match="1 surveys with points"):
+        honesty_by_range(np.zeros(5, dtype=int), *(np.ones(5) for _ in range(3)))
+
+
+def test_classes_are_those_of_the_thesis_and_thin_ones_are_joined(rng: np.random.Generator) -> None:
+    number = np.repeat(np.arange(20), 500)
+    # the border of a class belongs to the lower one: D - 0.5 < d <= D + 0.5
+    range_m = np.concatenate([rng.choice([9.51, 10.5, 10.51, 11.2], 9900), rng.uniform(30.0, 90.0, 100)])
+    table = honesty_by_range(number, range_m, rng.normal(size=10_000) ** 2, np.ones(10_000))
+    assert table["n"].sum() == 10_000
+    assert table["range_from_m"].tolist()[:2] == [9.5, 10.5]
+    near = (range_m > 9.5) & (range_m <= 10.5)
+    assert table["n"].iloc[0] == near.sum()
+    assert table["rmse_predicted_m"].to_numpy() == pytest.approx(1.0)
+    # the far points are of the last survey alone: they are joined with a class that enough have seen
+    assert len(table) == 2
+    assert table["range_to_m"].iloc[1] > 80
+    assert (table["surveys"] > 12).all()
+
+
+def test_more_classes_widen_each_band(rng: np.random.Generator) -> None:
+    number, range_m = np.repeat(np.arange(30), 400), np.tile(np.arange(400) % 20 + 10.0, 30)
+    squared = np.repeat(rng.chisquare(3, 30) / 3, 400)
+    many = honesty_by_range(number, range_m, squared, np.ones(12_000))
+    one = honesty_by_range(number, np.full(12_000, 10.0), squared, np.ones(12_000))
+    assert len(many) == 20
+    # the same spread in each class: t quantile of 0.05 / 20 over that of 0.05, 29 degrees of freedom
+    widening = np.log(many["ratio_high"].iloc[0]) / np.log(one["ratio_high"].iloc[0])
+    assert widening == pytest.approx(3.30 / 2.045, rel=0.01)

@@ -1,0 +1,81 @@
+"""Independent values among correlated ones: against sums over all pairs, and the coverage of their bands."""
+
+import numpy as np
+import pytest
+
+from thalweg.accuracy.independent import correlated_sum, independent_means, independent_squares
+from thalweg.accuracy.statistics import chi_square_band
+
+TAU_S = 20.0
+
+
+def visits(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Times of a range class: a place seen twice, with points at uneven rates, in no order."""
+    first = 1000.0 + 90.0 * rng.beta(2.0, 5.0, n // 2)
+    second = 1150.0 + 25.0 * rng.random(n - n // 2)
+    return rng.permutation(np.concatenate([first, second]))
+
+
+def test_the_sum_equals_that_over_all_pairs(rng: np.random.Generator) -> None:
+    t, weight = np.sort(visits(rng, 400)), rng.uniform(0.5, 2.0, 400)
+    pairs = weight[:, None] * weight[None] * np.exp(-np.abs(t[:, None] - t[None]) / TAU_S)
+    assert correlated_sum(t, weight, TAU_S) == pytest.approx(pairs.sum(), rel=1e-12)
+
+
+def test_numbers_equal_their_definitions(rng: np.random.Generator) -> None:
+    t, a, b = visits(rng, 300), rng.uniform(0.5, 2.0, 300), rng.uniform(0.0, 0.5, 300)
+    rho = np.exp(-np.abs(t[:, None] - t[None]) / TAU_S)
+    C = np.sqrt(a[:, None] * a[None]) * rho + np.sqrt(b[:, None] * b[None])
+    found = independent_squares(t, a, TAU_S, constant_m2=b)
+    assert found == pytest.approx(np.trace(C) ** 2 / np.sum(C**2), rel=1e-10)
+    assert independent_means(t, TAU_S) == pytest.approx(len(t) ** 2 / rho.sum(), rel=1e-10)
+
+
+def test_limits() -> None:
+    t = np.arange(50.0) * 1e6
+    assert independent_squares(t, np.ones(50), TAU_S) == pytest.approx(50.0)
+    assert independent_squares(np.zeros(50), np.ones(50), TAU_S) == pytest.approx(1.0)
+    assert independent_squares(t, np.full(50, 1e-12), TAU_S, constant_m2=1.0) == pytest.approx(1.0, rel=1e-6)
+    assert independent_squares(t, np.zeros(50), TAU_S) == 50.0
+    assert independent_squares(np.zeros(0), np.zeros(0), TAU_S) == 0.0
+    assert independent_means(np.zeros(0), TAU_S) == 0.0
+
+
+def outside(t: np.ndarray, sigma: np.ndarray, constant: float, white: float, rng, trials: int):
+    """Shares of surveys whose observed over predicted variance is below and above the band."""
+    n = len(t)
+    pose = np.exp(-np.abs(t[:, None] - t[None]) / TAU_S) * np.outer(sigma, sigma)
+    root = np.linalg.cholesky(pose + 1e-12 * np.eye(n))
+    errors = root @ rng.normal(size=(n, trials)) + constant * rng.normal(size=trials)
+    errors += white * rng.normal(size=(n, trials))
+    predicted = sigma**2 + constant**2 + white**2
+    values = independent_squares(t, sigma**2 + white**2, TAU_S, constant_m2=constant**2)
+    low, high = chi_square_band(values)
+    q = np.sum(errors**2, axis=0) / predicted.sum()
+    return float(np.mean(q < low)), float(np.mean(q > high))
+
+
+@pytest.mark.parametrize("constant", [0.0, 0.03], ids=["poses", "poses and reference"])
+def test_bands_of_a_class_cover_as_they_say(rng: np.random.Generator, constant: float) -> None:
+    """Gauss-Markov errors of uneven size at the times of a class: 95 %, and not for want of large ones."""
+    t = visits(rng, 300)
+    sigma = rng.uniform(0.04, 0.12, 300)
+    below, above = outside(t, sigma, constant, 0.0, rng, 4000)
+    # the sum of correlated squares is not exactly chi-square, and 4000 trials know a share to 0.35 %
+    assert 0.925 < 1 - below - above < 0.975
+    assert above > 0.01
+
+
+def test_white_noise_beside_the_poses_makes_the_band_safe(rng: np.random.Generator) -> None:
+    below, above = outside(visits(rng, 300), np.full(300, 0.05), 0.0, 0.05, rng, 2000)
+    assert 1 - below - above > 0.975
+
+
+def test_as_many_values_as_points_would_be_wrong(rng: np.random.Generator) -> None:
+    """The band of uncorrelated values misses most surveys: what the correlation time is for."""
+    t, sigma = visits(rng, 300), np.full(300, 0.05)
+    low, high = chi_square_band(300.0)
+    pose = np.exp(-np.abs(t[:, None] - t[None]) / TAU_S) * np.outer(sigma, sigma)
+    errors = np.linalg.cholesky(pose + 1e-12 * np.eye(300)) @ rng.normal(size=(300, 1000))
+    q = np.mean(errors**2, axis=0) / 0.05**2
+    assert np.mean((q > low) & (q < high)) < 0.3

@@ -1,0 +1,238 @@
+"""Rigid registration: known motions come back, undetermined ones are named, sigmas hold, Open3D agrees."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.accuracy.cloud_to_mesh import Distances, Surface
+from thalweg.accuracy.comparison import CLOUD_TO_MESH, ComparisonSettings, _places, after_motion
+from thalweg.accuracy.registration import LEAST_VISIBLE, TUKEY, Motion, register, visible_motions
+from thalweg.accuracy.registration_facts import registration_facts
+from thalweg.core.errors import GeometryError
+from thalweg.core.raycast import _open3d
+from thalweg.core.tables import frame_of
+from thalweg.simulation.random import gauss_markov
+
+_spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
+bank = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(bank)
+
+SETTINGS = ComparisonSettings(correlation_s=20.0)
+RELIEF_M = 0.6
+
+
+@pytest.fixture(scope="module")
+def rough() -> Surface:
+    """Relief of decimetres: all six motions are visible."""
+    return Surface(bank.bank_mesh(relief_m=RELIEF_M))
+
+
+@pytest.fixture(scope="module")
+def plane() -> Surface:
+    return Surface(bank.bank_mesh())
+
+
+def table_of(xyz: np.ndarray, surface: Surface, t: np.ndarray | None = None) -> pd.DataFrame:
+    n = len(xyz)
+    small = np.full(n, 0.03)
+    columns = {
+        "t_gps_s": np.linspace(0.0, 1e7, n) if t is None else t, "range_m": np.full(n, 20.0),
+        "sigma_normal_m": small, "sigma_3d_m": small, **_places(xyz, surface.distances(xyz), SETTINGS),
+    }  # fmt: skip
+    return frame_of(CLOUD_TO_MESH, columns)
+
+
+def displaced(xyz: np.ndarray, shift: list[float], rotation_deg: list[float]) -> tuple[np.ndarray, Motion]:
+    """A cloud before a motion that would bring it back, and that motion."""
+    centre = xyz.mean(axis=0)
+    R = Rotation.from_rotvec(np.deg2rad(rotation_deg)).as_matrix()
+    back = Motion(centre_m=centre, R=R, shift_m=np.array(shift))
+    return centre + (xyz - centre - back.shift_m) @ R, back
+
+
+def worst(found: Motion, xyz: np.ndarray, wanted: np.ndarray) -> float:
+    return float(np.linalg.norm(found.apply(xyz) - wanted, axis=1).max())
+
+
+@pytest.mark.parametrize(
+    ("shift", "rotation_deg"),
+    [
+        ([0.02, -0.03, 0.05], [0.0, 0.0, 0.0]),
+        ([0.0, 0.0, 0.0], [0.3, -0.2, 0.4]),
+        ([-0.15, 0.10, -0.12], [-0.5, 0.3, 0.2]),
+    ],
+)
+def test_a_known_motion_comes_back(
+    rough: Surface, rng, shift: list[float], rotation_deg: list[float]
+) -> None:
+    wanted = bank.on_bank(rng, 20_000, relief_m=RELIEF_M)
+    xyz, _ = displaced(wanted, shift, rotation_deg)
+    found = register(table_of(xyz, rough), rough, SETTINGS)
+    assert found.undetermined == ()
+    # the mesh's chords of 10 cm leave the waves by up to 2 mm; a motion of all averages that
+    assert worst(found.motion, xyz, wanted) < 0.002
+
+
+def test_vegetation_in_front_does_not_pull(rough: Surface, rng) -> None:
+    """A fifth of the points stands 0.2 to 1 m in front: the median of all is off, the registration is not."""
+    wanted = bank.on_bank(rng, 20_000, relief_m=RELIEF_M)
+    xyz, _ = displaced(wanted, [0.02, -0.03, 0.05], [0.1, 0.0, -0.1])
+    noisy = xyz + 0.02 * rng.normal(size=xyz.shape)
+    noisy[::5] += rng.uniform(0.2, 1.0, (len(noisy[::5]), 1)) * bank.OUT
+    found = register(table_of(noisy, rough), rough, SETTINGS)
+    # 2 cm of noise over 20,000 points and visibilities of 0.2: a millimetre; the near end of the plants pulls
+    assert worst(found.motion, xyz, wanted) < 0.012
+    assert np.mean(table_of(xyz, rough)["distance_m"]) < -0.025
+    assert np.mean(table_of(noisy, rough)["distance_m"]) > 0.03
+
+
+def test_a_plane_leaves_three_motions_and_names_them(plane: Surface, rng) -> None:
+    wanted = bank.on_bank(rng, 20_000)
+    tilt = np.cross(bank.OUT, bank.EAST)  # an axis in the plane
+    xyz, _ = displaced(wanted, (0.06 * bank.OUT).tolist(), (0.2 * tilt).tolist())
+    noisy = xyz + 0.02 * rng.normal(size=xyz.shape)
+    found = register(table_of(noisy, plane), plane, SETTINGS)
+    assert len(found.undetermined) == 3
+    assert sum("shift along" in name for name in found.undetermined) == 2
+    (turn,) = (name for name in found.undetermined if "rotation" in name)
+    assert "north 0.50, up 0.87" in turn
+    assert not any("with" in name for name in found.undetermined)
+    # held fixed: nothing along the plane, and no sigma there
+    for direction in (bank.EAST, bank.UP_SLOPE):
+        assert abs(found.motion.shift_m @ direction) < 1e-4
+        assert direction @ found.cov[:3, :3] @ direction < 1e-12
+    assert abs(found.rotation_rad @ bank.OUT) < 1e-5
+    assert found.motion.shift_m @ bank.OUT == pytest.approx(0.06, abs=0.001)
+    assert np.rad2deg(found.rotation_rad @ tilt) == pytest.approx(0.2, abs=0.01)
+    assert (found.visibility < LEAST_VISIBLE).sum() == 3
+
+
+def test_visibility_does_not_depend_on_the_centre(rough: Surface, rng) -> None:
+    """Rotations about another place are the same motions, with other shifts."""
+    xyz = bank.on_bank(rng, 5000, relief_m=RELIEF_M)
+    normal = rough.distances(xyz).normal
+    found = []
+    for centre in (xyz.mean(axis=0), xyz.mean(axis=0) + [5.0, -3.0, 2.0]):
+        rates = np.hstack([normal, np.cross(xyz - centre, normal)])
+        found.append(visible_motions(xyz, rates, centre)[0])
+    assert found[0].min() > LEAST_VISIBLE
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+
+
+def test_noise_of_the_reference_does_not_feign_relief(rng) -> None:
+    """Triangles of 5 cm with 5 mm of noise look in all directions: the mean normals of cells do not."""
+    mesh = bank.bank_mesh(20.0, 6.0, step_m=0.05)
+    noisy = type(mesh)(
+        vertices_m=mesh.vertices_m + 0.005 * rng.normal(size=(len(mesh.vertices_m), 1)) * bank.OUT,
+        faces=mesh.faces, sigma_m=mesh.sigma_m,
+    )  # fmt: skip
+    surface = Surface(noisy)
+    normals = noisy.face_normals()
+    assert np.sqrt(np.mean((normals @ bank.EAST) ** 2)) > LEAST_VISIBLE
+    xyz = bank.on_bank(rng, 20_000, length_m=20.0, width_m=6.0) - 0.05 * bank.OUT
+    assert len(register(table_of(xyz, surface), surface, SETTINGS).undetermined) == 3
+
+
+class Plane:
+    """The plane of the bank without end; as fast as the trials below need it."""
+
+    def distances(self, points_m: np.ndarray) -> Distances:
+        n = len(points_m)
+        distance = (points_m - bank.CORNER) @ bank.OUT
+        return Distances(
+            distance_m=distance, nearest_m=points_m - distance[:, None] * bank.OUT,
+            normal=np.broadcast_to(bank.OUT, (n, 3)), face=np.zeros(n, dtype=np.int64),
+            at_border=np.zeros(n, dtype=bool), sigma_m=np.zeros(n),
+        )  # fmt: skip
+
+
+def test_sigmas_hold_for_errors_that_share_poses(rng) -> None:
+    """Errors of 5 cm correlated over 20 s in 400 s: the shift scatters as stated, not a hundredth of it."""
+    shifts, sigmas = [], []
+    xyz = bank.on_bank(rng, 4000)
+    t = np.linspace(0.0, 400.0, 4000)
+    for _ in range(120):
+        error = gauss_markov(rng, 4000, 0.1, 0.05, 20.0)
+        found = register(table_of(xyz + error[:, None] * bank.OUT, Plane(), t), Plane(), SETTINGS)
+        shifts.append(found.motion.shift_m @ bank.OUT)
+        sigmas.append(np.sqrt(bank.OUT @ found.cov[:3, :3] @ bank.OUT))
+    assert found.independent_values == pytest.approx(400.0 / 40.0, rel=0.1)
+    # 120 values know a standard deviation to 6 %; with ten independent values Tukey's estimate is less
+    # efficient than with many, and the spread about the estimate is smaller than that about the truth
+    assert np.std(shifts) == pytest.approx(np.median(sigmas), rel=0.35)
+    assert np.median(sigmas) > 10 * 0.05 / np.sqrt(4000)
+
+
+def test_open3d_finds_the_same(rough: Surface, rng) -> None:
+    """Peer: point-to-plane ICP with Tukey's loss between points, here to the vertices of a fine mesh."""
+    o3d = _open3d()
+    mesh = bank.bank_mesh(step_m=0.04, relief_m=RELIEF_M)
+    wanted = bank.on_bank(rng, 20_000, relief_m=RELIEF_M)
+    xyz, _ = displaced(wanted, [0.03, -0.02, 0.04], [0.1, -0.1, 0.2])
+    noisy = xyz + 0.01 * rng.normal(size=xyz.shape)
+    surface = Surface(mesh)
+    mine = register(table_of(noisy, surface), surface, SETTINGS)
+    target, source = o3d.geometry.PointCloud(), o3d.geometry.PointCloud()
+    target.points = o3d.utility.Vector3dVector(mesh.vertices_m)
+    normals = np.zeros_like(mesh.vertices_m)
+    for k in range(3):
+        np.add.at(normals, mesh.faces[:, k], mesh.face_normals())
+    target.normals = o3d.utility.Vector3dVector(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    source.points = o3d.utility.Vector3dVector(noisy)
+    icp = o3d.pipelines.registration
+    loss = icp.TukeyLoss(k=TUKEY * mine.spread_m)
+    start = np.eye(4)
+    start[:3, 3] = [0.03, -0.02, 0.04]  # its scale is fixed: it needs a start within it
+    result = icp.registration_icp(
+        source, target, 2.0, start, icp.TransformationEstimationPointToPlane(loss),
+        icp.ICPConvergenceCriteria(relative_fitness=1e-10, relative_rmse=1e-10, max_iteration=100),
+    )  # fmt: skip
+    T = np.asarray(result.transformation)
+    # Open3D pairs with vertices up to 3 cm aside, whose tangential planes leave the waves by millimetres
+    assert worst(mine.motion, noisy, noisy @ T[:3, :3].T + T[:3, 3]) < 0.003
+    assert worst(mine.motion, xyz, wanted) < 0.003
+
+
+def test_facts_say_what_was_removed(plane: Surface, rng) -> None:
+    xyz = bank.on_bank(rng, 5000) - 0.055 * bank.OUT + 0.02 * rng.normal(size=(5000, 3))
+    before = table_of(xyz, plane)
+    found = register(before, plane, SETTINGS)
+    after = after_motion(before, found.motion.apply(xyz), plane, SETTINGS)
+    facts = json.loads(json.dumps(registration_facts(found, before, after)))
+    change = facts["change"]["all"]
+    assert change["bias_before_m"] == pytest.approx(-0.055, abs=0.001)
+    assert change["share_of_bias_removed"] > 0.98
+    assert change["rmse_after_m"] == pytest.approx(0.02, abs=0.001)
+    assert "from -55 to 0 mm" in facts["words"].replace("-0", "0")
+    assert "more than what" in facts["words"]
+    assert "Not determined by this surface, and left: shift along" in facts["words"]
+    R, centre = np.array(facts["rotation_matrix"]), np.array(list(facts["centre_m"].values()))
+    again = centre + (xyz - centre) @ R.T + np.array(list(facts["shift_m"].values()))
+    np.testing.assert_allclose(again, found.motion.apply(xyz), atol=1e-9)
+
+
+def test_errors_of_few_independent_values_are_no_reason_for_a_motion(plane: Surface, rng) -> None:
+    xyz = bank.on_bank(rng, 5000)
+    t = np.linspace(0.0, 60.0, 5000)
+    error = gauss_markov(rng, 5000, 60.0 / 5000, 0.05, 20.0)
+    before = table_of(xyz + error[:, None] * bank.OUT, plane, t)
+    found = register(before, plane, SETTINGS)
+    assert "within what 2 independent values" in registration_facts(found, before, before)["words"]
+
+
+def test_what_cannot_be_registered(plane: Surface, rng) -> None:
+    few = table_of(bank.on_bank(rng, 60), plane)
+    with pytest.raises(GeometryError, match="60 points to register; expected at least 100"):
+        register(few, plane, SETTINGS)
+    line = table_of(bank.place(np.linspace(1, 39, 500), np.full(500, 4.0), 0.0), plane)
+    with pytest.raises(GeometryError, match="all points lie on a line"):
+        register(line, plane, SETTINGS)
+    tilted, _ = displaced(bank.on_bank(rng, 3000), [0.0, 0.0, 0.0], [0.0, 14.0, 0.0])
+    wide = ComparisonSettings(max_distance_m=8.0)
+    with pytest.raises(GeometryError, match=r"wanders off.*10 degrees"):
+        register(table_of(tilted, plane).assign(used=True), plane, wide)

@@ -1,0 +1,197 @@
+"""Mesh files: written and read back, opened by other programs, theirs read, damaged ones refused."""
+
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from plyfile import PlyData, PlyElement
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.mesh import TriangleMesh
+from thalweg.core.mesh_ply import read_any_mesh, read_mesh, write_mesh
+from thalweg.core.raycast import _open3d
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+CRS = "EPSG:25833"
+# longer than a line of rply may be, and with what JSON must escape
+FACTS = {"notes": ["Ufer am „Mühlgraben“ " * 80], "counts": {"given": 7}}
+
+
+@pytest.fixture
+def mesh(rng: np.random.Generator) -> TriangleMesh:
+    """A rough patch of 9 x 12 vertices at places that float32 cannot hold."""
+    i, j = np.meshgrid(np.arange(9), np.arange(12), indexing="ij")
+    v = np.stack([i * 0.1 + 812.3, j * 0.1 - 95.7, rng.normal(0, 0.02, i.shape)], axis=-1).reshape(-1, 3)
+    a = (i[:-1, :-1] * 12 + j[:-1, :-1]).ravel()
+    faces = np.concatenate([np.stack([a, a + 12, a + 13], axis=1), np.stack([a, a + 13, a + 1], axis=1)])
+    return TriangleMesh(vertices_m=v, faces=faces, sigma_m=rng.uniform(0.001, 0.02, len(v)))
+
+
+@pytest.fixture
+def path(mesh: TriangleMesh, tmp_path: Path) -> Path:
+    write_mesh(tmp_path / "mesh.ply", mesh, FRAME, FACTS)
+    return tmp_path / "mesh.ply"
+
+
+def test_a_mesh_comes_back(mesh: TriangleMesh, path: Path) -> None:
+    back, frame, facts = read_mesh(path)
+    np.testing.assert_array_equal(back.vertices_m, mesh.vertices_m)
+    np.testing.assert_array_equal(back.faces, mesh.faces)
+    np.testing.assert_array_equal(back.sigma_m, mesh.sigma_m.astype(np.float32))
+    assert (frame, facts) == (FRAME, FACTS)
+    assert read_any_mesh(path, FRAME, CRS)[1] == ""
+    assert not list(path.parent.glob(".*"))
+
+
+def test_the_same_mesh_gives_the_same_bytes(mesh: TriangleMesh, path: Path) -> None:
+    write_mesh(path.with_name("again.ply"), mesh, FRAME, FACTS)
+    assert path.with_name("again.ply").read_bytes() == path.read_bytes()
+
+
+def test_plyfile_and_trimesh_and_open3d_open_it(mesh: TriangleMesh, path: Path) -> None:
+    data = PlyData.read(str(path))
+    np.testing.assert_array_equal(data["face"]["border"].astype(bool), mesh.border_faces())
+    assert 0 < mesh.border_faces().sum() < len(mesh.faces)
+    other = trimesh.load_mesh(path, process=False)
+    np.testing.assert_array_equal(other.faces, mesh.faces)
+    np.testing.assert_array_equal(other.vertices, mesh.vertices_m)
+    third = _open3d().io.read_triangle_mesh(str(path))
+    np.testing.assert_array_equal(np.asarray(third.triangles), mesh.faces)
+    np.testing.assert_array_equal(np.asarray(third.vertices), mesh.vertices_m)
+
+
+def test_cloudcompare_opens_it(mesh: TriangleMesh, path: Path) -> None:
+    program = shutil.which("CloudCompare")
+    if program is None:
+        pytest.skip("CloudCompare is not installed")
+    run = subprocess.run(
+        [program, "-SILENT", "-AUTO_SAVE", "OFF", "-O", path.name, "-M_EXPORT_FMT", "PLY",
+         "-PLY_EXPORT_FMT", "BINARY_LE", "-SAVE_MESHES", "FILE", "out.ply"],
+        cwd=path.parent, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
+        capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert (path.parent / "out.ply").is_file(), run.stdout[-2000:]
+    back, note = read_any_mesh(path.parent / "out.ply", FRAME, CRS)
+    assert "states no frame" in note
+    np.testing.assert_array_equal(back.faces, mesh.faces)
+    # CloudCompare 2.11 keeps float32: 800 m x 2^-24
+    np.testing.assert_allclose(back.vertices_m, mesh.vertices_m, atol=5e-5)
+
+
+# ---------------------------------------------------------------- meshes of others
+
+
+def foreign(
+    path: Path, vertices: np.ndarray, polygons: list[list[int]], kind: str = "f8", **how: object
+) -> Path:
+    table = np.array([tuple(v) for v in vertices], dtype=[(a, kind) for a in "xyz"])
+    face = np.empty(len(polygons), dtype=[("vertex_indices", "O")])
+    face["vertex_indices"] = [np.array(p, dtype=np.int32) for p in polygons]
+    PlyData([PlyElement.describe(table, "vertex"), PlyElement.describe(face, "face")], **how).write(str(path))
+    return path
+
+
+CORNERS = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 1], [0, 2, 1], [1, 4, 3]])
+POLYGONS = [[0, 1, 2, 3], [3, 2, 4]]
+FANS = [[0, 1, 2], [0, 2, 3], [3, 2, 4]]
+
+
+@pytest.mark.parametrize("how", [{"text": True}, {"byte_order": "<"}, {"byte_order": ">"}], ids=str)
+@pytest.mark.parametrize("polygons", [POLYGONS, FANS], ids=["polygons", "triangles"])
+def test_meshes_of_others(tmp_path: Path, how: dict[str, object], polygons: list[list[int]]) -> None:
+    path = foreign(tmp_path / "a.ply", CORNERS, polygons, **how)
+    mesh, note = read_any_mesh(path, FRAME, CRS, sigma_m=0.004)
+    np.testing.assert_allclose(mesh.vertices_m, CORNERS)
+    assert mesh.faces.tolist() == FANS
+    assert (mesh.sigma_m == 0.004).all()
+    assert "states no frame" in note
+    with pytest.raises(InputError, match="another program"):
+        read_mesh(path)
+
+
+def test_map_coordinates_become_local_ones(tmp_path: Path) -> None:
+    import pyproj
+
+    grid = FRAME.to_map(CORNERS, pyproj.CRS(CRS))
+    mesh, note = read_any_mesh(foreign(tmp_path / "a.ply", grid, FANS), FRAME, CRS)
+    # 1e-6: double precision at 5.6e6 m is 1e-9, the projection of pyproj is good to a micrometre
+    np.testing.assert_allclose(mesh.vertices_m, CORNERS, atol=1e-6)
+    assert CRS in note
+    with pytest.raises(InputError, match=r"single precision: their step is 0\.5 m"):
+        read_any_mesh(foreign(tmp_path / "b.ply", grid, FANS, "f4"), FRAME, CRS)
+    with pytest.raises(GeometryError):
+        read_any_mesh(foreign(tmp_path / "c.ply", grid[:, [1, 0, 2]], FANS), FRAME, CRS)
+
+
+def test_another_local_frame_is_refused(path: Path) -> None:
+    with pytest.raises(InputError, match="local frame at"):
+        read_any_mesh(path, LocalFrame(lat_deg=51.0, lon_deg=13.25, h_ell_m=300.0), CRS)
+
+
+# ---------------------------------------------------------------- damage
+
+
+@pytest.mark.parametrize(
+    ("change", "answer"),
+    [
+        (lambda b: b[:-100], "168 of 176 faces are there"),
+        (lambda b: b[: b.index(b"end_header") + 500], "vertices are there"),
+        (lambda b: b[:200], "no PLY header"),
+        (lambda b: b"", "no PLY header"),
+        (lambda b: b.replace(b'"format":1', b'"format":7'), "version 7"),
+        (lambda b: b.replace(b'"lat_deg":', b'"lat":'), "comment 'thalweg' is damaged"),
+        (lambda b: b.replace(b"element face", b"element fact"), "a mesh, not a cloud"),
+        (lambda b: b.replace(b"property double y", b"property double q"), "expected x, y, z"),
+        (lambda b: b.replace(b"format binary", b"form binary"), "line 2 of the header"),
+    ],
+)
+def test_damaged_files_are_told(path: Path, change: Callable[[bytes], bytes], answer: str) -> None:
+    data = path.read_bytes()
+    assert change(data) != data
+    path.write_bytes(change(data))
+    with pytest.raises(InputError, match=answer) as error:
+        read_mesh(path)
+    assert str(path) in str(error.value)
+
+
+def test_corners_that_do_not_exist_are_told(mesh: TriangleMesh, path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[-5:-1] = np.int32(100_000).tobytes()
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="corners from 0 to 100000"):
+        read_mesh(path)
+
+
+def test_no_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="file not found"):
+        read_mesh(tmp_path / "none.ply")
+
+
+def test_fuzz(path: Path, fuzz: Any) -> None:
+    data = path.read_bytes()
+    head = data.index(b"end_header")
+    for damaged in fuzz.inputs(data, head=head, longest=40):
+        path.write_bytes(damaged)
+        try:
+            read_mesh(path)
+        except InputError:
+            continue
+        fuzz.was_read()
+    # bytes of coordinates may change unseen; damage of the header must be told
+    fuzz.check(read=0.02, troubled=0.3)
+
+
+def test_facts_are_plain_json(path: Path) -> None:
+    text = path.read_bytes().split(b"end_header")[0].decode("ascii")
+    lines = [line for line in text.splitlines() if line.startswith("comment thalweg ")]
+    assert max(map(len, text.splitlines())) < 256  # rply's longest word
+    told = json.loads("".join(line.removeprefix("comment thalweg ") for line in lines))
+    assert told["origin"] == {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}

@@ -1,0 +1,134 @@
+"""Cross sections: who is in the slab, where the plane cuts the mesh, from where a point was measured."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.frames import LocalFrame
+from thalweg.core.trajectory import Trajectory
+from thalweg.figures.cross_sections import MOST_ZOOM_M, WIDEST_M, Slabs, cross_sections, zoom_box
+from thalweg.figures.style import save
+
+OPTIONS = {"count": 3, "stations_m": None, "thickness_m": 0.4}
+
+
+def by_gid(figure, gid):
+    return figure.findobj(lambda artist: artist.get_gid() == gid)
+
+
+@pytest.fixture
+def boat():
+    """Along the bank at 1.5 m/s from east 70 to 130 m in 40 s, no pose in the middle."""
+    t = np.linspace(0.0, 40.0, 401)
+    return Trajectory(
+        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0),
+        t_gps_s=t,
+        position_wcs_m=np.stack([70.0 + 1.5 * t, np.zeros(401), np.full(401, 0.7)], axis=1),
+        quaternion_wcs_ics=np.tile([0.0, 0.0, 0.0, 1.0], (401, 1)),
+        cov_pose_wcs=np.tile(1e-4 * np.eye(6), (401, 1, 1)),
+        valid=(t < 19.0) | (t > 21.0),
+    )
+
+
+def slabs_of(made, options=OPTIONS):
+    slabs = Slabs(made.table, made.frame, options)
+    points = made.table[["east_m", "north_m", "up_m"]].to_numpy()
+    slabs.add("cloud", points, made.table["t_gps_s"].to_numpy())
+    slabs.add("reference", points[::10])
+    return slabs
+
+
+def test_sections_are_spread_evenly_or_where_they_are_wanted(made):
+    # 59 m of compared points about the middle: thirds of them have their middles 19.5 m apart.
+    places = [s.along_m for s in Slabs(made.table, made.frame, OPTIONS).sections]
+    np.testing.assert_allclose(places, [-19.6, 0.0, 19.6], atol=0.2)
+    wanted = Slabs(made.table, made.frame, OPTIONS | {"stations_m": [-5.0, 12.5]})
+    assert [s.along_m - wanted.middle_m for s in wanted.sections] == [-5.0, 12.5]
+
+
+def test_a_slab_holds_the_points_beside_its_plane(made):
+    slabs = slabs_of(made)
+    for section in slabs.sections:
+        found = section.points("cloud")
+        inside = np.abs(made.bank[:, 0] - section.along_m) <= 0.2
+        # 1 % of a section's points may lie beyond each end of its picture and its margin of 0.5 m.
+        assert len(found) >= 0.97 * inside.sum()
+        times = made.table["t_gps_s"].to_numpy()[inside]
+        assert np.isin(found[:, 2], times).all()
+        # Away from the river is to the right, and there the bank is higher.
+        assert np.corrcoef(found[:, 0], found[:, 1])[0, 1] > 0.95
+
+
+def test_chunks_of_any_size_give_the_same(made):
+    one, many = slabs_of(made), Slabs(made.table, made.frame, OPTIONS)
+    points = made.table[["east_m", "north_m", "up_m"]].to_numpy()
+    t = made.table["t_gps_s"].to_numpy()
+    for start in range(0, len(points), 777):
+        many.add("cloud", points[start : start + 777], t[start : start + 777])
+    for a, b in zip(one.sections, many.sections, strict=True):
+        np.testing.assert_array_equal(a.points("cloud"), b.points("cloud"))
+
+
+def test_the_cut_lies_on_the_mesh(made):
+    slabs = Slabs(made.table, made.frame, OPTIONS | {"stations_m": [3.3]})
+    lines = slabs.cut(slabs.sections[0], made.mesh)
+    # The plane bank: height over distance is its slope, from the origin of the frame on.
+    np.testing.assert_allclose(lines[..., 1] - 3.0, lines[..., 0] * np.tan(made.slope_rad), atol=1e-9)
+    length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum()
+    np.testing.assert_allclose(length, 8.0, rtol=1e-9)  # the whole slope once, no triangle twice
+
+
+def test_the_boat_is_where_it_was(made, boat):
+    slabs = slabs_of(made)
+    section = slabs.sections[1]
+    t = section.points("cloud")[:, 2]
+    place = slabs.boat_along_m(section, boat)
+    # Seen from the river the bank runs to the right, to the west: along is 100 m - east.
+    np.testing.assert_allclose(place, 100.0 - (70.0 + 1.5 * t) - section.along_m, atol=1e-6)
+    assert slabs.water_m(section, boat, 0.2) == pytest.approx(0.5)
+
+
+def test_the_magnified_piece_shows_the_bank(made, boat):
+    slabs = slabs_of(made)
+    for section in slabs.sections:
+        left, right, bottom, top = zoom_box(section, slabs.boat_along_m(section, boat))
+        assert right - left <= MOST_ZOOM_M
+        p = section.points("cloud")
+        inside = (p[:, 0] > left) & (p[:, 0] < right) & (p[:, 1] > bottom) & (p[:, 1] < top)
+        assert inside.sum() >= 5
+
+
+def test_what_the_picture_says(made, boat):
+    slabs = slabs_of(made)
+    figure = cross_sections(slabs, made.mesh, boat, water_line_ics_m=0.2, title="Test", twin=True)
+    n = sum(len(s.points("cloud")) for s in slabs.sections)
+    title = figure.get_suptitle().replace("\n", " ")
+    assert "slabs of 40 cm" in title
+    assert f"n = {n} points" in title.replace("\N{NO-BREAK SPACE}", "")
+    assert len(by_gid(figure, "twin-mark")) == 1
+    assert len(by_gid(figure, "zoom")) == 3
+    assert len(by_gid(figure, "water")) == 6
+    assert not by_gid(cross_sections(slabs, made.mesh, boat), "water")
+    for ax in figure.axes[:6]:
+        assert ax.get_aspect() == 1.0
+    assert figure.axes[0].get_title(loc="left").startswith("station \N{MINUS SIGN}19 m: cloud n = ")
+
+
+def test_a_wide_area_shows_where_most_points_are(made):
+    """The other bank, 60 m across the water, does not squeeze the section."""
+    far = made.table.iloc[:400].copy()
+    far["north_m"] += 60.0
+    slabs = Slabs(pd.concat([made.table, far]), made.frame, OPTIONS)
+    for section in slabs.sections:
+        assert section.across_m[1] - section.across_m[0] <= WIDEST_M + 1.0
+        assert section.across_m[0] > -5.0
+
+
+def test_a_station_without_points_says_so(made, boat, tmp_path):
+    slabs = slabs_of(made, OPTIONS | {"stations_m": [0.0, 500.0]})
+    figure = cross_sections(slabs, made.mesh, boat, water_line_ics_m=0.2)
+    texts = [text.get_text() for text in figure.axes[2].texts]
+    assert texts == ["no point of the cloud"]
+    for name in ("a.png", "b.png"):
+        save(cross_sections(slabs, made.mesh, boat), tmp_path / name, dpi=50)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()

@@ -1,0 +1,148 @@
+"""The map of distances: signs, sides, counts, and what is drawn where."""
+
+import matplotlib
+import numpy as np
+import pytest
+
+from thalweg.core.errors import CoverageError, InputError
+from thalweg.figures.distance_map import DISTANCE_MAP, distance_map, strips, view_text
+from thalweg.figures.distances import bank_frame_of, centimetres, compared, round_above, round_limit_m
+from thalweg.figures.style import count, save
+
+
+def by_gid(figure, gid):
+    return figure.findobj(lambda artist: artist.get_gid() == gid)
+
+
+def test_the_title_states_n_mean_and_rmse(made):
+    figure = distance_map(made.table, made.mesh, made.frame, title="Test", twin=True)
+    used = made.table[made.table["used"]]
+    d = used["distance_m"].to_numpy()
+    title = figure.get_suptitle().replace("\n", " ").replace("\N{NO-BREAK SPACE}", " ")
+    assert f"n = {len(used):,}".replace(",", " ") in title
+    assert f"mean {100 * d.mean():+.1f} cm, RMSE {100 * np.sqrt(np.mean(d**2)):.1f} cm" in title
+    assert len(by_gid(figure, "twin-mark")) == len(by_gid(figure, "scale-bar")) == 1
+    assert not by_gid(distance_map(made.table, made.mesh, made.frame), "twin-mark")
+
+
+def test_every_cell_has_the_colour_of_its_median(made):
+    made.table["distance_m"] = np.where(made.bank[:, 0] > 0, 0.08, -0.08)
+    made.table["outlier"] = False
+    figure = distance_map(made.table, made.mesh, made.frame, limit_m=0.1)
+    for picture in by_gid(figure, "distances"):
+        colours = picture.get_array()
+        left, right, _, _ = picture.get_extent()
+        middles = left + (np.arange(colours.shape[1]) + 0.5) * (right - left) / colours.shape[1]
+        for column, middle in enumerate(middles):
+            full = colours[:, column][colours[:, column, 3] > 0]
+            if abs(middle) < 1.0 or abs(middle) > 28.5:
+                continue
+            np.testing.assert_allclose(
+                full, np.tile(DISTANCE_MAP(0.9 if middle > 0 else 0.1), (len(full), 1))
+            )
+
+
+def test_front_is_positive_and_marked_by_plus(made):
+    """The words, the ends of the scale and the signs all say the same side."""
+    made.table["distance_m"] = np.where(made.bank[:, 0] > 0, 0.3, -0.08)
+    figure = distance_map(made.table, made.mesh, made.frame, limit_m=0.1)
+    plus = np.concatenate([line.get_xdata() for line in by_gid(figure, "sign+")])
+    minus = np.concatenate([line.get_xdata() for line in by_gid(figure, "sign_")])
+    assert plus.size > 20
+    assert minus.size > 20
+    assert plus.min() > -1.0  # of a block of some metres that begins left of 0 the median is one or the other
+    assert minus.max() < 1.0
+    (left,), (right,) = by_gid(figure, "end-left"), by_gid(figure, "end-right")
+    assert left.get_text().startswith("behind")
+    assert left.get_text().endswith("n = 0")
+    n = int((made.table["used"] & (made.bank[:, 0] > 0)).sum())
+    assert right.get_text().startswith("in front")
+    assert right.get_text().endswith(f"n = {count(n)}")
+
+
+def test_points_left_out_at_the_border_are_dark_and_counted(made):
+    figure = distance_map(made.table, made.mesh, made.frame)
+    n = int((made.table["at_border"] & ~made.table["used"]).sum())
+    assert f"left out at its border, n = {count(n)}" in figure.axes[0].get_title(loc="left")
+    dark = sum(
+        int(np.all(np.isclose(p.get_array(), (0.25, 0.25, 0.25, 1.0)), axis=2).sum())
+        for p in by_gid(figure, "distances")
+    )
+    assert dark > 10
+    # Those that are too far are counted for that, and not for the border.
+    near = distance_map(made.table, made.mesh, made.frame, max_distance_m=0.0)
+    assert "border" not in near.axes[0].get_title(loc="left")
+
+
+def test_the_reference_is_seen_where_no_point_lies(made):
+    half = made.table[made.bank[:, 1] > 0]
+    table = made.table.assign(used=made.table["used"] & ((made.bank[:, 1] > 0) | (made.bank[:, 0] < -20)))
+    figure = distance_map(table, made.mesh, made.frame)
+    assert len(half)
+    for picture in by_gid(figure, "reference"):
+        grey = np.asarray(picture.get_array())
+        assert (grey < 0.99).mean() > 0.8
+        # A plane bank has one normal, and so one grey.
+        assert np.ptp(grey[grey < 0.99]) < 1e-5
+
+
+def test_strips_cover_the_bank_at_one_scale(rng):
+    bank = np.stack([rng.uniform(-200, 200, 50_000), rng.uniform(0, 9, 50_000)], axis=1)
+    # A bend: up the slope the bank lies elsewhere at every place.
+    bank[:, 1] += 0.0002 * bank[:, 0] ** 2
+    pieces = strips(bank)
+    assert len(pieces) > 3
+    assert pieces[0].along_m[0] == bank[:, 0].min()
+    assert pieces[-1].along_m[1] == bank[:, 0].max()
+    np.testing.assert_allclose([p.size_m[0] for p in pieces], pieces[0].size_m[0])
+    assert [a.along_m[1] for a in pieces[:-1]] == [b.along_m[0] for b in pieces[1:]]
+    for piece in pieces:
+        inside = (bank[:, 0] >= piece.along_m[0]) & (bank[:, 0] <= piece.along_m[1])
+        up = bank[inside, 1]
+        shown = (up >= piece.up_slope_m[0]) & (up <= piece.up_slope_m[1])
+        assert shown.mean() >= 0.98  # 1 % above and below at most
+    assert len(strips(bank[:, ::-1])) == 1
+
+
+def test_numbers_do_not_depend_on_thinning(made):
+    every = distance_map(made.table, made.mesh, made.frame)
+    some = distance_map(made.table, made.mesh, made.frame, max_points=2_000)
+    assert every.get_suptitle() == some.get_suptitle()
+    assert by_gid(every, "end-right")[0].get_text() == by_gid(some, "end-right")[0].get_text()
+
+
+def test_the_same_bytes_twice(made, tmp_path):
+    for name in ("a.png", "b.png"):
+        save(distance_map(made.table, made.mesh, made.frame, title="Test"), tmp_path / name, dpi=60)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert matplotlib.rcParams["figure.constrained_layout.use"] is False  # the style stays inside
+
+
+def test_few_points_make_a_map(made, tmp_path):
+    save(distance_map(made.table.iloc[5_000:5_003], made.mesh, made.frame), tmp_path / "few.png", dpi=50)
+    assert (tmp_path / "few.png").stat().st_size > 5_000
+
+
+def test_nothing_compared_is_refused(made):
+    with pytest.raises(CoverageError, match=r"none of 20000 points was compared.*accuracy\.area"):
+        compared(made.table.assign(used=False))
+    with pytest.raises(InputError, match="outlier"):
+        compared(made.table.drop(columns="outlier"))
+
+
+def test_the_bank_frame_comes_from_the_facts(made):
+    facts = {"bank_frame": {"origin_m": [1.0, 2.0, 3.0], "R_bank_wcs": made.frame.R_bank_wcs.tolist()}}
+    frame = bank_frame_of(facts)
+    np.testing.assert_array_equal(frame.R_bank_wcs, made.frame.R_bank_wcs)
+    np.testing.assert_array_equal(frame.origin_m, [1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match="bank frame"):
+        bank_frame_of({})
+
+
+def test_words_and_limits(made):
+    assert view_text(made.frame) == "looking toward 180°"  # the bank lies south of the river
+    assert centimetres(-0.0412, sign=True) == "\N{MINUS SIGN}4.1\N{NO-BREAK SPACE}cm"
+    assert [round_above(x) for x in (0.1, 0.101, 0.16, 0.5, 0.51)] == [0.1, 0.15, 0.2, 0.5, 1.0]
+    # Mean 3 cm and three NMAD of 5 cm are 18 cm.
+    assert round_limit_m(made.table["distance_m"].to_numpy()) == 0.2
+    assert round_limit_m(np.zeros(5)) == 1e-3

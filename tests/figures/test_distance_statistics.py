@@ -1,0 +1,122 @@
+"""Histogram of the distances, and observed against predicted by range."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.accuracy.comparison import ComparisonSettings
+from thalweg.accuracy.comparison_tables import by_range_table
+from thalweg.core.errors import InputError
+from thalweg.figures.distance_by_range import distance_by_range
+from thalweg.figures.distance_histogram import distance_histogram
+from thalweg.figures.distances import robust_fit
+from thalweg.figures.style import count, save
+
+
+def by_gid(figure, gid):
+    return figure.findobj(lambda artist: artist.get_gid() == gid)
+
+
+@pytest.fixture
+def by_range(made):
+    return by_range_table(made.table, ComparisonSettings(correlation_s=0.2))
+
+
+# ---------------------------------------------------------------- histogram
+
+
+def test_every_point_is_a_bar_or_counted_beyond(made):
+    figure = distance_histogram(made.table, limit_m=0.4)
+    (steps,) = by_gid(figure, "histogram")
+    values, edges, _ = steps.get_data()
+    d = made.table.loc[made.table["used"], "distance_m"].to_numpy()
+    np.testing.assert_allclose([edges[0], edges[-1]], [-40.0, 40.0])
+    assert values.sum() == (np.abs(d) <= 0.4).sum()
+    title = figure.axes[0].get_title(loc="left")
+    assert f"{count(int((d < -0.4).sum()))} behind, {count(int((d > 0.4).sum()))} in front" in title
+
+
+def test_the_fits_have_the_parameters_that_are_printed(made):
+    figure = distance_histogram(made.table, limit_m=0.4)
+    d = made.table.loc[made.table["used"], "distance_m"].to_numpy()
+    kept = made.table.loc[made.table["used"] & ~made.table["outlier"], "distance_m"].to_numpy()
+    expected = [(d.mean(), d.std()), (kept.mean(), kept.std()), robust_fit(d)]
+    for k, (middle, spread) in enumerate(expected):
+        (line,) = by_gid(figure, f"fit-{k}")
+        x, y = line.get_data()
+        # The peak of the curve is at the mean, to the step of 0.13 cm at which it is drawn.
+        assert abs(x[np.argmax(y)] - 100 * middle) < 0.1
+        assert f"{100 * spread:.1f}\N{NO-BREAK SPACE}cm" in line.get_label()
+        # Counts, not a density: bars of 80 cm / 81 under n points.
+        n = kept.size if k == 1 else d.size
+        np.testing.assert_allclose(y.max(), n * 0.8 / 81 / (spread * np.sqrt(2 * np.pi)), rtol=1e-3)
+    title = figure.get_suptitle().replace("\n", " ").replace("\N{NO-BREAK SPACE}", " ")
+    assert f"mean {100 * d.mean():+.1f} cm, std {100 * d.std():.1f} cm" in title
+
+
+def test_quantiles_of_normal_distances_lie_on_the_line(rng, make_comparison):
+    made = make_comparison(rng, n=40_000)
+    table = made.table.assign(used=made.table["used"] & (made.table["distance_m"] < 0.5))
+    (dots,) = by_gid(distance_histogram(table), "quantiles")
+    z, found = dots.get_data()
+    middle = np.abs(z) < 2.0
+    # Sampling error of a quantile at 2 sigma with 39,000 points: 2.8 / sqrt(n) = 1.4 % of 5 cm; four of them.
+    np.testing.assert_allclose(found[middle], 3.0 + 5.0 * z[middle], atol=0.3)
+
+
+def test_equal_distances_make_a_histogram(made, tmp_path):
+    made.table["distance_m"] = 0.02
+    save(distance_histogram(made.table, twin=True), tmp_path / "a.png", dpi=50)
+    save(distance_histogram(made.table, twin=True), tmp_path / "b.png", dpi=50)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+# ---------------------------------------------------------------- by range
+
+
+def test_the_curves_are_those_of_the_table(by_range):
+    figure = distance_by_range(by_range, title="Test", twin=True)
+    kept = by_range[by_range["points"] == "without outliers"]
+    for gid, column in (("normal", "rmse_predicted_m"), ("3d", "rmse_predicted_3d_m")):
+        (line,) = by_gid(figure, gid)
+        np.testing.assert_allclose(line.get_ydata(), 1e3 * kept[column])
+    (steps,) = by_gid(figure, "counts")
+    np.testing.assert_array_equal(steps.get_ydata(), kept["n"])
+    (ratio,) = by_gid(figure, "ratio")
+    np.testing.assert_allclose(ratio.get_ydata(), kept["ratio"])
+    # Predicted are 5.0 and 0.6 cm, observed 5 cm about a mean of 3: 5.04 / 5.83. With 780 points a class the
+    # ratio of one class varies by 2.5 %, the median of 26 of them by 0.6 %; four of those.
+    np.testing.assert_allclose(np.median(ratio.get_ydata()), 0.864, rtol=0.025)
+    (everything,) = by_gid(figure, "all")
+    assert np.all(everything.get_ydata() > 1e3 * kept["rmse_observed_m"].to_numpy())
+    assert f"n = {count(int(kept['n'].sum()))}" in figure.get_suptitle()
+
+
+def test_classes_outside_their_band_are_ringed(by_range):
+    by_range.loc[:, "inside"] = True
+    by_range.loc[by_range["range_m"].isin([10, 20]), "inside"] = False
+    figure = distance_by_range(by_range)
+    (rings,) = by_gid(figure, "outside")
+    np.testing.assert_array_equal(rings.get_xdata(), [10, 20])
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    assert any("ringed: 2 of 26 classes outside" in title for title in titles)
+
+
+def test_registered_rows_are_left_alone(by_range):
+    other = by_range.assign(registration="with registration", rmse_observed_m=9.0)
+    both = distance_by_range(pd.concat([other, by_range]))
+    alone = distance_by_range(by_range)
+    assert both.axes[0].get_ylim() == alone.axes[0].get_ylim()
+    assert both.get_suptitle() == alone.get_suptitle()
+
+
+def test_without_a_rule_all_points_are_drawn(by_range):
+    figure = distance_by_range(by_range[by_range["points"] == "all"])
+    assert len(by_gid(figure, "ratio")[0].get_ydata()) == 26
+
+
+def test_tables_of_nothing_are_refused(by_range):
+    with pytest.raises(InputError, match="ratio_low95"):
+        distance_by_range(by_range.drop(columns="ratio_low95"))
+    with pytest.raises(InputError, match="at least one range class"):
+        distance_by_range(by_range.iloc[:0])

@@ -1,0 +1,107 @@
+"""Published numbers recomputed. These rules depend on no campaign."""
+
+BUDGETS = [
+    "p2_table1",
+    "t_table3_1",
+    "p2_perfect_trigger",
+    "p2_trigger_4ms",
+    "p1_direct",
+    "p1_direct_one_sigma",
+    "sajo_2019",
+    "sajo_2021",
+]
+TABLES = {"p2_table1": 0.16, "t_table3_1": 0.0}
+"""Budgets with a whole published table, and the length of the inner lever arm in metres (P2 5.2; T: unknown)."""
+
+
+BUDGET_FILE = str(ROOT / "resources" / "budgets" / "{name}.yaml")
+PUBLISHED_FILE = str(ROOT / "resources" / "published" / "{name}.csv")
+
+
+rule budget_geometry:
+    """The geometry that the published error tables imply, and what each assumption is needed for."""
+    input:
+        budgets=expand(BUDGET_FILE, name=TABLES),
+        published=expand(PUBLISHED_FILE, name=TABLES),
+    output:
+        assumptions="results/reproduction/assumptions.csv",
+        solutions="results/reproduction/geometry.csv",
+    log:
+        "logs/reproduction/budget_geometry.log",
+    benchmark:
+        "benchmarks/reproduction/budget_geometry.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("budget_geometry"),
+        lever_lengths_m=TABLES,
+    message:
+        "geometry of the published error tables"
+    script:
+        "../scripts/budget_geometry.py"
+
+
+rule budget_tables:
+    """Error budgets as tables, with a verdict on each published cell."""
+    input:
+        budgets=expand(BUDGET_FILE, name=BUDGETS),
+        published=expand(PUBLISHED_FILE, name=BUDGETS),
+        assumptions="results/reproduction/assumptions.csv",
+        solutions="results/reproduction/geometry.csv",
+    output:
+        budget_page="results/reproduction/error_budgets.md",
+        verdicts_text="results/reproduction/error_budgets.txt",
+        tables=expand("results/reproduction/budgets/{name}.csv", name=BUDGETS),
+        latex_tables=expand("results/reproduction/budgets/{name}.tex", name=BUDGETS),
+    log:
+        "logs/reproduction/budget_tables.log",
+    benchmark:
+        "benchmarks/reproduction/budget_tables.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("budget_tables"),
+        camera="p2_table1",
+        ins="t_table3_1",
+    message:
+        "error budgets and their verdicts"
+    script:
+        "../scripts/budget_tables.py"
+
+
+rule plot_error_budget:
+    """Where the error of a point comes from, over its distance, for both ways of orientation."""
+    input:
+        budgets=expand(BUDGET_FILE, name=TABLES),
+        published=expand(PUBLISHED_FILE, name=TABLES),
+    output:
+        error_budget_png=report(
+            "results/reproduction/figures/error_budget.png",
+            caption="../report/error_budget.rst",
+            category="Error budgets",
+        ),
+    log:
+        "logs/reproduction/plot_error_budget.log",
+    benchmark:
+        "benchmarks/reproduction/plot_error_budget.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(5),
+    params:
+        code=code_version("plot_error_budget"),
+        dpi=200,
+    message:
+        "error budgets over distance"
+    script:
+        "../scripts/plot_error_budget.py"

@@ -1,0 +1,44 @@
+"""Everything that was found out about the accuracy of a cloud -> one page."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from thalweg.accuracy.comparison import CLOUD_TO_MESH
+from thalweg.core.tables import read_table
+from thalweg.figures.accuracy_page import accuracy_page
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    comparison: Path,
+    statistics: Path,
+    by_range: Path,
+    registration: Path,
+    mesh_facts: Path,
+    pictures: list[Path],
+    captions: list[Path],
+    truth: list[Path],
+    page: Path,
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    accuracy_page(
+        read_table(comparison, CLOUD_TO_MESH)[1],
+        pd.read_csv(statistics),
+        pd.read_csv(by_range),
+        json.loads(registration.read_text()),
+        json.loads(mesh_facts.read_text()),
+        pictures=pictures,
+        captions={path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions},
+        truth=pd.read_csv(truth[0]) if truth else None,
+        title=f"Accuracy of the cloud: {campaign['title']}",
+        twin=twin,
+    ).write(page)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,32 @@
+"""Published error tables -> the geometry that they imply, and what each assumption is needed for."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from thalweg.jobs.job import run_job
+from thalweg.reproduction.assumptions import left_out, published_setup
+from thalweg.reproduction.budget_file import read_budget
+from thalweg.reproduction.published import read_published
+from thalweg.reproduction.reconstruct import reconstruct, solution_facts
+
+
+def main(
+    *,
+    budgets: list[Path],
+    published: list[Path],
+    assumptions: Path,
+    solutions: Path,
+    lever_lengths_m: dict[str, float],
+) -> None:
+    tables, facts = [], []
+    for file, cells in zip(budgets, published, strict=True):
+        setup = published_setup(read_budget(file), read_published(cells), lever_lengths_m[file.stem])
+        facts.append({"table": file.stem, **solution_facts(reconstruct(setup))})
+        tables.append(left_out(setup).assign(table=file.stem))
+    pd.DataFrame(facts).to_csv(solutions, index=False)
+    pd.concat(tables).to_csv(assumptions, index=False)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

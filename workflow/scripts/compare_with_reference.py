@@ -1,0 +1,46 @@
+"""Cloud and reference mesh -> distances, statistics, range classes, local dependency, registration."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from thalweg.accuracy.area import Area
+from thalweg.accuracy.comparison import CLOUD_TO_MESH, ComparisonSettings
+from thalweg.accuracy.overlap_check import check_frames
+from thalweg.accuracy.reference_comparison import compare_with_reference
+from thalweg.core.mesh_ply import read_mesh
+from thalweg.core.tables import write_table
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    points: Path,
+    mesh: Path,
+    cloud_to_mesh: Path,
+    statistics: Path,
+    by_range: Path,
+    spatial: Path,
+    registration: Path,
+    campaign: dict[str, Any],
+    accuracy: dict[str, Any],
+    reference: dict[str, Any],
+) -> None:
+    surface, mesh_frame, _ = read_mesh(mesh)
+    frame = check_frames(points, mesh, mesh_frame)
+    found = compare_with_reference(
+        points,
+        surface,
+        area=Area.from_section(accuracy["area"], frame, campaign["crs"]),
+        settings=ComparisonSettings.from_sections(accuracy, reference, campaign["seed"]),
+        registration=accuracy["registration"],
+    )
+    write_table(cloud_to_mesh, found.table, CLOUD_TO_MESH, found.facts)
+    found.statistics.to_csv(statistics, index=False)
+    found.by_range.to_csv(by_range, index=False)
+    found.spatial.to_csv(spatial, index=False)
+    registration.write_text(json.dumps(found.registration, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
