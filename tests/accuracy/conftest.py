@@ -10,8 +10,8 @@ from thalweg.simulation.trials import MISTAKES, NONE, Trial, trials
 SEEDS = 40
 FEW = 6
 
-# Attitude errors of 0.5 s give each second two independent ones. No mirror ghosts: those that the filters leave
-# at the bank's toe are no points of a surface, and no sigma speaks of them (`offset_study` does).
+# Attitude errors of 0.5 s give each second two independent ones. No mirror ghosts: those that the filters
+# leave at the bank's toe are no points of a surface, and no sigma speaks of them (`offset_study` does).
 TWIN: dict[str, Any] = {
     "size": "tiny",
     "duration_s": 4.0,

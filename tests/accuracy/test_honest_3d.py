@@ -49,7 +49,7 @@ def test_wrong_sigmas_are_seen_both_ways(surveys: list[Trial], factor: float) ->
 
 
 def test_a_boresight_of_a_tenth_of_a_degree_is_noticed(surveys: list[Trial]) -> None:
-    """It doubles the variance of roll alone: the ellipsoids no longer fit, though the length of the errors may."""
+    """It doubles the variance of roll alone: the ellipsoids no longer fit, though the errors' length may."""
     wrong = verdict([survey.in_3d[MISTAKES[0].name] for survey in surveys])
     assert wrong.normalised > wrong.normalised_high
     assert not wrong.honest
@@ -80,5 +80,7 @@ def test_on_the_whole_river_too(tmp_path: Path) -> None:
         "ins": {"attitude_time_s": 0.5},
         "gnss": {"correlation_time_s": 0.5},
     }
-    found = verdict([survey.in_3d[NONE.name] for survey in trials(range(60), tmp_path, twin=twin, mesh=False)])
+    found = verdict(
+        [survey.in_3d[NONE.name] for survey in trials(range(60), tmp_path, twin=twin, mesh=False)]
+    )
     assert found.honest, found

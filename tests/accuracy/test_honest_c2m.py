@@ -1,7 +1,7 @@
 """Do points know what a comparison with a reference shows of their error? Distances from a mesh of scans.
 
-The reference is made as a campaign makes it: raw terrestrial scans of each survey, cleaned, thinned and meshed. It
-errs anew with each seed; its stations by 5 mm, as section ``reference`` states.
+The reference is made as a campaign makes it: raw terrestrial scans of each survey, cleaned, thinned and
+meshed. It errs anew with each seed; its stations by 5 mm, as section ``reference`` states.
 """
 
 import numpy as np

@@ -29,8 +29,8 @@ def test_wrong_sigmas_leave_the_band(rng: np.random.Generator, factor: float) ->
         observed, predicted = surveys(rng, 36, 4)
         ratio, low, high, _ = ratio_of_surveys(observed, factor**2 * predicted)
         seen += not low < ratio < high
-    # log 1.56 = 0.45 is 3.2 sigmas of the logarithm: the weights leave 29 surveys of 4 values, sqrt(2 / 116) =
-    # 0.13, and the spread estimated from them adds a little; a normal variable passes 2 of 3.2 in 88 %
+    # log 1.56 = 0.45 is 3.2 sigmas of the logarithm: the weights leave 29 surveys of 4 values, sqrt(2 / 116)
+    # = 0.13, and the spread estimated from them adds a little; a normal variable passes 2 of 3.2 in 88 %
     assert seen > 165
 
 

@@ -117,7 +117,8 @@ def test_visibility_does_not_depend_on_the_centre(rough: Surface, rng) -> None:
     xyz = bank.on_bank(rng, 5000, relief_m=RELIEF_M)
     normal = rough.distances(xyz).normal
     found = []
-    for centre in (xyz.mean(axis=0), xyz.mean(axis=0) + [5.0, -3.0, 2.0]):
+    for aside in (np.zeros(3), np.array([5.0, -3.0, 2.0])):
+        centre = xyz.mean(axis=0) + aside
         rates = np.hstack([normal, np.cross(xyz - centre, normal)])
         found.append(visible_motions(xyz, rates, centre)[0])
     assert found[0].min() > LEAST_VISIBLE

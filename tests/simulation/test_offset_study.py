@@ -27,14 +27,23 @@ SMALL: dict[str, Any] = {
 
 
 def small(effect: Effect) -> Effect:
-    twin = {key: value | SMALL.get(key, {}) if isinstance(value, dict) else value for key, value in effect.twin.items()}
+    twin = {
+        key: value | SMALL.get(key, {}) if isinstance(value, dict) else value
+        for key, value in effect.twin.items()
+    }
     twin["duration_s"] = SMALL["duration_s"]
     return replace(effect, twin=twin, reference={"cell_m": 0.15, **effect.reference})
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
-    names = ("bare bank of 60 degrees", "slope of 33 degrees", "footprint of 3 mrad", "mixed pixels", "bushes")
+    names = (
+        "bare bank of 60 degrees",
+        "slope of 33 degrees",
+        "footprint of 3 mrad",
+        "mixed pixels",
+        "bushes",
+    )
     effects = [small(effect) for effect in EFFECTS if effect.name in names]
     return offset_study(tmp_path_factory.mktemp("offset"), seeds=range(2), effects=effects)
 

@@ -42,7 +42,9 @@ def test_errors_are_taken_from_the_truth(logs: Logs) -> None:
     assert 0.03 < np.sqrt(errors.squared_m2.mean()) < 0.5
     assert errors.squared_m2 == pytest.approx(np.linalg.norm(errors.error_m, axis=1) ** 2)
     assert errors.predicted_m2 == pytest.approx(np.trace(errors.cov_m2, axis1=1, axis2=2))
-    by_hand = np.array([e @ np.linalg.inv(C) @ e / 3 for e, C in zip(errors.error_m, errors.cov_m2, strict=True)])
+    by_hand = np.array(
+        [e @ np.linalg.inv(C) @ e / 3 for e, C in zip(errors.error_m, errors.cov_m2, strict=True)]
+    )
     assert errors.normalised == pytest.approx(by_hand, rel=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""Surveys of the digital twin with one effect at a time -> what each adds to the offset from the reference."""
+"""Surveys of the digital twin with one effect at a time -> what each adds to the offset."""
 
 import tempfile
 from pathlib import Path

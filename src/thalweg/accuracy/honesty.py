@@ -1,4 +1,4 @@
-"""Do sigmas tell the truth? Observed and predicted errors of many surveys, each of them one independent trial.
+"""Do sigmas tell the truth? Observed and predicted errors of many surveys, each one independent trial.
 
 Points of one survey share the errors of its poses and of its mount: 20,000 of them may be worth a handful of
 independent ones. Surveys that err independently, such as seeds of the digital twin, are units that can be
@@ -6,12 +6,12 @@ counted. With the sums ``o_k`` of squared errors and ``p_k`` of predicted varian
 
     q = sum o_k / sum p_k,    s^2 = m / (m - 1) sum (o_k - q p_k)^2 / (sum p_k)^2
 
-estimate the ratio of observed to predicted variance and the variance of that estimate (ratio estimator; Cochran
-1977, 6.3). ``log q`` is nearly normal for chi-square sums of a dozen and more values. Sigmas that are honest
-leave it within ``t s / q`` of 0, with Student's quantile for ``m - 1`` degrees of freedom. The number of surveys
-``m`` is the effective one, ``(sum p_k)^2 / sum p_k^2`` (Kish 1965), as not all surveys have equally many points
-of a class. Statements about several classes share the level after Bonferroni: with the stated probability none
-of them is outside its band if all are honest.
+estimate the ratio of observed to predicted variance and the variance of that estimate (ratio estimator;
+Cochran 1977, 6.3). ``log q`` is nearly normal for chi-square sums of a dozen and more values. Sigmas that are
+honest leave it within ``t s / q`` of 0, with Student's quantile for ``m - 1`` degrees of freedom. The number
+of surveys ``m`` is the effective one, ``(sum p_k)^2 / sum p_k^2`` (Kish 1965), as not all surveys have
+equally many points of a class. Statements about several classes share the level after Bonferroni: with the
+stated probability none of them is outside its band if all are honest.
 
 The ratio that is printed is that of the thesis: predicted over observed RMSE, ``1 / sqrt(q)``.
 """
@@ -35,7 +35,9 @@ COLUMNS: Final = (
 """Columns of `honesty_by_range`."""
 
 
-def ratio_of_surveys(observed: ArrayF, predicted: ArrayF, *, level: float = 0.95) -> tuple[float, float, float, float]:
+def ratio_of_surveys(
+    observed: ArrayF, predicted: ArrayF, *, level: float = 0.95
+) -> tuple[float, float, float, float]:
     """Ratio of predicted to observed RMSE over surveys, and the band in which honest sigmas leave it.
 
     Parameters
@@ -77,8 +79,8 @@ def honesty_by_range(
 ) -> pd.DataFrame:
     """Predicted against observed RMSE in range classes of P2 eq. 10, each with its band.
 
-    Classes are 1 m wide, ``D - 0.5 < d <= D + 0.5``. A class that too few surveys have seen is joined with the
-    next farther ones until they are enough; what is left at the far end is joined with the last.
+    Classes are 1 m wide, ``D - 0.5 < d <= D + 0.5``. A class that too few surveys have seen is joined with
+    the next farther ones until they are enough; what is left at the far end is joined with the last.
 
     Parameters
     ----------
@@ -121,7 +123,7 @@ def honesty_by_range(
 
 
 def _joined(predicted: ArrayF, least: float) -> list[tuple[int, int]]:
-    """Runs of columns (first, one past the last) of a (surveys, classes) table that enough surveys have seen."""
+    """Runs of columns (first, one past the last) that enough rows of a (surveys, classes) table have seen."""
     found: list[tuple[int, int]] = []
     low, n = 0, predicted.shape[1]
     for high in range(1, n + 1):

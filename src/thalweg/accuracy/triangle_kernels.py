@@ -172,10 +172,10 @@ def _is_border_corner(faces: ArrayI, start: ArrayI, around: AnyArray, u: int) ->
         ahead[i], behind[i] = faces[g, (k + 1) % 3], faces[g, (k + 2) % 3]
     ahead.sort()
     behind.sort()
+    bad = False
     for i in range(n):
-        if ahead[i] != behind[i] or (i > 0 and ahead[i] == ahead[i - 1]):
-            return True
-    return False
+        bad |= ahead[i] != behind[i] or (i > 0 and ahead[i] == ahead[i - 1])
+    return bad
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")

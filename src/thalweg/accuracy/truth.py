@@ -97,7 +97,8 @@ class PointErrors3d:
     def normalised(self) -> ArrayF:
         """Normalised squared error ``e^T C^-1 e / 3`` (n,), of expectation 1.
 
-        It sees the shape of the covariance too: an error across a flat ellipsoid counts more than one along it.
+        It sees the shape of the covariance too: an error across a flat ellipsoid counts more than one along
+        it.
         """
         solved = np.linalg.solve(self.cov_m2, self.error_m[:, :, None])[:, :, 0]
         return np.asarray(np.einsum("ni,ni->n", self.error_m, solved) / 3.0)
@@ -179,8 +180,8 @@ def point_errors_3d(cloud: Mapping[str, AnyArray], true_wcs_m: ArrayF, *, where:
 
     The true place is that of the twin's own table of shots. The difference holds all that the covariance
     predicts: the noise of the range along the beam; across it the beam's offset and the echo's place in its
-    footprint, as both are in the true place and the processing knows neither; and the errors of pose, mount and
-    stamp. Points whose echo is a mixed one or a mirror ghost have no such place: leave them out.
+    footprint, as both are in the true place and the processing knows neither; and the errors of pose, mount
+    and stamp. Points whose echo is a mixed one or a mirror ghost have no such place: leave them out.
 
     Parameters
     ----------

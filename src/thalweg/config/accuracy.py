@@ -106,7 +106,10 @@ class Accuracy(Section):
         default=2.0, le=100, description="Points farther from the mesh have no counterpart, metres; counted"
     )
     max_points: int = Field(
-        default=1_000_000, ge=1_000, le=100_000_000, description="Points compared at most, evenly thinned"
+        default=1_000_000,
+        ge=1_000,
+        le=100_000_000,
+        description="Points compared at most: of more, a random sample, the same in each run",
     )
     outlier_nmads: Annotated[float, Field(ge=1, le=100, allow_inf_nan=False)] = Field(
         default=5.0,

@@ -1,11 +1,12 @@
 """Why does a boat's cloud lie behind the reference? Each cause switched on alone, and all of them together.
 
-P2 found its points 5 to 6 cm behind the mesh of a terrestrial scanner, and names as possible causes: plants, which
-both scanners see differently, and the bank's slope together with the boat's wide beam, which makes mixed signals
-(P2 section 7). In the digital twin each of them can be switched on alone (C312). A cause explains the change of
-the mean distance that it makes, survey by survey: the same seed shoots the same shots from the same places, so
-that most of the noise cancels. Errors of poses and mounts are off but in the rows that name them; they have no mean
-over many surveys, and a few seeds would not show one of some millimetres beside them.
+P2 found its points 5 to 6 cm behind the mesh of a terrestrial scanner, and names as possible causes: plants,
+which both scanners see differently, and the bank's slope together with the boat's wide beam, which makes
+mixed signals (P2 section 7). In the digital twin each of them can be switched on alone (C312). A cause
+explains the change of the mean distance that it makes, survey by survey: the same seed shoots the same shots
+from the same places, so that most of the noise cancels. Errors of poses and mounts are off but in the rows
+that name them; they have no mean over many surveys, and a few seeds would not show one of some millimetres
+beside them.
 
 Distances are positive in front of the reference, toward the boat, and negative behind it.
 """
@@ -14,7 +15,6 @@ import logging
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
@@ -30,7 +30,7 @@ from thalweg.core.errors import GeometryError
 from thalweg.simulation.survey import BARE, process, record, reference_mesh, survey_settings
 
 PUBLISHED_M: Final = (-0.06, -0.05)
-"""Mean distance of P2: 6 cm in its section 6.2, 5 cm in its section 7; the points lie behind the reference."""
+"""Mean distance of P2: 6 cm in its section 6.2, 5 cm in its section 7; points lie behind the reference."""
 
 STATIONS: Final = 3
 MAX_POINTS: Final = 50_000
@@ -49,7 +49,7 @@ _STEEP: Final[dict[str, Any]] = {
     "tls": {"spacing_m": 0.05},
     "effects": {"mount_errors": False},
 }  # fmt: skip
-"""Bare, smooth bank as steep as the twin makes one, nearly across the beams; a beam without width; true poses."""
+"""Bare, smooth bank, as steep as the twin makes one: nearly across the beams. No beam width, true poses."""
 
 _SLOPE: Final[dict[str, Any]] = {"scene": {"embankment_slope_deg": 33.0}}
 _WIDE: Final[dict[str, Any]] = {"lidar": {"divergence_mrad": 3.0}}
@@ -127,8 +127,8 @@ SINGLE: Final = tuple(e.name for e in EFFECTS if e.name not in (_BASE, _SCENERY,
 """Rows that are one cause alone."""
 
 PER_SURVEY: Final = ("n", "mean_m", "median_m", "rmse_m", "behind", "mean_registered_m", "rmse_registered_m")
-"""What is kept of each survey: points, their signed distances, the share of points behind the reference, and the
-same after the cloud was fitted to the reference by a rigid motion (NaN where that was not possible)."""
+"""What is kept of each survey: points, their signed distances, the share of points behind the reference,
+and the same after the cloud was fitted to the reference by a rigid motion (NaN where that failed)."""
 
 
 def distances(seed: int, folder: Path, effect: Effect) -> dict[str, float]:
@@ -174,8 +174,8 @@ def offset_study(
     Returns
     -------
     One row an effect: ``effect``, ``against``, ``seeds``; ``explains_m``, the change of the mean against the
-    other row, with ``sigma_explains_m``; ``n`` points of all surveys; ``mean_m``, ``median_m``, ``rmse_m`` and
-    the share ``behind`` the reference, means over the surveys, with ``sigma_mean_m`` of the mean;
+    other row, with ``sigma_explains_m``; ``n`` points of all surveys; ``mean_m``, ``median_m``, ``rmse_m``
+    and the share ``behind`` the reference, means over the surveys, with ``sigma_mean_m`` of the mean;
     ``mean_registered_m`` and ``rmse_registered_m`` after a rigid fit of each cloud. Both sigmas come from the
     spread over the seeds.
     """
@@ -223,19 +223,19 @@ def as_markdown(table: pd.DataFrame) -> str:
         "",
         conclusion(table),
         "",
-        f"Distances from the mesh of terrestrial scans; positive: in front of it, negative: behind it. Means of "
+        "Distances from the mesh of terrestrial scans; positive: in front of it, negative: behind. Means of "
         f"{int(table['seeds'].max())} surveys with the standard error of their spread; a cause explains the "
         "change of the mean against another row, survey by survey.",
         "",
         "| " + " | ".join(columns) + " |",
         "|" + " --- |" * 2 + " ---: |" * (len(columns) - 2),
     ]
-    for row in table.to_dict("records"):
-        lines.append(
-            f"| {row['effect']} | {row['against']} | {_mm(row, 'explains')} | {_mm(row, 'mean')} "
-            f"| {1e3 * row['median_m']:+.1f} | {1e3 * row['rmse_m']:.1f} | {100 * row['behind']:.1f} "
-            f"| {1e3 * row['mean_registered_m']:+.1f} | {1e3 * row['rmse_registered_m']:.1f} | {row['n']:,} |"
-        )
+    lines += [
+        f"| {row['effect']} | {row['against']} | {_mm(row, 'explains')} | {_mm(row, 'mean')} "
+        f"| {1e3 * row['median_m']:+.1f} | {1e3 * row['rmse_m']:.1f} | {100 * row['behind']:.1f} "
+        f"| {1e3 * row['mean_registered_m']:+.1f} | {1e3 * row['rmse_registered_m']:.1f} | {row['n']:,} |"
+        for row in _records(table)
+    ]
     low, high = (1e3 * value for value in PUBLISHED_M)
     lines.append(f"| *P2, Mulde* | | | {low:+.0f} to {high:+.0f} | | 140 | | | | 218,000 |")
     return "\n".join(lines) + "\n"
@@ -246,8 +246,8 @@ def conclusion(table: pd.DataFrame) -> str:
 
     Causes are named if they move the mean by more than twice the standard error of that, largest first.
     """
-    rows = {row["effect"]: row for row in table.to_dict("records")}
-    whole = rows.get(_SCENERY, table.iloc[-1].to_dict())
+    rows = {row["effect"]: row for row in _records(table)}
+    whole = rows.get(_SCENERY, _records(table)[-1])
     side = "in front of" if whole["mean_m"] > 0 else "behind"
     single = sorted((rows[name] for name in SINGLE if name in rows), key=lambda r: -abs(r["explains_m"]))
     clear = [r for r in single if abs(r["explains_m"]) > 2 * r["sigma_explains_m"]]
@@ -258,13 +258,16 @@ def conclusion(table: pd.DataFrame) -> str:
         f"({whole['effect']}). Causes that move the mean, in mm: {named}. Not told from zero: {rest}."
     )
     if _LEFT_IN in rows:
-        words += (
-            f" If plants stay in the reference, the mean is {_mm(rows[_LEFT_IN], 'mean')} mm: what is taken for "
-            "the reference's surface decides on the sign."
-            if rows[_LEFT_IN]["mean_m"] * whole["mean_m"] < 0
-            else f" If plants stay in the reference, the mean is {_mm(rows[_LEFT_IN], 'mean')} mm."
-        )
+        left = rows[_LEFT_IN]
+        words += f" If plants stay in the reference, the mean is {_mm(left, 'mean')} mm"
+        other = left["mean_m"] * whole["mean_m"] < 0
+        words += ": what is taken for the reference's surface decides on the sign." if other else "."
     return words + " P2 found its points 50 to 60 mm behind."
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table by the names of its columns."""
+    return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]
 
 
 def _mm(row: Mapping[str, Any], name: str) -> str:

@@ -1,18 +1,18 @@
 """A whole survey in one call: the twin's raw logs, and what the processing makes of them.
 
-`record` lets the instruments of the twin write their logs into a folder; `process` reads these logs as those of
-a real survey are read and makes a trajectory and a cloud; `reference_mesh` makes a surface of the terrestrial
-scans. The workflow does the same rule by rule; this is for studies over many seeds, where a rule for each step
-would be a burden::
+`record` lets the instruments of the twin write their logs into a folder; `process` reads these logs as those
+of a real survey are read and makes a trajectory and a cloud; `reference_mesh` makes a surface of the
+terrestrial scans. The workflow does the same rule by rule; this is for studies over many seeds, where a rule
+for each step would be a burden::
 
     settings = survey_settings({"size": "tiny", "duration_s": 4.0}, seed=7)
     logs = record(settings, folder)
     survey = process(logs)
     errors = survey.errors_3d()
 
-One recording may be processed several times, on purpose with settings that are not those of the instruments: a
-wrong mount, a late trajectory. What only the twin knows is in `Logs`; nothing of it enters `process` but the
-names of the log files.
+One recording may be processed several times, on purpose with settings that are not those of the instruments:
+a wrong mount, a late trajectory. What only the twin knows is in `Logs`; nothing of it enters `process` but
+the names of the log files.
 """
 
 import shutil
@@ -159,7 +159,9 @@ class Logs:
 
     def returns(self) -> TrueReturns:
         """Where the returns of the lidar came from."""
-        return TrueReturns.from_table(read_table(self.shots, LIDAR_SHOTS)[0], {int(k): k.name for k in EchoKind})
+        return TrueReturns.from_table(
+            read_table(self.shots, LIDAR_SHOTS)[0], {int(k): k.name for k in EchoKind}
+        )
 
     def remove(self) -> None:
         """Delete the folder: studies over many seeds keep numbers, not logs."""
@@ -230,7 +232,8 @@ def record(
     ----------
     settings : all sections of a campaign, see `survey_settings`.
     folder : where to write; it is made.
-    scene : a scene of `simulate_scene` for the same settings, if there is one already: several seeds may share
+    scene : a scene of `simulate_scene` for the same settings, if there is one already: several seeds may
+    share
         the river (``twin.scene.seed``). By default it is made.
     stations : number of terrestrial scans of the right bank.
     """

@@ -1,8 +1,8 @@
 """Surveys over many seeds, processed rightly and wrongly: are the sigmas honest, and are mistakes noticed?
 
-Each seed is a survey of its own: river, poses, mounts, every shot and the terrestrial scans err anew. Its logs
-are processed once as they should be and once with each mistake of a list. Errors are taken where the twin knows
-them, in three dimensions, and where a campaign sees them, as distances from the mesh of the scans.
+Each seed is a survey of its own: river, poses, mounts, every shot and the terrestrial scans err anew. Its
+logs are processed once as they should be and once with each mistake of a list. Errors are taken where the
+twin knows them, in three dimensions, and where a campaign sees them, as distances from the mesh of the scans.
 """
 
 import copy
@@ -92,7 +92,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """Errors of one survey by the name of the mistake: in three dimensions, and from the mesh of the scans."""
+    """Errors of one survey by the name of the mistake: in three dimensions, and from the mesh of scans."""
 
     in_3d: Mapping[str, Sample]
     to_mesh: Mapping[str, Sample]
@@ -198,7 +198,7 @@ class Verdict:
 
     @property
     def honest(self) -> bool:
-        """The ratio is within 0.9 to 1.1, and neither it, the normalised error nor a class leaves its band."""
+        """The ratio is within 0.9 to 1.1; neither it nor the normalised error nor a class leaves its band."""
         return (
             0.9 <= self.ratio <= 1.1
             and self.ratio_low < self.ratio < self.ratio_high
