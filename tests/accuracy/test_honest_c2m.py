@@ -7,7 +7,7 @@ meshed. It errs anew with each seed; its stations by 5 mm, as section ``referenc
 import numpy as np
 import pytest
 
-from thalweg.simulation.trials import MISTAKES, NONE, Trial, Verdict, verdict
+from thalweg.simulation.trials import MISTAKES, NONE, QUANTITIES, Trial, Verdict, honesty_tables, verdict
 
 pytestmark = pytest.mark.xdist_group("surveys")  # the surveys are simulated once
 
@@ -73,3 +73,15 @@ def test_a_lever_arm_and_a_clock_that_are_wrong_are_noticed(
     assert 1 / wrong.ratio > at_least
     assert wrong.ratio < wrong.ratio_low
     assert wrong.normalised > wrong.normalised_high
+
+
+def test_the_table_says_the_same(surveys: list[Trial], honest: Verdict) -> None:
+    verdicts, by_range = honesty_tables(surveys)
+    assert len(verdicts) == 4  # two quantities, right and wrong
+    row = verdicts[(verdicts["quantity"] == QUANTITIES["to_mesh"]) & (verdicts["mistake"] == NONE.name)].iloc[
+        0
+    ]
+    assert row["ratio"] == honest.ratio
+    assert row["honest"]
+    assert verdicts["honest"].tolist() == [True, False, True, False]
+    assert len(by_range) == verdicts["classes"].sum()

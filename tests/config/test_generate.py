@@ -9,7 +9,7 @@ from thalweg.config.campaign import Campaign
 from thalweg.config.generate import BEGIN, END, generated, schema_text, with_manual, write_generated
 from thalweg.config.navigation import Ppk
 from thalweg.config.shape import all_paths, node_at, schema
-from thalweg.config.yaml_lines import read_yaml
+from thalweg.core.yaml_lines import read_yaml
 
 
 def test_generated_files_are_in_step(repository):
@@ -67,7 +67,7 @@ def test_units_stand_in_descriptions(suffix):
 
 def test_defaults_hold_every_key_with_its_default(repository):
     from thalweg.config.generate import defaults_text
-    from thalweg.config.yaml_lines import parse_yaml
+    from thalweg.core.yaml_lines import parse_yaml
 
     document = parse_yaml(defaults_text())
     assert not document.mistakes

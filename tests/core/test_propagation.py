@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import ConfigError, GeometryError
+from thalweg.core.errors import GeometryError
 from thalweg.core.frames import opk_axes, rotation_opk
 from thalweg.core.propagation import Link, beam_axes, chain_derivatives, cross_matrix, propagated
-from thalweg.core.yaml12 import read_mapping
 
 
 def three_links(rng: np.random.Generator, n: int) -> list[Link]:
@@ -101,42 +100,3 @@ def test_axes_of_a_beam(rng: np.random.Generator) -> None:
 def test_shapes_that_do_not_match(links: list[Link], points: np.ndarray) -> None:
     with pytest.raises(GeometryError, match="expected"):
         chain_derivatives(links, points)
-
-
-def test_yaml_scalars_of_version_1_2(tmp_path) -> None:
-    path = tmp_path / "a.yaml"
-    path.write_text("a: 1e-3\nb: no\nc: 010\nd: [1, 2.5, -.5]\ne: {f: null}\n")
-    data, lines = read_mapping(path)
-    assert data == {"a": 1e-3, "b": "no", "c": 10, "d": [1, 2.5, -0.5], "e": {"f": None}}
-    assert lines[("e", "f")] == 5
-
-
-@pytest.mark.parametrize(
-    ("text", "answer"),
-    [
-        (b"a: 1\nb: 2\na: 3\n", "a stands twice, in lines 1 and 3"),
-        (b"a: [1\n", "not valid YAML"),
-        (b"a: *b\n", "not valid YAML"),
-        (b"\xff\xfe\x00", "not a text in UTF-8"),
-        (b"a: \x07\n", "not valid YAML"),
-        (b"- 1\n", "holds a list"),
-        (b"", "the file is empty"),
-        (b"a: &x [1, 1, 1, 1, 1, 1, 1, 1]\n" + b"b: &y [*x, *x, *x, *x, *x, *x, *x, *x]\n" * 1
-         + b"c: &z [*y, *y, *y, *y, *y, *y, *y, *y, *y]\nd: &u [*z, *z, *z, *z, *z, *z]\n"
-         + b"e: &v [*u, *u, *u, *u, *u, *u]\nf: [*v, *v, *v, *v]\n", "more than 20,000 values"),
-    ],
-    ids=["twice", "bracket", "alias", "bytes", "control", "list", "empty", "bomb"],
-)  # fmt: skip
-def test_yaml_that_cannot_be_read(tmp_path, text: bytes, answer: str) -> None:
-    path = tmp_path / "a.yaml"
-    path.write_bytes(text)
-    with pytest.raises(ConfigError, match=answer) as error:
-        read_mapping(path)
-    assert "a.yaml" in str(error.value)
-
-
-def test_no_such_yaml(tmp_path) -> None:
-    with pytest.raises(ConfigError, match="no such file"):
-        read_mapping(tmp_path / "none.yaml")
-    with pytest.raises(ConfigError, match="directory"):
-        read_mapping(tmp_path)

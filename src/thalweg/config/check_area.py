@@ -6,7 +6,7 @@ from typing import Any
 
 from thalweg.config.accuracy import Accuracy
 from thalweg.config.check_place import geodetic_place, parse_crs
-from thalweg.config.mistakes import Key, Mistake
+from thalweg.core.mistakes import Key, Mistake
 
 MAX_AREA_KM = 20.0
 """Farther from the origin lies another survey."""

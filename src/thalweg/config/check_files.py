@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from thalweg.config.logs import STREAM_KEYS, Logs
-from thalweg.config.mistakes import Key, Mistake
 from thalweg.config.paths import anchor, expand, is_pattern, missing_cure
+from thalweg.core.mistakes import Key, Mistake
 
 
 def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tuple[str, ...]]]:

@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from thalweg.config.logs import GnssLogs
-from thalweg.config.mistakes import Mistake
+from thalweg.core.mistakes import Mistake
 
 if TYPE_CHECKING:
     from pyproj import CRS

@@ -16,10 +16,10 @@ from thalweg.config.identity import ID_PATTERN
 from thalweg.config.lidar import Lidar
 from thalweg.config.logs import Logs, is_rinex_name
 from thalweg.config.messages import show
-from thalweg.config.mistakes import Key, Mistake
 from thalweg.config.mounts import LidarMount, Mounts
 from thalweg.config.navigation import Orientation
 from thalweg.config.products import Georeferencing
+from thalweg.core.mistakes import Key, Mistake
 
 RESERVED_IDS = frozenset({"real_logs"})
 """Names that other targets use below ``results``."""

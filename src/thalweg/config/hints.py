@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from thalweg.config.mistakes import Key
 from thalweg.config.shape import all_paths, keys_at, limits_at, unit_at
+from thalweg.core.mistakes import Key
 
 _COMMA = re.compile(r"^\s*([-+]?\d+),(\d+)\s*$")
 _WITH_UNIT = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°µ%/'\"]+)\s*$")

@@ -4,9 +4,10 @@ from pathlib import Path
 
 from thalweg.config.campaign import Campaign
 from thalweg.config.hints import nearest
-from thalweg.config.mistakes import CampaignError, Mistake
+from thalweg.config.mistakes import CampaignError
 from thalweg.config.validate import validate
-from thalweg.config.yaml_lines import read_yaml
+from thalweg.core.mistakes import Mistake
+from thalweg.core.yaml_lines import read_yaml
 
 
 def load_campaign(path: Path | str) -> Campaign:
@@ -34,7 +35,18 @@ def load_campaign(path: Path | str) -> Campaign:
 
 def check_campaign(path: Path) -> tuple[Campaign | None, list[Mistake]]:
     """The campaign of a file, or None and all its mistakes."""
+    if not path.exists():
+        return None, [Mistake(found="no such file", cure=_nearest_yaml(path), file=path)]
     return validate(read_yaml(path), path)
+
+
+def _nearest_yaml(path: Path) -> str:
+    from thalweg.config.paths import nearest_names  # imports glob and difflib only where needed
+
+    names = nearest_names(path)
+    if names:
+        return f"Did you mean {path.parent / names[0]}?"
+    return "Check the path, or make a campaign with `thalweg new-campaign`"
 
 
 def load_campaigns(choice: object, folder: Path) -> dict[str, Campaign]:

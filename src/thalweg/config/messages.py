@@ -6,8 +6,8 @@ from typing import Any
 from pydantic_core import ErrorDetails
 
 from thalweg.config.hints import nearest, number_cure, range_cure, unknown_key_cure
-from thalweg.config.mistakes import Key, Mistake
 from thalweg.config.shape import describe_expected, keys_at, node_at
+from thalweg.core.mistakes import Key, Mistake
 
 _RANGE = {"greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number"}
 _NUMBER = {"float_type", "float_parsing", "int_type", "int_parsing", "int_from_float", "int_parsing_size"}

@@ -5,7 +5,7 @@ from functools import cache
 from typing import Any
 
 from thalweg.config.campaign import Campaign
-from thalweg.config.mistakes import Key
+from thalweg.core.mistakes import Key
 
 Node = dict[str, Any]
 

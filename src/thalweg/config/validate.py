@@ -12,8 +12,8 @@ from thalweg.config.campaign import Campaign
 from thalweg.config.checks import Parts, domain_mistakes
 from thalweg.config.logs import Logs
 from thalweg.config.messages import mistake_of, show
-from thalweg.config.mistakes import Key, Mistake
-from thalweg.config.yaml_lines import Document
+from thalweg.core.mistakes import Key, Mistake
+from thalweg.core.yaml_lines import Document
 
 
 def validate(document: Document, path: Path) -> tuple[Campaign | None, list[Mistake]]:

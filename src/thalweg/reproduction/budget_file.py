@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core.errors import ConfigError
-from thalweg.core.yaml12 import read_mapping
+from thalweg.core.yaml_lines import read_mapping
 from thalweg.reproduction.budget import (
     ANGLE_UNITS,
     ANGLES,

@@ -23,13 +23,30 @@ from thalweg.accuracy.cloud_to_mesh import Surface
 from thalweg.accuracy.comparison import ComparisonSettings, compare_with_mesh
 from thalweg.accuracy.honesty import honesty_by_range, ratio_of_surveys
 from thalweg.core.types import ArrayF, ArrayF32
-from thalweg.simulation.survey import Survey, process, record, reference_mesh, survey_settings
+from thalweg.simulation.survey import BARE, Survey, process, record, reference_mesh, survey_settings
 
 STATIONS: Final = 2
 """Terrestrial scans of each survey."""
 
 MAX_POINTS: Final = 20_000
 """Points of each survey that are compared."""
+
+
+BANKS: Final[dict[str, Any]] = {
+    "size": "tiny",
+    "duration_s": 4.0,
+    "scene": BARE | {"length_m": 60.0, "grid_m": 0.25},
+    "ins": {"attitude_time_s": 0.5},
+    "gnss": {"correlation_time_s": 0.5},
+    "lidar": {"mirror_ghosts": False},
+    "tls": {"spacing_m": 0.1, "sigma_station_m": 0.005},
+}
+"""Section ``twin`` of the surveys: bare banks, and errors of poses that change every half second, so that a
+survey of 4 s holds several. No mirror ghosts: those that the filters leave at the bank's toe are no points of
+a surface, and no sigma speaks of them (`thalweg.simulation.offset_study` does)."""
+
+REFERENCE: Final[dict[str, Any]] = {"cell_m": 0.1}
+"""Section ``reference``: the terrain of `BANKS` has triangles of 25 cm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,8 +119,8 @@ def trial(
     seed: int,
     folder: Path,
     *,
-    twin: Mapping[str, Any],
-    reference: Mapping[str, Any] | None = None,
+    twin: Mapping[str, Any] = BANKS,
+    reference: Mapping[str, Any] = REFERENCE,
     mistakes: Sequence[Mistake] = (NONE,),
     mesh: bool = True,
 ) -> Trial:
@@ -119,7 +136,7 @@ def trial(
     """
     # A reversed lever arm puts the boat below the water, which the cloud's log would tell once a seed.
     logging.getLogger("thalweg").setLevel(logging.ERROR)
-    settings = survey_settings(twin, seed=seed, reference=reference or {})
+    settings = survey_settings(twin, seed=seed, reference=reference)
     logs = record(settings, folder / f"seed_{seed}", stations=STATIONS if mesh else 0)
     surveys = {
         mistake.name: process(
@@ -164,8 +181,8 @@ def trials(
     seeds: Sequence[int],
     folder: Path,
     *,
-    twin: Mapping[str, Any],
-    reference: Mapping[str, Any] | None = None,
+    twin: Mapping[str, Any] = BANKS,
+    reference: Mapping[str, Any] = REFERENCE,
     mistakes: Sequence[Mistake] = (NONE,),
     mesh: bool = True,
     processes: int = 2,
@@ -239,3 +256,35 @@ def verdict(samples: Sequence[Sample], *, sigma_factor: float = 1.0, level: floa
         normalised_high=inverse_low**-2,
         by_range=honesty_by_range(survey, ranges, squares, scale * variances, level=level),
     )
+
+
+QUANTITIES: Final = {"in_3d": "error in three dimensions", "to_mesh": "distance from the reference mesh"}
+"""What `honesty_tables` judges: fields of `Trial` and their names."""
+
+
+def honesty_tables(found: Sequence[Trial]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Verdicts on surveys, for people.
+
+    Parameters
+    ----------
+    found : surveys with the same mistakes.
+
+    Returns
+    -------
+    verdicts : one row a quantity and mistake: ``surveys``, the fields of `Verdict`, ``classes``,
+        ``classes_outside`` their bands, ``honest``.
+    by_range : the classes of all of them, see `thalweg.accuracy.honesty.honesty_by_range`.
+    """
+    rows, classes = [], []
+    for name, quantity in QUANTITIES.items():
+        for mistake in getattr(found[0], name):
+            v = verdict([getattr(trial, name)[mistake] for trial in found])
+            head = {"quantity": quantity, "mistake": mistake}
+            rows.append({
+                **head, "surveys": len(found), "ratio": v.ratio, "ratio_low": v.ratio_low,
+                "ratio_high": v.ratio_high, "normalised": v.normalised, "normalised_low": v.normalised_low,
+                "normalised_high": v.normalised_high, "classes": len(v.by_range),
+                "classes_outside": int((~v.by_range["inside"]).sum()), "honest": v.honest,
+            })  # fmt: skip
+            classes.append(v.by_range.assign(**head))
+    return pd.DataFrame(rows), pd.concat(classes, ignore_index=True)

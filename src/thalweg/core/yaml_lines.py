@@ -1,4 +1,4 @@
-"""YAML of a campaign file as plain data, with the line of each key; duplicate keys are refused.
+"""YAML that people write as plain data, with the line of each key; duplicate keys are refused.
 
 Scalars follow the YAML 1.2 core schema: ``1e-3`` is a number, ``no`` and ``on`` are text, dates stay text.
 (PyYAML's own YAML 1.1 reads ``1e-3`` as text and ``no`` as false.)
@@ -11,10 +11,11 @@ from typing import Any
 
 import yaml
 
-from thalweg.config.mistakes import Key, Mistake
+from thalweg.core.errors import ConfigError
+from thalweg.core.mistakes import Key, Mistake
 
 MAX_VALUES = 100_000
-"""No campaign is that large; a chain of aliases is."""
+"""No file of people is that large; a chain of aliases is."""
 
 
 @dataclass(slots=True)
@@ -57,7 +58,7 @@ def read_yaml(path: Path) -> Document:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        return Document(mistakes=[Mistake(found="no such file", cure=_nearest_yaml(path))])
+        return Document(mistakes=[Mistake(found="no such file", cure="Check the path")])
     except UnicodeDecodeError as error:
         line = path.read_bytes()[: error.start].count(b"\n") + 1
         mistake = Mistake(
@@ -153,7 +154,7 @@ def _syntax_cure(problem: str, row: str) -> str:
     if "undefined alias" in problem or "could not determine a constructor" in problem:
         return "Put text that begins with *, & or ! in quotes"
     if "but found another document" in problem or "expected a single document" in problem:
-        return "Keep one campaign in one file: remove the line ---"
+        return "Keep one document in one file: remove the line ---"
     if "expected ',' or" in problem or "found unexpected end of stream" in problem:
         return "Close the bracket or quote that this line or one before it opens"
     if "cannot start any token" in problem:
@@ -161,10 +162,24 @@ def _syntax_cure(problem: str, row: str) -> str:
     return "Check indentation (spaces, equal within a section), colons (`key: value`) and brackets"
 
 
-def _nearest_yaml(path: Path) -> str:
-    from thalweg.config.paths import nearest_names  # imports glob and difflib only where needed
+def read_mapping(path: Path) -> tuple[dict[str, Any], dict[tuple[str, ...], int]]:
+    """Data of a YAML file that holds a mapping, and the line (from 1) of each key in it.
 
-    names = nearest_names(path)
-    if names:
-        return f"Did you mean {path.parent / names[0]}?"
-    return "Check the path, or make a campaign with `thalweg new-campaign`"
+    Raises
+    ------
+    ConfigError : the first of what `read_yaml` finds wrong, or the file holds no mapping.
+    """
+    document = read_yaml(path)
+    for mistake in document.mistakes:
+        where = f"{path}:{mistake.line}" if mistake.line else path
+        found = f"{mistake.dotted}: {mistake.found}" if mistake.path else mistake.found
+        raise ConfigError(found, where=where, expected=mistake.expected, cure=mistake.cure)
+    if not isinstance(document.data, dict):
+        raise ConfigError(
+            "the file is empty"
+            if document.data is None
+            else f"the file holds a {type(document.data).__name__}",
+            where=path,
+            expected="keys with values, such as `title: My boat`",
+        )
+    return document.data, {tuple(str(key) for key in keys): line for keys, line in document.lines.items()}

@@ -4,7 +4,8 @@ import pytest
 
 from thalweg.config.load import load_campaign
 from thalweg.config.mistakes import CampaignError
-from thalweg.config.yaml_lines import parse_yaml, read_yaml
+from thalweg.core.errors import ConfigError
+from thalweg.core.yaml_lines import parse_yaml, read_mapping, read_yaml
 
 BROKEN = [
     ("campaign:\n\tid: x\n", 2, "Replace the tab by spaces"),
@@ -16,7 +17,7 @@ BROKEN = [
     ("a: *unknown\n", 1, "Put text that begins with *, & or ! in quotes"),
     ("a: !!python/object:os.system x\n", 1, "Put text that begins with *, & or ! in quotes"),
     ("a: @home\n", 1, "Put text that begins with @"),
-    ("a: 1\n---\nb: 2\n", 2, "one campaign in one file"),
+    ("a: 1\n---\nb: 2\n", 2, "one document in one file"),
     ("a: 1\n  b: 2\n", 2, "quotes, and indent keys of one section equally"),
     ("a:\n  - 1\n b: 2\n", 3, "Check indentation"),
     ("a: \x07\n", 1, "Remove the character"),
@@ -60,14 +61,6 @@ def test_missing_campaign_file_names_the_nearest(tmp_path):
         load_campaign(tmp_path)
 
 
-def test_duplicate_key_does_not_hide_other_mistakes(write):
-    path = write()
-    path.write_text(path.read_text().replace("  seed: 5\n", "  seed: 5\n  seed: 6\n  crs_: x\n"))
-    with pytest.raises(CampaignError) as caught:
-        load_campaign(path)
-    assert [m.dotted for m in caught.value.mistakes] == ["campaign.seed", "campaign.crs_"]
-
-
 def test_scalars_are_those_of_yaml_1_2():
     """YAML 1.1 reads these as text, false, minutes, octal and a date."""
     data = parse_yaml("a: 1e-3\nb: no\nc: 12:30\nd: 010\ne: 2021-05-12\nf: .5\ng: ~\nh: -.inf\n").data
@@ -103,33 +96,40 @@ def test_lines_of_nested_values(tmp_path):
     assert document.line(("q",)) == 2  # the first key of the file
 
 
-def test_fuzz_campaign_files(write, rng, fuzz_count):
-    """Whatever stands in the file: a campaign or a list of mistakes, never another error."""
-    path = write()
-    good = path.read_bytes()
-    words = [*b"* &a !!int [ { : - ~ .nan 1e999 << |".split(), b"\t", b"\x00", b": "]
-    loaded = unplaced = 0
-    for _ in range(fuzz_count):
-        data = bytearray(good)
-        for _ in range(int(rng.integers(1, 4))):
-            at = int(rng.integers(0, len(data) - 1))
-            match rng.integers(0, 5):
-                case 0:
-                    data[at] ^= 1 << int(rng.integers(0, 8))
-                case 1:
-                    del data[at + 2 : at + int(rng.integers(3, 30))]
-                case 2:
-                    data[at:at] = words[int(rng.integers(0, len(words)))]
-                case 3:
-                    data[at:at] = data[at : at + int(rng.integers(1, 60))]
-                case _:
-                    del data[at + 2 :]
-        path.write_bytes(bytes(data))
-        try:
-            load_campaign(path)
-            loaded += 1
-        except CampaignError as error:
-            placed = sum(str(path) in str(mistake) for mistake in error.mistakes)
-            unplaced += len(error.mistakes) - placed if placed else 1
-    assert loaded < fuzz_count
-    assert unplaced == 0, "each mistake names its file"
+def test_yaml_scalars_of_version_1_2(tmp_path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("a: 1e-3\nb: no\nc: 010\nd: [1, 2.5, -.5]\ne: {f: null}\n")
+    data, lines = read_mapping(path)
+    assert data == {"a": 1e-3, "b": "no", "c": 10, "d": [1, 2.5, -0.5], "e": {"f": None}}
+    assert lines[("e", "f")] == 5
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        (b"a: 1\nb: 2\na: 3\n", "the key stands twice, in lines 1 and 3"),
+        (b"a: [1\n", "not valid YAML"),
+        (b"a: *b\n", "not valid YAML"),
+        (b"\xff\xfe\x00", "is not UTF-8"),
+        (b"a: \x07\n", "not valid YAML"),
+        (b"- 1\n", "holds a list"),
+        (b"", "the file is empty"),
+        (b"a: &x [1, 1, 1, 1, 1, 1, 1, 1]\n" + b"b: &y [*x, *x, *x, *x, *x, *x, *x, *x]\n" * 1
+         + b"c: &z [*y, *y, *y, *y, *y, *y, *y, *y, *y]\nd: &u [*z, *z, *z, *z, *z, *z]\n"
+         + b"e: &v [*u, *u, *u, *u, *u, *u]\nf: [*v, *v, *v, *v]\n", "more than 100,000 values"),
+    ],
+    ids=["twice", "bracket", "alias", "bytes", "control", "list", "empty", "bomb"],
+)  # fmt: skip
+def test_yaml_that_cannot_be_read(tmp_path, text: bytes, answer: str) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_bytes(text)
+    with pytest.raises(ConfigError, match=answer) as error:
+        read_mapping(path)
+    assert "a.yaml" in str(error.value)
+
+
+def test_no_such_yaml(tmp_path) -> None:
+    with pytest.raises(ConfigError, match="no such file"):
+        read_mapping(tmp_path / "none.yaml")
+    with pytest.raises(ConfigError, match="folder"):
+        read_mapping(tmp_path)

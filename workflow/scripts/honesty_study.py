@@ -1,0 +1,19 @@
+"""Surveys of the digital twin, processed rightly and wrongly -> verdicts on their sigmas."""
+
+import tempfile
+from pathlib import Path
+
+from thalweg.jobs.job import run_job
+from thalweg.simulation.trials import MISTAKES, NONE, honesty_tables, trials
+
+
+def main(*, verdicts: Path, by_range: Path, seeds: int, threads: int) -> None:
+    with tempfile.TemporaryDirectory(prefix="thalweg_honesty_") as folder:
+        found = trials(range(seeds), Path(folder), mistakes=(NONE, *MISTAKES), processes=threads)
+    numbers, classes = honesty_tables(found)
+    numbers.to_csv(verdicts, index=False)
+    classes.to_csv(by_range, index=False)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
