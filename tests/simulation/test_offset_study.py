@@ -105,7 +105,8 @@ def rows(**means: tuple[float, float, float]) -> pd.DataFrame:
     """A table with (mean, explained, its sigma) of some effects, in millimetres."""
     return pd.DataFrame([
         {"effect": name.replace("_", " "), "mean_m": mean / 1e3, "explains_m": change / 1e3,
-         "sigma_explains_m": sigma / 1e3, "sigma_mean_m": sigma / 1e3}
+         "sigma_explains_m": sigma / 1e3, "sigma_mean_m": sigma / 1e3, "seeds": 4,
+         "sigma_mean_registered_m": sigma / 4e3}
         for name, (mean, change, sigma) in means.items()
     ])  # fmt: skip
 
@@ -119,4 +120,9 @@ def test_the_conclusion_follows_the_numbers() -> None:
     assert words.index("bushes -19.0 ± 2.0") < words.index("trees +8.0 ± 3.0")
     assert "Not told from zero: stones." in words
     assert "+5.0 ± 2.0 mm: what is taken for the reference's surface decides on the sign" in words
+    scattered = conclusion(rows(errors_of_poses_and_mounts=(4.0, 4.0, 10.0)))
+    assert "Not told from zero: errors of poses and mounts." in scattered
+    # one survey of four: twice the standard error of the mean
+    assert "scatters by 20 mm with them" in scattered
+    assert "5 mm after a rigid fit" in scattered
     assert "4 mm in front of" in conclusion(rows(stones=(4.0, 4.0, 1.0)))

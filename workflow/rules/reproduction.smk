@@ -105,3 +105,51 @@ rule plot_error_budget:
         "error budgets over distance"
     script:
         "../scripts/plot_error_budget.py"
+
+
+rule honesty_study:
+    """Predicted against observed errors over many surveys of the digital twin, and with mistakes put in."""
+    output:
+        verdicts="results/reproduction/honesty.csv",
+        by_range="results/reproduction/honesty_by_range.csv",
+    log:
+        "logs/reproduction/honesty_study.log",
+    benchmark:
+        "benchmarks/reproduction/honesty_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(6000),
+        runtime=minutes(60),
+    params:
+        code=code_version("honesty_study"),
+        seeds=96,
+    message:
+        "honesty of the sigmas over {params.seeds} surveys of the digital twin"
+    script:
+        "../scripts/honesty_study.py"
+
+
+rule offset_study:
+    """What each effect of footprint, slope and plants adds to the mean distance from a reference (P2 7)."""
+    output:
+        table="results/reproduction/offset_study.csv",
+        page="results/reproduction/offset_study.md",
+    log:
+        "logs/reproduction/offset_study.log",
+    benchmark:
+        "benchmarks/reproduction/offset_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(6000),
+        runtime=minutes(60),
+    params:
+        code=code_version("offset_study"),
+        seeds=12,
+    message:
+        "causes of an offset, on the digital twin"
+    script:
+        "../scripts/offset_study.py"

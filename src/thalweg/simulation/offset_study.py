@@ -98,6 +98,7 @@ _BASE: Final = "bare bank of 60 degrees"
 _SLOPED: Final = "slope of 33 degrees"
 _NARROW: Final = "footprint of 3 mrad"
 _BEAM_NAME: Final = "mixed pixels"
+_POSE_ROW: Final = "errors of poses and mounts"
 _SCENERY: Final = "all but poses and mounts"
 _ALL: Final = "all together"
 _LEFT_IN: Final = "plants left in the reference"
@@ -116,7 +117,7 @@ EFFECTS: Final = (
     Effect(name="bushes", against=_BEAM_NAME, twin=_joined(_BEAM, _BUSHES)),
     Effect(name="trees", against=_BEAM_NAME, twin=_joined(_BEAM, _TREES)),
     Effect(name="mirror ghosts", against=_BEAM_NAME, twin=_joined(_BEAM, _GHOSTS)),
-    Effect(name="errors of poses and mounts", against=_BEAM_NAME, twin=_joined(_BEAM, _POSES)),
+    Effect(name=_POSE_ROW, against=_BEAM_NAME, twin=_joined(_BEAM, _POSES)),
     Effect(name=_SCENERY, against=_BASE, twin=_WHOLE),
     Effect(name=_ALL, against=_BASE, twin=_joined(_WHOLE, _POSES)),
     Effect(name=_LEFT_IN, against=_SCENERY, twin=_WHOLE, reference={"clearance_m": None}),
@@ -176,8 +177,8 @@ def offset_study(
     One row an effect: ``effect``, ``against``, ``seeds``; ``explains_m``, the change of the mean against the
     other row, with ``sigma_explains_m``; ``n`` points of all surveys; ``mean_m``, ``median_m``, ``rmse_m``
     and the share ``behind`` the reference, means over the surveys, with ``sigma_mean_m`` of the mean;
-    ``mean_registered_m`` and ``rmse_registered_m`` after a rigid fit of each cloud. Both sigmas come from the
-    spread over the seeds.
+    ``mean_registered_m`` with its sigma and ``rmse_registered_m`` after a rigid fit of each cloud, which
+    ``fitted`` of the surveys allowed. All sigmas come from the spread over the seeds.
     """
     jobs = [(effect, seed) for effect in effects for seed in seeds]
     # Spawned: numba's threads do not survive a fork.
@@ -207,7 +208,9 @@ def _row(effect: Effect, of: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
         "median_m": own["median_m"].mean(),
         "rmse_m": np.sqrt((own["rmse_m"] ** 2).mean()),
         "behind": own["behind"].mean(),
+        "fitted": int(own["mean_registered_m"].notna().sum()),
         "mean_registered_m": own["mean_registered_m"].mean(),
+        "sigma_mean_registered_m": own["mean_registered_m"].sem(),
         "rmse_registered_m": np.sqrt((own["rmse_registered_m"] ** 2).mean()),
     }
 
@@ -233,7 +236,7 @@ def as_markdown(table: pd.DataFrame) -> str:
     lines += [
         f"| {row['effect']} | {row['against']} | {_mm(row, 'explains')} | {_mm(row, 'mean')} "
         f"| {1e3 * row['median_m']:+.1f} | {1e3 * row['rmse_m']:.1f} | {100 * row['behind']:.1f} "
-        f"| {1e3 * row['mean_registered_m']:+.1f} | {1e3 * row['rmse_registered_m']:.1f} | {row['n']:,} |"
+        f"| {_mm(row, 'mean_registered')} | {1e3 * row['rmse_registered_m']:.1f} | {row['n']:,} |"
         for row in _records(table)
     ]
     low, high = (1e3 * value for value in PUBLISHED_M)
@@ -262,7 +265,20 @@ def conclusion(table: pd.DataFrame) -> str:
         words += f" If plants stay in the reference, the mean is {_mm(left, 'mean')} mm"
         other = left["mean_m"] * whole["mean_m"] < 0
         words += ": what is taken for the reference's surface decides on the sign." if other else "."
+    if _POSE_ROW in rows:
+        words += _scatter(rows[_POSE_ROW])
     return words + " P2 found its points 50 to 60 mm behind."
+
+
+def _scatter(row: Mapping[str, Any]) -> str:
+    """How far the mean of one survey is off by errors of its poses and mounts, before and after a fit."""
+    before, after = (
+        1e3 * row[f"sigma_{name}_m"] * np.sqrt(row["seeds"]) for name in ("mean", "mean_registered")
+    )
+    return (
+        f" Errors of poses and mounts have no mean, but that of one survey scatters by {before:.0f} mm with "
+        f"them (standard deviation over the seeds; {after:.0f} mm after a rigid fit to the reference)."
+    )
 
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -273,4 +289,6 @@ def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
 def _mm(row: Mapping[str, Any], name: str) -> str:
     """A mean with its standard error in millimetres."""
     value, sigma = 1e3 * row[f"{name}_m"], 1e3 * row[f"sigma_{name}_m"]
-    return "" if np.isnan(value) else f"{value:+.1f} ± {sigma:.1f}"
+    if np.isnan(value):
+        return ""
+    return f"{value:+.1f}" if np.isnan(sigma) else f"{value:+.1f} ± {sigma:.1f}"
