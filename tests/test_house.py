@@ -117,8 +117,8 @@ def test_open3d_on_a_system_without_libusb(repository: Path, broken: str, answer
 # ---------------------------------------------------------------- who imports whom
 
 ROOMS = (
-    "core", "ingest", "timing", "calibration", "orientation", "lidar", "bathymetry", "triangulation",
-    "fusion", "accuracy", "deformation", "reproduction",
+    "core", "ingest", "timing", "calibration", "orientation", "lidar", "surface", "bathymetry",
+    "triangulation", "fusion", "accuracy", "deformation", "reproduction",
 )  # fmt: skip
 """Data flow down this list."""
 

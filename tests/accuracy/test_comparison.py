@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.accuracy.area import Area
-from thalweg.accuracy.cloud_to_mesh import Surface
 from thalweg.accuracy.comparison import (
     CLOUD_TO_MESH,
     ComparisonSettings,
@@ -18,6 +16,8 @@ from thalweg.accuracy.comparison import (
 )
 from thalweg.core.errors import InputError
 from thalweg.core.tables import read_table, write_table
+from thalweg.surface.area import Area
+from thalweg.surface.cloud_to_mesh import Surface
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
 bank = importlib.util.module_from_spec(_spec)

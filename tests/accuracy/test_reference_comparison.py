@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.area import Area
 from thalweg.accuracy.comparison import CLOUD_TO_MESH, ComparisonSettings
 from thalweg.accuracy.reference_comparison import compare_with_reference
 from thalweg.config.accuracy import Accuracy, Reference
 from thalweg.core.mesh_ply import write_mesh
 from thalweg.core.tables import read_table
+from thalweg.surface.area import Area
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
 bank = importlib.util.module_from_spec(_spec)

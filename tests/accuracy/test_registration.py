@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.accuracy.cloud_to_mesh import Distances, Surface
 from thalweg.accuracy.comparison import CLOUD_TO_MESH, ComparisonSettings, _places, after_motion
 from thalweg.accuracy.registration import LEAST_VISIBLE, TUKEY, Motion, register, visible_motions
 from thalweg.accuracy.registration_facts import registration_facts
@@ -17,6 +16,7 @@ from thalweg.core.errors import GeometryError
 from thalweg.core.raycast import _open3d
 from thalweg.core.tables import frame_of
 from thalweg.simulation.random import gauss_markov
+from thalweg.surface.cloud_to_mesh import Distances, Surface
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
 bank = importlib.util.module_from_spec(_spec)

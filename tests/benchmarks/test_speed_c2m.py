@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh import Surface
+from thalweg.surface.cloud_to_mesh import Surface
 
 pytestmark = pytest.mark.slow
 
@@ -38,7 +38,7 @@ OURS = """
 import sys
 from pathlib import Path
 import numpy as np
-from thalweg.accuracy.cloud_to_mesh import Surface
+from thalweg.surface.cloud_to_mesh import Surface
 from thalweg.core.frames import LocalFrame
 from thalweg.core.mesh_ply import read_any_mesh
 frame = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.bank_frame import BankFrame
 from thalweg.core.frames import LocalFrame
 from thalweg.core.mesh import TriangleMesh
 from thalweg.core.trajectory import Trajectory
 from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_STATE
+from thalweg.surface.bank_frame import BankFrame
 
 T0_GPS_S = 178_649_913.4  # 2017-05-12T18:44:55.4 UTC, the example of core.timescales
 

@@ -1,40 +1,11 @@
 """How accurate the results are. Only these rules may read the truth of the digital twin."""
 
 
-rule mesh_reference:
-    """Reference cloud near the area of interest -> surface mesh."""
-    input:
-        cloud="results/{campaign}/ingest/reference.laz",
-        trajectory="results/{campaign}/orientation/trajectory.parquet",
-    output:
-        mesh="results/{campaign}/accuracy/reference_mesh.ply",
-        facts="results/{campaign}/accuracy/reference_mesh.json",
-    log:
-        "logs/{campaign}/accuracy/mesh_reference.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/mesh_reference.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 2
-    resources:
-        mem_mb=memory(3000, 60),
-        runtime=minutes(10, 60),
-    params:
-        code=code_version("mesh_reference"),
-        campaign=identity("origin", "crs"),
-        reference=reference_surface,
-        area=area_of_interest,
-    message:
-        "{wildcards.campaign}: mesh of the reference"
-    script:
-        "../scripts/mesh_reference.py"
-
-
 rule compare_with_reference:
     """Signed distance of each point from the reference mesh, and what its sigma predicts (P2 6.2)."""
     input:
         points="results/{campaign}/lidar/points.laz",
-        mesh="results/{campaign}/accuracy/reference_mesh.ply",
+        mesh="results/{campaign}/surface/reference_mesh.ply",
     output:
         cloud_to_mesh="results/{campaign}/accuracy/cloud_to_mesh.parquet",
         statistics="results/{campaign}/accuracy/statistics.csv",
@@ -134,7 +105,7 @@ rule accuracy_page:
         statistics="results/{campaign}/accuracy/statistics.csv",
         by_range="results/{campaign}/accuracy/by_range.csv",
         registration="results/{campaign}/accuracy/registration.json",
-        mesh_facts="results/{campaign}/accuracy/reference_mesh.json",
+        mesh_facts="results/{campaign}/surface/reference_mesh.json",
         pictures=accuracy_pictures,
         captions=lambda wildcards: [
             ROOT / "workflow" / "report" / f"{Path(picture).stem}.rst"

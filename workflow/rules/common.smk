@@ -249,7 +249,7 @@ def final_outputs(name):
         outputs += [
             f"{base}/ingest/reference.laz",
             f"{base}/figures/reference_view.png",
-            f"{base}/accuracy/reference_mesh.ply",
+            f"{base}/surface/reference_mesh.ply",
             f"{base}/accuracy/statistics.csv",
             f"{base}/accuracy/by_range.csv",
             f"{base}/accuracy/spatial.csv",

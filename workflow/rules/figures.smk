@@ -395,8 +395,8 @@ rule plot_distance_map:
     """Distance of the cloud from the reference on the bank (P2 Fig. 14, T Fig. 3.2)."""
     input:
         comparison="results/{campaign}/accuracy/cloud_to_mesh.parquet",
-        mesh="results/{campaign}/accuracy/reference_mesh.ply",
-        mesh_facts="results/{campaign}/accuracy/reference_mesh.json",
+        mesh="results/{campaign}/surface/reference_mesh.ply",
+        mesh_facts="results/{campaign}/surface/reference_mesh.json",
     output:
         distance_map_png=report(
             "results/{campaign}/figures/distance_map.png",
@@ -428,8 +428,8 @@ rule plot_cross_sections:
     """Cross sections through cloud and reference (P2 Fig. 15)."""
     input:
         comparison="results/{campaign}/accuracy/cloud_to_mesh.parquet",
-        mesh="results/{campaign}/accuracy/reference_mesh.ply",
-        mesh_facts="results/{campaign}/accuracy/reference_mesh.json",
+        mesh="results/{campaign}/surface/reference_mesh.ply",
+        mesh_facts="results/{campaign}/surface/reference_mesh.json",
         points="results/{campaign}/lidar/points.laz",
         reference="results/{campaign}/ingest/reference.laz",
         trajectory="results/{campaign}/orientation/trajectory.parquet",

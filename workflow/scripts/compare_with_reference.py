@@ -4,13 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.accuracy.area import Area
 from thalweg.accuracy.comparison import CLOUD_TO_MESH, ComparisonSettings
 from thalweg.accuracy.overlap_check import check_frames
 from thalweg.accuracy.reference_comparison import compare_with_reference
 from thalweg.core.mesh_ply import read_mesh
 from thalweg.core.tables import write_table
 from thalweg.jobs.job import run_job
+from thalweg.surface.area import Area
 
 
 def main(

@@ -4,13 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.accuracy.area import Area
-from thalweg.accuracy.near_area import area_margin_m, read_reference
-from thalweg.accuracy.surface import ReferenceSettings, mesh_reference
 from thalweg.core.frames import LocalFrame
 from thalweg.core.mesh_ply import write_mesh
 from thalweg.core.trajectory import Trajectory
 from thalweg.jobs.job import run_job
+from thalweg.surface.area import Area
+from thalweg.surface.near_area import area_margin_m, read_reference
+from thalweg.surface.reference_mesh import ReferenceSettings, mesh_reference
 
 
 def main(

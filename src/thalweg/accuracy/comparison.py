@@ -18,17 +18,16 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.accuracy.area import Area
-from thalweg.accuracy.cloud_to_mesh import Distances, Surface
 from thalweg.accuracy.overlap_check import LEAST_POINTS, OTHER_HEIGHTS_M, Reach, explain_too_few
 from thalweg.accuracy.statistics import outlier_limits
-from thalweg.accuracy.truth import cloud_covariance
 from thalweg.core.errors import InputError
 from thalweg.core.las import iter_laz
 from thalweg.core.mesh import TriangleMesh
 from thalweg.core.tables import column, frame_of, table_kind
 from thalweg.core.types import AnyArray, ArrayF
-from thalweg.lidar.cloud import CORRELATIONS, SIGMAS
+from thalweg.lidar.cloud import CORRELATIONS, SIGMAS, cloud_covariance
+from thalweg.surface.area import Area
+from thalweg.surface.cloud_to_mesh import Distances, Surface
 
 CHUNK: Final = 1 << 18
 """Points whose covariances are unpacked at once."""

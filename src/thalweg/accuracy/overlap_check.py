@@ -11,14 +11,14 @@ from typing import Final, NoReturn
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from thalweg.accuracy.area import Area
-from thalweg.accuracy.cloud_to_mesh import Surface
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.las import laz_header
 from thalweg.core.mesh import TriangleMesh
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
 from thalweg.lidar.cloud import sample_cloud
+from thalweg.surface.area import Area
+from thalweg.surface.cloud_to_mesh import Surface
 
 LEAST_POINTS: Final = 300
 """Fewer points give no statistics worth a table."""

@@ -7,9 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.accuracy.area import Area
 from thalweg.accuracy.autocorrelation import dependency_in_words, local_dependency
-from thalweg.accuracy.cloud_to_mesh import Surface
 from thalweg.accuracy.comparison import ComparisonSettings, after_motion, compare_with_mesh
 from thalweg.accuracy.comparison_tables import (
     AS_MEASURED,
@@ -23,6 +21,8 @@ from thalweg.accuracy.registration import register
 from thalweg.accuracy.registration_facts import registration_facts
 from thalweg.core.errors import GeometryError
 from thalweg.core.mesh import TriangleMesh
+from thalweg.surface.area import Area
+from thalweg.surface.cloud_to_mesh import Surface
 
 _LOG = logging.getLogger("thalweg")
 

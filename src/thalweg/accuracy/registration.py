@@ -25,12 +25,12 @@ from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.accuracy.cloud_to_mesh import Distances, Surface
 from thalweg.accuracy.comparison import ComparisonSettings
 from thalweg.accuracy.independent import independent_means
 from thalweg.accuracy.statistics import NMAD_FACTOR
 from thalweg.core.errors import GeometryError
 from thalweg.core.types import ArrayB, ArrayF
+from thalweg.surface.cloud_to_mesh import Distances, Surface
 
 TUKEY: Final = 4.685
 """Distances beyond so many robust standard deviations have no weight; 95 % efficient for normal errors."""

@@ -23,12 +23,12 @@ from thalweg.accuracy.statistics import (
     describe_errors,
     independent_values,
 )
-from thalweg.core.errors import CoverageError, InputError
+from thalweg.core.errors import CoverageError
 from thalweg.core.raycast import RayCaster
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import AnyArray, ArrayB, ArrayF
 from thalweg.ingest.velodyne_model import RING, VERTICAL_CORRECTION_M
-from thalweg.lidar.cloud import CORRELATIONS, SIGMAS
+from thalweg.lidar.cloud import cloud_covariance
 from thalweg.lidar.mount import Mount
 
 LEAST_COSINE: Final = 0.2
@@ -286,28 +286,6 @@ def compare_cloud(
         from_ground=(returns.kind[row] == 0) & bare[returns.material[row]],
     )
     return error_tables(errors, correlation_s=correlation_s)
-
-
-def cloud_covariance(cloud: Mapping[str, AnyArray], path: Path) -> ArrayF:
-    """Covariance (n, 3, 3) that the points of a cloud carry.
-
-    Raises
-    ------
-    InputError : the cloud has no standard deviations or no correlations.
-    """
-    lacking = [name for name in (*SIGMAS, *CORRELATIONS) if name not in cloud]
-    if lacking:
-        raise InputError(
-            f"the cloud has no {', '.join(lacking)}",
-            expected="standard deviations and correlations of each point",
-            where=path,
-            cure="Set georeferencing.correlations to true and georeference again",
-        )
-    sigma = np.stack([cloud[name] for name in SIGMAS], axis=1).astype(np.float64)
-    correlation = np.tile(np.eye(3), (len(sigma), 1, 1))
-    for name, i, j in zip(CORRELATIONS, (0, 0, 1), (1, 2, 2), strict=True):
-        correlation[:, i, j] = correlation[:, j, i] = cloud[name]
-    return np.asarray(correlation * sigma[:, :, None] * sigma[:, None, :])
 
 
 def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from thalweg.accuracy.bank_frame import BankFrame
 from thalweg.core.mesh import TriangleMesh
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF
@@ -32,6 +31,7 @@ from thalweg.figures.style import (
     scale_bar,
     styled,
 )
+from thalweg.surface.bank_frame import BankFrame
 
 PLACE_MAP: Final[Colormap] = ListedColormap(TIME_MAP(np.linspace(0.05, 0.88, 256)), "thalweg_place")
 """From dark to light along the bank; without the end that vanishes on paper."""

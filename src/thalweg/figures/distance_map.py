@@ -16,12 +16,12 @@ from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from thalweg.accuracy.bank_frame import BankFrame
 from thalweg.core.mesh import TriangleMesh
 from thalweg.core.raycast import RayCaster
 from thalweg.core.types import ArrayF, ArrayI
 from thalweg.figures.distances import compared, round_limit_m, statistics_text
 from thalweg.figures.style import HALO, WIDTH_MM, count, new_figure, round_length, scale_bar, styled
+from thalweg.surface.bank_frame import BankFrame
 
 DISTANCE_MAP: Final[Colormap] = ListedColormap(cm.vik(np.linspace(0.08, 0.92, 256)), "thalweg_distance")
 """Blue behind the reference, brown in front of it, light in between; without the ends: both are black."""

@@ -6,10 +6,10 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.bank_frame import BankFrame
 from thalweg.accuracy.statistics import NMAD_FACTOR
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.types import ArrayF
+from thalweg.surface.bank_frame import BankFrame
 
 COLUMNS: Final = ("east_m", "north_m", "up_m", "distance_m", "at_border", "used", "outlier")
 """Columns of a comparison that the figures need."""

@@ -1,7 +1,7 @@
 """From a lidar log to a cloud on disk: streaming, every point counted."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -309,3 +309,25 @@ def sample_cloud(points: Path, max_points: int) -> dict[str, AnyArray]:
         parts.append({name: values[first::step] for name, values in chunk.items()})
         first = (first - n) % step
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def cloud_covariance(cloud: Mapping[str, AnyArray], path: Path) -> ArrayF:
+    """Covariance (n, 3, 3) that the points of a cloud carry.
+
+    Raises
+    ------
+    InputError : the cloud has no standard deviations or no correlations.
+    """
+    lacking = [name for name in (*SIGMAS, *CORRELATIONS) if name not in cloud]
+    if lacking:
+        raise InputError(
+            f"the cloud has no {', '.join(lacking)}",
+            expected="standard deviations and correlations of each point",
+            where=path,
+            cure="Set georeferencing.correlations to true and georeference again",
+        )
+    sigma = np.stack([cloud[name] for name in SIGMAS], axis=1).astype(np.float64)
+    correlation = np.tile(np.eye(3), (len(sigma), 1, 1))
+    for name, i, j in zip(CORRELATIONS, (0, 0, 1), (1, 2, 2), strict=True):
+        correlation[:, i, j] = correlation[:, j, i] = cloud[name]
+    return np.asarray(correlation * sigma[:, :, None] * sigma[:, None, :])

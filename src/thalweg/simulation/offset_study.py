@@ -22,12 +22,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.area import Area
-from thalweg.accuracy.cloud_to_mesh import Surface
 from thalweg.accuracy.comparison import ComparisonSettings, after_motion, compare_with_mesh
 from thalweg.accuracy.registration import register
 from thalweg.core.errors import GeometryError
 from thalweg.simulation.survey import BARE, process, record, reference_mesh, survey_settings
+from thalweg.surface.area import Area
+from thalweg.surface.cloud_to_mesh import Surface
 
 PUBLISHED_M: Final = (-0.06, -0.05)
 """Mean distance of P2: 6 cm in its section 6.2, 5 cm in its section 7; points lie behind the reference."""

@@ -24,12 +24,10 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.accuracy.returns import TrueReturns, sample_of_known_points
-from thalweg.accuracy.surface import ReferenceSettings, mesh_reference
 from thalweg.accuracy.truth import (
     PointErrors,
     PointErrors3d,
     Truth,
-    cloud_covariance,
     point_errors,
     point_errors_3d,
 )
@@ -46,7 +44,7 @@ from thalweg.ingest.reference import gather_reference
 from thalweg.ingest.rtklib_pos import read_pos
 from thalweg.ingest.velodyne import LidarOptions, scan_lidar
 from thalweg.ingest.velodyne_model import RING, VERTICAL_CORRECTION_M
-from thalweg.lidar.cloud import LogSettings, georeference_log
+from thalweg.lidar.cloud import LogSettings, cloud_covariance, georeference_log
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
@@ -61,6 +59,7 @@ from thalweg.simulation.tls import simulate_tls
 from thalweg.simulation.true_mounts import true_mounts
 from thalweg.simulation.truth import true_trajectory
 from thalweg.simulation.voyage import Voyage
+from thalweg.surface.reference_mesh import ReferenceSettings, mesh_reference
 
 PLACE: Final[dict[str, Any]] = {
     "crs": "EPSG:25833",
@@ -339,7 +338,7 @@ def reference_mesh(
 
     Returns
     -------
-    mesh, facts : see `thalweg.accuracy.surface.mesh_reference`.
+    mesh, facts : see `thalweg.surface.reference_mesh.mesh_reference`.
     """
     s = logs.settings if settings is None else settings
     cloud = logs.folder / "reference.laz"

@@ -18,12 +18,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.area import Area
-from thalweg.accuracy.cloud_to_mesh import Surface
 from thalweg.accuracy.comparison import ComparisonSettings, compare_with_mesh
 from thalweg.accuracy.honesty import honesty_by_range, ratio_of_surveys
 from thalweg.core.types import ArrayF, ArrayF32
 from thalweg.simulation.survey import BARE, Survey, process, record, reference_mesh, survey_settings
+from thalweg.surface.area import Area
+from thalweg.surface.cloud_to_mesh import Surface
 
 STATIONS: Final = 2
 """Terrestrial scans of each survey."""

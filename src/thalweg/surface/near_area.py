@@ -11,12 +11,12 @@ from typing import Final
 import numba as nb
 import numpy as np
 
-from thalweg.accuracy.area import Area
-from thalweg.accuracy.reference_cloud import ReferenceSettings
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.las import iter_laz, laz_header
 from thalweg.core.types import ArrayB, ArrayF
+from thalweg.surface.area import Area
+from thalweg.surface.reference_cloud import ReferenceSettings
 
 # Open3D brings an old TBB into the process, which numba would try first and complain about.
 nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]

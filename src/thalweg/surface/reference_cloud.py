@@ -7,12 +7,12 @@ from typing import Any, Final, Literal, Self
 import numba as nb
 import numpy as np
 
-from thalweg.accuracy.bank_frame import BankFrame
-from thalweg.accuracy.lower_envelope import heights_above_envelope
-from thalweg.accuracy.thinning import spikes, thin
 from thalweg.core.errors import InputError
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
 from thalweg.lidar.occupancy import MOST_COUNTED, Occupancy
+from thalweg.surface.bank_frame import BankFrame
+from thalweg.surface.lower_envelope import heights_above_envelope
+from thalweg.surface.thinning import spikes, thin
 
 LEAST_POINTS: Final = 3
 

@@ -7,12 +7,12 @@ import numba as nb
 import numpy as np
 import pytest
 
-from thalweg.accuracy import cloud_to_mesh
-from thalweg.accuracy.cloud_to_mesh import Distances, Surface
-from thalweg.accuracy.triangle_tree import LEAF
 from thalweg.core.errors import GeometryError
 from thalweg.core.mesh import TriangleMesh
 from thalweg.core.raycast import RayCaster, _open3d
+from thalweg.surface import cloud_to_mesh
+from thalweg.surface.cloud_to_mesh import Distances, Surface
+from thalweg.surface.triangle_tree import LEAF
 
 _spec = importlib.util.spec_from_file_location("rough_bank", Path(__file__).with_name("rough_bank.py"))
 rough_bank = importlib.util.module_from_spec(_spec)

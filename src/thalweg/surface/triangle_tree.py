@@ -1,4 +1,4 @@
-"""A packed tree of boxes over triangles: what `thalweg.accuracy.triangle_kernels` searches.
+"""A packed tree of boxes over triangles: what `thalweg.surface.triangle_kernels` searches.
 
 Faces are sorted along a Morton curve and packed: `LEAF` of them into a leaf, eight leaves into a node, eight
 nodes into the next, up to one (a packed R-tree). Nothing is balanced or searched while it is built, so that

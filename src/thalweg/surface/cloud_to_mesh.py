@@ -16,12 +16,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.accuracy.triangle_kernels import check, distances, faces_around
-from thalweg.accuracy.triangle_tree import LEAF, triangle_tree
 from thalweg.core.errors import GeometryError
 from thalweg.core.mesh import TriangleMesh
 from thalweg.core.raycast import MAX_EXTENT_M
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
+from thalweg.surface.triangle_kernels import check, distances, faces_around
+from thalweg.surface.triangle_tree import LEAF, triangle_tree
 
 CHUNK: Final = 1 << 20
 """Points that are searched at once; bounds the memory beside the results."""

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.bank_frame import BankFrame
-from thalweg.accuracy.lower_envelope import heights_above_envelope
-from thalweg.accuracy.reference_cloud import (
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.surface.bank_frame import BankFrame
+from thalweg.surface.lower_envelope import heights_above_envelope
+from thalweg.surface.reference_cloud import (
     ReferenceSettings,
     clean_reference,
     finite_and_single,
     first_of_equals,
 )
-from thalweg.accuracy.thinning import spikes, thin
-from thalweg.core.errors import GeometryError, InputError
+from thalweg.surface.thinning import spikes, thin
 
 FLAT = BankFrame(origin_m=np.zeros(3), R_bank_wcs=np.eye(3))
 CLEARANCE_M = 0.3

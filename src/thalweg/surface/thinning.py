@@ -14,7 +14,9 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from thalweg.accuracy.thinning_kernels import (
+from thalweg.core.errors import GeometryError
+from thalweg.core.types import ArrayB, ArrayF, ArrayI
+from thalweg.surface.thinning_kernels import (
     deviations,
     local_planes,
     medians,
@@ -23,8 +25,6 @@ from thalweg.accuracy.thinning_kernels import (
     pooled_spread,
     trimmed_means,
 )
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
 
 NEIGHBOURS: Final = 16
 """A cell and those about it, from which its plane and scatter are estimated."""

@@ -4,18 +4,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.accuracy.bank_frame import STEEP_DEG, BankFit, fit_bank, front_direction, thin_track
-from thalweg.accuracy.delaunay import triangulate
-from thalweg.accuracy.poisson import depth_for, reconstruct
-from thalweg.accuracy.reference_cloud import (
+from thalweg.core.errors import GeometryError
+from thalweg.core.mesh import TriangleMesh
+from thalweg.core.types import ArrayB, ArrayF
+from thalweg.surface.bank_frame import STEEP_DEG, BankFit, fit_bank, front_direction, thin_track
+from thalweg.surface.delaunay import triangulate
+from thalweg.surface.poisson import depth_for, reconstruct
+from thalweg.surface.reference_cloud import (
     CleanCloud,
     ReferenceSettings,
     clean_reference,
     finite_and_single,
 )
-from thalweg.core.errors import GeometryError
-from thalweg.core.mesh import TriangleMesh
-from thalweg.core.types import ArrayB, ArrayF
 
 __all__ = ["ReferenceSettings", "mesh_reference"]
 

@@ -1,4 +1,4 @@
-"""Kernels of `thalweg.accuracy.thinning`: points sorted by cell -> one robust point a cell."""
+"""Kernels of `thalweg.surface.thinning`: points sorted by cell -> one robust point a cell."""
 
 import numba as nb
 import numpy as np

@@ -1,4 +1,4 @@
-"""Compiled loops of `thalweg.accuracy.cloud_to_mesh`: nearest place of triangles, and which way it faces.
+"""Compiled loops of `thalweg.surface.cloud_to_mesh`: nearest place of triangles, and which way it faces.
 
 A nearest place lies inside a face, on an edge, or at a corner. Its *feature* is a number: 0 for the face,
 1 to 3 for the edge from corner k - 1 to the next, 4 to 6 for corner k - 4. Coordinates are taken relative to
@@ -327,7 +327,7 @@ def distances(
 ) -> None:
     """Signed distances of points (n, 3), taken in the order ``turn`` so that one is near to the next.
 
-    ``tree`` is order, boxes, level and faces of a leaf of `thalweg.accuracy.triangle_tree`; ``corner_state``
+    ``tree`` is order, boxes, level and faces of a leaf of `thalweg.surface.triangle_tree`; ``corner_state``
     (vertices,) remembers which corners are borders, 0 at first.
     """
     n = len(points)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from thalweg.accuracy.area import Area, checked_polygon
 from thalweg.core.errors import InputError
 from thalweg.core.frames import LocalFrame
+from thalweg.surface.area import Area, checked_polygon
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 UTM = "EPSG:25833"

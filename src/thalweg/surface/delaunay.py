@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
-from thalweg.accuracy.bank_frame import BankFrame
 from thalweg.core.errors import GeometryError
 from thalweg.core.types import ArrayF, ArrayI
+from thalweg.surface.bank_frame import BankFrame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,9 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.accuracy.area import Area
-from thalweg.accuracy.near_area import area_margin_m, near_area, read_reference
-from thalweg.accuracy.surface import ReferenceSettings, mesh_reference
 from thalweg.config.accuracy import Reference
 from thalweg.config.twin import TwinConfig
 from thalweg.core.errors import CoverageError, GeometryError, InputError
@@ -19,6 +16,9 @@ from thalweg.core.raycast import RayCaster
 from thalweg.simulation.materials import BARE_GROUND, VEGETATION, Material
 from thalweg.simulation.scene import Scene, build_scene
 from thalweg.simulation.tls import simulate_tls
+from thalweg.surface.area import Area
+from thalweg.surface.near_area import area_margin_m, near_area, read_reference
+from thalweg.surface.reference_mesh import ReferenceSettings, mesh_reference
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 TRACK = np.column_stack([np.linspace(-40, 40, 200), np.full(200, 15.0), np.zeros(200)])
@@ -164,8 +164,8 @@ def test_the_mesh_of_the_twin_is_its_ground(twin: tuple[Scene, np.ndarray]) -> N
 
 
 def test_cleaning_takes_plants_and_leaves_ground_and_stones(twin: tuple[Scene, np.ndarray]) -> None:
-    from thalweg.accuracy.bank_frame import fit_bank_frame
-    from thalweg.accuracy.lower_envelope import heights_above_envelope
+    from thalweg.surface.bank_frame import fit_bank_frame
+    from thalweg.surface.lower_envelope import heights_above_envelope
 
     scene, points = twin
     dry = scene.without(Material.WATER)

@@ -1,0 +1,1 @@
+"""Surfaces: reference clouds become meshes, and points get signed distances from them."""

@@ -1,0 +1,30 @@
+"""Reference clouds become surfaces."""
+
+
+rule mesh_reference:
+    """Reference cloud near the area of interest -> surface mesh."""
+    input:
+        cloud="results/{campaign}/ingest/reference.laz",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        mesh="results/{campaign}/surface/reference_mesh.ply",
+        facts="results/{campaign}/surface/reference_mesh.json",
+    log:
+        "logs/{campaign}/surface/mesh_reference.log",
+    benchmark:
+        "benchmarks/{campaign}/surface/mesh_reference.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000, 60),
+        runtime=minutes(10, 60),
+    params:
+        code=code_version("mesh_reference"),
+        campaign=identity("origin", "crs"),
+        reference=reference_surface,
+        area=area_of_interest,
+    message:
+        "{wildcards.campaign}: mesh of the reference"
+    script:
+        "../scripts/mesh_reference.py"
