@@ -22,6 +22,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from thalweg.accuracy.statistics import range_class
 from thalweg.core.errors import CoverageError
 from thalweg.core.types import ArrayF, ArrayI
 
@@ -100,7 +101,7 @@ def honesty_by_range(
     CoverageError : fewer than two surveys hold any points.
     """
     number = np.unique(survey, return_inverse=True)[1]
-    centre = np.ceil(range_m - 0.5).astype(np.int64)
+    centre = range_class(range_m)
     first = int(centre.min()) if len(centre) else 0
     shape = (number.max(initial=-1) + 1, int(centre.max()) - first + 1 if len(centre) else 0)
     cell = np.ravel_multi_index((number, centre - first), shape) if len(centre) else centre

@@ -14,8 +14,14 @@ NMAD_FACTOR: Final = 1.4826
 NORMAL_SHARES: Final = tuple(float(norm.cdf(k) - norm.cdf(-k)) for k in (1, 2, 3))
 """Shares of a normal distribution within 1, 2 and 3 standard deviations of its mean."""
 
+HONEST_WITHIN: Final = 0.1
+"""Sigmas are called honest if predicted and observed differ by less: what the tests on the twin ask for."""
+
+NARROW_BAND: Final = 0.15
+"""And if the band is narrower than this on both sides: a wider one would let other errors pass."""
+
 WIDE_BAND: Final = 2.0
-"""A band whose limits differ by more than this factor confirms nothing."""
+"""A band whose limits differ by more than this factor says little: sigmas 30 % too small or 40 % too large fit."""
 
 FITTING_SHARE: Final = 0.02
 """A normal distribution fits in words if the shares within 1, 2 and 3 sigma are met to this."""
@@ -87,12 +93,14 @@ def fit_in_words(shape: dict[str, float]) -> str:
     return f"{shares} % lie within 1, 2, 3 sigma (normal: {normal} %): {words}"
 
 
-def outlier_limits(errors_m: ArrayF, nmads: float) -> tuple[float, float]:
+def outlier_limits(errors: ArrayF, nmads: float) -> tuple[float, float]:
     """Lowest and highest error that the outlier rule ``|e - median| <= nmads * NMAD`` keeps.
 
-    Errors of which more than half are equal have no NMAD; then nothing is an outlier.
+    Errors whose sigmas differ are to be given over their sigmas: one limit in metres for all of them takes
+    good values where sigmas are large, and keeps wild ones where they are small. Errors of which more than
+    half are equal have no NMAD; then nothing is an outlier.
     """
-    known = describe_errors(errors_m)
+    known = describe_errors(errors)
     reach = nmads * known.get("nmad_m", 0.0)
     if reach <= 0:
         return -np.inf, np.inf
@@ -137,6 +145,9 @@ def independent_values(duration_s: float, correlation_s: float) -> float:
     ``tau`` are correlated over half of it. For ``T`` far above ``tau`` this is ``T / tau``; it is never
     below 1.
 
+    This is for values of equal variance, evenly spread over the time: for a survey that is only planned. For
+    points that were measured, with gaps and sigmas of their own, `thalweg.accuracy.independent` is exact.
+
     Examples
     --------
     >>> round(independent_values(180.0, 20.0), 1)
@@ -169,20 +180,33 @@ def ratio_band(n_independent: float, level: float = 0.95) -> tuple[float, float]
 def honesty_in_words(ratio: float, low: float, high: float) -> str:
     """Verdict on sigmas from the ratio of predicted to observed RMSE and its band.
 
+    A ratio inside a wide band shows no more than that nothing speaks against the sigmas. Sigmas that are
+    wrong by a factor change the ratio by the same factor, so the band itself says what would have passed.
+
     Examples
     --------
-    >>> honesty_in_words(1.02, 0.85, 1.19)
-    'sigmas are honest: 1.02 is inside 0.85 to 1.19'
+    >>> honesty_in_words(1.02, 0.90, 1.12)
+    'sigmas are honest: predicted over observed is 1.02, inside 0.90 to 1.12'
+    >>> honesty_in_words(1.01, 0.78, 1.38)  # doctest: +NORMALIZE_WHITESPACE
+    'sigmas and errors agree: predicted over observed is 1.01, inside 0.78 to 1.38; sigmas up to 22 % too
+    small or 38 % too large would not have been noticed'
     >>> honesty_in_words(0.62, 0.85, 1.19)
-    'errors are 1.6 times larger than predicted: 0.62 is outside 0.85 to 1.19'
-    >>> honesty_in_words(0.70, 0.65, 2.10)
-    'nothing speaks against the sigmas, but the band is wide: 0.70 is inside 0.65 to 2.10'
+    'errors are 1.6 times as large as predicted: predicted over observed is 0.62, outside 0.85 to 1.19'
     """
+    number = f"predicted over observed is {ratio:.2f}"
     band = f"{low:.2f} to {high:.2f}"
-    if low <= ratio <= high:
-        if high > WIDE_BAND * low:
-            return f"nothing speaks against the sigmas, but the band is wide: {ratio:.2f} is inside {band}"
-        return f"sigmas are honest: {ratio:.2f} is inside {band}"
-    if ratio < low:
-        return f"errors are {1 / ratio:.1f} times larger than predicted: {ratio:.2f} is outside {band}"
-    return f"errors are {ratio:.1f} times smaller than predicted: {ratio:.2f} is outside {band}"
+    if not low <= ratio <= high:
+        return f"errors are {_times(1 / ratio)} as predicted: {number}, outside {band}"
+    narrow = low > 1 - NARROW_BAND and high < 1 + NARROW_BAND
+    if narrow and abs(ratio - 1) <= HONEST_WITHIN:
+        return f"sigmas are honest: {number}, inside {band}"
+    return (
+        f"sigmas and errors agree: {number}, inside {band}; sigmas up to {100 * (1 - low):.0f} % too small "
+        f"or {100 * (high - 1):.0f} % too large would not have been noticed"
+    )
+
+
+def _times(factor: float) -> str:
+    """``1.6 times as large``; factors near 1 with as many digits as it takes to differ from it."""
+    digits = 1 if abs(factor - 1) >= 0.1 else 2 if abs(factor - 1) >= 0.01 else 3
+    return f"{factor:.{digits}f} times as large"
