@@ -29,7 +29,7 @@ def helper(path: Path):
 
 
 turns = helper(Path(__file__).with_name("turns.py"))
-rough_bank = helper(Path(__file__).parents[1] / "accuracy" / "rough_bank.py")
+rough_bank = helper(Path(__file__).parents[1] / "surface" / "rough_bank.py")
 
 FACES, POINTS, ROWS = 5e6, 218_000, 397  # along a bank of 200 m; 12 m from its foot to its top
 STEP_M, ROUGH_M = 0.0316, 0.01
