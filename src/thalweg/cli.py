@@ -293,9 +293,11 @@ def _budget(options: argparse.Namespace) -> int:
     published = read_published(options.published) if options.published else None
     table = long_table(budget, published)
     print("\n".join(text_lines(budget, published)))
-    if published is not None:
+    if published is not None and table["verdict"].astype(bool).any():
         print(f"  printed, computed, verdict: {marks_line(table['verdict'])}")
     if options.csv:
+        if not options.csv.parent.is_dir():
+            raise InputError("no such folder", where=options.csv.parent, cure="Make it, or name another file")
         table.to_csv(options.csv, index=False)
         print(f"Wrote {options.csv}")
     return 0

@@ -32,6 +32,7 @@ share_of_points,bare ground,0.8,1
 REFERENCE = """\
 registration,points,quantity,value,unit
 as measured,all,n,2000,1
+as measured,all,bias,0.12,m
 as measured,all,rmse,0.31,m
 as measured,without outliers,n,1900,1
 as measured,without outliers,bias,0.055,m
@@ -131,16 +132,18 @@ def test_figures_of_a_comparison_are_those_as_measured(files: dict[str, Path]) -
     added = values(table.iloc[len(without) :])
     source = "statistics.csv"
     assert added == {
-        "points compared with the reference": (1900.0, "1", source),
-        "distance to the reference: mean": (0.055, "m", source),
-        "distance to the reference: RMSE": (0.112, "m", source),
-        "distance to the reference: NMAD": (0.067, "m", source),
-        "distance to the reference: RMSE predicted": (0.074, "m", source),
-        "distance to the reference: predicted / observed": (0.66, "1", source),
+        "reference, without outliers: points compared": (1900.0, "1", source),
+        "reference, without outliers: mean distance": (0.055, "m", source),
+        "reference, without outliers: RMSE": (0.112, "m", source),
+        "reference, without outliers: NMAD": (0.067, "m", source),
+        "reference, without outliers: RMSE predicted": (0.074, "m", source),
+        "reference, without outliers: predicted / observed": (0.66, "1", source),
         "  honest sigmas leave it above (95 %)": (0.65, "1", source),
         "  honest sigmas leave it below (95 %)": (2.1, "1", source),
-        "distance to the reference: RMSE with outliers": (0.31, "m", source),
-        "distance to the reference: outliers": (pytest.approx(5.0), "%", source),
+        "reference, all points: points compared": (2000.0, "1", source),
+        "reference, all points: mean distance": (0.12, "m", source),
+        "reference, all points: RMSE": (0.31, "m", source),
+        "reference: outliers": (pytest.approx(5.0), "%", source),
     }
 
 

@@ -223,7 +223,7 @@ def test_a_budget_based_on_another(example: Path) -> None:
     with pytest.raises(ConfigError, match=r"other: better\.yaml -> boat\.yaml -> better\.yaml"):
         read_budget(path)
     path.write_text("based_on: nowhere.yaml\n")
-    with pytest.raises(ConfigError, match=r"nowhere\.yaml: no such file"):
+    with pytest.raises(ConfigError, match=r"better\.yaml:1: based_on: there is no file nowhere\.yaml"):
         read_budget(path)
 
 

@@ -9,6 +9,7 @@ from thalweg.reproduction.influences import coverages, influences, rmse_mm, tota
 from thalweg.reproduction.published import (
     BY_CHOICE,
     BY_SIGMA,
+    COLUMNS,
     MATCHED,
     MISSED,
     count,
@@ -176,8 +177,15 @@ def test_published_files_that_cannot_be_used(budgets, tmp_path, change, answer: 
 
 
 def test_a_table_of_another_budget(budgets) -> None:
-    with pytest.raises(InputError, match=r"published row 'ics\.omega'"):
+    with pytest.raises(InputError, match=r"row 'ics\.omega'"):
         verdicts(budgets["p2_table1"][0], budgets["t_table3_1"][1])
     other = budgets["p2_table1"][1].assign(sigma_printed="0.5")
     with pytest.raises(InputError, match="the same sigma in both"):
         verdicts(budgets["p2_table1"][0], other)
+
+
+def test_a_table_with_a_head_alone_is_refused(tmp_path) -> None:
+    path = tmp_path / "p.csv"
+    path.write_text(",".join(COLUMNS) + "\n")
+    with pytest.raises(InputError, match="without a cell"):
+        read_published(path)

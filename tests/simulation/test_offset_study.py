@@ -105,7 +105,7 @@ def rows(**means: tuple[float, float, float]) -> pd.DataFrame:
     """A table with (mean, explained, its sigma) of some effects, in millimetres."""
     return pd.DataFrame([
         {"effect": name.replace("_", " "), "mean_m": mean / 1e3, "explains_m": change / 1e3,
-         "sigma_explains_m": sigma / 1e3, "sigma_mean_m": sigma / 1e3, "seeds": 4,
+         "sigma_explains_m": sigma / 1e3, "sigma_mean_m": sigma / 1e3, "seeds": 4, "fitted": 4,
          "sigma_mean_registered_m": sigma / 4e3}
         for name, (mean, change, sigma) in means.items()
     ])  # fmt: skip

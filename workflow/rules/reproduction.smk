@@ -124,7 +124,7 @@ rule honesty_study:
         runtime=minutes(60),
     params:
         code=code_version("honesty_study"),
-        seeds=96,
+        seeds=40,
     message:
         "honesty of the sigmas over {params.seeds} surveys of the digital twin"
     script:
@@ -148,7 +148,7 @@ rule offset_study:
         runtime=minutes(60),
     params:
         code=code_version("offset_study"),
-        seeds=12,
+        seeds=6,
     message:
         "causes of an offset, on the digital twin"
     script:

@@ -5,6 +5,7 @@ rule mesh_reference:
     """Reference cloud near the area of interest -> surface mesh."""
     input:
         cloud="results/{campaign}/ingest/reference.laz",
+        integrity="results/{campaign}/ingest/reference.integrity.json",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
     output:
         mesh="results/{campaign}/surface/reference_mesh.ply",

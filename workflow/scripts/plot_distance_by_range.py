@@ -21,7 +21,8 @@ def main(
 ) -> None:
     figure = distance_by_range(
         pd.read_csv(by_range),
-        outlier_rule=f"without distances farther than {outlier_nmads:g} NMAD from their median",
+        outlier_rule=f"without points whose distance over its sigma is farther than {outlier_nmads:g} NMAD "
+        "from the median",
         title=f"Distance to the reference by range: {campaign['title']}",
         twin=twin,
     )

@@ -10,12 +10,12 @@ COLUMNS = ["quantity", "value", "unit", "source"]
 
 
 REFERENCE_FIGURES = {
-    "n": "points compared with the reference",
-    "bias": "distance to the reference: mean",
-    "rmse": "distance to the reference: RMSE",
-    "nmad": "distance to the reference: NMAD",
-    "predicted_rmse": "distance to the reference: RMSE predicted",
-    "ratio": "distance to the reference: predicted / observed",
+    "n": "reference, without outliers: points compared",
+    "bias": "reference, without outliers: mean distance",
+    "rmse": "reference, without outliers: RMSE",
+    "nmad": "reference, without outliers: NMAD",
+    "predicted_rmse": "reference, without outliers: RMSE predicted",
+    "ratio": "reference, without outliers: predicted / observed",
     "ratio_low95": "  honest sigmas leave it above (95 %)",
     "ratio_high95": "  honest sigmas leave it below (95 %)",
 }
@@ -74,11 +74,17 @@ def _reference_rows(reference: Path) -> list[tuple[str, float, str, str]]:
         (text, inside[key]["value"], inside[key]["unit"], reference.name)
         for key, text in REFERENCE_FIGURES.items()
     ]
-    rows.append(
-        ("distance to the reference: RMSE with outliers", everything["rmse"]["value"], "m", reference.name)
-    )
+    for key, text in {"n": "points compared", "bias": "mean distance", "rmse": "RMSE"}.items():
+        rows.append(
+            (
+                f"reference, all points: {text}",
+                everything[key]["value"],
+                everything[key]["unit"],
+                reference.name,
+            )
+        )
     share = 100 * (1 - inside["n"]["value"] / everything["n"]["value"])
-    rows.append(("distance to the reference: outliers", share, "%", reference.name))
+    rows.append(("reference: outliers", share, "%", reference.name))
     return rows
 
 

@@ -138,6 +138,11 @@ def _inherited(path: Path, seen: tuple[Path, ...]) -> tuple[dict[str, Any], Line
         return data, lines
     if not isinstance(base, str):
         raise ConfigError(f"based_on: found {base!r}", where=path, expected="the path of a budget file")
+    if not (path.parent / base).is_file():
+        raise ConfigError(
+            f"based_on: there is no file {base}", where=f"{path}:{own.get(('based_on',), 1)}",
+            expected="the path of a budget file, relative to this one", cure="Check the name",
+        )  # fmt: skip
     merged, base_lines = _inherited(path.parent / base, (*seen, path.resolve()))
     merged = {key: value for key, value in merged.items() if key not in OWN}
     for key, value in data.items():

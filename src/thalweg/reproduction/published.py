@@ -75,6 +75,8 @@ def read_published(path: Path | str) -> pd.DataFrame:
     missing = [name for name in COLUMNS if name not in table.columns]
     if missing:
         raise InputError(f"columns missing: {missing}", where=path, expected=", ".join(COLUMNS))
+    if table.empty:
+        raise InputError("a table without a cell", where=path, expected="a row for each published cell")
     numbers = table[["value_mm", "half_unit_mm", "tolerance_mm"]].apply(pd.to_numeric, errors="coerce")
     bad = ~(np.isfinite(numbers).all(axis=1) & (numbers > 0).all(axis=1))
     if bad.any():
@@ -106,7 +108,12 @@ def verdicts(budget: Budget, published: pd.DataFrame) -> pd.DataFrame:
     sigma = {item.key: item.sigma for item in budget.inputs}
     for name, printed in zip(table["input"], table["sigma_printed"], strict=True):
         if name not in {RMSE, TOTAL, *sigma}:
-            raise InputError(f"published row {name!r}", where=budget.name, expected="an input of the budget")
+            raise InputError(
+                f"the published table has a row {name!r}",
+                where=f"budget {budget.name}",
+                expected=f"inputs of the budget ({', '.join(sigma)}), {TOTAL} or {RMSE}",
+                cure="Correct the name in the published table, or add the input to the budget",
+            )
         if name in sigma and float(printed) != sigma[name]:
             raise InputError(
                 f"{name} has sigma {sigma[name]:g}, the published table {printed}",

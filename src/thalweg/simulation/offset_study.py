@@ -272,9 +272,8 @@ def conclusion(table: pd.DataFrame) -> str:
 
 def _scatter(row: Mapping[str, Any]) -> str:
     """How far the mean of one survey is off by errors of its poses and mounts, before and after a fit."""
-    before, after = (
-        1e3 * row[f"sigma_{name}_m"] * np.sqrt(row["seeds"]) for name in ("mean", "mean_registered")
-    )
+    before = 1e3 * row["sigma_mean_m"] * np.sqrt(row["seeds"])
+    after = 1e3 * row["sigma_mean_registered_m"] * np.sqrt(row["fitted"])
     return (
         f" Errors of poses and mounts have no mean, but that of one survey scatters by {before:.0f} mm with "
         f"them (standard deviation over the seeds; {after:.0f} mm after a rigid fit to the reference)."
