@@ -61,18 +61,18 @@ def write_cloud(
     *,
     t_gps_s: np.ndarray | None = None,
     range_m: np.ndarray | None = None,
-    sigmas: tuple[float, float, float] = (0.03, 0.04, 0.02),
+    sigmas: tuple = (0.03, 0.04, 0.02),
     correlations: tuple[float, float, float] | None = (0.3, -0.2, 0.5),
     ring: np.ndarray | None = None,
     frame: LocalFrame = FRAME,
 ) -> Path:
-    """A cloud with the same covariance at each point."""
+    """A cloud with the same covariance at each point, or with sigmas (n,) of each axis."""
     n = len(xyz)
     t = START_S + np.linspace(0.0, 1000.0, n) if t_gps_s is None else t_gps_s
     extra = {
         "range": np.full(n, 20.0) if range_m is None else range_m,
         "ring": np.zeros(n, dtype=np.uint8) if ring is None else ring,
-        **{name: np.full(n, sigma) for name, sigma in zip(SIGMAS, sigmas, strict=True)},
+        **{name: np.broadcast_to(sigma, n) for name, sigma in zip(SIGMAS, sigmas, strict=True)},
     }
     dimensions = dict(EXTRA_DIMENSIONS)
     if correlations is not None:

@@ -67,15 +67,19 @@ def test_a_smooth_deformation_of_3_cm_is_found_and_measured(rng: np.random.Gener
     # the wave moves little within a cell of 1 m: nearly all of its variance lies between cells
     assert found["std_of_places"] == pytest.approx(np.std(field), rel=0.05)
     assert found["share_of_variance"] == pytest.approx(np.var(field) / (np.var(field) + 0.05**2), rel=0.08)
-    assert dependency_in_words(table).startswith("the accuracy depends on the place")
+    words = dependency_in_words(table)
+    assert words.startswith("mean distances differ by place, or by the moment at which it was measured")
+    assert "; one pass cannot tell the place from the moment. No local dependency of the spread" in words
 
 
 def test_a_deformation_of_a_millimetre_is_significant_and_negligible(rng: np.random.Generator) -> None:
     places = bank(rng, 300_000)
     values_m = 0.0015 * np.sin(places[:, 0] / 6.0) + 0.05 * rng.normal(size=300_000)
     words = dependency_in_words(local_dependency(places, values_m, seed=1))
-    assert words.startswith("a local accuracy dependency that is significant, but negligible")
-    assert words.endswith("of the variance, 1 mm")
+    assert words.startswith(
+        "a local accuracy dependency of the mean distance that is significant, but negligible"
+    )
+    assert "of the variance, 1 mm. " in words
 
 
 def test_the_correlation_length_of_a_known_field(rng: np.random.Generator) -> None:
@@ -135,16 +139,67 @@ def test_components_of_variance_of_uneven_cells(rng: np.random.Generator) -> Non
 
 
 def test_cells_hold_what_lies_in_them(rng: np.random.Generator) -> None:
-    places, values_m = bank(rng, 5000), rng.normal(size=5000)
+    places, values_m = bank(rng, 20_000), rng.normal(size=20_000)
     cells = cells_of(places, values_m)
-    assert cells.n.sum() + cells.n_left_out == 5000
+    assert cells.n.sum() + cells.n_left_out == 20_000
     assert cells.n.min() >= 10
     number = np.floor(places - places.min(axis=0)).astype(int)
-    first = (number == number[0]).all(axis=1)
-    k = np.argmin(np.linalg.norm(cells.middle_m - places[first].mean(axis=0), axis=1))
-    if first.sum() >= 10:
-        assert cells.mean_m[k] == pytest.approx(values_m[first].mean())
-        assert cells.std_m[k] == pytest.approx(values_m[first].std(ddof=1))
+    rows = [np.flatnonzero((number == place).all(axis=1)) for place in np.unique(number, axis=0)]
+    rows = [row for row in rows if len(row) >= 10]
+    assert len(rows) == len(cells.n) > 100
+    for k, row in enumerate(rows):
+        assert cells.n[k] == len(row)
+        np.testing.assert_allclose(cells.middle_m[k], places[row].mean(axis=0))
+        assert cells.mean_m[k] == pytest.approx(values_m[row].mean())
+        assert cells.std_m[k] == pytest.approx(values_m[row].std(ddof=1))
+
+
+def cell_of(places: np.ndarray) -> np.ndarray:
+    return np.unique(np.floor(places - places.min(axis=0)), axis=0, return_inverse=True)[1].ravel()
+
+
+def test_places_that_differ_alone_are_no_absence_of_dependency(rng: np.random.Generator) -> None:
+    """Offsets of 5 cm, each cell its own: neighbours are not alike, and half the variance is the place's."""
+    places = bank(rng, 60_000)
+    cell = cell_of(places)
+    offset = 0.05 * rng.normal(size=cell.max() + 1)[cell]
+    table = local_dependency(places, offset + 0.05 * rng.normal(size=60_000), seed=1)
+    # 800 offsets know their variance to 5 %, its share of the whole to 2.5 %
+    assert values(table)["share_of_variance"] == pytest.approx(0.5, abs=0.06)
+    words = dependency_in_words(table)
+    assert words.startswith("places differ (")
+    assert "but neighbours are not alike" in words
+
+
+def test_spread_that_depends_on_the_place_is_found_where_sigmas_do_not_say_it(
+    rng: np.random.Generator,
+) -> None:
+    places = bank(rng, 60_000)
+    sigma = 0.05 * (1 + 0.4 * np.sin(places[:, 0] / 6.0))
+    errors = sigma * rng.normal(size=60_000)
+    table = local_dependency(places, errors, seed=1)
+    found = values(table)
+    assert found["spread_moran_p"] == 1 / (PERMUTATIONS + 1)
+    # the wave moves little within a cell of 1 m; its own variation over its mean
+    assert found["spread_variation"] == pytest.approx(np.std(sigma) / np.mean(sigma), rel=0.06)
+    words = dependency_in_words(table)
+    assert words.startswith("no local accuracy dependency of the mean distance")
+    assert "The spread depends on the place" in words
+    told = local_dependency(places, errors, seed=1, sigma_m=sigma)
+    assert "No local dependency of the spread over sigma" in dependency_in_words(told)
+    assert values(told)["spread_variation"] < 0.03
+
+
+def test_spread_of_even_errors_gives_even_p_values(rng: np.random.Generator) -> None:
+    """Cells of few and of many points: deviations from the mean of few are smaller; that is allowed for."""
+    p = []
+    for k in range(60):
+        places = bank(rng, 12_000)
+        places = places[rng.random(len(places)) < 0.3 + 0.7 * (places[:, 0] / 80)]
+        p.append(values(local_dependency(places, rng.normal(size=len(places)), seed=k))["spread_moran_p"])
+    # 60 even numbers between 0 and 1: their mean scatters by 0.037
+    assert 0.38 < np.mean(p) < 0.62
+    assert np.mean(np.array(p) < 0.05) < 0.15
 
 
 def test_few_cells_are_said_to_be_few(rng: np.random.Generator) -> None:

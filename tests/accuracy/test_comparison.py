@@ -13,6 +13,7 @@ from thalweg.accuracy.comparison import (
     _Sample,
     after_motion,
     compare_with_mesh,
+    normalised_distances,
 )
 from thalweg.core.errors import InputError
 from thalweg.core.tables import read_table, write_table
@@ -74,8 +75,8 @@ def test_every_point_is_accounted_for(tmp_path: Path, rng: np.random.Generator) 
     assert near_end.sum() > 20
     assert counts["beyond_max_distance"] + counts["far_from_reference"] >= inside[40:].sum()
     assert counts["outliers"] == table["outlier"].sum() == inside[:40].sum()
-    low, high = facts["outlier_limits_m"]
-    known = table["distance_m"][table["used"]]
+    low, high = facts["outlier_limits_sigmas"]
+    known = normalised_distances(table)[table["used"]]
     nmad = 1.4826 * np.median(abs(known - np.median(known)))
     assert (low, high) == pytest.approx((np.median(known) - 5 * nmad, np.median(known) + 5 * nmad))
     keep = ComparisonSettings(border="keep")
@@ -85,6 +86,73 @@ def test_every_point_is_accounted_for(tmp_path: Path, rng: np.random.Generator) 
     assert facts["counts"]["compared_at_border"] == counts["left_out_at_border"]
     assert kept["used"].sum() == table["used"].sum() + counts["left_out_at_border"]
     assert kept["at_border"].sum() == table["at_border"].sum()
+
+
+def test_outliers_are_judged_by_their_own_sigmas(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Sigmas grow with the range: honest points far away stay, small bushes near the boat do not."""
+    n = 40_000
+    range_m = rng.uniform(5.0, 75.0, n)
+    sigma = 0.0025 * range_m
+    out = sigma * rng.normal(size=n)
+    bush = (range_m < 10.0) & (rng.random(n) < 0.3)
+    out[bush] += 0.2  # 8 sigma of its own and more, but one of the points at 75 m
+    sigmas = tuple(np.broadcast_to(sigma, (3, n)))
+    path = cloud_of(
+        tmp_path, bank.on_bank(rng, n) + out[:, None] * bank.OUT, range_m=range_m, sigmas=sigmas,
+        correlations=(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    settings = ComparisonSettings(reference_sigma_m=0.0)
+    table, facts = compare_with_mesh(path, bank.bank_mesh(sigma_m=0.0), area=Area(), settings=settings)
+    assert table["used"].all()
+    outlier = table["outlier"].to_numpy()
+    # a bush 8 sigma in front, 5.2 NMAD with what the bushes add: those at the rim of the rule may stay
+    assert outlier[bush].mean() > 0.99
+    # of normal values 6e-7 lie beyond five sigma
+    assert outlier[~bush].sum() <= 1
+    low, high = facts["outlier_limits_sigmas"]
+    assert (low, high) == pytest.approx((-5.0, 5.0), abs=0.5)
+    kept = table[~outlier]
+    for first in (15.0, 35.0, 55.0, 70.0):
+        part = kept[(kept["range_m"] >= first) & (kept["range_m"] < first + 5.0)]
+        ratio = np.sqrt(np.mean(part["sigma_normal_m"] ** 2) / np.mean(part["distance_m"] ** 2))
+        # 2850 values know a ratio to 1.3 %, millimetres of the LAZ file add nothing: three of them
+        assert ratio == pytest.approx(1.0, abs=0.04)
+
+
+def test_a_motion_keeps_the_rule(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Nothing moves: the same points are outliers."""
+    xyz = bank.on_bank(rng, 2000) + 0.02 * rng.standard_t(2, size=(2000, 1)) * bank.OUT
+    mesh = bank.bank_mesh()
+    table, _ = compare_with_mesh(cloud_of(tmp_path, xyz), mesh, area=Area(), settings=SETTINGS)
+    same = after_motion(table, table[["east_m", "north_m", "up_m"]].to_numpy(), Surface(mesh), SETTINGS)
+    assert table["outlier"].sum() > 20
+    assert same["outlier"].equals(table["outlier"])
+
+
+def test_facts_about_what_was_compared(tmp_path: Path, rng: np.random.Generator) -> None:
+    xyz = bank.on_bank(rng, 40_000) + 0.3 * bank.OUT
+    xyz = xyz[xyz[:, 0] < 0.0]
+    corners = np.array([[-20.0, -20.0], [20.0, -20.0], [20.0, -6.5], [-20.0, -6.5]])
+    path = cloud_of(tmp_path, xyz, correlations=(0.0, 0.0, 0.0))
+    _, facts = compare_with_mesh(
+        path, bank.bank_mesh(), area=Area(polygon_en_m=corners), settings=ComparisonSettings()
+    )
+    # the bank reaches from north -10 to -16.9 m, seen from above; the polygon from -20 to -6.5 m
+    assert facts["coverage"]["without_reference"] == pytest.approx(
+        1 - 8 * np.cos(bank.SLOPE) / 13.5, abs=0.01
+    )
+    # no point east of zero, and none within half a metre of the rims: a share of 19.5 x 7 m2 at least has
+    # points, and no more than what a cell of half a metre, cut by the slope, adds on all sides
+    assert 1 - 20.5 * 8 / 320 <= facts["coverage"]["without_points"] < 1 - 19.5 * 7 / 320
+    assert facts["coverage"]["reference_area_m2"] == pytest.approx(320.0, rel=0.01)
+    # along the vertical 0.3 m of the normal are 0.3 / cos 30 degrees
+    assert facts["height_above_reference_m"] == pytest.approx(0.3 / np.cos(bank.SLOPE), abs=0.01)
+    first, last = facts["survey_gps_s"]
+    assert bank.START_S <= first < last <= bank.START_S + 1000.0
+    predicted = facts["predicted_95"]
+    # sigmas of 3, 4 and 2 cm: quantile of Rayleigh's distribution 2.448, of the normal 1.960
+    assert predicted["plan_median_m"] == pytest.approx(2.4477 * np.sqrt((0.03**2 + 0.04**2) / 2), rel=1e-4)
+    assert predicted["height_p95_m"] == pytest.approx(1.96 * 0.02, rel=1e-4)
 
 
 def test_the_table_goes_to_disk_and_back(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -12,6 +12,8 @@ from thalweg.accuracy.comparison_tables import (
     STATISTICS_COLUMNS,
     WITHOUT_OUTLIERS,
     by_range_table,
+    classes_in_words,
+    parts_in_words,
     statistics_table,
     verdicts,
 )
@@ -62,8 +64,13 @@ def test_ratios_tell_by_how_much_sigmas_are_wrong(rng: np.random.Generator, fact
     assert honest == (factor == 1.0)
     assert (found["honest_low95"] < found["normalised_squared_error"] < found["honest_high95"]) == honest
     (words, _) = verdicts(statistics_table(table, SETTINGS), by_range_table(table, SETTINGS))
-    expected_words = {0.5: "times smaller than", 1.0: "sigmas are honest", 2.0: "times larger than"}
-    assert expected_words[factor] in words["sigmas"]
+    size = f"{1 / found['ratio']:.1f} times as large as predicted"
+    assert (size if factor != 1.0 else "sigmas are honest") in words["sigmas"]
+    assert found["ratio_of_middle"] == pytest.approx(1 / factor, rel=0.1)
+    assert ("inside" if factor == 1.0 else "outside") in words["parts"]
+    assert "tails" not in words["parts"]
+    # the errors are correlated over 2 s; 2000 s of them know that to 10 %
+    assert found["observed_correlation"] == pytest.approx(TAU_S, rel=0.35)
 
 
 def test_classes_are_those_of_p2_with_bands_of_their_own(rng: np.random.Generator) -> None:
@@ -125,13 +132,16 @@ def test_numbers_with_and_without_the_outlier_rule(rng: np.random.Generator) -> 
     distance = table["distance_m"].to_numpy().copy()
     wild = np.arange(len(distance)) % 100 == 0
     distance[wild] = 1.5
+    distance[np.flatnonzero(wild)[:20]] = -1.5
     table["distance_m"], table["outlier"] = distance, wild
     with_all, without = values(table), values(table, WITHOUT_OUTLIERS)
     assert with_all["n"] == len(table)
     assert without["n"] == len(table) - wild.sum()
     assert with_all["rmse"] > 2 * without["rmse"]
     assert without["outliers"] == wild.sum()
-    assert without["outlier_limit_high"] < 1.5
+    assert (without["outliers_in_front"], without["outliers_behind"]) == (wild.sum() - 20, 20)
+    # in sigmas: five NMAD
+    assert without["outlier_limit_high"] == pytest.approx(5.0, rel=0.12)
     both = by_range_table(table, SETTINGS, REGISTERED)
     assert set(both["registration"]) == {REGISTERED}
     assert both.groupby("points")["n"].sum().to_dict() == {ALL: len(table), WITHOUT_OUTLIERS: without["n"]}
@@ -139,6 +149,33 @@ def test_numbers_with_and_without_the_outlier_rule(rng: np.random.Generator) -> 
     assert [entry["points"] for entry in words] == [ALL, WITHOUT_OUTLIERS]
     assert "more in the middle and far out" in words[0]["normal"]
     assert "31 of 31 range classes are outside their band (10 to 40 m)" in words[0]["classes"]
+    assert "at most about 1.6 there by chance, but neighbouring classes share poses" in words[0]["classes"]
+    assert "the tails bring the ratio from" in words[0]["parts"]
+    assert "distances do not tell which" in words[0]["parts"]
+    (fitted, _) = verdicts(statistics_table(table, SETTINGS, REGISTERED), both)
+    assert fitted["sigmas"] == "a cloud that was fitted to the reference cannot test its sigmas"
+    assert fitted["classes"] == fitted["parts"] == ""
+
+
+def test_classes_that_say_little_are_counted(rng: np.random.Generator) -> None:
+    """A short survey: few independent values a class, most of them where the boat stays longest."""
+    table = survey(rng, seconds=500.0)
+    classes = by_range_table(table, SETTINGS).query("points == @ALL")
+    wide = (classes["ratio_high95"] > 2 * classes["ratio_low95"]) & classes["inside"].astype(bool)
+    assert wide.sum() > 5
+    assert wide.sum() < classes["inside"].sum()
+    assert f"{wide.sum()} have a band wider than a factor of 2 and say little" in classes_in_words(classes)
+    only = classes[wide]
+    assert f"Of the {len(only)} inside, all have" in classes_in_words(only)
+
+
+def test_a_mean_beyond_its_sigma_is_named(rng: np.random.Generator) -> None:
+    table = survey(rng)
+    found = values(table)
+    parts = parts_in_words(found | {"bias": 2.1 * found["sigma_of_bias"]})
+    assert "the mean is +" in parts
+    assert "beyond twice" in parts
+    assert "within twice" in parts_in_words(found | {"bias": -1.9 * found["sigma_of_bias"]})
 
 
 def test_points_that_are_not_used_count_nowhere(rng: np.random.Generator) -> None:

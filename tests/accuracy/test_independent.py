@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.independent import correlated_sum, independent_means, independent_squares
+from thalweg.accuracy.independent import (
+    correlated_sum,
+    independent_means,
+    independent_squares,
+    observed_correlation_s,
+)
 from thalweg.accuracy.statistics import chi_square_band
+from thalweg.simulation.random import gauss_markov
 
 TAU_S = 20.0
 
@@ -79,3 +85,23 @@ def test_as_many_values_as_points_would_be_wrong(rng: np.random.Generator) -> No
     errors = np.linalg.cholesky(pose + 1e-12 * np.eye(300)) @ rng.normal(size=(300, 1000))
     q = np.mean(errors**2, axis=0) / 0.05**2
     assert np.mean((q > low) & (q < high)) < 0.3
+
+
+@pytest.mark.parametrize("tau_s", [5.0, 20.0, 60.0])
+def test_the_correlation_time_of_errors_is_seen_in_them(rng: np.random.Generator, tau_s: float) -> None:
+    """Also under white noise twice as large, with gaps in time, and if another time was assumed."""
+    t = np.arange(0.0, 20_000.0, 0.5)
+    error = gauss_markov(rng, len(t), 0.5, 1.0, tau_s) + 2.0 * rng.normal(size=len(t)) + 0.7
+    there = np.sin(t / 300.0) > -0.6
+    order = rng.permutation(np.flatnonzero(there))
+    found = observed_correlation_s(t[order], error[order], 20.0)
+    # 230 correlation times of the slowest error: its autocorrelation at one tau is known to about 8 % of the
+    # variance, which moves the lag of 1/e by 20 %
+    assert found == pytest.approx(tau_s, rel=0.4)
+
+
+def test_a_correlation_time_that_cannot_be_seen_is_not_made_up(rng: np.random.Generator) -> None:
+    t = np.arange(0.0, 100.0, 0.1)
+    assert np.isnan(observed_correlation_s(t, np.tile([1.0, -1.0], 500), 20.0))
+    assert np.isnan(observed_correlation_s(t[:1], np.ones(1), 20.0))
+    assert np.isnan(observed_correlation_s(t, np.full(1000, 0.3), 20.0))

@@ -47,7 +47,11 @@ def test_another_height_system(tmp_path: Path, rng, offset: float, words: str, m
     xyz = moved(bank.on_bank(rng, 5000), 0.0, 0.0, offset)
     text = message(tmp_path, xyz, InputError, max_distance_m=max_distance_m)
     lower = "reference" if offset > 0 else "cloud"
-    for word in (words, "Geoid?", "35 to 50 m in Germany", f"Those of the {lower}", "ellipsoidal heights"):
+    higher = "cloud" if offset > 0 else "reference"
+    for word in (
+        words, "Geoid?", "35 to 50 m in Germany", "ellipsoidal heights", "Where it is negative (India",
+        f"the lower ones: here those of the {lower}", f"the higher ones: here those of the {higher}",
+    ):  # fmt: skip
         assert word in text
 
 
@@ -103,18 +107,40 @@ def test_a_reference_that_does_not_cover_the_area(tmp_path: Path, rng) -> None:
 
 
 def test_everything_too_far(tmp_path: Path, rng) -> None:
-    text = message(tmp_path, bank.on_bank(rng, 2000) - 5.0 * bank.OUT, CoverageError)
-    for word in (
-        "all points are farther than 2 m",
-        "the nearest 5.00 m",
-        "median 5.00 m (behind it)",
-        "max_distance_m",
-    ):
+    """Half of the points in front, half behind: no height would mend that."""
+    xyz = bank.on_bank(rng, 1400)
+    xyz[:, 2] += np.where(np.arange(1400) < 700, 5.0, -5.0)
+    text = message(tmp_path, xyz, CoverageError)
+    for word in ("all points are farther than 2 m", "the nearest 4.33 m", "max_distance_m"):
         assert word in text
 
 
+@pytest.mark.parametrize(("offset", "words"), [(3.0, "3.0 m above the ref"), (-8.0, "8.0 m below the ref")])
+def test_heights_that_are_off_by_metres(tmp_path: Path, rng, offset: float, words: str) -> None:
+    """An antenna height, a base station's height: nobody is sent to enlarge the greatest distance."""
+    text = message(tmp_path, moved(bank.on_bank(rng, 5000), 0.0, 0.0, offset), CoverageError)
+    for word in (words, "only 0 of 5,000 points", "Check the heights of both", "the wrong surfaces"):
+        assert word in text
+    assert "Enlarge" not in text
+
+
+def test_crowns_on_a_reference_that_is_too_high(tmp_path: Path, rng) -> None:
+    """Enough points lie near it, and yet it is said that most do not."""
+    ground, crowns = bank.on_bank(rng, 3000), bank.on_bank(rng, 1000)
+    xyz = np.concatenate([moved(ground, 0.0, 0.0, -3.0), crowns])
+    path = bank.write_cloud(tmp_path / "points.laz", xyz)
+    _, facts = compare_with_mesh(path, bank.bank_mesh(), area=Area(), settings=ComparisonSettings())
+    assert facts["counts"]["compared"] >= 1000
+    for word in ("m below the reference", "most points were not compared", "plants"):
+        assert word in facts["warning"]
+    path = bank.write_cloud(tmp_path / "points.laz", crowns)
+    _, facts = compare_with_mesh(path, bank.bank_mesh(), area=Area(), settings=ComparisonSettings())
+    assert facts["warning"] == ""
+
+
 def test_too_few_points(tmp_path: Path, rng) -> None:
-    xyz = np.concatenate([bank.on_bank(rng, 120), bank.on_bank(rng, 900) + 2.5 * bank.OUT])
+    aside = np.where(np.arange(900) % 2, 2.5, -2.5)[:, None] * bank.OUT
+    xyz = np.concatenate([bank.on_bank(rng, 120), bank.on_bank(rng, 900) + aside])
     text = message(tmp_path, xyz, CoverageError)
     for word in (
         "only 120 of 1,020 points can be compared",

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from thalweg.accuracy.independent import independent_squares
 from thalweg.accuracy.statistics import (
     NORMAL_SHARES,
     by_range_class,
@@ -11,7 +12,6 @@ from thalweg.accuracy.statistics import (
     describe_shape,
     fit_in_words,
     honesty_in_words,
-    independent_values,
     outlier_limits,
     ratio_band,
 )
@@ -50,16 +50,11 @@ def test_the_band_holds_for_correlated_errors(
     for _ in range(n):
         x = keep * x + np.sqrt(1 - keep**2) * rng.normal(size=trials)
         total += x**2
-    low, high = chi_square_band(independent_values(duration_s, tau_s))
+    low, high = chi_square_band(independent_squares(step_s * np.arange(n), np.ones(n), tau_s))
     share = np.mean((total / n > low) & (total / n < high))
     # The mean of correlated squares is not exactly chi-square, and 2000 trials know a share to 0.5 %: 95 % is
     # met within 3 %, on both sides.
     assert 0.92 < share < 0.985
-
-
-def test_uncorrelated_errors_are_all_independent() -> None:
-    assert independent_values(1000.0, 1.0) == pytest.approx(1000.0, rel=0.001)
-    assert independent_values(1.0, 1000.0) == pytest.approx(1.0, abs=0.001)
 
 
 def test_shares_of_a_normal_distribution_are_those_of_the_thesis() -> None:
@@ -102,10 +97,23 @@ def test_the_outlier_rule_is_about_the_median(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("ratio", "limits", "words"),
     [
-        (1.02, (0.85, 1.19), "sigmas are honest: 1.02 is inside 0.85 to 1.19"),
-        (0.50, (0.85, 1.19), "errors are 2.0 times larger than predicted: 0.50 is outside 0.85 to 1.19"),
-        (2.00, (0.85, 1.19), "errors are 2.0 times smaller than predicted: 2.00 is outside 0.85 to 1.19"),
-        (1.02, (0.60, 2.50), "nothing speaks against the sigmas, but the band is wide"),
+        (1.02, (0.90, 1.12), "sigmas are honest: predicted over observed is 1.02, inside 0.90 to 1.12"),
+        (
+            0.50,
+            (0.85, 1.19),
+            "2.0 times as large as predicted: predicted over observed is 0.50, outside 0.85",
+        ),
+        (2.00, (0.85, 1.19), "0.5 times as large as predicted: predicted over observed is 2.00, outside"),
+        (0.985, (0.99, 1.01), "1.02 times as large"),
+        # inside, but the band would have let pass more than 15 %
+        (
+            1.02,
+            (0.86, 1.16),
+            "agree: predicted over observed is 1.02, inside 0.86 to 1.16; sigmas up to 14 %",
+        ),
+        (1.02, (0.60, 2.50), "sigmas up to 40 % too small or 150 % too large would not have been noticed"),
+        # a narrow band, but more than 10 % off
+        (1.12, (0.88, 1.14), "sigmas up to 12 % too small or 14 % too large would not have been noticed"),
     ],
 )
 def test_verdicts_in_words(ratio: float, limits: tuple[float, float], words: str) -> None:

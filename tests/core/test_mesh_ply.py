@@ -1,4 +1,4 @@
-"""Mesh files: written and read back, opened by other programs, theirs read, damaged ones refused."""
+"""Mesh files: written and read back, opened by other programs, those of others and damaged ones refused."""
 
 import json
 import os
@@ -11,16 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from plyfile import PlyData, PlyElement
+from plyfile import PlyData
 
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.mesh import TriangleMesh
-from thalweg.core.mesh_ply import read_any_mesh, read_mesh, write_mesh
+from thalweg.core.mesh_ply import read_mesh, write_mesh
 from thalweg.core.raycast import _open3d
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
-CRS = "EPSG:25833"
 # longer than a line of rply may be, and with what JSON must escape
 FACTS = {"notes": ["Ufer am „Mühlgraben“ " * 80], "counts": {"given": 7}}
 
@@ -47,7 +46,6 @@ def test_a_mesh_comes_back(mesh: TriangleMesh, path: Path) -> None:
     np.testing.assert_array_equal(back.faces, mesh.faces)
     np.testing.assert_array_equal(back.sigma_m, mesh.sigma_m.astype(np.float32))
     assert (frame, facts) == (FRAME, FACTS)
-    assert read_any_mesh(path, FRAME, CRS)[1] == ""
     assert not list(path.parent.glob(".*"))
 
 
@@ -79,61 +77,13 @@ def test_cloudcompare_opens_it(mesh: TriangleMesh, path: Path) -> None:
         capture_output=True, text=True, check=False, timeout=60,
     )  # fmt: skip
     assert (path.parent / "out.ply").is_file(), run.stdout[-2000:]
-    back, note = read_any_mesh(path.parent / "out.ply", FRAME, CRS)
-    assert "states no frame" in note
-    np.testing.assert_array_equal(back.faces, mesh.faces)
+    back = PlyData.read(str(path.parent / "out.ply"))
+    np.testing.assert_array_equal(np.stack(back["face"]["vertex_indices"]), mesh.faces)
     # CloudCompare 2.11 keeps float32: 800 m x 2^-24
-    np.testing.assert_allclose(back.vertices_m, mesh.vertices_m, atol=5e-5)
-
-
-# ---------------------------------------------------------------- meshes of others
-
-
-def foreign(
-    path: Path, vertices: np.ndarray, polygons: list[list[int]], kind: str = "f8", **how: object
-) -> Path:
-    table = np.array([tuple(v) for v in vertices], dtype=[(a, kind) for a in "xyz"])
-    face = np.empty(len(polygons), dtype=[("vertex_indices", "O")])
-    face["vertex_indices"] = [np.array(p, dtype=np.int32) for p in polygons]
-    PlyData([PlyElement.describe(table, "vertex"), PlyElement.describe(face, "face")], **how).write(str(path))
-    return path
-
-
-CORNERS = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 1], [0, 2, 1], [1, 4, 3]])
-POLYGONS = [[0, 1, 2, 3], [3, 2, 4]]
-FANS = [[0, 1, 2], [0, 2, 3], [3, 2, 4]]
-
-
-@pytest.mark.parametrize("how", [{"text": True}, {"byte_order": "<"}, {"byte_order": ">"}], ids=str)
-@pytest.mark.parametrize("polygons", [POLYGONS, FANS], ids=["polygons", "triangles"])
-def test_meshes_of_others(tmp_path: Path, how: dict[str, object], polygons: list[list[int]]) -> None:
-    path = foreign(tmp_path / "a.ply", CORNERS, polygons, **how)
-    mesh, note = read_any_mesh(path, FRAME, CRS, sigma_m=0.004)
-    np.testing.assert_allclose(mesh.vertices_m, CORNERS)
-    assert mesh.faces.tolist() == FANS
-    assert (mesh.sigma_m == 0.004).all()
-    assert "states no frame" in note
+    for axis, name in enumerate("xyz"):
+        np.testing.assert_allclose(back["vertex"][name], mesh.vertices_m[:, axis], atol=5e-5)
     with pytest.raises(InputError, match="another program"):
-        read_mesh(path)
-
-
-def test_map_coordinates_become_local_ones(tmp_path: Path) -> None:
-    import pyproj
-
-    grid = FRAME.to_map(CORNERS, pyproj.CRS(CRS))
-    mesh, note = read_any_mesh(foreign(tmp_path / "a.ply", grid, FANS), FRAME, CRS)
-    # 1e-6: double precision at 5.6e6 m is 1e-9, the projection of pyproj is good to a micrometre
-    np.testing.assert_allclose(mesh.vertices_m, CORNERS, atol=1e-6)
-    assert CRS in note
-    with pytest.raises(InputError, match=r"single precision: their step is 0\.5 m"):
-        read_any_mesh(foreign(tmp_path / "b.ply", grid, FANS, "f4"), FRAME, CRS)
-    with pytest.raises(GeometryError):
-        read_any_mesh(foreign(tmp_path / "c.ply", grid[:, [1, 0, 2]], FANS), FRAME, CRS)
-
-
-def test_another_local_frame_is_refused(path: Path) -> None:
-    with pytest.raises(InputError, match="local frame at"):
-        read_any_mesh(path, LocalFrame(lat_deg=51.0, lon_deg=13.25, h_ell_m=300.0), CRS)
+        read_mesh(path.parent / "out.ply")
 
 
 # ---------------------------------------------------------------- damage
@@ -151,6 +101,10 @@ def test_another_local_frame_is_refused(path: Path) -> None:
         (lambda b: b.replace(b"element face", b"element fact"), "a mesh, not a cloud"),
         (lambda b: b.replace(b"property double y", b"property double q"), "expected x, y, z"),
         (lambda b: b.replace(b"format binary", b"form binary"), "line 2 of the header"),
+        (lambda b: b.replace(b"comment thalweg", b"comment another"), "another program"),
+        (lambda b: b.replace(b"property float sigma_m", b"property float other_m"), "with sigma_m"),
+        (lambda b: b.replace(b"binary_little_endian", b"binary_big_endian"), "binary_little_endian, vert"),
+        (lambda b: b[:-14] + b"\x04" + b[-13:], "no triangles"),
     ],
 )
 def test_damaged_files_are_told(path: Path, change: Callable[[bytes], bytes], answer: str) -> None:

@@ -35,6 +35,12 @@ pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("tiny")]
 BASE = "results/tiny"
 
 
+OF_DISTANCES = {
+    "plot_distance_map", "plot_cross_sections", "plot_distance_histogram", "plot_distance_by_range",
+}  # fmt: skip
+"""Pictures of the comparison with the reference."""
+
+
 def planned(house, *words: str) -> set[str]:
     """Rules that a dry run would execute."""
     run = house.snakemake("--dry-run", "--config", "campaign=tiny", *words)
@@ -107,6 +113,27 @@ def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house) ->
     )  # the rest are trees, bushes, stones, and footprints across an edge
 
 
+def test_the_cloud_agrees_with_the_reference_as_its_sigmas_say(tiny_house) -> None:
+    """From terrestrial scans and boat to a verdict, two-sided; plants are outliers and counted as such."""
+    base = tiny_house.root / BASE / "accuracy"
+    table = pd.read_csv(base / "statistics.csv").set_index(["registration", "points", "quantity"])["value"]
+    inside, everything = table["as measured"]["without outliers"], table["as measured"]["all"]
+    assert everything["n"] > inside["n"] > 100_000
+    assert inside["ratio_low95"] < inside["ratio"] < inside["ratio_high95"]
+    # what a distance sees is less than the error in three dimensions, and that is said beside it
+    assert 1.2 < inside["predicted_rmse_3d"] / inside["predicted_rmse"] < 2.5
+    assert everything["rmse"] > 1.5 * inside["rmse"]
+    registered = table["with registration"]["without outliers"]
+    assert abs(registered["bias"]) < abs(inside["bias"]) + 0.001
+    classes = pd.read_csv(base / "by_range.csv")
+    first = classes[(classes["registration"] == "as measured") & (classes["points"] == "without outliers")]
+    assert first["n"].sum() == inside["n"]
+    assert len(first) > 25
+    page = (base / "index.html").read_text()
+    assert "digital twin" in page
+    assert page.count("data:image/png") == 5
+
+
 def test_all_streams_share_one_axis(tiny_house) -> None:
     streams = pd.read_csv(tiny_house.root / BASE / "timing/streams.csv").set_index("stream")
     assert set(streams.index) == {"lidar", "ins", "gnss", "depth", "positions"}
@@ -134,19 +161,22 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "plot_error_versus_range",
         "plot_reference_view",
     }  # fmt: skip
-    pictures = of_streams | of_views | of_clouds
+    pictures = of_streams | of_views | of_clouds | OF_DISTANCES
     undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
-    assert planned(tiny_house) == pictures
+    assert planned(tiny_house) == pictures | {"accuracy_page"}
     undo()
     undo = edited(tiny_house, "orientation/ins_gnss.py", "\n_edited = 1\n")
     after_trajectory = {
         "build_trajectory",
         "georeference_lidar",
         "export_map",
+        "mesh_reference",
+        "compare_with_reference",
         "compare_with_truth",
+        "accuracy_page",
         "summarise",
     }
-    assert planned(tiny_house) == after_trajectory | of_clouds
+    assert planned(tiny_house) == after_trajectory | of_clouds | OF_DISTANCES
     undo()
     undo = edited(tiny_house, "ingest/nmea.py", "\n# why, not what\n")
     assert planned(tiny_house) == set()
@@ -207,6 +237,10 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
     """The branch of real campaigns: files named in the campaign file, no twin, no truth, other positions."""
     logs = tiny_house.root / BASE / "simulation/logs"
     text, more = BOAT, ""
+    if source == "sbp":
+        text = text.replace("  depth:", "  reference: [{logs}/tls_*.laz]\n  depth:")
+        area = "[[-35, -7], [0, -10], [35, -8], [35, -18], [0, -21], [-35, -18]]"
+        more = f"accuracy: {{area: {{polygon: {area}, min_height_m: 0.15, max_height_m: 4.0}}}}"
     if source == "sbet":
         week = write_sbet(tiny_house.root / BASE / "ingest/ins_states.parquet", tiny_house.root / "boat.sbet")
         text = text.replace(
@@ -225,6 +259,10 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
     with laspy.open(tiny_house.root / BASE / "lidar/points.laz") as reader:
         assert n == pytest.approx(reader.header.point_count, rel=0.01)
     assert not (base / "accuracy").exists() or not list((base / "accuracy").glob("truth*"))
+    page = base / "accuracy/index.html"
+    assert page.is_file() == (source == "sbp")  # the one with a reference
+    if page.is_file():
+        assert "digital twin" not in page.read_text()
     assert not (base / "figures/error_versus_range.png").exists()
     assert (base / "figures/cloud_detail.png").is_file()
 
@@ -306,7 +344,13 @@ def test_a_change_of_one_instrument_leaves_the_others_alone(tiny_house) -> None:
     text = campaign.read_text()
     try:
         campaign.write_text(text.replace("  size: tiny\n", "  size: tiny\n  tls: {spacing_m: 0.06}\n"))
-        assert planned(tiny_house) == {"simulate_tls", "read_reference", "plot_reference_view"}
+        of_reference = {"simulate_tls", "read_reference", "plot_reference_view", "mesh_reference"}
+        comparing = {"compare_with_reference", "accuracy_page", "summarise"}
+        assert planned(tiny_house) == of_reference | comparing | OF_DISTANCES
+        campaign.write_text(text.replace("accuracy: #", "accuracy:\n  sections: {count: 2} #"))
+        assert planned(tiny_house) == {"plot_cross_sections", "accuracy_page"}
+        campaign.write_text(text + "\nreference: {sigma_m: 0.01}\n")
+        assert planned(tiny_house) == comparing | OF_DISTANCES
         campaign.write_text(text + "\nlidar_accuracy: {footprint_share: 0.25}\n")
         again = planned(tiny_house)
         assert {"georeference_lidar", "export_map", "compare_with_truth", "plot_cloud_by_sigma"} <= again

@@ -6,6 +6,9 @@ P2 eq. 9, ``sqrt(trace C)``, stands beside it: it is larger, by the square root 
 the same in all directions, and no comparison of a cloud with a surface can show that much. Distances are
 positive in front of the reference, toward the boat, and negative behind it.
 
+**Outliers** are judged by the distance over its sigma, not by the distance: sigmas grow with the range by a
+factor of five, and one limit in metres would keep bushes near the boat and cut honest points far away.
+
 Memory is bounded by the number of points that are compared, not by that of the cloud.
 """
 
@@ -18,7 +21,14 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.accuracy.overlap_check import LEAST_POINTS, OTHER_HEIGHTS_M, Reach, explain_too_few
+from thalweg.accuracy.coverage import HeightMap, coverage
+from thalweg.accuracy.overlap_check import (
+    LEAST_POINTS,
+    OTHER_HEIGHTS_M,
+    Reach,
+    explain_too_few,
+    heights_apart,
+)
 from thalweg.accuracy.statistics import outlier_limits
 from thalweg.core.errors import InputError
 from thalweg.core.las import iter_laz
@@ -31,6 +41,17 @@ from thalweg.surface.cloud_to_mesh import Distances, Surface
 
 CHUNK: Final = 1 << 18
 """Points whose covariances are unpacked at once."""
+
+EVERY_HEIGHT: Final = 7
+"""Of the points inside the area every so many-th is held against the heights of the reference; a number that
+shares no factor with the number of beams of a scanner."""
+
+SIGMA_FLOOR_M: Final = 1e-4
+"""Standard deviations are kept to this; smaller ones do not count in a distance over its sigma."""
+
+PLAN_95: Final = float(np.sqrt(-2 * np.log(0.05)))
+HEIGHT_95: Final = 1.959964
+"""95 % of errors lie within so many standard deviations: of two equal axes, and of one."""
 
 _NEEDED: Final = ("xyz_m", "t_gps_s", "range", *SIGMAS, *CORRELATIONS)
 _KEPT_AS: Final = {"xyz_m": np.float64, "t_gps_s": np.float64}
@@ -50,7 +71,7 @@ CLOUD_TO_MESH: Final = table_kind("cloud_to_mesh", 1, [
     column("sigma_3d_m", pa.float32(), "m", "predicted, all directions: sqrt(trace C), P2 eq. 9"),
     column("at_border", pa.bool_(), "1", "the nearest place lies on the border of the mesh"),
     column("used", pa.bool_(), "1", "compared: near enough, and not left out for the border"),
-    column("outlier", pa.bool_(), "1", "used, and outside the outlier rule"),
+    column("outlier", pa.bool_(), "1", "used, and its distance over its sigma outside the outlier rule"),
 ])  # fmt: skip
 
 
@@ -63,7 +84,7 @@ class ComparisonSettings:
     border : whether points whose nearest place lies on the mesh's border are left out.
     max_distance_m : points farther from the mesh have no counterpart.
     max_points : points compared at most.
-    outlier_nmads : the outlier rule.
+    outlier_nmads : the outlier rule, see `normalised_distances`.
     correlation_s : correlation time of the slowest error of the trajectory.
     reference_sigma_m : standard deviation of the reference as a whole, along its normal.
     seed : of the random sample and of permutations.
@@ -107,8 +128,12 @@ def compare_with_mesh(
     table : kind `CLOUD_TO_MESH`, in the order of the cloud. If there are more points than
         ``settings.max_points``, a random sample of that many, the same in each run: every k-th point would
         take the same beams of the scanner again and again.
-    facts : ``counts`` of what became of every point of the cloud, which add up; limits of the outlier rule
-        and the settings.
+    facts : ``counts`` of what became of every point of the cloud, which add up; the settings;
+        ``outlier_limits_sigmas``, limits of a distance over its sigma, or None; ``survey_gps_s``, first and
+        last time of the compared points; ``height_above_reference_m``, median of the points inside the area
+        that have the reference above or below them, or None; ``warning``, if that is more than
+        ``max_distance_m``, otherwise empty; ``predicted_95`` of single points in plan and
+        height; ``coverage``, see there.
 
     Raises
     ------
@@ -116,23 +141,49 @@ def compare_with_mesh(
     CoverageError : too few points are left to compare.
     """
     surface = Surface(mesh) if surface is None else surface
-    cloud, counts, extent = _candidates(points, mesh, area, settings)
+    cloud, counts, extent, above = _candidates(points, mesh, area, settings)
     table = _distances(cloud, surface, settings, points)
     counts |= _counts_of(table, settings)
     used = table["used"].to_numpy()
     gap = float(np.median(table["distance_m"].to_numpy()[used])) if used.any() else 0.0
     if counts["compared"] < LEAST_POINTS or abs(gap) > OTHER_HEIGHTS_M:
         explain_too_few(
-            points, surface, area, counts=counts, extent_m=extent, max_distance_m=settings.max_distance_m
+            points,
+            surface,
+            area,
+            counts=counts,
+            extent_m=extent,
+            above_m=above,
+            max_distance_m=settings.max_distance_m,
         )
-    low, high = outlier_limits(table["distance_m"].to_numpy()[used], settings.outlier_nmads)
+    low, high = outlier_limits(normalised_distances(table)[used], settings.outlier_nmads)
     facts = {
         "area": area.describe(),
         "counts": counts,
-        "outlier_limits_m": [low, high] if np.isfinite(low) else None,
+        "outlier_limits_sigmas": [low, high] if np.isfinite(low) else None,
+        "survey_gps_s": [float(t) for t in (table["t_gps_s"][used].min(), table["t_gps_s"][used].max())],
+        "height_above_reference_m": float(np.median(above)) if len(above) else None,
+        "warning": heights_apart(above, settings.max_distance_m),
+        "predicted_95": _predicted_95({name: cloud[name][used] for name in SIGMAS}),
+        "coverage": coverage(_nearest_places(table[used]), mesh, area),
         **asdict(settings),
     }
     return table, facts
+
+
+def predicted_sigma_m(table: pd.DataFrame) -> ArrayF:
+    """What is predicted for each distance (n,): of the point along the normal, and of the reference."""
+    return _sigma_m(table["sigma_normal_m"].to_numpy(), table["sigma_reference_m"].to_numpy())
+
+
+def normalised_distances(table: pd.DataFrame) -> ArrayF:
+    """Distances (n,) over the predicted sigma of each."""
+    return np.asarray(table["distance_m"].to_numpy() / predicted_sigma_m(table))
+
+
+def _sigma_m(sigma_normal_m: AnyArray, sigma_reference_m: AnyArray) -> ArrayF:
+    sigma = np.hypot(sigma_normal_m.astype(np.float64), sigma_reference_m.astype(np.float64))
+    return np.asarray(np.maximum(sigma, SIGMA_FLOOR_M))
 
 
 def after_motion(
@@ -149,17 +200,22 @@ def after_motion(
     """
     found = surface.distances(points_m)
     columns: dict[str, AnyArray] = {name: table[name].to_numpy() for name in table.columns}
-    columns |= _places(points_m, found, settings)
+    columns |= _places(points_m, found, columns["sigma_normal_m"], settings)
     return frame_of(CLOUD_TO_MESH, columns)
 
 
-def _places(points_m: ArrayF, found: Distances, settings: ComparisonSettings) -> dict[str, AnyArray]:
+def _places(
+    points_m: ArrayF, found: Distances, sigma_normal_m: AnyArray, settings: ComparisonSettings
+) -> dict[str, AnyArray]:
     """Columns that follow from where points lie."""
     near = np.abs(found.distance_m) <= settings.max_distance_m
     used = near & found.normal.any(axis=1)
     if settings.border == "exclude":
         used &= ~found.at_border
-    low, high = outlier_limits(found.distance_m[used], settings.outlier_nmads)
+    # as the table keeps them, so that its readers find the same points
+    sigma_reference_m = np.hypot(found.sigma_m, settings.reference_sigma_m).astype(np.float32)
+    z = found.distance_m / _sigma_m(sigma_normal_m, sigma_reference_m)
+    low, high = outlier_limits(z[used], settings.outlier_nmads)
     return {
         "east_m": points_m[:, 0],
         "north_m": points_m[:, 1],
@@ -168,11 +224,18 @@ def _places(points_m: ArrayF, found: Distances, settings: ComparisonSettings) ->
         "normal_east": found.normal[:, 0],
         "normal_north": found.normal[:, 1],
         "normal_up": found.normal[:, 2],
-        "sigma_reference_m": np.hypot(found.sigma_m, settings.reference_sigma_m),
+        "sigma_reference_m": sigma_reference_m,
         "at_border": found.at_border,
         "used": used,
-        "outlier": used & ~((found.distance_m >= low) & (found.distance_m <= high)),
+        "outlier": used & ~((z >= low) & (z <= high)),
     }
+
+
+def _nearest_places(table: pd.DataFrame) -> ArrayF:
+    """Places (n, 3) on the reference that the points are compared with; near an edge to a few millimetres."""
+    normal = table[["normal_east", "normal_north", "normal_up"]].to_numpy().astype(np.float64)
+    points = table[["east_m", "north_m", "up_m"]].to_numpy()
+    return np.asarray(points - table["distance_m"].to_numpy()[:, None] * normal)
 
 
 def _counts_of(table: pd.DataFrame, settings: ComparisonSettings) -> dict[str, int]:
@@ -196,7 +259,6 @@ def _distances(
 ) -> pd.DataFrame:
     points = cloud["xyz_m"]
     found = surface.distances(points)
-    columns = _places(points, found, settings)
     sigma_normal = np.empty(len(points), dtype=np.float32)
     for first in range(0, len(points), CHUNK):
         part = slice(first, first + CHUNK)
@@ -205,7 +267,7 @@ def _distances(
         variance = np.einsum("ni,nij,nj->n", normal, cov, normal)
         # correlations are stored to four digits: a direction without error may come out as -1e-9 m2
         sigma_normal[part] = np.sqrt(np.maximum(variance, 0.0))
-    columns |= {
+    columns = _places(points, found, sigma_normal, settings) | {
         "t_gps_s": cloud["t_gps_s"],
         "range_m": cloud["range"],
         "sigma_normal_m": sigma_normal,
@@ -216,10 +278,17 @@ def _distances(
 
 def _candidates(
     points: Path, mesh: TriangleMesh, area: Area, settings: ComparisonSettings
-) -> tuple[dict[str, AnyArray], dict[str, int], ArrayF]:
-    """A sample of the points inside the area and not far from the mesh; counts; the cloud's extent (2, 3)."""
+) -> tuple[dict[str, AnyArray], dict[str, int], ArrayF, ArrayF]:
+    """A sample of the points inside the area and not far from the mesh, and what all points are like.
+
+    Returns
+    -------
+    The sample, counts, the extent (2, 3) of the whole cloud, and heights over the reference of some of the
+    points inside the area.
+    """
     reach = Reach(mesh, settings.max_distance_m)
-    sample = _Sample(settings.max_points, settings.seed)
+    sample, heights = _Sample(settings.max_points, settings.seed), HeightMap(mesh)
+    above = [np.zeros(0)]
     n = outside = far = 0
     extent = np.array([np.full(3, np.inf), np.full(3, -np.inf)])
     for chunk in iter_laz(points):
@@ -227,6 +296,7 @@ def _candidates(
         xyz = chunk["xyz_m"]
         extent = np.array([np.minimum(extent[0], xyz.min(axis=0)), np.maximum(extent[1], xyz.max(axis=0))])
         inside = area.contains(xyz)
+        above.append(heights.above(xyz[inside][::EVERY_HEIGHT]))
         take = inside.copy()
         take[inside] = reach.contains(xyz[inside])
         n += len(xyz)
@@ -240,7 +310,24 @@ def _candidates(
         "far_from_reference": far,
         "not_in_sample": n - outside - far - len(kept["xyz_m"]),
     }
-    return kept, counts, extent
+    return kept, counts, extent, np.concatenate(above)
+
+
+def _predicted_95(sigmas: Mapping[str, AnyArray]) -> dict[str, float]:
+    """What 95 % of the errors of a point stay below, in plan and in height: of the middle point, and of 95 %.
+
+    In plan the radius of a circle, both axes taken as equal: 2.45 times the root of their mean variance. For
+    errors along one axis alone it would be 13 % more.
+    """
+    east, north, up = (sigmas[name].astype(np.float64) for name in SIGMAS)
+    out: dict[str, float] = {}
+    for what, each in (("plan", PLAN_95 * np.sqrt((east**2 + north**2) / 2)), ("height", HEIGHT_95 * up)):
+        if len(each):
+            out |= {
+                f"{what}_median_m": float(np.median(each)),
+                f"{what}_p95_m": float(np.percentile(each, 95)),
+            }
+    return out
 
 
 def _check_columns(chunk: dict[str, AnyArray], where: Path) -> None:

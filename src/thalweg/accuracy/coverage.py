@@ -46,19 +46,19 @@ class HeightMap:
         return np.asarray(points[found, 2] - self._height_m[at[found]])
 
 
-def coverage(points_m: ArrayF, mesh: TriangleMesh, area: Area) -> dict[str, float]:
+def coverage(places_m: ArrayF, mesh: TriangleMesh, area: Area) -> dict[str, float]:
     """How much of the area the reference covers, and how much of the reference the cloud.
 
     Parameters
     ----------
-    points_m : (n, 3) compared points.
+    places_m : (n, 3) places on the reference that points were compared with.
     mesh : the reference.
     area : the area of interest.
 
     Returns
     -------
     ``reference_area_m2`` of the triangles whose middle lies in the area; ``without_points``, the share of it
-    in cubes of `SEEN_CELL_M` that hold no compared point. With a polygon also ``without_reference``, the
+    in cubes of `SEEN_CELL_M` that hold none of the places. With a polygon also ``without_reference``, the
     share of the polygon in plan that has no triangle above or below it. A polygon that holds part of the
     river has no reference there.
     """
@@ -68,7 +68,7 @@ def coverage(points_m: ArrayF, mesh: TriangleMesh, area: Area) -> dict[str, floa
     out = {"reference_area_m2": float(size_m2.sum())}
     if len(middle):
         grid = CellGrid.around(middle, SEEN_CELL_M)
-        near = points_m[grid.contains(points_m)]
+        near = places_m[grid.contains(places_m)]
         seen = np.isin(grid.keys(middle), grid.keys(near))
         out["without_points"] = float(size_m2[~seen].sum() / size_m2.sum()) if size_m2.any() else 1.0
     if area.polygon_en_m is not None and area.size_m2() > LEAST_PLAN_M2:

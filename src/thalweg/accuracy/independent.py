@@ -21,6 +21,10 @@ import numpy as np
 
 from thalweg.core.types import ArrayF
 
+_CLASSES_IN_TAU = 20
+_MOST_CLASSES = 20_000
+_ONE_OVER_E = float(np.exp(-1.0))
+
 
 def independent_squares(
     t_gps_s: ArrayF, changing_m2: ArrayF, correlation_s: float, *, constant_m2: ArrayF | float = 0.0
@@ -63,6 +67,53 @@ def independent_means(t_gps_s: ArrayF, correlation_s: float) -> float:
         return 0.0
     t = np.sort(np.asarray(t_gps_s, dtype=np.float64))
     return max(1.0, len(t) ** 2 / correlated_sum(t, np.ones(len(t)), correlation_s))
+
+
+def observed_correlation_s(t_gps_s: ArrayF, normalised: ArrayF, assumed_s: float) -> float:
+    """Correlation time that distances themselves show: the lag at which their autocorrelation is 1/e.
+
+    The assumed time rules every band, and nobody measures it. Covariances of points so far apart in time are
+    averaged in classes of a twentieth of the assumed time. That of pairs of one class, not of points with
+    themselves, is taken for lag zero: the white noise of single points has no part in it. The mean is taken
+    off first, which makes the lag of a short survey too small; plants and errors of the reference that are
+    seen for some time count like errors of the pose.
+
+    Parameters
+    ----------
+    t_gps_s : (n,) time of each point, in any order.
+    normalised : (n,) its distance over its sigma.
+    assumed_s : correlation time that was assumed.
+
+    Returns
+    -------
+    Seconds; NaN if the points share nothing, or if no lag up to half of the survey's time is long enough.
+
+    Examples
+    --------
+    >>> t = np.arange(0.0, 100.0, 0.01)
+    >>> round(observed_correlation_s(t, np.sign(np.sin(np.pi * t / 10.0)), 5.0), 1)
+    3.4
+    """
+    if len(t_gps_s) < 2:
+        return float(np.nan)
+    duration = float(np.ptp(t_gps_s))
+    step = max(assumed_s / _CLASSES_IN_TAU, duration / _MOST_CLASSES)
+    place = np.floor((t_gps_s - t_gps_s.min()) / step).astype(np.int64)
+    values = normalised - normalised.mean()
+    n, total = np.bincount(place).astype(np.float64), np.bincount(place, weights=values)
+    pairs = float(np.sum(n * (n - 1)))
+    start = float(np.sum(total**2) - np.sum(values**2)) / pairs if pairs else 0.0
+    if start <= 0:
+        return float(np.nan)
+    before = 1.0
+    for lag in range(1, len(n) // 2 + 1):
+        weight = float(n[:-lag] @ n[lag:])
+        if weight:
+            now = float(total[:-lag] @ total[lag:]) / weight / start
+            if now < _ONE_OVER_E:
+                return float(step * (lag - (_ONE_OVER_E - now) / (before - now)))
+            before = now
+    return float(np.nan)
 
 
 def correlated_sum(t_sorted_s: ArrayF, weight: ArrayF, decay_s: float) -> float:

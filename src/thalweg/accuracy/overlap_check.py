@@ -30,7 +30,6 @@ MAP_COORDINATES_M: Final = 20_000.0
 """A corner of the area that far from the cloud is in map coordinates."""
 
 _MOST_CELLS: Final = 50_000_000
-_PLAN_CELL_M: Final = 1.0
 
 
 class Reach:
@@ -108,6 +107,7 @@ def explain_too_few(
     *,
     counts: dict[str, int],
     extent_m: ArrayF,
+    above_m: ArrayF,
     max_distance_m: float,
 ) -> NoReturn:
     """Say why a cloud and a mesh cannot be compared.
@@ -118,6 +118,7 @@ def explain_too_few(
     surface, area : with what it was to be compared, and where.
     counts : what became of its points.
     extent_m : (2, 3) lowest and highest coordinates of the cloud.
+    above_m : heights over the reference of points inside the area that have any above or below them.
     max_distance_m : points farther away were not compared.
 
     Raises
@@ -134,8 +135,7 @@ def explain_too_few(
         _refuse_area(points, area, extent_m)
     cloud = sample_cloud(points, 500_000)["xyz_m"]
     cloud = cloud[area.contains(cloud)]
-    above = _heights_above(cloud, vertices)
-    if len(cloud) and not len(above):
+    if len(cloud) and not len(above_m):
         held = np.array([cloud.min(axis=0), cloud.max(axis=0)])
         raise CoverageError(
             f"the reference does not cover the area: {_box(held)} are the points inside it, "
@@ -144,15 +144,25 @@ def explain_too_few(
             where="accuracy.area",
             cure="Move the area, or give a reference that covers it",
         )
-    offset = float(np.median(above)) if len(above) else 0.0
+    distances = np.abs(surface.distances(cloud).distance_m) if len(cloud) else np.full(1, np.inf)
+    offset = float(np.median(above_m)) if len(above_m) else 0.0
     if abs(offset) > OTHER_HEIGHTS_M:
-        _refuse_heights(points, offset, len(above))
-    distances = surface.distances(cloud).distance_m if len(cloud) else np.zeros(0)
-    if len(distances) and np.abs(distances).min() > max_distance_m:
+        _refuse_heights(points, offset, len(above_m))
+    if abs(offset) > max_distance_m:
+        raise CoverageError(
+            f"only {counts['compared']:,} of {counts['points']:,} points can be compared: {_apart(offset)} "
+            f"(median of {len(above_m):,} points over it), and points farther than {max_distance_m:g} m from "
+            f"it have no counterpart; the nearest one is {distances.min():.2f} m away",
+            expected="a cloud that lies on its reference",
+            where=points,
+            cure="Check the heights of both: the antenna's height over the mark, the height of the base "
+            "station, the levels of mounts and lever arms, the height system; on a slope also the place in "
+            "plan. A larger accuracy.max_distance_m would compare the wrong surfaces",
+        )
+    if distances.min() > max_distance_m:
         raise CoverageError(
             f"all points are farther than {max_distance_m:g} m from the reference, the nearest "
-            f"{np.abs(distances).min():.2f} m, in the median {np.median(np.abs(distances)):.2f} m "
-            f"({'in front of' if np.median(distances) > 0 else 'behind'} it)",
+            f"{distances.min():.2f} m, in the median {np.median(distances):.2f} m",
             expected="a cloud that lies on its reference",
             where=points,
             cure="Check origin, CRS and heights of both, or raise accuracy.max_distance_m",
@@ -168,6 +178,26 @@ def explain_too_few(
         expected=f"at least {LEAST_POINTS}",
         where=points,
         cure="Enlarge accuracy.area or accuracy.max_distance_m, or give a reference that covers more",
+    )
+
+
+def heights_apart(above_m: ArrayF, max_distance_m: float) -> str:
+    """What is to be said if most points are too far above or below the reference to be compared.
+
+    Enough others may lie near it by chance, such as crowns on a reference that is too high.
+
+    Parameters
+    ----------
+    above_m : heights over the reference of points inside the area.
+    max_distance_m : points farther away were not compared.
+    """
+    offset = float(np.median(above_m)) if len(above_m) else 0.0
+    if abs(offset) <= max_distance_m:
+        return ""
+    return (
+        f"{_apart(offset)} (median of {len(above_m):,} points over it), more than accuracy.max_distance_m: "
+        "most points were not compared, and those that were may lie on other things than the reference. "
+        "Check the heights of both; plants that hide the ground are the other reason"
     )
 
 
@@ -215,33 +245,20 @@ def _refuse_area(points: Path, area: Area, cloud: ArrayF) -> NoReturn:
 
 
 def _refuse_heights(points: Path, offset_m: float, n: int) -> NoReturn:
-    lower = "reference" if offset_m > 0 else "cloud"
+    lower, higher = ("reference", "cloud") if offset_m > 0 else ("cloud", "reference")
     raise InputError(
-        f"the cloud lies {abs(offset_m):.1f} m {'above' if offset_m > 0 else 'below'} the reference "
-        f"(median of {n:,} points over it)",
+        f"{_apart(offset_m)} (median of {n:,} points over it)",
         expected="ellipsoidal heights in both",
         where=points,
-        cure=f"Geoid? Heights above a geoid are lower than ellipsoidal ones by its undulation, 35 to 50 m in "
-        f"Germany, -107 to 86 m on Earth. Those of the {lower} seem to be such: give them as ellipsoidal "
-        "heights, with the undulation of the geoid model they were made with added",
+        cure="Geoid? Ellipsoidal height = height above the geoid + undulation; the undulation is 35 to 50 m "
+        "in Germany, -107 to 86 m on Earth. Where it is positive, heights above the geoid are the lower "
+        f"ones: here those of the {lower}. Where it is negative (India, most of North America), they are the "
+        f"higher ones: here those of the {higher}. Add the undulation of the geoid model that was used",
     )
 
 
-def _heights_above(cloud: ArrayF, vertices: ArrayF) -> ArrayF:
-    """Heights of the points that have mesh above or below them, over the mean height of the mesh there."""
-    low = vertices[:, :2].min(axis=0)
-    size = (np.ptp(vertices[:, :2], axis=0) / _PLAN_CELL_M).astype(np.int64) + 1
-    place = ((vertices[:, :2] - low) / _PLAN_CELL_M).astype(np.int64)
-    keys, number, count = np.unique(
-        place[:, 0] * size[1] + place[:, 1], return_inverse=True, return_counts=True
-    )
-    mean = np.bincount(number, weights=vertices[:, 2]) / count
-    there = np.floor((cloud[:, :2] - low) / _PLAN_CELL_M).astype(np.int64)
-    inside = ((there >= 0) & (there < size)).all(axis=1)
-    key = there[inside, 0] * size[1] + there[inside, 1]
-    at = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
-    found = keys[at] == key
-    return np.asarray(cloud[inside, 2][found] - mean[at[found]])
+def _apart(offset_m: float) -> str:
+    return f"the cloud lies {abs(offset_m):.1f} m {'above' if offset_m > 0 else 'below'} the reference"
 
 
 def _box_distance(a: ArrayF, b: ArrayF) -> float:

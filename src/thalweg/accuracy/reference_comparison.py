@@ -8,7 +8,12 @@ from typing import Any
 import pandas as pd
 
 from thalweg.accuracy.autocorrelation import dependency_in_words, local_dependency
-from thalweg.accuracy.comparison import ComparisonSettings, after_motion, compare_with_mesh
+from thalweg.accuracy.comparison import (
+    ComparisonSettings,
+    after_motion,
+    compare_with_mesh,
+    predicted_sigma_m,
+)
 from thalweg.accuracy.comparison_tables import (
     AS_MEASURED,
     REGISTERED,
@@ -61,6 +66,8 @@ def compare_with_reference(
     """
     surface = Surface(mesh)
     table, facts = compare_with_mesh(points, mesh, area=area, settings=settings, surface=surface)
+    if facts["warning"]:
+        _LOG.warning("%s", facts["warning"])
     states = {AS_MEASURED: table}
     fit: dict[str, Any] = {"done": False, "words": "no registration was asked for"}
     if registration:
@@ -75,14 +82,15 @@ def compare_with_reference(
             fit = registration_facts(found, table, states[REGISTERED])
     statistics = pd.concat([statistics_table(t, settings, s) for s, t in states.items()], ignore_index=True)
     by_range = pd.concat([by_range_table(t, settings, s) for s, t in states.items()], ignore_index=True)
-    spatial, sentences = _spatial(states, settings.seed)
+    spatial, sentences = _spatial(states, settings)
     facts |= {
         "verdicts": verdicts(statistics, by_range),
         "local_dependency": sentences,
         "registration": fit["words"],
     }
     for entry in facts["verdicts"]:
-        _LOG.info("%s, %s: %s", entry["registration"], entry["points"], entry["sigmas"])
+        if entry["registration"] == AS_MEASURED:
+            _LOG.info("%s, %s: %s", entry["registration"], entry["points"], entry["sigmas"])
     return ReferenceComparison(
         table=table,
         facts=facts,
@@ -93,14 +101,25 @@ def compare_with_reference(
     )
 
 
-def _spatial(states: dict[str, pd.DataFrame], seed: int) -> tuple[pd.DataFrame, list[dict[str, str]]]:
+def _spatial(
+    states: dict[str, pd.DataFrame], settings: ComparisonSettings
+) -> tuple[pd.DataFrame, list[dict[str, str]]]:
     """Tables of `local_dependency` of all sets of points, and their verdicts."""
     tables, sentences = [], []
     for state, table in states.items():
         places = table[["east_m", "north_m", "up_m"]].to_numpy()
-        distance = table["distance_m"].to_numpy()
+        distance, sigma = table["distance_m"].to_numpy(), predicted_sigma_m(table)
+        t_gps_s = table["t_gps_s"].to_numpy()
         for name, use in point_sets(table).items():
-            found = local_dependency(places[use], distance[use], seed=seed)
+            found = local_dependency(
+                places[use],
+                distance[use],
+                seed=settings.seed,
+                # as elsewhere, a fitted cloud is not held against the sigmas of one that was not
+                sigma_m=sigma[use] if state == AS_MEASURED else None,
+                t_gps_s=t_gps_s[use],
+                correlation_s=settings.correlation_s,
+            )
             sentences.append({"registration": state, "points": name, "words": dependency_in_words(found)})
             found.insert(0, "points", name)
             found.insert(0, "registration", state)

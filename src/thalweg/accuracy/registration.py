@@ -11,9 +11,11 @@ normal of a plane, 0 for one within it. The mean normals of cells of one metre a
 triangles also vary by the noise of the reference, which would make anything look determined. Motions that
 are less visible than `LEAST_VISIBLE` are left alone and named.
 
-**Standard deviations.** From the spread of the distances, with as many independent values as their times
-hold (`independent_means`), not as there are points: formal ones would be too small by a factor of a hundred.
-They describe how well the motion is known against this reference, and do not hold the reference's own errors.
+**Standard deviations.** From what single stretches of time would change (`block_covariance`), not from the
+number of points: formal ones would be too small by a factor of a hundred. They hold the errors of the
+trajectory and all else that changes with time. They do not hold what is the same at all times: an error of
+the mount, one of the reference, plants in front. A motion that is larger than they explain may be owed to
+these.
 """
 
 from dataclasses import dataclass
@@ -23,11 +25,12 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.stats import f as fisher
 
+from thalweg.accuracy.block_covariance import block_covariance
 from thalweg.accuracy.comparison import ComparisonSettings
-from thalweg.accuracy.independent import independent_means
 from thalweg.accuracy.statistics import NMAD_FACTOR
+from thalweg.core.cells import cell_numbers
 from thalweg.core.errors import GeometryError
 from thalweg.core.types import ArrayB, ArrayF
 from thalweg.surface.cloud_to_mesh import Distances, Surface
@@ -45,6 +48,13 @@ MOST_POINTS: Final = 100_000
 MOST_ITERATIONS: Final = 60
 STEP_M: Final = 1e-5
 """Converged if a step moves the points by less than this RMS."""
+
+LEAST_GAIN: Final = 0.2
+"""Where a step leaves more than ``1 - LEAST_GAIN * share`` of the way, steps are halved: on rough ground
+nearest places jump to and fro between faces, and full steps circle around the solution."""
+
+JITTER: Final = 0.05
+"""Largest full step that may be left, as a share of the spread of the distances."""
 
 LARGEST_ROTATION_DEG: Final = 10.0
 LEAST_POINTS: Final = 100
@@ -75,19 +85,23 @@ class Registration:
     """Result of `register`.
 
     ``motion`` brings the cloud onto the reference. ``cov`` (6, 6) is the covariance of (shift east, north, up
-    in metres; rotation vector in radians), zero in directions that are held fixed. ``visibility`` (6,) says
-    how visible six independent motions are; ``undetermined`` names those that were not solved for. ``n``
-    points took part, worth ``independent_values``; ``spread_m`` is the robust standard deviation of their
+    in metres; rotation vector in radians), zero in directions that are held fixed; None if the survey is too
+    short to tell: it is worth ``blocks`` time blocks of ``block_s`` seconds, and ``blocks_needed`` are asked
+    for. ``visibility`` (6,) says how visible six independent motions are; ``undetermined`` names those that
+    were not solved for. ``n`` points took part; ``spread_m`` is the robust standard deviation of their
     distances afterwards.
     """
 
     motion: Motion
-    cov: ArrayF
+    cov: ArrayF | None
     visibility: ArrayF
     undetermined: tuple[str, ...]
     iterations: int
     n: int
-    independent_values: float
+    blocks: float
+    block_s: float
+    blocks_needed: int
+    last_step_m: float
     spread_m: float
 
     @property
@@ -95,11 +109,18 @@ class Registration:
         """Rotation vector (3,) in wcs."""
         return np.asarray(Rotation.from_matrix(self.motion.R).as_rotvec())
 
-    def significance(self) -> tuple[float, float]:
-        """Square of the motion over its covariance, and what that exceeds by chance in 5 % of cases."""
+    def significance(self) -> tuple[float, float] | None:
+        """Size of the motion over its covariance, and what that exceeds by chance in 5 % of cases.
+
+        Hotelling's ``F = T^2 (B - p) / (p (B - 1))`` with ``T^2 = x^T C^-1 x`` of ``p`` motions and ``B``
+        blocks, against Fisher's distribution for p and B - p degrees of freedom. None without a covariance.
+        """
+        if self.cov is None:
+            return None
         x = np.concatenate([self.motion.shift_m, self.rotation_rad])
         squared = float(x @ np.linalg.pinv(self.cov, rcond=1e-12, hermitian=True) @ x)
-        return squared, float(chi2.ppf(0.95, 6 - len(self.undetermined)))
+        p, n = 6 - len(self.undetermined), self.blocks
+        return squared * (n - p) / (p * (n - 1)), float(fisher.ppf(0.95, p, n - p))
 
 
 def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings) -> Registration:
@@ -125,37 +146,51 @@ def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings
     free = motions[:, visibility >= LEAST_VISIBLE]
     if not free.shape[1]:
         raise GeometryError("the surface determines no motion at all", expected="an area with normals")
-    iterations, size = 0, np.inf
-    while size > STEP_M:
-        if iterations == MOST_ITERATIONS:
-            raise GeometryError(
-                f"no convergence in {iterations} iterations; the last step was {1000 * size:.2g} mm",
-                expected="steps that become small",
-                cure="Enlarge the area, or compare without registration",
-            )
+    iterations, share, size, applied = 0, 1.0, np.inf, np.inf
+    while applied > STEP_M and iterations < MOST_ITERATIONS:
         distance = found.distance_m[use]
         weight = _tukey(distance)
         design = rates[use] @ free
         normal_matrix = design.T @ (weight[:, None] * design)
         step = np.linalg.solve(normal_matrix, -design.T @ (weight * distance))
-        motion = motion.followed_by(*np.split(free @ step, 2))
+        last, size = size, float(np.linalg.norm(step))
+        share = share / 2 if size > (1 - LEAST_GAIN * share) * last else share
+        motion = motion.followed_by(*np.split(free @ (share * step), 2))
         _refuse_large(motion, settings)
         moved = motion.apply(points)
         found = surface.distances(moved)
         use = _taking_part(found, settings)
         rates = _rates(moved, found.normal, motion)
-        iterations, size = iterations + 1, float(np.linalg.norm(step))
-    values = independent_means(t_gps_s[use], settings.correlation_s)
-    spread = NMAD_FACTOR * float(np.median(np.abs(found.distance_m[use])))
+        iterations, applied = iterations + 1, share * size
+    spread_m = NMAD_FACTOR * float(np.median(np.abs(found.distance_m[use])))
+    if size > max(JITTER * spread_m, STEP_M):
+        raise GeometryError(
+            f"no convergence in {iterations} iterations; the last step was {1000 * size:.2g} mm",
+            expected=f"steps below {100 * JITTER:g} % of the distances' spread of {1000 * spread_m:.2g} mm",
+            cure="Is the reference rough or small there? Choose another accuracy.area, or set "
+            "accuracy.registration to false",
+        )
+    distance = found.distance_m[use]
+    weight, slope = _tukey(distance), _tukey_slope(distance)
+    known = block_covariance(
+        rates[use] @ free,
+        weight * distance,
+        slope,
+        t_gps_s=t_gps_s[use],
+        correlation_s=settings.correlation_s,
+    )
     return Registration(
         motion=motion,
-        cov=free @ np.linalg.inv(normal_matrix) @ free.T * spread**2 * weight.sum() / values,
+        cov=None if known.cov is None else free @ known.cov @ free.T,
         visibility=visibility,
         undetermined=_names(motions[:, visibility < LEAST_VISIBLE]),
         iterations=iterations,
         n=int(use.sum()),
-        independent_values=values,
-        spread_m=spread,
+        blocks=known.blocks,
+        block_s=known.block_s,
+        blocks_needed=known.needed,
+        last_step_m=size,
+        spread_m=spread_m,
     )
 
 
@@ -177,8 +212,18 @@ def _taking_part(found: Distances, settings: ComparisonSettings) -> ArrayB:
 
 def _tukey(distance_m: ArrayF) -> ArrayF:
     """Tukey's weights; the scale is about zero, not about the median: an offset is what is to be removed."""
-    limit = TUKEY * max(NMAD_FACTOR * float(np.median(np.abs(distance_m))), _FLOOR_M)
-    return np.where(np.abs(distance_m) < limit, (1 - (distance_m / limit) ** 2) ** 2, 0.0)
+    u = distance_m / _tukey_limit(distance_m)
+    return np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0)
+
+
+def _tukey_slope(distance_m: ArrayF) -> ArrayF:
+    """Derivative of weight times distance with respect to the distance: what a point holds a fit by."""
+    u = distance_m / _tukey_limit(distance_m)
+    return np.where(np.abs(u) < 1, (1 - u**2) * (1 - 5 * u**2), 0.0)
+
+
+def _tukey_limit(distance_m: ArrayF) -> float:
+    return TUKEY * max(NMAD_FACTOR * float(np.median(np.abs(distance_m))), _FLOOR_M)
 
 
 def _rates(points: ArrayF, normal: ArrayF, motion: Motion) -> ArrayF:
@@ -214,10 +259,7 @@ def visible_motions(points_m: ArrayF, rates: ArrayF, centre_m: ArrayF) -> tuple[
     ------
     GeometryError : all points lie on a line.
     """
-    place = np.floor((points_m - points_m.min(axis=0)) / VISIBILITY_CELL_M).astype(np.int64)
-    size = place.max(axis=0) + 1
-    keys = (place[:, 0] * size[1] + place[:, 1]) * size[2] + place[:, 2]
-    _, number = np.unique(keys, return_inverse=True)
+    number = cell_numbers(points_m, VISIBILITY_CELL_M)
     count = np.bincount(number)
     mean = np.stack([np.bincount(number, weights=rate) for rate in rates.T], axis=1) / count[:, None]
     change = mean.T @ (count[:, None] * mean) / count.sum()

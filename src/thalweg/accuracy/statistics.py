@@ -21,7 +21,7 @@ NARROW_BAND: Final = 0.15
 """And if the band is narrower than this on both sides: a wider one would let other errors pass."""
 
 WIDE_BAND: Final = 2.0
-"""A band whose limits differ by more than this factor says little: sigmas 30 % too small or 40 % too large fit."""
+"""A band whose limits differ by more than this factor says little: sigmas 30 % too small may fit."""
 
 FITTING_SHARE: Final = 0.02
 """A normal distribution fits in words if the shares within 1, 2 and 3 sigma are met to this."""
@@ -137,27 +137,6 @@ def by_range_class(range_m: ArrayF, squared_error_m2: ArrayF, predicted_m2: Arra
     return table.reset_index()
 
 
-def independent_values(duration_s: float, correlation_s: float) -> float:
-    """How many independent squared errors a series of a Gauss-Markov error holds.
-
-    The mean of ``x**2`` over a time ``T`` has the variance ``2 sigma^4 / N`` with
-    ``N = T / (2 t (1 - t/T (1 - exp(-T/t))))`` and ``t = tau / 2``: squares of an error of correlation time
-    ``tau`` are correlated over half of it. For ``T`` far above ``tau`` this is ``T / tau``; it is never
-    below 1.
-
-    This is for values of equal variance, evenly spread over the time: for a survey that is only planned. For
-    points that were measured, with gaps and sigmas of their own, `thalweg.accuracy.independent` is exact.
-
-    Examples
-    --------
-    >>> round(independent_values(180.0, 20.0), 1)
-    9.5
-    """
-    t = correlation_s / 2
-    ratio = t / duration_s
-    return max(1.0, float(1.0 / (2 * ratio * (1 - ratio * -np.expm1(-1.0 / ratio)))))
-
-
 def chi_square_band(n_independent: float, level: float = 0.95) -> tuple[float, float]:
     """Where the mean of ``n_independent`` normalised squared errors lies with a probability of ``level``."""
     low = float(chi2.ppf((1 - level) / 2, n_independent))
@@ -178,7 +157,7 @@ def ratio_band(n_independent: float, level: float = 0.95) -> tuple[float, float]
 
 
 def honesty_in_words(ratio: float, low: float, high: float) -> str:
-    """Verdict on sigmas from the ratio of predicted to observed RMSE and its band.
+    """Verdict on sigmas from the ratio of predicted to observed RMSE of distances and its band.
 
     A ratio inside a wide band shows no more than that nothing speaks against the sigmas. Sigmas that are
     wrong by a factor change the ratio by the same factor, so the band itself says what would have passed.
@@ -188,21 +167,21 @@ def honesty_in_words(ratio: float, low: float, high: float) -> str:
     >>> honesty_in_words(1.02, 0.90, 1.12)
     'sigmas are honest: predicted over observed is 1.02, inside 0.90 to 1.12'
     >>> honesty_in_words(1.01, 0.78, 1.38)  # doctest: +NORMALIZE_WHITESPACE
-    'sigmas and errors agree: predicted over observed is 1.01, inside 0.78 to 1.38; sigmas up to 22 % too
+    'sigmas and distances agree: predicted over observed is 1.01, inside 0.78 to 1.38; sigmas up to 22 % too
     small or 38 % too large would not have been noticed'
     >>> honesty_in_words(0.62, 0.85, 1.19)
-    'errors are 1.6 times as large as predicted: predicted over observed is 0.62, outside 0.85 to 1.19'
+    'distances are 1.6 times as large as predicted: predicted over observed is 0.62, outside 0.85 to 1.19'
     """
     number = f"predicted over observed is {ratio:.2f}"
     band = f"{low:.2f} to {high:.2f}"
     if not low <= ratio <= high:
-        return f"errors are {_times(1 / ratio)} as predicted: {number}, outside {band}"
+        return f"distances are {_times(1 / ratio)} as predicted: {number}, outside {band}"
     narrow = low > 1 - NARROW_BAND and high < 1 + NARROW_BAND
     if narrow and abs(ratio - 1) <= HONEST_WITHIN:
         return f"sigmas are honest: {number}, inside {band}"
     return (
-        f"sigmas and errors agree: {number}, inside {band}; sigmas up to {100 * (1 - low):.0f} % too small "
-        f"or {100 * (high - 1):.0f} % too large would not have been noticed"
+        f"sigmas and distances agree: {number}, inside {band}; sigmas up to {100 * (1 - low):.0f} % too "
+        f"small or {100 * (high - 1):.0f} % too large would not have been noticed"
     )
 
 

@@ -16,12 +16,12 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from thalweg.accuracy.independent import independent_squares
 from thalweg.accuracy.returns import TrueReturns, sample_of_known_points
 from thalweg.accuracy.statistics import (
     by_range_class,
     chi_square_band,
     describe_errors,
-    independent_values,
 )
 from thalweg.core.errors import CoverageError
 from thalweg.core.raycast import RayCaster
@@ -327,7 +327,9 @@ def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataF
         rows.append(("predicted_rmse", label, float(np.sqrt(np.mean(sigma**2))), "m"))
         rows.append(("normalised_squared_error", label, float(np.mean((e / sigma) ** 2)), "1"))
         rows.append(("normalised_nmad", label, describe_errors(e / sigma).get("nmad_m", np.nan), "1"))
-    n = independent_values(float(np.ptp(errors.t_gps_s)), correlation_s)
+    ground = errors.bare_ground
+    # each normalised square has the same weight; in the RMSE of a class large sigmas weigh more
+    n = independent_squares(errors.t_gps_s[ground], np.ones(int(ground.sum())), correlation_s)
     low, high = chi_square_band(n)
     rows += [
         ("independent_values", POINT_CLASSES[2], n, "1"),
@@ -337,9 +339,8 @@ def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataF
         ("gross_errors", POINT_CLASSES[1], float(np.sum(errors.on_ground & errors.gross)), "1"),
     ]
     statistics = pd.DataFrame(rows, columns=["quantity", "points", "value", "unit"])
-    ground = errors.bare_ground
-    by_range = by_range_class(
-        errors.range_m[ground], errors.error_m[ground] ** 2, errors.sigma_m[ground] ** 2
-    )
+    variance = errors.sigma_m[ground] ** 2
+    by_range = by_range_class(errors.range_m[ground], errors.error_m[ground] ** 2, variance)
+    low, high = chi_square_band(independent_squares(errors.t_gps_s[ground], variance, correlation_s))
     by_range["ratio_low95"], by_range["ratio_high95"] = np.sqrt(low), np.sqrt(high)
     return statistics, by_range

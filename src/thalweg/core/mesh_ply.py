@@ -1,4 +1,4 @@
-"""Meshes as PLY files: written with their origin, read from this and from other programs.
+"""Meshes as PLY files: written with their origin, and read again.
 
 Binary little-endian; vertices double ``x y z`` and float ``sigma_m``, faces ``vertex_indices`` and uchar
 ``border``. Lines ``comment thalweg ...``, joined, are a JSON text with the origin of the world frame, the
@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pyproj import CRS
 
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
@@ -24,12 +23,10 @@ from thalweg.core.mesh import TriangleMesh
 from thalweg.core.types import AnyArray, ArrayI
 
 FORMAT: Final = 1
-MAP_COORDINATES_M: Final = 20_000.0
-"""Coordinates of another program's mesh beyond this are those of a map grid."""
 
 _LINE: Final = 200
 _HEAD_BYTES: Final = 1 << 20
-_CURE: Final = "Build the mesh again with the rule mesh_reference, or export it as binary PLY"
+_CURE: Final = "Build the mesh again with the rule mesh_reference"
 _TYPES: Final = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
@@ -89,62 +86,18 @@ def read_mesh(path: Path) -> tuple[TriangleMesh, LocalFrame, dict[str, Any]]:
 
     Raises
     ------
-    InputError : no PLY, damaged, of another format version, or of another program (`read_any_mesh`).
+    InputError : no PLY, damaged, of another format version, or of another program.
     """
-    found = _read(path)
-    if found.told is None:
-        raise InputError(
-            "a mesh of another program: it does not say in which frame it is",
-            expected="the comment 'thalweg' with the origin of the world frame",
-            where=path,
-            cure=_CURE,
+    vertices, faces, told = _read(path)
+    try:
+        mesh = TriangleMesh(
+            vertices_m=np.stack([vertices[a].astype(np.float64) for a in "xyz"], axis=-1),
+            faces=faces,
+            sigma_m=vertices["sigma_m"].astype(np.float64),
         )
-    return found.mesh(path, 0.0), LocalFrame(**found.told["origin"]), found.told["facts"]
-
-
-def read_any_mesh(
-    path: Path, frame: LocalFrame, crs: str, *, sigma_m: float = 0.0
-) -> tuple[TriangleMesh, str]:
-    """A mesh of this or of another program in the world frame, and a note about what had to be assumed.
-
-    Parameters
-    ----------
-    path : PLY, text or binary; polygons are cut into triangles.
-    frame : the world frame.
-    crs : map grid of the campaign, for coordinates that are those of a map.
-    sigma_m : standard deviation of vertices that have none of their own.
-
-    Raises
-    ------
-    InputError : no PLY mesh, damaged, in another local frame, or map coordinates in single precision.
-    GeometryError : map coordinates that do not lie in the grid.
-    """
-    found = _read(path)
-    mesh = found.mesh(path, sigma_m)
-    if found.told is not None:
-        theirs = LocalFrame(**found.told["origin"])
-        if theirs != frame:
-            raise InputError(
-                f"the mesh is in the local frame at {theirs}",
-                expected=f"the campaign's own, {frame}",
-                where=path,
-                cure="Process both with the same campaign.origin",
-            )
-        return mesh, ""
-    if np.abs(mesh.vertices_m[:, :2]).max(initial=0.0) < MAP_COORDINATES_M:
-        return mesh, f"{path.name} states no frame: taken as the world frame of the campaign."
-    if found.single_precision:
-        step = float(np.spacing(np.float32(np.abs(mesh.vertices_m).max())))
-        raise InputError(
-            f"map coordinates in single precision: their step is {step:.3g} m",
-            expected="double precision, or coordinates in the world frame",
-            where=path,
-            cure="Export the mesh with double coordinates, or subtract a known shift and give local ones",
-        )
-    moved = frame.from_map(mesh.vertices_m, CRS.from_user_input(crs))
-    return TriangleMesh(vertices_m=moved, faces=mesh.faces, sigma_m=mesh.sigma_m), (
-        f"{path.name} states no CRS: taken as {crs} with ellipsoidal heights."
-    )
+    except GeometryError as error:
+        raise InputError(error.found, expected=error.expected, where=path, cure=_CURE) from error
+    return mesh, LocalFrame(**told["origin"]), told["facts"]
 
 
 @dataclass(slots=True)
@@ -170,32 +123,7 @@ class _Element:
         return [name for name, kind in self.fields if ":" in kind]
 
 
-@dataclass(slots=True)
-class _Found:
-    vertices: AnyArray
-    faces: ArrayI
-    told: dict[str, Any] | None
-
-    @property
-    def single_precision(self) -> bool:
-        return bool(self.vertices.dtype["x"].itemsize < 8)
-
-    def mesh(self, path: Path, sigma_m: float) -> TriangleMesh:
-        """The mesh, with the given sigma if the vertices have none."""
-        v = self.vertices
-        points = np.stack([v[a].astype(np.float64) for a in "xyz"], axis=-1)
-        own = "sigma_m" in (v.dtype.names or ())
-        try:
-            return TriangleMesh(
-                vertices_m=points,
-                faces=self.faces,
-                sigma_m=v["sigma_m"].astype(np.float64) if own else np.full(len(v), float(sigma_m)),
-            )
-        except GeometryError as error:
-            raise InputError(error.found, expected=error.expected, where=path, cure=_CURE) from error
-
-
-def _read(path: Path) -> _Found:
+def _read(path: Path) -> tuple[AnyArray, ArrayI, dict[str, Any]]:
     if not path.is_file():
         raise InputError("file not found", expected="a mesh (PLY)", where=path)
     with path.open("rb") as stream:
@@ -218,10 +146,22 @@ def _read(path: Path) -> _Found:
             cure=_CURE,
         )
     told = _told(comments, path)
-    simple = form != "ascii" and not vertex.lists and len(face.lists) == 1 and names[:2] == ["vertex", "face"]
-    read = _triangles(path, end.end(), form, vertex, face) if simple else None
-    vertices, faces = _polygons(path) if read is None else read
-    return _Found(vertices, faces, told)
+    if told is None:
+        raise InputError(
+            "a mesh of another program: it does not say in which frame it is",
+            expected="the comment 'thalweg' with the origin of the world frame",
+            where=path,
+            cure=_CURE,
+        )
+    own = form == "binary_little_endian" and names[:2] == ["vertex", "face"] and not vertex.lists
+    if not own or len(face.lists) != 1 or "sigma_m" not in {n for n, _ in vertex.fields}:
+        raise InputError(
+            f"{form}, elements {names}, vertices with {[n for n, _ in vertex.fields]}",
+            expected="binary_little_endian, vertices with sigma_m, then faces",
+            where=path,
+            cure=_CURE,
+        )
+    return *_triangles(path, end.end(), vertex, face), told
 
 
 def _header(text: str, path: Path) -> tuple[str, list[_Element], list[str]]:
@@ -277,12 +217,9 @@ def _told(comments: list[str], path: Path) -> dict[str, Any] | None:
     )
 
 
-def _triangles(
-    path: Path, start: int, form: str, vertex: _Element, face: _Element
-) -> tuple[AnyArray, ArrayI] | None:
-    """Vertices and faces of a binary file whose faces are all triangles; None if some are not."""
-    order = "<" if form == "binary_little_endian" else ">"
-    v_type, f_type = vertex.dtype(order, 3), face.dtype(order, 3)
+def _triangles(path: Path, start: int, vertex: _Element, face: _Element) -> tuple[AnyArray, ArrayI]:
+    """Vertices and faces of a file whose faces are all triangles."""
+    v_type, f_type = vertex.dtype("<", 3), face.dtype("<", 3)
     room = path.stat().st_size - start
     needed = vertex.count * v_type.itemsize
     if room < needed:
@@ -291,37 +228,10 @@ def _triangles(
     table = np.fromfile(path, f_type, count=face.count, offset=start + needed)
     name = face.lists[0]
     if not (table[f"n of {name}"] == 3).all():
-        return None
+        raise InputError("faces that are no triangles", expected="triangles", where=path, cure=_CURE)
     if len(table) < face.count:
         raise _cut(path, f"{len(table):,} of {face.count:,} faces")
     return vertices, np.ascontiguousarray(table[name], dtype=np.int64)
-
-
-def _polygons(path: Path) -> tuple[AnyArray, ArrayI]:
-    """Vertices and faces of any PLY file, polygons as fans; slow, through plyfile."""
-    from plyfile import PlyData, PlyParseError
-
-    try:
-        data = PlyData.read(str(path))
-        vertices = np.array(data["vertex"].data)
-        face = data["face"].data
-        name = next(n for n in _CORNERS if n in face.dtype.names)
-        size = np.array([len(corners) for corners in face[name]], dtype=np.int64)
-        if (size < 3).any():
-            raise InputError(
-                f"{int((size < 3).sum()):,} faces of fewer than three corners", where=path, cure=_CURE
-            )
-        flat = np.concatenate([np.asarray(c, dtype=np.int64) for c in face[name]] or [np.zeros(0, np.int64)])
-    except (PlyParseError, ValueError, KeyError, StopIteration, MemoryError) as error:
-        raise InputError(f"damaged ({error})", expected="a mesh (PLY)", where=path, cure=_CURE) from error
-    return vertices, _fans(size, flat)
-
-
-def _fans(size: ArrayI, flat: ArrayI) -> ArrayI:
-    """Triangles of polygons of so many corners each: first corner, and each pair of those that follow."""
-    first = np.repeat(np.cumsum(size) - size, size - 2)
-    step = np.arange(len(first)) - np.repeat(np.cumsum(size - 2) - (size - 2), size - 2)
-    return np.stack([flat[first], flat[first + step + 1], flat[first + step + 2]], axis=1).reshape(-1, 3)
 
 
 def _cut(path: Path, there: str) -> InputError:

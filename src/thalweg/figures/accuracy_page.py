@@ -6,13 +6,16 @@ from typing import Any, Final
 
 import pandas as pd
 
-from thalweg.accuracy.comparison_tables import AS_MEASURED, WITHOUT_OUTLIERS
+from thalweg.accuracy.comparison_tables import ALL, AS_MEASURED, WITHOUT_OUTLIERS, classes_in_words
 from thalweg.figures.accuracy_words import (
     MESH_IN_WORDS,
+    OF_COMPARED,
     POINTS_IN_WORDS,
     REFERENCE_IN_WORDS,
+    covered,
     explanation,
     limits,
+    value_of,
     verdict,
 )
 from thalweg.figures.page import Page
@@ -25,16 +28,29 @@ DISTANCES: Final = (
     ("std", "std", "mm", 1e3),
     ("nmad", "NMAD", "mm", 1e3),
     ("rmse", "RMSE", "mm", 1e3),
-    ("p95", "95 % below", "mm", 1e3),
+    ("p95", "95 % of |d| below", "mm", 1e3),
 )
 HONESTY: Final = (
-    ("rmse", "RMSE observed", "mm", 1e3),
-    ("predicted_rmse", "predicted, normal component", "mm", 1e3),
-    ("predicted_rmse_3d", "predicted, 3D", "mm", 1e3),
+    ("rmse", "observed", "mm", 1e3),
+    ("predicted_rmse", "predicted", "mm", 1e3),
+    ("predicted_rmse_3d", "3D", "mm", 1e3),
     ("ratio", "ratio", "1", 1.0),
-    ("ratio_low95", "honest above", "1", 1.0),
-    ("ratio_high95", "honest below", "1", 1.0),
-    ("independent_values", "independent values", "1", 1.0),
+    ("ratio_low95", "from", "1", 1.0),
+    ("ratio_high95", "to", "1", 1.0),
+    ("independent_values", "values", "1", 1.0),
+)
+PARTS: Final = (
+    ("bias", "mean", "mm", 1e3),
+    ("sigma_of_bias", "what the sigmas predict for the mean (1 sigma)", "mm", 1e3),
+    ("normalised_median", "median of distance over sigma", "1", 1.0),
+    ("normalised_nmad", "NMAD of distance over sigma", "1", 1.0),
+    ("ratio_of_middle", "ratio of the middle: from these two, whatever the tails do", "1", 1.0),
+    ("middle_low95", "honest sigmas leave it above", "1", 1.0),
+    ("middle_high95", "and below", "1", 1.0),
+    ("normalised_squared_error", "mean of squared distance over variance", "1", 1.0),
+    ("honest_low95", "honest sigmas leave it above", "1", 1.0),
+    ("honest_high95", "and below", "1", 1.0),
+    ("observed_correlation", "distances are correlated over (lag of 1/e)", "s", 1.0),
 )
 SHAPE: Final = (
     ("within_1_std", "within 1 std", "%", 1e2),
@@ -45,8 +61,8 @@ SHAPE: Final = (
 )
 TRUTH: Final = (
     *DISTANCES,
-    ("predicted_rmse", "RMSE predicted", "mm", 1e3),
-    ("normalised_squared_error", "normalised squared error", "1", 1.0),
+    ("predicted_rmse", "predicted", "mm", 1e3),
+    ("normalised_squared_error", "e² / sigma²", "1", 1.0),
 )
 """Columns of the tables: quantity, heading, unit, units in one of the table's own."""
 
@@ -56,12 +72,12 @@ TRUTH_PICTURES: Final = ("error_versus_range",)
 RANGE: Final = (
     ("range_m", "range", "m", 1.0),
     ("n", "n", "1", 1.0),
-    ("rmse_observed_m", "RMSE observed", "mm", 1e3),
-    ("rmse_predicted_m", "predicted, normal component", "mm", 1e3),
-    ("rmse_predicted_3d_m", "predicted, 3D", "mm", 1e3),
+    ("rmse_observed_m", "observed", "mm", 1e3),
+    ("rmse_predicted_m", "predicted", "mm", 1e3),
+    ("rmse_predicted_3d_m", "3D", "mm", 1e3),
     ("ratio", "ratio", "1", 1.0),
-    ("ratio_low95", "honest above", "1", 1.0),
-    ("ratio_high95", "honest below", "1", 1.0),
+    ("ratio_low95", "from", "1", 1.0),
+    ("ratio_high95", "to", "1", 1.0),
     ("inside", "inside", "", 0.0),
 )
 
@@ -115,7 +131,7 @@ def accuracy_page(
         _truth(page, truth)
         for picture in of_truth:
             page.figure(picture, _caption(picture, captions or {}))
-    page.section("Limits").text(limits(facts, statistics))
+    page.section("Limits").text(limits(facts, statistics, mesh_facts))
     return page
 
 
@@ -139,9 +155,18 @@ def pivot(
                 value = known[quantity] * factor
                 row[heading] = int(value) if quantity == "n" else float(value)
         rows.append(row)
-    out = pd.DataFrame(rows)
+    out = short(pd.DataFrame(rows))
     units = {heading: unit for _, heading, unit, _ in columns if unit != "1" and heading in out.columns}
     return out, units
+
+
+def short(frame: pd.DataFrame, digits: int = 3) -> pd.DataFrame:
+    """Fractions of a table rounded to some significant digits; 1500 stays 1500."""
+    columns = {
+        name: column.map(lambda x: float(f"{x:.{digits}g}")) if column.dtype.kind == "f" else column
+        for name, column in frame.items()
+    }
+    return pd.DataFrame(columns)
 
 
 def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame) -> None:
@@ -151,17 +176,26 @@ def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame) 
         "Mean and std are those of the normal distribution of largest likelihood, median and NMAD those of "
         "the robust one."
     )
-    page.table(*_with_caption(statistics, by, DISTANCES, "Distances of the cloud to the reference"), digits=4)
-    page.table(
-        *_with_caption(statistics, by, HONESTY, "Observed and predicted; ratio: predicted over observed"),
-        digits=4,
+    page.table(*_with_caption(statistics, by, DISTANCES, "Distances of the cloud to the reference"))
+    tested = statistics[statistics["registration"] == AS_MEASURED]
+    caption = (
+        "RMSE observed and predicted: of the component along the normal and the reference, and of all three "
+        "components (3D); ratio of predicted to observed, the band in which honest sigmas leave it, and how "
+        "many independent values the band rests on. A fitted cloud cannot test its sigmas"
     )
+    page.table(*_with_caption(tested, ("points",), HONESTY, caption))
+    rows = [
+        {"quantity": words, "unit": "" if unit == "1" else unit}
+        | {name: factor * value_of(statistics, quantity, name) for name in (ALL, WITHOUT_OUTLIERS)}
+        for quantity, words, unit, factor in PARTS
+    ]
+    page.table(short(pd.DataFrame(rows)), "By parts: mean, middle, and everything over its own sigma")
     page.table(
         *_with_caption(statistics, by, SHAPE, "Shape; a normal has 68.3, 95.4, 99.7 % and zero"), digits=3
     )
     sentences = pd.DataFrame(facts.get("verdicts", []))
     if len(sentences):
-        sentences = sentences.drop(columns=["classes"], errors="ignore")
+        sentences = sentences.drop(columns=["classes", "parts"], errors="ignore")
         page.table(sentences.rename(columns={"normal": "normal distribution"}), "In words")
 
 
@@ -191,12 +225,14 @@ def _ranges(page: Page, by_range: pd.DataFrame) -> None:
         out[heading] = rows[name] * factor if factor not in (0.0, 1.0) else rows[name]
         if unit not in ("", "1"):
             units[heading] = unit
-    outside = int((~out["inside"].astype(bool)).sum())
+    out["inside"] = out["inside"].astype(bool)
     page.section("By range").text(
-        f"{outside} of {len(out)} classes lie outside the band in which honest sigmas leave their ratio with "
-        f"95 %; {0.05 * len(out):.1f} are to be expected by chance."
+        f"{classes_in_words(rows)}. A band holds the ratio of honest sigmas with 95 % or more."
     )
-    page.table(out, "Classes of 1 m (D − 0.5 < d ≤ D + 0.5), as measured, without outliers", units, digits=4)
+    caption = (
+        "RMSE in classes of 1 m (D − 0.5 < d ≤ D + 0.5), as measured, without outliers; columns as above"
+    )
+    page.table(short(out), caption, units)
 
 
 def _places(page: Page, facts: Mapping[str, Any]) -> None:
@@ -219,7 +255,7 @@ def _registration(page: Page, registration: Mapping[str, Any]) -> None:
         {
             "motion": f"{what} {axis}",
             "value": factor * values[axis],
-            "sigma": factor * sigmas[axis],
+            "sigma": float("nan") if sigmas[axis] is None else factor * sigmas[axis],
             "unit": unit,
         }
         for what, values, sigmas, factor, unit in (
@@ -229,7 +265,7 @@ def _registration(page: Page, registration: Mapping[str, Any]) -> None:
         for axis in values
     ]  # fmt: skip
     caption = "Motion of the cloud onto the reference, about the middle of its points"
-    page.table(pd.DataFrame(rows), caption, digits=3)
+    page.table(short(pd.DataFrame(rows)), caption)
     changes = []
     for points, change in registration["change"].items():
         row: dict[str, Any] = {"points": points}
@@ -238,7 +274,7 @@ def _registration(page: Page, registration: Mapping[str, Any]) -> None:
         changes.append(row | {"share of the mean removed": 100.0 * change["share_of_bias_removed"]})
     frame = pd.DataFrame(changes)
     units = {name: "%" if name.startswith("share") else "mm" for name in frame.columns[1:]}
-    page.table(frame, "What it changes", units, digits=3)
+    page.table(short(frame), "What it changes", units)
 
 
 def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any]) -> None:
@@ -246,10 +282,10 @@ def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any
         f"Area of interest: {facts.get('area', 'not stated')}. Each point is compared with the nearest "
         "place of the reference surface; the sign is that of the side of the surface on which the point "
         "lies."
-    )
+    ).text(covered(facts))
     for caption, counts, words, whole in (
         ("What became of the points of the cloud", facts.get("counts", {}), POINTS_IN_WORDS, "points"),
-        ("What became of the reference", mesh_facts.get("counts", {}), REFERENCE_IN_WORDS, "given"),
+        ("What became of the reference", mesh_facts.get("counts", {}), REFERENCE_IN_WORDS, "read"),
     ):
         rows = [
             {
@@ -257,12 +293,12 @@ def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any
                 "n": int(n),
                 "share": float("nan")
                 if name.endswith("_faces")
-                else 100.0 * n / max(counts.get(whole, 0), 1),
+                else 100.0 * n / max(counts.get("compared" if name in OF_COMPARED else whole, 0), 1),
             }
             for name, n in counts.items()
         ]
         if rows:
-            page.table(pd.DataFrame(rows), caption, {"share": "%"}, digits=3)
+            page.table(short(pd.DataFrame(rows)), caption, {"share": "%"})
     rows = [
         {"what": words, "value": f"{mesh_facts[name]:.4g}" if unit != "1" else count(int(mesh_facts[name])),
          "unit": "" if unit == "1" else unit}
@@ -281,4 +317,4 @@ def _truth(page: Page, truth: pd.DataFrame) -> None:
         "has no plants."
     )
     frame, units = pivot(truth, ("points",), TRUTH)
-    page.table(frame, "Errors of the cloud against the true surface", units, digits=4)
+    page.table(frame, "Errors of the cloud against the true surface", units)
