@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.accuracy.statistics import chi_square_band, independent_values
+from thalweg.accuracy.independent import independent_squares
+from thalweg.accuracy.statistics import chi_square_band
 from thalweg.accuracy.truth import PointErrors
 from thalweg.config.twin import TwinConfig
 from thalweg.simulation.survey import BARE, process, record, survey_settings
@@ -60,7 +61,8 @@ def band(seeds: int) -> tuple[float, float]:
 
     Several independent errors add up in each point, so that honest sigmas stay inside more often than that.
     """
-    return chi_square_band(seeds * independent_values(DURATION_S, CORRELATION_S))
+    times = np.linspace(0.0, DURATION_S, 1000)
+    return chi_square_band(seeds * independent_squares(times, np.ones(times.size), CORRELATION_S))
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from thalweg.core.frames import LocalFrame
+from thalweg.core.mesh_ply import write_mesh
 from thalweg.surface.cloud_to_mesh import Surface
 
 pytestmark = pytest.mark.slow
@@ -39,11 +41,8 @@ import sys
 from pathlib import Path
 import numpy as np
 from thalweg.surface.cloud_to_mesh import Surface
-from thalweg.core.frames import LocalFrame
-from thalweg.core.mesh_ply import read_any_mesh
-frame = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
-mesh, _ = read_any_mesh(Path("mesh.ply"), frame, "EPSG:25833")
-np.save("ours.npy", Surface(mesh).distances(np.load("points.npy")).distance_m)
+from thalweg.core.mesh_ply import read_mesh
+np.save("ours.npy", Surface(read_mesh(Path("ours.ply"))[0]).distances(np.load("points.npy")).distance_m)
 """
 OPEN3D = """
 import numpy as np
@@ -102,6 +101,7 @@ def test_cloud_to_mesh_beside_other_programs(tmp_path: Path, capsys: pytest.Capt
     np.save(tmp_path / "points.npy", points)
     rough_bank.write_ply(tmp_path / "points.ply", points)
     rough_bank.write_ply(tmp_path / "mesh.ply", bank.mesh.vertices_m, bank.mesh.faces)
+    write_mesh(tmp_path / "ours.ply", bank.mesh, LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0), {})
 
     python = [sys.executable, "-W", "ignore", "-c"]
     programs = {"Thalweg": [*python, OURS], "Open3D, unsigned, float32": [*python, OPEN3D]}

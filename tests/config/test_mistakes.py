@@ -74,37 +74,6 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     ({"lidar.model": "VLP16"}, "lidar.model", ("one of auto, VLP-16", "Did you mean VLP-16?")),
     ({"lidar.model": "vlp-16"}, "lidar.model", ("Did you mean VLP-16?",)),
     ({"figures.format": "bmp"}, "figures.format", ("unknown",)),
-    # the area of interest
-    (
-        {"accuracy.area": {"polygon": [[0, 0], [1, 1], [2, 2]]}},
-        "accuracy.area.polygon",
-        ("enclose no area", "not on one line"),
-    ),
-    (
-        {"accuracy.area": {"polygon": [[377000, 5656000], [377100, 5656000], [377100, 5656100]]}},
-        "accuracy.area.polygon[0]",
-        ("km from campaign.origin", "write frame: map"),
-    ),
-    (
-        {"accuracy.area": {"frame": "map", "polygon": [[0, 0], [100, 0], [100, 100]]}},
-        "accuracy.area.polygon[0]",
-        ("in EPSG:25833", "write frame: local"),
-    ),
-    (
-        {
-            "accuracy.area": {
-                "frame": "map",
-                "polygon": [[5656700, 377300], [5656800, 377300], [5656800, 377400]],
-            }
-        },
-        "accuracy.area.polygon[0]",
-        ("km from campaign.origin", "East comes first: swap"),
-    ),
-    (
-        {"accuracy.area": {"min_height_m": 5, "max_height_m": 5}},
-        "accuracy.area",
-        ("min_height_m 5 is not below max_height_m 5",),
-    ),
     ({"ppk.systems": ["gps"]}, "ppk.systems[0]", ("one of GPS, GLO", "Did you mean GPS?")),
     ({"ppk.systems": []}, "ppk.systems", ("found 0 values", "at least one")),
     ({"orientation.accept_fixes": "fixed"}, "orientation.accept_fixes", ("Write a list: [fixed]",)),

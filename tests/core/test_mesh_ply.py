@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from plyfile import PlyData
 
-from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.errors import InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.mesh import TriangleMesh
 from thalweg.core.mesh_ply import read_mesh, write_mesh

@@ -114,6 +114,36 @@ def test_ply_map_coordinates_in_single_precision_are_said(tmp_path: Path) -> Non
     assert any("resolve 500 mm only" in note for note in read_cloud(tmp_path / "a.ply").report.notes)
 
 
+@pytest.mark.parametrize("shift", ["in the pose", "in the numbers"])
+def test_e57_in_single_precision_is_said_unless_the_pose_holds_the_shift(tmp_path: Path, shift: str) -> None:
+    place = np.array([377_000.0, 5_656_000.0, 300.0])
+    xyz = points() + (0.0 if shift == "in the pose" else place)
+    file = pye57.E57(str(tmp_path / "a.e57"), mode="w")  # pye57 writes single precision
+    data = {f"cartesian{axis}": np.ascontiguousarray(xyz[:, i]) for i, axis in enumerate("XYZ")}
+    where = {"rotation": np.array([1.0, 0, 0, 0]), "translation": place} if shift == "in the pose" else {}
+    file.write_scan_raw(data, **where)
+    file.close()
+    cloud = read_cloud(tmp_path / "a.e57")
+    told = [note for note in cloud.report.notes if "resolve 500 mm only" in note]
+    if shift == "in the pose":
+        assert not told
+        assert cloud.step_m == np.spacing(np.float32(49.9))
+    else:
+        assert told
+        assert cloud.step_m == 0.5  # float32 at 5.6e6
+
+
+def test_las_with_a_coarse_scale_is_said(tmp_path: Path) -> None:
+    header = laspy.LasHeader(point_format=3, version="1.2")
+    header.scales, header.offsets = np.full(3, 0.25), np.zeros(3)
+    las = laspy.LasData(header)
+    las.xyz = points()
+    las.write(str(tmp_path / "a.las"))
+    cloud = read_cloud(tmp_path / "a.las")
+    assert cloud.step_m == 0.25
+    assert any("resolve 250 mm only" in note for note in cloud.report.notes)
+
+
 def test_points_not_finite_are_dropped_and_counted(tmp_path: Path) -> None:
     vertex = np.zeros(10, [("x", "f8"), ("y", "f8"), ("z", "f8"), ("intensity", "f4")])
     vertex["x"][3], vertex["z"][7] = np.nan, np.inf

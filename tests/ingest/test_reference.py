@@ -4,11 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pyproj import CRS
+from plyfile import PlyData, PlyElement
+from pyproj import CRS, Transformer
 
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.las import LazWriter, read_laz
+from thalweg.ingest.integrity import IntegrityReport
 from thalweg.ingest.reference import gather_reference
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -52,8 +54,100 @@ def test_a_cloud_of_another_local_frame_is_refused(tmp_path: Path) -> None:
 
 def test_local_coordinates_without_a_frame_are_no_map(tmp_path: Path) -> None:
     path = write(tmp_path / "silent.laz", points(1), None)
-    with pytest.raises(GeometryError, match="outside"):
+    with pytest.raises(GeometryError, match=r"silent\.laz.*outside.*Local coordinates of the scanner"):
         gather_reference([path], tmp_path / "out.laz", FRAME, "EPSG:25833")
+
+
+def gathered(path: Path, tmp_path: Path) -> IntegrityReport:
+    return gather_reference([path], tmp_path / "out.laz", FRAME, "EPSG:25833")
+
+
+def write_ply(path: Path, xyz: np.ndarray, kind: str = "f8") -> Path:
+    vertex = np.empty(len(xyz), [(axis, kind) for axis in "xyz"])
+    for i, axis in enumerate("xyz"):
+        vertex[axis] = xyz[:, i]
+    PlyData([PlyElement.describe(vertex, "vertex")], byte_order="<").write(str(path))
+    return path
+
+
+MAP = FRAME.to_map(points(7), UTM)
+
+
+def other(code: int) -> np.ndarray:
+    east, north = Transformer.from_crs(25833, code, always_xy=True).transform(MAP[:, 0], MAP[:, 1])
+    return np.stack([east, north, MAP[:, 2]], axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("xyz", "guess"),
+    [
+        (MAP[:, [1, 0, 2]], "East and north are swapped"),
+        (other(4258), r"degrees \(longitude, latitude\): export the file in EPSG:25833"),
+        (other(4258)[:, [1, 0, 2]], r"degrees \(latitude, longitude\)"),
+        (FRAME.origin_ecef_m + points(7) @ FRAME.R_ecef_enu.T, "Earth-centred"),
+        (MAP * 1000.0, "looks like millimetres"),
+        (MAP / 0.3048, "looks like feet"),
+        (other(25832), r"420 km from campaign\.origin.*fit EPSG:32632"),
+        (other(31468), r"fit EPSG:31468.*grid files of the land survey"),
+        (np.add(MAP, [3e6, 0, 0]), "another grid or place"),
+        (np.concatenate([MAP, np.zeros((3, 3))]), "Delete 3 stray points"),
+    ],
+    ids=["swapped", "lon lat", "lat lon", "ecef", "mm", "feet", "zone", "Gauss-Krueger", "nowhere", "strays"],
+)
+def test_a_file_elsewhere_is_named_with_a_guess(tmp_path: Path, xyz: np.ndarray, guess: str) -> None:
+    files = [write_ply(tmp_path / "good.ply", MAP), write_ply(tmp_path / "wrong.ply", xyz)]
+    with pytest.raises(GeometryError, match=guess) as error:
+        gather_reference(files, tmp_path / "out.laz", FRAME, "EPSG:25833")
+    for words in (
+        f"{tmp_path}/wrong.ply: east ",
+        "the file states no CRS, taken as EPSG:25833",
+        "a place near east 377",
+    ):
+        assert words in str(error.value)
+    assert "good.ply" not in str(error.value)
+    assert not (tmp_path / "out.laz").exists()
+
+
+def test_a_file_that_states_a_wrong_grid_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path / "lies.laz", MAP, CRS(25832))
+    with pytest.raises(GeometryError, match=r"the file states ETRS89 / UTM zone 32N.*They fit EPSG:25833"):
+        gathered(path, tmp_path)
+    bessel = write(tmp_path / "bessel.laz", other(31468), CRS(31468))
+    with pytest.raises(GeometryError, match=r"bessel\.laz.*Bessel 1841.*export the file in EPSG:25833"):
+        gathered(bessel, tmp_path)
+
+
+def test_coarse_coordinates_are_refused(tmp_path: Path) -> None:
+    path = write_ply(tmp_path / "coarse.ply", MAP, "f4")
+    with pytest.raises(InputError, match=r"coarse\.ply: .*resolve 500 mm; expected 10 mm.*Export doubles"):
+        gathered(path, tmp_path)
+
+
+def test_coordinates_that_were_rounded_before_are_told(tmp_path: Path) -> None:
+    """Doubles, or whole millimetres of LAZ, that came out of single precision."""
+    fine = FRAME.to_map(points(3, 5000), UTM)
+    rounded = write(tmp_path / "rounded.laz", fine.astype(np.float32).astype(np.float64), UTM)
+    told = [note for note in gathered(rounded, tmp_path).notes if "steps of" in note]
+    # float32 at 3.8e5 resolves 31 mm, at 5.7e6 500 mm, at 300 m 0.03 mm
+    assert ["east" in told[0], "north" in told[1], len(told)] == [True, True, 2]
+    assert "north coordinates come in steps of 500 mm" in told[1]
+    assert not [n for n in gathered(write(tmp_path / "fine.laz", fine, UTM), tmp_path).notes if "steps" in n]
+
+
+def test_losses_are_told_by_file(tmp_path: Path) -> None:
+    spoilt = MAP.copy()
+    spoilt[5] = np.nan
+    files = [write_ply(tmp_path / "good.ply", MAP), write_ply(tmp_path / "holes.ply", spoilt)]
+    report = gather_reference(files, tmp_path / "out.laz", FRAME, "EPSG:25833")
+    assert report.losses == {"points_not_finite": 1}
+    assert "holes.ply: 1 points not finite." in report.notes
+    assert sum("CRS" in note or "reference system" in note for note in report.notes) == 2  # once a file
+
+
+def test_no_files_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"logs\.reference: no reference cloud; expected at least one file"):
+        gather_reference([], tmp_path / "out.laz", FRAME, "EPSG:25833")
+    assert not (tmp_path / "out.laz").exists()
 
 
 def test_map_and_back_is_the_same_place(rng: np.random.Generator) -> None:

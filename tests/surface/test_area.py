@@ -99,6 +99,7 @@ def test_map_coordinates_reach_the_same_points() -> None:
         ([[0, 0], [1, 1]], ["2 different corners", "at least three"]),
         ([[0, 0], [1, 1], [0, 0]], ["2 different corners"]),
         ([[0, 0], [1, 0], [2, 0]], ["without area"]),
+        ([[0, 0], [1, 1], [2, 2]], ["without area", "in the order in which they were drawn"]),
         ([[0, 0], [4, 4], [4, 0], [0, 4]], ["corner 1 to 2", "corner 3 to 4", "cross", "order along the"]),
         ([[0, 0], [4, 0], [np.nan, 4]], ["not finite"]),
     ],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError
-from thalweg.surface.bank_frame import BankFrame, fit_bank, fit_bank_frame, front_direction, thin_track
+from thalweg.surface.bank_frame import BankFrame, fit_bank, front_direction, thin_track
 
 TRACK = np.column_stack([np.linspace(-40, 40, 200), np.full(200, 15.0), np.zeros(200)])
 """A boat north of a bank whose water line is north = 0: the right bank of a river that flows west."""
@@ -28,7 +28,7 @@ def normal_of(slope_deg: float) -> np.ndarray:
 
 @pytest.mark.parametrize("slope_deg", [2.0, 33.0, 70.0, 90.0])
 def test_axes_of_a_plain_bank(rng: np.random.Generator, slope_deg: float) -> None:
-    frame = fit_bank_frame(bank(rng, 40_000, slope_deg), TRACK)
+    frame = fit_bank(bank(rng, 40_000, slope_deg), TRACK).frame
     # 1 deg: patches are cubes that cut the bank askew, small slices of it are as thick as wide
     assert angle_deg(frame.out, normal_of(slope_deg)) < 1.0
     if slope_deg > 30:  # on flat ground the direction to the river decides, and that is less sharp
@@ -52,7 +52,7 @@ def test_coordinates_come_back(rng: np.random.Generator) -> None:
 
 def test_the_other_bank_looks_the_other_way(rng: np.random.Generator) -> None:
     p = bank(rng, 20_000, 40.0) * [1, -1, 1]
-    frame = fit_bank_frame(p, TRACK * [1, -1, 1])
+    frame = fit_bank(p, TRACK * [1, -1, 1]).frame
     assert angle_deg(frame.out, normal_of(40.0) * [1, -1, 1]) < 0.5
     assert frame.along[0] > 0.99
 
@@ -63,7 +63,7 @@ def test_trees_and_a_house_do_not_turn_it(rng: np.random.Generator) -> None:
     tree = rng.uniform(-20, 20, (30, 1)) * [1, 0, 0] + [0, -6, 8]
     leaves = tree[rng.integers(0, 30, 30_000)] + rng.normal(0, 1.2, (30_000, 3))
     wall = np.column_stack([rng.uniform(5, 15, 5000), np.full(5000, -9.0), rng.uniform(6, 11, 5000)])
-    frame = fit_bank_frame(np.concatenate([ground, leaves, wall]), TRACK)
+    frame = fit_bank(np.concatenate([ground, leaves, wall]), TRACK).frame
     # 6 deg: the wall's 50 m2 of 600 m2, 57 deg off, draw by 5 deg; the plane of least squares is 25 deg off
     assert angle_deg(frame.out, normal_of(33.0)) < 6
 
@@ -125,5 +125,5 @@ def test_a_cloud_without_surface_is_told(points: np.ndarray, answer: str) -> Non
 
 
 def test_few_points_are_enough() -> None:
-    frame = fit_bank_frame([[0.0, 0, 0], [3.0, 0, 0], [0.0, -1, 1]], TRACK)
+    frame = fit_bank([[0.0, 0, 0], [3.0, 0, 0], [0.0, -1, 1]], TRACK).frame
     assert angle_deg(frame.out, normal_of(45.0)) < 1e-6

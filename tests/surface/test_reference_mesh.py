@@ -164,7 +164,7 @@ def test_the_mesh_of_the_twin_is_its_ground(twin: tuple[Scene, np.ndarray]) -> N
 
 
 def test_cleaning_takes_plants_and_leaves_ground_and_stones(twin: tuple[Scene, np.ndarray]) -> None:
-    from thalweg.surface.bank_frame import fit_bank_frame
+    from thalweg.surface.bank_frame import fit_bank
     from thalweg.surface.lower_envelope import heights_above_envelope
 
     scene, points = twin
@@ -172,7 +172,7 @@ def test_cleaning_takes_plants_and_leaves_ground_and_stones(twin: tuple[Scene, n
     material = dry.material[dry.caster().closest_points(points).primitive]
     clearance_m = Reference().clearance_m
     assert clearance_m is not None
-    frame = fit_bank_frame(points, TRACK)
+    frame = fit_bank(points, TRACK).frame
     height = heights_above_envelope(frame.to_bank(points), clearance_m=clearance_m)
     keep = (height <= clearance_m) & (height >= -2 * clearance_m)
     assert keep[BARE_GROUND[material]].mean() > 0.999
@@ -209,9 +209,11 @@ def laz(rng: np.random.Generator, tmp_path: Path) -> Path:
 
 def test_points_of_the_area_are_read(laz: Path) -> None:
     area = Area(polygon_en_m=np.array([[-1.0, -9], [1, -9], [1, 3], [-1, 3]]))
-    points, counts = read_reference(laz, FRAME, area, margin_m=2.0)
+    read = read_reference(laz, FRAME, area, margin_m=2.0)
+    points = read.points_m
     assert np.abs(points[:, 0]).max() <= 3.0
-    assert counts == {"read": 3000, "outside_area": 3000 - len(points)}
+    assert read.counts == {"read": 3000, "outside_area": 3000 - len(points)}
+    assert read.notes == []
     assert 1350 < len(points) < 1650
 
 
@@ -258,7 +260,7 @@ def test_clouds_that_cannot_be_meshed_are_told(rng: np.random.Generator) -> None
         mesh_of(np.full((10, 3), np.nan))
     with pytest.raises(InputError, match="200 isolated"):
         mesh_of(bank(rng, 200) * 20)
-    with pytest.raises(GeometryError, match=r"edges below 0\.01 m"):
+    with pytest.raises(GeometryError, match=r"of the 19,\d+ cleaned points have edges above 0\.01 m"):
         mesh_of(bank(rng, 20_000), longest_edge_m=0.01, cell_m=0.005)
     with pytest.raises(GeometryError, match="finite places"):
         mesh_reference(bank(rng, 1000), track_m=np.zeros((0, 3)), settings=ReferenceSettings())

@@ -103,7 +103,7 @@ def block_covariance(
     n_points = np.bincount(number).astype(np.float64)
     n_blocks, p = len(n_points), design.shape[1]
     effective = float(n_points.sum() ** 2 / np.sum(n_points**2))
-    score = np.stack([np.bincount(number, weights=psi_m * d) for d in design.T], axis=1)
+    score: ArrayF = np.stack([np.bincount(number, weights=psi_m * d) for d in design.T], axis=1)
     curvature = np.empty((n_blocks, p, p))
     for i in range(p):
         for j in range(i + 1):

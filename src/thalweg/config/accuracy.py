@@ -1,11 +1,14 @@
 """Sections ``reference`` and ``accuracy``: what the cloud is compared with, and how."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from thalweg.config.base import Section
 from thalweg.config.values import Finite, NonNegative, Positive
+
+EDGES_PER_CELL: Final = 1.5
+"""Points of cells side by side are a cell apart, and across the corner 1.4 times that."""
 
 Corner = tuple[Finite, Finite]
 """Corner of a polygon: east and north, metres."""
@@ -79,12 +82,21 @@ class Reference(Section):
         "at most 12",
     )
 
+    @model_validator(mode="after")
+    def _check_edge(self) -> Self:
+        if self.longest_edge_m < EDGES_PER_CELL * self.cell_m:
+            raise ValueError(
+                f"longest_edge_m {self.longest_edge_m:g} is below {EDGES_PER_CELL:g} times cell_m "
+                f"{self.cell_m:g}: points of neighbouring cells would make no triangle"
+            )
+        return self
+
 
 class Sections(Section):
     """Cross sections through cloud and reference (P2 Fig. 15)."""
 
     count: int = Field(default=3, ge=1, le=12, description="Sections spread evenly over the area")
-    stations_m: Annotated[list[Finite], Field(max_length=12)] | None = Field(
+    stations_m: Annotated[list[Finite], Field(min_length=1, max_length=12)] | None = Field(
         default=None,
         description="Places along the bank, metres from the middle of the area; overrides `count`",
     )
@@ -113,8 +125,8 @@ class Accuracy(Section):
     )
     outlier_nmads: Annotated[float, Field(ge=1, le=100, allow_inf_nan=False)] = Field(
         default=5.0,
-        description="Outlier rule: distances farther from their median than this many NMAD. All statistics "
-        "are given with and without the rule",
+        description="Outlier rule: points whose distance, divided by its own sigma, is farther from the "
+        "median than this many NMAD. All statistics are given with and without the rule",
     )
     correlation_s: Positive = Field(
         default=20.0,

@@ -4,12 +4,14 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from thalweg.config.accuracy import Accuracy
+from thalweg.config.accuracy import Accuracy, Area
 from thalweg.config.check_place import geodetic_place, parse_crs
 from thalweg.core.mistakes import Key, Mistake
 
 MAX_AREA_KM = 20.0
 """Farther from the origin lies another survey."""
+NEAR_M = 50.0
+"""Banks rise less than this above the water; heights of the two frames differ by the origin's height."""
 
 _PATH = ("accuracy", "area", "polygon")
 
@@ -23,9 +25,21 @@ def check_accuracy_area(section: Accuracy, crs: Any, origin: Any) -> Iterator[Mi
     crs, origin : ``campaign.crs`` and ``campaign.origin`` as written.
     """
     area = section.area
+    yield from _check_heights(area, origin)
     if area.polygon is None:
         return
-    if abs(_signed_area(area.polygon)) < 1e-6:
+    from thalweg.core.polygon import LEAST_AREA_M2, crossing_in_words, first_crossing, polygon_area_m2
+
+    crossing = first_crossing(area.polygon)
+    if crossing is not None:
+        yield Mistake(
+            path=_PATH,
+            found=crossing_in_words(area.polygon, crossing),
+            expected="a polygon whose edges do not cross",
+            cure="Give the corners in their order along the outline",
+        )
+        return
+    if polygon_area_m2(area.polygon) < LEAST_AREA_M2:
         yield Mistake(
             path=_PATH,
             found="the corners enclose no area",
@@ -37,6 +51,27 @@ def check_accuracy_area(section: Accuracy, crs: Any, origin: Any) -> Iterator[Mi
         yield from _check_local(area.polygon)
     else:
         yield from _check_map(area.polygon, crs, origin)
+
+
+def _check_heights(area: Area, origin: Any) -> Iterator[Mistake]:
+    """Heights above the origin in the frame of the map, or heights above the ellipsoid in the local one."""
+    origin_m = origin.get("h_ell_m") if isinstance(origin, dict) else None
+    if isinstance(origin_m, bool) or not isinstance(origin_m, int | float) or abs(origin_m) <= 2 * NEAR_M:
+        return  # too near to each other to tell the two apart
+    frames = {"local": (0.0, "above campaign.origin"), "map": (float(origin_m), "above the ellipsoid")}
+    other = "map" if area.frame == "local" else "local"
+    for key in ("min_height_m", "max_height_m"):
+        height = getattr(area, key)
+        if height is None or abs(height - frames[other][0]) > NEAR_M:
+            continue
+        yield Mistake(
+            path=("accuracy", "area", key),
+            found=f"found {height:g}, with frame: {area.frame} and an origin at {origin_m:g} m",
+            expected=f"a height {frames[area.frame][1]}, metres, near {frames[area.frame][0]:g}",
+            cure=f"Heights {frames[other][1]}? Then write frame: {other}"
+            if area.polygon is None
+            else f"Write it in the frame of the polygon, {area.frame}",
+        )
 
 
 def _check_local(polygon: Sequence[tuple[float, float]]) -> Iterator[Mistake]:
@@ -79,11 +114,3 @@ def _check_map(polygon: Sequence[tuple[float, float]], crs: Any, origin: Any) ->
                 else "Check the CRS of the map program that the polygon comes from",
             )
             return
-
-
-def _signed_area(polygon: Sequence[tuple[float, float]]) -> float:
-    """Shoelace formula about the first corner, which keeps digits at map coordinates."""
-    e0, n0 = polygon[0]
-    corners = [(e - e0, n - n0) for e, n in polygon]
-    following = [*corners[1:], corners[0]]
-    return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(corners, following, strict=True)) / 2

@@ -57,7 +57,7 @@ def mistake_of(error: ErrorDetails) -> Mistake:
     elif kind in _LIST:
         cure = f"Write a list: [{value}]" if isinstance(value, str) else "Write values in brackets, [a, b, c]"
     elif kind in {"too_short", "too_long"}:
-        found, cure = f"found {_count(value)}: {show(value)}", _length_cure(path)
+        found, cure = f"found {_count(value)}: {show(value)}", _length_cure(path, kind)
     elif kind in _SECTION:
         found = "the section is empty" if value is None else found
         keys = ", ".join(keys_at(path)[:5])
@@ -88,7 +88,7 @@ def _missing(path: tuple[Key, ...], value: Any) -> Mistake:
             path=path,
             found=f"found {_count(value)}: {show(value)}",
             expected=describe_expected(path),
-            cure=_length_cure(path),
+            cure=_length_cure(path, "too_short"),
         )
     node = node_at(path)
     examples = node.get("examples") or [None]
@@ -124,11 +124,18 @@ def _text(path: tuple[Key, ...], kind: str, value: Any, expected: str) -> tuple[
     return (f"text like {pattern}" if pattern else expected), "Correct the text"
 
 
-def _length_cure(path: tuple[Key, ...]) -> str:
-    n = node_at(path).get("maxItems")
-    if n == 3:
+def _length_cure(path: tuple[Key, ...], kind: str) -> str:
+    node = node_at(path)
+    least, most = node.get("minItems", 0), node.get("maxItems")
+    if least == most == 3:
         return "Write all three components in brackets, [x, y, z], with decimal points"
-    return f"Write {n} values in brackets" if n else "Write at least one value, or remove the line"
+    if least == most and most:
+        return f"Write {most} values in brackets"
+    if kind == "too_long":
+        return f"Write at most {most} values in brackets"
+    return f"Write at least {least} values in brackets" if least > 1 else (
+        "Write at least one value, or remove the line"
+    )  # fmt: skip
 
 
 def _count(value: Any) -> str:

@@ -101,10 +101,12 @@ def describe_expected(path: tuple[Key, ...]) -> str:
         unit = unit_at(path)
         return f"{text} ({unit})" if unit else text
     if kind == "array":
-        n = node.get("maxItems")
+        least, most = node.get("minItems", 0), node.get("maxItems")
         unit = unit_at(path)
-        if n:
-            return f"a list of {n} numbers" + (f" ({unit})" if unit else "")
+        if most:
+            range_ = f"{least} to {most}" if least else f"at most {most}"
+            many = f"{most} numbers" if least == most else f"{range_} values"
+            return f"a list of {many}" + (f" ({unit})" if unit else "")
         items = resolve(node.get("items", {}))
         if "enum" in items:
             return "a list of " + ", ".join(str(v) for v in items["enum"])

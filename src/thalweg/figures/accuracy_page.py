@@ -306,7 +306,14 @@ def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any
     ]  # fmt: skip
     if rows:
         page.table(pd.DataFrame(rows), f"The reference surface (method {mesh_facts.get('method', '?')})")
-    for note in mesh_facts.get("notes", []):
+    lost = [
+        {"what": name.replace("_", " "), "n": int(n)}
+        for name, n in mesh_facts.get("ingest_losses", {}).items()
+        if n
+    ]
+    if lost:
+        page.table(pd.DataFrame(lost), "Lost while the reference was read")
+    for note in (*mesh_facts.get("ingest_notes", []), *mesh_facts.get("notes", [])):
         page.text(str(note))
 
 

@@ -21,11 +21,12 @@ from thalweg.ingest.clouds_ply import read_ply
 from thalweg.ingest.clouds_raw import RawCloud
 from thalweg.ingest.integrity import IntegrityReport
 
-__all__ = ["Cloud", "read_cloud"]
+__all__ = ["NO_CRS", "Cloud", "read_cloud"]
 
 _READERS: Final = {b"LASF": read_las, b"ply": read_ply, b"ASTM-E57": read_e57}
-# float32 resolves 1 mm up to 8.4 km (24 bit of mantissa)
-_FLOAT32_REACH_M: Final = 8_388.0
+NO_CRS: Final = "The file states no coordinate reference system."
+_FINE_M: Final = 1.01e-3
+"""Steps of a millimetre are usual and are not told."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -41,6 +42,7 @@ class Cloud:
     t_gps_s : (n,) adjusted standard GPS time, NaN where unknown, or None.
     frame : local frame or CRS that the file states, else None.
     report : counts, losses and notes.
+    step_m : coarsest step of the coordinates that the file's number format can tell; 0: far below 1 mm.
     """
 
     points: ArrayF
@@ -50,6 +52,7 @@ class Cloud:
     t_gps_s: ArrayF | None
     frame: Frame
     report: IntegrityReport
+    step_m: float = 0.0
 
     @property
     def crs(self) -> CRS | None:
@@ -105,13 +108,12 @@ def _cloud(raw: RawCloud, report: IntegrityReport, path: Path) -> Cloud:
             where=path,
             cure="Export the cloud again",
         )
-    if raw.single_precision:
+    if raw.step_m > _FINE_M:
         reach = float(np.abs(raw.points[finite]).max())
-        if reach > _FLOAT32_REACH_M:
-            report.note(
-                f"Coordinates up to {reach:.0f} m are stored in single precision: they resolve "
-                f"{float(np.spacing(np.float32(reach))) * 1000:.3g} mm only. Export doubles, or with a shift."
-            )
+        report.note(
+            f"Coordinates up to {reach:.0f} m resolve {raw.step_m * 1000:.3g} mm only (single precision, or "
+            "a coarse scale). Export doubles, a finer scale, or coordinates with a shift."
+        )
 
     def keep(values: AnyArray | None) -> AnyArray | None:
         """A column without the rows of points that are not finite."""
@@ -126,7 +128,7 @@ def _cloud(raw: RawCloud, report: IntegrityReport, path: Path) -> Cloud:
         report.synchronised, report.time_scale = True, "gps"
         report.t_first_s, report.t_last_s = float(np.nanmin(t)), float(np.nanmax(t))
     if raw.frame is None:
-        report.note("The file states no coordinate reference system.")
+        report.note(NO_CRS)
     return Cloud(
         points=points,
         intensity=keep(raw.intensity),
@@ -135,4 +137,5 @@ def _cloud(raw: RawCloud, report: IntegrityReport, path: Path) -> Cloud:
         t_gps_s=t,
         frame=raw.frame,
         report=report,
+        step_m=raw.step_m,
     )

@@ -12,11 +12,12 @@ from scipy.spatial.transform import Rotation
 from thalweg.core.errors import InputError
 from thalweg.core.las_header import library_errors
 from thalweg.core.types import AnyArray, ArrayF
-from thalweg.ingest.clouds_raw import RawCloud, eight_bit
+from thalweg.ingest.clouds_raw import RawCloud, eight_bit, single_step_m
 from thalweg.ingest.integrity import IntegrityReport
 
 _CARTESIAN: Final = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL: Final = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+_ANGLES: Final = ("Azimuth", "Elevation")
 _COLOURS: Final = ("colorRed", "colorGreen", "colorBlue")
 _BUFFER_POINTS: Final = 1 << 20
 _PAGE: Final = 1024
@@ -52,8 +53,9 @@ def read_e57(path: Path, report: IntegrityReport) -> RawCloud:
         file.close()
     if not parts:
         raise InputError(f"no points in {n_scans} scans", expected="at least one scan", where=path, cure=cure)
-    common = set.intersection(*(set(p) for p in parts))
-    for name in sorted(set.union(*(set(p) for p in parts)) - common):
+    columns = [set(p) - {"step_m"} for p in parts]
+    common = set.intersection(*columns)
+    for name in sorted(set.union(*columns) - common):
         report.note(f"'{name}' is not in all scans and is left out.")
     joined = {name: np.concatenate([p[name] for p in parts]) for name in common}
     return RawCloud(
@@ -61,6 +63,7 @@ def read_e57(path: Path, report: IntegrityReport) -> RawCloud:
         intensity=joined.get("intensity"),
         rgb=eight_bit(joined["rgb"], report) if "rgb" in joined else None,
         frame=frame,
+        step_m=max(float(p["step_m"]) for p in parts),
     )
 
 
@@ -124,6 +127,8 @@ def _scan(file: Any, index: int, path: Path, report: IntegrityReport) -> dict[st
         if lost := int(np.count_nonzero(~good)):
             report.lose("points_marked_invalid", lost)
     xyz = np.stack([data[name] for name in system], axis=-1)[good]
+    # the poses are doubles: what counts are the numbers before them
+    steps = [_step(header, name, xyz[:, i]) for i, name in enumerate(system) if not name.endswith(_ANGLES)]
     if system is _SPHERICAL:
         r, azimuth, elevation = xyz.T
         flat = r * np.cos(elevation)
@@ -131,7 +136,7 @@ def _scan(file: Any, index: int, path: Path, report: IntegrityReport) -> dict[st
     if pose is not None:
         rotation, translation = pose
         xyz = xyz @ rotation.T + translation
-    part: dict[str, AnyArray] = {"points": xyz}
+    part: dict[str, AnyArray] = {"points": xyz, "step_m": np.array(max(steps))}
     if "intensity" in data:
         part["intensity"] = data["intensity"][good]
     if _COLOURS[0] in data:
@@ -164,6 +169,19 @@ def _records(file: Any, header: Any, names: list[str], declared: int) -> tuple[d
     except InputError as error:
         words = error.found
     return {name: np.concatenate(blocks) for name, blocks in parts.items()}, words
+
+
+def _step(header: Any, name: str, values: ArrayF) -> float:
+    """Step of a column by its number format, metres."""
+    node = pye57.libe57.StructureNode(header.points.prototype())[name]
+    if isinstance(node, pye57.libe57.ScaledIntegerNode):
+        return float(node.scale())
+    if (
+        isinstance(node, pye57.libe57.FloatNode)
+        and node.precision() == pye57.libe57.FloatPrecision.E57_SINGLE
+    ):
+        return single_step_m(values)
+    return 0.0
 
 
 def _pose(header: Any) -> tuple[ArrayF, ArrayF] | None:

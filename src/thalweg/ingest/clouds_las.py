@@ -23,6 +23,8 @@ from thalweg.core.types import AnyArray
 from thalweg.ingest.clouds_raw import RawCloud, eight_bit
 from thalweg.ingest.integrity import IntegrityReport
 
+WEEK_TIMES: Final = "Times are seconds of an unstated GPS week: they are left empty."
+
 _CHUNK_POINTS: Final = 500_000
 _LAYERED: Final = 3
 _NAMES: Final[tuple[str, ...]] = ("xyz_m", "intensity", "rgb", "t_gps_s", "t_week_s")
@@ -64,7 +66,7 @@ def _collect(chunks: Iterable[dict[str, AnyArray]], parts: list[dict[str, AnyArr
 
 def _raw(columns: dict[str, AnyArray], header: LazHeader, report: IntegrityReport) -> RawCloud:
     if "t_week_s" in columns:
-        report.note("Times are seconds of an unstated GPS week: they are left empty.")
+        report.note(WEEK_TIMES)
     t = columns["t_gps_s"]
     return RawCloud(
         points=columns["xyz_m"],
@@ -72,6 +74,7 @@ def _raw(columns: dict[str, AnyArray], header: LazHeader, report: IntegrityRepor
         rgb=eight_bit(columns["rgb"], report) if "rgb" in columns else None,
         t_gps_s=t if np.isfinite(t).any() else None,
         frame=header.frame,
+        step_m=header.scale_m,
     )
 
 

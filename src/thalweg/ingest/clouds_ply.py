@@ -12,7 +12,7 @@ import numpy as np
 
 from thalweg.core.errors import InputError, UnsupportedError
 from thalweg.core.types import AnyArray
-from thalweg.ingest.clouds_raw import RawCloud, eight_bit
+from thalweg.ingest.clouds_raw import RawCloud, eight_bit, single_step_m
 from thalweg.ingest.integrity import IntegrityReport
 
 _TYPES: Final = {
@@ -77,14 +77,16 @@ def read_ply(path: Path, report: IntegrityReport) -> RawCloud:
         if element.count:
             report.note(f"{element.count:,} elements '{element.name}' are no points and are left out.")
     types = dict(vertex.fields)
+    points = np.stack([table[a].astype(np.float64) for a in "xyz"], axis=-1)
+    single = [i for i, a in enumerate("xyz") if types[a] == "f4" and form != "ascii"]
     return RawCloud(
-        points=np.stack([table[a].astype(np.float64) for a in "xyz"], axis=-1),
+        points=points,
         intensity=next((table[n].astype(np.float32) for n in _INTENSITY if n in types), None),
         rgb=next((eight_bit(_stack(table, c), report) for c in _COLOURS if set(c) <= set(types)), None),
         normals=_stack(table, ("nx", "ny", "nz")).astype(np.float32)
         if {"nx", "ny", "nz"} <= set(types)
         else None,
-        single_precision="f4" in (types["x"], types["y"], types["z"]) and form != "ascii",
+        step_m=single_step_m(points[:, single]) if single else 0.0,
     )
 
 

@@ -11,7 +11,10 @@ from thalweg.ingest.integrity import IntegrityReport
 
 @dataclass(slots=True, kw_only=True)
 class RawCloud:
-    """Columns of a cloud before points that are not finite are dropped."""
+    """Columns of a cloud before points that are not finite are dropped.
+
+    ``step_m`` is the coarsest step of the coordinates that the number format can tell.
+    """
 
     points: ArrayF
     intensity: AnyArray | None = None
@@ -19,7 +22,13 @@ class RawCloud:
     normals: AnyArray | None = None
     t_gps_s: AnyArray | None = None
     frame: Any = None
-    single_precision: bool = False
+    step_m: float = 0.0
+
+
+def single_step_m(values: AnyArray) -> float:
+    """Step of single precision at the largest finite one of some values."""
+    reach = np.max(np.abs(values), where=np.isfinite(values), initial=0.0)
+    return float(np.spacing(np.float32(min(float(reach), float(np.finfo(np.float32).max) / 2))))
 
 
 def eight_bit(rgb: AnyArray, report: IntegrityReport) -> ArrayU8:

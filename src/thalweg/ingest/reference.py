@@ -1,18 +1,29 @@
 """Reference clouds of any format -> one cloud in the world frame."""
 
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from pyproj import CRS
 
-from thalweg.core.errors import InputError
+from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.las import LazWriter
 from thalweg.core.types import AnyArray, ArrayF
-from thalweg.ingest.clouds import Cloud, read_cloud
+from thalweg.ingest.clouds import NO_CRS, Cloud, read_cloud
+from thalweg.ingest.clouds_las import WEEK_TIMES
 from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest.reference_place import check_near, misplaced
 
 CHUNK = 1_000_000
+
+COARSEST_M: Final = 0.01
+"""Coordinates in coarser steps are no reference: scanners measure millimetres."""
+
+_UNTOLD: Final = (NO_CRS, WEEK_TIMES)
+"""Said with what is assumed instead, and of no use: a reference has no times."""
+_ENOUGH: Final = 1000
+_SAMPLE: Final = 200_000
 
 
 def to_world(cloud: Cloud, frame: LocalFrame, crs: str, where: Path) -> tuple[ArrayF, str]:
@@ -28,7 +39,8 @@ def to_world(cloud: Cloud, frame: LocalFrame, crs: str, where: Path) -> tuple[Ar
     Raises
     ------
     InputError : the file is in another local frame than the campaign.
-    GeometryError : the coordinates do not lie in the map grid.
+    GeometryError : the coordinates do not lie in the map grid, or more than 20 km from the origin; the
+        message says where they lie and what they may be.
     """
     if isinstance(cloud.frame, LocalFrame):
         if cloud.frame != frame:
@@ -39,14 +51,18 @@ def to_world(cloud: Cloud, frame: LocalFrame, crs: str, where: Path) -> tuple[Ar
                 cure="Process both with the same campaign.origin",
             )
         return cloud.points, ""
+    stated = "" if cloud.frame is None else cloud.frame.name
+    try:
+        local = frame.from_map(cloud.points, cloud.frame or CRS.from_user_input(crs))
+    except GeometryError as error:
+        raise misplaced(error.found, cloud.points, frame, crs, stated, where) from error
+    check_near(local, cloud.points, frame, crs, stated, where)
     if cloud.frame is None:
-        return frame.from_map(cloud.points, CRS.from_user_input(crs)), (
-            f"{where.name} states no CRS: taken as {crs} with ellipsoidal heights."
-        )
+        return local, f"{where.name} states no CRS: taken as {crs} with ellipsoidal heights."
     note = ""
     if cloud.frame.is_compound:
         note = f"{where.name}: heights of '{cloud.frame.name}' are taken as ellipsoidal, no geoid applied."
-    return frame.from_map(cloud.points, cloud.frame), note
+    return local, note
 
 
 def gather_reference(files: list[Path], out: Path, frame: LocalFrame, crs: str) -> IntegrityReport:
@@ -62,21 +78,36 @@ def gather_reference(files: list[Path], out: Path, frame: LocalFrame, crs: str) 
     Returns
     -------
     report : losses of all files, and the number of points of each.
+
+    Raises
+    ------
+    InputError : there are no files, one cannot be read, or its coordinates resolve no centimetre.
+    GeometryError : one lies elsewhere.
     """
+    if not files:
+        raise InputError(
+            "no reference cloud",
+            expected="at least one file",
+            where="logs.reference",
+            cure="Name the terrestrial scans there, or do not ask for a comparison with a reference",
+        )
     total = IntegrityReport(stream="reference", format="reference clouds", files=[str(f) for f in files])
     with LazWriter(out, frame) as writer:
         for number, path in enumerate(files, start=1):
             cloud = read_cloud(path)
             points, note = to_world(cloud, frame, crs, path)
-            if note:
-                total.note(note)
+            _refuse_coarse(cloud, path)
+            for sentence in filter(None, (note, *_stepped(cloud.points, path))):
+                total.note(sentence)
             total.count(f"points_{number}", len(points))
             total.count("points", len(points))
             total.bytes_read += cloud.report.bytes_read
             for what, n in cloud.report.losses.items():
                 total.lose(what, n)
+                total.note(f"{path.name}: {n:,} {what.replace('_', ' ')}.")
             for sentence in cloud.report.notes:
-                total.note(f"{path.name}: {sentence}")
+                if sentence not in _UNTOLD:
+                    total.note(f"{path.name}: {sentence}")
             intensity = _sixteen_bit(cloud.intensity, len(points))
             for start in range(0, len(points), CHUNK):
                 part = slice(start, start + CHUNK)
@@ -87,6 +118,31 @@ def gather_reference(files: list[Path], out: Path, frame: LocalFrame, crs: str) 
                     point_source_id=np.full(n, number, dtype=np.uint16),
                 )
     return total
+
+
+def _refuse_coarse(cloud: Cloud, path: Path) -> None:
+    if cloud.step_m > COARSEST_M:
+        raise InputError(
+            f"coordinates up to {np.abs(cloud.points).max():.0f} m that resolve {cloud.step_m * 1000:.3g} mm",
+            expected=f"{COARSEST_M * 1000:g} mm or finer",
+            where=path,
+            cure="Export doubles (LAZ: a scale of 1 mm), or coordinates with a shift near zero",
+        )
+
+
+def _stepped(points: ArrayF, path: Path) -> list[str]:
+    """Sentences about axes whose values come in coarse steps: rounded before they came into this file."""
+    notes: list[str] = []
+    if len(points) < _ENOUGH:
+        return notes
+    for axis, name in enumerate(("east", "north", "height")):
+        step = np.diff(np.unique(points[:: -(-len(points) // _SAMPLE), axis]))
+        if len(step) and step.min() > COARSEST_M:
+            notes.append(
+                f"{path.name}: its {name} coordinates come in steps of {step.min() * 1000:.3g} mm: rounded "
+                "before this export (single precision?), or a raster. The reference is no better than that."
+            )
+    return notes
 
 
 def _sixteen_bit(intensity: AnyArray | None, n: int) -> AnyArray:

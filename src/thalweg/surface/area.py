@@ -20,6 +20,7 @@ from pyproj import CRS
 
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import GRS80_SEMI_MAJOR_M, LocalFrame
+from thalweg.core.polygon import LEAST_AREA_M2, crossing_in_words, first_crossing, polygon_area_m2
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
 
 # Open3D brings an old TBB into the process, which numba would try first and complain about.
@@ -125,10 +126,7 @@ class Area:
 
     def size_m2(self) -> float:
         """Area of the polygon in plan; infinite without one."""
-        if self.polygon_en_m is None:
-            return float(np.inf)
-        east, north = (self.polygon_en_m - self.polygon_en_m.mean(axis=0)).T
-        return float(abs(np.sum(east * np.roll(north, -1) - np.roll(east, -1) * north)) / 2)
+        return float(np.inf) if self.polygon_en_m is None else polygon_area_m2(self.polygon_en_m)
 
     def describe(self) -> str:
         """The limits in words."""
@@ -175,22 +173,19 @@ def checked_polygon(corners: ArrayF) -> ArrayF:
     polygon = corners[np.any(corners != np.roll(corners, 1, axis=0), axis=1)]
     if len(polygon) < 3:
         raise InputError(f"{len(polygon)} different corners", expected="at least three", where=_WHERE)
-    if np.ptp(polygon, axis=0).min() <= 0:
-        raise InputError("a polygon without area: all corners lie on a line", where=_WHERE)
-    # about their middle: at map coordinates products of 1e12 m2 would hide a crossing
-    first, second = _first_crossing(polygon - polygon.mean(axis=0))
-    if first >= 0:
-        k = len(polygon)
-        edges = [
-            f"{a + 1} to {(a + 1) % k + 1} ({polygon[a, 0]:.2f}, {polygon[a, 1]:.2f} to "
-            f"{polygon[(a + 1) % k, 0]:.2f}, {polygon[(a + 1) % k, 1]:.2f})"
-            for a in (int(first), int(second))
-        ]
+    if crossing := first_crossing(polygon):
         raise InputError(
-            f"the edges from corner {edges[0]} and from corner {edges[1]} cross",
+            crossing_in_words(polygon, crossing),
             expected="a polygon whose edges do not cross",
             where=_WHERE,
             cure="Give the corners in their order along the outline",
+        )
+    if polygon_area_m2(polygon) < LEAST_AREA_M2:
+        raise InputError(
+            "a polygon without area: all corners lie on a line",
+            expected="corners around the area",
+            where=_WHERE,
+            cure="Copy the corners from a map program in the order in which they were drawn",
         )
     return np.asarray(polygon)
 
@@ -287,24 +282,3 @@ def _contains(
                     inside = not inside
         out[i] = inside
     return out
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _first_crossing(polygon: ArrayF) -> tuple[int, int]:
-    """Numbers of the first two edges that cross, or -1, -1; edges that only touch do not count."""
-    k = len(polygon)
-    for i in range(k):
-        ax, ay = polygon[i]
-        bx, by = polygon[(i + 1) % k]
-        for j in range(i + 2, k):
-            if i == 0 and j == k - 1:
-                continue
-            cx, cy = polygon[j]
-            dx, dy = polygon[(j + 1) % k]
-            c_side = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-            d_side = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
-            a_side = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
-            b_side = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
-            if c_side * d_side < 0 and a_side * b_side < 0:
-                return i, j
-    return -1, -1

@@ -162,11 +162,6 @@ def thin_track(track_m: ArrayLike) -> ArrayF:
     return np.asarray(track[first])
 
 
-def fit_bank_frame(points_wcs_m: ArrayLike, toward_m: ArrayLike) -> BankFrame:
-    """The frame of a bank, see `fit_bank`."""
-    return fit_bank(points_wcs_m, toward_m).frame
-
-
 def fit_bank(points_wcs_m: ArrayLike, toward_m: ArrayLike) -> BankFit:
     """The frame along whose axis `out` the surface is best seen.
 

@@ -4,6 +4,13 @@ The surface is smooth and closed where there are no points; what is far from all
 runs in one thread: with several the order of sums, and with it the last digits, change from run to run.
 """
 
+import logging
+import os
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,6 +20,9 @@ from scipy.spatial import cKDTree
 from thalweg.core.errors import GeometryError
 from thalweg.core.raycast import _open3d
 from thalweg.core.types import ArrayF, ArrayI
+
+_LOG: Final = logging.getLogger("thalweg")
+_STREAMS: Final = (1, 2)
 
 DEEPEST: Final = 12
 """A deeper octree needs tens of gigabytes."""
@@ -78,7 +88,7 @@ def reconstruct(
     middle = np.round(points_m.mean(axis=0))  # Open3D reconstructs in float32
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m - middle))
     cloud.normals = o3d.utility.Vector3dVector(normals)
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+    with _console_to_log(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         made, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
             cloud, depth=depth, scale=_SCALE, linear_fit=False, n_threads=1
         )
@@ -121,6 +131,27 @@ def reconstruct(
         depth=depth,
         resolution_m=float(_width(points_m) / 2**depth),
     )
+
+
+@contextmanager
+def _console_to_log() -> Iterator[None]:
+    """What the library prints past Python, on both streams, goes to the log, each line once."""
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    with tempfile.TemporaryFile() as told:
+        kept = [os.dup(number) for number in _STREAMS]
+        try:
+            for number in _STREAMS:
+                os.dup2(told.fileno(), number)
+            yield
+        finally:
+            for number, own in zip(_STREAMS, kept, strict=True):
+                os.dup2(own, number)
+                os.close(own)
+        told.seek(0)
+        lines = told.read().decode("utf-8", "replace").splitlines()
+    for line, n in Counter(line.strip() for line in lines if line.strip()).items():
+        _LOG.info("Poisson reconstruction: %s%s", line, f" ({n} times)" if n > 1 else "")
 
 
 def _width(points_m: ArrayF) -> float:

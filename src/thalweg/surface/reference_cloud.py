@@ -48,6 +48,7 @@ class CleanCloud:
     sigma_m : (n,) standard deviation of each point along its normal.
     n_merged : (n,) points that it is the mean of.
     counts : what was given, and what became of it.
+    front_m : median height above the lower envelope of the points in front of it; 0 without any.
     """
 
     points_m: ArrayF
@@ -55,6 +56,7 @@ class CleanCloud:
     sigma_m: ArrayF
     n_merged: ArrayI
     counts: dict[str, int]
+    front_m: float = 0.0
 
 
 def clean_reference(points_m: ArrayF, frame: BankFrame, settings: ReferenceSettings) -> CleanCloud:
@@ -75,12 +77,14 @@ def clean_reference(points_m: ArrayF, frame: BankFrame, settings: ReferenceSetti
     InputError : fewer than three points are given or left; the message says which step took them.
     """
     points, counts = finite_and_single(points_m)
+    front_m = 0.0
     if settings.isolated_neighbours:
         points = _step(points, _has_company(points, settings), "isolated", counts)
     if settings.clearance_m is not None and len(points):
         height = heights_above_envelope(frame.to_bank(points), clearance_m=settings.clearance_m)
         front, behind = height > settings.clearance_m, height < -2 * settings.clearance_m
         counts["in_front"], counts["behind"] = int(front.sum()), int(behind.sum())
+        front_m = float(np.median(height[front])) if front.any() else 0.0
         points = points[~(front | behind)]
     if len(points) < LEAST_POINTS:
         raise InputError(
@@ -104,6 +108,7 @@ def clean_reference(points_m: ArrayF, frame: BankFrame, settings: ReferenceSetti
         sigma_m=thinned.sigma_m[single],
         n_merged=thinned.n_merged[single],
         counts=counts,
+        front_m=front_m,
     )
 
 

@@ -3,6 +3,7 @@
 from typing import Any, Final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from thalweg.core.errors import GeometryError
 from thalweg.core.mesh import TriangleMesh
@@ -16,11 +17,14 @@ from thalweg.surface.reference_cloud import (
     clean_reference,
     finite_and_single,
 )
+from thalweg.surface.reference_notes import mesh_notes
 
 __all__ = ["ReferenceSettings", "mesh_reference"]
 
-_MUCH_REMOVED: Final = 0.9
-_MUCH_STEEP: Final = 0.02
+_LEAST_FRAGMENT: Final = 0.01
+"""Pieces smaller than this share of the largest one are no surface, whatever the longest edge."""
+_LEAST_USED: Final = 0.02
+"""A smaller share of vertices in faces is no mesh of the points, but chance neighbours."""
 
 
 def mesh_reference(
@@ -50,21 +54,22 @@ def mesh_reference(
     cloud = clean_reference(points, fit.frame, settings)
     counts |= {name: n for name, n in cloud.counts.items() if name not in counts}
     mesh, made, facts = _meshed(cloud, fit, track, settings)
-    small = _fragments(mesh, settings.longest_edge_m**2)
-    counts |= made | {"fragment_faces": int(small.sum())}
-    mesh = mesh.part(~small)
+    whole = len(mesh.faces)
+    mesh = mesh.part(~_fragments(mesh, settings.longest_edge_m**2)) if whole else mesh
+    counts |= made | {"fragment_faces": whole - len(mesh.faces)}
     counts["unused_vertices"] = len(cloud.points_m) - len(mesh.vertices_m) if not facts else 0
-    if not len(mesh.faces):
+    if not whole or counts["unused_vertices"] > (1 - _LEAST_USED) * len(cloud.points_m):
         raise GeometryError(
-            f"no triangle of the {len(cloud.points_m):,} cleaned points has edges below "
-            f"{settings.longest_edge_m:g} m, or all lie in pieces smaller than "
-            f"{settings.longest_edge_m**2:.3g} m2",
+            f"{counts.get('long_faces', 0):,} of {counts.get('long_faces', 0) + whole:,} triangles of the "
+            f"{len(cloud.points_m):,} cleaned points have edges above {settings.longest_edge_m:g} m",
             expected="a cloud denser than reference.longest_edge_m",
             cure="Raise reference.longest_edge_m above the spacing of the points",
         )
     facts |= _facts(mesh, cloud, fit, settings)
     facts["counts"] = counts
-    facts["notes"] = _notes(facts, fit)
+    some = mesh.vertices_m[:: 1 + len(mesh.vertices_m) // 10_000]
+    facts["track_m"] = float(np.min(cKDTree(track).query(some)[0]))
+    facts["notes"] = mesh_notes(facts, vertical=fit.vertical)
     return mesh, facts
 
 
@@ -91,10 +96,13 @@ def _meshed(
 
 
 def _fragments(mesh: TriangleMesh, least_m2: float) -> ArrayB:
-    """Faces (m,) of connected pieces smaller than ``least_m2``: remains of plants, and all border."""
+    """Faces (m,) of connected pieces smaller than ``least_m2``: remains of plants, and all border.
+
+    A long edge must not make a small mesh a fragment: what counts is then the size of the largest piece.
+    """
     piece = mesh.pieces()
     size = np.bincount(piece, mesh.areas_m2(), minlength=1)
-    return np.asarray(size[piece] < least_m2)
+    return np.asarray(size[piece] < min(least_m2, _LEAST_FRAGMENT * float(size.max())))
 
 
 def _facts(
@@ -126,33 +134,16 @@ def _facts(
         "steep_deg": STEEP_DEG,
         "steep_area_share": float(areas[steep].sum() / areas.sum()),
         "pieces": int(mesh.pieces().max()) + 1,
+        "layers": _layers(mesh, fit, settings.longest_edge_m),
+        "front_m": cloud.front_m,
     }
 
 
-def _notes(facts: dict[str, Any], fit: BankFit) -> list[str]:
-    counts, notes = facts["counts"], []
-    removed = sum(counts.get(name, 0) for name in ("not_finite", "isolated", "in_front", "behind"))
-    if removed > _MUCH_REMOVED * counts["given"]:
-        notes.append(
-            f"Cleaning took {removed:,} of {counts['given']:,} reference points (isolated "
-            f"{counts.get('isolated', 0):,}, in front {counts.get('in_front', 0):,}, behind "
-            f"{counts.get('behind', 0):,}): look at reference.isolated_radius_m and reference.clearance_m."
-        )
-    if fit.vertical:
-        notes.append(
-            "The bank turns so far that no inclined direction serves: it is meshed as seen from above."
-        )
-    if facts["method"] == "delaunay" and facts["steep_area_share"] > _MUCH_STEEP:
-        notes.append(
-            f"{100 * facts['steep_area_share']:.1f} % of the mesh's area is seen on edge (more than "
-            f"{STEEP_DEG:g} degrees from the direction of view): overhangs or a bend. A triangulation in one "
-            "plane is doubtful there; take a smaller accuracy.area or reference.method poisson."
-        )
-    cell = facts["settings"]["cell_m"]
-    if facts.get("poisson_resolution_m", 0.0) > 2 * cell:
-        notes.append(
-            f"The octree's cells are {facts['poisson_resolution_m']:.3f} m wide, those of the cloud "
-            f"{cell:g} m: stones are smoothed away. Take a smaller accuracy.area, a larger "
-            "reference.poisson_depth, or reference.method delaunay."
-        )
-    return notes
+def _layers(mesh: TriangleMesh, fit: BankFit, cell_m: float) -> float:
+    """How many times the mesh covers the plane of the bank, on average over the cells that it touches."""
+    middle = mesh.vertices_m[mesh.faces].mean(axis=1)
+    cell = np.floor(fit.frame.to_bank(middle)[:, :2] / cell_m).astype(np.int64)
+    cell -= cell.min(axis=0)
+    touched = np.unique(cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1])
+    area = np.sum(mesh.areas_m2() * np.abs(mesh.face_normals() @ fit.frame.out))
+    return float(area / (len(touched) * cell_m**2))
