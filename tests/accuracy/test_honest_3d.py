@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from thalweg.config.twin import TwinConfig
-from thalweg.simulation.survey import BARE
-from thalweg.simulation.trials import MISTAKES, NONE, Trial, Verdict, trials, verdict
+from thalweg.simulation.studies.survey import BARE
+from thalweg.simulation.studies.trials import MISTAKES, NONE, Trial, Verdict, trials, verdict
 
 pytestmark = pytest.mark.xdist_group("surveys")  # the surveys are simulated once
 

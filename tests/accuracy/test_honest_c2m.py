@@ -7,7 +7,15 @@ meshed. It errs anew with each seed; its stations by 5 mm, as section ``referenc
 import numpy as np
 import pytest
 
-from thalweg.simulation.trials import MISTAKES, NONE, QUANTITIES, Trial, Verdict, honesty_tables, verdict
+from thalweg.simulation.studies.trials import (
+    MISTAKES,
+    NONE,
+    QUANTITIES,
+    Trial,
+    Verdict,
+    honesty_tables,
+    verdict,
+)
 
 pytestmark = pytest.mark.xdist_group("surveys")  # the surveys are simulated once
 

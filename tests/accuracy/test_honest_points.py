@@ -17,7 +17,7 @@ from thalweg.accuracy.independent import independent_squares
 from thalweg.accuracy.statistics import chi_square_band
 from thalweg.accuracy.truth import PointErrors
 from thalweg.config.twin import TwinConfig
-from thalweg.simulation.survey import BARE, process, record, survey_settings
+from thalweg.simulation.studies.survey import BARE, process, record, survey_settings
 
 SEEDS = 24
 DURATION_S, CORRELATION_S = 4.0, 0.5

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -249,6 +250,7 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
         more = "ins: {sigma_position_m: [0.6, 0.6, 1.0]}"
     campaign = text.format(logs=logs, source=source, more=more)
     (tiny_house.root / "config/campaigns/boat.yaml").write_text(campaign)
+    shutil.rmtree(tiny_house.root / "results/boat", ignore_errors=True)
     tiny_house.snakemake("--config", "campaign=boat")
     base = tiny_house.root / "results/boat"
     summary = json.loads((base / "orientation/trajectory.json").read_text())

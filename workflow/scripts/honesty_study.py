@@ -4,7 +4,7 @@ import tempfile
 from pathlib import Path
 
 from thalweg.jobs.job import run_job
-from thalweg.simulation.trials import MISTAKES, NONE, honesty_tables, trials
+from thalweg.simulation.studies.trials import MISTAKES, NONE, honesty_tables, trials
 
 
 def main(*, verdicts: Path, by_range: Path, seeds: int, threads: int) -> None:

@@ -4,7 +4,7 @@ import tempfile
 from pathlib import Path
 
 from thalweg.jobs.job import run_job
-from thalweg.simulation.offset_study import as_markdown, offset_study
+from thalweg.simulation.studies.offset_study import as_markdown, offset_study
 
 
 def main(*, table: Path, page: Path, seeds: int, threads: int) -> None:

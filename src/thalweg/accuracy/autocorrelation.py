@@ -321,7 +321,7 @@ def dependency_in_words(table: pd.DataFrame) -> str:
 def _means_in_words(value: dict[str, float]) -> str:
     share, std, p = value["share_of_variance"], value["std_of_places"], value["moran_p"]
     facts = (
-        f"Moran's I {value['moran_i']:.3f}, expected {value['moran_i_expected']:.3f}, {_p_in_words(p)}; the "
+        f"Moran's I {value['moran_i']:.3f}, expected {value['moran_i_expected']:.1g}, {_p_in_words(p)}; the "
         f"place explains {100 * share:.1f} % of the variance, {1000 * std:.0f} mm"
     )
     if p >= SIGNIFICANT:

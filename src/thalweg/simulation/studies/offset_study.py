@@ -25,7 +25,7 @@ import pandas as pd
 from thalweg.accuracy.comparison import ComparisonSettings, after_motion, compare_with_mesh
 from thalweg.accuracy.registration import register
 from thalweg.core.errors import GeometryError
-from thalweg.simulation.survey import BARE, process, record, reference_mesh, survey_settings
+from thalweg.simulation.studies.survey import BARE, process, record, reference_mesh, survey_settings
 from thalweg.surface.area import Area
 from thalweg.surface.cloud_to_mesh import Surface
 

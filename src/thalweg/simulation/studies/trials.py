@@ -21,7 +21,7 @@ import pandas as pd
 from thalweg.accuracy.comparison import ComparisonSettings, compare_with_mesh
 from thalweg.accuracy.honesty import honesty_by_range, ratio_of_surveys
 from thalweg.core.types import ArrayF, ArrayF32
-from thalweg.simulation.survey import BARE, Survey, process, record, reference_mesh, survey_settings
+from thalweg.simulation.studies.survey import BARE, Survey, process, record, reference_mesh, survey_settings
 from thalweg.surface.area import Area
 from thalweg.surface.cloud_to_mesh import Surface
 
@@ -43,7 +43,7 @@ BANKS: Final[dict[str, Any]] = {
 }
 """Section ``twin`` of the surveys: bare banks, and errors of poses that change every half second, so that a
 survey of 4 s holds several. No mirror ghosts: those that the filters leave at the bank's toe are no points of
-a surface, and no sigma speaks of them (`thalweg.simulation.offset_study` does)."""
+a surface, and no sigma speaks of them (`thalweg.simulation.studies.offset_study` does)."""
 
 REFERENCE: Final[dict[str, Any]] = {"cell_m": 0.1}
 """Section ``reference``: the terrain of `BANKS` has triangles of 25 cm."""

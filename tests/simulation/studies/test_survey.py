@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.las import laz_header
-from thalweg.simulation.survey import BARE, Logs, process, record, reference_mesh, survey_settings
+from thalweg.simulation.studies.survey import BARE, Logs, process, record, reference_mesh, survey_settings
 
 TWIN: dict[str, Any] = {
     "size": "tiny",

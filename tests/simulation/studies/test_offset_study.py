@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.simulation.offset_study import (
+from thalweg.simulation.studies.offset_study import (
     EFFECTS,
     SINGLE,
     Effect,
@@ -17,7 +17,7 @@ from thalweg.simulation.offset_study import (
     distances,
     offset_study,
 )
-from thalweg.simulation.survey import survey_settings
+from thalweg.simulation.studies.survey import survey_settings
 
 SMALL: dict[str, Any] = {
     "duration_s": 3.0,
