@@ -9,9 +9,7 @@ Format: G. Turk, "The PLY Polygon File Format" (1994).
 """
 
 import json
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,18 +18,13 @@ import numpy as np
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.mesh import TriangleMesh
+from thalweg.core.ply_header import PlyElement, read_ply_header
 from thalweg.core.types import AnyArray, ArrayI
 
 FORMAT: Final = 1
 
 _LINE: Final = 200
-_HEAD_BYTES: Final = 1 << 20
 _CURE: Final = "Build the mesh again with the rule mesh_reference"
-_TYPES: Final = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-    "double": "f8", "float64": "f8",
-}  # fmt: skip
 _CORNERS: Final = ("vertex_indices", "vertex_index")
 
 
@@ -100,52 +93,25 @@ def read_mesh(path: Path) -> tuple[TriangleMesh, LocalFrame, dict[str, Any]]:
     return mesh, LocalFrame(**told["origin"]), told["facts"]
 
 
-@dataclass(slots=True)
-class _Element:
-    name: str
-    count: int
-    fields: list[tuple[str, str]]
-    """Name and type; a list is written as ``count type:item type``."""
-
-    def dtype(self, order: str, corners: int) -> np.dtype[Any]:
-        """Type of a row whose lists all hold ``corners`` items."""
-        parts: list[Any] = []
-        for name, kind in self.fields:
-            if ":" in kind:
-                length, item = kind.split(":")
-                parts += [(f"n of {name}", order + length), (name, order + item, (corners,))]
-            else:
-                parts.append((name, order + kind))
-        return np.dtype(parts)
-
-    @property
-    def lists(self) -> list[str]:
-        return [name for name, kind in self.fields if ":" in kind]
-
-
 def _read(path: Path) -> tuple[AnyArray, ArrayI, dict[str, Any]]:
     if not path.is_file():
         raise InputError("file not found", expected="a mesh (PLY)", where=path)
-    with path.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES)
-    end = re.search(rb"(?:^|[\r\n])end_header[ \t]*(\r\n|\n|\r)", head)
-    if not head.startswith(b"ply") or end is None:
-        raise InputError("no PLY header", expected="a mesh (PLY)", where=path, cure=_CURE)
-    form, elements, comments = _header(head[: end.start()].decode("latin-1"), path)
+    header = read_ply_header(path, cure=_CURE)
+    form, elements = header.form, header.elements
     names = [e.name for e in elements]
     if names.count("vertex") != 1 or names.count("face") != 1:
         raise InputError(
             f"elements {names}", expected="vertices and faces: a mesh, not a cloud", where=path, cure=_CURE
         )
     vertex, face = elements[names.index("vertex")], elements[names.index("face")]
-    if not {"x", "y", "z"} <= {n for n, _ in vertex.fields} or not set(face.lists) & set(_CORNERS):
+    if not {"x", "y", "z"} <= set(vertex.names) or not set(face.lists) & set(_CORNERS):
         raise InputError(
-            f"vertices with {[n for n, _ in vertex.fields]}, faces with {[n for n, _ in face.fields]}",
+            f"vertices with {vertex.names}, faces with {face.names}",
             expected="x, y, z and vertex_indices",
             where=path,
             cure=_CURE,
         )
-    told = _told(comments, path)
+    told = _told(header.comments, path)
     if told is None:
         raise InputError(
             "a mesh of another program: it does not say in which frame it is",
@@ -154,48 +120,14 @@ def _read(path: Path) -> tuple[AnyArray, ArrayI, dict[str, Any]]:
             cure=_CURE,
         )
     own = form == "binary_little_endian" and names[:2] == ["vertex", "face"] and not vertex.lists
-    if not own or len(face.lists) != 1 or "sigma_m" not in {n for n, _ in vertex.fields}:
+    if not own or len(face.lists) != 1 or "sigma_m" not in set(vertex.names):
         raise InputError(
-            f"{form}, elements {names}, vertices with {[n for n, _ in vertex.fields]}",
+            f"{form}, elements {names}, vertices with {vertex.names}",
             expected="binary_little_endian, vertices with sigma_m, then faces",
             where=path,
             cure=_CURE,
         )
-    return *_triangles(path, end.end(), vertex, face), told
-
-
-def _header(text: str, path: Path) -> tuple[str, list[_Element], list[str]]:
-    form, elements, comments = "", [], []  # type: str, list[_Element], list[str]
-    for number, line in enumerate(re.split(r"\r\n|\n|\r", text), start=1):
-        known = True
-        try:
-            match line.split():
-                case ["ply"] | [] | ["obj_info", *_]:
-                    pass
-                case ["comment", *_]:
-                    comments.append(line[8:])
-                case ["format", ("ascii" | "binary_little_endian" | "binary_big_endian") as form, "1.0"]:
-                    pass
-                case ["element", name, count]:
-                    elements.append(_Element(name, int(count), []))
-                case ["property", "list", length, item, name] if elements:
-                    elements[-1].fields.append((name, f"{_TYPES[length]}:{_TYPES[item]}"))
-                case ["property", kind, name] if elements:
-                    elements[-1].fields.append((name, _TYPES[kind]))
-                case _:
-                    known = False
-        except (ValueError, KeyError):
-            known = False
-        if not known:
-            raise InputError(
-                f"line {number} of the header is {line[:60]!r}",
-                expected="format, element or property of PLY 1.0",
-                where=path,
-                cure=_CURE,
-            )
-    if not form or any(e.count < 0 for e in elements):
-        raise InputError("the header states no format, or negative counts", expected="PLY 1.0", where=path)
-    return form, elements, comments
+    return *_triangles(path, header.end, vertex, face), told
 
 
 def _told(comments: list[str], path: Path) -> dict[str, Any] | None:
@@ -217,7 +149,7 @@ def _told(comments: list[str], path: Path) -> dict[str, Any] | None:
     )
 
 
-def _triangles(path: Path, start: int, vertex: _Element, face: _Element) -> tuple[AnyArray, ArrayI]:
+def _triangles(path: Path, start: int, vertex: PlyElement, face: PlyElement) -> tuple[AnyArray, ArrayI]:
     """Vertices and faces of a file whose faces are all triangles."""
     v_type, f_type = vertex.dtype("<", 3), face.dtype("<", 3)
     room = path.stat().st_size - start

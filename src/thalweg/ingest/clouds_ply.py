@@ -3,39 +3,23 @@
 Format: G. Turk, "The PLY Polygon File Format" (1994).
 """
 
-import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from thalweg.core.errors import InputError, UnsupportedError
+from thalweg.core.ply_header import ORDERS, PlyElement, read_ply_header
 from thalweg.core.types import AnyArray
 from thalweg.ingest.clouds_raw import RawCloud, eight_bit, single_step_m
 from thalweg.ingest.integrity import IntegrityReport
 
-_TYPES: Final = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-    "double": "f8", "float64": "f8",
-}  # fmt: skip
-_ORDERS: Final = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _INTENSITY: Final = ("intensity", "scalar_intensity", "reflectance", "scalar_reflectance")
 _COLOURS: Final = (
     ("red", "green", "blue"),
     ("r", "g", "b"),
     ("diffuse_red", "diffuse_green", "diffuse_blue"),
 )
-_HEAD_BYTES: Final = 1 << 20
-
-
-@dataclass(slots=True)
-class _Element:
-    name: str
-    count: int
-    fields: list[tuple[str, str]]
-    lists: bool = False
 
 
 def read_ply(path: Path, report: IntegrityReport) -> RawCloud:
@@ -46,17 +30,11 @@ def read_ply(path: Path, report: IntegrityReport) -> RawCloud:
     InputError : the header is damaged, or there are no vertices with x, y, z.
     UnsupportedError : vertices with list properties, or behind an element with lists.
     """
-    with path.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES)
-    found = re.search(rb"(?:^|[\r\n])end_header[ \t]*(\r\n|\n|\r)", head)
-    if found is None:
-        raise InputError(
-            "the header has no end", expected="a line 'end_header'", where=path, cure="Copy the file again"
-        )
-    form, elements, comments = _header(head[: found.start()].decode("latin-1"), path)
+    header = read_ply_header(path, cure="Export or copy the file again")
+    form, elements = header.form, header.elements
     report.format = f"PLY {form}"
-    if comments:
-        report.details["comments"] = "; ".join(comments)[:500]
+    if header.comments:
+        report.details["comments"] = "; ".join(text.strip() for text in header.comments)[:500]
     index = next((i for i, e in enumerate(elements) if e.name == "vertex"), None)
     if index is None:
         raise InputError("no element 'vertex'", expected="points", where=path)
@@ -68,10 +46,10 @@ def read_ply(path: Path, report: IntegrityReport) -> RawCloud:
             where=path,
             cure="Export as LAZ",
         )
-    names = [n for n, _ in vertex.fields]
+    names = vertex.names
     if not {"x", "y", "z"} <= set(names) or len(set(names)) < len(names):
         raise InputError(f"vertex properties {names}", expected="x, y, z, each once", where=path)
-    table = _body(path, found.end(), form, before, vertex, report)
+    table = _body(path, header.end, form, before, vertex, report)
     report.count("points_declared", vertex.count)
     for element in elements[index + 1 :]:
         if element.count:
@@ -90,56 +68,21 @@ def read_ply(path: Path, report: IntegrityReport) -> RawCloud:
     )
 
 
-def _header(text: str, path: Path) -> tuple[str, list[_Element], list[str]]:
-    form, elements, comments = "", [], []  # type: str, list[_Element], list[str]
-    for number, line in enumerate(re.split(r"\r\n|\n|\r", text), start=1):
-        words = line.split()
-        known = True
-        try:
-            match words:
-                case ["ply"] | [] | ["obj_info", *_]:
-                    pass
-                case ["comment", *_]:
-                    comments.append(line[8:].strip())
-                case ["format", kind, "1.0"] if kind in _ORDERS:
-                    form = kind
-                case ["element", name, count]:
-                    elements.append(_Element(name, int(count), []))
-                case ["property", "list", _, _, _] if elements:
-                    elements[-1].lists = True
-                case ["property", kind, name] if elements:
-                    elements[-1].fields.append((name.lower(), _TYPES[kind]))
-                case _:
-                    known = False
-        except (ValueError, KeyError):
-            known = False
-        if not known:
-            raise InputError(
-                f"line {number} of the header is {line[:60]!r}",
-                expected="format, element or property of PLY 1.0",
-                where=path,
-                cure="Export the cloud again",
-            )
-    if not form or any(e.count < 0 for e in elements):
-        raise InputError("the header states no format, or negative counts", expected="PLY 1.0", where=path)
-    return form, elements, comments
-
-
 def _body(
-    path: Path, start: int, form: str, before: list[_Element], vertex: _Element, report: IntegrityReport
+    path: Path, start: int, form: str, before: list[PlyElement], vertex: PlyElement, report: IntegrityReport
 ) -> AnyArray:
     """Vertices present, as a structured array."""
     if form == "ascii":
         return _ascii(path, start, sum(e.count for e in before), vertex, report)
-    order = _ORDERS[form]
-    start += sum(e.count * np.dtype([(n, order + t) for n, t in e.fields]).itemsize for e in before)
-    dtype = np.dtype([(n, order + t) for n, t in vertex.fields])
+    order = ORDERS[form]
+    start += sum(e.count * e.dtype(order).itemsize for e in before)
+    dtype = vertex.dtype(order)
     present = min(max(path.stat().st_size - start, 0) // dtype.itemsize, vertex.count)
     _cut(present, vertex.count, report)
     return np.fromfile(path, dtype, count=present, offset=start) if present else np.zeros(0, dtype)
 
 
-def _ascii(path: Path, start: int, skip: int, vertex: _Element, report: IntegrityReport) -> AnyArray:
+def _ascii(path: Path, start: int, skip: int, vertex: PlyElement, report: IntegrityReport) -> AnyArray:
     with path.open("rb") as stream:
         stream.seek(start)
         lines = stream.read().decode("latin-1").splitlines()[skip:]
