@@ -25,7 +25,7 @@ _HEAD_BYTES: Final = 1 << 20
 
 @dataclass(slots=True)
 class PlyElement:
-    """An element; ``fields`` are names in small letters and types, those of lists ``count type:item type``."""
+    """An element; ``fields`` are names in small letters and types, of lists ``count type:item type``."""
 
     name: str
     count: int
