@@ -100,4 +100,5 @@ def test_heights_that_fit_either_frame_are_not_doubted(write):
         (300, {"min_height_m": 0.15, "max_height_m": 4}),
         (90, {"frame": "map", "min_height_m": 45}),
     ):
-        load_campaign(write({"campaign.origin.h_ell_m": origin_m, "accuracy.area": area}))
+        campaign = load_campaign(write({"campaign.origin.h_ell_m": origin_m, "accuracy.area": area}))
+        assert campaign.accuracy.area.min_height_m == area["min_height_m"]

@@ -52,6 +52,7 @@ class _Reader:
     mistakes: list[str] = field(default_factory=list)
 
     def wrong(self, path: tuple[str, ...], found: str, expected: str, cure: str = "") -> None:
+        """Note a mistake at a place, with its line or that of the key around it."""
         place = path
         while place and place not in self.lines:
             place = place[:-1]
@@ -74,12 +75,14 @@ class _Reader:
         return {key: value for key, value in data.items() if key in keys and value is not None}
 
     def text(self, data: Any, path: tuple[str, ...], choice: tuple[str, ...] = ()) -> str:
+        """A text that is not empty, one of ``choice`` if that is given."""
         if not isinstance(data, str) or not data.strip() or (choice and data not in choice):
             self.wrong(path, f"found {data!r}", f"one of: {'; '.join(choice)}" if choice else "a text")
             return ""
         return " ".join(data.split())
 
     def number(self, data: Any, path: tuple[str, ...], low: float = -np.inf, high: float = np.inf) -> float:
+        """A finite number from ``low`` to ``high``."""
         if isinstance(data, bool) or not isinstance(data, int | float) or not low <= data <= high or (
             not np.isfinite(data)
         ):  # fmt: skip

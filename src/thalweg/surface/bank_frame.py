@@ -239,6 +239,7 @@ def _moments(p: ArrayF, low: ArrayF, size: float) -> tuple[ArrayF, ArrayF, Array
     )
 
     def total(values: ArrayF) -> ArrayF:
+        """Sum of the values in each cube."""
         return np.asarray(np.bincount(cube, values, minlength=len(n)))
 
     centre = np.stack([total(p[:, k]) for k in range(3)], axis=1) / n[:, None]

@@ -112,6 +112,7 @@ class _Seen:
     sum_of_heights_m: float = 0.0
 
     def add(self, points: ArrayF, keep: ArrayB, area: Area) -> None:
+        """Count some points (n, 3) of the file, of which those of ``keep`` are near the area."""
         self.n, self.kept = self.n + len(points), self.kept + int(np.count_nonzero(keep))
         self.low = np.minimum(self.low, points.min(axis=0))
         self.high = np.maximum(self.high, points.max(axis=0))
