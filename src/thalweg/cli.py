@@ -264,7 +264,10 @@ def _summary(options: argparse.Namespace) -> int:
     pictures = sorted((options.folder / "figures").glob("*.p*[gf]"))
     clouds = sorted((options.folder / "lidar").glob("*.laz"))
     tables = sorted(p for p in options.folder.rglob("*") if p.suffix in {".csv", ".parquet"})
-    for title, paths in (("Pictures", pictures), ("Clouds", clouds), ("Tables", tables)):
+    # last, where the eye is: how accurate it is
+    pages = sorted((options.folder / "accuracy").glob("*.html"))
+    listed = {"Pictures": pictures, "Clouds": clouds, "Tables": tables, "Accuracy page": pages}
+    for title, paths in listed.items():
         print(f"\n{title}:")
         print("\n".join(f"  {p}" for p in paths if "simulation" not in p.parts) or "  none")
     return 0
