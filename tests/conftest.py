@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -162,3 +163,21 @@ def fuzz(rng: np.random.Generator, fuzz_count: int) -> Iterator[Fuzz]:
     """Damaged inputs under limits of time and memory (2 GB above the start of the test)."""
     with memory_limit(2 << 30):
         yield Fuzz(rng, fuzz_count)
+
+
+SHARED = {"test_tiny.py": "tiny", "test_honest_3d.py": "surveys", "test_honest_c2m.py": "surveys"}
+"""Files whose tests share something that takes minutes to make: all of a group go to one worker."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Groups by file name: pytest 9.2 hides the group that xdist 3.8 writes behind the name of a test."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class OneWorkerForAGroup(LoadScopeScheduling):
+        """Tests one by one, but for those that share something."""
+
+        def _split_scope(self, nodeid: str) -> str:
+            return SHARED.get(nodeid.split("::")[0].rsplit("/", 1)[-1], nodeid)
+
+    return OneWorkerForAGroup(config, log)
