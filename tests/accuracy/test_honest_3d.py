@@ -9,8 +9,6 @@ from thalweg.config.twin import TwinConfig
 from thalweg.simulation.studies.survey import BARE
 from thalweg.simulation.studies.trials import MISTAKES, NONE, Trial, Verdict, trials, verdict
 
-pytestmark = pytest.mark.xdist_group("surveys")  # the surveys are simulated once
-
 
 @pytest.fixture(scope="module")
 def honest(surveys: list[Trial]) -> Verdict:

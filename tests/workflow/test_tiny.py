@@ -31,7 +31,7 @@ from thalweg.simulation.scene import Scene
 from thalweg.simulation.shots import LIDAR_SHOTS, EchoKind
 from thalweg.simulation.true_mounts import read_true_mounts
 
-pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("tiny")]
+pytestmark = pytest.mark.workflow
 
 BASE = "results/tiny"
 
