@@ -1,0 +1,183 @@
+"""Rigid transforms that carry their covariance.
+
+``x_target = R_target_source x_source + shift_target``. A transform errs by a shift and by a small rotation
+vector, both in the *target* frame and in this order, as the links of `thalweg.core.propagation`::
+
+    R_true = exp([dtheta]x) R,      shift_true = shift + dshift
+    dx_target = dshift + dtheta x (R x_source)
+"""
+
+from dataclasses import dataclass, field
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.frames import opk_axes, rotation_opk, transform
+from thalweg.core.propagation import cross_matrix
+from thalweg.core.types import ArrayF
+
+_ORTHOGONAL: Final = 1e-9
+"""A product of a few rotations in float64 is orthogonal to some 1e-16; a matrix with 9 digits to 1e-9."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rigid:
+    """``T_target_source`` with the covariance of its error.
+
+    Parameters
+    ----------
+    R : (3, 3) rotation from the source to the target frame.
+    shift_m : (3,) origin of the source in the target frame.
+    cov : (6, 6) covariance of (shift in metres; small rotation vector in radians), in the target frame.
+
+    Raises
+    ------
+    GeometryError : the matrix is no rotation, or the covariance is none.
+
+    Examples
+    --------
+    >>> turn = Rigid(R=rotation_opk(0.0, 0.0, np.pi / 2), shift_m=np.array([1.0, 0.0, 0.0]))
+    >>> (turn.inverse() @ turn).apply([[1.0, 2.0, 3.0]]).round(12)
+    array([[1., 2., 3.]])
+    """
+
+    R: ArrayF
+    shift_m: ArrayF
+    cov: ArrayF = field(default_factory=lambda: np.zeros((6, 6)))
+
+    def __post_init__(self) -> None:
+        R, shift, C = (np.asarray(a, dtype=np.float64) for a in (self.R, self.shift_m, self.cov))
+        known = R.shape == (3, 3) and shift.shape == (3,) and np.isfinite(shift).all()
+        if not known or not np.allclose(R @ R.T, np.eye(3), atol=_ORTHOGONAL) or np.linalg.det(R) < 0:
+            raise GeometryError(
+                "these nine numbers are no rotation matrix, or the shift is no point",
+                expected="an orthogonal matrix with determinant +1, and three metres",
+                cure="Check the order of the elements, and that they have no scale and no reflection",
+            )
+        least = -1e-9 * max(float(np.trace(C)), 1e-30) if C.shape == (6, 6) else 0.0
+        if C.shape != (6, 6) or not np.allclose(C, C.T, atol=1e-30) or np.linalg.eigvalsh(C)[0] < least:
+            raise GeometryError(
+                "no covariance matrix of a transform",
+                expected="a symmetric 6x6 matrix without negative eigenvalues: shift, rotation vector",
+            )
+        for name, value in (("R", R), ("shift_m", shift), ("cov", C)):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_matrix(cls, T_target_source: ArrayLike, cov: ArrayLike | None = None) -> Self:
+        """From a 4x4 matrix.
+
+        Raises
+        ------
+        GeometryError : the matrix has another shape, another last row, a scale or a reflection.
+        """
+        T = np.asarray(T_target_source, dtype=np.float64)
+        if T.shape != (4, 4) or not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+            raise GeometryError(
+                f"a matrix of the shape {T.shape}" + (f" with the last row {T[3]}" if T.ndim == 2 else ""),
+                expected="4x4 with the last row 0 0 0 1",
+                cure="If the last column is 0 0 0 1 the matrix is transposed",
+            )
+        given = np.zeros((6, 6)) if cov is None else np.asarray(cov, dtype=np.float64)
+        return cls(R=T[:3, :3], shift_m=T[:3, 3], cov=given)
+
+    @classmethod
+    def from_opk(cls, angles_rad: ArrayLike, shift_m: ArrayLike, cov: ArrayLike | None = None) -> Self:
+        """From ``R_x(omega) R_y(phi) R_z(kappa)``; ``cov`` (6, 6) is that of (shift; omega, phi, kappa)."""
+        omega, phi, kappa = np.asarray(angles_rad, dtype=np.float64)
+        J = np.eye(6)
+        J[3:, 3:] = opk_axes(omega, phi)
+        given = np.zeros((6, 6)) if cov is None else J @ np.asarray(cov, dtype=np.float64) @ J.T
+        return cls(R=rotation_opk(omega, phi, kappa), shift_m=np.asarray(shift_m, np.float64), cov=given)
+
+    @property
+    def matrix(self) -> ArrayF:
+        """4x4 matrix."""
+        return transform(self.R, self.shift_m)
+
+    @property
+    def sigma_shift_m(self) -> ArrayF:
+        """(3,) standard deviations of the shift."""
+        return np.sqrt(np.maximum(np.diag(self.cov)[:3], 0.0))
+
+    @property
+    def sigma_rotation_rad(self) -> ArrayF:
+        """(3,) standard deviations of the rotation vector about the axes of the target frame."""
+        return np.sqrt(np.maximum(np.diag(self.cov)[3:], 0.0))
+
+    def apply(self, points_m: ArrayLike) -> ArrayF:
+        """Points (n, 3) of the source in the target frame."""
+        return np.asarray(np.asarray(points_m, dtype=np.float64) @ self.R.T + self.shift_m)
+
+    def by_error(self, points_m: ArrayLike) -> ArrayF:
+        """Derivatives (n, 3, 6) of `apply` by the error (shift; rotation vector)."""
+        arm = np.atleast_2d(np.asarray(points_m, dtype=np.float64)) @ self.R.T
+        J = np.empty((len(arm), 3, 6))
+        J[:, :, :3] = np.eye(3)
+        J[:, :, 3:] = -cross_matrix(arm)
+        return J
+
+    def moved(self, error: ArrayLike) -> Self:
+        """The transform with an error (6,) put on: the update step of an adjustment. The covariance stays."""
+        d = np.asarray(error, dtype=np.float64)
+        return type(self)(R=exp_rotation(d[3:]) @ self.R, shift_m=self.shift_m + d[:3], cov=self.cov)
+
+    def with_cov(self, cov: ArrayF) -> Self:
+        """The same transform with another covariance (6, 6)."""
+        return type(self)(R=self.R, shift_m=self.shift_m, cov=(cov + cov.T) / 2)
+
+    def inverse(self) -> Self:
+        """``T_source_target`` with its covariance."""
+        J = self.by_inverse()
+        cov = J @ self.cov @ J.T
+        return type(self)(R=self.R.T, shift_m=-self.R.T @ self.shift_m, cov=(cov + cov.T) / 2)
+
+    def by_inverse(self) -> ArrayF:
+        """(6, 6) derivative of the inverse's error by this one's: ``-R^T (dshift - dtheta x shift)``, ``-R^T dtheta``."""
+        J = np.zeros((6, 6))
+        J[:3, :3] = -self.R.T
+        J[:3, 3:] = -self.R.T @ cross_matrix(self.shift_m[None])[0]
+        J[3:, 3:] = -self.R.T
+        return J
+
+    def __matmul__(self, other: "Rigid") -> "Rigid":
+        """``T_a_b @ T_b_c = T_a_c``; the errors of both are taken as independent."""
+        first, second = self.by_product(other)
+        cov = first @ self.cov @ first.T + second @ other.cov @ second.T
+        return Rigid(R=self.R @ other.R, shift_m=self.R @ other.shift_m + self.shift_m, cov=(cov + cov.T) / 2)
+
+    def by_product(self, other: "Rigid") -> tuple[ArrayF, ArrayF]:
+        """(6, 6) derivatives of the error of ``self @ other`` by the errors of both."""
+        first, second = np.eye(6), np.zeros((6, 6))
+        first[:3, 3:] = -cross_matrix((self.R @ other.shift_m)[None])[0]
+        second[:3, :3] = second[3:, 3:] = self.R
+        return first, second
+
+    def error_from(self, other: "Rigid") -> ArrayF:
+        """(6,) error that moves ``other`` to this transform: what `moved` takes."""
+        return np.concatenate([self.shift_m - other.shift_m, rotation_vector(self.R @ other.R.T)])
+
+
+def exp_rotation(vector_rad: ArrayLike) -> ArrayF:
+    """Rotation matrix (..., 3, 3) of rotation vectors (..., 3)."""
+    return np.asarray(Rotation.from_rotvec(np.asarray(vector_rad, dtype=np.float64)).as_matrix())
+
+
+def rotation_vector(R: ArrayLike) -> ArrayF:
+    """Rotation vectors (..., 3) in radians of rotation matrices (..., 3, 3)."""
+    return np.asarray(Rotation.from_matrix(np.asarray(R, dtype=np.float64)).as_rotvec())
+
+
+def opk_of(R: ArrayLike) -> ArrayF:
+    """Omega, phi, kappa (3,) in radians of ``R = R_x(omega) R_y(phi) R_z(kappa)``; phi in +-90 degrees.
+
+    At phi = +-90 degrees omega and kappa turn about the same axis; omega is 0 there.
+    """
+    M = np.asarray(R, dtype=np.float64)
+    phi = float(np.arctan2(M[0, 2], np.hypot(M[0, 0], M[0, 1])))
+    if np.hypot(M[0, 0], M[0, 1]) < 1e-9:
+        return np.array([0.0, phi, float(np.arctan2(M[1, 0], M[1, 1]))])
+    return np.array([np.arctan2(-M[1, 2], M[2, 2]), phi, np.arctan2(-M[0, 1], M[0, 0])])
