@@ -44,6 +44,7 @@ rule compare_with_truth:
         voyage="results/{campaign}/simulation/truth/trajectory.parquet",
         true_mounts="results/{campaign}/simulation/truth/mounts.json",
         shots="results/{campaign}/simulation/truth/lidar_shots.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
     output:
         statistics="results/{campaign}/accuracy/truth_statistics.csv",
         by_range="results/{campaign}/accuracy/truth_by_range.csv",
@@ -61,7 +62,6 @@ rule compare_with_truth:
     params:
         code=code_version("compare_with_truth"),
         twin=twin_parts("lidar", "ins", "gnss"),
-        mounts=mounts_of("lidar"),
         lidar_options=section("lidar"),
         orientation=section("orientation"),
     message:

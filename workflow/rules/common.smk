@@ -5,11 +5,14 @@ import os
 import yaml
 from snakemake.exceptions import WorkflowError
 
-from thalweg.config.load import load_campaigns
+from thalweg.config.load import load_campaigns, with_calibrations
 from thalweg.jobs.codehash import code_version
 
 ROOT = Path(workflow.basedir)
-CAMPAIGNS = load_campaigns(config["campaign"], ROOT / "config" / "campaigns")
+CAMPAIGNS = with_calibrations(
+    load_campaigns(config["campaign"], ROOT / "config" / "campaigns"),
+    ROOT / "config" / "campaigns",
+)
 
 with open(ROOT / "resources" / "real_recordings.yaml") as stream:
     RECORDINGS = {entry["id"]: entry for entry in yaml.safe_load(stream)}
@@ -23,6 +26,20 @@ wildcard_constraints:
 def section(name):
     """Input function for params: one section of the campaign's settings, as plain values."""
     return lambda wildcards: CAMPAIGNS[wildcards.campaign].plain()[name]
+
+
+def calibration_file(wildcards):
+    """Input function: the calibration of the boat that a campaign names, if any."""
+    chosen = CAMPAIGNS[wildcards.campaign].mounts.calibration
+    if chosen is None:
+        return []
+    return [f"results/{chosen}/calibration/boat.yaml" if chosen in CAMPAIGNS else chosen]
+
+
+def calibration_campaign(name):
+    """Id of the calibration campaign that a campaign names; None if it names a file or none."""
+    chosen = CAMPAIGNS[name].mounts.calibration
+    return chosen if chosen in CAMPAIGNS else None
 
 
 def identity(*keys):

@@ -262,6 +262,7 @@ rule plot_footprints:
     input:
         points="results/{campaign}/lidar/points.laz",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
     output:
         footprints_png=report(
             "results/{campaign}/figures/footprints.png",
@@ -281,7 +282,6 @@ rule plot_footprints:
     params:
         code=code_version("plot_footprints"),
         lidar_accuracy=section("lidar_accuracy"),
-        mounts=mounts_of("lidar"),
         figures=section("figures"),
         twin=lambda wildcards: is_twin(wildcards.campaign),
         campaign=identity("title", "crs"),

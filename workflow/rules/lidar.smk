@@ -7,6 +7,7 @@ rule georeference_lidar:
         lidar=raw("lidar"),
         clock="results/{campaign}/ingest/lidar.clock.json",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
     output:
         points="results/{campaign}/lidar/points.laz",
         removed="results/{campaign}/lidar/removed.parquet",
@@ -25,7 +26,6 @@ rule georeference_lidar:
         code=code_version("georeference_lidar"),
         lidar_options=section("lidar"),
         lidar_accuracy=section("lidar_accuracy"),
-        mounts=mounts_of("lidar"),
         georeferencing=georeferencing,
         filters=section("filters"),
     message:

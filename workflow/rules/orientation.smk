@@ -7,6 +7,7 @@ rule build_trajectory:
         states="results/{campaign}/ingest/ins_states.parquet",
         positions="results/{campaign}/ingest/positions.parquet",
         streams="results/{campaign}/timing/streams.csv",
+        mounts="results/{campaign}/calibration/mounts.json",
     output:
         trajectory="results/{campaign}/orientation/trajectory.parquet",
         summary="results/{campaign}/orientation/trajectory.json",
@@ -23,7 +24,6 @@ rule build_trajectory:
     params:
         code=code_version("build_trajectory"),
         campaign=identity("origin"),
-        mounts=mounts_of("antenna"),
         orientation=section("orientation"),
         ins=section("ins"),
     message:

@@ -7,6 +7,7 @@ rule align_streams:
         reports=reports,
         states="results/{campaign}/ingest/ins_states.parquet",
         positions="results/{campaign}/ingest/positions.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
     output:
         streams="results/{campaign}/timing/streams.csv",
     log:
@@ -22,7 +23,6 @@ rule align_streams:
     params:
         code=code_version("align_streams"),
         campaign=identity("origin"),
-        mounts=mounts_of("antenna"),
         source=position_source,
     message:
         "{wildcards.campaign}: time axis of all streams"

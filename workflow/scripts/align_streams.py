@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from thalweg.calibration.mounts import read_mounts
 from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table
 from thalweg.ingest.integrity import IntegrityReport
@@ -17,9 +18,9 @@ def main(
     reports: list[Path],
     states: Path,
     positions: Path,
+    mounts: Path,
     streams: Path,
     campaign: dict[str, Any],
-    mounts: dict[str, Any],
     source: str,
 ) -> None:
     found = [IntegrityReport.read(path) for path in reports]
@@ -30,7 +31,7 @@ def main(
             read_table(states, INS_STATE)[0],
             read_table(positions, GNSS_POSITION)[0],
             LocalFrame(**campaign["origin"]),
-            lever_ics_antenna_m=mounts["antenna"]["lever_ics_m"],
+            lever_ics_antenna_m=read_mounts(mounts)["antenna"]["lever_ics_m"],
         )
         lags["positions"] = ("ins", lag)
     stream_table(found, lags).to_csv(streams, index=False)

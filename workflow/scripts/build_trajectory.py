@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from thalweg.calibration.mounts import read_mounts
 from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
@@ -19,10 +20,10 @@ def main(
     *,
     states: Path,
     positions: Path,
+    mounts: Path,
     trajectory: Path,
     summary: Path,
     campaign: dict[str, Any],
-    mounts: dict[str, Any],
     orientation: dict[str, Any],
     ins: dict[str, Any],
 ) -> None:
@@ -42,12 +43,13 @@ def main(
             required_status=required,
         )
     else:
+        antenna = read_mounts(mounts)["antenna"]
         built, what = build_trajectory(
             read_table(positions, GNSS_POSITION)[0],
             table,
             frame,
-            lever_ics_antenna_m=mounts["antenna"]["lever_ics_m"],
-            sigma_lever_m=mounts["antenna"]["sigma_lever_m"],
+            lever_ics_antenna_m=antenna["lever_ics_m"],
+            sigma_lever_m=antenna["sigma_lever_m"],
             max_attitude_gap_s=max_attitude_gap_s,
             sigma_attitude_rad=sigma_attitude_rad,
             **{key: orientation[key] for key in ("accept_fixes", "max_gap_s", "interpolation")},

@@ -5,6 +5,7 @@ from typing import Any
 
 from thalweg.accuracy.returns import TrueReturns, filter_scores
 from thalweg.accuracy.truth import Truth, compare_cloud
+from thalweg.calibration.mounts import read_mounts
 from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
 from thalweg.jobs.job import run_job
@@ -24,11 +25,11 @@ def main(
     voyage: Path,
     shots: Path,
     true_mounts: Path,
+    mounts: Path,
     statistics: Path,
     by_range: Path,
     scores: Path,
     twin: dict[str, Any],
-    mounts: dict[str, Any],
     lidar_options: dict[str, Any],
     orientation: dict[str, Any],
 ) -> None:
@@ -37,7 +38,7 @@ def main(
     numbers, classes = compare_cloud(
         points,
         estimated=estimated,
-        mount=Mount.from_section(mounts["lidar"]),
+        mount=Mount.from_section(read_mounts(mounts)["lidar"]),
         truth=Truth(
             trajectory=Trajectory.read(voyage),
             mount=Mount.from_section(read_true_mounts(true_mounts)["lidar"]),

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from thalweg.calibration.mounts import read_mounts
 from thalweg.core.trajectory import Trajectory
 from thalweg.ingest.velodyne import LidarClock, LidarOptions
 from thalweg.jobs.job import run_job
@@ -18,12 +19,12 @@ def main(
     lidar: list[Path],
     clock: Path,
     trajectory: Path,
+    mounts: Path,
     points: Path,
     removed: Path,
     counts: Path,
     lidar_options: dict[str, Any],
     lidar_accuracy: dict[str, Any],
-    mounts: dict[str, Any],
     georeferencing: dict[str, Any],
     filters: dict[str, Any],
 ) -> None:
@@ -33,7 +34,7 @@ def main(
         LidarClock.from_dict(json.loads(clock.read_text())),
         Trajectory.read(trajectory),
         LogSettings(
-            mount=Mount.from_section(mounts["lidar"]),
+            mount=Mount.from_section(read_mounts(mounts)["lidar"]),
             beam=BeamErrors.from_section(lidar_accuracy),
             filters=FilterSettings.from_section(filters),
             **georeferencing,

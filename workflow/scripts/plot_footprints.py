@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from thalweg.calibration.mounts import read_mounts
 from thalweg.core.las import iter_laz
 from thalweg.core.trajectory import Trajectory
 from thalweg.figures.footprints import REVOLUTION_S, best_moment, footprints, scanner_positions
@@ -17,15 +18,15 @@ def main(
     *,
     points: Path,
     trajectory: Path,
+    mounts: Path,
     footprints_png: Path,
     lidar_accuracy: dict[str, Any],
-    mounts: dict[str, Any],
     figures: dict[str, Any],
     twin: bool,
     campaign: dict[str, Any],
 ) -> None:
     sample, track = sample_cloud(points, 2_000_000), Trajectory.read(trajectory)
-    lever_m = mounts["lidar"]["lever_ics_m"]
+    lever_m = read_mounts(mounts)["lidar"]["lever_ics_m"]
     start = best_moment(sample["xyz_m"], sample["t_gps_s"], sample["range"], track, lever_m)
     xyz_m, t_gps_s = [], []
     for chunk in iter_laz(points, 1_000_000):

@@ -52,13 +52,20 @@ class Campaign(Section):
         """Short name of the campaign."""
         return self.campaign.id
 
+    @property
+    def is_calibration(self) -> bool:
+        """True if the campaign records a calibration field, not a river."""
+        if self.twin is not None:
+            return self.twin.field is not None
+        return self.logs is not None and bool(self.logs.calibration.field)
+
     def log_files(self, stream: str) -> list[Path]:
         """Files of one stream of a real survey, absolute; empty for a twin.
 
         Parameters
         ----------
         stream : ``lidar``, ``ins``, ``rover``, ``sbp`` (rover files without RINEX), ``base``, ``nav``,
-            ``pos``, ``sbet``, ``depth`` or ``reference``.
+            ``pos``, ``sbet``, ``depth``, ``reference``, or one of `CalibrationLogs`.
 
         Raises
         ------

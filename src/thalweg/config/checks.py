@@ -16,8 +16,9 @@ from thalweg.config.identity import ID_PATTERN
 from thalweg.config.lidar import Lidar
 from thalweg.config.logs import Logs, is_rinex_name
 from thalweg.config.messages import show
-from thalweg.config.mounts import LidarMount, Mounts
+from thalweg.config.mounts import Mounts, OrientedMount, is_calibration_path
 from thalweg.config.navigation import Orientation
+from thalweg.config.paths import anchor, missing_cure
 from thalweg.config.products import Georeferencing
 from thalweg.core.mistakes import Key, Mistake
 
@@ -60,6 +61,7 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         *_check_ranges(parts),
         *_check_ports(parts),
         *_check_mounts(parts),
+        *_check_calibration(parts),
         *_check_lists(parts),
         *_check_ppk(parts),
     ]
@@ -144,7 +146,7 @@ def _check_ports(parts: Parts) -> Iterator[Mistake]:
 def _check_mounts(parts: Parts) -> Iterator[Mistake]:
     if parts.mounts is None:
         return
-    for name in ("lidar", "antenna", "echo_sounder"):
+    for name in ("lidar", "camera", "antenna", "echo_sounder"):
         mount = getattr(parts.mounts, name)
         for key, limit in (("lever_ics_m", MAX_LEVER_M), ("sigma_lever_m", MAX_SIGMA_LEVER_M)):
             values = getattr(mount, key)
@@ -159,7 +161,7 @@ def _check_mounts(parts: Parts) -> Iterator[Mistake]:
                     expected=f"components below {limit:g} m",
                     cure="This looks like " + (both if small else f"millimetres: write [{as_mm}]"),
                 )
-        if isinstance(mount, LidarMount):
+        if isinstance(mount, OrientedMount):
             for key in ("omega_deg", "phi_deg", "kappa_deg"):
                 if cure := radians_cure(key, getattr(mount, key)):
                     yield Mistake(
@@ -168,6 +170,36 @@ def _check_mounts(parts: Parts) -> Iterator[Mistake]:
                         expected="an angle in degrees",
                         cure=cure,
                     )
+
+
+def _check_calibration(parts: Parts) -> Iterator[Mistake]:
+    chosen = parts.raw("mounts", "calibration")
+    if not isinstance(chosen, str) or not chosen:
+        return
+    for name in ("lidar", "camera", "antenna"):
+        if parts.raw("mounts", name) is not None:
+            yield Mistake(
+                path=("mounts", name),
+                found=f"both mounts.calibration ({chosen}) and mounts.{name} are given",
+                expected="one of them",
+                cure=f"Remove mounts.{name} if the calibration holds it, or mounts.calibration",
+            )
+    if chosen == parts.raw("campaign", "id"):
+        yield Mistake(
+            path=("mounts", "calibration"),
+            found="the campaign names itself",
+            expected="another campaign, or a calibration file",
+            cure="Remove the line: a calibration campaign starts from the values of its own section mounts",
+        )
+    if is_calibration_path(chosen):
+        path = anchor(chosen, parts.path.parent)
+        if not path.is_file():
+            yield Mistake(
+                path=("mounts", "calibration"),
+                found=f"{chosen}: no such file",
+                expected=f"a calibration file at {path}",
+                cure=missing_cure(path),
+            )
 
 
 def _check_lists(parts: Parts) -> Iterator[Mistake]:
@@ -243,7 +275,7 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
             cure="Add `base_from: sbp` if the log carries it, else its coordinates, for instance "
             "base_llh: {lat_deg: …, lon_deg: …, h_ell_m: …}",
         )
-    if parts.mounts is None:
+    if parts.mounts is None or parts.mounts.calibration is not None:
         return
     sensors = ["lidar", *(["antenna"] if source in {"pos", "sbp", "ppk"} else [])]
     for sensor in sensors:

@@ -94,7 +94,7 @@ def _rows(path: tuple[str, ...], node: Node) -> list[str]:
     for key, raw in node.get("properties", {}).items():
         child = resolve(raw)
         here = (*path, key)
-        if "properties" in child and not _is_optional(raw):
+        if "properties" in child and not (_is_optional(raw) and child.get("required")):
             rows += _rows(here, child)
             continue
         default = _default(child, raw)
@@ -110,8 +110,9 @@ def _default_lines(path: tuple[str, ...], default: Any, depth: int) -> list[str]
     node = node_at(path)
     indent = "  " * depth
     comment = " ".join(str(node.get("description", "")).split())
-    # Neither twin nor logs has a default of its own, but the keys below them have.
-    if "properties" not in node or (default is None and depth):
+    # Neither twin nor logs has a default of its own, but the keys below them have, as those of any section
+    # that may be absent and needs no key.
+    if "properties" not in node or (default is None and node.get("required")):
         shown = _flow(default) if default is not _REQUIRED else ""
         note = comment if default is not _REQUIRED else f"required: {comment}"
         return [f"{indent}{path[-1]}: {shown}".rstrip() + f" # {note}"]

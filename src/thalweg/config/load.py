@@ -5,6 +5,7 @@ from pathlib import Path
 from thalweg.config.campaign import Campaign
 from thalweg.config.hints import nearest
 from thalweg.config.mistakes import CampaignError
+from thalweg.config.mounts import is_calibration_path
 from thalweg.config.validate import validate
 from thalweg.core.mistakes import Mistake
 from thalweg.core.yaml_lines import read_yaml
@@ -88,6 +89,50 @@ def load_campaigns(choice: object, folder: Path) -> dict[str, Campaign]:
     if mistakes:
         raise CampaignError(list(dict.fromkeys(mistakes)))
     return campaigns
+
+
+def with_calibrations(campaigns: dict[str, Campaign], folder: Path) -> dict[str, Campaign]:
+    """Add the calibration campaigns that ``mounts.calibration`` of the given ones names.
+
+    Parameters
+    ----------
+    campaigns : by id.
+    folder : folder of campaign files.
+
+    Returns
+    -------
+    dict
+        The calibrations first.
+
+    Raises
+    ------
+    CampaignError : lists calibrations that do not exist or are none.
+    """
+    needed: dict[str, Campaign] = {}
+    mistakes: list[Mistake] = []
+    for name, campaign in campaigns.items():
+        chosen = campaign.mounts.calibration
+        if chosen is None or is_calibration_path(chosen):
+            continue
+        path = folder / f"{chosen}.yaml"
+        found, errors = (None, []) if not path.is_file() else check_campaign(path)
+        mistakes += errors
+        if found is not None and found.is_calibration:
+            needed[found.id] = found
+        elif not errors:
+            what = "is no calibration" if found else "does not exist"
+            mistakes.append(
+                Mistake(
+                    path=("mounts", "calibration"),
+                    found=f"the campaign {chosen!r} {what}",
+                    expected="a calibration of the boat",
+                    cure="Name a campaign with a calibration field, or the path of a calibration file",
+                    file=folder / f"{name}.yaml",
+                )
+            )
+    if mistakes:
+        raise CampaignError(list(dict.fromkeys(mistakes)))
+    return {**needed, **campaigns}
 
 
 def campaign_path(entry: object, folder: Path) -> Path | Mistake:

@@ -22,6 +22,14 @@ STREAM_KEYS = {
     "smrmsg": ("smrmsg",),
     "depth": ("depth",),
     "reference": ("reference",),
+    "field": ("calibration", "field"),
+    "reference_images": ("calibration", "reference_images"),
+    "position_images": ("calibration", "position_images"),
+    "position_scans": ("calibration", "position_scans"),
+    "run_images": ("calibration", "run_images"),
+    "image_times": ("calibration", "image_times"),
+    "display": ("calibration", "display"),
+    "display_labels": ("calibration", "display_labels"),
 }
 """Stream name -> keys below ``logs``."""
 
@@ -60,6 +68,27 @@ class GnssLogs(Section):
     )
 
 
+class CalibrationLogs(Section):
+    """Recordings of a calibration field; paths as in `Logs`. The run's lidar, INS and GNSS stand in `logs`."""
+
+    field: Files = Field(default=(), description="Description of the field: cones, markers, scale bars, targets (YAML)")
+    reference_images: Files = Field(default=(), description="Images of the field by a hand-held camera")
+    position_images: Files = Field(
+        default=(), description="Image of the boat's camera at each static position, one a position"
+    )
+    position_scans: Files = Field(
+        default=(), description="Lidar capture of each static position, in the order of position_images"
+    )
+    run_images: Files = Field(default=(), description="Images of the boat's camera during the dynamic run")
+    image_times: Files = Field(
+        default=(), description="Table of image times (CSV: file, time), if neither names nor EXIF have them"
+    )
+    display: Files = Field(default=(), description="Photographs of a running clock")
+    display_labels: Files = Field(
+        default=(), description="What a few of these photographs show (CSV: file, text)"
+    )
+
+
 class Logs(Section):
     """Files of each stream, in order of time. Relative to this file or absolute; ``~`` and globs work."""
 
@@ -79,6 +108,9 @@ class Logs(Section):
         description="UTC date `YYYY-MM-DD` of the first sounding, for NMEA logs without date",
     )
     reference: Files = Field(default=(), description="Reference clouds: LAS, LAZ, PLY, E57")
+    calibration: CalibrationLogs = Field(
+        default=CalibrationLogs(), description="Recordings of a calibration field"
+    )
 
     def files(self, stream: str) -> tuple[str, ...]:
         """Paths of one stream, named as in `STREAM_KEYS`."""
@@ -90,8 +122,11 @@ class Logs(Section):
     def with_files(self, files: dict[str, tuple[str, ...]]) -> Self:
         """A copy with other paths."""
         top = {STREAM_KEYS[s][0]: paths for s, paths in files.items() if len(STREAM_KEYS[s]) == 1}
-        nested = {STREAM_KEYS[s][1]: paths for s, paths in files.items() if len(STREAM_KEYS[s]) == 2}
-        return self.model_copy(update={**top, "gnss": self.gnss.model_copy(update=nested)})
+        below: dict[str, Section] = {}
+        for group in ("gnss", "calibration"):
+            nested = {STREAM_KEYS[s][1]: p for s, p in files.items() if STREAM_KEYS[s][0] == group}
+            below[group] = getattr(self, group).model_copy(update=nested)
+        return self.model_copy(update={**top, **below})
 
 
 def is_rinex_name(path: Path) -> bool:

@@ -12,12 +12,14 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from thalweg.config.base import Section
+from thalweg.config.twin_camera import TwinCamera
+from thalweg.config.twin_field import TwinField
 from thalweg.config.twin_lidar import TwinLidar, TwinTls
 from thalweg.config.twin_navigation import TwinEcho, TwinGnss, TwinIns
 from thalweg.config.twin_scene import TwinBoat, TwinScene
 from thalweg.config.values import Count, NonNegative, Positive, Share
 
-Size = Literal["tiny", "demo", "mulde", "reach"]
+Size = Literal["tiny", "demo", "mulde", "reach", "field", "field_tiny"]
 Stream = Literal["lidar", "ins", "gnss", "echo"]
 
 
@@ -110,17 +112,29 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
         "boat": {"speed_mps": 0.518},
         "gnss": {"mode": "single_frequency", "shadow": True},
     },
+    # Calibration on land: the boat is moved about by hand on a trolley.
+    "field": {"start_utc": "2021-05-11T13:02:11Z", "duration_s": 150.0, "field": {}},
+    # As many markers and cones, so that every method works, but a short run.
+    "field_tiny": {
+        "start_utc": "2021-05-11T13:02:11Z",
+        "duration_s": 40.0,
+        "field": {"position_s": 2.0},
+        "camera": {"reference": {"n_images": 20}, "display": {"duration_s": 120.0}},
+        "ins": {"attitude_time_s": 1.0},
+        "gnss": {"correlation_time_s": 1.0},
+    },
 }  # fmt: skip
 """What the sizes change against the defaults."""
 
 
 class TwinConfig(Section):
-    """The digital twin: river, boat, sensors and defects."""
+    """The digital twin: river or calibration field, boat, sensors and defects."""
 
     size: Size = Field(
         default="demo",
         description="Set of values: `tiny` 25 s for tests, `demo` 3 min, `mulde` 17 min as in P2, "
-        "`reach` 1.5 km as in P1",
+        "`reach` 1.5 km as in P1, `field` a calibration field on land with a run of 2.5 min, `field_tiny` the "
+        "same with a run of 40 s",
     )
     start_utc: UtcText = Field(
         default="2021-05-12T08:31:07Z", description="Begin of the lidar log, UTC, as 2021-05-12T08:31:07Z"
@@ -135,6 +149,11 @@ class TwinConfig(Section):
     gnss: TwinGnss = Field(default=TwinGnss(), description="GNSS receiver")
     echo: TwinEcho = Field(default=TwinEcho(), description="Echo sounder")
     tls: TwinTls = Field(default=TwinTls(), description="Reference scans")
+    camera: TwinCamera = Field(default=TwinCamera(), description="Cameras and the camera's clock")
+    field: TwinField | None = Field(
+        default=None,
+        description="Calibration field on land; null: the boat sails on a river",
+    )
     effects: TwinEffects = Field(default=TwinEffects(), description="Defects of the logs")
 
     @model_validator(mode="before")

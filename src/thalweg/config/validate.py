@@ -12,6 +12,8 @@ from thalweg.config.campaign import Campaign
 from thalweg.config.checks import Parts, domain_mistakes
 from thalweg.config.logs import Logs
 from thalweg.config.messages import mistake_of, show
+from thalweg.config.mounts import is_calibration_path
+from thalweg.config.paths import anchor
 from thalweg.core.mistakes import Key, Mistake
 from thalweg.core.yaml_lines import Document
 
@@ -48,7 +50,18 @@ def validate(document: Document, path: Path) -> tuple[Campaign | None, list[Mist
         )
     unique = list(dict.fromkeys(_place(mistake, document, path) for mistake in found))
     unique.sort(key=lambda m: m.line)
-    return (None if unique else campaign), unique
+    return (None if unique else _anchored(campaign, path)), unique
+
+
+def _anchored(campaign: Campaign | None, path: Path) -> Campaign | None:
+    """The campaign with the absolute path of its calibration file, if it names one."""
+    if campaign is None or campaign.mounts.calibration is None:
+        return campaign
+    chosen = campaign.mounts.calibration
+    if not is_calibration_path(chosen):
+        return campaign
+    mounts = campaign.mounts.model_copy(update={"calibration": str(anchor(chosen, path.parent))})
+    return campaign.model_copy(update={"mounts": mounts})
 
 
 def _place(mistake: Mistake, document: Document, path: Path) -> Mistake:

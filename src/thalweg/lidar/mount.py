@@ -47,7 +47,8 @@ class Mount:
         """The mount that a campaign file describes, with its sigmas and correlations.
 
         ``omega_deg, phi_deg, kappa_deg, lever_ics_m``, ``sigma_omega_deg`` and so on, ``sigma_lever_m``, and
-        ``correlation``, a 6x6 matrix in the order omega, phi, kappa, x, y, z or None.
+        ``correlation``, a 6x6 matrix in the order omega, phi, kappa, x, y, z or None. With ``sigma_axes: ics``
+        the first three sigmas are of rotations about the axes of ics.
         """
         angles = np.deg2rad([section[f"{name}_deg"] for name in ("omega", "phi", "kappa")])
         sigmas_deg = ("sigma_omega_deg", "sigma_phi_deg", "sigma_kappa_deg")
@@ -58,7 +59,8 @@ class Mount:
         given = section.get("correlation")
         correlation = np.eye(6) if given is None else np.asarray(given, dtype=np.float64)
         to_vector = np.eye(6)
-        to_vector[:3, :3] = opk_axes(angles[0], angles[1])
+        if section.get("sigma_axes", "angles") == "angles":
+            to_vector[:3, :3] = opk_axes(angles[0], angles[1])
         return cls(
             R_ics_sensor=rotation_opk(*angles),
             lever_ics_m=np.asarray(section["lever_ics_m"], dtype=np.float64),

@@ -1,0 +1,1 @@
+"""Calibration: the field of markers and cones, interior orientations, mounts, lever arms."""

@@ -1,0 +1,83 @@
+"""Where the sensors sit on the boat of a campaign: as its file says, or as a calibration found.
+
+One file a campaign, ``mounts.json``, is what every consumer reads, so that none of them asks where the numbers
+come from. It has the structure of the section ``mounts``.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from thalweg.core.calibration import SENSORS, Calibration
+from thalweg.core.errors import ConfigError, InputError
+
+KIND: Final = "thalweg mounts"
+VERSION: Final = 1
+
+
+def resolve_mounts(section: Mapping[str, Any], calibration: Calibration | None) -> dict[str, dict[str, Any]]:
+    """The place of each sensor: the calibration's where it holds one, else the campaign file's.
+
+    Parameters
+    ----------
+    section : section ``mounts`` as plain values.
+    calibration : what ``mounts.calibration`` names, or None.
+
+    Returns
+    -------
+    mounts : by sensor, with ``source``: ``campaign`` or the run of the calibration.
+
+    Raises
+    ------
+    ConfigError : the calibration holds no sensor of the boat.
+    """
+    mounts = {name: {**section[name], "source": "campaign"} for name in SENSORS if name in section}
+    if calibration is None:
+        return mounts
+    found = calibration.to_mounts()
+    if not found:
+        raise ConfigError(
+            f"the calibration '{calibration.title}' holds the blocks "
+            f"{', '.join(block.name for block in calibration.blocks)}",
+            expected=f"at least one of {', '.join(SENSORS)}",
+            where=str(section.get("calibration", "")),
+            cure="Name the calibration of the boat, boat.yaml",
+        )
+    for name, mount in found.items():
+        mounts[name] = {**mount, "source": calibration.source.run}
+    return mounts
+
+
+def write_mounts(path: Path, mounts: Mapping[str, Any]) -> None:
+    """Write what `resolve_mounts` gave."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"kind": KIND, "version": VERSION, "mounts": mounts}, indent=2) + "\n")
+
+
+def read_mounts(path: Path) -> dict[str, Any]:
+    """Read what `write_mounts` wrote.
+
+    Raises
+    ------
+    InputError : the file is missing or something else.
+    """
+    cure = "Build it again with the rule collect_mounts"
+    if not path.is_file():
+        raise InputError("file not found", expected="mounts of a campaign", where=path, cure=cure)
+    try:
+        facts = json.loads(path.read_text())
+        known = (facts["kind"], facts["version"]) == (KIND, VERSION)
+        mounts = dict(facts["mounts"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"no mounts ({error!r})", expected=f"{KIND}, version {VERSION}", where=path, cure=cure
+        ) from error
+    if not known:
+        raise InputError(
+            f"{facts['kind']}, version {facts['version']}",
+            expected=f"{KIND}, version {VERSION}",
+            where=path,
+            cure=cure,
+        )
+    return mounts

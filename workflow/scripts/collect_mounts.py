@@ -1,0 +1,17 @@
+"""Campaign file and calibration -> where each sensor sits on the boat."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.calibration.mounts import resolve_mounts, write_mounts
+from thalweg.core.calibration_file import read_calibration
+from thalweg.jobs.job import run_job
+
+
+def main(*, calibration: list[Path], mounts: Path, section: dict[str, Any]) -> None:
+    found = read_calibration(calibration[0]) if calibration else None
+    write_mounts(mounts, resolve_mounts(section, found))
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
