@@ -25,6 +25,7 @@ report: "workflow/report/workflow.rst"
 
 include: "workflow/rules/common.smk"
 include: "workflow/rules/simulation.smk"
+include: "workflow/rules/simulation_field.smk"
 include: "workflow/rules/ingest.smk"
 include: "workflow/rules/timing.smk"
 include: "workflow/rules/calibration.smk"

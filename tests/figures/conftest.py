@@ -5,10 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from scipy.spatial.transform import Rotation
 
-from thalweg.core.frames import LocalFrame
+from thalweg.core.frames import LocalFrame, rotation_enu_body, rotation_opk
 from thalweg.core.mesh import TriangleMesh
 from thalweg.core.trajectory import Trajectory
+from thalweg.figures.calibration_tables import CONES
+from thalweg.figures.field_views import cones_of
+from thalweg.figures.pictures import read_picture
+from thalweg.figures.style import save
 from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_STATE
 from thalweg.surface.bank_frame import BankFrame
 
@@ -148,3 +154,107 @@ def make_comparison_fixture():
 def made(rng):
     """A comparison of 20,000 points with a plane bank."""
     return make_comparison(rng)
+
+
+# ---------------------------------------------------------------- a calibration field
+
+PLACES = (
+    ("C1", -4.2, 1.6, 1.1, 40.0, True), ("C2", -5.5, -0.4, 0.5, -50.0, True),
+    ("C10", 4.6, 1.8, 0.7, -145.0, True), ("C4", 0.5, 5.4, 0.9, -90.0, False),
+)  # fmt: skip
+
+
+@pytest.fixture
+def cones():
+    rows = []
+    for name, x, y, z, bearing, used in PLACES:
+        turn = np.deg2rad(bearing)
+        rows.append((name, x, y, z, np.cos(turn), np.sin(turn), 0.0, 25.0, 0.7, used))
+    return pd.DataFrame(rows, columns=list(CONES))
+
+
+@pytest.fixture
+def poses():
+    rows = []
+    for name, heading in (("position_1", 3.0), ("position_2", 20.0)):
+        R = rotation_enu_body(0.01, -0.02, np.deg2rad(heading))
+        for sensor, turn, lever in (
+            ("camera", rotation_opk(np.pi / 2, 0, 0), [-0.25, -0.1, -0.18]),
+            ("lidar", rotation_opk(0, -np.pi / 2, 0), [-0.35, 0.0, -0.25]),
+        ):
+            place = np.array([0.0, 0.0, 0.6]) + R @ lever
+            rows.append((name, sensor, *place, *Rotation.from_matrix(R @ turn).as_quat()))
+    return pd.DataFrame(rows, columns=["position", "sensor", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"])
+
+
+def on_cones(rng, cones, *, n=300, noise_m=0.01, mean_m=0.0):
+    """Points on the used cones at two positions, displaced along the normal."""
+    parts = []
+    for name, cone in cones_of(cones).items():
+        if not cone.used:
+            continue
+        for position in ("position_1", "position_2"):
+            z, turn = rng.uniform(0.1, 0.7, n), rng.uniform(0.3, 2.5, n)
+            s = rng.normal(mean_m, noise_m, n)
+            c, sine = np.cos(cone.half_angle_rad), np.sin(cone.half_angle_rad)
+            radius = z * np.tan(cone.half_angle_rad) + s * c
+            local = np.stack([radius * np.sin(turn), radius * np.cos(turn), z - s * sine], axis=1)
+            xyz = cone.apex_m + local @ cone.frame
+            parts.append(pd.DataFrame({
+                "cone": name, "position": position, "ring": rng.integers(0, 16, n), "x_m": xyz[:, 0],
+                "y_m": xyz[:, 1], "z_m": xyz[:, 2], "residual_m": s, "used": np.arange(n) % 50 != 0,
+                "t_gps_s": 1e8 + np.sort(rng.uniform(0, 60, n)),
+            }))  # fmt: skip
+    return pd.concat(parts, ignore_index=True)
+
+
+@pytest.fixture
+def points(rng, cones):
+    return on_cones(rng, cones)
+
+
+def texts(figure):
+    """All words of a figure, with plain spaces."""
+    found = [t.get_text() for t in figure.findobj(lambda artist: hasattr(artist, "get_text"))]
+    return " | ".join(found).replace("\N{NO-BREAK SPACE}", " ").replace("\n", " ")
+
+
+def artists(figure, gid):
+    return figure.findobj(lambda artist: artist.get_gid() == gid)
+
+
+def drawn(figure, tmp_path):
+    """The picture can be drawn, is not empty, and no word of it leaves the page."""
+    path = tmp_path / "a.png"
+    save(figure, path, dpi=50)
+    assert np.ptp(read_picture(path)) > 200
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    page, renderer = figure.bbox, canvas.get_renderer()
+    for text in [t for t in words_of(figure) if t.get_text().strip()]:
+        box = text.get_window_extent(renderer)
+        # a pixel of rounding
+        inside = box.x0 > -1.5 and box.y0 > -1.5 and box.x1 < page.x1 + 1.5 and box.y1 < page.y1 + 1.5
+        assert inside, text.get_text()
+
+
+def words_of(figure):
+    """Titles, labels, legends and texts; without ticks, of which some are never drawn."""
+    found = [*figure.texts, figure._suptitle, *(t for legend in figure.legends for t in legend.get_texts())]
+    for ax in figure.axes:
+        legend = ax.get_legend()
+        found += ax.texts + ([] if legend is None else legend.get_texts())
+        found += [ax._left_title] + ([ax.xaxis.label, ax.yaxis.label] if ax.axison else [])
+    return found
+
+
+@pytest.fixture
+def look():
+    """Helpers that look into a figure: ``texts``, ``artists``, ``drawn``."""
+    return SimpleNamespace(texts=texts, artists=artists, drawn=drawn)
+
+
+@pytest.fixture(name="on_cones")
+def on_cones_fixture():
+    """The function `on_cones`."""
+    return on_cones

@@ -76,7 +76,8 @@ def twin_parts(*parts):
 
     def values(wildcards):
         twin = CAMPAIGNS[wildcards.campaign].plain()["twin"]
-        return {key: twin[key] for key in ("size", "start_utc", "duration_s", *parts)}
+        given = ("size", "start_utc", "duration_s", "field", *parts)
+        return {key: twin[key] for key in given}
 
     return values
 

@@ -29,18 +29,15 @@ def main(
 ) -> None:
     frame = LocalFrame(**campaign["origin"])
     table, _ = read_table(states, INS_STATE)
-    sigma_attitude_rad = np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")])
-    max_attitude_gap_s = orientation["max_attitude_gap_s"]
+    attitude = {
+        "max_attitude_gap_s": orientation["max_attitude_gap_s"],
+        "sigma_attitude_rad": np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
+    }
     if orientation["position_source"] in ("ins", "sbet"):
         # An SBET is a finished solution without status words; an INS log tells when its filter was ready.
         required = 0 if orientation["position_source"] == "sbet" else NAVIGATION_INITIALISED
         built, what = trajectory_from_states(
-            table,
-            frame,
-            max_attitude_gap_s=max_attitude_gap_s,
-            sigma_attitude_rad=sigma_attitude_rad,
-            sigma_position_m=ins["sigma_position_m"],
-            required_status=required,
+            table, frame, sigma_position_m=ins["sigma_position_m"], required_status=required, **attitude
         )
     else:
         antenna = read_mounts(mounts)["antenna"]
@@ -50,8 +47,7 @@ def main(
             frame,
             lever_ics_antenna_m=antenna["lever_ics_m"],
             sigma_lever_m=antenna["sigma_lever_m"],
-            max_attitude_gap_s=max_attitude_gap_s,
-            sigma_attitude_rad=sigma_attitude_rad,
+            **attitude,
             **{key: orientation[key] for key in ("accept_fixes", "max_gap_s", "interpolation")},
         )
     built.write(trajectory)

@@ -1,15 +1,18 @@
-"""Campaign file -> river reach of the digital twin (truth)."""
+"""Campaign file -> river reach or calibration field of the digital twin (truth)."""
 
 from pathlib import Path
 from typing import Any
 
 from thalweg.config.twin import TwinConfig
 from thalweg.jobs.job import run_job
+from thalweg.simulation.field.records import simulate_field_scene
 from thalweg.simulation.scene import simulate_scene
 
 
 def main(*, scene: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:
-    simulate_scene(TwinConfig(**twin), campaign["seed"], scene)
+    config = TwinConfig(**twin)
+    write = simulate_scene if config.field is None else simulate_field_scene
+    write(config, campaign["seed"], scene)
 
 
 if "snakemake" in globals():

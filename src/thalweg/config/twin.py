@@ -119,7 +119,14 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
         "start_utc": "2021-05-11T13:02:11Z",
         "duration_s": 40.0,
         "field": {"position_s": 2.0},
-        "camera": {"reference": {"n_images": 20}, "display": {"duration_s": 120.0}},
+        "camera": {
+            "size_px": (1600, 1200), "focal_px": 1295.0, "principal_offset_px": (4.4, -2.9),
+            "reference": {
+                "n_images": 20, "size_px": (2100, 1400), "focal_px": 1645.0,
+                "principal_offset_px": (-6.1, 3.6),
+            },
+            "display": {"duration_s": 120.0},
+        },
         "ins": {"attitude_time_s": 1.0},
         "gnss": {"correlation_time_s": 1.0},
     },
@@ -133,8 +140,8 @@ class TwinConfig(Section):
     size: Size = Field(
         default="demo",
         description="Set of values: `tiny` 25 s for tests, `demo` 3 min, `mulde` 17 min as in P2, "
-        "`reach` 1.5 km as in P1, `field` a calibration field on land with a run of 2.5 min, `field_tiny` the "
-        "same with a run of 40 s",
+        "`reach` 1.5 km as in P1, `field` a calibration field on land with a run of 2.5 min, `field_tiny` "
+        "the same with a run of 40 s",
     )
     start_utc: UtcText = Field(
         default="2021-05-12T08:31:07Z", description="Begin of the lidar log, UTC, as 2021-05-12T08:31:07Z"

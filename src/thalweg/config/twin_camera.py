@@ -78,7 +78,7 @@ class TwinReference(TwinLens):
         description="True distortion, no unit, as of the boat's camera",
     )
     n_images: Annotated[int, Field(ge=4, le=500)] = Field(
-        default=32, description="Images of the tour around the field; the two of the boat come on top"
+        default=36, description="Images of the tour around the field; the two of the boat come on top"
     )
     heights_m: tuple[Positive, Positive] = Field(
         default=(0.9, 2.1), description="Two heights of the camera above the ground, in turn, metres"

@@ -9,7 +9,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from thalweg.config.base import Section
-from thalweg.config.values import Angle, Finite, NonNegative, Positive, Sigma3
+from thalweg.config.values import Angle, NonNegative, Positive, Sigma3
 
 Tilt = Annotated[float, Field(ge=-30, le=30, allow_inf_nan=False)]
 """A small angle in degrees."""
@@ -37,13 +37,14 @@ class TwinFieldRun(Section):
     """The dynamic run: figures of eight in the middle of the yard that turn slowly about it."""
 
     speed_mps: Annotated[float, Field(ge=0.2, le=3)] = Field(
-        default=0.8, description="Mean speed, m/s; it swings between 0.65 and 1.35 of that"
+        default=0.65,
+        description="Mean speed, m/s; it swings between 0.65 and 1.35 of that, and a little more",
     )
     reach_m: Annotated[float, Field(ge=0.5, le=10)] = Field(
-        default=2.6, description="Greatest distance of the boat from the middle of the yard, metres"
+        default=2.9, description="Greatest distance of the boat from the middle of the yard, metres"
     )
-    turn_of_eight_deg: Finite = Field(
-        default=220.0, description="Angle by which the figure of eight turns over the recording, degrees"
+    turn_of_eight_degpmin: Annotated[float, Field(ge=-360, le=360)] = Field(
+        default=80.0, description="Rate at which the figure of eight turns about its middle, degrees/min"
     )
 
 
@@ -102,7 +103,7 @@ class TwinField(Section):
     )
     cone_tip_m: Annotated[float, Field(ge=0.005, le=0.25)] = Field(
         default=0.05,
-        description="Where the blunt tip of the cones begins, from the apex along the axis, metres",
+        description="Where the blunt tip of the cones lies, from the apex along the axis, metres",
     )
     module_m: Annotated[float, Field(ge=0.002, le=0.02)] = Field(
         default=0.012, description="Side of a module of the markers on cones, metres"
@@ -111,9 +112,9 @@ class TwinField(Section):
         default=0.016, description="Side of a module of the other markers, metres"
     )
     n_boards: Annotated[int, Field(ge=0, le=40)] = Field(
-        default=24, description="Markers on boards on posts around the yard; targets and bars come on top"
+        default=36, description="Markers on boards on posts around the yard; targets and bars come on top"
     )
-    n_ground: Annotated[int, Field(ge=0, le=12)] = Field(default=6, description="Markers on the ground")
+    n_ground: Annotated[int, Field(ge=0, le=12)] = Field(default=8, description="Markers on the ground")
     fence_m: Annotated[float, Field(ge=9, le=40)] = Field(
         default=12.0, description="Distance of the fence from the middle, metres"
     )
@@ -130,8 +131,9 @@ class TwinField(Section):
         default=(0.008, 0.008, 0.012), description="Error east, north, up of these measurements, metres"
     )
     antenna_offset_m: Annotated[float, Field(ge=-0.5, le=0.5)] = Field(
-        default=0.020,
-        description="Phase centre above the antenna's marker along the normal of the print, metres",
+        default=-0.030,
+        description="Phase centre above the antenna's marker along the normal of the print, metres; "
+        "negative: the marker lies on top of the antenna",
     )
     sigma_antenna_offset_m: Annotated[float, Field(ge=0, le=0.05)] = Field(
         default=0.001, description="Error of the stated offset, metres"
@@ -141,9 +143,9 @@ class TwinField(Section):
     )
     positions: tuple[StaticPosition, ...] = Field(
         default=(
-            StaticPosition(east_m=0.05, north_m=-0.05, heading_deg=4.0, roll_deg=2.0, pitch_deg=-1.5),
-            StaticPosition(east_m=-0.12, north_m=0.10, heading_deg=177.0, roll_deg=-3.0, pitch_deg=2.5),
-            StaticPosition(east_m=0.15, north_m=0.15, heading_deg=-7.0, roll_deg=4.0, pitch_deg=1.0),
+            StaticPosition(east_m=0.05, north_m=0.30, heading_deg=4.0, roll_deg=2.0, pitch_deg=-1.5),
+            StaticPosition(east_m=-0.12, north_m=-0.25, heading_deg=177.0, roll_deg=-3.0, pitch_deg=2.5),
+            StaticPosition(east_m=0.15, north_m=0.40, heading_deg=-7.0, roll_deg=4.0, pitch_deg=1.0),
         ),
         min_length=1,
         max_length=20,

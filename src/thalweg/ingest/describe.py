@@ -160,6 +160,12 @@ def _cloud(kind: str, files: list[Path], options: dict[str, Any], points: bool) 
     )
 
 
+def _calibration(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    from thalweg.ingest.describe_calibration import describe_calibration
+
+    return Recording(kind=kind, report=describe_calibration(kind, files[0]))
+
+
 _READERS: dict[str, Callable[[str, list[Path], dict[str, Any], bool], Recording]] = {
     "capture": _lidar,
     "velodyne_payloads": _lidar,
@@ -172,6 +178,11 @@ _READERS: dict[str, Callable[[str, list[Path], dict[str, Any], bool], Recording]
     "las": _cloud,
     "ply": _cloud,
     "e57": _cloud,
+    "calibration": _calibration,
+    "kalibr": _calibration,
+    "matrix": _calibration,
+    "colmap": _calibration,
+    "opencv": _calibration,
 }
 if set(_READERS) != set(KINDS):
     raise InputError(f"kinds without reader: {set(KINDS) ^ set(_READERS)}", where=__name__)

@@ -23,6 +23,11 @@ KINDS: Final[dict[str, str]] = {
     "las": "LAS/LAZ cloud",
     "ply": "PLY cloud or mesh",
     "e57": "E57 cloud",
+    "calibration": "calibration file",
+    "kalibr": "Kalibr camera chain",
+    "matrix": "4x4 matrix in a text file",
+    "colmap": "COLMAP cameras.txt",
+    "opencv": "camera file of OpenCV or ROS",
 }
 """Kind -> words for people."""
 
@@ -41,6 +46,32 @@ _POS_LINE = re.compile(
     rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d(\.\d+)?|\d{4}[ ,;\t]+\d{1,6}\.\d+)"
     rb"([ ,;\t]+[-\d.:]+){6,}"
 )
+_TEXTS: Final = (
+    ("calibration", re.compile(rb"(?m)^thalweg_calibration[ \t]*:")),
+    ("kalibr", re.compile(rb"(?m)^cam0[ \t]*:")),
+    (
+        "matrix",
+        re.compile(
+            rb"\A(?:\s*(?:#|//)[^\n]*\n)*(?:[ \t]*(?:[-+.\deE]+(?:[ \t,;]+|(?=[\r\n]|\Z))){4}[\r\n]*){4}\s*\Z"
+        ),
+    ),
+    (
+        "colmap",
+        re.compile(
+            rb"(?m)\A(?:[ \t]*#[^\n]*\n)*\d+[ \t]+[A-Z_]+[ \t]+\d+[ \t]+\d+(?:[ \t]+[-+.\deE]+)+[ \t\r]*$"
+        ),
+    ),
+    (
+        "opencv",
+        re.compile(
+            rb"(?m)^[ \t{]*\"?(?:camera_matrix|cameraMatrix|Camera_Matrix|camera_intrinsics|intrinsic_matrix"
+            rb"|K)\"?[ \t]*:"
+        ),
+    ),
+)
+"""Files of calibrations, which are text: kind and what its content holds."""
+
+_CONTROL = re.compile(rb"[^\t\n\r\x20-\xff]")
 _WRAPPED: Final = (
     (b"\x1f\x8b", "the file is compressed (gzip)", "Unpack it with gunzip"),
     (b"PK\x03\x04", "the file is a zip archive", "Unpack it with unzip"),
@@ -97,6 +128,9 @@ def recognise(path: Path) -> str:
     ):
         if matches(head):
             return kind
+    text = _text_kind(head)
+    if text is not None:
+        return text
     framed = {"sbp": _sbp_bytes(head), "anpp": _anpp_bytes(head)}
     best = max(framed, key=lambda kind: framed[kind])
     # a tenth: real logs begin with garbage, and a chance CRC match covers a few bytes of 65,536 only
@@ -133,6 +167,13 @@ def _is_pos(head: bytes) -> bool:
 def _is_nmea(head: bytes) -> bool:
     covered = sum(len(found.group()) for found in _NMEA.finditer(head))
     return covered > 0.3 * len(head)
+
+
+def _text_kind(head: bytes) -> str | None:
+    """Kind of a calibration of any program; None for bytes that are no text."""
+    if _CONTROL.search(head):
+        return None
+    return next((kind for kind, pattern in _TEXTS if pattern.search(head)), None)
 
 
 def _sbp_bytes(head: bytes) -> int:

@@ -1,0 +1,80 @@
+"""The mounts of a campaign: its own values, or those of a calibration, in one file."""
+
+import numpy as np
+import pytest
+
+from thalweg.calibration.mounts import read_mounts, resolve_mounts, write_mounts
+from thalweg.config.mounts import Mounts
+from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
+from thalweg.core.errors import ConfigError, InputError
+from thalweg.core.frames import rotation_opk
+from thalweg.core.rigid import Rigid
+from thalweg.lidar.mount import Mount
+
+
+@pytest.fixture
+def section():
+    return Mounts().model_dump(mode="json")
+
+
+def calibrated() -> tuple[Calibration, np.ndarray]:
+    """A lidar at phi = -90 degrees whose rotation errs about every axis, and its covariance."""
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(6, 6)) * np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])[:, None]
+    cov = root @ root.T
+    true = Rigid(R=rotation_opk(0.0, -np.pi / 2, 0.0), shift_m=np.array([-0.35, 0, -0.25]), cov=cov)
+    block, of_block = pose_block("lidar", true)
+    source = Source(run="yard", method="cones")
+    return Calibration(title="boat", blocks=(block,), cov=of_block, source=source), cov
+
+
+def test_without_a_calibration_the_campaign_file_speaks(section):
+    mounts = resolve_mounts(section, None)
+    assert set(mounts) == {"lidar", "camera", "antenna", "echo_sounder"}
+    assert all(mount["source"] == "campaign" for mount in mounts.values())
+
+
+def test_a_calibration_replaces_what_it_holds_and_nothing_else(section):
+    mounts = resolve_mounts(section, calibrated()[0])
+    assert mounts["lidar"]["source"] == "yard"
+    assert mounts["lidar"]["lever_ics_m"] == pytest.approx((-0.35, 0.0, -0.25))
+    assert mounts["antenna"]["source"] == "campaign"
+
+
+def test_the_covariance_reaches_the_consumer_with_every_axis_and_correlation(section, tmp_path):
+    # At phi = -90 degrees sigmas of omega, phi, kappa cannot describe an error about ics z.
+    calibration, cov = calibrated()
+    write_mounts(tmp_path / "mounts.json", resolve_mounts(section, calibration))
+    mount = Mount.from_section(read_mounts(tmp_path / "mounts.json")["lidar"])
+    order = [3, 4, 5, 0, 1, 2]  # Mount: rotation first
+    # 1e-9: numbers pass through degrees, sigmas and correlations as float64 text.
+    np.testing.assert_allclose(mount.cov_ics, cov[np.ix_(order, order)], rtol=1e-9, atol=1e-18)
+
+
+def test_a_calibration_without_sensors_is_refused(section):
+    block = lever_block("target", [0.0, 0.0, 0.0])
+    other = Calibration(
+        title="a target", blocks=(block,), cov=np.eye(3) * 1e-6, source=Source(run="yard", method="ruler")
+    )
+    with pytest.raises(
+        ConfigError, match=r"'a target' holds the blocks target; expected at least one of lidar"
+    ):
+        resolve_mounts(section, other)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "file not found"),
+        ("{", "no mounts"),
+        ('{"kind": "thalweg mounts", "version": 9, "mounts": {}}', "version 9; expected thalweg mounts"),
+        ('{"kind": "thalweg mounts"}', "no mounts"),
+    ],
+)
+def test_bad_files_are_named(tmp_path, text, message):
+    path = tmp_path / "mounts.json"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_mounts(path)
+    assert "collect_mounts" in str(caught.value)

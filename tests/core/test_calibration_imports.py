@@ -1,0 +1,254 @@
+"""Files of other programs: their conventions, what they do not say, and what they must not hold."""
+
+import numpy as np
+import pytest
+
+from thalweg.cli import main
+from thalweg.core.calibration_file import read_calibration
+from thalweg.core.calibration_imports import import_kalibr, import_matrix, read_kalibr, read_matrix
+from thalweg.core.camera import Camera
+from thalweg.core.camera_files import write_colmap, write_opencv
+from thalweg.core.errors import ConfigError, InputError, UnsupportedError
+from thalweg.core.frames import rotation_opk
+from thalweg.ingest.describe import describe
+from thalweg.ingest.recognise import recognise
+
+SIGMAS = {
+    "angle_deg": 0.02, "lever_m": 0.002, "focal_px": 0.5, "centre_px": 0.3, "distortion": 1e-4,
+    "time_s": 1e-4,
+}  # fmt: skip
+
+T_CAM_IMU = np.eye(4)
+T_CAM_IMU[:3, :3] = rotation_opk(*np.deg2rad([-91.0, 0.5, 2.0]))
+T_CAM_IMU[:3, 3] = [0.07, -0.02, 0.004]
+
+CHAIN = """\
+cam0:
+  T_cam_imu:
+{first}
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [-0.28, 0.07, 0.0002, 0.00002]
+  distortion_model: radtan
+  intrinsics: [458.654, 457.296, 367.215, 248.375]
+  resolution: [752, 480]
+  rostopic: /cam0/image_raw
+  timeshift_cam_imu: -0.0123
+cam1:
+  T_cn_cnm1:
+{second}
+  cam_overlaps: [0]
+  camera_model: pinhole
+  distortion_coeffs: [-0.01, 0.02, -0.003, 0.0004]
+  distortion_model: equidistant
+  intrinsics: [300.5, 301.5, 320.0, 240.0]
+  resolution: [640, 480]
+  rostopic: /cam1/image_raw
+"""
+
+
+def rows(T):
+    return "\n".join(f"  - [{', '.join(f'{x:.9f}' for x in row)}]" for row in T)
+
+
+@pytest.fixture
+def chain(tmp_path):
+    """A chain in the layout that Kalibr's wiki page on its YAML formats documents."""
+    path = tmp_path / "camchain-imucam.yaml"
+    stereo = np.eye(4)
+    stereo[0, 3] = -0.11
+    path.write_text(CHAIN.format(first=rows(T_CAM_IMU), second=rows(stereo)))
+    return path
+
+
+def test_kalibr_in_our_conventions(chain):
+    first, second = read_kalibr(chain)
+    # T_cam_imu takes points of the IMU to the camera; the mount is its inverse. Nine digits in the file.
+    assert first.T_ics_ccs.matrix == pytest.approx(np.linalg.inv(T_CAM_IMU), abs=2e-9)
+    assert first.offset_s == -0.0123
+    assert first.camera.model == "perspective"
+    # pixels from the corner instead of the centre of the first one
+    assert first.camera.parameters == pytest.approx(
+        [458.654, 457.296, 367.715, 248.875, -0.28, 0.07, 2e-4, 2e-5, 0]
+    )
+    assert second.camera.model == "fisheye"
+    assert second.camera.size_px == (640, 480)
+    assert second.T_ics_ccs is None
+    assert second.T_ccs_previous.shift_m == pytest.approx([-0.11, 0, 0])
+
+
+def test_kalibr_projects_like_opencv(chain):
+    import cv2
+
+    points = np.array([[0.3, -0.2, 2.0], [-0.5, 0.1, 1.5]])
+    for found in read_kalibr(chain):
+        p = found.camera.parameters
+        K = np.array([[p[0], 0, p[2] - 0.5], [0, p[1], p[3] - 0.5], [0, 0, 1]])
+        zero, given = np.zeros(3), points[:, None]
+        if found.camera.model == "perspective":
+            xy = cv2.projectPoints(given, zero, zero, K, p[4:8])[0]
+        else:
+            xy = cv2.fisheye.projectPoints(given, zero, zero, K, p[4:8])[0]
+        assert found.camera.project(points) == pytest.approx(xy[:, 0] + 0.5, abs=1e-9)
+
+
+def test_kalibr_becomes_a_calibration_with_the_sigmas_that_are_stated(chain):
+    found = import_kalibr(chain, SIGMAS, run="yard")
+    assert [b.name for b in found.blocks] == [
+        "camera", "camera_interior", "camera_clock", "camera_1_camera_0", "camera_1_interior",
+    ]  # fmt: skip
+    assert found.pose("camera").matrix == pytest.approx(np.linalg.inv(T_CAM_IMU), abs=2e-9)
+    sigma = dict(zip(found.labels, found.sigmas, strict=True))
+    assert sigma["camera.x_m"] == pytest.approx(0.002)
+    assert sigma["camera.phi_deg"] == pytest.approx(0.02)
+    assert sigma["camera_interior.fx"] == pytest.approx(0.5)
+    assert sigma["camera_interior.k3"] == 0.0  # Kalibr's model has none
+    assert sigma["camera_clock.offset_s"] == pytest.approx(1e-4)
+    assert found.find("camera_interior").facts == {"model": "perspective", "width_px": 752, "height_px": 480}
+
+
+@pytest.mark.parametrize("missing", sorted(SIGMAS))
+def test_no_sigma_is_invented(chain, missing):
+    with pytest.raises(InputError, match=rf"no sigma {missing}.*State it: --sigma {missing}="):
+        import_kalibr(chain, {k: v for k, v in SIGMAS.items() if k != missing})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error", "message"),
+    [
+        ("camera_model: pinhole", "camera_model: omni", UnsupportedError, r":8: cam0: camera model omni"),
+        ("radtan", "fov", UnsupportedError, "distortion fov; expected pinhole with radtan or equidistant"),
+        ("  intrinsics: [458.654, ", "  intrinsics: [", ConfigError, r":11: cam0.intr.*expected 4 numbers"),
+        ("  resolution: [752, 480]\n", "", ConfigError, "cam0.resolution: found None; expected 2 numbers"),
+        ("[458.654", "[-458.654", ConfigError, "positive focal lengths"),
+        ("shift_cam_imu: -0.0123", "shift_cam_imu: early", ConfigError, "'early'; expected seconds"),
+        ("cam0:", "left:", None, ""),
+        ("0.000000000, 1.0", "0.1, 1.0", InputError, ":2: cam0.T_cam_imu: the last row"),
+    ],
+)  # fmt: skip
+def test_what_kalibr_files_must_not_hold(chain, old, new, error, message):
+    text = chain.read_text()
+    assert old in text
+    chain.write_text(text.replace(old, new, 1))
+    if error is None:
+        assert [found.name for found in read_kalibr(chain)] == ["cam1"]
+        return
+    with pytest.raises(error, match=message):
+        read_kalibr(chain)
+
+
+def write_matrix(path, T, digits=8):
+    path.write_text("\n".join(" ".join(f"{x:.{digits}f}" for x in row) for row in T) + "\n")
+    return path
+
+
+def test_a_matrix_by_rows(tmp_path):
+    T = np.linalg.inv(T_CAM_IMU)
+    path = write_matrix(tmp_path / "m.txt", T)
+    assert recognise(path) == "matrix"
+    found = import_matrix(path, SIGMAS, name="lidar")
+    # eight digits in the file
+    assert found.pose("lidar").matrix == pytest.approx(T, abs=2e-8)
+    assert np.linalg.det(found.pose("lidar").R) == pytest.approx(1.0, abs=1e-14)
+    assert found.pose("lidar").sigma_shift_m == pytest.approx([0.002] * 3)
+    assert found.pose("lidar").sigma_rotation_rad == pytest.approx([np.deg2rad(0.02)] * 3)
+    named = import_matrix(path, SIGMAS, name="sonar", target="ics", source="ecs")
+    assert named.find("sonar").equation.startswith("x_ics = R_ics_ecs @ x_ecs")
+    with pytest.raises(InputError, match="no sigma angle_deg"):
+        import_matrix(path, {})
+
+
+MIRROR = np.diag([1.0, 1, -1, 1])
+
+
+@pytest.mark.parametrize(
+    ("T", "message"),
+    [
+        (T_CAM_IMU.T, "stands column after column.*Transpose it"),
+        (T_CAM_IMU @ np.diag([1.002, 1.002, 1.002, 1]), "a scale of 1.002;.*Register again without scale"),
+        (T_CAM_IMU @ MIRROR, "a reflection"),
+        (T_CAM_IMU @ np.diag([1.1, 1, 1, 1]), "no rotation"),
+        (T_CAM_IMU @ np.diag([0.0, 0, 0, 1]), "no rotation"),
+        (T_CAM_IMU[:3], "no 4x4 matrix"),
+        (np.full((4, 4), np.nan), "no 4x4 matrix"),
+        (T_CAM_IMU + np.diag([0, 0, 0, 1.0]), r"the last row is \[0.0, 0.0, 0.0, 2.0\]"),
+    ],
+)
+def test_what_a_matrix_must_not_be(tmp_path, T, message):
+    with pytest.raises(InputError, match=message):
+        read_matrix(write_matrix(tmp_path / "m.txt", T))
+
+
+def test_a_matrix_with_comments_and_commas(tmp_path):
+    path = tmp_path / "m.txt"
+    path.write_text(
+        "# from CloudCompare\r\n1, 0, 0, 0.1\r\n0, 1, 0, 0.2\r\n0, 0, 1, 0.3\r\n0, 0, 0, 1\r\n\r\n"
+    )
+    assert read_matrix(path).shift_m == pytest.approx([0.1, 0.2, 0.3])
+    assert recognise(path) == "matrix"
+    with pytest.raises(InputError, match="file not found"):
+        read_matrix(tmp_path / "none.txt")
+    (tmp_path / "b.txt").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not a text file"):
+        read_matrix(tmp_path / "b.txt")
+
+
+def test_the_command_writes_a_file_that_it_can_describe(chain, tmp_path, capsys):
+    out = tmp_path / "camera.yaml"
+    sigmas = [word for name, value in SIGMAS.items() for word in ("--sigma", f"{name}={value}")]
+    assert main(["import-calibration", str(chain), str(out), *sigmas]) == 0
+    assert "camera_clock.offset_s" in read_calibration(out).labels
+    assert recognise(out) == "calibration"
+    capsys.readouterr()
+    assert main(["describe", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "offset_s     -0.01230 ± 0.00010 s" in text
+    assert "x_ics = R_ics_ccs @ x_ccs + (x, y, z)" in text
+    assert "turned by" in text
+    assert main(["import-calibration", str(chain), str(out), *sigmas]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main(["import-calibration", str(out), str(tmp_path / "x.yaml")]) == 2
+    assert "this is a calibration file; expected Kalibr" in capsys.readouterr().err
+    assert main(["import-calibration", str(chain), str(tmp_path / "x.yaml")]) == 2
+    assert "State it: --sigma" in capsys.readouterr().err
+
+
+def test_the_command_takes_a_matrix(tmp_path, capsys):
+    path = write_matrix(tmp_path / "m.txt", T_CAM_IMU)
+    out = tmp_path / "lidar.yaml"
+    words = ["import-calibration", str(path), str(out), "--sigma", "angle_deg=0.1", "--sigma", "lever_m=0.01"]
+    assert main([*words, "--block", "camera"]) == 0
+    assert read_calibration(out).to_mounts()["camera"]["sigma_axes"] == "ics"
+    with pytest.raises(SystemExit):
+        main([*words, "--sigma", "lever=1"])
+
+
+def test_describe_says_what_a_foreign_file_does_not(chain, tmp_path):
+    report = describe(chain)
+    assert report.stream == "calibration"
+    text = "\n".join(report.lines())
+    assert "cam1" in text
+    assert "752 x 480 pixels" in text
+    assert "does not say how well" in text
+    report = describe(write_matrix(tmp_path / "m.txt", T_CAM_IMU))
+    text = "\n".join(report.lines())
+    assert "x, y, z  0.07000, -0.02000, 0.00400 m" in text
+    assert '"pose"' in report.to_json()
+
+
+def test_describe_reads_camera_files(tmp_path, capsys):
+    camera = Camera(
+        model="fisheye", size_px=(640, 480), parameters=np.array([300.5, 301, 320.5, 240.5, 0.01, 0, 0, 0])
+    )
+    for name, kind, write in (
+        ("cameras.txt", "colmap", lambda path: write_colmap(path, {3: camera})),
+        ("cam.yaml", "opencv", lambda path: write_opencv(path, camera)),
+    ):
+        path = tmp_path / name
+        write(path)
+        assert recognise(path) == kind
+        assert main(["describe", str(path)]) == 0
+        text = capsys.readouterr().out
+        assert "fisheye, 640 x 480 pixels" in text
+        assert "cx           320.5" in text
+        assert "does not say how well" in text

@@ -1,0 +1,135 @@
+"""Camera files of COLMAP, OpenCV and ROS: conventions, round trips, refusals."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from thalweg.core.camera import Camera
+from thalweg.core.camera_files import read_colmap, read_opencv, write_colmap, write_opencv
+from thalweg.core.errors import InputError, UnsupportedError
+
+BROWN = Camera(
+    model="perspective",
+    size_px=(4592, 3448),
+    parameters=np.array([3717.25, 3711.0, 2301.0, 1720.0, -0.11, 0.08, 3e-4, -5e-4, -0.02]),
+    name="boat",
+)
+FISHEYE = Camera(
+    model="fisheye",
+    size_px=(1920, 1208),
+    parameters=np.array([1176.93, 1177.72, 962.775, 613.225, -0.0540096, -0.0784275, 0.0959641, -0.0515253]),
+    name="boat",
+)
+
+
+@pytest.mark.parametrize("camera", [BROWN, FISHEYE], ids=lambda c: c.model)
+@pytest.mark.parametrize("name", ["camera.yaml", "camera.json", "cameras.txt"])
+def test_round_trip(tmp_path: Path, camera: Camera, name: str) -> None:
+    path = tmp_path / name
+    if name.endswith(".txt"):
+        write_colmap(path, {3: camera})
+        found = read_colmap(path)[3]
+    else:
+        write_opencv(path, camera)
+        found = read_opencv(path)
+        assert found.name == "boat"
+    assert (found.model, found.size_px) == (camera.model, camera.size_px)
+    # repr of a float64 is exact; 0.5 off and on rounds the last digit of cx
+    np.testing.assert_allclose(found.parameters, camera.parameters, rtol=1e-15)
+
+
+@pytest.mark.parametrize("suffix", ["yaml", "json"])
+def test_opencv_reads_ours_and_we_read_opencvs(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"camera.{suffix}"
+    K = np.array([[3717.25, 0, 2300.5], [0, 3711.0, 1719.5], [0, 0, 1.0]])
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 4592)
+    storage.write("image_height", 3448)
+    storage.write("camera_matrix", K)
+    storage.write("distortion_coefficients", BROWN.parameters[None, 4:])
+    storage.release()
+    # OpenCV writes 16 digits
+    np.testing.assert_allclose(read_opencv(path).parameters, BROWN.parameters, rtol=1e-14)
+    ours = tmp_path / "ours.yaml"
+    write_opencv(ours, BROWN)
+    storage = cv2.FileStorage(str(ours), cv2.FILE_STORAGE_READ)
+    np.testing.assert_allclose(storage.getNode("camera_matrix").mat(), K)
+    np.testing.assert_allclose(storage.getNode("distortion_coefficients").mat().ravel(), BROWN.parameters[4:])
+
+
+def test_camera_info_of_a_real_set(tmp_path: Path) -> None:
+    """As the ACFR calibration set has it: lists K and D, ROS's centre of the first pixel as (0, 0)."""
+    path = tmp_path / "camera_info.yaml"
+    path.write_text(
+        'distortion_model: "fisheye"\nwidth: 1920\nheight: 1208\n'
+        "D: [-0.0540096,-0.0784275,0.0959641,-0.0515253]\n"
+        "K: [1176.93,0.0,962.275,0.0,1177.72,612.725,0.0,0.0,1]\n"
+    )
+    found = read_opencv(path)
+    assert (found.model, found.size_px, found.name) == ("fisheye", (1920, 1208), "camera_info")
+    np.testing.assert_allclose(found.parameters, FISHEYE.parameters, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("line", "parameters"),
+    [
+        ("1 SIMPLE_PINHOLE 100 80 90 50 40", [90, 90, 50, 40, 0, 0, 0, 0, 0]),
+        ("1 PINHOLE 100 80 90 91 50 40", [90, 91, 50, 40, 0, 0, 0, 0, 0]),
+        ("1 SIMPLE_RADIAL 100 80 90 50 40 -0.1", [90, 90, 50, 40, -0.1, 0, 0, 0, 0]),
+        ("1 RADIAL 100 80 90 50 40 -0.1 0.2", [90, 90, 50, 40, -0.1, 0.2, 0, 0, 0]),
+        ("1 OPENCV 100 80 90 91 50 40 1 2 3 4", [90, 91, 50, 40, 1, 2, 3, 4, 0]),
+        ("1 FULL_OPENCV 100 80 90 91 50 40 1 2 3 4 5 0 0 0", [90, 91, 50, 40, 1, 2, 3, 4, 5]),
+        ("1 SIMPLE_RADIAL_FISHEYE 100 80 90 50 40 0.1", [90, 90, 50, 40, 0.1, 0, 0, 0]),
+        ("1 RADIAL_FISHEYE 100 80 90 50 40 0.1 0.2", [90, 90, 50, 40, 0.1, 0.2, 0, 0]),
+        ("1 OPENCV_FISHEYE 100 80 90 91 50 40 1 2 3 4", [90, 91, 50, 40, 1, 2, 3, 4]),
+    ],
+)
+def test_models_of_colmap(tmp_path: Path, line: str, parameters: list[float]) -> None:
+    path = tmp_path / "cameras.txt"
+    path.write_text(f"# Camera list\n{line}\n")
+    np.testing.assert_array_equal(read_colmap(path)[1].parameters, parameters)
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        ("1 OPENCV 100 80 90 91 50", "expected number model width height fx, fy"),
+        ("1 FOV 100 80 90 91 50 40 1", "camera model FOV"),
+        ("1 FULL_OPENCV 100 80 90 91 50 40 1 2 3 4 5 0.1 0 0", "rational distortion"),
+        ("1 PINHOLE 100 80 -90 91 50 40", "positive focal lengths"),
+        ("1 PINHOLE 100 80 90 91 50 40\n1 PINHOLE 100 80 90 91 50 40", "stands twice"),
+        ("# nothing", "no camera"),
+    ],
+)
+def test_wrong_colmap_files(tmp_path: Path, text: str, answer: str) -> None:
+    path = tmp_path / "cameras.txt"
+    path.write_text(text + "\n")
+    with pytest.raises(InputError, match=answer):
+        read_colmap(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        ("K: [1, 0, 5, 0, 1, 5, 0, 0, 1]\nD: [1, 2, 3, 4]\nwidth: 9\nheight: 9", "no distortion_model"),
+        ("K: [1, 0.2, 5, 0, 1, 5, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "skew"),
+        ("K: [1, 0, 5, 0, 1, 5, 0, 0, 1]\nD: [0, 0, 0, 0, 0]", "no size"),
+        ("K: [1, 0, 5]\nD: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "3 numbers"),
+        ("D: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "none of the keys K"),
+        ("K: [a]\nD: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "no numbers"),
+        ("- 1", "no keys"),
+    ],
+)
+def test_wrong_opencv_files(tmp_path: Path, text: str, answer: str) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(text + "\n")
+    with pytest.raises((InputError, UnsupportedError), match=answer):
+        read_opencv(path)
+
+
+def test_a_missing_file_is_told(tmp_path: Path) -> None:
+    for read in (read_colmap, read_opencv):
+        with pytest.raises(InputError, match="file not found"):
+            read(tmp_path / "none.txt")

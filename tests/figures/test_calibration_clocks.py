@@ -1,0 +1,138 @@
+"""Figures of a calibration's clocks, and the tables that all its figures read."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from thalweg.core.errors import CoverageError, InputError
+from thalweg.figures.calibration_tables import CONES, natural, read_cones, read_figure_table
+from thalweg.figures.clock_offset import clock_offset
+from thalweg.figures.clock_stability import chosen_photo, clock_stability, display_intervals
+from thalweg.figures.cone_residuals import cone_residuals
+from thalweg.figures.field_setup import field_setup
+from thalweg.figures.field_views import cones_of
+from thalweg.figures.pictures import read_picture
+
+# ---------------------------------------------------------------- clocks
+
+
+def test_the_offset_figure_shows_both_tracks(rng, tmp_path, look):
+    t = np.arange(0, 60, 0.1)
+    track = pd.DataFrame(
+        {"t_gps_s": 1e8 + t, "east_m": 3 * np.sin(t / 9), "north_m": 2 * np.cos(t / 7), "up_m": 0.0}
+    )
+    at = np.arange(10, 590, 10)
+    images = track.iloc[at].assign(
+        residual_along_m=rng.normal(0, 0.01, len(at)), residual_across_m=0.002, residual_up_m=0.0,
+        used=np.arange(len(at)) != 3,
+    )  # fmt: skip
+    figure = clock_offset(images, track, {"offset_s": 2.3471, "sigma_offset_s": 0.0031}, twin=True)
+    words = look.texts(figure)
+    assert "offset +2.3471 s ± 3.1 ms, n = 57 images, 1 rejected" in words
+    along = 1e3 * images[images["used"]]["residual_along_m"]
+    assert f"along {along.mean():+.1f} ± {along.std(ddof=0):.1f}, across +2.0 ± 0.0" in words
+    (circles,), (crosses,) = look.artists(figure, "images"), look.artists(figure, "track")
+    assert circles.get_marker() == "o"
+    assert crosses.get_marker() == "x"
+    assert crosses.get_color() == "black"
+    assert len(circles.get_xdata()) == 57
+    look.drawn(figure, tmp_path)
+
+
+def test_intervals_jump_over_what_could_not_be_read(tmp_path, look):
+    read = np.cumsum(np.full(50, 0.999))
+    read[1::2] += 0.01
+    good = np.ones(50, dtype=bool)
+    good[[10, 11, 30]] = False
+    table = pd.DataFrame({
+        "t_camera_s": np.arange(50.0), "read_s": np.where(good, read, np.nan), "readable": good,
+        "file": [f"{k}.jpg" for k in range(50)], "text": "10:00:00.00",
+    })  # fmt: skip
+    minutes, intervals = display_intervals(table)
+    # 49 intervals; three at the hole of two photos, two at that of one
+    assert intervals.size == 44
+    assert set(intervals.round(6)) == {1.009, 0.989}
+    assert minutes[0] == pytest.approx(1.009 / 60)
+    figure = clock_stability(table, np.zeros((20, 40, 3), np.uint8), photo_text="10:00:00.00", twin=True)
+    words = look.texts(figure)
+    assert f"interval {intervals.mean():.4f} s, std {intervals.std(ddof=1):.4f} s, n = 44 intervals" in words
+    assert "3 of 50 photos unreadable" in words
+    assert "read: 10:00:00.00" in words
+    assert chosen_photo(table) == ("0.jpg", "10:00:00.00")
+    look.drawn(figure, tmp_path)
+    with pytest.raises(CoverageError, match="0 intervals between readable photos"):
+        display_intervals(table.assign(readable=False))
+    with pytest.raises(CoverageError, match="no photo could be read"):
+        chosen_photo(table.assign(readable=False))
+    with pytest.raises(InputError, match="photo of shape"):
+        clock_stability(table, np.zeros((20, 40)))
+
+
+# ---------------------------------------------------------------- tables
+
+
+FIELD = """\
+thalweg_field: 1
+markers: {dictionary: DICT_4X4_250, module_m: 0.012}
+cones:
+- {name: C1, markers: [0, 7], half_angle_deg: 25.0, length_m: 0.70}
+- {name: C2, markers: [8, 15], half_angle_deg: 25.0, length_m: 0.80}
+scale_bars:
+- {name: S1, from: "80/0", to: "81/0", length_m: 1.5, sigma_m: 0.00003}
+- {name: S2, from: "82/0", to: "83/0", length_m: 1.5, sigma_m: 0.00003}
+"""
+
+
+def test_cones_of_the_adjustment_get_axes_and_lengths(tmp_path):
+    path, field = tmp_path / "cones.csv", tmp_path / "field.yaml"
+    field.write_text(FIELD)
+    table = pd.DataFrame({
+        "cone": ["C1", "C2"], "apex_x_m": 1.0, "apex_y_m": 2.0, "apex_z_m": 3.0, "lambda_deg": [30.0, 0.0],
+        "theta_deg": [90.0, 180.0], "half_angle_deg": 25.0,
+    })  # fmt: skip
+    table.to_csv(path, index=False)
+    found = cones_of(read_cones(path, field))
+    assert found["C1"].axis == pytest.approx([np.cos(np.pi / 6), 0.5, 0.0])
+    assert found["C2"].axis == pytest.approx([0, 0, -1], abs=1e-12)
+    assert found["C2"].length_m == 0.8
+    assert found["C1"].used
+    table.assign(cone=["C1", "C9"]).to_csv(path, index=False)
+    with pytest.raises(InputError, match="no cones C9; expected C1, C2"):
+        read_cones(path, field)
+    table.drop(columns="apex_x_m").to_csv(path, index=False)
+    with pytest.raises(InputError, match="columns missing: apex_x_m"):
+        read_cones(path, field)
+
+
+def test_wrong_tables_are_refused_by_name(cones, poses, points, tmp_path):
+    with pytest.raises(InputError, match="columns missing: used"):
+        field_setup(cones.drop(columns="used"), poses)
+    with pytest.raises(CoverageError, match="no pose to draw"):
+        field_setup(cones, poses.iloc[:0])
+    with pytest.raises(CoverageError, match="no point used to draw"):
+        cone_residuals(points.assign(used=False), cones)
+    with pytest.raises(InputError, match="file not found"):
+        read_figure_table(tmp_path / "none.csv", CONES)
+    (tmp_path / "bad.parquet").write_bytes(b"PAR1")
+    with pytest.raises(InputError, match="no table"):
+        read_figure_table(tmp_path / "bad.parquet", CONES)
+    points.to_parquet(tmp_path / "points.parquet")
+    assert len(read_figure_table(tmp_path / "points.parquet", ("cone",))) == len(points)
+
+
+def test_pictures_come_as_they_lie(tmp_path):
+    path = tmp_path / "p.jpg"
+    Image.fromarray(np.full((8, 12), 77, np.uint8)).save(path)
+    assert read_picture(path).shape == (8, 12)
+    Image.fromarray(np.full((8, 12, 3), 77, np.uint8)).save(path)
+    assert read_picture(path).shape == (8, 12, 3)
+    path.write_bytes(b"no picture")
+    with pytest.raises(InputError, match="no picture"):
+        read_picture(path)
+    with pytest.raises(InputError, match="file not found"):
+        read_picture(tmp_path / "none.jpg")
+
+
+def test_names_are_sorted_as_people_count():
+    assert natural(["C10", "C2", "C1", "C2"]) == ["C1", "C2", "C10"]

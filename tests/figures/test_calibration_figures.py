@@ -1,0 +1,310 @@
+"""Figures of a calibration: what they show is what the tables say, and what they refuse."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.collections import PathCollection
+from scipy.spatial.transform import Rotation
+
+from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
+from thalweg.core.errors import CoverageError, InputError
+from thalweg.core.rigid import Rigid
+from thalweg.figures.calibration_design import calibration_design
+from thalweg.figures.calibration_tables import (
+    STUDY,
+)
+from thalweg.figures.cone_before_after import cone_before_after
+from thalweg.figures.cone_frame import cone_frame
+from thalweg.figures.cone_residuals import cone_residuals
+from thalweg.figures.correlations import correlation_matrix
+from thalweg.figures.field_reference import field_reference
+from thalweg.figures.field_setup import field_positions, field_setup, lever_text
+from thalweg.figures.field_views import Oblique, cones_of
+from thalweg.figures.style import count, save
+from thalweg.figures.synthetic_view import HeightView, read_height_view, synthetic_view
+
+NBSP = "\N{NO-BREAK SPACE}"
+
+
+def test_the_same_tables_give_the_same_bytes(cones, poses, points, tmp_path):
+    files = []
+    for name in "ab":
+        for k, figure in enumerate((field_setup(cones, poses, twin=True), cone_residuals(points, cones))):
+            files.append(tmp_path / f"{name}{k}.png")
+            save(figure, files[-1], dpi=50)
+    assert files[0].read_bytes() == files[2].read_bytes()
+    assert files[1].read_bytes() == files[3].read_bytes()
+
+
+# ---------------------------------------------------------------- views
+
+
+def test_a_cone_is_drawn_where_it_is(cones):
+    cone = cones_of(cones)["C2"]
+    R = cone.frame
+    assert np.allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    surface = cone.surface().reshape(-1, 3) - cone.apex_m
+    z = surface @ cone.axis
+    rho = np.linalg.norm(surface - np.outer(z, cone.axis), axis=1)
+    assert rho == pytest.approx(z * np.tan(cone.half_angle_rad), abs=1e-12)
+    assert z.max() == pytest.approx(cone.length_m)
+
+
+def test_unrolling_keeps_distances_from_the_apex(cones):
+    cone = cones_of(cones)["C1"]
+    grid = cone.surface(around=8, along=3)
+    angle, along = cone.unrolled(grid[1:].reshape(-1, 3))
+    assert along == pytest.approx(np.linalg.norm(grid[1:].reshape(-1, 3) - cone.apex_m, axis=1))
+    # zero is the top of a lying cone
+    top = cone.apex_m + 0.5 * cone.axis + 0.5 * np.tan(cone.half_angle_rad) * np.array([0, 0, 1.0])
+    assert cone.unrolled(top[None])[0] == pytest.approx([0.0], abs=1e-12)
+    assert np.ptp(angle) > 5.0
+
+
+def test_the_projection_is_a_rotation():
+    view = Oblique(azimuth_deg=0.0, elevation_deg=0.0)
+    xy, depth = view.apply(np.array([[1.0, 2.0, 3.0]]))
+    # seen from the south: east to the right, up upward, north is farther away
+    assert xy == pytest.approx(np.array([[1.0, 3.0]]), abs=1e-12)
+    assert depth == pytest.approx([-2.0])
+    R = Oblique(azimuth_deg=35.0, elevation_deg=24.0).axes
+    assert np.allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+# ---------------------------------------------------------------- field
+
+
+def test_the_field_shows_cones_and_sensors(cones, poses, tmp_path, look):
+    figure = field_setup(cones, poses, twin=True)
+    words = look.texts(figure)
+    assert "n = 4 cones, 3 of them used" in words
+    assert "digital twin" in words
+    assert "height / m" in words
+    (camera, *_), (lidar, *_) = look.artists(figure, "camera"), look.artists(figure, "lidar")
+    assert camera.get_marker() == "o"
+    assert lidar.get_marker() == "s"
+    assert {t for t in words.split(" | ") if t.startswith("C")} >= {"C1", "C2", "C4", "C10"}
+    look.drawn(figure, tmp_path)
+
+
+def test_positions_have_one_colour_each(cones, poses, tmp_path, look):
+    figure = field_positions(cones, poses)
+    words = look.texts(figure)
+    assert "n = 2 positions, 3 of 4 cones used" in words
+    # lever arm of the made-up boat: 10, 10 and 7 cm
+    assert "sensors 15.8 cm apart" in words
+    assert lever_text(poses) == "15.8 cm"
+    for name in ("position_1", "position_2"):
+        found = [look.artists(figure, f"{sensor}-{name}")[0] for sensor in ("camera", "lidar")]
+        assert found[0].get_color() == found[1].get_color()
+    assert (
+        look.artists(figure, "camera-position_1")[0].get_color()
+        != look.artists(figure, "camera-position_2")[0].get_color()
+    )
+    assert "digital twin" not in words
+    look.drawn(figure, tmp_path)
+
+
+def test_arrows_are_the_z_axes(cones, poses, look):
+    figure = field_positions(cones, poses)
+    arrows = [a for a in look.artists(figure, "z-axis") if a.axes.get_title(loc="left").startswith("b")]
+    first = poses.iloc[0]
+    z = Rotation.from_quat(first[["qx", "qy", "qz", "qw"]].to_numpy(float)).as_matrix()[:, 2]
+    way = np.array(arrows[0].xy) - arrows[0].xyann
+    assert way / np.linalg.norm(way) == pytest.approx(z[:2] / np.linalg.norm(z[:2]), abs=1e-9)
+    # the camera looks to port: to the left of the heading of 3 degrees
+    assert z[0] < -0.95
+
+
+@pytest.fixture
+def reference(rng, cones):
+    rows = [
+        (f"{i // 4}/{i % 4}", *p, 2e-4, 2e-4, 1e-4)
+        for i, p in enumerate(
+            np.concatenate([c.surface(8, 4)[2:].reshape(-1, 3) for c in cones_of(cones).values()])
+        )
+    ]
+    points = pd.DataFrame(rows, columns=["mark", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m"])
+    n = 40
+    marks = pd.DataFrame({
+        "mark": [f"{i}/0" for i in range(n)], "x_px": rng.uniform(10, 190, n),
+        "y_px": rng.uniform(10, 140, n), "residual_x_px": rng.normal(0, 0.1, n),
+        "residual_y_px": rng.normal(0, 0.1, n), "used": np.arange(n) != 7,
+    })  # fmt: skip
+    return points, marks
+
+
+def test_the_calibration_in_four_pictures(cones, points, reference, tmp_path, look):
+    reference_points, marks = reference
+    image = np.full((150, 200), 120, np.uint8)
+    figure = field_reference(reference_points, cones, image, marks, points, image_name="p.jpg", twin=True)
+    words = look.texts(figure)
+    used = points[points["used"]]
+    assert f"n = {len(reference_points)} reference points, {count(len(used))}".replace(NBSP, " ") in words
+    assert "median 3D sigma 0.30 mm" in words  # 0.2, 0.2 and 0.1 mm
+    assert "40 marks in p.jpg" in words
+    assert "1 mark rejected" in words
+    kept = marks[marks["used"]]
+    rms = np.sqrt((kept[["residual_x_px", "residual_y_px"]] ** 2).to_numpy().mean())
+    assert f"RMS {rms:.3f} px" in words
+    assert f"std {1e3 * used['residual_m'].std(ddof=0):.1f} mm" in words
+    # the picture fills 0..w, 0..h: pixels count from the corner
+    ax = next(a for a in figure.axes if a.get_title(loc="left").startswith("b"))
+    assert ax.images[0].get_extent() == [0, 200, 150, 0]
+    (arrows,) = look.artists(figure, "residuals")
+    scale = float(words.split("residuals enlarged ")[1].split(" times")[0].replace(" ", ""))
+    assert np.asarray(arrows.U) == pytest.approx(scale * kept["residual_x_px"].to_numpy())
+    assert np.asarray(arrows.V) == pytest.approx(scale * kept["residual_y_px"].to_numpy())
+    look.drawn(figure, tmp_path)
+    with pytest.raises(InputError, match="image of shape"):
+        field_reference(reference_points, cones, image.astype(float), marks, points)
+
+
+def test_the_sketch_of_a_cone_has_its_symbols(tmp_path, look):
+    figure = cone_frame()
+    words = look.texts(figure)
+    assert all(
+        symbol in words for symbol in ("$a$", "$p_j$", "$s_j$", "$\\alpha$", "$z_{cocs}$", "$x_{pcs}$")
+    )
+    assert "no data" in words
+    look.drawn(figure, tmp_path)
+
+
+def test_a_synthetic_view_colours_cones_by_height(rng, tmp_path, look):
+    height = np.full((40, 100), np.nan, np.float32)
+    height[10:20, 20:40], height[10:20, 60:80] = 0.5, 2.0
+    view = HeightView(height_m=height, shade=np.full((40, 100), 200, np.uint8))
+    lidar = pd.DataFrame(rng.uniform(-3, 3, (200, 3)), columns=["x_m", "y_m", "z_m"])
+    lidar = lidar.assign(ring=np.arange(200) % 8, on_cone=np.arange(200) < 120)
+    figure = synthetic_view(view, lidar, twin=True)
+    assert "n = 120 points on cones in 8 scan lines" in look.texts(figure)
+    (image,) = look.artists(figure, "image")
+    pixels = np.asarray(image.get_array())
+    assert np.ptp(pixels[0, 0]) == 0  # grey background
+    assert not np.allclose(pixels[15, 30], pixels[15, 70])
+    (frame,) = look.artists(figure, "frame")
+    assert len(frame.get_offsets()) == 120
+    look.drawn(figure, tmp_path)
+    path = tmp_path / "view.npz"
+    np.savez(path, height_m=height, shade=view.shade)
+    assert np.array_equal(read_height_view(path).height_m, height, equal_nan=True)
+    np.savez(path, height_m=height, shade=view.shade.astype(float))
+    with pytest.raises(InputError, match="two pictures of one size"):
+        read_height_view(path)
+    np.savez(path, height_m=height)
+    with pytest.raises(InputError, match="expected height_m and shade"):
+        read_height_view(path)
+    path.write_bytes(b"nothing")
+    with pytest.raises(InputError, match="no such picture"):
+        read_height_view(path)
+
+
+# ---------------------------------------------------------------- residuals and correlations
+
+
+def test_unrolled_cones_carry_their_residuals(cones, points, tmp_path, look):
+    figure = cone_residuals(points, cones, twin=True)
+    used = points[points["used"]]
+    words = look.texts(figure)
+    assert f"n = {count(len(used))} points on 3 cones, 36 rejected".replace(NBSP, " ") in words
+    clouds = [a for a in look.artists(figure, "residuals") if isinstance(a, PathCollection)]
+    assert len(clouds) == 3
+    for cloud, name in zip(clouds, ["C1", "C2", "C10"], strict=True):
+        part = used[used["cone"] == name]
+        assert np.asarray(cloud.get_array()) == pytest.approx(1e3 * part["residual_m"].to_numpy())
+        cone = cones_of(cones)[name]
+        _, along = cone.unrolled(part[["x_m", "y_m", "z_m"]].to_numpy())
+        assert np.asarray(cloud.get_offsets())[:, 1] == pytest.approx(along)
+    mm = 1e3 * used["residual_m"].to_numpy()
+    assert f"normal, mean, std: {mm.mean():+.1f}, {mm.std():.1f} mm" in words
+    look.drawn(figure, tmp_path)
+
+
+def test_a_patch_is_not_cut_at_the_back_of_a_cone(rng, cones, look):
+    cone = cones_of(cones)["C1"]
+    turn = np.deg2rad(rng.uniform(150, 210, 200))
+    local = np.stack([0.2 * np.sin(turn), 0.2 * np.cos(turn), np.full(200, 0.43)], axis=1)
+    xyz = cone.apex_m + local @ cone.frame
+    points = pd.DataFrame(xyz, columns=["x_m", "y_m", "z_m"]).assign(
+        cone="C1", position="p", residual_m=rng.normal(0, 0.01, 200), used=True
+    )
+    (cloud,) = [
+        a for a in look.artists(cone_residuals(points, cones), "residuals") if isinstance(a, PathCollection)
+    ]
+    assert np.ptp(cloud.get_offsets()[:, 0]) < 61.0
+
+
+def test_before_and_after(rng, cones, tmp_path, look, on_cones):
+    after = on_cones(rng, cones, noise_m=0.012)
+    before = after.assign(x_m=after["x_m"] + 0.1, residual_m=after["residual_m"] + 0.06)
+    figure = cone_before_after(before, after, cones, cone="C2", twin=True)
+    words = look.texts(figure)
+    kept = after[after["used"] & (after["cone"] == "C2")]["residual_m"] * 1e3
+    assert f"C2, n = {len(kept)} points" in words
+    assert f"mean {kept.mean():+.1f} mm, RMS {np.sqrt((kept**2).mean()):.1f} mm" in words
+    along = look.artists(figure, "along")
+    radius = [np.linalg.norm(cloud.get_offsets(), axis=1) for cloud in along]
+    # 12 mm on a radius of 8 to 33 cm, and 10 cm along an axis inclined to it
+    assert np.median(np.abs(radius[1] - 1)) < 0.07
+    assert np.median(np.abs(radius[0] - 1)) > 0.12
+    look.drawn(figure, tmp_path)
+    with pytest.raises(CoverageError, match="no points of cone C4"):
+        cone_before_after(before, after, cones, cone="C4")
+    with pytest.raises(InputError, match="columns missing: t_gps_s"):
+        cone_before_after(before.drop(columns="t_gps_s"), after, cones)
+
+
+def boat():
+    cov = np.diag([1e-8, 2e-8, 3e-8, 1e-8, 1e-8, 0.0])
+    cov[0, 3] = cov[3, 0] = -0.9e-8
+    block, cov6 = pose_block("lidar", Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=cov))
+    cov = np.zeros((9, 9))
+    cov[:6, :6], cov[6:, 6:] = cov6, 1e-6 * np.eye(3)
+    return Calibration(
+        title="Boat", blocks=(block, lever_block("antenna", [0, 0, 0])), cov=cov,
+        source=Source(run="field", method="cones"),
+    )  # fmt: skip
+
+
+def test_correlations_are_those_of_the_file(tmp_path, look):
+    figure = correlation_matrix(boat(), twin=True)
+    words = look.texts(figure)
+    # kappa has no sigma and is left out
+    assert "n = 8 quantities, largest correlation 0.90, none above 0.95" in words
+    assert "lidar kappa" not in words
+    assert "antenna x" in words
+    (matrix,) = look.artists(figure, "matrix")
+    values = np.asarray(matrix.get_array())
+    assert values.shape == (8, 8)
+    assert values[0, 2] == pytest.approx(-0.9)
+    assert "−.90" in words
+    look.drawn(figure, tmp_path)
+    fixed = boat()
+    with pytest.raises(InputError, match="0 quantities with an error"):
+        correlation_matrix(
+            Calibration(title="x", blocks=fixed.blocks, cov=np.zeros((9, 9)), source=fixed.source)
+        )
+
+
+def test_the_design_study_has_a_line_for_each_number_of_positions(rng, tmp_path, look):
+    rows = [
+        (c, p, q, u, s * np.sqrt(18 / c / p) * f)
+        for c in (4, 6, 8) for p in (1, 3) for f in (0.8, 1.0, 1.3)
+        for q, u, s in (("rotation_x_deg", "deg", 0.05), ("rotation_z_deg", "deg", 0.02), ("x_m", "m", 5e-4))
+    ]  # fmt: skip
+    figure = calibration_design(pd.DataFrame(rows, columns=list(STUDY)), twin=True)
+    assert "n = 54 sigmas" in look.texts(figure)
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    assert titles[:3] == ["rotation about x", "rotation about z", "x of the lever arm"]
+    lines = look.artists(figure, "positions-3")
+    assert len(lines) == 3
+    x, y = lines[0].get_data()
+    assert list(x) == [4, 6, 8]
+    assert y == pytest.approx(0.05 * np.sqrt(18 / np.array([4, 6, 8]) / 3))
+    # lever arms in millimetres
+    assert lines[2].get_ydata()[1] == pytest.approx(0.5)
+    look.drawn(figure, tmp_path)
+    with pytest.raises(CoverageError, match="no row of the study"):
+        calibration_design(pd.DataFrame(columns=list(STUDY)))

@@ -1,0 +1,93 @@
+"""The page on a calibration: its first sentence, its tables, and that it needs nothing from elsewhere."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.calibration import Block, Calibration, Source, lever_block, pose_block
+from thalweg.core.errors import InputError
+from thalweg.core.frames import rotation_opk
+from thalweg.core.rigid import Rigid
+from thalweg.figures.calibration_page import block_table, calibration_page, summary
+from thalweg.figures.correlations import correlation_matrix
+from thalweg.figures.style import save
+
+
+@pytest.fixture
+def boat():
+    sigma = np.array([1e-3, 4e-4, 2e-4, *np.deg2rad([0.067, 0.035, 0.015])])
+    pose = Rigid(
+        R=rotation_opk(0.0, np.deg2rad(-90.2), 0.0),
+        shift_m=np.array([0.12, 0.08, -0.07]),
+        cov=np.diag(sigma**2),
+    )
+    block, cov = pose_block("camera_lidar", pose)
+    clock = Block(name="camera_clock", quantities=("offset_s", "drift_ppm"), values=np.array([2.3471, -3.0]),
+                  equation="t_gps_s = t_camera_s + offset_s", facts={"camera": "left"})  # fmt: skip
+    joint = np.zeros((8, 8))
+    joint[:6, :6], joint[6, 6] = cov, 0.0031**2
+    source = Source(run="field", method="cones", observations=8_821, sigma0=1.013)
+    return Calibration(title="Camera & lidar", blocks=(block, clock), cov=joint, source=source)
+
+
+def test_the_first_sentence_has_the_sigmas(boat):
+    words = summary([boat])
+    assert "Camera lidar: lever arm of 16.0 cm with sigmas of 1, 0.4, 0.2 mm" in words
+    assert "rotation with sigmas of 0.067, 0.035, 0.015 degrees" in words
+    assert "Camera clock: offset +2.3471 s, sigma 3.1 ms." in words
+    bare = Calibration(
+        title="x", blocks=(lever_block("antenna", [0, 0, 0]),), cov=np.eye(3), source=boat.source
+    )
+    assert summary([bare]) == "No block has sigmas of its own."
+
+
+def test_values_have_the_places_of_their_sigmas(boat):
+    table = block_table(boat, boat.find("camera_lidar")).set_index("quantity")
+    assert table.loc["phi", "value"] == "-90.200"
+    assert table.loc["phi", "sigma"] == "0.035"
+    assert table.loc["x", "value"] == "0.1200"
+    assert list(table.loc["x", ["sigma", "unit of sigma"]]) == ["1", "mm"]
+    clock = block_table(boat, boat.find("camera_clock")).set_index("quantity")
+    assert list(clock.loc["offset", ["value", "sigma", "unit of sigma"]]) == ["2.3471", "3.1", "ms"]
+    assert clock.loc["drift", "sigma"] == "fixed"
+
+
+def test_the_page_is_whole(boat, tmp_path):
+    picture = tmp_path / "correlations.png"
+    save(correlation_matrix(boat), picture, dpi=50)
+    truth = pd.DataFrame({
+        "block": "camera_lidar", "quantity": ["rotation_x_deg", "x_m", "together"],
+        "estimated_minus_true": [0.01, 3e-4, 1.1], "sigma": [0.067, 1e-3, 0.9], "unit": ["deg", "m", "1"],
+        "normalised": [0.15, 0.3, 1.1],
+    })  # fmt: skip
+    page = calibration_page(
+        [boat],
+        [("Cones that were found", pd.DataFrame({"cone": ["C1", "C2"], "used": [812, 0]})),
+         ("Marks rejected", pd.DataFrame({"mark": []}))],
+        pictures=[picture], captions={"correlations": "Which <quantities> hang together"}, truth=truth,
+        notes=["The antenna defines the origin of ics."], title="Calibration: yard", twin=True,
+    )  # fmt: skip
+    html = page.html()
+    plain = re.sub(r"<[^>]+>", " ", html)
+    assert html.count("data:image/png;base64,") == 1
+    assert "http" not in html
+    for words in (
+        "not of a real boat", "Run field; cones; 8\N{NO-BREAK SPACE}821 observations; sigma0 1.013",
+        "Which &lt;quantities&gt; hang together", "Marks rejected: none.", "Cones that were found",
+        "1.0, 0.4 and 0.2 mm", "about one axis", "The antenna defines the origin", "Camera &amp; lidar",
+        "camera_lidar: x_ccs = R_ccs_scs @ x_scs",
+    ):  # fmt: skip
+        assert words in plain, words
+    # metres of the truth are shown in millimetres
+    row = re.search(r"<tr><td>camera_lidar</td><td>x</td>.*?</tr>", html)
+    assert row
+    assert re.findall(r"<td[^>]*>([^<]*)</td>", row.group())[2:] == ["0.3", "1", "mm", "0.3"]
+    page.write(tmp_path / "index.html")
+    assert (tmp_path / "index.html").read_text(encoding="utf-8") == html
+
+
+def test_a_missing_picture_is_refused(boat, tmp_path):
+    with pytest.raises(InputError, match="file not found"):
+        calibration_page([boat], pictures=[tmp_path / "none.png"])

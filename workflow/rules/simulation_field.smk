@@ -1,0 +1,164 @@
+"""The calibration field of the digital twin: images, scans and a running clock, and their truth apart."""
+
+
+rule simulate_field:
+    """Description of the calibration field as a user writes it, and the truth."""
+    output:
+        field="results/{campaign}/simulation/logs/field.yaml",
+        field_truth="results/{campaign}/simulation/truth/field.json",
+        field_poses="results/{campaign}/simulation/truth/field_poses.parquet",
+    log:
+        "logs/{campaign}/simulation/simulate_field.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_field.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_field"),
+        campaign=identity("origin", "seed"),
+        twin=twin_parts(),
+    message:
+        "{wildcards.campaign}: calibration field of the digital twin"
+    script:
+        "../scripts/simulate_field.py"
+
+
+rule simulate_positions:
+    """Lidar captures of the static positions."""
+    input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+    output:
+        scans=directory("results/{campaign}/simulation/logs/position_scans"),
+        effects="results/{campaign}/simulation/truth/positions_effects.json",
+    log:
+        "logs/{campaign}/simulation/simulate_positions.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_positions.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20),
+    params:
+        code=code_version("simulate_positions"),
+        campaign=identity("origin", "seed"),
+        twin=twin_parts("lidar", "effects"),
+    message:
+        "{wildcards.campaign}: static lidar recordings of the digital twin"
+    script:
+        "../scripts/simulate_positions.py"
+
+
+rule simulate_reference_images:
+    """Images of the field by a reflex camera."""
+    input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+    output:
+        images=directory("results/{campaign}/simulation/logs/reference_images"),
+        times="results/{campaign}/simulation/truth/reference_images.parquet",
+        cameras="results/{campaign}/simulation/truth/cameras.json",
+    log:
+        "logs/{campaign}/simulation/simulate_reference_images.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_reference_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(60),
+    params:
+        code=code_version("simulate_field_images"),
+        kind="reference",
+        campaign=identity("seed"),
+        twin=twin_parts("camera", "effects"),
+    message:
+        "{wildcards.campaign}: reference images of the digital twin"
+    script:
+        "../scripts/simulate_field_images.py"
+
+
+rule simulate_position_images:
+    """Image of the boat's camera at each static position."""
+    input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+    output:
+        images=directory("results/{campaign}/simulation/logs/position_images"),
+        times="results/{campaign}/simulation/truth/position_images.parquet",
+    log:
+        "logs/{campaign}/simulation/simulate_position_images.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_position_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(60),
+    params:
+        code=code_version("simulate_field_images"),
+        kind="positions",
+        campaign=identity("seed"),
+        twin=twin_parts("camera", "effects"),
+    message:
+        "{wildcards.campaign}: images of the static positions of the digital twin"
+    script:
+        "../scripts/simulate_field_images.py"
+
+
+rule simulate_run_images:
+    """Images of the boat's camera during the run."""
+    input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+    output:
+        images=directory("results/{campaign}/simulation/logs/run_images"),
+        times="results/{campaign}/simulation/truth/run_images.parquet",
+    log:
+        "logs/{campaign}/simulation/simulate_run_images.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_run_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(60),
+    params:
+        code=code_version("simulate_field_images"),
+        kind="run",
+        campaign=identity("seed"),
+        twin=twin_parts("camera", "effects"),
+    message:
+        "{wildcards.campaign}: images of the run of the digital twin"
+    script:
+        "../scripts/simulate_field_images.py"
+
+
+rule simulate_display:
+    """Photographs of a running clock."""
+    output:
+        photos=directory("results/{campaign}/simulation/logs/display"),
+        truth="results/{campaign}/simulation/truth/display.parquet",
+    log:
+        "logs/{campaign}/simulation/simulate_display.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_display.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("simulate_display"),
+        campaign=identity("seed"),
+        twin=twin_parts("camera"),
+    message:
+        "{wildcards.campaign}: photographs of a clock by the digital twin"
+    script:
+        "../scripts/simulate_display.py"

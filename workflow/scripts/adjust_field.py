@@ -1,0 +1,54 @@
+"""Marks of the reflex camera's pictures -> reference points of the calibration field with covariance."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+from thalweg.calibration.camera_file import interior_calibration
+from thalweg.calibration.field_description import read_field
+from thalweg.calibration.field_facts import write_facts
+from thalweg.calibration.field_job import measure, point_table, starting_camera
+from thalweg.calibration.field_points import write_points
+from thalweg.calibration.mark_tables import MARKS
+from thalweg.core.calibration import Source
+from thalweg.core.calibration_file import write_calibration
+from thalweg.core.frames import LocalFrame
+from thalweg.core.tables import read_table
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    marks: Path,
+    field: Path,
+    points: Path,
+    facts: Path,
+    residuals: Path,
+    camera: Path,
+    campaign: dict[str, Any],
+    model: str,
+    focal_px: float | None,
+) -> None:
+    log = logging.getLogger("thalweg")
+    description = read_field(field)
+    table, meta = read_table(marks, MARKS)
+    cameras = {
+        name: starting_camera(table, description, name, tuple(size), model=model, focal_px=focal_px)
+        for name, size in meta["sizes_px"].items()
+    }
+    found = measure(table, cameras, description, LocalFrame(**campaign["origin"]))
+    for note in found.notes:
+        log.warning(note)
+    write_points(points, found.points, point_table(description, found))
+    write_facts(facts, found.network, found.datum, found.notes)
+    found.network.residuals.to_csv(residuals, index=False, float_format="%.5f")
+    (reference,) = found.network.cameras.values()
+    source = Source(
+        run=str(campaign["id"]), method="self-calibrating bundle adjustment of the field",
+        observations=2 * found.network.report["marks"], sigma0=found.network.report["sigma0"],
+    )  # fmt: skip
+    write_calibration(camera, interior_calibration(reference, source, block="reference"))
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

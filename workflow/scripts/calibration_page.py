@@ -1,0 +1,35 @@
+"""Everything that a calibration found out -> one page."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.core.calibration_file import read_calibration
+from thalweg.figures.calibration_page import calibration_page
+from thalweg.figures.calibration_tables import read_figure_table
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    calibrations: list[Path],
+    tables: list[Path],
+    pictures: list[Path],
+    captions: list[Path],
+    truth: list[Path],
+    page: Path,
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    calibration_page(
+        [read_calibration(path) for path in calibrations],
+        [(path.stem.replace("_", " ").capitalize(), read_figure_table(path, ())) for path in tables],
+        pictures=pictures,
+        captions={path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions},
+        truth=read_figure_table(truth[0], ()) if truth else None,
+        title=f"Calibration: {campaign['title']}",
+        twin=twin,
+    ).write(page)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

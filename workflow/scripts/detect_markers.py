@@ -1,0 +1,31 @@
+"""Pictures with printed markers -> table of marks (sub-pixel saddles), and what was seen and not used."""
+
+import json
+import logging
+from pathlib import Path
+
+from thalweg.calibration.field_description import read_field
+from thalweg.calibration.mark_tables import MARKS, detect_pictures, pictures_of, report_of
+from thalweg.core.tables import write_table
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *, folders: list[Path], field: Path, marks: Path, report: Path, rejected: Path, camera: str, threads: int
+) -> None:
+    log = logging.getLogger("thalweg")
+    description = read_field(field)
+    pictures = [path for folder in folders for path in pictures_of(folder)]
+    found = detect_pictures(
+        {camera: pictures}, description.layout, base=folders[0].parent, threads=threads, told=log.info
+    )
+    facts = report_of(found)
+    for note in facts["notes"]:
+        log.warning(note)
+    write_table(marks, found.marks, MARKS, {"sizes_px": {camera: found.size_px(camera)}})
+    found.rejected.to_csv(rejected, index=False)
+    report.write_text(json.dumps({**facts, "pictures": found.images.to_dict("records")}, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

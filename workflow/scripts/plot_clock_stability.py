@@ -1,0 +1,37 @@
+"""Readings of a running display -> figure of the intervals between images."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.figures.calibration_tables import DISPLAY, read_figure_table
+from thalweg.figures.clock_stability import chosen_photo, clock_stability
+from thalweg.figures.pictures import read_picture
+from thalweg.figures.style import save
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    display: Path,
+    photos: Path,
+    clock_stability_png: Path,
+    nominal_s: float,
+    figures: dict[str, Any],
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    table = read_figure_table(display, (*DISPLAY, "file"))
+    name, text = chosen_photo(table)
+    figure = clock_stability(
+        table,
+        read_picture(photos / name),
+        photo_text=text,
+        nominal_s=nominal_s,
+        title=f"Clock of the camera: {campaign['title']}",
+        twin=twin,
+    )
+    save(figure, clock_stability_png, dpi=figures["dpi"])
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,17 @@
+"""A calibration file -> figure of its correlation matrix."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.core.calibration_file import read_calibration
+from thalweg.figures.correlations import correlation_matrix
+from thalweg.figures.style import save
+from thalweg.jobs.job import run_job
+
+
+def main(*, calibration: Path, correlations_png: Path, figures: dict[str, Any], twin: bool) -> None:
+    save(correlation_matrix(read_calibration(calibration), twin=twin), correlations_png, dpi=figures["dpi"])
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

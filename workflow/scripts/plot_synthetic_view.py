@@ -1,0 +1,31 @@
+"""Picture of the field with heights, and a coarse lidar frame -> figure of both."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.figures.calibration_tables import LIDAR_FRAME, read_figure_table
+from thalweg.figures.style import save
+from thalweg.figures.synthetic_view import read_height_view, synthetic_view
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    view: Path,
+    lidar_frame: Path,
+    synthetic_view_png: Path,
+    figures: dict[str, Any],
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    figure = synthetic_view(
+        read_height_view(view),
+        read_figure_table(lidar_frame, LIDAR_FRAME),
+        title=f"Synthetic image and lidar frame: {campaign['title']}",
+        twin=twin,
+    )
+    save(figure, synthetic_view_png, dpi=figures["dpi"])
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

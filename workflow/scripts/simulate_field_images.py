@@ -1,0 +1,34 @@
+"""Campaign file and true mounts -> one set of images of the calibration run, and the truth about it."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.config.twin import TwinConfig
+from thalweg.jobs.job import run_job
+from thalweg.simulation.field.images import simulate_field_images
+from thalweg.simulation.true_mounts import read_true_mounts
+
+
+def main(
+    *,
+    true_mounts: Path,
+    images: Path,
+    times: Path,
+    cameras: Path | None = None,
+    kind: str,
+    campaign: dict[str, Any],
+    twin: dict[str, Any],
+) -> None:
+    simulate_field_images(
+        TwinConfig(**twin),
+        campaign["seed"],
+        kind,
+        read_true_mounts(true_mounts),
+        images,
+        times,
+        out_cameras=cameras,
+    )
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

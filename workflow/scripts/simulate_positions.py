@@ -1,0 +1,32 @@
+"""Campaign file -> lidar capture files of the static positions in the twin's calibration field."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.config.twin import TwinConfig
+from thalweg.core.frames import LocalFrame
+from thalweg.jobs.job import run_job
+from thalweg.lidar.mount import Mount
+from thalweg.simulation.field.positions import simulate_positions
+from thalweg.simulation.true_mounts import read_true_mounts
+
+
+def main(
+    *, true_mounts: Path, scans: Path, effects: Path, campaign: dict[str, Any], twin: dict[str, Any]
+) -> None:
+    config = TwinConfig(**twin)
+    mount = Mount.from_section(read_true_mounts(true_mounts)["lidar"])
+    scans.mkdir(parents=True, exist_ok=True)
+    simulate_positions(
+        config,
+        campaign["seed"],
+        LocalFrame(**campaign["origin"]),
+        [scans / f"position_{k + 1}.pcap" for k in range(len(config.field.positions if config.field else ()))],
+        R_ics_scs=mount.R_ics_sensor,
+        lever_ics_scs_m=mount.lever_ics_m,
+        out_effects=effects,
+    )
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
