@@ -19,9 +19,10 @@ from thalweg.ingest.rtklib_pos import read_pos
 from thalweg.ingest.sbp_log import read_sbp
 from thalweg.simulation.gnss import antenna_errors_m, multipath_errors_m, simulate_gnss, stated_sigmas_m
 from thalweg.simulation.materials import Material
+from thalweg.simulation.motion import epochs
 from thalweg.simulation.scene import Scene
 from thalweg.simulation.shadow import Solution
-from thalweg.simulation.voyage import Voyage, epochs
+from thalweg.simulation.voyage import Voyage
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 ANTENNA_M = np.array([0.10, -0.05, -0.45])

@@ -20,8 +20,9 @@ from thalweg.simulation.magnetic import (
     low_pass,
     magnetic_heading_error_rad,
 )
+from thalweg.simulation.motion import epochs
 from thalweg.simulation.random import gauss_markov, generator
-from thalweg.simulation.voyage import Voyage, epochs
+from thalweg.simulation.voyage import Voyage
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SEED = 5

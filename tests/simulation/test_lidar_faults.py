@@ -13,9 +13,10 @@ import pytest
 from thalweg.config.twin import TwinConfig
 from thalweg.core.tables import read_table
 from thalweg.simulation.materials import Material
+from thalweg.simulation.motion import start_gps_s
 from thalweg.simulation.scene import Scene
 from thalweg.simulation.shots import LIDAR_SHOTS, EchoKind
-from thalweg.simulation.voyage import Voyage, start_gps_s
+from thalweg.simulation.voyage import Voyage
 
 Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
 SEED = 5

@@ -23,8 +23,9 @@ from thalweg.simulation.gnss import simulate_gnss
 from thalweg.simulation.ins import simulate_ins
 from thalweg.simulation.lidar_clock import LidarClock
 from thalweg.simulation.materials import Material
+from thalweg.simulation.motion import epochs
 from thalweg.simulation.scene import Scene
-from thalweg.simulation.voyage import Voyage, epochs
+from thalweg.simulation.voyage import Voyage
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 ANTENNA_M = np.array([0.10, -0.05, -0.45])

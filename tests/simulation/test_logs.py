@@ -29,11 +29,12 @@ from thalweg.simulation.echo import true_depth_m
 from thalweg.simulation.gnss import antenna_errors_m, simulate_gnss, stated_sigmas_m
 from thalweg.simulation.ins import simulate_ins, velocity_errors_mps
 from thalweg.simulation.materials import Material
+from thalweg.simulation.motion import epochs
 from thalweg.simulation.river import River
 from thalweg.simulation.scene import Scene
 from thalweg.simulation.shadow import Solution
 from thalweg.simulation.tls import simulate_tls
-from thalweg.simulation.voyage import Voyage, epochs
+from thalweg.simulation.voyage import Voyage
 from thalweg.simulation.writers import anpp, nmea
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

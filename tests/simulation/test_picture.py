@@ -13,6 +13,7 @@ from thalweg.core.errors import GeometryError
 from thalweg.core.frames import LocalFrame
 from thalweg.simulation.daylight import Sun, clear_sky, sky
 from thalweg.simulation.materials import Material
+from thalweg.simulation.motion import start_unix
 from thalweg.simulation.picture import SKY, Painter, render
 from thalweg.simulation.pinhole import PictureCamera
 from thalweg.simulation.scene import Scene, build_scene
@@ -30,7 +31,7 @@ from thalweg.simulation.shading import (
     vertex_normals,
 )
 from thalweg.simulation.view import simulate_view
-from thalweg.simulation.voyage import Voyage, start_unix
+from thalweg.simulation.voyage import Voyage
 from thalweg.simulation.waves import Waves
 
 NOON = Sun(azimuth_rad=np.pi, elevation_rad=np.deg2rad(60.0))

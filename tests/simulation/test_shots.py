@@ -9,8 +9,8 @@ import pytest
 
 from thalweg.config.twin import TwinConfig
 from thalweg.core.tables import read_table
+from thalweg.simulation.motion import start_gps_s
 from thalweg.simulation.shots import LIDAR_SHOTS, MANY_SHOTS, drawn_packets
-from thalweg.simulation.voyage import start_gps_s
 
 Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
 

@@ -7,7 +7,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from thalweg.config.twin import SIZES, TwinConfig
 from thalweg.simulation.lidar_clock import HOUR_US
-from thalweg.simulation.voyage import start_unix
+from thalweg.simulation.motion import start_unix
 
 
 @pytest.mark.parametrize("size", list(SIZES))
@@ -28,7 +28,8 @@ def test_a_key_beside_the_size_changes_only_itself() -> None:
 
 def test_sizes_last_as_long_as_they_say_and_tiny_crosses_an_hour() -> None:
     lengths = {size: TwinConfig.of_size(size).duration_s for size in SIZES}
-    assert lengths == {"tiny": 25.0, "demo": 180.0, "mulde": 1025.0, "reach": 4150.0}
+    river = {"tiny": 25.0, "demo": 180.0, "mulde": 1025.0, "reach": 4150.0}
+    assert lengths == river | {"field": 150.0, "field_tiny": 40.0}
     for size, crosses in (("tiny", 1), ("demo", 0), ("mulde", 0)):
         config = TwinConfig.of_size(size)
         whole, micros = start_unix(config)
@@ -54,7 +55,7 @@ def test_defaults_are_the_published_inputs() -> None:
 @pytest.mark.parametrize(
     ("data", "place", "fragment"),
     [
-        ({"size": "huge"}, ("size",), "'tiny', 'demo', 'mulde' or 'reach'"),
+        ({"size": "huge"}, ("size",), "'reach', 'field' or 'field_tiny'"),
         ({"start_utc": "2021-05-12T08:00:00"}, ("start_utc",), "not a UTC time"),
         ({"start_utc": "2021-05-12T08:00:00+02:00"}, ("start_utc",), "not a UTC time"),
         ({"start_utc": "yesterday"}, ("start_utc",), "not a UTC time"),

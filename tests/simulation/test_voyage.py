@@ -7,9 +7,10 @@ from scipy.spatial.transform import Rotation
 from thalweg.config.twin import TwinConfig
 from thalweg.core.errors import ConfigError, CoverageError
 from thalweg.core.frames import LocalFrame
+from thalweg.simulation.motion import epochs
 from thalweg.simulation.random import gauss_markov, generator
 from thalweg.simulation.truth import true_trajectory
-from thalweg.simulation.voyage import Voyage, epochs
+from thalweg.simulation.voyage import Voyage
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 

@@ -42,6 +42,16 @@ def calibration_campaign(name):
     return chosen if chosen in CAMPAIGNS else None
 
 
+def calibrated_boat(wildcards):
+    """Input function: true mounts of the twin's calibration that a campaign names; its boat is the same."""
+    chosen = calibration_campaign(wildcards.campaign)
+    return (
+        [f"results/{chosen}/simulation/truth/mounts.json"]
+        if chosen and is_twin(chosen)
+        else []
+    )
+
+
 def identity(*keys):
     """Input function for params: only those keys of the section `campaign`, so that a new title reruns pictures."""
     return lambda wildcards: {
@@ -95,13 +105,27 @@ TWIN_LOGS = {
     "depth": ["echo.nmea"],
     "reference": ["tls_1.laz", "tls_2.laz", "tls_3.laz"],
 }
+TWIN_FIELD_LOGS = {
+    "lidar": ["lidar.pcap"],
+    "ins": ["ins.anpp"],
+    "sbp": ["rover.sbp"],
+    "pos": ["ppk.pos"],
+    "field": ["field.yaml"],
+    "reference_images": ["reference_images"],
+    "position_images": ["position_images"],
+    "position_scans": ["position_scans"],
+    "run_images": ["run_images"],
+    "display": ["display"],
+}
+"""Names of the twin's logs below results/{campaign}/simulation/logs; those without a suffix are folders."""
 
 
 def logs_of(name, stream):
     """Files of a stream of a campaign: the twin's, or those that the campaign file names."""
     if is_twin(name):
+        known = TWIN_FIELD_LOGS if CAMPAIGNS[name].is_calibration else TWIN_LOGS
         return [
-            f"results/{name}/simulation/logs/{log}" for log in TWIN_LOGS.get(stream, [])
+            f"results/{name}/simulation/logs/{log}" for log in known.get(stream, [])
         ]
     return [str(p) for p in CAMPAIGNS[name].log_files(stream)]
 

@@ -51,6 +51,8 @@ rule simulate_voyage:
 
 rule simulate_mounts:
     """Where the sensors truly sit on the boat."""
+    input:
+        same_boat=calibrated_boat,
     output:
         true_mounts_file="results/{campaign}/simulation/truth/mounts.json",
     log:
@@ -67,7 +69,7 @@ rule simulate_mounts:
         code=code_version("simulate_mounts"),
         campaign=identity("seed"),
         twin=twin_parts("effects"),
-        mounts=mounts_of("lidar", "antenna", "echo_sounder"),
+        mounts=mounts_of("lidar", "camera", "antenna", "echo_sounder"),
     message:
         "{wildcards.campaign}: true mounts of the digital twin"
     script:

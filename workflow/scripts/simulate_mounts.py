@@ -1,5 +1,6 @@
 """Campaign file -> where the twin's sensors truly sit on the boat (truth)."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,17 @@ from thalweg.simulation.true_mounts import true_mounts, write_true_mounts
 
 
 def main(
-    *, true_mounts_file: Path, campaign: dict[str, Any], twin: dict[str, Any], mounts: dict[str, Any]
+    *,
+    same_boat: list[Path],
+    true_mounts_file: Path,
+    campaign: dict[str, Any],
+    twin: dict[str, Any],
+    mounts: dict[str, Any],
 ) -> None:
+    if same_boat:
+        # The boat that was calibrated is the one that surveys.
+        shutil.copyfile(same_boat[0], true_mounts_file)
+        return
     on = TwinConfig(**twin).effects.mount_errors
     write_true_mounts(true_mounts_file, true_mounts(mounts, campaign["seed"], on=on), mounts)
 

@@ -21,7 +21,10 @@ def main(
         config,
         campaign["seed"],
         LocalFrame(**campaign["origin"]),
-        [scans / f"position_{k + 1}.pcap" for k in range(len(config.field.positions if config.field else ()))],
+        [
+            scans / f"position_{k + 1}.pcap"
+            for k in range(len(config.field.positions if config.field else ()))
+        ],
         R_ics_scs=mount.R_ics_sensor,
         lever_ics_scs_m=mount.lever_ics_m,
         out_effects=effects,

@@ -122,7 +122,7 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
         "camera": {
             "size_px": (1600, 1200), "focal_px": 1295.0, "principal_offset_px": (4.4, -2.9),
             "reference": {
-                "n_images": 20, "size_px": (2100, 1400), "focal_px": 1645.0,
+                "n_images": 28, "size_px": (2100, 1400), "focal_px": 1645.0,
                 "principal_offset_px": (-6.1, 3.6),
             },
             "display": {"duration_s": 120.0},

@@ -127,7 +127,7 @@ class TwinDisplay(Section):
         default=0.02,
         description="Share of photographs spoiled by chance: shaken, out of focus, covered, burnt out",
     )
-    jpeg_quality: Quality = Field(default=88, description="Quality of the JPEG files, 1 to 100")
+    jpeg_quality: Quality = Field(default=85, description="Quality of the JPEG files, 1 to 100")
 
 
 class TwinCamera(TwinLens):

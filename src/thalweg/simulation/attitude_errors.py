@@ -6,8 +6,8 @@ from thalweg.config.twin import TwinConfig
 from thalweg.config.twin_navigation import TwinIns
 from thalweg.core.types import ArrayF
 from thalweg.simulation.magnetic import magnetic_heading_error_rad
+from thalweg.simulation.motion import Motion
 from thalweg.simulation.random import gauss_markov, generator
-from thalweg.simulation.voyage import Voyage
 
 
 def attitude_errors_rad(config: TwinConfig, seed: int, t_gps_s: ArrayF, start_gps_s: float) -> ArrayF:
@@ -41,13 +41,13 @@ def standing_drift_rad(ins: TwinIns, speed_mps: ArrayF) -> ArrayF:
 
 
 def unstated_heading_errors_rad(
-    config: TwinConfig, voyage: Voyage, t_gps_s: ArrayF, boat_field_ics_mg: ArrayF
+    config: TwinConfig, motion: Motion, t_gps_s: ArrayF, boat_field_ics_mg: ArrayF
 ) -> ArrayF:
     """Heading errors (n,) that no sigma states: standing drift and the fields of the boat; 0 where off."""
     out = np.zeros(len(t_gps_s))
     if config.ins.standing_drift_degpmin:
-        velocity = voyage.velocity_wcs_mps(t_gps_s)
+        velocity = motion.velocity_wcs_mps(t_gps_s)
         out += standing_drift_rad(config.ins, np.hypot(velocity[:, 0], velocity[:, 1]))
     if np.any(boat_field_ics_mg):
-        out += magnetic_heading_error_rad(config.ins, *voyage.angles_rad(t_gps_s), boat_field_ics_mg)
+        out += magnetic_heading_error_rad(config.ins, *motion.angles_rad(t_gps_s), boat_field_ics_mg)
     return out

@@ -7,8 +7,8 @@ import numba as nb
 import numpy as np
 
 from thalweg.core.frames import rotation_enu_body
-from thalweg.core.types import ArrayF
-from thalweg.simulation.voyage import Voyage
+from thalweg.core.types import ArrayF, ArrayI
+from thalweg.simulation.motion import Motion
 
 FIRING_S: Final = 55.296e-6
 """All 16 lasers and the recharge."""
@@ -21,10 +21,39 @@ HEIGHT_M: Final[ArrayF] = 1e-3 * np.array(
     [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
 )
 """Heights at which the lasers cross the spin axis, table 9-1."""
-_LASERS: Final[ArrayF] = np.stack(
-    [np.sin(ELEVATION_RAD), np.cos(ELEVATION_RAD), HEIGHT_M, np.arange(16) * LASER_S]
-)
-"""Sine and cosine of the elevation, height and delay of each laser: argument of the kernel."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lasers:
+    """The lasers of a scanner in the order in which they fire.
+
+    Parameters
+    ----------
+    elevation_rad : (k,).
+    height_m : (k,) at which they cross the spin axis.
+    """
+
+    elevation_rad: ArrayF
+    height_m: ArrayF
+
+    @classmethod
+    def even(cls, count: int, step_deg: float) -> "Lasers":
+        """Lasers in even steps about the horizontal through one centre; P2 Fig. 4: 8, 4 degrees apart."""
+        steps = np.arange(count) - (count - 1) / 2
+        return cls(elevation_rad=np.deg2rad(steps * step_deg), height_m=np.zeros(count))
+
+    @property
+    def ring(self) -> ArrayI:
+        """(k,) number of each laser, 0 the lowest."""
+        return np.argsort(np.argsort(self.elevation_rad))
+
+    def table(self) -> ArrayF:
+        """(4, k) sine and cosine of the elevation, height and delay: argument of the kernel."""
+        e = self.elevation_rad
+        return np.stack([np.sin(e), np.cos(e), self.height_m, np.arange(len(e)) * LASER_S])
+
+
+VLP_16: Final = Lasers(elevation_rad=ELEVATION_RAD, height_m=HEIGHT_M)
 
 _WOBBLE: Final = 5e-4
 """Relative change of the motor's speed; it swings with 0.7 Hz."""
@@ -33,7 +62,7 @@ _WOBBLE_HZ: Final = 0.7
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beams:
-    """Rays of whole firings, each array (n, 16, 3): origins and unit directions in ics and in wcs."""
+    """Rays of whole firings, each array (n, k, 3): origins and unit directions in ics and in wcs."""
 
     origin_ics_m: ArrayF
     direction_ics: ArrayF
@@ -49,7 +78,7 @@ def azimuth_deg(t_s: ArrayF, rotation_hz: float, start_deg: float) -> ArrayF:
 
 
 def beams(
-    voyage: Voyage,
+    motion: Motion,
     t_s: ArrayF,
     azimuth_rad: ArrayF,
     R_ics_scs: ArrayF,
@@ -57,36 +86,38 @@ def beams(
     *,
     vertical_offsets: bool,
     lateral_m: ArrayF | None = None,
+    lasers: Lasers = VLP_16,
 ) -> Beams:
     """Rays of firings, each laser at its own time and pose.
 
     Parameters
     ----------
-    voyage : true motion.
+    motion : true motion.
     t_s : (n,) time of the first laser of each firing, seconds since the start.
-    azimuth_rad : (n, 16) azimuth of each shot.
+    azimuth_rad : (n, k) azimuth of each shot.
     R_ics_scs, lever_ics_scs_m : mount of the scanner.
     vertical_offsets : lasers cross the spin axis at the heights of the manual's table.
-    lateral_m : (n, 16, 2) offset of each beam across itself, to the right and upward.
+    lateral_m : (n, k, 2) offset of each beam across itself, to the right and upward.
+    lasers : k of them.
 
     Notes
     -----
     The pose is exact at each firing; within a firing (35 us) position and attitude change linearly, which
     is right to 1e-9 rad and 1e-10 m at the greatest rates of the boat.
     """
-    lasers = _LASERS.copy()
-    lasers[2] *= vertical_offsets
+    table = lasers.table()
+    table[2] *= vertical_offsets
     out = [np.empty((*azimuth_rad.shape, 3)) for _ in range(4)]
     _aim(
         azimuth_rad,
         np.zeros((*azimuth_rad.shape, 2)) if lateral_m is None else lateral_m,
-        lasers,
+        table,
         np.ascontiguousarray(R_ics_scs, dtype=np.float64),
         np.asarray(lever_ics_scs_m, dtype=np.float64),
-        rotation_enu_body(*voyage.angles_at(t_s)),
-        voyage.rates_at(t_s),
-        voyage.position_at(t_s),
-        voyage.velocity_wcs_mps(voyage.start_gps_s + t_s),
+        rotation_enu_body(*motion.angles_at(t_s)),
+        motion.rates_at(t_s),
+        motion.position_at(t_s),
+        motion.velocity_wcs_mps(motion.start_gps_s + t_s),
         *out,
     )
     return Beams(origin_ics_m=out[0], direction_ics=out[1], origin_wcs_m=out[2], direction_wcs=out[3])

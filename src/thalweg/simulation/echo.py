@@ -11,22 +11,23 @@ from thalweg.core.frames import LocalFrame
 from thalweg.core.types import ArrayF
 from thalweg.simulation.effects import damage_file
 from thalweg.simulation.materials import Material
+from thalweg.simulation.motion import Motion, epochs
+from thalweg.simulation.motions import motion_of
 from thalweg.simulation.random import gauss_markov, generator
 from thalweg.simulation.scene import Scene
 from thalweg.simulation.stamps import unix_us
 from thalweg.simulation.truth import write_effects
-from thalweg.simulation.voyage import Voyage, epochs
 from thalweg.simulation.writers import nmea
 
 _UNDULATION_M: Final = 45.0
 """Geoid above ellipsoid, as the receiver's coarse model states it."""
 
 
-def true_depth_m(voyage: Voyage, scene: Scene, t_gps_s: ArrayF, lever_ics_echo_m: ArrayLike) -> ArrayF:
+def true_depth_m(motion: Motion, scene: Scene, t_gps_s: ArrayF, lever_ics_echo_m: ArrayLike) -> ArrayF:
     """Distance (n,) from the transducer to the bed along the boat's own down axis; NaN where none."""
     bed = scene.only(Material.BED).caster()
-    origin = voyage.sensor_wcs_m(t_gps_s, np.asarray(lever_ics_echo_m, dtype=np.float64))
-    hits = bed.cast(origin, voyage.R_wcs_ics(t_gps_s)[:, :, 2])
+    origin = motion.sensor_wcs_m(t_gps_s, np.asarray(lever_ics_echo_m, dtype=np.float64))
+    hits = bed.cast(origin, motion.R_wcs_ics(t_gps_s)[:, :, 2])
     return np.where(np.isfinite(hits.t_hit_m), hits.t_hit_m, np.nan)
 
 
@@ -61,10 +62,10 @@ def simulate_echo(
     ConfigError : a leap second falls into the recording.
     """
     echo = config.echo
-    voyage = Voyage(config, seed)
+    motion = motion_of(config, seed)
     t = epochs(config, echo.rate_hz)
     rng = generator(seed, "echo")
-    depth = true_depth_m(voyage, Scene.read(scene), t, lever_ics_echo_m) + rng.normal(0, echo.sigma_m, len(t))
+    depth = true_depth_m(motion, Scene.read(scene), t, lever_ics_echo_m) + rng.normal(0, echo.sigma_m, len(t))
     own = np.stack(
         [
             gauss_markov(rng, len(t), 1.0 / echo.rate_hz, s, config.ins.position_time_s)
@@ -72,8 +73,8 @@ def simulate_echo(
         ],
         axis=1,
     )
-    lat, lon, height = (a.tolist() for a in frame.to_geodetic(voyage.position_wcs_m(t) + own))
-    v = voyage.velocity_wcs_mps(t)
+    lat, lon, height = (a.tolist() for a in frame.to_geodetic(motion.position_wcs_m(t) + own))
+    v = motion.velocity_wcs_mps(t)
     course = np.rad2deg(np.arctan2(v[:, 0], v[:, 1])).tolist()
     speed = np.hypot(v[:, 0], v[:, 1]).tolist()
     second = -1

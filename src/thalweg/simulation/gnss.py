@@ -19,6 +19,8 @@ from thalweg.core.frames import R_ENU_NED, LocalFrame
 from thalweg.core.timescales import GPS_EPOCH_UNIX_S, WEEK_S
 from thalweg.core.types import ArrayF, ArrayI
 from thalweg.simulation.effects import damage_file, inside
+from thalweg.simulation.motion import Motion, epochs
+from thalweg.simulation.motions import motion_of
 from thalweg.simulation.random import gauss_markov, generator
 from thalweg.simulation.scene import Scene
 from thalweg.simulation.shadow import (
@@ -32,7 +34,6 @@ from thalweg.simulation.shadow import (
 )
 from thalweg.simulation.stamps import gps_us, unix_us
 from thalweg.simulation.truth import write_effects
-from thalweg.simulation.voyage import Voyage, epochs
 from thalweg.simulation.writers import rtklib_pos, sbp
 from thalweg.simulation.writers.nmea import moment
 
@@ -110,6 +111,7 @@ def simulate_gnss(
     *,
     lever_ics_antenna_m: ArrayLike,
     scene: Path | None = None,
+    motion: Motion | None = None,
     out_effects: Path | None = None,
 ) -> dict[str, Any]:
     """Record the antenna: SBP log with the receiver's own RTK solution, and a post-processed .pos file.
@@ -124,6 +126,7 @@ def simulate_gnss(
     out_sbp, out_pos : targets.
     lever_ics_antenna_m : (3,) true place of the antenna in the body frame.
     scene : file of `simulate_scene`; needed only for ``twin.gnss.shadow`` and ``twin.gnss.multipath_m``.
+    motion : of the boat; None: what the configuration asks for, see `motion_of`.
     out_effects : where to write what was done to the logs (JSON), beside the truth.
 
     Returns
@@ -137,13 +140,13 @@ def simulate_gnss(
         recording.
     """
     gnss = config.gnss
-    voyage = Voyage(config, seed)
+    motion = motion_of(config, seed) if motion is None else motion
     lever = np.asarray(lever_ics_antenna_m, dtype=np.float64)
     # Both kinds of logs count milliseconds: the receiver measures at whole ones.
     t = np.rint(epochs(config, gnss.rate_hz) * 1e3) / 1e3
-    since = t - voyage.start_gps_s
-    view = _view(config, seed, frame, voyage, t, lever, scene)
-    antenna = voyage.sensor_wcs_m(t, lever)
+    since = t - motion.start_gps_s
+    view = _view(config, seed, frame, motion, t, lever, scene)
+    antenna = motion.sensor_wcs_m(t, lever)
     reflected = np.zeros((len(t), 3))
     satellites = generator(seed, "gnss satellites").integers(11, 15, len(t))
     if view is not None:
@@ -158,7 +161,7 @@ def simulate_gnss(
         tracks[engine] = _Track(
             points_wcs_m=antenna + errors, kinds=kinds, sigmas_m=sigmas, satellites=satellites
         )
-    velocity_ned = voyage.sensor_velocity_wcs_mps(t, lever) @ R_ENU_NED.T
+    velocity_ned = motion.sensor_velocity_wcs_mps(t, lever) @ R_ENU_NED.T
     velocity_ned += generator(seed, "gnss velocity").normal(0.0, gnss.sigma_velocity_mps, velocity_ned.shape)
     _write_pos(out_pos, frame, gps_us(t), tracks["ppk"], with_base=config.gnss.mode == "ppk")
     _write_sbp(out_sbp, frame, gps_us(t), unix_us(config, t), tracks["rtk"], velocity_ned, gnss)
@@ -188,7 +191,7 @@ def _view(
     config: TwinConfig,
     seed: int,
     frame: LocalFrame,
-    voyage: Voyage,
+    motion: Motion,
     t: ArrayF,
     lever_ics_antenna_m: ArrayF,
     scene: Path | None,
@@ -204,7 +207,7 @@ def _view(
             cure="Set twin.gnss.shadow to false and twin.gnss.multipath_m to 0, or give the scene",
         )
     grid = np.arange(t[0], t[-1] + STEP_S / 2, STEP_S)
-    places = voyage.sensor_wcs_m(grid, lever_ics_antenna_m)
+    places = motion.sensor_wcs_m(grid, lever_ics_antenna_m)
     return look_at_sky(config.gnss, seed, frame, Scene.read(scene), grid, places)
 
 

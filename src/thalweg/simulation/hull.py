@@ -100,7 +100,7 @@ class Hull:
     Parameters
     ----------
     caster : the mesh, in ics.
-    table : (3600, 16) whether a beam of tenths of a degree of azimuth and laser can meet the boat at all.
+    table : (3600, k) whether a beam of tenths of a degree of azimuth and laser can meet the boat at all.
     """
 
     caster: RayCaster
@@ -121,7 +121,7 @@ class Hull:
         Parameters
         ----------
         R_ics_scs, lever_ics_scs_m : mount of the scanner.
-        elevation_rad : (16,) of its lasers.
+        elevation_rad : (k,) of its lasers.
         height_m : height of the ics origin above the water line.
         margin_m : beams run beside the nominal ones by less than this.
 
@@ -148,7 +148,7 @@ class Hull:
         return cls(RayCaster(*mesh), table.reshape(3600, len(elevation_rad)))
 
     def may_hit(self, azimuth_deg: ArrayF) -> ArrayB:
-        """Which shots (n, 16) of azimuths (n, 16), not reduced to one turn, can meet the boat."""
+        """Which shots (n, k) of azimuths (n, k), not reduced to one turn, can meet the boat."""
         tenth = np.floor(10.0 * azimuth_deg).astype(np.int64) % 3600
         return np.asarray(self.table[tenth, np.arange(self.table.shape[1])])
 

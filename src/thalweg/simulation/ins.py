@@ -19,11 +19,12 @@ from thalweg.simulation.attitude_errors import attitude_errors_rad, unstated_hea
 from thalweg.simulation.echo import true_depth_m
 from thalweg.simulation.effects import damage_file
 from thalweg.simulation.magnetic import EARTH_NED_MG, boat_field_mg
+from thalweg.simulation.motion import LEAD_S, Motion, epochs
+from thalweg.simulation.motions import motion_of
 from thalweg.simulation.random import gauss_markov, generator
 from thalweg.simulation.scene import Scene
 from thalweg.simulation.stamps import unix_us
 from thalweg.simulation.truth import write_effects
-from thalweg.simulation.voyage import LEAD_S, Voyage, epochs
 from thalweg.simulation.writers import anpp
 from thalweg.simulation.writers.nmea import moment
 
@@ -45,9 +46,10 @@ def simulate_ins(
     *,
     scene: Path | None = None,
     lever_ics_echo_m: ArrayLike | None = None,
+    motion: Motion | None = None,
     out_effects: Path | None = None,
 ) -> dict[str, Any]:
-    """Record the voyage with the INS and write its ANPP log.
+    """Record the motion with the INS and write its ANPP log.
 
     Attitudes refer to the vertical and the north at the boat, positions to the ics origin. Packets: 20 at
     the rate of the settings, each with 26 and 28; 21 and 22 once a second; 3 at the beginning.
@@ -60,6 +62,7 @@ def simulate_ins(
     out_anpp : target.
     scene, lever_ics_echo_m : file of `simulate_scene` and true place of the transducer; needed only if
         ``twin.ins.depth_rate_hz`` asks for depth packets.
+    motion : of the boat; None: what the configuration asks for, see `motion_of`.
     out_effects : where to write what was done to the log (JSON), beside the truth.
 
     Returns
@@ -73,12 +76,12 @@ def simulate_ins(
         the recording.
     """
     ins = config.ins
-    voyage = Voyage(config, seed)
+    motion = motion_of(config, seed) if motion is None else motion
     t = epochs(config, ins.rate_hz)
-    depth = _depth_packets(config, seed, voyage, t, scene, lever_ics_echo_m)
-    boat_field = boat_field_mg(ins, _thrust(config, voyage, t))
-    unstated = unstated_heading_errors_rad(config, voyage, t, boat_field)
-    attitude = attitude_errors_rad(config, seed, t, voyage.start_gps_s)
+    depth = _depth_packets(config, seed, motion, t, scene, lever_ics_echo_m)
+    boat_field = boat_field_mg(ins, _thrust(config, motion, t))
+    unstated = unstated_heading_errors_rad(config, motion, t, boat_field)
+    attitude = attitude_errors_rad(config, seed, t, motion.start_gps_s)
     attitude[:, 2] += unstated
     rng = generator(seed, "ins position")
     position_error = np.stack(
@@ -94,7 +97,7 @@ def simulate_ins(
         for first in range(0, len(t), _CHUNK):
             part = slice(first, first + _CHUNK)
             rows = _rows(
-                voyage, frame, t[part], attitude[part], position_error[part], velocity_error[part],
+                motion, frame, t[part], attitude[part], position_error[part], velocity_error[part],
                 boat_field[part], bias, noise,
             )  # fmt: skip
             for row, extra in zip(rows, depth[part], strict=True):
@@ -126,9 +129,9 @@ def velocity_errors_mps(config: TwinConfig, seed: int, n: int) -> ArrayF:
     return np.stack(axes, axis=1)
 
 
-def _thrust(config: TwinConfig, voyage: Voyage, t: ArrayF) -> ArrayF:
+def _thrust(config: TwinConfig, motion: Motion, t: ArrayF) -> ArrayF:
     """Thrust (n, 2) of the motors, where their field asks for it."""
-    return voyage.thrust(t) if np.any(config.ins.motor_field_mg) else np.zeros((len(t), 2))
+    return motion.thrust(t) if np.any(config.ins.motor_field_mg) else np.zeros((len(t), 2))
 
 
 def _extent_deg(errors_rad: ArrayF) -> dict[str, float]:
@@ -144,7 +147,7 @@ def _extent_deg(errors_rad: ArrayF) -> dict[str, float]:
 def _depth_packets(
     config: TwinConfig,
     seed: int,
-    voyage: Voyage,
+    motion: Motion,
     t: ArrayF,
     scene: Path | None,
     lever_ics_echo_m: ArrayLike | None,
@@ -161,7 +164,7 @@ def _depth_packets(
         )
     every = max(1, round(config.ins.rate_hz / config.ins.depth_rate_hz))
     sigma = config.echo.sigma_m
-    depth = true_depth_m(voyage, Scene.read(scene), t[::every], lever_ics_echo_m)
+    depth = true_depth_m(motion, Scene.read(scene), t[::every], lever_ics_echo_m)
     depth = depth + generator(seed, "ins depth").normal(0.0, sigma, len(depth))
     for i, value in enumerate(depth.tolist()):
         if np.isfinite(value) and 0 < value <= config.echo.max_depth_m:
@@ -170,7 +173,7 @@ def _depth_packets(
 
 
 def _rows(
-    voyage: Voyage,
+    motion: Motion,
     frame: LocalFrame,
     t: ArrayF,
     attitude_error: ArrayF,
@@ -181,24 +184,24 @@ def _rows(
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
     """What the INS reports at its epochs, as plain lists."""
-    lat, lon, height = frame.to_geodetic(voyage.position_wcs_m(t) + position_error)
-    R_wcs_ics = voyage.R_wcs_ics(t)
+    lat, lon, height = frame.to_geodetic(motion.position_wcs_m(t) + position_error)
+    R_wcs_ics = motion.R_wcs_ics(t)
     R_wcs_enu = frame.R_wcs_enu(lat, lon)
     R_enu_ics = np.swapaxes(R_wcs_enu, 1, 2) @ R_wcs_ics
     angles = np.stack(roll_pitch_heading(R_enu_ics), axis=1) + attitude_error
     angles[:, 2] = np.mod(angles[:, 2], 2 * np.pi)
     to_enu = np.swapaxes(R_wcs_enu, 1, 2)
-    velocity_ned = np.einsum("nij,nj->ni", to_enu, voyage.velocity_wcs_mps(t)) @ R_ENU_NED.T
-    acceleration = np.einsum("nij,nj->ni", to_enu, voyage.velocity_wcs_mps(t, 2))
+    velocity_ned = np.einsum("nij,nj->ni", to_enu, motion.velocity_wcs_mps(t)) @ R_ENU_NED.T
+    acceleration = np.einsum("nij,nj->ni", to_enu, motion.velocity_wcs_mps(t, 2))
     to_body = np.swapaxes(R_enu_ics, 1, 2)
     body = np.einsum("nij,nj->ni", to_body, acceleration)
     force = np.einsum("nij,nj->ni", to_body, acceleration + np.array([0.0, 0.0, _GRAVITY_MPS2]))
-    rates = voyage.rates_ics_radps(t)
+    rates = motion.rates_ics_radps(t)
     magnetic = np.einsum("nij,j->ni", to_body, R_ENU_NED @ EARTH_NED_MG) + boat_field_mg
     n = len(t)
     columns: dict[str, Any] = {
-        "since_start": t - voyage.start_gps_s,
-        "unix_us": unix_us(voyage.config, t),
+        "since_start": t - motion.start_gps_s,
+        "unix_us": unix_us(motion.config, t),
         "place": np.stack([np.deg2rad(lat), np.deg2rad(lon), height], axis=1),
         "velocity": velocity_ned + velocity_error,
         "acceleration": body,

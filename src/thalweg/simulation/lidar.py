@@ -11,12 +11,13 @@ from thalweg.core.types import ArrayF, ArrayI, ArrayU8
 from thalweg.simulation.beams import FIRING_S
 from thalweg.simulation.effects import damage_file, packet_order
 from thalweg.simulation.lidar_clock import LidarClock
+from thalweg.simulation.motion import Motion
+from thalweg.simulation.motions import motion_of
 from thalweg.simulation.random import generator
 from thalweg.simulation.scanner import COUNTS, LidarSensor, Shots
 from thalweg.simulation.scene import Scene
 from thalweg.simulation.shots import ShotWriter, drawn_packets
 from thalweg.simulation.truth import write_effects
-from thalweg.simulation.voyage import Voyage
 from thalweg.simulation.writers.velodyne_pcap import CaptureWriter, data_payloads, position_payload
 
 _CHUNK: Final = 256
@@ -42,25 +43,27 @@ def simulate_lidar(
     config: TwinConfig,
     seed: int,
     frame: LocalFrame,
-    scene: Path,
+    scene: Path | Scene,
     out_pcap: Path,
     *,
     R_ics_scs: ArrayF,
     lever_ics_scs_m: ArrayF,
+    motion: Motion | None = None,
     out_shots: Path | None = None,
     out_effects: Path | None = None,
 ) -> dict[str, Any]:
-    """Record the voyage with the lidar and write its capture file.
+    """Record the motion with the lidar and write its capture file.
 
     Parameters
     ----------
     config : section ``twin``.
     seed : seed of the campaign.
     frame : the world frame.
-    scene : file of `simulate_scene`.
+    scene : what surrounds the boat, or the file of `simulate_scene`.
     out_pcap : target.
     R_ics_scs : (3, 3) true rotation from scanner to body frame.
     lever_ics_scs_m : (3,) true scanner origin in the body frame.
+    motion : of the boat; None: what the configuration asks for, see `motion_of`.
     out_shots : where to write the true point of each return (table kind ``twin_lidar_shots``), of long
         recordings that of whole packets drawn at random, see `thalweg.simulation.shots`. The table's facts
         are ``share`` (chance of a packet), ``packets_fired`` and ``packets_drawn``.
@@ -71,12 +74,17 @@ def simulate_lidar(
     facts : numbers of packets and shots, of returns by their kind, of lost ones by cause (see
         `thalweg.simulation.scanner.COUNTS`), and the defects of the log.
     """
-    voyage = Voyage(config, seed)
+    motion = motion_of(config, seed) if motion is None else motion
     sensor = LidarSensor.on_board(
-        config, seed, voyage, Scene.read(scene), R_ics_scs=R_ics_scs, lever_ics_scs_m=lever_ics_scs_m
+        config,
+        seed,
+        motion,
+        scene if isinstance(scene, Scene) else Scene.read(scene),
+        R_ics_scs=R_ics_scs,
+        lever_ics_scs_m=lever_ics_scs_m,
     )
     defects = generator(seed, "lidar effects")
-    clock = LidarClock(config, seed, voyage, frame)
+    clock = LidarClock(config, seed, motion, frame)
     order = packet_order(config.effects, sensor.n_packets, defects)
     returns = swapped = 0
     counts = dict.fromkeys(COUNTS, 0)
@@ -92,7 +100,7 @@ def simulate_lidar(
     ):
         for first in range(0, sensor.n_packets, _CHUNK):
             shots = sensor.shoot(first, min(_CHUNK, sensor.n_packets - first))
-            shots.write_truth(truth, voyage.start_gps_s, drawn[first : first + _CHUNK])
+            shots.write_truth(truth, motion.start_gps_s, drawn[first : first + _CHUNK])
             azimuth, distance, brightness = packets(sensor, shots)
             returns += int(np.count_nonzero(distance))
             counts = {name: n + shots.counts[name] for name, n in counts.items()}

@@ -8,9 +8,9 @@ import numpy as np
 from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
 from thalweg.core.types import ArrayF, ArrayI
+from thalweg.simulation.motion import Motion
 from thalweg.simulation.random import generator
 from thalweg.simulation.stamps import check_leap_seconds, start_us
-from thalweg.simulation.voyage import Voyage
 from thalweg.simulation.writers.nmea import rmc
 
 HOUR_US: Final = 3_600_000_000
@@ -29,7 +29,7 @@ class LidarClock:
     ----------
     config : section ``twin``.
     seed : seed of the campaign.
-    voyage : true motion, for the position in RMC.
+    motion : true motion, for the position in RMC.
     frame : the world frame.
 
     Raises
@@ -37,9 +37,9 @@ class LidarClock:
     ConfigError : a leap second falls into the recording.
     """
 
-    def __init__(self, config: TwinConfig, seed: int, voyage: Voyage, frame: LocalFrame) -> None:
+    def __init__(self, config: TwinConfig, seed: int, motion: Motion, frame: LocalFrame) -> None:
         self._config = config
-        self._voyage = voyage
+        self._motion = motion
         self._frame = frame
         check_leap_seconds(config)
         self._start_us = start_us(config)
@@ -92,9 +92,9 @@ class LidarClock:
         second = (self._start_us + round((t_s - _RMC_DELAY_S) * 1e6)) // 1_000_000
         if second not in self._sentences:
             at_s = second - self._start_us / 1e6
-            t_gps = np.array([self._voyage.start_gps_s + at_s])
-            lat, lon, _ = self._frame.to_geodetic(self._voyage.position_wcs_m(t_gps))
-            v = self._voyage.velocity_wcs_mps(t_gps)[0]
+            t_gps = np.array([self._motion.start_gps_s + at_s])
+            lat, lon, _ = self._frame.to_geodetic(self._motion.position_wcs_m(t_gps))
+            v = self._motion.velocity_wcs_mps(t_gps)[0]
             course = float(np.rad2deg(np.arctan2(v[0], v[1])))
             speed = float(np.hypot(v[0], v[1]))
             self._sentences = {second: rmc(second * 1_000_000, float(lat[0]), float(lon[0]), speed, course)}

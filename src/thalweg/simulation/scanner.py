@@ -1,5 +1,6 @@
 """A VLP-16 on the boat: from its firings to what it reports of them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Self
 
@@ -8,12 +9,13 @@ import numpy as np
 from thalweg.config.twin import TwinConfig
 from thalweg.config.twin_lidar import TwinLidar
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
-from thalweg.simulation.beams import ELEVATION_RAD, FIRING_S, LASER_S, azimuth_deg, beams
+from thalweg.simulation.beams import FIRING_S, LASER_S, VLP_16, Beams, Lasers, azimuth_deg, beams
 from thalweg.simulation.footprint import Beam, Echoes, Surfaces, echoes_of, part_of
 from thalweg.simulation.ghosts import ghosts
 from thalweg.simulation.hull import HULL_MATERIAL, Hull
 from thalweg.simulation.hull import REFLECTANCE as HULL_REFLECTANCE
 from thalweg.simulation.materials import REFLECTANCE, Material
+from thalweg.simulation.motion import Motion
 from thalweg.simulation.random import generator
 from thalweg.simulation.returns import (
     PULSE_M,
@@ -26,7 +28,6 @@ from thalweg.simulation.returns import (
 from thalweg.simulation.scene import Scene
 from thalweg.simulation.shot_random import ShotRandom
 from thalweg.simulation.shots import EchoKind, ShotWriter
-from thalweg.simulation.voyage import Voyage
 from thalweg.simulation.waves import Waves
 
 COUNTS: Final = (
@@ -95,17 +96,18 @@ class LidarSensor:
     Parameters
     ----------
     config : section ``twin``.
-    voyage : true motion.
+    motion : true motion.
     R_ics_scs, lever_ics_scs_m : true mount of the scanner.
     surfaces : the scene at 905 nm.
     beam : footprint.
-    hull, waves : None if the effect is off.
+    hull, waves : None if the effect is off, waves also where there is no water.
     start_deg : azimuth at the start.
+    lasers : k of them; only a VLP-16's 16 fill packets.
     lateral, noise, chance, detection, water : random numbers of one cause each.
     """
 
     config: TwinConfig
-    voyage: Voyage
+    motion: Motion
     R_ics_scs: ArrayF
     lever_ics_scs_m: ArrayF
     surfaces: Surfaces
@@ -113,6 +115,7 @@ class LidarSensor:
     hull: Hull | None
     waves: Waves | None
     start_deg: float
+    lasers: Lasers
     lateral: ShotRandom
     noise: ShotRandom
     chance: ShotRandom
@@ -124,23 +127,26 @@ class LidarSensor:
         cls,
         config: TwinConfig,
         seed: int,
-        voyage: Voyage,
+        motion: Motion,
         scene: Scene,
         *,
         R_ics_scs: ArrayF,
         lever_ics_scs_m: ArrayF,
+        lasers: Lasers = VLP_16,
     ) -> Self:
         """The sensor of a configuration."""
         c = config.lidar
         R, lever = np.asarray(R_ics_scs, dtype=np.float64), np.asarray(lever_ics_scs_m, dtype=np.float64)
-        hull = None
+        hull, wet = None, bool(np.any(scene.material == Material.WATER))
         if c.own_hull:
             # Six sigma of the beam's offset, the lasers' own heights, and the edge of the footprint.
             margin = 6 * c.sigma_lateral_m + 0.015 + c.divergence_mrad / 1000
-            hull = Hull.seen_from(R, lever, ELEVATION_RAD, height_m=config.boat.height_m, margin_m=margin)
+            hull = Hull.seen_from(
+                R, lever, lasers.elevation_rad, height_m=config.boat.height_m, margin_m=margin
+            )
         return cls(
             config=config,
-            voyage=voyage,
+            motion=motion,
             R_ics_scs=R,
             lever_ics_scs_m=lever,
             surfaces=Surfaces(
@@ -153,8 +159,9 @@ class LidarSensor:
             ),
             beam=Beam.of(c, seed, "lidar", pulse_m=PULSE_M),
             hull=hull,
-            waves=Waves.draw(seed, rms_slope=c.wave_slope) if c.mirror_ghosts else None,
+            waves=Waves.draw(seed, rms_slope=c.wave_slope) if c.mirror_ghosts and wet else None,
             start_deg=float(generator(seed, "lidar").uniform(0, 360)),
+            lasers=lasers,
             lateral=ShotRandom.of(seed, "lidar lateral"),
             noise=ShotRandom.of(seed, "lidar noise"),
             chance=ShotRandom.of(seed, "lidar dropouts"),
@@ -178,30 +185,41 @@ class LidarSensor:
 
     def shoot(self, first: int, count: int) -> Shots:
         """All shots of packets ``first`` to ``first + count``."""
-        c, per = self.config.lidar, self.firings_per_packet
-        firing = np.arange(first * per, (first + count) * per)
+        per = self.firings_per_packet
+        return self.fire(np.arange(first * per, (first + count) * per))
+
+    def fire(self, firing: ArrayI, wanted: Callable[[Beams], ArrayB] | None = None) -> Shots:
+        """All shots of firings (n,), that follow each other.
+
+        Parameters
+        ----------
+        firing : (n,) their numbers.
+        wanted : tells which beams (n, k) are worth casting, the others return nothing; None: all.
+        """
+        c, k = self.config.lidar, len(self.lasers.elevation_rad)
         t = np.asarray(firing * FIRING_S, dtype=np.float64)
-        number = 16 * firing[0] + np.arange(16 * len(t))
-        shot_t = t[:, None] + LASER_S * np.arange(16, dtype=np.float64)
+        number = k * firing[0] + np.arange(k * len(t))
+        shot_t = t[:, None] + LASER_S * np.arange(k, dtype=np.float64)
         azimuth = self.azimuth_deg(shot_t)
         lateral = None
         if c.sigma_lateral_m > 0:
-            lateral = (c.sigma_lateral_m * self.lateral.normal(number, 2)).reshape(len(t), 16, 2)
+            lateral = (c.sigma_lateral_m * self.lateral.normal(number, 2)).reshape(len(t), k, 2)
         rays = beams(
-            self.voyage,
+            self.motion,
             t,
             np.deg2rad(azimuth),
             self.R_ics_scs,
             self.lever_ics_scs_m,
             vertical_offsets=c.vertical_offsets,
             lateral_m=lateral,
+            lasers=self.lasers,
         )
         origin, direction = rays.origin_wcs_m.reshape(-1, 3), rays.direction_wcs.reshape(-1, 3)
         counts = dict.fromkeys(COUNTS, 0)
         parts: list[tuple[AnyArray, Echoes]] = []
-        free = np.ones(len(number), dtype=np.bool_)
+        free = np.ones(len(number), dtype=np.bool_) if wanted is None else wanted(rays).ravel()
         if self.hull is not None:
-            near = np.flatnonzero(self.hull.may_hit(azimuth))
+            near = np.flatnonzero(self.hull.may_hit(azimuth) & free.reshape(azimuth.shape))
             way, cosine = self.hull.cast(
                 rays.origin_ics_m.reshape(-1, 3)[near], rays.direction_ics.reshape(-1, 3)[near]
             )

@@ -10,7 +10,7 @@ from thalweg.config.twin import TwinConfig
 from thalweg.core.errors import ConfigError
 from thalweg.core.timescales import ADJUSTED_OFFSET_S, unix_from_gps
 from thalweg.core.types import ArrayF, ArrayI
-from thalweg.simulation.voyage import LEAD_S, start_gps_s, start_unix
+from thalweg.simulation.motion import LEAD_S, start_gps_s, start_unix
 
 
 def gps_us(t_gps_s: ArrayF) -> ArrayI:

@@ -13,6 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core.errors import ConfigError, InputError
+from thalweg.core.frames import rotation_opk
+from thalweg.core.rigid import exp_rotation, opk_of, rotation_vector
 from thalweg.core.types import ArrayF
 from thalweg.simulation.random import generator
 
@@ -27,8 +29,9 @@ def true_mounts(mounts: Mapping[str, Any], seed: int, *, on: bool) -> dict[str, 
     Parameters
     ----------
     mounts : section ``mounts`` or a part of it as plain values: a mapping of sensors, each with
-        ``lever_ics_m`` and ``sigma_lever_m``; the lidar also with ``omega_deg``, ``phi_deg``, ``kappa_deg``,
-        their sigmas and, if given, ``correlation``: the (6, 6) matrix of omega, phi, kappa, x, y, z.
+        ``lever_ics_m`` and ``sigma_lever_m``; lidar and camera also with ``omega_deg``, ``phi_deg``,
+        ``kappa_deg``, their sigmas, ``sigma_axes`` that tells what these mean, and, if given,
+        ``correlation``: the (6, 6) matrix of omega, phi, kappa (or rotations about x, y, z), x, y, z.
     seed : seed of the campaign. Each sensor has a stream of its own, so the sensors that are asked for
         do not change each other.
     on : ``twin.effects.mount_errors``; False gives the campaign's values.
@@ -49,22 +52,41 @@ def true_mounts(mounts: Mapping[str, Any], seed: int, *, on: bool) -> dict[str, 
         if not on:
             continue
         errors = np.asarray(sigmas) * (_root(mount.get("correlation"), len(sigmas), name) @ white)
-        for key, error in zip(keys, errors.tolist(), strict=False):
-            mount[key] = float(mount[key]) + error
+        if keys and mount.get("sigma_axes", "angles") == "ics":
+            mount |= _turned(mount, errors[:3])
+        else:
+            mount |= {k: float(mount[k]) + e for k, e in zip(keys, errors.tolist(), strict=False)}
         lever = np.asarray(mount["lever_ics_m"], dtype=np.float64) + errors[-3:]
         mount["lever_ics_m"] = lever.tolist()
     return true
 
 
 def mount_errors(true: Mapping[str, Any], estimated: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """True minus estimated, for each sensor: angles in degrees, lever arms in metres."""
+    """True minus estimated, for each sensor: angles in degrees, lever arms in metres.
+
+    ``rotation_ics_deg`` is the small rotation vector v of ``R_true = exp([v]x) R_estimated``.
+    """
     errors: dict[str, dict[str, Any]] = {}
     for name, mount in true.items():
         known = estimated[name]
         errors[name] = {key: float(mount[key] - known[key]) for key in ANGLES if key in mount}
+        if ANGLES[0] in mount:
+            R_true, R_known = (rotation_opk(*np.deg2rad([m[k] for k in ANGLES])) for m in (mount, known))
+            errors[name]["rotation_ics_deg"] = np.rad2deg(rotation_vector(R_true @ R_known.T)).tolist()
         off = np.asarray(mount["lever_ics_m"]) - np.asarray(known["lever_ics_m"])
         errors[name]["lever_ics_m"] = off.tolist()
     return errors
+
+
+def _turned(mount: Mapping[str, Any], vector_ics_deg: ArrayF) -> dict[str, float]:
+    """Angles after a small turn about the axes of ics, ``exp([v]x) R``.
+
+    Near phi = -90 degrees omega and kappa turn about the same axis: they may come out far from the estimated
+    ones, and still stand for nearly the same rotation.
+    """
+    angles = np.deg2rad([mount[key] for key in ANGLES])
+    R = exp_rotation(np.deg2rad(vector_ics_deg)) @ rotation_opk(*angles)
+    return dict(zip(ANGLES, np.rad2deg(opk_of(R)).tolist(), strict=True))
 
 
 def write_true_mounts(path: Path, true: Mapping[str, Any], estimated: Mapping[str, Any]) -> None:

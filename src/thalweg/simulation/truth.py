@@ -11,21 +11,22 @@ from scipy.spatial.transform import Rotation
 from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
 from thalweg.core.trajectory import Trajectory
-from thalweg.simulation.voyage import LEAD_S, Voyage
+from thalweg.simulation.motion import LEAD_S, Motion
+from thalweg.simulation.motions import motion_of
 
 TRUTH_RATE_HZ: Final = 200.0
 
 
-def true_trajectory(voyage: Voyage, frame: LocalFrame) -> Trajectory:
+def true_trajectory(motion: Motion, frame: LocalFrame) -> Trajectory:
     """The true poses at 200 Hz, from 2.5 s before to 2.5 s after the lidar log, with zero sigmas."""
-    span = voyage.config.duration_s + 2 * LEAD_S + 1.0
+    span = motion.config.duration_s + 2 * LEAD_S + 1.0
     steps = np.arange(int(np.ceil(span * TRUTH_RATE_HZ)) + 1) / TRUTH_RATE_HZ
-    t = voyage.start_gps_s - LEAD_S - 0.5 + steps
+    t = motion.start_gps_s - LEAD_S - 0.5 + steps
     return Trajectory(
         frame=frame,
         t_gps_s=t,
-        position_wcs_m=voyage.position_wcs_m(t),
-        quaternion_wcs_ics=Rotation.from_matrix(voyage.R_wcs_ics(t)).as_quat(),
+        position_wcs_m=motion.position_wcs_m(t),
+        quaternion_wcs_ics=Rotation.from_matrix(motion.R_wcs_ics(t)).as_quat(),
         cov_pose_wcs=np.zeros((len(t), 6, 6)),
         valid=np.ones(len(t), dtype=np.bool_),
     )
@@ -50,7 +51,7 @@ def longest_correlation_s(twin: Mapping[str, Any], position_source: str) -> floa
 
 
 def simulate_voyage(config: TwinConfig, seed: int, frame: LocalFrame, out_trajectory: Path) -> None:
-    """Write the true trajectory, table kind ``trajectory``.
+    """Write the true trajectory of the voyage or of the run about a field, table kind ``trajectory``.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def simulate_voyage(config: TwinConfig, seed: int, frame: LocalFrame, out_trajec
     frame : the world frame.
     out_trajectory : target, ``.parquet``.
     """
-    true_trajectory(Voyage(config, seed), frame).write(out_trajectory, {"source": "digital twin, truth"})
+    true_trajectory(motion_of(config, seed), frame).write(out_trajectory, {"source": "digital twin, truth"})
 
 
 def write_effects(path: Path | None, stream: str, facts: Mapping[str, Any]) -> None:

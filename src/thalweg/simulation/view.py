@@ -16,10 +16,11 @@ from thalweg.core.frames import LocalFrame
 from thalweg.core.timescales import utc_text_from_gps
 from thalweg.core.types import ArrayF
 from thalweg.simulation.daylight import Sun
+from thalweg.simulation.motion import start_unix
 from thalweg.simulation.picture import SKY, Painter, Picture
 from thalweg.simulation.pinhole import PictureCamera
 from thalweg.simulation.scene import Scene
-from thalweg.simulation.voyage import Voyage, start_unix
+from thalweg.simulation.voyage import Voyage
 from thalweg.simulation.waves import Waves
 
 FORMAT = 1

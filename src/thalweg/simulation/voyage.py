@@ -6,7 +6,6 @@ coordinates ``dn/dt = v sin(c)`` and ``ds/dt = v cos(c) / (1 - kappa n)`` for th
 and flow, so that the speed over ground is constant and the boat turns at the same distance from each shore.
 """
 
-import datetime as dt
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -15,22 +14,14 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from thalweg.config.twin import TwinConfig
 from thalweg.config.twin_scene import TwinBoat
-from thalweg.core.errors import ConfigError, CoverageError
-from thalweg.core.frames import rotation_enu_body
-from thalweg.core.timescales import gps_from_unix
+from thalweg.core.errors import ConfigError
 from thalweg.core.types import ArrayF
+from thalweg.simulation.motion import GRAVITY_MPS2, PAD_S, OnCourse, start_gps_s
 from thalweg.simulation.random import generator
 from thalweg.simulation.river import River
 from thalweg.simulation.sway import Sway, draw_sways
 
-PAD_S: Final = 5.0
-"""The motion is defined this long before and after the lidar log."""
-
-LEAD_S: Final = 2.0
-"""INS, GNSS and echo sounder record this long before and after the lidar."""
-
 _NODE_S: Final = 0.02
-_GRAVITY_MPS2: Final = 9.81
 _IDLE: Final = 0.08
 """Share of the full thrust below which a motor does not turn."""
 
@@ -45,18 +36,6 @@ _DIFFERENCE_S2: Final = 0.8
 
 _PEAK: Final = 15.0 / 8.0
 """Greatest slope of the quintic smooth step."""
-
-
-def start_gps_s(config: TwinConfig) -> float:
-    """Begin of the lidar log, adjusted standard GPS time."""
-    whole, micros = start_unix(config)
-    return float(gps_from_unix(whole, micros))
-
-
-def start_unix(config: TwinConfig) -> tuple[int, int]:
-    """Begin of the lidar log as whole Unix seconds and microseconds, UTC."""
-    moment = dt.datetime.fromisoformat(config.start_utc)
-    return int(moment.replace(microsecond=0).timestamp()), moment.microsecond
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +86,7 @@ def _plan(boat: TwinBoat, amplitude_m: float, curvature_1pm: float) -> _Zigzag:
 
 
 @dataclass(slots=True)
-class Voyage:
+class Voyage(OnCourse):
     """The true pose of the boat as a function of time.
 
     Parameters
@@ -127,6 +106,8 @@ class Voyage:
     _xy: CubicHermiteSpline = field(init=False)
     _course: CubicSpline = field(init=False)
     _sways: dict[str, Sway] = field(init=False)
+    _level_m: float = field(init=False)
+    _heel_s: float = field(init=False)
 
     def __post_init__(self) -> None:
         c = self.config
@@ -141,6 +122,8 @@ class Voyage:
             )
         self._sail(_plan(c.boat, amplitude, self.river.greatest_curvature))
         self._sways = draw_sways(generator(self.seed, "voyage"), c.boat)
+        self._level_m = c.scene.water_level_m + c.boat.height_m
+        self._heel_s = c.boat.heel_share * c.boat.speed_mps / GRAVITY_MPS2
 
     def _sail(self, zigzag: _Zigzag) -> None:
         boat, river = self.config.boat, self.river
@@ -182,75 +165,6 @@ class Voyage:
         self._xy = CubicHermiteSpline(t, river.to_wcs(s, n), velocity)
         self._course = CubicSpline(t, course_enu)
 
-    def since_start(self, t_gps_s: ArrayF) -> ArrayF:
-        """Seconds since the begin of the lidar log.
-
-        Raises
-        ------
-        CoverageError : a time lies more than 5 s outside the lidar log.
-        """
-        t = np.asarray(t_gps_s, dtype=np.float64) - self.start_gps_s
-        low, high = -PAD_S, self.config.duration_s + PAD_S
-        if t.size and not (np.min(t) >= low and np.max(t) <= high):
-            raise CoverageError(
-                f"times from {np.min(t):.3f} to {np.max(t):.3f} s after the start",
-                expected=f"{low} to {high} s",
-            )
-        return t
-
-    def position_wcs_m(self, t_gps_s: ArrayF) -> ArrayF:
-        """Position (n, 3) of the ics origin."""
-        return self.position_at(self.since_start(t_gps_s))
-
-    def position_at(self, t_s: ArrayF) -> ArrayF:
-        """As `position_wcs_m`, for seconds since the start."""
-        level = self.config.scene.water_level_m + self.config.boat.height_m
-        up = level + self._sways["heave"](t_s)
-        return np.concatenate([self._xy(t_s), up[:, None]], axis=1)
-
-    def velocity_wcs_mps(self, t_gps_s: ArrayF, derivative: int = 1) -> ArrayF:
-        """Velocity (n, 3) of the ics origin; ``derivative=2`` gives its acceleration in m/s^2."""
-        t = self.since_start(t_gps_s)
-        up = self._sways["heave"](t, derivative)
-        return np.concatenate([self._xy(t, derivative), up[:, None]], axis=1)
-
-    def angles_rad(self, t_gps_s: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
-        """Roll, pitch and heading in the level and north of the origin of wcs; heading in [0, 2 pi)."""
-        return self.angles_at(self.since_start(t_gps_s))
-
-    def angles_at(self, t_s: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
-        """As `angles_rad`, for seconds since the start."""
-        heading = np.pi / 2 - self._course(t_s) + self._sways["yaw"](t_s)
-        return self._roll(t_s), self._sways["pitch"](t_s), np.mod(heading, 2 * np.pi)
-
-    def _roll(self, t_s: ArrayF, derivative: int = 0) -> ArrayF:
-        # The course turns counter-clockwise; in a turn to the left the boat heels to the right, outwards.
-        boat = self.config.boat
-        heel = boat.heel_share * boat.speed_mps / _GRAVITY_MPS2 * self._course(t_s, 1 + derivative)
-        return np.asarray(self._sways["roll"](t_s, derivative) + heel)
-
-    def R_wcs_ics(self, t_gps_s: ArrayF) -> ArrayF:
-        """Attitude (n, 3, 3)."""
-        return rotation_enu_body(*self.angles_rad(t_gps_s))
-
-    def rates_ics_radps(self, t_gps_s: ArrayF) -> ArrayF:
-        """Angular velocity (n, 3) of the body about its own axes.
-
-        ``p = roll' - heading' sin(pitch)``, ``q = pitch' cos(roll) + heading' cos(pitch) sin(roll)``,
-        ``r = -pitch' sin(roll) + heading' cos(pitch) cos(roll)`` (rotation order heading, pitch, roll).
-        """
-        return self.rates_at(self.since_start(t_gps_s))
-
-    def rates_at(self, t_s: ArrayF) -> ArrayF:
-        """As `rates_ics_radps`, for seconds since the start."""
-        roll, pitch = self._roll(t_s), self._sways["pitch"](t_s)
-        roll_d, pitch_d = self._roll(t_s, 1), self._sways["pitch"](t_s, 1)
-        heading_d = self._sways["yaw"](t_s, 1) - self._course(t_s, 1)
-        p = roll_d - heading_d * np.sin(pitch)
-        q = pitch_d * np.cos(roll) + heading_d * np.cos(pitch) * np.sin(roll)
-        r = -pitch_d * np.sin(roll) + heading_d * np.cos(pitch) * np.cos(roll)
-        return np.stack([p, q, r], axis=-1)
-
     def thrust(self, t_gps_s: ArrayF) -> ArrayF:
         """Thrust (n, 2) of the left and the right motor as a share of the full one, 0 to 1.
 
@@ -265,22 +179,3 @@ class Voyage:
         pair = np.stack([mean + half, mean - half], axis=-1)
         lacking = np.minimum(pair, 0.0)
         return np.asarray(np.clip(pair - lacking - lacking[..., ::-1], 0.0, 1.0))
-
-    def sensor_wcs_m(self, t_gps_s: ArrayF, lever_ics_m: ArrayF) -> ArrayF:
-        """Position (n, 3) of a point of the boat that is given in its body frame."""
-        lever = np.asarray(lever_ics_m, dtype=np.float64)
-        return self.position_wcs_m(t_gps_s) + self.R_wcs_ics(t_gps_s) @ lever
-
-    def sensor_velocity_wcs_mps(self, t_gps_s: ArrayF, lever_ics_m: ArrayF) -> ArrayF:
-        """Velocity (n, 3) of a point of the boat: ``v + R (omega x lever)``."""
-        turning = np.cross(self.rates_ics_radps(t_gps_s), np.asarray(lever_ics_m, dtype=np.float64))
-        R = self.R_wcs_ics(t_gps_s)
-        return self.velocity_wcs_mps(t_gps_s) + np.einsum("nij,nj->ni", R, turning)
-
-
-def epochs(config: TwinConfig, rate_hz: float) -> ArrayF:
-    """Times of a sensor that records on the grid of its rate in GPS seconds, from 2 s before the lidar."""
-    start = start_gps_s(config)
-    first = np.ceil((start - LEAD_S) * rate_hz - 1e-6)
-    last = np.floor((start + config.duration_s + LEAD_S) * rate_hz + 1e-6)
-    return np.asarray(np.arange(first, last + 1) / rate_hz)

@@ -1,0 +1,215 @@
+"""Camera-lidar calibrations of the twin over many seeds: are the errors small, and are the sigmas honest?
+
+Each seed is a calibration of its own: field, mounts, beams, marks and exterior orientations err anew. The
+lidar is that of the recordings, in memory; marks and exterior orientations are the true ones with normal
+errors of the stated sigmas, so that thousands of pictures need not be drawn. The whole chain with pictures is
+the campaign's.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+from thalweg.calibration.camera_lidar import CameraLidar, CameraLidarSettings, calibrate_camera_lidar
+from thalweg.calibration.cone_fit import ConeReference
+from thalweg.calibration.cone_selection import Position
+from thalweg.config.twin import TwinConfig
+from thalweg.core.errors import ThalwegError
+from thalweg.core.rigid import Rigid
+from thalweg.core.types import ArrayF
+from thalweg.lidar.covariance import BeamErrors
+from thalweg.simulation.field.layout import Field, build_field
+from thalweg.simulation.field.motion import standing
+from thalweg.simulation.field.scan import static_scan
+from thalweg.simulation.random import generator
+from thalweg.simulation.true_mounts import true_mounts
+
+MOUNTS: Final[dict[str, Any]] = {
+    name: {
+        "omega_deg": omega,
+        "phi_deg": phi,
+        "kappa_deg": 0.0,
+        "lever_ics_m": lever,
+        "sigma_axes": "ics",
+        **dict.fromkeys(("sigma_omega_deg", "sigma_phi_deg", "sigma_kappa_deg"), sigma_deg),
+        "sigma_lever_m": [0.02, 0.02, 0.02],
+    }
+    for name, omega, phi, lever, sigma_deg in (
+        ("lidar", 0.0, -90.0, [-0.350, 0.0, -0.250], 1.0),
+        ("camera", 90.0, 0.0, [-0.250, -0.100, -0.180], 1.0),
+    )
+}
+"""Nominal mounts with what a ruler and the eye are worth."""
+
+BEAM: Final = BeamErrors(sigma_component_m=0.0173, divergence_rad=0.003, footprint_share=0.177)
+ERRORS: Final = (
+    "lever_x_mm",
+    "lever_y_mm",
+    "lever_z_mm",
+    "rotation_x_deg",
+    "rotation_y_deg",
+    "rotation_z_deg",
+)
+_UNITS: Final = np.array([1e3, 1e3, 1e3, *np.rad2deg([1.0, 1.0, 1.0])])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudySettings:
+    """What the calibrations of a study are like.
+
+    Parameters
+    ----------
+    positions : numbers of the static positions, from 1.
+    revolutions : of the lidar at each position; 10 a second.
+    sigma_mark_m : of marks in each coordinate.
+    sigma_pose_m, sigma_pose_deg : of the exterior orientations in each coordinate and about each axis.
+    wrong_marks : share of marks that are centimetres off.
+    effects : of the section ``twin.field.effects``, such as ``passers_by``.
+    calibration : settings of the adjustment.
+    """
+
+    positions: tuple[int, ...] = (1, 2, 3)
+    revolutions: int = 10
+    sigma_mark_m: float = 0.0002
+    sigma_pose_m: float = 0.0004
+    sigma_pose_deg: float = 0.004
+    wrong_marks: float = 0.0
+    effects: Mapping[str, Any] = field(default_factory=dict)
+    calibration: CameraLidarSettings = field(default_factory=CameraLidarSettings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """Input of a calibration, and the truth."""
+
+    references: list[ConeReference]
+    positions: list[Position]
+    nominal: Rigid
+    truth: Rigid
+
+
+def camera_lidar_study(seeds: Sequence[int], settings: StudySettings) -> pd.DataFrame:
+    """One line a seed: errors and sigmas of the orientation, normalised square error, or the failure.
+
+    Parameters
+    ----------
+    seeds : of the calibrations.
+    settings : of all of them.
+    """
+    lines = []
+    for seed in seeds:
+        trial = simulated_trial(seed, settings)
+        try:
+            result = calibrate_camera_lidar(
+                trial.references, trial.positions, trial.nominal, settings.calibration
+            )
+        except ThalwegError as error:
+            lines.append({"seed": seed, "failure": str(error)})
+            continue
+        lines.append({"seed": seed, "failure": "", **judged(result, trial.truth)})
+    return pd.DataFrame(lines)
+
+
+def judged(result: CameraLidar, truth: Rigid) -> dict[str, Any]:
+    """Errors of a result against the truth."""
+    error = result.T_ccs_scs.error_from(truth)
+    sigma = np.sqrt(np.diag(result.T_ccs_scs.cov))
+    return {
+        **dict(zip(ERRORS, (error * _UNITS).tolist(), strict=True)),
+        **{f"sigma_{name}": s for name, s in zip(ERRORS, (sigma * _UNITS).tolist(), strict=True)},
+        "error_lever_mm": 1e3 * float(np.linalg.norm(error[:3])),
+        "error_rotation_deg": float(np.rad2deg(np.linalg.norm(error[3:]))),
+        "normalised": float(error @ np.linalg.solve(result.T_ccs_scs.cov, error)) / 6.0,
+        "sigma0": float(np.sqrt(result.adjusted.sigma0_squared)),
+        "points": int(result.residuals["points"].sum()),
+        "cones": len(result.cones),
+        "left_out": int(np.sum(~result.detection["found"] & (result.detection["predicted"] > 0))),
+    }
+
+
+def summary(study: pd.DataFrame, level: float = 0.05) -> dict[str, float]:
+    """Numbers of a study: medians of errors and sigmas, and the band of the mean normalised square error.
+
+    ``normalised`` has the expectation 1; ``band_low`` and ``band_high`` hold its mean with ``1 - level`` if
+    the covariances are right (chi-square with six degrees of freedom a seed).
+    """
+    good = study[study["failure"] == ""]
+    n = 6 * len(good)
+    return {
+        "seeds": len(study),
+        "failures": len(study) - len(good),
+        "median_error_lever_mm": float(good["error_lever_mm"].median()),
+        "median_error_rotation_deg": float(good["error_rotation_deg"].median()),
+        **{f"median_sigma_{name}": float(good[f"sigma_{name}"].median()) for name in ERRORS},
+        **{f"mean_error_{name}": float(good[name].mean()) for name in ERRORS},
+        "normalised": float(good["normalised"].mean()),
+        "band_low": float(chi2.ppf(level / 2, n)) / n,
+        "band_high": float(chi2.ppf(1 - level / 2, n)) / n,
+    }
+
+
+def simulated_trial(seed: int, settings: StudySettings) -> Trial:
+    """Observations of one calibration."""
+    config = TwinConfig.model_validate({"size": "field", "field": {"effects": dict(settings.effects)}})
+    mounts = true_mounts(MOUNTS, seed, on=True)
+    lidar, camera = _mount(mounts["lidar"]), _mount(mounts["camera"])
+    nominal = _mount(MOUNTS["camera"]).inverse() @ _mount(MOUNTS["lidar"])
+    positions = []
+    for number in settings.positions:
+        scan = static_scan(
+            config,
+            seed,
+            number,
+            R_ics_scs=lidar.R,
+            lever_ics_scs_m=lidar.shift_m,
+            revolutions=settings.revolutions,
+        )
+        pose = standing(config, number).T_wcs_ics @ camera
+        measured = _measured(pose, generator(seed, f"study pose {number}"), settings)
+        reflectivity = scan.reflectivity.astype(np.float64)
+        positions.append(
+            Position.measured(f"position_{number}", measured, scan.points_scs_m, BEAM, reflectivity)
+        )
+    references = _references(build_field(config, seed), generator(seed, "study marks"), settings)
+    return Trial(references=references, positions=positions, nominal=nominal, truth=camera.inverse() @ lidar)
+
+
+def _mount(section: Mapping[str, Any]) -> Rigid:
+    angles = np.deg2rad([section[f"{name}_deg"] for name in ("omega", "phi", "kappa")])
+    return Rigid.from_opk(angles, section["lever_ics_m"])
+
+
+def _measured(pose: Rigid, rng: np.random.Generator, settings: StudySettings) -> Rigid:
+    sigma = np.repeat([settings.sigma_pose_m, np.deg2rad(settings.sigma_pose_deg)], 3)
+    return replace(pose.moved(sigma * rng.standard_normal(6)), cov=np.diag(sigma**2))
+
+
+def _references(made: Field, rng: np.random.Generator, settings: StudySettings) -> list[ConeReference]:
+    places = made.saddles_wcs_m()
+    nominal = np.deg2rad(made.config.half_angle_deg)
+    out = []
+    for cone in made.cones:
+        marks = [(marker, i) for marker in cone.markers for i in range(4)]
+        points = np.stack([places[mark] for mark in marks])
+        points = points + settings.sigma_mark_m * rng.standard_normal(points.shape)
+        wrong = rng.random(len(marks)) < settings.wrong_marks
+        points = points + wrong[:, None] * 0.03 * rng.standard_normal(points.shape)
+        out.append(
+            ConeReference(
+                name=cone.name,
+                points_m=points,
+                cov=_isotropic(len(marks), settings.sigma_mark_m),
+                half_angle_rad=float(nominal),
+                length_m=made.config.cone_length_m,
+                labels=tuple(f"{marker}/{i}" for marker, i in marks),
+            )
+        )
+    return out
+
+
+def _isotropic(n: int, sigma_m: float) -> ArrayF:
+    return np.tile(np.eye(3) * sigma_m**2, (n, 1, 1))
