@@ -24,3 +24,191 @@ rule collect_mounts:
         "{wildcards.campaign}: mounts of the sensors"
     script:
         "../scripts/collect_mounts.py"
+
+
+rule detect_reference_marks:
+    """Printed markers in the reference images."""
+    input:
+        folders=raw("reference_images"),
+        field=raw("field"),
+    output:
+        marks="results/{campaign}/calibration/reference_marks.parquet",
+        report="results/{campaign}/calibration/reference_marks.json",
+        rejected="results/{campaign}/calibration/reference_marks_rejected.csv",
+    log:
+        "logs/{campaign}/calibration/detect_reference_marks.log",
+    benchmark:
+        "benchmarks/{campaign}/calibration/detect_reference_marks.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(60),
+    params:
+        code=code_version("detect_markers"),
+        camera="reference",
+    message:
+        "{wildcards.campaign}: markers in the images of the reference camera"
+    script:
+        "../scripts/detect_markers.py"
+
+
+rule detect_boat_marks:
+    """Printed markers in the images of the boat's camera."""
+    input:
+        folders=boat_images,
+        field=raw("field"),
+    output:
+        marks="results/{campaign}/calibration/boat_marks.parquet",
+        report="results/{campaign}/calibration/boat_marks.json",
+        rejected="results/{campaign}/calibration/boat_marks_rejected.csv",
+    log:
+        "logs/{campaign}/calibration/detect_boat_marks.log",
+    benchmark:
+        "benchmarks/{campaign}/calibration/detect_boat_marks.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(60),
+    params:
+        code=code_version("detect_markers"),
+        camera="boat",
+    message:
+        "{wildcards.campaign}: markers in the images of the boat camera"
+    script:
+        "../scripts/detect_markers.py"
+
+
+rule adjust_field:
+    """Reference points of the calibration field, and its place in the world."""
+    input:
+        marks="results/{campaign}/calibration/reference_marks.parquet",
+        field=raw("field"),
+    output:
+        points="results/{campaign}/calibration/field_points.csv",
+        facts="results/{campaign}/calibration/field.json",
+        residuals="results/{campaign}/calibration/field_residuals.csv",
+        camera="results/{campaign}/calibration/reference_camera.yaml",
+    log:
+        "logs/{campaign}/calibration/adjust_field.log",
+    benchmark:
+        "benchmarks/{campaign}/calibration/adjust_field.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("adjust_field"),
+        campaign=identity("id", "origin"),
+        model=calibration("reference_camera", "model"),
+        focal_px=calibration("reference_camera", "focal_px"),
+    message:
+        "{wildcards.campaign}: bundle adjustment of the field"
+    script:
+        "../scripts/adjust_field.py"
+
+
+rule orient_camera:
+    """Interior orientation of the boat's camera, and the pose of each of its images."""
+    input:
+        marks="results/{campaign}/calibration/boat_marks.parquet",
+        points="results/{campaign}/calibration/field_points.csv",
+        field=raw("field"),
+    output:
+        poses="results/{campaign}/calibration/camera_poses.parquet",
+        camera="results/{campaign}/calibration/camera.yaml",
+        residuals="results/{campaign}/calibration/camera_residuals.csv",
+        report="results/{campaign}/calibration/camera.json",
+    log:
+        "logs/{campaign}/calibration/orient_camera.log",
+    benchmark:
+        "benchmarks/{campaign}/calibration/orient_camera.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("orient_camera"),
+        campaign=identity("id"),
+        model=calibration("boat_camera", "model"),
+        focal_px=calibration("boat_camera", "focal_px"),
+        interior=calibration("boat_camera", "interior"),
+    message:
+        "{wildcards.campaign}: poses of the boat's camera"
+    script:
+        "../scripts/orient_camera.py"
+
+
+rule calibrate_ins_lidar:
+    """Mount of the lidar from the cones as the moving boat sees them."""
+    input:
+        lidar=raw("lidar"),
+        clock="results/{campaign}/ingest/lidar.clock.json",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
+        field=raw("field"),
+        points="results/{campaign}/calibration/field_points.csv",
+        facts="results/{campaign}/calibration/field.json",
+        poses="results/{campaign}/calibration/camera_poses.parquet",
+        camera_lidar="results/{campaign}/calibration/camera_lidar.yaml",
+    output:
+        ins_lidar="results/{campaign}/calibration/ins_lidar.yaml",
+        mount="results/{campaign}/calibration/ins_lidar.json",
+        passes="results/{campaign}/calibration/passes.csv",
+        before="results/{campaign}/calibration/cones_before.parquet",
+        after="results/{campaign}/calibration/cones_after.parquet",
+    log:
+        "logs/{campaign}/calibration/calibrate_ins_lidar.log",
+    benchmark:
+        "benchmarks/{campaign}/calibration/calibrate_ins_lidar.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20),
+    params:
+        code=code_version("calibrate_ins_lidar"),
+        campaign=identity("id"),
+        lidar_options=section("lidar"),
+        settings=run_settings,
+        antenna_position=calibration("ins_lidar", "antenna_position"),
+    message:
+        "{wildcards.campaign}: mount of the lidar"
+    script:
+        "../scripts/calibrate_ins_lidar.py"
+
+
+rule assemble_boat:
+    """All sensors of the boat in one calibration."""
+    input:
+        mount="results/{campaign}/calibration/ins_lidar.json",
+        camera_lidar="results/{campaign}/calibration/camera_lidar.yaml",
+    output:
+        boat="results/{campaign}/calibration/boat.yaml",
+    log:
+        "logs/{campaign}/calibration/assemble_boat.log",
+    benchmark:
+        "benchmarks/{campaign}/calibration/assemble_boat.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("assemble_boat"),
+        campaign=identity("id"),
+        echo_sounder=echo_place,
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+    message:
+        "{wildcards.campaign}: calibration of the boat"
+    script:
+        "../scripts/assemble_boat.py"

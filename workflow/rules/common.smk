@@ -33,7 +33,9 @@ def calibration_file(wildcards):
     chosen = CAMPAIGNS[wildcards.campaign].mounts.calibration
     if chosen is None:
         return []
-    return [f"results/{chosen}/calibration/boat.yaml" if chosen in CAMPAIGNS else chosen]
+    return [
+        f"results/{chosen}/calibration/boat.yaml" if chosen in CAMPAIGNS else chosen
+    ]
 
 
 def calibration_campaign(name):
@@ -50,6 +52,79 @@ def calibrated_boat(wildcards):
         if chosen and is_twin(chosen)
         else []
     )
+
+
+def calibration(*keys):
+    """Input function for params: a value or a part of the section `calibration`."""
+
+    def value(wildcards):
+        found = CAMPAIGNS[wildcards.campaign].plain()["calibration"]
+        for key in keys:
+            found = found[key]
+        return found
+
+    return value
+
+
+def boat_images(wildcards):
+    """Input function: images of the boat's camera in the calibration field."""
+    return [
+        *logs_of(wildcards.campaign, "position_images"),
+        *logs_of(wildcards.campaign, "run_images"),
+    ]
+
+
+def run_settings(wildcards):
+    """Params function: how the run about the cones is evaluated."""
+    plain = CAMPAIGNS[wildcards.campaign].plain()
+    options = plain["calibration"]["ins_lidar"]
+    sigma_m = plain["lidar_accuracy"]["sigma_component_m"]
+    return {
+        "errors": plain["calibration"]["run_errors"],
+        "noise": {"along_m": sigma_m, "across_m": sigma_m},
+        "search": {
+            "lever_m": options["search_lever_m"],
+            "angle_deg": options["search_angle_deg"],
+        },
+        "gates": {key: options[key] for key in ("min_cones", "min_headings_deg")},
+        "estimate_errors": options["estimate_errors"],
+    }
+
+
+def clock_options(wildcards):
+    """Params function: how the camera's clock is found."""
+    found = CAMPAIGNS[wildcards.campaign].plain()["calibration"]
+    errors = {
+        key: found["run_errors"][key]
+        for key in ("position_time_s", "attitude_time_s", "white_share")
+    }
+    return found["clock"] | errors
+
+
+def echo_place(wildcards):
+    """Params function: where the echo sounder sits by the ruler."""
+    place = CAMPAIGNS[wildcards.campaign].plain()["mounts"]["echo_sounder"]
+    return {
+        "lever_m": place["lever_ics_m"],
+        "sigma_lever_m": place["sigma_lever_m"],
+        "measured_from": "ics",
+    }
+
+
+def camera_clock(wildcards):
+    """Input function: the clock of the boat's camera, where a calibration has found it."""
+    name = calibration_campaign(wildcards.campaign) or wildcards.campaign
+    if not CAMPAIGNS[name].is_calibration or not logs_of(name, "run_images"):
+        return []
+    ties = logs_of(name, "clock_ties") + logs_of(name, "trigger_pulses")
+    return [f"results/{name}/timing/camera_clock{'_ties' if ties else ''}.yaml"]
+
+
+def clock_stability(wildcards):
+    """Input function: the test of the camera's clock, where there is one."""
+    name = calibration_campaign(wildcards.campaign) or wildcards.campaign
+    found = CAMPAIGNS[name].is_calibration and logs_of(name, "display")
+    return [f"results/{name}/timing/clock_stability.json"] if found else []
 
 
 def identity(*keys):

@@ -162,3 +162,32 @@ rule read_reference:
         "{wildcards.campaign}: reference clouds"
     script:
         "../scripts/read_reference.py"
+
+
+rule read_image_stamps:
+    """When the images were taken, by the camera's clock."""
+    input:
+        images=raw("run_images"),
+        times=raw("image_times"),
+    output:
+        stamps="results/{campaign}/ingest/image_stamps.parquet",
+        integrity="results/{campaign}/ingest/camera.integrity.json",
+    log:
+        "logs/{campaign}/ingest/read_image_stamps.log",
+    benchmark:
+        "benchmarks/{campaign}/ingest/read_image_stamps.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("read_image_stamps"),
+        source=calibration("image_times", "source"),
+        pattern=calibration("image_times", "pattern"),
+        utc_offset=calibration("image_times", "utc_offset"),
+    message:
+        "{wildcards.campaign}: stamps of the images"
+    script:
+        "../scripts/read_image_stamps.py"

@@ -162,3 +162,30 @@ rule simulate_display:
         "{wildcards.campaign}: photographs of a clock by the digital twin"
     script:
         "../scripts/simulate_display.py"
+
+
+rule simulate_synthetic_view:
+    """Synthetic image and lidar frame of the field: 8 scan lines in steps of 4 degrees (P2 Fig. 4)."""
+    input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+    output:
+        view="results/{campaign}/simulation/pictures/synthetic_view.npz",
+        lidar_frame="results/{campaign}/simulation/pictures/lidar_frame.parquet",
+    log:
+        "logs/{campaign}/simulation/simulate_synthetic_view.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_synthetic_view.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_synthetic_view"),
+        campaign=identity("seed"),
+        twin=twin_parts("camera", "lidar", "effects"),
+    message:
+        "{wildcards.campaign}: synthetic image and lidar frame"
+    script:
+        "../scripts/simulate_synthetic_view.py"

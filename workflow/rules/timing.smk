@@ -28,3 +28,118 @@ rule align_streams:
         "{wildcards.campaign}: time axis of all streams"
     script:
         "../scripts/align_streams.py"
+
+
+rule synchronise_camera:
+    """Offset of the camera's clock from its run about the field."""
+    input:
+        poses="results/{campaign}/calibration/camera_poses.parquet",
+        place="results/{campaign}/calibration/field.json",
+        stamps="results/{campaign}/ingest/image_stamps.parquet",
+        positions="results/{campaign}/ingest/positions.parquet",
+        states="results/{campaign}/ingest/ins_states.parquet",
+    output:
+        clock="results/{campaign}/timing/camera_clock.yaml",
+        images="results/{campaign}/timing/image_times.parquet",
+        report="results/{campaign}/timing/camera_clock.json",
+    log:
+        "logs/{campaign}/timing/synchronise_camera.log",
+    benchmark:
+        "benchmarks/{campaign}/timing/synchronise_camera.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("synchronise_camera"),
+        campaign=identity("origin"),
+        options=clock_options,
+    message:
+        "{wildcards.campaign}: clock of the camera"
+    script:
+        "../scripts/synchronise_camera.py"
+
+
+rule clock_from_ties:
+    """Clock of the camera from comparisons before and after a run, or from the pulses of its trigger."""
+    input:
+        ties=raw("clock_ties"),
+        pulses=raw("trigger_pulses"),
+        stamps="results/{campaign}/ingest/image_stamps.parquet",
+    output:
+        clock="results/{campaign}/timing/camera_clock_ties.yaml",
+    log:
+        "logs/{campaign}/timing/clock_from_ties.log",
+    benchmark:
+        "benchmarks/{campaign}/timing/clock_from_ties.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1000),
+        runtime=minutes(10),
+    params:
+        code=code_version("clock_from_ties"),
+        options=clock_options,
+    message:
+        "{wildcards.campaign}: clock of the camera from ties"
+    script:
+        "../scripts/clock_from_ties.py"
+
+
+rule read_display:
+    """Photographs of a running clock: how evenly the camera takes its images."""
+    input:
+        photos=raw("display"),
+        labels=raw("display_labels"),
+    output:
+        display="results/{campaign}/timing/display.csv",
+        stability="results/{campaign}/timing/clock_stability.json",
+    log:
+        "logs/{campaign}/timing/read_display.log",
+    benchmark:
+        "benchmarks/{campaign}/timing/read_display.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("read_display"),
+        options=calibration("display"),
+    message:
+        "{wildcards.campaign}: photographs of a clock"
+    script:
+        "../scripts/read_display.py"
+
+
+rule time_report:
+    """Who stamps what, how well, and what it costs at the bank."""
+    input:
+        streams="results/{campaign}/timing/streams.csv",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+        clock=camera_clock,
+        stability=clock_stability,
+    output:
+        report="results/{campaign}/timing/time_report.csv",
+        text="results/{campaign}/timing/time_report.txt",
+    log:
+        "logs/{campaign}/timing/time_report.log",
+    benchmark:
+        "benchmarks/{campaign}/timing/time_report.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("time_report"),
+        range_m=25.0,
+    message:
+        "{wildcards.campaign}: time report"
+    script:
+        "../scripts/time_report.py"

@@ -7,6 +7,7 @@ from pydantic import ConfigDict, Field
 
 from thalweg.config.accuracy import Accuracy, Reference
 from thalweg.config.base import Section
+from thalweg.config.calibration import Calibration
 from thalweg.config.filters import Filters
 from thalweg.config.identity import Identity
 from thalweg.config.lidar import Lidar, LidarAccuracy
@@ -36,6 +37,7 @@ class Campaign(Section):
         default=LidarAccuracy(), description="Accuracy of a single measurement of the lidar"
     )
     mounts: Mounts = Field(default=Mounts(), description="Sensors in the body frame of the INS")
+    calibration: Calibration = Field(default=Calibration(), description="Evaluation of a calibration field")
     ins: Ins = Field(default=Ins(), description="Accuracy of the INS attitude")
     ppk: Ppk = Field(default=Ppk(), description="Post-processing of raw GNSS")
     orientation: Orientation = Field(default=Orientation(), description="Trajectory")

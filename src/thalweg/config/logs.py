@@ -28,6 +28,8 @@ STREAM_KEYS = {
     "position_scans": ("calibration", "position_scans"),
     "run_images": ("calibration", "run_images"),
     "image_times": ("calibration", "image_times"),
+    "clock_ties": ("calibration", "clock_ties"),
+    "trigger_pulses": ("calibration", "trigger_pulses"),
     "display": ("calibration", "display"),
     "display_labels": ("calibration", "display_labels"),
 }
@@ -71,7 +73,9 @@ class GnssLogs(Section):
 class CalibrationLogs(Section):
     """Recordings of a calibration field; paths as in `Logs`. The run's lidar, INS and GNSS stand in `logs`."""
 
-    field: Files = Field(default=(), description="Description of the field: cones, markers, scale bars, targets (YAML)")
+    field: Files = Field(
+        default=(), description="Description of the field: cones, markers, scale bars, targets (YAML)"
+    )
     reference_images: Files = Field(default=(), description="Images of the field by a hand-held camera")
     position_images: Files = Field(
         default=(), description="Image of the boat's camera at each static position, one a position"
@@ -82,6 +86,13 @@ class CalibrationLogs(Section):
     run_images: Files = Field(default=(), description="Images of the boat's camera during the dynamic run")
     image_times: Files = Field(
         default=(), description="Table of image times (CSV: file, time), if neither names nor EXIF have them"
+    )
+    clock_ties: Files = Field(
+        default=(),
+        description="Comparisons of the camera's clock with GPS time before and after the run (CSV)",
+    )
+    trigger_pulses: Files = Field(
+        default=(), description="GPS times of the pulses that triggered the camera (CSV: t_gps_s)"
     )
     display: Files = Field(default=(), description="Photographs of a running clock")
     display_labels: Files = Field(

@@ -263,7 +263,7 @@ def _describe(table: pd.DataFrame, report: IntegrityReport) -> None:
     if back.size:
         report.lose("steps_back", back.size)
         report.note(
-            f"Time steps back {back.size} times in the order of the names, first behind "
+            f"Time steps back {back.size} times in the order of the names, first at "
             f"{table['file'][back[0]]}: the clock was set, or images of several recordings share a folder."
         )
     units = table["resolution_s"][known].unique()

@@ -1,0 +1,45 @@
+"""Mount of the lidar, camera-lidar orientation and a ruler's echo sounder -> one calibration of the boat."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thalweg.calibration.boat import EchoPlace, assemble
+from thalweg.calibration.ins_lidar_file import read_mount_result
+from thalweg.core.calibration import Source
+from thalweg.core.calibration_file import read_calibration, write_calibration
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    mount: Path,
+    camera_lidar: Path,
+    boat: Path,
+    campaign: dict[str, Any],
+    echo_sounder: dict[str, Any] | None,
+    twin: bool,
+) -> None:
+    found = read_mount_result(mount)
+    place = None
+    if echo_sounder is not None:
+        place = EchoPlace(
+            lever_m=np.asarray(echo_sounder["lever_m"], dtype=np.float64),
+            cov_m2=np.diag(np.square(echo_sounder["sigma_lever_m"])),
+            measured_from=echo_sounder.get("measured_from", "antenna"),
+        )
+    relative = read_calibration(camera_lidar).pose("camera_lidar")
+    source = Source(
+        run=str(campaign["id"]), method="cones from the moving boat, cones and camera, ruler",
+        observations=int(found.facts["points"]), sigma0=float(found.facts["sigmas"]["all"]), twin=twin,
+    )  # fmt: skip
+    write_calibration(
+        boat,
+        assemble(found, T_ccs_scs=relative, antenna=found.antenna, echo_sounder=place, source=source,
+                 lever_ics_antenna_m=found.lever_ics_antenna_m),
+    )  # fmt: skip
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

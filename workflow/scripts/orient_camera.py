@@ -1,0 +1,58 @@
+"""Marks of the boat's pictures and the field -> interior orientation of its camera, pose of each picture."""
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+from thalweg.calibration.boat_camera import orient_on_field, starting_boat_camera
+from thalweg.calibration.camera_file import interior_calibration, read_camera, same_size
+from thalweg.calibration.camera_poses import network_pose_table, write_poses
+from thalweg.calibration.field_description import read_field
+from thalweg.calibration.field_points import read_points
+from thalweg.calibration.mark_tables import MARKS
+from thalweg.core.calibration import Source
+from thalweg.core.calibration_file import write_calibration
+from thalweg.core.tables import read_table
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    marks: Path,
+    points: Path,
+    field: Path,
+    poses: Path,
+    camera: Path,
+    residuals: Path,
+    report: Path,
+    campaign: dict[str, Any],
+    model: str,
+    focal_px: float | None,
+    interior: str | None,
+) -> None:
+    log = logging.getLogger("thalweg")
+    table, meta = read_table(marks, MARKS)
+    ((name, size),) = meta["sizes_px"].items()
+    known = read_points(points).without(read_field(field).boat_markers)
+    if interior is None:
+        nominal = starting_boat_camera(table, known, name, tuple(size), model=model, focal_px=focal_px)
+    else:
+        nominal = same_size(read_camera(Path(interior)), tuple(size))
+    found = orient_on_field(table, nominal, known, weighted=interior is not None)
+    for row in found.rejected.itertuples():
+        log.warning("%s %s: %s", row.what, row.name, row.reason)
+    write_poses(poses, *network_pose_table(found, table))
+    found.residuals.to_csv(residuals, index=False, float_format="%.5f")
+    (boat,) = found.cameras.values()
+    source = Source(
+        run=str(campaign["id"]), method="bundle adjustment on the points of the field",
+        observations=2 * found.report["marks"], sigma0=found.report["sigma0"],
+    )  # fmt: skip
+    write_calibration(camera, interior_calibration(boat, source))
+    rejected = found.rejected.to_dict("records")
+    report.write_text(json.dumps({"adjustment": found.report, "rejected": rejected}, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,38 @@
+"""Photographs of a running clock -> readings, and how evenly the camera takes its pictures."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from thalweg.ingest.image_stamps import list_images
+from thalweg.jobs.job import run_job
+from thalweg.timing.clock_stability import clock_stability
+from thalweg.timing.display_reader import read_display
+from thalweg.timing.hand_tables import read_text_columns
+
+
+def main(
+    *,
+    photos: list[Path],
+    labels: list[Path],
+    display: Path,
+    stability: Path,
+    options: dict[str, Any],
+    threads: int,
+) -> None:
+    files = list_images(photos[0]) if len(photos) == 1 and photos[0].is_dir() else photos
+    known = dict(zip(*read_text_columns(labels[0], ("file", "text")), strict=True)) if labels else None
+    table, facts = read_display(
+        files,
+        pattern=options["pattern"],
+        labels=known,
+        corners_px=options.get("corners_px"),
+        threads=threads,
+    )
+    table.to_csv(display, index=False, float_format="%.6f")
+    found = clock_stability(table["t_display_s"].to_numpy(), step_s=options["step_s"])
+    stability.write_text(json.dumps(facts | found.facts(), indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
