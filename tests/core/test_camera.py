@@ -36,7 +36,10 @@ def opencv(camera: Camera, points: np.ndarray) -> np.ndarray:
     zero = np.zeros(3)
     if camera.model == "perspective":
         return cv2.projectPoints(points, zero, zero, K, camera.parameters[4:])[0].reshape(-1, 2) + 0.5
-    return cv2.fisheye.projectPoints(points[:, None], zero, zero, K, camera.parameters[4:])[0].reshape(-1, 2) + 0.5
+    return (
+        cv2.fisheye.projectPoints(points[:, None], zero, zero, K, camera.parameters[4:])[0].reshape(-1, 2)
+        + 0.5
+    )
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
@@ -93,7 +96,9 @@ def test_fisheye_has_a_limit_on_its_axis() -> None:
     np.testing.assert_allclose(on_axis[0][0], FISHEYE.parameters[2:4], atol=1e-12)
     near = FISHEYE.project_with_derivatives([[2e-7, -1e-7, 2.0]])
     # 1e-7 off the axis the image moves by f * 1e-7
-    np.testing.assert_allclose(near[0][0], FISHEYE.parameters[2:4] + [1.15e-4, -0.5755e-4], atol=1e-9)
+    np.testing.assert_allclose(
+        near[0][0], FISHEYE.parameters[2:4] + np.array([1.15e-4, -0.5755e-4]), atol=1e-9
+    )
     np.testing.assert_allclose(near[1], on_axis[1], atol=1e-3)
     assert np.isfinite(on_axis[1]).all()
     assert np.isfinite(on_axis[2]).all()

@@ -146,6 +146,51 @@ rule orient_camera:
         "../scripts/orient_camera.py"
 
 
+rule calibrate_camera_lidar:
+    """Relative orientation of camera and lidar from the cones, at the static positions."""
+    input:
+        scans=raw("position_scans"),
+        images=raw("position_images"),
+        marks="results/{campaign}/calibration/boat_marks.parquet",
+        camera="results/{campaign}/calibration/camera.yaml",
+        points="results/{campaign}/calibration/field_points.csv",
+        field=raw("field"),
+    output:
+        camera_lidar="results/{campaign}/calibration/camera_lidar.yaml",
+        report="results/{campaign}/calibration/camera_lidar.json",
+        cones="results/{campaign}/calibration/cones.csv",
+        detection="results/{campaign}/calibration/cone_detection.csv",
+        residuals="results/{campaign}/calibration/cone_residuals.csv",
+        references="results/{campaign}/calibration/cone_references.csv",
+        displacements="results/{campaign}/calibration/cone_displacements.csv",
+        correlations="results/{campaign}/calibration/camera_lidar_correlations.csv",
+        poses="results/{campaign}/calibration/poses.csv",
+        cone_points="results/{campaign}/calibration/cone_points.parquet",
+        study="results/{campaign}/calibration/design_study.csv",
+    log:
+        "logs/{campaign}/calibration/calibrate_camera_lidar.log",
+    benchmark:
+        "benchmarks/{campaign}/calibration/calibrate_camera_lidar.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("calibrate_camera_lidar"),
+        campaign=identity("id"),
+        mounts=mounts_of("lidar", "camera"),
+        lidar_options=section("lidar"),
+        lidar_accuracy=section("lidar_accuracy"),
+        settings=calibration("camera_lidar"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+    message:
+        "{wildcards.campaign}: relative orientation of camera and lidar"
+    script:
+        "../scripts/calibrate_camera_lidar.py"
+
+
 rule calibrate_ins_lidar:
     """Mount of the lidar from the cones as the moving boat sees them."""
     input:

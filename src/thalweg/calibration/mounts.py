@@ -1,7 +1,7 @@
 """Where the sensors sit on the boat of a campaign: as its file says, or as a calibration found.
 
-One file a campaign, ``mounts.json``, is what every consumer reads, so that none of them asks where the numbers
-come from. It has the structure of the section ``mounts``.
+One file a campaign, ``mounts.json``, is what every consumer reads, so that none of them asks where the
+numbers come from. It has the structure of the section ``mounts``.
 """
 
 import json

@@ -72,7 +72,9 @@ class InsLidarFit(Section):
     """Mount of the lidar from the moving boat (T 3.1.1)."""
 
     estimate_errors: bool = Field(
-        default=False, description="Sizes and correlation times of the pose errors are taken from the run"
+        default=True,
+        description="Sizes and correlation times of the pose errors are estimated from the run, starting from "
+        "`run_errors`",
     )
     search_lever_m: NonNegative = Field(
         default=0.6, le=3, description="How far the lever arm may be from zero, metres"

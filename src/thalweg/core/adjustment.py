@@ -1,14 +1,15 @@
-"""Least-squares adjustment with names: estimates, full covariance, tests, and a refusal of what is undetermined.
+"""Least-squares adjustment with names: estimates, full covariance, tests, refusal of what is undetermined.
 
 Every adjustment of the project goes through `adjust`. An observation group is a function of the state that
-gives residuals ``r`` with covariance ``S`` and their derivatives ``J`` by a small change ``dx`` of the unknowns::
+gives residuals ``r`` with covariance ``S`` and their derivatives ``J`` by a small change ``dx`` of the
+unknowns::
 
     r(x + dx) = r(x) + J dx,     E r = 0,  Cov r = S
 
-That is a Gauss-Markov model with ``r = f(x) - l``. Conditions ``g(x, l) = 0`` between unknowns and observations
-(Gauss-Helmert) come to the same with ``r = g + B (l - l_adjusted)`` and ``S = B Cov(l) B^T``, linearised at the
-adjusted observations (Helmert 1872; Koch 1999, sec. 3.5): see `condition`. Unknowns live wherever ``update`` puts
-them, so that rotations are changed by small rotation vectors.
+That is a Gauss-Markov model with ``r = f(x) - l``. Conditions ``g(x, l) = 0`` between unknowns and
+observations (Gauss-Helmert) come to the same with ``r = g + B (l - l_adjusted)`` and ``S = B Cov(l) B^T``,
+linearised at the adjusted observations (Helmert 1872; Koch 1999, sec. 3.5): see `condition`. Unknowns live
+wherever ``update`` puts them, so that rotations are changed by small rotation vectors.
 
 The unknowns are solved by Gauss-Newton steps, damped (Levenberg 1944) where a step does not help. Robust
 weights (Huber 1964) find the way among blunders; blunders are then removed and the rest is adjusted without
@@ -20,66 +21,45 @@ from dataclasses import dataclass
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import linalg
 from scipy.stats import chi2
 
 from thalweg.core.errors import GeometryError
+from thalweg.core.normal_equations import (
+    RANK_TOLERANCE,
+    Linear,
+    Observations,
+    UnobservableError,
+    check_rank,
+    damped_step,
+    is_sparse,
+    normal_equations,
+    null_space,
+    orthonormal,
+    whitened,
+)
 from thalweg.core.types import AnyArray, ArrayB, ArrayF
+
+__all__ = [
+    "RANK_TOLERANCE",
+    "REJECT_SIGMAS",
+    "Adjusted",
+    "Linear",
+    "Observations",
+    "UnobservableError",
+    "adjust",
+    "condition",
+    "prior",
+]
 
 State = TypeVar("State")
 
-RANK_TOLERANCE: Final = 1e-10
-"""Smallest eigenvalue of the normal matrix, scaled to a unit diagonal, that counts: float64 leaves 1e-13 of
-one that is zero, and two unknowns correlated by 0.99999 have 1e-5."""
+REJECT_SIGMAS: Final = 5.0
+"""Where a loss is asked for and no limit is given."""
 
-HUBER_LIMIT: Final = 1.5
-"""Standardised residual at which Huber's weights begin to fall: 95 % efficient on normal errors (1.345 to 1.5)."""
-
+_ROUNDS: Final = 10
 _CONVERGED: Final = 1e-8
 """Squared step in units of the covariance: a step of a ten-thousandth of a sigma."""
-
-
-class UnobservableError(GeometryError):
-    """The observations leave unknowns undetermined.
-
-    Parameters
-    ----------
-    parameters : names of the unknowns that take part in the undetermined combination, the strongest first.
-    """
-
-    def __init__(self, parameters: Sequence[str], *, defects: int, cure: str = "") -> None:
-        self.parameters = tuple(parameters)
-        self.defects = defects
-        super().__init__(
-            f"the observations do not determine {', '.join(self.parameters)}"
-            + (f" ({defects} combinations of unknowns are free)" if defects > 1 else ""),
-            expected="a geometry that fixes every unknown",
-            cure=cure or "Add observations that see these unknowns from another side, or hold them fixed",
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Linear:
-    """Residuals of a group at a state.
-
-    Parameters
-    ----------
-    residual : (m,).
-    jacobian : (m, u), dense or a sparse matrix.
-    cov : (m,) variances, or (b, k, k) covariances of consecutive blocks of k residuals with ``m = b k``.
-    """
-
-    residual: ArrayF
-    jacobian: Any
-    cov: ArrayF
-
-
-@dataclass(frozen=True, slots=True)
-class Observations(Generic[State]):
-    """A named group of observations: a function from the state to `Linear`."""
-
-    name: str
-    model: Callable[[State], Linear]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +69,8 @@ class Adjusted(Generic[State]):
     Parameters
     ----------
     x : state.
-    cov : (u, u) covariance of the small change of the unknowns, from the stated sigmas (not scaled by sigma0).
+    cov : (u, u) covariance of the small change of the unknowns, from the stated sigmas (not scaled by
+    sigma0).
     names : (u,) names of the unknowns.
     sigma0_squared : sum of the squared standardised residuals over the redundancy; expectation 1.
     redundancy : observations (with constraints) minus unknowns.
@@ -132,21 +113,9 @@ class Adjusted(Generic[State]):
         return self.cov[np.ix_(at, at)]
 
     def global_test(self, level: float = 0.05) -> tuple[float, float]:
-        """Two-sided band in which ``sigma0_squared`` lies with probability ``1 - level`` if the model is right."""
-        low, high = chi2.ppf([level / 2, 1 - level / 2], self.redundancy) / self.redundancy
-        return float(low), float(high)
-
-
-@dataclass(slots=True)
-class _Normal:
-    """Normal equations at a state."""
-
-    N: ArrayF
-    n: ArrayF
-    cost: float
-    whitened: list[ArrayF]
-    lengths: list[ArrayF]
-    parts: list[Linear]
+        """Two-sided band that holds ``sigma0_squared`` with probability ``1 - level`` if all is right."""
+        low, high = (float(chi2.ppf(p, self.redundancy)) for p in (level / 2, 1 - level / 2))
+        return low / self.redundancy, high / self.redundancy
 
 
 def adjust(
@@ -169,7 +138,8 @@ def adjust(
     start : approximate state; a vector (u,) if no ``update`` is given.
     names : (u,) names of the unknowns, for messages and the result.
     update : ``update(x, dx)`` puts a small change (u,) on the state.
-    loss : ``huber`` for robust weights on the way; None for none.
+    loss : ``huber`` for robust weights on the way; None for none. The last adjustment has no weights, so what
+        was robust must be rejected: with a loss, ``reject_sigmas`` is `REJECT_SIGMAS` if it is not given.
     reject_sigmas : blocks whose standardised residual is less likely than this many sigmas of a normal error
         (in units of the group's robust scatter where that is larger than stated) are removed, and the rest is
         adjusted again without weights, until nothing changes.
@@ -183,13 +153,18 @@ def adjust(
     UnobservableError : the unknowns are not determined; names them.
     GeometryError : fewer observations than unknowns, numbers that are not finite, or no convergence.
     """
+    kinds = [group.name for group in groups]
+    if len(set(kinds)) < len(kinds):
+        raise GeometryError(f"groups of observations {kinds}", expected="different names")
     moved = update if update is not None else _plus
     unknowns = tuple(names)
+    if loss is not None and reject_sigmas is None:
+        reject_sigmas = REJECT_SIGMAS
     masks: list[ArrayB | None] = [None] * len(groups)
     x, steps = _solve(groups, start, unknowns, moved, masks, loss, inner_constraints, max_iterations, cure)
-    if reject_sigmas is not None or loss is not None:
-        for _ in range(10):
-            found = _outliers(groups, x, masks, reject_sigmas) if reject_sigmas is not None else masks
+    if reject_sigmas is not None:
+        for _ in range(_ROUNDS):
+            found = _outliers(groups, x, masks, reject_sigmas)
             unchanged = all(_same(a, b) for a, b in zip(found, masks, strict=True))
             if unchanged and loss is None:
                 break
@@ -272,21 +247,21 @@ def _solve(
     max_iterations: int,
     cure: str,
 ) -> tuple[State, int]:
-    here = _normal(groups, x, len(names), masks, loss)
+    here = normal_equations(groups, x, len(names), masks, loss)
     damping = 0.0
-    for step in range(1, max_iterations + 1):
-        dx = _step(here, names, inner(x) if inner else None, damping, cure)
+    for count in range(1, max_iterations + 1):
+        dx = damped_step(here, names, inner(x) if inner else None, damping, cure)
         gain = float(dx @ here.n)
         tried = update(x, -dx)
-        there = _normal(groups, tried, len(names), masks, loss)
+        there = normal_equations(groups, tried, len(names), masks, loss)
         # The covariance of conditions depends on the state a little: 1e-6 of the cost is no growth.
         better = np.isfinite(there.cost) and there.cost <= here.cost * (1 + 1e-6) + 1e-9
         if better:
             x, here, damping = tried, there, damping / 10 if damping > 1e-6 else 0.0
             if gain < _CONVERGED * max(1.0, here.cost / max(len(names), 1)) and damping < 1e-3:
-                return x, step
+                return x, count
         elif gain < _CONVERGED * max(1.0, here.cost):
-            return x, step
+            return x, count
         else:
             damping = max(1e-4, 10 * damping)
             if damping > 1e12:
@@ -298,133 +273,13 @@ def _solve(
     )
 
 
-def _normal(
-    groups: Sequence[Observations[State]],
-    x: State,
-    u: int,
-    masks: list[ArrayB | None],
-    loss: str | None,
-) -> _Normal:
-    N, n, cost = np.zeros((u, u)), np.zeros(u), 0.0
-    whitened: list[ArrayF] = []
-    lengths: list[ArrayF] = []
-    parts: list[Linear] = []
-    for group, mask in zip(groups, masks, strict=True):
-        part = group.model(x)
-        parts.append(part)
-        r, J, k = _whitened(part, group.name)
-        length = np.sqrt(np.square(r).reshape(-1, k).sum(axis=1))
-        whitened.append(r)
-        lengths.append(length)
-        root = np.ones(len(length)) if mask is None else mask.astype(np.float64)
-        inside = np.square(length)
-        if loss is not None:
-            limit = HUBER_LIMIT if k == 1 else float(np.sqrt(chi2.ppf(chi2.cdf(HUBER_LIMIT**2, 1), k)))
-            far = length > limit
-            inside = np.where(far, 2 * limit * length - limit**2, inside)
-            root = root * np.sqrt(np.where(far, limit / np.maximum(length, limit), 1.0))
-        cost += float(inside[root > 0].sum())
-        w = np.repeat(root, k)
-        Jw = sparse.diags_array(w) @ J if sparse.issparse(J) else J * w[:, None]
-        product = Jw.T @ Jw
-        N += product.toarray() if sparse.issparse(product) else product
-        n += Jw.T @ (r * w)
-    return _Normal(N, n, cost, whitened, lengths, parts)
-
-
-def _whitened(part: Linear, name: str) -> tuple[ArrayF, Any, int]:
-    """Residuals and derivatives in units of their covariance, and the size of a block."""
-    r, J, S = part.residual, part.jacobian, np.asarray(part.cov)
-    values = J.data if sparse.issparse(J) else J
-    if not (np.isfinite(r).all() and np.isfinite(values).all() and np.isfinite(S).all()):
-        raise GeometryError(
-            f"the observations {name!r} give numbers that are not finite",
-            expected="points in front of the camera, and covariances",
-            cure="Check the approximate values",
-        )
-    if S.ndim == 1:
-        if not (S > 0).all():
-            raise GeometryError(f"a variance of {S.min()} among {name!r}", expected="positive variances")
-        inverse = 1.0 / np.sqrt(S)
-        scaled = sparse.diags_array(inverse) @ J if sparse.issparse(J) else J * inverse[:, None]
-        return r * inverse, scaled, 1
-    b, k = S.shape[:2]
-    try:
-        root = np.linalg.inv(np.linalg.cholesky(S))
-    except np.linalg.LinAlgError as error:
-        raise GeometryError(
-            f"a covariance among {name!r} is not positive", expected="positive definite covariances"
-        ) from error
-    if sparse.issparse(J):
-        W = sparse.bsr_array((root, np.arange(b), np.arange(b + 1)), shape=(b * k, b * k))
-        return W @ r, (W @ J).tocsr(), k
-    return (
-        (root @ r.reshape(b, k, 1)).ravel(),
-        (root @ np.asarray(J).reshape(b, k, -1)).reshape(b * k, -1),
-        k,
-    )
-
-
-def _step(here: _Normal, names: tuple[str, ...], G: ArrayF | None, damping: float, cure: str) -> ArrayF:
-    scale = _scale(here.N, names, G, cure)
-    Ns = here.N / np.outer(scale, scale)
-    Ns[np.diag_indices_from(Ns)] += damping
-    if G is not None:
-        Gs = _orthonormal(G / scale)
-        Ns = Ns + Gs.T @ Gs
-    try:
-        factor = linalg.cho_factor(Ns, lower=True)
-    except np.linalg.LinAlgError:
-        _check_rank(here.N, names, G, cure)
-        raise
-    solved = linalg.cho_solve(factor, here.n / scale)
-    if G is not None:
-        # The constrained step: without its part along the datum.
-        solved = solved - Gs.T @ (Gs @ solved)
-    return np.asarray(solved / scale)
-
-
-def _scale(N: ArrayF, names: tuple[str, ...], G: ArrayF | None, cure: str) -> ArrayF:
-    diagonal = np.diag(N)
-    blind = np.flatnonzero(~(diagonal > 0))
-    if len(blind):
-        raise UnobservableError([names[i] for i in blind[:6]], defects=len(blind), cure=cure)
-    return np.sqrt(diagonal)
-
-
-def _orthonormal(G: ArrayF) -> ArrayF:
-    """Rows with the same span, orthonormal."""
-    return np.linalg.qr(G.T)[0].T
-
-
-def _check_rank(N: ArrayF, names: tuple[str, ...], G: ArrayF | None, cure: str) -> None:
-    """Raise if the scaled normal matrix has eigenvalues that are zero; names who takes part in them."""
-    scale = _scale(N, names, G, cure)
-    Ns = N / np.outer(scale, scale)
-    if G is not None:
-        Gs = _orthonormal(G / scale)
-        Ns = Ns + Gs.T @ Gs
-    # Pivoted Cholesky first: its last pivot bounds the smallest eigenvalue from above and costs little.
-    _, _, rank, _ = linalg.lapack.dpstrf(Ns, tol=RANK_TOLERANCE, lower=1)
-    if rank == len(Ns) and len(Ns) > 500:
-        return
-    values, vectors = np.linalg.eigh(Ns)
-    free = values < RANK_TOLERANCE
-    if not free.any():
-        return
-    part = np.sqrt(np.square(vectors[:, free]).sum(axis=1))
-    order = np.argsort(-part)
-    strong = [names[i] for i in order[:6] if part[i] > 0.2 * part[order[0]]]
-    raise UnobservableError(strong, defects=int(free.sum()), cure=cure)
-
-
 def _outliers(
     groups: Sequence[Observations[State]], x: State, masks: list[ArrayB | None], reject_sigmas: float
 ) -> list[ArrayB | None]:
     found: list[ArrayB | None] = []
     tail = chi2.sf(reject_sigmas**2, 1)
     for group, mask in zip(groups, masks, strict=True):
-        r, _, k = _whitened(group.model(x), group.name)
+        r, _, k = whitened(group.model(x), group.name)
         length = np.sqrt(np.square(r).reshape(-1, k).sum(axis=1))
         kept = length if mask is None or not mask.any() else length[mask]
         scatter = max(1.0, float(np.median(kept) / np.sqrt(chi2.median(k)))) if len(kept) else 1.0
@@ -442,21 +297,20 @@ def _result(
     cure: str,
 ) -> Adjusted[State]:
     u = len(names)
-    here = _normal(groups, x, u, masks, None)
+    here = normal_equations(groups, x, u, masks, None)
     G = inner(x) if inner else None
-    _check_rank(here.N, names, G, cure)
+    check_rank(here.N, names, G, cure)
     scale = np.sqrt(np.diag(here.N))
     Ns = here.N / np.outer(scale, scale)
     if G is None:
         cov = linalg.cho_solve(linalg.cho_factor(Ns, lower=True), np.eye(u))
     else:
-        Gs = _orthonormal(G / scale)
+        Gs = orthonormal(G / scale)
         cov = linalg.cho_solve(linalg.cho_factor(Ns + Gs.T @ Gs, lower=True), np.eye(u))
-        cov -= Gs.T @ Gs
     cov = cov / np.outer(scale, scale)
     if G is not None:
-        # Transformed to the datum that the unscaled constraints ask for (S-transformation, Baarda 1973).
-        E = _null_space(here.N, scale, len(G))
+        # Any generalised inverse, transformed to the datum of the constraints (S-transformation, Baarda 1973).
+        E = null_space(here.N, scale, len(G))
         S = np.eye(u) - E @ np.linalg.solve(G @ E, G)
         cov = S @ cov @ S.T
     cov = (cov + cov.T) / 2
@@ -465,11 +319,12 @@ def _result(
     spare: dict[str, float] = {}
     total, m = 0.0, 0
     for i, (group, mask) in enumerate(zip(groups, masks, strict=True)):
-        r, J, k = _whitened(here.parts[i], group.name)
+        r, J, k = whitened(here.parts[i], group.name)
         keep: AnyArray = np.ones(len(here.lengths[i]), dtype=np.bool_) if mask is None else mask
         rows = np.repeat(keep, k)
         Jk = J[rows]
-        taken = float((Jk.multiply(Jk @ cov)).sum() if sparse.issparse(Jk) else np.sum((Jk @ cov) * Jk))
+        product = Jk @ cov
+        taken = float(Jk.multiply(product).sum() if is_sparse(Jk) else np.sum(product * Jk))
         squares = float(np.square(r[rows]).sum())
         spare[group.name] = float(rows.sum()) - taken
         sigma0[group.name] = float(np.sqrt(squares / spare[group.name])) if spare[group.name] > 1e-9 else 0.0
@@ -496,9 +351,3 @@ def _result(
         group_redundancy=spare,
         n_iterations=steps,
     )
-
-
-def _null_space(N: ArrayF, scale: ArrayF, defects: int) -> ArrayF:
-    """Directions (u, c) in which the observations leave the unknowns free."""
-    _, vectors = linalg.eigh(N / np.outer(scale, scale), subset_by_index=[0, defects - 1])
-    return np.asarray(vectors / scale[:, None])

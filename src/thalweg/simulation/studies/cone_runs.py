@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from thalweg.calibration.cones import Cone
 from thalweg.calibration.ins_lidar_model import AntennaPoint
 from thalweg.calibration.run_points import FieldCones
-from thalweg.core.frames import LocalFrame, rotation_enu_body, rotation_opk
+from thalweg.core.frames import LocalFrame, roll_pitch_heading, rotation_enu_body, rotation_opk
 from thalweg.core.rigid import Rigid
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayB, ArrayF
@@ -47,6 +47,7 @@ class RunSpec:
     turning : whether the boat turns; else it keeps its heading.
     sigma_position_m, sigma_attitude_deg : of the trajectory.
     position_time_s, attitude_time_s, white_share : see `thalweg.calibration.pose_errors`.
+    reference_scale : sizes of the errors of field and cones, in units of the usual ones.
     noise_m : of a point along and in each direction across its beam.
     wrong : share of points that lie anywhere near the cones.
     passer_by : a person stands in front of a cone for a sixth of the run.
@@ -60,6 +61,7 @@ class RunSpec:
     position_time_s: float = 10.0
     attitude_time_s: float = 20.0
     white_share: float = 0.25
+    reference_scale: float = 1.0
     noise_m: float = 0.0173
     wrong: float = 0.0
     passer_by: bool = False
@@ -122,14 +124,15 @@ def make_run(seed: int, spec: RunSpec | None = None, *, move: dict[str, ArrayF] 
         in_wcs,
         cones=tuple(cone.in_frame(T.inverse()) for cone in in_wcs.cones),
     )
-    changes = rng.standard_normal((6, 6)) * SIGMA_CONE
+    sigma_cone, cov_field = SIGMA_CONE * s.reference_scale, COV_FIELD * s.reference_scale**2
+    changes = rng.standard_normal((6, 6)) * sigma_cone
     stated = tuple(cone.moved(d) for cone, d in zip(true_pcs.cones, changes, strict=True))
     cones = FieldCones(
         names=true_pcs.names,
-        cones=tuple(replace(cone, cov=np.diag(SIGMA_CONE**2)) for cone in stated),
+        cones=tuple(replace(cone, cov=np.diag(sigma_cone**2)) for cone in stated),
         length_m=true_pcs.length_m,
     )
-    T_stated = T.moved(np.linalg.cholesky(COV_FIELD) @ rng.standard_normal(6)).with_cov(COV_FIELD)
+    T_stated = T.moved(np.linalg.cholesky(cov_field) @ rng.standard_normal(6)).with_cov(cov_field)
     standing = list(true_pcs.cones)
     for name, change in (move or {}).items():
         k = true_pcs.names.index(name)
@@ -166,8 +169,6 @@ def _trajectory(seed: int, s: RunSpec, t: ArrayF, R: ArrayF, position: ArrayF) -
         gauss_markov(rng, len(t), 1 / _INS_HZ, np.deg2rad(sigma), s.attitude_time_s)
         for sigma in s.sigma_attitude_deg
     ]
-    from thalweg.core.frames import roll_pitch_heading
-
     roll, pitch, heading = roll_pitch_heading(R)
     stated = rotation_enu_body(roll + errors[0], pitch + errors[1], heading + errors[2])
     rng = generator(seed, "gnss")

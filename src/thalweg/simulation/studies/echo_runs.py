@@ -23,7 +23,8 @@ _START_S: Final = 4.0e8
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EchoSpec:
     """What kind of run: its duration, relief of the bed (height of waves of 7 and 11 m), turning or not, how
-    much it sways (1: 3 deg roll, 2 deg pitch, 5 cm heave)."""
+    much it sways (1: 3 deg roll, 2 deg pitch, 5 cm heave).
+    """
 
     duration_s: float = 300.0
     relief_m: float = 0.5

@@ -1,0 +1,195 @@
+"""What the camera-lidar calibration reads: cones of the field, static scans, and what their errors share."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.calibration.camera_lidar_model import FieldErrors
+from thalweg.calibration.cone_fit import ConeReference
+from thalweg.calibration.cone_selection import BeamVariances, Position
+from thalweg.calibration.field_description import FieldDescription
+from thalweg.calibration.field_points import FieldPoints
+from thalweg.calibration.marker_sheets import mark_name
+from thalweg.calibration.resection import Resected
+from thalweg.core.camera import Camera
+from thalweg.core.errors import InputError
+from thalweg.core.rigid import Rigid
+from thalweg.core.types import AnyArray, ArrayF
+from thalweg.ingest.velodyne import LidarClock, LidarOptions, iter_points, scan_lidar
+
+CAPTURES: Final = (".pcap", ".pcapng", ".cap", ".bin", ".vel")
+"""Suffixes of lidar recordings in a folder."""
+
+
+def cone_references(field: FieldDescription, points: FieldPoints) -> list[ConeReference]:
+    """Cones of a field with their measured marks; a cone without a mark has no points.
+
+    Raises
+    ------
+    InputError : the field has no cones.
+    """
+    if not field.cones:
+        raise InputError(
+            "the description of the field names no cones",
+            expected="a list `cones` with names, markers, half_angle_deg, length_m",
+            cure="Add the cones, or calibrate with a board",
+        )
+    out = []
+    for cone in field.cones:
+        at = _of_cone(points, cone.markers)
+        rows = _coordinates(at)
+        out.append(
+            ConeReference(
+                name=cone.name,
+                points_m=points.points_pcs[at],
+                cov=points.cov[np.ix_(rows, rows)],
+                half_angle_rad=cone.half_angle_rad,
+                length_m=cone.length_m,
+                labels=tuple(mark_name(*points.points[i]) for i in at),
+            )
+        )
+    return out
+
+
+def field_errors(
+    field: FieldDescription,
+    points: FieldPoints,
+    resected: Sequence[Resected],
+    interior: Camera | Sequence[Camera],
+) -> FieldErrors:
+    """Joint covariance of the exterior orientations of static positions and of the marks on the cones.
+
+    Two exterior orientations share the errors of the marks they come from and, if one camera took both
+    pictures, those of its interior orientation.
+
+    Parameters
+    ----------
+    field, points : as in `cone_references`.
+    resected : of each position, in order.
+    interior : the camera of all positions, or that of each.
+    """
+    at = [_of_cone(points, cone.markers) for cone in field.cones]
+    rows = _coordinates(np.concatenate(at))
+    n, m = 6 * len(resected), len(rows)
+    cov = np.zeros((n + m, n + m))
+    cov[n:, n:] = points.cov[np.ix_(rows, rows)]
+    cameras = [interior] * len(resected) if isinstance(interior, Camera) else list(interior)
+    for i, a in enumerate(resected):
+        mine = slice(6 * i, 6 * i + 6)
+        through_points = a.by_points @ points.cov
+        cov[mine, n:] = through_points[:, rows]
+        cov[n:, mine] = cov[mine, n:].T
+        for j, b in enumerate(resected):
+            part = through_points @ b.by_points.T
+            if i == j:
+                part = part + a.cov_marks
+            if cameras[i].name == cameras[j].name:
+                part = part + a.by_interior @ cameras[i].cov @ b.by_interior.T
+            cov[mine, 6 * j : 6 * j + 6] = part
+    return FieldErrors(
+        cov=(cov + cov.T) / 2, points={c.name: len(k) for c, k in zip(field.cones, at, strict=True)}
+    )
+
+
+def read_position(
+    name: str,
+    T_pcs_ccs: Rigid,
+    files: Sequence[Path],
+    options: LidarOptions,
+    beam_errors: BeamVariances,
+) -> Position:
+    """A static position from its lidar recording.
+
+    Parameters
+    ----------
+    name : of the position.
+    T_pcs_ccs : exterior orientation of the camera.
+    files : capture files of the position.
+    options : how to read them.
+    beam_errors : accuracy of the scanner.
+
+    Raises
+    ------
+    InputError : no points in the recording.
+    """
+    # A static scan needs no GPS time; a recording without a locked clock does as well.
+    clock = scan_lidar(files, options).clock
+    points, reflectivity = read_scan(files, options, clock)
+    return Position.measured(name, T_pcs_ccs, points, beam_errors, reflectivity)
+
+
+def read_scan(files: Sequence[Path], options: LidarOptions, clock: LidarClock) -> tuple[ArrayF, ArrayF]:
+    """All points (n, 3) of a recording in scs and their reflectivities (n,)."""
+    xyz: list[ArrayF] = []
+    reflectivity: list[ArrayF] = []
+    for block in iter_points(files, options, clock):
+        xyz.append(np.asarray(block.xyz_scs_m, dtype=np.float64))
+        reflectivity.append(np.asarray(block.intensity, dtype=np.float64))
+    if not xyz:
+        return np.zeros((0, 3)), np.zeros(0)
+    return np.concatenate(xyz), np.concatenate(reflectivity)
+
+
+def static_positions(scans: Sequence[Path], images: Sequence[str]) -> dict[str, tuple[Path, str]]:
+    """Capture file and picture of each static position, by the name of the position.
+
+    They belong together if their names are the same but for the suffix; if no names are, in their order.
+
+    Parameters
+    ----------
+    scans : capture files, or folders of them.
+    images : names of the pictures that were taken at static positions, in order.
+
+    Raises
+    ------
+    InputError : no scans, or a scan without a picture.
+    """
+    files = [f for path in scans for f in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    files = [f for f in files if f.suffix.lower() in CAPTURES]
+    if not files:
+        raise InputError(
+            f"no capture files in {', '.join(map(str, scans)) or 'an empty list'}",
+            expected=f"one lidar recording a static position ({', '.join(CAPTURES)})",
+            cure="Set logs.calibration.position_scans",
+        )
+    by_stem = {Path(image).stem: image for image in images}
+    if not any(f.stem in by_stem for f in files) and len(files) == len(images):
+        by_stem = {f.stem: image for f, image in zip(files, images, strict=True)}
+    missing = [f.name for f in files if f.stem not in by_stem]
+    if missing:
+        raise InputError(
+            f"no picture for {', '.join(missing)} among {', '.join(images) or 'none'}",
+            expected="a picture of the same name for each lidar recording, or as many of one as of the other",
+            cure="Set logs.calibration.position_images, or leave these recordings out",
+        )
+    return {f.stem: (f, by_stem[f.stem]) for f in files}
+
+
+def static_images(marks: pd.DataFrame, images: Sequence[Path]) -> list[str]:
+    """Names of pictures of static positions in a table of marks; ``images`` are their files or folders."""
+    folders = {path.name for path in images if not path.suffix}
+    names = {path.name for path in images if path.suffix}
+    first = marks.drop_duplicates("image")
+    folder = first["file"].map(lambda file: Path(file).parent.name)
+    return sorted(first["image"][first["image"].isin(names) | folder.isin(folders)].tolist())
+
+
+def nominal_orientation(mounts: Mapping[str, Any]) -> Rigid:
+    """``T_ccs_scs`` by the sections ``mounts.camera`` and ``mounts.lidar``, without covariance."""
+
+    def mount(section: Mapping[str, Any]) -> Rigid:
+        angles = np.deg2rad([float(section[f"{a}_deg"]) for a in ("omega", "phi", "kappa")])
+        return Rigid.from_opk(angles, section["lever_ics_m"])
+
+    return mount(mounts["camera"]).inverse() @ mount(mounts["lidar"])
+
+
+def _of_cone(points: FieldPoints, markers: Sequence[int]) -> AnyArray:
+    return np.array([i for i, (m, _) in enumerate(points.points) if m in markers], dtype=np.int64)
+
+
+def _coordinates(at: AnyArray) -> AnyArray:
+    return (3 * at[:, None] + np.arange(3)).ravel()

@@ -1,0 +1,334 @@
+"""The camera-lidar calibration on a small yard: right, honest, and with everything that goes wrong."""
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from thalweg.calibration.camera_lidar import CameraLidar, calibrate_camera_lidar
+from thalweg.calibration.camera_lidar_model import FieldErrors
+from thalweg.calibration.camera_lidar_settings import CameraLidarSettings
+from thalweg.calibration.camera_lidar_tables import cone_table, report, sensor_table
+from thalweg.calibration.cone_search import SearchRange, search
+from thalweg.calibration.cone_selection import WORDS, Position, Verdict
+from thalweg.calibration.cones import Cone
+from thalweg.core.adjustment import UnobservableError
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.rigid import Rigid, exp_rotation
+from thalweg.lidar.covariance import BeamErrors
+
+_spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
+assert _spec
+assert _spec.loader
+yard = importlib.util.module_from_spec(_spec)
+sys.modules["cone_yard"] = yard
+_spec.loader.exec_module(yard)
+
+Yard, NOMINAL = yard.Yard, yard.NOMINAL
+SEEN = ["C1", "C2", "C3", "C4", "C5", "C6"]
+
+
+def calibrated(y, positions: int = 3, **settings) -> CameraLidar:
+    return calibrate_camera_lidar(
+        y.references(), y.positions(positions), NOMINAL, CameraLidarSettings(**settings)
+    )
+
+
+def square(result: CameraLidar, truth: Rigid) -> float:
+    error = result.T_ccs_scs.error_from(truth)
+    return float(error @ np.linalg.solve(result.T_ccs_scs.cov, error))
+
+
+@pytest.fixture(scope="module")
+def good() -> tuple[object, CameraLidar]:
+    y = Yard(seed=3)
+    return y, calibrated(y)
+
+
+# 22.5: six degrees of freedom, 99.9 %
+LIKELY = 22.5
+
+# ---------------------------------------------------------------- results
+
+
+def test_three_positions(good: tuple[object, CameraLidar]) -> None:
+    y, result = good
+    assert square(result, y.truth) < LIKELY
+    assert list(result.cones) == SEEN
+    # P2 Table 1 has 1.0, 0.4, 0.2 mm and 0.067, 0.035, 0.015 degrees; here are five revolutions each
+    assert (result.T_ccs_scs.sigma_shift_m < [0.0015, 0.0007, 0.0005]).all()
+    assert (np.rad2deg(result.T_ccs_scs.sigma_rotation_rad) < [0.015, 0.02, 0.067]).all()
+    assert 0.95 < result.group_sigma0["lidar"] < 1.05
+    # six for each cone and position, 6 for the orientation
+    assert len(result.adjusted.names) == 6 * 6 + 6 + 3 * 6
+    assert 0.9 < np.sqrt(result.variance_factor) < 1.1
+
+
+def test_nothing_is_silently_lost(good: tuple[object, CameraLidar]) -> None:
+    _, result = good
+    table = result.detection
+    assert len(table) == 3 * 8
+    parts = ["used", "grazing", "outline", "end", "in_front", "behind", "left_out"]
+    np.testing.assert_array_equal(table[parts].sum(axis=1), table["predicted"])
+    unseen = table[~table["found"]]
+    assert set(unseen["cone"]) == {"C7", "C8"}
+    assert (unseen["reason"] == "outside the lidar's view").all()
+    used = table[table["found"]].set_index(["position", "cone"])["used"]
+    residuals = result.residuals.set_index(["position", "cone"])
+    np.testing.assert_array_equal(residuals["points"], used.loc[residuals.index])
+    assert result.points["used"].sum() == used.sum()
+    assert len(result.points) == table["predicted"].sum()
+    # the points of a cone are within five times 17 mm of it, their mean within four sigmas of none
+    assert (residuals["rms_mm"] < 25).all()
+    assert (residuals["mean_mm"].abs() < 4 * residuals["sigma_mean_mm"]).all()
+    assert len(result.references) == 8 * 32
+
+
+def test_tables_for_people(good: tuple[object, CameraLidar]) -> None:
+    y, result = good
+    facts = report(result, NOMINAL)
+    assert facts["unknowns"] == 60
+    assert facts["lever_length_m"] == pytest.approx(np.linalg.norm(y.truth.shift_m), abs=0.005)
+    np.testing.assert_allclose(np.diag(facts["correlation"]), 1.0)
+    np.testing.assert_allclose(facts["from_nominal"]["shift_mm"], 1e3 * yard.TRUE_ERROR[:3], atol=5)
+    cones = cone_table(result.cones)
+    assert cones["half_angle_deg"].between(24.5, 25.5).all()
+    assert (cones[["sigma_apex_x_mm", "sigma_axis_1_deg", "sigma_half_angle_deg"]] > 0).all(axis=None)
+    places = sensor_table(["position_1"], result.adjusted.x.poses[:1], result.T_ccs_scs)
+    apart = places[["x_m", "y_m", "z_m"]].diff().iloc[1]
+    assert np.linalg.norm(apart) == pytest.approx(np.linalg.norm(result.T_ccs_scs.shift_m))
+
+
+def test_the_same_input_gives_the_same_bytes(good: tuple[object, CameraLidar]) -> None:
+    y, result = good
+    again = calibrated(y)
+    assert again.T_ccs_scs.matrix.tobytes() == result.T_ccs_scs.matrix.tobytes()
+    assert again.T_ccs_scs.cov.tobytes() == result.T_ccs_scs.cov.tobytes()
+
+
+def known(y, positions: int = 3, **settings) -> CameraLidar:
+    """Without the search, from near the truth."""
+    start = y.truth.moved([0.005, -0.005, 0.003, 0.003, -0.002, 0.004])
+    given = CameraLidarSettings(within=None, **settings)
+    return calibrate_camera_lidar(y.references(), y.positions(positions), start, given)
+
+
+def test_sigmas_are_honest_over_seeds() -> None:
+    squares = [square(known(y, 1), y.truth) for y in (Yard(seed=100 + s, frames=2) for s in range(12))]
+    # 12 seeds with six degrees of freedom, 99 %
+    low, high = chi2.ppf([0.005, 0.995], 72) / 72
+    assert low < np.mean(squares) / 6 < high
+
+
+def test_42_parameters_with_fixed_exterior_orientation() -> None:
+    """P2 3.1: six for each of six cones and six for the relative orientation."""
+    y = Yard(seed=5, sigma_pose_m=0.0, sigma_pose_deg=0.0)
+    result = calibrated(y, 1)
+    assert len(result.adjusted.names) == 42
+    assert result.adjusted.names[-6:] == (
+        "lever_x", "lever_y", "lever_z", "rotation_x", "rotation_y", "rotation_z",
+    )  # fmt: skip
+    assert square(result, y.truth) < LIKELY
+
+
+def test_the_lidar_itself_in_the_field() -> None:
+    """P1 2.3: five for each cone and six for the exterior orientation of the lidar."""
+    y = Yard(seed=6)
+    flat = [replace(c, half=np.deg2rad(25.0)) for c in y.cones]
+    y = replace(y, cones=flat, there=flat)
+    one = replace(y.positions(1)[0], T_pcs_ccs=Rigid(R=np.eye(3), shift_m=np.zeros(3)))
+    camera = yard.camera_poses()[0]
+    settings = CameraLidarSettings(free_half_angle=False)
+    result = calibrate_camera_lidar(y.references(), [one], camera @ NOMINAL, settings)
+    assert len(result.adjusted.names) == 5 * 6 + 6
+    assert square(result, camera @ y.truth) < LIKELY
+
+
+def test_errors_that_positions_share_are_not_averaged() -> None:
+    """A wrong interior orientation turns all exterior orientations alike."""
+    common = np.deg2rad(0.3)
+    alone, joint = [], []
+    for seed in range(4):
+        y = Yard(seed=200 + seed, frames=1, sigma_pose_m=1e-5, sigma_pose_deg=1e-4)
+        error = common * np.random.default_rng([9, seed]).standard_normal(3)
+        positions, by_error = [], []
+        for p in y.positions(3):
+            T = p.T_pcs_ccs
+            # the same small turn in the frame of the camera
+            J = np.vstack([np.zeros((3, 3)), T.R])
+            wrong = Rigid(R=T.R @ exp_rotation(error), shift_m=T.shift_m).with_cov(
+                T.cov + common**2 * J @ J.T
+            )
+            positions.append(replace(p, T_pcs_ccs=wrong))
+            by_error.append(J)
+        references = y.references()
+        counts = {r.name: len(r.points_m) for r in references}
+        whole = np.diag(np.full(18 + 3 * sum(counts.values()), y.sigma_mark_m**2))
+        whole[:18, :18] = common**2 * np.vstack(by_error) @ np.vstack(by_error).T
+        whole[:18, :18] += np.kron(np.eye(3), np.diag(np.repeat([1e-10, np.deg2rad(1e-4) ** 2], 3)))
+        settings = CameraLidarSettings(within=None, contradiction_sigmas=99.0)
+        args = (references, positions, y.truth, settings)
+        alone.append(square(calibrate_camera_lidar(*args), y.truth))
+        errors = FieldErrors(cov=whole, points=counts)
+        joint.append(square(calibrate_camera_lidar(*args, errors=errors), y.truth))
+    # 4 seeds with six degrees of freedom, 99.9 %; sigmas that are averaged over three positions are too small
+    low, high = chi2.ppf([0.0005, 0.9995], 24) / 24
+    assert low < np.mean(joint) / 6 < high
+    assert np.mean(alone) > 1.5 * np.mean(joint)
+
+
+def test_joint_errors_of_other_points_are_refused() -> None:
+    y = Yard(seed=3)
+    with pytest.raises(GeometryError, match=r"joint errors \(4, 4\)"):
+        calibrate_camera_lidar(
+            y.references(), y.positions(1), NOMINAL, errors=FieldErrors(cov=np.eye(4), points={"C1": 4})
+        )
+
+
+def test_an_offset_of_all_ranges_is_found() -> None:
+    y = Yard(seed=7, constant_range_m=0.02)
+    result = known(y, 3, free_range_offset=True, contradiction_sigmas=9.0)
+    assert square(result, y.truth) < LIKELY
+    assert abs(result.adjusted.x.range_offset_m + 0.02) < 4 * result.adjusted.sigma("range_offset")
+    assert result.adjusted.sigma("range_offset") < 0.005
+
+
+# ---------------------------------------------------------------- nominal mounts and the search
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_search_bears_decimetres_and_degrees(seed: int) -> None:
+    y = Yard(seed=seed, frames=1)
+    rng = np.random.default_rng([8, seed])
+    # two sigmas of the range at most
+    off = np.concatenate([rng.uniform(-0.15, 0.15, 3), np.deg2rad(rng.uniform(-4, 4, 3))])
+    found = search(
+        [Cone(apex_m=c.apex, axis=c.axis, half_angle_rad=c.half) for c in y.cones],
+        [c.length for c in y.cones],
+        y.positions(3),
+        y.truth.moved(off),
+        SearchRange(),
+    )
+    error = found.T_ccs_scs.error_from(y.truth)
+    assert np.linalg.norm(error[:3]) < 0.05
+    assert np.rad2deg(np.linalg.norm(error[3:])) < 0.5
+    assert found.score > 0.6
+
+
+def test_scans_of_another_field_are_refused() -> None:
+    y = Yard(seed=3, frames=2)
+    empty = replace(y, there=[])
+    with pytest.raises(
+        GeometryError, match="no orientation near the nominal one brings scans and cones together"
+    ):
+        calibrate_camera_lidar(y.references(), empty.positions(1), NOMINAL)
+
+
+# ---------------------------------------------------------------- what goes wrong in a field
+
+
+def test_wrong_marks_and_people_do_not_shift_the_result(good: tuple[object, CameraLidar]) -> None:
+    squares = []
+    for seed in range(3):
+        y = Yard(seed=300 + seed, people=3, wrong_marks=0.05)
+        result = calibrated(y)
+        squares.append(square(result, y.truth))
+        lost = result.references[~result.references["used"]]
+        # 2 of 32 marks on each of 8 cones; an error along the surface is none
+        assert 8 <= len(lost) <= 16
+    # three seeds with six degrees of freedom, 99.9 %
+    assert sum(squares) < chi2.ppf(0.999, 18)
+
+
+def test_who_stands_in_front_of_a_cone_is_told() -> None:
+    y = Yard(seed=1, people=6)
+    table = known(y).detection
+    hidden = table[~table["found"] & (table["predicted"] > 0)]
+    assert len(hidden) > 0
+    assert hidden["reason"].str.contains("hidden").all()
+    assert (hidden["in_front"] > 0).all()
+
+
+def changed(y, name: str, shift=(0.0, 0.0, 0.0), tilt_deg: float = 0.0):
+    there = [c.moved(np.array(shift), tilt_deg) if c.name == name else c for c in y.cones]
+    return replace(y, there=there)
+
+
+@pytest.mark.parametrize(
+    ("shift", "tilt_deg"),
+    [((0.02, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.0), 12.0), ((0.0, 0.0, 0.0), 60.0), ((0.0, 0.0, -0.4), 0.0)],
+    ids=["pushed by 2 cm", "leaning", "fallen", "sunk"],
+)
+def test_a_cone_that_moved_is_named_and_left_out(shift: tuple[float, float, float], tilt_deg: float) -> None:
+    y = changed(Yard(seed=4), "C5", shift, tilt_deg)
+    result = known(y)
+    table = result.detection[result.detection["predicted"] > 0]
+    lost = table[~table["found"]]
+    assert set(lost["cone"]) == {"C5"}
+    assert lost["reason"].str.contains("not where the reference says").all()
+    assert list(result.cones) == [n for n in SEEN if n != "C5"]
+    assert square(result, y.truth) < LIKELY
+
+
+def test_a_missing_cone_is_named() -> None:
+    y = Yard(seed=4)
+    y = replace(y, there=[c for c in y.cones if c.name != "C2"])
+    table = known(y, 1).detection.set_index(["position", "cone"])
+    reason = table.loc[("position_1", "C2"), "reason"]
+    assert "went through its place; it fell over or was moved" in reason
+
+
+def test_a_cone_without_reference_is_named() -> None:
+    y = Yard(seed=4, frames=2)
+    references = y.references()
+    references[2] = replace(
+        references[2],
+        points_m=references[2].points_m[:4],
+        cov=references[2].cov[:4],
+        labels=references[2].labels[:4],
+    )
+    result = calibrate_camera_lidar(references, y.positions(1), NOMINAL)
+    (line,) = result.detection[result.detection["cone"] == "C3"].to_dict("records")
+    assert line["reason"].startswith("no reference: cone C3: 4 reference points")
+    assert "C3" not in result.cones
+
+
+# ---------------------------------------------------------------- what geometry cannot give
+
+
+@pytest.mark.parametrize("which", [[0], [0, 6, 7]], ids=["one cone", "one that is seen"])
+def test_a_single_cone_is_refused(which: list[int]) -> None:
+    y = Yard(seed=4, frames=2)
+    with pytest.raises(UnobservableError, match="a turn of the lidar about the axis of C1") as caught:
+        calibrate_camera_lidar([y.references()[i] for i in which], y.positions(1), NOMINAL)
+    assert "The lidar sees C1 only" in str(caught.value)
+    assert "Add a cone" in str(caught.value)
+    assert any(p.startswith("rotation") for p in caught.value.parameters)
+
+
+def test_one_cone_from_two_orientations_is_enough() -> None:
+    y = Yard(seed=4)
+    result = calibrate_camera_lidar(y.references()[:1], y.positions(2), NOMINAL)
+    assert square(result, y.truth) < LIKELY
+
+
+def test_no_position_is_refused() -> None:
+    with pytest.raises(GeometryError, match="expected at least one"):
+        calibrate_camera_lidar(Yard().references(), [], NOMINAL)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"), [(np.zeros((0, 3)), r"shape \(0, 3\)"), (np.full((2, 3), np.nan), "not finite")]
+)
+def test_empty_scans_are_refused(points: np.ndarray, message: str) -> None:
+    pose = Rigid(R=np.eye(3), shift_m=np.zeros(3))
+    with pytest.raises(InputError, match=message):
+        Position.measured("position_2", pose, points, BeamErrors(sigma_component_m=0.017))
+
+
+def test_verdicts_have_words() -> None:
+    assert set(WORDS) == set(Verdict) - {Verdict.AWAY}

@@ -1,0 +1,129 @@
+"""Cones from marks: from nothing, with wrong marks, and what cannot be a cone."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from thalweg.calibration.cone_fit import FORM_SIGMA_M, ConeReference, fit_reference, start_cone
+from thalweg.calibration.cones import Cone
+from thalweg.core.errors import GeometryError, InputError
+
+HALF = np.deg2rad(25.0)
+SIGMA_M = 0.0002
+
+
+def cone_of(rng: np.random.Generator) -> Cone:
+    return Cone(apex_m=5 * rng.standard_normal(3), axis=rng.standard_normal(3), half_angle_rad=HALF + 0.003)
+
+
+def marks(cone: Cone, rng: np.random.Generator, n: int = 32, around: float = 2 * np.pi) -> np.ndarray:
+    slant, psi = rng.uniform(0.3, 0.75, n), rng.uniform(0, around, n)
+    across = np.cos(psi)[:, None] * cone.tangents[0] + np.sin(psi)[:, None] * cone.tangents[1]
+    a = cone.half_angle_rad
+    surface = slant[:, None] * (np.cos(a) * cone.axis + np.sin(a) * across)
+    return np.asarray(cone.apex_m + surface + SIGMA_M * rng.standard_normal((n, 3)))
+
+
+def reference(points: np.ndarray, name: str = "C1", half: float = HALF) -> ConeReference:
+    cov = np.tile(np.eye(3) * SIGMA_M**2, (len(points), 1, 1))
+    return ConeReference(name=name, points_m=points, cov=cov, half_angle_rad=half, length_m=0.7)
+
+
+def test_cones_of_all_directions_are_found_from_nothing() -> None:
+    for seed in range(25):
+        rng = np.random.default_rng([3, seed])
+        true = cone_of(rng)
+        points = marks(true, rng, around=2 * np.pi if seed % 2 else 3.0)
+        found = start_cone(points, HALF)
+        # the half angle is off by 0.17 degrees, 2 mm at the base
+        assert np.median(np.abs(found.see(points).distance_m)) < 0.002
+        assert found.axis @ true.axis > np.cos(np.deg2rad(3.0))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.15])
+def test_wrong_marks_are_rejected_and_change_nothing(share: float) -> None:
+    squares = []
+    for seed in range(15):
+        rng = np.random.default_rng([4, seed])
+        true = cone_of(rng)
+        points = marks(true, rng)
+        clean = fit_reference(reference(points))
+        wrong = rng.permutation(32)[: max(1, round(32 * share))]
+        off = rng.choice([-1, 1], len(wrong)) * rng.uniform(0.01, 0.05, len(wrong))
+        points[wrong] += off[:, None] * true.see(points[wrong]).normal
+        found = fit_reference(reference(points))
+        assert set(np.flatnonzero(~found.used)) == set(wrong)
+        assert np.linalg.norm(found.cone.apex_m - clean.cone.apex_m) < 0.003
+        squares.append(np.sum(true.see(points[found.used]).distance_m ** 2) / SIGMA_M**2)
+    # all good marks stayed: their true distances are those of the noise
+    n = 15 * (32 - max(1, round(32 * share)))
+    assert sum(squares) < chi2.ppf(0.9999, n)
+
+
+def test_correlated_marks_keep_their_covariance(rng: np.random.Generator) -> None:
+    points = marks(cone_of(rng), rng, n=4)
+    root = 1e-4 * rng.standard_normal((12, 12))
+    whole = ConeReference(name="C1", points_m=points, cov=root @ root.T, half_angle_rad=HALF, length_m=0.7)
+    normals = rng.standard_normal((4, 3))
+    B = np.zeros((4, 12))
+    for i in range(4):
+        B[i, 3 * i : 3 * i + 3] = normals[i]
+    expected = B @ whole.cov @ B.T + FORM_SIGMA_M**2 * np.eye(4)
+    np.testing.assert_allclose(whole.distance_cov(normals), expected, rtol=1e-12)
+    largest = [np.linalg.eigvalsh(whole.cov[3 * i : 3 * i + 3, 3 * i : 3 * i + 3])[-1] for i in range(4)]
+    np.testing.assert_allclose(whole.sigma_m**2, largest, rtol=1e-9)
+
+
+def test_a_dense_cloud_is_a_reference_too(rng: np.random.Generator) -> None:
+    true = cone_of(rng)
+    found = fit_reference(reference(marks(true, rng, n=3000)))
+    # 0.36 mm over the root of 3000, times ten for the lever of the apex
+    assert np.linalg.norm(found.cone.apex_m - true.apex_m) < 1e-4
+    assert found.spread_m == pytest.approx(SIGMA_M, rel=0.1)
+
+
+def test_five_parameters_keep_the_half_angle(rng: np.random.Generator) -> None:
+    points = marks(cone_of(rng), rng)
+    fixed = fit_reference(reference(points, half=HALF + 0.003), free_half_angle=False)
+    assert fixed.cone.half_angle_rad == HALF + 0.003
+
+
+# ---------------------------------------------------------------- bad input
+
+
+def test_too_few_marks_are_told_with_the_cone(rng: np.random.Generator) -> None:
+    with pytest.raises(GeometryError, match=r"cone C7: 5 reference points; expected at least 7"):
+        fit_reference(reference(marks(cone_of(rng), rng, n=5), "C7"))
+
+
+def test_marks_of_a_ball_are_no_cone(rng: np.random.Generator) -> None:
+    ball = rng.standard_normal((32, 3))
+    ball *= 0.4 / np.linalg.norm(ball, axis=1, keepdims=True)
+    with pytest.raises(GeometryError, match=r"cone C3: .*marker numbers"):
+        fit_reference(reference(ball, "C3"))
+
+
+def test_half_of_the_markers_of_another_cone(rng: np.random.Generator) -> None:
+    points = np.concatenate([marks(cone_of(rng), rng, n=16), marks(cone_of(rng), rng, n=16)])
+    with pytest.raises(GeometryError, match="cone C2"):
+        fit_reference(reference(points, "C2"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cov": np.zeros((5, 5))}, r"covariance \(5, 5\)"),
+        ({"labels": ("a",)}, "1 labels"),
+        ({"points_m": np.full((4, 3), np.nan)}, "not finite"),
+    ],
+)
+def test_shapes_are_checked(change: dict[str, object], message: str) -> None:
+    good = {
+        "points_m": np.zeros((4, 3)),
+        "cov": np.zeros((4, 3, 3)),
+        "name": "C1",
+        "half_angle_rad": HALF,
+        "length_m": 0.7,
+    }
+    with pytest.raises(InputError, match=message):
+        ConeReference(**{**good, **change})

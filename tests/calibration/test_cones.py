@@ -1,0 +1,252 @@
+"""Geometry of cones against other derivations of it, and what noisy beams do on a curved surface."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
+
+from thalweg.calibration.cones import Cone, beam_spread
+from thalweg.core.errors import GeometryError
+from thalweg.core.rigid import Rigid
+from thalweg.core.types import ArrayF
+
+_spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
+assert _spec
+assert _spec.loader
+_yard = importlib.util.module_from_spec(_spec)
+sys.modules["cone_yard"] = _yard
+_spec.loader.exec_module(_yard)
+YardCone = _yard.YardCone
+
+HALF = np.deg2rad(25.0)
+SIGMA_M = 0.0173
+
+
+def some_cone(axis: tuple[float, float, float] = (0.5, -0.8, 0.2), half: float = HALF) -> Cone:
+    return Cone(apex_m=np.array([1.0, 2.0, 0.5]), axis=np.array(axis), half_angle_rad=half)
+
+
+def beams_at(cone: Cone, origin: ArrayF, n: int, rng: np.random.Generator, wide: float = 0.25) -> ArrayF:
+    target = cone.apex_m + np.outer(rng.uniform(0.1, 0.7, n), cone.axis) + wide * rng.standard_normal((n, 3))
+    d = target - origin
+    return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
+
+
+# ---------------------------------------------------------------- distances
+
+
+def test_distance_is_that_to_the_nearest_straight_line(rng: np.random.Generator) -> None:
+    cone = some_cone()
+    points = cone.apex_m + np.outer(np.linspace(0.3, 0.7, 20), cone.axis) + 0.1 * rng.standard_normal((20, 3))
+    seen = cone.see(points)
+    turn = np.linspace(0, 2 * np.pi, 20001)
+    b1, b2 = cone.tangents
+    line = np.cos(HALF) * cone.axis + np.sin(HALF) * (np.cos(turn)[:, None] * b1 + np.sin(turn)[:, None] * b2)
+    for p, s, slant in zip(points, seen.distance_m, seen.slant_m, strict=True):
+        along = (p - cone.apex_m) @ line.T
+        off = np.linalg.norm(p - cone.apex_m - along[:, None] * line, axis=1)
+        # 20,001 lines are 0.1 mm apart; to second order that is nothing
+        assert abs(s) == pytest.approx(off.min(), abs=1e-7)
+        assert slant == pytest.approx(along[off.argmin()], abs=1e-4)
+    inside = np.linalg.norm(np.cross(points - cone.apex_m, cone.axis), axis=1) < (
+        (points - cone.apex_m) @ cone.axis
+    ) * np.tan(HALF)
+    np.testing.assert_array_equal(seen.distance_m < 0, inside)
+
+
+def test_the_condition_of_the_paper_is_zero_where_the_distance_is(rng: np.random.Generator) -> None:
+    cone = some_cone()
+    points = cone.apex_m + np.outer(np.linspace(0.3, 0.7, 20), cone.axis) + 0.1 * rng.standard_normal((20, 3))
+    seen = cone.see(points)
+    on = points - seen.distance_m[:, None] * seen.normal
+    x, y = ((on - cone.apex_m) @ b for b in cone.tangents)
+    z = (on - cone.apex_m) @ cone.axis
+    # P2 eq. 2
+    np.testing.assert_allclose(x**2 + y**2 - z**2 * np.tan(HALF) ** 2, 0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("axis", [(0.5, -0.8, 0.2), (0, 0, 1), (0, 0, -1), (1e-9, 0, 1), (1, 0, 0)])
+def test_derivatives_of_all_parameters(rng: np.random.Generator, axis: tuple[float, float, float]) -> None:
+    """Upright cones too, where lambda of the paper has no meaning."""
+    cone = some_cone(axis)
+    points = cone.apex_m + rng.standard_normal((50, 3))
+    h = 1e-6
+    step = h * np.eye(6)
+    by = [
+        (cone.moved(d).see(points).distance_m - cone.moved(-d).see(points).distance_m) / (2 * h) for d in step
+    ]
+    # central differences: h^2 and 1e-16 / h
+    np.testing.assert_allclose(cone.see(points).by_parameters, np.transpose(by), atol=1e-8)
+    by_point = [
+        (cone.see(points + d).distance_m - cone.see(points - d).distance_m) / (2 * h) for d in h * np.eye(3)
+    ]
+    np.testing.assert_allclose(cone.see(points).normal, np.transpose(by_point), atol=1e-8)
+    np.testing.assert_allclose(cone.tangents @ cone.axis, 0.0, atol=1e-15)
+
+
+def test_angles_of_the_paper() -> None:
+    cone = some_cone((0.5, -0.8, 0.2))
+    lam, theta = cone.angles_rad
+    again = [np.sin(theta) * np.cos(lam), np.sin(theta) * np.sin(lam), np.cos(theta)]
+    np.testing.assert_allclose(again, cone.axis, atol=1e-15)
+    assert some_cone((0, 0, -1)).angles_rad == (0.0, np.pi)
+
+
+def test_a_cone_in_another_frame_keeps_its_distances_and_covariance(rng: np.random.Generator) -> None:
+    root = rng.standard_normal((6, 6))
+    cone = Cone(apex_m=np.ones(3), axis=np.array([1.0, 2.0, 0.3]), half_angle_rad=HALF, cov=root @ root.T)
+    T = Rigid(R=Rotation.random(rng=rng).as_matrix(), shift_m=rng.standard_normal(3))
+    moved = cone.in_frame(T)
+    points = rng.standard_normal((30, 3))
+    np.testing.assert_allclose(moved.see(T.apply(points)).distance_m, cone.see(points).distance_m, atol=1e-14)
+    there, here = moved.see(T.apply(points)).by_parameters, cone.see(points).by_parameters
+    np.testing.assert_allclose(there @ moved.cov @ there.T, here @ cone.cov @ here.T, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"axis": np.zeros(3)},
+        {"half_angle_rad": 0.0},
+        {"half_angle_rad": 1.6},
+        {"apex_m": np.array([0.0, np.nan, 0.0])},
+    ],
+)
+def test_what_is_no_cone_is_refused(wrong: dict[str, object]) -> None:
+    good = {"apex_m": np.zeros(3), "axis": np.array([0.0, 0.0, 1.0]), "half_angle_rad": HALF}
+    with pytest.raises(GeometryError, match="are no cone"):
+        Cone(**{**good, **wrong})
+
+
+# ---------------------------------------------------------------- beams
+
+
+@pytest.mark.parametrize("axis", [(0.5, -0.8, 0.2), (0.0, 0.0, 1.0), (-0.7, 0.7, 0.1)])
+def test_beams_meet_where_another_derivation_says(
+    rng: np.random.Generator, axis: tuple[float, float, float]
+) -> None:
+    cone, origin = some_cone(axis), np.array([-3.0, -1.0, 1.0])
+    d = beams_at(cone, origin, 400, rng)
+    met = cone.meet(origin, d)
+    other = YardCone("C", cone.apex_m, cone.axis, HALF, length=50.0).hits(np.tile(origin, (400, 1)), d)
+    beyond = met.hit & (met.slant_m * np.cos(HALF) > 0.05)
+    assert beyond.sum() > 100
+    np.testing.assert_allclose(met.range_m[beyond], other[beyond], rtol=1e-10)
+    on = origin + met.range_m[met.hit, None] * d[met.hit]
+    np.testing.assert_allclose(cone.see(on).distance_m, 0.0, atol=1e-11)
+    assert (met.cosine[met.hit] > 0).all()
+    assert np.isnan(met.range_m[~met.hit]).all()
+
+
+def test_depth_is_the_least_distance_along_the_beam(rng: np.random.Generator) -> None:
+    cone, origin = some_cone(), np.array([-3.0, -1.0, 1.0])
+    for d in beams_at(cone, origin, 30, rng):
+
+        def away(t: float, d: ArrayF = d) -> float:
+            return float(cone.see(origin + t * d).distance_m[0])
+
+        best = minimize_scalar(away, bounds=(0, 20), method="bounded", options={"xatol": 1e-9})
+        # the minimum is flat: 1e-9 in t is nothing in the distance
+        assert cone.meet(origin, d[None]).depth_m[0] == pytest.approx(-best.fun, abs=1e-7)
+
+
+def test_noisy_beams_on_a_cone_measure_too_long_ranges(rng: np.random.Generator) -> None:
+    """Quadrature against a million beams: 1 mm, behind the surface."""
+    cone, origin = some_cone(), np.array([-3.0, -1.0, 1.0])
+    beams = beams_at(cone, origin, 200, rng, wide=0.05)
+    met = cone.meet(origin, beams)
+    good = met.hit & (met.depth_m > 0.08) & (met.slant_m > 0.3) & (met.slant_m < 0.6) & (met.cosine > 0.6)
+    d = beams[good][:1]
+    mean, variance = beam_spread(cone, origin, d, np.array([SIGMA_M]))
+    n = 1_000_000
+    side = SIGMA_M * rng.standard_normal((n, 3))
+    side -= (side @ d[0])[:, None] * d
+    hits = YardCone("C", cone.apex_m, cone.axis, HALF, length=50.0).hits(origin + side, np.tile(d, (n, 1)))
+    excess = hits - met.range_m[good][0]
+    # standard error of the mean 0.02 mm
+    assert mean[0] == pytest.approx(excess.mean(), abs=7e-5)
+    assert variance[0] == pytest.approx(excess.var(), rel=0.02)
+    assert 0.0005 < mean[0] < 0.0025
+
+
+def test_the_excess_is_the_closed_form_for_small_noise(rng: np.random.Generator) -> None:
+    cone, origin = some_cone(), np.array([-3.0, -1.0, 1.0])
+    d = beams_at(cone, origin, 100, rng, wide=0.05)
+    met = cone.meet(origin, d)
+    good = met.hit & (met.depth_m > 0.05) & (met.cosine > 0.5)
+    d = d[good]
+    sigma = 0.001
+    mean, _ = beam_spread(cone, origin, d, np.full(len(d), sigma))
+    seen = cone.see(origin + met.range_m[good, None] * d)
+    slope = np.einsum("ij,ij->i", seen.normal, d)
+    across = np.einsum("ij,ij->i", seen.around, d)
+    curvature = np.cos(HALF) / (met.slant_m[good] * np.sin(HALF))
+    # the next term is smaller by (sigma over the radius)^2, here 1e-4 of it
+    np.testing.assert_allclose(
+        mean, 0.5 * curvature * sigma**2 * (1 + across**2 / slope**2) / np.abs(slope), rtol=5e-3
+    )
+
+
+def fitted_shift(cone: Cone, origin: ArrayF, points: ArrayF, *, way: str) -> ArrayF:
+    """Shift (3,) of a cone of known axis and angle by three kinds of least squares."""
+    reach = np.linalg.norm(points - origin, axis=1)
+    d = (points - origin) / reach[:, None]
+    shift = np.zeros(3)
+    excess, variance = beam_spread(cone, origin, d, np.full(len(d), SIGMA_M))
+    for _ in range(6):
+        now = cone.moved(np.concatenate([shift, np.zeros(3)]))
+        if way == "distances":
+            seen = now.see(points)
+            r, J, v = seen.distance_m, seen.by_parameters[:, :3], np.full(len(d), SIGMA_M**2)
+        else:
+            met = now.meet(origin, d)
+            seen = now.see(origin + met.range_m[:, None] * d)
+            slope = np.einsum("ij,ij->i", seen.normal, d)
+            r = reach - met.range_m - (excess if way == "ranges less excess" else 0.0)
+            J, v = seen.by_parameters[:, :3] / slope[:, None], variance + SIGMA_M**2
+        shift = shift - np.linalg.solve(J.T @ (J / v[:, None]), J.T @ (r / v))
+    return shift
+
+
+def test_with_and_without_the_correction(rng: np.random.Generator) -> None:
+    """What noise does to the place of a cone seen from one side: mean error of 40 fits."""
+    cone = Cone(apex_m=np.zeros(3), axis=np.array([1.0, 0.0, 0.0]), half_angle_rad=HALF)
+    origin = np.array([2.5, -4.0, 0.3])
+    errors: dict[str, list[ArrayF]] = {"distances": [], "ranges": [], "ranges less excess": []}
+    solid = YardCone("C", cone.apex_m, cone.axis, HALF, length=50.0)
+    for _ in range(40):
+        d = beams_at(cone, origin, 6000, rng, wide=0.1)
+        met = cone.meet(origin, d)
+        # chosen by nominal beams
+        good = (
+            met.hit
+            & (met.depth_m > 3 * SIGMA_M)
+            & (met.slant_m > 0.25)
+            & (met.slant_m < 0.65)
+            & (met.cosine > 0.45)
+        )
+        d = d[good][:3000]
+        side = SIGMA_M * rng.standard_normal((len(d), 3))
+        side -= np.einsum("ij,ij->i", side, d)[:, None] * d
+        reach = solid.hits(origin + side, d) + SIGMA_M * rng.standard_normal(len(d))
+        # a few in a thousand err by more than three sigmas and miss
+        points = (origin + reach[:, None] * d)[np.isfinite(reach)]
+        for way, found in errors.items():
+            found.append(fitted_shift(cone, origin, points, way=way))
+    # along the normal that looks to the scanner, which one side of a cone tells best; and as a whole
+    side = origin - (origin @ cone.axis) * cone.axis
+    toward = np.cos(HALF) * side / np.linalg.norm(side) - np.sin(HALF) * cone.axis
+    near = {way: 1e3 * float(np.mean(e, axis=0) @ toward) for way, e in errors.items()}
+    whole = {way: 1e3 * float(np.linalg.norm(np.mean(e, axis=0))) for way, e in errors.items()}
+    right = np.array(errors["ranges less excess"])
+    noise = 1e3 * float(np.std(right @ toward)) / np.sqrt(40)
+    # mm, standard error 0.10. Distances at noisy points: found 5.5 along the normal, 211 in all; ranges
+    # without the excess: -0.79 along the normal, the surface seems farther; with it: -0.08
+    assert near["distances"] > 3.0, near
+    assert whole["distances"] > 100.0, whole
+    assert -1.2 < near["ranges"] < -0.4, near
+    assert abs(near["ranges less excess"]) < 3.5 * noise, (near, noise)

@@ -1,0 +1,102 @@
+"""The place of a field in the world: errors against sigmas, wrong targets, targets in a line."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from thalweg.calibration.field_datum import FieldDatum, field_datum
+from thalweg.calibration.field_description import Target
+from thalweg.calibration.field_points import FieldPoints
+from thalweg.calibration.marker_sheets import MarkerLayout
+from thalweg.core.errors import GeometryError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.rigid import Rigid, exp_rotation
+
+FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
+SIGMA = (0.008, 0.008, 0.012)
+PLACES = np.array([[0, 7, 1.8], [6, 3, 1.6], [4, -2, 0.9], [-1, -6, 1.7], [-6, -4, 0.9], [-6, 3, 0.3]])
+
+
+def field(n: int = 6) -> FieldPoints:
+    saddles = np.concatenate([PLACES[k] + MarkerLayout().saddles_m(64 + k) for k in range(n)])
+    names = tuple((64 + k, c) for k in range(n) for c in range(4))
+    return FieldPoints(points=names, points_pcs=saddles, cov=np.eye(12 * n) * 1e-8)
+
+
+def targets(
+    T_wcs_pcs: Rigid, seed: int, n: int = 6, wrong: dict[int, np.ndarray] | None = None
+) -> list[Target]:
+    rng = np.random.default_rng(seed)
+    places = T_wcs_pcs.apply(PLACES[:n]) + rng.normal(size=(n, 3)) * SIGMA
+    for k, off in (wrong or {}).items():
+        places[k] += off
+    lat, lon, h = FRAME.to_geodetic(places)
+    return [
+        Target(name=f"T{k + 1}", marker=64 + k, lat_deg=lat[k], lon_deg=lon[k], h_ell_m=h[k], sigma_m=SIGMA)
+        for k in range(n)
+    ]
+
+
+TRUE = Rigid(R=exp_rotation([0.01, -0.02, 2.5]), shift_m=np.array([12.0, -40.0, 0.4]))
+
+
+def test_errors_are_as_the_covariance_says() -> None:
+    squares = 0.0
+    for seed in range(60):
+        found = field_datum(field(), targets(TRUE, seed), FRAME)
+        error = TRUE.error_from(found.T_wcs_pcs)
+        squares += error @ np.linalg.solve(found.T_wcs_pcs.cov, error)
+        assert found.redundancy == 12
+    low, high = chi2.ppf([0.0005, 0.9995], 360)
+    assert low < squares < high
+
+
+def test_a_wrong_target_is_named_and_left_out() -> None:
+    found = field_datum(field(), targets(TRUE, 1, wrong={2: np.array([0.0, 0.0, 0.30])}), FRAME)
+    ((name, reason),) = found.rejected
+    assert name == "T3"
+    assert "measure it again" in reason
+    # 0.30 m up, to three sigmas of RTK and of the rest
+    assert 250 < float(reason.split("north, ")[1].split(" mm up")[0]) < 350
+    error = TRUE.error_from(found.T_wcs_pcs)
+    assert error @ np.linalg.solve(found.T_wcs_pcs.cov, error) < chi2.ppf(0.9999, 6)
+    assert found.table["used"].tolist() == [True, True, False, True, True, True]
+
+
+def test_contradictions_that_nobody_can_settle() -> None:
+    far = np.array([0.4, 0.0, 0.0])
+    with pytest.raises(
+        GeometryError, match="T1, T2, T3 contradict the field, one of them is wrong"
+    ) as caught:
+        field_datum(field(3), targets(TRUE, 1, 3, wrong={1: far}), FRAME)
+    assert "fourth target" in caught.value.cure
+    with pytest.raises(GeometryError, match="more than one is wrong"):
+        field_datum(field(), targets(TRUE, 1, wrong={1: far, 3: -far, 4: np.array([0, 0.5, 0.2])}), FRAME)
+
+
+def test_targets_in_one_line_and_too_few() -> None:
+    line = np.array([[k, 2.0 * k, 1.0] for k in range(4)])
+    names = tuple((64 + k, c) for k in range(4) for c in range(4))
+    saddles = np.concatenate([line[k] + MarkerLayout().saddles_m(0) for k in range(4)])
+    points = FieldPoints(points=names, points_pcs=saddles, cov=np.eye(48) * 1e-8)
+    lat, lon, h = FRAME.to_geodetic(TRUE.apply(line))
+    rtk = [
+        Target(name=f"T{k}", marker=64 + k, lat_deg=lat[k], lon_deg=lon[k], h_ell_m=h[k], sigma_m=SIGMA)
+        for k in range(4)
+    ]
+    with pytest.raises(GeometryError, match="T0, T1, T2, T3 stand in one line"):
+        field_datum(points, rtk, FRAME)
+    missing = [
+        *targets(TRUE, 1)[:2],
+        Target(name="T9", marker=99, lat_deg=51, lon_deg=13, h_ell_m=0, sigma_m=SIGMA),
+    ]
+    with pytest.raises(GeometryError, match="2 usable RTK targets; T9: marker 99: 0 of four saddles"):
+        field_datum(field(), missing, FRAME)
+
+
+def test_table_has_the_residuals() -> None:
+    found: FieldDatum = field_datum(field(), targets(TRUE, 4), FRAME)
+    off = found.table[["residual_east_m", "residual_north_m", "residual_up_m"]].to_numpy()
+    # six unknowns fitted to 18 numbers: sigmas of 8 and 12 mm, a little less
+    assert 0.003 < off.std() < 0.015
+    np.testing.assert_allclose(off.mean(axis=0), 0.0, atol=2e-4)

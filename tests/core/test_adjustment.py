@@ -1,0 +1,345 @@
+"""The adjustment against closed forms, and its covariance against what many seeds show."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.stats import chi2
+
+from thalweg.core.adjustment import (
+    Adjusted,
+    Linear,
+    Observations,
+    UnobservableError,
+    adjust,
+    condition,
+    prior,
+)
+from thalweg.core.errors import GeometryError
+from thalweg.core.rigid import Rigid, exp_rotation
+
+LINE = ("height", "slope")
+
+
+def line(x: np.ndarray, y: np.ndarray, sigma: np.ndarray, *, name: str = "points", thin: bool = False):
+    J = np.stack([np.ones_like(x), x], axis=1)
+    wide = sparse.csr_array(J) if thin else J
+
+    def model(state: np.ndarray) -> Linear:
+        return Linear(residual=J @ state - y, jacobian=wide, cov=sigma**2)
+
+    return Observations(name, model)
+
+
+@pytest.fixture
+def points(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    x, sigma = np.linspace(0, 10, 40), rng.uniform(0.1, 0.5, 40)
+    return x, 2.0 - 0.7 * x + sigma * rng.standard_normal(40), sigma
+
+
+# ---------------------------------------------------------------- closed forms
+
+
+@pytest.mark.parametrize("thin", [False, True], ids=["dense", "sparse"])
+def test_a_line_is_the_weighted_closed_form(points: tuple[np.ndarray, ...], thin: bool) -> None:
+    x, y, sigma = points
+    found = adjust([line(x, y, sigma, thin=thin)], np.zeros(2), LINE)
+    A = np.stack([np.ones_like(x), x], axis=1) / sigma[:, None]
+    Q = np.linalg.inv(A.T @ A)
+    # float64 of a well-conditioned 2x2 system
+    np.testing.assert_allclose(found.x, Q @ A.T @ (y / sigma), rtol=1e-10)
+    np.testing.assert_allclose(found.cov, Q, rtol=1e-10)
+    v = A @ found.x - y / sigma
+    assert found.sigma0_squared == pytest.approx(v @ v / 38, rel=1e-9)
+    assert found.redundancy == 38
+    assert found.group_sigma0["points"] == pytest.approx(np.sqrt(v @ v / 38), rel=1e-9)
+    assert found.sigma("slope") == pytest.approx(np.sqrt(Q[1, 1]))
+    assert found.correlation()[0, 1] == pytest.approx(Q[0, 1] / np.sqrt(Q[0, 0] * Q[1, 1]))
+    np.testing.assert_allclose(found.block(["slope", "height"]), Q[::-1, ::-1], rtol=1e-10)
+
+
+@pytest.mark.parametrize("thin", [False, True], ids=["dense", "sparse"])
+def test_blocks_are_generalised_least_squares(rng: np.random.Generator, thin: bool) -> None:
+    J, y = rng.standard_normal((12, 3)), rng.standard_normal(12)
+    root = rng.standard_normal((4, 3, 3)) + 2 * np.eye(3)
+    S = root @ np.swapaxes(root, 1, 2)
+    whole = np.zeros((12, 12))
+    for b in range(4):
+        whole[3 * b : 3 * b + 3, 3 * b : 3 * b + 3] = S[b]
+    wide = sparse.csr_array(J) if thin else J
+    group = Observations("blocks", lambda x: Linear(residual=J @ x - y, jacobian=wide, cov=S))
+    found = adjust([group], np.zeros(3), ("a", "b", "c"))
+    P = np.linalg.inv(whole)
+    np.testing.assert_allclose(found.cov, np.linalg.inv(J.T @ P @ J), rtol=1e-8)
+    np.testing.assert_allclose(found.x, found.cov @ J.T @ P @ y, rtol=1e-8)
+    v = J @ found.x - y
+    np.testing.assert_allclose(
+        np.square(found.standardised["blocks"]),
+        [v[3 * b : 3 * b + 3] @ np.linalg.solve(S[b], v[3 * b : 3 * b + 3]) for b in range(4)],
+        rtol=1e-8,
+    )
+
+
+def test_redundancy_is_shared_among_the_groups(points: tuple[np.ndarray, ...]) -> None:
+    x, y, sigma = points
+    two = [line(x[:5], y[:5], sigma[:5], name="few"), line(x[5:], y[5:], sigma[5:], name="many")]
+    found = adjust(two, np.zeros(2), LINE)
+    one = adjust([line(x, y, sigma)], np.zeros(2), LINE)
+    np.testing.assert_allclose(found.x, one.x, rtol=1e-10)
+    assert sum(found.group_redundancy.values()) == pytest.approx(38, abs=1e-9)
+    squares = sum(found.group_sigma0[n] ** 2 * found.group_redundancy[n] for n in ("few", "many"))
+    assert squares == pytest.approx(one.sigma0_squared * 38, rel=1e-9)
+
+
+def test_an_observed_unknown_is_a_weighted_mean() -> None:
+    told = Observations("told", prior(np.array([1.0]), np.array([[0.04]]), [0], 2))
+    seen = Observations(
+        "seen", lambda x: Linear(residual=x - [2.0, 5.0], jacobian=np.eye(2), cov=np.array([0.01, 1.0]))
+    )
+    found = adjust([told, seen], np.zeros(2), ("a", "b"))
+    # weights 25 and 100
+    np.testing.assert_allclose(found.x, [(25 * 1 + 100 * 2) / 125, 5.0], rtol=1e-12)
+    np.testing.assert_allclose(found.cov, np.diag([1 / 125, 1.0]), atol=1e-15)
+
+
+# ---------------------------------------------------------------- Gauss-Helmert
+
+
+def on_line(state: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Condition a + b x - y = 0 with x and y observed."""
+    x, y = observed.T
+    g = state[0] + state[1] * x - y
+    A = np.stack([np.ones_like(x), x], axis=1)[:, None, :]
+    B = np.stack([np.full_like(x, state[1]), -np.ones_like(x)], axis=1)[:, None, :]
+    return g[:, None], A, B
+
+
+def test_errors_in_both_coordinates_are_orthogonal_regression(rng: np.random.Generator) -> None:
+    true = np.linspace(0, 4, 60)
+    xy = np.stack([true, 1.0 + 1.5 * true], axis=1) + 0.1 * rng.standard_normal((60, 2))
+    model = condition(on_line, xy, 0.01 * np.eye(2), iterations=4)
+    found = adjust([Observations("points", model)], np.array([0.0, 1.0]), LINE)
+    # total least squares: the line along the first principal axis through the mean
+    _, _, axes = np.linalg.svd(xy - xy.mean(axis=0))
+    slope = axes[0, 1] / axes[0, 0]
+    # the steps end at a ten-thousandth of a sigma, and sigma of the slope is 0.02
+    assert found.x[1] == pytest.approx(slope, abs=2e-6)
+    assert found.x[0] == pytest.approx(xy[:, 1].mean() - slope * xy[:, 0].mean(), abs=5e-6)
+
+
+def test_ordinary_regression_would_be_biased(rng: np.random.Generator) -> None:
+    true = np.linspace(0, 1, 4000)
+    xy = np.stack([true, 1.5 * true], axis=1) + 0.2 * rng.standard_normal((4000, 2))
+    model = condition(on_line, xy, 0.04 * np.eye(2), iterations=4)
+    found = adjust([Observations("points", model)], np.array([0.0, 1.0]), LINE)
+    plain = np.polyfit(xy[:, 0], xy[:, 1], 1)[0]
+    # noise in x of variance 0.04 beside a spread of 1/12 shrinks the slope by a third
+    assert plain == pytest.approx(1.5 / (1 + 0.04 * 12), abs=0.05)
+    assert abs(found.x[1] - 1.5) < 4 * found.sigma("slope")
+
+
+def test_a_circle_from_points_with_errors(rng: np.random.Generator) -> None:
+    turn = rng.uniform(0, 2 * np.pi, 80)
+    xy = np.array([3.0, -2.0]) + 5.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    xy += 0.02 * rng.standard_normal((80, 2))
+
+    def circle(s: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        away = seen - s[:2]
+        r = np.linalg.norm(away, axis=1)
+        A = np.concatenate([-away / r[:, None], -np.ones((len(r), 1))], axis=1)
+        return (r - s[2])[:, None], A[:, None, :], (away / r[:, None])[:, None, :]
+
+    model = condition(circle, xy, 4e-4 * np.eye(2))
+    found = adjust([Observations("points", model)], np.array([0.0, 0.0, 1.0]), ("x", "y", "r"))
+    error = found.x - [3.0, -2.0, 5.0]
+    # three degrees of freedom; 16.3 is the quantile of 99.9 %
+    assert error @ np.linalg.solve(found.cov, error) < 16.3
+    low, high = found.global_test(0.001)
+    assert low < found.sigma0_squared < high
+
+
+# ---------------------------------------------------------------- covariance over seeds
+
+
+def test_covariance_and_band_are_those_of_many_seeds() -> None:
+    squares, sigma0 = [], []
+    truth = exp_rotation([0.3, -0.2, 0.5])
+    for seed in range(200):
+        rng = np.random.default_rng([7, seed])
+        source = rng.standard_normal((12, 3))
+        target = source @ truth.T + [1.0, 2.0, 3.0] + 0.01 * rng.standard_normal((12, 3))
+
+        def model(T: Rigid, a: np.ndarray = source, b: np.ndarray = target) -> Linear:
+            J = T.by_error(a).reshape(-1, 6)
+            return Linear(residual=(T.apply(a) - b).ravel(), jacobian=J, cov=np.full(36, 1e-4))
+
+        start = Rigid(R=np.eye(3), shift_m=np.zeros(3))
+        found = adjust([Observations("p", model)], start, [f"u{i}" for i in range(6)], update=Rigid.moved)
+        error = found.x.error_from(Rigid(R=truth, shift_m=np.array([1.0, 2.0, 3.0])))
+        squares.append(error @ np.linalg.solve(found.cov, error))
+        sigma0.append(found.sigma0_squared)
+    # 200 seeds of 6 and of 30 degrees of freedom; 99.9 % bands
+    low, high = chi2.ppf([0.0005, 0.9995], 1200) / 1200
+    assert low < np.mean(squares) / 6 < high
+    low, high = chi2.ppf([0.0005, 0.9995], 6000) / 6000
+    assert low < np.mean(sigma0) < high
+
+
+# ---------------------------------------------------------------- blunders
+
+
+@pytest.mark.parametrize("share", [0.05, 0.25])
+def test_blunders_are_rejected_and_nothing_else(rng: np.random.Generator, share: float) -> None:
+    x = np.linspace(0, 10, 200)
+    y = 2.0 - 0.7 * x + 0.1 * rng.standard_normal(200)
+    wrong = rng.permutation(200)[: int(200 * share)]
+    y[wrong] += rng.choice([-1, 1], len(wrong)) * rng.uniform(2, 30, len(wrong))
+    sigma = np.full(200, 0.1)
+    found = adjust([line(x, y, sigma)], np.zeros(2), LINE, loss="huber", reject_sigmas=4.5)
+    clean = np.ones(200, dtype=bool)
+    clean[wrong] = False
+    np.testing.assert_array_equal(found.used["points"], clean)
+    alone = adjust([line(x[clean], y[clean], sigma[clean])], np.zeros(2), LINE)
+    np.testing.assert_allclose(found.x, alone.x, atol=1e-8)
+    np.testing.assert_allclose(found.cov, alone.cov, rtol=1e-8)
+    assert found.redundancy == clean.sum() - 2
+
+
+def test_a_loss_alone_rejects_too(rng: np.random.Generator) -> None:
+    x = np.linspace(0, 10, 50)
+    y = 1.0 + x + 0.1 * rng.standard_normal(50)
+    y[7] += 100.0
+    found = adjust([line(x, y, np.full(50, 0.1))], np.zeros(2), LINE, loss="huber")
+    assert np.flatnonzero(~found.used["points"]).tolist() == [7]
+
+
+def test_sigmas_that_were_too_small_reject_no_good_points(rng: np.random.Generator) -> None:
+    x = np.linspace(0, 10, 200)
+    y = 1.0 + x + 0.5 * rng.standard_normal(200)
+    y[3] += 20.0
+    found = adjust([line(x, y, np.full(200, 0.1))], np.zeros(2), LINE, loss="huber", reject_sigmas=4.5)
+    assert np.flatnonzero(~found.used["points"]).tolist() == [3]
+    # five times the stated sigma
+    assert found.group_sigma0["points"] == pytest.approx(5.0, rel=0.15)
+
+
+# ---------------------------------------------------------------- what is not determined
+
+
+def levels(pairs: list[tuple[int, int]], n: int, rng: np.random.Generator) -> Observations[np.ndarray]:
+    """Height differences between benchmarks."""
+    J = np.zeros((len(pairs), n))
+    for i, (a, b) in enumerate(pairs):
+        J[i, a], J[i, b] = -1.0, 1.0
+    seen = J @ np.arange(n) + 0.01 * rng.standard_normal(len(pairs))
+    return Observations(
+        "levels", lambda x: Linear(residual=J @ x - seen, jacobian=J, cov=np.full(len(pairs), 1e-4))
+    )
+
+
+RING = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2)]
+
+
+def test_a_free_network_is_refused_with_its_unknowns(rng: np.random.Generator) -> None:
+    names = ("A", "B", "C", "D", "E")
+    pinned = Observations("pin", prior(np.array([9.0]), np.eye(1), [4], 5))
+    with pytest.raises(UnobservableError) as caught:
+        adjust([levels(RING, 5, rng), pinned], np.zeros(5), names)
+    # E is held; the other four can be lifted together
+    assert sorted(caught.value.parameters) == ["A", "B", "C", "D"]
+    assert caught.value.defects == 1
+    assert "A" in str(caught.value)
+
+
+def test_an_unknown_that_nothing_sees_is_named(rng: np.random.Generator) -> None:
+    with pytest.raises(UnobservableError, match="do not determine E"):
+        adjust([levels(RING, 5, rng)], np.zeros(5), ("A", "B", "C", "D", "E"), inner_constraints=None)
+
+
+def test_inner_constraints_give_the_pseudo_inverse(rng: np.random.Generator) -> None:
+    group = levels(RING, 4, rng)
+    G = np.ones((1, 4))
+    start = np.array([5.0, -3.0, 1.0, 7.0])
+    found = adjust([group], start, "ABCD", inner_constraints=lambda x: G)
+    J = group.model(start).jacobian
+    # the Moore-Penrose inverse is the datum of least trace
+    np.testing.assert_allclose(found.cov, np.linalg.pinv(J.T @ J / 1e-4), atol=1e-12)
+    assert found.x.sum() == pytest.approx(start.sum(), abs=1e-9)
+    assert found.redundancy == len(RING) - 4 + 1
+    np.testing.assert_allclose(np.diff(found.x), 1.0, atol=0.05)
+
+
+def test_constraints_on_part_of_the_unknowns_fix_the_datum_there(rng: np.random.Generator) -> None:
+    G = np.array([[1.0, 1.0, 0.0, 0.0]])
+    found = adjust([levels(RING, 4, rng)], np.zeros(4), "ABCD", inner_constraints=lambda x: G)
+    # A and B err against each other only
+    assert found.cov[0, 0] == pytest.approx(found.cov[1, 1])
+    assert found.cov[0, 1] == pytest.approx(-found.cov[0, 0])
+    assert G @ found.cov @ G.T == pytest.approx(0.0, abs=1e-15)
+
+
+def test_nearly_collinear_unknowns_are_still_solved() -> None:
+    """Correlations of 0.9999 are bad geometry, not an undetermined one."""
+    x = np.linspace(1000.0, 1010.0, 30)
+    found = adjust([line(x, 3.0 + 0.5 * x, np.full(30, 0.1))], np.zeros(2), LINE)
+    assert abs(found.correlation()[0, 1]) > 0.9999
+    np.testing.assert_allclose(found.x, [3.0, 0.5], rtol=1e-5)
+
+
+# ---------------------------------------------------------------- bad input
+
+
+def flat(x: np.ndarray) -> Linear:
+    return Linear(residual=x, jacobian=np.eye(2), cov=np.ones(2))
+
+
+@pytest.mark.parametrize(
+    ("group", "message"),
+    [
+        (
+            lambda x: Linear(residual=x * np.nan, jacobian=np.eye(2), cov=np.ones(2)),
+            "'bad' give numbers that are not",
+        ),
+        (
+            lambda x: Linear(residual=x, jacobian=np.eye(2), cov=np.array([1.0, 0.0])),
+            "a variance of 0.0 among 'bad'",
+        ),
+        (
+            lambda x: Linear(residual=x, jacobian=np.eye(2), cov=-np.eye(2)[None]),
+            "among 'bad' is not positive",
+        ),
+        (
+            lambda x: Linear(
+                residual=np.cbrt(x - 1.0), jacobian=np.diag(np.cbrt(x - 1.0) ** -2 / 3), cov=np.ones(2)
+            ),
+            "did not converge in 3 steps",
+        ),
+    ],
+    ids=["nan", "no variance", "no covariance", "no convergence"],
+)
+def test_bad_groups_are_told_by_name(group, message: str) -> None:
+    with pytest.raises(GeometryError, match=message):
+        adjust([Observations("bad", group)], np.array([5.0, 6.0]), ("a", "b"), max_iterations=3)
+
+
+def test_two_groups_of_one_name_are_refused() -> None:
+    with pytest.raises(GeometryError, match="expected different names"):
+        adjust([Observations("a", flat), Observations("a", flat)], np.zeros(2), ("p", "q"))
+
+
+def test_the_cure_of_the_caller_is_told() -> None:
+    blind = Observations("a", lambda x: Linear(residual=x[:1], jacobian=np.eye(2)[:1], cov=np.ones(1)))
+    with pytest.raises(UnobservableError, match="Turn the boat"):
+        adjust([blind], np.zeros(2), ("p", "q"), cure="Turn the boat")
+
+
+def test_a_step_too_far_is_damped() -> None:
+    """Gauss-Newton alone diverges on atan beyond 1.39."""
+
+    def model(x: np.ndarray) -> Linear:
+        return Linear(residual=np.arctan(x), jacobian=np.diag(1 / (1 + x**2)), cov=np.ones(1))
+
+    found: Adjusted[np.ndarray] = adjust(
+        [Observations("a", model)], np.array([3.0]), ("p",), max_iterations=60
+    )
+    # a ten-thousandth of its sigma, which is 1
+    assert abs(found.x[0]) < 1e-3
