@@ -128,7 +128,8 @@ MAY_IMPORT = {
     "figures": {*ROOMS, "figures"},
     "config": {"core", "config"},
     "jobs": {"core", "jobs"},
-    "cli": {*ROOMS, "simulation", "figures", "config", "jobs", "cli"},
+    "cli": {*ROOMS, "simulation", "figures", "config", "jobs", "cli", "cli_calibration"},
+    "cli_calibration": set(ROOMS),
     "__main__": {"cli"},
     "__init__": set(),
 }

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import thalweg
+from thalweg.cli_calibration import add_calibration_commands
 from thalweg.core.errors import ConfigError, InputError, ThalwegError
 
 if TYPE_CHECKING:
@@ -99,22 +100,7 @@ def _parser() -> argparse.ArgumentParser:
     describe.add_argument("--json", action="store_true", help="as JSON")
     describe.set_defaults(command=_describe)
 
-    other = commands.add_parser(
-        "import-calibration", help="calibration of another program (Kalibr, 4x4 matrix) -> calibration file"
-    )
-    other.add_argument(
-        "file", type=Path, metavar="FILE", help="Kalibr camchain, or text file with a 4x4 matrix"
-    )
-    other.add_argument("out", type=Path, metavar="OUT", help="calibration file to write, .yaml")
-    other.add_argument(
-        "--sigma", action="append", default=[], type=_sigma, metavar="NAME=VALUE",
-        help="a standard deviation that the file does not state: angle_deg, lever_m, focal_px, centre_px, "
-        "distortion, time_s",
-    )  # fmt: skip
-    other.add_argument("--block", default="lidar", help="of a matrix: what it places (default: %(default)s)")
-    other.add_argument("--target", default="", help="of a matrix: frame into which it turns, such as ics")
-    other.add_argument("--source", default="", help="of a matrix: frame of the sensor, such as scs")
-    other.set_defaults(command=_import_calibration)
+    add_calibration_commands(commands)
 
     summary = commands.add_parser("summary", help="print the summary of a processed campaign")
     summary.add_argument("folder", type=Path, metavar="FOLDER", help="results/<campaign>")
@@ -263,44 +249,6 @@ def _describe(options: argparse.Namespace) -> int:
     if options.json and texts:
         print(texts[0] if len(options.files) == 1 else "[\n" + ",\n".join(texts) + "\n]")
     return code
-
-
-def _sigma(text: str) -> tuple[str, float]:
-    from thalweg.core.calibration_imports import SIGMAS
-
-    name, _, value = text.partition("=")
-    try:
-        number = float(value)
-    except ValueError:
-        number = -1.0
-    if name not in SIGMAS or not 0 <= number < float("inf"):
-        raise argparse.ArgumentTypeError(
-            f"{text!r}; expected one of {', '.join(SIGMAS)} with a value: lever_m=0.002"
-        )
-    return name, number
-
-
-def _import_calibration(options: argparse.Namespace) -> int:
-    from thalweg.core.calibration_file import write_calibration
-    from thalweg.core.calibration_imports import import_kalibr, import_matrix
-    from thalweg.ingest.recognise import KINDS, recognise
-
-    kind, sigmas = recognise(options.file), dict(options.sigma)
-    if options.out.exists():
-        raise InputError("the file exists already", where=options.out, cure="Choose another name")
-    if kind == "kalibr":
-        found = import_kalibr(options.file, sigmas)
-    elif kind == "matrix":
-        found = import_matrix(
-            options.file, sigmas, name=options.block, target=options.target, source=options.source
-        )
-    else:
-        raise InputError(
-            f"this is a {KINDS[kind]}", where=options.file, expected=f"{KINDS['kalibr']} or {KINDS['matrix']}"
-        )
-    write_calibration(options.out, found)
-    print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
-    return 0
 
 
 def _summary(options: argparse.Namespace) -> int:

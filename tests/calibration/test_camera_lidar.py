@@ -72,7 +72,7 @@ def test_nothing_is_silently_lost(good: tuple[object, CameraLidar]) -> None:
     _, result = good
     table = result.detection
     assert len(table) == 3 * 8
-    parts = ["used", "grazing", "outline", "end", "in_front", "behind", "left_out"]
+    parts = ["used", "grazing", "outline", "end", "in_front", "behind", "beside", "left_out"]
     np.testing.assert_array_equal(table[parts].sum(axis=1), table["predicted"])
     unseen = table[~table["found"]]
     assert set(unseen["cone"]) == {"C7", "C8"}
@@ -122,6 +122,17 @@ def test_sigmas_are_honest_over_seeds() -> None:
     # 12 seeds with six degrees of freedom, 99 %
     low, high = chi2.ppf([0.005, 0.995], 72) / 72
     assert low < np.mean(squares) / 6 < high
+
+
+def test_no_mean_residual_stays_on_curved_surfaces() -> None:
+    """Forty revolutions, perfect marks: means to 0.15 mm, where ranges on a cone are 0.6 mm too long."""
+    squares = []
+    for seed in (1, 2):
+        y = Yard(seed=seed, frames=40, sigma_pose_m=1e-5, sigma_pose_deg=1e-4, sigma_mark_m=1e-5)
+        table = known(y, 1).residuals
+        squares += list((table["mean_mm"] / table["sigma_mean_mm"]) ** 2)
+    # 12 means, 99.9 %; found 1.1. Without the excess of the ranges 4.6, with its sign turned 21
+    assert np.mean(squares) < chi2.ppf(0.999, 12) / 12
 
 
 def test_42_parameters_with_fixed_exterior_orientation() -> None:

@@ -70,6 +70,36 @@ rule compare_with_truth:
         "../scripts/compare_with_truth.py"
 
 
+rule compare_calibration_with_truth:
+    """Calibration of a twin's boat against where its sensors truly sit."""
+    input:
+        boat="results/{campaign}/calibration/boat.yaml",
+        camera_lidar="results/{campaign}/calibration/camera_lidar.yaml",
+        camera="results/{campaign}/calibration/camera.yaml",
+        clock="results/{campaign}/timing/camera_clock.yaml",
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+        true_cameras="results/{campaign}/simulation/truth/cameras.json",
+    output:
+        table="results/{campaign}/accuracy/calibration_truth.csv",
+    log:
+        "logs/{campaign}/accuracy/compare_calibration_with_truth.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/compare_calibration_with_truth.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("compare_calibration_with_truth"),
+        twin=twin_parts("camera"),
+    message:
+        "{wildcards.campaign}: calibration against the truth of the digital twin"
+    script:
+        "../scripts/compare_calibration_with_truth.py"
+
+
 rule summarise:
     """The most important figures of a campaign in one table."""
     input:

@@ -89,6 +89,7 @@ rule adjust_field:
         field=raw("field"),
     output:
         points="results/{campaign}/calibration/field_points.csv",
+        covariance="results/{campaign}/calibration/field_points.npz",
         facts="results/{campaign}/calibration/field.json",
         residuals="results/{campaign}/calibration/field_residuals.csv",
         camera="results/{campaign}/calibration/reference_camera.yaml",
@@ -118,6 +119,7 @@ rule orient_camera:
     input:
         marks="results/{campaign}/calibration/boat_marks.parquet",
         points="results/{campaign}/calibration/field_points.csv",
+        covariance="results/{campaign}/calibration/field_points.npz",
         field=raw("field"),
     output:
         poses="results/{campaign}/calibration/camera_poses.parquet",
@@ -154,6 +156,7 @@ rule calibrate_camera_lidar:
         marks="results/{campaign}/calibration/boat_marks.parquet",
         camera="results/{campaign}/calibration/camera.yaml",
         points="results/{campaign}/calibration/field_points.csv",
+        covariance="results/{campaign}/calibration/field_points.npz",
         field=raw("field"),
     output:
         camera_lidar="results/{campaign}/calibration/camera_lidar.yaml",
@@ -200,6 +203,7 @@ rule calibrate_ins_lidar:
         mounts="results/{campaign}/calibration/mounts.json",
         field=raw("field"),
         points="results/{campaign}/calibration/field_points.csv",
+        covariance="results/{campaign}/calibration/field_points.npz",
         facts="results/{campaign}/calibration/field.json",
         poses="results/{campaign}/calibration/camera_poses.parquet",
         camera_lidar="results/{campaign}/calibration/camera_lidar.yaml",

@@ -332,8 +332,46 @@ def comparison_settings(wildcards):
     return {key: value for key, value in options.items() if key != "sections"}
 
 
+CALIBRATION_PICTURES = [
+    "field_setup",
+    "field_positions",
+    "field_reference",
+    "cone_frame",
+    "cone_residuals",
+    "calibration_design",
+    "cone_before_after",
+    "correlations",
+    "clock_offset",
+]
+
+
+def calibration_pictures(name):
+    """Pictures of a calibration campaign, by name."""
+    return [
+        *CALIBRATION_PICTURES,
+        *(["clock_stability"] if logs_of(name, "display") else []),
+        *(["synthetic_view"] if is_twin(name) else []),
+    ]
+
+
+def calibration_outputs(name):
+    """The tables and pictures that `all` builds for a calibration campaign."""
+    base = f"results/{name}"
+    outputs = [
+        f"{base}/calibration/boat.yaml",
+        f"{base}/calibration/index.html",
+        f"{base}/timing/time_report.csv",
+        *(f"{base}/figures/{name}.png" for name in calibration_pictures(name)),
+    ]
+    if is_twin(name):
+        outputs.append(f"{base}/accuracy/calibration_truth.csv")
+    return outputs
+
+
 def final_outputs(name):
     """The tables and pictures that `all` builds for a campaign."""
+    if CAMPAIGNS[name].is_calibration:
+        return calibration_outputs(name)
     base = f"results/{name}"
     pictures = [
         "survey_map",
@@ -350,6 +388,7 @@ def final_outputs(name):
     outputs = [
         f"{base}/lidar/points.laz",
         f"{base}/timing/streams.csv",
+        f"{base}/timing/time_report.csv",
         *(f"{base}/figures/{picture}.png" for picture in pictures),
         f"{base}/summary.csv",
     ]

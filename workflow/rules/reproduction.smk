@@ -153,3 +153,27 @@ rule offset_study:
         "causes of an offset, on the digital twin"
     script:
         "../scripts/offset_study.py"
+
+
+rule camera_lidar_study:
+    """Camera and lidar calibrated by cones over many seeds of the digital twin: small errors, honest sigmas?"""
+    output:
+        table="results/reproduction/camera_lidar_study.csv",
+        page="results/reproduction/camera_lidar_study.md",
+    log:
+        "logs/reproduction/camera_lidar_study.log",
+    benchmark:
+        "benchmarks/reproduction/camera_lidar_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(6000),
+        runtime=minutes(120),
+    params:
+        code=code_version("camera_lidar_study"),
+        seeds=50,
+    message:
+        "camera-lidar calibrations of {params.seeds} seeds of the digital twin"
+    script:
+        "../scripts/camera_lidar_study.py"

@@ -42,6 +42,8 @@ rule synchronise_camera:
         clock="results/{campaign}/timing/camera_clock.yaml",
         images="results/{campaign}/timing/image_times.parquet",
         report="results/{campaign}/timing/camera_clock.json",
+        fixes="results/{campaign}/timing/image_fixes.parquet",
+        track="results/{campaign}/timing/antenna_track.parquet",
     log:
         "logs/{campaign}/timing/synchronise_camera.log",
     benchmark:

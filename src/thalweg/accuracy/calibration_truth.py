@@ -15,10 +15,12 @@ import pandas as pd
 from scipy.stats import chi2
 
 from thalweg.core.calibration import Calibration
+from thalweg.core.camera import Camera
 from thalweg.core.errors import InputError
 from thalweg.core.frames import rotation_opk
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
+from thalweg.timing.clock_model import ClockModel
 
 QUANTITIES: Final = ("rotation_x_deg", "rotation_y_deg", "rotation_z_deg", "x_m", "y_m", "z_m")
 COLUMNS: Final = ("block", "quantity", "estimated_minus_true", "sigma", "unit", "normalised")
@@ -58,6 +60,44 @@ def compare_calibration(calibration: Calibration, true_mounts: Mapping[str, Any]
             low, high = (float(chi2.ppf(level, 6)) / 6 for level in (0.025, 0.975))
             square = float(error @ np.linalg.solve(estimated.cov, error)) / 6
             rows.append((name, "together", square, (high - low) / 2, "1", square))
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def compare_interior(camera: Camera, truth: Mapping[str, float]) -> pd.DataFrame:
+    """Errors of an interior orientation, in the columns of `compare_calibration`.
+
+    Parameters
+    ----------
+    camera : as calibrated, with covariance.
+    truth : true value of each of its parameters.
+    """
+    error = camera.parameters - np.array([truth[name] for name in camera.parameter_names])
+    sigma = np.sqrt(np.diag(camera.cov))
+    units = ["px" if name in ("fx", "fy", "cx", "cy") else "1" for name in camera.parameter_names]
+    table = pd.DataFrame({
+        "block": f"{camera.name} camera", "quantity": camera.parameter_names, "estimated_minus_true": error,
+        "sigma": sigma, "unit": units, "normalised": error / np.where(sigma > 0, sigma, np.nan),
+    })  # fmt: skip
+    return table[list(COLUMNS)]
+
+
+def compare_clock(clock: ClockModel, *, start_gps_s: float, ahead_s: float, drift_ppm: float) -> pd.DataFrame:
+    """Errors of a camera's clock, in the columns of `compare_calibration`.
+
+    Parameters
+    ----------
+    clock : as found: GPS time minus stamp.
+    start_gps_s : begin of the recording, at which the clock was ``ahead_s`` ahead of the time that its stamps
+        are expressed in; it gains ``drift_ppm``.
+    """
+    true_s = -(ahead_s + drift_ppm * 1e-6 * (clock.reference_s - ahead_s - start_gps_s))
+    sigma = np.sqrt(np.diag(clock.cov))
+    error = np.array([clock.offset_s - true_s, clock.drift + drift_ppm * 1e-6])
+    ratio = error / np.where(sigma > 0, sigma, np.nan)
+    rows = [
+        ("camera clock", "offset_s", error[0], sigma[0], "s", ratio[0]),
+        ("camera clock", "drift_ppm", 1e6 * error[1], 1e6 * sigma[1], "ppm", ratio[1]),
+    ]
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 

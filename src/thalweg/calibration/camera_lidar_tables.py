@@ -30,7 +30,8 @@ def detection_table(
 
     ``predicted`` counts returned beams whose nominal direction meets the cone; the numbers behind it add up
     to it: ``used``, ``grazing``, too near to the ``outline`` or an ``end``, reflected ``in_front`` or
-    ``behind``. Points of a cone that takes no part count as ``left_out`` instead of ``used``.
+    ``behind``, or passing ``beside`` what is in front. Points of a cone that takes no part count as
+    ``left_out`` instead of ``used``.
     """
     lines: list[dict[str, Any]] = []
     for p, (name, selection) in enumerate(zip(layout.positions, selections, strict=True)):

@@ -4,6 +4,8 @@ A point near the outline of a cone is seen only if its beam errs toward the cone
 sideways error of the beam becomes a large error of range. Both are biases of selection: no mean of such
 points is right. So a beam takes part if its *nominal* direction meets the cone far enough inside the outline
 and the ends, and not too obliquely. What it measured then decides only whether something else was in the way.
+What stood in the way has an outline, too: beams beside it are left out as well, because those that err
+toward it are missing.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,6 +14,7 @@ from enum import IntEnum
 from typing import Final, Protocol, Self
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from thalweg.calibration.cones import Cone, ConeBeams, beam_spread
 from thalweg.core.errors import InputError
@@ -37,6 +40,7 @@ class Verdict(IntEnum):
     END = 4
     IN_FRONT = 5
     BEHIND = 6
+    BESIDE = 7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,9 +210,19 @@ def select(
         allowed = limits.reject_sigmas * np.sqrt(variance) + limits.slack_m / met.cosine[inner]
         verdict[inner[off < -allowed]] = Verdict.IN_FRONT
         verdict[inner[off > allowed]] = Verdict.BEHIND
+        verdict[_beside(beam[rows], met.range_m, margin, verdict)] = Verdict.BESIDE
         out.cone[rows], out.verdict[rows] = k, verdict
         out.excess_m[at], out.variance_m2[at] = excess, variance
     return out
+
+
+def _beside(beam: ArrayF, range_m: ArrayF, margin_m: ArrayF, verdict: AnyArray) -> AnyArray:
+    """Rows of used beams that pass within the margin of one that was reflected in front."""
+    used, front = np.flatnonzero(verdict == Verdict.USED), np.flatnonzero(verdict == Verdict.IN_FRONT)
+    if not len(front) or not len(used):
+        return used[:0]
+    apart, _ = cKDTree(beam[front]).query(beam[used])
+    return used[apart * range_m[used] < margin_m[used]]
 
 
 def passing(cone: Cone, length_m: float, origin_m: ArrayF, beam: ArrayF, margin_m: float = 0.0) -> AnyArray:
@@ -227,5 +241,6 @@ WORDS: Final[Mapping[Verdict, str]] = {
     Verdict.END: "end",
     Verdict.IN_FRONT: "in_front",
     Verdict.BEHIND: "behind",
+    Verdict.BESIDE: "beside",
 }
 """Column names of the detection table."""

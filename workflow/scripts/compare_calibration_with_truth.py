@@ -1,0 +1,47 @@
+"""Calibration of a twin's boat -> its errors against where the sensors truly sit and how the clock truly runs."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from thalweg.accuracy.calibration_truth import compare_calibration, compare_clock, compare_interior
+from thalweg.calibration.camera_file import read_camera
+from thalweg.config.twin import TwinConfig
+from thalweg.core.calibration_file import read_calibration
+from thalweg.jobs.job import run_job
+from thalweg.simulation.motion import start_gps_s
+from thalweg.simulation.true_mounts import read_true_mounts
+from thalweg.timing.clock_model import ClockModel
+
+
+def main(
+    *,
+    boat: Path,
+    camera_lidar: Path,
+    camera: Path,
+    clock: Path,
+    true_mounts: Path,
+    true_cameras: Path,
+    table: Path,
+    twin: dict[str, Any],
+) -> None:
+    mounts, config = read_true_mounts(true_mounts), TwinConfig(**twin)
+    cameras = json.loads(true_cameras.read_text())
+    parts = [
+        compare_calibration(read_calibration(camera_lidar), mounts),
+        compare_calibration(read_calibration(boat), mounts),
+        compare_interior(read_camera(camera), cameras["boat"]["parameters"]),
+        compare_clock(
+            ClockModel.read(clock),
+            start_gps_s=start_gps_s(config),
+            ahead_s=config.camera.clock_offset_s,
+            drift_ppm=config.camera.clock_drift_ppm,
+        ),
+    ]
+    pd.concat(parts, ignore_index=True).to_csv(table, index=False, float_format="%.9g")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
