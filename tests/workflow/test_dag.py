@@ -7,7 +7,13 @@ import pytest
 
 pytestmark = pytest.mark.workflow
 
-MAY_READ_TRUTH = {"compare_with_truth"}
+MAY_READ_TRUTH = {
+    "tiny": {"compare_with_truth"},
+    "demo": {"compare_with_truth", "compare_calibration_with_truth"},
+    "mulde": {"compare_with_truth"},
+    "field_tiny": {"compare_calibration_with_truth"},
+}
+"""What judges results of the twin; `demo` brings the calibration of its boat along."""
 
 
 @dataclass(frozen=True)
@@ -41,18 +47,20 @@ def jobs(house, campaign: str) -> list[Job]:
     return found
 
 
-@pytest.mark.parametrize("campaign", ["tiny", "demo", "mulde"])
+@pytest.mark.parametrize("campaign", ["tiny", "demo", "mulde", "field_tiny"])
 def test_no_processing_rule_reads_the_truth(talkative_house, campaign: str) -> None:
     found = jobs(talkative_house, campaign)
     assert len(found) > 20
     readers = {job.rule for job in found if any("/truth/" in name for name in job.inputs)}
     simulating = {rule for rule in readers if rule.startswith("simulate_")}
     assert simulating
-    assert readers - simulating == MAY_READ_TRUTH
+    assert readers - simulating == MAY_READ_TRUTH[campaign]
     # and what the comparison yields feeds tables and pictures only
     consumers = {job.rule for job in found if any("/accuracy/truth" in name for name in job.inputs)} - {"all"}
+    consumers |= {j.rule for j in found if any("/calibration_truth" in name for name in j.inputs)} - {"all"}
     assert consumers
-    assert all(rule in ("summarise", "accuracy_page", "calibration_page") or rule.startswith("plot_") for rule in consumers)
+    shown = {"summarise", "accuracy_page", "calibration_page"}
+    assert all(rule in shown or rule.startswith("plot_") for rule in consumers)
     # the truth is written by the simulation alone, into its own folder
     for job in found:
         if any("/simulation/" in name for name in job.outputs):

@@ -176,6 +176,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "compare_with_truth",
         "accuracy_page",
         "summarise",
+        "time_report",
     }
     assert planned(tiny_house) == after_trajectory | of_clouds | OF_DISTANCES
     undo()

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.calibration_tables import DISPLAY, read_figure_table
+from thalweg.figures.calibration_tables import first_picture, read_display
 from thalweg.figures.clock_stability import chosen_photo, clock_stability
 from thalweg.figures.pictures import read_picture
 from thalweg.figures.style import save
@@ -13,21 +13,21 @@ from thalweg.jobs.job import run_job
 def main(
     *,
     display: Path,
-    photos: Path,
+    photos: list[Path],
     clock_stability_png: Path,
     nominal_s: float,
     figures: dict[str, Any],
     twin: bool,
     campaign: dict[str, Any],
 ) -> None:
-    table = read_figure_table(display, (*DISPLAY, "file"))
+    table = read_display(display)
     name, text = chosen_photo(table)
     figure = clock_stability(
         table,
-        read_picture(photos / name),
+        read_picture(first_picture(photos, choice=[name])),
         photo_text=text,
         nominal_s=nominal_s,
-        title=f"Clock of the camera: {campaign['title']}",
+        title=campaign["title"],
         twin=twin,
     )
     save(figure, clock_stability_png, dpi=figures["dpi"])

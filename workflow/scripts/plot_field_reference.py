@@ -6,9 +6,12 @@ from typing import Any
 from thalweg.figures.calibration_tables import (
     CONE_POINTS,
     FIELD_POINTS,
-    IMAGE_MARKS,
+    first_picture,
+    placed,
     read_cones,
     read_figure_table,
+    read_image_marks,
+    read_place,
 )
 from thalweg.figures.field_reference import field_reference
 from thalweg.figures.pictures import read_picture
@@ -21,23 +24,27 @@ def main(
     field_points: Path,
     cones: Path,
     field: Path,
-    image: Path,
+    place: Path,
+    images: list[Path],
     marks: Path,
+    measured: Path,
     cone_points: Path,
     field_reference_png: Path,
     figures: dict[str, Any],
     twin: bool,
     campaign: dict[str, Any],
 ) -> None:
-    all_marks = read_figure_table(marks, IMAGE_MARKS)
+    all_marks = read_image_marks(marks, measured)
+    image = first_picture(images, choice=all_marks["image"].unique().tolist())
+    T_wcs_pcs = read_place(place)
     figure = field_reference(
-        read_figure_table(field_points, FIELD_POINTS),
-        read_cones(cones, field),
+        placed(read_figure_table(field_points, FIELD_POINTS), T_wcs_pcs),
+        placed(read_cones(cones, field), T_wcs_pcs),
         read_picture(image),
-        all_marks[all_marks["image"] == image.name] if "image" in all_marks else all_marks,
-        read_figure_table(cone_points, CONE_POINTS),
+        all_marks[all_marks["image"] == image.name],
+        placed(read_figure_table(cone_points, CONE_POINTS), T_wcs_pcs),
         image_name=image.name,
-        title=f"Camera and lidar: {campaign['title']}",
+        title=campaign["title"],
         twin=twin,
     )
     save(figure, field_reference_png, dpi=figures["dpi"])

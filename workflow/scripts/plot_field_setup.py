@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.calibration_tables import POSES, read_cones, read_figure_table
+from thalweg.figures.calibration_tables import POSES, placed, read_cones, read_figure_table, read_place
 from thalweg.figures.field_setup import field_positions, field_setup
 from thalweg.figures.style import save
 from thalweg.jobs.job import run_job
@@ -13,6 +13,7 @@ def main(
     *,
     cones: Path,
     field: Path,
+    place: Path,
     poses: Path,
     field_setup_png: Path,
     field_positions_png: Path,
@@ -20,10 +21,14 @@ def main(
     twin: bool,
     campaign: dict[str, Any],
 ) -> None:
-    bodies, stands = read_cones(cones, field), read_figure_table(poses, POSES)
-    setup = field_setup(bodies, stands, title=f"Calibration field: {campaign['title']}", twin=twin)
+    T_wcs_pcs = read_place(place)
+    bodies = placed(read_cones(cones, field), T_wcs_pcs)
+    stands = placed(read_figure_table(poses, POSES), T_wcs_pcs)
+    frame = "pcs" if T_wcs_pcs is None else "wcs"
+    setup = field_setup(bodies, stands, frame=frame, title=campaign["title"], twin=twin)
     save(setup, field_setup_png, dpi=figures["dpi"])
-    save(field_positions(bodies, stands, twin=twin), field_positions_png, dpi=figures["dpi"])
+    positions = field_positions(bodies, stands, frame=frame, twin=twin)
+    save(positions, field_positions_png, dpi=figures["dpi"])
 
 
 if "snakemake" in globals():

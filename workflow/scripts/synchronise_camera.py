@@ -50,11 +50,8 @@ def main(
     write_table(images, done.result.images, synchronise.IMAGE_TIMES)
     write_table(fixes, image_fixes(done.result, run, gnss), IMAGE_FIXES)
     write_table(track, antenna_track(gnss), ANTENNA_TRACK)
-    facts = (
-        synchronise.run_facts(done)
-        | counts
-        | {"variants": json.loads(done.variants.to_json(orient="records"))}
-    )
+    variants = json.loads(done.variants.to_json(orient="records"))
+    facts = synchronise.run_facts(done) | counts | {"variants": variants}
     report.write_text(json.dumps(facts, indent=2) + "\n")
 
 

@@ -1,6 +1,7 @@
 """Tables that the figures of a calibration are drawn from: their columns, and how they are read.
 
 Coordinates are those of one frame for all tables of a figure: the calibration field (pcs) or the world (wcs).
+Tables of the field are in pcs; `placed` brings them into wcs, where x is east, y north and z up.
 
 ============ =========================================================================================
 field points ``mark`` ("17/0"), ``x_m y_m z_m``, ``sigma_x_m sigma_y_m sigma_z_m``
@@ -14,7 +15,7 @@ image marks  ``mark``, ``x_px y_px`` (from the upper left corner), ``residual_x_
              (observed minus computed), ``used`` (bool)
 image fixes  ``t_gps_s``, ``east_m north_m up_m`` (antenna from the camera's pose), ``residual_along_m
              residual_across_m residual_up_m`` (track minus image, along the motion and across it to the
-             left), ``used`` (bool)
+             left; NaN where the boat stands or the track has a gap), ``used`` (bool)
 track        ``t_gps_s``, ``east_m north_m up_m`` of the antenna as GNSS has it
 display      ``t_camera_s`` (as the camera stamped it, or the number of the photo), ``read_s`` (what the
              display shows; NaN if unreadable), ``readable`` (bool)
@@ -31,8 +32,12 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from scipy.spatial.transform import Rotation
+
 from thalweg.calibration.field_description import read_field
+from thalweg.calibration.field_facts import read_facts
 from thalweg.core.errors import CoverageError, InputError
+from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
 
 XYZ: Final = ("x_m", "y_m", "z_m")
@@ -51,6 +56,7 @@ IMAGE_FIXES: Final = (
 TRACK: Final = ("t_gps_s", *ENU)
 DISPLAY: Final = ("t_camera_s", "read_s", "readable")
 STUDY: Final = ("cones", "positions", "quantity", "unit", "sigma")
+PICTURES: Final = frozenset((".jpg", ".jpeg", ".png", ".tif", ".tiff"))
 LIDAR_FRAME: Final = (*XYZ, "ring")
 
 
@@ -97,6 +103,93 @@ def read_cones(path: Path, field: Path) -> pd.DataFrame:
     if "used" not in table:
         table = table.assign(used=True)
     return checked(table, CONES, where=str(path))
+
+
+def read_image_marks(residuals: Path, measured: Path) -> pd.DataFrame:
+    """Marks of all images in the columns of this module, and ``image``.
+
+    Parameters
+    ----------
+    residuals : ``image, marker, corner, vx_px, vy_px, used`` of a bundle or a resection, observed minus
+        computed.
+    measured : where the marks were found: ``image, marker, corner, x_px, y_px``.
+
+    Raises
+    ------
+    InputError : a file is missing, lacks a column, or a residual is of a mark that was not measured.
+    """
+    keys = ["image", "marker", "corner"]
+    found = read_figure_table(residuals, (*keys, "vx_px", "vy_px", "used"))
+    places = read_figure_table(measured, (*keys, "x_px", "y_px"))
+    table = found.merge(places[[*keys, "x_px", "y_px"]], on=keys, how="left", validate="one_to_one")
+    lost = int(table["x_px"].isna().sum())
+    if lost:
+        raise InputError(
+            f"{lost} residuals of marks without a place", expected=f"the marks of {measured}", where=residuals
+        )
+    table = table.rename(columns={"vx_px": "residual_x_px", "vy_px": "residual_y_px"})
+    mark = table["marker"].astype(str) + "/" + table["corner"].astype(str)
+    return checked(table.assign(mark=mark), IMAGE_MARKS, where=str(residuals))
+
+
+def read_display(path: Path) -> pd.DataFrame:
+    """Readings of a display in the columns of this module, and ``file``, ``text``; photos in their order.
+
+    Raises
+    ------
+    InputError : the file is missing or lacks a column.
+    """
+    table = read_figure_table(path, ("file", "text", "t_display_s", "reason"))
+    read_s = table["t_display_s"].astype(np.float64)
+    return table.assign(t_camera_s=np.arange(len(table)), read_s=read_s, readable=np.isfinite(read_s))
+
+
+def read_place(path: Path) -> Rigid | None:
+    """``T_wcs_pcs`` of a field; None if it has none for want of targets.
+
+    Raises
+    ------
+    InputError : the file is missing or something else.
+    """
+    place = read_facts(path)["T_wcs_pcs"]
+    return None if place is None else Rigid.from_matrix(place["matrix"])
+
+
+def placed(table: pd.DataFrame, T_wcs_pcs: Rigid | None) -> pd.DataFrame:
+    """Points, cones or poses in wcs instead of pcs; unchanged without a place of the field."""
+    if T_wcs_pcs is None:
+        return table
+    out = table.copy()
+    for columns in (XYZ, CONES[1:4]):
+        if set(columns) <= set(table):
+            out[list(columns)] = T_wcs_pcs.apply(points_of(table, columns))
+    if set(CONES[4:7]) <= set(table):
+        out[list(CONES[4:7])] = points_of(table, CONES[4:7]) @ T_wcs_pcs.R.T
+    if set(POSES[-4:]) <= set(table):
+        turned = Rotation.from_matrix(T_wcs_pcs.R) * Rotation.from_quat(points_of(table, POSES[-4:]))
+        out[list(POSES[-4:])] = turned.as_quat()
+    return out
+
+
+def first_picture(paths: Sequence[Path], *, choice: Sequence[str] = ()) -> Path:
+    """The first picture, as people count, of files or folders; of ``choice`` (names), if it is given.
+
+    Raises
+    ------
+    CoverageError : there is none.
+    """
+    files = {
+        file.name: file
+        for path in paths
+        for file in (sorted(path.iterdir()) if path.is_dir() else [path])
+        if file.suffix.lower() in PICTURES and (not choice or file.name in set(choice))
+    }
+    if not files:
+        raise CoverageError(
+            f"no picture in {', '.join(str(path) for path in paths) or 'an empty list'}",
+            expected=f"one of {', '.join(list(choice)[:3])} ..." if choice else "JPEG or PNG files",
+        )
+    return files[natural(list(files))[0]]
 
 
 def checked(table: pd.DataFrame, columns: Sequence[str], *, where: str = "table") -> pd.DataFrame:

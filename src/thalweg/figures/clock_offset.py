@@ -115,8 +115,8 @@ def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:
         ax.plot(
             t, mm, ls="none", marker=marker, ms=2.4, mew=0.6, mfc="none", color=colour, label=name, gid=name
         )
-        right.hist(mm, edges.tolist(), orientation="horizontal", histtype="step", color=colour, lw=1.1)
-        texts.append(f"{name} {mm.mean():+.1f} ± {mm.std():.1f}")
+        right.hist(mm[np.isfinite(mm)], edges.tolist(), orientation="horizontal", histtype="step", color=colour, lw=1.1)
+        texts.append(f"{name} {np.nanmean(mm):+.1f} ± {np.nanstd(mm):.1f}")
     ax.axhline(0.0, color="black", lw=0.6, zorder=1)
     ax.set_ylim(edges[0], edges[-1])
     ax.set(xlabel="time since the first fix / s", ylabel="track minus image / mm")
@@ -134,5 +134,5 @@ def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:
 
 def _limits(images: pd.DataFrame) -> tuple[float, float]:
     mm = 1e3 * np.concatenate([images[f"residual_{name}_m"].to_numpy() for name, _, _ in PARTS])
-    reach = 1.15 * max(float(np.percentile(np.abs(mm), 99.5)), 1.0)
+    reach = 1.15 * max(float(np.nanpercentile(np.abs(mm), 99.5)), 1.0)
     return -reach, reach

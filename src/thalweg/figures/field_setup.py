@@ -49,17 +49,25 @@ SENSOR_MARKERS: Final = {"camera": "o", "lidar": "s"}
 
 SENSOR_LOOK: Final = {"camera": (RED, "o"), "lidar": (LIDAR_GREY, "s")}
 GRID_M: Final = 2.0
+GROUND_STEP_M: Final = 0.5
+"""The grid lies at the next such height below the lowest cone."""
 
 
 @styled
 def field_setup(
-    cones: pd.DataFrame, poses: pd.DataFrame, *, title: str = "Calibration field", twin: bool = False
+    cones: pd.DataFrame,
+    poses: pd.DataFrame,
+    *,
+    frame: str = "wcs",
+    title: str = "Calibration field",
+    twin: bool = False,
 ) -> Figure:
     """Cones coloured by height with camera (red) and lidar (grey): oblique view and plan (P2 Fig. 2).
 
     Parameters
     ----------
     cones, poses : see `thalweg.figures.calibration_tables`; the sensors of the first position are drawn.
+    frame : frame of both tables; only in ``wcs`` is y north.
     title : first words of the title.
     twin : true if the digital twin made the data.
 
@@ -72,16 +80,17 @@ def field_setup(
     first = filled(checked(poses, POSES), "pose")
     first = first[first["position"] == first["position"].iloc[0]]
     surface = np.concatenate([cone.surface().reshape(-1, 3) for cone in bodies])
-    limits = (min(0.0, float(surface[:, 2].min())), float(surface[:, 2].max()))
+    ground = _ground(surface, points_of(first))
+    limits = (float(ground[0, 2]), float(surface[:, 2].max()))
     used = sum(cone.used for cone in bodies)
     head = f"{title}, n = {plural(len(bodies), 'cone')}, {used} of them used"
     figure = new_figure(150.0, head, twin=twin)
     axes = figure.subplot_mosaic([["a", "a"], ["b", "c"]], height_ratios=[1.0, 0.95], width_ratios=[1.0, 1.0])
-    ground = _ground(surface, points_of(first))
-    for key, view, name in (("a", VIEW, "oblique view"), ("b", PLAN, "plan"), ("c", SOUTH, "from the south")):
+    south = _side_name(frame)
+    for key, view, name in (("a", VIEW, "oblique view"), ("b", PLAN, "plan"), ("c", SOUTH, south)):
         ax = axes[key]
         _draw_ground(ax, ground, view)
-        _draw_feet(ax, bodies, view)
+        _draw_feet(ax, bodies, view, float(ground[0, 2]))
         draw_cones(ax, bodies, view, colours=HEIGHT_MAP, limits_m=limits)
         name_cones(ax, bodies, view)
         _draw_sensors(ax, first, view)
@@ -92,12 +101,13 @@ def field_setup(
         ax.set_title(f"{key}: {name}")
         ax.axis("off")
         scale_bar(ax, span_m=width, xy=(0.02, 0.03))
-    north_arrow(axes["b"])
-    _draw_frame(axes["a"], ground, VIEW)
+    if frame == "wcs":
+        north_arrow(axes["b"])
+    _draw_frame(axes["a"], ground, VIEW, frame)
     handles, labels = axes["a"].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower left", ncols=len(labels))
     figure.colorbar(
-        ScalarMappable(Normalize(*limits), HEIGHT_MAP), ax=list(axes.values()), label="height / m",
+        ScalarMappable(Normalize(*limits), HEIGHT_MAP), ax=list(axes.values()), label=f"height ({'up' if frame == 'wcs' else 'z'} of {frame}) / m",
         shrink=0.6, pad=0.01, aspect=28,
     )  # fmt: skip
     return figure
@@ -108,6 +118,7 @@ def field_positions(
     cones: pd.DataFrame,
     poses: pd.DataFrame,
     *,
+    frame: str = "wcs",
     title: str = "Positions of camera and lidar",
     twin: bool = False,
 ) -> Figure:
@@ -128,10 +139,11 @@ def field_positions(
     arrow_m = _arrow_length(poses)
     spans = [_span(poses, view, arrow_m) for view in (PLAN, SOUTH)]
     parts = figure.subplot_mosaic([["a", "b"], ["a", "c"]], width_ratios=[1.2, 1.0], height_ratios=spans)
-    _field_plan(parts["a"], bodies, points_of(poses))
+    _field_plan(parts["a"], bodies, points_of(poses), frame)
+    names_of = ("east / m", "north / m", "up / m") if frame == "wcs" else ("x / m", "y / m", "z / m")
     for key, view, name, words in (
-        ("b", PLAN, "sensors from above", ("x / m", "y / m")),
-        ("c", SOUTH, "sensors from the south", ("x / m", "z / m")),
+        ("b", PLAN, "sensors from above", (names_of[0], names_of[1])),
+        ("c", SOUTH, f"sensors {_side_name(frame)}", (names_of[0], names_of[2])),
     ):
         ax, reach = parts[key], []
         for k, position in enumerate(names):
@@ -207,10 +219,10 @@ def _draw_position(
     return np.concatenate([start, end])
 
 
-def _field_plan(ax: Axes, bodies: Sequence[FieldCone], sensors: ArrayF) -> None:
+def _field_plan(ax: Axes, bodies: Sequence[FieldCone], sensors: ArrayF, frame: str) -> None:
     used, unused = [c for c in bodies if c.used], [c for c in bodies if not c.used]
     surface = np.concatenate([cone.surface().reshape(-1, 3) for cone in bodies])
-    limits = (min(0.0, float(surface[:, 2].min())), float(surface[:, 2].max()))
+    limits = (float(_ground(surface, sensors)[0, 2]), float(surface[:, 2].max()))
     if used:
         draw_cones(ax, used, PLAN, colours=HEIGHT_MAP, limits_m=limits)
     draw_outlines(ax, unused, PLAN)
@@ -221,15 +233,20 @@ def _field_plan(ax: Axes, bodies: Sequence[FieldCone], sensors: ArrayF) -> None:
     ax.set_title("a: field; outlined: cone not used")
     ax.axis("off")
     scale_bar(ax, span_m=width)
-    north_arrow(ax)
+    if frame == "wcs":
+        north_arrow(ax)
+
+
+def _side_name(frame: str) -> str:
+    return "from the south" if frame == "wcs" else "against y"
 
 
 def _ground(surface: ArrayF, sensors: ArrayF) -> ArrayF:
-    """Corners (4, 3) of the ground below the field, on whole metres of the grid."""
+    """Corners (4, 3) of a horizontal grid below the field: the tables do not know the ground itself."""
     both = np.concatenate([surface, sensors])[:, :2]
     low = GRID_M * np.floor(both.min(axis=0) / GRID_M)
     high = GRID_M * np.ceil(both.max(axis=0) / GRID_M)
-    z = min(0.0, float(surface[:, 2].min()))
+    z = GROUND_STEP_M * np.floor(float(surface[:, 2].min()) / GROUND_STEP_M)
     return np.array([[low[0], low[1], z], [high[0], low[1], z], [high[0], high[1], z], [low[0], high[1], z]])
 
 
@@ -242,11 +259,11 @@ def _draw_ground(ax: Axes, ground: ArrayF, view: Oblique) -> None:
         ax.plot(xy[:, 0], xy[:, 1], color="0.85", lw=0.6, zorder=1)
 
 
-def _draw_feet(ax: Axes, bodies: Sequence[FieldCone], view: Oblique) -> None:
-    """A thin line from the middle of each cone to the ground: it shows place and height."""
+def _draw_feet(ax: Axes, bodies: Sequence[FieldCone], view: Oblique, ground_m: float) -> None:
+    """A thin line from the middle of each cone to the grid: it shows place and height."""
     for cone in bodies:
         middle = cone.apex_m + 0.6 * cone.length_m * cone.axis
-        xy, _ = view.apply(np.array([middle, [middle[0], middle[1], 0.0]]))
+        xy, _ = view.apply(np.array([middle, [middle[0], middle[1], ground_m]]))
         ax.plot(xy[:, 0], xy[:, 1], color="0.6", lw=0.8, zorder=2)
 
 
@@ -267,8 +284,8 @@ def _draw_sensors(ax: Axes, poses: pd.DataFrame, view: Oblique) -> None:
         )  # fmt: skip
 
 
-def _draw_frame(ax: Axes, ground: ArrayF, view: Oblique) -> None:
-    """Axes of the field's frame in the corner of its ground."""
+def _draw_frame(ax: Axes, ground: ArrayF, view: Oblique, frame: str) -> None:
+    """Axes of the frame in the corner of the grid."""
     corner = ground[0]
     for k, name in enumerate("xyz"):
         ends, _ = view.apply(np.array([corner, corner + 1.2 * np.eye(3)[k]]))
@@ -277,5 +294,5 @@ def _draw_frame(ax: Axes, ground: ArrayF, view: Oblique) -> None:
         x, y = ends[0] + 1.18 * (ends[1] - ends[0])
         ax.text(x, y, name, ha="center", va="center", fontsize=7,
                 path_effects=HALO, zorder=7)  # fmt: skip
-    ax.annotate("pcs", tuple(view.apply(corner)[0]), xytext=(-4, -7), textcoords="offset points", ha="right",
+    ax.annotate(frame, tuple(view.apply(corner)[0]), xytext=(-4, -7), textcoords="offset points", ha="right",
                 fontsize=7, color=GREY)  # fmt: skip
