@@ -13,8 +13,8 @@ from typing import Any
 # Two workers with two threads of BLAS each wait for each other; read when numpy loads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
+import numpy as np
+import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

@@ -6,11 +6,21 @@ import pytest
 from PIL import Image
 
 from thalweg.core.errors import CoverageError, InputError
-from thalweg.figures.calibration_tables import CONES, natural, read_cones, read_figure_table
+from thalweg.core.rigid import Rigid
+from thalweg.figures.calibration_tables import (
+    CONES,
+    first_picture,
+    natural,
+    placed,
+    read_cones,
+    read_display,
+    read_figure_table,
+    read_image_marks,
+)
 from thalweg.figures.clock_offset import clock_offset
 from thalweg.figures.clock_stability import chosen_photo, clock_stability, display_intervals
 from thalweg.figures.cone_residuals import cone_residuals
-from thalweg.figures.field_setup import field_setup
+from thalweg.figures.field_setup import axes_of, field_setup
 from thalweg.figures.field_views import cones_of
 from thalweg.figures.pictures import read_picture
 
@@ -29,7 +39,7 @@ def test_the_offset_figure_shows_both_tracks(rng, tmp_path, look):
     )  # fmt: skip
     figure = clock_offset(images, track, {"offset_s": 2.3471, "sigma_offset_s": 0.0031}, twin=True)
     words = look.texts(figure)
-    assert "offset +2.3471 s ± 3.1 ms, n = 57 images, 1 rejected" in words
+    assert "GPS minus camera +2.3471 s ± 3.1 ms, n = 57 images, 1 rejected" in words
     along = 1e3 * images[images["used"]]["residual_along_m"]
     assert f"along {along.mean():+.1f} ± {along.std(ddof=0):.1f}, across +2.0 ± 0.0" in words
     (circles,), (crosses,) = look.artists(figure, "images"), look.artists(figure, "track")
@@ -38,6 +48,11 @@ def test_the_offset_figure_shows_both_tracks(rng, tmp_path, look):
     assert crosses.get_color() == "black"
     assert len(circles.get_xdata()) == 57
     look.drawn(figure, tmp_path)
+    # an image where the boat stands has no direction: the rest is still drawn
+    standing = images.assign(residual_along_m=images["residual_along_m"].where(np.arange(len(at)) != 5))
+    words = look.texts(clock_offset(standing, track, {"offset_s": 0.0, "sigma_offset_s": 0.001}))
+    rest = 1e3 * standing[standing["used"]]["residual_along_m"].dropna()
+    assert f"along {rest.mean():+.1f} ± {rest.std(ddof=0):.1f}, across" in words
 
 
 def test_intervals_jump_over_what_could_not_be_read(tmp_path, look):
@@ -60,6 +75,15 @@ def test_intervals_jump_over_what_could_not_be_read(tmp_path, look):
     assert "3 of 50 photos unreadable" in words
     assert "read: 10:00:00.00" in words
     assert chosen_photo(table) == ("0.jpg", "10:00:00.00")
+    overlaid = table.assign(overlaid=np.where(np.arange(50) < 4, 0.3, 0.0))
+    assert chosen_photo(overlaid)[0] == "4.jpg"
+    # a display of 10 ms has intervals of whole steps: each bar holds one of them
+    figure = clock_stability(table, np.zeros((20, 40, 3), np.uint8), step_s=0.01)
+    (bars,) = look.artists(figure, "histogram")
+    counts, edges, _ = bars.get_data()
+    assert np.diff(edges) == pytest.approx(0.01)
+    assert counts.sum() == 44
+    assert edges[:-1] / 0.01 % 1 == pytest.approx(0.5)
     look.drawn(figure, tmp_path)
     with pytest.raises(CoverageError, match="0 intervals between readable photos"):
         display_intervals(table.assign(readable=False))
@@ -136,3 +160,52 @@ def test_pictures_come_as_they_lie(tmp_path):
 
 def test_names_are_sorted_as_people_count():
     assert natural(["C10", "C2", "C1", "C2"]) == ["C1", "C2", "C10"]
+
+
+def test_marks_of_an_adjustment_get_their_places(tmp_path):
+    keys = {"image": ["a.jpg", "a.jpg"], "marker": [3, 3], "corner": [0, 1]}
+    residuals, measured = tmp_path / "r.csv", tmp_path / "m.parquet"
+    pd.DataFrame({**keys, "vx_px": [0.1, 0.2], "vy_px": [0.0, 0.3], "used": [True, False]}).to_csv(
+        residuals, index=False
+    )
+    places = pd.DataFrame({**keys, "x_px": [10.0, 20.0], "y_px": [5.0, 6.0]})
+    places.iloc[::-1].to_parquet(measured)
+    marks = read_image_marks(residuals, measured)
+    assert list(marks["mark"]) == ["3/0", "3/1"]
+    assert list(marks["x_px"]) == [10.0, 20.0]
+    assert list(marks["residual_y_px"]) == [0.0, 0.3]
+    places.iloc[:1].to_parquet(measured)
+    with pytest.raises(InputError, match="1 residuals of marks without a place"):
+        read_image_marks(residuals, measured)
+
+
+def test_readings_of_the_display_keep_their_order(tmp_path):
+    path = tmp_path / "display.csv"
+    path.write_text("file,text,t_display_s,reason\na.jpg,1,10.5,\nb.jpg,?,,glare\n")
+    table = read_display(path)
+    assert list(table["readable"]) == [True, False]
+    assert table["read_s"][0] == 10.5
+    assert list(table["t_camera_s"]) == [0, 1]
+
+
+def test_a_field_moves_as_a_whole_into_the_world(cones, poses):
+    T = Rigid(R=np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), shift_m=np.array([10.0, 20, 30]))
+    moved, stands = placed(cones, T), placed(poses, T)
+    before, after = cones_of(cones)["C2"], cones_of(moved)["C2"]
+    assert after.surface(4, 1)[0, 0] == pytest.approx(T.apply(before.apex_m[None])[0])
+    assert after.axis == pytest.approx(T.R @ before.axis)
+    assert axes_of(stands) == pytest.approx(T.R @ axes_of(poses))
+    assert stands[["x_m", "y_m", "z_m"]].to_numpy() == pytest.approx(
+        T.apply(poses[["x_m", "y_m", "z_m"]].to_numpy())
+    )
+    assert placed(cones, None) is cones
+
+
+def test_pictures_come_from_folders_or_files(tmp_path):
+    for name in ("position_10.jpg", "position_2.JPG", "notes.txt"):
+        (tmp_path / name).write_bytes(b"")
+    assert first_picture([tmp_path]).name == "position_2.JPG"
+    assert first_picture([tmp_path / "position_10.jpg"]).name == "position_10.jpg"
+    assert first_picture([tmp_path], choice=["position_10.jpg"]).name == "position_10.jpg"
+    with pytest.raises(CoverageError, match="no picture"):
+        first_picture([tmp_path], choice=["position_3.jpg"])

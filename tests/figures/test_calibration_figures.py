@@ -81,12 +81,29 @@ def test_the_field_shows_cones_and_sensors(cones, poses, tmp_path, look):
     words = look.texts(figure)
     assert "n = 4 cones, 3 of them used" in words
     assert "digital twin" in words
-    assert "height / m" in words
+    assert "up (wcs) / m" in words
     (camera, *_), (lidar, *_) = look.artists(figure, "camera"), look.artists(figure, "lidar")
     assert camera.get_marker() == "o"
     assert lidar.get_marker() == "s"
     assert {t for t in words.split(" | ") if t.startswith("C")} >= {"C1", "C2", "C4", "C10"}
     look.drawn(figure, tmp_path)
+    # only wcs has a north; the grid lies below the lowest cone, wherever the origin of the frame is
+    assert look.artists(figure, "north-arrow")
+    low = cones.assign(apex_z_m=cones["apex_z_m"] - 5.0)
+    words = look.texts(field_setup(low, poses, frame="pcs", unseen=["C7"]))
+    assert "without data: C7" in words
+    assert "z (pcs) / m" in words
+    assert "from the south" not in words
+    assert not look.artists(field_setup(low, poses, frame="pcs"), "north-arrow")
+
+
+def test_a_distance_is_signed(cones):
+    cone = cones_of(cones)["C1"]
+    surface = cone.surface()[1:].reshape(-1, 3)
+    assert cone.distance(surface) == pytest.approx(0.0, abs=1e-12)
+    assert cone.distance(cone.apex_m + 0.5 * cone.axis[None])[0] == pytest.approx(
+        -0.5 * np.sin(cone.half_angle_rad)
+    )
 
 
 def test_positions_have_one_colour_each(cones, poses, tmp_path, look):
@@ -208,7 +225,7 @@ def test_unrolled_cones_carry_their_residuals(cones, points, tmp_path, look):
     figure = cone_residuals(points, cones, twin=True)
     used = points[points["used"]]
     words = look.texts(figure)
-    assert f"n = {count(len(used))} points on 3 cones, 36 rejected".replace(NBSP, " ") in words
+    assert f"n = {count(len(used))} points on 3 cones, 36 not used".replace(NBSP, " ") in words
     clouds = [a for a in look.artists(figure, "residuals") if isinstance(a, PathCollection)]
     assert len(clouds) == 3
     for cloud, name in zip(clouds, ["C1", "C2", "C10"], strict=True):
@@ -241,7 +258,8 @@ def test_before_and_after(rng, cones, tmp_path, look, on_cones):
     before = after.assign(x_m=after["x_m"] + 0.1, residual_m=after["residual_m"] + 0.06)
     figure = cone_before_after(before, after, cones, cone="C2", twin=True)
     words = look.texts(figure)
-    kept = after[after["used"] & (after["cone"] == "C2")]["residual_m"] * 1e3
+    part = after[after["used"] & (after["cone"] == "C2")]
+    kept = 1e3 * cones_of(cones)["C2"].distance(part[["x_m", "y_m", "z_m"]].to_numpy())
     assert f"C2, n = {len(kept)} points" in words
     assert f"mean {kept.mean():+.1f} mm, RMS {np.sqrt((kept**2).mean()):.1f} mm" in words
     along = look.artists(figure, "along")

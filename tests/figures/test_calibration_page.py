@@ -10,7 +10,7 @@ from thalweg.core.calibration import Block, Calibration, Source, lever_block, po
 from thalweg.core.errors import InputError
 from thalweg.core.frames import rotation_opk
 from thalweg.core.rigid import Rigid
-from thalweg.figures.calibration_page import block_table, calibration_page, summary
+from thalweg.figures.calibration_page import block_table, calibration_page, summary, with_units
 from thalweg.figures.correlations import correlation_matrix
 from thalweg.figures.style import save
 
@@ -81,7 +81,7 @@ def test_the_page_is_whole(boat, tmp_path):
     ):  # fmt: skip
         assert words in plain, words
     # metres of the truth are shown in millimetres
-    row = re.search(r"<tr><td>camera_lidar</td><td>x</td>.*?</tr>", html)
+    row = re.search(r"<tr><td>camera lidar</td><td>x</td>.*?</tr>", html)
     assert row
     assert re.findall(r"<td[^>]*>([^<]*)</td>", row.group())[2:] == ["0.3", "1", "mm", "0.3"]
     page.write(tmp_path / "index.html")
@@ -91,3 +91,51 @@ def test_the_page_is_whole(boat, tmp_path):
 def test_a_missing_picture_is_refused(boat, tmp_path):
     with pytest.raises(InputError, match="file not found"):
         calibration_page([boat], pictures=[tmp_path / "none.png"])
+
+
+CLOCK = {
+    "offset_s": -2.348, "sigma_offset_s": 0.002, "drift_ppm": -17.6, "sigma_drift_ppm": 34.0,
+    "jitter_s": 0.0229, "sigma_jitter_s": 0.0014, "images_used": 148, "variant": "positions and attitude",
+    "sigma0_squared": 1.025, "sigma0_squared_band": [0.85, 1.17],
+    "variants": [{"variant": "p2", "offset_s": -2.35, "sigma_offset_s": 0.0139, "drift_ppm": 0.0,
+                  "sigma_drift_ppm": 1e-6, "jitter_s": 0.0, "sigma0_squared": 4.8, "images_used": 148}],
+}  # fmt: skip
+
+
+def plain_text(page):
+    return " ".join(re.sub(r"<[^>]+>", " ", page.html()).split())
+
+
+def test_the_page_says_how_the_clock_runs(boat):
+    words = plain_text(calibration_page([boat], facts={"camera_clock": CLOCK}))
+    assert "Clock of the camera: offset -2.3480 s, sigma 2.0 ms." in words
+    assert "off by 22.9 ms (standard deviation, sigma 1.4 ms)" in words
+    assert "148 images and on positions and attitude" in words
+    # the drift of the published variant is held: no numbers
+    assert "p2 -2.35 13.9 – – 0 4.8 148" in words
+
+
+def test_long_tables_are_cut_and_reasons_counted(boat):
+    long = pd.DataFrame({"cone": [f"C{k}" for k in range(113)], "shift_x_mm": 0.5})
+    rejected = pd.DataFrame({"image": ["a.jpg"] * 40, "reason": ["glare"] * 25 + ["no saddles"] * 15})
+    words = plain_text(calibration_page([boat], [("Cones (c.csv)", long), ("Marks (m.csv)", rejected)]))
+    assert "Cones (c.csv): first 30 of 113 rows, all of them in the file" in words
+    assert "C29" in words
+    assert "C30" not in words
+    assert "shift x / mm" in words
+    assert "Marks (m.csv): 40 rows, counted by reason reason rows glare 25 no saddles 15" in words
+    assert with_units(pd.DataFrame({"x_m": [1], "x_mm": [2]}))[1] == {}
+
+
+def test_a_block_stands_once(boat):
+    words = plain_text(calibration_page([boat, boat]))
+    assert words.count("lever arm of 16.0 cm") == 1
+    assert "Block camera_lidar: as under Camera &amp; lidar." in words
+
+
+def test_what_was_left_out_is_counted_by_reason(boat):
+    rejected = [{"what": "image", "name": f"{k}.jpg", "reason": "too few marks"} for k in range(7)]
+    words = plain_text(calibration_page([boat], facts={"camera": {"rejected": rejected}}))
+    assert "7 images left out, too few marks: 0.jpg, 1.jpg, 2.jpg, 3.jpg, 4.jpg ..." in words
+    words = plain_text(calibration_page([boat], facts={"field": {"notes": ["cone C7: 0 of 8 markers"]}}))
+    assert "Cone C7: 0 of 8 markers." in words

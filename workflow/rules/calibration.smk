@@ -235,6 +235,37 @@ rule calibrate_ins_lidar:
         "../scripts/calibrate_ins_lidar.py"
 
 
+rule calibrate_echo_sounder:
+    """Place of the echo sounder from soundings over a surveyed bed. The campaign goes on with its ruler's."""
+    input:
+        depths="results/{campaign}/ingest/depths.parquet",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
+        bed=raw("bed"),
+    output:
+        echo_sounder="results/{campaign}/calibration/echo_sounder.yaml",
+        report="results/{campaign}/calibration/echo_sounder.json",
+    log:
+        "logs/{campaign}/calibration/calibrate_echo_sounder.log",
+    benchmark:
+        "benchmarks/{campaign}/calibration/calibrate_echo_sounder.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("calibrate_echo_sounder"),
+        campaign=identity("id", "origin", "crs"),
+        settings=echo_settings,
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+    message:
+        "{wildcards.campaign}: place of the echo sounder"
+    script:
+        "../scripts/calibrate_echo_sounder.py"
+
+
 rule assemble_boat:
     """All sensors of the boat in one calibration."""
     input:

@@ -101,6 +101,12 @@ def clock_options(wildcards):
     return found["clock"] | errors
 
 
+def echo_settings(wildcards):
+    """Params function: how soundings over a surveyed bed are evaluated."""
+    found = CAMPAIGNS[wildcards.campaign].plain()["calibration"]
+    return found["echo_sounder"] | {"errors": found["run_errors"]}
+
+
 def echo_place(wildcards):
     """Params function: where the echo sounder sits by the ruler."""
     place = CAMPAIGNS[wildcards.campaign].plain()["mounts"]["echo_sounder"]
@@ -199,6 +205,8 @@ def logs_of(name, stream):
     """Files of a stream of a campaign: the twin's, or those that the campaign file names."""
     if is_twin(name):
         known = TWIN_FIELD_LOGS if CAMPAIGNS[name].is_calibration else TWIN_LOGS
+        if CAMPAIGNS[name].twin.echo.bed_survey:
+            known = known | {"bed": ["bed.csv"]}
         return [
             f"results/{name}/simulation/logs/{log}" for log in known.get(stream, [])
         ]
@@ -354,6 +362,12 @@ def calibration_pictures(name):
     ]
 
 
+def echo_outputs(name):
+    """The place of the echo sounder, where the bed was surveyed."""
+    surveyed = logs_of(name, "bed")
+    return [f"results/{name}/calibration/echo_sounder.yaml"] if surveyed else []
+
+
 def calibration_outputs(name):
     """The tables and pictures that `all` builds for a calibration campaign."""
     base = f"results/{name}"
@@ -362,6 +376,7 @@ def calibration_outputs(name):
         f"{base}/calibration/index.html",
         f"{base}/timing/time_report.csv",
         *(f"{base}/figures/{name}.png" for name in calibration_pictures(name)),
+        *echo_outputs(name),
     ]
     if is_twin(name):
         outputs.append(f"{base}/accuracy/calibration_truth.csv")
@@ -391,6 +406,7 @@ def final_outputs(name):
         f"{base}/timing/time_report.csv",
         *(f"{base}/figures/{picture}.png" for picture in pictures),
         f"{base}/summary.csv",
+        *echo_outputs(name),
     ]
     if CAMPAIGNS[name].georeferencing.export_map:
         outputs.append(f"{base}/lidar/points_map.laz")

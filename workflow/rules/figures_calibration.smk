@@ -1,11 +1,38 @@
 """Figures of a calibration."""
 
 
+def calibration_page_pictures(wildcards):
+    """Input function: pictures of a calibration campaign."""
+    return [
+        f"results/{wildcards.campaign}/figures/{picture}.png"
+        for picture in calibration_pictures(wildcards.campaign)
+    ]
+
+
+def calibration_facts(wildcards):
+    """Input function: reports of the jobs of a calibration that its page quotes."""
+    return [
+        f"results/{wildcards.campaign}/calibration/field.json",
+        f"results/{wildcards.campaign}/calibration/camera.json",
+        f"results/{wildcards.campaign}/timing/camera_clock.json",
+        *clock_stability(wildcards),
+    ]
+
+
+def calibration_truth(wildcards):
+    """Input function: errors of a twin's calibration against its true places."""
+    twin = is_twin(wildcards.campaign)
+    return (
+        [f"results/{wildcards.campaign}/accuracy/calibration_truth.csv"] if twin else []
+    )
+
+
 rule plot_field_setup:
     """The field and the static positions (P2 Fig. 2 and 8)."""
     input:
         cones="results/{campaign}/calibration/cones.csv",
         field=raw("field"),
+        place="results/{campaign}/calibration/field.json",
         poses="results/{campaign}/calibration/poses.csv",
     output:
         field_setup_png=report(
@@ -47,8 +74,10 @@ rule plot_field_reference:
         field_points="results/{campaign}/calibration/field_points.csv",
         cones="results/{campaign}/calibration/cones.csv",
         field=raw("field"),
+        place="results/{campaign}/calibration/field.json",
         images=raw("position_images"),
         marks="results/{campaign}/calibration/camera_residuals.csv",
+        measured="results/{campaign}/calibration/boat_marks.parquet",
         cone_points="results/{campaign}/calibration/cone_points.parquet",
     output:
         field_reference_png=report(
@@ -142,8 +171,8 @@ rule plot_synthetic_view:
 rule plot_clock_offset:
     """Antenna from images and from GNSS (P2 Fig. 9)."""
     input:
-        fixes="results/{campaign}/timing/image_times.parquet",
-        track="results/{campaign}/ingest/positions.parquet",
+        fixes="results/{campaign}/timing/image_fixes.parquet",
+        track="results/{campaign}/timing/antenna_track.parquet",
         facts="results/{campaign}/timing/camera_clock.json",
     output:
         clock_offset_png=report(
@@ -201,6 +230,7 @@ rule plot_clock_stability:
         twin=lambda wildcards: is_twin(wildcards.campaign),
         campaign=identity("title"),
         nominal_s=calibration("display", "nominal_s"),
+        step_s=calibration("display", "step_s"),
     message:
         "{wildcards.campaign}: stability of the camera's clock"
     script:
@@ -336,3 +366,51 @@ rule plot_calibration_design:
         "{wildcards.campaign}: design of the field"
     script:
         "../scripts/plot_calibration_design.py"
+
+
+rule calibration_page:
+    """Everything that a calibration found out, on one page."""
+    input:
+        calibrations=[
+            "results/{campaign}/calibration/boat.yaml",
+            "results/{campaign}/calibration/camera_lidar.yaml",
+            "results/{campaign}/calibration/ins_lidar.yaml",
+            "results/{campaign}/calibration/camera.yaml",
+            "results/{campaign}/calibration/reference_camera.yaml",
+        ],
+        tables=[
+            "results/{campaign}/calibration/cones.csv",
+            "results/{campaign}/calibration/cone_detection.csv",
+            "results/{campaign}/calibration/cone_residuals.csv",
+            "results/{campaign}/calibration/cone_displacements.csv",
+            "results/{campaign}/calibration/passes.csv",
+            "results/{campaign}/calibration/reference_marks_rejected.csv",
+            "results/{campaign}/calibration/boat_marks_rejected.csv",
+        ],
+        facts=calibration_facts,
+        pictures=calibration_page_pictures,
+        captions=lambda wildcards: [
+            ROOT / "workflow" / "report" / f"{Path(picture).stem}.rst"
+            for picture in calibration_page_pictures(wildcards)
+        ],
+        truth=calibration_truth,
+    output:
+        page="results/{campaign}/calibration/index.html",
+    log:
+        "logs/{campaign}/figures/calibration_page.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/calibration_page.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("calibration_page"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title"),
+    message:
+        "{wildcards.campaign}: calibration page"
+    script:
+        "../scripts/calibration_page.py"

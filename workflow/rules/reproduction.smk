@@ -177,3 +177,51 @@ rule camera_lidar_study:
         "camera-lidar calibrations of {params.seeds} seeds of the digital twin"
     script:
         "../scripts/camera_lidar_study.py"
+
+
+rule ins_lidar_study:
+    """Lidar on the moving boat calibrated by cones over many seeds: are the sigmas honest?"""
+    output:
+        table="results/reproduction/ins_lidar_study.csv",
+        page="results/reproduction/ins_lidar_study.md",
+    log:
+        "logs/reproduction/ins_lidar_study.log",
+    benchmark:
+        "benchmarks/reproduction/ins_lidar_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(60),
+    params:
+        code=code_version("ins_lidar_study"),
+        seeds=50,
+    message:
+        "mounts of the lidar from {params.seeds} seeds of the digital twin"
+    script:
+        "../scripts/ins_lidar_study.py"
+
+
+rule echo_sounder_study:
+    """Place of the echo sounder over a surveyed bed, over many seeds: are the sigmas honest?"""
+    output:
+        table="results/reproduction/echo_sounder_study.csv",
+        page="results/reproduction/echo_sounder_study.md",
+    log:
+        "logs/reproduction/echo_sounder_study.log",
+    benchmark:
+        "benchmarks/reproduction/echo_sounder_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(60),
+    params:
+        code=code_version("echo_sounder_study"),
+        seeds=50,
+    message:
+        "places of the echo sounder from {params.seeds} seeds of the digital twin"
+    script:
+        "../scripts/echo_sounder_study.py"

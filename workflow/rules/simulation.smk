@@ -190,6 +190,33 @@ rule simulate_echo:
         "../scripts/simulate_echo.py"
 
 
+rule simulate_bed_survey:
+    """Points of the river bed, surveyed on foot."""
+    input:
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    output:
+        bed="results/{campaign}/simulation/logs/bed.csv",
+        effects="results/{campaign}/simulation/truth/bed_survey_effects.json",
+    log:
+        "logs/{campaign}/simulation/simulate_bed_survey.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_bed_survey.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_bed_survey"),
+        campaign=identity("origin", "seed", "crs"),
+        twin=twin_parts("scene", "boat", "echo"),
+    message:
+        "{wildcards.campaign}: survey of the bed of the digital twin"
+    script:
+        "../scripts/simulate_bed_survey.py"
+
+
 rule simulate_tls:
     """Terrestrial scans from three stations."""
     input:

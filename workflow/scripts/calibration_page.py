@@ -1,5 +1,6 @@
 """Everything that a calibration found out -> one page."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,21 @@ def main(
     pictures: list[Path],
     captions: list[Path],
     truth: list[Path],
+    facts: list[Path],
     page: Path,
     twin: bool,
     campaign: dict[str, Any],
 ) -> None:
     calibration_page(
         [read_calibration(path) for path in calibrations],
-        [(path.stem.replace("_", " ").capitalize(), read_figure_table(path, ())) for path in tables],
+        [
+            (f"{path.stem.replace('_', ' ').capitalize()} ({path.name})", read_figure_table(path, ()))
+            for path in tables
+        ],
         pictures=pictures,
         captions={path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions},
         truth=read_figure_table(truth[0], ()) if truth else None,
+        facts={path.stem: json.loads(path.read_text(encoding="utf-8")) for path in facts},
         title=f"Calibration: {campaign['title']}",
         twin=twin,
     ).write(page)

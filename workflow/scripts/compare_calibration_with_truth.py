@@ -1,4 +1,4 @@
-"""Calibration of a twin's boat -> its errors against where the sensors truly sit and how the clock truly runs."""
+"""Calibration of a twin's boat -> its errors against its true sensors and its true clock."""
 
 import json
 from pathlib import Path

@@ -16,6 +16,7 @@ def main(
     photos: list[Path],
     clock_stability_png: Path,
     nominal_s: float,
+    step_s: float,
     figures: dict[str, Any],
     twin: bool,
     campaign: dict[str, Any],
@@ -27,6 +28,7 @@ def main(
         read_picture(first_picture(photos, choice=[name])),
         photo_text=text,
         nominal_s=nominal_s,
+        step_s=step_s,
         title=campaign["title"],
         twin=twin,
     )

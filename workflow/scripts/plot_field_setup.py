@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from thalweg.calibration.field_description import read_field
 from thalweg.figures.calibration_tables import POSES, placed, read_cones, read_figure_table, read_place
 from thalweg.figures.field_setup import field_positions, field_setup
 from thalweg.figures.style import save
@@ -25,7 +26,9 @@ def main(
     bodies = placed(read_cones(cones, field), T_wcs_pcs)
     stands = placed(read_figure_table(poses, POSES), T_wcs_pcs)
     frame = "pcs" if T_wcs_pcs is None else "wcs"
-    setup = field_setup(bodies, stands, frame=frame, title=campaign["title"], twin=twin)
+    described = [cone.name for cone in read_field(field).cones]
+    unseen = [name for name in described if name not in set(bodies["name"].astype(str))]
+    setup = field_setup(bodies, stands, frame=frame, unseen=unseen, title=campaign["title"], twin=twin)
     save(setup, field_setup_png, dpi=figures["dpi"])
     positions = field_positions(bodies, stands, frame=frame, twin=twin)
     save(positions, field_positions_png, dpi=figures["dpi"])

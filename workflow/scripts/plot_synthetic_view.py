@@ -21,7 +21,7 @@ def main(
     figure = synthetic_view(
         read_height_view(view),
         read_figure_table(lidar_frame, LIDAR_FRAME),
-        title=f"Synthetic image and lidar frame: {campaign['title']}",
+        title=f"{campaign['title']}: synthetic image and lidar frame",
         twin=twin,
     )
     save(figure, synthetic_view_png, dpi=figures["dpi"])

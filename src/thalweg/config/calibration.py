@@ -94,6 +94,32 @@ class InsLidarFit(Section):
     )
 
 
+class EchoSounderFit(Section):
+    """Place of the echo sounder from soundings over a surveyed bed; poses err as `run_errors` says."""
+
+    sigma_depth_m: Positive = Field(default=0.02, le=1, description="Noise of a sounding, metres")
+    sigma_datum_m: NonNegative = Field(
+        default=0.01, le=1, description="Common error of the heights of the surveyed bed, metres"
+    )
+    sigma_sound_speed: NonNegative = Field(
+        default=0.002, le=0.1, description="Error of the speed of sound, relative"
+    )
+    sigma_lag_s: Positive = Field(
+        default=0.05, le=10, description="What is known of the time of the soundings, seconds"
+    )
+    longest_edge_m: Positive = Field(
+        default=2.0, description="Surveyed points farther apart do not make a bed between them, metres"
+    )
+    max_sigma_lever_m: Positive = Field(
+        default=0.02, le=1, description="A coordinate that the soundings alone give worse is refused, metres"
+    )
+    max_sigma_lag_s: Positive = Field(
+        default=0.02,
+        le=10,
+        description="A time offset that the soundings alone give worse is refused, seconds",
+    )
+
+
 class ImageTimes(Section):
     """When the images of the run were taken, by the camera's clock."""
 
@@ -157,6 +183,9 @@ class Calibration(Section):
     )
     run_errors: RunErrors = Field(default=RunErrors(), description="How the poses of the run err")
     ins_lidar: InsLidarFit = Field(default=InsLidarFit(), description="Lidar on the moving boat")
+    echo_sounder: EchoSounderFit = Field(
+        default=EchoSounderFit(), description="Echo sounder over a surveyed bed"
+    )
     image_times: ImageTimes = Field(default=ImageTimes(), description="Stamps of the run's images")
     clock: CameraClock = Field(default=CameraClock(), description="Clock of the camera")
     display: DisplayTest = Field(default=DisplayTest(), description="Test of the camera's clock")

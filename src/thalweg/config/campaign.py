@@ -67,7 +67,7 @@ class Campaign(Section):
         Parameters
         ----------
         stream : ``lidar``, ``ins``, ``rover``, ``sbp`` (rover files without RINEX), ``base``, ``nav``,
-            ``pos``, ``sbet``, ``depth``, ``reference``, or one of `CalibrationLogs`.
+            ``pos``, ``sbet``, ``depth``, ``reference``, ``bed``, or one of `CalibrationLogs`.
 
         Raises
         ------

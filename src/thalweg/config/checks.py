@@ -64,6 +64,7 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         *_check_calibration(parts),
         *_check_lists(parts),
         *_check_ppk(parts),
+        *_check_bed(parts),
     ]
     if parts.accuracy is not None:
         place = (parts.raw("campaign", "crs"), parts.raw("campaign", "origin"))
@@ -234,6 +235,27 @@ def _check_ppk(parts: Parts) -> Iterator[Mistake]:
             found="found 'dual-freq' with frequencies: l1",
             expected="two frequencies for this model",
             cure="Write frequencies: l1+l2, or iono: brdc",
+        )
+
+
+def _check_bed(parts: Parts) -> Iterator[Mistake]:
+    if parts.raw("logs", "bed") and not parts.raw("logs", "depth"):
+        yield Mistake(
+            path=("logs", "bed"),
+            found="a surveyed bed without soundings",
+            expected="the log of the echo sounder, whose place it is for",
+            cure="Add the line `depth: …`, or remove `bed`",
+        )
+    twin = parts.raw("twin") or {}
+    on_land = isinstance(twin, dict) and (
+        isinstance(twin.get("field"), dict) or str(twin.get("size")).startswith("field")
+    )
+    if on_land and parts.raw("twin", "echo", "bed_survey"):
+        yield Mistake(
+            path=("twin", "echo", "bed_survey"),
+            found="a calibration field on land has no river bed",
+            expected="bed_survey in a survey campaign",
+            cure="Remove the line, or move it to a campaign on the river",
         )
 
 

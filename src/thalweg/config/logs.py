@@ -22,6 +22,7 @@ STREAM_KEYS = {
     "smrmsg": ("smrmsg",),
     "depth": ("depth",),
     "reference": ("reference",),
+    "bed": ("bed",),
     "field": ("calibration", "field"),
     "reference_images": ("calibration", "reference_images"),
     "position_images": ("calibration", "position_images"),
@@ -119,6 +120,11 @@ class Logs(Section):
         description="UTC date `YYYY-MM-DD` of the first sounding, for NMEA logs without date",
     )
     reference: Files = Field(default=(), description="Reference clouds: LAS, LAZ, PLY, E57")
+    bed: Files = Field(
+        default=(),
+        description="Surveyed points of the river bed, for the place of the echo sounder: CSV with east_m, "
+        "north_m, h_ell_m in campaign.crs and sigma_m",
+    )
     calibration: CalibrationLogs = Field(
         default=CalibrationLogs(), description="Recordings of a calibration field"
     )

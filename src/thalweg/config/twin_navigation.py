@@ -144,3 +144,12 @@ class TwinEcho(Section):
     sigma_m: NonNegative = Field(default=0.02, le=1, description="Noise of the depth, metres")
     offset_m: Finite = Field(default=0.1, description="Offset in DPT: transducer to water line, metres")
     max_depth_m: Positive = Field(default=100.0, description="Range scale, metres")
+    bed_survey: bool = Field(
+        default=False, description="Points of the bed are surveyed with an RTK pole in shallow water"
+    )
+    sigma_bed_m: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=0.02, description="Error of a surveyed point in each coordinate, metres"
+    )
+    sigma_bed_datum_m: NonNegative = Field(
+        default=0.005, le=1, description="Common error of the heights of all surveyed points, metres"
+    )

@@ -309,7 +309,7 @@ def _result(
         cov = linalg.cho_solve(linalg.cho_factor(Ns + Gs.T @ Gs, lower=True), np.eye(u))
     cov = cov / np.outer(scale, scale)
     if G is not None:
-        # Any generalised inverse, transformed to the datum of the constraints (S-transformation, Baarda 1973).
+        # Any generalised inverse, brought to the datum of the constraints (S-transformation, Baarda 1973).
         E = null_space(here.N, scale, len(G))
         S = np.eye(u) - E @ np.linalg.solve(G @ E, G)
         cov = S @ cov @ S.T

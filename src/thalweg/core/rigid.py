@@ -136,7 +136,10 @@ class Rigid:
         return type(self)(R=self.R.T, shift_m=-self.R.T @ self.shift_m, cov=(cov + cov.T) / 2)
 
     def by_inverse(self) -> ArrayF:
-        """(6, 6) derivative of the inverse's error by this one's: ``-R^T (dshift - dtheta x shift)``, ``-R^T dtheta``."""
+        """(6, 6) derivative of the inverse's error by this one's.
+
+        ``-R^T (dshift - dtheta x shift)`` and ``-R^T dtheta``.
+        """
         J = np.zeros((6, 6))
         J[:3, :3] = -self.R.T
         J[:3, 3:] = -self.R.T @ cross_matrix(self.shift_m[None])[0]

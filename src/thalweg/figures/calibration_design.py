@@ -17,8 +17,10 @@ from thalweg.figures.style import (
     PURPLE,
     SKY,
     VERMILION,
+    count,
     legend_below,
     new_figure,
+    plural,
     styled,
 )
 
@@ -46,11 +48,13 @@ def calibration_design(
     CoverageError : the table is empty.
     """
     table = filled(checked(study, STUDY), "row of the study")
-    table = table[np.isfinite(table["sigma"].to_numpy(np.float64))]
+    known = np.isfinite(table["sigma"].to_numpy(np.float64))
+    table, lost = table[known], int((~known).sum())
     quantities = {unit: _ordered(filled(part, "sigma")["quantity"]) for unit, part in table.groupby("unit")}
-    n = len(table)
+    head = f"{title}, n = {plural(len(table), 'sigma')}"
+    head += f"; {count(lost)} that the geometry does not determine are left out" if lost else ""
     rows = [unit for unit in ("deg", "m") if unit in quantities]
-    figure = new_figure(18.0 + 52.0 * len(rows), f"{title}, n = {n} sigmas", twin=twin)
+    figure = new_figure(18.0 + 52.0 * len(rows), head, twin=twin)
     columns = max(len(names) for names in quantities.values())
     axes = figure.subplots(len(rows), columns, squeeze=False, sharex=True, sharey="row")
     positions = sorted(int(p) for p in table["positions"].unique())

@@ -31,7 +31,6 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-
 from scipy.spatial.transform import Rotation
 
 from thalweg.calibration.field_description import read_field

@@ -57,7 +57,7 @@ def clock_offset(
     images = filled(checked(images, IMAGE_FIXES), "image with a pose").sort_values("t_gps_s")
     track = checked(track, TRACK).sort_values("t_gps_s")
     used = images["used"].to_numpy(bool)
-    offset = f"offset {facts['offset_s']:+.4f} s ± {1e3 * facts['sigma_offset_s']:.1f} ms"
+    offset = f"GPS minus camera {facts['offset_s']:+.4f} s ± {1e3 * facts['sigma_offset_s']:.1f} ms"
     rejected = int((~used).sum())
     figure = new_figure(
         132.0,
@@ -69,7 +69,9 @@ def clock_offset(
     t0 = float(track["t_gps_s"].iloc[0]) if len(track) else float(images["t_gps_s"].iloc[0])
     _residuals(below, right, images[used], t0)
     handles, labels = plan.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower left", ncols=4)
+    looks = [Line2D([], [], color=c, marker=m, mfc="none", ms=3.5, lw=1.1) for _, c, m in PARTS]
+    labels += [name for name, _, _ in PARTS]
+    figure.legend([*handles, *looks], labels, loc="outside lower left", ncols=6)
     return figure
 
 
@@ -115,7 +117,14 @@ def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:
         ax.plot(
             t, mm, ls="none", marker=marker, ms=2.4, mew=0.6, mfc="none", color=colour, label=name, gid=name
         )
-        right.hist(mm[np.isfinite(mm)], edges.tolist(), orientation="horizontal", histtype="step", color=colour, lw=1.1)
+        right.hist(
+            mm[np.isfinite(mm)],
+            edges.tolist(),
+            orientation="horizontal",
+            histtype="step",
+            color=colour,
+            lw=1.1,
+        )
         texts.append(f"{name} {np.nanmean(mm):+.1f} ± {np.nanstd(mm):.1f}")
     ax.axhline(0.0, color="black", lw=0.6, zorder=1)
     ax.set_ylim(edges[0], edges[-1])
@@ -125,11 +134,6 @@ def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:
     right.set_xlabel("images / 1")
     right.tick_params(labelleft=False)
     right.grid()
-    right.legend(
-        [Line2D([], [], color=c, marker=m, mfc="none", ms=3, lw=1.1) for _, c, m in PARTS],
-        [name for name, _, _ in PARTS],
-        loc="upper right",
-    )
 
 
 def _limits(images: pd.DataFrame) -> tuple[float, float]:

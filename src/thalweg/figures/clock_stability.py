@@ -23,6 +23,7 @@ def clock_stability(
     *,
     photo_text: str = "",
     nominal_s: float = 1.0,
+    step_s: float = 0.0,
     title: str = "Clock of the camera",
     twin: bool = False,
 ) -> Figure:
@@ -35,6 +36,7 @@ def clock_stability(
     photo : (h, w) or (h, w, 3) uint8, one of the photos.
     photo_text : what was read from it.
     nominal_s : interval that was set, seconds.
+    step_s : step of the display, seconds: bars of the histogram are multiples of it; 0: not known.
     title : first words of the title.
     twin : true if the digital twin made the data.
 
@@ -58,7 +60,7 @@ def clock_stability(
     axes: dict[str, Any] = figure.subplot_mosaic([["a", "c"], ["b", "b"]], height_ratios=[1.15, 1.0])
     _photo(axes["a"], photo, photo_text)
     _in_time(axes["b"], elapsed_min, intervals, nominal_s)
-    _histogram(axes["c"], intervals, nominal_s)
+    _histogram(axes["c"], intervals, nominal_s, step_s)
     return figure
 
 
@@ -82,7 +84,12 @@ def display_intervals(table: pd.DataFrame) -> tuple[ArrayF, ArrayF]:
 
 
 def chosen_photo(table: pd.DataFrame) -> tuple[str, str]:
-    """File and text of the first photo that could be read; columns ``file``, ``readable``, perhaps ``text``.
+    """File and text of the first clear photo that could be read.
+
+    Parameters
+    ----------
+    table : columns ``file`` and ``readable``; perhaps ``text``, and ``overlaid``, how far two numbers lie
+        over each other.
 
     Raises
     ------
@@ -91,7 +98,8 @@ def chosen_photo(table: pd.DataFrame) -> tuple[str, str]:
     readable = table[table["readable"].astype(bool)]
     if not len(readable):
         raise CoverageError("no photo could be read", expected="at least one")
-    first = readable.iloc[0]
+    clear = readable[readable["overlaid"] == readable["overlaid"].min()] if "overlaid" in table else readable
+    first = clear.iloc[0]
     return str(first["file"]), str(first["text"]) if "text" in table else ""
 
 
@@ -123,10 +131,10 @@ def _in_time(ax: Axes, minutes: ArrayF, intervals: ArrayF, nominal_s: float) -> 
     ax.grid()
 
 
-def _histogram(ax: Axes, intervals: ArrayF, nominal_s: float) -> None:
+def _histogram(ax: Axes, intervals: ArrayF, nominal_s: float, step_s: float) -> None:
     mean, std = float(intervals.mean()), float(intervals.std(ddof=1))
     reach = _reach(intervals, mean)
-    edges = np.linspace(mean - reach, mean + reach, BINS + 1)
+    edges = _edges(mean, reach, step_s)
     n, _ = np.histogram(intervals, edges)
     ax.stairs(n, edges, fill=True, color="0.75", gid="histogram")
     x = np.linspace(edges[0], edges[-1], 401)
@@ -139,6 +147,15 @@ def _histogram(ax: Axes, intervals: ArrayF, nominal_s: float) -> None:
     ax.set_ylim(0, 1.3 * max(float(n.max()), 1.0))
     ax.set_title("c: histogram and normal distribution")
     ax.legend(loc="upper left")
+
+
+def _edges(mean: float, reach: float, step_s: float) -> ArrayF:
+    """Edges of the bars; intervals of a display are multiples of its step, and lie in the middle of a bar."""
+    if step_s <= 0:
+        return np.linspace(mean - reach, mean + reach, BINS + 1)
+    width = step_s * max(round(2 * reach / step_s / BINS), 1)
+    low, high = np.floor((mean - reach) / width), np.ceil((mean + reach) / width)
+    return np.asarray(width * (np.arange(low, high + 2) - 0.5))
 
 
 def _reach(intervals: ArrayF, mean: float) -> float:

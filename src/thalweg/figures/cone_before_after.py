@@ -69,13 +69,16 @@ def cone_before_after(
     view = _view(bodies[name], points_of(parts[1]))
     limits = _limits(bodies[name], view, [points_of(part) for part in parts])
     for k, (part, words) in enumerate(
-        zip(parts, ("a: approximate orientation", "b: calibrated"), strict=True)
+        zip(parts, ("a: approximate mount", "b: calibrated mount"), strict=True)
     ):
-        mm = 1e3 * part["residual_m"].to_numpy(np.float64)
+        # not those of the table: it has none for points beyond the ends of the cone
+        mm = 1e3 * bodies[name].distance(points_of(part))
         shown = part.iloc[::step]
         elapsed = shown["t_gps_s"].to_numpy(np.float64) - t0
         _side(axes[0, k], bodies[name], view, points_of(shown), elapsed, span, limits)
-        axes[0, k].set_title(f"{words}\nmean {mm.mean():+.1f} mm, RMS {np.sqrt(np.mean(mm**2)):.1f} mm")
+        axes[0, k].set_title(
+            f"{words}\noff the cone: mean {mm.mean():+.1f} mm, RMS {np.sqrt(np.mean(mm**2)):.1f} mm"
+        )
         _along_axis(axes[1, k], bodies[name], points_of(shown), elapsed, span)
     figure.colorbar(
         ScalarMappable(Normalize(0, span), TIME_MAP), ax=list(axes.ravel()), label="time of the run / s",

@@ -31,7 +31,7 @@ def cone_residuals(
 
     Parameters
     ----------
-    points, cones : see `thalweg.figures.calibration_tables`; points that were not used are grey crosses.
+    points, cones : see `thalweg.figures.calibration_tables`; points that were not used are grey.
     title : first words of the title.
     twin : true if the digital twin made the data.
 
@@ -49,7 +49,7 @@ def cone_residuals(
     rows = -(-len(names) // COLUMNS)
     rejected = len(points) - len(used)
     head = f"{title}, n = {plural(len(used), 'point')} on {plural(len(names), 'cone')}"
-    head += f", {count(rejected)} rejected"
+    head += f", {count(rejected)} not used"
     figure = new_figure(24.0 + 44.0 * rows + 42.0, head, twin=twin)
     grid = figure.add_gridspec(rows + 1, COLUMNS, height_ratios=[*([1.0] * rows), 0.95])
     norm = Normalize(-limit, limit)
@@ -75,8 +75,9 @@ def _unrolled(ax: Axes, cone: FieldCone, points: pd.DataFrame, norm: Normalize) 
     at = np.flatnonzero(used)[::step]
     angle_deg = np.rad2deg(_unwrapped(angle, used))
     ax.plot(
-        angle_deg[~used], along[~used], ls="none", marker="x", ms=2.5, mew=0.6, color="0.6", gid="rejected"
-    )
+        angle_deg[~used], along[~used], ls="none", marker=".", ms=1.6, mew=0, color="0.75", gid="rejected",
+        rasterized=True,
+    )  # fmt: skip
     ax.scatter(angle_deg[at], along[at], c=residual_mm[at], cmap=RESIDUAL_MAP, norm=norm, s=3.0, lw=0.0,
                rasterized=True, gid="residuals")  # fmt: skip
     edge = cone.length_m / np.cos(cone.half_angle_rad)
@@ -133,7 +134,7 @@ def _by_cone(ax: Axes, used: pd.DataFrame, names: list[str]) -> None:
         shift = 0.16 * (k - (min(len(positions), 5) - 1) / 2)
         ax.errorbar(
             np.array(at) + shift, [mean[names[i]] for i in at], yerr=[2 * error[names[i]] for i in at],
-            ls="none", marker=markers[k], ms=3.0, lw=0.8, label=position,
+            ls="none", marker=markers[k], ms=3.0, lw=0.8, label=position.replace("_", " "),
         )  # fmt: skip
     ax.axhline(0.0, color="black", lw=0.7)
     ax.set_xticks(range(len(names)), names)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from thalweg.core.calibration import Calibration
 from thalweg.core.errors import InputError
 from thalweg.core.types import ArrayF
-from thalweg.figures.style import new_figure, styled
+from thalweg.figures.style import new_figure, plural, styled
 
 MAP: Final[Colormap] = cm.vik
 NUMBERS_UP_TO: Final = 16
@@ -50,7 +50,7 @@ def correlation_matrix(
     over = int(np.sum(below > LARGE))
     head = (
         f"{title}: {calibration.title}, n = {n} quantities, largest correlation {below.max():.2f}, "
-        f"{over or 'none'} above {LARGE:g}"
+        f"{plural(over, 'pair').replace('no pair', 'none')} above {LARGE:g}"
     )
     figure = new_figure(min(38.0 + 7.5 * n, 178.0), head, twin=twin)
     ax = figure.subplots()
@@ -89,4 +89,5 @@ def _name(label: str) -> str:
     """``lidar x`` of ``lidar.x_m``: correlations have no units."""
     block, _, quantity = label.partition(".")
     stem, _, unit = quantity.rpartition("_")
-    return f"{block} {stem if stem and unit in {'deg', 'm', 's', 'px', 'ppm', 'mps'} else quantity}".strip()
+    name = stem if stem and unit in {"deg", "m", "s", "px", "ppm", "mps"} else quantity
+    return f"{block} {name}".replace("_", " ").strip()

@@ -49,6 +49,9 @@ SENSOR_MARKERS: Final = {"camera": "o", "lidar": "s"}
 
 SENSOR_LOOK: Final = {"camera": (RED, "o"), "lidar": (LIDAR_GREY, "s")}
 GRID_M: Final = 2.0
+LONG: Final = 2.0
+"""A field this many times longer than wide has its views one below the other."""
+
 GROUND_STEP_M: Final = 0.5
 """The grid lies at the next such height below the lowest cone."""
 
@@ -59,6 +62,7 @@ def field_setup(
     poses: pd.DataFrame,
     *,
     frame: str = "wcs",
+    unseen: Sequence[str] = (),
     title: str = "Calibration field",
     twin: bool = False,
 ) -> Figure:
@@ -68,6 +72,7 @@ def field_setup(
     ----------
     cones, poses : see `thalweg.figures.calibration_tables`; the sensors of the first position are drawn.
     frame : frame of both tables; only in ``wcs`` is y north.
+    unseen : names of cones of the field that the tables lack, for the title.
     title : first words of the title.
     twin : true if the digital twin made the data.
 
@@ -84,9 +89,15 @@ def field_setup(
     limits = (float(ground[0, 2]), float(surface[:, 2].max()))
     used = sum(cone.used for cone in bodies)
     head = f"{title}, n = {plural(len(bodies), 'cone')}, {used} of them used"
-    figure = new_figure(150.0, head, twin=twin)
-    axes = figure.subplot_mosaic([["a", "a"], ["b", "c"]], height_ratios=[1.0, 0.95], width_ratios=[1.0, 1.0])
-    south = _side_name(frame)
+    head += f"; without data: {', '.join(unseen)}" if unseen else ""
+    wide, deep = np.ptp(ground[:, :2], axis=0)
+    if wide > LONG * deep:  # one below the other
+        figure = new_figure(172.0, head, twin=twin)
+        axes = figure.subplot_mosaic([["a"], ["b"], ["c"]], height_ratios=[1.5, 1.0, 0.8])
+    else:
+        figure = new_figure(150.0, head, twin=twin)
+        axes = figure.subplot_mosaic([["a", "a"], ["b", "c"]], height_ratios=[1.0, 0.95])
+    south, height = _side_name(frame), f"{'up' if frame == 'wcs' else 'z'} ({frame}) / m"
     for key, view, name in (("a", VIEW, "oblique view"), ("b", PLAN, "plan"), ("c", SOUTH, south)):
         ax = axes[key]
         _draw_ground(ax, ground, view)
@@ -100,14 +111,14 @@ def field_setup(
             ax.set_ylim(low - 0.12 * (high - low), high + 0.35 * (high - low))
         ax.set_title(f"{key}: {name}")
         ax.axis("off")
-        scale_bar(ax, span_m=width, xy=(0.02, 0.03))
+        scale_bar(ax, span_m=width, xy=(0.02, 0.03) if key != "a" else (0.7, 0.03))
     if frame == "wcs":
         north_arrow(axes["b"])
     _draw_frame(axes["a"], ground, VIEW, frame)
     handles, labels = axes["a"].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower left", ncols=len(labels))
     figure.colorbar(
-        ScalarMappable(Normalize(*limits), HEIGHT_MAP), ax=list(axes.values()), label=f"height ({'up' if frame == 'wcs' else 'z'} of {frame}) / m",
+        ScalarMappable(Normalize(*limits), HEIGHT_MAP), ax=list(axes.values()), label=height,
         shrink=0.6, pad=0.01, aspect=28,
     )  # fmt: skip
     return figure
@@ -135,10 +146,10 @@ def field_positions(
     used = sum(cone.used for cone in bodies)
     lever = lever_text(poses)
     head = f"{title}, n = {plural(len(names), 'position')}, {used} of {len(bodies)} cones used"
-    figure = new_figure(112.0, head + (f"; sensors {lever} apart" if lever else ""), twin=twin)
+    figure = new_figure(118.0, head + (f"; sensors {lever} apart" if lever else ""), twin=twin)
     arrow_m = _arrow_length(poses)
     spans = [_span(poses, view, arrow_m) for view in (PLAN, SOUTH)]
-    parts = figure.subplot_mosaic([["a", "b"], ["a", "c"]], width_ratios=[1.2, 1.0], height_ratios=spans)
+    parts = _three_parts(figure, bodies, spans)
     _field_plan(parts["a"], bodies, points_of(poses), frame)
     names_of = ("east / m", "north / m", "up / m") if frame == "wcs" else ("x / m", "y / m", "z / m")
     for key, view, name, words in (
@@ -167,6 +178,17 @@ def field_positions(
         title="position of the boat; arrows: z axes of the sensors",
     )
     return figure
+
+
+def _three_parts(figure: Figure, bodies: Sequence[FieldCone], spans: Sequence[float]) -> dict[str, Axes]:
+    """Axes of the plan, and of the sensors from above and from the side; a long field lies across."""
+    wide, deep = np.ptp(np.concatenate([cone.surface().reshape(-1, 3)[:, :2] for cone in bodies]), axis=0)
+    if wide > LONG * deep:
+        return dict(figure.subplot_mosaic([["a", "a"], ["b", "c"]], height_ratios=[deep / wide + 0.2, 1.0]))
+    heights = list(spans)
+    return dict(
+        figure.subplot_mosaic([["a", "b"], ["a", "c"]], width_ratios=[1.2, 1.0], height_ratios=heights)
+    )
 
 
 def axes_of(poses: pd.DataFrame) -> ArrayF:
@@ -214,7 +236,8 @@ def _draw_position(
         )  # fmt: skip
         ax.plot(
             start[k, 0], start[k, 1], ls="none", marker=SENSOR_MARKERS[sensor], ms=7, color=colour,
-            mfc="white", mew=1.5, zorder=5, gid=f"{sensor}-{label}", label=label if k == 0 else None,
+            mfc="white", mew=1.5, zorder=5, gid=f"{sensor}-{label}",
+            label=label.replace("_", " ") if k == 0 else None,
         )  # fmt: skip
     return np.concatenate([start, end])
 

@@ -65,6 +65,12 @@ class FieldCone:
         c, s = np.cos(self.half_angle_rad), np.sin(self.half_angle_rad)
         return angle, np.asarray(local[:, 2] * c + np.hypot(local[:, 0], local[:, 1]) * s)
 
+    def distance(self, points_m: ArrayF) -> ArrayF:
+        """Signed distances (n,) of points (n, 3) from the surface, which goes on without end; outside +."""
+        local = (points_m - self.apex_m) @ self.frame.T
+        c, s = np.cos(self.half_angle_rad), np.sin(self.half_angle_rad)
+        return np.asarray(np.hypot(local[:, 0], local[:, 1]) * c - local[:, 2] * s)
+
 
 def cones_of(table: pd.DataFrame) -> dict[str, FieldCone]:
     """Cones of a table (see `thalweg.figures.calibration_tables`) by name, in natural order."""

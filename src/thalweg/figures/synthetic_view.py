@@ -105,7 +105,7 @@ def _image(figure: Figure, ax: Axes, view: HeightView) -> None:
     ax.imshow(rgb, extent=(0, w, h, 0), interpolation="antialiased", gid="image")
     ax.set_xticks([])
     ax.set_yticks([])
-    ax.set_title(f"a: camera image, {count(w)} x {count(h)} pixels; cones coloured by height")
+    ax.set_title(f"a: camera image, {w} × {h} pixels; cones coloured by height")
     figure.colorbar(ScalarMappable(norm, HEIGHT_MAP), ax=ax, label="height / m", shrink=0.85, pad=0.01)
 
 
@@ -114,7 +114,7 @@ def _frame(figure: Figure, ax: Axes, points: pd.DataFrame, on_cone: np.ndarray, 
     xy, depth = view.apply(points_of(points))
     ring = np.searchsorted(rings, points["ring"].to_numpy())
     norm = BoundaryNorm(np.arange(len(rings) + 1) - 0.5, RING_MAP.N)
-    ax.plot(xy[~on_cone, 0], xy[~on_cone, 1], ls="none", marker=".", ms=1.0, mew=0, color="0.8",
+    ax.plot(xy[~on_cone, 0], xy[~on_cone, 1], ls="none", marker=".", ms=1.4, mew=0, color="0.65",
             rasterized=True, gid="others")  # fmt: skip
     order = np.flatnonzero(on_cone)[np.argsort(depth[on_cone])]
     ax.scatter(xy[order, 0], xy[order, 1], c=ring[order], cmap=RING_MAP, norm=norm, s=4.0, lw=0, gid="frame",

@@ -47,8 +47,8 @@ class Mount:
         """The mount that a campaign file describes, with its sigmas and correlations.
 
         ``omega_deg, phi_deg, kappa_deg, lever_ics_m``, ``sigma_omega_deg`` and so on, ``sigma_lever_m``, and
-        ``correlation``, a 6x6 matrix in the order omega, phi, kappa, x, y, z or None. With ``sigma_axes: ics``
-        the first three sigmas are of rotations about the axes of ics.
+        ``correlation``, a 6x6 matrix in the order omega, phi, kappa, x, y, z or None. With
+        ``sigma_axes: ics`` the first three sigmas are of rotations about the axes of ics.
         """
         angles = np.deg2rad([section[f"{name}_deg"] for name in ("omega", "phi", "kappa")])
         sigmas_deg = ("sigma_omega_deg", "sigma_phi_deg", "sigma_kappa_deg")

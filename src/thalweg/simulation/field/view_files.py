@@ -33,8 +33,8 @@ def simulate_synthetic_view(
     config : section ``twin`` with ``field``.
     seed : seed of the campaign.
     mounts : true mounts, with ``camera`` and ``lidar``.
-    out_view : ``.npz`` with ``height_m`` (h, w), of the cone that a pixel shows above the ground, NaN elsewhere,
-        and ``shade`` (h, w) uint8.
+    out_view : ``.npz`` with ``height_m`` (h, w), of the cone that a pixel shows above the ground, NaN
+        elsewhere, and ``shade`` (h, w) uint8.
     out_frame : Parquet of one revolution: ``x_m, y_m, z_m`` in wcs, ``ring``, ``on_cone``.
     """
     T_wcs_ics = standing(config, 1).T_wcs_ics

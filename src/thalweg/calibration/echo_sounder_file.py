@@ -1,0 +1,200 @@
+"""From tables and settings to an estimate of the echo sounder's place, and its result as files."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy.ndimage import minimum_filter1d
+
+from thalweg.calibration.echo_sounder import PARAMETERS, Bed, EchoSettings, EchoSounder
+from thalweg.calibration.pose_errors import PoseErrors
+from thalweg.core.calibration import Block, Calibration, Source, lever_block
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.trajectory import Trajectory
+from thalweg.core.types import ArrayF
+
+SENTENCES: Final = ("DPT", "DBT", "ANPP53", "DBS")
+"""Sentences that state the depth below the transducer, best first: one ping often gives several."""
+
+SMALLEST_RULER_M: Final = 1e-4
+"""Sigma of a ruler that claims to have none."""
+
+MISFIT: Final = 3.0
+"""Rms of standardised residuals above which the soundings and the bed do not belong together."""
+
+_AROUND_S: Final = 1.6
+"""Velocities are smoothed over three seconds: soundings as near to a gap of the trajectory are left out."""
+
+
+def settings_of(section: Mapping[str, Any], trajectory: Trajectory, t_gps_s: ArrayF) -> EchoSettings:
+    """How soundings at times (n,) are evaluated.
+
+    ``section`` is ``calibration.echo_sounder`` with ``errors``, the section ``calibration.run_errors``. Under
+    banks and trees positions are worse than on an open field: where the trajectory states greater sigmas at
+    the soundings, these count.
+    """
+    names = ("sigma_depth_m", "sigma_lag_s", "sigma_sound_speed", "max_sigma_lever_m", "max_sigma_lag_s")
+    errors = PoseErrors.from_section(section["errors"])
+    if t_gps_s.size:
+        at = np.clip(np.searchsorted(trajectory.t_gps_s, t_gps_s), 0, len(trajectory.t_gps_s) - 1)
+        stated = np.sqrt(np.mean(np.square(trajectory.sigma_position_m[at]), axis=0))
+        errors = replace(errors, sigma_position_m=np.maximum(errors.sigma_position_m, stated))
+    return EchoSettings(errors=errors, **{name: section[name] for name in names})
+
+
+def bed_of(points_wcs_m: ArrayF, sigma_m: ArrayF, section: Mapping[str, Any]) -> Bed:
+    """The surface through surveyed points (n, 3) with sigmas (n,) of their heights.
+
+    A height between three points has a sigma of about that of one of them, divided by the root of two; that
+    the bed is rough between them makes up for it.
+    """
+    return Bed(
+        points_wcs_m=points_wcs_m,
+        sigma_m=float(np.sqrt(np.mean(np.square(sigma_m)))),
+        sigma_datum_m=section["sigma_datum_m"],
+        longest_edge_m=section["longest_edge_m"],
+    )
+
+
+def soundings(depths: pd.DataFrame, trajectory: Trajectory) -> tuple[ArrayF, ArrayF, dict[str, int]]:
+    """One depth a ping, where the trajectory has no gap nearby.
+
+    Parameters
+    ----------
+    depths : table kind ``depth``.
+    trajectory : of the same survey.
+
+    Returns
+    -------
+    t_gps_s, depth_m : (n,).
+    counts : ``rows`` of the table, those ``of_other_sentences``, ``without_time``, ``near_a_gap``, and
+        ``taken``. Soundings before and after the trajectory count as near a gap.
+
+    Raises
+    ------
+    InputError : the table is empty.
+    """
+    if not len(depths):
+        raise InputError("no soundings", expected="a log of the echo sounder with depths")
+    present = depths["sentence"].value_counts()
+    # the best sentence that comes about as often as any other
+    often = [name for name in SENTENCES if present.get(name, 0) >= 0.9 * present.max()]
+    chosen = depths[depths["sentence"] == (often[0] if often else present.index[0])]
+    timed = chosen[np.isfinite(chosen["t_gps_s"])].drop_duplicates("t_gps_s").sort_values("t_gps_s")
+    t = timed["t_gps_s"].to_numpy(np.float64)
+    whole = _whole(trajectory)
+    at = np.clip(np.searchsorted(trajectory.t_gps_s, t), 1, len(whole) - 1)
+    first, last = trajectory.span()
+    good = whole[at] & whole[at - 1] & (t >= first) & (t <= last)
+    counts = {
+        "rows": len(depths),
+        "of_other_sentences": len(depths) - len(chosen),
+        "without_time": len(chosen) - len(timed),
+        "near_a_gap": int((~good).sum()),
+        "taken": int(good.sum()),
+    }
+    return t[good], timed["depth_m"].to_numpy(np.float64)[good], counts
+
+
+def _whole(trajectory: Trajectory) -> Any:
+    """Epochs (n,) of a trajectory without a missing pose nearby."""
+    step = float(np.median(np.diff(trajectory.t_gps_s)))
+    size = 2 * max(round(_AROUND_S / step), 1) + 1
+    return minimum_filter1d(trajectory.valid.astype(np.uint8), size, mode="nearest").astype(np.bool_)
+
+
+def ruler_of(mount: Mapping[str, Any]) -> tuple[ArrayF, ArrayF]:
+    """Lever arm (3,) of the echo sounder and its covariance (3, 3), of a campaign's mounts."""
+    sigma = np.maximum(np.asarray(mount["sigma_lever_m"], dtype=np.float64), SMALLEST_RULER_M)
+    correlation = mount.get("correlation")
+    matrix = np.eye(3) if correlation is None else np.asarray(correlation, dtype=np.float64)
+    return np.asarray(mount["lever_ics_m"], dtype=np.float64), np.outer(sigma, sigma) * matrix
+
+
+def check_fit(found: EchoSounder) -> None:
+    """Do the soundings fit the bed at all?
+
+    Raises
+    ------
+    GeometryError : they do not, or most of them are blunders.
+    """
+    if found.sigma0 > MISFIT or found.n_rejected > found.n_used:
+        raise GeometryError(
+            f"the soundings miss the surveyed bed by {found.sigma0:.1f} times their sigmas; {found.n_used} "
+            f"were used, {found.n_rejected} rejected",
+            expected=f"at most {MISFIT:g} times, and few blunders",
+            cure="Check that the heights of the bed are ellipsoidal, like the trajectory's; that the bed has "
+            "not changed; and the time of the echo sounder's log",
+        )
+
+
+def echo_calibration(found: EchoSounder, *, run: str, twin: bool) -> Calibration:
+    """The place as a calibration with the block ``echo_sounder``."""
+    place = lever_block("echo_sounder", found.lever_ics_m)
+    facts = {
+        "method": "soundings over a surveyed bed, and ruler",
+        "determined": [name for name in found.observed if name != "lag"],
+        "ruler": [name for name in PARAMETERS[:3] if name in found.not_observed],
+        "lag_s": round(found.lag_s, 6),
+        "sigma_lag_s": round(found.sigma_lag_s, 6),
+    }
+    block = Block(
+        name=place.name, quantities=place.quantities, values=place.values, equation=place.equation,
+        convention=place.convention, facts=facts,
+    )  # fmt: skip
+    source = Source(
+        run=run, method="soundings over a surveyed bed, and ruler", observations=found.n_used,
+        sigma0=found.sigma0, twin=twin,
+    )  # fmt: skip
+    cov = (found.cov_m2 + found.cov_m2.T) / 2
+    return Calibration(title="Echo sounder on the boat", blocks=(block,), cov=cov, source=source)
+
+
+def write_report(
+    path: Path, found: EchoSounder, ruler_ics_m: ArrayLike, cov_ruler_m2: ArrayF, counts: Mapping[str, int]
+) -> None:
+    """Which components the soundings determined, which they left to the ruler, and why (JSON)."""
+    ruler, sigma_ruler = np.asarray(ruler_ics_m, dtype=np.float64), np.sqrt(np.diag(cov_ruler_m2))
+    sigma, components = np.sqrt(np.diag(found.cov_m2)), {}
+    for k, name in enumerate(PARAMETERS[:3]):
+        components[name] = {
+            "value_m": float(found.lever_ics_m[k]),
+            "sigma_m": float(sigma[k]),
+            "ruler_m": float(ruler[k]),
+            "sigma_ruler_m": float(sigma_ruler[k]),
+            "sigma_soundings_alone_m": _plain(found.sigma_run[name]),
+            "determined": name in found.observed,
+            "refused": found.not_observed.get(name, ""),
+        }
+    lag = {
+        "value_s": found.lag_s,
+        "sigma_s": found.sigma_lag_s,
+        "sigma_soundings_alone_s": _plain(found.sigma_run["lag"]),
+        "determined": "lag" in found.observed,
+        "refused": found.not_observed.get("lag", ""),
+    }
+    report = {
+        "lever_ics": components,
+        "lag": lag,
+        "determined": list(found.observed),
+        "refused": list(found.not_observed.values()),
+        "sigma0": found.sigma0,
+        "soundings": {
+            **counts,
+            "used": found.n_used,
+            "rejected": found.n_rejected,
+            "outside_the_bed": found.n_outside,
+        },
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+
+
+def _plain(value: float) -> float | None:
+    """A number that JSON has."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,158 @@
+"""Soundings, trajectory and a surveyed bed as files -> calibration and report; what is left out and refused."""
+
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import CRS
+
+from thalweg.calibration import echo_sounder_file as files
+from thalweg.calibration.mounts import resolve_mounts, write_mounts
+from thalweg.config.calibration import Calibration
+from thalweg.core.calibration_file import read_calibration
+from thalweg.core.errors import CoverageError, GeometryError, InputError
+from thalweg.core.tables import write_table
+from thalweg.ingest.schemas import DEPTH
+from thalweg.simulation.studies.echo_runs import (
+    LEVER_ANTENNA_M,
+    SIGMA_RULER_M,
+    TRUE_LEVER_M,
+    EchoRun,
+    EchoSpec,
+    make_echo_run,
+)
+
+PLAIN = Calibration().model_dump(mode="json")
+SETTINGS = PLAIN["echo_sounder"] | {"errors": PLAIN["run_errors"]}
+
+
+def depth_table(t_gps_s: np.ndarray, depth_m: np.ndarray, sentence: str = "DPT") -> pd.DataFrame:
+    table = pd.DataFrame({"t_gps_s": t_gps_s, "depth_m": depth_m})
+    for name in ("t_host_s", "t_day_s", "offset_m"):
+        table[name] = np.nan
+    table["sentence"], table["line"] = sentence, np.arange(1, len(table) + 1)
+    return table[list(DEPTH.names)]
+
+
+def calibrated(folder: Path, repository: Path, run: EchoRun, *, up_m: float = 0.0) -> dict[str, Any]:
+    """Write a run as the pipeline's files, call the entry script, and give its report."""
+    name = "calibrate_echo_sounder"
+    spec = importlib.util.spec_from_file_location(name, repository / f"workflow/scripts/{name}.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    frame = run.trajectory.frame
+    rows = frame.to_map(run.bed.points_wcs_m + [0.0, 0.0, up_m], CRS(25833)).tolist()
+    text = "\n".join(f"{e:.3f},{n:.3f},{h:.3f},0.01" for e, n, h in rows)
+    (folder / "bed.csv").write_text(f"east_m,north_m,h_ell_m,sigma_m\n{text}\n")
+    both = [depth_table(run.t_gps_s, run.depth_m, s) for s in ("DPT", "DBT")]
+    write_table(folder / "depths.parquet", pd.concat(both).sort_values("t_gps_s", kind="stable"), DEPTH)
+    run.trajectory.write(folder / "trajectory.parquet")
+    ruler = {"lever_ics_m": run.ruler_m.tolist(), "sigma_lever_m": SIGMA_RULER_M.tolist()}
+    antenna = {"lever_ics_m": LEVER_ANTENNA_M.tolist(), "sigma_lever_m": [0.0, 0.0, 0.0]}
+    write_mounts(folder / "mounts.json", resolve_mounts({"echo_sounder": ruler, "antenna": antenna}, None))
+    origin = {"lat_deg": frame.lat_deg, "lon_deg": frame.lon_deg, "h_ell_m": frame.h_ell_m}
+    script.main(
+        depths=folder / "depths.parquet", trajectory=folder / "trajectory.parquet",
+        mounts=folder / "mounts.json", bed=[folder / "bed.csv"],
+        echo_sounder=folder / "echo_sounder.yaml", report=folder / "echo_sounder.json",
+        campaign={"id": "river", "origin": origin, "crs": "EPSG:25833"}, settings=SETTINGS, twin=True,
+    )  # fmt: skip
+    return json.loads((folder / "echo_sounder.json").read_text())
+
+
+def test_the_calibration_holds_the_place_and_the_report_what_determined_it(
+    tmp_path: Path, repository: Path
+) -> None:
+    run = make_echo_run(1, EchoSpec(duration_s=240.0))
+    report = calibrated(tmp_path, repository, run)
+    found = read_calibration(tmp_path / "echo_sounder.yaml")
+    values, cov = found.block("echo_sounder")
+    error = values - TRUE_LEVER_M
+    # chi-square with three degrees of freedom, 99.9 %
+    assert error @ np.linalg.solve(cov, error) < 16.3
+    # the ruler has 3 cm
+    assert np.sqrt(np.diag(cov)).max() < 0.02
+    assert report["determined"] == ["x", "y", "z", "lag"]
+    assert report["refused"] == []
+    assert found.find("echo_sounder").facts["determined"] == ["x", "y", "z"]
+    assert found.source.twin
+    assert report["lever_ics"]["x"]["ruler_m"] == pytest.approx(run.ruler_m[0])
+    counts = report["soundings"]
+    assert counts["rows"] == 2 * len(run.t_gps_s)
+    assert counts["of_other_sentences"] == len(run.t_gps_s)
+    assert counts["used"] + counts["rejected"] + counts["outside_the_bed"] == counts["taken"]
+    # the mounts of another campaign can be made of it
+    mounts = resolve_mounts({"echo_sounder": {}}, found)
+    assert mounts["echo_sounder"]["source"] == "river"
+    lever, again = files.ruler_of(mounts["echo_sounder"])
+    assert lever == pytest.approx(values)
+    assert again == pytest.approx(cov)
+
+
+def test_a_flat_bed_leaves_the_horizontal_place_to_the_ruler(tmp_path: Path, repository: Path) -> None:
+    run = make_echo_run(2, EchoSpec(duration_s=120.0, relief_m=0.0, sway=0.1))
+    report = calibrated(tmp_path, repository, run)
+    assert report["determined"] == ["z"]
+    for name in "xy":
+        part = report["lever_ics"][name]
+        assert not part["determined"]
+        assert "relief is missing" in part["refused"]
+        assert part["value_m"] == pytest.approx(part["ruler_m"], abs=0.01)
+    assert read_calibration(tmp_path / "echo_sounder.yaml").find("echo_sounder").facts["ruler"] == ["x", "y"]
+
+
+def test_heights_of_another_kind_are_refused(tmp_path: Path, repository: Path) -> None:
+    """45 m of geoid: nothing is written."""
+    with pytest.raises(GeometryError, match="miss the surveyed bed by .*ellipsoidal"):
+        calibrated(tmp_path, repository, make_echo_run(3, EchoSpec(duration_s=30.0)), up_m=45.0)
+    assert not (tmp_path / "echo_sounder.yaml").exists()
+
+
+def test_soundings_near_a_gap_and_without_time_are_left_out_and_counted() -> None:
+    run = make_echo_run(4, EchoSpec(duration_s=30.0))
+    path = run.trajectory
+    t0 = path.t_gps_s[0]
+    hole = (path.t_gps_s > t0 + 10.0) & (path.t_gps_s < t0 + 11.0)
+    path = replace(path, valid=~hole)
+    table = depth_table(np.r_[run.t_gps_s, np.nan, t0 - 5.0], np.r_[run.depth_m, 1.0, 1.0])
+    t, depth, counts = files.soundings(table, path)
+    assert len(t) == len(depth) == counts["taken"]
+    assert counts["without_time"] == 1
+    assert counts["taken"] + counts["near_a_gap"] == len(run.t_gps_s) + 1
+    # velocities hold what lies within a second and a half
+    assert np.abs(t - (t0 + 10.5)).min() > 0.5 + 1.5
+    assert counts["near_a_gap"] == pytest.approx(1 + 10 * (1.0 + 2 * 1.6), abs=3)
+    with pytest.raises(InputError, match="no soundings"):
+        files.soundings(table[:0], path)
+
+
+def test_the_sentence_that_is_there_is_taken() -> None:
+    run = make_echo_run(4, EchoSpec(duration_s=10.0))
+    # a log in which DPT stops early
+    few = depth_table(run.t_gps_s[:10], run.depth_m[:10])
+    all_of_them = depth_table(run.t_gps_s, run.depth_m, "DBS")
+    _, _, counts = files.soundings(pd.concat([few, all_of_them]), run.trajectory)
+    assert counts["of_other_sentences"] == 10
+
+
+def test_sizes_of_pose_errors_follow_the_trajectory_where_it_states_greater_ones() -> None:
+    run = make_echo_run(4, EchoSpec(duration_s=10.0))
+    cov = np.zeros((len(run.trajectory.t_gps_s), 6, 6))
+    cov[:, 2, 2] = 0.06**2
+    worse = replace(run.trajectory, cov_pose_wcs=cov)
+    # numbers of the section, and 6 cm for the height
+    found = files.settings_of(SETTINGS, worse, run.t_gps_s).errors.sigma_position_m
+    assert found == pytest.approx([0.02, 0.02, 0.06])
+    assert files.settings_of(SETTINGS, run.trajectory, run.t_gps_s).errors.sigma_position_m[2] == 0.03
+
+
+def test_soundings_far_from_the_bed_are_refused(tmp_path: Path, repository: Path) -> None:
+    run = make_echo_run(3, EchoSpec(duration_s=30.0))
+    away = replace(run.bed, points_wcs_m=run.bed.points_wcs_m + [300.0, 0.0, 0.0])
+    with pytest.raises(CoverageError, match="lie over the surveyed bed"):
+        calibrated(tmp_path, repository, replace(run, bed=away))

@@ -1,0 +1,75 @@
+"""Surveyed points of a bed: from the map grid into the world, and tables that are none."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from thalweg.core.errors import InputError
+from thalweg.core.frames import LocalFrame
+from thalweg.ingest.bed_survey import read_bed_survey
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+UTM = "EPSG:25833"
+HEAD = "east_m,north_m,h_ell_m,sigma_m"
+
+
+def text(points: np.ndarray, sigma_m: float = 0.02, head: str = HEAD) -> str:
+    rows = FRAME.to_map(points, CRS(25833))
+    return "\n".join([head, *(f"{e:.4f},{n:.4f},{h:.4f},{sigma_m}" for e, n, h in rows.tolist())]) + "\n"
+
+
+def points(n: int = 20) -> np.ndarray:
+    return np.random.default_rng(4).uniform([-50, -50, -3], [50, 50, 0], (n, 3))
+
+
+def test_points_of_all_files_come_into_the_world(tmp_path: Path) -> None:
+    first, second = points()[:12], points()[12:]
+    (tmp_path / "a.csv").write_text(text(first), encoding="utf-8-sig")
+    lines = text(second, 0.05).splitlines()
+    # another order of columns, blanks and a column more
+    mixed = [", ".join([f"P{k}", *reversed(line.split(","))]) for k, line in enumerate(lines)]
+    (tmp_path / "b.csv").write_text("\n".join(mixed) + "\n")
+    found = read_bed_survey([tmp_path / "a.csv", tmp_path / "b.csv"], FRAME, UTM)
+    # four digits in the files
+    assert found.points_wcs_m == pytest.approx(points(), abs=1e-4)
+    assert found.sigma_m.tolist() == [0.02] * 12 + [0.05] * 8
+
+
+GOOD = text(points(3))
+SWAPPED = "east_m,north_m,h_ell_m,sigma_m\n" + "".join(
+    ",".join([row.split(",")[1], row.split(",")[0], *row.split(",")[2:]]) + "\n" for row in GOOD.split()[1:]
+)
+
+
+@pytest.mark.parametrize(
+    ("content", "answer"),
+    [
+        ("", r"this is no table .*expected a CSV table with the columns east_m, north_m, h_ell_m, sigma_m"),
+        (HEAD + "\n", r"0 points; expected at least 3"),
+        (GOOD.replace("sigma_m", "sd"), r"columns missing: sigma_m"),
+        (GOOD.replace(",", ";"), r"columns missing: east_m.*Separate the columns by commas"),
+        (GOOD + "1.0,x,3.0,0.02\n", r"row 4: 'x' in column north_m; expected a finite number"),
+        (GOOD + "1.0,,inf,0.02\n", r"row 4: '' in column north_m, and 1 more such cells"),
+        (GOOD.replace("0.02", "0"), r"row 1: sigma_m = 0; expected a standard deviation above 0"),
+        (GOOD.replace("3772", "4772"), r"km from campaign.origin; expected points in EPSG:25833"),
+        (GOOD.replace(",29", ",89"), r"a height of \d{3}\.\d m, \+\d{3} m from campaign.origin"),
+        ("\x00\xff", r"this is no table|columns missing"),
+    ],
+)
+def test_what_is_no_bed_is_refused_with_its_place(tmp_path: Path, content: str, answer: str) -> None:
+    assert content != GOOD
+    path = tmp_path / "bed.csv"
+    path.write_bytes(content.encode("latin-1"))
+    with pytest.raises(InputError, match=answer) as caught:
+        read_bed_survey([path], FRAME, UTM)
+    assert "bed.csv" in str(caught.value)
+
+
+def test_a_missing_file_and_swapped_axes_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="file not found"):
+        read_bed_survey([tmp_path / "none.csv"], FRAME, UTM)
+    (tmp_path / "bed.csv").write_text(SWAPPED)
+    with pytest.raises(Exception, match=r"swapped|area of use|outside of"):
+        read_bed_survey([tmp_path / "bed.csv"], FRAME, UTM)

@@ -1,0 +1,52 @@
+"""Soundings, trajectory and a surveyed bed -> place of the echo sounder on the boat."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thalweg.calibration import echo_sounder_file as files
+from thalweg.calibration.echo_sounder import estimate_echo_sounder
+from thalweg.calibration.mounts import read_mounts
+from thalweg.core.calibration_file import write_calibration
+from thalweg.core.frames import LocalFrame
+from thalweg.core.tables import read_table
+from thalweg.core.trajectory import Trajectory
+from thalweg.ingest.bed_survey import read_bed_survey
+from thalweg.ingest.schemas import DEPTH
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    depths: Path,
+    trajectory: Path,
+    mounts: Path,
+    bed: list[Path],
+    echo_sounder: Path,
+    report: Path,
+    campaign: dict[str, Any],
+    settings: dict[str, Any],
+    twin: bool,
+) -> None:
+    path, boat = Trajectory.read(trajectory), read_mounts(mounts)
+    survey = read_bed_survey(bed, LocalFrame(**campaign["origin"]), campaign["crs"])
+    t_gps_s, depth_m, counts = files.soundings(read_table(depths, DEPTH)[0], path)
+    ruler_m, cov_m2 = files.ruler_of(boat["echo_sounder"])
+    found = estimate_echo_sounder(
+        t_gps_s,
+        depth_m,
+        path,
+        files.bed_of(survey.points_wcs_m, survey.sigma_m, settings),
+        files.settings_of(settings, path, t_gps_s),
+        ruler_ics_m=ruler_m,
+        cov_ruler_m2=cov_m2,
+        lever_ics_antenna_m=np.asarray(boat["antenna"]["lever_ics_m"], dtype=np.float64),
+    )
+    files.check_fit(found)
+    write_calibration(echo_sounder, files.echo_calibration(found, run=str(campaign["id"]), twin=twin))
+    files.write_report(report, found, ruler_m, cov_m2, counts)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

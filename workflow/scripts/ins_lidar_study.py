@@ -1,0 +1,18 @@
+"""Mounts of the lidar from the moving boat over many seeds -> are the sigmas honest?"""
+
+from pathlib import Path
+
+from thalweg.jobs.job import run_job
+from thalweg.simulation.studies.calibration_runs import INS_LIDAR, as_markdown, ins_lidar_trial, judged, study
+
+TITLE = "Lidar on the moving boat: errors and sigmas over many seeds"
+
+
+def main(*, table: Path, page: Path, seeds: int) -> None:
+    found = study(ins_lidar_trial, range(1, seeds + 1))
+    judged(found, INS_LIDAR).to_csv(table, index=False, float_format="%.6g")
+    page.write_text(as_markdown(found, INS_LIDAR, TITLE), encoding="utf-8")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
