@@ -1,4 +1,4 @@
-"""Soundings, trajectory and a surveyed bed as files -> calibration and report; what is left out and refused."""
+"""Soundings, trajectory and a surveyed bed as files -> calibration and report; what is refused."""
 
 import importlib.util
 import json
@@ -46,7 +46,7 @@ def calibrated(folder: Path, repository: Path, run: EchoRun, *, up_m: float = 0.
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     frame = run.trajectory.frame
-    rows = frame.to_map(run.bed.points_wcs_m + [0.0, 0.0, up_m], CRS(25833)).tolist()
+    rows = frame.to_map(run.bed.points_wcs_m + np.array([0.0, 0.0, up_m]), CRS(25833)).tolist()
     text = "\n".join(f"{e:.3f},{n:.3f},{h:.3f},0.01" for e, n, h in rows)
     (folder / "bed.csv").write_text(f"east_m,north_m,h_ell_m,sigma_m\n{text}\n")
     both = [depth_table(run.t_gps_s, run.depth_m, s) for s in ("DPT", "DBT")]
@@ -108,7 +108,7 @@ def test_a_flat_bed_leaves_the_horizontal_place_to_the_ruler(tmp_path: Path, rep
 
 def test_heights_of_another_kind_are_refused(tmp_path: Path, repository: Path) -> None:
     """45 m of geoid: nothing is written."""
-    with pytest.raises(GeometryError, match="miss the surveyed bed by .*ellipsoidal"):
+    with pytest.raises(GeometryError, match=r"miss the surveyed bed by .*ellipsoidal"):
         calibrated(tmp_path, repository, make_echo_run(3, EchoSpec(duration_s=30.0)), up_m=45.0)
     assert not (tmp_path / "echo_sounder.yaml").exists()
 
@@ -153,6 +153,6 @@ def test_sizes_of_pose_errors_follow_the_trajectory_where_it_states_greater_ones
 
 def test_soundings_far_from_the_bed_are_refused(tmp_path: Path, repository: Path) -> None:
     run = make_echo_run(3, EchoSpec(duration_s=30.0))
-    away = replace(run.bed, points_wcs_m=run.bed.points_wcs_m + [300.0, 0.0, 0.0])
+    away = replace(run.bed, points_wcs_m=run.bed.points_wcs_m + np.array([300.0, 0.0, 0.0]))
     with pytest.raises(CoverageError, match="lie over the surveyed bed"):
         calibrated(tmp_path, repository, replace(run, bed=away))

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-
 from tests.simulation.conftest import FRAME, SEED, Twin, short
+
 from thalweg.core.errors import CoverageError
 from thalweg.ingest.bed_survey import read_bed_survey
 from thalweg.simulation.bed_survey import DEPTHS_M, REACH_M, bed_points, simulate_bed_survey

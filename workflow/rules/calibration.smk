@@ -292,3 +292,37 @@ rule assemble_boat:
         "{wildcards.campaign}: calibration of the boat"
     script:
         "../scripts/assemble_boat.py"
+
+
+rule calibrate_board:
+    """Relative orientation of camera and lidar from poses of a checkerboard."""
+    input:
+        images=raw("board_images"),
+        scans=raw("board_scans"),
+        camera=raw("board_camera"),
+        observations=raw("board_observations"),
+    output:
+        camera_lidar="results/{campaign}/calibration/board_camera_lidar.yaml",
+        table="results/{campaign}/calibration/board_poses.csv",
+    log:
+        "logs/{campaign}/calibration/calibrate_board.log",
+    benchmark:
+        "benchmarks/{campaign}/calibration/calibrate_board.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("calibrate_board"),
+        campaign=identity("id"),
+        mounts=mounts_of("lidar", "camera"),
+        lidar_options=section("lidar"),
+        lidar_accuracy=section("lidar_accuracy"),
+        board=calibration("board"),
+        settings=board_settings,
+    message:
+        "{wildcards.campaign}: camera and lidar from a board"
+    script:
+        "../scripts/calibrate_board.py"

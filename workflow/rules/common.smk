@@ -107,6 +107,12 @@ def echo_settings(wildcards):
     return found["echo_sounder"] | {"errors": found["run_errors"]}
 
 
+def echo_outputs(name):
+    """The place of the echo sounder, where the bed was surveyed."""
+    surveyed = logs_of(name, "bed")
+    return [f"results/{name}/calibration/echo_sounder.yaml"] if surveyed else []
+
+
 def echo_place(wildcards):
     """Params function: where the echo sounder sits by the ruler."""
     place = CAMPAIGNS[wildcards.campaign].plain()["mounts"]["echo_sounder"]
@@ -340,44 +346,55 @@ def comparison_settings(wildcards):
     return {key: value for key, value in options.items() if key != "sections"}
 
 
-CALIBRATION_PICTURES = [
-    "field_setup",
-    "field_positions",
-    "field_reference",
-    "cone_frame",
-    "cone_residuals",
-    "calibration_design",
-    "cone_before_after",
-    "correlations",
-    "clock_offset",
-]
+def board_settings(wildcards):
+    """Params function: how poses of a board are evaluated."""
+    found = CAMPAIGNS[wildcards.campaign].plain()["calibration"]["board"]
+    return {"flatness_m": found["flatness_m"]}
+
+
+def has_run(name):
+    """True if a calibration campaign has a dynamic run: lidar and INS of the moving boat."""
+    return bool(logs_of(name, "lidar") and logs_of(name, "ins"))
+
+
+def has_kinematic_clock(name):
+    """True if the clock of the camera comes from its images of the run."""
+    ties = logs_of(name, "clock_ties") + logs_of(name, "trigger_pulses")
+    return has_run(name) and bool(logs_of(name, "run_images")) and not ties
 
 
 def calibration_pictures(name):
     """Pictures of a calibration campaign, by name."""
     return [
-        *CALIBRATION_PICTURES,
+        "field_setup",
+        "field_positions",
+        "field_reference",
+        "cone_frame",
+        "cone_residuals",
+        "calibration_design",
+        *(["cone_before_after", "correlations"] if has_run(name) else []),
+        *(["clock_offset"] if has_kinematic_clock(name) else []),
         *(["clock_stability"] if logs_of(name, "display") else []),
         *(["synthetic_view"] if is_twin(name) else []),
     ]
 
 
-def echo_outputs(name):
-    """The place of the echo sounder, where the bed was surveyed."""
-    surveyed = logs_of(name, "bed")
-    return [f"results/{name}/calibration/echo_sounder.yaml"] if surveyed else []
-
-
 def calibration_outputs(name):
     """The tables and pictures that `all` builds for a calibration campaign."""
     base = f"results/{name}"
-    outputs = [
-        f"{base}/calibration/boat.yaml",
+    outputs = []
+    if logs_of(name, "board_images") or logs_of(name, "board_observations"):
+        outputs.append(f"{base}/calibration/board_camera_lidar.yaml")
+    if not logs_of(name, "field"):
+        return outputs
+    outputs += [
+        f"{base}/calibration/camera_lidar.yaml",
         f"{base}/calibration/index.html",
-        f"{base}/timing/time_report.csv",
-        *(f"{base}/figures/{name}.png" for name in calibration_pictures(name)),
-        *echo_outputs(name),
+        *(f"{base}/figures/{picture}.png" for picture in calibration_pictures(name)),
     ]
+    if has_run(name):
+        outputs += [f"{base}/calibration/boat.yaml", f"{base}/timing/time_report.csv"]
+        outputs += echo_outputs(name)
     if is_twin(name):
         outputs.append(f"{base}/accuracy/calibration_truth.csv")
     return outputs

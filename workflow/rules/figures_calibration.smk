@@ -14,9 +14,34 @@ def calibration_facts(wildcards):
     return [
         f"results/{wildcards.campaign}/calibration/field.json",
         f"results/{wildcards.campaign}/calibration/camera.json",
-        f"results/{wildcards.campaign}/timing/camera_clock.json",
+        *(
+            [f"results/{wildcards.campaign}/timing/camera_clock.json"]
+            if has_kinematic_clock(wildcards.campaign)
+            else []
+        ),
         *clock_stability(wildcards),
     ]
+
+
+def found_calibrations(wildcards):
+    """Input function: calibration files of a calibration campaign."""
+    moving = ["boat", "ins_lidar"] if has_run(wildcards.campaign) else []
+    names = [*moving, "camera_lidar", "camera", "reference_camera"]
+    return [f"results/{wildcards.campaign}/calibration/{name}.yaml" for name in names]
+
+
+def calibration_tables(wildcards):
+    """Input function: tables that the page of a calibration shows."""
+    names = [
+        "cones",
+        "cone_detection",
+        "cone_residuals",
+        "cone_displacements",
+        *(["passes"] if has_run(wildcards.campaign) else []),
+        "reference_marks_rejected",
+        "boat_marks_rejected",
+    ]
+    return [f"results/{wildcards.campaign}/calibration/{name}.csv" for name in names]
 
 
 def calibration_truth(wildcards):
@@ -371,22 +396,8 @@ rule plot_calibration_design:
 rule calibration_page:
     """Everything that a calibration found out, on one page."""
     input:
-        calibrations=[
-            "results/{campaign}/calibration/boat.yaml",
-            "results/{campaign}/calibration/camera_lidar.yaml",
-            "results/{campaign}/calibration/ins_lidar.yaml",
-            "results/{campaign}/calibration/camera.yaml",
-            "results/{campaign}/calibration/reference_camera.yaml",
-        ],
-        tables=[
-            "results/{campaign}/calibration/cones.csv",
-            "results/{campaign}/calibration/cone_detection.csv",
-            "results/{campaign}/calibration/cone_residuals.csv",
-            "results/{campaign}/calibration/cone_displacements.csv",
-            "results/{campaign}/calibration/passes.csv",
-            "results/{campaign}/calibration/reference_marks_rejected.csv",
-            "results/{campaign}/calibration/boat_marks_rejected.csv",
-        ],
+        calibrations=found_calibrations,
+        tables=calibration_tables,
         facts=calibration_facts,
         pictures=calibration_page_pictures,
         captions=lambda wildcards: [

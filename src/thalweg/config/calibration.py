@@ -116,7 +116,7 @@ class EchoSounderFit(Section):
     max_sigma_lag_s: Positive = Field(
         default=0.02,
         le=10,
-        description="A time offset that the soundings alone give worse is refused, seconds",
+        description="A time that the soundings alone give worse is refused, seconds",
     )
 
 
@@ -173,6 +173,25 @@ class DisplayTest(Section):
     nominal_s: Positive = Field(default=1.0, description="Nominal interval of the images, seconds")
 
 
+class Board(Section):
+    """A checkerboard instead of cones."""
+
+    columns: Annotated[int, Field(ge=3, le=100)] = Field(
+        default=7, description="Inner corners along the longer side of the pattern"
+    )
+    rows: Annotated[int, Field(ge=3, le=100)] = Field(
+        default=5, description="Inner corners along its shorter side"
+    )
+    square_m: Positive = Field(default=0.095, le=1, description="Side of a square, metres")
+    width_m: Positive = Field(
+        default=0.85, le=10, description="Side of the board along the columns, metres"
+    )
+    height_m: Positive = Field(default=0.61, le=10, description="Side along the rows, metres")
+    flatness_m: NonNegative = Field(
+        default=0.002, le=0.1, description="How far the board is from a plane (one sigma), metres"
+    )
+
+
 class Calibration(Section):
     """Evaluation of a calibration field."""
 
@@ -181,6 +200,7 @@ class Calibration(Section):
     camera_lidar: CameraLidarFit = Field(
         default=CameraLidarFit(), description="Camera and lidar from static positions"
     )
+    board: Board = Field(default=Board(), description="Board before camera and lidar, if there are no cones")
     run_errors: RunErrors = Field(default=RunErrors(), description="How the poses of the run err")
     ins_lidar: InsLidarFit = Field(default=InsLidarFit(), description="Lidar on the moving boat")
     echo_sounder: EchoSounderFit = Field(

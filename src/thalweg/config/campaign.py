@@ -59,7 +59,8 @@ class Campaign(Section):
         """True if the campaign records a calibration field, not a river."""
         if self.twin is not None:
             return self.twin.field is not None
-        return self.logs is not None and bool(self.logs.calibration.field)
+        given = self.logs.calibration if self.logs is not None else None
+        return given is not None and bool(given.field or given.board_images or given.board_observations)
 
     def log_files(self, stream: str) -> list[Path]:
         """Files of one stream of a real survey, absolute; empty for a twin.

@@ -9,6 +9,7 @@ from typing import Any
 
 from thalweg.config.accuracy import Accuracy
 from thalweg.config.check_area import check_accuracy_area
+from thalweg.config.check_calibration import check_calibration_logs
 from thalweg.config.check_files import check_files
 from thalweg.config.check_place import check_base, check_crs
 from thalweg.config.hints import radians_cure
@@ -75,6 +76,7 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         mistakes += found
         mistakes += _check_source(parts, parts.logs)
         mistakes += _check_logs(parts.logs)
+        mistakes += check_calibration_logs(parts.logs.calibration)
         mistakes += check_base(parts.logs.gnss, parts.raw("campaign", "origin"))
     elif parts.raw("twin") is not None:
         mistakes += _check_twin_source(parts)
@@ -260,6 +262,9 @@ def _check_bed(parts: Parts) -> Iterator[Mistake]:
 
 
 def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
+    at_rest = logs.calibration
+    if (at_rest.field or at_rest.board_images or at_rest.board_observations) and not logs.lidar:
+        return  # a calibration without a dynamic run needs no trajectory
     if parts.orientation is None:
         return
     source = parts.orientation.position_source

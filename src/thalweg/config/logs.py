@@ -29,6 +29,10 @@ STREAM_KEYS = {
     "position_scans": ("calibration", "position_scans"),
     "run_images": ("calibration", "run_images"),
     "image_times": ("calibration", "image_times"),
+    "board_images": ("calibration", "board_images"),
+    "board_scans": ("calibration", "board_scans"),
+    "board_observations": ("calibration", "board_observations"),
+    "board_camera": ("calibration", "board_camera"),
     "clock_ties": ("calibration", "clock_ties"),
     "trigger_pulses": ("calibration", "trigger_pulses"),
     "display": ("calibration", "display"),
@@ -87,6 +91,18 @@ class CalibrationLogs(Section):
     run_images: Files = Field(default=(), description="Images of the boat's camera during the dynamic run")
     image_times: Files = Field(
         default=(), description="Table of image times (CSV: file, time), if neither names nor EXIF have them"
+    )
+    board_images: Files = Field(
+        default=(), description="Images of a checkerboard that camera and lidar see, one a pose"
+    )
+    board_scans: Files = Field(
+        default=(), description="Lidar recording of each pose: capture or PCD, in the order of board_images"
+    )
+    board_observations: Files = Field(
+        default=(), description="Boards as another program measured them (CSV), instead of images and scans"
+    )
+    board_camera: Files = Field(
+        default=(), description="Interior orientation for board_images: calibration, OpenCV or COLMAP file"
     )
     clock_ties: Files = Field(
         default=(),

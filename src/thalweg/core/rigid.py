@@ -58,7 +58,7 @@ class Rigid:
                 cure="Check the order of the elements, and that they have no scale and no reflection",
             )
         least = -1e-9 * max(float(np.trace(C)), 1e-30) if C.shape == (6, 6) else 0.0
-        if C.shape != (6, 6) or not np.allclose(C, C.T, atol=1e-30) or np.linalg.eigvalsh(C)[0] < least:
+        if C.shape != (6, 6) or not _symmetric(C) or np.linalg.eigvalsh(C)[0] < least:
             raise GeometryError(
                 "no covariance matrix of a transform",
                 expected="a symmetric 6x6 matrix without negative eigenvalues: shift, rotation vector",
@@ -162,6 +162,12 @@ class Rigid:
     def error_from(self, other: "Rigid") -> ArrayF:
         """(6,) error that moves ``other`` to this transform: what `moved` takes."""
         return np.concatenate([self.shift_m - other.shift_m, rotation_vector(self.R @ other.R.T)])
+
+
+def _symmetric(C: ArrayF) -> bool:
+    """Whether a covariance is symmetric but for rounding: 1e-9 of the product of both sigmas."""
+    s = np.sqrt(np.clip(np.diag(C), 0.0, None))
+    return bool((np.abs(C - C.T) <= 1e-9 * np.outer(s, s) + 1e-300).all())
 
 
 def exp_rotation(vector_rad: ArrayLike) -> ArrayF:

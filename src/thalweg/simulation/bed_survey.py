@@ -1,4 +1,4 @@
-"""A survey of the bed on foot: points by an RTK pole in strips across the shallow water that the boat crossed."""
+"""A survey of the bed on foot: points by an RTK pole in strips across the shallow water about the track."""
 
 from pathlib import Path
 from typing import Any, Final

@@ -1,7 +1,7 @@
 """Calibrations from the moving boat over many seeds: does the error agree with the stated covariance?
 
-The normalised square ``e^T C^-1 e / k`` of an error ``e`` of k components has the expectation 1 if ``C`` is
-right. Its mean over n seeds lies in the chi-square band of n k degrees of freedom. *Formal* covariances, which
+The normalised square ``e^T C^-1 e / k`` of an error ``e`` of k components has the expectation 1 if ``C``
+is right. Its mean over n seeds lies in the chi-square band of n k degrees of freedom. *Formal* covariances, which
 take points as independent, are judged beside: they are what publications state, and far too small.
 """
 
@@ -117,7 +117,7 @@ def judged(found: pd.DataFrame, components: dict[str, int], level: float = 0.01)
     for name, k in components.items():
         n = k * len(good)
         mean = float(good[name].mean()) if n else float("nan")
-        low, high = (float(q) for q in chi2.ppf([level / 2, 1 - level / 2], n) / n) if n else (np.nan, np.nan)
+        low, high = (float(chi2.ppf(q, n)) / n if n else np.nan for q in (level / 2, 1 - level / 2))
         rows.append((name, len(found), len(found) - len(good), mean, low, high, bool(low <= mean <= high)))
     names = ("covariance", "seeds", "failures", "normalised", "band_low", "band_high", "inside")
     return pd.DataFrame(rows, columns=list(names))
@@ -136,12 +136,11 @@ def as_markdown(found: pd.DataFrame, components: dict[str, int], title: str) -> 
         "| covariance | seeds | normalised | band | |",
         "| --- | --- | --- | --- | --- |",
     ]
-    for row in table.itertuples():
-        failed = f" ({row.failures} failed)" if row.failures else ""
-        verdict = "inside" if row.inside else "outside"
+    for row in table.to_dict("records"):
+        failed = f" ({row['failures']} failed)" if row["failures"] else ""
         lines.append(
-            f"| {WORDS[str(row.covariance)]} | {row.seeds}{failed} | {row.normalised:.2f} "
-            f"| {row.band_low:.2f} to {row.band_high:.2f} | {verdict} |"
+            f"| {WORDS[row['covariance']]} | {row['seeds']}{failed} | {row['normalised']:.2f} "
+            f"| {row['band_low']:.2f} to {row['band_high']:.2f} | {'inside' if row['inside'] else 'outside'} |"
         )
     if len(good):
         medians = [f"{good['error_mm'].median():.1f} mm"]
