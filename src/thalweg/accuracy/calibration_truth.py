@@ -75,7 +75,7 @@ def compare_interior(camera: Camera, truth: Mapping[str, float]) -> pd.DataFrame
     sigma = np.sqrt(np.diag(camera.cov))
     units = ["px" if name in ("fx", "fy", "cx", "cy") else "1" for name in camera.parameter_names]
     table = pd.DataFrame({
-        "block": f"{camera.name} camera", "quantity": camera.parameter_names, "estimated_minus_true": error,
+        "block": "camera interior", "quantity": camera.parameter_names, "estimated_minus_true": error,
         "sigma": sigma, "unit": units, "normalised": error / np.where(sigma > 0, sigma, np.nan),
     })  # fmt: skip
     return table[list(COLUMNS)]

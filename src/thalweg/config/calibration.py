@@ -1,6 +1,6 @@
 """Section ``calibration``: how the recordings of a calibration field are evaluated.
 
-The recordings stand in ``logs.calibration`` (or are the twin's), what the field looks like in its description.
+The recordings stand in ``logs.calibration`` (or are the twin's); the field has a description of its own.
 """
 
 from typing import Annotated, Literal
@@ -34,7 +34,7 @@ class CameraLidarFit(Section):
 
     free_half_angle: bool = Field(
         default=True,
-        description="Six unknowns a cone (P2); false: five, with the half angle of the field description (P1)",
+        description="Six unknowns a cone (P2); false: five, with the half angle of the description (P1)",
     )
     max_incidence_deg: Incidence = Field(
         default=65.0, description="Greatest angle between beam and normal of a cone, degrees"
@@ -73,8 +73,8 @@ class InsLidarFit(Section):
 
     estimate_errors: bool = Field(
         default=True,
-        description="Sizes and correlation times of the pose errors are estimated from the run, starting from "
-        "`run_errors`",
+        description="Sizes and correlation times of the pose errors are estimated from the run, from "
+        "`run_errors` on",
     )
     search_lever_m: NonNegative = Field(
         default=0.6, le=3, description="How far the lever arm may be from zero, metres"
@@ -183,9 +183,7 @@ class Board(Section):
         default=5, description="Inner corners along its shorter side"
     )
     square_m: Positive = Field(default=0.095, le=1, description="Side of a square, metres")
-    width_m: Positive = Field(
-        default=0.85, le=10, description="Side of the board along the columns, metres"
-    )
+    width_m: Positive = Field(default=0.85, le=10, description="Side of the board along the columns, metres")
     height_m: Positive = Field(default=0.61, le=10, description="Side along the rows, metres")
     flatness_m: NonNegative = Field(
         default=0.002, le=0.1, description="How far the board is from a plane (one sigma), metres"

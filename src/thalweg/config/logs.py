@@ -76,7 +76,7 @@ class GnssLogs(Section):
 
 
 class CalibrationLogs(Section):
-    """Recordings of a calibration field; paths as in `Logs`. The run's lidar, INS and GNSS stand in `logs`."""
+    """Recordings of a calibration field; paths as in `Logs`. The run's other logs stand there."""
 
     field: Files = Field(
         default=(), description="Description of the field: cones, markers, scale bars, targets (YAML)"

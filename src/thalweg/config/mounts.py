@@ -37,9 +37,9 @@ class OrientedMount(Section):
     )
     sigma_axes: Literal["angles", "ics"] = Field(
         default="angles",
-        description="What the sigmas of the angles are: of omega, phi, kappa themselves (`angles`), or of small "
-        "rotations about the axes x, y, z of the body (`ics`), as calibrations state them; at phi = -90 degrees "
-        "only these describe every error",
+        description="What the sigmas of the angles are of: omega, phi, kappa themselves (`angles`), or small "
+        "rotations about the axes x, y, z of the body (`ics`), as calibrations state them; at phi = -90 "
+        "degrees only these describe every error",
     )
     correlation: tuple[Row6, Row6, Row6, Row6, Row6, Row6] | None = Field(
         default=None,

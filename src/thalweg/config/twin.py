@@ -112,8 +112,8 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
         "boat": {"speed_mps": 0.518},
         "gnss": {"mode": "single_frequency", "shadow": True},
     },
-    # Calibration on land: the boat is moved about by hand on a trolley. A third of the Panasonic's pixels along
-    # a side are enough: the static camera is placed to 0.2 mm.
+    # Calibration on land: the boat is moved about by hand on a trolley. A third of the Panasonic's pixels
+    # along a side are enough: the static camera is placed to 0.2 mm.
     "field": {
         "start_utc": "2021-05-11T13:02:11Z",
         "duration_s": 150.0,

@@ -4,14 +4,15 @@ Camera frame ccs: x to the right, y down, z along the view. Pixel coordinates co
 *corner* of the picture, so that the centre of its first pixel is (0.5, 0.5), as in COLMAP; OpenCV counts from
 that centre.
 
-``perspective`` (Brown 1971, in the form of OpenCV and COLMAP), with ``a = X/Z``, ``b = Y/Z``, ``q = a^2 + b^2``::
+``perspective`` (Brown 1971, in the form of OpenCV and COLMAP), with ``a = X/Z``, ``b = Y/Z`` and
+``q = a^2 + b^2``::
 
     a' = a (1 + k1 q + k2 q^2 + k3 q^3) + 2 p1 a b + p2 (q + 2 a^2)
     b' = b (1 + k1 q + k2 q^2 + k3 q^3) + p1 (q + 2 b^2) + 2 p2 a b
     x = fx a' + cx,   y = fy b' + cy
 
-``fisheye`` (equidistant; P1 eq. 2-3 with the radial part of their corrections), with the angle ``t`` between ray
-and view and ``h = sqrt(X^2 + Y^2)``::
+``fisheye`` (equidistant; P1 eq. 2-3 with the radial part of their corrections), with the angle ``t`` between
+ray and view and ``h = sqrt(X^2 + Y^2)``::
 
     d = t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8)
     x = fx d X/h + cx,   y = fy d Y/h + cy
@@ -125,7 +126,7 @@ class Camera:
         return uv * f + self.parameters[2:4], f[:, None] * by_point, by_parameters
 
     def rays(self, xy_px: ArrayLike) -> ArrayF:
-        """Unit directions (n, 3) in ccs of pixels (n, 2): the inverse of `project`; NaN where there is none."""
+        """Unit directions (n, 3) in ccs of pixels (n, 2): the inverse of `project`; NaN where none is."""
         xy = np.atleast_2d(np.asarray(xy_px, dtype=np.float64))
         uv = (xy - self.parameters[2:4]) / self.parameters[:2]
         if self.model == "fisheye":

@@ -1,8 +1,8 @@
 """Calibrations from the moving boat over many seeds: does the error agree with the stated covariance?
 
 The normalised square ``e^T C^-1 e / k`` of an error ``e`` of k components has the expectation 1 if ``C``
-is right. Its mean over n seeds lies in the chi-square band of n k degrees of freedom. *Formal* covariances, which
-take points as independent, are judged beside: they are what publications state, and far too small.
+is right. Its mean over n seeds lies in the chi-square band of n k degrees of freedom. *Formal* covariances,
+which take points as independent, are judged beside: they are what publications state, and far too small.
 """
 
 from collections.abc import Callable, Sequence
@@ -130,17 +130,18 @@ def as_markdown(found: pd.DataFrame, components: dict[str, int], title: str) -> 
     lines = [
         f"# {title}",
         "",
-        "Mean normalised square errors over many seeds. They are 1 in expectation, and lie in the band in 99 of",
-        "100 studies, if the covariance is right; above it sigmas are too small, below it too large.",
+        "Mean normalised square errors over many seeds. They are 1 in expectation, and lie in the band in",
+        "99 of 100 studies, if the covariance is right; above it sigmas are too small, below too large.",
         "",
         "| covariance | seeds | normalised | band | |",
         "| --- | --- | --- | --- | --- |",
     ]
     for row in table.to_dict("records"):
+        verdict = "inside" if row["inside"] else "outside"
         failed = f" ({row['failures']} failed)" if row["failures"] else ""
         lines.append(
             f"| {WORDS[row['covariance']]} | {row['seeds']}{failed} | {row['normalised']:.2f} "
-            f"| {row['band_low']:.2f} to {row['band_high']:.2f} | {'inside' if row['inside'] else 'outside'} |"
+            f"| {row['band_low']:.2f} to {row['band_high']:.2f} | {verdict} |"
         )
     if len(good):
         medians = [f"{good['error_mm'].median():.1f} mm"]
