@@ -168,7 +168,12 @@ def fuzz(rng: np.random.Generator, fuzz_count: int) -> Iterator[Fuzz]:
         yield Fuzz(rng, fuzz_count)
 
 
-SHARED = {"test_tiny.py": "tiny", "test_honest_3d.py": "surveys", "test_honest_c2m.py": "surveys"}
+SHARED = {
+    "test_tiny.py": "tiny",
+    "test_field.py": "yard",
+    "test_honest_3d.py": "surveys",
+    "test_honest_c2m.py": "surveys",
+}
 """Files whose tests share something that takes minutes to make: all of a group go to one worker."""
 
 

@@ -183,6 +183,7 @@ def test_the_order_is_that_of_the_contributing_page(repository: Path) -> None:
 UNREACHED = {
     "__main__.py": "the command line",
     "cli.py": "the command line",
+    "cli_calibration.py": "the command line",
     "jobs/codehash.py": "called by the rules",
 }
 """Modules outside `config` that no entry script imports, and why."""

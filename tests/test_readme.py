@@ -10,9 +10,8 @@ from thalweg.config.load import load_campaign
 
 def test_the_graph_names_every_rule_of_a_campaign(repository: Path) -> None:
     text = (repository / "README.md").read_text()
-    graph = re.search(r"```mermaid\n(.*?)```", text, re.S)
-    assert graph
-    drawn = set(re.findall(r"^        (\w+)$", graph.group(1), re.M))
+    graphs = "\n".join(re.findall(r"```mermaid\n(.*?)```", text, re.S))
+    drawn = set(re.findall(r"^        (\w+)$", graphs, re.M))
     rules = {
         name
         for path in (repository / "workflow/rules").glob("*.smk")
@@ -20,8 +19,9 @@ def test_the_graph_names_every_rule_of_a_campaign(repository: Path) -> None:
         for name in re.findall(r"(?m)^rule (\w+):", path.read_text())
     }
     assert drawn == rules
-    arrows = set(re.findall(r"(\w+) --> (\w+)", graph.group(1)))
-    assert {end for arrow in arrows for end in arrow} == rules
+    arrows = set(re.findall(r"(\w+) --> (\w+)", graphs))
+    alone = {"calibrate_board", "plot_cone_frame"}  # from files of the user, or from nothing
+    assert {end for arrow in arrows for end in arrow} == rules - alone
 
 
 def test_the_commands_exist(repository: Path) -> None:

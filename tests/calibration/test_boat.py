@@ -109,6 +109,18 @@ def test_a_ruler_held_to_the_lidar_shares_its_errors(lidar: Lidar, origin: str, 
     assert cov[0, 1] == pytest.approx(cov[0, 0] if shared else 0.0)
 
 
+def test_an_echo_sounder_measured_from_the_ins_has_the_error_of_the_antennas_ruler(lidar: Lidar) -> None:
+    """The antenna is without error by definition: its ruler's error is that of the other lever arms."""
+    place = EchoPlace.ruled_from_ins(
+        (0.2, 0.0, 0.3), sigma_lever_m=(0.005, 0.005, 0.003), sigma_antenna_m=(0.012, 0.0, 0.004)
+    )
+    found = boat(lidar, echo_sounder=place)
+    values, cov = found.block("echo_sounder")[0], found.joint([f"echo_sounder.{a}_m" for a in "xyz"])[1]
+    assert values == pytest.approx([0.2, 0.0, 0.3])
+    # 5-12-13 and 3-4-5
+    assert np.sqrt(np.diag(cov)) == pytest.approx([0.013, 0.005, 0.005])
+
+
 def test_a_boat_without_camera_and_echo_sounder(lidar: Lidar) -> None:
     found = boat(lidar, T_ccs_scs=None, echo_sounder=None)
     assert [block.name for block in found.blocks] == ["lidar", "antenna"]

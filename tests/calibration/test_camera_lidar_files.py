@@ -68,6 +68,8 @@ def test_marks_come_to_their_cones(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(second.points_m, points.points_pcs[:4])
     np.testing.assert_array_equal(second.cov, points.cov[:12, :12])
     assert first.half_angle_rad == pytest.approx(np.deg2rad(25.0))
+    rough = given.cone_references(parse_field(FIELD), points, form_sigma_m=0.002)
+    assert [r.form_sigma_m for r in rough] == [0.002, 0.002]
     with pytest.raises(InputError, match="names no cones"):
         given.cone_references(parse_field("\n".join(FIELD.splitlines()[:3] + FIELD.splitlines()[6:])), points)
 
@@ -125,16 +127,33 @@ def test_scans_meet_their_pictures(tmp_path: Path) -> None:
         given.static_positions([tmp_path / "notes.txt"], ["a.jpg"])
 
 
-def test_pictures_of_positions_are_told_from_those_of_the_run() -> None:
-    files = [
-        "position_images/p2.jpg",
-        "run_images/r1.jpg",
-        "position_images/p1.jpg",
-        "position_images/p1.jpg",
-    ]
-    marks = pd.DataFrame({"image": [Path(f).name for f in files], "file": files})
-    assert given.static_images(marks, [Path("logs/position_images")]) == ["p1.jpg", "p2.jpg"]
-    assert given.static_images(marks, [Path("x/p2.jpg")]) == ["p2.jpg"]
+def test_scans_and_pictures_of_other_names_are_matched_as_people_count(tmp_path: Path) -> None:
+    for name in ("scan_10.pcap", "scan_2.pcap", "shot_10.jpg", "shot_2.jpg"):
+        (tmp_path / name).touch()
+    marks = pd.DataFrame({"image": ["shot_10.jpg", "shot_2.jpg"]})
+    shots, scans = (
+        [tmp_path / "shot_2.jpg", tmp_path / "shot_10.jpg"],
+        [tmp_path / "scan_2.pcap", tmp_path / "scan_10.pcap"],
+    )
+    for images, captures in ((shots, scans), ([tmp_path], [tmp_path])):
+        pairs = given.static_positions(captures, given.static_images(marks, images))
+        assert {scan: image for scan, (_, image) in pairs.items()} == {
+            "scan_2": "shot_2.jpg",
+            "scan_10": "shot_10.jpg",
+        }
+
+
+@pytest.mark.parametrize("folder", ["position_images", "2021.05.12", "positions.jpg"])
+def test_pictures_of_positions_are_told_from_those_of_the_run(tmp_path: Path, folder: str) -> None:
+    """Both sets may lie in folders of one name, and the name of a folder may hold a dot."""
+    files = [f"one/{folder}/{name}" for name in ("p2.jpg", "p1.jpg", "p3.jpg")] + [f"two/{folder}/r1.jpg"]
+    for file in files:
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    seen = [file for file in files if "p3" not in file]
+    marks = pd.DataFrame({"image": [Path(f).name for f in (*seen, seen[0])], "file": [*seen, seen[0]]})
+    assert given.static_images(marks, [tmp_path / "one" / folder]) == ["p1.jpg", "p2.jpg"]
+    assert given.static_images(marks, [tmp_path / file for file in files[:3]]) == ["p2.jpg", "p1.jpg"]
 
 
 def test_nominal_orientation_of_mounts() -> None:

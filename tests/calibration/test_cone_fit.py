@@ -88,6 +88,62 @@ def test_five_parameters_keep_the_half_angle(rng: np.random.Generator) -> None:
     assert fixed.cone.half_angle_rad == HALF + 0.003
 
 
+def parameters_off(found: Cone, true: Cone) -> np.ndarray:
+    across = found.tangents @ true.axis
+    return np.r_[true.apex_m - found.apex_m, across, true.half_angle_rad - found.half_angle_rad]
+
+
+def test_the_covariance_is_honest_over_seeds() -> None:
+    """Marks with a form error of their own and errors that they share."""
+    form_m, squares = 0.0003, []
+    for seed in range(40):
+        rng = np.random.default_rng([5, seed])
+        true = cone_of(rng)
+        root = 1e-4 * rng.standard_normal((96, 8))
+        C = root @ root.T + SIGMA_M**2 * np.eye(96)
+        points = marks(true, rng)
+        points += (root @ rng.standard_normal(8)).reshape(-1, 3)
+        points += form_m * rng.standard_normal(32)[:, None] * true.see(points).normal
+        given = ConeReference(
+            name="C1", points_m=points, cov=C, half_angle_rad=HALF, length_m=0.7, form_sigma_m=form_m
+        )
+        # rejection would cut off the tails
+        found = fit_reference(given, reject_sigmas=20.0).cone
+        d = parameters_off(found, true)
+        squares.append(d @ np.linalg.solve(found.cov, d))
+    low, high = chi2.ppf([0.001, 0.999], 6 * len(squares))
+    assert low < sum(squares) < high
+
+
+def test_derivatives_by_the_points_are_those_of_the_fit(rng: np.random.Generator) -> None:
+    points = marks(cone_of(rng), rng)
+    points[3] += 0.05
+    found = fit_reference(reference(points))
+    assert not found.used[3]
+    step = 1e-5 * rng.standard_normal((32, 3))
+    ahead, back = (fit_reference(reference(points + s * step)).cone for s in (1, -1))
+    change = (parameters_off(found.cone, ahead) - parameters_off(found.cone, back)) / 2
+    # 2 %: Gauss-Newton derivatives leave out residuals times curvature, 0.2 mm of 200 mm; sigmas of 1e-5 m
+    sigma = np.sqrt(np.diag(found.by_points @ found.by_points.T)) * 1e-5
+    assert np.abs(found.by_points @ step.ravel() - change) / sigma == pytest.approx(np.zeros(6), abs=0.02)
+
+
+def test_a_fixed_half_angle_has_no_covariance(rng: np.random.Generator) -> None:
+    fixed = fit_reference(reference(marks(cone_of(rng), rng), half=HALF + 0.003), free_half_angle=False).cone
+    assert np.all(fixed.cov[5] == 0)
+    assert np.linalg.eigvalsh(fixed.cov[:5, :5])[0] > 0
+
+
+def test_the_form_of_a_cone_counts(rng: np.random.Generator) -> None:
+    normals = np.eye(3)[[0, 1, 2, 0]]
+    for cov in (np.zeros((4, 3, 3)), np.zeros((12, 12))):
+        given = ConeReference(
+            name="C1", points_m=np.zeros((4, 3)), cov=cov, half_angle_rad=HALF, length_m=0.7,
+            form_sigma_m=0.002,
+        )  # fmt: skip
+        np.testing.assert_allclose(given.distance_cov(normals), 4e-6 * np.eye(4), rtol=1e-12)
+
+
 # ---------------------------------------------------------------- bad input
 
 

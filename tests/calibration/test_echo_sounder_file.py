@@ -156,3 +156,20 @@ def test_soundings_far_from_the_bed_are_refused(tmp_path: Path, repository: Path
     away = replace(run.bed, points_wcs_m=run.bed.points_wcs_m + np.array([300.0, 0.0, 0.0]))
     with pytest.raises(CoverageError, match="lie over the surveyed bed"):
         calibrated(tmp_path, repository, replace(run, bed=away))
+
+
+def test_soundings_that_share_surveyed_points_share_their_errors() -> None:
+    rng = np.random.default_rng(2)
+    side = np.arange(0.0, 10.1, 0.5)
+    grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    up = 0.1 * grid[:, 0] - 0.2 * grid[:, 1] + 0.02 * rng.standard_normal(len(grid))
+    points, sigma = np.column_stack([grid, up]), np.full(len(grid), 0.02)
+    line = np.column_stack([np.linspace(1.0, 9.0, 400), np.full(400, 5.2)])
+    bed = files.bed_of(points, sigma, SETTINGS, line)
+    # 16 cells of a strip, 17 points on either side
+    assert bed.sigma_m == pytest.approx(0.02 * np.sqrt(400 / 34), rel=0.1)
+    assert files.bed_of(points, sigma, SETTINGS, line[:3]).sigma_m == pytest.approx(0.02)
+    # slopes of triangles of 0.5 m would err by 0.02 sqrt(2) / 0.5 = 0.057; planes over 1 m by a third of it
+    _, slope, inside = bed.at(line)
+    assert inside.all()
+    assert (slope - [0.1, -0.2]).std() < 0.03

@@ -10,13 +10,14 @@ from PIL import Image
 from thalweg.calibration.mark_tables import (
     MARKS,
     detect_pictures,
-    pictures_of,
     read_grey,
+    recordings_folder,
     report_of,
 )
 from thalweg.calibration.marker_sheets import MarkerLayout, sheet_picture
 from thalweg.core.errors import InputError
 from thalweg.core.tables import read_table, write_table
+from thalweg.ingest.image_stamps import list_images
 
 LAYOUT = MarkerLayout()
 
@@ -42,7 +43,7 @@ def test_table_of_marks(tmp_path: Path) -> None:
     )
     (folder / "notes.txt").write_text("no picture")
     told: list[str] = []
-    found = detect_pictures({"slr": pictures_of(folder)}, LAYOUT, base=tmp_path, threads=2, told=told.append)
+    found = detect_pictures({"slr": list_images(folder)}, LAYOUT, base=tmp_path, threads=2, told=told.append)
     write_table(tmp_path / "marks.parquet", found.marks, MARKS)
     table, _ = read_table(tmp_path / "marks.parquet", MARKS)
     assert table.groupby("image")["marker"].unique().map(list).to_dict() == {"a.png": [4], "b.jpg": [1, 2, 3]}
@@ -72,7 +73,7 @@ def test_a_note_on_how_the_camera_was_held_turns_no_pixels(tmp_path: Path) -> No
 
 def test_an_id_that_exists_twice_is_left_out_everywhere(tmp_path: Path) -> None:
     folder = saved(tmp_path, {"a.png": picture([1, 2, 1]), "b.png": picture([1, 3])})
-    found = detect_pictures({"slr": pictures_of(folder)}, LAYOUT)
+    found = detect_pictures({"slr": list_images(folder)}, LAYOUT)
     assert sorted(set(found.marks["marker"])) == [2, 3]
     (note,) = report_of(found)["notes"]
     assert note.startswith("marker 1 in a.png: seen twice in one picture; the id exists twice")
@@ -81,26 +82,28 @@ def test_an_id_that_exists_twice_is_left_out_everywhere(tmp_path: Path) -> None:
 def test_mirrored_sheets_and_pictures(tmp_path: Path) -> None:
     sheet = picture([1, 2, 3])
     sheet[20:152, 165:297] = sheet[20:152, 165:297][:, ::-1]
-    found = detect_pictures({"slr": pictures_of(saved(tmp_path / "one", {"a.png": sheet}))}, LAYOUT)
+    found = detect_pictures({"slr": list_images(saved(tmp_path / "one", {"a.png": sheet}))}, LAYOUT)
     assert sorted(set(found.marks["marker"])) == [1, 3]
     assert report_of(found)["notes"] == [
         "marker 2 in a.png: reads only in the mirror; the sheet is printed mirrored: print it again"
     ]
     all_of_them = saved(tmp_path / "all", {"a.png": picture([1, 2, 3], mirrored=True)})
     with pytest.raises(InputError, match=r"3 markers read only in the mirror, so in a.png") as caught:
-        detect_pictures({"slr": pictures_of(all_of_them)}, LAYOUT)
+        detect_pictures({"slr": list_images(all_of_them)}, LAYOUT)
     assert "original files" in caught.value.cure
 
 
 def test_what_is_no_set_of_pictures(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no photograph in this folder"):
+        list_images(tmp_path)
     with pytest.raises(InputError, match="no pictures"):
-        pictures_of(tmp_path)
+        recordings_folder([])
     mixed = saved(tmp_path / "mixed", {"a.png": picture([1]), "b.png": picture([1], 700)})
     with pytest.raises(InputError, match=r"differ in size \(a.png: 600 x 180; b.png: 700 x 180\)"):
-        detect_pictures({"slr": pictures_of(mixed)}, LAYOUT)
+        detect_pictures({"slr": list_images(mixed)}, LAYOUT)
     again = saved(tmp_path / "again", {"a.png": picture([1])})
     with pytest.raises(InputError, match=r"two pictures are called a.png"):
-        detect_pictures({"slr": [*pictures_of(again), mixed / "a.png"]}, LAYOUT)
+        detect_pictures({"slr": [*list_images(again), mixed / "a.png"]}, LAYOUT)
     (tmp_path / "broken.jpg").write_bytes(b"\xff\xd8\xff broken")
     for name, answer in (("broken.jpg", "not a picture"), ("none.jpg", "file not found")):
         with pytest.raises(InputError, match=answer):

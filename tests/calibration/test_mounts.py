@@ -6,7 +6,7 @@ import pytest
 from thalweg.calibration.mounts import read_mounts, resolve_mounts, write_mounts
 from thalweg.config.mounts import Mounts
 from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
-from thalweg.core.errors import ConfigError, InputError
+from thalweg.core.errors import ConfigError, GeometryError, InputError
 from thalweg.core.frames import rotation_opk
 from thalweg.core.rigid import Rigid
 from thalweg.lidar.mount import Mount
@@ -35,6 +35,7 @@ def test_without_a_calibration_the_campaign_file_speaks(section):
 
 
 def test_a_calibration_replaces_what_it_holds_and_nothing_else(section):
+    section["antenna"]["lever_ics_m"] = [0.1, 0.0, -0.45]
     mounts = resolve_mounts(section, calibrated()[0])
     assert mounts["lidar"]["source"] == "yard"
     assert mounts["lidar"]["lever_ics_m"] == pytest.approx((-0.35, 0.0, -0.25))
@@ -44,6 +45,7 @@ def test_a_calibration_replaces_what_it_holds_and_nothing_else(section):
 def test_the_covariance_reaches_the_consumer_with_every_axis_and_correlation(section, tmp_path):
     # At phi = -90 degrees sigmas of omega, phi, kappa cannot describe an error about ics z.
     calibration, cov = calibrated()
+    section["antenna"]["lever_ics_m"] = [0.1, 0.0, -0.45]
     write_mounts(tmp_path / "mounts.json", resolve_mounts(section, calibration))
     mount = Mount.from_section(read_mounts(tmp_path / "mounts.json")["lidar"])
     order = [3, 4, 5, 0, 1, 2]  # Mount: rotation first
@@ -60,6 +62,20 @@ def test_a_calibration_without_sensors_is_refused(section):
         ConfigError, match=r"'a target' holds the blocks target; expected at least one of lidar"
     ):
         resolve_mounts(section, other)
+
+
+def test_a_sensor_that_nobody_places_is_refused(section):
+    # A lidar at the origin with the default sigmas would be a plausible and wrong cloud.
+    with pytest.raises(ConfigError, match="states no place of the antenna"):
+        resolve_mounts(section, calibrated()[0])
+
+
+def test_a_pose_the_other_way_round_is_refused(section):
+    true = calibrated()[0].pose("lidar")
+    block, cov = pose_block("lidar", true.inverse(), target="scs", source="ics")
+    turned = Calibration(title="boat", blocks=(block,), cov=cov, source=Source(run="yard", method="cones"))
+    with pytest.raises(GeometryError, match=r"block 'lidar' is x_scs = R_scs_ics @ x_ics"):
+        resolve_mounts(section, turned)
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,18 @@ def test_patterns_home_and_absolute_paths(write, survey, monkeypatch):
     assert campaign.log_files("depth") == [survey / "raw/echo.nmea"]
 
 
+@pytest.mark.parametrize("text", ["raw/../camera.txt", "camera.txt", "~/camera.txt"])
+def test_the_interior_of_a_camera_is_found_from_the_campaign_file(text, write, survey, monkeypatch):
+    """Its path holds from every folder, and it is an input of a rule like any file."""
+    (survey / "camera.txt").write_text("1 PINHOLE 640 480 500 500 320 240\n")
+    monkeypatch.setenv("HOME", str(survey))
+    path = write({"calibration.boat_camera.interior": text})
+    monkeypatch.chdir(path.parent.parent)
+    campaign = load_campaign(Path(path.parent.name) / path.name)
+    assert campaign.calibration.boat_camera.interior == str(survey / "camera.txt")
+    assert campaign.plain()["calibration"]["boat_camera"]["interior"] == str(survey / "camera.txt")
+
+
 def test_matches_are_sorted(write, survey):
     for i in (10, 3, 7):
         (survey / f"part_{i:02d}.pcap").write_bytes(b"x")

@@ -160,6 +160,27 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     ({"twin": {}}, "twin", ("both twin and logs are given", "exactly one")),
     ({"logs": GONE}, "", ("neither logs nor twin", "Add a section `logs:`")),
     ({"logs": None}, "logs", ("the section logs is empty", "exactly one")),
+    (
+        {"calibration.boat_camera.interior": "raw/camera.yaml"},
+        "calibration.boat_camera.interior",
+        ("raw/camera.yaml: no such file", "an interior orientation at", "it holds base.sbp"),
+    ),
+    (
+        {"calibration.boat_camera.interior": "raw"},
+        "calibration.boat_camera.interior",
+        ("raw: this is a folder", "Name the file in it"),
+    ),
+    (
+        {"calibration.boat_camera.interior": "camera\0.yaml"},
+        "calibration.boat_camera.interior",
+        ("a path", "Remove the character"),
+    ),
+    ({"calibration.boat_camera.interior": 3}, "calibration.boat_camera.interior", ("found 3",)),
+    (
+        {"calibration.reference_camera.interior": "raw/base.sbp"},
+        "calibration.reference_camera.interior",
+        ("unknown key", "calibration.boat_camera.interior"),
+    ),
     ({"logs.ins": ["raw/boat.anp"]}, "logs.ins[0]", ("no such file", "Did you mean boat.anpp in")),
     ({"logs.ins": ["raw/BOAT.ANPP"]}, "logs.ins[0]", ("no such file", "Did you mean boat.anpp in")),
     ({"logs.ins": ["rax/boat.anpp"]}, "logs.ins[0]", ("There is no folder", "Did you mean")),

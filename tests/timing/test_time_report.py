@@ -1,5 +1,6 @@
 """The time of the whole boat, and the tables that the camera's clock comes from."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from thalweg.timing.lag import Lag
 from thalweg.timing.streams import stream_table
 from thalweg.timing.synchronise import offset_options, run_attitude, run_poses
 from thalweg.timing.time_report import COLUMNS, Speeds, report_lines, time_report
+from thalweg.timing.trigger import trigger_clock
 
 T0 = float(gps_from_unix(1_620_808_267))
 FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.7, h_ell_m=160.0)
@@ -87,7 +89,10 @@ def test_every_stream_says_who_stamps_it_and_what_that_costs(tmp_path: Path) -> 
         # a lag that is significant is not corrected: it and its sigma stay
         assert row.loc["positions", "sigma_time_s"] == pytest.approx(np.hypot(0.040, 0.003), rel=1e-3)
         assert row.loc["positions", "cost_if_ignored_mm"] == pytest.approx(speeds.cost_mm(0.040, 25.0))
-        assert row.loc["lidar", "cost_mm"] < 0.001
+        # nothing was checked: the unit of the stamps is no accuracy
+        assert np.isnan(row.loc["lidar", ["sigma_time_s", "cost_mm"]].astype(float)).all()
+        assert row.loc["lidar", "resolution_s"] == 1e-6
+        assert "not measured" in row.loc["lidar", "remark"]
         # jitter, offset, and drift over 200 s
         sigma = np.sqrt(0.023**2 + 0.0016**2 + (1e-5 * 200) ** 2)
         assert row.loc["camera", "sigma_time_s"] == pytest.approx(sigma)
@@ -98,8 +103,24 @@ def test_every_stream_says_who_stamps_it_and_what_that_costs(tmp_path: Path) -> 
         "0.40 m/s, 7.0 degrees/s",
         "offset -2347.100 ms (sigma 1.600)",
         "Late by +40.0 ms against ins",
+        "unit of the stamps 0.001 ms",
     ):
         assert words in text, words
+    lidar = text[text.index("lidar: ") : text.index("ins: ")]
+    assert "is good to" not in lidar
+    assert "Not checked against another stream" in lidar
+
+
+def test_the_report_of_a_trigger_is_that_of_its_pulses() -> None:
+    """Neither the unit of the camera's stamps nor the display test count; what is not known is said."""
+    clock = trigger_clock(t_first_s=T0, t_last_s=T0 + 100, delay_s=0.003)
+    facts = {"mean_s": 0.999, "std_s": 0.023, "kind": "white stamps", "image_error_s": 0.0163}
+    clock = replace(clock, notes=("Jitter of the trigger not stated: taken as 0.",))
+    report = time_report(streams(), Speeds.of(trajectory(0.4, 7.0)), camera=clock, stability=facts)
+    row = report.set_index("stream").loc["camera"]
+    assert (row["offset_s"], row["jitter_s"], row["sigma_time_s"]) == (0.003, 0.0, 0.0)
+    assert row["stamped_by"] == "the pulses of its trigger"
+    assert "not stated: taken as 0" in row["remark"]
 
 
 def test_a_camera_that_was_never_tied_is_told() -> None:

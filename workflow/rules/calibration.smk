@@ -121,6 +121,7 @@ rule orient_camera:
         points="results/{campaign}/calibration/field_points.csv",
         covariance="results/{campaign}/calibration/field_points.npz",
         field=raw("field"),
+        interior=boat_interior,
     output:
         poses="results/{campaign}/calibration/camera_poses.parquet",
         camera="results/{campaign}/calibration/camera.yaml",
@@ -141,7 +142,6 @@ rule orient_camera:
         campaign=identity("id"),
         model=calibration("boat_camera", "model"),
         focal_px=calibration("boat_camera", "focal_px"),
-        interior=calibration("boat_camera", "interior"),
     message:
         "{wildcards.campaign}: poses of the boat's camera"
     script:

@@ -74,6 +74,12 @@ def boat_images(wildcards):
     ]
 
 
+def boat_interior(wildcards):
+    """Input function: the interior orientation of the boat's camera that a campaign names, if any."""
+    chosen = CAMPAIGNS[wildcards.campaign].calibration.boat_camera.interior
+    return [] if chosen is None else [chosen]
+
+
 def run_settings(wildcards):
     """Params function: how the run about the cones is evaluated."""
     plain = CAMPAIGNS[wildcards.campaign].plain()
@@ -87,6 +93,7 @@ def run_settings(wildcards):
             "angle_deg": options["search_angle_deg"],
         },
         "gates": {key: options[key] for key in ("min_cones", "min_headings_deg")},
+        "form_sigma_m": plain["calibration"]["camera_lidar"]["form_sigma_m"],
         "estimate_errors": options["estimate_errors"],
     }
 
@@ -115,11 +122,12 @@ def echo_outputs(name):
 
 def echo_place(wildcards):
     """Params function: where the echo sounder sits by the ruler."""
-    place = CAMPAIGNS[wildcards.campaign].plain()["mounts"]["echo_sounder"]
+    mounts = CAMPAIGNS[wildcards.campaign].plain()["mounts"]
+    place = mounts["echo_sounder"]
     return {
-        "lever_m": place["lever_ics_m"],
+        "lever_ics_m": place["lever_ics_m"],
         "sigma_lever_m": place["sigma_lever_m"],
-        "measured_from": "ics",
+        "sigma_antenna_m": mounts["antenna"]["sigma_lever_m"],
     }
 
 

@@ -70,8 +70,10 @@ rule clock_from_ties:
         ties=raw("clock_ties"),
         pulses=raw("trigger_pulses"),
         stamps="results/{campaign}/ingest/image_stamps.parquet",
+        stability=clock_stability,
     output:
         clock="results/{campaign}/timing/camera_clock_ties.yaml",
+        images="results/{campaign}/timing/image_times_ties.parquet",
     log:
         "logs/{campaign}/timing/clock_from_ties.log",
     benchmark:

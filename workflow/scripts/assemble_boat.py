@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from thalweg.calibration.boat import EchoPlace, assemble
 from thalweg.calibration.ins_lidar_file import read_mount_result
 from thalweg.core.calibration import Source
@@ -24,11 +22,7 @@ def main(
     found = read_mount_result(mount)
     place = None
     if echo_sounder is not None:
-        place = EchoPlace(
-            lever_m=np.asarray(echo_sounder["lever_m"], dtype=np.float64),
-            cov_m2=np.diag(np.square(echo_sounder["sigma_lever_m"])),
-            measured_from=echo_sounder.get("measured_from", "antenna"),
-        )
+        place = EchoPlace.ruled_from_ins(**echo_sounder)
     relative = read_calibration(camera_lidar).pose("camera_lidar")
     source = Source(
         run=str(campaign["id"]), method="cones from the moving boat, cones and camera, ruler",

@@ -38,7 +38,7 @@ def main(
         given.read_position(name, pose.T_pcs_ccs, [scan], options, beam)
         for (name, (scan, _)), pose in zip(pairs.items(), resected, strict=True)
     ]
-    on_cones = given.cone_references(description, known)
+    on_cones = given.cone_references(description, known, form_sigma_m=settings["form_sigma_m"])
     errors = given.field_errors(description, known, resected, interior)
     nominal = given.nominal_orientation(mounts)
     how = CameraLidarSettings.from_section(settings)

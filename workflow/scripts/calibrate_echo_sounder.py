@@ -33,11 +33,12 @@ def main(
     survey = read_bed_survey(bed, LocalFrame(**campaign["origin"]), campaign["crs"])
     t_gps_s, depth_m, counts = files.soundings(read_table(depths, DEPTH)[0], path)
     ruler_m, cov_m2 = files.ruler_of(boat["echo_sounder"])
+    places_m = files.places_of(path, t_gps_s, depth_m, ruler_m)
     found = estimate_echo_sounder(
         t_gps_s,
         depth_m,
         path,
-        files.bed_of(survey.points_wcs_m, survey.sigma_m, settings),
+        files.bed_of(survey.points_wcs_m, survey.sigma_m, settings, places_m),
         files.settings_of(settings, path, t_gps_s),
         ruler_ics_m=ruler_m,
         cov_ruler_m2=cov_m2,

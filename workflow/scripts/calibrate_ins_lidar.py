@@ -33,7 +33,7 @@ def main(
     lever = np.asarray(read_mounts(mounts)["antenna"]["lever_ics_m"], dtype=np.float64)
     relative = read_calibration(camera_lidar).pose("camera_lidar")
     antenna = files.field_antenna(description, known, read_poses(poses)[1], antenna_position, relative)
-    cones, refused = files.field_cones(description, known)
+    cones, refused = files.field_cones(description, known, form_sigma_m=how.form_sigma_m)
     stamps = LidarClock.from_dict(json.loads(clock.read_text()))
     start, rows = Mount(R_ics_sensor=START.R, lever_ics_m=START.shift_m), np.zeros((0, 4))
     for block in iter_points(lidar, LidarOptions(**lidar_options), clock=stamps):

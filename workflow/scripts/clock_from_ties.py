@@ -1,29 +1,56 @@
-"""Comparisons of the camera's clock with GPS time, or pulses of a trigger -> clock of the camera."""
+"""Ties of the camera's clock to GPS time, or pulses of its trigger -> its clock, times of images."""
 
+import json
+import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.tables import read_table
+from thalweg.core.errors import InputError
+from thalweg.core.tables import read_table, write_table
 from thalweg.ingest.image_stamps import IMAGE_STAMPS
 from thalweg.jobs.job import run_job
+from thalweg.timing import run_image_times as times
 from thalweg.timing.clock_ties import clock_from_ties, read_ties
 from thalweg.timing.hand_tables import read_number_columns
-from thalweg.timing.trigger import clock_from_pulses, match_pulses
+
+log = logging.getLogger("thalweg")
 
 
 def main(
-    *, ties: list[Path], pulses: list[Path], stamps: list[Path], clock: Path, options: dict[str, Any]
+    *,
+    ties: list[Path],
+    pulses: list[Path],
+    stamps: Path,
+    stability: list[Path],
+    clock: Path,
+    images: Path,
+    options: dict[str, Any],
 ) -> None:
-    jitter_s, delay_s = options.get("jitter_s") or 0.0, options.get("delay_s") or 0.0
+    jitter_s, delay_s = options["jitter_s"], options["delay_s"]
+    stamped = read_table(stamps, IMAGE_STAMPS)[0]
+    facts: dict[str, Any] = {}
+    if len(ties) + len(pulses) != 1:
+        raise InputError(
+            f"{len(ties)} tables of ties and {len(pulses)} of pulses",
+            where=", ".join(str(path) for path in (*ties, *pulses)),
+            expected="one table",
+            cure="Put all rows into one file; give clock_ties or trigger_pulses, not both",
+        )
     if ties:
         found = read_ties(ties[0])
+        tested = json.loads(stability[0].read_text()) if stability else None
+        jitter_s, words = times.jitter_of_ties(jitter_s, tested)
         model = clock_from_ties(found.t_device_s, found.t_gps_s, found.sigma_s, jitter_s=jitter_s)
+        model = replace(model, notes=(*model.notes, words))
+        table = times.tied_images(stamped, model)
     else:
-        t_device_s = read_table(stamps[0], IMAGE_STAMPS)[0]["t_device_s"].dropna().drop_duplicates()
         (t_pulse_s,) = read_number_columns(pulses[0], ("t_gps_s",))
-        match = match_pulses(t_device_s, t_pulse_s)
-        model = clock_from_pulses(t_device_s, t_pulse_s, match, delay_s=delay_s)
+        model, table, facts = times.triggered_images(stamped, t_pulse_s, delay_s=delay_s, jitter_s=jitter_s)
+    for line in model.lines():
+        log.info("%s", line)
     model.write(clock)
+    write_table(images, table, times.RUN_IMAGE_TIMES, facts)
 
 
 if "snakemake" in globals():

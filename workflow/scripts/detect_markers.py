@@ -5,8 +5,9 @@ import logging
 from pathlib import Path
 
 from thalweg.calibration.field_description import read_field
-from thalweg.calibration.mark_tables import MARKS, detect_pictures, pictures_of, report_of
+from thalweg.calibration.mark_tables import MARKS, detect_pictures, recordings_folder, report_of
 from thalweg.core.tables import write_table
+from thalweg.ingest.image_stamps import list_images
 from thalweg.jobs.job import run_job
 
 
@@ -15,9 +16,13 @@ def main(
 ) -> None:
     log = logging.getLogger("thalweg")
     description = read_field(field)
-    pictures = [path for folder in folders for path in pictures_of(folder)]
+    pictures = list_images(folders)
     found = detect_pictures(
-        {camera: pictures}, description.layout, base=folders[0].parent, threads=threads, told=log.info
+        {camera: pictures},
+        description.layout,
+        base=recordings_folder(pictures),
+        threads=threads,
+        told=log.info,
     )
     facts = report_of(found)
     for note in facts["notes"]:

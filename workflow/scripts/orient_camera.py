@@ -22,6 +22,7 @@ def main(
     marks: Path,
     points: Path,
     field: Path,
+    interior: list[Path],
     poses: Path,
     camera: Path,
     residuals: Path,
@@ -29,17 +30,16 @@ def main(
     campaign: dict[str, Any],
     model: str,
     focal_px: float | None,
-    interior: str | None,
 ) -> None:
     log = logging.getLogger("thalweg")
     table, meta = read_table(marks, MARKS)
     ((name, size),) = meta["sizes_px"].items()
     known = read_points(points).without(read_field(field).boat_markers)
-    if interior is None:
-        nominal = starting_boat_camera(table, known, name, tuple(size), model=model, focal_px=focal_px)
+    if interior:
+        nominal = same_size(read_camera(interior[0]), tuple(size))
     else:
-        nominal = same_size(read_camera(Path(interior)), tuple(size))
-    found = orient_on_field(table, nominal, known, weighted=interior is not None)
+        nominal = starting_boat_camera(table, known, name, tuple(size), model=model, focal_px=focal_px)
+    found = orient_on_field(table, nominal, known, weighted=bool(interior))
     for row in found.rejected.itertuples():
         log.warning("%s %s: %s", row.what, row.name, row.reason)
     write_poses(poses, *network_pose_table(found, table))

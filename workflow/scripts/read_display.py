@@ -20,10 +20,9 @@ def main(
     options: dict[str, Any],
     threads: int,
 ) -> None:
-    files = list_images(photos[0]) if len(photos) == 1 and photos[0].is_dir() else photos
     known = dict(zip(*read_text_columns(labels[0], ("file", "text")), strict=True)) if labels else None
     table, facts = read_display(
-        files,
+        list_images(photos),
         pattern=options["pattern"],
         labels=known,
         corners_px=options.get("corners_px"),

@@ -1,9 +1,9 @@
-"""A folder of photographs -> when the camera's clock says that they were taken, and integrity report."""
+"""Photographs -> when the camera's clock says that they were taken, and integrity report."""
 
 from pathlib import Path
 
 from thalweg.core.tables import write_table
-from thalweg.ingest.image_stamps import IMAGE_STAMPS, list_images, read_image_stamps
+from thalweg.ingest.image_stamps import IMAGE_STAMPS, read_image_stamps
 from thalweg.jobs.job import run_job
 
 
@@ -17,9 +17,8 @@ def main(
     pattern: str | None,
     utc_offset: str | None,
 ) -> None:
-    files = list_images(images[0]) if len(images) == 1 and images[0].is_dir() else images
     found = read_image_stamps(
-        files, source=source, pattern=pattern, times=times[0] if times else None, utc_offset=utc_offset
+        images, source=source, pattern=pattern, times=times[0] if times else None, utc_offset=utc_offset
     )
     write_table(stamps, found.table, IMAGE_STAMPS)
     found.report.write(integrity)

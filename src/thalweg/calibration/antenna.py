@@ -110,7 +110,8 @@ def antenna_lever(
     mark : in pcs while the boat stands at a position.
     T_pcs_ccs : pose of the camera at that position, with covariance.
     T_ccs_scs : relative orientation of the lidar, with covariance.
-    cov_mark_pose : (3, 6) covariance of the mark with the error of ``T_pcs_ccs``; None: independent.
+    cov_mark_pose : (3, 6) covariance of the mark with the error of ``T_pcs_ccs``; None: independent. That
+        makes the sigmas of the antenna larger by what both share, see `ins_lidar_file.field_antenna`.
     """
     x_ccs = T_pcs_ccs.inverse().apply(mark.point_m[None])[0]
     J = T_pcs_ccs.by_error(x_ccs[None])[0]

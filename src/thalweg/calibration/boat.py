@@ -10,9 +10,10 @@ the antenna was seen by a marker, and that of the camera on both.
 """
 
 from dataclasses import dataclass
-from typing import Final, Literal, Protocol
+from typing import Final, Literal, Protocol, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from thalweg.calibration.antenna import AntennaLever
 from thalweg.core.calibration import Block, Calibration, Source, lever_block, pose_block
@@ -52,6 +53,28 @@ class EchoPlace:
     cov_m2: ArrayF
     measured_from: Literal["antenna", "lidar", "ics"] = "antenna"
     method: str = "ruler"
+
+    @classmethod
+    def ruled_from_ins(
+        cls, lever_ics_m: ArrayLike, *, sigma_lever_m: ArrayLike, sigma_antenna_m: ArrayLike
+    ) -> Self:
+        """An echo sounder measured from the INS, as the antenna was.
+
+        The antenna defines the origin of ics and has no error there. What its own ruler errs is therefore an
+        error of everything that was measured from the INS: both variances add.
+
+        Parameters
+        ----------
+        lever_ics_m, sigma_lever_m : (3,) place of the echo sounder and what its ruler errs, metres.
+        sigma_antenna_m : (3,) what the ruler of the antenna's lever arm errs, metres.
+        """
+        variance = np.square(np.asarray(sigma_lever_m)) + np.square(np.asarray(sigma_antenna_m))
+        return cls(
+            lever_m=np.asarray(lever_ics_m, dtype=np.float64),
+            cov_m2=np.diag(variance),
+            measured_from="ics",
+            method="ruler from the INS, with the error of the antenna's",
+        )
 
 
 def assemble(

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.calibration.camera_lidar_model import FieldErrors
-from thalweg.calibration.cone_fit import ConeReference
+from thalweg.calibration.cone_fit import FORM_SIGMA_M, ConeReference
 from thalweg.calibration.cone_selection import BeamVariances, Position
 from thalweg.calibration.field_description import FieldDescription
 from thalweg.calibration.field_points import FieldPoints
@@ -18,14 +18,22 @@ from thalweg.core.camera import Camera
 from thalweg.core.errors import InputError
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import AnyArray, ArrayF
+from thalweg.ingest.image_stamps import list_images, natural_key
 from thalweg.ingest.velodyne import LidarClock, LidarOptions, iter_points, scan_lidar
 
 CAPTURES: Final = (".pcap", ".pcapng", ".cap", ".bin", ".vel")
 """Suffixes of lidar recordings in a folder."""
 
 
-def cone_references(field: FieldDescription, points: FieldPoints) -> list[ConeReference]:
+def cone_references(
+    field: FieldDescription, points: FieldPoints, *, form_sigma_m: float = FORM_SIGMA_M
+) -> list[ConeReference]:
     """Cones of a field with their measured marks; a cone without a mark has no points.
+
+    Parameters
+    ----------
+    field, points : description and measured marks.
+    form_sigma_m : how far the cones are from perfect ones, one sigma.
 
     Raises
     ------
@@ -49,6 +57,7 @@ def cone_references(field: FieldDescription, points: FieldPoints) -> list[ConeRe
                 half_angle_rad=cone.half_angle_rad,
                 length_m=cone.length_m,
                 labels=tuple(mark_name(*points.points[i]) for i in at),
+                form_sigma_m=form_sigma_m,
             )
         )
     return out
@@ -147,7 +156,7 @@ def static_positions(scans: Sequence[Path], images: Sequence[str]) -> dict[str, 
     ------
     InputError : no scans, or a scan without a picture.
     """
-    files = [f for path in scans for f in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    files = [f for path in scans for f in (_in_order(path) if path.is_dir() else [path])]
     files = [f for f in files if f.suffix.lower() in CAPTURES]
     if not files:
         raise InputError(
@@ -169,12 +178,20 @@ def static_positions(scans: Sequence[Path], images: Sequence[str]) -> dict[str, 
 
 
 def static_images(marks: pd.DataFrame, images: Sequence[Path]) -> list[str]:
-    """Names of pictures of static positions in a table of marks; ``images`` are their files or folders."""
-    folders = {path.name for path in images if not path.suffix}
-    names = {path.name for path in images if path.suffix}
-    first = marks.drop_duplicates("image")
-    folder = first["file"].map(lambda file: Path(file).parent.name)
-    return sorted(first["image"][first["image"].isin(names) | folder.isin(folders)].tolist())
+    """Names of the pictures of static positions that have marks, in the order of the pictures.
+
+    Parameters
+    ----------
+    marks : table kind ``marks`` of one camera, in which each picture has a name of its own.
+    images : files, or folders of them.
+
+    Raises
+    ------
+    InputError : a file or folder does not exist, or a folder is without pictures.
+    """
+    with_marks = set(marks["image"])
+    names = dict.fromkeys(path.name for path in list_images(images))
+    return [name for name in names if name in with_marks]
 
 
 def nominal_orientation(mounts: Mapping[str, Any]) -> Rigid:
@@ -185,6 +202,11 @@ def nominal_orientation(mounts: Mapping[str, Any]) -> Rigid:
         return Rigid.from_opk(angles, section["lever_ics_m"])
 
     return mount(mounts["camera"]).inverse() @ mount(mounts["lidar"])
+
+
+def _in_order(folder: Path) -> list[Path]:
+    """Entries of a folder as people count, like the pictures that may be matched with them by order."""
+    return sorted(folder.iterdir(), key=lambda path: natural_key(path.name))
 
 
 def _of_cone(points: FieldPoints, markers: Sequence[int]) -> AnyArray:

@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.calibration.cone_fit import FORM_SIGMA_M, ConeReference
+from thalweg.calibration.cone_fit import ConeReference
 from thalweg.calibration.cone_selection import ConeScan
 from thalweg.calibration.cones import PARAMETERS, Cone
 from thalweg.core.adjustment import Linear, Observations
@@ -223,6 +223,7 @@ def field_group(
     cov = errors.cov[np.ix_(taken, taken)]
     counts = [int(np.count_nonzero(used)) for _, used in references]
     ends = n_pose + np.cumsum(counts)
+    form = np.repeat([r.form_sigma_m**2 for r, _ in references], counts)
 
     def model(x: Unknowns) -> Linear:
         """At a state."""
@@ -242,7 +243,7 @@ def field_group(
             for i in range(3):
                 B[own, columns + i] = seen.normal[:, i]
         S = B @ cov @ B.T
-        S[np.arange(n_pose, ends[-1]), np.arange(n_pose, ends[-1])] += FORM_SIGMA_M**2
+        S[np.arange(n_pose, ends[-1]), np.arange(n_pose, ends[-1])] += form
         return Linear(residual=residual, jacobian=J, cov=S[None])
 
     return Observations(FIELD, model)

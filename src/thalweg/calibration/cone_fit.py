@@ -4,9 +4,14 @@ Reference points are marks on the cone, or a dense cloud of it, in the frame of 
 the points may be wrong (a marker that was moved or read wrongly): many starts with all directions of the axis
 are taken down the robust cost of Tukey's loss, the best one is kept, and what lies farther off than the
 stated number of sigmas is rejected and named.
+
+The covariance of the parameters is that of the points, with all their correlations, and of the form of the
+surface, propagated through the fit: ``cov = B (C + form^2 I) B^T`` with ``B = -(J^T P J)^-1 J^T P N``, where
+``N`` takes the distances from the points. The fit weights each point by its own sigma, so this is not the
+inverse of its normal equations, which would be too small where neighbouring points err alike.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,7 +21,7 @@ from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.types import ArrayB, ArrayF
 
 FORM_SIGMA_M: Final = 0.0003
-"""What the surface of a printed and wrapped sheet departs from a cone, one standard deviation."""
+"""What a printed and wrapped sheet departs from a cone, one sigma, if nothing is stated of a cone."""
 
 _TUKEY: Final = 4.685
 _STARTS: Final = 40
@@ -38,6 +43,7 @@ class ConeReference:
     half_angle_rad : nominal half angle.
     length_m : from the apex to the end along the axis.
     labels : (n,) names of the points; their numbers by default.
+    form_sigma_m : how far its surface is from a perfect cone at each point, one sigma.
 
     Raises
     ------
@@ -50,6 +56,7 @@ class ConeReference:
     half_angle_rad: float
     length_m: float
     labels: tuple[str, ...] = ()
+    form_sigma_m: float = FORM_SIGMA_M
 
     def __post_init__(self) -> None:
         points, cov = np.asarray(self.points_m, dtype=np.float64), np.asarray(self.cov, dtype=np.float64)
@@ -70,9 +77,9 @@ class ConeReference:
         n = len(normals)
         if self.cov.ndim == 3:
             own = np.einsum("ni,nij,nj->n", normals, self.cov, normals)
-            return np.diag(own + FORM_SIGMA_M**2)
+            return np.diag(own + self.form_sigma_m**2)
         blocks = self.cov.reshape(n, 3, n, 3)
-        return np.einsum("ai,aibj,bj->ab", normals, blocks, normals) + FORM_SIGMA_M**2 * np.eye(n)
+        return np.einsum("ai,aibj,bj->ab", normals, blocks, normals) + self.form_sigma_m**2 * np.eye(n)
 
     @property
     def sigma_m(self) -> ArrayF:
@@ -87,12 +94,23 @@ class ConeReference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConeFit:
-    """A fitted cone: ``used`` (n,), ``distance_m`` (n,) of all points, ``spread_m`` their RMS where used."""
+    """A fitted cone.
+
+    Parameters
+    ----------
+    cone : with the covariance that comes from its points and its form.
+    used : (n,) points that took part.
+    distance_m : (n,) of all points.
+    spread_m : root mean square of the distances of those that took part.
+    by_points : (6, 3n) derivative of the parameters by the coordinates of the points; a cone that is not
+        free in its half angle has zeros there.
+    """
 
     cone: Cone
     used: ArrayB
     distance_m: ArrayF
     spread_m: float
+    by_points: ArrayF
 
 
 def fit_reference(
@@ -120,7 +138,7 @@ def fit_reference(
         raise GeometryError(
             error.found, where=where, cure="Check the marker numbers of the cone in the field description"
         ) from error
-    sigma = np.hypot(reference.sigma_m, FORM_SIGMA_M)
+    sigma = np.hypot(reference.sigma_m, reference.form_sigma_m)
     for _ in range(4):
         cone = refine(cone, reference.points_m, sigma, free_half_angle=free_half_angle)
     distance = cone.see(reference.points_m).distance_m
@@ -144,7 +162,43 @@ def fit_reference(
             break
         used = now
     spread = float(np.sqrt(np.mean(distance[used] ** 2)))
-    return ConeFit(cone=cone, used=used, distance_m=distance, spread_m=spread)
+    by_points = _by_points(cone, reference.points_m, used, sigma, free_half_angle=free_half_angle)
+    cov = parameter_cov(by_points, reference.cov, reference.form_sigma_m)
+    return ConeFit(
+        cone=replace(cone, cov=cov), used=used, distance_m=distance, spread_m=spread, by_points=by_points
+    )
+
+
+def parameter_cov(by_points: ArrayF, cov_m2: ArrayF, form_sigma_m: float) -> ArrayF:
+    """Covariance (k, k) of parameters of cones from that of their points and of their form.
+
+    Parameters
+    ----------
+    by_points : (k, 3n) derivatives. Those of a point point along its normal, so that an error of the form is
+        one of the point of the same size in all directions.
+    cov_m2 : (3n, 3n) of the points, or (n, 3, 3).
+    form_sigma_m : independent from point to point.
+    """
+    if cov_m2.ndim == 3:
+        parts = by_points.reshape(len(by_points), -1, 3)
+        cov = np.einsum("ani,nij,bnj->ab", parts, cov_m2, parts)
+    else:
+        cov = by_points @ cov_m2 @ by_points.T
+    cov = cov + form_sigma_m**2 * (by_points @ by_points.T)
+    return np.asarray((cov + cov.T) / 2)
+
+
+def _by_points(
+    cone: Cone, points_m: ArrayF, used: ArrayB, sigma_m: ArrayF, *, free_half_angle: bool
+) -> ArrayF:
+    """Derivative (6, 3n) of least-squares parameters by the points, in the chart of the cone."""
+    k = 6 if free_half_angle else 5
+    seen = cone.see(points_m)
+    J = seen.by_parameters[:, :k]
+    weighted = J.T * (used / np.square(sigma_m))
+    out = np.zeros((6, len(points_m), 3))
+    out[:k] = -np.linalg.solve(weighted @ J, weighted)[:, :, None] * seen.normal
+    return out.reshape(6, -1)
 
 
 def start_cone(points_m: ArrayF, half_angle_rad: float) -> Cone:

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.ndimage import minimum_filter1d
+from scipy.spatial import cKDTree
 
 from thalweg.calibration.echo_sounder import PARAMETERS, Bed, EchoSettings, EchoSounder
 from thalweg.calibration.pose_errors import PoseErrors
@@ -26,6 +27,9 @@ SMALLEST_RULER_M: Final = 1e-4
 
 MISFIT: Final = 3.0
 """Rms of standardised residuals above which the soundings and the bed do not belong together."""
+
+_NEIGHBOURS: Final = 9
+"""Points of a plane, with the one itself."""
 
 _AROUND_S: Final = 1.6
 """Velocities are smoothed over three seconds: soundings as near to a gap of the trajectory are left out."""
@@ -47,18 +51,48 @@ def settings_of(section: Mapping[str, Any], trajectory: Trajectory, t_gps_s: Arr
     return EchoSettings(errors=errors, **{name: section[name] for name in names})
 
 
-def bed_of(points_wcs_m: ArrayF, sigma_m: ArrayF, section: Mapping[str, Any]) -> Bed:
+def bed_of(points_wcs_m: ArrayF, sigma_m: ArrayF, section: Mapping[str, Any], places_m: ArrayF) -> Bed:
     """The surface through surveyed points (n, 3) with sigmas (n,) of their heights.
 
-    A height between three points has a sigma of about that of one of them, divided by the root of two; that
-    the bed is rough between them makes up for it.
+    Noise of the heights makes slopes that are none, and slopes are what tells a horizontal shift: each height
+    is that of a plane through its neighbourhood. Soundings over one triangle share the errors of its corners.
+    The sigma of a height is therefore that of a point times the root of the number of soundings for each
+    point that they touch.
+
+    Parameters
+    ----------
+    points_wcs_m, sigma_m : the survey.
+    section : ``calibration.echo_sounder``.
+    places_m : (k, 2) where soundings meet the bed, roughly.
     """
-    return Bed(
-        points_wcs_m=points_wcs_m,
+    bed = Bed(
+        points_wcs_m=_smoothed(points_wcs_m),
         sigma_m=float(np.sqrt(np.mean(np.square(sigma_m)))),
         sigma_datum_m=section["sigma_datum_m"],
         longest_edge_m=section["longest_edge_m"],
     )
+    over = places_m[bed.at(places_m)[2]]
+    touched = np.unique(bed.triangles.simplices[bed.triangles.find_simplex(over)])
+    shared = max(1.0, len(over) / max(touched.size, 1))
+    return replace(bed, sigma_m=bed.sigma_m * float(np.sqrt(shared)))
+
+
+def _smoothed(points_m: ArrayF) -> ArrayF:
+    """Points (n, 3) with heights of planes through their nearest neighbours."""
+    near = cKDTree(points_m[:, :2]).query(points_m[:, :2], k=min(_NEIGHBOURS, len(points_m)))[1]
+    local = points_m[near]
+    middle = local.mean(axis=1, keepdims=True)
+    rows = np.concatenate([np.ones_like(local[..., :1]), local[..., :2] - middle[..., :2]], axis=2)
+    plane = np.einsum("nij,nj->ni", np.linalg.pinv(rows), local[..., 2])
+    here = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle[:, 0, :2]])
+    return np.column_stack([points_m[:, :2], np.sum(plane * here, axis=1)])
+
+
+def places_of(trajectory: Trajectory, t_gps_s: ArrayF, depth_m: ArrayF, lever_ics_m: ArrayF) -> ArrayF:
+    """East and north (k, 2) where soundings meet the bed, of those with a pose."""
+    position, R, valid = trajectory.at(t_gps_s)
+    down = np.column_stack([np.zeros((len(depth_m), 2)), depth_m])
+    return np.asarray((position + np.einsum("nij,nj->ni", R, lever_ics_m + down))[valid, :2])
 
 
 def soundings(depths: pd.DataFrame, trajectory: Trajectory) -> tuple[ArrayF, ArrayF, dict[str, int]]:

@@ -26,6 +26,7 @@ from typing import Any, Final, Literal, Self
 import numpy as np
 import pandas as pd
 
+from thalweg.calibration.cone_fit import FORM_SIGMA_M
 from thalweg.calibration.ins_lidar_checks import (
     RunGates,
     check_cones,
@@ -45,6 +46,7 @@ from thalweg.calibration.ins_lidar_model import (
     cone_shifts,
     linearise,
     solve_step,
+    truncated_variance,
 )
 from thalweg.calibration.motion_search import MountRange, OnCones, find_mount, select
 from thalweg.calibration.pose_errors import Knots, PoseErrors
@@ -56,9 +58,6 @@ from thalweg.core.types import ArrayF, ArrayI
 
 START: Final = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), np.zeros(3))
 """T 3.1.1: phi = -90 deg, omega = kappa = 0, lever arm 0."""
-
-_TRUNCATED: Final = {3.0: 0.9733, 3.5: 0.9941, 4.0: 0.9989}
-"""Variance of a normal error that is cut off at so many sigmas."""
 
 _MAX_STEPS: Final = 12
 _NEARLY: Final = 0.05
@@ -81,6 +80,7 @@ class InsLidarSettings:
     end_margin_m, max_incidence_deg : see `motion_search.select`.
     max_points_per_cone : more are thinned evenly in time.
     estimate_errors : take sizes and correlation times of the pose errors from the run too.
+    form_sigma_m : how far the cones are from perfect ones, for `ins_lidar_file.field_cones`.
     """
 
     errors: PoseErrors
@@ -94,6 +94,7 @@ class InsLidarSettings:
     max_incidence_deg: float = 60.0
     max_points_per_cone: int = 20_000
     estimate_errors: bool = False
+    form_sigma_m: float = FORM_SIGMA_M
 
     @classmethod
     def from_section(cls, section: Mapping[str, Any]) -> Self:
@@ -291,8 +292,7 @@ class _Run:
             step = self._solve(linear, band)
             self.state = step.state
         if gate_m is None:
-            # noise of the points by their own residuals
-            self.scale *= step.noise / np.sqrt(_TRUNCATED.get(s.reject_sigmas, 1.0))
+            self.scale *= step.noise / np.sqrt(truncated_variance(s.reject_sigmas))  # by their own residuals
         return step
 
     def _linear(self) -> Linearised:

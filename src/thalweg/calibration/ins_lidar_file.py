@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.calibration.antenna import AntennaLever, antenna_lever, phase_centre
-from thalweg.calibration.camera_lidar_input import cone_references
-from thalweg.calibration.cone_fit import fit_reference
+from thalweg.calibration.camera_lidar_input import cone_references, field_errors
+from thalweg.calibration.cone_fit import FORM_SIGMA_M, fit_reference, parameter_cov
 from thalweg.calibration.field_description import FieldDescription
 from thalweg.calibration.field_points import FieldPoints
 from thalweg.calibration.ins_lidar import InsLidar
@@ -40,15 +40,26 @@ class MountResult:
     facts: Mapping[str, Any]
 
 
-def field_cones(field: FieldDescription, points: FieldPoints) -> tuple[FieldCones, dict[str, str]]:
+def field_cones(
+    field: FieldDescription, points: FieldPoints, *, form_sigma_m: float = FORM_SIGMA_M
+) -> tuple[FieldCones, dict[str, str]]:
     """The cones of a field as fitted to their marks, and those that could not be, with the reason.
+
+    Their covariance is a joint one: marks of different cones were measured in the same pictures.
+
+    Parameters
+    ----------
+    field, points : description and measured marks with their joint covariance.
+    form_sigma_m : how far the cones are from perfect ones, one sigma.
 
     Raises
     ------
     InputError : no cone has enough marks.
     """
-    names, cones, lengths, refused = [], [], [], {}
-    for reference in cone_references(field, points):
+    names, cones, lengths, parts, refused = [], [], [], [], {}
+    references = cone_references(field, points, form_sigma_m=form_sigma_m)
+    marks = field_errors(field, points, (), ())
+    for reference in references:
         try:
             fit = fit_reference(reference)
         except GeometryError as error:
@@ -57,19 +68,29 @@ def field_cones(field: FieldDescription, points: FieldPoints) -> tuple[FieldCone
         names.append(reference.name)
         cones.append(fit.cone)
         lengths.append(reference.length_m)
+        part = np.zeros((6, len(marks.cov)))
+        part[:, marks.rows_of(0, reference.name, np.ones_like(fit.used))] = fit.by_points
+        parts.append(part)
     if not cones:
         raise InputError(
             "no cone of the field has a reference: " + "; ".join(refused.values()),
             expected="cones with measured marks",
             cure="Take more pictures of the cones",
         )
-    return FieldCones(names=tuple(names), cones=tuple(cones), length_m=np.array(lengths)), refused
+    cov = parameter_cov(np.concatenate(parts), marks.cov, form_sigma_m)
+    found = FieldCones(names=tuple(names), cones=tuple(cones), length_m=np.array(lengths), cov=cov)
+    return found, refused
 
 
 def field_antenna(
     field: FieldDescription, points: FieldPoints, poses: Mapping[str, Rigid], position: str, T_ccs_scs: Rigid
 ) -> AntennaLever | None:
     """The antenna seen from the sensors, by its marker in the bundle; None if the field describes none.
+
+    The marker and the pose both come from the points of the field and share their errors. The table of poses
+    does not hold how a pose depends on these points, so they count as independent. On a simulated field of
+    six cones this states 1.13, 0.39, 0.48 mm for the antenna in scs instead of 1.07, 0.29, 0.40 mm with the
+    covariance of both: too much rather than too little, and 1.0 mm is the phase centre's height alone.
 
     Parameters
     ----------

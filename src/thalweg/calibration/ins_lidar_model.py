@@ -11,6 +11,7 @@ the field lies in the world, the cones in the field, the stamps of the lidar, an
 every moment (`thalweg.calibration.pose_errors`).
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final, Self
 
@@ -128,6 +129,23 @@ def root_of(cov: ArrayF) -> ArrayF:
     """Matrix ``S`` with ``S S^T = cov``, also of a singular covariance."""
     values, vectors = np.linalg.eigh(cov)
     return np.asarray(vectors * np.sqrt(np.clip(values, 0.0, None)))
+
+
+def truncated_variance(sigmas: float) -> float:
+    """Variance of a standard normal error that is cut off at plus and minus ``sigmas``, above zero.
+
+    ``1 - 2 k phi(k) / erf(k / sqrt 2)`` with the density ``phi``: what is left of the noise of points where
+    those that lie farther off were rejected.
+
+    Examples
+    --------
+    >>> round(truncated_variance(3.0), 4)
+    0.9733
+    """
+    if math.isinf(sigmas):
+        return 1.0
+    density = math.exp(-0.5 * sigmas**2) / math.sqrt(2 * math.pi)
+    return 1.0 - 2 * sigmas * density / math.erf(sigmas / math.sqrt(2))
 
 
 def linearise(points: RunPoints, cone: ArrayI, known: Known, state: State, knots: Knots) -> Linearised:

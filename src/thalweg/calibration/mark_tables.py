@@ -1,5 +1,6 @@
 """Marks of folders of pictures as one table, and what was seen and not used."""
 
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,8 +18,6 @@ from thalweg.calibration.markers import MIRRORED, TWICE, Detection, detect
 from thalweg.core.errors import InputError
 from thalweg.core.tables import column, table_kind
 from thalweg.core.types import ArrayU8
-
-IMAGE_SUFFIXES: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 MARKS: Final = table_kind(
     "marks",
@@ -55,17 +54,18 @@ class FolderMarks:
         return int(row["width_px"]), int(row["height_px"])
 
 
-def pictures_of(folder: Path) -> list[Path]:
-    """Pictures of a folder, by name.
+def recordings_folder(pictures: Sequence[Path]) -> Path:
+    """The folder that holds the folders of all pictures, absolute.
+
+    From there each picture's path has the name of its own folder, whether folders or files were given.
 
     Raises
     ------
-    InputError : there is none.
+    InputError : there is no picture.
     """
-    found = sorted(p for p in folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
-    if not found:
-        raise InputError("no pictures", expected=f"files {', '.join(IMAGE_SUFFIXES)}", where=folder)
-    return found
+    if not pictures:
+        raise InputError("no pictures", expected="at least one")
+    return Path(os.path.commonpath([path.absolute().parent.parent for path in pictures]))
 
 
 def read_grey(path: Path) -> ArrayU8:
@@ -129,9 +129,7 @@ def detect_pictures(
     for (camera, path), ((height, width), found) in zip(files, results, strict=True):
         n = int(found.marks["marker"].nunique())
         rows.append((path.name, camera, width, height, n, len(found.marks)))
-        file = (
-            str(path.relative_to(base)) if base is not None and path.is_relative_to(base) else str(path.name)
-        )
+        file = _path_from(base, path)
         marks.append(found.marks.assign(image=path.name, file=file, camera=camera))
         rejected.append(found.rejected.assign(image=path.name))
     images = pd.DataFrame(rows, columns=["image", "camera", "width_px", "height_px", "markers", "marks"])
@@ -143,6 +141,12 @@ def detect_pictures(
     doubled = set(dropped.loc[dropped["reason"] == TWICE, "marker"])
     table = table[~table["marker"].isin(doubled)].reset_index(drop=True)
     return FolderMarks(marks=table, images=images, rejected=dropped)
+
+
+def _path_from(base: Path | None, path: Path) -> str:
+    if base is None or not path.absolute().is_relative_to(base.absolute()):
+        return path.name
+    return str(path.absolute().relative_to(base.absolute()))
 
 
 def _joined(parts: Iterable[pd.DataFrame], columns: Sequence[str]) -> pd.DataFrame:

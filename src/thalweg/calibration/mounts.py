@@ -30,23 +30,31 @@ def resolve_mounts(section: Mapping[str, Any], calibration: Calibration | None) 
 
     Raises
     ------
-    ConfigError : the calibration holds no sensor of the boat.
+    ConfigError : the calibration holds no lidar or no antenna, so that their places would be defaults.
     """
     mounts = {name: {**section[name], "source": "campaign"} for name in SENSORS if name in section}
     if calibration is None:
         return mounts
     found = calibration.to_mounts()
-    if not found:
+    # A sensor of the chain that neither states would silently sit at the origin.
+    absent = [name for name in ("lidar", "antenna") if name not in found and not _stated(section, name)]
+    if not found or absent:
         raise ConfigError(
             f"the calibration '{calibration.title}' holds the blocks "
-            f"{', '.join(block.name for block in calibration.blocks)}",
-            expected=f"at least one of {', '.join(SENSORS)}",
+            f"{', '.join(block.name for block in calibration.blocks)}"
+            + (f", and the campaign states no place of the {' and the '.join(absent)}" if absent else ""),
+            expected=f"at least one of {', '.join(SENSORS)}; lidar and antenna here or in the campaign file",
             where=str(section.get("calibration", "")),
             cure="Name the calibration of the boat, boat.yaml",
         )
     for name, mount in found.items():
         mounts[name] = {**mount, "source": calibration.source.run}
     return mounts
+
+
+def _stated(section: Mapping[str, Any], name: str) -> bool:
+    """Whether a campaign file places a sensor: a lever arm of zeros is what stands where nothing is written."""
+    return any(float(value) != 0.0 for value in section.get(name, {}).get("lever_ics_m", ()))
 
 
 def write_mounts(path: Path, mounts: Mapping[str, Any]) -> None:

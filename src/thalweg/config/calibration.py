@@ -22,10 +22,15 @@ class CameraStart(Section):
     focal_px: Positive | None = Field(
         default=None, description="Camera constant to start from, pixels; null: found from the markers"
     )
+
+
+class BoatCamera(CameraStart):
+    """What is known of the boat's camera beforehand."""
+
     interior: Annotated[str, Field(min_length=1)] | None = Field(
         default=None,
-        description="Interior orientation from elsewhere, to start from: COLMAP cameras.txt, OpenCV or "
-        "calibration file, for the boat's camera",
+        description="Interior orientation from elsewhere, to start from: path to a COLMAP cameras.txt, to an "
+        "OpenCV or to a calibration file",
     )
 
 
@@ -44,6 +49,9 @@ class CameraLidarFit(Section):
     )
     search_angle_deg: Annotated[float, Field(ge=0, le=45)] = Field(
         default=3.0, description="How far the nominal angles may be off (one sigma), degrees"
+    )
+    form_sigma_m: NonNegative = Field(
+        default=0.0003, le=0.1, description="How far the cones are from perfect ones (one sigma), metres"
     )
 
 
@@ -150,7 +158,10 @@ class CameraClock(Section):
         default=50.0, description="How much the camera's clock may drift, parts per million; 0: not at all"
     )
     jitter_s: NonNegative | None = Field(
-        default=None, le=1, description="Jitter of the images about their stamps, seconds; null: estimated"
+        default=None,
+        le=1,
+        description="Jitter of the images about their stamps, or about a trigger's pulses, seconds; null: "
+        "estimated from the run; with `clock_ties` that of the display test; with `trigger_pulses` 0",
     )
     delay_s: NonNegative = Field(
         default=0.0, le=10, description="From the pulse of a trigger to the middle of the exposure, seconds"
@@ -194,7 +205,7 @@ class Calibration(Section):
     """Evaluation of a calibration field."""
 
     reference_camera: CameraStart = Field(default=CameraStart(), description="Camera of the reference images")
-    boat_camera: CameraStart = Field(default=CameraStart(), description="Camera on the boat")
+    boat_camera: BoatCamera = Field(default=BoatCamera(), description="Camera on the boat")
     camera_lidar: CameraLidarFit = Field(
         default=CameraLidarFit(), description="Camera and lidar from static positions"
     )

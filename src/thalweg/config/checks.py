@@ -9,7 +9,7 @@ from typing import Any
 
 from thalweg.config.accuracy import Accuracy
 from thalweg.config.check_area import check_accuracy_area
-from thalweg.config.check_calibration import check_calibration_logs
+from thalweg.config.check_calibration import check_calibration_logs, check_interior
 from thalweg.config.check_files import check_files
 from thalweg.config.check_place import check_base, check_crs
 from thalweg.config.hints import radians_cure
@@ -63,6 +63,7 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         *_check_ports(parts),
         *_check_mounts(parts),
         *_check_calibration(parts),
+        *check_interior(parts.raw("calibration", "boat_camera", "interior"), parts.path.parent),
         *_check_lists(parts),
         *_check_ppk(parts),
         *_check_bed(parts),
@@ -76,7 +77,8 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         mistakes += found
         mistakes += _check_source(parts, parts.logs)
         mistakes += _check_logs(parts.logs)
-        mistakes += check_calibration_logs(parts.logs.calibration)
+        jitter_s = parts.raw("calibration", "clock", "jitter_s")
+        mistakes += check_calibration_logs(parts.logs.calibration, jitter_s=jitter_s)
         mistakes += check_base(parts.logs.gnss, parts.raw("campaign", "origin"))
     elif parts.raw("twin") is not None:
         mistakes += _check_twin_source(parts)

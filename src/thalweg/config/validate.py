@@ -54,14 +54,20 @@ def validate(document: Document, path: Path) -> tuple[Campaign | None, list[Mist
 
 
 def _anchored(campaign: Campaign | None, path: Path) -> Campaign | None:
-    """The campaign with the absolute path of its calibration file, if it names one."""
-    if campaign is None or campaign.mounts.calibration is None:
-        return campaign
+    """The campaign with the absolute paths of the files that its sections beside the logs name."""
+    if campaign is None:
+        return None
     chosen = campaign.mounts.calibration
-    if not is_calibration_path(chosen):
-        return campaign
-    mounts = campaign.mounts.model_copy(update={"calibration": str(anchor(chosen, path.parent))})
-    return campaign.model_copy(update={"mounts": mounts})
+    if chosen is not None and is_calibration_path(chosen):
+        mounts = campaign.mounts.model_copy(update={"calibration": str(anchor(chosen, path.parent))})
+        campaign = campaign.model_copy(update={"mounts": mounts})
+    interior = campaign.calibration.boat_camera.interior
+    if interior is not None:
+        update = {"interior": str(anchor(interior, path.parent))}
+        camera = campaign.calibration.boat_camera.model_copy(update=update)
+        section = campaign.calibration.model_copy(update={"boat_camera": camera})
+        campaign = campaign.model_copy(update={"calibration": section})
+    return campaign
 
 
 def _place(mistake: Mistake, document: Document, path: Path) -> Mistake:

@@ -263,6 +263,13 @@ class Calibration:
         mounts: dict[str, dict[str, Any]] = {}
         for name in (block.name for block in self.blocks if block.name in SENSORS):
             values, cov = self.block(name)
+            if self.find(name).is_pose and not self.find(name).equation.startswith("x_ics = "):
+                raise GeometryError(
+                    f"block '{name}' is {self.find(name).equation.split(',')[0]}",
+                    expected=f"a place on the boat, x_ics = R_ics_{FRAMES[name][1]} @ x_{FRAMES[name][1]} + ...",
+                    where=self.title,
+                    cure="Invert it, or import it with the frames in the other order",
+                )
             sigma = np.sqrt(np.diag(cov))
             mount: dict[str, Any] = {}
             if self.find(name).is_pose:

@@ -59,15 +59,34 @@ class ImageStamps:
     report: IntegrityReport
 
 
-def list_images(folder: Path) -> list[Path]:
-    """Photographs of a folder in natural order: ``IMG_2`` stands before ``IMG_10``.
+def list_images(paths: Path | Sequence[Path]) -> list[Path]:
+    """Photographs of folders and files: files as they are given, folders in natural order.
+
+    Parameters
+    ----------
+    paths : a folder or a file, or a list of them. Of a folder those files count that end like a photograph.
 
     Raises
     ------
-    InputError : there is no such folder, or no photograph in it.
+    InputError : there is no such folder or file, no photograph in a folder, or the list is empty.
     """
+    given = [paths] if isinstance(paths, Path) else list(paths)
+    if not given:
+        raise InputError("no photographs", expected="at least one image, or a folder of them")
+    return [file for path in given for file in ([path] if path.is_file() else _of_folder(path))]
+
+
+def natural_key(name: str) -> list[tuple[bool, int, str]]:
+    """Sort key of names in which numbers count by value: ``IMG_2`` stands before ``IMG_10``."""
+    return [
+        (not part.isdecimal(), int(part) if part.isdecimal() else 0, part)
+        for part in re.split(r"(\d+)", name)
+    ]
+
+
+def _of_folder(folder: Path) -> list[Path]:
     if not folder.is_dir():
-        raise InputError("there is no such folder", where=folder, expected="a folder of photographs")
+        raise InputError("there is no such folder or file", where=folder, expected="photographs")
     found = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_ENDINGS and path.is_file()]
     if not found:
         raise InputError(
@@ -75,7 +94,7 @@ def list_images(folder: Path) -> list[Path]:
             where=folder,
             expected=f"files that end in {', '.join(IMAGE_ENDINGS)}",
         )
-    return sorted(found, key=lambda path: _natural(path.name))
+    return sorted(found, key=lambda path: natural_key(path.name))
 
 
 def read_image_stamps(
@@ -90,7 +109,7 @@ def read_image_stamps(
 
     Parameters
     ----------
-    images : a folder, or files.
+    images : a folder or a file, or a list of them.
     source : ``name``, ``exif`` or ``table``; ``auto`` takes the table if one is given, else whichever of
         names and EXIF resolves time finer, and the other one for images that have no such time, if both
         agree.
@@ -103,9 +122,7 @@ def read_image_stamps(
     InputError : no images, an unusable pattern, offset or table.
     ClockError : no image has a time.
     """
-    files = list_images(images) if isinstance(images, Path) else list(images)
-    if not files:
-        raise InputError("no photographs", expected="at least one image")
+    files = list_images(images)
     if pattern:
         compile_pattern(pattern)
     offset_s = 0.0 if utc_offset is None else offset_seconds(utc_offset)
@@ -296,13 +313,6 @@ def _describe_cameras(table: pd.DataFrame, report: IntegrityReport) -> None:
             )
             + "."
         )
-
-
-def _natural(name: str) -> list[tuple[bool, int, str]]:
-    return [
-        (not part.isdecimal(), int(part) if part.isdecimal() else 0, part)
-        for part in re.split(r"(\d+)", name)
-    ]
 
 
 def _names(names: Sequence[str] | pd.Series) -> str:

@@ -64,7 +64,8 @@ def clock_from_ties(
     t_device_s, t_gps_s : (n,) what both clocks showed at the same moments.
     sigma_s : scalar or (n,) sigma of the difference of a pair.
     sigma_drift : sigma of the drift where the ties do not tell.
-    jitter_s : standard deviation of a single stamp of the camera, from elsewhere.
+    jitter_s : standard deviation of a single stamp of the camera, from elsewhere: ties do not tell it, see
+        `thalweg.timing.run_image_times.jitter_of_ties`.
 
     Raises
     ------

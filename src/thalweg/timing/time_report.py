@@ -15,6 +15,7 @@ import pandas as pd
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.trajectory import Trajectory
 from thalweg.timing.clock_model import ClockModel
+from thalweg.timing.trigger import TRIGGERED
 
 COLUMNS: Final = (
     "stream", "stamped_by", "against", "synchronised", "offset_s", "sigma_offset_s", "drift_ppm",
@@ -96,8 +97,8 @@ def time_report(
     -------
     Columns `COLUMNS`. ``offset_s`` is GPS time minus stamp, ``sigma_time_s`` what is left of a single stamp
     after the corrections that Thalweg makes, ``cost_mm`` what that moves a point at ``range_m``;
-    ``cost_if_ignored_mm`` the same for the offset or the lag if nothing were done. Empty where nothing is
-    known.
+    ``cost_if_ignored_mm`` the same for the offset or the lag if nothing were done. Empty where nothing was
+    measured: the unit of the stamps (``resolution_s``) is no accuracy.
 
     Raises
     ------
@@ -133,6 +134,9 @@ def report_lines(table: pd.DataFrame, speeds: Speeds) -> list[str]:
             if np.isfinite(value):
                 text = f"{name} {value * factor:+.3f} {unit}"
                 parts.append(text + (f" (sigma {sigma * factor:.3f})" if np.isfinite(sigma) else ""))
+        unit_s = _number(row.get("resolution_s"))
+        if np.isfinite(unit_s):
+            parts.append(f"unit of the stamps {unit_s * 1e3:g} ms")
         if parts:
             out.append(f"  {', '.join(parts)}")
         if _is_number(row["cost_mm"]):
@@ -155,18 +159,18 @@ def _stream_row(record: dict[str, Any], speeds: Speeds, range_m: float) -> dict[
     resolution, lag, sigma_lag = (_number(record.get(k)) for k in ("resolution_s", "lag_s", "sigma_lag_s"))
     significant = str(record.get("lag_significant")) == "True"
     synchronised = str(record["synchronised"]) == "True"
-    # a lag that was looked for and not found bounds what is left; else only the unit of the stamps is known
-    parts = [resolution / np.sqrt(12.0)] if np.isfinite(resolution) else []
-    if np.isfinite(sigma_lag):
-        parts.append(float(np.hypot(lag, sigma_lag)) if significant else sigma_lag)
-    sigma = float(np.sqrt(np.square(parts).sum())) if parts and synchronised else float("nan")
+    # a lag that was looked for and not found bounds what is left; without, nothing was measured
+    sigma = float("nan")
+    if synchronised and np.isfinite(sigma_lag):
+        rounding = resolution / np.sqrt(12.0) if np.isfinite(resolution) else 0.0
+        sigma = float(np.sqrt(rounding**2 + sigma_lag**2 + (lag**2 if significant else 0.0)))
     remarks = []
     if not synchronised:
         remarks.append("Never on GPS time: not used.")
     elif significant:
         remarks.append(f"Late by {lag * 1e3:+.1f} ms against {record.get('lag_against')}: not corrected.")
     elif not np.isfinite(sigma_lag):
-        remarks.append("Not checked against another stream; the unit of the stamps alone is counted.")
+        remarks.append("Not checked against another stream: how good its stamps are was not measured.")
     lost = _number(record.get("unsynchronised_s"))
     if synchronised and lost > 0:
         remarks.append(f"{lost:.1f} s without GPS time.")
@@ -202,10 +206,12 @@ def _camera_row(
     range_m: float,
 ) -> dict[str, Any]:
     resolution = _number(record.get("resolution_s"))
+    # the stamps are then the pulses: neither unit nor jitter of the camera's own ones count
+    triggered = clock is not None and clock.source.startswith(TRIGGERED)
     nothing = dict.fromkeys(COLUMNS, np.nan)
     row = nothing | {
         "stream": "camera",
-        "stamped_by": "the camera's own clock",
+        "stamped_by": "the pulses of its trigger" if triggered else "the camera's own clock",
         "synchronised": clock is not None,
         "against": clock.source if clock is not None else "nothing",
         "resolution_s": resolution,
@@ -219,7 +225,8 @@ def _camera_row(
     else:
         middle = np.array([clock.t_first_s, clock.t_last_s])
         _, sigmas = clock.to_gps(middle if np.isfinite(middle).all() else [clock.reference_s])
-        rounding = resolution / np.sqrt(12.0) if np.isfinite(resolution) and not clock.jitter_s else 0.0
+        unit_counts = np.isfinite(resolution) and not clock.jitter_s and not triggered
+        rounding = resolution / np.sqrt(12.0) if unit_counts else 0.0
         sigma = float(np.hypot(sigmas.max(), rounding))
         row |= {
             "offset_s": clock.offset_s,
@@ -237,13 +244,14 @@ def _camera_row(
             f"Of {row['cost_mm']:.1f} mm, {systematic:.1f} mm are common to all images (offset), the rest is "
             "new in each (jitter)."
         )
+        remarks.extend(clock.notes)
     if stability:
         remarks.append(
             f"Display test: {stability['mean_s']:.4f} s between images, standard deviation "
             f"{stability['std_s'] * 1e3:.1f} ms ({stability['kind']}); an image is off by "
             f"{stability['image_error_s'] * 1e3:.1f} ms."
         )
-        if clock is None or not clock.jitter_s:
+        if not triggered and (clock is None or not clock.jitter_s):
             row["jitter_s"] = stability["image_error_s"]
     return row | {"remark": " ".join(remarks)}
 

@@ -15,6 +15,9 @@ from thalweg.core.errors import ClockError
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
 from thalweg.timing.clock_model import ClockModel
 
+TRIGGERED: Final = "hardware trigger"
+"""How the source of a clock begins whose stamps are the pulses."""
+
 _LEAST_SHARE: Final = 0.5
 _MOST_SHIFT: Final = 50
 _TIE: Final = 1.05
@@ -66,7 +69,7 @@ def trigger_clock(
         reference_s=(t_first_s + t_last_s) / 2,
         cov=np.diag([sigma_delay_s**2, 0.0]),
         jitter_s=jitter_s,
-        source="hardware trigger" + (f" with a delay of {delay_s * 1e3:g} ms" if delay_s else ""),
+        source=TRIGGERED + (f" with a delay of {delay_s * 1e3:g} ms" if delay_s else ""),
         t_first_s=t_first_s,
         t_last_s=t_last_s,
     )

@@ -1,0 +1,118 @@
+"""Cones of a field for the run about them: with a joint covariance that holds."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from thalweg.calibration.cones import Cone
+from thalweg.calibration.field_description import FieldCone, FieldDescription
+from thalweg.calibration.field_points import FieldPoints
+from thalweg.calibration.ins_lidar_file import field_cones
+from thalweg.calibration.marker_sheets import MarkerLayout
+from thalweg.calibration.run_points import FieldCones
+from thalweg.core.errors import InputError
+
+HALF_RAD = np.deg2rad(25.0)
+PER_CONE = 8
+FORM_M = 0.0002
+TRUE = (
+    Cone(apex_m=np.array([3.0, 0.5, 0.4]), axis=np.array([0.6, -0.8, 0.0]), half_angle_rad=HALF_RAD + 0.002),
+    Cone(apex_m=np.array([-2.0, 1.0, 1.4]), axis=np.array([0.0, 0.1, -1.0]), half_angle_rad=HALF_RAD - 0.002),
+    Cone(apex_m=np.array([0.5, 4.0, 0.9]), axis=np.array([-0.7, 0.7, 0.1]), half_angle_rad=HALF_RAD),
+)
+FIELD = FieldDescription(
+    layout=MarkerLayout(),
+    cones=tuple(
+        FieldCone(
+            name=f"C{k + 1}",
+            markers=tuple(range(PER_CONE * k, PER_CONE * (k + 1))),
+            half_angle_rad=float(HALF_RAD),
+            length_m=0.7,
+        )
+        for k in range(len(TRUE))
+    ),
+)
+
+
+def measured(seed: int) -> FieldPoints:
+    """Marks on the cones in mixed order, with independent errors and some that all of them share."""
+    rng = np.random.default_rng([6, seed])
+    keys, points = [], []
+    for k, cone in enumerate(TRUE):
+        for marker in FIELD.cones[k].markers:
+            for corner in range(4):
+                slant, psi = rng.uniform(0.3, 0.75), rng.uniform(0, 2 * np.pi)
+                across = np.array([np.cos(psi), np.sin(psi)]) @ cone.tangents
+                a = cone.half_angle_rad
+                point = cone.apex_m + slant * (np.cos(a) * cone.axis + np.sin(a) * across)
+                normal = cone.see(point[None]).normal[0]
+                keys.append((marker, corner))
+                points.append(point + FORM_M * rng.standard_normal() * normal)
+    order = rng.permutation(len(keys))
+    n = 3 * len(keys)
+    # the frame as a whole is shifted by millimetres, and turned: cones err together
+    xyz = np.array(points)[order]
+    x, y, z = xyz.T
+    o = np.zeros(len(xyz))
+    turned = np.stack([np.stack(row, axis=1) for row in ((o, z, -y), (-z, o, x), (y, -x, o))], axis=1)
+    root = np.concatenate([np.tile(np.eye(3), (len(xyz), 1)), turned.reshape(n, 3)], axis=1)
+    root = root * np.repeat([5e-3, 1e-4], 3)
+    errors = root @ rng.standard_normal(6) + 1e-4 * rng.standard_normal(n)
+    return FieldPoints(
+        points=tuple(keys[i] for i in order),
+        points_pcs=xyz + errors.reshape(-1, 3),
+        cov=root @ root.T + 1e-8 * np.eye(n),
+    )
+
+
+def off(found: FieldCones) -> np.ndarray:
+    return np.concatenate([
+        np.r_[true.apex_m - cone.apex_m, cone.tangents @ true.axis, true.half_angle_rad - cone.half_angle_rad]
+        for cone, true in zip(found.cones, TRUE, strict=True)
+    ])  # fmt: skip
+
+
+def test_the_covariance_of_the_cones_is_a_joint_one_and_positive() -> None:
+    found, refused = field_cones(FIELD, measured(0), form_sigma_m=FORM_M)
+    assert not refused
+    assert np.linalg.eigvalsh(found.cov)[0] > 0
+    for k, cone in enumerate(found.cones):
+        mine = slice(6 * k, 6 * k + 6)
+        np.testing.assert_allclose(found.cov[mine, mine], cone.cov, rtol=1e-9, atol=1e-18)
+    # the shift of the frame is in all apexes
+    sigma = np.sqrt(np.diag(found.cov))
+    assert np.abs(found.cov / np.outer(sigma, sigma))[:6, 6:].max() > 0.7
+
+
+def test_cones_are_as_far_off_as_they_say() -> None:
+    runs = [field_cones(FIELD, measured(seed), form_sigma_m=FORM_M)[0] for seed in range(40)]
+    squares = [off(found) @ np.linalg.solve(found.cov, off(found)) for found in runs]
+    low, high = chi2.ppf([0.001, 0.999], 18 * len(runs))
+    assert low < sum(squares) < high
+    # difference of two apexes, in which the shift that they share drops out: only a joint covariance is right
+    D = np.zeros((3, 18))
+    D[:, :3], D[:, 6:9] = np.eye(3), -np.eye(3)
+    apart = [D @ off(f) @ np.linalg.solve(D @ f.cov @ D.T, D @ off(f)) for f in runs]
+    low, high = chi2.ppf([0.001, 0.999], 3 * len(runs))
+    assert low < sum(apart) < high
+
+
+def test_a_cone_that_is_not_round_is_less_certain() -> None:
+    points = measured(1)
+    round_, dented = (field_cones(FIELD, points, form_sigma_m=form)[0].cov for form in (0.0, 0.002))
+    assert np.linalg.eigvalsh(dented - round_)[0] > -1e-12
+    assert np.diag(dented)[5] > 4 * np.diag(round_)[5]  # the half angle: no shift of the frame is in it
+
+
+def test_a_cone_without_marks_is_left_out_of_the_covariance_too() -> None:
+    points = measured(2).without(set(FIELD.cones[1].markers))
+    found, refused = field_cones(FIELD, points, form_sigma_m=FORM_M)
+    assert (found.names, list(refused)) == (("C1", "C3"), ["C2"])
+    whole = field_cones(FIELD, measured(2), form_sigma_m=FORM_M)[0].only([0, 2])
+    np.testing.assert_allclose(found.cov, whole.cov, rtol=1e-9, atol=1e-18)
+
+
+def test_a_field_without_marks_is_refused() -> None:
+    markers = {m for cone in FIELD.cones for m in cone.markers}
+    with pytest.raises(InputError, match=r"no cone of the field has a reference.*Take more pictures"):
+        field_cones(FIELD, measured(0).without(markers))

@@ -1,0 +1,127 @@
+"""A calibration from photographs and raw logs to the boat's file: the twin's, and as users have it."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from PIL import Image
+
+from thalweg.core.calibration_file import read_calibration
+
+pytestmark = pytest.mark.workflow
+
+LOGS = "results/field_tiny/simulation/logs"
+
+
+@pytest.fixture(scope="module")
+def yard(repository: Path, tmp_path_factory: pytest.TempPathFactory, house_builder: Callable):
+    """A copy in which the small calibration campaign of the twin ran."""
+    house = house_builder(repository, tmp_path_factory.mktemp("yard"))
+    house.snakemake("--config", "campaign=field_tiny")
+    return house
+
+
+@pytest.fixture(scope="module")
+def as_users_have_it(yard):
+    """The same recordings named as files of a real campaign: globs, no twin, no truth."""
+    twin = yaml.safe_load((yard.root / "config/campaigns/field_tiny.yaml").read_text())
+    logs = yard.root / LOGS
+    campaign = {
+        "campaign": {**twin["campaign"], "id": "yard", "title": "A yard"},
+        "logs": {
+            "lidar": [f"{logs}/lidar.pcap"],
+            "ins": [f"{logs}/ins.anpp"],
+            "positions": [f"{logs}/ppk.pos"],
+            "calibration": {
+                "field": [f"{logs}/field.yaml"],
+                "reference_images": [f"{logs}/reference_images/*.jpg"],
+                "position_images": [f"{logs}/position_images/*.jpg"],
+                "position_scans": [f"{logs}/position_scans/*.pcap"],
+                "run_images": [f"{logs}/run_images/*.jpg"],
+                "display": [f"{logs}/display/*.[jJ][pP][gG]"],
+            },
+        },
+        **{key: twin[key] for key in ("mounts", "orientation", "calibration")},
+    }
+    (yard.root / "config/campaigns/yard.yaml").write_text(yaml.safe_dump(campaign))
+    yard.snakemake("--config", "campaign=yard")
+    return yard
+
+
+def test_errors_against_the_truth_are_what_the_sigmas_say(yard) -> None:
+    table = pd.read_csv(yard.root / "results/field_tiny/accuracy/calibration_truth.csv")
+    assert set(table["block"]) == {"camera_lidar", "lidar", "camera", "camera interior", "camera clock"}
+    together = table[table["quantity"] == "together"].set_index("block")["normalised"]
+    # chi-squared with 6 over 6: 99.9 % lie below 3.74; above 0.05 lie 99.9 %
+    assert together.between(0.05, 3.74).all(), together
+    single = table[table["quantity"] != "together"].dropna(subset="normalised")
+    # Gaussian: one of some 25 values lies beyond 4 once in 600 seeds.
+    assert single["normalised"].abs().max() < 4.0, single
+    lever = table[(table["block"] == "camera_lidar") & table["quantity"].isin(["x_m", "y_m", "z_m"])]
+    assert lever["sigma"].max() < 0.001  # P2: below a millimetre
+
+
+def test_the_page_shows_every_picture(yard) -> None:
+    page = (yard.root / "results/field_tiny/calibration/index.html").read_text()
+    pictures = sorted((yard.root / "results/field_tiny/figures").glob("*.png"))
+    assert len(pictures) == 11
+    assert page.count("data:image/png;base64") >= len(pictures)
+    assert "digital twin" in page
+    for path in pictures:
+        pixels = np.asarray(Image.open(path).convert("L"), dtype=float)
+        assert pixels.std() > 5, f"{path.name} is blank"
+
+
+def test_a_second_call_has_nothing_to_do(yard) -> None:
+    run = yard.snakemake("--dry-run", "--config", "campaign=field_tiny")
+    assert "Nothing to be done" in run.stdout + run.stderr
+
+
+def test_a_survey_that_names_it_gets_its_values_and_its_boat(yard) -> None:
+    text = (yard.root / "config/campaigns/tiny.yaml").read_text()
+    start, end = text.index("mounts:"), text.index("orientation:")
+    named = text[:start] + "mounts:\n  calibration: field_tiny\n\n" + text[end:]
+    (yard.root / "config/campaigns/after.yaml").write_text(named.replace("id: tiny", "id: after"))
+    wanted = ("results/after/calibration/mounts.json", "results/after/simulation/truth/mounts.json")
+    yard.snakemake("--config", "campaign=after", "--", *wanted)
+    mounts = json.loads((yard.root / wanted[0]).read_text())["mounts"]
+    boat = read_calibration(yard.root / "results/field_tiny/calibration/boat.yaml")
+    assert {m["source"] for m in mounts.values()} == {"field_tiny"}
+    np.testing.assert_allclose(mounts["lidar"]["lever_ics_m"], boat.block("lidar")[0][3:], rtol=1e-12)
+    truth = (yard.root / "results/field_tiny/simulation/truth/mounts.json").read_text()
+    assert (yard.root / wanted[1]).read_text() == truth
+
+
+def test_files_named_by_globs_give_the_same_calibration(as_users_have_it) -> None:
+    root = as_users_have_it.root / "results"
+    ours, theirs = (
+        read_calibration(root / name / "calibration/boat.yaml") for name in ("field_tiny", "yard")
+    )
+    assert not theirs.source.twin
+    # 0.05 sigma: the same numbers in the same order, on other threads.
+    gap = np.abs(ours.values - theirs.values)[ours.sigmas > 0] / ours.sigmas[ours.sigmas > 0]
+    assert gap.max() < 0.05
+    assert "digital twin" not in (root / "yard/calibration/index.html").read_text()
+    assert not (root / "yard/accuracy").exists()
+
+
+def test_a_calibration_without_a_run_ends_with_camera_and_lidar(as_users_have_it) -> None:
+    root = as_users_have_it.root
+    campaign = yaml.safe_load((root / "config/campaigns/yard.yaml").read_text())
+    campaign["campaign"]["id"] = "still"
+    logs = campaign["logs"]
+    campaign["logs"] = {"calibration": {k: v for k, v in logs["calibration"].items() if k in STILL}}
+    (root / "config/campaigns/still.yaml").write_text(yaml.safe_dump(campaign))
+    run = as_users_have_it.snakemake("--dry-run", "--config", "campaign=still")
+    planned = set(re.findall(r"(?m)^(\w+) +\d+$", run.stdout + run.stderr))
+    assert {"calibrate_camera_lidar", "calibration_page"} <= planned
+    assert not planned & {"calibrate_ins_lidar", "assemble_boat", "synchronise_camera", "build_trajectory"}
+
+
+STILL = {"field", "reference_images", "position_images", "position_scans"}
+"""Recordings of a calibration without a dynamic run."""
