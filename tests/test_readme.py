@@ -20,7 +20,7 @@ def test_the_graph_names_every_rule_of_a_campaign(repository: Path) -> None:
     }
     assert drawn == rules
     arrows = set(re.findall(r"(\w+) --> (\w+)", graphs))
-    alone = {"calibrate_board", "plot_cone_frame"}  # from files of the user, or from nothing
+    alone = {"calibrate_board"}  # from files of the user
     assert {end for arrow in arrows for end in arrow} == rules - alone
 
 

@@ -58,9 +58,7 @@ def test_a_calibration_without_sensors_is_refused(section):
     other = Calibration(
         title="a target", blocks=(block,), cov=np.eye(3) * 1e-6, source=Source(run="yard", method="ruler")
     )
-    with pytest.raises(
-        ConfigError, match=r"'a target' holds the blocks target; expected at least one of lidar"
-    ):
+    with pytest.raises(ConfigError, match=r"'a target' holds the blocks target, and the campaign states no"):
         resolve_mounts(section, other)
 
 

@@ -44,7 +44,7 @@ def resolve_mounts(section: Mapping[str, Any], calibration: Calibration | None) 
             f"{', '.join(block.name for block in calibration.blocks)}"
             + (f", and the campaign states no place of the {' and the '.join(absent)}" if absent else ""),
             expected=f"at least one of {', '.join(SENSORS)}; lidar and antenna here or in the campaign file",
-            where=str(section.get("calibration", "")),
+            where=str(section.get("calibration") or ""),
             cure="Name the calibration of the boat, boat.yaml",
         )
     for name, mount in found.items():
@@ -53,7 +53,7 @@ def resolve_mounts(section: Mapping[str, Any], calibration: Calibration | None) 
 
 
 def _stated(section: Mapping[str, Any], name: str) -> bool:
-    """Whether a campaign file places a sensor: a lever arm of zeros is what stands where nothing is written."""
+    """Whether a campaign file places a sensor: zeros stand where nothing is written."""
     return any(float(value) != 0.0 for value in section.get(name, {}).get("lever_ics_m", ()))
 
 

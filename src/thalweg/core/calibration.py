@@ -266,7 +266,7 @@ class Calibration:
             if self.find(name).is_pose and not self.find(name).equation.startswith("x_ics = "):
                 raise GeometryError(
                     f"block '{name}' is {self.find(name).equation.split(',')[0]}",
-                    expected=f"a place on the boat, x_ics = R_ics_{FRAMES[name][1]} @ x_{FRAMES[name][1]} + ...",
+                    expected="a place on the boat, x_ics = R_ics_sensor @ x_sensor + (x, y, z)",
                     where=self.title,
                     cure="Invert it, or import it with the frames in the other order",
                 )
