@@ -387,6 +387,57 @@ def calibration_pictures(name):
     ]
 
 
+def calibration_page_pictures(wildcards):
+    """Input function: pictures of a calibration campaign."""
+    return [
+        f"results/{wildcards.campaign}/figures/{picture}.png"
+        for picture in calibration_pictures(wildcards.campaign)
+    ]
+
+
+def calibration_facts(wildcards):
+    """Input function: reports of the jobs of a calibration that its page quotes."""
+    return [
+        f"results/{wildcards.campaign}/calibration/field.json",
+        f"results/{wildcards.campaign}/calibration/camera.json",
+        *(
+            [f"results/{wildcards.campaign}/timing/camera_clock.json"]
+            if has_kinematic_clock(wildcards.campaign)
+            else []
+        ),
+        *clock_stability(wildcards),
+    ]
+
+
+def found_calibrations(wildcards):
+    """Input function: calibration files of a calibration campaign."""
+    moving = ["boat", "ins_lidar"] if has_run(wildcards.campaign) else []
+    names = [*moving, "camera_lidar", "camera", "reference_camera"]
+    return [f"results/{wildcards.campaign}/calibration/{name}.yaml" for name in names]
+
+
+def calibration_tables(wildcards):
+    """Input function: tables that the page of a calibration shows."""
+    names = [
+        "cones",
+        "cone_detection",
+        "cone_residuals",
+        "cone_displacements",
+        *(["passes"] if has_run(wildcards.campaign) else []),
+        "reference_marks_rejected",
+        "boat_marks_rejected",
+    ]
+    return [f"results/{wildcards.campaign}/calibration/{name}.csv" for name in names]
+
+
+def calibration_truth(wildcards):
+    """Input function: errors of a twin's calibration against its true places."""
+    twin = is_twin(wildcards.campaign)
+    return (
+        [f"results/{wildcards.campaign}/accuracy/calibration_truth.csv"] if twin else []
+    )
+
+
 def calibration_outputs(name):
     """The tables and pictures that `all` builds for a calibration campaign."""
     base = f"results/{name}"
