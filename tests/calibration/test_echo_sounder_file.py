@@ -87,7 +87,8 @@ def test_the_calibration_holds_the_place_and_the_report_what_determined_it(
     assert counts["of_other_sentences"] == len(run.t_gps_s)
     assert counts["used"] + counts["rejected"] + counts["outside_the_bed"] == counts["taken"]
     # the mounts of another campaign can be made of it
-    mounts = resolve_mounts({"echo_sounder": {}}, found)
+    others = {name: {"lever_ics_m": [0.1, 0.0, -0.4]} for name in ("lidar", "antenna")}
+    mounts = resolve_mounts({"echo_sounder": {}, **others}, found)
     assert mounts["echo_sounder"]["source"] == "river"
     lever, again = files.ruler_of(mounts["echo_sounder"])
     assert lever == pytest.approx(values)
