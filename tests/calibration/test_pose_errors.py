@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from thalweg.calibration.pose_errors import SLOW, BorderedNormals, Knots, PoseErrors, pose_rows, turns
-from thalweg.core.errors import GeometryError
+from thalweg.core.errors import CoverageError, GeometryError
 from thalweg.core.frames import rotation_enu_body
 from thalweg.core.rigid import exp_rotation
 from thalweg.core.types import ArrayF
@@ -109,3 +109,12 @@ def test_sections_are_in_degrees() -> None:
     errors = PoseErrors.from_section(section)
     assert errors.sigma_attitude_rad == pytest.approx(np.deg2rad([0.1, 0.1, 0.2]))
     assert Knots.over(0.0, 10.0, errors).stride == SLOW + 3 * 20
+
+
+def test_a_run_without_a_point_on_a_cone_is_refused_with_what_to_check() -> None:
+    # A wrong sheet named as the antenna's marker put the scanner metres away: nothing met a cone any more.
+    none = np.zeros(0)
+    with pytest.raises(CoverageError, match=r"no point of the run .* the antenna's marker"):
+        BorderedNormals.of(
+            Knots.over(10.0, 12.9, ERRORS), none, np.zeros((0, 6)), np.zeros((0, 6)), none, none
+        )

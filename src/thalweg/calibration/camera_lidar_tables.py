@@ -38,6 +38,11 @@ def detection_table(
         for k, cone in enumerate(layout.cones):
             n = selection.counts(k)
             reason = out.get((p, k), "")
+            if not reason and n[Verdict.USED] == 0:
+                reason = (
+                    f"none of {sum(n.values())} beams that should meet it ended on it: it fell over or was "
+                    "moved, or it is hidden. Measure the field again, or leave the cone out"
+                )
             line: dict[str, Any] = {"position": name, "cone": cone, "predicted": sum(n.values())}
             line |= {WORDS[v]: n[v] for v in WORDS}
             line["left_out"] = n[Verdict.USED] if reason else 0

@@ -23,7 +23,7 @@ from typing import Any, Final, Self
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from thalweg.core.errors import GeometryError
+from thalweg.core.errors import CoverageError, GeometryError
 from thalweg.core.frames import attitude_axes
 from thalweg.core.propagation import cross_matrix
 from thalweg.core.types import ArrayF, ArrayI
@@ -247,7 +247,18 @@ class BorderedNormals:
         t_s : (n,) time of each observation.
         border_rows, pose_rows : (n, m) and (n, 6) derivatives by the border and by the errors at its time.
         residual, weight : (n,) observed minus computed, and the inverse of its variance.
+
+        Raises
+        ------
+        CoverageError : no observation is left.
         """
+        if len(residual) == 0:
+            raise CoverageError(
+                "no point of the run lies on a cone any more",
+                expected="points on the cones of the field",
+                cure="Check what places the scanner before: the antenna's marker in the field description, the "
+                "place of the field, the nominal mounts",
+            )
         m = border_rows.shape[1]
         root = np.sqrt(weight)[:, None]
         interval = knots.interval(t_s)
