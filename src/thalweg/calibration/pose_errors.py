@@ -256,7 +256,7 @@ class BorderedNormals:
             raise CoverageError(
                 "no point of the run lies on a cone any more",
                 expected="points on the cones of the field",
-                cure="Check what places the scanner before: the antenna's marker in the field description, the "
+                cure="Check what places the scanner: the antenna's marker in the field description, the "
                 "place of the field, the nominal mounts",
             )
         m = border_rows.shape[1]
