@@ -125,7 +125,7 @@ def test_check_config(repository, monkeypatch, capsys):
     assert main(["check-config", "tiny", "config/campaigns/demo.yaml"]) == 0
     out = capsys.readouterr().out.splitlines()
     assert out[0].startswith("tiny: ok. ")
-    assert out[1].startswith("demo: ok. ")
+    assert out[2].startswith("demo: ok. ")
     assert "digital twin" in out[0]
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import thalweg
-from thalweg.cli_calibration import add_calibration_commands
+from thalweg.cli_calibration import add_calibration_commands, describe_marked
 from thalweg.core.errors import ConfigError, InputError, ThalwegError
 
 if TYPE_CHECKING:
@@ -91,7 +91,9 @@ def _parser() -> argparse.ArgumentParser:
     check.set_defaults(command=_check_config)
 
     describe = commands.add_parser(
-        "describe", help="what is in a raw log (counts, gaps, losses, clock) or in a calibration file"
+        "describe",
+        help="what is in a raw log (counts, gaps, losses, clock), in a calibration file, or in the files "
+        "beside it: description of the field, clock of the camera, mounts",
     )
     describe.add_argument("files", nargs="+", type=Path, metavar="FILE")
     describe.add_argument(
@@ -198,7 +200,22 @@ def _check_config(options: argparse.Namespace) -> int:
             f"{name}: ok. {identity.title}; {identity.crs}; "
             f"positions from {campaign.orientation.position_source}; {source}"
         )
+        print(f"  places of the sensors: {_places(campaign)}")
     return 0
+
+
+def _places(campaign: "Campaign") -> str:
+    """Where the place of each sensor comes from, in words."""
+    from thalweg.config.check_mounts import mount_sources
+
+    by_source: dict[str, list[str]] = {}
+    for sensor, source in mount_sources(campaign).items():
+        by_source.setdefault(source, []).append(sensor)
+    parts = [
+        f"{', '.join(sensors)} {f'from {source}' if source else 'not stated, values by default'}"
+        for source, sensors in by_source.items()
+    ]
+    return "; ".join(parts)
 
 
 def _check_contents(campaign: "Campaign") -> None:
@@ -236,8 +253,10 @@ def _describe(options: argparse.Namespace) -> int:
     texts: list[str] = []
     for path in options.files:
         try:
-            lidar = options.model is not None and recognise(path) in ("capture", "velodyne_payloads")
-            report = describe(path, {"model": options.model} if lidar else None)
+            report = describe_marked(path)
+            if report is None:
+                lidar = options.model is not None and recognise(path) in ("capture", "velodyne_payloads")
+                report = describe(path, {"model": options.model} if lidar else None)
         except ThalwegError as error:
             sys.stdout.flush()
             print(error, file=sys.stderr)

@@ -1,30 +1,40 @@
-"""Commands around calibrations: printed markers, and calibrations of other programs."""
+"""Commands around calibrations: printed markers, calibrations and cameras of other programs, descriptions."""
 
 import argparse
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 from thalweg.core.errors import InputError
 
+if TYPE_CHECKING:
+    from thalweg.ingest.integrity import IntegrityReport
+
+_HEAD_BYTES: Final = 4096
+_MARKS: Final = (
+    ("field", re.compile(rb"(?m)^thalweg_field[ \t]*:")),
+    ("clock", re.compile(rb"(?m)^thalweg_clock[ \t]*:")),
+    ("mounts", re.compile(rb"\A\s*\{\s*\"kind\"\s*:\s*\"thalweg mounts\"")),
+)
+"""Files of a calibration campaign that no room above `calibration` can read: how their content begins."""
+
+_ENDINGS: Final = {"colmap": (".txt",), "opencv": (".yaml", ".yml", ".json")}
+"""Format of a camera file -> endings of its name by which it is known again."""
+
 
 def add_calibration_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``import-calibration`` and ``print-markers`` to the commands."""
-    other = commands.add_parser(
-        "import-calibration", help="calibration of another program (Kalibr, 4x4 matrix) -> calibration file"
+    """Add ``import-calibration``, ``import-camera``, ``export-camera`` and ``print-markers``."""
+    _add_imports(commands)
+    out = commands.add_parser(
+        "export-camera", help="camera of a calibration file -> file of COLMAP or OpenCV, without sigmas"
     )
-    other.add_argument(
-        "file", type=Path, metavar="FILE", help="Kalibr camchain, or text file with a 4x4 matrix"
-    )
-    other.add_argument("out", type=Path, metavar="OUT", help="calibration file to write, .yaml")
-    other.add_argument(
-        "--sigma", action="append", default=[], type=_sigma, metavar="NAME=VALUE",
-        help="a standard deviation that the file does not state: angle_deg, lever_m, focal_px, centre_px, "
-        "distortion, time_s",
-    )  # fmt: skip
-    other.add_argument("--block", default="lidar", help="of a matrix: what it places (default: %(default)s)")
-    other.add_argument("--target", default="", help="of a matrix: frame into which it turns, such as ics")
-    other.add_argument("--source", default="", help="of a matrix: frame of the sensor, such as scs")
-    other.set_defaults(command=_import_calibration)
+    out.add_argument("file", type=Path, metavar="CALIBRATION_FILE", help="such as camera.yaml")
+    out.add_argument("out", type=Path, metavar="OUT", help="file to write: .txt (COLMAP); .yaml, .json")
+    out.add_argument("--to", choices=sorted(_ENDINGS), required=True, help="format of OUT")
+    out.add_argument("--block", metavar="NAME", help="which camera, where the file holds several")
+    out.add_argument("--force", action="store_true", help="overwrite OUT")
+    out.set_defaults(command=_export_camera)
 
     sheets = commands.add_parser(
         "print-markers", help="printed markers of a calibration field, in true scale"
@@ -35,9 +45,50 @@ def add_calibration_commands(commands: "argparse._SubParsersAction[argparse.Argu
         "--field", type=Path, metavar="YAML", help="field description: its dictionary and sizes"
     )
     sheets.add_argument(
-        "--module-mm", type=float, default=12.0, help="side of a module, millimetres (default: %(default)s)"
+        "--module-mm", type=float, help="side of a module, 2 to 18 millimetres (default: 12), without --field"
     )
+    sheets.add_argument("--force", action="store_true", help="overwrite files that exist")
     sheets.set_defaults(command=_print_markers)
+
+
+def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    other = commands.add_parser(
+        "import-calibration", help="calibration of another program (Kalibr, 4x4 matrix) -> calibration file"
+    )
+    other.add_argument(
+        "file", type=Path, metavar="FILE", help="Kalibr camchain, or text file with a 4x4 matrix"
+    )
+    _add_sigmas(other, "angle_deg, lever_m, focal_px, centre_px, distortion, time_s")
+    other.add_argument("--block", default="lidar", help="of a matrix: what it places (default: %(default)s)")
+    other.add_argument("--target", default="", help="of a matrix: frame into which it turns, such as ics")
+    other.add_argument("--source", default="", help="of a matrix: frame of the sensor, such as scs")
+    other.set_defaults(command=_import_calibration)
+
+    camera = commands.add_parser(
+        "import-camera", help="camera file of COLMAP, OpenCV or ROS -> calibration file"
+    )
+    camera.add_argument("file", type=Path, metavar="FILE", help="cameras.txt, or YAML or JSON with a matrix")
+    _add_sigmas(camera, "focal_px, centre_px, distortion")
+    camera.add_argument("--camera", type=int, metavar="NUMBER", help="which one, where COLMAP has several")
+    camera.add_argument(
+        "--model", choices=["perspective", "fisheye"], help="where a file of OpenCV does not say it"
+    )
+    camera.add_argument(
+        "--size-px", type=int, nargs=2, metavar=("WIDTH", "HEIGHT"),
+        help="where a file of OpenCV does not say it",
+    )  # fmt: skip
+    camera.add_argument(
+        "--block", default="camera", metavar="NAME", help="name of the camera (default: %(default)s)"
+    )
+    camera.set_defaults(command=_import_camera)
+
+
+def _add_sigmas(parser: argparse.ArgumentParser, names: str) -> None:
+    parser.add_argument("out", type=Path, metavar="OUT", help="calibration file to write, .yaml")
+    parser.add_argument(
+        "--sigma", action="append", default=[], type=_sigma, metavar="NAME=VALUE",
+        help=f"a standard deviation that the file does not state: {names}",
+    )  # fmt: skip
 
 
 def _print_markers(options: argparse.Namespace) -> int:
@@ -45,17 +96,22 @@ def _print_markers(options: argparse.Namespace) -> int:
     from thalweg.calibration.marker_sheets import MarkerLayout, write_sheets
 
     found = re.fullmatch(r"(\d{1,3})(?:-(\d{1,3}))?", options.ids)
-    if found is None:
+    first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
+    if first > last:
         raise InputError(
-            f"markers {options.ids!r}", expected="one id or FROM-TO", cure="Write for instance --ids 0-63"
+            f"markers {options.ids!r}",
+            expected="one id, or FROM-TO in rising order",
+            cure="Write for instance --ids 0-63",
         )
-    first, last = int(found[1]), int(found[2] or found[1])
-    layout = (
-        read_field(options.field).layout
-        if options.field
-        else MarkerLayout(module_m=options.module_mm / 1000.0)
-    )
-    written = write_sheets(options.out, range(first, last + 1), layout)
+    if options.field and options.module_mm is not None:
+        raise InputError(
+            f"both --field {options.field} and --module-mm {options.module_mm:g}",
+            expected="one of them: the field description states the sizes, and the adjustment takes its own",
+            cure="Leave --module-mm out, or change module_m in the field description",
+        )
+    module_m = 12e-3 if options.module_mm is None else options.module_mm / 1000.0
+    layout = read_field(options.field).layout if options.field else MarkerLayout(module_m=module_m)
+    written = write_sheets(options.out, range(first, last + 1), layout, overwrite=options.force)
     print(f"Wrote {', '.join(str(path) for path in written[:3])}{' …' if len(written) > 3 else ''}")
     print("Print without scaling; the control line of each sheet is 100 mm long.")
     return 0
@@ -67,8 +123,7 @@ def _import_calibration(options: argparse.Namespace) -> int:
     from thalweg.ingest.recognise import KINDS, recognise
 
     kind, sigmas = recognise(options.file), dict(options.sigma)
-    if options.out.exists():
-        raise InputError("the file exists already", where=options.out, cure="Choose another name")
+    _not_there(options.out)
     if kind == "kalibr":
         found = import_kalibr(options.file, sigmas)
     elif kind == "matrix":
@@ -77,11 +132,77 @@ def _import_calibration(options: argparse.Namespace) -> int:
         )
     else:
         raise InputError(
-            f"this is a {KINDS[kind]}", where=options.file, expected=f"{KINDS['kalibr']} or {KINDS['matrix']}"
+            f"this is a {KINDS[kind]}",
+            where=options.file,
+            expected=f"{KINDS['kalibr']} or {KINDS['matrix']}",
+            cure="Use `thalweg import-camera`" if kind in _ENDINGS else "",
         )
     write_calibration(options.out, found)
     print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
     return 0
+
+
+def _import_camera(options: argparse.Namespace) -> int:
+    from thalweg.core.calibration_file import write_calibration
+    from thalweg.core.calibration_imports import import_camera
+    from thalweg.ingest.recognise import KINDS, recognise
+
+    kind = recognise(options.file)
+    _not_there(options.out)
+    if kind not in _ENDINGS:
+        raise InputError(
+            f"this is a {KINDS[kind]}",
+            where=options.file,
+            expected=f"{KINDS['colmap']} or {KINDS['opencv']}",
+            cure="Use `thalweg import-calibration`" if kind in ("kalibr", "matrix") else "",
+        )
+    if not options.block.isidentifier():
+        raise InputError(f"a camera named {options.block!r}", expected="a name such as camera or reference")
+    found = import_camera(
+        options.file, dict(options.sigma), kind="colmap" if kind == "colmap" else "opencv",
+        number=options.camera, model=options.model, name=options.block,
+        size_px=tuple(options.size_px) if options.size_px else None,
+    )  # fmt: skip
+    write_calibration(options.out, found)
+    print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
+    return 0
+
+
+def _export_camera(options: argparse.Namespace) -> int:
+    from thalweg.calibration.camera_file import SUFFIX, camera_of
+    from thalweg.core.calibration_file import read_calibration
+    from thalweg.core.camera_files import write_colmap, write_opencv
+
+    if options.out.suffix.lower() not in _ENDINGS[options.to]:
+        raise InputError(
+            f"the name '{options.out.name}' for a file of {options.to}",
+            expected=f"one that ends in {' or '.join(_ENDINGS[options.to])}",
+            cure="Camera files are known again by their endings",
+        )
+    if not options.force:
+        _not_there(options.out, "Choose another name, or overwrite with --force")
+    calibration = read_calibration(options.file)
+    known = [b.name.removesuffix(SUFFIX) for b in calibration.blocks if b.name.endswith(SUFFIX)]
+    block = options.block or (known[0] if len(known) == 1 else "")
+    if block not in known:
+        raise InputError(
+            f"{'no camera ' + repr(block) if block else f'{len(known)} cameras'} in the calibration",
+            where=options.file,
+            expected=f"one of {', '.join(known)}" if known else f"a block such as camera{SUFFIX}",
+            cure="Name one with --block" if known else "Name the calibration of a camera, camera.yaml",
+        )
+    camera = camera_of(calibration, block)
+    if options.to == "colmap":
+        write_colmap(options.out, {1: camera})
+    else:
+        write_opencv(options.out, camera)
+    print(f"Wrote {options.out}: camera {block}, without the sigmas and correlations of {options.file}.")
+    return 0
+
+
+def _not_there(path: Path, cure: str = "Choose another name") -> None:
+    if path.exists():
+        raise InputError("the file exists already", where=path, cure=cure)
 
 
 def _sigma(text: str) -> tuple[str, float]:
@@ -97,3 +218,123 @@ def _sigma(text: str) -> tuple[str, float]:
             f"{text!r}; expected one of {', '.join(SIGMAS)} with a value: lever_m=0.002"
         )
     return name, number
+
+
+def describe_marked(path: Path) -> "IntegrityReport | None":
+    """Report on a file that a calibration campaign reads or writes; None if it is none of these.
+
+    Parameters
+    ----------
+    path : the description of a field, the clock of a camera, or the mounts of a campaign.
+
+    Raises
+    ------
+    ConfigError, InputError : it is one, and wrong; see the readers.
+    """
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except OSError:
+        return None  # the reader of logs has words for it
+    kind = next((name for name, mark in _MARKS if mark.search(head)), None)
+    if kind is None:
+        return None
+    from thalweg.ingest.describe_calibration import CalibrationReport
+
+    formats = {"field": "description of a calibration field", "clock": "clock against GPS time",
+               "mounts": "places of the sensors in ics (x forward, y right, z down)"}  # fmt: skip
+    report = CalibrationReport(stream=kind, format=formats[kind], files=[str(path)])
+    report.bytes_read = path.stat().st_size
+    match kind:
+        case "field":
+            _describe_field(path, report)
+        case "clock":
+            _describe_clock(path, report)
+        case _:
+            from thalweg.calibration.mounts import read_mounts
+
+            for sensor, mount in read_mounts(path).items():
+                report.count("sensors")
+                report.details[sensor] = _mount_lines(mount, path)
+    return report
+
+
+def _describe_field(path: Path, report: "IntegrityReport") -> None:
+    from thalweg.calibration.field_description import read_field
+    from thalweg.ingest.describe_calibration import with_sigma
+
+    field = read_field(path)
+    layout, antenna = field.layout, field.antenna
+    sizes = [f"{first} to {last}: {m * 1e3:g} mm" for first, last, m in layout.sizes]
+    report.details["markers"] = [f"{layout.dictionary}, modules of {layout.module_m * 1e3:g} mm", *sizes]
+    report.details["cones"] = [
+        f"{len(field.cones)}; their form is nominal",
+        *(f"{c.name:5s} markers {_ids(c.markers)}, half angle {c.half_angle_rad * _DEG:.6g} deg, "
+          f"length {c.length_m:g} m" for c in field.cones),
+    ]  # fmt: skip
+    report.details["scale bars"] = [
+        str(len(field.scale_bars)),
+        *(f"{b.name:5s} {b.start} to {b.end}  {with_sigma(b.length_m, b.sigma_m)} m"
+          for b in field.scale_bars),
+    ]  # fmt: skip
+    report.details["targets"] = [
+        str(len(field.targets)),
+        *(f"{t.name:5s} marker {t.marker}  {t.lat_deg:.9f} deg, {t.lon_deg:.9f} deg, {t.h_ell_m:.4f} m, "
+          f"sigma {', '.join(f'{s:g}' for s in t.sigma_m)} m east, north, up" for t in field.targets),
+    ]  # fmt: skip
+    report.details["antenna"] = (
+        "no marker on it" if antenna is None else
+        f"marker {antenna.marker}, phase centre {with_sigma(antenna.offset_m, antenna.sigma_m)} m out of the "
+        "print"
+    )  # fmt: skip
+    for name in ("cones", "scale_bars", "targets"):
+        report.count(name, len(getattr(field, name)))
+
+
+_DEG: Final = 57.29577951308232
+
+
+def _ids(markers: tuple[int, ...]) -> str:
+    whole = tuple(range(min(markers), max(markers) + 1)) if markers else ()
+    return f"{whole[0]} to {whole[-1]}" if markers == whole else ", ".join(map(str, markers))
+
+
+def _describe_clock(path: Path, report: "IntegrityReport") -> None:
+    from thalweg.timing.clock_model import ClockModel
+
+    for line in ClockModel.read(path).lines():
+        key, _, words = line.partition(" ")
+        if key == "note":
+            report.note(words.strip())
+        else:
+            report.details["source" if key == "clock" else key] = words.strip()
+
+
+def _mount_lines(mount: Mapping[str, Any], path: Path) -> list[str]:
+    """Value, sigma and unit of each quantity of a mount."""
+    from thalweg.core.calibration import ANGLES, LEVER
+    from thalweg.ingest.describe_calibration import with_sigma
+
+    try:
+        angles = [
+            (name, float(mount[name]), float(mount[f"sigma_{name}"])) for name in ANGLES if name in mount
+        ]
+        values, sigmas = (map(float, mount[key]) for key in ("lever_ics_m", "sigma_lever_m"))
+        lever = [
+            f"{name:12s} {with_sigma(value, sigma)} m"
+            for name, value, sigma in zip(LEVER, values, sigmas, strict=True)
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"no mount ({error!r})", where=path, expected="lever_ics_m, and angles, each with its sigma"
+        ) from error
+    about_axes = mount.get("sigma_axes") == "ics"
+    lines = [
+        f"{name:12s} {with_sigma(value, None if about_axes else sigma)} deg" for name, value, sigma in angles
+    ]
+    if angles and about_axes:
+        lines.append(f"turned by    ± {', '.join(f'{s:.2g}' for _, _, s in angles)} deg about x, y, z of ics")
+    rows = mount.get("correlation") or ()
+    joint = any(rho != 0.0 for i, row in enumerate(rows) for j, rho in enumerate(row) if i != j)
+    known = ", with correlations" if joint else ""
+    return [f"from {mount.get('source', 'an unknown source')}{known}", *lines, *lever]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.antenna import antenna_lever, phase_centre
+from thalweg.calibration.antenna import AntennaLever, antenna_lever, check_nominal, phase_centre
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import rotation_opk
 from thalweg.core.rigid import Rigid
@@ -85,3 +85,44 @@ def test_a_bent_marker_is_refused() -> None:
     saddles[2] += [0.0, 0.02, 0.03]
     with pytest.raises(GeometryError, match=r"mm apart.*a square.*Glue the marker flat"):
         phase_centre(saddles, np.eye(12) * 1e-8, offset_m=0.0, sigma_offset_m=0.001)
+
+
+LIDAR = {
+    "omega_deg": 0.0, "phi_deg": -90.0, "kappa_deg": 0.0, "lever_ics_m": [-0.35, 0.0, -0.25],
+    "sigma_omega_deg": 0.6, "sigma_phi_deg": 0.6, "sigma_kappa_deg": 0.6, "sigma_lever_m": [0.01, 0.01, 0.01],
+}  # fmt: skip
+ANTENNA = {"lever_ics_m": [0.1, -0.05, -0.45], "sigma_lever_m": [0.002, 0.002, 0.002]}
+
+
+def seen_at(off_m: ArrayF) -> AntennaLever:
+    """The antenna beside its nominal place by a vector of ics."""
+    R = rotation_opk(0.0, -np.pi / 2, 0.0)
+    x_scs = R.T @ (np.array(ANTENNA["lever_ics_m"]) + off_m - np.array(LIDAR["lever_ics_m"]))
+    return AntennaLever(
+        x_ccs_m=np.zeros(3), cov_ccs_m2=np.eye(3) * 1e-6, x_scs_m=x_scs, cov_scs_m2=np.eye(3) * 1e-6,
+        by_camera_lidar=np.zeros((3, 6)),
+    )  # fmt: skip
+
+
+def test_a_marker_far_from_the_antenna_is_refused_with_both_places() -> None:
+    check_nominal(seen_at(np.array([0.1, -0.2, 0.1])), LIDAR, ANTENNA, marker=98)
+    with pytest.raises(
+        GeometryError, match=r"marker 98 puts the antenna at \(\+2\.10, -0\.05, -0\.45\) m"
+    ) as error:
+        check_nominal(seen_at(np.array([2.0, 0.0, 0.0])), LIDAR, ANTENNA, marker=98)
+    for words in (
+        "2.00 m from its lever arm (+0.10, -0.05, -0.45) m",
+        "antenna_position",
+        "on no other sheet",
+    ):
+        assert words in str(error.value)
+
+
+def test_a_roughly_known_place_is_no_reason_to_refuse() -> None:
+    far = seen_at(np.array([0.9, 0.0, 0.0]))
+    rough = LIDAR | {"sigma_lever_m": [0.3, 0.3, 0.3]}  # five sigmas are 1.5 m
+    check_nominal(far, rough, ANTENNA, marker=98)
+    with pytest.raises(GeometryError):
+        check_nominal(far, LIDAR, ANTENNA, marker=98)
+    # nothing to compare with
+    check_nominal(far, LIDAR | {"lever_ics_m": [0.0, 0.0, 0.0]}, ANTENNA, marker=98)

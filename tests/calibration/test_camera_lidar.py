@@ -1,4 +1,4 @@
-"""The camera-lidar calibration on a small yard: right, honest, and with everything that goes wrong."""
+"""The camera-lidar calibration on a small yard: right and honest; refusals of what geometry cannot give."""
 
 import importlib.util
 import sys
@@ -76,7 +76,8 @@ def test_nothing_is_silently_lost(good: tuple[object, CameraLidar]) -> None:
     np.testing.assert_array_equal(table[parts].sum(axis=1), table["predicted"])
     unseen = table[~table["found"]]
     assert set(unseen["cone"]) == {"C7", "C8"}
-    assert (unseen["reason"] == "outside the lidar's view").all()
+    assert unseen["reason"].str.startswith("outside the lidar's view").all()
+    assert unseen["reason"].str.contains("Set it up in that plane, beside the boat").all()
     used = table[table["found"]].set_index(["position", "cone"])["used"]
     residuals = result.residuals.set_index(["position", "cone"])
     np.testing.assert_array_equal(residuals["points"], used.loc[residuals.index])
@@ -237,75 +238,6 @@ def test_scans_of_another_field_are_refused() -> None:
         GeometryError, match="no orientation near the nominal one brings scans and cones together"
     ):
         calibrate_camera_lidar(y.references(), empty.positions(1), NOMINAL)
-
-
-# ---------------------------------------------------------------- what goes wrong in a field
-
-
-def test_wrong_marks_and_people_do_not_shift_the_result(good: tuple[object, CameraLidar]) -> None:
-    squares = []
-    for seed in range(3):
-        y = Yard(seed=300 + seed, people=3, wrong_marks=0.05)
-        result = calibrated(y)
-        squares.append(square(result, y.truth))
-        lost = result.references[~result.references["used"]]
-        # 2 of 32 marks on each of 8 cones; an error along the surface is none
-        assert 8 <= len(lost) <= 16
-    # three seeds with six degrees of freedom, 99.9 %
-    assert sum(squares) < chi2.ppf(0.999, 18)
-
-
-def test_who_stands_in_front_of_a_cone_is_told() -> None:
-    y = Yard(seed=1, people=6)
-    table = known(y).detection
-    hidden = table[~table["found"] & (table["predicted"] > 0)]
-    assert len(hidden) > 0
-    assert hidden["reason"].str.contains("hidden").all()
-    assert (hidden["in_front"] > 0).all()
-
-
-def changed(y, name: str, shift=(0.0, 0.0, 0.0), tilt_deg: float = 0.0):
-    there = [c.moved(np.array(shift), tilt_deg) if c.name == name else c for c in y.cones]
-    return replace(y, there=there)
-
-
-@pytest.mark.parametrize(
-    ("shift", "tilt_deg"),
-    [((0.02, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.0), 12.0), ((0.0, 0.0, 0.0), 60.0), ((0.0, 0.0, -0.4), 0.0)],
-    ids=["pushed by 2 cm", "leaning", "fallen", "sunk"],
-)
-def test_a_cone_that_moved_is_named_and_left_out(shift: tuple[float, float, float], tilt_deg: float) -> None:
-    y = changed(Yard(seed=4), "C5", shift, tilt_deg)
-    result = known(y)
-    table = result.detection[result.detection["predicted"] > 0]
-    lost = table[~table["found"]]
-    assert set(lost["cone"]) == {"C5"}
-    assert lost["reason"].str.contains("not where the reference says").all()
-    assert list(result.cones) == [n for n in SEEN if n != "C5"]
-    assert square(result, y.truth) < LIKELY
-
-
-def test_a_missing_cone_is_named() -> None:
-    y = Yard(seed=4)
-    y = replace(y, there=[c for c in y.cones if c.name != "C2"])
-    table = known(y, 1).detection.set_index(["position", "cone"])
-    reason = table.loc[("position_1", "C2"), "reason"]
-    assert "went through its place; it fell over or was moved" in reason
-
-
-def test_a_cone_without_reference_is_named() -> None:
-    y = Yard(seed=4, frames=2)
-    references = y.references()
-    references[2] = replace(
-        references[2],
-        points_m=references[2].points_m[:4],
-        cov=references[2].cov[:4],
-        labels=references[2].labels[:4],
-    )
-    result = calibrate_camera_lidar(references, y.positions(1), NOMINAL)
-    (line,) = result.detection[result.detection["cone"] == "C3"].to_dict("records")
-    assert line["reason"].startswith("no reference: cone C3: 4 reference points")
-    assert "C3" not in result.cones
 
 
 # ---------------------------------------------------------------- what geometry cannot give

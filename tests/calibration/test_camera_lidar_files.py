@@ -3,6 +3,8 @@
 import importlib.util
 import json
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +22,11 @@ from thalweg.calibration.board_files import (
 )
 from thalweg.calibration.board_images import Checkerboard
 from thalweg.calibration.camera_lidar import calibrate_camera_lidar
-from thalweg.calibration.camera_lidar_files import ResultFiles, write_camera_lidar
+from thalweg.calibration.camera_lidar_files import ResultFiles, study_of, write_camera_lidar
 from thalweg.calibration.camera_lidar_settings import CameraLidarSettings
+from thalweg.calibration.camera_lidar_statics import Statics
+from thalweg.calibration.camera_lidar_tables import foreign_markers, reference_table
+from thalweg.calibration.cone_fit import ConeReference, fit_reference
 from thalweg.calibration.field_description import parse_field
 from thalweg.calibration.field_points import FieldPoints
 from thalweg.calibration.resection import Resected
@@ -38,16 +43,13 @@ yard = importlib.util.module_from_spec(_spec)
 sys.modules["cone_yard"] = yard
 _spec.loader.exec_module(yard)
 
-FIELD = """
-thalweg_field: 1
-markers: {dictionary: DICT_4X4_250, module_m: 0.012}
-cones:
-  - {name: C1, markers: [0, 3], half_angle_deg: 25.0, length_m: 0.7}
-  - {name: C2, markers: [4, 7], half_angle_deg: 25.0, length_m: 0.7}
-scale_bars:
-  - {name: S1, from: "80/0", to: "81/0", length_m: 1.5, sigma_m: 0.0001}
-  - {name: S2, from: "82/0", to: "83/0", length_m: 1.5, sigma_m: 0.0001}
-"""
+Text = Callable[[list[int], list[int]], str]
+
+
+@pytest.fixture
+def description(field_text: Text) -> str:
+    """A field with the markers 0 to 3 and 4 to 7 on its cones."""
+    return field_text([0, 3], [4, 7])
 
 
 def known(rng: np.random.Generator) -> FieldPoints:
@@ -60,21 +62,22 @@ def known(rng: np.random.Generator) -> FieldPoints:
 # ---------------------------------------------------------------- reading
 
 
-def test_marks_come_to_their_cones(rng: np.random.Generator) -> None:
+def test_marks_come_to_their_cones(rng: np.random.Generator, description: str) -> None:
     points = known(rng)
-    first, second = given.cone_references(parse_field(FIELD), points)
+    first, second = given.cone_references(parse_field(description), points)
     assert (first.name, first.labels) == ("C1", ("0/0", "0/1", "0/2", "0/3"))
     assert second.labels == ("5/0", "5/1", "5/2", "5/3")
     np.testing.assert_array_equal(second.points_m, points.points_pcs[:4])
     np.testing.assert_array_equal(second.cov, points.cov[:12, :12])
     assert first.half_angle_rad == pytest.approx(np.deg2rad(25.0))
-    rough = given.cone_references(parse_field(FIELD), points, form_sigma_m=0.002)
+    rough = given.cone_references(parse_field(description), points, form_sigma_m=0.002)
     assert [r.form_sigma_m for r in rough] == [0.002, 0.002]
+    rows = description.splitlines()
     with pytest.raises(InputError, match="names no cones"):
-        given.cone_references(parse_field("\n".join(FIELD.splitlines()[:3] + FIELD.splitlines()[6:])), points)
+        given.cone_references(parse_field("\n".join(rows[:3] + rows[6:])), points)
 
 
-def test_positions_share_errors_of_field_and_camera(rng: np.random.Generator) -> None:
+def test_positions_share_errors_of_field_and_camera(rng: np.random.Generator, description: str) -> None:
     """The joint covariance is that of the linear map from independent errors."""
     points, camera_cov = known(rng), np.diag(np.arange(1.0, 10.0))
     camera = Camera(
@@ -93,7 +96,7 @@ def test_positions_share_errors_of_field_and_camera(rng: np.random.Generator) ->
                 residuals=pd.DataFrame(), redundancy=1.0, sigma0=1.0, moved=(),
             )
         )  # fmt: skip
-    errors = given.field_errors(parse_field(FIELD), points, resected, camera)
+    errors = given.field_errors(parse_field(description), points, resected, camera)
     assert dict(errors.points) == {"C1": 4, "C2": 4}
     marks = np.zeros((12, 12))
     marks[:6, :6], marks[6:, 6:] = (r.cov_marks for r in resected)
@@ -110,50 +113,84 @@ def test_positions_share_errors_of_field_and_camera(rng: np.random.Generator) ->
     other = Camera(
         model="perspective", size_px=(10, 10), parameters=camera.parameters, cov=camera_cov, name="b"
     )
-    apart = given.field_errors(parse_field(FIELD), points, resected, [camera, other])
+    apart = given.field_errors(parse_field(description), points, resected, [camera, other])
     np.testing.assert_allclose(apart.cov[:6, 6:12], (whole @ points.cov @ whole.T)[:6, 6:12], atol=1e-9)
 
 
+def touched(folder: Path, *names: str) -> list[Path]:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    return [folder / name for name in names]
+
+
 def test_scans_meet_their_pictures(tmp_path: Path) -> None:
-    for name in ("a.pcap", "b.pcap", "notes.txt"):
-        (tmp_path / name).touch()
-    assert given.static_positions([tmp_path], ["b.jpg", "a.jpg"])["a"] == (tmp_path / "a.pcap", "a.jpg")
+    touched(tmp_path, "a.pcap", "b.pcap", "notes.txt")
+    by_name = given.static_positions([tmp_path], ["b.jpg", "a.jpg"])
+    assert by_name.pairs["a"] == (tmp_path / "a.pcap", "a.jpg")
+    assert by_name.left_out == {}
     # no name is the same: in order
     by_order = given.static_positions([tmp_path / "b.pcap", tmp_path / "a.pcap"], ["x.jpg", "y.jpg"])
-    assert by_order == {"b": (tmp_path / "b.pcap", "x.jpg"), "a": (tmp_path / "a.pcap", "y.jpg")}
+    assert by_order.pairs == {"b": (tmp_path / "b.pcap", "x.jpg"), "a": (tmp_path / "a.pcap", "y.jpg")}
     with pytest.raises(InputError, match=r"no picture for b\.pcap among a\.jpg"):
         given.static_positions([tmp_path], ["a.jpg"])
     with pytest.raises(InputError, match="no capture files"):
         given.static_positions([tmp_path / "notes.txt"], ["a.jpg"])
 
 
+def test_pictures_without_a_scan_are_named(tmp_path: Path) -> None:
+    scans = touched(tmp_path, "a.pcap", "b.pcap")
+    found = given.static_positions(scans, ["a.jpg", "b.jpg", "c.jpg"])
+    assert list(found.pairs) == ["a", "b"]
+    assert found.left_out == {"c.jpg": "no lidar recording has its name"}
+    # without names of their own nothing tells which of the three has no counterpart
+    with pytest.raises(
+        InputError, match=r"2 lidar recordings \(a\.pcap, b\.pcap\) and 3 pictures \(x, y, z\)"
+    ):
+        given.static_positions(scans, ["x", "y", "z"])
+
+
+def test_two_of_one_name_are_refused(tmp_path: Path) -> None:
+    scans = touched(tmp_path, "one/a.pcap", "two/a.pcap")
+    with pytest.raises(InputError, match=r"lidar recordings .* same name: a\.pcap, a\.pcap"):
+        given.static_positions(scans, ["a.jpg"])
+    with pytest.raises(InputError, match=r"pictures .* same name: a\.jpg, a\.png"):
+        given.static_positions(scans[:1], ["a.jpg", "a.png"])
+
+
+def test_positions_without_a_pose_are_named(tmp_path: Path) -> None:
+    scans = touched(tmp_path, "a.pcap", "b.pcap")
+    statics = Statics(
+        images=("a.jpg",), poses=(Rigid(R=np.eye(3), shift_m=np.zeros(3)),), lost={"b.jpg": "blurred"},
+        points=known(np.random.default_rng(1)), cov=np.eye(42),
+    )  # fmt: skip
+    good, left_out = given.oriented(given.static_positions(scans, ["a.jpg", "b.jpg", "c.jpg"]), statics)
+    assert good == {"a": (scans[0], "a.jpg")}
+    assert left_out == {
+        "b.jpg": "it has no pose, and b.pcap takes no part: blurred",
+        "c.jpg": "no lidar recording has its name",
+    }
+    with pytest.raises(InputError, match=r"none of 1 static positions can be used \(b\.jpg: .*blurred\)"):
+        given.oriented(given.static_positions(scans[1:], ["b.jpg"]), statics)
+
+
 def test_scans_and_pictures_of_other_names_are_matched_as_people_count(tmp_path: Path) -> None:
-    for name in ("scan_10.pcap", "scan_2.pcap", "shot_10.jpg", "shot_2.jpg"):
-        (tmp_path / name).touch()
-    marks = pd.DataFrame({"image": ["shot_10.jpg", "shot_2.jpg"]})
-    shots, scans = (
-        [tmp_path / "shot_2.jpg", tmp_path / "shot_10.jpg"],
-        [tmp_path / "scan_2.pcap", tmp_path / "scan_10.pcap"],
+    scans, shots = (
+        touched(tmp_path, f"{kind}_2.{end}", f"{kind}_10.{end}")
+        for kind, end in (("scan", "pcap"), ("shot", "jpg"))
     )
     for images, captures in ((shots, scans), ([tmp_path], [tmp_path])):
-        pairs = given.static_positions(captures, given.static_images(marks, images))
-        assert {scan: image for scan, (_, image) in pairs.items()} == {
+        found = given.static_positions(captures, given.static_images(images))
+        assert {scan: image for scan, (_, image) in found.pairs.items()} == {
             "scan_2": "shot_2.jpg",
             "scan_10": "shot_10.jpg",
         }
 
 
-@pytest.mark.parametrize("folder", ["position_images", "2021.05.12", "positions.jpg"])
-def test_pictures_of_positions_are_told_from_those_of_the_run(tmp_path: Path, folder: str) -> None:
-    """Both sets may lie in folders of one name, and the name of a folder may hold a dot."""
-    files = [f"one/{folder}/{name}" for name in ("p2.jpg", "p1.jpg", "p3.jpg")] + [f"two/{folder}/r1.jpg"]
-    for file in files:
-        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / file).touch()
-    seen = [file for file in files if "p3" not in file]
-    marks = pd.DataFrame({"image": [Path(f).name for f in (*seen, seen[0])], "file": [*seen, seen[0]]})
-    assert given.static_images(marks, [tmp_path / "one" / folder]) == ["p1.jpg", "p2.jpg"]
-    assert given.static_images(marks, [tmp_path / file for file in files[:3]]) == ["p2.jpg", "p1.jpg"]
+def test_pictures_of_positions_in_folders_and_lists(tmp_path: Path) -> None:
+    files = touched(tmp_path, "2021.05.12/p2.jpg", "2021.05.12/p1.jpg", "other/p3.jpg")
+    assert given.static_images([tmp_path / "2021.05.12"]) == ["p1.jpg", "p2.jpg"]
+    assert given.static_images([files[0], files[1], files[0]]) == ["p2.jpg", "p1.jpg"]
 
 
 def test_nominal_orientation_of_mounts() -> None:
@@ -193,7 +230,10 @@ def test_everything_is_written(tmp_path: Path) -> None:
     result = calibrate_camera_lidar(references, y.positions(2), y.truth, settings)
     suffix = {"camera_lidar": ".yaml", "report": ".json", "cone_points": ".parquet"}
     files = ResultFiles(**{n: tmp_path / "out" / (n + suffix.get(n, ".csv")) for n in ResultFiles.__slots__})
-    write_camera_lidar(files, result, yard.NOMINAL, references, run="field", sigma_m=0.0173, twin=True)
+    left_out = {"position_9.jpg": "no lidar recording has its name"}
+    write_camera_lidar(
+        files, result, yard.NOMINAL, references, run="field", sigma_m=0.0173, twin=True, left_out=left_out
+    )
     back = read_calibration(files.camera_lidar)
     T = back.pose("camera_lidar")
     # twelve digits in the file
@@ -201,7 +241,9 @@ def test_everything_is_written(tmp_path: Path) -> None:
     np.testing.assert_allclose(T.cov, result.T_ccs_scs.cov, rtol=1e-6, atol=1e-16)
     assert back.source.twin
     assert back.source.observations > result.residuals["points"].sum()
-    assert json.loads(files.report.read_text())["cones"] == 6
+    facts = json.loads(files.report.read_text())
+    assert facts["cones"] == 6
+    assert facts["left_out"] == {"position_9.jpg": "no lidar recording has its name"}
     study = pd.read_csv(files.study)
     # what the study promises for all six cones and both positions is what came out
     full = study[(study["cones"] == 6) & (study["positions"] == 2)].set_index("quantity")["sigma"]
@@ -211,6 +253,63 @@ def test_everything_is_written(tmp_path: Path) -> None:
     points = pd.read_parquet(files.cone_points)
     assert {"cone", "position", "x_m", "y_m", "z_m", "residual_m", "used"} <= set(points)
     assert abs(points["residual_m"][points["used"]].mean()) < 0.002
+
+
+def labelled(seed: int = 1) -> list[ConeReference]:
+    """References whose points are the four corners of markers, eight on each cone."""
+    return [
+        replace(r, labels=tuple(f"{8 * k + i // 4}/{i % 4}" for i in range(len(r.points_m))))
+        for k, r in enumerate(yard.Yard(seed=seed).references())
+    ]
+
+
+def exchanged(references: list[ConeReference], *pairs: tuple[int, int, int, int]) -> list[ConeReference]:
+    """Points of a marker of one cone take the place of those of a marker of another one."""
+    points = [r.points_m.copy() for r in references]
+    for a, i, b, j in pairs:
+        first, second = points[a][4 * i : 4 * i + 4].copy(), points[b][4 * j : 4 * j + 4].copy()
+        points[a][4 * i : 4 * i + 4], points[b][4 * j : 4 * j + 4] = second, first
+    return [replace(r, points_m=p) for r, p in zip(references, points, strict=True)]
+
+
+def told(references: list[ConeReference]) -> list[str]:
+    table = reference_table(references, {r.name: fit_reference(r) for r in references}, {})
+    return foreign_markers(table)
+
+
+def test_swapped_markers_of_cones_are_named() -> None:
+    """Marker 3 of C1 and marker 10 of C2."""
+    assert told(labelled()) == []
+    (line,) = told(exchanged(labelled(), (0, 3, 1, 2)))
+    first, second = "stated for cone C1 but lies on C2", "stated for C2 but lies on C1"
+    assert line.startswith(f"marker 3 is {first}, and marker 10 is {second}: they are swapped")
+    assert "photograph the field again" in line
+
+
+def test_a_marker_of_another_cone_and_one_beside_its_cone_are_named() -> None:
+    references = labelled()
+    points = references[0].points_m.copy()
+    points[8:12] = references[1].points_m[:4]
+    points[20:24] += [0.0, 0.0, 0.05]
+    lines = told([replace(references[0], points_m=points), *references[1:]])
+    assert lines[0].startswith("marker 2 is stated for cone C1 but lies on C2, and takes no part. Correct")
+    assert lines[1].startswith("marker 5 of cone C1 is ")
+    assert "mm off its surface" in lines[1]
+
+
+def test_the_study_of_the_design_keeps_a_fixed_half_angle(tmp_path: Path) -> None:
+    y = yard.Yard(seed=3, frames=2, cones=[replace(c, half=np.deg2rad(25.0)) for c in yard.built_cones()])
+    y = replace(y, there=y.cones)
+    sigmas = []
+    for free in (True, False):
+        settings = CameraLidarSettings(within=None, free_half_angle=free)
+        result = calibrate_camera_lidar(y.references(), y.positions(1), y.truth, settings)
+        study = study_of(result, y.references(), 0.0173)
+        whole = study[study["cones"] == 6].set_index("quantity")["sigma"]
+        # what the study promises is what came out
+        assert whole["x_m"] == pytest.approx(result.T_ccs_scs.sigma_shift_m[0], rel=0.2)
+        sigmas.append(whole["x_m"])
+    assert sigmas[1] < sigmas[0]
 
 
 # ---------------------------------------------------------------- boards

@@ -1,5 +1,8 @@
 """The place of a field in the world: errors against sigmas, wrong targets, targets in a line."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -100,3 +103,48 @@ def test_table_has_the_residuals() -> None:
     # six unknowns fitted to 18 numbers: sigmas of 8 and 12 mm, a little less
     assert 0.003 < off.std() < 0.015
     np.testing.assert_allclose(off.mean(axis=0), 0.0, atol=2e-4)
+
+
+def far_off(n: int, wrong: dict[int, np.ndarray]) -> list[Target]:
+    return targets(TRUE, 1, n, wrong=wrong)
+
+
+def test_a_target_far_away_is_left_out_and_named() -> None:
+    found = field_datum(field(4), far_off(4, {1: np.array([0.0, 220.0, 0.0])}), FRAME)
+    ((name, reason),) = found.rejected
+    assert name == "T2"
+    # to three sigmas of RTK and of the rest
+    assert 219.9 < float(reason.split("east, ")[1].split(" m north")[0]) < 220.1
+    error = TRUE.error_from(found.T_wcs_pcs)
+    assert error @ np.linalg.solve(found.T_wcs_pcs.cov, error) < chi2.ppf(0.9999, 6)
+    # 12 mm and 8 mm of height over 12 m, four targets less one
+    assert 0.0005 < found.sigma_scale < 0.002
+
+
+def test_several_targets_far_away_are_named_with_their_distances() -> None:
+    wrong = {1: np.array([0.0, 220.0, 0.0]), 2: np.array([400.0, 0.0, 0.0])}
+    with pytest.raises(GeometryError, match="T2 and T3 are wrong, the others agree") as caught:
+        field_datum(field(), far_off(6, wrong), FRAME)
+    assert re.search(r"T3 (399\.9|400\.0)\d m, T2 (219\.9|220\.0)\d m, ", caught.value.found)
+    with pytest.raises(GeometryError, match="one of them is wrong; a fourth target would tell") as caught:
+        field_datum(field(3), far_off(3, {1: np.array([0.0, 220.0, 0.0])}), FRAME)
+    assert "coordinates" in caught.value.cure
+
+
+def test_exchanged_targets_and_exchanged_coordinates_are_named() -> None:
+    right = targets(TRUE, 3)
+    swapped = [replace(right[0], marker=65), replace(right[1], marker=64), *right[2:]]
+    with pytest.raises(GeometryError, match="T1 and T2 are exchanged, with markers 65 and 64"):
+        field_datum(field(), swapped, FRAME)
+    turned = [replace(t, lat_deg=t.lon_deg, lon_deg=t.lat_deg) for t in right]
+    with pytest.raises(GeometryError, match="latitude and longitude of the targets are exchanged"):
+        field_datum(field(), turned, FRAME)
+
+
+@pytest.mark.parametrize(("factor", "told"), [(10.0, "0.1 times|0.09|0.1001"), (1.02, "0.98")])
+def test_a_field_of_another_scale_than_the_targets(factor: float, told: str) -> None:
+    large = field()
+    scaled = replace(large, points_pcs=factor * large.points_pcs)
+    with pytest.raises(GeometryError, match=told) as caught:
+        field_datum(scaled, targets(TRUE, 3), FRAME)
+    assert "times as large as by the scale bars" in caught.value.found

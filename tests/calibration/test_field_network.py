@@ -12,7 +12,8 @@ from scipy.stats import chi2
 
 from thalweg.calibration.bundle import Layout, Problem, inner_constraints, marks_model, moved, start_state
 from thalweg.calibration.field_network import FieldNetwork, measure_field
-from thalweg.calibration.network_start import block_of, start_network
+from thalweg.calibration.mark_block import block_of
+from thalweg.calibration.network_start import start_network
 from thalweg.core.adjustment import UnobservableError
 from thalweg.core.camera import Camera
 from thalweg.core.errors import GeometryError
@@ -142,8 +143,9 @@ def test_five_percent_wrong_marks_do_not_shift_the_field() -> None:
     both = [(place[p], i) for i, p in enumerate(dirty.points) if p in place]
     assert len(both) > 0.9 * len(clean.points)
     a, b = (np.array([pair[k] for pair in both]) for k in (0, 1))
+    sigma = np.sqrt(np.diag(dirty.cov_points)).reshape(-1, 3)
     _, R, t = blocks.similarity(dirty.points_pcs[b], clean.points_pcs[a], scale=False)
-    shift = np.abs(dirty.points_pcs[b] @ R.T + t - clean.points_pcs[a]) / dirty.sigma_points_m[b]
+    shift = np.abs(dirty.points_pcs[b] @ R.T + t - clean.points_pcs[a]) / sigma[b]
     assert np.sqrt(np.mean(shift**2)) < 0.6  # 5 % fewer marks alone make 0.2
     # three of four wrong marks are larger than the smallest that can be found
     assert dirty.report["marks_rejected"] > 0.03 * dirty.report["marks"]

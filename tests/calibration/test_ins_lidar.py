@@ -9,11 +9,11 @@ from scipy.stats import chi2, truncnorm
 from thalweg.calibration.ins_lidar import START, InsLidar, InsLidarSettings, calibrate
 from thalweg.calibration.ins_lidar_checks import RunGates, seen_headings_deg
 from thalweg.calibration.ins_lidar_model import BeamNoise, Known, State, linearise, truncated_variance
-from thalweg.calibration.motion_search import MountRange
+from thalweg.calibration.motion_search import MountRange, find_mount
 from thalweg.calibration.pose_errors import Knots, PoseErrors
 from thalweg.calibration.run_points import RunPoints
 from thalweg.core.adjustment import UnobservableError
-from thalweg.core.errors import CoverageError
+from thalweg.core.errors import CoverageError, GeometryError
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
 from thalweg.simulation.studies.cone_runs import LEVER_ANTENNA_M, TRUE_MOUNT, ConeRun, RunSpec, make_run
@@ -280,6 +280,62 @@ def test_a_field_elsewhere_is_refused() -> None:
         solved(replace(run, T_wcs_pcs=elsewhere), settings(SHORT))
 
 
+def test_an_antenna_that_is_another_marker_is_refused() -> None:
+    """15 cm beside: the points would still lie on the cones, and the mount be wrong by as much."""
+    run = make_run(1, SHORT)
+    assert run.antenna is not None
+    other = replace(run.antenna, x_scs_m=run.antenna.x_scs_m + np.array([0.1, 0.1, 0.05]))
+    with pytest.raises(
+        GeometryError, match=r"by its marker lies 1\d\d mm from where the run has it"
+    ) as error:
+        solved(replace(run, antenna=other), settings(SHORT, search=NO_SEARCH), start=NEAR)
+    assert "antenna.offset_m" in str(error.value)
+
+
+def test_the_sigma_of_the_stamps_reaches_the_adjustment() -> None:
+    """A lidar that stamps 20 ms late: found if the stamps may be that wrong, else an error of the mount."""
+    run = make_run(1, SHORT)
+    late = replace(run, t_gps_s=run.t_gps_s + 0.020)
+    stiff, free = (
+        solved(late, settings(SHORT, search=NO_SEARCH, sigma_time_s=s), start=NEAR).T_ics_scs
+        for s in (1e-6, 0.02)
+    )
+    right = solved(run, settings(SHORT, search=NO_SEARCH), start=NEAR).T_ics_scs
+    sigma = np.sqrt(np.diag(right.cov))
+    # turned the time around: what is left is the noise of the stamps' own estimate
+    assert np.all(np.abs(free.error_from(right)) < 0.5 * sigma)
+    assert np.max(np.abs(stiff.error_from(right)) / sigma) > 2 * np.max(
+        np.abs(free.error_from(right)) / sigma
+    )
+
+
+def test_points_near_cones_of_which_none_is_on_them_are_told() -> None:
+    """Such as the ground below a field that is 2 m too high: here points 0.7 m behind the bases."""
+    run = make_run(1, replace(SHORT, points=2000))
+    points = RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s).taken(np.arange(60))
+    behind = np.array([c.apex_m + 1.4 * c.axis for c in run.cones.cones])[np.arange(60) % 6]
+    arm = run.T_wcs_pcs.apply(behind) - points.position_wcs_m
+    ics = np.einsum("nji,nj->ni", points.R_wcs_ics, arm)
+    near = replace(points, xyz_scs_m=NEAR.inverse().apply(ics))
+    with pytest.raises(CoverageError, match=r"come near 6 cones, but none lies on.*pole that was not taken"):
+        find_mount(near, run.cones, run.T_wcs_pcs, NEAR, MountRange(lever_m=0.3, angle_deg=0.0))
+
+
+def test_a_field_that_is_off_as_a_whole_is_named_as_such() -> None:
+    run = make_run(1, SHORT)
+    how = settings(SHORT, search=NO_SEARCH)
+    # 30 cm: the mount would take it up, were it not for the antenna's marker
+    higher = replace(run, T_wcs_pcs=run.T_wcs_pcs.moved([0.0, 0.0, 0.3, 0.0, 0.0, 0.0]))
+    with pytest.raises(
+        GeometryError, match=r"antenna by its marker lies 2\d\d mm.*datum of the field's targets"
+    ):
+        solved(higher, how, start=NEAR)
+    # 1 m: points come near all cones, and most are left out one after the other
+    far = replace(run, T_wcs_pcs=run.T_wcs_pcs.moved([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(CoverageError, match=r"cones were seen.*most of them are off, that heights and datum"):
+        solved(far, replace(how, search=MountRange(lever_m=0.3, angle_deg=0.0)), start=NEAR)
+
+
 def test_headings_are_counted_around_the_circle() -> None:
     assert seen_headings_deg(np.deg2rad(np.arange(0.0, 360.0, 2.0))) == 360.0
     assert seen_headings_deg(np.deg2rad([3.0] * 10)) == 5.0
@@ -307,7 +363,9 @@ def test_settings_come_from_a_section() -> None:
         "gates": {"min_cones": 4},
         "gates_m": [0.3, 0.1],
         "form_sigma_m": 0.002,
+        "sigma_time_s": 0.002,
     }
     found = InsLidarSettings.from_section(section)
+    assert found.sigma_time_s == 0.002
     assert (found.noise.across_m, found.search.lever_m, found.gates.min_cones) == (0.02, 0.3, 4)
     assert found.form_sigma_m == 0.002

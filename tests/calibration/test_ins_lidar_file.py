@@ -1,16 +1,19 @@
 """Cones of a field for the run about them: with a joint covariance that holds."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from thalweg.calibration.cones import Cone
-from thalweg.calibration.field_description import FieldCone, FieldDescription
+from thalweg.calibration.field_description import AntennaMarker, FieldCone, FieldDescription
 from thalweg.calibration.field_points import FieldPoints
-from thalweg.calibration.ins_lidar_file import field_cones
+from thalweg.calibration.ins_lidar_file import field_cones, seen_antenna
 from thalweg.calibration.marker_sheets import MarkerLayout
 from thalweg.calibration.run_points import FieldCones
-from thalweg.core.errors import InputError
+from thalweg.core.errors import ConfigError, InputError
 
 HALF_RAD = np.deg2rad(25.0)
 PER_CONE = 8
@@ -116,3 +119,10 @@ def test_a_field_without_marks_is_refused() -> None:
     markers = {m for cone in FIELD.cones for m in cone.markers}
     with pytest.raises(InputError, match=r"no cone of the field has a reference.*Take more pictures"):
         field_cones(FIELD, measured(0).without(markers))
+
+
+def test_without_a_camera_the_antennas_marker_is_left_out() -> None:
+    field = replace(FIELD, antenna=AntennaMarker(marker=99, offset_m=-0.02, sigma_m=0.001))
+    assert seen_antenna(field, measured(0), {}, [], [], "position_1") is None
+    with pytest.raises(ConfigError, match="no such file"):
+        seen_antenna(field, measured(0), {}, [Path("poses.parquet")], [Path("nothing.yaml")], "position_1")

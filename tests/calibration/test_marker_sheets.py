@@ -91,8 +91,13 @@ def test_what_cannot_be_printed_is_refused(tmp_path: Path) -> None:
         sheet_picture(1, LAYOUT, 5)
     with pytest.raises(GeometryError, match="0 to 249"):
         sheet_picture(250, LAYOUT, 4)
-    with pytest.raises(GeometryError, match="smaller module"):
-        sheet_page(1, MarkerLayout(module_m=0.03))
+    with pytest.raises(GeometryError, match=r"209 mm wide; expected modules up to 18\.2 mm.*smaller module"):
+        sheet_page(1, MarkerLayout(module_m=0.019))
+    with pytest.raises(GeometryError, match=r"modules of 0\.1 mm; expected at least 2 mm: a camera needs"):
+        sheet_page(1, MarkerLayout(module_m=0.0001))
+    # the bounds themselves can be printed
+    for module_m in (0.002, 0.018):
+        assert sheet_page(1, MarkerLayout(module_m=module_m)).size == (4200, 5940)
     with pytest.raises(InputError, match=r"\[4\] are asked for twice"):
         write_sheets(tmp_path / "a.pdf", [4, 5, 4], LAYOUT)
     with pytest.raises(InputError, match="no marker"):
@@ -101,3 +106,27 @@ def test_what_cannot_be_printed_is_refused(tmp_path: Path) -> None:
         MarkerLayout("DICT_9")
     with pytest.raises(InputError, match="module of 12"):
         MarkerLayout(module_m=12.0)
+
+
+def test_what_exists_stays_and_half_a_set_is_never_written(tmp_path: Path) -> None:
+    pdf, folder = tmp_path / "sheets.pdf", tmp_path / "sheets"
+    for path in (pdf, folder):
+        # the last of them cannot be printed
+        with pytest.raises(GeometryError, match="marker 250"):
+            write_sheets(path, [249, 250], LAYOUT)
+        assert not path.exists()
+    pdf.write_text("mine")
+    with pytest.raises(InputError, match=r"sheets\.pdf exists already.*--force"):
+        write_sheets(pdf, [1], LAYOUT)
+    assert pdf.read_text() == "mine"
+    write_sheets(pdf, [1], LAYOUT, overwrite=True)
+    assert pdf.read_bytes().startswith(b"%PDF")
+    folder.mkdir()
+    (folder / "marker_002.png").write_text("mine")
+    with pytest.raises(InputError, match=r"marker_002\.png exists already\."):
+        write_sheets(folder, [1, 2, 3], LAYOUT)
+    assert [file.name for file in folder.iterdir()] == ["marker_002.png"]
+    # others of the folder are in nobody's way
+    write_sheets(folder, [3], LAYOUT)
+    with pytest.raises(InputError, match=r"'marker\.png' is the name of a picture"):
+        write_sheets(tmp_path / "marker.png", [3], LAYOUT)

@@ -7,12 +7,25 @@ import numpy as np
 import pytest
 
 from thalweg.calibration.marker_sheets import SADDLES_MODULES, MarkerLayout, sheet_picture
-from thalweg.calibration.markers import MIRRORED, NO_SADDLES, TWICE, UNKNOWN, detect, detect_marks
+from thalweg.calibration.markers import (
+    MIRRORED,
+    NO_SADDLES,
+    TWICE,
+    UNKNOWN,
+    Detection,
+    detect,
+    detect_marks,
+)
 from thalweg.core.errors import InputError
 
 LAYOUT = MarkerLayout()
 SUPER = 4
 """Drawn that many times larger in each direction, then averaged as a sensor does."""
+
+
+def rejected_for(found: Detection, reason: str) -> list[int]:
+    """Markers that were rejected for a reason, each once, in order."""
+    return sorted(set(found.rejected.loc[found.rejected["reason"] == reason, "marker"]))
 
 
 def drawn(
@@ -125,17 +138,17 @@ def test_a_mirrored_sheet_is_named() -> None:
     image, _ = drawn(sheets, (720, 200), mirrored=(2,))
     found = detect(image, LAYOUT)
     assert set(found.marks["marker"]) == {0, 1, 3}
-    assert found.markers_with(MIRRORED) == [2]
+    assert rejected_for(found, MIRRORED) == [2]
     whole = detect(np.ascontiguousarray(image[:, ::-1]), LAYOUT)
     assert set(whole.marks["marker"]) == {2}
-    assert whole.markers_with(MIRRORED) == [0, 1, 3]
+    assert rejected_for(whole, MIRRORED) == [0, 1, 3]
 
 
 def test_an_id_that_stands_twice_is_not_used() -> None:
     sheets = [(k, homography((100 + 170 * i, 100), 8.0, 0.2)) for i, k in enumerate((4, 5, 4))]
     found = detect(drawn(sheets, (540, 200))[0], LAYOUT)
     assert set(found.marks["marker"]) == {5}
-    assert found.markers_with(TWICE) == [4]
+    assert rejected_for(found, TWICE) == [4]
     assert len(found.rejected) == 2
 
 
@@ -145,12 +158,12 @@ def test_a_tag_without_saddles_is_no_marker() -> None:
         image[y - 10 : y + 10, x - 10 : x + 10] = 229
     found = detect(image, LAYOUT)
     assert len(found.marks) == 0
-    assert found.markers_with(NO_SADDLES) == [4]
+    assert rejected_for(found, NO_SADDLES) == [4]
 
 
 def test_unknown_ids_are_told() -> None:
     image, _ = drawn([(4, homography((100, 100), 8.0))], (200, 200))
-    assert detect(image, LAYOUT, known={5}).markers_with(UNKNOWN) == [4]
+    assert rejected_for(detect(image, LAYOUT, known={5}), UNKNOWN) == [4]
 
 
 def test_pictures_without_markers_and_no_pictures() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from thalweg.calibration.camera_file import interior_calibration, read_camera
+from thalweg.calibration.camera_lidar_statics import read_statics
 from thalweg.calibration.field_points import FieldPoints, write_points
 from thalweg.calibration.mark_tables import MARKS
 from thalweg.calibration.marker_sheets import MarkerLayout, sheet_picture
@@ -32,16 +33,7 @@ blocks = importlib.util.module_from_spec(_spec)
 sys.modules["field_blocks"] = blocks
 _spec.loader.exec_module(blocks)
 
-FIELD = """
-thalweg_field: 1
-markers: {dictionary: DICT_4X4_250, module_m: 0.012}
-cones:
-  - {name: C1, markers: [1, 3], half_angle_deg: 25.0, length_m: 0.7}
-  - {name: C2, markers: [4, 7], half_angle_deg: 25.0, length_m: 0.7}
-scale_bars:
-  - {name: S1, from: "80/0", to: "81/0", length_m: 1.5, sigma_m: 0.0001}
-  - {name: S2, from: "82/0", to: "83/0", length_m: 1.5, sigma_m: 0.0001}
-"""
+Text = Callable[[list[int], list[int]], str]
 RUN = ["R20210512_083107000.png", "R20210512_083108000.png", "R20210512_083109000.png"]
 
 
@@ -62,14 +54,14 @@ def sheets(path: Path, *ids: int) -> Path:
 
 
 @pytest.fixture
-def recordings(tmp_path: Path) -> Path:
+def recordings(tmp_path: Path, field_text: Text) -> Path:
     """Pictures of positions and of a run; a folder with a dot, and a file beside that is no picture."""
     for k, ids in ((2, (1, 4)), (10, (5,))):
         sheets(tmp_path / f"logs/shots.2021/position_{k}.png", *ids)
     for k, name in enumerate(RUN):
         sheets(tmp_path / "logs/run" / name, k + 1)
     (tmp_path / "logs/run/notes.txt").write_text("no picture")
-    (tmp_path / "field.yaml").write_text(FIELD)
+    (tmp_path / "field.yaml").write_text(field_text([1, 3], [4, 7]))
     return tmp_path
 
 
@@ -180,10 +172,10 @@ def test_files_and_folders_as_one_list(recordings: Path) -> None:
 
 
 def test_the_boats_camera_from_a_file_and_from_nothing(
-    tmp_path: Path, script: Callable[[str], Callable[..., None]]
+    tmp_path: Path, script: Callable[[str], Callable[..., None]], field_text: Text
 ) -> None:
     """Two pictures are enough with a known interior orientation, and too few without."""
-    (tmp_path / "field.yaml").write_text(FIELD)
+    (tmp_path / "field.yaml").write_text(field_text([1, 3], [4, 7]))
     rng = np.random.default_rng(4)
     yard = blocks.yard(2)[0]
     index = tuple((sheet.marker, corner) for sheet in yard for corner in range(4))
@@ -206,7 +198,8 @@ def test_the_boats_camera_from_a_file_and_from_nothing(
     def run(interior: list[Path]) -> None:
         script("orient_camera")(
             marks=tmp_path / "marks.parquet", points=tmp_path / "points.csv", field=tmp_path / "field.yaml",
-            interior=interior, poses=tmp_path / "poses.parquet", camera=tmp_path / "camera.yaml",
+            interior=interior, position_images=[], poses=tmp_path / "poses.parquet",
+            statics=tmp_path / "statics.npz", camera=tmp_path / "camera.yaml",
             residuals=tmp_path / "residuals.csv", report=tmp_path / "report.json", campaign={"id": "x"},
             model="fisheye", focal_px=None,
         )  # fmt: skip
@@ -214,6 +207,7 @@ def test_the_boats_camera_from_a_file_and_from_nothing(
     with pytest.raises(GeometryError, match="2 of 2 pictures of the boat's camera"):
         run([])
     run([tmp_path / "interior.yaml"])
+    assert read_statics(tmp_path / "statics.npz").images == ()
     found = read_camera(tmp_path / "camera.yaml")
     # an observation more only makes it better: within four sigma of what was known
     assert (np.abs(found.parameters - blocks.FISHEYE.parameters) < 4 * sigma).all()

@@ -10,17 +10,11 @@ import pytest
 from scipy.stats import chi2
 
 from thalweg.calibration.boat_camera import orient_on_field, starting_boat_camera
-from thalweg.calibration.camera_poses import (
-    joint_covariance,
-    network_pose_table,
-    orient_images,
-    pose_table,
-    read_poses,
-    write_poses,
-)
+from thalweg.calibration.camera_lidar_statics import statics_of
+from thalweg.calibration.camera_poses import network_pose_table, read_poses, write_poses
 from thalweg.calibration.field_points import FieldPoints
 from thalweg.calibration.ray_resection import pose_from_rays
-from thalweg.calibration.resection import Resected, resect
+from thalweg.calibration.resection import resect
 from thalweg.core.camera import Camera
 from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid, exp_rotation
@@ -125,21 +119,15 @@ def test_derivatives_by_shared_errors() -> None:
 
 
 def test_a_moved_marker_is_named() -> None:
-    images = {
-        f"{k}.jpg": blocks.look(np.array([0.0, 0.1 * k, 1.0]), np.array([4.0, 1.0, 1.0])) for k in range(4)
-    }
-    shown = blocks.observe(SHEETS, images, FISHEYE, 1, largest_angle_deg=70.0)
+    pose = blocks.look(np.array([0.0, 0.1, 1.0]), np.array([4.0, 1.0, 1.0]))
+    shown = seen(FISHEYE, pose, 1)
     marker = int(shown["marker"].mode().iloc[0])
     points = exact()
     elsewhere = points.points_pcs + np.array(
         [[0.02, 0.0, 0.01] if m == marker else [0, 0, 0] for m, _ in NAMES]
     )
-    found = orient_images(
-        shown, {"fisheye": FISHEYE}, FieldPoints(points=NAMES, points_pcs=elsewhere, cov=points.cov)
-    )
-    assert list(found.moved) == [marker]
-    assert f"marker {marker} is off as a whole in 4 of 4 pictures: it was moved" in found.moved[marker]
-    assert len(found.poses) == 4
+    found = resect(FISHEYE, shown, FieldPoints(points=NAMES, points_pcs=elsewhere, cov=points.cov))
+    assert found.moved == (marker,)
 
 
 @pytest.mark.parametrize(
@@ -182,25 +170,8 @@ def test_few_far_markers_that_leave_two_poses() -> None:
         resect(SLR, marks, points)
 
 
-def test_table_of_poses(tmp_path: Path) -> None:
-    poses = {f"{k}.jpg": view(np.random.default_rng(k)) for k in range(3)}
-    marks = blocks.observe(SHEETS, poses, FISHEYE, 1, largest_angle_deg=70.0)
-    few = marks[marks["image"] == "0.jpg"].head(3).assign(image="few.jpg")
-    found = orient_images(pd.concat([marks, few], ignore_index=True), {"fisheye": FISHEYE}, exact())
-    assert set(found.poses) == set(poses)
-    assert found.rejected["image"].tolist() == ["few.jpg"]
-    assert "3 known marks" in found.rejected["reason"].iloc[0]
-    write_poses(tmp_path / "poses.parquet", pose_table(found.poses, {"0.jpg": "positions/0.jpg"}), {})
-    table, read = read_poses(tmp_path / "poses.parquet")
-    assert table["file"].tolist() == ["positions/0.jpg", "1.jpg", "2.jpg"]
-    for image, result in found.poses.items():
-        assert isinstance(result, Resected)
-        np.testing.assert_allclose(read[image].matrix, result.T_pcs_ccs.matrix, atol=1e-12)
-        np.testing.assert_allclose(read[image].cov, result.T_pcs_ccs.cov, rtol=1e-12)
-
-
 @pytest.mark.parametrize("camera", [SLR, FISHEYE], ids=lambda c: c.model)
-def test_the_boats_camera_is_calibrated_on_the_field(camera: Camera) -> None:
+def test_the_boats_camera_is_calibrated_on_the_field(camera: Camera, tmp_path: Path) -> None:
     """Interior orientation from nothing, poses and their joint covariance, with one mark in twenty wrong."""
     rng = np.random.default_rng(8)
     poses = {f"{k:02d}.jpg": view(rng) for k in range(12)}
@@ -213,13 +184,18 @@ def test_the_boats_camera_is_calibrated_on_the_field(camera: Camera) -> None:
     # 1 in 10,000
     assert off @ np.linalg.solve(found.cameras[camera.name].cov, off) < chi2.ppf(0.9999, len(off))
     images = sorted(found.poses)
-    joint = joint_covariance(found, images)
+    joint = statics_of(found, points, images).cov[: 6 * len(images), : 6 * len(images)]
     error = np.concatenate([poses[i].error_from(found.poses[i]) for i in images])
     low, high = chi2.ppf([0.0005, 0.9995], len(error))
     assert low < error @ np.linalg.solve(joint, error) < high
     np.testing.assert_allclose(joint[:6, :6], found.poses[images[0]].cov)
-    table, _ = network_pose_table(found, marks)
+    table, meta = network_pose_table(found, marks)
     assert table["image"].tolist() == images
+    write_poses(tmp_path / "poses.parquet", table, meta)
+    _, read = read_poses(tmp_path / "poses.parquet")
+    for image in images:
+        np.testing.assert_allclose(read[image].matrix, found.poses[image].matrix, atol=1e-12)
+        np.testing.assert_allclose(read[image].cov, found.poses[image].cov, rtol=1e-12)
     # few marks a picture: 20 to 40, with six unknowns
     assert table["sigma0"].between(0.3, 1.8).all()
 
@@ -233,3 +209,12 @@ def test_too_few_pictures_of_the_boats_camera() -> None:
         orient_on_field(marks.assign(marker=200), FISHEYE, exact())
     known = FISHEYE.with_parameters(FISHEYE.parameters, np.diag(np.r_[np.full(4, 1e-2), np.full(4, 1e-10)]))
     assert len(orient_on_field(marks, known, exact(), weighted=True).poses) == 1
+
+
+def test_a_camera_whose_sigmas_are_partly_or_all_zero_is_taken_as_known() -> None:
+    """Files of OpenCV and COLMAP state no sigmas, Kalibr's none of k3: these parameters are held."""
+    marks = seen(FISHEYE, view(np.random.default_rng(2)), 2)
+    assert len(orient_on_field(marks, FISHEYE, exact(), weighted=True).poses) == 1
+    partly = FISHEYE.with_parameters(FISHEYE.parameters, np.diag([1e-2, 1e-2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    (found,) = orient_on_field(marks, partly, exact(), weighted=True).cameras.values()
+    np.testing.assert_array_equal(found.parameters[2:], FISHEYE.parameters[2:])

@@ -191,6 +191,9 @@ MISTAKES = [
      "zero, or a sigma"),
     (r"\n  run: field", "\n  runn: field", "unknown key", "Did you mean run?"),
     (r"observations: 81234", "observations: many", "found 'many'", "a number of observations"),
+    (r"value: -0\.35\b", "value: -350.0", "lidar.values.x_m: a lever arm of (-350,",
+     "Are these millimetres? Then write (-0.35,"),
+    (r"value: -0\.35\b", "value: -35.0", "a lever arm of (-35,", "(-0.35, 1e-05, -0.0025) if centimetres"),
     (r"values:\n      offset_s", "sigma_axes: ics\n    values:\n      offset_s", "without angles", "no such"),
 ]  # fmt: skip
 

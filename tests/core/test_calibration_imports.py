@@ -5,7 +5,13 @@ import pytest
 
 from thalweg.cli import main
 from thalweg.core.calibration_file import read_calibration
-from thalweg.core.calibration_imports import import_kalibr, import_matrix, read_kalibr, read_matrix
+from thalweg.core.calibration_imports import (
+    import_camera,
+    import_kalibr,
+    import_matrix,
+    read_kalibr,
+    read_matrix,
+)
 from thalweg.core.camera import Camera
 from thalweg.core.camera_files import write_colmap, write_opencv
 from thalweg.core.errors import ConfigError, InputError, UnsupportedError
@@ -123,6 +129,8 @@ def test_no_sigma_is_invented(chain, missing):
         ("[458.654", "[-458.654", ConfigError, "positive focal lengths"),
         ("shift_cam_imu: -0.0123", "shift_cam_imu: early", ConfigError, "'early'; expected seconds"),
         ("cam0:", "left:", None, ""),
+        (", 0.070000000]", ", 70.0]", InputError, r":2: cam0\.T_cam_imu: a lever arm of \(70, .*millimetres"),
+        (", -0.110000000]", ", -110.0]", InputError, r"cam1\.T_cn_cnm1: a lever arm of \(-110, .*\(-0\.11,"),
         ("0.000000000, 1.0", "0.1, 1.0", InputError, ":2: cam0.T_cam_imu: the last row"),
     ],
 )  # fmt: skip
@@ -221,6 +229,42 @@ def test_the_command_takes_a_matrix(tmp_path, capsys):
     assert read_calibration(out).to_mounts()["camera"]["sigma_axes"] == "ics"
     with pytest.raises(SystemExit):
         main([*words, "--sigma", "lever=1"])
+
+
+def test_a_matrix_in_millimetres_is_no_lever_arm(tmp_path):
+    T = T_CAM_IMU.copy()
+    T[:3, 3] *= 1000.0
+    path = write_matrix(tmp_path / "m.txt", T)
+    with pytest.raises(
+        InputError, match=r"m\.txt: a lever arm of \(70, -20, 4\) m; expected components up to 20"
+    ):
+        import_matrix(path, SIGMAS)
+    # looked at, it may be any transform
+    assert any("Are these millimetres" in note for note in describe(path).notes)
+    assert read_matrix(path).shift_m[0] == 70.0
+
+
+def test_cameras_come_in_with_the_sigmas_that_are_stated(tmp_path):
+    """What is exactly zero was held at zero by the program that calibrated."""
+    parameters = np.array([3717.25, 3711.0, 2301.0, 1720.0, -0.11, 0.08, 3e-4, -5e-4, 0.0])
+    camera = Camera(model="perspective", size_px=(4592, 3448), parameters=parameters)
+    write_colmap(tmp_path / "cameras.txt", {1: camera, 7: camera})
+    write_opencv(tmp_path / "cam.json", camera)
+    by_colmap = import_camera(tmp_path / "cameras.txt", SIGMAS, kind="colmap", number=7, name="boat")
+    by_opencv = import_camera(tmp_path / "cam.json", SIGMAS, kind="opencv", name="boat")
+    assert by_colmap.labels == by_opencv.labels
+    assert by_colmap.labels[0] == "boat_interior.fx"
+    expected = [0.5, 0.5, 0.3, 0.3, 1e-4, 1e-4, 1e-4, 1e-4, 0.0]
+    for found in (by_colmap, by_opencv):
+        # 0.5 pixels off and on round the last digit of cx
+        np.testing.assert_allclose(found.values, parameters, rtol=1e-15)
+        np.testing.assert_allclose(found.sigmas, expected)
+        assert found.source.method.endswith("sigmas as stated")
+    for number, words in ((None, "2 cameras; expected the number of one: 1, 7"), (2, "there is no camera 2")):
+        with pytest.raises(InputError, match=words):
+            import_camera(tmp_path / "cameras.txt", SIGMAS, kind="colmap", number=number)
+    with pytest.raises(InputError, match="no sigma centre_px"):
+        import_camera(tmp_path / "cam.json", {"focal_px": 1.0}, kind="opencv")
 
 
 def test_describe_says_what_a_foreign_file_does_not(chain, tmp_path):

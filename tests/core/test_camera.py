@@ -138,3 +138,19 @@ def test_wrong_cameras_are_refused(change: dict, answer: str) -> None:
 def test_names_belong_to_the_parameters() -> None:
     for camera in CAMERAS:
         assert len(PARAMETERS[camera.model]) == len(camera.parameters) == len(camera.parameter_names)
+
+
+def test_a_smaller_picture_of_the_same_lens() -> None:
+    whole = Camera(
+        model="perspective",
+        size_px=(1600, 1200),
+        parameters=np.array([1295.0, 1296.0, 804.4, 597.1, -0.06, 0.08, 4e-4, -3e-4, -0.02]),
+        cov=np.diag([1.0, 1.0, 0.25, 0.25, 1e-6, 1e-6, 1e-8, 1e-8, 1e-6]),
+    )
+    half = whole.scaled((800, 600))
+    points = np.array([[0.3, -0.2, 1.5], [-0.5, 0.4, 2.0]])
+    # pixels count from the corner, so that both coordinates simply halve
+    np.testing.assert_allclose(half.project(points), whole.project(points) / 2, atol=1e-12)
+    np.testing.assert_allclose(np.sqrt(np.diag(half.cov))[:5], [0.5, 0.5, 0.25, 0.25, 1e-3])
+    with pytest.raises(GeometryError, match=r"1600 x 1200.*|800 x 450 pixels"):
+        whole.scaled((800, 450))

@@ -10,11 +10,11 @@ from scipy.stats import chi2
 from thalweg.core.errors import ClockError, CoverageError
 from thalweg.core.frames import attitude_axes, rotation_enu_body, rotation_opk
 from thalweg.timing.camera_offset import CameraOffset, camera_offset
-from thalweg.timing.offset_fit import OffsetOptions
-from thalweg.timing.offset_observations import CameraPoses, FieldError, InsAttitude
+from thalweg.timing.offset_fit import OffsetOptions, fit_offset, image_times
+from thalweg.timing.offset_observations import CameraPoses, FieldError, InsAttitude, OffsetModel, OffsetState
 from thalweg.timing.run_motion import MissingMotionError
 from thalweg.timing.track import Track
-from thalweg.timing.variance import estimate_component
+from thalweg.timing.variance import Component, estimate_component
 
 T0 = 3.0e8
 R_ICS_CCS = rotation_opk(np.pi / 2, 0.0, 0.0)
@@ -336,6 +336,32 @@ def test_sigmas_that_are_too_small_are_noticed() -> None:
     assert found.sigma0_squared > found.sigma0_high
     assert any("all sigmas are multiplied" in note for note in found.clock.notes)
     assert found.facts["sigmas_multiplied_by"] == pytest.approx(np.sqrt(found.sigma0_squared))
+
+
+def test_jitters_make_up_for_an_uncertain_clock() -> None:
+    """With jitters of any size an image's own time does not hang on how well the clock's offset is known."""
+    run = simulate(12, 100)
+    found = solve(run, attitude=True)
+    model = OffsetModel(
+        poses=run.poses,
+        track=run.track,
+        reference_s=found.clock.reference_s,
+        ins=run.ins,
+        field_error=run.field,
+    )
+    state = OffsetState(offset_s=found.clock.offset_s, drift=0.0, lever_m=found.lever_ccs_antenna_m)
+    options = OffsetOptions()
+    fit = replace(fit_offset(model, state, options), jitter=Component(variance=100.0, sigma_variance=0.0))
+    worse, lost = fit.cov.copy(), fit.cov.copy()
+    worse[:2, :2] *= 9.0
+    lost[0, 0] = np.inf
+    (_, sure, _, mean), (_, unsure, _, mean_unsure), (_, none, _, no_mean) = (
+        image_times(replace(fit, cov=cov), 1.0, options) for cov in (fit.cov, worse, lost)
+    )
+    assert np.isinf([*none, no_mean]).all()
+    # jitters of 10 s about times of 10 ms: the rest of the offset in them is a millionth
+    assert mean_unsure == pytest.approx(mean, rel=0.01)
+    np.testing.assert_allclose(unsure, sure, rtol=0.01)
 
 
 # ---------------------------------------------------------------- its parts

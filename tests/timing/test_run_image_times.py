@@ -13,7 +13,13 @@ from thalweg.core.errors import ClockError, InputError
 from thalweg.core.tables import frame_of, read_table, write_table
 from thalweg.ingest.image_stamps import IMAGE_STAMPS
 from thalweg.timing.clock_model import ClockModel
-from thalweg.timing.run_image_times import RUN_IMAGE_TIMES, triggered_images
+from thalweg.timing.run_image_times import (
+    RUN_IMAGE_TIMES,
+    image_times_words,
+    read_run_image_times,
+    tied_images,
+    triggered_images,
+)
 
 ROOT = Path(__file__).parents[2]
 T0 = 3.0e8
@@ -78,6 +84,23 @@ def test_images_that_share_a_stamp_find_no_pulse() -> None:
     table = triggered_images(stamps, pulses())[1]
     assert not table["matched"][[7, 8]].any()
     assert (table["reason"][[7, 8]] == "another image has the same stamp").all()
+
+
+def test_the_report_of_times_says_how_many_images_have_them_and_how_good_they_are(tmp_path: Path) -> None:
+    stamps, _ = run(np.random.default_rng(4))
+    _, table, _ = triggered_images(stamps, pulses(), jitter_s=2e-4)
+    write_table(tmp_path / "times.parquet", table, RUN_IMAGE_TIMES)
+    words = image_times_words(read_run_image_times(tmp_path / "times.parquet"))
+    assert words.startswith(
+        "Times of 40 images: 38 by their pulse (sigma up to 0.20 ms), 1 by the camera's own"
+    )
+    assert words.endswith("1 without a time.")
+    clock = ClockModel(offset_s=OFFSET_S, reference_s=T0, cov=np.zeros((2, 2)), jitter_s=0.0163)
+    assert "39 by the camera's own clock (sigma up to 16.30 ms)" in image_times_words(
+        tied_images(stamps, clock)
+    )
+    with pytest.raises(InputError):
+        read_run_image_times(tmp_path / "nothing.parquet")
 
 
 # ---------------------------------------------------------------- the script

@@ -181,6 +181,7 @@ FREE = report(
                 "no common time",
                 "lidar 2021-05-12T08:31:07.000Z .. 2021-05-12T08:31:32.000Z",
                 "ins 2021-05-12T09:31:07.000Z .. 2021-05-12T09:31:32.000Z",
+                "lidar against ins: shifted by +1:00 h it would overlap: its hour or its time zone is wrong",
                 "the leap seconds and the hour of the lidar",
             ],
         ),

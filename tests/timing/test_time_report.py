@@ -11,12 +11,14 @@ from scipy.spatial.transform import Rotation
 from thalweg.core.errors import ClockError, CoverageError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.rigid import Rigid
+from thalweg.core.tables import frame_of
 from thalweg.core.timescales import gps_from_unix
 from thalweg.core.trajectory import Trajectory
 from thalweg.ingest.integrity import IntegrityReport
 from thalweg.ingest.stamps import StreamTiming
 from thalweg.timing.clock_model import ClockModel
 from thalweg.timing.lag import Lag
+from thalweg.timing.run_image_times import RUN_IMAGE_TIMES
 from thalweg.timing.streams import stream_table
 from thalweg.timing.synchronise import offset_options, run_attitude, run_poses
 from thalweg.timing.time_report import COLUMNS, Speeds, report_lines, time_report
@@ -193,3 +195,22 @@ def test_options_and_attitudes_of_a_campaign() -> None:
     assert run_attitude(states, FRAME, OPTIONS | {"use_attitude": False}) is None
     with pytest.raises(CoverageError, match="0 INS states"):
         run_attitude(states.assign(t_gps_s=np.nan), FRAME, OPTIONS)
+
+
+def test_times_by_pulses_stand_in_the_cameras_remark() -> None:
+    times = frame_of(RUN_IMAGE_TIMES, {
+        "file": ["a.jpg", "b.jpg"], "t_device_s": [T0, T0 + 1], "t_gps_s": [T0 + 0.1, T0 + 1.1],
+        "sigma_s": [2e-4, 0.02], "matched": [True, False], "reason": ["", "no pulse"],
+    })  # fmt: skip
+    clock = ClockModel(offset_s=0.1, reference_s=T0, cov=np.zeros((2, 2)), source="hardware trigger")
+    speeds = Speeds.of(trajectory(0.4, 7.0))
+    remark = (
+        time_report(streams(), speeds, camera=clock, image_times=times)
+        .set_index("stream")
+        .loc["camera", "remark"]
+    )
+    assert (
+        "1 by their pulse (sigma up to 0.20 ms), 1 by the camera's own clock (sigma up to 20.00 ms)" in remark
+    )
+    plain = time_report(streams(), speeds, camera=clock).set_index("stream").loc["camera", "remark"]
+    assert "Times of" not in plain

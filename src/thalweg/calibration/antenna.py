@@ -11,15 +11,22 @@ GNSS, which keep for seconds; the marker sees it to a millimetre. Neither sees t
 antenna's lever arm defines.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from thalweg.calibration.ins_lidar_model import AntennaPoint
 from thalweg.core.errors import GeometryError
+from thalweg.core.frames import rotation_opk
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
+
+NOMINAL_M: Final = 0.5
+NOMINAL_SIGMAS: Final = 5.0
+"""An antenna that lies farther from where the mounts have it, in metres and in sigmas, is another marker."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +118,8 @@ def antenna_lever(
     T_pcs_ccs : pose of the camera at that position, with covariance.
     T_ccs_scs : relative orientation of the lidar, with covariance.
     cov_mark_pose : (3, 6) covariance of the mark with the error of ``T_pcs_ccs``; None: independent. That
-        makes the sigmas of the antenna larger by what both share, see `ins_lidar_file.field_antenna`.
+        makes the sigmas of the antenna larger by what both share: on a field of six cones by the factors
+        1.06, 1.3 and 1.2, see `ins_lidar_file.field_antenna`.
     """
     x_ccs = T_pcs_ccs.inverse().apply(mark.point_m[None])[0]
     J = T_pcs_ccs.by_error(x_ccs[None])[0]
@@ -128,6 +136,47 @@ def antenna_lever(
         cov_scs_m2=(cov_scs + cov_scs.T) / 2,
         by_camera_lidar=back,
     )
+
+
+def check_nominal(
+    seen: AntennaLever, lidar: Mapping[str, Any], antenna: Mapping[str, Any], *, marker: int
+) -> None:
+    """Refuse a marker that does not lie where the mounts have the antenna: one of another sheet or place.
+
+    Nothing is compared where the campaign states no place of the lidar.
+
+    Parameters
+    ----------
+    seen : the antenna by the marker.
+    lidar, antenna : nominal mounts with their sigmas, as `thalweg.calibration.mounts.read_mounts` gives them.
+    marker : number of the print, for the message.
+
+    Raises
+    ------
+    GeometryError : both `NOMINAL_M` and `NOMINAL_SIGMAS` are exceeded; with both places.
+    """
+    lever = np.asarray(lidar["lever_ics_m"], dtype=np.float64)
+    if not lever.any():
+        return
+    R = rotation_opk(*np.deg2rad([lidar[f"{name}_deg"] for name in ("omega", "phi", "kappa")]))
+    arm = R @ seen.x_scs_m
+    place, stated = lever + arm, np.asarray(antenna["lever_ics_m"], dtype=np.float64)
+    turn = np.deg2rad(max(lidar[f"sigma_{name}_deg"] for name in ("omega", "phi", "kappa")))
+    variance = np.square(lidar["sigma_lever_m"]) + np.square(antenna["sigma_lever_m"])
+    cov = R @ seen.cov_scs_m2 @ R.T + np.diag(variance) + (turn * np.linalg.norm(arm)) ** 2 * np.eye(3)
+    off = place - stated
+    size = float(np.linalg.norm(off))
+    sigma = float(np.sqrt(off @ cov @ off) / max(size, 1e-9))
+    if size > max(NOMINAL_M, NOMINAL_SIGMAS * sigma):
+        by_marker, by_mounts = (", ".join(f"{v:+.2f}" for v in p) for p in (place, stated))
+        raise GeometryError(
+            f"marker {marker} puts the antenna at ({by_marker}) m in the boat's frame, {size:.2f} m from its "
+            f"lever arm ({by_mounts}) m",
+            expected=f"at most {NOMINAL_M:g} m, or {NOMINAL_SIGMAS:g} sigmas of {sigma:.3f} m",
+            cure="Check the number of the antenna's marker in the field description, that the same number is "
+            "on no other sheet, the position at which it was photographed "
+            "(calibration.ins_lidar.antenna_position), and mounts.antenna and mounts.lidar",
+        )
 
 
 def _skew(a: ArrayF) -> ArrayF:

@@ -140,8 +140,10 @@ def calibrate_board(
     beam_errors : accuracy of the scanner.
     settings : see there.
 
-    Raises ------ UnobservableError : too few poses, or boards seen alike: names the poses and the orientation
-    that is missing.
+    Raises
+    ------
+    UnobservableError : too few poses, or boards seen alike: names the poses and the orientation that is
+        missing.
     GeometryError : the boards were not found in the scans.
     """
     settings = settings or BoardSettings()
@@ -187,8 +189,10 @@ def calibrate_board(
 def refuse_alike(views: Sequence[BoardView], least_angle_deg: float, *, asked: int | None = None) -> None:
     """Refuse poses that leave a direction undetermined.
 
-    Raises ------ UnobservableError : fewer than three poses, or normals that spread too little; names the
-    poses that are alike.
+    Raises
+    ------
+    UnobservableError : fewer than three poses, or normals that spread too little; names the poses that are
+        alike.
     """
     names = [v.name for v in views]
     if len(views) < 3:
@@ -281,18 +285,21 @@ def _adjusted(
     covs = np.stack([board_factor * _plane_cov(v, settings) for v in measured])
 
     def update(x: _State, dx: ArrayF) -> _State:
+        """Small changes put on the state."""
         views = [_shifted(v, dx[6 + 3 * i : 9 + 3 * i]) for i, v in enumerate(x.views)]
         return _State(
             T=x.T.moved(dx[:6]), views=tuple(views), offset_m=x.offset_m + (float(dx[-1]) if extra else 0.0)
         )
 
     def boards(x: _State) -> Linear:
+        """Planes of the boards as the camera measured them."""
         residual = np.concatenate([_difference(v, m) for v, m in zip(x.views, measured, strict=True)])
         J = np.zeros((3 * b, u))
         J[:, 6 : 6 + 3 * b] = np.eye(3 * b)
         return Linear(residual=residual, jacobian=J, cov=covs)
 
     def lidar(x: _State) -> Linear:
+        """Ranges to the planes."""
         parts, rows = [], []
         for i, (view, scan) in enumerate(zip(x.views, scans, strict=True)):
             beam = scan.beam_scs @ x.T.R.T
@@ -312,6 +319,7 @@ def _adjusted(
         return Linear(residual=np.concatenate(parts), jacobian=np.concatenate(rows), cov=variance)
 
     def edges(x: _State) -> Linear:
+        """Ends of the scan lines at the sides of the boards."""
         parts, rows = [], []
         for i, (view, scan) in enumerate(zip(x.views, scans, strict=True)):
             r, by_T, by_plane = edge_rows(view, x.T, scan.edges)

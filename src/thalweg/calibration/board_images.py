@@ -157,7 +157,10 @@ def board_view(name: str, corners_px: ArrayF, board: Checkerboard, camera: Camer
     start = Rigid(R=cv2.Rodrigues(turn)[0], shift_m=shift.ravel())
 
     def model(sigma_px: float) -> Observations[Rigid]:
+        """Corners with one sigma for all."""
+
         def linear(T: Rigid) -> Linear:
+            """Pixels of the corners less the measured ones."""
             at = T.apply(object_m)
             xy, by_point, by_parameters = camera.project_with_derivatives(at)
             J = by_point @ np.concatenate(

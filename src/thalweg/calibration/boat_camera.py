@@ -14,8 +14,8 @@ from thalweg.calibration.bundle import Control, Problem, reduced, solve, start_s
 from thalweg.calibration.bundle_cleaning import clean
 from thalweg.calibration.field_network import FieldNetwork, network_of
 from thalweg.calibration.field_points import FieldPoints
-from thalweg.calibration.network_start import Block, block_of
-from thalweg.calibration.nominal_camera import best_nominal, nominal_camera
+from thalweg.calibration.mark_block import Block, block_of
+from thalweg.calibration.nominal_camera import starting_camera_by
 from thalweg.calibration.ray_resection import pose_from_rays
 from thalweg.core.camera import PARAMETERS, Camera, Model
 from thalweg.core.errors import GeometryError
@@ -90,16 +90,15 @@ def starting_boat_camera(
     focal_px: float | None = None,
 ) -> Camera:
     """Nominal interior orientation of the boat's camera; without a focal length several are tried."""
-    if focal_px is not None:
-        return nominal_camera(name, model, size_px, focal_px)
     known = known_marks(marks, points)
 
     def misfit(camera: Camera) -> float:
+        """How badly the pictures fit the field by this camera, pixels."""
         block = block_of(known, dict.fromkeys(set(known["camera"]), camera))
         poses, left, angle = start_poses(block, points)
         return angle * float(camera.parameters[0]) * (len(left) / max(len(poses), 1) + 1.0) ** 2
 
-    return best_nominal(name, model, size_px, misfit)
+    return starting_camera_by(misfit, name, model, size_px, focal_px)
 
 
 def orient_on_field(
@@ -128,6 +127,11 @@ def orient_on_field(
     poses, left, _ = start_poses(block, points)
     rejected = [("image", image, reason) for image, reason in left.items()]
     estimated = tuple(PARAMETERS[camera.model]) if free is None else tuple(free)
+    if weighted:
+        # what is stated without sigma is known and no observation
+        sigma = dict(zip(camera.parameter_names, np.diag(camera.cov), strict=True))
+        estimated = tuple(name for name in estimated if sigma[name] > 0)
+        weighted = bool(estimated)
     if not poses or (len(poses) < _FEW_IMAGES and estimated and not weighted):
         told = "; ".join(f"{image}: {reason}" for image, reason in list(left.items())[:3])
         raise GeometryError(

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from scipy import sparse
 
-from thalweg.calibration.network_start import Block
+from thalweg.calibration.mark_block import Block
 from thalweg.core.adjustment import Adjusted, Linear, Observations, adjust
 from thalweg.core.camera import Camera
 from thalweg.core.errors import GeometryError
@@ -129,6 +129,7 @@ def solve(problem: Problem, start: State, *, max_iterations: int = 60) -> tuple[
     layout = Layout(problem, start.cameras)
 
     def inner(x: State) -> ArrayF:
+        """Constraints of a free network at a state."""
         return inner_constraints(x.X, layout, scale=not problem.bars)
 
     adjusted = adjust(

@@ -17,9 +17,10 @@ from thalweg.calibration.bundle import (
     settle,
     solve,
 )  # fmt: skip
+from thalweg.calibration.mark_block import Block
 from thalweg.calibration.marker_sheets import mark_name, parse_mark
-from thalweg.calibration.network_start import Block
-from thalweg.core.adjustment import Adjusted
+from thalweg.calibration.ray_resection import pose_from_rays
+from thalweg.core.adjustment import Adjusted, UnobservableError
 from thalweg.core.errors import GeometryError
 from thalweg.core.types import ArrayB, ArrayF
 
@@ -40,6 +41,10 @@ _BAD_SHARE: Final = 0.4
 _WRONG_CORNERS: Final = 3
 _ROUNDS: Final = 40
 _READMITTING: Final = 8
+_WELL: Final = 0.6
+"""Share of near marks below which the pose of a picture is doubted."""
+_NEAR_RAD: Final = 0.005
+_AGAIN: Final = 3
 _GROSS: Final = 8.0
 """Standardised residual beyond which a mark does not take part at first."""
 
@@ -54,11 +59,16 @@ def clean(
     problem, x : the bundle and approximate values.
     few : markers for which two pictures are enough: that of the antenna, which is seen from above only.
 
-    Returns ------- The problem without wrong pictures and markers, with ``used`` marks, the last adjustment
-    and its layout, and what was rejected as (what, name, reason).
+    Returns
+    -------
+    The problem without wrong pictures and markers, with ``used`` marks, the last adjustment and its layout,
+    and what was rejected as (what, name, reason).
     """
     rejected: list[Rejected] = []
     x = settle(problem, x)
+    again = _reposed(problem, x)
+    if again is not None:
+        x = settle(problem, again)
     problem = _rescaled(problem, _robust_factor(problem, x))
     problem = replace(problem, used=mark_lengths(problem, x) < _GROSS)
     limit = float(chi2.isf(chi2.sf(REJECT_SIGMAS**2, 1), 2))
@@ -75,7 +85,7 @@ def clean(
         before = problem
         problem, x, lost = thinned(problem, x, images, points, few or set(), doubt=stable)
         rejected += _told(before, lost)
-        adjusted, layout = solve(problem, x)
+        adjusted, layout = _solved(problem, x)
         x = adjusted.x
         if stable and not reasons and not lost:
             break
@@ -90,6 +100,46 @@ def clean(
             weak = _contradicting(problem, tests)
     factor = {k: np.sqrt(s) for k, s in _sigma0_squared(problem, adjusted).items()}
     return _rescaled(problem, factor), adjusted, layout, rejected
+
+
+def _solved(problem: Problem, x: State) -> tuple[Adjusted[State], Layout]:
+    """`solve`; pictures that few marks tie to the rest need the long steps of `settle` before."""
+    for _ in range(_AGAIN):
+        try:
+            return solve(problem, x)
+        except UnobservableError:
+            raise
+        except GeometryError:
+            x = settle(problem, x, steps=20)
+    return solve(problem, x)
+
+
+def _reposed(problem: Problem, x: State) -> State | None:
+    """The state with pictures resected anew that fit badly when the others have settled, or None."""
+    block = problem.block
+    lengths = mark_lengths(problem, x)
+    near = lengths < _GROSS * max(1.0, float(np.median(lengths)))
+    n = len(block.images)
+    share = np.bincount(block.image[near], minlength=n) / np.maximum(np.bincount(block.image, minlength=n), 1)
+    good = near & (share[block.image] >= _WELL)
+    known = np.bincount(block.point[good], minlength=len(block.points)) >= 2
+    if problem.control is not None:
+        known[problem.control.at] = True
+    R, C, changed = x.R.copy(), x.C.copy(), False
+    for i in np.flatnonzero(share < _WELL):
+        mine = np.flatnonzero((block.image == i) & known[block.point])
+        rays = x.cameras[problem.camera[i]].rays(block.xy_px[mine])
+        mine, rays = mine[np.isfinite(rays).all(axis=1)], rays[np.isfinite(rays).all(axis=1)]
+        if len(mine) < LEAST_MARKS or len(set(block.marker[mine])) < 2:
+            continue
+        try:
+            there, markers = x.X[block.point[mine]], block.marker[mine]
+            pose, angles = pose_from_rays(there, rays, markers, cap_rad=_NEAR_RAD)
+        except GeometryError:
+            continue
+        if (angles < _NEAR_RAD).mean() > max(_WELL, share[i]):
+            R[i], C[i], changed = pose.R, pose.shift_m, True
+    return State(x.cameras, R, C, x.X) if changed else None
 
 
 def _contradicting(problem: Problem, tests: ArrayF) -> ArrayB:

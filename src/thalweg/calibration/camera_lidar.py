@@ -1,9 +1,10 @@
 """Relative orientation of camera and lidar from cones: one adjustment of everything that sees them (P2 3.1).
 
-1. Each cone of the field from its reference points (`cone_fit`). 2. The orientation of the lidar, roughly,
-from all cones at once (`cone_search`). 3. Points of each cone by their nominal beams (`cone_selection`), then
-one adjustment (`camera_lidar_model`); both
-   again until the orientation stays.
+1. Each cone of the field from its reference points (`cone_fit`).
+2. The orientation of the lidar, roughly, from all cones at once (`cone_search`); scans that belong to other
+   pictures are named (`camera_lidar_pairs`).
+3. Points of each cone by their nominal beams (`cone_selection`), then one adjustment (`camera_lidar_model`);
+   both again until the orientation stays.
 4. Each cone against all others (`cone_check`): what stands elsewhere than the reference says is left out and
    named, the worst first, and all is adjusted again.
 
@@ -13,6 +14,7 @@ against each other, and the small mean distance of points from curved surfaces g
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -29,6 +31,7 @@ from thalweg.calibration.camera_lidar_model import (
     groups_of,
     lidar_rows,
 )
+from thalweg.calibration.camera_lidar_pairs import refuse_swapped
 from thalweg.calibration.camera_lidar_settings import CameraLidarSettings
 from thalweg.calibration.camera_lidar_tables import (
     detection_table,
@@ -46,13 +49,15 @@ from thalweg.calibration.cone_selection import (
     Verdict,
     select,
 )
+from thalweg.calibration.cone_views import AGAIN, beside_its_place, nowhere, out_of_view, without_support
 from thalweg.calibration.cones import Cone
-from thalweg.core.adjustment import Adjusted, adjust
+from thalweg.core.adjustment import Adjusted, UnobservableError, adjust
 from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid
 
 _COARSE_M: Final = 0.05
 _ROUNDS: Final = 8
+_ENOUGH_POINTS: Final = 8
 _IN_THE_WAY: Final = 0.1
 _STAYS: Final = 0.05
 """Part of a sigma by which the orientation may still change from one selection of points to the next."""
@@ -129,8 +134,7 @@ def calibrate_camera_lidar(
     ----------
     references : cones of the field with their reference points.
     positions : static positions. For P1's variant, the exterior orientation of the lidar itself, give one
-    with
-        the identity as orientation of the camera.
+        with the identity as orientation of the camera.
     nominal : T_ccs_scs as the mounts say.
     settings : see there.
     errors : what exterior orientations and reference points share; None: their own covariances.
@@ -155,10 +159,11 @@ def calibrate_camera_lidar(
     if settings.within is not None:
         found = search(cones, lengths, positions, nominal, settings.within)
         start = found.T_ccs_scs
+        odd = refuse_swapped(cones, lengths, positions, nominal, settings.within, found, settings.least_score)
         if found.score < settings.least_score:
             raise GeometryError(
                 f"no orientation near the nominal one brings scans and cones together: in the best one the "
-                f"balance of {found.beams} beams is {found.score:.2f}",
+                f"balance of {found.beams} beams is {found.score:.2f} ({', '.join(odd)})",
                 expected=f"at least {settings.least_score:g}, where 1 is every beam on its cone",
                 cure="Check that scans and reference show the same field, the exterior orientations, and the "
                 "nominal mounts: they may be off by some decimetres and 6 degrees",
@@ -176,7 +181,15 @@ def calibrate_camera_lidar(
     )
     _without_support(work)
     while True:
-        adjusted, selections, layout = _until_it_stays(work)
+        try:
+            adjusted, selections, layout = _until_it_stays(work)
+        except UnobservableError:
+            raise
+        except GeometryError:
+            # A cone that stands elsewhere may leave the adjustment without a solution.
+            if not _beside(work):
+                raise
+            continue
         moved = displacements(adjusted, layout, _scans(work, selections, layout), settings.contradiction_m)
         bad = worst(moved, settings.contradiction_sigmas)
         if bad is None:
@@ -194,10 +207,14 @@ def _reference_cones(
             fits[r.name] = fit_reference(r, free_half_angle=settings.free_half_angle)
         except GeometryError as error:
             refused[r.name] = str(error)
-    if not fits:
+    marked = [r.name for r in references if r.name in fits or len(r.points_m) >= _ENOUGH_POINTS]
+    lost = [name for name in marked if name in refused]
+    # Cones that were described wrongly are no mishap of some; the rest would tell of something else.
+    if not fits or 2 * len(lost) > len(marked):
+        told = [refused[name] for name in lost] or list(refused.values())
         raise GeometryError(
-            f"none of {len(references)} cones can be used: {'; '.join(refused.values())}",
-            expected="at least two cones with reference points",
+            f"{len(refused)} of {len(references)} cones cannot be used: {' '.join(told)}",
+            expected="at least two cones with reference points, and most of them as described",
         )
     return fits, refused
 
@@ -213,25 +230,23 @@ def _select(work: _Work, slack_m: float) -> list[Selection]:
 
 def _without_support(work: _Work) -> None:
     """Note the cones that are not where the reference says, or not seen, before anything is adjusted."""
+    how = work.settings
     for p, selection in enumerate(_select(work, _COARSE_M)):
-        for k in range(len(work.references)):
-            n = selection.counts(k)
-            used, through = n[Verdict.USED], n[Verdict.BEHIND]
-            aimed = used + through + n[Verdict.IN_FRONT]
-            if sum(n.values()) == 0:
-                work.out[p, k] = "outside the lidar's view"
-            elif n[Verdict.IN_FRONT] > used + through:
-                work.out[p, k] = f"hidden: {n[Verdict.IN_FRONT]} of {aimed} beams were reflected before it"
-            elif aimed < work.settings.least_points:
-                work.out[p, k] = (
-                    f"too few points: {aimed} beams meet it inside its outline, at least "
-                    f"{work.settings.least_points} are needed"
-                )
-            elif used < work.settings.least_support * (used + through):
-                work.out[p, k] = (
-                    f"not where the reference says: {through} of {used + through} beams went through "
-                    "its place; it fell over or was moved"
-                )
+        T, out = work.x.poses[p] @ work.x.T_ccs_scs, {}
+        for k, reference in enumerate(work.references):
+            why = without_support(
+                selection.counts(k),
+                least_points=how.least_points,
+                least_support=how.least_support,
+                view=partial(out_of_view, work.x.cones[k], reference.length_m, T, work.positions[p]),
+            )
+            if why:
+                out[k] = why
+        if nowhere(selection, len(work.references), out):
+            apart = "no cone is where scan and picture of this position together say: they do not belong "
+            apart += "together, or the boat moved between them. Record the position again. Of this cone: "
+            out = {k: apart + why for k, why in out.items()}
+        work.out |= {(p, k): why for k, why in out.items()}
 
 
 def _scans(work: _Work, selections: Sequence[Selection], layout: Layout) -> list[ConeScan]:
@@ -319,6 +334,18 @@ def _noise(work: _Work, adjusted: Adjusted[Unknowns]) -> float:
     return float(change)
 
 
+def _beside(work: _Work) -> bool:
+    """Leave out, at each position, the cone that is farthest off its place; whether there was one."""
+    changed = False
+    for p, selection in enumerate(_select(work, _COARSE_M)):
+        T = work.x.poses[p] @ work.x.T_ccs_scs
+        far = beside_its_place(work.x.cones, T, work.positions[p], selection)
+        new = [k for k in far if (p, k) not in work.out][:1]
+        work.out |= {(p, k): far[k] for k in new}
+        changed |= bool(new)
+    return changed
+
+
 def _leave_out(work: _Work, bad: Displacement, selections: Sequence[Selection]) -> None:
     k = work.layout.cones.index(bad.cone)
     off = (
@@ -330,9 +357,10 @@ def _leave_out(work: _Work, bad: Displacement, selections: Sequence[Selection]) 
             n = selections[p].counts(k)
             before, aimed = n[Verdict.IN_FRONT], n[Verdict.IN_FRONT] + n[Verdict.USED] + n[Verdict.BEHIND]
             work.out[p, k] = (
-                f"partly hidden: {before} of {aimed} beams were reflected before it, the rest is {off}"
+                f"partly hidden: {before} of {aimed} beams were reflected before it, the rest is {off}. "
+                f"Clear the view, then {AGAIN}"
                 if before > _IN_THE_WAY * aimed
-                else f"not where the reference says: {off}; it was moved"
+                else f"not where the reference says: {off}; it was moved. Set it up, then {AGAIN}"
             )
 
 

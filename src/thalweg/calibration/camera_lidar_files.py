@@ -1,7 +1,7 @@
 """Results of the camera-lidar calibration as files: the calibration, tables, and what the figures need."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -68,6 +68,7 @@ def write_camera_lidar(
     run: str,
     sigma_m: float,
     twin: bool = False,
+    left_out: Mapping[str, str] | None = None,
 ) -> None:
     """Write everything that a calibration found.
 
@@ -78,11 +79,13 @@ def write_camera_lidar(
     run : campaign.
     sigma_m : stated standard deviation of a lidar point in each coordinate, for the study of the design.
     twin : true if the digital twin made the recordings.
+    left_out : pictures and recordings of static positions that took no part, with the reason.
     """
     for path in (getattr(files, name) for name in files.__slots__):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_calibration(files.camera_lidar, relative_calibration(result, run, twin=twin))
-    files.report.write_text(json.dumps(report(result, nominal), indent=2) + "\n")
+    facts = report(result, nominal) | {"left_out": dict(left_out or {})}
+    files.report.write_text(json.dumps(facts, indent=2) + "\n")
     names = result.detection["position"].unique().tolist()
     poses = sensor_table(names, result.adjusted.x.poses, result.T_ccs_scs)
     correlation = correlation_table(result.adjusted.names, result.adjusted.correlation())
@@ -116,4 +119,6 @@ def study_of(result: CameraLidar, references: Sequence[ConeReference], sigma_m: 
     planned = [planned_scan(cones, lengths, T @ result.T_ccs_scs, once, SelectionLimits()) for T in poses]
     points = sum(len(scan.cone) for scan in planned)
     revolutions = max(1, round(int(result.residuals["points"].sum()) / max(points, 1)))
-    return design_study(used, cones, poses, result.T_ccs_scs, replace(once, revolutions=revolutions))
+    pattern = replace(once, revolutions=revolutions)
+    free = any(name.endswith(".half_angle") for name in result.adjusted.names)
+    return design_study(used, cones, poses, result.T_ccs_scs, pattern, free_half_angle=free)

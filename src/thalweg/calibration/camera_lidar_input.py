@@ -1,13 +1,15 @@
 """What the camera-lidar calibration reads: cones of the field, static scans, and what their errors share."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pandas as pd
 
 from thalweg.calibration.camera_lidar_model import FieldErrors
+from thalweg.calibration.camera_lidar_statics import Statics
 from thalweg.calibration.cone_fit import FORM_SIGMA_M, ConeReference
 from thalweg.calibration.cone_selection import BeamVariances, Position
 from thalweg.calibration.field_description import FieldDescription
@@ -72,7 +74,9 @@ def field_errors(
     """Joint covariance of the exterior orientations of static positions and of the marks on the cones.
 
     Two exterior orientations share the errors of the marks they come from and, if one camera took both
-    pictures, those of its interior orientation.
+    pictures, those of its interior orientation. That holds for pictures that were resected one by one with an
+    interior orientation from elsewhere. If the same pictures calibrated the camera, their marks would be used
+    twice: take `thalweg.calibration.camera_lidar_statics` then.
 
     Parameters
     ----------
@@ -142,10 +146,19 @@ def read_scan(files: Sequence[Path], options: LidarOptions, clock: LidarClock) -
     return np.concatenate(xyz), np.concatenate(reflectivity)
 
 
-def static_positions(scans: Sequence[Path], images: Sequence[str]) -> dict[str, tuple[Path, str]]:
-    """Capture file and picture of each static position, by the name of the position.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pairs:
+    """Capture file and picture of each static position, by its name; and what has no counterpart and why."""
 
-    They belong together if their names are the same but for the suffix; if no names are, in their order.
+    pairs: dict[str, tuple[Path, str]]
+    left_out: dict[str, str]
+
+
+def static_positions(scans: Sequence[Path], images: Sequence[str]) -> Pairs:
+    """Capture files and pictures that belong together.
+
+    They do if their names are the same but for the suffix; if no names are, and there are as many of one as
+    of the other, in their order. A picture without a recording takes no part, and is named.
 
     Parameters
     ----------
@@ -154,7 +167,7 @@ def static_positions(scans: Sequence[Path], images: Sequence[str]) -> dict[str, 
 
     Raises
     ------
-    InputError : no scans, or a scan without a picture.
+    InputError : no scans, two of one name, or a scan without a picture.
     """
     files = [f for path in scans for f in (_in_order(path) if path.is_dir() else [path])]
     files = [f for f in files if f.suffix.lower() in CAPTURES]
@@ -164,8 +177,18 @@ def static_positions(scans: Sequence[Path], images: Sequence[str]) -> dict[str, 
             expected=f"one lidar recording a static position ({', '.join(CAPTURES)})",
             cure="Set logs.calibration.position_scans",
         )
+    _require_names([f.name for f in files], "lidar recordings", "position_scans")
+    _require_names(images, "pictures", "position_images")
     by_stem = {Path(image).stem: image for image in images}
-    if not any(f.stem in by_stem for f in files) and len(files) == len(images):
+    if not any(f.stem in by_stem for f in files):
+        if len(files) != len(images):
+            raise InputError(
+                f"{len(files)} lidar recordings ({', '.join(f.name for f in files)}) and {len(images)} "
+                f"pictures ({', '.join(images) or 'none'}) of static positions, none of one name",
+                expected="the same name for recording and picture, or as many of one as of the other",
+                cure="Give each picture the name of its recording, or leave out what has no counterpart in "
+                "logs.calibration.position_scans and position_images",
+            )
         by_stem = {f.stem: image for f, image in zip(files, images, strict=True)}
     missing = [f.name for f in files if f.stem not in by_stem]
     if missing:
@@ -174,34 +197,70 @@ def static_positions(scans: Sequence[Path], images: Sequence[str]) -> dict[str, 
             expected="a picture of the same name for each lidar recording, or as many of one as of the other",
             cure="Set logs.calibration.position_images, or leave these recordings out",
         )
-    return {f.stem: (f, by_stem[f.stem]) for f in files}
+    pairs = {f.stem: (f, by_stem[f.stem]) for f in files}
+    have = {image for _, image in pairs.values()}
+    alone = {image: "no lidar recording has its name" for image in images if image not in have}
+    return Pairs(pairs=pairs, left_out=alone)
 
 
-def static_images(marks: pd.DataFrame, images: Sequence[Path]) -> list[str]:
-    """Names of the pictures of static positions that have marks, in the order of the pictures.
+def oriented(pairs: Pairs, statics: Statics) -> tuple[dict[str, tuple[Path, str]], dict[str, str]]:
+    """Positions whose picture has a pose, and everything that takes no part with the reason.
+
+    Raises
+    ------
+    InputError : no position is left.
+    """
+    good = {name: pair for name, pair in pairs.pairs.items() if pair[1] in statics.images}
+    left_out = dict(pairs.left_out)
+    for name, (file, image) in pairs.pairs.items():
+        if name not in good:
+            why = statics.lost.get(image, "it was not among the pictures that were oriented")
+            left_out[image] = f"it has no pose, and {file.name} takes no part: {why}"
+    if not good:
+        told = "; ".join(f"{image}: {why}" for image, why in left_out.items())
+        raise InputError(
+            f"none of {len(pairs.pairs)} static positions can be used ({told})",
+            expected="a picture with a pose for one lidar recording or more",
+            cure="Record the positions again so that the camera sees more markers of the field",
+        )
+    return good, left_out
+
+
+def static_images(images: Sequence[Path]) -> list[str]:
+    """Names of the pictures of static positions, in their order.
 
     Parameters
     ----------
-    marks : table kind ``marks`` of one camera, in which each picture has a name of its own.
     images : files, or folders of them.
 
     Raises
     ------
     InputError : a file or folder does not exist, or a folder is without pictures.
     """
-    with_marks = set(marks["image"])
-    names = dict.fromkeys(path.name for path in list_images(images))
-    return [name for name in names if name in with_marks]
+    return [path.name for path in dict.fromkeys(list_images(images))]
 
 
 def nominal_orientation(mounts: Mapping[str, Any]) -> Rigid:
     """``T_ccs_scs`` by the sections ``mounts.camera`` and ``mounts.lidar``, without covariance."""
 
     def mount(section: Mapping[str, Any]) -> Rigid:
+        """``T_ics_sensor`` of one section."""
         angles = np.deg2rad([float(section[f"{a}_deg"]) for a in ("omega", "phi", "kappa")])
         return Rigid.from_opk(angles, section["lever_ics_m"])
 
     return mount(mounts["camera"]).inverse() @ mount(mounts["lidar"])
+
+
+def _require_names(names: Sequence[str], what: str, setting: str) -> None:
+    """Refuse two files of one name: which of them belongs to the other kind cannot be told."""
+    stems = Counter(Path(name).stem for name in names)
+    twice = [name for name in names if stems[Path(name).stem] > 1]
+    if twice:
+        raise InputError(
+            f"{what} of static positions with the same name: {', '.join(twice)}",
+            expected="a name of its own for each position",
+            cure=f"Rename them, or leave all but one out of logs.calibration.{setting}",
+        )
 
 
 def _in_order(folder: Path) -> list[Path]:

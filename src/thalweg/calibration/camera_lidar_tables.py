@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from thalweg.calibration.camera_lidar import CameraLidar
 
 FOUND: Final = "found"
+_ON_SIGMAS: Final = 4.0
+"""Distance from a cone, up to which a point counts as one on it."""
+_CORNERS: Final = 3
+"""Saddles of a marker, of four, by which it is judged as a whole."""
 
 
 def detection_table(
@@ -136,18 +140,82 @@ def sensor_table(positions: Sequence[str], poses: Sequence[Rigid], T_ccs_scs: Ri
 def reference_table(
     references: Sequence[ConeReference], fits: Mapping[str, ConeFit], refused: Mapping[str, str]
 ) -> pd.DataFrame:
-    """One line a reference point: distance from its cone in millimetres, whether it was used, why not."""
+    """One line a reference point: distance from its cone in millimetres, whether it was used, why not.
+
+    ``lies_on`` names another cone on which a point lies that is not on its own.
+    """
     lines = []
     for r in references:
         fit = fits.get(r.name)
+        others = _lies_on(r, {name: f for name, f in fits.items() if name != r.name}, references)
         for i, label in enumerate(r.labels):
             used = fit is not None and bool(fit.used[i])
-            far = "" if used else refused.get(r.name, "not on the cone: moved, or read wrongly")
+            elsewhere = "" if used or fit is None else others[i]
+            far = "not on the cone: moved, or read wrongly"
+            if elsewhere:
+                far = f"not on the cone but on {elsewhere}"
+            reason = "" if used else refused.get(r.name, far)
             distance = np.nan if fit is None else 1e3 * float(fit.distance_m[i])
             lines.append(
-                {"cone": r.name, "point": label, "distance_mm": distance, "used": used, "reason": far}
-            )
+                {"cone": r.name, "point": label, "distance_mm": distance, "used": used, "lies_on": elsewhere,
+                 "reason": reason}
+            )  # fmt: skip
     return pd.DataFrame(lines)
+
+
+def _lies_on(
+    reference: ConeReference, fits: Mapping[str, ConeFit], references: Sequence[ConeReference]
+) -> list[str]:
+    """For each point the other cone on whose surface it lies; empty if there is none."""
+    out = [""] * len(reference.points_m)
+    lengths = {r.name: r.length_m for r in references}
+    sigma = np.hypot(reference.sigma_m, reference.form_sigma_m)
+    for name, fit in fits.items():
+        seen = fit.cone.see(reference.points_m)
+        slant = lengths[name] / np.cos(fit.cone.half_angle_rad)
+        on = (np.abs(seen.distance_m) < _ON_SIGMAS * sigma) & (seen.slant_m > 0) & (seen.slant_m < slant)
+        for i in np.flatnonzero(on):
+            out[i] = name
+    return out
+
+
+def foreign_markers(references: pd.DataFrame) -> list[str]:
+    """What to tell about markers that are not on the cone that the description of the field names.
+
+    Parameters
+    ----------
+    references : of `reference_table`.
+    """
+    marker = references["point"].str.split("/").str[0]
+    where: dict[tuple[str, str], str] = {}
+    bad: dict[tuple[str, str], str] = {}
+    for key, part in references.assign(marker=marker).groupby(["cone", "marker"], sort=False):
+        cone, name = (str(k) for k in key)
+        places = part["lies_on"][part["lies_on"] != ""]
+        if len(places) >= _CORNERS:
+            where[cone, name] = str(places.mode().iloc[0])
+        elif int((~part["used"]).sum()) >= _CORNERS and part["distance_mm"].notna().all():
+            off = float(part["distance_mm"].abs().median())
+            bad[cone, name] = (
+                f"marker {name} of cone {cone} is {off:.1f} mm off its surface: it is not glued on it, or "
+                "was moved between the pictures of the field. Photograph the field again, or leave it out"
+            )
+    lines, told = [], set()
+    for (cone, name), place in where.items():
+        back = [m for (c, m), p in where.items() if (c, p) == (place, cone)]
+        if back and (cone, name) not in told:
+            told |= {(place, m) for m in back}
+            lines.append(
+                f"marker {name} is stated for cone {cone} but lies on {place}, and marker {', '.join(back)} "
+                f"is stated for {place} but lies on {cone}: they are swapped, and take no part. Exchange the "
+                "sheets and photograph the field again, or leave them out of the description of the field"
+            )
+        elif (cone, name) not in told:
+            lines.append(
+                f"marker {name} is stated for cone {cone} but lies on {place}, and takes no part. Correct "
+                f"the markers of {cone} and {place} in the description of the field"
+            )
+    return [*lines, *bad.values()]
 
 
 def cone_table(cones: Mapping[str, Cone]) -> pd.DataFrame:

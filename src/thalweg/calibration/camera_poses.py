@@ -1,8 +1,6 @@
 """Poses of all pictures of a camera as one table, and what could not be oriented and why."""
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,10 +10,6 @@ import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
 from thalweg.calibration.field_network import FieldNetwork
-from thalweg.calibration.field_points import FieldPoints
-from thalweg.calibration.resection import Resected, resect
-from thalweg.core.camera import Camera
-from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid
 from thalweg.core.tables import column, read_table, table_kind, write_table
 from thalweg.core.types import ArrayF
@@ -49,63 +43,6 @@ CAMERA_POSE: Final = table_kind(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Oriented:
-    """Poses by picture, pictures without a pose as (image, reason), and markers that stand elsewhere now."""
-
-    poses: dict[str, Resected]
-    rejected: pd.DataFrame
-    moved: dict[int, str]
-
-
-def orient_images(
-    marks: pd.DataFrame,
-    cameras: Mapping[str, Camera],
-    points: FieldPoints,
-    *,
-    with_interior: bool = True,
-    sigma_factor: Mapping[str, float] | None = None,
-) -> Oriented:
-    """Resect every picture of a table of marks; one that cannot be oriented is told and left out.
-
-    Parameters
-    ----------
-    marks : image, camera, marker, corner, x_px, y_px, sigma_px.
-    cameras : interior orientations by name.
-    points : of the field, without the boat's own markers.
-    with_interior : count the covariance of the interior orientation in each pose.
-    sigma_factor : by camera, see `resect`.
-    """
-    poses: dict[str, Resected] = {}
-    rejected: list[tuple[str, str]] = []
-    seen: Counter[int] = Counter()
-    off: Counter[int] = Counter()
-    for image, part in marks.groupby("image", sort=True):
-        name = str(part["camera"].iloc[0])
-        try:
-            pose = resect(
-                cameras[name],
-                part,
-                points,
-                with_interior=with_interior,
-                sigma_factor=(sigma_factor or {}).get(name, 1.0),
-                where=str(image),
-            )
-        except GeometryError as error:
-            rejected.append((str(image), f"{error.found}; expected {error.expected}. {error.cure}"))
-            continue
-        poses[str(image)] = pose
-        seen.update({int(m) for m in pose.residuals["marker"]})
-        off.update(pose.moved)
-    moved = {
-        marker: f"marker {marker} is off as a whole in {n} of {seen[marker]} pictures: it was moved after "
-        "the field was measured, or its id exists twice. Measure the field again, or leave the marker out"
-        for marker, n in sorted(off.items())
-        if n >= max(2, 0.5 * seen[marker]) or n == seen[marker]
-    }
-    return Oriented(poses=poses, rejected=pd.DataFrame(rejected, columns=["image", "reason"]), moved=moved)
-
-
 def _pose_columns(T: Rigid) -> dict[str, float]:
     q = Rotation.from_matrix(T.R).as_quat(canonical=True)
     return {
@@ -114,30 +51,6 @@ def _pose_columns(T: Rigid) -> dict[str, float]:
         **dict(zip(("qx", "qy", "qz", "qw"), q.tolist(), strict=True)),
         **dict(zip(COV_COLUMNS, [float(T.cov[i, j]) for i, j in _UPPER], strict=True)),
     }
-
-
-def pose_table(
-    poses: Mapping[str, Resected],
-    files: Mapping[str, str] | None = None,
-    cameras: Mapping[str, str] | None = None,
-) -> pd.DataFrame:
-    """Rows of `CAMERA_POSE`, without stamps, in the order of the pictures' names."""
-    rows: list[dict[str, Any]] = []
-    for image in sorted(poses):
-        found = poses[image]
-        used = int(found.used.sum())
-        rows.append(
-            {
-                "image": image,
-                "file": (files or {}).get(image, image),
-                "camera": (cameras or {}).get(image, "camera"),
-                **_pose_columns(found.T_pcs_ccs),
-                "marks": used,
-                "marks_rejected": len(found.used) - used,
-                "sigma0": found.sigma0,
-            }
-        )
-    return pd.DataFrame(rows, columns=CAMERA_POSE.names)
 
 
 def network_pose_table(network: FieldNetwork, marks: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, Any]]:
@@ -171,13 +84,6 @@ def network_pose_table(network: FieldNetwork, marks: pd.DataFrame) -> tuple[pd.D
             }
         )
     return pd.DataFrame(rows, columns=CAMERA_POSE.names), {"rejected": network.rejected.to_dict("records")}
-
-
-def joint_covariance(network: FieldNetwork, images: Sequence[str]) -> ArrayF:
-    """(6 n, 6 n) covariance of the poses of some pictures, which share interior orientation and field."""
-    names = tuple(network.poses)
-    columns = np.concatenate([np.arange(6) + network.layout.pose(names.index(i)).start for i in images])
-    return np.asarray(network.adjusted.cov[np.ix_(columns, columns)])
 
 
 def write_poses(path: Path, table: pd.DataFrame, meta: Mapping[str, Any] | None = None) -> None:

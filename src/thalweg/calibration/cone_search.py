@@ -33,6 +33,9 @@ _FARTHEST: Final = 3.0
 
 _WIDTHS_M: Final = (0.2, 0.1, 0.06)
 _STEPS: Final = 6
+_FINAL_M: Final = 0.06
+"""Distance from a cone within which a beam counts as one that met it, after the refinement."""
+_LEAST_BEAMS: Final = 25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,10 +106,28 @@ def search(
     refined = [_refined(candidates[i], nominal, sigmas, cones, lengths_m, at, points, which) for i in best]
     # A refinement may run away to other things that look like cones.
     refined = [c for c in refined if _distance(c, nominal, within) < _FARTHEST] or [nominal]
-    finals = [_score(c, at, points, which, tables, 0.06) for c in refined]
+    finals = [_score(c, at, points, which, tables, _FINAL_M) for c in refined]
     winner = int(np.argmax([s for s, _ in finals]))
     score, beams = finals[winner]
     return Found(T_ccs_scs=refined[winner], score=score / max(beams, 1), beams=beams)
+
+
+def fit_of(
+    T_ccs_scs: Rigid, cones: Sequence[Cone], lengths_m: Sequence[float], T_pcs_ccs: Rigid, position: Position
+) -> float:
+    """Balance of the beams of one scan with one exterior orientation of the camera; -1 if few meet a cone.
+
+    Parameters
+    ----------
+    T_ccs_scs : orientation of the scanner.
+    cones, lengths_m : in pcs.
+    T_pcs_ccs : exterior orientation of the camera.
+    position : whose points are taken.
+    """
+    points = _near(cones, lengths_m, position.at(T_pcs_ccs), T_ccs_scs, 0.0, _BEAMS)
+    table, which = _cone_table(cones, lengths_m), np.zeros(len(points), dtype=np.int64)
+    score, beams = _score(T_ccs_scs, [T_pcs_ccs], points, which, table, _FINAL_M)
+    return score / beams if beams >= _LEAST_BEAMS else -1.0
 
 
 def _distance(T: Rigid, nominal: Rigid, within: SearchRange) -> float:

@@ -9,7 +9,7 @@ toward it are missing.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Final, Protocol, Self
 
@@ -94,6 +94,10 @@ class Position:
         return cls(
             name=name, T_pcs_ccs=T_pcs_ccs, points_scs_m=points, var_along_m2=along, var_across_m2=across
         )
+
+    def at(self, T_pcs_ccs: Rigid) -> "Position":
+        """The same scan with another exterior orientation of the camera."""
+        return replace(self, T_pcs_ccs=T_pcs_ccs)
 
     def taken(self, rows: AnyArray) -> "Position":
         """Some of the points."""

@@ -99,17 +99,20 @@ def design_study(
 ) -> pd.DataFrame:
     """Sigmas of the six parameters for choices of cones and positions.
 
-    Parameters ---------- references, cones : reference points and shapes of the cones, in pcs. Cones that no
-    position sees are left out.
+    Parameters
+    ----------
+    references, cones : reference points and shapes of the cones, in pcs. Cones that no position sees are
+        left out.
     poses : T_pcs_ccs with covariance of the positions.
     T_ccs_scs : relative orientation.
     pattern : beams of the scanner.
     limits : which beams take part.
     free_half_angle : six unknowns a cone; false: five.
 
-    Returns ------- table : ``cones``, ``positions`` (numbers), ``quantity``, ``unit``, ``sigma`` in that
-    unit, infinite where the
-        choice leaves the orientation undetermined, and ``choice``, the names of the cones.
+    Returns
+    -------
+    table : ``cones``, ``positions`` (numbers), ``quantity``, ``unit``, ``sigma`` in that unit, infinite where
+        the choice leaves the orientation undetermined, and ``choice``, the names of the cones.
     """
     lengths = [r.length_m for r in references]
     scans = [

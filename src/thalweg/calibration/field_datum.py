@@ -1,7 +1,8 @@
 """The place of a calibration field in the world, from targets whose centres were measured by RTK.
 
 ``x_wcs = R_wcs_pcs x_pcs + shift``; the scale is that of the scale bars. Both the RTK sigmas and the
-covariance of the field's points count.
+covariance of the field's points count. What contradicts grossly is found first and without approximate values
+(`thalweg.calibration.target_search`), small contradictions by leaving out each target in turn.
 """
 
 from collections.abc import Sequence
@@ -14,6 +15,13 @@ from scipy.stats import chi2
 
 from thalweg.calibration.field_description import Target
 from thalweg.calibration.field_points import FieldPoints
+from thalweg.calibration.target_search import (
+    agreeing,
+    distances_words,
+    exchanged,
+    other_scale,
+    similarity,
+)
 from thalweg.core.adjustment import Adjusted, Linear, Observations, UnobservableError, adjust
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import LocalFrame
@@ -25,17 +33,26 @@ _LEVEL: Final = 1e-3
 _NAMES: Final = ("east", "north", "up", "rotation about east", "rotation about north", "rotation about up")
 _WIDE: Final = 0.05
 """Width over length of the targets' layout below which they count as standing in one line."""
+_GROSS_M: Final = 0.5
+_GROSS_SIGMAS: Final = 10.0
+"""A target farther off than this sum is a mistake in writing, not one of measurement."""
+_FAR_M: Final = 20_000.0
+"""Distance of all targets from the origin of wcs at which a mistake in their coordinates is likely."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldDatum:
-    """``T_wcs_pcs`` with covariance, ``table`` of the targets, and what was rejected as (name, reason)."""
+    """``T_wcs_pcs`` with covariance, ``table`` of the targets, and what was rejected as (name, reason).
+
+    ``sigma_scale`` is the relative sigma with which the targets know the size of the field.
+    """
 
     T_wcs_pcs: Rigid
     table: pd.DataFrame
     rejected: tuple[tuple[str, str], ...]
     sigma0: float
     redundancy: float
+    sigma_scale: float
 
 
 def targets_wcs(targets: Sequence[Target], frame: LocalFrame) -> ArrayF:
@@ -80,16 +97,20 @@ def field_datum(points: FieldPoints, targets: Sequence[Target], frame: LocalFram
     wcs = targets_wcs(usable, frame)
     rtk = np.array([np.diag(np.square(t.sigma_m)) for t in usable])
     _require_width(pcs, [t.name for t in usable])
-    used = np.ones(len(usable), dtype=np.bool_)
+    used = _without_gross(pcs, wcs, usable, frame)
+    gross = not used.all()
     adjusted = _adjust(pcs, cov, wcs, rtk, used)
     if _probability(adjusted) < _LEVEL:
-        wrong = _wrong(pcs, cov, wcs, rtk, [t.name for t in usable])
-        used[wrong] = False
+        if gross:
+            raise _several([t.name for t in usable], wcs - adjusted.x.apply(pcs))
+        _require_scale(pcs, cov, wcs, rtk)
+        used[_wrong(pcs, cov, wcs, rtk, [t.name for t in usable])] = False
         adjusted = _adjust(pcs, cov, wcs, rtk, used)
-        off = adjusted.x.apply(pcs[wrong : wrong + 1])[0] - wcs[wrong]
-        east, north, up = -off * 1000.0
-        reason = f"its RTK position is {east:+.0f} mm east, {north:+.0f} mm north, {up:+.0f} mm up"
-        rejected.append((usable[wrong].name, f"{reason} of what the others say: measure it again"))
+    for wrong in np.flatnonzero(~used):
+        east, north, up = wcs[wrong] - adjusted.x.apply(pcs[wrong : wrong + 1])[0]
+        reason = f"its RTK position is {_metres(east)} east, {_metres(north)} north, {_metres(up)} up"
+        reason += f" of what the others say: {_what_to_check(usable[wrong], adjusted.x, pcs[wrong], frame)}"
+        rejected.append((usable[wrong].name, reason))
     off = wcs - adjusted.x.apply(pcs)
     table = pd.DataFrame(
         {
@@ -110,6 +131,7 @@ def field_datum(points: FieldPoints, targets: Sequence[Target], frame: LocalFram
         rejected=tuple(rejected),
         sigma0=float(np.sqrt(adjusted.sigma0_squared)),
         redundancy=adjusted.redundancy,
+        sigma_scale=_sigma_scale(pcs[used], cov[used], rtk[used], adjusted.x),
     )
 
 
@@ -117,21 +139,125 @@ def _adjust(pcs: ArrayF, cov: ArrayF, wcs: ArrayF, rtk: ArrayF, used: ArrayB) ->
     p, C, w, S = pcs[used], cov[used], wcs[used], rtk[used]
 
     def model(x: Rigid) -> Linear:
+        """Residuals of the targets, field minus RTK."""
         return Linear(
             residual=(x.apply(p) - w).ravel(),
             jacobian=x.by_error(p).reshape(-1, 6),
             cov=S + x.R @ C @ x.R.T,
         )
 
-    # rotation about the middle of the targets, so that shift and rotation are found from far away, too
-    dp, dw = p - p.mean(axis=0), w - w.mean(axis=0)
-    U, _, Vt = np.linalg.svd(dw.T @ dp)
-    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-    start = Rigid(R=R, shift_m=w.mean(axis=0) - R @ p.mean(axis=0))
+    start = similarity(p, w, scaled=False)[1]
     try:
         return adjust([Observations("targets", model)], start, _NAMES, update=lambda x, dx: x.moved(dx))
     except UnobservableError as error:
         raise _one_line([]) from error
+
+
+def _without_gross(pcs: ArrayF, wcs: ArrayF, targets: Sequence[Target], frame: LocalFrame) -> ArrayB:
+    """(n,) targets without the only one that is far off; several mistakes are explained.
+
+    Raises
+    ------
+    GeometryError : latitude and longitude or two targets are exchanged, the scale bars contradict, or more
+        than one target is far off.
+    """
+    names = [t.name for t in targets]
+    tolerance = np.array([_GROSS_M + _GROSS_SIGMAS * float(np.linalg.norm(t.sigma_m)) for t in targets])
+    near, off, _ = agreeing(pcs, wcs, tolerance)
+    if near.all():
+        return near
+    told = f"the RTK targets contradict the field by {distances_words(names, off)}"
+    turned = _turned(targets, frame)
+    if turned is not None and agreeing(pcs, turned, tolerance)[0].all():
+        raise GeometryError(
+            f"{told}: latitude and longitude of the targets are exchanged",
+            expected="lat_deg and lon_deg as in the field description's example",
+            cure="Exchange lat_deg and lon_deg of the targets in the field description",
+        )
+    factor = other_scale(pcs, wcs, tolerance)
+    if factor is not None:
+        raise _scale_error(factor, told)
+    if len(targets) > 3 and near.sum() == len(targets) - 1:
+        return near
+    pair = exchanged(pcs, wcs, tolerance) if len(targets) > 3 else None
+    if pair is not None:
+        a, b = (targets[k] for k in pair)
+        raise GeometryError(
+            f"{told}: {a.name} and {b.name} are exchanged, with markers {a.marker} and {b.marker} the other "
+            "way round all agree",
+            expected="each target with the marker whose middle was measured",
+            cure=f"Exchange the markers of {a.name} and {b.name} in the field description",
+        )
+    raise _several(names, off, near, _origin_words(wcs))
+
+
+def _sigma_scale(pcs: ArrayF, cov: ArrayF, rtk: ArrayF, place: Rigid) -> float:
+    """Relative sigma of the scale by the targets; it hardly depends on turn and shift of the field."""
+    away = (pcs - pcs.mean(axis=0)) @ place.R.T
+    S = rtk + place.R @ cov @ place.R.T
+    return float(np.einsum("ni,nij,nj->", away, np.linalg.inv(S), away)) ** -0.5
+
+
+def _several(names: list[str], off_m: ArrayF, near: ArrayB | None = None, hint: str = "") -> GeometryError:
+    who = "more than one is wrong"
+    if near is not None and near.sum() > len(near) / 2 and len(near) > 3:
+        wrong = " and ".join(n for n, good in zip(names, near, strict=True) if not good)
+        who = f"{wrong} are wrong, the others agree"
+    elif len(names) == 3:
+        who = "one of them is wrong; a fourth target would tell which one"
+    return GeometryError(
+        f"the RTK targets contradict the field by {distances_words(names, off_m)}: {who}{hint}",
+        expected="at most one wrong target among four or more",
+        cure="Check markers and coordinates of the targets in the field description, those with the largest "
+        "distance first, and the campaign's origin",
+    )
+
+
+def _scale_error(factor: float, told: str) -> GeometryError:
+    return GeometryError(
+        f"{told}: by the targets the field is {factor:.4g} times as large as by the scale bars",
+        expected="scale bars and RTK targets that give one scale",
+        cure="Check lengths and end marks of the scale bars (in metres) in the field description",
+    )
+
+
+def _require_scale(pcs: ArrayF, cov: ArrayF, wcs: ArrayF, rtk: ArrayF) -> None:
+    """Scale bars that are wrong by less show in all targets at once, and no single one is to blame."""
+    n = len(pcs)
+    factor, _ = similarity(pcs, wcs, scaled=True)
+    scaled = _adjust(factor * pcs, factor**2 * cov, wcs, rtk, np.ones(n, dtype=np.bool_))
+    fits = chi2.sf(scaled.sigma0_squared * scaled.redundancy, scaled.redundancy - 1)
+    single = (
+        [_probability(_adjust(pcs, cov, wcs, rtk, np.arange(n) != k)) for k in range(n)] if n > 3 else [0.0]
+    )
+    if fits >= _LEVEL > max(single):
+        off = wcs - _adjust(pcs, cov, wcs, rtk, np.ones(n, dtype=np.bool_)).x.apply(pcs)
+        worst = float(np.linalg.norm(off, axis=1).max())
+        raise _scale_error(factor, f"the RTK targets contradict the field by up to {worst:.2f} m")
+
+
+def _turned(targets: Sequence[Target], frame: LocalFrame) -> ArrayF | None:
+    """(n, 3) wcs with latitude and longitude exchanged, None if that is no place."""
+    if any(abs(t.lon_deg) > 90 for t in targets):
+        return None
+    return np.array([frame.from_geodetic(t.lon_deg, t.lat_deg, t.h_ell_m) for t in targets])
+
+
+def _what_to_check(target: Target, place: Rigid, pcs: ArrayF, frame: LocalFrame) -> str:
+    turned = _turned([target], frame)
+    there = place.apply(pcs[None])[0]
+    if turned is not None and np.linalg.norm(turned[0] - there) < _GROSS_M:
+        return "its latitude and longitude are exchanged"
+    return "measure it again, and check its marker and coordinates in the field description"
+
+
+def _origin_words(wcs: ArrayF) -> str:
+    away = float(np.linalg.norm(wcs, axis=1).min())
+    return f"; all targets are {away / 1000:.0f} km from the campaign's origin" if away > _FAR_M else ""
+
+
+def _metres(value: float) -> str:
+    return f"{value * 1000:+.0f} mm" if abs(value) < 10 else f"{value:+.1f} m"
 
 
 def _probability(adjusted: Adjusted[Rigid]) -> float:
@@ -156,7 +282,7 @@ def _wrong(pcs: ArrayF, cov: ArrayF, wcs: ArrayF, rtk: ArrayF, names: list[str])
             f"most likely {several[0]} or {several[1]}" if fits[best] >= _LEVEL else "more than one is wrong"
         )
         raise GeometryError(
-            f"the RTK targets {', '.join(names)} contradict the field: {who}",
+            f"the RTK targets {', '.join(names)} contradict the field: {who}{_origin_words(wcs)}",
             expected="at most one wrong target among enough good ones",
             cure="Measure the targets again, and check markers and sigmas in the field description",
         )

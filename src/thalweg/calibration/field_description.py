@@ -117,10 +117,12 @@ class _Reader:
         self.mistakes = list(document.mistakes)
 
     def wrong(self, path: tuple[Key, ...], found: str, expected: str = "", cure: str = "") -> None:
+        """Note a mistake with the line where it stands."""
         line = self.document.line(path)
         self.mistakes.append(Mistake(path=path, found=found, expected=expected, cure=cure, line=line))
 
     def field(self) -> FieldDescription | None:
+        """What the document describes, None if it holds no keys."""
         data = self.document.data
         if not isinstance(data, dict):
             self.wrong((), "no keys with values", "a field description that begins with thalweg_field: 1")

@@ -1,6 +1,7 @@
 """What is known of a field beside its points: its place in the world, how it was found, what was left out."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +20,7 @@ def write_facts(path: Path, network: FieldNetwork, datum: FieldDatum | None, not
     """Write the facts of an adjusted field as JSON."""
     facts: dict[str, Any] = {"kind": KIND, "version": VERSION, "adjustment": network.report, "notes": notes}
     facts["rejected"] = network.rejected.to_dict("records")
+    facts["camera_changes"] = [asdict(change) for change in network.changes]
     if network.scale is not None:
         facts["scale_bars"] = {
             "used": network.scale.used.tolist(),
@@ -38,6 +40,7 @@ def write_facts(path: Path, network: FieldNetwork, datum: FieldDatum | None, not
             "rejected": [{"name": name, "reason": reason} for name, reason in datum.rejected],
             "sigma0": datum.sigma0,
             "redundancy": datum.redundancy,
+            "sigma_scale": datum.sigma_scale,
         }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(facts, indent=2, allow_nan=False) + "\n")

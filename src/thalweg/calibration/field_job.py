@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,10 +9,15 @@ import pandas as pd
 from thalweg.calibration.field_datum import FieldDatum, field_datum, targets_wcs
 from thalweg.calibration.field_description import FieldDescription
 from thalweg.calibration.field_network import FieldNetwork, measure_field
+from thalweg.calibration.field_notes import field_notes, require_size, sheet_sizes
 from thalweg.calibration.field_points import FieldPoints
-from thalweg.calibration.network_start import block_of, misfit_px, start_network
-from thalweg.calibration.nominal_camera import best_nominal, nominal_camera
+from thalweg.calibration.mark_block import block_of
+from thalweg.calibration.network_start import misfit_px, start_network
+from thalweg.calibration.nominal_camera import starting_camera_by
+from thalweg.calibration.picture_overview import with_overview
+from thalweg.calibration.steady_camera import require_steady
 from thalweg.core.camera import Camera, Model
+from thalweg.core.errors import GeometryError
 from thalweg.core.frames import LocalFrame
 
 
@@ -36,16 +40,23 @@ def starting_camera(
     model: Model = "perspective",
     focal_px: float | None = None,
 ) -> Camera:
-    """Nominal interior orientation of the field's camera; without a focal length several are tried."""
-    if focal_px is not None:
-        return nominal_camera(name, model, size_px, focal_px)
+    """Nominal interior orientation of the field's camera; without a focal length several are tried.
+
+    Raises
+    ------
+    GeometryError : none gives a field; tells what the pictures show, and what to photograph.
+    """
     mine = marks[marks["camera"] == name]
 
     def misfit(camera: Camera) -> float:
+        """How badly a field by this camera fits, pixels."""
         block = block_of(mine, {name: camera})
         return misfit_px(block, start_network(block, field.layout), float(camera.parameters[0]))
 
-    return best_nominal(name, model, size_px, misfit)
+    try:
+        return starting_camera_by(misfit, name, model, size_px, focal_px)
+    except GeometryError as error:
+        raise with_overview(error, mine) from error
 
 
 def measure(
@@ -65,17 +76,30 @@ def measure(
     field : its description.
     frame : of wcs.
     calibrate : parameters to estimate of each camera; all if None.
+
+    Raises
+    ------
+    GeometryError : the pictures do not determine the field (with what they show, and what to photograph); the
+        camera changed so much that the field is bent; scale bars, targets and sheets contradict each other.
     """
     approximate = None
     if len(field.targets) >= 3:
         wcs = targets_wcs(field.targets, frame)
         # a frame with its origin amid the targets: coordinates stay small wherever wcs begins
-        middle = np.round(wcs.mean(axis=0))
+        middle = np.round(np.median(wcs, axis=0))
         approximate = {t.marker: place - middle for t, place in zip(field.targets, wcs, strict=True)}
-    network = measure_field(marks, cameras, field, approximate=approximate, calibrate=calibrate)
+    try:
+        network = measure_field(marks, cameras, field, approximate=approximate, calibrate=calibrate)
+    except GeometryError as error:
+        raise with_overview(error, marks) from error
+    require_steady(list(network.changes))
     points = FieldPoints(points=network.points, points_pcs=network.points_pcs, cov=network.cov_points)
     datum = field_datum(points, field.targets, frame) if field.targets else None
-    return MeasuredField(network=network, points=points, datum=datum, notes=_notes(network, datum, field))
+    sheets = sheet_sizes(network, field)
+    if datum is None:
+        require_size(sheets)
+    notes = field_notes(network, datum, field, sheets)
+    return MeasuredField(network=network, points=points, datum=datum, notes=notes)
 
 
 def point_table(field: FieldDescription, measured: MeasuredField) -> pd.DataFrame:
@@ -86,30 +110,3 @@ def point_table(field: FieldDescription, measured: MeasuredField) -> pd.DataFram
     table["cone"] = [field.cone_of(marker) for marker, _ in measured.points.points]
     table["images"] = [int(count.get(point, 0)) for point in measured.points.points]
     return table
-
-
-def _notes(network: FieldNetwork, datum: FieldDatum | None, field: FieldDescription) -> list[str]:
-    lines: list[str] = []
-    told: dict[str, Any] = {}
-    for row in network.rejected.itertuples():
-        if row.what == "point":
-            told.setdefault(str(row.reason), []).append(str(row.name))
-        else:
-            lines.append(f"{row.what} {row.name}: {row.reason}")
-    for reason, names in told.items():
-        more = " ..." if len(names) > 8 else ""
-        lines.append(f"{len(names)} points have {reason}: {', '.join(names[:8])}{more}")
-    have = {marker for marker, _ in network.points}
-    for cone in field.cones:
-        n = len(have & set(cone.markers))
-        if n < 3:
-            lines.append(
-                f"cone {cone.name}: {n} of {len(cone.markers)} markers were measured; "
-                "take more pictures of it"
-            )
-    if datum is not None:
-        lines += [f"target {name}: {reason}" for name, reason in datum.rejected]
-    if float(network.report["object_sigma_mean_mm"]) > 1.0:
-        sigma = network.report["object_sigma_mean_mm"]
-        lines.append(f"object points have a sigma of {sigma:.2f} mm on average; below 1 mm is expected")
-    return lines

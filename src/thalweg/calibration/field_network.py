@@ -22,9 +22,12 @@ from thalweg.calibration.bundle import (
 )  # fmt: skip
 from thalweg.calibration.bundle_cleaning import LEAST_RAYS, Rejected, clean, thinned
 from thalweg.calibration.field_description import FieldDescription
+from thalweg.calibration.mark_block import Block, block_of
 from thalweg.calibration.marker_sheets import parse_mark
-from thalweg.calibration.network_start import Block, block_of, start_network
+from thalweg.calibration.network_start import start_network
 from thalweg.calibration.scale_bars import Scale, scale_of
+from thalweg.calibration.steady_camera import CameraChange, camera_changes
+from thalweg.calibration.target_search import approximate_place
 from thalweg.core.adjustment import Adjusted
 from thalweg.core.camera import PARAMETERS, Camera
 from thalweg.core.errors import GeometryError
@@ -46,6 +49,7 @@ class FieldNetwork:
     rejected : what, name, reason.
     scale : what the bars say, None if control points gave the datum.
     report : counts, sigma0, sigmas.
+    changes : where the cameras most likely changed in the course of the pictures.
     """
 
     cameras: dict[str, Camera]
@@ -59,11 +63,7 @@ class FieldNetwork:
     rejected: pd.DataFrame
     scale: Scale | None
     report: dict[str, Any]
-
-    @property
-    def sigma_points_m(self) -> ArrayF:
-        """(p, 3) standard deviations of the points."""
-        return np.sqrt(np.maximum(np.diag(self.cov_points), 0.0)).reshape(-1, 3)
+    changes: tuple[CameraChange, ...] = ()
 
 
 def measure_field(
@@ -117,9 +117,10 @@ def measure_field(
     problem = replace(problem, bars=bars)
     x = transformed(adjusted.x, scale.factor, Rigid(R=np.eye(3), shift_m=np.zeros(3)))
     # once more: the approximate field may have been askew
-    x = transformed(x, *_frame(problem.block, x, np.ones(len(x.C), bool), approximate, scale=1.0))
+    x = transformed(x, *_frame(problem.block, x, np.ones(len(x.C), bool), approximate, scaled=False))
     adjusted, layout = solve(problem, x)
-    return network_of(problem, adjusted, layout, rejected, scale)
+    network = network_of(problem, adjusted, layout, rejected, scale)
+    return replace(network, changes=tuple(camera_changes(problem, adjusted, layout)))
 
 
 def _frame(
@@ -128,9 +129,12 @@ def _frame(
     images: ArrayB,
     approximate: Mapping[int, ArrayF] | None,
     *,
-    scale: float | None = None,
+    scaled: bool = True,
 ) -> tuple[float, Rigid]:
-    """Scale and turn into pcs: the frame of approximate centres, or upright by the pictures."""
+    """Scale and turn into pcs: the frame of approximate centres, or upright by the pictures.
+
+    Centres that contradict the field, be they only some, do no harm.
+    """
     markers = np.array([p[0] for p in block.points])
     known = {
         m: (x.X[markers == m].mean(axis=0), c)
@@ -139,11 +143,9 @@ def _frame(
     }
     if len(known) >= 3:
         a, b = (np.array([pair[k] for pair in known.values()]) for k in (0, 1))
-        da, db = a - a.mean(axis=0), b - b.mean(axis=0)
-        U, _, Vt = np.linalg.svd(db.T @ da)
-        R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-        factor = float(np.sqrt((db**2).sum() / (da**2).sum())) if scale is None else scale
-        return factor, Rigid(R=R, shift_m=b.mean(axis=0) - factor * R @ a.mean(axis=0))
+        place = approximate_place(a, b, scaled=scaled)
+        if place is not None:
+            return place
     up = -x.R[images][:, :, 1].mean(axis=0)
     up /= np.linalg.norm(up)
     solved = x.X[np.isfinite(x.X).all(axis=1)]

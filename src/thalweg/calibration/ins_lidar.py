@@ -29,6 +29,7 @@ import pandas as pd
 from thalweg.calibration.cone_fit import FORM_SIGMA_M
 from thalweg.calibration.ins_lidar_checks import (
     RunGates,
+    check_antenna,
     check_cones,
     check_geometry,
     check_turns,
@@ -42,7 +43,7 @@ from thalweg.calibration.ins_lidar_model import (
     Linearised,
     State,
     Step,
-    antenna_equations,
+    by_antenna,
     cone_shifts,
     linearise,
     solve_step,
@@ -72,7 +73,7 @@ class InsLidarSettings:
     ----------
     errors : how the trajectory errs.
     noise : of a single point.
-    sigma_time_s : of the lidar's stamps against the trajectory.
+    sigma_time_s : of the lidar's stamps against the trajectory, one offset for the whole run.
     search : how far from the start the mount may be.
     gates : what a run must have.
     gates_m : half widths of the layers about the cones in the first passes.
@@ -187,6 +188,7 @@ def calibrate(
     Raises
     ------
     CoverageError : no point near any cone.
+    GeometryError : the mount does not settle, or the antenna's marker contradicts the run.
     UnobservableError : the motion or the cones leave parameters of the mount undetermined.
     """
     dropped: dict[str, str] = {}
@@ -352,13 +354,15 @@ class _Run:
             step = self._solve(linear, band)
         alone = self._solve(linear, band, with_antenna=False)
         mount = step.state.mount.with_cov(step.solution.cov_border[MOUNT, MOUNT])
+        without = alone.state.mount.with_cov(alone.solution.cov_border[MOUNT, MOUNT])
+        check_antenna(self.known, without)
         J = linear.border[used, MOUNT]
         formal = np.asarray(np.linalg.inv((J / linear.variance_m2[used, None]).T @ J) * self.scale**2)
         return InsLidar(
             T_ics_scs=mount,
             cov_formal=formal,
-            without_antenna=alone.state.mount.with_cov(alone.solution.cov_border[MOUNT, MOUNT]),
-            by_antenna=_by_antenna(self.known, mount),
+            without_antenna=without,
+            by_antenna=by_antenna(self.known, mount),
             errors=errors,
             sigmas=group_sigmas(step, self.knots, errors) | {"noise_scale": self.scale},
             n_points=int(used.sum()),
@@ -390,11 +394,3 @@ class _Run:
             "sigma_m": np.sqrt(adjusted.variance_m2) * self.scale,
         }
         return pd.DataFrame(out)
-
-
-def _by_antenna(known: Known, mount: Rigid) -> ArrayF:
-    equations = antenna_equations(known, mount)
-    if equations is None:
-        return np.zeros((6, 3))
-    _, J, P = equations
-    return np.asarray(-mount.cov @ J.T @ P @ mount.R)

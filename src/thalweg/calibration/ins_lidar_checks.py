@@ -6,10 +6,12 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
+from thalweg.calibration.ins_lidar_model import Known
 from thalweg.calibration.motion_search import OnCones
 from thalweg.calibration.run_points import FieldCones
 from thalweg.core.adjustment import UnobservableError
-from thalweg.core.errors import CoverageError
+from thalweg.core.errors import CoverageError, GeometryError
+from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
 
 PARAMETERS: Final = ("lever_x", "lever_y", "lever_z", "rotation_x", "rotation_y", "rotation_z")
@@ -65,8 +67,13 @@ def check_cones(
             f"{c - len(few)} cones were seen by the lidar; not "
             + "; ".join(f"{name}: {why}" for name, why in lost.items()),
             expected=f"{gates.min_cones} cones with {gates.min_points_per_cone} points each",
-            cure="Record the run again so that the scan planes sweep over these cones, and check that they "
-            "stand as they were measured",
+            cure="Check that the cones stand as they were measured"
+            + (
+                "; as most of them are off, that heights and datum of the targets are those of the positions"
+                if 2 * len(lost) > c + len(dropped)
+                else ""
+            )
+            + ". Record the run again so that the scan planes sweep over them",
         )
     if not few:
         return None
@@ -97,6 +104,35 @@ def moved_cone(
     if square[k] > chi2.isf(UNLIKELY, 3):
         return k, f"its points lie {1e3 * np.linalg.norm(shift_m[k]):.0f} mm beside its reference: {cure}"
     return None
+
+
+def check_antenna(known: Known, mount: Rigid) -> None:
+    """Refuse an antenna by its marker that contradicts the run.
+
+    Parameters
+    ----------
+    known : with the antenna seen from the scanner; nothing is tested without.
+    mount : ``T_ics_scs`` with covariance from the run without that antenna.
+
+    Raises
+    ------
+    GeometryError : both are farther apart than their sigmas explain, but for a probability of `UNLIKELY`.
+    """
+    if known.antenna is None:
+        return
+    point = known.antenna.x_scs_m[None]
+    off = mount.apply(point)[0] - known.lever_ics_antenna_m
+    J = mount.by_error(point)[0]
+    cov = J @ mount.cov @ J.T + mount.R @ known.antenna.cov_m2 @ mount.R.T
+    if off @ np.linalg.solve(cov, off) > chi2.isf(UNLIKELY, 3):
+        sigma = float(np.sqrt(np.trace(cov)))
+        raise GeometryError(
+            f"the antenna by its marker lies {1e3 * np.linalg.norm(off):.0f} mm from where the run has it",
+            expected=f"agreement within some {1e3 * sigma:.0f} mm (one sigma)",
+            cure="Check antenna.marker and antenna.offset_m of the field description (negative for a print "
+            "on top of the antenna), that the marker lies on the antenna, and that heights and datum of the "
+            "field's targets are those of the positions",
+        )
 
 
 def seen_headings_deg(heading_rad: ArrayF) -> float:

@@ -8,21 +8,28 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.calibration.antenna import AntennaLever, antenna_lever, phase_centre
+from thalweg.calibration.antenna import AntennaLever, antenna_lever, check_nominal, phase_centre
 from thalweg.calibration.camera_lidar_input import cone_references, field_errors
+from thalweg.calibration.camera_poses import read_poses
 from thalweg.calibration.cone_fit import FORM_SIGMA_M, fit_reference, parameter_cov
 from thalweg.calibration.field_description import FieldDescription
 from thalweg.calibration.field_points import FieldPoints
 from thalweg.calibration.ins_lidar import InsLidar
 from thalweg.calibration.run_points import FieldCones
 from thalweg.core.calibration import Calibration, Source, pose_block
-from thalweg.core.calibration_file import write_calibration
+from thalweg.core.calibration_file import read_calibration, write_calibration
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
 
 KIND: Final = "thalweg lidar mount"
 VERSION: Final = 1
+
+BLIND: Final = (
+    "marker %d of the antenna is not used: it needs logs.calibration.position_images and position_scans; the "
+    "place of the lidar relative to the antenna comes from GNSS alone"
+)
+"""Warning about an antenna's marker without a camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,6 +133,35 @@ def field_antenna(
         offset_m=field.antenna.offset_m, sigma_offset_m=field.antenna.sigma_m,
     )  # fmt: skip
     return antenna_lever(mark, found[0], T_ccs_scs)
+
+
+def seen_antenna(
+    field: FieldDescription, points: FieldPoints, mounts: Mapping[str, Mapping[str, Any]],
+    poses: Sequence[Path], camera_lidar: Sequence[Path], position: str,
+) -> AntennaLever | None:  # fmt: skip
+    """The antenna by its marker, checked against its lever arm.
+
+    None if the field describes no such marker, or if the boat has no camera: nothing says then where the
+    marker lies to the lidar, and the lever arm comes from GNSS alone.
+
+    Parameters
+    ----------
+    field, points, position : see `field_antenna`.
+    mounts : nominal places of ``lidar`` and ``antenna``.
+    poses, camera_lidar : table of poses, and calibration with ``camera_lidar``; one file each or none.
+
+    Raises
+    ------
+    InputError : see `field_antenna`.
+    GeometryError : the marker lies elsewhere, see `thalweg.calibration.antenna.check_nominal`.
+    """
+    if field.antenna is None or not poses or not camera_lidar:
+        return None
+    relative = read_calibration(camera_lidar[0]).pose("camera_lidar")
+    seen = field_antenna(field, points, read_poses(poses[0])[1], position, relative)
+    if seen is not None:
+        check_nominal(seen, mounts["lidar"], mounts["antenna"], marker=field.antenna.marker)
+    return seen
 
 
 def write_mount_result(

@@ -232,6 +232,15 @@ def antenna_equations(known: Known, mount: Rigid) -> tuple[ArrayF, ArrayF, Array
     return residual, mount.by_error(point)[0], (weight + weight.T) / 2
 
 
+def by_antenna(known: Known, mount: Rigid) -> ArrayF:
+    """Derivative (6, 3) of an adjusted mount, with its covariance, by the antenna seen from the scanner."""
+    equations = antenna_equations(known, mount)
+    if equations is None:
+        return np.zeros((6, 3))
+    _, J, P = equations
+    return np.asarray(-mount.cov @ J.T @ P @ mount.R)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
     """Normal equations and their solution at a state, and the state that follows.

@@ -29,10 +29,19 @@ SADDLES_MODULES: Final[ArrayF] = np.array([[1.0, 1.0], [9.0, 1.0], [9.0, 9.0], [
 SADDLE_SQUARE_MODULES: Final = 8
 TAG_CORNERS_MODULES: Final[ArrayF] = np.array([[2.0, 2.0], [8.0, 2.0], [8.0, 8.0], [2.0, 8.0]])
 
+_PICTURES: Final = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".svg"}
+"""Endings of a picture's name, which is no name for a folder of pictures."""
+
 DOTS_PER_MM: Final = 20
 """Of a printed page; 0.6, 0.8, 1 mm ... are whole numbers of dots, so no module is a dot too wide."""
 PAGE_MM: Final = (210, 297)
 CONTROL_LINE_MM: Final = 100
+
+LEAST_PRINT_MM: Final = 2.0
+"""Smallest module that is printed: crossings need two pixels a module or more, and the nearest pictures of a
+field, from 2 m, have about a millimetre a pixel."""
+MOST_PRINT_MM: Final = (PAGE_MM[0] - 10) / (SHEET_MODULES + 2 * MARGIN_MODULES)
+"""Largest module that fits on A4 with 5 mm to each edge."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,18 +152,13 @@ def sheet_page(marker: int, layout: MarkerLayout) -> Image.Image:
 
     Raises
     ------
-    GeometryError : the sheet is larger than the page, or `sheet_picture` refuses.
+    GeometryError : the sheet is larger than the page or too small for a camera, or no such id.
     """
+    _check_printable(marker, layout)
     module_mm = layout.module_of(marker) * 1000.0
     side = round((SHEET_MODULES + 2 * MARGIN_MODULES) * module_mm * DOTS_PER_MM)
     width, height = (mm * DOTS_PER_MM for mm in PAGE_MM)
     top = 20 * DOTS_PER_MM
-    if side > width - 10 * DOTS_PER_MM:
-        raise GeometryError(
-            f"marker {marker} with modules of {module_mm:g} mm is {side / DOTS_PER_MM:.0f} mm wide",
-            expected=f"at most {PAGE_MM[0] - 10} mm on A4",
-            cure="Choose a smaller module",
-        )
     picture = Image.fromarray(sheet_picture(marker, layout, 20)).resize(
         (side, side), Image.Resampling.NEAREST
     )
@@ -178,14 +182,17 @@ def sheet_page(marker: int, layout: MarkerLayout) -> Image.Image:
     return page.point(lambda grey: 255 if grey > 127 else 0, mode="1")
 
 
-def write_sheets(path: Path, ids: Iterable[int], layout: MarkerLayout) -> list[Path]:
-    """Write sheets for printing in true scale.
+def write_sheets(
+    path: Path, ids: Iterable[int], layout: MarkerLayout, *, overwrite: bool = False
+) -> list[Path]:
+    """Write sheets for printing in true scale; nothing is written if one of them cannot be.
 
     Parameters
     ----------
     path : a file ``.pdf`` (a page each), or a folder for ``marker_017.png``.
     ids : markers; each once.
     layout : dictionary and sizes.
+    overwrite : replace files that exist.
 
     Returns
     -------
@@ -193,26 +200,64 @@ def write_sheets(path: Path, ids: Iterable[int], layout: MarkerLayout) -> list[P
 
     Raises
     ------
-    InputError : no id or an id twice.
-    GeometryError : an id outside the dictionary, or a sheet larger than the page.
+    InputError : no id or an id twice; a file exists; a name that is neither a PDF nor a folder.
+    GeometryError : an id outside the dictionary, or a module that cannot be printed or seen.
     """
     wanted = list(ids)
     if not wanted or len(set(wanted)) != len(wanted):
         twice = sorted({i for i in wanted if wanted.count(i) > 1})
         found = f"markers {twice} are asked for twice" if wanted else "no marker is asked for"
         raise InputError(found, expected="each marker once: a marker that exists twice cannot be told apart")
+    for marker in wanted:
+        _check_printable(marker, layout)
+    one_file = path.suffix.lower() == ".pdf"
+    if path.suffix.lower() in _PICTURES or (not one_file and path.is_file()):
+        raise InputError(
+            f"'{path.name}' is the name of a {'file' if path.is_file() else 'picture'}",
+            where=path,
+            expected="a file .pdf, or a folder for one picture a marker",
+        )
+    files = [path] if one_file else [path / f"marker_{marker:03d}.png" for marker in wanted]
+    there = [file for file in files if file.exists()]
+    if there and not overwrite:
+        raise InputError(
+            f"{there[0].name} exists already" + (f", and {len(there) - 1} more" if there[1:] else ""),
+            where=path,
+            cure="Choose another name, or overwrite with --force",
+        )
     dots_per_inch = DOTS_PER_MM * 25.4
-    if path.suffix.lower() == ".pdf":
+    if one_file:
         path.parent.mkdir(parents=True, exist_ok=True)
         pages = _pages(wanted, layout)
         first = next(pages)
         first.save(path, "PDF", resolution=dots_per_inch, save_all=True, append_images=pages)
-        return [path]
+        return files
     path.mkdir(parents=True, exist_ok=True)
-    files = [path / f"marker_{marker:03d}.png" for marker in wanted]
     for file, page in zip(files, _pages(wanted, layout), strict=True):
         page.save(file, dpi=(dots_per_inch, dots_per_inch))
     return files
+
+
+def _check_printable(marker: int, layout: MarkerLayout) -> None:
+    """Refuse an id that the dictionary does not hold, and a module that paper or camera cannot show."""
+    if not 0 <= marker < layout.n_ids:
+        raise GeometryError(f"marker {marker}", expected=f"0 to {layout.n_ids - 1} ({layout.dictionary})")
+    module_mm = layout.module_of(marker) * 1000.0
+    # 1e-9: millimetres come through metres
+    if module_mm < LEAST_PRINT_MM - 1e-9:
+        raise GeometryError(
+            f"marker {marker} with modules of {module_mm:.4g} mm",
+            expected=f"at least {LEAST_PRINT_MM:g} mm: a camera needs two pixels a module, which are about "
+            "2 mm from 2 m away",
+            cure="Choose modules of 12 mm for 3 to 7 m",
+        )
+    if module_mm > MOST_PRINT_MM:
+        width_mm = (SHEET_MODULES + 2 * MARGIN_MODULES) * module_mm
+        raise GeometryError(
+            f"marker {marker} with modules of {module_mm:.4g} mm is {width_mm:.0f} mm wide",
+            expected=f"modules up to {MOST_PRINT_MM:.1f} mm: at most {PAGE_MM[0] - 10} mm on A4",
+            cure="Choose a smaller module",
+        )
 
 
 def _pages(ids: Sequence[int], layout: MarkerLayout) -> Iterator[Image.Image]:

@@ -49,10 +49,6 @@ class Detection:
     marks: pd.DataFrame
     rejected: pd.DataFrame
 
-    def markers_with(self, reason: str) -> list[int]:
-        """Markers that were rejected for a reason, each once, in order."""
-        return sorted(set(self.rejected.loc[self.rejected["reason"] == reason, "marker"]))
-
 
 NO_SADDLES: Final = "no saddles around the tag"
 TWICE: Final = "seen twice in one picture"
@@ -74,8 +70,10 @@ def detect(image: ArrayU8, layout: MarkerLayout, known: set[int] | None = None) 
     layout : dictionary of the tags.
     known : ids that exist; others are rejected and told. All ids if None.
 
-    Returns ------- `Detection`, sorted by marker and corner. An id that stands at two places of the picture
-    is not used at all.
+    Returns
+    -------
+    `Detection`, sorted by marker and corner. An id that stands at two places of the picture is not used at
+    all.
 
     Raises
     ------
@@ -227,8 +225,3 @@ def _apart(quads: ArrayF, tags: ArrayF) -> ArrayB:
     return np.asarray(
         (distance > 0.5 * np.linalg.norm(tags[:, 0] - tags[:, 2], axis=1) / np.sqrt(2)).all(axis=1)
     )
-
-
-def module_px(marks: pd.DataFrame) -> float:
-    """Median side of a module in a picture [px]; NaN without marks."""
-    return float(marks["size_px"].median() / SADDLE_SQUARE_MODULES) if len(marks) else float("nan")

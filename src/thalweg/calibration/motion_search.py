@@ -73,7 +73,7 @@ def find_mount(
 
     Raises
     ------
-    CoverageError : no point of the run comes near any cone.
+    CoverageError : no point of the run comes near any cone, or none lies on one.
     """
     reach = search.reach_m
     near = field.near(points.in_wcs(start), T_wcs_pcs, reach)
@@ -82,7 +82,7 @@ def find_mount(
             f"none of {len(points)} lidar points comes within {reach:.1f} m of one of the cones "
             f"{', '.join(field.names)}",
             expected="a run past the cones of the field",
-            cure="Check the georeferencing of the field, and record a run along the cones",
+            cure="Check heights and datum of the field's targets, and record a run along the cones",
         )
     parts, cones = [], []
     for k, cone in enumerate(field.cones):
@@ -156,6 +156,13 @@ def _robust_step(
         weight /= max(float(weight.sum()), 1e-9)
         N += J.T @ (J * weight[:, None])
         n -= J.T @ (weight * seen.distance_m)
+    if not np.trace(N) > 0:
+        raise CoverageError(
+            f"lidar points come near {len(cones)} cones, but none lies on the side that its beam can see",
+            expected="points on the surfaces of the cones",
+            cure="Check heights and datum of the field's targets (a pole that was not taken off is 2 m), "
+            "that the cones stand as they were measured, and calibration.ins_lidar.search_lever_m",
+        )
     # 1e-9 of the largest: a direction that no point determines stays where it is
     return mount.moved(np.linalg.solve(N + 1e-9 * np.trace(N) * np.eye(6), n))
 

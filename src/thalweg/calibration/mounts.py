@@ -4,13 +4,13 @@ One file a campaign, ``mounts.json``, is what every consumer reads, so that none
 numbers come from. It has the structure of the section ``mounts``.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from thalweg.core.calibration import SENSORS, Calibration
-from thalweg.core.errors import ConfigError, InputError
+from thalweg.core.errors import ConfigError
+from thalweg.core.json_files import read_marked, write_marked
 
 KIND: Final = "thalweg mounts"
 VERSION: Final = 1
@@ -59,8 +59,7 @@ def _stated(section: Mapping[str, Any], name: str) -> bool:
 
 def write_mounts(path: Path, mounts: Mapping[str, Any]) -> None:
     """Write what `resolve_mounts` gave."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"kind": KIND, "version": VERSION, "mounts": mounts}, indent=2) + "\n")
+    write_marked(path, kind=KIND, version=VERSION, content={"mounts": mounts})
 
 
 def read_mounts(path: Path) -> dict[str, Any]:
@@ -70,22 +69,7 @@ def read_mounts(path: Path) -> dict[str, Any]:
     ------
     InputError : the file is missing or something else.
     """
-    cure = "Build it again with the rule collect_mounts"
-    if not path.is_file():
-        raise InputError("file not found", expected="mounts of a campaign", where=path, cure=cure)
-    try:
-        facts = json.loads(path.read_text())
-        known = (facts["kind"], facts["version"]) == (KIND, VERSION)
-        mounts = dict(facts["mounts"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"no mounts ({error!r})", expected=f"{KIND}, version {VERSION}", where=path, cure=cure
-        ) from error
-    if not known:
-        raise InputError(
-            f"{facts['kind']}, version {facts['version']}",
-            expected=f"{KIND}, version {VERSION}",
-            where=path,
-            cure=cure,
-        )
-    return mounts
+    return read_marked(
+        path, "mounts", kind=KIND, version=VERSION, what="mounts of a campaign",
+        cure="Build it again with the rule collect_mounts",
+    )  # fmt: skip

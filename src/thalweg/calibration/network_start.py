@@ -5,19 +5,20 @@ gives a first rough field; a second picture is resected on the centres of its sh
 intersected from the pictures that are known, and picture after picture is resected on them. Planar poses of a
 sheet have two solutions that lie close together for a small sheet; only the centre, which hardly depends on
 which one is right, is used, and intersection settles the rest.
+
+A wrong mark makes its sheet look like no flat square: the marks of such sheets make no points until the poses
+are known. Where too few markers link a picture to the others, three sheets of known distance do.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Final
 
-import cv2
 import numpy as np
-import pandas as pd
 
+from thalweg.calibration.mark_block import Block, sheet_centres
 from thalweg.calibration.marker_sheets import MarkerLayout
 from thalweg.calibration.ray_resection import improved_pose, pose_from_rays
-from thalweg.core.camera import Camera
 from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
@@ -29,34 +30,13 @@ _FINE_RAD: Final = 0.01
 _LEAST_MARKERS: Final = 4
 _LEAST_SADDLES: Final = 7
 _LEAST_ANGLE_RAD: Final = 0.03
-
-
-@dataclass(slots=True)
-class Block:
-    """Marks of a block of pictures as arrays.
-
-    Parameters
-    ----------
-    images : names; ``camera_of`` (i,) name of the camera of each.
-    points : (marker, corner) of each point.
-    image, point : (m,) indices of each mark.
-    xy_px, sigma_px : (m, 2) and (m,).
-    rays : (m, 3) unit directions in ccs, by nominal interior orientations.
-    """
-
-    images: tuple[str, ...]
-    camera_of: tuple[str, ...]
-    points: tuple[tuple[int, int], ...]
-    image: ArrayI
-    point: ArrayI
-    xy_px: ArrayF
-    sigma_px: ArrayF
-    rays: ArrayF
-
-    @property
-    def marker(self) -> ArrayI:
-        """(m,) marker of each mark."""
-        return np.array([p[0] for p in self.points], np.int64)[self.point]
+_FITS_WELL: Final = 0.85
+"""Share of fitting marks from which on a picture's pose is taken as right."""
+_LEAST_ALIGNED: Final = 3
+_ALIGNED: Final = 0.1
+"""Median difference of the centres of aligned sheets over the size of their layout."""
+_LEAST_WIDTH: Final = 0.05
+"""Width of the aligned sheets' layout over their distance: in one line they leave a turn free."""
 
 
 @dataclass(slots=True)
@@ -68,45 +48,6 @@ class Start:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def block_of(marks: pd.DataFrame, cameras: Mapping[str, Camera]) -> Block:
-    """Arrays of a table of marks (image, camera, marker, corner, x_px, y_px, sigma_px).
-
-    Raises
-    ------
-    GeometryError : a camera is missing, or no marks at all.
-    """
-    if len(marks) == 0:
-        raise GeometryError(
-            "no marks in any picture", expected="pictures of the field", cure="Check detection and dictionary"
-        )
-    missing = sorted(set(marks["camera"]) - set(cameras))
-    if missing:
-        raise GeometryError(
-            f"no interior orientation of the camera {missing[0]!r}", expected=str(list(cameras))
-        )
-    marks = marks.sort_values(["image", "marker", "corner"], kind="stable")
-    images = tuple(dict.fromkeys(marks["image"]))
-    first = marks.drop_duplicates("image").set_index("image")["camera"]
-    keys = list(zip(marks["marker"].astype(int), marks["corner"].astype(int), strict=True))
-    points = tuple(sorted(set(keys)))
-    at_image, at_point = {n: i for i, n in enumerate(images)}, {p: i for i, p in enumerate(points)}
-    xy = marks[["x_px", "y_px"]].to_numpy(np.float64)
-    rays = np.empty((len(marks), 3))
-    for name in set(marks["camera"]):
-        rows = (marks["camera"] == name).to_numpy()
-        rays[rows] = cameras[name].rays(xy[rows])
-    return Block(
-        images=images,
-        camera_of=tuple(first.loc[list(images)]),
-        points=points,
-        image=np.array([at_image[n] for n in marks["image"]], np.int64),
-        point=np.array([at_point[k] for k in keys], np.int64),
-        xy_px=xy,
-        sigma_px=marks["sigma_px"].to_numpy(np.float64),
-        rays=rays,
-    )
-
-
 def start_network(block: Block, layout: MarkerLayout) -> Start:
     """Approximate values in the frame of one picture; see the module.
 
@@ -114,7 +55,9 @@ def start_network(block: Block, layout: MarkerLayout) -> Start:
     ------
     GeometryError : no picture shows enough markers, or no two belong together.
     """
-    centres, rays = _sheets(block, layout)
+    centres, rays, odd = sheet_centres(block, layout)
+    # marks of odd sheets make no points; for a pose, wrong ones among many do no harm
+    sure = replace(block, rays=np.where(odd[:, None], np.nan, block.rays))
     count = {i: len(seen) for i, seen in centres.items()}
     if not count or max(count.values()) < _LEAST_MARKERS:
         best = max(count.values(), default=0)
@@ -125,27 +68,31 @@ def start_network(block: Block, layout: MarkerLayout) -> Start:
         )
     first = max(sorted(count), key=lambda i: count[i])
     start = Start({first: Rigid(R=np.eye(3), shift_m=np.zeros(3))}, np.full((len(block.points), 3), np.nan))
-    rough = {m: (c, first) for m, c in centres[first].items()}
+    rough = dict(centres[first])
     waiting = set(range(len(block.images))) - {first}
     next_sweep = 3
     while waiting:
         solved = np.isfinite(start.points[:, 0])
         score = {i: _known(block, i, solved, rough, rays.get(i, {})) for i in sorted(waiting)}
-        for image in sorted(waiting, key=lambda i: (-max(score[i]), i)):
-            pose = _resected(block, image, start, solved, rough, rays.get(image, {}))
-            if pose is not None:
-                break
-        else:
+        order = sorted(waiting, key=lambda i: (-max(score[i]), i))
+        found = _first((i, _resected(block, i, start, solved, rough, rays.get(i, {}))) for i in order)
+        if found is None:
+            # a weak link, only where no other is left
+            places = rough | _centres(block, start)
+            found = _first((i, _aligned(centres.get(i, {}), places)) for i in order)
+        if found is None:
             break
+        image, pose = found
         start.poses[image] = pose
         waiting.remove(image)
         for marker, centre in centres.get(image, {}).items():
-            rough.setdefault(marker, (pose.apply(centre[None])[0], image))
+            rough.setdefault(marker, pose.apply(centre[None])[0])
         if len(start.poses) >= next_sweep or not waiting:
             next_sweep = max(next_sweep + 1, round(1.3 * next_sweep))
-            _sweep(block, start, 3)
+            _sweep(block, sure, start, 3)
         else:
-            start.points = _intersect(block, start.poses)
+            start.points = _intersect(sure, start.poses)
+    waiting -= _join(block, sure, start, waiting, centres, layout)
     for image in sorted(waiting):
         n = len(set(block.marker[block.image == image]))
         seen = f"{n} marker{'s' if n != 1 else ''}"
@@ -156,63 +103,36 @@ def start_network(block: Block, layout: MarkerLayout) -> Start:
             expected="overlapping pictures of one field",
             cure="Take more pictures, each with at least half of the markers of the one before",
         )
-    _sweep(block, start, 4)
+    _sweep(block, sure, start, 4)
+    _repair(block, sure, start)
+    _sweep(block, sure, start, 2)
+    unsolved = np.isnan(start.points[:, 0])
+    start.points[unsolved] = _intersect(block, start.poses)[unsolved]
     return start
 
 
 def misfit_px(block: Block, start: Start, focal_px: float) -> float:
     """How badly a start fits: median angle of rays in pixels, more if pictures are missing."""
-    rows = np.isfinite(start.points[block.point, 0]) & np.isin(block.image, list(start.poses))
-    R = np.stack([start.poses[i].R if i in start.poses else np.eye(3) for i in range(len(block.images))])
-    C = np.stack(
-        [start.poses[i].shift_m if i in start.poses else np.zeros(3) for i in range(len(block.images))]
-    )
-    away = start.points[block.point[rows]] - C[block.image[rows]]
-    local = np.einsum("mji,mj->mi", R[block.image[rows]], away)
-    off = np.linalg.norm(_unit(local) - block.rays[rows], axis=1)
+    off = _off_rad(block, start)
+    off = off[np.isfinite(off)]
     if len(off) == 0:
         return float("inf")
     return float(np.median(off)) * focal_px * (len(block.image) / len(off)) ** 2
 
 
-def _sheets(
-    block: Block, layout: MarkerLayout
-) -> tuple[dict[int, dict[int, ArrayF]], dict[int, dict[int, ArrayF]]]:
-    """Centres of whole sheets in ccs [m] and unit directions to them, by image and marker."""
-    centres: dict[int, dict[int, ArrayF]] = {}
-    rays: dict[int, dict[int, ArrayF]] = {}
-    order = np.lexsort((block.point, block.image))
-    key = block.image[order] * 100_000 + block.marker[order]
-    for rows in np.split(order, np.flatnonzero(np.diff(key)) + 1):
-        if len(rows) != 4 or not np.isfinite(block.rays[rows]).all():
-            continue
-        image, marker = int(block.image[rows[0]]), int(block.marker[rows[0]])
-        found = _sheet_centre(block.rays[rows], layout.saddles_m(marker))
-        if found is not None:
-            centres.setdefault(image, {})[marker] = found
-            rays.setdefault(image, {})[marker] = found / np.linalg.norm(found)
-    return centres, rays
-
-
-def _sheet_centre(rays: ArrayF, saddles_m: ArrayF) -> ArrayF | None:
-    """Centre of a sheet (3,) in ccs, None if no planar pose fits."""
-    axis = rays.mean(axis=0)
-    axis /= np.linalg.norm(axis)
-    # into a camera that looks at the sheet, so that directions beyond 90 degrees do no harm
-    side = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.9 else [0.0, 1.0, 0.0])
-    side /= np.linalg.norm(side)
-    turn = np.stack([side, np.cross(axis, side), axis])
-    local = rays @ turn.T
-    if (local[:, 2] < 0.1).any():
-        return None
-    flat = local[:, :2] / local[:, 2:]
-    n, _, shifts, _ = cv2.solvePnPGeneric(saddles_m, flat, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-    ahead = [np.ravel(t) for t in shifts[:n] if np.isfinite(t).all() and t[2] > 0]
-    return np.mean(ahead, axis=0) @ turn if ahead else None
+def _off_rad(block: Block, start: Start) -> ArrayF:
+    """(m,) angle between the ray of a mark and the direction to its point, NaN where one is unknown."""
+    R = np.full((len(block.images), 3, 3), np.nan)
+    C = np.full((len(block.images), 3), np.nan)
+    for image, pose in start.poses.items():
+        R[image], C[image] = pose.R, pose.shift_m
+    away = start.points[block.point] - C[block.image]
+    local = np.einsum("mji,mj->mi", R[block.image], away)
+    return np.asarray(np.linalg.norm(_unit(local) - block.rays, axis=1))
 
 
 def _known(
-    block: Block, image: int, solved: ArrayB, rough: dict[int, tuple[ArrayF, int]], rays: dict[int, ArrayF]
+    block: Block, image: int, solved: ArrayB, rough: dict[int, ArrayF], rays: dict[int, ArrayF]
 ) -> tuple[int, int]:
     mine = block.image == image
     return len(set(block.marker[mine & solved[block.point]])), len(set(rays) & set(rough))
@@ -223,7 +143,7 @@ def _resected(
     image: int,
     start: Start,
     solved: ArrayB,
-    rough: dict[int, tuple[ArrayF, int]],
+    rough: dict[int, ArrayF],
     rays: dict[int, ArrayF],
 ) -> Rigid | None:
     """Pose of an image on intersected saddles, or else on the centres of sheets; None if neither is safe."""
@@ -231,32 +151,132 @@ def _resected(
     mine = mine[np.isfinite(block.rays[mine]).all(axis=1)]
     markers = len(set(block.marker[mine]))
     if markers >= 2 and len(mine) >= _LEAST_SADDLES:
-        pose, angles = pose_from_rays(
-            start.points[block.point[mine]], block.rays[mine], block.marker[mine], cap_rad=_FINE_RAD
-        )
-        if (angles < _FINE_RAD).mean() > (0.6 if markers >= _LEAST_MARKERS else 0.85):
+        pose, angles = _pose(start.points[block.point[mine]], block.rays[mine], block.marker[mine], _FINE_RAD)
+        if pose is not None and (angles < _FINE_RAD).mean() > (0.6 if markers >= _LEAST_MARKERS else 0.85):
             return pose
     both = sorted(set(rays) & set(rough))
     if len(both) < _LEAST_MARKERS:
         return None
-    points, directions = np.array([rough[m][0] for m in both]), np.array([rays[m] for m in both])
-    pose, angles = pose_from_rays(points, directions, np.array(both), cap_rad=_ROUGH_RAD)
+    points, directions = np.array([rough[m] for m in both]), np.array([rays[m] for m in both])
+    pose, angles = _pose(points, directions, np.array(both), _ROUGH_RAD)
     enough = (angles < _ROUGH_RAD).sum() >= max(_LEAST_MARKERS, 0.6 * len(both))
     return pose if enough else None
 
 
-def _sweep(block: Block, start: Start, times: int) -> None:
-    """Points from poses and poses from points, in turns."""
+def _pose(points: ArrayF, rays: ArrayF, groups: ArrayI, cap_rad: float) -> tuple[Rigid | None, ArrayF]:
+    """A pose and the angles of rays (n,), None if no three rays give one: another picture goes on."""
+    try:
+        return pose_from_rays(points, rays, groups, cap_rad=cap_rad)
+    except GeometryError:
+        return None, np.full(len(points), np.pi)
+
+
+def _first(tried: Iterable[tuple[int, Rigid | None]]) -> tuple[int, Rigid] | None:
+    """The first image that has a pose; None if no image has one."""
+    return next(((image, pose) for image, pose in tried if pose is not None), None)
+
+
+def _centres(block: Block, start: Start) -> dict[int, ArrayF]:
+    """Centres (3,) of markers whose four saddles were intersected."""
+    solved = [(p[0], x) for p, x in zip(block.points, start.points, strict=True) if np.isfinite(x).all()]
+    sums: dict[int, list[ArrayF]] = {}
+    for marker, x in solved:
+        sums.setdefault(marker, []).append(x)
+    return {marker: np.mean(xs, axis=0) for marker, xs in sums.items() if len(xs) == 4}
+
+
+def _places(block: Block, start: Start, centres: dict[int, dict[int, ArrayF]]) -> dict[int, ArrayF]:
+    """Places (3,) of markers: intersected, or else by their distances in the pictures that show them."""
+    seen: dict[int, list[ArrayF]] = {}
+    for image, pose in start.poses.items():
+        for marker, centre in centres.get(image, {}).items():
+            seen.setdefault(marker, []).append(pose.apply(centre[None])[0])
+    return {m: np.median(xs, axis=0) for m, xs in seen.items()} | _centres(block, start)
+
+
+def _aligned(centres: dict[int, ArrayF], places: dict[int, ArrayF]) -> Rigid | None:
+    """Pose from three common sheets or more: their centres in ccs, with the distances, laid upon pcs."""
+    both = sorted(set(centres) & set(places))
+    if len(both) < _LEAST_ALIGNED:
+        return None
+    ccs, pcs = (np.array([at[m] for m in both]) for at in (centres, places))
+    pose = _between(ccs, pcs)
+    off = np.linalg.norm(pose.apply(ccs) - pcs, axis=1)
+    size = np.linalg.svd(ccs - ccs.mean(axis=0), compute_uv=False) / np.sqrt(len(ccs))
+    narrow = size[1] < _LEAST_WIDTH * float(np.linalg.norm(ccs, axis=1).max())
+    return None if narrow or np.median(off) > _ALIGNED * np.linalg.norm(size) else pose
+
+
+def _between(ccs: ArrayF, pcs: ArrayF) -> Rigid:
+    a, b = ccs - ccs.mean(axis=0), pcs - pcs.mean(axis=0)
+    U, _, Vt = np.linalg.svd(b.T @ a)
+    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    return Rigid(R=R, shift_m=pcs.mean(axis=0) - R @ ccs.mean(axis=0))
+
+
+def _sweep(block: Block, sure: Block, start: Start, times: int) -> None:
+    """Points from poses and the sure marks, and poses from points, in turns."""
     for _ in range(times):
-        start.points = _intersect(block, start.poses)
+        start.points = _intersect(sure, start.poses)
         for image, pose in start.poses.items():
             mine = np.flatnonzero((block.image == image) & np.isfinite(start.points[block.point, 0]))
+            mine = mine[np.isfinite(block.rays[mine]).all(axis=1)]
             points, rays = start.points[block.point[mine]], block.rays[mine]
             off = np.linalg.norm(_unit((points - pose.shift_m) @ pose.R) - rays, axis=1)
             near = off < max(_FINE_RAD, 3 * float(np.median(off))) if len(off) else off > 0
             if near.sum() >= 6:
                 start.poses[image] = improved_pose(pose, points[near], rays[near])
-    start.points = _intersect(block, start.poses)
+    start.points = _intersect(sure, start.poses)
+
+
+def _join(
+    block: Block,
+    sure: Block,
+    start: Start,
+    waiting: set[int],
+    centres: dict[int, dict[int, ArrayF]],
+    layout: MarkerLayout,
+) -> set[int]:
+    """Pictures that hang together among themselves are laid upon the others by markers that both show.
+
+    Returns those that are joined.
+    """
+    rows = np.isin(block.image, list(waiting))
+    if len(waiting) < 2 or len(start.poses) < 2 or not rows.any():
+        return set()
+    part = replace(
+        block, image=block.image[rows], point=block.point[rows], xy_px=block.xy_px[rows],
+        sigma_px=block.sigma_px[rows], rays=block.rays[rows],
+    )  # fmt: skip
+    try:
+        other = start_network(part, layout)
+    except GeometryError:
+        return set()
+    T = _aligned(_places(block, other, centres), _places(block, start, centres))
+    if T is None:
+        return set()
+    start.poses |= {image: T @ pose for image, pose in other.poses.items()}
+    _sweep(block, sure, start, 3)
+    return set(other.poses)
+
+
+def _repair(block: Block, sure: Block, start: Start) -> None:
+    """Pictures that fit badly are resected anew on what the others say: a wrong pose spoils points, too."""
+    off = _off_rad(block, start)
+    fitting = {i: float(np.mean(off[block.image == i] < _FINE_RAD)) for i in start.poses}
+    for image in sorted((i for i in fitting if fitting[i] < _FITS_WELL), key=lambda i: (fitting[i], i)):
+        others = {i: pose for i, pose in start.poses.items() if i != image}
+        points = _intersect(sure, others)
+        mine = np.flatnonzero((block.image == image) & np.isfinite(points[block.point, 0]))
+        mine = mine[np.isfinite(block.rays[mine]).all(axis=1)]
+        if len(mine) < _LEAST_SADDLES or len(set(block.marker[mine])) < _LEAST_MARKERS:
+            continue
+        there, rays = points[block.point[mine]], block.rays[mine]
+        pose, angles = _pose(there, rays, block.marker[mine], _FINE_RAD)
+        old = start.poses[image]
+        before = np.linalg.norm(_unit((there - old.shift_m) @ old.R) - rays, axis=1)
+        if pose is not None and (angles < _FINE_RAD).mean() > (before < _FINE_RAD).mean():
+            start.poses[image] = pose
 
 
 def _intersect(block: Block, poses: dict[int, Rigid]) -> ArrayF:

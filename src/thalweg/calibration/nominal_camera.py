@@ -22,6 +22,24 @@ def nominal_camera(name: str, model: Model, size_px: tuple[int, int], focal_px: 
     return Camera(model=model, size_px=size_px, parameters=p, name=name)
 
 
+def starting_camera_by(
+    misfit: Callable[[Camera], float],
+    name: str,
+    model: Model,
+    size_px: tuple[int, int],
+    focal_px: float | None,
+) -> Camera:
+    """The nominal camera of a stated focal length, or else that of the tried ones with the smallest misfit.
+
+    Raises
+    ------
+    GeometryError : none of them gives any solution.
+    """
+    if focal_px is not None:
+        return nominal_camera(name, model, size_px, focal_px)
+    return best_nominal(name, model, size_px, misfit)
+
+
 def best_nominal(
     name: str, model: Model, size_px: tuple[int, int], misfit: Callable[[Camera], float]
 ) -> Camera:

@@ -192,6 +192,7 @@ def _adjusted(
     k = len(loose)
 
     def marks(x: _State) -> Linear:
+        """Pixels of the marks less the measured ones."""
         got, by_pose, by_point, by_parameters = _project(x.camera, x.pose, X)
         J = np.concatenate([by_pose, by_parameters[:, :, loose]], axis=2)
         residual = got - xy
@@ -201,11 +202,13 @@ def _adjusted(
         return Linear(residual=residual.ravel(), jacobian=J.reshape(-1, 6 + k), cov=cov)
 
     def interior(x: _State) -> Linear:
+        """The interior orientation as an observation of itself."""
         J = np.concatenate([np.zeros((k, 6)), np.eye(k)], axis=1)
         off = (x.camera.parameters - camera.parameters)[loose]
         return Linear(residual=off, jacobian=J, cov=camera.cov[np.ix_(loose, loose)][None])
 
     def update(x: _State, dx: ArrayF) -> _State:
+        """Small changes put on the state; a focal length stays positive."""
         p = x.camera.parameters.copy()
         p[loose] += dx[6:]
         p[:2] = np.maximum(p[:2], 0.05 * camera.parameters[:2])

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,9 +11,16 @@ from scipy.signal import savgol_filter
 from thalweg.calibration.cones import Cone
 from thalweg.core.errors import CoverageError, GeometryError
 from thalweg.core.rigid import Rigid
-from thalweg.core.timescales import utc_text_from_gps
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
+from thalweg.timing.spans import apart_words, span_text
+
+_SMOOTHED_S: Final = 1.5
+"""Half of the time over which velocities are smoothed."""
+
+_DEGREE: Final = 3
+_HOLE: Final = 3.0
+"""Nodes that are farther apart than so many usual steps have a gap between them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,18 +129,7 @@ class RunPoints:
         position, R, valid = trajectory.at(t[keep])
         keep, position, R = keep[valid], position[valid], R[valid]
         if not keep.size:
-            timed = t[np.isfinite(t)]
-            lidar = (
-                f"{utc_text_from_gps(timed.min())} .. {utc_text_from_gps(timed.max())}"
-                if timed.size
-                else "no time with a clock"
-            )
-            raise CoverageError(
-                f"{len(t)} lidar points of {lidar}, but the trajectory covers {utc_text_from_gps(first)} .. "
-                f"{utc_text_from_gps(last)}",
-                expected="lidar, INS and positions of the same run",
-                cure="Record lidar, INS and GNSS at the same time; check that the logs belong together",
-            )
+            raise no_pose(trajectory, t)
         left = np.clip(np.searchsorted(trajectory.t_gps_s, t[keep], side="right") - 1, 0, None)
         velocity, rate = smooth_rates(trajectory)
         left = np.minimum(left, len(rate) - 1)
@@ -167,19 +163,65 @@ class RunPoints:
         return np.asarray(np.arctan2(self.R_wcs_ics[:, 0, 0], self.R_wcs_ics[:, 1, 0]))
 
 
+def no_pose(trajectory: Trajectory, t_gps_s: ArrayF, n: int | None = None) -> CoverageError:
+    """The error about lidar points of which none has a pose.
+
+    Logs of different times are told from a log without clock, and from points in the trajectory's gaps.
+
+    Parameters
+    ----------
+    trajectory : of the run.
+    t_gps_s : (m,) times of the points, or the first and last of each part of them; NaN without a clock.
+    n : number of points, if there are more than times.
+    """
+    timed = t_gps_s[np.isfinite(t_gps_s)]
+    first, last = trajectory.span()
+    count = f"{len(t_gps_s) if n is None else n:,} lidar points"
+    if not timed.size:
+        return CoverageError(
+            f"{count} of no time with a clock",
+            expected="lidar stamps that are tied to GPS time",
+            cure="Check pulse per second and NMEA of the lidar, and the reception of its GNSS receiver",
+        )
+    lidar = (float(timed.min()), float(timed.max()))
+    apart = apart_words(lidar, (first, last))
+    if not apart:
+        return CoverageError(
+            f"{count} of {span_text(*lidar)} lie in gaps of the trajectory, which covers "
+            f"{span_text(first, last)}",
+            expected="poses while the lidar sees the cones",
+            cure="Look at the gaps of INS and positions in the table of streams",
+        )
+    return CoverageError(
+        f"{count} of {span_text(*lidar)}, but the trajectory covers "
+        f"{span_text(first, last)}; the lidar's log: {apart}",
+        expected="lidar, INS and positions of the same run",
+        cure="Set the hour of the lidar's clock right, or its offset from UTC"
+        if "hour" in apart
+        else "Record lidar, INS and GNSS at the same time; check that the logs belong together",
+    )
+
+
 def smooth_rates(trajectory: Trajectory) -> tuple[ArrayF, ArrayF]:
     """Velocity and angular velocity (n - 1, 3) of the intervals of a trajectory, smoothed over three seconds.
 
     Differences of positions hold the noise of these positions, so an offset in time that is estimated with
     them is wrong: 1 cm of noise at 10 Hz is more velocity than the boat has. A cubic polynomial is fitted to
     the neighbourhood of each interval (Savitzky and Golay 1964), which treats errors before and after alike.
+
+    Nothing is smoothed across a gap: at an invalid node, or where nodes are missing, a piece ends. Pieces
+    that are shorter than the window get a shorter one; those of less than five intervals, and intervals
+    inside a gap, which no point uses, keep their plain differences.
     """
     velocity, rate = trajectory.rates()
-    step = float(np.median(np.diff(trajectory.t_gps_s)))
-    window = min(2 * round(1.5 / step) + 1, len(velocity) - 1 + len(velocity) % 2)
-    if window < 5:
-        return velocity, rate
-    return (
-        np.asarray(savgol_filter(velocity, window, 3, axis=0)),
-        np.asarray(savgol_filter(rate, window, 3, axis=0)),
-    )
+    steps = np.diff(trajectory.t_gps_s)
+    step = float(np.median(steps))
+    whole = trajectory.valid[:-1] & trajectory.valid[1:] & (steps < _HOLE * step)
+    both = np.concatenate([velocity, rate], axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(np.int8)))
+    for start, end in edges.reshape(-1, 2):
+        n = int(end - start)
+        window = min(2 * round(_SMOOTHED_S / step) + 1, n - 1 + n % 2)
+        if window >= _DEGREE + 2:
+            both[start:end] = savgol_filter(both[start:end], window, _DEGREE, axis=0)
+    return both[:, :3], both[:, 3:]

@@ -96,6 +96,13 @@ class InsLidarFit(Section):
     min_headings_deg: Annotated[float, Field(ge=0, le=360)] = Field(
         default=90.0, description="Range of headings in which cones must be seen, degrees"
     )
+    sigma_time_s: Positive = Field(
+        default=0.0005,
+        le=0.1,
+        description="Common offset of the lidar's stamps against the trajectory (one sigma), seconds: "
+        "latency of the INS and delay of pulse and sentence, an assumption; `lidar_accuracy.sigma_time_s` is "
+        "the scatter of single stamps",
+    )
     antenna_position: str = Field(
         default="position_1",
         description="Image of the static position at which the reference images show the antenna's marker",

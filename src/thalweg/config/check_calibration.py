@@ -10,19 +10,26 @@ from thalweg.core.mistakes import Mistake
 
 _NEEDED = {
     "reference_images": "images of the field by a hand-held camera",
+}
+_STATIC = {
     "position_images": "an image of the boat's camera at each static position",
     "position_scans": "a lidar capture of each static position",
 }
+_CLOCKS = {"clock_ties": "comparisons", "trigger_pulses": "pulses"}
 
 
-def check_calibration_logs(logs: CalibrationLogs, *, jitter_s: object = None) -> Iterator[Mistake]:
+def check_calibration_logs(
+    logs: CalibrationLogs, *, jitter_s: object = None, has_run: bool = False
+) -> Iterator[Mistake]:
     """Mistakes between the recordings of a calibration field or of a board; patterns are not expanded yet.
 
-    ``jitter_s`` is ``calibration.clock.jitter_s`` as written, None if absent.
+    ``jitter_s`` is ``calibration.clock.jitter_s`` as written, None if absent. ``has_run``: whether lidar and
+    INS were recorded on the moving boat; their mount then needs no camera and no static positions.
     """
     given = {name: getattr(logs, name) for name in type(logs).model_fields}
     if logs.field:
-        for name, what in _NEEDED.items():
+        static = not has_run or any(given[name] for name in _STATIC)
+        for name, what in (_NEEDED | _STATIC if static else _NEEDED).items():
             if not given[name]:
                 yield Mistake(
                     path=("logs", "calibration", name),
@@ -30,7 +37,7 @@ def check_calibration_logs(logs: CalibrationLogs, *, jitter_s: object = None) ->
                     expected=f"{what}, beside logs.calibration.field",
                     cure=f"Add the line `{name}: [...]`",
                 )
-    elif any(given[name] for name in (*_NEEDED, "run_images")):
+    elif any(given[name] for name in (*_NEEDED, *_STATIC, "run_images")):
         yield Mistake(
             path=("logs", "calibration", "field"),
             found="missing",
@@ -83,8 +90,15 @@ def check_interior(chosen: Any, folder: Path) -> Iterator[Mistake]:
 
 def _check_clock(logs: CalibrationLogs, jitter_s: object) -> Iterator[Mistake]:
     """One source of the camera's clock, in one file, that says all that is needed."""
-    for name, what in (("clock_ties", "comparisons"), ("trigger_pulses", "pulses")):
+    for name, what in _CLOCKS.items():
         count = len(getattr(logs, name))
+        if count and not logs.run_images:
+            yield Mistake(
+                path=("logs", "calibration", "run_images"),
+                found="missing",
+                expected=f"the images whose times {name} tells; without images it would not be used",
+                cure=f"Add the line `run_images: [...]`, or remove {name}",
+            )
         if count > 1:
             yield Mistake(
                 path=("logs", "calibration", name),

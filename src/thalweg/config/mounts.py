@@ -16,8 +16,8 @@ Row6 = tuple[Correlation, Correlation, Correlation, Correlation, Correlation, Co
 
 
 def is_calibration_path(text: str) -> bool:
-    """True if ``mounts.calibration`` names a file, not a campaign."""
-    return "/" in text or text.endswith((".yaml", ".yml"))
+    """True if ``mounts.calibration`` names a file, not a campaign: ids hold neither slash nor point."""
+    return "/" in text or "." in text
 
 
 class OrientedMount(Section):

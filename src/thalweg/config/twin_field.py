@@ -4,7 +4,7 @@ A yard with eight cones, six of them lying on both sides of the boat, printed ma
 targets. The boat stands in it three times, mostly turned, and is then moved around in it.
 """
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -59,10 +59,11 @@ class TwinFieldEffects(Section):
     )
     toppled_by_deg: Tilt = Field(default=8.0, description="Angle by which it leans then, degrees")
     moved_marker: Marker | None = Field(
-        default=None, description="Flat marker that was moved after the reference images"
+        default=None,
+        description="Marker that was moved after the reference images; one that the boat can see",
     )
     moved_by_m: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.02, description="Distance by which it was moved in its plane, metres"
+        default=0.02, description="Distance by which it was moved along its board or cone, metres"
     )
     swapped_ids: tuple[tuple[Marker, Marker], ...] = Field(
         default=(), description="Pairs of markers glued in each other's place against the description"
@@ -123,6 +124,11 @@ class TwinField(Section):
     )
     sigma_bar_m: NonNegative = Field(
         default=0.00003, le=0.01, description="Error of the certificates of the scale bars, metres"
+    )
+    tour: Literal["in turn", "planned"] = Field(
+        default="in turn",
+        description="Reference images: `in turn` near a cone and across the yard, at two heights; `planned` "
+        "35 views chosen so that nearly every marker stands in three images",
     )
     n_targets: Annotated[int, Field(ge=0, le=6)] = Field(
         default=6, description="Markers that were measured with RTK"

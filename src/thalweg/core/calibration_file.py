@@ -32,6 +32,7 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core.calibration import (
+    LEVER,
     POSE,
     SMALLEST_EIGENVALUE,
     Block,
@@ -44,6 +45,7 @@ from thalweg.core.calibration import (
 )
 from thalweg.core.errors import ConfigError
 from thalweg.core.frames import opk_axes
+from thalweg.core.lever_arms import lever_doubt
 from thalweg.core.mistakes import Key, Mistake
 from thalweg.core.types import ArrayF
 from thalweg.core.yaml_lines import Document, read_yaml
@@ -52,6 +54,7 @@ __all__ = [
     "Block",
     "Calibration",
     "Source",
+    "check_calibration",
     "lever_block",
     "pose_block",
     "read_calibration",
@@ -207,18 +210,24 @@ def read_calibration(path: Path) -> Calibration:
     ------
     ConfigError : lists every mistake with its line.
     """
-    document = read_yaml(path)
-    reader = _Reader(document, list(document.mistakes))
-    found = _calibration(reader) if document.data is not None or not reader.mistakes else None
-    if reader.mistakes or found is None:
-        n = len(reader.mistakes)
-        lines = "\n".join(f"  {mistake}" for mistake in reader.mistakes)
+    found, mistakes = check_calibration(path)
+    if mistakes or found is None:
+        n = len(mistakes)
+        lines = "\n".join(f"  {mistake}" for mistake in mistakes)
         raise ConfigError(
             f"{n} mistake{'s' * (n > 1)} in the calibration:\n{lines}".rstrip("."),
             where=path,
             cure="docs/calibration.md says more",
         )
     return found
+
+
+def check_calibration(path: Path) -> tuple[Calibration | None, list[Mistake]]:
+    """The calibration of a file, or None and all its mistakes with their lines."""
+    document = read_yaml(path)
+    reader = _Reader(document, list(document.mistakes))
+    found = _calibration(reader) if document.data is not None or not reader.mistakes else None
+    return (None if reader.mistakes else found), reader.mistakes
 
 
 def _calibration(reader: _Reader) -> Calibration | None:
@@ -289,6 +298,7 @@ def _block(reader: _Reader, name: str, data: Any) -> tuple[Block | None, ArrayF,
     pose = bool(set(POSE[:3]) & set(entries))
     if pose and (missing or len(entries) != len(POSE)):
         reader.wrong((*path, "values"), f"a pose with the quantities {', '.join(entries)}", ", ".join(POSE))
+    _check_lever(reader, dict(zip(entries, values, strict=True)), (*path, "values"))
     axes = section.get("sigma_axes")
     if pose and equation:
         _check_axes(reader, axes, equation, path)
@@ -302,6 +312,14 @@ def _block(reader: _Reader, name: str, data: Any) -> tuple[Block | None, ArrayF,
         equation=equation, convention=convention, facts=facts,
     )  # fmt: skip
     return block, np.array(sigmas)[order], axes == ANGLES_THEMSELVES
+
+
+def _check_lever(reader: _Reader, values: dict[str, float], path: tuple[Key, ...]) -> None:
+    """A lever arm in millimetres is told at its longest component."""
+    doubt = lever_doubt([values[name] for name in LEVER]) if set(LEVER) <= set(values) else None
+    if doubt is not None:
+        longest = max(LEVER, key=lambda name: abs(values[name]))
+        reader.wrong((*path, longest), *doubt)
 
 
 def _check_axes(reader: _Reader, axes: Any, equation: str, path: tuple[Key, ...]) -> None:

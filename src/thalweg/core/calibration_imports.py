@@ -1,4 +1,4 @@
-"""Calibrations that other programs wrote: Kalibr's camera chains, and 4x4 matrices in text files.
+"""Calibrations that other programs wrote: Kalibr's camera chains, 4x4 matrices, cameras of COLMAP and OpenCV.
 
 Kalibr (``camchain.yaml``, ``camchain-imucam.yaml``) writes for each camera ``cam0``, ``cam1`` ...::
 
@@ -12,16 +12,18 @@ of Thalweg from its corner: 0.5 is added to cx and cy. The axes of the IMU are t
 these files states how well it is known, so whoever imports one must say it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from thalweg.core.calibration import Block, Calibration, Source, pose_block
-from thalweg.core.camera import PARAMETERS, Camera
+from thalweg.core.camera import PARAMETERS, Camera, Model
+from thalweg.core.camera_files import read_colmap, read_opencv
 from thalweg.core.errors import ConfigError, GeometryError, InputError, UnsupportedError
+from thalweg.core.lever_arms import lever_doubt
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
 from thalweg.core.yaml_lines import read_mapping
@@ -71,6 +73,7 @@ def read_kalibr(path: Path) -> list[KalibrCamera]:
     Raises
     ------
     ConfigError : no valid YAML, a key is missing or holds something else.
+    InputError : a matrix is none, or its shift is in millimetres.
     UnsupportedError : a camera model other than pinhole with radtan or equidistant distortion.
     """
     data, lines = read_mapping(path)
@@ -97,7 +100,8 @@ def _camera(path: Path, lines: Mapping[tuple[str, ...], int], name: str, data: A
     def pose(key: str) -> Rigid | None:
         if data.get(key) is None:
             return None
-        return rigid_of(data[key], where=f"{where(key)}: {name}.{key}")
+        place = f"{where(key)}: {name}.{key}"
+        return _near(rigid_of(data[key], where=place), place)
 
     intrinsics, coefficients = numbers("intrinsics", 4), numbers("distortion_coeffs", 4)
     size = numbers("resolution", 2)
@@ -153,7 +157,7 @@ def import_kalibr(path: Path, sigmas: Mapping[str, float], *, run: str = "") -> 
     Raises
     ------
     ConfigError, UnsupportedError : see `read_kalibr`.
-    InputError : a sigma that is needed is not stated, or is negative.
+    InputError : a sigma that is needed is not stated, or is negative; or see `read_kalibr`.
     """
     parts: list[tuple[Block, ArrayF]] = []
     for k, found in enumerate(read_kalibr(path)):
@@ -167,7 +171,9 @@ def import_kalibr(path: Path, sigmas: Mapping[str, float], *, run: str = "") -> 
             parts.append(
                 pose_block(f"camera_{k}_{before}", pose, target="ccs", source="ccs", facts={"source": before})
             )
-        parts.append(_interior(f"{name}_interior", found.camera, sigmas, path))
+        # Kalibr has no k3
+        held = {"k3"} if found.camera.model == "perspective" else set()
+        parts.append(_interior(f"{name}_interior", found.camera, sigmas, path, held))
         if found.offset_s is not None:
             clock = Block(
                 name=f"{name}_clock", quantities=("offset_s",), values=np.array([found.offset_s]),
@@ -179,12 +185,65 @@ def import_kalibr(path: Path, sigmas: Mapping[str, float], *, run: str = "") -> 
     )
 
 
-def _interior(name: str, camera: Camera, sigmas: Mapping[str, float], path: Path) -> tuple[Block, ArrayF]:
+def import_camera(
+    path: Path,
+    sigmas: Mapping[str, float],
+    *,
+    kind: Literal["colmap", "opencv"],
+    number: int | None = None,
+    model: Model | None = None,
+    size_px: tuple[int, int] | None = None,
+    name: str = "camera",
+) -> Calibration:
+    """Interior orientation of a file of COLMAP, OpenCV or ROS with stated standard deviations, uncorrelated.
+
+    Distortion coefficients that are exactly zero are no part of the model that was calibrated: their sigma
+    is zero.
+
+    Parameters
+    ----------
+    path : ``cameras.txt``, or YAML or JSON of OpenCV or ROS.
+    sigmas : ``focal_px``, ``centre_px``, ``distortion``.
+    kind : which of the two.
+    number : of the camera, where COLMAP has several.
+    model, size_px : where a file of OpenCV does not say them.
+    name : the block is ``<name>_interior``.
+
+    Raises
+    ------
+    InputError, UnsupportedError : see `read_colmap` and `read_opencv`; or no such camera, or a sigma is not
+        stated.
+    """
+    camera = _one_camera(read_colmap(path), number, path) if kind == "colmap" else None
+    camera = camera or read_opencv(path, model, size_px)
+    values = zip(camera.parameter_names[4:], camera.parameters[4:], strict=True)
+    held = {quantity for quantity, value in values if value == 0.0}
+    part = _interior(f"{name}_interior", camera, sigmas, path, held)
+    words = {"colmap": "COLMAP", "opencv": "OpenCV"}[kind]
+    return _joined([part], title=f"{words}: {path.name}", run=path.stem, method=f"{words}, sigmas as stated")
+
+
+def _one_camera(cameras: Mapping[int, Camera], number: int | None, path: Path) -> Camera:
+    if number is None and len(cameras) == 1:
+        return next(iter(cameras.values()))
+    if number is None or number not in cameras:
+        raise InputError(
+            f"{len(cameras)} cameras" if number is None else f"there is no camera {number}",
+            where=path,
+            expected=f"the number of one: {', '.join(map(str, cameras))}",
+            cure="State it: --camera NUMBER",
+        )
+    return cameras[number]
+
+
+def _interior(
+    name: str, camera: Camera, sigmas: Mapping[str, float], path: Path, held: Set[str]
+) -> tuple[Block, ArrayF]:
+    """Block and covariance; parameters that are ``held`` have no error."""
     names = PARAMETERS[camera.model]
     keys = ["focal_px", "focal_px", "centre_px", "centre_px", *["distortion"] * (len(names) - 4)]
-    sigma = np.array([_sigma(sigmas, key, path) for key in keys])
-    if camera.model == "perspective":
-        sigma[8] = 0.0  # Kalibr has no k3
+    pairs = zip(names, keys, strict=True)
+    sigma = np.array([0.0 if quantity in held else _sigma(sigmas, key, path) for quantity, key in pairs])
     block = Block(
         name=name,
         quantities=names,
@@ -210,9 +269,10 @@ def import_matrix(
 
     Raises
     ------
-    InputError : no such matrix, one by columns, with scale or reflection, or a sigma is not stated.
+    InputError : no such matrix, one by columns, with scale or reflection, a shift in millimetres, or a
+        sigma is not stated.
     """
-    pose = read_matrix(path).with_cov(_pose_cov(sigmas, path))
+    pose = _near(read_matrix(path), str(path)).with_cov(_pose_cov(sigmas, path))
     part = pose_block(name, pose, target=target, source=source)
     return _joined(
         [part], title=f"4x4 matrix: {path.name}", run=path.stem, method="4x4 matrix, sigmas as stated"
@@ -274,6 +334,20 @@ def rigid_of(rows: Any, *, where: str) -> Rigid:
         )  # fmt: skip
     u, _, v = np.linalg.svd(R)
     return Rigid(R=u @ v, shift_m=T[:3, 3])
+
+
+def _near(pose: Rigid, where: str) -> Rigid:
+    """The same pose if its shift may be a lever arm in metres.
+
+    Raises
+    ------
+    InputError : it is too long for that.
+    """
+    doubt = lever_doubt(pose.shift_m.tolist())
+    if doubt is not None:
+        found, expected, cure = doubt
+        raise InputError(found, where=where, expected=expected, cure=cure)
+    return pose
 
 
 def _pose_cov(sigmas: Mapping[str, float], path: Path) -> ArrayF:

@@ -13,6 +13,7 @@ from thalweg.core.calibration_imports import KalibrCamera, read_kalibr, read_mat
 from thalweg.core.camera import Camera
 from thalweg.core.camera_files import read_colmap, read_opencv
 from thalweg.core.frames import rotation_opk
+from thalweg.core.lever_arms import lever_doubt
 from thalweg.core.rigid import Rigid, opk_of, rotation_vector
 from thalweg.core.types import ArrayF
 from thalweg.ingest.integrity import IntegrityReport
@@ -189,10 +190,13 @@ def _pose_lines(pose: Rigid) -> list[str]:
 
 
 def _matrix(path: Path) -> IntegrityReport:
-    report = _report(path, "4x4 matrix")
+    report, pose = _report(path, "4x4 matrix"), read_matrix(path)
     report.details["pose"] = [
         "x_target = T @ x_source; the file does not name the frames",
-        *_pose_lines(read_matrix(path)),
+        *_pose_lines(pose),
     ]
     report.note(_NO_SIGMA)
+    doubt = lever_doubt(pose.shift_m.tolist())
+    if doubt is not None:
+        report.note(f"No lever arm in metres: {doubt[0]}. {doubt[2]}.")
     return report

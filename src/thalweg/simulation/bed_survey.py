@@ -78,10 +78,7 @@ def simulate_bed_survey(
 
     Parameters
     ----------
-    config : section ``twin``.
-    seed : seed of the campaign.
-    frame : the world frame.
-    scene : file of `simulate_scene`.
+    config, seed, frame, scene : as in `thalweg.simulation.echo.simulate_echo`.
     out_bed : target.
     crs : projected CRS of the campaign; heights are ellipsoidal.
     out_effects : where to write what was done to the points (JSON), beside the truth.

@@ -250,10 +250,7 @@ def simulate_tls(
 
     Parameters
     ----------
-    config : section ``twin``.
-    seed : seed of the campaign.
-    frame : the world frame.
-    scene : file of `simulate_scene`.
+    config, seed, frame, scene : as in `thalweg.simulation.echo.simulate_echo`.
     out_scans : one target a station; the stations share the reach evenly.
     crs : projected CRS of the campaign; heights in the files are ellipsoidal.
     out_effects : where to write station positions and errors (JSON), beside the truth.

@@ -4,7 +4,6 @@ The processing reads the estimates from the campaign file, the instruments of th
 An error of a mount is constant over the whole recording, so it can be told from noise only over many seeds.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
@@ -12,15 +11,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core.errors import ConfigError, InputError
+from thalweg.core.errors import ConfigError
 from thalweg.core.frames import rotation_opk
+from thalweg.core.json_files import read_marked, write_marked
 from thalweg.core.rigid import exp_rotation, opk_of, rotation_vector
 from thalweg.core.types import ArrayF
 from thalweg.simulation.random import generator
 
 KIND: Final = "thalweg twin mounts"
 ANGLES: Final = ("omega_deg", "phi_deg", "kappa_deg")
-_CURE: Final = "Build it again with the rule that simulates the mounts"
 
 
 def true_mounts(mounts: Mapping[str, Any], seed: int, *, on: bool) -> dict[str, Any]:
@@ -98,14 +97,8 @@ def write_true_mounts(path: Path, true: Mapping[str, Any], estimated: Mapping[st
     true : what `true_mounts` gave.
     estimated : the campaign's mounts that it was drawn around.
     """
-    facts = {
-        "kind": KIND,
-        "version": 1,
-        "mounts": true,
-        "true_minus_estimated": mount_errors(true, estimated),
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(facts, indent=2) + "\n")
+    content = {"mounts": true, "true_minus_estimated": mount_errors(true, estimated)}
+    write_marked(path, kind=KIND, version=1, content=content)
 
 
 def read_true_mounts(path: Path) -> dict[str, Any]:
@@ -115,23 +108,10 @@ def read_true_mounts(path: Path) -> dict[str, Any]:
     ------
     InputError : the file is missing or something else.
     """
-    if not path.is_file():
-        raise InputError("file not found", expected="true mounts of the twin", where=path, cure=_CURE)
-    try:
-        facts = json.loads(path.read_text())
-        known, mounts = (facts["kind"], facts["version"]) == (KIND, 1), dict(facts["mounts"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"no true mounts ({error!r})", expected=f"{KIND}, version 1", where=path, cure=_CURE
-        ) from error
-    if not known:
-        raise InputError(
-            f"{facts['kind']}, version {facts['version']}",
-            expected=f"{KIND}, version 1",
-            where=path,
-            cure=_CURE,
-        )
-    return mounts
+    return read_marked(
+        path, "mounts", kind=KIND, version=1, what="true mounts of the twin",
+        cure="Build it again with the rule that simulates the mounts",
+    )  # fmt: skip
 
 
 def _root(correlation: Sequence[Sequence[float]] | None, n: int, name: str) -> ArrayF:

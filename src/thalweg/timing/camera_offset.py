@@ -6,10 +6,11 @@ that
 - GNSS errors last for seconds, so that 10 Hz are not ten times the information of 1 Hz;
 - poses have covariances, and share the error of the field's georeferencing;
 - each image has a jitter of its own, whose variance is estimated with the rest (restricted maximum
-likelihood); - the clock drifts; a prior sigma keeps the drift of a short run sane;
+  likelihood);
+- the clock drifts; a prior sigma keeps the drift of a short run sane;
 - a few poses are wrong: images whose residuals do not fit are taken out one after the other;
 - the attitude of the INS, if given, tells the time from turns: 0.05 degrees at 10 degrees/s are 5 ms an
-image.
+  image.
 
 Two definitions of the offset differ by the mean jitter of the run's images, ``jitter / sqrt(n)``. That of
 the *clock* is what another run will have. That of *this run* holds for its own images. Both come with their

@@ -221,6 +221,9 @@ def image_times(fit: OffsetFit, scale: float, o: OffsetOptions) -> tuple[ArrayF,
     """GPS time of each image with its own jitter (n,), sigma (n,), and mean offset of the run with its sigma.
 
     Henderson's mixed model equations: the jitters join the unknowns, with their variance as prior knowledge.
+    What the noise of the slopes adds to the covariance of offset and drift (see `_without_noise`) goes on
+    into all that was estimated with them: an offset that is wrong is made up for by the jitters, so that the
+    mean time of the images is less uncertain than offset and jitters apart.
     """
     model, stacked = fit.model, fit.stacked
     Z, u = _effects(stacked), stacked.jacobian.shape[1]
@@ -233,17 +236,17 @@ def image_times(fit: OffsetFit, scale: float, o: OffsetOptions) -> tuple[ArrayF,
         N[:u, :u] += part.jacobian.T @ weight @ part.jacobian
     N[np.arange(u, u + n), np.arange(u, u + n)] += 1.0 / s
     inverse = np.linalg.inv(N)
-    inverse[:2, :2] += fit.cov[:2, :2] - inverse[:2, :2]
-    inverse *= scale
     since = model.poses.t_device_s - model.reference_s
+    best, run = model.times(fit.state) + fit.effects_s, float(fit.state.offset_s + fit.effects_s.mean())
+    if not np.isfinite(fit.cov[:2, :2]).all():
+        return best, np.full(n, np.inf), run, float("inf")
+    added = fit.cov[:2, :2] - inverse[:2, :2]
+    with_clock = inverse[:, :2] @ np.linalg.inv(inverse[:2, :2])
+    inverse += with_clock @ added @ with_clock.T
+    inverse *= scale
     to_time = np.zeros((n, u + n))
     to_time[:, 0], to_time[:, 1] = 1.0, since
     to_time[np.arange(n), u + np.arange(n)] = 1.0
     cov = to_time @ inverse @ to_time.T
     mean = to_time.mean(axis=0)
-    return (
-        model.times(fit.state) + fit.effects_s,
-        np.sqrt(np.diag(cov)),
-        float(fit.state.offset_s + fit.effects_s.mean()),
-        float(np.sqrt(mean @ inverse @ mean)),
-    )
+    return best, np.sqrt(np.diag(cov)), run, float(np.sqrt(mean @ inverse @ mean))

@@ -6,6 +6,7 @@ exposure; what the camera's own stamps say is then used to find the pulse, and f
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 
 from thalweg.core.errors import ClockError
-from thalweg.core.tables import column, frame_of, table_kind
+from thalweg.core.tables import column, frame_of, read_table, table_kind
 from thalweg.core.timescales import utc_text_from_gps
 from thalweg.core.types import ArrayF
 from thalweg.timing.clock_model import ClockModel
@@ -143,6 +144,36 @@ def triggered_images(
     )
     facts = {"images_without_pulse": without, "pulses_without_image_s": unseen.tolist()}
     return replace(clock, notes=notes), _table(stamps, t_gps_s, sigma_s, matched, reason), facts
+
+
+def read_run_image_times(path: Path) -> pd.DataFrame:
+    """Table kind ``run_image_times``, as ``timing/image_times_ties.parquet`` holds it.
+
+    Raises
+    ------
+    InputError : the file is missing or another table.
+    """
+    return read_table(path, RUN_IMAGE_TIMES)[0]
+
+
+def image_times_words(times: pd.DataFrame) -> str:
+    """How many images have their time from where, and how good it is, in a sentence.
+
+    Parameters
+    ----------
+    times : table kind ``run_image_times``.
+    """
+    known = np.isfinite(times["t_gps_s"].to_numpy(np.float64))
+    by_pulse = known & times["matched"].to_numpy(dtype=bool)
+    groups = (("by their pulse", by_pulse), ("by the camera's own clock", known & ~by_pulse))
+    parts = []
+    for words, rows in groups:
+        if rows.any():
+            worst_ms = 1e3 * float(times["sigma_s"].to_numpy(np.float64)[rows].max())
+            parts.append(f"{int(rows.sum())} {words} (sigma up to {worst_ms:.2f} ms)")
+    if not known.all():
+        parts.append(f"{int((~known).sum())} without a time")
+    return f"Times of {len(times)} images: {', '.join(parts) or 'none'}."
 
 
 def _table(

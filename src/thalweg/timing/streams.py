@@ -9,6 +9,7 @@ from thalweg.core.errors import ClockError
 from thalweg.core.timescales import utc_text_from_gps
 from thalweg.ingest.integrity import Gap, IntegrityReport
 from thalweg.timing.lag import Lag
+from thalweg.timing.spans import apart_words, span_text
 
 _NAMED_GAPS: Final = 20
 
@@ -142,12 +143,21 @@ def common_span(reports: list[IntegrityReport], needed: list[str]) -> tuple[floa
     first = max(span[0] for span in spans.values())
     last = min(span[1] for span in spans.values())
     if last <= first:
-        text = "; ".join(
-            f"{name} {utc_text_from_gps(a)} .. {utc_text_from_gps(b)}" for name, (a, b) in spans.items()
-        )
+        text = "; ".join(f"{name} {span_text(*span)}" for name, span in spans.items()) + _shifts(spans)
         raise ClockError(
             f"the streams have no common time: {text}",
             expected="logs of one survey",
             cure="Check the dates of the files, the leap seconds and the hour of the lidar",
         )
     return first, last
+
+
+def _shifts(spans: dict[str, tuple[float, float]]) -> str:
+    """Which stream is apart from which, as a further part of a sentence."""
+    names = list(spans)
+    words = {
+        (name, other): apart_words(spans[name], spans[other])
+        for k, other in enumerate(names)
+        for name in names[:k]
+    }
+    return "".join(f"; {name} against {other}: {how}" for (name, other), how in words.items() if how)

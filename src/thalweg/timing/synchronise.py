@@ -63,6 +63,12 @@ def run_poses(
 ) -> tuple[CameraPoses, FieldError, dict[str, int]]:
     """Poses of the images that have a stamp, in wcs, and the error of the field that they share.
 
+    Errors of the interior orientation and of the field's points count in each pose as if they were its own,
+    though all images share them. On the calibration run of the twin (148 images; 0.1 mm a pose by its own
+    marks, 0.3 mm with what is shared) the true sigma of the offset differs from the stated one by less than
+    0.1 %, those of the antenna's place by 0.1 %; with three times these shared errors by 0.3 % and 1.2 %:
+    GNSS and the jitter of the images rule both.
+
     Parameters
     ----------
     names : images with a pose.

@@ -15,6 +15,7 @@ import pandas as pd
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.trajectory import Trajectory
 from thalweg.timing.clock_model import ClockModel
+from thalweg.timing.run_image_times import image_times_words
 from thalweg.timing.trigger import TRIGGERED
 
 COLUMNS: Final = (
@@ -81,6 +82,7 @@ def time_report(
     *,
     camera: ClockModel | None = None,
     stability: dict[str, Any] | None = None,
+    image_times: pd.DataFrame | None = None,
     range_m: float = 25.0,
 ) -> pd.DataFrame:
     """One row a stream.
@@ -91,6 +93,7 @@ def time_report(
     speeds : of the survey.
     camera : the camera's clock against GPS time, if there is one.
     stability : facts of `thalweg.timing.clock_stability`, if the camera was tested.
+    image_times : table kind ``run_image_times``, if the times of the images come from ties or pulses.
     range_m : distance for which the cost is stated.
 
     Returns
@@ -115,7 +118,10 @@ def time_report(
     known = streams[streams["stream"] == "camera"].to_dict("records")
     if camera is not None or known or stability:
         facts = {str(k): v for k, v in known[0].items()} if known else {}
-        rows.append(_camera_row(facts, camera, stability or {}, speeds, range_m))
+        row = _camera_row(facts, camera, stability or {}, speeds, range_m)
+        if image_times is not None:
+            row["remark"] = f"{row['remark']} {image_times_words(image_times)}".strip()
+        rows.append(row)
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 

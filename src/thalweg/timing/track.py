@@ -30,9 +30,9 @@ _BEST: Final = ("ppp", "fixed", "float", "dgnss", "sbas", "single")
 class Between:
     """A track at times.
 
-    ``position_m`` and ``velocity_mps`` (n, 3); ``inside`` (n,) False where epochs are missing; ``index`` and
-    ``weight`` (n, k) the epochs and their shares; ``velocity_variance`` (n,) of the slope for a unit
-    variance of white noise.
+    ``position_m`` and ``velocity_mps`` (n, 3); ``inside`` (n,) False where epochs are missing; ``index``
+    (n, k) the epochs, ``weight`` (n, k) their shares in the position, ``slope`` (n, k) those in the velocity,
+    1/s.
     """
 
     t_gps_s: ArrayF

@@ -7,6 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from thalweg.config.twin import TwinConfig
+from thalweg.core.errors import ConfigError
 from thalweg.core.frames import LocalFrame
 from thalweg.simulation.field.layout import Field, build_field
 from thalweg.simulation.field.records import description
@@ -57,6 +58,20 @@ def test_a_moved_marker_is_shifted_in_its_plane(field: Field) -> None:
     np.testing.assert_allclose(shift @ before.sheet(74).normal_wcs(), 0.0, atol=1e-10)
     on_cone = fields(moved_marker=9)
     assert moved(*on_cone) == {9}
+
+
+@pytest.mark.parametrize(
+    ("marker", "found"),
+    [
+        (40, "marker 40 on C6 looks away from the boat"),
+        (98, "marker 98 is on no board"),
+        (200, "marker 200 is"),
+    ],
+)
+def test_a_marker_that_nobody_would_see_moved_is_refused(marker: int, found: str) -> None:
+    with pytest.raises(ConfigError, match=found) as caught:
+        fields(moved_marker=marker)
+    assert "70 to 79" in caught.value.cure
 
 
 def test_swapped_ids_hang_in_each_others_place_from_the_start(field: Field) -> None:

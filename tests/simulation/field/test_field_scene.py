@@ -26,7 +26,9 @@ def looked_at(field: Field, yard: FieldScene, eye: np.ndarray, points: np.ndarra
     ray = way / distance[:, None]
     hits = yard.scene.caster().cast(np.broadcast_to(eye, points.shape), ray)
     met = eye + np.where(np.isfinite(hits.t_hit_m), hits.t_hit_m, 0.0)[:, None] * ray
-    marker, modules = field.sheet_uv(met, yard.thing_of(hits.primitive), yard.names)
+    marker, modules = field.sheet_uv(
+        met, np.where(hits.primitive >= 0, yard.things[hits.primitive], -1), yard.names
+    )
     return marker, modules, distance - hits.t_hit_m
 
 

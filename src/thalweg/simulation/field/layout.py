@@ -43,6 +43,10 @@ _SHIFT_M: Final = 3.4
 _RINGS: Final = ((0.36, (-99, -33, 33, 99)), (0.66, (-66, 0, 66, 132)))
 """Slant distance of two rings of sheets and their azimuths from the side toward the boat, degrees."""
 
+_EYE_WCS_M: Final = np.array([0.0, 0.0, 0.8])
+_LEAST_FACING: Final = 0.2
+"""Cosine of the angle between the normal of a sheet and the way to the boat's camera amid the yard."""
+
 _SHEET_TOLERANCE_M: Final = 2e-3
 """Hits on a mesh lie a few micrometres off its surface; the back of a board lies a centimetre off."""
 
@@ -279,8 +283,32 @@ def _changed(field: Field) -> Field:
         cones[i] = cone.moved(lean, foot)
         sheets = [replace(s, surface=cones[i]) if s.cone == cone.name else s for s in sheets]
     if effects.moved_marker is not None:
+        _require_in_view(sheets, effects.moved_marker)
         sheets = [_shifted(s, effects.moved_by_m) if s.marker == effects.moved_marker else s for s in sheets]
     return replace(field, cones=tuple(cones), sheets=tuple(sheets))
+
+
+def _require_in_view(sheets: list[Sheet], marker: int) -> None:
+    """Refuse to move a marker where nobody would notice.
+
+    Raises
+    ------
+    ConfigError : there is no such marker, or it looks away from the boat.
+    """
+    sheet = next((s for s in sheets if s.marker == marker), None)
+    if sheet is None:
+        found = f"marker {marker} is on no board, bar or cone and not on the ground"
+    else:
+        way = _EYE_WCS_M - sheet.centre_wcs_m()
+        if float(way @ sheet.normal_wcs()) > _LEAST_FACING * float(np.linalg.norm(way)):
+            return
+        found = f"marker {marker} on {sheet.thing} looks away from the boat, which would not see it moved"
+    raise ConfigError(
+        found,
+        expected="a marker that the boat's camera can see",
+        where="twin.field.effects.moved_marker",
+        cure="Take one of the boards, 70 to 79, or a marker on the inner side of a cone",
+    )
 
 
 def _shifted(sheet: Sheet, way_m: float) -> Sheet:

@@ -43,11 +43,6 @@ class FieldScene:
     things: ArrayI
     names: tuple[str, ...]
 
-    def thing_of(self, primitive: AnyArray) -> ArrayI:
-        """Number (n,) of the objects of hit triangles, -1 where a ray met nothing."""
-        found = self.things[np.maximum(primitive, 0)]
-        return np.where(np.asarray(primitive) >= 0, found, -1)
-
 
 @dataclass(slots=True)
 class _Things:

@@ -9,6 +9,7 @@ from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
 from thalweg.simulation.field.layout import Field
+from thalweg.simulation.field.tour_plan import planned_view
 from thalweg.simulation.random import generator
 
 _RADIUS_M: Final = 2.1
@@ -56,7 +57,7 @@ def tour(field: Field, reference: TwinReference, seed: int) -> list[Rigid]:
     In turn an image from near a cone, from the left or the right of the side that it turns to the middle, and
     one from the middle across the yard; low and high. Rays then meet at good angles, and far images tie the
     near ones to each other. Held by hand; some are turned by 90 degrees to either side for the
-    self-calibration.
+    self-calibration. With ``twin.field.tour: planned`` the views come from a plan, see `tour_plan`.
 
     Parameters
     ----------
@@ -68,6 +69,11 @@ def tour(field: Field, reference: TwinReference, seed: int) -> list[Rigid]:
     rolls = _rolls(reference)
     things = np.stack([c.middle_wcs_m for c in field.cones] + [b.plane.origin_wcs_m for b in field.boards])
     poses = []
+    if field.config.tour == "planned":
+        for k in range(reference.n_images):
+            eye, target, turn = planned_view(k, things, rng)
+            poses.append(looking(eye, target, roll_rad=float(np.deg2rad(turn + rng.normal(0.0, 2.5)))))
+        return poses
     for k in range(reference.n_images):
         height = reference.heights_m[(k // 2) % 2] + rng.normal(0.0, 0.06)
         if k % 2 == 0:

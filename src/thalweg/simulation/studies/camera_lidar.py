@@ -1,15 +1,15 @@
 """Camera-lidar calibrations of the twin over many seeds: are the errors small, and are the sigmas honest?
 
-Each seed is a calibration of its own: field, mounts, beams, marks and exterior orientations err anew. The
-lidar is that of the recordings, in memory; marks and exterior orientations are the true ones with normal
-errors of the stated sigmas, so that thousands of pictures need not be drawn. The whole chain with pictures is
-the campaign's.
+Each seed is a calibration of its own: field, mounts, beams and marks err anew. The lidar is that of the
+recordings, in memory; marks are where the pictures would show them, with errors, so that thousands of
+pictures need not be drawn. Everything after that is the campaign's: the bundle of the reference pictures,
+that of the boat's camera with static pictures and run, and the errors that poses and cones share.
 """
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
+from functools import lru_cache
 from multiprocessing import get_context
 from typing import Any, Final
 
@@ -18,18 +18,20 @@ import pandas as pd
 from scipy.stats import chi2
 
 from thalweg.calibration.camera_lidar import CameraLidar, calibrate_camera_lidar
+from thalweg.calibration.camera_lidar_input import cone_references, nominal_orientation
+from thalweg.calibration.camera_lidar_model import FieldErrors
 from thalweg.calibration.camera_lidar_settings import CameraLidarSettings
+from thalweg.calibration.camera_lidar_statics import Statics
 from thalweg.calibration.cone_fit import ConeReference
 from thalweg.calibration.cone_selection import Position
+from thalweg.calibration.field_description import FieldDescription
 from thalweg.config.twin import TwinConfig
-from thalweg.core.errors import ThalwegError
+from thalweg.core.errors import GeometryError, ThalwegError
 from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
 from thalweg.lidar.covariance import BeamErrors
-from thalweg.simulation.field.layout import Field, build_field
-from thalweg.simulation.field.motion import standing
+from thalweg.simulation.field.images import mount_of
 from thalweg.simulation.field.scan import static_scan
-from thalweg.simulation.random import generator
+from thalweg.simulation.studies.camera_lidar_pictures import Pictures, photographed_field
 from thalweg.simulation.true_mounts import true_mounts
 
 MOUNTS: Final[dict[str, Any]] = {
@@ -50,6 +52,8 @@ MOUNTS: Final[dict[str, Any]] = {
 """Nominal mounts with what a ruler and the eye are worth."""
 
 BEAM: Final = BeamErrors(sigma_component_m=0.0173, divergence_rad=0.003, footprint_share=0.177)
+REFERENCE_IMAGES: Final = 44
+"""Of the reflex camera. With the campaign's 28 one field in some leaves a scale bar in two pictures only."""
 ERRORS: Final = (
     "lever_x_mm",
     "lever_y_mm",
@@ -69,19 +73,14 @@ class StudySettings:
     ----------
     positions : numbers of the static positions, from 1.
     revolutions : of the lidar at each position; 10 a second.
-    sigma_mark_m : of marks in each coordinate.
-    sigma_pose_m, sigma_pose_deg : of the exterior orientations in each coordinate and about each axis.
-    wrong_marks : share of marks that are centimetres off.
+    pictures : of the field, by the reflex camera and by that of the boat.
     effects : of the section ``twin.field.effects``, such as ``passers_by``.
     calibration : settings of the adjustment.
     """
 
     positions: tuple[int, ...] = (1, 2, 3)
     revolutions: int = 10
-    sigma_mark_m: float = 0.0002
-    sigma_pose_m: float = 0.0004
-    sigma_pose_deg: float = 0.004
-    wrong_marks: float = 0.0
+    pictures: Pictures = field(default_factory=Pictures)
     effects: Mapping[str, Any] = field(default_factory=dict)
     calibration: CameraLidarSettings = field(default_factory=CameraLidarSettings)
 
@@ -90,7 +89,10 @@ CASES: Final[dict[str, StudySettings]] = {
     "one revolution": StudySettings(revolutions=1),
     "five seconds": StudySettings(revolutions=50),
     "one position": StudySettings(revolutions=50, positions=(1,)),
-    "people, 5 % wrong marks": StudySettings(revolutions=50, wrong_marks=0.05, effects={"passers_by": 3}),
+    "static pictures alone": StudySettings(revolutions=50, pictures=Pictures(run_images=0)),
+    "people, 5 % wrong marks": StudySettings(
+        revolutions=50, pictures=Pictures(wrong_marks=0.05), effects={"passers_by": 3}
+    ),
 }
 """Calibrations of the study: three positions each, if not said otherwise."""
 
@@ -104,23 +106,32 @@ class Trial:
 
     references: list[ConeReference]
     positions: list[Position]
+    errors: FieldErrors
     nominal: Rigid
     truth: Rigid
 
 
 def all_cases(seeds: Sequence[int], *, processes: int = 1) -> pd.DataFrame:
     """`camera_lidar_study` of all `CASES`, with the column ``case``."""
-    parts = []
-    for name, settings in CASES.items():
-        if processes > 1:
-            shares = [list(seeds)[i::processes] for i in range(processes)]
-            context = get_context("spawn")
-            with ProcessPoolExecutor(processes, mp_context=context) as pool:
-                tables = list(pool.map(partial(camera_lidar_study, settings=settings), shares))
-        else:
-            tables = [camera_lidar_study(seeds, settings)]
-        parts.append(pd.concat(tables).sort_values("seed").assign(case=name))
-    return pd.concat(parts, ignore_index=True)
+    if processes > 1:
+        shares = [list(seeds)[i::processes] for i in range(processes)]
+        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+            parts = [part for parts in pool.map(_cases_of, shares) for part in parts]
+    else:
+        parts = _cases_of(seeds)
+    table = pd.concat(parts, ignore_index=True)
+    order = {name: k for k, name in enumerate(CASES)}
+    return table.sort_values(["case", "seed"], key=lambda c: c.map(order) if c.name == "case" else c,
+                             ignore_index=True)  # fmt: skip
+
+
+def _cases_of(seeds: Sequence[int]) -> list[pd.DataFrame]:
+    """Seed by seed, because cases share the pictures of a seed."""
+    return [
+        camera_lidar_study([seed], settings).assign(case=name)
+        for seed in seeds
+        for name, settings in CASES.items()
+    ]
 
 
 def as_markdown(study: pd.DataFrame) -> str:
@@ -161,10 +172,10 @@ def camera_lidar_study(seeds: Sequence[int], settings: StudySettings) -> pd.Data
     """
     lines = []
     for seed in seeds:
-        trial = simulated_trial(seed, settings)
         try:
+            trial = simulated_trial(seed, settings)
             result = calibrate_camera_lidar(
-                trial.references, trial.positions, trial.nominal, settings.calibration
+                trial.references, trial.positions, trial.nominal, settings.calibration, errors=trial.errors
             )
         except ThalwegError as error:
             lines.append({"seed": seed, "failure": str(error)})
@@ -212,13 +223,22 @@ def summary(study: pd.DataFrame, level: float = 0.05) -> dict[str, float]:
 
 
 def simulated_trial(seed: int, settings: StudySettings) -> Trial:
-    """Observations of one calibration."""
-    config = TwinConfig.model_validate({"size": "field", "field": {"effects": dict(settings.effects)}})
+    """Observations of one calibration.
+
+    Raises
+    ------
+    GeometryError : the pictures do not give a field, or no pose of a position.
+    """
+    config = _twin(tuple(sorted(settings.effects.items())))
     mounts = true_mounts(MOUNTS, seed, on=True)
-    lidar, camera = _mount(mounts["lidar"]), _mount(mounts["camera"])
-    nominal = _mount(MOUNTS["camera"]).inverse() @ _mount(MOUNTS["lidar"])
+    lidar, camera = mount_of(mounts["lidar"]), mount_of(mounts["camera"])
+    known, statics = _photographed(seed, tuple(sorted(settings.effects.items())), settings.pictures)
+    images = [f"position_{number}" for number in settings.positions]
+    lost = {image: statics.lost[image] for image in images if image in statics.lost}
+    if lost:
+        raise GeometryError(f"no pose of {lost}", expected="a pose of each position")
     positions = []
-    for number in settings.positions:
+    for number, image in zip(settings.positions, images, strict=True):
         scan = static_scan(
             config,
             seed,
@@ -227,48 +247,30 @@ def simulated_trial(seed: int, settings: StudySettings) -> Trial:
             lever_ics_scs_m=lidar.shift_m,
             revolutions=settings.revolutions,
         )
-        pose = standing(config, number).T_wcs_ics @ camera
-        measured = _measured(pose, generator(seed, f"study pose {number}"), settings)
+        pose = statics.poses[statics.images.index(image)]
         reflectivity = scan.reflectivity.astype(np.float64)
-        positions.append(
-            Position.measured(f"position_{number}", measured, scan.points_scs_m, BEAM, reflectivity)
-        )
-    references = _references(build_field(config, seed), generator(seed, "study marks"), settings)
-    return Trial(references=references, positions=positions, nominal=nominal, truth=camera.inverse() @ lidar)
+        positions.append(Position.measured(image, pose, scan.points_scs_m, BEAM, reflectivity))
+    return Trial(
+        references=cone_references(known, statics.points),
+        positions=positions,
+        errors=statics.errors(known, images),
+        nominal=nominal_orientation(MOUNTS),
+        truth=camera.inverse() @ lidar,
+    )
 
 
-def _mount(section: Mapping[str, Any]) -> Rigid:
-    angles = np.deg2rad([section[f"{name}_deg"] for name in ("omega", "phi", "kappa")])
-    return Rigid.from_opk(angles, section["lever_ics_m"])
+def _twin(effects: tuple[tuple[str, Any], ...]) -> TwinConfig:
+    return TwinConfig.model_validate({
+        "size": "field",
+        "field": {"effects": dict(effects)},
+        "camera": {"reference": {"n_images": REFERENCE_IMAGES}},
+    })  # fmt: skip
 
 
-def _measured(pose: Rigid, rng: np.random.Generator, settings: StudySettings) -> Rigid:
-    sigma = np.repeat([settings.sigma_pose_m, np.deg2rad(settings.sigma_pose_deg)], 3)
-    return replace(pose.moved(sigma * rng.standard_normal(6)), cov=np.diag(sigma**2))
-
-
-def _references(made: Field, rng: np.random.Generator, settings: StudySettings) -> list[ConeReference]:
-    places = made.saddles_wcs_m()
-    nominal = np.deg2rad(made.config.half_angle_deg)
-    out = []
-    for cone in made.cones:
-        marks = [(marker, i) for marker in cone.markers for i in range(4)]
-        points = np.stack([places[mark] for mark in marks])
-        points = points + settings.sigma_mark_m * rng.standard_normal(points.shape)
-        wrong = rng.random(len(marks)) < settings.wrong_marks
-        points = points + wrong[:, None] * 0.03 * rng.standard_normal(points.shape)
-        out.append(
-            ConeReference(
-                name=cone.name,
-                points_m=points,
-                cov=_isotropic(len(marks), settings.sigma_mark_m),
-                half_angle_rad=float(nominal),
-                length_m=made.config.cone_length_m,
-                labels=tuple(f"{marker}/{i}" for marker, i in marks),
-            )
-        )
-    return out
-
-
-def _isotropic(n: int, sigma_m: float) -> ArrayF:
-    return np.tile(np.eye(3) * sigma_m**2, (n, 1, 1))
+@lru_cache(maxsize=2)
+def _photographed(
+    seed: int, effects: tuple[tuple[str, Any], ...], pictures: Pictures
+) -> tuple[FieldDescription, Statics]:
+    """What cases of one seed share."""
+    camera = mount_of(true_mounts(MOUNTS, seed, on=True)["camera"])
+    return photographed_field(_twin(effects), seed, camera, (1, 2, 3), pictures)

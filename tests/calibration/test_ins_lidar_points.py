@@ -1,0 +1,171 @@
+"""Lidar points near cones from a log in blocks: what is said where none is, and smoothing beside gaps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from thalweg.calibration.ins_lidar import START
+from thalweg.calibration.ins_lidar_points import NearCones, Way
+from thalweg.calibration.run_points import RunPoints, smooth_rates
+from thalweg.core.errors import CoverageError
+from thalweg.core.trajectory import Trajectory
+from thalweg.core.types import ArrayF
+from thalweg.lidar.georeference import georeference_points
+from thalweg.lidar.mount import Mount
+from thalweg.simulation.studies.cone_runs import ConeRun, RunSpec, make_run
+
+SPEC = RunSpec(duration_s=20.0, points=6000)
+REACH_M = 1.1
+
+
+@pytest.fixture(scope="module")
+def run() -> ConeRun:
+    return make_run(1, SPEC)
+
+
+def collected(
+    run: ConeRun, *, field: ArrayF | None = None, later_s: float = 0.0, trajectory: Trajectory | None = None
+) -> RunPoints:
+    """Points of a run in three blocks, with the field moved in the world, or the lidar's clock."""
+    path = trajectory or run.trajectory
+    place = run.T_wcs_pcs if field is None else run.T_wcs_pcs.moved(np.r_[field, np.zeros(3)])
+    near = NearCones(trajectory=path, cones=run.cones, T_wcs_pcs=place, reach_m=REACH_M)
+    mount = Mount(R_ics_sensor=START.R, lever_ics_m=START.shift_m)
+    for rows in np.array_split(np.arange(len(run.t_gps_s)), 3):
+        xyz, t = run.xyz_scs_m[rows], run.t_gps_s[rows] + later_s
+        world = georeference_points(xyz, t, path, mount)
+        near.add(xyz, t, world.points_wcs_m, world.has_pose)
+    return near.points()
+
+
+def message(run: ConeRun, **changes: object) -> str:
+    with pytest.raises(CoverageError) as error:
+        collected(run, **changes)  # type: ignore[arg-type]
+    return str(error.value)
+
+
+def test_the_blocks_give_what_the_whole_log_gives(run: ConeRun) -> None:
+    found = collected(run)
+    whole = RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s)
+    near = run.cones.near(whole.in_wcs(START), run.T_wcs_pcs, REACH_M) >= 0
+    assert 0.5 < near.mean() < 1.0
+    np.testing.assert_allclose(found.xyz_scs_m, whole.xyz_scs_m[near])
+    np.testing.assert_allclose(found.t_gps_s, whole.t_gps_s[near])
+
+
+@pytest.mark.parametrize(("up_m", "side"), [(45.0, "above"), (-45.0, "below")])
+def test_heights_of_another_system_are_named_with_their_size(run: ConeRun, up_m: float, side: str) -> None:
+    words = message(run, field=np.array([0.0, 0.0, up_m]))
+    assert "overlap in time, but none of" in words
+    # beams are aimed at cones and at what is around them: their middle height is within a metre of the cones'
+    height = float(words.split(" m " + side + " them")[0].rsplit(" ", 1)[1])
+    assert height == pytest.approx(45.0, abs=1.0)
+    assert "36 to 50 m in Germany" in words
+    assert "no time" not in words
+
+
+def test_a_pole_that_was_not_taken_off_is_told_from_a_geoid() -> None:
+    ground = np.stack(np.meshgrid(np.arange(-9.0, 10.0), np.arange(-9.0, 10.0), [0.0]), axis=-1).reshape(
+        -1, 3
+    )
+    low, high = (Way.between(ground, np.array([[2.0, 1.0, z], [-3.0, 0.0, z]])) for z in (4.0, 48.0))
+    assert (low.height_m, low.nearest_plan_m) == (4.0, 0.0)
+    assert "height of the pole" in low.cure(2.0)
+    assert "Germany" in high.cure(2.0)
+    assert "4.0 m above them; the nearest point is 4.0 m away, in plan 0.0 m" in low.words
+
+
+def test_a_field_beside_the_run_is_named_with_its_direction(run: ConeRun) -> None:
+    words = message(run, field=np.array([90.0, 90.0, 0.0]))
+    # the middle of the cones is within metres of the middle of the run
+    away = float(words.split(" m north-east of the middle")[0].rsplit(" ", 1)[1])
+    assert away == pytest.approx(127.0, abs=4.0)
+    assert "Check the datum of the targets" in words
+    assert "Check lat_deg and lon_deg" in message(run, field=np.array([-4.0e5, 0.0, 0.0]))
+
+
+def test_a_clock_that_is_an_hour_ahead_is_named_with_both_spans(run: ConeRun) -> None:
+    words = message(run, later_s=3600.0)
+    assert "shifted by -1:00 h it would overlap: its hour or its time zone is wrong" in words
+    assert f"{len(run.t_gps_s):,} lidar points" in words
+    # both spans as UTC texts
+    assert words.count(" .. ") == 2
+    assert "Set the hour of the lidar's clock right" in words
+    assert "of a cone" not in words
+
+
+def test_logs_of_other_times_say_how_far_they_are_apart(run: ConeRun) -> None:
+    assert "it begins" in message(run, later_s=700.0)
+    assert "its date is wrong" in message(run, later_s=-86_400.0)
+    assert "of no time with a clock" in message(run, later_s=np.nan)
+
+
+def test_points_in_a_gap_of_the_trajectory_are_told_from_other_times(run: ConeRun) -> None:
+    valid = np.zeros(len(run.trajectory.t_gps_s), dtype=np.bool_)
+    valid[[0, -1]] = True
+    words = message(run, trajectory=replace(run.trajectory, valid=valid))
+    assert "lie in gaps of the trajectory" in words
+
+
+def test_an_empty_log_is_told(run: ConeRun) -> None:
+    empty = replace(run, xyz_scs_m=np.zeros((0, 3)), t_gps_s=np.zeros(0))
+    assert "holds no points" in message(empty)
+
+
+# ---------------------------------------------------------------- gaps
+
+
+def straight(speed_mps: ArrayF, valid: ArrayF) -> Trajectory:
+    """A course to the east at 50 Hz with speeds (n - 1,) of its intervals."""
+    n = len(speed_mps) + 1
+    x = np.concatenate([[0.0], np.cumsum(speed_mps) / 50.0])
+    return Trajectory(
+        frame=make_run(1, replace(SPEC, points=10)).trajectory.frame,
+        t_gps_s=4.0e8 + np.arange(n) / 50.0,
+        position_wcs_m=np.column_stack([x, np.zeros(n), np.zeros(n)]),
+        quaternion_wcs_ics=np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)),
+        cov_pose_wcs=np.zeros((n, 6, 6)),
+        valid=valid.astype(np.bool_),
+    )
+
+
+def test_velocities_are_not_smoothed_across_a_gap() -> None:
+    """0.5 m/s before a gap, 1.5 m/s after it, and nonsense inside."""
+    n = 500
+    speed = np.where(np.arange(n - 1) < 250, 0.5, 1.5)
+    speed[245:255] = 40.0
+    valid = np.ones(n)
+    valid[245:256] = 0
+    velocity = smooth_rates(straight(speed, valid))[0][:, 0]
+    # a cubic through constants; 1e-5: times of 4e8 s resolve 60 ns of 20 ms
+    np.testing.assert_allclose(velocity[:244], 0.5, atol=1e-5)
+    np.testing.assert_allclose(velocity[256:], 1.5, atol=1e-5)
+
+
+def test_noise_is_smoothed_in_pieces_of_any_length(rng: np.random.Generator) -> None:
+    n = 400
+    speed = 0.7 + 0.5 * rng.standard_normal(n - 1)
+    valid = np.ones(n)
+    valid[[100, 104, 200]] = 0
+    velocity = smooth_rates(straight(speed, valid))[0][:, 0]
+    # 99 intervals in one cubic, 195 in a window of 151: noise falls to a fifth and less inside
+    assert velocity[30:70].std() < 0.15
+    assert velocity[250:350].std() < 0.15
+    # two intervals between two gaps stay what they are
+    np.testing.assert_allclose(velocity[101:103], speed[101:103], atol=1e-5)
+
+
+def test_missing_nodes_end_a_piece_too() -> None:
+    n = 400
+    speed = np.where(np.arange(n - 1) < 200, 0.5, 1.5)
+    whole = straight(speed, np.ones(n))
+    keep = np.r_[np.arange(195), np.arange(206, n)]
+    holed = replace(
+        whole, t_gps_s=whole.t_gps_s[keep], position_wcs_m=whole.position_wcs_m[keep],
+        quaternion_wcs_ics=whole.quaternion_wcs_ics[keep], cov_pose_wcs=whole.cov_pose_wcs[keep],
+        valid=whole.valid[keep],
+    )  # fmt: skip
+    velocity = smooth_rates(holed)[0][:, 0]
+    np.testing.assert_allclose(velocity[:194], 0.5, atol=1e-5)
+    np.testing.assert_allclose(velocity[195:], 1.5, atol=1e-5)

@@ -1,0 +1,45 @@
+"""JSON between jobs: what it is stands in it, and anything else is refused with the cure."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from thalweg.core.errors import InputError
+from thalweg.core.json_files import read_marked, write_marked
+
+
+def read(path: Path) -> dict[str, object]:
+    return read_marked(
+        path, "mounts", kind="places", version=2, what="places of a boat", cure="Make it again"
+    )
+
+
+def test_a_file_gives_back_its_content_and_says_what_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "new/m.json"
+    write_marked(path, kind="places", version=2, content={"mounts": {"lidar": [0.1]}, "more": 1})
+    assert read(path) == {"lidar": [0.1]}
+    assert list(json.loads(path.read_text())) == ["kind", "version", "mounts", "more"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "file not found; expected places of a boat"),
+        ("{", "no places of a boat"),
+        ("[1]", "no places of a boat"),
+        ('{"kind": "places", "version": 2}', "KeyError"),
+        ('{"kind": "places", "version": 2, "mounts": 3}', "no places of a boat"),
+        ('{"kind": "places", "version": 1, "mounts": {}}', "places, version 1; expected places, version 2"),
+        ('{"kind": "clocks", "version": 2, "mounts": {}}', "clocks, version 2; expected places, version 2"),
+        (b"\xff\xfe", "no places of a boat"),
+    ],
+)
+def test_anything_else_is_refused(tmp_path: Path, text: str | bytes | None, words: str) -> None:
+    path = tmp_path / "m.json"
+    if text is not None:
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError, match=words) as caught:
+        read(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert str(caught.value).endswith("Make it again.")
