@@ -35,6 +35,7 @@ include: "workflow/rules/surface.smk"
 include: "workflow/rules/accuracy.smk"
 include: "workflow/rules/figures.smk"
 include: "workflow/rules/figures_calibration.smk"
+include: "workflow/rules/figures_images.smk"
 include: "workflow/rules/real_logs.smk"
 include: "workflow/rules/reproduction.smk"
 

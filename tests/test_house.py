@@ -228,7 +228,10 @@ def rule_fields(repository: Path) -> dict[str, list[str]]:
     """Fields of each rule as they stand in the file."""
     found = {}
     for path in sorted((repository / "workflow/rules").glob("*.smk")):
-        for text in re.split(r"(?m)^(?:rule|checkpoint) ", path.read_text())[1:]:
+        parts = re.split(r"(?m)^(?=(?:use )?(?:rule|checkpoint) )", path.read_text())
+        # `use rule` takes the fields that it does not name from another rule
+        for part in [p for p in parts if p.startswith(("rule ", "checkpoint "))]:
+            text = part.split(" ", 1)[1]
             name = re.match(r"\w+", text)
             assert name, path
             assert text.split("\n")[1].startswith('    """'), f"{name.group()} has no docstring"

@@ -16,7 +16,7 @@ def test_the_graph_names_every_rule_of_a_campaign(repository: Path) -> None:
         name
         for path in (repository / "workflow/rules").glob("*.smk")
         if path.stem not in ("real_logs", "reproduction")  # targets of their own
-        for name in re.findall(r"(?m)^rule (\w+):", path.read_text())
+        for name in re.findall(r"(?m)^(?:rule|use rule \w+ as) (\w+)", path.read_text())
     }
     assert drawn == rules
     arrows = set(re.findall(r"(\w+) --> (\w+)", graphs))

@@ -8,9 +8,13 @@ import pytest
 pytestmark = pytest.mark.workflow
 
 MAY_READ_TRUTH = {
-    "tiny": {"compare_with_truth"},
-    "demo": {"compare_with_truth", "compare_calibration_with_truth"},
-    "mulde": {"compare_with_truth"},
+    "tiny": {"compare_with_truth", "compare_chains_with_truth"},
+    "demo": {
+        "compare_with_truth",
+        "compare_calibration_with_truth",
+        "compare_chains_with_truth",
+    },
+    "mulde": {"compare_with_truth", "compare_chains_with_truth"},
     "field_tiny": {"compare_calibration_with_truth"},
 }
 """What judges results of the twin; `demo` brings the calibration of its boat along."""

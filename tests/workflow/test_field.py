@@ -125,3 +125,21 @@ def test_a_calibration_without_a_run_ends_with_camera_and_lidar(as_users_have_it
 
 STILL = {"field", "reference_images", "position_images", "position_scans"}
 """Recordings of a calibration without a dynamic run."""
+
+
+def test_a_run_without_a_camera_ends_with_the_lidar_on_the_boat(as_users_have_it) -> None:
+    root = as_users_have_it.root
+    campaign = yaml.safe_load((root / "config/campaigns/yard.yaml").read_text())
+    campaign["campaign"]["id"] = "blind"
+    logs = campaign["logs"]
+    logs["calibration"] = {k: logs["calibration"][k] for k in ("field", "reference_images")}
+    (root / "config/campaigns/blind.yaml").write_text(yaml.safe_dump(campaign))
+    run = as_users_have_it.snakemake("--dry-run", "--config", "campaign=blind")
+    planned = set(re.findall(r"(?m)^(\w+) +\d+$", run.stdout + run.stderr))
+    assert {"calibrate_ins_lidar", "assemble_boat", "calibration_page"} <= planned
+    assert not planned & {
+        "detect_boat_marks",
+        "orient_camera",
+        "calibrate_camera_lidar",
+        "synchronise_camera",
+    }

@@ -162,3 +162,85 @@ rule accuracy_page:
         "{wildcards.campaign}: accuracy page"
     script:
         "../scripts/accuracy_page.py"
+
+
+use rule compare_with_reference as compare_chain_with_reference with:
+    input:
+        points="results/{campaign}/lidar/by_{chain}/points.laz",
+        mesh="results/{campaign}/surface/reference_mesh.ply",
+    output:
+        cloud_to_mesh="results/{campaign}/accuracy/by_{chain}/cloud_to_mesh.parquet",
+        statistics="results/{campaign}/accuracy/by_{chain}/statistics.csv",
+        by_range="results/{campaign}/accuracy/by_{chain}/by_range.csv",
+        spatial="results/{campaign}/accuracy/by_{chain}/spatial.csv",
+        registration="results/{campaign}/accuracy/by_{chain}/registration.json",
+    log:
+        "logs/{campaign}/accuracy/compare_{chain}_with_reference.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/compare_{chain}_with_reference.jsonl"
+    message:
+        "{wildcards.campaign}: cloud by the trajectory of {wildcards.chain} against the reference"
+
+
+rule compare_chains:
+    """Clouds and trajectories by INS, camera and all sensors side by side (T 3.1.4)."""
+    input:
+        trajectories=chain_trajectories,
+        counts=of_chains("lidar", "counts.csv"),
+        statistics=of_compared_chains("statistics.csv"),
+        by_range=of_compared_chains("by_range.csv"),
+        distances=of_compared_chains("cloud_to_mesh.parquet"),
+        budgets=[
+            ROOT / "resources" / "budgets" / f"{name}.yaml"
+            for name in ("t_table3_1", "p2_table1")
+        ],
+    output:
+        chains="results/{campaign}/accuracy/chains.csv",
+        chains_by_range_csv="results/{campaign}/accuracy/chains_by_range.csv",
+        facts="results/{campaign}/accuracy/chains.json",
+    log:
+        "logs/{campaign}/accuracy/compare_chains.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/compare_chains.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000, 15),
+        runtime=minutes(10),
+    params:
+        code=code_version("compare_chains"),
+    message:
+        "{wildcards.campaign}: INS, camera and fused trajectory side by side"
+    script:
+        "../scripts/compare_chains.py"
+
+
+rule compare_chains_with_truth:
+    """Poses by INS, camera and all sensors of a twin campaign against the true ones."""
+    input:
+        trajectories=chain_trajectories,
+        voyage="results/{campaign}/simulation/truth/trajectory.parquet",
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+        mounts="results/{campaign}/calibration/mounts.json",
+        boat=calibration_file,
+    output:
+        table="results/{campaign}/accuracy/chains_truth.csv",
+    log:
+        "logs/{campaign}/accuracy/compare_chains_with_truth.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/compare_chains_with_truth.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(10),
+    params:
+        code=code_version("compare_chains_with_truth"),
+        twin=twin_parts("ins", "gnss"),
+        orientation=section("orientation"),
+    message:
+        "{wildcards.campaign}: trajectories against the truth of the digital twin"
+    script:
+        "../scripts/compare_chains_with_truth.py"

@@ -1,6 +1,21 @@
 """Where the sensors sit on the boat, and how well that is known."""
 
 
+def of_static_camera(file):
+    """Input function: a result of the static positions, where the campaign has them."""
+    return lambda wildcards: (
+        [f"results/{wildcards.campaign}/calibration/{file}"]
+        if has_static_camera(wildcards.campaign)
+        else []
+    )
+
+
+def ins_lidar_settings(wildcards):
+    """Params function: how the run about the cones is evaluated, the lidar's stamps included."""
+    found = CAMPAIGNS[wildcards.campaign].plain()["calibration"]["ins_lidar"]
+    return run_settings(wildcards) | {"sigma_time_s": found["sigma_time_s"]}
+
+
 rule collect_mounts:
     """The mounts of a campaign: from its file, or from the calibration that it names."""
     input:
@@ -122,8 +137,10 @@ rule orient_camera:
         covariance="results/{campaign}/calibration/field_points.npz",
         field=raw("field"),
         interior=boat_interior,
+        position_images=raw("position_images"),
     output:
         poses="results/{campaign}/calibration/camera_poses.parquet",
+        statics="results/{campaign}/calibration/static_positions.npz",
         camera="results/{campaign}/calibration/camera.yaml",
         residuals="results/{campaign}/calibration/camera_residuals.csv",
         report="results/{campaign}/calibration/camera.json",
@@ -153,10 +170,7 @@ rule calibrate_camera_lidar:
     input:
         scans=raw("position_scans"),
         images=raw("position_images"),
-        marks="results/{campaign}/calibration/boat_marks.parquet",
-        camera="results/{campaign}/calibration/camera.yaml",
-        points="results/{campaign}/calibration/field_points.csv",
-        covariance="results/{campaign}/calibration/field_points.npz",
+        statics="results/{campaign}/calibration/static_positions.npz",
         field=raw("field"),
     output:
         camera_lidar="results/{campaign}/calibration/camera_lidar.yaml",
@@ -205,8 +219,8 @@ rule calibrate_ins_lidar:
         points="results/{campaign}/calibration/field_points.csv",
         covariance="results/{campaign}/calibration/field_points.npz",
         facts="results/{campaign}/calibration/field.json",
-        poses="results/{campaign}/calibration/camera_poses.parquet",
-        camera_lidar="results/{campaign}/calibration/camera_lidar.yaml",
+        poses=of_static_camera("camera_poses.parquet"),
+        camera_lidar=of_static_camera("camera_lidar.yaml"),
     output:
         ins_lidar="results/{campaign}/calibration/ins_lidar.yaml",
         mount="results/{campaign}/calibration/ins_lidar.json",
@@ -227,7 +241,7 @@ rule calibrate_ins_lidar:
         code=code_version("calibrate_ins_lidar"),
         campaign=identity("id"),
         lidar_options=section("lidar"),
-        settings=run_settings,
+        settings=ins_lidar_settings,
         antenna_position=calibration("ins_lidar", "antenna_position"),
     message:
         "{wildcards.campaign}: mount of the lidar"
@@ -270,7 +284,7 @@ rule assemble_boat:
     """All sensors of the boat in one calibration."""
     input:
         mount="results/{campaign}/calibration/ins_lidar.json",
-        camera_lidar="results/{campaign}/calibration/camera_lidar.yaml",
+        camera_lidar=of_static_camera("camera_lidar.yaml"),
     output:
         boat="results/{campaign}/calibration/boat.yaml",
     log:

@@ -20,6 +20,8 @@ with open(ROOT / "resources" / "real_recordings.yaml") as stream:
 
 wildcard_constraints:
     campaign="|".join(CAMPAIGNS),
+    chain="camera|fused",
+    part="[0-9]+",
     recording="|".join(RECORDINGS),
 
 
@@ -212,6 +214,10 @@ TWIN_FIELD_LOGS = {
     "run_images": ["run_images"],
     "display": ["display"],
 }
+TWIN_TIME_LAPSE_LOGS = {
+    "time_lapse": ["time_lapse"],
+    "control_points": ["control_points.csv"],
+}
 """Names of the twin's logs below results/{campaign}/simulation/logs; those without a suffix are folders."""
 
 
@@ -221,10 +227,107 @@ def logs_of(name, stream):
         known = TWIN_FIELD_LOGS if CAMPAIGNS[name].is_calibration else TWIN_LOGS
         if CAMPAIGNS[name].twin.echo.bed_survey:
             known = known | {"bed": ["bed.csv"]}
+        if CAMPAIGNS[name].twin.time_lapse is not None:
+            known = known | TWIN_TIME_LAPSE_LOGS
         return [
             f"results/{name}/simulation/logs/{log}" for log in known.get(stream, [])
         ]
     return [str(p) for p in CAMPAIGNS[name].log_files(stream)]
+
+
+def images(*keys):
+    """Input function for params: a value or a part of the section `images`."""
+
+    def value(wildcards):
+        found = CAMPAIGNS[wildcards.campaign].plain()["images"]
+        for key in keys:
+            found = found[key]
+        return found
+
+    return value
+
+
+def has_time_lapse(name):
+    """True if a survey has images of the bank."""
+    return bool(logs_of(name, "time_lapse")) and not CAMPAIGNS[name].is_calibration
+
+
+def stamped_images(wildcards):
+    """Input function: the images of the boat's camera in motion, on the river or about the cones."""
+    name = wildcards.campaign
+    return logs_of(name, "time_lapse") or logs_of(name, "run_images")
+
+
+def stamp_tables(wildcards):
+    """Input function: tables of the times of those images."""
+    name = wildcards.campaign
+    return logs_of(name, "time_lapse_times") or logs_of(name, "image_times")
+
+
+def stamp_options(key):
+    """Params function: how the times of those images are written."""
+
+    def value(wildcards):
+        plain = CAMPAIGNS[wildcards.campaign].plain()
+        river = has_time_lapse(wildcards.campaign)
+        return (
+            plain["images"]["times"] if river else plain["calibration"]["image_times"]
+        )[key]
+
+    return value
+
+
+def calibrated_interior(wildcards):
+    """Input function: the camera's interior orientation from a file or from the calibration, if any."""
+    given = logs_of(wildcards.campaign, "interior")
+    chosen = calibration_campaign(wildcards.campaign)
+    if not given and chosen and has_boat_camera(chosen):
+        return [f"results/{chosen}/calibration/camera.yaml"]
+    return given[:1]
+
+
+def known_interior(wildcards):
+    """Input function: the same for the size of the survey's images."""
+    found = calibrated_interior(wildcards)
+    return (
+        [f"results/{wildcards.campaign}/orientation/camera_start.yaml"] if found else []
+    )
+
+
+def feature_parts(wildcards):
+    """Input function: the features of all parts of the images."""
+    parts = CAMPAIGNS[wildcards.campaign].images.features.parts
+    folder = f"results/{wildcards.campaign}/orientation/sfm"
+    return [f"{folder}/features_{part}.npz" for part in range(parts)]
+
+
+def has_finished_orientations(name):
+    """True if another program has oriented the images of a survey."""
+    return bool(logs_of(name, "finished_orientations"))
+
+
+def oriented_images(wildcards):
+    """Input function: poses of the images, adjusted here or by another program."""
+    finished = has_finished_orientations(wildcards.campaign)
+    name = "image_poses_finished" if finished else "image_poses"
+    return f"results/{wildcards.campaign}/orientation/{name}.parquet"
+
+
+def trajectory_of_chain(wildcards):
+    """Input function: the boat's trajectory by camera or by all sensors together."""
+    return (
+        f"results/{wildcards.campaign}/orientation/trajectory_{wildcards.chain}.parquet"
+    )
+
+
+def mounts_of_chain(wildcards):
+    """Input function: places of the sensors; by the camera the lidar sits where their relative orientation says."""
+    camera = wildcards.chain == "camera"
+    return (
+        f"results/{wildcards.campaign}/orientation/mounts_camera.json"
+        if camera
+        else f"results/{wildcards.campaign}/calibration/mounts.json"
+    )
 
 
 def raw(stream):
@@ -365,6 +468,16 @@ def has_run(name):
     return bool(logs_of(name, "lidar") and logs_of(name, "ins"))
 
 
+def has_static_camera(name):
+    """True if a campaign has camera and lidar at static positions: they relate both, and show the antenna to the lidar."""
+    return bool(logs_of(name, "position_images") and logs_of(name, "position_scans"))
+
+
+def has_boat_camera(name):
+    """True if a calibration campaign has images of the boat's camera."""
+    return bool(logs_of(name, "position_images") or logs_of(name, "run_images"))
+
+
 def has_kinematic_clock(name):
     """True if the clock of the camera comes from its images of the run."""
     ties = logs_of(name, "clock_ties") + logs_of(name, "trigger_pulses")
@@ -373,14 +486,18 @@ def has_kinematic_clock(name):
 
 def calibration_pictures(name):
     """Pictures of a calibration campaign, by name."""
-    return [
+    static = [
         "field_setup",
         "field_positions",
         "field_reference",
         "cone_frame",
         "cone_residuals",
         "calibration_design",
-        *(["cone_before_after", "correlations"] if has_run(name) else []),
+    ]
+    return [
+        *(static if has_static_camera(name) else []),
+        *(["cone_before_after"] if has_run(name) and has_static_camera(name) else []),
+        *(["correlations"] if has_run(name) else []),
         *(["clock_offset"] if has_kinematic_clock(name) else []),
         *(["clock_stability"] if logs_of(name, "display") else []),
         *(["synthetic_view"] if is_twin(name) else []),
@@ -399,7 +516,11 @@ def calibration_facts(wildcards):
     """Input function: reports of the jobs of a calibration that its page quotes."""
     return [
         f"results/{wildcards.campaign}/calibration/field.json",
-        f"results/{wildcards.campaign}/calibration/camera.json",
+        *(
+            [f"results/{wildcards.campaign}/calibration/camera.json"]
+            if has_boat_camera(wildcards.campaign)
+            else []
+        ),
         *(
             [f"results/{wildcards.campaign}/timing/camera_clock.json"]
             if has_kinematic_clock(wildcards.campaign)
@@ -412,20 +533,20 @@ def calibration_facts(wildcards):
 def found_calibrations(wildcards):
     """Input function: calibration files of a calibration campaign."""
     moving = ["boat", "ins_lidar"] if has_run(wildcards.campaign) else []
-    names = [*moving, "camera_lidar", "camera", "reference_camera"]
+    static = ["camera_lidar"] if has_static_camera(wildcards.campaign) else []
+    camera = ["camera"] if has_boat_camera(wildcards.campaign) else []
+    names = [*moving, *static, *camera, "reference_camera"]
     return [f"results/{wildcards.campaign}/calibration/{name}.yaml" for name in names]
 
 
 def calibration_tables(wildcards):
     """Input function: tables that the page of a calibration shows."""
+    static = ["cones", "cone_detection", "cone_residuals", "cone_displacements"]
     names = [
-        "cones",
-        "cone_detection",
-        "cone_residuals",
-        "cone_displacements",
+        *(static if has_static_camera(wildcards.campaign) else []),
         *(["passes"] if has_run(wildcards.campaign) else []),
         "reference_marks_rejected",
-        "boat_marks_rejected",
+        *(["boat_marks_rejected"] if has_boat_camera(wildcards.campaign) else []),
     ]
     return [f"results/{wildcards.campaign}/calibration/{name}.csv" for name in names]
 
@@ -447,7 +568,7 @@ def calibration_outputs(name):
     if not logs_of(name, "field"):
         return outputs
     outputs += [
-        f"{base}/calibration/camera_lidar.yaml",
+        *([f"{base}/calibration/camera_lidar.yaml"] if has_static_camera(name) else []),
         f"{base}/calibration/index.html",
         *(f"{base}/figures/{picture}.png" for picture in calibration_pictures(name)),
     ]
@@ -457,6 +578,91 @@ def calibration_outputs(name):
     if is_twin(name):
         outputs.append(f"{base}/accuracy/calibration_truth.csv")
     return outputs
+
+
+def chain_trajectories(wildcards):
+    """Input function: trajectories by INS, camera and all sensors, in this order."""
+    folder = f"results/{wildcards.campaign}/orientation"
+    return [
+        f"{folder}/trajectory{ending}.parquet" for ending in ("", "_camera", "_fused")
+    ]
+
+
+def of_chains(folder, name):
+    """Input function: a result of the clouds by INS, camera and all sensors, in this order."""
+    return lambda wildcards: [
+        f"results/{wildcards.campaign}/{folder}/{part}{name}"
+        for part in ("", "by_camera/", "by_fused/")
+    ]
+
+
+def of_compared_chains(name):
+    """Input function: the same of their comparison with a reference; nothing where there is none."""
+    return lambda wildcards: (
+        of_chains("accuracy", name)(wildcards)
+        if has_reference(wildcards.campaign)
+        else []
+    )
+
+
+def chains_truth(wildcards):
+    """Input function: errors of the trajectories of a twin against its truth."""
+    twin = is_twin(wildcards.campaign)
+    return [f"results/{wildcards.campaign}/accuracy/chains_truth.csv"] if twin else []
+
+
+def chain_steps(chain):
+    """Input function: a result of each job that belongs to one chain alone, for its computing time."""
+
+    def steps(wildcards):
+        folder = f"results/{wildcards.campaign}/orientation"
+        own = [
+            "masks",
+            "sfm/matches.npz",
+            "sfm/block.npz",
+            "control_marks.csv",
+            "image_poses.parquet",
+        ]
+        finished = has_finished_orientations(wildcards.campaign)
+        names = {
+            "ins": ["trajectory.parquet"],
+            "camera": [
+                *(["image_poses_finished.parquet"] if finished else own),
+                "image_poses_timed.parquet",
+                "trajectory_camera.parquet",
+            ],
+            "fused": ["trajectory_fused.parquet"],
+        }[chain]
+        own_camera = chain == "camera" and not finished
+        features = feature_parts(wildcards) if own_camera else []
+        return [*features, *(f"{folder}/{name}" for name in names)]
+
+    return steps
+
+
+OWN_IMAGE_PICTURES = ["mask_view", "image_positions"]
+CHAIN_PICTURES = ["chain_histograms", "chains_by_range"]
+"""Pictures of an adjustment of our own, and of a comparison of trajectories with a reference."""
+
+
+def image_pictures(name):
+    """Pictures of the image branch of a campaign, by name."""
+    compared = CHAIN_PICTURES if has_reference(name) else []
+    own = [] if has_finished_orientations(name) else OWN_IMAGE_PICTURES
+    return [*compared, "pose_sigmas", *own, "frames_by_image"]
+
+
+def chain_pictures(wildcards):
+    """Input function: the pictures of the page on the trajectories."""
+    name = wildcards.campaign
+    return [f"results/{name}/figures/{picture}.png" for picture in image_pictures(name)]
+
+
+def control_reports(wildcards):
+    """Input function: the adjustment's report on control and check points, where there are control points."""
+    name = wildcards.campaign
+    given = logs_of(name, "control_points") and not has_finished_orientations(name)
+    return [f"results/{name}/orientation/control_points.csv"] if given else []
 
 
 def final_outputs(name):
@@ -486,6 +692,14 @@ def final_outputs(name):
     ]
     if CAMPAIGNS[name].georeferencing.export_map:
         outputs.append(f"{base}/lidar/points_map.laz")
+    if has_time_lapse(name):
+        outputs += [
+            f"{base}/orientation/trajectory_fused.parquet",
+            f"{base}/lidar/by_camera/points.laz",
+            f"{base}/lidar/by_fused/points.laz",
+            f"{base}/accuracy/trajectories.html",
+            *(f"{base}/figures/{picture}.png" for picture in image_pictures(name)),
+        ]
     if is_twin(name):
         outputs += [
             f"{base}/accuracy/truth_statistics.csv",

@@ -167,8 +167,8 @@ rule read_reference:
 rule read_image_stamps:
     """When the images were taken, by the camera's clock."""
     input:
-        images=raw("run_images"),
-        times=raw("image_times"),
+        images=stamped_images,
+        times=stamp_tables,
     output:
         stamps="results/{campaign}/ingest/image_stamps.parquet",
         integrity="results/{campaign}/ingest/camera.integrity.json",
@@ -184,9 +184,9 @@ rule read_image_stamps:
         runtime=minutes(20),
     params:
         code=code_version("read_image_stamps"),
-        source=calibration("image_times", "source"),
-        pattern=calibration("image_times", "pattern"),
-        utc_offset=calibration("image_times", "utc_offset"),
+        source=stamp_options("source"),
+        pattern=stamp_options("pattern"),
+        utc_offset=stamp_options("utc_offset"),
     message:
         "{wildcards.campaign}: stamps of the images"
     script:

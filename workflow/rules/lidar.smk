@@ -57,3 +57,21 @@ rule export_map:
         "{wildcards.campaign}: cloud in the map grid"
     script:
         "../scripts/export_map.py"
+
+
+use rule georeference_lidar as georeference_by_trajectory with:
+    input:
+        lidar=raw("lidar"),
+        clock="results/{campaign}/ingest/lidar.clock.json",
+        trajectory=trajectory_of_chain,
+        mounts=mounts_of_chain,
+    output:
+        points="results/{campaign}/lidar/by_{chain}/points.laz",
+        removed="results/{campaign}/lidar/by_{chain}/removed.parquet",
+        counts="results/{campaign}/lidar/by_{chain}/counts.csv",
+    log:
+        "logs/{campaign}/lidar/georeference_by_{chain}.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/georeference_by_{chain}.jsonl"
+    message:
+        "{wildcards.campaign}: lidar points into the world by the trajectory of {wildcards.chain}"

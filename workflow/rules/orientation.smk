@@ -30,3 +30,375 @@ rule build_trajectory:
         "{wildcards.campaign}: trajectory"
     script:
         "../scripts/build_trajectory.py"
+
+
+rule predict_images:
+    """Roughly where the camera was at each image: its clock, the trajectory, its mount."""
+    input:
+        stamps="results/{campaign}/ingest/image_stamps.parquet",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
+        clock=camera_clock,
+    output:
+        predictions="results/{campaign}/orientation/image_predictions.parquet",
+    log:
+        "logs/{campaign}/orientation/predict_images.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/predict_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("predict_images"),
+        stated=images("clock"),
+    message:
+        "{wildcards.campaign}: approximate poses of the images"
+    script:
+        "../scripts/predict_images.py"
+
+
+rule start_camera:
+    """The calibrated interior orientation of the camera, for the size of the survey's images."""
+    input:
+        calibrated=calibrated_interior,
+        stamps="results/{campaign}/ingest/image_stamps.parquet",
+    output:
+        camera="results/{campaign}/orientation/camera_start.yaml",
+    log:
+        "logs/{campaign}/orientation/start_camera.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/start_camera.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("start_camera"),
+        campaign=identity("id"),
+    message:
+        "{wildcards.campaign}: interior orientation to begin with"
+    script:
+        "../scripts/start_camera.py"
+
+
+rule mask_images:
+    """Water, sky and the boat itself in the images, where nothing is to be matched (P2 6.1.1)."""
+    input:
+        images=raw("time_lapse"),
+        predictions="results/{campaign}/orientation/image_predictions.parquet",
+        camera=known_interior,
+        supplied=raw("masks"),
+    output:
+        masks=directory("results/{campaign}/orientation/masks"),
+        table="results/{campaign}/orientation/masks.csv",
+    log:
+        "logs/{campaign}/orientation/mask_images.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/mask_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(60),
+    params:
+        code=code_version("mask_images"),
+        campaign=identity("seed"),
+        options=images("masks"),
+    message:
+        "{wildcards.campaign}: masks of water, sky and boat"
+    script:
+        "../scripts/mask_images.py"
+
+
+rule extract_features:
+    """Features of one part of the images; the parts are jobs of their own."""
+    input:
+        images=raw("time_lapse"),
+        masks="results/{campaign}/orientation/masks",
+    output:
+        features="results/{campaign}/orientation/sfm/features_{part}.npz",
+    log:
+        "logs/{campaign}/orientation/extract_features_{part}.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/extract_features_{part}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000),
+        runtime=minutes(60),
+    params:
+        code=code_version("extract_features"),
+        part=lambda wildcards: int(wildcards.part),
+        options=images("features"),
+    message:
+        "{wildcards.campaign}: features of images, part {wildcards.part}"
+    script:
+        "../scripts/extract_features.py"
+
+
+rule match_features:
+    """Which images have which points in common."""
+    input:
+        features=feature_parts,
+        images=raw("time_lapse"),
+        camera=known_interior,
+        times="results/{campaign}/orientation/image_predictions.parquet",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        matches="results/{campaign}/orientation/sfm/matches.npz",
+    log:
+        "logs/{campaign}/orientation/match_features.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/match_features.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000, 10),
+        runtime=minutes(60),
+    params:
+        code=code_version("match_features"),
+        options=images("mapping"),
+    message:
+        "{wildcards.campaign}: common points of images"
+    script:
+        "../scripts/match_features.py"
+
+
+rule map_images:
+    """Structure from motion: a block of images in a frame of its own."""
+    input:
+        matches="results/{campaign}/orientation/sfm/matches.npz",
+    output:
+        block="results/{campaign}/orientation/sfm/block.npz",
+        pieces=directory("results/{campaign}/orientation/sfm/pieces"),
+        images="results/{campaign}/orientation/sfm/images.csv",
+        facts="results/{campaign}/orientation/sfm/facts.json",
+    log:
+        "logs/{campaign}/orientation/map_images.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/map_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000, 20),
+        runtime=minutes(120),
+    params:
+        code=code_version("map_images"),
+        options=images("mapping"),
+    message:
+        "{wildcards.campaign}: structure from motion"
+    script:
+        "../scripts/map_images.py"
+
+
+rule fuse_trajectory:
+    """INS, antenna positions and image poses -> one trajectory of the boat."""
+    input:
+        states="results/{campaign}/ingest/ins_states.parquet",
+        positions="results/{campaign}/ingest/positions.parquet",
+        images="results/{campaign}/orientation/image_poses_timed.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
+    output:
+        trajectory="results/{campaign}/orientation/trajectory_fused.parquet",
+        observations="results/{campaign}/orientation/fused_observations.csv",
+        counts="results/{campaign}/orientation/fused_counts.csv",
+        facts="results/{campaign}/orientation/fused.json",
+    log:
+        "logs/{campaign}/orientation/fuse_trajectory.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/fuse_trajectory.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(30),
+    params:
+        code=code_version("fuse_trajectory"),
+        campaign=identity("origin"),
+        fused=section("fused"),
+        orientation=section("orientation"),
+        ins=section("ins"),
+    message:
+        "{wildcards.campaign}: fused trajectory"
+    script:
+        "../scripts/fuse_trajectory.py"
+
+
+rule measure_control_points:
+    """Where each control point is in each image: predicted and found, or as a table says."""
+    input:
+        block="results/{campaign}/orientation/sfm/block.npz",
+        predictions="results/{campaign}/orientation/image_predictions.parquet",
+        control_points=raw("control_points"),
+        image_marks=raw("image_marks"),
+        images=raw("time_lapse"),
+        # a white board before the sky may look like sky: automatic masks do not count here
+        masks=raw("masks"),
+    output:
+        marks="results/{campaign}/orientation/control_marks.csv",
+    log:
+        "logs/{campaign}/orientation/measure_control_points.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/measure_control_points.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(30),
+    params:
+        code=code_version("measure_control_points"),
+        campaign=identity("origin", "crs"),
+        options=images("control"),
+    message:
+        "{wildcards.campaign}: control points in the images"
+    script:
+        "../scripts/measure_control_points.py"
+
+
+rule adjust_images:
+    """Bundle adjustment with control points: poses of the images in the world, with covariances (P2 5.3)."""
+    input:
+        block="results/{campaign}/orientation/sfm/block.npz",
+        sfm_images="results/{campaign}/orientation/sfm/images.csv",
+        predictions="results/{campaign}/orientation/image_predictions.parquet",
+        control_points=raw("control_points"),
+        marks="results/{campaign}/orientation/control_marks.csv",
+        interior=known_interior,
+        positions="results/{campaign}/ingest/positions.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
+    output:
+        poses="results/{campaign}/orientation/image_poses.parquet",
+        camera="results/{campaign}/orientation/camera.yaml",
+        control_report="results/{campaign}/orientation/control_points.csv",
+        images_report="results/{campaign}/orientation/images.csv",
+        facts="results/{campaign}/orientation/adjustment.json",
+    log:
+        "logs/{campaign}/orientation/adjust_images.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/adjust_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000),
+        runtime=minutes(60),
+    params:
+        code=code_version("adjust_images"),
+        campaign=identity("id", "origin", "crs"),
+        adjustment=images("adjustment"),
+        control=images("control"),
+    message:
+        "{wildcards.campaign}: adjustment of the images"
+    script:
+        "../scripts/adjust_images.py"
+
+
+rule import_orientations:
+    """Poses of the images that another program has found."""
+    input:
+        files=raw("finished_orientations"),
+        predictions="results/{campaign}/orientation/image_predictions.parquet",
+        interior=known_interior,
+    output:
+        poses="results/{campaign}/orientation/image_poses_finished.parquet",
+        camera="results/{campaign}/orientation/camera_finished.yaml",
+        facts="results/{campaign}/orientation/finished.json",
+    log:
+        "logs/{campaign}/orientation/import_orientations.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/import_orientations.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("import_orientations"),
+        campaign=identity("id", "origin", "crs"),
+        finished=images("finished"),
+    message:
+        "{wildcards.campaign}: orientations from another program"
+    script:
+        "../scripts/import_orientations.py"
+
+
+rule time_images:
+    """When each image was taken: its stamp and the camera's clock, from the calibration and from the survey."""
+    input:
+        poses=oriented_images,
+        stamps="results/{campaign}/ingest/image_stamps.parquet",
+        positions="results/{campaign}/ingest/positions.parquet",
+        states="results/{campaign}/ingest/ins_states.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
+        camera_clock=camera_clock,
+        boat=calibration_file,
+    output:
+        timed="results/{campaign}/orientation/image_poses_timed.parquet",
+        times="results/{campaign}/orientation/image_times.parquet",
+        clock="results/{campaign}/orientation/camera_clock.yaml",
+        report="results/{campaign}/orientation/image_times.json",
+    log:
+        "logs/{campaign}/orientation/time_images.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/time_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(30),
+    params:
+        code=code_version("time_images"),
+        campaign=identity("origin"),
+        options=clock_options,
+        cloud=images("cloud"),
+    message:
+        "{wildcards.campaign}: times of the images"
+    script:
+        "../scripts/time_images.py"
+
+
+rule camera_trajectory:
+    """Poses of the boat by its camera, at the times of lidar points (P2 section 4)."""
+    input:
+        poses="results/{campaign}/orientation/image_poses_timed.parquet",
+        states="results/{campaign}/ingest/ins_states.parquet",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
+        boat=calibration_file,
+    output:
+        trajectory_camera="results/{campaign}/orientation/trajectory_camera.parquet",
+        mounts_camera="results/{campaign}/orientation/mounts_camera.json",
+        images="results/{campaign}/orientation/camera_frames.csv",
+        facts="results/{campaign}/orientation/camera_trajectory.json",
+    log:
+        "logs/{campaign}/orientation/camera_trajectory.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/camera_trajectory.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("camera_trajectory"),
+        cloud=images("cloud"),
+        orientation=section("orientation"),
+        ins=section("ins"),
+    message:
+        "{wildcards.campaign}: trajectory by the camera"
+    script:
+        "../scripts/camera_trajectory.py"

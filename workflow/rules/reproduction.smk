@@ -225,3 +225,56 @@ rule echo_sounder_study:
         "places of the echo sounder from {params.seeds} seeds of the digital twin"
     script:
         "../scripts/echo_sounder_study.py"
+
+
+rule outage_study:
+    """Position errors of INS, camera and fused trajectory by the length of an outage of GNSS."""
+    output:
+        table="results/reproduction/outage_study.csv",
+        page="results/reproduction/outage_study.md",
+    log:
+        "logs/reproduction/outage_study.log",
+    benchmark:
+        "benchmarks/reproduction/outage_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(30),
+    params:
+        code=code_version("outage_study"),
+        seeds=6,
+    message:
+        "outages of GNSS, on the digital twin"
+    script:
+        "../scripts/outage_study.py"
+
+
+rule plot_outage_study:
+    """Error of the place by the length of an outage of GNSS."""
+    input:
+        table="results/reproduction/outage_study.csv",
+    output:
+        outage_study_png=report(
+            "results/reproduction/figures/outage_study.png",
+            caption="../report/outage_study.rst",
+            category="Trajectories",
+        ),
+    log:
+        "logs/reproduction/plot_outage_study.log",
+    benchmark:
+        "benchmarks/reproduction/plot_outage_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(5),
+    params:
+        code=code_version("plot_outage_study"),
+        dpi=200,
+    message:
+        "outages of GNSS on the digital twin"
+    script:
+        "../scripts/plot_outage_study.py"

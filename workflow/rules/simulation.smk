@@ -76,6 +76,39 @@ rule simulate_mounts:
         "../scripts/simulate_mounts.py"
 
 
+rule simulate_time_lapse:
+    """Images of the bank along the voyage, and the survey of the control points."""
+    input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    output:
+        images=directory("results/{campaign}/simulation/logs/time_lapse"),
+        control_points="results/{campaign}/simulation/logs/control_points.csv",
+        image_poses="results/{campaign}/simulation/truth/image_poses.parquet",
+        truth="results/{campaign}/simulation/truth/time_lapse.json",
+    log:
+        "logs/{campaign}/simulation/simulate_time_lapse.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_time_lapse.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(600),
+    params:
+        code=code_version("simulate_time_lapse"),
+        campaign=identity("origin", "seed"),
+        twin=twin_parts("scene", "boat", "camera", "lidar"),
+        time_lapse=lambda wildcards: CAMPAIGNS[wildcards.campaign].plain()["twin"][
+            "time_lapse"
+        ],
+    message:
+        "{wildcards.campaign}: images of the bank by the digital twin"
+    script:
+        "../scripts/simulate_time_lapse.py"
+
+
 rule simulate_lidar:
     """VLP-16 packets: every shot cast from its own pose."""
     input:

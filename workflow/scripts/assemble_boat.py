@@ -13,7 +13,7 @@ from thalweg.jobs.job import run_job
 def main(
     *,
     mount: Path,
-    camera_lidar: Path,
+    camera_lidar: list[Path],
     boat: Path,
     campaign: dict[str, Any],
     echo_sounder: dict[str, Any] | None,
@@ -23,9 +23,10 @@ def main(
     place = None
     if echo_sounder is not None:
         place = EchoPlace.ruled_from_ins(**echo_sounder)
-    relative = read_calibration(camera_lidar).pose("camera_lidar")
+    relative = read_calibration(camera_lidar[0]).pose("camera_lidar") if camera_lidar else None
+    methods = ("cones from the moving boat", *(["cones and camera"] if camera_lidar else []), "ruler")
     source = Source(
-        run=str(campaign["id"]), method="cones from the moving boat, cones and camera, ruler",
+        run=str(campaign["id"]), method=", ".join(methods),
         observations=int(found.facts["points"]), sigma0=float(found.facts["sigmas"]["all"]), twin=twin,
     )  # fmt: skip
     write_calibration(

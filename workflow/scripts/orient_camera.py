@@ -7,6 +7,8 @@ from typing import Any
 
 from thalweg.calibration.boat_camera import orient_on_field, starting_boat_camera
 from thalweg.calibration.camera_file import interior_calibration, read_camera, same_size
+from thalweg.calibration.camera_lidar_input import static_images
+from thalweg.calibration.camera_lidar_statics import statics_of, write_statics
 from thalweg.calibration.camera_poses import network_pose_table, write_poses
 from thalweg.calibration.field_description import read_field
 from thalweg.calibration.field_points import read_points
@@ -18,19 +20,10 @@ from thalweg.jobs.job import run_job
 
 
 def main(
-    *,
-    marks: Path,
-    points: Path,
-    field: Path,
-    interior: list[Path],
-    poses: Path,
-    camera: Path,
-    residuals: Path,
-    report: Path,
-    campaign: dict[str, Any],
-    model: str,
-    focal_px: float | None,
-) -> None:
+    *, marks: Path, points: Path, field: Path, interior: list[Path], position_images: list[Path],
+    poses: Path, statics: Path, camera: Path, residuals: Path, report: Path,
+    campaign: dict[str, Any], model: str, focal_px: float | None,
+) -> None:  # fmt: skip
     log = logging.getLogger("thalweg")
     table, meta = read_table(marks, MARKS)
     ((name, size),) = meta["sizes_px"].items()
@@ -43,6 +36,8 @@ def main(
     for row in found.rejected.itertuples():
         log.warning("%s %s: %s", row.what, row.name, row.reason)
     write_poses(poses, *network_pose_table(found, table))
+    standing = static_images(position_images) if position_images else []
+    write_statics(statics, statics_of(found, read_points(points), standing))
     found.residuals.to_csv(residuals, index=False, float_format="%.5f")
     (boat,) = found.cameras.values()
     source = Source(

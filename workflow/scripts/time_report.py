@@ -8,6 +8,7 @@ import pandas as pd
 from thalweg.core.trajectory import Trajectory
 from thalweg.jobs.job import run_job
 from thalweg.timing.clock_model import ClockModel
+from thalweg.timing.run_image_times import read_run_image_times
 from thalweg.timing.time_report import Speeds, report_lines, time_report
 
 
@@ -17,6 +18,7 @@ def main(
     trajectory: Path,
     clock: list[Path],
     stability: list[Path],
+    images: list[Path],
     report: Path,
     text: Path,
     range_m: float,
@@ -27,6 +29,7 @@ def main(
         speeds,
         camera=ClockModel.read(clock[0]) if clock else None,
         stability=json.loads(stability[0].read_text()) if stability else None,
+        image_times=read_run_image_times(images[0]) if images else None,
         range_m=range_m,
     )
     table.to_csv(report, index=False)

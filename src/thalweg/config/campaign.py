@@ -9,7 +9,9 @@ from thalweg.config.accuracy import Accuracy, Reference
 from thalweg.config.base import Section
 from thalweg.config.calibration import Calibration
 from thalweg.config.filters import Filters
+from thalweg.config.fused import Fused
 from thalweg.config.identity import Identity
+from thalweg.config.images import Images
 from thalweg.config.lidar import Lidar, LidarAccuracy
 from thalweg.config.logs import STREAM_KEYS, Logs, is_rinex_name
 from thalweg.config.mounts import Mounts
@@ -41,6 +43,8 @@ class Campaign(Section):
     ins: Ins = Field(default=Ins(), description="Accuracy of the INS attitude")
     ppk: Ppk = Field(default=Ppk(), description="Post-processing of raw GNSS")
     orientation: Orientation = Field(default=Orientation(), description="Trajectory")
+    images: Images = Field(default=Images(), description="Orientation of photographs of the bank")
+    fused: Fused = Field(default=Fused(), description="Trajectory from INS, antenna and images together")
     georeferencing: Georeferencing = Field(
         default=Georeferencing(), description="Lidar points into the world"
     )

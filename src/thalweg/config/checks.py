@@ -11,15 +11,16 @@ from thalweg.config.accuracy import Accuracy
 from thalweg.config.check_area import check_accuracy_area
 from thalweg.config.check_calibration import check_calibration_logs, check_interior
 from thalweg.config.check_files import check_files
+from thalweg.config.check_images import check_images
+from thalweg.config.check_mounts import check_mounts_calibration
 from thalweg.config.check_place import check_base, check_crs
 from thalweg.config.hints import radians_cure
 from thalweg.config.identity import ID_PATTERN
 from thalweg.config.lidar import Lidar
 from thalweg.config.logs import Logs, is_rinex_name
 from thalweg.config.messages import show
-from thalweg.config.mounts import Mounts, OrientedMount, is_calibration_path
+from thalweg.config.mounts import Mounts, OrientedMount
 from thalweg.config.navigation import Orientation
-from thalweg.config.paths import anchor, missing_cure
 from thalweg.config.products import Georeferencing
 from thalweg.core.mistakes import Key, Mistake
 
@@ -62,8 +63,11 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         *_check_ranges(parts),
         *_check_ports(parts),
         *_check_mounts(parts),
-        *_check_calibration(parts),
+        *check_mounts_calibration(parts.raw("mounts"), parts.raw("campaign", "id"), parts.path.parent),
         *check_interior(parts.raw("calibration", "boat_camera", "interior"), parts.path.parent),
+        *check_images(
+            parts.raw("logs", "time_lapse"), parts.raw("mounts"), parts.raw("images"), parts.raw("twin")
+        ),
         *_check_lists(parts),
         *_check_ppk(parts),
         *_check_bed(parts),
@@ -78,7 +82,8 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         mistakes += _check_source(parts, parts.logs)
         mistakes += _check_logs(parts.logs)
         jitter_s = parts.raw("calibration", "clock", "jitter_s")
-        mistakes += check_calibration_logs(parts.logs.calibration, jitter_s=jitter_s)
+        has_run = bool(parts.logs.lidar and parts.logs.ins)
+        mistakes += check_calibration_logs(parts.logs.calibration, jitter_s=jitter_s, has_run=has_run)
         mistakes += check_base(parts.logs.gnss, parts.raw("campaign", "origin"))
     elif parts.raw("twin") is not None:
         mistakes += _check_twin_source(parts)
@@ -175,36 +180,6 @@ def _check_mounts(parts: Parts) -> Iterator[Mistake]:
                         expected="an angle in degrees",
                         cure=cure,
                     )
-
-
-def _check_calibration(parts: Parts) -> Iterator[Mistake]:
-    chosen = parts.raw("mounts", "calibration")
-    if not isinstance(chosen, str) or not chosen:
-        return
-    for name in ("lidar", "camera", "antenna"):
-        if parts.raw("mounts", name) is not None:
-            yield Mistake(
-                path=("mounts", name),
-                found=f"both mounts.calibration ({chosen}) and mounts.{name} are given",
-                expected="one of them",
-                cure=f"Remove mounts.{name} if the calibration holds it, or mounts.calibration",
-            )
-    if chosen == parts.raw("campaign", "id"):
-        yield Mistake(
-            path=("mounts", "calibration"),
-            found="the campaign names itself",
-            expected="another campaign, or a calibration file",
-            cure="Remove the line: a calibration campaign starts from the values of its own section mounts",
-        )
-    if is_calibration_path(chosen):
-        path = anchor(chosen, parts.path.parent)
-        if not path.is_file():
-            yield Mistake(
-                path=("mounts", "calibration"),
-                found=f"{chosen}: no such file",
-                expected=f"a calibration file at {path}",
-                cure=missing_cure(path),
-            )
 
 
 def _check_lists(parts: Parts) -> Iterator[Mistake]:

@@ -1,8 +1,10 @@
 """Load campaign files: one, or those that ``config.yaml`` or the command line choose."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from thalweg.config.campaign import Campaign
+from thalweg.config.check_mounts import SETTING
 from thalweg.config.hints import nearest
 from thalweg.config.mistakes import CampaignError
 from thalweg.config.mounts import is_calibration_path
@@ -34,11 +36,28 @@ def load_campaign(path: Path | str) -> Campaign:
     return campaign
 
 
-def check_campaign(path: Path) -> tuple[Campaign | None, list[Mistake]]:
-    """The campaign of a file, or None and all its mistakes."""
+def check_campaign(path: Path, folder: Path | None = None) -> tuple[Campaign | None, list[Mistake]]:
+    """The campaign of a file, or None and all its mistakes.
+
+    Parameters
+    ----------
+    path : YAML file.
+    folder : folder of campaign files, in which the campaign that ``mounts.calibration`` names is looked up;
+        None: it is not.
+    """
     if not path.exists():
         return None, [Mistake(found="no such file", cure=_nearest_yaml(path), file=path)]
-    return validate(read_yaml(path), path)
+    document = read_yaml(path)
+    campaign, mistakes = validate(document, path)
+    if folder is not None and isinstance(document.data, dict):
+        section = document.data.get("mounts")
+        chosen = section.get("calibration") if isinstance(section, dict) else None
+        found = named_calibration(chosen, folder, (path.stem,))[1]
+        placed = [_placed(m, path) for m in found]
+        own = [m for m in placed if m.file == path]
+        mistakes = sorted([*mistakes, *own], key=lambda m: m.line)
+        mistakes += [m for m in placed if m.file != path]
+    return (None if mistakes else campaign), mistakes
 
 
 def _nearest_yaml(path: Path) -> str:
@@ -65,7 +84,8 @@ def load_campaigns(choice: object, folder: Path) -> dict[str, Campaign]:
 
     Raises
     ------
-    CampaignError : lists the mistakes of all chosen files, unknown ids, and ids that stand twice.
+    CampaignError : lists the mistakes of all chosen files and of the calibration campaigns that they name,
+        unknown ids, and ids that stand twice.
     """
     entries = list(choice) if isinstance(choice, list | tuple) else [choice]
     mistakes: list[Mistake] = []
@@ -78,7 +98,7 @@ def load_campaigns(choice: object, folder: Path) -> dict[str, Campaign]:
         if isinstance(path, Mistake):
             mistakes.append(path)
             continue
-        campaign, found = check_campaign(path)
+        campaign, found = check_campaign(path, folder if folder.is_dir() else path.parent)
         mistakes += found
         if campaign is None:
             continue
@@ -102,7 +122,7 @@ def with_calibrations(campaigns: dict[str, Campaign], folder: Path) -> dict[str,
     Returns
     -------
     dict
-        The calibrations first.
+        The calibrations first, and before them those that they name themselves.
 
     Raises
     ------
@@ -111,28 +131,80 @@ def with_calibrations(campaigns: dict[str, Campaign], folder: Path) -> dict[str,
     needed: dict[str, Campaign] = {}
     mistakes: list[Mistake] = []
     for name, campaign in campaigns.items():
-        chosen = campaign.mounts.calibration
-        if chosen is None or is_calibration_path(chosen):
-            continue
-        path = folder / f"{chosen}.yaml"
-        found, errors = (None, []) if not path.is_file() else check_campaign(path)
-        mistakes += errors
-        if found is not None and found.is_calibration:
-            needed[found.id] = found
-        elif not errors:
-            what = "is no calibration" if found else "does not exist"
-            mistakes.append(
-                Mistake(
-                    path=("mounts", "calibration"),
-                    found=f"the campaign {chosen!r} {what}",
-                    expected="a calibration of the boat",
-                    cure="Name a campaign with a calibration field, or the path of a calibration file",
-                    file=folder / f"{name}.yaml",
-                )
-            )
+        found, wrong = named_calibration(campaign.mounts.calibration, folder, (name,))
+        needed |= {calibration.id: calibration for calibration in found}
+        mistakes += [_placed(m, folder / f"{name}.yaml") for m in wrong]
     if mistakes:
         raise CampaignError(list(dict.fromkeys(mistakes)))
     return {**needed, **campaigns}
+
+
+def named_calibration(
+    chosen: object, folder: Path, chain: tuple[str, ...]
+) -> tuple[list[Campaign], list[Mistake]]:
+    """The calibration campaign that ``mounts.calibration`` names, behind those that it names itself.
+
+    Parameters
+    ----------
+    chosen : the setting; a path or what is no text is another check's.
+    folder : folder of campaign files.
+    chain : ids that led here, the last one holds the setting.
+
+    Returns
+    -------
+    campaigns : empty if there are mistakes.
+    mistakes : in the setting (without file), and in the files of the calibration campaigns.
+    """
+    if not isinstance(chosen, str) or not chosen or is_calibration_path(chosen) or chosen == chain[-1]:
+        return [], []
+    path = folder / f"{chosen}.yaml"
+    if chosen in chain:
+        circle = " -> ".join((*chain, chosen))
+        return [], [_wrong_calibration(f"campaigns name each other in a circle: {circle}", folder)]
+    if not path.is_file():
+        near = nearest(chosen, campaign_ids(folder))
+        found = f"there is no campaign {chosen!r} in {folder}"
+        return [], [_wrong_calibration(found, folder, f"Did you mean {near}?" if near else "")]
+    campaign, wrong = check_campaign(path)
+    if campaign is None:
+        own = _wrong_calibration(
+            f"the campaign {chosen!r} has mistakes of its own", folder, f"Correct {path}"
+        )
+        return [], [own, *wrong]
+    if not campaign.is_calibration:
+        return [], [
+            _wrong_calibration(f"the campaign {chosen!r} surveys a river, no calibration field", folder)
+        ]
+    if campaign.logs is not None and not (campaign.logs.lidar and campaign.logs.ins):
+        found = f"the campaign {chosen!r} has no dynamic run (logs.lidar, logs.ins)"
+        cure = "Without a run no sensor gets its place on the boat: record one, or name a calibration file"
+        return [], [_wrong_calibration(found, folder, cure)]
+    before, wrong = named_calibration(campaign.mounts.calibration, folder, (*chain, chosen))
+    wrong = [_placed(m, path) for m in wrong]
+    return ([] if wrong else [*before, campaign]), wrong
+
+
+def _placed(mistake: Mistake, path: Path) -> Mistake:
+    """The mistake in ``mounts.calibration`` of a file; one that has its file already is left."""
+    if mistake.file is not None:
+        return mistake
+    return replace(mistake, line=read_yaml(path).line(SETTING) if path.is_file() else 0, file=path)
+
+
+def _wrong_calibration(found: str, folder: Path, cure: str = "") -> Mistake:
+    """A mistake in ``mounts.calibration``; the caller knows file and line."""
+    known = [
+        name
+        for name in campaign_ids(folder)
+        if (campaign := check_campaign(folder / f"{name}.yaml")[0]) is not None and campaign.is_calibration
+    ]
+    names = f" ({', '.join(known)})" if known else ""
+    return Mistake(
+        path=SETTING,
+        found=found,
+        expected=f"a calibration campaign{names}, or the path of a calibration file",
+        cure=cure or "Name a campaign with a calibration field, or the path of a calibration file",
+    )
 
 
 def campaign_path(entry: object, folder: Path) -> Path | Mistake:

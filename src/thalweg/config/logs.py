@@ -37,6 +37,13 @@ STREAM_KEYS = {
     "trigger_pulses": ("calibration", "trigger_pulses"),
     "display": ("calibration", "display"),
     "display_labels": ("calibration", "display_labels"),
+    "time_lapse": ("time_lapse", "images"),
+    "time_lapse_times": ("time_lapse", "times"),
+    "control_points": ("time_lapse", "control_points"),
+    "image_marks": ("time_lapse", "marks"),
+    "masks": ("time_lapse", "masks"),
+    "finished_orientations": ("time_lapse", "orientations"),
+    "interior": ("time_lapse", "interior"),
 }
 """Stream name -> keys below ``logs``."""
 
@@ -90,7 +97,9 @@ class CalibrationLogs(Section):
     )
     run_images: Files = Field(default=(), description="Images of the boat's camera during the dynamic run")
     image_times: Files = Field(
-        default=(), description="Table of image times (CSV: file, time), if neither names nor EXIF have them"
+        default=(),
+        description="Table of image times, if neither names nor EXIF have them (CSV: file, and one of "
+        "time_utc in ISO 8601, unix_s, t_gps_s)",
     )
     board_images: Files = Field(
         default=(), description="Images of a checkerboard that camera and lidar see, one a pose"
@@ -114,6 +123,42 @@ class CalibrationLogs(Section):
     display: Files = Field(default=(), description="Photographs of a running clock")
     display_labels: Files = Field(
         default=(), description="What a few of these photographs show (CSV: file, text)"
+    )
+
+
+class TimeLapseLogs(Section):
+    """Images of the bank along the survey; paths as in `Logs`."""
+
+    images: Files = Field(default=(), description="Photographs of the boat's camera: a folder, or files")
+    times: Files = Field(
+        default=(),
+        description="Table of image times, if neither names nor EXIF have them (CSV: file, and one of "
+        "time_utc in ISO 8601, unix_s, t_gps_s)",
+    )
+    control_points: Files = Field(
+        default=(),
+        description="Surveyed points on the bank (CSV: id; east_m, north_m, up_m in the world frame, or "
+        "lat_deg, lon_deg, h_ell_m, or x, y, z in campaign.crs; sigmas; role control or check)",
+    )
+    marks: Files = Field(
+        default=(),
+        description="Where control points were measured in images (CSV: image, point, x_px, y_px; or as "
+        "Metashape and OpenDroneMap write them), instead of finding them automatically",
+    )
+    masks: Files = Field(
+        default=(),
+        description="Folder of masks made elsewhere, PNG with 0 where an image is not to be used; they win "
+        "over automatic ones",
+    )
+    interior: Files = Field(
+        default=(),
+        description="Interior orientation of the camera: calibration, OpenCV or COLMAP file; without one, "
+        "that of `mounts.calibration`, else it is estimated from the images",
+    )
+    orientations: Files = Field(
+        default=(),
+        description="Finished exterior orientations of the images instead of our own: COLMAP model, "
+        "Metashape cameras (XML), or a table with omega, phi, kappa",
     )
 
 
@@ -141,6 +186,9 @@ class Logs(Section):
         description="Surveyed points of the river bed, for the place of the echo sounder: CSV with east_m, "
         "north_m, h_ell_m in campaign.crs and sigma_m",
     )
+    time_lapse: TimeLapseLogs = Field(
+        default=TimeLapseLogs(), description="Images of the bank, and control points"
+    )
     calibration: CalibrationLogs = Field(
         default=CalibrationLogs(), description="Recordings of a calibration field"
     )
@@ -156,7 +204,7 @@ class Logs(Section):
         """A copy with other paths."""
         top = {STREAM_KEYS[s][0]: paths for s, paths in files.items() if len(STREAM_KEYS[s]) == 1}
         below: dict[str, Section] = {}
-        for group in ("gnss", "calibration"):
+        for group in ("gnss", "calibration", "time_lapse"):
             nested = {STREAM_KEYS[s][1]: p for s, p in files.items() if STREAM_KEYS[s][0] == group}
             below[group] = getattr(self, group).model_copy(update=nested)
         return self.model_copy(update={**top, **below})

@@ -17,6 +17,7 @@ from thalweg.config.twin_field import TwinField
 from thalweg.config.twin_lidar import TwinLidar, TwinTls
 from thalweg.config.twin_navigation import TwinEcho, TwinGnss, TwinIns
 from thalweg.config.twin_scene import TwinBoat, TwinScene
+from thalweg.config.twin_time_lapse import TwinTimeLapse
 from thalweg.config.values import Count, NonNegative, Positive, Share
 
 Size = Literal["tiny", "demo", "mulde", "reach", "field", "field_tiny"]
@@ -92,6 +93,7 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
         "scene": {"weir": True, "bridge": True, "bridge_place": 0.3},
         "boat": {"speed_mps": 1.2},
         "gnss": {"shadow": True},
+        "camera": {"size_px": (1600, 1200), "focal_px": 1295.0, "principal_offset_px": (4.4, -2.9)},
     },
     "mulde": {
         "duration_s": 1025.0,
@@ -117,11 +119,11 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
     "field": {
         "start_utc": "2021-05-11T13:02:11Z",
         "duration_s": 150.0,
-        "field": {},
+        "field": {"tour": "planned"},
         "camera": {
             "size_px": (1600, 1200), "focal_px": 1295.0, "principal_offset_px": (4.4, -2.9),
             "reference": {
-                "n_images": 28, "size_px": (2100, 1400), "focal_px": 1645.0,
+                "n_images": 35, "size_px": (2100, 1400), "focal_px": 1645.0,
                 "principal_offset_px": (-6.1, 3.6),
             },
         },
@@ -172,6 +174,10 @@ class TwinConfig(Section):
     field: TwinField | None = Field(
         default=None,
         description="Calibration field on land; null: the boat sails on a river",
+    )
+    time_lapse: TwinTimeLapse | None = Field(
+        default=None,
+        description="Images of the bank along the voyage, and control points; null: the camera takes none",
     )
     effects: TwinEffects = Field(default=TwinEffects(), description="Defects of the logs")
 

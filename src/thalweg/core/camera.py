@@ -98,6 +98,33 @@ class Camera:
             model=self.model, size_px=self.size_px, parameters=parameters, cov=given, name=self.name
         )
 
+    def scaled(self, size_px: tuple[int, int]) -> "Camera":
+        """The same lens and sensor with larger or smaller pixels: a camera set to another picture size.
+
+        Raises
+        ------
+        GeometryError : the sides have another ratio, so that the new picture would be a part of the old one.
+        """
+        factor = np.array([new / old for new, old in zip(size_px, self.size_px, strict=True)])
+        # a picture of whole pixels is up to half a pixel off the ratio on either side
+        if abs(factor[0] / factor[1] - 1) > 0.5 / min(size_px) + 0.5 / min(self.size_px):
+            raise GeometryError(
+                f"a picture of {size_px[0]} x {size_px[1]} pixels, and a calibration of the camera "
+                f"{self.name!r} for {self.size_px[0]} x {self.size_px[1]}",
+                expected="the same ratio of the sides",
+                cure="Calibrate the camera with the picture format of the survey, or leave its interior "
+                "orientation to be estimated",
+            )
+        scale = np.ones(len(self.parameters))
+        scale[:4] = factor[[0, 1, 0, 1]]
+        return Camera(
+            model=self.model,
+            size_px=size_px,
+            parameters=self.parameters * scale,
+            cov=self.cov * np.outer(scale, scale),
+            name=self.name,
+        )
+
     def project(self, points_ccs: ArrayLike) -> ArrayF:
         """Pixels (n, 2) of points (n, 3); NaN for points that the model cannot image.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import opk_axes, rotation_opk
+from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
 
 
@@ -66,3 +67,8 @@ class Mount:
             lever_ics_m=np.asarray(section["lever_ics_m"], dtype=np.float64),
             cov_ics=to_vector @ (correlation * np.outer(sigma, sigma)) @ to_vector.T,
         )
+
+    def as_rigid(self) -> Rigid:
+        """``T_ics_sensor``, whose covariance counts the shift first."""
+        order = np.r_[3:6, 0:3]
+        return Rigid(R=self.R_ics_sensor, shift_m=self.lever_ics_m, cov=self.cov_ics[np.ix_(order, order)])

@@ -1,0 +1,47 @@
+"""Section ``images``: from photographs of the bank to their exterior orientations and to a cloud."""
+
+from pydantic import Field
+
+from thalweg.config.base import Section
+from thalweg.config.calibration import ImageTimes
+from thalweg.config.images_block import BlockAdjustment, ControlPoints
+from thalweg.config.images_cloud import CameraCloud
+from thalweg.config.images_finished import FinishedOrientations
+from thalweg.config.images_masks import Masks
+from thalweg.config.images_sfm import Features, Mapping
+from thalweg.config.values import Finite, NonNegative
+
+
+class StatedClock(Section):
+    """What is known of the camera's clock without a calibration, as from a photograph of a clock."""
+
+    offset_s: Finite = Field(default=0.0, description="GPS time minus the stamp of an image, seconds")
+    sigma_offset_s: NonNegative = Field(
+        default=1.0, le=86_400, description="Standard deviation of that offset, seconds"
+    )
+    jitter_s: NonNegative = Field(
+        default=0.023, le=1, description="Scatter of the images about their stamps, seconds (P2 6.1.2)"
+    )
+
+
+class Images(Section):
+    """Orientation of photographs: stamps, masks, features, block, control points."""
+
+    times: ImageTimes = Field(default=ImageTimes(), description="Stamps of the images")
+    clock: StatedClock = Field(
+        default=StatedClock(),
+        description="The camera's clock, where no calibration has found it; a start, refined from the images",
+    )
+    masks: Masks = Field(default=Masks(), description="Water, sky and own boat in the images")
+    features: Features = Field(default=Features(), description="Features of the images")
+    mapping: Mapping = Field(default=Mapping(), description="Structure from motion")
+    control: ControlPoints = Field(
+        default=ControlPoints(), description="Control points and where they are in the images"
+    )
+    adjustment: BlockAdjustment = Field(
+        default=BlockAdjustment(), description="Bundle adjustment with control points"
+    )
+    cloud: CameraCloud = Field(default=CameraCloud(), description="Lidar frames at the images")
+    finished: FinishedOrientations = Field(
+        default=FinishedOrientations(), description="Orientations from other programs"
+    )

@@ -1,0 +1,238 @@
+"""A block of images from its own frame to the world: start, observations, adjustment, checks."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from thalweg.core.camera import PARAMETERS, Camera
+from thalweg.core.errors import GeometryError
+from thalweg.core.types import ArrayF, ArrayI
+from thalweg.orientation.block_adjustment import Adjusted, adjust_block
+from thalweg.orientation.block_problem import Antenna, Problem
+from thalweg.orientation.block_result import ControlResult, control_result
+from thalweg.orientation.block_start import Similarity, check_place, start_from_control, start_from_positions
+from thalweg.orientation.block_weights import Options
+from thalweg.orientation.control_points import ControlMarks, ControlPoints
+from thalweg.orientation.image_block import ImageBlock
+from thalweg.orientation.image_poses import ImagePoses
+
+CURE_DATUM: Final = (
+    "Give at least three control points that are measured in two images each, or approximate positions of "
+    "the camera (clock, trajectory), or GNSS positions"
+)
+_LEAST_IMAGES: Final = 3
+_LEAST_CONTROL: Final = 4
+"""Control points that must stay when one is made a check point: four can still contradict each other."""
+_MOST_DEMOTED: Final = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockSettings:
+    """Options of the adjustment, and how the interior orientation enters."""
+
+    options: Options
+    interior: str = "auto"
+    free_parameters: tuple[str, ...] = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    square_pixels: bool = True
+
+    @classmethod
+    def from_section(cls, section: Mapping[str, Any]) -> "BlockSettings":
+        """From the section ``images.adjustment``."""
+        loss = section["loss"]
+        return cls(
+            options=Options(
+                loss=None if loss == "none" else loss,
+                loss_limit=section["loss_limit"],
+                reject_limit=section["reject_limit"],
+                restless_limit=section["restless_limit"],
+                correlated=section["correlated"],
+                least_angle_deg=section["least_angle_deg"],
+                max_iterations=section["max_iterations"],
+            ),
+            interior=section["interior"],
+            free_parameters=tuple(section["free_parameters"]),
+            square_pixels=section["square_pixels"],
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Oriented:
+    """An adjusted block, its control points, those left out with the reason, and notes for people."""
+
+    adjusted: Adjusted
+    control: ControlResult
+    left_out: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def world_block(
+    block: ImageBlock,
+    control: ControlPoints,
+    marks: ControlMarks,
+    predictions: ImagePoses | None,
+) -> tuple[ImageBlock, Similarity, str]:
+    """The block moved into the world: by control points where three are measured, else by predicted poses.
+
+    Returns
+    -------
+    block : in wcs.
+    start : the similarity.
+    source : ``control points`` or ``camera positions``.
+
+    Raises
+    ------
+    GeometryError : neither suffices, all points lie on a line, or control points are far from the images.
+    """
+    at, positions = _predicted(block, predictions)
+    check_place(control, positions)
+    counts = marks.counts(len(control.names))
+    if int(((counts >= 2) & ~control.check).sum()) >= 3:
+        try:
+            start = start_from_control(block, control, marks)
+        except GeometryError:
+            if len(at) < 3:
+                raise
+        else:
+            return block.transformed(start.R, start.shift_m, start.scale), start, "control points"
+    if len(at) < 3:
+        raise GeometryError(
+            f"{int((counts >= 2).sum())} control points measured in two images or more, and approximate "
+            f"positions of {len(at)} images",
+            expected="three of either",
+            cure=CURE_DATUM,
+        )
+    start = start_from_positions(block, at, positions)
+    return block.transformed(start.R, start.shift_m, start.scale), start, "camera positions"
+
+
+def _predicted(block: ImageBlock, predictions: ImagePoses | None) -> tuple[ArrayI, ArrayF]:
+    if predictions is None:
+        return np.empty(0, np.int64), np.empty((0, 3))
+    row = {name: k for k, name in enumerate(predictions.images) if predictions.oriented[k]}
+    at = np.array([k for k, name in enumerate(block.images) if name in row], np.int64)
+    where = [row[block.images[k]] for k in at]
+    return at, predictions.centre_wcs_m[where].reshape(-1, 3)
+
+
+def orient_block(
+    block: ImageBlock,
+    control: ControlPoints,
+    marks: ControlMarks,
+    settings: BlockSettings,
+    *,
+    predictions: ImagePoses | None = None,
+    antenna: Antenna | None = None,
+    known: Camera | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Oriented:
+    """Orient a block in the world.
+
+    Parameters
+    ----------
+    block : from structure from motion, in any frame.
+    control, marks : surveyed points and their marks; may be empty.
+    predictions : approximate poses of images.
+    antenna : GNSS positions at exposures.
+    known : interior orientation from a calibration, with covariance, of all cameras of the block.
+
+    Raises
+    ------
+    GeometryError : too few images, no datum, or one that does not fix all.
+    UnobservableError : unknowns that nothing determines.
+    """
+    if len(block.images) < _LEAST_IMAGES:
+        raise GeometryError(
+            f"a block of {len(block.images)} images", expected=f"{_LEAST_IMAGES} at least",
+            cure="See the report of the images for why the others are not in it",
+        )  # fmt: skip
+    moved, start, source = world_block(block, control, marks, predictions)
+    notes = list(start.notes)
+    control, marks, left_out = _usable(control, marks, start if source == "control points" else None)
+    fixes = (~control.check).sum() >= 3 or (antenna is not None and len(antenna.image) >= 3)
+    if not fixes:
+        raise GeometryError(
+            f"{int((~control.check).sum())} usable control points and no GNSS positions in the adjustment",
+            expected="at least three control points, or positions of the antenna (images.adjustment.antenna)",
+            cure=CURE_DATUM,
+        )
+    cameras, free, weighted = _interior(moved.cameras, settings, known)
+    problem = Problem(
+        block=replace(moved, cameras=cameras), control=control, marks=marks, antenna=antenna, free=free,
+        weighted=weighted, held=np.zeros((len(block.images), 6), np.bool_),
+        square_pixels=settings.square_pixels,
+    )  # fmt: skip
+    adjusted = adjust_block(problem, settings.options, progress=progress)
+    result = control_result(adjusted)
+    for _ in range(_MOST_DEMOTED):
+        worst = _contradicting(problem.control, result)
+        if worst is None:
+            break
+        notes.append(
+            f"Control point {problem.control.names[worst]} contradicts the others by "
+            f"{np.linalg.norm(result.without_m[worst]):.3f} m, {np.sqrt(result.test[worst] / 3):.1f} times "
+            "what its sigma allows: from now on it only checks"
+        )
+        problem = replace(problem, control=problem.control.as_check([problem.control.names[worst]]))
+        adjusted = adjust_block(problem, settings.options, progress=progress)
+        result = control_result(adjusted)
+    return Oriented(
+        adjusted=adjusted, control=result, left_out=left_out, notes=[*notes, *adjusted.notes, *result.notes]
+    )
+
+
+def _contradicting(control: ControlPoints, result: ControlResult) -> int | None:
+    """The control point that fits the others worst, if it does not fit and enough others stay."""
+    bad = np.flatnonzero(result.suspect & ~control.check)
+    if not len(bad) or int((~control.check).sum()) - 1 < _LEAST_CONTROL:
+        return None
+    return int(bad[np.argmax(result.test[bad])])
+
+
+def _usable(
+    control: ControlPoints, marks: ControlMarks, start: Similarity | None
+) -> tuple[ControlPoints, ControlMarks, dict[str, str]]:
+    """Points that can take part; the others with the reason."""
+    counts = marks.counts(len(control.names))
+    left_out: dict[str, str] = {}
+    keep = np.ones(len(control.names), np.bool_)
+    for k, name in enumerate(control.names):
+        if counts[k] == 0:
+            left_out[name] = "measured in no image"
+        elif counts[k] == 1 and control.check[k]:
+            left_out[name] = "a check point needs two images, it has one"
+        elif start is not None and not start.fits[k]:
+            left_out[name] = f"{start.misfit_m[k]:.2f} m away from where the others put it"
+        keep[k] = name not in left_out
+    new = np.cumsum(keep) - 1
+    rows = keep[marks.point]
+    chosen = marks.chosen(rows)
+    return control.chosen(keep), replace(chosen, point=new[chosen.point].astype(np.int64)), left_out
+
+
+def _interior(
+    cameras: Sequence[Camera], settings: BlockSettings, known: Camera | None
+) -> tuple[tuple[Camera, ...], tuple[tuple[str, ...], ...], tuple[bool, ...]]:
+    """Cameras to begin with, their free parameters, and whether their covariance is an observation."""
+    mode = settings.interior
+    if mode == "auto":
+        stated = known is not None and bool((np.diag(known.cov) > 0).any())
+        mode = "weighted" if stated else "free"
+    if mode in ("weighted", "fixed") and known is None:
+        raise GeometryError(
+            f"images.adjustment.interior is {mode!r}, and no interior orientation is given",
+            expected="a calibration of the camera",
+            cure="Set it to free, or name a calibration (logs.time_lapse.interior, mounts.calibration)",
+        )
+    out, free = [], []
+    for camera in cameras:
+        if mode in ("weighted", "fixed") and known is not None:
+            camera = replace(known, name=camera.name)
+        has = [name for name in PARAMETERS[camera.model] if name in settings.free_parameters]
+        if mode == "weighted":
+            sigma = dict(zip(camera.parameter_names, np.diag(camera.cov), strict=True))
+            has = [name for name in camera.parameter_names if sigma[name] > 0]
+        out.append(camera)
+        free.append(() if mode == "fixed" else tuple(has))
+    return tuple(out), tuple(free), tuple(mode == "weighted" for _ in cameras)

@@ -1,0 +1,101 @@
+"""What the fused trajectory takes for granted of the errors of its inputs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+GROUPS: Final = (
+    "velocity", "acceleration", "roll_pitch", "heading", "disturbance", "gnss", "lever", "camera", "mount",
+    "clock", "jitter",
+)  # fmt: skip
+"""Groups of observations and of prior knowledge whose residuals are judged."""
+
+SCALED: Final = ("velocity", "acceleration", "roll_pitch", "disturbance", "gnss", "camera", "jitter")
+"""Groups whose sigmas are estimated; the heading's is told from its disturbance only by chance."""
+
+PRIOR_REDUNDANCY: Final = 10.0
+"""What is stated of a sigma weighs as this many observations."""
+
+FACTORS: Final = (0.2, 20.0)
+"""Bounds of the factors of the sigmas."""
+
+WHITE_SHARE: Final = 1e-3
+"""Share of an image's covariance that is taken as new in each image: no observation is free of noise."""
+
+START_SIGMA_M: Final = 300.0
+START_SPEED_MPS: Final = 5.0
+"""Prior knowledge of the first node about the median of the first observations: next to nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FusionSettings:
+    """Settings of the smoother; names, units and defaults as in section ``fused`` of a campaign file."""
+
+    accept_fixes: tuple[str, ...] = ("fixed", "float")
+    use_ins_velocity: bool = True
+    sigma_velocity_mps: float = 0.05
+    velocity_time_s: float = 10.0
+    sigma_acceleration: float = 0.2
+    attitude_time_s: float = 20.0
+    heading_disturbance_deg: float = 0.3
+    disturbance_time_s: float = 60.0
+    gnss_time_s: float = 10.0
+    gnss_white_share: float = 0.25
+    sigma_clock_offset_s: float = 0.02
+    clock_walk_s: float = 1e-5
+    sigma_jitter_s: float = 0.016
+    estimate_errors: bool = True
+    outlier_probability: float = 1e-4
+    node_s: float = 1.0
+    max_iterations: int = 30
+    max_sigma_position_m: float = 0.15
+    max_sigma_attitude_deg: float = 2.0
+
+    @classmethod
+    def from_section(cls, section: Mapping[str, Any]) -> Self:
+        """From the section ``fused`` of a campaign file."""
+        values = dict(section)
+        return cls(accept_fixes=tuple(values.pop("accept_fixes")), **values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """Where the states of a node stand; -1: not there.
+
+    Always: position of the ics origin off the INS's way (0:3), its rate (3:6), errors of roll, pitch, heading
+    in units of their sigmas (6:9), the heading's disturbance (9). Then the slow error of the antenna (3) and
+    its lever arm (3), and of the camera: the image's pose error (6), the mount (6), clock offset, jitter; all
+    in units of their sigmas.
+    """
+
+    n: int
+    gnss: int
+    lever: int
+    camera: int
+    mount: int
+    clock: int
+    jitter: int
+
+    @classmethod
+    def of(cls, *, gnss: bool, camera: bool) -> Self:
+        """States for the inputs that are there."""
+        n = POSE
+        g = lever = c = mount = clock = jitter = -1
+        if gnss:
+            g, lever, n = n, n + 3, n + 6
+        if camera:
+            c, mount, clock, jitter, n = n, n + 6, n + 12, n + 13, n + 14
+        return cls(n=n, gnss=g, lever=lever, camera=c, mount=mount, clock=clock, jitter=jitter)
+
+    def states_of(self, group: str) -> range:
+        """Single processes of a group; the image's errors count under their first one."""
+        first, length = {
+            "roll_pitch": (6, 2), "heading": (8, 1), "disturbance": (9, 1), "gnss": (self.gnss, 3),
+            "lever": (self.lever, 3), "camera": (self.camera, 6), "mount": (self.mount, 6),
+            "clock": (self.clock, 1), "jitter": (self.jitter, 1),
+        }.get(group, (-1, 0))  # fmt: skip
+        return range(first, first + length) if first >= 0 else range(0)
+
+
+POSE: Final = 10
+"""States that make the pose: position, rate, attitude errors, disturbance."""

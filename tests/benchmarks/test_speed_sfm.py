@@ -1,0 +1,67 @@
+"""Time and memory of features and matching for images of 2, 8 and 16 megapixels.
+
+Photographs of `tests/orientation/test_sfm_roma.py` scaled to these sizes; each run is a program of its own,
+so that its peak memory is that of the run. Seconds are those of the processor, one thread.
+"""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+pytestmark = [pytest.mark.slow, pytest.mark.real]
+
+N_IMAGES = 4
+
+RUN = """
+import json, resource, sys, time
+from pathlib import Path
+import numpy as np
+from thalweg.orientation.sfm_features import FeatureSettings, extract_features
+from thalweg.orientation.sfm_start import match_images
+
+images = sorted(Path(sys.argv[1]).glob("*.jpg"))
+settings = FeatureSettings(max_size_px=int(sys.argv[2]), double_size=sys.argv[3] == "True")
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+extract_features(images[:0], settings=settings)
+idle = peak()
+start = time.process_time()
+features = extract_features(images, settings=settings)
+extraction_s, extraction_mb = time.process_time() - start, peak()
+start = time.process_time()
+matches = match_images(features, images)
+print(json.dumps({
+    "features": float(np.diff(features.start).mean()), "idle_mb": idle,
+    "extraction_s": extraction_s / len(images), "extraction_mb": extraction_mb,
+    "pair_s": (time.process_time() - start) / len(matches.pairs), "peak_mb": peak(),
+}))
+"""
+
+
+@pytest.mark.parametrize(
+    ("megapixels", "max_size_px", "double_size"),
+    [(2, 20_000, True), (8, 20_000, True), (16, 20_000, True), (16, 3200, True), (16, 20_000, False)],
+)
+def test_time_and_memory(
+    data_dir: Path, tmp_path: Path, megapixels: int, max_size_px: int, double_size: bool
+) -> None:
+    width = round((megapixels * 1e6 * 1.5) ** 0.5)
+    for path in sorted((data_dir / "dbat_roma/dbat/images/roma").glob("*.JPG"))[:N_IMAGES]:
+        with Image.open(path) as image:
+            size = (width, round(width / 1.5))
+            image.convert("L").resize(size, Image.Resampling.LANCZOS).save(
+                tmp_path / f"{path.stem}.jpg", quality=90
+            )
+    words = [sys.executable, "-c", RUN, str(tmp_path), str(max_size_px), str(double_size)]
+    run = subprocess.run(words, capture_output=True, text=True, check=True)
+    found = json.loads(run.stdout)
+    print(
+        f"{megapixels:3d} MP, searched up to {max_size_px} px, double {double_size}: "
+        f"{found['features']:.0f} features, {found['extraction_s']:.1f} s an image, "
+        f"{found['extraction_mb']:.0f} MB (idle {found['idle_mb']:.0f}); "
+        f"{found['pair_s']:.2f} s a pair, {found['peak_mb']:.0f} MB"
+    )
+    assert found["extraction_mb"] < 8000

@@ -1,0 +1,84 @@
+"""The cloud by image number (P2 Fig. 11)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.las import LazWriter
+from thalweg.figures.frames_by_image import FrameImages, FrameViews, frames_by_image
+from thalweg.orientation.image_poses import ImagePoses
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+T0 = 3.0e8
+
+
+def poses() -> ImagePoses:
+    """Twelve images along a track to the east, one without pose, not in order of time."""
+    n = 12
+    order = np.array([3, 0, 1, 2, *range(4, n)])
+    oriented = order != 5
+    return ImagePoses(
+        frame=FRAME, images=tuple(f"{k}.jpg" for k in order), t_gps_s=T0 + order.astype(float),
+        sigma_t_s=np.full(n, 0.02), oriented=oriented,
+        reasons=tuple("" if o else "blurred" for o in oriented),
+        centre_wcs_m=np.column_stack([4.0 * order, np.sin(order), np.full(n, 1.0)]),
+        R_wcs_ccs=np.tile(np.eye(3), (n, 1, 1)), cov_pose_wcs=np.tile(1e-6 * np.eye(6), (n, 1, 1)),
+        cov_next=np.zeros((n, 6, 6)), n_marks=np.full(n, 50.0), rms_px=np.full(n, 0.4),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def cloud(tmp_path, rng):
+    """3000 points of a bank in the north, in the frames of all images but the last."""
+    n = 3000
+    image = np.sort(rng.choice([0, 1, 2, 3, 4, 6, 7, 8, 9, 10], n))
+    xyz = np.column_stack([4.0 * image + rng.normal(0, 2, n), rng.uniform(10, 14, n), rng.uniform(0, 3, n)])
+    path = tmp_path / "points.laz"
+    with LazWriter(path, FRAME, scale_m=0.001) as writer:
+        writer.append(
+            xyz, t_gps_s=T0 + image + rng.uniform(-0.05, 0.05, n), intensity=np.full(n, 50, np.uint16)
+        )
+    return path, image
+
+
+def test_points_get_the_number_of_their_image(cloud) -> None:
+    path, image = cloud
+    images = FrameImages.of(poses())
+    # the sixth image has no pose, but keeps its number
+    assert images.number.tolist() == [1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 12]
+    views = FrameViews.of_cloud(path, images)
+    expected = [int(np.sum(image == number - 1)) for number in images.number]
+    assert views.points.tolist() == expected
+    # the bank lies in the north
+    assert abs(np.sin(views.side.view.azimuth_rad)) < 0.1
+    assert np.cos(views.side.view.azimuth_rad) > 0.9
+
+
+def test_the_figure_says_how_many(cloud, look, tmp_path) -> None:
+    images = FrameImages.of(poses())
+    figure = frames_by_image(FrameViews.of_cloud(cloud[0], images), images, twin=True)
+    words = look.texts(figure)
+    assert "n = 10 frames" in words
+    assert "n = 3 000 points" in words
+    assert "11 of 12 images oriented, 1 of them without points" in words
+    assert "digital twin" in words
+    assert len(look.artists(figure, "images")[0].get_offsets()) == 11
+    look.drawn(figure, tmp_path)
+
+
+def test_points_between_two_images_belong_to_the_nearer_one() -> None:
+    images = FrameImages.of(poses())
+    assert images.nearest(T0 + np.array([-5.0, 0.4, 0.6, 5.2, 99.0])).tolist() == [0, 0, 1, 5, 10]
+
+
+def test_nothing_to_draw_is_an_error(cloud) -> None:
+    with pytest.raises(InputError, match="none of 12 images"):
+        FrameImages.of(poses().with_times(np.full(12, np.nan), np.full(12, np.nan)))
+    images = FrameImages.of(poses())
+    views = FrameViews.of_cloud(cloud[0], images)
+    empty = replace(views, plan=type(views.plan)(views.plan.view))
+    with pytest.raises(GeometryError, match="no point to draw"):
+        frames_by_image(empty, images)

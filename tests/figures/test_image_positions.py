@@ -1,0 +1,109 @@
+"""Map of images, control points and their residuals (P2 Fig. 6 and 10)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.frames import LocalFrame
+from thalweg.figures.image_positions import COLUMNS, image_positions
+from thalweg.orientation.control_points import ControlPoints
+from thalweg.orientation.image_poses import ImagePoses
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+T0 = 178_649_913.4
+
+
+def poses(n=20):
+    """Images along a track to the east that look to the south; two without a pose."""
+    oriented = ~np.isin(np.arange(n), [4, 11])
+    # x to the west, y down, z to the south
+    R = np.array([[-1.0, 0, 0], [0, 0, -1.0], [0, -1.0, 0]])
+    return ImagePoses(
+        frame=FRAME, images=tuple(f"{k}.jpg" for k in range(n)), t_gps_s=T0 + np.arange(n, dtype=float),
+        sigma_t_s=np.full(n, 0.02), oriented=oriented,
+        reasons=tuple("" if o else "blurred" for o in oriented),
+        centre_wcs_m=np.column_stack([2.0 * np.arange(n), np.zeros(n), np.ones(n)]),
+        R_wcs_ccs=np.tile(R, (n, 1, 1)), cov_pose_wcs=np.tile(1e-4 * np.eye(6), (n, 1, 1)),
+        cov_next=np.zeros((n, 6, 6)), n_marks=np.full(n, 50.0), rms_px=np.full(n, 0.4),
+    )  # fmt: skip
+
+
+def surveyed(names="ABCDE"):
+    k = len(names)
+    return ControlPoints(
+        names=tuple(names),
+        points_wcs_m=np.column_stack([np.linspace(0, 38, k), np.full(k, -12.0), np.ones(k)]),
+        cov_wcs_m2=np.tile(1e-4 * np.eye(3), (k, 1, 1)), check=np.arange(k) % 2 == 1,
+    )  # fmt: skip
+
+
+def report():
+    table = pd.DataFrame({
+        "point": list("ABCDE"), "role": ["control", "check", "control", "check", "left out"],
+        "images": [4, 5, 6, 7, 0], "suspect": [False, False, True, False, False],
+    })  # fmt: skip
+    for k, axis in enumerate(("east", "north", "up")):
+        table[f"without_{axis}_mm"] = [3.0 + k, -4.0, 20.0, 4.0, np.nan]
+        table[f"sigma_without_{axis}_mm"] = [5.0, 5.0, 5.0, 6.0, np.nan]
+    return table
+
+
+def test_everything_is_on_the_map(look, tmp_path, trajectory):
+    figure = image_positions(poses(), surveyed(), report(), trajectory=trajectory, title="Test", twin=True)
+    words = look.texts(figure)
+    for text in ("n = 18 of 20 images", "2 control points", "2 check points", "digital twin", "suspect",
+                 "image without a pose, n = 2", "point seen in no image"):  # fmt: skip
+        assert text in words, text
+    # of the check points: -4 and +4 mm
+    assert "RMSE of 2 check points: east 4.0, north 4.0, up 4.0 mm" in words
+    (images,) = look.artists(figure, "images")
+    assert len(images.get_offsets()) == 18
+    np.testing.assert_allclose(images.get_array(), 1e3 * np.sqrt(3e-4))
+    assert len(look.artists(figure, "sigma-ellipse")) == 4
+    (arrows,) = look.artists(figure, "residuals")
+    # vectors are alike but for their length
+    np.testing.assert_allclose(arrows.U / arrows.U[0], np.array([3.0, -4.0, 20.0, 4.0]) / 3.0)
+    np.testing.assert_allclose(arrows.V / arrows.V[0], np.array([4.0, -4.0, 20.0, 4.0]) / 4.0)
+    look.drawn(figure, tmp_path)
+
+
+def test_vectors_and_ellipses_stay_on_the_map(look):
+    wide = report().assign(sigma_without_north_mm=100.0)
+    figure = image_positions(poses(), surveyed(), wide)
+    plan = figure.axes[0]
+    low, high = np.transpose([plan.get_xlim(), plan.get_ylim()])
+    for ellipse in look.artists(figure, "sigma-ellipse"):
+        half = np.array([ellipse.width, ellipse.height]) / 2
+        assert np.all(np.array(ellipse.center) - half > low)
+        assert np.all(np.array(ellipse.center) + half < high)
+
+
+def test_without_control_points(look, tmp_path):
+    figure = image_positions(poses(), ControlPoints.none(), report().iloc[:0])
+    assert not look.artists(figure, "residuals")
+    assert "control point" not in look.texts(figure).split("|")[0]
+    look.drawn(figure, tmp_path)
+
+
+def test_many_points_are_drawn_without_names(look, tmp_path):
+    names = [f"P{k:03d}" for k in range(60)]
+    table = pd.concat([report().iloc[[0]]] * 60, ignore_index=True).assign(point=names)
+    points = ControlPoints(
+        names=tuple(names), points_wcs_m=np.random.default_rng(1).uniform(0, 40, (60, 3)),
+        cov_wcs_m2=np.tile(1e-4 * np.eye(3), (60, 1, 1)), check=np.zeros(60, bool),
+    )  # fmt: skip
+    figure = image_positions(poses(), points, table)
+    assert not [t for t in figure.axes[0].texts if t.get_text() == "P001"]
+    look.drawn(figure, tmp_path)
+
+
+def test_what_does_not_belong_together_is_refused():
+    with pytest.raises(GeometryError, match="none of 20 images has a pose"):
+        image_positions(replace(poses(), oriented=np.zeros(20, bool)), surveyed(), report())
+    with pytest.raises(InputError, match="columns missing"):
+        image_positions(poses(), surveyed(), report().drop(columns=COLUMNS[-1]))
+    with pytest.raises(InputError, match=r"names points \['E'\]|names points \['D'\]"):
+        image_positions(poses(), surveyed("ABC"), report())

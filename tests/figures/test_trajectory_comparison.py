@@ -1,0 +1,306 @@
+"""Figures and page on INS, camera and fused trajectory."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.accuracy.chain_samples import three_chains, trajectory
+
+from thalweg.accuracy.chain_comparison import Chain, chains_table
+from thalweg.accuracy.chain_comparison_ranges import chains_by_range as range_table
+from thalweg.accuracy.chain_comparison_ranges import range_facts
+from thalweg.accuracy.chain_comparison_truth import chains_truth_table
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.figures.style import save
+from thalweg.figures.trajectory_comparison import LOOK, chain_histograms, chains_by_range
+from thalweg.figures.trajectory_comparison_costs import computing_seconds
+from thalweg.figures.trajectory_comparison_outages import outage_study
+from thalweg.figures.trajectory_comparison_page import TWIN_NOTE, cell, trajectory_comparison_page
+from thalweg.figures.trajectory_comparison_sigmas import pose_sigmas
+from thalweg.figures.trajectory_comparison_words import (
+    Costs,
+    for_and_against,
+    lead,
+    percent,
+    range_words,
+    runs_words,
+    side_by_side,
+    time_words,
+)
+
+
+@pytest.fixture
+def chains(rng):
+    return three_chains(rng)
+
+
+@pytest.fixture
+def ranges(chains):
+    at = np.linspace(1.0, 60.0, 60)
+    return range_table(chains, {"ins": 50 + 2.6 * at, "camera": 20 + 4.6 * at}, at)
+
+
+@pytest.fixture
+def outages():
+    rows = [
+        {"length_s": length, "chain": name, "outages": 8, "rms_m": rms, "max_m": 2 * rms, "sigma_m": rms,
+         "normalised": 1.1}
+        for length in (1.0, 10.0, 60.0)
+        for name, rms in (
+            ("ins_model", 0.04 + 0.002 * length**2), ("ins_velocity", 0.04 + 0.02 * length), ("camera", 0.02),
+            ("fused", 0.019),
+        )
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+@pytest.fixture
+def control():
+    return pd.DataFrame({
+        "point": ["A", "B", "C", "D"], "role": ["control", "control", "check", "control"],
+        "images": [5, 4, 6, 0],
+    })  # fmt: skip
+
+
+# ---------------------------------------------------------------- figures
+
+
+def test_ranges_of_all_chains(ranges, look, tmp_path):
+    figure = chains_by_range(ranges, outlier_rule="without 5 NMAD", title="Test", twin=True)
+    words = look.texts(figure)
+    for text in ("digital twin", "INS, achieved, n = ", "fused, predicted",
+                 "published curves cross between 11 and",
+                 "INS, T Table 3.1", "camera, P2 Table 1", "without 5 NMAD"):  # fmt: skip
+        assert text in words, text
+    kept = ranges[ranges["points"] == "without outliers"]
+    for name in LOOK:
+        (line,) = look.artists(figure, f"observed-{name}")
+        np.testing.assert_allclose(line.get_ydata(), 1e3 * kept[f"{name}_rmse_observed_m"])
+        (line,) = look.artists(figure, f"predicted-{name}")
+        assert line.get_linestyle() == "--"
+        np.testing.assert_allclose(line.get_ydata(), 1e3 * kept[f"{name}_rmse_predicted_m"])
+    (line,) = look.artists(figure, "own-crossing")
+    # 6 cm and 2 mm per metre against 2 cm and 4 mm per metre
+    assert line.get_xdata()[0] == pytest.approx(16.3, abs=0.3)
+    assert "here (dashed): at 16." in words
+    look.drawn(figure, tmp_path)
+
+
+def test_two_chains_that_do_not_cross(chains, look, tmp_path):
+    figure = chains_by_range(range_table(chains[::2]))
+    assert not look.artists(figure, "own-crossing")
+    assert not look.artists(figure, "observed-camera")
+    assert "digital twin" not in look.texts(figure)
+    better = replace(chains[1], by_range=chains[2].by_range)
+    words = look.texts(chains_by_range(range_table([chains[0], better])))
+    assert "here INS and camera do not cross" in words
+    look.drawn(figure, tmp_path)
+
+
+def test_histograms_are_normalised(chains, look, tmp_path):
+    figure = chain_histograms({c.name: c.distances for c in chains}, limit_m=2.0, title="Test")
+    for each in chains:
+        (bars,) = look.artists(figure, f"histogram-{each.name}")
+        values, edges, _ = bars.get_data()
+        # all distances are within 2 m: per cent per centimetre times centimetres
+        assert np.sum(values * np.diff(edges)) == pytest.approx(100.0)
+        used = each.distances[each.distances["used"]]
+        kept = used.loc[~used["outlier"], "distance_m"]
+        (fit,) = look.artists(figure, f"fit-{each.name}")
+        share = len(kept) / len(used)
+        peak = 100 * share / (100 * kept.std(ddof=0) * np.sqrt(2 * np.pi))
+        assert fit.get_ydata().max() == pytest.approx(peak, rel=0.01)
+    assert "standard normal" not in look.texts(figure)
+    assert "dotted: honest sigmas" in look.texts(figure)
+    look.drawn(figure, tmp_path)
+
+
+def test_gaps_are_seen(chains, look, tmp_path):
+    figure = pose_sigmas({c.name: c.trajectory for c in chains}, title="Test", twin=True)
+    for k in range(3):
+        (line,) = look.artists(figure, f"sigma-{k}-ins")
+        assert np.isnan(line.get_ydata()).sum() == 100
+    (bars,) = look.artists(figure, "times-ins")
+    assert len(bars.get_paths()) == 2
+    (bars,) = look.artists(figure, "times-camera")
+    assert len(bars.get_paths()) == 21
+    words = look.texts(figure)
+    assert "INS: 2.0 s without, longest 2.0 s" in words
+    assert "fused: no gap" in words
+    look.drawn(figure, tmp_path)
+
+
+def test_a_long_trajectory_keeps_its_gaps_and_its_peaks(look):
+    n = 30_000
+    valid = np.ones(n, bool)
+    valid[12_345] = False
+    path = trajectory(n=n, valid=valid)
+    path.cov_pose_wcs[20_001, 0, 0] = 9.0
+    figure = pose_sigmas({"ins": path})
+    (line,) = look.artists(figure, "sigma-0-ins")
+    assert len(line.get_ydata()) <= 6000
+    assert np.isnan(line.get_ydata()).sum() == 1
+    assert np.nanmax(line.get_ydata()) == pytest.approx(3000.0, rel=1e-3)
+
+
+def test_the_study_of_outages(outages, look, tmp_path):
+    figure = outage_study(outages)
+    (line,) = look.artists(figure, "rms-ins_velocity")
+    np.testing.assert_allclose(line.get_ydata(), [60.0, 240.0, 1240.0])
+    assert "n = 24 outages" in look.texts(figure)
+    look.drawn(figure, tmp_path)
+    with pytest.raises(InputError, match="columns missing"):
+        outage_study(outages.drop(columns="max_m"))
+
+
+def test_nothing_to_draw_is_an_error(ranges):
+    with pytest.raises(InputError, match="columns missing"):
+        chains_by_range(ranges.drop(columns="ins_rmse_predicted_m"))
+    with pytest.raises(InputError, match="no row"):
+        chains_by_range(ranges.iloc[:0])
+    with pytest.raises(InputError, match="no chain"):
+        chain_histograms({})
+    with pytest.raises(InputError, match="no trajectory"):
+        pose_sigmas({})
+    with pytest.raises(GeometryError, match="no valid pose"):
+        pose_sigmas({"ins": trajectory(valid=np.zeros(1001, bool))})
+
+
+# ---------------------------------------------------------------- words
+
+
+def test_the_lead_says_who_is_best_and_how_certain(chains):
+    table = chains_table(chains)
+    words = lead(table).replace("\N{NO-BREAK SPACE}", " ")
+    assert (
+        "Points with a pose, of 100 000 that the lidar recorded: 91 % by the INS, 10 % by the camera" in words
+    )
+    rmse = table.query("of == 'without outliers' and quantity == 'rmse'").iloc[0]
+    for name in ("ins", "camera", "fused"):
+        assert f"{100 * rmse[name]:.1f} cm by" in words
+    less = 100 * (1 - rmse["fused"] / min(rmse["ins"], rmse["camera"]))
+    assert f"The smallest is that of the fused trajectory, {less:.0f} % below" in words
+    assert "a certain difference" in words
+    # the same with few independent values
+    of_n = table["quantity"] == "independent_values"
+    table.loc[of_n, ["ins", "camera", "fused"]] = 3.0
+    assert "no certain difference" in lead(table)
+
+
+def test_the_words_on_ranges_hold_theory_against_result(chains, ranges):
+    facts = range_facts(ranges) | {"published_crossing_m": [12.6]}
+    words = range_words(json.loads(json.dumps(facts)))
+    assert "the fused trajectory in 26 classes (5 to 30 m)" in words
+    assert "INS and camera change places at 16." in words
+    assert "the camera being better nearer and the INS farther" in words
+    assert (
+        "published: between 11 and 13 m (the budgets recomputed: 12.6 m), camera nearer, INS farther" in words
+    )
+    won = {n: sum(b - a + 1 for a, b in facts["best_of_two"][n]) for n in ("ins", "camera")}
+    assert sum(won.values()) == 26
+    assert f"the INS is better in {won['ins']} classes, the camera in {won['camera']}" in words
+    better = replace(chains[1], by_range=chains[2].by_range)
+    words = range_words(range_facts(range_table([chains[0], better])))
+    assert "By prediction the camera is the better of both at every range" in words
+
+
+def test_for_and_against_by_numbers(chains, outages, control):
+    table = chains_table(chains)
+    costs = Costs(control=control, images=21, seconds={"ins": 0.1, "camera": 300.0}, outages=outages)
+    rows = for_and_against(table, costs).set_index("trajectory")
+    rows = rows.map(lambda text: text.replace("\N{NO-BREAK SPACE}", " "))
+    assert "2.0 s in which the INS" in rows.loc["fused", "for"]
+    assert "11.0 times the points of the camera" in rows.loc["fused", "for"]
+    assert "smallest RMSE" in rows.loc["fused", "for"]
+    assert "no control point on the bank; no image" in rows.loc["INS", "for"]
+    assert "124.0 cm in outages of GNSS of 60 s" in rows.loc["INS", "against"]
+    assert "2.0 cm in outages of GNSS of 60 s" in rows.loc["camera", "for"]
+    for words in ("no pose for 90 % of the points", "up to 0.9 s without a pose",
+                  "2 control points to be surveyed",
+                  "21 images to be taken", "5 min of computing"):  # fmt: skip
+        assert words in rows.loc["camera", "against"], words
+    assert "computing" not in rows.loc["INS", "against"]
+    # honest sigmas are no reproach, others are
+    assert "as predicted" not in " ".join(rows["against"])
+    low = (table["of"] == "without outliers") & (table["quantity"] == "ratio")
+    table.loc[low, "camera"] = 0.4
+    assert "2.5 times as large as predicted" in for_and_against(table, costs).set_index("trajectory").loc[
+        "camera", "against"
+    ]  # fmt: skip
+
+
+def test_the_decisive_numbers(chains, outages, control):
+    table = chains_table(chains)
+    shown = side_by_side(table, Costs(control=control, images=21, seconds={"ins": 0.1}, outages=outages))
+    rows = shown.set_index("").map(lambda text: text.replace("\N{NO-BREAK SPACE}", " "))
+    assert list(rows.columns) == ["INS", "camera", "fused"]
+    assert rows.loc["points in the cloud"].tolist() == ["60 000", "6 000", "66 000"]
+    assert rows.loc["control points"].tolist() == ["none", "2, and 1 that check", "2, and 1 that check"]
+    assert rows.loc["poses where the INS has none", "INS"] == "–"
+    assert rows.loc["computing time of its own steps"].tolist() == ["0.1 s", "–", "–"]
+    bare = side_by_side(table, Costs())
+    assert "control points" not in set(bare[""])
+
+
+def test_small_words():
+    assert [percent(x) for x in (0.0, 0.1234, 0.9997, 1.0, np.nan)] == [
+        "0 %", "12.3 %", "more than 99.9 %", "100 %", "–",
+    ]  # fmt: skip
+    assert [time_words(s) for s in (0.0123, 85.4, 300.0, 9000.0)] == ["0.012 s", "85 s", "5 min", "2.5 h"]
+    assert runs_words([[k, k] for k in range(0, 12, 2)]).endswith("6 m and 2 more runs)")
+    assert [cell(x) for x in (-1.234, 1234.4, np.nan)] == [
+        "\N{MINUS SIGN}1.23",
+        "1\N{NO-BREAK SPACE}234",
+        "–",
+    ]
+
+
+def test_computing_time_is_that_of_the_records(tmp_path):
+    for name, seconds in (("a.parquet", 1.5), ("b.npz", 2.0), ("masks", 10.0)):
+        (tmp_path / f"{name}.meta.json").write_text(json.dumps({"wall_s": seconds}))
+    found = computing_seconds({
+        "ins": [tmp_path / "a.parquet"], "camera": [tmp_path / "masks", tmp_path / "b.npz"],
+        "fused": [tmp_path / "a.parquet", tmp_path / "by_hand.parquet"],
+    })  # fmt: skip
+    assert found == {"ins": 1.5, "camera": 12.0}
+
+
+# ---------------------------------------------------------------- page
+
+
+def test_the_page_holds_all_chains(chains, ranges, control, outages, tmp_path):
+    picture = tmp_path / "pose_sigmas.png"
+    save(pose_sigmas({c.name: c.trajectory for c in chains}), picture, dpi=40)
+    truth = chains_truth_table({c.name: c.trajectory for c in chains}, trajectory(), correlation_s=1.0)
+    made = {
+        "truth": truth, "costs": Costs(control=control, images=21, outages=outages), "pictures": [picture],
+        "captions": {"pose_sigmas": "Sigmas & gaps"}, "title": "Test", "twin": True,
+    }  # fmt: skip
+    page = trajectory_comparison_page(chains_table(chains), ranges, range_facts(ranges), **made)
+    html = page.html()
+    for words in (
+        TWIN_NOTE[:40], "Side by side", "For and against", "published, INS", "published, camera", "By range",
+        "Against the truth of the digital twin", "Sigmas &amp; gaps", "nothing here is fitted", "Limits",
+        "at which every trajectory has a pose",
+    ):  # fmt: skip
+        assert words in html, words
+    assert html.index("Of 26 range classes") > html.index("By range")
+    assert html.count("data:image/png;base64,") == 1
+    assert "http" not in html
+    assert "nan" not in html.lower().replace("base64", "")[:2000]
+    assert ">nan<" not in html
+    assert html == trajectory_comparison_page(
+        chains_table(chains), ranges, range_facts(ranges), **made
+    ).html()  # fmt: skip
+
+
+def test_a_real_survey_without_reference_and_truth(chains):
+    bare = [Chain(name=c.name, counts=c.counts, trajectory=c.trajectory) for c in chains]
+    none = pd.DataFrame({"range_m": []})
+    html = trajectory_comparison_page(chains_table(bare), none, {"published_crossing_m": [12.6]}).html()
+    assert "There is no reference surface" in html
+    assert TWIN_NOTE not in html
+    assert "By range" not in html
+    assert ">nan<" not in html

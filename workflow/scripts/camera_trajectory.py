@@ -1,0 +1,45 @@
+"""Image poses with times and INS -> trajectory of the boat by its camera, and the lidar's place by it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thalweg.calibration.mounts import read_mounts, write_mounts
+from thalweg.core.calibration_file import read_calibration
+from thalweg.core.tables import read_table
+from thalweg.core.trajectory import Trajectory
+from thalweg.ingest.schemas import INS_STATE
+from thalweg.jobs.job import run_job
+from thalweg.orientation.camera_trajectory import camera_trajectory
+from thalweg.orientation.camera_trajectory_mounts import lidar_mount_by_camera
+from thalweg.orientation.camera_trajectory_settings import CloudSettings
+from thalweg.orientation.image_poses import ImagePoses
+
+
+def main(
+    *, poses: Path, states: Path, mounts: Path, trajectory_camera: Path, mounts_camera: Path, images: Path,
+    facts: Path, cloud: dict[str, Any], orientation: dict[str, Any], ins: dict[str, Any],
+    trajectory: list[Path], boat: list[Path],
+) -> None:  # fmt: skip
+    places, T_ics_ccs, placed = lidar_mount_by_camera(
+        read_mounts(mounts), read_calibration(boat[0]) if boat else None
+    )
+    found = camera_trajectory(
+        ImagePoses.read(poses),
+        T_ics_ccs,
+        CloudSettings.from_section(cloud),
+        states=read_table(states, INS_STATE)[0],
+        sigma_attitude_rad=np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
+        max_attitude_gap_s=orientation["max_attitude_gap_s"],
+        trajectory=Trajectory.read(trajectory[0]) if trajectory else None,
+    )
+    found.trajectory.write(trajectory_camera)
+    write_mounts(mounts_camera, places)
+    found.images.to_csv(images, index=False, float_format="%.6f")
+    facts.write_text(json.dumps({**found.facts, "lidar": placed}, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

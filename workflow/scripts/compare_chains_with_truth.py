@@ -1,0 +1,41 @@
+"""Trajectories of all chains of a twin campaign -> errors of their poses against the truth."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.accuracy.chain_comparison import CHAINS
+from thalweg.accuracy.chain_comparison_truth import carried_by_camera, chains_truth_table
+from thalweg.calibration.mounts import read_mounts
+from thalweg.core.calibration_file import read_calibration
+from thalweg.core.trajectory import Trajectory
+from thalweg.jobs.job import run_job
+from thalweg.lidar.mount import Mount
+from thalweg.orientation.camera_trajectory_mounts import lidar_mount_by_camera
+from thalweg.simulation.true_mounts import read_true_mounts
+from thalweg.simulation.truth import longest_correlation_s
+
+
+def main(
+    *,
+    trajectories: list[Path],
+    voyage: Path,
+    true_mounts: Path,
+    mounts: Path,
+    boat: list[Path],
+    table: Path,
+    twin: dict[str, Any],
+    orientation: dict[str, Any],
+) -> None:
+    """The trajectories are in the order of `CHAINS`."""
+    _, used, _ = lidar_mount_by_camera(read_mounts(mounts), read_calibration(boat[0]) if boat else None)
+    camera = Mount.from_section(read_true_mounts(true_mounts)["camera"]).as_rigid()
+    chains_truth_table(
+        {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
+        Trajectory.read(voyage),
+        correlation_s=longest_correlation_s(twin, orientation["position_source"]),
+        carried={"camera": carried_by_camera(camera, used)},
+    ).to_csv(table, index=False, float_format="%.9g")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,28 @@
+"""Images of one part and their masks -> features, independent of how the images are dealt out."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+from thalweg.ingest.image_stamps import list_images
+from thalweg.jobs.job import run_job
+from thalweg.orientation.sfm_features import FeatureSettings, extract_features, part_of
+
+
+def main(
+    *, images: list[Path], masks: list[Path], features: Path, part: int, options: dict[str, Any], threads: int
+) -> None:
+    log = logging.getLogger("thalweg")
+    folder = masks[0] if masks and masks[0].is_dir() else masks[0].parent if masks else None
+    mine = part_of(list_images(images), part, options["parts"])
+    found = extract_features(
+        mine, masks=folder, settings=FeatureSettings.from_section(options), threads=threads
+    )
+    for picture in found.pictures:
+        if picture.problem:
+            log.warning("%s: %s", picture.name, picture.problem)
+    found.write(features)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,50 @@
+"""INS, antenna positions and image poses -> one trajectory of the boat."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thalweg.calibration.mounts import read_mounts
+from thalweg.core.frames import LocalFrame
+from thalweg.core.tables import read_table
+from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
+from thalweg.jobs.job import run_job
+from thalweg.lidar.mount import Mount
+from thalweg.orientation.fused_inputs import with_own_jitter
+from thalweg.orientation.fused_report import count_table
+from thalweg.orientation.fused_settings import FusionSettings
+from thalweg.orientation.fused_trajectory import fuse_trajectory
+from thalweg.orientation.image_poses import ImagePoses
+
+
+def main(
+    *, states: Path, mounts: Path, trajectory: Path, observations: Path, counts: Path, facts: Path,
+    campaign: dict[str, Any], fused: dict[str, Any], orientation: dict[str, Any], ins: dict[str, Any],
+    positions: Path | None = None, images: Path | None = None,
+) -> None:  # fmt: skip
+    places = read_mounts(mounts)
+    T_ics_ccs = Mount.from_section(places["camera"]).as_rigid()
+    # positions of `ins` and `sbet` are no antenna: they would count the INS twice
+    antenna = positions is not None and orientation["position_source"] not in ("ins", "sbet")
+    found = fuse_trajectory(
+        read_table(states, INS_STATE)[0],
+        LocalFrame(**campaign["origin"]),
+        FusionSettings.from_section(fused),
+        positions=read_table(positions, GNSS_POSITION)[0] if antenna and positions else None,
+        lever_ics_antenna_m=places["antenna"]["lever_ics_m"],
+        sigma_lever_m=places["antenna"]["sigma_lever_m"],
+        images=None if images is None else with_own_jitter(ImagePoses.read(images)),
+        T_ccs_ics=T_ics_ccs.inverse(),
+        sigma_attitude_rad=np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
+        max_attitude_gap_s=orientation["max_attitude_gap_s"],
+    )
+    found.trajectory.write(trajectory)
+    found.observations.to_csv(observations, index=False, float_format="%.6f")
+    count_table(found.facts).to_csv(counts, index=False)
+    facts.write_text(json.dumps(found.facts, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

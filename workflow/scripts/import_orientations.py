@@ -1,0 +1,47 @@
+"""Poses that another program has found -> exterior orientations of the campaign's images."""
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+from thalweg.calibration.camera_file import interior_calibration, read_camera
+from thalweg.core.calibration import Source
+from thalweg.core.calibration_file import write_calibration
+from thalweg.jobs.job import run_job
+from thalweg.orientation.finished_poses import import_orientations
+from thalweg.orientation.image_poses import ImagePoses
+
+NO_CAMERA = "# No interior orientation: the files state none, and the campaign has no calibration.\n"
+
+
+def main(
+    *,
+    files: list[Path],
+    predictions: Path,
+    interior: list[Path],
+    poses: Path,
+    camera: Path,
+    facts: Path,
+    campaign: dict[str, Any],
+    finished: dict[str, Any],
+) -> None:
+    log = logging.getLogger("thalweg")
+    found = import_orientations(files, ImagePoses.read(predictions), finished, crs=campaign["crs"])
+    found.poses.write(poses)
+    lens = found.camera or (read_camera(interior[0]) if interior else None)
+    if lens is None:
+        camera.write_text(NO_CAMERA)
+        log.warning("no interior orientation: the files state none, and the campaign has no calibration")
+    else:
+        method = "imported with the poses" if found.camera else "calibration of the campaign"
+        source = Source(run=str(campaign["id"]), method=method)
+        write_calibration(camera, interior_calibration(lens, source))
+    facts.write_text(json.dumps(found.facts, indent=2) + "\n")
+    log.info("%d of %d images have a pose", found.facts["oriented"], found.facts["images"])
+    for note in found.facts["notes"]:
+        log.warning(note)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

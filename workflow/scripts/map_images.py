@@ -1,0 +1,39 @@
+"""Matches -> block of images in a frame of its own, its pieces, and what became of each image."""
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+from thalweg.jobs.job import run_job
+from thalweg.orientation.sfm_mapping import MapSettings, main_block, map_images
+from thalweg.orientation.sfm_matching import Matches
+from thalweg.orientation.sfm_report import block_facts, image_table
+
+
+def main(
+    *,
+    matches: Path,
+    block: Path,
+    pieces: Path,
+    images: Path,
+    facts: Path,
+    options: dict[str, Any],
+    threads: int,
+) -> None:
+    found = Matches.read(matches)
+    mapped = map_images(found, settings=MapSettings.from_section(options), threads=threads)
+    table = image_table(found, mapped)
+    told = block_facts(found, mapped, table)
+    for note in told["notes"]:
+        logging.getLogger("thalweg").warning(note)
+    main_block(mapped, dict(zip(table["image"], table["reason"], strict=True))).write(block)
+    pieces.mkdir(parents=True, exist_ok=True)
+    for k, piece in enumerate(mapped.pieces[1:], start=1):
+        piece.write(pieces / f"piece_{k}.npz")
+    table.to_csv(images, index=False)
+    facts.write_text(json.dumps(told, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

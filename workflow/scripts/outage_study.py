@@ -1,0 +1,16 @@
+"""Outages of GNSS on the twin -> position errors of INS, camera and fused trajectory by outage length."""
+
+from pathlib import Path
+
+from thalweg.jobs.job import run_job
+from thalweg.simulation.studies.outage import as_markdown, outage_study, summarised
+
+
+def main(*, table: Path, page: Path, seeds: int) -> None:
+    found = summarised(outage_study(range(1, seeds + 1)))
+    found.to_csv(table, index=False, float_format="%.6g")
+    page.write_text(as_markdown(found), encoding="utf-8")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

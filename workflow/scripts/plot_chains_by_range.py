@@ -1,0 +1,33 @@
+"""Range classes of all chains -> distances by range, achieved and predicted, and the error budgets."""
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from thalweg.figures.style import save
+from thalweg.figures.trajectory_comparison import chains_by_range
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    by_range: Path,
+    chains_by_range_png: Path,
+    outlier_nmads: float,
+    figures: dict[str, Any],
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    figure = chains_by_range(
+        pd.read_csv(by_range),
+        outlier_rule=f"without points whose distance over its sigma is farther than {outlier_nmads:g} NMAD "
+        "from the median",
+        title=f"Distances to the reference by range and trajectory: {campaign['title']}",
+        twin=twin,
+    )
+    save(figure, chains_by_range_png, dpi=figures["dpi"])
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,31 @@
+"""Trajectories of all chains -> their predicted sigmas over time."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.accuracy.chain_comparison import CHAINS
+from thalweg.core.trajectory import Trajectory
+from thalweg.figures.style import save
+from thalweg.figures.trajectory_comparison_sigmas import pose_sigmas
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    trajectories: list[Path],
+    pose_sigmas_png: Path,
+    figures: dict[str, Any],
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    """The trajectories are in the order of `CHAINS`."""
+    figure = pose_sigmas(
+        {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
+        title=f"Predicted sigmas of the poses: {campaign['title']}",
+        twin=twin,
+    )
+    save(figure, pose_sigmas_png, dpi=figures["dpi"])
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

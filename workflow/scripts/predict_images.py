@@ -1,0 +1,50 @@
+"""Stamps, the camera's clock and the trajectory -> roughly where the camera was at each image."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thalweg.calibration.mounts import read_mounts
+from thalweg.core.tables import read_table
+from thalweg.core.trajectory import Trajectory
+from thalweg.ingest.image_stamps import IMAGE_STAMPS
+from thalweg.jobs.job import run_job
+from thalweg.lidar.mount import Mount
+from thalweg.orientation.image_predictions import predict_image_poses
+from thalweg.timing.clock_model import ClockModel
+
+
+def main(
+    *,
+    stamps: Path,
+    trajectory: Path,
+    mounts: Path,
+    clock: list[Path],
+    predictions: Path,
+    stated: dict[str, Any],
+) -> None:
+    table = read_table(stamps, IMAGE_STAMPS)[0]
+    known = table["t_device_s"].dropna()
+    model = (
+        ClockModel.read(clock[0])
+        if clock
+        else ClockModel(
+            offset_s=stated["offset_s"],
+            reference_s=float(known.median()) if len(known) else 0.0,
+            cov=np.diag([stated["sigma_offset_s"] ** 2, 0.0]),
+            jitter_s=stated["jitter_s"],
+            source="images.clock of the campaign file",
+        )
+    )
+    poses = predict_image_poses(
+        table,
+        model,
+        Trajectory.read(trajectory),
+        Mount.from_section(read_mounts(mounts)["camera"]).as_rigid(),
+    )
+    poses.write(predictions)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

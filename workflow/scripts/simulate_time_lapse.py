@@ -1,0 +1,41 @@
+"""River reach, campaign file and true mounts -> time-lapse images, control points, and the truth."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.config.twin import TwinConfig
+from thalweg.config.twin_time_lapse import TwinTimeLapse
+from thalweg.core.frames import LocalFrame
+from thalweg.jobs.job import run_job
+from thalweg.simulation.time_lapse.record import simulate_time_lapse
+from thalweg.simulation.true_mounts import read_true_mounts
+
+
+def main(
+    *,
+    scene: Path,
+    true_mounts: Path,
+    images: Path,
+    control_points: Path,
+    image_poses: Path,
+    truth: Path,
+    campaign: dict[str, Any],
+    twin: dict[str, Any],
+    time_lapse: dict[str, Any],
+) -> None:
+    simulate_time_lapse(
+        TwinConfig(**twin),
+        TwinTimeLapse(**time_lapse),
+        campaign["seed"],
+        LocalFrame(**campaign["origin"]),
+        scene,
+        read_true_mounts(true_mounts),
+        images,
+        control_points,
+        out_poses=image_poses,
+        out_truth=truth,
+    )
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

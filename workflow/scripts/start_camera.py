@@ -1,0 +1,24 @@
+"""Interior orientation from a calibration -> the same for the size of the survey's images."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.calibration.camera_file import interior_calibration, read_camera
+from thalweg.core.calibration import Source
+from thalweg.core.calibration_file import write_calibration
+from thalweg.core.tables import read_table
+from thalweg.ingest.image_stamps import IMAGE_STAMPS
+from thalweg.jobs.job import run_job
+
+
+def main(*, calibrated: Path, stamps: Path, camera: Path, campaign: dict[str, Any]) -> None:
+    table = read_table(stamps, IMAGE_STAMPS)[0]
+    sizes = table.loc[table["width"] > 0, ["width", "height"]].value_counts()
+    width, height = sizes.index[0]
+    found = read_camera(calibrated).scaled((int(width), int(height)))
+    source = Source(run=str(campaign["id"]), method=f"{calibrated.name} for {width} x {height} pixels")
+    write_calibration(camera, interior_calibration(found, source))
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,58 @@
+"""Image poses, stamps, positions and INS -> the same poses with times, and the camera's clock."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from thalweg.calibration.mounts import read_mounts
+from thalweg.core.calibration_file import read_calibration
+from thalweg.core.frames import LocalFrame
+from thalweg.core.tables import read_table, write_table
+from thalweg.ingest.image_stamps import IMAGE_STAMPS
+from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
+from thalweg.jobs.job import run_job
+from thalweg.orientation.camera_trajectory_mounts import lidar_mount_by_camera
+from thalweg.orientation.image_poses import ImagePoses
+from thalweg.orientation.image_times import time_images
+from thalweg.orientation.image_times_run import antenna_in_camera
+from thalweg.timing import synchronise
+from thalweg.timing.clock_model import ClockModel
+from thalweg.timing.track import Track
+
+
+def main(
+    *, poses: Path, stamps: Path, positions: Path, states: Path, mounts: Path, timed: Path, times: Path,
+    clock: Path, report: Path, campaign: dict[str, Any], options: dict[str, Any], cloud: dict[str, Any],
+    camera_clock: list[Path], boat: list[Path],
+) -> None:  # fmt: skip
+    frame = LocalFrame(**campaign["origin"])
+    places = read_mounts(mounts)
+    _, T_ics_ccs, _ = lidar_mount_by_camera(places, read_calibration(boat[0]) if boat else None)
+    antenna = places["antenna"]
+    lever_m, cov_m2 = antenna_in_camera(T_ics_ccs, antenna["lever_ics_m"], antenna["sigma_lever_m"])
+    gnss = Track.from_table(
+        read_table(positions, GNSS_POSITION)[0],
+        frame,
+        correlation_time_s=options["position_time_s"],
+        white_share=options["white_share"],
+    )
+    found = time_images(
+        ImagePoses.read(poses),
+        read_table(stamps, IMAGE_STAMPS)[0],
+        track=gnss,
+        ins=synchronise.run_attitude(read_table(states, INS_STATE)[0], frame, options),
+        clock=ClockModel.read(camera_clock[0]) if camera_clock else None,
+        options=replace(synchronise.offset_options(options), lever_m=lever_m, cov_lever_m2=cov_m2),
+        use=cloud["image_times"],
+        clock_from=cloud["clock"],
+        images_together=cloud["images_together"],
+    )
+    found.poses.write(timed)
+    write_table(times, found.table, synchronise.IMAGE_TIMES)
+    found.clock.write(clock)
+    report.write_text(json.dumps(found.facts, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
