@@ -12,6 +12,7 @@ import laspy
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 from thalweg.accuracy.returns import TrueReturns
 from thalweg.accuracy.truth import Truth, compare_cloud
@@ -40,6 +41,15 @@ OF_DISTANCES = {
     "plot_distance_map", "plot_cross_sections", "plot_distance_histogram", "plot_distance_by_range",
 }  # fmt: skip
 """Pictures of the comparison with the reference."""
+
+OF_CHAINS = {
+    "compare_chain_with_reference", "compare_chains", "plot_chain_histograms", "plot_chains_by_range",
+    "trajectory_comparison_page",
+}  # fmt: skip
+"""The same for the trajectories by INS, camera and all sensors."""
+
+OF_IMAGES = {"plot_mask_view", "plot_image_positions", "plot_frames_by_image", "plot_pose_sigmas"}
+"""Pictures of the images and of what they give."""
 
 
 def planned(house, *words: str) -> set[str]:
@@ -162,9 +172,10 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "plot_error_versus_range",
         "plot_reference_view",
     }  # fmt: skip
-    pictures = of_streams | of_views | of_clouds | OF_DISTANCES
+    pictures = of_streams | of_views | of_clouds | OF_DISTANCES | OF_IMAGES
+    pictures |= {"plot_chain_histograms", "plot_chains_by_range"}
     undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
-    assert planned(tiny_house) == pictures | {"accuracy_page"}
+    assert planned(tiny_house) == pictures | {"accuracy_page", "trajectory_comparison_page"}
     undo()
     undo = edited(tiny_house, "orientation/ins_gnss.py", "\n_edited = 1\n")
     after_trajectory = {
@@ -178,7 +189,14 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "summarise",
         "time_report",
     }
-    assert planned(tiny_house) == after_trajectory | of_clouds | OF_DISTANCES
+    # where the camera roughly was comes from the trajectory, and all of the images' orientation follows
+    after_prediction = {
+        "predict_images", "mask_images", "extract_features", "match_features", "map_images",
+        "measure_control_points", "adjust_images", "time_images", "camera_trajectory", "fuse_trajectory",
+        "georeference_by_trajectory", "compare_chains_with_truth",
+    }  # fmt: skip
+    clouds = of_clouds | OF_DISTANCES | OF_CHAINS | OF_IMAGES
+    assert planned(tiny_house) == after_trajectory | after_prediction | clouds
     undo()
     undo = edited(tiny_house, "ingest/nmea.py", "\n# why, not what\n")
     assert planned(tiny_house) == set()
@@ -215,6 +233,7 @@ logs:
 mounts:
   lidar: {{phi_deg: -90.0, lever_ics_m: [-0.350, 0.000, -0.250]}}
   antenna: {{lever_ics_m: [0.100, 0.000, -0.450]}}
+{camera}
 orientation: {{position_source: {source}}}
 {more}
 georeferencing: {{export_map: false}}
@@ -238,18 +257,27 @@ def write_sbet(states: Path, target: Path) -> int:
 def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
     """The branch of real campaigns: files named in the campaign file, no twin, no truth, other positions."""
     logs = tiny_house.root / BASE / "simulation/logs"
-    text, more = BOAT, ""
+    text, more, camera = BOAT, "", ""
     if source == "sbp":
         text = text.replace("  depth:", "  reference: [{logs}/tls_*.laz]\n  depth:")
         area = "[[-35, -7], [0, -10], [35, -8], [35, -18], [0, -21], [-35, -18]]"
-        more = f"accuracy: {{area: {{polygon: {area}, min_height_m: 0.15, max_height_m: 4.0}}}}"
+        more = f"accuracy: {{area: {{polygon: {area}, min_height_m: 0.15, max_height_m: 4.0}}}}\n"
+        # images that another program has oriented: here the twin's own adjustment
+        poses = tiny_house.root / BASE / "orientation/image_poses.parquet"
+        text = text.replace(
+            "  depth:",
+            f"  time_lapse: {{{{images: [{{logs}}/time_lapse/*.jpg], orientations: [{poses}]}}}}\n  depth:",
+        )
+        own = yaml.safe_load((tiny_house.root / "config/campaigns/tiny.yaml").read_text())
+        camera = f"  camera: {json.dumps(own['mounts']['camera'])}"
+        more += f"images: {json.dumps(own['images'])}"
     if source == "sbet":
         week = write_sbet(tiny_house.root / BASE / "ingest/ins_states.parquet", tiny_house.root / "boat.sbet")
         text = text.replace(
             "  ins: [{logs}/ins.anpp]", f"  sbet: [{tiny_house.root}/boat.sbet]\n  gps_week: {week}"
         )
         more = "ins: {sigma_position_m: [0.6, 0.6, 1.0]}"
-    campaign = text.format(logs=logs, source=source, more=more)
+    campaign = text.format(logs=logs, source=source, more=more, camera=camera)
     (tiny_house.root / "config/campaigns/boat.yaml").write_text(campaign)
     shutil.rmtree(tiny_house.root / "results/boat", ignore_errors=True)
     tiny_house.snakemake("--config", "campaign=boat")
@@ -266,6 +294,14 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
     assert page.is_file() == (source == "sbp")  # the one with a reference
     if page.is_file():
         assert "digital twin" not in page.read_text()
+        chains = pd.read_csv(base / "accuracy/chains.csv")
+        (cloud,) = chains[
+            (chains["of"] == "shots of the lidar") & (chains["quantity"] == "in_cloud")
+        ].to_dict("records")
+        # 50 frames of 0.1 s in 25 s, and no more points than shots by any chain
+        assert 0.1 < cloud["camera"] / cloud["ins"] < 0.3
+        assert cloud["fused"] == pytest.approx(cloud["ins"], rel=0.02)
+        assert "digital twin" not in (base / "accuracy/trajectories.html").read_text()
     assert not (base / "figures/error_versus_range.png").exists()
     assert (base / "figures/cloud_detail.png").is_file()
 
@@ -349,11 +385,11 @@ def test_a_change_of_one_instrument_leaves_the_others_alone(tiny_house) -> None:
         campaign.write_text(text.replace("  size: tiny\n", "  size: tiny\n  tls: {spacing_m: 0.06}\n"))
         of_reference = {"simulate_tls", "read_reference", "plot_reference_view", "mesh_reference"}
         comparing = {"compare_with_reference", "accuracy_page", "summarise"}
-        assert planned(tiny_house) == of_reference | comparing | OF_DISTANCES
+        assert planned(tiny_house) == of_reference | comparing | OF_DISTANCES | OF_CHAINS
         campaign.write_text(text.replace("accuracy: #", "accuracy:\n  sections: {count: 2} #"))
         assert planned(tiny_house) == {"plot_cross_sections", "accuracy_page"}
         campaign.write_text(text + "\nreference: {sigma_m: 0.01}\n")
-        assert planned(tiny_house) == comparing | OF_DISTANCES
+        assert planned(tiny_house) == comparing | OF_DISTANCES | OF_CHAINS
         campaign.write_text(text + "\nlidar_accuracy: {footprint_share: 0.25}\n")
         again = planned(tiny_house)
         assert {"georeference_lidar", "export_map", "compare_with_truth", "plot_cloud_by_sigma"} <= again

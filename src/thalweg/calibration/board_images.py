@@ -96,7 +96,9 @@ def read_grey(path: Path) -> AnyArray:
     """
     if not path.is_file():
         raise InputError("file not found", expected="a picture", where=path)
-    picture = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+    picture = cv2.imdecode(
+        np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    )
     if picture is None:
         raise InputError("no picture that OpenCV can read", expected="JPEG, PNG or TIFF", where=path)
     return np.asarray(picture)

@@ -23,7 +23,11 @@ def grey_loader(paths: Sequence[Path]) -> Loader:
 
     def load(name: str) -> ArrayU8 | None:
         path = where.get(Path(name).name)
-        picture = None if path is None else cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        picture = (
+            None
+            if path is None
+            else cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+        )
         return None if picture is None else np.asarray(picture, np.uint8)
 
     return load
