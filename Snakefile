@@ -24,6 +24,8 @@ report: "workflow/report/workflow.rst"
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/common_calibration.smk"
+include: "workflow/rules/common_images.smk"
 include: "workflow/rules/simulation.smk"
 include: "workflow/rules/simulation_field.smk"
 include: "workflow/rules/ingest.smk"

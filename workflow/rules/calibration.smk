@@ -1,21 +1,6 @@
 """Where the sensors sit on the boat, and how well that is known."""
 
 
-def of_static_camera(file):
-    """Input function: a result of the static positions, where the campaign has them."""
-    return lambda wildcards: (
-        [f"results/{wildcards.campaign}/calibration/{file}"]
-        if has_static_camera(wildcards.campaign)
-        else []
-    )
-
-
-def ins_lidar_settings(wildcards):
-    """Params function: how the run about the cones is evaluated, the lidar's stamps included."""
-    found = CAMPAIGNS[wildcards.campaign].plain()["calibration"]["ins_lidar"]
-    return run_settings(wildcards) | {"sigma_time_s": found["sigma_time_s"]}
-
-
 rule collect_mounts:
     """The mounts of a campaign: from its file, or from the calibration that it names."""
     input:

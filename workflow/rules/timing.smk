@@ -1,16 +1,6 @@
 """One GPS time axis for all streams."""
 
 
-def tied_images(wildcards):
-    """Input function: the times of a calibration's own images by ties or pulses, where it has them."""
-    name = wildcards.campaign
-    tied = logs_of(name, "clock_ties") or logs_of(name, "trigger_pulses")
-    found = (
-        CAMPAIGNS[name].is_calibration and logs_of(name, "run_images") and bool(tied)
-    )
-    return [f"results/{name}/timing/image_times_ties.parquet"] if found else []
-
-
 rule align_streams:
     """Do all streams carry GPS time, and do they overlap?"""
     input:
