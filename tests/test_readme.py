@@ -1,6 +1,7 @@
-"""What the README says must be so: its commands, its rule graph, its example campaign."""
+"""What the README says must be so: its commands, its graph of the rooms, its example campaign."""
 
 import re
+import runpy
 from pathlib import Path
 
 import yaml
@@ -8,20 +9,26 @@ import yaml
 from thalweg.config.load import load_campaign
 
 
-def test_the_graph_names_every_rule_of_a_campaign(repository: Path) -> None:
+def test_the_graph_names_the_rooms(repository: Path) -> None:
     text = (repository / "README.md").read_text()
-    graphs = "\n".join(re.findall(r"```mermaid\n(.*?)```", text, re.S))
-    drawn = set(re.findall(r"^        (\w+)$", graphs, re.M))
-    rules = {
-        name
+    graph = re.search(r"```mermaid\n(.*?)```", text, re.S)
+    assert graph
+    drawn = set(
+        re.findall(r"\b[a-z]{4,}\b", re.sub(r"flowchart|\[.*?\]|-\..*?\.->|logs", "", graph.group(1)))
+    )
+    own = {"real_logs", "reproduction"}  # targets of their own
+    rooms = {
+        path.stem.split("_")[0]
         for path in (repository / "workflow/rules").glob("*.smk")
-        if path.stem not in ("real_logs", "reproduction")  # targets of their own
-        for name in re.findall(r"(?m)^(?:rule|use rule \w+ as) (\w+)", path.read_text())
+        if path.stem not in own
     }
-    assert drawn == rules
-    arrows = set(re.findall(r"(\w+) --> (\w+)", graphs))
-    alone = {"calibrate_board"}  # from files of the user
-    assert {end for arrow in arrows for end in arrow} == rules - alone
+    assert drawn == rooms - {"common"}
+
+
+def test_the_page_of_the_rules_is_in_step(repository: Path) -> None:
+    made = runpy.run_path(str(repository / "docs/make_rules.py"))["page"](repository / "workflow/rules")
+    assert (repository / "docs/rules.md").read_text() == made, "run .venv/bin/python docs/make_rules.py"
+    assert not re.search(r"(?m)^\| `\w+` \|  \|$", made), "a rule without a word on what it does"
 
 
 def test_the_commands_exist(repository: Path) -> None:

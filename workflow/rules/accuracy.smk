@@ -164,6 +164,7 @@ rule accuracy_page:
         "../scripts/accuracy_page.py"
 
 
+# The same comparison for the clouds by the camera and by all sensors.
 use rule compare_with_reference as compare_chain_with_reference with:
     input:
         points="results/{campaign}/lidar/by_{chain}/points.laz",

@@ -59,6 +59,7 @@ rule export_map:
         "../scripts/export_map.py"
 
 
+# The same points by the trajectory of the camera, or of all sensors.
 use rule georeference_lidar as georeference_by_trajectory with:
     input:
         lidar=raw("lidar"),

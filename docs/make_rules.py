@@ -1,0 +1,59 @@
+"""Write docs/rules.md: every rule of the workflow, room by room, from the rules' own docstrings.
+
+.venv/bin/python docs/make_rules.py
+"""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+ROOMS = {
+    "simulation": "The digital twin: what a survey's instruments would have written",
+    "ingest": "Raw logs to tables, with a report on what is missing or broken",
+    "timing": "One GPS time axis",
+    "calibration": "Where the sensors sit on the boat",
+    "orientation": "Trajectories from INS, camera and both",
+    "lidar": "Points in the world",
+    "triangulation": "The underwater light-sheet sensor",
+    "surface": "Meshes of references",
+    "accuracy": "How far off, and did the sigmas know",
+    "figures": "Pictures and pages",
+    "real_logs": "Recordings of other people",
+    "reproduction": "Published tables, and studies over many surveys of the twin",
+}
+_RULE = re.compile(r'^(?:# (.+)\n)?(?:rule|use rule \w+ as) (\w+)[^\n]*:\n(?:    """(.*?)""")?', re.M | re.S)
+
+
+def rules_of(path: Path) -> Iterator[tuple[str, str]]:
+    """Name of each rule in a file, and its docstring or the comment above a rule made of another."""
+    for comment, name, words in _RULE.findall(path.read_text()):
+        yield name, " ".join((words or comment).split("\n\n")[0].split())
+
+
+def page(folder: Path) -> str:
+    """The page for a folder of rules files.
+
+    Raises
+    ------
+    KeyError : a rules file belongs to no room of `ROOMS`.
+    """
+    found: dict[str, list[tuple[str, str]]] = {room: [] for room in ROOMS}
+    for path in sorted(folder.glob("*.smk")):
+        if not path.stem.startswith("common"):
+            room = path.stem if path.stem in ROOMS else path.stem.split("_")[0]
+            found[room] += rules_of(path)
+    lines = [
+        "# The rules",
+        "",
+        "Made by `docs/make_rules.py`; `snakemake --rulegraph mermaid-js` draws what a campaign needs.",
+    ]
+    for room, rules in found.items():
+        if rules:
+            lines += ["", f"## {room}: {ROOMS[room]}", "", "| rule | what it does |", "| --- | --- |"]
+            lines += [f"| `{name}` | {words} |" for name, words in sorted(rules)]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    (ROOT / "docs/rules.md").write_text(page(ROOT / "workflow/rules"))
