@@ -8,6 +8,7 @@ import os
 import re
 import sys
 import warnings
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -158,12 +159,13 @@ def _new_campaign(options: argparse.Namespace) -> int:
 def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     """Files of a folder by stream, recognised by their content."""
     from thalweg.config.paths import natural_order
-    from thalweg.config.template import stream_of
+    from thalweg.config.template import ALSO_MARKS, stream_of
     from thalweg.ingest.recognise import recognise
 
     if not folder.is_dir():
         raise InputError("no such folder", where=folder, expected="a folder of raw logs")
     streams: dict[str, list[Path]] = {}
+    pictures: Counter[tuple[str, Path]] = Counter()
     for path in sorted((p for p in folder.rglob("*") if p.is_file()), key=natural_order):
         try:
             kind = recognise(path)
@@ -173,14 +175,21 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
         stream = stream_of(kind, path)
         if stream is None:
             print(f"left out: {path}: no place for a log of the kind {kind}", file=sys.stderr)
+        elif kind == "photograph":
+            pictures[stream, path.parent] += 1
         else:
             print(f"{stream:10s} {path} ({kind})")
             streams.setdefault(stream, []).append(path)
+            if kind in ALSO_MARKS:
+                streams.setdefault("image_marks", []).append(path)
+    for (stream, parent), n in pictures.items():
+        print(f"{stream:10s} {parent} (folder with {n} photographs)")
+        streams.setdefault(stream, []).append(parent)
     if not streams:
         raise InputError(
             "no raw log was recognised",
             where=folder,
-            expected="Velodyne, ANPP, SBP, RINEX, NMEA, .pos, SBET or point clouds",
+            expected="Velodyne, ANPP, SBP, RINEX, NMEA, .pos, SBET, point clouds or photographs",
             cure="Look at single files with `thalweg describe FILE`",
         )
     return streams

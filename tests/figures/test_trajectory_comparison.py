@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from tests.accuracy.chain_samples import three_chains, trajectory
+from tests.accuracy.chain_samples import T0, three_chains, trajectory
 
 from thalweg.accuracy.chain_comparison import Chain, chains_table
+from thalweg.accuracy.chain_comparison_outages import outage_table
 from thalweg.accuracy.chain_comparison_ranges import chains_by_range as range_table
 from thalweg.accuracy.chain_comparison_ranges import range_facts
 from thalweg.accuracy.chain_comparison_truth import chains_truth_table
 from thalweg.core.errors import GeometryError, InputError
+from thalweg.figures.distances import centimetres
 from thalweg.figures.style import save
 from thalweg.figures.trajectory_comparison import LOOK, chain_histograms, chains_by_range
 from thalweg.figures.trajectory_comparison_costs import computing_seconds
@@ -54,6 +56,16 @@ def outages():
         )
     ]  # fmt: skip
     return pd.DataFrame(rows)
+
+
+@pytest.fixture
+def gaps(chains):
+    """As `outage_table` makes it: the INS has no poses for 2 s, and the images are gone at 12 s."""
+    found = [
+        {"without": "positions", "begin_gps_s": T0 + 7.98, "end_gps_s": T0 + 10.0},
+        {"without": "images", "begin_gps_s": T0 + 12.0, "end_gps_s": T0 + 15.0},
+    ]
+    return outage_table(found, {c.name: c.trajectory for c in chains})
 
 
 @pytest.fixture
@@ -206,17 +218,17 @@ def test_the_words_on_ranges_hold_theory_against_result(chains, ranges):
     assert "By prediction the camera is the better of both at every range" in words
 
 
-def test_for_and_against_by_numbers(chains, outages, control):
+def test_for_and_against_by_numbers(chains, gaps, control):
     table = chains_table(chains)
-    costs = Costs(control=control, images=21, seconds={"ins": 0.1, "camera": 300.0}, outages=outages)
+    costs = Costs(control=control, images=21, seconds={"ins": 0.1, "camera": 300.0}, outages=gaps)
     rows = for_and_against(table, costs).set_index("trajectory")
     rows = rows.map(lambda text: text.replace("\N{NO-BREAK SPACE}", " "))
     assert "2.0 s in which the INS" in rows.loc["fused", "for"]
     assert "11.0 times the points of the camera" in rows.loc["fused", "for"]
     assert "smallest RMSE" in rows.loc["fused", "for"]
     assert "no control point on the bank; no image" in rows.loc["INS", "for"]
-    assert "124.0 cm in outages of GNSS of 60 s" in rows.loc["INS", "against"]
-    assert "2.0 cm in outages of GNSS of 60 s" in rows.loc["camera", "for"]
+    assert "lacks poses in 1 of 1 gap without GNSS, longest 2.0 s" in rows.loc["INS", "against"]
+    assert "poses all through 1 gap without GNSS, longest 2.0 s, sigma" in rows.loc["fused", "for"]
     for words in ("no pose for 90 % of the points", "up to 0.9 s without a pose",
                   "2 control points to be surveyed",
                   "21 images to be taken", "5 min of computing"):  # fmt: skip
@@ -231,14 +243,18 @@ def test_for_and_against_by_numbers(chains, outages, control):
     ]  # fmt: skip
 
 
-def test_the_decisive_numbers(chains, outages, control):
+def test_the_decisive_numbers(chains, gaps, control):
     table = chains_table(chains)
-    shown = side_by_side(table, Costs(control=control, images=21, seconds={"ins": 0.1}, outages=outages))
+    shown = side_by_side(table, Costs(control=control, images=21, seconds={"ins": 0.1}, outages=gaps))
     rows = shown.set_index("").map(lambda text: text.replace("\N{NO-BREAK SPACE}", " "))
     assert list(rows.columns) == ["INS", "camera", "fused"]
     assert rows.loc["points in the cloud"].tolist() == ["60 000", "6 000", "66 000"]
     assert rows.loc["control points"].tolist() == ["none", "2, and 1 that check", "2, and 1 that check"]
     assert rows.loc["poses where the INS has none", "INS"] == "–"
+    without = rows.loc["sigma of the place without GNSS (1 gap)"]
+    assert without["INS"] == "no pose"
+    # 3D: root of three times the sigma of a coordinate
+    assert without["fused"] == centimetres(3**0.5 * 0.02).replace("\N{NO-BREAK SPACE}", " ")
     assert rows.loc["computing time of its own steps"].tolist() == ["0.1 s", "–", "–"]
     bare = side_by_side(table, Costs())
     assert "control points" not in set(bare[""])
@@ -270,12 +286,12 @@ def test_computing_time_is_that_of_the_records(tmp_path):
 # ---------------------------------------------------------------- page
 
 
-def test_the_page_holds_all_chains(chains, ranges, control, outages, tmp_path):
+def test_the_page_holds_all_chains(chains, ranges, control, gaps, tmp_path):
     picture = tmp_path / "pose_sigmas.png"
     save(pose_sigmas({c.name: c.trajectory for c in chains}), picture, dpi=40)
     truth = chains_truth_table({c.name: c.trajectory for c in chains}, trajectory(), correlation_s=1.0)
     made = {
-        "truth": truth, "costs": Costs(control=control, images=21, outages=outages), "pictures": [picture],
+        "truth": truth, "costs": Costs(control=control, images=21, outages=gaps), "pictures": [picture],
         "captions": {"pose_sigmas": "Sigmas & gaps"}, "title": "Test", "twin": True,
     }  # fmt: skip
     page = trajectory_comparison_page(chains_table(chains), ranges, range_facts(ranges), **made)
@@ -283,7 +299,7 @@ def test_the_page_holds_all_chains(chains, ranges, control, outages, tmp_path):
     for words in (
         TWIN_NOTE[:40], "Side by side", "For and against", "published, INS", "published, camera", "By range",
         "Against the truth of the digital twin", "Sigmas &amp; gaps", "nothing here is fitted", "Limits",
-        "at which every trajectory has a pose",
+        "at which every trajectory has a pose", "1 gap without GNSS, 2.0 s in all", "1 gap without images",
     ):  # fmt: skip
         assert words in html, words
     assert html.index("Of 26 range classes") > html.index("By range")

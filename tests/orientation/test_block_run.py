@@ -179,7 +179,7 @@ def test_what_cannot_be_put_into_the_world_is_said(survey) -> None:
     with pytest.raises(GeometryError, match=r"0 control points measured.*three of either"):
         orient_block(block, ControlPoints.none(), ControlMarks.none(), SETTINGS)
     with pytest.raises(
-        GeometryError, match=r"0 usable control points and no GNSS.*images\.adjustment\.antenna"
+        GeometryError, match=r"0 usable control points and no positions.*images\.adjustment\.antenna\.use"
     ):
         orient_block(
             block, ControlPoints.none(), ControlMarks.none(), SETTINGS, predictions=predictions_of(truth)

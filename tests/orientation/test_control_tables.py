@@ -9,7 +9,12 @@ from pyproj import CRS
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.orientation.control_points import ControlMarks, ControlPoints
-from thalweg.orientation.control_tables import matched_marks, read_control_points, read_marks
+from thalweg.orientation.control_tables import (
+    matched_marks,
+    read_all_control_points,
+    read_control_points,
+    read_marks,
+)
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 LOCAL = np.array([[10.0, 20.0, 1.5], [-35.0, 40.0, 3.25], [60.0, 5.0, 0.5]])
@@ -159,9 +164,9 @@ def test_wrong_marks_are_told(tmp_path: Path, text: str, answer: str) -> None:
     ("text", "answer"),
     [
         ("id,east_m,north_m,up_m\nA,1,2,3\nA,4,5,6\n", r"control point A more than once"),
-        ("id,east_m,north_m,up_m,sigma_up_m\nA,1,2,3,0\n", r"no positive standard deviations of A"),
-        ("id,east_m,north_m,up_m,role\nA,1,2,3,tie\n", r"role 'tie'; expected control or check"),
-        ("id,a,b,c\nA,1,2,3\n", r"columns \[.*\]; expected east_m, north_m, up_m"),
+        ("id,east_m,north_m,up_m,sigma_up_m\nA,1,2,3,0\n", r"a standard deviation of 0 m of A"),
+        ("id,east_m,north_m,up_m,role\nA,1,2,3,tie\n", r"role 'tie' of A; expected control or check"),
+        ("id,a,b,c\nA,1,2,3\n", r"columns id, point; expected east_m, north_m, up_m"),
         ("id,east_m,north_m,up_m\n", r"no control points"),
         ("id,x,y,z\nA,1,2,3\n", r"outside"),
     ],
@@ -183,3 +188,95 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         read_marks(tmp_path / "c.csv")
     with pytest.raises(InputError, match="CRS 'EPSG:99' is not known"):
         points(write(tmp_path, "g.txt", "EPSG:99\n1 2 3 4 5 IMG_1.JPG A\n"), crs=None)
+
+
+def test_decimal_commas_beside_semicolons(tmp_path: Path) -> None:
+    text = "id;east_m;north_m;up_m;role\nA;10,5;20,25;-1,5;GCP\nB;-35,0;40;3,25;Check Point\n"
+    found = points(write(tmp_path, "p.csv", text))
+    np.testing.assert_allclose(found.points_wcs_m[0], [10.5, 20.25, -1.5])
+    assert found.check.tolist() == [False, True]
+    with pytest.raises(InputError, match=r"p\.csv:2: east_m '10,5'.*with a point"):
+        points(write(tmp_path, "p.csv", 'id,east_m,north_m,up_m\nA,"10,5",20,1\n'))
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        (
+            "id,east_m,north_m,up_m,sigma_up_m\nA,1,2,3,-0.01\n",
+            r"csv:2: a standard deviation of -0\.01 m of A",
+        ),
+        (
+            "id,east_m,north_m,up_m,role\nA,1,2,3,CP\n",
+            r"csv:2: the role 'CP' of A.*control and for check points alike",
+        ),
+        ("A,1,2,3\nB,4,5,6\n", r"no names of columns: the first line is 'A,1,2,3'"),
+        ("id,east_m,north_m,up_m\nA,1,2,3\nB,4,5,\n", r"csv:3: no up_m"),
+    ],
+)
+def test_more_wrong_tables(tmp_path: Path, text: str, answer: str) -> None:
+    with pytest.raises((InputError, GeometryError), match=answer):
+        points(write(tmp_path, "p.csv", text))
+
+
+def test_a_workbook_is_no_table(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_bytes(b"PK\x03\x04 rest")
+    with pytest.raises(InputError, match=r"a workbook.*Save the sheet as CSV"):
+        points(tmp_path / "p.csv")
+
+
+UTM = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
+GEODETIC = np.stack(FRAME.to_geodetic(LOCAL), axis=1)
+
+
+@pytest.mark.parametrize(
+    ("head", "values", "answer"),
+    [
+        (
+            "x,y,z",
+            FRAME.to_map(LOCAL, CRS("EPSG:25832")),
+            r"zone 32N would fit.*images\.control\.crs: EPSG:25832",
+        ),
+        ("x,y,z", UTM[:, [1, 0, 2]], r"east and north swapped would fit"),
+        ("x,y,z", UTM + np.array([33e6, 0, 0]), r"the zone before the easting would fit"),
+        ("x,y,z", UTM * 1000, r"millimetres would fit"),
+        ("x,y,z", UTM / 0.3048, r"feet would fit"),
+        ("x,y,z", LOCAL, r"coordinates of the world frame would fit.*east_m"),
+        ("x,y,z", GEODETIC, r"latitude and longitude would fit.*lat_deg"),
+        ("lat_deg,lon_deg,h_ell_m", GEODETIC[:, [1, 0, 2]], r"latitude and longitude swapped would fit"),
+        ("east_m,north_m,up_m", UTM, r"zone 33N would fit.*Name the columns x, y, z"),
+        ("east_m,north_m,up_m", LOCAL * 1000 + 4e6, r"millimetres would fit"),
+    ],
+)
+def test_coordinates_far_from_the_survey_are_told_apart(
+    tmp_path: Path, head: str, values, answer: str
+) -> None:
+    rows = [f"{n},{a:.8f},{b:.8f},{c:.4f}" for n, (a, b, c) in zip("ABC", np.asarray(values), strict=True)]
+    path = write(tmp_path, "p.csv", f"id,{head}\n" + "\n".join(rows) + "\n")
+    with pytest.raises(GeometryError, match=answer):
+        points(path)
+
+
+def test_heights_above_the_geoid_get_an_offset(tmp_path: Path) -> None:
+    rows = [f"{n},{a:.4f},{b:.4f},{c - 45:.4f}" for n, (a, b, c) in zip("ABC", UTM, strict=True)]
+    path = write(tmp_path, "p.csv", "id,x,y,z\n" + "\n".join(rows) + "\n")
+    found = read_control_points(path, FRAME, crs="EPSG::25833", sigma_m=SIGMA, height_offset_m=45.0)
+    np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
+
+
+def test_several_files_are_one_survey(tmp_path: Path) -> None:
+    head = "id,east_m,north_m,up_m\n"
+    a, b = write(tmp_path, "a.csv", f"{head}A,1,2,3\n"), write(tmp_path, "b.csv", f"{head}B,1,2,3\n")
+    options = {"crs": None, "sigma_m": SIGMA}
+    assert read_all_control_points([a, b], FRAME, **options).names == ("A", "B")
+    assert read_all_control_points([], FRAME, **options).names == ()
+    with pytest.raises(InputError, match=r"a\.csv: A stands in a\.csv, too"):
+        read_all_control_points([a, a], FRAME, **options)
+
+
+def test_names_with_folders_and_in_another_case(tmp_path: Path) -> None:
+    text = "image,point,x_px,y_px\nC:\\data\\img_1.jpg,a,5,6\n/home/x/IMG_2.JPG, B,7,8\nIMG_3,C,7,8\n"
+    marks, dropped = match(write(tmp_path, "m.csv", text))
+    assert marks.image.tolist() == [0, 1]
+    assert marks.point.tolist() == [0, 1]
+    assert dropped == {"in images without a pose": 1}

@@ -268,11 +268,21 @@ def test_changes_of_speed_are_enough_on_a_straight_course() -> None:
     assert found.clock.offset_s == pytest.approx(OFFSET_S, abs=4 * found.clock.sigma_offset_s)
 
 
-def test_a_known_lever_arm_makes_a_straight_run_do() -> None:
-    # 20 mm of positions and 10 mm of the field, all along the course, at 0.8 m/s
-    options = OffsetOptions(lever_m=LEVER_CCS, cov_lever_m2=np.eye(3) * 0.002**2, largest_sigma_s=0.05)
+@pytest.mark.parametrize("sigma_m", [0.002, 0.0])
+def test_a_known_lever_arm_makes_a_straight_run_do(sigma_m: float) -> None:
+    # 20 mm of positions and 10 mm of the field, all along the course, at 0.8 m/s; an antenna that a campaign
+    # states without a sigma was a matrix of zeros that stopped the job
+    options = OffsetOptions(lever_m=LEVER_CCS, cov_lever_m2=np.eye(3) * sigma_m**2, largest_sigma_s=0.05)
     run = simulate(3, 100, "straight")
     found = solve(run, options=options)
+    assert found.clock.offset_s == pytest.approx(OFFSET_S, abs=4 * found.clock.sigma_offset_s)
+
+
+def test_a_run_too_short_for_slow_errors_of_the_ins_starts_with_its_attitude() -> None:
+    # 26 s have no period above 60 s: the turn between INS and camera was then never set
+    run = simulate(5, 26)
+    assert run.ins.high_pass_s > 2 * 26
+    found = solve(run, attitude=True)
     assert found.clock.offset_s == pytest.approx(OFFSET_S, abs=4 * found.clock.sigma_offset_s)
 
 

@@ -11,11 +11,14 @@ MAY_READ_TRUTH = {
     "tiny": {"compare_with_truth", "compare_chains_with_truth"},
     "demo": {
         "compare_with_truth",
+        "compare_bed_with_truth",
+        "compare_light_sheet_with_truth",
         "compare_calibration_with_truth",
         "compare_chains_with_truth",
     },
     "mulde": {"compare_with_truth", "compare_chains_with_truth"},
     "field_tiny": {"compare_calibration_with_truth"},
+    "basin_tiny": {"compare_light_sheet_with_truth"},
 }
 """What judges results of the twin; `demo` brings the calibration of its boat along."""
 
@@ -51,19 +54,21 @@ def jobs(house, campaign: str) -> list[Job]:
     return found
 
 
-@pytest.mark.parametrize("campaign", ["tiny", "demo", "mulde", "field_tiny"])
+@pytest.mark.parametrize("campaign", ["tiny", "demo", "mulde", "field_tiny", "basin_tiny"])
 def test_no_processing_rule_reads_the_truth(talkative_house, campaign: str) -> None:
     found = jobs(talkative_house, campaign)
     assert len(found) > 20
     readers = {job.rule for job in found if any("/truth/" in name for name in job.inputs)}
     simulating = {rule for rule in readers if rule.startswith("simulate_")}
-    assert simulating
+    # images of the light-sheet sensor are made from the campaign alone
+    assert bool(simulating) == (campaign != "basin_tiny")
     assert readers - simulating == MAY_READ_TRUTH[campaign]
     # and what the comparison yields feeds tables and pictures only
     consumers = {job.rule for job in found if any("/accuracy/truth" in name for name in job.inputs)} - {"all"}
-    consumers |= {j.rule for j in found if any("/calibration_truth" in name for name in j.inputs)} - {"all"}
+    for table in ("/calibration_truth", "/light_sheet_truth"):
+        consumers |= {j.rule for j in found if any(table in name for name in j.inputs)} - {"all"}
     assert consumers
-    shown = {"summarise", "accuracy_page", "calibration_page"}
+    shown = {"summarise", "accuracy_page", "calibration_page", "light_sheet_page"}
     assert all(rule in shown or rule.startswith("plot_") for rule in consumers)
     # the truth is written by the simulation alone, into its own folder
     for job in found:
@@ -71,7 +76,12 @@ def test_no_processing_rule_reads_the_truth(talkative_house, campaign: str) -> N
             assert job.rule.startswith("simulate_")
 
 
-SHARED_SCRIPTS = {"detect_markers", "simulate_field_images"}
+SHARED_SCRIPTS = {
+    "detect_markers",
+    "plot_correlations",
+    "simulate_field_images",
+    "simulate_sheet_series",
+}
 
 
 def test_every_rule_has_its_script_log_and_code_version(repository) -> None:

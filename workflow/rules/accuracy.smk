@@ -245,3 +245,28 @@ rule compare_chains_with_truth:
         "{wildcards.campaign}: trajectories against the truth of the digital twin"
     script:
         "../scripts/compare_chains_with_truth.py"
+
+
+rule compare_light_sheet_with_truth:
+    """Calibration of the twin's light-sheet sensor against the sensor that took the images."""
+    input:
+        sensor="results/{campaign}/triangulation/sensor.yaml",
+        truth="results/{campaign}/simulation/truth/light_sheet/calibration",
+    output:
+        table="results/{campaign}/accuracy/light_sheet_truth.csv",
+    log:
+        "logs/{campaign}/accuracy/compare_light_sheet_with_truth.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/compare_light_sheet_with_truth.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1000),
+        runtime=minutes(10),
+    params:
+        code=code_version("compare_light_sheet_with_truth"),
+    message:
+        "{wildcards.campaign}: light-sheet sensor against the truth"
+    script:
+        "../scripts/compare_light_sheet_with_truth.py"

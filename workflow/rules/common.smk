@@ -95,6 +95,29 @@ TWIN_FIELD_LOGS = {
     "run_images": ["run_images"],
     "display": ["display"],
 }
+TWIN_BASIN_LOGS = {
+    "sheet_sensor": ["light_sheet/sensor.yaml"],
+    "camera_marks": ["light_sheet/camera_marks.csv"],
+    "mark_points": ["light_sheet/mark_points.csv"],
+    "grid_images": ["light_sheet/calibration/images"],
+    "grid": ["light_sheet/calibration/grid_1.yaml"],
+    "panel_images": ["light_sheet/panels/images"],
+    "panels": ["light_sheet/panels/images.csv"],
+}
+TWIN_SCANS = ("stepped", "wreck")
+TWIN_SCAN_LOGS = {
+    "": "images",
+    ".pulses": "trigger_pulses.csv",
+    ".panel": "six_dof/panel.csv",
+    ".marks": "six_dof/marks.csv",
+    ".camera": "six_dof/camera.json",
+    ".reference": "reference.ply",
+    ".pairs": "pairs.csv",
+}
+TWIN_STRIP_LOGS = {
+    "strip_images": ["light_sheet/strip/images"],
+    "strip_pulses": ["light_sheet/strip/trigger_pulses.csv"],
+}
 TWIN_TIME_LAPSE_LOGS = {
     "time_lapse": ["time_lapse"],
     "control_points": ["control_points.csv"],
@@ -102,14 +125,31 @@ TWIN_TIME_LAPSE_LOGS = {
 """Names of the twin's logs below results/{campaign}/simulation/logs; those without a suffix are folders."""
 
 
+def twin_scan_logs(name):
+    """Scans of a twin's basin: stream -> names; without lines there are none."""
+    settings = CAMPAIGNS[name].twin.light_sheet
+    if settings is None or not settings.scan_lines:
+        return {}
+    return {
+        f"{scan}{part}": [f"light_sheet/{scan}/{log}"]
+        for scan in TWIN_SCANS
+        for part, log in TWIN_SCAN_LOGS.items()
+    }
+
+
 def logs_of(name, stream):
     """Files of a stream of a campaign: the twin's, or those that the campaign file names."""
     if is_twin(name):
-        known = TWIN_FIELD_LOGS if CAMPAIGNS[name].is_calibration else TWIN_LOGS
+        if CAMPAIGNS[name].is_basin:
+            known = TWIN_BASIN_LOGS | twin_scan_logs(name)
+        else:
+            known = TWIN_FIELD_LOGS if CAMPAIGNS[name].is_calibration else TWIN_LOGS
         if CAMPAIGNS[name].twin.echo.bed_survey:
             known = known | {"bed": ["bed.csv"]}
         if CAMPAIGNS[name].twin.time_lapse is not None:
             known = known | TWIN_TIME_LAPSE_LOGS
+        if CAMPAIGNS[name].twin.light_sheet_strip is not None:
+            known = known | TWIN_STRIP_LOGS
         return [
             f"results/{name}/simulation/logs/{log}" for log in known.get(stream, [])
         ]
@@ -245,6 +285,8 @@ def comparison_settings(wildcards):
 
 def final_outputs(name):
     """The tables and pictures that `all` builds for a campaign."""
+    if CAMPAIGNS[name].is_basin:
+        return basin_outputs(name)
     if CAMPAIGNS[name].is_calibration:
         return calibration_outputs(name)
     base = f"results/{name}"
@@ -267,6 +309,7 @@ def final_outputs(name):
         *(f"{base}/figures/{picture}.png" for picture in pictures),
         f"{base}/summary.csv",
         *echo_outputs(name),
+        *strip_outputs(name),
     ]
     if CAMPAIGNS[name].georeferencing.export_map:
         outputs.append(f"{base}/lidar/points_map.laz")

@@ -238,6 +238,7 @@ rule measure_control_points:
     """Where each control point is in each image: predicted and found, or as a table says."""
     input:
         block="results/{campaign}/orientation/sfm/block.npz",
+        pieces="results/{campaign}/orientation/sfm/pieces",
         predictions="results/{campaign}/orientation/image_predictions.parquet",
         control_points=raw("control_points"),
         image_marks=raw("image_marks"),
@@ -270,6 +271,7 @@ rule adjust_images:
     """Bundle adjustment with control points: poses of the images in the world, with covariances (P2 5.3)."""
     input:
         block="results/{campaign}/orientation/sfm/block.npz",
+        pieces="results/{campaign}/orientation/sfm/pieces",
         sfm_images="results/{campaign}/orientation/sfm/images.csv",
         predictions="results/{campaign}/orientation/image_predictions.parquet",
         control_points=raw("control_points"),

@@ -278,3 +278,123 @@ rule plot_outage_study:
         "outages of GNSS on the digital twin"
     script:
         "../scripts/plot_outage_study.py"
+
+
+CHAIN_DISTANCES = expand(
+    "results/reproduction/chain_study/{chain}.parquet", chain=["ins", "camera", "fused"]
+)
+
+
+rule chain_study:
+    """INS, camera and fused trajectory, disturbed and not, through the same rules to one bank (T 3.1.4)."""
+    input:
+        budgets=expand(BUDGET_FILE, name=["t_table3_1", "p2_table1"]),
+    output:
+        table="results/reproduction/chain_study.csv",
+        goals="results/reproduction/chain_study_goals.csv",
+        by_range="results/reproduction/chain_study_by_range.csv",
+        facts="results/reproduction/chain_study.json",
+        distances=CHAIN_DISTANCES,
+        page="results/reproduction/chain_study.md",
+    log:
+        "logs/reproduction/chain_study.log",
+    benchmark:
+        "benchmarks/reproduction/chain_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(8000),
+        runtime=minutes(120),
+    params:
+        code=code_version("chain_study"),
+        seeds=6,
+    message:
+        "INS, camera and fused trajectory of {params.seeds} surveys of the digital twin"
+    script:
+        "../scripts/chain_study.py"
+
+
+rule plot_chain_study:
+    """Distances to the bank by range and as histograms, of the surveys of the study (T Fig. 3.3)."""
+    input:
+        by_range="results/reproduction/chain_study_by_range.csv",
+        distances=CHAIN_DISTANCES,
+    output:
+        chain_study_by_range_png=report(
+            "results/reproduction/figures/chain_study_by_range.png",
+            caption="../report/chain_study_by_range.rst",
+            category="Trajectories",
+        ),
+        chain_study_histograms_png=report(
+            "results/reproduction/figures/chain_study_histograms.png",
+            caption="../report/chain_study_histograms.rst",
+            category="Trajectories",
+        ),
+    log:
+        "logs/reproduction/plot_chain_study.log",
+    benchmark:
+        "benchmarks/reproduction/plot_chain_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2500),
+        runtime=minutes(5),
+    params:
+        code=code_version("plot_chain_study"),
+        dpi=200,
+        outlier_nmads=5.0,
+    message:
+        "INS, camera and fused trajectory on the digital twin"
+    script:
+        "../scripts/plot_chain_study.py"
+
+
+rule multi_line_study:
+    """Models of a fifteen-line laser: sigma, information, errors of planes, a joint centre (T 4.2.1)."""
+    output:
+        models="results/reproduction/multi_line_models.csv",
+        tests="results/reproduction/multi_line_tests.csv",
+        lines="results/reproduction/multi_line_lines.csv",
+    log:
+        "logs/reproduction/multi_line_study.log",
+    benchmark:
+        "benchmarks/reproduction/multi_line_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(30),
+    params:
+        code=code_version("multi_line_study"),
+        seeds=10,
+    message:
+        "models of a fifteen-line laser, on the digital twin"
+    script:
+        "../scripts/multi_line_study.py"
+
+
+rule line_label_study:
+    """Which line is which on free-form objects: right labels and labels given, by spacing (T 4.2.1)."""
+    output:
+        scenes="results/reproduction/line_labels.csv",
+        spacings="results/reproduction/line_label_spacings.csv",
+    log:
+        "logs/reproduction/line_label_study.log",
+    benchmark:
+        "benchmarks/reproduction/line_label_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(300),
+    params:
+        code=code_version("line_label_study"),
+        seeds=20,
+    message:
+        "labels of fifteen lines, on the digital twin"
+    script:
+        "../scripts/line_label_study.py"

@@ -16,16 +16,16 @@ from thalweg.core.tables import read_table
 from thalweg.ingest.schemas import GNSS_POSITION
 from thalweg.jobs.job import run_job
 from thalweg.lidar.mount import Mount
-from thalweg.orientation.block_job import Boat, adjust_campaign
+from thalweg.orientation.block_job import Boat
+from thalweg.orientation.block_pieces import adjust_pieces, pieces_tables, read_pieces
 from thalweg.orientation.block_result import adjusted_cameras
-from thalweg.orientation.image_block import ImageBlock
 from thalweg.orientation.image_poses import ImagePoses
-from thalweg.orientation.image_report import control_table, image_table, summary_text
+from thalweg.orientation.image_report import summary_text
 
 
 def main(
-    *, block: Path, sfm_images: Path, predictions: Path, control_points: list[Path], marks: Path,
-    interior: list[Path], positions: list[Path], mounts: Path, poses: Path, camera: Path,
+    *, block: Path, pieces: Path, sfm_images: Path, predictions: Path, control_points: list[Path],
+    marks: Path, interior: list[Path], positions: list[Path], mounts: Path, poses: Path, camera: Path,
     control_report: Path, images_report: Path, facts: Path, campaign: dict[str, Any],
     adjustment: dict[str, Any], control: dict[str, Any],
 ) -> None:  # fmt: skip
@@ -39,20 +39,20 @@ def main(
         )  # fmt: skip
     told = pd.read_csv(sfm_images, keep_default_na=False)
     reasons = dict(zip(told["image"], told["reason"], strict=True))
-    oriented, found, report = adjust_campaign(
-        ImageBlock.read(block), ImagePoses.read(predictions), frame=LocalFrame(**campaign["origin"]),
+    found = adjust_pieces(
+        read_pieces(block, pieces), ImagePoses.read(predictions), frame=LocalFrame(**campaign["origin"]),
         crs=campaign["crs"], adjustment=adjustment, control=control, control_points=control_points,
         marks=marks, known=read_camera(interior[0]) if interior else None, boat=boat, reasons=reasons,
         progress=log.info,
     )  # fmt: skip
-    found.write(poses)
+    found.poses.write(poses)
     source = Source(run=str(campaign["id"]), method="block adjustment of the survey's images",
-                    observations=report["observations"], sigma0=report["sigma0"])  # fmt: skip
-    write_calibration(camera, interior_calibration(adjusted_cameras(oriented.adjusted)[0], source))
-    control_table(oriented.adjusted, oriented.control, oriented.left_out).to_csv(control_report, index=False)
-    image_table(oriented.adjusted, found.images, reasons).to_csv(images_report, index=False)
-    facts.write_text(json.dumps(report, indent=2) + "\n")
-    for line in summary_text(report).splitlines():
+                    observations=found.facts["observations"], sigma0=found.facts["sigma0"])  # fmt: skip
+    write_calibration(camera, interior_calibration(adjusted_cameras(found.oriented[0].adjusted)[0], source))
+    for table, path in zip(pieces_tables(found), (images_report, control_report), strict=True):
+        table.to_csv(path, index=False)
+    facts.write_text(json.dumps(found.facts, indent=2) + "\n")
+    for line in summary_text(found.facts).splitlines():
         log.info(line)
 
 

@@ -27,7 +27,8 @@ def main(
     told = block_facts(found, mapped, table)
     for note in told["notes"]:
         logging.getLogger("thalweg").warning(note)
-    main_block(mapped, dict(zip(table["image"], table["reason"], strict=True))).write(block)
+    why = {name: dict(zip(table["image"], table[name], strict=True)) for name in ("reason", "cause")}
+    main_block(mapped, why["reason"], why["cause"]).write(block)
     pieces.mkdir(parents=True, exist_ok=True)
     for k, piece in enumerate(mapped.pieces[1:], start=1):
         piece.write(pieces / f"piece_{k}.npz")

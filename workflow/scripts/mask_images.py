@@ -10,6 +10,7 @@ from thalweg.jobs.job import run_job
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.orientation.mask_images import make_masks
 from thalweg.orientation.mask_settings import MaskSettings
+from thalweg.orientation.sfm_images import mask_folder
 
 
 def main(
@@ -31,7 +32,7 @@ def main(
         MaskSettings.from_section(options, campaign["seed"]),
         ImagePoses.read(predictions[0]) if known else None,
         camera=read_camera(camera[0]) if known else None,
-        supplied=supplied[0] if supplied else None,
+        supplied=mask_folder(supplied),
         automatic=options["automatic"],
     )
     log = logging.getLogger("thalweg")

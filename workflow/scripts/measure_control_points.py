@@ -6,16 +6,17 @@ from typing import Any
 
 from thalweg.core.frames import LocalFrame
 from thalweg.jobs.job import run_job
-from thalweg.orientation.control_job import grey_loader, marks_of_campaign, mask_loader
-from thalweg.orientation.control_points import ControlPoints
-from thalweg.orientation.control_tables import read_control_points
-from thalweg.orientation.image_block import ImageBlock
+from thalweg.orientation.block_pieces import read_pieces
+from thalweg.orientation.control_job import grey_loader, marks_of_pieces, mask_loader
+from thalweg.orientation.control_tables import read_all_control_points
 from thalweg.orientation.image_poses import ImagePoses
+from thalweg.orientation.sfm_images import mask_folder
 
 
 def main(
     *,
     block: Path,
+    pieces: Path,
     predictions: Path,
     control_points: list[Path],
     image_marks: list[Path],
@@ -27,14 +28,16 @@ def main(
 ) -> None:
     log = logging.getLogger("thalweg")
     frame = LocalFrame(**campaign["origin"])
-    control = ControlPoints.none()
-    if control_points:
-        control = read_control_points(
-            control_points[0], frame, crs=campaign["crs"], sigma_m=options["sigma_m"]
-        )
-    found = marks_of_campaign(
-        ImageBlock.read(block), control, ImagePoses.read(predictions), options,
-        tables=image_marks, grey=grey_loader(images), mask=mask_loader(masks[0] if masks else None),
+    control = read_all_control_points(
+        control_points,
+        frame,
+        crs=options["crs"] or campaign["crs"],
+        sigma_m=options["sigma_m"],
+        height_offset_m=options["height_offset_m"],
+    )
+    found = marks_of_pieces(
+        read_pieces(block, pieces), control, ImagePoses.read(predictions), options,
+        tables=image_marks, grey=grey_loader(images), mask=mask_loader(mask_folder(masks)),
     )  # fmt: skip
     log.info("marks of control points: %s", ", ".join(f"{n} {what}" for what, n in found.counts.items()))
     for note in found.notes:

@@ -7,6 +7,8 @@ from typing import Any
 import pandas as pd
 
 from thalweg.accuracy.chain_comparison import CHAINS
+from thalweg.accuracy.chain_comparison_outages import outage_table
+from thalweg.core.trajectory import Trajectory
 from thalweg.figures.trajectory_comparison_costs import computing_seconds
 from thalweg.figures.trajectory_comparison_page import trajectory_comparison_page
 from thalweg.figures.trajectory_comparison_words import Costs
@@ -15,8 +17,9 @@ from thalweg.jobs.job import run_job
 
 def main(
     *, chains: Path, by_range: Path, facts: Path, camera_facts: Path, control: list[Path], truth: list[Path],
-    outages: list[Path], steps_ins: list[Path], steps_camera: list[Path], steps_fused: list[Path],
-    pictures: list[Path], captions: list[Path], page: Path, twin: bool, campaign: dict[str, Any],
+    fused_facts: Path, trajectories: list[Path], steps_ins: list[Path], steps_camera: list[Path],
+    steps_fused: list[Path], pictures: list[Path], captions: list[Path], page: Path, twin: bool,
+    campaign: dict[str, Any],
 ) -> None:  # fmt: skip
     steps = dict(zip(CHAINS, (steps_ins, steps_camera, steps_fused), strict=True))
     trajectory_comparison_page(
@@ -28,7 +31,10 @@ def main(
             control=pd.read_csv(control[0]) if control else None,
             images=json.loads(camera_facts.read_text())["images_used"],
             seconds=computing_seconds(steps),
-            outages=pd.read_csv(outages[0]) if outages else None,
+            outages=outage_table(
+                json.loads(fused_facts.read_text())["outages"],
+                {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
+            ),
         ),
         pictures=pictures,
         captions={path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions},

@@ -13,6 +13,7 @@ from thalweg.config.fused import Fused
 from thalweg.config.identity import Identity
 from thalweg.config.images import Images
 from thalweg.config.lidar import Lidar, LidarAccuracy
+from thalweg.config.light_sheet import LightSheet
 from thalweg.config.logs import STREAM_KEYS, Logs, is_rinex_name
 from thalweg.config.mounts import Mounts
 from thalweg.config.navigation import Ins, Orientation, Ppk
@@ -45,6 +46,9 @@ class Campaign(Section):
     orientation: Orientation = Field(default=Orientation(), description="Trajectory")
     images: Images = Field(default=Images(), description="Orientation of photographs of the bank")
     fused: Fused = Field(default=Fused(), description="Trajectory from INS, antenna and images together")
+    light_sheet: LightSheet = Field(
+        default=LightSheet(), description="Underwater light-sheet sensor in a basin"
+    )
     georeferencing: Georeferencing = Field(
         default=Georeferencing(), description="Lidar points into the world"
     )
@@ -66,6 +70,13 @@ class Campaign(Section):
         given = self.logs.calibration if self.logs is not None else None
         return given is not None and bool(given.field or given.board_images or given.board_observations)
 
+    @property
+    def is_basin(self) -> bool:
+        """True if the campaign records the underwater light-sheet sensor in a basin: there is no boat."""
+        if self.twin is not None:
+            return self.twin.light_sheet is not None
+        return self.logs is not None and bool(self.logs.light_sheet.given)
+
     def log_files(self, stream: str) -> list[Path]:
         """Files of one stream of a real survey, absolute; empty for a twin.
 
@@ -79,7 +90,7 @@ class Campaign(Section):
         KeyError : no such stream.
         """
         key = "rover" if stream == "sbp" else stream
-        if key not in STREAM_KEYS:
+        if key not in (self.logs.streams() if self.logs else STREAM_KEYS):
             raise KeyError(stream)
         paths = [Path(p) for p in self.logs.files(key)] if self.logs else []
         return [p for p in paths if not is_rinex_name(p)] if stream == "sbp" else paths

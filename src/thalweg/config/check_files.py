@@ -2,10 +2,27 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
-from thalweg.config.logs import STREAM_KEYS, Logs
+from thalweg.config.logs import Logs
 from thalweg.config.paths import anchor, expand, is_pattern, missing_cure
+from thalweg.config.sheet_scans import SHARED_PARTS
 from thalweg.core.mistakes import Key, Mistake
+
+PHOTOGRAPHS: Final = frozenset({
+    "time_lapse", "run_images", "reference_images", "position_images", "display", "grid_images",
+    "panel_images",
+})  # fmt: skip
+"""Streams of photographs: a folder of them may be named instead of its files."""
+
+FOLDERS: Final = PHOTOGRAPHS | {"masks", "finished_orientations"}
+"""Streams for which a folder may be named."""
+
+IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+"""As `thalweg.ingest.image_stamps.list_images` knows photographs, which is not imported for a quick check."""
+
+_MANY_PARTS: Final = {"control_points", "marks", "orientations"}
+"""Keys that may name one file: OpenDroneMap and Metashape write points, marks and poses together."""
 
 
 def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tuple[str, ...]]]:
@@ -24,7 +41,7 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
     mistakes: list[Mistake] = []
     files: dict[str, tuple[str, ...]] = {}
     first_use: dict[Path, tuple[tuple[Key, ...], str]] = {}
-    for stream, keys in STREAM_KEYS.items():
+    for stream, keys in logs.streams().items():
         paths: list[str] = []
         for i, text in enumerate(logs.files(stream)):
             where: tuple[Key, ...] = ("logs", *keys, i)
@@ -35,7 +52,11 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
             if not matches:
                 mistakes.append(_no_match(where, text, folder))
             for path in matches:
-                mistakes += _check_file(where, text, path)
+                photographs = stream in PHOTOGRAPHS or keys[-1] == "images"
+                if (photographs or stream in FOLDERS) and path.is_dir():
+                    mistakes += _check_folder(where, text, path, photographs=photographs)
+                else:
+                    mistakes += _check_file(where, text, path)
                 mistakes += _check_twice(where, path, first_use)
                 paths.append(str(path))
         files[stream] = tuple(paths)
@@ -96,6 +117,30 @@ def _check_file(where: tuple[Key, ...], text: str, path: Path) -> Iterator[Mista
         )
 
 
+def _check_folder(where: tuple[Key, ...], text: str, folder: Path, *, photographs: bool) -> Iterator[Mistake]:
+    """A folder is not empty, and one of photographs holds some."""
+    try:
+        names = sorted(entry.name for entry in folder.iterdir())
+    except OSError as error:
+        yield Mistake(
+            path=where,
+            found=f"{text}: {error.strerror or error} ({folder})",
+            expected="a readable folder",
+            cure="Check the permissions of the folder",
+        )
+        return
+    if photographs:
+        names = [name for name in names if name.lower().endswith(IMAGE_ENDINGS)]
+    if not names:
+        what = "no photograph" if photographs else "nothing"
+        yield Mistake(
+            path=where,
+            found=f"{text}: there is {what} in this folder ({folder})",
+            expected=f"files that end in {', '.join(IMAGE_ENDINGS)}" if photographs else "files",
+            cure="Name the folder that holds them: folders below it are not searched",
+        )
+
+
 def _check_twice(
     where: tuple[Key, ...], path: Path, first_use: dict[Path, tuple[tuple[Key, ...], str]]
 ) -> Iterator[Mistake]:
@@ -104,6 +149,10 @@ def _check_twice(
         first_use[real] = (where, path.name)
         return
     other, _ = first_use[real]
+    if other[:2] == where[:2] == ("logs", "time_lapse") and {other[2], where[2]} <= _MANY_PARTS:
+        return
+    if other[:3] == where[:3] == ("logs", "light_sheet", "scans") and {other[4], where[4]} <= SHARED_PARTS:
+        return
     before = Mistake(path=other, found="").dotted
     same_stream = other[:-1] == where[:-1]
     if {other[2:3], where[2:3]} <= {("rover",), ("base",), ("nav",)} and not same_stream:

@@ -12,8 +12,10 @@ from thalweg.config.check_area import check_accuracy_area
 from thalweg.config.check_calibration import check_calibration_logs, check_interior
 from thalweg.config.check_files import check_files
 from thalweg.config.check_images import check_images
+from thalweg.config.check_light_sheet import check_sheet_logs, check_sheet_twin
 from thalweg.config.check_mounts import check_mounts_calibration
 from thalweg.config.check_place import check_base, check_crs
+from thalweg.config.check_sheet_scans import check_scans
 from thalweg.config.hints import radians_cure
 from thalweg.config.identity import ID_PATTERN
 from thalweg.config.lidar import Lidar
@@ -85,8 +87,11 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         has_run = bool(parts.logs.lidar and parts.logs.ins)
         mistakes += check_calibration_logs(parts.logs.calibration, jitter_s=jitter_s, has_run=has_run)
         mistakes += check_base(parts.logs.gnss, parts.raw("campaign", "origin"))
+        mistakes += check_sheet_logs(parts.logs, files)
+        mistakes += check_scans(parts.logs, files)
     elif parts.raw("twin") is not None:
         mistakes += _check_twin_source(parts)
+        mistakes += check_sheet_twin(parts.raw("twin"), parts.raw("light_sheet"))
     return mistakes, files
 
 
@@ -242,8 +247,8 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
     at_rest = logs.calibration
     if (at_rest.field or at_rest.board_images or at_rest.board_observations) and not logs.lidar:
         return  # a calibration without a dynamic run needs no trajectory
-    if parts.orientation is None:
-        return
+    if parts.orientation is None or logs.light_sheet.given:
+        return  # a sensor in a basin has no trajectory either
     source = parts.orientation.position_source
     needs = [*_NEEDS[source], *([] if source == "sbet" else ["ins"])]
     for need in needs:

@@ -1,6 +1,6 @@
 """Section ``fused``: one trajectory from INS, antenna positions and image poses."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -31,8 +31,10 @@ class Fused(Section):
         le=100,
         description="Where the INS gives no velocity: random walk of the boat's own, m/s in one second",
     )
-    attitude_time_s: Positive = Field(
-        default=20.0, description="Correlation time of the INS's attitude errors, seconds"
+    attitude_time_s: Positive | Literal["auto"] = Field(
+        default=20.0,
+        description="Correlation time of the INS's attitude errors, seconds; `auto`: estimated with the "
+        "images, from 20 s on",
     )
     heading_disturbance_deg: NonNegative = Field(
         default=0.3,
@@ -40,8 +42,10 @@ class Fused(Section):
         description="Heading error that the INS's sigma lacks (motors' fields, drift), degrees; 0: none",
     )
     disturbance_time_s: Positive = Field(default=60.0, description="Correlation time of that error, seconds")
-    gnss_time_s: Positive = Field(
-        default=10.0, description="Correlation time of the positions' slow errors, seconds"
+    gnss_time_s: Positive | Literal["auto"] = Field(
+        default=10.0,
+        description="Correlation time of the positions' slow errors, seconds; `auto`: estimated with the "
+        "images, from 10 s on",
     )
     gnss_white_share: Annotated[float, Field(ge=0.01, lt=1)] = Field(
         default=0.25, description="Share of the positions' variance that is new in each epoch"

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from thalweg.config.base import Section
 from thalweg.config.navigation import Fix
-from thalweg.config.values import NonNegative, Positive, Sigma3
+from thalweg.config.values import Finite, NonNegative, Positive, Sigma3
 
 
 class AntennaPositions(Section):
@@ -81,6 +81,19 @@ class BlockAdjustment(Section):
 
 class ControlPoints(Section):
     """Surveyed points on the bank and how they are found in the images."""
+
+    crs: str | None = Field(
+        default=None,
+        description="CRS of coordinates x, y, z of tables that state none, such as EPSG:25833; null: "
+        "campaign.crs",
+    )
+    height_offset_m: Finite = Field(
+        default=0.0,
+        ge=-200,
+        le=200,
+        description="Added to the heights of the points, metres: height of the geoid above the ellipsoid "
+        "where they are above the geoid; not to up_m of the world frame",
+    )
 
     sigma_m: Sigma3 = Field(
         default=(0.010, 0.010, 0.015),

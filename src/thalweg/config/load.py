@@ -134,9 +134,39 @@ def with_calibrations(campaigns: dict[str, Campaign], folder: Path) -> dict[str,
         found, wrong = named_calibration(campaign.mounts.calibration, folder, (name,))
         needed |= {calibration.id: calibration for calibration in found}
         mistakes += [_placed(m, folder / f"{name}.yaml") for m in wrong]
+        basin, wrong = named_basin(campaign.light_sheet.sensor, folder)
+        needed |= {one.id: one for one in basin}
+        mistakes += [replace(m, file=m.file or folder / f"{name}.yaml") for m in wrong]
     if mistakes:
         raise CampaignError(list(dict.fromkeys(mistakes)))
     return {**needed, **campaigns}
+
+
+def named_basin(chosen: str | None, folder: Path) -> tuple[list[Campaign], list[Mistake]]:
+    """The basin campaign that ``light_sheet.sensor`` names.
+
+    Parameters
+    ----------
+    chosen : the setting.
+    folder : folder of campaign files.
+
+    Returns
+    -------
+    campaigns : one; none if nothing is named or there are mistakes.
+    mistakes : in the setting (without file), and in the file of the basin.
+    """
+    if chosen is None:
+        return [], []
+    path = folder / f"{chosen}.yaml"
+    campaign, wrong = check_campaign(path) if path.is_file() else (None, [])
+    if campaign is not None and campaign.is_basin:
+        return [campaign], []
+    found = f"the campaign {chosen!r} has mistakes of its own" if wrong else f"no basin campaign {chosen!r}"
+    own = Mistake(
+        path=("light_sheet", "sensor"), found=found, expected="a campaign of the sensor in a basin",
+        cure=f"Correct {path}" if wrong else f"Name one of the campaigns in {folder}",
+    )  # fmt: skip
+    return [], [own, *wrong]
 
 
 def named_calibration(

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from thalweg.config.base import Section
+from thalweg.config.sheet_scans import SCAN_PARTS, ScanName, SheetScan, scan_stream
 from thalweg.config.values import Finite, Vector3
 
 Files = tuple[Annotated[str, Field(min_length=1)], ...]
@@ -44,6 +45,15 @@ STREAM_KEYS = {
     "masks": ("time_lapse", "masks"),
     "finished_orientations": ("time_lapse", "orientations"),
     "interior": ("time_lapse", "interior"),
+    "sheet_sensor": ("light_sheet", "sensor"),
+    "camera_marks": ("light_sheet", "camera_marks"),
+    "mark_points": ("light_sheet", "mark_points"),
+    "grid_images": ("light_sheet", "grid_images"),
+    "grid": ("light_sheet", "grid"),
+    "panel_images": ("light_sheet", "panel_images"),
+    "panels": ("light_sheet", "panels"),
+    "strip_images": ("light_sheet", "strip_images"),
+    "strip_pulses": ("light_sheet", "strip_pulses"),
 }
 """Stream name -> keys below ``logs``."""
 
@@ -162,6 +172,50 @@ class TimeLapseLogs(Section):
     )
 
 
+class LightSheetLogs(Section):
+    """Recordings of the underwater light-sheet sensor in a basin; paths as in `Logs`."""
+
+    sensor: Files = Field(
+        default=(),
+        description="Design of the sensor: lens as calibrated, places of camera and laser, window (YAML)",
+    )
+    camera_marks: Files = Field(
+        default=(),
+        description="Marks on object and window in an image of the sensor's camera through air (CSV: marker, "
+        "corner, x_px, y_px, sigma_px)",
+    )
+    mark_points: Files = Field(
+        default=(), description="Coordinates of these marks from a bundle with scale bars (CSV, metres)"
+    )
+    grid_images: Files = Field(
+        default=(), description="The image of the laser on the grid object: a file, or the folder it is in"
+    )
+    grid: Files = Field(default=(), description="The grid object and the depths of its levels (YAML)")
+    panel_images: Files = Field(
+        default=(), description="Images of the laser on a plane panel: files, or a folder"
+    )
+    panels: Files = Field(
+        default=(), description="Depths of the panel by image (CSV: file, depth_mm, sigma_mm)"
+    )
+    strip_images: Files = Field(
+        default=(),
+        description="Images of the bed by the sensor on the boat, of a survey: files in order, or a folder",
+    )
+    strip_pulses: Files = Field(
+        default=(), description="GPS times of the pulses that triggered these images (CSV: t_gps_s)"
+    )
+    scans: dict[ScanName, SheetScan] = Field(
+        default={}, description="Scanned objects by name, each with the keys below"
+    )
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Keys that name files of a basin; the strip of the bed belongs to a survey."""
+        return tuple(
+            name for name in type(self).model_fields if getattr(self, name) and not name.startswith("strip_")
+        )
+
+
 class Logs(Section):
     """Files of each stream, in order of time. Relative to this file or absolute; ``~`` and globs work."""
 
@@ -192,22 +246,40 @@ class Logs(Section):
     calibration: CalibrationLogs = Field(
         default=CalibrationLogs(), description="Recordings of a calibration field"
     )
+    light_sheet: LightSheetLogs = Field(
+        default=LightSheetLogs(), description="Recordings of the underwater light-sheet sensor in a basin"
+    )
 
     def files(self, stream: str) -> tuple[str, ...]:
         """Paths of one stream, named as in `STREAM_KEYS`."""
         value: object = self
-        for key in STREAM_KEYS[stream]:
-            value = getattr(value, key)
+        for key in self.streams()[stream]:
+            value = value[key] if isinstance(value, dict) else getattr(value, key)
         return value if isinstance(value, tuple) else ()
+
+    def streams(self) -> dict[str, tuple[str, ...]]:
+        """Stream name -> keys below ``logs``: `STREAM_KEYS` and the parts of all scans."""
+        return STREAM_KEYS | {
+            scan_stream(name, part): ("light_sheet", "scans", name, part)
+            for name in self.light_sheet.scans
+            for part in SCAN_PARTS
+        }
 
     def with_files(self, files: dict[str, tuple[str, ...]]) -> Self:
         """A copy with other paths."""
-        top = {STREAM_KEYS[s][0]: paths for s, paths in files.items() if len(STREAM_KEYS[s]) == 1}
+        top = {keys[0]: files[s] for s, keys in STREAM_KEYS.items() if len(keys) == 1 and s in files}
         below: dict[str, Section] = {}
-        for group in ("gnss", "calibration", "time_lapse"):
-            nested = {STREAM_KEYS[s][1]: p for s, p in files.items() if STREAM_KEYS[s][0] == group}
+        for group in dict.fromkeys(keys[0] for keys in STREAM_KEYS.values() if len(keys) > 1):
+            nested = {keys[1]: files[s] for s, keys in STREAM_KEYS.items() if keys[0] == group and s in files}
             below[group] = getattr(self, group).model_copy(update=nested)
+        below["light_sheet"] = below["light_sheet"].model_copy(
+            update={"scans": {name: self._scan_with(name, files) for name in self.light_sheet.scans}}
+        )
         return self.model_copy(update={**top, **below})
+
+    def _scan_with(self, name: str, files: dict[str, tuple[str, ...]]) -> SheetScan:
+        given = {part: files[s] for part in SCAN_PARTS if (s := scan_stream(name, part)) in files}
+        return self.light_sheet.scans[name].model_copy(update=given)
 
 
 def is_rinex_name(path: Path) -> bool:

@@ -19,10 +19,24 @@ PLACEHOLDERS: Mapping[str, Sequence[str]] = {
 STREAM_OF_KIND: Mapping[str, str] = {
     "capture": "lidar", "velodyne_payloads": "lidar", "anpp": "ins", "sbp": "rover", "rinex": "rover",
     "pos": "positions", "nmea": "depth", "sbet": "sbet", "las": "reference", "ply": "reference",
-    "e57": "reference",
+    "e57": "reference", "photograph": "time_lapse", "control_points": "control_points",
+    "gcp_list": "control_points", "metashape_markers": "control_points", "marks": "image_marks",
+    "metashape_cameras": "finished_orientations", "orientations": "finished_orientations",
+    "image_times": "time_lapse_times",
 }  # fmt: skip
 """Kind of a file (`thalweg.ingest.recognise`) -> stream of ``logs``."""
 
+ALSO_MARKS: Final = frozenset({"gcp_list", "metashape_markers"})
+"""Kinds of files that hold control points and where they are in the images."""
+
+_BESIDE_IMAGES: Final = (
+    ("control_points", "control_points", "surveyed points on the bank"),
+    ("image_marks", "marks", "where they are in the images; without: found automatically"),
+    ("time_lapse_times", "times", "times of the images"),
+    ("masks", "masks", "masks made elsewhere; without: made automatically"),
+    ("finished_orientations", "orientations", "orientations from another program"),
+)
+"""Stream, key of ``logs.time_lapse``, meaning."""
 
 KINDS_OF_STREAM: Final[Mapping[str, tuple[str, ...]]] = {
     "lidar": ("capture", "velodyne_payloads"),
@@ -43,7 +57,7 @@ def stream_of(kind: str, path: Path) -> str | None:
     """Stream of ``logs`` in which a file of a recognised kind belongs; None for kinds without a place.
 
     A raw GNSS log whose name holds ``base`` or ``ref`` is the base's; RINEX says itself whether it is
-    navigation.
+    navigation. Photographs in a folder whose name holds ``mask`` are masks.
 
     Examples
     --------
@@ -53,6 +67,8 @@ def stream_of(kind: str, path: Path) -> str | None:
     if kind == "rinex" and _rinex_type(path) in {"N", "G", "H"}:
         return "nav"
     stream = STREAM_OF_KIND.get(kind)
+    if stream == "time_lapse" and "mask" in path.parent.name.lower():
+        return "masks"
     if stream == "rover" and any(mark in path.name.lower() for mark in ("base", "ref")):
         return "base"
     return stream
@@ -108,6 +124,7 @@ def campaign_text(
         *(["  # gps_week: 2235  # CHANGE: week of the SBET"] if listed.get("sbet") else []),
         *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
         *_list("reference", listed.get("reference", []), "clouds to compare with: LAS, LAZ, PLY, E57"),
+        *_photographs(listed),
         "",
         "mounts:  # body frame of the INS: x forward, y right, z down",
         "  lidar:",
@@ -117,12 +134,55 @@ def campaign_text(
         f"    lever_ics_m: CHANGE{levers}",
         "  antenna:",
         f"    lever_ics_m: CHANGE{levers}",
+        *_camera(listed, levers),
         "",
         "orientation:",
         f"  position_source: {source}  # pos, sbp, ppk, sbet or ins",
         "  accept_fixes: [fixed]",
+        *_without_control(listed),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _photographs(listed: Mapping[str, Sequence[str]]) -> list[str]:
+    """Lines of ``logs.time_lapse``; what belongs to images stays out where there are none."""
+    images = listed.get("time_lapse", [])
+    if not images:
+        return ["  # time_lapse: {images: [], control_points: []}  # photographs of the bank: docs/images.md"]
+    lines = ["  time_lapse:  # photographs of the bank: docs/images.md"]
+    more = "" if len(images) == 1 else "; CHANGE: keep those of the survey"
+    lines += [f"  {line}" for line in _list("images", images, f"a folder, or files{more}")]
+    for stream, key, meaning in _BESIDE_IMAGES:
+        lines += [f"  {line}" for line in _list(key, listed.get(stream, []), meaning)]
+    return lines
+
+
+def _camera(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
+    """Lines of ``mounts.camera`` of a campaign with photographs."""
+    if not listed.get("time_lapse"):
+        return []
+    return [
+        "  camera:  # or, for all sensors: calibration: NAME_OF_A_CALIBRATION_CAMPAIGN",
+        "    omega_deg: -90.0  # CHANGE: looks to starboard; 90.0 and kappa_deg: 0.0 to port",
+        "    phi_deg: 0.0",
+        "    kappa_deg: 180.0",
+        f"    lever_ics_m: CHANGE{levers}",
+    ]
+
+
+def _without_control(listed: Mapping[str, Sequence[str]]) -> list[str]:
+    """Photographs alone need the antenna's positions in their adjustment."""
+    needs = listed.get("time_lapse") and not (
+        listed.get("control_points") or listed.get("finished_orientations")
+    )
+    if not needs:
+        return []
+    return [
+        "",
+        "images:",
+        "  adjustment:",
+        "    antenna: {use: true}  # no control points were found: positions of the antenna take their place",
+    ]
 
 
 def _source(listed: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:

@@ -15,12 +15,14 @@ from thalweg.config.base import Section
 from thalweg.config.twin_camera import TwinCamera
 from thalweg.config.twin_field import TwinField
 from thalweg.config.twin_lidar import TwinLidar, TwinTls
+from thalweg.config.twin_light_sheet import TwinLightSheet
 from thalweg.config.twin_navigation import TwinEcho, TwinGnss, TwinIns
 from thalweg.config.twin_scene import TwinBoat, TwinScene
+from thalweg.config.twin_sheet_strip import TwinSheetStrip
 from thalweg.config.twin_time_lapse import TwinTimeLapse
 from thalweg.config.values import Count, NonNegative, Positive, Share
 
-Size = Literal["tiny", "demo", "mulde", "reach", "field", "field_tiny"]
+Size = Literal["tiny", "demo", "mulde", "reach", "field", "field_tiny", "basin", "basin_tiny"]
 Stream = Literal["lidar", "ins", "gnss", "echo"]
 
 
@@ -144,6 +146,10 @@ SIZES: Final[Mapping[str, Mapping[str, Any]]] = {
         "ins": {"attitude_time_s": 1.0},
         "gnss": {"correlation_time_s": 1.0},
     },
+    "basin": {"light_sheet": {"size": "demo"}},
+    "basin_tiny": {
+        "light_sheet": {"size": "tiny", "scan_lines": 12, "scan_step_mm": 6.0, "reference_mm": 2.0}
+    },
 }  # fmt: skip
 """What the sizes change against the defaults."""
 
@@ -155,7 +161,8 @@ class TwinConfig(Section):
         default="demo",
         description="Set of values: `tiny` 25 s for tests, `demo` 3 min, `mulde` 17 min as in P2, "
         "`reach` 1.5 km as in P1, `field` a calibration field on land with a run of 2.5 min, `field_tiny` "
-        "the same with a run of 40 s",
+        "the same with a run of 40 s, `basin` the underwater light-sheet sensor in the laboratory, "
+        "`basin_tiny` the same with small images",
     )
     start_utc: UtcText = Field(
         default="2021-05-12T08:31:07Z", description="Begin of the lidar log, UTC, as 2021-05-12T08:31:07Z"
@@ -178,6 +185,15 @@ class TwinConfig(Section):
     time_lapse: TwinTimeLapse | None = Field(
         default=None,
         description="Images of the bank along the voyage, and control points; null: the camera takes none",
+    )
+    light_sheet: TwinLightSheet | None = Field(
+        default=None,
+        description="Underwater light-sheet sensor in a basin; null: there is none",
+    )
+    light_sheet_strip: TwinSheetStrip | None = Field(
+        default=None,
+        description="Strip of the bed by the light-sheet sensor on the boat, whose calibration "
+        "`light_sheet.sensor` names; null: the boat has none",
     )
     effects: TwinEffects = Field(default=TwinEffects(), description="Defects of the logs")
 

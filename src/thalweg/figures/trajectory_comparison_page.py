@@ -18,6 +18,8 @@ from thalweg.figures.trajectory_comparison_words import (
     Costs,
     for_and_against,
     lead,
+    outage_rows,
+    outage_words,
     range_words,
     side_by_side,
 )
@@ -84,6 +86,11 @@ def trajectory_comparison_page(
         page.section("Figures")
     for picture in pictures:
         page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
+    if costs.outages is not None:
+        page.section("Without GNSS, without images").text(outage_words(costs.outages))
+        if len(costs.outages):
+            caption = "Sigma of the place in the longest gaps, root mean square and greatest"
+            page.table(outage_rows(costs.outages), caption, {"begin": "UTC", "length": "s"})
     if len(by_range):
         _ranges(page, by_range, facts)
     page.section("All numbers").text(

@@ -7,15 +7,18 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.chain_comparison import REFERENCE, SHOTS, TRAJECTORY, chains_of, value
+from thalweg.accuracy.chain_comparison import CHAINS, REFERENCE, SHOTS, TRAJECTORY, chains_of, value
+from thalweg.accuracy.chain_comparison_outages import WITHOUT
 from thalweg.accuracy.chain_comparison_ranges import CERTAIN, PUBLISHED_CROSSING_M, crossing_of
 from thalweg.accuracy.comparison_tables import WITHOUT_OUTLIERS
 from thalweg.accuracy.statistics import honesty_in_words
+from thalweg.core.timescales import utc_text_from_gps
 from thalweg.figures.distances import centimetres
 from thalweg.figures.style import count, plural
 from thalweg.figures.trajectory_comparison import IN_WORDS
 
-MILLION: Final = 1e6
+EVERYWHERE: Final = 0.98
+"""A chain with poses for a greater share of a gap has them all through: its nodes end short of the edge."""
 
 PUBLISHED_WORDS: Final = (
     "Published for the Freiberger Mulde: an RMSE of 23 cm by INS (Sardemann 2024, 3.1.3) and of 14 cm with a "
@@ -35,7 +38,7 @@ class Costs:
     control : the adjustment's report on control and check points, or None.
     images : number of images that the camera's trajectory rests on, or None.
     seconds : chain -> computing time of its own steps.
-    outages : table of the study of outages, or None.
+    outages : of `thalweg.accuracy.chain_comparison_outages.outage_table`, or None.
     """
 
     control: pd.DataFrame | None = None
@@ -202,7 +205,7 @@ def _for(table: pd.DataFrame, costs: Costs, name: str) -> list[str]:
         out.append("no control point on the bank")
     if name == "ins" and costs.images:
         out.append("no image")
-    out += _study(costs, name, good=True)
+    out += _outages(costs, name, good=True)
     return out
 
 
@@ -234,20 +237,70 @@ def _against(table: pd.DataFrame, costs: Costs, name: str) -> list[str]:
     own = costs.seconds.get(name, 0.0)
     if own and own == max(costs.seconds.values()):
         out.append(f"{time_words(own)} of computing for its poses")
-    out += _study(costs, name, good=False)
+    out += _outages(costs, name, good=False)
     return out
 
 
-def _study(costs: Costs, name: str, *, good: bool) -> list[str]:
-    """What the study of outages says of a chain, at its longest outage."""
-    if costs.outages is None or costs.outages.empty:
+def _outages(costs: Costs, name: str, *, good: bool) -> list[str]:
+    """What a chain is worth where there is no GNSS: poses all through, or not."""
+    rows = _without_gnss(costs)
+    if rows is None or f"{name}_share" not in rows.columns:
         return []
-    length = float(costs.outages["length_s"].max())
-    rows = costs.outages[costs.outages["length_s"] == length].set_index("chain")["rms_m"]
-    key = "ins_velocity" if name == "ins" else name
-    if key not in rows.index or good != bool(rows[key] <= 2.0 * rows.min()):
-        return []
-    return [f"{centimetres(float(rows[key]))} in outages of GNSS of {length:g} s (study on the digital twin)"]
+    through = rows[f"{name}_share"] > EVERYWHERE
+    where = f"{plural(len(rows), 'gap')} without GNSS, longest {rows['length_s'].max():.1f} s"
+    if good and through.all():
+        sigma = float(np.sqrt(np.mean(rows[f"{name}_sigma_m"] ** 2)))
+        return [f"poses all through {where}, sigma of the place {centimetres(sigma)}"]
+    if not good and not through.all():
+        return [f"lacks poses in {count(int((~through).sum()))} of {where}"]
+    return []
+
+
+def _without_gnss(costs: Costs) -> pd.DataFrame | None:
+    if costs.outages is None:
+        return None
+    rows = costs.outages[costs.outages["without"] == "positions"]
+    return rows if len(rows) else None
+
+
+def outage_words(outages: pd.DataFrame) -> str:
+    """How many gaps there are of each kind, and how long."""
+    parts = []
+    for kind, words in WITHOUT.items():
+        rows = outages[outages["without"] == kind]
+        if len(rows):
+            parts.append(
+                f"{plural(len(rows), 'gap')} {words}, {rows['length_s'].sum():.1f} s in all, "
+                f"longest {rows['length_s'].max():.1f} s"
+            )
+    if not parts:
+        return "Positions and images run through: the fused trajectory had nothing to bridge."
+    return (
+        f"The fused trajectory found {'; '.join(parts)}. A trajectory has its poses there from the other "
+        "sensors, or none; its sigma says what they are worth."
+    )
+
+
+def outage_rows(outages: pd.DataFrame, most: int = 12) -> pd.DataFrame:
+    """The longest gaps for people: what lacks, when, how long, and the sigma of each trajectory."""
+    names = [name for name in CHAINS if f"{name}_share" in outages.columns]
+    shown = outages.sort_values("length_s", ascending=False, kind="stable").head(most)
+    out = []
+    for row in shown.sort_values("begin_gps_s", kind="stable").to_dict("records"):
+        line = {
+            "gap": WITHOUT[row["without"]],
+            "begin": utc_text_from_gps(row["begin_gps_s"])[11:19],
+            "length": f"{row['length_s']:.1f}",
+        }
+        for name in names:
+            cell = "no pose"
+            if np.isfinite(row[f"{name}_sigma_m"]):
+                cell = f"{centimetres(row[f'{name}_sigma_m'])}, at most {centimetres(row[f'{name}_most_m'])}"
+                if row[f"{name}_share"] <= EVERYWHERE:
+                    cell += f", poses for {percent(row[f'{name}_share'])}"
+            line[IN_WORDS[name]] = cell
+        out.append(line)
+    return pd.DataFrame(out)
 
 
 def side_by_side(table: pd.DataFrame, costs: Costs) -> pd.DataFrame:
@@ -283,26 +336,23 @@ def side_by_side(table: pd.DataFrame, costs: Costs) -> pd.DataFrame:
         rows.append(row("control points", {n: "none" if n == "ins" else needed for n in names}))
     if costs.images is not None:
         rows.append(row("images", {n: "none" if n == "ins" else count(costs.images) for n in names}))
-    if costs.outages is not None and len(costs.outages):
-        rows += [row(what, cells) for what, cells in _outage_rows(costs.outages)]
+    without = _without_gnss(costs)
+    if without is not None:
+        words = f"sigma of the place without GNSS ({plural(len(without), 'gap')})"
+        rows.append(row(words, {n: _sigma_cell(without, n) for n in names}))
     if costs.seconds:
         cells = {n: time_words(s) for n, s in costs.seconds.items()}
         rows.append(row("computing time of its own steps", cells))
     return pd.DataFrame([r for r in rows if any(r[IN_WORDS[n]] not in ("–", "") for n in names)])
 
 
-def _outage_rows(outages: pd.DataFrame) -> list[tuple[str, dict[str, str]]]:
-    out = []
-    lengths = np.unique(outages["length_s"].to_numpy(np.float64))
-    for length in lengths[[len(lengths) // 2, -1]]:
-        rows = outages[outages["length_s"] == length].set_index("chain")["rms_m"]
-        cells = {
-            name: centimetres(float(rows[key]))
-            for name, key in (("ins", "ins_velocity"), ("camera", "camera"), ("fused", "fused"))
-            if key in rows.index
-        }
-        out.append((f"error of the place in outages of {length:g} s (study on the digital twin)", cells))
-    return out
+def _sigma_cell(outages: pd.DataFrame, name: str) -> str:
+    """Root mean square of a chain's sigmas over gaps, and for how much of them it has poses."""
+    if f"{name}_sigma_m" not in outages.columns or not outages[f"{name}_sigma_m"].notna().any():
+        return "no pose"
+    sigma = float(np.sqrt(np.nanmean(outages[f"{name}_sigma_m"] ** 2)))
+    share = float(np.average(outages[f"{name}_share"], weights=outages["length_s"]))
+    return centimetres(sigma) + ("" if share > EVERYWHERE else f", poses for {percent(share)} of it")
 
 
 def percent(share: float) -> str:

@@ -166,6 +166,12 @@ def _calibration(kind: str, files: list[Path], options: dict[str, Any], points: 
     return Recording(kind=kind, report=describe_calibration(kind, files[0]))
 
 
+def _images(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    from thalweg.ingest.describe_images import describe_images
+
+    return Recording(kind=kind, report=describe_images(kind, files[0]))
+
+
 _READERS: dict[str, Callable[[str, list[Path], dict[str, Any], bool], Recording]] = {
     "capture": _lidar,
     "velodyne_payloads": _lidar,
@@ -183,6 +189,14 @@ _READERS: dict[str, Callable[[str, list[Path], dict[str, Any], bool], Recording]
     "matrix": _calibration,
     "colmap": _calibration,
     "opencv": _calibration,
+    "photograph": _images,
+    "control_points": _images,
+    "marks": _images,
+    "gcp_list": _images,
+    "metashape_markers": _images,
+    "metashape_cameras": _images,
+    "orientations": _images,
+    "image_times": _images,
 }
 if set(_READERS) != set(KINDS):
     raise InputError(f"kinds without reader: {set(KINDS) ^ set(_READERS)}", where=__name__)

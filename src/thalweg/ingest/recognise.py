@@ -28,6 +28,14 @@ KINDS: Final[dict[str, str]] = {
     "matrix": "4x4 matrix in a text file",
     "colmap": "COLMAP cameras.txt",
     "opencv": "camera file of OpenCV or ROS",
+    "photograph": "photograph (JPEG, PNG, TIFF)",
+    "control_points": "table of control points",
+    "marks": "table of control points in images",
+    "gcp_list": "control points of OpenDroneMap (gcp_list.txt)",
+    "metashape_markers": "markers of Metashape (XML)",
+    "metashape_cameras": "cameras of Metashape (XML)",
+    "orientations": "table of orientations of images",
+    "image_times": "table of times of images",
 }
 """Kind -> words for people."""
 
@@ -40,6 +48,10 @@ _MAGIC: Final = (
     (b"LASF", "las"),
     (b"ply", "ply"),
     (b"ASTM-E57", "e57"),
+    (b"\xff\xd8\xff", "photograph"),
+    (b"\x89PNG\r\n\x1a\n", "photograph"),
+    (b"II*\x00", "photograph"),
+    (b"MM\x00*", "photograph"),
 )
 _NMEA = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},[^\r\n*]*(\*[0-9A-Fa-f]{2})?")
 _POS_LINE = re.compile(
@@ -70,6 +82,24 @@ _TEXTS: Final = (
     ),
 )
 """Files of calibrations, which are text: kind and what its content holds."""
+
+_CRS_LINE: Final = re.compile(rb"\s*(EPSG:\d+|WGS84 UTM|\+proj=)", re.IGNORECASE)
+_IMAGE: Final = frozenset({"image", "photo", "camera", "image_name", "file", "filename", "camera_label"})
+_POINT: Final = frozenset({"id", "label", "name", "point", "gcp", "marker", "gcp_name", "marker_label"})
+_PIXELS: Final = frozenset({"x_px", "u", "u_px", "im_x", "image_u"})
+_PLACES: Final = (
+    {"east_m", "north_m", "up_m"},
+    {"lat_deg", "lon_deg", "h_ell_m"},
+    {"latitude", "longitude"},
+    {"easting", "northing"},
+    {"east", "north"},
+    {"x", "y", "z"},
+    {"x/easting", "y/northing"},
+    {"x/east", "y/north"},
+    {"x/longitude", "y/latitude"},
+)
+_TIMES: Final = frozenset({"time_utc", "unix_s", "t_gps_s"})
+"""Headings of tables that people write about photographs, small letters."""
 
 _CONTROL = re.compile(rb"[^\t\n\r\x20-\xff]")
 _WRAPPED: Final = (
@@ -128,7 +158,7 @@ def recognise(path: Path) -> str:
     ):
         if matches(head):
             return kind
-    text = _text_kind(head)
+    text = _text_kind(head) or _image_kind(head)
     if text is not None:
         return text
     framed = {"sbp": _sbp_bytes(head), "anpp": _anpp_bytes(head)}
@@ -174,6 +204,31 @@ def _text_kind(head: bytes) -> str | None:
     if _CONTROL.search(head):
         return None
     return next((kind for kind, pattern in _TEXTS if pattern.search(head)), None)
+
+
+def _image_kind(head: bytes) -> str | None:
+    """Kind of a table that belongs to photographs; None for other bytes."""
+    if _CONTROL.search(head):
+        return None
+    if b"<cameras" in head and b"<document" in head:
+        return "metashape_markers" if b"<markers" in head else "metashape_cameras"
+    lines = [line.strip() for line in head.removeprefix(b"\xef\xbb\xbf").splitlines() if line.strip()]
+    if len(lines) > 1 and _CRS_LINE.match(lines[0]) and len(lines[1].split()) >= 6:
+        return "gcp_list"
+    for line in lines[:10]:
+        cells = re.split(rb"[,;\t]", line.lstrip(b"#").strip().lower())
+        names = {re.sub(r"[_ ]\((m|px|deg)\)$", "", c.decode("utf-8", "replace").strip(' "')) for c in cells}
+        if names & _IMAGE and {"omega", "phi", "kappa"} <= names:
+            return "orientations"
+        if names & _IMAGE and names & _POINT and (names & _PIXELS or {"x", "y"} <= names):
+            return "marks"
+        if names & _IMAGE and names & _TIMES:
+            return "image_times"
+        if names & _POINT and any(place <= names for place in _PLACES):
+            return "control_points"
+        if not line.startswith(b"#"):
+            break
+    return None
 
 
 def _sbp_bytes(head: bytes) -> int:

@@ -16,7 +16,7 @@ from thalweg.orientation.block_problem import Antenna
 from thalweg.orientation.block_result import image_poses
 from thalweg.orientation.block_run import BlockSettings, Oriented, orient_block
 from thalweg.orientation.control_points import ControlMarks, ControlPoints
-from thalweg.orientation.control_tables import matched_marks, read_control_points, read_marks
+from thalweg.orientation.control_tables import matched_marks, read_all_control_points, read_marks
 from thalweg.orientation.image_block import ImageBlock
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.orientation.image_report import facts_of
@@ -45,6 +45,7 @@ def adjust_campaign(
     known: Camera | None,
     boat: Boat | None,
     reasons: Mapping[str, str],
+    elsewhere: frozenset[str] = frozenset(),
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Oriented, ImagePoses, dict[str, Any]]:
     """Adjust the images of a campaign.
@@ -53,6 +54,7 @@ def adjust_campaign(
     ----------
     adjustment, control : sections ``images.adjustment`` and ``images.control``.
     reasons : why an image is not in the block, by name.
+    elsewhere : images of other pieces of the block, whose marks are not lost.
 
     Returns
     -------
@@ -63,10 +65,13 @@ def adjust_campaign(
     points, observed = ControlPoints.none(), ControlMarks.none()
     dropped: dict[str, int] = {}
     if control_points:
-        points = read_control_points(control_points[0], frame, crs=crs, sigma_m=control["sigma_m"])
+        points = read_all_control_points(
+            control_points, frame, crs=control["crs"] or crs, sigma_m=control["sigma_m"],
+            height_offset_m=control["height_offset_m"],
+        )  # fmt: skip
         if marks is not None:
             observed, dropped = matched_marks(
-                read_marks(marks), points, block.images,
+                read_marks(marks).without(elsewhere), points, block.images,
                 [block.cameras[c].size_px for c in block.camera], predictions.images,
                 sigma_px=control["sigma_px"], where=marks,
             )  # fmt: skip
@@ -88,7 +93,7 @@ def adjust_campaign(
         block, points, observed, BlockSettings.from_section(adjustment),
         predictions=predictions, antenna=antenna, known=known, progress=progress,
     )  # fmt: skip
-    facts = facts_of(oriented.adjusted, oriented.control, oriented.notes)
+    facts = facts_of(oriented.adjusted, oriented.control, oriented.notes, oriented.demoted)
     facts |= {"dropped_marks": dropped, "antenna_positions": seen, "left_out_points": oriented.left_out}
     times = {
         name: (float(predictions.t_gps_s[k]), float(predictions.sigma_t_s[k])) for name, k in row.items()

@@ -17,8 +17,8 @@ from thalweg.orientation.block_weights import LEAST_IMAGE_MARKS
 from thalweg.orientation.image_block import ImageBlock
 from thalweg.orientation.image_poses import ImagePoses
 
-_LEAST_RESIDUAL: Final = 1e-6
-"""Variance of a residual over that of the coordinate which is not told from rounding."""
+_LEAST_SHARE: Final = 0.05
+"""Share of a coordinate's variance that must be left to its residual for a test."""
 FEW_MARKS: Final = f"fewer than {LEAST_IMAGE_MARKS} marks fit the rest of the block"
 
 
@@ -187,6 +187,21 @@ class ControlResult:
     notes: list[str]
 
 
+def _against_others(off: ArrayF, cov: ArrayF, C: ArrayF) -> tuple[float, ArrayF, ArrayF]:
+    """Test of a control point's residual (3,), difference without its own coordinates, covariance of it.
+
+    In directions that nothing else fixes a residual is what iterations and robust weights left: it is not
+    tested there, and stays as it is with the covariance of the coordinates.
+    """
+    L = np.linalg.cholesky(C)
+    share, axes = np.linalg.eigh(np.linalg.solve(L, np.linalg.solve(L, cov).T))
+    told = share > _LEAST_SHARE
+    r = axes.T @ np.linalg.solve(L, off)
+    factor = np.where(told, 1.0 / np.where(told, share, 1.0), 1.0)
+    turn = L @ axes
+    return float((np.square(r) * factor)[told].sum()), turn @ (r * factor), (turn * factor) @ turn.T
+
+
 def control_result(adjusted: Adjusted, *, risk: float = 1e-4) -> ControlResult:
     """Differences of control and check points, each tested against all others.
 
@@ -209,12 +224,12 @@ def control_result(adjusted: Adjusted, *, risk: float = 1e-4) -> ControlResult:
     # a check point that lost its marks has no place
     lost = control.check & ~adjusted.layout.free[layout.control :: 3]
     off[lost], cov[lost] = np.nan, np.nan
-    # a point that alone fixes something has no residual there: this keeps the test defined
-    floor = np.where(check, 0.0, _LEAST_RESIDUAL) * C
-    middle = np.array([np.linalg.inv(c + f) for c, f in zip(cov, floor, strict=True)]).reshape(k, 3, 3)
-    test = np.einsum("ki,kij,kj->k", off, middle, off)
-    without = np.where(check[:, :, 0], off, np.einsum("kij,kjl,kl->ki", C, middle, off))
-    cov_without = np.where(check, cov, C @ middle @ C)
+    test, without, cov_without = np.empty(k), off.copy(), cov.copy()
+    for p in range(k):
+        if control.check[p]:
+            test[p] = off[p] @ np.linalg.solve(cov[p], off[p]) if np.isfinite(off[p]).all() else np.nan
+        else:
+            test[p], without[p], cov_without[p] = _against_others(off[p], cov[p], C[p])
     used = adjusted.control_used
     count = np.bincount(marks.point[used], minlength=k).astype(np.float64)
     square = np.bincount(

@@ -8,21 +8,30 @@ import numpy as np
 
 from thalweg.core.camera import PARAMETERS, Camera
 from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF, ArrayI
 from thalweg.orientation.block_adjustment import Adjusted, adjust_block
+from thalweg.orientation.block_consent import check_consent, check_datum, check_free, doubts, interior_notes
+from thalweg.orientation.block_place import (
+    LEAST,
+    Expected,
+    check_attitudes,
+    check_start,
+    fitted_in_time,
+    other_reading,
+)
 from thalweg.orientation.block_problem import Antenna, Problem
 from thalweg.orientation.block_result import ControlResult, control_result
-from thalweg.orientation.block_start import Similarity, check_place, start_from_control, start_from_positions
+from thalweg.orientation.block_start import (
+    CURE_LINE,
+    Similarity,
+    check_place,
+    start_from_control,
+    start_from_positions,
+)
 from thalweg.orientation.block_weights import Options
 from thalweg.orientation.control_points import ControlMarks, ControlPoints
 from thalweg.orientation.image_block import ImageBlock
 from thalweg.orientation.image_poses import ImagePoses
 
-CURE_DATUM: Final = (
-    "Give at least three control points that are measured in two images each, or approximate positions of "
-    "the camera (clock, trajectory), or GNSS positions"
-)
-_LEAST_IMAGES: Final = 3
 _LEAST_CONTROL: Final = 4
 """Control points that must stay when one is made a check point: four can still contradict each other."""
 _MOST_DEMOTED: Final = 3
@@ -59,10 +68,14 @@ class BlockSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Oriented:
-    """An adjusted block, its control points, those left out with the reason, and notes for people."""
+    """An adjusted block, its control points, those left out with the reason, and notes for people.
+
+    ``demoted`` names control points that contradicted the others and were made check points.
+    """
 
     adjusted: Adjusted
     control: ControlResult
+    demoted: tuple[str, ...] = ()
     left_out: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -83,37 +96,61 @@ def world_block(
 
     Raises
     ------
-    GeometryError : neither suffices, all points lie on a line, or control points are far from the images.
+    GeometryError : too few images, neither suffices, the control points have another shape than the block, or
+        they or the images are not where the predictions are.
     """
-    at, positions = _predicted(block, predictions)
-    check_place(control, positions)
+    if len(block.images) < LEAST:
+        raise GeometryError(
+            f"a block of {len(block.images)} images", expected=f"{LEAST} at least",
+            cure="See the report of the images for why the others are not in it",
+        )  # fmt: skip
+    expected = Expected.of(block, predictions)
+    n = len(expected.at)
+    check_place(control, expected.centre_wcs_m)
     counts = marks.counts(len(control.names))
-    if int(((counts >= 2) & ~control.check).sum()) >= 3:
+    several = int(((counts >= 2) & ~control.check).sum())
+    start: Similarity | None = None
+    if several >= LEAST:
         try:
             start = start_from_control(block, control, marks)
-        except GeometryError:
-            if len(at) < 3:
+        except GeometryError as error:
+            other = other_reading(block, control, marks, expected)
+            if other is not None:
+                raise GeometryError(
+                    f"{error.found}; {other[0]} would fit", expected=error.expected, cure=other[1]
+                ) from error
+            # a line, or three points that may have the shape by chance only: the trajectory begins
+            if n < LEAST or (several > LEAST and error.cure != CURE_LINE):
                 raise
-        else:
-            return block.transformed(start.R, start.shift_m, start.scale), start, "control points"
-    if len(at) < 3:
+    if start is not None:
+        start.notes.extend(check_start(block, start, expected, control, marks))
+        try:
+            return _checked(block, start, expected), start, "control points"
+        except GeometryError as error:
+            other = other_reading(block, control, marks, expected)
+            if other is None:
+                raise
+            raise GeometryError(
+                f"{error.found}; {other[0]} would fit", expected=error.expected, cure=other[1]
+            ) from error
+    if n < LEAST:
         raise GeometryError(
             f"{int((counts >= 2).sum())} control points measured in two images or more, and approximate "
-            f"positions of {len(at)} images",
+            f"positions of {n} images",
             expected="three of either",
-            cure=CURE_DATUM,
+            cure="Give at least three control points that are measured in two images each, or the times of "
+            "the images, by which the trajectory tells where they were",
         )
-    start = start_from_positions(block, at, positions)
-    return block.transformed(start.R, start.shift_m, start.scale), start, "camera positions"
+    near, notes = fitted_in_time(block, expected)
+    start = start_from_positions(block, near.at, near.centre_wcs_m)
+    start.notes.extend(notes)
+    return _checked(block, start, expected), start, "camera positions"
 
 
-def _predicted(block: ImageBlock, predictions: ImagePoses | None) -> tuple[ArrayI, ArrayF]:
-    if predictions is None:
-        return np.empty(0, np.int64), np.empty((0, 3))
-    row = {name: k for k, name in enumerate(predictions.images) if predictions.oriented[k]}
-    at = np.array([k for k, name in enumerate(block.images) if name in row], np.int64)
-    where = [row[block.images[k]] for k in at]
-    return at, predictions.centre_wcs_m[where].reshape(-1, 3)
+def _checked(block: ImageBlock, start: Similarity, expected: Expected) -> ImageBlock:
+    placed = block.transformed(start.R, start.shift_m, start.scale)
+    check_attitudes(placed, expected)
+    return placed
 
 
 def orient_block(
@@ -142,21 +179,11 @@ def orient_block(
     GeometryError : too few images, no datum, or one that does not fix all.
     UnobservableError : unknowns that nothing determines.
     """
-    if len(block.images) < _LEAST_IMAGES:
-        raise GeometryError(
-            f"a block of {len(block.images)} images", expected=f"{_LEAST_IMAGES} at least",
-            cure="See the report of the images for why the others are not in it",
-        )  # fmt: skip
     moved, start, source = world_block(block, control, marks, predictions)
     notes = list(start.notes)
+    given = control
     control, marks, left_out = _usable(control, marks, start if source == "control points" else None)
-    fixes = (~control.check).sum() >= 3 or (antenna is not None and len(antenna.image) >= 3)
-    if not fixes:
-        raise GeometryError(
-            f"{int((~control.check).sum())} usable control points and no GNSS positions in the adjustment",
-            expected="at least three control points, or positions of the antenna (images.adjustment.antenna)",
-            cure=CURE_DATUM,
-        )
+    check_datum(moved, given, control, antenna, left_out)
     cameras, free, weighted = _interior(moved.cameras, settings, known)
     problem = Problem(
         block=replace(moved, cameras=cameras), control=control, marks=marks, antenna=antenna, free=free,
@@ -165,6 +192,7 @@ def orient_block(
     )  # fmt: skip
     adjusted = adjust_block(problem, settings.options, progress=progress)
     result = control_result(adjusted)
+    demoted: list[str] = []
     for _ in range(_MOST_DEMOTED):
         worst = _contradicting(problem.control, result)
         if worst is None:
@@ -174,12 +202,20 @@ def orient_block(
             f"{np.linalg.norm(result.without_m[worst]):.3f} m, {np.sqrt(result.test[worst] / 3):.1f} times "
             "what its sigma allows: from now on it only checks"
         )
-        problem = replace(problem, control=problem.control.as_check([problem.control.names[worst]]))
+        demoted.append(problem.control.names[worst])
+        problem = replace(problem, control=problem.control.as_check(demoted[-1:]))
         adjusted = adjust_block(problem, settings.options, progress=progress)
         result = control_result(adjusted)
-    return Oriented(
-        adjusted=adjusted, control=result, left_out=left_out, notes=[*notes, *adjusted.notes, *result.notes]
-    )
+    if known is not None and any(problem.weighted):
+        cameras, free, weighted = _interior(moved.cameras, replace(settings, interior="free"), None)
+        estimated = replace(
+            problem, block=replace(moved, cameras=cameras), free=free, weighted=weighted, control=control
+        )
+        check_free(problem, estimated, settings.options, result, len(demoted))
+    check_consent(moved, control, marks, result, demoted, predictions)
+    notes += interior_notes(adjusted, known)
+    notes += [*adjusted.notes, *result.notes, *doubts(problem.control, result, antenna)]
+    return Oriented(adjusted=adjusted, control=result, demoted=tuple(demoted), left_out=left_out, notes=notes)
 
 
 def _contradicting(control: ControlPoints, result: ControlResult) -> int | None:

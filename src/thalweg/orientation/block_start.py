@@ -23,6 +23,8 @@ _FIT_SHARE: Final = 0.03
 _LEAST_FIT_M: Final = 0.3
 _LINE_SHARE: Final = 0.01
 """Spread across the longest direction, as a share of that along it, below which points are a line."""
+_CROSSED: Final = 0.3
+"""Distance of two points from each other's coordinates, as a share of their own: swapped up to it."""
 _MOST_TRIPLES: Final = 2000
 _MOST_PAIRS: Final = 150
 _LEAST_ANGLE_RAD: Final = 0.003
@@ -68,6 +70,11 @@ def spread_share(points: ArrayF) -> float:
     return float(s[1] / s[0]) if s[0] > 0 else 0.0
 
 
+def is_line(points: ArrayF) -> bool:
+    """Whether points (n, 3) lie on a line, as far as a block is concerned that they are to hold."""
+    return spread_share(points) < _LINE_SHARE
+
+
 def robust_similarity(
     source: ArrayF, target: ArrayF, names: Sequence[str], *, what: str, tolerance_m: float | None = None
 ) -> Similarity:
@@ -96,7 +103,7 @@ def robust_similarity(
             cure="Measure more of them, or give approximate positions of the camera",
         )
     for points in (source, target):
-        if spread_share(points) < _LINE_SHARE:
+        if is_line(points):
             raise GeometryError(
                 f"all {n} {what} lie on a line, about which the block can turn",
                 expected=f"a spread across it of {100 * _LINE_SHARE:g} % of its length at least",
@@ -143,12 +150,17 @@ def swapped(
     found: ArrayF, target: ArrayF, names: Sequence[str], wrong: ArrayI, tolerance_m: float
 ) -> list[str]:
     """Notes on pairs of wrong points of which each lies where the other was surveyed."""
+
+    def crossed(i: int, j: int) -> float:
+        """Distance of either from the other's coordinates, beyond belief if they are as near themselves."""
+        off = max(np.linalg.norm(found[i] - target[j]), np.linalg.norm(found[j] - target[i]))
+        return float(off) if off < _CROSSED * np.linalg.norm(target[i] - target[j]) else np.inf
+
     return [
         f"The names of {names[i]} and {names[j]} seem to be swapped: each lies within "
-        f"{max(np.linalg.norm(found[i] - target[j]), np.linalg.norm(found[j] - target[i])):.2f} m of the "
-        "other's coordinates"
+        f"{crossed(i, j):.2f} m of the other's coordinates"
         for i, j in combinations(wrong.tolist(), 2)
-        if max(np.linalg.norm(found[i] - target[j]), np.linalg.norm(found[j] - target[i])) < tolerance_m
+        if crossed(i, j) < tolerance_m
     ]
 
 

@@ -1,6 +1,7 @@
 """Marks of control points for a campaign: from a table, or measured in the images."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,13 +9,16 @@ import cv2
 import numpy as np
 import pandas as pd
 
+from thalweg.core.errors import ThalwegError
 from thalweg.core.types import ArrayU8
+from thalweg.orientation.block_place import LEAST, points_lie
 from thalweg.orientation.block_run import world_block
 from thalweg.orientation.control_marks import COLUMNS, Boards, Loader, Measured, measure_boards
 from thalweg.orientation.control_points import ControlMarks, ControlPoints
 from thalweg.orientation.control_tables import matched_marks, read_marks
 from thalweg.orientation.image_block import ImageBlock
 from thalweg.orientation.image_poses import ImagePoses
+from thalweg.orientation.sfm_images import mask_names
 
 
 def grey_loader(paths: Sequence[Path]) -> Loader:
@@ -40,7 +44,7 @@ def mask_loader(folder: Path | None) -> Loader:
         if folder is None:
             return None
         base = Path(name)
-        for option in (f"{base.name}.png", f"{base.stem}.png", base.name):
+        for option in (*mask_names(base), base.name):
             if (folder / option).is_file():
                 found = cv2.imread(str(folder / option), cv2.IMREAD_GRAYSCALE)
                 return None if found is None else np.asarray(found, np.uint8)
@@ -100,7 +104,57 @@ def marks_of_campaign(
         return Measured(table=none, counts={}, notes=[note])
     placed, start, _ = world_block(block, control, ControlMarks.none(), predictions)
     found = measure_boards(placed, control, boards_of(section), grey, mask)
-    return Measured(table=found.table, counts=found.counts, notes=[*start.notes, *found.notes])
+    notes = [*start.notes, *found.notes]
+    if found.table.loc[found.table["used"].astype(bool), "point"].nunique() < LEAST:
+        where = points_lie(placed, control)
+        notes.append(
+            f"Of {len(control.names)} control points fewer than {LEAST} were found"
+            + (f"; {where}" if where else "")
+            + f". They are looked for within {3 * section['search_m']:g} m of where clock, trajectory and "
+            "mount put them (images.control.search_m), as boards of images.control.board_m"
+        )
+    return Measured(table=found.table, counts=found.counts, notes=notes)
+
+
+def marks_of_pieces(
+    blocks: Sequence[ImageBlock],
+    control: ControlPoints,
+    predictions: ImagePoses,
+    section: Mapping[str, Any],
+    *,
+    tables: Sequence[Path],
+    grey: Loader,
+    mask: Loader,
+) -> Measured:
+    """Marks in the images of all pieces of a block, the main one first, as of `marks_of_campaign`.
+
+    A further piece in which nothing can be measured is left with a note.
+    """
+    found = [marks_of_campaign(blocks[0], control, predictions, section, tables=tables, grey=grey, mask=mask)]
+    seen = set(blocks[0].images)
+    counts, notes = dict(found[0].counts), list(found[0].notes)
+    for k, block in enumerate(blocks[1:], 1):
+        try:
+            more = marks_of_campaign(
+                block, control, predictions, section, tables=tables, grey=grey, mask=mask
+            )
+        except ThalwegError as error:
+            notes.append(f"piece {k} of {len(block.images)} images: no control points ({error.found})")
+            continue
+        rows = ~more.table["image"].isin(seen)
+        found.append(replace(more, table=more.table[rows]))
+        seen |= set(block.images)
+        notes += [f"piece {k}: {note}" for note in more.notes]
+        if tables:  # a table has the marks of all pieces: what one lacks another may have
+            counts["used"] += int(more.table[rows]["used"].sum())
+            without = "in images without a pose"
+            counts[without] = counts.get(without, 0) - int(more.table[rows]["used"].sum())
+        else:
+            for reason, n in more.counts.items():
+                counts[reason] = counts.get(reason, 0) + n
+    parts = [part.table for part in found if len(part.table)]
+    table = pd.concat(parts, ignore_index=True) if parts else found[0].table
+    return Measured(table=table, counts={r: n for r, n in counts.items() if n or r == "used"}, notes=notes)
 
 
 def mark_rows(block: ImageBlock, control: ControlPoints, marks: ControlMarks) -> pd.DataFrame:

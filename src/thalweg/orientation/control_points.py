@@ -63,6 +63,17 @@ class ControlPoints:
             check=np.empty(0, np.bool_),
         )
 
+    @classmethod
+    def joined(cls, parts: Sequence["ControlPoints"]) -> "ControlPoints":
+        """Points of several surveys as one."""
+        every = [cls.none(), *parts]
+        return cls(
+            names=tuple(name for part in every for name in part.names),
+            points_wcs_m=np.concatenate([part.points_wcs_m for part in every]),
+            cov_wcs_m2=np.concatenate([part.cov_wcs_m2 for part in every]),
+            check=np.concatenate([part.check for part in every]),
+        )
+
     def chosen(self, rows: AnyArray) -> "ControlPoints":
         """Some of the points, by index or mask."""
         at = np.arange(len(self.names))[rows]

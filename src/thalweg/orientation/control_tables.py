@@ -6,18 +6,14 @@ those of OpenDroneMap from the centre of the first pixel (OpenSfM adds the half 
 pixel is added.
 """
 
-import csv
 import math
-import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
@@ -29,33 +25,24 @@ from thalweg.orientation.control_foreign import (
     metashape_marks,
     metashape_points,
 )
+from thalweg.orientation.control_place import FORMS, crs_of, near_world
 from thalweg.orientation.control_points import ControlMarks, ControlPoints
+from thalweg.orientation.control_text import (
+    LINE,
+    listed,
+    number,
+    place_of,
+    read_text,
+    required,
+    table_rows,
+)
+from thalweg.orientation.finished_names import matched
 
-_NAMED: Final = 5
-"""Names that a message lists."""
-NAMES: Final[Mapping[str, tuple[str, ...]]] = {
-    "id": ("id", "label", "name", "point", "gcp", "marker", "gcp_name"),
-    "image": ("image", "photo", "camera", "image_name", "file", "camera_label"),
-    "point": ("point", "gcp", "marker", "label", "id", "gcp_name", "marker_label"),
-    "x_px": ("x_px", "u", "u_px", "im_x", "image_u", "x"),
-    "y_px": ("y_px", "v", "v_px", "im_y", "image_v", "y"),
-    "sigma_px": ("sigma_px", "accuracy_px"),
-    "east_m": ("east_m",),
-    "north_m": ("north_m",),
-    "up_m": ("up_m",),
-    "lat_deg": ("lat_deg", "latitude", "y/latitude"),
-    "lon_deg": ("lon_deg", "longitude", "x/longitude"),
-    "h_ell_m": ("h_ell_m", "h_m", "altitude", "z/altitude"),
-    "x": ("x", "x/east", "x/easting", "easting", "east"),
-    "y": ("y", "y/north", "y/northing", "northing", "north"),
-    "z": ("z", "z/altitude", "altitude", "height"),
-    "sigma_east_m": ("sigma_east_m", "sigma_x_m", "x/east accuracy", "x accuracy", "sx"),
-    "sigma_north_m": ("sigma_north_m", "sigma_y_m", "y/north accuracy", "y accuracy", "sy"),
-    "sigma_up_m": ("sigma_up_m", "sigma_z_m", "z/altitude accuracy", "z accuracy", "sz"),
-    "accuracy": ("accuracy", "accuracy (m)"),
-    "role": ("role", "type"),
-}
-"""Headings, in small letters, by which a column is known."""
+_ROLES: Final = {
+    "": False, "control": False, "control point": False, "gcp": False, "ground control point": False,
+    "check": True, "check point": True, "checkpoint": True, "validation": True,
+}  # fmt: skip
+"""Words for control (false) and check points (true), small letters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,9 +59,26 @@ class MarkTable:
     used: ArrayB
     skipped: dict[str, int] = field(default_factory=dict)
 
+    def without(self, images: Collection[str]) -> "MarkTable":
+        """The marks that are not in some images; names as the campaign has them."""
+        keep = np.array([name not in images for name in self.image], np.bool_)
+        return MarkTable(
+            image=tuple(name for name, k in zip(self.image, keep, strict=True) if k),
+            point=tuple(name for name, k in zip(self.point, keep, strict=True) if k),
+            xy_px=self.xy_px[keep],
+            sigma_px=self.sigma_px[keep],
+            used=self.used[keep],
+            skipped=self.skipped,
+        )
+
 
 def read_control_points(
-    path: Path, frame: LocalFrame, *, crs: str | None, sigma_m: Sequence[float]
+    path: Path,
+    frame: LocalFrame,
+    *,
+    crs: str | None,
+    sigma_m: Sequence[float],
+    height_offset_m: float = 0.0,
 ) -> ControlPoints:
     """Control and check points of any of the known forms, in wcs.
 
@@ -83,38 +87,87 @@ def read_control_points(
     frame : the world frame.
     crs : of coordinates ``x, y, z`` of tables that state none themselves.
     sigma_m : (3,) standard deviations where the file states none.
+    height_offset_m : added to the heights of a file that are not those of the world frame.
 
     Raises
     ------
-    InputError : no such file, unknown columns, numbers that are none, or an unknown CRS.
-    GeometryError : coordinates outside of the CRS.
+    InputError : no such file, unknown columns or roles, numbers that are none, or an unknown CRS.
+    GeometryError : coordinates outside of the CRS, or far from the survey where another reading is near.
     """
-    text = _text(path)
+    text, given = read_text(path), crs
     if path.suffix.lower() == ".xml":
         rows, crs = metashape_points(path, text, crs)
     elif is_gcp_list(text):
         rows, crs = gcp_points(path, text)
     else:
-        rows = _table(path, text)
+        rows = table_rows(path, text, ("id", *FORMS[0]))
     if not rows:
-        raise InputError("no control points", expected="at least one row", where=path)
+        raise InputError(
+            "no control points", expected="at least one row", where=path,
+            cure="Add the surveyed points, or let the antenna's positions take their place: "
+            "images.adjustment.antenna.use: true",
+        )  # fmt: skip
     sigmas = [
-        [_number(row, f"sigma_{axis}_m", path, _number(row, "accuracy", path, default)) for axis, default in
+        [number(row, f"sigma_{axis}_m", path, number(row, "accuracy", path, default)) for axis, default in
          zip(("east", "north", "up"), sigma_m, strict=True)] for row in rows
     ]  # fmt: skip
-    roles = [(row.get("role") or "control").strip().lower() for row in rows]
-    odd = sorted(set(roles) - {"control", "check"})
-    if odd:
-        raise InputError(f"the role '{odd[0]}'", expected="control or check", where=path)
+    for row, values in zip(rows, sigmas, strict=True):
+        if min(values) <= 0:
+            raise InputError(
+                f"a standard deviation of {min(values):g} m of {row.get('id', '')}",
+                expected="metres above zero", where=place_of(row, path),
+                cure="State how well the point was surveyed; 0 would make it perfect",
+            )  # fmt: skip
     try:
         return ControlPoints(
-            names=tuple(_required(row, "id", path) for row in rows),
-            points_wcs_m=_coordinates(rows, frame, crs, path),
+            names=tuple(required(row, "id", path) for row in rows),
+            points_wcs_m=_coordinates(rows, frame, crs, path, height_offset_m, own=crs is not given),
             cov_wcs_m2=np.array([np.diag(np.square(s)) for s in sigmas]),
-            check=np.array([role == "check" for role in roles]),
+            check=np.array([_is_check(row, path) for row in rows]),
         )
     except GeometryError as error:
         raise GeometryError(error.found, expected=error.expected, where=path, cure=error.cure) from error
+
+
+def read_all_control_points(
+    paths: Sequence[Path],
+    frame: LocalFrame,
+    *,
+    crs: str | None,
+    sigma_m: Sequence[float],
+    height_offset_m: float = 0.0,
+) -> ControlPoints:
+    """Control points of several files as one, see `read_control_points`; none of no file.
+
+    Raises
+    ------
+    InputError, GeometryError : as there; or a name that stands in two files.
+    """
+    parts = [
+        read_control_points(path, frame, crs=crs, sigma_m=sigma_m, height_offset_m=height_offset_m)
+        for path in paths
+    ]
+    for k, (path, part) in enumerate(zip(paths, parts, strict=True)):
+        for other, before in zip(paths[:k], parts[:k], strict=True):
+            both = sorted(set(part.names) & set(before.names))
+            if both:
+                raise InputError(
+                    f"{listed(both)} stand{'s' if len(both) == 1 else ''} in {other.name}, too", where=path,
+                    expected="each control point in one file",
+                    cure="Leave one of the files out, or rename the points",
+                )  # fmt: skip
+    return ControlPoints.joined(parts)
+
+
+def _is_check(row: dict[str, str], path: Path) -> bool:
+    word = " ".join(row.get("role", "").lower().replace("_", " ").replace("-", " ").split())
+    if word not in _ROLES:
+        both = "CP is used for control and for check points alike: w" if word == "cp" else "W"
+        raise InputError(
+            f"the role '{row.get('role', '')}' of {row.get('id', '')}", expected="control or check",
+            where=place_of(row, path), cure=f"{both}rite control for points that fix the block",
+        )  # fmt: skip
+    return _ROLES[word]
 
 
 def read_marks(path: Path) -> MarkTable:
@@ -124,7 +177,7 @@ def read_marks(path: Path) -> MarkTable:
     ------
     InputError : no such file, unknown columns, or numbers that are none.
     """
-    text = _text(path)
+    text = read_text(path)
     skipped: dict[str, int] = {}
     if path.suffix.lower() == ".xml":
         rows, skipped = metashape_marks(path, text)
@@ -134,15 +187,15 @@ def read_marks(path: Path) -> MarkTable:
             for r in gcp_rows(path, text)
         ]
     else:
-        rows = _table(path, text)
-    xy = np.array([[_number(r, "x_px", path), _number(r, "y_px", path)] for r in rows]).reshape(-1, 2)
+        rows = table_rows(path, text, ("image", "point", "x_px", "y_px"))
+    xy = np.array([[number(r, "x_px", path), number(r, "y_px", path)] for r in rows]).reshape(-1, 2)
     if is_gcp_list(text):
         xy = xy + 0.5
     return MarkTable(
-        image=tuple(_required(r, "image", path) for r in rows),
-        point=tuple(_required(r, "point", path) for r in rows),
+        image=tuple(required(r, "image", path) for r in rows),
+        point=tuple(required(r, "point", path) for r in rows),
         xy_px=xy,
-        sigma_px=np.array([_number(r, "sigma_px", path, math.nan) for r in rows]),
+        sigma_px=np.array([number(r, "sigma_px", path, math.nan) for r in rows]),
         used=np.array([(r.get("used") or "true").strip().lower() in ("true", "1", "yes") for r in rows]),
         skipped=skipped,
     )
@@ -160,7 +213,8 @@ def matched_marks(
 ) -> tuple[ControlMarks, dict[str, int]]:
     """Marks with the indices of images of a block and of control points, and what was dropped, counted.
 
-    Names of images may lack their suffix, as Metashape's labels do.
+    Names of images may lack their suffix, as Metashape's labels do, stand with folders or in another case;
+    names of points may differ in case.
 
     Parameters
     ----------
@@ -173,18 +227,24 @@ def matched_marks(
     ------
     InputError : images or points that do not exist, pixels outside of their image, or a mark twice.
     """
-    of_image, of_every = _by_name(images), _by_name(all_images)
-    of_point = {name: k for k, name in enumerate(control.names)}
-    strange = sorted({name for name in table.image if name not in of_every and name not in of_image})
-    unknown = sorted({name for name in table.point if name not in of_point})
+    every = list(dict.fromkeys([*images, *all_images]))
+    names = list(dict.fromkeys(table.image))
+    index_of = dict(zip(names, matched(names, every, str(where), once=False).tolist(), strict=True))
+    of_point = _by_case(control.names)
+    strange = sorted(name for name in names if index_of[name] < 0)
+    unknown = sorted({name for name in table.point if name.strip().casefold() not in of_point})
     for what, names, known, cure in (
         ("images", strange, all_images, "Check the names in the table; they are those of the files"),
-        ("control points", unknown, control.names, "Add their coordinates, or check the names"),
-    ):
+        (
+            "control points", unknown, control.names,
+            "Add their coordinates, or check the names; points without names in a gcp_list.txt are gcp1, "
+            "gcp2 and so on",
+        ),
+    ):  # fmt: skip
         if names:
             raise InputError(
-                f"marks of {what} that do not occur: {_listed(names)}", where=where, cure=cure,
-                expected=f"{what} such as {_listed(known[:3])}",
+                f"marks of {what} that do not occur: {listed(names)}", where=where, cure=cure,
+                expected=f"{what} such as {listed(known[:3])}",
             )  # fmt: skip
     rows, dropped = [], dict(table.skipped)
     seen: set[tuple[int, int]] = set()
@@ -192,8 +252,8 @@ def matched_marks(
         if not table.used[row]:
             dropped["not to be used"] = dropped.get("not to be used", 0) + 1
             continue
-        at = of_image.get(image)
-        if at is None:
+        at = index_of[image]
+        if at >= len(images):
             dropped["in images without a pose"] = dropped.get("in images without a pose", 0) + 1
             continue
         xy, size = table.xy_px[row], sizes_px[at]
@@ -203,10 +263,11 @@ def matched_marks(
                 expected=f"pixels inside of {size[0]} x {size[1]}",
                 cure="Check that the marks are those of these images, in the same size",
             )  # fmt: skip
-        if (at, of_point[point]) in seen:
+        k = of_point[point.strip().casefold()]
+        if (at, k) in seen:
             raise InputError(f"{point} is marked twice in {image}", where=where, expected="one mark")
-        seen.add((at, of_point[point]))
-        rows.append((row, at, of_point[point]))
+        seen.add((at, k))
+        rows.append((row, at, k))
     index = np.array(rows, np.int64).reshape(-1, 3)
     sigma = table.sigma_px[index[:, 0]]
     marks = ControlMarks(
@@ -218,116 +279,40 @@ def matched_marks(
     return marks, dropped
 
 
-def _by_name(images: Sequence[str]) -> dict[str, int]:
-    """Index by name, and by the name without suffix where that is unique."""
-    stems = [Path(name).stem for name in images]
-    times = Counter(stems)
-    out = {stem: k for k, stem in enumerate(stems) if times[stem] == 1}
-    out |= {Path(name).name: k for k, name in enumerate(images)}
-    return out | {name: k for k, name in enumerate(images)}
+def _by_case(names: Sequence[str]) -> dict[str, int]:
+    """Index by the name in small letters.
+
+    Raises
+    ------
+    InputError : two names differ in case only.
+    """
+    small = sorted((name.strip().casefold(), name) for name in names)
+    for (a, one), (b, other) in pairwise(small):
+        if a == b:
+            raise InputError(
+                f"control points {one} and {other}", expected="names that differ in more than their case"
+            )
+    return {name.strip().casefold(): k for k, name in enumerate(names)}
 
 
-def _coordinates(rows: list[dict[str, str]], frame: LocalFrame, crs: str | None, path: Path) -> ArrayF:
-    forms = (("east_m", "north_m", "up_m"), ("lat_deg", "lon_deg", "h_ell_m"), ("x", "y", "z"))
-    form = next((f for f in forms if all(name in rows[0] for name in f)), None)
+def _coordinates(
+    rows: list[dict[str, str]],
+    frame: LocalFrame,
+    crs: str | None,
+    path: Path,
+    height_offset_m: float,
+    *,
+    own: bool,
+) -> ArrayF:
+    form = next((f for f in FORMS if all(name in rows[0] for name in f)), None)
     if form is None:
         raise InputError(
-            f"columns {sorted(rows[0])}",
-            expected="; or ".join(", ".join(f) for f in forms),
+            f"columns {', '.join(sorted(set(rows[0]) - {LINE}))}",
+            expected="; or ".join(", ".join(f) for f in FORMS),
             where=path,
             cure="Name the columns of the coordinates in the first line",
         )
-    values = np.array([[_number(row, name, path) for name in form] for row in rows])
-    if form[0] == "east_m":
-        return values
-    geodetic = None if form[0] == "lat_deg" else _crs(crs, path)
-    if form[0] == "lat_deg":
-        return frame.from_geodetic(values[:, 0], values[:, 1], values[:, 2])
-    if geodetic is not None and geodetic.is_geographic:
-        return frame.from_geodetic(values[:, 1], values[:, 0], values[:, 2])
-    assert geodetic is not None
-    return frame.from_map(values, geodetic)
-
-
-def _crs(text: str | None, path: Path) -> CRS:
-    if not text:
-        raise InputError(
-            "coordinates x, y, z without a CRS", expected="its code", where=path,
-            cure="Set campaign.crs, or name the columns east_m, north_m, up_m if they are in the world frame",
-        )  # fmt: skip
-    utm = re.fullmatch(r"WGS84 UTM (\d{1,2})\s*([NS])", text.strip(), re.IGNORECASE)
-    if utm:
-        text = f"EPSG:{(32600 if utm[2].upper() == 'N' else 32700) + int(utm[1])}"
-    try:
-        return CRS.from_user_input(text)
-    except CRSError as error:
-        raise InputError(
-            f"the CRS '{text[:80]}' is not known", expected="such as EPSG:25833", where=path
-        ) from error
-
-
-def _table(path: Path, text: str) -> list[dict[str, str]]:
-    """Rows of a table with named columns, by our names of these."""
-    lines = [line for line in text.splitlines() if line.strip()]
-    while lines and lines[0].startswith("#") and not re.match(r"#\s*label", lines[0], re.IGNORECASE):
-        lines = lines[1:]
-    if not lines:
-        raise InputError("an empty table", expected="a first line with the names of the columns", where=path)
-    lines[0] = lines[0].lstrip("#").lstrip()
-    lines = [lines[0]] + [line for line in lines[1:] if not line.startswith("#")]
-    separator = max(",;\t", key=lines[0].count)
-    reader = csv.reader(lines, delimiter=separator)
-    head = [re.sub(r"[_ ]\((m|px|deg|°)\)$", "", name.strip().lower()) for name in next(reader)]
-    ours = {
-        name: head.index(found)
-        for name, known in NAMES.items()
-        if (found := next((k for k in known if k in head), None)) is not None
-    }
-    if "used" in head:
-        ours["used"] = head.index("used")
-    rows = []
-    for number, cells in enumerate(reader, 2):
-        if len(cells) < len(head):
-            raise InputError(
-                f"{len(cells)} columns",
-                expected=f"{len(head)} as in the first line",
-                where=f"{path}:{number}",
-            )
-        rows.append({name: cells[at].strip() for name, at in ours.items()})
-    return rows
-
-
-def _required(row: Mapping[str, str], name: str, path: Path) -> str:
-    value = row.get(name, "")
-    if not value:
-        known = " or ".join(NAMES.get(name, (name,))[:3])
-        raise InputError(f"no {name}", expected=f"a column {known} with a value in each row", where=path)
-    return value
-
-
-def _number(row: Mapping[str, str], name: str, path: Path, default: float | None = None) -> float:
-    text = row.get(name, "").strip()
-    if not text:
-        if default is None:
-            _required(row, name, path)
-        return float(default if default is not None else math.nan)
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{name} '{text}'", expected="a number", where=path)
-    return value
-
-
-def _text(path: Path) -> str:
-    if not path.is_file():
-        raise InputError("file not found", expected="a table", where=path)
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError("no UTF-8 text", expected="a table", where=path, cure="Save it as UTF-8") from error
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+    values = np.array([[number(row, name, path) for name in form] for row in rows])
+    if form[0] != "east_m":
+        values[:, 2] += height_offset_m
+    return near_world(values, form, crs_of(crs, path) if form[0] == "x" else None, frame, path, own=own)

@@ -33,7 +33,8 @@ _LEAST_SIGMA: Final = 1e-7
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Antenna:
     """Antenna positions: ``t_gps_s`` (n,), ``position_wcs_m`` (n, 3), ``root_m`` (n, 3, 3) with
-    ``root root^T`` the stated covariance, ``node`` (n,); ``lever_ics_m``, ``sigma_lever_m`` (3,).
+    ``root root^T`` the stated covariance, ``node`` (n,); ``lever_ics_m``, ``sigma_lever_m`` (3,);
+    ``begins`` (n,) the kind of solution is another than before: its slow error tells nothing of that one's.
     """
 
     t_gps_s: ArrayF
@@ -42,6 +43,7 @@ class Antenna:
     lever_ics_m: ArrayF
     sigma_lever_m: ArrayF
     node: ArrayI
+    begins: ArrayB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,10 +72,14 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nodes:
-    """Times (m,) of the nodes and the kind (m,) of the transition into each."""
+    """Times (m,) of the nodes and the kind (m,) of the transition into each.
+
+    ``walk`` (m, 3) factors, east, north, up, of the noise of position and rate in these transitions.
+    """
 
     t_gps_s: ArrayF
     kind: ArrayI
+    walk: ArrayF
 
 
 def antenna_of(
@@ -92,7 +98,14 @@ def antenna_of(
         lever_ics_m=np.asarray(lever_ics_m, dtype=np.float64),
         sigma_lever_m=np.asarray(sigma_lever_m, dtype=np.float64),
         node=np.zeros(len(positions), dtype=np.int64),
+        begins=_changes(positions["fix"]),
     )
+
+
+def _changes(fix: pd.Series) -> ArrayB:
+    """Rows (n,) of another kind than the row before; the first is none."""
+    kinds = fix.to_numpy(dtype=object)
+    return np.append(False, kinds[1:] != kinds[:-1])
 
 
 def camera_of(poses: ImagePoses, use: ArrayB, T_ccs_ics: Rigid, sigma_jitter_s: float) -> Camera:
@@ -208,7 +221,8 @@ def place_nodes(
     place_of[order] = np.arange(len(at))
     kind = kinds[order]
     antenna_node = place_of[np.searchsorted(base, antenna_t_s - _SAME_S)]
-    return Nodes(t_gps_s=shared[order], kind=kind), antenna_node, place_of[len(at) - len(image_t_s) :]
+    nodes = Nodes(t_gps_s=shared[order], kind=kind, walk=np.ones((len(at), 3)))
+    return nodes, antenna_node, place_of[len(at) - len(image_t_s) :]
 
 
 def _root(cov: ArrayF) -> ArrayF:

@@ -77,9 +77,9 @@ def _transposed(A: ArrayF, B: ArrayF) -> None:
 
 @nb.njit(cache=True, error_model="numpy")
 def forward(
-    x0: ArrayF, p0: ArrayF, pair: ArrayF, phi: ArrayF, q: ArrayF, cam: int, image_of: ArrayI, G: ArrayF,
-    W: ArrayF, first_row: ArrayI, H: ArrayF, y: ArrayF, x_out: ArrayF, P_out: ArrayF, K_out: ArrayF,
-    S_out: ArrayF, nu_out: ArrayF,
+    x0: ArrayF, p0: ArrayF, pair: ArrayF, walk: ArrayF, phi: ArrayF, q: ArrayF, cam: int, image_of: ArrayI,
+    G: ArrayF, W: ArrayF, first_row: ArrayI, H: ArrayF, y: ArrayF, x_out: ArrayF, P_out: ArrayF,
+    K_out: ArrayF, S_out: ArrayF, nu_out: ArrayF,
 ) -> None:  # fmt: skip
     """Filter through all nodes; observations have the variance 1.
 
@@ -88,6 +88,7 @@ def forward(
     x0, p0 : (n,) start and its variances.
     pair : (m, 5) of the transition into each node: ``f, g`` of position and rate, and the noise's variances
         and covariance ``dd, de, ee``; row 0 is not used.
+    walk : (m, 3) factors of that noise, east, north, up.
     phi, q : (m, n) of the single processes; columns 0 to 5 are not used.
     cam : first state of the image's errors, or -1.
     image_of : (m,) row of ``G``, ``W`` for the transition into a node, or -1 for none.
@@ -117,10 +118,10 @@ def forward(
             _rows(B, f, g, phi[node], at, Gk, keep)
             _transposed(B, P)
             for i in range(3):
-                P[i, i] += pair[node, 2]
-                P[i, 3 + i] += pair[node, 3]
-                P[3 + i, i] += pair[node, 3]
-                P[3 + i, 3 + i] += pair[node, 4]
+                P[i, i] += walk[node, i] * pair[node, 2]
+                P[i, 3 + i] += walk[node, i] * pair[node, 3]
+                P[3 + i, i] += walk[node, i] * pair[node, 3]
+                P[3 + i, 3 + i] += walk[node, i] * pair[node, 4]
             for i in range(6, n):
                 P[i, i] += q[node, i]
             if at >= 0:
@@ -153,16 +154,16 @@ def forward(
 
 @nb.njit(cache=True, error_model="numpy")
 def backward(
-    p0: ArrayF, pair: ArrayF, kind: ArrayI, phi: ArrayF, q: ArrayF, cam: int, image_of: ArrayI, G: ArrayF,
-    W: ArrayF, first_row: ArrayI, H: ArrayF, x: ArrayF, P: ArrayF, K: ArrayF, S: ArrayF, nu: ArrayF,
-    part: int, x_out: ArrayF, cov_out: ArrayF, cross_out: ArrayF, squares: ArrayF, redundancy: ArrayF,
-    pairs: ArrayF, rows: ArrayF,
+    p0: ArrayF, pair: ArrayF, kind: ArrayI, walk: ArrayF, phi: ArrayF, q: ArrayF, cam: int,
+    image_of: ArrayI, G: ArrayF, W: ArrayF, first_row: ArrayI, H: ArrayF, x: ArrayF, P: ArrayF, K: ArrayF,
+    S: ArrayF, nu: ArrayF, part: int, x_out: ArrayF, cov_out: ArrayF, cross_out: ArrayF, squares: ArrayF,
+    redundancy: ArrayF, pairs: ArrayF, rows: ArrayF,
 ) -> None:  # fmt: skip
     """Smooth what `forward` found.
 
     Parameters
     ----------
-    p0, pair, phi, q, cam, image_of, G, W, first_row, H : as in `forward`.
+    p0, pair, walk, phi, q, cam, image_of, G, W, first_row, H : as in `forward`.
     kind : (m,) kind of the transition of position and rate into each node, row of ``pairs``.
     x, P, K, S, nu : what `forward` wrote.
     part : the first ``part`` states get covariances; no transition may lead into them from others.
@@ -252,8 +253,9 @@ def backward(
         dd, de, ee = pair[node, 2], pair[node, 3], pair[node, 4]
         for i in range(3):
             a, b = lam[i], lam[3 + i]
-            pairs[kind[node], 0] += dd * a * a + 2.0 * de * a * b + ee * b * b
-            pairs[kind[node], 1] += dd * Lam[i, i] + 2.0 * de * Lam[i, 3 + i] + ee * Lam[3 + i, 3 + i]
+            own = dd * Lam[i, i] + 2.0 * de * Lam[i, 3 + i] + ee * Lam[3 + i, 3 + i]
+            pairs[kind[node], 0] += walk[node, i] * (dd * a * a + 2.0 * de * a * b + ee * b * b)
+            pairs[kind[node], 1] += walk[node, i] * own
         for i in range(6, n):
             squares[i] += q[node, i] * lam[i] * lam[i]
             redundancy[i] += q[node, i] * Lam[i, i]
@@ -277,8 +279,8 @@ def backward(
                     U[i, j] += a * Lam[k, j]
             for j in range(3):
                 a, b = U[i, j], U[i, 3 + j]
-                cross_out[node - 1, i, j] = a * dd + b * de
-                cross_out[node - 1, i, 3 + j] = a * de + b * ee
+                cross_out[node - 1, i, j] = walk[node, j] * (a * dd + b * de)
+                cross_out[node - 1, i, 3 + j] = walk[node, j] * (a * de + b * ee)
             for j in range(6, part):
                 cross_out[node - 1, i, j] = U[i, j] * q[node, j]
         _transposed(Lam, B)

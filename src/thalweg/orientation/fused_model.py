@@ -40,6 +40,7 @@ class Transitions:
     x0: ArrayF
     p0: ArrayF
     pair: ArrayF
+    walk: ArrayF
     phi: ArrayF
     q: ArrayF
     image_of: ArrayI
@@ -90,6 +91,7 @@ def transitions(
     factors: Factors,
     *,
     start_m: ArrayF,
+    antenna: Antenna | None,
     camera: Camera | None,
     clock_start_s: float,
 ) -> Transitions:
@@ -117,6 +119,9 @@ def transitions(
             phi[:, i] = np.exp(-step / time)
             q[:, i] = -np.expm1(-2 * step / time) * factors[group] ** 2
             p0[i] = factors[group] ** 2
+    if antenna is not None:
+        anew = np.ix_(antenna.node[antenna.begins], np.array(layout.states_of("gnss"), dtype=np.int64))
+        phi[anew], q[anew] = 0.0, factors["gnss"] ** 2
     image_of = np.full(m, -1, dtype=np.int64)
     G, W = np.zeros((1, 6, 6)), np.zeros((1, 6, 6))
     if camera is not None:
@@ -130,7 +135,7 @@ def transitions(
         phi[camera.node, layout.jitter] = 0.0
         q[camera.node, layout.jitter] = p0[layout.jitter] = factors["jitter"] ** 2
     pair = pair_transition(step, nodes.kind, settings, factors)
-    return Transitions(x0=x0, p0=p0, pair=pair, phi=phi, q=q, image_of=image_of, G=G, W=W)
+    return Transitions(x0=x0, p0=p0, pair=pair, walk=nodes.walk, phi=phi, q=q, image_of=image_of, G=G, W=W)
 
 
 def clock_unit(settings: FusionSettings) -> float:

@@ -104,7 +104,9 @@ def _between(
     w = Qs - b @ Fr @ Qs
     for axis in range(3):
         both = np.ix_(np.arange(k), np.array([axis, 3 + axis]), np.array([axis, 3 + axis]))
-        A[both], B[both], extra[both] = a, b, w
+        A[both], B[both] = a, b
+        # the factor of the noise drops out of a and b
+        extra[both] = w * nodes.walk[left + 1, axis, None, None]
     singles = ("roll_pitch", 6), ("roll_pitch", 7), ("heading", 8), ("disturbance", 9)
     for group, i in singles:
         time = settings.disturbance_time_s if group == "disturbance" else settings.attitude_time_s

@@ -5,12 +5,16 @@ from dataclasses import dataclass
 from typing import Any, Final, Self
 
 GROUPS: Final = (
-    "velocity", "acceleration", "roll_pitch", "heading", "disturbance", "gnss", "lever", "camera", "mount",
-    "clock", "jitter",
+    "velocity", "acceleration", "roll_pitch", "heading", "disturbance", "gnss", "gnss_white", "lever",
+    "camera", "mount", "clock", "jitter",
 )  # fmt: skip
-"""Groups of observations and of prior knowledge whose residuals are judged."""
+"""Groups of observations and of prior knowledge whose residuals are judged; ``gnss`` is the slow part of the
+positions' errors. What the sigmas of positions lack, as multipath, is slow: with the many white errors in one
+group it would not show."""
 
-SCALED: Final = ("velocity", "acceleration", "roll_pitch", "disturbance", "gnss", "camera", "jitter")
+SCALED: Final = (
+    "velocity", "acceleration", "roll_pitch", "disturbance", "gnss", "gnss_white", "camera", "jitter",
+)  # fmt: skip
 """Groups whose sigmas are estimated; the heading's is told from its disturbance only by chance."""
 
 PRIOR_REDUNDANCY: Final = 10.0
@@ -18,6 +22,10 @@ PRIOR_REDUNDANCY: Final = 10.0
 
 FACTORS: Final = (0.2, 20.0)
 """Bounds of the factors of the sigmas."""
+
+TIMES: Final = ("attitude_time_s", "gnss_time_s")
+AUTO: Final = "auto"
+"""Correlation times that a campaign file may leave to the survey, and how it says so."""
 
 WHITE_SHARE: Final = 1e-3
 """Share of an image's covariance that is taken as new in each image: no observation is free of noise."""
@@ -50,12 +58,16 @@ class FusionSettings:
     max_iterations: int = 30
     max_sigma_position_m: float = 0.15
     max_sigma_attitude_deg: float = 2.0
+    estimate_times: tuple[str, ...] = ()
+    """Which of `TIMES` are estimated where there are images; their values are where the search starts."""
 
     @classmethod
     def from_section(cls, section: Mapping[str, Any]) -> Self:
         """From the section ``fused`` of a campaign file."""
         values = dict(section)
-        return cls(accept_fixes=tuple(values.pop("accept_fixes")), **values)
+        unknown = tuple(name for name in TIMES if values.get(name) == AUTO)
+        known = {name: value for name, value in values.items() if name not in unknown}
+        return cls(accept_fixes=tuple(known.pop("accept_fixes")), estimate_times=unknown, **known)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

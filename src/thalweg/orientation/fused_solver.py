@@ -179,14 +179,15 @@ def smooth(
 ) -> Solved:
     """One solution, linearised at states ``x`` (m, n)."""
     t = transitions(
-        nodes, layout, settings, factors, start_m=start_m, camera=observed.camera, clock_start_s=clock_start_s
-    )
+        nodes, layout, settings, factors,
+        start_m=start_m, antenna=observed.antenna, camera=observed.camera, clock_start_s=clock_start_s,
+    )  # fmt: skip
     rows = linearised(x, at, observed, layout, settings, factors)
     m, n, r = len(nodes.t_gps_s), layout.n, len(rows.y)
     first_row = np.searchsorted(rows.node, np.arange(m + 1))
     xf, Pf = np.empty((m, n)), np.empty((m, n, n))
     K, S, nu = np.empty((r, n)), np.empty(r), np.empty(r)
-    chain = (t.phi, t.q, layout.camera, t.image_of, t.G, t.W, first_row, rows.H)
+    chain = (t.walk, t.phi, t.q, layout.camera, t.image_of, t.G, t.W, first_row, rows.H)
     kernels.forward(t.x0, t.p0, t.pair, *chain, rows.y, xf, Pf, K, S, nu)
     xs, cov, cross = np.empty((m, n)), np.empty((m, POSE, POSE)), np.zeros((m, POSE, POSE))
     squares, redundancy, pairs, of_rows = np.zeros(n), np.zeros(n), np.zeros((3, 2)), np.empty((r, 2))
@@ -198,7 +199,8 @@ def smooth(
               for g in GROUPS for s in [np.array(layout.states_of(g), dtype=np.int64)]}  # fmt: skip
     groups["velocity"] = (float(pairs[[INS, RESET], 0].sum()), float(pairs[[INS, RESET], 1].sum()))
     groups["acceleration"] = (float(pairs[MODEL, 0]), float(pairs[MODEL, 1]))
-    for group, share in (("gnss", of_rows[rows.of_antenna == 1]), ("camera", of_rows[rows.of_antenna == 0])):
+    white, own = of_rows[rows.of_antenna == 1], of_rows[rows.of_antenna == 0]
+    for group, share in (("gnss_white", white), ("camera", own)):
         square, taken = groups[group]
         groups[group] = (square + float(share[:, 0].sum()), taken + float(share[:, 1].sum()))
     return Solved(
@@ -217,7 +219,7 @@ def linearised(
         use = observed.weight_antenna > 0
         H, y = antenna_rows(x[antenna.node], _take(at, antenna.node), antenna, layout, settings)
         variance = settings.gnss_white_share + 1.0 / np.where(use, observed.weight_antenna, 1.0) - 1.0
-        H, y = weighted(H[use], y[use], antenna.root_m[use], variance[use] * factors["gnss"] ** 2)
+        H, y = weighted(H[use], y[use], antenna.root_m[use], variance[use] * factors["gnss_white"] ** 2)
         parts.append((H, y, antenna.node[use]))
     else:
         parts.append((np.zeros((0, 3, n)), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)))
@@ -248,7 +250,9 @@ def judge(
         H, y = antenna_rows(states, _take(at, antenna.node), antenna, layout, settings)
         H[:, :, layout.gnss : layout.gnss + 3] = 0.0
         left = np.linalg.solve(antenna.root_m, y[:, :, None] - H @ states[:, :, None])[:, :, 0]
-        size = np.linalg.norm(left, axis=1) / factors["gnss"]
+        white = settings.gnss_white_share
+        scale = (1 - white) * factors["gnss"] ** 2 + white * factors["gnss_white"] ** 2
+        size = np.linalg.norm(left, axis=1) / np.sqrt(scale)
         limit = float(np.sqrt(chi2.isf(probability, 3)))
         weight = _weights(size / _scale(size, 3, stage), limit, stage)
         weight = np.where(observed.doubtful_antenna, (size <= limit) * 1.0, weight)

@@ -22,12 +22,15 @@ from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF
 from thalweg.orientation.fused_inputs import Antenna, Camera, Nodes, antenna_of, camera_of, place_nodes
 from thalweg.orientation.fused_model import clock_unit
+from thalweg.orientation.fused_outages import outages_of
 from thalweg.orientation.fused_output import poses, trajectory_of
 from thalweg.orientation.fused_reference import Reference, make_reference
 from thalweg.orientation.fused_report import Counts, facts_of, observation_table
 from thalweg.orientation.fused_screen import jumped_images, jumped_positions
 from thalweg.orientation.fused_settings import FusionSettings, Layout
 from thalweg.orientation.fused_solver import Observed, Solved, solve
+from thalweg.orientation.fused_times import correlation_times, times_facts
+from thalweg.orientation.fused_walk import walk_factors
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.orientation.ins_gnss import break_at_gaps
 from thalweg.orientation.selection import (
@@ -117,6 +120,12 @@ def fuse_trajectory(
     _refuse_nothing(antenna, camera, reference, counts)
     layout = Layout.of(gnss=antenna is not None, camera=camera is not None)
     nodes, observed, solved, shift_s = _solved(reference, antenna, camera, layout, settings)
+    given = settings
+    if settings.estimate_times:
+        settings = correlation_times(
+            reference, nodes, observed, solved, layout, settings, clock_start_s=-shift_s
+        )
+        nodes, observed, solved, shift_s = _solved(reference, antenna, camera, layout, settings)
     trajectory = trajectory_of(frame, reference, nodes, solved, settings)
     check_origin(trajectory.position_wcs_m, frame)
     n_valid = int(trajectory.valid.sum())
@@ -132,6 +141,7 @@ def fuse_trajectory(
     facts = facts_of(
         solved, observed, layout, settings, counts, trajectory, clock_shift_s=shift_s, notes=summary.notes
     )
+    facts |= times_facts(settings, given) | {"outages": outages_of(observed, reference)}
     whole = break_at_gaps(trajectory, max_attitude_gap_s, summary)
     return Fused(
         trajectory=whole,
@@ -176,6 +186,14 @@ def _solved(
             break
         shift += more
         camera = dataclasses.replace(camera, t_gps_s=moved)
+    walk = walk_factors(reference, nodes, observed, solved, settings)
+    if walk is not None:
+        nodes = dataclasses.replace(nodes, walk=walk)
+        again = solve(
+            reference, nodes, observed, layout, settings,
+            clock_start_s=-shift, factors=solved.factors, start=solved.x,
+        )  # fmt: skip
+        solved = dataclasses.replace(again, n_solutions=solved.n_solutions + again.n_solutions)
     return nodes, observed, solved, shift
 
 

@@ -103,9 +103,17 @@ _CONTROL_COLUMNS: Final = [
 ]  # fmt: skip
 
 
-def check_statistics(adjusted: Adjusted, result: ControlResult) -> dict[str, Any]:
-    """RMSE of check points, its prediction, their ratio, and the mean normalised error; empty without any."""
-    check = adjusted.problem.control.check & (result.n_marks > 0)
+def check_statistics(
+    adjusted: Adjusted, result: ControlResult, demoted: Sequence[str] = ()
+) -> dict[str, Any]:
+    """RMSE of check points, its prediction, their ratio, and the mean normalised error; empty without any.
+
+    Parameters
+    ----------
+    demoted : control points that became check points because they contradict the others: they do not count.
+    """
+    control = adjusted.problem.control
+    check = control.check & (result.n_marks > 0) & ~np.isin(np.array(control.names, object), list(demoted))
     if not check.any():
         return {}
     rmse = np.sqrt(np.square(result.off_m[check]).mean(axis=0))
@@ -119,8 +127,10 @@ def check_statistics(adjusted: Adjusted, result: ControlResult) -> dict[str, Any
     }
 
 
-def facts_of(adjusted: Adjusted, result: ControlResult, notes: Sequence[str]) -> dict[str, Any]:
-    """JSON-able facts of an adjustment."""
+def facts_of(
+    adjusted: Adjusted, result: ControlResult, notes: Sequence[str], demoted: Sequence[str] = ()
+) -> dict[str, Any]:
+    """JSON-able facts of an adjustment; ``demoted`` as in `check_statistics`."""
     sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)[~adjusted.lost_images]
     cameras = {
         camera.name: {
@@ -163,7 +173,8 @@ def facts_of(adjusted: Adjusted, result: ControlResult, notes: Sequence[str]) ->
         "antenna": extras,
         "sigma_position_mm": dict(zip(_AXES, _typical(1e3 * sigma[:, :3]), strict=True)),
         "sigma_rotation_mdeg": dict(zip(_AXES, _typical(1e3 * np.degrees(sigma[:, 3:])), strict=True)),
-        "check_points": check_statistics(adjusted, result),
+        "check_points": check_statistics(adjusted, result, demoted),
+        "contradicting_points": list(demoted),
         "notes": list(notes),
     }
 

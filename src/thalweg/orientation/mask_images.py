@@ -166,7 +166,8 @@ def _supplied_masks(
             f"no usable mask for any of {len(images)} images ({_few(reasons)})",
             expected=f"files as {images[0].name}.png of the images' size",
             where=folder,
-            cure="Name and scale the masks like their images, or set no folder",
+            cure="Name and scale the masks like their images (<image>.jpg.png, <image>.png or "
+            "<image>_mask.png), or set no folder",
         )
     return masks, problems
 

@@ -74,7 +74,7 @@ def start_guessed(image: Path, size_px: tuple[int, int], lens: str = "auto") -> 
     lens = "SIMPLE_RADIAL" if lens == "auto" else lens
     model = COLMAP_MODELS[lens][0]
     focal_px, known = FOCAL_FACTOR * max(size_px), False
-    inferred = _focal_from_exif(image)
+    inferred = focal_from_exif(image)
     if inferred is not None:
         focal_px, known = inferred, True
     p = np.zeros(len(PARAMETERS[model]))
@@ -172,7 +172,7 @@ def cameras_by_size(
     return found, reasons
 
 
-def _focal_from_exif(image: Path) -> float | None:
+def focal_from_exif(image: Path) -> float | None:
     """COLMAP's guess, which knows the sensors of many cameras; None if it has none."""
     pc = colmap()
     try:

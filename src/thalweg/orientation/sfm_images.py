@@ -79,11 +79,37 @@ def named_once(images: Sequence[Path]) -> list[Path]:
     return ordered
 
 
+def mask_names(image: Path) -> tuple[str, ...]:
+    """Names under which the mask of an image is looked for, the best first."""
+    return f"{image.name}.png", f"{image.stem}.png", f"{image.stem}_mask.png"
+
+
+def mask_folder(paths: Sequence[Path]) -> Path | None:
+    """Folder of the masks that were named, as a folder or as files; None without any.
+
+    Raises
+    ------
+    InputError : no such folder, or masks in several folders.
+    """
+    folders = list(dict.fromkeys(path.parent if path.is_file() else path for path in paths))
+    if len(folders) > 1:
+        raise InputError(
+            f"masks in {len(folders)} folders", where=folders[1], expected=f"all of them in {folders[0]}",
+            cure="Put the masks of all images into one folder",
+        )  # fmt: skip
+    if folders and not folders[0].is_dir():
+        raise InputError("folder not found", expected="masks named <image>.png", where=folders[0])
+    return folders[0] if folders else None
+
+
 def find_mask(image: Path, masks: Path | None) -> Path | None:
-    """Mask of an image: ``<name with ending>.png``, as COLMAP names it, or ``<name without ending>.png``."""
+    """Mask of an image: ``<name with ending>.png``, as COLMAP names it, else ``<name without ending>.png``.
+
+    The latter may end in ``_mask.png``, as Metashape names it.
+    """
     if masks is None:
         return None
-    for name in (f"{image.name}.png", f"{image.stem}.png"):
+    for name in mask_names(image):
         if (masks / name).is_file():
             return masks / name
     return None

@@ -4,6 +4,7 @@ The frame of each piece is its own: any origin, attitude and scale.
 """
 
 import tempfile
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,8 +99,14 @@ def map_images(matches: Matches, *, settings: MapSettings | None = None, threads
     )
 
 
-def main_block(mapped: Mapped, reasons: Mapping[str, str]) -> ImageBlock:
+def main_block(
+    mapped: Mapped, reasons: Mapping[str, str], causes: Mapping[str, str] | None = None
+) -> ImageBlock:
     """The block of most images.
+
+    Parameters
+    ----------
+    reasons, causes : why each image is in no block, in words and by kind, by name.
 
     Raises
     ------
@@ -107,11 +114,18 @@ def main_block(mapped: Mapped, reasons: Mapping[str, str]) -> ImageBlock:
     """
     if mapped.pieces:
         return mapped.pieces[0]
-    told = "; ".join(f"{name}: {reason}" for name, reason in list(reasons.items())[:3] if reason)
+    kinds = Counter((causes or {}).get(name, "") for name in reasons)
+    counted = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common() if kind)
+    # of each kind one image
+    first = {(causes or {}).get(name, name): name for name in reversed(list(reasons)) if reasons[name]}
+    told = "; ".join(f"{name}: {reasons[name]}" for name in sorted(first.values())[:3])
     raise InputError(
-        f"no two of {len(reasons)} images could be oriented to each other" + (f" ({told})" if told else ""),
+        f"no two of {len(reasons)} images could be oriented to each other"
+        + (f", {counted}" if counted else "")
+        + (f" ({told})" if told else ""),
         expected="images that overlap, with texture outside their masks",
-        cure="Look at the report of the images; compare more pairs (images.mapping.pairs: exhaustive)",
+        cure="Look at the images and their masks, which are black where nothing is to be used; compare more "
+        "pairs (images.mapping.pairs: exhaustive)",
     )
 
 
@@ -211,8 +225,8 @@ def _pieces(
     )
     block, scale_px, facts = cleaned(block, marks.scale_px, 2 * use.max_error_px * matches.scale())
     parts = firm_parts(block, use.min_inliers)
-    if len(parts) > 1:
-        sizes = ", ".join(str(len(part)) for part in parts)
+    if sum(len(part) > 1 for part in parts) > 1:
+        sizes = ", ".join(str(len(part)) for part in parts if len(part) > 1)
         notes.append(
             f"the mapper joined parts of {sizes} images by fewer than {use.min_inliers} common points: "
             "they are taken apart"

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -13,11 +13,22 @@ from thalweg.core.camera import Camera
 from thalweg.core.errors import InputError
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF, ArrayI
-from thalweg.orientation.sfm_camera import StartCamera, cameras_by_size, start_given, start_guessed
+from thalweg.orientation.sfm_camera import (
+    StartCamera,
+    cameras_by_size,
+    focal_from_exif,
+    start_given,
+    start_guessed,
+)
 from thalweg.orientation.sfm_features import Features
 from thalweg.orientation.sfm_images import Picture, with_problem
 from thalweg.orientation.sfm_matching import Matches, MatchSettings, match_pairs
 from thalweg.orientation.sfm_pairs import PairSettings, image_pairs, order_in_time
+
+_UNLIKE: Final = 1.08
+"""Ratio of calibrated and stated focal length beyond which a note says so; EXIF rounds to millimetres."""
+_OTHER_LENS: Final = 1.25
+"""Ratio of calibrated and stated focal length beyond which they are not of one lens."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +111,11 @@ def match_images(
         "images_with_time": int(np.isfinite(t_s).sum()),
         "images_with_position": 0 if position_m is None else int(np.isfinite(position_m).all(axis=1).sum()),
         "interior": [f"{s.source}, {s.lens}, {s.camera.parameters[0]:.1f} px" for s in starts],
-        "notes": notes + _notes(pictures, starts, given.cameras),
+        "notes": [
+            *notes,
+            *_notes(pictures, starts, given.cameras),
+            *_check_focal(given.cameras, camera, pictures, images),
+        ],
     }
     return match_pairs(
         replace(features, pictures=pictures),
@@ -144,6 +159,44 @@ def _cameras(
             starts.append(replace(start, camera=replace(start.camera, name=name)))
         camera[k] = index[size]
     return starts, camera, tuple(out)
+
+
+def _check_focal(
+    given: Sequence[Camera], camera: ArrayI, pictures: Sequence[Picture], images: Sequence[Path]
+) -> list[str]:
+    """Compare given cameras with the focal length that the EXIF of one of their images states.
+
+    Returns
+    -------
+    notes : differences that rounding in EXIF hardly explains.
+
+    Raises
+    ------
+    InputError : another lens or zoom; EXIF rounds to whole millimetres, which explains some percent.
+    """
+    path_of = {path.name: path for path in images}
+    notes = []
+    for c, known in enumerate(given):
+        rows = np.flatnonzero(camera == c)
+        path = path_of.get(pictures[int(rows[0])].name) if len(rows) else None
+        stated = None if path is None or known.model == "fisheye" else focal_from_exif(path)
+        if path is None or stated is None:
+            continue
+        ratio = float(known.parameters[0] / stated)
+        if not 1 / _UNLIKE < ratio < _UNLIKE:
+            notes.append(
+                f"the focal length of {known.name} is {known.parameters[0]:.0f} px, EXIF states {stated:.0f} "
+                "px: is the calibration that of this camera and zoom?"
+            )
+        if not 1 / _OTHER_LENS < ratio < _OTHER_LENS:
+            raise InputError(
+                f"a focal length of {known.parameters[0]:.0f} px in the interior orientation {known.name}, "
+                f"and {stated:.0f} px by the EXIF of the images", where=path.name,
+                expected="the calibration of this camera at this zoom",
+                cure="Name the right calibration (logs.time_lapse.interior, mounts.calibration), or none: "
+                "the interior orientation is then estimated",
+            )  # fmt: skip
+    return notes
 
 
 def _positions(t_s: ArrayF, trajectory: Trajectory | None) -> ArrayF | None:

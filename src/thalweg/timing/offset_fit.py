@@ -28,6 +28,8 @@ _UNITS: Final = np.array([1e-3, 1e-6])
 """Offset in ms and drift in ppm have numbers of one size."""
 _HELD: Final = 1e-12
 """Sigma of a drift that is held at zero."""
+_LEVER_HELD_M: Final = 1e-5
+"""Added to an antenna that is stated without a sigma; a matrix of zeros could not be inverted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,10 +85,11 @@ def fit_offset(model: OffsetModel, state: OffsetState, o: OffsetOptions) -> Offs
     UnobservableError : an unknown is not determined at all.
     """
     names = model.names
-    if model.ins is not None and len(state.slow) != len(names) - 8:
+    if model.ins is not None and not (state.oriented and len(state.slow) == len(names) - 8):
         R_ins = model.ins.at(model.times(state))[0]
         between = Rotation.from_matrix(np.swapaxes(R_ins, 1, 2) @ model.poses.R_wcs_ccs)
-        state = replace(state, R_ics_ccs=between.mean().as_matrix(), slow=np.zeros(len(names) - 8))
+        R_ics_ccs, slow = between.mean().as_matrix(), np.zeros(len(names) - 8)
+        state = replace(state, R_ics_ccs=R_ics_ccs, slow=slow, oriented=True)
     variance = _FIRST_JITTER_S**2 if o.jitter_s is None else o.jitter_s**2
     component = Component(variance=variance, sigma_variance=0.0)
     for _ in range(_TURNS):
@@ -143,7 +146,7 @@ def _known(o: OffsetOptions, state: OffsetState, u: int) -> dict[str, Linear]:
     if o.lever_m is not None and o.cov_lever_m2 is not None:
         three = np.zeros((3, u))
         three[:, 2:5] = np.eye(3)
-        cov = np.asarray(o.cov_lever_m2, dtype=np.float64)[None]
+        cov = (np.asarray(o.cov_lever_m2, dtype=np.float64) + _LEVER_HELD_M**2 * np.eye(3))[None]
         residual = state.lever_m - np.asarray(o.lever_m, dtype=np.float64)
         parts["antenna"] = Linear(residual=residual, jacobian=three, cov=cov)
     return parts

@@ -129,13 +129,18 @@ class FieldError:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OffsetState:
-    """Values of the unknowns. ``slow`` (k,) are the coefficients of the INS's slow errors."""
+    """Values of the unknowns.
+
+    ``slow`` (k,) are the coefficients of the INS's slow errors, none in a short run; ``oriented`` is False as
+    long as ``R_ics_ccs`` says nothing.
+    """
 
     offset_s: float
     drift: float
     lever_m: ArrayF
     R_ics_ccs: ArrayF = field(default_factory=lambda: np.eye(3))
     slow: ArrayF = field(default_factory=lambda: np.zeros(0))
+    oriented: bool = False
 
     def moved(self, dx: ArrayF) -> "OffsetState":
         """The state with a small change: offset, drift, antenna, turn, slow errors."""
@@ -146,6 +151,7 @@ class OffsetState:
             lever_m=self.lever_m + dx[2:5],
             R_ics_ccs=turn,
             slow=self.slow + dx[8:] if len(dx) > 8 else self.slow,
+            oriented=self.oriented,
         )
 
 

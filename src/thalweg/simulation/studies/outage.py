@@ -20,7 +20,8 @@ from thalweg.orientation.fused_settings import FusionSettings
 from thalweg.orientation.fused_trajectory import Fused, fuse_trajectory
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.simulation.attitude_errors import attitude_errors_rad, unstated_heading_errors_rad
-from thalweg.simulation.gnss import antenna_errors_m, stated_sigmas_m
+from thalweg.simulation.effects import inside
+from thalweg.simulation.gnss import antenna_errors_m, multipath_errors_m, stated_sigmas_m
 from thalweg.simulation.ins import velocity_errors_mps
 from thalweg.simulation.magnetic import boat_field_mg
 from thalweg.simulation.motion import Motion, epochs
@@ -35,6 +36,9 @@ CAMERA: Final = Rigid.from_opk(np.deg2rad([90.0, 0.0, 0.0]), [-0.25, -0.10, -0.1
 
 LENGTHS_S: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0)
 CHAINS: Final = ("ins_model", "ins_velocity", "camera", "fused")
+DIMMED: Final = 0.6
+"""Share of the satellites that leaves dim under trees, see `thalweg.simulation.shadow`."""
+
 _LEAD_S: Final = 15.0
 """GNSS between two outages, seconds: longer than its errors are correlated."""
 
@@ -52,6 +56,7 @@ class VoyageSpec:
     image_time_s : correlation time of their errors.
     sigma_clock_s, jitter_s : common offset and scatter of the images' times.
     sigma_mount_m, sigma_mount_deg : of the camera's mount in each coordinate.
+    shade_s : begin after the start and length of the times under trees.
     """
 
     duration_s: float = 120.0
@@ -64,6 +69,7 @@ class VoyageSpec:
     jitter_s: float = 0.016
     sigma_mount_m: float = 0.001
     sigma_mount_deg: float = 0.02
+    shade_s: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,8 +95,8 @@ def make_survey(seed: int, spec: VoyageSpec | None = None) -> Recorded:
     motion = Voyage(config, seed)
     images, T_ccs_ics, clock = _images(seed, spec, motion)
     return Recorded(
-        states=_states(config, seed, motion), positions=_positions(config, seed, motion), images=images,
-        T_ccs_ics=T_ccs_ics, motion=motion, clock_s=clock,
+        states=_states(config, seed, motion), positions=_positions(config, seed, motion, spec.shade_s),
+        images=images, T_ccs_ics=T_ccs_ics, motion=motion, clock_s=clock,
     )  # fmt: skip
 
 
@@ -127,10 +133,15 @@ def pose_errors(position_wcs_m: ArrayF, R_wcs_ics: ArrayF, motion: Motion, t_gps
     return np.concatenate([motion.position_wcs_m(t_gps_s) - position_wcs_m, odd / 2], axis=1)
 
 
-def outages(positions_t_s: ArrayF, length_s: float) -> list[tuple[float, float]]:
-    """Begin and end of outages of a length, all that fit with GNSS before and behind each."""
+def outages(positions_t_s: ArrayF, length_s: float, shift: float = 0.0) -> list[tuple[float, float]]:
+    """Begin and end of outages of a length, all that fit with GNSS before and behind each.
+
+    ``shift``, 0 to 1, moves them all by this share of the time that is left over.
+    """
     first, last = float(positions_t_s[0]) + _LEAD_S, float(positions_t_s[-1]) - _LEAD_S
     begins = np.arange(first, last - length_s + 1e-9, length_s + _LEAD_S)
+    if len(begins):
+        begins += shift * (last - length_s - begins[-1])
     return [(float(b), float(b) + length_s) for b in begins]
 
 
@@ -144,12 +155,13 @@ def outage_trial(
     """
     survey = make_survey(seed, spec)
     t = survey.positions["t_gps_s"].to_numpy()
+    shift = float(generator(seed, "outages").uniform())
     steered = FusionSettings()
     own = FusionSettings(use_ins_velocity=False)
     alone = fuse(survey, steered, with_positions=False)
     rows = []
     for length in lengths_s:
-        spans = outages(t, length)
+        spans = outages(t, length, shift)
         keep = np.ones(len(t), dtype=np.bool_)
         for begin, end in spans:
             keep &= (t < begin) | (t > end)
@@ -245,17 +257,23 @@ def _states(config: TwinConfig, seed: int, motion: Motion) -> pd.DataFrame:
     return pd.DataFrame(columns).assign(filter_status=np.uint16(0b1111))
 
 
-def _positions(config: TwinConfig, seed: int, motion: Motion) -> pd.DataFrame:
-    """The post-processed antenna track."""
+def _positions(
+    config: TwinConfig, seed: int, motion: Motion, shade_s: tuple[tuple[float, float], ...]
+) -> pd.DataFrame:
+    """The post-processed antenna track, without its outages; under trees leaves disturb it."""
     t = epochs(config, config.gnss.rate_hz)
-    kinds = np.full(len(t), int(Solution.FIXED))
+    since = t - motion.start_gps_s
+    floats = inside(since, config.effects.gnss_floats)
+    kinds = np.where(floats, int(Solution.FLOAT), int(Solution.FIXED))
     sigmas = stated_sigmas_m(config.gnss, kinds)
     place = motion.sensor_wcs_m(t, LEVER_ANTENNA_M) + antenna_errors_m(config, seed, "ppk", kinds, sigmas)
+    place += multipath_errors_m(config, seed, np.where(inside(since, shade_s), DIMMED, 0.0))
     lat, lon, height = FRAME.to_geodetic(place)
     columns = {"t_gps_s": t, "lat_deg": lat, "lon_deg": lon, "h_ell_m": height}
     columns |= {f"sigma_{name}_m": sigmas[:, i] for i, name in enumerate(("east", "north", "up"))}
     columns |= {f"cov_{name}_m2": np.full(len(t), np.nan) for name in ("en", "eu", "nu")}
-    return pd.DataFrame(columns).assign(fix="fixed")
+    table = pd.DataFrame(columns).assign(fix=np.where(floats, "float", "fixed"))
+    return table[~inside(since, config.effects.gnss_outages)].reset_index(drop=True)
 
 
 def _images(seed: int, spec: VoyageSpec, motion: Motion) -> tuple[ImagePoses, Rigid, float]:

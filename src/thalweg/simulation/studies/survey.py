@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
 from thalweg.accuracy.returns import TrueReturns, sample_of_known_points
 from thalweg.accuracy.truth import (
@@ -177,6 +178,7 @@ class Survey:
     settings : the settings it was processed with.
     trajectory, mount : poses of the boat and mount of the scanner that the cloud was made with.
     points : cloud in the world frame, LAZ with full covariance of each point.
+    counts : what became of the shots, columns ``reason, n``.
     """
 
     logs: Logs
@@ -184,6 +186,7 @@ class Survey:
     trajectory: Trajectory
     mount: Mount
     points: Path
+    counts: pd.DataFrame
 
     def errors(self, max_points: int = 20_000) -> PointErrors:
         """Errors along the normal of the true surface, of points that come from bare ground alone."""
@@ -267,7 +270,7 @@ def record(
     )
     simulate_ins(twin, seed, frame, logs.anpp)
     antenna = true["antenna"]["lever_ics_m"]
-    simulate_gnss(twin, seed, frame, folder / "rover.sbp", logs.pos, lever_ics_antenna_m=antenna)
+    simulate_gnss(twin, seed, frame, folder / "rover.sbp", logs.pos, lever_ics_antenna_m=antenna, scene=scene)
     if stations:
         simulate_tls(twin, seed, frame, scene, logs.scans, crs=settings["campaign"]["crs"])
     return logs
@@ -290,6 +293,14 @@ def process(
     trajectory_late_s : the poses get stamps that are so much too late against the lidar's.
     name : of the cloud in the folder of the logs, without suffix.
     """
+    trajectory = ins_trajectory(logs, settings)
+    if trajectory_late_s:
+        trajectory = replace(trajectory, t_gps_s=trajectory.t_gps_s + trajectory_late_s)
+    return orient(logs, trajectory, settings, name=name)
+
+
+def ins_trajectory(logs: Logs, settings: Mapping[str, Any] | None = None) -> Trajectory:
+    """Trajectory by INS and antenna of raw logs; ``settings`` as for `process`."""
     s = logs.settings if settings is None else settings
     antenna, orientation = s["mounts"]["antenna"], s["orientation"]
     trajectory, _ = build_trajectory(
@@ -304,12 +315,32 @@ def process(
             for key in ("accept_fixes", "max_gap_s", "max_attitude_gap_s", "interpolation")
         },
     )
-    if trajectory_late_s:
-        trajectory = replace(trajectory, t_gps_s=trajectory.t_gps_s + trajectory_late_s)
-    options, mount = LidarOptions(**s["lidar"]), Mount.from_section(s["mounts"]["lidar"])
+    return trajectory
+
+
+def orient(
+    logs: Logs,
+    trajectory: Trajectory,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    name: str = "points",
+    mount: Mount | None = None,
+) -> Survey:
+    """Make a cloud of the lidar log with any trajectory.
+
+    Parameters
+    ----------
+    logs : from `record`.
+    trajectory : poses of the boat.
+    settings, name : as for `process`.
+    mount : of the scanner; by default that of the settings.
+    """
+    s = logs.settings if settings is None else settings
+    options = LidarOptions(**s["lidar"])
+    mount = Mount.from_section(s["mounts"]["lidar"]) if mount is None else mount
     wanted = {key: value for key, value in s["georeferencing"].items() if key != "export_map"}
     points = logs.folder / f"{name}.laz"
-    georeference_log(
+    counts = georeference_log(
         [logs.pcap],
         options,
         scan_lidar([logs.pcap], options).clock,
@@ -322,7 +353,7 @@ def process(
         ),
         points,
     )
-    return Survey(logs=logs, settings=s, trajectory=trajectory, mount=mount, points=points)
+    return Survey(logs=logs, settings=s, trajectory=trajectory, mount=mount, points=points, counts=counts)
 
 
 def reference_mesh(

@@ -1,0 +1,1 @@
+"""Twin of the underwater light-sheet sensor: speckle, scenes, images of laser lines."""

@@ -1,0 +1,1 @@
+"""The underwater laser light-sheet sensor: optics, lines, calibration, profiles and scans."""

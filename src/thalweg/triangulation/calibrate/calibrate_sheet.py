@@ -1,0 +1,138 @@
+"""Calibration of the light sheet; where it fails, which other assumption would explain the picture."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.core.errors import GeometryError, InputError, ThalwegError
+from thalweg.core.normal_equations import UnobservableError
+from thalweg.triangulation.calibrate.correspondence import COLUMNS
+from thalweg.triangulation.calibrate.grid import GridObject
+from thalweg.triangulation.calibrate.model import LINE
+from thalweg.triangulation.calibrate.settings import CalibrationSettings
+from thalweg.triangulation.calibrate.sheet_calibration import SheetCalibration, fit_sheet
+from thalweg.triangulation.sensor import Sensor
+
+WATER: Final = 1.335
+"""Fresh water at 520 nm, 20 degrees: 1.336 (IAPWS); near enough to tell water from air."""
+_WET: Final = 1.2
+_BETTER: Final = 0.4
+"""A misfit that many times smaller is an explanation."""
+_DOUBT: Final = 3.0
+_DOUBT_PX: Final = 0.5
+"""Scatter, in units of the sigmas and in pixels, that makes one look for another explanation."""
+
+
+def calibrate_sheet(
+    sensor: Sensor, points: pd.DataFrame, grid: GridObject, settings: CalibrationSettings | None = None
+) -> SheetCalibration:
+    """Calibrate the light sheet from the line points of one picture of the grid object.
+
+    Parameters
+    ----------
+    sensor : camera, window and media with their covariance, and approximate values of the laser, such as the
+        nominal design; 10 mm and 4 degrees off is near enough.
+    points : line points with x_px, y_px, sigma_px, angle_rad (direction along which sigma holds); peak_dn and
+        flags are used if they are there.
+    grid : calibration object.
+    settings : see `CalibrationSettings`.
+
+    Raises
+    ------
+    InputError : columns are missing, or too few points.
+    FreeDirectionError : unknowns that the observations leave free.
+    GeometryError : the picture contradicts the object or the sensor; the cure names another assumption that
+        would explain it, if one was found (other medium, picture turned or mirrored).
+    """
+    chosen = settings or CalibrationSettings()
+    try:
+        found = fit_sheet(sensor, points, grid, chosen)
+    except (UnobservableError, InputError):
+        raise
+    except GeometryError as error:
+        explained = explanation(sensor, points, grid, chosen, misfit_px=np.inf)
+        if not explained:
+            raise
+        raise GeometryError(
+            error.found, expected=error.expected, where=error.where, cure=explained
+        ) from error
+    if found.sigma0[LINE] < _DOUBT or found.misfit_px < _DOUBT_PX:
+        return found
+    explained = explanation(sensor, points, grid, chosen, misfit_px=_BETTER * found.misfit_px)
+    if not explained:
+        return found
+    raise GeometryError(
+        f"the line points lie {found.misfit_px:.2f} px (root mean square) off the levels, "
+        f"{found.sigma0[LINE]:.1f} times "
+        "their sigma",
+        expected="what their sigmas say, if the model is right",
+        where=f"sensor {sensor.name!r}, calibration object {grid.name!r}",
+        cure=explained,
+    )
+
+
+def explanation(
+    sensor: Sensor, points: pd.DataFrame, grid: GridObject, settings: CalibrationSettings, *, misfit_px: float
+) -> str:
+    """What would explain a picture that does not fit; "" if nothing that is known of does.
+
+    Parameters
+    ----------
+    sensor, points, grid, settings : see `calibrate_sheet`.
+    misfit_px : root mean square of the residuals that an explanation must stay below.
+    """
+    best, told = min(misfit_px, settings.largest_misfit_px), ""
+    for cure, other, moved in _assumptions(sensor, points):
+        try:
+            fit = fit_sheet(other, moved, grid, settings)
+        except (ThalwegError, np.linalg.LinAlgError):
+            continue
+        # points of a wrong assumption may be rejected rather than misfit
+        cost = fit.misfit_px / max(float(fit.adjusted.used[LINE].mean()), 0.1)
+        if cost < best:
+            best, told = cost, f"{cure} (then {fit.misfit_px:.2f} px root mean square)"
+    return told
+
+
+def _assumptions(sensor: Sensor, points: pd.DataFrame) -> Iterator[tuple[str, Sensor, pd.DataFrame]]:
+    n = sensor.window.n_water
+    if n < _WET:
+        yield (
+            f"The picture fits with n_water = {WATER}: state the index of water, not {n:g} of air",
+            sensor.with_water(WATER),
+            points,
+        )
+    else:
+        yield (
+            f"The picture fits with the index of air, 1.0, instead of n_water = {n:g}: was the housing dry, "
+            "the object "
+            "not under water?",
+            sensor.with_water(sensor.window.n_air),
+            points,
+        )
+    for cure, x_sign, y_sign in (
+        (
+            "The picture fits if it is turned by 180 degrees: camera mounted upside down, or picture rotated",
+            -1,
+            -1,
+        ),
+        ("The picture fits if it is mirrored left to right: switch the mirroring of the camera off", -1, 1),
+        ("The picture fits if it is mirrored top to bottom: switch the mirroring of the camera off", 1, -1),
+    ):
+        yield cure, sensor, _turned(points, sensor, x_sign, y_sign)
+
+
+def _turned(points: pd.DataFrame, sensor: Sensor, x_sign: int, y_sign: int) -> pd.DataFrame:
+    """Line points of the picture turned or mirrored about its centre."""
+    if any(name not in points.columns for name in COLUMNS):
+        return points
+    moved = points.copy()
+    width, height = sensor.camera.size_px
+    if x_sign < 0:
+        moved["x_px"] = width - points["x_px"]
+    if y_sign < 0:
+        moved["y_px"] = height - points["y_px"]
+    moved["angle_rad"] = points["angle_rad"] * x_sign * y_sign
+    return moved

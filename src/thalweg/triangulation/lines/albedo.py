@@ -1,0 +1,129 @@
+"""Edges of the brightness of a surface: points near them are flagged; a shift with the line's width is
+removed.
+
+On white markers the line is over-exposed. A halo on one side (towards the laser, P4 7.2) then widens it on
+that side and pulls its centre along; the distances from the object become bi-modal. Where the brightness
+jumps while the surface goes on, the jump of the line's place per jump of its width is the coefficient of
+that shift ::
+
+    x - x_true = k (w - w_0),       k = sum dx dw / sum dw^2
+
+over all edges of the image. ``w_0`` is the width of the line where it is not saturated. The correction is
+used only if ``k`` stands out of its own sigma; the sigma of ``k`` goes into the points.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from thalweg.core.types import ArrayB, ArrayF, ArrayI
+
+_SIDE: Final = 6
+"""Rows on each side of an edge whose mean brightness is compared."""
+_GAP: Final = 2
+"""Rows beside an edge that see both sides."""
+_APART: Final = 3
+"""Rows from which on speckle no longer correlates."""
+_LEAST_EDGES: Final = 4
+_SIGNIFICANT: Final = 4.0
+_LEAST_WIDTH_JUMP: Final = 0.1
+"""Change of the width, relative, from which on an edge says something about the shift."""
+_BACKGROUND_STEP: Final = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class WidthShift:
+    """Shift of a line per pixel of its width: ``coefficient``, its ``sigma``, number of ``edges``."""
+
+    coefficient: float
+    sigma: float
+    edges: int
+    applied: bool
+
+
+def albedo_edges(piece: ArrayI, peak_dn: ArrayF, rows: ArrayI, ratio: float) -> tuple[ArrayB, ArrayI]:
+    """Points near a change of brightness along the line, and the edges themselves.
+
+    Parameters
+    ----------
+    piece, peak_dn, rows : (n,) sorted by piece and row; ``rows`` is the height of each patch.
+    ratio : change between the means of the rows on both sides that counts.
+
+    Returns
+    -------
+    near : (n,) points whose patch sees both sides.
+    edges : (m,) indices; the change is before that point.
+    """
+    n = piece.size
+    log_peak = np.log(np.maximum(peak_dn, 1e-3))
+    near = np.zeros(n, bool)
+    if n < 2 * _SIDE + 1:
+        return near, np.zeros(0, np.int64)
+    total = np.r_[0.0, np.cumsum(log_peak)]
+    at = np.arange(_SIDE, n - _SIDE + 1)
+    change = np.zeros(n + 1)
+    change[at] = np.abs(total[at + _SIDE] - 2.0 * total[at] + total[at - _SIDE]) / _SIDE
+    whole = np.zeros(n + 1, bool)
+    whole[at] = piece[np.minimum(at + _SIDE, n) - 1] == piece[at - _SIDE]
+    change[~whole] = 0.0
+    # speckle changes the peak of a row too; its mean over the rows of a side is compared with that scatter
+    steps = np.abs(log_peak[_APART:] - log_peak[:-_APART])
+    scatter = 1.4826 * float(np.median(steps)) / np.sqrt(2.0)
+    level = max(np.log(ratio), 4.5 * scatter * np.sqrt(2.0 / _SIDE))
+    index = np.flatnonzero(change > level)
+    edges = [int(k) for k in index if change[k] >= change[max(0, k - _SIDE) : k + _SIDE + 1].max() - 1e-12]
+    for k in edges:
+        low, high = max(0, k - _SIDE - int(rows.max())), min(n, k + _SIDE + int(rows.max()))
+        here = np.arange(low, high)
+        touched = np.abs(here + 0.5 - k) <= rows[here] // 2 + 1
+        near[here[touched & (piece[here] == piece[min(k, n - 1)])]] = True
+    return near, np.asarray(edges, np.int64)
+
+
+def remove_width_shift(
+    x_px: ArrayF, width_px: ArrayF, sigma_px: ArrayF, saturated: ArrayB, piece: ArrayI, edges: ArrayI
+) -> tuple[ArrayF, ArrayF, WidthShift]:
+    """Places and sigmas (n,) after removal of the shift with the width, and what was found.
+
+    Each edge compares straight lines through the rows on both sides, extrapolated to the edge, so that the
+    slope of the surface does not count.
+    """
+    differences = [_jump(x_px, width_px, sigma_px, piece, int(k)) for k in edges]
+    usable = np.array(
+        [d for d in differences if d is not None and abs(d[1]) > _LEAST_WIDTH_JUMP * np.median(width_px)]
+    ).reshape(-1, 3)
+    none = WidthShift(0.0, float("nan"), len(usable), False)
+    if len(usable) < _LEAST_EDGES or not saturated.any() or saturated.all():
+        return x_px, sigma_px, none
+    dx, dw, sigma = usable.T
+    weight = 1.0 / sigma**2
+    information = float(np.sum(weight * dw**2))
+    k = float(np.sum(weight * dw * dx)) / information
+    residual = dx - k * dw
+    factor = max(1.0, float(np.sum(weight * residual**2)) / max(len(usable) - 1, 1))
+    sigma_k = float(np.sqrt(factor / information))
+    if abs(k) < _SIGNIFICANT * sigma_k:
+        return x_px, sigma_px, WidthShift(k, sigma_k, len(usable), False)
+    wider = width_px - float(np.median(width_px[~saturated]))
+    wider = np.where(saturated, wider, 0.0)
+    corrected_sigma = np.hypot(sigma_px, sigma_k * np.abs(wider))
+    return x_px - k * wider, corrected_sigma, WidthShift(k, sigma_k, len(usable), True)
+
+
+def _jump(
+    x_px: ArrayF, width_px: ArrayF, sigma_px: ArrayF, piece: ArrayI, edge: int
+) -> tuple[float, float, float] | None:
+    """Jump of place and width at an edge, and the sigma of the former; None where a side is missing."""
+    before = np.arange(edge - _GAP - _SIDE, edge - _GAP)
+    after = np.arange(edge + _GAP, edge + _GAP + _SIDE)
+    both = np.r_[before, after]
+    if before[0] < 0 or after[-1] >= piece.size or np.any(piece[both] != piece[edge]):
+        return None
+    side = np.r_[np.zeros(_SIDE), np.ones(_SIDE)]
+    design = np.stack([np.ones(both.size), side, both - float(edge)], axis=1)
+    inverse = np.linalg.pinv(design)
+    place = inverse[1] @ x_px[both]
+    spread = float(np.sqrt(np.sum((inverse[1] * sigma_px[both]) ** 2)))
+    width = float(np.median(width_px[after]) - np.median(width_px[before]))
+    return float(place), width, max(spread, 1e-3)

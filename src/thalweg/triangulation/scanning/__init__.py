@@ -1,0 +1,1 @@
+"""From single profiles to scans: poses, clouds, comparison with references, points in the world."""

@@ -1,0 +1,346 @@
+"""Figures of the light-sheet sensor: geometry, line, calibration, volume, budget, panels, models."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from thalweg.core.calibration import Source
+from thalweg.core.errors import CoverageError, InputError
+from thalweg.figures.correlations import correlation_matrix
+from thalweg.figures.depth_budget import depth_budget
+from thalweg.figures.grid_calibration import grid_calibration
+from thalweg.figures.light_sheet_views import along_and_off, beam_paths, find_image, first_image
+from thalweg.figures.line_measurement import departures_px, line_measurement, measured
+from thalweg.figures.line_on_markers import line_on_markers, shown_flag
+from thalweg.figures.measurement_volume import measurement_volume_view
+from thalweg.figures.panel_distances import first_with_points, panel_distances, signed
+from thalweg.figures.sheet_deformation import TILTS_DEG, sheet_deformation, sheet_paths, tilted_sheet
+from thalweg.figures.sheet_models import COLUMNS as MODEL_COLUMNS
+from thalweg.figures.sheet_models import model_errors_view
+from thalweg.triangulation.budget import TOTAL, TOTAL_CORRELATED, budget_on_lines, budget_table
+from thalweg.triangulation.budget_checks import contradictions, read_published, verdicts
+from thalweg.triangulation.intersection import intersect
+from thalweg.triangulation.lines.settings import LineFlag
+from thalweg.triangulation.sensor import Sensor, paper_4
+from thalweg.triangulation.sensor_files import sensor_calibration
+from thalweg.triangulation.volume import depth_lines, measurement_volume
+
+
+@pytest.fixture(scope="module")
+def sensor() -> Sensor:
+    """The prototype of P4 with an image of 512 x 512 pixels."""
+    full = paper_4()
+    factor = np.ones(26)
+    factor[6:10] = 0.25
+    return replace(full, camera=full.camera.scaled((512, 512)), cov=full.cov * np.outer(factor, factor))
+
+
+def image_of_line(x_px, shape=(512, 512), *, sigma_px=1.6, peak=150.0):
+    """A monochrome image of a line at a place in each row."""
+    columns = np.arange(shape[1]) + 0.5
+    light = peak * np.exp(-0.5 * ((columns - np.asarray(x_px)[:, None]) / sigma_px) ** 2)
+    return np.rint(light + 4.0).astype(np.uint8)
+
+
+def line_table(x_px, y_px, *, flags=0, angle_rad=0.0):
+    n = len(x_px)
+    return pd.DataFrame({
+        "file": "a.png", "x_px": x_px, "y_px": y_px, "sigma_px": 0.1, "angle_rad": angle_rad,
+        "peak_dn": 150.0, "width_px": 3.2, "background_dn": 4.0,
+        "flags": np.broadcast_to(flags, n).astype(np.uint8),
+    })  # fmt: skip
+
+
+def line_at(sensor, depth_mm):
+    """Place of the line of a depth in each row of the image that has one: columns (n,), rows (n,)."""
+    (line,) = depth_lines(sensor, [depth_mm], 2001)
+    order = np.argsort(line.xy_px[:, 1])
+    rows = np.arange(int(line.xy_px[:, 1].min()) + 1, int(line.xy_px[:, 1].max())) + 0.5
+    return np.interp(rows, line.xy_px[order, 1], line.xy_px[order, 0]), rows
+
+
+# ---------------------------------------------------------------- what figures share
+
+
+def test_paths_of_light_obey_snell_and_end_in_the_depth(sensor: Sensor) -> None:
+    sheet, window = sensor.sheet, sensor.window
+    beams = sheet.beams([-0.3, 0.0, 0.4])
+    paths = beam_paths(sheet.origin_lcs_mm, beams, window, 80.0)
+    np.testing.assert_allclose(paths[:, 0], np.broadcast_to(sheet.origin_lcs_mm, (3, 3)))
+    # rounding of numbers of some hundred millimetres
+    np.testing.assert_allclose(paths[:, 1, 2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(window.depth_mm(paths[:, 2]), 0.0, atol=1e-9)
+    np.testing.assert_allclose(window.depth_mm(paths[:, 3]), 80.0, atol=1e-9)
+    parts = np.diff(paths, axis=1)
+    sines = np.linalg.norm(parts[..., :2], axis=2) / np.linalg.norm(parts, axis=2)
+    indices = np.array([window.n_air, window.n_glass, window.n_water])
+    np.testing.assert_allclose(sines * indices, (sines * indices)[:, :1].repeat(3, 1), rtol=1e-9)
+
+
+def test_distances_from_a_straight_line() -> None:
+    along, off = along_and_off(np.array([0.0, 3.0, 6.0]), np.array([0.0, 4.0, 8.0]))
+    np.testing.assert_allclose(along, [-5.0, 0.0, 5.0], atol=1e-12)
+    np.testing.assert_allclose(off, 0.0, atol=1e-12)
+
+
+def test_images_are_found_by_name(tmp_path) -> None:
+    Image.fromarray(np.full((20, 30), 7, np.uint8)).save(tmp_path / "a.png")
+    assert find_image([tmp_path], "a.png").shape == (20, 30)
+    with pytest.raises(InputError, match=r"no image b\.png"):
+        find_image([tmp_path], "b.png")
+    both = pd.concat([line_table([1.0], [2.0]), line_table([1.0], [2.0]).assign(file="b.png")])
+    both.to_parquet(tmp_path / "points.parquet")
+    image, points = first_image([tmp_path], tmp_path / "points.parquet")
+    assert image[0, 0] == 7
+    assert points["file"].tolist() == ["a.png"]
+
+
+# ---------------------------------------------------------------- geometry
+
+
+def test_one_tilt_bends_the_line_to_one_side_two_to_both(tmp_path, look) -> None:
+    figure = sheet_deformation()
+    bends = []
+    for ax, (first, second) in zip(figure.axes[2:], TILTS_DEG, strict=True):
+        (line,) = [artist for artist in ax.lines if artist.get_gid() == "line"]
+        turns = np.sign(np.diff(line.get_ydata(), 2))[3:-3]
+        bends.append(int(np.sum(np.diff(turns) != 0)))
+        points = sheet_paths(tilted_sheet(first, second))[:, 3]
+        along, off = along_and_off(points[:, 0], points[:, 1])
+        np.testing.assert_allclose(line.get_xdata(), along)
+        np.testing.assert_allclose(line.get_ydata(), off)
+    # P4 Fig. 2: a bow, and an S with one turning point
+    assert bends == [0, 1]
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    assert titles[2].endswith("bent to one side")
+    assert titles[3].endswith("bent to both sides")
+    assert "digital twin" not in look.texts(figure)
+    look.drawn(figure, tmp_path)
+
+
+def test_the_volume_shows_what_the_sensor_sees(sensor: Sensor, tmp_path, look) -> None:
+    figure = measurement_volume_view(sensor, (0.0, 50.0, 125.0, 900.0), step_px=16, title="P4", twin=True)
+    words = look.texts(figure)
+    volume = measurement_volume(sensor, 16)
+    assert f"P4: {volume.depth_mm[1]:.0f} mm deep" in words
+    assert "digital twin" in words
+    assert figure.axes[3].get_xlabel() == "x / mm\nnot in the image: 900 mm"
+    depth = figure.axes[2]
+    (mesh,) = [artist for artist in depth.collections if artist.get_gid() == "map z"]
+    shown = np.ma.masked_invalid(mesh.get_array())
+    assert shown.max() == pytest.approx(volume.depth_mm[1], abs=2.0)  # a step of the grid
+    (line,) = [artist for artist in depth.lines if artist.get_gid() == "depth 125"]
+    found = intersect(sensor, np.stack(line.get_data(), axis=1))
+    # the solver's own tolerance
+    np.testing.assert_allclose(found.depth_mm, 125.0, atol=1e-6)
+    assert {text.get_text() for text in figure.legends[0].get_texts()} >= {"50 mm deep", "125 mm deep"}
+    look.drawn(figure, tmp_path)
+
+
+# ---------------------------------------------------------------- line
+
+
+def test_departures_are_those_from_a_smooth_line() -> None:
+    y = np.arange(200) + 0.5
+    x = 100.0 + 1e-3 * (y - 100.0) ** 2
+    smooth = line_table(np.where(np.arange(200) == 50, x + 9.0, x), y)
+    off = departures_px(line_table(x + 0.25, y), smooth)
+    # the outlier of nine pixels among the 200 is left out of the curve
+    np.testing.assert_allclose(off, 0.25, atol=1e-6)
+
+
+def test_methods_are_compared_on_one_line(rng, tmp_path, look) -> None:
+    rows = np.arange(256) + 0.5
+    image = image_of_line(128.0 + 15.0 * (rows / 256) ** 2, (256, 256))
+    noisy = (image * rng.gamma(4.0, 0.25, image.shape)).clip(0, 255).astype(np.uint8)
+    points = measured(noisy, ("row_gauss", "speckle_patch"))
+    figure = line_measurement(noisy, points, title="Basin", twin=True)
+    best = points["speckle_patch"]
+    assert "Basin: one laser line measured by 2 methods" in look.texts(figure)
+    (shown,) = look.artists(figure, "speckle_patch departures")
+    np.testing.assert_allclose(shown.get_ydata(), departures_px(best, best))
+    std = np.std(departures_px(best, best))
+    assert f"speckle-weighted patch: {std:.2f} px" in look.texts(figure)
+    assert len(look.artists(figure, "profile")) == 3
+    look.drawn(figure, tmp_path)
+
+
+def test_a_line_from_left_to_right_is_turned(tmp_path, look) -> None:
+    rows = np.arange(128) + 0.5
+    image = image_of_line(64.0 + 0.05 * rows, (128, 128))
+    upright = line_measurement(image, measured(image, ("speckle_patch",)))
+    lying = line_measurement(image.T.copy(), measured(image.T.copy(), ("speckle_patch",)))
+    assert upright.axes[0].get_ylabel() == "row / px"
+    assert lying.axes[0].get_ylabel() == "column / px"
+    one, other = (look.artists(f, "speckle_patch departures")[0].get_ydata() for f in (upright, lying))
+    # the same image in another order of memory
+    np.testing.assert_allclose(one, other, atol=1e-9)
+    look.drawn(lying, tmp_path)
+
+
+def test_flags_are_shown_by_their_last_bit(tmp_path, look) -> None:
+    flags = np.array([0, LineFlag.WEAK, LineFlag.SATURATED | LineFlag.NEAR_JUMP, LineFlag.NEAR_JUMP])
+    assert shown_flag(flags.astype(np.uint8)).tolist() == [0, 2, 1, 4]
+    rows = np.arange(96) + 0.5
+    image = image_of_line(np.full(96, 48.0), (96, 96))
+    table = line_table(np.full(96, 48.0), rows, flags=np.where((rows > 40) & (rows < 50), 1, 0))
+    figure = line_on_markers(image, table, title="Steps", twin=True)
+    words = look.texts(figure)
+    assert "Steps: 10 of n = 96 points of the line are flagged" in words
+    assert "saturated: 10" in [text.get_text() for text in figure.legends[0].get_texts()]
+    low, high = figure.axes[1].get_ylim()
+    # the detail holds the flagged ones
+    assert high < 41
+    assert low > 49
+    look.drawn(figure, tmp_path)
+    with pytest.raises(InputError, match="columns missing: flags"):
+        line_on_markers(image, table.drop(columns="flags"))
+
+
+# ---------------------------------------------------------------- calibration
+
+
+@pytest.fixture
+def observations(sensor: Sensor):
+    """Image, residuals and pairs of two levels as the adjustment writes them."""
+    (x1, y1), (x2, y2) = line_at(sensor, 60.0), line_at(sensor, 150.0)
+    residuals = pd.DataFrame({
+        "level": ["grid"] * len(x1) + ["plate"] * len(x2), "x_px": np.concatenate([x1, x2]),
+        "y_px": np.concatenate([y1, y2]), "residual_px": 0.05, "standardised": 0.5, "used": True,
+    })  # fmt: skip
+    upper, lower = depth_lines(sensor, [60.0, 150.0], 401)
+    shared = np.intersect1d(upper.fan_angle_rad, lower.fan_angle_rad)[::40]
+    ends = [line.xy_px[np.searchsorted(line.fan_angle_rad, shared)] for line in (upper, lower)]
+    pairs = pd.DataFrame({
+        "upper_x_px": ends[0][:, 0], "upper_y_px": ends[0][:, 1], "lower_x_px": ends[1][:, 0],
+        "lower_y_px": ends[1][:, 1], "side": 1, "apart_deg": 0.01, "standardised": 0.3, "used": True,
+    })  # fmt: skip
+    return image_of_line(np.full(512, 250.0)), residuals, pairs
+
+
+def test_the_calibration_shows_what_was_used(sensor: Sensor, observations, tmp_path, look) -> None:
+    image, residuals, pairs = observations
+    residuals.loc[3:5, "used"] = False
+    pairs.loc[1, "used"] = False
+    figure = grid_calibration(sensor, image, residuals, pairs, title="Basin", twin=True)
+    n, m = int(residuals["used"].sum()), int(pairs["used"].sum())
+    assert f"Basin: n = {n} line points and {m} pairs of ends, 4 observations rejected" in look.texts(figure)
+    assert len(look.artists(figure, "beam")) == m
+    assert len(look.artists(figure, "ray")) == 2 * m
+    (rejected,) = look.artists(figure, "rejected")
+    assert len(rejected.get_xdata()) == 3
+    look.drawn(figure, tmp_path)
+    with pytest.raises(CoverageError, match="0 points"):
+        grid_calibration(sensor, image, residuals.assign(used=False), pairs)
+    with pytest.raises(InputError, match="an empty table"):
+        grid_calibration(sensor, image, residuals, pairs[:0])
+
+
+def test_correlations_of_a_sensor_are_those_of_its_covariance(sensor: Sensor, tmp_path, look) -> None:
+    calibration = sensor_calibration(sensor, source=Source(run="x", method="y"))
+    figure = correlation_matrix(calibration, twin=True)
+    (matrix,) = look.artists(figure, "matrix")
+    free = calibration.sigmas > 0
+    np.testing.assert_allclose(matrix.get_array(), calibration.correlation()[np.ix_(free, free)])
+    look.drawn(figure, tmp_path)
+
+
+# ---------------------------------------------------------------- budget
+
+
+def test_each_cause_has_its_panel_with_the_published_figure(tmp_path, look) -> None:
+    full = paper_4()
+    lines, published = budget_on_lines(full, n=15), read_published()
+    told = verdicts(budget_table(lines), published, contradictions(full, published))
+    figure = depth_budget(lines, told, title="P4")
+    most = lines.groupby("cause")["sigma_depth_mm"].max()
+    shown = [ax for ax in figure.axes if ax.axison]
+    assert len(shown) == int((most.drop(TOTAL_CORRELATED) > 0.0).sum())
+    for ax in shown:
+        cause = ax.get_title(loc="left").partition(" (P4")[0]
+        drawn = max(np.max(line.get_ydata()) for line in ax.lines if str(line.get_gid()).startswith(cause))
+        assert drawn == pytest.approx(most[cause])
+    (image,) = [ax for ax in shown if ax.get_title(loc="left") == "image (P4: a)"]
+    (line,) = [artist for artist in image.lines if artist.get_gid() == "published"]
+    assert line.get_ydata()[0] == 0.027  # P4 6.1
+    (omega,) = [ax for ax in shown if ax.get_title(loc="left") == "camera omega (P4: c)"]
+    assert [text.get_text() for text in omega.texts] == ["contradicted"]
+    (total,) = [ax for ax in shown if ax.get_title(loc="left") == f"{TOTAL} (P4: g)"]
+    assert len([artist for artist in total.lines if artist.get_gid() == "published"]) == 2
+    look.drawn(figure, tmp_path)
+
+
+def test_a_sensor_without_a_covariance_has_the_share_of_the_image_only(sensor: Sensor) -> None:
+    bare = replace(sensor, cov=np.zeros((26, 26)))
+    figure = depth_budget(budget_on_lines(bare, n=9))
+    assert [ax.get_title(loc="left") for ax in figure.axes if ax.axison] == ["image (P4: a)", "total (P4: g)"]
+    with pytest.raises(CoverageError, match="no cause"):
+        depth_budget(budget_on_lines(bare, n=9).assign(sigma_depth_mm=0.0))
+
+
+# ---------------------------------------------------------------- panels and models
+
+
+@pytest.fixture
+def on_panels(sensor: Sensor):
+    parts, rows = [], []
+    for k, depth in enumerate((128.9, 83.1)):
+        x, y = line_at(sensor, depth)
+        points = intersect(sensor, np.stack([x, y], axis=1))
+        off = 0.1 * (k + 1)
+        parts.append(pd.DataFrame({
+            "file": f"{k}.png", "x_mm": points.xyz_lcs_mm[:, 0], "y_mm": points.xyz_lcs_mm[:, 1],
+            "depth_mm": points.depth_mm + off, "sigma_depth_mm": 0.07, "expected_depth_mm": depth, "x_px": x,
+            "y_px": y,
+        }))  # fmt: skip
+        rows.append((f"{k}.png", depth, len(x), off, 0.01, 0.07, 0.03, 0.21))
+    names = (
+        "file", "depth_mm", "n", "mean_mm", "std_mm", "predicted_mm", "published_mean_mm", "published_std_mm",
+    )  # fmt: skip
+    return pd.concat(parts, ignore_index=True), pd.DataFrame(rows, columns=names)
+
+
+def test_panels_stand_beside_published_values(sensor: Sensor, on_panels, tmp_path, look) -> None:
+    points, panels = on_panels
+    image = image_of_line(np.full(512, 250.0))
+    figure = panel_distances(sensor, image, points, panels, title="Basin", twin=True)
+    (first,) = look.artists(figure, "distances 0")
+    # points were computed at the reference depth and moved by 0.1 mm; the line in the image was interpolated
+    np.testing.assert_allclose(first.get_ydata(), 0.1, atol=2e-3)
+    words = look.texts(figure)
+    assert f"128.9 mm: +0.100 ± 0.010 mm, n = {panels['n'][0]}" in words
+    (reference,) = look.artists(figure, "reference 0")
+    found = intersect(sensor, np.asarray(reference.get_xydata()))
+    np.testing.assert_allclose(found.depth_mm, 128.9, atol=1e-6)  # the solver's own tolerance
+    look.drawn(figure, tmp_path)
+    assert signed(-4e-4) == "0.000"
+    # an image without a line: its panel stays, empty, and the picture is of the next one
+    bare = panels.assign(n=[0, panels["n"][1]], mean_mm=[np.nan, 0.2], std_mm=[np.nan, 0.01])
+    assert first_with_points(bare)["file"] == "1.png"
+    figure = panel_distances(sensor, image, points[points["file"] == "1.png"], bare)
+    assert "128.9 mm: no points" in look.texts(figure)
+    assert "a: detail at 83.1 mm" in look.texts(figure)
+    look.drawn(figure, tmp_path)
+    with pytest.raises(CoverageError, match="no point on any panel"):
+        first_with_points(panels.assign(n=0))
+    with pytest.raises(InputError, match="columns missing: expected_depth_mm"):
+        panel_distances(sensor, image, points.drop(columns="expected_depth_mm"), panels)
+
+
+def test_models_show_root_mean_square_and_largest_error(tmp_path, look) -> None:
+    rows = [
+        ("plane", 50.0, 0.3, 0.4, -1.2, 0.9, 41, 0),
+        ("elliptical cone", 50.0, 0.0, 0.05, -0.1, 0.1, 41, 2),
+    ]
+    figure = model_errors_view(pd.DataFrame(rows, columns=list(MODEL_COLUMNS)), title="Basin", twin=True)
+    (rms,), (most,) = look.artists(figure, "rms 50"), look.artists(figure, "most 50")
+    np.testing.assert_allclose(rms.get_xdata(), [0.05, 0.5])
+    np.testing.assert_allclose(most.get_xdata(), [0.1, 1.2])
+    assert [tick.get_text().split(",")[0] for tick in figure.axes[0].get_yticklabels()] == [
+        "elliptical cone", "plane",
+    ]  # fmt: skip
+    assert "2 without a depth" in look.texts(figure)
+    look.drawn(figure, tmp_path)

@@ -1,0 +1,146 @@
+"""The page on a light-sheet sensor."""
+
+import pandas as pd
+import pytest
+from PIL import Image
+
+from thalweg.figures.light_sheet_page import flag_counts, inequality, light_sheet_page, parameter_rows
+from thalweg.triangulation.lines.settings import LineFlag
+
+CALIBRATION = {
+    "object": "grid over a plate",
+    "parameters": [
+        {"name": "laser_x_mm", "value": -7.0377, "sigma": 0.0907, "sigma_image": 0.045,
+         "treated": "estimated"},
+        {"name": "fx", "value": 1091.017, "sigma": 0.2, "sigma_image": None,
+         "treated": "held fixed, considered"},
+        {"name": "camera_x_mm", "value": 0.0, "sigma": 0.0, "sigma_image": None, "treated": "held fixed"},
+    ],
+    "correlations": [["laser_kappa_rad", "camera_kappa_rad", 0.9245]],
+    "line_points": {"used": 989, "rejected": 3},
+    "pairs": {"used": 20, "rejected": 1},
+    "dropped": {"ends without a partner": 2},
+    "levels": {"grid 1": {"depth_mm": 60.0, "points": 622, "gaps": 11, "rms_px": 0.044, "bias_px": 0.0}},
+    "sigma_of_depth": [{"depth_mm": 60.0, "most_mm": 0.05, "most_uncorrelated_mm": 0.28}],
+    "warnings": ["the window may be tilted"],
+}  # fmt: skip
+BUDGET = pd.DataFrame(
+    [(d, c, p, s * d / 50) for d in (50.0, 200.0) for c, p, s in
+     (("image", "a", 0.02), ("total", "g", 0.2), ("total with correlations", "g", 0.05))
+     for _ in range(2)],
+    columns=["depth_mm", "cause", "panel", "sigma_depth_mm"],
+)  # fmt: skip
+PUBLISHED = pd.DataFrame(
+    [("a", "image", 0.15, "px", "most", 0.027, 0.023, 200.0, 0.87, "met"),
+     ("c", "camera omega", 0.02, "deg", "most", 0.04, 0.139, 200.0, 3.5, "contradicted")],
+    columns=["panel", "cause", "sigma", "unit", "bound", "published_mm", "computed_mm", "at_depth_mm",
+             "ratio", "verdict"],
+)  # fmt: skip
+INEQUALITIES = pd.DataFrame([
+    {"name": "ground sampling distance", "left": "as published", "left_value": 0.03,
+     "right": "that of a camera on the glass", "right_value": 0.0343, "unit": "mm", "holds": False,
+     "factor": 1.14, "condition": ""},
+])  # fmt: skip
+CHANGES = pd.DataFrame(
+    [(50.0, 0.054, 0.055, 0.31, 0.33, 6.0)],
+    columns=["depth_mm", "correlated_least_mm", "correlated_most_mm", "dropped_least_mm", "dropped_most_mm",
+             "factor"],
+)  # fmt: skip
+MODELS = pd.DataFrame(
+    [("plane", 50.0, 0.3, 0.4, -1.2, 0.9, 41, 0)],
+    columns=["model", "depth_mm", "mean_mm", "std_mm", "low_mm", "high_mm", "n", "lost"],
+)
+PANELS = pd.DataFrame(
+    [("a.png", 128.9, 1024, -0.052, 0.11, 0.03, 0.21, 7)],
+    columns=[
+        "file",
+        "depth_mm",
+        "n",
+        "mean_mm",
+        "std_mm",
+        "published_mean_mm",
+        "published_std_mm",
+        "n_off_sheet",
+    ],
+)
+
+
+def page(**more):
+    return light_sheet_page(CALIBRATION, BUDGET, PUBLISHED, INEQUALITIES, CHANGES, MODELS, **more).html()
+
+
+def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path) -> None:
+    Image.new("L", (8, 8)).save(tmp_path / "depth_budget.png")
+    counts = pd.DataFrame({
+        "file": ["a.png", "b.png"], "points": [500, 0], "candidates": [600, 0], "short_pieces": [8, 0],
+        "reason": ["", "no line"],
+    })  # fmt: skip
+    points = pd.DataFrame({"flags": pd.Series([0, 1, 5], dtype="uint8")})
+    truth = pd.DataFrame(
+        [("laser_x", 0.01, 0.09, "mm", 0.11, 1)],
+        columns=["what", "estimated_minus_true", "sigma", "unit", "normalised", "n"],
+    )
+    camera = {"camera": {"z_mm": {"value": 78.04, "sigma": 0.05}}, "window_flatness_mm": 0.012}
+    text = page(
+        panels=PANELS, truth=truth, camera=camera, counts={"panels": counts}, points={"panels": points},
+        pictures=[tmp_path / "depth_budget.png"], captions={"depth_budget": "Budget by cause"},
+        title="Light-sheet sensor: Basin", twin=True,
+    )  # fmt: skip
+    for words in (
+        "<h1>Light-sheet sensor: Basin</h1>",
+        "989 line points and 20 pairs of ends; 4 observations rejected",
+        "sigma of the depth 0.050 to 0.200 mm between 50 and 200 mm",
+        "means are off by at most 0.052 mm",
+        "digital twin made these recordings",
+        "within 0.012 mm of one plane",
+        "Warning: the window may be tilted.",
+        "+0.924  laser kappa, camera kappa",
+        "1 of 2 published figures are met within a fifth: 1 met, 1 contradicted.",
+        "as published 0.03 mm &gt;= that of a camera on the glass 0.0343 mm? Contradicted, by a factor of",
+        "0.020 to 0.020",
+        "ends without a partner",
+        "images without a line",
+        "line points that do not meet the light sheet",
+        "short pieces",
+        "near jump",
+        "calibrated minus true",
+        "Budget by cause",
+    ):
+        assert words in text, words
+    # what stood before a line was found is no loss
+    assert "candidates" not in text
+
+
+def test_a_page_without_panels_and_pictures() -> None:
+    text = page()
+    assert "Panel in known depths" not in text
+    assert "digital twin" not in text
+    assert "<img" not in text
+    assert "Beside the budget of P4" in text
+
+
+def test_parameters_have_as_many_places_as_their_sigmas_warrant() -> None:
+    rows = parameter_rows(CALIBRATION["parameters"])
+    assert rows.to_numpy().tolist() == [
+        ["laser x", "-7.038", "mm", "0.091", "0.045", "estimated"],
+        ["fx", "1091.02", "px", "0.2", "", "held fixed, considered"],
+        ["camera x", "0", "mm", "fixed", "", "held fixed"],
+    ]
+
+
+@pytest.mark.parametrize(("left", "words"), [(0.05, "Holds"), (0.02, "Contradicted, by a factor of 2.0")])
+def test_inequalities_in_words(left, words) -> None:
+    row = {"name": "x", "left": "a", "right": "b", "left_value": left, "right_value": 0.04, "unit": "mm",
+           "condition": "|phi| below 55 degrees"}  # fmt: skip
+    assert inequality(row) == f"x: a {left} mm >= b 0.04 mm? {words} (for |phi| below 55 degrees)"
+    # an empty field of a CSV file
+    assert inequality(row | {"condition": float("nan")}).endswith(words)
+
+
+def test_points_are_counted_under_each_of_their_flags() -> None:
+    flags = [0, LineFlag.SATURATED, LineFlag.SATURATED | LineFlag.ALBEDO_EDGE]
+    table = flag_counts({"stepped": pd.DataFrame({"flags": pd.Series(flags, dtype="uint8")})})
+    assert table.to_dict("records") == [
+        {"series": "stepped", "points": 3, "saturated": 2, "weak": 0, "near jump": 0, "albedo edge": 1}
+    ]
+    assert not len(flag_counts({}))

@@ -1,0 +1,119 @@
+"""Depths of a panel: the table, the comparison, and what does not belong together."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.errors import InputError
+from thalweg.triangulation.panels import compare_panels, read_panels
+
+NAMES = ("a.png", "b.png", "c.png")
+DEPTHS = (128.9, 100.0, 72.7)
+
+
+def series(
+    errors_mm: list[list[float]], sigma_mm: float = 0.05
+) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    """Points, panels and images; an empty list is an image without points on the sheet."""
+    rows = [
+        {"file": name, "depth_mm": depth + e, "sigma_depth_mm": sigma_mm}
+        for name, depth, image in zip(NAMES, DEPTHS, errors_mm, strict=True)
+        for e in image
+    ]
+    points = pd.DataFrame(rows, columns=["file", "depth_mm", "sigma_depth_mm"])
+    panels = pd.DataFrame({"file": NAMES, "depth_mm": DEPTHS, "sigma_mm": 0.02})
+    images = pd.DataFrame({"file": NAMES, "points": [len(e) for e in errors_mm], "reason": ""})
+    return points, panels, images
+
+
+def test_errors_are_measured_minus_stated() -> None:
+    points, panels, images = series([[0.1, 0.3], [-0.2], [0.0, 0.0, 0.6]])
+    images.loc[2, "points"] = 5
+    found, table = compare_panels(points, panels, images)
+    assert table["file"].tolist() == list(NAMES)
+    np.testing.assert_allclose(table["mean_mm"], [0.2, -0.2, 0.2], atol=1e-9)
+    np.testing.assert_allclose(table["std_mm"], [np.sqrt(0.02), np.nan, np.sqrt(0.12)], atol=1e-9)
+    np.testing.assert_allclose(table["rms_mm"], [np.sqrt(0.05), 0.2, np.sqrt(0.12)], atol=1e-9)
+    np.testing.assert_allclose(table["largest_mm"], [0.3, 0.2, 0.6], atol=1e-9)
+    np.testing.assert_allclose(table["predicted_mm"], 0.05, atol=1e-12)
+    assert table["n"].tolist() == [2, 1, 3]
+    assert table["n_off_sheet"].tolist() == [0, 0, 2]
+    # P3 3.1.2 measured at 128.9 and 72.7, not at 100 mm
+    assert table["published_mean_mm"].tolist()[::2] == [0.03, 0.07]
+    assert np.isnan(table["published_std_mm"][1])
+    np.testing.assert_allclose(found["expected_depth_mm"], np.repeat(DEPTHS, [2, 1, 3]))
+
+
+def test_an_image_that_gives_nothing_keeps_its_row_and_its_reason() -> None:
+    points, panels, images = series([[0.1], [], []])
+    images["points"], images["reason"] = [1, 0, 7], [np.nan, "the image is over-exposed", np.nan]
+    _, table = compare_panels(points, panels, images)
+    assert table["n"].tolist() == [1, 0, 0]
+    assert np.isnan(table["mean_mm"][1])
+    assert table["reason"].tolist() == [
+        "",
+        "the image is over-exposed",
+        "no line point lies on the light sheet",
+    ]
+    assert table["n_off_sheet"].tolist() == [0, 0, 7]
+
+
+def test_names_that_do_not_agree() -> None:
+    points, panels, images = series([[0.1], [0.1], [0.1]])
+    other = panels.assign(file=["a.png", "b.png", "C.PNG"])
+    with pytest.raises(InputError, match=r"1 images without a depth, such as c.png.*column file"):
+        compare_panels(points, other, images)
+    with pytest.raises(InputError, match=r"1 depths without image, such as c.png; .*such as a.png"):
+        compare_panels(points[points["file"] != "c.png"], panels, images[:2])
+
+
+@pytest.mark.parametrize("order", [(1, 0, 2), (2, 0, 1)])
+def test_depths_of_other_images_are_told(order: tuple[int, ...]) -> None:
+    points, panels, images = series([[0.1], [0.1], [0.1]])
+    wrong = panels.assign(depth_mm=np.array(DEPTHS)[list(order)])
+    with pytest.raises(
+        InputError, match=r"fit the images in another order: in a.png the panel is 129.0 mm deep"
+    ):
+        compare_panels(points, wrong, images)
+
+
+def test_depths_that_fit_no_order_are_measured_and_not_explained_away() -> None:
+    """All depths off by centimetres, as with a wrong calibration: the table says so."""
+    points, panels, images = series([[20.0], [21.0], [22.0]])
+    _, table = compare_panels(points, panels, images)
+    np.testing.assert_allclose(table["mean_mm"], [20.0, 21.0, 22.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("file,depth,sigma_mm\na.png,1,1\n", r"columns missing: depth_mm"),
+        ("name,depth_mm,sigma_mm\na.png,1,1\n", r"columns missing: file"),
+        ("file,depth_mm,sigma_mm\n", "no row"),
+        ("", "no table"),
+        ("file,depth_mm,sigma_mm\na.png,deep,0.02\n", "'deep' in column depth_mm, row 1"),
+        ("file,depth_mm,sigma_mm\na.png,128.9,\n", "'' in column sigma_mm, row 1"),
+        ("file,depth_mm,sigma_mm\na.png,128.9,0.02\na.png,72.7,0.02\n", "two depths for a.png"),
+        ("file,depth_mm,sigma_mm\na.png,-128.9,0.02\n", "a depth of -128.9 mm.*row 1 .a.png"),
+        ("file,depth_mm,sigma_mm\na.png,128.9,-1\n", "a sigma of -1 mm"),
+        ("file,depth_mm,sigma_mm\na.png,0.1289,0.00002\n", "no depth exceeds 0.1289 mm.*by 1000"),
+    ],
+)
+def test_tables_that_are_wrong(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "panels.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        read_panels(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.expected
+
+
+def test_a_table_as_people_write_it(tmp_path: Path) -> None:
+    path = tmp_path / "panels.csv"
+    path.write_text("file, object, depth_mm, sigma_mm\n 0012, panel, 128.9, 0.02\n")
+    table = read_panels(path)
+    assert table.to_dict("records") == [{"file": "0012", "depth_mm": 128.9, "sigma_mm": 0.02}]
+    with pytest.raises(InputError, match="not found"):
+        read_panels(tmp_path / "none.csv")

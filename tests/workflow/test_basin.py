@@ -1,0 +1,119 @@
+"""The light-sheet sensor from recordings to a calibrated sensor: the twin's, and as users have it."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from thalweg.core.calibration_file import read_calibration
+from thalweg.triangulation.panels import PUBLISHED
+from thalweg.triangulation.sensor_files import read_sensor
+
+pytestmark = pytest.mark.workflow
+
+NAME = "basin_tiny"
+LOGS = f"results/{NAME}/simulation/logs/light_sheet"
+TRUTH = f"results/{NAME}/accuracy/light_sheet_truth.csv"
+TARGETS = (f"results/{NAME}/triangulation/panels.csv", TRUTH)
+
+
+@pytest.fixture(scope="module")
+def hall(repository: Path, tmp_path_factory: pytest.TempPathFactory, house_builder: Callable):
+    """A copy in which the sensor of the small basin was calibrated; `test_all` does the rest."""
+    house = house_builder(repository, tmp_path_factory.mktemp("hall"))
+    house.snakemake("--config", f"campaign={NAME}", "--", *TARGETS)
+    return house
+
+
+def real_campaign(house, name: str) -> None:
+    """The twin's recordings as files of a real campaign: no twin, no truth."""
+    twin = yaml.safe_load((house.root / f"config/campaigns/{NAME}.yaml").read_text())
+    sheet = {
+        "sensor": [f"../../{LOGS}/sensor.yaml"],
+        "camera_marks": [f"../../{LOGS}/camera_marks.csv"],
+        "mark_points": [f"../../{LOGS}/mark_points.csv"],
+        "grid_images": [f"../../{LOGS}/calibration/images/*.png"],
+        "grid": [f"../../{LOGS}/calibration/grid_1.yaml"],
+        "panel_images": [f"../../{LOGS}/panels/images"],
+        "panels": [f"../../{LOGS}/panels/images.csv"],
+    }
+    (house.root / f"config/campaigns/{name}.yaml").write_text(yaml.safe_dump({
+        "campaign": {**twin["campaign"], "id": name, "title": "A basin"},
+        "logs": {"light_sheet": sheet},
+    }))  # fmt: skip
+
+
+def test_errors_against_the_truth_are_what_the_sigmas_say(hall) -> None:
+    table = pd.read_csv(hall.root / TRUTH).set_index("what")
+    depths = table[table.index.str.startswith("depth")]
+    rest = table.drop(depths.index)
+    assert set(rest.index) >= {"camera_z", "laser_x", "laser_y", "laser_z", "laser_omega", "laser_kappa"}
+    # Gaussian: one of 16 values lies beyond 4 once in 1000 seeds
+    assert rest["normalised"].abs().max() < 4.0, rest
+    # and their squares are some: chi-squared with about 10 degrees of freedom, 99.9 % of the seeds
+    assert 0.15 < (rest["normalised"] ** 2).mean() < 3.0
+    # a class of depth has one common error and more: chi with one degree of freedom, 99.9 % lie below
+    assert len(depths) == 4
+    assert (depths["normalised"] < 3.3).all(), depths
+    assert depths["normalised"].max() > 0.01
+    # P3 and P4: a tenth of a millimetre in mid-range, here with a quarter of the pixels
+    assert depths["sigma"].max() < 0.2
+
+
+def test_panels_are_measured_beside_the_published_ones(hall) -> None:
+    table = pd.read_csv(hall.root / f"results/{NAME}/triangulation/panels.csv")
+    assert sorted(table["depth_mm"].round(1)) == sorted(PUBLISHED)
+    assert table["published_std_mm"].tolist() == [0.21, 0.21, 0.34, 0.15]
+    # Gaussian, four panels with one calibration: beyond 3.5 once in 1000 seeds
+    assert (table["mean_mm"].abs() < 3.5 * np.hypot(table["predicted_mm"], table["sigma_mm"])).all()
+    assert (table["n"] > 400).all()
+
+
+def test_what_was_dropped_is_counted(hall) -> None:
+    base = hall.root / f"results/{NAME}/triangulation"
+    report = json.loads((base / "calibration.json").read_text())
+    counts = pd.read_csv(base / "calibration/line_counts.csv")
+    lines = report["line_points"]
+    dropped = {key: n for key, n in report["dropped"].items() if "ends" not in key}
+    assert lines["used"] + lines["rejected"] + sum(dropped.values()) == counts["points"].sum()
+    assert report["pairs"]["used"] >= 8
+
+
+def test_a_second_call_has_nothing_to_do(hall) -> None:
+    run = hall.snakemake("--dry-run", "--config", f"campaign={NAME}", "--", *TARGETS)
+    assert "Nothing to be done" in run.stdout + run.stderr
+
+
+def test_the_same_recordings_as_a_real_campaign_give_the_same_numbers(hall) -> None:
+    real_campaign(hall, "hall")
+    hall.snakemake("--config", "campaign=hall", "--", "results/hall/triangulation/panels.csv")
+    mine, theirs = (
+        read_calibration(hall.root / f"results/{name}/triangulation/sensor.yaml") for name in (NAME, "hall")
+    )
+    assert mine.source.twin
+    assert not theirs.source.twin
+    np.testing.assert_array_equal(theirs.values, mine.values)
+    np.testing.assert_array_equal(theirs.sigmas, mine.sigmas)
+    panels = [pd.read_csv(hall.root / f"results/{n}/triangulation/panels.csv") for n in (NAME, "hall")]
+    pd.testing.assert_frame_equal(panels[1], panels[0])
+    assert not (hall.root / "results/hall/accuracy").exists()
+    sensor = read_sensor(hall.root / "results/hall/triangulation/sensor.yaml")
+    assert sensor.camera.size_px == (512, 512)
+
+
+@pytest.mark.slow
+def test_all(hall) -> None:
+    """Budget, scans, pictures and the page as well."""
+    hall.snakemake("--config", f"campaign={NAME}")
+    run = hall.snakemake("--dry-run", "--config", f"campaign={NAME}")
+    assert "Nothing to be done" in run.stdout + run.stderr
+    page = (hall.root / f"results/{NAME}/triangulation/index.html").read_text()
+    assert "digital twin" in page
+    assert page.count("data:image/png;base64") >= 8
+    base = hall.root / f"results/{NAME}/triangulation"
+    assert len(pd.read_csv(base / "budget_published.csv")) >= 8
+    assert {"plane", "elliptical cone", "no refraction"} <= set(pd.read_csv(base / "models.csv")["model"])

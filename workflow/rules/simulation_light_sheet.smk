@@ -1,0 +1,84 @@
+"""The underwater light-sheet sensor of the digital twin: images, observations, and their truth apart."""
+
+
+rule simulate_sheet_station:
+    """Design of the sensor, and marks that its camera sees through air (P4 4.3)."""
+    output:
+        sensor="results/{campaign}/simulation/logs/light_sheet/sensor.yaml",
+        marks="results/{campaign}/simulation/logs/light_sheet/camera_marks.csv",
+        points="results/{campaign}/simulation/logs/light_sheet/mark_points.csv",
+        covariance="results/{campaign}/simulation/logs/light_sheet/mark_points.npz",
+    log:
+        "logs/{campaign}/simulation/simulate_sheet_station.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_sheet_station.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("simulate_sheet_station"),
+        campaign=identity("origin", "seed"),
+        twin=twin_parts("light_sheet"),
+    message:
+        "{wildcards.campaign}: design of the light-sheet sensor"
+    script:
+        "../scripts/simulate_sheet_station.py"
+
+
+rule simulate_sheet_grid:
+    """Image of the laser on the grid object (P3 Fig. 4, P4 Fig. 9)."""
+    output:
+        images=directory(
+            "results/{campaign}/simulation/logs/light_sheet/calibration/images"
+        ),
+        grid="results/{campaign}/simulation/logs/light_sheet/calibration/grid_1.yaml",
+        truth=directory("results/{campaign}/simulation/truth/light_sheet/calibration"),
+    log:
+        "logs/{campaign}/simulation/simulate_sheet_grid.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_sheet_grid.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("simulate_sheet_series"),
+        series="calibration",
+        campaign=identity("origin", "seed"),
+        twin=twin_parts("light_sheet"),
+    message:
+        "{wildcards.campaign}: image of the laser on the grid object"
+    script:
+        "../scripts/simulate_sheet_series.py"
+
+
+rule simulate_sheet_panels:
+    """Images of the laser on a plane panel at known depths (P3 3.1.2)."""
+    output:
+        images=directory("results/{campaign}/simulation/logs/light_sheet/panels/images"),
+        panels="results/{campaign}/simulation/logs/light_sheet/panels/images.csv",
+        truth=directory("results/{campaign}/simulation/truth/light_sheet/panels"),
+    log:
+        "logs/{campaign}/simulation/simulate_sheet_panels.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_sheet_panels.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("simulate_sheet_series"),
+        series="panels",
+        campaign=identity("origin", "seed"),
+        twin=twin_parts("light_sheet"),
+    message:
+        "{wildcards.campaign}: images of the laser on a panel"
+    script:
+        "../scripts/simulate_sheet_series.py"

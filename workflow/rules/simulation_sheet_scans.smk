@@ -1,0 +1,64 @@
+"""Scans of the digital twin with the underwater light-sheet sensor, and their truth apart."""
+
+
+rule simulate_sheet_scan:
+    """Scan of an object with panel, standing camera, reference mesh and picked pairs (P4 7.3)."""
+    output:
+        images=directory("results/{campaign}/simulation/logs/light_sheet/{scan}/images"),
+        pulses="results/{campaign}/simulation/logs/light_sheet/{scan}/trigger_pulses.csv",
+        panel="results/{campaign}/simulation/logs/light_sheet/{scan}/six_dof/panel.csv",
+        marks="results/{campaign}/simulation/logs/light_sheet/{scan}/six_dof/marks.csv",
+        camera="results/{campaign}/simulation/logs/light_sheet/{scan}/six_dof/camera.json",
+        reference="results/{campaign}/simulation/logs/light_sheet/{scan}/reference.ply",
+        pairs="results/{campaign}/simulation/logs/light_sheet/{scan}/pairs.csv",
+        truth=directory("results/{campaign}/simulation/truth/light_sheet/{scan}"),
+    log:
+        "logs/{campaign}/simulation/simulate_sheet_scan_{scan}.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_sheet_scan_{scan}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20),
+    params:
+        code=code_version("simulate_sheet_scan"),
+        scanned=lambda wildcards: wildcards.scan,
+        campaign=identity("origin", "seed"),
+        twin=twin_parts("light_sheet"),
+    message:
+        "{wildcards.campaign}: scan of {wildcards.scan}"
+    script:
+        "../scripts/simulate_sheet_scan.py"
+
+
+rule simulate_sheet_strip:
+    """Images of the bed by the light-sheet sensor on the sailing boat (T 3.2)."""
+    output:
+        images=directory("results/{campaign}/simulation/logs/light_sheet/strip/images"),
+        pulses="results/{campaign}/simulation/logs/light_sheet/strip/trigger_pulses.csv",
+        truth=directory("results/{campaign}/simulation/truth/light_sheet/strip"),
+    log:
+        "logs/{campaign}/simulation/simulate_sheet_strip.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_sheet_strip.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20),
+    params:
+        code=code_version("simulate_sheet_strip"),
+        campaign=identity("origin", "seed"),
+        twin=twin_parts("boat", "scene", "effects"),
+        strip=lambda wildcards: CAMPAIGNS[wildcards.campaign].plain()["twin"][
+            "light_sheet_strip"
+        ],
+        mount=light_sheet("mount"),
+        basin=sheet_basin,
+    message:
+        "{wildcards.campaign}: images of the bed by the light-sheet sensor"
+    script:
+        "../scripts/simulate_sheet_strip.py"

@@ -1,0 +1,149 @@
+"""The underwater light-sheet sensor: lines in images, calibration, points on the sheet (P3, P4)."""
+
+
+rule orient_sheet_camera:
+    """The sensor's camera over the window, from marks that it sees through air (P4 4.3)."""
+    input:
+        design=raw("sheet_sensor"),
+        marks=raw("camera_marks"),
+        points=raw("mark_points"),
+    output:
+        sensor="results/{campaign}/triangulation/camera.yaml",
+        report="results/{campaign}/triangulation/camera.json",
+    log:
+        "logs/{campaign}/triangulation/orient_sheet_camera.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/orient_sheet_camera.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("orient_sheet_camera"),
+        campaign=identity("id"),
+        calibration=light_sheet("calibration"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+    message:
+        "{wildcards.campaign}: camera of the light-sheet sensor"
+    script:
+        "../scripts/orient_sheet_camera.py"
+
+
+rule detect_sheet_lines:
+    """The laser line in each image of a series (P4 4.1)."""
+    input:
+        images=sheet_images,
+        sensor=sheet_design,
+    output:
+        line_points="results/{campaign}/triangulation/{series}/line_points.parquet",
+        counts="results/{campaign}/triangulation/{series}/line_counts.csv",
+    log:
+        "logs/{campaign}/triangulation/detect_sheet_lines_{series}.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/detect_sheet_lines_{series}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("detect_sheet_lines"),
+        lines=sheet_lines,
+    message:
+        "{wildcards.campaign}: laser lines of {wildcards.series}"
+    script:
+        "../scripts/detect_sheet_lines.py"
+
+
+rule calibrate_light_sheet:
+    """Where laser, window and water are, from the line on the grid object (P3 2.4, P4 4.3)."""
+    input:
+        camera="results/{campaign}/triangulation/camera.yaml",
+        line_points="results/{campaign}/triangulation/calibration/line_points.parquet",
+        grid=raw("grid"),
+    output:
+        sensor="results/{campaign}/triangulation/sensor.yaml",
+        report="results/{campaign}/triangulation/calibration.json",
+        parameters="results/{campaign}/triangulation/parameters.csv",
+        residuals="results/{campaign}/triangulation/residuals.csv",
+        pairs="results/{campaign}/triangulation/pairs.csv",
+        published="results/{campaign}/triangulation/calibration_published.csv",
+    log:
+        "logs/{campaign}/triangulation/calibrate_light_sheet.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/calibrate_light_sheet.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("calibrate_light_sheet"),
+        campaign=identity("id"),
+        calibration=light_sheet("calibration"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+    message:
+        "{wildcards.campaign}: calibration of the light sheet"
+    script:
+        "../scripts/calibrate_light_sheet.py"
+
+
+rule measure_panels:
+    """Depths of a panel, beside its true ones and the published errors (P3 3.1.2)."""
+    input:
+        sensor="results/{campaign}/triangulation/sensor.yaml",
+        line_points="results/{campaign}/triangulation/panels/line_points.parquet",
+        counts="results/{campaign}/triangulation/panels/line_counts.csv",
+        panels=raw("panels"),
+    output:
+        points="results/{campaign}/triangulation/panels/points.parquet",
+        table="results/{campaign}/triangulation/panels.csv",
+    log:
+        "logs/{campaign}/triangulation/measure_panels.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/measure_panels.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("measure_panels"),
+    message:
+        "{wildcards.campaign}: depths of the panel"
+    script:
+        "../scripts/measure_panels.py"
+
+
+rule light_sheet_budget:
+    """What each parameter costs in depth, beside the published budget (P4 6)."""
+    input:
+        sensor="results/{campaign}/triangulation/sensor.yaml",
+    output:
+        budget="results/{campaign}/triangulation/budget.csv",
+        published="results/{campaign}/triangulation/budget_published.csv",
+        contradictions="results/{campaign}/triangulation/budget_contradictions.csv",
+        correlations="results/{campaign}/triangulation/budget_correlations.csv",
+        models="results/{campaign}/triangulation/models.csv",
+        look_up="results/{campaign}/triangulation/look_up_table.npz",
+    log:
+        "logs/{campaign}/triangulation/light_sheet_budget.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/light_sheet_budget.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("light_sheet_budget"),
+    message:
+        "{wildcards.campaign}: budget of the light-sheet sensor"
+    script:
+        "../scripts/light_sheet_budget.py"

@@ -1,0 +1,236 @@
+"""Scans with the underwater light-sheet sensor: poses, cloud, comparison, orthophoto (P4 7); bed strips (T 3.2)."""
+
+
+rule locate_sheet_sensor:
+    """Where the sensor was at each image of a scan, by a standing camera (P4 4.2.1)."""
+    input:
+        images=of_scan("images"),
+        panel=of_scan("panel"),
+        marks=of_scan("marks"),
+        camera=of_scan("camera"),
+        pulses=of_scan("pulses"),
+    output:
+        poses="results/{campaign}/triangulation/{scan}/poses.npz",
+        table="results/{campaign}/triangulation/{scan}/poses.csv",
+    log:
+        "logs/{campaign}/triangulation/locate_sheet_sensor_{scan}.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/locate_sheet_sensor_{scan}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("locate_sheet_sensor"),
+    message:
+        "{wildcards.campaign}: poses of the sensor over {wildcards.scan}"
+    script:
+        "../scripts/locate_sheet_sensor.py"
+
+
+rule merge_scan:
+    """All profiles of a scan as one cloud, with the covariance of each point (P4 7.3)."""
+    input:
+        sensor="results/{campaign}/triangulation/sensor.yaml",
+        line_points="results/{campaign}/triangulation/{scan}/line_points.parquet",
+        poses="results/{campaign}/triangulation/{scan}/poses.npz",
+    output:
+        points="results/{campaign}/triangulation/{scan}/points.parquet",
+        counts="results/{campaign}/triangulation/{scan}/counts.json",
+    log:
+        "logs/{campaign}/triangulation/merge_scan_{scan}.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/merge_scan_{scan}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("merge_scan"),
+    message:
+        "{wildcards.campaign}: cloud of {wildcards.scan}"
+    script:
+        "../scripts/merge_scan.py"
+
+
+rule compare_scan:
+    """Distances of a scan from a mesh or from known planes (P4 Table 3, Fig. 19 and 20)."""
+    input:
+        sensor="results/{campaign}/triangulation/sensor.yaml",
+        line_points="results/{campaign}/triangulation/{scan}/line_points.parquet",
+        poses="results/{campaign}/triangulation/{scan}/poses.npz",
+        reference=of_scan("reference"),
+        pairs=of_scan("pairs"),
+    output:
+        statistics="results/{campaign}/triangulation/{scan}/statistics.csv",
+        lines="results/{campaign}/triangulation/{scan}/lines.csv",
+        distances="results/{campaign}/triangulation/{scan}/distances.parquet",
+        facts="results/{campaign}/triangulation/{scan}/facts.json",
+    log:
+        "logs/{campaign}/triangulation/compare_scan_{scan}.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/compare_scan_{scan}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(4000),
+        runtime=minutes(20),
+    params:
+        code=code_version("compare_scan"),
+        scanned=lambda wildcards: wildcards.scan,
+        levels_mm=scan_levels,
+    message:
+        "{wildcards.campaign}: scan of {wildcards.scan} against its reference"
+    script:
+        "../scripts/compare_scan.py"
+
+
+rule measure_profile:
+    """The middle profile of a scan by itself (P4 7.2, Table 2)."""
+    input:
+        sensor="results/{campaign}/triangulation/sensor.yaml",
+        line_points="results/{campaign}/triangulation/{scan}/line_points.parquet",
+        distances="results/{campaign}/triangulation/{scan}/distances.parquet",
+    output:
+        table="results/{campaign}/triangulation/{scan}/profile.csv",
+        facts="results/{campaign}/triangulation/{scan}/profile.json",
+    log:
+        "logs/{campaign}/triangulation/measure_profile_{scan}.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/measure_profile_{scan}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("measure_profile"),
+        scanned=lambda wildcards: wildcards.scan,
+        levels_mm=scan_levels,
+    message:
+        "{wildcards.campaign}: middle profile of {wildcards.scan}"
+    script:
+        "../scripts/measure_profile.py"
+
+
+rule rectify_scan:
+    """Orthophoto of a scanned object from the images that hold its lines (P4 4.1)."""
+    input:
+        images=of_scan("images"),
+        sensor="results/{campaign}/triangulation/sensor.yaml",
+        line_points="results/{campaign}/triangulation/{scan}/line_points.parquet",
+        poses="results/{campaign}/triangulation/{scan}/poses.npz",
+        facts="results/{campaign}/triangulation/{scan}/facts.json",
+    output:
+        picture="results/{campaign}/triangulation/{scan}/orthophoto.png",
+        world="results/{campaign}/triangulation/{scan}/orthophoto.pgw",
+        report="results/{campaign}/triangulation/{scan}/orthophoto.json",
+    log:
+        "logs/{campaign}/triangulation/rectify_scan_{scan}.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/rectify_scan_{scan}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("rectify_scan"),
+        lines=light_sheet("lines"),
+        cell_m=0.0005,
+    message:
+        "{wildcards.campaign}: orthophoto of {wildcards.scan}"
+    script:
+        "../scripts/rectify_scan.py"
+
+
+rule predict_joint_survey:
+    """What the light sheet adds to an echo sounder on a small river (T 3.2, Fig. 3.5)."""
+    input:
+        sensor="results/{campaign}/triangulation/sensor.yaml",
+    output:
+        table="results/{campaign}/triangulation/joint_survey.csv",
+        facts="results/{campaign}/triangulation/joint_survey.json",
+        places="results/{campaign}/triangulation/joint_survey.parquet",
+    log:
+        "logs/{campaign}/triangulation/predict_joint_survey.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/predict_joint_survey.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("predict_joint_survey"),
+        window_depth_m=light_sheet("window_depth_m"),
+    message:
+        "{wildcards.campaign}: survey with echo sounder and light sheet"
+    script:
+        "../scripts/predict_joint_survey.py"
+
+
+rule locate_bed_strip:
+    """Points of the bed under the boat in the world, with the covariance of each (T 3.2)."""
+    input:
+        images=raw("strip_images"),
+        pulses=raw("strip_pulses"),
+        line_points="results/{campaign}/triangulation/strip/line_points.parquet",
+        sensor=sheet_on_board,
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        bed="results/{campaign}/triangulation/strip/bed.laz",
+        points="results/{campaign}/triangulation/strip/points.parquet",
+        counts="results/{campaign}/triangulation/strip/counts.json",
+    log:
+        "logs/{campaign}/triangulation/locate_bed_strip.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/locate_bed_strip.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("locate_bed_strip"),
+        campaign=identity("origin"),
+        mount=light_sheet("mount"),
+    message:
+        "{wildcards.campaign}: strip of the bed by the light sheet"
+    script:
+        "../scripts/locate_bed_strip.py"
+
+
+rule compare_bed_with_truth:
+    """Errors of the bed points of the twin's boat against the true bed."""
+    input:
+        points="results/{campaign}/triangulation/strip/points.parquet",
+        truth="results/{campaign}/simulation/truth/light_sheet/strip",
+    output:
+        statistics="results/{campaign}/accuracy/truth_bed_strip.csv",
+        lines="results/{campaign}/accuracy/truth_bed_strip_lines.csv",
+    log:
+        "logs/{campaign}/accuracy/compare_bed_with_truth.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/compare_bed_with_truth.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("compare_bed_with_truth"),
+    message:
+        "{wildcards.campaign}: strip of the bed against the truth"
+    script:
+        "../scripts/compare_bed_with_truth.py"

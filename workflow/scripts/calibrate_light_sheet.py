@@ -1,0 +1,48 @@
+"""Line points on the grid object and the oriented camera -> the calibrated light sheet."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from thalweg.core.calibration import Source
+from thalweg.core.tables import read_table
+from thalweg.jobs.job import run_job
+from thalweg.triangulation.calibrate import report as tables
+from thalweg.triangulation.calibrate.calibrate_sheet import calibrate_sheet
+from thalweg.triangulation.calibrate.grid import read_grid
+from thalweg.triangulation.calibrate.published import PAPER_4, sensor_sigmas, verdicts
+from thalweg.triangulation.calibrate.settings import CalibrationSettings
+from thalweg.triangulation.lines.settings import LineFlag
+from thalweg.triangulation.sensor_files import read_sensor, write_sensor
+from thalweg.triangulation.series import SERIES_POINTS, require_levels, require_one_image
+
+
+def main(
+    *, camera: Path, line_points: Path, grid: Path, sensor: Path, report: Path, parameters: Path,
+    residuals: Path, pairs: Path, published: Path, campaign: dict[str, Any], calibration: dict[str, Any],
+    twin: bool,
+) -> None:  # fmt: skip
+    points = require_one_image(read_table(line_points, SERIES_POINTS)[0], where=line_points)
+    described = read_grid(grid)
+    require_levels(described, calibration["levels"], where=grid)
+    # three levels check each other: held fixed, errors of their depths would pass for errors of the line
+    jointly = (*calibration["jointly"], *(("levels",) if len(described.levels) > 2 else ()))
+    settings = CalibrationSettings(
+        # points at the end of a piece leave its line; they still show where it ends
+        drop_flags=LineFlag.NEAR_JUMP, jointly=tuple(dict.fromkeys(jointly)),
+        reject_sigmas=calibration["reject_sigmas"], largest_misfit_px=calibration["largest_misfit_px"],
+    )  # fmt: skip
+    found = calibrate_sheet(read_sensor(camera), points, described, settings)
+    method = f"grid object in {len(described.levels)} levels (P3 2.4, P4 4.3)"
+    source = Source(run=str(campaign["id"]), method=method, twin=twin)
+    write_sensor(sensor, found.sensor, source=source, title="Light-sheet sensor, calibrated")
+    tables.parameter_table(found).to_csv(parameters, index=False)
+    tables.residual_table(found).to_csv(residuals, index=False, float_format="%.5f")
+    tables.pair_table(found).to_csv(pairs, index=False, float_format="%.5f")
+    sigmas = sensor_sigmas(found.sensor)
+    verdicts(sigmas, PAPER_4).to_csv(published, index=False, float_format="%.5f")
+    report.write_text(json.dumps(tables.calibration_report(found), indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,16 @@
+"""Calibrated light-sheet sensor of the twin -> its errors against the sensor that took the images."""
+
+from pathlib import Path
+
+from thalweg.accuracy.light_sheet_truth import compare_sensor
+from thalweg.jobs.job import run_job
+from thalweg.triangulation.sensor_files import read_sensor
+
+
+def main(*, sensor: Path, truth: Path, table: Path) -> None:
+    compared = compare_sensor(read_sensor(sensor), read_sensor(truth / "sensor.yaml"))
+    compared.to_csv(table, index=False, float_format="%.6g")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

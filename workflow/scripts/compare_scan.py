@@ -1,0 +1,36 @@
+"""Line points, sensor, poses and a reference -> distances of the scan, its bad lines, and P4 Table 3."""
+
+import json
+from pathlib import Path
+
+from thalweg.core.mesh_ply import read_mesh
+from thalweg.core.tables import read_table, write_table
+from thalweg.jobs.job import run_job
+from thalweg.surface.cloud_to_mesh import Surface
+from thalweg.triangulation.scanning import compare
+from thalweg.triangulation.scanning.cloud import merge
+from thalweg.triangulation.scanning.pose_files import read_poses
+from thalweg.triangulation.scanning.profile import profiles
+from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.triangulation.series import SERIES_POINTS
+
+
+def main(
+    *, sensor: Path, line_points: Path, poses: Path, reference: Path, pairs: Path, statistics: Path,
+    lines: Path, distances: Path, facts: Path, scanned: str, levels_mm: list[float] | None,
+) -> None:  # fmt: skip
+    found, _ = profiles(read_sensor(sensor), read_table(line_points, SERIES_POINTS)[0])
+    cloud, picked = merge(found, read_poses(poses)), compare.read_pairs(pairs)
+    surface = Surface(read_mesh(reference)[0])
+    if levels_mm is None:
+        compared = compare.compare_with_mesh(cloud, surface, picked)
+    else:
+        compared = compare.compare_with_levels(cloud, surface, tuple(levels_mm), picked)
+    compare.statistics(compared, scanned).to_csv(statistics, index=False, float_format="%.6g")
+    compared.check.table.to_csv(lines, index=False, float_format="%.6g")
+    write_table(distances, compare.distance_table(compared), compare.SCAN_DISTANCES)
+    facts.write_text(json.dumps(compared.facts, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,48 @@
+"""Everything that was found out about a light-sheet sensor -> one page."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from thalweg.figures.light_sheet_page import light_sheet_page
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *,
+    calibration: Path,
+    camera: list[Path],
+    budget: Path,
+    published: Path,
+    contradictions: Path,
+    correlations: Path,
+    models: Path,
+    panels: list[Path],
+    truth: list[Path],
+    counts: list[Path],
+    line_points: list[Path],
+    pictures: list[Path],
+    captions: list[Path],
+    page: Path,
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    light_sheet_page(
+        json.loads(calibration.read_text(encoding="utf-8")),
+        *(pd.read_csv(path) for path in (budget, published, contradictions, correlations, models)),
+        panels=pd.read_csv(panels[0]) if panels else None,
+        truth=pd.read_csv(truth[0]) if truth else None,
+        camera=json.loads(camera[0].read_text(encoding="utf-8")) if camera else None,
+        counts={path.parent.name: pd.read_csv(path) for path in counts},
+        points={path.parent.name: pd.read_parquet(path) for path in line_points},
+        pictures=pictures,
+        captions={path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions},
+        title=f"Light-sheet sensor: {campaign['title']}",
+        twin=twin,
+    ).write(page)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,21 @@
+"""Scans of wrecks by fifteen lines of the twin -> how many labels are right, and how many are given."""
+
+from pathlib import Path
+
+from thalweg.jobs.job import run_job
+from thalweg.simulation.studies.line_labels import Setting, spacing_table, study
+
+
+def main(*, scenes: Path, spacings: Path, seeds: int) -> None:
+    settings = [
+        Setting(irregular=irregular, kind=kind)
+        for irregular in (0.0, 0.3)
+        for kind in ("wreck", "spars", "steps")
+    ]
+    found = study(settings, range(1, seeds + 1))
+    found.to_csv(scenes, index=False, float_format="%.6g")
+    spacing_table(found).to_csv(spacings, index=False, float_format="%.6g")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

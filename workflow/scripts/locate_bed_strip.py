@@ -1,0 +1,45 @@
+"""Lines on the bed, sensor, pulses and the boat's trajectory -> bed points in the world with covariance."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from thalweg.core.frames import LocalFrame
+from thalweg.core.las import LazWriter
+from thalweg.core.tables import read_table, write_table
+from thalweg.core.trajectory import Trajectory
+from thalweg.ingest.image_stamps import list_images, read_image_stamps
+from thalweg.jobs.job import run_job
+from thalweg.lidar.mount import Mount
+from thalweg.timing.hand_tables import read_number_columns
+from thalweg.triangulation.scanning import world
+from thalweg.triangulation.scanning.profile import joined_counts, profiles
+from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.triangulation.series import SERIES_POINTS
+
+
+def main(
+    *, images: list[Path], pulses: Path, line_points: Path, sensor: Path, trajectory: Path, bed: Path,
+    points: Path, counts: Path, campaign: dict[str, Any], mount: dict[str, Any],
+) -> None:  # fmt: skip
+    found, empty = profiles(read_sensor(sensor), read_table(line_points, SERIES_POINTS)[0])
+    (t_pulse_s,) = read_number_columns(pulses, ("t_gps_s",))
+    names = [path.name for path in list_images(images)]
+    times, facts = world.image_times(read_image_stamps(images).table, t_pulse_s, names)
+    place = Mount.from_section(mount).as_rigid()
+    cloud = world.world_cloud(found, Trajectory.read(trajectory), place, times)
+    with LazWriter(
+        bed,
+        LocalFrame(**campaign["origin"]),
+        scale_m=world.LAZ_SCALE_M,
+        extra_dimensions=world.EXTRA_DIMENSIONS,
+    ) as writer:
+        writer.append(**world.laz_columns(cloud))
+    write_table(points, world.bed_points(cloud), world.BED_POINTS)
+    left = {**empty, **cloud.left_out}
+    report = {"lines": joined_counts(found), "merged": cloud.counts, "images_left_out": left, "times": facts}
+    counts.write_text(json.dumps(report, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,32 @@
+"""Marks of the sensor's panel in pictures of a standing camera -> pose of the sensor at each image."""
+
+from pathlib import Path
+
+from thalweg.ingest.image_stamps import list_images, read_image_stamps
+from thalweg.jobs.job import run_job
+from thalweg.timing.hand_tables import read_number_columns
+from thalweg.triangulation.scanning import panel_poses as panels
+from thalweg.triangulation.scanning.pose_files import pose_table, write_poses
+from thalweg.triangulation.scanning.world import image_times
+
+
+def main(
+    *, images: list[Path], panel: Path, marks: Path, camera: Path, pulses: list[Path], poses: Path,
+    table: Path,
+) -> None:  # fmt: skip
+    names = [path.name for path in list_images(images)]
+    t_gps_s = None
+    if pulses:
+        (t_pulse_s,) = read_number_columns(pulses[0], ("t_gps_s",))
+        times, _ = image_times(read_image_stamps(images).table, t_pulse_s, names)
+        t_gps_s = times["t_gps_s"].to_numpy()
+    found = panels.panel_poses(
+        panels.read_standing_camera(camera), panels.read_panel(panel), panels.read_marks(marks), names,
+        t_gps_s=t_gps_s,
+    )  # fmt: skip
+    write_poses(poses, found)
+    pose_table(found).to_csv(table, index=False, float_format="%.7g")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

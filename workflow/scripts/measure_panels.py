@@ -1,0 +1,23 @@
+"""Line points on a panel and the calibrated sensor -> depths, beside the panel's and the published errors."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from thalweg.core.tables import read_table
+from thalweg.jobs.job import run_job
+from thalweg.triangulation.panels import compare_panels, read_panels
+from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.triangulation.series import SERIES_POINTS, points_on_sheet
+
+
+def main(*, sensor: Path, line_points: Path, counts: Path, panels: Path, points: Path, table: Path) -> None:
+    lines, _ = read_table(line_points, SERIES_POINTS)
+    found, _ = points_on_sheet(read_sensor(sensor), lines)
+    compared, rows = compare_panels(found, read_panels(panels), pd.read_csv(counts))
+    compared.to_parquet(points, index=False)
+    rows.to_csv(table, index=False, float_format="%.4f")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,27 @@
+"""Line points, sensor and distances of a scan -> its middle profile by itself, and P4 Table 2."""
+
+import json
+from pathlib import Path
+
+from thalweg.core.tables import read_table
+from thalweg.jobs.job import run_job
+from thalweg.triangulation.scanning.compare import SCAN_DISTANCES
+from thalweg.triangulation.scanning.single import single_profile
+from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.triangulation.series import SERIES_POINTS
+
+
+def main(
+    *, sensor: Path, line_points: Path, distances: Path, table: Path, facts: Path, scanned: str,
+    levels_mm: list[float] | None,
+) -> None:  # fmt: skip
+    rows, found = single_profile(
+        read_sensor(sensor), read_table(line_points, SERIES_POINTS)[0],
+        read_table(distances, SCAN_DISTANCES)[0], scanned, None if levels_mm is None else tuple(levels_mm),
+    )  # fmt: skip
+    rows.to_csv(table, index=False, float_format="%.6g")
+    facts.write_text(json.dumps(found, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

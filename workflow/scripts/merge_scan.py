@@ -1,0 +1,26 @@
+"""Line points, calibrated sensor and poses -> points of a scan with covariance, and what was left out."""
+
+import json
+from pathlib import Path
+
+from thalweg.core.tables import read_table, write_table
+from thalweg.jobs.job import run_job
+from thalweg.triangulation.scanning.cloud import merge
+from thalweg.triangulation.scanning.pose_files import read_poses
+from thalweg.triangulation.scanning.profile import joined_counts, profiles
+from thalweg.triangulation.scanning.scan_points import SCAN_POINTS, scan_points
+from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.triangulation.series import SERIES_POINTS
+
+
+def main(*, sensor: Path, line_points: Path, poses: Path, points: Path, counts: Path) -> None:
+    found, empty = profiles(read_sensor(sensor), read_table(line_points, SERIES_POINTS)[0])
+    cloud = merge(found, read_poses(poses))
+    write_table(points, scan_points(cloud), SCAN_POINTS, {"frame": cloud.poses.target})
+    facts = {"lines": joined_counts(found), "merged": cloud.counts,
+             "images_left_out": {**empty, **cloud.left_out}}  # fmt: skip
+    counts.write_text(json.dumps(facts, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

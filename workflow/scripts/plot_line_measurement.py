@@ -1,0 +1,22 @@
+"""An image of the laser line on a panel -> figure of what each method of measurement reaches."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.figures.light_sheet_views import first_image
+from thalweg.figures.line_measurement import line_measurement, measured
+from thalweg.figures.style import save
+from thalweg.jobs.job import run_job
+
+
+def main(
+    *, images: list[Path], line_points: Path, line_measurement_png: Path, figures: dict[str, Any], twin: bool,
+    campaign: dict[str, Any],
+) -> None:  # fmt: skip
+    image, _ = first_image(images, line_points)
+    figure = line_measurement(image, measured(image), title=campaign["title"], twin=twin)
+    save(figure, line_measurement_png, dpi=figures["dpi"])
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,25 @@
+"""A light-sheet sensor -> figure of what it can measure."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.figures.measurement_volume import measurement_volume_view
+from thalweg.figures.style import save
+from thalweg.jobs.job import run_job
+from thalweg.triangulation.sensor_files import read_sensor
+
+
+def main(
+    *,
+    sensor: Path,
+    measurement_volume_png: Path,
+    figures: dict[str, Any],
+    twin: bool,
+    campaign: dict[str, Any],
+) -> None:
+    figure = measurement_volume_view(read_sensor(sensor), title=campaign["title"], twin=twin)
+    save(figure, measurement_volume_png, dpi=figures["dpi"])
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

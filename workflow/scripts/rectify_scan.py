@@ -1,0 +1,38 @@
+"""Images of a scan, sensor, poses and alignment -> orthophoto in the frame of the reference."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from thalweg.core.tables import read_table
+from thalweg.ingest.image_stamps import list_images
+from thalweg.jobs.job import run_job
+from thalweg.triangulation.scanning.cloud import merge
+from thalweg.triangulation.scanning.compare import to_reference
+from thalweg.triangulation.scanning.ortho import orthophoto
+from thalweg.triangulation.scanning.ortho_files import write_orthophoto
+from thalweg.triangulation.scanning.pose_files import read_poses
+from thalweg.triangulation.scanning.profile import profiles
+from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.triangulation.series import SERIES_POINTS, read_sheet_image
+
+
+def main(
+    *, images: list[Path], sensor: Path, line_points: Path, poses: Path, facts: Path, picture: Path,
+    world: Path, report: Path, lines: dict[str, Any], cell_m: float,
+) -> None:  # fmt: skip
+    calibrated = read_sensor(sensor)
+    files = {path.name: path for path in list_images(images)}
+    cloud = merge(profiles(calibrated, read_table(line_points, SERIES_POINTS)[0])[0], read_poses(poses))
+    layout = lines["layout"]
+    found = orthophoto(
+        calibrated, cloud.moved(to_reference(json.loads(facts.read_text())), "reference"),
+        lambda name: read_sheet_image(files[name]), cell_m=cell_m,
+        layout="rggb" if layout in ("auto", "rgb") else layout,
+    )  # fmt: skip
+    write_orthophoto(found, picture, world)
+    report.write_text(json.dumps(found.counts, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,18 @@
+"""Campaign file -> scan of an object: images, panel, standing camera, reference, pairs, truth."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.config.twin import TwinConfig
+from thalweg.core.frames import LocalFrame
+from thalweg.jobs.job import run_job
+from thalweg.simulation.light_sheet.scan_series import record_scan
+
+
+def main(*, images: Path, truth: Path, scanned: str, campaign: dict[str, Any], twin: dict[str, Any]) -> None:
+    frame = LocalFrame(**campaign["origin"])
+    record_scan(TwinConfig(**twin), campaign["seed"], scanned, frame, images.parent, truth)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
