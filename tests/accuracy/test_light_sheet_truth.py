@@ -18,7 +18,6 @@ from thalweg.triangulation.intersection import intersect
 from thalweg.triangulation.sensor import FLIP, PARAMETERS, Sensor, paper_3, paper_4
 
 SEEDS = range(200, 210)
-"""None of these is refused: of pictures with 512 pixels some have gaps too narrow for the detector."""
 
 SIGMA = {
     "camera_z_mm": 0.05, "camera_omega_rad": 3e-4, "fx": 0.3, "laser_y_mm": 0.1, "laser_kappa_rad": 2e-4,

@@ -23,12 +23,21 @@ FILES = {
 
 
 def versions(root: Path) -> dict[str, str]:
-    for cached in (codehash._parse, codehash._imports, codehash._tree_hash):
+    for cached in (codehash._facts, codehash._imports, codehash._kept):
         cached.cache_clear()
     return {
         name: codehash.code_version(name, scripts=root / "scripts", package_root=root / "pkg")
         for name in ("direct", "lazy", "picture")
     }
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Facts of these files stay out of the user's cache."""
+    place = tmp_path_factory.mktemp("cache")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(place))
+    codehash._new.clear()
+    return place
 
 
 @pytest.fixture
@@ -71,3 +80,28 @@ def test_every_shipped_script_has_a_version(repository: Path) -> None:
 def test_an_unknown_script_is_named() -> None:
     with pytest.raises(InputError, match=r"no_such_rule\.py: entry script not found"):
         codehash.code_version("no_such_rule")
+
+
+def test_what_was_parsed_once_is_read_from_the_cache(
+    house: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = versions(house)
+    codehash._keep()
+    (kept,) = (own_cache / "thalweg").iterdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(codehash.ast, "parse", lambda *_: pytest.fail("parsed again"))
+        assert versions(house) == first
+    # another file is parsed, the others are not
+    (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
+    assert versions(house)["direct"] != first["direct"]
+    # a damaged cache costs time and nothing else
+    kept.write_text('{"abc": 7}')
+    (house / "pkg/core/a.py").write_text(FILES["pkg/core/a.py"])
+    assert versions(house) == first
+
+
+def test_a_cache_that_cannot_be_written_does_no_harm(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (house / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(house / "file"))
+    assert versions(house)
+    codehash._keep()

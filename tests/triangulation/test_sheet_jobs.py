@@ -91,6 +91,15 @@ def test_the_files_say_where_they_come_from(done: Jobs) -> None:
         assert "twin: true" in text
 
 
+def test_the_camera_stands_over_the_face_that_the_marks_stick_to(done: Jobs, basin: Basin) -> None:
+    """On the outer face: with thicker glass than stated the camera stands higher over it than believed."""
+    cov = read_sensor(done.out / "camera.yaml").cov
+    glass, height = PARAMETERS.index("glass_mm"), PARAMETERS.index("camera_z_mm")
+    stated = read_sensor(basin.folder / "sensor.yaml").cov[glass, glass]
+    assert cov[glass, height] == pytest.approx(-stated, rel=1e-6)
+    assert cov[height, height] > stated
+
+
 def test_what_is_estimated_jointly_comes_from_the_campaign(basin: Basin, jobs: Jobs) -> None:
     settings = LightSheet(calibration=SheetCalibration(jointly=("levels", "water")))
     found = Jobs(jobs.out, settings).calibrate(basin)
@@ -218,6 +227,8 @@ def test_a_description_with_mistakes(basin: Basin, jobs: Jobs) -> None:
     ("change", "words"),
     [
         (lambda image: image[:, ::-1], "mirrored left to right"),
+        # this one fits as well: only the design of the laser tells
+        (lambda image: image[::-1], "mirrored top to bottom"),
         (lambda image: image[::-1, ::-1], "turned by 180 degrees"),
     ],
 )

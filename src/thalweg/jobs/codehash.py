@@ -4,10 +4,19 @@ Snakemake sees edits of an entry script but not of a package that the script imp
 carries ``params: code=code_version("<script>")``. The hash runs over the syntax trees, without docstrings,
 of the modules that the script imports directly or through others; a comment costs no rerun, an edit of a
 module reruns exactly the rules that use it, and no list of rooms has to be kept by hand.
+
+What a file imports and the hash of its tree depend on its bytes alone. Both are kept in the user's cache by
+the hash of these bytes, because parsing some hundred modules takes seconds at each start of Snakemake.
 """
 
 import ast
+import atexit
 import hashlib
+import json
+import os
+import sys
+import tempfile
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -66,25 +75,18 @@ def reached_modules(path: Path, package_root: Path = PACKAGE_ROOT) -> set[Path]:
     return seen
 
 
-@cache
-def _parse(path: Path) -> ast.Module:
-    try:
-        return ast.parse(path.read_text(encoding="utf-8"))
-    except SyntaxError as error:
-        raise InputError(f"not valid Python: {error}", where=path) from error
+@dataclass(frozen=True, slots=True)
+class _Facts:
+    """What of a file counts: the names that it imports, and the hash of its tree without docstrings."""
+
+    names: tuple[str, ...]
+    tree: str
 
 
 @cache
 def _imports(path: Path, package_root: Path) -> frozenset[Path]:
-    names: set[str] = set()
-    for node in ast.walk(_parse(path)):
-        if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            names.add(node.module)
-            names.update(f"{node.module}.{alias.name}" for alias in node.names)
     found: set[Path] = set()
-    for name in names:
+    for name in _facts(path).names:
         first, *rest = name.split(".")
         if first != package_root.name:
             continue
@@ -98,12 +100,77 @@ def _imports(path: Path, package_root: Path) -> frozenset[Path]:
     return frozenset(found)
 
 
-@cache
 def _tree_hash(path: Path) -> bytes:
-    tree = _parse(path)
+    return bytes.fromhex(_facts(path).tree)
+
+
+@cache
+def _facts(path: Path) -> _Facts:
+    data = path.read_bytes()
+    key = hashlib.sha256(data).hexdigest()
+    kept = _kept().get(key)
+    if kept is None:
+        kept = _parsed(path, data)
+        _kept()[key] = kept
+        _new.add(key)
+    return kept
+
+
+def _parsed(path: Path, data: bytes) -> _Facts:
+    try:
+        tree = ast.parse(data)
+    except (SyntaxError, ValueError) as error:
+        raise InputError(f"not valid Python: {error}", where=path) from error
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            names.add(node.module)
+            names.update(f"{node.module}.{alias.name}" for alias in node.names)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             body = node.body
             if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
                 node.body = body[1:]
-    return hashlib.sha256(ast.dump(tree).encode()).digest()
+    return _Facts(tuple(sorted(names)), hashlib.sha256(ast.dump(tree).encode()).hexdigest())
+
+
+# ---------------------------------------------------------------- cache
+
+_MOST_KEPT = 20_000
+"""Entries of 300 bytes; beyond, old versions of files are forgotten."""
+_new: set[str] = set()
+
+
+def _cache_file() -> Path:
+    """Where facts are kept; another Python, or another version of this module, has another file."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    own = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:_DIGITS]
+    return base / "thalweg" / f"code-{sys.version_info.major}.{sys.version_info.minor}-{own}.json"
+
+
+@cache
+def _kept() -> dict[str, _Facts]:
+    """Facts of earlier starts; none if there are none, or the file is damaged."""
+    atexit.register(_keep)
+    try:
+        found = json.loads(_cache_file().read_text(encoding="utf-8"))
+        return {key: _Facts(tuple(names), tree) for key, (names, tree) in found.items()}
+    except (OSError, RuntimeError, ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _keep() -> None:
+    """Write the facts whole or not at all; a cache that cannot be written costs time, nothing else."""
+    if not _new:
+        return
+    facts = _kept() if len(_kept()) <= _MOST_KEPT else {key: _kept()[key] for key in _new}
+    try:
+        target = _cache_file()
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=target.parent, delete=False, encoding="utf-8") as file:
+            json.dump({key: (each.names, each.tree) for key, each in facts.items()}, file)
+        Path(file.name).replace(target)
+    except (OSError, RuntimeError):
+        pass

@@ -13,7 +13,7 @@ from thalweg.triangulation.calibrate.grid import GridObject
 from thalweg.triangulation.calibrate.model import LINE
 from thalweg.triangulation.calibrate.settings import CalibrationSettings
 from thalweg.triangulation.calibrate.sheet_calibration import SheetCalibration, fit_sheet
-from thalweg.triangulation.sensor import Sensor
+from thalweg.triangulation.sensor import LASER, Sensor
 
 WATER: Final = 1.335
 """Fresh water at 520 nm, 20 degrees: 1.336 (IAPWS); near enough to tell water from air."""
@@ -21,6 +21,12 @@ _WET: Final = 1.2
 _BETTER: Final = 0.4
 """A misfit that many times smaller is an explanation."""
 _DOUBT: Final = 3.0
+_FAR_SIGMAS: Final = 4.5
+_NEARER: Final = 0.6
+_AS_WELL: Final = 1.5
+_ROUGH_MM: Final = 4.0
+_ROUGH_RAD: Final = float(np.deg2rad(1.5))
+"""Sigmas of a design that states none: "10 mm and 4 degrees off is near enough"."""
 _DOUBT_PX: Final = 0.5
 """Scatter, in units of the sigmas and in pixels, that makes one look for another explanation."""
 
@@ -58,6 +64,7 @@ def calibrate_sheet(
         raise GeometryError(
             error.found, expected=error.expected, where=error.where, cure=explained
         ) from error
+    _require_not_mirrored(found, sensor, points, grid, chosen)
     if found.sigma0[LINE] < _DOUBT or found.misfit_px < _DOUBT_PX:
         return found
     explained = explanation(sensor, points, grid, chosen, misfit_px=_BETTER * found.misfit_px)
@@ -71,6 +78,47 @@ def calibrate_sheet(
         where=f"sensor {sensor.name!r}, calibration object {grid.name!r}",
         cure=explained,
     )
+
+
+def _require_not_mirrored(
+    found: SheetCalibration, sensor: Sensor, points: pd.DataFrame, grid: GridObject,
+    settings: CalibrationSettings,
+) -> None:  # fmt: skip
+    """Refuse a picture that fits, but mirrored or turned fits as well with a laser that is near its design.
+
+    Sensors are nearly symmetric about the plane of camera and laser, and so is the grid: the mirrored picture
+    has a light sheet of its own, and only the design tells which one is there.
+    """
+    far = design_sigmas(found.sensor, sensor)
+    if far < _FAR_SIGMAS:
+        return
+    for cure, other, moved in _assumptions(sensor, points):
+        if other is not sensor:
+            continue
+        try:
+            fit = fit_sheet(other, moved, grid, settings)
+        except (ThalwegError, np.linalg.LinAlgError):
+            continue
+        near = design_sigmas(fit.sensor, sensor)
+        if near < _NEARER * far and fit.misfit_px < _AS_WELL * found.misfit_px:
+            raise GeometryError(
+                f"the laser lies {far:.0f} sigmas from its design",
+                expected="a laser near its design, as the design's own sigmas say",
+                where=f"sensor {sensor.name!r}, calibration object {grid.name!r}",
+                cure=f"{cure} (then {near:.1f} sigmas, with {fit.misfit_px:.2f} instead of "
+                f"{found.misfit_px:.2f} px root mean square)",
+            )
+
+
+def design_sigmas(found: Sensor, design: Sensor) -> float:
+    """Largest distance of the laser's place and of the sheet's normal from the design, in its sigmas."""
+    sigma = np.sqrt(np.maximum(np.diag(design.cov)[LASER], 0.0))
+    sigma_mm = np.where(sigma[:3] > 0, sigma[:3], _ROUGH_MM)
+    off_mm = np.abs(found.sheet.origin_lcs_mm - design.sheet.origin_lcs_mm)
+    normals = [s.sheet.R_lcs_las[:, 1] for s in (found, design)]
+    turn = float(np.arccos(np.clip(normals[0] @ normals[1], -1.0, 1.0)))
+    sigma_rad = float(sigma[3:].max()) or _ROUGH_RAD
+    return float(max((off_mm / sigma_mm).max(), turn / sigma_rad))
 
 
 def explanation(

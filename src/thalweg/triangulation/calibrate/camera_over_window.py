@@ -21,7 +21,7 @@ from thalweg.core.errors import GeometryError
 from thalweg.core.frames import rotation_z
 from thalweg.core.rigid import Rigid, opk_of
 from thalweg.core.types import ArrayF, ArrayI
-from thalweg.triangulation.sensor import CAMERA, FLIP, LENS, Sensor
+from thalweg.triangulation.sensor import CAMERA, FLIP, LENS, PARAMETERS, WINDOW, Sensor
 
 LEAST_MARKS: Final = 6
 _LEAST_WIDTH: Final = 0.2
@@ -30,6 +30,7 @@ _MOST_SIGMAS: Final = 4.0
 _FAR_RAD: Final = float(np.deg2rad(15.0))
 _STEP_M: Final = 1e-6
 _POSE_STEPS: Final = (_STEP_M, _STEP_M, _STEP_M, 1e-6, 1e-6, 1e-6)
+GLASS: Final = PARAMETERS.index("glass_mm")
 MM: Final = 1000.0
 
 
@@ -42,6 +43,7 @@ class CameraOverWindow:
     origin_lcs_mm, angles_rad : (3,) of `Sensor`, the angles being those of the papers.
     cov : (6, 6) of both; X and Y without error.
     cov_with_lens : (6, k) covariance with the camera's interior orientation.
+    by_glass : (6,) derivative by the thickness of the window: marks on its outer face say where that face is.
     R_lcs_pcs, shift_lcs_mm : from the frame of the marks (metres) to lcs: ``x_lcs_mm = R (1000 x_pcs) +
         shift``.
     flatness_mm : root mean square distance of the window's marks from their plane.
@@ -52,6 +54,7 @@ class CameraOverWindow:
     angles_rad: ArrayF
     cov: ArrayF
     cov_with_lens: ArrayF
+    by_glass: ArrayF
     R_lcs_pcs: ArrayF
     shift_lcs_mm: ArrayF
     flatness_mm: float
@@ -78,6 +81,8 @@ class CameraOverWindow:
         cov[CAMERA], cov[:, CAMERA] = 0.0, 0.0
         cov[CAMERA, CAMERA] = self.cov
         cov[CAMERA, LENS], cov[LENS, CAMERA] = self.cov_with_lens, self.cov_with_lens.T
+        with_window = np.outer(self.by_glass, sensor.cov[GLASS, WINDOW])
+        cov[CAMERA, WINDOW], cov[WINDOW, CAMERA] = with_window, with_window.T
         cov[LENS, LENS] = sensor.camera.cov
         return sensor.with_vector(x, cov=cov)
 
@@ -148,6 +153,9 @@ def camera_over_window(
         + by_points @ points.cov @ by_points.T
         + by_lens @ Q @ by_lens.T
     )
+    # the marks give the height over the face that they stick to
+    by_glass = np.array([0.0, 0.0, 0.0 if face == "inner" else -1.0, 0.0, 0.0, 0.0])
+    cov = cov + nominal.cov[GLASS, GLASS] * np.outer(by_glass, by_glass)
     # place along the window is a definition; rounding of the differences leaves 1e-20 there
     cov[:2], cov[:, :2] = 0.0, 0.0
     with_lens = by_lens @ Q
@@ -157,6 +165,7 @@ def camera_over_window(
         angles_rad=value[3:],
         cov=(cov + cov.T) / 2,
         cov_with_lens=with_lens,
+        by_glass=by_glass,
         R_lcs_pcs=R,
         shift_lcs_mm=t,
         flatness_mm=flatness,
