@@ -29,7 +29,9 @@ def test_a_key_beside_the_size_changes_only_itself() -> None:
 def test_sizes_last_as_long_as_they_say_and_tiny_crosses_an_hour() -> None:
     lengths = {size: TwinConfig.of_size(size).duration_s for size in SIZES}
     river = {"tiny": 25.0, "demo": 180.0, "mulde": 1025.0, "reach": 4150.0}
-    assert lengths == river | {"field": 150.0, "field_tiny": 40.0}
+    # a basin has no voyage; its start alone counts
+    basin = {"basin": 180.0, "basin_tiny": 180.0}
+    assert lengths == river | {"field": 150.0, "field_tiny": 40.0} | basin
     for size, crosses in (("tiny", 1), ("demo", 0), ("mulde", 0)):
         config = TwinConfig.of_size(size)
         whole, micros = start_unix(config)
@@ -55,7 +57,7 @@ def test_defaults_are_the_published_inputs() -> None:
 @pytest.mark.parametrize(
     ("data", "place", "fragment"),
     [
-        ({"size": "huge"}, ("size",), "'reach', 'field' or 'field_tiny'"),
+        ({"size": "huge"}, ("size",), "'field_tiny', 'basin' or 'basin_tiny'"),
         ({"start_utc": "2021-05-12T08:00:00"}, ("start_utc",), "not a UTC time"),
         ({"start_utc": "2021-05-12T08:00:00+02:00"}, ("start_utc",), "not a UTC time"),
         ({"start_utc": "yesterday"}, ("start_utc",), "not a UTC time"),

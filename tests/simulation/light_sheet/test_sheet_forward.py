@@ -49,7 +49,7 @@ def test_the_way_of_the_light_is_the_shortest_in_time() -> None:
     seen = see(sensor, point[None])
     outer = point + seen.up[0] * seen.water_mm[0]
     # the minimum is flat: 1e-9 of 300 mm in the way are some 1e-4 mm in the place
-    assert outer[:2] == pytest.approx(found.x[2:], abs=2e-4)
+    assert outer[:2] == pytest.approx(found.x[2:], abs=5e-4)
 
 
 @pytest.mark.parametrize("sensor", [paper_3(), paper_4(), tilted(paper_4())], ids=["P3", "P4", "tilted"])
