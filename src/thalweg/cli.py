@@ -183,6 +183,9 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
             if kind in ALSO_MARKS:
                 streams.setdefault("image_marks", []).append(path)
     for (stream, parent), n in pictures.items():
+        if any((stream, above) in pictures for above in parent.parents):
+            print(f"{stream:10s} {parent} ({n} photographs, below a folder that is named)")
+            continue
         print(f"{stream:10s} {parent} (folder with {n} photographs)")
         streams.setdefault(stream, []).append(parent)
     if not streams:

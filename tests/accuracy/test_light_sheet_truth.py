@@ -136,6 +136,36 @@ def test_errors_and_sigmas_have_their_units() -> None:
     assert "camera_x" not in table.index
 
 
+def test_the_interior_orientation_is_judged_with_its_correlations() -> None:
+    """Principal distance and a distortion, nearly wholly correlated, both off along the correlation."""
+    truth = paper_4()
+    sigma, rho = np.array([0.5, 1e-3]), -0.9
+    fx, k1 = PARAMETERS.index("fx"), PARAMETERS.index("k1")
+    cov = np.zeros((26, 26))
+    cov[np.ix_([fx, k1], [fx, k1])] = np.outer(sigma, sigma) * np.array([[1.0, rho], [rho, 1.0]])
+    found = changed(truth, fx=2 * sigma[0], k1=-2 * sigma[1])
+    table = compare_sensor(found.with_vector(found.vector(), cov=cov), truth).set_index("what")
+    joint = table.loc["interior orientation jointly"]
+    # (2, -2) with that correlation: 8 / (1 + 0.9) in squares, of two degrees of freedom
+    assert joint["estimated_minus_true"] == pytest.approx(np.sqrt(8 / 1.9))
+    assert (joint["n"], joint["unit"]) == (2, "1")
+    assert joint["normalised"] == pytest.approx(np.sqrt(8 / 1.9 / 2))
+    # the principal point alone moves the image of every ray as much, in one of two coordinates
+    cov = np.zeros((26, 26))
+    cov[PARAMETERS.index("cx"), PARAMETERS.index("cx")] = 0.1**2
+    moved_image = changed(truth, cx=0.3)
+    table = compare_sensor(moved_image.with_vector(moved_image.vector(), cov=cov), truth).set_index("what")
+    ray = table.loc["image of a ray"]
+    assert ray["estimated_minus_true"] == pytest.approx(0.3 / np.sqrt(2))
+    assert ray["sigma"] == pytest.approx(0.1 / np.sqrt(2))
+    assert (ray["n"], ray["unit"]) == (128 * 128, "px")
+    # without a sigma of the lens there is nothing to compare
+    cov = np.zeros((26, 26))
+    cov[PARAMETERS.index("n_water"), PARAMETERS.index("n_water")] = 1e-8
+    wet = set(compare_sensor(truth.with_vector(truth.vector(), cov=cov), truth)["what"])
+    assert not {"image of a ray", "interior orientation jointly"} & wet
+
+
 def test_depths_are_beside_what_their_covariance_predicts() -> None:
     """Only the water is uncertain, and off by two sigmas: so is every depth."""
     cov = np.zeros((26, 26))
@@ -159,12 +189,14 @@ def test_depths_are_beside_what_their_covariance_predicts() -> None:
 
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Sensor, Sensor]]:
-    """Found and true sensors of many seeds: marks in air, rendered grid, lines, calibration."""
+    """Found and true sensors of many seeds: marker field, marks in air, rendered grid, lines, calibration."""
     pairs = []
     for seed in SEEDS:
         folder: Path = tmp_path_factory.mktemp(f"seed{seed}")
-        basin, jobs = recorded(folder / "logs", seed), Jobs(folder / "out")
-        jobs.orient(basin)
+        basin = recorded(folder / "logs", seed, changes={"lens_pictures": 12})
+        jobs = Jobs(folder / "out")
+        jobs.calibrate_camera(basin)
+        jobs.orient(basin, interior=[jobs.out / "camera_interior.yaml"])
         jobs.detect(basin, "calibration")
         pairs.append((jobs.calibrate(basin), basin.truth))
     return pairs
@@ -182,6 +214,8 @@ def test_errors_over_seeds_are_what_the_sigmas_say(calibrated: list[tuple[Sensor
         "laser_omega",
         "laser_kappa",
         "glass",
+        "interior orientation jointly",
+        "image of a ray",
     }
     # twenty rows at 99.99 % each; a row holds at least one degree of freedom a seed
     low, high = chi2.ppf([0.00005, 0.99995], n) / n
@@ -199,7 +233,8 @@ def test_joint_errors_over_seeds_are_what_the_covariance_says(
     squares = []
     for found, truth in calibrated:
         rows = compare_sensor(found, truth)
-        rows = rows[~rows["what"].str.startswith("depth")]
+        # rows of one parameter each
+        rows = rows[rows["n"] == 1]
         names = [f"{what}{_ending(unit)}" for what, unit in zip(rows["what"], rows["unit"], strict=True)]
         at = [PARAMETERS.index(name) for name in names]
         sigma = np.sqrt(np.diag(found.cov)[at])

@@ -122,7 +122,7 @@ def test_stamps_of_a_folder_and_of_a_list_of_files(
         stamps, integrity = recordings / f"{name}.parquet", recordings / f"{name}.json"
         script("read_image_stamps")(
             images=images, times=[], stamps=stamps, integrity=integrity, source="auto", pattern=None,
-            utc_offset=None,
+            utc_offset=None, folders=False,
         )  # fmt: skip
         tables.append(read_table(stamps, IMAGE_STAMPS)[0])
         assert json.loads(integrity.read_text())["counts"]["images"] == 3

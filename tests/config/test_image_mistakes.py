@@ -47,7 +47,7 @@ def test_a_mistake_names_its_place_and_a_cure(
     assert mistake.cure
 
 
-def write_campaign(folder: Path, **time_lapse: list[str]) -> Path:
+def write_campaign(folder: Path, **time_lapse: Any) -> Path:
     (folder / "photos").mkdir(exist_ok=True)
     for name in ("a.pcap", "b.anpp", "c.pos", "photos/1.JPG", "photos/notes.txt", "gcp_list.txt"):
         (folder / name).write_text("x")
@@ -74,8 +74,57 @@ def test_folders_of_photographs_and_masks(tmp_path: Path) -> None:
 def test_a_folder_without_photographs(tmp_path: Path) -> None:
     path = write_campaign(tmp_path, images=["photos"], control_points=["gcp_list.txt"])
     (tmp_path / "photos" / "1.JPG").unlink()
-    with pytest.raises(ConfigError, match=r"photos: there is no photograph in this folder.*below it are not"):
+    with pytest.raises(ConfigError, match=r"photos: there is no photograph in this folder.*or one above it"):
         load_campaigns([str(path)], tmp_path)
+    (tmp_path / "photos" / "left").mkdir()
+    (tmp_path / "photos" / "left" / "1.JPG").write_text("x")
+    assert load_campaigns([str(path)], tmp_path)["good"].log_files("time_lapse") == [tmp_path / "photos"]
+
+
+def test_what_lies_below_a_folder_of_photographs(tmp_path: Path) -> None:
+    """Masks may; photographs of another key, or a folder named twice, would be read as well."""
+    for name in ("masks", "left"):
+        (tmp_path / "photos" / name).mkdir(parents=True)
+        (tmp_path / "photos" / name / "1.JPG.png").write_text("x")
+    points = {"control_points": ["gcp_list.txt"]}
+    path = write_campaign(tmp_path, images=["photos"], masks=["photos/masks"], **points)
+    load_campaigns([str(path)], tmp_path)
+    for images, masks in ((["photos", "photos/left"], []), (["photos"], ["photos/left"])):
+        path = write_campaign(tmp_path, images=images, masks=masks, **points)
+        with pytest.raises(ConfigError, match=r"left lies below photos of logs\.time_lapse\.images\[0\]"):
+            load_campaigns([str(path)], tmp_path)
+
+
+def test_interior_orientations_of_folders(tmp_path: Path) -> None:
+    (tmp_path / "left.yaml").write_text("x")
+    given = {"images": ["photos"], "control_points": ["gcp_list.txt"]}
+    interiors = {"left": ["left.yaml"], "right/low": ["left.yaml"]}
+    campaign = load_campaigns([str(write_campaign(tmp_path, interiors=interiors, **given))], tmp_path)["good"]
+    assert campaign.logs is not None
+    assert list(campaign.logs.time_lapse.interiors) == ["left", "right/low"]
+    assert campaign.log_files("interior.left") == [tmp_path / "left.yaml"]
+    assert campaign.plain()["logs"]["time_lapse"]["interiors"]["left"] == [str(tmp_path / "left.yaml")]
+    for wrong, words in (
+        ({"left": ["absent.yaml"]}, r"interiors\.left\[0\].*absent.yaml: no such file"),
+        ({"left": ["left.yaml", "b.anpp"]}, r"interiors\.left: 2 files"),
+        ({"left/": ["left.yaml"]}, "left/"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            load_campaigns([str(write_campaign(tmp_path, interiors=wrong, **given))], tmp_path)
+
+
+@pytest.mark.parametrize(("source", "wrong"), [("ins", True), ("sbet", True), ("pos", False), ("ppk", False)])
+def test_positions_that_an_ins_has_filtered_are_none_of_the_antenna(source: str, wrong: bool) -> None:
+    antenna = {"adjustment": {"antenna": {"use": True}}}
+    found = list(check_images(WHOLE, PLACED, antenna, None, {"position_source": source}))
+    assert [m.dotted for m in found] == ["images.adjustment.antenna.use"] * wrong
+    assert all("count twice" in m.cure for m in found)
+    (without,) = check_images({"images": ["photos"]}, PLACED, None, None, {"position_source": source})
+    assert ("cannot take their place" in without.cure) == wrong
+    # without the antenna, or with finished orientations, nothing is counted twice
+    assert not list(check_images(WHOLE, PLACED, None, None, {"position_source": source}))
+    finished = {**WHOLE, "orientations": ["cameras.xml"]}
+    assert not list(check_images(finished, PLACED, antenna, None, {"position_source": source}))
 
 
 def test_one_file_may_hold_points_and_marks(tmp_path: Path) -> None:

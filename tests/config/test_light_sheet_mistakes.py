@@ -80,6 +80,40 @@ def test_panels_without_their_other_half(tmp_path: Path, key: str, other: str) -
     assert f"beside logs.light_sheet.{other}" in text
 
 
+def marker_field(folder: Path, *keys: str) -> dict[str, list[str]]:
+    """Those keys of a marker field, with dummy files."""
+    (folder / "field").mkdir()
+    for name in ("camera_field.yaml", "camera_field_marks.csv", "field/1.png", "field/2.png"):
+        (folder / name).write_text("x")
+    files = {
+        "camera_field": ["camera_field.yaml"], "camera_field_images": ["field"],
+        "camera_field_marks": ["camera_field_marks.csv"],
+    }  # fmt: skip
+    return {key: files[key] for key in keys}
+
+
+@pytest.mark.parametrize("seen", ["camera_field_images", "camera_field_marks"])
+def test_a_marker_field_has_a_description_and_what_was_seen(tmp_path: Path, seen: str) -> None:
+    found = load_campaign(campaign(tmp_path, **marker_field(tmp_path, "camera_field", seen)))
+    assert found.log_files("camera_field") == [tmp_path / "camera_field.yaml"]
+    assert len(found.log_files(seen)) == 1
+
+
+def test_a_marker_field_without_a_part_and_with_too_many(tmp_path: Path) -> None:
+    files = marker_field(tmp_path, "camera_field", "camera_field_images", "camera_field_marks")
+    assert "camera_field_marks: marks beside the pictures" in told(campaign(tmp_path, **files))
+    for seen in ("camera_field_images", "camera_field_marks"):
+        text = told(campaign(tmp_path, **{seen: files[seen]}))
+        assert "logs.light_sheet.camera_field: missing" in text
+        assert f"beside logs.light_sheet.{seen}" in text
+    text = told(campaign(tmp_path, camera_field=files["camera_field"]))
+    assert "camera_field_images: missing" in text
+    assert "or camera_field_marks" in text
+    (tmp_path / "other.csv").write_text("x")
+    two = {**files, "camera_field_images": [], "camera_field_marks": ["camera_field_marks.csv", "other.csv"]}
+    assert "camera_field_marks: 2 files; expected one file" in told(campaign(tmp_path, **two))
+
+
 def test_files_that_are_not_there(tmp_path: Path) -> None:
     text = told(campaign(tmp_path, sensor=["sensr.yaml"], grid_images=["grid/*.tif"], panel_images=["panel"]))
     assert "sensr.yaml: no such file" in text
@@ -190,7 +224,7 @@ def test_every_key_is_described(repository: Path) -> None:
         assert described, name
         assert all(field.get("description") for field in described.values()), name
     guide = (repository / "docs/light_sheet.md").read_text()
-    assert all(f"{key}: [" in guide for key in FILES)
+    assert all(f"{key}: [" in guide for key in (*FILES, "camera_field", "camera_field_images"))
     assert set(FILES) <= set(LightSheetLogs.model_fields)
     readme = (repository / "config/README.md").read_text()
     assert all(f"`light_sheet.{key}`" in readme for key in FILES)

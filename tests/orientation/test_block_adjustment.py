@@ -32,7 +32,9 @@ def start_of(problem: Problem) -> tuple[Layout, State]:
     return layout, start_state(problem, layout)
 
 
-def with_antenna(problem: Problem, truth, rng, *, shift: bool = True, lever: float = 0.02) -> Problem:
+def with_antenna(
+    problem: Problem, truth, rng, *, shift: bool = True, lever: float = 0.02, clock_s: float = 0.0
+) -> Problem:
     """RTK positions of an antenna that sits 1.2 m above the camera and errs by 10 mm, slowly."""
     n = len(truth.C)
     arm = np.array([0.1, -1.2, -0.3])
@@ -43,6 +45,8 @@ def with_antenna(problem: Problem, truth, rng, *, shift: bool = True, lever: flo
     antenna = Antenna(
         image=np.arange(n), t_s=t, position_wcs_m=place, sigma_m=np.full((n, 3), 0.01),
         lever_ccs_m=arm, sigma_lever_m=np.full(3, lever), correlation_time_s=10.0, shift=shift,
+        velocity_wcs_m_s=np.gradient(truth.C, axis=0), sigma_jitter_s=np.full(n, 0.01),
+        sigma_clock_s=clock_s,
     )  # fmt: skip
     return replace(problem, antenna=antenna)
 
@@ -76,22 +80,32 @@ def test_derivatives_are_those_of_finite_differences(rng: np.random.Generator, m
         np.testing.assert_allclose(numeric, here.by_point[:, :, axis], rtol=1e-5, atol=2e-4)
 
 
-def dense(problem: Problem, layout: Layout, x: State, model: Correlation) -> tuple[np.ndarray, np.ndarray]:
+def dense(
+    problem: Problem, layout: Layout, x: State, model: Correlation, along: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrix and right side with all points as unknowns, by single matrix products."""
     b, u, p = problem.block, len(layout.names), len(problem.block.points_block_m)
     sigma = b.sigma_px
     view = views(x.X[b.mark_point], x.C[b.mark_image])
     d = np.linalg.norm(view[:, None] - view[None], axis=2)
-    rho = model.slow**2 * np.exp(-d / model.reach_rad) + model.white**2 * np.eye(len(sigma))
+    alike = np.exp(-((d / model.reach_rad) ** model.power))
     same = b.mark_point[:, None] == b.mark_point[None]
-    W = np.linalg.inv(np.where(same, rho, 0.0) * np.outer(sigma, sigma))
+    W = [
+        np.linalg.inv(
+            np.where(same, (s * model.slow) ** 2 * alike + (w * model.white) ** 2 * np.eye(len(sigma)), 0.0)
+            * np.outer(sigma, sigma)
+        )
+        for w, s in ((1.0, 1.0), (model.white_across, model.slow_across))
+    ]
     part = linearised(problem, layout, x, b.mark_image, x.X[b.mark_point], b.mark_px)
     J = np.zeros((len(sigma), 2, u + 3 * p))
     for k in range(len(sigma)):
         J[k, :, 6 * b.mark_image[k] : 6 * b.mark_image[k] + 6] = part.by_pose[k]
         J[k, :, layout.n_poses : layout.n_poses + layout.n_interior] = part.by_rest[k]
         J[k, :, u + 3 * b.mark_point[k] : u + 3 * b.mark_point[k] + 3] = part.by_point[k]
-    N, g = (sum(J[:, a].T @ W @ v[:, a] for a in (0, 1)) for v in (J, part.residual[:, :, None]))
+    turn = np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
+    J, r = turn @ J, turn @ part.residual[:, :, None]
+    N, g = (sum(J[:, a].T @ W[a] @ v[:, a] for a in (0, 1)) for v in (J, r))
     # what does not touch tie points is taken from the code under test and checked by itself below
     empty = tracks_of(problem, np.zeros(len(sigma), np.bool_), sigma, view)
     rest = reduced_system(problem, layout, x, empty, model, problem.marks.sigma_px, 0.0)
@@ -100,16 +114,24 @@ def dense(problem: Problem, layout: Layout, x: State, model: Correlation) -> tup
     return N, g[:, 0]
 
 
-@pytest.mark.parametrize("model", [Correlation(), Correlation(white=0.5, slow=1.2, reach_rad=0.2)])
+@pytest.mark.parametrize("model", [
+    Correlation(),
+    Correlation(white=0.5, slow=1.2, reach_rad=0.2),
+    Correlation(white=0.5, slow=1.2, reach_rad=0.2, power=1.5, white_across=0.6, slow_across=1.4),
+])  # fmt: skip
 def test_eliminating_points_changes_nothing(rng: np.random.Generator, model: Correlation) -> None:
     problem, truth = scene(rng, images=8, points=60)
     problem = with_antenna(problem, truth, rng)
     layout, x = start_of(problem)
     b, u = problem.block, len(layout.names)
     view = views(x.X[b.mark_point], x.C[b.mark_image])
-    tracks = tracks_of(problem, np.ones(len(b.mark_image), np.bool_), b.sigma_px, view)
+    angle = rng.uniform(0, np.pi, len(b.mark_image))
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    tracks = tracks_of(problem, np.ones(len(b.mark_image), np.bool_), b.sigma_px, view, along)
     found = reduced_system(problem, layout, x, tracks, model, problem.marks.sigma_px, 0.0)
-    N, g = dense(problem, layout, x, model)
+    # the scene's marks are sorted by point, as those of tracks are
+    np.testing.assert_array_equal(tracks.mark, np.arange(len(b.mark_image)))
+    N, g = dense(problem, layout, x, model, along)
     V = N[u:, u:]
     S = N[:u, :u] - N[:u, u:] @ np.linalg.solve(V, N[u:, :u])
     right = g[:u] - N[:u, u:] @ np.linalg.solve(V, g[u:])
@@ -120,10 +142,12 @@ def test_eliminating_points_changes_nothing(rng: np.random.Generator, model: Cor
 
 
 def test_antenna_derivatives(rng: np.random.Generator) -> None:
-    """The gradient of the square sum by finite differences; it holds shift, lever arm and control points."""
+    """The gradient of the square sum by finite differences; shift, lever arm, clock, control points."""
     problem, truth = scene(rng, images=8, points=60)
-    problem = with_antenna(problem, truth, rng)
+    problem = with_antenna(problem, truth, rng, clock_s=0.1)
     layout, x = start_of(problem)
+    x = replace(x, extras=rng.normal(0, 0.05, len(x.extras)))
+    assert layout.names[layout.control - 1] == "antenna clock"
     none = tracks_of(
         problem, np.zeros(len(problem.block.mark_image), np.bool_), problem.block.sigma_px,
         np.zeros((len(problem.block.mark_image), 4)),
@@ -285,7 +309,7 @@ def test_square_pixels_share_a_focal_length(rng: np.random.Generator) -> None:
 def test_covariance_of_points_is_that_of_the_dense_system(rng: np.random.Generator) -> None:
     problem, _ = scene(rng, images=8, points=60)
     found = adjust_block(problem, PLAIN)
-    N, _ = dense(found.problem, found.layout, found.x, found.correlation)
+    N, _ = dense(found.problem, found.layout, found.x, found.correlation, found.tracks.along)
     u = len(found.layout.names)
     cov = np.linalg.inv(N)
     np.testing.assert_allclose(found.cov, cov[:u, :u], rtol=1e-4, atol=1e-12)

@@ -226,8 +226,18 @@ def test_positions_at_the_exposures(survey) -> None:
     }
     expected = (truth.C + truth.R @ lever)[antenna.image]
     assert np.sqrt(np.square(antenna.position_wcs_m - expected).mean()) < 0.02
+    np.testing.assert_allclose(antenna.sigma_m, 0.01)
+    assert antenna.velocity_wcs_m_s is not None
+    # two positions a second apart err by 14 mm, eight of these; the track bends in the hole
+    arm = truth.C + truth.R @ lever
+    slope = np.gradient(arm, axis=0)[antenna.image]
+    np.testing.assert_allclose(antenna.velocity_wcs_m_s[1:-1], slope[1:-1], atol=0.15)
+    np.testing.assert_allclose(antenna.sigma_jitter_s, 0.02)
+    assert not antenna.late
     # 1.2 m/s and 20 ms: 2.4 cm along the track on top of 1 cm
-    assert antenna.sigma_m.max() > 0.02
+    own = np.linalg.inv(antenna.inverse_covariance.reshape(3 * (N - 4), -1)).reshape(N - 4, 3, N - 4, 3)
+    assert np.sqrt(np.linalg.eigvalsh(own[6, :, 6])[-1]) == pytest.approx(0.024, abs=0.006)
+    assert np.sqrt(np.linalg.eigvalsh(own[6, :, 6])[0]) == pytest.approx(0.01, rel=0.01)
     none, _ = antenna_at_images(
         gnss(truth, lever), FRAME, t, np.full(N, 0.02), lever_ccs_m=lever, sigma_lever_m=np.zeros(3),
         accept_fixes=("ppp",), max_gap_s=1.0,

@@ -19,6 +19,7 @@ from thalweg.orientation.fused_trajectory import Fused, fuse_trajectory
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.simulation.studies.outage import (
     FRAME,
+    LEVER_ANTENNA_M,
     Recorded,
     VoyageSpec,
     errors_at,
@@ -272,6 +273,24 @@ def test_images_of_another_frame_or_without_a_mount_are_refused() -> None:
             recorded.states, FRAME, SETTINGS, images=recorded.images,
             sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), max_attitude_gap_s=0.1,
         )  # fmt: skip
+
+
+def test_positions_that_the_image_block_holds_are_not_counted_twice() -> None:
+    recorded = survey()
+    t = recorded.positions["t_gps_s"].to_numpy()
+    first, last = recorded.images.t_gps_s.min(), recorded.images.t_gps_s.max()
+    again = fuse_trajectory(
+        recorded.states, FRAME, SETTINGS, positions=recorded.positions, lever_ics_antenna_m=LEVER_ANTENNA_M,
+        images=recorded.images, T_ccs_ics=recorded.T_ccs_ics, images_hold_positions=True,
+        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), max_attitude_gap_s=0.1,
+    )  # fmt: skip
+    within = int(((t >= first) & (t <= last)).sum())
+    found = again.facts["observations"]["position"]
+    assert found["dropped"]["part of the image poses"] == within > 300
+    assert found["used"] + found["rejected"] == len(t) - within
+    middle = recorded.motion.start_gps_s + np.array([20.0])
+    # with them once more the place would seem to be known better
+    assert (np.diag(again.poses(middle)[2][0])[:3] > np.diag(whole().poses(middle)[2][0])[:3]).all()
 
 
 def test_a_trajectory_that_is_good_enough_nowhere_is_refused() -> None:

@@ -11,7 +11,7 @@ from thalweg.core.errors import CoverageError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.rigid import Rigid, exp_rotation
 from thalweg.core.trajectory import Trajectory
-from thalweg.orientation.image_predictions import NO_STAMP, OUTSIDE, predict_image_poses
+from thalweg.orientation.image_predictions import NO_STAMP, OFF_BOAT, OUTSIDE, predict_image_poses
 from thalweg.timing.clock_model import ClockModel
 
 FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
@@ -69,6 +69,14 @@ def test_images_without_stamp_or_trajectory_stay_in_the_table_and_say_why() -> N
     assert np.isnan(found.centre_wcs_m[1:]).all()
 
 
+def test_images_of_a_camera_that_is_not_on_the_boat_get_neither_pose_nor_time() -> None:
+    table = stamps(1005.0, 1006.0, 1007.0).assign(file=["left/1.jpg", "bank/1.jpg", "bank/low/2.jpg"])
+    found = predict_image_poses(table, clock(0.0), turning(), MOUNT, off_boat=["bank"])
+    assert found.oriented.tolist() == [True, False, False]
+    assert found.reasons == ("", OFF_BOAT, OFF_BOAT)
+    assert np.isfinite(found.t_gps_s).tolist() == [True, False, False]
+
+
 def test_a_gap_of_the_trajectory_gives_no_pose() -> None:
     whole = turning()
     broken = replace(whole, valid=np.abs(whole.t_gps_s - 1010.0) > 1.0)
@@ -83,3 +91,10 @@ def test_a_clock_in_another_zone_is_named_with_both_spans() -> None:
         predict_image_poses(stamps(1010.0), clock(3600.0), turning(), MOUNT)
     with pytest.raises(CoverageError, match="none of 1 images has a time stamp"):
         predict_image_poses(stamps(np.nan), clock(0.0), turning(), MOUNT)
+
+
+def test_what_all_times_share_is_told_apart_from_jitter() -> None:
+    shaky = replace(clock(0.0, 0.1), jitter_s=0.05)
+    found = predict_image_poses(stamps(1005.0, np.nan, 1010.0), shaky, turning(), MOUNT)
+    assert found.facts["sigma_common_s"] == pytest.approx(0.1)
+    np.testing.assert_allclose(found.sigma_t_s[[0, 2]], np.hypot(0.1, 0.05))

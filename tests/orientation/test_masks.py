@@ -227,7 +227,7 @@ def test_one_bad_image_does_not_stop_the_others(series, tmp_path, rng):
     broken.write_bytes(b"no picture")
     cv2.imwrite(str(dark), np.zeros((180, 240, 3), np.uint8))
     cv2.imwrite(str(small), cv2.resize(cv2.imread(str(series.files[2])), (160, 160)))
-    files = [*series.files, broken, dark, small]
+    files = {file.name: file for file in (*series.files, broken, dark, small)}
     table = make_masks(
         files, tmp_path / "out", poses=series.poses(rng, without=(4,)), camera=series.camera
     ).set_index("image")

@@ -316,7 +316,7 @@ def test_settings_are_those_of_the_campaign_file() -> None:
     assert FeatureSettings.from_section(FeaturesSection().model_dump()) == FeatureSettings()
 
 
-def test_the_three_scripts(wall: Photographs, matches: Matches, repository: Path, tmp_path: Path) -> None:
+def test_the_four_scripts(wall: Photographs, matches: Matches, repository: Path, tmp_path: Path) -> None:
     def script(name: str) -> object:
         return runpy.run_path(str(repository / f"workflow/scripts/{name}.py"))["main"]
 
@@ -330,15 +330,13 @@ def test_the_three_scripts(wall: Photographs, matches: Matches, repository: Path
     values = " ".join(str(v) for v in PERSPECTIVE.parameters[:8])
     camera.write_text(f"1 OPENCV 320 240 {values}\n")
     mapping = MappingSection(interior="fixed").model_dump()
-    script("match_features")(  # type: ignore[operator]
-        features=parts,
-        images=wall.files,
-        camera=[camera],
-        times=[],
-        trajectory=[],
-        matches=tmp_path / "matches.npz",
-        options=mapping,
-        threads=1,
+    shared = {
+        "features": parts, "images": wall.files, "camera": [camera], "interiors": [], "folders": [],
+        "times": [], "trajectory": [], "options": mapping,
+    }  # fmt: skip
+    script("match_features")(pairs=tmp_path / "pairs.npz", part=0, threads=1, **shared)  # type: ignore[operator]
+    script("join_matches")(  # type: ignore[operator]
+        pairs=[tmp_path / "pairs.npz"], matches=tmp_path / "matches.npz", **shared
     )
     assert np.array_equal(Matches.read(tmp_path / "matches.npz").common, matches.common)
     script("map_images")(  # type: ignore[operator]

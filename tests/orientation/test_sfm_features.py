@@ -157,8 +157,13 @@ def test_images_of_16_bits(tmp_path: Path, wall: Photographs) -> None:
 def test_wrong_calls_are_refused(wall: Photographs, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     shutil.copy(wall.files[0], tmp_path / "other")
-    with pytest.raises(InputError, match=r"two images of the name image_01.png.*Rename one"):
-        extract_features([wall.files[0], tmp_path / "other" / "image_01.png"])
+    with pytest.raises(InputError, match=r"image_01.png is named twice.*Name a folder or the files"):
+        extract_features([wall.files[0], wall.files[0]])
+    # the same name in two folders is another image
+    shutil.copytree(tmp_path / "other", tmp_path / "more")
+    found = extract_features([tmp_path / "other", tmp_path / "more" / "image_01.png"], settings=SETTINGS)
+    assert [p.name for p in found.pictures] == ["more/image_01.png", "other/image_01.png"]
+    assert join_features([found]).pictures[1].problem == "the same file as more/image_01.png"
     with pytest.raises(InputError, match="folder not found"):
         extract_features(wall.files[:1], masks=tmp_path / "nowhere")
     one = extract_features(wall.files[:1], settings=SETTINGS)

@@ -2,15 +2,19 @@
 
 import inspect
 import runpy
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from thalweg.calibration.camera_file import read_camera
 from thalweg.config.light_sheet import LightSheet
 from thalweg.config.twin import TwinConfig
+from thalweg.core.camera import Camera
 from thalweg.core.frames import LocalFrame
+from thalweg.simulation.light_sheet.camera_field import record_camera_field
 from thalweg.simulation.light_sheet.series import record_camera_station, record_series
 from thalweg.triangulation.sensor import Sensor
 from thalweg.triangulation.sensor_files import read_sensor
@@ -50,6 +54,9 @@ def recorded(
         twin, seed, out_sensor=folder / "sensor.yaml", out_marks=folder / "camera_marks.csv",
         out_points=folder / "mark_points.csv",
     )  # fmt: skip
+    record_camera_field(
+        twin, seed, out_marks=folder / "camera_field_marks.csv", out_field=folder / "camera_field.yaml"
+    )
     for series in ("calibration", "panels") if panels else ("calibration",):
         record_series(twin, seed, series, FRAME, folder / series, folder / "truth" / series)
     return Basin(folder)
@@ -65,13 +72,27 @@ class Jobs:
     def __post_init__(self) -> None:
         self.out.mkdir(parents=True, exist_ok=True)
 
-    def orient(self, basin: Basin, **other: Path) -> Sensor:
+    def calibrate_camera(self, basin: Basin, **other: Path) -> Camera:
+        """Interior orientation from the pictures of the marker field."""
+        files = {
+            "design": basin.folder / "sensor.yaml", "marks": basin.folder / "camera_field_marks.csv",
+            "field": basin.folder / "camera_field.yaml",
+        }  # fmt: skip
+        origin = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
+        run(
+            "calibrate_sheet_camera", self.out, **files | other, camera=self.out / "camera_interior.yaml",
+            report=self.out / "camera_interior.json", campaign={"id": "x", "origin": origin}, twin=True,
+        )  # fmt: skip
+        return read_camera(self.out / "camera_interior.yaml")
+
+    def orient(self, basin: Basin, *, interior: Sequence[Path] = (), **other: Path) -> Sensor:
         files = {
             "design": basin.folder / "sensor.yaml", "marks": basin.folder / "camera_marks.csv",
             "points": basin.folder / "mark_points.csv",
         }  # fmt: skip
         run(
-            "orient_sheet_camera", self.out, **files | other, sensor=self.out / "camera.yaml",
+            "orient_sheet_camera", self.out, **files | other, interior=list(interior),
+            sensor=self.out / "camera.yaml",
             campaign={"id": "x"}, calibration=self.settings.calibration.model_dump(), twin=True,
         )  # fmt: skip
         return read_sensor(self.out / "camera.yaml")
@@ -98,7 +119,8 @@ class Jobs:
         run(
             "calibrate_light_sheet", self.out, **files | other, sensor=self.out / "sensor.yaml",
             report=self.out / "calibration.json", campaign={"id": "x"},
-            calibration=self.settings.calibration.model_dump(), twin=True,
+            calibration=self.settings.calibration.model_dump(), water=self.settings.water.model_dump(),
+            twin=True,
         )  # fmt: skip
         return read_sensor(self.out / "sensor.yaml")
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numba as nb
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from thalweg.triangulation.intersection_reference import intersect_exactly
 from thalweg.triangulation.light_path import beams_at_points, sheet_in_water
 from thalweg.triangulation.projection import project
 from thalweg.triangulation.sensor import Sensor, paper_3, paper_4
+from thalweg.triangulation.threads import threads_for
 from thalweg.triangulation.volume import depth_lines
 
 
@@ -320,3 +322,25 @@ def test_the_printed_law_shifts_depths_by_a_centimetre() -> None:
         error = intersect_as_printed(sensor, line.xy_px) - line.depth_mm
         assert np.nanmean(error) == pytest.approx(shift, abs=0.5)
         assert np.nanmax(error) < 28
+
+
+def test_few_rays_run_in_one_thread_and_give_the_same() -> None:
+    """The number of threads is set back, also after an error, and does not change a bit of the result."""
+    sensor = paper_4()
+    xy = np.random.default_rng(5).uniform(200.0, 1800.0, (9000, 2))
+    whole = intersect(sensor, xy)
+    before = nb.get_num_threads()
+    parts = [intersect(sensor, xy[k : k + 500]) for k in range(0, 9000, 500)]
+    assert nb.get_num_threads() == before
+    np.testing.assert_array_equal(whole.xyz_lcs_mm, np.concatenate([p.xyz_lcs_mm for p in parts]))
+    with threads_for(4096 * 8, each=4096):
+        assert nb.get_num_threads() == min(before, 8)
+
+    def fails() -> None:
+        with threads_for(1, each=10):
+            assert nb.get_num_threads() == 1
+            raise GeometryError("inside")
+
+    with pytest.raises(GeometryError, match="inside"):
+        fails()
+    assert nb.get_num_threads() == before

@@ -6,8 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.triangulation.panels import compare_panels, read_panels
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.triangulation.light_path import sheet_in_water
+from thalweg.triangulation.panels import compare_panels, measure_panels, read_panels
+from thalweg.triangulation.projection import project
+from thalweg.triangulation.sensor import Sensor, paper_4
 
 NAMES = ("a.png", "b.png", "c.png")
 DEPTHS = (128.9, 100.0, 72.7)
@@ -117,3 +120,71 @@ def test_a_table_as_people_write_it(tmp_path: Path) -> None:
     assert table.to_dict("records") == [{"file": "0012", "depth_mm": 128.9, "sigma_mm": 0.02}]
     with pytest.raises(InputError, match="not found"):
         read_panels(tmp_path / "none.csv")
+
+
+# ---------------------------------------------------------------- other media and pictures
+
+
+SENSOR = paper_4()
+WIDTH, HEIGHT = SENSOR.camera.size_px
+
+
+def lines_on_panels(seen_by: Sensor) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    """Line points of three panels as a sensor sees them, without noise; panels and images."""
+    fan = np.linspace(-0.9, 0.9, 60) * seen_by.sheet.half_angle_rad
+    parts = []
+    for name, line in zip(NAMES, sheet_in_water(seen_by, np.array(DEPTHS), fan), strict=True):
+        xy = project(seen_by, line)
+        xy = xy[np.isfinite(xy).all(axis=1) & seen_by.camera.inside(np.nan_to_num(xy, nan=-1.0))]
+        parts.append(pd.DataFrame({"file": name, "x_px": xy[:, 0], "y_px": xy[:, 1]}))
+    table = pd.concat(parts, ignore_index=True).assign(line=0, sigma_px=0.1, angle_rad=0.0, flags=0)
+    panels = pd.DataFrame({"file": NAMES, "depth_mm": DEPTHS, "sigma_mm": 0.02})
+    points = table.groupby("file").size().loc[list(NAMES)].to_numpy()
+    return table, panels, pd.DataFrame({"file": NAMES, "points": points, "reason": ""})
+
+
+def test_panels_of_a_good_sensor_come_back() -> None:
+    _, rows = measure_panels(SENSOR, *lines_on_panels(SENSOR))
+    # no noise: solver and projection agree to 1e-9 mm
+    assert rows["mean_mm"].abs().max() < 1e-6
+
+
+def test_media_that_are_not_those_of_the_panels_are_told() -> None:
+    """Section 9: the index of air in the sensor, and a dry housing."""
+    wet, dry = lines_on_panels(SENSOR), lines_on_panels(SENSOR.with_water(1.0))
+    with pytest.raises(GeometryError, match="state the index of water, not 1 of air") as caught:
+        measure_panels(SENSOR.with_water(1.0), *wet)
+    assert caught.value.where
+    assert "mm off their stated depths" in caught.value.found or "none of" in caught.value.found
+    with pytest.raises(GeometryError, match="was the housing dry"):
+        measure_panels(SENSOR, *dry)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "words"),
+    [(True, False, "left to right"), (True, True, "turned by 180 degrees")],
+)
+def test_flipped_pictures_of_panels_are_told(x: bool, y: bool, words: str) -> None:
+    table, panels, images = lines_on_panels(SENSOR)
+    if x:
+        table["x_px"] = WIDTH - table["x_px"]
+    if y:
+        table["y_px"] = HEIGHT - table["y_px"]
+    with pytest.raises(GeometryError, match=words):
+        measure_panels(SENSOR, table, panels, images)
+
+
+def test_a_picture_mirrored_along_its_line_looks_like_another_plane() -> None:
+    """The sensor is nearly symmetric about the plane of camera and laser: what is left is a tilt."""
+    table, panels, images = lines_on_panels(SENSOR)
+    _, rows = measure_panels(SENSOR, table.assign(y_px=HEIGHT - table["y_px"]), panels, images)
+    assert (rows["mean_mm"].abs() < 3.0).all()
+    # the table shows it: far more scatter than the prediction
+    assert (rows["std_mm"] > 3.0 * rows["predicted_mm"]).all()
+
+
+def test_a_sensor_that_is_simply_wrong_is_measured() -> None:
+    """Stated depths that lie 20 mm off fit no other reading: the table shows it."""
+    table, panels, images = lines_on_panels(SENSOR)
+    _, rows = measure_panels(SENSOR, table, panels.assign(depth_mm=panels["depth_mm"] + 20.0), images)
+    np.testing.assert_allclose(rows["mean_mm"], -20.0, atol=1e-6)

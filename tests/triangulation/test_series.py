@@ -10,9 +10,18 @@ import pandas as pd
 import pytest
 from tests.triangulation.basin import Basin
 
+from thalweg.config.twin_light_sheet import SheetImage
 from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.tables import read_table, write_table
+from thalweg.simulation.light_sheet.objects import stepped_object
+from thalweg.simulation.light_sheet.plan import scan_plan
+from thalweg.simulation.light_sheet.render import render_sheet_image
+from thalweg.simulation.light_sheet.truth_sensor import sized
+from thalweg.simulation.random import generator
 from thalweg.triangulation.calibrate.grid import read_grid
 from thalweg.triangulation.intersection import intersect
+from thalweg.triangulation.lines.detect import detect_lines
+from thalweg.triangulation.lines.series_shift import pooled_shift, without_shift
 from thalweg.triangulation.lines.settings import LineSettings
 from thalweg.triangulation.projection import project
 from thalweg.triangulation.sensor import PARAMETERS, Sensor, paper_4
@@ -219,3 +228,32 @@ def test_a_tilted_window_measures_depth_along_its_normal() -> None:
     xyz = found[["x_mm", "y_mm", "z_mm"]].to_numpy()
     depth = -(xyz @ tilted.window.R_lcs_window[:, 2]) - tilted.window.thickness_mm
     np.testing.assert_allclose(found["depth_mm"], depth, atol=1e-9)
+
+
+def test_a_series_removes_the_shift_that_its_images_have_in_common(tmp_path: Path) -> None:
+    """P4 7.2: what one image cannot tell from nothing, all of them can; the table keeps what was done."""
+    sensor, light = sized(paper_4(), SheetImage(), "tiny")
+    chip = light.chip.model_copy(update={"peak_dn": 1200.0, "ambient_dn": 0.0})
+    light = light.model_copy(update={"halo_share": 0.7, "halo_mm": 2.0, "chip": chip})
+    plan = scan_plan(sensor, 3, stepped_object(), lines=3, step_mm=3.0)
+    paths = [tmp_path / f"{k}.png" for k in range(3)]
+    for k, path in enumerate(paths):
+        cv2.imwrite(str(path), render_sheet_image(sensor, plan.scene(k), light, generator(3, f"s{k}")))
+    points, _ = detect_series(paths, LineSettings(method="lsm"), sensor.camera.size_px)
+    alone = [
+        detect_lines(read_sheet_image(path), LineSettings(method="lsm", apply_shift=False)) for path in paths
+    ]
+    shift = pooled_shift([one.facts for one in alone])
+    assert points.attrs["width_shift"] == {
+        "coefficient": shift.coefficient, "sigma": shift.sigma, "edges": shift.edges,
+        "applied": shift.applied,
+    }  # fmt: skip
+    assert shift.edges >= 6
+    expected = np.concatenate([without_shift(one, shift).x_px for one in alone])
+    np.testing.assert_array_equal(points["x_px"].to_numpy(), expected)
+    write_table(tmp_path / "points.parquet", points, SERIES_POINTS, dict(points.attrs))
+    assert read_table(tmp_path / "points.parquet", SERIES_POINTS)[1]["width_shift"]["edges"] == shift.edges
+    # one image has nobody to ask: it removes its own, if that stands out
+    single, _ = detect_series(paths[:1], LineSettings(method="lsm"), sensor.camera.size_px)
+    own = detect_lines(read_sheet_image(paths[0]), LineSettings(method="lsm"))
+    np.testing.assert_array_equal(single["x_px"].to_numpy(), own.x_px)

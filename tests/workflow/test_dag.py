@@ -76,6 +76,22 @@ def test_no_processing_rule_reads_the_truth(talkative_house, campaign: str) -> N
             assert job.rule.startswith("simulate_")
 
 
+def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(talkative_house) -> None:
+    campaigns = talkative_house.root / "config/campaigns"
+    text = (campaigns / "tiny.yaml").read_text().replace("id: tiny", "id: parted")
+    assert "images: " in text
+    path = campaigns / "parted.yaml"
+    path.write_text(re.sub(r"(?m)^images:.*$", "images:\n  mapping: {parts: 3}", text))
+    found = jobs(talkative_house, "parted")
+    path.unlink()
+    parts = sorted(name for job in found if job.rule == "match_features" for name in job.outputs)
+    assert [name.rsplit("/", 1)[-1] for name in parts] == [f"pairs_{k}.npz" for k in range(3)]
+    (join,) = (job for job in found if job.rule == "join_matches")
+    assert set(parts) < set(join.inputs)
+    (mapping,) = (job for job in found if job.rule == "map_images")
+    assert mapping.inputs == join.outputs
+
+
 SHARED_SCRIPTS = {
     "detect_markers",
     "plot_correlations",

@@ -104,6 +104,10 @@ TWIN_BASIN_LOGS = {
     "panel_images": ["light_sheet/panels/images"],
     "panels": ["light_sheet/panels/images.csv"],
 }
+TWIN_CAMERA_FIELD_LOGS = {
+    "camera_field": ["light_sheet/camera_field.yaml"],
+    "camera_field_marks": ["light_sheet/camera_field_marks.csv"],
+}
 TWIN_SCANS = ("stepped", "wreck")
 TWIN_SCAN_LOGS = {
     "": "images",
@@ -142,6 +146,9 @@ def logs_of(name, stream):
     if is_twin(name):
         if CAMPAIGNS[name].is_basin:
             known = TWIN_BASIN_LOGS | twin_scan_logs(name)
+            settings = CAMPAIGNS[name].twin.light_sheet
+            if settings is not None and settings.lens_pictures:
+                known = known | TWIN_CAMERA_FIELD_LOGS
         else:
             known = TWIN_FIELD_LOGS if CAMPAIGNS[name].is_calibration else TWIN_LOGS
         if CAMPAIGNS[name].twin.echo.bed_survey:

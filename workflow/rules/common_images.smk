@@ -24,6 +24,11 @@ def stamped_images(wildcards):
     return logs_of(name, "time_lapse") or logs_of(name, "run_images")
 
 
+def names_hold_folders(wildcards):
+    """Params function: true for a survey, whose cameras may have folders of their own."""
+    return has_time_lapse(wildcards.campaign)
+
+
 def stamp_tables(wildcards):
     """Input function: tables of the times of those images."""
     name = wildcards.campaign
@@ -51,6 +56,29 @@ def known_interior(wildcards):
     )
 
 
+def folder_interiors(wildcards):
+    """Input function: interior orientations of the cameras of single folders, in the order of these."""
+    name = wildcards.campaign
+    return [
+        file
+        for folder in interior_folders(wildcards)
+        for file in logs_of(name, f"interior.{folder}")
+    ]
+
+
+def interior_folders(wildcards):
+    """Params function: folders whose camera has an interior orientation of its own."""
+    logs = CAMPAIGNS[wildcards.campaign].logs
+    return list(logs.time_lapse.interiors) if logs else []
+
+
+def pair_parts(wildcards):
+    """Input function: the compared pairs of images of all parts."""
+    parts = CAMPAIGNS[wildcards.campaign].images.mapping.parts
+    folder = f"results/{wildcards.campaign}/orientation/sfm"
+    return [f"{folder}/pairs_{part}.npz" for part in range(parts)]
+
+
 def feature_parts(wildcards):
     """Input function: the features of all parts of the images."""
     parts = CAMPAIGNS[wildcards.campaign].images.features.parts
@@ -61,6 +89,13 @@ def feature_parts(wildcards):
 def has_finished_orientations(name):
     """True if another program has oriented the images of a survey."""
     return bool(logs_of(name, "finished_orientations"))
+
+
+def images_hold_positions(wildcards):
+    """Params function: whether the antenna's positions were observations of the image block."""
+    name = wildcards.campaign
+    antenna = CAMPAIGNS[name].plain()["images"]["adjustment"]["antenna"]
+    return antenna["use"] and not has_finished_orientations(name)
 
 
 def oriented_images(wildcards):
@@ -141,8 +176,10 @@ def chain_steps(chain):
             "fused": ["trajectory_fused.parquet"],
         }[chain]
         own_camera = chain == "camera" and not finished
-        features = feature_parts(wildcards) if own_camera else []
-        return [*features, *(f"{folder}/{name}" for name in names)]
+        scattered = (
+            [*feature_parts(wildcards), *pair_parts(wildcards)] if own_camera else []
+        )
+        return [*scattered, *(f"{folder}/{name}" for name in names)]
 
     return steps
 

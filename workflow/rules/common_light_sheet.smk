@@ -6,6 +6,25 @@ def light_sheet(part):
     return lambda wildcards: CAMPAIGNS[wildcards.campaign].plain()["light_sheet"][part]
 
 
+def sheet_interior(wildcards):
+    """Input function: the calibrated interior orientation, where there are pictures of a marker field."""
+    name = wildcards.campaign
+    given = logs_of(name, "camera_field")
+    return [f"results/{name}/triangulation/camera_interior.yaml"] if given else []
+
+
+def sheet_lens_report(wildcards):
+    """Input function: the report on that lens."""
+    return [path.replace(".yaml", ".json") for path in sheet_interior(wildcards)]
+
+
+def camera_field_marks(wildcards):
+    """Input function: marks in the pictures of the marker field, detected unless they are given."""
+    name = wildcards.campaign
+    given = logs_of(name, "camera_field_marks")
+    return given or f"results/{name}/triangulation/camera_field_marks.parquet"
+
+
 def sheet_lines(wildcards):
     """Params function: how lines are measured; on a grid object they come in short pieces, level beside level."""
     found = CAMPAIGNS[wildcards.campaign].plain()["light_sheet"]
@@ -34,7 +53,7 @@ def basin_outputs(name):
         outputs.append(f"{base}/panels.csv")
     if is_twin(name):
         outputs.append(f"results/{name}/accuracy/light_sheet_truth.csv")
-    return outputs + scan_outputs(name)
+    return outputs + scan_outputs(name) + ledger_outputs(name)
 
 
 def sheet_series(name):
@@ -75,11 +94,20 @@ def sheet_pictures(wildcards):
     """Input function: pictures of the page on the light-sheet sensor, in their order."""
     series = sheet_series(wildcards.campaign)
     names = (
-        ["sheet_deformation"]
-        + ["line_measurement"] * ("panels" in series)
+        ["sheet_deformation", "sensor_setup"]
+        + ["line_measurement", "line_patch"] * ("panels" in series)
         + ["line_on_markers"] * ("stepped" in series)
         + ["grid_calibration", "sheet_correlations", "measurement_volume"]
         + ["panel_distances"] * ("panels" in series)
         + ["depth_budget", "published_depth_budget", "sheet_models"]
     )
     return [f"results/{wildcards.campaign}/figures/{name}.png" for name in names]
+
+
+def sheet_captions(wildcards):
+    """Input function: captions of all pictures of the page on the light-sheet sensor."""
+    names = [Path(picture).stem for picture in sheet_pictures(wildcards)]
+    if scan_names(wildcards.campaign):
+        names += ["scan_setup", "sheet_image", "scan_reference", "scan_profile"]
+        names += ["scan_distances", "orthophoto"]
+    return [ROOT / "workflow" / "report" / f"{name}.rst" for name in names]

@@ -35,17 +35,42 @@ def scan_outputs(name):
     base = f"results/{name}"
     outputs = [f"{base}/figures/joint_survey.png"] if CAMPAIGNS[name].is_basin else []
     for scan in scan_names(name):
-        outputs += [
-            f"{base}/triangulation/{scan}/points.parquet",
-            f"{base}/figures/sheet_image_{scan}.png",
-        ]
+        outputs.append(f"{base}/triangulation/{scan}/points.parquet")
+        outputs += pictures_of_scan(name, scan)
     for scan in compared_scans(name):
-        outputs += [
-            f"{base}/triangulation/{scan}/profile.csv",
-            f"{base}/triangulation/{scan}/orthophoto.png",
-            f"{base}/figures/scan_{scan}.png",
-        ]
+        outputs.append(f"{base}/triangulation/{scan}/profile.csv")
     return outputs
+
+
+def sheet_scan_files(wildcards):
+    """Input function: tables and reports of all scans for the page on the light-sheet sensor."""
+    name = wildcards.campaign
+    files = ["statistics.csv", "lines.csv", "facts.json", "profile.csv", "profile.json"]
+    return [
+        f"results/{name}/triangulation/{scan}/{file}"
+        for scan in scan_names(name)
+        for file in ["counts.json"] + files * (scan in compared_scans(name))
+    ]
+
+
+def sheet_scan_pictures(wildcards):
+    """Input function: pictures of all scans for the page on the light-sheet sensor, in their order."""
+    return [
+        picture
+        for scan in scan_names(wildcards.campaign)
+        for picture in pictures_of_scan(wildcards.campaign, scan)
+    ]
+
+
+def pictures_of_scan(name, scan):
+    """Pictures of a scan, in the order of the page."""
+    kinds = ["setup_of", "sheet_image"]
+    if scan in compared_scans(name):
+        kinds += ["reference_of", "profile_of", "scan"]
+    pictures = [f"results/{name}/figures/{kind}_{scan}.png" for kind in kinds]
+    if scan in compared_scans(name):
+        pictures.append(f"results/{name}/triangulation/{scan}/orthophoto.png")
+    return pictures
 
 
 def sheet_on_board(wildcards):
@@ -73,7 +98,17 @@ def strip_outputs(name):
     """The strip of the bed by the light-sheet sensor, where the boat carries one."""
     if not logs_of(name, "strip_images") or CAMPAIGNS[name].light_sheet.sensor is None:
         return []
-    outputs = [f"results/{name}/triangulation/strip/bed.laz"]
+    base = f"results/{name}/triangulation/strip"
+    outputs = [f"{base}/bed.laz", f"{base}/index.html"]
     if is_twin(name):
         outputs.append(f"results/{name}/accuracy/truth_bed_strip.csv")
     return outputs
+
+
+def strip_truth(table):
+    """Input function: that table of errors of the strip of the bed, of a twin."""
+    return lambda wildcards: (
+        [f"results/{wildcards.campaign}/accuracy/{table}"]
+        if is_twin(wildcards.campaign)
+        else []
+    )

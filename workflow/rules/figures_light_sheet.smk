@@ -28,6 +28,37 @@ rule plot_sheet_deformation:
         "../scripts/plot_sheet_deformation.py"
 
 
+rule plot_sensor_setup:
+    """Laser, camera and window, and how one point is measured (P3 Fig. 3, P4 Fig. 3 and 7)."""
+    input:
+        sensor="results/{campaign}/triangulation/sensor.yaml",
+    output:
+        sensor_setup_png=report(
+            "results/{campaign}/figures/sensor_setup.png",
+            caption="../report/sensor_setup.rst",
+            category="Light sheet",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_sensor_setup.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_sensor_setup.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(10),
+    params:
+        code=code_version("plot_sensor_setup"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title"),
+    message:
+        "{wildcards.campaign}: picture of the light-sheet sensor"
+    script:
+        "../scripts/plot_sensor_setup.py"
+
+
 rule plot_line_measurement:
     """What each method of line measurement reaches (P3 Fig. 2, P4 Fig. 4 to 6)."""
     input:
@@ -58,6 +89,38 @@ rule plot_line_measurement:
         "{wildcards.campaign}: measurement of the laser line"
     script:
         "../scripts/plot_line_measurement.py"
+
+
+rule plot_line_patch:
+    """Least-squares matching of one place of the line (P3 Fig. 2, P4 Fig. 6)."""
+    input:
+        images=raw("panel_images"),
+        line_points="results/{campaign}/triangulation/panels/line_points.parquet",
+    output:
+        line_patch_png=report(
+            "results/{campaign}/figures/line_patch.png",
+            caption="../report/line_patch.rst",
+            category="Light sheet",
+        ),
+    log:
+        "logs/{campaign}/figures/plot_line_patch.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/plot_line_patch.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(10),
+    params:
+        code=code_version("plot_line_patch"),
+        figures=section("figures"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+        campaign=identity("title"),
+    message:
+        "{wildcards.campaign}: matching of one place of the laser line"
+    script:
+        "../scripts/plot_line_patch.py"
 
 
 rule plot_line_on_markers:
@@ -318,6 +381,7 @@ rule light_sheet_page:
     input:
         calibration="results/{campaign}/triangulation/calibration.json",
         camera="results/{campaign}/triangulation/camera.json",
+        lens=sheet_lens_report,
         budget="results/{campaign}/triangulation/budget.csv",
         published="results/{campaign}/triangulation/budget_published.csv",
         contradictions="results/{campaign}/triangulation/budget_contradictions.csv",
@@ -327,11 +391,11 @@ rule light_sheet_page:
         truth=sheet_truth,
         counts=of_sheet_series("line_counts.csv"),
         line_points=of_sheet_series("line_points.parquet"),
+        scan_files=sheet_scan_files,
+        scan_pictures=sheet_scan_pictures,
         pictures=sheet_pictures,
-        captions=lambda wildcards: [
-            ROOT / "workflow" / "report" / f"{Path(picture).stem}.rst"
-            for picture in sheet_pictures(wildcards)
-        ],
+        captions=sheet_captions,
+        ledger=sheet_ledger,
     output:
         page="results/{campaign}/triangulation/index.html",
     log:
@@ -348,6 +412,7 @@ rule light_sheet_page:
         code=code_version("light_sheet_page"),
         twin=lambda wildcards: is_twin(wildcards.campaign),
         campaign=identity("title"),
+        scans=lambda wildcards: scan_names(wildcards.campaign),
     message:
         "{wildcards.campaign}: page on the light-sheet sensor"
     script:

@@ -184,6 +184,7 @@ rule read_image_stamps:
         runtime=minutes(20),
     params:
         code=code_version("read_image_stamps"),
+        folders=names_hold_folders,
         source=stamp_options("source"),
         pattern=stamp_options("pattern"),
         utc_offset=stamp_options("utc_offset"),

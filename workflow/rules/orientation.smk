@@ -54,6 +54,7 @@ rule predict_images:
     params:
         code=code_version("predict_images"),
         stated=images("clock"),
+        off_boat=images("off_boat"),
     message:
         "{wildcards.campaign}: approximate poses of the images"
     script:
@@ -80,6 +81,7 @@ rule start_camera:
     params:
         code=code_version("start_camera"),
         campaign=identity("id"),
+        folders=interior_folders,
     message:
         "{wildcards.campaign}: interior orientation to begin with"
     script:
@@ -92,6 +94,7 @@ rule mask_images:
         images=raw("time_lapse"),
         predictions="results/{campaign}/orientation/image_predictions.parquet",
         camera=known_interior,
+        interiors=folder_interiors,
         supplied=raw("masks"),
     output:
         masks=directory("results/{campaign}/orientation/masks"),
@@ -110,6 +113,8 @@ rule mask_images:
         code=code_version("mask_images"),
         campaign=identity("seed"),
         options=images("masks"),
+        folders=interior_folders,
+        cameras=images("mapping", "cameras"),
     message:
         "{wildcards.campaign}: masks of water, sky and boat"
     script:
@@ -144,19 +149,20 @@ rule extract_features:
 
 
 rule match_features:
-    """Which images have which points in common."""
+    """What the pairs of images of one part have in common; the parts are jobs of their own."""
     input:
         features=feature_parts,
         images=raw("time_lapse"),
         camera=known_interior,
+        interiors=folder_interiors,
         times="results/{campaign}/orientation/image_predictions.parquet",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
     output:
-        matches="results/{campaign}/orientation/sfm/matches.npz",
+        pairs="results/{campaign}/orientation/sfm/pairs_{part}.npz",
     log:
-        "logs/{campaign}/orientation/match_features.log",
+        "logs/{campaign}/orientation/match_features_{part}.log",
     benchmark:
-        "benchmarks/{campaign}/orientation/match_features.jsonl"
+        "benchmarks/{campaign}/orientation/match_features_{part}.jsonl"
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -165,11 +171,45 @@ rule match_features:
         runtime=minutes(60),
     params:
         code=code_version("match_features"),
+        part=lambda wildcards: int(wildcards.part),
         options=images("mapping"),
+        folders=interior_folders,
     message:
-        "{wildcards.campaign}: common points of images"
+        "{wildcards.campaign}: common points of images, part {wildcards.part}"
     script:
         "../scripts/match_features.py"
+
+
+rule join_matches:
+    """Which images have which points in common, of all parts."""
+    input:
+        features=feature_parts,
+        pairs=pair_parts,
+        images=raw("time_lapse"),
+        camera=known_interior,
+        interiors=folder_interiors,
+        times="results/{campaign}/orientation/image_predictions.parquet",
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+    output:
+        matches="results/{campaign}/orientation/sfm/matches.npz",
+    log:
+        "logs/{campaign}/orientation/join_matches.log",
+    benchmark:
+        "benchmarks/{campaign}/orientation/join_matches.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000, 5),
+        runtime=minutes(20),
+    params:
+        code=code_version("join_matches"),
+        options=images("mapping"),
+        folders=interior_folders,
+    message:
+        "{wildcards.campaign}: common points of all images"
+    script:
+        "../scripts/join_matches.py"
 
 
 rule map_images:
@@ -224,6 +264,7 @@ rule fuse_trajectory:
         runtime=minutes(30),
     params:
         code=code_version("fuse_trajectory"),
+        images_hold_positions=images_hold_positions,
         campaign=identity("origin"),
         fused=section("fused"),
         orientation=section("orientation"),
@@ -277,11 +318,13 @@ rule adjust_images:
         control_points=raw("control_points"),
         marks="results/{campaign}/orientation/control_marks.csv",
         interior=known_interior,
+        interiors=folder_interiors,
         positions="results/{campaign}/ingest/positions.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
     output:
         poses="results/{campaign}/orientation/image_poses.parquet",
         camera="results/{campaign}/orientation/camera.yaml",
+        cameras="results/{campaign}/orientation/cameras.csv",
         control_report="results/{campaign}/orientation/control_points.csv",
         images_report="results/{campaign}/orientation/images.csv",
         facts="results/{campaign}/orientation/adjustment.json",
@@ -300,6 +343,7 @@ rule adjust_images:
         campaign=identity("id", "origin", "crs"),
         adjustment=images("adjustment"),
         control=images("control"),
+        folders=interior_folders,
     message:
         "{wildcards.campaign}: adjustment of the images"
     script:
@@ -366,6 +410,7 @@ rule time_images:
         campaign=identity("origin"),
         options=clock_options,
         cloud=images("cloud"),
+        off_boat=images("off_boat"),
     message:
         "{wildcards.campaign}: times of the images"
     script:

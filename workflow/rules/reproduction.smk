@@ -227,6 +227,30 @@ rule echo_sounder_study:
         "../scripts/echo_sounder_study.py"
 
 
+rule image_block_study:
+    """Image blocks on rendered pictures over seeds of the digital twin: are covariances of poses honest?"""
+    output:
+        table="results/reproduction/image_block_study.csv",
+        page="results/reproduction/image_block_study.md",
+    log:
+        "logs/reproduction/image_block_study.log",
+    benchmark:
+        "benchmarks/reproduction/image_block_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(6000),
+        runtime=minutes(120),
+    params:
+        code=code_version("image_block_study"),
+        seeds=16,
+    message:
+        "image blocks of {params.seeds} seeds of the digital twin"
+    script:
+        "../scripts/image_block_study.py"
+
+
 rule outage_study:
     """Position errors of INS, camera and fused trajectory by the length of an outage of GNSS."""
     output:
@@ -376,6 +400,32 @@ rule multi_line_study:
         "../scripts/multi_line_study.py"
 
 
+rule sheet_scan_study:
+    """What white markers and errors of poses do to scans with the light sheet (P4 7.2, 7.3)."""
+    output:
+        markers="results/reproduction/marker_bias.csv",
+        poses="results/reproduction/pose_noise.csv",
+        ratios="results/reproduction/pose_noise_ratios.csv",
+    log:
+        "logs/reproduction/sheet_scan_study.log",
+    benchmark:
+        "benchmarks/reproduction/sheet_scan_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(30),
+    params:
+        code=code_version("sheet_scan_study"),
+        seeds=10,
+        lines=8,
+    message:
+        "markers and poses in scans with the light sheet, on the digital twin"
+    script:
+        "../scripts/sheet_scan_study.py"
+
+
 rule line_label_study:
     """Which line is which on free-form objects: right labels and labels given, by spacing (T 4.2.1)."""
     output:
@@ -393,8 +443,148 @@ rule line_label_study:
         runtime=minutes(300),
     params:
         code=code_version("line_label_study"),
+        # scenes and a laser on which no threshold was chosen
+        first_seed=101,
         seeds=20,
+        laser_seed=7,
     message:
         "labels of fifteen lines, on the digital twin"
     script:
         "../scripts/line_label_study.py"
+
+
+rule plot_multi_line_geometry:
+    """A fifteen-line laser under water: in space, in a section, and in the image (T Fig. 4.3)."""
+    input:
+        lines="results/reproduction/multi_line_lines.csv",
+    output:
+        multi_line_geometry_png=report(
+            "results/reproduction/figures/multi_line_geometry.png",
+            caption="../report/multi_line_geometry.rst",
+            category="Light sheet",
+        ),
+    log:
+        "logs/reproduction/plot_multi_line_geometry.log",
+    benchmark:
+        "benchmarks/reproduction/plot_multi_line_geometry.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(5),
+    params:
+        code=code_version("plot_multi_line_geometry"),
+        dpi=200,
+    message:
+        "lines of a fifteen-line laser"
+    script:
+        "../scripts/plot_multi_line_geometry.py"
+
+
+rule multi_line_images:
+    """Images of a fifteen-line laser on grid, plane and wreck, measured and labelled (T 4.2.1)."""
+    output:
+        images="results/reproduction/multi_line_images.npz",
+        points="results/reproduction/multi_line_points.csv",
+    log:
+        "logs/reproduction/multi_line_images.log",
+    benchmark:
+        "benchmarks/reproduction/multi_line_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20),
+    params:
+        code=code_version("multi_line_images"),
+        seed=1,
+    message:
+        "images of a fifteen-line laser, on the digital twin"
+    script:
+        "../scripts/multi_line_images.py"
+
+
+rule plot_multi_line_images:
+    """Set-ups of a fifteen-line laser and its images with the measured lines (T Fig. 4.4)."""
+    input:
+        images="results/reproduction/multi_line_images.npz",
+        points="results/reproduction/multi_line_points.csv",
+    output:
+        multi_line_images_png=report(
+            "results/reproduction/figures/multi_line_images.png",
+            caption="../report/multi_line_images.rst",
+            category="Light sheet",
+        ),
+    log:
+        "logs/reproduction/plot_multi_line_images.log",
+    benchmark:
+        "benchmarks/reproduction/plot_multi_line_images.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(10),
+    params:
+        code=code_version("plot_multi_line_images"),
+        dpi=200,
+    message:
+        "images of a fifteen-line laser"
+    script:
+        "../scripts/plot_multi_line_images.py"
+
+
+rule line_label_scans:
+    """Two scans of a wreck by fifteen lines, point by point, with labels and reasons (T 4.2.1)."""
+    output:
+        points="results/reproduction/line_label_points.parquet",
+        shifts="results/reproduction/line_label_shifts.csv",
+    log:
+        "logs/reproduction/line_label_scans.log",
+    benchmark:
+        "benchmarks/reproduction/line_label_scans.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20),
+    params:
+        code=code_version("line_label_scans"),
+        seed=1,
+    message:
+        "scans by fifteen lines, on the digital twin"
+    script:
+        "../scripts/line_label_scans.py"
+
+
+rule plot_line_labels:
+    """What a scan tells about the numbers of fifteen lines (T 4.2.1, Fig. 4.4 f)."""
+    input:
+        points="results/reproduction/line_label_points.parquet",
+        shifts="results/reproduction/line_label_shifts.csv",
+    output:
+        line_labels_png=report(
+            "results/reproduction/figures/line_labels.png",
+            caption="../report/line_labels.rst",
+            category="Light sheet",
+        ),
+    log:
+        "logs/reproduction/plot_line_labels.log",
+    benchmark:
+        "benchmarks/reproduction/plot_line_labels.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(5),
+    params:
+        code=code_version("plot_line_labels"),
+        dpi=200,
+    message:
+        "labels of fifteen lines"
+    script:
+        "../scripts/plot_line_labels.py"

@@ -28,6 +28,31 @@ rule simulate_sheet_station:
         "../scripts/simulate_sheet_station.py"
 
 
+rule simulate_sheet_camera_field:
+    """Marks of a marker field that the sensor's camera sees in air, and the field's scale bars (P3 2.4)."""
+    output:
+        marks="results/{campaign}/simulation/logs/light_sheet/camera_field_marks.csv",
+        field="results/{campaign}/simulation/logs/light_sheet/camera_field.yaml",
+    log:
+        "logs/{campaign}/simulation/simulate_sheet_camera_field.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_sheet_camera_field.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("simulate_sheet_camera_field"),
+        campaign=identity("origin", "seed"),
+        twin=twin_parts("light_sheet"),
+    message:
+        "{wildcards.campaign}: marker field for the light-sheet sensor's camera"
+    script:
+        "../scripts/simulate_sheet_camera_field.py"
+
+
 rule simulate_sheet_grid:
     """Image of the laser on the grid object (P3 Fig. 4, P4 Fig. 9)."""
     output:

@@ -1,10 +1,69 @@
 """The underwater light-sheet sensor: lines in images, calibration, points on the sheet (P3, P4)."""
 
 
+rule detect_camera_field_marks:
+    """Printed markers in the pictures of the marker field by the sensor's camera."""
+    input:
+        folders=raw("camera_field_images"),
+        field=raw("camera_field"),
+    output:
+        marks="results/{campaign}/triangulation/camera_field_marks.parquet",
+        report="results/{campaign}/triangulation/camera_field_marks.json",
+        rejected="results/{campaign}/triangulation/camera_field_marks_rejected.csv",
+    log:
+        "logs/{campaign}/triangulation/detect_camera_field_marks.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/detect_camera_field_marks.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(60),
+    params:
+        code=code_version("detect_markers"),
+        camera="sheet_camera",
+    message:
+        "{wildcards.campaign}: markers in the pictures of the light-sheet sensor's camera"
+    script:
+        "../scripts/detect_markers.py"
+
+
+rule calibrate_sheet_camera:
+    """Interior orientation of the sensor's camera, from a marker field in air (P3 2.4, P4 6.2)."""
+    input:
+        design=raw("sheet_sensor"),
+        marks=camera_field_marks,
+        field=raw("camera_field"),
+    output:
+        camera="results/{campaign}/triangulation/camera_interior.yaml",
+        report="results/{campaign}/triangulation/camera_interior.json",
+        residuals="results/{campaign}/triangulation/camera_interior_residuals.csv",
+    log:
+        "logs/{campaign}/triangulation/calibrate_sheet_camera.log",
+    benchmark:
+        "benchmarks/{campaign}/triangulation/calibrate_sheet_camera.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000),
+        runtime=minutes(20),
+    params:
+        code=code_version("calibrate_sheet_camera"),
+        campaign=identity("id", "origin"),
+        twin=lambda wildcards: is_twin(wildcards.campaign),
+    message:
+        "{wildcards.campaign}: interior orientation of the light-sheet sensor's camera"
+    script:
+        "../scripts/calibrate_sheet_camera.py"
+
+
 rule orient_sheet_camera:
     """The sensor's camera over the window, from marks that it sees through air (P4 4.3)."""
     input:
         design=raw("sheet_sensor"),
+        interior=sheet_interior,
         marks=raw("camera_marks"),
         points=raw("mark_points"),
     output:
@@ -85,6 +144,7 @@ rule calibrate_light_sheet:
         code=code_version("calibrate_light_sheet"),
         campaign=identity("id"),
         calibration=light_sheet("calibration"),
+        water=light_sheet("water"),
         twin=lambda wildcards: is_twin(wildcards.campaign),
     message:
         "{wildcards.campaign}: calibration of the light sheet"

@@ -204,6 +204,7 @@ rule locate_bed_strip:
         code=code_version("locate_bed_strip"),
         campaign=identity("origin"),
         mount=light_sheet("mount"),
+        water=light_sheet("water"),
     message:
         "{wildcards.campaign}: strip of the bed by the light sheet"
     script:

@@ -7,10 +7,8 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.calibration.camera_file import interior_calibration, read_camera
 from thalweg.calibration.mounts import read_mounts
 from thalweg.core.calibration import Source
-from thalweg.core.calibration_file import write_calibration
 from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table
 from thalweg.ingest.schemas import GNSS_POSITION
@@ -18,16 +16,16 @@ from thalweg.jobs.job import run_job
 from thalweg.lidar.mount import Mount
 from thalweg.orientation.block_job import Boat
 from thalweg.orientation.block_pieces import adjust_pieces, pieces_tables, read_pieces
-from thalweg.orientation.block_result import adjusted_cameras
+from thalweg.orientation.camera_interiors import interiors_of, read_interiors, write_cameras
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.orientation.image_report import summary_text
 
 
 def main(
     *, block: Path, pieces: Path, sfm_images: Path, predictions: Path, control_points: list[Path],
-    marks: Path, interior: list[Path], positions: list[Path], mounts: Path, poses: Path, camera: Path,
-    control_report: Path, images_report: Path, facts: Path, campaign: dict[str, Any],
-    adjustment: dict[str, Any], control: dict[str, Any],
+    marks: Path, interior: list[Path], interiors: list[Path], positions: list[Path], mounts: Path,
+    poses: Path, camera: Path, cameras: Path, control_report: Path, images_report: Path, facts: Path,
+    campaign: dict[str, Any], adjustment: dict[str, Any], control: dict[str, Any], folders: list[str],
 ) -> None:  # fmt: skip
     log = logging.getLogger("thalweg")
     places, boat = read_mounts(mounts), None
@@ -39,16 +37,16 @@ def main(
         )  # fmt: skip
     told = pd.read_csv(sfm_images, keep_default_na=False)
     reasons = dict(zip(told["image"], told["reason"], strict=True))
+    blocks, given = read_pieces(block, pieces), read_interiors(interior, folders, interiors)
     found = adjust_pieces(
-        read_pieces(block, pieces), ImagePoses.read(predictions), frame=LocalFrame(**campaign["origin"]),
+        blocks, ImagePoses.read(predictions), frame=LocalFrame(**campaign["origin"]),
         crs=campaign["crs"], adjustment=adjustment, control=control, control_points=control_points,
-        marks=marks, known=read_camera(interior[0]) if interior else None, boat=boat, reasons=reasons,
-        progress=log.info,
+        marks=marks, known=interiors_of(blocks, *given), boat=boat, reasons=reasons, progress=log.info,
     )  # fmt: skip
     found.poses.write(poses)
     source = Source(run=str(campaign["id"]), method="block adjustment of the survey's images",
                     observations=found.facts["observations"], sigma0=found.facts["sigma0"])  # fmt: skip
-    write_calibration(camera, interior_calibration(adjusted_cameras(found.oriented[0].adjusted)[0], source))
+    write_cameras(camera, cameras, found.oriented, source)
     for table, path in zip(pieces_tables(found), (images_report, control_report), strict=True):
         table.to_csv(path, index=False)
     facts.write_text(json.dumps(found.facts, indent=2) + "\n")

@@ -15,12 +15,13 @@ from thalweg.triangulation.calibrate.settings import CalibrationSettings
 from thalweg.triangulation.lines.settings import LineFlag
 from thalweg.triangulation.sensor_files import read_sensor, write_sensor
 from thalweg.triangulation.series import SERIES_POINTS, require_levels, require_one_image
+from thalweg.triangulation.water_index import WaterState, in_measured_water
 
 
 def main(
     *, camera: Path, line_points: Path, grid: Path, sensor: Path, report: Path, parameters: Path,
     residuals: Path, pairs: Path, published: Path, campaign: dict[str, Any], calibration: dict[str, Any],
-    twin: bool,
+    water: dict[str, Any], twin: bool,
 ) -> None:  # fmt: skip
     points = require_one_image(read_table(line_points, SERIES_POINTS)[0], where=line_points)
     described = read_grid(grid)
@@ -32,7 +33,8 @@ def main(
         drop_flags=LineFlag.NEAR_JUMP, jointly=tuple(dict.fromkeys(jointly)),
         reject_sigmas=calibration["reject_sigmas"], largest_misfit_px=calibration["largest_misfit_px"],
     )  # fmt: skip
-    found = calibrate_sheet(read_sensor(camera), points, described, settings)
+    start, medium = in_measured_water(read_sensor(camera), WaterState(**water))
+    found = calibrate_sheet(start, points, described, settings)
     method = f"grid object in {len(described.levels)} levels (P3 2.4, P4 4.3)"
     source = Source(run=str(campaign["id"]), method=method, twin=twin)
     write_sensor(sensor, found.sensor, source=source, title="Light-sheet sensor, calibrated")
@@ -41,7 +43,8 @@ def main(
     tables.pair_table(found).to_csv(pairs, index=False, float_format="%.5f")
     sigmas = sensor_sigmas(found.sensor)
     verdicts(sigmas, PAPER_4).to_csv(published, index=False, float_format="%.5f")
-    report.write_text(json.dumps(tables.calibration_report(found), indent=2) + "\n")
+    told = tables.calibration_report(found) | {"water": medium}
+    report.write_text(json.dumps(told, indent=2) + "\n")
 
 
 if "snakemake" in globals():

@@ -8,9 +8,8 @@ from thalweg.core.tables import read_table, write_table
 from thalweg.jobs.job import run_job
 from thalweg.surface.cloud_to_mesh import Surface
 from thalweg.triangulation.scanning import compare
-from thalweg.triangulation.scanning.cloud import merge
 from thalweg.triangulation.scanning.pose_files import read_poses
-from thalweg.triangulation.scanning.profile import profiles
+from thalweg.triangulation.scanning.scan_reading import compare_scan
 from thalweg.triangulation.sensor_files import read_sensor
 from thalweg.triangulation.series import SERIES_POINTS
 
@@ -19,13 +18,11 @@ def main(
     *, sensor: Path, line_points: Path, poses: Path, reference: Path, pairs: Path, statistics: Path,
     lines: Path, distances: Path, facts: Path, scanned: str, levels_mm: list[float] | None,
 ) -> None:  # fmt: skip
-    found, _ = profiles(read_sensor(sensor), read_table(line_points, SERIES_POINTS)[0])
-    cloud, picked = merge(found, read_poses(poses)), compare.read_pairs(pairs)
-    surface = Surface(read_mesh(reference)[0])
-    if levels_mm is None:
-        compared = compare.compare_with_mesh(cloud, surface, picked)
-    else:
-        compared = compare.compare_with_levels(cloud, surface, tuple(levels_mm), picked)
+    compared = compare_scan(
+        read_sensor(sensor), read_table(line_points, SERIES_POINTS)[0], read_poses(poses),
+        Surface(read_mesh(reference)[0]), compare.read_pairs(pairs),
+        None if levels_mm is None else tuple(levels_mm),
+    )  # fmt: skip
     compare.statistics(compared, scanned).to_csv(statistics, index=False, float_format="%.6g")
     compared.check.table.to_csv(lines, index=False, float_format="%.6g")
     write_table(distances, compare.distance_table(compared), compare.SCAN_DISTANCES)

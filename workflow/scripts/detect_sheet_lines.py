@@ -16,7 +16,7 @@ def main(
 ) -> None:
     size_px = read_sensor(sensor).camera.size_px
     points, table = detect_series(list_images(images), LineSettings(**lines), size_px, threads=threads)
-    write_table(line_points, points, SERIES_POINTS)
+    write_table(line_points, points, SERIES_POINTS, dict(points.attrs))
     table.to_csv(counts, index=False)
 
 

@@ -4,7 +4,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.ingest.image_stamps import list_images
+from thalweg.ingest.image_files import named_images
 from thalweg.jobs.job import run_job
 from thalweg.orientation.sfm_features import FeatureSettings, extract_features, part_of
 
@@ -14,7 +14,7 @@ def main(
 ) -> None:
     log = logging.getLogger("thalweg")
     folder = masks[0] if masks and masks[0].is_dir() else masks[0].parent if masks else None
-    mine = part_of(list_images(images), part, options["parts"])
+    mine = part_of(named_images(images), part, options["parts"])
     found = extract_features(
         mine, masks=folder, settings=FeatureSettings.from_section(options), threads=threads
     )

@@ -22,7 +22,7 @@ from thalweg.orientation.image_poses import ImagePoses
 def main(
     *, states: Path, mounts: Path, trajectory: Path, observations: Path, counts: Path, facts: Path,
     campaign: dict[str, Any], fused: dict[str, Any], orientation: dict[str, Any], ins: dict[str, Any],
-    positions: Path | None = None, images: Path | None = None,
+    images_hold_positions: bool, positions: Path | None = None, images: Path | None = None,
 ) -> None:  # fmt: skip
     places = read_mounts(mounts)
     T_ics_ccs = Mount.from_section(places["camera"]).as_rigid()
@@ -37,6 +37,7 @@ def main(
         sigma_lever_m=places["antenna"]["sigma_lever_m"],
         images=None if images is None else with_own_jitter(ImagePoses.read(images)),
         T_ccs_ics=T_ics_ccs.inverse(),
+        images_hold_positions=images_hold_positions,
         sigma_attitude_rad=np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
         max_attitude_gap_s=orientation["max_attitude_gap_s"],
     )

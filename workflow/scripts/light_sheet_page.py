@@ -6,7 +6,9 @@ from typing import Any
 
 import pandas as pd
 
+from thalweg.figures.ledger_table import ledger_section
 from thalweg.figures.light_sheet_page import light_sheet_page
+from thalweg.figures.light_sheet_scans import read_scans
 from thalweg.jobs.job import run_job
 
 
@@ -14,6 +16,7 @@ def main(
     *,
     calibration: Path,
     camera: list[Path],
+    lens: list[Path],
     budget: Path,
     published: Path,
     contradictions: Path,
@@ -23,25 +26,33 @@ def main(
     truth: list[Path],
     counts: list[Path],
     line_points: list[Path],
+    scan_files: list[Path],
+    scan_pictures: list[Path],
     pictures: list[Path],
     captions: list[Path],
+    ledger: list[Path],
     page: Path,
     twin: bool,
     campaign: dict[str, Any],
+    scans: list[str],
 ) -> None:
-    light_sheet_page(
+    words = {path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions}
+    built = light_sheet_page(
         json.loads(calibration.read_text(encoding="utf-8")),
         *(pd.read_csv(path) for path in (budget, published, contradictions, correlations, models)),
         panels=pd.read_csv(panels[0]) if panels else None,
         truth=pd.read_csv(truth[0]) if truth else None,
         camera=json.loads(camera[0].read_text(encoding="utf-8")) if camera else None,
+        lens=json.loads(lens[0].read_text(encoding="utf-8")) if lens else None,
         counts={path.parent.name: pd.read_csv(path) for path in counts},
         points={path.parent.name: pd.read_parquet(path) for path in line_points},
+        scans=read_scans(scans, scan_files, scan_pictures, words),
         pictures=pictures,
-        captions={path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions},
+        captions=words,
         title=f"Light-sheet sensor: {campaign['title']}",
         twin=twin,
-    ).write(page)
+    )
+    ledger_section(built, pd.read_csv(ledger[0]) if ledger else None).write(page)
 
 
 if "snakemake" in globals():

@@ -6,13 +6,13 @@ from thalweg.jobs.job import run_job
 from thalweg.simulation.studies.line_labels import Setting, spacing_table, study
 
 
-def main(*, scenes: Path, spacings: Path, seeds: int) -> None:
+def main(*, scenes: Path, spacings: Path, first_seed: int, seeds: int, laser_seed: int) -> None:
     settings = [
         Setting(irregular=irregular, kind=kind)
         for irregular in (0.0, 0.3)
         for kind in ("wreck", "spars", "steps")
     ]
-    found = study(settings, range(1, seeds + 1))
+    found = study(settings, range(first_seed, first_seed + seeds), laser_seed=laser_seed)
     found.to_csv(scenes, index=False, float_format="%.6g")
     spacing_table(found).to_csv(spacings, index=False, float_format="%.6g")
 

@@ -16,13 +16,16 @@ from thalweg.triangulation.scanning import world
 from thalweg.triangulation.scanning.profile import joined_counts, profiles
 from thalweg.triangulation.sensor_files import read_sensor
 from thalweg.triangulation.series import SERIES_POINTS
+from thalweg.triangulation.water_index import WaterState, in_measured_water
 
 
 def main(
     *, images: list[Path], pulses: Path, line_points: Path, sensor: Path, trajectory: Path, bed: Path,
-    points: Path, counts: Path, campaign: dict[str, Any], mount: dict[str, Any],
+    points: Path, counts: Path, campaign: dict[str, Any], mount: dict[str, Any], water: dict[str, Any],
 ) -> None:  # fmt: skip
-    found, empty = profiles(read_sensor(sensor), read_table(line_points, SERIES_POINTS)[0])
+    # the river is not the basin of the calibration
+    here, medium = in_measured_water(read_sensor(sensor), WaterState(**water))
+    found, empty = profiles(here, read_table(line_points, SERIES_POINTS)[0])
     (t_pulse_s,) = read_number_columns(pulses, ("t_gps_s",))
     names = [path.name for path in list_images(images)]
     times, facts = world.image_times(read_image_stamps(images).table, t_pulse_s, names)
@@ -36,8 +39,9 @@ def main(
     ) as writer:
         writer.append(**world.laz_columns(cloud))
     write_table(points, world.bed_points(cloud), world.BED_POINTS)
-    left = {**empty, **cloud.left_out}
-    report = {"lines": joined_counts(found), "merged": cloud.counts, "images_left_out": left, "times": facts}
+    left = {**cloud.left_out, **empty}
+    report = {"lines": joined_counts(found), "merged": cloud.counts, "images_left_out": left, "times": facts,
+              "water": medium}  # fmt: skip
     counts.write_text(json.dumps(report, indent=2) + "\n")
 
 

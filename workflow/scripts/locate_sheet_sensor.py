@@ -25,7 +25,8 @@ def main(
         t_gps_s=t_gps_s,
     )  # fmt: skip
     write_poses(poses, found)
-    pose_table(found).to_csv(table, index=False, float_format="%.7g")
+    # a time has nine digits before its point
+    pose_table(found).to_csv(table, index=False, float_format="%.13g")
 
 
 if "snakemake" in globals():

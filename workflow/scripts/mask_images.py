@@ -4,11 +4,9 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.camera_file import read_camera
-from thalweg.ingest.image_stamps import list_images
+from thalweg.ingest.image_files import named_images
 from thalweg.jobs.job import run_job
-from thalweg.orientation.image_poses import ImagePoses
-from thalweg.orientation.mask_images import make_masks
+from thalweg.orientation.mask_cameras import known_camera, make_masks_of_cameras
 from thalweg.orientation.mask_settings import MaskSettings
 from thalweg.orientation.sfm_images import mask_folder
 
@@ -18,20 +16,22 @@ def main(
     images: list[Path],
     predictions: list[Path],
     camera: list[Path],
+    interiors: list[Path],
     supplied: list[Path],
     masks: Path,
     table: Path,
     options: dict[str, Any],
     campaign: dict[str, Any],
+    folders: list[str],
+    cameras: str,
 ) -> None:
-    # A pose says where the horizon is in the picture only together with a camera.
-    known = bool(predictions and camera)
-    found = make_masks(
-        list_images(images),
+    known = known_camera(camera, predictions, dict(zip(folders, interiors, strict=True)))
+    found = make_masks_of_cameras(
+        named_images(images),
         masks,
         MaskSettings.from_section(options, campaign["seed"]),
-        ImagePoses.read(predictions[0]) if known else None,
-        camera=read_camera(camera[0]) if known else None,
+        known,
+        by=cameras,
         supplied=mask_folder(supplied),
         automatic=options["automatic"],
     )

@@ -1,15 +1,15 @@
-"""Features of all parts -> which images have which points in common."""
+"""Features of all parts -> what the pairs of images of one part have in common."""
 
 import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.camera_file import read_camera
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.image_stamps import list_images
+import numpy as np
+
 from thalweg.jobs.job import run_job
-from thalweg.orientation.sfm_features import Features, join_features
-from thalweg.orientation.sfm_start import Known, match_images, read_times
+from thalweg.orientation.sfm_compare import compare_pairs, part_of_pairs
+from thalweg.orientation.sfm_job import MatchInputs, plan_of
+from thalweg.orientation.sfm_matching import MatchSettings
 
 
 def main(
@@ -17,27 +17,27 @@ def main(
     features: list[Path],
     images: list[Path],
     camera: list[Path],
+    interiors: list[Path],
     times: list[Path],
     trajectory: list[Path],
-    matches: Path,
+    pairs: Path,
+    part: int,
     options: dict[str, Any],
+    folders: list[str],
     threads: int,
 ) -> None:
-    known = Known(
-        cameras=tuple(read_camera(path) for path in camera),
-        t_s=read_times(times[0]) if times else {},
-        trajectory=Trajectory.read(trajectory[0]) if trajectory else None,
-    )
-    found = match_images(
-        join_features([Features.read(path) for path in features]),
-        list_images(images),
-        known=known,
-        section=options,
-        threads=threads,
-    )
-    for note in found.facts["notes"]:
-        logging.getLogger("thalweg").warning(note)
-    found.write(matches)
+    inputs = MatchInputs(
+        features=features, images=images, camera=camera, interiors=dict(zip(folders, interiors, strict=True)),
+        times=times, trajectory=trajectory,
+    )  # fmt: skip
+    plan, descriptor = plan_of(inputs, options)
+    rows = part_of_pairs(plan, part, options["parts"])
+    log = logging.getLogger("thalweg")
+    log.info("part %d of %d: %d of %d pairs", part + 1, options["parts"], len(rows), len(plan.pairs))
+    settings = MatchSettings.from_section(options)
+    found = compare_pairs(plan, descriptor, rows, settings=settings, threads=threads)
+    log.info("%d pairs have common points", np.count_nonzero(np.diff(found.pair_start)))
+    found.write(pairs)
 
 
 if "snakemake" in globals():

@@ -6,15 +6,16 @@ import pandas as pd
 
 from thalweg.core.tables import read_table
 from thalweg.jobs.job import run_job
-from thalweg.triangulation.panels import compare_panels, read_panels
+from thalweg.triangulation import panels as panel
 from thalweg.triangulation.sensor_files import read_sensor
-from thalweg.triangulation.series import SERIES_POINTS, points_on_sheet
+from thalweg.triangulation.series import SERIES_POINTS
 
 
 def main(*, sensor: Path, line_points: Path, counts: Path, panels: Path, points: Path, table: Path) -> None:
     lines, _ = read_table(line_points, SERIES_POINTS)
-    found, _ = points_on_sheet(read_sensor(sensor), lines)
-    compared, rows = compare_panels(found, read_panels(panels), pd.read_csv(counts))
+    compared, rows = panel.measure_panels(
+        read_sensor(sensor), lines, panel.read_panels(panels), pd.read_csv(counts)
+    )
     compared.to_parquet(points, index=False)
     rows.to_csv(table, index=False, float_format="%.4f")
 

@@ -18,7 +18,7 @@ def main(*, sensor: Path, line_points: Path, poses: Path, points: Path, counts: 
     cloud = merge(found, read_poses(poses))
     write_table(points, scan_points(cloud), SCAN_POINTS, {"frame": cloud.poses.target})
     facts = {"lines": joined_counts(found), "merged": cloud.counts,
-             "images_left_out": {**empty, **cloud.left_out}}  # fmt: skip
+             "images_left_out": {**cloud.left_out, **empty}}  # fmt: skip
     counts.write_text(json.dumps(facts, indent=2) + "\n")
 
 

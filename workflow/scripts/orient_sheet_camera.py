@@ -1,21 +1,25 @@
-"""Design, marks in an image through air, and their places -> the sensor with its camera over the window."""
+"""Design, lens, marks in an image through air, and their places -> sensor with its camera over the window."""
 
 import json
 from pathlib import Path
 from typing import Any
 
+from thalweg.calibration.camera_file import read_camera
 from thalweg.calibration.field_points import read_points
 from thalweg.core.calibration import Source
 from thalweg.jobs.job import run_job
+from thalweg.triangulation.calibrate.lens import with_lens
 from thalweg.triangulation.camera_marks import orient_camera, read_camera_marks
 from thalweg.triangulation.sensor_files import read_sensor, write_sensor
 
 
 def main(
-    *, design: Path, marks: Path, points: Path, sensor: Path, report: Path, campaign: dict[str, Any],
-    calibration: dict[str, Any], twin: bool,
+    *, design: Path, interior: list[Path], marks: Path, points: Path, sensor: Path, report: Path,
+    campaign: dict[str, Any], calibration: dict[str, Any], twin: bool,
 ) -> None:  # fmt: skip
     nominal = read_sensor(design)
+    if interior:
+        nominal = with_lens(nominal, read_camera(interior[0]))
     found = orient_camera(
         nominal,
         read_camera_marks(marks),
@@ -25,7 +29,8 @@ def main(
     )
     source = Source(run=str(campaign["id"]), method="resection in air over the window's plane", twin=twin)
     write_sensor(sensor, found.applied(nominal), source=source, title="Light-sheet sensor, camera oriented")
-    report.write_text(json.dumps(found.facts(), indent=2) + "\n")
+    lens = "pictures of a marker field" if interior else "the design"
+    report.write_text(json.dumps({**found.facts(), "interior_orientation": lens}, indent=2) + "\n")
 
 
 if "snakemake" in globals():

@@ -7,7 +7,7 @@ import pandas as pd
 
 from thalweg.figures.mask_view import example_names, mask_view, read_examples
 from thalweg.figures.style import save
-from thalweg.ingest.image_stamps import list_images
+from thalweg.ingest.image_files import named_images
 from thalweg.jobs.job import run_job
 
 
@@ -22,7 +22,7 @@ def main(
     campaign: dict[str, Any],
 ) -> None:
     rows = pd.read_csv(table, keep_default_na=True).fillna({"note": ""})
-    pictures = read_examples(example_names(rows), list_images(images), masks)
+    pictures = read_examples(example_names(rows), named_images(images), masks)
     save(mask_view(rows, pictures, title=campaign["title"], twin=twin), mask_view_png, dpi=figures["dpi"])
 
 

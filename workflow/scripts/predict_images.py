@@ -23,6 +23,7 @@ def main(
     clock: list[Path],
     predictions: Path,
     stated: dict[str, Any],
+    off_boat: list[str],
 ) -> None:
     table = read_table(stamps, IMAGE_STAMPS)[0]
     known = table["t_device_s"].dropna()
@@ -42,6 +43,7 @@ def main(
         model,
         Trajectory.read(trajectory),
         Mount.from_section(read_mounts(mounts)["camera"]).as_rigid(),
+        off_boat=off_boat,
     )
     poses.write(predictions)
 

@@ -16,9 +16,15 @@ def main(
     source: str,
     pattern: str | None,
     utc_offset: str | None,
+    folders: bool,
 ) -> None:
     found = read_image_stamps(
-        images, source=source, pattern=pattern, times=times[0] if times else None, utc_offset=utc_offset
+        images,
+        source=source,
+        pattern=pattern,
+        times=times[0] if times else None,
+        utc_offset=utc_offset,
+        folders=folders,
     )
     write_table(stamps, found.table, IMAGE_STAMPS)
     found.report.write(integrity)

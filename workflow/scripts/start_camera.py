@@ -9,11 +9,15 @@ from thalweg.core.calibration_file import write_calibration
 from thalweg.core.tables import read_table
 from thalweg.ingest.image_stamps import IMAGE_STAMPS
 from thalweg.jobs.job import run_job
+from thalweg.orientation.image_cameras import in_folders
 
 
-def main(*, calibrated: Path, stamps: Path, camera: Path, campaign: dict[str, Any]) -> None:
+def main(
+    *, calibrated: Path, stamps: Path, camera: Path, campaign: dict[str, Any], folders: list[str]
+) -> None:
     table = read_table(stamps, IMAGE_STAMPS)[0]
-    sizes = table.loc[table["width"] > 0, ["width", "height"]].value_counts()
+    mine = table["width"].gt(0) & ~in_folders(table["file"], folders)
+    sizes = table.loc[mine if mine.any() else table["width"] > 0, ["width", "height"]].value_counts()
     width, height = sizes.index[0]
     found = read_camera(calibrated).scaled((int(width), int(height)))
     source = Source(run=str(campaign["id"]), method=f"{calibrated.name} for {width} x {height} pixels")

@@ -13,6 +13,7 @@ from thalweg.ingest.image_stamps import IMAGE_STAMPS
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
 from thalweg.jobs.job import run_job
 from thalweg.orientation.camera_trajectory_mounts import lidar_mount_by_camera
+from thalweg.orientation.image_cameras import in_folders
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.orientation.image_times import time_images
 from thalweg.orientation.image_times_run import antenna_in_camera
@@ -24,7 +25,7 @@ from thalweg.timing.track import Track
 def main(
     *, poses: Path, stamps: Path, positions: Path, states: Path, mounts: Path, timed: Path, times: Path,
     clock: Path, report: Path, campaign: dict[str, Any], options: dict[str, Any], cloud: dict[str, Any],
-    camera_clock: list[Path], boat: list[Path],
+    camera_clock: list[Path], boat: list[Path], off_boat: list[str],
 ) -> None:  # fmt: skip
     frame = LocalFrame(**campaign["origin"])
     places = read_mounts(mounts)
@@ -37,9 +38,10 @@ def main(
         correlation_time_s=options["position_time_s"],
         white_share=options["white_share"],
     )
+    table = read_table(stamps, IMAGE_STAMPS)[0]
     found = time_images(
         ImagePoses.read(poses),
-        read_table(stamps, IMAGE_STAMPS)[0],
+        table[~in_folders(table["file"], off_boat)],
         track=gnss,
         ins=synchronise.run_attitude(read_table(states, INS_STATE)[0], frame, options),
         clock=ClockModel.read(camera_clock[0]) if camera_clock else None,

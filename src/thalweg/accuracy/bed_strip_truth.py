@@ -17,9 +17,10 @@ def compare_bed(points: pd.DataFrame, bed: TriangleMesh) -> tuple[pd.DataFrame, 
     """Heights of bed points over the true bed below them, positive above it.
 
     The nearest place of the bed would not do: stones reach into the ground, and a point below the bed may be
-    nearest to the underside of one. Errors of trajectory and mount are alike in all lines of a strip that
-    lasts a second: they shift the strip as a whole, and their predicted standard deviation is that of one
-    draw. Where the bed is rough a shift sideways scatters the heights within a line as well.
+    nearest to the underside of one. Errors of the mount and slow errors of the positions are alike in all
+    lines of a strip that lasts a second and shift it as a whole, so ``ratio`` is hardly more than one draw;
+    errors of single epochs of the positions, interpolated between them, move neighbouring lines up and down.
+    Where the bed is rough a shift sideways scatters the heights within a line as well.
 
     Parameters
     ----------

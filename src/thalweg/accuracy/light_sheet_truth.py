@@ -20,7 +20,7 @@ from thalweg.core.rigid import opk_of
 from thalweg.core.types import ArrayF
 from thalweg.triangulation.derivatives import sheet_derivatives
 from thalweg.triangulation.intersection import intersect
-from thalweg.triangulation.sensor import FLIP, LASER, PARAMETERS, LightSheet, Sensor
+from thalweg.triangulation.sensor import FLIP, LASER, LENS, PARAMETERS, LightSheet, Sensor
 
 COLUMNS: Final = ("what", "estimated_minus_true", "sigma", "unit", "normalised", "n")
 DEPTHS_MM: Final = (30.0, 80.0, 130.0, 180.0, 230.0)
@@ -92,9 +92,11 @@ def compare_sensor(found: Sensor, truth: Sensor) -> pd.DataFrame:
     Returns
     -------
     Columns `COLUMNS`. A row for each parameter with a sigma (the camera's place along the window and one
-    angle of the laser have none); ``depth ... mm``: root mean square over every sixteenth pixel of a class
-    of depth of the difference of both sensors' depths, beside that of the predicted sigma (with
-    correlations), ``normalised`` their ratio.
+    angle of the laser have none); ``interior orientation jointly``: root of the squared error of the camera's
+    parameters in units of their covariance, beside that of their number; ``image of a ray``: difference of
+    both cameras' images of the same rays, beside the predicted one; ``depth ... mm``: root mean square over
+    every sixteenth pixel of a class of depth of the difference of both sensors' depths, beside that of the
+    predicted sigma (with correlations), ``normalised`` their ratio.
     """
     true = aligned(truth, found)
     sigma = np.sqrt(np.maximum(np.diag(found.cov), 0.0))
@@ -111,7 +113,7 @@ def compare_sensor(found: Sensor, truth: Sensor) -> pd.DataFrame:
         word = name.replace("_rad", "") if angle else name.removesuffix("_mm")
         unit = "deg" if angle else "mm" if name.endswith("_mm") else "px" if name[0] in "fc" else "1"
         rows.append((word, error[k] * factor, sigma[k] * factor, unit, error[k] / sigma[k], 1))
-    return pd.DataFrame(rows + _depths(found, true), columns=list(COLUMNS))
+    return pd.DataFrame(rows + _lens(found, true) + _depths(found, true), columns=list(COLUMNS))
 
 
 def _same_fan(true: Sensor, found: Sensor, sigma: ArrayF) -> Sensor:
@@ -122,10 +124,35 @@ def _same_fan(true: Sensor, found: Sensor, sigma: ArrayF) -> Sensor:
     return true.with_sheet(turned_in_its_plane(true.sheet, found.sheet, int(held[0])))
 
 
-def _depths(found: Sensor, true: Sensor) -> list[tuple[str, float, float, str, float, int]]:
-    width, height = found.camera.size_px
+def _lens(found: Sensor, true: Sensor) -> list[tuple[str, float, float, str, float, int]]:
+    sigma = np.sqrt(np.maximum(np.diag(found.cov)[LENS], 0.0))
+    at = np.flatnonzero(sigma > 0.0)
+    if not len(at):
+        return []
+    error = (found.camera.parameters - true.camera.parameters)[at]
+    C = found.cov[LENS, LENS][np.ix_(at, at)]
+    scale = np.outer(sigma[at], sigma[at])
+    squared = float(error / sigma[at] @ np.linalg.solve(C / scale, error / sigma[at]))
+    k = float(np.sqrt(len(at)))
+    joint = ("interior orientation jointly", np.sqrt(squared), k, "1", np.sqrt(squared) / k, len(at))
+    rays = found.camera.rays(_pixels(found))
+    off = found.camera.project(rays) - true.camera.project(rays)
+    J = found.camera.project_with_derivatives(rays)[2][:, :, at]
+    ok = np.isfinite(off).all(axis=1) & np.isfinite(J).all(axis=(1, 2))
+    rms = float(np.sqrt(np.square(off[ok]).mean()))
+    predicted = float(np.sqrt(np.einsum("nij,jk,nik->ni", J[ok], C, J[ok]).mean()))
+    return [joint, ("image of a ray", rms, predicted, "px", rms / predicted, int(ok.sum()))]
+
+
+def _pixels(sensor: Sensor) -> ArrayF:
+    """Every sixteenth pixel (n, 2) in both directions."""
+    width, height = sensor.camera.size_px
     grid = np.meshgrid(np.arange(_STEP_PX / 2, width, _STEP_PX), np.arange(_STEP_PX / 2, height, _STEP_PX))
-    xy = np.stack(grid, axis=-1).reshape(-1, 2)
+    return np.stack(grid, axis=-1).reshape(-1, 2)
+
+
+def _depths(found: Sensor, true: Sensor) -> list[tuple[str, float, float, str, float, int]]:
+    xy = _pixels(found)
     d, other = sheet_derivatives(found, xy), intersect(true, xy)
     ok = d.points.ok & other.ok
     off = (d.points.depth_mm - other.depth_mm)[ok]

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.calibration.field_points import FieldPoints
+from thalweg.calibration.mark_readings import reading_that_fits
 from thalweg.calibration.ray_resection import other_poses, pose_from_rays
 from thalweg.core.adjustment import Adjusted, Linear, Observations, adjust
 from thalweg.core.camera import Camera
@@ -26,6 +27,8 @@ LEAST_MARKERS: Final = 2
 REJECT_SIGMAS: Final = 4.0
 _CAP_RAD: Final = 0.01
 _LEAST_SHARE: Final = 0.5
+_MOST: Final = 0.9
+"""Of the marks that must fit for another reading of them to count."""
 _LARGEST_SIGMA_M: Final = 0.25
 """A pose worse than this comes from marks that are too few or too close together."""
 _CLEAR_MARKERS: Final = 5
@@ -34,6 +37,8 @@ _TIMES_WORSE: Final = 3.0
 """A second solution is told from the first by residuals that many times larger, or than the sigmas allow."""
 _NAMES: Final = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
 _NO_IMAGE_PX: Final = 1e4
+LARGEST_SIGMA0: Final = 20.0
+"""Sigma of unit weight beyond which the marks, not their sigmas, are wrong: a panel read backwards."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +80,7 @@ def resect(
     with_interior: bool = True,
     sigma_factor: float = 1.0,
     where: str = "",
+    explain: bool = True,
 ) -> Resected:
     """Pose of a picture.
 
@@ -86,12 +92,46 @@ def resect(
     with_interior : count the covariance of the interior orientation in; else it is held fixed.
     sigma_factor : what the stated sigmas of marks must be multiplied with, as the bundle adjustment found.
     where : name of the picture, for messages.
+    explain : look for another reading of marks that fit no pose (in reverse order, mirrored).
 
     Raises
     ------
     GeometryError : fewer than four known marks on two markers; marks that do not fit together; a pose that is
-        hardly determined or has a second solution.
+        hardly determined or has a second solution. The cure names the reading that fits, if one does.
     """
+
+    def pose(read: pd.DataFrame) -> Resected:
+        return _pose(camera, read, points, with_interior, sigma_factor, where)
+
+    sigma0 = np.inf
+    try:
+        found = pose(marks)
+        if not found.sigma0 > LARGEST_SIGMA0:
+            return found
+        sigma0 = found.sigma0
+        error = GeometryError(
+            f"the marks are {sigma0:.0f} times their sigmas off any pose",
+            expected=f"at most {LARGEST_SIGMA0:g} times", where=where,
+            cure="Check the numbers of the marks, the interior orientation and that no mark was moved",
+        )  # fmt: skip
+    except GeometryError as refused:
+        error = refused
+
+    def misfit(read: pd.DataFrame) -> float:
+        one = pose(read)
+        return one.sigma0 if one.used.mean() > _MOST else np.inf
+
+    reading = reading_that_fits(marks, camera.size_px, misfit, sigma0) if explain else ""
+    if not reading:
+        raise error
+    raise GeometryError(error.found, expected=error.expected, where=error.where, cure=reading) from error
+
+
+def _pose(
+    camera: Camera, marks: pd.DataFrame, points: FieldPoints, with_interior: bool, sigma_factor: float,
+    where: str,
+) -> Resected:  # fmt: skip
+    """Pose of a picture, however well it fits, see `resect`."""
     index = points.index
     keys = list(zip(marks["marker"].astype(int), marks["corner"].astype(int), strict=True))
     known = np.array([k in index for k in keys], dtype=np.bool_)

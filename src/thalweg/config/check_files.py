@@ -1,6 +1,7 @@
 """Are the logs there, are they files with content, and is each named once?"""
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +12,7 @@ from thalweg.core.mistakes import Key, Mistake
 
 PHOTOGRAPHS: Final = frozenset({
     "time_lapse", "run_images", "reference_images", "position_images", "display", "grid_images",
-    "panel_images",
+    "panel_images", "camera_field_images",
 })  # fmt: skip
 """Streams of photographs: a folder of them may be named instead of its files."""
 
@@ -19,7 +20,7 @@ FOLDERS: Final = PHOTOGRAPHS | {"masks", "finished_orientations"}
 """Streams for which a folder may be named."""
 
 IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-"""As `thalweg.ingest.image_stamps.list_images` knows photographs, which is not imported for a quick check."""
+"""As `thalweg.ingest.image_files` knows photographs, which is not imported for a quick check."""
 
 _MANY_PARTS: Final = {"control_points", "marks", "orientations"}
 """Keys that may name one file: OpenDroneMap and Metashape write points, marks and poses together."""
@@ -41,6 +42,7 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
     mistakes: list[Mistake] = []
     files: dict[str, tuple[str, ...]] = {}
     first_use: dict[Path, tuple[tuple[Key, ...], str]] = {}
+    searched: dict[Path, tuple[Key, ...]] = {}
     for stream, keys in logs.streams().items():
         paths: list[str] = []
         for i, text in enumerate(logs.files(stream)):
@@ -52,15 +54,17 @@ def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tupl
             if not matches:
                 mistakes.append(_no_match(where, text, folder))
             for path in matches:
-                photographs = stream in PHOTOGRAPHS or keys[-1] == "images"
+                photographs = stream in PHOTOGRAPHS or (keys[-1] == "images" and keys[0] == "light_sheet")
                 if (photographs or stream in FOLDERS) and path.is_dir():
                     mistakes += _check_folder(where, text, path, photographs=photographs)
+                    if photographs:
+                        searched.setdefault(path.resolve(), where)
                 else:
                     mistakes += _check_file(where, text, path)
                 mistakes += _check_twice(where, path, first_use)
                 paths.append(str(path))
         files[stream] = tuple(paths)
-    return mistakes, files
+    return [*mistakes, *_check_nested(first_use, searched)], files
 
 
 def _no_path(where: tuple[Key, ...], text: str) -> Mistake:
@@ -118,7 +122,7 @@ def _check_file(where: tuple[Key, ...], text: str, path: Path) -> Iterator[Mista
 
 
 def _check_folder(where: tuple[Key, ...], text: str, folder: Path, *, photographs: bool) -> Iterator[Mistake]:
-    """A folder is not empty, and one of photographs holds some."""
+    """A folder is not empty, and one of photographs holds some, in folders below it if not itself."""
     try:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError as error:
@@ -129,15 +133,38 @@ def _check_folder(where: tuple[Key, ...], text: str, folder: Path, *, photograph
             cure="Check the permissions of the folder",
         )
         return
-    if photographs:
-        names = [name for name in names if name.lower().endswith(IMAGE_ENDINGS)]
-    if not names:
+    if not (_has_photographs(folder) if photographs else names):
         what = "no photograph" if photographs else "nothing"
         yield Mistake(
             path=where,
             found=f"{text}: there is {what} in this folder ({folder})",
             expected=f"files that end in {', '.join(IMAGE_ENDINGS)}" if photographs else "files",
-            cure="Name the folder that holds them: folders below it are not searched",
+            cure="Name the folder that holds them, or one above it",
+        )
+
+
+def _has_photographs(folder: Path) -> bool:
+    """Whether a folder or one below it holds files that end like photographs."""
+    walked = os.walk(folder, followlinks=True)
+    return any(name.lower().endswith(IMAGE_ENDINGS) for _, _, names in walked for name in names)
+
+
+def _check_nested(
+    first_use: Mapping[Path, tuple[tuple[Key, ...], str]], folders: Mapping[Path, tuple[Key, ...]]
+) -> Iterator[Mistake]:
+    """Folders of photographs are searched with those below them, where nothing else may lie but masks."""
+    for path, (where, name) in first_use.items():
+        over = next((folder for folder in path.parents if folder in folders), None)
+        if over is None or "mask" in str(path.relative_to(over)).lower():
+            continue
+        if not (path.suffix.lower() in IMAGE_ENDINGS or (path.is_dir() and _has_photographs(path))):
+            continue
+        before = Mistake(path=folders[over], found="").dotted
+        yield Mistake(
+            path=where,
+            found=f"{name} lies below {over.name} of {before}, whose photographs are searched there too",
+            expected="folders beside each other",
+            cure=f"Name the folders in {over.name} that belong to {before}, or move one of the two",
         )
 
 
@@ -150,6 +177,8 @@ def _check_twice(
         return
     other, _ = first_use[real]
     if other[:2] == where[:2] == ("logs", "time_lapse") and {other[2], where[2]} <= _MANY_PARTS:
+        return
+    if other[:3] == where[:3] == ("logs", "time_lapse", "interiors"):
         return
     if other[:3] == where[:3] == ("logs", "light_sheet", "scans") and {other[4], where[4]} <= SHARED_PARTS:
         return

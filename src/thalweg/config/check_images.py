@@ -5,16 +5,19 @@ from typing import Any
 
 from thalweg.core.mistakes import Mistake
 
-_BESIDE = ("times", "control_points", "marks", "masks", "interior", "orientations")
+_BESIDE = ("times", "control_points", "marks", "masks", "interior", "interiors", "orientations")
+_SOLVED = {"ins": "the INS's own filter", "sbet": "an Applanix trajectory"}
 
 
-def check_images(logs: Mapping[str, Any] | None, mounts: Any, images: Any, twin: Any) -> Iterator[Mistake]:
+def check_images(
+    logs: Mapping[str, Any] | None, mounts: Any, images: Any, twin: Any, orientation: Any = None
+) -> Iterator[Mistake]:
     """Mistakes in what belongs to images of the bank.
 
     Parameters
     ----------
     logs : ``logs.time_lapse`` as written.
-    mounts, images, twin : the sections of these names as written.
+    mounts, images, twin, orientation : the sections of these names as written.
     """
     given = logs if isinstance(logs, Mapping) else {}
     taken = bool(given.get("images")) or bool(_below(twin, "time_lapse"))
@@ -36,13 +39,36 @@ def check_images(logs: Mapping[str, Any] | None, mounts: Any, images: Any, twin:
         )
     adjusted = bool(given.get("images")) and not given.get("orientations")
     antenna = _below(images, "adjustment", "antenna", "use") is True
+    source = _below(orientation, "position_source")
     if adjusted and not given.get("control_points") and not antenna:
+        place = (
+            "; positions that are part of the INS's solution cannot take their place"
+            if source in _SOLVED
+            else ", or let the antenna's positions take their place: images.adjustment.antenna.use: true"
+        )
         yield Mistake(
             path=("logs", "time_lapse"),
             found="images without control points",
-            cure="State logs.time_lapse.control_points, or let the antenna's positions take their place: "
-            "images.adjustment.antenna.use: true",
+            cure=f"State logs.time_lapse.control_points{place}",
         )
+    if antenna and source in _SOLVED and not given.get("orientations"):
+        yield Mistake(
+            path=("images", "adjustment", "antenna", "use"),
+            found=f"true, with positions of {_SOLVED[source]} (orientation.position_source: {source})",
+            expected="positions of a GNSS antenna: pos, sbp or ppk",
+            cure="Such positions are those of the body's origin and not of the antenna, and the trajectory "
+            "that the images are joined with has their GNSS inside: it would count twice. Write use: false "
+            "and give control points, or name GNSS positions of the antenna and their position_source",
+        )
+    interiors = given.get("interiors")
+    for folder, files in interiors.items() if isinstance(interiors, Mapping) else ():
+        if isinstance(files, list) and len(files) != 1:
+            yield Mistake(
+                path=("logs", "time_lapse", "interiors", folder),
+                found=f"{len(files)} files",
+                expected="one interior orientation for the camera of a folder",
+                cure="Name one file; a second camera has a folder of its own",
+            )
 
 
 def _below(section: Any, *keys: str) -> Any:

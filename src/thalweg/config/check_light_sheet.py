@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from thalweg.config.check_files import IMAGE_ENDINGS
-from thalweg.config.logs import STREAM_KEYS, Logs
+from thalweg.config.logs import STREAM_KEYS, LightSheetLogs, Logs
 from thalweg.core.mistakes import Key, Mistake
 
 NEEDED: Final[Mapping[str, str]] = {
@@ -18,8 +18,14 @@ NEEDED: Final[Mapping[str, str]] = {
 }
 """Keys of ``logs.light_sheet`` without which nothing can be calibrated."""
 
-_TOGETHER: Final[Mapping[str, str]] = {"panel_images": "panels", "panels": "panel_images"}
-_ONE_FILE: Final = ("sensor", "camera_marks", "mark_points", "grid", "panels")
+_PANEL: Final = "images of the panel and its depth in each"
+_TOGETHER: Final[Mapping[str, tuple[str, str]]] = {
+    "panel_images": ("panels", _PANEL),
+    "panels": ("panel_images", _PANEL),
+}
+_ONE_FILE: Final = (
+    "sensor", "camera_field", "camera_field_marks", "camera_marks", "mark_points", "grid", "panels",
+)  # fmt: skip
 _LEVELS: Final = 2
 """Default of ``light_sheet.calibration.levels`` and number of levels of the twin's object."""
 
@@ -38,11 +44,10 @@ def check_sheet_logs(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterat
     for name, what in NEEDED.items():
         if not getattr(sheet, name):
             yield _missing(name, f"{what}, beside logs.light_sheet.{sheet.given[0]}")
-    for name, other in _TOGETHER.items():
+    for name, (other, what) in _TOGETHER.items():
         if getattr(sheet, name) and not getattr(sheet, other):
-            yield _missing(
-                other, f"images of the panel and its depth in each, beside logs.light_sheet.{name}"
-            )
+            yield _missing(other, f"{what}, beside logs.light_sheet.{name}")
+    yield from _check_field(sheet)
     streams = {keys[1]: stream for stream, keys in STREAM_KEYS.items() if keys[0] == "light_sheet"}
     for name in _ONE_FILE:
         count = len(files.get(streams[name], ()))
@@ -97,6 +102,24 @@ def check_sheet_twin(twin: Any, light_sheet: Any) -> Iterator[Mistake]:
             found=f"light_sheet.calibration.levels is {levels}, the twin's object has {count}",
             expected="the same number of levels",
             cure=f"Write light_sheet.calibration.levels: {count}",
+        )
+
+
+def _check_field(sheet: LightSheetLogs) -> Iterator[Mistake]:
+    """A marker field has a description, and pictures or marks."""
+    seen = [name for name in ("camera_field_images", "camera_field_marks") if getattr(sheet, name)]
+    if seen and not sheet.camera_field:
+        what = "markers and scale bars of the field"
+        yield _missing("camera_field", f"{what}, beside logs.light_sheet.{seen[0]}")
+    if sheet.camera_field and not seen:
+        what = "pictures of the field, or camera_field_marks"
+        yield _missing("camera_field_images", f"{what}, beside logs.light_sheet.camera_field")
+    if len(seen) == 2:
+        yield Mistake(
+            path=("logs", "light_sheet", "camera_field_marks"),
+            found="marks beside the pictures that they were measured in",
+            expected="camera_field_images or camera_field_marks",
+            cure="Leave one of both out",
         )
 
 

@@ -68,7 +68,11 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
         *check_mounts_calibration(parts.raw("mounts"), parts.raw("campaign", "id"), parts.path.parent),
         *check_interior(parts.raw("calibration", "boat_camera", "interior"), parts.path.parent),
         *check_images(
-            parts.raw("logs", "time_lapse"), parts.raw("mounts"), parts.raw("images"), parts.raw("twin")
+            parts.raw("logs", "time_lapse"),
+            parts.raw("mounts"),
+            parts.raw("images"),
+            parts.raw("twin"),
+            parts.raw("orientation"),
         ),
         *_check_lists(parts),
         *_check_ppk(parts),

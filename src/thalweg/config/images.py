@@ -9,6 +9,7 @@ from thalweg.config.images_cloud import CameraCloud
 from thalweg.config.images_finished import FinishedOrientations
 from thalweg.config.images_masks import Masks
 from thalweg.config.images_sfm import Features, Mapping
+from thalweg.config.logs import FolderName
 from thalweg.config.values import Finite, NonNegative
 
 
@@ -31,6 +32,11 @@ class Images(Section):
     clock: StatedClock = Field(
         default=StatedClock(),
         description="The camera's clock, where no calibration has found it; a start, refined from the images",
+    )
+    off_boat: tuple[FolderName, ...] = Field(
+        default=(),
+        description="Folders of images whose camera is not at `mounts.camera`, in the hand or on another "
+        "mount: they join the block and say nothing of the boat",
     )
     masks: Masks = Field(default=Masks(), description="Water, sky and own boat in the images")
     features: Features = Field(default=Features(), description="Features of the images")

@@ -42,7 +42,9 @@ class BlockAdjustment(Section):
     )
     free_parameters: tuple[Literal["fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"], ...] = Field(
         default=("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
-        description="Interior parameters to estimate; those that the lens model does not have are left out",
+        description="Interior parameters to estimate freely; those that the lens model does not have are "
+        "left out. Distortion that is not named is estimated about its start value with the sigma that "
+        "lenses have",
     )
     square_pixels: bool = Field(
         default=True,

@@ -40,6 +40,13 @@ class Features(Section):
 class Mapping(Section):
     """Pairs of images, their common points, and the block that follows from them."""
 
+    cameras: Literal["auto", "folder", "exif", "size"] = Field(
+        default="auto",
+        description="Which images one camera took, with an interior orientation of its own: `folder`: those "
+        "of one folder; `exif`: those for which EXIF states the same maker, model, serial number and focal "
+        "length; `auto`: those of which both is true, where images of one serial number may lie in several "
+        "folders; `size`: all. Pictures of another size are of another camera in any case",
+    )
     pairs: Literal["auto", "sequential", "spatial", "exhaustive"] = Field(
         default="auto",
         description="Images that are compared: `sequential`: neighbours in time; `spatial`: neighbours in "
@@ -61,6 +68,10 @@ class Mapping(Section):
     )
     max_neighbours: Annotated[int, Field(ge=1, le=500)] = Field(
         default=20, description="Neighbours in space that an image is compared with at most"
+    )
+    parts: Annotated[int, Field(ge=1, le=1000)] = Field(
+        default=1,
+        description="Jobs among which the pairs are dealt out; the result is the same for any number",
     )
     min_inliers: Annotated[int, Field(ge=8, le=1000)] = Field(
         default=15, description="Common points that a pair of images must have"

@@ -27,6 +27,11 @@ class SheetLines(Section):
         default=None,
         description="Least height of a line above its surroundings, grey values; null: 2 % of the range",
     )
+    largest_colour_slope: Positive = Field(
+        default=0.6,
+        description="Red and blue light per green light across a piece of line, above which it is a pattern "
+        "in daylight and no laser; raise it for a laser that red and blue pixels see as well",
+    )
     largest_sigma_px: Positive = Field(
         default=2.0, description="Points with a larger sigma are left out and counted, pixels"
     )
@@ -54,6 +59,31 @@ class SheetCalibration(Section):
     )
 
 
+class SheetWater(Section):
+    """The water in front of the window: images hardly tell its refractive index, a thermometer does."""
+
+    temperature_c: Annotated[float, Field(ge=-2, le=40)] | None = Field(
+        default=None,
+        description="Measured temperature of the water, degrees Celsius: gives the refractive index instead "
+        "of the file of the sensor; null: the index that the file states",
+    )
+    sigma_temperature_c: NonNegative = Field(
+        default=0.5, description="Standard deviation of the temperature, degrees Celsius"
+    )
+    salinity_psu: Annotated[float, Field(ge=0, le=40)] = Field(
+        default=0.0, description="Salinity, parts per thousand: 0 in a river, 35 in the sea"
+    )
+    sigma_salinity_psu: NonNegative = Field(
+        default=0.1, description="Standard deviation of the salinity, parts per thousand"
+    )
+    wavelength_nm: Annotated[float, Field(ge=420, le=700)] = Field(
+        default=520.0, description="Wavelength of the laser in vacuum, nanometres"
+    )
+    sigma_wavelength_nm: NonNegative = Field(
+        default=3.0, description="Standard deviation of the wavelength, nanometres; diodes differ by so much"
+    )
+
+
 class SheetMount(OrientedMount):
     """Sensor frame lcs (Z up, away from the water) in the body frame; 180, 0, 90: its line lies abeam."""
 
@@ -76,6 +106,9 @@ class LightSheet(Section):
     lines: SheetLines = Field(default=SheetLines(), description="The laser line in images")
     calibration: SheetCalibration = Field(
         default=SheetCalibration(), description="Camera over the window, and light sheet"
+    )
+    water: SheetWater = Field(
+        default=SheetWater(), description="Refractive index of the water by its temperature"
     )
     sensor: Annotated[str, Field(min_length=1)] | None = Field(
         default=None,

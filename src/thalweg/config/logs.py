@@ -46,6 +46,9 @@ STREAM_KEYS = {
     "finished_orientations": ("time_lapse", "orientations"),
     "interior": ("time_lapse", "interior"),
     "sheet_sensor": ("light_sheet", "sensor"),
+    "camera_field": ("light_sheet", "camera_field"),
+    "camera_field_images": ("light_sheet", "camera_field_images"),
+    "camera_field_marks": ("light_sheet", "camera_field_marks"),
     "camera_marks": ("light_sheet", "camera_marks"),
     "mark_points": ("light_sheet", "mark_points"),
     "grid_images": ("light_sheet", "grid_images"),
@@ -56,6 +59,15 @@ STREAM_KEYS = {
     "strip_pulses": ("light_sheet", "strip_pulses"),
 }
 """Stream name -> keys below ``logs``."""
+
+
+FolderName = Annotated[str, Field(min_length=1, pattern=r"^[^/\\]+(/[^/\\]+)*$")]
+"""A folder below the one that holds all images."""
+
+
+def interior_stream(folder: str) -> str:
+    """Stream of the interior orientation of a folder's camera."""
+    return f"interior.{folder}"
 
 
 class BasePosition(Section):
@@ -165,6 +177,11 @@ class TimeLapseLogs(Section):
         description="Interior orientation of the camera: calibration, OpenCV or COLMAP file; without one, "
         "that of `mounts.calibration`, else it is estimated from the images",
     )
+    interiors: dict[FolderName, Files] = Field(
+        default={},
+        description="The same for cameras whose images have a folder of their own: folder, as the images' "
+        "names begin, and its file, such as `left: [left.yaml]`",
+    )
     orientations: Files = Field(
         default=(),
         description="Finished exterior orientations of the images instead of our own: COLMAP model, "
@@ -178,6 +195,17 @@ class LightSheetLogs(Section):
     sensor: Files = Field(
         default=(),
         description="Design of the sensor: lens as calibrated, places of camera and laser, window (YAML)",
+    )
+    camera_field: Files = Field(
+        default=(),
+        description="Markers and scale bars of a field that the sensor's camera photographed in air, for its "
+        "interior orientation (YAML, as for a calibration field); none: that of `sensor` counts",
+    )
+    camera_field_images: Files = Field(default=(), description="These pictures: files, or a folder")
+    camera_field_marks: Files = Field(
+        default=(),
+        description="Marks in these pictures by another program, instead of them (CSV: file, marker, corner, "
+        "x_px, y_px, sigma_px)",
     )
     camera_marks: Files = Field(
         default=(),
@@ -258,12 +286,17 @@ class Logs(Section):
         return value if isinstance(value, tuple) else ()
 
     def streams(self) -> dict[str, tuple[str, ...]]:
-        """Stream name -> keys below ``logs``: `STREAM_KEYS` and the parts of all scans."""
-        return STREAM_KEYS | {
+        """Stream name -> keys below ``logs``: `STREAM_KEYS`, folders' interiors, the parts of all scans."""
+        interiors = {
+            interior_stream(folder): ("time_lapse", "interiors", folder)
+            for folder in self.time_lapse.interiors
+        }
+        scans = {
             scan_stream(name, part): ("light_sheet", "scans", name, part)
             for name in self.light_sheet.scans
             for part in SCAN_PARTS
         }
+        return STREAM_KEYS | interiors | scans
 
     def with_files(self, files: dict[str, tuple[str, ...]]) -> Self:
         """A copy with other paths."""
@@ -274,6 +307,10 @@ class Logs(Section):
             below[group] = getattr(self, group).model_copy(update=nested)
         below["light_sheet"] = below["light_sheet"].model_copy(
             update={"scans": {name: self._scan_with(name, files) for name in self.light_sheet.scans}}
+        )
+        interiors = self.time_lapse.interiors
+        below["time_lapse"] = below["time_lapse"].model_copy(
+            update={"interiors": {f: files.get(interior_stream(f), own) for f, own in interiors.items()}}
         )
         return self.model_copy(update={**top, **below})
 

@@ -1,5 +1,6 @@
 """Look-ups in the JSON schema of a campaign: allowed keys, limits, units."""
 
+import re
 from collections.abc import Iterator
 from functools import cache
 from typing import Any
@@ -46,9 +47,17 @@ def node_at(path: tuple[Key, ...]) -> Node:
             items = node.get("prefixItems", [])
             child = items[key] if key < len(items) else node.get("items", {})
         else:
-            child = node.get("properties", {}).get(key, {})
+            child = node.get("properties", {}).get(key) or _of_any_name(node, key)
         node = resolve(child) if isinstance(child, dict) else {}
     return node
+
+
+def _of_any_name(node: Node, key: str) -> Any:
+    """Schema of what stands below a name that the user chooses, such as that of a scan; empty if none may."""
+    for pattern, child in node.get("patternProperties", {}).items():
+        if re.search(pattern, key):
+            return child
+    return node.get("additionalProperties") or {}
 
 
 def keys_at(path: tuple[Key, ...]) -> list[str]:

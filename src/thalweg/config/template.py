@@ -139,7 +139,7 @@ def campaign_text(
         "orientation:",
         f"  position_source: {source}  # pos, sbp, ppk, sbet or ins",
         "  accept_fixes: [fixed]",
-        *_without_control(listed),
+        *_without_control(listed, source),
     ]
     return "\n".join(lines) + "\n"
 
@@ -170,12 +170,12 @@ def _camera(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
     ]
 
 
-def _without_control(listed: Mapping[str, Sequence[str]]) -> list[str]:
+def _without_control(listed: Mapping[str, Sequence[str]], source: str) -> list[str]:
     """Photographs alone need the antenna's positions in their adjustment."""
     needs = listed.get("time_lapse") and not (
         listed.get("control_points") or listed.get("finished_orientations")
     )
-    if not needs:
+    if not needs or source in ("ins", "sbet"):  # these are no positions of the antenna: `check_images`
         return []
     return [
         "",

@@ -164,6 +164,11 @@ class TwinLightSheet(Section):
     reference_mm: Positive = Field(
         default=0.5, description="Longest edge in the reference meshes of scanned objects, mm (P4 7.1: 0.1)"
     )
+    lens_pictures: Annotated[int, Field(ge=0, le=200)] = Field(
+        default=24,
+        description="Pictures of a field of markers in air, for the interior orientation of the sensor's "
+        "camera (P3 2.4); 0: none, the design holds it as given",
+    )
     lost_pulses: Annotated[int, Field(ge=0, le=50)] = Field(
         default=0, description="Pulses of the trigger that were not recorded, in each series"
     )

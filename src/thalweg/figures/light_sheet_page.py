@@ -7,6 +7,8 @@ from typing import Any, Final
 import pandas as pd
 
 from thalweg.figures.calibration_page import TWIN_NOTE, short, with_units
+from thalweg.figures.light_sheet_lens import lens_section
+from thalweg.figures.light_sheet_scans import ScanFiles, scan_section
 from thalweg.figures.page import Page
 from thalweg.figures.style import count, plural
 from thalweg.ingest.describe_calibration import with_sigma
@@ -28,7 +30,8 @@ SHEET_NOTE: Final = (
 TRUTH_NOTE: Final = (
     "Each error is the calibrated value minus the true one; normalised errors are errors over their sigmas. "
     "The rows of depths compare both sensors over the image: root mean square of the difference, beside "
-    "that of the predicted sigma. Heading and place along the window come from the design and are aligned."
+    "that of the predicted sigma; the image of a ray does so for the lens alone. Heading and place along the "
+    "window come from the design and are aligned."
 )
 PANEL_NOTE: Final = (
     "Distances are measured minus reference depth. P3 3.1.2 states one mean and one standard deviation for "
@@ -64,8 +67,10 @@ def light_sheet_page(
     panels: pd.DataFrame | None = None,
     truth: pd.DataFrame | None = None,
     camera: Mapping[str, Any] | None = None,
+    lens: Mapping[str, Any] | None = None,
     counts: Mapping[str, pd.DataFrame] | None = None,
     points: Mapping[str, pd.DataFrame] | None = None,
+    scans: Sequence[ScanFiles] = (),
     pictures: Sequence[Path] = (),
     captions: Mapping[str, str] | None = None,
     title: str = "Light-sheet sensor",
@@ -84,9 +89,11 @@ def light_sheet_page(
     panels : `thalweg.triangulation.panels.compare_panels`; None if there were none.
     truth : for a twin, `thalweg.accuracy.light_sheet_truth.compare_sensor`.
     camera : report on the camera over the window; None if it was oriented elsewhere.
+    lens : report on the lens from pictures of a marker field; None if the lens was given.
     counts : by series, what line detection found and dropped in each image.
     points : by series, line points with ``flags``.
-    pictures : PNG files in their order.
+    scans : what is known about each scanned object, with its pictures.
+    pictures : PNG files of the sensor, its calibration and the panels, in their order.
     captions : stem of a picture -> its caption.
     title : heading.
     twin : true if the digital twin made the images.
@@ -99,6 +106,8 @@ def light_sheet_page(
     if twin:
         page.text(TWIN_NOTE)
     _calibrated(page, calibration, camera)
+    if lens:
+        lens_section(page, lens)
     if truth is not None and len(truth):
         page.section("Against the truth of the digital twin").text(TRUTH_NOTE)
         shown = truth.rename(columns={"estimated_minus_true": "calibrated minus true"})
@@ -109,6 +118,8 @@ def light_sheet_page(
     if panels is not None and len(panels):
         page.section("Panel in known depths").text(PANEL_NOTE)
         _units(page, panels, "Measured minus reference depth, beside published values (panels.csv)")
+    for scan in scans:
+        scan_section(page, scan)
     _budget(page, budget, published, contradictions, correlations)
     page.section("Simpler models").text(MODEL_NOTE)
     _units(page, models.drop(columns="lost") if not models["lost"].any() else models,
@@ -156,6 +167,8 @@ def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str,
             f"The camera over the window; {flat} (camera.json)",
         )
     page.table(parameter_rows(calibration["parameters"]), "Parameters of the sensor (parameters.csv)")
+    if calibration.get("water"):
+        page.text(water_words(calibration["water"]))
     levels = pd.DataFrame([{"level": name, **facts} for name, facts in calibration["levels"].items()])
     if len(levels):
         _units(page, levels, "Levels of the calibration object, with the residuals of the line on them")
@@ -174,6 +187,25 @@ def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str,
         sigmas = pd.DataFrame(calibration["sigma_of_depth"]).dropna()
         _units(page, sigmas, "Sigma of a depth that the calibration leaves, without the noise of the line; "
                "uncorrelated: the same sigmas without correlations")  # fmt: skip
+
+
+def water_words(water: Mapping[str, Any]) -> str:
+    """Where the index of the water comes from.
+
+    Examples
+    --------
+    >>> water_words({"n_water": 1.33551, "sigma": 1.4e-4, "source": "file of the sensor"})
+    'Refractive index of the water 1.33551 ± 0.00014, from the file of the sensor.'
+    """
+    value = f"Refractive index of the water {with_sigma(water['n_water'], water['sigma'])}"
+    if "temperature_c" not in water:
+        return f"{value}, from the {water['source']}."
+    before = water["instead_of"]
+    return (
+        f"{value}, from {water['temperature_c']:g} °C, {water['salinity_psu']:g} psu and "
+        f"{water['wavelength_nm']:g} nm; the file of the sensor has "
+        f"{with_sigma(before['n_water'], before['sigma'])}."
+    )
 
 
 def parameter_rows(parameters: Sequence[Mapping[str, Any]]) -> pd.DataFrame:

@@ -18,7 +18,7 @@ from thalweg.figures.style import BLUE, GREEN, HALO, ORANGE, PURPLE, SKY, VERMIL
 from thalweg.ingest.image_stamps import list_images
 from thalweg.triangulation.lines.green import green_image
 from thalweg.triangulation.lines.settings import LineSettings
-from thalweg.triangulation.refracted_rays import refract_to_water
+from thalweg.triangulation.refracted_rays import directions_to_points, refract_to_water
 from thalweg.triangulation.sensor import Window
 from thalweg.triangulation.series import read_sheet_image
 
@@ -104,6 +104,12 @@ def beam_paths(origin_lcs_mm: ArrayF, directions: ArrayF, window: Window, depth_
     inner = start + way[:, None] * directions
     rays = refract_to_water(origin_lcs_mm, directions, window)
     return np.stack([start, inner, rays.at_depth(0.0), rays.at_depth(depth_mm)], axis=1)
+
+
+def path_to(origin_lcs_mm: ArrayF, point_lcs_mm: ArrayF, window: Window) -> ArrayF:
+    """Corners (4, 3) of the path of light from laser or camera to a point in the water."""
+    direction = directions_to_points(origin_lcs_mm, point_lcs_mm[None], window)
+    return np.asarray(beam_paths(origin_lcs_mm, direction, window, window.depth_mm(point_lcs_mm[None]))[0])
 
 
 def plate(low: ArrayF, high: ArrayF, z_mm: float) -> ArrayF:

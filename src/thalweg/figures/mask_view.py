@@ -16,6 +16,7 @@ from thalweg.core.types import ArrayB, ArrayF, ArrayU8
 from thalweg.figures.calibration_tables import checked, filled
 from thalweg.figures.pictures import read_picture
 from thalweg.figures.style import BLUE, GREY, ORANGE, SKY, VERMILION, WIDTH_MM, new_figure, plural, styled
+from thalweg.ingest.image_files import Images, named_images
 
 COLUMNS: Final = ("image", "usable_share", "water_share", "sky_share", "hull_share", "source", "note")
 """Columns of the table of masks, see `thalweg.orientation.mask_images`."""
@@ -96,22 +97,20 @@ def example_names(table: pd.DataFrame, n: int = EXAMPLES) -> list[str]:
     return [str(known["image"][k]) for k in known.index if k in chosen]
 
 
-def read_examples(
-    names: Sequence[str], images: Sequence[Path], masks: Path
-) -> dict[str, tuple[ArrayU8, ArrayB]]:
+def read_examples(names: Sequence[str], images: Images, masks: Path) -> dict[str, tuple[ArrayU8, ArrayB]]:
     """Reduced pictures and usable pixels of some images.
 
     Parameters
     ----------
     names : of the images.
-    images : files of the series.
+    images : of the series, by name or as files.
     masks : folder of ``<image>.png``.
 
     Raises
     ------
     InputError : a picture or a mask is missing, or their sizes differ.
     """
-    files = {path.name: path for path in images}
+    files = named_images(images) if images else {}
     out = {}
     for name in names:
         if name not in files:

@@ -16,6 +16,8 @@ _DATE = re.compile(r"\s*(\d{4})[:\-/](\d\d)[:\-/](\d\d)[ T](\d\d):(\d\d):(\d\d)(
 _OFFSET = re.compile(r"\s*(?:UTC|GMT)?\s*([+-])(\d{1,2})(?::?([0-5]\d))?\s*\Z")
 _EXIF_IFD: Final = 0x8769
 _MAKE, _MODEL, _FOCAL = 0x010F, 0x0110, 0x920A
+_SERIALS: Final = (0xA431, 0xC62F)
+"""Serial number of the body: BodySerialNumber (EXIF 2.3), CameraSerialNumber (DNG)."""
 
 _TIMES: Final = (
     (_EXIF_IFD, 0x9003, 0x9291, 0x9011),  # DateTimeOriginal: when the shutter opened
@@ -46,7 +48,10 @@ class CivilStamp:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageHead:
-    """Size in pixels, camera, focal length (NaN if not stated) and time (None if there is none)."""
+    """Size in pixels, camera, focal length (NaN if not stated), time (None if there is none), serial number.
+
+    Texts that are not stated are empty.
+    """
 
     width: int
     height: int
@@ -54,6 +59,7 @@ class ImageHead:
     model: str
     focal_mm: float
     stamp: CivilStamp | None
+    serial: str = ""
 
 
 def read_head(path: Path) -> ImageHead:
@@ -99,6 +105,7 @@ def _head(image: Image.Image) -> ImageHead:
         model=_text(tags[0].get(_MODEL)),
         focal_mm=_number(every.get(_FOCAL)),
         stamp=stamp,
+        serial=next((text for tag in _SERIALS if (text := _text(every.get(tag)))), ""),
     )
 
 

@@ -6,11 +6,10 @@ the clock is then one small number, ``t_gps_s = t_device_s + dt`` (P2 3.2), and 
 in it.
 """
 
-import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Final, Literal
 
 import numpy as np
@@ -23,9 +22,21 @@ from thalweg.core.timescales import gps_from_unix
 from thalweg.core.types import ArrayF
 from thalweg.ingest.clock_shift import explain_shift
 from thalweg.ingest.exif import CivilStamp, ImageHead, offset_seconds, read_head
+from thalweg.ingest.image_files import (
+    by_any_name,
+    files_by_name,
+    find_images,
+    list_images,
+    named_images,
+    natural_key,
+)
 from thalweg.ingest.image_names import compile_pattern, stamp_from_name
 from thalweg.ingest.image_table import read_time_table
 from thalweg.ingest.integrity import IntegrityReport, find_gaps
+
+__all__ = [
+    "IMAGE_STAMPS", "ImageStamps", "Source", "list_images", "natural_key", "read_image_stamps",
+]  # fmt: skip
 
 Source = Literal["auto", "name", "exif", "table"]
 
@@ -35,7 +46,7 @@ IMAGE_STAMPS = table_kind(
     "image_stamps",
     1,
     [
-        column("file", pa.string(), "1", "name of the image without folder"),
+        column("file", pa.string(), "1", "name of the image; of a survey below its common folder"),
         column("t_device_s", _F, "s", "adjusted GPS time if the camera's clock were right; NaN if without"),
         column("source", pa.string(), "1", "what the time is from: name, exif, table, none"),
         column("resolution_s", _F, "s", "unit of the stamp"),
@@ -47,7 +58,6 @@ IMAGE_STAMPS = table_kind(
     ],
 )
 
-IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _NAMED: Final = 5
 
 
@@ -59,44 +69,6 @@ class ImageStamps:
     report: IntegrityReport
 
 
-def list_images(paths: Path | Sequence[Path]) -> list[Path]:
-    """Photographs of folders and files: files as they are given, folders in natural order.
-
-    Parameters
-    ----------
-    paths : a folder or a file, or a list of them. Of a folder those files count that end like a photograph.
-
-    Raises
-    ------
-    InputError : there is no such folder or file, no photograph in a folder, or the list is empty.
-    """
-    given = [paths] if isinstance(paths, Path) else list(paths)
-    if not given:
-        raise InputError("no photographs", expected="at least one image, or a folder of them")
-    return [file for path in given for file in ([path] if path.is_file() else _of_folder(path))]
-
-
-def natural_key(name: str) -> list[tuple[bool, int, str]]:
-    """Sort key of names in which numbers count by value: ``IMG_2`` stands before ``IMG_10``."""
-    return [
-        (not part.isdecimal(), int(part) if part.isdecimal() else 0, part)
-        for part in re.split(r"(\d+)", name)
-    ]
-
-
-def _of_folder(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        raise InputError("there is no such folder or file", where=folder, expected="photographs")
-    found = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_ENDINGS and path.is_file()]
-    if not found:
-        raise InputError(
-            "no photograph in this folder",
-            where=folder,
-            expected=f"files that end in {', '.join(IMAGE_ENDINGS)}",
-        )
-    return sorted(found, key=lambda path: natural_key(path.name))
-
-
 def read_image_stamps(
     images: Path | Sequence[Path],
     *,
@@ -104,17 +76,20 @@ def read_image_stamps(
     pattern: str | None = None,
     times: Path | None = None,
     utc_offset: str | None = None,
+    folders: bool = False,
 ) -> ImageStamps:
     """Times of photographs.
 
     Parameters
     ----------
-    images : a folder or a file, or a list of them.
+    images : a folder or a file, or a list of them; folders below are searched (`image_files`).
     source : ``name``, ``exif`` or ``table``; ``auto`` takes the table if one is given, else whichever of
         names and EXIF resolves time finer, and the other one for images that have no such time, if both
         agree.
     pattern : how times stand in the names, see `image_names.compile_pattern`; None: the usual ones.
     times : CSV table of times, see `image_table.read_time_table`.
+    folders : names hold the folders below the common one, as of `image_files.named_images`; false: the names
+        of the files alone, each once.
     utc_offset : camera's clock minus UTC such as ``+02:00``, for stamps that do not state it; None: UTC.
 
     Raises
@@ -122,19 +97,25 @@ def read_image_stamps(
     InputError : no images, an unusable pattern, offset or table.
     ClockError : no image has a time.
     """
-    files = list_images(images)
+    given = [images] if isinstance(images, Path) else list(images)
+    others = find_images(given)
+    named = named_images(given) if folders else files_by_name(others.files)
+    names, files = list(named), list(named.values())
     if pattern:
         compile_pattern(pattern)
     offset_s = 0.0 if utc_offset is None else offset_seconds(utc_offset)
     if offset_s is None:
         raise InputError(f"'{utc_offset}' is no offset from UTC", expected="a text like +02:00")
     report = IntegrityReport(stream="camera", format="photographs", files=_few(files), time_scale="device")
-    heads = _heads(files, report)
-    listed = {} if times is None else read_time_table(times)
+    if others.others:
+        report.count("other_files", len(others.others))
+        report.note(others.others_in_words())
+    heads = _heads(named, report)
+    listed = {} if times is None else _by_image(read_time_table(times), names, times)
     if source == "table" and times is None:
         raise InputError("times shall come from a table, but none is given", expected="a CSV file")
     stamps: dict[str, list[CivilStamp | None]] = {
-        "table": [listed.pop(path.name, None) or listed.pop(path.stem, None) for path in files],
+        "table": [listed.pop(name, None) for name in names],
         "name": [stamp_from_name(path.stem, pattern) for path in files],
         "exif": [head.stamp if head else None for head in heads],
     }
@@ -154,7 +135,7 @@ def read_image_stamps(
     table = frame_of(
         IMAGE_STAMPS,
         {
-            "file": [path.name for path in files],
+            "file": names,
             "t_device_s": t_device_s,
             "source": [name for name, _ in chosen],
             "resolution_s": [stamp.resolution_s if stamp else np.nan for _, stamp in chosen],
@@ -176,15 +157,35 @@ def read_image_stamps(
     return ImageStamps(table=table.sort_values("t_device_s", kind="stable", ignore_index=True), report=report)
 
 
-def _heads(files: Sequence[Path], report: IntegrityReport) -> list[ImageHead | None]:
+def _by_image(listed: dict[str, CivilStamp], names: Sequence[str], where: Path) -> dict[str, CivilStamp]:
+    """Stamps of a table by the names of the images; those of no image keep their own name."""
+    meant = by_any_name(names)
+    bases = {Path(name).name for name in names} | {Path(name).stem for name in names}
+    out: dict[str, CivilStamp] = {}
+    for written, stamp in listed.items():
+        text = written.replace("\\", "/")
+        name = meant.get(text, meant.get(text.rsplit("/", 1)[-1], text))
+        if name == text and name not in meant and text.rsplit("/", 1)[-1] in bases:
+            raise InputError(
+                f"'{written}' may mean images of several folders",
+                where=where,
+                expected=f"names with folders, as {names[0]}",
+            )
+        if name in out:
+            raise InputError(f"'{name}' stands there twice", where=where, expected="each image once")
+        out[name] = stamp
+    return out
+
+
+def _heads(images: Mapping[str, Path], report: IntegrityReport) -> list[ImageHead | None]:
     heads: list[ImageHead | None] = []
     bad = []
-    for path in files:
+    for name, path in images.items():
         try:
             heads.append(read_head(path))
         except InputError as error:
             heads.append(None)
-            bad.append(f"{path.name} ({error.found})")
+            bad.append(f"{name} ({error.found})")
         else:
             report.bytes_read += path.stat().st_size
     if bad:
@@ -276,7 +277,8 @@ def _describe(table: pd.DataFrame, report: IntegrityReport) -> None:
             f"{int(again.sum())} images have the stamp of another one: {_names(table['file'][again])}."
         )
     shown = np.flatnonzero(known)
-    back = shown[1:][np.diff(t[shown]) < 0]
+    folder = np.array([str(PurePosixPath(name).parent) for name in table["file"]], dtype=object)[shown]
+    back = shown[1:][(np.diff(t[shown]) < 0) & (folder[1:] == folder[:-1])]
     if back.size:
         report.lose("steps_back", back.size)
         report.note(

@@ -134,24 +134,32 @@ def doubts(control: ControlPoints, result: ControlResult, antenna: Antenna | Non
     return notes
 
 
-def interior_notes(adjusted: Adjusted, known: Camera | None) -> list[str]:
+Interiors = Camera | Mapping[str, Camera] | None
+"""Given interior orientation: of all cameras of a block, or by their names; cameras without are estimated."""
+
+
+def interior_of(known: Interiors, camera: Camera) -> Camera | None:
+    """The given interior orientation of a camera of a block."""
+    return known.get(camera.name) if isinstance(known, Mapping) else known
+
+
+def interior_notes(adjusted: Adjusted, known: Interiors) -> list[str]:
     """Parameters of a calibration that the images pull away from it by more than its sigmas allow."""
     problem = adjusted.problem
-    if known is None:
-        return []
     notes = []
     for camera, weighted in zip(adjusted_cameras(adjusted), problem.weighted, strict=True):
-        sigma = np.sqrt(np.diag(known.cov))
-        if not weighted or not (sigma > 0).any():
+        own = interior_of(known, camera)
+        if own is None or not weighted:
             continue
+        sigma = np.sqrt(np.diag(own.cov))
         # the variance of what an observation moves is at most its own
-        off = camera.parameters - known.parameters
+        off = camera.parameters - own.parameters
         moved = np.abs(np.divide(off, sigma, out=np.zeros_like(off), where=sigma > 0))
         worst = int(np.argmax(moved))
         if moved[worst] > _MOST_SIGMAS:
             notes.append(
                 f"The images pull {camera.parameter_names[worst]} {moved[worst]:.1f} sigmas away from the "
-                f"calibration of {known.name} ({off[worst]:+.3g}): is it that of this camera, focus and zoom?"
+                f"calibration of {own.name} ({off[worst]:+.3g}): is it that of this camera, focus and zoom?"
             )
     return notes
 

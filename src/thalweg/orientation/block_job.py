@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from thalweg.core.camera import Camera
 from thalweg.core.frames import LocalFrame
 from thalweg.core.rigid import Rigid
 from thalweg.orientation.block_antenna import antenna_at_images, antenna_lever_ccs
+from thalweg.orientation.block_consent import Interiors
 from thalweg.orientation.block_problem import Antenna
 from thalweg.orientation.block_result import image_poses
 from thalweg.orientation.block_run import BlockSettings, Oriented, orient_block
@@ -42,7 +42,7 @@ def adjust_campaign(
     control: Mapping[str, Any],
     control_points: Sequence[Path],
     marks: Path | None,
-    known: Camera | None,
+    known: Interiors,
     boat: Boat | None,
     reasons: Mapping[str, str],
     elsewhere: frozenset[str] = frozenset(),
@@ -84,6 +84,7 @@ def adjust_campaign(
         options = adjustment["antenna"]
         antenna, seen = antenna_at_images(
             boat.positions, frame, t, predictions.sigma_t_s[at],
+            sigma_clock_s=float(predictions.facts.get("sigma_common_s", 0.0)),
             lever_ccs_m=antenna_lever_ccs(boat.T_ics_ccs, boat.lever_ics_m),
             sigma_lever_m=np.asarray(boat.sigma_lever_m, np.float64),
             accept_fixes=options["accept_fixes"], max_gap_s=options["max_gap_s"],

@@ -1,15 +1,19 @@
 """Compiled loops of the block adjustment: one pass over the tracks of tie points.
 
-A track is all marks of one point. Its errors are correlated: marks ``i`` and ``j`` of a track have, in each
-of both image coordinates, the covariance ::
+A track is all marks of one point. Its errors are correlated: marks ``i`` and ``j`` of a track have, in
+coordinate ``a`` (along and across the parallax of the track), the covariance ::
 
-    C_ij = s_i s_j (white^2 [i = j] + slow^2 exp(-|v_i - v_j| / reach))
+    C_ij = s_i s_j (white_a^2 [i = j] + slow_a^2 exp(-(|v_i - v_j| / reach)^power))
 
 with the standard deviations ``s`` and the places ``v`` from where the point was seen (see
-`thalweg.orientation.block_correlation`). With ``W = C^-1``, the derivatives ``A_i`` (2, 3) by the point, and
-``V = sum_ij A_i^T W_ij A_j``, the point is eliminated (Brown 1958; Triggs et al. 2000)::
+`thalweg.orientation.block_correlation`). With ``W_a = C_a^-1``, ``W_ij = diag(W_1ij, W_2ij)``, the
+derivatives ``A_i`` (2, 3) by the point, and ``V = sum_ij A_i^T W_ij A_j``, the point is eliminated (Brown
+1958; Triggs et al. 2000)::
 
-    P_ij = W_ij 1 - (W A)_i V^-1 (W A)_j^T,      S += J_i^T P_ij J_j,      g += J_i^T P_ij r_j
+    P_ij = W_ij - (W A)_i V^-1 (W A)_j^T,      S += J_i^T P_ij J_j,      g += J_i^T P_ij r_j
+
+``model`` holds white (2), slow (2), reach and power. Residuals and derivatives come in the coordinates along
+and across.
 """
 
 import numba as nb
@@ -19,29 +23,43 @@ from thalweg.core.types import ArrayF, ArrayI
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _inverse_track(n: int, s: ArrayF, v: ArrayF, white: float, slow: float, reach: float, W: ArrayF) -> float:
-    """Fill ``W`` (n, n) with the inverse covariance of a track; returns the logarithm of its determinant."""
+def _inverse_track(n: int, s: ArrayF, v: ArrayF, model: ArrayF, W: ArrayF) -> float:
+    """Fill ``W`` (2, n, n) with the inverse covariances of a track; returns the logarithm of determinants."""
     log_determinant = 0.0
-    if slow == 0.0 or n == 1:
-        total = white * white + slow * slow
+    wanders = n > 1 and (model[2] > 0.0 or model[3] > 0.0)
+    if wanders:
+        # how alike the slow errors are, in the upper half of the second matrix until it is its turn
+        half = 0.5 * model[5]
         for i in range(n):
-            for j in range(n):
-                W[i, j] = 0.0
-            W[i, i] = 1.0 / (total * s[i] * s[i])
-            log_determinant -= np.log(W[i, i])
-        return log_determinant
+            for j in range(i + 1, n):
+                d2 = 0.0
+                for a in range(v.shape[1]):
+                    d2 += (v[i, a] - v[j, a]) ** 2
+                W[1, i, j] = np.exp(-((d2 / (model[4] * model[4])) ** half))
+    for a in range(2):
+        white, slow = model[a] * model[a], model[2 + a] * model[2 + a]
+        if not wanders:
+            for i in range(n):
+                for j in range(n):
+                    W[a, i, j] = 0.0
+                W[a, i, i] = 1.0 / ((white + slow) * s[i] * s[i])
+                log_determinant -= np.log(W[a, i, i])
+        else:
+            log_determinant += _inverse_coordinate(n, s, W[1], white, slow, W[a])
+    return log_determinant
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _inverse_coordinate(n: int, s: ArrayF, alike: ArrayF, white: float, slow: float, W: ArrayF) -> float:
+    """Inverse covariance of one coordinate; ``alike`` is read from its upper half, and may be ``W``."""
     # Cholesky factor of the correlation part, in the lower half of W; the sigmas are put in at the end
     for i in range(n):
         for j in range(i + 1):
-            d2 = 0.0
-            for a in range(v.shape[1]):
-                d2 += (v[i, a] - v[j, a]) ** 2
-            value = slow * slow * np.exp(-np.sqrt(d2) / reach)
-            if i == j:
-                value += white * white
+            value = white + slow if i == j else slow * alike[j, i]
             for k in range(j):
                 value -= W[i, k] * W[j, k]
             W[i, j] = np.sqrt(value) if i == j else value / W[j, j]
+    log_determinant = 0.0
     for i in range(n):
         log_determinant += 2.0 * np.log(W[i, i] * s[i])
     # inverse of the factor, in place
@@ -89,7 +107,7 @@ def _eliminated(n: int, A: ArrayF, W: ArrayF, damping: float, WA: ArrayF, V: Arr
             for x in range(3):
                 value = 0.0
                 for j in range(n):
-                    value += W[i, j] * A[j, a, x]
+                    value += W[a, i, j] * A[j, a, x]
                 WA[i, a, x] = value
     for i in range(n):
         for a in range(2):
@@ -125,7 +143,7 @@ def add_tracks(
     image : (m,) image of each mark.
     by_pose, by_rest, by_point : (m, 2, 6), (m, 2, q), (m, 2, 3) derivatives of the pixel.
     residual : (m, 2) measured minus computed.
-    sigma : (m,) standard deviations; view : (m, d) places of view; model : (3,) white, slow, reach.
+    sigma : (m,) standard deviations; view : (m, d) places of view; model : (6,).
     damping : Levenberg's share that is added to the diagonal of each point.
     n_poses : 6 times the number of images.
     S, g : (u, u), (u,) poses first, then the q others; only the upper half of S is filled.
@@ -133,7 +151,7 @@ def add_tracks(
     longest = 0
     for k in range(len(first) - 1):
         longest = max(longest, first[k + 1] - first[k])
-    W, WA = np.empty((longest, longest)), np.empty((longest, 2, 3))
+    W, WA = np.empty((2, longest, longest)), np.empty((longest, 2, 3))
     V, Vi, Wr = np.empty((3, 3)), np.empty((3, 3)), np.empty((longest, 2))
     left, P, T = np.empty((2, 3)), np.empty((2, 2)), np.empty((2, 6))
     q = by_rest.shape[2]
@@ -145,7 +163,7 @@ def add_tracks(
         if n == 0:
             continue
         A = by_point[at : at + n]
-        _inverse_track(n, sigma[at : at + n], view[at : at + n], model[0], model[1], model[2], W)
+        _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
         _eliminated(n, A, W, damping, WA, V, Vi)
         point[:] = 0.0
         rest[:] = 0.0
@@ -153,7 +171,7 @@ def add_tracks(
             for a in range(2):
                 value = 0.0
                 for j in range(n):
-                    value += W[i, j] * residual[at + j, a]
+                    value += W[a, i, j] * residual[at + j, a]
                 Wr[i, a] = value
                 cost += residual[at + i, a] * value
                 for x in range(3):
@@ -173,7 +191,7 @@ def add_tracks(
                 for c in range(q):
                     value = 0.0
                     for j in range(n):
-                        value += W[i, j] * by_rest[at + j, a, c]
+                        value += W[a, i, j] * by_rest[at + j, a, c]
                     for x in range(3):
                         value -= left[a, x] * rest[x, c]
                     PR[i, a, c] = value
@@ -202,7 +220,7 @@ def add_tracks(
                     continue
                 for a in range(2):
                     for b in range(2):
-                        P[a, b] = W[i, j] if a == b else 0.0
+                        P[a, b] = W[a, i, j] if a == b else 0.0
                         for x in range(3):
                             P[a, b] -= left[a, x] * WA[j, b, x]
                 for b in range(6):
@@ -230,7 +248,7 @@ def solve_points(
     longest = 0
     for k in range(len(first) - 1):
         longest = max(longest, first[k + 1] - first[k])
-    W, WA = np.empty((longest, longest)), np.empty((longest, 2, 3))
+    W, WA = np.empty((2, longest, longest)), np.empty((longest, 2, 3))
     V, Vi = np.empty((3, 3)), np.empty((3, 3))
     right = np.empty(3)
     for k in range(len(first) - 1):
@@ -238,7 +256,7 @@ def solve_points(
         step[k] = 0.0
         if n == 0:
             continue
-        _inverse_track(n, sigma[at : at + n], view[at : at + n], model[0], model[1], model[2], W)
+        _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
         _eliminated(n, by_point[at : at + n], W, damping, WA, V, Vi)
         right[:] = 0.0
         for i in range(n):
@@ -258,15 +276,15 @@ def track_costs(
     longest = 0
     for k in range(len(first) - 1):
         longest = max(longest, first[k + 1] - first[k])
-    W = np.empty((longest, longest))
+    W = np.empty((2, longest, longest))
     for k in range(len(first) - 1):
         at, n = first[k], first[k + 1] - first[k]
-        _inverse_track(n, sigma[at : at + n], view[at : at + n], model[0], model[1], model[2], W)
+        _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
         cost[k] = 0.0
         for i in range(n):
             for j in range(n):
                 for a in range(2):
-                    cost[k] += residual[at + i, a] * W[i, j] * residual[at + j, a]
+                    cost[k] += residual[at + i, a] * W[a, i, j] * residual[at + j, a]
 
 
 @nb.njit(cache=True, error_model="numpy", nogil=True)
@@ -291,7 +309,7 @@ def restricted_parts(
     longest = 0
     for k in range(len(first) - 1):
         longest = max(longest, first[k + 1] - first[k])
-    W, WA = np.empty((longest, longest)), np.empty((longest, 2, 3))
+    W, WA = np.empty((2, longest, longest)), np.empty((longest, 2, 3))
     V, Vi, point = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     left, z = np.empty((2, 3)), np.empty(2)
     for k in range(len(first) - 1):
@@ -299,9 +317,9 @@ def restricted_parts(
         logarithm[k] = square[k] = 0.0
         if n < 2:
             continue
-        log_det = _inverse_track(n, sigma[at : at + n], view[at : at + n], model[0], model[1], model[2], W)
+        log_det = _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
         determinant = _eliminated(n, by_point[at : at + n], W, 0.0, WA, V, Vi)
-        logarithm[k] = 2.0 * log_det + np.log(determinant)
+        logarithm[k] = log_det + np.log(determinant)
         point[:] = 0.0
         for i in range(n):
             for a in range(2):
@@ -311,7 +329,7 @@ def restricted_parts(
             for a in range(2):
                 z[a] = 0.0
                 for j in range(n):
-                    z[a] += W[i, j] * residual[at + j, a]
+                    z[a] += W[a, i, j] * residual[at + j, a]
                 for x in range(3):
                     left[a, x] = 0.0
                     for y in range(3):
@@ -320,7 +338,7 @@ def restricted_parts(
                 square[k] += residual[at + i, a] * z[a]
             if len(fit):
                 # a direction that only this mark shows has no check: it gets a little weight of its own
-                xx = yy = 1.001 * W[i, i]
+                xx, yy = 1.001 * W[0, i, i], 1.001 * W[1, i, i]
                 xy = 0.0
                 for x in range(3):
                     xx -= left[0, x] * WA[i, 0, x]

@@ -22,8 +22,9 @@ class Tracks:
     """Tie marks that take part, sorted by point.
 
     ``point`` (t,) are the points, ``first`` (t + 1,) where their marks begin, ``mark`` (m,) indices into the
-    block's marks, ``image`` (m,), ``xy_px`` (m, 2), ``sigma_px`` (m,) with robust weights put in, and
-    ``view`` (m, 4) as of `thalweg.orientation.block_correlation.views`.
+    block's marks, ``image`` (m,), ``xy_px`` (m, 2), ``sigma_px`` (m,) with robust weights put in, ``view``
+    (m, 4) as of `thalweg.orientation.block_correlation.views`, and ``along`` (m, 2), the unit vector of the
+    parallax in the image.
     """
 
     point: ArrayI
@@ -33,6 +34,7 @@ class Tracks:
     xy_px: ArrayF
     sigma_px: ArrayF
     view: ArrayF
+    along: ArrayF
 
     def chunks(self) -> Iterator[tuple[slice, slice]]:
         """Slices of tracks and of their marks, of limited size."""
@@ -44,8 +46,13 @@ class Tracks:
             begin = end
 
 
-def tracks_of(problem: Problem, used: ArrayB, sigma_px: ArrayF, view: ArrayF) -> Tracks:
-    """Tracks of the used marks (m,) of all points that keep at least two of them."""
+def tracks_of(
+    problem: Problem, used: ArrayB, sigma_px: ArrayF, view: ArrayF, along: ArrayF | None = None
+) -> Tracks:
+    """Tracks of the used marks (m,) of all points that keep at least two of them.
+
+    ``along`` (m, 2) is the parallax of all marks; None: along the rows.
+    """
     block = problem.block
     count = np.bincount(block.mark_point[used], minlength=len(block.points_block_m))
     rows = np.flatnonzero(used & (count[block.mark_point] >= 2))
@@ -59,6 +66,7 @@ def tracks_of(problem: Problem, used: ArrayB, sigma_px: ArrayF, view: ArrayF) ->
         xy_px=block.mark_px[rows],
         sigma_px=sigma_px[rows],
         view=view[rows],
+        along=np.tile([1.0, 0.0], (len(rows), 1)) if along is None else along[rows],
     )
 
 
@@ -100,6 +108,19 @@ def linearised(problem: Problem, layout: Layout, x: State, image: ArrayI, X: Arr
     return Marks(residual, by_pose, by_rest, by_point)
 
 
+def along_and_across(part: Marks, along: ArrayF) -> Marks:
+    """The same with residuals and derivatives along unit vectors (m, 2) and across them."""
+    turn = _turns(along)
+    return Marks(
+        np.einsum("mij,mj->mi", turn, part.residual), turn @ part.by_pose, turn @ part.by_rest,
+        turn @ part.by_point,
+    )  # fmt: skip
+
+
+def _turns(along: ArrayF) -> ArrayF:
+    return np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
+
+
 @dataclass(slots=True)
 class Reduced:
     """Reduced normal equations: matrix (u, u), right side (u,), square sums of the groups."""
@@ -133,6 +154,7 @@ def reduced_system(
     for which, rows in tracks.chunks():
         at = np.repeat(tracks.point[which], np.diff(tracks.first[which.start : which.stop + 1]))
         part = linearised(problem, layout, x, tracks.image[rows], x.X[at], tracks.xy_px[rows])
+        part = along_and_across(part, tracks.along[rows])
         tie += add_tracks(
             tracks.first[which.start : which.stop + 1] - tracks.first[which.start],
             tracks.image[rows], part.by_pose, part.by_rest, part.by_point, part.residual,
@@ -166,6 +188,7 @@ def point_steps(
         at = np.repeat(tracks.point[which], np.diff(first))
         image = tracks.image[rows]
         part = linearised(problem, layout, x, image, x.X[at], tracks.xy_px[rows])
+        part = along_and_across(part, tracks.along[rows])
         left = part.residual - np.einsum("maj,mj->ma", part.by_pose, poses[image]) - part.by_rest @ rest
         found = np.empty((which.stop - which.start, 3))
         solve_points(
@@ -186,6 +209,7 @@ def cost_of(
         at = np.repeat(tracks.point[which], np.diff(first))
         xy = projected(problem, x, tracks.image[rows], x.X[at])
         residual = np.nan_to_num(tracks.xy_px[rows] - xy, nan=NO_IMAGE_PX)
+        residual = np.einsum("mij,mj->mi", _turns(tracks.along[rows]), residual)
         value = np.empty(which.stop - which.start)
         track_costs(first - first[0], residual, tracks.sigma_px[rows], tracks.view[rows], model.model, value)
         total += float(value.sum())
@@ -207,6 +231,18 @@ def projected(problem: Problem, x: State, image: ArrayI, X: ArrayF) -> ArrayF:
         rows = np.flatnonzero(camera == k)
         out[rows] = lens.project(seen[rows])
     return out
+
+
+def derivatives_by_point(problem: Problem, x: State, image: ArrayI, X: ArrayF) -> ArrayF:
+    """(m, 2, 3) derivatives of the pixels of points ``X`` (m, 3) in images; 0 where a camera sees nothing."""
+    Rt = np.swapaxes(x.R, 1, 2)[image]
+    seen = np.einsum("mij,mj->mi", Rt, X - x.C[image])
+    out = np.empty((len(image), 2, 3))
+    camera = problem.block.camera[image]
+    for k, lens in enumerate(x.cameras):
+        rows = np.flatnonzero(camera == k)
+        out[rows] = lens.project_with_derivatives(seen[rows])[1]
+    return np.asarray(np.nan_to_num(out) @ Rt)
 
 
 def _add_control(
@@ -247,7 +283,7 @@ def _add_control(
 
 
 def _add_antenna(problem: Problem, layout: Layout, x: State, out: Reduced, *, derive: bool = True) -> None:
-    """Antenna positions; errors of each axis are correlated in time, axes are independent."""
+    """Antenna positions, and what is known of their lever arm and of the camera's clock."""
     seen = problem.antenna
     if seen is None or len(seen.image) == 0:
         return
@@ -255,7 +291,6 @@ def _add_antenna(problem: Problem, layout: Layout, x: State, out: Reduced, *, de
     lever, shift, drift = seen.lever_ccs_m, np.zeros(3), np.zeros(3)
     t = seen.t_s - seen.t_s.mean()
     extra: list[ArrayF] = []
-    names = seen.extras
     at = 0
     eye = np.broadcast_to(np.eye(3), (len(t), 3, 3))
     if seen.shift:
@@ -264,17 +299,25 @@ def _add_antenna(problem: Problem, layout: Layout, x: State, out: Reduced, *, de
     if seen.drift:
         drift, at = x.extras[at : at + 3], at + 3
         extra.append(eye * t[:, None, None])
-    if len(names) > at:
+    known = seen.sigma_lever_m > 0
+    if known.any():
         lever = lever + x.extras[at : at + 3]
         extra.append(R)
     arm = R @ lever
     off = seen.position_wcs_m - (x.C[seen.image] + arm + shift + t[:, None] * drift)
-    W = seen.inverse_covariances
-    Wr = np.einsum("aij,ja->ia", W, off)
+    if seen.velocity_wcs_m_s is not None and seen.late:
+        off += seen.velocity_wcs_m_s * x.extras[-1]
+        extra.append(-seen.velocity_wcs_m_s[:, :, None])
+    W = seen.inverse_covariance
+    Wr = np.einsum("iajb,jb->ia", W, off)
     out.cost["antenna"] = float((off * Wr).sum())
     out.counts["antenna"] = off.size
-    if len(names) > at:
-        known = seen.sigma_lever_m > 0
+    if seen.late:
+        out.cost["clock"], out.counts["clock"] = float(x.extras[-1] / seen.sigma_clock_s) ** 2, 1
+        if derive:
+            out.N[layout.control - 1, layout.control - 1] += 1.0 / seen.sigma_clock_s**2
+            out.g[layout.control - 1] -= x.extras[-1] / seen.sigma_clock_s**2
+    if known.any():
         change = x.extras[at : at + 3]
         # components that are held get a micrometre
         weight = 1.0 / np.square(np.where(known, seen.sigma_lever_m, 1e-6))
@@ -290,15 +333,18 @@ def _add_antenna(problem: Problem, layout: Layout, x: State, out: Reduced, *, de
     pose = J[:, :, :6]
     own = (6 * seen.image[:, None] + np.arange(6)).ravel()
     n = len(own)
-    out.N[np.ix_(own, own)] += np.einsum("aij,iak,jal->ikjl", W, pose, pose).reshape(n, n)
+    # W J as (i, j, a, l)
+    moved = np.swapaxes(W, 1, 2) @ pose
+    out.N[np.ix_(own, own)] += np.einsum("iak,ijal->ikjl", pose, moved).reshape(n, n)
     out.g[own] += np.einsum("iak,ia->ik", pose, Wr).ravel()
     if J.shape[2] > 6:
         common = J[:, :, 6:]
         place = np.arange(layout.extras, layout.extras + common.shape[2])
-        cross = np.einsum("aij,iak,jal->ikl", W, pose, common).reshape(n, -1)
+        W_common = np.einsum("iajb,jbl->ial", W, common)
+        cross = np.einsum("iak,ial->ikl", pose, W_common).reshape(n, -1)
         out.N[np.ix_(own, place)] += cross
         out.N[np.ix_(place, own)] += cross.T
-        out.N[np.ix_(place, place)] += np.einsum("aij,iak,jal->kl", W, common, common)
+        out.N[np.ix_(place, place)] += np.einsum("iak,ial->kl", common, W_common)
         out.g[place] += np.einsum("iak,ia->k", common, Wr)
 
 
@@ -307,9 +353,14 @@ def _add_interior(problem: Problem, layout: Layout, x: State, out: Reduced, *, d
     for k, (start, camera) in enumerate(zip(problem.block.cameras, x.cameras, strict=True)):
         at = layout.interior[k]
         sought = np.flatnonzero(at >= 0)
-        if not problem.weighted[k] or not len(sought):
+        if problem.weighted[k]:
+            known = start.cov[np.ix_(sought, sought)]
+        else:
+            names = start.parameter_names
+            sought = np.array([i for i in sought if names[i] in problem.prior_sigma], np.int64)
+            known = np.diag([problem.prior_sigma[names[i]] ** 2 for i in sought])
+        if not len(sought):
             continue
-        known = start.cov[np.ix_(sought, sought)]
         # parameters that were estimated as one are correlated fully
         W = np.linalg.inv(known + 1e-9 * np.diag(np.diag(known)))
         off = (start.parameters - camera.parameters)[sought]

@@ -2,10 +2,11 @@
 
 Unknowns that the images share stand in one dense system, in this order: six of each image (shift of the
 projection centre, rotation vector; both in wcs, as in `thalweg.orientation.image_poses`), the free interior
-parameters of each camera, what antenna positions need (common shift, drift, lever arm), and three
+parameters of each camera, what antenna positions need (common shift, drift, lever arm, clock), and three
 coordinates of each control and check point. Tie points are eliminated.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -20,6 +21,8 @@ from thalweg.orientation.control_points import ControlMarks, ControlPoints
 from thalweg.orientation.image_block import ImageBlock
 
 POSE_PARTS: Final = ("east", "north", "up", "rotation east", "rotation north", "rotation up")
+CLOCK: Final = "antenna clock"
+"""Name of the unknown that tells how much later than stamped the images were taken, seconds."""
 _LEAST_FOCAL: Final = 0.05
 """A wild trial step may not turn a focal length round: it keeps this share at least."""
 
@@ -28,7 +31,7 @@ _LEAST_FOCAL: Final = 0.05
 class Antenna:
     """Positions of a GNSS antenna at the exposures, as observations of the projection centres.
 
-    ``x_antenna = C + R_wcs_ccs lever + shift + drift (t - t_mean)``
+    ``x_antenna = C + R_wcs_ccs lever + shift + drift (t - t_mean) - velocity clock``
 
     Parameters
     ----------
@@ -36,6 +39,10 @@ class Antenna:
     t_s : (a,) times.
     position_wcs_m, sigma_m : (a, 3) positions and their standard deviations.
     lever_ccs_m, sigma_lever_m : (3,) antenna in the frame of the camera; a sigma of zero holds it fixed.
+    velocity_wcs_m_s : (a, 3) of the antenna; None: at rest.
+    sigma_jitter_s : (a,) errors of the times of single images; None: none.
+    sigma_clock_s : error that the times of all images share, ``clock``: how much later than ``t_s`` they were
+        taken. It is estimated, with this standard deviation about zero; 0: there is none.
     correlation_time_s : errors of neighbours are correlated by ``exp(-|dt| / time)``; 0: independent.
     shift, drift : whether a common shift, and one that grows with time, are sought.
     """
@@ -46,6 +53,9 @@ class Antenna:
     sigma_m: ArrayF
     lever_ccs_m: ArrayF
     sigma_lever_m: ArrayF = field(default_factory=lambda: np.zeros(3))
+    velocity_wcs_m_s: ArrayF | None = None
+    sigma_jitter_s: ArrayF | None = None
+    sigma_clock_s: float = 0.0
     correlation_time_s: float = 0.0
     shift: bool = False
     drift: bool = False
@@ -57,6 +67,11 @@ class Antenna:
                 expected="positive metres",
             )
 
+    @property
+    def late(self) -> bool:
+        """Whether a common error of the times of the images is sought."""
+        return self.sigma_clock_s > 0 and self.velocity_wcs_m_s is not None
+
     @cached_property
     def extras(self) -> tuple[str, ...]:
         """Names of the unknowns that these observations bring along."""
@@ -67,15 +82,25 @@ class Antenna:
             names += [f"antenna drift {a}" for a in "enu"]
         if (self.sigma_lever_m > 0).any():
             names += [f"antenna lever arm {a}" for a in "xyz"]
+        if self.late:
+            names.append(CLOCK)
         return tuple(names)
 
     @cached_property
-    def inverse_covariances(self) -> ArrayF:
-        """(3, a, a) inverse covariance of each axis."""
-        if self.correlation_time_s <= 0:
-            return np.stack([np.diag(1.0 / s**2) for s in self.sigma_m.T])
-        rho = np.exp(-np.abs(self.t_s[:, None] - self.t_s) / self.correlation_time_s)
-        return np.stack([np.linalg.inv(rho * np.outer(s, s) + 1e-12 * np.diag(s**2)) for s in self.sigma_m.T])
+    def inverse_covariance(self) -> ArrayF:
+        """(a, 3, a, 3) of all positions: slow errors of each axis, and jitter along the motion."""
+        n = len(self.image)
+        rho = np.eye(n)
+        if self.correlation_time_s > 0:
+            rho = np.exp(-np.abs(self.t_s[:, None] - self.t_s) / self.correlation_time_s) + 1e-12 * np.eye(n)
+        cov = np.zeros((n, 3, n, 3))
+        for axis, s in enumerate(self.sigma_m.T):
+            cov[:, axis, :, axis] = rho * np.outer(s, s)
+        if self.sigma_jitter_s is not None and self.velocity_wcs_m_s is not None:
+            along = self.velocity_wcs_m_s * self.sigma_jitter_s[:, None]
+            each = np.arange(n)
+            cov[each, :, each] += along[:, :, None] * along[:, None]
+        return np.asarray(np.linalg.inv(cov.reshape(3 * n, 3 * n)).reshape(n, 3, n, 3), np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +116,8 @@ class Problem:
     weighted : for each camera, whether its covariance enters as an observation of its parameters.
     held : (i, 6) components of the poses that keep their values: a datum where nothing else gives one.
     square_pixels : whether ``fx`` and ``fy`` change together, where both are free and not weighted.
+    prior_sigma : standard deviations of parameters about their start values, by name, in cameras that are not
+        weighted.
     """
 
     block: ImageBlock
@@ -101,6 +128,7 @@ class Problem:
     weighted: tuple[bool, ...]
     held: ArrayB
     square_pixels: bool = False
+    prior_sigma: Mapping[str, float] = field(default_factory=dict)
 
     def shifted(self, by_m: ArrayF) -> "Problem":
         """The same problem about another origin, so that coordinates are small."""

@@ -11,7 +11,7 @@ from thalweg.core.camera import Camera
 from thalweg.core.frames import LocalFrame
 from thalweg.core.types import ArrayB, ArrayF
 from thalweg.orientation.block_adjustment import Adjusted
-from thalweg.orientation.block_linear import linearised
+from thalweg.orientation.block_linear import along_and_across, linearised
 from thalweg.orientation.block_start import swapped
 from thalweg.orientation.block_weights import LEAST_IMAGE_MARKS
 from thalweg.orientation.image_block import ImageBlock
@@ -139,7 +139,6 @@ def point_covariances(adjusted: Adjusted, points: Sequence[int]) -> ArrayF:
     where = {int(p): k for k, p in enumerate(tracks.point)}
     out = np.full((len(points), 3, 3), np.nan)
     q = layout.n_interior
-    model = adjusted.correlation
     for row, p in enumerate(points):
         k = where.get(int(p))
         if k is None:
@@ -147,10 +146,9 @@ def point_covariances(adjusted: Adjusted, points: Sequence[int]) -> ArrayF:
         s = slice(int(tracks.first[k]), int(tracks.first[k + 1]))
         image, n = tracks.image[s], s.stop - s.start
         part = linearised(adjusted.problem, layout, x, image, np.repeat(x.X[[p]], n, axis=0), tracks.xy_px[s])
-        apart = np.linalg.norm(tracks.view[s][:, None] - tracks.view[s], axis=2)
-        C = model.white**2 * np.eye(n) + model.slow**2 * np.exp(-apart / model.reach_rad)
-        W = np.linalg.inv(C * np.outer(tracks.sigma_px[s], tracks.sigma_px[s]))
-        WA = np.einsum("ij,jax->iax", W, part.by_point)
+        part = along_and_across(part, tracks.along[s])
+        W = np.linalg.inv(adjusted.correlation.covariances(tracks.view[s], tracks.sigma_px[s]))
+        WA = np.einsum("aij,jax->iax", W, part.by_point)
         V = np.einsum("iax,iay->xy", part.by_point, WA)
         columns = np.concatenate(
             [*(np.arange(6 * i, 6 * i + 6) for i in image), layout.n_poses + np.arange(q)]

@@ -9,7 +9,16 @@ import numpy as np
 from thalweg.core.camera import PARAMETERS, Camera
 from thalweg.core.errors import GeometryError
 from thalweg.orientation.block_adjustment import Adjusted, adjust_block
-from thalweg.orientation.block_consent import check_consent, check_datum, check_free, doubts, interior_notes
+from thalweg.orientation.block_antenna import clock_notes
+from thalweg.orientation.block_consent import (
+    Interiors,
+    check_consent,
+    check_datum,
+    check_free,
+    doubts,
+    interior_notes,
+    interior_of,
+)
 from thalweg.orientation.block_place import (
     LEAST,
     Expected,
@@ -19,6 +28,7 @@ from thalweg.orientation.block_place import (
     other_reading,
 )
 from thalweg.orientation.block_problem import Antenna, Problem
+from thalweg.orientation.block_restart import adjust_from_either_start
 from thalweg.orientation.block_result import ControlResult, control_result
 from thalweg.orientation.block_start import (
     CURE_LINE,
@@ -35,6 +45,12 @@ from thalweg.orientation.image_poses import ImagePoses
 _LEAST_CONTROL: Final = 4
 """Control points that must stay when one is made a check point: four can still contradict each other."""
 _MOST_DEMOTED: Final = 3
+_DISTORTION: Final = {"k1": 0.1, "k2": 0.1, "k3": 0.05, "k4": 0.02, "p1": 0.002, "p2": 0.002}
+"""Sigmas of distortion about its start value where it is not to be estimated freely: what lenses have.
+
+Held without a sigma it would bend the others, and their covariance would not tell: with a k3 of -0.018 held
+at zero, k2 came out ten sigmas off.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,7 +177,7 @@ def orient_block(
     *,
     predictions: ImagePoses | None = None,
     antenna: Antenna | None = None,
-    known: Camera | None = None,
+    known: Interiors = None,
     progress: Callable[[str], None] | None = None,
 ) -> Oriented:
     """Orient a block in the world.
@@ -172,7 +188,8 @@ def orient_block(
     control, marks : surveyed points and their marks; may be empty.
     predictions : approximate poses of images.
     antenna : GNSS positions at exposures.
-    known : interior orientation from a calibration, with covariance, of all cameras of the block.
+    known : interior orientation from a calibration, with covariance, of all cameras of the block or by their
+        names; cameras without one are estimated.
 
     Raises
     ------
@@ -189,9 +206,12 @@ def orient_block(
         block=replace(moved, cameras=cameras), control=control, marks=marks, antenna=antenna, free=free,
         weighted=weighted, held=np.zeros((len(block.images), 6), np.bool_),
         square_pixels=settings.square_pixels,
+        prior_sigma={k: v for k, v in _DISTORTION.items() if k not in settings.free_parameters},
     )  # fmt: skip
-    adjusted = adjust_block(problem, settings.options, progress=progress)
-    result = control_result(adjusted)
+    problem, adjusted, result, told = adjust_from_either_start(
+        problem, settings.options, predictions, progress
+    )
+    notes += told
     demoted: list[str] = []
     for _ in range(_MOST_DEMOTED):
         worst = _contradicting(problem.control, result)
@@ -214,6 +234,7 @@ def orient_block(
         check_free(problem, estimated, settings.options, result, len(demoted))
     check_consent(moved, control, marks, result, demoted, predictions)
     notes += interior_notes(adjusted, known)
+    notes += clock_notes(antenna, float(adjusted.x.extras[-1]) if len(adjusted.x.extras) else 0.0)
     notes += [*adjusted.notes, *result.notes, *doubts(problem.control, result, antenna)]
     return Oriented(adjusted=adjusted, control=result, demoted=tuple(demoted), left_out=left_out, notes=notes)
 
@@ -248,27 +269,32 @@ def _usable(
 
 
 def _interior(
-    cameras: Sequence[Camera], settings: BlockSettings, known: Camera | None
+    cameras: Sequence[Camera], settings: BlockSettings, known: Interiors
 ) -> tuple[tuple[Camera, ...], tuple[tuple[str, ...], ...], tuple[bool, ...]]:
     """Cameras to begin with, their free parameters, and whether their covariance is an observation."""
-    mode = settings.interior
-    if mode == "auto":
-        stated = known is not None and bool((np.diag(known.cov) > 0).any())
-        mode = "weighted" if stated else "free"
-    if mode in ("weighted", "fixed") and known is None:
+    given = [interior_of(known, camera) for camera in cameras]
+    if settings.interior in ("weighted", "fixed") and None in given:
+        lacking = cameras[given.index(None)].name
         raise GeometryError(
-            f"images.adjustment.interior is {mode!r}, and no interior orientation is given",
-            expected="a calibration of the camera",
-            cure="Set it to free, or name a calibration (logs.time_lapse.interior, mounts.calibration)",
+            f"images.adjustment.interior is {settings.interior!r}, and no interior orientation is given for "
+            f"{lacking}",
+            expected="a calibration of each camera",
+            cure="Set it to free, or name a calibration (logs.time_lapse.interior or interiors, "
+            "mounts.calibration)",
         )
-    out, free = [], []
-    for camera in cameras:
-        if mode in ("weighted", "fixed") and known is not None:
-            camera = replace(known, name=camera.name)
-        has = [name for name in PARAMETERS[camera.model] if name in settings.free_parameters]
+    out, free, weighted = [], [], []
+    for camera, own in zip(cameras, given, strict=True):
+        mode = settings.interior
+        if mode == "auto":
+            mode = "weighted" if own is not None and bool((np.diag(own.cov) > 0).any()) else "free"
+        if mode in ("weighted", "fixed") and own is not None:
+            camera = replace(own, name=camera.name)
+        sought = {*settings.free_parameters, *_DISTORTION}
+        has = [name for name in PARAMETERS[camera.model] if name in sought]
         if mode == "weighted":
             sigma = dict(zip(camera.parameter_names, np.diag(camera.cov), strict=True))
             has = [name for name in camera.parameter_names if sigma[name] > 0]
         out.append(camera)
         free.append(() if mode == "fixed" else tuple(has))
-    return tuple(out), tuple(free), tuple(mode == "weighted" for _ in cameras)
+        weighted.append(mode == "weighted")
+    return tuple(out), tuple(free), tuple(weighted)

@@ -12,9 +12,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from thalweg.core.types import ArrayB, ArrayF
-from thalweg.orientation.block_correlation import Correlation, estimate, views
+from thalweg.orientation.block_correlation import Correlation, estimate, parallax, views
 from thalweg.orientation.block_kernels import restricted_parts
-from thalweg.orientation.block_linear import Tracks, linearised, projected, tracks_of
+from thalweg.orientation.block_linear import (
+    Tracks,
+    along_and_across,
+    derivatives_by_point,
+    linearised,
+    projected,
+    tracks_of,
+)
 from thalweg.orientation.block_problem import Layout, Problem, State
 from thalweg.orientation.block_start import triangulated
 
@@ -77,7 +84,7 @@ class Weights:
         self.information = np.ones(len(block.points_block_m))
         self.control = np.ones(len(problem.marks.image))
         self.correlation, self.control_scale = Correlation(), 1.0
-        self.view = views(x.X[block.mark_point], x.C[block.mark_image])
+        self.see(problem, x)
         behind = ~np.isfinite(projected(problem, x, block.mark_image, x.X[block.mark_point])).all(axis=1)
         flat = _flat(problem, x, options.least_angle_deg)
         twice = repeated(problem)
@@ -93,6 +100,14 @@ class Weights:
             f"points under less than {options.least_angle_deg:g} degrees": int(flat.sum()),
         }
 
+    def see(self, problem: Problem, x: State) -> None:
+        """Places of view and directions of parallax of all marks at a state."""
+        block = problem.block
+        centres, points = x.C[block.mark_image], x.X[block.mark_point]
+        self.view = views(points, centres)
+        by_point = derivatives_by_point(problem, x, block.mark_image, points)
+        self.along = parallax(by_point, block.mark_point, centres, len(x.X))
+
     @property
     def used(self) -> ArrayB:
         """(m,) marks that take part, but for those whose point loses all others."""
@@ -103,7 +118,7 @@ class Weights:
         own = self.track / self.region * (self.information if final else 1.0)
         weight = self.mark * own[self.mark_point]
         sigma = problem.block.sigma_px / np.sqrt(np.maximum(weight, _LEAST_WEIGHT))
-        return tracks_of(problem, self.used, sigma, self.view)
+        return tracks_of(problem, self.used, sigma, self.view, self.along)
 
     def hold_unseen(self, problem: Problem, layout: Layout) -> None:
         """Hold images and check points that too few marks fix; their marks take no part."""
@@ -149,7 +164,7 @@ def repeated(problem: Problem) -> ArrayB:
 def reweight(problem: Problem, layout: Layout, x: State, weights: Weights, turn: int) -> bool:
     """New robust weights, rejections and correlation; whether anything changed that matters."""
     before, used = weights.correlation, weights.used
-    weights.view = views(x.X[problem.block.mark_point], x.C[problem.block.mark_image])
+    weights.see(problem, x)
     if weights.usable.any():
         if turn == 0:
             _first_weights(problem, x, weights)
@@ -182,9 +197,9 @@ def _track_weights(problem: Problem, layout: Layout, x: State, weights: Weights)
     kept = weights.fits
     mark = np.where(kept, np.maximum(weights.mark, _LEAST_WEIGHT), _LEAST_WEIGHT)
     sigma = block.sigma_px * np.sqrt(weights.region[block.mark_point] / mark)
-    every = tracks_of(problem, weights.usable, sigma, weights.view)
+    every = tracks_of(problem, weights.usable, sigma, weights.view, weights.along)
     if options.correlated:
-        chosen = tracks_of(problem, weights.used, sigma, weights.view)
+        chosen = tracks_of(problem, weights.used, sigma, weights.view, weights.along)
         known = weights.correlation if weights.correlation.slow > 0 else None
         weights.correlation = estimate(
             chosen.first, *_geometry(problem, layout, x, chosen), chosen.sigma_px, chosen.view, known
@@ -232,9 +247,10 @@ def neighbours_noise(points_m: ArrayF, square: ArrayF, degrees: ArrayF) -> Array
 
 
 def _geometry(problem: Problem, layout: Layout, x: State, tracks: Tracks) -> tuple[ArrayF, ArrayF]:
-    """Derivatives (m, 2, 3) of the marks of tracks by their points, and residuals (m, 2)."""
+    """Derivatives (m, 2, 3) of marks by their points, and residuals (m, 2), along and across."""
     at = np.repeat(tracks.point, np.diff(tracks.first))
     part = linearised(problem, layout, x, tracks.image, x.X[at], tracks.xy_px)
+    part = along_and_across(part, tracks.along)
     return part.by_point, part.residual
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import cv2
@@ -11,6 +11,7 @@ import pandas as pd
 
 from thalweg.core.errors import ThalwegError
 from thalweg.core.types import ArrayU8
+from thalweg.ingest.image_files import by_any_name, named_images
 from thalweg.orientation.block_place import LEAST, points_lie
 from thalweg.orientation.block_run import world_block
 from thalweg.orientation.control_marks import COLUMNS, Boards, Loader, Measured, measure_boards
@@ -18,15 +19,16 @@ from thalweg.orientation.control_points import ControlMarks, ControlPoints
 from thalweg.orientation.control_tables import matched_marks, read_marks
 from thalweg.orientation.image_block import ImageBlock
 from thalweg.orientation.image_poses import ImagePoses
-from thalweg.orientation.sfm_images import mask_names
+from thalweg.orientation.sfm_images import find_mask
 
 
 def grey_loader(paths: Sequence[Path]) -> Loader:
     """Grey values by the name of an image, from folders and files."""
-    where = {f.name: f for p in paths for f in (sorted(p.rglob("*")) if p.is_dir() else [p]) if f.is_file()}
+    files = named_images(paths) if paths else {}
+    meant = by_any_name(list(files))
 
     def load(name: str) -> ArrayU8 | None:
-        path = where.get(Path(name).name)
+        path = files.get(meant.get(name, ""))
         picture = (
             None
             if path is None
@@ -43,12 +45,10 @@ def mask_loader(folder: Path | None) -> Loader:
     def load(name: str) -> ArrayU8 | None:
         if folder is None:
             return None
-        base = Path(name)
-        for option in (*mask_names(base), base.name):
-            if (folder / option).is_file():
-                found = cv2.imread(str(folder / option), cv2.IMREAD_GRAYSCALE)
-                return None if found is None else np.asarray(found, np.uint8)
-        return None
+        same = folder / PurePosixPath(name).name
+        path = find_mask(name, folder) or (same if same.is_file() else None)
+        found = None if path is None else cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        return None if found is None else np.asarray(found, np.uint8)
 
     return load
 

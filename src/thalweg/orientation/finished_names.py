@@ -18,14 +18,21 @@ def base_name(name: str) -> str:
     return PurePosixPath(name.strip().strip('"').replace("\\", "/")).name
 
 
+def near_name(name: str) -> str:
+    """Name with its last folder."""
+    return "/".join(PurePosixPath(name.strip().strip('"').replace("\\", "/")).parts[-2:])
+
+
 _KEYS: Final[tuple[Callable[[str], str], ...]] = (
     lambda name: name,
+    near_name,
     base_name,
     lambda name: PurePosixPath(base_name(name)).stem,
     lambda name: base_name(name).casefold(),
     lambda name: PurePosixPath(base_name(name)).stem.casefold(),
 )
-"""From the strictest to the loosest: as it is, without folders, without suffix, in any case, both."""
+"""From the strictest to the loosest: as it is, with its last folder, without folders, without suffix, in any
+case, both."""
 
 
 def matched(names: Sequence[str], images: Sequence[str], where: str, *, once: bool = True) -> ArrayI:

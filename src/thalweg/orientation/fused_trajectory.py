@@ -80,6 +80,7 @@ def fuse_trajectory(
     sigma_lever_m: ArrayLike = (0.0, 0.0, 0.0),
     images: ImagePoses | None = None,
     T_ccs_ics: Rigid | None = None,
+    images_hold_positions: bool = False,
     sigma_attitude_rad: ArrayLike,
     max_attitude_gap_s: float,
     required_status: int = ATTITUDE_INITIALISED,
@@ -95,6 +96,8 @@ def fuse_trajectory(
     lever_ics_antenna_m, sigma_lever_m : (3,) antenna in ics and its standard deviations.
     images : poses of images, or None.
     T_ccs_ics : mount of the camera with its covariance; needed with ``images``.
+    images_hold_positions : whether the antenna's positions were observations of the image block. Those
+        between its first and last image are then part of the image poses and are not counted once more.
     sigma_attitude_rad : (3,) roll, pitch, heading; stands in where the INS log states none.
     max_attitude_gap_s : longest hole between INS states that is bridged.
     required_status : bits of the filter status that a state must have.
@@ -110,6 +113,8 @@ def fuse_trajectory(
     counts = Counts()
     usable = _positions(positions, ins, frame, settings, summary, counts)
     _check_images(images, frame, T_ccs_ics)
+    if images_hold_positions and usable is not None and images is not None:
+        usable = _beside_images(usable, images, counts)
     near_t, near = _whereabouts(usable, images, frame)
     reference = make_reference(
         ins, frame, sigma_attitude_rad=sigma_attitude_rad, max_attitude_gap_s=max_attitude_gap_s,
@@ -223,6 +228,15 @@ def _positions(
         "far from the INS's own": int(positive.sum()) - len(agreeing),
     }
     return agreeing
+
+
+def _beside_images(positions: pd.DataFrame, images: ImagePoses, counts: Counts) -> pd.DataFrame:
+    """Positions before the first and after the last image that is timed and oriented."""
+    t = images.t_gps_s[images.oriented & np.isfinite(images.t_gps_s)]
+    begin, end = (t.min(), t.max()) if len(t) else (np.inf, -np.inf)
+    held = positions["t_gps_s"].between(begin, end).to_numpy()
+    counts.dropped["position"]["part of the image poses"] = int(held.sum())
+    return positions[~held]
 
 
 def _check_images(images: ImagePoses | None, frame: LocalFrame, T_ccs_ics: Rigid | None) -> None:

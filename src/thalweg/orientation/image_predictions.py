@@ -6,6 +6,7 @@ best, and much worse where the clock is known by hand only; that is enough to ch
 for control points and to draw the water's edge, and its covariance says so.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,7 @@ from thalweg.core.rigid import Rigid, rotation_vector
 from thalweg.core.timescales import utc_text_from_gps
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF
+from thalweg.orientation.image_cameras import in_folders
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.timing.clock_model import ClockModel
 
@@ -23,11 +25,17 @@ _BEYOND_S: Final = 0.2
 """The trajectory's rate just beside its ends is taken from this far inside."""
 
 NO_STAMP: Final = "the image has no time stamp"
+OFF_BOAT: Final = "its camera is not at its place on the boat (images.off_boat)"
 OUTSIDE: Final = "the trajectory does not reach the time of the image"
 
 
 def predict_image_poses(
-    stamps: pd.DataFrame, clock: ClockModel, trajectory: Trajectory, T_ics_ccs: Rigid
+    stamps: pd.DataFrame,
+    clock: ClockModel,
+    trajectory: Trajectory,
+    T_ics_ccs: Rigid,
+    *,
+    off_boat: Sequence[str] = (),
 ) -> ImagePoses:
     """Poses of images from the trajectory of the boat.
 
@@ -37,6 +45,7 @@ def predict_image_poses(
     clock : of the camera against GPS time.
     trajectory : ``T_wcs_ics`` over time.
     T_ics_ccs : mount of the camera, with covariance.
+    off_boat : folders of images whose camera has another place: they get neither pose nor time.
 
     Returns
     -------
@@ -48,7 +57,8 @@ def predict_image_poses(
     CoverageError : no image lies inside the trajectory.
     """
     device_s = stamps["t_device_s"].to_numpy(np.float64)
-    stamped = np.isfinite(device_s)
+    elsewhere = in_folders(stamps["file"], off_boat)
+    stamped = np.isfinite(device_s) & ~elsewhere
     t, sigma_t = np.full(len(stamps), np.nan), np.full(len(stamps), np.nan)
     if stamped.any():
         t[stamped], sigma_t[stamped] = clock.to_gps(device_s[stamped])
@@ -65,7 +75,7 @@ def predict_image_poses(
         moved = cov_ics[k] + np.outer(rates[k], rates[k]) * sigma_t[row] ** 2
         pose = Rigid(R=attitude[row], shift_m=position[row], cov=(moved + moved.T) / 2) @ T_ics_ccs
         centre[row], R[row], cov[row] = pose.shift_m, pose.R, pose.cov
-    reasons = np.where(inside, "", np.where(stamped, OUTSIDE, NO_STAMP))
+    reasons = np.where(inside, "", np.where(stamped, OUTSIDE, np.where(elsewhere, OFF_BOAT, NO_STAMP)))
     return ImagePoses(
         frame=trajectory.frame,
         images=tuple(stamps["file"].astype(str)),
@@ -79,7 +89,12 @@ def predict_image_poses(
         cov_next=np.zeros((n, 6, 6)),
         n_marks=np.zeros(n),
         rms_px=np.full(n, np.nan),
-        facts={"source": "trajectory of the INS", "clock": clock.source},
+        facts={
+            "source": "trajectory of the INS",
+            "clock": clock.source,
+            # of the offset, which all images share; the rest of the sigmas is jitter
+            "sigma_common_s": float(np.median(clock.to_gps(device_s[inside], jitter=False)[1])),
+        },
     )
 
 

@@ -185,8 +185,9 @@ def summary_text(facts: Mapping[str, Any]) -> str:
         f"{facts['images']} images, {facts['tie_points']} tie points with {facts['tie_marks']} marks "
         f"({facts['marks_a_point']:.1f} each), {facts['control_points']} control points",
         f"sigma0 {facts['sigma0']:.3f}, redundancy {facts['redundancy']}, {facts['iterations']} iterations",
-        "errors of a mark in units of its sigma: white {white:.2f}, slow {slow:.2f} over {reach_deg:.1f} "
-        "degrees".format(**facts["correlation"]),
+        "errors of a mark in units of its sigma, along / across the parallax: white {white:.2f} / "
+        "{white_across:.2f}, slow {slow:.2f} / {slow_across:.2f} over {reach_deg:.1f} degrees to the power "
+        "{power:.1f}".format(**facts["correlation"]),
         "position " + " / ".join(f"{v:.1f}" for v in facts["sigma_position_mm"].values()) + " mm, rotation "
         + " / ".join(f"{v:.1f}" for v in facts["sigma_rotation_mdeg"].values())
         + " thousandths of a degree (median over the images, east / north / up)",

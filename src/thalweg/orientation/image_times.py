@@ -21,6 +21,7 @@ from thalweg.core.errors import ClockError, ThalwegError
 from thalweg.core.tables import frame_of
 from thalweg.core.types import ArrayF
 from thalweg.ingest.clock_shift import explain_shift
+from thalweg.ingest.image_files import by_any_name
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.orientation.image_times_run import RunClock, run_clock
 from thalweg.timing.clock_model import ClockModel
@@ -85,8 +86,9 @@ def time_images(
     ClockError : no image has both a pose and a stamp; or there is no clock at all, because none is given and
         the survey does not tell it.
     """
-    names = [_base(name) for name in poses.images]
     device = _stamps_of(stamps)
+    meant = by_any_name(list(device))
+    names = [meant.get(name, meant.get(_base(name), name)) for name in poses.images]
     t_device = np.array([device.get(name, np.nan) for name in names], dtype=np.float64)
     stamped = np.isfinite(t_device)
     both = poses.oriented & stamped
@@ -284,7 +286,7 @@ def _table(
 def _stamps_of(stamps: pd.DataFrame) -> dict[str, float]:
     t = stamps["t_device_s"].to_numpy(np.float64)
     known = np.isfinite(t)
-    return dict(zip(stamps["file"].astype(str)[known].map(_base), t[known].tolist(), strict=True))
+    return dict(zip(stamps["file"].astype(str)[known], t[known].tolist(), strict=True))
 
 
 def _base(name: str) -> str:

@@ -34,7 +34,8 @@ _PRICE: Final = 0.02
 """Price of a mirror level one standard deviation off, in units of correlation."""
 
 _LOOKS_OF_SKY: Final = 12
-_ASPECT: Final = 0.02
+ASPECT: Final = 0.02
+"""Proportions of a camera and of its images may differ by this share."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,12 +162,12 @@ class SeriesModel:
         return np.interp(at, np.arange(cw), np.where(rows >= ch, 2 * ch, rows)) * h / ch
 
 
-def learn_series(images: Sequence[Path], settings: MaskSettings, horizons: Horizons) -> SeriesModel:
+def learn_series(images: Mapping[str, Path], settings: MaskSettings, horizons: Horizons) -> SeriesModel:
     """Learn hull, water, sky and land from images spread over a series.
 
     Parameters
     ----------
-    images : in order; those that cannot be read are passed over.
+    images : by name, in order; those that cannot be read are passed over.
     settings : how they are masked.
     horizons : what is known of the horizon.
 
@@ -176,11 +177,12 @@ def learn_series(images: Sequence[Path], settings: MaskSettings, horizons: Horiz
     """
     rng = np.random.default_rng(settings.seed)
     chosen = np.unique(np.linspace(0, len(images) - 1, min(settings.sample_images, len(images))).astype(int))
-    read = _readable([images[k] for k in chosen], settings) or _readable(images, settings)
+    every = list(images.items())
+    read = _readable([every[k] for k in chosen], settings) or _readable(every, settings)
     if not read:
         raise InputError(
-            f"none of {len(images)} images can be read", expected="JPEG, PNG or TIFF", where=images[0].parent,
-            cure="Copy the files again",
+            f"none of {len(images)} images can be read", expected="JPEG, PNG or TIFF",
+            where=every[0][1].parent, cure="Copy the files again",
         )  # fmt: skip
     sizes = [size for _, _, size in read]
     size = max(sorted(set(sizes)), key=sizes.count)
@@ -207,12 +209,14 @@ def learn_series(images: Sequence[Path], settings: MaskSettings, horizons: Horiz
     )  # fmt: skip
 
 
-def _readable(images: Sequence[Path], settings: MaskSettings) -> list[tuple[str, ArrayU8, tuple[int, int]]]:
+def _readable(
+    images: Sequence[tuple[str, Path]], settings: MaskSettings
+) -> list[tuple[str, ArrayU8, tuple[int, int]]]:
     """Name, reduced image and full size of what can be read."""
     out = []
-    for path in images:
+    for name, path in images:
         try:
-            out.append((path.name, *read_reduced(path, settings.analysis_px)))
+            out.append((name, *read_reduced(path, settings.analysis_px)))
         except InputError:
             continue
     return out
@@ -222,7 +226,7 @@ def _check_proportions(camera: Camera | None, size_px: tuple[int, int]) -> None:
     if camera is None:
         return
     (w, h), (a, b) = camera.size_px, size_px
-    if abs(w * b - a * h) > _ASPECT * w * b:
+    if abs(w * b - a * h) > ASPECT * w * b:
         raise InputError(
             f"a camera of {w} x {h} pixels for images of {a} x {b}",
             expected="the same proportions",

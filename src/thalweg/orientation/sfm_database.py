@@ -4,20 +4,25 @@ Image k of a block has the number k + 1 and the name ``k``: names of files may h
 lists of pairs do not bear.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thalweg.orientation.colmap import colmap
 from thalweg.orientation.sfm_camera import to_colmap
-
-if TYPE_CHECKING:
-    from thalweg.orientation.sfm_matching import Matches
+from thalweg.orientation.sfm_matching import Matches
 
 
-def fill_database(path: Path, block: "Matches", *, descriptor: NDArray[np.uint8] | None = None) -> list[str]:
+def fill_database(
+    path: Path,
+    block: Matches,
+    *,
+    descriptor: NDArray[np.uint8] | None = None,
+    images: Iterable[int] | None = None,
+) -> list[str]:
     """Write the images that take part, their features and, where they are known, the geometries of pairs.
 
     Parameters
@@ -25,6 +30,7 @@ def fill_database(path: Path, block: "Matches", *, descriptor: NDArray[np.uint8]
     path : of the database; must not exist.
     block : images, features and pairs.
     descriptor : (n, 128) of the features, if pairs are still to be compared.
+    images : those that are written; None: all that take part.
 
     Returns
     -------
@@ -43,7 +49,7 @@ def fill_database(path: Path, block: "Matches", *, descriptor: NDArray[np.uint8]
             rig = pc.Rig(rig_id=key)
             rig.add_ref_sensor(camera.sensor_id)
             database.write_rig(rig, use_rig_id=True)
-        for k in sorted(block.order.tolist()):
+        for k in sorted(block.order.tolist() if images is None else images):
             _write_image(pc, database, block, k)
             rows = slice(int(block.start[k]), int(block.start[k + 1]))
             database.write_keypoints(k + 1, np.ascontiguousarray(block.place[rows, :2]))
@@ -58,7 +64,7 @@ def fill_database(path: Path, block: "Matches", *, descriptor: NDArray[np.uint8]
     return notes
 
 
-def _write_image(pc: Any, database: Any, block: "Matches", k: int) -> None:
+def _write_image(pc: Any, database: Any, block: Matches, k: int) -> None:
     camera = int(block.camera[k]) + 1
     image = pc.Image(name=str(k), camera_id=camera, image_id=k + 1)
     frame = pc.Frame(frame_id=k + 1, rig_id=camera)
@@ -67,7 +73,7 @@ def _write_image(pc: Any, database: Any, block: "Matches", k: int) -> None:
     database.write_frame(frame, use_frame_id=True)
 
 
-def _geometry(pc: Any, block: "Matches", m: int) -> Any:
+def _geometry(pc: Any, block: Matches, m: int) -> Any:
     made = pc.TwoViewGeometry()
     made.config = int(block.config[m])
     F, E, H, pose = block.geometry[m]

@@ -18,7 +18,7 @@ from PIL import Image
 
 from thalweg.core.errors import InputError
 from thalweg.core.types import ArrayB, ArrayI
-from thalweg.ingest.image_stamps import natural_key
+from thalweg.ingest.image_files import Images, natural_key
 from thalweg.orientation.colmap import colmap
 from thalweg.orientation.sfm_images import (
     Picture,
@@ -96,20 +96,26 @@ class Features:
             )
 
     @classmethod
-    def read(cls, path: Path) -> Self:
+    def read(cls, path: Path, *, descriptors: bool = True) -> Self:
         """Read features written by `write`.
+
+        Parameters
+        ----------
+        path : the file.
+        descriptors : false: left empty, they take most of the memory.
 
         Raises
         ------
         InputError : no such file, or of another kind or version.
         """
-        head, arrays = read_arrays(path, "image_features", _FORMAT)
+        head, arrays = read_arrays(path, "image_features", _FORMAT, () if descriptors else ("descriptor",))
+        arrays.setdefault("descriptor", np.zeros((0, 128), np.uint8))
         pictures = tuple(Picture(**{**p, "size_px": tuple(p["size_px"])}) for p in head["pictures"])
         return cls(pictures=pictures, settings=FeatureSettings(**head["settings"]), **arrays)
 
 
 def extract_features(
-    images: Sequence[Path],
+    images: Images,
     *,
     masks: Path | None = None,
     settings: FeatureSettings | None = None,
@@ -122,17 +128,17 @@ def extract_features(
 
     Parameters
     ----------
-    images : files, in any order.
+    images : by name or as files, in any order.
     masks : folder of masks (`find_mask`); images without a mask are used as a whole.
     settings : see `FeatureSettings`.
     threads : images that are worked on at the same time; each needs its own memory.
 
     Raises
     ------
-    InputError : a name that stands twice, or a folder of masks that does not exist.
+    InputError : an image that stands twice, or a folder of masks that does not exist.
     """
     use = settings or FeatureSettings()
-    ordered = named_once(images) if images else []
+    ordered = list(named_once(images).items()) if images else []
     if masks is not None and not masks.is_dir():
         raise InputError("folder not found", expected="masks named <image>.png", where=masks)
     pictures: list[Picture] = []
@@ -147,7 +153,7 @@ def extract_features(
     return _joined(pictures, places, descriptors, use)
 
 
-def part_of(images: Sequence[Path], part: int, parts: int) -> list[Path]:
+def part_of(images: Images, part: int, parts: int) -> dict[str, Path]:
     """Images of part 0, 1 ... of ``parts``: every ``parts``-th in natural order, so that all take alike long.
 
     Raises
@@ -156,7 +162,7 @@ def part_of(images: Sequence[Path], part: int, parts: int) -> list[Path]:
     """
     if not 0 <= part < parts:
         raise InputError(f"part {part}", expected=f"0 to {parts - 1}")
-    return named_once(images)[part::parts]
+    return dict(list(named_once(images).items())[part::parts])
 
 
 def join_features(parts: Sequence[Features]) -> Features:
@@ -195,8 +201,10 @@ def join_features(parts: Sequence[Features]) -> Features:
     )
 
 
-def read_arrays(path: Path, kind: str, version: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Head and arrays of an ``.npz`` of the expected kind.
+def read_arrays(
+    path: Path, kind: str, version: int, without: Sequence[str] = ()
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Head and arrays of an ``.npz`` of the expected kind, those named in ``without`` left out.
 
     Raises
     ------
@@ -206,7 +214,7 @@ def read_arrays(path: Path, kind: str, version: int) -> tuple[dict[str, Any], di
         raise InputError("file not found", expected=f"{kind} in an .npz", where=path)
     try:
         with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+            arrays = {name: stored[name] for name in stored.files if name not in without}
         head = json.loads(str(arrays.pop("head")))
     except (ValueError, KeyError, OSError, EOFError) as error:
         raise InputError(f"not readable ({error})", expected=f"{kind} in an .npz", where=path) from error
@@ -237,7 +245,7 @@ def _joined(
 
 
 def _extract_some(
-    paths: Sequence[Path], masks: Path | None, settings: FeatureSettings, threads: int
+    images: Sequence[tuple[str, Path]], masks: Path | None, settings: FeatureSettings, threads: int
 ) -> list[tuple[Picture, NDArray[np.float32], NDArray[np.uint8]]]:
     out = []
     with tempfile.TemporaryDirectory(prefix="thalweg-features-") as temporary:
@@ -246,8 +254,8 @@ def _extract_some(
         usables: list[ArrayB] = []
         scale: list[tuple[float, float]] = []
         by_budget: dict[int, list[int]] = {}
-        for k, path in enumerate(paths):
-            picture, grey, usable = inspect(path, find_mask(path, masks), settings.max_size_px)
+        for k, (name, path) in enumerate(images):
+            picture, grey, usable = inspect(path, find_mask(name, masks), settings.max_size_px, name=name)
             pictures.append(picture)
             usables.append(usable)
             scale.append((1.0, 1.0))

@@ -7,8 +7,7 @@ orientation belongs to the sensor.
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Final
 
 import numpy as np
@@ -18,7 +17,7 @@ from scipy.ndimage import laplace
 
 from thalweg.core.errors import InputError
 from thalweg.core.types import ArrayB
-from thalweg.ingest.image_stamps import natural_key
+from thalweg.ingest.image_files import Images, named_images
 
 Grey = NDArray[np.uint8]
 
@@ -38,7 +37,7 @@ class Picture:
 
     Parameters
     ----------
-    name : file name without folder.
+    name : as of `thalweg.ingest.image_files.named_images`.
     size_px : width and height; zeros if unreadable.
     sha256 : of the file's bytes; empty if unreadable.
     usable_share : share of pixels that no mask covers.
@@ -58,30 +57,25 @@ class Picture:
     cause: str = ""
 
 
-def named_once(images: Sequence[Path]) -> list[Path]:
-    """The images in natural order of their names.
+def named_once(images: Images) -> dict[str, Path]:
+    """The images by name, in natural order of their names; files get names from their folders.
 
     Raises
     ------
-    InputError : no image at all, or the same name in two folders.
+    InputError : no image at all, or a file twice.
     """
     if not images:
         raise InputError("no images", expected="at least two photographs")
-    ordered = sorted(images, key=lambda path: (natural_key(path.name), str(path)))
-    for a, b in pairwise(ordered):
-        if a.name == b.name:
-            raise InputError(
-                f"two images of the name {a.name}",
-                where=b.parent,
-                expected=f"names that differ from those in {a.parent}",
-                cure="Rename one of them, or leave one folder out",
-            )
-    return ordered
+    return named_images(images)
 
 
-def mask_names(image: Path) -> tuple[str, ...]:
-    """Names under which the mask of an image is looked for, the best first."""
-    return f"{image.name}.png", f"{image.stem}.png", f"{image.stem}_mask.png"
+def mask_names(image: str) -> tuple[str, ...]:
+    """Names under which the mask of an image is looked for in its folder, the best first."""
+    path = PurePosixPath(image)
+    return tuple(
+        path.with_name(name).as_posix()
+        for name in (f"{path.name}.png", f"{path.stem}.png", f"{path.stem}_mask.png")
+    )
 
 
 def mask_folder(paths: Sequence[Path]) -> Path | None:
@@ -95,31 +89,54 @@ def mask_folder(paths: Sequence[Path]) -> Path | None:
     if len(folders) > 1:
         raise InputError(
             f"masks in {len(folders)} folders", where=folders[1], expected=f"all of them in {folders[0]}",
-            cure="Put the masks of all images into one folder",
+            cure="Put the masks of all images into one folder, or name the folder above them",
         )  # fmt: skip
     if folders and not folders[0].is_dir():
         raise InputError("folder not found", expected="masks named <image>.png", where=folders[0])
     return folders[0] if folders else None
 
 
-def find_mask(image: Path, masks: Path | None) -> Path | None:
+def find_mask(image: str, masks: Path | None) -> Path | None:
     """Mask of an image: ``<name with ending>.png``, as COLMAP names it, else ``<name without ending>.png``.
 
-    The latter may end in ``_mask.png``, as Metashape names it.
+    The latter may end in ``_mask.png``, as Metashape names it. Masks stand in folders like those of their
+    images, or all in one folder; there two images of one file name share a mask, see `check_flat_masks`.
     """
     if masks is None:
         return None
-    for name in mask_names(image):
+    for name in (*mask_names(image), *mask_names(PurePosixPath(image).name)):
         if (masks / name).is_file():
             return masks / name
     return None
 
 
-def inspect(path: Path, mask_path: Path | None, max_size_px: int) -> tuple[Picture, Grey, ArrayB]:
+def check_flat_masks(images: Sequence[str], masks: Path) -> None:
+    """Refuse masks in one folder of which it cannot be told to which of two images they belong.
+
+    Raises
+    ------
+    InputError : two images of one file name in different folders have the same mask.
+    """
+    of: dict[Path, str] = {}
+    for image in images:
+        mask = find_mask(image, masks)
+        other = image if mask is None else of.setdefault(mask, image)
+        if mask is not None and PurePosixPath(other).parent != PurePosixPath(image).parent:
+            raise InputError(
+                f"one mask {mask.name} for {other} and {image}",
+                where=masks,
+                expected=f"folders like those of the images, as {image}.png",
+            )
+
+
+def inspect(
+    path: Path, mask_path: Path | None, max_size_px: int, *, name: str | None = None
+) -> tuple[Picture, Grey, ArrayB]:
     """Read an image and its mask.
 
     Parameters
     ----------
+    name : of the image; None: that of its file.
     path, mask_path : files; 0 in the mask is masked, anything else is usable.
     max_size_px : longest side of the grey picture that is handed on; larger images are scaled by averaging.
 
@@ -130,15 +147,16 @@ def inspect(path: Path, mask_path: Path | None, max_size_px: int) -> tuple[Pictu
     usable : (rows, columns) of the mask file, any scale; (1, 1) without a mask.
     """
     none, everything = np.zeros((0, 0), np.uint8), np.ones((1, 1), bool)
+    name = name or path.name
     try:
         data = path.read_bytes()
         grey, size_px = _read_grey(path, max_size_px)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         text = (str(error).splitlines() or [type(error).__name__])[0].replace(str(path), path.name)
         problem = f"cannot be read ({text})" if path.is_file() else "there is no such file"
-        return Picture(name=path.name, problem=problem, cause="unreadable"), none, everything
+        return Picture(name=name, problem=problem, cause="unreadable"), none, everything
     sha256 = hashlib.sha256(data).hexdigest()
-    known = Picture(name=path.name, size_px=size_px, sha256=sha256)
+    known = Picture(name=name, size_px=size_px, sha256=sha256)
     usable = everything
     if mask_path is not None:
         try:
@@ -161,7 +179,7 @@ def inspect(path: Path, mask_path: Path | None, max_size_px: int) -> tuple[Pictu
     contrast = float(values[inside].std())
     sharpness = float(laplace(values)[inside].std()) / contrast if contrast > 0 else 0.0
     picture = Picture(
-        name=path.name,
+        name=name,
         size_px=size_px,
         sha256=sha256,
         usable_share=share,

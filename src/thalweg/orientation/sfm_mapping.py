@@ -130,10 +130,17 @@ def main_block(
 
 
 def is_estimated(matches: Matches, use: MapSettings) -> bool:
-    """Whether the interior orientation is an unknown."""
+    """Whether an interior orientation is an unknown."""
     if use.interior == "auto":
         return any(start.source != "given" for start in matches.starts)
     return use.interior == "estimated"
+
+
+def held_cameras(matches: Matches, use: MapSettings) -> set[int]:
+    """COLMAP's numbers of given cameras that stay as they are while others are estimated."""
+    if use.interior != "auto" or not is_estimated(matches, use):
+        return set()
+    return {key for key, start in enumerate(matches.starts, start=1) if start.source == "given"}
 
 
 def _incremental(folder: Path, matches: Matches, use: MapSettings, threads: int) -> list[Any]:
@@ -152,6 +159,7 @@ def _incremental(folder: Path, matches: Matches, use: MapSettings, threads: int)
     o.triangulation.ignore_two_view_tracks = len(matches.order) > 2
     o.mapper.random_seed = o.triangulation.random_seed = SEED
     o.mapper.num_threads = threads
+    o.constant_cameras = o.mapper.constant_cameras = held_cameras(matches, use)
     o.mapper.abs_pose_refine_focal_length = o.mapper.abs_pose_refine_extra_params = estimated
     o.mapper.abs_pose_min_num_inliers = max(use.min_inliers, 12)
     o.mapper.filter_max_reproj_error = use.max_error_px * scale

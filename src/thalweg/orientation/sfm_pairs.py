@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 from typing import Any, Final, Self
 
 import numpy as np
@@ -59,7 +60,8 @@ def order_in_time(names: Sequence[str], t_s: ArrayF | None = None) -> tuple[Arra
         known = np.where(unknown, -1, np.arange(len(t)))
         before = np.maximum.accumulate(known)
         t = np.where(before >= 0, t[before], -np.inf)
-    back = int((np.diff(t[~unknown]) < 0).sum())
+    folder = np.array([str(PurePosixPath(names[k]).parent) for k in by_name], dtype=object)[~unknown]
+    back = int(((np.diff(t[~unknown]) < 0) & (folder[1:] == folder[:-1])).sum())
     if back:
         notes.append(f"names do not follow time at {back} places: the order in time counts")
     return by_name[np.argsort(t, kind="stable")], notes

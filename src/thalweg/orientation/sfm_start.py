@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,23 +12,15 @@ import pyarrow.parquet as pq
 from thalweg.core.camera import Camera
 from thalweg.core.errors import InputError
 from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.orientation.sfm_camera import (
-    StartCamera,
-    cameras_by_size,
-    focal_from_exif,
-    start_given,
-    start_guessed,
-)
+from thalweg.core.types import ArrayF
+from thalweg.ingest.image_files import Images
+from thalweg.orientation.image_cameras import cameras_of
+from thalweg.orientation.sfm_assign import Interiors, assign_cameras
+from thalweg.orientation.sfm_compare import compare_pairs, joined_parts, planned
 from thalweg.orientation.sfm_features import Features
-from thalweg.orientation.sfm_images import Picture, with_problem
-from thalweg.orientation.sfm_matching import Matches, MatchSettings, match_pairs
+from thalweg.orientation.sfm_images import Picture, named_once
+from thalweg.orientation.sfm_matching import Matches, MatchSettings
 from thalweg.orientation.sfm_pairs import PairSettings, image_pairs, order_in_time
-
-_UNLIKE: Final = 1.08
-"""Ratio of calibrated and stated focal length beyond which a note says so; EXIF rounds to millimetres."""
-_OTHER_LENS: Final = 1.25
-"""Ratio of calibrated and stated focal length beyond which they are not of one lens."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,11 +30,13 @@ class Known:
     Parameters
     ----------
     cameras : interior orientations, told apart by the size of their pictures.
+    of_folder : interior orientations of the cameras of folders, by the folder's name.
     t_s : times by name, any scale.
     trajectory : of the boat on the scale of these times; its positions stand for those of the camera.
     """
 
     cameras: tuple[Camera, ...] = ()
+    of_folder: Mapping[str, Camera] = field(default_factory=dict)
     t_s: Mapping[str, float] = field(default_factory=dict)
     trajectory: Trajectory | None = None
 
@@ -71,23 +65,21 @@ def read_times(path: Path) -> dict[str, float]:
     return dict(zip(table[name].astype(str), table[time].to_numpy(np.float64).tolist(), strict=True))
 
 
-def match_images(
+def plan_matches(
     features: Features,
-    images: Sequence[Path],
+    images: Images,
     *,
     known: Known | None = None,
     section: Mapping[str, Any] | None = None,
-    threads: int = 1,
 ) -> Matches:
-    """Choose the pairs of images and find what they have in common.
+    """Choose the pairs of images, and the interior orientation that each image begins with.
 
     Parameters
     ----------
     features : of all images.
-    images : their files: without a given camera the focal length is asked of their EXIF.
-    known : interior orientation, times, trajectory.
+    images : by name or as files: EXIF tells cameras apart, and without a given one the focal length.
+    known : interior orientations, times, trajectory.
     section : section ``images.mapping`` of a campaign file; None: its defaults.
-    threads : pairs that are worked on at the same time.
 
     Raises
     ------
@@ -95,11 +87,19 @@ def match_images(
     GeometryError : pairs by position are wanted without positions.
     """
     given = known or Known()
+    files = named_once(images)
     pairing = PairSettings.from_section(section) if section else PairSettings()
-    matching = MatchSettings.from_section(section) if section else MatchSettings()
-    lens = str(section["lens"]) if section else "auto"
-    interior = str(section["interior"]) if section else "auto"
-    starts, camera, pictures = _cameras(features.pictures, images, given.cameras, lens, interior)
+    interiors = Interiors(cameras=given.cameras, of_folder=given.of_folder)
+    by = str(section["cameras"]) if section else "auto"
+    found = assign_cameras(
+        features.pictures,
+        files,
+        cameras_of(_of_block(files, features.pictures), by, tuple(given.of_folder)),
+        interiors,
+        lens=str(section["lens"]) if section else "auto",
+        interior=str(section["interior"]) if section else "auto",
+    )
+    pictures = found.pictures
     names = [picture.name for picture in pictures]
     t_s = np.array([given.t_s.get(name, np.nan) for name in names])
     order, notes = order_in_time(names, t_s)
@@ -110,93 +110,49 @@ def match_images(
         "pairs": kind,
         "images_with_time": int(np.isfinite(t_s).sum()),
         "images_with_position": 0 if position_m is None else int(np.isfinite(position_m).all(axis=1).sum()),
-        "interior": [f"{s.source}, {s.lens}, {s.camera.parameters[0]:.1f} px" for s in starts],
-        "notes": [
-            *notes,
-            *_notes(pictures, starts, given.cameras),
-            *_check_focal(given.cameras, camera, pictures, images),
-        ],
+        "interior": [f"{s.source}, {s.lens}, {s.camera.parameters[0]:.1f} px" for s in found.starts],
+        "notes": [*notes, *_notes(pictures), *found.notes],
     }
-    return match_pairs(
+    return planned(
         replace(features, pictures=pictures),
         pairs,
         order=order,
-        starts=starts,
-        camera=camera,
-        settings=matching,
-        threads=threads,
+        starts=found.starts,
+        camera=found.camera,
         facts=facts,
     )
 
 
-def _cameras(
-    pictures: Sequence[Picture], images: Sequence[Path], given: Sequence[Camera], lens: str, interior: str
-) -> tuple[list[StartCamera], ArrayI, tuple[Picture, ...]]:
-    good = [k for k, picture in enumerate(pictures) if not picture.problem]
-    out, camera = list(pictures), np.full(len(pictures), -1, np.int64)
-    if given:
-        found, reasons = cameras_by_size([pictures[k].size_px for k in good], given)
-        for k, c, reason in zip(good, found, reasons, strict=True):
-            camera[k] = c
-            out[k] = with_problem(pictures[k], reason, "size") if reason else pictures[k]
-        return [start_given(c, lens, fixed=interior != "estimated") for c in given], camera, tuple(out)
-    if interior == "fixed":
-        raise InputError(
-            "the interior orientation shall stay as given, but none is given",
-            expected="a calibrated camera",
-            where="images.mapping.interior",
-            cure="Give an interior orientation, or choose estimated",
-        )
-    path_of = {path.name: path for path in images}
-    starts: list[StartCamera] = []
-    index: dict[tuple[int, int], int] = {}
-    for k in good:
-        size = pictures[k].size_px
-        if size not in index:
-            index[size] = len(starts)
-            start = start_guessed(path_of.get(pictures[k].name, Path(pictures[k].name)), size, lens)
-            name = f"camera_{len(starts) + 1}" if starts else "camera"
-            starts.append(replace(start, camera=replace(start.camera, name=name)))
-        camera[k] = index[size]
-    return starts, camera, tuple(out)
+def match_images(
+    features: Features,
+    images: Images,
+    *,
+    known: Known | None = None,
+    section: Mapping[str, Any] | None = None,
+    threads: int = 1,
+) -> Matches:
+    """Choose the pairs of images and find what they have in common, all in one part.
 
-
-def _check_focal(
-    given: Sequence[Camera], camera: ArrayI, pictures: Sequence[Picture], images: Sequence[Path]
-) -> list[str]:
-    """Compare given cameras with the focal length that the EXIF of one of their images states.
-
-    Returns
-    -------
-    notes : differences that rounding in EXIF hardly explains.
+    Parameters
+    ----------
+    features, images, known, section : as of `plan_matches`.
+    threads : pairs that are worked on at the same time.
 
     Raises
     ------
-    InputError : another lens or zoom; EXIF rounds to whole millimetres, which explains some percent.
+    InputError, GeometryError : as of `plan_matches`.
     """
-    path_of = {path.name: path for path in images}
-    notes = []
-    for c, known in enumerate(given):
-        rows = np.flatnonzero(camera == c)
-        path = path_of.get(pictures[int(rows[0])].name) if len(rows) else None
-        stated = None if path is None or known.model == "fisheye" else focal_from_exif(path)
-        if path is None or stated is None:
-            continue
-        ratio = float(known.parameters[0] / stated)
-        if not 1 / _UNLIKE < ratio < _UNLIKE:
-            notes.append(
-                f"the focal length of {known.name} is {known.parameters[0]:.0f} px, EXIF states {stated:.0f} "
-                "px: is the calibration that of this camera and zoom?"
-            )
-        if not 1 / _OTHER_LENS < ratio < _OTHER_LENS:
-            raise InputError(
-                f"a focal length of {known.parameters[0]:.0f} px in the interior orientation {known.name}, "
-                f"and {stated:.0f} px by the EXIF of the images", where=path.name,
-                expected="the calibration of this camera at this zoom",
-                cure="Name the right calibration (logs.time_lapse.interior, mounts.calibration), or none: "
-                "the interior orientation is then estimated",
-            )  # fmt: skip
-    return notes
+    plan = plan_matches(features, images, known=known, section=section)
+    settings = MatchSettings.from_section(section) if section else MatchSettings()
+    rows = np.arange(len(plan.pairs))
+    return joined_parts(
+        plan, [compare_pairs(plan, features.descriptor, rows, settings=settings, threads=threads)]
+    )
+
+
+def _of_block(files: Mapping[str, Path], pictures: Sequence[Picture]) -> dict[str, Path]:
+    """Files of the images whose features are known; one that has been moved away is asked for nothing."""
+    return {picture.name: files.get(picture.name, Path(picture.name)) for picture in pictures}
 
 
 def _positions(t_s: ArrayF, trajectory: Trajectory | None) -> ArrayF | None:
@@ -209,13 +165,11 @@ def _positions(t_s: ArrayF, trajectory: Trajectory | None) -> ArrayF | None:
     return out
 
 
-def _notes(pictures: Sequence[Picture], starts: Sequence[StartCamera], given: Sequence[Camera]) -> list[str]:
+def _notes(pictures: Sequence[Picture]) -> list[str]:
     notes = []
     other = [picture.name for picture in pictures if picture.cause == "size"]
     if other:
         notes.append(f"{len(other)} images, such as {other[0]}, are not of the size of the given camera")
-    if len(starts) > 1 and not given:
-        notes.append(f"images of {len(starts)} sizes: each size has an interior orientation of its own")
     doubles = [picture.name for picture in pictures if picture.cause == "double"]
     if doubles:
         notes.append(f"{len(doubles)} images, such as {doubles[0]}, are the same files as others: left out")

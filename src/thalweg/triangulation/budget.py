@@ -184,7 +184,9 @@ def budget_table(lines: pd.DataFrame) -> pd.DataFrame:
     ``panel, cause, depth_mm, least_mm, most_mm`` in the order of the causes; those without a share are left
     out.
     """
-    grouped = lines.groupby(["cause", "panel", "depth_mm"], sort=False)["sigma_depth_mm"]
+    # a cause without a panel in P4 has none in a file, either: pandas would leave it out
+    keys = ["cause", "panel", "depth_mm"]
+    grouped = lines.fillna({"panel": ""}).groupby(keys, sort=False)["sigma_depth_mm"]
     table = grouped.agg(least_mm="min", most_mm="max").reset_index()
     shares = table.groupby("cause")["most_mm"].transform("max") > 0.0
     return table.loc[shares, ["panel", "cause", "depth_mm", "least_mm", "most_mm"]].reset_index(drop=True)

@@ -26,6 +26,30 @@ def read_camera_marks(path: Path) -> pd.DataFrame:
     InputError : the file is missing, no table or lacks columns; a cell holds no number, or one that is
         impossible; a mark stands twice, or marks of several pictures stand together.
     """
+    table = mark_numbers(path)
+    pictures = sorted(set(read_text_columns(path, ("file",))[0])) if _has_file(path) else []
+    if len(pictures) > 1:
+        raise InputError(
+            f"marks of {len(pictures)} pictures, such as {pictures[0]} and {pictures[-1]}",
+            expected="marks of one picture", where=path, cure="Leave the rows of one picture",
+        )  # fmt: skip
+    twice = table[table.duplicated(["marker", "corner"])]
+    if len(twice):
+        raise InputError(
+            f"mark {twice.iloc[0]['marker']:.0f}/{twice.iloc[0]['corner']:.0f} stands twice",
+            expected="each mark once", where=path,
+        )  # fmt: skip
+    return table
+
+
+def mark_numbers(path: Path) -> pd.DataFrame:
+    """`COLUMNS` of a CSV table of marks.
+
+    Raises
+    ------
+    InputError : the file is missing, no table or lacks columns; a cell holds no number, a marker or corner
+        that is no whole one, or a sigma that is not positive.
+    """
     values = dict(zip(COLUMNS, read_number_columns(path, COLUMNS), strict=True))
     for name in ("marker", "corner"):
         broken = np.flatnonzero(values[name] != np.floor(values[name]))
@@ -40,18 +64,6 @@ def read_camera_marks(path: Path) -> pd.DataFrame:
         raise InputError(
             f"sigma_px {table['sigma_px'][k]:g} in row {k + 1}", where=path, expected="a number above 0"
         )
-    pictures = sorted(set(read_text_columns(path, ("file",))[0])) if _has_file(path) else []
-    if len(pictures) > 1:
-        raise InputError(
-            f"marks of {len(pictures)} pictures, such as {pictures[0]} and {pictures[-1]}",
-            expected="marks of one picture", where=path, cure="Leave the rows of one picture",
-        )  # fmt: skip
-    twice = table[table.duplicated(["marker", "corner"])]
-    if len(twice):
-        raise InputError(
-            f"mark {twice.iloc[0]['marker']:.0f}/{twice.iloc[0]['corner']:.0f} stands twice",
-            expected="each mark once", where=path,
-        )  # fmt: skip
     return table
 
 

@@ -6,9 +6,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.errors import InputError
+from thalweg.core.errors import GeometryError, InputError, ThalwegError
 from thalweg.core.types import ArrayF, ArrayI
 from thalweg.timing.hand_tables import read_number_columns, read_text_columns
+from thalweg.triangulation.other_readings import other_readings
+from thalweg.triangulation.sensor import Sensor
+from thalweg.triangulation.series import points_on_sheet
 
 PUBLISHED: Final = {128.9: (0.03, 0.21), 122.7: (0.03, 0.21), 83.1: (0.46, 0.34), 72.7: (0.07, 0.15)}
 """Mean and standard deviation in mm that P3 3.1.2 gives for its depths; one pair for the first two."""
@@ -16,6 +19,8 @@ _SAME_MM: Final = 0.5
 _FAR_MM: Final = 3.0
 """Mean error of a depth that no calibrated sensor has (P3: 0.5 mm): then another order is looked for."""
 _BETTER: Final = 0.2
+_LEAST_SHARE: Final = 0.5
+"""Of the line points that must lie on the light sheet for another reading to count."""
 
 
 def read_panels(path: Path) -> pd.DataFrame:
@@ -45,6 +50,58 @@ def read_panels(path: Path) -> pd.DataFrame:
     if len(twice):
         raise InputError(f"two depths for {twice.iloc[0]}", expected="one depth an image", where=path)
     return table
+
+
+def measure_panels(
+    sensor: Sensor, line_points: pd.DataFrame, panels: pd.DataFrame, images: pd.DataFrame
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Depths of panels by a calibrated sensor, see `compare_panels`.
+
+    Parameters
+    ----------
+    sensor : calibrated.
+    line_points : `thalweg.triangulation.series.SERIES_POINTS` of the panels' images.
+    panels, images : see `compare_panels`.
+
+    Raises
+    ------
+    InputError : see `compare_panels`.
+    GeometryError : no panel lies within 3 mm of its depth, and another reading of the pictures (medium,
+        turned, mirrored) brings all of them there; the cure names it.
+    """
+    try:
+        points, rows = compare_panels(points_on_sheet(sensor, line_points)[0], panels, images)
+    except GeometryError as error:
+        cure = _explanation(sensor, line_points, panels, images, np.inf)
+        raise GeometryError(
+            error.found, expected=error.expected, where=error.where, cure=cure or error.cure
+        ) from error
+    off = rows["mean_mm"].abs()
+    if off.min() > _FAR_MM:
+        cure = _explanation(sensor, line_points, panels, images, _BETTER * float(off.max()))
+        if cure:
+            raise GeometryError(
+                f"the panels lie {off.min():.1f} to {off.max():.1f} mm off their stated depths",
+                expected=f"less than {_FAR_MM:g} mm", where=f"sensor {sensor.name!r}", cure=cure,
+            )  # fmt: skip
+    return points, rows
+
+
+def _explanation(
+    sensor: Sensor, line_points: pd.DataFrame, panels: pd.DataFrame, images: pd.DataFrame, limit_mm: float
+) -> str:
+    """The reading with the smallest worst mean below a limit; "" if there is none."""
+    best, told = min(limit_mm, _FAR_MM), ""
+    for reading in other_readings(sensor, line_points):
+        try:
+            points, _ = points_on_sheet(reading.sensor, reading.points)
+            _, rows = compare_panels(points, panels, images)
+        except ThalwegError:
+            continue
+        worst = float(rows["mean_mm"].abs().max())
+        if (rows["n"] >= _LEAST_SHARE * rows["n"].add(rows["n_off_sheet"])).all() and worst < best:
+            best, told = worst, f"{reading.cure} (then {worst:.2f} mm at most)"
+    return told
 
 
 def compare_panels(

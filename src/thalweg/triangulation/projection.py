@@ -1,5 +1,7 @@
 """From points of the water to pixels, through the window."""
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,6 +11,10 @@ from thalweg.triangulation import intersection_kernels
 from thalweg.triangulation.intersection import camera_window
 from thalweg.triangulation.refracted_rays import directions_to_points
 from thalweg.triangulation.sensor import Sensor
+from thalweg.triangulation.threads import threads_for
+
+_EACH: Final = 16384
+"""Points for a thread."""
 
 
 def project(sensor: Sensor, xyz_lcs_mm: ArrayLike) -> ArrayF:
@@ -28,5 +34,6 @@ def project(sensor: Sensor, xyz_lcs_mm: ArrayLike) -> ArrayF:
     out = np.empty((len(points), 2))
     C, _ = camera_window(sensor)
     local = np.ascontiguousarray(directions @ sensor.window.R_lcs_window)
-    intersection_kernels.pixels(local, sensor.camera.parameters, C, out)
+    with threads_for(len(out), each=_EACH):
+        intersection_kernels.pixels(local, sensor.camera.parameters, C, out)
     return out

@@ -13,6 +13,7 @@ reflection is ``q^2 >= n^2``. `thalweg.triangulation.optics` has the same path s
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final
 
 import numba as nb
 import numpy as np
@@ -20,8 +21,12 @@ from numpy.typing import ArrayLike
 
 from thalweg.core.types import ArrayF, ArrayU8
 from thalweg.triangulation.sensor import Window
+from thalweg.triangulation.threads import threads_for
 
 nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+
+_EACH: Final = 16384
+"""Points for a thread."""
 
 
 class Status(IntEnum):
@@ -104,7 +109,8 @@ def directions_to_points(origin_mm: ArrayLike, xyz_lcs_mm: ArrayLike, window: Wi
     origin = np.asarray(origin_mm, dtype=np.float64) @ R
     out = np.empty_like(points)
     media = np.array([window.n_air, window.n_glass, window.n_water, window.thickness_mm])
-    directions_to(points, np.ascontiguousarray(origin), media, out)
+    with threads_for(len(points), each=_EACH):
+        directions_to(points, np.ascontiguousarray(origin), media, out)
     return np.asarray(out @ R.T)
 
 

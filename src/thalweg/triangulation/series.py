@@ -4,6 +4,7 @@ import logging
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +20,7 @@ from thalweg.triangulation.calibrate.grid import GridObject
 from thalweg.triangulation.derivatives import sheet_derivatives
 from thalweg.triangulation.lines.detect import detect_lines
 from thalweg.triangulation.lines.points import LINE_POINTS, LinePoints
+from thalweg.triangulation.lines.series_shift import pooled_shift, without_shift
 from thalweg.triangulation.lines.settings import LineSettings
 from thalweg.triangulation.refracted_rays import Status
 from thalweg.triangulation.sensor import Sensor
@@ -85,8 +87,8 @@ def detect_series(
 
     Returns
     -------
-    points (`SERIES_POINTS`), and a table with a row an image: file, points, what was dropped, and why an
-    image gives nothing.
+    points (`SERIES_POINTS`; where brightness changes, ``attrs`` has the ``width_shift`` of the series), and a
+    table with a row an image: file, points, what was dropped, and why an image gives nothing.
 
     Raises
     ------
@@ -103,8 +105,11 @@ def detect_series(
             f"two images are called {twice[0]}", expected="a name of its own for each image",
             where=images[0].parent, cure="Rename them, or name one folder only",
         )  # fmt: skip
+    each = replace(settings, apply_shift=False)
     with ThreadPoolExecutor(threads) as pool:
-        found = list(pool.map(lambda path: _detect(path, settings, size_px), images))
+        found = list(pool.map(lambda path: _detect(path, each, size_px), images))
+    shift = pooled_shift([points.facts for points, _ in found if points])
+    found = [(without_shift(points, shift) if points else None, failed) for points, failed in found]
     counts = pd.DataFrame([
         {"file": path.name, "points": len(points) if points else 0, **(points.counts if points else {}),
          "reason": failed.found if failed else ""}
@@ -125,9 +130,21 @@ def detect_series(
         if failed:
             log.warning("%s gives no points: %s", path.name, failed)
     joined = pd.concat(tables, ignore_index=True)
+    if shift.applied:
+        log.info(
+            "over-exposed points were moved by %.3f px for each pixel by which the line is wider there "
+            "(sigma %.3f, %d edges of brightness)",
+            -shift.coefficient, shift.sigma, shift.edges,
+        )  # fmt: skip
     numbers = {name: "int64" for name in counts.columns if name not in ("file", "reason")}
     counts = counts.fillna(dict.fromkeys(numbers, 0)).astype(numbers)
-    return frame_of(SERIES_POINTS, {name: joined[name] for name in SERIES_POINTS.names}), counts
+    points = frame_of(SERIES_POINTS, {name: joined[name] for name in SERIES_POINTS.names})
+    if shift.edges:
+        points.attrs["width_shift"] = {
+            "coefficient": shift.coefficient, "sigma": shift.sigma, "edges": shift.edges,
+            "applied": shift.applied,
+        }  # fmt: skip
+    return points, counts
 
 
 def require_one_image(line_points: pd.DataFrame, *, where: Path) -> pd.DataFrame:

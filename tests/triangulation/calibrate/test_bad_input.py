@@ -112,3 +112,32 @@ def test_a_word_that_is_no_group(setup):
         calibrate_sheet(sensor, points, grid, CalibrationSettings(jointly=("windw",)))
     with pytest.raises(GeometryError, match="laser_w among the unknowns"):
         calibrate_sheet(sensor, points, grid, CalibrationSettings(estimate=("laser_w",)))
+
+
+def test_a_level_that_loses_its_points_is_told(lines):
+    """Three levels in a small picture: every piece on the middle one is near a jump all along."""
+    sensor, grid = paper_4(), parse_grid(lines.THREE)
+    points = lines.line_points(sensor, grid, every=3)
+    near = points["level"] == 1
+    settings = CalibrationSettings(least_gap_px=6.0, drop_flags=4, jointly=("levels",))
+    whole = calibrate_sheet(sensor, points, grid, settings)
+    found = calibrate_sheet(sensor, points.assign(flags=4 * near), grid, settings)
+    assert whole.correspondence.lost == ()
+    assert found.correspondence.lost == ("middle",)
+    # inner points are counted as flagged, the ends of pieces apart
+    counts = found.correspondence.counts
+    assert 0.7 * near.sum() < counts["flagged by the detector"] <= near.sum()
+    told_of = [text for text in found.warnings if "hardly a line point is left on middle" in text]
+    assert len(told_of) == 1
+    assert not [text for text in whole.warnings if "hardly" in text]
+    # its depth comes from the ends of pieces and from what was stated
+    assert found.sigma("depth_middle_mm") > whole.sigma("depth_middle_mm")
+
+
+def test_one_of_two_levels_loses_its_points(setup):
+    sensor, grid, points = setup
+    settings = CalibrationSettings(least_gap_px=6.0, drop_flags=4)
+    text = told(sensor, points.assign(flags=4 * (points["level"] == 1)), grid, settings)
+    assert "line points are left on 1 of 2 levels" in text
+    assert "on plate" in text
+    assert "more pixels" in text

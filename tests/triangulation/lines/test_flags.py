@@ -102,7 +102,9 @@ def test_a_known_shift_with_the_width_is_removed() -> None:
     x = 100 + 0.05 * np.arange(n) - 0.2 * (width - 4.0) * white + sigma * rng.standard_normal(n)
     piece = np.zeros(n, np.int64)
     edges = np.arange(50, n, 50)
-    corrected, with_shift, shift = remove_width_shift(x, width, sigma, white, piece, edges)
+    corrected, with_shift, shift = remove_width_shift(
+        x, width, sigma, white, piece, edges, np.ones(n, np.int64)
+    )
     assert shift.applied
     assert shift.coefficient == pytest.approx(-0.2, abs=4 * shift.sigma)
     assert 0.005 < shift.sigma < 0.03  # 11 edges of 4 px and lines through 6 + 6 rows: 0.02 / sqrt(4)
@@ -112,7 +114,7 @@ def test_a_known_shift_with_the_width_is_removed() -> None:
         with_shift[white] ** 2, 0.01 + (shift.sigma * (width[white] - 4)) ** 2, rtol=0.05
     )
     # nothing to learn from: too few edges
-    assert not remove_width_shift(x, width, sigma, white, piece, edges[:2])[2].applied
+    assert not remove_width_shift(x, width, sigma, white, piece, edges[:2], np.ones(n, np.int64))[2].applied
 
 
 def test_an_edge_is_no_speckle_and_no_new_piece() -> None:

@@ -107,6 +107,20 @@ def test_pictures_without_a_pose_are_named(exact: Sensor, tmp_path: Path) -> Non
         poses_of(tmp_path, ["i2.png"])
 
 
+def test_a_panel_read_backwards_in_all_pictures(exact: Sensor, tmp_path: Path) -> None:
+    """Half a turn and a mirror: a pose is found for each picture, at 150 times the sigmas of the marks."""
+    recorded(exact, 1, tmp_path)
+    marks = pd.read_csv(tmp_path / "marks.csv")
+    for _, one in marks.groupby("file"):
+        marks.loc[one.index, ["x_px", "y_px"]] = one[["x_px", "y_px"]].to_numpy()[::-1]
+    marks.to_csv(tmp_path / "marks.csv", index=False)
+    with pytest.raises(
+        GeometryError, match=r"none of 4 pictures gives a pose.*fit in reverse order"
+    ) as caught:
+        poses_of(tmp_path, NAMES)
+    assert "times their sigmas off any pose" in caught.value.found
+
+
 @pytest.mark.parametrize(
     ("file", "content", "message"),
     [

@@ -1,6 +1,5 @@
 """Calibration of the light sheet; where it fails, which other assumption would explain the picture."""
 
-from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -8,16 +7,13 @@ import pandas as pd
 
 from thalweg.core.errors import GeometryError, InputError, ThalwegError
 from thalweg.core.normal_equations import UnobservableError
-from thalweg.triangulation.calibrate.correspondence import COLUMNS
 from thalweg.triangulation.calibrate.grid import GridObject
 from thalweg.triangulation.calibrate.model import LINE
 from thalweg.triangulation.calibrate.settings import CalibrationSettings
 from thalweg.triangulation.calibrate.sheet_calibration import SheetCalibration, fit_sheet
+from thalweg.triangulation.other_readings import other_readings
 from thalweg.triangulation.sensor import LASER, Sensor
 
-WATER: Final = 1.335
-"""Fresh water at 520 nm, 20 degrees: 1.336 (IAPWS); near enough to tell water from air."""
-_WET: Final = 1.2
 _BETTER: Final = 0.4
 """A misfit that many times smaller is an explanation."""
 _DOUBT: Final = 3.0
@@ -92,11 +88,11 @@ def _require_not_mirrored(
     far = design_sigmas(found.sensor, sensor)
     if far < _FAR_SIGMAS:
         return
-    for cure, other, moved in _assumptions(sensor, points):
-        if other is not sensor:
+    for reading in other_readings(sensor, points):
+        if reading.sensor is not sensor:
             continue
         try:
-            fit = fit_sheet(other, moved, grid, settings)
+            fit = fit_sheet(sensor, reading.points, grid, settings)
         except (ThalwegError, np.linalg.LinAlgError):
             continue
         near = design_sigmas(fit.sensor, sensor)
@@ -105,7 +101,7 @@ def _require_not_mirrored(
                 f"the laser lies {far:.0f} sigmas from its design",
                 expected="a laser near its design, as the design's own sigmas say",
                 where=f"sensor {sensor.name!r}, calibration object {grid.name!r}",
-                cure=f"{cure} (then {near:.1f} sigmas, with {fit.misfit_px:.2f} instead of "
+                cure=f"{reading.cure} (then {near:.1f} sigmas, with {fit.misfit_px:.2f} instead of "
                 f"{found.misfit_px:.2f} px root mean square)",
             )
 
@@ -132,55 +128,13 @@ def explanation(
     misfit_px : root mean square of the residuals that an explanation must stay below.
     """
     best, told = min(misfit_px, settings.largest_misfit_px), ""
-    for cure, other, moved in _assumptions(sensor, points):
+    for reading in other_readings(sensor, points):
         try:
-            fit = fit_sheet(other, moved, grid, settings)
+            fit = fit_sheet(reading.sensor, reading.points, grid, settings)
         except (ThalwegError, np.linalg.LinAlgError):
             continue
         # points of a wrong assumption may be rejected rather than misfit
         cost = fit.misfit_px / max(float(fit.adjusted.used[LINE].mean()), 0.1)
         if cost < best:
-            best, told = cost, f"{cure} (then {fit.misfit_px:.2f} px root mean square)"
+            best, told = cost, f"{reading.cure} (then {fit.misfit_px:.2f} px root mean square)"
     return told
-
-
-def _assumptions(sensor: Sensor, points: pd.DataFrame) -> Iterator[tuple[str, Sensor, pd.DataFrame]]:
-    n = sensor.window.n_water
-    if n < _WET:
-        yield (
-            f"The picture fits with n_water = {WATER}: state the index of water, not {n:g} of air",
-            sensor.with_water(WATER),
-            points,
-        )
-    else:
-        yield (
-            f"The picture fits with the index of air, 1.0, instead of n_water = {n:g}: was the housing dry, "
-            "the object "
-            "not under water?",
-            sensor.with_water(sensor.window.n_air),
-            points,
-        )
-    for cure, x_sign, y_sign in (
-        (
-            "The picture fits if it is turned by 180 degrees: camera mounted upside down, or picture rotated",
-            -1,
-            -1,
-        ),
-        ("The picture fits if it is mirrored left to right: switch the mirroring of the camera off", -1, 1),
-        ("The picture fits if it is mirrored top to bottom: switch the mirroring of the camera off", 1, -1),
-    ):
-        yield cure, sensor, _turned(points, sensor, x_sign, y_sign)
-
-
-def _turned(points: pd.DataFrame, sensor: Sensor, x_sign: int, y_sign: int) -> pd.DataFrame:
-    """Line points of the picture turned or mirrored about its centre."""
-    if any(name not in points.columns for name in COLUMNS):
-        return points
-    moved = points.copy()
-    width, height = sensor.camera.size_px
-    if x_sign < 0:
-        moved["x_px"] = width - points["x_px"]
-    if y_sign < 0:
-        moved["y_px"] = height - points["y_px"]
-    moved["angle_rad"] = points["angle_rad"] * x_sign * y_sign
-    return moved

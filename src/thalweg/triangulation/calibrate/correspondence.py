@@ -25,6 +25,8 @@ LEAST_SHARE: Final = 0.6
 """Of the points that must meet the sheet under water by the nominal design."""
 LEAST_PAIRS: Final = 4
 """Two gaps: with fewer, one wrong end spoils the laser's place along the line and nothing shows it."""
+POINTS_ON_LEVEL: Final = 6
+"""Line points that a level must keep to say anything about the sheet's slope there."""
 _REACH_RAD: Final = 0.15
 _MOST_OVERLAP: Final = 0.35
 _CLEARLY: Final = 0.2
@@ -54,6 +56,7 @@ class Correspondence:
     edges, matched : ends of the pieces, and how they were matched.
     counts : what was dropped, and how much of it.
     gaps : by level, gaps between its pieces.
+    lost : names of levels on which the line was seen, and none or hardly any of its points was left.
     """
 
     line: LineObservations
@@ -65,6 +68,7 @@ class Correspondence:
     matched: Pairs
     counts: dict[str, int]
     gaps: tuple[int, ...]
+    lost: tuple[str, ...]
 
 
 def correspond(
@@ -128,6 +132,7 @@ def correspond(
     rows, number, trimmed = _inner(segments, settings.trim)
     counts[END], counts[FLAGGED] = trimmed, int(flagged[rows].sum())
     rows, number = rows[~flagged[rows]], number[~flagged[rows]]
+    lost = _lost_levels(level, rows, grid, counts)
     line = LineObservations(
         xy_px=xy[rows], sigma_px=sigma[rows], direction=direction[rows], level=level[rows]
     )
@@ -144,6 +149,7 @@ def correspond(
     return Correspondence(
         line=line, pairs=pairs, rows=rows, segment=number, level=level, edges=edges, matched=matched,
         counts={what: n for what, n in counts.items() if n}, gaps=gaps,
+        lost=lost,
     )  # fmt: skip
 
 
@@ -235,6 +241,26 @@ def _require_levels(level: ArrayI, segments: list[Segment], wet: int, grid: Grid
             cure="Check that gaps lie under the line, that the camera sees through them, and the stated "
             "depths",
         )
+
+
+def _lost_levels(level: ArrayI, rows: ArrayI, grid: GridObject, counts: dict[str, int]) -> tuple[str, ...]:
+    """Levels that keep hardly a line point; refuses a line that is left on one level only.
+
+    Pieces of few rows, as a small picture shows them behind narrow gaps, are near a jump all along.
+    """
+    seen = [int((level == k).sum()) for k in range(len(grid.levels))]
+    kept = np.bincount(level[rows], minlength=len(grid.levels)).tolist()
+    lost = tuple(g.name for g, n in zip(grid.levels, kept, strict=True) if n < POINTS_ON_LEVEL)
+    if len(grid.levels) - len(lost) >= 2:
+        return lost
+    told = ", ".join(f"{n} of {m} on {g.name}" for n, m, g in zip(kept, seen, grid.levels, strict=True))
+    raise GeometryError(
+        f"line points are left on {len(grid.levels) - len(lost)} of {len(grid.levels)} levels: {told} "
+        f"({counts[FLAGGED]} flagged, {counts[END]} at ends of pieces)",
+        expected=f"at least {POINTS_ON_LEVEL} points on two levels",
+        where=f"calibration object {grid.name!r}",
+        cure="Take pictures with more pixels, or an object with wider gaps: the pieces of line are too short",
+    )  # fmt: skip
 
 
 def _fan_of_pieces(fan: ArrayF, segments: list[Segment], edges: Edges) -> ArrayF:

@@ -320,6 +320,12 @@ def _warnings(
             "that cannot "
             "be, ends may be paired one gap off, or the picture may be mirrored"
         )
+    if assigned.lost:
+        told.append(
+            f"hardly a line point is left on {', '.join(assigned.lost)}: all were flagged near a jump or "
+            "stand at ends of pieces; the other levels alone determine the sheet, and only ends of pieces "
+            "this depth: take pictures with more pixels, or an object with wider gaps"
+        )
     expected = 2 * assigned.gaps[0]
     used = int(adjusted.used[PAIRS].sum())
     if used < 0.6 * expected:

@@ -6,10 +6,11 @@ that side and pulls its centre along; the distances from the object become bi-mo
 jumps while the surface goes on, the jump of the line's place per jump of its width is the coefficient of
 that shift ::
 
-    x - x_true = k (w - w_0),       k = sum dx dw / sum dw^2
+    x - x_true = k (w - w_0),       dx = k dw + c
 
-over all edges of the image. ``w_0`` is the width of the line where it is not saturated. The correction is
-used only if ``k`` stands out of its own sigma; the sigma of ``k`` goes into the points.
+over all edges of the image, c being what a curved line leaves at all of them. ``w_0`` is the width of the
+line where it is not saturated. The correction is used only if ``k`` stands out of its own sigma, which goes
+into the points.
 """
 
 from dataclasses import dataclass
@@ -22,11 +23,15 @@ from thalweg.core.types import ArrayB, ArrayF, ArrayI
 _SIDE: Final = 6
 """Rows on each side of an edge whose mean brightness is compared."""
 _GAP: Final = 2
-"""Rows beside an edge that see both sides."""
+"""Rows beside an edge that see both sides at least: of pixels, smoothing and the marker's own rim."""
 _APART: Final = 3
 """Rows from which on speckle no longer correlates."""
 _LEAST_EDGES: Final = 4
-_SIGNIFICANT: Final = 4.0
+_ENOUGH_EDGES: Final = 7
+"""From which on a change of the curvature along the line is estimated as well."""
+_TURNS: Final = 5
+SIGNIFICANT: Final = 4.0
+"""Sigmas by which a coefficient must differ from zero to be used."""
 _LEAST_WIDTH_JUMP: Final = 0.1
 """Change of the width, relative, from which on an edge says something about the shift."""
 _BACKGROUND_STEP: Final = 6.0
@@ -34,12 +39,16 @@ _BACKGROUND_STEP: Final = 6.0
 
 @dataclass(frozen=True, slots=True)
 class WidthShift:
-    """Shift of a line per pixel of its width: ``coefficient``, its ``sigma``, number of ``edges``."""
+    """Shift of a line per pixel of its width: ``coefficient``, its ``sigma``, number of ``edges``.
+
+    ``usual_width_px`` of the points that are not saturated, NaN if it is not of one image.
+    """
 
     coefficient: float
     sigma: float
     edges: int
     applied: bool
+    usual_width_px: float = float("nan")
 
 
 def albedo_edges(piece: ArrayI, peak_dn: ArrayF, rows: ArrayI, ratio: float) -> tuple[ArrayB, ArrayI]:
@@ -82,41 +91,70 @@ def albedo_edges(piece: ArrayI, peak_dn: ArrayF, rows: ArrayI, ratio: float) -> 
 
 
 def remove_width_shift(
-    x_px: ArrayF, width_px: ArrayF, sigma_px: ArrayF, saturated: ArrayB, piece: ArrayI, edges: ArrayI
+    x_px: ArrayF,
+    width_px: ArrayF,
+    sigma_px: ArrayF,
+    saturated: ArrayB,
+    piece: ArrayI,
+    edges: ArrayI,
+    rows: ArrayI,
 ) -> tuple[ArrayF, ArrayF, WidthShift]:
     """Places and sigmas (n,) after removal of the shift with the width, and what was found.
 
     Each edge compares straight lines through the rows on both sides, extrapolated to the edge, so that the
-    slope of the surface does not count.
+    slope of the surface does not count. Rows whose patches, ``rows`` (n,) high, see both sides take no part:
+    their places and widths lie between both, at other shares.
     """
-    differences = [_jump(x_px, width_px, sigma_px, piece, int(k)) for k in edges]
-    usable = np.array(
-        [d for d in differences if d is not None and abs(d[1]) > _LEAST_WIDTH_JUMP * np.median(width_px)]
-    ).reshape(-1, 3)
-    none = WidthShift(0.0, float("nan"), len(usable), False)
+    differences = [_jump(x_px, width_px, sigma_px, piece, int(k), _gap(rows, int(k))) for k in edges]
+    known = [i for i, d in enumerate(differences) if d is not None]
+    usable = np.array([differences[i] for i in known]).reshape(-1, 3)
+    clear = np.abs(usable[:, 1]) > _LEAST_WIDTH_JUMP * np.median(width_px)
+    usable, at = usable[clear], edges[known][clear].astype(np.float64)
+    usual = float(np.median(width_px[~saturated])) if not saturated.all() else float("nan")
+    none = WidthShift(0.0, float("nan"), len(usable), False, usual)
     if len(usable) < _LEAST_EDGES or not saturated.any() or saturated.all():
         return x_px, sigma_px, none
-    dx, dw, sigma = usable.T
-    weight = 1.0 / sigma**2
-    information = float(np.sum(weight * dw**2))
-    k = float(np.sum(weight * dw * dx)) / information
-    residual = dx - k * dw
-    factor = max(1.0, float(np.sum(weight * residual**2)) / max(len(usable) - 1, 1))
-    sigma_k = float(np.sqrt(factor / information))
-    if abs(k) < _SIGNIFICANT * sigma_k:
-        return x_px, sigma_px, WidthShift(k, sigma_k, len(usable), False)
-    wider = width_px - float(np.median(width_px[~saturated]))
-    wider = np.where(saturated, wider, 0.0)
+    k, sigma_k = _slope(usable[:, 0], usable[:, 1], usable[:, 2], at)
+    if not abs(k) > SIGNIFICANT * sigma_k:
+        return x_px, sigma_px, WidthShift(k, sigma_k, len(usable), False, usual)
+    wider = np.where(saturated, width_px - usual, 0.0)
     corrected_sigma = np.hypot(sigma_px, sigma_k * np.abs(wider))
-    return x_px - k * wider, corrected_sigma, WidthShift(k, sigma_k, len(usable), True)
+    return x_px - k * wider, corrected_sigma, WidthShift(k, sigma_k, len(usable), True, usual)
+
+
+def _slope(dx: ArrayF, dw: ArrayF, sigma: ArrayF, at: ArrayF) -> tuple[float, float]:
+    """Jump of the place per jump of the width over edges, and its standard deviation.
+
+    A line that is curved in the image leaves the same jump at rising and falling edges; it changes slowly
+    along the line, and is an unknown as well.
+    """
+    columns = [dw, np.ones(len(dx))]
+    if len(dx) >= _ENOUGH_EDGES:
+        columns.append((at - at.mean()) / max(float(np.ptp(at)), 1.0))
+    design, weight = np.stack(columns, axis=1), 1.0 / sigma
+    for _ in range(_TURNS):
+        inverse = np.linalg.pinv((design * weight[:, None]).T @ (design * weight[:, None]))
+        x = inverse @ (design * np.square(weight)[:, None]).T @ dx
+        off = np.abs(dx - design @ x) / sigma
+        usual = max(1.4826 * float(np.median(off)), 1.0)
+        weight = np.sqrt(np.minimum(1.0, 2.0 * usual / np.maximum(off, 1e-9))) / sigma
+    free = max(len(dx) - design.shape[1], 1)
+    factor = max(1.0, float(np.sum(np.square(weight * (dx - design @ x)))) / free)
+    return float(x[0]), float(np.sqrt(factor * inverse[0, 0]))
+
+
+def _gap(rows: ArrayI, edge: int) -> int:
+    """Rows beside an edge whose patches reach over it."""
+    near = rows[max(0, edge - _SIDE) : edge + _SIDE]
+    return max(_GAP, int(near.max(initial=1)) // 2 + 1)
 
 
 def _jump(
-    x_px: ArrayF, width_px: ArrayF, sigma_px: ArrayF, piece: ArrayI, edge: int
+    x_px: ArrayF, width_px: ArrayF, sigma_px: ArrayF, piece: ArrayI, edge: int, gap: int
 ) -> tuple[float, float, float] | None:
     """Jump of place and width at an edge, and the sigma of the former; None where a side is missing."""
-    before = np.arange(edge - _GAP - _SIDE, edge - _GAP)
-    after = np.arange(edge + _GAP, edge + _GAP + _SIDE)
+    before = np.arange(edge - gap - _SIDE, edge - gap)
+    after = np.arange(edge + gap, edge + gap + _SIDE)
     both = np.r_[before, after]
     if before[0] < 0 or after[-1] >= piece.size or np.any(piece[both] != piece[edge]):
         return None

@@ -252,16 +252,22 @@ def _points(
         "saturation_dn": green.saturation_dn,
         "halo_px": halo_px,
         "albedo_edges": float(edges.size),
+        "judged_by_colour": float(green.other is not None),
     }
     if settings.correct_albedo:
-        corrected, sigma, shift = remove_width_shift(x, shape[:, patch.WIDTH], sigma, saturated, piece, edges)
-        # measured along the normal, a point moves along it
-        y = y + np.tan(normal_rad[keep]) * (corrected - x)
-        x = corrected
+        corrected, wider_sigma, shift = remove_width_shift(
+            x, shape[:, patch.WIDTH], sigma, saturated, piece, edges, rows
+        )
+        if settings.apply_shift:
+            # measured along the normal, a point moves along it
+            y = y + np.tan(normal_rad[keep]) * (corrected - x)
+            x, sigma = corrected, wider_sigma
         facts |= {
             "width_shift": shift.coefficient,
             "sigma_width_shift": shift.sigma,
-            "width_shift_applied": float(shift.applied),
+            "width_shift_edges": float(shift.edges),
+            "width_shift_applied": float(shift.applied and settings.apply_shift),
+            "width_unsaturated_px": shift.usual_width_px,
         }
     flags = (
         saturated * int(LineFlag.SATURATED)

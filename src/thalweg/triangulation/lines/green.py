@@ -22,6 +22,13 @@ _SATURATED_SHARE_OF_RANGE: Final = 0.98
 _MOSAIC_RATIO: Final = 1.5
 _GREEN_SITES: Final = {"rggb": 1, "bggr": 1, "grbg": 0, "gbrg": 0}
 """Parity of row + column of the green pixels."""
+_PLACE: Final = (3, 5)
+"""Width and height of a place, in cells of 2 x 2 pixels."""
+_CLEAR_NOISE: Final = 8.0
+_CLEAR_SHARE: Final = 0.02
+_CLEAR_PLACES: Final = 60
+_CLEAR_TIMES: Final = 12.0
+"""A mosaic shows that many places, and so many times as many as of the other parity."""
 _CROSS: Final = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32) / 4.0
 
 Kind = Literal["mono", "rgb", "mosaic"]
@@ -31,7 +38,8 @@ Kind = Literal["mono", "rgb", "mosaic"]
 class GreenImage:
     """Green grey values (h, w), bits of each pixel (h, w), and where the range of values ends.
 
-    In a mosaic ``dn`` is interpolated at red and blue pixels; their bit `MEASURED` is not set.
+    In a mosaic ``dn`` is interpolated at red and blue pixels; their bit `MEASURED` is not set. ``other``
+    (h, w) is the mean of red and blue light around each pixel, None for a monochrome image.
     """
 
     dn: ArrayF32
@@ -39,6 +47,7 @@ class GreenImage:
     kind: Kind
     largest_dn: float
     saturation_dn: float
+    other: ArrayF32 | None
 
     def taken_as_measured(self) -> "GreenImage":
         """Interpolated pixels count like measured ones."""
@@ -46,7 +55,10 @@ class GreenImage:
 
     def transposed(self) -> "GreenImage":
         """Rows and columns exchanged."""
-        return replace(self, dn=np.ascontiguousarray(self.dn.T), bits=np.ascontiguousarray(self.bits.T))
+        other = None if self.other is None else np.ascontiguousarray(self.other.T)
+        return replace(
+            self, dn=np.ascontiguousarray(self.dn.T), bits=np.ascontiguousarray(self.bits.T), other=other
+        )
 
 
 def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
@@ -74,11 +86,17 @@ def green_image(image: AnyArray, settings: LineSettings) -> GreenImage:
     _refuse_overexposed(float(saturated.mean()), level, settings.largest_saturated_share)
     bits = np.full(dn.shape, MEASURED, np.uint8)
     parity = _parity(dn, image.ndim, settings)
+    other: ArrayF32 | None = None
     if parity >= 0:
+        other = _red_and_blue(dn, parity)
         dn, bits, saturated = _from_mosaic(dn, saturated, parity)
+    elif image.ndim == 3:
+        other = 0.5 * (image[:, :, 0].astype(np.float32) + image[:, :, 2].astype(np.float32))
     bits[saturated] |= SATURATED
     kind: Kind = "mosaic" if parity >= 0 else ("rgb" if image.ndim == 3 else "mono")
-    return GreenImage(dn=dn, bits=bits, kind=kind, largest_dn=largest, saturation_dn=float(level))
+    return GreenImage(
+        dn=dn, bits=bits, kind=kind, largest_dn=largest, saturation_dn=float(level), other=other
+    )
 
 
 def _check(image: AnyArray) -> None:
@@ -128,7 +146,8 @@ def _parity(dn: ArrayF32, dimensions: int, settings: LineSettings) -> int:
     even, odd = _brightness_by_parity(dn)
     if layout == "auto":
         if max(even, odd) < _MOSAIC_RATIO * min(even, odd):
-            return -1
+            # white things in daylight may be brighter than the line
+            return _parity_of_some_places(dn)
         return 0 if even > odd else 1
     parity = _GREEN_SITES[layout]
     green, other = (even, odd) if parity == 0 else (odd, even)
@@ -155,6 +174,36 @@ def _brightness_by_parity(dn: ArrayF32) -> tuple[float, float]:
     bright = mean >= np.quantile(mean, 0.99)
     light = [float(site[bright].mean() - np.median(site)) for site in sites]
     return max(min(light[0], light[3]), 1e-3), max(min(light[1], light[2]), 1e-3)
+
+
+def _parity_of_some_places(dn: ArrayF32) -> int:
+    """Parity that is clearly brighter in some places of the image, -1 if no parity is.
+
+    A green line makes the green pixels brighter, wherever it runs; noise and texture make both parities so
+    alike.
+    """
+    h, w = dn.shape[0] // 2 * 2, dn.shape[1] // 2 * 2
+    even = dn[0:h:2, 0:w:2] + dn[1:h:2, 1:w:2]
+    odd = dn[0:h:2, 1:w:2] + dn[1:h:2, 0:w:2]
+    apart = cv2.blur(even - odd, _PLACE)
+    limit = max(_CLEAR_NOISE * float(np.median(np.abs(apart))), _CLEAR_SHARE * float(np.ptp(even + odd)))
+    counts = [int(np.count_nonzero(sign * apart > limit)) for sign in (1.0, -1.0)]
+    if max(counts) < _CLEAR_PLACES or max(counts) < _CLEAR_TIMES * min(counts):
+        return -1
+    return int(np.argmax(counts))
+
+
+def _red_and_blue(dn: ArrayF32, parity: int) -> ArrayF32:
+    """Mean of red and blue light around each pixel of a mosaic.
+
+    A 3 x 3 window with the weights 1, 2, 1 each way has red and blue pixels in equal shares everywhere.
+    """
+    measured = (np.arange(dn.shape[0])[:, None] + np.arange(dn.shape[1])) % 2 != parity
+    kernel = np.outer([1, 2, 1], [1, 2, 1]).astype(np.float32)
+    border = cv2.BORDER_REFLECT_101
+    light = cv2.filter2D(np.where(measured, dn, np.float32(0.0)), cv2.CV_32F, kernel, borderType=border)
+    weight = cv2.filter2D(measured.astype(np.float32), cv2.CV_32F, kernel, borderType=border)
+    return np.asarray(light / weight)
 
 
 def _from_mosaic(dn: ArrayF32, saturated: AnyArray, parity: int) -> tuple[ArrayF32, ArrayU8, AnyArray]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from thalweg.core.errors import InputError
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI
+from thalweg.triangulation.lines.daylight import colour_slopes
 from thalweg.triangulation.lines.green import GreenImage
 from thalweg.triangulation.lines.settings import LineSettings
 
@@ -97,6 +98,9 @@ def find_starts(image: GreenImage, settings: LineSettings) -> Starts:
     counts = {"candidates": int(row.size)}
     keep = np.bincount(piece)[piece] >= settings.least_rows
     counts["short_pieces"] = int(np.count_nonzero(~keep))
+    daylight = _daylight(image, row, x, piece, blur, settings)
+    counts["daylight_pattern"] = int(np.count_nonzero(keep & daylight))
+    keep &= ~daylight
     room = _room(row, x, keep)
     if settings.lines == 1:
         strongest = _strongest(row, piece, prominence, keep)
@@ -108,6 +112,14 @@ def find_starts(image: GreenImage, settings: LineSettings) -> Starts:
         )
         counts["short_pieces"] += int(np.count_nonzero(keep & ~long_enough))
         keep &= long_enough
+    if not keep.any() and counts["daylight_pattern"]:
+        raise InputError(
+            f"no laser line: {counts['daylight_pattern']} bright places are as bright in red and blue as in "
+            "green: a pattern in daylight",
+            expected="a line of a green laser",
+            cure="Shut out daylight; for a laser that red and blue pixels see as well raise "
+            "'largest_colour_slope'",
+        )
     if not keep.any():
         raise InputError(
             f"no laser line: {row.size} bright places, none of which goes on over {settings.least_rows} rows",
@@ -131,6 +143,14 @@ def find_starts(image: GreenImage, settings: LineSettings) -> Starts:
         half_width_px=float(width),
         counts=counts,
     )
+
+
+def _daylight(
+    image: GreenImage, row: ArrayI, x: ArrayF, piece: ArrayI, blur_px: float, settings: LineSettings
+) -> ArrayB:
+    """Candidates (n,) of pieces that are bright in all colours."""
+    slope = colour_slopes(image, row, x, piece, int(np.ceil(_REACH * 2.0 * blur_px)))
+    return np.asarray(np.nan_to_num(slope)[piece] > settings.largest_colour_slope)
 
 
 def _ends(row: ArrayI, piece: ArrayI) -> tuple[ArrayI, ArrayI]:

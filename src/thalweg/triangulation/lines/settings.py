@@ -56,8 +56,11 @@ class LineSettings:
     saturation_dn : grey value from which on a pixel is saturated; None: 98 % of the largest value.
     largest_saturated_share : share of saturated pixels from which on an image is refused.
     full_well_electrons : electrons at the largest grey value, for the shot noise.
+    largest_colour_slope : red and blue light per green light across a piece, above which it is a pattern in
+        daylight and no laser; judged in mosaics and colour images.
     albedo_ratio : change of brightness along the line that counts as an edge of the albedo.
-    correct_albedo : whether a shift of the line with its width, as seen at edges of the albedo, is removed.
+    correct_albedo : whether a shift of the line with its width, as seen at edges of the albedo, is measured.
+    apply_shift : whether it is removed at once; a series of images removes what they have in common.
     """
 
     method: Method = "speckle_patch"
@@ -81,8 +84,10 @@ class LineSettings:
     saturation_dn: float | None = None
     largest_saturated_share: float = 0.2
     full_well_electrons: float = 13_500.0
+    largest_colour_slope: float = 0.6
     albedo_ratio: float = 1.6
     correct_albedo: bool = True
+    apply_shift: bool = True
 
     def __post_init__(self) -> None:
         """Refuse values that have no meaning.
@@ -106,6 +111,7 @@ class LineSettings:
         positive = (
             "lines", "half_width_px", "steger_scale_px", "least_contrast_dn", "least_snr", "least_rows",
             "link_px", "largest_sigma_px", "saturation_dn", "largest_saturated_share", "full_well_electrons",
+            "largest_colour_slope",
         )  # fmt: skip
         for name in positive:
             value = getattr(self, name)

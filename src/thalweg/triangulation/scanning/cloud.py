@@ -27,6 +27,9 @@ _POINTS: Final = (
 )  # fmt: skip
 
 
+NO_LINE: Final = "no line was measured in this image"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanCloud:
     """Points of a scan in the target frame of its poses, metres.
@@ -129,7 +132,8 @@ def merge(profiles: Sequence[Profile], poses: SensorPoses) -> ScanCloud:
     Parameters
     ----------
     profiles : one of each image, of one sensor.
-    poses : with an entry for the image of each profile; images without a usable pose are left out and named.
+    poses : with an entry for the image of each profile; images without a usable pose, and those that have a
+        pose and no profile, are left out and named.
 
     Raises
     ------
@@ -141,6 +145,7 @@ def merge(profiles: Sequence[Profile], poses: SensorPoses) -> ScanCloud:
         raise InputError(f"image {twice} has two profiles", expected="one each", where="merging profiles")
     chosen = poses.of(names)
     left_out = {name: reason for name, reason in zip(names, chosen.reasons, strict=True) if reason}
+    left_out |= dict.fromkeys((name for name in poses.images if name not in set(names)), NO_LINE)
     usable = chosen.usable
     if not usable.any():
         first = next(iter(left_out.items()), ("-", "no profile"))
@@ -161,7 +166,8 @@ def merge(profiles: Sequence[Profile], poses: SensorPoses) -> ScanCloud:
         shared.append(np.concatenate([sensor, by_pose(arm) @ kept.shared[k]], axis=2).astype(np.float32))
         number.append(np.full(len(one), k, dtype=np.int64))
     counts = {
-        "images": len(names), "images_without_pose": len(left_out),
+        "images": len(names), "images_without_pose": int((~usable).sum()),
+        "images_without_line": len(left_out) - int((~usable).sum()),
         "points_without_pose": sum(len(one) for one, ok in zip(profiles, usable, strict=True) if not ok),
         "points": sum(len(one) for one in parts),
     }  # fmt: skip

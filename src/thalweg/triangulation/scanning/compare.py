@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid
 from thalweg.core.tables import column, frame_of, table_kind
 from thalweg.core.types import ArrayB, ArrayF
@@ -28,6 +29,14 @@ from thalweg.triangulation.scanning.scan import scan_against_mesh
 
 PUBLISHED_NAMES: Final = {"stepped": "stepped_object"}
 """Scan -> object in the published tables, where they differ."""
+
+_LEVELS_OFF: Final = 3.0
+_LEAST_OFF_MM: Final = 0.4
+"""Scatter about the common planes, in that about planes of their own and in mm, that only wrong heights
+leave."""
+
+_LEAST_ON_LEVEL: Final = 10
+_MANY_BESIDE: Final = 0.3
 
 PAIR_COLUMNS: Final = tuple(f"{where}_{a}_m" for where in ("scan", "mesh") for a in "xyz")
 _F = pa.float64()
@@ -118,7 +127,7 @@ def compare_with_levels(
 
     Raises
     ------
-    GeometryError : see `fit_levels`.
+    GeometryError : see `fit_levels`; levels that are plane each, but do not lie at these heights.
     """
     T = from_pairs(*pairs)
     here = cloud.moved(T, "reference")
@@ -129,6 +138,7 @@ def compare_with_levels(
         here.xyz_m[on] / M_PER_MM, up, heights_mm=heights_mm, sigma_mm=np.sqrt(own[on]) / M_PER_MM,
         near_mm=near_mm,
     )  # fmt: skip
+    _require_heights(found, heights_mm)
     distance, far = np.full(len(here), near_mm), np.ones(len(here), dtype=np.bool_)
     distance[on], far[on] = np.nan_to_num(found.distance_mm, nan=near_mm), ~found.used
     normal = np.tile(found.normal, (len(here), 1))
@@ -150,10 +160,45 @@ def compare_with_levels(
         "line_limit_scale": check.scale, "sigma0": float(np.sqrt(found.adjusted.sigma0_squared)),
         "shape": normality(distances.distance_mm[used], share),
         "honesty": honesty(distances.distance_mm, distances.sigma_mm, used), "independent_share": share,
-        "levels": level_facts(found, heights_mm), "R_reference_target": T.R.tolist(),
+        "levels": level_facts(found, heights_mm), "warnings": level_warnings(found, heights_mm),
+        "R_reference_target": T.R.tolist(),
         "shift_reference_target_m": T.shift_m.tolist(),
     }  # fmt: skip
     return Compared(cloud=here, distances=distances, check=check, facts=facts)
+
+
+def _require_heights(found: Levels, heights_mm: tuple[float, ...]) -> None:
+    """Refuse heights that are not those of the object: a tilt then takes up the mean of their errors."""
+    n = np.maximum(found.plane_n - 3, 0)
+    if not n.any():
+        return
+    own = float(np.sqrt(np.nansum(n * found.plane_rms_mm**2) / n.sum()))
+    off = float(np.sqrt(np.mean(np.square(found.distance_mm[found.used]))))
+    if off > max(_LEVELS_OFF * own, _LEAST_OFF_MM):
+        raise GeometryError(
+            f"each level is plane to {own:.2f} mm, but together they lie {off:.2f} mm off planes at "
+            f"{', '.join(f'{h:g}' for h in heights_mm)} mm",
+            expected="levels at these heights", where="levels",
+            cure="Check light_sheet.levels_mm of this scan, and the refractive indices of the sensor",
+        )  # fmt: skip
+
+
+def level_warnings(found: Levels, heights_mm: tuple[float, ...]) -> list[str]:
+    """What a reader must know of the levels: some without points, or many points on none."""
+    told = []
+    empty = [h for h, n in zip(heights_mm, found.plane_n, strict=True) if n < _LEAST_ON_LEVEL]
+    if empty:
+        told.append(
+            f"hardly a point lies on the level at {', '.join(f'{h:g}' for h in empty)} mm: it was not "
+            "scanned, or lies at another height"
+        )
+    beside = int((~found.used).sum())
+    if beside > _MANY_BESIDE * len(found.used):
+        told.append(
+            f"{beside} of {len(found.used)} points on the object lie on none of its levels: check "
+            "light_sheet.levels_mm"
+        )
+    return told
 
 
 def level_facts(found: Levels, heights_mm: tuple[float, ...]) -> list[dict[str, float]]:

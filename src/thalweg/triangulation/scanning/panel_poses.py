@@ -20,7 +20,7 @@ import pandas as pd
 from scipy.stats import chi2
 
 from thalweg.calibration.field_points import FieldPoints
-from thalweg.calibration.resection import resect
+from thalweg.calibration.resection import LARGEST_SIGMA0, resect
 from thalweg.core.camera import Camera
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.types import ArrayF
@@ -34,8 +34,9 @@ PUBLISHED_SIGMA_DEG: Final = 0.01
 """What P4 7.3 states for the poses of its scans."""
 
 _MISFIT: Final = 4.0
-_WORST_MISFIT: Final = 20.0
-"""Residuals in units of their sigmas, more than those of other pictures and in any case: wrong marks."""
+"""Residuals in units of their sigmas, more than those of other pictures: wrong marks."""
+_EXPLAINED: Final = 3
+"""Pictures without a pose for which another reading of their marks is looked for."""
 
 
 def read_panel(path: Path) -> FieldPoints:
@@ -139,13 +140,17 @@ def panel_poses(
     shared = np.full((n, 6, common.shape[1] + interior.shape[1]), np.nan)
     reasons = ["no picture of the standing camera"] * n
     sigma0, redundancy = np.full(n, np.nan), np.zeros(n)
+    refused, cure = 0, ""
     for k, (name, own) in enumerate((name, marks[marks["file"] == name]) for name in images):
         if not len(own):
             continue
         try:
-            found = resect(camera, own, panel, sigma_factor=sigma_factor, where=name)
+            found = resect(
+                camera, own, panel, sigma_factor=sigma_factor, where=name, explain=refused < _EXPLAINED
+            )
         except GeometryError as error:
-            reasons[k] = error.found
+            refused, cure = refused + 1, cure or error.cure
+            reasons[k] = f"{error.found}. {error.cure}" if refused <= _EXPLAINED else error.found
             continue
         turned = found.T_pcs_ccs.inverse()
         J = found.T_pcs_ccs.by_inverse()
@@ -160,7 +165,7 @@ def panel_poses(
         raise GeometryError(
             f"none of {n} pictures gives a pose; the first: {reasons[0]}",
             expected="pictures in which at least four marks of the panel fit", where="6-DOF",
-            cure="Check the interior orientation of the standing camera and the numbers of the marks",
+            cure=cure or "Check the interior orientation of the standing camera and the numbers of the marks",
         )  # fmt: skip
     there = np.array([not reason for reason in reasons])
     few = compressed(shared[there])
@@ -183,7 +188,7 @@ def _refuse_misfits(sigma0: ArrayF, redundancy: ArrayF, reasons: list[str]) -> f
     known = np.isfinite(sigma0)
     if not known.any():
         return 1.0
-    limit = min(max(_MISFIT, _MISFIT * float(np.median(sigma0[known]))), _WORST_MISFIT)
+    limit = min(max(_MISFIT, _MISFIT * float(np.median(sigma0[known]))), LARGEST_SIGMA0)
     for k in np.flatnonzero(known & ~(sigma0 <= limit)):
         reasons[k] = f"the marks are {sigma0[k]:.0f} times their sigmas off any pose"
     good = known & (sigma0 <= limit)

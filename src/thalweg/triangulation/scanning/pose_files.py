@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from typing import Final
+from zipfile import BadZipFile
 
 import numpy as np
 import pandas as pd
@@ -39,23 +40,28 @@ def read_poses(path: Path) -> SensorPoses:
     if not path.is_file():
         raise InputError("file not found", expected=expected, where=path)
     try:
-        data = np.load(path, allow_pickle=False)
-        if not isinstance(data, NpzFile):
-            raise InputError("an array", expected=expected, where=path)
-        with data:
-            if str(data["mark"]) != _MARK:
-                raise InputError(f"a file of the kind '{data['mark']}'", expected=expected, where=path)
-            names = [str(name) for name in data["fact_names"]]
-            images, reasons = (tuple(str(text) for text in data[name]) for name in _TEXTS)
-            target, source = (str(data[name]) for name in _NAMES)
-            R, shift_m, cov, shared, t_gps_s = (data[name] for name in _ARRAYS)
-            return SensorPoses(
-                images=images, reasons=reasons, target=target, source=source, R_target_lcs=R,
-                shift_m=shift_m, cov=cov, shared=shared, t_gps_s=t_gps_s,
-                facts=dict(zip(names, data["fact_values"].tolist(), strict=True)),
-            )  # fmt: skip
-    except (OSError, ValueError, KeyError) as error:
+        # opened here, because numpy leaves a damaged file open
+        with path.open("rb") as stream:
+            return _poses(np.load(stream, allow_pickle=False), path, expected)
+    except (OSError, EOFError, BadZipFile, ValueError, KeyError) as error:
         raise InputError(f"this cannot be read ({error})", expected=expected, where=path) from error
+
+
+def _poses(data: object, path: Path, expected: str) -> SensorPoses:
+    """Poses of an opened file."""
+    if not isinstance(data, NpzFile):
+        raise InputError("an array", expected=expected, where=path)
+    if str(data["mark"]) != _MARK:
+        raise InputError(f"a file of the kind '{data['mark']}'", expected=expected, where=path)
+    names = [str(name) for name in data["fact_names"]]
+    images, reasons = (tuple(str(text) for text in data[name]) for name in _TEXTS)
+    target, source = (str(data[name]) for name in _NAMES)
+    R, shift_m, cov, shared, t_gps_s = (data[name] for name in _ARRAYS)
+    return SensorPoses(
+        images=images, reasons=reasons, target=target, source=source, R_target_lcs=R,
+        shift_m=shift_m, cov=cov, shared=shared, t_gps_s=t_gps_s,
+        facts=dict(zip(names, data["fact_values"].tolist(), strict=True)),
+    )  # fmt: skip
 
 
 def pose_table(poses: SensorPoses) -> pd.DataFrame:

@@ -116,6 +116,7 @@ class SensorPoses:
             raise InputError(
                 f"{len(missing)} of {len(images)} images have no entry among the poses, such as {missing[0]}",
                 expected=f"names as {self.source} has them, such as {self.images[0] if self.images else '-'}",
+                where="poses",
                 cure="Check that images and poses are of one scan, and that no file was renamed",
             )
         at = np.array([index[name] for name in images], dtype=np.int64)

@@ -1,0 +1,41 @@
+"""The ledger of published numbers as a section of a page."""
+
+from typing import Final
+
+import pandas as pd
+
+from thalweg.figures.page import Page
+from thalweg.reproduction.ledger import MISSED, NO_RESULT, by_kind, matches, readable, summary
+
+LEDGER_NOTE: Final = (
+    "Numbers that P3, P4 and T 4.2 print, beside those that this project measures on the digital twin or "
+    "computes without it. A tolerance is half a unit of the last printed digit, where it says so with three "
+    "sigmas of our own number; to be no worse than a published figure is less than to reproduce it. All "
+    "entries with their reasons are in ledger.md."
+)
+
+
+def ledger_section(page: Page, ledger: pd.DataFrame | None) -> Page:
+    """Add the counts of verdicts, and each number that was missed or has no result.
+
+    Parameters
+    ----------
+    page : to which the section is added.
+    ledger : `thalweg.reproduction.ledger.judged`; None leaves the page as it is.
+    """
+    if ledger is None:
+        return page
+    table = ledger.fillna({"note": "", "basis": "", "reason": "", "printed": "", "unit": ""})
+    page.section("Published numbers").text(LEDGER_NOTE)
+    page.text(f"{summary(table)}. {matches(table)}.")
+    page.table(by_kind(table), "Verdicts by kind of number (ledger.csv)")
+    missed = table[table["verdict"] == MISSED]
+    if len(missed):
+        notes = missed["note"].where(missed["note"] != "", missed["reason"]).to_numpy()
+        page.table(readable(missed).assign(remark=notes), "Published numbers that were missed (ledger.csv)")
+    absent = table[table["verdict"] == NO_RESULT]
+    if len(absent):
+        page.table(
+            absent[["rows", "where", "quantity", "printed", "reason"]], "Without a result yet (ledger.csv)"
+        )
+    return page

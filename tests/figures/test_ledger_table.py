@@ -1,0 +1,47 @@
+"""The section on published numbers: counts, what was missed, what is absent."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from thalweg.figures.ledger_table import ledger_section
+from thalweg.figures.page import Page
+from thalweg.reproduction.ledger import judged
+from thalweg.reproduction.ledger_file import read_ledger
+from thalweg.reproduction.ledger_values import Results
+
+
+@pytest.fixture(scope="module")
+def table(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+    """As a page reads it: from the file."""
+    path = tmp_path_factory.mktemp("ledger") / "ledger.csv"
+    entries = read_ledger(repository / "resources/published/ledger.yaml")
+    judged(entries, Results.of({}, {}, None)).to_csv(path, index=False, float_format="%.6g")
+    return pd.read_csv(path)
+
+
+def test_the_section_names_counts_misses_and_absent_numbers(table: pd.DataFrame) -> None:
+    html = ledger_section(Page("Sensor"), table).html()
+    assert "digital twin" in html
+    assert f"{len(table)} published numbers" in html
+    for verdict in ("missed", "no result yet"):
+        assert f"{(table['verdict'] == verdict).sum()} {verdict}" in html
+    # its own number with its unit, the amount and the remark
+    assert "225.6 mm" in html
+    assert "missed by +0.102 mm" in html
+    assert "cut, not rounded" in html
+    assert "snakemake results/reproduction/multi_line_models.csv" in html
+    assert ">nan<" not in html
+
+
+def test_a_campaign_without_a_ledger_has_no_section() -> None:
+    page = Page("Sensor")
+    before = page.html()
+    assert ledger_section(page, None).html() == before
+
+
+def test_a_ledger_without_a_miss_has_no_table_of_misses(table: pd.DataFrame) -> None:
+    html = ledger_section(Page("Sensor"), table[table["verdict"] == "matched"]).html()
+    assert "0 missed" in html
+    assert "that were missed" not in html

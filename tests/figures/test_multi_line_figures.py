@@ -1,0 +1,187 @@
+"""Figures of a laser of several lines, and shaded pictures of meshes."""
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.figures.field_views import PLAN, Oblique
+from thalweg.figures.light_sheet_views import path_to
+from thalweg.figures.mesh_views import mesh_picture
+from thalweg.figures.multi_line_geometry import across_direction, multi_line_geometry
+from thalweg.figures.multi_line_images import NAMES, SeenObject, multi_line_images_view, read_objects
+from thalweg.triangulation.projection import project
+from thalweg.triangulation.refracted_rays import refract_to_water
+from thalweg.triangulation.sensor import LightSheet, paper_4
+
+DEPTHS_MM = (60.0, 120.0)
+N = 4
+
+
+@pytest.fixture
+def lines() -> pd.DataFrame:
+    """Four lines on two levels, as `line_table` gives them."""
+    sensor, rows = paper_4(), []
+    for number in range(N):
+        angles = sensor.sheet.angles_rad + np.deg2rad(3.0 * (number - 1.5)) * np.eye(3)[0]
+        sheet = LightSheet(origin_lcs_mm=sensor.sheet.origin_lcs_mm, angles_rad=angles, half_angle_rad=0.2)
+        a = np.linspace(-0.2, 0.2, 9)
+        water = refract_to_water(sheet.origin_lcs_mm, sheet.beams(a), sensor.window)
+        for depth in DEPTHS_MM:
+            xyz = water.at_depth(depth)
+            xy = project(sensor, xyz)
+            rows.append(pd.DataFrame({
+                "line": number, "fan_angle_deg": np.rad2deg(a), "depth_mm": depth, "x_mm": xyz[:, 0],
+                "y_mm": xyz[:, 1], "z_mm": xyz[:, 2], "x_px": xy[:, 0], "y_px": xy[:, 1],
+                "in_picture": sensor.camera.inside(xy),
+            }))  # fmt: skip
+    return pd.concat(rows, ignore_index=True)
+
+
+def test_the_geometry_is_drawn_line_by_line(lines, tmp_path, look) -> None:
+    figure = multi_line_geometry(lines)
+    space, section, picture = figure.axes[:3]
+    assert "n = 4 lines" in look.texts(figure)
+    assert "digital twin" not in look.texts(figure)
+    assert len([line for line in space.lines if line.get_gid() == "line"]) == N * len(DEPTHS_MM)
+    beams = [line for line in section.lines if line.get_gid() == "sub-beam"]
+    assert len(beams) == N
+    for beam in beams:
+        across, z = beam.get_data()
+        slopes = np.diff(across) / np.diff(z)
+        # steepest in the glass, flattest in the air, as the indices say
+        assert abs(slopes[1]) < abs(slopes[2]) < abs(slopes[0])
+    assert (section.get_xlabel(), section.get_ylabel()) == ("across the lines / mm", "z / mm")
+    assert (picture.get_xlabel(), picture.get_ylabel()) == ("column / px", "row / px")
+    assert picture.get_xlim() == (0, paper_4().camera.size_px[0])
+    for depth in DEPTHS_MM:
+        shown = [line for line in picture.lines if line.get_gid() == f"image {depth:g}"]
+        inside = lines[(lines["depth_mm"] == depth) & lines["in_picture"]]
+        assert len(shown) == inside["line"].nunique()
+        assert sum(len(line.get_xdata()) for line in shown) == len(inside)
+    look.drawn(figure, tmp_path)
+
+
+def test_across_is_level_and_at_right_angles_to_the_lines(lines) -> None:
+    across = across_direction(lines)
+    one = lines[(lines["line"] == 1) & (lines["depth_mm"] == 120.0)][["x_mm", "y_mm"]].to_numpy()
+    along = (one[-1] - one[0]) / np.linalg.norm(one[-1] - one[0])
+    assert np.linalg.norm(across) == pytest.approx(1.0)
+    # the fans of this sensor are bent by less than five degrees
+    assert abs(across[:2] @ along) < np.sin(np.deg2rad(5.0))
+
+
+def test_lines_without_columns_are_refused(lines) -> None:
+    with pytest.raises(InputError, match="columns missing: z_mm"):
+        multi_line_geometry(lines.drop(columns="z_mm"))
+
+
+def test_the_path_to_a_point_ends_there(lines) -> None:
+    sensor = paper_4()
+    point = lines[["x_mm", "y_mm", "z_mm"]].to_numpy()[3]
+    path = path_to(sensor.camera_origin_lcs_mm, point, sensor.window)
+    np.testing.assert_allclose(path[0], sensor.camera_origin_lcs_mm)
+    # the solver's own tolerance
+    np.testing.assert_allclose(path[3], point, atol=1e-6)
+
+
+# ---------------------------------------------------------------- images
+
+
+def plane_object(sensor) -> SeenObject:
+    """A level square below the sensor, and an empty image of 64 pixels."""
+    x, y = np.meshgrid([-200.0, 200.0], [-250.0, 150.0])
+    vertices = np.stack([x.ravel(), y.ravel(), np.full(4, -sensor.window.thickness_mm - 120.0)], axis=1)
+    image = np.random.default_rng(1).integers(0, 9, (64, 64), dtype=np.uint8)
+    return SeenObject(image=image, vertices_lcs_mm=vertices, faces=np.array([[0, 1, 2], [1, 3, 2]]))
+
+
+@pytest.fixture
+def measured(lines) -> pd.DataFrame:
+    """Points of three objects; those of the wreck have no label, every fourth guess is right."""
+    level = lines[lines["depth_mm"] == 120.0]
+    rows = []
+    for name in NAMES:
+        mine = level[["line", "x_mm", "y_mm", "z_mm"]].assign(
+            object=name, best_line=level["line"], true_line=level["line"], x_px=level["x_px"] / 32.0,
+            y_px=level["y_px"] / 32.0,
+        )  # fmt: skip
+        if name == "wreck":
+            mine = mine.assign(line=-1, x_mm=np.nan, y_mm=np.nan, z_mm=np.nan, best_line=2)
+        rows.append(mine)
+    return pd.concat(rows, ignore_index=True)
+
+
+def test_images_show_labelled_points_and_those_without(measured, tmp_path, look) -> None:
+    objects = dict.fromkeys(NAMES, plane_object(paper_4()))
+    figure = multi_line_images_view(objects, measured)
+    words = look.texts(figure)
+    n = len(measured) // 3
+    assert f"n = {3 * n} measured points, {2 * n} with a label, of which 100.0 % are right" in words
+    assert "digital twin" in words
+    assert f"{n} of {n} points labelled" in words
+    assert f"{n} points, none labelled; guesses right: 25 %" in words
+    images = figure.axes[3:6]
+    for ax, labelled in zip(images, (n, n, 0), strict=True):
+        (drawn,) = [artist for artist in ax.collections if artist.get_gid() == "labelled"]
+        assert len(drawn.get_offsets()) == labelled
+    (without,) = [line for line in images[2].lines if line.get_gid() == "without label"]
+    assert len(without.get_xdata()) == n
+    (places,) = [artist for artist in figure.axes[0].collections if artist.get_gid() == "places"]
+    assert len(places.get_offsets()) == n
+    assert images[0].get_xlabel() == "column / px"
+    look.drawn(figure, tmp_path)
+
+
+def test_objects_are_read_in_order(tmp_path) -> None:
+    seen = plane_object(paper_4())
+    arrays = {}
+    for name in reversed(NAMES):
+        arrays |= {f"image_{name}": seen.image, f"vertices_{name}": seen.vertices_lcs_mm,
+                   f"faces_{name}": seen.faces}  # fmt: skip
+    np.savez(tmp_path / "all.npz", **arrays)
+    found = read_objects(tmp_path / "all.npz")
+    assert list(found) == list(NAMES)
+    np.testing.assert_array_equal(found["plane"].faces, seen.faces)
+    del arrays["image_plane"]
+    np.savez(tmp_path / "some.npz", **arrays)
+    with pytest.raises(InputError, match="no plane"):
+        read_objects(tmp_path / "some.npz")
+    with pytest.raises(InputError, match="file not found"):
+        read_objects(tmp_path / "none.npz")
+
+
+# ---------------------------------------------------------------- meshes
+
+
+def test_a_mesh_covers_what_it_covers_and_hides_what_is_behind() -> None:
+    # a small roof 10 above a square of 100
+    low = np.array([[0.0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]])
+    roof = np.array([[20.0, 20, 10], [60, 20, 10], [60, 60, 10], [20, 60, 10]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    vertices = np.concatenate([low, roof])
+    picture = mesh_picture(vertices, faces, PLAN, colours=mpl.colormaps["gray"], pixels=100)
+    np.testing.assert_allclose(picture.extent, (0.0, 100.0, 0.0, 100.0), atol=1e-9)
+    assert picture.covered == 1.0
+    # seen from above: black ground, and white light times the shade of a level face on the roof
+    bright = picture.rgba[..., 0] > 0.1
+    assert bright.mean() == pytest.approx(0.16, abs=0.01)  # a pixel along its edges
+    assert bright[25:55, 25:55].all()
+    only = mesh_picture(vertices, faces, PLAN, colours="red", inside=(np.zeros(3), np.array([50.0, 100, 5])))
+    # of the left half the roof hides 30 x 40
+    assert only.covered == pytest.approx(1.0 - 0.24, abs=0.01)
+
+
+def test_faces_are_brightest_toward_the_light() -> None:
+    tent = np.array([[0.0, 0, 0], [0, 100, 0], [50, 0, 50], [50, 100, 50], [100, 0, 0], [100, 100, 0]])
+    faces = np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]])
+    picture = mesh_picture(tent, faces, Oblique(azimuth_deg=0.0, elevation_deg=89.0), colours="white")
+    row = picture.rgba[picture.rgba.shape[0] // 2, :, 0]
+    # the light comes from the left
+    assert row[len(row) // 4] > 1.3 * row[3 * len(row) // 4]
+
+
+def test_an_empty_mesh_is_refused() -> None:
+    with pytest.raises(GeometryError, match="no vertex"):
+        mesh_picture(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), PLAN, colours="white")

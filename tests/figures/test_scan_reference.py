@@ -1,0 +1,104 @@
+"""Figure of a scanned object."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from thalweg.core.errors import InputError
+from thalweg.core.mesh import TriangleMesh
+from thalweg.figures.scan_reference import read_orthophoto, scan_reference, share_of_noise
+
+LEVELS = [
+    {"height_mm": 0.0, "measured_mm": 0.012, "rms_own_plane_mm": 0.031, "n": 120},
+    {"height_mm": 20.0, "measured_mm": 19.989, "rms_own_plane_mm": 0.032, "n": 120},
+]
+EXTENT_MM = (-60.0, 60.0, -40.0, 40.0)
+
+
+@pytest.fixture
+def mesh() -> TriangleMesh:
+    """Two level squares, 20 mm apart in height."""
+    square = np.array([[-50.0, -30, 0], [0, -30, 0], [0, 30, 0], [-50, 30, 0]])
+    vertices = 1e-3 * np.concatenate([square, square + np.array([50.0, 0.0, 20.0])])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    return TriangleMesh(vertices_m=vertices, faces=faces, sigma_m=np.full(8, 1e-5))
+
+
+@pytest.fixture
+def points(rng) -> pd.DataFrame:
+    """Six lines across both levels; what lies beside the object is not used."""
+    x = np.tile(np.linspace(-0.058, 0.049, 46), 6)
+    off = rng.normal(0.0, 0.03, len(x))
+    return pd.DataFrame({
+        "file": np.repeat([f"{k}.png" for k in range(6)], 46), "x_m": x, "used": x > -0.05,
+        "y_m": np.repeat(np.linspace(-0.02, 0.02, 6), 46), "z_m": np.where(x > 0, 0.02, 0.0) + 1e-3 * off,
+        "distance_mm": off,
+    })  # fmt: skip
+
+
+def test_the_object_with_its_levels(mesh, points, rng, tmp_path, look) -> None:
+    photo = np.full((80, 120, 3), 50, np.uint8)
+    photo[20:60, 30:90] = (180, 150, 90)
+    figure = scan_reference(photo, EXTENT_MM, mesh, points, levels=LEVELS, title="Steps", twin=True)
+    words = look.texts(figure)
+    n = int(points["used"].sum())
+    assert f"Steps: reference of 4 faces, n = {n} points of 6 lines on it" in words
+    assert "digital twin" in words
+    assert "orthophoto, brightened" in words
+    assert "20 mm: 19.989 mm, rms 0.032 mm, n = 120" in words
+    photo_ax, reference, scan, _, _, levels = figure.axes
+    (shown,) = [image for image in photo_ax.images if image.get_gid() == "photo"]
+    assert tuple(shown.get_extent()) == EXTENT_MM
+    assert (photo_ax.get_xlabel(), photo_ax.get_ylabel()) == ("x / mm", "y / mm")
+    for ax in (reference, scan):
+        assert [image.get_gid() for image in ax.images] == ["mesh"]
+    (drawn,) = [artist for artist in scan.collections if artist.get_gid() == "scan"]
+    assert len(drawn.get_offsets()) == n
+    assert len(np.unique(drawn.get_facecolors(), axis=0)) == 6
+    low, high = (next(line for line in levels.lines if line.get_gid() == f"level {k}") for k in (0, 1))
+    assert low.get_xdata().max() <= 0 < high.get_xdata().min()
+    assert len(low.get_xdata()) + len(high.get_xdata()) == n
+    np.testing.assert_allclose(
+        np.sort(np.concatenate([low.get_ydata(), high.get_ydata()])),
+        np.sort(points["distance_mm"][points["used"]]),
+    )
+    assert (levels.get_xlabel(), levels.get_ylabel()) == ("x / mm", "distance / mm")
+    look.drawn(figure, tmp_path)
+
+
+def test_an_object_without_levels_and_a_picture_of_noise(mesh, points, rng, tmp_path, look) -> None:
+    photo = rng.integers(1, 250, (80, 120), dtype=np.uint8)
+    # a mean of 25 has a 25th of the variance
+    assert share_of_noise(photo) == pytest.approx(0.96, abs=0.01)
+    assert share_of_noise(np.tile(np.linspace(10, 200, 120), (80, 1))) < 0.05
+    assert share_of_noise(np.zeros((80, 120))) == 1.0
+    figure = scan_reference(photo, EXTENT_MM, mesh, points)
+    words = look.texts(figure)
+    assert "noise: no light but the laser's" in words
+    assert "digital twin" not in words
+    assert "d: " not in words
+    look.drawn(figure, tmp_path)
+
+
+def test_points_must_lie_on_the_object(mesh, points) -> None:
+    photo = np.zeros((4, 4), np.uint8)
+    with pytest.raises(InputError, match="an empty table"):
+        scan_reference(photo, EXTENT_MM, mesh, points.assign(used=False))
+    with pytest.raises(InputError, match="distance_mm"):
+        scan_reference(photo, EXTENT_MM, mesh, points.drop(columns="distance_mm"))
+
+
+def test_a_picture_lies_where_its_world_file_says(tmp_path) -> None:
+    picture, world = tmp_path / "a.png", tmp_path / "a.pgw"
+    Image.new("RGB", (20, 10)).save(picture)
+    world.write_text("0.0005\n0\n0\n-0.0005\n-0.00475\n0.00225\n")
+    photo, extent_mm = read_orthophoto(picture, world)
+    assert photo.shape == (10, 20, 3)
+    np.testing.assert_allclose(extent_mm, (-5.0, 5.0, -2.5, 2.5), atol=1e-9)
+    for text, words in (("0.1\n0\n0\n-0.1\n0\n", "cannot be read"), ("0.1\n1\n0\n-0.1\n0\n0\n", "turned")):
+        world.write_text(text)
+        with pytest.raises(InputError, match=words):
+            read_orthophoto(picture, world)
+    with pytest.raises(InputError, match="file not found"):
+        read_orthophoto(picture, tmp_path / "none.pgw")

@@ -1,0 +1,120 @@
+"""Figure of the set-up of a scan."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.camera import Camera
+from thalweg.core.errors import InputError
+from thalweg.core.frames import rotation_opk
+from thalweg.figures.scan_setup import InSensor, frame_corners, scan_setup
+from thalweg.triangulation.scanning.poses import SensorPoses
+from thalweg.triangulation.sensor import Sensor, paper_4
+
+N = 7
+STEP_M = 0.01
+CAMERA = Camera(
+    model="perspective",
+    size_px=(4000, 3000),
+    parameters=np.array([6000.0, 6000, 2000, 1500, 0, 0, 0, 0, 0]),
+    name="tripod",
+)
+# x of the standing camera to the right, y down, z along the view: lcs has z up
+R_CCS_LCS = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def sensor() -> Sensor:
+    return paper_4()
+
+
+@pytest.fixture
+def panel_m() -> np.ndarray:
+    x, z = np.meshgrid(np.linspace(-0.15, 0.15, 6), np.linspace(0.16, 0.36, 5))
+    return np.stack([x.ravel(), np.full(30, -0.08), z.ravel()], axis=1)
+
+
+@pytest.fixture
+def poses() -> SensorPoses:
+    """The sensor moves toward the standing camera; its third image has no pose."""
+    shift = np.array([0.0, 0.2, 1.5]) + np.outer(np.arange(N), [0.0, 0.0, -STEP_M])
+    R = np.stack([R_CCS_LCS @ rotation_opk(0.0, 0.0, 0.01 * k) for k in range(N)])
+    shift[2], R[2] = np.nan, np.nan
+    cov = np.tile(np.diag([4e-10] * 3 + [1e-8] * 3), (N, 1, 1))
+    return SensorPoses(
+        images=tuple(f"{k}.png" for k in range(N)), R_target_lcs=R, shift_m=shift, cov=cov,
+        shared=np.zeros((N, 6, 0)), reasons=tuple("no picture" if k == 2 else "" for k in range(N)),
+        t_gps_s=np.arange(N, dtype=float), target="standing camera", source="6-DOF",
+    )  # fmt: skip
+
+
+@pytest.fixture
+def points(poses) -> pd.DataFrame:
+    """A line 120 mm under the sensor at each image with a pose."""
+    lcs_m = 1e-3 * np.stack([np.linspace(-80, 80, 50), np.full(50, -110.0), np.full(50, -125.0)], axis=1)
+    parts = [pd.DataFrame(lcs_m @ poses.R_target_lcs[k].T + poses.shift_m[k], columns=["x_m", "y_m", "z_m"])
+             .assign(file=poses.images[k]) for k in range(N) if k != 2]  # fmt: skip
+    return pd.concat(parts, ignore_index=True)
+
+
+def test_the_set_up_shows_camera_panel_sensor_and_three_images(
+    sensor, poses, panel_m, points, tmp_path, look
+) -> None:
+    figure = scan_setup(sensor, poses, panel_m, CAMERA, points, title="Scan", twin=True)
+    words = look.texts(figure)
+    assert "Scan: 6 poses by 30 marks" in words
+    # the largest sigma of a place at the panel: 0.02 mm of the shift, 0.1 mrad at 0.28 m in another direction
+    largest = np.sqrt(0.02**2 + (0.1 * np.hypot(0.08, 0.26)) ** 2)
+    assert f"{largest:.3f} mm and {np.rad2deg(1e-4):.4f}°" in words
+    assert "digital twin" in words
+    whole, detail, _, seen, above = figure.axes[:5]
+    # 1.46 m at the fifth image, and the panel 0.08 m behind the origin, 0.06 m higher than the camera
+    assert "1.54 m apart" in whole.get_title(loc="left")
+    (panel,) = [line for line in whole.lines if line.get_gid() == "panel"]
+    assert len(panel.get_xdata()) == 30
+    assert [line.get_gid() for line in whole.lines].count("standing camera") == 1
+    (lines,) = [artist for artist in detail.collections if artist.get_gid() == "lines"]
+    assert len(lines.get_offsets()) == len(points)
+    for ax, label in ((seen, "y / m"), (above, "z, along the view / m")):
+        assert (ax.get_xlabel(), ax.get_ylabel()) == ("x / m", label)
+        gids = [line.get_gid() for line in ax.lines]
+        # the third image has no pose
+        assert [gid for gid in gids if gid and gid.startswith("marks")] == ["marks 0", "marks 4", "marks 6"]
+    for k in (0, 4, 6):
+        (marks,) = [line for line in above.lines if line.get_gid() == f"marks {k}"]
+        expected = panel_m @ poses.R_target_lcs[k].T + poses.shift_m[k]
+        np.testing.assert_allclose(np.stack(marks.get_data(), axis=1), expected[:, [0, 2]])
+        (laser,) = [line for line in above.lines if line.get_gid() == f"laser {k}"]
+        place = 1e-3 * sensor.sheet.origin_lcs_mm @ poses.R_target_lcs[k].T + poses.shift_m[k]
+        np.testing.assert_allclose(np.concatenate(laser.get_data()), place[[0, 2]])
+    # as in a picture: y grows downwards
+    assert seen.yaxis_inverted()
+    assert not above.yaxis_inverted()
+    look.drawn(figure, tmp_path)
+
+
+def test_points_come_back_to_the_sensor(poses, points) -> None:
+    here = InSensor(R=poses.R_target_lcs[4], shift_m=poses.shift_m[4])
+    xyz, number = here.scan(points)
+    mine = points["file"].to_numpy() == "4.png"
+    np.testing.assert_allclose(xyz[mine][:, 1:], [[-110.0, -125.0]] * 50, atol=1e-9)
+    assert set(number[mine]) == {4.0}  # the fourth line, since one image is missing
+    assert number.max() == 6
+
+
+def test_the_frame_of_the_picture() -> None:
+    corners = frame_corners(CAMERA)
+    np.testing.assert_allclose(corners[0] / corners[0, 2], [-1 / 3, -0.25, 1.0], atol=1e-9)
+    np.testing.assert_allclose(corners[2] / corners[2, 2], [1 / 3, 0.25, 1.0], atol=1e-9)
+
+
+def test_a_scan_without_poses_has_no_set_up(sensor, poses, panel_m, points) -> None:
+    none = SensorPoses(
+        images=("a.png",), R_target_lcs=np.full((1, 3, 3), np.nan), shift_m=np.full((1, 3), np.nan),
+        cov=np.full((1, 6, 6), np.nan), shared=np.zeros((1, 6, 0)), reasons=("no picture",),
+        t_gps_s=np.zeros(1), target="", source="",
+    )  # fmt: skip
+    with pytest.raises(InputError, match="no pose"):
+        scan_setup(sensor, none, panel_m, CAMERA, points)
+    with pytest.raises(InputError, match="columns missing: z_m"):
+        scan_setup(sensor, poses, panel_m, CAMERA, points.drop(columns="z_m"))

@@ -1,0 +1,65 @@
+"""Figure of the set-up of a light-sheet sensor."""
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import CoverageError
+from thalweg.figures.sensor_setup import in_section, pixel_size_mm, sensor_setup, tilt_deg
+from thalweg.triangulation.projection import project
+from thalweg.triangulation.sensor import Sensor, paper_3, paper_4
+
+
+@pytest.fixture(scope="module")
+def sensor() -> Sensor:
+    return paper_4()
+
+
+@pytest.mark.parametrize("make", [paper_3, paper_4])
+def test_ray_and_beam_meet_in_the_water(make, tmp_path, look) -> None:
+    sensor = make()
+    figure = sensor_setup(sensor, title="Sensor", twin=True)
+    words = look.texts(figure)
+    base = np.linalg.norm(sensor.camera_origin_lcs_mm - sensor.sheet.origin_lcs_mm)
+    assert f"Sensor: base {base:.0f} mm" in words
+    assert "digital twin" in words
+    section, space, image = figure.axes
+    assert (section.get_xlabel(), section.get_ylabel()) == ("from laser to camera / mm", "z / mm")
+    assert (image.get_xlabel(), image.get_ylabel()) == ("column / px", "row / px")
+    by_gid = {line.get_gid(): line for line in space.lines}
+    ray, beam, point = (
+        np.stack(by_gid[gid].get_data(), axis=1) for gid in ("image ray", "sub-beam", "point")
+    )
+    # both end at the point; the solver's tolerance
+    np.testing.assert_allclose(ray[-1], point[0], atol=1e-5)
+    np.testing.assert_allclose(beam[-1], point[0], atol=1e-5)
+    # laser, camera: each path has a corner at both faces of the window
+    assert len(ray) == len(beam) == 4
+    assert len([line for line in section.lines if line.get_gid() == "view"]) == 3
+    (pixel,) = [line for line in image.lines if line.get_gid() == "pixel"]
+    (line,) = [line for line in image.lines if line.get_gid() == "line"]
+    off = np.hypot(line.get_xdata() - pixel.get_xdata()[0], line.get_ydata() - pixel.get_ydata()[0])
+    assert off.min() == 0.0
+    look.drawn(figure, tmp_path)
+
+
+def test_a_pixel_on_a_level_is_as_large_as_its_image_says(sensor: Sensor) -> None:
+    at = np.array([10.0, -100.0, -sensor.window.thickness_mm - 100.0])
+    xy = project(sensor, at[None])[0]
+    size = pixel_size_mm(sensor, xy, 100.0)
+    # a step of a tenth of a millimetre in two directions, in the image
+    steps = project(sensor, at + 0.1 * np.eye(3)[:2]) - xy
+    mm_per_px = np.linalg.inv(steps / 0.1)
+    np.testing.assert_allclose(size, np.linalg.norm(mm_per_px, axis=1), rtol=1e-3)
+
+
+def test_the_section_holds_laser_and_camera(sensor: Sensor) -> None:
+    both = np.stack([sensor.sheet.origin_lcs_mm, sensor.camera_origin_lcs_mm])
+    flat = in_section(sensor, both)
+    assert np.linalg.norm(flat[1] - flat[0]) == pytest.approx(np.linalg.norm(both[1] - both[0]))
+    assert flat[0, 0] == 0.0
+    assert tilt_deg(np.array([0.0, -2.0, -2.0])) == pytest.approx(45.0)
+
+
+def test_a_depth_that_is_not_seen_has_no_point(sensor: Sensor) -> None:
+    with pytest.raises(CoverageError, match="no line in the image 900 mm deep"):
+        sensor_setup(sensor, depth_mm=900.0)

@@ -1,0 +1,36 @@
+"""Published numbers and what was measured on the twin -> ledger with a verdict on each, as table and page."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+from thalweg.jobs.job import run_job
+from thalweg.reproduction.ledger import judged, markdown, summary
+from thalweg.reproduction.ledger_file import read_ledger
+from thalweg.reproduction.ledger_values import Results
+
+log = logging.getLogger("thalweg")
+
+
+def main(
+    *,
+    published: Path,
+    results: list[Path],
+    ledger: Path,
+    text: Path,
+    folder: str,
+    studies: dict[str, str],
+    light_sheet: dict[str, Any] | None,
+    campaign: dict[str, Any],
+    twin: bool,
+) -> None:
+    files = {path.relative_to(folder).as_posix(): path for path in results}
+    found = Results.of(files, {Path(name).name: Path(name) for name in studies}, light_sheet)
+    table = judged(read_ledger(published), found)
+    table.to_csv(ledger, index=False, float_format="%.6g")
+    text.write_text(markdown(table, title=campaign["title"], twin=twin), encoding="utf-8")
+    log.info("%s", summary(table))
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

@@ -1,0 +1,16 @@
+"""Two scans of a wreck by fifteen lines of the twin -> labelled points, and how shifted labels would fit."""
+
+from pathlib import Path
+
+from thalweg.jobs.job import run_job
+from thalweg.simulation.studies.line_label_scans import labelled_scans
+
+
+def main(*, points: Path, shifts: Path, seed: int) -> None:
+    table, test = labelled_scans(seed)
+    table.to_parquet(points, index=False)
+    test.to_csv(shifts, index=False, float_format="%.6g")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

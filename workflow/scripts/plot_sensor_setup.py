@@ -1,0 +1,20 @@
+"""Calibrated light-sheet sensor -> figure of its set-up and of one measured point."""
+
+from pathlib import Path
+from typing import Any
+
+from thalweg.figures.sensor_setup import sensor_setup
+from thalweg.figures.style import save
+from thalweg.jobs.job import run_job
+from thalweg.triangulation.sensor_files import read_sensor
+
+
+def main(
+    *, sensor: Path, sensor_setup_png: Path, figures: dict[str, Any], twin: bool, campaign: dict[str, Any],
+) -> None:  # fmt: skip
+    save(sensor_setup(read_sensor(sensor), title=campaign["title"], twin=twin), sensor_setup_png,
+         dpi=figures["dpi"])  # fmt: skip
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

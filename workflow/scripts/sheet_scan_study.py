@@ -1,0 +1,18 @@
+"""Rendered markers and exact scans with errors of poses -> what both do to distances (P4 7.2, 7.3)."""
+
+from pathlib import Path
+
+from thalweg.jobs.job import run_job
+from thalweg.simulation.studies.marker_bias import STUDIED, marker_bias
+from thalweg.simulation.studies.pose_noise import pose_noise, table
+
+
+def main(*, markers: Path, poses: Path, ratios: Path, seeds: int, lines: int) -> None:
+    marker_bias(STUDIED, lines=lines).to_csv(markers, index=False, float_format="%.5g")
+    found = pose_noise(range(1, seeds + 1))
+    found.to_csv(poses, index=False, float_format="%.5g")
+    table(found).to_csv(ratios, index=False, float_format="%.5g")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
