@@ -125,6 +125,7 @@ def test_its_covariance_arrives_in_the_calibrated_sensor(jobs: Jobs, basin: Basi
         k = sensor.names.index(name)
         assert np.abs(sensor.cov[k, : LENS.start]).max() > 0
         assert np.abs(sensor.cov[k, LENS.stop : LENS.stop + 6]).max() > 0
+    assert np.diag(sensor.cov)[sensor.names.index("laser_phi_rad")] == 0.0  # held, and not nearly so
     sigma = np.sqrt(np.diag(sensor.cov))
     shown = sigma > 0
     joint = sensor.cov[np.ix_(shown, shown)] / np.outer(sigma[shown], sigma[shown])

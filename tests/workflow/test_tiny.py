@@ -191,7 +191,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
     }
     # where the camera roughly was comes from the trajectory, and all of the images' orientation follows
     after_prediction = {
-        "predict_images", "mask_images", "extract_features", "match_features", "map_images",
+        "predict_images", "mask_images", "extract_features", "match_features", "join_matches", "map_images",
         "measure_control_points", "adjust_images", "time_images", "camera_trajectory", "fuse_trajectory",
         "georeference_by_trajectory", "compare_chains_with_truth",
     }  # fmt: skip

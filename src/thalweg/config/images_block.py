@@ -50,6 +50,14 @@ class BlockAdjustment(Section):
         default=True,
         description="The focal lengths in x and y change together where the interior orientation is free",
     )
+    interior_variance: float = Field(
+        default=2.0,
+        ge=1,
+        le=100,
+        description="Variance of what the images tell of the interior orientation over that by their "
+        "residuals: features of one bank err in common, which residuals do not show. 2 by rendered blocks "
+        "(`image_block_study`); 1 counts the residuals alone. A calibration's covariance does not change",
+    )
     loss: Literal["none", "huber", "cauchy"] = Field(
         default="huber", description="Robust weights of image measurements"
     )

@@ -20,6 +20,7 @@ from thalweg.core.errors import GeometryError
 from thalweg.core.normal_equations import UnobservableError, check_rank
 from thalweg.core.types import ArrayB, ArrayF
 from thalweg.orientation.block_correlation import Correlation
+from thalweg.orientation.block_interior import with_shared_errors
 from thalweg.orientation.block_linear import Tracks, cost_of, point_steps, projected, reduced_system
 from thalweg.orientation.block_problem import Layout, Problem, State, moved, start_state
 from thalweg.orientation.block_start import triangulated
@@ -42,9 +43,11 @@ class Adjusted:
     """An adjusted block.
 
     ``problem`` and ``x`` are about a local centre: ``wcs = local + origin_m``. ``cov`` (u, u) belongs to the
-    unknowns of ``layout``, and ``cov_scale`` is a factor in it. ``used`` (m,) and ``weight`` (m,) tell of tie
-    marks, ``lost_images`` (i,) of images that kept too few of them, ``control_used`` (n,) and
-    ``control_residual_px`` (n, 2) of marks of control points, and ``residual_px`` (m, 2) of tie marks.
+    unknowns of ``layout``, and ``cov_scale`` is a factor in it; ``control_cov_m2`` (k, 3, 3) are the blocks
+    of the control points by the model of the errors alone, which their residuals follow. ``used`` (m,) and
+    ``weight`` (m,) tell of tie marks, ``lost_images`` (i,) of images that kept too few of them,
+    ``control_used`` (n,) and ``control_residual_px`` (n, 2) of marks of control points, and ``residual_px``
+    (m, 2) of tie marks.
     """
 
     problem: Problem
@@ -53,6 +56,7 @@ class Adjusted:
     origin_m: ArrayF
     cov: ArrayF
     cov_scale: float
+    control_cov_m2: ArrayF
     tracks: Tracks
     correlation: Correlation
     control_scale: float
@@ -215,6 +219,8 @@ def _finished(
     inverse = np.tril(inverse) + np.tril(inverse, -1).T
     cov = np.zeros_like(system.N)
     cov[np.ix_(free, free)] = inverse / np.outer(scale, scale)
+    control_cov = np.array([cov[layout.point(i), layout.point(i)] for i in range(len(x.G))]).reshape(-1, 3, 3)
+    cov = with_shared_errors(problem, layout, x, cov, options.interior_variance)
     observations = sum(system.counts.values())
     unknowns = int(free.sum()) + 3 * len(tracks.point)
     redundancy = observations - unknowns
@@ -229,7 +235,8 @@ def _finished(
     used[tracks.mark] = True
     calm = weights.calm[block.mark_point]
     return Adjusted(
-        problem=problem, layout=layout, x=x, origin_m=origin, cov=cov, cov_scale=cov_scale, tracks=tracks,
+        problem=problem, layout=layout, x=x, origin_m=origin, cov=cov, cov_scale=cov_scale,
+        control_cov_m2=cov_scale * control_cov, tracks=tracks,
         correlation=weights.correlation, control_scale=weights.control_scale, used=used,
         weight=np.where(used, weights.mark * (weights.track / weights.region)[block.mark_point], 0.0),
         residual_px=block.mark_px - projected(problem, x, block.mark_image, x.X[block.mark_point]),

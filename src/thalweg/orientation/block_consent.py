@@ -124,7 +124,8 @@ def doubts(control: ControlPoints, result: ControlResult, antenna: Antenna | Non
         notes.append("Three control points hold the block: none of them is checked by the others")
     if not (control.check & (result.n_marks > 0)).any():
         notes.append("No check point: nothing but the covariances tells what the poses are worth")
-    good = result.test[np.isfinite(result.test)]
+    # zero: points that nothing else fixes
+    good = result.test[np.isfinite(result.test) & (result.test > 0)]
     if len(good) > LEAST and np.median(good) / 3 < _TOO_GOOD:
         sigma = np.sqrt(np.median(np.diagonal(control.cov_wcs_m2, axis1=1, axis2=2)))
         notes.append(

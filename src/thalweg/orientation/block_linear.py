@@ -8,6 +8,7 @@ import numpy as np
 from thalweg.core.propagation import cross_matrix
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.orientation.block_correlation import Correlation
+from thalweg.orientation.block_interior import interior_priors
 from thalweg.orientation.block_kernels import add_tracks, solve_points, track_costs
 from thalweg.orientation.block_problem import Layout, Problem, State
 
@@ -350,22 +351,9 @@ def _add_antenna(problem: Problem, layout: Layout, x: State, out: Reduced, *, de
 
 def _add_interior(problem: Problem, layout: Layout, x: State, out: Reduced, *, derive: bool = True) -> None:
     """Interior parameters with what is known of them beforehand."""
-    for k, (start, camera) in enumerate(zip(problem.block.cameras, x.cameras, strict=True)):
-        at = layout.interior[k]
-        sought = np.flatnonzero(at >= 0)
-        if problem.weighted[k]:
-            known = start.cov[np.ix_(sought, sought)]
-        else:
-            names = start.parameter_names
-            sought = np.array([i for i in sought if names[i] in problem.prior_sigma], np.int64)
-            known = np.diag([problem.prior_sigma[names[i]] ** 2 for i in sought])
-        if not len(sought):
-            continue
-        # parameters that were estimated as one are correlated fully
-        W = np.linalg.inv(known + 1e-9 * np.diag(np.diag(known)))
-        off = (start.parameters - camera.parameters)[sought]
+    for at, W, off in interior_priors(problem, layout, x):
         out.cost["interior"] = out.cost.get("interior", 0.0) + float(off @ W @ off)
-        out.counts["interior"] = out.counts.get("interior", 0) + len(sought)
+        out.counts["interior"] = out.counts.get("interior", 0) + len(at)
         if derive:
-            out.N[np.ix_(at[sought], at[sought])] += W
-            out.g[at[sought]] += W @ off
+            out.N[np.ix_(at, at)] += W
+            out.g[at] += W @ off

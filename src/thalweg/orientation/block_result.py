@@ -218,7 +218,7 @@ def control_result(adjusted: Adjusted, *, risk: float = 1e-4) -> ControlResult:
     C = adjusted.cov_scale * control.cov_wcs_m2
     Q = np.array([adjusted.cov[layout.point(i), layout.point(i)] for i in range(k)]).reshape(k, 3, 3)
     check = control.check[:, None, None]
-    cov = np.where(check, C + Q, C - Q)
+    cov = np.where(check, C + Q, C - adjusted.control_cov_m2)
     # a check point that lost its marks has no place
     lost = control.check & ~adjusted.layout.free[layout.control :: 3]
     off[lost], cov[lost] = np.nan, np.nan

@@ -75,6 +75,7 @@ class BlockSettings:
                 correlated=section["correlated"],
                 least_angle_deg=section["least_angle_deg"],
                 max_iterations=section["max_iterations"],
+                interior_variance=section["interior_variance"],
             ),
             interior=section["interior"],
             free_parameters=tuple(section["free_parameters"]),

@@ -35,6 +35,8 @@ CAMERA_SIGNS: Final = np.array([1.0, -1.0, -1.0])
 
 MM: Final = 1000.0
 DEG: Final = float(np.rad2deg(1.0))
+_ROUNDING: Final = 1e-12
+"""Share of its largest possible value below which a variance is that of nothing."""
 
 
 def read_sensor(path: Path) -> Sensor:
@@ -160,6 +162,10 @@ def sensor_of(calibration: Calibration, *, name: str = "light sheet") -> Sensor:
     back = np.linalg.inv(file_derivatives(sensor))
     inside = back @ cov @ back.T
     inside = 0.5 * (inside + inside.T)
+    # what was held fixed comes back as the difference of equal numbers, of either sign
+    largest = np.square(np.abs(back) @ np.sqrt(np.diag(cov)))
+    held = np.diag(inside) < _ROUNDING * largest
+    inside[held], inside[:, held] = 0.0, 0.0
     lens_cov = inside[6:15, 6:15]
     return sensor.with_vector(sensor.vector(), inside).with_camera(
         Camera(model="perspective", size_px=size, parameters=lens, cov=lens_cov, name=name)

@@ -79,6 +79,8 @@ def test_poses_of_rendered_blocks_err_as_their_covariances_say(tmp_path: Path) -
     found = pooled(table)
     joint = found.loc["all poses jointly"]
     assert joint["low"] < joint["normalised"] < joint["high"] + EXTRA
+    single = found.loc["single poses"]
+    assert single["low"] < single["normalised"] < single["high"]
     # no block is wrong as a whole: 180 errors each, 99.9 % and what is known to be missing
     assert ((table["joint"] > 0.68) & (table["joint"] < 1.38 + EXTRA)).all()
     checks = found.loc["check points"]
