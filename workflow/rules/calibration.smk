@@ -11,6 +11,7 @@ rule collect_mounts:
         "logs/{campaign}/calibration/collect_mounts.log",
     benchmark:
         "benchmarks/{campaign}/calibration/collect_mounts.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -39,6 +40,7 @@ rule detect_reference_marks:
         "logs/{campaign}/calibration/detect_reference_marks.log",
     benchmark:
         "benchmarks/{campaign}/calibration/detect_reference_marks.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -67,6 +69,7 @@ rule detect_boat_marks:
         "logs/{campaign}/calibration/detect_boat_marks.log",
     benchmark:
         "benchmarks/{campaign}/calibration/detect_boat_marks.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -97,6 +100,7 @@ rule adjust_field:
         "logs/{campaign}/calibration/adjust_field.log",
     benchmark:
         "benchmarks/{campaign}/calibration/adjust_field.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -133,6 +137,7 @@ rule orient_camera:
         "logs/{campaign}/calibration/orient_camera.log",
     benchmark:
         "benchmarks/{campaign}/calibration/orient_camera.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -173,6 +178,7 @@ rule calibrate_camera_lidar:
         "logs/{campaign}/calibration/calibrate_camera_lidar.log",
     benchmark:
         "benchmarks/{campaign}/calibration/calibrate_camera_lidar.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -216,6 +222,7 @@ rule calibrate_ins_lidar:
         "logs/{campaign}/calibration/calibrate_ins_lidar.log",
     benchmark:
         "benchmarks/{campaign}/calibration/calibrate_ins_lidar.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -248,6 +255,7 @@ rule calibrate_echo_sounder:
         "logs/{campaign}/calibration/calibrate_echo_sounder.log",
     benchmark:
         "benchmarks/{campaign}/calibration/calibrate_echo_sounder.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -276,6 +284,7 @@ rule assemble_boat:
         "logs/{campaign}/calibration/assemble_boat.log",
     benchmark:
         "benchmarks/{campaign}/calibration/assemble_boat.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -307,6 +316,7 @@ rule calibrate_board:
         "logs/{campaign}/calibration/calibrate_board.log",
     benchmark:
         "benchmarks/{campaign}/calibration/calibrate_board.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2

@@ -349,6 +349,10 @@ def final_outputs(name):
     return outputs
 
 
+URGENT = 10
+"""Priority of the longest chain of jobs: poses of images need the calibration, and all comparisons need them."""
+
+
 def memory(base_mb, per_input_mb=0.0):
     """Resource function: memory from the size of the inputs, more on each attempt."""
     return lambda wildcards, input, attempt: int(

@@ -15,6 +15,7 @@ rule build_trajectory:
         "logs/{campaign}/orientation/build_trajectory.log",
     benchmark:
         "benchmarks/{campaign}/orientation/build_trajectory.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -45,6 +46,7 @@ rule predict_images:
         "logs/{campaign}/orientation/predict_images.log",
     benchmark:
         "benchmarks/{campaign}/orientation/predict_images.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -72,6 +74,7 @@ rule start_camera:
         "logs/{campaign}/orientation/start_camera.log",
     benchmark:
         "benchmarks/{campaign}/orientation/start_camera.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -103,6 +106,7 @@ rule mask_images:
         "logs/{campaign}/orientation/mask_images.log",
     benchmark:
         "benchmarks/{campaign}/orientation/mask_images.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -132,6 +136,7 @@ rule extract_features:
         "logs/{campaign}/orientation/extract_features_{part}.log",
     benchmark:
         "benchmarks/{campaign}/orientation/extract_features_{part}.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -163,6 +168,7 @@ rule match_features:
         "logs/{campaign}/orientation/match_features_{part}.log",
     benchmark:
         "benchmarks/{campaign}/orientation/match_features_{part}.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -196,6 +202,7 @@ rule join_matches:
         "logs/{campaign}/orientation/join_matches.log",
     benchmark:
         "benchmarks/{campaign}/orientation/join_matches.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -225,6 +232,7 @@ rule map_images:
         "logs/{campaign}/orientation/map_images.log",
     benchmark:
         "benchmarks/{campaign}/orientation/map_images.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -256,6 +264,7 @@ rule fuse_trajectory:
         "logs/{campaign}/orientation/fuse_trajectory.log",
     benchmark:
         "benchmarks/{campaign}/orientation/fuse_trajectory.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -292,6 +301,7 @@ rule measure_control_points:
         "logs/{campaign}/orientation/measure_control_points.log",
     benchmark:
         "benchmarks/{campaign}/orientation/measure_control_points.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -332,6 +342,7 @@ rule adjust_images:
         "logs/{campaign}/orientation/adjust_images.log",
     benchmark:
         "benchmarks/{campaign}/orientation/adjust_images.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -364,6 +375,7 @@ rule import_orientations:
         "logs/{campaign}/orientation/import_orientations.log",
     benchmark:
         "benchmarks/{campaign}/orientation/import_orientations.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -399,6 +411,7 @@ rule time_images:
         "logs/{campaign}/orientation/time_images.log",
     benchmark:
         "benchmarks/{campaign}/orientation/time_images.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -434,6 +447,7 @@ rule camera_trajectory:
         "logs/{campaign}/orientation/camera_trajectory.log",
     benchmark:
         "benchmarks/{campaign}/orientation/camera_trajectory.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1

@@ -9,6 +9,7 @@ rule simulate_scene:
         "logs/{campaign}/simulation/simulate_scene.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_scene.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -90,6 +91,7 @@ rule simulate_time_lapse:
         "logs/{campaign}/simulation/simulate_time_lapse.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_time_lapse.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -122,6 +124,7 @@ rule simulate_lidar:
         "logs/{campaign}/simulation/simulate_lidar.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_lidar.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -150,6 +153,7 @@ rule simulate_ins:
         "logs/{campaign}/simulation/simulate_ins.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_ins.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -179,6 +183,7 @@ rule simulate_gnss:
         "logs/{campaign}/simulation/simulate_gnss.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_gnss.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1

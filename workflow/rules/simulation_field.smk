@@ -11,6 +11,7 @@ rule simulate_field:
         "logs/{campaign}/simulation/simulate_field.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_field.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -38,6 +39,7 @@ rule simulate_positions:
         "logs/{campaign}/simulation/simulate_positions.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_positions.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -66,6 +68,7 @@ rule simulate_reference_images:
         "logs/{campaign}/simulation/simulate_reference_images.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_reference_images.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -94,6 +97,7 @@ rule simulate_position_images:
         "logs/{campaign}/simulation/simulate_position_images.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_position_images.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -122,6 +126,7 @@ rule simulate_run_images:
         "logs/{campaign}/simulation/simulate_run_images.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_run_images.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -148,6 +153,7 @@ rule simulate_display:
         "logs/{campaign}/simulation/simulate_display.log",
     benchmark:
         "benchmarks/{campaign}/simulation/simulate_display.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2

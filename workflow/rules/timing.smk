@@ -14,6 +14,7 @@ rule align_streams:
         "logs/{campaign}/timing/align_streams.log",
     benchmark:
         "benchmarks/{campaign}/timing/align_streams.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -48,6 +49,7 @@ rule synchronise_camera:
         "logs/{campaign}/timing/synchronise_camera.log",
     benchmark:
         "benchmarks/{campaign}/timing/synchronise_camera.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -78,6 +80,7 @@ rule clock_from_ties:
         "logs/{campaign}/timing/clock_from_ties.log",
     benchmark:
         "benchmarks/{campaign}/timing/clock_from_ties.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -105,6 +108,7 @@ rule read_display:
         "logs/{campaign}/timing/read_display.log",
     benchmark:
         "benchmarks/{campaign}/timing/read_display.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 2
@@ -135,6 +139,7 @@ rule time_report:
         "logs/{campaign}/timing/time_report.log",
     benchmark:
         "benchmarks/{campaign}/timing/time_report.jsonl"
+    priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
