@@ -1,6 +1,7 @@
 """Fixtures shared by all tests."""
 
 import faulthandler
+import logging
 import os
 import signal
 import sys
@@ -17,6 +18,14 @@ import numpy as np
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(autouse=True)
+def _messages_are_heard() -> None:
+    """Jobs keep messages to themselves and studies silence the library: no test hears of another's."""
+    log = logging.getLogger("thalweg")
+    log.setLevel(logging.NOTSET)
+    log.propagate = True
 
 
 @pytest.fixture(scope="session")

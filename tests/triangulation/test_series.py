@@ -1,6 +1,5 @@
 """Line points of a series, and their places on the sheet with covariance."""
 
-import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -107,7 +106,6 @@ def test_points_of_all_images_and_counts_of_each(basin: Basin) -> None:
 
 
 def test_an_image_without_a_line_is_counted_and_told(basin: Basin, tmp_path: Path, caplog) -> None:
-    logging.getLogger("thalweg").propagate = True  # a job run before may have kept its messages to itself
     dark, bright = tmp_path / "dark.png", tmp_path / "bright.png"
     cv2.imwrite(str(dark), np.full((512, 512), 3, np.uint8))
     cv2.imwrite(str(bright), np.full((512, 512), 255, np.uint8))
