@@ -252,6 +252,16 @@ def test_the_fields_of_a_rule_stand_in_one_order(repository: Path) -> None:
     } == {}
 
 
+def test_functions_of_rules_stand_apart_from_rules(repository: Path) -> None:
+    """One common file a room: rules ask `CAMPAIGNS` through them, and Snakemake's linter wants no mixture."""
+    for path in sorted((repository / "workflow/rules").glob("*.smk")):
+        text = path.read_text()
+        rules = re.search(r"(?m)^(?:use )?(?:rule|checkpoint) ", text)
+        functions = re.search(r"(?m)^def ", text)
+        assert bool(functions) == path.name.startswith("common"), path.name
+        assert bool(rules) != path.name.startswith("common"), path.name
+
+
 def test_entry_scripts_only_unpack_and_call(repository: Path) -> None:
     scripts = sorted((repository / "workflow/scripts").glob("*.py"))
     assert len(scripts) >= 26

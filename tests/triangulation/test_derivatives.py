@@ -25,7 +25,7 @@ def case():
     return sensor, xy, sheet_derivatives(sensor, xy)
 
 
-def close(analytic, quotient, name) -> None:
+def assert_close(analytic, quotient, name) -> None:
     """Within 1e-6 of the largest one: the demand; quotients of 1e-5 steps are good to some 1e-8."""
     scale = np.nanmax(np.abs(quotient))
     assert np.nanmax(np.abs(analytic - quotient)) <= 1e-6 * max(scale, 1e-6), name
@@ -46,7 +46,7 @@ def test_by_every_parameter(case) -> None:
             ("fan_angle_rad", found.fan_by_parameters[:, i]),
         ):
             quotient = (getattr(high, what) - getattr(low, what)) / (2 * e[i])
-            close(got[ok], quotient[ok], (name, what))
+            assert_close(got[ok], quotient[ok], (name, what))
 
 
 def test_by_pixel_and_by_the_line(case) -> None:
@@ -56,13 +56,13 @@ def test_by_pixel_and_by_the_line(case) -> None:
         e = np.zeros(2)
         e[c] = 1e-3
         high, low = intersect(sensor, xy + e), intersect(sensor, xy - e)
-        close(found.by_pixel[ok][:, :, c], ((high.xyz_lcs_mm - low.xyz_lcs_mm) / 2e-3)[ok], c)
-        close(found.fan_by_pixel[ok][:, c], ((high.fan_angle_rad - low.fan_angle_rad) / 2e-3)[ok], c)
-        close(found.depth_by_pixel[ok][:, c], ((high.depth_mm - low.depth_mm) / 2e-3)[ok], c)
+        assert_close(found.by_pixel[ok][:, :, c], ((high.xyz_lcs_mm - low.xyz_lcs_mm) / 2e-3)[ok], c)
+        assert_close(found.fan_by_pixel[ok][:, c], ((high.fan_angle_rad - low.fan_angle_rad) / 2e-3)[ok], c)
+        assert_close(found.depth_by_pixel[ok][:, c], ((high.depth_mm - low.depth_mm) / 2e-3)[ok], c)
     high, low = (intersect(sensor.with_sheet(replace(sensor.sheet, v=0.05 + h)), xy) for h in (1e-6, -1e-6))
-    close(found.by_v[ok], ((high.xyz_lcs_mm - low.xyz_lcs_mm) / 2e-6)[ok], "v")
-    close(found.fan_by_v[ok], ((high.fan_angle_rad - low.fan_angle_rad) / 2e-6)[ok], "v")
-    close(found.depth_by_v[ok], ((high.depth_mm - low.depth_mm) / 2e-6)[ok], "v")
+    assert_close(found.by_v[ok], ((high.xyz_lcs_mm - low.xyz_lcs_mm) / 2e-6)[ok], "v")
+    assert_close(found.fan_by_v[ok], ((high.fan_angle_rad - low.fan_angle_rad) / 2e-6)[ok], "v")
+    assert_close(found.depth_by_v[ok], ((high.depth_mm - low.depth_mm) / 2e-6)[ok], "v")
 
 
 def test_no_point_has_no_derivatives(case) -> None:

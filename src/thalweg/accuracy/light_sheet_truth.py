@@ -64,6 +64,7 @@ def turned_in_its_plane(sheet: LightSheet, like: LightSheet, held: int) -> Light
     goal, turn, step = float(like.angles_rad[held]), 0.0, 1e-4
 
     def off(a: float) -> float:
+        """Angle left to the goal after a turn about the fan's own axis, radians."""
         angle = opk_of(sheet.R_lcs_las @ rotation_y(a))[held]
         return float(np.angle(np.exp(1j * (angle - goal))))
 

@@ -117,6 +117,7 @@ def detect_pictures(
         raise InputError(f"two pictures are called {twice[0]}", expected="a name of its own for each picture")
 
     def work(item: tuple[str, Path]) -> tuple[tuple[int, ...], Detection]:
+        """Size of a picture and its marks."""
         grey = read_grey(item[1])
         found = detect(grey, layout, known)
         if told is not None:

@@ -101,6 +101,7 @@ def resect(
     """
 
     def pose(read: pd.DataFrame) -> Resected:
+        """The resection by marks that were read in some way."""
         return _pose(camera, read, points, with_interior, sigma_factor, where)
 
     sigma0 = np.inf
@@ -118,6 +119,7 @@ def resect(
         error = refused
 
     def misfit(read: pd.DataFrame) -> float:
+        """Its sigma0; infinite if it fits only by leaving marks out."""
         one = pose(read)
         return one.sigma0 if one.used.mean() > _MOST else np.inf
 

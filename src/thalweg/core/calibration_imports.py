@@ -85,9 +85,11 @@ def read_kalibr(path: Path) -> list[KalibrCamera]:
 
 def _camera(path: Path, lines: Mapping[tuple[str, ...], int], name: str, data: Any) -> KalibrCamera:
     def where(key: str) -> str:
+        """File and line of a key of this camera."""
         return f"{path}:{lines.get((name, key), lines.get((name,), 1))}"
 
     def numbers(key: str, n: int) -> ArrayF:
+        """That many numbers of a key."""
         value = data.get(key) if isinstance(data, dict) else None
         try:
             out = np.asarray(value, dtype=np.float64)
@@ -98,6 +100,7 @@ def _camera(path: Path, lines: Mapping[tuple[str, ...], int], name: str, data: A
         return out
 
     def pose(key: str) -> Rigid | None:
+        """The motion of a key; None if it is not given."""
         if data.get(key) is None:
             return None
         place = f"{where(key)}: {name}.{key}"

@@ -225,6 +225,7 @@ def natural(names: Sequence[str]) -> list[str]:
     """Names in the order in which people count: C2 before C10."""
 
     def key(name: str) -> tuple[str, int, str]:
+        """Letters first, then the number that the digits make."""
         digits = "".join(c for c in name if c.isdigit())
         return "".join(c for c in name if not c.isdigit()), int(digits or 0), name
 

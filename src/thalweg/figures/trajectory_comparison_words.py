@@ -308,9 +308,11 @@ def side_by_side(table: pd.DataFrame, costs: Costs) -> pd.DataFrame:
     names = chains_of(table)
 
     def row(what: str, cells: Mapping[str, str]) -> dict[str, str]:
+        """A question, and an answer or a dash for each chain."""
         return {"": what} | {IN_WORDS[name]: cells.get(name, "–") for name in names}
 
     def of(where: str, quantity: str) -> dict[str, float]:
+        """A quantity of the chains that have it."""
         found = {name: value(table, where, quantity, name) for name in names}
         return {name: number for name, number in found.items() if np.isfinite(number)}
 

@@ -93,16 +93,9 @@ def list_images(paths: Path | Sequence[Path]) -> list[Path]:
         return list(find_images(given).files)
     for path in given:
         files = find_images(path).files
-        first: dict[str, Path] = {}
-        for file in files:
-            other = first.setdefault(file.name, file)
-            if other != file:
-                raise InputError(
-                    f"two images of the name {file.name} below one folder",
-                    where=file.parent,
-                    expected=f"names that differ from those in {other.parent}",
-                    cure="Rename one of them, or name the folders that count",
-                )
+        files_by_name(
+            files, where=" below one folder", cure="Rename one of them, or name the folders that count"
+        )
         out += files
     return out
 
@@ -147,8 +140,14 @@ def named_images(images: Images) -> dict[str, Path]:
     return dict(sorted(out.items(), key=lambda item: natural_key(item[0])))
 
 
-def files_by_name(files: Sequence[Path]) -> dict[str, Path]:
+def files_by_name(
+    files: Sequence[Path], *, where: str = "", cure: str = "Rename one of them, or leave one folder out"
+) -> dict[str, Path]:
     """Photographs by the names of their files alone, in the order given.
+
+    Parameters
+    ----------
+    where, cure : words for the error.
 
     Raises
     ------
@@ -159,10 +158,10 @@ def files_by_name(files: Sequence[Path]) -> dict[str, Path]:
         other = out.setdefault(file.name, file)
         if other != file:
             raise InputError(
-                f"two images of the name {file.name}",
+                f"two images of the name {file.name}{where}",
                 where=file.parent,
                 expected=f"names that differ from those in {other.parent}",
-                cure="Rename one of them, or leave one folder out",
+                cure=cure,
             )
     return out
 

@@ -13,6 +13,7 @@ import ast
 import atexit
 import hashlib
 import json
+import logging
 import os
 import sys
 import tempfile
@@ -172,5 +173,5 @@ def _keep() -> None:
         with tempfile.NamedTemporaryFile("w", dir=target.parent, delete=False, encoding="utf-8") as file:
             json.dump({key: (each.names, each.tree) for key, each in facts.items()}, file)
         Path(file.name).replace(target)
-    except (OSError, RuntimeError):
-        pass
+    except (OSError, RuntimeError) as error:
+        logging.getLogger("thalweg").debug("code versions are not kept for the next start: %s", error)

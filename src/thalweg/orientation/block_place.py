@@ -152,11 +152,13 @@ def fitted_in_time(block: ImageBlock, expected: Expected) -> tuple[Expected, lis
     clock = clock + 1e-9 * np.arange(len(clock))
 
     def positions(shift: float) -> tuple[AnyArray, ArrayF]:
+        """Which images lie within the track if the clock is shifted, and where it then was."""
         inside = (clock + shift >= clock[0]) & (clock + shift <= clock[-1])
         at = np.stack([np.interp(clock + shift, clock, track[:, k]) for k in range(3)], axis=1)
         return inside, at
 
     def left(shift: float) -> float:
+        """What remains of the distances after a similarity, for a shift of the clock."""
         inside, at = positions(shift)
         if inside.sum() < max(_LEAST_IN_TIME, 0.6 * len(clock)):
             return np.inf

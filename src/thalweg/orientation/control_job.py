@@ -28,6 +28,7 @@ def grey_loader(paths: Sequence[Path]) -> Loader:
     meant = by_any_name(list(files))
 
     def load(name: str) -> ArrayU8 | None:
+        """The picture of that name; None if there is none or it is damaged."""
         path = files.get(meant.get(name, ""))
         picture = (
             None
@@ -43,6 +44,7 @@ def mask_loader(folder: Path | None) -> Loader:
     """Masks by the name of an image: the same name, or that with ``.png`` behind it or instead."""
 
     def load(name: str) -> ArrayU8 | None:
+        """The mask of that image; None if there is none."""
         if folder is None:
             return None
         same = folder / PurePosixPath(name).name
