@@ -123,8 +123,8 @@ rule honesty_study:
         mem_mb=memory(6000),
         runtime=minutes(60),
     params:
+        **study("honesty_study"),
         code=code_version("honesty_study"),
-        seeds=40,
     message:
         "honesty of the sigmas over {params.seeds} surveys of the digital twin"
     script:
@@ -147,8 +147,8 @@ rule offset_study:
         mem_mb=memory(6000),
         runtime=minutes(60),
     params:
+        **study("offset_study"),
         code=code_version("offset_study"),
-        seeds=6,
     message:
         "causes of an offset, on the digital twin"
     script:
@@ -159,6 +159,7 @@ rule camera_lidar_study:
     """Camera and lidar calibrated by cones over many seeds of the digital twin: small errors, honest sigmas?"""
     output:
         table="results/reproduction/camera_lidar_study.csv",
+        cases="results/reproduction/camera_lidar_cases.csv",
         page="results/reproduction/camera_lidar_study.md",
     log:
         "logs/reproduction/camera_lidar_study.log",
@@ -171,8 +172,8 @@ rule camera_lidar_study:
         mem_mb=memory(6000),
         runtime=minutes(120),
     params:
+        **study("camera_lidar_study"),
         code=code_version("camera_lidar_study"),
-        seeds=50,
     message:
         "camera-lidar calibrations of {params.seeds} seeds of the digital twin"
     script:
@@ -195,8 +196,8 @@ rule ins_lidar_study:
         mem_mb=memory(3000),
         runtime=minutes(60),
     params:
+        **study("ins_lidar_study"),
         code=code_version("ins_lidar_study"),
-        seeds=50,
     message:
         "mounts of the lidar from {params.seeds} seeds of the digital twin"
     script:
@@ -219,8 +220,8 @@ rule echo_sounder_study:
         mem_mb=memory(3000),
         runtime=minutes(60),
     params:
+        **study("echo_sounder_study"),
         code=code_version("echo_sounder_study"),
-        seeds=50,
     message:
         "places of the echo sounder from {params.seeds} seeds of the digital twin"
     script:
@@ -243,8 +244,8 @@ rule image_block_study:
         mem_mb=memory(6000),
         runtime=minutes(120),
     params:
+        **study("image_block_study"),
         code=code_version("image_block_study"),
-        seeds=16,
     message:
         "image blocks of {params.seeds} seeds of the digital twin"
     script:
@@ -267,8 +268,8 @@ rule outage_study:
         mem_mb=memory(2000),
         runtime=minutes(30),
     params:
+        **study("outage_study"),
         code=code_version("outage_study"),
-        seeds=6,
     message:
         "outages of GNSS, on the digital twin"
     script:
@@ -331,8 +332,8 @@ rule chain_study:
         mem_mb=memory(8000),
         runtime=minutes(120),
     params:
+        **study("chain_study"),
         code=code_version("chain_study"),
-        seeds=6,
     message:
         "INS, camera and fused trajectory of {params.seeds} surveys of the digital twin"
     script:
@@ -379,6 +380,7 @@ rule multi_line_study:
     """Models of a fifteen-line laser: sigma, information, errors of planes, a joint centre (T 4.2.1)."""
     output:
         models="results/reproduction/multi_line_models.csv",
+        summary="results/reproduction/multi_line_summary.csv",
         tests="results/reproduction/multi_line_tests.csv",
         lines="results/reproduction/multi_line_lines.csv",
     log:
@@ -392,8 +394,8 @@ rule multi_line_study:
         mem_mb=memory(3000),
         runtime=minutes(30),
     params:
+        **study("multi_line_study"),
         code=code_version("multi_line_study"),
-        seeds=10,
     message:
         "models of a fifteen-line laser, on the digital twin"
     script:
@@ -417,9 +419,8 @@ rule sheet_scan_study:
         mem_mb=memory(3000),
         runtime=minutes(30),
     params:
+        **study("sheet_scan_study"),
         code=code_version("sheet_scan_study"),
-        seeds=10,
-        lines=8,
     message:
         "markers and poses in scans with the light sheet, on the digital twin"
     script:
@@ -442,11 +443,8 @@ rule line_label_study:
         mem_mb=memory(3000),
         runtime=minutes(300),
     params:
+        **study("line_label_study"),
         code=code_version("line_label_study"),
-        # scenes and a laser on which no threshold was chosen
-        first_seed=101,
-        seeds=20,
-        laser_seed=7,
     message:
         "labels of fifteen lines, on the digital twin"
     script:

@@ -3,12 +3,13 @@
 from pathlib import Path
 
 from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.camera_lidar import all_cases, as_markdown
+from thalweg.simulation.studies.camera_lidar import all_cases, as_markdown, summary_table
 
 
-def main(*, table: Path, page: Path, seeds: int, threads: int) -> None:
-    found = all_cases(range(1, seeds + 1), processes=threads)
+def main(*, table: Path, cases: Path, page: Path, first_seed: int, seeds: int, threads: int) -> None:
+    found = all_cases(range(first_seed, first_seed + seeds), processes=threads)
     found.to_csv(table, index=False)
+    summary_table(found).to_csv(cases, index=False, float_format="%.6g")
     page.write_text(as_markdown(found), encoding="utf-8")
 
 

@@ -19,12 +19,14 @@ from thalweg.simulation.studies.chain_study import chain_study, comparison_setti
 
 def main(
     *, budgets: list[Path], table: Path, goals: Path, by_range: Path, facts: Path, distances: list[Path],
-    page: Path, seeds: int, threads: int,
+    page: Path, first_seed: int, seeds: int, threads: int,
 ) -> None:  # fmt: skip
     """Budgets and distances are in the order of `CHAINS`."""
     studies = tables.both_settings()
     with tempfile.TemporaryDirectory(prefix="thalweg_chains_") as folder:
-        found = chain_study(Path(folder), studies, seeds=range(1, seeds + 1), processes=threads)
+        found = chain_study(
+            Path(folder), studies, seeds=range(first_seed, first_seed + seeds), processes=threads
+        )
     numbers = tables.study_table(found)
     numbers.to_csv(table, index=False, float_format="%.6g")
     tables.goals_table(numbers).to_csv(goals, index=False, float_format="%.6g")

@@ -14,8 +14,8 @@ from thalweg.simulation.studies.calibration_runs import (
 TITLE = "Echo sounder over a surveyed bed: errors and sigmas over many seeds"
 
 
-def main(*, table: Path, page: Path, seeds: int) -> None:
-    found = study(echo_sounder_trial, range(1, seeds + 1))
+def main(*, table: Path, page: Path, first_seed: int, seeds: int) -> None:
+    found = study(echo_sounder_trial, range(first_seed, first_seed + seeds))
     judged(found, ECHO_SOUNDER).to_csv(table, index=False, float_format="%.6g")
     page.write_text(as_markdown(found, ECHO_SOUNDER, TITLE), encoding="utf-8")
 

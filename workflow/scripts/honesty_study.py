@@ -7,9 +7,11 @@ from thalweg.jobs.job import run_job
 from thalweg.simulation.studies.trials import MISTAKES, NONE, honesty_tables, trials
 
 
-def main(*, verdicts: Path, by_range: Path, seeds: int, threads: int) -> None:
+def main(*, verdicts: Path, by_range: Path, first_seed: int, seeds: int, threads: int) -> None:
     with tempfile.TemporaryDirectory(prefix="thalweg_honesty_") as folder:
-        found = trials(range(seeds), Path(folder), mistakes=(NONE, *MISTAKES), processes=threads)
+        found = trials(
+            range(first_seed, first_seed + seeds), Path(folder), mistakes=(NONE, *MISTAKES), processes=threads
+        )
     numbers, classes = honesty_tables(found)
     numbers.to_csv(verdicts, index=False)
     classes.to_csv(by_range, index=False)

@@ -8,8 +8,8 @@ from thalweg.simulation.studies.calibration_runs import INS_LIDAR, as_markdown, 
 TITLE = "Lidar on the moving boat: errors and sigmas over many seeds"
 
 
-def main(*, table: Path, page: Path, seeds: int) -> None:
-    found = study(ins_lidar_trial, range(1, seeds + 1))
+def main(*, table: Path, page: Path, first_seed: int, seeds: int) -> None:
+    found = study(ins_lidar_trial, range(first_seed, first_seed + seeds))
     judged(found, INS_LIDAR).to_csv(table, index=False, float_format="%.6g")
     page.write_text(as_markdown(found, INS_LIDAR, TITLE), encoding="utf-8")
 

@@ -4,12 +4,15 @@ from pathlib import Path
 
 from thalweg.jobs.job import run_job
 from thalweg.simulation.studies.multi_line import multi_line_study
+from thalweg.simulation.studies.tables import means
 
 
-def main(*, models: Path, tests: Path, lines: Path, seeds: int) -> None:
-    found = multi_line_study(range(1, seeds + 1))
+def main(*, models: Path, summary: Path, tests: Path, lines: Path, first_seed: int, seeds: int) -> None:
+    found = multi_line_study(range(first_seed, first_seed + seeds))
     for path, table in zip((models, tests, lines), found, strict=True):
         table.to_csv(path, index=False, float_format="%.6g")
+    rows = means(found[0], ["model", "n_lines"], ["posterior_sigma_px", "plane_rmse_mm", "plane_bias_mm"])
+    rows.to_csv(summary, index=False, float_format="%.6g")
 
 
 if "snakemake" in globals():

@@ -7,9 +7,9 @@ from thalweg.jobs.job import run_job
 from thalweg.simulation.studies.offset_study import as_markdown, offset_study
 
 
-def main(*, table: Path, page: Path, seeds: int, threads: int) -> None:
+def main(*, table: Path, page: Path, first_seed: int, seeds: int, threads: int) -> None:
     with tempfile.TemporaryDirectory(prefix="thalweg_offset_") as folder:
-        found = offset_study(Path(folder), seeds=range(1, seeds + 1), processes=threads)
+        found = offset_study(Path(folder), seeds=range(first_seed, first_seed + seeds), processes=threads)
     found.to_csv(table, index=False)
     page.write_text(as_markdown(found), encoding="utf-8")
 

@@ -6,8 +6,8 @@ from thalweg.jobs.job import run_job
 from thalweg.simulation.studies.outage import as_markdown, outage_study, summarised
 
 
-def main(*, table: Path, page: Path, seeds: int) -> None:
-    found = summarised(outage_study(range(1, seeds + 1)))
+def main(*, table: Path, page: Path, first_seed: int, seeds: int) -> None:
+    found = summarised(outage_study(range(first_seed, first_seed + seeds)))
     found.to_csv(table, index=False, float_format="%.6g")
     page.write_text(as_markdown(found), encoding="utf-8")
 

@@ -7,9 +7,9 @@ from thalweg.simulation.studies.marker_bias import STUDIED, marker_bias
 from thalweg.simulation.studies.pose_noise import pose_noise, table
 
 
-def main(*, markers: Path, poses: Path, ratios: Path, seeds: int, lines: int) -> None:
+def main(*, markers: Path, poses: Path, ratios: Path, first_seed: int, seeds: int, lines: int) -> None:
     marker_bias(STUDIED, lines=lines).to_csv(markers, index=False, float_format="%.5g")
-    found = pose_noise(range(1, seeds + 1))
+    found = pose_noise(range(first_seed, first_seed + seeds))
     found.to_csv(poses, index=False, float_format="%.5g")
     table(found).to_csv(ratios, index=False, float_format="%.5g")
 

@@ -4,6 +4,7 @@ import inspect
 import logging
 import os
 import random
+import resource
 import sys
 import time
 import warnings
@@ -40,9 +41,9 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     random.seed(int(params.get("campaign", {}).get("seed", 0)))
     arguments = job_arguments(main, snakemake)
     log.info("rule %s starts with %d threads", snakemake.rule, snakemake.threads)
-    start = time.perf_counter()
+    start, cpu_start_s = time.perf_counter(), _cpu_s()
     main(**arguments)
-    wall_s = time.perf_counter() - start
+    wall_s, cpu_s = time.perf_counter() - start, _cpu_s() - cpu_start_s
     outputs = [Path(p) for p in snakemake.output]
     absent = [str(p) for p in outputs if not p.exists()]
     if absent:
@@ -55,8 +56,15 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
         code=code,
         threads=snakemake.threads,
         wall_s=wall_s,
+        cpu_s=cpu_s,
     )
     log.info("rule %s done in %.1f s", snakemake.rule, wall_s)
+
+
+def _cpu_s() -> float:
+    """Seconds of the processor so far, of this process and of its children that have ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(each.ru_utime + each.ru_stime for each in used)
 
 
 def job_arguments(main: Callable[..., None], snakemake: Any) -> dict[str, Any]:

@@ -65,12 +65,13 @@ def write_provenance(
     code: str,
     threads: int,
     wall_s: float,
+    cpu_s: float,
 ) -> None:
     """Write ``<output>.meta.json`` beside each output of a job.
 
     It holds the version, the commit, the code hash, the parameters, the checksums of all inputs and of the
-    output itself, the library versions, threads and wall time. No host, user or absolute path of the
-    package is recorded.
+    output itself, the library versions, threads, wall time and time of the processor. No host, user or
+    absolute path of the package is recorded.
     """
     record = {
         "format_version": FORMAT_VERSION,
@@ -83,6 +84,7 @@ def write_provenance(
         "libraries": library_versions(),
         "threads": threads,
         "wall_s": round(wall_s, 3),
+        "cpu_s": round(cpu_s, 3),
         "written_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
     for output in outputs:

@@ -52,8 +52,6 @@ MOUNTS: Final[dict[str, Any]] = {
 """Nominal mounts with what a ruler and the eye are worth."""
 
 BEAM: Final = BeamErrors(sigma_component_m=0.0173, divergence_rad=0.003, footprint_share=0.177)
-REFERENCE_IMAGES: Final = 44
-"""Of the reflex camera. With the campaign's 28 one field in some leaves a scale bar in two pictures only."""
 ERRORS: Final = (
     "lever_x_mm",
     "lever_y_mm",
@@ -222,6 +220,12 @@ def summary(study: pd.DataFrame, level: float = 0.05) -> dict[str, float]:
     }
 
 
+def summary_table(study: pd.DataFrame) -> pd.DataFrame:
+    """`summary` of each case: one row a ``case``."""
+    rows = [{"case": name, **summary(part)} for name, part in study.groupby("case", sort=False)]
+    return pd.DataFrame(rows)
+
+
 def simulated_trial(seed: int, settings: StudySettings) -> Trial:
     """Observations of one calibration.
 
@@ -260,11 +264,12 @@ def simulated_trial(seed: int, settings: StudySettings) -> Trial:
 
 
 def _twin(effects: tuple[tuple[str, Any], ...]) -> TwinConfig:
-    return TwinConfig.model_validate({
-        "size": "field",
-        "field": {"effects": dict(effects)},
-        "camera": {"reference": {"n_images": REFERENCE_IMAGES}},
-    })  # fmt: skip
+    return TwinConfig.model_validate(
+        {
+            "size": "field",
+            "field": {"effects": dict(effects)},
+        }
+    )
 
 
 @lru_cache(maxsize=2)

@@ -1,0 +1,137 @@
+"""Fill the numbers of the twin into README.md and docs/*.md, from docs/validation.
+
+.venv/bin/python docs/make_pages.py
+
+Pages with such numbers are written as templates in docs/pages (Jinja). Here a column of the row with
+these keys of docs/validation/outages.csv, with two decimals, and a parameter of the head of outage_study.md::
+
+    {{ outages[60, "camera"].normalised | d(2) }} over {{ run.outage_study.parameters.seeds }} surveys
+
+The keys of a table stand in config/studies. What is not recorded yet reads "pending".
+"""
+
+import math
+import runpy
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from jinja2 import Environment, StrictUndefined
+
+ROOT = Path(__file__).parents[1]
+_validation = runpy.run_path(str(ROOT / "docs/make_validation.py"))
+
+
+class Pending:
+    """Stands for what is not recorded yet, and for everything in it."""
+
+    def __getattr__(self, name: str) -> "Pending":
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self
+
+    def __getitem__(self, key: Any) -> "Pending":
+        return self
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(())
+
+    def __str__(self) -> str:
+        return "pending"
+
+
+class Row:
+    """A row of a table: columns are attributes."""
+
+    def __init__(self, table: str, values: dict[str, Any]) -> None:
+        self._table, self._values = table, values
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        if name not in self._values:
+            raise ValueError(
+                f"docs/validation/{self._table}.csv has no column '{name}': {list(self._values)}"
+            )
+        return self._values[name]
+
+
+class Table:
+    """A recorded table: rows by their keys."""
+
+    def __init__(self, path: Path, keys: list[str]) -> None:
+        self._name = path.stem
+        found = pd.read_csv(path, keep_default_na=False, na_values=["nan", ""])
+        records = [{str(k): v for k, v in row.items()} for row in found.to_dict("records")]
+        self._rows = {tuple(str(row[key]) for key in keys): Row(path.stem, row) for row in records}
+        if len(self._rows) != len(records):
+            raise ValueError(f"{path}: the keys {keys} do not tell the rows apart")
+
+    def __getitem__(self, key: Any) -> Row:
+        wanted = tuple(str(k) for k in (key if isinstance(key, tuple) else (key,)))
+        if wanted not in self._rows:
+            raise ValueError(f"docs/validation/{self._name}.csv has no row {wanted}: {sorted(self._rows)}")
+        return self._rows[wanted]
+
+    def __iter__(self) -> Iterator[Row]:
+        return iter(self._rows.values())
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+
+def decimals(value: Any, digits: int = 0, scale: float = 1.0) -> str:
+    """A number with so many decimals, after multiplication with ``scale`` (1000: metres in millimetres)."""
+    if isinstance(value, Pending):
+        return str(value)
+    if not math.isfinite(value):
+        raise ValueError(f"a number of a page is {value}")
+    return f"{scale * float(value):.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def judged(value: Any, low: Any, high: Any, digits: int = 2) -> str:
+    """A number with its band, in bold where it lies outside."""
+    if isinstance(value, Pending):
+        return str(value)
+    text, band = decimals(value, digits), f"({decimals(low, digits)}–{decimals(high, digits)})"
+    return f"{text} {band}" if low <= value <= high else f"**{text}** {band}"
+
+
+def pages(root: Path = ROOT) -> dict[Path, str]:
+    """All pages by their place, filled.
+
+    Raises
+    ------
+    ValueError : a reference names no row or column; the message names those there are.
+    jinja2.UndefinedError : a reference names no table.
+    """
+    known: dict[str, Any] = {}
+    runs: dict[str, Any] = {}
+    folder = root / "docs/validation"
+    for name, entry in _validation["studies"](root).items():
+        path = folder / f"{name}.md"
+        runs[name] = _validation["front_matter"](path) if path.exists() else Pending()
+        for table, wanted in entry["tables"].items():
+            path = folder / f"{table}.csv"
+            known[table] = Table(path, wanted.get("keys", ["key"])) if path.exists() else Pending()
+    environment = Environment(
+        undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True, autoescape=False
+    )
+    environment.filters |= {"d": decimals, "judged": judged}
+    out = {}
+    for template in sorted((root / "docs/pages").glob("*.md")):
+        target = root / template.name if template.name == "README.md" else root / "docs" / template.name
+        text = environment.from_string(template.read_text(encoding="utf-8"))
+        out[target] = text.render(known | {"run": runs})
+    return out
+
+
+if __name__ == "__main__":
+    for target, text in pages().items():
+        target.write_text(text, encoding="utf-8")
+        waiting = text.count("pending")
+        sys.stdout.write(
+            f"{target.relative_to(ROOT)}" + (f": {waiting} numbers pending\n" if waiting else "\n")
+        )
