@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 
+from thalweg.core.tables import read_parquet
 from thalweg.figures.ledger_table import ledger_section
 from thalweg.figures.light_sheet_page import light_sheet_page
 from thalweg.figures.light_sheet_scans import read_scans
@@ -45,7 +46,7 @@ def main(
         camera=json.loads(camera[0].read_text(encoding="utf-8")) if camera else None,
         lens=json.loads(lens[0].read_text(encoding="utf-8")) if lens else None,
         counts={path.parent.name: pd.read_csv(path) for path in counts},
-        points={path.parent.name: pd.read_parquet(path) for path in line_points},
+        points={path.parent.name: read_parquet(path) for path in line_points},
         scans=read_scans(scans, scan_files, scan_pictures, words),
         pictures=pictures,
         captions=words,

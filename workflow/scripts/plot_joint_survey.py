@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 
+from thalweg.core.tables import read_parquet
 from thalweg.figures.joint_survey import joint_survey_figure
 from thalweg.figures.style import save
 from thalweg.jobs.job import run_job
@@ -15,7 +16,7 @@ def main(
     *, table: Path, facts: Path, places: Path, joint_survey_png: Path, figures: dict[str, Any],
 ) -> None:  # fmt: skip
     figure = joint_survey_figure(
-        pd.read_parquet(places), pd.read_csv(table), json.loads(facts.read_text()), twin=True
+        read_parquet(places), pd.read_csv(table), json.loads(facts.read_text()), twin=True
     )
     save(figure, joint_survey_png, dpi=figures["dpi"])
 

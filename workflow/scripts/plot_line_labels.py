@@ -4,13 +4,14 @@ from pathlib import Path
 
 import pandas as pd
 
+from thalweg.core.tables import read_parquet
 from thalweg.figures.line_labels import line_labels
 from thalweg.figures.style import save
 from thalweg.jobs.job import run_job
 
 
 def main(*, points: Path, shifts: Path, line_labels_png: Path, dpi: int) -> None:
-    save(line_labels(pd.read_parquet(points), pd.read_csv(shifts)), line_labels_png, dpi=dpi)
+    save(line_labels(read_parquet(points), pd.read_csv(shifts)), line_labels_png, dpi=dpi)
 
 
 if "snakemake" in globals():

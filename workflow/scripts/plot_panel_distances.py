@@ -5,6 +5,7 @@ from typing import Any
 
 import pandas as pd
 
+from thalweg.core.tables import read_parquet
 from thalweg.figures.light_sheet_views import find_image
 from thalweg.figures.panel_distances import first_with_points, panel_distances
 from thalweg.figures.style import save
@@ -19,7 +20,7 @@ def main(
     rows = pd.read_csv(panels)
     image = find_image(images, str(first_with_points(rows)["file"]))
     figure = panel_distances(
-        read_sensor(sensor), image, pd.read_parquet(points), rows, title=campaign["title"], twin=twin
+        read_sensor(sensor), image, read_parquet(points), rows, title=campaign["title"], twin=twin
     )
     save(figure, panel_distances_png, dpi=figures["dpi"])
 

@@ -4,9 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from thalweg.core.mesh_ply import read_mesh
+from thalweg.core.tables import read_parquet
 from thalweg.figures.scan_reference import read_orthophoto, scan_reference
 from thalweg.figures.style import save
 from thalweg.jobs.job import run_job
@@ -18,7 +17,7 @@ def main(
 ) -> None:  # fmt: skip
     photo, extent_mm = read_orthophoto(picture, world)
     figure = scan_reference(
-        photo, extent_mm, read_mesh(reference[0])[0], pd.read_parquet(distances),
+        photo, extent_mm, read_mesh(reference[0])[0], read_parquet(distances),
         levels=json.loads(facts.read_text(encoding="utf-8")).get("levels", ()),
         title=f"{campaign['title']}, {scanned.replace('_', ' ')}", twin=twin,
     )  # fmt: skip

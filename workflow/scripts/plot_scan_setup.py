@@ -3,8 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
+from thalweg.core.tables import read_parquet
 from thalweg.figures.scan_setup import scan_setup
 from thalweg.figures.style import save
 from thalweg.jobs.job import run_job
@@ -19,7 +18,7 @@ def main(
 ) -> None:  # fmt: skip
     figure = scan_setup(
         read_sensor(sensor), read_poses(poses), read_panel(panel[0]).points_pcs,
-        read_standing_camera(camera[0]), pd.read_parquet(points),
+        read_standing_camera(camera[0]), read_parquet(points),
         title=f"{campaign['title']}, scan of {scanned.replace('_', ' ')}", twin=twin,
     )  # fmt: skip
     save(figure, scan_setup_png, dpi=figures["dpi"])

@@ -100,6 +100,21 @@ def write_table(
     pq.write_table(table.replace_schema_metadata(metadata), path, compression="zstd")
 
 
+def read_parquet(path: Path) -> pd.DataFrame:
+    """Read a Parquet table of any kind.
+
+    Python opens the file: what Arrow opens in C++ is not seen by the check that keeps the truth of the
+    digital twin from rules that process (`thalweg.jobs.truth`).
+
+    Raises
+    ------
+    OSError : the file cannot be opened.
+    ValueError : no Parquet (`pyarrow.ArrowInvalid`).
+    """
+    with path.open("rb") as stream:
+        return pd.read_parquet(stream)
+
+
 def read_table(path: Path, schema: pa.Schema) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Read a table of the expected kind; returns the frame and the facts stored with it.
 
@@ -112,7 +127,8 @@ def read_table(path: Path, schema: pa.Schema) -> tuple[pd.DataFrame, dict[str, A
     if not path.is_file():
         raise InputError("file not found", expected=f"a table of kind '{kind}'", where=path)
     try:
-        table = pq.read_table(path)
+        with path.open("rb") as stream:  # not the path: see `read_parquet`
+            table = pq.read_table(stream)
     except pa.ArrowInvalid as error:
         raise InputError(f"not a Parquet file ({error})", expected=f"kind '{kind}'", where=path) from error
     found_kind, found_version = kind_of(table.schema)

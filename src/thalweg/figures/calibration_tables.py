@@ -37,6 +37,7 @@ from thalweg.calibration.field_description import read_field
 from thalweg.calibration.field_facts import read_facts
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.rigid import Rigid
+from thalweg.core.tables import read_parquet
 from thalweg.core.types import ArrayF
 
 XYZ: Final = ("x_m", "y_m", "z_m")
@@ -69,7 +70,7 @@ def read_figure_table(path: Path, columns: Sequence[str]) -> pd.DataFrame:
     if not path.is_file():
         raise InputError("file not found", expected=f"a table with {', '.join(columns)}", where=path)
     try:
-        table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
+        table = read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
     except (ValueError, OSError) as error:
         raise InputError(f"no table ({error})", expected="CSV or Parquet", where=path) from error
     return checked(table, columns, where=str(path))

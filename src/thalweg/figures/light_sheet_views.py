@@ -12,6 +12,7 @@ from matplotlib.colors import Colormap, ListedColormap, PowerNorm
 from numpy.typing import ArrayLike
 
 from thalweg.core.errors import InputError
+from thalweg.core.tables import read_parquet
 from thalweg.core.types import AnyArray, ArrayF, ArrayF32
 from thalweg.figures.field_views import Oblique
 from thalweg.figures.style import BLUE, GREEN, HALO, ORANGE, PURPLE, SKY, VERMILION
@@ -173,6 +174,6 @@ def first_image(images: Sequence[Path], line_points: Path) -> tuple[AnyArray, pd
     ------
     InputError : the table has no points, or the image is not there.
     """
-    table = need(pd.read_parquet(line_points), ("file", "x_px", "y_px"), "line points")
+    table = need(read_parquet(line_points), ("file", "x_px", "y_px"), "line points")
     name = str(table["file"].iloc[0])
     return find_image(images, name), table[table["file"] == name].reset_index(drop=True)

@@ -76,6 +76,11 @@ def reached_modules(path: Path, package_root: Path = PACKAGE_ROOT) -> set[Path]:
     return seen
 
 
+def imported_modules(path: Path, package_root: Path = PACKAGE_ROOT) -> set[Path]:
+    """The modules of the package that a file imports itself, lazily or at its head."""
+    return set(_imports(path, package_root))
+
+
 @dataclass(frozen=True, slots=True)
 class _Facts:
     """What of a file counts: the names that it imports, and the hash of its tree without docstrings."""

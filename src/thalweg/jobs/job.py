@@ -15,6 +15,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from thalweg.core.errors import InputError, ThalwegError
 from thalweg.jobs.provenance import write_provenance
+from thalweg.jobs.truth import truth_closed
 
 log = logging.getLogger("thalweg")
 
@@ -31,7 +32,8 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
 
     Raises
     ------
-    InputError : a keyword of ``main`` has no counterpart in the rule.
+    InputError : a keyword of ``main`` has no counterpart in the rule; or the rule opens the truth of the
+        digital twin without being one that may.
     """
     _start_log(Path(snakemake.log[0]) if snakemake.log else None)
     _limit_threads(snakemake.threads)
@@ -42,7 +44,8 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     arguments = job_arguments(main, snakemake)
     log.info("rule %s starts with %d threads", snakemake.rule, snakemake.threads)
     start, cpu_start_s = time.perf_counter(), _cpu_s()
-    main(**arguments)
+    with truth_closed(snakemake.rule, [snakemake.input, snakemake.output, params]):
+        main(**arguments)
     wall_s, cpu_s = time.perf_counter() - start, _cpu_s() - cpu_start_s
     outputs = [Path(p) for p in snakemake.output]
     absent = [str(p) for p in outputs if not p.exists()]

@@ -30,12 +30,7 @@ def grey_loader(paths: Sequence[Path]) -> Loader:
     def load(name: str) -> ArrayU8 | None:
         """The picture of that name; None if there is none or it is damaged."""
         path = files.get(meant.get(name, ""))
-        picture = (
-            None
-            if path is None
-            else cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-        )
-        return None if picture is None else np.asarray(picture, np.uint8)
+        return None if path is None else _picture(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
 
     return load
 
@@ -49,10 +44,16 @@ def mask_loader(folder: Path | None) -> Loader:
             return None
         same = folder / PurePosixPath(name).name
         path = find_mask(name, folder) or (same if same.is_file() else None)
-        found = None if path is None else cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        return None if found is None else np.asarray(found, np.uint8)
+        return None if path is None else _picture(path, cv2.IMREAD_GRAYSCALE)
 
     return load
+
+
+def _picture(path: Path, flags: int) -> ArrayU8 | None:
+    """Pixels (h, w) of a file; None if it is damaged."""
+    stored = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
+    picture = cv2.imdecode(stored, flags) if stored.size else None
+    return None if picture is None else np.asarray(picture, np.uint8)
 
 
 def boards_of(section: Mapping[str, Any]) -> Boards:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from thalweg.core.camera import Camera
 from thalweg.core.errors import InputError
+from thalweg.core.tables import read_parquet
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF
 from thalweg.ingest.image_files import Images
@@ -51,7 +51,7 @@ def read_times(path: Path) -> dict[str, float]:
     if not path.is_file():
         raise InputError("file not found", expected="a table of times of images", where=path)
     try:
-        table = pq.read_table(path).to_pandas()
+        table = read_parquet(path)
     except pa.ArrowInvalid as error:
         raise InputError(f"not a Parquet file ({error})", expected="times of images", where=path) from error
     name = next((c for c in ("file", "image") if c in table), None)

@@ -12,6 +12,7 @@ import yaml
 
 from thalweg.core.errors import InputError
 from thalweg.core.mesh_ply import read_mesh
+from thalweg.core.tables import read_parquet
 from thalweg.core.types import ArrayF
 from thalweg.reproduction.ledger_file import Ours
 
@@ -113,7 +114,7 @@ def _content(path: Path) -> Any:
         if path.suffix == ".csv":
             return pd.read_csv(path)
         if path.suffix == ".parquet":
-            return pd.read_parquet(path)
+            return read_parquet(path)
         if path.suffix == ".ply":
             return read_mesh(path)[0].vertices_m * MM_PER_M
         text = path.read_text(encoding="utf-8")
