@@ -90,12 +90,14 @@ def test_the_page_counts_what_was_left_out(tmp_path) -> None:
         "merged": {"images": 24, "images_without_pose": 1, "points_without_pose": 980, "points": 24344},
         "images_left_out": {"a.png": "no line"},
         "times": {"images_without_pulse": ["b.png", "c.png"], "pulses_without_image_s": [1.0]},
+        "trajectory": "fused",
     }
     page = strip_page(counts, [(tmp_path / "bed_strip.png", "From above")], title="Strip: Demo", twin=True)
     text = page.html().replace("\N{NO-BREAK SPACE}", " ")
     for words in (
         "<h1>Strip: Demo</h1>", "24 images of the bed", "24 344 points in the world", "digital twin made",
         "images: no line", "line points: no sheet", "images without a pulse", "From above",
+        "INS, antenna positions and image poses together",
     ):  # fmt: skip
         assert words in text, words
     for words, n in (

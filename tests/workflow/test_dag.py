@@ -92,6 +92,21 @@ def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(talk
     assert mapping.inputs == join.outputs
 
 
+@pytest.mark.parametrize("images", [True, False])
+def test_the_strip_of_the_bed_takes_the_best_trajectory(talkative_house, images: bool) -> None:
+    """INS alone leads the strip centimetres away from the bed; fused where the survey has images."""
+    campaigns = talkative_house.root / "config/campaigns"
+    text = (campaigns / "demo.yaml").read_text().replace("id: demo", "id: strip")
+    assert "  time_lapse: " in text
+    path = campaigns / "strip.yaml"
+    path.write_text(text if images else re.sub(r"(?m)^  time_lapse: .*\n", "", text))
+    found = jobs(talkative_house, "strip")
+    path.unlink()
+    (job,) = (job for job in found if job.rule == "locate_bed_strip")
+    used = [name.rsplit("/", 1)[-1] for name in job.inputs if "/orientation/" in name]
+    assert used == ["trajectory_fused.parquet" if images else "trajectory.parquet"]
+
+
 SHARED_SCRIPTS = {
     "detect_markers",
     "plot_correlations",

@@ -105,6 +105,20 @@ def oriented_images(wildcards):
     return f"results/{wildcards.campaign}/orientation/{name}.parquet"
 
 
+def best_chain(name):
+    """What the best trajectory of a campaign rests on: all sensors where there are images of the bank, else the INS.
+
+    The camera alone is no third case: where it has a trajectory, all sensors together have one.
+    """
+    return "fused" if has_time_lapse(name) else "ins"
+
+
+def best_trajectory(wildcards):
+    """Input function: the trajectory for everything that is placed by one and is no comparison of several."""
+    ending = {"fused": "_fused", "ins": ""}[best_chain(wildcards.campaign)]
+    return f"results/{wildcards.campaign}/orientation/trajectory{ending}.parquet"
+
+
 def trajectory_of_chain(wildcards):
     """Input function: the boat's trajectory by camera or by all sensors together."""
     return (

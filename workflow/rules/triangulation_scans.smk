@@ -185,7 +185,7 @@ rule locate_bed_strip:
         pulses=raw("strip_pulses"),
         line_points="results/{campaign}/triangulation/strip/line_points.parquet",
         sensor=sheet_on_board,
-        trajectory="results/{campaign}/orientation/trajectory.parquet",
+        trajectory=best_trajectory,
     output:
         bed="results/{campaign}/triangulation/strip/bed.laz",
         points="results/{campaign}/triangulation/strip/points.parquet",
@@ -205,6 +205,7 @@ rule locate_bed_strip:
         campaign=identity("origin"),
         mount=light_sheet("mount"),
         water=light_sheet("water"),
+        chain=lambda wildcards: best_chain(wildcards.campaign),
     message:
         "{wildcards.campaign}: strip of the bed by the light sheet"
     script:

@@ -22,6 +22,7 @@ from thalweg.triangulation.water_index import WaterState, in_measured_water
 def main(
     *, images: list[Path], pulses: Path, line_points: Path, sensor: Path, trajectory: Path, bed: Path,
     points: Path, counts: Path, campaign: dict[str, Any], mount: dict[str, Any], water: dict[str, Any],
+    chain: str,
 ) -> None:  # fmt: skip
     # the river is not the basin of the calibration
     here, medium = in_measured_water(read_sensor(sensor), WaterState(**water))
@@ -41,7 +42,7 @@ def main(
     write_table(points, world.bed_points(cloud), world.BED_POINTS)
     left = {**cloud.left_out, **empty}
     report = {"lines": joined_counts(found), "merged": cloud.counts, "images_left_out": left, "times": facts,
-              "water": medium}  # fmt: skip
+              "water": medium, "trajectory": chain}  # fmt: skip
     counts.write_text(json.dumps(report, indent=2) + "\n")
 
 

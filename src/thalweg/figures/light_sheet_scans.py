@@ -31,6 +31,10 @@ STRIP_NOTE: Final = (
     "Each line gets its place from the boat's trajectory at the time of its pulse, and from the mount of the "
     "sensor. Sigmas of heights hold the errors of both; those within a line are of its measurement alone."
 )
+STRIP_TRAJECTORY: Final = {
+    "fused": "The trajectory is that of INS, antenna positions and image poses together.",
+    "ins": "The trajectory is that of the INS and the antenna positions: there are no images of the bank.",
+}
 LOST: Final = {
     "far": "points not on the object",
     "at_border": "points at a border of the mesh",
@@ -165,7 +169,7 @@ def strip_page(
 
     Parameters
     ----------
-    counts : ``counts.json`` of the strip: ``lines, merged, images_left_out, times``.
+    counts : ``counts.json`` of the strip: ``lines, merged, images_left_out, times, trajectory``.
     pictures : PNG files with their captions.
     title : heading.
     twin : true if the digital twin made the recordings.
@@ -178,7 +182,7 @@ def strip_page(
     page = Page(title, words)
     if twin:
         page.text(TWIN_NOTE)
-    page.text(STRIP_NOTE)
+    page.text(f"{STRIP_NOTE} {STRIP_TRAJECTORY[counts['trajectory']]}")
     rows = [
         *_lost_points(counts),
         ("images without a pulse", len(times.get("images_without_pulse", ()))),
