@@ -5,6 +5,8 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 from thalweg.accuracy.comparison import (
@@ -14,6 +16,7 @@ from thalweg.accuracy.comparison import (
     after_motion,
     compare_with_mesh,
     normalised_distances,
+    predicted_sigma_m,
 )
 from thalweg.core.errors import InputError
 from thalweg.core.tables import read_table, write_table
@@ -225,3 +228,24 @@ def test_clouds_that_lack_their_covariance_are_refused(
         compare_with_mesh(path, bank.bank_mesh(), area=Area(), settings=SETTINGS)
     for word in ("points.laz", *words):
         assert word in str(refused.value)
+
+
+def test_the_reference_has_its_part_in_every_prediction() -> None:
+    """30 mm of the point and 40 mm of the reference are 50 mm: 100 mm are two of them."""
+    table = pd.DataFrame({"distance_m": [0.1], "sigma_normal_m": [0.03], "sigma_reference_m": [0.04]})
+    assert predicted_sigma_m(table)[0] == pytest.approx(0.05)
+    assert normalised_distances(table)[0] == pytest.approx(2.0)
+
+
+def test_every_column_of_the_distances_by_hand(tmp_path: Path) -> None:
+    """Names and units, read with pyarrow alone."""
+    values = {
+        "t_gps_s": 4.0e8, "range_m": 12.5, "east_m": 1.0, "north_m": 2.0, "up_m": 3.0, "distance_m": -0.25,
+        "normal_east": 0.5, "normal_north": 0.25, "normal_up": 0.75, "sigma_normal_m": 0.125,
+        "sigma_reference_m": 0.0625, "sigma_3d_m": 0.375, "at_border": False, "used": True, "outlier": False,
+    }  # fmt: skip
+    write_table(tmp_path / "c2m.parquet", pd.DataFrame({k: [v] for k, v in values.items()}), CLOUD_TO_MESH)
+    table = pq.read_table(tmp_path / "c2m.parquet")
+    assert table.to_pylist() == [values]
+    units = {field.name: field.metadata[b"unit"].decode() for field in table.schema}
+    assert units == {k: "s" if k == "t_gps_s" else "m" if k.endswith("_m") else "1" for k in values}

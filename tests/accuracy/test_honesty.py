@@ -74,3 +74,13 @@ def test_more_classes_widen_each_band(rng: np.random.Generator) -> None:
     # the same spread in each class: t quantile of 0.05 / 20 over that of 0.05, 29 degrees of freedom
     widening = np.log(many["ratio_high"].iloc[0]) / np.log(one["ratio_high"].iloc[0])
     assert widening == pytest.approx(3.30 / 2.045, rel=0.01)
+
+
+def test_two_surveys_by_hand() -> None:
+    """Sums 1 and 3 of squares, 1 predicted: q = 2, s / q = sqrt(2 (1 + 1)) / 4 = 0.5; m / (m - 1) is 2.
+
+    Student's 97.5 % for one degree of freedom is 12.706 (any table): log q within 6.353, its root half of it.
+    """
+    ratio, low, high, surveys = ratio_of_surveys(np.array([1.0, 3.0]), np.array([1.0, 1.0]))
+    assert (ratio, surveys) == pytest.approx((2**-0.5, 2.0))
+    assert (low, high) == pytest.approx((np.exp(-6.353 / 2), np.exp(6.353 / 2)), rel=1e-3)

@@ -10,6 +10,7 @@ from thalweg.accuracy.independent import (
     observed_correlation_s,
 )
 from thalweg.accuracy.statistics import chi_square_band
+from thalweg.accuracy.truth import PointErrors
 from thalweg.simulation.random import gauss_markov
 
 TAU_S = 20.0
@@ -105,3 +106,16 @@ def test_a_correlation_time_that_cannot_be_seen_is_not_made_up(rng: np.random.Ge
     assert np.isnan(observed_correlation_s(t, np.tile([1.0, -1.0], 500), 20.0))
     assert np.isnan(observed_correlation_s(t[:1], np.ones(1), 20.0))
     assert np.isnan(observed_correlation_s(t, np.full(1000, 0.3), 20.0))
+
+
+def test_an_error_is_gross_at_six_sigmas() -> None:
+    """Five sigmas are a normal error in two million; the outlier rule of the truth must leave it in."""
+    errors = PointErrors(
+        t_gps_s=np.arange(4.0),
+        range_m=np.full(4, 10.0),
+        error_m=0.01 * np.array([3.1, -5.9, 6.1, -7.0]),
+        sigma_m=np.full(4, 0.01),
+        on_ground=np.array([True, True, True, False]),
+    )
+    assert errors.gross.tolist() == [False, False, True, True]
+    assert errors.bare_ground.tolist() == [True, True, False, False]

@@ -327,3 +327,21 @@ def test_full_steps_circle_on_stony_ground_and_shorter_ones_do_not(rng, monkeypa
     monkeypatch.setattr(registration, "JITTER", 0.0)
     with pytest.raises(GeometryError, match="no convergence"):
         register(table, surface, SETTINGS)
+
+
+def test_sigmas_of_shift_and_rotation_keep_their_names_and_units(plane: Surface, rng) -> None:
+    """East, north, up 1, 2, 3 mm; 0.01, 0.02, 0.03 degrees."""
+    before = table_of(bank.on_bank(rng, 3000), plane)
+    sigma = np.array([0.001, 0.002, 0.003, *np.deg2rad([0.01, 0.02, 0.03])])
+    turn = Rotation.from_rotvec(np.deg2rad([0.1, -0.2, 0.3])).as_matrix()
+    found = dataclasses.replace(
+        register(before, plane, SETTINGS),
+        cov=np.diag(sigma**2),
+        motion=Motion(centre_m=np.array([7.0, 8.0, 9.0]), R=turn, shift_m=np.array([0.01, -0.02, 0.03])),
+    )
+    facts = registration_facts(found, before, before)
+    assert facts["centre_m"] == {"east": 7.0, "north": 8.0, "up": 9.0}
+    assert facts["shift_m"] == {"east": 0.01, "north": -0.02, "up": 0.03}
+    assert facts["sigma_shift_m"] == pytest.approx({"east": 0.001, "north": 0.002, "up": 0.003})
+    assert facts["rotation_deg"] == pytest.approx({"east": 0.1, "north": -0.2, "up": 0.3})
+    assert facts["sigma_rotation_deg"] == pytest.approx({"east": 0.01, "north": 0.02, "up": 0.03})

@@ -123,3 +123,15 @@ def test_verdicts_in_words(ratio: float, limits: tuple[float, float], words: str
 def test_the_band_of_the_ratio_is_that_of_the_squares_turned_round() -> None:
     low, high = chi_square_band(12.0)
     assert ratio_band(12.0) == (pytest.approx(high**-0.5), pytest.approx(low**-0.5))
+
+
+def test_p95_is_the_95th_percentile_of_the_absolute_errors() -> None:
+    """0, -1, 2, -3 .. 100 mm: 95 % are at most 95 mm."""
+    errors = np.arange(101.0) * np.where(np.arange(101) % 2, -1e-3, 1e-3)
+    assert describe_errors(errors)["p95_m"] == pytest.approx(0.095, abs=1e-12)
+
+
+def test_the_chi_square_band_is_that_of_the_table() -> None:
+    """Ten degrees of freedom: 3.247 and 20.483 at 95 %, 2.156 and 25.188 at 99 % (Abramowitz and Stegun)."""
+    assert chi_square_band(10) == pytest.approx((0.3247, 2.0483), abs=1e-4)
+    assert chi_square_band(10, 0.99) == pytest.approx((0.2156, 2.5188), abs=1e-4)

@@ -4,6 +4,7 @@ import importlib.util
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.stats import chi2
 from thalweg.calibration.camera_lidar import CameraLidar, calibrate_camera_lidar
 from thalweg.calibration.camera_lidar_model import FieldErrors
 from thalweg.calibration.camera_lidar_settings import CameraLidarSettings
-from thalweg.calibration.camera_lidar_tables import cone_table, report, sensor_table
+from thalweg.calibration.camera_lidar_tables import cone_table, report, residual_table, sensor_table
 from thalweg.calibration.cone_search import SearchRange, search
 from thalweg.calibration.cone_selection import WORDS, Position, Verdict
 from thalweg.calibration.cones import Cone
@@ -275,3 +276,18 @@ def test_empty_scans_are_refused(points: np.ndarray, message: str) -> None:
 
 def test_verdicts_have_words() -> None:
     assert set(WORDS) == set(Verdict) - {Verdict.AWAY}
+
+
+def test_residuals_of_a_cone_by_hand() -> None:
+    """Ranges off by 5, -15, 5, -15 mm, cosine 0.8; 20 mm along the beam are 16 mm from the cone."""
+    layout = SimpleNamespace(positions=["P1"], cones=["C1", "C2"])
+    scan = SimpleNamespace(cone=np.zeros(4, int), variance_m2=np.full(4, 0.02**2))
+    row = SimpleNamespace(residual=np.array([5.0, -15.0, 5.0, -15.0]) * 1e-3, slope=np.full(4, -0.8))
+    table = residual_table(layout, [scan], [row])
+    assert table.to_dict("records") == [
+        {
+            "position": "P1", "cone": "C1", "points": 4, "mean_mm": pytest.approx(4.0),
+            "sigma_mean_mm": pytest.approx(8.0), "rms_mm": pytest.approx(np.sqrt(80.0)),
+            "greatest_mm": pytest.approx(12.0), "standardised": pytest.approx(np.sqrt(80.0) / 16),
+        }
+    ]  # fmt: skip

@@ -343,3 +343,38 @@ def test_a_step_too_far_is_damped() -> None:
     )
     # a ten-thousandth of its sigma, which is 1
     assert abs(found.x[0]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("size", "limit"),
+    # upper 0.001 of chi-square with 1, 2, 3 degrees of freedom (Abramowitz and Stegun 1964, table 26.8)
+    [(1, 10.828), (2, 13.816), (3, 16.266)],
+)
+def test_the_limit_of_a_block_is_that_of_its_number_of_coordinates(size: int, limit: float) -> None:
+    """3.2905 sigmas of a normal error are exceeded by one in a thousand, both signs together."""
+    squares = np.r_[np.zeros(8), 0.99 * limit, 1.01 * limit]
+    residual = np.zeros((10, size))
+    residual[:, -1] = np.sqrt(squares)
+
+    def blocks(_: np.ndarray) -> Linear:
+        return Linear(
+            residual=residual.ravel(),
+            jacobian=np.zeros((10 * size, 1)),
+            cov=np.tile(np.eye(size), (10, 1, 1)),
+        )
+
+    known = Observations("known", prior(np.zeros(1), np.eye(1), [0], 1))
+    found = adjust([Observations("blocks", blocks), known], np.zeros(1), ["x"], reject_sigmas=3.2905)
+    assert found.used["blocks"].tolist() == [True] * 9 + [False]
+
+
+def test_the_band_of_the_global_test_is_that_of_the_table() -> None:
+    """Ten degrees of freedom: 3.247 and 20.483 are exceeded by 97.5 and 2.5 % (table 26.8)."""
+    ones = Observations(
+        "values",
+        lambda x: Linear(residual=x[0] - np.zeros(11), jacobian=np.ones((11, 1)), cov=np.ones((11, 1, 1))),
+    )
+    low, high = adjust([ones], np.zeros(1), ["x"]).global_test()
+    assert (low, high) == pytest.approx((0.3247, 2.0483), abs=1e-4)
+    low, high = adjust([ones], np.zeros(1), ["x"]).global_test(level=0.01)
+    assert (low, high) == pytest.approx((0.2156, 2.5188), abs=1e-4)

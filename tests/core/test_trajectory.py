@@ -1,8 +1,10 @@
 """The trajectory: covariances between nodes, sigmas of the angles, rates, what it refuses."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -85,3 +87,43 @@ def test_what_is_refused() -> None:
         replace(good, t_gps_s=good.t_gps_s[::-1].copy())
     with pytest.raises(CoverageError, match="no valid node"):
         replace(good, valid=np.zeros(50, dtype=bool)).span()
+
+
+def test_every_column_of_the_file_by_hand(tmp_path: Path) -> None:
+    """Read back with pyarrow alone: `write` and `read` share their names, so both may err alike."""
+    sigma = np.array([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
+    correlation = np.eye(6)
+    pairs = [(i, j) for i in range(6) for j in range(i + 1, 6)]
+    for k, (i, j) in enumerate(pairs):
+        correlation[i, j] = correlation[j, i] = 0.01 * (k + 1)
+    Trajectory(
+        frame=LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0),
+        t_gps_s=np.array([4.0e8, 4.0e8 + 1]),
+        position_wcs_m=np.array([[1.0, 2.0, 3.0]] * 2),
+        quaternion_wcs_ics=np.array([[0.1, 0.5, -0.7, 0.5]] * 2),
+        cov_pose_wcs=np.array([correlation * np.outer(sigma, sigma)] * 2),
+        valid=np.array([True, False]),
+    ).write(tmp_path / "trajectory.parquet")
+    table = pq.read_table(tmp_path / "trajectory.parquet")
+    expected = {
+        "t_gps_s": (4.0e8, "s"), "east_m": (1.0, "m"), "north_m": (2.0, "m"), "up_m": (3.0, "m"),
+        "qx": (0.1, "1"), "qy": (0.5, "1"), "qz": (-0.7, "1"), "qw": (0.5, "1"),
+        "sigma_east_m": (0.01, "m"), "sigma_north_m": (0.02, "m"), "sigma_up_m": (0.03, "m"),
+        "sigma_rotation_east_rad": (0.001, "rad"), "sigma_rotation_north_rad": (0.002, "rad"),
+        "sigma_rotation_up_rad": (0.003, "rad"),
+        "correlation_east_north": (0.01, "1"), "correlation_east_up": (0.02, "1"),
+        "correlation_east_rotation_east": (0.03, "1"), "correlation_east_rotation_north": (0.04, "1"),
+        "correlation_east_rotation_up": (0.05, "1"), "correlation_north_up": (0.06, "1"),
+        "correlation_north_rotation_east": (0.07, "1"), "correlation_north_rotation_north": (0.08, "1"),
+        "correlation_north_rotation_up": (0.09, "1"), "correlation_up_rotation_east": (0.10, "1"),
+        "correlation_up_rotation_north": (0.11, "1"), "correlation_up_rotation_up": (0.12, "1"),
+        "correlation_rotation_east_rotation_north": (0.13, "1"),
+        "correlation_rotation_east_rotation_up": (0.14, "1"),
+        "correlation_rotation_north_rotation_up": (0.15, "1"), "valid": (1.0, "1"),
+    }  # fmt: skip
+    assert table.slice(0, 1).to_pylist()[0] == pytest.approx(
+        {name: value for name, (value, _) in expected.items()}
+    )
+    units = {field.name: field.metadata[b"unit"].decode() for field in table.schema}
+    assert units == {name: unit for name, (_, unit) in expected.items()}
+    assert table.column("valid").to_pylist() == [True, False]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from pyproj import Transformer
 
@@ -269,3 +270,30 @@ def test_files_that_overlap_are_joined(tmp_path: Path) -> None:
     other = read_pos([a, write(tmp_path / "c.pos", lines(20, 50, "50.000000001"))])
     assert len(other.positions) == 60
     assert other.report.losses == {"time_steps_back": 1}
+
+
+def test_every_column_of_the_positions_by_hand(tmp_path: Path) -> None:
+    """From a line of RTKLIB to the file, read with pyarrow alone: names, units and numbers."""
+    positions = read_pos([write(tmp_path / "one.pos", HEAD + LINE)]).positions
+    write_table(tmp_path / "positions.parquet", positions, GNSS_POSITION)
+    table = pq.read_table(tmp_path / "positions.parquet")
+    expected = {
+        # GPS week 1948 begins on 7 May 2017; 5 days, 18:45:13.4; LAS takes 1e9 off
+        "t_gps_s": (1948 * 604800 + 5 * 86400 + 67513.4 - 1e9, "s"),
+        "lat_deg": (50.0, "deg"), "lon_deg": (13.0, "deg"), "h_ell_m": (200.0, "m"), "fix": ("fixed", "1"),
+        "n_sats": (11, "1"), "sigma_east_m": (0.002, "m"), "sigma_north_m": (0.003, "m"),
+        "sigma_up_m": (0.006, "m"),
+        # RTKLIB writes roots of covariances with the covariance's sign, and -1 mm for north-east
+        "cov_en_m2": (-1e-6, "m^2"), "cov_eu_m2": (2.25e-6, "m^2"), "cov_nu_m2": (-6.25e-6, "m^2"),
+        "age_s": (0.4, "s"), "ratio": (12.3, "1"),
+    }  # fmt: skip
+    found = table.to_pylist()[0]
+    assert {name: value for name, value in found.items() if name in expected} == {
+        name: value if isinstance(value, str) else pytest.approx(value)
+        for name, (value, _) in expected.items()
+    }
+    units = {field.name: field.metadata[b"unit"].decode() for field in table.schema}
+    assert {name: unit for name, unit in units.items() if name in expected} == {
+        name: unit for name, (_, unit) in expected.items()
+    }
+    assert set(found) == set(expected)

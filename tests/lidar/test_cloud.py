@@ -3,7 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
+import laspy
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from pyproj import CRS, Transformer
 
@@ -15,6 +17,8 @@ from thalweg.core.tables import read_table
 from thalweg.core.timescales import gps_from_unix
 from thalweg.core.trajectory import Trajectory
 from thalweg.ingest.velodyne import LidarOptions, scan_lidar
+from thalweg.ingest.velodyne_decode import PointBlock
+from thalweg.lidar import cloud as cloud_module
 from thalweg.lidar.cloud import (
     CORRELATIONS,
     EXTRA_DIMENSIONS,
@@ -26,6 +30,7 @@ from thalweg.lidar.cloud import (
 )
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
+from thalweg.lidar.georeference import WorldPoints
 from thalweg.lidar.mount import Mount
 from thalweg.lidar.removed import REMOVED_POINTS
 
@@ -175,3 +180,105 @@ def test_an_unlikely_water_level_is_told(data_dir: Path, tmp_path: Path, caplog)
     caplog.clear()
     georeference_log(log, options, clock, trajectory, settings(max_range_m=50.0), tmp_path / "dry.laz")
     assert not caplog.text
+
+
+# ---------------------------------------------------------------- columns, by hand and with other readers
+
+COLUMNS = {
+    "range": "measured range, m",
+    "ring": "beam, 0 lowest .. 15 highest",
+    "sigma_east": "standard deviation, m",
+    "sigma_north": "standard deviation, m",
+    "sigma_up": "standard deviation, m",
+    "corr_east_north": "correlation",
+    "corr_east_up": "correlation",
+    "corr_north_up": "correlation",
+}
+"""Extra dimensions of ``points.laz`` and what they say of themselves."""
+
+
+def one_shot(t_gps_s: float) -> PointBlock:
+    """A point 2 m right, 1 m ahead and 0.5 m above the scanner, and one that is too near."""
+    xyz = np.array([[2.0, 1.0, 0.5], [0.1, 0.1, 0.2]], dtype=np.float32)
+    return PointBlock(
+        t_gps_s=np.array([t_gps_s, t_gps_s]),
+        t_device_s=np.array([11.0, 12.0]),
+        xyz_scs_m=xyz,
+        range_m=np.array([2.25, 0.25], dtype=np.float32),
+        azimuth_rad=np.array([1.1, 0.8], dtype=np.float32),
+        ring=np.array([7, 3], dtype=np.uint8),
+        laser=np.array([14, 6], dtype=np.uint8),
+        intensity=np.array([42, 21], dtype=np.uint8),
+        return_number=np.array([2, 1], dtype=np.uint8),
+        n_returns=np.array([2, 1], dtype=np.uint8),
+        packet=np.array([0, 0]),
+    )
+
+
+def test_every_column_of_the_cloud_by_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read back with laspy alone: writer and reader share their names, so both may err alike."""
+    sigma, correlation = np.diag([0.010, 0.020, 0.030]), np.eye(3)
+    correlation[0, 1] = correlation[1, 0] = 0.1
+    correlation[0, 2] = correlation[2, 0] = 0.2
+    correlation[1, 2] = correlation[2, 1] = -0.3
+    cov = np.zeros((2, 6, 6))
+    cov[:, :3, :3] = sigma @ correlation @ sigma
+    t = 4.0e8
+    boat = replace(
+        still(t - 1.0, t + 1.0), position_wcs_m=np.tile([100.0, 20.0, 3.0], (2, 1)), cov_pose_wcs=cov
+    )
+    monkeypatch.setattr(cloud_module, "iter_points", lambda *_, **__: iter([one_shot(t)]))
+    exact = settings(
+        correlations=True, beam=BeamErrors(sigma_component_m=0.0), filters={"isolated_neighbours": 0}
+    )
+    georeference_log(
+        [],
+        LidarOptions(),
+        None,
+        boat,
+        exact,
+        tmp_path / "points.laz",
+        out_removed=tmp_path / "removed.parquet",
+    )
+    las = laspy.read(tmp_path / "points.laz")
+    assert {d.name: d.description for d in las.point_format.extra_dimensions} == COLUMNS
+    # coordinates are stored at 1 mm
+    np.testing.assert_allclose(np.array([las.x, las.y, las.z])[:, 0], [102.0, 21.0, 3.5], atol=1e-6)
+    found = {name: float(np.asarray(las[name])[0]) for name in COLUMNS}
+    # sigmas and correlations are stored to 0.0001; the kernel gives float32
+    assert found == pytest.approx(
+        {
+            "range": 2.25, "ring": 7.0, "sigma_east": 0.010, "sigma_north": 0.020, "sigma_up": 0.030,
+            "corr_east_north": 0.1, "corr_east_up": 0.2, "corr_north_up": -0.3,
+        },
+        abs=1e-7,
+    )  # fmt: skip
+    standard = ("gps_time", "intensity", "return_number", "number_of_returns")
+    # LAS 1.4 R15: 8-bit intensities times 256
+    assert [float(np.asarray(las[name])[0]) for name in standard] == [t, 42 * 256, 2, 2]
+    removed = pq.read_table(tmp_path / "removed.parquet")
+    assert removed.to_pylist() == [
+        {
+            "reason": "too_near", "t_gps_s": t,
+            "east_m": pytest.approx(100.1), "north_m": pytest.approx(20.1), "up_m": pytest.approx(3.2),
+            "x_ics_m": pytest.approx(0.1), "y_ics_m": pytest.approx(0.1),
+            "z_ics_m": pytest.approx(0.2), "range_m": 0.25,
+        }
+    ]  # fmt: skip
+    units = {field.name: field.metadata[b"unit"].decode() for field in removed.schema}
+    assert units == {"reason": "1", "t_gps_s": "s"} | dict.fromkeys(list(units)[2:], "m")
+
+
+def test_the_height_above_the_boat_has_less_error_than_the_height() -> None:
+    """The error of the boat's own height is in both: of 50 mm with the boat's 30 mm 40 mm are left."""
+    cov = np.zeros((2, 6, 6))
+    cov[:, 2, 2] = 0.03**2
+    points = WorldPoints(
+        points_wcs_m=np.zeros((1, 3)),
+        has_pose=np.ones(1, dtype=bool),
+        cov_m2=np.array([[1.0, 0, 0, 1.0, 0, 0.05**2]], dtype=np.float32),
+    )
+    found = cloud_module._sigma_above_boat_m(
+        points, np.array([0.5]), replace(still(0.0, 1.0), cov_pose_wcs=cov)
+    )
+    assert found[0] == pytest.approx(0.04, rel=1e-6)  # float32

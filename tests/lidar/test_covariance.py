@@ -279,3 +279,62 @@ def test_a_matrix_that_is_no_covariance_is_refused() -> None:
     bad = np.diag([1e-6, 1e-6, -1e-6, 1e-6, 1e-6, 1e-6])
     with pytest.raises(GeometryError, match="no covariance matrix"):
         Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3), cov_ics=bad)
+
+
+LIDAR_ACCURACY = {
+    "sigma_component_m": 0.017, "divergence_mrad": 3.0, "footprint_share": 0.25, "sigma_weak_m": 0.03,
+    "sigma_time_s": 0.001,
+}  # fmt: skip
+"""Section of a campaign file, by hand."""
+
+
+def test_the_footprint_is_that_of_the_full_divergence_in_milliradians() -> None:
+    """3 mrad at 50 m are a footprint of 150 mm, a quarter of it 37.5 mm; 17 mm of the sensor beside it."""
+    beam = BeamErrors.from_section(LIDAR_ACCURACY)
+    along, across = beam.variances(np.array([50.0]), np.array([100.0]))
+    assert np.sqrt(across[0]) == pytest.approx(np.sqrt(0.0375**2 + 0.017**2), rel=1e-12)
+    # at 50 m a white target returns 40 times the light of a 10 % target at 100 m
+    assert np.sqrt(along[0]) == pytest.approx(np.sqrt((0.03 / 40) ** 2 + 0.017**2), rel=1e-12)
+
+
+def test_a_halved_divergence_is_seen_far_away_at_an_angle_with_good_poses(rng) -> None:
+    """Drawn echoes 40 m away, met at 70 degrees, poses good to 2 mm and 0.006 degrees: there the beam rules.
+
+    The errors are drawn as the sensor makes them, in the footprint of its 3 mrad; the prediction goes the way
+    of a campaign, from the section of its file through the kernel.
+    """
+    n = 20_000
+    pose = np.diag(np.square([0.002, 0.002, 0.002, 1e-4, 1e-4, 1e-4]))
+    trajectory = Trajectory(
+        frame=FRAME,
+        t_gps_s=np.array([0.0, 1.0]),
+        position_wcs_m=np.zeros((2, 3)),
+        quaternion_wcs_ics=np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)),
+        cov_pose_wcs=np.tile(pose, (2, 1, 1)),
+        valid=np.ones(2, dtype=bool),
+    )
+    mount = Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3))
+    xyz = np.tile(np.array([40.0, 0.0, 0.0], dtype=np.float32), (n, 1))
+    turned = np.cross(rng.normal(size=(n, 3)) * 1e-4, xyz)
+    # uniform in the disc of the footprint, 120 mm wide: sigma is a quarter of its diameter in each direction
+    radius, angle = 0.06 * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
+    echo = np.column_stack([np.zeros(n), radius * np.cos(angle), radius * np.sin(angle)])
+    error = rng.normal(size=(n, 3)) * 0.017 + echo + turned + rng.normal(size=(n, 3)) * 0.002
+    normal = np.array([-np.cos(np.deg2rad(70)), np.sin(np.deg2rad(70)), 0.0])
+    ratio = {}
+    for divergence_mrad in (3.0, 1.5):
+        section = LIDAR_ACCURACY | {
+            "divergence_mrad": divergence_mrad,
+            "sigma_weak_m": 0.0,
+            "sigma_time_s": 0.0,
+        }
+        found = georeference_points(
+            xyz, np.full(n, 0.5), trajectory, mount,
+            beam=BeamErrors.from_section(section), range_m=np.full(n, 40.0), reflectivity=np.full(n, 50.0),
+        )  # fmt: skip
+        e, en, eu, nn, nu, uu = found.cov_m2[0].astype(np.float64)
+        C = np.array([[e, en, eu], [en, nn, nu], [eu, nu, uu]])
+        ratio[divergence_mrad] = float(np.mean((error @ normal) ** 2) / (normal @ C @ normal))
+    # the mean of n squared normal errors has a relative sigma of sqrt(2 / n) = 1 %; four of them
+    assert ratio[3.0] == pytest.approx(1.0, abs=0.04)
+    assert ratio[1.5] > 1.7

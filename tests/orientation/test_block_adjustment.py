@@ -13,7 +13,12 @@ from thalweg.orientation.block_adjustment import adjust_block
 from thalweg.orientation.block_correlation import Correlation, views
 from thalweg.orientation.block_linear import linearised, reduced_system, tracks_of
 from thalweg.orientation.block_problem import Antenna, Layout, Problem, State, moved, start_state
-from thalweg.orientation.block_result import adjusted_block, adjusted_cameras, point_covariances
+from thalweg.orientation.block_result import (
+    adjusted_block,
+    adjusted_cameras,
+    control_result,
+    point_covariances,
+)
 from thalweg.orientation.block_weights import Options, repeated
 from thalweg.orientation.control_points import ControlMarks, ControlPoints
 
@@ -350,3 +355,32 @@ def test_an_image_and_a_check_point_that_lose_their_marks_are_named(rng: np.rand
     others = np.arange(20) != 7
     # 114 errors, few of them independent
     assert np.abs(pose_errors(found, truth)[others] / sigma[others]).max() < 4.5
+
+
+def test_the_weight_and_the_information_of_a_track_of_students_errors() -> None:
+    """4 degrees of freedom, 6 of the track: weight (4 + 6) / (4 + 6), information (4 + 6) / (4 + 6 + 2)."""
+    heavy, six = Correlation(freedom=4.0), np.array([6.0])
+    assert heavy.weights(six, six) == pytest.approx(1.0)
+    assert heavy.weights(np.array([16.0]), six) == pytest.approx(0.5)
+    assert heavy.information(six) == pytest.approx(10 / 12)
+    assert Correlation().information(six) == Correlation().weights(np.array([16.0]), six) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("risk", "limit"),
+    # upper 5 %, 1 % and 0.1 % of chi-square with 3 degrees of freedom (Abramowitz and Stegun, table 26.8)
+    [(0.05, 7.815), (0.01, 11.345), (0.001, 16.266)],
+)
+def test_a_check_point_is_suspect_beyond_three_degrees_of_freedom(risk: float, limit: float) -> None:
+    problem, _ = scene(np.random.default_rng(1), images=8, points=120, control=4, check=6)
+    adjusted = adjust_block(problem, PLAIN)
+    cov = control_result(adjusted).cov_m2
+    known = adjusted.problem.control.check & np.isfinite(cov).all(axis=(1, 2))
+    checks = np.flatnonzero(known)[:2]
+    places = adjusted.problem.control.points_wcs_m.copy()
+    for p, share in zip(checks, (0.99, 1.01), strict=True):
+        places[p] += np.linalg.cholesky(cov[p]) @ np.array([0.0, 0.0, np.sqrt(share * limit)])
+    moved_points = replace(adjusted.x, G=places)
+    found = control_result(replace(adjusted, x=moved_points), risk=risk)
+    np.testing.assert_allclose(found.test[checks], limit * np.array([0.99, 1.01]), rtol=1e-9)
+    assert found.suspect[checks].tolist() == [False, True]

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +14,8 @@ from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.rigid import exp_rotation
 from thalweg.core.trajectory import Trajectory
-from thalweg.orientation.fused_report import count_table
-from thalweg.orientation.fused_settings import FusionSettings
+from thalweg.orientation.fused_report import count_table, group_facts
+from thalweg.orientation.fused_settings import GROUPS, FusionSettings
 from thalweg.orientation.fused_trajectory import Fused, fuse_trajectory
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.simulation.studies.outage import (
@@ -378,3 +379,14 @@ def test_poses_between_agree_with_the_trajectory_at_its_nodes() -> None:
 
 def test_the_section_and_the_settings_have_the_same_names_and_defaults() -> None:
     assert FusionSettings.from_section(FusedSection().model_dump()) == FusionSettings()
+
+
+def test_the_band_of_a_group_is_that_of_the_table() -> None:
+    """Ten degrees of freedom: 2.156 and 25.188 hold 99 % (Abramowitz and Stegun 1964, table 26.8)."""
+    squares = dict.fromkeys(GROUPS, (25.0, 10.0)) | {GROUPS[0]: (25.4, 10.0), GROUPS[1]: (2.1, 10.0)}
+    found = group_facts(SimpleNamespace(groups=squares, factors=dict.fromkeys(GROUPS, 1.5)))
+    assert [found[name]["inside"] for name in GROUPS] == [False, False, *[True] * (len(GROUPS) - 2)]
+    assert found[GROUPS[0]] == {
+        "chi_square": pytest.approx(2.54), "redundancy": 10.0, "band_low": pytest.approx(0.2156, abs=1e-4),
+        "band_high": pytest.approx(2.5188, abs=1e-4), "inside": False, "sigma_factor": 1.5,
+    }  # fmt: skip

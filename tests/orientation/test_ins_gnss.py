@@ -270,3 +270,17 @@ def test_velocities_of_the_ins_keep_what_sparse_epochs_miss() -> None:
         errors[interpolation] = np.sqrt(np.mean((trajectory.position_wcs_m[use] - position) ** 2))
         assert summary.sigma_interpolation_m is not None
     assert errors["ins_velocity"] < 0.2 * errors["cubic"], errors
+
+
+def test_each_covariance_of_a_position_finds_its_place() -> None:
+    """Six different numbers by hand; lever arm and attitude without error leave nothing else."""
+    positions, states = survey()
+    positions[["sigma_east_m", "sigma_north_m", "sigma_up_m"]] = [0.02, 0.03, 0.04]
+    positions[["cov_en_m2", "cov_eu_m2", "cov_nu_m2"]] = [1e-4, 2e-4, -3e-4]
+    trajectory, _ = build(positions, states, sigma_lever_m=np.zeros(3), sigma_attitude_rad=np.full(3, 1e-9))
+    # node 100 is an epoch: nothing is added for the interpolation. 1e-9 rad at a lever of 1 m: 1e-18
+    np.testing.assert_allclose(
+        trajectory.cov_pose_wcs[100, :3, :3],
+        [[4e-4, 1e-4, 2e-4], [1e-4, 9e-4, -3e-4], [2e-4, -3e-4, 16e-4]],
+        rtol=1e-4,
+    )

@@ -1,6 +1,7 @@
 """Offset of a camera's clock from a run (P2 eq. 4-5), on simulated observations with known errors."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.stats import chi2
 
 from thalweg.core.errors import ClockError, CoverageError
 from thalweg.core.frames import attitude_axes, rotation_enu_body, rotation_opk
+from thalweg.timing import camera_offset as camera_offset_module
 from thalweg.timing.camera_offset import CameraOffset, camera_offset
 from thalweg.timing.offset_fit import OffsetOptions, fit_offset, image_times
 from thalweg.timing.offset_observations import CameraPoses, FieldError, InsAttitude, OffsetModel, OffsetState
@@ -442,3 +444,31 @@ def test_the_variance_of_random_effects() -> None:
     assert value.std() == pytest.approx(sigma.mean(), rel=0.35)  # 60 draws: 9 %, four times that
     none = estimate_component(A @ np.ones(4) + 0.1 * rng.standard_normal(240), A, Z, 0.25 * np.eye(240))
     assert none.variance == 0.0
+
+
+@pytest.mark.parametrize(
+    ("attitude", "limit"),
+    # upper 0.0001 of chi-square with 3 and 6 degrees of freedom (Abramowitz and Stegun 1964, table 26.8):
+    # of ten images one in a thousand runs loses a good one
+    [(False, 21.108), (True, 27.856)],
+)
+def test_the_limit_of_an_image_is_that_of_its_coordinates(
+    attitude: bool, limit: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = simulate(1, 10)
+
+    def fit(model: OffsetModel, state: OffsetState, _: OffsetOptions) -> SimpleNamespace:
+        tests = {"R000.jpg": 0.98 * limit, "R001.jpg": 1.01 * limit}
+        return SimpleNamespace(
+            state=state, tests=np.array([tests.get(name, 0.0) for name in model.poses.file])
+        )
+
+    monkeypatch.setattr(camera_offset_module, "fit_offset", fit)
+    reason = np.full(10, "", dtype=object)
+    camera_offset_module._settled(
+        run.poses, run.track, reason, OffsetState(offset_s=0.0, drift=0.0, lever_m=LEVER_CCS),
+        ins=run.ins if attitude else None, field_error=None, options=OffsetOptions(),
+    )  # fmt: skip
+    # the limit for one of the nine images that are left is 1 % lower
+    assert [bool(word) for word in reason[:2]] == [False, True]
+    assert not any(reason[2:])

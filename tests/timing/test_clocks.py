@@ -175,3 +175,32 @@ def test_a_trigger_has_no_offset_but_its_delay() -> None:
     t_gps, sigma = clock.to_gps([T0 + 50.0])
     assert t_gps[0] - T0 == pytest.approx(50.003, abs=1e-7)  # 60 ns: float64 at 3e8 s
     assert sigma[0] == pytest.approx(np.hypot(1e-4, 2e-4))
+
+
+def test_the_line_through_pulses_by_hand() -> None:
+    """Six images, off by +1, -1, 0, 0, -1, +1 ms: no drift, 4 ms^2 over 4 degrees of freedom."""
+    t = np.arange(6.0)
+    pulse = t + 100.0 + 1e-3 * np.array([1.0, -1.0, 0.0, 0.0, -1.0, 1.0])
+    clock = clock_from_pulses(t, pulse, match_pulses(t, pulse), delay_s=0.0025, sigma_delay_s=0.002)
+    # 1e-9 s: a float64 of 100 s holds 1.4e-14, the sums lose some digits
+    assert clock.offset_s == pytest.approx(100.0025, abs=1e-9)
+    assert clock.drift == pytest.approx(0.0, abs=1e-9)
+    assert clock.jitter_s == pytest.approx(1e-3, rel=1e-6)
+    assert clock.sigma_jitter_s == pytest.approx(1e-3 / np.sqrt(8), rel=1e-6)
+    # 1 ms^2 / 6 and the delay's 4 ms^2; 1 ms^2 over 2 (0.5^2 + 1.5^2 + 2.5^2) s^2
+    np.testing.assert_allclose(clock.cov, np.diag([1e-6 / 6 + 4e-6, 1e-6 / 17.5]), rtol=1e-6)
+    assert (clock.reference_s, clock.t_first_s, clock.t_last_s) == (2.5, 0.0, 5.0)
+
+
+@pytest.mark.parametrize(("square", "fits"), [(10.7, True), (10.95, False)])
+def test_three_ties_have_one_degree_of_freedom(square: float, fits: bool) -> None:
+    """10.828 is exceeded by 0.1 % of chi-squares of one degree (Abramowitz and Stegun 1964, table 26.8).
+
+    Off by +a, -2 a, +a the ties leave no slope and a sum of squares of 6 a^2.
+    """
+    gps = np.array([0.0, 100.0, 200.0]) + 0.01 * np.sqrt(square / 6) * np.array([1.0, -2.0, 1.0])
+    if fits:
+        assert "3 ties fit a straight line." in clock_from_ties([0.0, 100.0, 200.0], gps, 0.01).notes
+    else:
+        with pytest.raises(ClockError, match="not on a straight line"):
+            clock_from_ties([0.0, 100.0, 200.0], gps, 0.01)

@@ -8,6 +8,7 @@ import pytest
 from thalweg.core.adjustment import UnobservableError
 from thalweg.core.errors import GeometryError
 from thalweg.simulation.light_sheet.grating import GratingErrors, calibration_points, make_grating
+from thalweg.triangulation.multi_line import comparison
 from thalweg.triangulation.multi_line.adjustment import calibrate_lines, level_depths
 from thalweg.triangulation.multi_line.comparison import compare_models, cross_validate, nested_tests
 from thalweg.triangulation.multi_line.level_points import LevelPoints, on_levels
@@ -203,3 +204,12 @@ def test_same_seed_same_bytes() -> None:
     first = calibrate_lines(SENSOR, points, line_model("diode", nominal()))
     second = calibrate_lines(SENSOR, again, line_model("diode", nominal()))
     assert first.adjusted.x.tobytes() == second.adjusted.x.tobytes()
+
+
+def test_the_criteria_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 values, 5 unknowns, chi2 = 100 e: n ln(chi2 / n) is 100, to which 2 k or k ln n is added."""
+    points, _ = thesis(MILD)
+    monkeypatch.setattr(comparison, "_sizes", lambda _: (100, 5.0, 100 * np.e))
+    row = compare_models(SENSOR, points, nominal(), ["regular"]).iloc[0]
+    assert row["bic"] == pytest.approx(100 + 5 * np.log(100))
+    assert row["aicc"] == pytest.approx(100 + 2 * 5 + 2 * 5 * 6 / 94)

@@ -83,3 +83,15 @@ def test_otsu_parts_two_classes() -> None:
     threshold, above = otsu(np.array([10.0, 11.0, 12.0, 200.0, 220.0]))
     assert above.tolist() == [False, False, False, True, True]
     assert 12 < threshold < 200
+
+
+@pytest.mark.parametrize("rule", ["3 sigma", "3 sigma repeated", "robust"])
+def test_the_rule_is_about_the_middle_and_not_about_zero(rule) -> None:
+    """A reference that lies 10 mm off moves all distances, and changes no verdict on any of them."""
+    errors = np.r_[np.tile([-0.2, 0.2], 200), 8.0]
+    here, off = filtered(errors, rule), filtered(errors + 10.0, rule)
+    np.testing.assert_array_equal(off.kept, here.kept)
+    assert off.n_kept == 400
+    assert off.centre_mm == pytest.approx(here.centre_mm + 10.0)
+    assert off.mean_kept_mm == pytest.approx(10.0)
+    assert off.std_kept_mm == pytest.approx(0.2, rel=0.002)  # n - 1 of 400

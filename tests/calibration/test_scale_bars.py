@@ -1,0 +1,64 @@
+"""Scale of a free network from its bars, by hand."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from thalweg.calibration.scale_bars import scale_of
+from thalweg.core.errors import GeometryError
+
+NAMES = ("A", "B", "C")
+
+
+def test_two_equal_bars_are_their_mean() -> None:
+    """2.000 and 2.002 m by certificates of 1 mm, both 1 unit long: 2.001 with 1 mm / sqrt 2."""
+    scale = scale_of(NAMES[:2], np.array([2.0, 2.002]), np.full(2, 1e-3), np.ones(2), np.zeros((2, 2)))
+    assert scale.factor == pytest.approx(2.001, abs=1e-12)
+    assert scale.sigma == pytest.approx(1e-3 / np.sqrt(2), rel=1e-9)
+    assert scale.used.all()
+    # each against the other alone: 2 mm, with both certificates
+    np.testing.assert_allclose(scale.off_m, [-0.002, 0.002], atol=1e-12)
+    np.testing.assert_allclose(scale.sigma_off_m, np.sqrt(2) * 1e-3)
+
+
+def test_the_network_has_its_part_in_the_sigma() -> None:
+    """A bar of 3 m is 1.5 units long: 2 m a unit. Certificate 3 mm, network 0.002 units = 4 mm: 5 mm."""
+    scale = scale_of(NAMES[:1], np.array([3.0]), np.array([0.003]), np.array([1.5]), np.array([[0.002**2]]))
+    assert scale.factor == pytest.approx(2.0)
+    assert scale.sigma == pytest.approx(0.005 / 1.5, rel=1e-9)
+    assert (scale.off_m[0], np.isnan(scale.sigma_off_m[0])) == (0.0, True)
+
+
+def test_a_longer_bar_counts_more() -> None:
+    """Weights by length over sigma, squared: 1 and 9, so (1.01 + 9 x 1.00) / 10."""
+    scale = scale_of(
+        NAMES[:2], np.array([1.01, 3.0]), np.full(2, 0.01), np.array([1.0, 3.0]), np.zeros((2, 2))
+    )
+    assert scale.factor == pytest.approx(1.001, abs=1e-12)
+    assert scale.sigma == pytest.approx(0.01 / np.sqrt(10), rel=1e-9)
+
+
+@pytest.mark.parametrize(("share", "fits"), [(0.99, True), (1.01, False)])
+def test_two_bars_contradict_beyond_one_degree_of_freedom(share: float, fits: bool) -> None:
+    """15.137 is exceeded by 0.01 % of chi-squares of one degree (Abramowitz and Stegun 1964, table 26.8)."""
+    assert chi2.isf(1e-4, 1) == pytest.approx(15.137, abs=1e-3)
+    off = 1e-3 * np.sqrt(2 * 15.137 * share)
+    bars = (np.array([2.0, 2.0 + off]), np.full(2, 1e-3), np.ones(2), np.zeros((2, 2)))
+    if fits:
+        scale_of(NAMES[:2], *bars)
+        return
+    with pytest.raises(GeometryError, match=r"A and B contradict .* B is -\d\.\d\d mm longer"):
+        scale_of(NAMES[:2], *bars)
+
+
+def test_of_three_bars_the_wrong_one_is_left_out() -> None:
+    stated = np.array([2.0, 2.02, 2.001])
+    scale = scale_of(NAMES, stated, np.full(3, 1e-3), np.ones(3), np.zeros((3, 3)))
+    assert scale.used.tolist() == [True, False, True]
+    assert scale.factor == pytest.approx(2.0005, abs=1e-12)
+    assert scale.off_m[1] == pytest.approx(0.0195, abs=1e-12)
+    assert scale.sigma_off_m[1] == pytest.approx(1e-3 * np.sqrt(1.5))
+    with pytest.raises(GeometryError, match="more than one of the scale bars A, B, C is wrong"):
+        scale_of(NAMES, np.array([2.0, 2.02, 2.04]), np.full(3, 1e-3), np.ones(3), np.zeros((3, 3)))
+    with pytest.raises(GeometryError, match="no scale bar"):
+        scale_of((), np.empty(0), np.empty(0), np.empty(0), np.empty((0, 0)))

@@ -1,0 +1,46 @@
+"""The mount of a sensor: what its sigmas belong to, and the order of its covariance."""
+
+import numpy as np
+import pytest
+
+from thalweg.lidar.mount import Mount
+
+SECTION = {
+    "omega_deg": 0.0, "phi_deg": -90.0, "kappa_deg": 0.0, "lever_ics_m": (-0.35, 0.02, -0.25),
+    "sigma_omega_deg": 0.01, "sigma_phi_deg": 0.02, "sigma_kappa_deg": 0.04,
+    "sigma_lever_m": (0.001, 0.002, 0.003), "correlation": None,
+}  # fmt: skip
+"""The scanner of the published boat: at phi = -90 degrees kappa and omega both turn about x of ics."""
+
+
+def test_sigmas_of_angles_at_minus_ninety_degrees() -> None:
+    """``R = R_x(omega) R_y(phi) R_z(kappa)``: kappa's axis is then ``R_y(-90) z = -x``."""
+    for section in (SECTION, SECTION | {"sigma_axes": "angles"}):
+        sigma_deg = np.rad2deg(np.sqrt(np.diag(Mount.from_section(section).cov_ics)[:3]))
+        # x: omega and kappa together; nothing turns about z. 1e-9: cosine of -90 degrees in float64
+        np.testing.assert_allclose(sigma_deg, [np.hypot(0.01, 0.04), 0.02, 0.0], atol=1e-9)
+
+
+def test_sigmas_about_the_axes_of_ics_are_taken_as_they_stand() -> None:
+    mount = Mount.from_section(SECTION | {"sigma_axes": "ics"})
+    np.testing.assert_allclose(np.rad2deg(np.sqrt(np.diag(mount.cov_ics)[:3])), [0.01, 0.02, 0.04])
+    np.testing.assert_allclose(np.sqrt(np.diag(mount.cov_ics)[3:]), [0.001, 0.002, 0.003])
+
+
+def test_a_correlation_belongs_to_the_order_of_the_section() -> None:
+    """Omega, phi, kappa, x, y, z: phi and z are the second and the sixth."""
+    correlation = np.eye(6)
+    correlation[1, 5] = correlation[5, 1] = 0.5
+    mount = Mount.from_section(SECTION | {"sigma_axes": "ics", "correlation": correlation})
+    assert mount.cov_ics[1, 5] == pytest.approx(0.5 * np.deg2rad(0.02) * 0.003)
+    assert np.count_nonzero(mount.cov_ics) == 8
+
+
+def test_a_rigid_transform_counts_the_shift_first() -> None:
+    correlation = np.eye(6)
+    correlation[0, 4] = correlation[4, 0] = -0.25  # omega and y
+    rigid = Mount.from_section(SECTION | {"sigma_axes": "ics", "correlation": correlation}).as_rigid()
+    np.testing.assert_allclose(rigid.sigma_shift_m, [0.001, 0.002, 0.003])
+    np.testing.assert_allclose(np.rad2deg(rigid.sigma_rotation_rad), [0.01, 0.02, 0.04])
+    assert rigid.cov[1, 3] == pytest.approx(-0.25 * 0.002 * np.deg2rad(0.01))
+    np.testing.assert_allclose(rigid.shift_m, [-0.35, 0.02, -0.25])
