@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -175,6 +175,27 @@ def fuzz(rng: np.random.Generator, fuzz_count: int) -> Iterator[Fuzz]:
     """Damaged inputs under limits of time and memory (2 GB above the start of the test)."""
     with memory_limit(2 << 30):
         yield Fuzz(rng, fuzz_count)
+
+
+def real_recordings_skipped(skipped: Iterable[Any]) -> str:
+    """What to say of the tests that found no real recordings; empty if they all ran.
+
+    Parameters
+    ----------
+    skipped : reports of skipped tests.
+    """
+    without = [report for report in skipped if "THALWEG_DATA" in str(report.longrepr)]
+    return (
+        f"{len(without)} tests on real recordings skipped: set THALWEG_DATA to their folder"
+        if without
+        else ""
+    )
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Half of what protects the readers are files of other people: a run without them says so at its end."""
+    if text := real_recordings_skipped(terminalreporter.stats.get("skipped", [])):
+        terminalreporter.write_sep("=", text, yellow=True, bold=True)
 
 
 SHARED = {

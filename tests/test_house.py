@@ -124,7 +124,9 @@ ROOMS = (
 
 MAY_IMPORT = {
     **{room: set(ROOMS[: i + 1]) for i, room in enumerate(ROOMS)},
-    "simulation": {*ROOMS, "simulation", "config"},
+    # what of these rooms, and which outside oracle guards it: tests/simulation/test_logs.py
+    "simulation": {"core", "config", "simulation", "calibration", "orientation", "lidar", "triangulation"},
+    "simulation/studies": {*ROOMS, "simulation", "config"},  # they process as well
     "figures": {*ROOMS, "figures"},
     "config": {"core", "config"},
     "jobs": {"core", "jobs"},
@@ -156,6 +158,8 @@ def violations(package: Path) -> list[str]:
     for path in sorted(package.rglob("*.py")):
         inside = path.relative_to(package)
         room = inside.parts[0].removesuffix(".py")
+        if inside.parts[:2] == ("simulation", "studies"):
+            room = "simulation/studies"
         for name, line in imports(path):
             top, *rest = name.split(".")
             if top == "thalweg" and rest and rest[0] not in MAY_IMPORT[room] | {"__version__"}:
@@ -206,6 +210,7 @@ def test_code_versions_cover_the_library(repository: Path) -> None:
         ("accuracy/a.py", "import thalweg.simulation.scene\n", "accuracy imports simulation"),
         ("jobs/a.py", "from thalweg.ingest import anpp\n", "jobs imports ingest"),
         ("simulation/a.py", "from thalweg.figures.style import mark\n", "simulation imports figures"),
+        ("simulation/a.py", "from thalweg.surface.reference import f\n", "simulation imports surface"),
         ("lidar/a.py", "import matplotlib.pyplot as plt\n", "matplotlib outside figures"),
         ("lidar/a.py", "from .cloud import g\n", "relative import"),
     ],
@@ -215,6 +220,54 @@ def test_a_wrong_import_is_found(tmp_path: Path, path: str, text: str, answer: s
     (tmp_path / path).write_text(text)
     (found,) = violations(tmp_path)
     assert answer in found
+
+
+# ---------------------------------------------------------------- files are opened by Python
+
+NATIVE = {
+    "read_parquet", "read_table", "ParquetFile", "ParquetDataset", "memory_map", "OSFile",  # Arrow, pandas
+    "imread", "imreadmulti", "imcount", "VideoCapture", "FileStorage",  # OpenCV
+    "read_triangle_mesh", "read_point_cloud", "read_image", "Database", "Reconstruction",  # Open3D, COLMAP
+}  # fmt: skip
+"""What opens the path that it is given in C or C++."""
+LIBRARIES = {"pd", "pq", "pa", "cv2", "o3d", "pycolmap", "pandas", "pyarrow"}
+
+
+def native_opens(path: Path) -> list[str]:
+    """Calls that open a file in C++: no audit event tells `thalweg.jobs.truth` of it."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
+            continue
+        base = node.func.value
+        while isinstance(base, ast.Attribute):
+            base = base.value
+        of_library = isinstance(base, ast.Name) and base.id in LIBRARIES
+        streams = [isinstance(each, ast.Name) and each.id == "stream" for each in node.args[:1]]
+        if of_library and node.func.attr in NATIVE and streams != [True]:
+            found.append(f"{path.name}:{node.lineno}: {node.func.attr} of a path; give it an open stream")
+    return found
+
+
+def test_no_library_opens_a_file_behind_the_check_of_the_truth(repository: Path) -> None:
+    files = [*(repository / "src/thalweg").rglob("*.py"), *(repository / "workflow/scripts").glob("*.py")]
+    assert [line for path in files for line in native_opens(path)] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "n"),
+    [
+        ("pd.read_parquet(path)\n", 1),
+        ("pq.ParquetFile(where=path)\n", 1),
+        ("cv2.imread(str(path))\n", 1),
+        ("o3d.io.read_point_cloud(str(path))\n", 1),
+        ("with path.open('rb') as stream:\n    pq.read_table(stream)\n", 0),
+        ("read_parquet(path)\nread_table(path, KIND)\n", 0),
+    ],
+)
+def test_an_opening_in_another_language_is_found(tmp_path: Path, text: str, n: int) -> None:
+    (tmp_path / "a.py").write_text(text)
+    assert len(native_opens(tmp_path / "a.py")) == n
 
 
 # ---------------------------------------------------------------- rules and entry scripts
