@@ -5,7 +5,7 @@ CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 PY := .venv/bin/python
 SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
 
-.PHONY: help env demo report real-logs test check test-slow fuzz benchmark lock clean
+.PHONY: help env demo study record timings report real-logs test check test-slow fuzz mutants benchmark lock clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -20,6 +20,18 @@ demo: env ## raw logs of the digital twin -> riverbank; SIZE=tiny|demo|mulde
 
 report: env ## one self-contained page of the campaign SIZE
 	@$(SNAKEMAKE) --config campaign=$(SIZE) --report results/$(SIZE)/report.html
+
+study: env ## one study of the twin and its record in docs/validation; NAME=honesty_study
+	@$(SNAKEMAKE) $(NAME)
+	@$(MAKE) --no-print-directory record
+
+record: env ## tables of the last run of NAME (a study, field, basin, demo) -> docs/validation, README
+	@$(PY) docs/make_validation.py $(NAME)
+	@$(PY) docs/make_pages.py
+
+timings: env ## time and memory of a campaign in an empty folder -> docs/validation, README; SIZE=tiny
+	@$(PY) docs/make_timings.py $(SIZE) --cores $(CORES)
+	@$(PY) docs/make_pages.py
 
 real-logs: env ## page of other people's recordings (THALWEG_DATA)
 	@$(SNAKEMAKE) real_logs
@@ -39,6 +51,9 @@ test-slow: env ## long studies
 
 fuzz: env ## every binary reader on 10,000 mutated inputs
 	@THALWEG_FUZZ=10000 $(PY) -m pytest -n $(CORES) -k fuzz tests/ingest tests/core
+
+mutants: env ## 300 deliberate mistakes that tests must find
+	@$(PY) tests/mutants/run.py --workers $(CORES)
 
 benchmark: env ## speed against named peers
 	@$(PY) -m pytest tests/benchmarks -m slow -s

@@ -1,0 +1,239 @@
+"""Small deliberate mistakes in the syntax tree of a module, found and made in a fixed order.
+
+Kinds: another operator (``+`` for ``-``, ``*`` for ``/``, a swapped matrix product), a negated comparison, a
+constant that is doubled or one larger, a lost minus or ``not``, swapped arguments, cosine for sine, index 1
+for 0, the other truth value. A comparison is negated (``<`` to ``>=``) and not shifted (``<`` to ``<=``):
+between measured numbers the shifted one is the same function.
+
+Left alone: docstrings and other text, type hints, decorators, assertions, what stands behind ``raise`` or
+goes to the log, and flags that change no number (``strict`` of `zip` and the like).
+"""
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+OPERATORS: Final[dict[type[ast.operator], type[ast.operator]]] = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
+}  # fmt: skip
+COMPARISONS: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
+    ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
+}  # fmt: skip
+FUNCTIONS: Final = {
+    "cos": "sin", "sin": "cos", "min": "max", "max": "min", "argmin": "argmax", "argmax": "argmin",
+    "floor": "ceil", "ceil": "floor", "minimum": "maximum", "maximum": "minimum", "any": "all", "all": "any",
+    "deg2rad": "rad2deg", "rad2deg": "deg2rad", "ppf": "isf", "isf": "ppf", "mean": "median",
+    "median": "mean", "zeros": "ones", "ones": "zeros",
+}  # fmt: skip
+SYMMETRIC: Final = {
+    "hypot", "maximum", "minimum", "max", "min", "isinstance", "outer", "logical_and", "array_equal",
+    "allclose", "print", "setattr", "column", "getattr",
+}  # fmt: skip
+"""Functions whose first two arguments may be exchanged, or fail at once if they are."""
+SHAPES: Final = {"zeros", "ones", "empty", "eye", "range", "reshape", "field", "broadcast_to", "tile"}
+"""Functions whose arguments are sizes."""
+IDLE_FLAGS: Final = {"strict", "copy", "check_finite", "kw_only", "frozen", "slots", "cache", "sort", "safe"}
+"""Arguments that change no number where the input is right."""
+LOGGERS: Final = {"debug", "info", "warning", "error", "exception"}
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """One mistake: number of the node in the order of the walk, kind, line, function and what is changed."""
+
+    node: int
+    kind: str
+    line: int
+    function: str
+    before: str
+    after: str
+
+    @property
+    def words(self) -> str:
+        """The mistake on one line."""
+        return f"{self.before} -> {self.after}"
+
+
+def sites(source: str) -> list[Site]:
+    """All mistakes that can be made in a module, in the order of its text."""
+    out = []
+    for number, (node, function) in enumerate(_walk(ast.parse(source))):
+        before = ast.unparse(node)
+        for kind in _kinds(node):
+            changed = _changed(ast.parse(source), number, kind)
+            out.append(
+                Site(number, kind, node.lineno, function, _short(before), _short(ast.unparse(changed)))
+            )
+    return out
+
+
+def mutated(source: str, site: Site) -> ast.Module:
+    """The tree of a module with one mistake."""
+    tree = ast.parse(source)
+    _changed(tree, site.node, site.kind)
+    return ast.fix_missing_locations(tree)
+
+
+def without_cache(tree: ast.Module) -> ast.Module:
+    """The tree with ``cache=True`` of compiled functions taken away."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            node.keywords = [k for k in node.keywords if k.arg != "cache"]
+    return tree
+
+
+def _short(text: str, most: int = 90) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= most else line[: most - 3] + "..."
+
+
+def _walk(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, str]]:
+    """Statements and expressions that may be changed, with the function around them."""
+    todo: list[tuple[ast.AST, str]] = [(tree, "")]
+    while todo:
+        node, function = todo.pop()
+        if _left_alone(node):
+            continue
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            function = f"{function}.{node.name}" if function else node.name
+            children: list[ast.AST] = list(node.body)
+            if isinstance(node, ast.FunctionDef):
+                children = [*node.args.defaults, *(d for d in node.args.kw_defaults if d), *children]
+        elif isinstance(node, ast.AnnAssign):
+            children = [node.value] if node.value else []
+        else:
+            if isinstance(node, ast.expr | ast.AugAssign):
+                yield node, function
+            children = [child for child in ast.iter_child_nodes(node) if not _only_shape(node, child)]
+        todo += [(child, function) for child in reversed(children)]
+
+
+def _left_alone(node: ast.AST) -> bool:
+    if isinstance(node, ast.Raise | ast.Assert | ast.JoinedStr | ast.Import | ast.ImportFrom | ast.Global):
+        return True
+    if isinstance(node, ast.keyword) and node.arg in IDLE_FLAGS:
+        return True
+    if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+        return True
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+        return True
+    if isinstance(node, ast.Assign) and any(
+        isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets
+    ):
+        return True
+    call = node.value if isinstance(node, ast.Expr) else None
+    if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute):
+        return call.func.attr in LOGGERS
+    return False
+
+
+def _only_shape(node: ast.AST, child: ast.AST) -> bool:
+    """Whether a child holds sizes and places: another one fails at once and asks nothing of the tests."""
+    if isinstance(node, ast.Subscript) and child is node.slice:
+        return all(isinstance(n, ast.Constant | ast.Slice | ast.Tuple | ast.UnaryOp | ast.USub | ast.Load)
+                   for n in ast.walk(child))  # fmt: skip
+    if isinstance(node, ast.Call) and _name(node.func) in SHAPES:
+        return child is not node.func and all(
+            isinstance(n, ast.Constant | ast.Tuple | ast.Call | ast.Name | ast.Attribute | ast.Load)
+            for n in ast.walk(child)
+        )
+    return isinstance(node, ast.keyword) and node.arg == "axis"
+
+
+def _kinds(node: ast.AST) -> Iterator[str]:
+    """What can be changed about a node itself."""
+    match node:
+        case ast.BinOp(op=ast.MatMult()):
+            yield "swapped product"
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
+            if not any(
+                isinstance(side, ast.List | ast.Tuple | ast.JoinedStr) or _text(side)
+                for side in (left, right)
+            ):
+                yield "operator"
+        case ast.AugAssign(op=op, value=value) if type(op) in OPERATORS and not _text(value):
+            yield "operator"
+        case ast.Compare(ops=[op]) if type(op) in COMPARISONS:
+            yield "comparison"
+        case ast.BoolOp():
+            yield "and/or"
+        case ast.UnaryOp(op=ast.USub() | ast.Not()):
+            yield "sign"
+        case ast.Subscript(slice=ast.Constant(value=0 | 1 as value)) if type(value) is int:
+            yield "index"
+        case ast.Constant(value=bool()):
+            yield "truth"
+        case ast.Constant(value=int() | float()):
+            yield "constant"
+        case ast.Call(func=func, args=args):
+            name = _name(func)
+            if name in FUNCTIONS:
+                yield "function"
+            if name == "sqrt" and len(args) == 1:
+                yield "root"
+            plain = len(args) >= 2 and not any(isinstance(a, ast.Constant | ast.Starred) for a in args[:2])
+            if plain and name not in SYMMETRIC and ast.dump(args[0]) != ast.dump(args[1]):
+                yield "arguments"
+        case _:
+            return
+
+
+def _text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str | bytes)
+
+
+def _name(func: ast.expr) -> str:
+    return func.attr if isinstance(func, ast.Attribute) else func.id if isinstance(func, ast.Name) else ""
+
+
+def _changed(tree: ast.Module, number: int, kind: str) -> ast.AST:
+    """Change one node of the tree in place; returns what stands there now."""
+    node = next(n for k, (n, _) in enumerate(_walk(tree)) if k == number)
+    new: ast.AST = node
+    match node, kind:
+        case ast.BinOp(), "swapped product":
+            node.left, node.right = node.right, node.left
+        case ((ast.BinOp() | ast.AugAssign()), "operator"):
+            node.op = OPERATORS[type(node.op)]()
+        case ast.Compare(), "comparison":
+            node.ops = [COMPARISONS[type(node.ops[0])]()]
+        case ast.BoolOp(), "and/or":
+            node.op = ast.Or() if isinstance(node.op, ast.And) else ast.And()
+        case ast.UnaryOp(), "sign":
+            new = node.operand
+        case ast.Subscript(slice=ast.Constant(value=value)), "index":
+            node.slice = ast.Constant(1 - value)
+        case ast.Constant(value=value), "truth":
+            node.value = not value
+        case ast.Constant(value=int() as value), "constant":
+            node.value = value + 1
+        case ast.Constant(value=value), "constant":
+            node.value = 2 * value if value else 1.0
+        case ast.Call(func=func), "function":
+            if isinstance(func, ast.Attribute):
+                func.attr = FUNCTIONS[func.attr]
+            elif isinstance(func, ast.Name):
+                func.id = FUNCTIONS[func.id]
+        case ast.Call(args=args), "root":
+            new = args[0]
+        case ast.Call(args=args), "arguments":
+            args[0], args[1] = args[1], args[0]
+        case _:
+            raise ValueError(f"no {kind} at {ast.unparse(node)}")
+    if new is not node:
+        _put(tree, node, new)
+    return new
+
+
+def _put(tree: ast.Module, old: ast.AST, new: ast.AST) -> None:
+    for parent in ast.walk(tree):
+        for name, value in ast.iter_fields(parent):
+            if value is old:
+                setattr(parent, name, new)
+                return
+            if isinstance(value, list) and old in value:
+                value[value.index(old)] = new
+                return

@@ -1,0 +1,363 @@
+"""Run deliberate mistakes through the tests: ``make mutants``; ``python tests/mutants/run.py --help``.
+
+`targets.yaml` says which modules get mistakes and which test files answer for them; `mutations` finds all
+mistakes; of each module some are drawn, evenly over the kinds of mistake, always the same ones. One process
+loads the libraries (seconds) and no module of Thalweg; for each mistake it forks a child, which imports the
+changed module instead of that on disk and runs the tests until one fails. A mistake is found if a test fails,
+raises, runs out of its CPU time (several times that of the right code) or crashes. No file of the source tree
+is touched.
+
+Own code, because the two known tools do not reach compiled functions: mutmut 3 puts all mistakes into one
+file behind a switch and skips every decorated function, so each numba kernel; cosmic-ray writes each mistake
+to disk and starts a new interpreter for it, where imports alone take longer than most of these tests, and a
+changed file throws away the compiled functions of its module. Here only compiled functions that can hold the
+mistake - those of the changed module and of the modules that import it - are compiled again.
+
+Exit code 1 if more than 5 % of the mistakes survive.
+"""
+
+import argparse
+import ast
+import csv
+import datetime
+import importlib
+import importlib.abc
+import importlib.machinery
+import os
+import random
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import CodeType
+from typing import Any, Final
+
+import yaml
+
+HERE: Final = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+import mutations  # noqa: E402
+
+REPOSITORY: Final = HERE.parents[1]
+SOURCE: Final = REPOSITORY / "src"
+REPORT: Final = REPOSITORY / "docs/validation/mutants.md"
+COUNT: Final = 300
+SEED: Final = 1
+MOST_SURVIVORS: Final = 0.05
+COMPILED_SHARE: Final = 1 / 3
+"""Modules of compiled functions get so much of their share: each mistake costs their compilation."""
+LIMIT_FACTOR: Final = 3.0
+LIMIT_MORE_S: Final = 15.0
+"""CPU time of a child: so many times that of the right code, and so much more."""
+MEMORY_BYTES: Final = 8 * 2**30
+"""Address space of a child: a mistake in a size must not take the machine down."""
+LIBRARIES: Final = (
+    "numpy", "scipy.stats", "scipy.optimize", "scipy.spatial.transform", "scipy.interpolate", "scipy.linalg",
+    "scipy.sparse.linalg", "scipy.ndimage", "pandas", "pyarrow.parquet", "numba", "laspy", "pyproj",
+    "pydantic", "hypothesis", "pytest", "_pytest.doctest", "cv2", "yaml", "PIL.Image",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A module (below src/thalweg, without suffix) and its test files (below tests)."""
+
+    module: str
+    tests: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Dotted name."""
+        return "thalweg." + self.module.replace("/", ".")
+
+    @property
+    def source(self) -> str:
+        """Text of the module."""
+        return (SOURCE / "thalweg" / f"{self.module}.py").read_text()
+
+    @property
+    def compiled(self) -> bool:
+        """Whether numba compiles functions of it."""
+        return "njit" in self.source
+
+
+@dataclass(slots=True)
+class Run:
+    """One child: its target, its mistake (None: the right code), its log, and what came out."""
+
+    target: Target
+    site: mutations.Site | None
+    log: Path
+    limit_s: float
+    started_s: float = field(default_factory=time.monotonic)
+    verdict: str = ""
+    cpu_s: float = 0.0
+
+
+# ---------------------------------------------------------------- in the child
+
+
+class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Gives a changed tree for one module, and trees without numba's cache for some others."""
+
+    def __init__(self, trees: dict[str, CodeType]) -> None:
+        self.trees = trees
+
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
+        """A spec of the modules that are changed; None for all others."""
+        if fullname not in self.trees:
+            return None
+        where = SOURCE / Path(*fullname.split(".")).with_suffix(".py")
+        return importlib.machinery.ModuleSpec(fullname, self, origin=str(where))
+
+    def exec_module(self, module: Any) -> None:
+        """Run the changed tree in the module's namespace."""
+        module.__file__ = module.__spec__.origin
+        exec(self.trees[module.__name__], module.__dict__)
+
+
+def code_of(tree: ast.Module, module: str) -> CodeType:
+    """Compiled tree with the name of the file that it stands for."""
+    return compile(tree, str(SOURCE / Path(*module.split(".")).with_suffix(".py")), "exec")
+
+
+def run_child(run: Run, recompiled: Iterable[str]) -> None:
+    """Import the changed module and run its tests; never returns."""
+    os.setsid()
+    log = os.open(run.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    seconds = int(run.limit_s) + 1
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    trees = {
+        name: mutations.without_cache(
+            ast.parse((SOURCE / Path(*name.split(".")).with_suffix(".py")).read_text())
+        )
+        for name in recompiled
+    }
+    text = run.target.source
+    tree = ast.parse(text) if run.site is None else mutations.mutated(text, run.site)
+    trees[run.target.name] = mutations.without_cache(tree) if trees else tree
+    sys.meta_path.insert(0, Changed({name: code_of(tree, name) for name, tree in trees.items()}))
+    import pytest
+
+    with tempfile.TemporaryDirectory(prefix="mutant_") as folder:
+        code = pytest.main([
+            "-x", "-q", "--tb=line", "--assert=plain", "--benchmark-disable",
+            "-m", "not slow and not workflow and not real",
+            "-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-seed=0", f"--basetemp={folder}/t",
+            *(f"tests/{name}" for name in run.target.tests),
+        ])  # fmt: skip
+    sys.stdout.flush()
+    os._exit(int(code))
+
+
+# ---------------------------------------------------------------- in the parent
+
+
+def importers(module: str) -> set[str]:
+    """Modules with compiled functions that import a module with compiled functions, directly or not."""
+    text: dict[str, str] = {}
+    for path in SOURCE.rglob("*.py"):
+        text[".".join(path.relative_to(SOURCE).with_suffix("").parts)] = path.read_text()
+    if "njit" not in text[module]:
+        return set()
+    imports = {name: _imports(source) for name, source in text.items() if "njit" in source}
+    found, todo = {module}, [module]
+    while todo:
+        wanted = todo.pop()
+        new = {name for name, used in imports.items() if wanted in used} - found
+        found |= new
+        todo += new
+    return found
+
+
+def _imports(source: str) -> set[str]:
+    out = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            out |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return out
+
+
+def draw(targets: Sequence[Target], count: int, seed: int) -> list[tuple[Target, mutations.Site]]:
+    """So many mistakes: each module a share by the root of its number of them, evenly over their kinds."""
+    known = {target.module: mutations.sites(target.source) for target in targets}
+    roots = {t.module: len(known[t.module]) ** 0.5 * (COMPILED_SHARE if t.compiled else 1.0) for t in targets}
+    out: list[tuple[Target, mutations.Site]] = []
+    given = 0.0
+    for target in targets:
+        # rounded along the running sum, so that the shares add up to the count
+        before, given = round(given), given + count * roots[target.module] / sum(roots.values())
+        rng = random.Random(f"{seed}/{target.module}")
+        kinds: dict[str, list[mutations.Site]] = {}
+        for site in known[target.module]:
+            kinds.setdefault(site.kind, []).append(site)
+        piles = [rng.sample(pile, len(pile)) for _, pile in sorted(kinds.items())]
+        picked: list[mutations.Site] = []
+        while len(picked) < round(given) - before and any(piles):
+            picked += [pile.pop() for pile in piles if pile]
+        picked = picked[: round(given) - before]
+        out += [(target, site) for site in sorted(picked, key=lambda site: (site.node, site.kind))]
+    return out
+
+
+def run_all(runs: Sequence[Run], workers: int, until_s: float = float("inf")) -> None:
+    """Fork a child for each run, some at a time; fills in verdicts and CPU times.
+
+    Runs that have not begun at ``until_s`` of the monotonic clock keep an empty verdict.
+    """
+    recompiled = {name: importers(name) for name in {run.target.name for run in runs}}
+    waiting, busy = list(reversed(runs)), dict[int, Run]()
+    while waiting or busy:
+        if time.monotonic() > until_s:
+            waiting.clear()
+        while waiting and len(busy) < workers:
+            run = waiting.pop()
+            run.started_s = time.monotonic()
+            pid = os.fork()
+            if pid == 0:
+                try:
+                    run_child(run, recompiled[run.target.name])
+                except BaseException:
+                    traceback.print_exc()
+                finally:
+                    sys.stderr.flush()
+                    os._exit(99)
+            busy[pid] = run
+        if not busy:
+            break
+        pid, status, used = os.wait4(-1, os.WNOHANG)
+        if pid == 0:
+            time.sleep(0.02)
+            for child, run in busy.items():
+                if time.monotonic() - run.started_s > 10 * run.limit_s:  # sleeps, where CPU time stands still
+                    os.killpg(child, 9)
+            continue
+        run = busy.pop(pid)
+        run.cpu_s = used.ru_utime + used.ru_stime
+        if os.WIFSIGNALED(status):
+            run.verdict = "timeout" if run.cpu_s > run.limit_s else "crash"
+        else:
+            code = os.WEXITSTATUS(status)
+            run.verdict = {0: "survived", 5: "no tests"}.get(code, "failed" if code in (1, 2) else "crash")
+        what = "right code" if run.site is None else f"line {run.site.line}: {run.site.words}"
+        print(f"{run.verdict:9} {run.cpu_s:6.1f} s  {run.target.module}  {what}", flush=True)
+
+
+def explanations() -> dict[tuple[str, str, str], str]:
+    """Why a survivor survives, by module, function and mistake."""
+    with (HERE / "explained.csv").open(newline="") as file:
+        return {(row["module"], row["function"], row["mistake"]): row["why"] for row in csv.DictReader(file)}
+
+
+def report(runs: Sequence[Run], command: str, cpu_s: float, wall_s: float) -> str:
+    """The page of the documentation: score by module, and every survivor with its explanation."""
+    known = explanations()
+    lost = [run for run in runs if run.verdict == "survived"]
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    ).stdout.strip()
+    lines = [
+        "# Deliberate mistakes that tests find",
+        "",
+        "Written by `make mutants` (`tests/mutants/run.py` says how it works; why mistakes survive is in",
+        "`tests/mutants/explained.csv`).",
+        "",
+        f"- command `{command}`, commit {commit or 'unknown'}, {datetime.datetime.now(datetime.UTC).date()}",
+        f"- {cpu_s / 60:.0f} CPU minutes, {wall_s / 60:.0f} minutes",
+        f"- **{len(runs) - len(lost)} of {len(runs)} mistakes found, {len(lost)} survive "
+        f"({100 * len(lost) / len(runs):.1f} %)**; at most {100 * MOST_SURVIVORS:.0f} % may",
+        "",
+        "| module | test files | mistakes | found | survive |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for target in dict.fromkeys(run.target for run in runs):
+        own = [run for run in runs if run.target == target]
+        alive = sum(run.verdict == "survived" for run in own)
+        tests = ", ".join(target.tests)
+        lines.append(f"| {target.module} | {tests} | {len(own)} | {len(own) - alive} | {alive} |")
+    lines += [
+        "",
+        "## Survivors",
+        "",
+        "| module, function | line | mistake | why it survives |",
+        "| --- | --- | --- | --- |",
+    ]
+    for run in lost:
+        site = run.site
+        assert site is not None
+        why = known.get((run.target.module, site.function, site.words), "**not explained**")
+        words = site.words.replace("|", "\\|")
+        lines.append(f"| {run.target.module}, {site.function} | {site.line} | `{words}` | {why} |")
+    if not lost:
+        lines.append("| none | | | |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """Measure the right code, then run the mistakes, then write the page."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("--count", type=int, default=COUNT, help="mistakes in all")
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--minutes", type=float, default=60.0, help="begin no mistake after that")
+    parser.add_argument("--only", default="", help="modules whose name contains this")
+    parser.add_argument("--out", type=Path, default=REPORT, help="page to write; its folder is made")
+    parser.add_argument("--logs", type=Path, default=None, help="keep what the tests print in this folder")
+    options = parser.parse_args()
+    os.chdir(REPOSITORY)
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ[name] = "1"  # read when the libraries load
+    for name in LIBRARIES:
+        importlib.import_module(name)
+    listed = yaml.safe_load((HERE / "targets.yaml").read_text())
+    targets = [Target(name, tuple(tests)) for name, tests in listed.items() if options.only in name]
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="mutants_") as scratch:
+        logs = options.logs or Path(scratch)
+        logs.mkdir(parents=True, exist_ok=True)
+        right = [Run(t, None, logs / f"{t.name}.txt", 600.0) for t in targets]
+        run_all(right, options.workers)
+        bad = [run for run in right if run.verdict != "survived"]
+        for run in bad:
+            print(
+                f"{run.target.module}: its tests do not pass on the right code\n{run.log.read_text()[-2000:]}"
+            )
+        if bad:
+            return 2
+        limits = {run.target.module: LIMIT_FACTOR * run.cpu_s + LIMIT_MORE_S for run in right}
+        drawn = draw(targets, options.count, options.seed)
+        runs = [
+            Run(target, site, logs / f"{target.name}.{number}.txt", limits[target.module])
+            for number, (target, site) in enumerate(drawn)
+        ]
+        random.Random(options.seed).shuffle(runs)  # those that time leaves out are anywhere
+        run_all(runs, options.workers, began + 60 * options.minutes)
+        left = sum(not run.verdict for run in runs)
+        runs = sorted(
+            (run for run in runs if run.verdict), key=lambda run: drawn.index((run.target, run.site))
+        )
+    if left:
+        print(f"{left} mistakes were left out: {options.minutes:g} minutes are over")
+    cpu_s = sum(run.cpu_s for run in [*right, *runs])
+    command = (
+        "make mutants" if len(sys.argv) == 1 else "python tests/mutants/run.py " + " ".join(sys.argv[1:])
+    )
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(report(runs, command, cpu_s, time.monotonic() - began))
+    lost = sum(run.verdict == "survived" for run in runs)
+    share = 100 * lost / len(runs)
+    print(f"{len(runs) - lost} of {len(runs)} mistakes found, {share:.1f} % survive: {options.out}")
+    return int(lost > MOST_SURVIVORS * len(runs))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
