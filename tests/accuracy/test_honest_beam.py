@@ -6,7 +6,6 @@ hundredth of a degree, and only points beyond 25 m count, most of which lie on g
 grazing angle. Each point errs by itself then, so that one survey of a second holds thousands of trials.
 """
 
-from pathlib import Path
 from typing import Any
 
 import pytest
