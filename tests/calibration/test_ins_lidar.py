@@ -8,8 +8,9 @@ from scipy.stats import chi2, truncnorm
 
 from thalweg.calibration.ins_lidar import START, InsLidar, InsLidarSettings, calibrate
 from thalweg.calibration.ins_lidar_checks import RunGates, seen_headings_deg
-from thalweg.calibration.ins_lidar_model import BeamNoise, Known, State, linearise, truncated_variance
+from thalweg.calibration.ins_lidar_model import Known, State, linearise, truncated_variance
 from thalweg.calibration.motion_search import MountRange, find_mount
+from thalweg.calibration.point_noise import BeamNoise
 from thalweg.calibration.pose_errors import Knots, PoseErrors
 from thalweg.calibration.run_points import RunPoints
 from thalweg.core.adjustment import UnobservableError

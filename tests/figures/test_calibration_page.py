@@ -139,3 +139,15 @@ def test_what_was_left_out_is_counted_by_reason(boat):
     assert "7 images left out, too few marks: 0.jpg, 1.jpg, 2.jpg, 3.jpg, 4.jpg ..." in words
     words = plain_text(calibration_page([boat], facts={"field": {"notes": ["cone C7: 0 of 8 markers"]}}))
     assert "Cone C7: 0 of 8 markers." in words
+
+
+def test_the_page_says_what_the_run_shows_of_its_own_errors(boat):
+    size = {"stated": 0.03, "estimated": 0.0312, "low": 0.028, "high": 0.035, "told_by_survey": True}
+    time = {"stated": 20.0, "estimated": 18.0, "low": 4.0, "high": 80.0, "told_by_survey": False}
+    run = {"facts": {"processes": {"position_size": size, "heading_time": time}}}
+    text = calibration_page([boat], facts={"ins_lidar": run}).html()
+    assert "The run determines position size." in text
+    assert "It says little of heading time: there the width of the prior counts." in text
+    assert "0.0312" in text
+    # stated errors that were not asked of the run: no section
+    assert "Errors of the poses" not in calibration_page([boat], facts={"ins_lidar": {"facts": {}}}).html()

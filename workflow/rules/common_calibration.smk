@@ -199,6 +199,11 @@ def calibration_facts(wildcards):
             else []
         ),
         *clock_stability(wildcards),
+        *(
+            [f"results/{wildcards.campaign}/calibration/ins_lidar.json"]
+            if has_run(wildcards.campaign)
+            else []
+        ),
     ]
 
 

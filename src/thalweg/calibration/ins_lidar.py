@@ -38,7 +38,6 @@ from thalweg.calibration.ins_lidar_checks import (
 from thalweg.calibration.ins_lidar_model import (
     MOUNT,
     AntennaPoint,
-    BeamNoise,
     Known,
     Linearised,
     State,
@@ -50,18 +49,26 @@ from thalweg.calibration.ins_lidar_model import (
     truncated_variance,
 )
 from thalweg.calibration.motion_search import MountRange, OnCones, find_mount, select
+from thalweg.calibration.point_noise import BeamNoise, estimate_noise
 from thalweg.calibration.pose_errors import Knots, PoseErrors
-from thalweg.calibration.pose_process import GroupSigmas, estimate_processes, group_sigmas
+from thalweg.calibration.pose_process import (
+    GroupSigmas,
+    Processes,
+    estimate_processes,
+    group_sigmas,
+    total_covariance,
+)
 from thalweg.calibration.run_points import FieldCones, RunPoints
 from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF, ArrayI
+from thalweg.core.types import ArrayB, ArrayF, ArrayI
 
 START: Final = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), np.zeros(3))
 """T 3.1.1: phi = -90 deg, omega = kappa = 0, lever arm 0."""
 
 _MAX_STEPS: Final = 12
 _NEARLY: Final = 0.05
+_NOISE_NEARLY: Final = 0.02
 _SETTLED: Final = 0.01  # steps of the mount in units of its sigma
 
 
@@ -72,7 +79,7 @@ class InsLidarSettings:
     Parameters
     ----------
     errors : how the trajectory errs.
-    noise : of a single point.
+    noise : of a single point, as stated; its size along and across the beam is estimated from the residuals.
     sigma_time_s : of the lidar's stamps against the trajectory, one offset for the whole run.
     search : how far from the start the mount may be.
     gates : what a run must have.
@@ -80,7 +87,8 @@ class InsLidarSettings:
     reject_sigmas : afterwards, in sigmas of a point.
     end_margin_m, max_incidence_deg : see `motion_search.select`.
     max_points_per_cone : more are thinned evenly in time.
-    estimate_errors : take sizes and correlation times of the pose errors from the run too.
+    estimate_errors : take sizes, correlation times and white share of the pose errors from the run too, with
+        ``errors`` as prior knowledge, and let what the run leaves open enlarge the covariance.
     form_sigma_m : how far the cones are from perfect ones, for `ins_lidar_file.field_cones`.
     """
 
@@ -121,6 +129,8 @@ class InsLidar:
     without_antenna : mount with honest covariance without the antenna seen from the scanner.
     by_antenna : (6, 3) derivative of the mount by that point in scs; zero without it.
     errors : of the poses, as used: stated, or estimated.
+    processes : what the run says of them; None where it was not asked.
+    noise : of a single point, estimated.
     sigmas : by group of observations how large residuals are in units of what is stated.
     n_points, redundancy : points used; observations minus unknowns.
     passes : table of the points used and left out, for each pass and cone.
@@ -133,6 +143,8 @@ class InsLidar:
     without_antenna: Rigid
     by_antenna: ArrayF
     errors: PoseErrors
+    processes: Processes | None
+    noise: BeamNoise
     sigmas: GroupSigmas
     n_points: int
     redundancy: int
@@ -223,7 +235,6 @@ class _Run:
     knots: Knots
     state: State
     selection: OnCones
-    scale: float = 1.0
     rows: list[dict[str, Any]] = field(default_factory=list)
 
     @classmethod
@@ -253,7 +264,9 @@ class _Run:
         for gate in self.settings.gates_m:
             self._pass(band, gate, steps=2)
         for _ in range(_MAX_STEPS):
-            if self._pass(band, None, steps=1).length < _NEARLY:
+            before = self.known.noise
+            step = self._pass(band, None, steps=1)
+            if step.length < _NEARLY and self.known.noise.change(before) < _NOISE_NEARLY:
                 break
         # Points at the edge of the layer come and go; the last steps are made with those that are in it now.
         for _ in range(_MAX_STEPS):
@@ -266,20 +279,30 @@ class _Run:
         return False
 
     def moved(self) -> tuple[int, str] | None:
-        """A cone that does not stand where it was measured, see `ins_lidar_checks.moved_cone`."""
+        """A cone that does not stand where it was measured, see `ins_lidar_checks.moved_cone`.
+
+        Where the errors of the poses are estimated a cone must be off by these as well, as found without it:
+        poses worse than stated move all cones.
+        """
         linear = self._linear()
         used = self.selection.used & np.isfinite(linear.distance_m)
-        band, _ = self.knots.prior(self.known.errors)
+        bad = self._moved(linear, used, self.known.errors)
+        if bad is None or not self.settings.estimate_errors:
+            return bad
+        step = self._solve(linear, self.knots.prior(self.known.errors)[0], used & (self.cone != bad[0]))
+        return self._moved(linear, used, estimate_processes(step, self.knots, self.known.errors).errors)
+
+    def _moved(self, linear: Linearised, used: ArrayB, errors: PoseErrors) -> tuple[int, str] | None:
         shift, square = cone_shifts(
             self.points.taken(used), linear.taken(used), self.cone[used], self.known, self.state, self.knots,
-            prior_band=band, scale=self.scale,
+            prior_band=self.knots.prior(errors)[0],
         )  # fmt: skip
         return moved_cone(shift, square, self.selection, self.known.field)
 
     def _pass(self, band: ArrayF, gate_m: float | None, *, steps: int) -> Step:
         s, field_ = self.settings, self.known.field
         linear = self._linear()
-        gate = s.reject_sigmas * self.scale * np.sqrt(linear.variance_m2) if gate_m is None else gate_m
+        gate = s.reject_sigmas * np.sqrt(linear.variance_m2) if gate_m is None else gate_m
         half = np.array([cone.half_angle_rad for cone in field_.cones])
         self.selection = select(
             self.cone, linear.distance_m, linear.slant_m, linear.cosine,
@@ -294,18 +317,27 @@ class _Run:
             step = self._solve(linear, band)
             self.state = step.state
         if gate_m is None:
-            self.scale *= step.noise / np.sqrt(truncated_variance(s.reject_sigmas))  # by their own residuals
+            self._estimate_noise(linear, step)
         return step
+
+    def _estimate_noise(self, linear: Linearised, step: Step) -> None:
+        """Noise of the points by their own residuals."""
+        used = self.selection.used & np.isfinite(linear.distance_m)
+        share = step.share * truncated_variance(self.settings.reject_sigmas)
+        noise = estimate_noise(step.residual_m, linear.cosine[used], share, self.settings.noise)
+        self.known = replace(self.known, noise=noise)
 
     def _linear(self) -> Linearised:
         return linearise(self.points, self.cone, self.known, self.state, self.knots)
 
-    def _solve(self, linear: Linearised, band: ArrayF, *, with_antenna: bool = True) -> Step:
+    def _solve(
+        self, linear: Linearised, band: ArrayF, rows: ArrayB | None = None, *, with_antenna: bool = True
+    ) -> Step:
         # a beam at the outline may miss the cone after the mount has moved
-        used = self.selection.used & np.isfinite(linear.distance_m)
+        used = self.selection.used & np.isfinite(linear.distance_m) if rows is None else rows
         return solve_step(
             self.points.taken(used), linear.taken(used), self.known, self.state, self.knots,
-            prior_band=band, scale=self.scale, with_antenna=with_antenna,
+            prior_band=band, with_antenna=with_antenna,
         )  # fmt: skip
 
     def _thin(self) -> None:
@@ -344,33 +376,45 @@ class _Run:
         used = self.selection.used
         check_turns(self.points.heading_rad()[used], self.settings.gates)
         linear = self._linear()
-        errors = self.known.errors
+        errors, processes = self.known.errors, None
         band, _ = self.knots.prior(errors)
         step = self._solve(linear, band)
         check_geometry(step.normals.border[MOUNT, MOUNT], self.settings.gates)
         if self.settings.estimate_errors:
-            errors = estimate_processes(step, self.knots, errors)
+            processes = estimate_processes(step, self.knots, errors)
+            errors = processes.errors
             band, _ = self.knots.prior(errors)
             step = self._solve(linear, band)
         alone = self._solve(linear, band, with_antenna=False)
-        mount = step.state.mount.with_cov(step.solution.cov_border[MOUNT, MOUNT])
-        without = alone.state.mount.with_cov(alone.solution.cov_border[MOUNT, MOUNT])
+        mount, without = (self._mount(found, processes) for found in (step, alone))
         check_antenna(self.known, without)
         J = linear.border[used, MOUNT]
-        formal = np.asarray(np.linalg.inv((J / linear.variance_m2[used, None]).T @ J) * self.scale**2)
+        formal = np.asarray(np.linalg.inv((J / linear.variance_m2[used, None]).T @ J))
+        stated = self.settings.noise.variance_along(linear.cosine[used])
+        scale = float(np.sqrt(np.mean(linear.variance_m2[used]) / np.mean(stated)))
         return InsLidar(
             T_ics_scs=mount,
             cov_formal=formal,
             without_antenna=without,
-            by_antenna=by_antenna(self.known, mount),
+            # how the estimate follows the antenna, by the covariance with which it was made
+            by_antenna=by_antenna(self.known, self._mount(step, None)),
             errors=errors,
-            sigmas=group_sigmas(step, self.knots, errors) | {"noise_scale": self.scale},
+            processes=processes,
+            noise=self.known.noise,
+            sigmas=group_sigmas(step, self.knots, errors) | {"noise_scale": scale},
             n_points=int(used.sum()),
             redundancy=step.normals.n - 6,
             passes=pd.DataFrame(self.rows),
             points=self._table(start, mount),
             dropped=dropped,
         )
+
+    def _mount(self, step: Step, processes: Processes | None) -> Rigid:
+        """The mount with its covariance, over all processes that the run leaves possible."""
+        cov = step.solution.cov_border[MOUNT, MOUNT]
+        if processes is not None:
+            cov = total_covariance(step.normals, step.prior_border, self.knots, processes)
+        return step.state.mount.with_cov(cov)
 
     def _table(self, start: Rigid, mount: Rigid) -> pd.DataFrame:
         """Points near the cones with the start's and with the calibrated mount (T Fig. 3.1)."""
@@ -391,6 +435,6 @@ class _Run:
             "distance_start_m": before.distance_m,
             "distance_calibrated_m": after.distance_m,
             "distance_adjusted_m": adjusted.distance_m,
-            "sigma_m": np.sqrt(adjusted.variance_m2) * self.scale,
+            "sigma_m": np.sqrt(adjusted.variance_m2),
         }
         return pd.DataFrame(out)

@@ -189,6 +189,11 @@ def write_mount_result(
             "sigma_attitude_deg": np.rad2deg(errors.sigma_attitude_rad).tolist(),
             "position_time_s": float(errors.position_time_s),
             "attitude_time_s": float(errors.attitude_time_s),
+            "heading_time_s": float(errors.times_s[5]),
+            "white_share": float(errors.white_share),
+            "processes": {} if found.processes is None else found.processes.facts(),
+            "sigma_along_m": found.noise.along_m,
+            "sigma_across_m": found.noise.across_m,
             "parameters": found.summary().to_dict("records"),
         },
     }  # fmt: skip

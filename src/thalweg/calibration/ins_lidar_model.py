@@ -18,6 +18,7 @@ from typing import Final, Self
 import numpy as np
 
 from thalweg.calibration.cones import ConePoints
+from thalweg.calibration.point_noise import BeamNoise
 from thalweg.calibration.pose_errors import (
     BorderedNormals,
     Knots,
@@ -52,18 +53,6 @@ class AntennaPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BeamNoise:
-    """Standard deviations of a single point along its beam and in each direction across it, metres."""
-
-    along_m: float = 0.0173
-    across_m: float = 0.0173
-
-    def variance_along(self, cosine: ArrayF) -> ArrayF:
-        """Variance (n,) of points in a direction that encloses an angle with their beams."""
-        return np.asarray(self.along_m**2 * cosine**2 + self.across_m**2 * (1 - cosine**2))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
     """What goes into the adjustment beside the points.
 
@@ -73,7 +62,7 @@ class Known:
     T_wcs_pcs : place of the field with covariance.
     lever_ics_antenna_m : (3,) by which the trajectory was made: it *defines* the origin of ics.
     errors : how the trajectory errs.
-    noise : of a point.
+    noise : of a point, as stated or as its residuals show it.
     sigma_time_s : of the lidar's stamps against the trajectory, one offset for the run.
     antenna : the antenna seen from the scanner, or None.
     """
@@ -245,14 +234,16 @@ def by_antenna(known: Known, mount: Rigid) -> ArrayF:
 class Step:
     """Normal equations and their solution at a state, and the state that follows.
 
-    ``noise`` is the size of the residuals of the points in units of what went in; expected 1.
+    ``residual_m`` (n,) of the points, and the ``share`` of the noise's variance that they show in the mean:
+    their redundancy over their number.
     """
 
     normals: BorderedNormals
     prior_border: ArrayF
     solution: Solution
     state: State
-    noise: float
+    residual_m: ArrayF
+    share: float
 
     @property
     def length(self) -> float:
@@ -269,7 +260,6 @@ def solve_step(
     knots: Knots,
     *,
     prior_band: ArrayF,
-    scale: float,
     with_antenna: bool = True,
 ) -> Step:
     """One Gauss-Newton step: all unknowns but the mount are observed as zero, so they are solved whole.
@@ -278,12 +268,11 @@ def solve_step(
     ----------
     points, linear, known, state, knots : the linearised observations.
     prior_band : of the errors of the poses, from `Knots.prior`.
-    scale : noise of the points in units of what is stated.
     with_antenna : whether the antenna seen from the scanner enters.
     """
     errors = knots.at(state.e, points.t_gps_s)
     residual = -linear.distance_m + linear.border[:, 6:] @ state.z + np.sum(linear.pose * errors, axis=1)
-    weight = 1.0 / (scale**2 * linear.variance_m2)
+    weight = 1.0 / linear.variance_m2
     normals = BorderedNormals.of(knots, points.t_gps_s, linear.border, linear.pose, residual, weight)
     antenna = antenna_equations(known, state.mount) if with_antenna else None
     if antenna is not None:
@@ -303,13 +292,14 @@ def solve_step(
         prior_border=prior_border,
         solution=solution,
         state=found,
-        noise=float(np.sqrt(weight @ left**2 / spare)),
+        residual_m=left,
+        share=spare / len(left),
     )
 
 
 def cone_shifts(
     points: RunPoints, linear: Linearised, cone: ArrayI, known: Known, state: State, knots: Knots, *,
-    prior_band: ArrayF, scale: float,
+    prior_band: ArrayF,
 ) -> tuple[ArrayF, ArrayF]:  # fmt: skip
     """Shift (c, 3) in pcs that a run would give each cone if it alone were free, and its squared size, (c,).
 
@@ -317,7 +307,7 @@ def cone_shifts(
 
     Parameters
     ----------
-    points, linear, cone, known, state, knots, prior_band, scale : as in `solve_step`, with the cone (n,) of
+    points, linear, cone, known, state, knots, prior_band : as in `solve_step`, with the cone (n,) of
         each point.
     """
     c, m = len(known.field.names), known.n_border
@@ -330,7 +320,7 @@ def cone_shifts(
         extra[rows, 3 * k : 3 * k + 3] = -normal_pcs[rows]
     errors = knots.at(state.e, points.t_gps_s)
     residual = -linear.distance_m + linear.border[:, 6:] @ state.z + np.sum(linear.pose * errors, axis=1)
-    weight = 1.0 / (scale**2 * linear.variance_m2)
+    weight = 1.0 / linear.variance_m2
     border = np.concatenate([linear.border, extra], axis=1)
     normals = BorderedNormals.of(knots, points.t_gps_s, border, linear.pose, residual, weight)
     antenna = antenna_equations(known, state.mount)

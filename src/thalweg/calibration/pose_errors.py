@@ -21,7 +21,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cholesky_banded
+from scipy.linalg.lapack import dtbtrs
 
 from thalweg.core.errors import CoverageError, GeometryError
 from thalweg.core.frames import attitude_axes
@@ -47,6 +48,7 @@ class PoseErrors:
     sigma_position_m : (3,) total error of the antenna east, north, up.
     sigma_attitude_rad : (3,) error of roll, pitch, heading.
     position_time_s, attitude_time_s : correlation times.
+    heading_time_s : that of the heading; None: the one of roll and pitch.
     white_share : share of the position's variance that is new in each epoch.
     epoch_s : interval of the positions.
     knot_s : interval of the knots of the slow errors, rounded to whole epochs.
@@ -63,6 +65,7 @@ class PoseErrors:
     white_share: float = 0.25
     epoch_s: float = 0.1
     knot_s: float = 1.0
+    heading_time_s: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("sigma_position_m", "sigma_attitude_rad"):
@@ -70,13 +73,19 @@ class PoseErrors:
             if value.shape != (3,) or not np.all((value > 0) & np.isfinite(value)):
                 raise GeometryError(f"{name}={value}", expected="three finite values above 0")
             object.__setattr__(self, name, value)
-        times = (self.position_time_s, self.attitude_time_s, self.epoch_s, self.knot_s)
+        times = (*self.times_s, self.epoch_s, self.knot_s)
         if not all(0 < t < np.inf for t in times) or not 0 <= self.white_share < 1:
             raise GeometryError(
-                f"correlation times {times[:2]} s, epochs {self.epoch_s} s, knots {self.knot_s} s, "
-                f"white share {self.white_share}",
+                f"correlation times {self.times_s[[0, 3, 5]].tolist()} s, epochs {self.epoch_s} s, "
+                f"knots {self.knot_s} s, white share {self.white_share}",
                 expected="times above 0 and a share of at least 0 and below 1",
             )
+
+    @property
+    def times_s(self) -> ArrayF:
+        """Correlation times (6,) of the slow errors: east, north, up, roll, pitch, heading."""
+        heading = self.attitude_time_s if self.heading_time_s is None else self.heading_time_s
+        return np.array([*[self.position_time_s] * 3, self.attitude_time_s, self.attitude_time_s, heading])
 
     @classmethod
     def from_section(cls, section: Mapping[str, Any]) -> Self:
@@ -92,6 +101,7 @@ class PoseErrors:
             sigma_attitude_rad=self.sigma_attitude_rad * attitude,
             position_time_s=self.position_time_s * time,
             attitude_time_s=self.attitude_time_s * time,
+            heading_time_s=self.times_s[5] * time,
         )
 
 
@@ -190,10 +200,9 @@ class Knots:
         """Inverse covariance of all unknowns, lower banded (bandwidth + 1, u), and its log determinant."""
         band = np.zeros((self.bandwidth + 1, self.n))
         step = self.epoch_s * self.per
-        times = np.repeat([errors.position_time_s, errors.attitude_time_s], 3)
         slow_position = errors.sigma_position_m * np.sqrt(1 - errors.white_share)
         sigma = np.concatenate([slow_position, errors.sigma_attitude_rad])
-        keep = np.exp(-step / times)
+        keep = np.exp(-step / errors.times_s)
         drive = 1.0 / (sigma**2 * (1 - keep**2))
         knots = np.arange(self.n_slow + 1) * self.stride
         logdet = 0.0
@@ -310,12 +319,13 @@ class BorderedNormals:
         ------
         GeometryError : the border is not determined.
         """
-        lower = cholesky_banded(self.band + prior_band, lower=True)
-        both = cho_solve_banded((lower, True), np.column_stack([self.coupling, self.rhs_band]))
-        product = self.coupling.T @ np.ascontiguousarray(both)
-        reduced = self.border + prior_border - product[:, :-1]
+        lower = np.asfortranarray(cholesky_banded(self.band + prior_band, lower=True))
+        # forward only: C^T N^-1 C = (L^-1 C)^T (L^-1 C)
+        half, _ = dtbtrs(lower, np.asfortranarray(np.column_stack([self.coupling, self.rhs_band])), uplo="L")
+        product = half.T @ half
+        reduced = self.border + prior_border - product[:-1, :-1]
         reduced = (reduced + reduced.T) / 2
-        rhs = self.rhs_border - product[:, -1]
+        rhs = self.rhs_border - product[:-1, -1]
         try:
             factor = np.linalg.cholesky(reduced)
         except np.linalg.LinAlgError as error:
@@ -326,7 +336,8 @@ class BorderedNormals:
         inverse = np.linalg.inv(factor)
         cov = inverse.T @ inverse
         border = cov @ rhs
-        band = both @ np.append(-border, 1.0)
+        back, _ = dtbtrs(lower, half @ np.append(-border, 1.0)[:, None], uplo="L", trans="T")
+        band = back[:, 0]
         return Solution(
             border=border,
             errors=band,

@@ -56,7 +56,11 @@ class CameraLidarFit(Section):
 
 
 class RunErrors(Section):
-    """How the poses of the run err: errors that last are what an honest calibration must know of."""
+    """How the poses of the run err: errors that last are what an honest calibration must know of.
+
+    Where they are estimated (`ins_lidar.estimate_errors`) these values are prior knowledge: one sigma is a
+    factor of 2 of a size, of 3 of a time, and of 5 of ``w / (1 - w)`` of the white share w.
+    """
 
     sigma_position_m: Sigma3 = Field(
         default=(0.02, 0.02, 0.03), description="Error of the positions east, north, up, metres (T 2.2.1)"
@@ -71,7 +75,8 @@ class RunErrors(Section):
         default=20.0, description="Correlation time of the attitude errors, seconds"
     )
     white_share: Annotated[float, Field(ge=0, lt=1)] = Field(
-        default=0.25, description="Share of the position's variance that is new in each epoch"
+        default=0.25,
+        description="Share of the position's variance that is new in each epoch; 0: none, which is kept",
     )
     knot_s: Positive = Field(default=1.0, description="Interval of the knots of the slow errors, seconds")
 
@@ -81,8 +86,9 @@ class InsLidarFit(Section):
 
     estimate_errors: bool = Field(
         default=True,
-        description="Sizes and correlation times of the pose errors are estimated from the run, from "
-        "`run_errors` on",
+        description="Sizes, correlation times and white share of the pose errors are estimated from the run. "
+        "`run_errors` is prior knowledge: one sigma is a factor of 2 of sizes, 3 of times, 5 of w / (1 - w) "
+        "of the white share w; what the run leaves open enlarges the sigmas",
     )
     search_lever_m: NonNegative = Field(
         default=0.6, le=3, description="How far the lever arm may be from zero, metres"

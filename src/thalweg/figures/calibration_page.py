@@ -9,7 +9,14 @@ import pandas as pd
 
 from thalweg.core.calibration import Block, Calibration, unit_of
 from thalweg.core.types import AnyArray
-from thalweg.figures.calibration_words import clock_variants, clock_words, left_out, stability_words
+from thalweg.figures.calibration_words import (
+    clock_variants,
+    clock_words,
+    left_out,
+    process_table,
+    process_words,
+    stability_words,
+)
 from thalweg.figures.page import Page
 from thalweg.figures.style import count
 from thalweg.ingest.describe_calibration import largest_correlations, with_sigma
@@ -63,8 +70,8 @@ def calibration_page(
     pictures : PNG files, shown in their order.
     captions : stem of a picture -> its caption.
     truth : for a twin, errors against the true places, columns of `thalweg.accuracy.calibration_truth`.
-    facts : reports of the jobs by name: ``camera_clock``, ``clock_stability``; what ``field`` and ``camera``
-        left out.
+    facts : reports of the jobs by name: ``camera_clock``, ``clock_stability``, ``ins_lidar``; what ``field``
+        and ``camera`` left out.
     notes : sentences for the end: limits, warnings.
     title : heading.
     twin : true if the digital twin made the recordings.
@@ -81,6 +88,12 @@ def calibration_page(
     for calibration in calibrations:
         _result(page, calibration, shown)
     _clock(page, facts)
+    run = facts.get("ins_lidar", {}).get("facts", {})
+    if words := process_words(run):
+        page.section("Errors of the poses in the run").text(words)
+        page.table(
+            process_table(run), "Sizes in metres and degrees, times in seconds; range of 95 %", digits=3
+        )
     if truth is not None and len(truth):
         _truth(page, truth)
     if pictures:

@@ -75,3 +75,39 @@ def left_out(facts: Mapping[str, Any]) -> list[str]:
         names = ", ".join(part["name"].astype(str).head(5)) + (" ..." if len(part) > 5 else "")
         lines.append(f"{plural(len(part), str(what))} left out, {reason}: {names}.")
     return lines
+
+
+def process_words(facts: Mapping[str, Any]) -> str:
+    """What a run about the cones says of the errors of its poses, and where the prior counts; "" if nothing.
+
+    Parameters
+    ----------
+    facts : of `thalweg.calibration.ins_lidar_file.read_mount_result`.
+    """
+    processes = facts.get("processes", {})
+    if not processes:
+        return ""
+    found, open_ = (
+        [name.replace("_", " ") for name, fact in processes.items() if fact["told_by_survey"] is known]
+        for known in (True, False)
+    )
+    words = ["Errors of the poses are estimated from the run; what the campaign states of them is a prior."]
+    words += [f"The run determines {', '.join(found)}."] if found else []
+    words += [
+        f"It says little of {', '.join(open_)}: there the width of the prior counts. The sigmas hold all "
+        "values that run and prior leave possible."
+    ] if open_ else []  # fmt: skip
+    return " ".join(words)
+
+
+def process_table(facts: Mapping[str, Any]) -> pd.DataFrame:
+    """A row for each parameter of the errors of the poses: stated, estimated, range of 95 %."""
+    rows = [
+        {
+            "parameter": name.replace("_", " "),
+            **{key: float(fact[key]) for key in ("stated", "estimated", "low", "high")},
+            "determined by": "run" if fact["told_by_survey"] else "prior and run",
+        }
+        for name, fact in facts.get("processes", {}).items()
+    ]
+    return pd.DataFrame(rows)
