@@ -8,6 +8,12 @@ from thalweg.config.base import Section
 from thalweg.config.navigation import Fix
 from thalweg.config.values import NonNegative, Positive
 
+FixedError = Literal[
+    "sigma_velocity_mps", "velocity_time_s", "sigma_acceleration", "attitude_time_s",
+    "heading_disturbance_deg", "gnss_time_s", "gnss_white_share", "sigma_jitter_s",
+]  # fmt: skip
+"""What `estimate_errors` may leave as it is stated."""
+
 
 class Fused(Section):
     """How INS, antenna positions and image poses are joined, and how each of them errs."""
@@ -23,8 +29,9 @@ class Fused(Section):
     sigma_velocity_mps: Positive = Field(
         default=0.05, le=10, description="Error of the INS's velocity in each component, m/s (data sheet)"
     )
-    velocity_time_s: Positive = Field(
-        default=10.0, description="Correlation time of the velocity's error, seconds"
+    velocity_time_s: Positive | Literal["auto"] = Field(
+        default="auto",
+        description="Correlation time of the velocity's error, seconds; `auto`: about 10 s is presumed",
     )
     sigma_acceleration: Positive = Field(
         default=0.2,
@@ -32,9 +39,8 @@ class Fused(Section):
         description="Where the INS gives no velocity: random walk of the boat's own, m/s in one second",
     )
     attitude_time_s: Positive | Literal["auto"] = Field(
-        default=20.0,
-        description="Correlation time of the INS's attitude errors, seconds; `auto`: estimated with the "
-        "images, from 20 s on",
+        default="auto",
+        description="Correlation time of the INS's attitude errors, seconds; `auto`: about 20 s is presumed",
     )
     heading_disturbance_deg: NonNegative = Field(
         default=0.3,
@@ -43,12 +49,13 @@ class Fused(Section):
     )
     disturbance_time_s: Positive = Field(default=60.0, description="Correlation time of that error, seconds")
     gnss_time_s: Positive | Literal["auto"] = Field(
-        default=10.0,
-        description="Correlation time of the positions' slow errors, seconds; `auto`: estimated with the "
-        "images, from 10 s on",
+        default="auto",
+        description="Correlation time of the positions' slow errors, seconds; `auto`: about 10 s is presumed",
     )
-    gnss_white_share: Annotated[float, Field(ge=0.01, lt=1)] = Field(
-        default=0.25, description="Share of the positions' variance that is new in each epoch"
+    gnss_white_share: Annotated[float, Field(ge=0.01, lt=1)] | Literal["auto"] = Field(
+        default="auto",
+        description="Share of the positions' variance that is new in each epoch; `auto`: about 0.25 is "
+        "presumed",
     )
     sigma_clock_offset_s: NonNegative = Field(
         default=0.02,
@@ -66,8 +73,12 @@ class Fused(Section):
     )
     estimate_errors: bool = Field(
         default=True,
-        description="Sizes of the errors are estimated from the survey (variance components); what the "
-        "sections state is a start and weighs as ten observations",
+        description="Sizes, correlation times and white share of the errors are estimated from the survey; "
+        "what is stated of them here and by the logs is presumed to within a factor of 2 (sizes), 3 (times), "
+        "and what stays unknown enlarges the predicted sigmas. `false`: all of it is taken as stated",
+    )
+    fixed: tuple[FixedError, ...] = Field(
+        default=(), description="Settings of this section that are taken as stated all the same"
     )
     outlier_probability: Annotated[float, Field(gt=0, le=0.05)] = Field(
         default=1e-4, description="An observation whose error is less probable than this is rejected"

@@ -7,6 +7,11 @@ from pydantic import Field
 from thalweg.config.base import Section
 from thalweg.config.values import NonNegative, Positive
 
+FixedCarrier = Literal[
+    "sigma_velocity_mps", "velocity_time_s", "attitude_time_s", "position_time_s", "position_white_share"
+]
+"""What `estimate_errors` may leave as it is stated."""
+
 
 class CameraCloud(Section):
     """From oriented images to poses at the times of lidar points."""
@@ -46,23 +51,37 @@ class CameraCloud(Section):
     sigma_velocity_mps: Positive = Field(
         default=0.05, le=10, description="Error of the INS's velocity in each component, m/s (data sheet)"
     )
-    velocity_time_s: Positive = Field(
-        default=10.0, description="Correlation time of the velocity's error, seconds"
+    velocity_time_s: Positive | Literal["auto"] = Field(
+        default="auto",
+        description="Correlation time of the velocity's error, seconds; `auto`: about 10 s is presumed",
     )
-    attitude_time_s: Positive = Field(
-        default=20.0, description="Correlation time of the INS's attitude errors, seconds"
+    attitude_time_s: Positive | Literal["auto"] = Field(
+        default="auto",
+        description="Correlation time of the INS's attitude errors, seconds; `auto`: about 20 s is presumed",
     )
-    position_time_s: Positive = Field(
-        default=10.0, description="Correlation time of the positions' errors, seconds; for `trajectory`"
+    position_time_s: Positive | Literal["auto"] = Field(
+        default="auto",
+        description="Correlation time of the positions' errors, seconds; for `trajectory`; `auto`: about "
+        "10 s is presumed",
     )
-    position_white_share: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.25,
-        description="Share of the positions' variance that is new in each epoch; for `trajectory`",
+    position_white_share: Annotated[float, Field(ge=0, le=1)] | Literal["auto"] = Field(
+        default="auto",
+        description="Share of the positions' variance that is new in each epoch; for `trajectory`; `auto`: "
+        "about 0.25 is presumed",
     )
     sigma_time_s: NonNegative = Field(
         default=0.023,
         le=1,
         description="Standard deviation of an image's time where the table states none, seconds (P2 6.1.2)",
+    )
+    estimate_errors: bool = Field(
+        default=True,
+        description="Sizes of the errors of INS, image poses and times, and how long those of the INS last, "
+        "are estimated from images and INS; what is stated is presumed to within a factor of 2 (sizes), 3 "
+        "(times), and what stays unknown enlarges the predicted sigmas. `false`: all is taken as stated",
+    )
+    fixed: tuple[FixedCarrier, ...] = Field(
+        default=(), description="Settings of this section that are taken as stated all the same"
     )
     outlier_probability: Annotated[float, Field(ge=0, lt=0.1)] = Field(
         default=1e-6,

@@ -35,8 +35,8 @@ from thalweg.orientation.camera_trajectory_carrier import (
     TrajectoryCarrier,
     VelocityCarrier,
     attitude_growth,
-    bridged,
 )
+from thalweg.orientation.camera_trajectory_errors import carried_errors, errors_facts, scaled
 from thalweg.orientation.camera_trajectory_images import (
     CONTRADICTS,
     BoatImages,
@@ -102,16 +102,21 @@ def camera_trajectory(
     CoverageError : no image can be used.
     ClockError : images and INS are of different motions, or a third of the images contradict the others.
     """
-    carrier = _carrier(
-        poses, settings, states, trajectory,
-        sigma_attitude_rad=sigma_attitude_rad, max_attitude_gap_s=max_attitude_gap_s,
-    )  # fmt: skip
-    all_images, reasons = boat_images(poses, T_ics_ccs, carrier, sigma_time_s=settings.sigma_time_s)
-    if not len(all_images.row):
+    ins: dict[str, Any] = {"sigma_attitude_rad": sigma_attitude_rad, "max_attitude_gap_s": max_attitude_gap_s}
+    carrier = _carrier(poses, settings, states, trajectory, **ins)
+    as_stated, reasons = boat_images(poses, T_ics_ccs, carrier, sigma_time_s=settings.sigma_time_s)
+    if not len(as_stated.row):
         raise CoverageError(_nothing(poses, carrier, reasons), **_CURE)
     common_s = float(poses.facts.get("image_times", {}).get("sigma_common_s") or 0.0)
     notes = list(carrier.notes)
-    images, tests = _screened(all_images, carrier, settings, common_s, reasons, notes)
+    scatter = _scatter(as_stated, carrier, settings, common_s, notes)
+    sigma_t = np.where(np.isfinite(poses.sigma_t_s), poses.sigma_t_s, settings.sigma_time_s)
+    poses = poses.with_times(poses.t_gps_s, sigma_t)
+    settings, errors = carried_errors(poses, T_ics_ccs, settings, states, common_time_s=common_s, **ins)
+    all_images, _ = boat_images(
+        scaled(poses, settings, common_s), T_ics_ccs, carrier, sigma_time_s=settings.sigma_time_s
+    )
+    images = _screened(all_images, carrier, settings, common_s, reasons)
     joined = linked(images, settings.max_gap_s)
     spans = pose_spans(images, joined, carrier, settings)
     t, valid = node_times(spans, carrier, images.t_gps_s)
@@ -127,9 +132,10 @@ def camera_trajectory(
         "mount_of_camera": "not in the covariance: its error drops out with the lidar placed by the camera",
         "median_sigma_position_m": np.median(found.sigma_position_m[valid], axis=0).tolist(),
         "median_sigma_rotation_deg": np.rad2deg(np.median(_sigma_rotation(found)[valid], axis=0)).tolist(),
-        **tests,
+        "neighbours_differ_by_sigmas": scatter,
+        "errors": errors_facts(errors),
         **time_facts(images, joined, spans, carrier, settings),
-        "notes": notes,
+        "notes": [*notes, *errors.notes()],
     }
     for note in notes:
         _LOG.warning("%s", note)
@@ -154,8 +160,8 @@ def poses_at(
     cov = interpolated_covariance(images, between, common_time_s)
     dt = t_gps_s - images.t_gps_s[between.left]
     gap = images.t_gps_s[between.right] - images.t_gps_s[between.left]
-    cov[:, :3, :3] += carrier.way_variance_m2(dt, between.share, gap)[:, None, None] * np.eye(3)
-    cov[:, 3:, 3:] += attitude_growth(at, bridged(dt, between.share, gap, settings.attitude_time_s))
+    cov[:, :3, :3] += carrier.way_variance_m2(dt, between.share, gap, settings)[:, None, None] * np.eye(3)
+    cov[:, 3:, 3:] += attitude_growth(at, dt, between.share, gap, settings)
     return position, R, (cov + np.swapaxes(cov, 1, 2)) / 2
 
 
@@ -174,41 +180,43 @@ def _carrier(
                 "no trajectory of INS and positions is given",
                 expected="one, as images.cloud.motion asks for it",
             )
-        return TrajectoryCarrier(trajectory, settings)
+        return TrajectoryCarrier(trajectory)
     known = poses.oriented & np.isfinite(poses.t_gps_s)
     if not known.any():
         raise CoverageError(_empty(poses), **_CURE)
     order = np.flatnonzero(known)[np.argsort(poses.t_gps_s[known], kind="stable")]
     return VelocityCarrier(
-        states, poses.frame, settings,
+        states, poses.frame,
         sigma_attitude_rad=sigma_attitude_rad, max_attitude_gap_s=max_attitude_gap_s,
         near_t_s=poses.t_gps_s[order], near_wcs_m=poses.centre_wcs_m[order],
     )  # fmt: skip
 
 
+def _scatter(
+    images: BoatImages, carrier: Carrier, settings: CloudSettings, common_s: float, notes: list[str]
+) -> float | None:
+    """By how many of their stated sigmas neighbours differ; writes into ``notes``."""
+    test = neighbour_tests(images, linked(images, settings.max_gap_s), carrier, settings, common_s)
+    known = np.isfinite(test)
+    if not known.any():
+        return None
+    scatter = float(np.sqrt(np.median(test[known]) / chi2.ppf(0.5, 6)))
+    _judge(scatter, notes)
+    return scatter
+
+
 def _screened(
-    images: BoatImages,
-    carrier: Carrier,
-    settings: CloudSettings,
-    common_s: float,
-    reasons: list[str],
-    notes: list[str],
-) -> tuple[BoatImages, dict[str, Any]]:
-    """Images without those that contradict their neighbours; writes into ``reasons`` and ``notes``."""
+    images: BoatImages, carrier: Carrier, settings: CloudSettings, common_s: float, reasons: list[str]
+) -> BoatImages:
+    """Images without those that contradict their neighbours; writes into ``reasons``."""
     n_first = len(images.row)
     middle = float(chi2.ppf(0.5, 6))
-    scatter = float("nan")
-    for round_ in range(_ROUNDS):
+    for _ in range(_ROUNDS):
         test = neighbour_tests(images, linked(images, settings.max_gap_s), carrier, settings, common_s)
         known = np.isfinite(test)
-        if not known.any():
+        if not known.any() or settings.outlier_probability == 0:
             break
         ratio = float(np.median(test[known])) / middle
-        if round_ == 0:
-            scatter = float(np.sqrt(ratio))
-            _judge(scatter, notes)
-        if settings.outlier_probability == 0:
-            break
         limit = max(ratio, 1.0) * float(chi2.ppf(1.0 - settings.outlier_probability, 6))
         # a bad image spoils the tests of its neighbours: of three only the worst goes
         padded = np.concatenate([[-1.0], np.nan_to_num(test, nan=-1.0), [-1.0]])
@@ -225,7 +233,7 @@ def _screened(
             expected=f"at most {_MOST_REJECTED:.0%}",
             cure="Check the block adjustment of the images and their times",
         )
-    return images, {"neighbours_differ_by_sigmas": None if np.isnan(scatter) else scatter}
+    return images
 
 
 def _judge(scatter: float, notes: list[str]) -> None:

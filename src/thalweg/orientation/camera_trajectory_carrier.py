@@ -54,8 +54,8 @@ class Carrier(Protocol):
     def at(self, t_gps_s: ArrayF) -> Moments:
         """The carrier at times within its span."""
 
-    def way_variance_m2(self, dt_s: ArrayF, share: ArrayF, gap_s: ArrayF) -> ArrayF:
-        """Variance (n,) of the way in each component, see `bridged`."""
+    def way_variance_m2(self, dt_s: ArrayF, share: ArrayF, gap_s: ArrayF, settings: CloudSettings) -> ArrayF:
+        """Variance (n,) of the way in each component, see `bridged`; ``settings`` say how the INS errs."""
 
 
 class VelocityCarrier:
@@ -65,7 +65,6 @@ class VelocityCarrier:
     ----------
     states : table kind ``ins_state``.
     frame : the world frame.
-    settings : sigma and correlation time of the velocity.
     sigma_attitude_rad : (3,) roll, pitch, heading; stands in where the log states none.
     max_attitude_gap_s : longest hole between states that is interpolated.
     near_t_s, near_wcs_m : (k,), (k, 3) where the boat is to a few metres.
@@ -79,7 +78,6 @@ class VelocityCarrier:
         self,
         states: pd.DataFrame,
         frame: LocalFrame,
-        settings: CloudSettings,
         *,
         sigma_attitude_rad: ArrayLike,
         max_attitude_gap_s: float,
@@ -97,27 +95,28 @@ class VelocityCarrier:
             )
         if known < len(usable):
             summary.notes.append(f"{len(usable) - known} INS states without a velocity carry nothing")
-        self._reference: Reference = make_reference(
+        self.reference: Reference = make_reference(
             usable, frame, sigma_attitude_rad=sigma_attitude_rad, max_attitude_gap_s=max_attitude_gap_s,
             use_velocity=True, near_t_s=near_t_s, near_wcs_m=near_wcs_m,
         )  # fmt: skip
-        self._settings = settings
-        self.t_gps_s = self._reference.t_gps_s
-        self.broken = np.asarray(self._reference.hole | self._reference.blind)
+        self.t_gps_s = self.reference.t_gps_s
+        self.broken = np.asarray(self.reference.hole | self.reference.blind)
         self.notes = summary.notes
 
     def at(self, t_gps_s: ArrayF) -> Moments:
         """The carrier at times within its span."""
-        found = self._reference.at(t_gps_s)
+        found = self.reference.at(t_gps_s)
         return Moments(
             way_m=found.way_m, R_wcs_ics=found.R_wcs_ics, sigma_rad=found.sigma_rad,
             rates=np.hstack([found.velocity_mps, found.rate_radps]),
         )  # fmt: skip
 
-    def way_variance_m2(self, dt_s: ArrayF, share: ArrayF, gap_s: ArrayF) -> ArrayF:
+    def way_variance_m2(self, dt_s: ArrayF, share: ArrayF, gap_s: ArrayF, settings: CloudSettings) -> ArrayF:
         """Variance (n,) of the integral of a Gauss-Markov velocity error, see `bridged`."""
-        s = self._settings
-        return s.sigma_velocity_mps**2 * bridged_integral(dt_s, share, gap_s, s.velocity_time_s)
+        each = [
+            e.velocity**2 * bridged_integral(dt_s, share, gap_s, e.velocity_time_s) for e in settings.errors
+        ]
+        return np.asarray(settings.sigma_velocity_mps**2 * np.mean(each, axis=0))
 
 
 class TrajectoryCarrier:
@@ -126,11 +125,10 @@ class TrajectoryCarrier:
     Parameters
     ----------
     trajectory : with covariance.
-    settings : correlation of the positions' errors.
     """
 
-    def __init__(self, trajectory: Trajectory, settings: CloudSettings) -> None:
-        self._trajectory, self._settings = trajectory, settings
+    def __init__(self, trajectory: Trajectory) -> None:
+        self._trajectory = trajectory
         self.t_gps_s = trajectory.t_gps_s
         self.broken = np.asarray(~(trajectory.valid[1:] & trajectory.valid[:-1]))
         self.notes: list[str] = []
@@ -154,13 +152,15 @@ class TrajectoryCarrier:
             rates=np.hstack([x1 - x0, turn]) / (after - before)[:, None],
         )
 
-    def way_variance_m2(self, dt_s: ArrayF, share: ArrayF, gap_s: ArrayF) -> ArrayF:
+    def way_variance_m2(self, dt_s: ArrayF, share: ArrayF, gap_s: ArrayF, settings: CloudSettings) -> ArrayF:
         """Variance (n,) of the positions' slow and white errors, see `bridged`."""
-        s = self._settings
-        slow = bridged(dt_s, share, gap_s, s.position_time_s)
         white = bridged(dt_s, share, gap_s, _EPOCH_S)
-        mixed = (1.0 - s.position_white_share) * slow + s.position_white_share * white
-        return np.asarray(self._sigma_position_m**2 * mixed)
+        each = [
+            (1.0 - e.position_white_share) * bridged(dt_s, share, gap_s, e.position_time_s)
+            + e.position_white_share * white
+            for e in settings.errors
+        ]
+        return np.asarray(self._sigma_position_m**2 * np.mean(each, axis=0))
 
 
 def bridged(dt_s: ArrayF, share: ArrayF, gap_s: ArrayF, time_s: float) -> ArrayF:
@@ -209,10 +209,18 @@ def bridged_integral(dt_s: ArrayF, share: ArrayF, gap_s: ArrayF, time_s: float) 
     return np.asarray(np.maximum(time_s**2 * out, 0.0))
 
 
-def attitude_growth(moments: Moments, variance: ArrayF) -> ArrayF:
-    """Covariance (n, 3, 3) in wcs of attitude errors whose variance is ``variance`` (n,) of the sigmas'."""
-    axes = np.swapaxes(attitude_axes(moments.R_wcs_ics), 1, 2) * moments.sigma_rad[:, None, :]
-    return np.asarray(variance[:, None, None] * (axes @ np.swapaxes(axes, 1, 2)))
+def attitude_growth(
+    moments: Moments, dt_s: ArrayF, share: ArrayF, gap_s: ArrayF, settings: CloudSettings
+) -> ArrayF:
+    """Covariance (n, 3, 3) in wcs of the attitude errors that images leave, see `bridged`."""
+    each = [
+        bridged(dt_s, share, gap_s, e.attitude_time_s)[:, None]
+        * np.square([e.roll_pitch, e.roll_pitch, e.heading])
+        for e in settings.errors
+    ]
+    sigma = moments.sigma_rad * np.sqrt(np.mean(each, axis=0))
+    axes = np.swapaxes(attitude_axes(moments.R_wcs_ics), 1, 2) * sigma[:, None, :]
+    return np.asarray(axes @ np.swapaxes(axes, 1, 2))
 
 
 def stretches(carrier: Carrier) -> tuple[ArrayF, ArrayF]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from thalweg.core.rigid import rotation_vector
 from thalweg.core.types import ArrayB, ArrayF
-from thalweg.orientation.camera_trajectory_carrier import Carrier, attitude_growth, bridged
+from thalweg.orientation.camera_trajectory_carrier import Carrier, attitude_growth
 from thalweg.orientation.camera_trajectory_images import (
     Between,
     BoatImages,
@@ -43,8 +43,8 @@ def neighbour_tests(
         X = images.common(at, other)
         X += np.sqrt(shared[at] * shared[other])[:, None, None] * (r[at][:, :, None] * r[other][:, None, :])
         cov -= share[:, None, None] * (X + np.swapaxes(X, 1, 2))
-    cov[:, :3, :3] += carrier.way_variance_m2(dt, between.share, gap)[:, None, None] * np.eye(3)
-    cov[:, 3:, 3:] += attitude_growth(mine.moments, bridged(dt, between.share, gap, settings.attitude_time_s))
+    cov[:, :3, :3] += carrier.way_variance_m2(dt, between.share, gap, settings)[:, None, None] * np.eye(3)
+    cov[:, 3:, 3:] += attitude_growth(mine.moments, dt, between.share, gap, settings)
     scale = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     scale = np.where(scale > 0, scale, 1.0)
     white = d / scale

@@ -1,7 +1,8 @@
 """What the fused trajectory takes for granted of the errors of its inputs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
 from typing import Any, Final, Self
 
 GROUPS: Final = (
@@ -15,17 +16,31 @@ group it would not show."""
 SCALED: Final = (
     "velocity", "acceleration", "roll_pitch", "disturbance", "gnss", "gnss_white", "camera", "jitter",
 )  # fmt: skip
-"""Groups whose sigmas are estimated; the heading's is told from its disturbance only by chance."""
+"""Groups whose sigmas follow the residuals until wrong observations are found."""
 
 PRIOR_REDUNDANCY: Final = 10.0
-"""What is stated of a sigma weighs as this many observations."""
+"""What is stated of a sigma weighs as this many observations meanwhile."""
 
 FACTORS: Final = (0.2, 20.0)
-"""Bounds of the factors of the sigmas."""
+"""Bounds of the factors of the sigmas meanwhile."""
 
-TIMES: Final = ("attitude_time_s", "gnss_time_s")
+TIMES: Final = ("velocity_time_s", "attitude_time_s", "gnss_time_s")
+"""Correlation times that are estimated."""
+
+SIZE_OF: Final[Mapping[str, str]] = MappingProxyType({
+    "sigma_velocity_mps": "velocity", "sigma_acceleration": "acceleration",
+    "heading_disturbance_deg": "disturbance", "sigma_jitter_s": "jitter",
+})  # fmt: skip
+"""Group of errors whose size a setting states."""
+
+SPREAD: Final[Mapping[str, float]] = MappingProxyType({
+    "size": 2.0, "time": 3.0, "share": 5.0, "acceleration": 3.0,
+})  # fmt: skip
+"""Factors that one sigma of what is stated stands for: of sizes, of times, of ``w / (1 - w)`` of a share
+``w``, and of groups that are known worse: boats differ."""
+
 AUTO: Final = "auto"
-"""Correlation times that a campaign file may leave to the survey, and how it says so."""
+"""How a campaign file says that it knows nothing of a value: that of the defaults is the prior's centre."""
 
 WHITE_SHARE: Final = 1e-3
 """Share of an image's covariance that is taken as new in each image: no observation is free of noise."""
@@ -58,16 +73,19 @@ class FusionSettings:
     max_iterations: int = 30
     max_sigma_position_m: float = 0.15
     max_sigma_attitude_deg: float = 2.0
-    estimate_times: tuple[str, ...] = ()
-    """Which of `TIMES` are estimated where there are images; their values are where the search starts."""
+    fixed: tuple[str, ...] = ()
+    """Names of settings that are taken as they are stated, not estimated."""
+    spread: Mapping[str, float] = field(default_factory=lambda: SPREAD)
+    """Factors of one sigma of what is stated: of ``size``, ``time``, ``share`` in general, and by name of a
+    time or of one of `GROUPS`."""
 
     @classmethod
     def from_section(cls, section: Mapping[str, Any]) -> Self:
         """From the section ``fused`` of a campaign file."""
-        values = dict(section)
-        unknown = tuple(name for name in TIMES if values.get(name) == AUTO)
-        known = {name: value for name, value in values.items() if name not in unknown}
-        return cls(accept_fixes=tuple(known.pop("accept_fixes")), estimate_times=unknown, **known)
+        own = {f.name for f in fields(cls)}
+        known = {name: value for name, value in section.items() if name in own and value != AUTO}
+        values: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in known.items()}
+        return cls(**values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

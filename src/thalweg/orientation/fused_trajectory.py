@@ -20,6 +20,7 @@ from thalweg.core.rigid import Rigid
 from thalweg.core.timescales import utc_text_from_gps
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF
+from thalweg.orientation.fused_errors import ErrorModel, with_errors
 from thalweg.orientation.fused_inputs import Antenna, Camera, Nodes, antenna_of, camera_of, place_nodes
 from thalweg.orientation.fused_model import clock_unit
 from thalweg.orientation.fused_outages import outages_of
@@ -29,7 +30,6 @@ from thalweg.orientation.fused_report import Counts, facts_of, observation_table
 from thalweg.orientation.fused_screen import jumped_images, jumped_positions
 from thalweg.orientation.fused_settings import FusionSettings, Layout
 from thalweg.orientation.fused_solver import Observed, Solved, solve
-from thalweg.orientation.fused_times import correlation_times, times_facts
 from thalweg.orientation.fused_walk import walk_factors
 from thalweg.orientation.image_poses import ImagePoses
 from thalweg.orientation.ins_gnss import break_at_gaps
@@ -64,6 +64,7 @@ class Fused:
     nodes: Nodes
     solved: Solved
     settings: FusionSettings
+    errors: ErrorModel
 
     def poses(self, t_gps_s: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
         """Position (k, 3), ``R_wcs_ics`` (k, 3, 3) and covariance (k, 6, 6) at any times within the INS."""
@@ -125,12 +126,9 @@ def fuse_trajectory(
     _refuse_nothing(antenna, camera, reference, counts)
     layout = Layout.of(gnss=antenna is not None, camera=camera is not None)
     nodes, observed, solved, shift_s = _solved(reference, antenna, camera, layout, settings)
-    given = settings
-    if settings.estimate_times:
-        settings = correlation_times(
-            reference, nodes, observed, solved, layout, settings, clock_start_s=-shift_s
-        )
-        nodes, observed, solved, shift_s = _solved(reference, antenna, camera, layout, settings)
+    nodes, settings, solved, errors = with_errors(
+        reference, nodes, observed, solved, layout, settings, clock_start_s=-shift_s
+    )
     trajectory = trajectory_of(frame, reference, nodes, solved, settings)
     check_origin(trajectory.position_wcs_m, frame)
     n_valid = int(trajectory.valid.sum())
@@ -143,10 +141,11 @@ def fuse_trajectory(
             f"{settings.max_sigma_attitude_deg:g} deg (fused.max_sigma_position_m, max_sigma_attitude_deg)",
             cure="Add what is missing: " + (", ".join(counts.missing()) or "better positions or images"),
         )
+    notes = [*summary.notes, *errors.notes()]
     facts = facts_of(
-        solved, observed, layout, settings, counts, trajectory, clock_shift_s=shift_s, notes=summary.notes
+        solved, observed, layout, settings, counts, trajectory, clock_shift_s=shift_s, notes=notes
     )
-    facts |= times_facts(settings, given) | {"outages": outages_of(observed, reference)}
+    facts |= {"errors": errors.facts(), "outages": outages_of(observed, reference)}
     whole = break_at_gaps(trajectory, max_attitude_gap_s, summary)
     return Fused(
         trajectory=whole,
@@ -156,6 +155,7 @@ def fuse_trajectory(
         nodes=nodes,
         solved=solved,
         settings=settings,
+        errors=errors,
     )
 
 

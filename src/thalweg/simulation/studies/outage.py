@@ -57,6 +57,8 @@ class VoyageSpec:
     sigma_clock_s, jitter_s : common offset and scatter of the images' times.
     sigma_mount_m, sigma_mount_deg : of the camera's mount in each coordinate.
     shade_s : begin after the start and length of the times under trees.
+    student : degrees of freedom of Student's distribution that image poses and times are drawn from, with the
+        same variance; 0: normal.
     """
 
     duration_s: float = 120.0
@@ -70,6 +72,7 @@ class VoyageSpec:
     sigma_mount_m: float = 0.001
     sigma_mount_deg: float = 0.02
     shade_s: tuple[tuple[float, float], ...] = ()
+    student: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +80,7 @@ class Recorded:
     """A simulated survey: what is known of it, and the truth.
 
     ``states`` (table kind ``ins_state``), ``positions`` (``gnss_position``), ``images``, ``T_ccs_ics`` with
-    covariance; ``motion`` and ``clock_s``, the true offset of the images' times.
+    covariance; ``motion``, ``clock_s`` (the true offset of the images' times) and ``true_T_ics_ccs``.
     """
 
     states: pd.DataFrame
@@ -86,6 +89,7 @@ class Recorded:
     T_ccs_ics: Rigid
     motion: Motion
     clock_s: float
+    true_T_ics_ccs: Rigid
 
 
 def make_survey(seed: int, spec: VoyageSpec | None = None) -> Recorded:
@@ -93,10 +97,10 @@ def make_survey(seed: int, spec: VoyageSpec | None = None) -> Recorded:
     spec = VoyageSpec() if spec is None else spec
     config = TwinConfig.of_size("demo", duration_s=spec.duration_s, **spec.twin)
     motion = Voyage(config, seed)
-    images, T_ccs_ics, clock = _images(seed, spec, motion)
+    images, T_ccs_ics, clock, true_mount = _images(seed, spec, motion)
     return Recorded(
         states=_states(config, seed, motion), positions=_positions(config, seed, motion, spec.shade_s),
-        images=images, T_ccs_ics=T_ccs_ics, motion=motion, clock_s=clock,
+        images=images, T_ccs_ics=T_ccs_ics, motion=motion, clock_s=clock, true_T_ics_ccs=true_mount,
     )  # fmt: skip
 
 
@@ -276,8 +280,17 @@ def _positions(
     return table[~inside(since, config.effects.gnss_outages)].reset_index(drop=True)
 
 
-def _images(seed: int, spec: VoyageSpec, motion: Motion) -> tuple[ImagePoses, Rigid, float]:
-    """Poses of images with the errors of an image block, the mount as calibrated, and the clock's offset."""
+def unit_errors(rng: np.random.Generator, shape: int | tuple[int, ...], student: float = 0.0) -> ArrayF:
+    """Errors of variance 1, normal or, above 2 degrees of freedom, of Student's distribution."""
+    if not student:
+        return np.asarray(rng.standard_normal(shape))
+    return np.asarray(rng.standard_t(student, shape) * np.sqrt((student - 2) / student))
+
+
+def _images(seed: int, spec: VoyageSpec, motion: Motion) -> tuple[ImagePoses, Rigid, float, Rigid]:
+    """Poses of images with the errors of an image block, the mount as calibrated, the clock's offset, and the
+    true mount.
+    """
     rng = generator(seed, "image poses")
     angle = np.deg2rad(spec.sigma_mount_deg)
     sigma_mount = np.repeat([spec.sigma_mount_m, angle], 3)
@@ -286,11 +299,11 @@ def _images(seed: int, spec: VoyageSpec, motion: Motion) -> tuple[ImagePoses, Ri
     clock = float(spec.sigma_clock_s * rng.standard_normal())
     stamp = motion.start_gps_s + np.arange(0.5, spec.duration_s - 0.5, spec.image_interval_s)
     n = len(stamp)
-    exposed = stamp + clock + spec.jitter_s * rng.standard_normal(n)
+    exposed = stamp + clock + spec.jitter_s * unit_errors(rng, n, spec.student)
     R = motion.R_wcs_ics(exposed)
     sigma = np.concatenate([spec.sigma_image_m, np.deg2rad(spec.sigma_image_deg)])
     keep = float(np.exp(-spec.image_interval_s / spec.image_time_s))
-    error = sigma * rng.standard_normal((n, 6))
+    error = sigma * unit_errors(rng, (n, 6), spec.student)
     for k in range(1, n):
         error[k] = keep * error[k - 1] + np.sqrt(1 - keep**2) * error[k]
     C = np.diag(sigma**2)
@@ -303,4 +316,4 @@ def _images(seed: int, spec: VoyageSpec, motion: Motion) -> tuple[ImagePoses, Ri
         cov_next=np.concatenate([np.tile(keep * C, (n - 1, 1, 1)), np.zeros((1, 6, 6))]),
         n_marks=np.full(n, 300.0), rms_px=np.full(n, 0.5),
     )  # fmt: skip
-    return poses, T_ccs_ics, clock
+    return poses, T_ccs_ics, clock, true_mount
