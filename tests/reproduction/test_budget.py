@@ -13,7 +13,7 @@ from thalweg.core.frames import rotation_enu_body
 from thalweg.lidar.covariance import BeamErrors, point_covariance, point_jacobian
 from thalweg.reproduction.budget import covariance
 from thalweg.reproduction.budget_file import read_budget
-from thalweg.reproduction.budget_page import page, terminal_text
+from thalweg.reproduction.budget_page import page, terminal_text, what_the_cells_tell
 from thalweg.reproduction.budget_tables import WIDTH, latex, long_table
 from thalweg.reproduction.influences import ball_coverage, influences, rmse_mm, totals_mm
 from thalweg.reproduction.published import verdicts
@@ -246,6 +246,7 @@ def test_the_page_has_every_cell_with_its_verdict(budgets, facts) -> None:
         budgets,
         camera="p2_table1",
         ins="t_table3_1",
+        worth="72 of 132.",
         statements=said,
         assumptions=facts[0],
         solutions=facts[1],
@@ -254,8 +255,12 @@ def test_the_page_has_every_cell_with_its_verdict(budgets, facts) -> None:
         table = verdicts(*budgets[name])
         for printed, value in zip(table["printed"], table["computed_mm"], strict=True):
             digits = len(printed.partition(".")[2]) + 1
-            assert re.search(rf"\| {re.escape(printed)} / {value:.{digits}f} [✓≈] ", text), (name, printed)
-    assert text.count("≈ |") >= 6
+            assert re.search(rf"\| {re.escape(printed)} / {value:.{digits}f} [✓≈σc] ", text), (name, printed)
+    # the mount's kappa, at three and two distances; P2's phi at 50 m rests on fitted angles
+    assert text.count("≈ |") >= 5
+    assert text.count("σ |") >= 72
+    assert "wcs φ ccs at 50 m (2.9 printed" in text
+    assert "**What the cells of both tables tell.** 72 of 132." in text
     assert "Without 'lever arm' it is only: ccs.omega at 5 m." in text
     assert "order of 50 cm / 1197.5 ✗" in text
     for statement in said:
@@ -265,13 +270,25 @@ def test_the_page_has_every_cell_with_its_verdict(budgets, facts) -> None:
 
 
 def test_the_terminal_text_is_narrow_and_complete(budgets) -> None:
-    text = terminal_text(budgets, ("p2_table1", "t_table3_1"))
+    text = terminal_text(budgets, ("p2_table1", "t_table3_1"), worth="What the cells tell. " * 9)
     lines = text.splitlines()
     assert max(map(len, lines[:-1])) <= WIDTH
-    marks = [mark for line in lines for mark in re.findall(r"\d ([=~!c])(?=\s|$)", line)]
-    assert marks.count("~") == 6
-    assert marks.count("=") >= 126
+    marks = [mark for line in lines for mark in re.findall(r"\d ([=~i!c])(?=\s|$)", line)]
+    # the mount's kappa, the translations, and what rests on fitted angles
+    assert (marks.count("="), marks.count("~"), marks.count("i")) == (3, 5, 72)
+    assert marks.count("c") >= 52
     assert "missed" in lines[-1]
+    assert text.count("What the cells tell.") >= 8
+
+
+def test_what_the_cells_tell_is_counted(budgets) -> None:
+    text = what_the_cells_tell([budgets["p2_table1"], budgets["t_table3_1"]])
+    assert "Of 132 cells and totals 126 are met within 1 %" in text
+    assert "6 more within the rounding" in text
+    assert "72 of the 132 are the printed sigma itself" in text
+    assert "8 more are the same in any geometry" in text
+    assert "37 to 44 of 68 (median 38, P2 Table 1) and 38 to 48 of 64 (median 39, T Table 3.1)" in text
+    assert "52 cells that depend on the geometry" in text
 
 
 def test_tables_for_latex_and_csv(budgets) -> None:

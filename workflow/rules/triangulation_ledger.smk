@@ -27,7 +27,7 @@ rule compare_line_methods:
 
 
 rule light_sheet_ledger:
-    """Each published number with a verdict: matched, missed and by how much, not checkable, no result yet."""
+    """Each published number with a verdict: found, put in, within a bound, missed and by how much, not checkable."""
     input:
         published=LEDGER,
         stored=STORED,
@@ -35,6 +35,7 @@ rule light_sheet_ledger:
     output:
         ledger="results/{campaign}/triangulation/ledger.csv",
         text="results/{campaign}/triangulation/ledger.md",
+        numbers="results/{campaign}/triangulation/ledger_counts.csv",
     log:
         "logs/{campaign}/triangulation/light_sheet_ledger.log",
     benchmark:

@@ -6,7 +6,7 @@ import pandas as pd
 
 from thalweg.jobs.job import run_job
 from thalweg.reproduction.budget_file import read_budget
-from thalweg.reproduction.budget_page import page, terminal_text
+from thalweg.reproduction.budget_page import page, terminal_text, what_the_cells_tell
 from thalweg.reproduction.budget_tables import latex, long_table
 from thalweg.reproduction.published import read_published
 from thalweg.reproduction.statements import statements
@@ -30,16 +30,18 @@ def main(
     for (budget, known), csv, tex in zip(read.values(), tables, latex_tables, strict=True):
         long_table(budget, known).to_csv(csv, index=False)
         tex.write_text(latex(budget, known), encoding="utf-8")
+    worth = what_the_cells_tell([read[camera], read[ins]])
     text = page(
         read,
         camera=camera,
         ins=ins,
+        worth=worth,
         statements=statements(read[camera][0], read[ins][0]),
         assumptions=pd.read_csv(assumptions),
         solutions=pd.read_csv(solutions),
     )
     budget_page.write_text(text, encoding="utf-8")
-    verdicts_text.write_text(terminal_text(read, (camera, ins)), encoding="utf-8")
+    verdicts_text.write_text(terminal_text(read, (camera, ins), worth=worth), encoding="utf-8")
 
 
 if "snakemake" in globals():

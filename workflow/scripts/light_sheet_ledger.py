@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.jobs.job import run_job
-from thalweg.reproduction.ledger import judged, markdown, summary
+from thalweg.reproduction.ledger import counts, judged, markdown, sentence
 from thalweg.reproduction.ledger_file import read_ledger
 from thalweg.reproduction.ledger_values import Results
 
@@ -18,6 +18,7 @@ def main(
     results: list[Path],
     ledger: Path,
     text: Path,
+    numbers: Path,
     folder: str,
     studies: dict[str, str],
     light_sheet: dict[str, Any] | None,
@@ -28,8 +29,9 @@ def main(
     found = Results.of(files, {Path(name).name: Path(name) for name in studies}, light_sheet)
     table = judged(read_ledger(published), found)
     table.to_csv(ledger, index=False, float_format="%.6g")
+    counts(table).to_csv(numbers, index=False)
     text.write_text(markdown(table, title=campaign["title"], twin=twin), encoding="utf-8")
-    log.info("%s", summary(table))
+    log.info("%s", sentence(table))
 
 
 if "snakemake" in globals():

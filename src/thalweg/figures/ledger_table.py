@@ -5,13 +5,20 @@ from typing import Final
 import pandas as pd
 
 from thalweg.figures.page import Page
-from thalweg.reproduction.ledger import MISSED, NO_RESULT, by_kind, matches, readable, summary
+from thalweg.reproduction.ledger import (
+    MISSED,
+    NO_RESULT,
+    VERDICTS_NOTE,
+    counts,
+    readable,
+    sentence,
+)
 
 LEDGER_NOTE: Final = (
     "Numbers that P3, P4 and T 4.2 print, beside those that this project measures on the digital twin or "
     "computes without it. A tolerance is half a unit of the last printed digit, where it says so with three "
-    "sigmas of our own number; to be no worse than a published figure is less than to reproduce it. All "
-    "entries with their reasons are in ledger.md."
+    "sigmas of our own number. " + VERDICTS_NOTE.replace("*", "") + " All entries with their reasons are in "
+    "ledger.md."
 )
 
 
@@ -25,10 +32,11 @@ def ledger_section(page: Page, ledger: pd.DataFrame | None) -> Page:
     """
     if ledger is None:
         return page
-    table = ledger.fillna({"note": "", "basis": "", "reason": "", "printed": "", "unit": ""})
+    table = ledger.fillna({"note": "", "basis": "", "reason": "", "printed": "", "unit": "", "put_in": ""})
     page.section("Published numbers").text(LEDGER_NOTE)
-    page.text(f"{summary(table)}. {matches(table)}.")
-    page.table(by_kind(table), "Verdicts by kind of number (ledger.csv)")
+    words = sentence(table)
+    page.text(words[0].upper() + words[1:] + ".")
+    page.table(counts(table).query("entries > 0"), "Verdicts on published numbers (ledger_counts.csv)")
     missed = table[table["verdict"] == MISSED]
     if len(missed):
         notes = missed["note"].where(missed["note"] != "", missed["reason"]).to_numpy()

@@ -143,11 +143,11 @@ def left_out(setup: Setup, *, starts: int = STARTS) -> pd.DataFrame:
 
 def _outcome(way: Alternative, solution: Solution) -> dict[str, object]:
     cells = verdicts(solution.budget, way.setup.published)
-    missed = cells[cells["verdict"] == MISSED]
+    missed = cells[cells["met"] == MISSED]
     inner = solution.budget.frames[-1]
     return {
-        "matched": int((cells["verdict"] == MATCHED).sum()),
-        "by_sigma": int((cells["verdict"] == BY_SIGMA).sum()),
+        "matched": int((cells["met"] == MATCHED).sum()),
+        "by_sigma": int((cells["met"] == BY_SIGMA).sum()),
         "missed": len(missed),
         "totals_missed": int((missed["input"] == TOTAL).sum()),
         "missed_cells": "; ".join(

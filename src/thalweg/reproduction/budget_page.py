@@ -1,6 +1,7 @@
 """The page of all error budgets, in Markdown, and the text that a terminal shows."""
 
-from collections.abc import Hashable, Mapping
+import textwrap
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -8,6 +9,7 @@ import pandas as pd
 
 from thalweg.reproduction.budget import Budget
 from thalweg.reproduction.budget_tables import (
+    WIDTH,
     by_cell,
     digits,
     label,
@@ -18,25 +20,57 @@ from thalweg.reproduction.budget_tables import (
     text_lines,
 )
 from thalweg.reproduction.influences import coverages, influences, totals_mm
-from thalweg.reproduction.published import BY_SIGMA, MARKS, MISSED, RMSE, count, verdicts
+from thalweg.reproduction.published import BY_SIGMA, MARKS, MATCHED, MISSED, RMSE, count, reached, verdicts
 from thalweg.reproduction.statements import Statement, own_totals
 
 Budgets = Mapping[str, tuple[Budget, pd.DataFrame | None]]
 """Budget and its published cells, by name."""
 
-PAGE_MARKS: Final = dict(zip(MARKS, ("✓", "≈", "c", "✗"), strict=True))
+PAGE_MARKS: Final = dict(zip(MARKS, ("✓", "≈", "σ", "c", "✗"), strict=True))
 DIRECTIONS: Final = {"east": (1, 0, 0), "north": (0, 1, 0), "up": (0, 0, 1)}
 
 
-def terminal_text(budgets: Budgets, full: tuple[str, ...]) -> str:
-    """Tables of the budgets named in ``full`` with a verdict on each cell, then the others in short."""
+def terminal_text(budgets: Budgets, full: tuple[str, ...], *, worth: str) -> str:
+    """Tables of the budgets named in ``full`` with a verdict on each cell, the others in short; ``worth``
+    says what the cells tell, see `what_the_cells_tell`.
+    """
     lines: list[str] = []
     met: set[str] = set()
     for name, (budget, published) in budgets.items():
         lines += [*(text_lines if name in full else short_lines)(budget, published), ""]
         if published is not None:
             met |= set(verdicts(budget, published)["verdict"])
-    return "\n".join([*lines, f"Each cell: printed, computed, verdict.  {marks_line(met)}"]) + "\n"
+    marks = f"Each cell: printed, computed, verdict.  {marks_line(met)}"
+    return "\n".join([*lines, *textwrap.wrap(worth, WIDTH), "", marks]) + "\n"
+
+
+def what_the_cells_tell(tables: Sequence[tuple[Budget, pd.DataFrame | None]]) -> str:
+    """How many cells of reconstructed tables are met, and how many of them any geometry meets.
+
+    Parameters
+    ----------
+    tables : budgets whose geometry was fitted to their published cells, with these.
+    """
+    known = [(budget, published) for budget, published in tables if published is not None]
+    cells = pd.concat([verdicts(budget, published) for budget, published in known])
+    by_word = {word: int((cells["met"] == word).sum()) for word in (MATCHED, BY_SIGMA, MISSED)}
+    found = [reached(budget, published) for budget, published in known]
+    listed = " and ".join(
+        f"{r.least} to {r.largest} of {r.cells} (median {r.median:g}, {budget.source.partition(',')[0]})"
+        for r, (budget, _) in zip(found, known, strict=True)
+    )
+    alike, itself = sum(r.cells for r in found), sum(r.itself for r in found)
+    informative = sum(r.by_geometry for r in found)
+    same = alike - itself - informative
+    return (
+        f"Of {alike} cells and totals {by_word[MATCHED]} are met within 1 % or half a unit of their last "
+        f"digit, {by_word[BY_SIGMA]} more within the rounding of the printed sigma, {by_word[MISSED]} are "
+        f"missed. {itself} of the {alike} are the printed sigma itself, a translation, and {same} more are "
+        f"the same in any geometry. {found[0].draws} geometries with random angles meet {listed} within 1 % "
+        f"or half a unit. The informative part is the {informative} cells that depend on the geometry. The "
+        "angles and the direction of the lever arm were fitted to them: one geometry meets all, which does "
+        "not make it right."
+    )
 
 
 def page(
@@ -44,6 +78,7 @@ def page(
     *,
     camera: str,
     ins: str,
+    worth: str,
     statements: list[Statement],
     assumptions: pd.DataFrame,
     solutions: pd.DataFrame,
@@ -54,10 +89,11 @@ def page(
     ----------
     budgets : all of them, in the order of the page.
     camera, ins : names of the budgets of P2 Table 1 and T Table 3.1.
+    worth : of both tables, see `what_the_cells_tell`.
     assumptions : rows of `thalweg.reproduction.assumptions.left_out` with a column ``table``.
     solutions : facts of the reconstructed geometries, a row for each with a column ``table``.
     """
-    parts = ["# Error budgets", _intro(budgets)]
+    parts = ["# Error budgets", _intro(budgets), f"**What the cells of both tables tell.** {worth}"]
     for name, (budget, published) in budgets.items():
         parts += [f"## {budget.title}", _facts(budget, published), _table(budget, published)]
         if name in (camera, ins):
@@ -123,7 +159,7 @@ def _exceptions(budget: Budget, published: pd.DataFrame) -> str:
     names = {item.key: label(budget, item) for item in budget.inputs}
     lines = []
     for verdict in (BY_SIGMA, MISSED):
-        rows = table[table["verdict"] == verdict]
+        rows = table[table["met"] == verdict]
         listed = [
             f"{names.get(key, key)} at {d:g} m ({printed} printed, {value:.2f} computed, {off:+.1f} %)"
             for key, d, printed, value, off in zip(

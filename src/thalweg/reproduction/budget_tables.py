@@ -13,7 +13,7 @@ from thalweg.reproduction.published import MARKS, RMSE, count, verdicts
 GREEK: Final = {"omega": "ω", "phi": "φ", "kappa": "κ"}
 UNIT_TEXT: Final = {"deg": "°", "us": "µs", "arcsec": '"'}
 TEX_UNIT: Final = {"deg": r"$^\circ$", "us": r"\textmu s", "arcsec": r"$''$"}
-TEX_MARKS: Final = dict(zip(MARKS, ("", "^{s}", "^{c}", r"^{\times}"), strict=True))
+TEX_MARKS: Final = dict(zip(MARKS, ("", "^{s}", r"^{\sigma}", "^{c}", r"^{\times}"), strict=True))
 WIDTH: Final = 100
 """Columns of a terminal that `text_lines` fill at most, with four distances."""
 
@@ -93,7 +93,8 @@ def text_lines(budget: Budget, published: pd.DataFrame | None) -> list[str]:
     cells = by_cell(table)
     lines = [f"{budget.title} [{budget.status}]", f"  {budget.source}"]
     if published is not None:
-        lines.append(f"  {count(verdicts(budget, published))}")
+        words = str(count(verdicts(budget, published)))
+        lines += textwrap.wrap(words, WIDTH, initial_indent="  ", subsequent_indent="    ")
     width = 17 if published is not None else 10
     head = "".join(f"{f'{d:g} m':>{width - 2}}  " for d in budget.distances_m)
     lines += ["", f"  {'mm':<12}{'sigma':<11}{head}".rstrip()]

@@ -27,6 +27,32 @@ Printed digits state a ``tolerance`` where several printed numbers make one, wit
 TAKES: Final = ("one", "mean", "median", "rms", "sum", "count", "least", "largest", "largest size")
 SOURCES: Final = ("file", "study", "setting", "computed", "none")
 
+PUT_IN: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
+    "setting": ("an input of the twin or of the computation", ("input constant", "statistic on the twin")),
+    "constant": ("a constant of the stored instrument", ("input constant",)),
+    "arithmetic": ("arithmetic of printed numbers", ("exact", "procedure only")),
+    "decoded": ("a stored table turned back", ("exact",)),
+    "definition": ("true by definition", ("exact", "statistic on the twin")),
+    "fitted": ("met by an input chosen for it", KINDS),
+}  # fmt: skip
+"""Why a number is no finding of this project, in words, and of which kinds it may be: no measurement could
+have given it otherwise, or geometry or inputs were fitted to it or to its neighbours."""
+
+ALWAYS_PUT_IN: Final = {
+    "times": "arithmetic", "percent": "arithmetic", "difference": "arithmetic", "ratio": "arithmetic",
+    "opening_of_all_lines": "arithmetic", "table_1_of_p3": "decoded", "unknowns": "definition",
+    "picture_px": "constant", "picture_mm": "constant", "principal_distance": "constant",
+    "opening": "constant", "total_to": "fitted", "shrinking_causes": "fitted", "least_in_centre": "fitted",
+    "depth_lines_seen": "fitted", "survey_rmse": "fitted",
+}  # fmt: skip
+"""Functions of `thalweg.reproduction.ledger_computed` whose numbers are put in, whatever the entry says."""
+
+FITTED: Final = (
+    ("triangulation/budget_published.csv", "computed_mm"), ("chain_study_goals.csv", "found_m"),
+)  # fmt: skip
+"""Files and columns that rest on geometry or inputs which were fitted to published figures: the prototype of
+P4, and the magnetic fields, drift and multipath of the study of chains."""
+
 POINTERS: Final = {
     ".csv": "column", ".parquet": "column", ".json": "key", ".yaml": "key", ".ply": "axis"
 }  # fmt: skip
@@ -35,7 +61,7 @@ POINTERS: Final = {
 _ENTRY: Final = {
     "rows": True, "part": False, "where": True, "quantity": True, "printed": True, "value": False,
     "unit": False, "half_unit": False, "tolerance": False, "kind": True, "rule": True, "basis": False,
-    "why": True, "ours": True, "note": False,
+    "put_in": False, "why": True, "ours": True, "note": False,
 }  # fmt: skip
 _OURS: Final = {
     *SOURCES, "where", "near", "column", "key", "over", "against", "take", "times", "n", "sigma", "sigma_of",
@@ -105,6 +131,7 @@ class Entry:
     half_unit : half a unit of the last printed digit; 0 for words and counts that are exact.
     tolerance : instead of that; 0 if the half unit counts.
     kind, rule, basis : see `KINDS`, `RULES`, `BASES`.
+    put_in : of a number that this project put in, why it is no finding, see `PUT_IN`; else empty.
     why : reason of the rule; of ``not checkable``, why it cannot be checked.
     ours : where our number comes from.
     note : what a reader of the verdict should know.
@@ -123,6 +150,7 @@ class Entry:
     kind: str
     rule: str
     basis: str
+    put_in: str
     why: str
     ours: Ours
     note: str
@@ -215,6 +243,7 @@ class _Reader:
         if len(self.mistakes) > before:
             return None
         self.judged(path, data)
+        self.put_in(path, data)
         ours = self.ours((*path, "ours"), data["ours"])
         if data.get("basis") == "sampling error" and ours and not (ours.sigma or ours.sigma_of):
             self.wrong((*path, "ours"), "no sigma", "a sigma for the basis 'sampling error'")
@@ -228,8 +257,8 @@ class _Reader:
             value=(float(value[0]), float(value[1])) if isinstance(value, list)
             else value if value is None or isinstance(value, str) else float(value),
             half_unit=float(data.get("half_unit") or 0.0), tolerance=float(data.get("tolerance") or 0.0),
-            kind=words["kind"], rule=words["rule"], basis=words["basis"], why=words["why"], ours=ours,
-            note=words["note"],
+            kind=words["kind"], rule=words["rule"], basis=words["basis"], put_in=words["put_in"],
+            why=words["why"], ours=ours, note=words["note"],
         )  # fmt: skip
 
     def judged(self, path: tuple[Key, ...], data: dict[str, Any]) -> None:
@@ -260,6 +289,30 @@ class _Reader:
             )  # fmt: skip
         if basis in ("printed digits", "sampling error") and data.get("half_unit") is None:
             self.wrong(path, "half_unit is missing", "half a unit of the last printed digit")
+
+    def put_in(self, path: tuple[Key, ...], data: dict[str, Any]) -> None:
+        """A number that was put in says so, in the class that its source implies; others must not."""
+        given, kind = data.get("put_in"), data["kind"]
+        if data["rule"] in ("present", "not checkable"):
+            if given is not None:
+                self.wrong(
+                    (*path, "put_in"), f"found {given!r} with the rule {data['rule']!r}",
+                    "no put_in where nothing is compared",
+                )  # fmt: skip
+            return
+        needed = _must_be_put_in(data["ours"])
+        if given is None and (needed or kind == "input constant"):
+            because = f"its number comes from {needed[1]}" if needed else "its kind is 'input constant'"
+            self.wrong(path, f"put_in is missing: {because}", f"put_in: {needed[0] if needed else 'setting'}")
+        elif given is not None and given not in PUT_IN:
+            self.wrong((*path, "put_in"), f"found {given!r}", f"one of: {', '.join(PUT_IN)}")
+        elif given is not None and needed and given != needed[0]:
+            self.wrong((*path, "put_in"), f"found {given!r} for {needed[1]}", f"put_in: {needed[0]}")
+        elif given is not None and kind not in PUT_IN[given][1]:
+            self.wrong(
+                (*path, "put_in"), f"found {given!r} for the kind {kind!r}",
+                f"one of the kinds {', '.join(PUT_IN[given][1])}",
+            )  # fmt: skip
 
     def ours(self, path: tuple[Key, ...], data: Any) -> Ours | None:
         before = len(self.mistakes)
@@ -304,6 +357,21 @@ class _Reader:
             words=data.get("words"), axis=int(data.get("axis", 0)),
             extra=data.get("with"),
         )  # fmt: skip
+
+
+def _must_be_put_in(ours: Any) -> tuple[str, str] | None:
+    """Class of `PUT_IN` that a pointer implies, and its source in words; None where it implies none."""
+    if not isinstance(ours, dict):
+        return None
+    if "setting" in ours:
+        return "setting", "a setting of the twin"
+    function = ours.get("computed")
+    if function in ALWAYS_PUT_IN:
+        return ALWAYS_PUT_IN[function], f"the function {function}"
+    file = ours.get("file") or ours.get("study")
+    if (file, ours.get("column")) in FITTED and ours.get("take") != "count":
+        return "fitted", f"{file}, column {ours['column']}"
+    return None
 
 
 def _several(value: Any) -> tuple[Any, ...]:

@@ -3,7 +3,12 @@
 A printed number is known to half a unit of its last digit, and so is a printed sigma. The tolerance of a cell
 is the larger of that half unit and 1 %. A row may also miss because its sigma was rounded: its cells are
 ``matched within the rounding of the printed sigma`` if *one* sigma that would be printed the same meets all
-of them. An input that was chosen so that a published result is met cannot confirm it, which the verdict says.
+of them. That is how near a cell is, column ``met``.
+
+The verdict says what it is worth. A translation does to a point what its sigma says, in any geometry: such a
+cell is ``the printed sigma itself``. An input that was chosen so that a published result is met cannot
+confirm it, and angles and lever arms that were fitted to a table cannot confirm the cells that depend on
+them: ``met by an input chosen for it``.
 """
 
 from dataclasses import dataclass
@@ -14,16 +19,25 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core.errors import InputError
-from thalweg.reproduction.budget import Budget
+from thalweg.core.types import ArrayB, ArrayF
+from thalweg.reproduction.budget import COORDINATES, STATUS, Budget
+from thalweg.reproduction.geometry_draws import DRAWS, drawn
 from thalweg.reproduction.influences import TOTAL, influences, rmse_mm
 
 MATCHED: Final = "matched"
 BY_SIGMA: Final = "matched within the rounding of the printed sigma"
+ITSELF: Final = "the printed sigma itself"
 BY_CHOICE: Final = "met by an input chosen for it"
 MISSED: Final = "missed"
-VERDICTS: Final = (MATCHED, BY_SIGMA, BY_CHOICE, MISSED)
-MARKS: Final = dict(zip(VERDICTS, "=~c!", strict=True))
+VERDICTS: Final = (MATCHED, BY_SIGMA, ITSELF, BY_CHOICE, MISSED)
+MARKS: Final = dict(zip(VERDICTS, "=~ic!", strict=True))
 """One letter for each verdict, for narrow tables."""
+
+RECONSTRUCTED: Final = STATUS[1]
+"""Status of a budget whose frames were fitted to a published table."""
+
+_OTHER_GEOMETRIES: Final = 4
+"""Random geometries whose cells show what depends on the geometry: one that does not is equal in all."""
 
 RMSE: Final = "rmse"
 """Name of the row that holds an RMSE over the survey, without a distance."""
@@ -40,20 +54,20 @@ class Count:
 
     matched: int
     by_sigma: int
+    itself: int
     by_choice: int
     missed: int
 
     @property
     def cells(self) -> int:
         """All cells."""
-        return self.matched + self.by_sigma + self.by_choice + self.missed
+        return self.matched + self.by_sigma + self.itself + self.by_choice + self.missed
 
     def __str__(self) -> str:
+        numbers = (self.matched, self.by_sigma, self.itself, self.by_choice, self.missed)
         parts = [
             f"{n} {words}"
-            for n, words in zip(
-                (self.matched, self.by_sigma, self.by_choice, self.missed), VERDICTS, strict=True
-            )
+            for n, words in zip(numbers, VERDICTS, strict=True)
             if n or words in (MATCHED, MISSED)
         ]
         return f"{self.cells} cell{'s' * (self.cells != 1)}: {', '.join(parts)}"
@@ -92,19 +106,33 @@ def read_published(path: Path | str) -> pd.DataFrame:
 
 
 def verdicts(budget: Budget, published: pd.DataFrame) -> pd.DataFrame:
-    """The published cells with ``computed_mm``, ``difference_percent`` and ``verdict``.
+    """The published cells and what they are worth.
+
+    Added are ``computed_mm``, ``difference_percent``, ``met``, ``by_geometry`` and ``verdict``. ``met`` is
+    `MATCHED`, `BY_SIGMA` or `MISSED`; ``by_geometry`` is true where another geometry gives another number;
+    ``verdict`` is one of `VERDICTS`.
 
     Raises
     ------
     InputError : the published table has a row that the budget does not have, or another printed sigma.
     """
+    table = _met(budget, published)
+    table["by_geometry"] = _depends_on_geometry(budget, table)
+    table["verdict"] = table["met"]
+    good = table["met"] != MISSED
+    translations = [item.key for item in budget.inputs if item.part in COORDINATES]
+    table.loc[good & table["input"].isin(translations), "verdict"] = ITSELF
+    if budget.status == RECONSTRUCTED:
+        table.loc[good & table["by_geometry"], "verdict"] = BY_CHOICE
+    provenances = [item.provenance for item in budget.inputs]
+    if "fitted" in [*provenances, budget.survey.provenance if budget.survey else ""]:
+        table.loc[good, "verdict"] = BY_CHOICE
+    return table
+
+
+def _met(budget: Budget, published: pd.DataFrame) -> pd.DataFrame:
+    """The published cells with ``computed_mm``, ``difference_percent`` and ``met``; raises as `verdicts`."""
     table = published.copy()
-    distances = np.unique(table["distance_m"].dropna().to_numpy(float))
-    computed: dict[tuple[str, float], float] = {}
-    if distances.size:
-        cells = influences(budget, distances)
-        keys = zip(cells["input"], cells["distance_m"], strict=True)
-        computed = dict(zip(keys, cells["influence_mm"], strict=True))
     sigma = {item.key: item.sigma for item in budget.inputs}
     for name, printed in zip(table["input"], table["sigma_printed"], strict=True):
         if name not in {RMSE, TOTAL, *sigma}:
@@ -120,23 +148,77 @@ def verdicts(budget: Budget, published: pd.DataFrame) -> pd.DataFrame:
                 where=budget.name,
                 expected="the same sigma in both",
             )
-    table["computed_mm"] = [
-        rmse_mm(budget) if name == RMSE else computed[name, at]
-        for name, at in zip(table["input"], table["distance_m"], strict=True)
-    ]
-    error = table["computed_mm"] - table["value_mm"]
-    table["difference_percent"] = 100 * error / table["value_mm"]
-    # 1e-9 mm: a number that lies on the border itself is inside
-    near = error.abs() <= table["tolerance_mm"] + 1e-9
-    table["verdict"] = np.where(near, MATCHED, MISSED)
+    table["computed_mm"] = _computed_mm(budget, table)
+    table["difference_percent"] = 100 * (table["computed_mm"] - table["value_mm"]) / table["value_mm"]
+    near = pd.Series(_near(table["computed_mm"].to_numpy(), table), index=table.index)
+    table["met"] = np.where(near, MATCHED, MISSED)
     for name in table["input"].unique():
         row = table["input"] == name
         if not near[row].all() and _reached_by_sigma(table[row]):
-            table.loc[row & ~near, "verdict"] = BY_SIGMA
-    provenances = [item.provenance for item in budget.inputs]
-    if "fitted" in [*provenances, budget.survey.provenance if budget.survey else ""]:
-        table.loc[table["verdict"] != MISSED, "verdict"] = BY_CHOICE
+            table.loc[row & ~near, "met"] = BY_SIGMA
     return table
+
+
+def _computed_mm(budget: Budget, table: pd.DataFrame) -> ArrayF:
+    """What the budget gives for each cell (n,), millimetres."""
+    distances = np.unique(table["distance_m"].dropna().to_numpy(float))
+    computed: dict[tuple[str, float], float] = {}
+    if distances.size:
+        cells = influences(budget, distances)
+        keys = zip(cells["input"], cells["distance_m"], strict=True)
+        computed = dict(zip(keys, cells["influence_mm"], strict=True))
+    keys = zip(table["input"], table["distance_m"], strict=True)
+    return np.array([rmse_mm(budget) if name == RMSE else computed[name, at] for name, at in keys])
+
+
+def _near(computed_mm: ArrayF, table: pd.DataFrame) -> ArrayB:
+    """Which cells (n,) are within their tolerance; 1e-9 mm: a number on the border itself is inside."""
+    error = np.abs(computed_mm - table["value_mm"].to_numpy())
+    return np.asarray(error <= table["tolerance_mm"].to_numpy() + 1e-9)
+
+
+def _depends_on_geometry(budget: Budget, table: pd.DataFrame) -> ArrayB:
+    """Which cells (n,) another geometry changes, beyond rounding."""
+    others = [_computed_mm(other, table) for other in drawn(budget, _OTHER_GEOMETRIES)]
+    return np.asarray(np.ptp(others, axis=0) > 1e-9 * table["computed_mm"].to_numpy())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reached:
+    """Which cells of a table any geometry meets.
+
+    ``cells`` of the table; ``itself``, of these the printed sigma itself; ``by_geometry``, those that another
+    geometry changes; ``draws`` of random angles, which meet ``least`` to ``largest`` cells within their
+    tolerance, ``median`` of them.
+    """
+
+    cells: int
+    itself: int
+    by_geometry: int
+    draws: int
+    least: int
+    median: float
+    largest: int
+
+
+def reached(budget: Budget, published: pd.DataFrame, *, draws: int = DRAWS) -> Reached:
+    """How many published cells random geometries meet within 1 % or half a unit of the last digit.
+
+    Parameters
+    ----------
+    draws : geometries, see `thalweg.reproduction.geometry_draws.drawn`.
+    """
+    own = verdicts(budget, published)
+    met = [int(_near(_computed_mm(other, published), published).sum()) for other in drawn(budget, draws)]
+    return Reached(
+        cells=len(own),
+        itself=int((own["verdict"] == ITSELF).sum()),
+        by_geometry=int(own["by_geometry"].sum()),
+        draws=draws,
+        least=min(met),
+        median=float(np.median(met)),
+        largest=max(met),
+    )
 
 
 def _reached_by_sigma(row: pd.DataFrame) -> bool:
@@ -153,4 +235,4 @@ def _reached_by_sigma(row: pd.DataFrame) -> bool:
 def count(table: pd.DataFrame) -> Count:
     """Numbers of a table of `verdicts`."""
     found = [int((table["verdict"] == verdict).sum()) for verdict in VERDICTS]
-    return Count(matched=found[0], by_sigma=found[1], by_choice=found[2], missed=found[3])
+    return Count(matched=found[0], by_sigma=found[1], itself=found[2], by_choice=found[3], missed=found[4])

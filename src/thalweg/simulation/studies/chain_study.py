@@ -7,8 +7,13 @@ sigmas of poses and times (`thalweg.simulation.studies.drawn_images`), not rende
 code of a campaign: three trajectories, three clouds with the same filters, one reference of terrestrial
 scans, one outlier rule.
 
-What the fields of a boat do to its INS is not published. Their size is the one free number of this study, it
-was chosen so that the cloud by the INS comes near the published RMSE; camera and fused trajectory follow.
+Two things of this study are put in and must not be read as findings. What a boat does to its INS is not
+published: nine components of magnetic fields (two motors and the hull, three axes each), a drift of the
+heading, the size of multipath and the turn rate are free, `DISTURBANCES` and `TURN_RATE_DEGPS`. They were
+chosen so that the cloud by the INS comes near the published RMSE, which is met by an input chosen for it;
+camera and fused trajectory follow. And the poses of the camera are not measured: they are drawn with the
+sigmas that P2 Table 1 publishes and a jitter of 23 ms, so that the camera's RMSE is the propagation of these
+assumed inputs, and the processing knows them.
 """
 
 import logging
