@@ -77,14 +77,6 @@ def mutated(source: str, site: Site) -> ast.Module:
     return ast.fix_missing_locations(tree)
 
 
-def without_cache(tree: ast.Module) -> ast.Module:
-    """The tree with ``cache=True`` of compiled functions taken away."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call):
-            node.keywords = [k for k in node.keywords if k.arg != "cache"]
-    return tree
-
-
 def _short(text: str, most: int = 90) -> str:
     line = " ".join(text.split())
     return line if len(line) <= most else line[: most - 3] + "..."
