@@ -131,7 +131,7 @@ def test_noise_that_neighbours_share_enlarges_the_sigmas(lines):
     found = fit_sheet(sensor, points, grid, SETTINGS)
     # the sum of all correlations of a moving mean of 15 is 15; short pieces and the fit take some of it away
     assert 6.0 < found.shared_points < 18.0
-    assert found.sigma_factor[LINE] == pytest.approx(np.sqrt(found.shared_points), rel=0.25)
+    assert found.sigma_factor[LINE].value == pytest.approx(np.sqrt(found.shared_points), rel=0.25)
     plain = fit_sheet(sensor, points, grid, PLAIN)
     assert plain.shared_points == 1.0
     assert found.adjusted.sigma("laser_omega_rad") > 2.5 * plain.adjusted.sigma("laser_omega_rad")
@@ -144,7 +144,7 @@ def test_scatter_beyond_the_stated_sigmas_enlarges_them(lines):
     found = fit_sheet(sensor, points, grid, SETTINGS)
     # 900 points: 2.5 to 2.4 %
     assert found.sigma0[LINE] == pytest.approx(2.5, rel=0.08)
-    assert found.sigma_factor[LINE] == pytest.approx(2.5, rel=0.08)
+    assert found.sigma_factor[LINE].value == pytest.approx(2.5, rel=0.08)
     assert any("2.5" in told for told in found.warnings)
 
 

@@ -18,6 +18,7 @@ from thalweg.calibration.ins_lidar_checks import RunGates
 from thalweg.calibration.motion_search import MountRange
 from thalweg.calibration.pose_errors import PoseErrors
 from thalweg.calibration.run_points import RunPoints
+from thalweg.config.calibration import RunErrors
 from thalweg.core.errors import ThalwegError
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
@@ -48,18 +49,15 @@ WORDS: Final = {
 
 
 def ins_lidar_trial(seed: int) -> dict[str, Any]:
-    """Mount of the lidar from a run of half a minute past six cones."""
+    """Mount of the lidar from a run of half a minute past six cones.
+
+    The errors of the poses are presumed as the defaults of a campaign state them, whatever `RUN` draws: so
+    short a run could not tell. What other errors do is the matter of `prior_study_calibration`.
+    """
     run = cone_runs.make_run(seed, RUN)
-    errors = PoseErrors(
-        sigma_position_m=np.array(RUN.sigma_position_m),
-        sigma_attitude_rad=np.deg2rad(RUN.sigma_attitude_deg),
-        position_time_s=RUN.position_time_s,
-        attitude_time_s=RUN.attitude_time_s,
-        white_share=RUN.white_share,
-    )
     how = InsLidarSettings(
-        errors=errors, search=MountRange(lever_m=0.0, angle_deg=0.0), gates_m=(0.12,),
-        gates=RunGates(min_points_per_cone=40),
+        errors=PoseErrors.from_section(RunErrors().model_dump()), gates_m=(0.12,),
+        search=MountRange(lever_m=0.0, angle_deg=0.0), gates=RunGates(min_points_per_cone=40),
     )  # fmt: skip
     found = calibrate(
         RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s), run.cones, run.T_wcs_pcs, how,

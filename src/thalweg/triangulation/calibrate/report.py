@@ -113,19 +113,25 @@ def calibration_report(found: SheetCalibration) -> dict[str, Any]:
             "rms_px": found.misfit_px,
             "sigma0": found.sigma0[LINE],
             "neighbours_with_one_error": found.shared_points,
-            "sigmas_enlarged": found.sigma_factor[LINE],
+            **_factor(found, LINE),
         },
         "pairs": {
             "used": int(pairs.sum()),
             "rejected": int((~pairs).sum()),
             "sigma0": found.sigma0[PAIRS],
-            "sigmas_enlarged": found.sigma_factor[PAIRS],
+            **_factor(found, PAIRS),
         },
         "dropped": dict(found.correspondence.counts),
         "levels": levels,
         "sigma_of_depth": [_plain(row) for row in depth_sigmas(found.sensor, depths).to_dict("records")],
         "warnings": list(found.warnings),
     }
+
+
+def _factor(found: SheetCalibration, kind: str) -> dict[str, float]:
+    """Factor of the stated sigmas, and by what factor it may be wrong (2 if the picture says nothing)."""
+    factor = found.sigma_factor[kind]
+    return {"sigma_factor": factor.value, "sigma_factor_within": float(np.exp(factor.width))}
 
 
 def write_calibrated(

@@ -26,8 +26,9 @@ class CalibrationSettings:
     sigma_edge_px : of the end of a piece of line, along the line.
     sigma_edge_shift_px : by how far all ends may seem to lie too far out.
     reject_sigmas : beyond which line points and pairs are taken as wrong.
-    rescale : whether scatter beyond the stated sigmas, and errors that neighbouring line points share (a
-        matching patch covers many rows), enlarge the sigmas.
+    rescale : whether the sigmas of line points and pairs are those that their scatter shows, the stated ones
+        being prior knowledge, and errors that neighbouring line points share (a matching patch covers many
+        rows) enlarge them; see `scatter`.
     largest_misfit_px : root mean square distance of the line points from the adjusted levels beyond which the
         model, not the measurement, is wrong.
     drop_flags : bits of flags whose points take no part as line points; they still show where pieces end.

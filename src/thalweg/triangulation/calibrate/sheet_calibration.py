@@ -20,11 +20,12 @@ from thalweg.triangulation.calibrate.correspondence import Correspondence, corre
 from thalweg.triangulation.calibrate.grid import GridObject
 from thalweg.triangulation.calibrate.model import EDGE_SHIFT, LINE, PAIRS, Problem, sensor_at
 from thalweg.triangulation.calibrate.rank import estimable_laser, require_full_rank
-from thalweg.triangulation.calibrate.scatter import rescaled, shared_errors
+from thalweg.triangulation.calibrate.scatter import Factor, rescaled, scale, shared_errors
 from thalweg.triangulation.calibrate.settings import CalibrationSettings, joint_names
 from thalweg.triangulation.sensor import LASER, PARAMETERS, Sensor
 
 ROUNDS: Final = 4
+_SCALINGS: Final = 2
 _WIDER_RAD: Final = float(np.deg2rad(20.0))
 """By which the fan is widened on the way: rays at its ends must not lose it for wrong approximate values."""
 _LOOSE: Final = {
@@ -60,7 +61,7 @@ class SheetCalibration:
         priors.
     problem : its observations.
     correspondence : assignment of the line points.
-    sigma_factor : by which scatter and shared errors enlarged the sigmas of line points and pairs.
+    sigma_factor : of the stated sigmas of line points and pairs, by their scatter and shared errors.
     sigma0 : of line points and pairs as stated, before that.
     shared_points : how many neighbouring line points share their error.
     misfit_px : root mean square of the residuals of the line points.
@@ -75,7 +76,7 @@ class SheetCalibration:
     adjusted: Adjusted[ArrayF]
     problem: Problem
     correspondence: Correspondence
-    sigma_factor: dict[str, float]
+    sigma_factor: dict[str, Factor]
     sigma0: dict[str, float]
     shared_points: float
     misfit_px: float
@@ -118,13 +119,15 @@ def fit_sheet(
             cure="Check refractive indices, depths of the levels, thickness of the window, and the camera's "
             "orientation",
         )
-    shared, factor = 1.0, {LINE: 1.0, PAIRS: 1.0}
+    shared, factors = 1.0, {LINE: Factor(), PAIRS: Factor()}
     if settings.rescale:
-        shared = shared_errors(problem, adjusted, found)
-        problem, factor = rescaled(problem, adjusted, shared)
-        if any(f > 1.0 for f in factor.values()):
-            adjusted = _solve(replace(problem, weighted_at=adjusted.x), adjusted.x, settings, robust=False)
-    return _result(sensor, wide, problem, adjusted, found, settings, sigma0, factor, shared, misfit)
+        shared, stated = shared_errors(problem, adjusted, found), problem
+        # sizes of two kinds of observations depend on each other's weights
+        for _ in range(_SCALINGS):
+            factors = scale(adjusted, factors, shared)
+            problem = replace(rescaled(stated, factors), weighted_at=adjusted.x)
+            adjusted = _solve(problem, adjusted.x, settings, robust=False)
+    return _result(sensor, wide, problem, adjusted, found, settings, sigma0, factors, shared, misfit)
 
 
 def _widened(sensor: Sensor) -> Sensor:
@@ -262,7 +265,7 @@ def _result(
     found: Correspondence,
     settings: CalibrationSettings,
     sigma0: dict[str, float],
-    factor: dict[str, float],
+    factors: dict[str, Factor],
     shared: float,
     misfit: float,
 ) -> SheetCalibration:
@@ -293,11 +296,11 @@ def _result(
         adjusted=adjusted,
         problem=problem,
         correspondence=found,
-        sigma_factor=factor,
+        sigma_factor=factors,
         sigma0=sigma0,
         shared_points=shared,
         misfit_px=misfit,
-        warnings=_warnings(sensor, calibrated, found, adjusted, sigma0, factor, shared),
+        warnings=_warnings(sensor, calibrated, found, adjusted, sigma0, factors),
     )
 
 
@@ -307,10 +310,10 @@ def _warnings(
     assigned: Correspondence,
     adjusted: Adjusted[Any],
     sigma0: dict[str, float],
-    factor: dict[str, float],
-    shared: float,
+    factors: dict[str, Factor],
 ) -> tuple[str, ...]:
     told: list[str] = []
+    shared, factor = factors[LINE].shared, {name: f.value for name, f in factors.items()}
     off_mm = float(np.linalg.norm(found.sheet.origin_lcs_mm - nominal.sheet.origin_lcs_mm))
     normals = [s.sheet.R_lcs_las[:, 1] for s in (nominal, found)]
     turn = float(np.arccos(np.clip(normals[0] @ normals[1], -1.0, 1.0)))
