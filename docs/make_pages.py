@@ -24,6 +24,10 @@ ROOT = Path(__file__).parents[1]
 _validation = runpy.run_path(str(ROOT / "docs/make_validation.py"))
 
 
+HEAD = ("commit", "code", "date", "jobs", "wall_min", "cpu_min")
+"""What only a run tells."""
+
+
 class Pending:
     """Stands for what is not recorded yet, and for everything in it."""
 
@@ -38,6 +42,9 @@ class Pending:
     def __iter__(self) -> Iterator[Any]:
         return iter(())
 
+    def __mul__(self, factor: Any) -> "Pending":
+        return self
+
     def __str__(self) -> str:
         return "pending"
 
@@ -51,6 +58,9 @@ class Row:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
+        return self[name]
+
+    def __getitem__(self, name: str) -> Any:
         if name not in self._values:
             raise ValueError(
                 f"docs/validation/{self._table}.csv has no column '{name}': {list(self._values)}"
@@ -99,6 +109,11 @@ def judged(value: Any, low: Any, high: Any, digits: int = 2) -> str:
     return f"{text} {band}" if low <= value <= high else f"**{text}** {band}"
 
 
+def largest(table: Any, column: str) -> Any:
+    """The largest size of a column."""
+    return table if isinstance(table, Pending) else max(abs(row[column]) for row in table)
+
+
 def pages(root: Path = ROOT) -> dict[Path, str]:
     """All pages by their place, filled.
 
@@ -112,14 +127,17 @@ def pages(root: Path = ROOT) -> dict[Path, str]:
     folder = root / "docs/validation"
     for name, entry in _validation["studies"](root).items():
         path = folder / f"{name}.md"
-        runs[name] = _validation["front_matter"](path) if path.exists() else Pending()
+        found = _validation["front_matter"](path) if path.exists() else {}
+        runs[name] = dict.fromkeys(HEAD, Pending()) | entry | found
         for table, wanted in entry["tables"].items():
             path = folder / f"{table}.csv"
             known[table] = Table(path, wanted.get("keys", ["key"])) if path.exists() else Pending()
+    timings = folder / "timings.csv"
+    known["timings"] = Table(timings, ["campaign"]) if timings.exists() else Pending()
     environment = Environment(
         undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True, autoescape=False
     )
-    environment.filters |= {"d": decimals, "judged": judged}
+    environment.filters |= {"d": decimals, "judged": judged, "largest": largest}
     out = {}
     for template in sorted((root / "docs/pages").glob("*.md")):
         target = root / template.name if template.name == "README.md" else root / "docs" / template.name

@@ -9,6 +9,7 @@ jobs wrote beside their results (``<output>.meta.json``): nothing is typed.
 
 import argparse
 import json
+import shutil
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 
 import pandas as pd
 import yaml
+from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "src"))
@@ -71,6 +73,9 @@ def record(name: str, entry: Mapping[str, Any], results: Path, folder: Path) -> 
         jobs_of_chain = jobs
     folder.mkdir(parents=True, exist_ok=True)
     written = []
+    for target, source in entry.get("pictures", {}).items():
+        written.append(folder.parents[1] / target)
+        take_picture(results / source, written[-1])
     for table, rows in tables.items():
         written.append(folder / f"{table}.csv")
         rows.to_csv(written[-1], index=False, float_format="%.6g", lineterminator="\n")
@@ -85,6 +90,21 @@ def record(name: str, entry: Mapping[str, Any], results: Path, folder: Path) -> 
     }
     written[-1].write_text(page(name, entry, head, tables), encoding="utf-8")
     return written
+
+
+def take_picture(source: Path, target: Path) -> None:
+    """Copy a figure of the results, as JPEG where the target is one.
+
+    Raises
+    ------
+    InputError : there is no such figure.
+    """
+    if not source.is_file():
+        raise InputError("no figure to take", where=source)
+    if source.suffix == target.suffix:
+        shutil.copyfile(source, target)
+    else:
+        Image.open(source).convert("RGB").save(target, quality=88)
 
 
 def read(source: Path, wanted: Mapping[str, Any]) -> pd.DataFrame:

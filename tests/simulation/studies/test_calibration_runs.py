@@ -13,7 +13,7 @@ def test_only_honest_covariances_lie_in_the_band(scale: float, inside: bool) -> 
     rng = np.random.default_rng(1)
     squares = np.square(scale * rng.standard_normal((60, 6))).mean(axis=1)
     found = pd.DataFrame({"seed": range(60), "failure": "", "honest": squares})
-    (row,) = runs.judged(found, {"honest": 6}).to_dict("records")
+    (row,) = runs.judged(found, {"honest": 6}, level=0.01).to_dict("records")
     assert row["inside"] is inside
     assert row["band_low"] < 1 < row["band_high"]
 
