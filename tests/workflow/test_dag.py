@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import pytest
 
+from thalweg.jobs.truth import may_read_truth
+
 pytestmark = pytest.mark.workflow
 
 MAY_READ_TRUTH = {
@@ -63,6 +65,8 @@ def test_no_processing_rule_reads_the_truth(talkative_house, campaign: str) -> N
     # images of the light-sheet sensor are made from the campaign alone
     assert bool(simulating) == (campaign != "basin_tiny")
     assert readers - simulating == MAY_READ_TRUTH[campaign]
+    # what is declared here is what a job may open when it runs
+    assert {job.rule for job in found if may_read_truth(job.rule)} >= readers
     # and what the comparison yields feeds tables and pictures only
     consumers = {job.rule for job in found if any("/accuracy/truth" in name for name in job.inputs)} - {"all"}
     for table in ("/calibration_truth", "/light_sheet_truth"):
