@@ -99,7 +99,7 @@ SIMULATED = tuple(
     f"simulation/{name}"
     for name in (
         "logs/lidar.pcap", "logs/ins.anpp", "logs/rover.sbp", "logs/echo.nmea", "logs/tls_1.laz",
-        "logs/time_lapse", "pictures/view_bank.npz",
+        "logs/time_lapse", "pictures/view_bank.npz", "truth/trajectory.parquet",
     )
 )  # fmt: skip
 """A file of each rule of the twin that nothing else of the twin needs."""
