@@ -269,9 +269,15 @@ class _Run:
             if step.length < _NEARLY and self.known.noise.change(before) < _NOISE_NEARLY:
                 break
         # Points at the edge of the layer come and go; the last steps are made with those that are in it now.
+        # So do beams at an outline, which meet now the near side of a cone and now far behind it.
+        last: ArrayF | None = None
         for _ in range(_MAX_STEPS):
             linear = self._linear()
-            self.selection.used[~np.isfinite(linear.distance_m)] = False
+            steady = np.isfinite(linear.distance_m)
+            if last is not None:
+                steady &= np.abs(linear.distance_m - last) < np.sqrt(linear.variance_m2)
+            last = linear.distance_m
+            self.selection.used[~steady] = False
             step = self._solve(linear, band)
             self.state = step.state
             if step.length < _SETTLED:

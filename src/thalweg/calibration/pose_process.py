@@ -115,7 +115,8 @@ class Processes:
             kind, spread = _KINDS[name.rpartition("_")[2]]
             out[name] = {
                 "kind": kind, "stated": stated[name], "stated_within_factor": spread,
-                "estimated": found[name], "low": low, "high": high, "told_by_survey": bool(width <= DETERMINED),
+                "estimated": found[name], "low": low, "high": high,
+                "told_by_survey": bool(width <= DETERMINED),
             }  # fmt: skip
         return out
 

@@ -23,6 +23,7 @@ from thalweg.calibration.motion_search import MountRange
 from thalweg.calibration.pose_errors import PoseErrors
 from thalweg.calibration.run_points import RunPoints
 from thalweg.config.calibration import RunErrors
+from thalweg.core.errors import ThalwegError
 from thalweg.core.types import ArrayF
 from thalweg.simulation.random import generator
 from thalweg.simulation.studies import cone_runs
@@ -100,7 +101,7 @@ true are 3, 15 and 7."""
 
 MODELS: Final = ("presumed", "estimated")
 COLUMNS: Final = (
-    "chain", "variant", "seed", "model", "quantity", "nees", "n", "coverage_95", "undetermined",
+    "chain", "variant", "seed", "model", "quantity", "nees", "n", "coverage_95", "undetermined", "refused",
 )  # fmt: skip
 
 
@@ -121,7 +122,8 @@ def run(variant: str, seed: int) -> pd.DataFrame:
     -------
     Columns ``chain``, ``variant``, ``seed``, ``model``, ``quantity``, ``nees`` (normalised square over the
     number ``n`` of components), ``n``, ``coverage_95`` (share of the components within 1.96 sigma),
-    ``undetermined``: parameters that the survey cannot tell, where the width of the prior counts.
+    ``undetermined``: parameters that the survey cannot tell, where the width of the prior counts;
+    ``refused``: why the calibration gave no result, with NaN for the numbers; else missing.
     """
     chosen = by_name(variant)
     rows: list[dict[str, Any]] = []
@@ -157,10 +159,14 @@ def moving_boat(
     )  # fmt: skip
     rows = []
     for model in MODELS:
-        found = calibrate(
-            at, survey.cones, survey.T_wcs_pcs, replace(how, estimate_errors=model == "estimated"),
-            lever_ics_antenna_m=cone_runs.LEVER_ANTENNA_M, antenna=survey.antenna, start=NEAR,
-        )  # fmt: skip
+        try:
+            found = calibrate(
+                at, survey.cones, survey.T_wcs_pcs, replace(how, estimate_errors=model == "estimated"),
+                lever_ics_antenna_m=cone_runs.LEVER_ANTENNA_M, antenna=survey.antenna, start=NEAR,
+            )  # fmt: skip
+        except ThalwegError as refusal:
+            rows.append(_refused("moving_boat", model, "mount", 6, refusal))
+            continue
         error, cov = found.T_ics_scs.error_from(survey.true_mount), found.T_ics_scs.cov
         open_ = "" if found.processes is None else " ".join(found.processes.undetermined())
         parts = {"mount": range(6), "lever arm": range(3), "tilt": (3, 4), "heading": (5,)}
@@ -189,7 +195,11 @@ def light_sheet(truth: Mapping[str, Any], seed: int) -> list[dict[str, Any]]:
     how = CalibrationSettings(least_gap_px=6.0, sigma_edge_px=_EDGE_PX)
     rows = []
     for model in MODELS:
-        found = fit_sheet(sensor, points, grid, replace(how, rescale=model == "estimated"))
+        try:
+            found = fit_sheet(sensor, points, grid, replace(how, rescale=model == "estimated"))
+        except ThalwegError as refusal:
+            rows.append(_refused("light_sheet", model, "sheet", 5, refusal))
+            continue
         error = _sheet_error(found.sensor, sensor)
         at = [found.names.index(name) for name in _SHEET]
         cov = found.cov[np.ix_(at, at)]
@@ -219,6 +229,14 @@ def _sheet_error(found: Sensor, true: Sensor) -> ArrayF:
         J[:, i] = (found.with_vector(x).sheet.R_lcs_las[:, 1] - normals[0]) / 1e-6
     turn = np.linalg.lstsq(J, normals[0] - normals[1], rcond=None)[0]
     return np.concatenate([off, turn])
+
+
+def _refused(chain: str, model: str, quantity: str, n: int, refusal: ThalwegError) -> dict[str, Any]:
+    """Row of a calibration that refused the survey, as one does whose own checks contradict its sigmas."""
+    return {
+        "chain": chain, "model": model, "quantity": quantity, "nees": np.nan, "n": n, "coverage_95": np.nan,
+        "undetermined": "", "refused": str(refusal),
+    }  # fmt: skip
 
 
 def _judged(error: ArrayF, cov: ArrayF, at: list[int]) -> dict[str, Any]:
