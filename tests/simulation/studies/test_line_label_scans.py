@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from thalweg.simulation.studies.line_label_scans import labelled_scans
+from thalweg.simulation.studies.calibrated_sensor import calibrated_sensor
+from thalweg.simulation.studies.line_label_scans import LASER_SEED, labelled_scans
 from thalweg.simulation.studies.line_labels import Setting, calibrated_lines, study_scene
-from thalweg.triangulation.sensor import paper_4
 
 
 def test_points_and_counts_are_those_of_the_study() -> None:
     # a short way: the ground before the wreck, and its edge
     points, shifts = labelled_scans(1, spacings=(0.3,), step_mm=6.0, end_mm=35.0)
-    sensor = paper_4()
+    pair = calibrated_sensor(LASER_SEED)
     setting = Setting(irregular=0.3, step_mm=6.0, end_mm=35.0)
-    row = study_scene(sensor, *calibrated_lines(sensor, 0.3, 1), setting, 1)
+    row = study_scene(pair, *calibrated_lines(pair, 0.3, LASER_SEED), setting, 1)
     assert len(points) == row["n"]
     assert points["image"].nunique() == row["images"]
     given = points["line"] >= 0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError
+from thalweg.simulation.studies.calibrated_sensor import calibrated_sensor
 from thalweg.simulation.studies.line_label_scenes import make_scene, observe
 from thalweg.simulation.studies.line_labels import (
     MAP,
@@ -31,19 +32,19 @@ from thalweg.triangulation.multi_line.surface_map import (
     SurfaceMap,
 )
 from thalweg.triangulation.multi_line.tables import label_table, line_table
-from thalweg.triangulation.sensor import paper_4
 
-SENSOR = paper_4()
+PAIR = calibrated_sensor(1)
+SENSOR = PAIR.known
 
 
 @pytest.fixture(scope="module")
 def regular():
-    return calibrated_lines(SENSOR, 0.0, 1)
+    return calibrated_lines(PAIR, 0.0, 1)
 
 
 @pytest.fixture(scope="module")
 def irregular():
-    return calibrated_lines(SENSOR, 0.3, 1)
+    return calibrated_lines(PAIR, 0.3, 1)
 
 
 def _enumerated(unary, depth, missing, skip, smooth, cap):
@@ -116,7 +117,7 @@ def test_map_knows_occupied_free_and_hidden() -> None:
 def test_flat_bed_of_known_depth(regular) -> None:
     """Acceptance 16: flat >= 0.999, of one image, with the depth known to 1 mm."""
     grating, lines = regular
-    seen = observe(SENSOR, grating, make_scene("flat", 1), 0.0, 1)
+    seen = observe(PAIR.true, grating, make_scene("flat", 1), 0.0, 1)
     h = hypotheses(SENSOR, lines, seen.detections, LabelSettings())
     depth = float(np.nanmedian(seen.depth_mm)) + 1.0
     got = label_counts(
@@ -131,7 +132,7 @@ def test_flat_bed_of_known_depth(regular) -> None:
 def test_calibrated_lines_measure_the_scene(irregular) -> None:
     """Rendering and measuring are different codes: true labels give true depths."""
     grating, lines = irregular
-    seen = observe(SENSOR, grating, make_scene("wreck", 2), 20.0, 1)
+    seen = observe(PAIR.true, grating, make_scene("wreck", 2), 20.0, 1)
     h = hypotheses(SENSOR, lines, seen.detections, LabelSettings())
     real = np.flatnonzero(seen.label >= 0)
     error = h.xyd_mm[real, seen.label[real], 2] - seen.depth_mm[real]
@@ -157,7 +158,7 @@ def test_single_images_label_only_what_they_know(regular, irregular) -> None:
     for name, (grating, lines) in (("regular", regular), ("irregular", irregular)):
         labels, truth = [], []
         for y in (60.0, 20.0, -20.0, -60.0):
-            seen = observe(SENSOR, grating, make_scene("wreck", 2), y, 1)
+            seen = observe(PAIR.true, grating, make_scene("wreck", 2), y, 1)
             h = hypotheses(SENSOR, lines, seen.detections, LabelSettings())
             labels.append(label_single_image(h, lines, LabelSettings()).label)
             truth.append(seen.label)
@@ -172,7 +173,7 @@ def test_single_images_label_only_what_they_know(regular, irregular) -> None:
 def test_scan_of_a_wreck(irregular) -> None:
     """Acceptance 16 (irregular >= 0.97), and the goal of 0.99, on the first half of a scan."""
     scan = simulate_scan(
-        SENSOR, *irregular, Setting(irregular=0.3, kind="wreck", start_mm=80.0, end_mm=20.0), 2
+        PAIR, *irregular, Setting(irregular=0.3, kind="wreck", start_mm=80.0, end_mm=20.0), 2
     )
     found = label_scan(scan.images, scan.poses, MAP, ground_depth_mm=scan.ground_depth_mm)
     counts = label_counts((each.label for each in found.labels), scan.truth)
@@ -197,7 +198,7 @@ def test_scan_of_a_wreck(irregular) -> None:
 def test_shift_of_all_labels_is_flagged(regular) -> None:
     """The ground at the start mistaken by one line: no label is given out (acceptance 16, second part)."""
     setting = Setting(kind="steps", start_mm=80.0, end_mm=41.0, ground_error_mm=6.5, sigma_ground_mm=0.0)
-    scan = simulate_scan(SENSOR, *regular, setting, 1)
+    scan = simulate_scan(PAIR, *regular, setting, 1)
     found = label_scan(scan.images, scan.poses, MAP, ground_depth_mm=scan.ground_depth_mm)
     assert not found.resolved
     assert all((each.label < 0).all() for each in found.labels)

@@ -23,9 +23,9 @@ import numpy as np
 
 from thalweg.core.frames import rotation_opk
 from thalweg.core.types import ArrayF, ArrayI
+from thalweg.simulation.light_sheet.fan_forward import seen_points, sub_beams
 from thalweg.simulation.random import generator
 from thalweg.triangulation.multi_line.level_points import LevelPoints
-from thalweg.triangulation.refracted_rays import directions_to_points, refract_to_water
 from thalweg.triangulation.sensor import Sensor
 
 
@@ -140,10 +140,8 @@ def image_of_level(
     """Pixels (n, 2) of sub-beams on levels, NaN outside of the picture; directions (n,) across the line."""
 
     def image(a: ArrayF) -> ArrayF:
-        origins, directions = grating.beams(line, a)
-        points = refract_to_water(origins, directions, sensor.window).at_depth(depth_mm)
-        rays = directions_to_points(sensor.camera_origin_lcs_mm, points, sensor.window)
-        return sensor.camera.project(rays @ sensor.R_lcs_ccs)
+        beams = sub_beams(*grating.beams(line, a), sensor.window)
+        return seen_points(sensor, beams.at_depth(depth_mm, sensor.window)).xy_px
 
     xy = image(a_rad)
     along = image(a_rad + 1e-5) - image(a_rad - 1e-5)

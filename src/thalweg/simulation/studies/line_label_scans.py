@@ -9,14 +9,15 @@ from typing import Final
 
 import pandas as pd
 
+from thalweg.simulation.studies.calibrated_sensor import calibrated_sensor
 from thalweg.simulation.studies.line_labels import MAP, Setting, calibrated_lines, simulate_scan
 from thalweg.triangulation.multi_line.scan_labels import Flag, label_scan
 from thalweg.triangulation.multi_line.tables import label_table
-from thalweg.triangulation.sensor import paper_4
 
 SPACINGS: Final = (0.0, 0.3)
 """Designed irregularities of the spacing: none, and each step up to 30 percent off."""
 STEP_MM: Final = 5.0
+LASER_SEED: Final = 1
 _SIGMA_GROUND_MM: Final = 2.0
 
 
@@ -39,11 +40,11 @@ def labelled_scans(
     shifts : for each spacing how much lines disagree with all labels shifted, see `ScanLabels`, and whether
         the scan was ``resolved``.
     """
-    sensor, points, shifts = paper_4(), [], []
+    pair, points, shifts = calibrated_sensor(LASER_SEED), [], []
     for irregular in spacings:
         setting = Setting(irregular=irregular, step_mm=step_mm, end_mm=end_mm)
-        grating, lines = calibrated_lines(sensor, irregular, 1)
-        scan = simulate_scan(sensor, grating, lines, setting, seed)
+        grating, lines = calibrated_lines(pair, irregular, LASER_SEED)
+        scan = simulate_scan(pair, grating, lines, setting, seed)
         found = label_scan(
             scan.images, scan.poses, MAP, ground_depth_mm=scan.ground_depth_mm,
             sigma_ground_mm=_SIGMA_GROUND_MM,

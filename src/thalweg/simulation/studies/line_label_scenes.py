@@ -13,10 +13,10 @@ import numba as nb
 import numpy as np
 
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
+from thalweg.simulation.light_sheet.fan_forward import seen_points, sub_beams
 from thalweg.simulation.light_sheet.grating import Grating
 from thalweg.simulation.random import generator
 from thalweg.triangulation.multi_line.detections import Detections
-from thalweg.triangulation.refracted_rays import directions_to_points, refract_to_water
 from thalweg.triangulation.sensor import Sensor
 
 Scene = Literal["flat", "wreck", "spars", "steps"]
@@ -111,15 +111,14 @@ def observe(
     n = len(grating.cosine_offsets)
     fan = np.linspace(-grating.half_angle_rad, grating.half_angle_rad, samples)
     line = np.repeat(np.arange(n), samples)
-    origins, directions = grating.beams(line, np.tile(fan, n))
-    beams = refract_to_water(origins, directions, sensor.window)
+    beams = sub_beams(*grating.beams(line, np.tile(fan, n)), sensor.window)
     ground = (scene.depth_mm, scene.corner_mm, scene.cell_mm, float(scene.depth_mm.min()) - 1.0)
-    depth = _first_hit(*ground, beams.A, beams.B, shift_y_mm)
-    R = sensor.R_lcs_ccs
-    rays = directions_to_points(sensor.camera_origin_lcs_mm, beams.at_depth(depth), sensor.window)
-    xy = sensor.camera.project(rays @ R)
-    back = refract_to_water(sensor.camera_origin_lcs_mm, rays, sensor.window)
-    seen = _visible(*ground, back.A, back.B, depth, shift_y_mm) & sensor.camera.inside(xy)
+    depth = _first_hit(*ground, beams.start_mm, beams.slope, shift_y_mm)
+    image = seen_points(sensor, beams.at_depth(depth, sensor.window))
+    xy = image.xy_px
+    # the camera's ray through the point, back to the window
+    start = beams.start_mm + (beams.slope - image.slope) * depth[:, None]
+    seen = _visible(*ground, start, image.slope, depth, shift_y_mm) & image.inside
     xy[~seen] = np.nan
     found = _crossings(xy, depth, line, row_step, sensor.camera.size_px[1])
     row, x, label, true_depth = found[:, 0], found[:, 1], found[:, 2], found[:, 3]

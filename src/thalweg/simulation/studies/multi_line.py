@@ -2,7 +2,7 @@
 
 The laser is a tilted grating with random spacing and origins, which none of the models describes exactly. Six
 lines are seen on both levels of the calibration, all on one; planes on other levels are measured with each
-model.
+model. Each laser has a sensor of its own, which the processing knows from its calibration only.
 """
 
 from collections.abc import Iterable
@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.simulation.light_sheet.grating import GratingErrors, calibration_points, make_grating
+from thalweg.simulation.studies.calibrated_sensor import calibrated_sensor
 from thalweg.triangulation.multi_line.comparison import compare_models, nested_tests
 from thalweg.triangulation.multi_line.models import KINDS, NominalDiode, line_model
 from thalweg.triangulation.multi_line.tables import line_table
@@ -45,20 +46,21 @@ def multi_line_study(seeds: Iterable[int]) -> tuple[pd.DataFrame, pd.DataFrame, 
     tests : whether there is a joint centre and an equal spacing (C327), by laser.
     lines : where the lines of the nominal laser meet planes, see `line_table` (T Fig. 4.3).
     """
-    sensor = paper_4()
-    nominal = nominal_diode(sensor)
     models, tests = [], []
     for seed in seeds:
-        grating = make_grating(sensor, seed, errors=GratingErrors())
-        points = calibration_points(sensor, grating, LEVELS_MM, seed, paired_lines=PAIRED)
+        pair = calibrated_sensor(seed)
+        sensor, nominal = pair.known, nominal_diode(pair.known)
+        grating = make_grating(pair.true, seed, errors=GratingErrors())
+        points = calibration_points(pair.true, grating, LEVELS_MM, seed, paired_lines=PAIRED)
         planes = calibration_points(
-            sensor, grating, PLANES_MM, seed, pairs_per_line=0, sigma_px=0.2, name="plane"
+            pair.true, grating, PLANES_MM, seed, pairs_per_line=0, sigma_px=0.2, name="plane"
         )
         six = nominal_diode(sensor, PAIRED)
         seen = points.of(np.isin(points.line, PAIRED))
         models.append(compare_models(sensor, seen, six, KINDS, planes=planes).assign(seed=seed))
         models.append(compare_models(sensor, points, nominal, SHARED, planes=planes).assign(seed=seed))
         tests.append(nested_tests(sensor, points, nominal).assign(seed=seed))
-    regular = line_model("regular", nominal)
-    lines = line_table(sensor, regular.lines(regular.start), (60.0, 100.0, 160.0))
+    design = paper_4()
+    regular = line_model("regular", nominal_diode(design))
+    lines = line_table(design, regular.lines(regular.start), (60.0, 100.0, 160.0))
     return pd.concat(models, ignore_index=True), pd.concat(tests, ignore_index=True), lines

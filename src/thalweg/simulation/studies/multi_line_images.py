@@ -25,6 +25,7 @@ from thalweg.simulation.light_sheet.surfaces import Posed
 from thalweg.simulation.light_sheet.truth_sensor import sized
 from thalweg.simulation.light_sheet.wreck import wreck
 from thalweg.simulation.random import generator
+from thalweg.simulation.studies.calibrated_sensor import Size, calibrated_sensor
 from thalweg.simulation.studies.line_labels import calibrated_lines
 from thalweg.triangulation.lines.detect import detect_lines
 from thalweg.triangulation.lines.points import LinePoints
@@ -67,7 +68,7 @@ class MultiLineImage:
     faces: ArrayI
 
 
-def multi_line_images(seed: int, *, size: str = "demo") -> Iterator[MultiLineImage]:
+def multi_line_images(seed: int, *, size: Size = "demo") -> Iterator[MultiLineImage]:
     """Render, measure and label one image of each object, in the order of `OBJECTS`.
 
     Parameters
@@ -75,8 +76,9 @@ def multi_line_images(seed: int, *, size: str = "demo") -> Iterator[MultiLineIma
     seed : of the laser, of the wreck and of all noise.
     size : of the images, see `thalweg.simulation.light_sheet.truth_sensor.SIZES`.
     """
-    sensor, settings = sized(paper_4(), SheetImage(), size)
-    grating, lines = calibrated_lines(sensor, 0.0, seed)
+    pair = calibrated_sensor(seed, size=size)
+    sensor, settings = pair.true, sized(paper_4(), SheetImage(), size)[1]
+    grating, lines = calibrated_lines(pair, 0.0, seed)
     fans = lines_of(grating)
     plans = (
         calibration_plan(sensor, seed, positions=1, depths_mm=LEVELS_MM, fans=fans),
@@ -91,7 +93,7 @@ def multi_line_images(seed: int, *, size: str = "demo") -> Iterator[MultiLineIma
             sensor, scene, settings, generator(seed, f"multi line image {name}"), fans=fans
         )
         found = detect_lines(image, LineSettings(lines=len(fans), across="rows"))
-        points = labelled_points(sensor, lines, found, depths)
+        points = labelled_points(pair.known, lines, found, depths)
         points["true_line"] = true_lines(sensor, scene, grating, points)
         yield MultiLineImage(
             name=name,

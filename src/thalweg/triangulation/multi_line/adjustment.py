@@ -16,9 +16,9 @@ import numpy as np
 
 from thalweg.core.adjustment import Adjusted, Linear, Observations, adjust, prior
 from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF, ArrayI
+from thalweg.core.types import ArrayF
 from thalweg.triangulation.intersection import intersect
-from thalweg.triangulation.multi_line.level_points import LevelPoints, ObjectPoints, on_levels
+from thalweg.triangulation.multi_line.level_points import LevelPoints, on_levels
 from thalweg.triangulation.multi_line.models import LineModel
 from thalweg.triangulation.multi_line.sheet_curves import Lines, line_residuals
 from thalweg.triangulation.sensor import Sensor
@@ -31,6 +31,8 @@ _SMALLEST: Final = 1e-3
 _ALONE: Final = ("individual", "free_cones")
 """Models whose lines must be determined one by one."""
 _LOST_PX: Final = 1e4
+_WIDER_RAD: Final = 0.15
+"""By which fans are widened where the line of a point is known: their middle is not known so well."""
 _STEPS: Final = 400
 """Planes fitted to cones leave large residuals, and Gauss-Newton steps then approach slowly."""
 
@@ -81,7 +83,7 @@ def calibrate_lines(
 
     Parameters
     ----------
-    sensor : camera and window, known.
+    sensor : camera and window as calibrated; see `thalweg.triangulation.multi_line.consider`.
     points : on levels.
     model : from `thalweg.triangulation.multi_line.models.line_model`.
     estimate_deviations : whether the variances of line deviations are estimated, or their start is kept.
@@ -99,13 +101,11 @@ def calibrate_lines(
         )
     if model.kind in _ALONE:
         _check_alone(points, model)
-    objects = on_levels(sensor, points)
-    at = np.searchsorted(model.labels, points.line)
     sigmas = {name: known.sigma for name, known in model.priors.items()}
     start = model.start
     got: Adjusted[ArrayF]
     for _ in range(_ROUNDS):
-        groups = _groups(sensor, points, objects, model, at, sigmas)
+        groups = line_and_pair_groups(sensor, points, model) + _prior_groups(model, sigmas)
         got = adjust(groups, start, model.names, max_iterations=_STEPS, cure=_CURE)
         start = got.x
         new = dict(sigmas)
@@ -120,12 +120,24 @@ def calibrate_lines(
     return LineCalibration(
         model=replace(model, start=got.x),
         adjusted=got,
-        lines=model.lines(got.x),
+        lines=_as_wide_as_seen(sensor, points, model.lines(got.x)),
         sigma_deviations={name: sigmas[name] for name in ESTIMATED if name in sigmas},
         n_points=len(points.line),
         n_pairs=len(points.pairs),
         sigma_px=float(np.sqrt(np.mean(np.square(points.sigma_px)))),
     )
+
+
+def _as_wide_as_seen(sensor: Sensor, points: LevelPoints, lines: Lines) -> Lines:
+    """Lines whose fans hold all points that were seen on them.
+
+    The adjustment knows the turn of a fan in its own plane to a degree, so that one end of it may lie beyond
+    the nominal width.
+    """
+    objects, at = on_levels(sensor, points), np.searchsorted(lines.labels, points.line)
+    found = line_residuals(lines, at, objects.xyd_mm, objects.across_mm, sensor.window)
+    seen = np.abs(found.fan_angle_rad[np.isfinite(found.error_px)])
+    return replace(lines, half_angle_rad=max(lines.half_angle_rad, float(seen.max(initial=0.0))))
 
 
 def level_depths(sensor: Sensor, lines: Lines, points: LevelPoints) -> ArrayF:
@@ -139,7 +151,7 @@ def level_depths(sensor: Sensor, lines: Lines, points: LevelPoints) -> ArrayF:
     for label, sheet in sheets.items():
         mine = points.line == label
         if mine.any() and sheet.origin_lcs_mm @ sensor.window.normal_lcs > 0:
-            wide = replace(sheet, half_angle_rad=1.1 * sheet.half_angle_rad)
+            wide = replace(sheet, half_angle_rad=sheet.half_angle_rad + _WIDER_RAD)
             out[mine] = intersect(sensor.with_sheet(wide), points.xy_px[mine]).depth_mm
     return out
 
@@ -158,14 +170,21 @@ def _check_alone(points: LevelPoints, model: LineModel) -> None:
         )
 
 
-def _groups(
-    sensor: Sensor,
-    points: LevelPoints,
-    objects: ObjectPoints,
-    model: LineModel,
-    at: ArrayI,
-    sigmas: Mapping[str, float],
-) -> list[Observations[ArrayF]]:
+def line_and_pair_groups(sensor: Sensor, points: LevelPoints, model: LineModel) -> list[Observations[ArrayF]]:
+    """Observations of the line points, and of the pairs if there are any, as functions of the unknowns.
+
+    Parameters
+    ----------
+    sensor : camera and window.
+    points : on levels.
+    model : whose start gives the weights of the pairs.
+
+    Raises
+    ------
+    GeometryError : points far from the approximate lines, or pixels whose rays do not reach the water.
+    """
+    objects = on_levels(sensor, points)
+    at = np.searchsorted(model.labels, points.line)
     one, other = points.pairs.T
 
     # The weights of the pairs stay those of the approximate lines: weights that change with the unknowns
@@ -212,8 +231,13 @@ def _groups(
     groups: list[Observations[ArrayF]] = [Observations("lines", lambda x: at_state(x)[0])]
     if len(points.pairs):
         groups.append(Observations("pairs", lambda x: at_state(x)[1]))
-    u = len(model.names)
+    return groups
+
+
+def _prior_groups(model: LineModel, sigmas: Mapping[str, float]) -> list[Observations[ArrayF]]:
+    groups: list[Observations[ArrayF]] = []
     for name, known in model.priors.items():
         cov = np.eye(len(known.places)) * sigmas[name] ** 2
-        groups.append(Observations(name, prior(known.mean, cov, known.places.tolist(), u)))
+        of_known = prior(known.mean, cov, known.places.tolist(), len(model.names))
+        groups.append(Observations(name, of_known))
     return groups

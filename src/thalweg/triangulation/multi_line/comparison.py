@@ -26,6 +26,7 @@ from scipy.stats import f as f_distribution
 from thalweg.core.errors import GeometryError
 from thalweg.core.types import ArrayF
 from thalweg.triangulation.multi_line.adjustment import LineCalibration, calibrate_lines, level_depths
+from thalweg.triangulation.multi_line.consider import consider_sensor, depth_errors
 from thalweg.triangulation.multi_line.level_points import LevelPoints
 from thalweg.triangulation.multi_line.models import Kind, NominalDiode, line_model
 from thalweg.triangulation.sensor import Sensor
@@ -56,8 +57,10 @@ def compare_models(
     Returns
     -------
     A row for each model: ``model, n_lines, unknowns, effective_unknowns, n, posterior_sigma_px, rms_px,
-    aicc, bic, plane_rmse_mm, plane_bias_mm, n_plane, n_plane_lost`` and, for each level of ``planes``,
-    ``plane_rmse_mm_<depth>``.
+    aicc, bic, plane_rmse_mm, plane_bias_mm, n_plane, n_plane_lost``, for each level of ``planes``
+    ``plane_rmse_mm_<depth>``, and as predicted with the covariance of the sensor ``plane_sigma_mm``, the part
+    of camera, window and water ``plane_sigma_sensor_mm``, ``plane_sigma_bias_mm`` of the mean, and
+    ``plane_nees``: mean of the squared errors over their variances, 1 if these are right.
     """
     rows = []
     for kind in kinds:
@@ -74,8 +77,26 @@ def compare_models(
             "aicc": n * np.log(chi2 / n) + 2 * k + 2 * k * (k + 1) / (n - k - 1),
             "bic": n * np.log(chi2 / n) + k * np.log(n),
         }
-        rows.append(row | ({} if planes is None else plane_errors(sensor, found, planes)))
+        if planes is not None:
+            mine = planes.of(np.isin(planes.line, found.lines.labels))
+            row |= plane_errors(sensor, found, mine) | _predicted(sensor, points, found, mine)
+        rows.append(row)
     return pd.DataFrame(rows)
+
+
+def _predicted(
+    sensor: Sensor, points: LevelPoints, found: LineCalibration, planes: LevelPoints
+) -> dict[str, float]:
+    """What a calibration says of its own errors of the planes, and how these compare."""
+    error = level_depths(sensor, found.lines, planes) - planes.depth_mm
+    met = np.isfinite(error)
+    told = depth_errors(sensor, found, consider_sensor(sensor, points, found), planes.of(met))
+    return {
+        "plane_sigma_mm": _rms(told.sigma_mm),
+        "plane_sigma_sensor_mm": _rms(told.sigma_sensor_mm),
+        "plane_sigma_bias_mm": told.sigma_mean_mm,
+        "plane_nees": float(np.mean(np.square(error[met] / told.sigma_mm))),
+    }
 
 
 def plane_errors(sensor: Sensor, found: LineCalibration, planes: LevelPoints) -> dict[str, float]:

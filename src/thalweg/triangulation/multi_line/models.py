@@ -42,6 +42,8 @@ _POSE: Final = (
 _STEP: Final = 1e-6
 _HOUSING_MM: Final = 5.0
 """How well the place of a laser is known from its housing."""
+_FAN_ENDS_RAD: Final = 0.02
+"""How well the ends of the fans tell the middle of the fan."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,7 +256,7 @@ def _diode(nominal: NominalDiode, hierarchical: bool) -> _Made:
     # they wander off.
     phi = np.array([4])
     priors = {
-        "fan_ends": Prior(places=phi, mean=start[phi], sigma=0.02),
+        "fan_ends": Prior(places=phi, mean=start[phi], sigma=_FAN_ENDS_RAD),
         "v0": zero(np.array([6]), 0.05),
         "drift": zero(np.array([9, 10]), 0.5),
     }
@@ -300,4 +302,10 @@ def _cones(nominal: NominalDiode, free_origins: bool) -> _Made:
         Rj = R @ rotation_rad(np.stack([zero, zero, turn], axis=-1))
         return _lines(nominal, x[:m].reshape(-1, 3), Rj, v)
 
-    return names, start, function, {}
+    # cones hardly change when they turn about their axis: the ends of the fans hold them, as in the diode
+    return (
+        names,
+        start,
+        function,
+        {"fan_ends": Prior(places=np.array([m]), mean=start[[m]], sigma=_FAN_ENDS_RAD)},
+    )
