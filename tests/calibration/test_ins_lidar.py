@@ -221,6 +221,26 @@ def test_sizes_of_the_pose_errors_are_taken_from_the_run() -> None:
     assert np.all(wider[3:] > 1.5)
 
 
+def test_noise_across_the_beams_is_taken_from_the_run() -> None:
+    spec = replace(SHORT, noise_m=0.010, across_m=0.030)
+    found = solved(make_run(3, spec), settings(SHORT, search=NO_SEARCH), start=NEAR)
+    # some 1100 points between 0 and 60 degrees of incidence, of which both are stated as 17.3 mm
+    assert found.noise.along_m == pytest.approx(0.010, rel=0.35)
+    assert found.noise.across_m == pytest.approx(0.030, rel=0.15)
+
+
+def test_what_the_run_leaves_open_is_in_its_covariance() -> None:
+    found = solved(make_run(2, SHORT), settings(SHORT, search=NO_SEARCH, estimate_errors=True), start=NEAR)
+    known = solved(make_run(2, SHORT), settings(SHORT, search=NO_SEARCH), start=NEAR)
+    assert found.processes is not None
+    # 40 s are two correlation times of the attitudes: their times remain as stated, within a factor of 3
+    assert {"tilt_time", "heading_time"} <= set(found.processes.undetermined())
+    assert found.processes.facts()["white_share"]["told_by_survey"]
+    turned = np.diag(found.T_ics_scs.cov)[3:] / np.diag(known.T_ics_scs.cov)[3:]
+    at_best = (found.errors.sigma_attitude_rad / known.errors.sigma_attitude_rad) ** 2
+    assert np.all(turned > 1.1 * at_best)
+
+
 # ---------------------------------------------------------------- bad input
 
 

@@ -148,6 +148,17 @@ def test_scatter_beyond_the_stated_sigmas_enlarges_them(lines):
     assert any("2.5" in told for told in found.warnings)
 
 
+def test_scatter_below_the_stated_sigmas_makes_them_smaller(lines):
+    sensor, grid = lines.without_sigmas(paper_4()), lines.grid_object()
+    points = lines.line_points(sensor, grid, 2, every=2, sigma_px=0.1, sigma_edge_px=0.4)
+    points["sigma_px"] = 0.4
+    found = fit_sheet(sensor, points, grid, replace(SETTINGS, sigma_edge_px=2.0))
+    # 900 points: 0.25 to 2.4 %; some 15 pairs: 0.2 and the width of a row, to a fifth, and enlarged for that
+    assert found.sigma_factor[LINE].value == pytest.approx(0.25, rel=0.08)
+    assert 0.2 < found.sigma_factor[PAIRS].value < 0.7
+    assert found.sigma_factor[PAIRS].width > 4 * found.sigma_factor[LINE].width
+
+
 def considered(lines, jointly=()):
     sensor, grid = paper_4(), lines.grid_object()
     points = lines.line_points(sensor, grid, 3, every=2)

@@ -28,7 +28,7 @@ _LAGS: Final = 40
 _CLEAR: Final = 3.0
 """Correlations below that many times their own scatter count as none."""
 
-_LOGS: Final = np.linspace(-4.0, 4.0, 1601) * np.log(SPREAD)
+_LOGS: Final = np.linspace(-6.0, 6.0, 2401) * np.log(SPREAD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ def estimated_factor(square: float, spare: float, shared: float = 1.0) -> Factor
     --------
     >>> many, few = (estimated_factor(4.0, spare) for spare in (1000.0, 6.0))
     >>> round(many.of_scatter, 2), round(few.of_scatter, 2), round(few.width, 2)
-    (2.0, 1.96, 0.26)
+    (2.0, 2.06, 0.26)
     """
     r = max(spare, 0.0)
     log_p = -r * _LOGS - 0.5 * r * square * np.exp(-2 * _LOGS) - 0.5 * np.square(_LOGS / np.log(SPREAD))
