@@ -250,3 +250,25 @@ def test_with_and_without_the_correction(rng: np.random.Generator) -> None:
     assert whole["distances"] > 100.0, whole
     assert -1.2 < near["ranges"] < -0.4, near
     assert abs(near["ranges less excess"]) < 3.5 * noise, (near, noise)
+
+
+@pytest.mark.parametrize("axis", [(0.3, -0.2, 0.9), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])
+def test_tangents_and_axis_are_a_right_handed_system(axis: tuple[float, float, float]) -> None:
+    """Sigmas and correlations of the axis belong to ``b1, b2``: another sign would be another matrix."""
+    cone = Cone(apex_m=np.zeros(3), axis=np.array(axis), half_angle_rad=0.2)
+    first, second = cone.tangents
+    np.testing.assert_allclose(np.cross(first, second), cone.axis, atol=1e-15)
+    assert first @ cone.axis == pytest.approx(0.0, abs=1e-15)
+    assert first[2] == pytest.approx(0.0, abs=1e-15)  # as horizontal as it can be
+
+
+def test_a_beam_against_the_ruling_by_hand() -> None:
+    """A right-angled cone upright, met level from x = 5 at 2 m: at (2, 0, 2), all angles there 45 degrees."""
+    met = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 4).meet(
+        [[5.0, 0.0, 2.0]], [[-1.0, 0.0, 0.0]]
+    )
+    assert met.hit.tolist() == [True]
+    assert met.range_m[0] == pytest.approx(3.0)
+    assert met.slant_m[0] == pytest.approx(2 * np.sqrt(2))
+    assert met.cosine[0] == pytest.approx(np.sqrt(0.5))
+    assert met.sine_ruling[0] == pytest.approx(np.sqrt(0.5))

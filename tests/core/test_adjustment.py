@@ -15,6 +15,7 @@ from thalweg.core.adjustment import (
     prior,
 )
 from thalweg.core.errors import GeometryError
+from thalweg.core.normal_equations import HUBER_LIMIT, normal_equations
 from thalweg.core.rigid import Rigid, exp_rotation
 
 LINE = ("height", "slope")
@@ -378,3 +379,17 @@ def test_the_band_of_the_global_test_is_that_of_the_table() -> None:
     assert (low, high) == pytest.approx((0.3247, 2.0483), abs=1e-4)
     low, high = adjust([ones], np.zeros(1), ["x"]).global_test(level=0.01)
     assert (low, high) == pytest.approx((0.2156, 2.5188), abs=1e-4)
+
+
+def test_huber_weights_by_hand() -> None:
+    """Residuals 1 and 10, limit L: weights 1 and L / 10, costs 1 and 2 L 10 - L^2."""
+    both = Observations(
+        "both",
+        lambda x: Linear(
+            residual=x[0] + np.array([1.0, 10.0]), jacobian=np.ones((2, 1)), cov=np.ones((2, 1, 1))
+        ),
+    )
+    found = normal_equations([both], np.zeros(1), 1, [None], "huber")
+    assert found.N[0, 0] == pytest.approx(1 + HUBER_LIMIT / 10)
+    assert found.n[0] == pytest.approx(1 + HUBER_LIMIT)
+    assert found.cost == pytest.approx(1 + 20 * HUBER_LIMIT - HUBER_LIMIT**2)

@@ -11,6 +11,7 @@ from thalweg.core.errors import GeometryError
 from thalweg.core.frames import (
     R_ENU_NED,
     LocalFrame,
+    attitude_axes,
     grid_factors,
     roll_pitch_heading,
     rotation_ecef_enu,
@@ -169,6 +170,25 @@ def test_a_survey_may_reach_over_the_border_of_its_zone() -> None:
     assert beside.to_map(np.zeros((1, 3)), CRS(25833)).shape == (1, 3)
 
 
+@pytest.mark.parametrize(
+    # EPSG gives zone 33 the area from 12 to 18.01 degrees east, 34.79 to 84.01 north; 3 degrees are allowed
+    ("lat", "lon", "inside"),
+    [
+        (86.9, 15.0, True), (87.1, 15.0, False), (31.9, 15.0, True), (31.7, 15.0, False),
+        (51.0, 9.1, True), (51.0, 8.9, False), (51.0, 20.9, True), (51.0, 21.1, False),
+    ],
+)  # fmt: skip
+def test_the_area_of_a_grid_ends_three_degrees_beyond_its_border(
+    lat: float, lon: float, inside: bool
+) -> None:
+    frame = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=0.0)
+    if inside:
+        frame.to_map(np.zeros((1, 3)), CRS(25833))
+        return
+    with pytest.raises(GeometryError, match="1 of 1 points are outside the area of use"):
+        frame.to_map(np.zeros((1, 3)), CRS(25833))
+
+
 @pytest.mark.parametrize(("lat", "lon"), [(51.05, 13.25), (51.05, 17.5), (51.05, 12.2), (35.0, 16.0)])
 def test_grid_factors_against_finite_differences(lat: float, lon: float) -> None:
     frame = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=0.0)
@@ -195,3 +215,9 @@ def test_headings_in_the_frame_and_in_the_grid() -> None:
     convergence, _ = grid_factors(UTM, 51.05, 13.25)
     in_grid = np.arctan2(*(end_map - start_map)[:2])
     assert in_grid == pytest.approx(heading - convergence, abs=2e-6)
+
+
+def test_axes_of_attitude_by_hand() -> None:
+    """Heading east, nose level: roll about east, pitch about south (to the right), heading about down."""
+    axes = attitude_axes(rotation_enu_body(0.0, 0.0, np.pi / 2)[None])[0]
+    np.testing.assert_allclose(axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-15)

@@ -85,6 +85,10 @@ def test_what_is_refused() -> None:
         replace(good, cov_pose_wcs=np.zeros((50, 3, 3)))
     with pytest.raises(GeometryError, match="strictly increasing"):
         replace(good, t_gps_s=good.t_gps_s[::-1].copy())
+    back = good.t_gps_s.copy()
+    back[7] -= 0.25
+    with pytest.raises(GeometryError, match=r"step by -0.150000 s at node 6"):
+        replace(good, t_gps_s=back)
     with pytest.raises(CoverageError, match="no valid node"):
         replace(good, valid=np.zeros(50, dtype=bool)).span()
 
@@ -127,3 +131,16 @@ def test_every_column_of_the_file_by_hand(tmp_path: Path) -> None:
     units = {field.name: field.metadata[b"unit"].decode() for field in table.schema}
     assert units == {name: unit for name, (_, unit) in expected.items()}
     assert table.column("valid").to_pylist() == [True, False]
+
+
+def test_poses_between_nodes_by_hand() -> None:
+    """Nodes at 0, 1, 2 s; more times than nodes, before, on, between and behind them."""
+    whole = turning(3, 1.0)
+    some = replace(whole, t_gps_s=np.array([0.0, 1.0, 2.0]))
+    t = np.array([-0.5, 0.0, 0.25, 1.0, 1.75, 2.0, 2.5])
+    position, R, inside = some.at(t)
+    assert inside.tolist() == [False, True, True, True, True, True, False]
+    np.testing.assert_allclose(position[1:6, 0], [0.0, 0.1, 0.4, 0.7, 0.8], atol=1e-15)
+    heading = np.arctan2(R[1:6, 0, 0], R[1:6, 1, 0])
+    # roll and pitch of a hundredth change the direction of the arc by as much squared
+    np.testing.assert_allclose(np.rad2deg(heading), [0.0, 1.75, 7.0, 12.25, 14.0], atol=0.01)

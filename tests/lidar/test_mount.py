@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from thalweg.core.errors import GeometryError
 from thalweg.lidar.mount import Mount
 
 SECTION = {
@@ -44,3 +45,11 @@ def test_a_rigid_transform_counts_the_shift_first() -> None:
     np.testing.assert_allclose(np.rad2deg(rigid.sigma_rotation_rad), [0.01, 0.02, 0.04])
     assert rigid.cov[1, 3] == pytest.approx(-0.25 * 0.002 * np.deg2rad(0.01))
     np.testing.assert_allclose(rigid.shift_m, [-0.35, 0.02, -0.25])
+
+
+@pytest.mark.parametrize(
+    "cov", [np.eye(3), np.eye(6) + 0.1 * np.eye(6, k=1), np.diag([1.0, 1, 1, 1, 1, -1e-3])]
+)
+def test_what_is_no_covariance_is_refused(cov: np.ndarray) -> None:
+    with pytest.raises(GeometryError, match="cov_ics is no covariance matrix"):
+        Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3), cov_ics=cov)

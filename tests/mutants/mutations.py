@@ -6,7 +6,7 @@ for 0, the other truth value. A comparison is negated (``<`` to ``>=``) and not 
 between measured numbers the shifted one is the same function.
 
 Left alone: docstrings and other text, type hints, decorators, assertions, what stands behind ``raise`` or
-goes to the log, and flags that change no number (``strict`` of `zip` and the like).
+goes to the log, and arguments that change no number (``strict`` of `zip`, tolerances for rounding).
 """
 
 import ast
@@ -35,39 +35,38 @@ SYMMETRIC: Final = {
 """Functions whose first two arguments may be exchanged, or fail at once if they are."""
 SHAPES: Final = {"zeros", "ones", "empty", "eye", "range", "reshape", "field", "broadcast_to", "tile"}
 """Functions whose arguments are sizes."""
-IDLE_FLAGS: Final = {"strict", "copy", "check_finite", "kw_only", "frozen", "slots", "cache", "sort", "safe"}
-"""Arguments that change no number where the input is right."""
+IDLE_FLAGS: Final = {
+    "strict", "copy", "check_finite", "kw_only", "frozen", "slots", "cache", "sort", "safe", "init", "repr",
+    "atol", "rtol",
+}  # fmt: skip
+"""Arguments that change no number where the input is right: flags, and tolerances for rounding."""
 LOGGERS: Final = {"debug", "info", "warning", "error", "exception"}
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """One mistake: number of the node in the order of the walk, kind, line, function and what is changed."""
+    """One mistake: number of the node in the order of the walk, kind, line, function."""
 
     node: int
     kind: str
     line: int
     function: str
-    before: str
-    after: str
-
-    @property
-    def words(self) -> str:
-        """The mistake on one line."""
-        return f"{self.before} -> {self.after}"
 
 
 def sites(source: str) -> list[Site]:
     """All mistakes that can be made in a module, in the order of its text."""
-    out = []
-    for number, (node, function) in enumerate(_walk(ast.parse(source))):
-        before = ast.unparse(node)
-        for kind in _kinds(node):
-            changed = _changed(ast.parse(source), number, kind)
-            out.append(
-                Site(number, kind, node.lineno, function, _short(before), _short(ast.unparse(changed)))
-            )
-    return out
+    return [
+        Site(number, kind, node.lineno, function)
+        for number, (node, function) in enumerate(_walk(ast.parse(source)))
+        for kind in _kinds(node)
+    ]
+
+
+def in_words(source: str, site: Site) -> str:
+    """What is changed into what, on one line."""
+    tree = ast.parse(source)
+    before = ast.unparse(next(node for k, (node, _) in enumerate(_walk(tree)) if k == site.node))
+    return f"{_short(before)} -> {_short(ast.unparse(_changed(tree, site.node, site.kind)))}"
 
 
 def mutated(source: str, site: Site) -> ast.Module:

@@ -103,6 +103,11 @@ class Run:
     verdict: str = ""
     cpu_s: float = 0.0
 
+    @property
+    def words(self) -> str:
+        """The mistake on one line."""
+        return "right code" if self.site is None else mutations.in_words(self.target.source, self.site)
+
 
 # ---------------------------------------------------------------- in the child
 
@@ -217,8 +222,8 @@ def run_all(runs: Sequence[Run], workers: int, until_s: float = float("inf")) ->
         else:
             code = os.WEXITSTATUS(status)
             run.verdict = {0: "survived", 5: "no tests"}.get(code, "failed" if code in (1, 2) else "crash")
-        what = "right code" if run.site is None else f"line {run.site.line}: {run.site.words}"
-        print(f"{run.verdict:9} {run.cpu_s:6.1f} s  {run.target.module}  {what}", flush=True)
+        line = 0 if run.site is None else run.site.line
+        print(f"{run.verdict:9} {run.cpu_s:6.1f} s  {run.target.module}:{line}  {run.words}", flush=True)
 
 
 def explanations() -> dict[tuple[str, str, str], str]:
@@ -263,8 +268,8 @@ def report(runs: Sequence[Run], command: str, cpu_s: float, wall_s: float) -> st
     for run in lost:
         site = run.site
         assert site is not None
-        why = known.get((run.target.module, site.function, site.words), "**not explained**")
-        words = site.words.replace("|", "\\|")
+        why = known.get((run.target.module, site.function, run.words), "**not explained**")
+        words = run.words.replace("|", "\\|")
         lines.append(f"| {run.target.module}, {site.function} | {site.line} | `{words}` | {why} |")
     if not lost:
         lines.append("| none | | | |")

@@ -143,8 +143,9 @@ def test_bad_input_is_told_with_numbers() -> None:
         build(single, states)
     with pytest.raises(InputError, match="0 of 1000 INS states carry GPS time"):
         build(positions, states.assign(t_gps_s=np.nan))
-    with pytest.raises(CoverageError, match="overlap in time"):
-        build(positions.assign(t_gps_s=positions["t_gps_s"] + 3600), states)
+    for hour in (3600, -3600):
+        with pytest.raises(CoverageError, match=r"INS states cover .*, positions .* overlap in time"):
+            build(positions.assign(t_gps_s=positions["t_gps_s"] + hour), states)
 
 
 def test_an_ins_alone_gives_a_trajectory() -> None:
@@ -284,3 +285,10 @@ def test_each_covariance_of_a_position_finds_its_place() -> None:
         [[4e-4, 1e-4, 2e-4], [1e-4, 9e-4, -3e-4], [2e-4, -3e-4, 16e-4]],
         rtol=1e-4,
     )
+
+
+def test_a_velocity_without_one_of_its_components_guides_no_position() -> None:
+    positions, states = survey()
+    states.loc[100:109, "v_down_mps"] = np.nan
+    _, summary = build(positions, states, interpolation="ins_velocity")
+    assert "10 INS states without a velocity guide no position" in summary.notes

@@ -148,6 +148,7 @@ def test_images_find_their_pulses_with_losses_on_both_sides(tmp_path: Path) -> N
     assert (match.images_without_pulse, match.pulses_without_image) == (1, 3)
     assert np.flatnonzero(match.image < 0).tolist() == [0, 5, 40]
     assert match.pulse[21] == -1
+    assert match.image[[0, 5, 40]].tolist() == [-1, -1, -1]
     clock = clock_from_pulses(t, pulse, match, delay_s=0.003)
     # 57 images with 2 ms each: 0.3 ms, five times that
     assert clock.offset_s == pytest.approx(712.25 + 0.003, abs=1.5e-3)
@@ -181,7 +182,10 @@ def test_the_line_through_pulses_by_hand() -> None:
     """Six images, off by +1, -1, 0, 0, -1, +1 ms: no drift, 4 ms^2 over 4 degrees of freedom."""
     t = np.arange(6.0)
     pulse = t + 100.0 + 1e-3 * np.array([1.0, -1.0, 0.0, 0.0, -1.0, 1.0])
-    clock = clock_from_pulses(t, pulse, match_pulses(t, pulse), delay_s=0.0025, sigma_delay_s=0.002)
+    match = match_pulses(t, pulse)
+    # the median of 1, 1, 0, 0, 1, 1 ms is that of a normal error of 1.4826 ms
+    assert (match.offset_s, match.misfit_s) == pytest.approx((100.0, 1.4826e-3), rel=1e-6)
+    clock = clock_from_pulses(t, pulse, match, delay_s=0.0025, sigma_delay_s=0.002)
     # 1e-9 s: a float64 of 100 s holds 1.4e-14, the sums lose some digits
     assert clock.offset_s == pytest.approx(100.0025, abs=1e-9)
     assert clock.drift == pytest.approx(0.0, abs=1e-9)

@@ -77,7 +77,8 @@ class Rigid:
         T = np.asarray(T_target_source, dtype=np.float64)
         if T.shape != (4, 4) or not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
             raise GeometryError(
-                f"a matrix of the shape {T.shape}" + (f" with the last row {T[3]}" if T.ndim == 2 else ""),
+                f"a matrix of the shape {T.shape}"
+                + (f" with the last row {T[3]}" if T.shape == (4, 4) else ""),
                 expected="4x4 with the last row 0 0 0 1",
                 cure="If the last column is 0 0 0 1 the matrix is transposed",
             )

@@ -1,0 +1,79 @@
+"""Rigid transforms by hand: what they refuse, and how errors pass through them."""
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.frames import rotation_opk
+from thalweg.core.rigid import Rigid
+
+TURN = rotation_opk(0.0, 0.0, np.pi / 2)
+"""x of the source is y of the target, y is -x."""
+
+
+@pytest.mark.parametrize(
+    ("R", "shift", "cov"),
+    [
+        (np.eye(3), np.array([0.0, np.nan, 0.0]), np.zeros((6, 6))),
+        (np.eye(3), np.zeros(2), np.zeros((6, 6))),
+        (np.eye(3)[:2], np.zeros(3), np.zeros((6, 6))),
+        (1.001 * np.eye(3), np.zeros(3), np.zeros((6, 6))),
+        (np.diag([1.0, 1.0, -1.0]), np.zeros(3), np.zeros((6, 6))),
+        (np.eye(3), np.zeros(3), np.zeros((3, 3))),
+        (np.eye(3), np.zeros(3), np.diag([1.0, 1, 1, 1, 1, -1e-6])),
+        (np.eye(3), np.zeros(3), np.eye(6) + 1e-6 * np.eye(6, k=1)),
+    ],
+    ids=["no number", "two metres", "no square", "scale", "reflection", "3x3", "negative", "not symmetric"],
+)
+def test_what_is_no_transform_is_refused(R: np.ndarray, shift: np.ndarray, cov: np.ndarray) -> None:
+    with pytest.raises(GeometryError, match=r"no rotation matrix|no covariance matrix"):
+        Rigid(R=R, shift_m=shift, cov=cov)
+
+
+def test_a_matrix_needs_its_last_row() -> None:
+    with pytest.raises(GeometryError, match="4x4 with the last row 0 0 0 1"):
+        Rigid.from_matrix(2.0 * np.eye(4))
+    with pytest.raises(GeometryError, match=r"shape \(3, 4\)"):
+        Rigid.from_matrix(np.eye(4)[:3])
+    cov = np.diag(np.arange(1.0, 7.0))
+    again = Rigid.from_matrix(Rigid(R=TURN, shift_m=np.array([1.0, 2.0, 3.0])).matrix, cov)
+    np.testing.assert_allclose(again.apply([[1.0, 0.0, 0.0]]), [[1.0, 3.0, 3.0]], atol=1e-15)
+    np.testing.assert_array_equal(again.cov, cov)
+
+
+def test_sigmas_count_the_shift_first() -> None:
+    """Variances 1, 4, 9 of the shift and 16, 25, 36 of the rotation."""
+    T = Rigid(R=TURN, shift_m=np.zeros(3), cov=np.diag(np.square(np.arange(1.0, 7.0))))
+    np.testing.assert_allclose(T.sigma_shift_m, [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(T.sigma_rotation_rad, [4.0, 5.0, 6.0])
+
+
+def test_an_error_is_put_on_in_the_target_frame_and_found_again() -> None:
+    T = Rigid(R=TURN, shift_m=np.array([1.0, 2.0, 3.0]))
+    error = np.array([0.1, 0.2, 0.3, 0.01, -0.02, 0.03])
+    np.testing.assert_allclose(T.moved(error).error_from(T), error, atol=1e-12)
+    # a turn about z of the target by a quarter: the x of the source, on y before, is on -x then
+    quarter = T.moved([0.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2])
+    np.testing.assert_allclose(quarter.apply([[1.0, 0.0, 0.0]]), [[0.0, 2.0, 3.0]], atol=1e-15)
+
+
+def test_errors_of_the_inverse_and_of_a_product_by_differences() -> None:
+    first = Rigid(R=rotation_opk(0.3, -0.8, 1.1), shift_m=np.array([1.0, 2.0, -3.0]))
+    second = Rigid(R=rotation_opk(-0.5, 0.2, 2.0), shift_m=np.array([-4.0, 0.5, 1.0]))
+    by_first, by_second = first.by_product(second)
+    step = 1e-6
+    for k in range(6):
+        e = step * np.eye(6)[k]
+        # one-sided: half the second derivative times the step, 4 m x 1e-6
+        cases = (
+            (first.moved(e).inverse().error_from(first.inverse()), first.by_inverse()),
+            ((first.moved(e) @ second).error_from(first @ second), by_first),
+            ((first @ second.moved(e)).error_from(first @ second), by_second),
+        )
+        for found, J in cases:
+            np.testing.assert_allclose(found / step, J[:, k], atol=2e-5)
+    J, moved = first.by_error([[1.0, -2.0, 0.5]])[0], np.empty((3, 6))
+    for k in range(6):
+        there = first.moved(step * np.eye(6)[k]).apply([[1.0, -2.0, 0.5]])
+        moved[:, k] = (there - first.apply([[1.0, -2.0, 0.5]]))[0] / step
+    np.testing.assert_allclose(moved, J, atol=2e-5)
