@@ -1,5 +1,7 @@
 """Lens models against OpenCV, against finite differences, and against the formulas of P1."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -154,3 +156,8 @@ def test_a_smaller_picture_of_the_same_lens() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(half.cov))[:5], [0.5, 0.5, 0.25, 0.25, 1e-3])
     with pytest.raises(GeometryError, match=r"1600 x 1200.*|800 x 450 pixels"):
         whole.scaled((800, 450))
+    # whole pixels: 0.5 / 100 on the shorter side of each, so a long side of up to 1 % more
+    narrow = replace(whole, size_px=(1000, 100))
+    assert narrow.scaled((1008, 100)).size_px == (1008, 100)
+    with pytest.raises(GeometryError, match="1012 x 100"):
+        narrow.scaled((1012, 100))
