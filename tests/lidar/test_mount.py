@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError
+from thalweg.core.frames import rotation_opk
 from thalweg.lidar.mount import Mount
 
 SECTION = {
@@ -53,3 +54,11 @@ def test_a_rigid_transform_counts_the_shift_first() -> None:
 def test_what_is_no_covariance_is_refused(cov: np.ndarray) -> None:
     with pytest.raises(GeometryError, match="cov_ics is no covariance matrix"):
         Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3), cov_ics=cov)
+
+
+def test_no_rotation_is_refused_for_its_rounding(rng: np.random.Generator) -> None:
+    """The determinant of every other product of three rotations is a few 1e-16 below one."""
+    for angles in rng.uniform(-np.pi, np.pi, (50, 3)):
+        Mount(R_ics_sensor=rotation_opk(*angles), lever_ics_m=np.zeros(3))
+    with pytest.raises(GeometryError, match="no rotation matrix"):
+        Mount(R_ics_sensor=-np.eye(3), lever_ics_m=np.zeros(3))

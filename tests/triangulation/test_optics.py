@@ -174,3 +174,12 @@ def test_air_and_glasses() -> None:
 def test_other_units_are_refused(call, answer: str) -> None:
     with pytest.raises(InputError, match=answer):
         call()
+
+
+def test_the_ends_of_what_water_and_air_may_be_belong_to_it() -> None:
+    """Sea water freezes at -2 degrees; 40 degrees and 40 parts of salt end the formulas."""
+    assert refractive_index.water(520.0, -2.0, 40.0) > refractive_index.water(520.0, 40.0, 40.0)
+    assert refractive_index.air(520.0, -40.0, 1100.0) > refractive_index.air(520.0, 60.0, 300.0)
+    for outside in ((520.0, -2.1, 0.0), (520.0, 40.1, 0.0), (520.0, 20.0, 40.1)):
+        with pytest.raises(InputError):
+            refractive_index.water(*outside)
