@@ -54,9 +54,10 @@ class BlockAdjustment(Section):
         default=2.0,
         ge=1,
         le=100,
-        description="Variance of what the images tell of the interior orientation over that by their "
+        description="Least variance of what the images tell of the interior orientation over that by their "
         "residuals: features of one bank err in common, which residuals do not show. 2 by rendered blocks "
-        "(`image_block_study`); 1 counts the residuals alone. A calibration's covariance does not change",
+        "(`image_block_study`) and a real aerial one; parts of a block that disagree about the lens raise "
+        "it; 1 counts the residuals alone. A calibration's covariance does not change",
     )
     loss: Literal["none", "huber", "cauchy"] = Field(
         default="huber", description="Robust weights of image measurements"

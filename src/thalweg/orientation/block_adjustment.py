@@ -22,6 +22,7 @@ from thalweg.core.types import ArrayB, ArrayF
 from thalweg.orientation.block_correlation import Correlation
 from thalweg.orientation.block_interior import with_shared_errors
 from thalweg.orientation.block_linear import Tracks, cost_of, point_steps, projected, reduced_system
+from thalweg.orientation.block_parts import Agreement, parts_agreement
 from thalweg.orientation.block_problem import Layout, Problem, State, moved, start_state
 from thalweg.orientation.block_start import triangulated
 from thalweg.orientation.block_weights import Options, Weights, reweight
@@ -47,7 +48,8 @@ class Adjusted:
     of the control points by the model of the errors alone, which their residuals follow. ``used`` (m,) and
     ``weight`` (m,) tell of tie marks, ``lost_images`` (i,) of images that kept too few of them,
     ``control_used`` (n,) and ``control_residual_px`` (n, 2) of marks of control points, and ``residual_px``
-    (m, 2) of tie marks.
+    (m, 2) of tie marks. ``interior_variance`` is the factor by which ``cov`` has what the images tell of the
+    interior orientation.
     """
 
     problem: Problem
@@ -73,6 +75,7 @@ class Adjusted:
     costs: dict[str, float]
     left_out: dict[str, int]
     lost_images: ArrayB
+    interior_variance: float
     notes: list[str] = field(default_factory=list)
 
 
@@ -207,6 +210,7 @@ def _finished(
     free = layout.free
     system = reduced_system(problem, layout, x, tracks, weights.correlation, sigma, 0.0)
     costs = system.cost
+    telling = tracks
     if np.isfinite(weights.correlation.freedom):
         telling = weights.tracks(problem, final=True)
         system = reduced_system(problem, layout, x, telling, weights.correlation, sigma, 0.0)
@@ -220,7 +224,6 @@ def _finished(
     cov = np.zeros_like(system.N)
     cov[np.ix_(free, free)] = inverse / np.outer(scale, scale)
     control_cov = np.array([cov[layout.point(i), layout.point(i)] for i in range(len(x.G))]).reshape(-1, 3, 3)
-    cov = with_shared_errors(problem, layout, x, cov, options.interior_variance)
     observations = sum(system.counts.values())
     unknowns = int(free.sum()) + 3 * len(tracks.point)
     redundancy = observations - unknowns
@@ -230,6 +233,13 @@ def _finished(
         )
     sigma0 = float(np.sqrt(sum(costs.values()) / redundancy))
     cov_scale = sigma0**2 if options.scale_by_sigma0 else 1.0
+    variance = options.interior_variance
+    if options.correlated:
+        parts = parts_agreement(problem, x, telling, weights.correlation)
+        variance = parts.interior_variance(options.interior_variance, cov_scale)
+        if variance > options.interior_variance:
+            notes = [*notes, _lens_note(parts, variance)]
+    cov = with_shared_errors(problem, layout, x, cov, variance)
     cov *= cov_scale
     used = np.zeros(len(block.mark_image), np.bool_)
     used[tracks.mark] = True
@@ -253,5 +263,14 @@ def _finished(
             "marks of control points that do not fit": int((~np.isfinite(sigma)).sum()),
         },
         lost_images=weights.lost_images,
+        interior_variance=variance,
         notes=notes,
     )  # fmt: skip
+
+
+def _lens_note(parts: Agreement, variance: float) -> str:
+    return (
+        f"The {parts.parts} parts of the block, taken one by one, disagree about the lens: what the images "
+        f"tell of it counts with {variance:.1f} times its variance. A lens that moves between exposures "
+        "(stabiliser, focus, zoom) does this, or distortion that the model does not have"
+    )

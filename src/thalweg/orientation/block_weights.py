@@ -61,8 +61,8 @@ class Options:
         left out; with ``correlated`` only.
     least_angle_deg : points whose rays differ less are left out.
     max_iterations : of the last round.
-    interior_variance : variance of what the images tell of the interior orientation over that by the model of
-        their errors: see `thalweg.orientation.block_interior`. 1 where the errors follow the model.
+    interior_variance : least variance of what the images tell of the interior orientation over that by the
+        model of their errors: see `thalweg.orientation.block_interior`. 1 where the errors follow the model.
     """
 
     loss: Literal["huber", "cauchy"] | None = "huber"
