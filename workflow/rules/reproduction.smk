@@ -131,6 +131,104 @@ rule honesty_study:
         "../scripts/honesty_study.py"
 
 
+rule honesty_river_survey:
+    """One survey of the whole river: errors of its points beside what stated and estimated sigmas predict."""
+    output:
+        points="results/reproduction/honesty_river/{seed}.parquet",
+        work=temp(directory("results/reproduction/honesty_river/logs_{seed}")),
+    log:
+        "logs/reproduction/honesty_river_{seed}.log",
+    benchmark:
+        "benchmarks/reproduction/honesty_river_{seed}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(4000),
+        runtime=minutes(30),
+    params:
+        code=code_version("honesty_river_survey"),
+        seed=lambda wildcards: int(wildcards.seed),
+    message:
+        "survey {wildcards.seed} of the whole river"
+    script:
+        "../scripts/honesty_river_survey.py"
+
+
+rule honesty_river_study:
+    """Predicted against observed errors on the whole river, with errors as long as those of an INS."""
+    input:
+        surveys=seeds_of("honesty_river_study", "honesty_river/{seed}.parquet"),
+    output:
+        verdicts="results/reproduction/honesty_river.csv",
+        by_range="results/reproduction/honesty_river_by_range.csv",
+    log:
+        "logs/reproduction/honesty_river_study.log",
+    benchmark:
+        "benchmarks/reproduction/honesty_river_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(4000),
+        runtime=minutes(10),
+    params:
+        code=code_version("honesty_river_study"),
+    message:
+        "sigmas and errors over surveys of the whole river"
+    script:
+        "../scripts/honesty_river_study.py"
+
+
+rule prior_survey:
+    """One survey whose instruments err otherwise than stated, by the chains of one kind."""
+    output:
+        table="results/reproduction/prior_study/{kind}_{seed}.csv",
+        work=temp(directory("results/reproduction/prior_study/logs_{kind}_{seed}")),
+    log:
+        "logs/reproduction/prior_{kind}_{seed}.log",
+    benchmark:
+        "benchmarks/reproduction/prior_{kind}_{seed}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(30),
+    params:
+        code=code_version("prior_survey"),
+        kind="{kind}",
+        seed=lambda wildcards: int(wildcards.seed),
+    message:
+        "survey {wildcards.seed} with wrong presumptions: {wildcards.kind}"
+    script:
+        "../scripts/prior_survey.py"
+
+
+rule prior_study:
+    """What wrong presumptions of the errors do to sigmas, and what estimates mend of that."""
+    input:
+        surveys=prior_surveys,
+    output:
+        table="results/reproduction/prior_study.csv",
+    log:
+        "logs/reproduction/prior_study.log",
+    benchmark:
+        "benchmarks/reproduction/prior_study.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("prior_study"),
+    message:
+        "sigmas under wrong presumptions"
+    script:
+        "../scripts/prior_study.py"
+
+
 rule offset_study:
     """What each effect of footprint, slope and plants adds to the mean distance from a reference (P2 7)."""
     output:
@@ -232,6 +330,7 @@ rule image_block_study:
     """Image blocks on rendered pictures over seeds of the digital twin: are covariances of poses honest?"""
     output:
         table="results/reproduction/image_block_study.csv",
+        blocks="results/reproduction/image_blocks.csv",
         page="results/reproduction/image_block_study.md",
     log:
         "logs/reproduction/image_block_study.log",
@@ -242,12 +341,12 @@ rule image_block_study:
     threads: 2
     resources:
         mem_mb=memory(6000),
-        runtime=minutes(120),
+        runtime=minutes(240),
     params:
         **study("image_block_study"),
         code=code_version("image_block_study"),
     message:
-        "image blocks of {params.seeds} seeds of the digital twin"
+        "image blocks of {params.seeds} seeds of the digital twin, and of {params.seeds_of_fit} others"
     script:
         "../scripts/image_block_study.py"
 

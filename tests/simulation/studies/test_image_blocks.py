@@ -8,18 +8,27 @@ import pytest
 
 from thalweg.core.errors import GeometryError
 from thalweg.simulation.studies import image_blocks
-from thalweg.simulation.studies.image_blocks import as_markdown, block_study, normalised, pooled
+from thalweg.simulation.studies.image_blocks import (
+    DEFAULT_FACTOR,
+    FACTORS,
+    as_markdown,
+    block_study,
+    by_factor,
+    fitted_factor,
+    normalised,
+    pooled,
+    summary,
+)
 
-SEEDS = range(1, 7)
-EXTRA = 0.15
-"""Share by which joint covariances of rendered blocks are known to be too small (docs/decisions.md)."""
+SEEDS = range(21, 27)
+"""Blocks that chose no number of the method."""
 
 
-def blocks(*joint: float, images: int = 10) -> pd.DataFrame:
+def blocks(*joint: float, images: int = 10, factor: float = DEFAULT_FACTOR) -> pd.DataFrame:
     return pd.DataFrame([
-        {"seed": k, "images": images, "single": 1.0 + k, "joint": value, "independent": 20.0, "rms_mm": 30.0,
-         "sigma_mm": 28.0, "rms_mdeg": 100.0, "sigma_mdeg": 120.0, "check": 0.5, "check_points": 2,
-         "notes": "", "failure": ""}
+        {"seed": k, "factor": factor, "images": images, "single": 1.0 + k, "joint": value,
+         "independent": 20.0, "rms_mm": 30.0, "sigma_mm": 28.0, "rms_mdeg": 100.0, "sigma_mdeg": 120.0,
+         "check": 0.5, "check_points": 2, "notes": "", "failure": ""}
         for k, value in enumerate(joint)
     ])  # fmt: skip
 
@@ -62,29 +71,56 @@ def test_a_block_that_fails_is_a_line_of_its_own(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(image_blocks, "rendered_block", fails)
     table = block_study([3], tmp_path)
-    assert table["failure"].tolist() == ["no block; expected one."]
+    assert table["factor"].tolist() == list(FACTORS)
+    assert set(table["failure"]) == {"no block; expected one."}
+    table = table[table["factor"] == DEFAULT_FACTOR]
     both = pd.concat([blocks(1.2), table], ignore_index=True)
     assert pooled(both).loc["all poses jointly", "normalised"] == pytest.approx(1.2)
-    page = as_markdown(both)
+    page = as_markdown(both, blocks(1.3))
     assert "| 3 | | | | | | | | failed: no block; expected one. |" in page
     assert "| 0 | 10 | 1.00 | 20 | 1.20 | 30 (28) | 100 (120) | 0.50 (2) |  |" in page
-    assert "| all poses jointly | 1.20 | 60 |" in page
+    assert "| fitted | all poses jointly | 2 | 1.20 | 60 |" in page
+    assert "| judged | all poses jointly | 2 | 1.30 | 60 |" in page
+
+
+def test_the_factor_is_where_single_poses_have_a_square_of_one() -> None:
+    # one block with 20 independent errors: 1.4 by the model, 1.1 and 0.9 with 2 and 4 times its variance
+    table = pd.concat([
+        blocks(1.0, factor=factor).assign(single=value)
+        for factor, value in ((1.0, 1.4), (2.0, 1.1), (4.0, 0.9))
+    ])  # fmt: skip
+    best, low, high = fitted_factor(table)
+    assert best == pytest.approx(3.0)
+    # chi-square of 20: 9.59 and 34.17 in any table; 1.71 and 0.48 are beyond the ends
+    assert (low, high) == (1.0, 4.0)
+    assert by_factor(table).query("of == 'single poses'")["high"].tolist() == pytest.approx(
+        [34.17 / 20] * 3, rel=1e-3
+    )
+    both = summary(table, blocks(1.0))
+    assert both["blocks"].tolist() == ["fitted"] * 9 + ["judged"] * 3
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+    """Six blocks, three minutes each on a busy machine."""
+    table = block_study(SEEDS, tmp_path_factory.mktemp("blocks"))
+    return table[table["factor"] == DEFAULT_FACTOR]
 
 
 @pytest.mark.slow
-def test_poses_of_rendered_blocks_err_as_their_covariances_say(tmp_path: Path) -> None:
-    """Six seeds, six minutes."""
-    table = block_study(SEEDS, tmp_path)
-    assert (table["images"] >= 25).all()
-    found = pooled(table)
-    joint = found.loc["all poses jointly"]
-    assert joint["low"] < joint["normalised"] < joint["high"] + EXTRA
-    single = found.loc["single poses"]
-    assert single["low"] < single["normalised"] < single["high"]
-    # no block is wrong as a whole: 180 errors each, 99.9 % and what is known to be missing
-    assert ((table["joint"] > 0.68) & (table["joint"] < 1.38 + EXTRA)).all()
-    checks = found.loc["check points"]
-    assert checks["low"] < checks["normalised"] < checks["high"]
+def test_poses_of_rendered_blocks_err_as_their_covariances_say(rendered: pd.DataFrame) -> None:
+    assert (rendered["images"] >= 25).all()
+    found = pooled(rendered)
+    for of in ("single poses", "check points"):
+        row = found.loc[of]
+        assert row["low"] < row["normalised"] < row["high"]
     # position sigmas follow the errors: a block has some ten independent ones
-    ratio = np.sqrt(np.mean(table["rms_mm"] ** 2) / np.mean(table["sigma_mm"] ** 2))
+    ratio = np.sqrt(np.mean(rendered["rms_mm"] ** 2) / np.mean(rendered["sigma_mm"] ** 2))
     assert 0.7 < ratio < 1.4
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(reason="joint covariances are some 6 % of a sigma too small: docs/images.md", strict=True)
+def test_poses_of_rendered_blocks_err_together_as_their_covariance_says(rendered: pd.DataFrame) -> None:
+    joint = pooled(rendered).loc["all poses jointly"]
+    assert joint["low"] < joint["normalised"] < joint["high"]
