@@ -39,8 +39,11 @@ _DIFFER_MODULES: Final = 0.8
 _CLEAR: Final = 0.05
 """Correlation by which the best place is better than the next."""
 _FLOOR_PX: Final = 0.1
-"""What the fit cannot see of a board of 8 to 30 pixels: on rendered JPEG images with known crossings the
-errors are 0.12 px in each coordinate where the fit says 0.03."""
+"""What the fit cannot see of a board of 8 to 30 pixels, to begin with: the adjustment estimates the size of
+these errors from the block where its marks have enough redundancy (``control_scale`` of
+`thalweg.orientation.block_adjustment`). A cautious value for a few marks in moving pictures: photographs of a
+standing board made as small have 0.024 px (`tests/calibration/test_saddles.py`), three rendered blocks 0.05
+to 0.06."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
