@@ -250,7 +250,7 @@ def test_the_observed_correlation_stands_beside_the_assumed_one(found, seen, wor
     statistics = found["statistics"]
     statistics.loc[statistics["quantity"] == "observed_correlation", "value"] = seen
     text = limits(found["facts"], statistics)
-    assert "0.2 s (accuracy.correlation_s, an assumption)" in text
+    assert "0.2 s (accuracy.correlation_s)" in text
     assert words in text
 
 

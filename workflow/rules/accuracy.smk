@@ -6,6 +6,7 @@ rule compare_with_reference:
     input:
         points="results/{campaign}/lidar/points.laz",
         mesh="results/{campaign}/surface/reference_mesh.ply",
+        error_model="results/{campaign}/orientation/error_model.json",
     output:
         cloud_to_mesh="results/{campaign}/accuracy/cloud_to_mesh.parquet",
         statistics="results/{campaign}/accuracy/statistics.csv",
@@ -169,6 +170,7 @@ use rule compare_with_reference as compare_chain_with_reference with:
     input:
         points="results/{campaign}/lidar/by_{chain}/points.laz",
         mesh="results/{campaign}/surface/reference_mesh.ply",
+        error_model="results/{campaign}/orientation/error_model.json",
     output:
         cloud_to_mesh="results/{campaign}/accuracy/by_{chain}/cloud_to_mesh.parquet",
         statistics="results/{campaign}/accuracy/by_{chain}/statistics.csv",

@@ -9,3 +9,22 @@ for path in sorted((ROOT / "config" / "studies").glob("*.yaml")):
 def study(name):
     """Parameters of a study's rule, by name."""
     return STUDIES[name]["parameters"]
+
+
+def seeds_of(name, pattern):
+    """Files of the surveys of a study, a job each; pattern below results/reproduction with {seed}."""
+    size = STUDIES[name]["parameters"]
+    first = size["first_seed"]
+    return expand(
+        f"results/reproduction/{pattern}", seed=range(first, first + size["seeds"])
+    )
+
+
+def prior_surveys(wildcards):
+    """Input function: surveys with wrong presumptions, by kind and seed."""
+    size = STUDIES["prior_study"]["parameters"]
+    return [
+        f"results/reproduction/prior_study/{kind}_{size['first_seed'] + k}.csv"
+        for kind, n in size["sizes"].items()
+        for k in range(n)
+    ]

@@ -1,6 +1,41 @@
 """Packets -> points in the world."""
 
 
+rule estimate_pose_errors:
+    """How large the errors of the poses are, from surfaces that the lidar saw again; sigmas of the poses."""
+    input:
+        lidar=raw("lidar"),
+        clock="results/{campaign}/ingest/lidar.clock.json",
+        stated="results/{campaign}/orientation/trajectory_stated.parquet",
+        positions="results/{campaign}/ingest/positions.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
+    output:
+        trajectory="results/{campaign}/orientation/trajectory.parquet",
+        error_model="results/{campaign}/orientation/error_model.json",
+    log:
+        "logs/{campaign}/lidar/estimate_pose_errors.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/estimate_pose_errors.jsonl"
+    priority: URGENT
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2500),
+        runtime=minutes(10, 20),
+    params:
+        code=code_version("estimate_pose_errors"),
+        lidar_options=section("lidar"),
+        lidar_accuracy=section("lidar_accuracy"),
+        georeferencing=georeferencing,
+        filters=section("filters"),
+        orientation=section("orientation"),
+    message:
+        "{wildcards.campaign}: errors of the poses from overlapping points"
+    script:
+        "../scripts/estimate_pose_errors.py"
+
+
 rule georeference_lidar:
     """Every lidar point into the world with its own pose."""
     input:
@@ -8,6 +43,7 @@ rule georeference_lidar:
         clock="results/{campaign}/ingest/lidar.clock.json",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
+        error_model="results/{campaign}/orientation/error_model.json",
     output:
         points="results/{campaign}/lidar/points.laz",
         removed="results/{campaign}/lidar/removed.parquet",
@@ -66,6 +102,7 @@ use rule georeference_lidar as georeference_by_trajectory with:
         clock="results/{campaign}/ingest/lidar.clock.json",
         trajectory=trajectory_of_chain,
         mounts=mounts_of_chain,
+        error_model="results/{campaign}/orientation/error_model.json",
     output:
         points="results/{campaign}/lidar/by_{chain}/points.laz",
         removed="results/{campaign}/lidar/by_{chain}/removed.parquet",

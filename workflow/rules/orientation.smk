@@ -2,14 +2,14 @@
 
 
 rule build_trajectory:
-    """Antenna positions and INS attitudes -> poses of the boat with sigmas."""
+    """Antenna positions and INS attitudes -> poses of the boat with sigmas as stated."""
     input:
         states="results/{campaign}/ingest/ins_states.parquet",
         positions="results/{campaign}/ingest/positions.parquet",
         streams="results/{campaign}/timing/streams.csv",
         mounts="results/{campaign}/calibration/mounts.json",
     output:
-        trajectory="results/{campaign}/orientation/trajectory.parquet",
+        trajectory="results/{campaign}/orientation/trajectory_stated.parquet",
         summary="results/{campaign}/orientation/trajectory.json",
     log:
         "logs/{campaign}/orientation/build_trajectory.log",

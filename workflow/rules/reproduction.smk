@@ -135,7 +135,6 @@ rule honesty_river_survey:
     """One survey of the whole river: errors of its points beside what stated and estimated sigmas predict."""
     output:
         points="results/reproduction/honesty_river/{seed}.parquet",
-        work=temp(directory("results/reproduction/honesty_river/logs_{seed}")),
     log:
         "logs/reproduction/honesty_river_{seed}.log",
     benchmark:
@@ -173,6 +172,7 @@ rule honesty_river_study:
         mem_mb=memory(4000),
         runtime=minutes(10),
     params:
+        **study("honesty_river_study"),
         code=code_version("honesty_river_study"),
     message:
         "sigmas and errors over surveys of the whole river"
@@ -184,7 +184,6 @@ rule prior_survey:
     """One survey whose instruments err otherwise than stated, by the chains of one kind."""
     output:
         table="results/reproduction/prior_study/{kind}_{seed}.csv",
-        work=temp(directory("results/reproduction/prior_study/logs_{kind}_{seed}")),
     log:
         "logs/reproduction/prior_{kind}_{seed}.log",
     benchmark:
@@ -222,6 +221,7 @@ rule prior_study:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
+        **study("prior_study"),
         code=code_version("prior_study"),
     message:
         "sigmas under wrong presumptions"

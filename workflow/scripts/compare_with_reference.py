@@ -17,6 +17,7 @@ def main(
     *,
     points: Path,
     mesh: Path,
+    error_model: Path,
     cloud_to_mesh: Path,
     statistics: Path,
     by_range: Path,
@@ -32,7 +33,12 @@ def main(
         points,
         surface,
         area=Area.from_section(accuracy["area"], frame, campaign["crs"]),
-        settings=ComparisonSettings.from_sections(accuracy, reference, campaign["seed"]),
+        settings=ComparisonSettings.from_sections(
+            accuracy,
+            reference,
+            campaign["seed"],
+            estimated_correlation_s=json.loads(error_model.read_text())["correlation_s"],
+        ),
         registration=accuracy["registration"],
     )
     write_table(cloud_to_mesh, found.table, CLOUD_TO_MESH, found.facts)

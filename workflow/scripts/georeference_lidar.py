@@ -12,6 +12,7 @@ from thalweg.lidar.cloud import LogSettings, georeference_log
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
+from thalweg.orientation.error_model import beam_factors
 
 
 def main(
@@ -20,6 +21,7 @@ def main(
     clock: Path,
     trajectory: Path,
     mounts: Path,
+    error_model: Path,
     points: Path,
     removed: Path,
     counts: Path,
@@ -35,7 +37,7 @@ def main(
         Trajectory.read(trajectory),
         LogSettings(
             mount=Mount.from_section(read_mounts(mounts)["lidar"]),
-            beam=BeamErrors.from_section(lidar_accuracy),
+            beam=BeamErrors.from_section(lidar_accuracy).scaled(**beam_factors(error_model)),
             filters=FilterSettings.from_section(filters),
             **georeferencing,
         ),

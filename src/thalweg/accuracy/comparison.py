@@ -99,10 +99,26 @@ class ComparisonSettings:
     seed: int = 0
 
     @classmethod
-    def from_sections(cls, accuracy: Mapping[str, Any], reference: Mapping[str, Any], seed: int = 0) -> Self:
-        """Settings of the sections `accuracy` and `reference` as plain values."""
-        names = ("border", "max_distance_m", "max_points", "outlier_nmads", "correlation_s")
-        return cls(**{n: accuracy[n] for n in names}, reference_sigma_m=reference["sigma_m"], seed=seed)
+    def from_sections(
+        cls,
+        accuracy: Mapping[str, Any],
+        reference: Mapping[str, Any],
+        seed: int = 0,
+        *,
+        estimated_correlation_s: float = 20.0,
+    ) -> Self:
+        """Settings of the sections `accuracy` and `reference` as plain values.
+
+        ``estimated_correlation_s`` stands in where ``correlation_s`` is ``auto``.
+        """
+        names = ("border", "max_distance_m", "max_points", "outlier_nmads")
+        stated = accuracy["correlation_s"]
+        return cls(
+            **{n: accuracy[n] for n in names},
+            correlation_s=estimated_correlation_s if stated == "auto" else stated,
+            reference_sigma_m=reference["sigma_m"],
+            seed=seed,
+        )
 
 
 def compare_with_mesh(

@@ -128,11 +128,11 @@ class Accuracy(Section):
         description="Outlier rule: points whose distance, divided by its own sigma, is farther from the "
         "median than this many NMAD. All statistics are given with and without the rule",
     )
-    correlation_s: Positive = Field(
-        default=20.0,
-        le=3600,
+    correlation_s: Annotated[float, Field(gt=0, le=3600)] | Literal["auto"] = Field(
+        default="auto",
         description="Correlation time of the slowest error of the trajectory, seconds: decides how many "
-        "independent values a comparison holds, and so its confidence bands",
+        "independent values a comparison holds, and so its confidence bands; `auto`: as estimated from the "
+        "survey (`orientation/error_model.json`)",
     )
     registration: bool = Field(
         default=True,

@@ -65,6 +65,31 @@ class Ppk(Section):
     )
 
 
+class ErrorModel(Section):
+    """How the poses of INS and GNSS err: what is presumed, and how far the survey may correct it."""
+
+    estimate: bool = Field(
+        default=True,
+        description="Sizes and correlation times of the errors are estimated from surfaces that the lidar "
+        "saw again; what is stated is prior knowledge. `false`: it is taken as certain",
+    )
+    spread: Annotated[float, Field(gt=1, le=10)] = Field(
+        default=2.0, description="Stated sigmas may be wrong by this factor (one sigma of its logarithm)"
+    )
+    time_spread: Annotated[float, Field(gt=1, le=20)] = Field(
+        default=3.0, description="The correlation times below may be wrong by this factor"
+    )
+    position_time_s: Positive = Field(
+        default=10.0, le=3600, description="Correlation time of the positions' slow errors, seconds"
+    )
+    attitude_time_s: Positive = Field(
+        default=20.0, le=3600, description="Correlation time of the attitude errors, seconds"
+    )
+    white_share: Annotated[float, Field(ge=0.01, le=0.99)] = Field(
+        default=0.25, description="Share of the positions' variance that is new in each epoch"
+    )
+
+
 class Orientation(Section):
     """How positions and attitudes are joined into the trajectory."""
 
@@ -89,4 +114,7 @@ class Orientation(Section):
         le=10,
         description="Longest hole between INS states that is interpolated, seconds; turning evenly is "
         "assumed across it, and what that misses is in no sigma",
+    )
+    error_model: ErrorModel = Field(
+        default=ErrorModel(), description="How the poses err, and what the survey says of that"
     )

@@ -134,7 +134,7 @@ def limits(
     independent = value_of(statistics, "independent_values")
     return (
         "Points of one moment share the errors of one pose. For the errors that change over "
-        f"{facts.get('correlation_s', float('nan')):g} s (accuracy.correlation_s, an assumption) the "
+        f"{facts.get('correlation_s', float('nan')):g} s (accuracy.correlation_s) the "
         f"compared points are worth {independent:.0f} independent values; the bands follow from that. "
         f"{_observed_correlation(facts, statistics)} Errors that stay the same for a whole survey, such as "
         "those of the mount or of the base station, are one value, and no band covers them.\n\n"

@@ -140,7 +140,7 @@ def limits(table: pd.DataFrame) -> str:
     if np.isfinite(n).any():
         words.append(
             f"Their RMSE rest on {np.nanmin(n):.0f} to {np.nanmax(n):.0f} independent values each, under the "
-            "correlation time that accuracy.correlation_s assumes for every trajectory; another survey would "
+            "correlation time of accuracy.correlation_s for every trajectory; another survey would "
             "give other numbers."
         )
     words.append(

@@ -87,6 +87,10 @@ class PointBlock:
         """Number of points."""
         return int(self.range_m.size)
 
+    def where(self, keep: ArrayB) -> "PointBlock":
+        """The points for which ``keep`` (n,) is true."""
+        return PointBlock(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+
 
 @njit(cache=True, nogil=True)
 def _azimuths(row: ArrayU8, per: int, azimuth: ArrayI, gap: AnyArray, rate: float, counters: ArrayI) -> float:

@@ -157,6 +157,56 @@ def georeference_log(
     return reason_table(counts)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogSample:
+    """Points of a span of a log: ``xyz_wcs_m`` (n, 3), ``t_gps_s``, ``range_m`` and ``reflectivity`` (n,)."""
+
+    xyz_wcs_m: ArrayF
+    t_gps_s: ArrayF
+    range_m: ArrayF
+    reflectivity: ArrayF
+
+
+def sample_log(
+    files: Sequence[Path],
+    options: LidarOptions,
+    clock: LidarClock,
+    trajectory: Trajectory,
+    settings: LogSettings,
+    windows: Sequence[tuple[float, float]],
+    max_points: int = 400_000,
+) -> list[LogSample]:
+    """Points above the water of some spans of a log, without a cloud on disk.
+
+    Parameters
+    ----------
+    files, options, clock, trajectory, settings : as for `georeference_log`; single points are not looked for.
+    windows : start and length of each span, GPS seconds.
+    max_points : a random sample of so many points a span, the same in each run.
+    """
+    parts: list[list[ArrayF]] = [[np.empty((0, 6))] for _ in windows]
+    for block in iter_points(files, options, clock=clock, max_points=settings.chunk_points):
+        for part, (start_s, length_s) in zip(parts, windows, strict=True):
+            inside = (block.t_gps_s >= start_s) & (block.t_gps_s < start_s + length_s)
+            if not inside.any():
+                continue
+            here = block.where(inside)
+            found = _classified(here, trajectory, settings, None)
+            keep = found.reasons == Reason.KEPT
+            columns = (found.points.points_wcs_m, here.t_gps_s, here.range_m, here.intensity)
+            part.append(np.column_stack(columns)[keep])
+    samples = []
+    for part in parts:
+        rows = np.concatenate(part)
+        if len(rows) > max_points:
+            some = np.sort(np.random.default_rng(len(rows)).choice(len(rows), max_points, replace=False))
+            rows = rows[some]
+        samples.append(
+            LogSample(xyz_wcs_m=rows[:, :3], t_gps_s=rows[:, 3], range_m=rows[:, 4], reflectivity=rows[:, 5])
+        )
+    return samples
+
+
 def _warn_of_water(counts: ArrayI) -> None:
     """Say so if an unlikely share of the points lies below the water: is it where it is thought to be?"""
     wet = int(counts[Reason.BELOW_WATER] + counts[Reason.MIRROR_GHOST])

@@ -17,7 +17,7 @@ The derivatives come from `thalweg.core.propagation`, the chain of frames that e
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
 import numpy as np
@@ -74,6 +74,15 @@ class BeamErrors:
         """From section ``lidar_accuracy`` of a campaign file."""
         values = dict(section)
         return cls(divergence_rad=values.pop("divergence_mrad") / 1000.0, **values)
+
+    def scaled(self, *, component: float, footprint: float) -> Self:
+        """The same with other sizes: range and directions, and the echo's place in its footprint."""
+        return replace(
+            self,
+            sigma_component_m=component * self.sigma_component_m,
+            sigma_weak_m=component * self.sigma_weak_m,
+            footprint_share=footprint * self.footprint_share,
+        )
 
     def variances(self, range_m: ArrayF, reflectivity: ArrayF) -> tuple[ArrayF, ArrayF]:
         """Variances along the beam and across it in each direction, m^2, both (n,).

@@ -49,6 +49,8 @@ from thalweg.lidar.cloud import LogSettings, cloud_covariance, georeference_log
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
+from thalweg.lidar.overlap import error_model_of_log
+from thalweg.orientation.error_model import ErrorModel
 from thalweg.orientation.ins_gnss import build_trajectory
 from thalweg.simulation.gnss import simulate_gnss
 from thalweg.simulation.ins import simulate_ins
@@ -282,6 +284,7 @@ def process(
     *,
     trajectory_late_s: float = 0.0,
     name: str = "points",
+    estimate: bool = False,
 ) -> Survey:
     """Make a trajectory and a cloud of raw logs.
 
@@ -292,11 +295,16 @@ def process(
         the sensors do not have, a sigma that is too small.
     trajectory_late_s : the poses get stamps that are so much too late against the lidar's.
     name : of the cloud in the folder of the logs, without suffix.
+    estimate : estimate the errors of the poses from the survey, as the workflow does; by default the stated
+        sigmas are taken as certain, which tests their propagation alone.
     """
-    trajectory = ins_trajectory(logs, settings)
+    trajectory, beam = ins_trajectory(logs, settings), None
+    if estimate:
+        model = pose_errors(logs, trajectory, settings)
+        trajectory, beam = model.apply(trajectory, _antenna_lever_m(logs, settings)), model.beam
     if trajectory_late_s:
         trajectory = replace(trajectory, t_gps_s=trajectory.t_gps_s + trajectory_late_s)
-    return orient(logs, trajectory, settings, name=name)
+    return orient(logs, trajectory, settings, name=name, beam=beam)
 
 
 def ins_trajectory(logs: Logs, settings: Mapping[str, Any] | None = None) -> Trajectory:
@@ -318,6 +326,37 @@ def ins_trajectory(logs: Logs, settings: Mapping[str, Any] | None = None) -> Tra
     return trajectory
 
 
+def _antenna_lever_m(logs: Logs, settings: Mapping[str, Any] | None) -> ArrayF:
+    return np.asarray((settings or logs.settings)["mounts"]["antenna"]["lever_ics_m"], dtype=np.float64)
+
+
+def pose_errors(logs: Logs, trajectory: Trajectory, settings: Mapping[str, Any] | None = None) -> ErrorModel:
+    """Error model of the poses, from surfaces that the lidar saw again; ``settings`` as for `process`."""
+    s = logs.settings if settings is None else settings
+    options = LidarOptions(**s["lidar"])
+    return error_model_of_log(
+        [logs.pcap],
+        options,
+        scan_lidar([logs.pcap], options).clock,
+        trajectory,
+        log_settings(s, Mount.from_section(s["mounts"]["lidar"])),
+        positions_t_gps_s=read_pos([logs.pos]).positions["t_gps_s"].to_numpy(),
+        lever_ics_antenna_m=_antenna_lever_m(logs, s),
+        settings=s["orientation"]["error_model"] | {"estimate": True},
+    )
+
+
+def log_settings(s: Mapping[str, Any], mount: Mount) -> LogSettings:
+    """How a log becomes points, with the full covariance of each."""
+    wanted = {key: value for key, value in s["georeferencing"].items() if key != "export_map"}
+    return LogSettings(
+        mount=mount,
+        beam=BeamErrors.from_section(s["lidar_accuracy"]),
+        filters=FilterSettings.from_section(s["filters"]),
+        **(wanted | {"correlations": True}),
+    )
+
+
 def orient(
     logs: Logs,
     trajectory: Trajectory,
@@ -325,6 +364,7 @@ def orient(
     *,
     name: str = "points",
     mount: Mount | None = None,
+    beam: Mapping[str, float] | None = None,
 ) -> Survey:
     """Make a cloud of the lidar log with any trajectory.
 
@@ -334,23 +374,19 @@ def orient(
     trajectory : poses of the boat.
     settings, name : as for `process`.
     mount : of the scanner; by default that of the settings.
+    beam : factors on the stated sigmas of a single measurement.
     """
     s = logs.settings if settings is None else settings
     options = LidarOptions(**s["lidar"])
     mount = Mount.from_section(s["mounts"]["lidar"]) if mount is None else mount
-    wanted = {key: value for key, value in s["georeferencing"].items() if key != "export_map"}
+    how = log_settings(s, mount)
     points = logs.folder / f"{name}.laz"
     counts = georeference_log(
         [logs.pcap],
         options,
         scan_lidar([logs.pcap], options).clock,
         trajectory,
-        LogSettings(
-            mount=mount,
-            beam=BeamErrors.from_section(s["lidar_accuracy"]),
-            filters=FilterSettings.from_section(s["filters"]),
-            **(wanted | {"correlations": True}),
-        ),
+        how if beam is None else replace(how, beam=how.beam.scaled(**beam)),
         points,
     )
     return Survey(logs=logs, settings=s, trajectory=trajectory, mount=mount, points=points, counts=counts)

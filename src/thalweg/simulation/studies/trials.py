@@ -59,12 +59,14 @@ class Mistake:
     boresight_deg : added to omega, phi, kappa of the lidar's mount.
     reversed_levers : sensors whose lever arm has the wrong sign, of ``lidar`` and ``antenna``.
     trajectory_late_s : the poses get stamps that are so much too late against the lidar's.
+    estimate : no mistake: the errors of the poses are estimated from the survey, as the workflow does.
     """
 
     name: str
     boresight_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reversed_levers: tuple[str, ...] = ()
     trajectory_late_s: float = 0.0
+    estimate: bool = False
 
     def settings(self, true: Mapping[str, Any]) -> dict[str, Any]:
         """Settings of a campaign with this mistake in its mounts."""
@@ -78,7 +80,18 @@ class Mistake:
         return out
 
 
+RIVER: Final[dict[str, Any]] = {
+    "size": "demo",
+    "duration_s": 60.0,
+    "gnss": {"shadow": True, "multipath_m": 0.01},
+    "effects": {"lost_packets": 0.6},
+    "tls": {"sigma_station_m": 0.005},
+}
+"""Section ``twin`` of surveys of the whole river: plants, houses, bridge, mirror images, shadow, multipath;
+errors of attitude and positions last 20 s and 10 s. Six of ten packets are lost to save time."""
+
 NONE: Final = Mistake(name="none")
+ESTIMATED: Final = Mistake(name="estimated", estimate=True)
 MISTAKES: Final = (
     Mistake(name="boresight 0.1 deg", boresight_deg=(0.1, 0.0, 0.0)),
     Mistake(name="lever arm reversed", reversed_levers=("lidar",)),
@@ -144,6 +157,7 @@ def trial(
             mistake.settings(settings),
             trajectory_late_s=mistake.trajectory_late_s,
             name=f"points_{number}",
+            estimate=mistake.estimate,
         )
         for number, mistake in enumerate(mistakes)
     }
@@ -256,6 +270,30 @@ def verdict(samples: Sequence[Sample], *, sigma_factor: float = 1.0, level: floa
         normalised_high=inverse_low**-2,
         by_range=honesty_by_range(survey, ranges, squares, scale * variances, level=level),
     )
+
+
+def as_table(found: Trial) -> pd.DataFrame:
+    """Points of a survey as a table: ``quantity``, ``mistake`` and the fields of `Sample`."""
+    parts = [
+        pd.DataFrame({name: getattr(sample, name) for name in Sample.__slots__}).assign(
+            quantity=quantity, mistake=mistake
+        )
+        for quantity in QUANTITIES
+        for mistake, sample in getattr(found, quantity).items()
+    ]
+    return pd.concat(parts, ignore_index=True)
+
+
+def from_table(table: pd.DataFrame) -> Trial:
+    """What `as_table` made a table of."""
+    fields = {
+        quantity: {
+            str(mistake): Sample(**{name: rows[name].to_numpy() for name in Sample.__slots__})
+            for mistake, rows in table[table["quantity"] == quantity].groupby("mistake", sort=False)
+        }
+        for quantity in QUANTITIES
+    }
+    return Trial(**fields)
 
 
 QUANTITIES: Final = {"in_3d": "error in three dimensions", "to_mesh": "distance from the reference mesh"}

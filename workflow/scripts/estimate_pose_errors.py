@@ -1,0 +1,59 @@
+"""Lidar log and stated trajectory -> error model of the poses, and the trajectory with its sigmas."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from thalweg.calibration.mounts import read_mounts
+from thalweg.core.tables import read_table
+from thalweg.core.trajectory import Trajectory
+from thalweg.ingest.schemas import GNSS_POSITION
+from thalweg.ingest.velodyne import LidarClock, LidarOptions
+from thalweg.jobs.job import run_job
+from thalweg.lidar.cloud import LogSettings
+from thalweg.lidar.covariance import BeamErrors
+from thalweg.lidar.filters import FilterSettings
+from thalweg.lidar.mount import Mount
+from thalweg.lidar.overlap import error_model_of_log
+
+
+def main(
+    *,
+    lidar: list[Path],
+    clock: Path,
+    stated: Path,
+    positions: Path,
+    mounts: Path,
+    trajectory: Path,
+    error_model: Path,
+    lidar_options: dict[str, Any],
+    lidar_accuracy: dict[str, Any],
+    georeferencing: dict[str, Any],
+    filters: dict[str, Any],
+    orientation: dict[str, Any],
+) -> None:
+    sensors = read_mounts(mounts)
+    own = orientation["position_source"] in ("ins", "sbet")  # positions of the ics origin itself
+    lever = [0.0, 0.0, 0.0] if own else sensors["antenna"]["lever_ics_m"]
+    poses = Trajectory.read(stated)
+    model = error_model_of_log(
+        lidar,
+        LidarOptions(**lidar_options),
+        LidarClock.from_dict(json.loads(clock.read_text())),
+        poses,
+        LogSettings(
+            mount=Mount.from_section(sensors["lidar"]),
+            beam=BeamErrors.from_section(lidar_accuracy),
+            filters=FilterSettings.from_section(filters),
+            **georeferencing,
+        ),
+        positions_t_gps_s=None if own else read_table(positions, GNSS_POSITION)[0]["t_gps_s"].to_numpy(),
+        lever_ics_antenna_m=lever,
+        settings=orientation["error_model"],
+    )
+    model.write(error_model)
+    model.apply(poses, lever).write(trajectory)
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
