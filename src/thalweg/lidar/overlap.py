@@ -62,9 +62,11 @@ OUTLIER: Final = 4.0
 
 LEAST_POINTS: Final = 20
 MOST_POINTS: Final = 200
-THICKEST_M: Final = 0.05
+ROUGHEST_M: Final = 0.05
+THICKEST_M: Final = 0.15
 LEAST_SPAN_S: Final = 1.0
-"""A plane has so many points, scatters less than this along its normal, and was seen for longer than this."""
+"""A plane has so many points, scatters less than this within `SCATTER_S` and, with the poses' errors, less
+than this in all, and was seen for longer than this."""
 
 MOST_PLANES: Final = 1200
 """Planes a window; three times as many change an estimate by less than a third of its sigma."""
@@ -84,7 +86,7 @@ scan line overlap. Shares of 0.01 and 0.2 change the sizes by less than 5 % (dig
 
 SIGMA_FORM: Final = 0.2
 """Sigma of the logarithm of a noise from scatter: its estimate changes so much with the presumed distribution
-of the surfaces' roughness, which nobody knows (digital twin: 0.84 for a true factor of 1)."""
+of the surfaces' roughness, which nobody knows (digital twin: 0.89 for a true factor of 1)."""
 
 LEAST_FREEDOM: Final = 10
 """Planes with fewer degrees of freedom tell nothing of the noise."""
@@ -297,12 +299,13 @@ def _planes(x: ArrayF, t: ArrayF) -> _Planes:
     thickness = np.sqrt(np.maximum(values[:, 0], 0.0))
     good = (n >= LEAST_POINTS) & (last - first > LEAST_SPAN_S) & (thickness < THICKEST_M)
     good &= values[:, 1] > (0.2 * CELL_M) ** 2
+    along = np.einsum("ni,ni->n", x[order] - centre[owner], axes[owner, :, 0])
+    good &= _scatter(along, owner, t[order] - t.min(), len(count))[0] < ROUGHEST_M**2
     chosen = np.flatnonzero(good)
     if len(chosen) > MOST_PLANES:
         chosen = np.sort(rng.choice(chosen, MOST_PLANES, replace=False))
     number = np.full(len(count), -1)
     number[chosen] = np.arange(len(chosen))
-    along = np.einsum("ni,ni->n", x[order] - centre[owner], axes[owner, :, 0])
     keep = (number[owner] >= 0) & (np.abs(along) < OUTLIER * thickness[owner])
     order, owner = order[keep], number[owner[keep]]
     _, centre, _, axes = _principal_axes(x[order], owner, len(chosen))
@@ -441,7 +444,11 @@ def estimate_beam(scatters: Sequence[Scatter]) -> dict[str, Estimate]:
         return float(-2 * np.sum(logsumexp(density, axis=1)) + z[0] ** 2 + z[1] ** 2)
 
     start = np.array([0.0, 0.0, np.log(max(float(np.median(v - c - p)), 1e-6))])
-    found = minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-2})
+    simplex = np.vstack([start, start + np.eye(3)])
+    found = minimize(
+        cost, start, method="Nelder-Mead",
+        options={"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-2},
+    )  # fmt: skip
     second = np.empty((3, 3))
     steps = _STEP * np.eye(3)
     for i, one in enumerate(steps):

@@ -1,0 +1,186 @@
+"""Sizes of pose errors from planes that were seen again; the scene is made here, not by the digital twin."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.core.frames import LocalFrame, attitude_axes, rotation_enu_body
+from thalweg.core.trajectory import Trajectory
+from thalweg.core.types import ArrayF
+from thalweg.lidar.cloud import LogSample
+from thalweg.lidar.covariance import BeamErrors
+from thalweg.lidar.mount import Mount
+from thalweg.lidar.overlap import (
+    Scatter,
+    _Likelihood,
+    _window,
+    estimate_beam,
+    estimate_pose_errors,
+    windows_of,
+)
+from thalweg.orientation.error_model import NAMES, ErrorModel, PriorErrors
+
+LENGTH_S = 20.0
+EPOCH_S = 0.5
+LEVER = np.array([0.1, 0.0, -0.45])
+MOUNT = Mount(
+    R_ics_sensor=np.eye(3),
+    lever_ics_m=np.array([-0.35, 0.0, -0.25]),
+    cov_ics=np.diag([3e-4, 3e-4, 3e-4, 5e-4, 5e-4, 5e-4]) ** 2,
+)
+BEAM = BeamErrors(sigma_component_m=0.01)
+
+
+def prior(**changes: float) -> PriorErrors:
+    values = {
+        "white_share": 0.25, "position_time_s": 10.0, "attitude_time_s": 20.0, "spread": 2.0,
+        "time_spread": 3.0,
+    }  # fmt: skip
+    return PriorErrors(
+        sigma_position_m=np.array([0.02, 0.02, 0.03]),
+        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
+        **(values | changes),
+    )
+
+
+def process(rng: np.random.Generator, t: ArrayF, sigma: ArrayF, time_s: float) -> ArrayF:
+    """Gauss-Markov processes (n, k) at even times."""
+    keep = np.exp(-(t[1] - t[0]) / time_s)
+    out = rng.standard_normal((len(t), len(sigma)))
+    for k in range(1, len(t)):
+        out[k] = keep * out[k - 1] + np.sqrt(1 - keep**2) * out[k]
+    return out * sigma
+
+
+def survey(
+    seed: int, *, size: float = 1.0, time: float = 1.0, deviation_rad: float = 0.0
+) -> tuple[LogSample, Trajectory]:
+    """A boat that turns between two banks of plane patches, each of which is seen again and again."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, LENGTH_S + 0.1, 0.1)
+    heading = np.deg2rad(80.0) * np.sin(2 * np.pi * t / 15.0)
+    boat = np.stack([1.2 * t, 2 * np.sin(t / 4), np.zeros_like(t)], axis=1)
+    R = rotation_enu_body(np.zeros_like(t), np.zeros_like(t), heading)
+    p = prior()
+    slow, white = p.sigmas()
+    error = process(rng, t, size * slow[:3], 10.0 * time)
+    epochs = np.arange(0.0, LENGTH_S + 1, EPOCH_S)
+    noise = size * white * rng.standard_normal((len(epochs), 3))
+    error += np.stack([np.interp(t, epochs, axis) for axis in noise.T], axis=1)
+    angles = process(rng, t, size * slow[3:], 20.0 * time)
+    angles[:, 2] += deviation_rad * np.sin(heading)
+    turn = np.einsum("nk,nki->ni", angles, attitude_axes(R))
+    R_wrong = Rotation.from_rotvec(turn).as_matrix() @ R
+    wrong = boat + R @ LEVER + error - R_wrong @ LEVER
+    trajectory = Trajectory(
+        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0), t_gps_s=t, position_wcs_m=wrong,
+        quaternion_wcs_ics=Rotation.from_matrix(R_wrong).as_quat(),
+        cov_pose_wcs=np.tile(np.eye(6) * 1e-4, (len(t), 1, 1)), valid=np.ones(len(t), dtype=bool),
+    )  # fmt: skip
+    n = 250
+    centre = np.stack(
+        [rng.integers(0, 24, n) + 0.25, rng.choice([-1, 1], n) * (rng.integers(6, 20, n) + 0.25),
+         rng.integers(0, 6, n) + 0.25], axis=1,
+    )  # fmt: skip
+    normal = rng.standard_normal((n, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    which, at = np.repeat(np.arange(n), 60), np.sort(rng.integers(0, len(t), (n, 60)), axis=1).ravel()
+    spread = rng.uniform(-0.22, 0.22, (len(which), 3))
+    spread -= np.einsum("ni,ni->n", spread, normal[which])[:, None] * normal[which]
+    true = centre[which] + spread + 0.01 * rng.standard_normal((len(which), 3))
+    body = np.einsum("nji,nj->ni", R[at], true - boat[at])
+    seen = np.einsum("nij,nj->ni", R_wrong[at], body) + wrong[at]
+    sample = LogSample(
+        xyz_wcs_m=seen,
+        t_gps_s=t[at],
+        range_m=np.linalg.norm(body, axis=1),
+        reflectivity=np.full(len(at), 30.0),
+    )
+    return sample, trajectory
+
+
+def estimated(sample: LogSample, trajectory: Trajectory, p: PriorErrors) -> ErrorModel:
+    return estimate_pose_errors(
+        [sample], [(0.0, LENGTH_S)], trajectory, MOUNT, lever_ics_antenna_m=LEVER, prior=p, beam=BEAM,
+        epoch_s=EPOCH_S,
+    )  # fmt: skip
+
+
+def test_sizes_are_found_whatever_is_stated() -> None:
+    """True errors of half and twice the stated size: logarithms within their sigmas, two-sided."""
+    for size in (0.5, 2.0):
+        names = ("position", "roll_pitch", "heading", "white")
+        found = [estimated(*survey(seed, size=size), prior()).estimates for seed in range(3)]
+        z = np.array([[np.log(f[n].value / size) / f[n].sigma_log for n in names] for f in found])
+        sigma = np.array([[f[n].sigma_log for n in names] for f in found])
+        # Twelve values that share processes: chi-square of 12 at 0.1 % and 99.9 % is 2.2 and 32.9. The prior
+        # pulls towards 1, by ln(2) / ln(2) of its sigma at most.
+        assert 0.5 < np.sum(z**2) < 32.9
+        assert np.all(sigma < 0.9 * np.log(2)), "a survey says more than the prior alone"
+        assert all(f["white"].sigma_log < 0.2 for f in found), "forty epochs of three axes tell noise"
+
+
+def test_the_gradient_is_that_of_the_density() -> None:
+    sample, trajectory = survey(5)
+    window = _window(sample, trajectory, MOUNT, LEVER, BEAM, 0.0, LENGTH_S, EPOCH_S)
+    assert window is not None
+    density = _Likelihood([window], prior(), np.sqrt(np.diag(MOUNT.cov_ics)), epoch_s=EPOCH_S)
+    z = np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.2])
+    gradient = density(z)[1]
+    for i, step in enumerate(1e-4 * np.eye(len(NAMES))):
+        difference = (density(z + step)[0] - density(z - step)[0]) / 2e-4
+        assert gradient[i] == pytest.approx(difference, rel=1e-5, abs=1e-4)
+
+
+def test_a_magnet_on_the_boat_is_noticed() -> None:
+    """2 degrees times the heading's sine, ten times what attitudes err: found, and significant."""
+    size = np.deg2rad(2.0)
+    found = estimated(*survey(11, deviation_rad=float(size)), prior())
+    sigma = np.sqrt(np.diag(np.asarray(found.cov_deviation_rad2)))
+    # the prior of 0.3 degrees pulls it in
+    assert 0.5 * size < found.deviation_rad[0] < 1.1 * size
+    assert abs(found.deviation_rad[1]) < 4 * sigma[1]
+    assert found.deviation_is_significant
+    assert not estimated(*survey(12), prior()).deviation_is_significant
+
+
+def test_without_planes_the_prior_counts_with_its_width() -> None:
+    sample, trajectory = survey(1)
+    rng = np.random.default_rng(0)
+    bush = LogSample(
+        xyz_wcs_m=sample.xyz_wcs_m + rng.normal(0, 1.0, sample.xyz_wcs_m.shape), t_gps_s=sample.t_gps_s,
+        range_m=sample.range_m, reflectivity=sample.reflectivity,
+    )  # fmt: skip
+    found = estimated(bush, trajectory, prior())
+    assert not any(e.informed for e in found.estimates.values())
+    assert found.estimates["heading"].predictive == pytest.approx(np.exp(np.log(2) ** 2))
+    assert "plane spots" in found.notes[0]
+
+
+@pytest.mark.parametrize(("component", "footprint"), [(1.0, 1.0), (1.5, 1.0), (1.0, 2.0), (0.67, 0.5)])
+def test_noise_of_the_lidar_is_told_from_roughness(component: float, footprint: float) -> None:
+    """Planes whose roughness is exponential, as presumed: factors within a tenth, before the form's error
+    draws them to the prior by its weight, 0.2^2 / (ln(1.5)^2 + 0.2^2) = 0.196.
+    """
+    rng = np.random.default_rng(4)
+    n = 1500
+    c, p = np.full(n, 0.017**2), (rng.uniform(0, 0.03, n)) ** 2
+    freedom = rng.integers(10, 60, n).astype(float)
+    true = component**2 * c + footprint**2 * p + rng.exponential(2e-4, n)
+    scatter = Scatter(
+        variance_m2=true * rng.chisquare(freedom) / freedom, freedom=freedom, component_m2=c, footprint_m2=p
+    )
+    found = estimate_beam([scatter])
+    share = 1 - 0.196
+    assert found["component"].value == pytest.approx(component**share, rel=0.1)
+    assert found["footprint"].value == pytest.approx(footprint**share, rel=0.1)
+    assert 0.15 < found["component"].sigma_log < 0.3
+
+
+def test_windows_cover_short_surveys_and_sample_long_ones() -> None:
+    assert windows_of(100.0, 120.0) == [(100.0, 20.0)]
+    assert windows_of(0.0, 59.0) == [(0.0, 29.5), (29.5, 29.5)]
+    starts = windows_of(0.0, 1000.0)
+    assert len(starts) == 4
+    assert starts[0] == (0.0, 30.0)
+    assert starts[-1] == (970.0, 30.0)
