@@ -9,10 +9,12 @@ import pytest
 from thalweg.accuracy.comparison import ComparisonSettings
 from thalweg.accuracy.comparison_tables import by_range_table, statistics_table, verdicts
 from thalweg.core.errors import InputError
-from thalweg.figures.accuracy_page import accuracy_page, pivot
+from thalweg.figures.accuracy_page import _error_model, accuracy_page, pivot
 from thalweg.figures.accuracy_words import covered, explanation, limits, value_of, verdict
 from thalweg.figures.distance_histogram import distance_histogram
+from thalweg.figures.page import Page
 from thalweg.figures.style import save
+from thalweg.orientation.error_model import ErrorModel, PriorErrors
 
 SETTINGS = ComparisonSettings(correlation_s=0.2)
 
@@ -298,3 +300,17 @@ def test_quantities_that_are_not_there_make_no_column():
 def test_statistics_of_nothing_are_refused(found):
     with pytest.raises(InputError, match="without compared points"):
         accuracy_page(**found | {"statistics": found["statistics"].iloc[:0]})
+
+
+def test_the_page_says_who_tells_how_the_poses_err() -> None:
+    prior = PriorErrors(
+        sigma_position_m=np.full(3, 0.02), sigma_attitude_rad=np.full(3, 1e-3), white_share=0.25,
+        position_time_s=10.0, attitude_time_s=20.0, spread=2.0, time_spread=3.0,
+    )  # fmt: skip
+    page = Page("Accuracy", "")
+    _error_model(page, ErrorModel.of_prior(prior, note="no plane was seen again").report())
+    text = page.html()
+    assert "positions, slow part: factor" in text
+    assert text.count("<td>prior</td>") == 8
+    assert "not significant, not corrected" in text
+    assert "no plane was seen again" in text

@@ -179,8 +179,8 @@ def test_noise_of_the_lidar_is_told_from_roughness(component: float, footprint: 
 
 def test_windows_cover_short_surveys_and_sample_long_ones() -> None:
     assert windows_of(100.0, 120.0) == [(100.0, 20.0)]
-    assert windows_of(0.0, 59.0) == [(0.0, 29.5), (29.5, 29.5)]
+    assert windows_of(0.0, 39.0) == [(0.0, 19.5), (19.5, 19.5)]
     starts = windows_of(0.0, 1000.0)
-    assert len(starts) == 4
-    assert starts[0] == (0.0, 30.0)
-    assert starts[-1] == (970.0, 30.0)
+    assert len(starts) == 5
+    assert starts[0] == (0.0, 20.0)
+    assert starts[-1] == (980.0, 20.0)

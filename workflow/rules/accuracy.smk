@@ -143,6 +143,7 @@ rule accuracy_page:
             for picture in accuracy_pictures(wildcards)
         ],
         truth=truth_statistics,
+        error_model="results/{campaign}/orientation/error_model.json",
     output:
         page="results/{campaign}/accuracy/index.html",
     log:

@@ -22,6 +22,7 @@ def main(
     pictures: list[Path],
     captions: list[Path],
     truth: list[Path],
+    error_model: Path,
     page: Path,
     twin: bool,
     campaign: dict[str, Any],
@@ -35,6 +36,7 @@ def main(
         pictures=pictures,
         captions={path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions},
         truth=pd.read_csv(truth[0]) if truth else None,
+        error_model=json.loads(error_model.read_text()),
         title=f"Accuracy of the cloud: {campaign['title']}",
         twin=twin,
     ).write(page)

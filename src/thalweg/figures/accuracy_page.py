@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 
 from thalweg.accuracy.comparison_tables import ALL, AS_MEASURED, WITHOUT_OUTLIERS, classes_in_words
@@ -66,6 +67,17 @@ TRUTH: Final = (
 )
 """Columns of the tables: quantity, heading, unit, units in one of the table's own."""
 
+ERRORS_IN_WORDS: Final = {
+    "position": "positions, slow part: factor",
+    "roll_pitch": "roll and pitch: factor",
+    "heading": "heading: factor",
+    "white": "positions, white noise: factor",
+    "position_time_s": "positions: correlation time, s",
+    "attitude_time_s": "attitude: correlation time, s",
+    "component": "lidar, range and directions: factor",
+    "footprint": "lidar, place in the footprint: factor",
+}
+
 TRUTH_PICTURES: Final = ("error_versus_range",)
 """Stems of pictures that belong to the comparison with the truth."""
 
@@ -92,6 +104,7 @@ def accuracy_page(
     pictures: Sequence[Path] = (),
     captions: Mapping[str, str] | None = None,
     truth: pd.DataFrame | None = None,
+    error_model: Mapping[str, Any] | None = None,
     title: str = "Accuracy of the cloud",
     twin: bool = False,
 ) -> Page:
@@ -106,6 +119,7 @@ def accuracy_page(
     pictures : PNG files, shown in their order.
     captions : stem of a picture -> its caption.
     truth : for a twin, the statistics of the cloud's errors against the truth.
+    error_model : report of the errors of the poses, see `thalweg.orientation.error_model`.
     title : heading.
     twin : true if the digital twin made the data.
 
@@ -126,6 +140,8 @@ def accuracy_page(
     page.section("Why distances are smaller than the 3D error").text(explanation(statistics))
     _places(page, facts)
     _registration(page, registration)
+    if error_model is not None:
+        _error_model(page, error_model)
     _compared(page, facts, mesh_facts)
     if truth is not None and len(truth):
         _truth(page, truth)
@@ -275,6 +291,30 @@ def _registration(page: Page, registration: Mapping[str, Any]) -> None:
     frame = pd.DataFrame(changes)
     units = {name: "%" if name.startswith("share") else "mm" for name in frame.columns[1:]}
     page.table(short(frame), "What it changes", units)
+
+
+def _error_model(page: Page, model: Mapping[str, Any]) -> None:
+    a, b = model["heading_deviation_deg"]
+    page.section("How the poses err").text(
+        "The sigmas of the poses are those that the logs state, times factors that the survey itself shows: "
+        "where the lidar saw a plane spot again, its points lie apart by what the poses erred differently. "
+        f"{count(model['planes'])} planes in {model['windows']} spans of the survey were used. What they do "
+        "not tell stays at its prior, and the width of that enlarges the sigmas. An error that never changes "
+        "moves all surfaces alike: no survey shows it to itself. The heading errs by "
+        f"{a:+.2f} sin h {b:+.2f} cos h degrees with the heading h: "
+        + ("corrected." if model["heading_corrected"] else "not significant, not corrected.")
+    )
+    rows = [
+        {
+            "parameter": ERRORS_IN_WORDS[name], "presumed": e["prior"], "estimated": e["value"],
+            "68 % from": e["value"] / np.exp(e["sigma_log"]), "to": e["value"] * np.exp(e["sigma_log"]),
+            "from the": e["from"],
+        }
+        for name, e in model["estimates"].items()
+    ]  # fmt: skip
+    page.table(short(pd.DataFrame(rows)), "Factors on stated sigmas, and correlation times in seconds")
+    for note in model["notes"]:
+        page.text(str(note))
 
 
 def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any]) -> None:

@@ -71,7 +71,7 @@ than this in all, and was seen for longer than this."""
 MOST_PLANES: Final = 1200
 """Planes a window; three times as many change an estimate by less than a third of its sigma."""
 
-SLOW_S: Final = 0.5
+SLOW_S: Final = 0.25
 """Interval of the knots of the slow errors."""
 
 SHORTEST_EPOCH_S: Final = 0.1
@@ -91,8 +91,8 @@ of the surfaces' roughness, which nobody knows (digital twin: 0.89 for a true fa
 LEAST_FREEDOM: Final = 10
 """Planes with fewer degrees of freedom tell nothing of the noise."""
 
-WINDOW_S: Final = 30.0
-MOST_WINDOWS: Final = 4
+WINDOW_S: Final = 20.0
+MOST_WINDOWS: Final = 5
 LEAST_PLANES: Final = 30
 """Spans of the survey that are looked at, evenly spread, and the fewest planes that make one of use."""
 
