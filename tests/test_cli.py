@@ -256,7 +256,7 @@ def test_budget_prints_and_writes_influences(tmp_path, capsys):
     )
     said = capsys.readouterr().out
     assert "reconstructed, not published" in said
-    assert "21.1   21.18 =" in said
+    assert "21.1   21.18 c" in said  # met by fitted frames: chosen
     assert out.read_text().startswith("input,group,sigma,unit,provenance,source,distance_m,influence_mm")
     assert len(out.read_text().splitlines()) == 1 + 2 * 17
     assert main(["budget", str(file)]) == 0

@@ -91,7 +91,10 @@ def test_the_entry_script_writes_all_files(tmp_path: Path, rng, repository: Path
     accuracy = Accuracy(area={"min_height_m": 0.5}).model_dump(mode="json")
     names = ("cloud_to_mesh.parquet", "statistics.csv", "by_range.csv", "spatial.csv", "registration.json")
     outputs = {Path(name).stem: tmp_path / name for name in names}
+    error_model = tmp_path / "error_model.json"
+    error_model.write_text(json.dumps({"correlation_s": 7.5}))
     script.main(
+        error_model=error_model,
         points=cloud(tmp_path, rng), mesh=tmp_path / "mesh.ply", **outputs,
         campaign={"crs": "EPSG:25833", "seed": 3}, accuracy=accuracy,
         reference=Reference().model_dump(mode="json"),
@@ -99,6 +102,7 @@ def test_the_entry_script_writes_all_files(tmp_path: Path, rng, repository: Path
     table, facts = read_table(outputs["cloud_to_mesh"], CLOUD_TO_MESH)
     assert facts["area"] == "height from 0.5 m"
     assert facts["seed"] == 3
+    assert facts["correlation_s"] == 7.5  # `auto`: as the survey shows it
     assert (table["up_m"] >= 0.5).all()
     assert facts["counts"]["outside_area"] > 0
     statistics = pd.read_csv(outputs["statistics"])

@@ -194,6 +194,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
     undo = edited(tiny_house, "orientation/ins_gnss.py", "\n_edited = 1\n")
     after_trajectory = {
         "build_trajectory",
+        "estimate_pose_errors",
         "georeference_lidar",
         "export_map",
         "mesh_reference",
