@@ -591,6 +591,7 @@ class _Likelihood:
             """By the logarithm of a size: dP = -2 P."""
 
             def derivative(S: ArrayF, x: ArrayF) -> float:
+                """Derivative of -2 log L, of ``S = (N + P)^-1`` and the solution ``x``."""
                 total = 0.0
                 for j in which:
                     total += _product(S, x, rows[j], main[j], side[j]) - window.n_slow
@@ -602,6 +603,7 @@ class _Likelihood:
             """By the logarithm of a correlation time."""
 
             def derivative(S: ArrayF, x: ArrayF) -> float:
+                """Derivative of -2 log L, of ``S = (N + P)^-1`` and the solution ``x``."""
                 total = 0.0
                 for j in which:
                     d, o, log = by_time[j]

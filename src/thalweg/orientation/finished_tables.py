@@ -149,6 +149,7 @@ def _check_matrix(angles: Angles, given: ArrayF, names: tuple[str, ...], path: P
     """
 
     def off(reading: Angles) -> ArrayF:
+        """Largest difference (n,) of the rotations of a reading from the given ones."""
         R = image_rotations(reading)
         sides = [np.abs(M - given).max(axis=(1, 2)) for M in (R, np.swapaxes(R, 1, 2))]
         return np.asarray(min(sides, key=lambda s: float(np.median(s))))

@@ -63,6 +63,7 @@ class PixelModel:
         target = np.eye(classes, dtype=np.float32)[part]
 
         def cost(flat: ArrayF) -> tuple[float, ArrayF]:
+            """Value and gradient of the loss at flat weights."""
             w = flat.reshape(-1, classes).astype(np.float32)
             p = np.exp(_log_shares(x @ w))
             loss = -float((weight * np.log(np.maximum((p * target).sum(axis=1, keepdims=True), 1e-12))).sum())

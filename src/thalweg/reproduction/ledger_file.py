@@ -194,10 +194,12 @@ class _Reader:
         self.mistakes = list(document.mistakes)
 
     def wrong(self, path: tuple[Key, ...], found: str, expected: str, cure: str = "") -> None:
+        """Note a mistake with its line."""
         line = self.document.line(path)
         self.mistakes.append(Mistake(path=path, found=found, expected=expected, cure=cure, line=line))
 
     def entries(self) -> tuple[Entry, ...]:
+        """All entries of the file; mistakes are collected."""
         data = self.document.data
         if not isinstance(data, dict) or data.get("thalweg_ledger") != VERSION:
             self.wrong((), "not a ledger", f"thalweg_ledger: {VERSION}, and sections")
@@ -219,12 +221,14 @@ class _Reader:
         return tuple(found.values())
 
     def list(self, path: tuple[Key, ...], data: Any) -> list[tuple[tuple[Key, ...], Any]]:
+        """Elements of a list with their paths; a mistake if it is none or empty."""
         if not isinstance(data, list) or not data:
             self.wrong(path, "nothing there", "a list")
             return []
         return [((*path, i), item) for i, item in enumerate(data)]
 
     def entry(self, path: tuple[Key, ...], data: Any, section: str) -> Entry | None:
+        """One entry, or None after a mistake in it."""
         before = len(self.mistakes)
         if not isinstance(data, dict):
             self.wrong(path, f"found {data!r}", "an entry with the keys " + ", ".join(_ENTRY))
@@ -315,6 +319,7 @@ class _Reader:
             )  # fmt: skip
 
     def ours(self, path: tuple[Key, ...], data: Any) -> Ours | None:
+        """Where the pipeline's own value comes from, or None after a mistake."""
         before = len(self.mistakes)
         given = [key for key in SOURCES if isinstance(data, dict) and key in data]
         if len(given) != 1 or not isinstance(data[given[0]], str) or not data[given[0]].strip():

@@ -167,6 +167,7 @@ def _near(field: Field, margin_m: float) -> Callable[[Beams], ArrayB]:
     radius = np.array([r for _, r in spheres]) + margin_m
 
     def wanted(rays: Beams) -> ArrayB:
+        """Beams (n, m) that pass a cone within the margin."""
         out = np.zeros(rays.origin_wcs_m.shape[:2], dtype=np.bool_)
         _passes(rays.origin_wcs_m, rays.direction_wcs, centre, radius, out)
         return out

@@ -53,6 +53,7 @@ class _Things:
     names: list[str] = field(default_factory=list)
 
     def add(self, name: str, vertices: AnyArray, triangles: AnyArray, material: Material) -> None:
+        """Add a body to the scene; several may share a name."""
         if name not in self.names:
             self.names.append(name)
         self.parts.add(vertices, triangles, material)

@@ -114,6 +114,7 @@ def make_grating(
     errors = GratingErrors() if errors is None else errors
 
     def white(name: str, *shape: int) -> ArrayF:
+        """Normal numbers of a stream of their own."""
         return generator(seed, f"grating_{name}").standard_normal(shape)
 
     design = generator(seed, "grating_irregular").uniform(-1.0, 1.0, lines - 1)
@@ -140,6 +141,7 @@ def image_of_level(
     """Pixels (n, 2) of sub-beams on levels, NaN outside of the picture; directions (n,) across the line."""
 
     def image(a: ArrayF) -> ArrayF:
+        """Pixels of points of the line at angles of the fan."""
         beams = sub_beams(*grating.beams(line, a), sensor.window)
         return seen_points(sensor, beams.at_depth(depth_mm, sensor.window)).xy_px
 

@@ -247,6 +247,7 @@ class _Seen:
     normal: ArrayF
 
     def only(self, which: ArrayI) -> "_Seen":
+        """The hits of some rays."""
         return _Seen(
             self.rays[which], self.way[which], self.kind[which], self.primitive[which], self.uv[which],
             self.normal[which],
