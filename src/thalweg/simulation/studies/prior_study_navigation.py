@@ -209,13 +209,15 @@ def table(rows: pd.DataFrame) -> pd.DataFrame:
     """Rows of many seeds by chain, variant, model and quantity.
 
     Columns ``chain, variant, model, quantity, seeds, nees, low, high`` (mean over the seeds and its band of
-    95 %, by the spread between them), ``coverage_95`` and ``right``, whether the mean lies within `GOAL`.
-    With one seed there is no band.
+    95 %, by the spread between them), ``coverage_95``, ``right``, whether the mean lies within `GOAL`, and
+    ``refused``, surveys whose processing refused a result and which are in no mean. With one seed there is
+    no band.
     """
     out = []
-    for keys, part in rows.groupby(["chain", "variant", "model", "quantity"], sort=False):
+    for keys, all_surveys in rows.groupby(["chain", "variant", "model", "quantity"], sort=False):
+        part = all_surveys[all_surveys["nees"].notna()]
         n, nees = part["n"].to_numpy(np.float64), part["nees"].to_numpy(np.float64)
-        mean = float(np.sum(n * nees) / n.sum())
+        mean = float(np.sum(n * nees) / n.sum()) if len(part) else np.nan
         low, high = np.nan, np.nan
         if len(part) > 1:
             _, below, above, _ = ratio_of_surveys(n * nees, n)
@@ -223,8 +225,9 @@ def table(rows: pd.DataFrame) -> pd.DataFrame:
         out.append({
             **dict(zip(("chain", "variant", "model", "quantity"), keys, strict=True)), "seeds": len(part),
             "nees": mean, "low": low, "high": high,
-            "coverage_95": float(np.sum(n * part["coverage_95"].to_numpy()) / n.sum()),
+            "coverage_95": float(np.average(part["coverage_95"], weights=n)) if len(part) else np.nan,
             "right": GOAL[0] <= mean <= GOAL[1],
+            "refused": len(all_surveys) - len(part),
         })  # fmt: skip
     return pd.DataFrame(out)
 
