@@ -272,3 +272,21 @@ def test_a_beam_against_the_ruling_by_hand() -> None:
     assert met.slant_m[0] == pytest.approx(2 * np.sqrt(2))
     assert met.cosine[0] == pytest.approx(np.sqrt(0.5))
     assert met.sine_ruling[0] == pytest.approx(np.sqrt(0.5))
+
+
+def test_a_beam_along_the_normal_crosses_the_ruling_at_a_right_angle() -> None:
+    """Half angle 30 degrees, 2 m along the surface: (1, 0, sqrt 3), with the normal (cos 30, 0, -sin 30)."""
+    normal = np.array([np.sqrt(0.75), 0.0, -0.5])
+    cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 6)
+    met = cone.meet(np.array([1.0, 0.0, np.sqrt(3.0)]) + 5 * normal, -normal[None])
+    assert met.range_m[0] == pytest.approx(5.0)
+    assert met.slant_m[0] == pytest.approx(2.0)
+    assert met.cosine[0] == pytest.approx(1.0)
+    assert met.sine_ruling[0] == pytest.approx(1.0)
+
+
+def test_tangents_of_an_axis_that_is_nearly_upright_are_unit_vectors() -> None:
+    """Half a millimetre off plumb on a metre: x is then taken across, and lies 5e-4 off the level."""
+    cone = Cone(apex_m=np.zeros(3), axis=np.array([5e-4, 0.0, 1.0]), half_angle_rad=0.2)
+    np.testing.assert_allclose(cone.tangents @ cone.tangents.T, np.eye(2), atol=1e-15)
+    np.testing.assert_allclose(cone.tangents, [[1.0, 0.0, -5e-4], [0.0, 1.0, 0.0]], atol=2e-7)

@@ -15,7 +15,7 @@ from thalweg.core.adjustment import (
     prior,
 )
 from thalweg.core.errors import GeometryError
-from thalweg.core.normal_equations import HUBER_LIMIT, normal_equations
+from thalweg.core.normal_equations import HUBER_LIMIT, check_rank, normal_equations
 from thalweg.core.rigid import Rigid, exp_rotation
 
 LINE = ("height", "slope")
@@ -393,3 +393,46 @@ def test_huber_weights_by_hand() -> None:
     assert found.N[0, 0] == pytest.approx(1 + HUBER_LIMIT / 10)
     assert found.n[0] == pytest.approx(1 + HUBER_LIMIT)
     assert found.cost == pytest.approx(1 + 20 * HUBER_LIMIT - HUBER_LIMIT**2)
+
+
+def test_the_scatter_is_that_of_the_blocks_that_are_left() -> None:
+    """Blunders of 100 sigmas hide one of 8: the limit is 5 times 2 / 0.6745 with them, and 5 without.
+
+    0.6745 is the median of the length of a normal error; a scatter below 1 counts as 1.
+    """
+    size = np.array([0.5] * 5 + [2.0, 8.0] + [100.0] * 4)
+
+    def constant(_: np.ndarray) -> Linear:
+        return Linear(residual=size, jacobian=np.zeros((11, 1)), cov=np.ones(11))
+
+    known = Observations("known", prior(np.zeros(1), np.eye(1), [0], 1))
+    found = adjust([Observations("errors", constant), known], np.zeros(1), ["x"], reject_sigmas=5.0)
+    assert found.used["errors"].tolist() == [True] * 6 + [False] * 5
+
+
+@pytest.mark.parametrize(("eigenvalue", "refused"), [(0.7e-10, True), (1.4e-10, False)])
+def test_the_smallest_eigenvalue_decides_whether_unknowns_are_determined(
+    eigenvalue: float, refused: bool
+) -> None:
+    """Two unknowns correlated by ``-(1 - e)`` have the eigenvalue ``e``, and the last pivot ``2 e``."""
+    N = np.array([[1.0, 1.0 - eigenvalue], [1.0 - eigenvalue, 1.0]])
+    if refused:
+        with pytest.raises(UnobservableError, match="do not determine"):
+            check_rank(N, ("a", "b"), None, "")
+    else:
+        check_rank(N, ("a", "b"), None, "")
+
+
+def test_unknowns_with_a_small_part_in_what_is_free_are_not_named() -> None:
+    """1 a + 0.83 b + 0.18 c is free; named is who has more than a fifth of the strongest part.
+
+    Derivatives of length 1 that make a triangle with these sides: their cosines are those of its angles.
+    """
+    a, b, c = 1.0, 0.83, 0.18
+    ab, ac, bc = (
+        (third**2 - one**2 - other**2) / (2 * one * other)
+        for one, other, third in ((a, b, c), (a, c, b), (b, c, a))
+    )
+    with pytest.raises(UnobservableError) as caught:
+        check_rank(np.array([[1.0, ab, ac], [ab, 1.0, bc], [ac, bc, 1.0]]), ("a", "b", "c"), None, "")
+    assert caught.value.parameters == ("a", "b")

@@ -161,3 +161,20 @@ def test_a_smaller_picture_of_the_same_lens() -> None:
     assert narrow.scaled((1008, 100)).size_px == (1008, 100)
     with pytest.raises(GeometryError, match="1012 x 100"):
         narrow.scaled((1012, 100))
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
+def test_the_sun_is_imaged_where_its_direction_is(camera: Camera) -> None:
+    """150 million kilometres away: what counts as on the axis is an angle and not a length."""
+    points = directions(camera, 20)
+    unit = points / np.linalg.norm(points, axis=1, keepdims=True)
+    np.testing.assert_allclose(camera.project(1.5e11 * unit), camera.project(unit), atol=1e-8)
+
+
+@pytest.mark.parametrize("power", [3, 5, 7, 9])
+def test_rays_near_the_end_of_a_strong_barrel_distortion(power: int) -> None:
+    """``d = t - c t^n`` with ``c = 0.95 / n`` at t = 1 rad, where it grows by a twentieth of t only."""
+    shape = [-0.95 / power if n == power else 0.0 for n in (3, 5, 7, 9)]
+    barrel = FISHEYE.with_parameters(np.array([1000.0, 1000.0, 2000.0, 2000.0, *shape]))
+    ray = barrel.rays([[2000.0 + 1000.0 * (1 - 0.95 / power), 2000.0]])[0]
+    np.testing.assert_allclose(ray, [np.sin(1.0), 0.0, np.cos(1.0)], atol=1e-11)

@@ -13,6 +13,7 @@ from thalweg.core.frames import (
     LocalFrame,
     attitude_axes,
     grid_factors,
+    opk_axes,
     roll_pitch_heading,
     rotation_ecef_enu,
     rotation_enu_body,
@@ -221,3 +222,19 @@ def test_axes_of_attitude_by_hand() -> None:
     """Heading east, nose level: roll about east, pitch about south (to the right), heading about down."""
     axes = attitude_axes(rotation_enu_body(0.0, 0.0, np.pi / 2)[None])[0]
     np.testing.assert_allclose(axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-15)
+
+
+def test_the_axes_that_omega_phi_and_kappa_turn_about_by_hand() -> None:
+    """Omega about x; phi about y after omega; kappa about z after both. Omega 60, phi 30 degrees."""
+    axes = opk_axes(np.deg2rad(60.0), np.deg2rad(30.0))
+    np.testing.assert_allclose(axes[:, 0], [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(axes[:, 1], [0.0, 0.5, np.sqrt(0.75)])
+    np.testing.assert_allclose(axes[:, 2], [0.5, -0.75, np.sqrt(0.1875)])
+
+
+def test_a_point_that_a_grid_without_limits_cannot_express_is_refused() -> None:
+    """A transverse Mercator grid has no place for what is 90 degrees away from its meridian."""
+    grid = CRS.from_proj4("+proj=tmerc +lat_0=0 +lon_0=13.25 +k=1 +ellps=GRS80 +units=m +type=crs")
+    away = TO_ECEF.transform(13.25 + 90.0, 0.0, 0.0)
+    with pytest.raises(GeometryError, match="cannot be expressed"):
+        FRAME.to_map(FRAME.R_ecef_enu.T @ (np.array(away) - FRAME.origin_ecef_m), grid)

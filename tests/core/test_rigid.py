@@ -5,7 +5,7 @@ import pytest
 
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import rotation_opk
-from thalweg.core.rigid import Rigid
+from thalweg.core.rigid import Rigid, opk_of
 
 TURN = rotation_opk(0.0, 0.0, np.pi / 2)
 """x of the source is y of the target, y is -x."""
@@ -21,9 +21,20 @@ TURN = rotation_opk(0.0, 0.0, np.pi / 2)
         (np.diag([1.0, 1.0, -1.0]), np.zeros(3), np.zeros((6, 6))),
         (np.eye(3), np.zeros(3), np.zeros((3, 3))),
         (np.eye(3), np.zeros(3), np.diag([1.0, 1, 1, 1, 1, -1e-6])),
+        (np.eye(3), np.zeros(3), np.diag([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, -1e-9])),
         (np.eye(3), np.zeros(3), np.eye(6) + 1e-6 * np.eye(6, k=1)),
     ],
-    ids=["no number", "two metres", "no square", "scale", "reflection", "3x3", "negative", "not symmetric"],
+    ids=[
+        "no number",
+        "two metres",
+        "no square",
+        "scale",
+        "reflection",
+        "3x3",
+        "negative",
+        "negative and small",
+        "not symmetric",
+    ],
 )
 def test_what_is_no_transform_is_refused(R: np.ndarray, shift: np.ndarray, cov: np.ndarray) -> None:
     with pytest.raises(GeometryError, match=r"no rotation matrix|no covariance matrix"):
@@ -77,3 +88,31 @@ def test_errors_of_the_inverse_and_of_a_product_by_differences() -> None:
         there = first.moved(step * np.eye(6)[k]).apply([[1.0, -2.0, 0.5]])
         moved[:, k] = (there - first.apply([[1.0, -2.0, 0.5]]))[0] / step
     np.testing.assert_allclose(moved, J, atol=2e-5)
+
+
+def test_omega_phi_and_kappa_by_hand() -> None:
+    """Omega of a quarter turns y to z, and with it the axis that phi turns about."""
+    sigmas = np.array([1e-3, 2e-3, 3e-3, 1e-4, 2e-4, 3e-4])
+    T = Rigid.from_opk([np.pi / 2, 0.0, 0.0], [1.0, 2.0, 3.0], np.diag(sigmas**2))
+    np.testing.assert_allclose(T.apply([[0.0, 1.0, 0.0]]), [[1.0, 2.0, 4.0]], atol=1e-15)
+    np.testing.assert_allclose(T.sigma_shift_m, [1e-3, 2e-3, 3e-3])
+    # about x: omega; about y: kappa, whose axis z went to -y; about z: phi
+    np.testing.assert_allclose(T.sigma_rotation_rad, [1e-4, 3e-4, 2e-4])
+
+
+def test_a_matrix_without_covariance_is_taken_as_certain() -> None:
+    np.testing.assert_array_equal(Rigid.from_matrix(np.eye(4)).cov, np.zeros((6, 6)))
+    np.testing.assert_array_equal(Rigid.from_opk([0.0, 0.0, 0.0], np.zeros(3)).cov, np.zeros((6, 6)))
+
+
+def test_the_first_of_two_transforms_turns_the_shift_of_the_second() -> None:
+    """A turn about z with a sigma of 1 mrad moves what is 2 m ahead by 2 mm to the side."""
+    first = Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 1e-6]))
+    both = first @ Rigid(R=np.eye(3), shift_m=np.array([2.0, 0.0, 0.0]))
+    np.testing.assert_allclose(both.sigma_shift_m, [0.0, 2e-3, 0.0])
+    assert both.cov[1, 5] == pytest.approx(2e-6)
+
+
+@pytest.mark.parametrize("phi", [np.pi / 2, -np.pi / 2])
+def test_at_phi_of_ninety_degrees_all_is_kappa(phi: float) -> None:
+    np.testing.assert_allclose(opk_of(rotation_opk(0.0, phi, 0.3)), [0.0, phi, 0.3], atol=1e-12)

@@ -123,3 +123,8 @@ def test_text(moment: float, digits: int, text: str) -> None:
 def test_text_of_gps_time() -> None:
     assert utc_text_from_gps(178649913.4) == "2017-05-12T18:44:55.400Z"
     assert utc_text_from_gps(float("nan")) == "?"
+
+
+def test_one_stamp_before_the_epoch_among_good_ones_is_refused() -> None:
+    with pytest.raises(ClockError, match="lies before the GPS epoch"):
+        gps_minus_utc([unix("2020-01-01"), GPS_EPOCH_UNIX_S - 1.0, unix("2021-01-01")])

@@ -144,3 +144,10 @@ def test_poses_between_nodes_by_hand() -> None:
     heading = np.arctan2(R[1:6, 0, 0], R[1:6, 1, 0])
     # roll and pitch of a hundredth change the direction of the arc by as much squared
     np.testing.assert_allclose(np.rad2deg(heading), [0.0, 1.75, 7.0, 12.25, 14.0], atol=0.01)
+
+
+def test_the_span_is_that_of_the_valid_nodes() -> None:
+    whole = turning(6, 1.0)
+    assert whole.span() == (3.0e8, 3.0e8 + 5)
+    some = replace(whole, valid=np.array([False, True, True, False, True, False]))
+    assert some.span() == (3.0e8 + 1, 3.0e8 + 4)

@@ -338,3 +338,10 @@ def test_a_halved_divergence_is_seen_far_away_at_an_angle_with_good_poses(rng) -
     # the mean of n squared normal errors has a relative sigma of sqrt(2 / n) = 1 %; four of them
     assert ratio[3.0] == pytest.approx(1.0, abs=0.04)
     assert ratio[1.5] > 1.7
+
+
+def test_factors_widen_range_and_directions_and_the_place_in_the_footprint() -> None:
+    beam = BeamErrors(sigma_component_m=0.01, divergence_rad=0.003, footprint_share=0.25, sigma_weak_m=0.03)
+    wide = beam.scaled(component=2.0, footprint=1.5)
+    assert (wide.sigma_component_m, wide.sigma_weak_m) == pytest.approx((0.02, 0.06))
+    assert (wide.footprint_share, wide.divergence_rad) == pytest.approx((0.375, 0.003))

@@ -1,5 +1,9 @@
 """Sizes of pose errors from planes that were seen again; the scene is made here, not by the digital twin."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -7,13 +11,17 @@ from scipy.spatial.transform import Rotation
 from thalweg.core.frames import LocalFrame, attitude_axes, rotation_enu_body
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF
-from thalweg.lidar.cloud import LogSample
+from thalweg.ingest.velodyne import LidarClock, LidarOptions
+from thalweg.lidar import overlap
+from thalweg.lidar.cloud import LogSample, LogSettings
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.mount import Mount
 from thalweg.lidar.overlap import (
     Scatter,
     _Likelihood,
+    _planes,
     _window,
+    error_model_of_log,
     estimate_beam,
     estimate_pose_errors,
     windows_of,
@@ -99,9 +107,9 @@ def survey(
     return sample, trajectory
 
 
-def estimated(sample: LogSample, trajectory: Trajectory, p: PriorErrors) -> ErrorModel:
+def estimated(sample: LogSample, trajectory: Trajectory, p: PriorErrors, mount: Mount = MOUNT) -> ErrorModel:
     return estimate_pose_errors(
-        [sample], [(0.0, LENGTH_S)], trajectory, MOUNT, lever_ics_antenna_m=LEVER, prior=p, beam=BEAM,
+        [sample], [(0.0, LENGTH_S)], trajectory, mount, lever_ics_antenna_m=LEVER, prior=p, beam=BEAM,
         epoch_s=EPOCH_S,
     )  # fmt: skip
 
@@ -184,3 +192,71 @@ def test_windows_cover_short_surveys_and_sample_long_ones() -> None:
     assert len(starts) == 5
     assert starts[0] == (0.0, 20.0)
     assert starts[-1] == (980.0, 20.0)
+
+
+def test_a_lidar_without_a_footprint_keeps_the_width_of_its_prior() -> None:
+    """Stated sigmas of a single measurement may be wrong by a factor of 1.5: its logarithm is 0.405."""
+    rng = np.random.default_rng(4)
+    freedom = np.full(300, 20.0)
+    variance = (0.017**2 + rng.exponential(2e-4, 300)) * rng.chisquare(freedom) / freedom
+    scatter = Scatter(
+        variance_m2=variance, freedom=freedom, component_m2=np.full(300, 0.017**2), footprint_m2=np.zeros(300)
+    )
+    found = estimate_beam([scatter])
+    # Nelder and Mead's search ends at 1e-3 of the prior's sigma
+    assert found["footprint"].value == pytest.approx(1.0, abs=0.01)
+    assert found["footprint"].sigma_log == pytest.approx(0.405, rel=0.02)
+    assert found["component"].sigma_log < 0.3
+
+
+def test_of_too_many_planes_some_are_taken_once_each() -> None:
+    """1,300 level spots of 25 points, each in its own cell and seen for 2.4 s; 1,200 are enough."""
+    rng = np.random.default_rng(1)
+    place = np.stack(np.divmod(np.arange(1300), 40), axis=1) + 0.5
+    xy = np.repeat(0.5 * place, 25, axis=0) + rng.uniform(-0.24, 0.24, (1300 * 25, 2))
+    points = np.column_stack([xy, 0.25 + 0.001 * rng.standard_normal(len(xy))])
+    planes = _planes(points, np.tile(0.1 * np.arange(25.0), 1300))
+    assert planes.n == 1200
+    assert len(np.unique(planes.owner)) == 1200
+
+
+def test_white_noise_comes_with_the_positions_and_else_with_the_nodes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nodes every 0.1 s, positions every 0.5 s."""
+    asked = {}
+    monkeypatch.setattr(overlap, "sample_log", lambda *_: [])
+    monkeypatch.setattr(overlap, "estimate_pose_errors", lambda *_, **how: asked.update(how))
+    settings = {"estimate": True, "white_share": 0.25, "position_time_s": 10.0, "attitude_time_s": 20.0,
+                "spread": 2.0, "time_spread": 3.0}  # fmt: skip
+    how = cast(LogSettings, SimpleNamespace(mount=MOUNT, beam=BEAM))
+    for epochs, step_s in ((np.array([0.0, 0.5, np.nan, 1.0, 1.5]), 0.5), (None, 0.1)):
+        error_model_of_log(
+            [], LidarOptions(), LidarClock(), survey(1)[1], how,
+            positions_t_gps_s=epochs, lever_ics_antenna_m=LEVER, settings=settings,
+        )  # fmt: skip
+        assert asked["epoch_s"] == pytest.approx(step_s)
+
+
+def test_an_uncertain_mount_is_not_taken_for_errors_of_the_poses() -> None:
+    """The scanner is turned by 1 degree about the forward axis; its mount is stated to 1 degree."""
+    sample, trajectory = survey(7)
+    nearest = np.rint(sample.t_gps_s / 0.1).astype(int)
+    R = Rotation.from_quat(trajectory.quaternion_wcs_ics).as_matrix()[nearest]
+    boat = trajectory.position_wcs_m[nearest]
+    arm = np.einsum("nji,nj->ni", R, sample.xyz_wcs_m - boat) - MOUNT.lever_ics_m
+    turned = Rotation.from_euler("x", 1.0, degrees=True).apply(arm) + MOUNT.lever_ics_m
+    wrong = replace(sample, xyz_wcs_m=np.einsum("nij,nj->ni", R, turned) + boat)
+    loose = replace(MOUNT, cov_ics=np.diag(np.r_[np.deg2rad([1.0, 1.0, 1.0]), 5e-4, 5e-4, 5e-4] ** 2))
+    found = estimated(wrong, trajectory, prior(), loose).estimates["roll_pitch"]
+    assert abs(np.log(found.value)) < 3 * found.sigma_log
+    # held at 0.3 mrad the mount leaves it to roll and pitch
+    taken = estimated(wrong, trajectory, prior(), MOUNT).estimates["roll_pitch"]
+    assert np.log(taken.value) > 5 * taken.sigma_log
+
+
+def test_knots_reach_to_the_end_of_a_window() -> None:
+    """19.9 s: 80 intervals of 0.25 s and 67 of 0.3 s, each with a knot more."""
+    window = _window(*survey(1), MOUNT, LEVER, BEAM, 0.0, 19.9, 0.3)
+    assert window is not None
+    assert (window.n_slow, window.n_fast) == (81, 68)

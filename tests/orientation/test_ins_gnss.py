@@ -292,3 +292,13 @@ def test_a_velocity_without_one_of_its_components_guides_no_position() -> None:
     states.loc[100:109, "v_down_mps"] = np.nan
     _, summary = build(positions, states, interpolation="ins_velocity")
     assert "10 INS states without a velocity guide no position" in summary.notes
+
+
+def test_states_within_the_first_or_last_interval_of_positions_are_enough() -> None:
+    """Positions every 0.1 s; three states that end before the second, or begin behind the last but one."""
+    positions, states = survey()
+    s = states["t_gps_s"] - T0
+    # the last position is at 19.9 s
+    for some in (states[s < 0.05], states[(s > 19.85) & (s < 19.905)]):
+        trajectory, _ = build(positions, some)
+        assert trajectory.valid.tolist() == [True] * 3

@@ -208,3 +208,32 @@ def test_three_ties_have_one_degree_of_freedom(square: float, fits: bool) -> Non
     else:
         with pytest.raises(ClockError, match="not on a straight line"):
             clock_from_ties([0.0, 100.0, 200.0], gps, 0.01)
+
+
+def test_a_few_images_are_found_among_many_pulses() -> None:
+    """Images 20 to 23 of thirty pulses whose intervals grow by 10 ms each."""
+    pulse = np.cumsum(1.0 + 0.01 * np.arange(30))
+    match = match_pulses(pulse[20:24] - 500.0, pulse, tolerance_s=0.001)
+    assert match.pulse.tolist() == [20, 21, 22, 23]
+    assert match.offset_s == pytest.approx(500.0)
+
+
+def test_the_worst_tie_may_be_late_or_early() -> None:
+    t = T0 + np.arange(5) * 600.0
+    for error, words in ((0.1, r"tie 2 is off by \+"), (-0.1, "tie 2 is off by -")):
+        with pytest.raises(ClockError, match=words):
+            clock_from_ties(t, t + error * np.eye(5)[1], 0.005)
+
+
+@pytest.mark.parametrize(("missing", "found"), [(50, True), (51, False)])
+def test_up_to_fifty_pulses_may_lie_before_the_first_image(missing: int, found: bool) -> None:
+    """200 pulses and 200 images, with intervals that grow by 10 ms each: no other alignment fits."""
+    pulse = np.cumsum(1.0 + 0.01 * np.arange(260))
+    images = pulse[missing : missing + 200] - 500.0
+    if found:
+        match = match_pulses(images, pulse[:200], tolerance_s=0.001)
+        assert match.pulse[:3].tolist() == [50, 51, 52]
+        assert match.pulses_without_image == 50
+    else:
+        with pytest.raises(ClockError, match="at best"):
+            match_pulses(images, pulse[:200], tolerance_s=0.001)

@@ -129,6 +129,17 @@ def test_total_reflection_and_rays_that_go_away_are_marked() -> None:
     assert np.abs(directions_to_points([0, 0, 50.0], X, window) - d[:2]).max() < 1e-9
 
 
+def test_a_ray_from_water_into_air_by_hand() -> None:
+    """From n = 4/3 at 45 degrees: sine 0.94281 in air, tangent 2 sqrt 2. 1 m each way: 1 + 2 sqrt 2 aside.
+
+    The critical angle has the tangent 1.134: a step towards it from below would go beyond.
+    """
+    window = Window(thickness_mm=0.0, n_air=4 / 3, n_glass=4 / 3, n_water=1.0)
+    aside = 1000.0 * (1 + 2 * np.sqrt(2))
+    found = directions_to_points([0, 0, 1000.0], [[aside, 0, -1000.0]], window)
+    np.testing.assert_allclose(found, [[np.sqrt(0.5), 0.0, -np.sqrt(0.5)]], atol=1e-12)
+
+
 def test_a_point_above_the_window_has_no_direction() -> None:
     window = Window(thickness_mm=5.0, n_glass=1.52, n_water=1.335)
     found = directions_to_points([0, 0, 50.0], [[0, 0, -4.9], [1, 1, -5.0], [0, 0, -60.0]], window)

@@ -95,3 +95,13 @@ def test_the_rule_is_about_the_middle_and_not_about_zero(rule) -> None:
     assert off.centre_mm == pytest.approx(here.centre_mm + 10.0)
     assert off.mean_kept_mm == pytest.approx(10.0)
     assert off.std_kept_mm == pytest.approx(0.2, rel=0.002)  # n - 1 of 400
+
+
+def test_the_published_tables_are_of_single_profiles_and_of_scans() -> None:
+    """P4: Table 2 holds profiles of one line; the scans of Table 3 have 7 and 70."""
+    profile = statistics_table({"wreck": np.array([-0.1, 0.0, 0.1])})
+    scan = statistics_table({"wreck": np.array([-0.1, 0.0, 0.1])}, {"wreck": 70})
+    printed = [table[table["rule"] == "published"].iloc[0] for table in (profile, scan)]
+    assert [(row["lines"], row["n"]) for row in printed] == [(1, 1105), (70, 66666)]
+    assert TABLE_2["lines"].tolist() == [1, 1]
+    assert TABLE_3["lines"].tolist() == [7, 70]
