@@ -195,13 +195,13 @@ def _changed(tree: ast.Module, number: int, kind: str) -> ast.AST:
             node.op = ast.Or() if isinstance(node.op, ast.And) else ast.And()
         case ast.UnaryOp(), "sign":
             new = node.operand
-        case ast.Subscript(slice=ast.Constant(value=value)), "index":
+        case ast.Subscript(slice=ast.Constant(value=int() as value)), "index":
             node.slice = ast.Constant(1 - value)
         case ast.Constant(value=value), "truth":
             node.value = not value
         case ast.Constant(value=int() as value), "constant":
             node.value = value + 1
-        case ast.Constant(value=value), "constant":
+        case ast.Constant(value=float() as value), "constant":
             node.value = 2 * value if value else 1.0
         case ast.Call(func=func), "function":
             if isinstance(func, ast.Attribute):

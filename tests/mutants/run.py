@@ -1,7 +1,9 @@
 """Run deliberate mistakes through the tests: ``make mutants``; ``python tests/mutants/run.py --help``.
 
 `targets.yaml` says which modules get mistakes and which test files answer for them; `mutations` finds all
-mistakes; of each module some are drawn, evenly over the kinds of mistake, always the same ones. One process
+mistakes; of each module some are drawn, evenly over the kinds of mistake, always the same ones. Mistakes that
+change nothing observable no test can find: `explained.csv` calls them equivalent and says why, and they are
+not drawn. One process
 loads the libraries (seconds) and no module of Thalweg; for each mistake it forks a child, which imports the
 changed module instead of that on disk and runs the tests until one fails. A mistake is found if a test fails,
 raises, runs out of its CPU time (several times that of the right code) or crashes. No file of the source tree
@@ -14,7 +16,8 @@ changed file throws away the compiled functions of its module. Here functions of
 would compile run uncompiled, which takes seconds where compiling takes half a minute; all others come from
 numba's cache.
 
-Exit code 1 if more than 5 % of the mistakes survive.
+Exit code 1 if more than 5 % of the mistakes survive; 2 if tests fail on the right code, or if `explained.csv`
+names a mistake that the source no longer has.
 """
 
 import argparse
@@ -24,6 +27,7 @@ import datetime
 import importlib
 import importlib.abc
 import importlib.machinery
+import itertools
 import os
 import random
 import resource
@@ -32,7 +36,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -93,12 +97,13 @@ class Target:
 
 @dataclass(slots=True)
 class Run:
-    """One child: its target, its mistake (None: the right code), its log, and what came out."""
+    """One child: its target, its mistake (None: the right code), its log, its number, and what came out."""
 
     target: Target
     site: mutations.Site | None
     log: Path
     limit_s: float
+    number: int = 0
     started_s: float = field(default_factory=time.monotonic)
     verdict: str = ""
     cpu_s: float = 0.0
@@ -107,6 +112,17 @@ class Run:
     def words(self) -> str:
         """The mistake on one line."""
         return "right code" if self.site is None else mutations.in_words(self.target.source, self.site)
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """A row of `explained.csv`: a mistake that no test finds, and why; ``equivalent``: none can find it."""
+
+    target: Target
+    site: mutations.Site
+    mistake: str
+    equivalent: bool
+    why: str
 
 
 # ---------------------------------------------------------------- in the child
@@ -162,8 +178,13 @@ def run_child(run: Run) -> None:
 # ---------------------------------------------------------------- in the parent
 
 
-def draw(targets: Sequence[Target], count: int, seed: int) -> list[tuple[Target, mutations.Site]]:
-    """So many mistakes: each module a share by the root of its number of them, evenly over their kinds."""
+def draw(
+    targets: Sequence[Target], count: int, seed: int, equivalent: Collection[tuple[Target, mutations.Site]]
+) -> list[tuple[Target, mutations.Site]]:
+    """So many mistakes: each module a share by the root of its number of them, evenly over their kinds.
+
+    Equivalent ones are passed over; the next ones of their pile take their place.
+    """
     known = {target.module: mutations.sites(target.source) for target in targets}
     roots = {t.module: len(known[t.module]) ** 0.5 * (COMPILED_SHARE if t.compiled else 1.0) for t in targets}
     out: list[tuple[Target, mutations.Site]] = []
@@ -175,7 +196,8 @@ def draw(targets: Sequence[Target], count: int, seed: int) -> list[tuple[Target,
         kinds: dict[str, list[mutations.Site]] = {}
         for site in known[target.module]:
             kinds.setdefault(site.kind, []).append(site)
-        piles = [rng.sample(pile, len(pile)) for _, pile in sorted(kinds.items())]
+        shuffled = [rng.sample(pile, len(pile)) for _, pile in sorted(kinds.items())]
+        piles = [[site for site in pile if (target, site) not in equivalent] for pile in shuffled]
         picked: list[mutations.Site] = []
         while len(picked) < round(given) - before and any(piles):
             picked += [pile.pop() for pile in piles if pile]
@@ -226,15 +248,43 @@ def run_all(runs: Sequence[Run], workers: int, until_s: float = float("inf")) ->
         print(f"{run.verdict:9} {run.cpu_s:6.1f} s  {run.target.module}:{line}  {run.words}", flush=True)
 
 
-def explanations() -> dict[tuple[str, str, str], str]:
-    """Why a survivor survives, by module, function and mistake."""
+def explanations(targets: Sequence[Target]) -> list[Explained]:
+    """The rows of `explained.csv` about some targets, with the place in the source that each one means.
+
+    A mistake that a function allows several times is told apart by a number: ``0 -> 1``, ``0 -> 1 (2)``.
+
+    Raises
+    ------
+    LookupError : a row that fits no place in the source.
+    """
+    by_name = {target.module: target for target in targets}
     with (HERE / "explained.csv").open(newline="") as file:
-        return {(row["module"], row["function"], row["mistake"]): row["why"] for row in csv.DictReader(file)}
+        rows = [row for row in csv.DictReader(file) if row["module"] in by_name]
+    asked = {(row["module"], row["function"]) for row in rows}
+    places: dict[tuple[str, str, str], mutations.Site] = {}
+    for target in targets:
+        source = target.source
+        for site in mutations.sites(source):
+            if (target.module, site.function) in asked:
+                words = mutations.in_words(source, site)
+                names = itertools.chain([words], (f"{words} ({n})" for n in itertools.count(2)))
+                keys = ((target.module, site.function, name) for name in names)
+                places[next(key for key in keys if key not in places)] = site
+    out = []
+    for row in rows:
+        key = row["module"], row["function"], row["mistake"]
+        if key not in places:
+            raise LookupError(f"explained.csv: {', '.join(key)}: the source has no such place")
+        equivalent = {"yes": True, "no": False}[row["equivalent"]]
+        out.append(Explained(by_name[key[0]], places[key], key[2], equivalent, row["why"]))
+    return out
 
 
-def report(runs: Sequence[Run], command: str, cpu_s: float, wall_s: float) -> str:
-    """The page of the documentation: score by module, and every survivor with its explanation."""
-    known = explanations()
+def report(
+    runs: Sequence[Run], explained: Sequence[Explained], command: str, cpu_s: float, wall_s: float
+) -> str:
+    """The page of the documentation: score by module, survivors and equivalents with their reasons."""
+    why = {(known.target, known.site): known.why for known in explained}
     lost = [run for run in runs if run.verdict == "survived"]
     commit = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=REPOSITORY, capture_output=True, text=True, check=False
@@ -243,7 +293,8 @@ def report(runs: Sequence[Run], command: str, cpu_s: float, wall_s: float) -> st
         "# Deliberate mistakes that tests find",
         "",
         "Written by `make mutants` (`tests/mutants/run.py` says how it works; why mistakes survive is in",
-        "`tests/mutants/explained.csv`).",
+        "`tests/mutants/explained.csv`). Mistakes that change nothing observable are not drawn and not",
+        "counted: see the last table.",
         "",
         f"- command `{command}`, commit {commit or 'unknown'}, {datetime.datetime.now(datetime.UTC).date()}",
         f"- {cpu_s / 60:.0f} CPU minutes, {wall_s / 60:.0f} minutes",
@@ -268,12 +319,23 @@ def report(runs: Sequence[Run], command: str, cpu_s: float, wall_s: float) -> st
     for run in lost:
         site = run.site
         assert site is not None
-        why = known.get((run.target.module, site.function, run.words), "**not explained**")
-        words = run.words.replace("|", "\\|")
-        lines.append(f"| {run.target.module}, {site.function} | {site.line} | `{words}` | {why} |")
+        lines.append(_row(run.target, site, run.words, why.get((run.target, site), "**not explained**")))
     if not lost:
         lines.append("| none | | | |")
+    lines += [
+        "",
+        "## Not drawn: mistakes that change nothing observable",
+        "",
+        "| module, function | line | mistake | why it changes nothing |",
+        "| --- | --- | --- | --- |",
+    ]
+    lines += [_row(same.target, same.site, same.mistake, same.why) for same in explained if same.equivalent]
     return "\n".join(lines) + "\n"
+
+
+def _row(target: Target, site: mutations.Site, mistake: str, why: str) -> str:
+    words = mistake.replace("|", "\\|")
+    return f"| {target.module}, {site.function} | {site.line} | `{words}` | {why} |"
 
 
 def main() -> int:
@@ -294,6 +356,14 @@ def main() -> int:
         importlib.import_module(name)
     listed = yaml.safe_load((HERE / "targets.yaml").read_text())
     targets = [Target(name, tuple(tests)) for name, tests in listed.items() if options.only in name]
+    try:
+        explained = explanations(targets)
+    except LookupError as error:
+        print(error.args[0])
+        return 2
+    drawn = draw(
+        targets, options.count, options.seed, {(e.target, e.site) for e in explained if e.equivalent}
+    )
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutants_") as scratch:
         logs = options.logs or Path(scratch)
@@ -308,17 +378,14 @@ def main() -> int:
         if bad:
             return 2
         limits = {run.target.module: LIMIT_FACTOR * run.cpu_s + LIMIT_MORE_S for run in right}
-        drawn = draw(targets, options.count, options.seed)
         runs = [
-            Run(target, site, logs / f"{target.name}.{number}.txt", limits[target.module])
+            Run(target, site, logs / f"{target.name}.{number}.txt", limits[target.module], number)
             for number, (target, site) in enumerate(drawn)
         ]
         random.Random(options.seed).shuffle(runs)  # those that time leaves out are anywhere
         run_all(runs, options.workers, began + 60 * options.minutes)
         left = sum(not run.verdict for run in runs)
-        runs = sorted(
-            (run for run in runs if run.verdict), key=lambda run: drawn.index((run.target, run.site))
-        )
+        runs = sorted((run for run in runs if run.verdict), key=lambda run: run.number)
     if left:
         print(f"{left} mistakes were left out: {options.minutes:g} minutes are over")
     cpu_s = sum(run.cpu_s for run in [*right, *runs])
@@ -326,7 +393,7 @@ def main() -> int:
         "make mutants" if len(sys.argv) == 1 else "python tests/mutants/run.py " + " ".join(sys.argv[1:])
     )
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(report(runs, command, cpu_s, time.monotonic() - began))
+    options.out.write_text(report(runs, explained, command, cpu_s, time.monotonic() - began))
     lost = sum(run.verdict == "survived" for run in runs)
     share = 100 * lost / len(runs)
     print(f"{len(runs) - lost} of {len(runs)} mistakes found, {share:.1f} % survive: {options.out}")

@@ -34,6 +34,7 @@ def truth() -> Scene:
 # ---------------------------------------------------------------- real files
 
 
+@pytest.mark.real
 def test_orientations_of_the_roman_arch_by_its_own_tie_points(tmp_path: Path, data_dir: Path) -> None:
     """DBAT's start values of 60 real images: with the right reading of the angles rays of one point meet."""
     script = data_dir / "dbat_roma/script/romabundledemo"
@@ -67,6 +68,7 @@ def test_orientations_of_the_roman_arch_by_its_own_tie_points(tmp_path: Path, da
     assert np.median(off) < 3.0
 
 
+@pytest.mark.real
 def test_orientations_of_an_aerial_block_by_its_control_points(tmp_path: Path, data_dir: Path) -> None:
     """DBAT's adjusted poses of five aerial images put surveyed points where they were marked."""
     script = data_dir / "dbat_sxb/script/sxb"
