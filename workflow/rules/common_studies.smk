@@ -11,12 +11,12 @@ def study(name):
     return STUDIES[name]["parameters"]
 
 
-def seeds_of(name, pattern):
+def seeds_of(name, pattern, of=""):
     """Files of the surveys of a study, a job each; pattern below results/reproduction with {seed}."""
     size = STUDIES[name]["parameters"]
-    first = size["first_seed"]
+    first = size[f"first_seed{of}"]
     return expand(
-        f"results/reproduction/{pattern}", seed=range(first, first + size["seeds"])
+        f"results/reproduction/{pattern}", seed=range(first, first + size[f"seeds{of}"])
     )
 
 

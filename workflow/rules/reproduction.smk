@@ -326,8 +326,34 @@ rule echo_sounder_study:
         "../scripts/echo_sounder_study.py"
 
 
+rule image_block:
+    """One block of rendered pictures of the digital twin: errors of its poses beside their covariances."""
+    output:
+        table="results/reproduction/image_blocks/{seed}.csv",
+    log:
+        "logs/reproduction/image_block_{seed}.log",
+    benchmark:
+        "benchmarks/reproduction/image_block_{seed}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(30),
+    params:
+        code=code_version("image_block"),
+        seed=lambda wildcards: int(wildcards.seed),
+    message:
+        "image block {wildcards.seed}"
+    script:
+        "../scripts/image_block.py"
+
+
 rule image_block_study:
     """Image blocks on rendered pictures over seeds of the digital twin: are covariances of poses honest?"""
+    input:
+        fit=seeds_of("image_block_study", "image_blocks/{seed}.csv", "_of_fit"),
+        judged=seeds_of("image_block_study", "image_blocks/{seed}.csv"),
     output:
         table="results/reproduction/image_block_study.csv",
         blocks="results/reproduction/image_blocks.csv",
@@ -338,10 +364,10 @@ rule image_block_study:
         "benchmarks/reproduction/image_block_study.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 2
+    threads: 1
     resources:
-        mem_mb=memory(6000),
-        runtime=minutes(240),
+        mem_mb=memory(1500),
+        runtime=minutes(10),
     params:
         **study("image_block_study"),
         code=code_version("image_block_study"),

@@ -17,6 +17,7 @@ from thalweg.simulation.studies.image_blocks import (
     fitted_factor,
     normalised,
     pooled,
+    read_blocks,
     summary,
 )
 
@@ -73,7 +74,10 @@ def test_a_block_that_fails_is_a_line_of_its_own(tmp_path: Path, monkeypatch: py
     table = block_study([3], tmp_path)
     assert table["factor"].tolist() == list(FACTORS)
     assert set(table["failure"]) == {"no block; expected one."}
-    table = table[table["factor"] == DEFAULT_FACTOR]
+    table.to_csv(tmp_path / "3.csv", index=False)
+    again = read_blocks([tmp_path / "3.csv"])
+    pd.testing.assert_frame_equal(again, table, check_dtype=False)
+    table = again[again["factor"] == DEFAULT_FACTOR]
     both = pd.concat([blocks(1.2), table], ignore_index=True)
     assert pooled(both).loc["all poses jointly", "normalised"] == pytest.approx(1.2)
     page = as_markdown(both, blocks(1.3))

@@ -13,9 +13,7 @@ of blocks; the others judge it. From a shell: ``make study NAME=image_block_stud
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
@@ -194,9 +192,7 @@ def normalised(error: ArrayF, cov: ArrayF) -> tuple[float, float, float]:
     return float(single.mean() / 6), float(whole @ np.linalg.solve(cov, whole) / len(whole)), independent
 
 
-def block_study(
-    seeds: Sequence[int], folder: Path, spec: BlockSpec | None = None, *, processes: int = 1
-) -> pd.DataFrame:
+def block_study(seeds: Sequence[int], folder: Path, spec: BlockSpec | None = None) -> pd.DataFrame:
     """One line for each seed and factor of `FACTORS`.
 
     Columns ``seed, factor, images``; ``single, joint, independent`` as of `normalised`; ``rms_mm, sigma_mm,
@@ -204,18 +200,17 @@ def block_study(
     check_points`` (mean normalised square of a coordinate, and how many points); ``notes``; ``failure``: why
     there is no result, else empty.
     """
-    each = [(seed, folder / str(seed), spec) for seed in seeds]
-    if processes > 1:
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-            rows = list(pool.map(_rows, each))
-    else:
-        rows = [_rows(one) for one in each]
-    return pd.DataFrame([row for block in rows for row in block])
+    return pd.DataFrame([row for seed in seeds for row in _rows(seed, folder / str(seed), spec)])
 
 
-def _rows(one: tuple[int, Path, BlockSpec | None]) -> list[dict[str, Any]]:
+def read_blocks(files: Sequence[Path]) -> pd.DataFrame:
+    """Tables of `block_study` that were written as CSV, one below the other."""
+    rows = pd.concat([pd.read_csv(path) for path in files], ignore_index=True)
+    return rows.assign(**{name: rows[name].astype(object).fillna("") for name in ("notes", "failure")})
+
+
+def _rows(seed: int, folder: Path, spec: BlockSpec | None) -> list[dict[str, Any]]:
     """Of one block."""
-    seed, folder, spec = one
     row: dict[str, Any] = {"seed": seed, "images": 0, **dict.fromkeys(_NUMBERS, np.nan), "check_points": 0}
     try:
         oriented, truth = rendered_block(seed, folder, spec)
