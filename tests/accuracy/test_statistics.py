@@ -135,3 +135,11 @@ def test_the_chi_square_band_is_that_of_the_table() -> None:
     """Ten degrees of freedom: 3.247 and 20.483 at 95 %, 2.156 and 25.188 at 99 % (Abramowitz and Stegun)."""
     assert chi_square_band(10) == pytest.approx((0.3247, 2.0483), abs=1e-4)
     assert chi_square_band(10, 0.99) == pytest.approx((0.2156, 2.5188), abs=1e-4)
+
+
+def test_a_class_has_the_root_of_the_mean_square() -> None:
+    """Squares 1, 1 and 7 mm^2 against 4 mm^2 predicted: 3 and 4."""
+    table = by_range_class(np.full(3, 10.0), 1e-6 * np.array([1.0, 1.0, 7.0]), np.full(3, 4e-6))
+    assert table["rmse_observed_m"].tolist() == pytest.approx([1e-3 * np.sqrt(3)])
+    assert table["rmse_predicted_m"].tolist() == pytest.approx([2e-3])
+    assert table["n"].tolist() == [3]

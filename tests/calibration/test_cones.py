@@ -290,3 +290,8 @@ def test_tangents_of_an_axis_that_is_nearly_upright_are_unit_vectors() -> None:
     cone = Cone(apex_m=np.zeros(3), axis=np.array([5e-4, 0.0, 1.0]), half_angle_rad=0.2)
     np.testing.assert_allclose(cone.tangents @ cone.tangents.T, np.eye(2), atol=1e-15)
     np.testing.assert_allclose(cone.tangents, [[1.0, 0.0, -5e-4], [0.0, 1.0, 0.0]], atol=2e-7)
+
+
+def test_an_axis_of_two_numbers_is_refused() -> None:
+    with pytest.raises(GeometryError, match="are no cone"):
+        Cone(apex_m=np.zeros(3), axis=np.array([0.0, 1.0]), half_angle_rad=HALF)

@@ -62,3 +62,9 @@ def test_of_three_bars_the_wrong_one_is_left_out() -> None:
         scale_of(NAMES, np.array([2.0, 2.02, 2.04]), np.full(3, 1e-3), np.ones(3), np.zeros((3, 3)))
     with pytest.raises(GeometryError, match="no scale bar"):
         scale_of((), np.empty(0), np.empty(0), np.empty(0), np.empty((0, 0)))
+
+
+def test_two_bars_that_contradict_are_told_with_the_difference() -> None:
+    """Bars of 2 m, 1.00 and 1.01 units long: by the first one a unit is 2 m, and the second bar 2.02 m."""
+    with pytest.raises(GeometryError, match=r"by A, B is \+20\.00 mm longer than its 2\.00000 m"):
+        scale_of(NAMES[:2], np.array([2.0, 2.0]), np.full(2, 1e-3), np.array([1.0, 1.01]), np.zeros((2, 2)))

@@ -301,6 +301,10 @@ def flat(x: np.ndarray) -> Linear:
             "'bad' give numbers that are not",
         ),
         (
+            lambda x: Linear(residual=x * [np.nan, 1.0], jacobian=np.eye(2), cov=np.ones(2)),
+            "'bad' give numbers that are not",
+        ),
+        (
             lambda x: Linear(residual=x, jacobian=np.eye(2), cov=np.array([1.0, 0.0])),
             "a variance of 0.0 among 'bad'",
         ),
@@ -315,7 +319,7 @@ def flat(x: np.ndarray) -> Linear:
             "did not converge in 3 steps",
         ),
     ],
-    ids=["nan", "no variance", "no covariance", "no convergence"],
+    ids=["nan", "one nan", "no variance", "no covariance", "no convergence"],
 )
 def test_bad_groups_are_told_by_name(group, message: str) -> None:
     with pytest.raises(GeometryError, match=message):
@@ -436,3 +440,30 @@ def test_unknowns_with_a_small_part_in_what_is_free_are_not_named() -> None:
     with pytest.raises(UnobservableError) as caught:
         check_rank(np.array([[1.0, ab, ac], [ab, 1.0, bc], [ac, bc, 1.0]]), ("a", "b", "c"), None, "")
     assert caught.value.parameters == ("a", "b")
+
+
+def test_the_limit_grows_with_the_scatter() -> None:
+    """Half of all normal errors are within 0.6745 sigmas: 2.0 means a scatter of 2.965, five times 14.83."""
+    size = np.array([2.0] * 9 + [14.7, 14.9])
+
+    def constant(_: np.ndarray) -> Linear:
+        return Linear(residual=size, jacobian=np.zeros((11, 1)), cov=np.ones(11))
+
+    known = Observations("known", prior(np.zeros(1), np.eye(1), [0], 1))
+    found = adjust([Observations("errors", constant), known], np.zeros(1), ["x"], reject_sigmas=5.0)
+    assert found.used["errors"].tolist() == [True] * 10 + [False]
+
+
+def test_huber_limit_of_two_coordinates() -> None:
+    """86.64 % of normal errors are within 1.5 sigmas, of blocks of two within sqrt(-2 ln 0.1336) = 2.006."""
+    J = np.array([[1.0], [0.0]])
+    two = Observations("two", lambda x: Linear(residual=J @ x + [10.0, 0.0], jacobian=J, cov=np.eye(2)[None]))
+    found = normal_equations([two], np.zeros(1), 1, [None], "huber")
+    assert found.N[0, 0] == pytest.approx(0.2006, abs=1e-4)
+
+
+def test_nothing_to_reject_costs_no_further_step(points: tuple[np.ndarray, ...]) -> None:
+    x, y, sigma = points
+    plain = adjust([line(x, y, sigma)], np.zeros(2), LINE)
+    asked = adjust([line(x, y, sigma)], np.zeros(2), LINE, reject_sigmas=100.0)
+    assert asked.n_iterations == plain.n_iterations

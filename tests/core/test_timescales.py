@@ -128,3 +128,8 @@ def test_text_of_gps_time() -> None:
 def test_one_stamp_before_the_epoch_among_good_ones_is_refused() -> None:
     with pytest.raises(ClockError, match="lies before the GPS epoch"):
         gps_minus_utc([unix("2020-01-01"), GPS_EPOCH_UNIX_S - 1.0, unix("2021-01-01")])
+
+
+def test_the_last_stamp_alone_may_outlive_the_table() -> None:
+    with pytest.warns(LeapSecondWarning, match="Extend LEAP_TABLE"):
+        gps_minus_utc([unix("2020-01-01"), unix(LEAP_TABLE_VALID_UNTIL) + 86400])

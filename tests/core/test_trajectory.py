@@ -151,3 +151,11 @@ def test_the_span_is_that_of_the_valid_nodes() -> None:
     assert whole.span() == (3.0e8, 3.0e8 + 5)
     some = replace(whole, valid=np.array([False, True, True, False, True, False]))
     assert some.span() == (3.0e8 + 1, 3.0e8 + 4)
+
+
+def test_quaternions_of_neighbours_are_on_the_same_side() -> None:
+    """Minus a quaternion is the same rotation; the kernels blend neighbours and need them of one sign."""
+    whole = turning(6, 1.0)
+    q = whole.quaternion_wcs_ics
+    mixed = replace(whole, quaternion_wcs_ics=q * np.array([1, -1, -1, 1, -1, 1])[:, None])
+    np.testing.assert_allclose(mixed.quaternion_wcs_ics, q)

@@ -345,3 +345,25 @@ def test_factors_widen_range_and_directions_and_the_place_in_the_footprint() -> 
     wide = beam.scaled(component=2.0, footprint=1.5)
     assert (wide.sigma_component_m, wide.sigma_weak_m) == pytest.approx((0.02, 0.06))
     assert (wide.footprint_share, wide.divergence_rad) == pytest.approx((0.375, 0.003))
+
+
+def test_stamps_are_exact_if_no_sigma_is_stated() -> None:
+    """A boat at 1 m/s and no other error: the covariance is that of the stamps alone."""
+    level, nothing = np.eye(3)[None], np.zeros((1, 3))
+    J = point_jacobian(np.ones((1, 3)), level, level[0], np.zeros(3), np.array([[1.0, 0.0, 0.0]]), nothing)
+    none = np.zeros((1, 6, 6)), np.zeros((6, 6)), (np.zeros(1), np.zeros(1))
+    np.testing.assert_array_equal(point_covariance(J, *none), np.zeros((1, 3, 3)))
+    np.testing.assert_allclose(point_covariance(J, *none, 0.01)[0], np.diag([1e-4, 0.0, 0.0]), atol=1e-18)
+
+
+def test_beside_an_invalid_node_there_is_no_covariance(trajectory: Trajectory, mount: Mount) -> None:
+    """Nodes every 0.02 s, the eleventh of them invalid: nothing from 0.18 to 0.22 s."""
+    valid = np.ones(200, dtype=bool)
+    valid[10] = False
+    t = trajectory.t_gps_s[0] + np.array([0.17, 0.19, 0.21, 0.23])
+    found = georeference_points(
+        np.ones((4, 3)), t, replace(trajectory, valid=valid), mount, beam=BEAM,
+        range_m=np.ones(4), reflectivity=np.ones(4),
+    )  # fmt: skip
+    assert found.has_pose.tolist() == [True, False, False, True]
+    assert np.isnan(found.cov_m2).all(axis=1).tolist() == [False, True, True, False]

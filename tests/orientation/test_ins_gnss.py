@@ -302,3 +302,15 @@ def test_states_within_the_first_or_last_interval_of_positions_are_enough() -> N
     for some in (states[s < 0.05], states[(s > 19.85) & (s < 19.905)]):
         trajectory, _ = build(positions, some)
         assert trajectory.valid.tolist() == [True] * 3
+
+
+def test_an_ins_alone_keeps_the_sigmas_that_it_states() -> None:
+    """Roll is stated with 2 mrad; pitch and heading are not, and get the configured ones."""
+    _, states = survey()
+    trajectory, _ = trajectory_from_states(
+        states.assign(sigma_roll_rad=2e-3),
+        FRAME,
+        max_attitude_gap_s=0.2,
+        sigma_attitude_rad=[3e-3, 4e-3, 5e-3],
+    )
+    np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[0], [2e-3, 4e-3, 5e-3])

@@ -454,3 +454,17 @@ def test_times_that_nothing_covers_have_values_of_the_usual_shapes() -> None:
     ):
         assert values.shape == shape
         assert np.isnan(values).all()
+
+
+def test_the_velocity_is_that_of_the_moment_from_the_first_interval_on() -> None:
+    """1 m/s^2 from rest: 0.1 m/s after 0.1 s, within the first interval of the velocities."""
+    t, t_ins = np.arange(5.0), np.arange(41) / 10.0
+    ahead = np.array([1.0, 0.0, 0.0])
+    found = bridged(t, np.outer(t**2 / 2, ahead), np.array([0.05, 2.05]), t_ins, np.outer(t_ins, ahead))
+    np.testing.assert_allclose(found.velocity_mps[:, 0], [0.05, 2.05], atol=1e-9)
+
+
+def test_three_velocities_are_too_few_for_a_spline() -> None:
+    t = np.arange(3.0)
+    found = bridged(t, np.zeros((3, 3)), np.array([0.5]), t, np.zeros((3, 3)), max_velocity_gap_s=2.0)
+    assert not found.covered.any()

@@ -237,3 +237,25 @@ def test_up_to_fifty_pulses_may_lie_before_the_first_image(missing: int, found: 
     else:
         with pytest.raises(ClockError, match="at best"):
             match_pulses(images, pulse[:200], tolerance_s=0.001)
+
+
+def test_one_tie_without_sigma_is_refused() -> None:
+    with pytest.raises(ClockError, match="a sigma above 0"):
+        clock_from_ties([T0, T0 + 600.0], [T0, T0 + 600.0], [0.005, 0.0])
+
+
+def test_three_pulses_leave_one_degree_of_freedom() -> None:
+    """Off by +1, -2, +1 ms: no drift, and 6 ms^2 over one degree."""
+    t = np.arange(3.0)
+    pulse = t + 100.0 + 1e-3 * np.array([1.0, -2.0, 1.0])
+    clock = clock_from_pulses(t, pulse, match_pulses(t, pulse))
+    assert clock.jitter_s == pytest.approx(np.sqrt(6) * 1e-3, rel=1e-6)
+
+
+def test_pauses_do_not_widen_what_counts_as_near() -> None:
+    """Pulses each second but for a pause of 100 s; one without image, and an image by hand 0.4 s after it."""
+    pulse = np.r_[np.arange(20.0), 120.0 + np.arange(20.0)]
+    image = pulse - 500.0
+    image[5] += 0.4
+    match = match_pulses(image, pulse)
+    assert np.flatnonzero(match.pulse < 0).tolist() == [5]
