@@ -29,7 +29,7 @@ FUNCTIONS: Final = {
     "median": "mean", "zeros": "ones", "ones": "zeros",
 }  # fmt: skip
 SYMMETRIC: Final = {
-    "hypot", "maximum", "minimum", "max", "min", "isinstance", "outer", "logical_and", "array_equal",
+    "hypot", "maximum", "minimum", "clip", "max", "min", "isinstance", "outer", "logical_and", "array_equal",
     "allclose", "print", "setattr", "column", "getattr",
 }  # fmt: skip
 """Functions whose first two arguments may be exchanged, or fail at once if they are."""
@@ -137,8 +137,9 @@ def _only_shape(node: ast.AST, child: ast.AST) -> bool:
 def _kinds(node: ast.AST) -> Iterator[str]:
     """What can be changed about a node itself."""
     match node:
-        case ast.BinOp(op=ast.MatMult()):
-            yield "swapped product"
+        case ast.BinOp(left=left, op=ast.MatMult(), right=right):
+            if ast.dump(left) != ast.dump(right):
+                yield "swapped product"
         case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
             if not any(
                 isinstance(side, ast.List | ast.Tuple | ast.JoinedStr) or _text(side)

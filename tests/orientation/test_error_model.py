@@ -150,3 +150,10 @@ def test_the_report_tells_survey_from_prior(tmp_path: Path) -> None:
     assert unknown["notes"] == ["nothing was seen twice"]
     assert unknown["correlation_s"] == pytest.approx(20.0)
     assert unknown["white_share"] == pytest.approx(0.25)
+
+
+def test_the_report_states_the_deviation_in_degrees() -> None:
+    """A = 0.2, B = -0.1 degrees, each with a sigma of 0.1."""
+    report = deviating(1.0).report()
+    assert report["heading_deviation_deg"] == pytest.approx([0.2, -0.1])
+    np.testing.assert_allclose(report["cov_heading_deviation_deg2"], np.diag([0.01, 0.01]), atol=1e-15)
