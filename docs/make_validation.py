@@ -69,7 +69,9 @@ def record(name: str, entry: Mapping[str, Any], results: Path, folder: Path) -> 
         folders = [results / "results" / each for each in entry["campaign"]]
         found = [p for folder in folders for p in sorted(folder.rglob("*.meta.json"))]
         jobs_of_chain = [json.loads(p.read_text(encoding="utf-8")) for p in found]
-    else:
+    else:  # and the surveys of a study, a job each
+        of_surveys = [results / f"{each}.meta.json" for job in jobs for each in job.get("inputs", ())]
+        jobs += [json.loads(p.read_text(encoding="utf-8")) for p in of_surveys if p.is_file()]
         jobs_of_chain = jobs
     folder.mkdir(parents=True, exist_ok=True)
     written = []
