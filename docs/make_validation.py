@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "src"))
 
 from thalweg.core.errors import InputError  # noqa: E402
-from thalweg.jobs.codehash import code_version  # noqa: E402
+from thalweg.workflow.codehash import code_version  # noqa: E402
 
 NOT_SIZES = {"code", "campaign"}
 """Parameters of rules that say nothing of a study's size."""

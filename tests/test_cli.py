@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from thalweg.cli import main
-from thalweg.config.load import check_campaign, load_campaign
 from thalweg.core.errors import InputError
 from thalweg.ingest.integrity import IntegrityReport
+from thalweg.settings.files.load import check_campaign, load_campaign
 
 
 @pytest.fixture
@@ -77,9 +77,9 @@ def _recognise(path: Path) -> str:
 
 def test_new_campaign_from_logs(here, capsys, monkeypatch):
     """Files are sorted by their content; what is not known is named and left out."""
-    module = types.ModuleType("thalweg.ingest.recognise")
+    module = types.ModuleType("thalweg.ingest.registry.recognise")
     module.recognise = _recognise
-    monkeypatch.setitem(sys.modules, "thalweg.ingest.recognise", module)
+    monkeypatch.setitem(sys.modules, "thalweg.ingest.registry.recognise", module)
     _put_logs(here / "raw")
     assert main(["new-campaign", "mine", "--from-logs", "raw", "--folder", "."]) == 0
     said = capsys.readouterr()
@@ -96,9 +96,9 @@ def test_new_campaign_from_logs(here, capsys, monkeypatch):
 
 
 def test_new_campaign_lists_numbered_parts_in_their_order(here, monkeypatch):
-    module = types.ModuleType("thalweg.ingest.recognise")
+    module = types.ModuleType("thalweg.ingest.registry.recognise")
     module.recognise = _recognise
-    monkeypatch.setitem(sys.modules, "thalweg.ingest.recognise", module)
+    monkeypatch.setitem(sys.modules, "thalweg.ingest.registry.recognise", module)
     _put_logs(here / "raw")
     for k in (10, 2, 1):
         (here / "raw" / f"part_{k}.pcap").write_bytes(b"pcap ")
@@ -109,9 +109,9 @@ def test_new_campaign_lists_numbered_parts_in_their_order(here, monkeypatch):
 
 
 def test_new_campaign_from_a_folder_without_logs(here, capsys, monkeypatch):
-    module = types.ModuleType("thalweg.ingest.recognise")
+    module = types.ModuleType("thalweg.ingest.registry.recognise")
     module.recognise = _recognise
-    monkeypatch.setitem(sys.modules, "thalweg.ingest.recognise", module)
+    monkeypatch.setitem(sys.modules, "thalweg.ingest.registry.recognise", module)
     Path("raw").mkdir()
     assert main(["new-campaign", "mine", "--from-logs", "raw", "--folder", "."]) == 2
     assert "no raw log was recognised" in capsys.readouterr().err
@@ -143,9 +143,9 @@ def _fake_describe(monkeypatch) -> None:
             raise InputError("the file is empty", where=path)
         return IntegrityReport(stream="lidar", format="pcap", files=[str(path)])
 
-    module = types.ModuleType("thalweg.ingest.describe")
+    module = types.ModuleType("thalweg.ingest.registry.describe")
     module.describe = describe
-    monkeypatch.setitem(sys.modules, "thalweg.ingest.describe", module)
+    monkeypatch.setitem(sys.modules, "thalweg.ingest.registry.describe", module)
 
 
 def test_describe(monkeypatch, capsys):

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.calibration.camera_file import interior_calibration, read_camera
-from thalweg.calibration.mounts import write_mounts
+from thalweg.calibration.boat.mounts import write_mounts
+from thalweg.calibration.markers.camera_file import interior_calibration, read_camera
 from thalweg.cli import main
-from thalweg.config.mounts import Mounts
-from thalweg.core.calibration import Calibration, Source, lever_block
-from thalweg.core.calibration_file import read_calibration, write_calibration
-from thalweg.core.camera import Camera
-from thalweg.timing.clock_model import ClockModel
+from thalweg.clocks.ties.model import ClockModel
+from thalweg.core.calibration.files import read_calibration, write_calibration
+from thalweg.core.calibration.model import Calibration, Source, lever_block
+from thalweg.core.camera.model import Camera
+from thalweg.settings.base.mounts import Mounts
 
 SOURCE = Source(run="yard", method="bundle adjustment")
 BROWN = Camera(

@@ -1,4 +1,4 @@
-"""Rules of the house that no single room can keep: imports, lock file, rules, scripts, tracked files."""
+"""Rules that no single package can keep: imports, lock file, rules, scripts, tracked files."""
 
 import ast
 import json
@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from thalweg.jobs.codehash import reached_modules
+from thalweg.workflow.codehash import reached_modules
 
 # ---------------------------------------------------------------- lock file
 
@@ -80,7 +81,7 @@ class Watched(real):
 ctypes.CDLL = Watched
 {broken}
 from thalweg.core.errors import ThalwegError
-from thalweg.core.raycast import _open3d
+from thalweg.core.geometry.raycast import _open3d
 try:
     print(_open3d().__name__, any("usb" in str(name) for name in loaded))
 except ThalwegError as error:
@@ -116,22 +117,17 @@ def test_open3d_on_a_system_without_libusb(repository: Path, broken: str, answer
 
 # ---------------------------------------------------------------- who imports whom
 
-ROOMS = (
-    "core", "ingest", "timing", "calibration", "orientation", "lidar", "surface", "bathymetry",
-    "triangulation", "fusion", "accuracy", "deformation", "reproduction",
+PACKAGES = (
+    "core", "settings", "ingest", "clocks", "calibration", "images", "navigation", "lidar", "surface",
+    "bathymetry", "deformation", "budgets", "accuracy", "figures", "lightsheet",
 )  # fmt: skip
 """Data flow down this list."""
 
 MAY_IMPORT = {
-    **{room: set(ROOMS[: i + 1]) for i, room in enumerate(ROOMS)},
-    # what of these rooms, and which outside oracle guards it: tests/simulation/test_logs.py
-    "simulation": {"core", "config", "simulation", "calibration", "orientation", "lidar", "triangulation"},
-    "simulation/studies": {*ROOMS, "simulation", "config"},  # they process as well
-    "figures": {*ROOMS, "figures"},
-    "config": {"core", "config"},
-    "jobs": {"core", "jobs"},
-    "cli": {*ROOMS, "simulation", "figures", "config", "jobs", "cli", "cli_calibration"},
-    "cli_calibration": set(ROOMS),
+    **{name: set(PACKAGES[: i + 1]) for i, name in enumerate(PACKAGES)},
+    "workflow": {"core", "workflow"},
+    "cli": {*PACKAGES, "workflow", "cli", "cli_calibration"},
+    "cli_calibration": set(PACKAGES),
     "__main__": {"cli"},
     "__init__": set(),
 }
@@ -152,71 +148,91 @@ def imports(path: Path) -> Iterator[tuple[str, int]]:
             )
 
 
-def violations(package: Path) -> list[str]:
-    """Imports that break the order of the rooms."""
+def violations(source: Path) -> list[str]:
+    """Imports that break the order of the packages, or that the product takes from the laboratory."""
     found = []
-    for path in sorted(package.rglob("*.py")):
-        inside = path.relative_to(package)
-        room = inside.parts[0].removesuffix(".py")
-        if inside.parts[:2] == ("simulation", "studies"):
-            room = "simulation/studies"
+    for path in sorted(source.rglob("*.py")):
+        inside = path.relative_to(source)
+        product = inside.parts[0] == "thalweg"
+        own = inside.parts[1].removesuffix(".py")
         for name, line in imports(path):
             top, *rest = name.split(".")
-            if top == "thalweg" and rest and rest[0] not in MAY_IMPORT[room] | {"__version__"}:
-                found.append(f"{inside}:{line}: {room} imports {rest[0]}")
-            if top in DRAWING and room != "figures":
+            if product and top == "thalweg" and rest and rest[0] not in MAY_IMPORT[own] | {"__version__"}:
+                found.append(f"{inside}:{line}: {own} imports {rest[0]}")
+            if product and top == "thalweg_lab":
+                found.append(f"{inside}:{line}: the product imports the laboratory")
+            if top in DRAWING and "figures" not in inside.parts:
                 found.append(f"{inside}:{line}: {top} outside figures")
             if not top:
                 found.append(f"{inside}:{line}: a relative import, which code_version does not follow")
     return found
 
 
-def test_no_room_imports_a_lower_one(repository: Path) -> None:
+def packages_above(source: Path) -> dict[str, set[str]]:
+    """Which packages each package imports, at all levels."""
+    modules = {".".join(p.relative_to(source).with_suffix("").parts) for p in source.rglob("*.py")}
+    found: dict[str, set[str]] = {}
+    for path in source.rglob("*.py"):
+        own = ".".join(path.relative_to(source).parent.parts)
+        for name, _ in imports(path):
+            if name in modules and path.name != "__init__.py":
+                found.setdefault(own, set()).add(name.rpartition(".")[0])
+    return {own: others - {own} for own, others in found.items()}
+
+
+def test_packages_import_each_other_without_circles(repository: Path) -> None:
+    graph = packages_above(repository / "src")
+    assert len(graph) > 50
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+
+
+def test_no_package_imports_a_lower_one(repository: Path) -> None:
     package = repository / "src/thalweg"
     assert {p.name for p in package.iterdir() if (p / "__init__.py").is_file()} <= set(MAY_IMPORT)
-    assert violations(package) == []
+    assert violations(repository / "src") == []
 
 
 def test_the_order_is_that_of_the_contributing_page(repository: Path) -> None:
     text = (repository / "CONTRIBUTING.md").read_text()
-    order = re.search(r"no room imports a lower one:(.*?)\. `simulation`", text, re.S)
+    order = re.search(r"none imports a lower one:(.*?)\. `workflow`", text, re.S)
     assert order
-    assert tuple(re.findall(r"`(\w+)`", order.group(1))) == ROOMS
+    assert tuple(re.findall(r"`(\w+)`", order.group(1))) == PACKAGES
 
 
 UNREACHED = {
     "__main__.py": "the command line",
     "cli.py": "the command line",
     "cli_calibration.py": "the command line",
-    "jobs/codehash.py": "called by the rules",
-    "triangulation/intersection_reference.py": "forty digits, slowly: what tests and users compare with",
+    "workflow/codehash.py": "called by the rules",
+    "lightsheet/optics/intersection_reference.py": "forty digits, slowly: what tests and users compare with",
 }
-"""Modules outside `config` that no entry script imports, and why."""
+"""Modules of the product outside `settings` that no entry script imports, and why."""
 
 
 def test_code_versions_cover_the_library(repository: Path) -> None:
     """A module that is reached in another way than by imports could be edited without a rerun."""
     package = repository / "src/thalweg"
-    reached = {m for p in (repository / "workflow/scripts").glob("*.py") for m in reached_modules(p, package)}
-    modules = {m for m in package.rglob("*.py") if m.relative_to(package).parts[0] != "config"}
+    reached = {m for p in (repository / "workflow/scripts").glob("*.py") for m in reached_modules(p)}
+    modules = {m for m in package.rglob("*.py") if m.relative_to(package).parts[0] != "settings"}
+    laboratory = repository / "src/thalweg_lab"
+    assert set(laboratory.rglob("*.py")) - reached == set()
     assert {m.relative_to(package).as_posix() for m in modules - reached} == set(UNREACHED)
 
 
 @pytest.mark.parametrize(
     ("path", "text", "answer"),
     [
-        ("core/a.py", "def f():\n    from thalweg.lidar.cloud import g\n", "core imports lidar"),
-        ("ingest/a.py", "from thalweg import config\n", "ingest imports config"),
-        ("accuracy/a.py", "import thalweg.simulation.scene\n", "accuracy imports simulation"),
-        ("jobs/a.py", "from thalweg.ingest import anpp\n", "jobs imports ingest"),
-        ("simulation/a.py", "from thalweg.figures.style import mark\n", "simulation imports figures"),
-        ("simulation/a.py", "from thalweg.surface.reference import f\n", "simulation imports surface"),
-        ("lidar/a.py", "import matplotlib.pyplot as plt\n", "matplotlib outside figures"),
-        ("lidar/a.py", "from .cloud import g\n", "relative import"),
+        ("thalweg/core/a.py", "def f():\n    from thalweg.lidar.cloud import g\n", "core imports lidar"),
+        ("thalweg/ingest/a.py", "from thalweg import accuracy\n", "ingest imports accuracy"),
+        ("thalweg/accuracy/a.py", "import thalweg_lab.truth\n", "the product imports the laboratory"),
+        ("thalweg/workflow/a.py", "from thalweg.ingest import anpp\n", "workflow imports ingest"),
+        ("thalweg_lab/river/a.py", "import matplotlib\n", "matplotlib outside figures"),
+        ("thalweg/lidar/a.py", "import matplotlib.pyplot as plt\n", "matplotlib outside figures"),
+        ("thalweg/lidar/a.py", "from .cloud import g\n", "relative import"),
     ],
 )
 def test_a_wrong_import_is_found(tmp_path: Path, path: str, text: str, answer: str) -> None:
-    (tmp_path / path).parent.mkdir()
+    (tmp_path / path).parent.mkdir(parents=True)
     (tmp_path / path).write_text(text)
     (found,) = violations(tmp_path)
     assert answer in found
@@ -234,7 +250,7 @@ LIBRARIES = {"pd", "pq", "pa", "cv2", "o3d", "pycolmap", "pandas", "pyarrow"}
 
 
 def native_opens(path: Path) -> list[str]:
-    """Calls that open a file in C++: no audit event tells `thalweg.jobs.truth` of it."""
+    """Calls that open a file in C++: no audit event tells `thalweg.workflow.truth` of it."""
     found = []
     for node in ast.walk(ast.parse(path.read_text())):
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
@@ -250,7 +266,7 @@ def native_opens(path: Path) -> list[str]:
 
 
 def test_no_library_opens_a_file_behind_the_check_of_the_truth(repository: Path) -> None:
-    files = [*(repository / "src/thalweg").rglob("*.py"), *(repository / "workflow/scripts").glob("*.py")]
+    files = [*(repository / "src").rglob("*.py"), *(repository / "workflow/scripts").glob("*.py")]
     assert [line for path in files for line in native_opens(path)] == []
 
 
@@ -407,10 +423,10 @@ def test_every_setting_is_used_or_says_why_not(repository: Path) -> None:
     schema = json.loads((repository / "config/schema.json").read_text())
     keys = list(leaf_keys(schema, schema["$defs"]))
     assert len(keys) > 100
-    library = repository / "src/thalweg"
+    source = repository / "src"
     used: set[str] = set()
-    for path in library.rglob("*.py"):
-        if path.relative_to(library).parts[0] != "config":
+    for path in source.rglob("*.py"):
+        if path.relative_to(source).parts[:2] != ("thalweg", "settings"):
             used |= words(path)
     for path in (repository / "workflow/scripts").glob("*.py"):
         used |= words(path)

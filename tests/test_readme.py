@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from thalweg.config.load import load_campaign
 from thalweg.core.errors import InputError
+from thalweg.settings.files.load import load_campaign
 
 
 def test_the_graph_names_the_rooms(repository: Path) -> None:

@@ -18,7 +18,7 @@ from thalweg.cli_calibration import add_calibration_commands, describe_marked
 from thalweg.core.errors import ConfigError, InputError, ThalwegError
 
 if TYPE_CHECKING:
-    from thalweg.config.campaign import Campaign
+    from thalweg.settings.campaign import Campaign
 
 CAMPAIGNS = Path("config") / "campaigns"
 
@@ -128,8 +128,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _new_campaign(options: argparse.Namespace) -> int:
-    from thalweg.config.identity import ID_PATTERN
-    from thalweg.config.template import campaign_text
+    from thalweg.settings.files.template import campaign_text
+    from thalweg.settings.identity import ID_PATTERN
 
     name, folder = options.id, options.folder
     if not re.fullmatch(ID_PATTERN, name):
@@ -158,9 +158,9 @@ def _new_campaign(options: argparse.Namespace) -> int:
 
 def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     """Files of a folder by stream, recognised by their content."""
-    from thalweg.config.paths import natural_order
-    from thalweg.config.template import ALSO_MARKS, stream_of
-    from thalweg.ingest.recognise import recognise
+    from thalweg.ingest.registry.recognise import recognise
+    from thalweg.settings.files.template import ALSO_MARKS, stream_of
+    from thalweg.settings.messages.paths import natural_order
 
     if not folder.is_dir():
         raise InputError("no such folder", where=folder, expected="a folder of raw logs")
@@ -199,8 +199,8 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
 
 
 def _check_config(options: argparse.Namespace) -> int:
-    from thalweg.config.load import load_campaigns
-    from thalweg.config.logs import STREAM_KEYS
+    from thalweg.settings.files.load import load_campaigns
+    from thalweg.settings.sections.logs import STREAM_KEYS
 
     for name, campaign in load_campaigns(options.files, CAMPAIGNS).items():
         _check_contents(campaign)
@@ -218,7 +218,7 @@ def _check_config(options: argparse.Namespace) -> int:
 
 def _places(campaign: "Campaign") -> str:
     """Where the place of each sensor comes from, in words."""
-    from thalweg.config.check_mounts import mount_sources
+    from thalweg.settings.checks.mounts import mount_sources
 
     by_source: dict[str, list[str]] = {}
     for sensor, source in mount_sources(campaign).items():
@@ -232,9 +232,9 @@ def _places(campaign: "Campaign") -> str:
 
 def _check_contents(campaign: "Campaign") -> None:
     """Are the logs what the campaign file takes them for? All misplaced files are named at once."""
-    from thalweg.config.logs import STREAM_KEYS
-    from thalweg.config.template import KINDS_OF_STREAM
-    from thalweg.ingest.recognise import KINDS, recognise
+    from thalweg.ingest.registry.recognise import KINDS, recognise
+    from thalweg.settings.files.template import KINDS_OF_STREAM
+    from thalweg.settings.sections.logs import STREAM_KEYS
 
     wrong = []
     for stream, keys in STREAM_KEYS.items():
@@ -258,8 +258,8 @@ def _check_contents(campaign: "Campaign") -> None:
 
 
 def _describe(options: argparse.Namespace) -> int:
-    from thalweg.ingest.describe import describe
-    from thalweg.ingest.recognise import recognise
+    from thalweg.ingest.registry.describe import describe
+    from thalweg.ingest.registry.recognise import recognise
 
     code = 0
     texts: list[str] = []
@@ -294,7 +294,7 @@ def _summary(options: argparse.Namespace) -> int:
         )
     import pandas as pd
 
-    from thalweg.accuracy.summary import summary_lines
+    from thalweg.accuracy.cloud_to_mesh.summary import summary_lines
 
     print(f"\nSummary of campaign {options.folder.name}")
     print("\n".join(summary_lines(pd.read_csv(path))))
@@ -323,9 +323,9 @@ def _distances(text: str) -> tuple[float, ...]:
 def _budget(options: argparse.Namespace) -> int:
     from dataclasses import replace
 
-    from thalweg.reproduction.budget_file import read_budget
-    from thalweg.reproduction.budget_tables import long_table, marks_line, text_lines
-    from thalweg.reproduction.published import read_published
+    from thalweg.budgets.budget_file import read_budget
+    from thalweg.budgets.budget_tables import long_table, marks_line, text_lines
+    from thalweg.budgets.published import read_published
 
     budget = read_budget(options.file)
     if options.distances:
@@ -344,7 +344,7 @@ def _budget(options: argparse.Namespace) -> int:
 
 
 def _schema(options: argparse.Namespace) -> int:
-    from thalweg.config.generate import schema_text, write_generated
+    from thalweg.settings.files.generate import schema_text, write_generated
 
     if not options.write:
         print(schema_text(), end="")

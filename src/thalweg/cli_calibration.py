@@ -92,8 +92,8 @@ def _add_sigmas(parser: argparse.ArgumentParser, names: str) -> None:
 
 
 def _print_markers(options: argparse.Namespace) -> int:
-    from thalweg.calibration.field_description import read_field
-    from thalweg.calibration.marker_sheets import MarkerLayout, write_sheets
+    from thalweg.calibration.field.description import read_field
+    from thalweg.calibration.markers.sheets import MarkerLayout, write_sheets
 
     found = re.fullmatch(r"(\d{1,3})(?:-(\d{1,3}))?", options.ids)
     first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
@@ -118,9 +118,9 @@ def _print_markers(options: argparse.Namespace) -> int:
 
 
 def _import_calibration(options: argparse.Namespace) -> int:
-    from thalweg.core.calibration_file import write_calibration
-    from thalweg.core.calibration_imports import import_kalibr, import_matrix
-    from thalweg.ingest.recognise import KINDS, recognise
+    from thalweg.core.calibration.files import write_calibration
+    from thalweg.core.calibration.imports import import_kalibr, import_matrix
+    from thalweg.ingest.registry.recognise import KINDS, recognise
 
     kind, sigmas = recognise(options.file), dict(options.sigma)
     _not_there(options.out)
@@ -143,9 +143,9 @@ def _import_calibration(options: argparse.Namespace) -> int:
 
 
 def _import_camera(options: argparse.Namespace) -> int:
-    from thalweg.core.calibration_file import write_calibration
-    from thalweg.core.calibration_imports import import_camera
-    from thalweg.ingest.recognise import KINDS, recognise
+    from thalweg.core.calibration.files import write_calibration
+    from thalweg.core.calibration.imports import import_camera
+    from thalweg.ingest.registry.recognise import KINDS, recognise
 
     kind = recognise(options.file)
     _not_there(options.out)
@@ -169,9 +169,9 @@ def _import_camera(options: argparse.Namespace) -> int:
 
 
 def _export_camera(options: argparse.Namespace) -> int:
-    from thalweg.calibration.camera_file import SUFFIX, camera_of
-    from thalweg.core.calibration_file import read_calibration
-    from thalweg.core.camera_files import write_colmap, write_opencv
+    from thalweg.calibration.markers.camera_file import SUFFIX, camera_of
+    from thalweg.core.calibration.files import read_calibration
+    from thalweg.core.camera.files import write_colmap, write_opencv
 
     if options.out.suffix.lower() not in _ENDINGS[options.to]:
         raise InputError(
@@ -206,7 +206,7 @@ def _not_there(path: Path, cure: str = "Choose another name") -> None:
 
 
 def _sigma(text: str) -> tuple[str, float]:
-    from thalweg.core.calibration_imports import SIGMAS
+    from thalweg.core.calibration.imports import SIGMAS
 
     name, _, value = text.partition("=")
     try:
@@ -239,7 +239,7 @@ def describe_marked(path: Path) -> "IntegrityReport | None":
     kind = next((name for name, mark in _MARKS if mark.search(head)), None)
     if kind is None:
         return None
-    from thalweg.ingest.describe_calibration import CalibrationReport
+    from thalweg.ingest.registry.describe_calibration import CalibrationReport
 
     formats = {"field": "description of a calibration field", "clock": "clock against GPS time",
                "mounts": "places of the sensors in ics (x forward, y right, z down)"}  # fmt: skip
@@ -251,7 +251,7 @@ def describe_marked(path: Path) -> "IntegrityReport | None":
         case "clock":
             _describe_clock(path, report)
         case _:
-            from thalweg.calibration.mounts import read_mounts
+            from thalweg.calibration.boat.mounts import read_mounts
 
             for sensor, mount in read_mounts(path).items():
                 report.count("sensors")
@@ -260,8 +260,8 @@ def describe_marked(path: Path) -> "IntegrityReport | None":
 
 
 def _describe_field(path: Path, report: "IntegrityReport") -> None:
-    from thalweg.calibration.field_description import read_field
-    from thalweg.ingest.describe_calibration import with_sigma
+    from thalweg.calibration.field.description import read_field
+    from thalweg.ingest.registry.describe_calibration import with_sigma
 
     field = read_field(path)
     layout, antenna = field.layout, field.antenna
@@ -300,7 +300,7 @@ def _ids(markers: tuple[int, ...]) -> str:
 
 
 def _describe_clock(path: Path, report: "IntegrityReport") -> None:
-    from thalweg.timing.clock_model import ClockModel
+    from thalweg.clocks.ties.model import ClockModel
 
     for line in ClockModel.read(path).lines():
         key, _, words = line.partition(" ")
@@ -312,8 +312,8 @@ def _describe_clock(path: Path, report: "IntegrityReport") -> None:
 
 def _mount_lines(mount: Mapping[str, Any], path: Path) -> list[str]:
     """Value, sigma and unit of each quantity of a mount."""
-    from thalweg.core.calibration import ANGLES, LEVER
-    from thalweg.ingest.describe_calibration import with_sigma
+    from thalweg.core.calibration.model import ANGLES, LEVER
+    from thalweg.ingest.registry.describe_calibration import with_sigma
 
     try:
         angles = [

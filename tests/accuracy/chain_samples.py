@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from thalweg.accuracy.chain_comparison import Chain
-from thalweg.accuracy.comparison import ComparisonSettings
-from thalweg.accuracy.comparison_tables import by_range_table, statistics_table
+from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings
+from thalweg.accuracy.cloud_to_mesh.comparison_tables import by_range_table, statistics_table
+from thalweg.accuracy.solutions.comparison import Chain
 from thalweg.core.frames import LocalFrame
 from thalweg.core.trajectory import Trajectory
 

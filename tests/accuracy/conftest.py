@@ -2,7 +2,7 @@
 
 import pytest
 
-from thalweg.simulation.studies.trials import MISTAKES, NONE, Trial, trials
+from thalweg_lab.studies.trials import MISTAKES, NONE, Trial, trials
 
 SEEDS = 40
 FEW = 6

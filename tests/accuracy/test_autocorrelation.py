@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.autocorrelation import (
+from thalweg.accuracy.cloud_to_mesh.autocorrelation import (
     PERMUTATIONS,
     SIGNIFICANT,
     Cells,

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.bed_strip_truth import compare_bed
 from thalweg.core.errors import CoverageError
-from thalweg.core.mesh import TriangleMesh
+from thalweg.core.geometry.mesh import TriangleMesh
+from thalweg_lab.truth.bed_strip import compare_bed
 
 
 def bed(slope: float = 0.2) -> TriangleMesh:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.block_covariance import (
+from thalweg.accuracy.cloud_to_mesh.block_covariance import (
     block_covariance,
     share_within_blocks,
     time_blocks,
 )
-from thalweg.simulation.random import gauss_markov
+from thalweg_lab.base.random import gauss_markov
 
 
 def test_it_is_the_spread_of_fits_without_one_block(rng: np.random.Generator) -> None:

@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.accuracy.chain_samples import T0, frames_of_images, three_chains, trajectory
 
-from thalweg.accuracy.chain_comparison import (
+from thalweg.accuracy.cloud_to_mesh.comparison_tables import ALL, WITHOUT_OUTLIERS
+from thalweg.accuracy.solutions.comparison import (
     COMMON,
     PUBLISHED,
     REFERENCE,
@@ -24,7 +25,7 @@ from thalweg.accuracy.chain_comparison import (
     value,
     within,
 )
-from thalweg.accuracy.chain_comparison_ranges import (
+from thalweg.accuracy.solutions.ranges import (
     PUBLISHED_CROSSING_M,
     TIE,
     chains_by_range,
@@ -32,19 +33,18 @@ from thalweg.accuracy.chain_comparison_ranges import (
     crossings_m,
     range_facts,
 )
-from thalweg.accuracy.chain_comparison_truth import (
+from thalweg.budgets.budget_file import read_budget
+from thalweg.budgets.influences import totals_mm
+from thalweg.core.errors import CoverageError, InputError
+from thalweg.core.rigid import Rigid
+from thalweg.core.trajectory import Trajectory
+from thalweg_lab.truth.solutions import (
     COMMON_TIMES,
     OWN_TIMES,
     carried_by_camera,
     chains_truth_table,
     pose_errors,
 )
-from thalweg.accuracy.comparison_tables import ALL, WITHOUT_OUTLIERS
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.rigid import Rigid
-from thalweg.core.trajectory import Trajectory
-from thalweg.reproduction.budget_file import read_budget
-from thalweg.reproduction.influences import totals_mm
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.accuracy.chain_samples import T0, frames_of_images, trajectory
 
-from thalweg.accuracy.chain_comparison_outages import outage_table
+from thalweg.accuracy.solutions.outages import outage_table
 
 
 def test_sigmas_and_shares_are_those_of_the_poses_inside() -> None:

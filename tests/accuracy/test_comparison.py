@@ -9,7 +9,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from thalweg.accuracy.comparison import (
+from thalweg.accuracy.cloud_to_mesh.comparison import (
     CLOUD_TO_MESH,
     ComparisonSettings,
     _Sample,

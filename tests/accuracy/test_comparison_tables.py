@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.comparison import CLOUD_TO_MESH, ComparisonSettings
-from thalweg.accuracy.comparison_tables import (
+from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH, ComparisonSettings
+from thalweg.accuracy.cloud_to_mesh.comparison_tables import (
     ALL,
     BY_RANGE_COLUMNS,
     REGISTERED,
@@ -18,7 +18,7 @@ from thalweg.accuracy.comparison_tables import (
     verdicts,
 )
 from thalweg.core.tables import frame_of
-from thalweg.simulation.random import gauss_markov
+from thalweg_lab.base.random import gauss_markov
 
 TAU_S = 2.0
 SETTINGS = ComparisonSettings(correlation_s=TAU_S, reference_sigma_m=0.0)

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from thalweg.config.twin import TwinConfig
-from thalweg.simulation.studies.survey import BARE
-from thalweg.simulation.studies.trials import MISTAKES, NONE, Trial, Verdict, trials, verdict
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.studies.survey import BARE
+from thalweg_lab.studies.trials import MISTAKES, NONE, Trial, Verdict, trials, verdict
 
 
 @pytest.fixture(scope="module")

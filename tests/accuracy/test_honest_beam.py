@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from thalweg.simulation.studies.survey import BARE, MOUNTS, Logs, process, record, survey_settings
+from thalweg_lab.studies.survey import BARE, MOUNTS, Logs, process, record, survey_settings
 
 GOOD_ANGLES: dict[str, Any] = {"sigma_roll_deg": 0.005, "sigma_pitch_deg": 0.005, "sigma_heading_deg": 0.005}
 TWIN: dict[str, Any] = {

@@ -7,7 +7,7 @@ meshed. It errs anew with each seed; its stations by 5 mm, as section ``referenc
 import numpy as np
 import pytest
 
-from thalweg.simulation.studies.trials import (
+from thalweg_lab.studies.trials import (
     MISTAKES,
     NONE,
     QUANTITIES,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.honesty import honesty_by_range, ratio_of_surveys
 from thalweg.core.errors import CoverageError
+from thalweg_lab.truth.honesty import honesty_by_range, ratio_of_surveys
 
 
 def surveys(rng: np.random.Generator, m: int, independent: int) -> tuple[np.ndarray, np.ndarray]:

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.independent import (
+from thalweg.accuracy.cloud_to_mesh.independent import (
     correlated_sum,
     independent_means,
     independent_squares,
     observed_correlation_s,
 )
-from thalweg.accuracy.statistics import chi_square_band
-from thalweg.accuracy.truth import PointErrors
-from thalweg.simulation.random import gauss_markov
+from thalweg.accuracy.cloud_to_mesh.statistics import chi_square_band
+from thalweg_lab.base.random import gauss_markov
+from thalweg_lab.truth.errors import PointErrors
 
 TAU_S = 20.0
 

@@ -7,15 +7,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import chi2
-from tests.triangulation.basin import Jobs, recorded
+from tests.lightsheet.basin import Jobs, recorded
 
-from thalweg.accuracy.light_sheet_truth import COLUMNS, aligned, compare_sensor, turned_in_its_plane
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import rotation_y, rotation_z
 from thalweg.core.rigid import opk_of
 from thalweg.core.types import ArrayF
-from thalweg.triangulation.intersection import intersect
-from thalweg.triangulation.sensor import FLIP, PARAMETERS, Sensor, paper_3, paper_4
+from thalweg.lightsheet.optics.intersection import intersect
+from thalweg.lightsheet.optics.sensor import FLIP, PARAMETERS, Sensor, paper_3, paper_4
+from thalweg_lab.truth.light_sheet import COLUMNS, aligned, compare_sensor, turned_in_its_plane
 
 SEEDS = range(200, 210)
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.accuracy.comparison import ComparisonSettings, compare_with_mesh
-from thalweg.accuracy.overlap_check import Reach, check_frames
+from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings, compare_with_mesh
+from thalweg.accuracy.cloud_to_mesh.overlap_check import Reach, check_frames
 from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.las import write_laz
+from thalweg.core.las.files import write_laz
 from thalweg.surface.area import Area
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))

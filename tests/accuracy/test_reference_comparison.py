@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.comparison import CLOUD_TO_MESH, ComparisonSettings
-from thalweg.accuracy.reference_comparison import compare_with_reference
-from thalweg.config.accuracy import Accuracy, Reference
-from thalweg.core.mesh_ply import write_mesh
+from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH, ComparisonSettings
+from thalweg.accuracy.cloud_to_mesh.reference_comparison import compare_with_reference
+from thalweg.core.geometry.mesh_ply import write_mesh
 from thalweg.core.tables import read_table
+from thalweg.settings.sections.accuracy import Accuracy, Reference
 from thalweg.surface.area import Area
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))

@@ -10,16 +10,22 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.accuracy import registration
-from thalweg.accuracy.block_covariance import share_within_blocks
-from thalweg.accuracy.comparison import ComparisonSettings, after_motion
-from thalweg.accuracy.registration import LEAST_VISIBLE, TUKEY, Motion, register, visible_motions
-from thalweg.accuracy.registration_facts import registration_facts
-from thalweg.accuracy.statistics import chi_square_band
+from thalweg.accuracy.cloud_to_mesh import registration
+from thalweg.accuracy.cloud_to_mesh.block_covariance import share_within_blocks
+from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings, after_motion
+from thalweg.accuracy.cloud_to_mesh.registration import (
+    LEAST_VISIBLE,
+    TUKEY,
+    Motion,
+    register,
+    visible_motions,
+)
+from thalweg.accuracy.cloud_to_mesh.registration_facts import registration_facts
+from thalweg.accuracy.cloud_to_mesh.statistics import chi_square_band
 from thalweg.core.errors import GeometryError
-from thalweg.core.raycast import _open3d
-from thalweg.simulation.random import gauss_markov, generator
+from thalweg.core.geometry.raycast import _open3d
 from thalweg.surface.cloud_to_mesh import Distances, Surface
+from thalweg_lab.base.random import gauss_markov, generator
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
 bank = importlib.util.module_from_spec(_spec)

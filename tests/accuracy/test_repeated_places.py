@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.autocorrelation import dependency_in_words, local_dependency
-from thalweg.accuracy.repeated_places import LEAST_CELLS, _visits, independent_cells, repeated_places
+from thalweg.accuracy.cloud_to_mesh.autocorrelation import dependency_in_words, local_dependency
+from thalweg.accuracy.cloud_to_mesh.repeated_places import (
+    LEAST_CELLS,
+    _visits,
+    independent_cells,
+    repeated_places,
+)
 from thalweg.core.cells import cell_numbers
-from thalweg.simulation.random import gauss_markov, generator
+from thalweg_lab.base.random import gauss_markov, generator
 
 TAU_S = 2.0
 

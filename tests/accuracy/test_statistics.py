@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.independent import independent_squares
-from thalweg.accuracy.statistics import (
+from thalweg.accuracy.cloud_to_mesh.independent import independent_squares
+from thalweg.accuracy.cloud_to_mesh.statistics import (
     NORMAL_SHARES,
     by_range_class,
     chi_square_band,

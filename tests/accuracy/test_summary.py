@@ -6,10 +6,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.summary import COLUMNS, summary_lines, summary_table
+from thalweg.accuracy.cloud_to_mesh.summary import COLUMNS, summary_lines, summary_table
+from thalweg.clocks.streams.streams import stream_table
 from thalweg.ingest.integrity import IntegrityReport
 from thalweg.lidar.filters import reason_table
-from thalweg.timing.streams import stream_table
 
 TRUTH = """\
 quantity,points,value,unit

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.frames import LocalFrame
-from thalweg.core.mesh_ply import write_mesh
+from thalweg.core.geometry.mesh_ply import write_mesh
 from thalweg.surface.cloud_to_mesh import Surface
 
 pytestmark = pytest.mark.slow
@@ -41,12 +41,12 @@ import sys
 from pathlib import Path
 import numpy as np
 from thalweg.surface.cloud_to_mesh import Surface
-from thalweg.core.mesh_ply import read_mesh
+from thalweg.core.geometry.mesh_ply import read_mesh
 np.save("ours.npy", Surface(read_mesh(Path("ours.ply"))[0]).distances(np.load("points.npy")).distance_m)
 """
 OPEN3D = """
 import numpy as np
-from thalweg.core.raycast import _open3d
+from thalweg.core.geometry.raycast import _open3d
 o3d = _open3d()
 scene = o3d.t.geometry.RaycastingScene()
 scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(o3d.io.read_triangle_mesh("mesh.ply")))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.frames import LocalFrame
-from thalweg.core.las import LazWriter, iter_laz
+from thalweg.core.las.files import LazWriter, iter_laz
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS, SIGMAS
 
 

@@ -9,11 +9,11 @@ import time
 import numpy as np
 import pytest
 
-from thalweg.triangulation.intersection import intersect
-from thalweg.triangulation.intersection_paper import intersect_by_halving
-from thalweg.triangulation.lookup import look_up_table
-from thalweg.triangulation.projection import project
-from thalweg.triangulation.sensor import paper_4
+from thalweg.lightsheet.optics.intersection import intersect
+from thalweg.lightsheet.optics.intersection_paper import intersect_by_halving
+from thalweg.lightsheet.optics.lookup import look_up_table
+from thalweg.lightsheet.optics.projection import project
+from thalweg.lightsheet.optics.sensor import paper_4
 
 pytestmark = pytest.mark.slow
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.config.load import load_campaign
-from thalweg.core.las import iter_laz, laz_header
+from thalweg.core.las.files import iter_laz, laz_header
+from thalweg.settings.files.load import load_campaign
 
 
 def beside(name):
@@ -28,7 +28,7 @@ PROBE = """
 import json, resource, sys, time
 from pathlib import Path
 from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.velodyne import LidarOptions, scan_lidar
+from thalweg.ingest.velodyne.reader import LidarOptions, scan_lidar
 from thalweg.lidar.cloud import LogSettings, georeference_log
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings

@@ -1,6 +1,6 @@
 """Time and memory of features and matching for images of 2, 8 and 16 megapixels.
 
-Photographs of `tests/orientation/test_sfm_roma.py` scaled to these sizes; each run is a program of its own,
+Photographs of `tests/images/test_sfm_roma.py` scaled to these sizes; each run is a program of its own,
 so that its peak memory is that of the run. Seconds are those of the processor, one thread.
 """
 
@@ -20,8 +20,8 @@ RUN = """
 import json, resource, sys, time
 from pathlib import Path
 import numpy as np
-from thalweg.orientation.sfm_features import FeatureSettings, extract_features
-from thalweg.orientation.sfm_start import match_images
+from thalweg.images.sfm.features import FeatureSettings, extract_features
+from thalweg.images.sfm.start import match_images
 
 images = sorted(Path(sys.argv[1]).glob("*.jpg"))
 settings = FeatureSettings(max_size_px=int(sys.argv[2]), double_size=sys.argv[3] == "True")
@@ -70,11 +70,11 @@ def test_time_and_memory(
 MAPPER = """
 import json, resource, sys, time
 import numpy as np
-from thalweg.core.camera import Camera
-from thalweg.orientation.sfm_camera import start_given
-from thalweg.orientation.sfm_images import Picture
-from thalweg.orientation.sfm_mapping import map_images
-from thalweg.orientation.sfm_matching import Matches
+from thalweg.core.camera.model import Camera
+from thalweg.images.sfm.camera import start_given
+from thalweg.images.model.files import Picture
+from thalweg.images.sfm.mapping import map_images
+from thalweg.images.sfm.matching import Matches
 
 n, rng = int(sys.argv[1]), np.random.default_rng(1)
 camera = Camera(model="perspective", size_px=(4590, 3440),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import velodyne_decoder as vd
 
-from thalweg.ingest.velodyne import iter_points, scan_lidar
+from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 
 _builder = Path(__file__).parents[1] / "ingest" / "test_velodyne_log.py"
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
@@ -84,7 +84,7 @@ def test_speed_against_velodyne_decoder(tmp_path, benchmark, mode):
 PROBE = """
 import resource, sys
 from pathlib import Path
-from thalweg.ingest.velodyne import iter_points, scan_lidar
+from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 files = [Path(sys.argv[1])]
 scan = scan_lidar(files)
 n = sum(b.n for b in iter_points(files, clock=scan.clock))

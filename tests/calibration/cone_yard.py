@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration.cone_fit import ConeReference
-from thalweg.calibration.cone_selection import Position
+from thalweg.calibration.cones.fit import ConeReference
+from thalweg.calibration.cones.selection import Position
 from thalweg.core.rigid import Rigid, exp_rotation
 
 ELEVATIONS_DEG = np.arange(-15.0, 16.0, 2.0)

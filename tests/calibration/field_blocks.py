@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration.field_description import FieldDescription, ScaleBar
-from thalweg.calibration.marker_sheets import MarkerLayout
-from thalweg.core.camera import Camera
+from thalweg.calibration.field.description import FieldDescription, ScaleBar
+from thalweg.calibration.markers.sheets import MarkerLayout
+from thalweg.core.camera.model import Camera
 from thalweg.core.rigid import Rigid, exp_rotation
 
 SLR = Camera(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.antenna import AntennaLever, antenna_lever, check_nominal, phase_centre
+from thalweg.calibration.ins_lidar.antenna import AntennaLever, antenna_lever, check_nominal, phase_centre
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import rotation_opk
 from thalweg.core.rigid import Rigid

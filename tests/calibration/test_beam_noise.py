@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thalweg.calibration.ins_lidar_model import BeamNoise
+from thalweg.calibration.ins_lidar.model import BeamNoise
 
 
 def test_noise_along_and_across_the_beam_are_two_numbers() -> None:

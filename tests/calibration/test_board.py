@@ -9,14 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.calibration.board import BoardPose, BoardSettings, calibrate_board
-from thalweg.calibration.board_images import BoardView, Checkerboard, board_view, find_corners, read_grey
-from thalweg.calibration.board_poses import BoardPoses, calibrate_board_poses
-from thalweg.core.adjustment import UnobservableError
-from thalweg.core.camera import Camera
+from thalweg.calibration.boards.images import BoardView, Checkerboard, board_view, find_corners, read_grey
+from thalweg.calibration.boards.model import BoardPose, BoardSettings, calibrate_board
+from thalweg.calibration.boards.poses import BoardPoses, calibrate_board_poses
+from thalweg.core.adjustment.solve import UnobservableError
+from thalweg.core.camera.model import Camera
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.rigid import Rigid
-from thalweg.ingest.pcd import read_pcd
+from thalweg.ingest.clouds.pcd import read_pcd
 from thalweg.lidar.covariance import BeamErrors
 
 BOARD = Checkerboard(columns=7, rows=5, square_m=0.095, width_m=0.85, height_m=0.61)

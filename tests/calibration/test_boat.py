@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.calibration.antenna import AntennaLever, antenna_lever, phase_centre
-from thalweg.calibration.boat import EchoPlace, assemble
-from thalweg.calibration.ins_lidar import START, InsLidar, InsLidarSettings, calibrate
-from thalweg.calibration.ins_lidar_file import read_mount_result, write_mount_result, write_tables
-from thalweg.calibration.motion_search import MountRange
-from thalweg.calibration.pose_errors import PoseErrors
-from thalweg.calibration.run_points import RunPoints
-from thalweg.core.calibration import Calibration, Source
-from thalweg.core.calibration_file import read_calibration, write_calibration
+from thalweg.calibration.boat.joint import EchoPlace, assemble
+from thalweg.calibration.ins_lidar.adjustment import START, InsLidar, InsLidarSettings, calibrate
+from thalweg.calibration.ins_lidar.antenna import AntennaLever, antenna_lever, phase_centre
+from thalweg.calibration.ins_lidar.file import read_mount_result, write_mount_result, write_tables
+from thalweg.calibration.ins_lidar.motion_search import MountRange
+from thalweg.calibration.ins_lidar.pose_errors import PoseErrors
+from thalweg.calibration.ins_lidar.run_points import RunPoints
+from thalweg.core.calibration.files import read_calibration, write_calibration
+from thalweg.core.calibration.model import Calibration, Source
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
-from thalweg.simulation.studies.cone_runs import LEVER_ANTENNA_M, RunSpec, make_run
+from thalweg_lab.studies.cone_runs import LEVER_ANTENNA_M, RunSpec, make_run
 
 SOURCE = Source(run="yard", method="test")
 MOUNT = Rigid.from_opk(np.deg2rad([0.4, -89.0, 0.3]), [-0.35, 0.01, -0.25])

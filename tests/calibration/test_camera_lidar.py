@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.camera_lidar import CameraLidar, calibrate_camera_lidar
-from thalweg.calibration.camera_lidar_model import FieldErrors
-from thalweg.calibration.camera_lidar_settings import CameraLidarSettings
-from thalweg.calibration.camera_lidar_tables import cone_table, report, residual_table, sensor_table
-from thalweg.calibration.cone_search import SearchRange, search
-from thalweg.calibration.cone_selection import WORDS, Position, Verdict
-from thalweg.calibration.cones import Cone
-from thalweg.core.adjustment import UnobservableError
+from thalweg.calibration.camera_lidar.adjustment import CameraLidar, calibrate_camera_lidar
+from thalweg.calibration.camera_lidar.model import FieldErrors
+from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
+from thalweg.calibration.camera_lidar.tables import cone_table, report, residual_table, sensor_table
+from thalweg.calibration.cones.cone import Cone
+from thalweg.calibration.cones.search import SearchRange, search
+from thalweg.calibration.cones.selection import WORDS, Position, Verdict
+from thalweg.core.adjustment.solve import UnobservableError
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.rigid import Rigid, exp_rotation
 from thalweg.lidar.covariance import BeamErrors

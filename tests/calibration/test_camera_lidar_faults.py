@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration import camera_lidar
-from thalweg.calibration.camera_lidar import CameraLidar, calibrate_camera_lidar
-from thalweg.calibration.camera_lidar_settings import CameraLidarSettings
-from thalweg.calibration.cone_search import SearchRange
-from thalweg.calibration.cone_selection import Position
-from thalweg.calibration.cone_views import gaps_deg
+from thalweg.calibration.camera_lidar import adjustment as camera_lidar
+from thalweg.calibration.camera_lidar.adjustment import CameraLidar, calibrate_camera_lidar
+from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
+from thalweg.calibration.cones.search import SearchRange
+from thalweg.calibration.cones.selection import Position
+from thalweg.calibration.cones.views import gaps_deg
 from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid, exp_rotation
 

@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.calibration import camera_lidar_input as given
-from thalweg.calibration.board_files import (
+from thalweg.calibration.boards.files import (
     COLUMNS,
     board_calibration,
     pose_table,
@@ -20,21 +19,22 @@ from thalweg.calibration.board_files import (
     read_poses,
     read_scan,
 )
-from thalweg.calibration.board_images import Checkerboard
-from thalweg.calibration.camera_lidar import calibrate_camera_lidar
-from thalweg.calibration.camera_lidar_files import ResultFiles, study_of, write_camera_lidar
-from thalweg.calibration.camera_lidar_settings import CameraLidarSettings
-from thalweg.calibration.camera_lidar_statics import Statics
-from thalweg.calibration.camera_lidar_tables import foreign_markers, reference_table
-from thalweg.calibration.cone_fit import ConeReference, fit_reference
-from thalweg.calibration.field_description import parse_field
-from thalweg.calibration.field_points import FieldPoints
-from thalweg.calibration.resection import Resected
-from thalweg.core.calibration_file import read_calibration, write_calibration
-from thalweg.core.camera import Camera
+from thalweg.calibration.boards.images import Checkerboard
+from thalweg.calibration.camera_lidar import input as given
+from thalweg.calibration.camera_lidar.adjustment import calibrate_camera_lidar
+from thalweg.calibration.camera_lidar.files import ResultFiles, study_of, write_camera_lidar
+from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
+from thalweg.calibration.camera_lidar.statics import Statics
+from thalweg.calibration.camera_lidar.tables import foreign_markers, reference_table
+from thalweg.calibration.cones.fit import ConeReference, fit_reference
+from thalweg.calibration.field.description import parse_field
+from thalweg.calibration.field.points import FieldPoints
+from thalweg.calibration.field.resection import Resected
+from thalweg.core.calibration.files import read_calibration, write_calibration
+from thalweg.core.camera.model import Camera
 from thalweg.core.errors import InputError
 from thalweg.core.rigid import Rigid
-from thalweg.ingest.velodyne import LidarOptions
+from thalweg.ingest.velodyne.reader import LidarOptions
 
 _spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
 assert _spec

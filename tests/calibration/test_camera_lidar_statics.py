@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.boat_camera import orient_on_field
-from thalweg.calibration.camera_lidar_input import field_errors
-from thalweg.calibration.camera_lidar_statics import Statics, read_statics, statics_of, write_statics
-from thalweg.calibration.field_description import FieldCone, FieldDescription
-from thalweg.calibration.field_points import FieldPoints
-from thalweg.calibration.resection import resect
+from thalweg.calibration.camera.boat_camera import orient_on_field
+from thalweg.calibration.camera_lidar.input import field_errors
+from thalweg.calibration.camera_lidar.statics import Statics, read_statics, statics_of, write_statics
+from thalweg.calibration.field.description import FieldCone, FieldDescription
+from thalweg.calibration.field.points import FieldPoints
+from thalweg.calibration.field.resection import resect
 from thalweg.core.errors import InputError
 from thalweg.core.rigid import Rigid
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.cone_fit import FORM_SIGMA_M, ConeReference, fit_reference, start_cone
-from thalweg.calibration.cones import Cone
+from thalweg.calibration.cones.cone import Cone
+from thalweg.calibration.cones.fit import FORM_SIGMA_M, ConeReference, fit_reference, start_cone
 from thalweg.core.errors import GeometryError, InputError
 
 HALF = np.deg2rad(25.0)

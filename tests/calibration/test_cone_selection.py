@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.cone_selection import Position, Selection, SelectionLimits, Verdict, select
-from thalweg.calibration.cones import Cone
+from thalweg.calibration.cones.cone import Cone
+from thalweg.calibration.cones.selection import Position, Selection, SelectionLimits, Verdict, select
 from thalweg.core.rigid import Rigid
 
 CONE = Cone(

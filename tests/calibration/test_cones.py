@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration.cones import Cone, beam_spread
+from thalweg.calibration.cones.cone import Cone, beam_spread
 from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF

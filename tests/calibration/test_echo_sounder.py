@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.echo_sounder import Bed, EchoSettings, EchoSounder, estimate_echo_sounder
-from thalweg.calibration.pose_errors import PoseErrors
-from thalweg.core.adjustment import UnobservableError
+from thalweg.calibration.echo_sounder.adjustment import Bed, EchoSettings, EchoSounder, estimate_echo_sounder
+from thalweg.calibration.ins_lidar.pose_errors import PoseErrors
+from thalweg.core.adjustment.solve import UnobservableError
 from thalweg.core.errors import CoverageError, GeometryError
-from thalweg.simulation.studies.echo_runs import (
+from thalweg_lab.studies.echo_runs import (
     LEVER_ANTENNA_M,
     SIGMA_RULER_M,
     TRUE_LEVER_M,

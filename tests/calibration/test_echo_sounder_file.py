@@ -11,14 +11,14 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from thalweg.calibration import echo_sounder_file as files
-from thalweg.calibration.mounts import resolve_mounts, write_mounts
-from thalweg.config.calibration import Calibration
-from thalweg.core.calibration_file import read_calibration
+from thalweg.calibration.boat.mounts import resolve_mounts, write_mounts
+from thalweg.calibration.echo_sounder import file as files
+from thalweg.core.calibration.files import read_calibration
 from thalweg.core.errors import CoverageError, GeometryError, InputError
 from thalweg.core.tables import write_table
 from thalweg.ingest.schemas import DEPTH
-from thalweg.simulation.studies.echo_runs import (
+from thalweg.settings.sections.calibration import Calibration
+from thalweg_lab.studies.echo_runs import (
     LEVER_ANTENNA_M,
     SIGMA_RULER_M,
     TRUE_LEVER_M,

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.field_datum import FieldDatum, field_datum
-from thalweg.calibration.field_description import Target
-from thalweg.calibration.field_points import FieldPoints
-from thalweg.calibration.marker_sheets import MarkerLayout
+from thalweg.calibration.field.datum import FieldDatum, field_datum
+from thalweg.calibration.field.description import Target
+from thalweg.calibration.field.points import FieldPoints
+from thalweg.calibration.markers.sheets import MarkerLayout
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.rigid import Rigid, exp_rotation

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.calibration.field_description import parse_field, read_field
+from thalweg.calibration.field.description import parse_field, read_field
 from thalweg.core.errors import ConfigError
 
 GOOD = """\

@@ -8,14 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.calibration.camera_file import camera_of, interior_calibration, read_camera, same_size
-from thalweg.calibration.field_description import FieldCone, Target
-from thalweg.calibration.field_facts import read_facts, read_place, write_facts
-from thalweg.calibration.field_job import measure, point_table, starting_camera
-from thalweg.calibration.field_points import FieldPoints, covariance_file, read_points, write_points
-from thalweg.core.calibration import Source
-from thalweg.core.calibration_file import read_calibration, write_calibration
-from thalweg.core.camera_files import write_colmap, write_opencv
+from thalweg.calibration.field.description import FieldCone, Target
+from thalweg.calibration.field.facts import read_facts, read_place, write_facts
+from thalweg.calibration.field.job import measure, point_table, starting_camera
+from thalweg.calibration.field.points import FieldPoints, covariance_file, read_points, write_points
+from thalweg.calibration.markers.camera_file import camera_of, interior_calibration, read_camera, same_size
+from thalweg.core.calibration.files import read_calibration, write_calibration
+from thalweg.core.calibration.model import Source
+from thalweg.core.camera.files import write_colmap, write_opencv
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.rigid import Rigid, exp_rotation

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.calibration.field_description import FieldDescription, Target
-from thalweg.calibration.field_job import MeasuredField, measure, starting_camera
-from thalweg.calibration.mark_block import block_of
-from thalweg.calibration.network_start import start_network
-from thalweg.calibration.picture_overview import advice_words, overview_words
+from thalweg.calibration.field.description import FieldDescription, Target
+from thalweg.calibration.field.job import MeasuredField, measure, starting_camera
+from thalweg.calibration.field.network_start import start_network
+from thalweg.calibration.field.picture_overview import advice_words, overview_words
+from thalweg.calibration.markers.mark_block import block_of
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import LocalFrame
 from thalweg.core.rigid import Rigid, exp_rotation

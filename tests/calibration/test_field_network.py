@@ -10,13 +10,20 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration import bundle_cleaning
-from thalweg.calibration.bundle import Layout, Problem, inner_constraints, marks_model, moved, start_state
-from thalweg.calibration.field_network import FieldNetwork, measure_field
-from thalweg.calibration.mark_block import block_of
-from thalweg.calibration.network_start import start_network
-from thalweg.core.adjustment import UnobservableError
-from thalweg.core.camera import Camera
+from thalweg.calibration.field import bundle_cleaning
+from thalweg.calibration.field.bundle import (
+    Layout,
+    Problem,
+    inner_constraints,
+    marks_model,
+    moved,
+    start_state,
+)
+from thalweg.calibration.field.network import FieldNetwork, measure_field
+from thalweg.calibration.field.network_start import start_network
+from thalweg.calibration.markers.mark_block import block_of
+from thalweg.core.adjustment.solve import UnobservableError
+from thalweg.core.camera.model import Camera
 from thalweg.core.errors import GeometryError
 from thalweg.core.propagation import cross_matrix
 from thalweg.core.rigid import Rigid

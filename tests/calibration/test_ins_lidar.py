@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, truncnorm
 
-from thalweg.calibration.ins_lidar import START, InsLidar, InsLidarSettings, calibrate
-from thalweg.calibration.ins_lidar_checks import RunGates, seen_headings_deg
-from thalweg.calibration.ins_lidar_model import Known, State, linearise, truncated_variance
-from thalweg.calibration.motion_search import MountRange, find_mount
-from thalweg.calibration.point_noise import BeamNoise
-from thalweg.calibration.pose_errors import Knots, PoseErrors
-from thalweg.calibration.run_points import RunPoints
-from thalweg.core.adjustment import UnobservableError
+from thalweg.calibration.ins_lidar.adjustment import START, InsLidar, InsLidarSettings, calibrate
+from thalweg.calibration.ins_lidar.checks import RunGates, seen_headings_deg
+from thalweg.calibration.ins_lidar.model import Known, State, linearise, truncated_variance
+from thalweg.calibration.ins_lidar.motion_search import MountRange, find_mount
+from thalweg.calibration.ins_lidar.point_noise import BeamNoise
+from thalweg.calibration.ins_lidar.pose_errors import Knots, PoseErrors
+from thalweg.calibration.ins_lidar.run_points import RunPoints
+from thalweg.core.adjustment.solve import UnobservableError
 from thalweg.core.errors import CoverageError, GeometryError
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
-from thalweg.simulation.studies.cone_runs import LEVER_ANTENNA_M, TRUE_MOUNT, ConeRun, RunSpec, make_run
+from thalweg_lab.studies.cone_runs import LEVER_ANTENNA_M, TRUE_MOUNT, ConeRun, RunSpec, make_run
 
 NEAR = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), [-0.350, 0.0, -0.250])
 """The mount by a ruler: 7 mm and 1.5 deg off."""

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.cones import Cone
-from thalweg.calibration.field_description import AntennaMarker, FieldCone, FieldDescription
-from thalweg.calibration.field_points import FieldPoints
-from thalweg.calibration.ins_lidar_file import field_cones, seen_antenna
-from thalweg.calibration.marker_sheets import MarkerLayout
-from thalweg.calibration.run_points import FieldCones
+from thalweg.calibration.cones.cone import Cone
+from thalweg.calibration.field.description import AntennaMarker, FieldCone, FieldDescription
+from thalweg.calibration.field.points import FieldPoints
+from thalweg.calibration.ins_lidar.file import field_cones, seen_antenna
+from thalweg.calibration.ins_lidar.run_points import FieldCones
+from thalweg.calibration.markers.sheets import MarkerLayout
 from thalweg.core.errors import ConfigError, InputError
 
 HALF_RAD = np.deg2rad(25.0)

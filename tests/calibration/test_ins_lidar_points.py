@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.calibration.ins_lidar import START
-from thalweg.calibration.ins_lidar_points import NearCones, Way
-from thalweg.calibration.run_points import RunPoints, smooth_rates
+from thalweg.calibration.ins_lidar.adjustment import START
+from thalweg.calibration.ins_lidar.points import NearCones, Way
+from thalweg.calibration.ins_lidar.run_points import RunPoints, smooth_rates
 from thalweg.core.errors import CoverageError
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF
 from thalweg.lidar.georeference import georeference_points
 from thalweg.lidar.mount import Mount
-from thalweg.simulation.studies.cone_runs import ConeRun, RunSpec, make_run
+from thalweg_lab.studies.cone_runs import ConeRun, RunSpec, make_run
 
 SPEC = RunSpec(duration_s=20.0, points=6000)
 REACH_M = 1.1

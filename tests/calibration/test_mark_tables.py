@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from thalweg.calibration.mark_tables import (
+from thalweg.calibration.markers.sheets import MarkerLayout, sheet_picture
+from thalweg.calibration.markers.tables import (
     MARKS,
     detect_pictures,
     read_grey,
     recordings_folder,
     report_of,
 )
-from thalweg.calibration.marker_sheets import MarkerLayout, sheet_picture
 from thalweg.core.errors import InputError
 from thalweg.core.tables import read_table, write_table
-from thalweg.ingest.image_stamps import list_images
+from thalweg.ingest.photos.stamps import list_images
 
 LAYOUT = MarkerLayout()
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from thalweg.calibration.marker_sheets import (
+from thalweg.calibration.markers.sheets import (
     DOTS_PER_MM,
     SADDLES_MODULES,
     MarkerLayout,

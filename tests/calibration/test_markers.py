@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.calibration.marker_sheets import SADDLES_MODULES, MarkerLayout, sheet_picture
-from thalweg.calibration.markers import (
+from thalweg.calibration.markers.detection import (
     MIRRORED,
     NO_SADDLES,
     TWICE,
@@ -16,6 +15,7 @@ from thalweg.calibration.markers import (
     detect,
     detect_marks,
 )
+from thalweg.calibration.markers.sheets import SADDLES_MODULES, MarkerLayout, sheet_picture
 from thalweg.core.errors import InputError
 
 LAYOUT = MarkerLayout()

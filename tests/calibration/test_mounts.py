@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.mounts import read_mounts, resolve_mounts, write_mounts
-from thalweg.config.mounts import Mounts
-from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
+from thalweg.calibration.boat.mounts import read_mounts, resolve_mounts, write_mounts
+from thalweg.core.calibration.model import Calibration, Source, lever_block, pose_block
 from thalweg.core.errors import ConfigError, GeometryError, InputError
 from thalweg.core.frames import rotation_opk
 from thalweg.core.rigid import Rigid
 from thalweg.lidar.mount import Mount
+from thalweg.settings.base.mounts import Mounts
 
 
 @pytest.fixture

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.pose_errors import SLOW, BorderedNormals, Knots, PoseErrors, pose_rows, turns
+from thalweg.calibration.ins_lidar.pose_errors import (
+    SLOW,
+    BorderedNormals,
+    Knots,
+    PoseErrors,
+    pose_rows,
+    turns,
+)
 from thalweg.core.errors import CoverageError, GeometryError
 from thalweg.core.frames import rotation_enu_body
 from thalweg.core.rigid import exp_rotation

@@ -5,12 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.calibration.ins_lidar_model import State, Step
-from thalweg.calibration.pose_errors import BorderedNormals, Knots, PoseErrors, pose_rows
-from thalweg.calibration.pose_process import NAMES, Processes, changed, estimate_processes, total_covariance
+from thalweg.calibration.ins_lidar.model import State, Step
+from thalweg.calibration.ins_lidar.pose_errors import BorderedNormals, Knots, PoseErrors, pose_rows
+from thalweg.calibration.ins_lidar.pose_process import (
+    NAMES,
+    Processes,
+    changed,
+    estimate_processes,
+    total_covariance,
+)
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
-from thalweg.simulation.random import gauss_markov
+from thalweg_lab.base.random import gauss_markov
 
 STATED = PoseErrors(
     sigma_position_m=np.array([0.02, 0.02, 0.03]), sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),

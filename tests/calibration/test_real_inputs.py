@@ -13,18 +13,18 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.calibration.camera_file import interior_calibration, read_camera
-from thalweg.calibration.camera_lidar_statics import read_statics
-from thalweg.calibration.field_points import FieldPoints, write_points
-from thalweg.calibration.mark_tables import MARKS
-from thalweg.calibration.marker_sheets import MarkerLayout, sheet_picture
-from thalweg.config.twin import TwinConfig
-from thalweg.core.calibration import Source
-from thalweg.core.calibration_file import write_calibration
+from thalweg.calibration.camera_lidar.statics import read_statics
+from thalweg.calibration.field.points import FieldPoints, write_points
+from thalweg.calibration.markers.camera_file import interior_calibration, read_camera
+from thalweg.calibration.markers.sheets import MarkerLayout, sheet_picture
+from thalweg.calibration.markers.tables import MARKS
+from thalweg.core.calibration.files import write_calibration
+from thalweg.core.calibration.model import Source
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.tables import read_table, write_table
-from thalweg.ingest.image_stamps import IMAGE_STAMPS, list_images
-from thalweg.simulation.display_photos import simulate_display
+from thalweg.ingest.photos.stamps import IMAGE_STAMPS, list_images
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.instruments.display_photos import simulate_display
 
 _spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
 assert _spec

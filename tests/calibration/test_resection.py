@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.boat_camera import orient_on_field, starting_boat_camera
-from thalweg.calibration.camera_lidar_statics import statics_of
-from thalweg.calibration.camera_poses import network_pose_table, read_poses, write_poses
-from thalweg.calibration.field_points import FieldPoints
-from thalweg.calibration.ray_resection import pose_from_rays
-from thalweg.calibration.resection import resect
-from thalweg.core.camera import Camera
+from thalweg.calibration.camera.boat_camera import orient_on_field, starting_boat_camera
+from thalweg.calibration.camera.poses import network_pose_table, read_poses, write_poses
+from thalweg.calibration.camera_lidar.statics import statics_of
+from thalweg.calibration.field.points import FieldPoints
+from thalweg.calibration.field.resection import resect
+from thalweg.calibration.markers.ray_resection import pose_from_rays
+from thalweg.core.camera.model import Camera
 from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid, exp_rotation
 

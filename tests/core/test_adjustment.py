@@ -5,7 +5,8 @@ import pytest
 from scipy import sparse
 from scipy.stats import chi2
 
-from thalweg.core.adjustment import (
+from thalweg.core.adjustment.normal_equations import HUBER_LIMIT, check_rank, normal_equations
+from thalweg.core.adjustment.solve import (
     Adjusted,
     Linear,
     Observations,
@@ -15,7 +16,6 @@ from thalweg.core.adjustment import (
     prior,
 )
 from thalweg.core.errors import GeometryError
-from thalweg.core.normal_equations import HUBER_LIMIT, check_rank, normal_equations
 from thalweg.core.rigid import Rigid, exp_rotation
 
 LINE = ("height", "slope")

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from thalweg.config.mounts import LidarMount
-from thalweg.core.calibration import (
+from thalweg.core.calibration.files import calibration_text, read_calibration, write_calibration
+from thalweg.core.calibration.model import (
     POSE,
     Block,
     Calibration,
@@ -15,11 +15,11 @@ from thalweg.core.calibration import (
     pose_block,
     unit_of,
 )
-from thalweg.core.calibration_file import calibration_text, read_calibration, write_calibration
 from thalweg.core.errors import ConfigError, GeometryError
 from thalweg.core.frames import opk_axes, rotation_opk
 from thalweg.core.rigid import Rigid
 from thalweg.lidar.mount import Mount
+from thalweg.settings.base.mounts import LidarMount
 
 SOURCE = Source(run="field", method="cones, moving boat", created="2026-05-01T10:00:00Z", observations=81_234,
                 sigma0=1.02, twin=True)  # fmt: skip

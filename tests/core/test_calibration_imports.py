@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from thalweg.cli import main
-from thalweg.core.calibration_file import read_calibration
-from thalweg.core.calibration_imports import (
+from thalweg.core.calibration.files import read_calibration
+from thalweg.core.calibration.imports import (
     import_camera,
     import_kalibr,
     import_matrix,
     read_kalibr,
     read_matrix,
 )
-from thalweg.core.camera import Camera
-from thalweg.core.camera_files import write_colmap, write_opencv
+from thalweg.core.camera.files import write_colmap, write_opencv
+from thalweg.core.camera.model import Camera
 from thalweg.core.errors import ConfigError, InputError, UnsupportedError
 from thalweg.core.frames import rotation_opk
-from thalweg.ingest.describe import describe
-from thalweg.ingest.recognise import recognise
+from thalweg.ingest.registry.describe import describe
+from thalweg.ingest.registry.recognise import recognise
 
 SIGMAS = {
     "angle_deg": 0.02, "lever_m": 0.002, "focal_px": 0.5, "centre_px": 0.3, "distortion": 1e-4,

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.core.camera import PARAMETERS, Camera
+from thalweg.core.camera.model import PARAMETERS, Camera
 from thalweg.core.errors import GeometryError
 
 BROWN = Camera(

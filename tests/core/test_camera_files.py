@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.core.camera import Camera
-from thalweg.core.camera_files import read_colmap, read_opencv, write_colmap, write_opencv
+from thalweg.core.camera.files import read_colmap, read_opencv, write_colmap, write_opencv
+from thalweg.core.camera.model import Camera
 from thalweg.core.errors import InputError, UnsupportedError
 
 BROWN = Camera(

@@ -10,8 +10,8 @@ from pyproj import CRS
 
 from thalweg.core.errors import GeometryError, InputError, ThalwegError
 from thalweg.core.frames import LocalFrame
-from thalweg.core.las import LazWriter, iter_laz, laz_header, read_laz, write_laz
-from thalweg.core.las_header import local_crs
+from thalweg.core.las.files import LazWriter, iter_laz, laz_header, read_laz, write_laz
+from thalweg.core.las.header import local_crs
 
 FRAME = LocalFrame(lat_deg=51.0501234567890123, lon_deg=13.25, h_ell_m=300.1)
 EXTRA = {

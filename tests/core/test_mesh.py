@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError
-from thalweg.core.mesh import NO_FACE, TriangleMesh
+from thalweg.core.geometry.mesh import NO_FACE, TriangleMesh
 
 
 def mesh_of(vertices: list[list[float]], faces: list[list[int]]) -> TriangleMesh:

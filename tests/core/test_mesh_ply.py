@@ -15,9 +15,9 @@ from plyfile import PlyData
 
 from thalweg.core.errors import InputError
 from thalweg.core.frames import LocalFrame
-from thalweg.core.mesh import TriangleMesh
-from thalweg.core.mesh_ply import read_mesh, write_mesh
-from thalweg.core.raycast import _open3d
+from thalweg.core.geometry.mesh import TriangleMesh
+from thalweg.core.geometry.mesh_ply import read_mesh, write_mesh
+from thalweg.core.geometry.raycast import _open3d
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 # longer than a line of rply may be, and with what JSON must escape

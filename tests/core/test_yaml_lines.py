@@ -2,10 +2,10 @@
 
 import pytest
 
-from thalweg.config.load import load_campaign
-from thalweg.config.mistakes import CampaignError
 from thalweg.core.errors import ConfigError
 from thalweg.core.yaml_lines import parse_yaml, read_mapping, read_yaml
+from thalweg.settings.files.load import load_campaign
+from thalweg.settings.messages.mistakes import CampaignError
 
 BROKEN = [
     ("campaign:\n\tid: x\n", 2, "Replace the tab by spaces"),

@@ -9,11 +9,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.spatial.transform import Rotation
 
 from thalweg.core.frames import LocalFrame, rotation_enu_body, rotation_opk
-from thalweg.core.mesh import TriangleMesh
+from thalweg.core.geometry.mesh import TriangleMesh
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.calibration_tables import CONES
-from thalweg.figures.field_views import cones_of
-from thalweg.figures.pictures import read_picture
+from thalweg.figures.calibration.field_views import cones_of
+from thalweg.figures.calibration.tables import CONES
+from thalweg.figures.images.pictures import read_picture
 from thalweg.figures.style import save
 from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_STATE
 from thalweg.surface.bank_frame import BankFrame

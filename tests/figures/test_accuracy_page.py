@@ -6,15 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.comparison import ComparisonSettings
-from thalweg.accuracy.comparison_tables import by_range_table, statistics_table, verdicts
+from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings
+from thalweg.accuracy.cloud_to_mesh.comparison_tables import by_range_table, statistics_table, verdicts
 from thalweg.core.errors import InputError
-from thalweg.figures.accuracy_page import _error_model, accuracy_page, pivot
-from thalweg.figures.accuracy_words import covered, explanation, limits, value_of, verdict
-from thalweg.figures.distance_histogram import distance_histogram
+from thalweg.figures.accuracy.distance_histogram import distance_histogram
+from thalweg.figures.accuracy.page import _error_model, accuracy_page, pivot
+from thalweg.figures.accuracy.words import covered, explanation, limits, value_of, verdict
 from thalweg.figures.page import Page
 from thalweg.figures.style import save
-from thalweg.orientation.error_model import ErrorModel, PriorErrors
+from thalweg.navigation.ins_gnss.error_model import ErrorModel, PriorErrors
 
 SETTINGS = ComparisonSettings(correlation_s=0.2)
 

@@ -6,8 +6,8 @@ import pytest
 from PIL import Image
 
 from thalweg.core.errors import InputError
-from thalweg.figures.bed_strip import along_lines, bed_strip
-from thalweg.figures.light_sheet_scans import strip_page
+from thalweg.lightsheet.figures.bed_strip import along_lines, bed_strip
+from thalweg.lightsheet.figures.scans import strip_page
 
 LINES, N = 8, 60
 STEP_S = 0.02

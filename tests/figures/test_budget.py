@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from thalweg.budgets.budget import GROUPS
+from thalweg.budgets.budget_file import read_budget
+from thalweg.budgets.published import read_published
 from thalweg.core.errors import InputError
-from thalweg.figures.budget import LOOK, error_budget
 from thalweg.figures.style import save
-from thalweg.reproduction.budget import GROUPS
-from thalweg.reproduction.budget_file import read_budget
-from thalweg.reproduction.published import read_published
+from thalweg.figures.survey.budget import LOOK, error_budget
 
 
 @pytest.fixture(scope="module")

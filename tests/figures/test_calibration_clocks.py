@@ -7,7 +7,10 @@ from PIL import Image
 
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.rigid import Rigid
-from thalweg.figures.calibration_tables import (
+from thalweg.figures.calibration.cone_residuals import cone_residuals
+from thalweg.figures.calibration.field_setup import axes_of, field_setup
+from thalweg.figures.calibration.field_views import cones_of
+from thalweg.figures.calibration.tables import (
     CONES,
     first_picture,
     natural,
@@ -17,12 +20,9 @@ from thalweg.figures.calibration_tables import (
     read_figure_table,
     read_image_marks,
 )
-from thalweg.figures.clock_offset import clock_offset
-from thalweg.figures.clock_stability import chosen_photo, clock_stability, display_intervals
-from thalweg.figures.cone_residuals import cone_residuals
-from thalweg.figures.field_setup import axes_of, field_setup
-from thalweg.figures.field_views import cones_of
-from thalweg.figures.pictures import read_picture
+from thalweg.figures.clocks.offset import clock_offset
+from thalweg.figures.clocks.stability import chosen_photo, clock_stability, display_intervals
+from thalweg.figures.images.pictures import read_picture
 
 # ---------------------------------------------------------------- clocks
 

@@ -6,22 +6,22 @@ import pytest
 from matplotlib.collections import PathCollection
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
+from thalweg.core.calibration.model import Calibration, Source, lever_block, pose_block
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.rigid import Rigid
-from thalweg.figures.calibration_design import calibration_design
-from thalweg.figures.calibration_tables import (
+from thalweg.figures.calibration.cone_before_after import cone_before_after
+from thalweg.figures.calibration.cone_frame import cone_frame
+from thalweg.figures.calibration.cone_residuals import cone_residuals
+from thalweg.figures.calibration.correlations import correlation_matrix
+from thalweg.figures.calibration.design import calibration_design
+from thalweg.figures.calibration.field_reference import field_reference
+from thalweg.figures.calibration.field_setup import field_positions, field_setup, lever_text
+from thalweg.figures.calibration.field_views import Oblique, cones_of
+from thalweg.figures.calibration.synthetic_view import HeightView, read_height_view, synthetic_view
+from thalweg.figures.calibration.tables import (
     STUDY,
 )
-from thalweg.figures.cone_before_after import cone_before_after
-from thalweg.figures.cone_frame import cone_frame
-from thalweg.figures.cone_residuals import cone_residuals
-from thalweg.figures.correlations import correlation_matrix
-from thalweg.figures.field_reference import field_reference
-from thalweg.figures.field_setup import field_positions, field_setup, lever_text
-from thalweg.figures.field_views import Oblique, cones_of
 from thalweg.figures.style import count, save
-from thalweg.figures.synthetic_view import HeightView, read_height_view, synthetic_view
 
 NBSP = "\N{NO-BREAK SPACE}"
 

@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.calibration import Block, Calibration, Source, lever_block, pose_block
+from thalweg.core.calibration.model import Block, Calibration, Source, lever_block, pose_block
 from thalweg.core.errors import InputError
 from thalweg.core.frames import rotation_opk
 from thalweg.core.rigid import Rigid
-from thalweg.figures.calibration_page import block_table, calibration_page, summary, with_units
-from thalweg.figures.correlations import correlation_matrix
+from thalweg.figures.calibration.correlations import correlation_matrix
+from thalweg.figures.calibration.page import block_table, calibration_page, summary, with_units
 from thalweg.figures.style import save
 
 

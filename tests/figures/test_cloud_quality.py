@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import InputError
-from thalweg.figures.cloud_quality import (
+from thalweg.figures.cloud.cloud_quality import (
     THESIS_RANGE_M,
     THESIS_SIGMA_CM,
     cloud_by_range,
     cloud_by_sigma,
     sigma_3d_m,
 )
-from thalweg.figures.splat import ObliqueView, Splat
+from thalweg.figures.cloud.splat import ObliqueView, Splat
 from thalweg.figures.style import save
 
 

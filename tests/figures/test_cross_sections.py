@@ -6,7 +6,7 @@ import pytest
 
 from thalweg.core.frames import LocalFrame
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.cross_sections import MOST_ZOOM_M, WIDEST_M, Slabs, cross_sections, zoom_box
+from thalweg.figures.accuracy.cross_sections import MOST_ZOOM_M, WIDEST_M, Slabs, cross_sections, zoom_box
 from thalweg.figures.style import save
 
 OPTIONS = {"count": 3, "stations_m": None, "thickness_m": 0.4}

@@ -5,8 +5,14 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import CoverageError, InputError
-from thalweg.figures.distance_map import DISTANCE_MAP, distance_map, strips, view_text
-from thalweg.figures.distances import bank_frame_of, centimetres, compared, round_above, round_limit_m
+from thalweg.figures.accuracy.distance_map import DISTANCE_MAP, distance_map, strips, view_text
+from thalweg.figures.accuracy.distances import (
+    bank_frame_of,
+    centimetres,
+    compared,
+    round_above,
+    round_limit_m,
+)
 from thalweg.figures.style import count, save
 
 

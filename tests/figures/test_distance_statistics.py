@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.comparison import ComparisonSettings
-from thalweg.accuracy.comparison_tables import by_range_table
+from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings
+from thalweg.accuracy.cloud_to_mesh.comparison_tables import by_range_table
 from thalweg.core.errors import InputError
-from thalweg.figures.distance_by_range import distance_by_range
-from thalweg.figures.distance_histogram import distance_histogram
-from thalweg.figures.distances import robust_fit
+from thalweg.figures.accuracy.distance_by_range import distance_by_range
+from thalweg.figures.accuracy.distance_histogram import distance_histogram
+from thalweg.figures.accuracy.distances import robust_fit
 from thalweg.figures.style import count, save
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError, InputError
-from thalweg.figures.footprints import (
+from thalweg.figures.cloud.footprints import (
     best_moment,
     candidate_moments,
     choose_patch,

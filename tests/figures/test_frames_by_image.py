@@ -7,9 +7,9 @@ import pytest
 
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
-from thalweg.core.las import LazWriter
-from thalweg.figures.frames_by_image import FrameImages, FrameViews, frames_by_image
-from thalweg.orientation.image_poses import ImagePoses
+from thalweg.core.las.files import LazWriter
+from thalweg.figures.cloud.frames_by_image import FrameImages, FrameViews, frames_by_image
+from thalweg.images.model.poses import ImagePoses
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 T0 = 3.0e8

@@ -8,9 +8,9 @@ import pytest
 
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
-from thalweg.figures.image_positions import COLUMNS, image_positions
-from thalweg.orientation.control_points import ControlPoints
-from thalweg.orientation.image_poses import ImagePoses
+from thalweg.figures.images.image_positions import COLUMNS, image_positions
+from thalweg.images.model.control_points import ControlPoints
+from thalweg.images.model.poses import ImagePoses
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 T0 = 178_649_913.4

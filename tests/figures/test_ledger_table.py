@@ -5,11 +5,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from thalweg.figures.ledger_table import ledger_section
 from thalweg.figures.page import Page
-from thalweg.reproduction.ledger import judged, sentence
-from thalweg.reproduction.ledger_file import read_ledger
-from thalweg.reproduction.ledger_values import Results
+from thalweg_lab.figures.ledger_table import ledger_section
+from thalweg_lab.reproduction.files import read_ledger
+from thalweg_lab.reproduction.ledger import judged, sentence
+from thalweg_lab.reproduction.values import Results
 
 
 @pytest.fixture(scope="module")

@@ -7,26 +7,31 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.core.calibration import Source
+from thalweg.core.calibration.model import Source
 from thalweg.core.errors import CoverageError, InputError
-from thalweg.figures.correlations import correlation_matrix
-from thalweg.figures.depth_budget import depth_budget
-from thalweg.figures.grid_calibration import grid_calibration
-from thalweg.figures.light_sheet_views import along_and_off, beam_paths, find_image, first_image
-from thalweg.figures.line_measurement import departures_px, line_measurement, measured
-from thalweg.figures.line_on_markers import line_on_markers, shown_flag
-from thalweg.figures.measurement_volume import measurement_volume_view
-from thalweg.figures.panel_distances import first_with_points, panel_distances, signed
-from thalweg.figures.sheet_deformation import TILTS_DEG, sheet_deformation, sheet_paths, tilted_sheet
-from thalweg.figures.sheet_models import COLUMNS as MODEL_COLUMNS
-from thalweg.figures.sheet_models import model_errors_view
-from thalweg.triangulation.budget import TOTAL, TOTAL_CORRELATED, budget_on_lines, budget_table
-from thalweg.triangulation.budget_checks import contradictions, read_published, verdicts
-from thalweg.triangulation.intersection import intersect
-from thalweg.triangulation.lines.settings import LineFlag
-from thalweg.triangulation.sensor import Sensor, paper_4
-from thalweg.triangulation.sensor_files import sensor_calibration
-from thalweg.triangulation.volume import depth_lines, measurement_volume
+from thalweg.figures.calibration.correlations import correlation_matrix
+from thalweg.lightsheet.budget.budget import TOTAL, TOTAL_CORRELATED, budget_on_lines, budget_table
+from thalweg.lightsheet.budget.checks import contradictions, read_published, verdicts
+from thalweg.lightsheet.figures.depth_budget import depth_budget
+from thalweg.lightsheet.figures.grid_calibration import grid_calibration
+from thalweg.lightsheet.figures.line_measurement import departures_px, line_measurement, measured
+from thalweg.lightsheet.figures.line_on_markers import line_on_markers, shown_flag
+from thalweg.lightsheet.figures.measurement_volume import measurement_volume_view
+from thalweg.lightsheet.figures.panel_distances import first_with_points, panel_distances, signed
+from thalweg.lightsheet.figures.sheet_deformation import (
+    TILTS_DEG,
+    sheet_deformation,
+    sheet_paths,
+    tilted_sheet,
+)
+from thalweg.lightsheet.figures.sheet_models import COLUMNS as MODEL_COLUMNS
+from thalweg.lightsheet.figures.sheet_models import model_errors_view
+from thalweg.lightsheet.figures.views import along_and_off, beam_paths, find_image, first_image
+from thalweg.lightsheet.lines.settings import LineFlag
+from thalweg.lightsheet.optics.intersection import intersect
+from thalweg.lightsheet.optics.sensor import Sensor, paper_4
+from thalweg.lightsheet.optics.sensor_files import sensor_calibration
+from thalweg.lightsheet.optics.volume import depth_lines, measurement_volume
 
 
 @pytest.fixture(scope="module")

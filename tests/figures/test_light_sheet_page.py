@@ -4,8 +4,8 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.figures.light_sheet_page import flag_counts, inequality, light_sheet_page, parameter_rows
-from thalweg.triangulation.lines.settings import LineFlag
+from thalweg.lightsheet.figures.page import flag_counts, inequality, light_sheet_page, parameter_rows
+from thalweg.lightsheet.lines.settings import LineFlag
 
 CALIBRATION = {
     "object": "grid over a plate",

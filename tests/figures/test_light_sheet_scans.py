@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from thalweg.core.errors import InputError
-from thalweg.figures.light_sheet_scans import kind_of, left_out, read_scans, scan_section, scan_words
 from thalweg.figures.page import Page
+from thalweg.lightsheet.figures.scans import kind_of, left_out, read_scans, scan_section, scan_words
 
 COUNTS = {
     "lines": {"line_points": 9000, "no_sheet": 12, "points": 8988},

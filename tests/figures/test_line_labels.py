@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from thalweg.core.errors import InputError
-from thalweg.figures.line_labels import label_words, line_labels, spacing_words
+from thalweg.lightsheet.figures.line_labels import label_words, line_labels, spacing_words
 
 N = 200
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from thalweg.core.errors import CoverageError, InputError
-from thalweg.figures.line_patch import SIDE, gauss_row, line_patch, middle_point
+from thalweg.lightsheet.figures.line_patch import SIDE, gauss_row, line_patch, middle_point
 
 H, W = 120, 90
 WIDTH, PEAK, GROUND = 2.4, 120.0, 6.0

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError
-from thalweg.figures.bank import BankSegment, bankward_azimuth, choose_segment
-from thalweg.figures.cloud import balanced_gamma, bent_ticks, cloud_detail, cloud_overview
-from thalweg.figures.maps import survey_map, track_gaps
-from thalweg.figures.splat import ObliqueView, Splat
+from thalweg.figures.cloud.bank import BankSegment, bankward_azimuth, choose_segment
+from thalweg.figures.cloud.overview import balanced_gamma, bent_ticks, cloud_detail, cloud_overview
+from thalweg.figures.cloud.splat import ObliqueView, Splat
 from thalweg.figures.style import save
+from thalweg.figures.survey.maps import survey_map, track_gaps
 
 
 def by_gid(figure, gid):

@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from thalweg.core.errors import CoverageError, InputError
-from thalweg.figures.mask_view import COLUMNS, example_names, mask_view, read_examples
+from thalweg.figures.images.mask_view import COLUMNS, example_names, mask_view, read_examples
 
 
 def masks_table(n=20):

@@ -6,14 +6,19 @@ import pandas as pd
 import pytest
 
 from thalweg.core.errors import GeometryError, InputError
-from thalweg.figures.field_views import PLAN, Oblique
-from thalweg.figures.light_sheet_views import path_to
-from thalweg.figures.mesh_views import mesh_picture
-from thalweg.figures.multi_line_geometry import across_direction, multi_line_geometry
-from thalweg.figures.multi_line_images import NAMES, SeenObject, multi_line_images_view, read_objects
-from thalweg.triangulation.projection import project
-from thalweg.triangulation.refracted_rays import refract_to_water
-from thalweg.triangulation.sensor import LightSheet, paper_4
+from thalweg.figures.calibration.field_views import PLAN, Oblique
+from thalweg.lightsheet.figures.mesh_views import mesh_picture
+from thalweg.lightsheet.figures.multi_line_geometry import across_direction, multi_line_geometry
+from thalweg.lightsheet.figures.multi_line_images import (
+    NAMES,
+    SeenObject,
+    multi_line_images_view,
+    read_objects,
+)
+from thalweg.lightsheet.figures.views import path_to
+from thalweg.lightsheet.optics.projection import project
+from thalweg.lightsheet.optics.refracted_rays import refract_to_water
+from thalweg.lightsheet.optics.sensor import LightSheet, paper_4
 
 DEPTHS_MM = (60.0, 120.0)
 N = 4

@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 from thalweg.core.errors import InputError
-from thalweg.figures.maps import survey_map
 from thalweg.figures.page import Page
 from thalweg.figures.style import save
+from thalweg.figures.survey.maps import survey_map
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import CoverageError, GeometryError, InputError
-from thalweg.figures.reference_view import (
+from thalweg.figures.accuracy.reference_view import (
     EYE_M,
     PanoramaView,
     angles_from,
     reference_view,
     viewpoint_on_track,
 )
-from thalweg.figures.splat import Splat
+from thalweg.figures.cloud.splat import Splat
 from thalweg.figures.style import save
 
 

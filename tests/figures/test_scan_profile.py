@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from thalweg.core.errors import InputError
-from thalweg.figures.scan_profile import classes, scan_profile
+from thalweg.lightsheet.figures.scan_profile import classes, scan_profile
 
 N = 400
 SIGMA_MM = 0.05

@@ -6,8 +6,8 @@ import pytest
 from PIL import Image
 
 from thalweg.core.errors import InputError
-from thalweg.core.mesh import TriangleMesh
-from thalweg.figures.scan_reference import read_orthophoto, scan_reference, share_of_noise
+from thalweg.core.geometry.mesh import TriangleMesh
+from thalweg.lightsheet.figures.scan_reference import read_orthophoto, scan_reference, share_of_noise
 
 LEVELS = [
     {"height_mm": 0.0, "measured_mm": 0.012, "rms_own_plane_mm": 0.031, "n": 120},

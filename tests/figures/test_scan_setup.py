@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.camera import Camera
+from thalweg.core.camera.model import Camera
 from thalweg.core.errors import InputError
 from thalweg.core.frames import rotation_opk
-from thalweg.figures.scan_setup import InSensor, frame_corners, scan_setup
-from thalweg.triangulation.scanning.poses import SensorPoses
-from thalweg.triangulation.sensor import Sensor, paper_4
+from thalweg.lightsheet.figures.scan_setup import InSensor, frame_corners, scan_setup
+from thalweg.lightsheet.optics.sensor import Sensor, paper_4
+from thalweg.lightsheet.poses.poses import SensorPoses
 
 N = 7
 STEP_M = 0.01

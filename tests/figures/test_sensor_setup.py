@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import CoverageError
-from thalweg.figures.sensor_setup import in_section, pixel_size_mm, sensor_setup, tilt_deg
-from thalweg.triangulation.projection import project
-from thalweg.triangulation.sensor import Sensor, paper_3, paper_4
+from thalweg.lightsheet.figures.sensor_setup import in_section, pixel_size_mm, sensor_setup, tilt_deg
+from thalweg.lightsheet.optics.projection import project
+from thalweg.lightsheet.optics.sensor import Sensor, paper_3, paper_4
 
 
 @pytest.fixture(scope="module")

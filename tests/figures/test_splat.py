@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError
-from thalweg.figures.splat import DEPTH_STEP_M, EDL_CAP, ObliqueView, Splat, eye_dome, view_axes
+from thalweg.figures.cloud.splat import DEPTH_STEP_M, EDL_CAP, ObliqueView, Splat, eye_dome, view_axes
 
 
 def view_of(width=40, height=30, azimuth=0.4, elevation=0.7):

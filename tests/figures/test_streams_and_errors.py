@@ -7,10 +7,10 @@ import pytest
 
 from thalweg.core.errors import InputError
 from thalweg.core.timescales import unix_from_gps
-from thalweg.figures.clocks import StreamLag, clock_lines, lag_words, read_lags, timing_words
-from thalweg.figures.errors import error_histograms, error_versus_range
-from thalweg.figures.streams import streams_in_time, time_span
+from thalweg.figures.accuracy.errors import error_histograms, error_versus_range
+from thalweg.figures.clocks.clocks import StreamLag, clock_lines, lag_words, read_lags, timing_words
 from thalweg.figures.style import save
+from thalweg.figures.survey.streams import streams_in_time, time_span
 from thalweg.ingest.integrity import Gap, IntegrityReport
 from thalweg.ingest.stamps import StreamTiming
 

@@ -6,7 +6,7 @@ import pytest
 
 from thalweg.core.errors import InputError
 from thalweg.figures import style
-from thalweg.figures.maps import survey_map
+from thalweg.figures.survey.maps import survey_map
 
 
 def texts(figure):

@@ -8,9 +8,9 @@ from matplotlib.colors import LogNorm
 
 from thalweg.core.errors import GeometryError
 from thalweg.core.timescales import unix_from_gps
-from thalweg.figures.maps import sigma_norm
 from thalweg.figures.style import save
-from thalweg.figures.trajectory import gap_intervals, trajectory_sheet, valid_share
+from thalweg.figures.survey.maps import sigma_norm
+from thalweg.figures.survey.trajectory import gap_intervals, trajectory_sheet, valid_share
 
 
 def by_gid(figure, gid):

@@ -8,20 +8,18 @@ import pandas as pd
 import pytest
 from tests.accuracy.chain_samples import T0, three_chains, trajectory
 
-from thalweg.accuracy.chain_comparison import Chain, chains_table
-from thalweg.accuracy.chain_comparison_outages import outage_table
-from thalweg.accuracy.chain_comparison_ranges import chains_by_range as range_table
-from thalweg.accuracy.chain_comparison_ranges import range_facts
-from thalweg.accuracy.chain_comparison_truth import chains_truth_table
+from thalweg.accuracy.solutions.comparison import Chain, chains_table
+from thalweg.accuracy.solutions.outages import outage_table
+from thalweg.accuracy.solutions.ranges import chains_by_range as range_table
+from thalweg.accuracy.solutions.ranges import range_facts
 from thalweg.core.errors import GeometryError, InputError
-from thalweg.figures.distances import centimetres
-from thalweg.figures.style import save
-from thalweg.figures.trajectory_comparison import LOOK, chain_histograms, chains_by_range
-from thalweg.figures.trajectory_comparison_costs import computing_seconds
-from thalweg.figures.trajectory_comparison_outages import outage_study
-from thalweg.figures.trajectory_comparison_page import TWIN_NOTE, cell, trajectory_comparison_page
-from thalweg.figures.trajectory_comparison_sigmas import pose_sigmas
-from thalweg.figures.trajectory_comparison_words import (
+from thalweg.figures.accuracy.distances import centimetres
+from thalweg.figures.solutions.comparison import LOOK, chain_histograms, chains_by_range
+from thalweg.figures.solutions.costs import computing_seconds
+from thalweg.figures.solutions.outages import outage_study
+from thalweg.figures.solutions.page import TWIN_NOTE, cell, trajectory_comparison_page
+from thalweg.figures.solutions.sigmas import pose_sigmas
+from thalweg.figures.solutions.words import (
     Costs,
     for_and_against,
     lead,
@@ -31,6 +29,8 @@ from thalweg.figures.trajectory_comparison_words import (
     side_by_side,
     time_words,
 )
+from thalweg.figures.style import save
+from thalweg_lab.truth.solutions import chains_truth_table
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import InputError
-from thalweg.ingest.anpp_frames import crc16, find_anpp, find_packets
-from thalweg.ingest.anpp_sbp_stream import BAD_CRC, CUT, HOLES, SKIPPED, StreamTally, read_packets
+from thalweg.ingest.anpp.frames import crc16, find_anpp, find_packets
+from thalweg.ingest.framing.stream import BAD_CRC, CUT, HOLES, SKIPPED, StreamTally, read_packets
 
 
 def packet(packet_id: int, payload: bytes) -> bytes:

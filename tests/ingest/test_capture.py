@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import InputError, ThalwegError, UnsupportedError
-from thalweg.ingest.capture import BarePayloads, CaptureTally, Stream, read_payloads
+from thalweg.ingest.pcap.capture import BarePayloads, CaptureTally, Stream, read_payloads
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)

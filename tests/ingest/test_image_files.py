@@ -6,8 +6,8 @@ import pytest
 from PIL import Image
 
 from thalweg.core.errors import InputError
-from thalweg.ingest.image_files import by_any_name, find_images, list_images, named_images
-from thalweg.ingest.image_stamps import read_image_stamps
+from thalweg.ingest.photos.files import by_any_name, find_images, list_images, named_images
+from thalweg.ingest.photos.stamps import read_image_stamps
 
 
 def photographs(folder: Path, *names: str) -> Path:

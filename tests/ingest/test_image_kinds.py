@@ -9,8 +9,8 @@ from PIL import Image
 
 from thalweg.cli import main
 from thalweg.core.errors import InputError
-from thalweg.ingest.describe import describe
-from thalweg.ingest.recognise import recognise
+from thalweg.ingest.registry.describe import describe
+from thalweg.ingest.registry.recognise import recognise
 
 XML = (
     '<?xml version="1.0"?>\n<document version="1.5.0"><chunk><cameras>\n'

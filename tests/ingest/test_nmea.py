@@ -15,7 +15,7 @@ from pynmeagps import NMEAReader
 from thalweg.core.errors import InputError, ThalwegError
 from thalweg.core.tables import write_table
 from thalweg.core.timescales import gps_from_unix, gps_from_week
-from thalweg.ingest.nmea import NmeaLog, read_nmea
+from thalweg.ingest.nmea.reader import NmeaLog, read_nmea
 from thalweg.ingest.schemas import DEPTH, GNSS_POSITION
 
 GGA = "GPGGA,{},5251.0094,N,00518.8172,E,4,12,0.60,10.500,M,46.800,M,1.2,0123"

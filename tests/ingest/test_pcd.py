@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import InputError, UnsupportedError
-from thalweg.ingest.pcd import read_pcd
+from thalweg.ingest.clouds.pcd import read_pcd
 
 HEAD = """# .PCD v0.7 - Point Cloud Data file format
 VERSION 0.7

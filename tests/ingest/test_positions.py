@@ -9,7 +9,7 @@ import pytest
 
 from thalweg.core.errors import InputError
 from thalweg.core.tables import write_table
-from thalweg.ingest.positions import positions_from_states, read_positions
+from thalweg.ingest.registry.positions import positions_from_states, read_positions
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
 
 NOTHING: dict[str, Any] = {"base": [], "nav": [], "ppk": {}, "base_position": {}}

@@ -11,14 +11,14 @@ import pytest
 
 from thalweg.core.errors import ConfigError, InputError, ThalwegError
 from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.ppk import PpkOptions, PpkSolution, run_ppk
-from thalweg.ingest.ppk_engine import check_settings, run_worker, write_settings
-from thalweg.ingest.ppk_positions import (
+from thalweg.ingest.ppk.engine import check_settings, run_worker, write_settings
+from thalweg.ingest.ppk.positions import (
     SIGMA_FLOOR_M,
     covariance_enu,
     read_solution,
     replace_covariances,
 )
+from thalweg.ingest.ppk.solution import PpkOptions, PpkSolution, run_ppk
 from thalweg.ingest.schemas import GNSS_POSITION
 
 BASE = (-2706105.2018, -4261210.8062, 3885598.6411)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import ConfigError
-from thalweg.ingest.ppk_options import PpkOptions, engine_settings
+from thalweg.ingest.ppk.options import PpkOptions, engine_settings
 
 BASE = (-2706105.2018, -4261210.8062, 3885598.6411)
 LLH = (37.773497750, -122.417811914, -6.2480)  # of BASE, header of the engine's own .pos file
@@ -74,7 +74,7 @@ def test_sections_of_a_campaign() -> None:
 
 
 def test_section_of_the_config_has_the_same_keys_and_defaults() -> None:
-    navigation = pytest.importorskip("thalweg.config.navigation")
+    navigation = pytest.importorskip("thalweg.settings.sections.navigation")
     section = navigation.Ppk().model_dump()
     assert PpkOptions.from_sections(section, {"base_from": "sbp"}) == PpkOptions(base_source="from_sbp")
 

@@ -15,8 +15,8 @@ from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import write_table
 from thalweg.core.timescales import week_from_gps
 from thalweg.core.types import ArrayF
-from thalweg.ingest.ppk import PpkOptions, PpkSolution, run_ppk
-from thalweg.ingest.ppk_positions import SIGMA_FLOOR_M, covariance_enu
+from thalweg.ingest.ppk.positions import SIGMA_FLOOR_M, covariance_enu
+from thalweg.ingest.ppk.solution import PpkOptions, PpkSolution, run_ppk
 from thalweg.ingest.schemas import GNSS_POSITION
 
 pytestmark = pytest.mark.real

@@ -9,9 +9,9 @@ from pyproj import CRS, Transformer
 
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import LocalFrame
-from thalweg.core.las import LazWriter, read_laz
+from thalweg.core.las.files import LazWriter, read_laz
+from thalweg.ingest.clouds.reference import gather_reference
 from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.reference import gather_reference
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 UTM = CRS(25833)

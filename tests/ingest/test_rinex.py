@@ -11,7 +11,7 @@ import pytest
 
 from thalweg.core.errors import InputError, ThalwegError, UnsupportedError
 from thalweg.core.timescales import LeapSecondWarning, utc_text_from_gps
-from thalweg.ingest.rinex import describe_rinex, scan_rinex, whole_records
+from thalweg.ingest.ppk.rinex import describe_rinex, scan_rinex, whole_records
 
 
 def line(text: str, label: str) -> str:

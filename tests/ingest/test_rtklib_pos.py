@@ -13,8 +13,8 @@ from pyproj import Transformer
 from thalweg.core.errors import InputError
 from thalweg.core.tables import write_table
 from thalweg.core.timescales import gps_from_week
-from thalweg.ingest.rtklib_pos import read_pos
 from thalweg.ingest.schemas import GNSS_POSITION
+from thalweg.ingest.tracks.rtklib_pos import read_pos
 
 HEAD = (
     "% program   : RTKLIB\n% ref pos   :  50.000000000   13.000000000   200.0000\n%\n"

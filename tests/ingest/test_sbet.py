@@ -13,8 +13,8 @@ from thalweg.core.errors import InputError, ThalwegError
 from thalweg.core.tables import write_table
 from thalweg.core.timescales import gps_from_week
 from thalweg.core.types import ArrayF
-from thalweg.ingest.sbet import read_sbet
 from thalweg.ingest.schemas import INS_STATE
+from thalweg.ingest.tracks.sbet import read_sbet
 
 WEEK = 1948
 HEADING = np.deg2rad(60.0)

@@ -11,10 +11,10 @@ from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
 from thalweg.core.timescales import gps_from_week
-from thalweg.ingest import sbp_messages as sm
-from thalweg.ingest.sbp_frames import find_messages
-from thalweg.ingest.sbp_log import SbpLog, read_sbp
-from thalweg.ingest.sbp_records import SbpRecords, collect
+from thalweg.ingest.sbp import messages as sm
+from thalweg.ingest.sbp.frames import find_messages
+from thalweg.ingest.sbp.reader import SbpLog, read_sbp
+from thalweg.ingest.sbp.records import SbpRecords, collect
 
 pytestmark = pytest.mark.real
 

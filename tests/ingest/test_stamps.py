@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
 from thalweg.core.timescales import gps_from_unix
-from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.anpp.reader import read_anpp
 from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.nmea import read_nmea
-from thalweg.ingest.rtklib_pos import read_pos
+from thalweg.ingest.nmea.reader import read_nmea
 from thalweg.ingest.stamps import StreamTiming, fit_clock, possible_unix
-from thalweg.simulation.ins import simulate_ins
+from thalweg.ingest.tracks.rtklib_pos import read_pos
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.instruments.ins import simulate_ins
 
 T0 = 3.0e8
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import ConfigError, InputError, ThalwegError, UnsupportedError
-from thalweg.ingest.velodyne import LidarOptions, PointBlock, iter_points, scan_lidar
-from thalweg.ingest.velodyne_model import ELEVATION_DEG, RING, VERTICAL_CORRECTION_M
+from thalweg.ingest.velodyne.model import ELEVATION_DEG, RING, VERTICAL_CORRECTION_M
+from thalweg.ingest.velodyne.reader import LidarOptions, PointBlock, iter_points, scan_lidar
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from thalweg.core.timescales import gps_from_unix
-from thalweg.ingest.velodyne import LidarClock, iter_points, scan_lidar
-from thalweg.ingest.velodyne_clock import parse_rmc
+from thalweg.ingest.velodyne.clock import parse_rmc
+from thalweg.ingest.velodyne.reader import LidarClock, iter_points, scan_lidar
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from thalweg.ingest.velodyne import iter_points, scan_lidar
+from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import InputError, UnsupportedError
-from thalweg.ingest.velodyne import LidarOptions, iter_points, scan_lidar
-from thalweg.ingest.velodyne_packets import read_packets
+from thalweg.ingest.velodyne.packets import read_packets
+from thalweg.ingest.velodyne.reader import LidarOptions, iter_points, scan_lidar
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)

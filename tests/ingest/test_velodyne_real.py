@@ -9,8 +9,8 @@ import pytest
 import velodyne_decoder as vd
 
 from thalweg.core.timescales import gps_from_unix
-from thalweg.ingest.capture import Stream, read_payloads
-from thalweg.ingest.velodyne import LidarOptions, PointBlock, iter_points, scan_lidar
+from thalweg.ingest.pcap.capture import Stream, read_payloads
+from thalweg.ingest.velodyne.reader import LidarOptions, PointBlock, iter_points, scan_lidar
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)

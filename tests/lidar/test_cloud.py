@@ -9,15 +9,14 @@ import pyarrow.parquet as pq
 import pytest
 from pyproj import CRS, Transformer
 
-from thalweg.config.filters import Filters
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.frames import LocalFrame
-from thalweg.core.las import LazWriter, laz_header, read_laz
+from thalweg.core.las.files import LazWriter, laz_header, read_laz
 from thalweg.core.tables import read_table
 from thalweg.core.timescales import gps_from_unix
 from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.velodyne import LidarOptions, scan_lidar
-from thalweg.ingest.velodyne_decode import PointBlock
+from thalweg.ingest.velodyne.decode import PointBlock
+from thalweg.ingest.velodyne.reader import LidarOptions, scan_lidar
 from thalweg.lidar import cloud as cloud_module
 from thalweg.lidar.cloud import (
     CORRELATIONS,
@@ -33,6 +32,7 @@ from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.georeference import WorldPoints
 from thalweg.lidar.mount import Mount
 from thalweg.lidar.removed import REMOVED_POINTS
+from thalweg.settings.sections.filters import Filters
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 

@@ -9,7 +9,6 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial import cKDTree
 
-from thalweg.config.filters import Filters
 from thalweg.core.errors import GeometryError
 from thalweg.lidar.filters import (
     WORDS,
@@ -21,6 +20,7 @@ from thalweg.lidar.filters import (
     water_level_m,
 )
 from thalweg.lidar.occupancy import Occupancy
+from thalweg.settings.sections.filters import Filters
 
 SETTINGS = FilterSettings.from_section(Filters(below_water_m=0.3).model_dump())
 LEVEL_M = 100.0

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from thalweg.core.frames import LocalFrame, attitude_axes, rotation_enu_body
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF
-from thalweg.ingest.velodyne import LidarClock, LidarOptions
+from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions
 from thalweg.lidar import overlap
 from thalweg.lidar.cloud import LogSample, LogSettings
 from thalweg.lidar.covariance import BeamErrors
@@ -26,7 +26,7 @@ from thalweg.lidar.overlap import (
     estimate_pose_errors,
     windows_of,
 )
-from thalweg.orientation.error_model import NAMES, ErrorModel, PriorErrors
+from thalweg.navigation.ins_gnss.error_model import NAMES, ErrorModel, PriorErrors
 
 LENGTH_S = 20.0
 EPOCH_S = 0.5

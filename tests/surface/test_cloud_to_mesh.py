@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError
-from thalweg.core.mesh import TriangleMesh
-from thalweg.core.raycast import RayCaster, _open3d
+from thalweg.core.geometry.mesh import TriangleMesh
+from thalweg.core.geometry.raycast import RayCaster, _open3d
 from thalweg.surface import cloud_to_mesh
 from thalweg.surface.cloud_to_mesh import Distances, Surface
 from thalweg.surface.triangle_tree import LEAF

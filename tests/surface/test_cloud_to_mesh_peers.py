@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from thalweg.core.mesh import TriangleMesh
+from thalweg.core.geometry.mesh import TriangleMesh
 from thalweg.surface.cloud_to_mesh import Surface
 
 _spec = importlib.util.spec_from_file_location("rough_bank", Path(__file__).with_name("rough_bank.py"))

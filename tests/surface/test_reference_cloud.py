@@ -6,7 +6,7 @@ import pytest
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.surface.bank_frame import BankFrame
 from thalweg.surface.lower_envelope import heights_above_envelope
-from thalweg.surface.reference_cloud import (
+from thalweg.surface.reference.cloud import (
     ReferenceSettings,
     clean_reference,
     finite_and_single,

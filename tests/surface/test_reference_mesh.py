@@ -6,19 +6,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.config.accuracy import Reference
-from thalweg.config.twin import TwinConfig
 from thalweg.core.errors import CoverageError, GeometryError, InputError
 from thalweg.core.frames import LocalFrame
-from thalweg.core.las import read_laz, write_laz
-from thalweg.core.mesh import TriangleMesh
-from thalweg.core.raycast import RayCaster
-from thalweg.simulation.materials import BARE_GROUND, VEGETATION, Material
-from thalweg.simulation.scene import Scene, build_scene
-from thalweg.simulation.tls import simulate_tls
+from thalweg.core.geometry.mesh import TriangleMesh
+from thalweg.core.geometry.raycast import RayCaster
+from thalweg.core.las.files import read_laz, write_laz
+from thalweg.settings.sections.accuracy import Reference
+from thalweg.settings.twin.sections import TwinConfig
 from thalweg.surface.area import Area
-from thalweg.surface.near_area import area_margin_m, near_area, read_reference
-from thalweg.surface.reference_mesh import ReferenceSettings, mesh_reference
+from thalweg.surface.reference.mesh import ReferenceSettings, mesh_reference
+from thalweg.surface.reference.near_area import area_margin_m, near_area, read_reference
+from thalweg_lab.instruments.tls import simulate_tls
+from thalweg_lab.river.materials import BARE_GROUND, VEGETATION, Material
+from thalweg_lab.river.scene import Scene, build_scene
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 TRACK = np.column_stack([np.linspace(-40, 40, 200), np.full(200, 15.0), np.zeros(200)])

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 import yaml
 
-from thalweg.core.calibration_file import read_calibration
-from thalweg.triangulation.panels import PUBLISHED
-from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.core.calibration.files import read_calibration
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.poses.panels import PUBLISHED
 
 pytestmark = pytest.mark.workflow
 

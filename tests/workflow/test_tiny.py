@@ -14,23 +14,23 @@ import pandas as pd
 import pytest
 import yaml
 
-from thalweg.accuracy.returns import TrueReturns
-from thalweg.accuracy.truth import Truth, compare_cloud
-from thalweg.config.filters import Filters
-from thalweg.config.lidar import LidarAccuracy
 from thalweg.core.tables import read_table
 from thalweg.core.timescales import week_from_gps
 from thalweg.core.trajectory import Trajectory
 from thalweg.ingest.schemas import INS_STATE
-from thalweg.ingest.velodyne import LidarOptions, scan_lidar
+from thalweg.ingest.velodyne.reader import LidarOptions, scan_lidar
 from thalweg.lidar.cloud import CORRELATIONS, SIGMAS, LogSettings, georeference_log
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
-from thalweg.simulation.materials import BARE_GROUND
-from thalweg.simulation.scene import Scene
-from thalweg.simulation.shots import LIDAR_SHOTS, EchoKind
-from thalweg.simulation.true_mounts import read_true_mounts
+from thalweg.settings.sections.filters import Filters
+from thalweg.settings.sections.lidar import LidarAccuracy
+from thalweg_lab.instruments.shots import LIDAR_SHOTS, EchoKind
+from thalweg_lab.river.materials import BARE_GROUND
+from thalweg_lab.river.scene import Scene
+from thalweg_lab.truth.errors import Truth, compare_cloud
+from thalweg_lab.truth.returns import TrueReturns
+from thalweg_lab.voyage.true_mounts import read_true_mounts
 
 pytestmark = pytest.mark.workflow
 
@@ -191,7 +191,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
     undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
     assert planned(tiny_house) == pictures | {"accuracy_page", "trajectory_comparison_page"}
     undo()
-    undo = edited(tiny_house, "orientation/ins_gnss.py", "\n_edited = 1\n")
+    undo = edited(tiny_house, "navigation/ins_gnss/trajectory.py", "\n_edited = 1\n")
     after_trajectory = {
         "build_trajectory",
         "estimate_pose_errors",
@@ -213,7 +213,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
     clouds = of_clouds | OF_DISTANCES | OF_CHAINS | OF_IMAGES
     assert planned(tiny_house) == after_trajectory | after_prediction | clouds
     undo()
-    undo = edited(tiny_house, "ingest/nmea.py", "\n# why, not what\n")
+    undo = edited(tiny_house, "ingest/nmea/reader.py", "\n# why, not what\n")
     assert planned(tiny_house) == set()
     undo()
     assert planned(tiny_house) == set()

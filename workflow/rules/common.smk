@@ -5,8 +5,8 @@ import os
 import yaml
 from snakemake.exceptions import WorkflowError
 
-from thalweg.config.load import load_campaigns, with_calibrations
-from thalweg.jobs.codehash import code_version
+from thalweg.settings.files.load import load_campaigns, with_calibrations
+from thalweg.workflow.codehash import code_version
 
 ROOT = Path(workflow.basedir)
 CAMPAIGNS = with_calibrations(

@@ -3,7 +3,7 @@
 import hashlib
 from functools import cache
 
-from thalweg.reproduction.ledger_file import read_ledger, result_files
+from thalweg_lab.reproduction.files import read_ledger, result_files
 
 LEDGER = ROOT / "resources" / "published" / "ledger.yaml"
 STORED = [

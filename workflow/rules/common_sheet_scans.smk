@@ -18,7 +18,7 @@ wildcard_constraints:
 
 
 def of_scan(part):
-    """Input function: a part of the recordings of a scan, see `thalweg.config.sheet_scans`."""
+    """Input function: a part of the recordings of a scan, see `thalweg.settings.light_sheet.scans`."""
     return lambda wildcards: logs_of(
         wildcards.campaign,
         wildcards.scan if part == "images" else f"{wildcards.scan}.{part}",

@@ -6,10 +6,10 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.accuracy.comparison import CLOUD_TO_MESH
+from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH
 from thalweg.core.tables import read_table
-from thalweg.figures.accuracy_page import accuracy_page
-from thalweg.jobs.job import run_job
+from thalweg.figures.accuracy.page import accuracy_page
+from thalweg.workflow.job import run_job
 
 
 def main(

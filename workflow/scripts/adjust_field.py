@@ -4,17 +4,17 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.camera_file import interior_calibration
-from thalweg.calibration.field_description import read_field
-from thalweg.calibration.field_facts import write_facts
-from thalweg.calibration.field_job import measure, point_table, starting_camera
-from thalweg.calibration.field_points import write_points
-from thalweg.calibration.mark_tables import MARKS
-from thalweg.core.calibration import Source
-from thalweg.core.calibration_file import write_calibration
+from thalweg.calibration.field.description import read_field
+from thalweg.calibration.field.facts import write_facts
+from thalweg.calibration.field.job import measure, point_table, starting_camera
+from thalweg.calibration.field.points import write_points
+from thalweg.calibration.markers.camera_file import interior_calibration
+from thalweg.calibration.markers.tables import MARKS
+from thalweg.core.calibration.files import write_calibration
+from thalweg.core.calibration.model import Source
 from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -7,18 +7,18 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.calibration.mounts import read_mounts
-from thalweg.core.calibration import Source
+from thalweg.calibration.boat.mounts import read_mounts
+from thalweg.core.calibration.model import Source
 from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table
+from thalweg.images.bundle.camera_interiors import interiors_of, read_interiors, write_cameras
+from thalweg.images.bundle.job import Boat
+from thalweg.images.bundle.pieces import adjust_pieces, pieces_tables, read_pieces
+from thalweg.images.bundle.report import summary_text
+from thalweg.images.model.poses import ImagePoses
 from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.jobs.job import run_job
 from thalweg.lidar.mount import Mount
-from thalweg.orientation.block_job import Boat
-from thalweg.orientation.block_pieces import adjust_pieces, pieces_tables, read_pieces
-from thalweg.orientation.camera_interiors import interiors_of, read_interiors, write_cameras
-from thalweg.orientation.image_poses import ImagePoses
-from thalweg.orientation.image_report import summary_text
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.boat import EchoPlace, assemble
-from thalweg.calibration.ins_lidar_file import read_mount_result
-from thalweg.core.calibration import Source
-from thalweg.core.calibration_file import read_calibration, write_calibration
-from thalweg.jobs.job import run_job
+from thalweg.calibration.boat.joint import EchoPlace, assemble
+from thalweg.calibration.ins_lidar.file import read_mount_result
+from thalweg.core.calibration.files import read_calibration, write_calibration
+from thalweg.core.calibration.model import Source
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.light_sheet_scans import strip_page
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.scans import strip_page
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.jobs.job import run_job
-from thalweg.reproduction.assumptions import left_out, published_setup
-from thalweg.reproduction.budget_file import read_budget
-from thalweg.reproduction.published import read_published
-from thalweg.reproduction.reconstruct import reconstruct, solution_facts
+from thalweg.budgets.assumptions import left_out, published_setup
+from thalweg.budgets.budget_file import read_budget
+from thalweg.budgets.published import read_published
+from thalweg.budgets.reconstruct import reconstruct, solution_facts
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.board import BoardSettings, calibrate_board
-from thalweg.calibration.board_files import board_calibration, pose_table, read_observations, read_poses
-from thalweg.calibration.board_images import Checkerboard
-from thalweg.calibration.board_poses import calibrate_board_poses
-from thalweg.calibration.camera_file import read_camera
-from thalweg.calibration.camera_lidar_input import nominal_orientation
-from thalweg.core.calibration_file import write_calibration
-from thalweg.ingest.velodyne import LidarOptions
-from thalweg.jobs.job import run_job
+from thalweg.calibration.boards.files import board_calibration, pose_table, read_observations, read_poses
+from thalweg.calibration.boards.images import Checkerboard
+from thalweg.calibration.boards.model import BoardSettings, calibrate_board
+from thalweg.calibration.boards.poses import calibrate_board_poses
+from thalweg.calibration.camera_lidar.input import nominal_orientation
+from thalweg.calibration.markers.camera_file import read_camera
+from thalweg.core.calibration.files import write_calibration
+from thalweg.ingest.velodyne.reader import LidarOptions
 from thalweg.lidar.covariance import BeamErrors
+from thalweg.workflow.job import run_job
 
 
 def main(

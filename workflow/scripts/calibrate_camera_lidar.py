@@ -4,16 +4,16 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration import camera_lidar_input as given
-from thalweg.calibration.camera_lidar import calibrate_camera_lidar
-from thalweg.calibration.camera_lidar_files import ResultFiles, write_camera_lidar
-from thalweg.calibration.camera_lidar_settings import CameraLidarSettings
-from thalweg.calibration.camera_lidar_statics import read_statics
-from thalweg.calibration.camera_lidar_tables import foreign_markers
-from thalweg.calibration.field_description import read_field
-from thalweg.ingest.velodyne import LidarOptions
-from thalweg.jobs.job import run_job
+from thalweg.calibration.camera_lidar import input as given
+from thalweg.calibration.camera_lidar.adjustment import calibrate_camera_lidar
+from thalweg.calibration.camera_lidar.files import ResultFiles, write_camera_lidar
+from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
+from thalweg.calibration.camera_lidar.statics import read_statics
+from thalweg.calibration.camera_lidar.tables import foreign_markers
+from thalweg.calibration.field.description import read_field
+from thalweg.ingest.velodyne.reader import LidarOptions
 from thalweg.lidar.covariance import BeamErrors
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration import echo_sounder_file as files
-from thalweg.calibration.echo_sounder import estimate_echo_sounder
-from thalweg.calibration.mounts import read_mounts
-from thalweg.core.calibration_file import write_calibration
+from thalweg.calibration.boat.mounts import read_mounts
+from thalweg.calibration.echo_sounder import file as files
+from thalweg.calibration.echo_sounder.adjustment import estimate_echo_sounder
+from thalweg.core.calibration.files import write_calibration
 from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.bed_survey import read_bed_survey
 from thalweg.ingest.schemas import DEPTH
-from thalweg.jobs.job import run_job
+from thalweg.ingest.tracks.bed_survey import read_bed_survey
+from thalweg.workflow.job import run_job
 
 
 def main(

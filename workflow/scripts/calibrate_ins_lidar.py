@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration import ins_lidar_file as files
-from thalweg.calibration.field_description import read_field
-from thalweg.calibration.field_facts import read_place
-from thalweg.calibration.field_points import read_points
-from thalweg.calibration.ins_lidar import START, InsLidarSettings, calibrate
-from thalweg.calibration.ins_lidar_points import NearCones
-from thalweg.calibration.mounts import read_mounts
+from thalweg.calibration.boat.mounts import read_mounts
+from thalweg.calibration.field.description import read_field
+from thalweg.calibration.field.facts import read_place
+from thalweg.calibration.field.points import read_points
+from thalweg.calibration.ins_lidar import file as files
+from thalweg.calibration.ins_lidar.adjustment import START, InsLidarSettings, calibrate
+from thalweg.calibration.ins_lidar.points import NearCones
 from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.velodyne import LidarClock, LidarOptions, iter_points
-from thalweg.jobs.job import run_job
+from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions, iter_points
 from thalweg.lidar.georeference import georeference_points
 from thalweg.lidar.mount import Mount
+from thalweg.workflow.job import run_job
 
 log = logging.getLogger("thalweg")
 

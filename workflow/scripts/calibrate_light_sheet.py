@@ -4,18 +4,18 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.calibration import Source
+from thalweg.core.calibration.model import Source
 from thalweg.core.tables import read_table
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.calibrate import report as tables
-from thalweg.triangulation.calibrate.calibrate_sheet import calibrate_sheet
-from thalweg.triangulation.calibrate.grid import read_grid
-from thalweg.triangulation.calibrate.published import PAPER_4, sensor_sigmas, verdicts
-from thalweg.triangulation.calibrate.settings import CalibrationSettings
-from thalweg.triangulation.lines.settings import LineFlag
-from thalweg.triangulation.sensor_files import read_sensor, write_sensor
-from thalweg.triangulation.series import SERIES_POINTS, require_levels, require_one_image
-from thalweg.triangulation.water_index import WaterState, in_measured_water
+from thalweg.lightsheet.calibration import report as tables
+from thalweg.lightsheet.calibration.calibrate_sheet import calibrate_sheet
+from thalweg.lightsheet.calibration.grid import read_grid
+from thalweg.lightsheet.calibration.published import PAPER_4, sensor_sigmas, verdicts
+from thalweg.lightsheet.calibration.settings import CalibrationSettings
+from thalweg.lightsheet.lines.settings import LineFlag
+from thalweg.lightsheet.optics.sensor_files import read_sensor, write_sensor
+from thalweg.lightsheet.optics.water_index import WaterState, in_measured_water
+from thalweg.lightsheet.poses.series import SERIES_POINTS, require_levels, require_one_image
+from thalweg.workflow.job import run_job
 
 
 def main(

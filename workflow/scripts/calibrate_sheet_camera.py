@@ -5,16 +5,16 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.camera_file import interior_calibration
-from thalweg.calibration.field_description import read_field
-from thalweg.core.calibration import Source
-from thalweg.core.calibration_file import write_calibration
+from thalweg.calibration.field.description import read_field
+from thalweg.calibration.markers.camera_file import interior_calibration
+from thalweg.core.calibration.files import write_calibration
+from thalweg.core.calibration.model import Source
 from thalweg.core.frames import LocalFrame
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.calibrate.lens import NAME, calibrate_lens
-from thalweg.triangulation.calibrate.lens_report import lens_report
-from thalweg.triangulation.lens_marks import read_lens_marks
-from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.lightsheet.lens.lens import NAME, calibrate_lens
+from thalweg.lightsheet.lens.marks import read_lens_marks
+from thalweg.lightsheet.lens.report import lens_report
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.calibration_file import read_calibration
-from thalweg.figures.calibration_page import calibration_page
-from thalweg.figures.calibration_tables import read_figure_table
-from thalweg.jobs.job import run_job
+from thalweg.core.calibration.files import read_calibration
+from thalweg.figures.calibration.page import calibration_page
+from thalweg.figures.calibration.tables import read_figure_table
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.camera_lidar import all_cases, as_markdown, summary_table
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.camera_lidar import all_cases, as_markdown, summary_table
 
 
 def main(*, table: Path, cases: Path, page: Path, first_seed: int, seeds: int, threads: int) -> None:

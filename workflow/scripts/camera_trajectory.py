@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.mounts import read_mounts, write_mounts
-from thalweg.core.calibration_file import read_calibration
+from thalweg.calibration.boat.mounts import read_mounts, write_mounts
+from thalweg.core.calibration.files import read_calibration
 from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
+from thalweg.images.model.poses import ImagePoses
 from thalweg.ingest.schemas import INS_STATE
-from thalweg.jobs.job import run_job
-from thalweg.orientation.camera_trajectory import camera_trajectory
-from thalweg.orientation.camera_trajectory_mounts import lidar_mount_by_camera
-from thalweg.orientation.camera_trajectory_settings import CloudSettings
-from thalweg.orientation.image_poses import ImagePoses
+from thalweg.navigation.camera.mounts import lidar_mount_by_camera
+from thalweg.navigation.camera.settings import CloudSettings
+from thalweg.navigation.camera.trajectory import camera_trajectory
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from thalweg.accuracy.chain_comparison import CHAINS
-from thalweg.accuracy.chain_comparison_ranges import range_facts
-from thalweg.accuracy.comparison import CLOUD_TO_MESH
+from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH
+from thalweg.accuracy.solutions.comparison import CHAINS
+from thalweg.accuracy.solutions.ranges import range_facts
+from thalweg.budgets.budget_file import read_budget
+from thalweg.budgets.influences import totals_mm
 from thalweg.core.tables import write_table
-from thalweg.jobs.job import run_job
-from thalweg.reproduction.budget_file import read_budget
-from thalweg.reproduction.influences import totals_mm
-from thalweg.simulation.studies import chain_study_tables as tables
-from thalweg.simulation.studies.chain_study import chain_study, comparison_settings
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies import chain_study_tables as tables
+from thalweg_lab.studies.chain_study import chain_study, comparison_settings
 
 
 def main(

@@ -6,14 +6,14 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.accuracy.calibration_truth import compare_calibration, compare_clock, compare_interior
-from thalweg.calibration.camera_file import read_camera
-from thalweg.config.twin import TwinConfig
-from thalweg.core.calibration_file import read_calibration
-from thalweg.jobs.job import run_job
-from thalweg.simulation.motion import start_gps_s
-from thalweg.simulation.true_mounts import read_true_mounts
-from thalweg.timing.clock_model import ClockModel
+from thalweg.calibration.markers.camera_file import read_camera
+from thalweg.clocks.ties.model import ClockModel
+from thalweg.core.calibration.files import read_calibration
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg.workflow.job import run_job
+from thalweg_lab.truth.calibration import compare_calibration, compare_clock, compare_interior
+from thalweg_lab.voyage.motion import start_gps_s
+from thalweg_lab.voyage.true_mounts import read_true_mounts
 
 
 def main(

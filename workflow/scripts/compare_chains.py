@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.chain_comparison import CHAINS, Chain, chains_table
-from thalweg.accuracy.chain_comparison_ranges import chains_by_range, crossings_m, range_facts
-from thalweg.accuracy.comparison import CLOUD_TO_MESH
+from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH
+from thalweg.accuracy.solutions.comparison import CHAINS, Chain, chains_table
+from thalweg.accuracy.solutions.ranges import chains_by_range, crossings_m, range_facts
+from thalweg.budgets.budget_file import read_budget
+from thalweg.budgets.influences import totals_mm
 from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.jobs.job import run_job
-from thalweg.reproduction.budget_file import read_budget
-from thalweg.reproduction.influences import totals_mm
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,16 +3,16 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.accuracy.chain_comparison import CHAINS
-from thalweg.accuracy.chain_comparison_truth import carried_by_camera, chains_truth_table
-from thalweg.calibration.mounts import read_mounts
-from thalweg.core.calibration_file import read_calibration
+from thalweg.accuracy.solutions.comparison import CHAINS
+from thalweg.calibration.boat.mounts import read_mounts
+from thalweg.core.calibration.files import read_calibration
 from thalweg.core.trajectory import Trajectory
-from thalweg.jobs.job import run_job
 from thalweg.lidar.mount import Mount
-from thalweg.orientation.camera_trajectory_mounts import lidar_mount_by_camera
-from thalweg.simulation.true_mounts import read_true_mounts
-from thalweg.simulation.truth import longest_correlation_s
+from thalweg.navigation.camera.mounts import lidar_mount_by_camera
+from thalweg.workflow.job import run_job
+from thalweg_lab.truth.solutions import carried_by_camera, chains_truth_table
+from thalweg_lab.voyage.true_mounts import read_true_mounts
+from thalweg_lab.voyage.truth import longest_correlation_s
 
 
 def main(

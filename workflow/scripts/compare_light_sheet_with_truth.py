@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from thalweg.accuracy.light_sheet_truth import compare_sensor
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.workflow.job import run_job
+from thalweg_lab.truth.light_sheet import compare_sensor
 
 
 def main(*, sensor: Path, truth: Path, table: Path) -> None:

@@ -6,10 +6,10 @@ from typing import get_args
 import numpy as np
 import pandas as pd
 
-from thalweg.figures.light_sheet_views import first_image
-from thalweg.figures.line_measurement import departures_px, measured
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.lines.settings import Method
+from thalweg.lightsheet.figures.line_measurement import departures_px, measured
+from thalweg.lightsheet.figures.views import first_image
+from thalweg.lightsheet.lines.settings import Method
+from thalweg.workflow.job import run_job
 
 
 def main(*, images: list[Path], line_points: Path, line_methods: Path) -> None:

@@ -3,15 +3,15 @@
 import json
 from pathlib import Path
 
-from thalweg.core.mesh_ply import read_mesh
+from thalweg.core.geometry.mesh_ply import read_mesh
 from thalweg.core.tables import read_table, write_table
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.poses.files import read_poses
+from thalweg.lightsheet.poses.series import SERIES_POINTS
+from thalweg.lightsheet.scanning import compare
+from thalweg.lightsheet.scanning.scan_reading import compare_scan
 from thalweg.surface.cloud_to_mesh import Surface
-from thalweg.triangulation.scanning import compare
-from thalweg.triangulation.scanning.pose_files import read_poses
-from thalweg.triangulation.scanning.scan_reading import compare_scan
-from thalweg.triangulation.sensor_files import read_sensor
-from thalweg.triangulation.series import SERIES_POINTS
+from thalweg.workflow.job import run_job
 
 
 def main(

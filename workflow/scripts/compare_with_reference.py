@@ -4,13 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.accuracy.comparison import CLOUD_TO_MESH, ComparisonSettings
-from thalweg.accuracy.overlap_check import check_frames
-from thalweg.accuracy.reference_comparison import compare_with_reference
-from thalweg.core.mesh_ply import read_mesh
+from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH, ComparisonSettings
+from thalweg.accuracy.cloud_to_mesh.overlap_check import check_frames
+from thalweg.accuracy.cloud_to_mesh.reference_comparison import compare_with_reference
+from thalweg.core.geometry.mesh_ply import read_mesh
 from thalweg.core.tables import write_table
-from thalweg.jobs.job import run_job
 from thalweg.surface.area import Area
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,18 +3,18 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.accuracy.returns import TrueReturns, filter_scores
-from thalweg.accuracy.truth import Truth, compare_cloud
-from thalweg.calibration.mounts import read_mounts
+from thalweg.calibration.boat.mounts import read_mounts
 from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.jobs.job import run_job
 from thalweg.lidar.mount import Mount
-from thalweg.simulation.materials import BARE_GROUND
-from thalweg.simulation.scene import Scene
-from thalweg.simulation.shots import LIDAR_SHOTS, EchoKind
-from thalweg.simulation.true_mounts import read_true_mounts
-from thalweg.simulation.truth import longest_correlation_s
+from thalweg.workflow.job import run_job
+from thalweg_lab.instruments.shots import LIDAR_SHOTS, EchoKind
+from thalweg_lab.river.materials import BARE_GROUND
+from thalweg_lab.river.scene import Scene
+from thalweg_lab.truth.errors import Truth, compare_cloud
+from thalweg_lab.truth.returns import TrueReturns, filter_scores
+from thalweg_lab.voyage.true_mounts import read_true_mounts
+from thalweg_lab.voyage.truth import longest_correlation_s
 
 
 def main(

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core.tables import write_table
-from thalweg.ingest.image_stamps import list_images
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.lines.settings import LineSettings
-from thalweg.triangulation.sensor_files import read_sensor
-from thalweg.triangulation.series import SERIES_POINTS, detect_series
+from thalweg.ingest.photos.stamps import list_images
+from thalweg.lightsheet.lines.settings import LineSettings
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.poses.series import SERIES_POINTS, detect_series
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.calibration_runs import (
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.calibration_runs import (
     ECHO_SOUNDER,
     as_markdown,
     echo_sounder_trial,

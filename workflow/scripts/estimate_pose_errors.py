@@ -4,17 +4,17 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.mounts import read_mounts
+from thalweg.calibration.boat.mounts import read_mounts
 from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
 from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.ingest.velodyne import LidarClock, LidarOptions
-from thalweg.jobs.job import run_job
+from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions
 from thalweg.lidar.cloud import LogSettings
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
 from thalweg.lidar.overlap import error_model_of_log
+from thalweg.workflow.job import run_job
 
 
 def main(

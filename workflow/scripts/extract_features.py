@@ -4,9 +4,9 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.ingest.image_files import named_images
-from thalweg.jobs.job import run_job
-from thalweg.orientation.sfm_features import FeatureSettings, extract_features, part_of
+from thalweg.images.sfm.features import FeatureSettings, extract_features, part_of
+from thalweg.ingest.photos.files import named_images
+from thalweg.workflow.job import run_job
 
 
 def main(

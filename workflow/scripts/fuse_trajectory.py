@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.mounts import read_mounts
+from thalweg.calibration.boat.mounts import read_mounts
 from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table
+from thalweg.images.model.poses import ImagePoses
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
-from thalweg.jobs.job import run_job
 from thalweg.lidar.mount import Mount
-from thalweg.orientation.fused_inputs import with_own_jitter
-from thalweg.orientation.fused_report import count_table
-from thalweg.orientation.fused_settings import FusionSettings
-from thalweg.orientation.fused_trajectory import fuse_trajectory
-from thalweg.orientation.image_poses import ImagePoses
+from thalweg.navigation.fusion.inputs import with_own_jitter
+from thalweg.navigation.fusion.report import count_table
+from thalweg.navigation.fusion.settings import FusionSettings
+from thalweg.navigation.fusion.trajectory import fuse_trajectory
+from thalweg.workflow.job import run_job
 
 
 def main(

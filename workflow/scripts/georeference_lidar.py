@@ -4,15 +4,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.mounts import read_mounts
+from thalweg.calibration.boat.mounts import read_mounts
 from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.velodyne import LidarClock, LidarOptions
-from thalweg.jobs.job import run_job
+from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions
 from thalweg.lidar.cloud import LogSettings, georeference_log
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import FilterSettings
 from thalweg.lidar.mount import Mount
-from thalweg.orientation.error_model import beam_factors
+from thalweg.navigation.ins_gnss.error_model import beam_factors
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from thalweg.core.tables import read_parquet
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.trials import from_table, honesty_tables
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.trials import from_table, honesty_tables
 
 
 def main(*, surveys: list[Path], verdicts: Path, by_range: Path, first_seed: int, seeds: int) -> None:

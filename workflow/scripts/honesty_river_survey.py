@@ -3,8 +3,8 @@
 import tempfile
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.trials import ESTIMATED, NONE, RIVER, as_table, trial
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.trials import ESTIMATED, NONE, RIVER, as_table, trial
 
 
 def main(*, points: Path, seed: int) -> None:

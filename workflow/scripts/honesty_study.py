@@ -3,8 +3,8 @@
 import tempfile
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.trials import MISTAKES, NONE, honesty_tables, trials
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.trials import MISTAKES, NONE, honesty_tables, trials
 
 
 def main(*, verdicts: Path, by_range: Path, first_seed: int, seeds: int, threads: int) -> None:

@@ -3,8 +3,8 @@
 import tempfile
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.image_blocks import block_study
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.image_blocks import block_study
 
 
 def main(*, table: Path, seed: int) -> None:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.image_blocks import as_markdown, read_blocks, summary
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.image_blocks import as_markdown, read_blocks, summary
 
 
 def main(

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.calibration_runs import INS_LIDAR, as_markdown, ins_lidar_trial, judged, study
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.calibration_runs import INS_LIDAR, as_markdown, ins_lidar_trial, judged, study
 
 TITLE = "Lidar on the moving boat: errors and sigmas over many seeds"
 

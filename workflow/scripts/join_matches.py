@@ -4,9 +4,9 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.jobs.job import run_job
-from thalweg.orientation.sfm_compare import ComparedPairs, joined_parts
-from thalweg.orientation.sfm_job import MatchInputs, plan_of
+from thalweg.images.sfm.compare import ComparedPairs, joined_parts
+from thalweg.images.sfm.job import MatchInputs, plan_of
+from thalweg.workflow.job import run_job
 
 
 def main(

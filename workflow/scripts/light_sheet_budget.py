@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.triangulation import budget as budgets
-from thalweg.triangulation import budget_checks as checks
-from thalweg.triangulation.budget_correlations import calibrated, depth_sigmas, design
-from thalweg.triangulation.lookup import look_up_table
-from thalweg.triangulation.sensor import paper_4
-from thalweg.triangulation.sensor_files import read_sensor
-from thalweg.triangulation.sheet_models import model_errors
+from thalweg.lightsheet.budget import budget as budgets
+from thalweg.lightsheet.budget import checks
+from thalweg.lightsheet.budget.correlations import calibrated, depth_sigmas, design
+from thalweg.lightsheet.optics.lookup import look_up_table
+from thalweg.lightsheet.optics.sensor import paper_4
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.optics.sheet_models import model_errors
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -4,10 +4,10 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.jobs.job import run_job
-from thalweg.reproduction.ledger import counts, judged, markdown, sentence
-from thalweg.reproduction.ledger_file import read_ledger
-from thalweg.reproduction.ledger_values import Results
+from thalweg.workflow.job import run_job
+from thalweg_lab.reproduction.files import read_ledger
+from thalweg_lab.reproduction.ledger import counts, judged, markdown, sentence
+from thalweg_lab.reproduction.values import Results
 
 log = logging.getLogger("thalweg")
 

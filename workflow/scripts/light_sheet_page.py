@@ -7,10 +7,10 @@ from typing import Any
 import pandas as pd
 
 from thalweg.core.tables import read_parquet
-from thalweg.figures.ledger_table import ledger_section
-from thalweg.figures.light_sheet_page import light_sheet_page
-from thalweg.figures.light_sheet_scans import read_scans
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.page import light_sheet_page
+from thalweg.lightsheet.figures.scans import read_scans
+from thalweg.workflow.job import run_job
+from thalweg_lab.figures.ledger_table import ledger_section
 
 
 def main(

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.line_labels import Setting, spacing_table, study
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.line_labels import Setting, spacing_table, study
 
 
 def main(*, scenes: Path, spacings: Path, first_seed: int, seeds: int, laser_seed: int) -> None:

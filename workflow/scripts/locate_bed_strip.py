@@ -4,19 +4,19 @@ import json
 from pathlib import Path
 from typing import Any
 
+from thalweg.clocks.ties.hand_tables import read_number_columns
 from thalweg.core.frames import LocalFrame
-from thalweg.core.las import LazWriter
+from thalweg.core.las.files import LazWriter
 from thalweg.core.tables import read_table, write_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.image_stamps import list_images, read_image_stamps
-from thalweg.jobs.job import run_job
+from thalweg.ingest.photos.stamps import list_images, read_image_stamps
 from thalweg.lidar.mount import Mount
-from thalweg.timing.hand_tables import read_number_columns
-from thalweg.triangulation.scanning import world
-from thalweg.triangulation.scanning.profile import joined_counts, profiles
-from thalweg.triangulation.sensor_files import read_sensor
-from thalweg.triangulation.series import SERIES_POINTS
-from thalweg.triangulation.water_index import WaterState, in_measured_water
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.optics.water_index import WaterState, in_measured_water
+from thalweg.lightsheet.poses.series import SERIES_POINTS
+from thalweg.lightsheet.scanning import world
+from thalweg.lightsheet.scanning.profile import joined_counts, profiles
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from thalweg.ingest.image_stamps import list_images, read_image_stamps
-from thalweg.jobs.job import run_job
-from thalweg.timing.hand_tables import read_number_columns
-from thalweg.triangulation.scanning import panel_poses as panels
-from thalweg.triangulation.scanning.pose_files import pose_table, write_poses
-from thalweg.triangulation.scanning.world import image_times
+from thalweg.clocks.ties.hand_tables import read_number_columns
+from thalweg.ingest.photos.stamps import list_images, read_image_stamps
+from thalweg.lightsheet.poses import panel_poses as panels
+from thalweg.lightsheet.poses.files import pose_table, write_poses
+from thalweg.lightsheet.scanning.world import image_times
+from thalweg.workflow.job import run_job
 
 
 def main(

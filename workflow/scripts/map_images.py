@@ -5,10 +5,10 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.jobs.job import run_job
-from thalweg.orientation.sfm_mapping import MapSettings, main_block, map_images
-from thalweg.orientation.sfm_matching import Matches
-from thalweg.orientation.sfm_report import block_facts, image_table
+from thalweg.images.sfm.mapping import MapSettings, main_block, map_images
+from thalweg.images.sfm.matching import Matches
+from thalweg.images.sfm.report import block_facts, image_table
+from thalweg.workflow.job import run_job
 
 
 def main(

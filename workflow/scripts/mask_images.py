@@ -4,11 +4,11 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.ingest.image_files import named_images
-from thalweg.jobs.job import run_job
-from thalweg.orientation.mask_cameras import known_camera, make_masks_of_cameras
-from thalweg.orientation.mask_settings import MaskSettings
-from thalweg.orientation.sfm_images import mask_folder
+from thalweg.images.masks.cameras import known_camera, make_masks_of_cameras
+from thalweg.images.masks.settings import MaskSettings
+from thalweg.images.model.files import mask_folder
+from thalweg.ingest.photos.files import named_images
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.jobs.job import run_job
-from thalweg.orientation.sfm_compare import compare_pairs, part_of_pairs
-from thalweg.orientation.sfm_job import MatchInputs, plan_of
-from thalweg.orientation.sfm_matching import MatchSettings
+from thalweg.images.sfm.compare import compare_pairs, part_of_pairs
+from thalweg.images.sfm.job import MatchInputs, plan_of
+from thalweg.images.sfm.matching import MatchSettings
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core.frames import LocalFrame
-from thalweg.jobs.job import run_job
-from thalweg.orientation.block_pieces import read_pieces
-from thalweg.orientation.control_job import grey_loader, marks_of_pieces, mask_loader
-from thalweg.orientation.control_tables import read_all_control_points
-from thalweg.orientation.image_poses import ImagePoses
-from thalweg.orientation.sfm_images import mask_folder
+from thalweg.images.bundle.control_job import grey_loader, marks_of_pieces, mask_loader
+from thalweg.images.bundle.pieces import read_pieces
+from thalweg.images.control.tables import read_all_control_points
+from thalweg.images.model.files import mask_folder
+from thalweg.images.model.poses import ImagePoses
+from thalweg.workflow.job import run_job
 
 
 def main(

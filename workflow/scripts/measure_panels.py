@@ -5,10 +5,10 @@ from pathlib import Path
 import pandas as pd
 
 from thalweg.core.tables import read_table
-from thalweg.jobs.job import run_job
-from thalweg.triangulation import panels as panel
-from thalweg.triangulation.sensor_files import read_sensor
-from thalweg.triangulation.series import SERIES_POINTS
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.poses import panels as panel
+from thalweg.lightsheet.poses.series import SERIES_POINTS
+from thalweg.workflow.job import run_job
 
 
 def main(*, sensor: Path, line_points: Path, counts: Path, panels: Path, points: Path, table: Path) -> None:

@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 
 from thalweg.core.tables import read_table
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.scanning.compare import SCAN_DISTANCES
-from thalweg.triangulation.scanning.single import single_profile
-from thalweg.triangulation.sensor_files import read_sensor
-from thalweg.triangulation.series import SERIES_POINTS
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.poses.series import SERIES_POINTS
+from thalweg.lightsheet.scanning.compare import SCAN_DISTANCES
+from thalweg.lightsheet.scanning.single import single_profile
+from thalweg.workflow.job import run_job
 
 
 def main(

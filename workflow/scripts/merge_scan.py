@@ -4,13 +4,13 @@ import json
 from pathlib import Path
 
 from thalweg.core.tables import read_table, write_table
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.scanning.cloud import merge
-from thalweg.triangulation.scanning.pose_files import read_poses
-from thalweg.triangulation.scanning.profile import joined_counts, profiles
-from thalweg.triangulation.scanning.scan_points import SCAN_POINTS, scan_points
-from thalweg.triangulation.sensor_files import read_sensor
-from thalweg.triangulation.series import SERIES_POINTS
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.poses.files import read_poses
+from thalweg.lightsheet.poses.series import SERIES_POINTS
+from thalweg.lightsheet.scanning.cloud import merge
+from thalweg.lightsheet.scanning.profile import joined_counts, profiles
+from thalweg.lightsheet.scanning.scan_points import SCAN_POINTS, scan_points
+from thalweg.workflow.job import run_job
 
 
 def main(*, sensor: Path, line_points: Path, poses: Path, points: Path, counts: Path) -> None:

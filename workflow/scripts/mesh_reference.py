@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 
 from thalweg.core.frames import LocalFrame
-from thalweg.core.mesh_ply import write_mesh
+from thalweg.core.geometry.mesh_ply import write_mesh
 from thalweg.core.trajectory import Trajectory
 from thalweg.ingest.integrity import IntegrityReport
-from thalweg.jobs.job import run_job
 from thalweg.surface.area import Area
 from thalweg.surface.bank_frame import BankFrame
-from thalweg.surface.near_area import area_margin_m, read_reference
-from thalweg.surface.reference_files import compare_files
-from thalweg.surface.reference_mesh import ReferenceSettings, mesh_reference
+from thalweg.surface.reference.files import compare_files
+from thalweg.surface.reference.mesh import ReferenceSettings, mesh_reference
+from thalweg.surface.reference.near_area import area_margin_m, read_reference
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.multi_line import multi_line_study
-from thalweg.simulation.studies.tables import means
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.multi_line import multi_line_study
+from thalweg_lab.studies.tables import means
 
 
 def main(*, models: Path, summary: Path, tests: Path, lines: Path, first_seed: int, seeds: int) -> None:

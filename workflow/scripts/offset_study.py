@@ -3,8 +3,8 @@
 import tempfile
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.offset_study import as_markdown, offset_study
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.offset_study import as_markdown, offset_study
 
 
 def main(*, table: Path, page: Path, first_seed: int, seeds: int, threads: int) -> None:

@@ -5,18 +5,18 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.boat_camera import orient_on_field, starting_boat_camera
-from thalweg.calibration.camera_file import interior_calibration, read_camera, same_size
-from thalweg.calibration.camera_lidar_input import static_images
-from thalweg.calibration.camera_lidar_statics import statics_of, write_statics
-from thalweg.calibration.camera_poses import network_pose_table, write_poses
-from thalweg.calibration.field_description import read_field
-from thalweg.calibration.field_points import read_points
-from thalweg.calibration.mark_tables import MARKS
-from thalweg.core.calibration import Source
-from thalweg.core.calibration_file import write_calibration
+from thalweg.calibration.camera.boat_camera import orient_on_field, starting_boat_camera
+from thalweg.calibration.camera.poses import network_pose_table, write_poses
+from thalweg.calibration.camera_lidar.input import static_images
+from thalweg.calibration.camera_lidar.statics import statics_of, write_statics
+from thalweg.calibration.field.description import read_field
+from thalweg.calibration.field.points import read_points
+from thalweg.calibration.markers.camera_file import interior_calibration, read_camera, same_size
+from thalweg.calibration.markers.tables import MARKS
+from thalweg.core.calibration.files import write_calibration
+from thalweg.core.calibration.model import Source
 from thalweg.core.tables import read_table
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

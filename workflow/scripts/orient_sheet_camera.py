@@ -4,13 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.camera_file import read_camera
-from thalweg.calibration.field_points import read_points
-from thalweg.core.calibration import Source
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.calibrate.lens import with_lens
-from thalweg.triangulation.camera_marks import orient_camera, read_camera_marks
-from thalweg.triangulation.sensor_files import read_sensor, write_sensor
+from thalweg.calibration.field.points import read_points
+from thalweg.calibration.markers.camera_file import read_camera
+from thalweg.core.calibration.model import Source
+from thalweg.lightsheet.lens.camera_marks import orient_camera, read_camera_marks
+from thalweg.lightsheet.lens.lens import with_lens
+from thalweg.lightsheet.optics.sensor_files import read_sensor, write_sensor
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.outage import as_markdown, outage_study, summarised
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.outage import as_markdown, outage_study, summarised
 
 
 def main(*, table: Path, page: Path, first_seed: int, seeds: int) -> None:

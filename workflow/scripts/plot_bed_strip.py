@@ -6,10 +6,10 @@ from typing import Any
 import pandas as pd
 
 from thalweg.core.tables import read_table
-from thalweg.figures.bed_strip import bed_strip
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.scanning.world import BED_POINTS
+from thalweg.lightsheet.figures.bed_strip import bed_strip
+from thalweg.lightsheet.scanning.world import BED_POINTS
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.calibration_design import calibration_design
-from thalweg.figures.calibration_tables import STUDY, read_figure_table
+from thalweg.figures.calibration.design import calibration_design
+from thalweg.figures.calibration.tables import STUDY, read_figure_table
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(*, study: Path, calibration_design_png: Path, figures: dict[str, Any], twin: bool) -> None:

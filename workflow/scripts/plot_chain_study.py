@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.accuracy.chain_comparison import CHAINS
-from thalweg.accuracy.comparison import CLOUD_TO_MESH
+from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH
+from thalweg.accuracy.solutions.comparison import CHAINS
 from thalweg.core.tables import read_table
+from thalweg.figures.solutions.comparison import chain_histograms, chains_by_range
 from thalweg.figures.style import save
-from thalweg.figures.trajectory_comparison import chain_histograms, chains_by_range
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.calibration_tables import IMAGE_FIXES, TRACK, read_figure_table
-from thalweg.figures.clock_offset import clock_offset
+from thalweg.figures.calibration.tables import IMAGE_FIXES, TRACK, read_figure_table
+from thalweg.figures.clocks.offset import clock_offset
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

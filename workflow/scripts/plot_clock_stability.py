@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.calibration_tables import first_picture, read_display
-from thalweg.figures.clock_stability import chosen_photo, clock_stability
-from thalweg.figures.pictures import read_picture
+from thalweg.figures.calibration.tables import first_picture, read_display
+from thalweg.figures.clocks.stability import chosen_photo, clock_stability
+from thalweg.figures.images.pictures import read_picture
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.las import iter_laz
+from thalweg.core.las.files import iter_laz
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.bank import bankward_azimuth
-from thalweg.figures.cloud_quality import cloud_by_range
-from thalweg.figures.splat import ObliqueView, Splat
+from thalweg.figures.cloud.bank import bankward_azimuth
+from thalweg.figures.cloud.cloud_quality import cloud_by_range
+from thalweg.figures.cloud.splat import ObliqueView, Splat
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
 from thalweg.lidar.cloud import sample_cloud
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.core.las import iter_laz
+from thalweg.core.las.files import iter_laz
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.bank import choose_segment
-from thalweg.figures.cloud import cloud_detail
+from thalweg.figures.cloud.bank import choose_segment
+from thalweg.figures.cloud.overview import cloud_detail
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
 from thalweg.lidar.cloud import sample_cloud
+from thalweg.workflow.job import run_job
 
 
 def main(

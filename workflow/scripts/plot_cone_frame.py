@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.cone_frame import cone_frame
+from thalweg.figures.calibration.cone_frame import cone_frame
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(*, cone_frame_png: Path, figures: dict[str, Any]) -> None:

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.calibration_tables import CONE_POINTS, read_cones, read_figure_table
-from thalweg.figures.cone_residuals import cone_residuals
+from thalweg.figures.calibration.cone_residuals import cone_residuals
+from thalweg.figures.calibration.tables import CONE_POINTS, read_cones, read_figure_table
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.calibration_file import read_calibration
-from thalweg.figures.correlations import correlation_matrix
+from thalweg.core.calibration.files import read_calibration
+from thalweg.figures.calibration.correlations import correlation_matrix
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(*, calibration: Path, correlations_png: Path, figures: dict[str, Any], twin: bool) -> None:

@@ -4,15 +4,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.accuracy.comparison import CLOUD_TO_MESH
-from thalweg.core.las import iter_laz
-from thalweg.core.mesh_ply import read_mesh
+from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH
+from thalweg.core.geometry.mesh_ply import read_mesh
+from thalweg.core.las.files import iter_laz
 from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.cross_sections import Slabs, cross_sections
-from thalweg.figures.distances import bank_frame_of
+from thalweg.figures.accuracy.cross_sections import Slabs, cross_sections
+from thalweg.figures.accuracy.distances import bank_frame_of
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,9 +5,9 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.figures.depth_budget import depth_budget
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.depth_budget import depth_budget
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,9 +5,9 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.figures.distance_by_range import distance_by_range
+from thalweg.figures.accuracy.distance_by_range import distance_by_range
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

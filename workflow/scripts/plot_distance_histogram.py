@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.accuracy.comparison import CLOUD_TO_MESH
+from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH
 from thalweg.core.tables import read_table
-from thalweg.figures.distance_histogram import distance_histogram
+from thalweg.figures.accuracy.distance_histogram import distance_histogram
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

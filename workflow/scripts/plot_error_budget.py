@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from thalweg.figures.budget import error_budget
+from thalweg.budgets.budget_file import read_budget
+from thalweg.budgets.published import read_published
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.reproduction.budget_file import read_budget
-from thalweg.reproduction.published import read_published
+from thalweg.figures.survey.budget import error_budget
+from thalweg.workflow.job import run_job
 
 
 def main(*, budgets: list[Path], published: list[Path], error_budget_png: Path, dpi: int) -> None:

@@ -5,9 +5,9 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.figures.errors import error_versus_range
+from thalweg.figures.accuracy.errors import error_versus_range
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

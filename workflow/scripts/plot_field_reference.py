@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.calibration_tables import (
+from thalweg.figures.calibration.field_reference import field_reference
+from thalweg.figures.calibration.tables import (
     CONE_POINTS,
     FIELD_POINTS,
     first_picture,
@@ -13,10 +14,9 @@ from thalweg.figures.calibration_tables import (
     read_image_marks,
     read_place,
 )
-from thalweg.figures.field_reference import field_reference
-from thalweg.figures.pictures import read_picture
+from thalweg.figures.images.pictures import read_picture
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.field_description import read_field
-from thalweg.figures.calibration_tables import POSES, placed, read_cones, read_figure_table, read_place
-from thalweg.figures.field_setup import field_positions, field_setup
+from thalweg.calibration.field.description import read_field
+from thalweg.figures.calibration.field_setup import field_positions, field_setup
+from thalweg.figures.calibration.tables import POSES, placed, read_cones, read_figure_table, read_place
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.mounts import read_mounts
-from thalweg.core.las import iter_laz
+from thalweg.calibration.boat.mounts import read_mounts
+from thalweg.core.las.files import iter_laz
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.footprints import REVOLUTION_S, best_moment, footprints, scanner_positions
+from thalweg.figures.cloud.footprints import REVOLUTION_S, best_moment, footprints, scanner_positions
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
 from thalweg.lidar.cloud import sample_cloud
+from thalweg.workflow.job import run_job
 
 
 def main(

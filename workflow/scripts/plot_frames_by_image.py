@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.frames_by_image import FrameImages, FrameViews, frames_by_image
+from thalweg.figures.cloud.frames_by_image import FrameImages, FrameViews, frames_by_image
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.orientation.image_poses import ImagePoses
+from thalweg.images.model.poses import ImagePoses
+from thalweg.workflow.job import run_job
 
 
 def main(

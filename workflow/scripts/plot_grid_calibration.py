@@ -5,11 +5,11 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.figures.grid_calibration import grid_calibration
-from thalweg.figures.light_sheet_views import first_image
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.lightsheet.figures.grid_calibration import grid_calibration
+from thalweg.lightsheet.figures.views import first_image
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.workflow.job import run_job
 
 
 def main(

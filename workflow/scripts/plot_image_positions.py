@@ -6,12 +6,12 @@ from typing import Any
 import pandas as pd
 
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.image_positions import image_positions
+from thalweg.figures.images.image_positions import image_positions
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.orientation.control_points import ControlPoints
-from thalweg.orientation.control_tables import read_control_points
-from thalweg.orientation.image_poses import ImagePoses
+from thalweg.images.control.tables import read_control_points
+from thalweg.images.model.control_points import ControlPoints
+from thalweg.images.model.poses import ImagePoses
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -7,9 +7,9 @@ from typing import Any
 import pandas as pd
 
 from thalweg.core.tables import read_parquet
-from thalweg.figures.joint_survey import joint_survey_figure
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.joint_survey import joint_survey_figure
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,9 +5,9 @@ from pathlib import Path
 import pandas as pd
 
 from thalweg.core.tables import read_parquet
-from thalweg.figures.line_labels import line_labels
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.line_labels import line_labels
+from thalweg.workflow.job import run_job
 
 
 def main(*, points: Path, shifts: Path, line_labels_png: Path, dpi: int) -> None:

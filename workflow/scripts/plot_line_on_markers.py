@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.light_sheet_views import first_image
-from thalweg.figures.line_on_markers import line_on_markers
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.line_on_markers import line_on_markers
+from thalweg.lightsheet.figures.views import first_image
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.light_sheet_views import first_image
-from thalweg.figures.line_measurement import measured
-from thalweg.figures.line_patch import line_patch
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.line_measurement import measured
+from thalweg.lightsheet.figures.line_patch import line_patch
+from thalweg.lightsheet.figures.views import first_image
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,10 +5,10 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.figures.mask_view import example_names, mask_view, read_examples
+from thalweg.figures.images.mask_view import example_names, mask_view, read_examples
 from thalweg.figures.style import save
-from thalweg.ingest.image_files import named_images
-from thalweg.jobs.job import run_job
+from thalweg.ingest.photos.files import named_images
+from thalweg.workflow.job import run_job
 
 
 def main(

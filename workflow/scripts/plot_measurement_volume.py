@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.measurement_volume import measurement_volume_view
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.lightsheet.figures.measurement_volume import measurement_volume_view
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.figures.multi_line_geometry import multi_line_geometry
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.multi_line_geometry import multi_line_geometry
+from thalweg.workflow.job import run_job
 
 
 def main(*, lines: Path, multi_line_geometry_png: Path, dpi: int) -> None:

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.figures.multi_line_images import multi_line_images_view, read_objects
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.multi_line_images import multi_line_images_view, read_objects
+from thalweg.workflow.job import run_job
 
 
 def main(*, images: Path, points: Path, multi_line_images_png: Path, dpi: int) -> None:

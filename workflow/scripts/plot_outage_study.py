@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pandas as pd
 
+from thalweg.figures.solutions.outages import outage_study
 from thalweg.figures.style import save
-from thalweg.figures.trajectory_comparison_outages import outage_study
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(*, table: Path, outage_study_png: Path, dpi: int) -> None:

@@ -6,11 +6,11 @@ from typing import Any
 import pandas as pd
 
 from thalweg.core.tables import read_parquet
-from thalweg.figures.light_sheet_views import find_image
-from thalweg.figures.panel_distances import first_with_points, panel_distances
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.lightsheet.figures.panel_distances import first_with_points, panel_distances
+from thalweg.lightsheet.figures.views import find_image
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.accuracy.chain_comparison import CHAINS
+from thalweg.accuracy.solutions.comparison import CHAINS
 from thalweg.core.trajectory import Trajectory
+from thalweg.figures.solutions.sigmas import pose_sigmas
 from thalweg.figures.style import save
-from thalweg.figures.trajectory_comparison_sigmas import pose_sigmas
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,11 +5,11 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.figures.depth_budget import depth_budget
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.budget import budget_on_lines
-from thalweg.triangulation.sensor import paper_4
+from thalweg.lightsheet.budget.budget import budget_on_lines
+from thalweg.lightsheet.figures.depth_budget import depth_budget
+from thalweg.lightsheet.optics.sensor import paper_4
+from thalweg.workflow.job import run_job
 
 
 def main(*, published: Path, published_depth_budget_png: Path, figures: dict[str, Any]) -> None:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.core.las import iter_laz
+from thalweg.core.las.files import iter_laz
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.reference_view import PanoramaView, reference_view, viewpoint_on_track
-from thalweg.figures.splat import Splat
+from thalweg.figures.accuracy.reference_view import PanoramaView, reference_view, viewpoint_on_track
+from thalweg.figures.cloud.splat import Splat
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
 from thalweg.lidar.cloud import sample_cloud
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -7,11 +7,11 @@ import pandas as pd
 
 from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.removed import removed_points
+from thalweg.figures.cloud.removed import removed_points
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
 from thalweg.lidar.cloud import sample_cloud
 from thalweg.lidar.removed import REMOVED_POINTS
+from thalweg.workflow.job import run_job
 
 MOST_KEPT = 200_000
 """Points of the cloud that show a small picture where the banks are."""

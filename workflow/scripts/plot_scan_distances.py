@@ -7,10 +7,10 @@ from typing import Any
 import pandas as pd
 
 from thalweg.core.tables import read_table
-from thalweg.figures.scan_distances import scan_distances
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.scanning.compare import SCAN_DISTANCES
+from thalweg.lightsheet.figures.scan_distances import scan_distances
+from thalweg.lightsheet.scanning.compare import SCAN_DISTANCES
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core.tables import read_table
-from thalweg.figures.scan_profile import scan_profile
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.scanning.compare import SCAN_DISTANCES
+from thalweg.lightsheet.figures.scan_profile import scan_profile
+from thalweg.lightsheet.scanning.compare import SCAN_DISTANCES
+from thalweg.workflow.job import run_job
 
 
 def main(

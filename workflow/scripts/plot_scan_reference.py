@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.mesh_ply import read_mesh
+from thalweg.core.geometry.mesh_ply import read_mesh
 from thalweg.core.tables import read_parquet
-from thalweg.figures.scan_reference import read_orthophoto, scan_reference
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.scan_reference import read_orthophoto, scan_reference
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core.tables import read_parquet
-from thalweg.figures.scan_setup import scan_setup
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.scanning.panel_poses import read_panel, read_standing_camera
-from thalweg.triangulation.scanning.pose_files import read_poses
-from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.lightsheet.figures.scan_setup import scan_setup
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.poses.files import read_poses
+from thalweg.lightsheet.poses.panel_poses import read_panel, read_standing_camera
+from thalweg.workflow.job import run_job
 
 
 def main(

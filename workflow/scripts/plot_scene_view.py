@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.scene_view import read_view, scene_view
+from thalweg.figures.cloud.scene_view import read_view, scene_view
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.sheet_deformation import sheet_deformation
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.sheet_deformation import sheet_deformation
+from thalweg.workflow.job import run_job
 
 
 def main(*, sheet_deformation_png: Path, figures: dict[str, Any]) -> None:

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core.tables import read_table
-from thalweg.figures.light_sheet_views import find_image
-from thalweg.figures.sheet_image import sheet_image
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.series import SERIES_POINTS
+from thalweg.lightsheet.figures.sheet_image import sheet_image
+from thalweg.lightsheet.figures.views import find_image
+from thalweg.lightsheet.poses.series import SERIES_POINTS
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,9 +5,9 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.figures.sheet_models import model_errors_view
 from thalweg.figures.style import save
-from thalweg.jobs.job import run_job
+from thalweg.lightsheet.figures.sheet_models import model_errors_view
+from thalweg.workflow.job import run_job
 
 
 def main(

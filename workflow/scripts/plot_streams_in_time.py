@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.clocks import read_lags
-from thalweg.figures.streams import streams_in_time
+from thalweg.figures.clocks.clocks import read_lags
 from thalweg.figures.style import save
+from thalweg.figures.survey.streams import streams_in_time
 from thalweg.ingest.integrity import IntegrityReport
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

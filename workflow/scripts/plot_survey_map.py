@@ -5,11 +5,11 @@ from typing import Any
 
 from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.maps import survey_map
 from thalweg.figures.style import save
+from thalweg.figures.survey.maps import survey_map
 from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.jobs.job import run_job
 from thalweg.lidar.cloud import sample_cloud
+from thalweg.workflow.job import run_job
 
 
 def main(

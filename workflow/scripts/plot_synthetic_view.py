@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.calibration_tables import LIDAR_FRAME, read_figure_table
+from thalweg.figures.calibration.synthetic_view import read_height_view, synthetic_view
+from thalweg.figures.calibration.tables import LIDAR_FRAME, read_figure_table
 from thalweg.figures.style import save
-from thalweg.figures.synthetic_view import read_height_view, synthetic_view
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

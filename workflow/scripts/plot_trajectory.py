@@ -6,8 +6,8 @@ from typing import Any
 
 from thalweg.core.trajectory import Trajectory
 from thalweg.figures.style import save
-from thalweg.figures.trajectory import trajectory_sheet
-from thalweg.jobs.job import run_job
+from thalweg.figures.survey.trajectory import trajectory_sheet
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.mounts import read_mounts
+from thalweg.calibration.boat.mounts import read_mounts
+from thalweg.clocks.ties.model import ClockModel
 from thalweg.core.tables import read_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.image_stamps import IMAGE_STAMPS
-from thalweg.jobs.job import run_job
+from thalweg.ingest.photos.stamps import IMAGE_STAMPS
 from thalweg.lidar.mount import Mount
-from thalweg.orientation.image_predictions import predict_image_poses
-from thalweg.timing.clock_model import ClockModel
+from thalweg.navigation.camera.image_predictions import predict_image_poses
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.scanning.joint_survey import LASER_M, SurveyPlan, joint_survey, small_river, swath
-from thalweg.triangulation.sensor_files import read_sensor
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.scanning.joint_survey import LASER_M, SurveyPlan, joint_survey, small_river, swath
+from thalweg.workflow.job import run_job
 
 
 def main(*, sensor: Path, table: Path, facts: Path, places: Path, window_depth_m: float) -> None:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.prior_study_navigation import table as summary
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.prior_study_navigation import table as summary
 
 
 def main(*, surveys: list[Path], table: Path, first_seed: int, sizes: dict[str, int]) -> None:

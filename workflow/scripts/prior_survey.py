@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies import prior_study_calibration, prior_study_ins, prior_study_navigation
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies import prior_study_calibration, prior_study_ins, prior_study_navigation
 
 
 def main(*, table: Path, kind: str, seed: int) -> None:

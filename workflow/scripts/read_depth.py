@@ -4,9 +4,9 @@ import datetime as dt
 from pathlib import Path
 
 from thalweg.core.tables import write_table
-from thalweg.ingest.nmea import read_nmea
+from thalweg.ingest.nmea.reader import read_nmea
 from thalweg.ingest.schemas import DEPTH
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(*, depth: list[Path], depths: Path, integrity: Path, date: str | None) -> None:

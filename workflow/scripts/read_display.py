@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.ingest.image_stamps import list_images
-from thalweg.jobs.job import run_job
-from thalweg.timing.clock_stability import clock_stability
-from thalweg.timing.display_reader import read_display
-from thalweg.timing.hand_tables import read_text_columns
+from thalweg.clocks.display.reader import read_display
+from thalweg.clocks.display.stability import clock_stability
+from thalweg.clocks.ties.hand_tables import read_text_columns
+from thalweg.ingest.photos.stamps import list_images
+from thalweg.workflow.job import run_job
 
 
 def main(

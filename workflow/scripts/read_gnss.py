@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from thalweg.core.tables import write_table
-from thalweg.ingest.positions import read_receiver
+from thalweg.ingest.registry.positions import read_receiver
 from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(*, sbp: list[Path], positions: Path, integrity: Path) -> None:

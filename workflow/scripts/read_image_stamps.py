@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from thalweg.core.tables import write_table
-from thalweg.ingest.image_stamps import IMAGE_STAMPS, read_image_stamps
-from thalweg.jobs.job import run_job
+from thalweg.ingest.photos.stamps import IMAGE_STAMPS, read_image_stamps
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from thalweg.core.tables import write_table
-from thalweg.ingest.anpp import read_anpp
-from thalweg.ingest.sbet import read_sbet
+from thalweg.ingest.anpp.reader import read_anpp
 from thalweg.ingest.schemas import DEPTH, INS_STATE
-from thalweg.jobs.job import run_job
+from thalweg.ingest.tracks.sbet import read_sbet
+from thalweg.workflow.job import run_job
 
 
 def main(

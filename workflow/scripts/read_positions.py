@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core.tables import write_table
-from thalweg.ingest.positions import read_positions
+from thalweg.ingest.registry.positions import read_positions
 from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.jobs.job import run_job
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,16 +5,16 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.core.tables import read_table
-from thalweg.ingest.image_stamps import list_images
-from thalweg.jobs.job import run_job
-from thalweg.triangulation.scanning.cloud import merge
-from thalweg.triangulation.scanning.compare import to_reference
-from thalweg.triangulation.scanning.ortho import orthophoto
-from thalweg.triangulation.scanning.ortho_files import write_orthophoto
-from thalweg.triangulation.scanning.pose_files import read_poses
-from thalweg.triangulation.scanning.profile import profiles
-from thalweg.triangulation.sensor_files import read_sensor
-from thalweg.triangulation.series import SERIES_POINTS, read_sheet_image
+from thalweg.ingest.photos.stamps import list_images
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.poses.files import read_poses
+from thalweg.lightsheet.poses.series import SERIES_POINTS, read_sheet_image
+from thalweg.lightsheet.scanning.cloud import merge
+from thalweg.lightsheet.scanning.compare import to_reference
+from thalweg.lightsheet.scanning.ortho import orthophoto
+from thalweg.lightsheet.scanning.ortho_files import write_orthophoto
+from thalweg.lightsheet.scanning.profile import profiles
+from thalweg.workflow.job import run_job
 
 
 def main(

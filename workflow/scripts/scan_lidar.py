@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.ingest.velodyne import LidarOptions, scan_lidar
-from thalweg.jobs.job import run_job
+from thalweg.ingest.velodyne.reader import LidarOptions, scan_lidar
+from thalweg.workflow.job import run_job
 
 
 def main(*, lidar: list[Path], clock: Path, integrity: Path, lidar_options: dict[str, Any]) -> None:

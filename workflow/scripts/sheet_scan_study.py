@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from thalweg.jobs.job import run_job
-from thalweg.simulation.studies.marker_bias import STUDIED, marker_bias
-from thalweg.simulation.studies.pose_noise import pose_noise, table
+from thalweg.workflow.job import run_job
+from thalweg_lab.studies.marker_bias import STUDIED, marker_bias
+from thalweg_lab.studies.pose_noise import pose_noise, table
 
 
 def main(*, markers: Path, poses: Path, ratios: Path, first_seed: int, seeds: int, lines: int) -> None:

@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
-from thalweg.jobs.job import run_job
-from thalweg.simulation.gnss import simulate_gnss
-from thalweg.simulation.true_mounts import read_true_mounts
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg.workflow.job import run_job
+from thalweg_lab.instruments.gnss import simulate_gnss
+from thalweg_lab.voyage.true_mounts import read_true_mounts
 
 
 def main(

@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
-from thalweg.jobs.job import run_job
 from thalweg.lidar.mount import Mount
-from thalweg.simulation.field.positions import simulate_positions
-from thalweg.simulation.true_mounts import read_true_mounts
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg.workflow.job import run_job
+from thalweg_lab.voyage.true_mounts import read_true_mounts
+from thalweg_lab.yard_records.positions import simulate_positions
 
 
 def main(

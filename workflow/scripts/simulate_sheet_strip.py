@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.config.twin import TwinConfig
-from thalweg.config.twin_sheet_strip import TwinSheetStrip
 from thalweg.core.frames import LocalFrame
-from thalweg.jobs.job import run_job
-from thalweg.simulation.light_sheet.series import Basin
-from thalweg.simulation.light_sheet.strip import record_strip
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg.settings.twin.sheet_strip import TwinSheetStrip
+from thalweg.workflow.job import run_job
+from thalweg_lab.tank.series import Basin
+from thalweg_lab.tank.strip import record_strip
 
 
 def main(

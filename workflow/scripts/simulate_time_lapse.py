@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.config.twin import TwinConfig
-from thalweg.config.twin_time_lapse import TwinTimeLapse
 from thalweg.core.frames import LocalFrame
-from thalweg.jobs.job import run_job
-from thalweg.simulation.time_lapse.record import simulate_time_lapse
-from thalweg.simulation.true_mounts import read_true_mounts
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg.settings.twin.time_lapse import TwinTimeLapse
+from thalweg.workflow.job import run_job
+from thalweg_lab.time_lapse.record import simulate_time_lapse
+from thalweg_lab.voyage.true_mounts import read_true_mounts
 
 
 def main(

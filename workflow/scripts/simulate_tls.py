@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
-from thalweg.jobs.job import run_job
-from thalweg.simulation.tls import simulate_tls
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg.workflow.job import run_job
+from thalweg_lab.instruments.tls import simulate_tls
 
 
 def main(

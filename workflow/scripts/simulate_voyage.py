@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.config.twin import TwinConfig
 from thalweg.core.frames import LocalFrame
-from thalweg.jobs.job import run_job
-from thalweg.simulation.truth import simulate_voyage
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg.workflow.job import run_job
+from thalweg_lab.voyage.truth import simulate_voyage
 
 
 def main(*, voyage: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:

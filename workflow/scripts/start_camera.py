@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.camera_file import interior_calibration, read_camera
-from thalweg.core.calibration import Source
-from thalweg.core.calibration_file import write_calibration
+from thalweg.calibration.markers.camera_file import interior_calibration, read_camera
+from thalweg.core.calibration.files import write_calibration
+from thalweg.core.calibration.model import Source
 from thalweg.core.tables import read_table
-from thalweg.ingest.image_stamps import IMAGE_STAMPS
-from thalweg.jobs.job import run_job
-from thalweg.orientation.image_cameras import in_folders
+from thalweg.images.model.cameras import in_folders
+from thalweg.ingest.photos.stamps import IMAGE_STAMPS
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from thalweg.accuracy.summary import summary_table
-from thalweg.jobs.job import run_job
+from thalweg.accuracy.cloud_to_mesh.summary import summary_table
+from thalweg.workflow.job import run_job
 
 
 def main(

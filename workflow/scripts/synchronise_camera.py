@@ -4,16 +4,16 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.camera_poses import read_poses
-from thalweg.calibration.field_facts import read_place
+from thalweg.calibration.camera.poses import read_poses
+from thalweg.calibration.field.facts import read_place
+from thalweg.clocks.camera import synchronise
+from thalweg.clocks.camera.image_fixes import ANTENNA_TRACK, IMAGE_FIXES, antenna_track, image_fixes
+from thalweg.clocks.camera.track import Track
 from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table, write_table
-from thalweg.ingest.image_stamps import IMAGE_STAMPS
+from thalweg.ingest.photos.stamps import IMAGE_STAMPS
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
-from thalweg.jobs.job import run_job
-from thalweg.timing import synchronise
-from thalweg.timing.image_fixes import ANTENNA_TRACK, IMAGE_FIXES, antenna_track, image_fixes
-from thalweg.timing.track import Track
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -5,21 +5,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.mounts import read_mounts
-from thalweg.core.calibration_file import read_calibration
+from thalweg.calibration.boat.mounts import read_mounts
+from thalweg.clocks.camera import synchronise
+from thalweg.clocks.camera.track import Track
+from thalweg.clocks.ties.model import ClockModel
+from thalweg.core.calibration.files import read_calibration
 from thalweg.core.frames import LocalFrame
 from thalweg.core.tables import read_table, write_table
-from thalweg.ingest.image_stamps import IMAGE_STAMPS
+from thalweg.images.model.cameras import in_folders
+from thalweg.images.model.poses import ImagePoses
+from thalweg.ingest.photos.stamps import IMAGE_STAMPS
 from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
-from thalweg.jobs.job import run_job
-from thalweg.orientation.camera_trajectory_mounts import lidar_mount_by_camera
-from thalweg.orientation.image_cameras import in_folders
-from thalweg.orientation.image_poses import ImagePoses
-from thalweg.orientation.image_times import time_images
-from thalweg.orientation.image_times_run import antenna_in_camera
-from thalweg.timing import synchronise
-from thalweg.timing.clock_model import ClockModel
-from thalweg.timing.track import Track
+from thalweg.navigation.camera.image_times import time_images
+from thalweg.navigation.camera.image_times_run import antenna_in_camera
+from thalweg.navigation.camera.mounts import lidar_mount_by_camera
+from thalweg.workflow.job import run_job
 
 
 def main(

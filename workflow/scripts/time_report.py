@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pandas as pd
 
+from thalweg.clocks.streams.time_report import Speeds, report_lines, time_report
+from thalweg.clocks.ties.model import ClockModel
+from thalweg.clocks.ties.run_image_times import read_run_image_times
 from thalweg.core.trajectory import Trajectory
-from thalweg.jobs.job import run_job
-from thalweg.timing.clock_model import ClockModel
-from thalweg.timing.run_image_times import read_run_image_times
-from thalweg.timing.time_report import Speeds, report_lines, time_report
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -6,13 +6,13 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.accuracy.chain_comparison import CHAINS
-from thalweg.accuracy.chain_comparison_outages import outage_table
+from thalweg.accuracy.solutions.comparison import CHAINS
+from thalweg.accuracy.solutions.outages import outage_table
 from thalweg.core.trajectory import Trajectory
-from thalweg.figures.trajectory_comparison_costs import computing_seconds
-from thalweg.figures.trajectory_comparison_page import trajectory_comparison_page
-from thalweg.figures.trajectory_comparison_words import Costs
-from thalweg.jobs.job import run_job
+from thalweg.figures.solutions.costs import computing_seconds
+from thalweg.figures.solutions.page import trajectory_comparison_page
+from thalweg.figures.solutions.words import Costs
+from thalweg.workflow.job import run_job
 
 
 def main(

@@ -1,1 +1,1 @@
-"""How accurate a cloud is, and whether its predicted sigmas say so."""
+"""How accurate a cloud is, and whether it knew."""

@@ -1,1 +1,1 @@
-"""Calibration: the field of markers and cones, interior orientations, mounts, lever arms."""
+"""Where the sensors sit on the boat: fields of targets, adjustments, one joint covariance."""

@@ -1,1 +1,3 @@
-"""Frames, time scales, tables, clouds and errors: what every other room stands on."""
+"""What every package stands on: frames, time, trajectories, covariance propagation, tables, errors
+that users read.
+"""

@@ -10,7 +10,7 @@ Each link errs by a shift ``dt`` and by a small rotation vector ``dtheta``, both
     dx_0 = sum over links of  P ( dt + dtheta x (R_ij x_j) )  +  P_k dx,       P = R_01 ... R_(i-1)i
 
 which is ``J`` of ``cov = J S J^T`` (P2 eq. 8). `thalweg.lidar.covariance` is this chain with two links, error
-budgets (`thalweg.reproduction`) are it with any number.
+budgets (`thalweg.budgets`) are it with any number.
 """
 
 from collections.abc import Sequence

@@ -1,1 +1,1 @@
-"""Pictures for people: pure functions of result tables and arrays. The only room that imports matplotlib."""
+"""Figures and pages for people: one style, drawn from tables."""

@@ -1,1 +1,3 @@
-"""Raw logs in, documented tables and integrity reports out: one adapter an instrument format."""
+"""Raw logs and files of other programs as tables in SI units on GPS time, nothing lost without being
+counted.
+"""

@@ -1,1 +1,1 @@
-"""Lidar points: from the scanner frame into the world, each with its own pose and covariance."""
+"""Lidar returns as points in the world with a covariance each."""

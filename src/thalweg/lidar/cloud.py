@@ -12,13 +12,13 @@ from pyproj import CRS
 
 from thalweg.core.errors import CoverageError, InputError
 from thalweg.core.frames import LocalFrame
-from thalweg.core.las import LazWriter, iter_laz, laz_header
-from thalweg.core.las_columns import ExtraDimension
+from thalweg.core.las.columns import ExtraDimension
+from thalweg.core.las.files import LazWriter, iter_laz, laz_header
 from thalweg.core.tables import write_table
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8
-from thalweg.ingest.velodyne import LidarClock, LidarOptions, iter_points
-from thalweg.ingest.velodyne_decode import PointBlock
+from thalweg.ingest.velodyne.decode import PointBlock
+from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions, iter_points
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.filters import (
     FilterSettings,

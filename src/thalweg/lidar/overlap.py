@@ -7,7 +7,8 @@ at their times. For a point seen at time ``t``, after the plane's own three para
     d = n . e_x(t) + (a x n) . A e_a(t) + m . e_m + noise
 
 with the errors ``e_x`` of the antenna and ``e_a`` of roll, pitch, heading about the axes ``A``, the arm ``a``
-from the antenna to the point (`thalweg.calibration.pose_errors.pose_rows`), and the error ``e_m`` of the
+from the antenna to the point (`thalweg.calibration.ins_lidar.pose_errors.pose_rows`), and the error ``e_m``
+of the
 mount, which is the same all the time. ``e_x`` is a Gauss-Markov process plus white noise of each epoch,
 ``e_a`` are Gauss-Markov processes. Sizes, correlation times and the share of the white noise are those with
 the greatest restricted likelihood (Patterson and Thompson 1971; Koch 1999, sec. 3.6), all errors and planes
@@ -37,14 +38,14 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation, Slerp
 from scipy.special import logsumexp
 
-from thalweg.calibration.pose_errors import pose_rows
+from thalweg.calibration.ins_lidar.pose_errors import pose_rows
 from thalweg.core.trajectory import Trajectory
 from thalweg.core.types import ArrayF, ArrayI
-from thalweg.ingest.velodyne import LidarClock, LidarOptions
+from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions
 from thalweg.lidar.cloud import LogSample, LogSettings, sample_log
 from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.mount import Mount
-from thalweg.orientation.error_model import (
+from thalweg.navigation.ins_gnss.error_model import (
     BEAM,
     BEAM_SPREAD,
     NAMES,

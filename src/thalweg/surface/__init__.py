@@ -1,1 +1,1 @@
-"""Surfaces: reference clouds become meshes, and points get signed distances from them."""
+"""Surfaces: meshes of reference clouds, and distances from them."""

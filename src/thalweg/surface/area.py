@@ -20,7 +20,7 @@ from pyproj import CRS
 
 from thalweg.core.errors import GeometryError, InputError
 from thalweg.core.frames import GRS80_SEMI_MAJOR_M, LocalFrame
-from thalweg.core.polygon import LEAST_AREA_M2, crossing_in_words, first_crossing, polygon_area_m2
+from thalweg.core.geometry.polygon import LEAST_AREA_M2, crossing_in_words, first_crossing, polygon_area_m2
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
 
 # Open3D brings an old TBB into the process, which numba would try first and complain about.

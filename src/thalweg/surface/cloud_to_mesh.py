@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from thalweg.core.errors import GeometryError
-from thalweg.core.mesh import TriangleMesh
-from thalweg.core.raycast import MAX_EXTENT_M
+from thalweg.core.geometry.mesh import TriangleMesh
+from thalweg.core.geometry.raycast import MAX_EXTENT_M
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
 from thalweg.surface.triangle_kernels import check, distances, faces_around
 from thalweg.surface.triangle_tree import LEAF, triangle_tree

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from thalweg.core.errors import GeometryError
-from thalweg.core.raycast import _open3d
+from thalweg.core.geometry.raycast import _open3d
 from thalweg.core.types import ArrayF, ArrayI
 
 _LOG: Final = logging.getLogger("thalweg")

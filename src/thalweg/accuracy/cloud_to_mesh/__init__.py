@@ -1,0 +1,1 @@
+"""Distances of a cloud from a reference: statistics, registration, prediction."""

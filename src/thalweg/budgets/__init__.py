@@ -1,0 +1,1 @@
+"""Error budgets: published tables and own ones, by the formula behind each point's covariance."""

@@ -1,0 +1,1 @@
+"""All sensors of the boat with one joint covariance."""

@@ -1,0 +1,1 @@
+"""The boat's camera: interior orientation and poses in the field."""

@@ -1,0 +1,1 @@
+"""Camera and lidar against each other, from cones seen by both (P2)."""

@@ -1,0 +1,276 @@
+"""What the camera-lidar calibration reads: cones of the field, static scans, and what their errors share."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from thalweg.calibration.camera_lidar.model import FieldErrors
+from thalweg.calibration.camera_lidar.statics import Statics
+from thalweg.calibration.cones.fit import FORM_SIGMA_M, ConeReference
+from thalweg.calibration.cones.selection import BeamVariances, Position
+from thalweg.calibration.field.description import FieldDescription
+from thalweg.calibration.field.points import FieldPoints
+from thalweg.calibration.field.resection import Resected
+from thalweg.calibration.markers.sheets import mark_name
+from thalweg.core.camera.model import Camera
+from thalweg.core.errors import InputError
+from thalweg.core.rigid import Rigid
+from thalweg.core.types import AnyArray, ArrayF
+from thalweg.ingest.photos.stamps import list_images, natural_key
+from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions, iter_points, scan_lidar
+
+CAPTURES: Final = (".pcap", ".pcapng", ".cap", ".bin", ".vel")
+"""Suffixes of lidar recordings in a folder."""
+
+
+def cone_references(
+    field: FieldDescription, points: FieldPoints, *, form_sigma_m: float = FORM_SIGMA_M
+) -> list[ConeReference]:
+    """Cones of a field with their measured marks; a cone without a mark has no points.
+
+    Parameters
+    ----------
+    field, points : description and measured marks.
+    form_sigma_m : how far the cones are from perfect ones, one sigma.
+
+    Raises
+    ------
+    InputError : the field has no cones.
+    """
+    if not field.cones:
+        raise InputError(
+            "the description of the field names no cones",
+            expected="a list `cones` with names, markers, half_angle_deg, length_m",
+            cure="Add the cones, or calibrate with a board",
+        )
+    out = []
+    for cone in field.cones:
+        at = _of_cone(points, cone.markers)
+        rows = _coordinates(at)
+        out.append(
+            ConeReference(
+                name=cone.name,
+                points_m=points.points_pcs[at],
+                cov=points.cov[np.ix_(rows, rows)],
+                half_angle_rad=cone.half_angle_rad,
+                length_m=cone.length_m,
+                labels=tuple(mark_name(*points.points[i]) for i in at),
+                form_sigma_m=form_sigma_m,
+            )
+        )
+    return out
+
+
+def field_errors(
+    field: FieldDescription,
+    points: FieldPoints,
+    resected: Sequence[Resected],
+    interior: Camera | Sequence[Camera],
+) -> FieldErrors:
+    """Joint covariance of the exterior orientations of static positions and of the marks on the cones.
+
+    Two exterior orientations share the errors of the marks they come from and, if one camera took both
+    pictures, those of its interior orientation. That holds for pictures that were resected one by one with an
+    interior orientation from elsewhere. If the same pictures calibrated the camera, their marks would be used
+    twice: take `thalweg.calibration.camera_lidar.statics` then.
+
+    Parameters
+    ----------
+    field, points : as in `cone_references`.
+    resected : of each position, in order.
+    interior : the camera of all positions, or that of each.
+    """
+    at = [_of_cone(points, cone.markers) for cone in field.cones]
+    rows = _coordinates(np.concatenate(at))
+    n, m = 6 * len(resected), len(rows)
+    cov = np.zeros((n + m, n + m))
+    cov[n:, n:] = points.cov[np.ix_(rows, rows)]
+    cameras = [interior] * len(resected) if isinstance(interior, Camera) else list(interior)
+    for i, a in enumerate(resected):
+        mine = slice(6 * i, 6 * i + 6)
+        through_points = a.by_points @ points.cov
+        cov[mine, n:] = through_points[:, rows]
+        cov[n:, mine] = cov[mine, n:].T
+        for j, b in enumerate(resected):
+            part = through_points @ b.by_points.T
+            if i == j:
+                part = part + a.cov_marks
+            if cameras[i].name == cameras[j].name:
+                part = part + a.by_interior @ cameras[i].cov @ b.by_interior.T
+            cov[mine, 6 * j : 6 * j + 6] = part
+    return FieldErrors(
+        cov=(cov + cov.T) / 2, points={c.name: len(k) for c, k in zip(field.cones, at, strict=True)}
+    )
+
+
+def read_position(
+    name: str,
+    T_pcs_ccs: Rigid,
+    files: Sequence[Path],
+    options: LidarOptions,
+    beam_errors: BeamVariances,
+) -> Position:
+    """A static position from its lidar recording.
+
+    Parameters
+    ----------
+    name : of the position.
+    T_pcs_ccs : exterior orientation of the camera.
+    files : capture files of the position.
+    options : how to read them.
+    beam_errors : accuracy of the scanner.
+
+    Raises
+    ------
+    InputError : no points in the recording.
+    """
+    # A static scan needs no GPS time; a recording without a locked clock does as well.
+    clock = scan_lidar(files, options).clock
+    points, reflectivity = read_scan(files, options, clock)
+    return Position.measured(name, T_pcs_ccs, points, beam_errors, reflectivity)
+
+
+def read_scan(files: Sequence[Path], options: LidarOptions, clock: LidarClock) -> tuple[ArrayF, ArrayF]:
+    """All points (n, 3) of a recording in scs and their reflectivities (n,)."""
+    xyz: list[ArrayF] = []
+    reflectivity: list[ArrayF] = []
+    for block in iter_points(files, options, clock):
+        xyz.append(np.asarray(block.xyz_scs_m, dtype=np.float64))
+        reflectivity.append(np.asarray(block.intensity, dtype=np.float64))
+    if not xyz:
+        return np.zeros((0, 3)), np.zeros(0)
+    return np.concatenate(xyz), np.concatenate(reflectivity)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pairs:
+    """Capture file and picture of each static position, by its name; and what has no counterpart and why."""
+
+    pairs: dict[str, tuple[Path, str]]
+    left_out: dict[str, str]
+
+
+def static_positions(scans: Sequence[Path], images: Sequence[str]) -> Pairs:
+    """Capture files and pictures that belong together.
+
+    They do if their names are the same but for the suffix; if no names are, and there are as many of one as
+    of the other, in their order. A picture without a recording takes no part, and is named.
+
+    Parameters
+    ----------
+    scans : capture files, or folders of them.
+    images : names of the pictures that were taken at static positions, in order.
+
+    Raises
+    ------
+    InputError : no scans, two of one name, or a scan without a picture.
+    """
+    files = [f for path in scans for f in (_in_order(path) if path.is_dir() else [path])]
+    files = [f for f in files if f.suffix.lower() in CAPTURES]
+    if not files:
+        raise InputError(
+            f"no capture files in {', '.join(map(str, scans)) or 'an empty list'}",
+            expected=f"one lidar recording a static position ({', '.join(CAPTURES)})",
+            cure="Set logs.calibration.position_scans",
+        )
+    _require_names([f.name for f in files], "lidar recordings", "position_scans")
+    _require_names(images, "pictures", "position_images")
+    by_stem = {Path(image).stem: image for image in images}
+    if not any(f.stem in by_stem for f in files):
+        if len(files) != len(images):
+            raise InputError(
+                f"{len(files)} lidar recordings ({', '.join(f.name for f in files)}) and {len(images)} "
+                f"pictures ({', '.join(images) or 'none'}) of static positions, none of one name",
+                expected="the same name for recording and picture, or as many of one as of the other",
+                cure="Give each picture the name of its recording, or leave out what has no counterpart in "
+                "logs.calibration.position_scans and position_images",
+            )
+        by_stem = {f.stem: image for f, image in zip(files, images, strict=True)}
+    missing = [f.name for f in files if f.stem not in by_stem]
+    if missing:
+        raise InputError(
+            f"no picture for {', '.join(missing)} among {', '.join(images) or 'none'}",
+            expected="a picture of the same name for each lidar recording, or as many of one as of the other",
+            cure="Set logs.calibration.position_images, or leave these recordings out",
+        )
+    pairs = {f.stem: (f, by_stem[f.stem]) for f in files}
+    have = {image for _, image in pairs.values()}
+    alone = {image: "no lidar recording has its name" for image in images if image not in have}
+    return Pairs(pairs=pairs, left_out=alone)
+
+
+def oriented(pairs: Pairs, statics: Statics) -> tuple[dict[str, tuple[Path, str]], dict[str, str]]:
+    """Positions whose picture has a pose, and everything that takes no part with the reason.
+
+    Raises
+    ------
+    InputError : no position is left.
+    """
+    good = {name: pair for name, pair in pairs.pairs.items() if pair[1] in statics.images}
+    left_out = dict(pairs.left_out)
+    for name, (file, image) in pairs.pairs.items():
+        if name not in good:
+            why = statics.lost.get(image, "it was not among the pictures that were oriented")
+            left_out[image] = f"it has no pose, and {file.name} takes no part: {why}"
+    if not good:
+        told = "; ".join(f"{image}: {why}" for image, why in left_out.items())
+        raise InputError(
+            f"none of {len(pairs.pairs)} static positions can be used ({told})",
+            expected="a picture with a pose for one lidar recording or more",
+            cure="Record the positions again so that the camera sees more markers of the field",
+        )
+    return good, left_out
+
+
+def static_images(images: Sequence[Path]) -> list[str]:
+    """Names of the pictures of static positions, in their order.
+
+    Parameters
+    ----------
+    images : files, or folders of them.
+
+    Raises
+    ------
+    InputError : a file or folder does not exist, or a folder is without pictures.
+    """
+    return [path.name for path in dict.fromkeys(list_images(images))]
+
+
+def nominal_orientation(mounts: Mapping[str, Any]) -> Rigid:
+    """``T_ccs_scs`` by the sections ``mounts.camera`` and ``mounts.lidar``, without covariance."""
+
+    def mount(section: Mapping[str, Any]) -> Rigid:
+        """``T_ics_sensor`` of one section."""
+        angles = np.deg2rad([float(section[f"{a}_deg"]) for a in ("omega", "phi", "kappa")])
+        return Rigid.from_opk(angles, section["lever_ics_m"])
+
+    return mount(mounts["camera"]).inverse() @ mount(mounts["lidar"])
+
+
+def _require_names(names: Sequence[str], what: str, setting: str) -> None:
+    """Refuse two files of one name: which of them belongs to the other kind cannot be told."""
+    stems = Counter(Path(name).stem for name in names)
+    twice = [name for name in names if stems[Path(name).stem] > 1]
+    if twice:
+        raise InputError(
+            f"{what} of static positions with the same name: {', '.join(twice)}",
+            expected="a name of its own for each position",
+            cure=f"Rename them, or leave all but one out of logs.calibration.{setting}",
+        )
+
+
+def _in_order(folder: Path) -> list[Path]:
+    """Entries of a folder as people count, like the pictures that may be matched with them by order."""
+    return sorted(folder.iterdir(), key=lambda path: natural_key(path.name))
+
+
+def _of_cone(points: FieldPoints, markers: Sequence[int]) -> AnyArray:
+    return np.array([i for i, (m, _) in enumerate(points.points) if m in markers], dtype=np.int64)
+
+
+def _coordinates(at: AnyArray) -> AnyArray:
+    return (3 * at[:, None] + np.arange(3)).ravel()

@@ -1,0 +1,1 @@
+"""Cones in lidar clouds and photographs: model, search, fit."""

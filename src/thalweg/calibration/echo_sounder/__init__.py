@@ -1,0 +1,1 @@
+"""The echo sounder over a surveyed bed."""

@@ -1,0 +1,327 @@
+"""Place of the echo sounder from soundings over a surveyed bed, on top of what a ruler says (FW05).
+
+A sounding ``d`` along the vertical axis of the boat meets the bed ``h(east, north)``::
+
+    x_wcs = x_wcs_ics + R_wcs_ics (l + (0, 0, d)),        up(x_wcs) - h(x_wcs) = 0
+
+On a flat bed a shift of the lever arm in x or y changes nothing. On slopes it does, by the slope in the
+direction in which the boat heads: one slope and one heading leave a shift along the slope and a shift in
+height together. An offset in time moves the soundings along the track and so needs relief too. The ruler's
+values are observations with their sigmas; a parameter counts as *observed* by the run if it would be
+determined without them.
+
+A constant error of the bed's heights, the error of the speed of sound, and the errors of the poses
+(`thalweg.calibration.ins_lidar.pose_errors`) are unknowns with prior knowledge. A wide beam on a steep slope
+returns the nearest point of its footprint, which is not modelled: use gentle relief or a narrow beam.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import Delaunay
+
+from thalweg.calibration.ins_lidar.pose_errors import BorderedNormals, Knots, PoseErrors, pose_rows
+from thalweg.calibration.ins_lidar.run_points import RunPoints
+from thalweg.core.adjustment.solve import UnobservableError
+from thalweg.core.errors import CoverageError, GeometryError
+from thalweg.core.trajectory import Trajectory
+from thalweg.core.types import ArrayB, ArrayF
+
+PARAMETERS: Final = ("x", "y", "z", "lag")
+_BORDER: Final = (*PARAMETERS, "bed", "sound_speed")
+
+_REJECT: Final = 3.5
+_FLAT: Final = 0.03
+"""Rms slope below which a bed counts as flat."""
+
+_MAX_STEPS: Final = 20
+_FEWEST: Final = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bed:
+    """A surveyed bed as a triangulated surface.
+
+    Parameters
+    ----------
+    points_wcs_m : (m, 3) surveyed points, or the vertices of a mesh.
+    sigma_m : of a single height.
+    sigma_datum_m : of all heights together.
+    longest_edge_m : triangles with a longer edge are holes.
+
+    Raises
+    ------
+    GeometryError : fewer than three points, or all on a line.
+    """
+
+    points_wcs_m: ArrayF
+    sigma_m: float
+    sigma_datum_m: float
+    longest_edge_m: float = np.inf
+    triangles: Delaunay = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        p = np.asarray(self.points_wcs_m, dtype=np.float64)
+        if p.ndim != 2 or p.shape[1] != 3 or len(p) < 3 or np.linalg.matrix_rank(p[:, :2] - p[0, :2]) < 2:
+            raise GeometryError(
+                f"a bed of {len(p)} points", expected="at least three points that are not on one line"
+            )
+        object.__setattr__(self, "points_wcs_m", p)
+        object.__setattr__(self, "triangles", Delaunay(p[:, :2]))
+
+    def at(self, places_m: ArrayF) -> tuple[ArrayF, ArrayF, ArrayB]:
+        """Height (n,), slope (n, 2) east and north, and whether there is a bed (n,), at places (n, 2)."""
+        number = self.triangles.find_simplex(places_m)
+        inside = number >= 0
+        corners = self.points_wcs_m[self.triangles.simplices[np.maximum(number, 0)]]
+        edges = corners[:, 1:] - corners[:, :1]
+        longest = np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max(axis=1)
+        inside &= longest <= self.longest_edge_m
+        flat = np.where(inside[:, None, None], edges[:, :, :2], np.eye(2))
+        slope = np.linalg.solve(flat, edges[:, :, 2:])[:, :, 0]
+        height = corners[:, 0, 2] + np.sum(slope * (places_m - corners[:, 0, :2]), axis=1)
+        return np.asarray(height), np.asarray(slope), np.asarray(inside)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EchoSettings:
+    """How soundings are evaluated.
+
+    Parameters
+    ----------
+    errors : of the poses.
+    sigma_depth_m : noise of a sounding.
+    sigma_lag_s : what is known of the time of the soundings against the trajectory.
+    sigma_sound_speed : of the speed of sound, relative.
+    max_sigma_lever_m, max_sigma_lag_s : a parameter that the run alone gives worse is not observed.
+    """
+
+    errors: PoseErrors
+    sigma_depth_m: float = 0.02
+    sigma_lag_s: float = 0.05
+    sigma_sound_speed: float = 0.002
+    max_sigma_lever_m: float = 0.02
+    max_sigma_lag_s: float = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EchoSounder:
+    """Place of the echo sounder.
+
+    Parameters
+    ----------
+    lever_ics_m, cov_m2 : (3,), (3, 3) ruler and run together.
+    lag_s, sigma_lag_s : what is to be added to the stamps of the soundings.
+    cov_formal_m2 : (3, 3) if soundings erred independently and nothing else did; infinite where singular.
+    sigma_run : by parameter, what the run alone gives.
+    not_observed : by parameter, what was missing.
+    n_used, n_rejected, n_outside : soundings used, blunders, and those outside the bed or the trajectory.
+    sigma0 : size of the residuals in units of what is stated.
+    """
+
+    lever_ics_m: ArrayF
+    cov_m2: ArrayF
+    lag_s: float
+    sigma_lag_s: float
+    cov_formal_m2: ArrayF
+    sigma_run: dict[str, float]
+    not_observed: dict[str, str]
+    n_used: int
+    n_rejected: int
+    n_outside: int
+    sigma0: float
+
+    @property
+    def observed(self) -> tuple[str, ...]:
+        """Parameters that the run determines by itself."""
+        return tuple(name for name in PARAMETERS if name not in self.not_observed)
+
+
+def estimate_echo_sounder(
+    t_gps_s: ArrayLike,
+    depth_m: ArrayLike,
+    trajectory: Trajectory,
+    bed: Bed,
+    settings: EchoSettings,
+    *,
+    ruler_ics_m: ArrayLike,
+    cov_ruler_m2: ArrayF,
+    lever_ics_antenna_m: ArrayLike,
+    wanted: Sequence[str] = (),
+) -> EchoSounder:
+    """Place of the echo sounder from soundings over a surveyed bed and a ruler.
+
+    Parameters
+    ----------
+    t_gps_s, depth_m : (n,) soundings below the transducer.
+    trajectory, bed : poses, and the surveyed bed in wcs.
+    settings : accuracies and limits.
+    ruler_ics_m, cov_ruler_m2 : (3,), (3, 3) the place by hand.
+    lever_ics_antenna_m : (3,) by which the trajectory was made.
+    wanted : parameters of `PARAMETERS` that the run must determine by itself.
+
+    Raises
+    ------
+    CoverageError : no soundings over the bed with poses.
+    UnobservableError : a wanted parameter is not observed; says what is missing.
+    """
+    depth, t = np.asarray(depth_m, dtype=np.float64), np.asarray(t_gps_s, dtype=np.float64)
+    good = np.isfinite(depth) & (depth > 0)
+    down = np.column_stack([np.zeros((good.sum(), 2)), depth[good]])
+    stamps = t[good]
+    points = RunPoints.on(trajectory, down, stamps)
+    ruler = np.asarray(ruler_ics_m, dtype=np.float64)
+    lever, lag = ruler.copy(), 0.0
+    knots = Knots.over(float(points.t_gps_s[0]), float(points.t_gps_s[-1]), settings.errors)
+    band, _ = knots.prior(settings.errors)
+    prior = _prior(cov_ruler_m2, bed, settings)
+    kept = np.ones(len(points), dtype=np.bool_)
+    for _step in range(_MAX_STEPS):
+        # poses of the corrected stamps; those at the ends of the trajectory may be lost
+        found_at = RunPoints.on(trajectory, down, stamps + lag)
+        if len(found_at) != len(points):
+            kept = np.ones(len(found_at), dtype=np.bool_)
+        points = found_at
+        rows = _rows(points, bed, settings, lever, np.asarray(lever_ics_antenna_m, np.float64))
+        here = rows.inside & kept
+        if here.sum() < _FEWEST:
+            raise CoverageError(
+                f"{int(here.sum())} of {len(t)} soundings lie over the surveyed bed",
+                expected=f"at least {_FEWEST} soundings over the bed, with poses",
+                cure="Survey the bed where the boat sounds, or check that both are in the same heights",
+            )
+        normals = BorderedNormals.of(
+            knots, points.t_gps_s[here], rows.border[here], rows.pose[here], -rows.misfit[here],
+            1 / rows.variance[here],
+        )  # fmt: skip
+        # all but the place of linearisation is solved whole; the ruler is an observation of the lever arm
+        offset = np.r_[ruler - lever, -lag, 0.0, 0.0]
+        normals.rhs_border += prior @ offset
+        normals.square += float(offset @ prior @ offset)
+        found = normals.solve(band, prior)
+        step = found.border[:4]
+        lever, lag = lever + step[:3], lag + float(step[3])
+        left = rows.misfit + rows.border @ found.border
+        left += np.sum(rows.pose * knots.at(found.errors, points.t_gps_s), axis=1)
+        scaled = np.abs(left) / np.sqrt(rows.variance)
+        spread = max(1.0, 1.4826 * float(np.median(scaled[rows.inside])))
+        before, kept = kept, scaled <= _REJECT * spread
+        done = np.all(np.abs(step) < 0.01 * np.sqrt(np.diag(found.cov_border)[:4]))
+        if done and np.array_equal(before, kept):
+            break
+    n = int(here.sum())
+    sigma_run = _run_alone(normals, band, prior)
+    missing = _missing(sigma_run, settings, rows.slope[here], points.heading_rad()[here])
+    lacking = [name for name in wanted if name in missing]
+    if lacking:
+        raise UnobservableError(
+            [f"echo_sounder.{name}" for name in lacking],
+            defects=len(lacking),
+            cure="; ".join(dict.fromkeys(missing[name] for name in lacking)),
+        )
+    formal = normals.border[:3, :3]
+    regular = np.linalg.cond(formal) < 1e12
+    cov_formal: ArrayF = np.asarray(np.linalg.inv(formal)) if regular else np.full((3, 3), np.inf)
+    return EchoSounder(
+        lever_ics_m=lever,
+        cov_m2=found.cov_border[:3, :3],
+        lag_s=lag,
+        sigma_lag_s=float(np.sqrt(found.cov_border[3, 3])),
+        cov_formal_m2=cov_formal,
+        sigma_run=sigma_run,
+        not_observed=missing,
+        n_used=n,
+        n_rejected=int((rows.inside & ~kept).sum()),
+        n_outside=len(t) - int(rows.inside.sum()),
+        sigma0=float(np.sqrt(found.omega / max(n, 1))),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rows:
+    """Linearised soundings: misfit (n,), its variance, derivatives (n, 6) by border and by pose, slope."""
+
+    misfit: ArrayF
+    variance: ArrayF
+    border: ArrayF
+    pose: ArrayF
+    slope: ArrayF
+    inside: ArrayB
+
+
+def _prior(cov_ruler_m2: ArrayF, bed: Bed, settings: EchoSettings) -> ArrayF:
+    """Inverse covariance (6, 6) of what is known of the border without the run."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = np.linalg.inv(cov_ruler_m2)
+    known = [settings.sigma_lag_s, max(bed.sigma_datum_m, 1e-6), max(settings.sigma_sound_speed, 1e-9)]
+    out[range(3, 6), range(3, 6)] = 1.0 / np.square(known)
+    return out
+
+
+def _rows(p: RunPoints, bed: Bed, settings: EchoSettings, lever_m: ArrayF, antenna_ics_m: ArrayF) -> _Rows:
+    """Heights of soundings, points (0, 0, depth) below the transducer, above the bed, with derivatives."""
+    x = p.to_wcs(p.xyz_scs_m + lever_m)
+    moving = p.velocity_wcs_mps + np.cross(p.rate_wcs_radps, x - p.position_wcs_m)
+    height, slope, inside = bed.at(x[:, :2])
+    g = np.column_stack([-slope, np.ones(len(x))])
+    in_ics = np.einsum("nji,nj->ni", p.R_wcs_ics, g)
+    along = in_ics[:, 2]
+    border = np.column_stack([
+        in_ics, np.sum(g * moving, axis=1), -np.ones(len(x)), along * p.xyz_scs_m[:, 2],
+    ])  # fmt: skip
+    return _Rows(
+        misfit=x[:, 2] - height,
+        variance=(along * settings.sigma_depth_m) ** 2 + bed.sigma_m**2,
+        border=border,
+        pose=pose_rows(g, x - p.to_wcs(antenna_ics_m), p.R_wcs_ics),
+        slope=slope,
+        inside=inside,
+    )
+
+
+def _run_alone(normals: BorderedNormals, band: ArrayF, prior: ArrayF) -> dict[str, float]:
+    """Sigma of each parameter from the run alone.
+
+    Horizontal shifts and the lag: without the ruler for any coordinate. Height: with the ruler for x and y,
+    because the vertical offset over a flat bed does not need them.
+    """
+    out: dict[str, float] = {}
+    for name in PARAMETERS:
+        weak = prior.copy()
+        free = [2] if name == "z" else [0, 1, 2]
+        free += [3] if name == "lag" else []
+        for k in free:
+            weak[k, :] = 0.0
+            weak[:, k] = 0.0
+            # 10 m, 10 s: as good as nothing, but solvable
+            weak[k, k] = 1e-2
+        cov = normals.solve(band, weak).cov_border
+        out[name] = float(np.sqrt(cov[_BORDER.index(name), _BORDER.index(name)]))
+    return out
+
+
+def _missing(
+    sigma_run: dict[str, float], settings: EchoSettings, slope: ArrayF, heading_rad: ArrayF
+) -> dict[str, str]:
+    """Parameters that the run does not determine, and what it lacks."""
+    rms = float(np.sqrt(np.mean(np.sum(slope**2, axis=1))))
+    turned = 1 - float(np.abs(np.mean(np.exp(1j * heading_rad))))
+    if rms < _FLAT:
+        why = f"relief is missing: the bed under the soundings is flat (rms slope {100 * rms:.1f} %)"
+    elif turned < 0.1:
+        why = "turns are missing: all soundings were made in nearly one heading"
+    else:
+        why = "more soundings over slopes in several headings are missing"
+    limits = dict.fromkeys("xyz", settings.max_sigma_lever_m) | {"lag": settings.max_sigma_lag_s}
+    reasons = {
+        "z": "the poses' heights are not good enough for the vertical offset: record a longer run",
+    }
+    return {
+        name: f"{name}: {reasons.get(name, why)}; the run alone gives {sigma:.3f} "
+        + ("s" if name == "lag" else "m")
+        for name, sigma in sigma_run.items()
+        if sigma > limits[name]
+    }

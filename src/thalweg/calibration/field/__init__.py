@@ -1,0 +1,1 @@
+"""The calibration field by a self-calibrating bundle of photographs."""

@@ -1,0 +1,339 @@
+"""Space resection: the pose of one camera picture from marks of known points (P1 eq. 1-3, P2 3.1).
+
+The robust start needs no approximate values (`thalweg.calibration.markers.ray_resection`). The adjustment
+takes each mark with its own sigma and that of its point, and the interior orientation as unknowns that were
+observed with their covariance: held fixed, its errors would make good marks near the border look wrong. The
+covariance of the pose then also carries what marks share through the joint covariance of the points.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.calibration.field.mark_readings import reading_that_fits
+from thalweg.calibration.field.points import FieldPoints
+from thalweg.calibration.markers.ray_resection import other_poses, pose_from_rays
+from thalweg.core.adjustment.solve import Adjusted, Linear, Observations, adjust
+from thalweg.core.camera.model import Camera
+from thalweg.core.errors import GeometryError
+from thalweg.core.propagation import cross_matrix
+from thalweg.core.rigid import Rigid
+from thalweg.core.types import ArrayB, ArrayF, ArrayI
+
+LEAST_MARKS: Final = 4
+LEAST_MARKERS: Final = 2
+REJECT_SIGMAS: Final = 4.0
+_CAP_RAD: Final = 0.01
+_LEAST_SHARE: Final = 0.5
+_MOST: Final = 0.9
+"""Of the marks that must fit for another reading of them to count."""
+_LARGEST_SIGMA_M: Final = 0.25
+"""A pose worse than this comes from marks that are too few or too close together."""
+_CLEAR_MARKERS: Final = 5
+"""With more markers in the picture a second solution is out of the question."""
+_TIMES_WORSE: Final = 3.0
+"""A second solution is told from the first by residuals that many times larger, or than the sigmas allow."""
+_NAMES: Final = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
+_NO_IMAGE_PX: Final = 1e4
+LARGEST_SIGMA0: Final = 20.0
+"""Sigma of unit weight beyond which the marks, not their sigmas, are wrong: a panel read backwards."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resected:
+    """Pose of one picture.
+
+    Parameters
+    ----------
+    T_pcs_ccs : with the covariance of everything that was asked for.
+    cov_marks : (6, 6) the part of it that comes from this picture's own marks.
+    by_interior : (6, k) derivative of the pose's error by that of the camera's parameters, which all
+    pictures share.
+    by_points : (6, 3n) derivative by the points of the field, which all pictures share.
+    residuals : marker, corner, vx_px, vy_px (observed minus computed), standardised, used.
+    redundancy, sigma0 : of the adjustment.
+    moved : markers of which all corners are off alike, though the others fit: they stand elsewhere now.
+    """
+
+    T_pcs_ccs: Rigid
+    cov_marks: ArrayF
+    by_interior: ArrayF
+    by_points: ArrayF
+    residuals: pd.DataFrame
+    redundancy: float
+    sigma0: float
+    moved: tuple[int, ...]
+
+    @property
+    def used(self) -> ArrayB:
+        """(m,) marks that took part."""
+        return self.residuals["used"].to_numpy(np.bool_)
+
+
+def resect(
+    camera: Camera,
+    marks: pd.DataFrame,
+    points: FieldPoints,
+    *,
+    with_interior: bool = True,
+    sigma_factor: float = 1.0,
+    where: str = "",
+    explain: bool = True,
+) -> Resected:
+    """Pose of a picture.
+
+    Parameters
+    ----------
+    camera : interior orientation with its covariance.
+    marks : marker, corner, x_px, y_px, sigma_px of one picture.
+    points : reference points; marks of other markers are left out.
+    with_interior : count the covariance of the interior orientation in; else it is held fixed.
+    sigma_factor : what the stated sigmas of marks must be multiplied with, as the bundle adjustment found.
+    where : name of the picture, for messages.
+    explain : look for another reading of marks that fit no pose (in reverse order, mirrored).
+
+    Raises
+    ------
+    GeometryError : fewer than four known marks on two markers; marks that do not fit together; a pose that is
+        hardly determined or has a second solution. The cure names the reading that fits, if one does.
+    """
+
+    def pose(read: pd.DataFrame) -> Resected:
+        """The resection by marks that were read in some way."""
+        return _pose(camera, read, points, with_interior, sigma_factor, where)
+
+    sigma0 = np.inf
+    try:
+        found = pose(marks)
+        if not found.sigma0 > LARGEST_SIGMA0:
+            return found
+        sigma0 = found.sigma0
+        error = GeometryError(
+            f"the marks are {sigma0:.0f} times their sigmas off any pose",
+            expected=f"at most {LARGEST_SIGMA0:g} times", where=where,
+            cure="Check the numbers of the marks, the interior orientation and that no mark was moved",
+        )  # fmt: skip
+    except GeometryError as refused:
+        error = refused
+
+    def misfit(read: pd.DataFrame) -> float:
+        """Its sigma0; infinite if it fits only by leaving marks out."""
+        one = pose(read)
+        return one.sigma0 if one.used.mean() > _MOST else np.inf
+
+    reading = reading_that_fits(marks, camera.size_px, misfit, sigma0) if explain else ""
+    if not reading:
+        raise error
+    raise GeometryError(error.found, expected=error.expected, where=error.where, cure=reading) from error
+
+
+def _pose(
+    camera: Camera, marks: pd.DataFrame, points: FieldPoints, with_interior: bool, sigma_factor: float,
+    where: str,
+) -> Resected:  # fmt: skip
+    """Pose of a picture, however well it fits, see `resect`."""
+    index = points.index
+    keys = list(zip(marks["marker"].astype(int), marks["corner"].astype(int), strict=True))
+    known = np.array([k in index for k in keys], dtype=np.bool_)
+    marker = np.array([k[0] for k in keys], np.int64)[known]
+    _require(marker, where, "known marks on", len(marks))
+    at = np.array([index[k] for k, ok in zip(keys, known, strict=True) if ok], np.int64)
+    xy = marks[["x_px", "y_px"]].to_numpy(np.float64)[known]
+    sigma = marks["sigma_px"].to_numpy(np.float64)[known] * sigma_factor
+    X = points.points_pcs[at]
+    cov_X = np.array([points.cov[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in at])
+    rays = camera.rays(xy)
+    seen = np.isfinite(rays).all(axis=1)
+    _require(marker[seen], where, "marks inside the lens model, on", len(marks))
+    start, angles = pose_from_rays(X[seen], rays[seen], marker[seen], cap_rad=_CAP_RAD)
+    good = angles < _CAP_RAD
+    if good.mean() < _LEAST_SHARE or good.sum() < LEAST_MARKS:
+        raise GeometryError(
+            f"only {int(good.sum())} of {len(good)} marks agree with any pose",
+            expected="most of them",
+            where=where,
+            cure="Check that the picture shows this field and that no marker has been moved since",
+        )
+    X, cov_X, xy, sigma = X[seen], cov_X[seen], xy[seen], sigma[seen]
+    marker, at = marker[seen], at[seen]
+    loose = np.flatnonzero(np.diag(camera.cov) > 0) if with_interior else np.empty(0, np.int64)
+    adjusted = _adjusted(camera, start, X, cov_X, xy, sigma, loose)
+    used = adjusted.used["marks"]
+    _require(marker[used], where, "fitting marks on", len(marks))
+    if used.mean() < _LEAST_SHARE:
+        raise GeometryError(
+            f"{int((~used).sum())} of {len(used)} marks do not fit",
+            expected="less than half of them wrong", where=where,
+            cure="Look at the picture: motion blur, a moved marker, or a camera that was refocused",
+        )  # fmt: skip
+    found = adjusted.x.camera
+    _require_one_solution(adjusted.x.pose, found, X[used], xy[used], sigma[used], marker[used], where)
+    T, cov_marks, by_interior, by_points = _propagated(
+        adjusted, camera.cov, points, at[used], sigma[used], loose
+    )
+    if float(T.sigma_shift_m.max()) > _LARGEST_SIGMA_M:
+        raise GeometryError(
+            f"the pose has a sigma of {T.sigma_shift_m.max():.2f} m from {int(used.sum())} marks",
+            expected=f"at most {_LARGEST_SIGMA_M} m", where=where,
+            cure="Record it again with markers spread over the whole picture",
+        )  # fmt: skip
+    v = -adjusted.residuals["marks"].reshape(-1, 2)
+    residuals = pd.DataFrame(
+        {
+            "marker": marker,
+            "corner": [points.points[i][1] for i in at],
+            "vx_px": v[:, 0],
+            "vy_px": v[:, 1],
+            "standardised": adjusted.standardised["marks"],
+            "used": used,
+        }
+    )
+    return Resected(
+        T_pcs_ccs=T,
+        cov_marks=cov_marks,
+        by_interior=by_interior,
+        by_points=by_points,
+        residuals=residuals,
+        redundancy=adjusted.redundancy,
+        sigma0=float(np.sqrt(adjusted.sigma0_squared)),
+        moved=_moved(marker, used),
+    )
+
+
+def _require(marker: ArrayI, where: str, what: str, seen: int) -> None:
+    n, markers = len(marker), len(set(marker.tolist()))
+    if n < LEAST_MARKS or markers < LEAST_MARKERS:
+        raise GeometryError(
+            f"{n} {what} {markers} marker{'s' if markers != 1 else ''} ({seen} marks were detected)",
+            expected=f"at least {LEAST_MARKS} on {LEAST_MARKERS} markers: three marks have up to four "
+            "solutions without any contradiction",
+            where=where,
+            cure="Record it again so that the camera sees more markers of the field",
+        )
+
+
+def _project(camera: Camera, pose: Rigid, X: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
+    """Pixels, and derivatives by the pose (n, 2, 6), by the points (n, 2, 3), by the camera (n, 2, k)."""
+    away = X - pose.shift_m
+    xy, by_local, by_parameters = camera.project_with_derivatives(away @ pose.R)
+    by_point = by_local @ pose.R.T
+    return xy, np.concatenate([-by_point, by_point @ cross_matrix(away)], axis=2), by_point, by_parameters
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    pose: Rigid
+    camera: Camera
+
+
+def _adjusted(
+    camera: Camera, start: Rigid, X: ArrayF, cov_X: ArrayF, xy: ArrayF, sigma: ArrayF, loose: ArrayI
+) -> Adjusted[_State]:
+    k = len(loose)
+
+    def marks(x: _State) -> Linear:
+        """Pixels of the marks less the measured ones."""
+        got, by_pose, by_point, by_parameters = _project(x.camera, x.pose, X)
+        J = np.concatenate([by_pose, by_parameters[:, :, loose]], axis=2)
+        residual = got - xy
+        lost = ~np.isfinite(residual).all(axis=1)
+        residual[lost], J[lost], by_point[lost] = _NO_IMAGE_PX, 0.0, 0.0
+        cov = by_point @ cov_X @ np.swapaxes(by_point, 1, 2) + np.square(sigma)[:, None, None] * np.eye(2)
+        return Linear(residual=residual.ravel(), jacobian=J.reshape(-1, 6 + k), cov=cov)
+
+    def interior(x: _State) -> Linear:
+        """The interior orientation as an observation of itself."""
+        J = np.concatenate([np.zeros((k, 6)), np.eye(k)], axis=1)
+        off = (x.camera.parameters - camera.parameters)[loose]
+        return Linear(residual=off, jacobian=J, cov=camera.cov[np.ix_(loose, loose)][None])
+
+    def update(x: _State, dx: ArrayF) -> _State:
+        """Small changes put on the state; a focal length stays positive."""
+        p = x.camera.parameters.copy()
+        p[loose] += dx[6:]
+        p[:2] = np.maximum(p[:2], 0.05 * camera.parameters[:2])
+        return _State(x.pose.moved(dx[:6]), x.camera.with_parameters(p))
+
+    groups = [Observations("marks", marks)]
+    if k:
+        groups.append(Observations("interior orientation", interior))
+    return adjust(
+        groups,
+        _State(start, camera),
+        [*_NAMES, *(camera.parameter_names[i] for i in loose)],
+        update=update,
+        loss="huber",
+        reject_sigmas=REJECT_SIGMAS,
+        max_iterations=200,
+        cure="Record the picture again with markers spread over it",
+    )
+
+
+def _propagated(
+    adjusted: Adjusted[_State],
+    cov_interior: ArrayF,
+    points: FieldPoints,
+    at: ArrayI,
+    sigma: ArrayF,
+    loose: ArrayI,
+) -> tuple[Rigid, ArrayF, ArrayF, ArrayF]:
+    """Pose with covariance, the part of the marks, and the derivatives by camera and points.
+
+    The adjustment weights marks by ``S = s^2 I + P C P^T`` with each point's own block ``C``, and the
+    interior orientation by ``Q``. Its solution ``dx = -N^-1 (A^T S^-1 r + Q^-1 r_interior)`` carries the
+    errors of the marks, of the points with all their correlations, and of the interior orientation.
+    """
+    pose = adjusted.x.pose
+    _, by_pose, by_point, by_parameters = _project(adjusted.x.camera, pose, points.points_pcs[at])
+    J = np.concatenate([by_pose, by_parameters[:, :, loose]], axis=2)
+    blocks = np.array([points.cov[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in at])
+    S = by_point @ blocks @ np.swapaxes(by_point, 1, 2) + np.square(sigma)[:, None, None] * np.eye(2)
+    K = adjusted.cov[:6] @ np.swapaxes(np.linalg.solve(S, J), 1, 2)
+    cov_marks = np.einsum("mai,m,mbi->ab", K, np.square(sigma), K)
+    by_interior = np.zeros((6, len(cov_interior)))
+    if len(loose):
+        Q = cov_interior[np.ix_(loose, loose)]
+        by_interior[:, loose] = np.linalg.solve(Q, adjusted.cov[6:, :6]).T
+    parts = np.zeros((len(points.points), 6, 3))
+    np.add.at(parts, at, -K @ by_point)
+    by_points = np.swapaxes(parts, 0, 1).reshape(6, -1)
+    cov = cov_marks + by_points @ points.cov @ by_points.T + by_interior @ cov_interior @ by_interior.T
+    return pose.with_cov(cov), (cov_marks + cov_marks.T) / 2, by_interior, by_points
+
+
+def _require_one_solution(
+    pose: Rigid, camera: Camera, X: ArrayF, xy: ArrayF, sigma: ArrayF, marker: ArrayI, where: str
+) -> None:
+    """Few markers that are nearly in a plane may fit a second pose nearly as well."""
+    if len(set(marker.tolist())) > _CLEAR_MARKERS:
+        return
+    best = _misfit(camera, pose, X, xy, sigma)
+    reach = float(np.median(np.linalg.norm(X - pose.shift_m, axis=1)))
+    for other in other_poses(pose, X, camera.rays(xy), marker, apart_m=0.05 * reach):
+        misfit = _misfit(camera, other, X, xy, sigma)
+        apart = float(np.linalg.norm(other.shift_m - pose.shift_m))
+        if misfit < _TIMES_WORSE * max(best, 1.0):
+            raise GeometryError(
+                f"two poses {apart:.2f} m apart fit {len(X)} marks of {len(set(marker.tolist()))} markers",
+                expected="marks that leave one solution",
+                where=where,
+                cure="Record it again so that the camera sees more markers, at different distances",
+            )
+
+
+def _misfit(camera: Camera, pose: Rigid, X: ArrayF, xy: ArrayF, sigma: ArrayF) -> float:
+    """Root mean square of the residuals in units of their sigma."""
+    off = np.linalg.norm(_project(camera, pose, X)[0] - xy, axis=1) / sigma
+    return float(np.sqrt(np.nan_to_num(np.square(off), nan=1e12).mean() / 2))
+
+
+def _moved(marker: ArrayI, used: ArrayB) -> tuple[int, ...]:
+    """Markers seen with three corners or more of which not more than one fits."""
+    found = []
+    for m in np.unique(marker):
+        mine = used[marker == m]
+        if len(mine) >= 3 and mine.sum() <= 1:
+            found.append(int(m))
+    return tuple(found)

@@ -1,0 +1,1 @@
+"""The lidar on the moving boat, from a run around cones."""

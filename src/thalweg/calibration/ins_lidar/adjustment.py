@@ -1,0 +1,448 @@
+"""Mount of the lidar on the boat from a run past the cones of a calibration field (T 3.1.1).
+
+Start: ``phi = -90 deg``, all else zero. The cones are found in the cloud (`motion_search`), and the six
+parameters of ``T_ics_scs`` are adjusted so that the points lie on them (`ins_lidar_model`).
+
+**Origin.** The trajectory is that of the antenna, moved by its lever arm in ics. Nothing in the run sees the
+point that is called the origin of ics: with another lever arm of the antenna that of the lidar comes out
+shifted by the same. The antenna's lever arm *defines* the origin; what is observed is the place of the lidar
+relative to the antenna. The axes of ics are those of the attitudes that the INS states.
+
+**Sigmas.** T's sigmas (0.004 to 0.018 deg, 0.1 to 0.5 mm) follow if points err independently. They do not:
+the points of many seconds share the error of the pose, and a constant error of the attitude cannot be told
+from a turned mount at all. For Gauss-Markov errors (sigma, tau) seen without noise over a run of length T no
+estimate of their mean is better than
+
+    sigma sqrt(2 tau / (T + 2 tau))
+
+0.046 deg in roll and pitch and 0.09 deg in heading for 0.1 and 0.2 deg, 20 s and 150 s. Both are reported:
+the *formal* sigmas as in T, and the honest ones, which go on into the file.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Literal, Self
+
+import numpy as np
+import pandas as pd
+
+from thalweg.calibration.cones.fit import FORM_SIGMA_M
+from thalweg.calibration.ins_lidar.checks import (
+    RunGates,
+    check_antenna,
+    check_cones,
+    check_geometry,
+    check_turns,
+    moved_cone,
+)
+from thalweg.calibration.ins_lidar.model import (
+    MOUNT,
+    AntennaPoint,
+    Known,
+    Linearised,
+    State,
+    Step,
+    by_antenna,
+    cone_shifts,
+    linearise,
+    solve_step,
+    truncated_variance,
+)
+from thalweg.calibration.ins_lidar.motion_search import MountRange, OnCones, find_mount, select
+from thalweg.calibration.ins_lidar.point_noise import BeamNoise, estimate_noise
+from thalweg.calibration.ins_lidar.pose_errors import Knots, PoseErrors
+from thalweg.calibration.ins_lidar.pose_process import (
+    GroupSigmas,
+    Processes,
+    estimate_processes,
+    group_sigmas,
+    total_covariance,
+)
+from thalweg.calibration.ins_lidar.run_points import FieldCones, RunPoints
+from thalweg.core.errors import GeometryError
+from thalweg.core.rigid import Rigid
+from thalweg.core.types import ArrayB, ArrayF, ArrayI
+
+START: Final = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), np.zeros(3))
+"""T 3.1.1: phi = -90 deg, omega = kappa = 0, lever arm 0."""
+
+_MAX_STEPS: Final = 12
+_NEARLY: Final = 0.05
+_NOISE_NEARLY: Final = 0.02
+# Steps of the mount in sigmas. Beams at the outlines of cones keep it moving by 0.03; a step of 0.05
+# adds a quarter of a percent to the variance.
+_SETTLED: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InsLidarSettings:
+    """How a run is evaluated.
+
+    Parameters
+    ----------
+    errors : how the trajectory errs.
+    noise : of a single point, as stated; its size along and across the beam is estimated from the residuals.
+    sigma_time_s : of the lidar's stamps against the trajectory, one offset for the whole run.
+    search : how far from the start the mount may be.
+    gates : what a run must have.
+    gates_m : half widths of the layers about the cones in the first passes.
+    reject_sigmas : afterwards, in sigmas of a point.
+    end_margin_m, max_incidence_deg : see `motion_search.select`.
+    max_points_per_cone : more are thinned evenly in time.
+    estimate_errors : take sizes, correlation times and white share of the pose errors from the run too, with
+        ``errors`` as prior knowledge, and let what the run leaves open enlarge the covariance.
+    form_sigma_m : how far the cones are from perfect ones, for `ins_lidar_file.field_cones`.
+    """
+
+    errors: PoseErrors
+    noise: BeamNoise = field(default_factory=BeamNoise)
+    sigma_time_s: float = 0.0005
+    search: MountRange = field(default_factory=MountRange)
+    gates: RunGates = field(default_factory=RunGates)
+    gates_m: tuple[float, ...] = (0.20, 0.10)
+    reject_sigmas: float = 3.0
+    end_margin_m: float = 0.06
+    max_incidence_deg: float = 60.0
+    max_points_per_cone: int = 20_000
+    estimate_errors: bool = False
+    form_sigma_m: float = FORM_SIGMA_M
+
+    @classmethod
+    def from_section(cls, section: Mapping[str, Any]) -> Self:
+        """From a section of a campaign file; sections ``errors``, ``noise``, ``search``, ``gates`` inside."""
+        values = dict(section)
+        values["errors"] = PoseErrors.from_section(values["errors"])
+        for name, kind in (("noise", BeamNoise), ("search", MountRange), ("gates", RunGates)):
+            if name in values:
+                values[name] = kind(**values[name])
+        if "gates_m" in values:
+            values["gates_m"] = tuple(values["gates_m"])
+        return cls(**values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InsLidar:
+    """Calibrated mount of the lidar.
+
+    Parameters
+    ----------
+    T_ics_scs : with its honest covariance (shift; rotation vector in ics).
+    cov_formal : (6, 6) as T: independent points, nothing else errs.
+    without_antenna : mount with honest covariance without the antenna seen from the scanner.
+    by_antenna : (6, 3) derivative of the mount by that point in scs; zero without it.
+    errors : of the poses, as used: stated, or estimated.
+    processes : what the run says of them; None where it was not asked.
+    noise : of a single point, estimated.
+    sigmas : by group of observations how large residuals are in units of what is stated.
+    n_points, redundancy : points used; observations minus unknowns.
+    passes : table of the points used and left out, for each pass and cone.
+    points : table of the points in the last pass, before and after, in pcs.
+    dropped : cones left out, with the reason.
+    """
+
+    T_ics_scs: Rigid
+    cov_formal: ArrayF
+    without_antenna: Rigid
+    by_antenna: ArrayF
+    errors: PoseErrors
+    processes: Processes | None
+    noise: BeamNoise
+    sigmas: GroupSigmas
+    n_points: int
+    redundancy: int
+    passes: pd.DataFrame
+    points: pd.DataFrame
+    dropped: dict[str, str] = field(default_factory=dict)
+
+    def cone_points(self, which: Literal["start", "calibrated"]) -> pd.DataFrame:
+        """Points near the cones in pcs, with the approximate or with the calibrated mount (T Fig. 3.1)."""
+        t = self.points
+        return pd.DataFrame({
+            "cone": t["cone"], "position": "run", "t_gps_s": t["t_gps_s"],
+            **{f"{a}_m": t[f"{a}_{which}_m"] for a in "xyz"},
+            "residual_m": t[f"distance_{which}_m"], "used": t["used"],
+        })  # fmt: skip
+
+    def summary(self) -> pd.DataFrame:
+        """A row for each parameter: value, honest sigma, formal sigma, sigma without the antenna."""
+        T, W = self.T_ics_scs, self.without_antenna
+        unit = np.r_[np.full(3, 1e3), np.full(3, np.rad2deg(1.0))]
+        return pd.DataFrame({
+            "parameter": ["x", "y", "z", "rotation_x", "rotation_y", "rotation_z"],
+            "unit": ["mm"] * 3 + ["deg"] * 3,
+            "from_start": T.error_from(START) * unit,
+            "sigma": np.sqrt(np.diag(T.cov)) * unit,
+            "sigma_formal": np.sqrt(np.diag(self.cov_formal)) * unit,
+            "sigma_without_antenna": np.sqrt(np.diag(W.cov)) * unit,
+            "without_antenna_minus_with": W.error_from(T) * unit,
+        })  # fmt: skip
+
+
+def calibrate(
+    points: RunPoints,
+    cones: FieldCones,
+    T_wcs_pcs: Rigid,
+    settings: InsLidarSettings,
+    *,
+    lever_ics_antenna_m: ArrayF,
+    antenna: AntennaPoint | None = None,
+    start: Rigid = START,
+) -> InsLidar:
+    """Mount of the lidar from the points of a run.
+
+    Parameters
+    ----------
+    points : of the run, with poses; points that are on no cone are welcome.
+    cones, T_wcs_pcs : the field, and its place in the world.
+    settings : how to go on.
+    lever_ics_antenna_m : (3,) the lever arm by which the trajectory was made; it defines the origin of ics.
+    antenna : the antenna seen from the scanner, see `thalweg.calibration.ins_lidar.antenna`.
+    start : approximate mount.
+
+    Raises
+    ------
+    CoverageError : no point near any cone.
+    GeometryError : the mount does not settle, or the antenna's marker contradicts the run.
+    UnobservableError : the motion or the cones leave parameters of the mount undetermined.
+    """
+    dropped: dict[str, str] = {}
+    while True:
+        known = Known(
+            field=cones, T_wcs_pcs=T_wcs_pcs, lever_ics_antenna_m=np.asarray(lever_ics_antenna_m, np.float64),
+            errors=settings.errors, noise=settings.noise, sigma_time_s=settings.sigma_time_s, antenna=antenna,
+        )  # fmt: skip
+        run = _Run.prepare(points, known, settings, start)
+        settled = run.passes()
+        bad = check_cones(run.selection, cones, settings.gates, dropped) or run.moved()
+        if bad is None and settled:
+            return run.result(start, dropped)
+        if bad is None:
+            raise GeometryError(
+                f"the mount of the lidar has not settled after {_MAX_STEPS} passes",
+                expected="points that lie on the cones",
+                cure="Look at the table of the passes; check the cones' reference and the trajectory",
+            )
+        k, reason = bad
+        dropped[cones.names[k]] = reason
+        cones = cones.only([i for i in range(len(cones.names)) if i != k])
+
+
+@dataclass(slots=True, kw_only=True)
+class _Run:
+    points: RunPoints
+    cone: ArrayI
+    near: ArrayI
+    known: Known
+    settings: InsLidarSettings
+    knots: Knots
+    state: State
+    selection: OnCones
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    @classmethod
+    def prepare(cls, points: RunPoints, known: Known, settings: InsLidarSettings, start: Rigid) -> Self:
+        """Find the mount roughly, and the points near the cones."""
+        mount = find_mount(points, known.field, known.T_wcs_pcs, start, settings.search)
+        cone = known.field.near(points.in_wcs(mount), known.T_wcs_pcs, 0.3)
+        near = np.bincount(cone[cone >= 0], minlength=len(known.field.names))
+        keep = []
+        for k, n in enumerate(near):
+            at = np.flatnonzero(cone == k)
+            keep.append(at[:: max(-(-int(n) // (3 * settings.max_points_per_cone)), 1)])
+        rows = np.sort(np.concatenate(keep))
+        points, cone = points.taken(rows), cone[rows]
+        knots = Knots.over(float(points.t_gps_s[0]), float(points.t_gps_s[-1]), settings.errors)
+        state = State(mount=mount, z=np.zeros(known.n_border - 6), e=np.zeros(knots.n))
+        none = np.zeros(len(points), dtype=np.bool_)
+        empty = OnCones(cone=cone, used=none, far=none, ends=none, grazing=none)
+        return cls(
+            points=points, cone=cone, near=near, known=known, settings=settings, knots=knots, state=state,
+            selection=empty,
+        )  # fmt: skip
+
+    def passes(self) -> bool:
+        """Adjust with layers that grow thinner; whether the mount came to rest."""
+        band, _ = self.knots.prior(self.known.errors)
+        for gate in self.settings.gates_m:
+            self._pass(band, gate, steps=2)
+        for _ in range(_MAX_STEPS):
+            before = self.known.noise
+            step = self._pass(band, None, steps=1)
+            if step.length < _NEARLY and self.known.noise.change(before) < _NOISE_NEARLY:
+                break
+        # Points at the edge of the layer come and go; the last steps are made with those that are in it now.
+        # So do beams at an outline, which meet now the near side of a cone and now far behind it.
+        last: ArrayF | None = None
+        for _ in range(_MAX_STEPS):
+            linear = self._linear()
+            steady = np.isfinite(linear.distance_m)
+            if last is not None:
+                steady &= np.abs(linear.distance_m - last) < np.sqrt(linear.variance_m2)
+            last = linear.distance_m
+            self.selection.used[~steady] = False
+            step = self._solve(linear, band)
+            self.state = step.state
+            if step.length < _SETTLED:
+                return True
+        return False
+
+    def moved(self) -> tuple[int, str] | None:
+        """A cone that does not stand where it was measured, see `ins_lidar_checks.moved_cone`.
+
+        Where the errors of the poses are estimated a cone must be off by these as well, as found without it:
+        poses worse than stated move all cones.
+        """
+        linear = self._linear()
+        used = self.selection.used & np.isfinite(linear.distance_m)
+        bad = self._moved(linear, used, self.known.errors)
+        if bad is None or not self.settings.estimate_errors:
+            return bad
+        step = self._solve(linear, self.knots.prior(self.known.errors)[0], used & (self.cone != bad[0]))
+        return self._moved(linear, used, estimate_processes(step, self.knots, self.known.errors).errors)
+
+    def _moved(self, linear: Linearised, used: ArrayB, errors: PoseErrors) -> tuple[int, str] | None:
+        shift, square = cone_shifts(
+            self.points.taken(used), linear.taken(used), self.cone[used], self.known, self.state, self.knots,
+            prior_band=self.knots.prior(errors)[0],
+        )  # fmt: skip
+        return moved_cone(shift, square, self.selection, self.known.field)
+
+    def _pass(self, band: ArrayF, gate_m: float | None, *, steps: int) -> Step:
+        s, field_ = self.settings, self.known.field
+        linear = self._linear()
+        gate = s.reject_sigmas * np.sqrt(linear.variance_m2) if gate_m is None else gate_m
+        half = np.array([cone.half_angle_rad for cone in field_.cones])
+        self.selection = select(
+            self.cone, linear.distance_m, linear.slant_m, linear.cosine,
+            ends_m=field_.length_m / np.cos(half), gate_m=gate,
+            end_margin_m=s.end_margin_m, max_incidence_deg=s.max_incidence_deg,
+        )  # fmt: skip
+        self._thin()
+        self._count(gate_m, linear)
+        for i in range(steps):
+            if i:
+                linear = self._linear()
+            step = self._solve(linear, band)
+            self.state = step.state
+        if gate_m is None:
+            self._estimate_noise(linear, step)
+        return step
+
+    def _estimate_noise(self, linear: Linearised, step: Step) -> None:
+        """Noise of the points by their own residuals."""
+        used = self.selection.used & np.isfinite(linear.distance_m)
+        share = step.share * truncated_variance(self.settings.reject_sigmas)
+        noise = estimate_noise(step.residual_m, linear.cosine[used], share, self.settings.noise)
+        self.known = replace(self.known, noise=noise)
+
+    def _linear(self) -> Linearised:
+        return linearise(self.points, self.cone, self.known, self.state, self.knots)
+
+    def _solve(
+        self, linear: Linearised, band: ArrayF, rows: ArrayB | None = None, *, with_antenna: bool = True
+    ) -> Step:
+        # a beam at the outline may miss the cone after the mount has moved
+        used = self.selection.used & np.isfinite(linear.distance_m) if rows is None else rows
+        return solve_step(
+            self.points.taken(used), linear.taken(used), self.known, self.state, self.knots,
+            prior_band=band, with_antenna=with_antenna,
+        )  # fmt: skip
+
+    def _thin(self) -> None:
+        """Leave out used points of cones that have more than enough, evenly in time."""
+        for k in range(len(self.known.field.names)):
+            at = np.flatnonzero(self.selection.used & (self.cone == k))
+            limit = self.settings.max_points_per_cone
+            if at.size > limit:
+                kept = at[np.linspace(0, at.size - 1, limit).astype(np.int64)]
+                self.selection.used[at] = False
+                self.selection.used[kept] = True
+
+    def _count(self, gate_m: float | None, linear: Linearised) -> None:
+        s = self.selection
+        number = 1 + (self.rows[-1]["pass"] if self.rows else 0)
+        for k, name in enumerate(self.known.field.names):
+            mine = self.cone == k
+            used = s.used & mine
+            rms = float(np.sqrt(np.nanmean(linear.distance_m[used] ** 2))) if used.any() else np.nan
+            self.rows.append({
+                "pass": number,
+                "layer_mm": 1e3 * gate_m if gate_m is not None else np.nan,
+                "cone": name,
+                "near": int(self.near[k]),
+                "taken": int(mine.sum()),
+                "used": int(used.sum()),
+                "far_from_surface": int((s.far & mine).sum()),
+                "beyond_ends": int((s.ends & mine).sum()),
+                "grazing": int((s.grazing & mine).sum()),
+                "thinned": int((mine & ~s.used & ~s.far & ~s.ends & ~s.grazing).sum()),
+                "rms_mm": 1e3 * rms,
+            })  # fmt: skip
+
+    def result(self, start: Rigid, dropped: dict[str, str]) -> InsLidar:
+        """The last solution with covariances and tables, if the run determines it."""
+        used = self.selection.used
+        check_turns(self.points.heading_rad()[used], self.settings.gates)
+        linear = self._linear()
+        errors, processes = self.known.errors, None
+        band, _ = self.knots.prior(errors)
+        step = self._solve(linear, band)
+        check_geometry(step.normals.border[MOUNT, MOUNT], self.settings.gates)
+        if self.settings.estimate_errors:
+            processes = estimate_processes(step, self.knots, errors)
+            errors = processes.errors
+            band, _ = self.knots.prior(errors)
+            step = self._solve(linear, band)
+        alone = self._solve(linear, band, with_antenna=False)
+        mount, without = (self._mount(found, processes) for found in (step, alone))
+        check_antenna(self.known, without)
+        J = linear.border[used, MOUNT]
+        formal = np.asarray(np.linalg.inv((J / linear.variance_m2[used, None]).T @ J))
+        stated = self.settings.noise.variance_along(linear.cosine[used])
+        scale = float(np.sqrt(np.mean(linear.variance_m2[used]) / np.mean(stated)))
+        return InsLidar(
+            T_ics_scs=mount,
+            cov_formal=formal,
+            without_antenna=without,
+            # how the estimate follows the antenna, by the covariance with which it was made
+            by_antenna=by_antenna(self.known, self._mount(step, None)),
+            errors=errors,
+            processes=processes,
+            noise=self.known.noise,
+            sigmas=group_sigmas(step, self.knots, errors) | {"noise_scale": scale},
+            n_points=int(used.sum()),
+            redundancy=step.normals.n - 6,
+            passes=pd.DataFrame(self.rows),
+            points=self._table(start, mount),
+            dropped=dropped,
+        )
+
+    def _mount(self, step: Step, processes: Processes | None) -> Rigid:
+        """The mount with its covariance, over all processes that the run leaves possible."""
+        cov = step.solution.cov_border[MOUNT, MOUNT]
+        if processes is not None:
+            cov = total_covariance(step.normals, step.prior_border, self.knots, processes)
+        return step.state.mount.with_cov(cov)
+
+    def _table(self, start: Rigid, mount: Rigid) -> pd.DataFrame:
+        """Points near the cones with the start's and with the calibrated mount (T Fig. 3.1)."""
+        fixed = replace(self.state, z=np.zeros_like(self.state.z), e=np.zeros_like(self.state.e))
+        before = linearise(self.points, self.cone, self.known, replace(fixed, mount=start), self.knots)
+        after = linearise(self.points, self.cone, self.known, replace(fixed, mount=mount), self.knots)
+        adjusted = linearise(self.points, self.cone, self.known, self.state, self.knots)
+        out: dict[str, Any] = {
+            "cone": np.asarray(self.known.field.names)[self.cone],
+            "t_gps_s": self.points.t_gps_s,
+            "used": self.selection.used,
+        }
+        to_pcs = self.known.T_wcs_pcs.inverse()
+        for name, T in (("start", start), ("calibrated", mount)):
+            xyz = to_pcs.apply(self.points.in_wcs(T))
+            out |= {f"{axis}_{name}_m": xyz[:, i] for i, axis in enumerate("xyz")}
+        out |= {
+            "distance_start_m": before.distance_m,
+            "distance_calibrated_m": after.distance_m,
+            "distance_adjusted_m": adjusted.distance_m,
+            "sigma_m": np.sqrt(adjusted.variance_m2),
+        }
+        return pd.DataFrame(out)

@@ -1,0 +1,1 @@
+"""Coded markers on printed sheets: design, detection to sub-pixels."""

@@ -1,0 +1,1 @@
+"""The camera's clock from what its photographs show: antenna positions, attitudes, tracks."""

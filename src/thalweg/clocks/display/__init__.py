@@ -1,0 +1,1 @@
+"""The camera's clock from photographs of a running clock."""

@@ -1,0 +1,1 @@
+"""Streams beside each other: offset, drift, jitter, gaps, lag."""

@@ -1,0 +1,1 @@
+"""Clock models from tie points, triggers and tables kept by hand."""

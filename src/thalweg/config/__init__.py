@@ -1,1 +1,0 @@
-"""Campaign files: models, checks and messages. Every mistake is reported at once, with its cure."""

@@ -1,0 +1,1 @@
+"""Least squares with robust weights, conditions, covariances and tests of both (`adjust`)."""

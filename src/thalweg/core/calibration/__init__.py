@@ -1,0 +1,1 @@
+"""Calibrations of a boat as files: mounts with one joint covariance, and their imports."""

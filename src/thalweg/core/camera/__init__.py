@@ -1,0 +1,1 @@
+"""Interior orientation: perspective and fisheye models, and the files that hold them."""

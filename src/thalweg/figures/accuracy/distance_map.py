@@ -1,0 +1,321 @@
+"""Signed distance of the cloud to the reference surface, mapped on the bank (P2 Fig. 14, T Fig. 3.2).
+
+The map is drawn in the plane of the bank: along the bank to the right as one looks at it from the river, and
+up its slope. A long bank is cut into strips that lie below each other, all at one scale.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from cmcrameri import cm
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Colormap, ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from thalweg.core.geometry.mesh import TriangleMesh
+from thalweg.core.geometry.raycast import RayCaster
+from thalweg.core.types import ArrayF, ArrayI
+from thalweg.figures.accuracy.distances import compared, round_limit_m, statistics_text
+from thalweg.figures.style import HALO, WIDTH_MM, count, new_figure, round_length, scale_bar, styled
+from thalweg.surface.bank_frame import BankFrame
+
+DISTANCE_MAP: Final[Colormap] = ListedColormap(cm.vik(np.linspace(0.08, 0.92, 256)), "thalweg_distance")
+"""Blue behind the reference, brown in front of it, light in between; without the ends: both are black."""
+
+BEHIND: Final = "behind the reference\n(into the bank)"
+FRONT: Final = "in front of the reference\n(toward the river)"
+
+MOST_STRIPS: Final = 8
+STRIPS_MM: Final = 165.0
+"""Most strips of a map, and the height that they share at most."""
+
+STRIP_MM: Final = 8.0
+"""Height of what stands about a strip, its numbers."""
+
+CELL_MM: Final = 0.2
+"""Least size on paper of a cell of which the median is drawn."""
+
+POINTS_IN_CELL: Final = 3.0
+"""Cells are large enough to hold so many points on the mean."""
+
+STRAYS: Final = 0.01
+"""Share of the points of a strip that may lie above its upper edge, and below its lower one."""
+
+BLOCK_MM: Final = 4.5
+"""Size on paper of the blocks that get a sign: colours alone cannot be told apart in grey print."""
+
+POINTS_IN_BLOCK: Final = 20
+"""Blocks with fewer points get no sign."""
+
+SIGN_FROM: Final = 0.2
+"""A block whose median is above this share of the scale's end gets a sign."""
+
+LEFT_OUT: Final = (0.25, 0.25, 0.25)
+"""Colour of cells whose points were all left out."""
+
+_DRAWN_MM: Final = WIDTH_MM - 22.0
+_LIGHT: Final = np.array([-0.45, 0.55, 0.70])
+"""Direction to the light in the bank's frame: from the upper left, in front."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Strip:
+    """A piece of the map: its ends along the bank and up the slope, metres in the bank's frame."""
+
+    along_m: tuple[float, float]
+    up_slope_m: tuple[float, float]
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom, top."""
+        return (*self.along_m, *self.up_slope_m)
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Length along the bank and height up the slope."""
+        return self.along_m[1] - self.along_m[0], self.up_slope_m[1] - self.up_slope_m[0]
+
+
+def strips(bank_m: ArrayF) -> list[Strip]:
+    """Pieces of equal length that show points at the largest scale that the height of the page allows.
+
+    Parameters
+    ----------
+    bank_m : (n, 2 or 3) points in the bank's frame.
+    """
+    along = bank_m[:, 0]
+    low, high = float(along.min()), float(along.max())
+    best: list[Strip] = []
+    for n in range(1, MOST_STRIPS + 1):
+        edges = np.linspace(low, max(high, low + 1.0), n + 1)
+        index = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, n - 1)
+        margin = 0.02 * float(edges[1] - edges[0])
+        found = []
+        for k in range(n):
+            up = bank_m[index == k, 1]
+            if up.size:
+                # Single strays up or down the slope would make the strip high and empty.
+                bottom, top = (float(v) for v in np.percentile(up, [100 * STRAYS, 100 * (1 - STRAYS)]))
+                ends = (float(edges[k]), float(edges[k + 1]))
+                found.append(Strip(along_m=ends, up_slope_m=(bottom - margin, top + margin)))
+        height_mm = sum(s.size_m[1] for s in found) / (edges[1] - edges[0]) * _DRAWN_MM + STRIP_MM * n
+        if best and height_mm > STRIPS_MM:
+            break
+        best = found
+    return best
+
+
+@styled
+def distance_map(
+    table: pd.DataFrame,
+    mesh: TriangleMesh,
+    bank: BankFrame,
+    *,
+    limit_m: float | None = None,
+    max_distance_m: float = np.inf,
+    max_points: int = 2_000_000,
+    title: str = "Distance of the cloud to the reference",
+    twin: bool = False,
+) -> Figure:
+    """Median signed distance of the points in each cell of the bank, over the shaded reference.
+
+    Parameters
+    ----------
+    table : of kind ``cloud_to_mesh``.
+    mesh : the reference surface, shown in grey where no point lies.
+    bank : frame of the map.
+    limit_m : distance at both ends of the colour scale; from median and NMAD by default.
+    max_distance_m : points farther off were left out for that, whether near the border or not.
+    max_points : points drawn at most, evenly thinned; the numbers in the titles are those of all points.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : a column is missing.
+    CoverageError : no point was compared.
+    """
+    used = compared(table)
+    distance_m = used["distance_m"].to_numpy(np.float64)
+    drawn = used.iloc[:: -(-len(used) // max_points)]
+    aside = table[table["at_border"] & ~table["used"] & (table["distance_m"].abs() <= max_distance_m)]
+    place = _on_bank(drawn, bank)
+    place_aside = _on_bank(aside.iloc[:: max(1, -(-len(aside) // max_points))], bank)
+    pieces = strips(np.concatenate([place, place_aside]))
+    m_per_mm = _scale(pieces)
+    points = _Points(
+        place_m=place,
+        distance_m=drawn["distance_m"].to_numpy(np.float64),
+        aside_m=place_aside,
+        limit_m=limit_m or round_limit_m(distance_m),
+        cell_m=_cell_m(place, m_per_mm),
+        block_m=BLOCK_MM * m_per_mm,
+    )
+    heights = [piece.size_m[1] / m_per_mm for piece in pieces]
+    head = f"{title}, n = {count(len(used))} points, {statistics_text(distance_m)}"
+    figure = new_figure(sum(heights) + STRIP_MM * len(pieces) + 44.0, head, twin=twin)
+    panels = list(figure.subplots(len(pieces), 1, height_ratios=heights, squeeze=False)[:, 0])
+    caster = RayCaster(bank.to_bank(mesh.vertices_m), mesh.faces)
+    for ax, piece in zip(panels, pieces, strict=True):
+        _draw_reference(ax, caster, piece)
+        _draw_cells(ax, piece, points)
+        _draw_signs(ax, piece, points)
+        ax.set_aspect("equal")
+        ax.set_xlim(*piece.along_m)
+        ax.set_ylim(*piece.up_slope_m)
+        ax.set_ylabel("up slope / m")
+        ax.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+    panels[0].set_title(_subtitle(used, len(aside), bank, points.limit_m, _share_beyond(pieces, place)))
+    panels[-1].set_xlabel("along the bank, to the right as seen from the river / m")
+    scale_bar(panels[-1], span_m=pieces[-1].size_m[0], xy=(0.02, 0.08))
+    _colour_bar(figure, panels, points, distance_m)
+    figure.align_ylabels(panels)
+    return figure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Points:
+    """What is drawn: places and distances of the points, places of those left out, sizes of the map."""
+
+    place_m: ArrayF
+    distance_m: ArrayF
+    aside_m: ArrayF
+    limit_m: float
+    cell_m: float
+    block_m: float
+
+
+def _on_bank(table: pd.DataFrame, bank: BankFrame) -> ArrayF:
+    return bank.to_bank(table[["east_m", "north_m", "up_m"]].to_numpy(np.float64))
+
+
+def _scale(pieces: list[Strip]) -> float:
+    """Metres on a millimetre of paper: strips fill the width unless they would be too high."""
+    length_m = max(piece.size_m[0] for piece in pieces)
+    height_m = sum(piece.size_m[1] for piece in pieces)
+    return max(length_m / _DRAWN_MM, height_m / (STRIPS_MM - STRIP_MM * len(pieces)))
+
+
+def view_text(bank: BankFrame) -> str:
+    """``looking toward 187°``: from the river onto the bank."""
+    along = bank.R_bank_wcs[0]
+    azimuth = np.rad2deg(np.arctan2(-along[1], along[0])) % 360.0
+    return f"looking toward {azimuth:.0f}°"
+
+
+def _subtitle(used: pd.DataFrame, n_border: int, bank: BankFrame, limit: float, share_beyond: float) -> str:
+    kept = used.loc[~used["outlier"].to_numpy(bool), "distance_m"].to_numpy(np.float64)
+    first = f"without {count(len(used) - len(kept))} outliers: {statistics_text(kept)}" if kept.size else ""
+    beyond = f"beyond the map: {100 * share_beyond:.2g} % of n" if share_beyond else ""
+    second = (
+        f"seen from the river, {view_text(bank)}; + and \N{MINUS SIGN}: blocks whose median is beyond "
+        f"±{100 * SIGN_FROM * limit:g} cm"
+    )
+    third = "light grey: reference without points"
+    third += f"; dark grey: left out at its border, n = {count(n_border)}" if n_border else ""
+    return "\n".join(["; ".join(filter(None, [first, beyond])), second, third])
+
+
+def _share_beyond(pieces: list[Strip], place: ArrayF) -> float:
+    """Share of the points that no strip shows."""
+    shown = np.zeros(len(place), dtype=bool)
+    for piece in pieces:
+        left, right, bottom, top = piece.extent
+        shown |= (
+            (place[:, 0] >= left) & (place[:, 0] <= right) & (place[:, 1] >= bottom) & (place[:, 1] <= top)
+        )
+    return 1.0 - float(np.mean(shown))
+
+
+def _cell_m(place: ArrayF, m_per_mm: float) -> float:
+    """Size of the cells: seen on paper, and large enough for a median, rounded to 1, 2, 5."""
+    on_paper = CELL_MM * m_per_mm
+    coarse = np.unique(np.floor(place[:, :2] / (4 * on_paper)).astype(np.int64), axis=0)
+    density = len(place) / (len(coarse) * (4 * on_paper) ** 2)
+    wanted = max(on_paper, float(np.sqrt(POINTS_IN_CELL / density)))
+    low = round_length(wanted)
+    return low if low >= 0.999 * wanted else round_length(2.5 * low)
+
+
+def _cells(piece: Strip, place: ArrayF, cell_m: float) -> tuple[ArrayI, tuple[int, int], ArrayF]:
+    """Cell of each point, -1 outside the strip; rows and columns of cells; edges left, right, bottom, top."""
+    left, bottom = piece.along_m[0], piece.up_slope_m[0]
+    columns, rows = (int(np.ceil(size / cell_m)) for size in piece.size_m)
+    column = np.floor((place[:, 0] - left) / cell_m).astype(np.int64)
+    row = np.floor((place[:, 1] - bottom) / cell_m).astype(np.int64)
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    index = np.where(inside, row * columns + column, -1)
+    return index, (rows, columns), np.array([left, left + columns * cell_m, bottom, bottom + rows * cell_m])
+
+
+def _medians(index: ArrayI, values: ArrayF, n_cells: int) -> tuple[ArrayF, ArrayI]:
+    """Median and number of the values of each cell; NaN in an empty one."""
+    inside = index >= 0
+    groups = pd.Series(values[inside]).groupby(index[inside], sort=True)
+    out, n = np.full(n_cells, np.nan), np.zeros(n_cells, dtype=np.int64)
+    found = groups.median()
+    out[found.index.to_numpy()] = found.to_numpy()
+    n[found.index.to_numpy()] = groups.size().to_numpy()
+    return out, n
+
+
+def _draw_reference(ax: Axes, caster: RayCaster, piece: Strip, width_px: int = 1600) -> None:
+    """The reference in grey, lit from the upper left; white where it has a hole."""
+    pixel = piece.size_m[0] / width_px
+    height_px = max(int(np.ceil(piece.size_m[1] / pixel)), 1)
+    along = piece.along_m[0] + (np.arange(width_px) + 0.5) * pixel
+    up = piece.up_slope_m[1] - (np.arange(height_px) + 0.5) * pixel
+    origins = np.empty((height_px * width_px, 3))
+    origins[:, 0], origins[:, 1], origins[:, 2] = np.tile(along, height_px), np.repeat(up, width_px), 1000.0
+    hits = caster.cast(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape))
+    light = np.clip(hits.normal @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
+    grey = np.where(hits.primitive >= 0, 0.62 + 0.33 * light, 1.0).reshape(height_px, width_px)
+    box = (*piece.along_m, piece.up_slope_m[1] - height_px * pixel, piece.up_slope_m[1])
+    ax.imshow(grey, extent=box, cmap="gray", vmin=0, vmax=1, interpolation="antialiased", gid="reference")
+
+
+def _draw_cells(ax: Axes, piece: Strip, points: _Points) -> None:
+    """The median of each cell; dark grey where all points were left out."""
+    index, shape, edges = _cells(piece, points.place_m, points.cell_m)
+    medians, n = _medians(index, points.distance_m, shape[0] * shape[1])
+    aside, _, _ = _cells(piece, points.aside_m, points.cell_m)
+    picture = np.zeros((medians.size, 4))
+    picture[aside[aside >= 0]] = (*LEFT_OUT, 1.0)
+    picture[n > 0] = DISTANCE_MAP(Normalize(-points.limit_m, points.limit_m)(medians[n > 0]))
+    ax.imshow(
+        picture.reshape(*shape, 4), extent=tuple(edges), origin="lower", interpolation="nearest", zorder=2,
+        gid="distances",
+    )  # fmt: skip
+
+
+def _draw_signs(ax: Axes, piece: Strip, points: _Points) -> None:
+    """Plus and minus on blocks that lie clearly in front of the reference or behind it."""
+    index, shape, _ = _cells(piece, points.place_m, points.block_m)
+    medians, n = _medians(index, points.distance_m, shape[0] * shape[1])
+    # At the middle of the block's points, which at an edge is not that of the block.
+    x, y = (_medians(index, points.place_m[:, k], medians.size)[0] for k in (0, 1))
+    for sign, marker in ((1.0, "+"), (-1.0, "_")):
+        shown = (n >= POINTS_IN_BLOCK) & (sign * np.nan_to_num(medians) > SIGN_FROM * points.limit_m)
+        ax.plot(
+            x[shown], y[shown], ls="none", marker=marker, ms=3.4, mew=0.7, color="black", zorder=3,
+            gid=f"sign{marker}", path_effects=HALO,
+        )  # fmt: skip
+
+
+def _colour_bar(figure: Figure, panels: list[Axes], points: _Points, distance_m: ArrayF) -> None:
+    limit = points.limit_m
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(-100 * limit, 100 * limit), DISTANCE_MAP), ax=panels, location="bottom",
+        aspect=55, shrink=0.8, pad=0.02, extend="both",
+        label=f"signed distance to the reference, median of each cell of {100 * points.cell_m:g} cm / cm",
+    )  # fmt: skip
+    behind, front = int(np.sum(distance_m < -limit)), int(np.sum(distance_m > limit))
+    for x, side, words, n in ((0.0, "left", BEHIND, behind), (1.0, "right", FRONT, front)):
+        bar.ax.annotate(
+            f"{words}\nbeyond the end: n = {count(n)}", (x, 1.0), xycoords="axes fraction", xytext=(0, 3),
+            textcoords="offset points", ha=side, va="bottom", fontsize=7, gid=f"end-{side}",
+        )  # fmt: skip

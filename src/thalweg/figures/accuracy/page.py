@@ -1,0 +1,372 @@
+"""One page on the accuracy of a cloud: the verdict first, then what it rests on, then its limits."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.accuracy.cloud_to_mesh.comparison_tables import (
+    ALL,
+    AS_MEASURED,
+    WITHOUT_OUTLIERS,
+    classes_in_words,
+)
+from thalweg.figures.accuracy.words import (
+    MESH_IN_WORDS,
+    OF_COMPARED,
+    POINTS_IN_WORDS,
+    REFERENCE_IN_WORDS,
+    covered,
+    explanation,
+    limits,
+    value_of,
+    verdict,
+)
+from thalweg.figures.page import Page
+from thalweg.figures.style import count
+
+DISTANCES: Final = (
+    ("n", "n", "1", 1.0),
+    ("bias", "mean", "mm", 1e3),
+    ("median", "median", "mm", 1e3),
+    ("std", "std", "mm", 1e3),
+    ("nmad", "NMAD", "mm", 1e3),
+    ("rmse", "RMSE", "mm", 1e3),
+    ("p95", "95 % of |d| below", "mm", 1e3),
+)
+HONESTY: Final = (
+    ("rmse", "observed", "mm", 1e3),
+    ("predicted_rmse", "predicted", "mm", 1e3),
+    ("predicted_rmse_3d", "3D", "mm", 1e3),
+    ("ratio", "ratio", "1", 1.0),
+    ("ratio_low95", "from", "1", 1.0),
+    ("ratio_high95", "to", "1", 1.0),
+    ("independent_values", "values", "1", 1.0),
+)
+PARTS: Final = (
+    ("bias", "mean", "mm", 1e3),
+    ("sigma_of_bias", "what the sigmas predict for the mean (1 sigma)", "mm", 1e3),
+    ("normalised_median", "median of distance over sigma", "1", 1.0),
+    ("normalised_nmad", "NMAD of distance over sigma", "1", 1.0),
+    ("ratio_of_middle", "ratio of the middle: from these two, whatever the tails do", "1", 1.0),
+    ("middle_low95", "honest sigmas leave it above", "1", 1.0),
+    ("middle_high95", "and below", "1", 1.0),
+    ("normalised_squared_error", "mean of squared distance over variance", "1", 1.0),
+    ("honest_low95", "honest sigmas leave it above", "1", 1.0),
+    ("honest_high95", "and below", "1", 1.0),
+    ("observed_correlation", "distances are correlated over (lag of 1/e)", "s", 1.0),
+)
+SHAPE: Final = (
+    ("within_1_std", "within 1 std", "%", 1e2),
+    ("within_2_std", "within 2 std", "%", 1e2),
+    ("within_3_std", "within 3 std", "%", 1e2),
+    ("skewness", "skewness", "1", 1.0),
+    ("excess_kurtosis", "excess kurtosis", "1", 1.0),
+)
+TRUTH: Final = (
+    *DISTANCES,
+    ("predicted_rmse", "predicted", "mm", 1e3),
+    ("normalised_squared_error", "e² / sigma²", "1", 1.0),
+)
+"""Columns of the tables: quantity, heading, unit, units in one of the table's own."""
+
+ERRORS_IN_WORDS: Final = {
+    "position": "positions, slow part: factor",
+    "roll_pitch": "roll and pitch: factor",
+    "heading": "heading: factor",
+    "white": "positions, white noise: factor",
+    "position_time_s": "positions: correlation time, s",
+    "attitude_time_s": "attitude: correlation time, s",
+    "component": "lidar, range and directions: factor",
+    "footprint": "lidar, place in the footprint: factor",
+}
+
+TRUTH_PICTURES: Final = ("error_versus_range",)
+"""Stems of pictures that belong to the comparison with the truth."""
+
+RANGE: Final = (
+    ("range_m", "range", "m", 1.0),
+    ("n", "n", "1", 1.0),
+    ("rmse_observed_m", "observed", "mm", 1e3),
+    ("rmse_predicted_m", "predicted", "mm", 1e3),
+    ("rmse_predicted_3d_m", "3D", "mm", 1e3),
+    ("ratio", "ratio", "1", 1.0),
+    ("ratio_low95", "from", "1", 1.0),
+    ("ratio_high95", "to", "1", 1.0),
+    ("inside", "inside", "", 0.0),
+)
+
+
+def accuracy_page(
+    facts: Mapping[str, Any],
+    statistics: pd.DataFrame,
+    by_range: pd.DataFrame,
+    registration: Mapping[str, Any],
+    mesh_facts: Mapping[str, Any],
+    *,
+    pictures: Sequence[Path] = (),
+    captions: Mapping[str, str] | None = None,
+    truth: pd.DataFrame | None = None,
+    error_model: Mapping[str, Any] | None = None,
+    title: str = "Accuracy of the cloud",
+    twin: bool = False,
+) -> Page:
+    """The page that says how accurate a cloud is, whether its sigmas know it, and how that was found out.
+
+    Parameters
+    ----------
+    facts : of the comparison, as they stand in the metadata of its table.
+    statistics, by_range : tables of the comparison (CSV).
+    registration : what a rigid motion onto the reference does.
+    mesh_facts : of the reference mesh.
+    pictures : PNG files, shown in their order.
+    captions : stem of a picture -> its caption.
+    truth : for a twin, the statistics of the cloud's errors against the truth.
+    error_model : report of the errors of the poses, see `thalweg.navigation.ins_gnss.error_model`.
+    title : heading.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : the statistics hold no compared points as measured, or a picture is missing.
+    """
+    page = Page(title, " ".join(verdict(facts, statistics)))
+    if twin:
+        page.text(
+            "The digital twin made these data: survey and reference are simulated. The figures speak of the "
+            "software and of the models of the instruments, not of a real boat."
+        )
+    _statistics(page, facts, statistics)
+    of_truth = [path for path in pictures if path.stem in TRUTH_PICTURES and truth is not None]
+    _pictures(page, [path for path in pictures if path not in of_truth], captions or {})
+    _ranges(page, by_range)
+    page.section("Why distances are smaller than the 3D error").text(explanation(statistics))
+    _places(page, facts)
+    _registration(page, registration)
+    if error_model is not None:
+        _error_model(page, error_model)
+    _compared(page, facts, mesh_facts)
+    if truth is not None and len(truth):
+        _truth(page, truth)
+        for picture in of_truth:
+            page.figure(picture, _caption(picture, captions or {}))
+    page.section("Limits").text(limits(facts, statistics, mesh_facts))
+    return page
+
+
+def pivot(
+    table: pd.DataFrame, by: Sequence[str], columns: Sequence[tuple[str, str, str, float]]
+) -> tuple[pd.DataFrame, dict[str, str]]:
+    """A table of quantity and value with one row a set of points, and the units of its columns.
+
+    Parameters
+    ----------
+    table : columns ``quantity``, ``value`` and those of ``by``.
+    by : what names a row.
+    columns : quantity, heading, unit, factor; quantities that are not there are left out.
+    """
+    rows = []
+    for names, part in table.groupby(list(by), sort=False):
+        known = dict(zip(part["quantity"], part["value"], strict=True))
+        row: dict[str, Any] = dict(zip(by, names, strict=True))
+        for quantity, heading, _, factor in columns:
+            if quantity in known:
+                value = known[quantity] * factor
+                row[heading] = int(value) if quantity == "n" else float(value)
+        rows.append(row)
+    out = short(pd.DataFrame(rows))
+    units = {heading: unit for _, heading, unit, _ in columns if unit != "1" and heading in out.columns}
+    return out, units
+
+
+def short(frame: pd.DataFrame, digits: int = 3) -> pd.DataFrame:
+    """Fractions of a table rounded to some significant digits; 1500 stays 1500."""
+    columns = {
+        name: column.map(lambda x: float(f"{x:.{digits}g}")) if column.dtype.kind == "f" else column
+        for name, column in frame.items()
+    }
+    return pd.DataFrame(columns)
+
+
+def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame) -> None:
+    by = ("registration", "points")
+    page.section("Statistics").text(
+        "Distances are positive in front of the reference, toward river and air, and negative behind it. "
+        "Mean and std are those of the normal distribution of largest likelihood, median and NMAD those of "
+        "the robust one."
+    )
+    page.table(*_with_caption(statistics, by, DISTANCES, "Distances of the cloud to the reference"))
+    tested = statistics[statistics["registration"] == AS_MEASURED]
+    caption = (
+        "RMSE observed and predicted: of the component along the normal and the reference, and of all three "
+        "components (3D); ratio of predicted to observed, the band in which honest sigmas leave it, and how "
+        "many independent values the band rests on. A fitted cloud cannot test its sigmas"
+    )
+    page.table(*_with_caption(tested, ("points",), HONESTY, caption))
+    rows = [
+        {"quantity": words, "unit": "" if unit == "1" else unit}
+        | {name: factor * value_of(statistics, quantity, name) for name in (ALL, WITHOUT_OUTLIERS)}
+        for quantity, words, unit, factor in PARTS
+    ]
+    page.table(short(pd.DataFrame(rows)), "By parts: mean, middle, and everything over its own sigma")
+    page.table(
+        *_with_caption(statistics, by, SHAPE, "Shape; a normal has 68.3, 95.4, 99.7 % and zero"), digits=3
+    )
+    sentences = pd.DataFrame(facts.get("verdicts", []))
+    if len(sentences):
+        sentences = sentences.drop(columns=["classes", "parts"], errors="ignore")
+        page.table(sentences.rename(columns={"normal": "normal distribution"}), "In words")
+
+
+def _with_caption(
+    table: pd.DataFrame, by: Sequence[str], columns: Sequence[tuple[str, str, str, float]], caption: str
+) -> tuple[pd.DataFrame, str, dict[str, str]]:
+    frame, units = pivot(table, by, columns)
+    return frame, caption, units
+
+
+def _pictures(page: Page, pictures: Sequence[Path], captions: Mapping[str, str]) -> None:
+    if pictures:
+        page.section("Figures")
+    for picture in pictures:
+        page.figure(picture, _caption(picture, captions))
+
+
+def _caption(picture: Path, captions: Mapping[str, str]) -> str:
+    return captions.get(picture.stem, picture.stem.replace("_", " "))
+
+
+def _ranges(page: Page, by_range: pd.DataFrame) -> None:
+    chosen = (by_range["registration"] == AS_MEASURED) & (by_range["points"] == WITHOUT_OUTLIERS)
+    rows = by_range[chosen]
+    out, units = pd.DataFrame(index=rows.index), {}
+    for name, heading, unit, factor in RANGE:
+        out[heading] = rows[name] * factor if factor not in (0.0, 1.0) else rows[name]
+        if unit not in ("", "1"):
+            units[heading] = unit
+    out["inside"] = out["inside"].astype(bool)
+    page.section("By range").text(
+        f"{classes_in_words(rows)}. A band holds the ratio of honest sigmas with 95 % or more."
+    )
+    caption = (
+        "RMSE in classes of 1 m (D − 0.5 < d ≤ D + 0.5), as measured, without outliers; columns as above"
+    )
+    page.table(short(out), caption, units)
+
+
+def _places(page: Page, facts: Mapping[str, Any]) -> None:
+    page.section("By place").text(
+        "Sardemann et al. (2023) state for their bank that there is no local dependency of the accuracy. "
+        "Here that is tested: the bank is cut into cells, and Moran's I asks whether the mean distances of "
+        "neighbouring cells are alike. A place is measured from few poses, so a dependency on the place "
+        "may be one on the moment at which it was measured."
+    )
+    sentences = pd.DataFrame(facts.get("local_dependency", []))
+    if len(sentences):
+        page.table(sentences.rename(columns={"words": "verdict"}), "Does the accuracy depend on the place?")
+
+
+def _registration(page: Page, registration: Mapping[str, Any]) -> None:
+    page.section("Registration").text(str(registration.get("words", "")))
+    if not registration.get("done"):
+        return
+    rows = [
+        {
+            "motion": f"{what} {axis}",
+            "value": factor * values[axis],
+            "sigma": float("nan") if sigmas[axis] is None else factor * sigmas[axis],
+            "unit": unit,
+        }
+        for what, values, sigmas, factor, unit in (
+            ("shift", registration["shift_m"], registration["sigma_shift_m"], 1e3, "mm"),
+            ("rotation about", registration["rotation_deg"], registration["sigma_rotation_deg"], 1.0, "°"),
+        )
+        for axis in values
+    ]  # fmt: skip
+    caption = "Motion of the cloud onto the reference, about the middle of its points"
+    page.table(short(pd.DataFrame(rows)), caption)
+    changes = []
+    for points, change in registration["change"].items():
+        row: dict[str, Any] = {"points": points}
+        for word, heading in (("bias", "mean"), ("rmse", "RMSE")):
+            row |= {f"{heading} {when}": 1e3 * change[f"{word}_{when}_m"] for when in ("before", "after")}
+        changes.append(row | {"share of the mean removed": 100.0 * change["share_of_bias_removed"]})
+    frame = pd.DataFrame(changes)
+    units = {name: "%" if name.startswith("share") else "mm" for name in frame.columns[1:]}
+    page.table(short(frame), "What it changes", units)
+
+
+def _error_model(page: Page, model: Mapping[str, Any]) -> None:
+    a, b = model["heading_deviation_deg"]
+    page.section("How the poses err").text(
+        "The sigmas of the poses are those that the logs state, times factors that the survey itself shows: "
+        "where the lidar saw a plane spot again, its points lie apart by what the poses erred differently. "
+        f"{count(model['planes'])} planes in {model['windows']} spans of the survey were used. What they do "
+        "not tell stays at its prior, and the width of that enlarges the sigmas. An error that never changes "
+        "moves all surfaces alike: no survey shows it to itself. The heading errs by "
+        f"{a:+.2f} sin h {b:+.2f} cos h degrees with the heading h: "
+        + ("corrected." if model["heading_corrected"] else "not significant, not corrected.")
+    )
+    rows = [
+        {
+            "parameter": ERRORS_IN_WORDS[name], "presumed": e["prior"], "estimated": e["value"],
+            "68 % from": e["value"] / np.exp(e["sigma_log"]), "to": e["value"] * np.exp(e["sigma_log"]),
+            "from the": e["from"],
+        }
+        for name, e in model["estimates"].items()
+    ]  # fmt: skip
+    page.table(short(pd.DataFrame(rows)), "Factors on stated sigmas, and correlation times in seconds")
+    for note in model["notes"]:
+        page.text(str(note))
+
+
+def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any]) -> None:
+    page.section("What was compared").text(
+        f"Area of interest: {facts.get('area', 'not stated')}. Each point is compared with the nearest "
+        "place of the reference surface; the sign is that of the side of the surface on which the point "
+        "lies."
+    ).text(covered(facts))
+    for caption, counts, words, whole in (
+        ("What became of the points of the cloud", facts.get("counts", {}), POINTS_IN_WORDS, "points"),
+        ("What became of the reference", mesh_facts.get("counts", {}), REFERENCE_IN_WORDS, "read"),
+    ):
+        rows = [
+            {
+                "what": words.get(name, name.replace("_", " ")),
+                "n": int(n),
+                "share": float("nan")
+                if name.endswith("_faces")
+                else 100.0 * n / max(counts.get("compared" if name in OF_COMPARED else whole, 0), 1),
+            }
+            for name, n in counts.items()
+        ]
+        if rows:
+            page.table(short(pd.DataFrame(rows)), caption, {"share": "%"})
+    rows = [
+        {"what": words, "value": f"{mesh_facts[name]:.4g}" if unit != "1" else count(int(mesh_facts[name])),
+         "unit": "" if unit == "1" else unit}
+        for name, words, unit in MESH_IN_WORDS if name in mesh_facts
+    ]  # fmt: skip
+    if rows:
+        page.table(pd.DataFrame(rows), f"The reference surface (method {mesh_facts.get('method', '?')})")
+    lost = [
+        {"what": name.replace("_", " "), "n": int(n)}
+        for name, n in mesh_facts.get("ingest_losses", {}).items()
+        if n
+    ]
+    if lost:
+        page.table(pd.DataFrame(lost), "Lost while the reference was read")
+    for note in (*mesh_facts.get("ingest_notes", []), *mesh_facts.get("notes", [])):
+        page.text(str(note))
+
+
+def _truth(page: Page, truth: pd.DataFrame) -> None:
+    page.section("Against the truth of the digital twin").text(
+        "The twin knows the true surface. The errors of the points along its normal, without any reference "
+        "in between, say how much of the numbers above is due to the reference and to plants: bare ground "
+        "has no plants."
+    )
+    frame, units = pivot(truth, ("points",), TRUTH)
+    page.table(frame, "Errors of the cloud against the true surface", units)

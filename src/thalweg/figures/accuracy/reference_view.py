@@ -1,0 +1,358 @@
+"""The terrestrial scan as it looks from one place (P2 Fig. 7), and a plan of where it lies."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Wedge
+from matplotlib.ticker import FuncFormatter
+
+from thalweg.core.errors import CoverageError, GeometryError, InputError
+from thalweg.core.trajectory import Trajectory
+from thalweg.core.types import AnyArray, ArrayF
+from thalweg.figures.cloud.bank import choose_segment
+from thalweg.figures.cloud.splat import Splat
+from thalweg.figures.style import (
+    BLUE,
+    GREEN,
+    HALO,
+    ORANGE,
+    PURPLE,
+    RED,
+    REFLECTANCE_MAP,
+    SKY,
+    VERMILION,
+    WIDTH_MM,
+    count,
+    legend_below,
+    marks_in_free_corners,
+    new_figure,
+    robust_limits,
+    styled,
+)
+from thalweg.figures.survey.maps import map_extent
+
+EYE_M: Final = 1.7
+"""Height of the viewer above the INS of the boat."""
+
+NEAREST_M: Final = 3.0
+"""Points nearer to the viewpoint are left out: in equal angles they would hide half of the picture."""
+
+FARTHEST_BANK_M: Final = 400.0
+"""A reference cloud that lies farther from the track is taken for one of another place."""
+
+LEAST_WIDTH_RAD: Final = np.deg2rad(40.0)
+"""The view is at least as wide as this, if the cloud is."""
+
+MOST_WIDTH_RAD: Final = np.deg2rad(110.0)
+"""The view is not wider: farther aside a bank is seen along itself."""
+
+STATION_COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION)
+
+MAP_POINTS: Final = 60_000
+"""Most points drawn on the plan."""
+
+_MAP_MM: Final = 62.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PanoramaView:
+    """A view of equal angles from one point: columns are azimuths, rows are elevations.
+
+    Parameters
+    ----------
+    viewpoint_wcs_m : (3,) where the viewer is.
+    left_rad : azimuth of the left edge, clockwise from north.
+    top_rad : elevation of the upper edge above the horizon.
+    pixel_rad : size of a pixel both ways.
+    width_px, height_px : size of the picture.
+    distance_m : typical distance of the scene.
+    nearest_m : points nearer than this are not drawn.
+    """
+
+    viewpoint_wcs_m: ArrayF
+    left_rad: float
+    top_rad: float
+    pixel_rad: float
+    width_px: int
+    height_px: int
+    distance_m: float
+    nearest_m: float = NEAREST_M
+
+    @property
+    def pixel_m(self) -> float:
+        """Size of a pixel at the typical distance."""
+        return self.pixel_rad * self.distance_m
+
+    @property
+    def extent_deg(self) -> tuple[float, float, float, float]:
+        """Azimuth of the left and right edge, elevation of the lower and upper one; right may exceed 360."""
+        pixel = np.rad2deg(self.pixel_rad)
+        left, top = float(np.rad2deg(self.left_rad)), float(np.rad2deg(self.top_rad))
+        return left, float(left + pixel * self.width_px), float(top - pixel * self.height_px), top
+
+    def project(self, points_wcs_m: ArrayF) -> ArrayF:
+        """Column, row (pixel units, 0 at the upper left corner) and distance in metres, shape (n, 3)."""
+        azimuth, elevation, distance = angles_from(self.viewpoint_wcs_m, points_wcs_m)
+        column = np.mod(azimuth - self.left_rad, 2 * np.pi) / self.pixel_rad
+        near = np.where(distance >= self.nearest_m, distance, np.nan)
+        return np.stack([column, (self.top_rad - elevation) / self.pixel_rad, near], axis=1)
+
+    @classmethod
+    def fit(
+        cls,
+        sample_wcs_m: ArrayF,
+        viewpoint_wcs_m: ArrayF,
+        *,
+        azimuth_rad: float | None = None,
+        width_px: int = 1800,
+        keep: float = 0.97,
+        margin: float = 0.01,
+        least_shape: float = 0.2,
+    ) -> Self:
+        """The view from a point that shows a cloud.
+
+        Parameters
+        ----------
+        sample_wcs_m : (n, 3) the points or a sample of them; NaN are left out.
+        viewpoint_wcs_m : (3,) where the viewer is.
+        azimuth_rad : middle of the picture if the view has to be cut; that of the points by default.
+        width_px : width of the picture.
+        keep : share of the sample within the picture along each axis.
+        margin : free border, as a share of the width.
+        least_shape : least height over width. A long low bank is cut on both sides of its middle: at the ends
+            it is seen along itself, and the picture would be a thin strip.
+
+        Raises
+        ------
+        GeometryError : no finite point farther than `NEAREST_M` from the viewer.
+        """
+        azimuth, elevation, distance = angles_from(viewpoint_wcs_m, sample_wcs_m)
+        seen = np.isfinite(distance) & (distance >= NEAREST_M)
+        if not seen.any():
+            raise GeometryError(
+                f"none of {len(sample_wcs_m)} points lies more than {NEAREST_M:g} m from the viewpoint",
+                expected="a cloud to look at",
+            )
+        azimuth, elevation, distance = azimuth[seen], elevation[seen], distance[seen]
+        middle = float(np.arctan2(np.sin(azimuth).mean(), np.cos(azimuth).mean()))
+        aside = np.mod(azimuth - middle + np.pi, 2 * np.pi) - np.pi
+        tail = 50.0 * (1.0 - keep)
+        low, high, centre = (float(v) for v in np.percentile(aside, [tail, 100.0 - tail, 50.0]))
+        bottom, top = (float(v) for v in np.percentile(elevation, [0.3, 99.9]))
+        wide = max(high - low, 1e-3) * (1 + 2 * margin)
+        most = float(np.clip((top - bottom) / least_shape, LEAST_WIDTH_RAD, MOST_WIDTH_RAD))
+        if wide > most:
+            wide = most
+            if azimuth_rad is not None:
+                centre = float(np.mod(azimuth_rad - middle + np.pi, 2 * np.pi) - np.pi)
+            turned = np.mod(aside - centre + np.pi, 2 * np.pi) - np.pi
+            inside = np.abs(turned) <= 0.5 * wide
+            if not inside.any():
+                raise GeometryError(
+                    f"no point within {np.rad2deg(0.5 * wide):.0f} degrees of the direction of view",
+                    expected="a view that meets the cloud",
+                )
+            bottom, top = (float(v) for v in np.percentile(elevation[inside], [0.3, 99.9]))
+            distance = distance[inside]
+        else:
+            centre = 0.5 * (low + high)
+        pixel = wide / width_px
+        high_px = int(np.clip(np.ceil((top - bottom) / pixel + 2 * margin * width_px), 8, width_px))
+        return cls(
+            viewpoint_wcs_m=np.asarray(viewpoint_wcs_m, dtype=np.float64),
+            left_rad=float(np.mod(middle + centre - 0.5 * wide, 2 * np.pi)),
+            top_rad=0.5 * (bottom + top) + 0.5 * high_px * pixel,
+            pixel_rad=pixel,
+            width_px=width_px,
+            height_px=high_px,
+            distance_m=float(np.median(distance)),
+        )
+
+
+def angles_from(viewpoint_wcs_m: ArrayF, points_wcs_m: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Azimuth clockwise from north and elevation in radians, and distance in metres of points, (n,) each."""
+    east, north, up = (np.asarray(points_wcs_m, dtype=np.float64) - viewpoint_wcs_m).T
+    level = np.hypot(east, north)
+    return np.arctan2(east, north), np.arctan2(up, level), np.hypot(level, up)
+
+
+def viewpoint_on_track(
+    sample_wcs_m: ArrayF, trajectory: Trajectory, *, eye_m: float = EYE_M
+) -> tuple[ArrayF, float]:
+    """A place on the boat's track opposite the densest part of a cloud, and the direction of view.
+
+    Files of scans seldom tell where the scanner stood, and a merged cloud has no one centre. The river is
+    where everything that the lidar surveys can be seen from. Of the track abreast of the densest stretch of
+    bank the point farthest from that bank is taken: it shows most.
+
+    Parameters
+    ----------
+    sample_wcs_m : (n, 3) the reference cloud or an even sample of it.
+    trajectory : track of the boat.
+    eye_m : height of the viewer above the ics origin.
+
+    Returns
+    -------
+    viewpoint_wcs_m : (3,).
+    azimuth_rad : across the river onto that bank, clockwise from north.
+
+    Raises
+    ------
+    CoverageError : the cloud lies nowhere near the track.
+    """
+    reach_m = 25.0
+    while True:
+        try:
+            bank = choose_segment(
+                sample_wcs_m, trajectory, length_m=30.0, max_distance_m=reach_m, seen_from_track=False
+            )
+            break
+        except GeometryError:
+            if reach_m >= FARTHEST_BANK_M:
+                raise CoverageError(
+                    f"the reference cloud lies nowhere within {FARTHEST_BANK_M:g} m of the track",
+                    expected="a reference of the surveyed reach",
+                    cure="Check the CRS of the reference files and campaign.crs",
+                ) from None
+            reach_m *= 2.0
+    track = trajectory.position_wcs_m[trajectory.valid]
+    along, away = bank.along_and_away(track)
+    abreast = np.abs(along - 0.5 * bank.length_m)
+    # On the water's side only. A zigzag passes the place on several legs: a metre farther off outweighs two
+    # metres to the side, which half of the stretch bounds: farther aside one would look along the bank.
+    near = (abreast <= max(0.5 * bank.length_m, float(abreast.min()) + 1.0)) & (away < 0)
+    best = (
+        int(np.argmin(np.where(near, away + 0.5 * abreast, np.inf)))
+        if near.any()
+        else int(np.argmin(abreast))
+    )
+    return np.asarray(track[best] + np.array([0.0, 0.0, eye_m])), bank.azimuth_rad
+
+
+@styled
+def reference_view(
+    splat: Splat[PanoramaView],
+    sample_wcs_m: ArrayF,
+    source: AnyArray,
+    trajectory: Trajectory | None = None,
+    *,
+    shown: int | None = None,
+    names: Mapping[int, str] | None = None,
+    counts: Mapping[int, int] | None = None,
+    what: str = "intensity as the files state it / 1",
+    title: str = "Terrestrial laser scan",
+    twin: bool = False,
+) -> Figure:
+    """Panorama of equal angles, and a plan of the scans and the viewpoint.
+
+    Parameters
+    ----------
+    splat : the scan that is shown, its values the intensities.
+    sample_wcs_m : (n, 3) even sample of all scans, for the plan.
+    source : (n,) number of the scan of each point of the sample.
+    trajectory : track of the boat, for the plan.
+    shown : number of the scan in the panorama; None if all are.
+    names : number of a scan -> its name.
+    counts : number of a scan -> its points; those of the sample if left out.
+    what : what the brightness shows, with its unit.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : sample and sources differ in length, or the sample is empty.
+    GeometryError : no point in the panorama.
+    """
+    if len(sample_wcs_m) != len(source) or not len(source):
+        raise InputError(
+            f"{len(sample_wcs_m)} points with {len(source)} source numbers",
+            expected="as many as points, and at least one",
+        )
+    if not splat.n_drawn:
+        raise GeometryError(
+            f"none of {splat.n_added} points lies in the panorama", expected="a view that meets the scan"
+        )
+    view = splat.view
+    known = names or {}
+    name = "all scans" if shown is None else f"scan {known.get(shown, str(shown))}"
+    head = f"{title}, {name}, n = {count(splat.n_drawn)} of {count(splat.n_added)} points"
+    tall = float(np.clip(0.86 * WIDTH_MM * view.height_px / view.width_px, 22.0, 120.0))
+    figure = new_figure(tall + _MAP_MM + 36.0, head, twin=twin)
+    upper, lower = figure.subplots(2, 1, height_ratios=[tall + 14.0, _MAP_MM])
+    _draw_panorama(figure, upper, splat, what)
+    numbers, n = np.unique(source, return_counts=True)
+    labels = {
+        int(k): f"scan {known.get(int(k), k)}, n = "
+        + (count(counts[int(k)]) if counts is not None else f"{count(int(m))} sampled")
+        for k, m in zip(numbers, n, strict=True)
+    }
+    _draw_plan(lower, view, sample_wcs_m, np.asarray(source), trajectory, labels)
+    legend_below(figure, lower)
+    return figure
+
+
+def _draw_panorama(figure: Figure, ax: Axes, splat: Splat[PanoramaView], what: str) -> None:
+    view = splat.view
+    radius = splat.radius_px()
+    values = splat.buffers(radius)[1]
+    limits = robust_limits(values, 1.0, 99.0)
+    table = REFLECTANCE_MAP(np.linspace(0.0, 1.0, 256))[:, :3]
+    picture = splat.image(table, limits, radius_px=radius, shading=0.35, background=(0.0, 0.0, 0.0))
+    ax.imshow(picture, extent=view.extent_deg, interpolation="antialiased", gid="panorama", aspect="equal")
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value % 360:g}"))
+    ax.set_xlabel("azimuth, clockwise from north / °")
+    ax.set_ylabel("elevation / °")
+    figure.colorbar(
+        ScalarMappable(Normalize(*limits), REFLECTANCE_MAP), ax=ax, label=what, location="bottom", pad=0.02,
+        aspect=50, shrink=0.7, extend="both",
+    )  # fmt: skip
+
+
+def _draw_plan(
+    ax: Axes,
+    view: PanoramaView,
+    sample: ArrayF,
+    source: AnyArray,
+    trajectory: Trajectory | None,
+    labels: Mapping[int, str],
+) -> None:
+    eye = view.viewpoint_wcs_m
+    track = trajectory.position_wcs_m[:, :2].copy() if trajectory is not None else eye[None, :2]
+    if trajectory is not None:
+        track[~trajectory.valid] = np.nan
+    low, high = map_extent(np.concatenate([track[np.isfinite(track[:, 0])], eye[None, :2]]), sample)
+    step = max(1, len(sample) // MAP_POINTS)
+    points, which = sample[::step, :2], source[::step]
+    # A fixed shuffle: no scan lies on top of the others.
+    order = np.argsort((np.arange(len(points)) * 2_654_435_761) % 2**32)
+    colours = {k: STATION_COLOURS[i % len(STATION_COLOURS)] for i, k in enumerate(labels)}
+    ax.scatter(
+        points[order, 0], points[order, 1], c=[colours[int(k)] for k in which[order]], s=0.5, lw=0, alpha=0.6,
+        rasterized=True, gid="scans",
+    )  # fmt: skip
+    for k, label in labels.items():
+        ax.plot([], [], ls="none", marker="s", color=colours[k], label=label)
+    if trajectory is not None:
+        ax.plot(*track.T, color="black", lw=0.9, label="track of the boat", gid="track", path_effects=HALO)
+    label = "viewpoint of the upper picture" + (", on the track" if trajectory is not None else "")
+    ax.plot(
+        eye[0], eye[1], ls="none", marker="^", ms=7, mfc=RED, mec="white", mew=0.8, zorder=6, label=label,
+        gid="viewpoint",
+    )  # fmt: skip
+    left, right, _, _ = view.extent_deg
+    # Wedges turn anticlockwise from east, azimuths clockwise from north.
+    sector = Wedge((float(eye[0]), float(eye[1])), 1.3 * view.distance_m, 90.0 - right, 90.0 - left)
+    sector.set(facecolor=(*to_rgb(RED), 0.1), edgecolor=RED, linewidth=0.8, zorder=2, gid="sector")
+    ax.add_patch(sector)
+    ax.set_aspect("equal")
+    ax.set_xlim(low[0], high[0])
+    ax.set_ylim(low[1], high[1])
+    ax.set_xlabel("east / m")
+    ax.set_ylabel("north / m")
+    marks_in_free_corners(ax, np.concatenate([points, track[np.isfinite(track[:, 0])], eye[None, :2]]))

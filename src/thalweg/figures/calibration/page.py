@@ -1,0 +1,282 @@
+"""One page on a calibration: what was found and how well, what it rests on, what was left out, its limits."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.core.calibration.model import Block, Calibration, unit_of
+from thalweg.core.types import AnyArray
+from thalweg.figures.calibration.words import (
+    clock_variants,
+    clock_words,
+    left_out,
+    process_table,
+    process_words,
+    stability_words,
+)
+from thalweg.figures.page import Page
+from thalweg.figures.style import count
+from thalweg.ingest.registry.describe_calibration import largest_correlations, with_sigma
+
+PUBLISHED: Final = {
+    "camera_lidar": "Sardemann et al. (2023), Table 1, state 1.0, 0.4 and 0.2 mm and 0.067, 0.035 and 0.015 "
+    "degrees for their camera and lidar from six cones and three positions.",
+    "lidar": "Sardemann (2024), section 3.1.1, states 0.1 to 0.5 mm and 0.004 to 0.018 degrees for the lidar "
+    "on the INS, taking the errors of all poses as independent.",
+    "camera_clock": "Sardemann et al. (2023), section 5.2, state 0.004 s for the offset of the camera clock.",
+}
+"""What the papers state for the same block."""
+
+MOST_ROWS: Final = 30
+"""Longer tables are shortened."""
+
+LONG_REASON: Final = 60
+"""Letters that a column of a table holds."""
+
+UNITS: Final = ("mm", "m", "deg", "px", "ms", "s", "ppm")
+
+FRAMES_NOTE: Final = (
+    "Errors of rotations are small rotations about the axes of the target frame. They are not errors of "
+    "omega, phi and kappa: at phi = -90 degrees, the mount of the lidar, omega and kappa turn about one axis."
+)
+TWIN_NOTE: Final = (
+    "The digital twin made these recordings. The figures speak of the software and of the models of the "
+    "instruments, not of a real boat."
+)
+
+
+def calibration_page(
+    calibrations: Sequence[Calibration],
+    tables: Sequence[tuple[str, pd.DataFrame]] = (),
+    *,
+    pictures: Sequence[Path] = (),
+    captions: Mapping[str, str] | None = None,
+    truth: pd.DataFrame | None = None,
+    facts: Mapping[str, Mapping[str, Any]] | None = None,
+    notes: Sequence[str] = (),
+    title: str = "Calibration",
+    twin: bool = False,
+) -> Page:
+    """The page of a calibration campaign.
+
+    Parameters
+    ----------
+    calibrations : shown block by block, in this order.
+    tables : caption, which names the file, and table of what was used, left out and found on the way; empty
+        ones are said to be so, long ones shortened.
+    pictures : PNG files, shown in their order.
+    captions : stem of a picture -> its caption.
+    truth : for a twin, errors against the true places, columns of `thalweg_lab.truth.calibration`.
+    facts : reports of the jobs by name: ``camera_clock``, ``clock_stability``, ``ins_lidar``; what ``field``
+        and ``camera`` left out.
+    notes : sentences for the end: limits, warnings.
+    title : heading.
+    twin : true if the digital twin made the recordings.
+
+    Raises
+    ------
+    InputError : a picture is missing.
+    """
+    facts = facts or {}
+    page = Page(title, summary(calibrations, facts))
+    if twin:
+        page.text(TWIN_NOTE)
+    shown: dict[str, tuple[str, AnyArray]] = {}
+    for calibration in calibrations:
+        _result(page, calibration, shown)
+    _clock(page, facts)
+    run = facts.get("ins_lidar", {}).get("facts", {})
+    if words := process_words(run):
+        page.section("Errors of the poses in the run").text(words)
+        page.table(
+            process_table(run), "Sizes in metres and degrees, times in seconds; range of 95 %", digits=3
+        )
+    if truth is not None and len(truth):
+        _truth(page, truth)
+    if pictures:
+        page.section("Figures")
+    for picture in pictures:
+        page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
+    remarks = [line for name in ("field", "camera") for line in left_out(facts.get(name, {}))]
+    if tables or remarks:
+        page.section("What was used, and what was not")
+    if remarks:
+        page.text("\n\n".join(remarks))
+    for caption, table in tables:
+        _table(page, caption, table)
+    if notes:
+        page.section("Limits").text("\n\n".join(notes))
+    return page
+
+
+def _table(page: Page, caption: str, table: pd.DataFrame) -> None:
+    if not len(table):
+        page.text(f"{caption}: none.")
+        return
+    if len(table) > MOST_ROWS and "reason" in table:
+        groups = table.groupby(table["reason"].fillna("").astype(str), sort=True).size()
+        counts = pd.DataFrame({"reason": groups.index, "rows": groups.to_numpy()})
+        caption = f"{caption}: {count(len(table))} rows, counted by reason"
+        table = counts.sort_values("rows", ascending=False, kind="stable")
+    elif len(table) > MOST_ROWS:
+        caption = f"{caption}: first {MOST_ROWS} of {count(len(table))} rows, all of them in the file"
+    shown, units = with_units(short(table.head(MOST_ROWS)))
+    if "reason" in shown:
+        shown = shown.assign(reason=shown["reason"].fillna("").astype(str).map(_first_clause))
+    page.table(shown, caption, units)
+
+
+def _first_clause(words: str) -> str:
+    """Long reasons up to their first semicolon: the whole stands in the file."""
+    head, cut, _ = words.partition(";")
+    return f"{head} ..." if cut and len(words) > LONG_REASON else words
+
+
+def with_units(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Columns with words for names, and their units, which the names of a file end with.
+
+    Examples
+    --------
+    >>> with_units(pd.DataFrame({"sigma_x_mm": [0.3]}))[1]
+    {'sigma x': 'mm'}
+    """
+    names, units = {}, {}
+    for name in table.columns:
+        stem, _, unit = str(name).rpartition("_")
+        known = bool(stem) and unit in UNITS
+        names[name] = (stem if known else str(name)).replace("_", " ")
+        if known:
+            units[names[name]] = "°" if unit == "deg" else unit
+    if len(set(names.values())) < len(names):  # two units of one quantity
+        return table, {}
+    return table.rename(columns=names), units
+
+
+def _clock(page: Page, facts: Mapping[str, Mapping[str, Any]]) -> None:
+    clock, stability = facts.get("camera_clock"), facts.get("clock_stability")
+    if clock or stability:
+        page.section("Clock of the camera")
+    if clock:
+        page.text(clock_words(clock) + "\n\n" + PUBLISHED["camera_clock"])
+        variants = clock_variants(clock)
+        if len(variants):
+            shown, units = with_units(short(variants, 5))
+            page.table(shown, "The same run under different assumptions", units)
+    if stability:
+        page.text(stability_words(stability))
+
+
+def summary(calibrations: Sequence[Calibration], facts: Mapping[str, Mapping[str, Any]] | None = None) -> str:
+    """The first sentences: each block with its sigmas in words, once."""
+    sentences: list[str] = []
+    for calibration in calibrations:
+        for block in calibration.blocks:
+            words = _block_in_words(calibration, block)
+            if words and words not in sentences:
+                sentences.append(words)
+    clock = (facts or {}).get("camera_clock")
+    if clock:
+        sigma_ms = 1e3 * clock["sigma_offset_s"]
+        sentences.append(f"Clock of the camera: offset {clock['offset_s']:+.4f} s, sigma {sigma_ms:.1f} ms.")
+    return " ".join(sentences) or "No block has sigmas of its own."
+
+
+def _block_in_words(calibration: Calibration, block: Block) -> str:
+    values, cov = calibration.block(block.name)
+    sigma = np.sqrt(np.diag(cov))
+    name = block.name.replace("_", " ")
+    if block.is_pose and sigma.any():
+        turn = ", ".join(f"{s:.3g}" for s in sigma[:3])
+        lever = ", ".join(f"{1e3 * s:.2g}" for s in sigma[3:])
+        length = 100 * float(np.linalg.norm(values[3:]))
+        return (
+            f"{name.capitalize()}: lever arm of {length:.1f} cm with sigmas of {lever} mm, "
+            f"rotation with sigmas of {turn} degrees."
+        )
+    if "offset_s" in block.quantities:
+        k = block.quantities.index("offset_s")
+        return f"{name.capitalize()}: offset {values[k]:+.4f} s, sigma {1e3 * sigma[k]:.2g} ms."
+    return ""
+
+
+def _result(page: Page, calibration: Calibration, shown: dict[str, tuple[str, AnyArray]]) -> None:
+    """A section on a calibration; a block that stood in one before is only named."""
+    source = calibration.source
+    facts = [f"Run {source.run}", source.method]
+    facts += (
+        [f"{source.observations:,} observations".replace(",", "\N{NO-BREAK SPACE}")]
+        if source.observations
+        else []
+    )
+    facts += [f"sigma0 {source.sigma0:.3f}"] if np.isfinite(source.sigma0) else []
+    facts += [source.created] if source.created else []
+    page.section(calibration.title).text("; ".join(facts) + ".")
+    first = not shown
+    new = False
+    for block in calibration.blocks:
+        values, _ = calibration.block(block.name)
+        before, known = shown.get(block.name, ("", None))
+        if known is not None and np.array_equal(values, known):
+            page.text(f"Block {block.name}: as under {before}.")
+            continue
+        shown[block.name], new = (calibration.title, values), True
+        page.table(block_table(calibration, block), f"{block.name}: {block.equation}")
+        known_facts = ", ".join(f"{key.replace('_', ' ')}: {value}" for key, value in block.facts.items())
+        remarks = [_sentence(block.convention), _sentence(known_facts), PUBLISHED.get(block.name, "")]
+        if any(remarks):
+            page.text("\n\n".join(remark for remark in remarks if remark))
+    if not new:
+        return
+    if any(block.is_pose for block in calibration.blocks) and first:
+        page.text(FRAMES_NOTE)
+    page.text("Largest correlations:").lines(largest_correlations(calibration, 8))
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}{'' if words.endswith('.') else '.'}" if words else ""
+
+
+def block_table(calibration: Calibration, block: Block) -> pd.DataFrame:
+    """Value, sigma and unit of each quantity of a block, in words of as many places as the sigma warrants."""
+    values, cov = calibration.block(block.name)
+    rows: list[dict[str, Any]] = []
+    for quantity, value, sigma in zip(block.quantities, values, np.sqrt(np.diag(cov)), strict=True):
+        unit = unit_of(quantity)
+        factor, shown = (1e3, "mm") if unit == "m" else (1e3, "ms") if quantity == "offset_s" else (1.0, unit)
+        value_text, _, _ = with_sigma(float(value), float(sigma)).partition(" ")
+        rows.append({
+            "quantity": quantity.removesuffix(f"_{unit}"),
+            "value": value_text,
+            "unit": "" if unit == "1" else unit,
+            "sigma": "fixed" if sigma == 0 else f"{factor * sigma:.3g}",
+            "unit of sigma": "" if shown == "1" or sigma == 0 else shown,
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def short(frame: pd.DataFrame, digits: int = 4) -> pd.DataFrame:
+    """Fractions rounded to significant digits; whole numbers stay."""
+    return pd.DataFrame({
+        name: column.map(lambda x: float(f"{x:.{digits}g}")) if column.dtype.kind == "f" else column
+        for name, column in frame.items()
+    })  # fmt: skip
+
+
+def _truth(page: Page, truth: pd.DataFrame) -> None:
+    page.section("Against the truth of the digital twin").text(
+        "Each error is the calibrated value minus the true one, for rotations a small rotation vector about "
+        "the axes of the target frame. Normalised errors are errors over their sigmas; those of honest ones "
+        "have a standard deviation of 1. The row of all six is the normalised square, whose expectation is 1."
+    )
+    out = truth.copy()
+    for unit in ("m", "s"):  # shown in thousandths
+        rows = out["unit"] == unit
+        out.loc[rows, ["estimated_minus_true", "sigma"]] *= 1e3
+        out.loc[rows, "unit"] = f"m{unit}"
+    out["quantity"] = out["quantity"].str.replace(r"_(?:m|deg|s|ppm)$", "", regex=True).str.replace("_", " ")
+    out["block"] = out["block"].str.replace("_", " ")
+    out = out.rename(columns={"estimated_minus_true": "calibrated minus true"})
+    page.table(short(out, 3), "Errors of the calibration (calibration_truth.csv)")

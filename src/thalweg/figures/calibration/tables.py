@@ -1,0 +1,233 @@
+"""Tables that the figures of a calibration are drawn from: their columns, and how they are read.
+
+Coordinates are those of one frame for all tables of a figure: the calibration field (pcs) or the world (wcs).
+Tables of the field are in pcs; `placed` brings them into wcs, where x is east, y north and z up.
+
+============ =========================================================================================
+field points ``mark`` ("17/0"), ``x_m y_m z_m``, ``sigma_x_m sigma_y_m sigma_z_m``
+cones        ``name``, ``apex_x_m apex_y_m apex_z_m``, ``axis_x axis_y axis_z`` (unit vector from the apex
+             into the body), ``half_angle_deg``, ``length_m`` (along the axis), ``used`` (bool)
+poses        ``position``, ``sensor`` (camera or lidar), ``x_m y_m z_m``, ``qx qy qz qw``: rotation from the
+             frame of the sensor, scalar last
+cone points  ``cone``, ``position``, ``x_m y_m z_m``, ``residual_m`` (signed distance from the cone, positive
+             outside), ``used`` (bool)
+image marks  ``mark``, ``x_px y_px`` (from the upper left corner), ``residual_x_px residual_y_px``
+             (observed minus computed), ``used`` (bool)
+image fixes  ``t_gps_s``, ``east_m north_m up_m`` (antenna from the camera's pose), ``residual_along_m
+             residual_across_m residual_up_m`` (track minus image, along the motion and across it to the
+             left; NaN where the boat stands or the track has a gap), ``used`` (bool)
+track        ``t_gps_s``, ``east_m north_m up_m`` of the antenna as GNSS has it
+display      ``t_camera_s`` (as the camera stamped it, or the number of the photo), ``read_s`` (what the
+             display shows; NaN if unreadable), ``readable`` (bool)
+design study ``cones``, ``positions`` (numbers), ``quantity`` (rotation_x_deg ... z_m), ``unit`` (deg or m),
+             ``sigma`` in that unit
+lidar frame  ``x_m y_m z_m`` and ``ring`` (0 is the lowest)
+============ =========================================================================================
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from thalweg.calibration.field.description import read_field
+from thalweg.calibration.field.facts import read_facts
+from thalweg.core.errors import CoverageError, InputError
+from thalweg.core.rigid import Rigid
+from thalweg.core.tables import read_parquet
+from thalweg.core.types import ArrayF
+
+XYZ: Final = ("x_m", "y_m", "z_m")
+ENU: Final = ("east_m", "north_m", "up_m")
+FIELD_POINTS: Final = ("mark", *XYZ, "sigma_x_m", "sigma_y_m", "sigma_z_m")
+CONES: Final = (
+    "name", "apex_x_m", "apex_y_m", "apex_z_m", "axis_x", "axis_y", "axis_z", "half_angle_deg", "length_m",
+    "used",
+)  # fmt: skip
+POSES: Final = ("position", "sensor", *XYZ, "qx", "qy", "qz", "qw")
+CONE_POINTS: Final = ("cone", "position", *XYZ, "residual_m", "used")
+IMAGE_MARKS: Final = ("mark", "x_px", "y_px", "residual_x_px", "residual_y_px", "used")
+IMAGE_FIXES: Final = (
+    "t_gps_s", *ENU, "residual_along_m", "residual_across_m", "residual_up_m", "used",
+)  # fmt: skip
+TRACK: Final = ("t_gps_s", *ENU)
+DISPLAY: Final = ("t_camera_s", "read_s", "readable")
+STUDY: Final = ("cones", "positions", "quantity", "unit", "sigma")
+PICTURES: Final = frozenset((".jpg", ".jpeg", ".png", ".tif", ".tiff"))
+LIDAR_FRAME: Final = (*XYZ, "ring")
+
+
+def read_figure_table(path: Path, columns: Sequence[str]) -> pd.DataFrame:
+    """A CSV or Parquet table that holds at least the given columns.
+
+    Raises
+    ------
+    InputError : the file is missing, is neither, or lacks a column.
+    """
+    if not path.is_file():
+        raise InputError("file not found", expected=f"a table with {', '.join(columns)}", where=path)
+    try:
+        table = read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
+    except (ValueError, OSError) as error:
+        raise InputError(f"no table ({error})", expected="CSV or Parquet", where=path) from error
+    return checked(table, columns, where=str(path))
+
+
+def read_cones(path: Path, field: Path) -> pd.DataFrame:
+    """Cones of a calibration in the columns of this module.
+
+    Parameters
+    ----------
+    path : table with ``cone`` or ``name``, the apex, ``lambda_deg`` and ``theta_deg`` or the axis, and
+        ``half_angle_deg``; without ``used`` all of them were.
+    field : description of the field; it has the lengths of the cones.
+
+    Raises
+    ------
+    InputError : a file is missing, or lacks a column or a cone.
+    """
+    table = read_figure_table(path, ()).rename(columns={"cone": "name"})
+    if "axis_x" not in table and {"lambda_deg", "theta_deg"} <= set(table.columns):
+        turn, tilt = np.deg2rad(table["lambda_deg"]), np.deg2rad(table["theta_deg"])
+        axis = (np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt))
+        table = table.assign(**dict(zip(("axis_x", "axis_y", "axis_z"), axis, strict=True)))
+    if "length_m" not in table and "name" in table:
+        lengths = {cone.name: cone.length_m for cone in read_field(field).cones}
+        missing = sorted(set(table["name"].astype(str)) - set(lengths))
+        if missing:
+            raise InputError(f"no cones {', '.join(missing)}", expected=", ".join(lengths), where=field)
+        table = table.assign(length_m=table["name"].astype(str).map(lengths))
+    if "used" not in table:
+        table = table.assign(used=True)
+    return checked(table, CONES, where=str(path))
+
+
+def read_image_marks(residuals: Path, measured: Path) -> pd.DataFrame:
+    """Marks of all images in the columns of this module, and ``image``.
+
+    Parameters
+    ----------
+    residuals : ``image, marker, corner, vx_px, vy_px, used`` of a bundle or a resection, observed minus
+        computed.
+    measured : where the marks were found: ``image, marker, corner, x_px, y_px``.
+
+    Raises
+    ------
+    InputError : a file is missing, lacks a column, or a residual is of a mark that was not measured.
+    """
+    keys = ["image", "marker", "corner"]
+    found = read_figure_table(residuals, (*keys, "vx_px", "vy_px", "used"))
+    places = read_figure_table(measured, (*keys, "x_px", "y_px"))
+    table = found.merge(places[[*keys, "x_px", "y_px"]], on=keys, how="left", validate="one_to_one")
+    lost = int(table["x_px"].isna().sum())
+    if lost:
+        raise InputError(
+            f"{lost} residuals of marks without a place", expected=f"the marks of {measured}", where=residuals
+        )
+    table = table.rename(columns={"vx_px": "residual_x_px", "vy_px": "residual_y_px"})
+    mark = table["marker"].astype(str) + "/" + table["corner"].astype(str)
+    return checked(table.assign(mark=mark), IMAGE_MARKS, where=str(residuals))
+
+
+def read_display(path: Path) -> pd.DataFrame:
+    """Readings of a display in the columns of this module, and ``file``, ``text``; photos in their order.
+
+    Raises
+    ------
+    InputError : the file is missing or lacks a column.
+    """
+    table = read_figure_table(path, ("file", "text", "t_display_s", "reason"))
+    read_s = table["t_display_s"].astype(np.float64)
+    return table.assign(t_camera_s=np.arange(len(table)), read_s=read_s, readable=np.isfinite(read_s))
+
+
+def read_place(path: Path) -> Rigid | None:
+    """``T_wcs_pcs`` of a field; None if it has none for want of targets.
+
+    Raises
+    ------
+    InputError : the file is missing or something else.
+    """
+    place = read_facts(path)["T_wcs_pcs"]
+    return None if place is None else Rigid.from_matrix(place["matrix"])
+
+
+def placed(table: pd.DataFrame, T_wcs_pcs: Rigid | None) -> pd.DataFrame:
+    """Points, cones or poses in wcs instead of pcs; unchanged without a place of the field."""
+    if T_wcs_pcs is None:
+        return table
+    out = table.copy()
+    for columns in (XYZ, CONES[1:4]):
+        if set(columns) <= set(table):
+            out[list(columns)] = T_wcs_pcs.apply(points_of(table, columns))
+    if set(CONES[4:7]) <= set(table):
+        out[list(CONES[4:7])] = points_of(table, CONES[4:7]) @ T_wcs_pcs.R.T
+    if set(POSES[-4:]) <= set(table):
+        turned = Rotation.from_matrix(T_wcs_pcs.R) * Rotation.from_quat(points_of(table, POSES[-4:]))
+        out[list(POSES[-4:])] = turned.as_quat()
+    return out
+
+
+def first_picture(paths: Sequence[Path], *, choice: Sequence[str] = ()) -> Path:
+    """The first picture, as people count, of files or folders; of ``choice`` (names), if it is given.
+
+    Raises
+    ------
+    CoverageError : there is none.
+    """
+    files = {
+        file.name: file
+        for path in paths
+        for file in (sorted(path.iterdir()) if path.is_dir() else [path])
+        if file.suffix.lower() in PICTURES and (not choice or file.name in set(choice))
+    }
+    if not files:
+        raise CoverageError(
+            f"no picture in {', '.join(str(path) for path in paths) or 'an empty list'}",
+            expected=f"one of {', '.join(list(choice)[:3])} ..." if choice else "JPEG or PNG files",
+        )
+    return files[natural(list(files))[0]]
+
+
+def checked(table: pd.DataFrame, columns: Sequence[str], *, where: str = "table") -> pd.DataFrame:
+    """The table, if it has the columns.
+
+    Raises
+    ------
+    InputError : a column is missing.
+    """
+    missing = [name for name in columns if name not in table.columns]
+    if missing:
+        raise InputError(f"columns missing: {', '.join(missing)}", expected=", ".join(columns), where=where)
+    return table
+
+
+def filled(table: pd.DataFrame, what: str) -> pd.DataFrame:
+    """The table, if it has rows.
+
+    Raises
+    ------
+    CoverageError : it has none.
+    """
+    if not len(table):
+        raise CoverageError(f"no {what} to draw", expected="at least one", cure="See the job before this one")
+    return table
+
+
+def points_of(table: pd.DataFrame, columns: Sequence[str] = XYZ) -> ArrayF:
+    """(n, 3) coordinates of a table."""
+    return table[list(columns)].to_numpy(np.float64)
+
+
+def natural(names: Sequence[str]) -> list[str]:
+    """Names in the order in which people count: C2 before C10."""
+
+    def key(name: str) -> tuple[str, int, str]:
+        """Letters first, then the number that the digits make."""
+        digits = "".join(c for c in name if c.isdigit())
+        return "".join(c for c in name if not c.isdigit()), int(digits or 0), name
+
+    return sorted({str(name) for name in names}, key=key)

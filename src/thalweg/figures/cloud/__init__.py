@@ -1,0 +1,1 @@
+"""Figures of clouds: overview, quality, footprints, views."""

@@ -1,0 +1,399 @@
+"""Footprints of the mobile lidar on the bank (P2 Fig. 17)."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import EllipseCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+from numpy.typing import ArrayLike
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.trajectory import Trajectory
+from thalweg.core.types import ArrayB, ArrayF
+from thalweg.figures.style import (
+    HALO,
+    ORANGE,
+    RANGE_MAP,
+    RED,
+    VERMILION,
+    count,
+    legend_below,
+    marks_in_free_corners,
+    new_figure,
+    robust_limits,
+    styled,
+)
+from thalweg.figures.survey.maps import map_extent
+
+REVOLUTION_S: Final = 0.1
+"""One revolution of the scanner at 10 Hz."""
+
+DISTANCE_M: Final = 30.0
+"""Measuring distance of the detail view of P2 Fig. 17b."""
+
+PATCH_M: Final = 3.0
+"""Sides of the detail view."""
+
+N_CANDIDATES: Final = 40
+"""Revolutions among which the best filled patch is looked for."""
+
+DISTANCE_CLASS_M: Final = 2.0
+"""Patches whose distances differ by less count as equally near; of those the one with more points wins."""
+
+LENS_M: Final = 0.9
+"""Sides of the magnifying square on the detail view, in metres of that view."""
+
+TLS_DIVERGENCE_MRAD: Final = 0.3
+"""Of the terrestrial scanner: the footprint of the lidar is ten times the size of its spot (P2 section 7)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patch:
+    """A square piece of the bank as it is seen along the beams that meet it.
+
+    Parameters
+    ----------
+    centre_wcs_m : (3,) its middle.
+    right, up, away : (3,) unit vectors in wcs; away is the mean direction of the beams, right is horizontal.
+    inside : (n,) true for the points of the frame that lie within the square, seen along ``away``.
+    range_m : median measured range of these points.
+    """
+
+    centre_wcs_m: ArrayF
+    right: ArrayF
+    up: ArrayF
+    away: ArrayF
+    inside: ArrayB
+    range_m: float
+
+    def project(self, points_wcs_m: ArrayF) -> ArrayF:
+        """Metres to the right and up of the centre, shape (n, 2)."""
+        return np.asarray((points_wcs_m - self.centre_wcs_m) @ np.stack([self.right, self.up], axis=1))
+
+
+def candidate_moments(
+    t_gps_s: ArrayF,
+    range_m: ArrayF,
+    *,
+    distance_m: float = DISTANCE_M,
+    tolerance_m: float = 3.0,
+    most: int = 1,
+) -> list[float]:
+    """Begins of the revolutions with most points near a distance, the best first.
+
+    Parameters
+    ----------
+    t_gps_s, range_m : (n,) adjusted GPS time and measured range of the points or of an even sample.
+    distance_m : wanted distance.
+    tolerance_m : half width of the distances that count; doubled until a point lies within.
+    most : number of moments.
+
+    Raises
+    ------
+    InputError : no point with time and range.
+    """
+    known = np.isfinite(t_gps_s) & np.isfinite(range_m)
+    if not known.any():
+        raise InputError(
+            f"none of {len(t_gps_s)} points has a time and a range", expected="a georeferenced lidar cloud"
+        )
+    t, off_m = t_gps_s[known], np.abs(range_m[known] - distance_m)
+    while not np.any(off_m <= tolerance_m):
+        tolerance_m *= 2.0
+    start = float(t.min())
+    turn = np.floor((t[off_m <= tolerance_m] - start) / REVOLUTION_S).astype(np.int64)
+    turns, n = np.unique(turn, return_counts=True)
+    return [start + REVOLUTION_S * float(turns[i]) for i in np.argsort(-n, kind="stable")[:most]]
+
+
+def best_moment(
+    points_wcs_m: ArrayF,
+    t_gps_s: ArrayF,
+    range_m: ArrayF,
+    trajectory: Trajectory,
+    lever_ics_m: ArrayLike,
+    *,
+    distance_m: float = DISTANCE_M,
+) -> float:
+    """Begin of the revolution with the best filled patch at a distance.
+
+    Parameters
+    ----------
+    points_wcs_m, t_gps_s, range_m : (n, 3), (n,), (n,) the cloud or an even sample of it.
+    trajectory : poses of the boat.
+    lever_ics_m : (3,) the scanner in the body frame.
+    distance_m : wanted distance of the patch.
+
+    Raises
+    ------
+    InputError : no point with time and range.
+    GeometryError : no point of the best revolutions has a pose.
+    """
+    candidates = candidate_moments(t_gps_s, range_m, distance_m=distance_m, most=N_CANDIDATES)
+    best: tuple[int, float] | None = None
+    for start in candidates:
+        turn = np.flatnonzero((t_gps_s >= start) & (t_gps_s < start + REVOLUTION_S))
+        scanner, has_pose = scanner_positions(t_gps_s[turn], trajectory, lever_ics_m)
+        if has_pose.any():
+            patch = choose_patch(points_wcs_m[turn][has_pose], scanner[has_pose], distance_m=distance_m)
+            n = int(patch.inside.sum())
+            if best is None or n > best[0]:
+                best = n, start
+    if best is None:
+        raise GeometryError(
+            f"no point of {len(candidates)} revolutions has a pose",
+            expected="cloud and trajectory of one run",
+        )
+    return best[1]
+
+
+def scanner_positions(
+    t_gps_s: ArrayF, trajectory: Trajectory, lever_ics_m: ArrayLike
+) -> tuple[ArrayF, ArrayB]:
+    """Where the scanner was, (n, 3) in wcs, and whether there is a pose, (n,)."""
+    position_m, R_wcs_ics, has_pose = trajectory.at(t_gps_s)
+    return position_m + R_wcs_ics @ np.asarray(lever_ics_m, dtype=np.float64), has_pose
+
+
+def choose_patch(
+    points_wcs_m: ArrayF, scanner_wcs_m: ArrayF, *, distance_m: float = DISTANCE_M, size_m: float = PATCH_M
+) -> Patch:
+    """The square with most points among those nearest to a distance.
+
+    Parameters
+    ----------
+    points_wcs_m : (n, 3) points of one frame.
+    scanner_wcs_m : (n, 3) where the scanner was at each point's moment.
+    distance_m : wanted distance.
+    size_m : sides of the square.
+
+    Raises
+    ------
+    GeometryError : no point with a position of the scanner, or only points in the scanner itself.
+    """
+    from scipy.spatial import cKDTree
+
+    beam = points_wcs_m - scanner_wcs_m
+    range_m = np.linalg.norm(beam, axis=1)
+    usable = np.flatnonzero(np.isfinite(range_m) & (range_m > 1e-3))
+    if not usable.size:
+        raise GeometryError(
+            f"a frame of {len(points_wcs_m)} points without a beam",
+            expected="points, and a pose of the boat at their times",
+            cure="Choose another moment",
+        )
+    tree = cKDTree(points_wcs_m[usable])
+    near = np.array(tree.query_ball_point(points_wcs_m[usable], 0.6 * size_m, return_length=True))
+    off_m = np.abs(range_m[usable] - distance_m)
+    best = usable[np.lexsort((off_m, -near, np.floor(off_m / DISTANCE_CLASS_M)))[0]]
+    around = usable[np.linalg.norm(points_wcs_m[usable] - points_wcs_m[best], axis=1) <= 0.5 * size_m]
+    away = np.mean(beam[around] / range_m[around, None], axis=0)
+    away /= np.linalg.norm(away)
+    # Straight up or down no direction is level: east stands in.
+    level = np.array([away[1], -away[0], 0.0])
+    right = level / np.linalg.norm(level) if np.linalg.norm(level) > 1e-6 else np.array([1.0, 0.0, 0.0])
+    up = np.cross(right, away)
+    centre = points_wcs_m[best]
+    u, v = ((points_wcs_m - centre) @ np.stack([right, up], axis=1)).T
+    with np.errstate(invalid="ignore"):
+        # Twice the size in depth: what lies farther behind is another surface.
+        depth = np.abs((points_wcs_m - centre) @ away) <= 2.0 * size_m
+        inside = (np.abs(u) <= 0.5 * size_m) & (np.abs(v) <= 0.5 * size_m) & depth & (range_m > 1e-3)
+    return Patch(
+        centre_wcs_m=centre, right=right, up=up, away=away, inside=inside,
+        range_m=float(np.median(range_m[inside])),
+    )  # fmt: skip
+
+
+def footprint_ellipses(
+    beam_wcs_m: ArrayF, patch: Patch, *, divergence_mrad: float
+) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Widths, heights (n,) in metres and angles (n,) in degrees of footprints in the plane of a patch.
+
+    A footprint is a circle of diameter ``divergence * range`` across its own beam. Seen along the mean beam
+    it is an ellipse whose short axis lies along the projection of its own beam.
+
+    Parameters
+    ----------
+    beam_wcs_m : (n, 3) from the scanner to the points.
+    patch : the plane of projection.
+    divergence_mrad : full divergence of the beam.
+    """
+    range_m = np.linalg.norm(beam_wcs_m, axis=1)
+    direction = beam_wcs_m / range_m[:, None]
+    diameter = 1e-3 * divergence_mrad * range_m
+    short = diameter * np.abs(direction @ patch.away)
+    angle = np.arctan2(direction @ patch.up, direction @ patch.right)
+    return short, diameter, np.rad2deg(angle)
+
+
+@styled
+def footprints(
+    points_wcs_m: ArrayF,
+    scanner_wcs_m: ArrayF,
+    *,
+    divergence_mrad: float,
+    distance_m: float = DISTANCE_M,
+    title: str = "Footprints of the mobile lidar",
+    twin: bool = False,
+) -> Figure:
+    """One revolution of the lidar in plan view, and a patch of the bank with the footprints to scale.
+
+    Parameters
+    ----------
+    points_wcs_m : (n, 3) points of one revolution.
+    scanner_wcs_m : (n, 3) position of the scanner at each point's time; rows with NaN are left out.
+    divergence_mrad : full divergence of the beam.
+    distance_m : wanted distance of the patch; the nearest there is will do.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    GeometryError : no point, arrays that do not match, or no beam.
+    InputError : a divergence that is not positive.
+    """
+    points, scanner = np.asarray(points_wcs_m, np.float64), np.asarray(scanner_wcs_m, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or scanner.shape != points.shape:
+        raise GeometryError(f"{points.shape=}, {scanner.shape=}", expected="(n, 3) twice")
+    if divergence_mrad <= 0:
+        raise InputError(
+            f"a divergence of {divergence_mrad:g} mrad",
+            expected="above 0",
+            cure="Set lidar_accuracy.divergence_mrad",
+        )
+    patch = choose_patch(points, scanner, distance_m=distance_m)
+    posed = np.isfinite(points).all(axis=1) & np.isfinite(scanner).all(axis=1)
+    points, scanner = points[posed], scanner[posed]
+    inside = patch.inside[posed]
+    head = f"{title}, one revolution ({REVOLUTION_S:g} s), n = {count(len(points))} points"
+    figure = new_figure(100.0, head, twin=twin)
+    left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
+    _draw_frame(figure, left, points, scanner, patch)
+    _draw_patch(figure, right, points[inside], scanner[inside], patch, divergence_mrad)
+    legend_below(figure, left)
+    return figure
+
+
+def _draw_frame(figure: Figure, ax: Axes, points: ArrayF, scanner: ArrayF, patch: Patch) -> None:
+    range_m = np.linalg.norm(points - scanner, axis=1)
+    bulk = np.percentile(points[:, :2], [4, 96], axis=0)
+    low, high = map_extent(np.concatenate([scanner[:, :2], patch.centre_wcs_m[None, :2], bulk]), None)
+    # The panel is a square.
+    middle, half = 0.5 * (low + high), 0.5 * float(np.max(high - low))
+    ax.set_xlim(middle[0] - half, middle[0] + half)
+    ax.set_ylim(middle[1] - half, middle[1] + half)
+    ax.set_aspect("equal")
+    order = np.argsort(-range_m)
+    norm = Normalize(*robust_limits(range_m, 1.0, 99.0))
+    dots = ax.scatter(
+        points[order, 0], points[order, 1], c=range_m[order], s=1.6, lw=0, cmap=RANGE_MAP, norm=norm,
+        rasterized=True, gid="frame",
+    )  # fmt: skip
+    place = scanner.mean(axis=0)
+    ax.plot(place[0], place[1], ls="none", marker="^", ms=6, mfc="white", mec="black", mew=1.0, zorder=6,
+            label="lidar", gid="scanner")  # fmt: skip
+    ax.plot(
+        *np.stack([place[:2], patch.centre_wcs_m[:2]]).T, color=VERMILION, lw=0.8, ls="--", zorder=5,
+        label=f"line of sight of b, {patch.range_m:.1f} m", path_effects=HALO,
+    )  # fmt: skip
+    ax.add_patch(Polygon(_outline(patch), fill=False, ec=ORANGE, lw=1.8, zorder=6, gid="patch",
+                         label="area of b", path_effects=HALO))  # fmt: skip
+    outside = int(np.sum(np.any(np.abs(points[:, :2] - middle) > half, axis=1)))
+    ax.set_title(f"a: scan pattern in plan view, n = {count(len(points))}\n{count(outside)} beyond the map")
+    ax.set_xlabel("east / m")
+    ax.set_ylabel("north / m")
+    sight = np.linspace(place[:2], patch.centre_wcs_m[:2], 50)
+    marks_in_free_corners(ax, np.concatenate([points[:, :2], sight]))
+    figure.colorbar(
+        dots, ax=ax, label="measured range / m", location="bottom", pad=0.02, aspect=30, extend="both"
+    )
+
+
+def _outline(patch: Patch) -> ArrayF:
+    """Corners of the patch in plan, drawn a metre deep where it is seen edge-on."""
+    along, deep = 0.5 * PATCH_M * patch.right[:2], 0.5 * PATCH_M * patch.up[:2]
+    if float(np.hypot(*deep)) < 0.5:
+        deep = 0.5 * np.array([-patch.right[1], patch.right[0]])
+    centre = patch.centre_wcs_m[:2]
+    return np.stack([centre - along - deep, centre + along - deep, centre + along + deep,
+                     centre - along + deep])  # fmt: skip
+
+
+def _draw_patch(
+    figure: Figure,
+    ax: Axes,
+    points: ArrayF,
+    scanner: ArrayF,
+    patch: Patch,
+    divergence_mrad: float,
+) -> None:
+    beam = points - scanner
+    range_m = np.linalg.norm(beam, axis=1)
+    place = patch.project(points)
+    widths, heights, angles = footprint_ellipses(beam, patch, divergence_mrad=divergence_mrad)
+    norm = Normalize(*robust_limits(range_m, 1.0, 99.0))
+    # Far ones first: nearer surfaces lie in front.
+    order = np.argsort(-range_m)
+    widths, heights, angles, place = widths[order], heights[order], angles[order], place[order]
+    faces = RANGE_MAP(norm(range_m[order]), alpha=0.6)
+    half = 0.5 * PATCH_M + 0.08
+    ax.set_xlim(-half, half)
+    ax.set_ylim(-half, half)
+    ax.set_aspect("equal")
+    ax.set_xlabel("to the right, across the beams / m")
+    ax.set_ylabel("up, across the beams / m")
+    corner = _free_corner(place, half, LENS_M)
+    lens = ax.inset_axes((*((corner + half) / (2 * half)), LENS_M / (2 * half), LENS_M / (2 * half)))
+    for axes, gid in ((ax, "footprints"), (lens, "magnified")):
+        axes.add_collection(
+            EllipseCollection(
+                widths, heights, angles, units="xy", offsets=place, offset_transform=axes.transData, zorder=3,
+                facecolors=faces, edgecolors="0.15", linewidths=0.5, gid=gid,
+            ),
+            autolim=False,
+        )  # fmt: skip
+    one = int(np.argmin(np.linalg.norm(place, axis=1)))
+    size_m, spot_m = float(heights[one]), float(heights[one]) * TLS_DIVERGENCE_MRAD / divergence_mrad
+    ax.set_title(
+        f"b: footprints seen along the beams, n = {count(len(points))}\n"
+        f"{divergence_mrad:g} mrad · {range_m[order][one]:.1f} m = {100 * size_m:.1f} cm"
+        f"; TLS spot {100 * spot_m:.1f} cm"
+    )
+    _draw_lens(ax, lens, place[one], size_m, spot_m)
+    figure.colorbar(
+        ScalarMappable(norm, RANGE_MAP), ax=ax, label="measured range / m", location="bottom", pad=0.02,
+        aspect=30, extend="both",
+    )  # fmt: skip
+
+
+def _free_corner(place: ArrayF, half: float, size: float) -> ArrayF:
+    """Lower left corner of a square of a given size within +-half that hides fewest points."""
+    steps = np.linspace(-half + 0.03, half - size - 0.03, 25)
+    corners = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    n = [int(np.sum(np.all((place > c - 0.06) & (place < c + size + 0.06), axis=1))) for c in corners]
+    # Of equally free corners the one farthest out leaves most of the picture in one piece.
+    return np.asarray(corners[np.lexsort((-np.abs(corners + 0.5 * size).max(axis=1), n))[0]])
+
+
+def _draw_lens(ax: Axes, lens: Axes, centre: ArrayF, size_m: float, spot_m: float) -> None:
+    """One footprint magnified with its size, and the spot of a terrestrial scanner in its middle."""
+    u, v = float(centre[0]), float(centre[1])
+    lens.set(xlim=(u - size_m, u + size_m), ylim=(v - size_m, v + size_m), xticks=[], yticks=[])
+    lens.spines[:].set_visible(True)
+    lens.add_patch(Circle((u, v), 0.5 * size_m, fill=False, ec=RED, lw=1.4, zorder=6, gid="named-footprint"))
+    lens.add_patch(Circle((u, v), 0.5 * spot_m, fc=RED, ec="white", lw=0.3, zorder=7, gid="tls-spot"))
+    below = v - 0.6 * size_m
+    lens.annotate(
+        "", (u - 0.5 * size_m, below), xytext=(u + 0.5 * size_m, below), zorder=8,
+        arrowprops={"arrowstyle": "<|-|>", "lw": 0.8, "color": "black", "shrinkA": 0, "shrinkB": 0,
+                    "mutation_scale": 6},
+    )  # fmt: skip
+    for text, y in ((f"{100 * size_m:.1f} cm", below - 0.06 * size_m), ("TLS", v - 0.5 * spot_m)):
+        lens.text(u, y, text, ha="center", va="top", fontsize=7, zorder=8, gid="size-text", path_effects=HALO)
+    ax.indicate_inset_zoom(lens, edgecolor=RED, alpha=1.0, lw=0.8)

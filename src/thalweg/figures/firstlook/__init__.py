@@ -1,0 +1,1 @@
+"""First pictures of logs, and a page of recordings."""

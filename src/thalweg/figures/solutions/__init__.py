@@ -1,0 +1,1 @@
+"""INS, camera and fused solution side by side, on one page."""

@@ -1,0 +1,296 @@
+"""Distances to the reference by INS, camera and fused trajectory: by range, as histograms (T Fig. 3.3)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from scipy.stats import norm
+
+from thalweg.accuracy.cloud_to_mesh.comparison import normalised_distances
+from thalweg.accuracy.cloud_to_mesh.comparison_tables import ALL, WITHOUT_OUTLIERS
+from thalweg.accuracy.solutions.comparison import CHAINS
+from thalweg.accuracy.solutions.ranges import (
+    LEAST,
+    PUBLISHED_CROSSING_M,
+    crossing_of,
+    range_facts,
+)
+from thalweg.core.errors import InputError
+from thalweg.core.types import ArrayF
+from thalweg.figures.accuracy.distances import centimetres, compared, round_limit_m
+from thalweg.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    HALO,
+    VERMILION,
+    count,
+    legend_below,
+    new_figure,
+    styled,
+)
+
+LOOK: Final = {"ins": (BLUE, "o"), "camera": (VERMILION, "s"), "fused": (GREEN, "^")}
+"""Colour and marker of each chain."""
+
+WIDTHS: Final = {"ins": 2.6, "camera": 1.8, "fused": 1.0}
+"""Of lines that may lie upon each other: the later and thinner one leaves the others visible."""
+
+IN_WORDS: Final = {"ins": "INS", "camera": "camera", "fused": "fused"}
+PUBLISHED_FROM: Final = {"ins": "T Table 3.1", "camera": "P2 Table 1"}
+
+BINS: Final = 81
+SIGMAS: Final = 5.0
+"""Ends of the histogram of distances over their sigmas."""
+TOP_SHARE: Final = 0.995
+"""Share of the points whose range classes decide about the axes."""
+
+
+@styled
+def chains_by_range(
+    table: pd.DataFrame,
+    *,
+    outlier_rule: str = "",
+    title: str = "Distances to the reference by range and trajectory",
+    twin: bool = False,
+) -> Figure:
+    """RMSE by range for all chains, achieved and predicted; the error budgets; points per class.
+
+    Parameters
+    ----------
+    table : of `thalweg.accuracy.solutions.ranges.chains_by_range`.
+    outlier_rule : sentence on what the outlier rule is.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : a column is missing, or no row is left.
+    """
+    rows, names = _rows(table)
+    n = max(int(rows[f"{name}_n"].sum()) for name in names)
+    figure = new_figure(165.0, f"{title}, n = {count(n)} points", twin=twin)
+    upper, middle, lower = figure.subplots(3, 1, sharex=True, height_ratios=[2.2, 1.9, 1.0])
+    r = rows["range_m"].to_numpy(np.float64)
+    _draw_achieved(upper, rows, r, names)
+    words = "a: RMSE of the distances, achieved (solid) and predicted (dashed)"
+    upper.set_title("\n".join(filter(None, [words, outlier_rule])))
+    _draw_theory(middle, rows, r, names)
+    for name in names:
+        _step(lower, r, rows[f"{name}_n"].to_numpy(np.float64), name)
+    lower.set_yscale("log")
+    lower.set_ylim(0.7, None)
+    lower.set_ylabel("points / 1")
+    lower.set_title(f"c: points per class of 1 m; dotted line: {LEAST}, fewer are drawn hollow in a")
+    lower.axhline(LEAST, color=GREY, lw=0.8, ls=":")
+    lower.yaxis.set_major_locator(LogLocator(numticks=5))
+    lower.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(int(value)) if value >= 1 else ""))
+    lower.yaxis.set_minor_formatter(NullFormatter())
+    lower.set_xlabel("range / m")
+    lower.set_xlim(0.0, _farthest(rows, r, names))
+    for ax in (upper, middle, lower):
+        ax.grid(axis="y")
+    figure.align_ylabels([upper, middle, lower])
+    legend_below(figure, upper)
+    return figure
+
+
+@styled
+def chain_histograms(
+    tables: Mapping[str, pd.DataFrame],
+    *,
+    limit_m: float | None = None,
+    title: str = "Distances to the reference by trajectory",
+    twin: bool = False,
+) -> Figure:
+    """Normalised histograms of the distances of all chains with fitted normal distributions.
+
+    Parameters
+    ----------
+    tables : chain -> table of kind ``cloud_to_mesh``.
+    limit_m : distance at both ends of the axis.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : no chain, or a column is missing.
+    CoverageError : no point of a chain was compared.
+    """
+    names = [name for name in CHAINS if name in tables]
+    if not names:
+        raise InputError("no chain", expected=f"at least one of {', '.join(CHAINS)}")
+    used = {name: compared(tables[name]) for name in names}
+    distances = {name: used[name]["distance_m"].to_numpy(np.float64) for name in names}
+    limit = limit_m or max(round_limit_m(d) for d in distances.values())
+    n = sum(d.size for d in distances.values())
+    figure = new_figure(98.0, f"{title}, n = {count(n)} points of {len(names)} clouds", twin=twin)
+    left, right = figure.subplots(1, 2, width_ratios=[1.5, 1.0])
+    for name in names:
+        _draw_histogram(left, distances[name], ~used[name]["outlier"].to_numpy(bool), name, limit)
+        _draw_normalised(right, normalised_distances(used[name]), name)
+    beyond = ", ".join(
+        f"{IN_WORDS[k]} {100 * np.mean(np.abs(d) > limit):.1f} %" for k, d in distances.items()
+    )
+    left.set_title(f"a: all points; beyond the axis: {beyond}")
+    left.set_xlim(-100 * limit, 100 * limit)
+    left.set_xlabel("behind  \N{LEFTWARDS ARROW}   signed distance / cm   \N{RIGHTWARDS ARROW}  in front")
+    left.set_ylabel("share per centimetre / %")
+    left.axvline(0.0, color="black", lw=0.7, zorder=1)
+    x = np.linspace(-SIGMAS, SIGMAS, 301)
+    right.plot(x, norm.pdf(x), color="black", lw=1.2, ls=":", label="standard normal")
+    right.set_xlim(-SIGMAS, SIGMAS)
+    right.set_xlabel("distance over its predicted sigma / 1")
+    right.set_ylabel("density / 1")
+    right.set_title("b: over sigma; dotted: honest sigmas")
+    for ax in (left, right):
+        ax.set_ylim(0.0, None)
+        ax.grid(axis="y")
+    legend_below(figure, left)
+    return figure
+
+
+def _rows(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    names = [name for name in CHAINS if f"{name}_n" in table.columns]
+    needed = ["points", "range_m"]
+    needed += [f"{name}_{what}" for name in names for what in ("rmse_observed_m", "rmse_predicted_m",
+                                                                 "rmse_predicted_3d_m")]  # fmt: skip
+    missing = [name for name in needed if name not in table.columns]
+    if missing or not names:
+        raise InputError(
+            f"columns missing: {missing}" if missing else "no chain",
+            expected="the table chains_by_range.csv of compare_chains",
+        )
+    kept = table[table["points"] == WITHOUT_OUTLIERS]
+    kept = kept if len(kept) else table[table["points"] == ALL]
+    if kept.empty:
+        raise InputError(f"no row of points '{WITHOUT_OUTLIERS}' or '{ALL}'", expected="a range class")
+    return kept.sort_values("range_m"), names
+
+
+def _farthest(rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) -> float:
+    """Ranges beyond which hardly a point lies are not drawn."""
+    n = sum(rows[f"{name}_n"].to_numpy(np.float64) for name in names)
+    share = np.cumsum(n) / np.sum(n)
+    return float(r[min(int(np.searchsorted(share, TOP_SHARE)), len(r) - 1)]) + 1.0
+
+
+def _draw_achieved(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) -> None:
+    inside = r <= _farthest(rows, r, names)
+    tops = []
+    for name in names:
+        colour, marker = LOOK[name]
+        observed, predicted = (
+            1e3 * rows[f"{name}_rmse_{what}_m"].to_numpy(np.float64) for what in ("observed", "predicted")
+        )
+        many = rows[f"{name}_n"].to_numpy() >= LEAST
+        total = count(int(rows[f"{name}_n"].sum()))
+        ax.plot(r, observed, color=colour, lw=1.0, zorder=3)
+        ax.plot(
+            r[many], observed[many], color=colour, ls="none", marker=marker, ms=3.2, zorder=4,
+            label=f"{IN_WORDS[name]}, achieved, n = {total}", gid=f"observed-{name}",
+        )  # fmt: skip
+        ax.plot(
+            r[~many], observed[~many], color=colour, ls="none", marker=marker, ms=3.2, mfc="white", zorder=4
+        )
+        ax.plot(
+            r, predicted, color=colour, lw=1.5, ls="--", label=f"{IN_WORDS[name]}, predicted",
+            gid=f"predicted-{name}",
+        )  # fmt: skip
+        tops += [observed[many & inside], predicted[many & inside]]
+    values = np.concatenate(tops)
+    values = values[np.isfinite(values)]
+    # single classes with few points do not decide about the axis
+    ax.set_ylim(0.0, 1.15 * float(np.percentile(values, 99)) if values.size else None)
+    ax.set_ylabel("RMSE / mm")
+
+
+def _draw_theory(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) -> None:
+    """The 3D standard deviations, which is what the papers print."""
+    ends: list[float] = []
+    at = min(int(np.searchsorted(r, 0.85 * _farthest(rows, r, names))), len(r) - 1)
+    known = {name: 1e3 * rows[f"published_{name}_3d_m"].to_numpy(np.float64)
+             for name in names if f"published_{name}_3d_m" in rows.columns}  # fmt: skip
+    for name in names:
+        colour = LOOK[name][0]
+        own = 1e3 * rows[f"{name}_rmse_predicted_3d_m"].to_numpy(np.float64)
+        ax.plot(r, own, color=colour, lw=WIDTHS[name], ls="--", gid=f"predicted-3d-{name}")
+        if name in known and np.isfinite(known[name][at]):
+            ax.plot(r, known[name], color=colour, lw=1.1, ls=":", gid=f"published-{name}")
+            # the upper one is named above its line, the lower one below
+            above = known[name][at] >= max(curve[at] for curve in known.values())
+            ends.append(float(known[name][at]))
+            ax.annotate(
+                f"{IN_WORDS[name]}, {PUBLISHED_FROM[name]}", (r[at], known[name][at]), va="center",
+                xytext=(0, 12 if above else -12), textcoords="offset points", ha="right" if above else "left",
+                fontsize=7, color=colour, path_effects=HALO, zorder=6,
+            )  # fmt: skip
+    low, high = PUBLISHED_CROSSING_M
+    ax.axvspan(low, high, color="0.88", lw=0, zorder=0, gid="published-crossing")
+    ax.annotate(
+        f"published curves cross\nbetween {low:g} and {high:g} m", (high, 0.97),
+        xycoords=("data", "axes fraction"), xytext=(4, 0), textcoords="offset points", ha="left", va="top",
+        fontsize=7, zorder=6,
+        bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"},
+    )  # fmt: skip
+    _own_crossing(ax, rows, names)
+    shown = [1e3 * rows[f"{name}_rmse_predicted_3d_m"].to_numpy(np.float64) for name in names]
+    inside = r <= _farthest(rows, r, names)
+    highest = max([*(float(np.nanmax(s[inside])) for s in shown), *ends])
+    ax.set_ylim(0.0, 1.25 * highest)
+    ax.set_ylabel("3D sigma / mm")
+    ax.set_title("b: predicted for all three components (P2 eq. 9); dashed: here, dotted: published budgets")
+
+
+def _own_crossing(ax: Axes, rows: pd.DataFrame, names: Sequence[str]) -> None:
+    """Where the predictions of INS and camera cross in this survey."""
+    if not {"ins", "camera"} <= set(names):
+        return
+    facts = range_facts(rows, str(rows["points"].iloc[0]))
+    at = crossing_of(facts, "ins", "camera", "rmse_predicted_3d").get("crossing_m")
+    words = "here INS and camera do not cross"
+    if at is not None and at <= _farthest(rows, rows["range_m"].to_numpy(np.float64), names):
+        ax.axvline(at, color="black", lw=0.8, ls="--", gid="own-crossing")
+        words = f"here (dashed): at {at:.1f} m"
+    ax.annotate(
+        words, (PUBLISHED_CROSSING_M[1], 0.97), xycoords=("data", "axes fraction"), xytext=(4, -19),
+        textcoords="offset points", ha="left", va="top", fontsize=7, zorder=6,
+        bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"},
+    )  # fmt: skip
+
+
+def _step(ax: Axes, r: ArrayF, n: ArrayF, name: str) -> None:
+    ax.step(
+        r, np.where(n > 0, n, np.nan), where="mid", color=LOOK[name][0], lw=WIDTHS[name], gid=f"counts-{name}"
+    )
+
+
+def _draw_histogram(ax: Axes, d: ArrayF, kept: ArrayF, name: str, limit: float) -> None:
+    colour = LOOK[name][0]
+    edges = np.linspace(-limit, limit, BINS + 1)
+    per_cm = 1.0 / (d.size * (edges[1] - edges[0]))  # 100 % over 100 cm
+    n, _ = np.histogram(d, edges)
+    ax.stairs(n * per_cm, 100 * edges, fill=True, color=colour, alpha=0.18)
+    ax.stairs(n * per_cm, 100 * edges, color=colour, lw=0.9, gid=f"histogram-{name}")
+    inner = d[kept]
+    mean, std = float(np.mean(inner)), float(np.std(inner))
+    if std > 0:
+        x = np.linspace(-limit, limit, 601)
+        share = inner.size / d.size
+        rmse = float(np.sqrt(np.mean(inner**2)))
+        ax.plot(
+            100 * x, share * norm.pdf(x, mean, std), color=colour, lw=1.6, ls="--", gid=f"fit-{name}",
+            label=f"{IN_WORDS[name]}, n = {count(d.size)}; normal fit without {100 * (1 - share):.1f} % "
+            f"outliers: mean {centimetres(mean, sign=True)}, std {centimetres(std)}, "
+            f"RMSE {centimetres(rmse)}",
+        )  # fmt: skip
+
+
+def _draw_normalised(ax: Axes, z: ArrayF, name: str) -> None:
+    edges = np.linspace(-SIGMAS, SIGMAS, 51)
+    n, _ = np.histogram(z, edges)
+    ax.stairs(n / (z.size * np.diff(edges)), edges, color=LOOK[name][0], lw=1.2, gid=f"normalised-{name}")

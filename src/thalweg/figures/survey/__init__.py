@@ -1,0 +1,1 @@
+"""Figures of a survey: map, streams, trajectory, error budget."""

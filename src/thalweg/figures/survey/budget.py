@@ -1,0 +1,112 @@
+"""Where the error of a point comes from, over its distance: budgets side by side."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from thalweg.budgets.budget import GROUPS, Budget
+from thalweg.budgets.influences import CORRELATIONS, TOTAL, totals_mm
+from thalweg.budgets.statements import group_shares
+from thalweg.core.errors import InputError
+from thalweg.core.types import ArrayF
+from thalweg.figures.style import BLUE, GREEN, HALO, ORANGE, PURPLE, SKY, VERMILION, new_figure, styled
+
+FARTHEST_M: Final = 60.0
+LOOK: Final = {
+    "lidar": (SKY, ""),
+    "position": (BLUE, "////"),
+    "lever arm": (GREEN, "...."),
+    "boresight": (PURPLE, "\\\\\\\\"),
+    "attitude": (ORANGE, ""),
+    "timing": (VERMILION, "xxxx"),
+}
+"""Colour and hatching of each group, from below: told apart in grey print as well."""
+
+
+@styled
+def error_budget(budgets: Sequence[Budget], published: Sequence[pd.DataFrame | None]) -> Figure:
+    """Total and shares of the variance over distance for each budget, published totals as points.
+
+    In the upper panels the height is the 3D standard deviation; it is divided in proportion to the variances.
+    The lower panels show the same shares of 100 %.
+
+    Parameters
+    ----------
+    budgets : side by side, one or more.
+    published : cells of each, or None.
+
+    Raises
+    ------
+    InputError : no budget, or one with correlations, whose terms have no place in a stack.
+    """
+    if not budgets or any(budget.correlations for budget in budgets):
+        raise InputError(
+            "correlated budgets" if budgets else "no budget",
+            expected="budgets without correlations: covariance terms may be negative and cannot be stacked",
+        )
+    d = np.linspace(1.0, FARTHEST_M, 237)
+    figure = new_figure(112.0, "Where the error of a point comes from, by its distance", twin=False)
+    axes = figure.subplots(
+        2, len(budgets), sharex=True, sharey="row", squeeze=False, height_ratios=[1.5, 1.0]
+    )
+    for k, (budget, cells) in enumerate(zip(budgets, published, strict=True)):
+        total = totals_mm(budget, d)
+        shares = group_shares(budget, d).reindex(columns=list(GROUPS), fill_value=0.0)
+        stacked = [shares[group].to_numpy() for group in LOOK]
+        _stack(axes[0, k], d, [share * total for share in stacked])
+        _stack(axes[1, k], d, [100 * share for share in stacked])
+        axes[0, k].plot(d, total, color="black", lw=1.2, label="total", gid="total")
+        if cells is not None:
+            points = cells[(cells["input"] == TOTAL) & cells["distance_m"].notna()]
+            axes[0, k].plot(
+                points["distance_m"], points["value_mm"], ls="none", marker="o", mfc="white", mec="black",
+                mew=1.1, ms=5, label="total as published", gid="published", zorder=5,
+            )  # fmt: skip
+        axes[0, k].set_title(f"{budget.title}\n{budget.source}; geometry {budget.status}", fontsize="small")
+        axes[1, k].set_xlabel("distance / m")
+        _names(axes[1, k], d, [100 * share for share in stacked])
+    axes[0, 0].set_ylabel("3D standard deviation / mm,\ndivided as the variances")
+    axes[1, 0].set_ylabel("share of variance / %")
+    axes[0, 0].set(xlim=(1, FARTHEST_M), ylim=(0, None))
+    axes[1, 0].set_ylim(0, 100)
+    figure.align_ylabels(list(axes[:, 0]))
+    _legend(figure, axes[0, 0])
+    return figure
+
+
+def _stack(ax: Axes, d: ArrayF, parts: list[ArrayF]) -> None:
+    below = np.zeros_like(d)
+    for group, part in zip(LOOK, parts, strict=True):
+        colour, hatch = LOOK[group]
+        ax.fill_between(
+            d, below, below + part, facecolor=colour, edgecolor=(1, 1, 1, 0.55), hatch=hatch, lw=0.0,
+            label=group, gid=group,
+        )  # fmt: skip
+        below = below + part
+        ax.plot(d, below, color="white", lw=0.5)
+
+
+def _names(ax: Axes, d: ArrayF, parts: list[ArrayF]) -> None:
+    """Each group's name in its own band, where that is widest."""
+    below = np.zeros_like(d)
+    inner = (d > 8) & (d < FARTHEST_M - 8)
+    for group, part in zip(LOOK, parts, strict=True):
+        at = int(np.flatnonzero(inner)[np.argmax(part[inner])])
+        if part[at] > 9:
+            ax.text(
+                d[at], below[at] + part[at] / 2, group, ha="center", va="center", fontsize=7,
+                path_effects=HALO, gid="name",
+            )  # fmt: skip
+        below = below + part
+
+
+def _legend(figure: Figure, ax: Axes) -> None:
+    handles, labels = ax.get_legend_handles_labels()
+    order = [i for i, text in enumerate(labels) if text != CORRELATIONS]
+    figure.legend(
+        [handles[i] for i in order], [labels[i] for i in order], loc="outside lower left", ncols=len(order)
+    )

@@ -1,0 +1,1 @@
+"""Photographs of the bank: masks, structure from motion, control points, adjustment with covariances."""

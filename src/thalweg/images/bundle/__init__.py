@@ -1,0 +1,1 @@
+"""Adjustment of image blocks with control, and the covariance of every pose."""

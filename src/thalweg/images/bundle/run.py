@@ -1,0 +1,301 @@
+"""A block of images from its own frame to the world: start, observations, adjustment, checks."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from thalweg.core.camera.model import PARAMETERS, Camera
+from thalweg.core.errors import GeometryError
+from thalweg.images.bundle.adjustment import Adjusted, adjust_block
+from thalweg.images.bundle.antenna import clock_notes
+from thalweg.images.bundle.consent import (
+    Interiors,
+    check_consent,
+    check_datum,
+    check_free,
+    doubts,
+    interior_notes,
+    interior_of,
+)
+from thalweg.images.bundle.place import (
+    LEAST,
+    Expected,
+    check_attitudes,
+    check_start,
+    fitted_in_time,
+    other_reading,
+)
+from thalweg.images.bundle.problem import Antenna, Problem
+from thalweg.images.bundle.restart import adjust_from_either_start
+from thalweg.images.bundle.result import ControlResult, control_result
+from thalweg.images.bundle.weights import Options
+from thalweg.images.model.block import ImageBlock
+from thalweg.images.model.control_points import ControlMarks, ControlPoints
+from thalweg.images.model.poses import ImagePoses
+from thalweg.images.model.start import (
+    CURE_LINE,
+    Similarity,
+    check_place,
+    start_from_control,
+    start_from_positions,
+)
+
+_LEAST_CONTROL: Final = 4
+"""Control points that must stay when one is made a check point: four can still contradict each other."""
+_MOST_DEMOTED: Final = 3
+_DISTORTION: Final = {"k1": 0.1, "k2": 0.1, "k3": 0.05, "k4": 0.02, "p1": 0.002, "p2": 0.002}
+"""Sigmas of distortion about its start value where it is not to be estimated freely: what lenses have.
+
+Held without a sigma it would bend the others, and their covariance would not tell: with a k3 of -0.018 held
+at zero, k2 came out ten sigmas off.
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockSettings:
+    """Options of the adjustment, and how the interior orientation enters."""
+
+    options: Options
+    interior: str = "auto"
+    free_parameters: tuple[str, ...] = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    square_pixels: bool = True
+
+    @classmethod
+    def from_section(cls, section: Mapping[str, Any]) -> "BlockSettings":
+        """From the section ``images.adjustment``."""
+        loss = section["loss"]
+        return cls(
+            options=Options(
+                loss=None if loss == "none" else loss,
+                loss_limit=section["loss_limit"],
+                reject_limit=section["reject_limit"],
+                restless_limit=section["restless_limit"],
+                correlated=section["correlated"],
+                least_angle_deg=section["least_angle_deg"],
+                max_iterations=section["max_iterations"],
+                interior_variance=section["interior_variance"],
+            ),
+            interior=section["interior"],
+            free_parameters=tuple(section["free_parameters"]),
+            square_pixels=section["square_pixels"],
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Oriented:
+    """An adjusted block, its control points, those left out with the reason, and notes for people.
+
+    ``demoted`` names control points that contradicted the others and were made check points.
+    """
+
+    adjusted: Adjusted
+    control: ControlResult
+    demoted: tuple[str, ...] = ()
+    left_out: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def world_block(
+    block: ImageBlock,
+    control: ControlPoints,
+    marks: ControlMarks,
+    predictions: ImagePoses | None,
+) -> tuple[ImageBlock, Similarity, str]:
+    """The block moved into the world: by control points where three are measured, else by predicted poses.
+
+    Returns
+    -------
+    block : in wcs.
+    start : the similarity.
+    source : ``control points`` or ``camera positions``.
+
+    Raises
+    ------
+    GeometryError : too few images, neither suffices, the control points have another shape than the block, or
+        they or the images are not where the predictions are.
+    """
+    if len(block.images) < LEAST:
+        raise GeometryError(
+            f"a block of {len(block.images)} images", expected=f"{LEAST} at least",
+            cure="See the report of the images for why the others are not in it",
+        )  # fmt: skip
+    expected = Expected.of(block, predictions)
+    n = len(expected.at)
+    check_place(control, expected.centre_wcs_m)
+    counts = marks.counts(len(control.names))
+    several = int(((counts >= 2) & ~control.check).sum())
+    start: Similarity | None = None
+    if several >= LEAST:
+        try:
+            start = start_from_control(block, control, marks)
+        except GeometryError as error:
+            other = other_reading(block, control, marks, expected)
+            if other is not None:
+                raise GeometryError(
+                    f"{error.found}; {other[0]} would fit", expected=error.expected, cure=other[1]
+                ) from error
+            # a line, or three points that may have the shape by chance only: the trajectory begins
+            if n < LEAST or (several > LEAST and error.cure != CURE_LINE):
+                raise
+    if start is not None:
+        start.notes.extend(check_start(block, start, expected, control, marks))
+        try:
+            return _checked(block, start, expected), start, "control points"
+        except GeometryError as error:
+            other = other_reading(block, control, marks, expected)
+            if other is None:
+                raise
+            raise GeometryError(
+                f"{error.found}; {other[0]} would fit", expected=error.expected, cure=other[1]
+            ) from error
+    if n < LEAST:
+        raise GeometryError(
+            f"{int((counts >= 2).sum())} control points measured in two images or more, and approximate "
+            f"positions of {n} images",
+            expected="three of either",
+            cure="Give at least three control points that are measured in two images each, or the times of "
+            "the images, by which the trajectory tells where they were",
+        )
+    near, notes = fitted_in_time(block, expected)
+    start = start_from_positions(block, near.at, near.centre_wcs_m)
+    start.notes.extend(notes)
+    return _checked(block, start, expected), start, "camera positions"
+
+
+def _checked(block: ImageBlock, start: Similarity, expected: Expected) -> ImageBlock:
+    placed = block.transformed(start.R, start.shift_m, start.scale)
+    check_attitudes(placed, expected)
+    return placed
+
+
+def orient_block(
+    block: ImageBlock,
+    control: ControlPoints,
+    marks: ControlMarks,
+    settings: BlockSettings,
+    *,
+    predictions: ImagePoses | None = None,
+    antenna: Antenna | None = None,
+    known: Interiors = None,
+    progress: Callable[[str], None] | None = None,
+) -> Oriented:
+    """Orient a block in the world.
+
+    Parameters
+    ----------
+    block : from structure from motion, in any frame.
+    control, marks : surveyed points and their marks; may be empty.
+    predictions : approximate poses of images.
+    antenna : GNSS positions at exposures.
+    known : interior orientation from a calibration, with covariance, of all cameras of the block or by their
+        names; cameras without one are estimated.
+
+    Raises
+    ------
+    GeometryError : too few images, no datum, or one that does not fix all.
+    UnobservableError : unknowns that nothing determines.
+    """
+    moved, start, source = world_block(block, control, marks, predictions)
+    notes = list(start.notes)
+    given = control
+    control, marks, left_out = _usable(control, marks, start if source == "control points" else None)
+    check_datum(moved, given, control, antenna, left_out)
+    cameras, free, weighted = _interior(moved.cameras, settings, known)
+    problem = Problem(
+        block=replace(moved, cameras=cameras), control=control, marks=marks, antenna=antenna, free=free,
+        weighted=weighted, held=np.zeros((len(block.images), 6), np.bool_),
+        square_pixels=settings.square_pixels,
+        prior_sigma={k: v for k, v in _DISTORTION.items() if k not in settings.free_parameters},
+    )  # fmt: skip
+    problem, adjusted, result, told = adjust_from_either_start(
+        problem, settings.options, predictions, progress
+    )
+    notes += told
+    demoted: list[str] = []
+    for _ in range(_MOST_DEMOTED):
+        worst = _contradicting(problem.control, result)
+        if worst is None:
+            break
+        notes.append(
+            f"Control point {problem.control.names[worst]} contradicts the others by "
+            f"{np.linalg.norm(result.without_m[worst]):.3f} m, {np.sqrt(result.test[worst] / 3):.1f} times "
+            "what its sigma allows: from now on it only checks"
+        )
+        demoted.append(problem.control.names[worst])
+        problem = replace(problem, control=problem.control.as_check(demoted[-1:]))
+        adjusted = adjust_block(problem, settings.options, progress=progress)
+        result = control_result(adjusted)
+    if known is not None and any(problem.weighted):
+        cameras, free, weighted = _interior(moved.cameras, replace(settings, interior="free"), None)
+        estimated = replace(
+            problem, block=replace(moved, cameras=cameras), free=free, weighted=weighted, control=control
+        )
+        check_free(problem, estimated, settings.options, result, len(demoted))
+    check_consent(moved, control, marks, result, demoted, predictions)
+    notes += interior_notes(adjusted, known)
+    notes += clock_notes(antenna, float(adjusted.x.extras[-1]) if len(adjusted.x.extras) else 0.0)
+    notes += [*adjusted.notes, *result.notes, *doubts(problem.control, result, antenna)]
+    return Oriented(adjusted=adjusted, control=result, demoted=tuple(demoted), left_out=left_out, notes=notes)
+
+
+def _contradicting(control: ControlPoints, result: ControlResult) -> int | None:
+    """The control point that fits the others worst, if it does not fit and enough others stay."""
+    bad = np.flatnonzero(result.suspect & ~control.check)
+    if not len(bad) or int((~control.check).sum()) - 1 < _LEAST_CONTROL:
+        return None
+    return int(bad[np.argmax(result.test[bad])])
+
+
+def _usable(
+    control: ControlPoints, marks: ControlMarks, start: Similarity | None
+) -> tuple[ControlPoints, ControlMarks, dict[str, str]]:
+    """Points that can take part; the others with the reason."""
+    counts = marks.counts(len(control.names))
+    left_out: dict[str, str] = {}
+    keep = np.ones(len(control.names), np.bool_)
+    for k, name in enumerate(control.names):
+        if counts[k] == 0:
+            left_out[name] = "measured in no image"
+        elif counts[k] == 1 and control.check[k]:
+            left_out[name] = "a check point needs two images, it has one"
+        elif start is not None and not start.fits[k]:
+            left_out[name] = f"{start.misfit_m[k]:.2f} m away from where the others put it"
+        keep[k] = name not in left_out
+    new = np.cumsum(keep) - 1
+    rows = keep[marks.point]
+    chosen = marks.chosen(rows)
+    return control.chosen(keep), replace(chosen, point=new[chosen.point].astype(np.int64)), left_out
+
+
+def _interior(
+    cameras: Sequence[Camera], settings: BlockSettings, known: Interiors
+) -> tuple[tuple[Camera, ...], tuple[tuple[str, ...], ...], tuple[bool, ...]]:
+    """Cameras to begin with, their free parameters, and whether their covariance is an observation."""
+    given = [interior_of(known, camera) for camera in cameras]
+    if settings.interior in ("weighted", "fixed") and None in given:
+        lacking = cameras[given.index(None)].name
+        raise GeometryError(
+            f"images.adjustment.interior is {settings.interior!r}, and no interior orientation is given for "
+            f"{lacking}",
+            expected="a calibration of each camera",
+            cure="Set it to free, or name a calibration (logs.time_lapse.interior or interiors, "
+            "mounts.calibration)",
+        )
+    out, free, weighted = [], [], []
+    for camera, own in zip(cameras, given, strict=True):
+        mode = settings.interior
+        if mode == "auto":
+            mode = "weighted" if own is not None and bool((np.diag(own.cov) > 0).any()) else "free"
+        if mode in ("weighted", "fixed") and own is not None:
+            camera = replace(own, name=camera.name)
+        sought = {*settings.free_parameters, *_DISTORTION}
+        has = [name for name in PARAMETERS[camera.model] if name in sought]
+        if mode == "weighted":
+            sigma = dict(zip(camera.parameter_names, np.diag(camera.cov), strict=True))
+            has = [name for name in camera.parameter_names if sigma[name] > 0]
+        out.append(camera)
+        free.append(() if mode == "fixed" else tuple(has))
+        weighted.append(mode == "weighted")
+    return tuple(out), tuple(free), tuple(weighted)

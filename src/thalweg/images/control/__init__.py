@@ -1,0 +1,1 @@
+"""Control points in photographs."""

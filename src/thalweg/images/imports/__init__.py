@@ -1,0 +1,1 @@
+"""Finished orientations of COLMAP, Metashape and tables."""

@@ -1,0 +1,379 @@
+"""Finished orientations of other programs as poses of the campaign's images.
+
+Each file is read in its own frame (`thalweg.images.imports.source`), its names are matched to the
+images, its poses are put into wcs (`finished_frames`) and compared with the predicted ones
+(`finished_checks`). Errors that the file does not state come from the settings; neighbours' errors are
+correlated by a stated share, for which a file has no place::
+
+    cov(k, k+1) = rho S_k S_{k+1},      S S = cov
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from thalweg.core.camera.model import Camera
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.types import ArrayB, ArrayF, ArrayI
+from thalweg.images.imports.checks import Check, Predicted, check_poses, placed
+from thalweg.images.imports.colmap import model_folder, read_model
+from thalweg.images.imports.frames import between_frames, to_world
+from thalweg.images.imports.metashape import read_metashape
+from thalweg.images.imports.source import Finished, Place
+from thalweg.images.imports.tables import read_angles_table
+from thalweg.images.model.align import align, comparable, predicted_sigmas
+from thalweg.images.model.names import check_share, matched
+from thalweg.images.model.poses import ImagePoses
+
+NOT_IN_FILE: Final = "not in the files of finished orientations"
+UNCHECKED: Final = "No image has a prediction: the poses could not be checked against it"
+CURE_FREE: Final = (
+    "Put the model into the world with control points in its own program and name its CRS in "
+    "images.finished.crs, "
+    "or give images and control points to Thalweg's own adjustment, or accept the errors of the "
+    "prediction with "
+    "images.finished.align: predictions"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imported:
+    """Poses of all images of the campaign; the camera that took most of them, None if the files have none."""
+
+    poses: ImagePoses
+    camera: Camera | None
+    facts: dict[str, Any]
+
+
+@dataclass(slots=True, kw_only=True)
+class _Table:
+    """Poses of the campaign's images as they are filled in."""
+
+    centre: ArrayF
+    R: ArrayF
+    cov: ArrayF
+    common: ArrayF
+    following: ArrayF
+    known_following: ArrayI
+    n_marks: ArrayF
+    rms_px: ArrayF
+    reasons: list[str]
+    source: list[str]
+    cameras: list[Camera | None]
+    notes: list[str] = field(default_factory=list)
+
+
+def import_orientations(
+    files: Sequence[Path], predictions: ImagePoses, settings: Mapping[str, Any], *, crs: str | None = None
+) -> Imported:
+    """Poses of the campaign's images from files of other programs.
+
+    Parameters
+    ----------
+    files : models of COLMAP (folder, or its files), cameras XML of Metashape, tables of angles, own
+        ``image_poses.parquet``; images of several files are joined.
+    predictions : of all images of the campaign, in their order, with their times.
+    settings : section ``images.finished``.
+    crs : of the campaign, for tables that state none.
+
+    Raises
+    ------
+    InputError : a file that cannot be read, names of other images, an image in two files, poses that cannot
+        be those of the campaign, or a model in a frame of its own.
+    """
+    n = len(predictions.images)
+    out = _Table(
+        centre=np.full((n, 3), np.nan), R=np.full((n, 3, 3), np.nan), cov=np.full((n, 6, 6), np.nan),
+        common=np.zeros((n, 6, 6)), following=np.zeros((n, 6, 6)), known_following=np.full(n, -1, np.int64),
+        n_marks=np.zeros(n), rms_px=np.full(n, np.nan), reasons=[NOT_IN_FILE] * n, source=[""] * n,
+        cameras=[None] * n,
+    )  # fmt: skip
+    facts: list[dict[str, Any]] = []
+    for path in _sources(files):
+        if path.suffix.lower() == ".parquet":
+            facts.append(_add_own(out, path, predictions, settings))
+        else:
+            facts.append(_add(out, _read(path, settings, crs), predictions, settings))
+    oriented: ArrayB = np.asarray(np.isfinite(out.centre).all(axis=1))
+    filled = _covariances(out, oriented, settings)
+    camera = _camera(out, oriented)
+    without = {predictions.images[k]: out.reasons[k] for k in np.flatnonzero(~oriented)}
+    told = {
+        "images": n, "oriented": int(oriented.sum()), "without_pose": without, "files": facts,
+        "sigmas_from_settings": filled, "notes": out.notes,
+        "neighbour_correlation": settings["neighbour_correlation"],
+    }  # fmt: skip
+    poses = ImagePoses(
+        frame=predictions.frame, images=predictions.images, t_gps_s=predictions.t_gps_s,
+        sigma_t_s=predictions.sigma_t_s, oriented=oriented,
+        reasons=tuple("" if good else reason for good, reason in zip(oriented, out.reasons, strict=True)),
+        centre_wcs_m=out.centre, R_wcs_ccs=out.R, cov_pose_wcs=out.cov, cov_next=out.following,
+        n_marks=out.n_marks, rms_px=out.rms_px,
+        facts={"source": "finished orientations: " + ", ".join(sorted({f["program"] for f in facts}))},
+    )  # fmt: skip
+    return Imported(poses=poses, camera=camera, facts=told)
+
+
+def _sources(files: Sequence[Path]) -> list[Path]:
+    """Files and folders to read, each model of COLMAP once."""
+    found: list[Path] = []
+    for path in files:
+        if not path.exists():
+            raise InputError("file not found", expected="finished orientations", where=path)
+        folder = model_folder(path)
+        if folder is None and path.is_dir():
+            raise InputError(
+                "a folder without images.bin or images.txt", expected="a model of COLMAP", where=path,
+                cure="Name the folder of the model, such as sparse/0",
+            )  # fmt: skip
+        found.append(path if folder is None else folder)
+    if not found:
+        raise InputError("no file", expected="one file with finished orientations at least")
+    return list(dict.fromkeys(found))
+
+
+def _read(path: Path, settings: Mapping[str, Any], crs: str | None) -> Finished:
+    if path.is_dir():
+        return read_model(path, settings["crs"])
+    if path.suffix.lower() == ".xml":
+        return read_metashape(path, settings["crs"])
+    return read_angles_table(
+        path, crs=settings["crs"], default_crs=crs, unit=settings["angle_unit"],
+        rotation=settings["rotation"], direction=settings["direction"], axes=settings["axes"],
+    )  # fmt: skip
+
+
+def _add(
+    out: _Table, source: Finished, predictions: ImagePoses, settings: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Put the poses of one file into the table."""
+    images = predictions.images
+    at = every = matched(source.names, images, source.where)
+    check_share(every, source.names, images, settings["least_matched"], source.where)
+    absent = matched(list(source.absent), images, source.where, once=False)
+    for k, reason in zip(absent.tolist(), source.absent.values(), strict=True):
+        if k >= 0 and not out.source[k]:
+            out.reasons[k] = reason
+    rows = np.flatnonzero(at >= 0)
+    chosen, at = source.chosen(rows), at[rows]
+    known = comparable(predictions)[at]
+    predicted = _predicted(predictions, at[known], settings)
+    compared = chosen.chosen(np.flatnonzero(known)) if known.any() else None
+    facts: dict[str, Any] = {
+        "program": source.program, "file": source.where, "poses": len(source.names), "matched": len(at),
+        "not_of_the_campaign": [source.names[k] for k in range(len(source.names)) if every[k] < 0],
+        "without_pose_in_file": len(source.absent), "place": source.place.text,
+    }  # fmt: skip
+    common = np.zeros((6, 6))
+    if source.place.kind == "free":
+        centre, R, cov, aligned = _aligned(chosen, compared, predicted, settings)
+        common = _common(predictions)
+        facts |= {"aligned": aligned}
+        check = Check(notes=[_align_note(aligned)])
+    else:
+        try:
+            centre, R, cov = to_world(
+                chosen,
+                predictions.frame,
+                north=settings["north"],
+                height_offset_m=settings["height_offset_m"],
+            )
+        except GeometryError as error:
+            if compared is None:
+                raise
+            raise placed(compared, predicted, error) from error
+        check = Check(notes=[UNCHECKED])
+        if compared is not None:
+            check = check_poses(compared, centre[known], R[known], predicted)
+    out.notes += [f"{Path(source.where).name}: {note}" for note in (*source.notes, *check.notes)]
+    _fill(out, at, source.where, images)
+    out.centre[at], out.R[at], out.cov[at], out.common[at] = centre, R, cov, common
+    out.n_marks[at] = chosen.n_marks
+    for k, c in zip(at.tolist(), chosen.camera.tolist(), strict=True):
+        out.cameras[k] = source.cameras[c] if c >= 0 else None
+    return facts | check.facts
+
+
+def _predicted(predictions: ImagePoses, rows: ArrayI, settings: Mapping[str, Any]) -> Predicted:
+    """Predictions of images ``rows``, with the limits of belief."""
+    sigma_m, sigma_rad = predicted_sigmas(predictions)
+    return Predicted(
+        frame=predictions.frame,
+        centre_wcs_m=predictions.centre_wcs_m[rows],
+        R_wcs_ccs=predictions.R_wcs_ccs[rows],
+        sigma_m=sigma_m,
+        sigma_rad=sigma_rad,
+        most_m=settings["most_position_m"],
+        most_rad=float(np.deg2rad(settings["most_angle_deg"])),
+    )
+
+
+def _fill(out: _Table, at: ArrayI, where: str, images: Sequence[str]) -> None:
+    for k in at.tolist():
+        if out.source[k]:
+            raise InputError(
+                f"{images[k]} has a pose in {Path(out.source[k]).name}, too",
+                expected="each image in one file",
+                where=where,
+            )
+        out.source[k] = where
+
+
+def _aligned(
+    chosen: Finished, compared: Finished | None, predicted: Predicted, settings: Mapping[str, Any]
+) -> tuple[ArrayF, ArrayF, ArrayF, dict[str, float]]:
+    """A model in a frame of its own on the predictions, or the refusal of it."""
+    words = f"a model of {chosen.program} in a frame of its own, without scale and place"
+    if compared is None:
+        raise InputError(
+            f"{words}; no image has a prediction",
+            expected="poses in a CRS", where=chosen.where, cure=CURE_FREE,
+        )  # fmt: skip
+    try:
+        fit = align(compared.coordinates, compared.R_place_ccs, predicted.centre_wcs_m, predicted.R_wcs_ccs,
+                    predicted.sigma_m, predicted.sigma_rad)  # fmt: skip
+    except GeometryError as error:
+        raise InputError(
+            f"{words}; it cannot be put onto the prediction, either: {error.found}",
+            expected="poses in a CRS", where=chosen.where, cure=CURE_FREE,
+        ) from error  # fmt: skip
+    fitted = (
+        f"rms of {fit.rms_m:.2f} m and {np.rad2deg(fit.rms_rad):.2f} degrees in {len(compared.names)} images"
+    )
+    if fit.rms_m > predicted.limit_m or fit.rms_rad > predicted.limit_rad:
+        raise InputError(
+            f"{words}; a similarity leaves an {fitted} against the predicted poses: it is not the same track",
+            expected="poses in a CRS", where=chosen.where, cure=CURE_FREE,
+        )  # fmt: skip
+    if settings["align"] != "predictions":
+        raise InputError(
+            f"{words}; a similarity of the scale {fit.scale:.6g} puts it onto the predicted poses "
+            f"with an {fitted}",
+            expected="poses in a CRS", where=chosen.where, cure=CURE_FREE,
+        )  # fmt: skip
+    centre = fit.scale * chosen.coordinates @ fit.R.T + fit.shift_m
+    J = np.zeros((6, 6))
+    J[:3, :3], J[3:, 3:] = fit.scale * fit.R, fit.R
+    cov = np.where(np.isfinite(chosen.cov), J @ np.nan_to_num(chosen.cov) @ J.T, np.nan)
+    told = {
+        "scale": fit.scale, "rms_m": fit.rms_m, "rms_deg": float(np.rad2deg(fit.rms_rad)),
+        "images": float(len(compared.names)),
+    }  # fmt: skip
+    return centre, fit.R @ chosen.R_place_ccs, cov, told
+
+
+def _align_note(told: Mapping[str, float]) -> str:
+    return (
+        f"a free model put onto the predicted poses of {told['images']:.0f} images: scale "
+        f"{told['scale']:.6g}, rms {told['rms_m']:.2f} m and {told['rms_deg']:.2f} degrees; it errs as a "
+        "whole as the prediction does, and control points would do better"
+    )
+
+
+def _common(predictions: ImagePoses) -> ArrayF:
+    """Covariance (6, 6) of what an aligned model errs by as a whole: the mean of the predictions' own."""
+    cov = predictions.cov_pose_wcs[comparable(predictions)]
+    cov = cov[np.isfinite(cov).all(axis=(1, 2))]
+    return np.asarray(cov.mean(axis=0)) if len(cov) else np.zeros((6, 6))
+
+
+def _add_own(out: _Table, path: Path, predictions: ImagePoses, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Poses that Thalweg wrote, maybe of a campaign with another origin."""
+    own = ImagePoses.read(path)
+    rows = np.flatnonzero(own.oriented)
+    if not len(rows):
+        raise InputError("no image with a pose", expected="at least one", where=path)
+    every = matched(own.images, predictions.images, str(path))
+    check_share(
+        every[rows], [own.images[k] for k in rows], predictions.images, settings["least_matched"], str(path)
+    )
+    for k in np.flatnonzero(~own.oriented & (every >= 0)).tolist():
+        if not out.source[every[k]]:
+            out.reasons[every[k]] = own.reasons[k]
+    place = Place(kind="world")
+    rank = np.full(len(own.images), -1, np.int64)
+    rank[rows[:-1]] = rows[1:]
+    rows = rows[every[rows] >= 0]
+    at = every[rows]
+    centre, R, cov, following = between_frames(
+        own.frame, predictions.frame, own.centre_wcs_m[rows], own.R_wcs_ccs[rows], own.cov_pose_wcs[rows],
+        own.cov_next[rows],
+    )  # fmt: skip
+    known = comparable(predictions)[at]
+    source = Finished(
+        program="Thalweg", where=str(path), place=place, names=tuple(own.images[k] for k in rows),
+        coordinates=centre, R_place_ccs=R, cov=cov, camera=np.full(len(rows), -1, np.int64),
+    )  # fmt: skip
+    predicted = _predicted(predictions, at[known], settings)
+    check = Check(notes=[UNCHECKED])
+    if known.any():
+        check = check_poses(source.chosen(np.flatnonzero(known)), centre[known], R[known], predicted)
+    _fill(out, at, str(path), predictions.images)
+    out.notes += [f"{path.name}: {note}" for note in check.notes]
+    out.centre[at], out.R[at], out.cov[at] = centre, R, cov
+    out.following[at] = following
+    out.known_following[at] = np.where(rank[rows] >= 0, every[rank[rows]], -1)
+    out.n_marks[at], out.rms_px[at] = own.n_marks[rows], own.rms_px[rows]
+    return {
+        "program": "Thalweg", "file": str(path), "poses": int(own.oriented.sum()), "matched": len(at),
+        "not_of_the_campaign": [own.images[k] for k in np.flatnonzero(own.oriented & (every < 0))],
+        "without_pose_in_file": int((~own.oriented).sum()), "place": place.text, **check.facts,
+    }  # fmt: skip
+
+
+def _covariances(out: _Table, oriented: ArrayB, settings: Mapping[str, Any]) -> dict[str, int]:
+    """Fill in what no file states, add what all images share, and the covariances of neighbours."""
+    rows = np.flatnonzero(oriented)
+    parts = (("positions", slice(0, 3), settings["sigma_position_m"]),
+             ("rotations", slice(3, 6), np.deg2rad(settings["sigma_angle_deg"])))  # fmt: skip
+    filled = {}
+    for name, part, sigma in parts:
+        lost = rows[~np.isfinite(out.cov[rows, part, part]).all(axis=(1, 2))]
+        cross = slice(3, 6) if part.start == 0 else slice(0, 3)
+        out.cov[lost, part, part] = np.eye(3) * sigma**2
+        out.cov[lost, part, cross] = out.cov[lost, cross, part] = 0.0
+        filled[name] = len(lost)
+    out.cov[rows] = np.nan_to_num(out.cov[rows])
+    root = _roots(out.cov[rows])
+    for k, (a, b) in enumerate(zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True)):
+        if out.known_following[a] == b:
+            continue
+        own = out.known_following[a] >= 0 or out.source[a] != out.source[b]
+        out.following[a] = 0.0 if own else settings["neighbour_correlation"] * root[k] @ root[k + 1]
+        if out.source[a] == out.source[b]:
+            out.following[a] += out.common[a]
+    if len(rows):
+        out.following[rows[-1]] = 0.0
+    out.cov[rows] += out.common[rows]
+    return filled
+
+
+def _roots(cov: ArrayF) -> ArrayF:
+    """Symmetric square roots (n, 6, 6), in units of the sigmas so that metres and radians do not mix."""
+    sigma = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 1e-30))
+    value, vector = np.linalg.eigh(cov / sigma[:, :, None] / sigma[:, None, :])
+    half = (vector * np.sqrt(np.maximum(value, 0.0))[:, None, :]) @ np.swapaxes(vector, 1, 2)
+    return np.asarray(sigma[:, :, None] * half)
+
+
+def _camera(out: _Table, oriented: ArrayB) -> Camera | None:
+    """The interior orientation of most images, and a note where there are others."""
+    counts: dict[int, int] = {}
+    known: dict[int, Camera] = {}
+    for k in np.flatnonzero(oriented).tolist():
+        camera = out.cameras[k]
+        if camera is not None:
+            counts[id(camera)] = counts.get(id(camera), 0) + 1
+            known[id(camera)] = camera
+    if not counts:
+        return None
+    best = max(counts, key=lambda key: counts[key])
+    if len(counts) > 1:
+        out.notes.append(
+            f"{len(counts)} interior orientations; the one of most images ({counts[best]}) is taken: "
+            f"{known[best].name}"
+        )
+    return known[best]

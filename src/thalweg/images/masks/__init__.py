@@ -1,0 +1,1 @@
+"""Masks of water, sky and the own boat, learnt from each campaign."""

@@ -1,0 +1,1 @@
+"""What the steps hand on: blocks of image points, poses, control points, cameras."""

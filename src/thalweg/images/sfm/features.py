@@ -1,0 +1,339 @@
+"""Features of images (SIFT), found in parts that may run anywhere and are put together afterwards.
+
+What is found in an image depends on that image and its mask alone: any split into parts, any order and any
+number of threads gives the same features, bit by bit.
+"""
+
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from thalweg.core.errors import InputError
+from thalweg.core.types import ArrayB, ArrayI
+from thalweg.images.model.files import (
+    Picture,
+    at_pixels,
+    find_mask,
+    inspect,
+    named_once,
+    with_problem,
+    without_doubles,
+)
+from thalweg.images.sfm.colmap import colmap
+from thalweg.ingest.photos.files import Images, natural_key
+
+_FORMAT: Final = 1
+_MOST_BUDGET: Final = 4
+_BLANK: Final = 3.0
+"""Contrast, steps of 8 bits, below which an image is called blank."""
+_AT_ONCE: Final = 32
+"""Images whose scaled pictures lie on disk and in memory at the same time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeatureSettings:
+    """Settings of the features; names, units and defaults as in section ``images.features``."""
+
+    max_size_px: int = 3200
+    max_features: int = 8192
+    peak_threshold: float = 0.0067
+    double_size: bool = True
+    min_features: int = 50
+
+    @classmethod
+    def from_section(cls, section: Mapping[str, Any]) -> Self:
+        """From the section ``images.features`` of a campaign file."""
+        return cls(**{name: section[name] for name in cls.__dataclass_fields__})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Features:
+    """Features of some images.
+
+    Parameters
+    ----------
+    pictures : i images in natural order of their names, those with problems included.
+    start : (i + 1,) features of image k are rows ``start[k]`` to ``start[k + 1]``.
+    place : (n, 3) x, y and scale, pixels of the full image from its upper left corner.
+    descriptor : (n, 128).
+    settings : with which they were found.
+    """
+
+    pictures: tuple[Picture, ...]
+    start: ArrayI
+    place: NDArray[np.float32]
+    descriptor: NDArray[np.uint8]
+    settings: FeatureSettings
+
+    def rows(self, k: int) -> slice:
+        """Rows of image k."""
+        return slice(int(self.start[k]), int(self.start[k + 1]))
+
+    def write(self, path: Path) -> None:
+        """Write as ``.npz``; the same features give the same bytes."""
+        head = {
+            "kind": "image_features",
+            "version": _FORMAT,
+            "settings": asdict(self.settings),
+            "pictures": [asdict(picture) for picture in self.pictures],
+        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as file:
+            np.savez(
+                file,
+                head=np.array(json.dumps(head)),
+                start=self.start,
+                place=self.place,
+                descriptor=self.descriptor,
+            )
+
+    @classmethod
+    def read(cls, path: Path, *, descriptors: bool = True) -> Self:
+        """Read features written by `write`.
+
+        Parameters
+        ----------
+        path : the file.
+        descriptors : false: left empty, they take most of the memory.
+
+        Raises
+        ------
+        InputError : no such file, or of another kind or version.
+        """
+        head, arrays = read_arrays(path, "image_features", _FORMAT, () if descriptors else ("descriptor",))
+        arrays.setdefault("descriptor", np.zeros((0, 128), np.uint8))
+        pictures = tuple(Picture(**{**p, "size_px": tuple(p["size_px"])}) for p in head["pictures"])
+        return cls(pictures=pictures, settings=FeatureSettings(**head["settings"]), **arrays)
+
+
+def extract_features(
+    images: Images,
+    *,
+    masks: Path | None = None,
+    settings: FeatureSettings | None = None,
+    threads: int = 1,
+) -> Features:
+    """Find the features of images; images that cannot be used stay in the result with their problem.
+
+    COLMAP spends its number of features before anything is masked. Here an image of which a quarter is usable
+    may have four times as many, and the largest of those outside the mask are kept.
+
+    Parameters
+    ----------
+    images : by name or as files, in any order.
+    masks : folder of masks (`find_mask`); images without a mask are used as a whole.
+    settings : see `FeatureSettings`.
+    threads : images that are worked on at the same time; each needs its own memory.
+
+    Raises
+    ------
+    InputError : an image that stands twice, or a folder of masks that does not exist.
+    """
+    use = settings or FeatureSettings()
+    ordered = list(named_once(images).items()) if images else []
+    if masks is not None and not masks.is_dir():
+        raise InputError("folder not found", expected="masks named <image>.png", where=masks)
+    pictures: list[Picture] = []
+    places: list[NDArray[np.float32]] = []
+    descriptors: list[NDArray[np.uint8]] = []
+    for first in range(0, len(ordered), _AT_ONCE):
+        some = _extract_some(ordered[first : first + _AT_ONCE], masks, use, threads)
+        for picture, place, descriptor in some:
+            pictures.append(picture)
+            places.append(place)
+            descriptors.append(descriptor)
+    return _joined(pictures, places, descriptors, use)
+
+
+def part_of(images: Images, part: int, parts: int) -> dict[str, Path]:
+    """Images of part 0, 1 ... of ``parts``: every ``parts``-th in natural order, so that all take alike long.
+
+    Raises
+    ------
+    InputError : no such part.
+    """
+    if not 0 <= part < parts:
+        raise InputError(f"part {part}", expected=f"0 to {parts - 1}")
+    return dict(list(named_once(images).items())[part::parts])
+
+
+def join_features(parts: Sequence[Features]) -> Features:
+    """Features of several parts as one, images in natural order; files with the same bytes take part once.
+
+    Raises
+    ------
+    InputError : no parts, parts found with different settings, or an image in two parts.
+    """
+    if not parts:
+        raise InputError("no features", expected="at least one part")
+    if any(part.settings != parts[0].settings for part in parts):
+        raise InputError(
+            "parts of the features were found with different settings",
+            expected="the same settings for all images",
+            cure="Find the features of all parts again",
+        )
+    found = sorted(
+        ((picture, part, k) for part in parts for k, picture in enumerate(part.pictures)),
+        key=lambda item: natural_key(item[0].name),
+    )
+    names = [picture.name for picture, _, _ in found]
+    double = next((a for a, b in pairwise(names) if a == b), None)
+    if double is not None:
+        raise InputError(f"{double} stands in two parts of the features", expected="each image once")
+    pictures = without_doubles([picture for picture, _, _ in found])
+    rows = [
+        part.rows(k) if not p.problem else slice(0, 0)
+        for p, (_, part, k) in zip(pictures, found, strict=True)
+    ]
+    return _joined(
+        pictures,
+        [part.place[r] for r, (_, part, _) in zip(rows, found, strict=True)],
+        [part.descriptor[r] for r, (_, part, _) in zip(rows, found, strict=True)],
+        parts[0].settings,
+    )
+
+
+def read_arrays(
+    path: Path, kind: str, version: int, without: Sequence[str] = ()
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Head and arrays of an ``.npz`` of the expected kind, those named in ``without`` left out.
+
+    Raises
+    ------
+    InputError : no such file, or of another kind or version.
+    """
+    if not path.is_file():
+        raise InputError("file not found", expected=f"{kind} in an .npz", where=path)
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files if name not in without}
+        head = json.loads(str(arrays.pop("head")))
+    except (ValueError, KeyError, OSError, EOFError) as error:
+        raise InputError(f"not readable ({error})", expected=f"{kind} in an .npz", where=path) from error
+    if (head.get("kind"), head.get("version")) != (kind, version):
+        raise InputError(
+            f"{head.get('kind')} version {head.get('version')}",
+            expected=f"{kind} version {version}",
+            where=path,
+            cure="Rebuild it with this version of Thalweg",
+        )
+    return head, arrays
+
+
+def _joined(
+    pictures: Sequence[Picture],
+    places: Sequence[NDArray[np.float32]],
+    descriptors: Sequence[NDArray[np.uint8]],
+    settings: FeatureSettings,
+) -> Features:
+    counts = np.array([len(place) for place in places], np.int64)
+    return Features(
+        pictures=tuple(pictures),
+        start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        place=np.concatenate([np.zeros((0, 3), np.float32), *places]),
+        descriptor=np.concatenate([np.zeros((0, 128), np.uint8), *descriptors]),
+        settings=settings,
+    )
+
+
+def _extract_some(
+    images: Sequence[tuple[str, Path]], masks: Path | None, settings: FeatureSettings, threads: int
+) -> list[tuple[Picture, NDArray[np.float32], NDArray[np.uint8]]]:
+    out = []
+    with tempfile.TemporaryDirectory(prefix="thalweg-features-") as temporary:
+        folder = Path(temporary)
+        pictures: list[Picture] = []
+        usables: list[ArrayB] = []
+        scale: list[tuple[float, float]] = []
+        by_budget: dict[int, list[int]] = {}
+        for k, (name, path) in enumerate(images):
+            picture, grey, usable = inspect(path, find_mask(name, masks), settings.max_size_px, name=name)
+            pictures.append(picture)
+            usables.append(usable)
+            scale.append((1.0, 1.0))
+            if not picture.problem:
+                Image.fromarray(grey).save(folder / f"{k}.pgm")
+                scale[k] = (picture.size_px[0] / grey.shape[1], picture.size_px[1] / grey.shape[0])
+                budget = min(_MOST_BUDGET, round(1 / picture.usable_share))
+                by_budget.setdefault(budget, []).append(k)
+        for budget, some in sorted(by_budget.items()):
+            _run_sift(folder, some, budget, settings, threads)
+        for k, picture in enumerate(pictures):
+            place, descriptor = _read_sift(folder / f"{k}.npz", scale[k])
+            free = at_pixels(usables[k], place[:, 0], place[:, 1], picture.size_px if len(place) else (1, 1))
+            kept = _largest(place, free, settings.max_features)
+            few = "" if picture.problem else _few(picture, len(kept), settings)
+            told = with_problem(picture, few, "featureless") if few else picture
+            kept = kept[:0] if told.problem else kept
+            out.append((told, place[kept], descriptor[kept]))
+    return out
+
+
+def _run_sift(
+    folder: Path, images: Sequence[int], budget: int, settings: FeatureSettings, threads: int
+) -> None:
+    """Features of the pictures ``<k>.pgm`` into files ``<k>.npz``."""
+    pc = colmap()
+    options = pc.FeatureExtractionOptions()
+    options.use_gpu = False
+    options.num_threads = max(1, min(threads, len(images)))
+    options.max_image_size = settings.max_size_px
+    options.sift.max_num_features = settings.max_features * budget
+    options.sift.peak_threshold = settings.peak_threshold
+    options.sift.first_octave = -1 if settings.double_size else 0
+    path = folder / f"{budget}.db"
+    pc.extract_features(
+        path,
+        folder,
+        [f"{k}.pgm" for k in images],
+        pc.CameraMode.PER_IMAGE,
+        pc.ImageReaderOptions(),
+        options,
+        pc.Device.cpu,
+    )
+    with pc.Database.open(path) as database:
+        for image in database.read_all_images():
+            key = image.image_id
+            place = np.asarray(database.read_keypoints(key), np.float32)
+            size = np.zeros(len(place), np.float32)
+            if len(place):  # affine keypoints: the scale is the root of the determinant
+                size = np.sqrt(np.abs(place[:, 2] * place[:, 5] - place[:, 3] * place[:, 4]))
+            np.savez(
+                folder / f"{Path(image.name).stem}.npz",
+                place=np.column_stack([place[:, :2], size]).astype(np.float32),
+                descriptor=np.asarray(database.read_descriptors(key).data, np.uint8),
+            )
+
+
+def _read_sift(path: Path, scale: tuple[float, float]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    if not path.is_file():
+        return np.zeros((0, 3), np.float32), np.zeros((0, 128), np.uint8)
+    with np.load(path) as stored:
+        place, descriptor = stored["place"].reshape(-1, 3), stored["descriptor"].reshape(-1, 128)
+    factors = np.array([scale[0], scale[1], np.sqrt(scale[0] * scale[1])])
+    return (place * factors).astype(np.float32), descriptor
+
+
+def _largest(place: NDArray[np.float32], free: ArrayB, most: int) -> ArrayI:
+    """Rows of the features outside the mask, those of the largest scale first if there are too many."""
+    rows = np.flatnonzero(free)
+    if len(rows) > most:
+        rows = np.sort(rows[np.argsort(-place[rows, 2], kind="stable")[:most]])
+    return rows
+
+
+def _few(picture: Picture, n: int, settings: FeatureSettings) -> str:
+    if n >= settings.min_features:
+        return ""
+    if picture.contrast < _BLANK:
+        return f"{n} features: the usable part is blank (contrast {picture.contrast:.1f} of 255)"
+    masked = f", {100 * (1 - picture.usable_share):.0f} % are masked" if picture.usable_share < 0.5 else ""
+    return f"{n} features: too blurred or without texture{masked}"

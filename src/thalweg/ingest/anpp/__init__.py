@@ -1,0 +1,1 @@
+"""Advanced Navigation packet protocol: states, raw sensors, integrity."""

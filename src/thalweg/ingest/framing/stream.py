@@ -1,0 +1,240 @@
+"""Packets out of byte streams that carry a check sum: the walk shared by the ANPP and the SBP reader.
+
+Files are read in pieces and joined: a packet that a logger split between two files is whole again, and
+memory does not grow with the log. Bytes that belong to no packet are counted and located.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from thalweg.core.errors import InputError
+from thalweg.core.types import AnyArray, ArrayI, ArrayU8
+from thalweg.ingest.framing.walk import (
+    BAD_CRC,
+    CUT,
+    HOLES,
+    N_CELLS,
+    RUN_END,
+    RUN_START,
+    SKIPPED,
+    gather,
+)
+from thalweg.ingest.integrity import IntegrityReport
+
+__all__ = [
+    "BAD_CRC",
+    "CUT",
+    "HOLES",
+    "SKIPPED",
+    "Finder",
+    "PacketBlock",
+    "StreamTally",
+    "find_in",
+    "read_packets",
+]
+
+CHUNK_BYTES: Final = 8 << 20
+"""Bytes read at a time."""
+
+MAX_HOLES: Final = 20
+"""Damaged stretches that are located; the rest is only counted."""
+
+Finder = Callable[..., tuple[int, int]]
+"""``find(buf, start, base, final, kind, sender, offset, length, tally, holes) -> (packets, next byte)``."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PacketBlock:
+    """Packets found in one piece of the stream.
+
+    Attributes
+    ----------
+    first : number of the first packet in the log, from 0.
+    buf : bytes of the piece.
+    kind, sender : (n,) packet id or message type; sender of SBP, 0 in ANPP.
+    offset, length : (n,) payloads in ``buf``.
+    position : (n,) byte of the stream (all files joined) at which the packet begins.
+    """
+
+    first: int
+    buf: ArrayU8
+    kind: AnyArray
+    sender: AnyArray
+    offset: ArrayI
+    length: AnyArray
+    position: ArrayI
+
+    def payloads(self, rows: ArrayI, size: int) -> ArrayU8:
+        """Payloads of some packets as (n, size) bytes; ``size`` must not exceed their lengths."""
+        out = np.empty((rows.size, size), dtype=np.uint8)
+        gather(self.buf, self.offset[rows], out)
+        return out
+
+
+@dataclass(slots=True, kw_only=True)
+class StreamTally:
+    """What the walk found besides the packets; complete when the iterator is exhausted."""
+
+    files: list[Path] = field(default_factory=list)
+    starts: list[int] = field(default_factory=list)
+    """Byte of the stream at which each file begins."""
+    sizes: list[int] = field(default_factory=list)
+    packets: list[int] = field(default_factory=list)
+    """Packets that begin in each file."""
+    cells: ArrayI = field(default_factory=lambda: new_tally()[0])
+    holes: ArrayI = field(default_factory=lambda: new_tally()[1])
+
+    def place(self, position: int) -> str:
+        """File and byte of a position in the stream, for messages."""
+        index = max(0, int(np.searchsorted(self.starts, position, side="right")) - 1)
+        return f"{self.files[index].name} byte {position - self.starts[index]:,}"
+
+    def file_of(self, position: AnyArray) -> ArrayI:
+        """Number of the file in which each position of the stream lies."""
+        # of files that begin at the same byte all but the last are empty
+        return np.searchsorted(self.starts, position, side="right").astype(np.int64) - 1
+
+    def write(self, report: IntegrityReport, packet: str) -> None:
+        """Put bytes, losses and their places into a report; ``packet`` is the format's word for one."""
+        report.files = [str(f) for f in self.files]
+        report.bytes_read = sum(self.sizes)
+        report.count(f"{packet}s", sum(self.packets))
+        for cell, name in (
+            (SKIPPED, f"bytes_outside_{packet}s"),
+            (BAD_CRC, f"{packet}s_with_wrong_checksum"),
+            (CUT, f"{packet}s_cut_at_end"),
+        ):
+            if self.cells[cell]:
+                report.lose(name, int(self.cells[cell]))
+        n = int(self.cells[HOLES])
+        if n:
+            named = ", ".join(
+                f"{size:,} at {self.place(int(start))}" for start, size in self.holes[: min(n, 3)]
+            )
+            report.note(
+                f"{int(self.cells[SKIPPED]):,} bytes in {n} stretch{'es' if n > 1 else ''} belong to no "
+                f"intact {packet} ({named}{', ...' if n > 3 else ''}): damage or a cut; all around is kept."
+            )
+        for path, size in zip(self.files, self.sizes, strict=True):
+            if size == 0:
+                report.lose("empty_files")
+                report.note(f"{path.name} is empty.")
+
+
+def new_tally() -> tuple[ArrayI, ArrayI]:
+    """Cells and hole list for one walk."""
+    cells = np.zeros(N_CELLS, dtype=np.int64)
+    cells[RUN_START] = cells[RUN_END] = -1
+    return cells, np.zeros((MAX_HOLES, 2), dtype=np.int64)
+
+
+def find_in(
+    buf: ArrayU8, find: Finder, tally: StreamTally, *, base: int = 0, final: bool = True, first: int = 0
+) -> tuple[PacketBlock, int]:
+    """Packets of one buffer and the number of bytes that are done with.
+
+    Parameters
+    ----------
+    buf : (n,) bytes.
+    find : compiled walk of the format.
+    tally : takes what is outside of packets.
+    base : position of ``buf[0]`` in the stream.
+    final : nothing follows: an incomplete packet at the end is cut. Else it is left for the next call.
+    first : number of the first packet.
+    """
+    if not (buf.flags.writeable and buf.flags.c_contiguous):
+        buf = np.array(buf)  # compiled code knows one kind of array
+    parts: list[tuple[AnyArray, ...]] = []
+    room = min(1 << 17, buf.size // 5 + 1)
+    done = 0
+    while True:
+        kind, sender = np.empty(room, np.uint16), np.empty(room, np.uint16)
+        offset, length = np.empty(room, np.int64), np.empty(room, np.int64)
+        k, done = find(buf, done, base, final, kind, sender, offset, length, tally.cells, tally.holes)
+        parts.append((kind[:k], sender[:k], offset[:k], length[:k]))
+        if k < room:
+            break
+    kind, sender, offset, length = (np.concatenate(column) for column in zip(*parts, strict=True))
+    block = PacketBlock(
+        first=first, buf=buf, kind=kind, sender=sender, offset=offset, length=length, position=offset + base
+    )
+    return block, done
+
+
+def read_packets(
+    files: Sequence[Path],
+    find: Finder,
+    tally: StreamTally,
+    *,
+    what: str,
+    cure: str,
+    chunk_bytes: int = CHUNK_BYTES,
+) -> Iterator[PacketBlock]:
+    """Walk through the files as one stream, piece by piece.
+
+    Parameters
+    ----------
+    files : parts of one recording, in the order of recording.
+    find : compiled walk of the format.
+    tally : takes what is outside of packets.
+    what : "ANPP packet" or "SBP message", for messages.
+    cure : what to do about a wrong file.
+    chunk_bytes : size of a piece.
+
+    Raises
+    ------
+    InputError : no files, a file that cannot be read or holds no packet at all, or all files empty.
+    """
+    if not files:
+        raise InputError(f"no files with {what}s", expected="at least one log", cure=cure)
+    carry = np.empty(0, dtype=np.uint8)
+    base = first = 0
+    for number, path in enumerate(files):
+        tally.files.append(path)
+        tally.starts.append(base + carry.size)
+        tally.sizes.append(0)
+        tally.packets.append(0)
+        head = b""
+        for chunk, last in _chunks(path, chunk_bytes, cure):
+            head = head or chunk[:8].tobytes()
+            tally.sizes[-1] += chunk.size
+            buf = np.concatenate([carry, chunk]) if carry.size else chunk
+            final = last and number == len(files) - 1
+            block, done = find_in(buf, find, tally, base=base, final=final, first=first)
+            carry, base, first = buf[done:].copy(), base + done, first + block.kind.size
+            for index, n in zip(*np.unique(tally.file_of(block.position), return_counts=True), strict=True):
+                tally.packets[int(index)] += int(n)
+            yield block
+        if tally.sizes[-1] and not tally.packets[-1] and not _may_be_tail(tally, carry.size):
+            raise InputError(
+                f"not one intact {what} in {tally.sizes[-1]:,} bytes (the file begins with {head.hex(' ')})",
+                expected=f"{what}s",
+                where=path,
+                cure=cure,
+            )
+    if not sum(tally.sizes):
+        raise InputError("the file is empty", expected=f"{what}s", where=files[0], cure=cure)
+
+
+def _may_be_tail(tally: StreamTally, carried: int) -> bool:
+    """A last small file behind files with packets: the rest of a packet that was being written."""
+    return len(tally.files) > 1 and sum(tally.packets) > 0 and tally.sizes[-1] <= 300 + carried
+
+
+def _chunks(path: Path, size: int, cure: str) -> Iterator[tuple[ArrayU8, bool]]:
+    """Pieces of a file, and whether each is the last; an empty file gives one empty piece."""
+    try:
+        with path.open("rb") as stream:
+            chunk = np.fromfile(stream, np.uint8, size)
+            while True:
+                following = np.fromfile(stream, np.uint8, size if chunk.size == size else 0)
+                yield chunk, not following.size
+                if not following.size:
+                    return
+                chunk = following
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=path, cure=cure) from error

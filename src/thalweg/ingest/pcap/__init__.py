@@ -1,0 +1,1 @@
+"""Network captures: pcap and pcapng, gaps and cut files counted."""

@@ -1,0 +1,1 @@
+"""Photographs and the times that their files carry."""

@@ -1,0 +1,331 @@
+"""When photographs were taken, as the camera's clock says: from file names, from EXIF, or from a table.
+
+The camera's clock shows UTC, or local time with an offset from UTC. Its stamps are put on the axis of
+adjusted GPS time *as if that clock were right*: ``t_device_s = UTC shown + (GPS - UTC)``. What is wrong with
+the clock is then one small number, ``t_gps_s = t_device_s + dt`` (P2 3.2), and no zone or leap second hides
+in it.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Final, Literal
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from thalweg.core.errors import ClockError, InputError
+from thalweg.core.tables import column, frame_of, table_kind
+from thalweg.core.timescales import gps_from_unix
+from thalweg.core.types import ArrayF
+from thalweg.ingest.clock_shift import explain_shift
+from thalweg.ingest.integrity import IntegrityReport, find_gaps
+from thalweg.ingest.photos.exif import CivilStamp, ImageHead, offset_seconds, read_head
+from thalweg.ingest.photos.files import (
+    by_any_name,
+    files_by_name,
+    find_images,
+    list_images,
+    named_images,
+    natural_key,
+)
+from thalweg.ingest.photos.names import compile_pattern, stamp_from_name
+from thalweg.ingest.photos.table import read_time_table
+
+__all__ = [
+    "IMAGE_STAMPS", "ImageStamps", "Source", "list_images", "natural_key", "read_image_stamps",
+]  # fmt: skip
+
+Source = Literal["auto", "name", "exif", "table"]
+
+_F = pa.float64()
+
+IMAGE_STAMPS = table_kind(
+    "image_stamps",
+    1,
+    [
+        column("file", pa.string(), "1", "name of the image; of a survey below its common folder"),
+        column("t_device_s", _F, "s", "adjusted GPS time if the camera's clock were right; NaN if without"),
+        column("source", pa.string(), "1", "what the time is from: name, exif, table, none"),
+        column("resolution_s", _F, "s", "unit of the stamp"),
+        column("width", pa.int32(), "px", "columns of the image; -1 if unreadable"),
+        column("height", pa.int32(), "px", "rows of the image; -1 if unreadable"),
+        column("make", pa.string(), "1", "maker of the camera"),
+        column("model", pa.string(), "1", "model of the camera"),
+        column("focal_mm", _F, "mm", "focal length as EXIF states it; NaN if unknown"),
+    ],
+)
+
+_NAMED: Final = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageStamps:
+    """Table kind ``image_stamps`` in order of time, images without time at the end, and its report."""
+
+    table: pd.DataFrame
+    report: IntegrityReport
+
+
+def read_image_stamps(
+    images: Path | Sequence[Path],
+    *,
+    source: Source = "auto",
+    pattern: str | None = None,
+    times: Path | None = None,
+    utc_offset: str | None = None,
+    folders: bool = False,
+) -> ImageStamps:
+    """Times of photographs.
+
+    Parameters
+    ----------
+    images : a folder or a file, or a list of them; folders below are searched (`image_files`).
+    source : ``name``, ``exif`` or ``table``; ``auto`` takes the table if one is given, else whichever of
+        names and EXIF resolves time finer, and the other one for images that have no such time, if both
+        agree.
+    pattern : how times stand in the names, see `image_names.compile_pattern`; None: the usual ones.
+    times : CSV table of times, see `image_table.read_time_table`.
+    folders : names hold the folders below the common one, as of `image_files.named_images`; false: the names
+        of the files alone, each once.
+    utc_offset : camera's clock minus UTC such as ``+02:00``, for stamps that do not state it; None: UTC.
+
+    Raises
+    ------
+    InputError : no images, an unusable pattern, offset or table.
+    ClockError : no image has a time.
+    """
+    given = [images] if isinstance(images, Path) else list(images)
+    others = find_images(given)
+    named = named_images(given) if folders else files_by_name(others.files)
+    names, files = list(named), list(named.values())
+    if pattern:
+        compile_pattern(pattern)
+    offset_s = 0.0 if utc_offset is None else offset_seconds(utc_offset)
+    if offset_s is None:
+        raise InputError(f"'{utc_offset}' is no offset from UTC", expected="a text like +02:00")
+    report = IntegrityReport(stream="camera", format="photographs", files=_few(files), time_scale="device")
+    if others.others:
+        report.count("other_files", len(others.others))
+        report.note(others.others_in_words())
+    heads = _heads(named, report)
+    listed = {} if times is None else _by_image(read_time_table(times), names, times)
+    if source == "table" and times is None:
+        raise InputError("times shall come from a table, but none is given", expected="a CSV file")
+    stamps: dict[str, list[CivilStamp | None]] = {
+        "table": [listed.pop(name, None) for name in names],
+        "name": [stamp_from_name(path.stem, pattern) for path in files],
+        "exif": [head.stamp if head else None for head in heads],
+    }
+    if listed:
+        report.lose("table_rows_without_image", len(listed))
+        report.note(f"{len(listed)} rows of {times} name no image: {_names(sorted(listed))}.")
+    order = _order(source, stamps, times is not None, offset_s, report)
+    chosen = [_first(order, stamps, i) for i in range(len(files))]
+    unix_s, undeclared = _utc([stamp for _, stamp in chosen], offset_s)
+    if undeclared and utc_offset is None:
+        report.note(f"{undeclared} stamps state no offset from UTC: read as UTC.")
+    t_device_s = np.full(len(files), np.nan)
+    known = np.isfinite(unix_s)
+    t_device_s[known] = gps_from_unix(
+        np.floor(unix_s[known]), np.round((unix_s[known] - np.floor(unix_s[known])) * 1e6)
+    )
+    table = frame_of(
+        IMAGE_STAMPS,
+        {
+            "file": names,
+            "t_device_s": t_device_s,
+            "source": [name for name, _ in chosen],
+            "resolution_s": [stamp.resolution_s if stamp else np.nan for _, stamp in chosen],
+            "width": [head.width if head else -1 for head in heads],
+            "height": [head.height if head else -1 for head in heads],
+            "make": [head.make if head else "" for head in heads],
+            "model": [head.model if head else "" for head in heads],
+            "focal_mm": [head.focal_mm if head else np.nan for head in heads],
+        },
+    )
+    _describe(table, report)
+    if not known.any():
+        raise ClockError(
+            f"none of {len(files)} images has a time",
+            where=files[0].parent,
+            expected="a date and time in the file names, in EXIF (DateTimeOriginal), or in a table",
+            cure="Give the pattern of the names or a CSV table with the columns file and time_utc",
+        )
+    return ImageStamps(table=table.sort_values("t_device_s", kind="stable", ignore_index=True), report=report)
+
+
+def _by_image(listed: dict[str, CivilStamp], names: Sequence[str], where: Path) -> dict[str, CivilStamp]:
+    """Stamps of a table by the names of the images; those of no image keep their own name."""
+    meant = by_any_name(names)
+    bases = {Path(name).name for name in names} | {Path(name).stem for name in names}
+    out: dict[str, CivilStamp] = {}
+    for written, stamp in listed.items():
+        text = written.replace("\\", "/")
+        name = meant.get(text, meant.get(text.rsplit("/", 1)[-1], text))
+        if name == text and name not in meant and text.rsplit("/", 1)[-1] in bases:
+            raise InputError(
+                f"'{written}' may mean images of several folders",
+                where=where,
+                expected=f"names with folders, as {names[0]}",
+            )
+        if name in out:
+            raise InputError(f"'{name}' stands there twice", where=where, expected="each image once")
+        out[name] = stamp
+    return out
+
+
+def _heads(images: Mapping[str, Path], report: IntegrityReport) -> list[ImageHead | None]:
+    heads: list[ImageHead | None] = []
+    bad = []
+    for name, path in images.items():
+        try:
+            heads.append(read_head(path))
+        except InputError as error:
+            heads.append(None)
+            bad.append(f"{name} ({error.found})")
+        else:
+            report.bytes_read += path.stat().st_size
+    if bad:
+        report.lose("images_unreadable", len(bad))
+        report.note(f"{len(bad)} images cannot be read: {_names(bad)}.")
+    return heads
+
+
+def _order(
+    source: Source,
+    stamps: dict[str, list[CivilStamp | None]],
+    with_table: bool,
+    offset_s: float,
+    report: IntegrityReport,
+) -> list[str]:
+    """Sources in the order in which an image's time is looked for."""
+    if source != "auto":
+        return [source]
+    if with_table:
+        return ["table"]
+    ranked = sorted(("name", "exif"), key=lambda name: _fineness(stamps[name]))
+    both = [
+        (a, b) for a, b in zip(stamps["name"], stamps["exif"], strict=True) if a is not None and b is not None
+    ]
+    if not both:
+        return ranked
+    (names, _), (exif, _) = (_utc([pair[k] for pair in both], offset_s) for k in (0, 1))
+    shift_s = float(np.median(names - exif))
+    unit_s = max(stamp.resolution_s for pair in both for stamp in pair)
+    if abs(shift_s) <= unit_s + 0.5:
+        return ranked
+    words = explain_shift(shift_s)
+    used = "the names" if ranked[0] == "name" else "EXIF"
+    report.note(
+        f"The times in the names are {shift_s:+.3f} s from those in EXIF "
+        f"({words or 'no whole quarter of an hour'}); those of {used} are used. If they are local time, give "
+        "the offset from UTC."
+    )
+    return ranked[:1]
+
+
+def _fineness(stamps: list[CivilStamp | None]) -> tuple[float, int]:
+    """Median unit, and how many images are without: smaller is better."""
+    known = [stamp.resolution_s for stamp in stamps if stamp is not None]
+    return (float(np.median(known)) if known else float("inf"), len(stamps) - len(known))
+
+
+def _first(
+    order: list[str], stamps: dict[str, list[CivilStamp | None]], i: int
+) -> tuple[str, CivilStamp | None]:
+    for name in order:
+        stamp = stamps[name][i]
+        if stamp is not None:
+            return name, stamp
+    return "none", None
+
+
+def _utc(stamps: list[CivilStamp | None], offset_s: float) -> tuple[ArrayF, int]:
+    """UTC as Unix time (n,), NaN without stamp, and how many stamps did not state their offset."""
+    unix_s = np.full(len(stamps), np.nan)
+    undeclared = 0
+    for i, stamp in enumerate(stamps):
+        if stamp is not None:
+            own = stamp.utc_offset_s
+            undeclared += own is None
+            unix_s[i] = stamp.shown_s - (offset_s if own is None else own)
+    return unix_s, undeclared
+
+
+def _describe(table: pd.DataFrame, report: IntegrityReport) -> None:
+    """Counts, losses, gaps and notes about stamps in the order of the names."""
+    t = table["t_device_s"].to_numpy()
+    known = np.isfinite(t)
+    report.count("images", len(table))
+    sources = Counter(table["source"])
+    for name in ("name", "exif", "table"):
+        if sources[name]:
+            report.count(f"times_from_{name}", sources[name])
+    if sources["none"]:
+        report.lose("images_without_time", sources["none"])
+        report.note(f"{sources['none']} images have no time: {_names(table['file'][~known])}.")
+    used = [name for name in ("name", "exif", "table") if sources[name]]
+    if len(used) > 1:
+        report.note(f"Times are of mixed sources: {', '.join(f'{sources[n]} from {n}' for n in used)}.")
+    again = table["t_device_s"].duplicated() & known
+    if again.any():
+        report.lose("repeated_stamps", int(again.sum()))
+        report.note(
+            f"{int(again.sum())} images have the stamp of another one: {_names(table['file'][again])}."
+        )
+    shown = np.flatnonzero(known)
+    folder = np.array([str(PurePosixPath(name).parent) for name in table["file"]], dtype=object)[shown]
+    back = shown[1:][(np.diff(t[shown]) < 0) & (folder[1:] == folder[:-1])]
+    if back.size:
+        report.lose("steps_back", back.size)
+        report.note(
+            f"Time steps back {back.size} times in the order of the names, first at "
+            f"{table['file'][back[0]]}: the clock was set, or images of several recordings share a folder."
+        )
+    units = table["resolution_s"][known].unique()
+    ordered = np.unique(t[known])
+    if ordered.size:
+        report.t_first_s, report.t_last_s = float(ordered[0]), float(ordered[-1])
+        report.timing.describe_stamps(ordered, float(units.max()))
+        report.gaps = find_gaps(ordered)
+    if report.timing.period_s:
+        report.rates_hz["images"] = 1.0 / report.timing.period_s
+    if len(units) > 1 or (units.size and units.max() >= 1.0):
+        report.note(f"Stamps are in units of {', '.join(f'{unit:g}' for unit in sorted(units))} s.")
+    _describe_cameras(table, report)
+
+
+def _describe_cameras(table: pd.DataFrame, report: IntegrityReport) -> None:
+    seen = table[table["width"] > 0]
+    cameras = Counter(
+        (f"{row.make} {row.model}".strip(), f"{row.width} x {row.height}") for row in seen.itertuples()
+    )
+    if not cameras:
+        return
+    (model, size), _ = cameras.most_common(1)[0]
+    report.model, report.details["size"] = model, size
+    if len(cameras) > 1:
+        report.note(
+            "Images of several cameras or sizes: "
+            + ", ".join(
+                f"{n} of {name or 'unknown'} {pixels}" for (name, pixels), n in cameras.most_common(4)
+            )
+            + "."
+        )
+
+
+def _names(names: Sequence[str] | pd.Series) -> str:
+    listed = list(names)
+    more = f" and {len(listed) - _NAMED} more" if len(listed) > _NAMED else ""
+    return ", ".join(listed[:_NAMED]) + more
+
+
+def _few(files: Sequence[Path]) -> list[str]:
+    """The folder of many files, else the files."""
+    folders = {path.parent for path in files}
+    return (
+        [str(path) for path in files] if len(files) <= _NAMED else sorted(str(folder) for folder in folders)
+    )

@@ -1,0 +1,1 @@
+"""Post-processed kinematic positions by RTKLIB, from SBP and RINEX."""

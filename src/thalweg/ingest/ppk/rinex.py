@@ -1,0 +1,287 @@
+"""Light scanner of RINEX 2, 3 and 4 observation and navigation files: what is inside, what is damaged.
+
+It reads headers and epoch records only, no observation values. Columns follow the IGS documents "RINEX:
+The Receiver Independent Exchange Format", versions 2.11, 3.05 and 4.01 (tables A1 to A9).
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+
+from thalweg.core.errors import InputError, UnsupportedError
+from thalweg.core.timescales import utc_text_from_gps
+from thalweg.core.types import ArrayF
+from thalweg.ingest.integrity import IntegrityReport, find_gaps
+from thalweg.ingest.ppk.rinex_walk import (
+    RecordWalk,
+    gps_times,
+    walk_navigation,
+    walk_observation_2,
+    walk_observation_3,
+)
+
+SYSTEM_OF_LETTER: Final = {
+    "G": "GPS", "R": "GLO", "E": "GAL", "J": "QZS", "C": "BDS", "I": "IRN", "S": "SBS",
+}  # fmt: skip
+"""Satellite systems by their RINEX letter."""
+
+_FOREIGN: Final = (
+    (b"\x1f\x8b", "gzip", "gunzip"),
+    (b"\x1f\x9d", "compress (.Z)", "uncompress"),
+    (b"PK\x03\x04", "zip", "unzip"),
+    (b"BZh", "bzip2", "bunzip2"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RinexScan:
+    """What a RINEX file holds.
+
+    ``t_gps_s`` are the epochs (observation) or reference times of the ephemerides (navigation), shape (n,),
+    ``nav_t_gps_s`` the latter by system. ``whole`` are the byte ranges of the header and of each undamaged
+    record, ``losses`` counts what is damaged or missing.
+    """
+
+    path: Path
+    version: str
+    kind: Literal["observation", "navigation"]
+    time_system: str
+    header: dict[str, list[str]]
+    systems: tuple[str, ...]
+    t_gps_s: ArrayF
+    approx_ecef_m: ArrayF | None
+    antenna_delta_hen_m: tuple[float, float, float]
+    interval_s: float | None
+    codes: dict[str, list[str]]
+    n_satellite_records: int
+    nav_t_gps_s: dict[str, ArrayF]
+    whole: list[tuple[int, int]]
+    losses: dict[str, int]
+    bytes_read: int
+
+    def text(self, label: str, start: int = 0, stop: int = 60) -> str:
+        """Columns ``start:stop`` of the first header line with this label, stripped; "" if absent."""
+        lines = self.header.get(label, [""])
+        return lines[0][start:stop].strip()
+
+
+def scan_rinex(path: Path) -> RinexScan:
+    """Scan a RINEX observation or navigation file.
+
+    Damaged and cut records are counted in ``losses``; the whole records before and after them are kept.
+
+    Raises
+    ------
+    InputError : the file is missing, empty, no RINEX, or its header is cut.
+    UnsupportedError : it is compressed (gzip, compress, Hatanaka), or neither observation nor navigation.
+    """
+    if not path.is_file():
+        raise InputError("file not found", expected="a RINEX file", where=path)
+    data = path.read_bytes()
+    _check_container(path, data)
+    text = data.decode("latin-1")
+    lines = re.findall(r"[^\n]*\n|[^\n]+\Z", text)  # splitlines would also cut at form feeds and 0x85
+    version, kind, letter = _first_line(path, lines[0].rstrip("\r\n"))
+    header: dict[str, list[str]] = {}
+    body = 0
+    for number, line in enumerate(lines):
+        label = line[60:].strip()
+        header.setdefault(label, []).append(line[:60])
+        if label == "END OF HEADER":
+            body = number + 1
+            break
+    if not body:
+        raise InputError(
+            f"the header does not end within {len(lines)} lines",
+            expected="a line END OF HEADER",
+            where=path,
+            cure="The file is cut or damaged; copy or export it again",
+        )
+    offsets = np.concatenate([[0], np.cumsum([len(line) for line in lines])]).astype(np.int64)
+    found = RecordWalk(whole=[(0, int(offsets[body]))])
+    codes = _codes(header, letter, int(version[0]))
+    if kind == "navigation":
+        walk_navigation(lines, body, offsets, int(version[0]), letter, found)
+        scale = ""
+    else:
+        scale = _text(header, "TIME OF FIRST OBS", 48, 51) or {"R": "GLO", "E": "GAL", "C": "BDT"}.get(
+            letter, "GPS"
+        )
+        n_codes = len(next(iter(codes.values()), []))
+        if int(version[0]) >= 3:
+            walk_observation_3(lines, body, offsets, found)
+        else:
+            walk_observation_2(lines, body, offsets, letter, n_codes, found)
+    t = gps_times(found, scale)
+    letters = np.array(found.letters, dtype="U1")
+    systems = found.seen | set(found.letters)
+    step = np.diff(t)
+    interval = _floats(header, "INTERVAL", 1)
+    return RinexScan(
+        path=path,
+        version=version,
+        kind=kind,
+        time_system=scale or "GPS",
+        header=header,
+        systems=tuple(name for key, name in SYSTEM_OF_LETTER.items() if key in systems),
+        t_gps_s=t,
+        approx_ecef_m=_approx(header),
+        antenna_delta_hen_m=_delta(header),
+        interval_s=interval[0] if interval else float(np.median(step)) if step.size else None,
+        codes={SYSTEM_OF_LETTER.get(key, key): value for key, value in codes.items()},
+        n_satellite_records=found.n_sat,
+        nav_t_gps_s={SYSTEM_OF_LETTER[key]: t[letters == key] for key in sorted(set(found.letters))},
+        whole=found.whole,
+        losses=found.losses,
+        bytes_read=len(data),
+    )
+
+
+def rinex_kind(path: Path, head: bytes) -> Literal["observation", "navigation"]:
+    """Kind of a RINEX file by its first bytes; ``path`` is for messages. Raises as `scan_rinex` does."""
+    _check_container(path, head)
+    return _first_line(path, head[:120].decode("latin-1").partition("\n")[0].rstrip("\r"))[1]
+
+
+def describe_rinex(path: Path) -> IntegrityReport:
+    """Integrity report of a RINEX observation or navigation file; raises as `scan_rinex` does."""
+    scan = scan_rinex(path)
+    observation = scan.kind == "observation"
+    report = IntegrityReport(
+        stream="raw GNSS" if observation else "GNSS ephemerides",
+        format=f"RINEX {scan.version} {scan.kind}",
+        files=[str(path)],
+        model=scan.text("REC # / TYPE / VERS", 20, 40),
+        time_scale="utc" if scan.time_system == "GLO" else "gps",
+        synchronised=scan.t_gps_s.size > 0,
+        bytes_read=scan.bytes_read,
+        losses=dict(scan.losses),
+    )
+    if scan.t_gps_s.size:
+        report.t_first_s, report.t_last_s = float(np.min(scan.t_gps_s)), float(np.max(scan.t_gps_s))
+    details: dict[str, object] = {
+        "systems": ", ".join(scan.systems),
+        "program": scan.text("PGM / RUN BY / DATE"),
+    }
+    if observation:
+        report.count("epochs", scan.t_gps_s.size)
+        report.count("satellite records", scan.n_satellite_records)
+        report.gaps = find_gaps(scan.t_gps_s)
+        if scan.interval_s:
+            report.rates_hz["epochs"] = 1.0 / scan.interval_s
+        details |= {
+            "marker": scan.text("MARKER NAME"),
+            "antenna": scan.text("ANT # / TYPE", 20, 40),
+            "approx_ecef_m": None if scan.approx_ecef_m is None else scan.approx_ecef_m.tolist(),
+            "antenna_delta_hen_m": list(scan.antenna_delta_hen_m),
+            "interval_s": scan.interval_s,
+            "time_system": scan.time_system,
+            "codes": {key: " ".join(value) for key, value in scan.codes.items()},
+        }
+        if np.any(np.diff(scan.t_gps_s) <= 0):
+            report.note("The epochs are not in order of time.")
+        if scan.approx_ecef_m is None or not np.any(scan.approx_ecef_m):
+            report.note("The header holds no approximate position (it is absent or zero).")
+    else:
+        report.count("ephemerides", scan.t_gps_s.size)
+        for name, t in scan.nav_t_gps_s.items():
+            span = f"{utc_text_from_gps(float(t.min()), 0)} .. {utc_text_from_gps(float(t.max()), 0)}"
+            details[name] = f"{t.size} ephemerides, reference times {span}"
+    report.details = {key: value for key, value in details.items() if value not in ("", None, {})}
+    if not scan.t_gps_s.size:
+        report.note("The file holds a header only.")
+    if any(scan.losses.values()):
+        report.note(
+            "Records are damaged or cut: " + ", ".join(f"{k} {v}" for k, v in scan.losses.items()) + "."
+        )
+    return report
+
+
+def whole_records(scan: RinexScan, data: bytes) -> bytes:
+    """The header and the undamaged records of a scanned file, each ending with a line feed."""
+    parts = [data[a:b] for a, b in scan.whole]
+    return b"".join(part if part.endswith(b"\n") else part + b"\n" for part in parts)
+
+
+def _check_container(path: Path, data: bytes) -> None:
+    if not data:
+        raise InputError("the file is empty", expected="a RINEX file", where=path)
+    for magic, name, command in _FOREIGN:
+        if data.startswith(magic):
+            raise UnsupportedError(
+                f"a {name} archive",
+                expected="plain RINEX",
+                where=path,
+                cure=f"Unpack it: {command} {path.name}",
+            )
+    if b"COMPACT RINEX FORMAT" in data[:200] or b"CRINEX VERS" in data[:200]:
+        raise UnsupportedError(
+            "Hatanaka-compressed RINEX",
+            expected="plain RINEX",
+            where=path,
+            cure=f"Unpack it with RNXCMP: crx2rnx {path.name}",
+        )
+
+
+def _first_line(path: Path, line: str) -> tuple[str, Literal["observation", "navigation"], str]:
+    """Version, kind and system letter of the first header line."""
+    version = line[:20].strip()
+    if line[60:].strip() != "RINEX VERSION / TYPE" or not re.fullmatch(r"\d(\.\d+)?", version):
+        raise InputError(
+            f"the first line is {line[:40]!r}",
+            expected="a RINEX header (label 'RINEX VERSION / TYPE' in columns 61-80)",
+            where=f"{path}, line 1",
+            cure="Give the observation or navigation file that the receiver software exports as RINEX",
+        )
+    if version[0] not in "234":
+        raise UnsupportedError(f"RINEX version {version}", expected="version 2, 3 or 4", where=path)
+    kind, letter = line[20:21].upper(), line[40:41].upper().replace(" ", "G")
+    if kind == "O":
+        return version, "observation", letter
+    if kind == "N":
+        return version, "navigation", letter
+    if kind in "GH" and version[0] == "2":
+        return version, "navigation", {"G": "R", "H": "S"}[kind]
+    raise UnsupportedError(
+        f"RINEX file type {line[20:40].strip()!r}",
+        expected="observation (O) or navigation (N) data",
+        where=path,
+    )
+
+
+def _text(header: dict[str, list[str]], label: str, start: int, stop: int) -> str:
+    return header.get(label, [""])[0][start:stop].strip()
+
+
+def _floats(header: dict[str, list[str]], label: str, n: int) -> list[float] | None:
+    try:
+        values = [float(word) for word in header[label][0].split()[:n]]
+    except (KeyError, ValueError):
+        return None
+    return values if len(values) == n and all(np.isfinite(values)) else None
+
+
+def _approx(header: dict[str, list[str]]) -> ArrayF | None:
+    xyz = _floats(header, "APPROX POSITION XYZ", 3)
+    return None if xyz is None else np.array(xyz)
+
+
+def _delta(header: dict[str, list[str]]) -> tuple[float, float, float]:
+    hen = _floats(header, "ANTENNA: DELTA H/E/N", 3) or [0.0, 0.0, 0.0]
+    return hen[0], hen[1], hen[2]
+
+
+def _codes(header: dict[str, list[str]], letter: str, major: int) -> dict[str, list[str]]:
+    """Observation codes by system letter."""
+    if major < 3:
+        words = " ".join(line[6:60] for line in header.get("# / TYPES OF OBSERV", [])).split()
+        return {letter: words} if words else {}
+    codes: dict[str, list[str]] = {}
+    system = ""
+    for line in header.get("SYS / # / OBS TYPES", []):
+        system = line[0] if line[:1].strip() else system
+        codes.setdefault(system, []).extend(line[7:60].split())
+    return codes

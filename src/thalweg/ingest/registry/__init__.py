@@ -1,0 +1,1 @@
+"""Which file is what, and what it holds."""

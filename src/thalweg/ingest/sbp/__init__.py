@@ -1,0 +1,1 @@
+"""Swift binary protocol: positions, observations, integrity."""

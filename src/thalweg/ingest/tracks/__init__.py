@@ -1,0 +1,1 @@
+"""Tracks that other programs computed: RTKLIB, SBET, surveyed beds."""

@@ -1,0 +1,312 @@
+"""RTKLIB solutions (.pos) in all their variants, into GNSS positions with full covariance.
+
+Time is a calendar date or week and second, in GPST, UTC or JST (UTC + 9 h); coordinates are latitude,
+longitude and height (degrees, or degrees, minutes, seconds), earth-centred x, y, z, or a baseline east,
+north, up from the base. Standard deviations beside the diagonal are signed roots:
+``sdne = sign(cov_ne) sqrt(|cov_ne|)`` (RTKLIB manual 2.4.2, appendix B.1; solution.c, ``sqvar``).
+"""
+
+import datetime as dt
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from pyproj import Transformer
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.frames import rotation_ecef_enu
+from thalweg.core.timescales import ADJUSTED_OFFSET_S, DAY_S, GPS_EPOCH_UNIX_S, WEEK_S, gps_from_unix
+from thalweg.core.types import AnyArray, ArrayF
+from thalweg.ingest.integrity import IntegrityReport, find_gaps
+from thalweg.ingest.schemas import GNSS_POSITION
+from thalweg.ingest.stamps import FIRST_UNIX_S, LAST_UNIX_S
+from thalweg.ingest.tracks.overlap import repeated_rows, say_repeated
+from thalweg.ingest.tracks.rtklib_pos_layout import SEPARATORS, Layout, covariance_names, layout_from_header
+
+FIX_OF_QUALITY: Final = {
+    0: "none", 1: "fixed", 2: "float", 3: "sbas", 4: "dgnss", 5: "single", 6: "ppp", 7: "dead_reckoning",
+}  # fmt: skip
+"""RTKLIB's Q -> fix of table kind ``gnss_position``."""
+
+_JST_S: Final = 9 * 3600
+_KEY_VALUE: Final = re.compile(r"^%\s*([a-z][a-z .,/-]*?)\s*:\s*(.*)$", re.IGNORECASE)
+_MAX_LINES_SHOWN: Final = 20
+
+
+@dataclass(slots=True, kw_only=True)
+class PosLog:
+    """A solution: positions (table kind ``gnss_position``), report, and the header as key -> values."""
+
+    positions: pd.DataFrame
+    report: IntegrityReport
+    header: dict[str, list[str]]
+
+
+def read_pos(files: Sequence[Path], ref_ecef_m: ArrayLike | None = None) -> PosLog:
+    """Read one or several .pos files.
+
+    Parameters
+    ----------
+    files : in the order of time; positions that two of them hold alike are kept once.
+    ref_ecef_m : (3,) earth-centred position of the base, for baselines; if None it comes from the line
+        ``ref pos`` of the header.
+
+    Returns
+    -------
+    Positions with ``t_gps_s``, latitude, longitude, ellipsoidal height (NaN if the file has heights above
+    a geoid) and covariance in the east-north-up axes of each position. Damaged lines are counted and
+    their numbers kept in ``report.details``.
+
+    Raises
+    ------
+    InputError : a file is missing, empty, no .pos file, or has no readable line; a baseline has no base.
+    """
+    if not files:
+        raise InputError("no .pos file given", expected="at least one file")
+    report = IntegrityReport(
+        stream="positions", format="RTKLIB .pos", files=[str(f) for f in files], time_scale="gps"
+    )
+    header: dict[str, list[str]] = {}
+    tables = [_read_one(path, ref_ecef_m, report, header) for path in files]
+    positions = pd.concat(tables, ignore_index=True)
+    repeated = repeated_rows(positions, np.repeat(np.arange(len(tables)), [len(x) for x in tables]))
+    positions = positions[~repeated].reset_index(drop=True)
+    say_repeated(report, "positions", int(repeated.sum()))
+    t = positions["t_gps_s"].to_numpy()
+    report.synchronised = True
+    report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
+    step = np.diff(t)
+    for what, n in (("time_steps_back", np.sum(step < 0)), ("repeated_epochs", np.sum(step == 0))):
+        if n:
+            report.lose(what, int(n))
+    report.gaps = find_gaps(t)
+    report.timing.describe_stamps(t)
+    report.timing.unsynchronised_s = 0.0
+    if np.any(step > 0):
+        report.rates_hz = {"positions": 1.0 / float(np.median(step[step > 0]))}
+    report.count("positions", len(positions))
+    for fix, n in positions["fix"].value_counts().items():
+        report.count(f"fix_{fix}", int(n))
+    return PosLog(positions=positions, report=report, header=header)
+
+
+def _read_one(
+    path: Path, ref_ecef_m: ArrayLike | None, report: IntegrityReport, header: dict[str, list[str]]
+) -> pd.DataFrame:
+    cure = "Check that this is a solution of RTKLIB (not NMEA, not a statistics file)"
+    if not path.is_file():
+        raise InputError("file not found", expected="a RTKLIB .pos file", where=path, cure="Check the path")
+    raw = path.read_bytes()
+    if not raw.strip():
+        raise InputError("the file is empty", expected="a RTKLIB .pos file", where=path, cure=cure)
+    report.bytes_read += len(raw)
+    lines = raw.decode("ascii", errors="replace").splitlines()
+    heads = [line for line in lines if line.startswith("%")]
+    own_header: dict[str, list[str]] = {}
+    for line in heads:
+        if found := _KEY_VALUE.match(line):
+            own_header.setdefault(found[1], []).append(found[2].strip())
+    for key, values in own_header.items():
+        header.setdefault(key, []).extend(values)
+    layout: Layout | None = None
+    rows: list[list[float]] = []
+    bad: list[int] = []
+    first_bad = ""
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.startswith("%"):
+            continue
+        fields = [f for f in SEPARATORS.split(line.strip()) if f]
+        if layout is None and len(fields) >= 5:
+            layout = layout_from_header([h[1:] for h in heads], fields)
+        row = _row(fields, layout) if layout is not None else None
+        if row is None:
+            bad.append(number)
+            first_bad = first_bad or f"line {number}: {line[:60]!r}"
+        else:
+            if not rows:
+                _note_resolution(fields[1], report)
+            rows.append(row)
+    if layout is None or not rows:
+        raise InputError(
+            f"none of {len(lines)} lines is a position ({first_bad or 'only a header'})",
+            expected="lines of time, three coordinates, Q, ns, standard deviations, age, ratio",
+            where=path,
+            cure=cure,
+        )
+    if bad:
+        report.lose("damaged_lines", len(bad))
+        shown = ", ".join(map(str, bad[:_MAX_LINES_SHOWN])) + (" ..." if len(bad) > _MAX_LINES_SHOWN else "")
+        report.details.setdefault("damaged_lines", {})[str(path)] = shown
+        report.note(f"{len(bad)} damaged lines of {path.name} are left out, the first is {first_bad}.")
+    for guess in layout.guesses:
+        report.note(f"{path.name} has no column header: {guess}.")
+    if layout.geodetic:
+        report.note(
+            f"{path.name} gives heights above a geoid, not the ellipsoid: h_ell_m is left empty. Solve again "
+            "with out-height=ellipsoidal."
+        )
+    if layout.scale != "gps":
+        report.time_scale = "utc"
+    report.details["variant"] = f"{layout.form}{' d:m:s' if layout.dms else ''}, {layout.scale} time"
+    base = _base(layout, ref_ecef_m, own_header, path)
+    return _table(np.array(rows), layout, base)
+
+
+def _note_resolution(text: str, report: IntegrityReport) -> None:
+    """The unit of the stamps of a file, from the decimals of its first; the coarsest of all files counts."""
+    unit_s = 10.0 ** -len(text.partition(".")[2])
+    report.timing.resolution_s = max(unit_s, report.timing.resolution_s or 0.0)
+
+
+def _row(fields: list[str], layout: Layout) -> list[float] | None:
+    """Numbers of a line: second of its scale since 1970, leap second 0/1, coordinates, other columns."""
+    if len(fields) != layout.n_fields:
+        return None
+    try:
+        if layout.calendar:
+            year, month, day = (int(x) for x in re.split("[/-]", fields[0]))
+            hour, minute, second = fields[1].split(":")
+            days = dt.date(year, month, day).toordinal() - _UNIX_ORDINAL
+            h, m, s = int(hour), int(minute), float(second)
+            if not (0 <= h < 24 and 0 <= m < 60 and 0 <= s < 61):
+                return None
+            # 23:59:60 belongs to the day before; Unix time cannot say it, so it is carried apart.
+            leap = float(s >= 60)
+            whole = days * DAY_S + h * 3600 + m * 60
+            time, fraction = float(whole), s - leap
+        else:
+            week, tow = int(fields[0]), float(fields[1])
+            if not (0 <= tow < WEEK_S + 1):
+                return None
+            time, fraction, leap = float(GPS_EPOCH_UNIX_S + week * WEEK_S), tow, 0.0
+        if not FIRST_UNIX_S <= time + fraction <= LAST_UNIX_S:
+            return None
+        at = 2
+        if layout.dms:
+            position = [_degrees(fields[2:5]), _degrees(fields[5:8]), float(fields[8])]
+            at = 9
+        else:
+            position = [float(x) for x in fields[2:5]]
+            at = 5
+        rest = [float(x) for x in fields[at:]]
+    except ValueError:
+        return None
+    quality = rest[layout.names.index("Q")] if "Q" in layout.names else 0.0
+    if not np.all(np.isfinite(position)) or quality not in FIX_OF_QUALITY:
+        return None
+    if layout.form == "llh" and not (abs(position[0]) <= 90 and abs(position[1]) <= 360):
+        return None
+    return [time, fraction, leap, *position, *rest]
+
+
+def _degrees(fields: list[str]) -> float:
+    """Degrees from degrees, minutes, seconds; the sign may stand before a zero."""
+    degrees, minutes, seconds = (float(x) for x in fields)
+    if not (0 <= minutes < 60 and 0 <= seconds <= 60):
+        raise ValueError(fields)
+    size = abs(degrees) + minutes / 60 + seconds / 3600
+    return -size if fields[0].startswith("-") else size
+
+
+def _base(
+    layout: Layout, ref_ecef_m: ArrayLike | None, header: Mapping[str, list[str]], path: Path
+) -> ArrayF | None:
+    if layout.form != "enu":
+        return None
+    if ref_ecef_m is not None:
+        base = np.asarray(ref_ecef_m, dtype=np.float64)
+        if base.shape != (3,) or not np.all(np.isfinite(base)):
+            raise GeometryError(f"ref_ecef_m={ref_ecef_m!r}", expected="three earth-centred coordinates, m")
+        return base
+    text = header.get("ref pos", [""])[0]
+    numbers = _reference(text)
+    if len(numbers) != 3 or not np.any(numbers):
+        raise InputError(
+            f"a baseline east, north, up without the position of its base (ref pos {text!r})",
+            expected="a header line '% ref pos : ...'",
+            where=path,
+            cure="Give the base's earth-centred position, or solve with out-solformat=llh or xyz",
+        )
+    if np.linalg.norm(numbers) > 6e6:
+        return np.array(numbers)
+    return np.array(_TO_ECEF.transform(numbers[1], numbers[0], numbers[2]))
+
+
+def _reference(text: str) -> list[float]:
+    fields = [f for f in SEPARATORS.split(text) if f]
+    try:
+        numbers = [float(f) for f in fields]
+        return [_degrees(fields[:3]), _degrees(fields[3:6]), numbers[6]] if len(numbers) == 7 else numbers
+    except ValueError:
+        return []
+
+
+def _table(rows: ArrayF, layout: Layout, base: ArrayF | None) -> pd.DataFrame:
+    time, fraction, leap, position = rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3:6]
+    values = dict(zip(layout.names, rows[:, 6:].T, strict=True))
+    if layout.scale == "gps":
+        t = time - (GPS_EPOCH_UNIX_S + ADJUSTED_OFFSET_S) + fraction + leap
+    else:
+        zone = _JST_S if layout.scale == "jst" else 0.0
+        # The whole second decides on the leap second; the fraction is added where digits are still fine.
+        whole = np.floor(fraction)
+        t = gps_from_unix(time - zone + whole) + (fraction - whole) + leap
+    n = len(rows)
+    covariance = _covariance(values, layout, n)
+    height = position[:, 2]
+    if layout.form == "llh":
+        lat, lon = position[:, 0], position[:, 1]
+        if layout.geodetic:
+            height = np.full(n, np.nan)
+    else:
+        if base is None:
+            xyz = position
+        else:
+            base_lon, base_lat, _ = _TO_ECEF.transform(*base, direction="INVERSE")
+            R_base = rotation_ecef_enu(base_lat, base_lon)
+            xyz = position @ R_base.T + base
+            covariance = R_base @ covariance @ R_base.T
+        lon, lat, height = (np.asarray(a) for a in _TO_ECEF.transform(*xyz.T, direction="INVERSE"))
+        R = rotation_ecef_enu(lat, lon)
+        covariance = np.swapaxes(R, 1, 2) @ covariance @ R
+    unknown: AnyArray = np.full(n, np.nan)
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    frame = pd.DataFrame(
+        {
+            "t_gps_s": t,
+            "lat_deg": lat,
+            "lon_deg": np.where(lon > 180.0, lon - 360.0, lon),
+            "h_ell_m": height,
+            "fix": [FIX_OF_QUALITY[int(q)] for q in values.get("Q", np.zeros(n))],
+            "n_sats": values.get("ns", np.full(n, -1.0)).astype(np.int32),
+            "sigma_east_m": sigma[:, 0],
+            "sigma_north_m": sigma[:, 1],
+            "sigma_up_m": sigma[:, 2],
+            "cov_en_m2": covariance[:, 0, 1],
+            "cov_eu_m2": covariance[:, 0, 2],
+            "cov_nu_m2": covariance[:, 1, 2],
+            "age_s": values.get("age", unknown),
+            "ratio": values.get("ratio", unknown),
+        }
+    )
+    return frame[list(GNSS_POSITION.names)]
+
+
+def _covariance(values: Mapping[str, ArrayF], layout: Layout, n: int) -> ArrayF:
+    """(n, 3, 3) in the file's own axes: east-north-up or earth-centred; NaN where not stated."""
+    axes = {"e": 0, "n": 1, "u": 2} if layout.form != "xyz" else {"x": 0, "y": 1, "z": 2}
+    covariance = np.full((n, 3, 3), np.nan)
+    for name in covariance_names(layout.form):
+        if name in values:
+            i, j = axes[name[2]], axes[name[-1]]
+            covariance[:, i, j] = covariance[:, j, i] = values[name] * np.abs(values[name])
+    return covariance
+
+
+_UNIX_ORDINAL: Final = dt.date(1970, 1, 1).toordinal()
+_TO_ECEF: Final = Transformer.from_crs(4979, 4978, always_xy=True, allow_ballpark=False)

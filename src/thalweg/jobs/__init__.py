@@ -1,1 +1,0 @@
-"""What every batch job shares: logging, provenance, and the version of the code that made a result."""

@@ -1,0 +1,1 @@
+"""The underwater light-sheet sensor: refraction, laser lines, calibration, scans."""

@@ -1,0 +1,1 @@
+"""What the sensor's parameters cost in depth."""

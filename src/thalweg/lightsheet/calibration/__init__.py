@@ -1,0 +1,1 @@
+"""Camera, window and sheet from a grid object in two levels."""

@@ -1,0 +1,354 @@
+"""Orientation of the light sheet from one picture of the grid object (P3 2.4 and 3.1.1, P4 4.3).
+
+Levels, gaps and pairs are found and assigned automatically, from approximate values that may be the nominal
+design; one adjustment gives the sheet and, on request, camera, window, water and levels with it. Assignment
+and adjustment take turns until the assignment does not change any more.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.core.adjustment.normal_equations import damped_step, normal_equations
+from thalweg.core.adjustment.solve import Adjusted, adjust
+from thalweg.core.errors import GeometryError
+from thalweg.core.types import ArrayF
+from thalweg.lightsheet.calibration.consider import considered_covariance
+from thalweg.lightsheet.calibration.correspondence import Correspondence, correspond
+from thalweg.lightsheet.calibration.grid import GridObject
+from thalweg.lightsheet.calibration.model import EDGE_SHIFT, LINE, PAIRS, Problem, sensor_at
+from thalweg.lightsheet.calibration.rank import estimable_laser, require_full_rank
+from thalweg.lightsheet.calibration.scatter import Factor, rescaled, scale, shared_errors
+from thalweg.lightsheet.calibration.settings import CalibrationSettings, joint_names
+from thalweg.lightsheet.optics.sensor import LASER, PARAMETERS, Sensor
+
+ROUNDS: Final = 4
+_SCALINGS: Final = 2
+_WIDER_RAD: Final = float(np.deg2rad(20.0))
+"""By which the fan is widened on the way: rays at its ends must not lose it for wrong approximate values."""
+_LOOSE: Final = {
+    "mm": 10.0,
+    "rad": float(np.deg2rad(4.0)),
+    "fx": 50.0,
+    "fy": 50.0,
+    "cx": 50.0,
+    "cy": 50.0,
+    "px": 1.0,
+}
+_ENDINGS: Final = ("_mm", "_rad", "_px")
+"""Rough sigmas of approximate values."""
+_STEPS: Final = 15
+_LOOSENED: Final = 1e-6
+"""Share of a variance by which quantities that are known to be equal may differ: a thousandth of a sigma."""
+_MANY: Final = 3.0
+_MUCH: Final = 1.5
+_FAR_MM: Final = 30.0
+_FAR_RAD: Final = float(np.deg2rad(8.0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SheetCalibration:
+    """A calibrated sensor and how it came about.
+
+    Parameters
+    ----------
+    sensor : with the (26, 26) covariance of everything: image, object, and what was held fixed.
+    names, values, cov : unknowns and fixed parameters with a sigma, and their joint covariance.
+    estimated : (u,) names of the unknowns, the first of ``names``.
+    adjusted : the last adjustment; its covariance holds neither the fixed parameters nor more than image and
+        priors.
+    problem : its observations.
+    correspondence : assignment of the line points.
+    sigma_factor : of the stated sigmas of line points and pairs, by their scatter and shared errors.
+    sigma0 : of line points and pairs as stated, before that.
+    shared_points : how many neighbouring line points share their error.
+    misfit_px : root mean square of the residuals of the line points.
+    warnings : what a user should look at.
+    """
+
+    sensor: Sensor
+    names: tuple[str, ...]
+    values: ArrayF
+    cov: ArrayF
+    estimated: tuple[str, ...]
+    adjusted: Adjusted[ArrayF]
+    problem: Problem
+    correspondence: Correspondence
+    sigma_factor: dict[str, Factor]
+    sigma0: dict[str, float]
+    shared_points: float
+    misfit_px: float
+    warnings: tuple[str, ...]
+
+    def sigma(self, name: str) -> float:
+        """Standard deviation of a parameter, with everything that was held fixed; mm or rad."""
+        i = self.names.index(name)
+        return float(np.sqrt(self.cov[i, i]))
+
+    def correlation(self) -> ArrayF:
+        """(n, n) correlations of ``names``."""
+        sigma = np.sqrt(np.maximum(np.diag(self.cov), 1e-300))
+        return np.asarray(self.cov / np.outer(sigma, sigma))
+
+
+def fit_sheet(
+    sensor: Sensor, points: pd.DataFrame, grid: GridObject, settings: CalibrationSettings
+) -> SheetCalibration:
+    """Calibrate the light sheet; `calibrate_sheet` adds what may be wrong if the fit is bad.
+
+    Raises
+    ------
+    InputError, GeometryError : see `correspond`.
+    FreeDirectionError : unknowns that the observations leave free.
+    GeometryError : the line points do not fit the model.
+    """
+    joint_names(settings, grid)  # refuses unknown names
+    wide = _widened(sensor)
+    problem, adjusted, found = _adjusted(wide, points, grid, settings)
+    misfit = float(np.sqrt(np.nanmean(np.square(_used_residuals(problem, adjusted)))))
+    sigma0 = {name: adjusted.group_sigma0[name] for name in (LINE, PAIRS)}
+    dropped = 1.0 - float(adjusted.used[LINE].mean())
+    if misfit > settings.largest_misfit_px or dropped > 0.3:
+        raise GeometryError(
+            f"the line points lie {misfit:.2f} px (root mean square) off the levels, "
+            f"{dropped:.0%} of them were rejected",
+            expected=f"at most {settings.largest_misfit_px:g} px: another model, not noise, leaves so much",
+            where=f"sensor {sensor.name!r}, calibration object {grid.name!r}",
+            cure="Check refractive indices, depths of the levels, thickness of the window, and the camera's "
+            "orientation",
+        )
+    shared, factors = 1.0, {LINE: Factor(), PAIRS: Factor()}
+    if settings.rescale:
+        shared, stated = shared_errors(problem, adjusted, found), problem
+        # sizes of two kinds of observations depend on each other's weights
+        for _ in range(_SCALINGS):
+            factors = scale(adjusted, factors, shared)
+            problem = replace(rescaled(stated, factors), weighted_at=adjusted.x)
+            adjusted = _solve(problem, adjusted.x, settings, robust=False)
+    return _result(sensor, wide, problem, adjusted, found, settings, sigma0, factors, shared, misfit)
+
+
+def _widened(sensor: Sensor) -> Sensor:
+    half = min(sensor.sheet.half_angle_rad + _WIDER_RAD, 0.98 * float(np.arccos(abs(sensor.sheet.v))))
+    return sensor.with_sheet(replace(sensor.sheet, half_angle_rad=max(half, sensor.sheet.half_angle_rad)))
+
+
+def _adjusted(
+    sensor: Sensor, points: pd.DataFrame, grid: GridObject, settings: CalibrationSettings
+) -> tuple[Problem, Adjusted[ArrayF], Correspondence]:
+    """Assignment and adjustment in turns."""
+    found = correspond(sensor, points, grid, settings, first=True)
+    lines = _lines_alone(_problem(sensor, grid, found, settings))
+    x = _approached(replace(lines, weighted_at=lines.start()))
+    last: tuple[int, ...] = ()
+    for turn in range(ROUNDS):
+        found = correspond(sensor_at(sensor, x), points, grid, settings)
+        problem = replace(_problem(sensor, grid, found, settings), weighted_at=x)
+        if turn == 0:
+            require_full_rank(problem, x)
+        adjusted = _solve(problem, x, settings, robust=turn == 0)
+        x = adjusted.x
+        state = (
+            len(found.rows),
+            *found.rows[:: max(1, len(found.rows) // 50)].tolist(),
+            len(found.pairs.side),
+        )
+        if state == last:
+            break
+        last = state
+    return problem, adjusted, found
+
+
+def _problem(
+    sensor: Sensor, grid: GridObject, found: Correspondence, settings: CalibrationSettings
+) -> Problem:
+    estimate = settings.estimate or estimable_laser(sensor)
+    everything = Problem(
+        sensor=sensor, grid=grid, line=found.line, pairs=found.pairs, free=estimate, known=(),
+        mean=np.empty(0), cov_known=np.empty((0, 0)),
+    )  # fmt: skip
+    prior = beforehand(everything, settings)
+    names = everything.names
+    wanted = set(joint_names(settings, grid)) | {EDGE_SHIFT}
+    known = tuple(
+        name for i, name in enumerate(names) if name in wanted and prior[i, i] > 0 and name not in estimate
+    )
+    at = [names.index(name) for name in known]
+    cov = prior[np.ix_(at, at)]
+    # one focal length for both axes, or a tilt of two degrees of freedom in three angles, leave it singular
+    cov = cov + _LOOSENED * np.diag(np.diag(cov))
+    return replace(
+        everything, free=(*estimate, *known), known=known, mean=everything.start()[at], cov_known=cov
+    )
+
+
+def _lines_alone(problem: Problem) -> Problem:
+    """The problem without pairs, held near its approximate values.
+
+    Line points fix the sheet but for the place of the laser along the line. After that ends of one sub-beam
+    lie nearer to each other than to those of the next gap.
+    """
+    sigma = [
+        _LOOSE[name]
+        if name in _LOOSE
+        else _LOOSE[name.rpartition("_")[2]]
+        if name.endswith(_ENDINGS)
+        else 0.01
+        for name in problem.free
+    ]
+    start = problem.start()[problem.places]
+    nothing = np.empty((0, 2))
+    pairs = replace(
+        problem.pairs, upper_px=nothing, upper_out=nothing, lower_px=nothing, lower_out=nothing,
+        side=np.empty(0, dtype=np.int64), sigma_px=nothing,
+    )  # fmt: skip
+    return replace(problem, pairs=pairs, known=problem.free, mean=start, cov_known=np.diag(np.square(sigma)))
+
+
+def _approached(problem: Problem) -> ArrayF:
+    """A state that is near enough to go on from: some damped steps, not to the end of the valley."""
+    groups, x = problem.observations(), problem.start()
+    masks = [None] * len(groups)
+    here = normal_equations(groups, x, len(problem.free), masks, "huber")
+    damping = 0.0
+    for _ in range(_STEPS):
+        tried = problem.updated(x, -damped_step(here, problem.free, None, damping, ""))
+        there = normal_equations(groups, tried, len(problem.free), masks, "huber")
+        if there.cost <= here.cost:
+            small = here.cost - there.cost < 1e-4 * here.cost
+            x, here, damping = tried, there, damping / 10 if damping > 1e-6 else 0.0
+            if small:
+                break
+        else:
+            damping = max(1e-4, 10 * damping)
+    return x
+
+
+def beforehand(problem: Problem, settings: CalibrationSettings) -> ArrayF:
+    """Covariance of all parameters as known beforehand: sensor without laser, object, shift of the edges."""
+    n, k = len(PARAMETERS), len(problem.grid.levels)
+    cov = np.zeros((len(problem.names), len(problem.names)))
+    cov[:n, :n] = problem.sensor.cov
+    # what the design says of the laser is an approximate value, no observation
+    cov[LASER], cov[:, LASER] = 0.0, 0.0
+    cov[n : n + k, n : n + k] = problem.grid.cov_depths_mm2
+    if any(word.startswith("slope") for word in settings.jointly):
+        slopes = slice(n + k, n + 3 * k)
+        cov[slopes, slopes] = settings.sigma_slope**2 * np.eye(2 * k)
+    cov[-1, -1] = settings.sigma_edge_shift_px**2
+    for name in settings.estimate:
+        i = problem.names.index(name)
+        cov[i], cov[:, i] = 0.0, 0.0
+    return cov
+
+
+def _solve(problem: Problem, x: ArrayF, settings: CalibrationSettings, *, robust: bool) -> Adjusted[ArrayF]:
+    return adjust(
+        problem.observations(), x, problem.free, update=problem.updated, loss="huber" if robust else None,
+        reject_sigmas=settings.reject_sigmas, max_iterations=100,
+        cure="Start from values nearer to the truth, and check the depths of the levels and the refractive "
+        "indices",
+    )  # fmt: skip
+
+
+def _used_residuals(problem: Problem, adjusted: Adjusted[ArrayF]) -> ArrayF:
+    return problem.residuals_px(adjusted.x)[adjusted.used[LINE]]
+
+
+def _result(
+    sensor: Sensor,
+    wide: Sensor,
+    problem: Problem,
+    adjusted: Adjusted[ArrayF],
+    found: Correspondence,
+    settings: CalibrationSettings,
+    sigma0: dict[str, float],
+    factors: dict[str, Factor],
+    shared: float,
+    misfit: float,
+) -> SheetCalibration:
+    prior = beforehand(problem, settings)
+    fixed = tuple(
+        name
+        for i, name in enumerate(problem.names)
+        if prior[i, i] > 0 and name not in problem.free and name != EDGE_SHIFT
+    )
+    cov = considered_covariance(problem, adjusted, fixed, prior)
+    names = (*problem.free, *fixed)
+    of_sensor = [i for i, name in enumerate(names) if name in PARAMETERS]
+    at = [PARAMETERS.index(names[i]) for i in of_sensor]
+    full = np.zeros((len(PARAMETERS), len(PARAMETERS)))
+    full[np.ix_(at, at)] = cov[np.ix_(of_sensor, of_sensor)]
+    result = sensor_at(wide, adjusted.x).with_sheet(
+        replace(sensor_at(wide, adjusted.x).sheet, half_angle_rad=sensor.sheet.half_angle_rad)
+    )
+    calibrated = result.with_vector(result.vector(), cov=full)
+    own = full[6:15, 6:15]
+    calibrated = calibrated.with_camera(calibrated.camera.with_parameters(calibrated.camera.parameters, own))
+    return SheetCalibration(
+        sensor=calibrated,
+        names=names,
+        values=adjusted.x[[problem.names.index(name) for name in names]],
+        cov=cov,
+        estimated=problem.free,
+        adjusted=adjusted,
+        problem=problem,
+        correspondence=found,
+        sigma_factor=factors,
+        sigma0=sigma0,
+        shared_points=shared,
+        misfit_px=misfit,
+        warnings=_warnings(sensor, calibrated, found, adjusted, sigma0, factors),
+    )
+
+
+def _warnings(
+    nominal: Sensor,
+    found: Sensor,
+    assigned: Correspondence,
+    adjusted: Adjusted[Any],
+    sigma0: dict[str, float],
+    factors: dict[str, Factor],
+) -> tuple[str, ...]:
+    told: list[str] = []
+    shared, factor = factors[LINE].shared, {name: f.value for name, f in factors.items()}
+    off_mm = float(np.linalg.norm(found.sheet.origin_lcs_mm - nominal.sheet.origin_lcs_mm))
+    normals = [s.sheet.R_lcs_las[:, 1] for s in (nominal, found)]
+    turn = float(np.arccos(np.clip(normals[0] @ normals[1], -1.0, 1.0)))
+    if off_mm > _FAR_MM or turn > _FAR_RAD:
+        told.append(
+            f"the laser lies {off_mm:.0f} mm and {np.rad2deg(turn):.1f} degrees from the nominal design: if "
+            "that cannot "
+            "be, ends may be paired one gap off, or the picture may be mirrored"
+        )
+    if assigned.lost:
+        told.append(
+            f"hardly a line point is left on {', '.join(assigned.lost)}: all were flagged near a jump or "
+            "stand at ends of pieces; the other levels alone determine the sheet, and only ends of pieces "
+            "this depth: take pictures with more pixels, or an object with wider gaps"
+        )
+    expected = 2 * assigned.gaps[0]
+    used = int(adjusted.used[PAIRS].sum())
+    if used < 0.6 * expected:
+        told.append(
+            f"{used} pairs of ends of about {expected} that {assigned.gaps[0]} gaps offer: pieces on the "
+            "level below "
+            "are hidden or not measured"
+        )
+    if shared > _MANY:
+        told.append(
+            f"about {shared:.0f} neighbouring line points share one error, as overlapping patches do, or the "
+            "levels are "
+            f"not plane: sigmas of single points were enlarged {factor[LINE]:.2f} times"
+        )
+    elif factor[LINE] > _MUCH:
+        told.append(
+            f"the line points scatter {sigma0[LINE]:.2f} times as much as their sigmas say; enlarged likewise"
+        )
+    if factor[PAIRS] > _MUCH:
+        told.append(
+            f"the ends of pieces scatter {sigma0[PAIRS]:.2f} times as much as stated; enlarged likewise"
+        )
+    return tuple(told)

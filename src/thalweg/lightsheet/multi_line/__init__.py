@@ -1,0 +1,1 @@
+"""Fifteen lines at once: calibration of the fan and labels of lines."""

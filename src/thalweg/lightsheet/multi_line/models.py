@@ -1,0 +1,311 @@
+"""Models of a laser that projects n lines: from one laser a line to one diffractive element for all.
+
+==================  =========  ===========================================================================
+model               unknowns   what is assumed
+==================  =========  ===========================================================================
+individual          5 n        each line a plane of light of its own (T 4.2.1, first model). An exterior
+                               orientation has 6 parameters, but a rotation of a fan in its own plane changes
+                               nothing that can be seen, so that 5 are estimable: phi keeps its value
+joint centre        3 + 2 n    planes that meet in one point, else free
+regular             7          planes that meet in one point at equal angles (T 4.2.1, second model)
+diode               11         a diffractive element: order j has the direction cosine ``v0 + g j + e j^2``
+across
+                               the lines (grating equation, Born & Wolf 1999, sec. 8.6), so that a line is
+                               a cone; its origin drifts by ``s1 j`` across and ``s2 |j|`` along the axis
+free cones          5 n + 1    each cone its own origin, direction cosine and rotation in the plane of the
+element joint cones         4 + 2 n    the same from one origin hierarchical        11 + 5 n   the diode,
+and for each line small deviations of the direction cosine, of its rotation and
+                               of its origin, with priors whose variances are estimated
+==================  =========  ===========================================================================
+
+``j`` counts from the middle line. The unknowns are a plain vector; angles are those of ``R_x R_y R_z``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.types import ArrayF, ArrayI
+from thalweg.lightsheet.multi_line.sheet_curves import COMPONENTS, Lines, opk_angles, rotation_rad
+
+Kind = Literal["individual", "joint_centre", "regular", "diode", "free_cones", "joint_cones", "hierarchical"]
+KINDS: Final[tuple[Kind, ...]] = (
+    "individual", "joint_centre", "regular", "diode", "free_cones", "joint_cones", "hierarchical"
+)  # fmt: skip
+
+_POSE: Final = (
+    "laser_x_mm", "laser_y_mm", "laser_z_mm", "laser_omega_rad", "laser_phi_rad", "laser_kappa_rad"
+)  # fmt: skip
+_STEP: Final = 1e-6
+_HOUSING_MM: Final = 5.0
+"""How well the place of a laser is known from its housing."""
+_FAN_ENDS_RAD: Final = 0.02
+"""How well the ends of the fans tell the middle of the fan."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NominalDiode:
+    """What the data sheet and a first look say.
+
+    Parameters
+    ----------
+    labels : (n,) numbers of the lines, ascending; 0 is the lowest that the element projects.
+    middle : number of the line in the middle of the element (7 of 15).
+    origin_lcs_mm, angles_rad : (3,) nominal pose of the laser.
+    step_rad : nominal angle between neighbours.
+    half_angle_rad : of the fans.
+    """
+
+    labels: ArrayI
+    middle: float
+    origin_lcs_mm: ArrayF
+    angles_rad: ArrayF
+    step_rad: float
+    half_angle_rad: float
+
+    @property
+    def orders(self) -> ArrayF:
+        """(n,) numbers counted from the middle."""
+        return np.asarray(self.labels, dtype=np.float64) - self.middle
+
+    @property
+    def pose(self) -> ArrayF:
+        """(6,)."""
+        return np.r_[self.origin_lcs_mm, self.angles_rad]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prior:
+    """Unknowns that are known beforehand: places (k,) among all, mean (k,), one sigma for all."""
+
+    places: ArrayI
+    mean: ArrayF
+    sigma: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineModel:
+    """A model of the lines as a function of a vector of unknowns.
+
+    Parameters
+    ----------
+    kind : its name.
+    names : (u,) names of the unknowns.
+    start : (u,) approximate values.
+    function : unknowns to `Lines`.
+    labels : (n,) lines that the model describes.
+    priors : by name; those called ``line_...`` are deviations of single lines.
+    """
+
+    kind: Kind
+    names: tuple[str, ...]
+    start: ArrayF
+    function: Callable[[ArrayF], Lines]
+    labels: ArrayI
+    priors: dict[str, Prior]
+
+    def lines(self, x: ArrayF) -> Lines:
+        """Geometry of the lines."""
+        return self.function(x)
+
+    def derivatives(self, x: ArrayF) -> ArrayF:
+        """(n, 7, u) derivatives of origin, small rotation about the laser's axes and direction cosine.
+
+        Central differences of a smooth closed form; good to 1e-9 of their size.
+        """
+        here = self.function(x)
+        out = np.zeros((len(here.labels), COMPONENTS, len(x)))
+        for k in range(len(x)):
+            h = np.zeros(len(x))
+            h[k] = _STEP
+            up, down = self.function(x + h), self.function(x - h)
+            out[:, :3, k] = up.origins_lcs_mm - down.origins_lcs_mm
+            turn = np.swapaxes(down.R_lcs_las, 1, 2) @ up.R_lcs_las
+            out[:, 3, k] = (turn[:, 2, 1] - turn[:, 1, 2]) / 2
+            out[:, 4, k] = (turn[:, 0, 2] - turn[:, 2, 0]) / 2
+            out[:, 5, k] = (turn[:, 1, 0] - turn[:, 0, 1]) / 2
+            out[:, 6, k] = up.v - down.v
+        return out / (2 * _STEP)
+
+
+def line_model(
+    kind: Kind, nominal: NominalDiode, *, start: ArrayF | None = None, fixed_fans: bool = True
+) -> LineModel:
+    """A model of `KINDS`.
+
+    Parameters
+    ----------
+    start : (u,) approximate values; else from the nominal diode.
+    fixed_fans : whether `individual` keeps the rotation of a fan in its own plane. Without it the model has
+        the 6 n parameters of the thesis, and an adjustment refuses it.
+
+    Raises
+    ------
+    GeometryError : an unknown kind, or a start of the wrong length.
+    """
+    makers = {
+        "individual": lambda: _individual(nominal, fixed_fans),
+        "joint_centre": lambda: _joint_centre(nominal),
+        "regular": lambda: _regular(nominal),
+        "diode": lambda: _diode(nominal, False),
+        "free_cones": lambda: _cones(nominal, True),
+        "joint_cones": lambda: _cones(nominal, False),
+        "hierarchical": lambda: _diode(nominal, True),
+    }
+    if kind not in makers:
+        raise GeometryError(f"model of lines {kind!r}", expected=f"one of {', '.join(KINDS)}")
+    names, first, function, priors = makers[kind]()
+    begin = first if start is None else np.asarray(start, dtype=np.float64)
+    if begin.shape != first.shape:
+        raise GeometryError(
+            f"{begin.size} approximate values for the model {kind!r}", expected=f"{first.size} numbers"
+        )
+    return LineModel(
+        kind=kind, names=names, start=begin, function=function, labels=nominal.labels, priors=priors
+    )
+
+
+_Made = tuple[tuple[str, ...], ArrayF, Callable[[ArrayF], Lines], dict[str, Prior]]
+
+
+def _lines(nominal: NominalDiode, origins: ArrayF, R: ArrayF, v: ArrayF) -> Lines:
+    n = len(nominal.labels)
+    return Lines(
+        labels=nominal.labels,
+        origins_lcs_mm=np.broadcast_to(origins, (n, 3)),
+        R_lcs_las=np.broadcast_to(R, (n, 3, 3)),
+        v=np.broadcast_to(v, (n,)),
+        half_angle_rad=nominal.half_angle_rad,
+    )
+
+
+def _turned(R: ArrayF, across_rad: ArrayF) -> ArrayF:
+    """Rotations of planes that lean across the fan: about the laser's own x axis."""
+    zero = np.zeros_like(across_rad)
+    return R @ rotation_rad(np.stack([across_rad, zero, zero], axis=-1))
+
+
+def _planes(nominal: NominalDiode) -> ArrayF:
+    """(n, 3) angles of the planes of a regular diode."""
+    R = _turned(rotation_rad(nominal.angles_rad), nominal.orders * nominal.step_rad)
+    return np.stack([opk_angles(each) for each in R])
+
+
+def _individual(nominal: NominalDiode, fixed_fans: bool) -> _Made:
+    n = len(nominal.labels)
+    angles = _planes(nominal)
+    parts = [name for name in _POSE if not (fixed_fans and name == "laser_phi_rad")]
+    names = tuple(f"line_{j}_{part.removeprefix('laser_')}" for j in nominal.labels for part in parts)
+    free = [0, 2] if fixed_fans else [0, 1, 2]
+    start = np.hstack([np.tile(nominal.origin_lcs_mm, (n, 1)), angles[:, free]]).ravel()
+
+    def function(x: ArrayF) -> Lines:
+        p = x.reshape(n, -1)
+        opk = angles.copy()
+        opk[:, free] = p[:, 3:]
+        return _lines(nominal, p[:, :3], rotation_rad(opk), np.zeros(n))
+
+    # A plane fitted to an outer line, which is a cone, would fetch its laser from a metre away
+    m = len(parts)
+    origins = (np.arange(n)[:, None] * m + np.arange(3)).ravel()
+    return names, start, function, {"housing": Prior(places=origins, mean=start[origins], sigma=_HOUSING_MM)}
+
+
+def _joint_centre(nominal: NominalDiode) -> _Made:
+    n = len(nominal.labels)
+    angles = _planes(nominal)
+    per_line = [f"line_{j}_{part}" for j in nominal.labels for part in ("omega_rad", "kappa_rad")]
+    start = np.r_[nominal.origin_lcs_mm, angles[:, [0, 2]].ravel()]
+
+    def function(x: ArrayF) -> Lines:
+        opk = angles.copy()
+        opk[:, [0, 2]] = x[3:].reshape(n, 2)
+        return _lines(nominal, x[:3], rotation_rad(opk), np.zeros(n))
+
+    return (*_POSE[:3], *per_line), start, function, {}
+
+
+def _regular(nominal: NominalDiode) -> _Made:
+    def function(x: ArrayF) -> Lines:
+        R = _turned(rotation_rad(x[3:6]), nominal.orders * x[6])
+        return _lines(nominal, x[:3], R, np.zeros(len(nominal.labels)))
+
+    return (*_POSE, "step_rad"), np.r_[nominal.pose, nominal.step_rad], function, {}
+
+
+def _diode(nominal: NominalDiode, hierarchical: bool) -> _Made:
+    j, n = nominal.orders, len(nominal.labels)
+    names: tuple[str, ...] = (
+        *_POSE,
+        "v0",
+        "step_cosine",
+        "quadratic_cosine",
+        "drift_across_mm",
+        "drift_axial_mm",
+    )
+    start = np.r_[nominal.pose, 0.0, np.sin(nominal.step_rad), 0.0, 0.0, 0.0]
+
+    def zero(places: ArrayI, sigma: float) -> Prior:
+        return Prior(places=places, mean=np.zeros(len(places)), sigma=sigma)
+
+    # The lines see phi only through their spread, v0 only through the curvature of the cones, and the drift
+    # only through their spacing at two depths: without bounds from the ends of the fans and from optics
+    # they wander off.
+    phi = np.array([4])
+    priors = {
+        "fan_ends": Prior(places=phi, mean=start[phi], sigma=_FAN_ENDS_RAD),
+        "v0": zero(np.array([6]), 0.05),
+        "drift": zero(np.array([9, 10]), 0.5),
+    }
+    if hierarchical:
+        parts = ("v", "kappa_rad", "x_mm", "y_mm", "z_mm")
+        names = (*names, *(f"line_{label}_{part}" for part in parts for label in nominal.labels))
+        start = np.r_[start, np.zeros(5 * n)]
+        priors |= {
+            "line_v": zero(11 + np.arange(n), 3e-4),
+            "line_rotation": zero(11 + np.arange(n, 2 * n), 3e-4),
+            "line_origin": zero(11 + np.arange(2 * n, 5 * n), 0.1),
+        }
+
+    def function(x: ArrayF) -> Lines:
+        R = rotation_rad(x[3:6])
+        v = x[6] + x[7] * j + x[8] * j * j
+        origins = x[:3] + np.outer(j, R[:, 1]) * x[9] + np.outer(np.abs(j), R[:, 2]) * x[10]
+        if not hierarchical:
+            return _lines(nominal, origins, R, v)
+        dv, turn, *shift = x[11:].reshape(5, n)
+        still = np.zeros(n)
+        Rj = R @ rotation_rad(np.stack([still, still, turn], axis=-1))
+        return _lines(nominal, origins + np.stack(shift, axis=-1) @ R.T, Rj, v + dv)
+
+    return names, start, function, priors
+
+
+def _cones(nominal: NominalDiode, free_origins: bool) -> _Made:
+    n = len(nominal.labels)
+    omega, phi, kappa = nominal.angles_rad
+    places = [f"line_{j}_{part}" for j in nominal.labels for part in ("x_mm", "y_mm", "z_mm")]
+    shapes = [f"line_{j}_{part}" for j in nominal.labels for part in ("v", "kappa_rad")]
+    names = (*(places if free_origins else _POSE[:3]), "laser_phi_rad", *shapes)
+    m = 3 * n if free_origins else 3
+    shape = np.stack([np.sin(nominal.step_rad) * nominal.orders, np.zeros(n)], axis=1)
+    origins = np.tile(nominal.origin_lcs_mm, n) if free_origins else nominal.origin_lcs_mm
+    start = np.r_[origins, phi, shape.ravel()]
+
+    def function(x: ArrayF) -> Lines:
+        v, turn = x[m + 1 :].reshape(n, 2).T
+        zero = np.zeros(n)
+        R = rotation_rad(np.array([omega, x[m], kappa]))
+        Rj = R @ rotation_rad(np.stack([zero, zero, turn], axis=-1))
+        return _lines(nominal, x[:m].reshape(-1, 3), Rj, v)
+
+    # cones hardly change when they turn about their axis: the ends of the fans hold them, as in the diode
+    return (
+        names,
+        start,
+        function,
+        {"fan_ends": Prior(places=np.array([m]), mean=start[[m]], sigma=_FAN_ENDS_RAD)},
+    )

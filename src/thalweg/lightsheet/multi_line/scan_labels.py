@@ -1,0 +1,301 @@
+"""Labels along a scan, and the tests that decide which of them are given out.
+
+1. Forward: from ground of known depth, image after image against the growing map (`labels`, `surface_map`).
+   A label is taken where the map supports it, or where the map and the order rule all others out.
+2. Confirmation against the finished map: other lines in other images must have seen the same surface at the
+   label's place, closely, and at no neighbouring label's place; repeated, because who was confirmed by a
+   wrong label falls with it.
+3. Shift test of the whole scan. A scan with all labels shifted by one is a surface, too, but lines then
+   disagree about it: a little with regular spacing, because angles are not depths, and much with irregular
+   spacing. If the labels are not clearly more consistent than those shifted, nothing is given out.
+4. Shift test of each segment against its surroundings, and a limit for its disagreement, from the scan's
+   own median.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.types import ArrayB, ArrayF, ArrayI, ArrayU8
+from thalweg.lightsheet.multi_line.detections import Hypotheses, LabelSettings
+from thalweg.lightsheet.multi_line.labels import (
+    Labels,
+    add_labelled,
+    depth_evidence,
+    label_image,
+    map_evidence,
+)
+from thalweg.lightsheet.multi_line.surface_map import (
+    CONTRADICTED,
+    SUPPORTED,
+    MapSettings,
+    Pose,
+    SurfaceMap,
+    in_map,
+)
+
+_NEXT: Final = (-1, 0, 1)
+_SHIFTS: Final = (-4, -3, -2, -1, 0, 1, 2, 3, 4)
+"""Where the leading line is taken for one behind it, patches are shifted by several lines."""
+
+
+class Flag(IntEnum):
+    """Why a detection has no label; only `GIVEN` has one."""
+
+    GIVEN = 0
+    UNSURE = 1
+    """Another label is as good, or the segment is too short."""
+    NOT_CONFIRMED = 2
+    """No other line saw the surface there, or the map speaks against it."""
+    INCONSISTENT = 3
+    """Other lines disagree more than is usual in this scan."""
+    SHIFT_LIKELY = 4
+    """Shifted by one the segment fits its surroundings better."""
+    SCAN_SHIFT_UNRESOLVED = 5
+    """The whole scan would be as consistent with all labels shifted by one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanSettings:
+    """Rules along a scan.
+
+    Parameters
+    ----------
+    start_images : images in which the depth of the ground counts.
+    confirm_radius_mm, confirm_tolerance_mm : how near other lines must have seen the surface.
+    confirm_share : least share of a segment's points that are confirmed.
+    confirm_rounds : repetitions.
+    disagreement : limit of a segment's median difference to other lines, in medians of the scan.
+    shift_ratio : least ratio of the disagreement of the shifted scan to that of the scan.
+    """
+
+    start_images: int = 6
+    confirm_radius_mm: float = 0.7
+    confirm_tolerance_mm: float = 0.2
+    confirm_share: float = 0.5
+    confirm_rounds: int = 2
+    disagreement: float = 2.5
+    shift_ratio: float = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanLabels:
+    """Labels of all images of a scan.
+
+    Parameters
+    ----------
+    labels : for each image.
+    flags : for each image (n,) `Flag`.
+    shift_test : for each shift ``shift, n, share_met, median_mm``: how much lines disagree.
+    resolved : whether the scan as a whole is clearly better than shifted by one or a few lines.
+    """
+
+    labels: tuple[Labels, ...]
+    flags: tuple[ArrayU8, ...]
+    shift_test: pd.DataFrame
+    resolved: bool
+
+    def counts(self) -> dict[str, int]:
+        """Number of detections with each flag."""
+        n = np.bincount(np.concatenate([np.zeros(0, dtype=np.uint8), *self.flags]), minlength=len(Flag))
+        return {flag.name: int(n[flag]) for flag in Flag}
+
+
+def label_scan(
+    images: Sequence[Hypotheses],
+    poses: Sequence[Pose],
+    map_settings: MapSettings,
+    *,
+    ground_depth_mm: float,
+    sigma_ground_mm: float = 2.0,
+    settings: LabelSettings | None = None,
+    scan: ScanSettings | None = None,
+) -> ScanLabels:
+    """Label the detections of a scan that starts on ground of known depth.
+
+    Parameters
+    ----------
+    images, poses : in the order of the scan; best with the laser ahead of the camera, so that new surface
+        is met by the leading line.
+    ground_depth_mm, sigma_ground_mm : depth of the ground in the first images; it must be known to half the
+        depth that separates two labels (2.5 mm at 150 mm with lines 1.7 degrees apart).
+
+    Raises
+    ------
+    GeometryError : no images, or another number of poses.
+    """
+    settings = LabelSettings() if settings is None else settings
+    scan = ScanSettings() if scan is None else scan
+    if not images or len(images) != len(poses):
+        raise GeometryError(
+            f"{len(images)} images and {len(poses)} poses", expected="one pose for each image"
+        )
+    found: list[Labels] = []
+    surface = SurfaceMap(map_settings)
+    for k, (h, pose) in enumerate(zip(images, poses, strict=True)):
+        evidence = np.zeros(h.possible.shape)
+        state: ArrayU8 | None = None
+        if k > 0:
+            evidence, state = map_evidence(h, surface, pose, k, settings)
+        if k < scan.start_images:
+            evidence = evidence + np.minimum(depth_evidence(h, ground_depth_mm, sigma_ground_mm), 3.0)
+        got = label_image(h, settings, evidence=evidence, shape=0.0 if k else 1.0)
+        if state is not None:
+            against = (
+                np.take_along_axis(state, np.maximum(got.label, 0)[:, None], axis=1)[:, 0] == CONTRADICTED
+            )
+            got = replace(got, label=np.where(against, -1, got.label))
+        add_labelled(h, got, surface, pose, k)
+        found.append(got)
+    labels = [each.label for each in found]
+    flags = [np.where(label < 0, Flag.UNSURE, Flag.GIVEN).astype(np.uint8) for label in labels]
+    for _ in range(scan.confirm_rounds):
+        kept = _confirmed(images, poses, labels, map_settings, scan)
+        labels = _without(labels, flags, kept, Flag.NOT_CONFIRMED)
+    off = {shift: _disagreement(images, poses, labels, map_settings, scan, shift) for shift in _SHIFTS}
+    test = pd.DataFrame([
+        {
+            "shift": shift,
+            "n": int(sum(len(each) for each in off[shift])),
+            "share_met": _share_met(np.concatenate(off[shift])),
+            "median_mm": _median(np.concatenate(off[shift])),
+        }
+        for shift in _SHIFTS
+    ])  # fmt: skip
+    medians = dict(zip(_SHIFTS, test["median_mm"], strict=True))
+    # a shift at which no two lines meet has no median and is none that could be confused
+    others = [median for shift, median in medians.items() if shift and np.isfinite(median)]
+    resolved = bool(others) and min(others) > scan.shift_ratio * medians[0]
+    if not resolved:
+        labels = _without(labels, flags, [label < -1 for label in labels], Flag.SCAN_SHIFT_UNRESOLVED)
+    else:
+        close, best = _segment_tests(images, labels, off, scan.disagreement * medians[0])
+        labels = _without(labels, flags, best, Flag.SHIFT_LIKELY)
+        labels = _without(labels, flags, close, Flag.INCONSISTENT)
+    return ScanLabels(
+        labels=tuple(replace(each, label=label) for each, label in zip(found, labels, strict=True)),
+        flags=tuple(flags),
+        shift_test=test,
+        resolved=resolved,
+    )
+
+
+def _without(labels: list[ArrayI], flags: list[ArrayU8], kept: Sequence[ArrayB], why: Flag) -> list[ArrayI]:
+    out = []
+    for label, flag, keep in zip(labels, flags, kept, strict=True):
+        taken = (label >= 0) & ~keep
+        flag[taken] = why
+        out.append(np.where(taken, -1, label))
+    return out
+
+
+def _map_of(
+    images: Sequence[Hypotheses], poses: Sequence[Pose], labels: Sequence[ArrayI], settings: MapSettings
+) -> SurfaceMap:
+    surface = SurfaceMap(settings)
+    for k, (h, pose, label) in enumerate(zip(images, poses, labels, strict=True)):
+        dummy = Labels(label=label, best=label, margin=np.zeros(len(label)))
+        add_labelled(h, dummy, surface, pose, k)
+    return surface
+
+
+def _confirmed(
+    images: Sequence[Hypotheses],
+    poses: Sequence[Pose],
+    labels: Sequence[ArrayI],
+    settings: MapSettings,
+    scan: ScanSettings,
+) -> list[ArrayB]:
+    """Which labels (n,) other lines confirm, for each image."""
+    near = replace(settings, radius_mm=scan.confirm_radius_mm, tolerance_mm=scan.confirm_tolerance_mm)
+    surface = _map_of(images, poses, labels, near)
+    out = []
+    for k, (h, pose, label) in enumerate(zip(images, poses, labels, strict=True)):
+        given = np.flatnonzero(label >= 0)
+        n, L = h.possible.shape
+        asked = np.zeros((n, L), dtype=np.uint8)
+        for shift in _NEXT:
+            j = label[given] + shift
+            inside = (j >= 0) & (j < L)
+            asked[given[inside], j[inside]] = h.possible[given[inside], j[inside]]
+        xyd, slope, _ = in_map(h, pose)
+        state, _ = surface.ask(xyd, slope, asked, k)
+        size = np.maximum(np.bincount(h.segment, minlength=h.n_segments), 1)[:, None]
+        share = np.zeros((h.n_segments, L))
+        np.add.at(share, h.segment, (state == SUPPORTED).astype(np.float64))
+        share = (share / size)[h.segment[given]]
+        own = np.take_along_axis(share, label[given, None], axis=1)[:, 0]
+        np.put_along_axis(share, label[given, None], 0.0, axis=1)
+        against = state[given, label[given]] == CONTRADICTED
+        good = np.zeros(len(label), dtype=np.bool_)
+        good[given] = (own >= scan.confirm_share) & ~against & (share.max(axis=1, initial=0.0) <= 0.6 * own)
+        out.append(good)
+    return out
+
+
+def _disagreement(
+    images: Sequence[Hypotheses],
+    poses: Sequence[Pose],
+    labels: Sequence[ArrayI],
+    settings: MapSettings,
+    scan: ScanSettings,
+    shift: int,
+) -> list[ArrayF]:
+    """Differences of depth (mm) of labelled points to what other lines saw there, all labels shifted."""
+    near = replace(
+        settings, radius_mm=scan.confirm_radius_mm, tolerance_mm=1.0, growth=0.0, free_length_mm=0.0
+    )
+    moved = []
+    for h, label in zip(images, labels, strict=True):
+        j = label + shift
+        good = (label >= 0) & (j >= 0) & (j < h.possible.shape[1])
+        good &= np.take_along_axis(h.possible, np.clip(j, 0, h.possible.shape[1] - 1)[:, None], axis=1)[:, 0]
+        moved.append(np.where(good, j, -1))
+    surface = _map_of(images, poses, moved, near)
+    out = []
+    for k, (h, pose, label, j) in enumerate(zip(images, poses, labels, moved, strict=True)):
+        i = np.flatnonzero(j >= 0)
+        asked = np.zeros(h.possible.shape, dtype=np.uint8)
+        asked[i, j[i]] = 1
+        xyd, slope, _ = in_map(h, pose)
+        off = np.full(len(label), np.nan)
+        off[i] = np.abs(surface.ask(xyd, slope, asked, k)[1][i, j[i]])
+        out.append(off[label >= 0])
+    return out
+
+
+def _segment_tests(
+    images: Sequence[Hypotheses], labels: Sequence[ArrayI], off: dict[int, list[ArrayF]], limit_mm: float
+) -> tuple[list[ArrayB], list[ArrayB]]:
+    """Which labels (n,) of each image agree with other lines, and which fit better than their neighbours."""
+    close: list[ArrayB] = []
+    best: list[ArrayB] = []
+    for k, (h, label) in enumerate(zip(images, labels, strict=True)):
+        given = np.flatnonzero(label >= 0)
+        table = pd.DataFrame({str(shift): off[shift][k] for shift in _SHIFTS})
+        groups = table.groupby(h.segment[given])
+        size = np.bincount(h.segment[given], minlength=h.n_segments)[h.segment[given]]
+        median, met = groups.transform("median"), groups.transform("count").div(size, axis=0)
+        own = median["0"].to_numpy()
+        shifted = np.zeros(len(given), dtype=np.bool_)
+        for shift in (str(each) for each in _SHIFTS if each):
+            shifted |= (met[shift].to_numpy() > 0.5) & (median[shift].to_numpy() < own)
+        for kept, out in ((own <= limit_mm, close), (~shifted, best)):
+            good = np.zeros(len(label), dtype=np.bool_)
+            good[given] = kept
+            out.append(good)
+    return close, best
+
+
+def _share_met(values: ArrayF) -> float:
+    return float(np.mean(np.isfinite(values))) if len(values) else 0.0
+
+
+def _median(values: ArrayF) -> float:
+    met = values[np.isfinite(values)]
+    return float(np.median(met)) if len(met) else float("nan")

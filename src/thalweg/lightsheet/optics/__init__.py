@@ -1,0 +1,1 @@
+"""Rays through window and water, the sensor model, strict intersection with covariance."""

@@ -1,0 +1,1 @@
+"""Poses of the sensor: panels, files of others."""

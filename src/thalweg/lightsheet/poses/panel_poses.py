@@ -1,0 +1,213 @@
+"""6-DOF: poses of the moving sensor by a standing camera and a panel with marks (P4 4.2.1, Luhmann 2009).
+
+The panel is fixed to the sensor; its marks are known in lcs. For each picture of the standing camera a space
+resection gives the pose of that camera in lcs (`thalweg.calibration.field.resection`); its inverse is the
+pose of the sensor in the frame of the standing camera, which is the world of the scan::
+
+    T_ccs_lcs = (T_lcs_ccs) ^ -1
+
+The errors of a picture's own marks differ from pose to pose. Those of the panel's coordinates and of the
+interior orientation are the same in all pictures: they turn and shift the scan as a whole.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+from thalweg.calibration.field.points import FieldPoints
+from thalweg.calibration.field.resection import LARGEST_SIGMA0, resect
+from thalweg.clocks.ties.hand_tables import read_number_columns, read_text_columns
+from thalweg.core.camera.model import Camera
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.types import ArrayF
+from thalweg.lightsheet.poses.poses import M_PER_MM, SensorPoses, by_pose, compressed, factor
+
+MARK_COLUMNS: Final = ("marker", "x_px", "y_px", "sigma_px")
+PANEL_COLUMNS: Final = ("marker", "x_mm", "y_mm", "z_mm", "sigma_mm")
+PUBLISHED_SIGMA_MM: Final = 0.05
+PUBLISHED_SIGMA_DEG: Final = 0.01
+"""What P4 7.3 states for the poses of its scans."""
+
+_MISFIT: Final = 4.0
+"""Residuals in units of their sigmas, more than those of other pictures: wrong marks."""
+_EXPLAINED: Final = 3
+"""Pictures without a pose for which another reading of their marks is looked for."""
+
+
+def read_panel(path: Path) -> FieldPoints:
+    """Marks of the panel in lcs from a CSV table: marker, x_mm, y_mm, z_mm, sigma_mm.
+
+    Raises
+    ------
+    InputError : the file is missing, lacks a column or a number, or names a marker twice.
+    """
+    marker, x, y, z, sigma = read_number_columns(path, PANEL_COLUMNS)
+    names = [int(m) for m in marker]
+    if len(set(names)) < len(names):
+        twice = next(m for m in names if names.count(m) > 1)
+        raise InputError(f"marker {twice} stands twice", where=path, expected="each marker once")
+    return FieldPoints(
+        points=tuple((m, 0) for m in names),
+        points_pcs=np.stack([x, y, z], axis=1) * M_PER_MM,
+        cov=np.diag(np.repeat((sigma * M_PER_MM) ** 2, 3)),
+    )
+
+
+def read_marks(path: Path) -> pd.DataFrame:
+    """Marks in the pictures of the standing camera from a CSV table: file, marker, x_px, y_px, sigma_px.
+
+    Raises
+    ------
+    InputError : the file is missing, or lacks a column or a number.
+    """
+    (files,) = read_text_columns(path, ("file",))
+    marker, x, y, sigma = read_number_columns(path, MARK_COLUMNS)
+    return pd.DataFrame({"file": files, "marker": marker.astype(np.int64), "corner": 0, "x_px": x, "y_px": y,
+                         "sigma_px": sigma})  # fmt: skip
+
+
+def read_standing_camera(path: Path) -> Camera:
+    """Interior orientation of the standing camera from JSON: model, size_px, parameters by name.
+
+    Raises
+    ------
+    InputError : the file is missing or incomplete.
+    """
+    expected = "JSON with model, size_px and parameters (fx, fy, cx, cy, k1, ...)"
+    if not path.is_file():
+        raise InputError("file not found", where=path, expected=expected)
+    try:
+        data = json.loads(path.read_text())
+        size = tuple(int(n) for n in data["size_px"])
+        values = {str(name): float(value) for name, value in data["parameters"].items()}
+        model = data["model"]
+    except (json.JSONDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"this cannot be read ({error})", where=path, expected=expected) from error
+    if model != "perspective" or len(size) != 2:
+        raise InputError(f"a {model} camera of {size} pixels", where=path, expected="a perspective camera")
+    names = Camera(model="perspective", size_px=(size[0], size[1]), parameters=np.ones(9)).parameter_names
+    missing = [name for name in names if name not in values]
+    if missing:
+        raise InputError(f"parameters missing: {', '.join(missing)}", where=path, expected=expected)
+    parameters = np.array([values[name] for name in names])
+    return Camera(model="perspective", size_px=(size[0], size[1]), parameters=parameters, name=path.stem)
+
+
+def panel_poses(
+    camera: Camera,
+    panel: FieldPoints,
+    marks: pd.DataFrame,
+    images: Sequence[str],
+    *,
+    t_gps_s: ArrayF | None = None,
+    sigma_factor: float = 1.0,
+) -> SensorPoses:
+    """Poses of the sensor in the frame of the standing camera.
+
+    Parameters
+    ----------
+    camera : the standing one, with the covariance of its interior orientation.
+    panel : marks in lcs, metres, corner 0 of each marker.
+    marks : file, marker, corner, x_px, y_px, sigma_px; ``file`` names the image of the sensor that was taken
+        together with the picture.
+    images : of the sensor, in order; those without a usable picture get no pose, with the reason.
+    t_gps_s : (n,) times of the images, where they are known.
+    sigma_factor : what the stated sigmas of marks must be multiplied with.
+
+    Raises
+    ------
+    InputError : no picture belongs to any of the images.
+    GeometryError : none of the pictures gives a pose.
+    """
+    known = set(marks["file"])
+    if not known & set(images):
+        raise InputError(
+            f"none of {len(images)} images is among the {len(known)} pictures of the standing camera",
+            expected="marks named by the image of the sensor",
+            where="6-DOF",
+            cure="Check that both recordings are of one scan",
+        )
+    n = len(images)
+    R, shift = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
+    cov = np.full((n, 6, 6), np.nan)
+    common = factor(panel.cov)
+    interior = factor(camera.cov) if camera.cov.size else np.zeros((len(camera.parameters), 0))
+    shared = np.full((n, 6, common.shape[1] + interior.shape[1]), np.nan)
+    reasons = ["no picture of the standing camera"] * n
+    sigma0, redundancy = np.full(n, np.nan), np.zeros(n)
+    refused, cure = 0, ""
+    for k, (name, own) in enumerate((name, marks[marks["file"] == name]) for name in images):
+        if not len(own):
+            continue
+        try:
+            found = resect(
+                camera, own, panel, sigma_factor=sigma_factor, where=name, explain=refused < _EXPLAINED
+            )
+        except GeometryError as error:
+            refused, cure = refused + 1, cure or error.cure
+            reasons[k] = f"{error.found}. {error.cure}" if refused <= _EXPLAINED else error.found
+            continue
+        turned = found.T_pcs_ccs.inverse()
+        J = found.T_pcs_ccs.by_inverse()
+        R[k], shift[k] = turned.R, turned.shift_m
+        cov[k] = J @ found.cov_marks @ J.T
+        shared[k] = J @ np.concatenate([found.by_points @ common, found.by_interior @ interior], axis=1)
+        reasons[k], sigma0[k], redundancy[k] = "", found.sigma0, found.redundancy
+    scale = _refuse_misfits(sigma0, redundancy, reasons)
+    R[[bool(r) for r in reasons]] = np.nan
+    shift[[bool(r) for r in reasons]] = np.nan
+    if all(reasons):
+        raise GeometryError(
+            f"none of {n} pictures gives a pose; the first: {reasons[0]}",
+            expected="pictures in which at least four marks of the panel fit", where="6-DOF",
+            cure=cure or "Check the interior orientation of the standing camera and the numbers of the marks",
+        )  # fmt: skip
+    there = np.array([not reason for reason in reasons])
+    few = compressed(shared[there])
+    together = np.full((n, 6, few.shape[2]), np.nan)
+    together[there] = few
+    times = np.full(n, np.nan) if t_gps_s is None else np.asarray(t_gps_s, dtype=np.float64)
+    return SensorPoses(
+        images=tuple(images), R_target_lcs=R, shift_m=shift, cov=cov * scale**2, shared=together,
+        reasons=tuple(reasons), t_gps_s=times, target="standing camera", source="6-DOF by marker panel",
+        facts={"poses": float(there.sum()), "scale_of_marks": scale},
+    )  # fmt: skip
+
+
+def _refuse_misfits(sigma0: ArrayF, redundancy: ArrayF, reasons: list[str]) -> float:
+    """Give pictures whose marks fit no pose a reason; the factor by which all sigmas of marks are too small.
+
+    A resection scales its limit for outliers with the scatter of its own marks, so that marks in a wrong
+    order may pass as many small errors.
+    """
+    known = np.isfinite(sigma0)
+    if not known.any():
+        return 1.0
+    limit = min(max(_MISFIT, _MISFIT * float(np.median(sigma0[known]))), LARGEST_SIGMA0)
+    for k in np.flatnonzero(known & ~(sigma0 <= limit)):
+        reasons[k] = f"the marks are {sigma0[k]:.0f} times their sigmas off any pose"
+    good = known & (sigma0 <= limit)
+    spare = float(redundancy[good].sum())
+    if not spare > 0:
+        return 1.0
+    pooled = float((sigma0[good] ** 2 * redundancy[good]).sum()) / spare
+    return float(np.sqrt(pooled)) if pooled > chi2.ppf(0.99, spare) / spare else 1.0
+
+
+def sigmas_at(poses: SensorPoses, point_lcs_mm: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Standard deviations of a point of lcs (n, 3) in millimetres by each pose's own errors, and of its turns
+    (n, 3) in degrees: what P4 7.3 states as 0.05 mm and 0.01 degrees.
+
+    The origin of lcs may lie far from the panel; the middle of the marks is what a camera determines best.
+    """
+    arm = poses.R_target_lcs @ (np.asarray(point_lcs_mm, dtype=np.float64) * M_PER_MM)
+    J = by_pose(arm)
+    place = J @ poses.cov @ np.swapaxes(J, 1, 2)
+    sigma = np.sqrt(np.diagonal(place, axis1=1, axis2=2))
+    turn = np.sqrt(np.diagonal(poses.cov, axis1=1, axis2=2)[:, 3:])
+    return np.asarray(sigma / M_PER_MM), np.rad2deg(turn)

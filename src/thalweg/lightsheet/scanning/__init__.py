@@ -1,0 +1,1 @@
+"""Objects scanned by the sheet: profiles, clouds, comparison with references."""

@@ -1,0 +1,1 @@
+"""Trajectories from INS, GNSS and photographs by a smoother."""

@@ -1,0 +1,1 @@
+"""Trajectories from INS attitudes and GNSS positions, and how their errors behave."""

@@ -1,1 +1,0 @@
-"""Where the boat is and how it lies: trajectories from INS, GNSS and (later rooms permitting) cameras."""

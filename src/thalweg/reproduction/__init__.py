@@ -1,1 +1,0 @@
-"""Published numbers recomputed: error budgets, their unpublished geometry, and a verdict on each cell."""

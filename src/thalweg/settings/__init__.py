@@ -1,0 +1,1 @@
+"""Campaign files: every key with unit, range and reason; all mistakes of a file at once."""

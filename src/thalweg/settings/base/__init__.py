@@ -1,0 +1,1 @@
+"""Values and mounts that several sections share."""

@@ -1,0 +1,100 @@
+"""The whole campaign file as one model."""
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import ConfigDict, Field
+
+from thalweg.settings.base.base import Section
+from thalweg.settings.base.mounts import Mounts
+from thalweg.settings.identity import Identity
+from thalweg.settings.images.sections import Images
+from thalweg.settings.light_sheet.sections import LightSheet
+from thalweg.settings.sections.accuracy import Accuracy, Reference
+from thalweg.settings.sections.calibration import Calibration
+from thalweg.settings.sections.filters import Filters
+from thalweg.settings.sections.fused import Fused
+from thalweg.settings.sections.lidar import Lidar, LidarAccuracy
+from thalweg.settings.sections.logs import STREAM_KEYS, Logs, is_rinex_name
+from thalweg.settings.sections.navigation import Ins, Orientation, Ppk
+from thalweg.settings.sections.products import Figures, Georeferencing
+from thalweg.settings.twin.sections import TwinConfig
+
+
+class Campaign(Section):
+    """One survey: who, where, its logs (or the digital twin that writes them), and all settings."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"anyOf": [{"required": ["twin"]}, {"required": ["logs"]}]},
+    )
+
+    campaign: Identity = Field(description="Name, map and world frame")
+    twin: TwinConfig | None = Field(
+        default=None, description="The digital twin writes the logs; exactly one of `twin` and `logs`"
+    )
+    logs: Logs | None = Field(
+        default=None, description="Raw logs of a real survey; exactly one of `twin` and `logs`"
+    )
+    lidar: Lidar = Field(default=Lidar(), description="Decoding of the lidar")
+    lidar_accuracy: LidarAccuracy = Field(
+        default=LidarAccuracy(), description="Accuracy of a single measurement of the lidar"
+    )
+    mounts: Mounts = Field(default=Mounts(), description="Sensors in the body frame of the INS")
+    calibration: Calibration = Field(default=Calibration(), description="Evaluation of a calibration field")
+    ins: Ins = Field(default=Ins(), description="Accuracy of the INS attitude")
+    ppk: Ppk = Field(default=Ppk(), description="Post-processing of raw GNSS")
+    orientation: Orientation = Field(default=Orientation(), description="Trajectory")
+    images: Images = Field(default=Images(), description="Orientation of photographs of the bank")
+    fused: Fused = Field(default=Fused(), description="Trajectory from INS, antenna and images together")
+    light_sheet: LightSheet = Field(
+        default=LightSheet(), description="Underwater light-sheet sensor in a basin"
+    )
+    georeferencing: Georeferencing = Field(
+        default=Georeferencing(), description="Lidar points into the world"
+    )
+    filters: Filters = Field(default=Filters(), description="Points that are left out of the cloud")
+    reference: Reference = Field(default=Reference(), description="Reference cloud -> surface mesh")
+    accuracy: Accuracy = Field(default=Accuracy(), description="Comparison of the cloud with the reference")
+    figures: Figures = Field(default=Figures(), description="Pictures")
+
+    @property
+    def id(self) -> str:
+        """Short name of the campaign."""
+        return self.campaign.id
+
+    @property
+    def is_calibration(self) -> bool:
+        """True if the campaign records a calibration field, not a river."""
+        if self.twin is not None:
+            return self.twin.field is not None
+        given = self.logs.calibration if self.logs is not None else None
+        return given is not None and bool(given.field or given.board_images or given.board_observations)
+
+    @property
+    def is_basin(self) -> bool:
+        """True if the campaign records the underwater light-sheet sensor in a basin: there is no boat."""
+        if self.twin is not None:
+            return self.twin.light_sheet is not None
+        return self.logs is not None and bool(self.logs.light_sheet.given)
+
+    def log_files(self, stream: str) -> list[Path]:
+        """Files of one stream of a real survey, absolute; empty for a twin.
+
+        Parameters
+        ----------
+        stream : ``lidar``, ``ins``, ``rover``, ``sbp`` (rover files without RINEX), ``base``, ``nav``,
+            ``pos``, ``sbet``, ``depth``, ``reference``, ``bed``, or one of `CalibrationLogs`.
+
+        Raises
+        ------
+        KeyError : no such stream.
+        """
+        key = "rover" if stream == "sbp" else stream
+        if key not in (self.logs.streams() if self.logs else STREAM_KEYS):
+            raise KeyError(stream)
+        paths = [Path(p) for p in self.logs.files(key)] if self.logs else []
+        return [p for p in paths if not is_rinex_name(p)] if stream == "sbp" else paths
+
+    def plain(self) -> dict[str, Any]:
+        """All settings as plain dicts, lists, text and numbers, as Snakemake compares them."""
+        return self.model_dump(mode="json")

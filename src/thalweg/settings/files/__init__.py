@@ -1,0 +1,1 @@
+"""Reading, checking, completing and documenting campaign files."""

@@ -1,0 +1,1 @@
+"""Section `images`: masks, structure from motion, block adjustment, finished orientations, cloud."""

@@ -1,0 +1,1 @@
+"""Sections of the underwater light-sheet sensor."""

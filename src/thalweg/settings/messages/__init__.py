@@ -1,0 +1,1 @@
+"""Mistakes of a campaign file with line, path and cure."""

@@ -1,0 +1,1 @@
+"""Sections of a campaign file, but for images, light sheet and twin."""

@@ -1,0 +1,120 @@
+"""Sections ``ins``, ``ppk`` and ``orientation``: from raw navigation logs to the trajectory."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from thalweg.settings.base.base import Section
+from thalweg.settings.base.values import Positive, Sigma3
+
+SigmaAttitude = Annotated[float, Field(gt=0, le=45, allow_inf_nan=False)]
+Fix = Literal["fixed", "float", "sbas", "dgnss", "single", "ppp", "omnistar", "dead_reckoning"]
+PositionSource = Literal["pos", "sbp", "ppk", "sbet", "ins"]
+
+
+class Ins(Section):
+    """Accuracy of the INS attitude, used where the log states none."""
+
+    sigma_roll_deg: SigmaAttitude = Field(default=0.1, description="Standard deviation of roll, degrees")
+    sigma_pitch_deg: SigmaAttitude = Field(default=0.1, description="Standard deviation of pitch, degrees")
+    sigma_heading_deg: SigmaAttitude = Field(
+        default=0.2, description="Standard deviation of heading, degrees"
+    )
+    sigma_position_m: Sigma3 | None = Field(
+        default=None,
+        description="Standard deviations east, north, up of positions from `ins` or `sbet` whose log states "
+        "none, metres",
+    )
+
+
+class Ppk(Section):
+    """Post-processing of raw GNSS with RTKLIB; used if `orientation.position_source` is `ppk`."""
+
+    elevation_mask_deg: Annotated[float, Field(ge=0, le=60, allow_inf_nan=False)] = Field(
+        default=15.0, description="Satellites below are left out, degrees"
+    )
+    systems: tuple[Literal["GPS", "GLO", "GAL", "QZS", "BDS", "SBS"], ...] = Field(
+        default=("GPS",), min_length=1, description="Satellite systems"
+    )
+    frequencies: Literal["l1", "l1+l2", "l1+l2+l5", "l1+l2+l5+l6"] = Field(
+        default="l1+l2", description="Carrier frequencies; Galileo's E5b counts as l2"
+    )
+    ambiguity: Literal["continuous", "fix-and-hold", "instantaneous", "off"] = Field(
+        default="continuous",
+        description="Ambiguity resolution; `instantaneous` fixed nothing on two real recordings",
+    )
+    fix_glonass: bool = Field(
+        default=False, description="Resolve ambiguities of GLONASS too (receivers of the same make)"
+    )
+    fix_beidou: bool = Field(default=False, description="Resolve ambiguities of BeiDou too")
+    direction: Literal["forward", "backward", "combined"] = Field(
+        default="forward", description="Direction of the filter through the log"
+    )
+    ratio_threshold: Annotated[float, Field(ge=1, lt=1000, allow_inf_nan=False)] = Field(
+        default=3.0, description="Ratio test: second-best over best residual needed for a fix"
+    )
+    iono: Literal["off", "brdc", "dual-freq", "est-stec"] = Field(
+        default="brdc", description="Model of the ionosphere, in RTKLIB's words"
+    )
+    tropo: Literal["off", "saas", "est-ztd", "est-ztdgrad"] = Field(
+        default="saas", description="Model of the troposphere, in RTKLIB's words"
+    )
+    dynamics: bool = Field(default=False, description="Estimate velocity and acceleration in the filter")
+    max_age_s: Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)] = Field(
+        default=30.0, description="Older base observations are not used, seconds"
+    )
+
+
+class ErrorModel(Section):
+    """How the poses of INS and GNSS err: what is presumed, and how far the survey may correct it."""
+
+    estimate: bool = Field(
+        default=True,
+        description="Sizes and correlation times of the errors are estimated from surfaces that the lidar "
+        "saw again; what is stated is prior knowledge. `false`: it is taken as certain",
+    )
+    spread: Annotated[float, Field(gt=1, le=10)] = Field(
+        default=2.0, description="Stated sigmas may be wrong by this factor (one sigma of its logarithm)"
+    )
+    time_spread: Annotated[float, Field(gt=1, le=20)] = Field(
+        default=3.0, description="The correlation times below may be wrong by this factor"
+    )
+    position_time_s: Positive = Field(
+        default=10.0, le=3600, description="Correlation time of the positions' slow errors, seconds"
+    )
+    attitude_time_s: Positive = Field(
+        default=20.0, le=3600, description="Correlation time of the attitude errors, seconds"
+    )
+    white_share: Annotated[float, Field(ge=0.01, le=0.99)] = Field(
+        default=0.25, description="Share of the positions' variance that is new in each epoch"
+    )
+
+
+class Orientation(Section):
+    """How positions and attitudes are joined into the trajectory."""
+
+    position_source: PositionSource = Field(
+        default="pos",
+        description="Positions from: `pos` RTKLIB files, `sbp` the receiver's own solution, `ppk` raw GNSS, "
+        "`sbet` Applanix trajectory, `ins` the INS's own filter",
+    )
+    accept_fixes: tuple[Fix, ...] = Field(
+        default=("fixed",), min_length=1, description="Kinds of GNSS solution that may enter the trajectory"
+    )
+    interpolation: Literal["cubic", "ins_velocity"] = Field(
+        default="cubic",
+        description="Positions between epochs: `cubic` spline, or along the velocity of the INS, which keeps "
+        "motion that is faster than the epochs",
+    )
+    max_gap_s: Positive = Field(
+        default=1.0, le=60, description="Longest hole between positions that is interpolated, seconds"
+    )
+    max_attitude_gap_s: Positive = Field(
+        default=0.1,
+        le=10,
+        description="Longest hole between INS states that is interpolated, seconds; turning evenly is "
+        "assumed across it, and what that misses is in no sigma",
+    )
+    error_model: ErrorModel = Field(
+        default=ErrorModel(), description="How the poses err, and what the survey says of that"
+    )

@@ -1,0 +1,1 @@
+"""Section `twin`: what the digital twin simulates."""

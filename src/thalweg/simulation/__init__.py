@@ -1,1 +1,0 @@
-"""The digital twin: river, boat, sensors, writers of raw logs, truth."""

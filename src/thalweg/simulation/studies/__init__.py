@@ -1,1 +1,0 @@
-"""Whole surveys of the twin through the whole chain, many times: what comes out, and why."""

@@ -1,0 +1,1 @@
+"""Reference clouds as meshes with sigmas."""

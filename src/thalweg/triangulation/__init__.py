@@ -1,1 +1,0 @@
-"""The underwater laser light-sheet sensor: optics, lines, calibration, profiles and scans."""

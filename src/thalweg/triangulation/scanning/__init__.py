@@ -1,1 +1,0 @@
-"""From single profiles to scans: poses, clouds, comparison with references, points in the world."""

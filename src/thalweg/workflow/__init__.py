@@ -1,0 +1,1 @@
+"""What jobs share: provenance, code versions, the truth kept from processing."""

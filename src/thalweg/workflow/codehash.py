@@ -1,0 +1,180 @@
+"""The version of the code behind a rule: a hash of every module that its entry script reaches.
+
+Snakemake sees edits of an entry script but not of packages that the script imports. Each rule therefore
+carries ``params: code=code_version("<script>")``. The hash runs over the syntax trees, without docstrings,
+of the modules that the script imports directly or through others; a comment costs no rerun, an edit of a
+module reruns exactly the rules that use it, and no list of rooms has to be kept by hand.
+
+What a file imports and the hash of its tree depend on its bytes alone. Both are kept in the user's cache by
+the hash of these bytes, because parsing some hundred modules takes seconds at each start of Snakemake.
+"""
+
+import ast
+import atexit
+import hashlib
+import json
+import logging
+import os
+import sys
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from thalweg.core.errors import InputError
+
+SOURCE = Path(__file__).resolve().parents[2]
+"""Folder of the packages: library and laboratory."""
+SCRIPTS = SOURCE.parent / "workflow" / "scripts"
+
+DATA_SUFFIXES = {".mplstyle", ".csv", ".yaml", ".json"}
+"""Files inside a package that count as code."""
+
+_DIGITS = 12
+
+
+def code_version(script: str, *, scripts: Path = SCRIPTS, source: Path = SOURCE) -> str:
+    """Hash of the modules that an entry script reaches.
+
+    Parameters
+    ----------
+    script : name of the entry script without ``.py``.
+    scripts : folder of entry scripts.
+    source : folder of the packages.
+
+    Raises
+    ------
+    InputError : there is no such script, or a file is not valid Python.
+
+    Examples
+    --------
+    >>> len(code_version("georeference_lidar"))
+    12
+    """
+    path = scripts / f"{script}.py"
+    if not path.is_file():
+        raise InputError("entry script not found", where=path, expected="one script for each rule")
+    digest = hashlib.sha256()
+    for module in sorted(reached_modules(path, source)):
+        digest.update(module.relative_to(source).as_posix().encode())
+        digest.update(_tree_hash(module))
+        if module.name == "__init__.py":
+            # what is no module but shapes results, such as the style of the figures
+            for data in sorted(p for p in module.parent.iterdir() if p.suffix in DATA_SUFFIXES):
+                digest.update(data.name.encode() + data.read_bytes())
+    return digest.hexdigest()[:_DIGITS]
+
+
+def reached_modules(path: Path, source: Path = SOURCE) -> set[Path]:
+    """All modules of ``source`` that a file imports, directly or through others, lazily or at its head."""
+    seen: set[Path] = set()
+    queue = [path]
+    while queue:
+        for module in _imports(queue.pop(), source):
+            if module not in seen:
+                seen.add(module)
+                queue.append(module)
+    return seen
+
+
+def imported_modules(path: Path, source: Path = SOURCE) -> set[Path]:
+    """The modules of ``source`` that a file imports itself, lazily or at its head."""
+    return set(_imports(path, source))
+
+
+@dataclass(frozen=True, slots=True)
+class _Facts:
+    """What of a file counts: the names that it imports, and the hash of its tree without docstrings."""
+
+    names: tuple[str, ...]
+    tree: str
+
+
+@cache
+def _imports(path: Path, source: Path) -> frozenset[Path]:
+    found: set[Path] = set()
+    for name in _facts(path).names:
+        base = source
+        for part in name.split("."):
+            base = base / part
+            if (base / "__init__.py").is_file():
+                found.add(base / "__init__.py")
+            elif base.with_suffix(".py").is_file():
+                found.add(base.with_suffix(".py"))
+    return frozenset(found)
+
+
+def _tree_hash(path: Path) -> bytes:
+    return bytes.fromhex(_facts(path).tree)
+
+
+@cache
+def _facts(path: Path) -> _Facts:
+    data = path.read_bytes()
+    key = hashlib.sha256(data).hexdigest()
+    kept = _kept().get(key)
+    if kept is None:
+        kept = _parsed(path, data)
+        _kept()[key] = kept
+        _new.add(key)
+    return kept
+
+
+def _parsed(path: Path, data: bytes) -> _Facts:
+    try:
+        tree = ast.parse(data)
+    except (SyntaxError, ValueError) as error:
+        raise InputError(f"not valid Python: {error}", where=path) from error
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            names.add(node.module)
+            names.update(f"{node.module}.{alias.name}" for alias in node.names)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            body = node.body
+            if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
+                node.body = body[1:]
+    return _Facts(tuple(sorted(names)), hashlib.sha256(ast.dump(tree).encode()).hexdigest())
+
+
+# ---------------------------------------------------------------- cache
+
+_MOST_KEPT = 20_000
+"""Entries of 300 bytes; beyond, old versions of files are forgotten."""
+_new: set[str] = set()
+
+
+def _cache_file() -> Path:
+    """Where facts are kept; another Python, or another version of this module, has another file."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    own = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:_DIGITS]
+    return base / "thalweg" / f"code-{sys.version_info.major}.{sys.version_info.minor}-{own}.json"
+
+
+@cache
+def _kept() -> dict[str, _Facts]:
+    """Facts of earlier starts; none if there are none, or the file is damaged."""
+    atexit.register(_keep)
+    try:
+        found = json.loads(_cache_file().read_text(encoding="utf-8"))
+        return {key: _Facts(tuple(names), tree) for key, (names, tree) in found.items()}
+    except (OSError, RuntimeError, ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _keep() -> None:
+    """Write the facts whole or not at all; a cache that cannot be written costs time, nothing else."""
+    if not _new:
+        return
+    facts = _kept() if len(_kept()) <= _MOST_KEPT else {key: _kept()[key] for key in _new}
+    try:
+        target = _cache_file()
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=target.parent, delete=False, encoding="utf-8") as file:
+            json.dump({key: (each.names, each.tree) for key, each in facts.items()}, file)
+        Path(file.name).replace(target)
+    except (OSError, RuntimeError) as error:
+        logging.getLogger("thalweg").debug("code versions are not kept for the next start: %s", error)

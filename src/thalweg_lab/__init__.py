@@ -1,0 +1,1 @@
+"""The laboratory: digital twin, studies, comparisons with the truth, ledger of published numbers."""

@@ -1,0 +1,1 @@
+"""The river's course, reproducible random numbers."""

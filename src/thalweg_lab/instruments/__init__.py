@@ -1,0 +1,1 @@
+"""What the instruments of the twin measure, with errors that are known."""

@@ -1,0 +1,250 @@
+"""The INS: attitudes with slowly varying errors, a single-frequency position, and its ANPP log.
+
+The sigmas that the log states (packets 20 and 26) are those of the settings, the published ones by default: a
+real unit does not know of the fields of the motors or of its drift either. The velocities of packet 20 have
+errors that vary slowly, too; no packet of this log states their sigma.
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from thalweg.core.errors import ConfigError
+from thalweg.core.frames import R_ENU_NED, LocalFrame, roll_pitch_heading
+from thalweg.core.types import ArrayF
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.base.random import gauss_markov, generator
+from thalweg_lab.instruments.attitude_errors import attitude_errors_rad, unstated_heading_errors_rad
+from thalweg_lab.instruments.echo import true_depth_m
+from thalweg_lab.instruments.effects import damage_file
+from thalweg_lab.instruments.magnetic import EARTH_NED_MG, boat_field_mg
+from thalweg_lab.instruments.stamps import unix_us
+from thalweg_lab.river.scene import Scene
+from thalweg_lab.voyage.motion import LEAD_S, Motion, epochs
+from thalweg_lab.voyage.motions import motion_of
+from thalweg_lab.voyage.truth import write_effects
+from thalweg_lab.writers import anpp
+from thalweg_lab.writers.nmea import moment
+
+_CHUNK: Final = 5000
+_GRAVITY_MPS2: Final = 9.81
+_STATUS_READY: Final = 0b0010_0000_0111 | 2 << 4
+"""Orientation, INS and heading initialised, 3D fix, internal GNSS on."""
+_STATUS_UTC: Final = 0b1000
+_GYRO_NOISE_RADPS: Final = np.deg2rad(0.05)
+_ACCEL_NOISE_MPS2: Final = 0.01
+_MAGNETIC_NOISE_MG: Final = 0.5
+
+
+def simulate_ins(
+    config: TwinConfig,
+    seed: int,
+    frame: LocalFrame,
+    out_anpp: Path,
+    *,
+    scene: Path | None = None,
+    lever_ics_echo_m: ArrayLike | None = None,
+    motion: Motion | None = None,
+    out_effects: Path | None = None,
+) -> dict[str, Any]:
+    """Record the motion with the INS and write its ANPP log.
+
+    Attitudes refer to the vertical and the north at the boat, positions to the ics origin. Packets: 20 at
+    the rate of the settings, each with 26 and 28; 21 and 22 once a second; 3 at the beginning.
+
+    Parameters
+    ----------
+    config : section ``twin``.
+    seed : seed of the campaign.
+    frame : the world frame.
+    out_anpp : target.
+    scene, lever_ics_echo_m : file of `simulate_scene` and true place of the transducer; needed only if
+        ``twin.ins.depth_rate_hz`` asks for depth packets.
+    motion : of the boat; None: what the configuration asks for, see `motion_of`.
+    out_effects : where to write what was done to the log (JSON), beside the truth.
+
+    Returns
+    -------
+    facts : numbers of states and depth packets, drifts, fields of the boat, the heading error that no sigma
+        states (RMS and extremes), and the defects of the log.
+
+    Raises
+    ------
+    ConfigError : depth packets are asked for, but scene or lever arm is not given; a leap second falls into
+        the recording.
+    """
+    ins = config.ins
+    motion = motion_of(config, seed) if motion is None else motion
+    t = epochs(config, ins.rate_hz)
+    depth = _depth_packets(config, seed, motion, t, scene, lever_ics_echo_m)
+    boat_field = boat_field_mg(ins, _thrust(config, motion, t))
+    unstated = unstated_heading_errors_rad(config, motion, t, boat_field)
+    attitude = attitude_errors_rad(config, seed, t, motion.start_gps_s)
+    attitude[:, 2] += unstated
+    rng = generator(seed, "ins position")
+    position_error = np.stack(
+        [gauss_markov(rng, len(t), 1.0 / ins.rate_hz, s, ins.position_time_s) for s in ins.sigma_position_m],
+        axis=1,
+    )
+    velocity_error = velocity_errors_mps(config, seed, len(t))
+    bias = np.deg2rad(ins.gyro_bias_degps) * generator(seed, "ins gyro bias").standard_normal(3)
+    noise = generator(seed, "ins raw")
+    out_anpp.parent.mkdir(parents=True, exist_ok=True)
+    with out_anpp.open("wb") as file:
+        file.write(anpp.device_information(4400, 1000, (20, 21, 512)))
+        for first in range(0, len(t), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            rows = _rows(
+                motion, frame, t[part], attitude[part], position_error[part], velocity_error[part],
+                boat_field[part], bias, noise,
+            )  # fmt: skip
+            for row, extra in zip(rows, depth[part], strict=True):
+                file.write(_packets(config, row) + extra)
+    facts = {
+        "states": len(t),
+        "depths": sum(1 for extra in depth if extra),
+        "utc_known_after_s": config.effects.ins_clock_late_s,
+        "heading_drift_degpmin": ins.heading_drift_degpmin,
+        "standing_drift_degpmin": ins.standing_drift_degpmin,
+        "gyro_bias_degps": np.rad2deg(bias).tolist(),
+        "hard_iron_mg": list(ins.hard_iron_mg),
+        "motor_field_mg": [list(field) for field in ins.motor_field_mg],
+        "boat_field_max_mg": float(np.linalg.norm(boat_field, axis=1).max(initial=0.0)),
+        "unstated_heading_error_deg": _extent_deg(unstated),
+        **damage_file(out_anpp, "ins", config.effects, generator(seed, "ins effects")),
+    }
+    write_effects(out_effects, "ins", facts)
+    return facts
+
+
+def velocity_errors_mps(config: TwinConfig, seed: int, n: int) -> ArrayF:
+    """Errors (n, 3) of the velocity north, east, down: Gauss-Markov processes."""
+    ins = config.ins
+    rng = generator(seed, "ins velocity")
+    axes = [
+        gauss_markov(rng, n, 1.0 / ins.rate_hz, ins.sigma_velocity_mps, ins.velocity_time_s) for _ in range(3)
+    ]
+    return np.stack(axes, axis=1)
+
+
+def _thrust(config: TwinConfig, motion: Motion, t: ArrayF) -> ArrayF:
+    """Thrust (n, 2) of the motors, where their field asks for it."""
+    return motion.thrust(t) if np.any(config.ins.motor_field_mg) else np.zeros((len(t), 2))
+
+
+def _extent_deg(errors_rad: ArrayF) -> dict[str, float]:
+    """RMS, least and greatest of errors, degrees."""
+    degrees = np.rad2deg(errors_rad)
+    return {
+        "rms": float(np.sqrt(np.mean(degrees**2))),
+        "min": float(degrees.min()),
+        "max": float(degrees.max()),
+    }
+
+
+def _depth_packets(
+    config: TwinConfig,
+    seed: int,
+    motion: Motion,
+    t: ArrayF,
+    scene: Path | None,
+    lever_ics_echo_m: ArrayLike | None,
+) -> list[bytes]:
+    """The depth packet that follows each state, empty where there is none."""
+    out = [b""] * len(t)
+    if config.ins.depth_rate_hz == 0:
+        return out
+    if scene is None or lever_ics_echo_m is None:
+        raise ConfigError(
+            f"twin.ins.depth_rate_hz is {config.ins.depth_rate_hz}, but no scene and lever arm are given",
+            expected="the scene and the place of the echo sounder",
+            cure="Set twin.ins.depth_rate_hz to 0: the depths are in the NMEA log",
+        )
+    every = max(1, round(config.ins.rate_hz / config.ins.depth_rate_hz))
+    sigma = config.echo.sigma_m
+    depth = true_depth_m(motion, Scene.read(scene), t[::every], lever_ics_echo_m)
+    depth = depth + generator(seed, "ins depth").normal(0.0, sigma, len(depth))
+    for i, value in enumerate(depth.tolist()):
+        if np.isfinite(value) and 0 < value <= config.echo.max_depth_m:
+            out[i * every] = anpp.external_depth(value, sigma)
+    return out
+
+
+def _rows(
+    motion: Motion,
+    frame: LocalFrame,
+    t: ArrayF,
+    attitude_error: ArrayF,
+    position_error: ArrayF,
+    velocity_error: ArrayF,
+    boat_field_mg: ArrayF,
+    gyro_bias_radps: ArrayF,
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """What the INS reports at its epochs, as plain lists."""
+    lat, lon, height = frame.to_geodetic(motion.position_wcs_m(t) + position_error)
+    R_wcs_ics = motion.R_wcs_ics(t)
+    R_wcs_enu = frame.R_wcs_enu(lat, lon)
+    R_enu_ics = np.swapaxes(R_wcs_enu, 1, 2) @ R_wcs_ics
+    angles = np.stack(roll_pitch_heading(R_enu_ics), axis=1) + attitude_error
+    angles[:, 2] = np.mod(angles[:, 2], 2 * np.pi)
+    to_enu = np.swapaxes(R_wcs_enu, 1, 2)
+    velocity_ned = np.einsum("nij,nj->ni", to_enu, motion.velocity_wcs_mps(t)) @ R_ENU_NED.T
+    acceleration = np.einsum("nij,nj->ni", to_enu, motion.velocity_wcs_mps(t, 2))
+    to_body = np.swapaxes(R_enu_ics, 1, 2)
+    body = np.einsum("nij,nj->ni", to_body, acceleration)
+    force = np.einsum("nij,nj->ni", to_body, acceleration + np.array([0.0, 0.0, _GRAVITY_MPS2]))
+    rates = motion.rates_ics_radps(t)
+    magnetic = np.einsum("nij,j->ni", to_body, R_ENU_NED @ EARTH_NED_MG) + boat_field_mg
+    n = len(t)
+    columns: dict[str, Any] = {
+        "since_start": t - motion.start_gps_s,
+        "unix_us": unix_us(motion.config, t),
+        "place": np.stack([np.deg2rad(lat), np.deg2rad(lon), height], axis=1),
+        "velocity": velocity_ned + velocity_error,
+        "acceleration": body,
+        "g": np.linalg.norm(force, axis=1) / 9.80665,
+        "angles": angles,
+        "rates": rates + rng.normal(0, _GYRO_NOISE_RADPS / 5, (n, 3)),
+        "accel_raw": force + rng.normal(0, _ACCEL_NOISE_MPS2, (n, 3)),
+        "gyro_raw": rates + gyro_bias_radps + rng.normal(0, _GYRO_NOISE_RADPS, (n, 3)),
+        "magnetic": magnetic + rng.normal(0, _MAGNETIC_NOISE_MG, (n, 3)),
+    }
+    plain = {name: value.tolist() for name, value in columns.items()}
+    return [dict(zip(plain, values, strict=True)) for values in zip(*plain.values(), strict=True)]
+
+
+def _packets(config: TwinConfig, row: dict[str, Any]) -> bytes:
+    ins = config.ins
+    running_s = row["since_start"] + LEAD_S + 1.0
+    synchronised = row["since_start"] >= config.effects.ins_clock_late_s or (
+        config.effects.ins_clock_late_s == 0
+    )
+    unix_us = row["unix_us"] if synchronised else round(running_s * 1e6)
+    status = _STATUS_READY | (_STATUS_UTC if synchronised else 0)
+    east, north, up = ins.sigma_position_m
+    out = anpp.system_state(
+        0,
+        status,
+        unix_us,
+        row["place"],
+        row["velocity"],
+        row["acceleration"],
+        row["g"],
+        row["angles"],
+        row["rates"],
+        (north, east, up),
+    )
+    sigmas = np.deg2rad([ins.sigma_roll_deg, ins.sigma_pitch_deg, ins.sigma_heading_deg]).tolist()
+    out += anpp.orientation_sigma(sigmas)
+    out += anpp.raw_sensors(row["accel_raw"], row["gyro_raw"], row["magnetic"], 31.0, 98_100.0, 29.5)
+    if unix_us % 1_000_000 < 1_000_000 / ins.rate_hz:
+        when = moment(unix_us)
+        day = when.timetuple().tm_yday - 1
+        out += anpp.unix_time(unix_us)
+        out += anpp.formatted_time(
+            when.microsecond, when.year, day, when.month - 1, when.day, (when.hour, when.minute, when.second)
+        )
+    return out

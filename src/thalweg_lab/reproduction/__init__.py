@@ -1,0 +1,1 @@
+"""The ledger: published numbers beside those of the twin."""

@@ -1,0 +1,1 @@
+"""The river of the twin: terrain, stones, plants, buildings, water."""

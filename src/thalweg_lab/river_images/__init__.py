@@ -1,0 +1,1 @@
+"""Views of the river as a camera on the boat would see it."""

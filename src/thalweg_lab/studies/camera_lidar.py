@@ -1,0 +1,281 @@
+"""Camera-lidar calibrations of the twin over many seeds: are the errors small, and are the sigmas honest?
+
+Each seed is a calibration of its own: field, mounts, beams and marks err anew. The lidar is that of the
+recordings, in memory; marks are where the pictures would show them, with errors, so that thousands of
+pictures need not be drawn. Everything after that is the campaign's: the bundle of the reference pictures,
+that of the boat's camera with static pictures and run, and the errors that poses and cones share.
+"""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import lru_cache
+from multiprocessing import get_context
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+from thalweg.calibration.camera_lidar.adjustment import CameraLidar, calibrate_camera_lidar
+from thalweg.calibration.camera_lidar.input import cone_references, nominal_orientation
+from thalweg.calibration.camera_lidar.model import FieldErrors
+from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
+from thalweg.calibration.camera_lidar.statics import Statics
+from thalweg.calibration.cones.fit import ConeReference
+from thalweg.calibration.cones.selection import Position
+from thalweg.calibration.field.description import FieldDescription
+from thalweg.core.errors import GeometryError, ThalwegError
+from thalweg.core.rigid import Rigid
+from thalweg.lidar.covariance import BeamErrors
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.studies.camera_lidar_pictures import Pictures, photographed_field
+from thalweg_lab.voyage.true_mounts import true_mounts
+from thalweg_lab.yard_images.images import mount_of
+from thalweg_lab.yard_records.scan import static_scan
+
+MOUNTS: Final[dict[str, Any]] = {
+    name: {
+        "omega_deg": omega,
+        "phi_deg": phi,
+        "kappa_deg": 0.0,
+        "lever_ics_m": lever,
+        "sigma_axes": "ics",
+        **dict.fromkeys(("sigma_omega_deg", "sigma_phi_deg", "sigma_kappa_deg"), sigma_deg),
+        "sigma_lever_m": [0.02, 0.02, 0.02],
+    }
+    for name, omega, phi, lever, sigma_deg in (
+        ("lidar", 0.0, -90.0, [-0.350, 0.0, -0.250], 1.0),
+        ("camera", 90.0, 0.0, [-0.250, -0.100, -0.180], 1.0),
+    )
+}
+"""Nominal mounts with what a ruler and the eye are worth."""
+
+BEAM: Final = BeamErrors(sigma_component_m=0.0173, divergence_rad=0.003, footprint_share=0.177)
+ERRORS: Final = (
+    "lever_x_mm",
+    "lever_y_mm",
+    "lever_z_mm",
+    "rotation_x_deg",
+    "rotation_y_deg",
+    "rotation_z_deg",
+)
+_UNITS: Final = np.array([1e3, 1e3, 1e3, *np.rad2deg([1.0, 1.0, 1.0])])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudySettings:
+    """What the calibrations of a study are like.
+
+    Parameters
+    ----------
+    positions : numbers of the static positions, from 1.
+    revolutions : of the lidar at each position; 10 a second.
+    pictures : of the field, by the reflex camera and by that of the boat.
+    effects : of the section ``twin.field.effects``, such as ``passers_by``.
+    calibration : settings of the adjustment.
+    """
+
+    positions: tuple[int, ...] = (1, 2, 3)
+    revolutions: int = 10
+    pictures: Pictures = field(default_factory=Pictures)
+    effects: Mapping[str, Any] = field(default_factory=dict)
+    calibration: CameraLidarSettings = field(default_factory=CameraLidarSettings)
+
+
+CASES: Final[dict[str, StudySettings]] = {
+    "one revolution": StudySettings(revolutions=1),
+    "five seconds": StudySettings(revolutions=50),
+    "one position": StudySettings(revolutions=50, positions=(1,)),
+    "static pictures alone": StudySettings(revolutions=50, pictures=Pictures(run_images=0)),
+    "people, 5 % wrong marks": StudySettings(
+        revolutions=50, pictures=Pictures(wrong_marks=0.05), effects={"passers_by": 3}
+    ),
+}
+"""Calibrations of the study: three positions each, if not said otherwise."""
+
+PUBLISHED: Final = (1.0, 0.4, 0.2, 0.067, 0.035, 0.015)
+"""Sigmas of P2 Table 1: millimetres of X, Y, Z and degrees of omega, phi, kappa."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """Input of a calibration, and the truth."""
+
+    references: list[ConeReference]
+    positions: list[Position]
+    errors: FieldErrors
+    nominal: Rigid
+    truth: Rigid
+
+
+def all_cases(seeds: Sequence[int], *, processes: int = 1) -> pd.DataFrame:
+    """`camera_lidar_study` of all `CASES`, with the column ``case``."""
+    if processes > 1:
+        shares = [list(seeds)[i::processes] for i in range(processes)]
+        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+            parts = [part for parts in pool.map(_cases_of, shares) for part in parts]
+    else:
+        parts = _cases_of(seeds)
+    table = pd.concat(parts, ignore_index=True)
+    order = {name: k for k, name in enumerate(CASES)}
+    return table.sort_values(["case", "seed"], key=lambda c: c.map(order) if c.name == "case" else c,
+                             ignore_index=True)  # fmt: skip
+
+
+def _cases_of(seeds: Sequence[int]) -> list[pd.DataFrame]:
+    """Seed by seed, because cases share the pictures of a seed."""
+    return [
+        camera_lidar_study([seed], settings).assign(case=name)
+        for seed in seeds
+        for name, settings in CASES.items()
+    ]
+
+
+def as_markdown(study: pd.DataFrame) -> str:
+    """Page of the study: medians of errors and sigmas of each case, and whether the sigmas are honest."""
+    lines = [
+        "# Camera and lidar by cones: errors and sigmas over many seeds",
+        "",
+        "Medians. Errors are lengths of lever arm and rotation vector; the normalised square error has the",
+        "expectation 1 and lies in the band with 95 % if the covariances are right.",
+        "",
+        "| case | seeds | error mm | error deg | sigmas mm | sigmas deg | normalised | band |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, part in study.groupby("case", sort=False):
+        s = summary(part)
+        sigmas = [s[f"median_sigma_{error}"] for error in ERRORS]
+        failed = f" ({s['failures']:.0f} failed)" if s["failures"] else ""
+        lines.append(
+            f"| {name} | {s['seeds']:.0f}{failed} | {s['median_error_lever_mm']:.2f} "
+            f"| {s['median_error_rotation_deg']:.3f} | {_joined(sigmas[:3], 2)} | {_joined(sigmas[3:], 3)} "
+            f"| {s['normalised']:.2f} | {s['band_low']:.2f} to {s['band_high']:.2f} |"
+        )
+    lines.append(f"| P2 Table 1 | | | | {_joined(PUBLISHED[:3], 1)} | {_joined(PUBLISHED[3:], 3)} | | |")
+    return "\n".join(lines) + "\n"
+
+
+def _joined(values: Sequence[float], digits: int) -> str:
+    return ", ".join(f"{v:.{digits}f}" for v in values)
+
+
+def camera_lidar_study(seeds: Sequence[int], settings: StudySettings) -> pd.DataFrame:
+    """One line a seed: errors and sigmas of the orientation, normalised square error, or the failure.
+
+    Parameters
+    ----------
+    seeds : of the calibrations.
+    settings : of all of them.
+    """
+    lines = []
+    for seed in seeds:
+        try:
+            trial = simulated_trial(seed, settings)
+            result = calibrate_camera_lidar(
+                trial.references, trial.positions, trial.nominal, settings.calibration, errors=trial.errors
+            )
+        except ThalwegError as error:
+            lines.append({"seed": seed, "failure": str(error)})
+            continue
+        lines.append({"seed": seed, "failure": "", **judged(result, trial.truth)})
+    return pd.DataFrame(lines)
+
+
+def judged(result: CameraLidar, truth: Rigid) -> dict[str, Any]:
+    """Errors of a result against the truth."""
+    error = result.T_ccs_scs.error_from(truth)
+    sigma = np.sqrt(np.diag(result.T_ccs_scs.cov))
+    return {
+        **dict(zip(ERRORS, (error * _UNITS).tolist(), strict=True)),
+        **{f"sigma_{name}": s for name, s in zip(ERRORS, (sigma * _UNITS).tolist(), strict=True)},
+        "error_lever_mm": 1e3 * float(np.linalg.norm(error[:3])),
+        "error_rotation_deg": float(np.rad2deg(np.linalg.norm(error[3:]))),
+        "normalised": float(error @ np.linalg.solve(result.T_ccs_scs.cov, error)) / 6.0,
+        "sigma0": float(np.sqrt(result.adjusted.sigma0_squared)),
+        "points": int(result.residuals["points"].sum()),
+        "cones": len(result.cones),
+        "left_out": int(np.sum(~result.detection["found"] & (result.detection["predicted"] > 0))),
+    }
+
+
+def summary(study: pd.DataFrame, level: float = 0.05) -> dict[str, float]:
+    """Numbers of a study: medians of errors and sigmas, and the band of the mean normalised square error.
+
+    ``normalised`` has the expectation 1; ``band_low`` and ``band_high`` hold its mean with ``1 - level`` if
+    the covariances are right (chi-square with six degrees of freedom a seed).
+    """
+    good = study[study["failure"] == ""]
+    n = 6 * len(good)
+    return {
+        "seeds": len(study),
+        "failures": len(study) - len(good),
+        "median_error_lever_mm": float(good["error_lever_mm"].median()),
+        "median_error_rotation_deg": float(good["error_rotation_deg"].median()),
+        **{f"median_sigma_{name}": float(good[f"sigma_{name}"].median()) for name in ERRORS},
+        **{f"mean_error_{name}": float(good[name].mean()) for name in ERRORS},
+        "normalised": float(good["normalised"].mean()),
+        "band_low": float(chi2.ppf(level / 2, n)) / n,
+        "band_high": float(chi2.ppf(1 - level / 2, n)) / n,
+    }
+
+
+def summary_table(study: pd.DataFrame) -> pd.DataFrame:
+    """`summary` of each case: one row a ``case``."""
+    rows = [{"case": name, **summary(part)} for name, part in study.groupby("case", sort=False)]
+    return pd.DataFrame(rows)
+
+
+def simulated_trial(seed: int, settings: StudySettings) -> Trial:
+    """Observations of one calibration.
+
+    Raises
+    ------
+    GeometryError : the pictures do not give a field, or no pose of a position.
+    """
+    config = _twin(tuple(sorted(settings.effects.items())))
+    mounts = true_mounts(MOUNTS, seed, on=True)
+    lidar, camera = mount_of(mounts["lidar"]), mount_of(mounts["camera"])
+    known, statics = _photographed(seed, tuple(sorted(settings.effects.items())), settings.pictures)
+    images = [f"position_{number}" for number in settings.positions]
+    lost = {image: statics.lost[image] for image in images if image in statics.lost}
+    if lost:
+        raise GeometryError(f"no pose of {lost}", expected="a pose of each position")
+    positions = []
+    for number, image in zip(settings.positions, images, strict=True):
+        scan = static_scan(
+            config,
+            seed,
+            number,
+            R_ics_scs=lidar.R,
+            lever_ics_scs_m=lidar.shift_m,
+            revolutions=settings.revolutions,
+        )
+        pose = statics.poses[statics.images.index(image)]
+        reflectivity = scan.reflectivity.astype(np.float64)
+        positions.append(Position.measured(image, pose, scan.points_scs_m, BEAM, reflectivity))
+    return Trial(
+        references=cone_references(known, statics.points),
+        positions=positions,
+        errors=statics.errors(known, images),
+        nominal=nominal_orientation(MOUNTS),
+        truth=camera.inverse() @ lidar,
+    )
+
+
+def _twin(effects: tuple[tuple[str, Any], ...]) -> TwinConfig:
+    return TwinConfig.model_validate(
+        {
+            "size": "field",
+            "field": {"effects": dict(effects)},
+        }
+    )
+
+
+@lru_cache(maxsize=2)
+def _photographed(
+    seed: int, effects: tuple[tuple[str, Any], ...], pictures: Pictures
+) -> tuple[FieldDescription, Statics]:
+    """What cases of one seed share."""
+    camera = mount_of(true_mounts(MOUNTS, seed, on=True)["camera"])
+    return photographed_field(_twin(effects), seed, camera, (1, 2, 3), pictures)

@@ -1,0 +1,284 @@
+"""Calibration runs past cones at the level of observations: what the sensors of a moving boat say, no files.
+
+For studies over many seeds. A boat turns and sways between cones; a VLP-16 meets the cones, the ground and,
+on request, a passer-by; positions and attitudes err as processes in time. Beams are aimed near the cones,
+because most beams of a real scanner meet none. The intersection of beam and cone is written out here, not
+taken from the model that is tested.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from thalweg.calibration.cones.cone import Cone
+from thalweg.calibration.ins_lidar.model import AntennaPoint
+from thalweg.calibration.ins_lidar.run_points import FieldCones
+from thalweg.core.frames import LocalFrame, roll_pitch_heading, rotation_enu_body, rotation_opk
+from thalweg.core.rigid import Rigid
+from thalweg.core.trajectory import Trajectory
+from thalweg.core.types import ArrayB, ArrayF
+from thalweg_lab.base.random import drawn, gauss_markov, generator
+
+START_S: Final = 4.0e8
+FRAME: Final = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+LEVER_ANTENNA_M: Final = np.array([0.100, 0.0, -0.450])
+ELEVATIONS_RAD: Final = np.deg2rad(np.arange(-15.0, 16.0, 2.0))
+TRUE_MOUNT: Final = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), [-0.350, 0.0, -0.250]).moved(
+    np.r_[0.004, -0.006, 0.003, np.deg2rad([0.8, -1.1, 0.6])]
+)
+SIGMA_CONE: Final = np.r_[np.full(3, 0.0003), np.full(2, np.deg2rad(0.03)), np.deg2rad(0.02)]
+COV_FIELD: Final = np.diag(np.square(np.r_[0.004, 0.004, 0.006, np.deg2rad([0.03, 0.03, 0.03])]))
+
+_INS_HZ: Final = 50.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSpec:
+    """What kind of run.
+
+    Parameters
+    ----------
+    duration_s : of the run.
+    points : beams that are aimed near cones.
+    turning : whether the boat turns; else it keeps its heading.
+    sigma_position_m, sigma_attitude_deg : of the trajectory.
+    position_time_s, attitude_time_s, white_share : see `thalweg.calibration.ins_lidar.pose_errors`.
+    reference_scale : sizes of the errors of field and cones, in units of the usual ones.
+    noise_m, across_m : of a point along and in each direction across its beam; None: the same.
+    footprint_rad : noise in each direction across the beam that grows with the distance, for each metre.
+    tails : degrees of freedom of Student's distribution instead of normal errors.
+    slow_heading_deg, slow_heading_time_s : one more error of the heading, which lasts.
+    gnss_hz : rate of the positions.
+    wrong : share of points that lie anywhere near the cones.
+    passer_by : a person stands in front of a cone for a sixth of the run.
+    """
+
+    duration_s: float = 60.0
+    points: int = 12_000
+    turning: bool = True
+    sigma_position_m: tuple[float, float, float] = (0.020, 0.020, 0.030)
+    sigma_attitude_deg: tuple[float, float, float] = (0.1, 0.1, 0.2)
+    position_time_s: float = 10.0
+    attitude_time_s: float = 20.0
+    white_share: float = 0.25
+    reference_scale: float = 1.0
+    noise_m: float = 0.0173
+    across_m: float | None = None
+    footprint_rad: float = 0.0
+    tails: float | None = None
+    slow_heading_deg: float = 0.0
+    slow_heading_time_s: float = 100.0
+    gnss_hz: float = 10.0
+    wrong: float = 0.0
+    passer_by: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConeRun:
+    """A run as its sensors report it, and what is true.
+
+    ``xyz_scs_m`` (n, 3), ``t_gps_s`` (n,), ``trajectory``, ``cones`` and ``T_wcs_pcs`` as measured,
+    ``antenna`` seen from the scanner as measured; ``true_mount``; ``true_cones`` in pcs; ``true_T_wcs_pcs``.
+    """
+
+    xyz_scs_m: ArrayF
+    t_gps_s: ArrayF
+    trajectory: Trajectory
+    cones: FieldCones
+    T_wcs_pcs: Rigid
+    antenna: AntennaPoint
+    true_mount: Rigid
+    true_cones: FieldCones
+    true_T_wcs_pcs: Rigid
+
+
+def yard_cones() -> FieldCones:
+    """Six cones in wcs on both sides of the middle, in different distances, heights and directions."""
+    places = np.array([
+        [3.2, 0.8, 0.5], [4.6, -1.5, 1.5], [6.2, 0.6, 2.1],
+        [-3.4, -0.7, 0.8], [-5.0, 1.4, 1.9], [-6.5, -0.4, 0.4],
+    ])  # fmt: skip
+    azimuths = np.deg2rad([38.0, 150.0, 0.0, 225.0, 330.0, 312.0])
+    cones = []
+    for k, (place, azimuth) in enumerate(zip(places, azimuths, strict=True)):
+        upright = k == 2
+        axis = np.array([0.0, 0.0, -1.0]) if upright else np.array([np.sin(azimuth), np.cos(azimuth), 0.05])
+        axis = axis / np.linalg.norm(axis)
+        # axes lead away from the boat, 35 to 50 degrees off the line of sight: the surface is seen
+        cones.append(Cone(apex_m=place - 0.35 * axis, axis=axis, half_angle_rad=np.deg2rad(25.0)))
+    return FieldCones(
+        names=tuple(f"C{k + 1}" for k in range(6)), cones=tuple(cones), length_m=np.full(6, 0.70)
+    )
+
+
+def make_run(seed: int, spec: RunSpec | None = None, *, move: dict[str, ArrayF] | None = None) -> ConeRun:
+    """A run of a seed.
+
+    Parameters
+    ----------
+    seed : of all random numbers.
+    spec : kind of run.
+    move : cones that were changed after they were measured, and by what: (6,) as `Cone.moved` takes it.
+    """
+    s = spec or RunSpec()
+    t, true_R, true_position = _motion(s)
+    measured = _trajectory(seed, s, t, true_R, true_position)
+    in_wcs = yard_cones()
+    rng = generator(seed, "field")
+    T = Rigid(R=rotation_opk(0.02, -0.03, 0.7), shift_m=np.array([1.0, -2.0, 0.3]))
+    true_pcs = replace(
+        in_wcs,
+        cones=tuple(cone.in_frame(T.inverse()) for cone in in_wcs.cones),
+    )
+    sigma_cone, cov_field = SIGMA_CONE * s.reference_scale, COV_FIELD * s.reference_scale**2
+    changes = rng.standard_normal((6, 6)) * sigma_cone
+    stated = tuple(cone.moved(d) for cone, d in zip(true_pcs.cones, changes, strict=True))
+    cones = FieldCones(
+        names=true_pcs.names,
+        cones=tuple(replace(cone, cov=np.diag(sigma_cone**2)) for cone in stated),
+        length_m=true_pcs.length_m,
+    )
+    T_stated = T.moved(np.linalg.cholesky(cov_field) @ rng.standard_normal(6)).with_cov(cov_field)
+    standing = list(true_pcs.cones)
+    for name, change in (move or {}).items():
+        k = true_pcs.names.index(name)
+        standing[k] = standing[k].moved(change)
+    xyz, at = _shots(seed, s, t, true_R, true_position, [c.in_frame(T) for c in standing], in_wcs.length_m)
+    cov = np.diag(np.square([0.001, 0.001, 0.001]))
+    seen = TRUE_MOUNT.inverse().apply(LEVER_ANTENNA_M[None])[0]
+    antenna = AntennaPoint(x_scs_m=seen + 0.001 * generator(seed, "antenna").standard_normal(3), cov_m2=cov)
+    return ConeRun(
+        xyz_scs_m=xyz, t_gps_s=at, trajectory=measured, cones=cones, T_wcs_pcs=T_stated, antenna=antenna,
+        true_mount=TRUE_MOUNT, true_cones=true_pcs, true_T_wcs_pcs=T,
+    )  # fmt: skip
+
+
+def _motion(s: RunSpec) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Times (n,), attitudes (n, 3, 3) and positions (n, 3) of the ics origin."""
+    n = int(s.duration_s * _INS_HZ) + 1
+    since = np.arange(n) / _INS_HZ
+    turn = 2 * np.pi * since / 40.0 if s.turning else np.zeros(n)
+    heading = turn + 0.05 * np.sin(0.9 * since)
+    R = rotation_enu_body(np.deg2rad(4) * np.sin(1.7 * since), np.deg2rad(3) * np.sin(1.3 * since), heading)
+    out = 0.8 * np.sin(2 * np.pi * since / 31.0)
+    position = np.column_stack([
+        out * np.cos(turn), 0.9 * np.cos(2 * np.pi * since / 23.0) - out * np.sin(turn),
+        0.6 + 0.05 * np.sin(2.1 * since),
+    ])  # fmt: skip
+    return START_S + since, R, position
+
+
+def _trajectory(seed: int, s: RunSpec, t: ArrayF, R: ArrayF, position: ArrayF) -> Trajectory:
+    """What INS and GNSS say of the motion."""
+    rng = generator(seed, "ins")
+    errors = [
+        gauss_markov(rng, len(t), 1 / _INS_HZ, np.deg2rad(sigma), s.attitude_time_s, s.tails)
+        for sigma in s.sigma_attitude_deg
+    ]
+    if s.slow_heading_deg:
+        slow = generator(seed, "slow heading")
+        errors[2] = errors[2] + gauss_markov(
+            slow, len(t), 1 / _INS_HZ, np.deg2rad(s.slow_heading_deg), s.slow_heading_time_s
+        )
+    roll, pitch, heading = roll_pitch_heading(R)
+    stated = rotation_enu_body(roll + errors[0], pitch + errors[1], heading + errors[2])
+    rng = generator(seed, "gnss")
+    epochs = np.arange(t[0] - 1.0, t[-1] + 1.05, 1 / s.gnss_hz)
+    error = np.column_stack([
+        sigma * (np.sqrt(1 - s.white_share)
+        * gauss_markov(rng, len(epochs), 1 / s.gnss_hz, 1.0, s.position_time_s, s.tails)
+        + np.sqrt(s.white_share) * drawn(rng, len(epochs), s.tails))
+        for sigma in s.sigma_position_m
+    ])  # fmt: skip
+    antenna = position + R @ LEVER_ANTENNA_M + CubicSpline(epochs, error)(t)
+    return Trajectory(
+        frame=FRAME,
+        t_gps_s=t,
+        position_wcs_m=antenna - stated @ LEVER_ANTENNA_M,
+        quaternion_wcs_ics=Rotation.from_matrix(stated).as_quat(),
+        cov_pose_wcs=np.zeros((len(t), 6, 6)),
+        valid=np.ones(len(t), dtype=np.bool_),
+    )
+
+
+def _shots(
+    seed: int, s: RunSpec, t: ArrayF, R: ArrayF, position: ArrayF, cones: list[Cone], length_m: ArrayF
+) -> tuple[ArrayF, ArrayF]:
+    """Points (n, 3) in scs and their times (n,)."""
+    rng = generator(seed, "lidar")
+    at = np.sort(rng.uniform(t[0], t[-1], s.points))
+    right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
+    u = ((at - t[right - 1]) / (t[right] - t[right - 1]))[:, None]
+    place = position[right - 1] * (1 - u) + position[right] * u
+    step = Rotation.from_matrix(R[right - 1]).inv() * Rotation.from_matrix(R[right])
+    turned = (Rotation.from_matrix(R[right - 1]) * Rotation.from_rotvec(step.as_rotvec() * u)).as_matrix()
+    R_scs = turned @ TRUE_MOUNT.R
+    origin = place + turned @ TRUE_MOUNT.shift_m
+    middle = np.array([c.apex_m + 0.5 * h * c.axis for c, h in zip(cones, length_m, strict=True)])
+    aim = middle[rng.integers(len(cones), size=len(at))] + rng.uniform(-0.55, 0.55, (len(at), 3))
+    toward = np.einsum("nji,nj->ni", R_scs, aim - origin)
+    elevation = np.arcsin(toward[:, 2] / np.linalg.norm(toward, axis=1))
+    ring = np.clip(np.round((np.rad2deg(elevation) + 15) / 2), 0, 15).astype(int)
+    there = np.abs(elevation - ELEVATIONS_RAD[ring]) < np.deg2rad(1.01)
+    azimuth, w = np.arctan2(toward[:, 0], toward[:, 1]), ELEVATIONS_RAD[ring]
+    beam_scs = np.column_stack([np.cos(w) * np.sin(azimuth), np.cos(w) * np.cos(azimuth), np.sin(w)])
+    beam = np.einsum("nij,nj->ni", R_scs, beam_scs)
+    first = np.cross(beam, np.eye(3)[np.argmin(np.abs(beam), axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    across_m = np.hypot(
+        s.noise_m if s.across_m is None else s.across_m,
+        s.footprint_rad * np.linalg.norm(aim - origin, axis=1),
+    )
+    beside = drawn(rng, (len(at), 2), s.tails) * across_m[:, None]
+    from_ = origin + beside[:, :1] * first + beside[:, 1:] * np.cross(beam, first)
+    way = np.full(len(at), np.inf)
+    for cone, h in zip(cones, length_m, strict=True):
+        way = np.minimum(way, _meet(cone, float(h), from_, beam))
+    with np.errstate(divide="ignore"):
+        ground = np.where(beam[:, 2] < 0, -from_[:, 2] / beam[:, 2], np.inf)
+    way = np.minimum(way, np.where(ground > 0, ground, np.inf))
+    if s.passer_by:
+        way = _blocked(at, t, from_, beam, way, middle[1])
+    way = way + drawn(rng, len(at), s.tails) * s.noise_m
+    wrong = rng.uniform(size=len(at)) < s.wrong
+    stray = np.linalg.norm(aim - origin, axis=1) + rng.uniform(-0.5, 0.5, len(at))
+    way = np.where(wrong, stray, way)
+    there &= way < 30.0
+    return (way[:, None] * beam_scs)[there], at[there]
+
+
+def _meet(cone: Cone, length_m: float, origin: ArrayF, beam: ArrayF) -> ArrayF:
+    """Way (n,) along beams to the shell of a cone: root of ``(d.u)^2 = cos^2 |d|^2``; infinite if missed."""
+    d = origin - cone.apex_m
+    c2 = np.cos(cone.half_angle_rad) ** 2
+    bu, du = beam @ cone.axis, d @ cone.axis
+    a, b = bu**2 - c2, bu * du - c2 * np.sum(beam * d, axis=1)
+    with np.errstate(invalid="ignore"):
+        root = np.sqrt(b * b - a * (du**2 - c2 * np.sum(d * d, axis=1)))
+    ways = np.stack([(-b - root) / a, (-b + root) / a])
+    height = du + ways * bu
+    # the closed base hides the inside: only entries count, and the base is no surface of the cone
+    base = (length_m - du) / bu
+    on_base = (
+        np.sum(np.square(d + base[:, None] * beam - length_m * cone.axis), axis=1)
+        < (length_m * np.tan(cone.half_angle_rad)) ** 2
+    )
+    good = (height > 0) & (height < length_m) & (ways > 0)
+    way = np.min(np.where(good, ways, np.inf), axis=0)
+    hidden: ArrayB = on_base & (base > 0) & (base < way)
+    return np.asarray(np.where(hidden, base, way))
+
+
+def _blocked(at: ArrayF, t: ArrayF, origin: ArrayF, beam: ArrayF, way: ArrayF, cone: ArrayF) -> ArrayF:
+    """Way with an upright cylinder, a person, 0.4 m before a cone for a sixth of the run."""
+    middle = cone[:2] * (1 - 0.45 / np.linalg.norm(cone[:2]))
+    there = (at > t[0] + 0.3 * (t[-1] - t[0])) & (at < t[0] + 0.47 * (t[-1] - t[0]))
+    d, b = origin[:, :2] - middle, beam[:, :2]
+    bb, bd = np.sum(b * b, axis=1), np.sum(b * d, axis=1)
+    with np.errstate(invalid="ignore"):
+        root = np.sqrt(bd**2 - bb * (np.sum(d * d, axis=1) - 0.22**2))
+    hit = (-bd - root) / bb
+    return np.where(there & (hit > 0) & (hit < way), hit, way)

@@ -1,0 +1,353 @@
+"""Are the covariances of an image block honest on rendered pictures? Blocks of many seeds against the truth.
+
+Each seed is a reach, a voyage, boards and pictures of its own. They go the campaign's way: masks, features,
+structure from motion, boards measured in the pictures, adjustment with control points. Errors of matches are
+then those that pictures have, and no model of them. In short pieces of a voyage and small pictures, because
+a study needs many::
+
+    fit, judged = block_study(range(1, 9), folder), block_study(range(21, 29), folder)
+    print(as_markdown(fit, judged))
+
+The variance of what images tell of the lens (``images.adjustment.interior_variance``) was chosen on one set
+of blocks; the others judge it. From a shell: ``make study NAME=image_block_study``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+from thalweg.core.errors import ThalwegError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.rigid import exp_rotation, rotation_vector
+from thalweg.core.types import ArrayF
+from thalweg.images.bundle.adjustment import Adjusted
+from thalweg.images.bundle.control_job import grey_loader, marks_of_campaign, mask_loader
+from thalweg.images.bundle.interior import with_shared_errors
+from thalweg.images.bundle.job import adjust_campaign
+from thalweg.images.bundle.result import pose_covariance
+from thalweg.images.bundle.run import Oriented
+from thalweg.images.control.tables import read_control_points
+from thalweg.images.masks.images import make_masks
+from thalweg.images.masks.settings import MaskSettings
+from thalweg.images.model.block import ImageBlock
+from thalweg.images.model.poses import ImagePoses
+from thalweg.images.sfm.features import FeatureSettings, extract_features
+from thalweg.images.sfm.mapping import MapSettings, main_block, map_images
+from thalweg.images.sfm.report import image_table
+from thalweg.images.sfm.start import Known, match_images
+from thalweg.ingest.photos.stamps import list_images
+from thalweg.settings.images.block import BlockAdjustment
+from thalweg.settings.images.block import ControlPoints as ControlSection
+from thalweg.settings.images.masks import Masks
+from thalweg.settings.images.sfm import Features, Mapping
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg.settings.twin.time_lapse import TwinTimeLapse
+from thalweg_lab.base.random import generator
+from thalweg_lab.river.scene import build_scene
+from thalweg_lab.time_lapse.record import simulate_time_lapse
+
+FRAME: Final = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+MOUNTS: Final[dict[str, Any]] = {
+    "camera": {"omega_deg": -89.6, "phi_deg": 0.3, "kappa_deg": 179.5, "lever_ics_m": [-0.25, 0.10, -0.18]}
+}
+PREDICTED_M: Final = 0.1
+PREDICTED_RAD: Final = 0.005
+"""Errors of the predicted poses: a trajectory, a clock read by eye, a mount by hand."""
+
+FACTORS: Final = (1.0, 1.5, 2.0, 3.0, 4.0)
+"""Variances of what images tell of the lens over that by the model of their errors, for each block."""
+DEFAULT_FACTOR: Final[float] = BlockAdjustment().interior_variance
+
+_NUMBERS: Final = (
+    "single", "joint", "independent", "rms_mm", "sigma_mm", "rms_mdeg", "sigma_mdeg", "check",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockSpec:
+    """Pictures of a study: size, rate, share of the tiny voyage, number of boards (every third checks)."""
+
+    size_px: tuple[int, int] = (480, 360)
+    rate_hz: float = 2.0
+    share: float = 0.6
+    n_targets: int = 6
+
+
+def rendered_block(seed: int, folder: Path, spec: BlockSpec | None = None) -> tuple[Oriented, ImagePoses]:
+    """Render, measure and adjust one block, what the images tell of the lens taken as it is; its files stay.
+
+    Returns
+    -------
+    oriented : the adjusted block.
+    truth : true poses of all pictures.
+    """
+    spec = BlockSpec() if spec is None else spec
+    folder.mkdir(parents=True, exist_ok=True)
+    lapse = TwinTimeLapse(
+        size_px=spec.size_px, rate_hz=spec.rate_hz, share=spec.share, n_targets=spec.n_targets
+    )
+    build_scene(TwinConfig.of_size("tiny"), seed).write(folder / "scene.npz")
+    simulate_time_lapse(
+        TwinConfig.of_size("tiny"), lapse, seed, FRAME, folder / "scene.npz", MOUNTS, folder / "pictures",
+        folder / "targets.csv", out_poses=folder / "truth.parquet", out_truth=folder / "truth.json",
+    )  # fmt: skip
+    truth = ImagePoses.read(folder / "truth.parquet")
+    expected = _predicted(truth, seed)
+    block, reasons = _mapped(folder, seed)
+    control = ControlSection(board_m=lapse.target_size_m).model_dump()
+    points = read_control_points(folder / "targets.csv", FRAME, crs=None, sigma_m=control["sigma_m"])
+    measured = marks_of_campaign(
+        block, points, expected, control, tables=[], grey=grey_loader([folder / "pictures"]),
+        mask=mask_loader(None),
+    )  # fmt: skip
+    measured.table.to_csv(folder / "marks.csv", index=False, float_format="%.4f")
+    oriented, _, _ = adjust_campaign(
+        block, expected, frame=FRAME, crs=None,
+        adjustment=BlockAdjustment(interior_variance=1.0).model_dump(), control=control,
+        control_points=[folder / "targets.csv"], marks=folder / "marks.csv", known=None, boat=None,
+        reasons=reasons,
+    )  # fmt: skip
+    return oriented, truth
+
+
+def _predicted(truth: ImagePoses, seed: int) -> ImagePoses:
+    """What trajectory, clock and mount would tell of the poses."""
+    rng, n = generator(seed, "study predicted poses"), len(truth.images)
+    sigma = np.repeat([PREDICTED_M, PREDICTED_RAD], 3)
+    error = sigma * rng.standard_normal((n, 6))
+    return replace(
+        truth,
+        centre_wcs_m=truth.centre_wcs_m + error[:, :3],
+        R_wcs_ccs=exp_rotation(error[:, 3:]) @ truth.R_wcs_ccs,
+        cov_pose_wcs=np.tile(np.diag(sigma**2), (n, 1, 1)),
+    )
+
+
+def _mapped(folder: Path, seed: int) -> tuple[ImageBlock, dict[str, str]]:
+    """The block by structure from motion, and why a picture is not in it."""
+    files, mapping = list_images([folder / "pictures"]), Mapping().model_dump()
+    make_masks(files, folder / "masks", MaskSettings.from_section(Masks().model_dump(), seed), None)
+    features = extract_features(
+        files, masks=folder / "masks", settings=FeatureSettings.from_section(Features().model_dump()),
+        threads=1,
+    )  # fmt: skip
+    matches = match_images(features, files, known=Known(), section=mapping, threads=1)
+    mapped = map_images(matches, settings=MapSettings.from_section(mapping), threads=1)
+    table = image_table(matches, mapped)
+    reasons = dict(zip(table["image"], table["reason"], strict=True))
+    return main_block(mapped, reasons), reasons
+
+
+def counted(adjusted: Adjusted, factor: float) -> Adjusted:
+    """A block adjusted with a factor of 1, as if ``images.adjustment.interior_variance`` had been another.
+
+    Parts of the block that contradict each other have raised the factor already; both add up.
+    """
+    present = adjusted.interior_variance
+    cov = with_shared_errors(
+        adjusted.problem, adjusted.layout, adjusted.x, adjusted.cov / adjusted.cov_scale,
+        (present - 1.0 + factor) / present,
+    )  # fmt: skip
+    return replace(adjusted, cov=cov * adjusted.cov_scale, interior_variance=present - 1.0 + factor)
+
+
+def pose_errors(adjusted: Adjusted, truth: ImagePoses) -> tuple[ArrayF, ArrayF]:
+    """Errors (i, 6) that move the poses to the true ones, and their joint covariance (6 i, 6 i)."""
+    row = {name: k for k, name in enumerate(truth.images)}
+    kept = np.flatnonzero(~adjusted.lost_images)
+    at = [row[adjusted.problem.block.images[k]] for k in kept]
+    shift = truth.centre_wcs_m[at] - adjusted.x.C[kept] - adjusted.origin_m
+    turn = rotation_vector(truth.R_wcs_ccs[at] @ np.swapaxes(adjusted.x.R[kept], 1, 2))
+    rows = (6 * kept[:, None] + np.arange(6)).ravel()
+    return np.concatenate([shift, turn], axis=1), pose_covariance(adjusted)[np.ix_(rows, rows)]
+
+
+def normalised(error: ArrayF, cov: ArrayF) -> tuple[float, float, float]:
+    """Mean normalised square of single poses, that of all poses together, and what the former is worth.
+
+    Parameters
+    ----------
+    error : (i, 6).
+    cov : (6 i, 6 i), of all of them.
+
+    Returns
+    -------
+    single, joint : both 1 on average if the covariance is right.
+    independent : number of independent errors whose mean square scatters as ``single`` does. Images of a
+        block err alike, so these are much fewer than 6 i; ``joint`` has 6 i.
+    """
+    n = len(error)
+    own = cov.reshape(n, 6, n, 6)[np.arange(n), :, np.arange(n)]
+    weight = np.linalg.inv(own)
+    single = np.einsum("ka,kab,kb->k", error, weight, error)
+    whole = error.ravel()
+    # the variance of a quadratic form e^T W e of normal errors is twice the trace of (W C)^2
+    product = np.einsum("iab,ibjc->iajc", weight, cov.reshape(n, 6, n, 6)).reshape(6 * n, 6 * n)
+    independent = (6 * n) ** 2 / float(np.einsum("ij,ji->", product, product))
+    return float(single.mean() / 6), float(whole @ np.linalg.solve(cov, whole) / len(whole)), independent
+
+
+def block_study(seeds: Sequence[int], folder: Path, spec: BlockSpec | None = None) -> pd.DataFrame:
+    """One line for each seed and factor of `FACTORS`.
+
+    Columns ``seed, factor, images``; ``single, joint, independent`` as of `normalised`; ``rms_mm, sigma_mm,
+    rms_mdeg, sigma_mdeg`` (root mean squares of coordinates and angles and of their sigmas); ``check,
+    check_points`` (mean normalised square of a coordinate, and how many points); ``notes``; ``failure``: why
+    there is no result, else empty.
+    """
+    return pd.DataFrame([row for seed in seeds for row in _rows(seed, folder / str(seed), spec)])
+
+
+def read_blocks(files: Sequence[Path]) -> pd.DataFrame:
+    """Tables of `block_study` that were written as CSV, one below the other."""
+    rows = pd.concat([pd.read_csv(path) for path in files], ignore_index=True)
+    return rows.assign(**{name: rows[name].astype(object).fillna("") for name in ("notes", "failure")})
+
+
+def _rows(seed: int, folder: Path, spec: BlockSpec | None) -> list[dict[str, Any]]:
+    """Of one block."""
+    row: dict[str, Any] = {"seed": seed, "images": 0, **dict.fromkeys(_NUMBERS, np.nan), "check_points": 0}
+    try:
+        oriented, truth = rendered_block(seed, folder, spec)
+    except ThalwegError as failure:
+        told = {"notes": "", "failure": " ".join(str(failure).split())}
+        return [{**row, "factor": factor} | told for factor in FACTORS]
+    return [{**row, "factor": factor} | _numbers(oriented, truth, factor) for factor in FACTORS]
+
+
+def _numbers(oriented: Oriented, truth: ImagePoses, factor: float) -> dict[str, Any]:
+    """Of one block with one factor."""
+    error, cov = pose_errors(counted(oriented.adjusted, factor), truth)
+    single, joint, independent = normalised(error, cov)
+    sigma = np.sqrt(np.diag(cov)).reshape(-1, 6)
+    check = oriented.adjusted.problem.control.check
+    told = oriented.control.test[check & np.isfinite(oriented.control.test)]
+    return {
+        "images": len(error), "single": single, "joint": joint, "independent": independent,
+        "rms_mm": 1e3 * _rms(error[:, :3]), "sigma_mm": 1e3 * _rms(sigma[:, :3]),
+        "rms_mdeg": 1e3 * _rms(np.degrees(error[:, 3:])), "sigma_mdeg": 1e3 * _rms(np.degrees(sigma[:, 3:])),
+        "check": float(told.mean() / 3) if len(told) else np.nan, "check_points": len(told),
+        "notes": "; ".join(oriented.notes), "failure": "",
+    }  # fmt: skip
+
+
+def _rms(values: ArrayF) -> float:
+    return float(np.sqrt(np.square(values).mean()))
+
+
+def pooled(table: pd.DataFrame) -> pd.DataFrame:
+    """What all blocks say together, by one factor.
+
+    Returns
+    -------
+    table : rows ``single poses``, ``all poses jointly``, ``check points``; columns ``normalised`` (mean
+        normalised square), ``independent`` (independent errors behind it), ``low, high``: where it lies with
+        95 % if the covariances are right. Blocks count alike for single poses, and by their number of errors
+        otherwise; three coordinates of a check point count as independent.
+    """
+    good = table[table["single"].notna()]
+    errors = 6 * good["images"].to_numpy(np.float64)
+    checks = 3 * good["check_points"].to_numpy(np.float64)
+    n = len(good)
+    rows = {
+        "single poses": (good["single"].mean(), n**2 / float((1 / good["independent"]).sum()) if n else 0.0),
+        "all poses jointly": _weighted(good["joint"], errors),
+        "check points": _weighted(good["check"].fillna(0.0), checks),
+    }
+    out = pd.DataFrame(rows.values(), index=pd.Index(rows, name="of"), columns=["normalised", "independent"])
+    out["low"], out["high"] = chi2.ppf([[0.025], [0.975]], out["independent"]) / out["independent"].to_numpy()
+    return out
+
+
+def _weighted(values: pd.Series, degrees: ArrayF) -> tuple[float, float]:
+    total = float(degrees.sum())
+    return float(np.sum(values.to_numpy() * degrees)) / total if total else np.nan, total
+
+
+def by_factor(table: pd.DataFrame) -> pd.DataFrame:
+    """`pooled` for each factor: columns ``of, factor, normalised, independent, low, high``."""
+    rows = [pooled(own).reset_index().assign(factor=factor) for factor, own in table.groupby("factor")]
+    out = pd.concat(rows, ignore_index=True)
+    return out[["of", "factor", "normalised", "independent", "low", "high"]]
+
+
+def fitted_factor(table: pd.DataFrame) -> tuple[float, float, float]:
+    """The factor at which single poses have a mean normalised square of 1, and where it lies with 95 %.
+
+    Between the factors of the table on straight lines; at its ends it stays.
+    """
+    single = by_factor(table).set_index("of").loc[["single poses"]].sort_values("factor")
+    value = single["normalised"].to_numpy()[::-1]
+    factors = single["factor"].to_numpy()[::-1]
+    low, high = single[["high", "low"]].mean()
+    return tuple(float(np.interp(at, value, factors)) for at in (1.0, low, high))  # type: ignore[return-value]
+
+
+def summary(fit: pd.DataFrame, judged: pd.DataFrame) -> pd.DataFrame:
+    """`by_factor` of both sets of blocks, with a column ``blocks``: ``fitted`` or ``judged``."""
+    parts = [by_factor(table).assign(blocks=name) for name, table in (("fitted", fit), ("judged", judged))]
+    return pd.concat(parts, ignore_index=True)[
+        ["blocks", "of", "factor", "normalised", "independent", "low", "high"]
+    ]
+
+
+def as_markdown(fit: pd.DataFrame, judged: pd.DataFrame) -> str:
+    """Page of the study: the blocks that chose the factor, those that judge it, and all factors."""
+    best, low, high = fitted_factor(fit)
+    lines = [
+        "# Image blocks on rendered pictures: errors and sigmas over seeds of the digital twin",
+        "",
+        "Each block goes the campaign's way from pictures to poses; errors are against the truth of the",
+        "digital twin. Normalised squares are 1 on average if the covariances are right, and lie in the band",
+        "with 95 %. Images of a block err alike: the table says how many independent errors stand behind the",
+        "mean of single poses.",
+        "",
+        "What the images tell of the lens counts with a larger variance than their residuals say, by",
+        "`images.adjustment.interior_variance`. The first blocks fit it: "
+        f"{best:.1f} ({low:.1f} to {high:.1f}).",
+        f"The others, which chose no number, judge the default of {DEFAULT_FACTOR:g}.",
+        "",
+        f"## Blocks that the factor is fitted on, with {DEFAULT_FACTOR:g}",
+        "",
+        *_blocks(fit[fit["factor"] == DEFAULT_FACTOR]),
+        "",
+        f"## Blocks that judge it, with {DEFAULT_FACTOR:g}",
+        "",
+        *_blocks(judged[judged["factor"] == DEFAULT_FACTOR]),
+        "",
+        "## All factors",
+        "",
+        "| blocks | of | factor | normalised | independent errors | band |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    lines += [
+        f"| {row['blocks']} | {row['of']} | {row['factor']:g} | {row['normalised']:.2f} "
+        f"| {row['independent']:.0f} | {row['low']:.2f} to {row['high']:.2f} |"
+        for row in summary(fit, judged).to_dict("records")
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _blocks(table: pd.DataFrame) -> list[str]:
+    """A line for each block, of one factor."""
+    lines = [
+        "| seed | images | single poses | independent | jointly | position rms (sigma) mm | rotation rms "
+        "(sigma) 0.001 deg | check points | remark |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in table.to_dict("records"):
+        if row["failure"]:
+            lines.append(f"| {row['seed']} | | | | | | | | failed: {row['failure']} |")
+            continue
+        checks = f"{row['check']:.2f} ({row['check_points']})" if row["check_points"] else "none"
+        lines.append(
+            f"| {row['seed']} | {row['images']} | {row['single']:.2f} | {row['independent']:.0f} "
+            f"| {row['joint']:.2f} | {row['rms_mm']:.0f} ({row['sigma_mm']:.0f}) "
+            f"| {row['rms_mdeg']:.0f} ({row['sigma_mdeg']:.0f}) | {checks} | {row['notes']} |"
+        )
+    return lines

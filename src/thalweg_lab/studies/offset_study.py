@@ -1,0 +1,293 @@
+"""Why does a boat's cloud lie behind the reference? Each cause switched on alone, and all of them together.
+
+P2 found its points 5 to 6 cm behind the mesh of a terrestrial scanner, and names as possible causes: plants,
+which both scanners see differently, and the bank's slope together with the boat's wide beam, which makes
+mixed signals (P2 section 7). In the digital twin each of them can be switched on alone (C312). A cause
+explains the change of the mean distance that it makes, survey by survey: the same seed shoots the same shots
+from the same places, so that most of the noise cancels. Errors of poses and mounts are off but in the rows
+that name them; they have no mean over many surveys, and a few seeds would not show one of some millimetres
+beside them.
+
+Distances are positive in front of the reference, toward the boat, and negative behind it.
+"""
+
+import logging
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings, after_motion, compare_with_mesh
+from thalweg.accuracy.cloud_to_mesh.registration import register
+from thalweg.core.errors import GeometryError
+from thalweg.surface.area import Area
+from thalweg.surface.cloud_to_mesh import Surface
+from thalweg_lab.studies.survey import BARE, process, record, reference_mesh, survey_settings
+
+PUBLISHED_M: Final = (-0.06, -0.05)
+"""Mean distance of P2: 6 cm in its section 6.2, 5 cm in its section 7; points lie behind the reference."""
+
+STATIONS: Final = 3
+MAX_POINTS: Final = 50_000
+
+_STEEP: Final[dict[str, Any]] = {
+    "size": "demo",
+    "duration_s": 12.0,
+    "scene": BARE | {
+        "length_m": 70.0, "width_m": 30.0, "grid_m": 0.1, "embankment_slope_deg": 60.0, "roughness_m": 0.0,
+        "leaves_per_bush": 300, "leaves_per_tree": 1500, "bridge": False, "weir": False,
+    },
+    "boat": {"speed_mps": 2.0, "turn_rate_degps": 20.0},
+    "lidar": {"divergence_mrad": 0.0, "mixed_pixels": False, "mirror_ghosts": False},
+    "ins": {"sigma_roll_deg": 0.001, "sigma_pitch_deg": 0.001, "sigma_heading_deg": 0.001},
+    "gnss": {"sigma_m": (0.001, 0.001, 0.001), "shadow": False},
+    "tls": {"spacing_m": 0.05},
+    "effects": {"mount_errors": False},
+}  # fmt: skip
+"""Bare, smooth bank, as steep as the twin makes one: nearly across the beams. No beam width, true poses."""
+
+_SLOPE: Final[dict[str, Any]] = {"scene": {"embankment_slope_deg": 33.0}}
+_WIDE: Final[dict[str, Any]] = {"lidar": {"divergence_mrad": 3.0}}
+_MIXED: Final[dict[str, Any]] = {"lidar": {"mixed_pixels": True}}
+_RELIEF: Final[dict[str, Any]] = {"scene": {"roughness_m": 0.06}}
+_STONES: Final[dict[str, Any]] = {"scene": {"stones_per_m": 20.0, "cobbles_per_m": 100.0}}
+_GRASS: Final[dict[str, Any]] = {"scene": {"grass_per_m": 40.0, "reeds_per_m": 6.0}}
+_BUSHES: Final[dict[str, Any]] = {"scene": {"bushes_per_100m": 100.0}}
+_TREES: Final[dict[str, Any]] = {"scene": {"trees_per_100m": 14.0}}
+_GHOSTS: Final[dict[str, Any]] = {"lidar": {"mirror_ghosts": True}}
+_POSES: Final[dict[str, Any]] = {
+    "ins": {"sigma_roll_deg": 0.1, "sigma_pitch_deg": 0.1, "sigma_heading_deg": 0.2, "attitude_time_s": 1.0},
+    "gnss": {"sigma_m": (0.020, 0.020, 0.030), "correlation_time_s": 1.0},
+    "effects": {"mount_errors": True},
+}
+
+
+def _joined(*changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Changes of section ``twin`` one over the other."""
+    out: dict[str, Any] = {}
+    for change in changes:
+        for key, value in change.items():
+            below = out.get(key)
+            out[key] = {**below, **value} if isinstance(below, dict) and isinstance(value, Mapping) else value
+    return out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """One row of the study.
+
+    Parameters
+    ----------
+    name : in the table.
+    against : name of the row that it is compared with; empty: with none.
+    twin, reference : sections of the campaign file.
+    """
+
+    name: str
+    against: str
+    twin: Mapping[str, Any]
+    reference: Mapping[str, Any] = field(default_factory=dict)
+
+
+_BASE: Final = "bare bank of 60 degrees"
+_SLOPED: Final = "slope of 33 degrees"
+_NARROW: Final = "footprint of 3 mrad"
+_BEAM_NAME: Final = "mixed pixels"
+_POSE_ROW: Final = "errors of poses and mounts"
+_SCENERY: Final = "all but poses and mounts"
+_ALL: Final = "all together"
+_LEFT_IN: Final = "plants left in the reference"
+
+_BEAM: Final = _joined(_STEEP, _SLOPE, _WIDE, _MIXED)
+_WHOLE: Final = _joined(_BEAM, _RELIEF, _STONES, _GRASS, _BUSHES, _TREES, _GHOSTS)
+
+EFFECTS: Final = (
+    Effect(name=_BASE, against="", twin=_STEEP),
+    Effect(name=_SLOPED, against=_BASE, twin=_joined(_STEEP, _SLOPE)),
+    Effect(name=_NARROW, against=_SLOPED, twin=_joined(_STEEP, _SLOPE, _WIDE)),
+    Effect(name=_BEAM_NAME, against=_NARROW, twin=_BEAM),
+    Effect(name="relief of the bank", against=_BEAM_NAME, twin=_joined(_BEAM, _RELIEF)),
+    Effect(name="stones", against=_BEAM_NAME, twin=_joined(_BEAM, _STONES)),
+    Effect(name="grass and reeds", against=_BEAM_NAME, twin=_joined(_BEAM, _GRASS)),
+    Effect(name="bushes", against=_BEAM_NAME, twin=_joined(_BEAM, _BUSHES)),
+    Effect(name="trees", against=_BEAM_NAME, twin=_joined(_BEAM, _TREES)),
+    Effect(name="mirror ghosts", against=_BEAM_NAME, twin=_joined(_BEAM, _GHOSTS)),
+    Effect(name=_POSE_ROW, against=_BEAM_NAME, twin=_joined(_BEAM, _POSES)),
+    Effect(name=_SCENERY, against=_BASE, twin=_WHOLE),
+    Effect(name=_ALL, against=_BASE, twin=_joined(_WHOLE, _POSES)),
+    Effect(name=_LEFT_IN, against=_SCENERY, twin=_WHOLE, reference={"clearance_m": None}),
+)
+"""Rows in the order of the table: the base, each cause alone, everything, and a reference with its plants."""
+
+SINGLE: Final = tuple(e.name for e in EFFECTS if e.name not in (_BASE, _SCENERY, _ALL, _LEFT_IN))
+"""Rows that are one cause alone."""
+
+PER_SURVEY: Final = ("n", "mean_m", "median_m", "rmse_m", "behind", "mean_registered_m", "rmse_registered_m")
+"""What is kept of each survey: points, their signed distances, the share of points behind the reference,
+and the same after the cloud was fitted to the reference by a rigid motion (NaN where that failed)."""
+
+
+def distances(seed: int, folder: Path, effect: Effect) -> dict[str, float]:
+    """Statistics of the distances of one survey, see `PER_SURVEY`. Its files are deleted again."""
+    logging.getLogger("thalweg").setLevel(logging.ERROR)
+    settings = survey_settings(effect.twin, seed=seed, reference=effect.reference)
+    logs = record(settings, folder, stations=STATIONS)
+    survey = process(logs)
+    surface = Surface(reference_mesh(logs, survey.trajectory.position_wcs_m)[0])
+    how = ComparisonSettings.from_sections(
+        {**settings["accuracy"], "max_points": MAX_POINTS}, settings["reference"]
+    )
+    table, _ = compare_with_mesh(survey.points, surface.mesh, area=Area(), settings=how, surface=surface)
+    logs.remove()
+    d = table.loc[table["used"], "distance_m"].to_numpy()
+    try:
+        motion = register(table, surface, how).motion
+    except GeometryError:
+        fitted = np.full(1, np.nan)
+    else:
+        places = motion.apply(table[["east_m", "north_m", "up_m"]].to_numpy())
+        moved = after_motion(table, places, surface, how)
+        fitted = moved.loc[moved["used"], "distance_m"].to_numpy()
+    values = (
+        len(d), np.mean(d), np.median(d), np.sqrt(np.mean(d**2)), np.mean(d < 0),
+        np.mean(fitted), np.sqrt(np.mean(fitted**2)),
+    )  # fmt: skip
+    return {name: float(value) for name, value in zip(PER_SURVEY, values, strict=True)}
+
+
+def offset_study(
+    folder: Path, *, seeds: Sequence[int] = range(6), effects: Sequence[Effect] = EFFECTS, processes: int = 2
+) -> pd.DataFrame:
+    """Survey each effect with each seed and say what it adds to the mean distance.
+
+    Parameters
+    ----------
+    folder : for files of the surveys, which are deleted again.
+    seeds : at least two.
+    effects : rows; the one that a row is compared with must be among them.
+    processes : surveys at a time.
+
+    Returns
+    -------
+    One row an effect: ``effect``, ``against``, ``seeds``; ``explains_m``, the change of the mean against the
+    other row, with ``sigma_explains_m``; ``n`` points of all surveys; ``mean_m``, ``median_m``, ``rmse_m``
+    and the share ``behind`` the reference, means over the surveys, with ``sigma_mean_m`` of the mean;
+    ``mean_registered_m`` with its sigma and ``rmse_registered_m`` after a rigid fit of each cloud, which
+    ``fitted`` of the surveys allowed. All sigmas come from the spread over the seeds.
+    """
+    jobs = [(effect, seed) for effect in effects for seed in seeds]
+    # Spawned: numba's threads do not survive a fork.
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        running = [
+            pool.submit(distances, seed, folder / f"{number}", effect)
+            for number, (effect, seed) in enumerate(jobs)
+        ]
+        found = [job.result() for job in running]
+    of = {e.name: pd.DataFrame(found[k * len(seeds) : (k + 1) * len(seeds)]) for k, e in enumerate(effects)}
+    return pd.DataFrame([_row(effect, of) for effect in effects])
+
+
+def _row(effect: Effect, of: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+    """Row of the table from the surveys (one row a seed) of each effect."""
+    own, root = of[effect.name], np.sqrt(len(of[effect.name]))
+    change = own["mean_m"] - of[effect.against]["mean_m"] if effect.against else own["mean_m"] * np.nan
+    return {
+        "effect": effect.name,
+        "against": effect.against,
+        "seeds": len(own),
+        "explains_m": change.mean(),
+        "sigma_explains_m": change.std(ddof=1) / root,
+        "n": int(own["n"].sum()),
+        "mean_m": own["mean_m"].mean(),
+        "sigma_mean_m": own["mean_m"].std(ddof=1) / root,
+        "median_m": own["median_m"].mean(),
+        "rmse_m": np.sqrt((own["rmse_m"] ** 2).mean()),
+        "behind": own["behind"].mean(),
+        "fitted": int(own["mean_registered_m"].notna().sum()),
+        "mean_registered_m": own["mean_registered_m"].mean(),
+        "sigma_mean_registered_m": own["mean_registered_m"].sem(),
+        "rmse_registered_m": np.sqrt((own["rmse_registered_m"] ** 2).mean()),
+    }
+
+
+def as_markdown(table: pd.DataFrame) -> str:
+    """The table of `offset_study` as a page for people, in millimetres, with P2's figure and a conclusion."""
+    columns = (
+        "effect", "against", "explains, mm", "mean, mm", "median, mm", "RMSE, mm", "behind, %",
+        "registered: mean, mm", "RMSE, mm", "points",
+    )  # fmt: skip
+    lines = [
+        "# Why does the cloud lie off the reference? (digital twin)",
+        "",
+        conclusion(table),
+        "",
+        "Distances from the mesh of terrestrial scans; positive: in front of it, negative: behind. Means of "
+        f"{int(table['seeds'].max())} surveys with the standard error of their spread; a cause explains the "
+        "change of the mean against another row, survey by survey.",
+        "",
+        "| " + " | ".join(columns) + " |",
+        "|" + " --- |" * 2 + " ---: |" * (len(columns) - 2),
+    ]
+    lines += [
+        f"| {row['effect']} | {row['against']} | {_mm(row, 'explains')} | {_mm(row, 'mean')} "
+        f"| {1e3 * row['median_m']:+.1f} | {1e3 * row['rmse_m']:.1f} | {100 * row['behind']:.1f} "
+        f"| {_mm(row, 'mean_registered')} | {1e3 * row['rmse_registered_m']:.1f} | {row['n']:,} |"
+        for row in _records(table)
+    ]
+    low, high = (1e3 * value for value in PUBLISHED_M)
+    lines.append(f"| *P2, Mulde* | | | {low:+.0f} to {high:+.0f} | | 140 | | | | 218,000 |")
+    return "\n".join(lines) + "\n"
+
+
+def conclusion(table: pd.DataFrame) -> str:
+    """What the numbers say, in a few words: how large the offset is, which causes make it, which do not.
+
+    Causes are named if they move the mean by more than twice the standard error of that, largest first.
+    """
+    rows = {row["effect"]: row for row in _records(table)}
+    whole = rows.get(_SCENERY, _records(table)[-1])
+    side = "in front of" if whole["mean_m"] > 0 else "behind"
+    single = sorted((rows[name] for name in SINGLE if name in rows), key=lambda r: -abs(r["explains_m"]))
+    clear = [r for r in single if abs(r["explains_m"]) > 2 * r["sigma_explains_m"]]
+    named = ", ".join(f"{r['effect']} {_mm(r, 'explains')}" for r in clear) or "none"
+    rest = ", ".join(r["effect"] for r in single if r not in clear) or "none"
+    words = (
+        f"On average the points lie {1e3 * abs(whole['mean_m']):.0f} mm {side} the reference "
+        f"({whole['effect']}). Causes that move the mean, in mm: {named}. Not told from zero: {rest}."
+    )
+    if _LEFT_IN in rows:
+        left = rows[_LEFT_IN]
+        words += f" If plants stay in the reference, the mean is {_mm(left, 'mean')} mm"
+        other = left["mean_m"] * whole["mean_m"] < 0
+        words += ": what is taken for the reference's surface decides on the sign." if other else "."
+    if _POSE_ROW in rows:
+        words += _scatter(rows[_POSE_ROW])
+    return words + " P2 found its points 50 to 60 mm behind."
+
+
+def _scatter(row: Mapping[str, Any]) -> str:
+    """How far the mean of one survey is off by errors of its poses and mounts, before and after a fit."""
+    before = 1e3 * row["sigma_mean_m"] * np.sqrt(row["seeds"])
+    after = 1e3 * row["sigma_mean_registered_m"] * np.sqrt(row["fitted"])
+    return (
+        f" Errors of poses and mounts have no mean, but that of one survey scatters by {before:.0f} mm with "
+        f"them (standard deviation over the seeds; {after:.0f} mm after a rigid fit to the reference)."
+    )
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table by the names of its columns."""
+    return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]
+
+
+def _mm(row: Mapping[str, Any], name: str) -> str:
+    """A mean with its standard error in millimetres."""
+    value, sigma = 1e3 * row[f"{name}_m"], 1e3 * row[f"sigma_{name}_m"]
+    if np.isnan(value):
+        return ""
+    return f"{value:+.1f}" if np.isnan(sigma) else f"{value:+.1f} ± {sigma:.1f}"

@@ -1,0 +1,165 @@
+"""An image of the light-sheet sensor, from the true geometry forwards to grey values."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.types import ArrayF32, ArrayU8
+from thalweg.lightsheet.optics.sensor import Sensor
+from thalweg.settings.twin.light_sheet import Chip, SheetImage
+from thalweg_lab.tank.background import daylight, veil
+from thalweg_lab.tank.fans import Fan
+from thalweg_lab.tank.glow import glow, light_to_dn
+from thalweg_lab.tank.speckle import SpeckleOptics, SpeckleTile
+from thalweg_lab.tank.splat import splat
+from thalweg_lab.tank.surfaces import Posed
+
+_LARGEST_DN: Final = 255.0
+_TILE_PX: Final = 512
+_GLARE_WIDTH_PX: Final = 2048
+
+
+@dataclass(frozen=True, slots=True)
+class Darkroom:
+    """What images of one sensor have in common: exposure and a tile of speckle.
+
+    ``dn_per_light`` see `light_to_dn`; ``tile`` None without speckle.
+    """
+
+    dn_per_light: float
+    tile: SpeckleTile | None
+
+    @classmethod
+    def of(cls, sensor: Sensor, settings: SheetImage, rng: np.random.Generator) -> "Darkroom":
+        """From the generator of the cause ``speckle``."""
+        tile = None
+        if settings.speckle:
+            tile = SpeckleTile.make(speckle_optics(settings), rng, size_px=_TILE_PX)
+        return cls(light_to_dn(sensor, settings), tile)
+
+
+def speckle_optics(settings: SheetImage) -> SpeckleOptics:
+    """What decides about the speckle of an image."""
+    return SpeckleOptics(
+        wavelength_nm=settings.laser.wavelength_nm,
+        f_number=settings.lens.f_number,
+        pixel_um=settings.lens.pixel_um,
+        polarisations=settings.polarisations,
+    )
+
+
+def laser_light(
+    sensor: Sensor, surface: Posed, settings: SheetImage, fans: Sequence[Fan] | None = None
+) -> ArrayF32:
+    """Light (h, w) of all sheets without speckle, in the unit of `glow`."""
+    width, height = sensor.camera.size_px
+    image = np.zeros((height, width), dtype=np.float32)
+    for fan in fans if fans is not None else (sensor.sheet,):
+        points = glow(sensor, surface, fan, settings)
+        splat(image, points.xy_px, points.light, points.sigma_px)
+    return image
+
+
+def render_sheet_image(
+    sensor: Sensor,
+    surface: Posed,
+    settings: SheetImage,
+    generator: np.random.Generator,
+    *,
+    fans: Sequence[Fan] | None = None,
+    darkroom: Darkroom | None = None,
+) -> ArrayU8:
+    """One image.
+
+    Parameters
+    ----------
+    sensor : the true one, in the true water.
+    surface : what lies under it.
+    settings : light, lens, water, sensor.
+    generator : of this image; speckle and noise take a child each, so that one effect never shifts the other.
+    fans : light sheets that are lit, None: that of the sensor.
+    darkroom : for a series of images of one sensor, None: made for this one.
+
+    Returns
+    -------
+    (h, w) uint8 for ``bayer`` (RGGB: the first pixel is red) and ``mono``, (h, w, 3) red, green, blue for
+    ``rgb``.
+    """
+    for_speckle, for_tile, for_noise = generator.spawn(3)
+    room = darkroom or Darkroom.of(sensor, settings, for_tile)
+    used = list(fans) if fans is not None else [sensor.sheet]
+    laser = laser_light(sensor, surface, settings, used)
+    if room.tile is not None:
+        _speckled(laser, room.tile.moved(for_speckle))
+    if settings.water.scatter_per_m > 0:
+        for fan in used:
+            laser += veil(sensor, surface, fan, settings)
+    laser *= np.float32(room.dn_per_light)
+    light = _on_pixels(laser, _daylight_dn(sensor, surface, settings), settings.chip)
+    light += np.float32(settings.water.veil_dn)
+    if settings.lens.glare > 0:
+        _glare(light, settings)
+    return _developed(_exposed(light, settings.chip, for_noise), settings.chip)
+
+
+def _speckled(laser: ArrayF32, tile: SpeckleTile) -> None:
+    """Speckle where there is light; a pixel's pattern depends on its place only."""
+    rows, columns = np.flatnonzero(laser.any(axis=1)), np.flatnonzero(laser.any(axis=0))
+    if len(rows):
+        top, left = int(rows[0]), int(columns[0])
+        part = laser[top : int(rows[-1]) + 1, left : int(columns[-1]) + 1]
+        part *= tile.window(top, left, *part.shape)
+
+
+def _daylight_dn(sensor: Sensor, surface: Posed, settings: SheetImage) -> ArrayF32 | None:
+    if settings.chip.ambient_dn == 0:
+        return None
+    return daylight(sensor, surface, settings) * np.float32(settings.chip.ambient_dn)
+
+
+def _on_pixels(laser: ArrayF32, ambient: ArrayF32 | None, chip: Chip) -> ArrayF32:
+    """Light (h, w) that each pixel gets through its own colour filter; unit: grey values."""
+    if chip.colour == "mono":
+        return laser if ambient is None else laser + ambient.mean(axis=2)
+    light = laser.copy()
+    light[0::2, 0::2] *= chip.red_of_laser
+    light[1::2, 1::2] *= chip.blue_of_laser
+    if ambient is not None:
+        for row, column, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+            light[row::2, column::2] += ambient[row::2, column::2, channel]
+    return light
+
+
+def _glare(light: ArrayF32, settings: SheetImage) -> None:
+    """A share of all light spreads widely: computed on blocks of four pixels, wide as it is."""
+    height, width = light.shape
+    small = cv2.resize(light, (max(width // 4, 1), max(height // 4, 1)), interpolation=cv2.INTER_AREA)
+    sigma = settings.lens.glare_px * width / _GLARE_WIDTH_PX / 4
+    wide = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma), (width, height), interpolation=cv2.INTER_LINEAR)
+    light *= np.float32(1.0 - settings.lens.glare)
+    light += np.float32(settings.lens.glare) * wide
+
+
+def _exposed(light: ArrayF32, chip: Chip, rng: np.random.Generator) -> ArrayU8:
+    """Grey values with shot noise and read noise.
+
+    Shot noise is Gaussian with the variance of Poisson's: with few electrons the read noise of 13 covers the
+    difference.
+    """
+    if chip.noise:
+        electrons = np.float32(chip.full_well_electrons / _LARGEST_DN)
+        sigma = np.sqrt(light * electrons + np.float32(chip.read_electrons**2)) / electrons
+        light = light + sigma * rng.standard_normal(light.shape, dtype=np.float32)
+    return np.clip(np.rint(light + np.float32(chip.dark_dn)), 0, _LARGEST_DN).astype(np.uint8)
+
+
+def _developed(raw: ArrayU8, chip: Chip) -> ArrayU8:
+    if chip.colour != "rgb":
+        return raw
+    if min(raw.shape) < 4:
+        raise GeometryError(f"a mosaic of {raw.shape} pixels", expected="at least 4 x 4")
+    return np.asarray(cv2.cvtColor(raw, cv2.COLOR_BayerRGGB2RGB))

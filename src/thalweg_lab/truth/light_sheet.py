@@ -1,0 +1,169 @@
+"""A calibration of the twin's light-sheet sensor against the sensor that took the images.
+
+Nothing shows the heading and the place of the sensor's frame along the window: a calibration takes both from
+the design (`thalweg.lightsheet.lens.camera_over_window`). The true sensor is therefore turned about
+the window's normal and shifted along it, so that both cameras stand alike; heights, tilts and depths stay.
+Nor does anything show a turn of the fan in its own plane, of which the calibration holds one angle fixed: the
+true fan is turned in its plane until it has the same one.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.frames import rotation_y, rotation_z
+from thalweg.core.rigid import opk_of
+from thalweg.core.types import ArrayF
+from thalweg.lightsheet.optics.derivatives import sheet_derivatives
+from thalweg.lightsheet.optics.intersection import intersect
+from thalweg.lightsheet.optics.sensor import FLIP, LASER, LENS, PARAMETERS, LightSheet, Sensor
+
+COLUMNS: Final = ("what", "estimated_minus_true", "sigma", "unit", "normalised", "n")
+DEPTHS_MM: Final = (30.0, 80.0, 130.0, 180.0, 230.0)
+"""Borders of the classes of depth."""
+_STEP_PX: Final = 16
+_ROUNDING: Final = 1e-9
+"""Sigmas below that (mm, rad, px) are zeros that went through a file."""
+_TURNS: Final = 20
+
+
+def aligned(truth: Sensor, like: Sensor) -> Sensor:
+    """The true sensor, turned about Z and shifted along the window until its camera stands like another's."""
+    M = like.R_lcs_ccs @ truth.R_lcs_ccs.T
+    Rz = rotation_z(float(np.arctan2(M[1, 0] - M[0, 1], M[0, 0] + M[1, 1])))
+    shift = like.camera_origin_lcs_mm - Rz @ truth.camera_origin_lcs_mm
+    shift[2] = 0.0
+    sheet = truth.sheet
+    return replace(
+        truth,
+        camera_origin_lcs_mm=Rz @ truth.camera_origin_lcs_mm + shift,
+        camera_angles_rad=np.array(opk_of(Rz @ truth.R_lcs_ccs @ FLIP)),
+        sheet=replace(
+            sheet, origin_lcs_mm=Rz @ sheet.origin_lcs_mm + shift,
+            angles_rad=np.array(opk_of(Rz @ sheet.R_lcs_las)),
+        ),
+    )  # fmt: skip
+
+
+def turned_in_its_plane(sheet: LightSheet, like: LightSheet, held: int) -> LightSheet:
+    """The fan, turned in its own plane until one of its angles is that of another fan.
+
+    Parameters
+    ----------
+    sheet, like : plane fans (``v`` = 0); a cone shows its turn.
+    held : 0, 1, 2 for omega, phi, kappa.
+
+    Raises
+    ------
+    GeometryError : no turn gives that angle.
+    """
+    goal, turn, step = float(like.angles_rad[held]), 0.0, 1e-4
+
+    def off(a: float) -> float:
+        """Angle left to the goal after a turn about the fan's own axis, radians."""
+        angle = opk_of(sheet.R_lcs_las @ rotation_y(a))[held]
+        return float(np.angle(np.exp(1j * (angle - goal))))
+
+    for _ in range(_TURNS):
+        here = off(turn)
+        if abs(here) < 1e-12:
+            return replace(sheet, angles_rad=np.array(opk_of(sheet.R_lcs_las @ rotation_y(turn))))
+        slope = (off(turn + step) - off(turn - step)) / (2 * step)
+        turn -= here / slope if abs(slope) > 1e-6 else np.inf
+        if not abs(turn) < np.pi / 2:
+            break
+    raise GeometryError(
+        f"no turn of the laser's fan in its plane gives {PARAMETERS[LASER][3 + held]} of the other sensor",
+        expected="two calibrations of one sensor",
+    )
+
+
+def compare_sensor(found: Sensor, truth: Sensor) -> pd.DataFrame:
+    """Errors of the parameters, and of the depths that follow from them.
+
+    Parameters
+    ----------
+    found : calibrated, with covariance.
+    truth : the true sensor; a tilted window is not known to `aligned`.
+
+    Returns
+    -------
+    Columns `COLUMNS`. A row for each parameter with a sigma (the camera's place along the window and one
+    angle of the laser have none); ``interior orientation jointly``: root of the squared error of the camera's
+    parameters in units of their covariance, beside that of their number; ``image of a ray``: difference of
+    both cameras' images of the same rays, beside the predicted one; ``depth ... mm``: root mean square over
+    every sixteenth pixel of a class of depth of the difference of both sensors' depths, beside that of the
+    predicted sigma (with correlations), ``normalised`` their ratio.
+    """
+    true = aligned(truth, found)
+    sigma = np.sqrt(np.maximum(np.diag(found.cov), 0.0))
+    sigma[sigma < _ROUNDING] = 0.0
+    error = found.vector() - _same_fan(true, found, sigma).vector()
+    rows: list[tuple[str, float, float, str, float, int]] = []
+    for k, name in enumerate(PARAMETERS):
+        if sigma[k] <= 0.0:
+            continue
+        angle = name.endswith("_rad")
+        factor = float(np.rad2deg(1.0)) if angle else 1.0
+        if angle:
+            error[k] = np.angle(np.exp(1j * error[k]))
+        word = name.replace("_rad", "") if angle else name.removesuffix("_mm")
+        unit = "deg" if angle else "mm" if name.endswith("_mm") else "px" if name[0] in "fc" else "1"
+        rows.append((word, error[k] * factor, sigma[k] * factor, unit, error[k] / sigma[k], 1))
+    return pd.DataFrame(rows + _lens(found, true) + _depths(found, true), columns=list(COLUMNS))
+
+
+def _same_fan(true: Sensor, found: Sensor, sigma: ArrayF) -> Sensor:
+    """The true sensor with its fan turned as the calibration held it; as it is if no angle was held."""
+    held = np.flatnonzero(sigma[LASER][3:] == 0.0)
+    if len(held) != 1 or true.sheet.v != 0.0:
+        return true
+    return true.with_sheet(turned_in_its_plane(true.sheet, found.sheet, int(held[0])))
+
+
+def _lens(found: Sensor, true: Sensor) -> list[tuple[str, float, float, str, float, int]]:
+    sigma = np.sqrt(np.maximum(np.diag(found.cov)[LENS], 0.0))
+    at = np.flatnonzero(sigma > 0.0)
+    if not len(at):
+        return []
+    error = (found.camera.parameters - true.camera.parameters)[at]
+    C = found.cov[LENS, LENS][np.ix_(at, at)]
+    scale = np.outer(sigma[at], sigma[at])
+    squared = float(error / sigma[at] @ np.linalg.solve(C / scale, error / sigma[at]))
+    k = float(np.sqrt(len(at)))
+    joint = ("interior orientation jointly", np.sqrt(squared), k, "1", np.sqrt(squared) / k, len(at))
+    rays = found.camera.rays(_pixels(found))
+    off = found.camera.project(rays) - true.camera.project(rays)
+    J = found.camera.project_with_derivatives(rays)[2][:, :, at]
+    ok = np.isfinite(off).all(axis=1) & np.isfinite(J).all(axis=(1, 2))
+    rms = float(np.sqrt(np.square(off[ok]).mean()))
+    predicted = float(np.sqrt(np.einsum("nij,jk,nik->ni", J[ok], C, J[ok]).mean()))
+    return [joint, ("image of a ray", rms, predicted, "px", rms / predicted, int(ok.sum()))]
+
+
+def _pixels(sensor: Sensor) -> ArrayF:
+    """Every sixteenth pixel (n, 2) in both directions."""
+    width, height = sensor.camera.size_px
+    grid = np.meshgrid(np.arange(_STEP_PX / 2, width, _STEP_PX), np.arange(_STEP_PX / 2, height, _STEP_PX))
+    return np.stack(grid, axis=-1).reshape(-1, 2)
+
+
+def _depths(found: Sensor, true: Sensor) -> list[tuple[str, float, float, str, float, int]]:
+    xy = _pixels(found)
+    d, other = sheet_derivatives(found, xy), intersect(true, xy)
+    ok = d.points.ok & other.ok
+    off = (d.points.depth_mm - other.depth_mm)[ok]
+    J: ArrayF = d.depth_by_parameters[ok]
+    variance = np.einsum("ni,ij,nj->n", J, found.cov, J)
+    rows = []
+    for low, high in pairwise(DEPTHS_MM):
+        mine = (other.depth_mm[ok] >= low) & (other.depth_mm[ok] < high)
+        if mine.any():
+            rms, predicted = np.sqrt(np.mean(off[mine] ** 2)), np.sqrt(np.mean(variance[mine]))
+            words = f"depth {low:g} to {high:g} mm"
+            rows.append((words, float(rms), float(predicted), "mm", float(rms / predicted), int(mine.sum())))
+    return rows

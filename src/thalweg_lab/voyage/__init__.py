@@ -1,0 +1,1 @@
+"""How the boat moves, and where its sensors truly sit."""

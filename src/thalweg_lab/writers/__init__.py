@@ -1,0 +1,1 @@
+"""Logs in the instruments' own formats, written independently of the readers."""

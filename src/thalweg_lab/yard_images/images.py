@@ -1,0 +1,248 @@
+"""The images of a calibration run: a tour with a reflex camera, the boat's camera standing and in motion."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from scipy.spatial.transform import Rotation
+
+from thalweg.core.camera.model import Camera
+from thalweg.core.errors import ConfigError
+from thalweg.core.rigid import Rigid
+from thalweg.core.tables import column, frame_of, table_kind, write_table
+from thalweg.core.types import ArrayU8
+from thalweg.settings.twin.camera import TwinLens
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.base.random import generator
+from thalweg_lab.instruments.stamps import start_us
+from thalweg_lab.river_images.daylight import Sun
+from thalweg_lab.voyage.motion import start_gps_s
+from thalweg_lab.voyage.yard_motion import FieldRun, standing
+from thalweg_lab.writers.jpeg import PhotoFacts, write_jpeg
+from thalweg_lab.yard.layout import build_field, field_of
+from thalweg_lab.yard.stage import with_boat, yard_of
+from thalweg_lab.yard.tour import boat_views, tour
+from thalweg_lab.yard_images.exposure import exposed
+from thalweg_lab.yard_images.lens_rays import LensRays
+from thalweg_lab.yard_images.render import Photographer
+from thalweg_lab.yard_records.image_times import ImageTimes, run_times, static_times
+
+KINDS: Final = ("reference", "positions", "run")
+"""Sets of images."""
+
+SUN: Final = Sun(azimuth_rad=float(np.deg2rad(205.0)), elevation_rad=float(np.deg2rad(48.0)))
+"""Where the sun stands over the yard, behind thin cloud."""
+
+BOAT_IMAGES: Final = 2
+"""Last images of the reference, which show the boat at position 1."""
+
+BOAT_SENSOR_MM: Final = 17.3
+FULL_FRAME_MM: Final = 36.0
+"""Widths of the sensors."""
+
+_TOUR_BEFORE_S: Final = 3600.0
+_TOUR_STEP_S: Final = 11.0
+_F = pa.float64()
+
+IMAGE_TIMES: Final = table_kind(
+    "twin_image_times",
+    1,
+    [
+        column("file", pa.string(), "1", "name of the image"),
+        column("t_true_gps_s", _F, "s", "true middle of the exposure, adjusted standard GPS time"),
+        column("stamp_us", pa.int64(), "us", "what the camera's clock wrote, microseconds since 1970"),
+        column("stamp_error_s", _F, "s", "stamp minus true time in UTC minus what the clock is ahead of UTC"),
+        column("clock_minus_utc_s", _F, "s", "what the camera's clock is ahead of UTC"),
+        *(column(f"{a}_m", _F, "m", f"{a} of the projection centre, wcs") for a in ("east", "north", "up")),
+        *(column(f"q_{a}", _F, "1", f"quaternion of R_wcs_ccs, {a}, scalar last") for a in "xyzw"),
+    ],
+)
+
+
+def true_camera(lens: TwinLens, name: str) -> Camera:
+    """The interior orientation of the configuration."""
+    w, h = lens.size_px
+    x, y = lens.principal_offset_px
+    parameters = [lens.focal_px, lens.focal_px, w / 2 + x, h / 2 + y, *lens.distortion]
+    return Camera(model=lens.model, size_px=lens.size_px, parameters=np.array(parameters), name=name)
+
+
+def simulate_field_images(
+    config: TwinConfig,
+    seed: int,
+    kind: str,
+    mounts: Mapping[str, Any],
+    out_folder: Path,
+    out_times: Path,
+    *,
+    out_cameras: Path | None = None,
+) -> pd.DataFrame:
+    """Take and write one set of images.
+
+    Parameters
+    ----------
+    config : section ``twin`` with ``field``.
+    seed : seed of the campaign.
+    kind : ``reference``: ``IMG_0001.jpg`` and so on of the reflex camera, the boat at position 1 in the last
+        two; ``positions``: ``position_1.jpg`` and so on; ``run``: one a second, named by the camera's clock.
+    mounts : true mounts, with ``camera``, ``lidar`` and ``antenna``.
+    out_folder : for the images.
+    out_times : true times and poses, table kind ``twin_image_times``.
+    out_cameras : true interior orientations, JSON.
+
+    Returns
+    -------
+    times : as written.
+
+    Raises
+    ------
+    ConfigError : another kind, or the section ``twin.field`` is missing.
+    """
+    if kind not in KINDS:
+        raise ConfigError(f"images of the kind '{kind}'", expected=f"one of {', '.join(KINDS)}")
+    names, times, poses = _planned(config, seed, kind, mounts)
+    lens = _lens(config, kind)
+    out_folder.mkdir(parents=True, exist_ok=True)
+    smears = _smears(config, seed, times, poses, lens) if kind == "run" else [(0.0, 0.0)] * len(poses)
+    images = _taken(config, seed, kind, mounts, poses, smears)
+    for name, image, stamp in zip(names, images, times.stamp_us.tolist(), strict=True):
+        write_jpeg(out_folder / name, image, _facts(config, kind, stamp), quality=lens.jpeg_quality)
+    place = np.stack([p.shift_m for p in poses])
+    q = Rotation.from_matrix(np.stack([p.R for p in poses])).as_quat()
+    since_s = times.t_gps_s - start_gps_s(config)
+    error = (times.stamp_us - start_us(config)) * 1e-6 - since_s - times.clock_minus_utc_s
+    table = frame_of(IMAGE_TIMES, {
+        "file": names, "t_true_gps_s": times.t_gps_s, "stamp_us": times.stamp_us, "stamp_error_s": error,
+        "clock_minus_utc_s": times.clock_minus_utc_s,
+        **{f"{a}_m": place[:, i] for i, a in enumerate(("east", "north", "up"))},
+        **{f"q_{a}": q[:, i] for i, a in enumerate("xyzw")},
+    })  # fmt: skip
+    write_table(out_times, table, IMAGE_TIMES, {"kind_of_images": kind})
+    if out_cameras is not None:
+        write_cameras(config, out_cameras)
+    return table
+
+
+def write_cameras(config: TwinConfig, path: Path) -> None:
+    """True interior orientations of both cameras as JSON."""
+    facts: dict[str, Any] = {"kind": "thalweg twin cameras", "version": 1}
+    for name, lens in (("boat", config.camera), ("reference", config.camera.reference)):
+        camera = true_camera(lens, name)
+        values = dict(zip(camera.parameter_names, camera.parameters.tolist(), strict=True))
+        facts[name] = {"model": camera.model, "size_px": list(camera.size_px), "parameters": values}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(facts, indent=2) + "\n")
+
+
+def _planned(
+    config: TwinConfig, seed: int, kind: str, mounts: Mapping[str, Any]
+) -> tuple[list[str], ImageTimes, list[Rigid]]:
+    """Names, times and poses of the images of a set."""
+    T_ics_ccs = mount_of(mounts["camera"])
+    if kind == "reference":
+        boat = standing(config, 1).T_wcs_ics
+        antenna = boat.apply([mounts["antenna"]["lever_ics_m"]])[0]
+        heading = float(np.arctan2(boat.R[0, 0], boat.R[1, 0]))
+        reference = config.camera.reference
+        poses = [
+            *tour(build_field(config, seed), reference, seed),
+            *boat_views(reference, antenna, heading, seed),
+        ]
+        since = _TOUR_STEP_S * np.arange(len(poses), dtype=np.float64) - _TOUR_BEFORE_S
+        whole = (start_us(config) // 1_000_000 + np.rint(since).astype(np.int64)) * 1_000_000
+        times = ImageTimes(
+            t_gps_s=np.asarray(start_gps_s(config) + since),
+            stamp_us=whole,
+            clock_minus_utc_s=np.zeros(len(poses)),
+        )
+        return [f"IMG_{k + 1:04d}.jpg" for k in range(len(poses))], times, poses
+    if kind == "positions":
+        boats = [standing(config, k + 1) for k in range(len(field_of(config).positions))]
+        times = static_times(config, seed, np.array([b.start_gps_s for b in boats]))
+        poses = [b.T_wcs_ics @ T_ics_ccs for b in boats]
+        return [f"position_{k + 1}.jpg" for k in range(len(boats))], times, poses
+    run = FieldRun(config, seed)
+    times = run_times(config, seed)
+    at, R = run.position_wcs_m(times.t_gps_s), run.R_wcs_ics(times.t_gps_s)
+    poses = [Rigid(R=R[k], shift_m=at[k]) @ T_ics_ccs for k in range(len(at))]
+    return [run_name(int(us)) for us in times.stamp_us], times, poses
+
+
+def run_name(stamp_us: int) -> str:
+    """Name of an image of the run by the reading of the camera's clock.
+
+    Examples
+    --------
+    >>> run_name(1620808267_042000)
+    'R20210512_083107042.jpg'
+    """
+    moment = pd.Timestamp(stamp_us, unit="us")
+    return f"R{moment:%Y%m%d_%H%M%S}{stamp_us % 1_000_000 // 1000:03d}.jpg"
+
+
+def mount_of(mount: Mapping[str, Any]) -> Rigid:
+    """``T_ics_sensor`` of a section of the mounts, without its sigmas."""
+    angles = np.deg2rad([float(mount[f"{name}_deg"]) for name in ("omega", "phi", "kappa")])
+    return Rigid.from_opk(angles, mount["lever_ics_m"])
+
+
+def _smears(
+    config: TwinConfig, seed: int, times: ImageTimes, poses: Sequence[Rigid], lens: TwinLens
+) -> list[tuple[float, float]]:
+    """Way of the middle of each image during its exposure, to the right and down, pixels."""
+    run = FieldRun(config, seed)
+    R_ccs_ics = np.stack([p.R.T for p in poses]) @ run.R_wcs_ics(times.t_gps_s)
+    rate = np.einsum("nij,nj->ni", R_ccs_ics, run.rates_ics_radps(times.t_gps_s))
+    way = config.camera.exposure_s * lens.focal_px * np.stack([-rate[:, 1], rate[:, 0]], axis=1)
+    return [(float(x), float(y)) for x, y in way]
+
+
+def _taken(
+    config: TwinConfig,
+    seed: int,
+    kind: str,
+    mounts: Mapping[str, Any],
+    poses: Sequence[Rigid],
+    smears: Sequence[tuple[float, float]],
+) -> Iterator[ArrayU8]:
+    """The images one after the other."""
+    lens = _lens(config, kind)
+    rays = LensRays(true_camera(lens, kind), field_of_view_deg=lens.field_of_view_deg)
+    # The light on the ground under the boat is taken as that of the yard without it.
+    usual = Photographer(yard_of(config, seed, kind), SUN)
+    T_ccs_ics = mount_of(mounts["camera"]).inverse()
+    for k, pose in enumerate(poses):
+        photographer = usual
+        if kind == "positions" and field_of(config).effects.passers_by:
+            photographer = usual.with_yard(yard_of(config, seed, f"position {k + 1}"))
+        if kind == "reference" and k >= len(poses) - BOAT_IMAGES:
+            boat = standing(config, 1).T_wcs_ics
+            photographer = usual.with_yard(with_boat(usual.yard, config, mounts, boat, camera=True))
+        elif kind != "reference" and lens.model == "fisheye":
+            yard = with_boat(photographer.yard, config, mounts, pose @ T_ccs_ics, camera=False)
+            photographer = photographer.with_yard(yard)
+        seen = photographer.see(rays, pose)
+        rng = generator(seed, f"field images {kind} {k}")
+        yield exposed(seen.light, lens, rng, smear_px=smears[k])
+
+
+def _lens(config: TwinConfig, kind: str) -> TwinLens:
+    return config.camera.reference if kind == "reference" else config.camera
+
+
+def _facts(config: TwinConfig, kind: str, stamp_us: int) -> PhotoFacts:
+    """EXIF: the reflex camera writes whole seconds of a clock that nobody set to a zone."""
+    lens, own = _lens(config, kind), kind != "reference"
+    return PhotoFacts(
+        model="boat camera" if own else "reflex camera",
+        clock_us=stamp_us,
+        sub_seconds=3 if own else 0,
+        zone="+00:00" if own else None,
+        focal_mm=round(lens.focal_px / lens.size_px[0] * (BOAT_SENSOR_MM if own else FULL_FRAME_MM), 1),
+        focal_35mm=round(lens.focal_px / lens.size_px[0] * FULL_FRAME_MM),
+        exposure_s=config.camera.exposure_s,
+    )

@@ -1,0 +1,1 @@
+"""Lidar, positions and image times in the yard."""

@@ -1,0 +1,308 @@
+"""Budgets: influences, correlations, draws through the finite chain, files and their mistakes, tables."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.budgets.budget import covariance
+from thalweg.budgets.budget_file import read_budget
+from thalweg.budgets.budget_page import page, terminal_text, what_the_cells_tell
+from thalweg.budgets.budget_tables import WIDTH, latex, long_table
+from thalweg.budgets.influences import ball_coverage, influences, rmse_mm, totals_mm
+from thalweg.budgets.published import verdicts
+from thalweg.budgets.statements import statements
+from thalweg.core.errors import ConfigError, GeometryError
+from thalweg.core.frames import rotation_enu_body
+from thalweg.lidar.covariance import BeamErrors, point_covariance, point_jacobian
+
+D = np.array([5.0, 10.0, 25.0, 50.0])
+
+
+@pytest.fixture
+def example(repository: Path, tmp_path: Path) -> Path:
+    """The budget that the manual shows."""
+    (text,) = re.findall(r"```yaml\n(.*?)```", (repository / "docs/budgets.md").read_text(), re.S)
+    path = tmp_path / "boat.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_the_example_of_the_manual_runs(example: Path) -> None:
+    budget = read_budget(example)
+    table = influences(budget)
+    assert set(table["input"]) == {*(item.key for item in budget.inputs), "correlations", "total"}
+    across = table[table["input"] == "point.across"].set_index("distance_m")["influence_mm"]
+    # in two directions, growing with the distance
+    assert across[60.0] == pytest.approx(np.sqrt(2) * 0.53e-3 * 60e3)
+    assert rmse_mm(budget) > 0
+
+
+def test_totals_hold_the_covariance_terms(example: Path) -> None:
+    budget = read_budget(example)
+    table = influences(budget).pivot_table(index="distance_m", columns="input", values="influence_mm")
+    alone = (table.drop(columns=["total", "correlations"]) ** 2).sum(axis=1)
+    shared = np.sign(table["correlations"]) * table["correlations"] ** 2
+    np.testing.assert_allclose(alone + shared, table["total"] ** 2, rtol=1e-9)
+    assert (table["correlations"].abs() > 0.1).all()
+    # with another sign the total goes the other way
+    other = replace(budget, correlations={pair: -v for pair, v in budget.correlations.items()})
+    flipped = influences(other).pivot_table(index="distance_m", columns="input", values="influence_mm")
+    np.testing.assert_allclose(flipped["correlations"], -table["correlations"])
+    np.testing.assert_allclose(alone - shared, flipped["total"] ** 2, rtol=1e-9)
+
+
+def test_normal_components_add_up_to_the_total(budgets) -> None:
+    budget = budgets["p2_table1"][0]
+    parts = [influences(budget, D, normal=n)["influence_mm"] ** 2 for n in np.eye(3)]
+    np.testing.assert_allclose(sum(parts), influences(budget, D)["influence_mm"] ** 2, rtol=1e-9)
+
+
+def test_budgets_and_points_share_one_formula(budgets) -> None:
+    """The covariance of a budget is that of a lidar point with the same pose, mount and sigmas."""
+    budget = budgets["p2_table1"][0]
+    outer, inner = budget.frames
+    sigma = {item.key: item.sigma_si for item in budget.inputs}
+    xyz = D[:, None] * np.ones(3) / np.sqrt(3)
+    n, R, A = len(D), outer.rotation(), outer.axes()
+    assert budget.motion is not None
+    rates, velocity = budget.motion.rates()
+    J = point_jacobian(xyz, np.tile(R, (n, 1, 1)), inner.rotation(), np.array(inner.lever_m),
+                       np.tile(velocity, (n, 1)), np.tile(A @ rates, (n, 1)))  # fmt: skip
+
+    def block(name: str, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        turn = axes @ np.diag([sigma[f"{name}.{k}"] ** 2 for k in ("omega", "phi", "kappa")]) @ axes.T
+        return turn, np.diag([sigma[f"{name}.{k}"] ** 2 for k in "xyz"])
+
+    pose, mount = np.zeros((6, 6)), np.zeros((6, 6))
+    pose[3:, 3:], pose[:3, :3] = block("ccs", A)
+    mount[:3, :3], mount[3:, 3:] = block("scs", inner.axes())
+    beam = BeamErrors(sigma_component_m=0.0173)
+    cov = point_covariance(J, np.tile(pose, (n, 1, 1)), mount, beam.variances(D, D), sigma["time"])
+    np.testing.assert_allclose(covariance(budget, D), cov, rtol=1e-10, atol=1e-18)
+
+
+def test_totals_agree_with_draws_through_the_chain(budgets, rng: np.random.Generator) -> None:
+    """Nothing of the first-order formula is used: angles are changed and points sent through the chain."""
+    budget = budgets["p2_table1"][0]
+    n, d = 40_000, 25.0
+    sigma = {item.key: item.sigma_si for item in budget.inputs}
+    e = {key: rng.normal(size=n) * s for key, s in sigma.items()}
+    outer, inner = budget.frames
+    assert budget.motion is not None
+    rates, velocity = budget.motion.rates()
+    x = d / np.sqrt(3) + np.stack([e[f"point.{c}"] for c in "xyz"], axis=1)
+    for frame in (inner, outer):
+        angles = np.deg2rad(list(frame.angles_deg.values())) + np.stack(
+            [e[f"{frame.name}.{k}"] for k in frame.angles_deg], axis=1
+        )
+        shift = np.asarray(frame.lever_m) + np.stack([e[f"{frame.name}.{c}"] for c in "xyz"], axis=1)
+        if frame is outer:
+            angles, shift = angles + e["time"][:, None] * rates, shift + e["time"][:, None] * velocity
+        x = Rotation.from_euler("XYZ", angles).apply(x) + shift
+    # a standard deviation from n draws is known to 1 / sqrt(2 n) = 0.35 %; four of them
+    assert 1e3 * np.sqrt(np.var(x, axis=0).sum()) == pytest.approx(totals_mm(budget, [d])[0], rel=0.014)
+
+
+def test_roll_pitch_and_heading_turn_about_their_own_axes(example: Path) -> None:
+    budget = read_budget(example)
+    frame = budget.frames[0]
+    angles = np.deg2rad(list(frame.angles_deg.values()))
+    np.testing.assert_allclose(frame.rotation(), rotation_enu_body(*angles))
+    for k, axis in enumerate(frame.axes().T):
+        e = 1e-6 * np.eye(3)[k]
+        numeric = (
+            (rotation_enu_body(*(angles + e)) - rotation_enu_body(*(angles - e))) / 2e-6 @ frame.rotation().T
+        )
+        # rounding: 1e-16 / 1e-6
+        np.testing.assert_allclose([numeric[2, 1], numeric[0, 2], numeric[1, 0]], axis, atol=1e-9)
+
+
+def test_a_ball_of_the_total(rng: np.random.Generator) -> None:
+    same, line = np.eye(3)[None], np.diag([1.0, 0, 0])[None]
+    # chi-square with 3 degrees of freedom at 3; the normal distribution at 1
+    assert ball_coverage(same, [np.sqrt(3)])[0] == pytest.approx(0.608375, abs=1e-6)
+    assert ball_coverage(line, [1.0])[0] == pytest.approx(0.682689, abs=1e-5)
+    C = np.diag([9.0, 4.0, 0.3])
+    draws = rng.normal(size=(400_000, 3)) * np.sqrt(np.diag(C))
+    for radius in (1.0, 3.0, 7.0):
+        share = np.mean(np.linalg.norm(draws, axis=1) <= radius)
+        # standard error 0.08 %; four of them
+        assert ball_coverage(C[None], [radius])[0] == pytest.approx(share, abs=0.0032)
+
+
+@pytest.mark.parametrize("distances", [[0.0], [-5.0], [np.nan], [], [[5.0]]])
+def test_distances_that_are_none(budgets, distances) -> None:
+    with pytest.raises(GeometryError, match="above 0 m"):
+        influences(budgets["p2_table1"][0], distances)
+
+
+def test_a_normal_without_length(budgets) -> None:
+    with pytest.raises(GeometryError, match="a length above 0"):
+        influences(budgets["p2_table1"][0], normal=[0, 0, 0])
+    with pytest.raises(GeometryError, match="survey"):
+        rmse_mm(budgets["p2_table1"][0])
+
+
+MISTAKES = {
+    "status: assumed ": ("status: guessed ", "status: found 'guessed'"),
+    "title: A small boat with an INS": ("titel: A small boat", "unknown key"),
+    "direction: [1, 1, 0]": ("direction: [0, 0, 0]", "vector without length"),
+    "distances_m: [10, 30, 60]": ("distances_m: [10, x]", "distances_m.1: found 'x'"),
+    "  time: {sigma: 1, unit: ms": ("  time: {sigma: -1, unit: deg", "of at least 0"),
+    "scs.omega: {sigma: 0.05": ("scs.omgea: {sigma: 0.05", "Did you mean scs.omega"),
+    "{roll: 0, pitch: 0, heading: 40}": ("{roll: 0, heading: 40}", "pitch is missing"),
+    "to_m: 60,": ("to_m: 2,", "a distance above 8 m"),
+    "value: 0.3": ("value: 1.3", "at most 1"),
+    "between: [ics.heading, ics.roll]": ("between: [ics.heading, ics.heading]", "two different inputs"),
+    "provenance: published, source: data sheet of the lidar": (
+        "provenance: sure, source: me",
+        "found 'sure'",
+    ),
+    "lever_m: [-0.4, 0, -0.3]": ("lever_m: [-0.4, 0]", "a list of 3 numbers"),
+}
+
+
+@pytest.mark.parametrize("good", MISTAKES)
+def test_each_mistake_is_told_with_its_line(example: Path, good: str) -> None:
+    text = example.read_text()
+    bad, answer = MISTAKES[good]
+    assert text.count(good) == 1
+    example.write_text(text.replace(good, bad))
+    with pytest.raises(ConfigError, match=re.escape(answer)) as error:
+        read_budget(example)
+    line = text[: text.index(good)].count("\n") + 1
+    assert f"{example}:{line}: " in str(error.value) or "titel" in bad
+
+
+def test_all_mistakes_come_at_once(example: Path) -> None:
+    text = example.read_text()
+    for good, (bad, _) in MISTAKES.items():
+        text = text.replace(good, bad)
+    example.write_text(text)
+    with pytest.raises(ConfigError) as error:
+        read_budget(example)
+    for _, answer in MISTAKES.values():
+        assert answer in str(error.value), answer
+
+
+def test_an_error_of_time_needs_a_motion(example: Path) -> None:
+    example.write_text(re.sub(r"motion:.*\n  angles.*\n  axes.*\n", "", example.read_text()))
+    with pytest.raises(ConfigError, match="an error of time, but no motion"):
+        read_budget(example)
+
+
+def test_correlations_that_cannot_hold_together(example: Path) -> None:
+    more = "  - {between: [ics.roll, ics.pitch], value: 0.9}\n"
+    more += "  - {between: [ics.pitch, ics.heading], value: -0.9}\n"
+    example.write_text(example.read_text().replace("value: 0.3}\n", "value: 0.9}\n" + more))
+    with pytest.raises(ConfigError, match="these cannot hold together"):
+        read_budget(example)
+
+
+def test_a_budget_based_on_another(example: Path) -> None:
+    path = example.with_name("better.yaml")
+    path.write_text(
+        "based_on: boat.yaml\ntitle: The same with a dual antenna\nsource: plan\nstatus: assumed\n"
+        "inputs:\n  time: null\n"
+        "  ics.heading: {sigma: 0.1, unit: deg, provenance: assumed, source: plan}\n"
+    )
+    old, new = read_budget(example), read_budget(path)
+    assert {i.key for i in old.inputs} - {i.key for i in new.inputs} == {"time"}
+    assert next(i for i in new.inputs if i.key == "ics.heading").sigma == 0.1
+    assert new.frames == old.frames
+    # what speaks of one budget is not taken over
+    assert new.survey is None
+    path.write_text(path.read_text().replace(", source: plan}", "}"))
+    with pytest.raises(ConfigError, match=r"better\.yaml:7: inputs\.ics\.heading: source is missing"):
+        read_budget(path)
+    example.write_text(example.read_text() + "based_on: better.yaml\n")
+    with pytest.raises(ConfigError, match=r"other: better\.yaml -> boat\.yaml -> better\.yaml"):
+        read_budget(path)
+    path.write_text("based_on: nowhere.yaml\n")
+    with pytest.raises(ConfigError, match=r"better\.yaml:1: based_on: there is no file nowhere\.yaml"):
+        read_budget(path)
+
+
+@pytest.fixture
+def facts():
+    import pandas as pd
+
+    one = {"left_out": "none", "instead": "", "needed": True, "matched": 64, "by_sigma": 4, "missed": 0,
+           "totals_missed": 0, "missed_cells": "", "lever_m": 0.16}  # fmt: skip
+    other = one | {"left_out": "lever arm", "missed": 1, "missed_cells": "ccs.omega at 5 m"}
+    tables = ("p2_table1", "t_table3_1")
+    rows = [row | {"table": table} for table in tables for row in (one, other)]
+    known = {"n_starts": 9, "n_kept": 8, "n_equal": 7, "n_geometries": 6, "weakest": 0.1}
+    return pd.DataFrame(rows), pd.DataFrame([known | {"table": table} for table in tables])
+
+
+def test_the_page_has_every_cell_with_its_verdict(budgets, facts) -> None:
+    said = statements(budgets["p2_table1"][0], budgets["t_table3_1"][0])
+    text = page(
+        budgets,
+        camera="p2_table1",
+        ins="t_table3_1",
+        worth="72 of 132.",
+        statements=said,
+        assumptions=facts[0],
+        solutions=facts[1],
+    )
+    for name in ("p2_table1", "t_table3_1"):
+        table = verdicts(*budgets[name])
+        for printed, value in zip(table["printed"], table["computed_mm"], strict=True):
+            digits = len(printed.partition(".")[2]) + 1
+            assert re.search(rf"\| {re.escape(printed)} / {value:.{digits}f} [✓≈σc] ", text), (name, printed)
+    # the mount's kappa, at three and two distances; P2's phi at 50 m rests on fitted angles
+    assert text.count("≈ |") >= 5
+    assert text.count("σ |") >= 72
+    assert "wcs φ ccs at 50 m (2.9 printed" in text
+    assert "**What the cells of both tables tell.** 72 of 132." in text
+    assert "Without 'lever arm' it is only: ccs.omega at 5 m." in text
+    assert "order of 50 cm / 1197.5 ✗" in text
+    for statement in said:
+        assert statement.found in text
+    for column in re.findall(r"(?m)^\|.*$", text):
+        assert column.endswith("|"), column
+
+
+def test_the_terminal_text_is_narrow_and_complete(budgets) -> None:
+    text = terminal_text(budgets, ("p2_table1", "t_table3_1"), worth="What the cells tell. " * 9)
+    lines = text.splitlines()
+    assert max(map(len, lines[:-1])) <= WIDTH
+    marks = [mark for line in lines for mark in re.findall(r"\d ([=~i!c])(?=\s|$)", line)]
+    # the mount's kappa, the translations, and what rests on fitted angles
+    assert (marks.count("="), marks.count("~"), marks.count("i")) == (3, 5, 72)
+    assert marks.count("c") >= 52
+    assert "missed" in lines[-1]
+    assert text.count("What the cells tell.") >= 8
+
+
+def test_what_the_cells_tell_is_counted(budgets) -> None:
+    text = what_the_cells_tell([budgets["p2_table1"], budgets["t_table3_1"]])
+    assert "Of 132 cells and totals 126 are met within 1 %" in text
+    assert "6 more within the rounding" in text
+    assert "72 of the 132 are the printed sigma itself" in text
+    assert "8 more are the same in any geometry" in text
+    assert "37 to 44 of 68 (median 38, P2 Table 1) and 38 to 48 of 64 (median 39, T Table 3.1)" in text
+    assert "52 cells that depend on the geometry" in text
+
+
+def test_tables_for_latex_and_csv(budgets) -> None:
+    budget, published = budgets["p2_table1"]
+    text = latex(budget, published)
+    assert text.count(r"\\") == len(budget.inputs) + 3
+    assert r"${}^{\mathrm{wcs}}\omega_{\mathrm{ccs}}$ & 0.078\,$^\circ$ & 5.70 (5.7)" in text
+    assert r"10.69 (10.5)$^{s}$" in text
+    body = [line for line in text.splitlines() if line.endswith(r"\\") and "multicolumn" not in line]
+    assert {line.replace(r"\\", "").count("&") for line in body} == {5}
+    assert text.count("{") == text.count("}")
+    table = long_table(budget, published)
+    assert len(table) == 68
+    assert table["verdict"].notna().all()
+    assert not table["source"].eq("").where(table["input"] != "total", False).any()
+    alone = long_table(budget, None)
+    assert (alone["verdict"] == "").all()

@@ -1,0 +1,261 @@
+"""One form for a clock; ties before and after a run; pulses of a hardware trigger."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from thalweg.clocks.ties.hand_tables import read_text_columns
+from thalweg.clocks.ties.model import ClockModel
+from thalweg.clocks.ties.ties import clock_from_ties, read_ties
+from thalweg.clocks.ties.trigger import clock_from_pulses, match_pulses, trigger_clock
+from thalweg.core.errors import ClockError, InputError
+
+T0 = 3.0e8
+
+
+def test_a_clock_and_its_sigma_at_any_time() -> None:
+    clock = ClockModel(
+        offset_s=-2.5, drift=20e-6, reference_s=T0, cov=np.array([[4e-6, 1e-9], [1e-9, 1e-12]]), jitter_s=0.02
+    )
+    t_gps, sigma = clock.to_gps([T0, T0 + 1000.0])
+    # 5 ns: two roundings of a time of 3e8 s in float64 at 60 ns would be 1.2e-7
+    np.testing.assert_allclose(t_gps - T0, [-2.5, 1000.0 - 2.5 + 0.02], atol=1.2e-7)
+    # 4e-6 + 2e-6 + 1e-6 of the clock, 4e-4 of the image
+    np.testing.assert_allclose(sigma, np.sqrt([4.04e-4, 4.07e-4]), rtol=1e-12)
+    np.testing.assert_allclose(
+        clock.to_gps([T0, T0 + 1000.0], jitter=False)[1], np.sqrt([4e-6, 7e-6]), rtol=1e-12
+    )
+
+
+def test_a_clock_survives_its_file(tmp_path: Path) -> None:
+    clock = ClockModel(
+        offset_s=1.25, drift=-3e-6, reference_s=T0, cov=np.array([[1e-6, 2e-13], [2e-13, 1e-14]]),
+        jitter_s=0.023, source="two ties", t_first_s=T0 - 5, t_last_s=T0 + 5, notes=("a", "b"),
+    )  # fmt: skip
+    clock.write(tmp_path / "camera_clock.yaml")
+    again = ClockModel.read(tmp_path / "camera_clock.yaml")
+    assert np.array_equal(again.cov, clock.cov)
+    for name in ("offset_s", "drift", "reference_s", "jitter_s", "source", "t_first_s", "t_last_s", "notes"):
+        assert getattr(again, name) == getattr(clock, name), name
+    assert np.isnan(again.sigma_jitter_s)
+    assert any("1250.000 ms" in line for line in clock.lines())
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("[1, 2", "no YAML"),
+        ("a: 1\n", "no clock file"),
+        ("thalweg_clock: 1\noffset_s: 1\n", "missing, unknown"),
+        ("thalweg_clock: 1\noffset_s: x\nreference_s: 0\ncov: [[1, 0], [0, 1]]\n", "no number"),
+        ("thalweg_clock: 1\noffset_s: 1\nreference_s: 0\ncov: [[1, 0], [0, -1]]\n", "covariance"),
+    ],
+)
+def test_files_that_are_no_clock(tmp_path: Path, text: str, word: str) -> None:
+    path = tmp_path / "clock.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=word):
+        ClockModel.read(path)
+    with pytest.raises(InputError, match="not found"):
+        ClockModel.read(tmp_path / "absent.yaml")
+
+
+def test_two_ties_give_offset_and_drift_with_honest_sigmas() -> None:
+    """Normalised errors over 200 seeds, between the ties and half an hour behind them."""
+    rng = np.random.default_rng(5)
+    sigma = np.array([0.004, 0.010])
+    tie = T0 + np.array([0.0, 3600.0])
+    ask = T0 + np.array([0.0, 1800.0, 3600.0, 5400.0])
+    squares = []
+    for _ in range(200):
+        gps = tie + 2.3 + 25e-6 * (tie - T0)
+        clock = clock_from_ties(tie, gps + sigma * rng.standard_normal(2), sigma)
+        found, predicted = clock.to_gps(ask)
+        squares.append(np.square((found - (ask + 2.3 + 25e-6 * (ask - T0))) / predicted))
+    low, high = chi2.ppf([0.0005, 0.9995], 200) / 200
+    mean = np.mean(squares, axis=0)
+    assert ((mean > low) & (mean < high)).all(), mean
+    # behind the ties the drift takes over: sigma 1.5 sqrt(4^2 + 10^2) around the first tie and its like
+    np.testing.assert_allclose(predicted[[0, 2]], sigma, rtol=1e-9)
+    assert predicted[3] > predicted[2] > predicted[1]
+
+
+def test_one_tie_gives_the_offset_only_and_says_so() -> None:
+    clock = clock_from_ties([T0], [T0 + 2.0], 0.005, sigma_drift=50e-6)
+    assert (clock.offset_s, clock.drift) == (2.0, 0.0)
+    _, sigma = clock.to_gps([T0, T0 + 3600.0])
+    np.testing.assert_allclose(sigma, [0.005, np.hypot(0.005, 0.18)], rtol=1e-9)
+    assert any("drift is not determined" in note and "180 ms" in note for note in clock.notes)
+
+
+def test_ties_that_are_not_on_a_line_name_the_worst() -> None:
+    t = T0 + np.arange(5) * 600.0
+    gps = t + 1.0
+    gps[3] += 0.1
+    with pytest.raises(ClockError, match=r"5 ties are not on a straight line: tie 4 is off by \+"):
+        clock_from_ties(t, gps, 0.005)
+
+
+def test_a_clock_that_was_set_in_between_is_refused() -> None:
+    with pytest.raises(ClockError, match=r"\+3600\.000 s .*a time zone.*was set in between"):
+        clock_from_ties([T0, T0 + 7200.0], [T0 + 1.0, T0 + 7200.0 + 3601.0], 0.005)
+
+
+def test_an_offset_of_whole_hours_is_named() -> None:
+    clock = clock_from_ties([T0, T0 + 600.0], [T0 - 7200.0, T0 + 600.0 - 7200.0], 0.005)
+    assert any("-2:00 h: a time zone" in note for note in clock.notes)
+    assert clock.offset_s == -7200.0  # stated, not corrected
+
+
+def test_ties_from_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "ties.csv"
+    path.write_text("t_device_s,t_gps_s,sigma_s\n1,2.5,0.01\n11,12.5,0.01\n")
+    assert read_ties(path).t_gps_s.tolist() == [2.5, 12.5]
+    path.write_text("t_device_s,t_gps_s,sigma_s\n1,2.5,0.01\n11,x,0.01\n")
+    with pytest.raises(InputError, match="row 2"):
+        read_ties(path)
+    path.write_text("t_device_s,t_gps_s\n1,2\n")
+    with pytest.raises(InputError, match="sigma_s"):
+        read_ties(path)
+    path.write_text("")
+    with pytest.raises(InputError, match="no table"):
+        read_ties(path)
+    path.write_text("file, text\na.jpg, 08:31:07.42\n")
+    assert read_text_columns(path, ("file", "text")) == [["a.jpg"], ["08:31:07.42"]]
+    with pytest.raises(ClockError, match="at least one tie"):
+        clock_from_ties([1.0], [2.0], 0.0)
+
+
+# ---------------------------------------------------------------- trigger
+
+
+def pulses(rng: np.random.Generator, n: int = 60) -> np.ndarray:
+    """Pulses every second, but for pauses that break the rhythm."""
+    step = np.ones(n)
+    step[[17, 31]] = (3.4, 2.7)
+    return T0 + np.cumsum(step) + rng.uniform(0, 1)
+
+
+def test_images_find_their_pulses_with_losses_on_both_sides(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    pulse = pulses(rng)
+    taken = np.delete(np.arange(60), [0, 5, 40])  # three pulses made no image
+    t = pulse[taken] - 712.25 + 0.002 * rng.standard_normal(taken.size)
+    t = np.sort(np.append(t, t[20] + 0.5))  # one image was taken by hand
+    match = match_pulses(t, pulse)
+    assert (match.images_without_pulse, match.pulses_without_image) == (1, 3)
+    assert np.flatnonzero(match.image < 0).tolist() == [0, 5, 40]
+    assert match.pulse[21] == -1
+    assert match.image[[0, 5, 40]].tolist() == [-1, -1, -1]
+    clock = clock_from_pulses(t, pulse, match, delay_s=0.003)
+    # 57 images with 2 ms each: 0.3 ms, five times that
+    assert clock.offset_s == pytest.approx(712.25 + 0.003, abs=1.5e-3)
+    assert clock.jitter_s == pytest.approx(0.002, rel=0.5)
+    clock.write(tmp_path / "camera_clock.yaml")
+    assert ClockModel.read(tmp_path / "camera_clock.yaml").sigma_jitter_s == clock.sigma_jitter_s
+
+
+def test_a_perfect_rhythm_with_a_loss_at_an_end_is_refused() -> None:
+    pulse = T0 + np.arange(30.0)
+    with pytest.raises(ClockError, match=r"alignments .* fit alike"):
+        match_pulses(pulse[1:] - 500.0, pulse)
+
+
+def test_pulses_of_another_run_are_refused() -> None:
+    rng = np.random.default_rng(3)
+    with pytest.raises(ClockError, match="at best"):
+        match_pulses(np.sort(rng.uniform(0, 60, 40)), np.sort(rng.uniform(0, 6000, 40)), tolerance_s=0.02)
+    with pytest.raises(ClockError, match="at least three"):
+        match_pulses([1.0, 2.0], [1.0, 2.0, 3.0])
+
+
+def test_a_trigger_has_no_offset_but_its_delay() -> None:
+    clock = trigger_clock(t_first_s=T0, t_last_s=T0 + 100, delay_s=0.003, sigma_delay_s=1e-4, jitter_s=2e-4)
+    t_gps, sigma = clock.to_gps([T0 + 50.0])
+    assert t_gps[0] - T0 == pytest.approx(50.003, abs=1e-7)  # 60 ns: float64 at 3e8 s
+    assert sigma[0] == pytest.approx(np.hypot(1e-4, 2e-4))
+
+
+def test_the_line_through_pulses_by_hand() -> None:
+    """Six images, off by +1, -1, 0, 0, -1, +1 ms: no drift, 4 ms^2 over 4 degrees of freedom."""
+    t = np.arange(6.0)
+    pulse = t + 100.0 + 1e-3 * np.array([1.0, -1.0, 0.0, 0.0, -1.0, 1.0])
+    match = match_pulses(t, pulse)
+    # the median of 1, 1, 0, 0, 1, 1 ms is that of a normal error of 1.4826 ms
+    assert (match.offset_s, match.misfit_s) == pytest.approx((100.0, 1.4826e-3), rel=1e-6)
+    clock = clock_from_pulses(t, pulse, match, delay_s=0.0025, sigma_delay_s=0.002)
+    # 1e-9 s: a float64 of 100 s holds 1.4e-14, the sums lose some digits
+    assert clock.offset_s == pytest.approx(100.0025, abs=1e-9)
+    assert clock.drift == pytest.approx(0.0, abs=1e-9)
+    assert clock.jitter_s == pytest.approx(1e-3, rel=1e-6)
+    assert clock.sigma_jitter_s == pytest.approx(1e-3 / np.sqrt(8), rel=1e-6)
+    # 1 ms^2 / 6 and the delay's 4 ms^2; 1 ms^2 over 2 (0.5^2 + 1.5^2 + 2.5^2) s^2
+    np.testing.assert_allclose(clock.cov, np.diag([1e-6 / 6 + 4e-6, 1e-6 / 17.5]), rtol=1e-6)
+    assert (clock.reference_s, clock.t_first_s, clock.t_last_s) == (2.5, 0.0, 5.0)
+
+
+@pytest.mark.parametrize(("square", "fits"), [(10.7, True), (10.95, False)])
+def test_three_ties_have_one_degree_of_freedom(square: float, fits: bool) -> None:
+    """10.828 is exceeded by 0.1 % of chi-squares of one degree (Abramowitz and Stegun 1964, table 26.8).
+
+    Off by +a, -2 a, +a the ties leave no slope and a sum of squares of 6 a^2.
+    """
+    gps = np.array([0.0, 100.0, 200.0]) + 0.01 * np.sqrt(square / 6) * np.array([1.0, -2.0, 1.0])
+    if fits:
+        assert "3 ties fit a straight line." in clock_from_ties([0.0, 100.0, 200.0], gps, 0.01).notes
+    else:
+        with pytest.raises(ClockError, match="not on a straight line"):
+            clock_from_ties([0.0, 100.0, 200.0], gps, 0.01)
+
+
+def test_a_few_images_are_found_among_many_pulses() -> None:
+    """Images 20 to 23 of thirty pulses whose intervals grow by 10 ms each."""
+    pulse = np.cumsum(1.0 + 0.01 * np.arange(30))
+    match = match_pulses(pulse[20:24] - 500.0, pulse, tolerance_s=0.001)
+    assert match.pulse.tolist() == [20, 21, 22, 23]
+    assert match.offset_s == pytest.approx(500.0)
+
+
+def test_the_worst_tie_may_be_late_or_early() -> None:
+    t = T0 + np.arange(5) * 600.0
+    for error, words in ((0.1, r"tie 2 is off by \+"), (-0.1, "tie 2 is off by -")):
+        with pytest.raises(ClockError, match=words):
+            clock_from_ties(t, t + error * np.eye(5)[1], 0.005)
+
+
+@pytest.mark.parametrize(("missing", "found"), [(50, True), (51, False)])
+def test_up_to_fifty_pulses_may_lie_before_the_first_image(missing: int, found: bool) -> None:
+    """200 pulses and 200 images, with intervals that grow by 10 ms each: no other alignment fits."""
+    pulse = np.cumsum(1.0 + 0.01 * np.arange(260))
+    images = pulse[missing : missing + 200] - 500.0
+    if found:
+        match = match_pulses(images, pulse[:200], tolerance_s=0.001)
+        assert match.pulse[:3].tolist() == [50, 51, 52]
+        assert match.pulses_without_image == 50
+    else:
+        with pytest.raises(ClockError, match="at best"):
+            match_pulses(images, pulse[:200], tolerance_s=0.001)
+
+
+def test_one_tie_without_sigma_is_refused() -> None:
+    with pytest.raises(ClockError, match="a sigma above 0"):
+        clock_from_ties([T0, T0 + 600.0], [T0, T0 + 600.0], [0.005, 0.0])
+
+
+def test_three_pulses_leave_one_degree_of_freedom() -> None:
+    """Off by +1, -2, +1 ms: no drift, and 6 ms^2 over one degree."""
+    t = np.arange(3.0)
+    pulse = t + 100.0 + 1e-3 * np.array([1.0, -2.0, 1.0])
+    clock = clock_from_pulses(t, pulse, match_pulses(t, pulse))
+    assert clock.jitter_s == pytest.approx(np.sqrt(6) * 1e-3, rel=1e-6)
+
+
+def test_pauses_do_not_widen_what_counts_as_near() -> None:
+    """Pulses each second but for a pause of 100 s; one without image, and an image by hand 0.4 s after it."""
+    pulse = np.r_[np.arange(20.0), 120.0 + np.arange(20.0)]
+    image = pulse - 500.0
+    image[5] += 0.4
+    match = match_pulses(image, pulse)
+    assert np.flatnonzero(match.pulse < 0).tolist() == [5]

@@ -1,0 +1,174 @@
+"""Times of images by ties and by a trigger, and the script that writes them."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.clocks.ties.model import ClockModel
+from thalweg.clocks.ties.run_image_times import (
+    RUN_IMAGE_TIMES,
+    image_times_words,
+    read_run_image_times,
+    tied_images,
+    triggered_images,
+)
+from thalweg.core.errors import ClockError, InputError
+from thalweg.core.tables import frame_of, read_table, write_table
+from thalweg.ingest.photos.stamps import IMAGE_STAMPS
+
+ROOT = Path(__file__).parents[2]
+T0 = 3.0e8
+OFFSET_S = 712.25
+
+
+def stamps_of(t_device_s: np.ndarray) -> pd.DataFrame:
+    n = len(t_device_s)
+    return frame_of(IMAGE_STAMPS, {
+        "file": [f"R{i:02d}.jpg" for i in range(n)], "t_device_s": t_device_s, "source": ["name"] * n,
+        "resolution_s": np.full(n, 1e-3), "width": np.full(n, 10), "height": np.full(n, 10),
+        "make": [""] * n, "model": [""] * n, "focal_mm": np.full(n, np.nan),
+    })  # fmt: skip
+
+
+def pulses() -> np.ndarray:
+    step = np.ones(40)
+    step[[11, 26]] = (3.4, 2.7)
+    return T0 + np.cumsum(step)
+
+
+def run(rng: np.random.Generator) -> tuple[pd.DataFrame, np.ndarray]:
+    """40 images, stamps with 20 ms jitter: pulse 5 made none, image 20 is by hand, the last has no stamp."""
+    pulse = np.delete(pulses(), 5)
+    t = np.insert(pulse - OFFSET_S + 0.02 * rng.standard_normal(39), 20, pulse[19] + 0.5 - OFFSET_S)
+    truth = np.insert(pulse, 20, np.nan)
+    t[-1] = np.nan
+    return stamps_of(t), truth
+
+
+def test_an_image_takes_the_time_of_its_pulse() -> None:
+    stamps, truth = run(np.random.default_rng(4))
+    clock, table, facts = triggered_images(stamps, pulses(), delay_s=0.003, jitter_s=2e-4)
+    matched = table["matched"].to_numpy()
+    assert np.flatnonzero(~matched).tolist() == [20, 39]
+    # exactly, not to the 20 ms of the stamps
+    assert np.array_equal(table["t_gps_s"][matched], truth[matched] + 0.003)
+    assert (table["sigma_s"][matched] == 2e-4).all()
+    # the one by hand: by the camera's own clock, with its jitter
+    assert table["t_gps_s"][20] == pytest.approx(truth[19] + 0.503, abs=0.02)
+    assert table["sigma_s"][20] == pytest.approx(0.02, rel=0.5)
+    assert "no pulse" in table["reason"][20]
+    assert table["reason"][39] == "no stamp"
+    assert np.isnan(table["t_gps_s"][39])
+    assert facts["images_without_pulse"] == ["R20.jpg", "R39.jpg"]
+    assert facts["pulses_without_image_s"] == [pulses()[5], pulses()[-1]]
+    assert (clock.offset_s, clock.jitter_s) == (0.003, 2e-4)
+    assert any("R20.jpg, R39.jpg" in note for note in clock.notes)
+
+
+def test_a_trigger_without_stated_jitter_has_none_and_says_so() -> None:
+    stamps, _ = run(np.random.default_rng(4))
+    clock, table, _ = triggered_images(stamps, pulses())
+    assert clock.jitter_s == 0.0
+    assert (table["sigma_s"][table["matched"]] == 0.0).all()
+    assert any("not stated" in note for note in clock.notes)
+
+
+def test_images_that_share_a_stamp_find_no_pulse() -> None:
+    stamps, _ = run(np.random.default_rng(4))
+    stamps.loc[8, "t_device_s"] = stamps.loc[7, "t_device_s"]
+    table = triggered_images(stamps, pulses())[1]
+    assert not table["matched"][[7, 8]].any()
+    assert (table["reason"][[7, 8]] == "another image has the same stamp").all()
+
+
+def test_the_report_of_times_says_how_many_images_have_them_and_how_good_they_are(tmp_path: Path) -> None:
+    stamps, _ = run(np.random.default_rng(4))
+    _, table, _ = triggered_images(stamps, pulses(), jitter_s=2e-4)
+    write_table(tmp_path / "times.parquet", table, RUN_IMAGE_TIMES)
+    words = image_times_words(read_run_image_times(tmp_path / "times.parquet"))
+    assert words.startswith(
+        "Times of 40 images: 38 by their pulse (sigma up to 0.20 ms), 1 by the camera's own"
+    )
+    assert words.endswith("1 without a time.")
+    clock = ClockModel(offset_s=OFFSET_S, reference_s=T0, cov=np.zeros((2, 2)), jitter_s=0.0163)
+    assert "39 by the camera's own clock (sigma up to 16.30 ms)" in image_times_words(
+        tied_images(stamps, clock)
+    )
+    with pytest.raises(InputError):
+        read_run_image_times(tmp_path / "nothing.parquet")
+
+
+# ---------------------------------------------------------------- the script
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location(
+        "clock_from_ties_script", ROOT / "workflow/scripts/clock_from_ties.py"
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> dict[str, Any]:
+    """Keywords of the script, for a run with ties."""
+    write_table(tmp_path / "stamps.parquet", run(np.random.default_rng(4))[0], IMAGE_STAMPS)
+    tie = T0 - OFFSET_S
+    (tmp_path / "ties.csv").write_text(
+        f"t_device_s,t_gps_s,sigma_s\n{tie},{T0},0.005\n{tie + 60},{T0 + 60},0.005\n"
+    )
+    pd.DataFrame({"t_gps_s": pulses()}).to_csv(tmp_path / "pulses.csv", index=False)
+    (tmp_path / "stability.json").write_text('{"image_error_s": 0.0163}')
+    return {
+        "ties": [tmp_path / "ties.csv"], "pulses": [], "stability": [], "stamps": tmp_path / "stamps.parquet",
+        "clock": tmp_path / "clock.yaml", "images": tmp_path / "images.parquet",
+        "options": {"jitter_s": None, "delay_s": 0.0},
+    }  # fmt: skip
+
+
+def test_ties_do_not_tell_the_jitter(script: ModuleType, job: dict[str, Any]) -> None:
+    with pytest.raises(ClockError, match=r"jitter of the camera's stamps is not known.*") as caught:
+        script.main(**job)
+    assert "calibration.clock.jitter_s" in str(caught.value)
+    assert not job["clock"].exists()
+
+
+@pytest.mark.parametrize(("stated", "jitter_s", "words"), [(None, 0.0163, "display"), (0.03, 0.03, "stated")])
+def test_ties_take_the_jitter_from_elsewhere(
+    script: ModuleType, job: dict[str, Any], stated: float | None, jitter_s: float, words: str
+) -> None:
+    job["stability"] = [job["clock"].parent / "stability.json"]
+    job["options"]["jitter_s"] = stated
+    script.main(**job)
+    clock = ClockModel.read(job["clock"])
+    assert clock.jitter_s == jitter_s
+    assert any("Jitter" in note and words in note for note in clock.notes)
+    table = read_table(job["images"], RUN_IMAGE_TIMES)[0]
+    assert not table["matched"].any()
+    assert (table["sigma_s"].dropna() > jitter_s).all()
+    assert table["t_gps_s"].isna().sum() == 1
+
+
+def test_pulses_make_the_times_of_images(script: ModuleType, job: dict[str, Any]) -> None:
+    job |= {"pulses": [job["clock"].parent / "pulses.csv"], "ties": []}
+    script.main(**job)
+    table, meta = read_table(job["images"], RUN_IMAGE_TIMES)[:2]
+    assert table["matched"].sum() == 38
+    assert set(table["t_gps_s"][table["matched"]]) <= set(pulses())
+    assert meta["images_without_pulse"] == ["R20.jpg", "R39.jpg"]
+    assert ClockModel.read(job["clock"]).source.startswith("hardware trigger")
+
+
+def test_one_table_only(script: ModuleType, job: dict[str, Any]) -> None:
+    job["ties"] = job["ties"] * 2
+    with pytest.raises(InputError, match="2 tables of ties and 0 of pulses"):
+        script.main(**job)

@@ -1,0 +1,225 @@
+"""Control points that put a block where the boat was not, and what is said of it."""
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.rigid import exp_rotation
+from thalweg.images.bundle.consent import check_datum
+from thalweg.images.bundle.place import Expected, check_attitudes, check_start, fitted_in_time, points_lie
+from thalweg.images.bundle.problem import Problem
+from thalweg.images.bundle.run import BlockSettings, orient_block
+from thalweg.images.bundle.weights import Options
+from thalweg.images.model.control_points import ControlPoints
+from thalweg.images.model.poses import ImagePoses
+from thalweg.images.model.start import Similarity, swapped
+
+_spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
+assert _spec
+assert _spec.loader
+block_scene = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(block_scene)
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
+SETTINGS = BlockSettings(options=Options(), square_pixels=False)
+N = 24
+OFF = np.array([0.2, -0.2, 0.1])
+
+
+@pytest.fixture(scope="module")
+def survey() -> tuple[Problem, object]:
+    return block_scene.scene(np.random.default_rng(5), images=N, points=300, control=7, check=3)
+
+
+def in_own_frame(problem: Problem):
+    return problem.block.transformed(exp_rotation([1.0, -0.4, 2.0]), np.array([3.0, -5.0, 1.0]), 0.13)
+
+
+def predicted(truth) -> ImagePoses:
+    """Poses of the trajectory, some decimetres off."""
+    return ImagePoses(
+        frame=FRAME,
+        images=tuple(f"{k:04d}.jpg" for k in range(N)),
+        t_gps_s=1.4e9 + np.arange(N) * 1.0,
+        sigma_t_s=np.full(N, 0.02),
+        oriented=np.ones(N, bool),
+        reasons=("",) * N,
+        centre_wcs_m=truth.C + OFF,
+        R_wcs_ccs=truth.R,
+        cov_pose_wcs=np.tile(0.01 * np.eye(6), (N, 1, 1)),
+        cov_next=np.zeros((N, 6, 6)),
+        n_marks=np.zeros(N),
+        rms_px=np.full(N, np.nan),
+    )
+
+
+def moved(control: ControlPoints, xyz) -> ControlPoints:
+    return replace(control, points_wcs_m=np.asarray(xyz, float))
+
+
+@pytest.mark.parametrize(
+    ("change", "answer"),
+    [
+        (
+            lambda x: x - [0, 0, 45.0],
+            r"45\.\d m below the trajectory, all alike.*height_offset_m.*about 45 m",
+        ),
+        (lambda x: x + np.array([0, 0, 6.0]), r"5\.\d m above the trajectory.*Check the heights"),
+        (
+            lambda x: x + np.array([900.0, 0, 0]),
+            r"90\d m away from the trajectory; expected at most 20 m",
+        ),
+        (lambda x: x[:, [1, 0, 2]], r"east and north swapped they would fit.*Swap the columns"),
+        (lambda x: x * [1, 1, -1], r"heights as depths they would fit.*count upwards"),
+        (lambda x: x * 10, r"away from the trajectory; decimetres would fit.*in metres"),
+        (lambda x: x / 0.3048, r"feet would fit"),
+    ],
+)
+def test_other_places_and_orders_leave_no_residual_and_are_told(survey, change, answer: str) -> None:
+    problem, truth = survey
+    control = moved(problem.control, change(problem.control.points_wcs_m))
+    with pytest.raises(GeometryError, match=answer):
+        orient_block(in_own_frame(problem), control, problem.marks, SETTINGS, predictions=predicted(truth))
+
+
+@pytest.mark.parametrize(
+    ("change", "answer"),
+    [
+        (lambda xy: xy * [1, -1] + [0, 540], "marks with y counted upwards would fit"),
+        (lambda xy: xy / 2, "marks of images of half the size would fit"),
+    ],
+)
+def test_marks_of_another_convention(survey, change, answer: str) -> None:
+    problem, truth = survey
+    marks = replace(problem.marks, xy_px=change(problem.marks.xy_px))
+    with pytest.raises(GeometryError, match=answer):
+        orient_block(in_own_frame(problem), problem.control, marks, SETTINGS, predictions=predicted(truth))
+
+
+def test_a_late_clock_is_no_reason_to_refuse_control_points(survey) -> None:
+    """30 m along the track, which the limit of 20 m would refuse; the zigzag tells that it is time."""
+    problem, truth = survey
+    fast = predicted(truth)
+    fast = replace(fast, centre_wcs_m=fast.centre_wcs_m * [4, 4, 1])
+    xyz = problem.control.points_wcs_m
+    block = replace(problem.block, centre_block_m=problem.block.centre_block_m * [4, 4, 1])
+    at = Expected.of(block, fast)
+    t = np.arange(N)
+    track = np.stack([np.interp(t + 7, t, at.centre_wcs_m[:, k]) for k in range(3)], axis=1)
+    late = replace(at, centre_wcs_m=track)
+    here = Similarity(
+        scale=1.0, R=np.eye(3), shift_m=np.zeros(3), misfit_m=np.zeros(len(xyz)), fits=np.ones(len(xyz), bool)
+    )
+    assert check_start(block, here, at, problem.control, problem.marks) == []
+    (note,) = check_start(block, here, late, problem.control, problem.marks)
+    assert "times -" in note
+    assert "images.clock" in note
+
+
+def test_the_shape_of_the_track_tells_a_wrong_clock(survey) -> None:
+    """Two seconds are 2 m, four times the window in which boards are looked for; a zigzag of 12 s tells."""
+    problem, truth = survey
+    zigzag = truth.C + np.stack(
+        [0 * np.arange(N), 4 * np.sin(2 * np.pi * np.arange(N) / 12), 0 * np.arange(N)], 1
+    )
+    block = replace(problem.block, centre_block_m=zigzag).transformed(
+        exp_rotation([1, 2, 0.3]), np.zeros(3), 0.2
+    )
+    right = Expected.of(block, predicted(truth))
+    right = replace(right, centre_wcs_m=zigzag + OFF)
+    same, none = fitted_in_time(block, right)
+    assert none == []
+    assert len(same.at) == N
+    t = np.arange(N)
+    late = np.stack([np.interp(t + 2.0, t, right.centre_wcs_m[:, k]) for k in range(3)], axis=1)
+    found, (note,) = fitted_in_time(block, replace(right, centre_wcs_m=late))
+    assert "times -2.0" in note
+    assert "images.clock" in note
+    off = found.centre_wcs_m - zigzag[found.at] - OFF
+    # the predictions' last two seconds stand still, and places between images are on chords
+    assert np.median(np.linalg.norm(off, axis=1)) < 0.1
+
+
+def test_images_stored_upside_down_are_told(survey) -> None:
+    problem, truth = survey
+    turned = replace(problem.block, R_block_ccs=problem.block.R_block_ccs @ np.diag([-1.0, -1.0, 1.0]))
+    with pytest.raises(
+        GeometryError, match=r"180 degrees away.*turned by [+-]180 degrees about the view.*mounts"
+    ):
+        check_attitudes(turned, Expected.of(turned, predicted(truth)))
+
+
+def test_points_on_a_line_and_points_that_are_no_control(survey) -> None:
+    problem, truth = survey
+    t = np.linspace(-20, 40, len(problem.control.names))
+    line = moved(problem.control, np.stack([t, 0 * t + 8.0, 0 * t + 2.0], axis=1))
+    with pytest.raises(GeometryError, match=r"all 7 control points lie on a line.*off the line"):
+        check_datum(problem.block, line, line, None, {})
+    every = replace(problem.control, check=np.ones(len(t), bool))
+    with pytest.raises(
+        GeometryError, match=r"^0 usable control points and no positions.*10 of 10 are check points"
+    ):
+        orient_block(in_own_frame(problem), every, problem.marks, SETTINGS, predictions=predicted(truth))
+
+
+def test_where_points_lie_that_no_image_shows(survey) -> None:
+    problem, _ = survey
+    xyz = problem.control.points_wcs_m
+    assert points_lie(problem.block, problem.control) == ""
+    assert "40 m below" in points_lie(problem.block, moved(problem.control, xyz - [0, 0, 40.0]))
+    assert "height_offset_m" in points_lie(problem.block, moved(problem.control, xyz - [0, 0, 40.0]))
+    assert "beside all that the images show" in points_lie(
+        problem.block, moved(problem.control, xyz + np.array([0, 400.0, 0]))
+    )
+
+
+def test_three_points_check_nothing_and_millimetres_are_doubted(survey) -> None:
+    problem, truth = survey
+    few = problem.control.chosen(np.isin(np.arange(10), [0, 3, 9]))
+    few = replace(few, check=np.zeros(3, bool))
+    at = {name: k for k, name in enumerate(few.names)}
+    rows = np.array([problem.control.names[p] in at for p in problem.marks.point])
+    marks = problem.marks.chosen(rows)
+    marks = replace(marks, point=np.array([at[problem.control.names[p]] for p in marks.point]))
+    found = orient_block(in_own_frame(problem), few, marks, SETTINGS, predictions=predicted(truth))
+    # nothing checks single points here: none may be accused of kilometres
+    assert not found.control.suspect.any()
+    assert any("none of them is checked" in note for note in found.notes)
+    assert any("No check point" in note for note in found.notes)
+    coarse = replace(problem.control, cov_wcs_m2=1e6 * problem.control.cov_wcs_m2)
+    found = orient_block(in_own_frame(problem), coarse, problem.marks, SETTINGS, predictions=predicted(truth))
+    assert any("millimetres" in note for note in found.notes)
+
+
+def test_an_interior_orientation_of_another_camera(survey) -> None:
+    problem, truth = survey
+    camera = problem.block.cameras[0]
+    cov = np.diag(np.where(np.arange(len(camera.parameters)) < 4, 0.5, 1e-4) ** 2.0)
+    known = replace(camera, parameters=truth.camera.parameters, cov=cov)
+    options = {"predictions": predicted(truth)}
+    good = orient_block(
+        in_own_frame(problem), problem.control, problem.marks, SETTINGS, known=known, **options
+    )
+    assert not any("calibration" in note for note in good.notes)
+    longer = known.parameters.copy()
+    longer[:2] *= 1.12
+    with pytest.raises(
+        GeometryError, match=r"calibrated interior orientation.*with an estimated one.*interior: free"
+    ):
+        orient_block(
+            in_own_frame(problem), problem.control, problem.marks, SETTINGS,
+            known=replace(known, parameters=longer), **options,
+        )  # fmt: skip
+
+
+def test_only_points_that_are_nearer_to_each_other_than_to_themselves_are_swapped() -> None:
+    target = np.array([[0.0, 0, 0], [10.0, 0, 0], [20.0, 0, 0]])
+    wrong = np.array([0, 1])
+    assert len(swapped(target[[1, 0, 2]], target, "abc", wrong, 1e9)) == 1
+    # 4 m of 10 m is no place of the other, whatever the tolerance
+    assert swapped(target[[1, 0, 2]] + [0, 4.0, 0], target, "abc", wrong, 1e9) == []

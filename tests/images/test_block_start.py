@@ -1,0 +1,106 @@
+"""The similarity that puts a block into the world, and what it says of wrong points."""
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.rigid import exp_rotation
+from thalweg.images.model.control_points import ControlPoints
+from thalweg.images.model.start import (
+    check_place,
+    nearest_to_rays,
+    robust_similarity,
+    similarity,
+    spread_share,
+)
+
+NAMES = tuple(f"P{k}" for k in range(9))
+
+
+def pair(rng: np.random.Generator, n: int = 9) -> tuple[np.ndarray, np.ndarray]:
+    """The same points in a model's frame and in the world, to a few centimetres."""
+    target = rng.uniform([0, 0, 0], [80, 12, 5], (n, 3))
+    R = exp_rotation([0.3, -1.2, 2.0])
+    source = (target - [10.0, 20.0, 30.0]) @ R / 7.5 + rng.normal(0, 0.002, (n, 3))
+    return source, target
+
+
+def points_of(xyz: np.ndarray) -> ControlPoints:
+    n = len(xyz)
+    return ControlPoints(
+        names=NAMES[:n], points_wcs_m=xyz, cov_wcs_m2=np.tile(1e-4 * np.eye(3), (n, 1, 1)),
+        check=np.zeros(n, bool),
+    )  # fmt: skip
+
+
+def test_similarity_is_exact_for_exact_points(rng: np.random.Generator) -> None:
+    source = rng.normal(0, 5, (6, 3))
+    R, shift = exp_rotation([0.1, 0.2, -2.5]), np.array([4e5, 5.6e6, 100.0])
+    scale, found, moved = similarity(source, 2.5 * source @ R.T + shift)
+    assert scale == pytest.approx(2.5, abs=1e-9)
+    np.testing.assert_allclose(found, R, atol=1e-9)
+    np.testing.assert_allclose(moved, shift, atol=1e-6)
+    assert np.linalg.det(similarity(source, source * [1, 1, -1])[1]) == pytest.approx(1)
+
+
+def test_swapped_names_are_named_and_left_out(rng: np.random.Generator) -> None:
+    source, target = pair(rng)
+    target[[2, 6]] = target[[6, 2]]
+    found = robust_similarity(source, target, NAMES, what="control points")
+    assert np.flatnonzero(~found.fits).tolist() == [2, 6]
+    distance = np.linalg.norm(target[2] - target[6])
+    assert any("P2" in note and f"{distance:.0f}"[:1] in note for note in found.notes)
+    assert any("P2 and P6 seem to be swapped" in note for note in found.notes)
+    assert found.scale == pytest.approx(7.5, rel=0.01)
+
+
+def test_one_wrong_point_is_named_with_its_size(rng: np.random.Generator) -> None:
+    source, target = pair(rng)
+    target[4, 2] += 10.0
+    found = robust_similarity(source, target, NAMES, what="control points")
+    assert np.flatnonzero(~found.fits).tolist() == [4]
+    assert found.misfit_m[4] == pytest.approx(10, abs=0.5)
+    assert found.notes[0].startswith("P4 is ")
+
+
+def test_points_on_a_line_are_refused(rng: np.random.Generator) -> None:
+    source, _ = pair(rng)
+    line = np.outer(np.linspace(0, 1, 9), [80.0, 5.0, 1.0])
+    assert spread_share(line) < 1e-12
+    with pytest.raises(GeometryError, match=r"all 9 control points lie on a line.*off the line"):
+        robust_similarity(source, line, NAMES, what="control points")
+
+
+def test_other_coordinates_are_refused(rng: np.random.Generator) -> None:
+    source, _ = pair(rng)
+    with pytest.raises(GeometryError, match=r"do not have the same shape.*names of the points"):
+        robust_similarity(source, rng.uniform(0, 80, (9, 3)), NAMES, what="control points")
+
+
+def test_two_points_are_too_few(rng: np.random.Generator) -> None:
+    source, target = pair(rng, 2)
+    with pytest.raises(GeometryError, match=r"2 control points.*at least 3"):
+        robust_similarity(source, target, NAMES, what="control points")
+
+
+def test_a_wrong_crs_is_told_by_the_distance(rng: np.random.Generator) -> None:
+    _, target = pair(rng)
+    near = target + np.array([0.0, -30.0, 2.0])
+    check_place(points_of(target), near)
+    with pytest.raises(GeometryError, match=r"P\d lies 5\d\d\d\.\d km.*nearest, P\d.*CRS of the control"):
+        check_place(points_of(target + np.array([4e5, 5.6e6, 0.0])), near)
+    one = target.copy()
+    one[3, 0] += 2e4
+    with pytest.raises(GeometryError, match=r"control point P3 lies 20\.0 km.*Check its coordinates"):
+        check_place(points_of(one), near)
+    check_place(points_of(one), np.empty((0, 3)))  # nothing is known of the images
+
+
+def test_one_wrong_ray_does_not_move_the_point() -> None:
+    centres = np.array([[0.0, 0, 0], [5, 0, 0], [10, 0, 0], [15, 0, 0], [20, 0, 0]])
+    target = np.array([9.0, 25.0, 3.0])
+    rays = target - centres
+    rays[1] += [4.0, 0, 0]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    np.testing.assert_allclose(nearest_to_rays(centres, rays), target, atol=1e-9)
+    assert np.isnan(nearest_to_rays(centres[:2], np.tile([[0.0, 1, 0]], (2, 1)))).all()

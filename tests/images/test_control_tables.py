@@ -1,0 +1,282 @@
+"""Tables of control points and marks in all forms, and what is said of wrong ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.core.frames import LocalFrame
+from thalweg.images.control.tables import (
+    matched_marks,
+    read_all_control_points,
+    read_control_points,
+    read_marks,
+)
+from thalweg.images.model.control_points import ControlMarks, ControlPoints
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
+LOCAL = np.array([[10.0, 20.0, 1.5], [-35.0, 40.0, 3.25], [60.0, 5.0, 0.5]])
+SIGMA = (0.01, 0.01, 0.02)
+SIZE = (4000, 3000)
+IMAGES = ("IMG_1.JPG", "IMG_2.JPG", "IMG_3.JPG")
+
+
+def write(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def points(path: Path, crs: str | None = "EPSG:25833") -> ControlPoints:
+    return read_control_points(path, FRAME, crs=crs, sigma_m=SIGMA)
+
+
+def control() -> ControlPoints:
+    return ControlPoints(
+        names=("A", "B", "C"), points_wcs_m=LOCAL, cov_wcs_m2=np.tile(1e-4 * np.eye(3), (3, 1, 1)),
+        check=np.zeros(3, bool),
+    )  # fmt: skip
+
+
+def match(path: Path, **changes) -> tuple[ControlMarks, dict[str, int]]:
+    options = {"images": IMAGES[:2], "all_images": IMAGES} | changes
+    images = options["images"]
+    return matched_marks(
+        read_marks(path), control(), images, [SIZE] * len(images), options["all_images"], sigma_px=0.5,
+        where=path,
+    )  # fmt: skip
+
+
+def test_the_table_of_the_house(tmp_path: Path) -> None:
+    text = "id,east_m,north_m,up_m,sigma_east_m,sigma_north_m,sigma_up_m,role\n"
+    text += "A,10,20,1.5,0.004,0.005,0.009,control\nB,-35,40,3.25,,,,check\n"
+    found = points(write(tmp_path, "control_points.csv", text))
+    assert found.names == ("A", "B")
+    assert found.check.tolist() == [False, True]
+    np.testing.assert_allclose(found.points_wcs_m, LOCAL[:2])
+    np.testing.assert_allclose(np.sqrt(np.diag(found.cov_wcs_m2[0])), [0.004, 0.005, 0.009])
+    np.testing.assert_allclose(np.sqrt(np.diag(found.cov_wcs_m2[1])), SIGMA)
+
+
+def test_geodetic_and_map_coordinates(tmp_path: Path) -> None:
+    lat, lon, h = FRAME.to_geodetic(LOCAL)
+    rows = [f"{n};{a:.10f};{b:.10f};{c:.4f}" for n, a, b, c in zip("ABC", lat, lon, h, strict=True)]
+    text = "id;lat_deg;lon_deg;h_ell_m\n" + "\n".join(rows) + "\n"
+    # ten digits of a degree are 0.01 mm, four of a metre 0.1 mm
+    np.testing.assert_allclose(points(write(tmp_path, "g.csv", text)).points_wcs_m, LOCAL, atol=2e-4)
+    grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
+    rows = [f"{n},{a:.4f},{b:.4f},{c:.4f}" for n, (a, b, c) in zip("ABC", grid, strict=True)]
+    path = write(tmp_path, "m.csv", "id,x,y,z\n" + "\n".join(rows) + "\n")
+    np.testing.assert_allclose(points(path).points_wcs_m, LOCAL, atol=2e-4)
+    with pytest.raises(InputError, match=r"without a CRS.*campaign\.crs"):
+        points(path, crs=None)
+
+
+def test_metashape_reference_pane(tmp_path: Path) -> None:
+    grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
+    head = "#CoordinateSystem: ...\n#Label,X/East,Y/North,Z/Altitude,Accuracy_(m),Error_(m),X_error\n"
+    rows = [f'"{n}",{a:.4f},{b:.4f},{c:.4f},0.02,0,0' for n, (a, b, c) in zip("ABC", grid, strict=True)]
+    found = points(write(tmp_path, "markers.csv", head + "\n".join(rows) + "\n"))
+    np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
+    np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[1].diagonal()), 0.02)
+
+
+METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
+<document version="1.5.0"><chunk>
+  <cameras next_id="3"><camera id="0" sensor_id="0" label="IMG_1"/>
+    <camera id="2" sensor_id="0" label="IMG_3"/><camera id="1" sensor_id="0" label="IMG_2"/></cameras>
+  <markers next_id="2"><marker id="0" label="A">
+    <reference x="{0}" y="{1}" z="{2}" sxyz="0.008" enabled="true"/></marker>
+    <marker id="1" label="B"><reference x="{3}" y="{4}" z="{5}" sx="0.01" sy="0.02" sz="0.03"
+    enabled="false"/></marker></markers>
+  <frames next_id="1"><frame id="0"><markers>
+    <marker marker_id="0"><location camera_id="0" pinned="true" x="1200.25" y="800.5"/>
+      <location camera_id="1" pinned="true" x="1300" y="810"/>
+      <location camera_id="2" pinned="false" x="1400" y="820"/></marker>
+    <marker marker_id="1"><location camera_id="1" pinned="true" x="10.5" y="20.5"/>
+      <location camera_id="2" pinned="true" x="99" y="20.5"/></marker>
+  </markers></frame></frames>
+  <reference>EPSG:25833</reference>
+</chunk></document>
+"""
+
+
+def test_metashape_markers(tmp_path: Path) -> None:
+    grid = FRAME.to_map(LOCAL[:2], CRS("EPSG:25833")).ravel()
+    path = write(tmp_path, "markers.xml", METASHAPE.format(*(f"{v:.4f}" for v in grid)))
+    found = points(path, crs=None)
+    np.testing.assert_allclose(found.points_wcs_m, LOCAL[:2], atol=2e-4)
+    assert found.check.tolist() == [False, True]
+    np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[1].diagonal()), [0.01, 0.02, 0.03])
+    marks, dropped = match(path)
+    assert marks.image.tolist() == [0, 1, 1]
+    assert marks.point.tolist() == [0, 0, 1]
+    np.testing.assert_allclose(marks.xy_px[0], [1200.25, 800.5])
+    assert dropped == {"placed by the program, not by a person": 1, "in images without a pose": 1}
+
+
+def test_opendronemap_counts_from_the_centre_of_the_first_pixel(tmp_path: Path) -> None:
+    grid = FRAME.to_map(LOCAL[:2], CRS("EPSG:32633"))
+    a, b = ("\t".join(f"{v:.4f}" for v in row) for row in grid)
+    text = f"WGS84 UTM 33N\n{a}\t100\t200\tIMG_1.JPG\tA\n{a}\t300.5\t400\tIMG_2.JPG\tA\n{b} 5 6 IMG_2.JPG B\n"
+    path = write(tmp_path, "gcp_list.txt", text)
+    found = points(path, crs=None)
+    assert found.names == ("A", "B")
+    np.testing.assert_allclose(found.points_wcs_m, LOCAL[:2], atol=2e-4)
+    marks, _ = match(path)
+    np.testing.assert_allclose(marks.xy_px, [[100.5, 200.5], [301.0, 400.5], [5.5, 6.5]])
+    with pytest.raises(InputError, match="two places of A"):
+        points(write(tmp_path, "gcp2.txt", text + f"{b}\t1\t2\tIMG_1.JPG\tA\n"), crs=None)
+
+
+def test_marks_with_and_without_sigma(tmp_path: Path) -> None:
+    text = "image,point,x_px,y_px,sigma_px,score,used,reason\nIMG_1.JPG,A,5,6,0.2,0.9,True,\n"
+    text += "IMG_2.JPG,A,7,8,,0.9,True,\nIMG_2.JPG,B,7,8,,0.5,False,ambiguous\n"
+    marks, dropped = match(write(tmp_path, "marks.csv", text))
+    assert marks.sigma_px.tolist() == [0.2, 0.5]
+    assert dropped == {"not to be used": 1}
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        ("image,point,x_px,y_px\nIMG_9.JPG,A,5,6\n", r"images that do not occur: IMG_9\.JPG; .*IMG_1"),
+        ("image,point,x_px,y_px\nIMG_1.JPG,D,5,6\n", r"points that do not occur: D; expected .*A, B, C"),
+        ("image,point,x_px,y_px\nIMG_1.JPG,A,4000.5,6\n", r"A at \(4000\.5, 6\) in IMG_1.*4000 x 3000"),
+        ("image,point,x_px,y_px\nIMG_1.JPG,A,-1,6\n", r"A at \(-1, 6\)"),
+        ("image,point,x_px,y_px\nIMG_1.JPG,A,5,6\nIMG_1.JPG,A,7,6\n", r"A is marked twice in IMG_1"),
+        ("image,point,x_px,y_px\nIMG_1.JPG,A,five,6\n", r"x_px 'five'; expected a number"),
+        ("image,point,x_px,y_px\nIMG_1.JPG,A,nan,6\n", r"x_px 'nan'"),
+        ("image,point,x_px\nIMG_1.JPG,A,5\n", r"no y_px; expected a column y_px or v"),
+        ("image,point,x_px,y_px\nIMG_1.JPG,A\n", r"marks\.csv:2: 2 columns; expected 4"),
+        ("", r"an empty table"),
+        ("EPSG:32633\n1 2 3 4\n", r"marks\.csv:2: 4 columns; expected x y z im_x im_y image"),
+    ],
+)  # fmt: skip
+def test_wrong_marks_are_told(tmp_path: Path, text: str, answer: str) -> None:
+    with pytest.raises(InputError, match=answer):
+        match(write(tmp_path, "marks.csv", text))
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        ("id,east_m,north_m,up_m\nA,1,2,3\nA,4,5,6\n", r"control point A more than once"),
+        ("id,east_m,north_m,up_m,sigma_up_m\nA,1,2,3,0\n", r"a standard deviation of 0 m of A"),
+        ("id,east_m,north_m,up_m,role\nA,1,2,3,tie\n", r"role 'tie' of A; expected control or check"),
+        ("id,a,b,c\nA,1,2,3\n", r"columns id, point; expected east_m, north_m, up_m"),
+        ("id,east_m,north_m,up_m\n", r"no control points"),
+        ("id,x,y,z\nA,1,2,3\n", r"outside"),
+    ],
+)
+def test_wrong_control_points_are_told(tmp_path: Path, text: str, answer: str) -> None:
+    with pytest.raises((InputError, GeometryError), match=answer):
+        points(write(tmp_path, "points.csv", text))
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="file not found"):
+        read_marks(tmp_path / "no.csv")
+    with pytest.raises(InputError, match="no XML"):
+        read_marks(write(tmp_path, "a.xml", "<document"))
+    with pytest.raises(InputError, match="no markers"):
+        read_marks(write(tmp_path, "b.xml", "<document/>"))
+    (tmp_path / "c.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="UTF-8"):
+        read_marks(tmp_path / "c.csv")
+    with pytest.raises(InputError, match="CRS 'EPSG:99' is not known"):
+        points(write(tmp_path, "g.txt", "EPSG:99\n1 2 3 4 5 IMG_1.JPG A\n"), crs=None)
+
+
+def test_decimal_commas_beside_semicolons(tmp_path: Path) -> None:
+    text = "id;east_m;north_m;up_m;role\nA;10,5;20,25;-1,5;GCP\nB;-35,0;40;3,25;Check Point\n"
+    found = points(write(tmp_path, "p.csv", text))
+    np.testing.assert_allclose(found.points_wcs_m[0], [10.5, 20.25, -1.5])
+    assert found.check.tolist() == [False, True]
+    with pytest.raises(InputError, match=r"p\.csv:2: east_m '10,5'.*with a point"):
+        points(write(tmp_path, "p.csv", 'id,east_m,north_m,up_m\nA,"10,5",20,1\n'))
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        (
+            "id,east_m,north_m,up_m,sigma_up_m\nA,1,2,3,-0.01\n",
+            r"csv:2: a standard deviation of -0\.01 m of A",
+        ),
+        (
+            "id,east_m,north_m,up_m,role\nA,1,2,3,CP\n",
+            r"csv:2: the role 'CP' of A.*control and for check points alike",
+        ),
+        ("A,1,2,3\nB,4,5,6\n", r"no names of columns: the first line is 'A,1,2,3'"),
+        ("id,east_m,north_m,up_m\nA,1,2,3\nB,4,5,\n", r"csv:3: no up_m"),
+    ],
+)
+def test_more_wrong_tables(tmp_path: Path, text: str, answer: str) -> None:
+    with pytest.raises((InputError, GeometryError), match=answer):
+        points(write(tmp_path, "p.csv", text))
+
+
+def test_a_workbook_is_no_table(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_bytes(b"PK\x03\x04 rest")
+    with pytest.raises(InputError, match=r"a workbook.*Save the sheet as CSV"):
+        points(tmp_path / "p.csv")
+
+
+UTM = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
+GEODETIC = np.stack(FRAME.to_geodetic(LOCAL), axis=1)
+
+
+@pytest.mark.parametrize(
+    ("head", "values", "answer"),
+    [
+        (
+            "x,y,z",
+            FRAME.to_map(LOCAL, CRS("EPSG:25832")),
+            r"zone 32N would fit.*images\.control\.crs: EPSG:25832",
+        ),
+        ("x,y,z", UTM[:, [1, 0, 2]], r"east and north swapped would fit"),
+        ("x,y,z", UTM + np.array([33e6, 0, 0]), r"the zone before the easting would fit"),
+        ("x,y,z", UTM * 1000, r"millimetres would fit"),
+        ("x,y,z", UTM / 0.3048, r"feet would fit"),
+        ("x,y,z", LOCAL, r"coordinates of the world frame would fit.*east_m"),
+        ("x,y,z", GEODETIC, r"latitude and longitude would fit.*lat_deg"),
+        ("lat_deg,lon_deg,h_ell_m", GEODETIC[:, [1, 0, 2]], r"latitude and longitude swapped would fit"),
+        ("east_m,north_m,up_m", UTM, r"zone 33N would fit.*Name the columns x, y, z"),
+        ("east_m,north_m,up_m", LOCAL * 1000 + 4e6, r"millimetres would fit"),
+    ],
+)
+def test_coordinates_far_from_the_survey_are_told_apart(
+    tmp_path: Path, head: str, values, answer: str
+) -> None:
+    rows = [f"{n},{a:.8f},{b:.8f},{c:.4f}" for n, (a, b, c) in zip("ABC", np.asarray(values), strict=True)]
+    path = write(tmp_path, "p.csv", f"id,{head}\n" + "\n".join(rows) + "\n")
+    with pytest.raises(GeometryError, match=answer):
+        points(path)
+
+
+def test_heights_above_the_geoid_get_an_offset(tmp_path: Path) -> None:
+    rows = [f"{n},{a:.4f},{b:.4f},{c - 45:.4f}" for n, (a, b, c) in zip("ABC", UTM, strict=True)]
+    path = write(tmp_path, "p.csv", "id,x,y,z\n" + "\n".join(rows) + "\n")
+    found = read_control_points(path, FRAME, crs="EPSG::25833", sigma_m=SIGMA, height_offset_m=45.0)
+    np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
+
+
+def test_several_files_are_one_survey(tmp_path: Path) -> None:
+    head = "id,east_m,north_m,up_m\n"
+    a, b = write(tmp_path, "a.csv", f"{head}A,1,2,3\n"), write(tmp_path, "b.csv", f"{head}B,1,2,3\n")
+    options = {"crs": None, "sigma_m": SIGMA}
+    assert read_all_control_points([a, b], FRAME, **options).names == ("A", "B")
+    assert read_all_control_points([], FRAME, **options).names == ()
+    with pytest.raises(InputError, match=r"a\.csv: A stands in a\.csv, too"):
+        read_all_control_points([a, a], FRAME, **options)
+
+
+def test_names_with_folders_and_in_another_case(tmp_path: Path) -> None:
+    text = "image,point,x_px,y_px\nC:\\data\\img_1.jpg,a,5,6\n/home/x/IMG_2.JPG, B,7,8\nIMG_3,C,7,8\n"
+    marks, dropped = match(write(tmp_path, "m.csv", text))
+    assert marks.image.tolist() == [0, 1]
+    assert marks.point.tolist() == [0, 1]
+    assert dropped == {"in images without a pose": 1}

@@ -1,0 +1,317 @@
+"""Wrong files of finished orientations: what is found, and what is said to be right."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pyproj import CRS
+from tests.images.finished_scene import (
+    FLIP,
+    FRAME,
+    LOCAL,
+    UTM33,
+    Scene,
+    angles_deg,
+    angles_text,
+    assert_poses,
+    geocentric,
+    grid_rotations,
+    predictions,
+    scene,
+    settings,
+    write_colmap_text,
+    write_metashape,
+)
+
+from thalweg.core.errors import InputError
+from thalweg.core.rigid import exp_rotation, opk_of
+from thalweg.images.imports.poses import import_orientations
+from thalweg.images.model.align import align, mean_rotation
+
+
+@pytest.fixture
+def truth() -> Scene:
+    return scene()
+
+
+def table(path: Path, truth: Scene, xyz: Any = None, angles: Any = None, head: str = "") -> Path:
+    xyz = truth.C if xyz is None else xyz
+    path.write_text(angles_text(truth.images, xyz, angles_deg(truth.R) if angles is None else angles, head))
+    return path
+
+
+def refused(path: Path, truth: Scene, rng: np.random.Generator, **changes: Any) -> str:
+    """The message, with predictions that are off by 0.3 m and 0.5 degrees."""
+    given = predictions(truth, rng, sigma_m=0.3, sigma_deg=0.5)
+    with pytest.raises(InputError) as found:
+        import_orientations([path], given, settings(**changes), crs="EPSG:25833")
+    assert str(path) in str(found.value)
+    return str(found.value)
+
+
+# ---------------------------------------------------------------- angles
+
+
+def other_angles(truth: Scene, what: str) -> tuple[Any, str]:
+    """Angles written in another way, and what the message must say."""
+    R = truth.R @ FLIP
+    match what:
+        case "gon":
+            return angles_deg(truth.R) * 10 / 9, "angle_unit: gon"
+        case "rad":
+            return np.deg2rad(angles_deg(truth.R)), "angle_unit: rad"
+        case "transposed":
+            return np.rad2deg([opk_of(M.T) for M in R]), "direction: world_to_image"
+        case "vision":
+            return np.rad2deg([opk_of(M) for M in truth.R]), "axes: right_down_forward"
+        case "phi first":
+            # Ry(phi) Rx(omega) Rz(kappa)
+            phi = np.arctan2(R[:, 0, 2], R[:, 2, 2])
+            kappa = np.arctan2(R[:, 1, 0], R[:, 1, 1])
+            omega = np.arcsin(-R[:, 1, 2])
+            return np.rad2deg(np.column_stack([omega, phi, kappa])), "rotation: phi_omega_kappa"
+        case "turned":
+            R_ccs_image = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]).T
+            return np.rad2deg([opk_of(M) for M in truth.R @ R_ccs_image]), "axes: down_right_back"
+    raise AssertionError(what)
+
+
+@pytest.mark.parametrize("what", ["gon", "rad", "transposed", "vision", "phi first", "turned"])
+def test_another_reading_of_the_angles_is_named(
+    tmp_path: Path, truth: Scene, rng: np.random.Generator, what: str
+) -> None:
+    angles, words = other_angles(truth, what)
+    path = table(tmp_path / "eo.txt", truth, angles=angles)
+    message = refused(path, truth, rng, crs="world")
+    assert f"Set images.finished.{words}." in message
+    name, value = words.split(": ")
+    found = import_orientations([path], predictions(truth), settings(crs="world", **{name: value}))
+    assert_poses(found.poses, truth)
+
+
+def test_a_matrix_beside_the_angles_tells_their_unit(tmp_path: Path, truth: Scene) -> None:
+    matrix = (truth.R @ FLIP).reshape(-1, 9)
+    rows = np.column_stack([angles_deg(truth.R) * 10 / 9, matrix])
+    path = table(tmp_path / "eo.txt", truth, angles=rows)
+    # without any prediction of use
+    with pytest.raises(InputError, match=r"differ by .* with angle_unit: gon they agree"):
+        import_orientations([path], predictions(truth), settings(crs="world"))
+    assert_poses(
+        import_orientations([path], predictions(truth), settings(crs="world", angle_unit="gon")).poses, truth
+    )
+
+
+def test_a_wrong_mount_is_told_as_a_constant_turn(
+    tmp_path: Path, truth: Scene, rng: np.random.Generator
+) -> None:
+    turned = Scene(truth.images, truth.C, truth.R @ exp_rotation(np.array([0.0, np.deg2rad(50.0), 0.0])))
+    path = write_colmap_text(tmp_path / "m", truth.images, turned.C, turned.R)
+    with pytest.raises(InputError, match=r"with the axes of the images turned by (49|50|51)\.\d degrees"):
+        import_orientations(
+            [path], predictions(truth, rng, sigma_m=0.3, sigma_deg=0.5), settings(crs="world")
+        )
+
+
+@pytest.mark.parametrize(("stated", "right"), [("true", "grid"), ("grid", "true")])
+def test_the_other_north_is_told_where_the_prediction_knows_it(
+    tmp_path: Path, truth: Scene, rng: np.random.Generator, stated: str, right: str
+) -> None:
+    lat, lon, _ = FRAME.to_geodetic(truth.C)
+    level = np.swapaxes(FRAME.R_wcs_enu(lat, lon), 1, 2) @ truth.R
+    R = grid_rotations(truth) if right == "grid" else level
+    path = table(tmp_path / "eo.txt", truth, FRAME.to_map(truth.C, UTM33), angles_deg(R))
+    for sigma_deg, told in ((0.1, True), (2.0, False)):
+        given = predictions(truth, rng, sigma_m=0.3, sigma_deg=sigma_deg)
+        facts = import_orientations([path], given, settings(north=stated), crs="EPSG:25833").facts
+        assert any(f"if they refer to {right} north" in note for note in facts["notes"]) == told
+        facts = import_orientations([path], given, settings(north=right), crs="EPSG:25833").facts
+        assert facts["notes"] == []
+
+
+def test_small_errors_of_the_prediction_are_no_mistake(
+    tmp_path: Path, truth: Scene, rng: np.random.Generator
+) -> None:
+    given = predictions(truth, rng, sigma_m=2.0, sigma_deg=4.0)
+    found = import_orientations([table(tmp_path / "eo.txt", truth)], given, settings(crs="world"))
+    assert_poses(found.poses, truth)
+    assert found.facts["notes"] == []
+    assert found.facts["files"][0]["images_compared"] == 12
+
+
+# ---------------------------------------------------------------- positions
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("swapped", "east and north (or longitude and latitude) swapped would fit"),
+        ("zone", "WGS 84 / UTM zone 32N would fit"),
+        ("world", "Set images.finished.crs: world"),
+        ("degrees", "Set images.finished.crs: EPSG:4326"),
+        ("translations", "the translations of world-to-camera transforms would fit"),
+        ("millimetres", "millimetres would fit"),
+    ],
+)
+def test_wrong_coordinates_are_named(
+    tmp_path: Path, truth: Scene, rng: np.random.Generator, what: str, words: str
+) -> None:
+    grid = FRAME.to_map(truth.C, UTM33)
+    lat, lon, h = FRAME.to_geodetic(truth.C)
+    xyz, angles, crs = {
+        "swapped": (grid[:, [1, 0, 2]], grid_rotations(truth), "EPSG:25833"),
+        "zone": (FRAME.to_map(truth.C, CRS.from_epsg(32632)), truth.R, "EPSG:32633"),
+        "world": (truth.C, truth.R, "EPSG:25833"),
+        "degrees": (np.column_stack([lon, lat, h]), truth.R, "EPSG:25833"),
+        "translations": (-np.einsum("nji,nj->ni", truth.R, truth.C), truth.R, "world"),
+        "millimetres": (truth.C * 1000, truth.R, "world"),
+    }[what]
+    path = table(tmp_path / "eo.txt", truth, xyz, angles_deg(angles))
+    assert words in refused(path, truth, rng, crs=crs)
+
+
+def test_heights_above_the_geoid_are_named_and_their_cure_works(
+    tmp_path: Path, truth: Scene, rng: np.random.Generator
+) -> None:
+    grid = FRAME.to_map(truth.C, UTM33) - [0.0, 0.0, 44.2]
+    path = table(tmp_path / "eo.txt", truth, grid, angles_deg(grid_rotations(truth)))
+    message = refused(path, truth, rng)
+    assert "m below the predicted ones, all alike" in message
+    assert re.search(r"about 4[45] m", message)  # the prediction itself is off by 0.3 m
+    chosen = settings(height_offset_m=44.2)
+    found = import_orientations([path], predictions(truth), chosen, crs="EPSG:25833")
+    assert_poses(found.poses, truth, atol_m=1e-7, atol=3e-8)
+    # a quarter of a metre of geoid is within what predictions know
+    near = import_orientations([path], predictions(truth), settings(height_offset_m=44.45), crs="EPSG:25833")
+    np.testing.assert_allclose(near.poses.centre_wcs_m[:, 2] - truth.C[:, 2], 0.25, atol=1e-3)
+    # 10 m are told, and nothing more
+    told = import_orientations([path], predictions(truth), settings(height_offset_m=34.2), crs="EPSG:25833")
+    assert "heights 10.0 m below" in told.facts["notes"][0]
+
+
+def test_geocentric_heights_are_raised_along_the_vertical(tmp_path: Path, truth: Scene) -> None:
+    lat, lon, h = FRAME.to_geodetic(truth.C)
+    low = Scene(truth.images, FRAME.from_geodetic(lat, lon, h - 44.2), truth.R)
+    wkt = CRS.from_epsg(4326).to_wkt("WKT1_GDAL")
+    path = write_metashape(tmp_path / "c.xml", truth.images, *geocentric(low), reference=wkt)
+    found = import_orientations([path], predictions(truth), settings(height_offset_m=44.2))
+    assert_poses(found.poses, truth, atol_m=1e-8)
+
+
+def test_another_survey_is_refused(tmp_path: Path, truth: Scene, rng: np.random.Generator) -> None:
+    path = table(tmp_path / "eo.txt", truth, truth.C + np.array([3000.0, 0.0, 0.0]))
+    message = refused(path, truth, rng, crs="world")
+    assert "positions a median of 3000 m away" in message
+    assert "clock" in message
+
+
+def test_a_single_far_image_is_told(tmp_path: Path, truth: Scene) -> None:
+    C = truth.C.copy()
+    C[4, 0] += 60.0
+    path = table(tmp_path / "eo.txt", truth, C)
+    note = import_orientations([path], predictions(truth), settings(crs="world")).facts["notes"][0]
+    assert "1 of 12 images are more than 20 m away" in note
+    assert truth.images[4] in note
+
+
+def test_another_datum_is_refused(tmp_path: Path, truth: Scene) -> None:
+    path = table(tmp_path / "eo.txt", truth, FRAME.to_map(truth.C, UTM33))
+    with pytest.raises(InputError, match="Bessel"):
+        import_orientations([path], predictions(truth), settings(crs="EPSG:31469"))
+    wkt = CRS.from_epsg(4314).to_wkt("WKT1_GDAL")
+    path = write_metashape(tmp_path / "c.xml", truth.images, *geocentric(truth), reference=wkt)
+    with pytest.raises(InputError, match="datum of 'DHDN'"):
+        import_orientations([path], predictions(truth), settings())
+
+
+# ---------------------------------------------------------------- models without place
+
+
+def free(truth: Scene) -> Scene:
+    R = exp_rotation(np.array([0.4, 1.9, -0.6]))
+    return Scene(truth.images, (truth.C - [480.0, -190.0, 3.0]) @ R / 7.3, R.T @ truth.R)
+
+
+def test_a_free_model_is_refused_with_what_a_similarity_leaves(tmp_path: Path, truth: Scene) -> None:
+    model = free(truth)
+    given = predictions(truth)
+    path = write_colmap_text(tmp_path / "m", model.images, model.C, model.R)
+    with pytest.raises(InputError) as found:
+        import_orientations([path], given, settings())
+    assert "a similarity of the scale 7.3 puts it onto the predicted poses" in str(found.value)
+    assert "an rms of 0.00 m and 0.00 degrees in 12 images" in str(found.value)
+    assert "control points" in str(found.value)
+    assert "align: predictions" in str(found.value)
+    aligned = import_orientations([path], given, settings(align="predictions"))
+    # a similarity of float64 at 500 m
+    assert_poses(aligned.poses, truth, atol_m=1e-8)
+    assert aligned.facts["files"][0]["aligned"]["scale"] == pytest.approx(7.3, rel=1e-9)
+    assert any("errs as a whole as the prediction does" in note for note in aligned.facts["notes"])
+
+
+def test_an_aligned_model_errs_as_the_prediction_does(
+    tmp_path: Path, truth: Scene, rng: np.random.Generator
+) -> None:
+    model = free(truth)
+    path = write_colmap_text(tmp_path / "m", model.images, model.C, model.R)
+    chi = []
+    for _ in range(60):
+        given = predictions(truth, rng, sigma_m=0.2, sigma_deg=0.3)
+        found = import_orientations([path], given, settings(align="predictions")).poses
+        error = found.centre_wcs_m[5] - truth.C[5]
+        chi.append(error @ np.linalg.solve(found.cov_pose_wcs[5, :3, :3], error) / 3)
+        # the common part makes neighbours alike
+        assert np.trace(found.cov_next[5]) > 0.95 * np.trace(found.cov_pose_wcs[5])
+    # mean of 60 chi-squares of 3 degrees of freedom: 1 +- 0.11; the own tenth of the noise adds 1 %
+    assert 0.7 < np.mean(chi) < 1.4
+
+
+def test_a_free_model_of_another_track_is_refused_even_so(
+    tmp_path: Path, truth: Scene, rng: np.random.Generator
+) -> None:
+    model = free(truth)
+    shuffled = rng.permutation(12)
+    path = write_colmap_text(tmp_path / "m", model.images, model.C[shuffled], model.R[shuffled])
+    with pytest.raises(InputError, match="not the same track"):
+        import_orientations([path], predictions(truth), settings(align="predictions"))
+
+
+def test_local_coordinates_without_a_name_are_free(tmp_path: Path, truth: Scene) -> None:
+    model = free(truth)
+    for chunk in (True, False):
+        path = tmp_path / "c.xml"
+        write_metashape(path, model.images, model.C, model.R, reference=LOCAL, chunk=chunk)
+        with pytest.raises(InputError, match="Metashape in a frame of its own"):
+            import_orientations([path], predictions(truth), settings())
+        found = import_orientations([path], predictions(truth), settings(align="predictions"))
+        assert_poses(found.poses, truth, atol_m=1e-8)
+
+
+def test_a_straight_track_is_aligned_by_its_attitudes(rng: np.random.Generator) -> None:
+    track = scene(8)
+    C = np.array([10.0, 0.0, 0.0]) * np.arange(8)[:, None]
+    R = exp_rotation(np.array([0.2, 0.5, -0.9]))
+    found = align((C - 5.0) @ R / 3.0, R.T @ track.R, C, track.R, 0.1, 0.01)
+    np.testing.assert_allclose(found.centre_wcs_m, C, atol=1e-9)
+    np.testing.assert_allclose(found.R, R, atol=1e-9)
+    # two outliers of eight in the predictions hardly move it: weights fall with the distance
+    wrong = C.copy()
+    wrong[[2, 5]] += [0.0, 8.0, 3.0]
+    near = align((C - 5.0) @ R / 3.0, R.T @ track.R, wrong, track.R, 0.1, 0.01)
+    assert np.abs(near.centre_wcs_m - C).max() < 0.3
+
+
+def test_images_at_one_place_give_no_scale(tmp_path: Path, truth: Scene) -> None:
+    still = Scene(truth.images, np.tile(truth.C[0], (12, 1)), truth.R)
+    path = write_colmap_text(tmp_path / "m", truth.images, truth.C, truth.R)
+    with pytest.raises(InputError, match="cannot be put onto the prediction"):
+        import_orientations([path], predictions(still), settings(align="predictions"))
+
+
+def test_the_mean_rotation_is_not_that_of_outliers(rng: np.random.Generator) -> None:
+    R = exp_rotation(np.array([0.3, -0.2, 1.0]))
+    turns = exp_rotation(0.001 * rng.normal(size=(20, 3))) @ R
+    turns[:4] = exp_rotation(np.array([0.0, 2.0, 0.0])) @ R
+    # 16 rotations of 1e-3 rad: 2.5e-4 in the mean
+    assert np.abs(mean_rotation(turns) - R).max() < 1e-3

@@ -1,0 +1,179 @@
+"""Names of other images, damaged files, and what is not there."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.images.finished_scene import (
+    LOCAL,
+    Scene,
+    angles_deg,
+    angles_text,
+    assert_poses,
+    predictions,
+    scene,
+    settings,
+    write_colmap_text,
+    write_metashape,
+)
+
+from thalweg.core.errors import InputError
+from thalweg.images.imports.poses import NOT_IN_FILE, import_orientations
+from thalweg.images.model.names import matched
+
+
+@pytest.fixture
+def truth() -> Scene:
+    return scene()
+
+
+def table(path: Path, truth: Scene, xyz: Any = None, angles: Any = None, head: str = "") -> Path:
+    xyz = truth.C if xyz is None else xyz
+    path.write_text(angles_text(truth.images, xyz, angles_deg(truth.R) if angles is None else angles, head))
+    return path
+
+
+# ---------------------------------------------------------------- names
+
+
+def test_names_are_matched_from_strict_to_loose() -> None:
+    images = ["a/IMG_1.JPG", "b/IMG_1.JPG", "IMG_2.JPG", "img_3.png"]
+    names = ["b/IMG_1.JPG", "C:\\photos\\img_2.jpg", "IMG_3", "IMG_1", "other"]
+    assert matched(names, images, "file").tolist() == [1, 2, 3, -1, -1]
+    with pytest.raises(InputError, match=r"IMG_2 and img_2\.JPG both mean the image IMG_2\.JPG"):
+        matched(["IMG_2", "img_2.JPG"], images, "file")
+
+
+def test_images_that_the_file_lacks_have_a_reason(tmp_path: Path, truth: Scene) -> None:
+    part = Scene(truth.images[:9], truth.C[:9], truth.R[:9])
+    path = table(tmp_path / "eo.txt", part)
+    path.write_text(path.read_text() + "stranger.jpg\t0\t0\t0\t0\t0\t0\n")
+    found = import_orientations([path], predictions(truth), settings(crs="world"))
+    assert found.poses.reasons == ("",) * 9 + (NOT_IN_FILE,) * 3
+    assert found.facts["files"][0]["not_of_the_campaign"] == ["stranger.jpg"]
+    assert found.facts["oriented"] == 9
+
+
+def test_a_file_of_other_images_is_refused(tmp_path: Path, truth: Scene) -> None:
+    other = Scene(tuple(f"DSC{k}.jpg" for k in range(12)), truth.C, truth.R)
+    with pytest.raises(InputError, match=r"0 of 12 images .* not so DSC0\.jpg, DSC1\.jpg"):
+        import_orientations([table(tmp_path / "eo.txt", other)], predictions(truth), settings(crs="world"))
+
+
+def test_without_predictions_nothing_is_checked_and_that_is_said(tmp_path: Path, truth: Scene) -> None:
+    given = predictions(truth)
+    values = {name: getattr(given, name) for name in given.__dataclass_fields__}
+    blind = type(given)(**{**values, "oriented": np.zeros(12, np.bool_)})
+    found = import_orientations([table(tmp_path / "eo.txt", truth)], blind, settings(crs="world"))
+    assert_poses(found.poses, truth)
+    assert "could not be checked" in found.facts["notes"][0]
+
+
+# ---------------------------------------------------------------- damaged files
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no row"),
+        ("a.jpg 1 2 3\n", "4 columns"),
+        ("a.jpg 1 2 3 4 5 six\n", "kappa 'six'"),
+        ("image;X;Y;Z;Omega;Phi;Kappa\na.jpg;1,5;2;3;4;5;6\n", "Write decimals with a point"),
+        ("label,x,y,z,yaw,pitch,roll\na,1,2,3,4,5,6\n", "export omega, phi, kappa"),
+        ("image,x,y,omega,phi,kappa\na,1,2,4,5,6\n", "no column z"),
+        ("image,x,y,z,omega [deg],phi [gon],kappa\na,1,2,3,4,5,6\n", "angles in deg and gon"),
+        ("image,x,y,z,omega,phi,kappa,sx\na,1,2,3,4,5,6,0\n", "not positive"),
+        ("a.jpg 1 2 3 4 5 6\na.jpg 1 2 3 4 5 6\n", r"two poses of a.jpg"),
+        ("a.jpg 1 2 nan 4 5 6\n", "z 'nan'"),
+        (",1,2,3,4,5,6\n", "without a name"),
+    ],
+)
+def test_damaged_tables(tmp_path: Path, truth: Scene, text: str, words: str) -> None:
+    path = tmp_path / "eo.txt"
+    path.write_text(text)
+    with pytest.raises(InputError) as found:
+        import_orientations([path], predictions(truth), settings(crs="world"))
+    assert words in str(found.value)
+    assert "eo.txt" in str(found.value)
+
+
+def test_a_table_without_a_crs_is_refused(tmp_path: Path, truth: Scene) -> None:
+    with pytest.raises(InputError, match="coordinates without a CRS"):
+        import_orientations([table(tmp_path / "eo.txt", truth)], predictions(truth), settings())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("<chunk ", "<other ", "no XML"),
+        ("</document>", "<chunk><camera/></chunk></document>", "2 chunks"),
+        ("<transform><rotation>", "<transform><rotation>x ", "9 numbers"),
+        ("<scale>3.7", "<scale>-3.7", "positive number"),
+        ("<f>582.0", "<f>wide", "f 'wide'"),
+    ],
+)
+def test_damaged_xml(tmp_path: Path, truth: Scene, old: str, new: str, words: str) -> None:
+    path = write_metashape(tmp_path / "c.xml", truth.images, truth.C, truth.R, reference=LOCAL)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as found:
+        import_orientations([path], predictions(truth), settings(crs="world"))
+    assert words in str(found.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (" 7 run/IMG_0003.JPG", "", "no pose"),
+        (r"^4 \S+", "4 9.0", "length"),
+        ("7 OPENCV 720", "7 OPENCV wide", "no camera"),
+        (" -2e-4", "", "7 parameters"),
+    ],
+)
+def test_damaged_colmap_text(tmp_path: Path, truth: Scene, old: str, new: str, words: str) -> None:
+    folder = write_colmap_text(tmp_path / "m", truth.images, truth.C, truth.R, points=False)
+    for path in (folder / "images.txt", folder / "cameras.txt"):
+        text = path.read_text()
+        path.write_text(re.sub(rf"(?m){old}", new, text))
+    with pytest.raises(InputError) as found:
+        import_orientations([folder], predictions(truth), settings(crs="world"))
+    assert words in str(found.value)
+
+
+def test_damaged_binary_models_give_our_errors_only(
+    tmp_path: Path, truth: Scene, rng: np.random.Generator
+) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    folder = write_colmap_text(tmp_path / "text", truth.images, truth.C, truth.R, points=False)
+    binary = tmp_path / "binary"
+    binary.mkdir()
+    pycolmap.Reconstruction(str(folder)).write_binary(str(binary))
+    whole = {name: (binary / name).read_bytes() for name in ("images.bin", "cameras.bin")}
+    clean = 0
+    for k in range(200):
+        name = ("images.bin", "cameras.bin")[k % 2]
+        data = bytearray(whole[name])
+        for at in rng.integers(len(data), size=3):
+            data[at] = int(rng.integers(256))
+        (binary / name).write_bytes(bytes(data[: len(data) - (k % 5)]))
+        try:
+            import_orientations([binary], predictions(truth), settings(crs="world"))
+            clean += 1
+        except InputError:
+            pass
+        (binary / name).write_bytes(whole[name])
+    # digits behind the eighth of a number, or a letter of one name, do no harm
+    assert 0 < clean < 150
+
+
+def test_what_is_not_there_or_no_model(tmp_path: Path, truth: Scene) -> None:
+    for path, words in ((tmp_path / "none.txt", "file not found"), (tmp_path, "without images")):
+        with pytest.raises(InputError, match=words):
+            import_orientations([path], predictions(truth), settings())
+    with pytest.raises(InputError, match="no file"):
+        import_orientations([], predictions(truth), settings())
+    with pytest.raises(InputError, match="'EPSG:1' is not known"):
+        import_orientations([table(tmp_path / "eo.txt", truth)], predictions(truth), settings(crs="EPSG:1"))

@@ -1,0 +1,143 @@
+"""Orientations of real blocks by the measurements of their images, and the script of the rule."""
+
+import importlib.util
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.images.finished_scene import (
+    FLIP,
+    Scene,
+    angles_deg,
+    angles_text,
+    assert_poses,
+    predictions,
+    scene,
+    settings,
+    write_colmap_text,
+)
+
+from thalweg.calibration.markers.camera_file import read_camera
+from thalweg.core.camera.model import Camera
+from thalweg.core.frames import rotation_opk
+from thalweg.images.imports.poses import import_orientations
+from thalweg.images.model.poses import ImagePoses
+
+
+@pytest.fixture
+def truth() -> Scene:
+    return scene()
+
+
+# ---------------------------------------------------------------- real files
+
+
+@pytest.mark.real
+def test_orientations_of_the_roman_arch_by_its_own_tie_points(tmp_path: Path, data_dir: Path) -> None:
+    """DBAT's start values of 60 real images: with the right reading of the angles rays of one point meet."""
+    script = data_dir / "dbat_roma/script/romabundledemo"
+    if not script.is_dir():
+        pytest.skip("no dbat_roma")
+    table = np.loadtxt(script / "prior/initial_eo.txt", delimiter=",")
+    marks = np.loadtxt(script / "measurements/markpts.txt", delimiter=",")
+    names = tuple(f"IMG_{int(k):04d}.JPG" for k in table[:, 0])
+    path = tmp_path / "eo.csv"
+    path.write_text(angles_text(names, table[:, 1:4], table[:, 4:]))
+    R = np.array([rotation_opk(*np.deg2rad(row)) @ FLIP for row in table[:, 4:]])
+    given = predictions(Scene(names, table[:, 1:4], R))
+    found = import_orientations([path], given, settings(crs="world")).poses
+    focal_px, centre_px = 24.3581 / 36.036 * 5616, np.array([18.1143 / 36.036 * 5616, 1872.0])
+    # of points with many rays: the median angle between a ray and the direction to where all of them meet
+    off = []
+    for point in np.unique(marks[:, 1])[::200]:
+        rows = marks[marks[:, 1] == point]
+        if len(rows) < 4:
+            continue
+        at = rows[:, 0].astype(int) - 1
+        plane = (rows[:, 2:] - centre_px) / focal_px
+        ray = np.einsum("nij,nj->ni", found.R_wcs_ccs[at], np.column_stack([plane, np.ones(len(at))]))
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        x = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, found.centre_wcs_m[at]))
+        away = x - found.centre_wcs_m[at]
+        off += np.rad2deg(np.arccos((away * ray).sum(axis=1) / np.linalg.norm(away, axis=1))).tolist()
+    assert len(off) > 100
+    # the table has two digits of degrees and decimetres of position at 20 m, and no lens distortion is used
+    assert np.median(off) < 3.0
+
+
+@pytest.mark.real
+def test_orientations_of_an_aerial_block_by_its_control_points(tmp_path: Path, data_dir: Path) -> None:
+    """DBAT's adjusted poses of five aerial images put surveyed points where they were marked."""
+    script = data_dir / "dbat_sxb/script/sxb"
+    if not script.is_dir():
+        pytest.skip("no dbat_sxb")
+    report = (script / "result/report.txt").read_text()
+    values = re.findall(r"Photo (\d+): (\S+)\n(.*?)(?=Photo \d|\Z)", report, re.DOTALL)
+    names, rows = [], []
+    for _, name, text in values:
+        names.append(name)
+        rows.append([float(re.findall(rf"{key}:\s+Value:\s+(\S+)", text)[0]) for key in
+                     ("Xc", "Yc", "Zc", "Omega", "Phi", "Kappa")])  # fmt: skip
+    table = np.array(rows)
+    assert len(table) == 5
+    path = tmp_path / "eo.txt"
+    path.write_text(angles_text(names, table[:, :3], table[:, 3:], separator=","))
+    R = np.array([rotation_opk(*np.deg2rad(row)) @ FLIP for row in table[:, 3:]])
+    found = import_orientations(
+        [path], predictions(Scene(tuple(names), table[:, :3], R)), settings(crs="world")
+    )
+    # pixels of DBAT count from the centre of the first one, which is 1
+    focal_px = 123.9392 / 0.006
+    parameters = np.array([focal_px, focal_px, 4429.0, 6468.0, 0, 0, 0, 0, 0])
+    camera = Camera(model="perspective", size_px=(8858, 12996), parameters=parameters)
+    listed = (script / "reference/sxb-control.txt").read_text().splitlines()
+    cells = [line.split(",") for line in listed if line[:1].isdigit()]
+    control = {int(row[0]): np.array(row[2:5], float) for row in cells}
+    off = []
+    for point, image, x, y in np.loadtxt(script / "measurements/markpts.txt", delimiter=","):
+        k, p = int(image) - 1, control[int(point)]
+        seen = camera.project((p - found.poses.centre_wcs_m[k]) @ found.poses.R_wcs_ccs[k])[0]
+        off.append(seen - [x - 0.5, y - 0.5])
+    # the report's rms of all points is 1.1 px; two of the 16 points took no part and are up to 0.5 m off
+    assert np.sqrt(np.mean(np.square(off))) < 2.0
+
+
+# ---------------------------------------------------------------- script
+
+
+@pytest.mark.parametrize("kind", ["colmap", "table", "table and calibration"])
+def test_script(tmp_path: Path, truth: Scene, repository: Path, kind: str) -> None:
+    spec = importlib.util.spec_from_file_location(
+        "import_orientations", repository / "workflow/scripts/import_orientations.py"
+    )
+    assert spec
+    assert spec.loader
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    given = tmp_path / "predictions.parquet"
+    predictions(truth).write(given)
+    interior = []
+    if kind == "colmap":
+        path = write_colmap_text(tmp_path / "model", truth.images, truth.C, truth.R)
+    else:
+        path = tmp_path / "eo.txt"
+        path.write_text(angles_text(truth.images, truth.C, angles_deg(truth.R)))
+    if kind == "table and calibration":
+        interior = [tmp_path / "cameras.txt"]
+        interior[0].write_text("1 PINHOLE 720 540 600 600 360 270\n")
+    script.main(
+        files=[path], predictions=given, interior=interior, poses=tmp_path / "poses.parquet",
+        camera=tmp_path / "camera.yaml", facts=tmp_path / "facts.json",
+        campaign={"id": "test", "crs": None}, finished=settings(crs="world"),
+    )  # fmt: skip
+    assert_poses(ImagePoses.read(tmp_path / "poses.parquet"), truth)
+    facts = json.loads((tmp_path / "facts.json").read_text())
+    assert facts["oriented"] == 12
+    if kind == "table":
+        assert "No interior orientation" in (tmp_path / "camera.yaml").read_text()
+    else:
+        expected = 582.0 if kind == "colmap" else 600.0
+        assert read_camera(tmp_path / "camera.yaml").parameters[0] == expected

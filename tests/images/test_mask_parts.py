@@ -1,0 +1,114 @@
+"""Parts of the masks: water line, mirror level, own boat, horizon."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from thalweg.core.camera.model import Camera
+from thalweg.core.errors import InputError
+from thalweg.core.rigid import exp_rotation
+from thalweg.images.masks.features import read_reduced
+from thalweg.images.masks.geometry import depression, nominal_depression
+from thalweg.images.masks.hull import steady_parts
+from thalweg.images.masks.mirror import mirror_level
+from thalweg.images.masks.model import PixelModel
+from thalweg.images.masks.waterline import _best_path, water_line
+
+
+def test_the_path_is_the_best_of_all(rng):
+    cost = rng.normal(0, 2, (4, 5))
+    found = _best_path(cost, 0.7, 3)
+
+    def total(rows):
+        return sum(cost[r, x] for x, r in enumerate(rows)) + 0.7 * np.sum(np.diff(rows) ** 2)
+
+    best = min(itertools.product(range(4), repeat=5), key=total)
+    assert tuple(found) == best
+
+
+def test_the_water_line_follows_the_evidence_and_may_be_absent():
+    y = np.arange(40)[:, None]
+    true = np.rint(20 + 4 * np.sin(np.arange(60) / 12)).astype(int)
+    ratio = np.where(y >= true, 1.0, -1.0).astype(np.float32)
+    prior = np.zeros((41, 60), np.float32)
+    # Steps are cheap against a row of wrong pixels, so that the line is met exactly.
+    np.testing.assert_array_equal(water_line(ratio, prior, bend=0.1), true)
+    assert (water_line(-np.ones((40, 60), np.float32), prior, bend=1.0) == 40).all()
+    assert (water_line(np.ones((40, 60), np.float32), prior, bend=1.0) == 0).all()
+
+
+def test_an_image_mirrors_about_its_level(rng):
+    h, w, level = 120, 160, 55
+    image = np.full((h, w, 3), 120.0)
+    image[:level] = 60 + 120 * rng.random((level, 1, 3)).repeat(w, axis=1)
+    image[level : 2 * level] = 0.7 * image[:level][::-1]
+    rows, score, agreement = mirror_level(np.rint(image).astype(np.uint8), np.zeros((h, w), bool))
+    # the smoothing by three rows leaves half a row
+    assert np.abs(rows - level).max() <= 1
+    assert score > 0.8
+    assert agreement.shape == (h, w)
+    noise = rng.integers(0, 256, (h, w, 3)).astype(np.uint8)
+    assert mirror_level(noise, np.zeros((h, w), bool))[1] < 0.4
+
+
+def test_a_prior_draws_the_level(rng):
+    noise = rng.integers(0, 256, (120, 160, 3)).astype(np.uint8)
+    prior = 0.5 * np.abs(np.arange(120, dtype=np.float32)[:, None] - 80).repeat(160, axis=1)
+    assert abs(mirror_level(noise, np.zeros((120, 160), bool), prior)[0].mean() - 80) < 2
+
+
+def moving_images(rng, n, *, hull=True):
+    images = []
+    for k in range(n):
+        image = rng.integers(20, 90, (30, 40, 3)).astype(np.uint8).repeat(4, axis=0).repeat(4, axis=1)
+        if hull:
+            # The light changes from image to image, the colour does not.
+            image[90:, :110] = np.rint(np.array([150, 160, 170]) * (0.7 + 0.5 * k / n)).astype(np.uint8)
+        images.append(image)
+    return images
+
+
+def test_what_keeps_its_place_is_the_own_boat(rng):
+    found = steady_parts(moving_images(rng, 12))
+    true = np.zeros((120, 160), bool)
+    true[90:, :110] = True
+    # its rim of one or two pixels is blurred by the windows
+    assert (found & true).sum() > 0.93 * true.sum()
+    assert (found & ~true).sum() < 0.05 * true.sum()
+    assert not steady_parts(moving_images(rng, 12, hull=False)).any()
+    assert not steady_parts(moving_images(rng, 7)).any()
+
+
+@pytest.mark.parametrize("model", ["perspective", "fisheye"])
+def test_angles_below_the_horizon_are_those_of_the_rays(model):
+    shape = [0.05, -0.02, 0.001, -0.001, 0.0] if model == "perspective" else [0.02, -0.01, 0.0, 0.0]
+    camera = Camera(model=model, size_px=(720, 540), parameters=np.array([580.0, 582, 355, 275, *shape]))
+    # Looking north, level, then turned by a few degrees about all axes.
+    level = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    R = exp_rotation(np.array([0.1, -0.05, 0.3])) @ level
+    below = depression(camera, R, (180, 135))
+    x, y = np.meshgrid(np.arange(180) * 4.0 + 2, np.arange(135) * 4.0 + 2)
+    rays = camera.rays(np.stack([x.ravel(), y.ravel()], axis=1)) @ R.T
+    true = -np.rad2deg(np.arcsin(rays[:, 2])).reshape(135, 180)
+    # what a grid of 25 nodes leaves, more at the rim, where it is extrapolated
+    assert np.abs(below - true).max() < 0.1
+    assert np.sqrt(np.mean((below - true) ** 2)) < 0.02
+    assert np.all(np.diff(nominal_depression((160, 120)), axis=0) > 0)
+
+
+def test_the_model_tells_what_is_inside_from_what_is_around(rng):
+    x = rng.normal(0, 1, (4000, 2)).astype(np.float32)
+    part = (np.hypot(*x.T) > 1).astype(np.int64)
+    model = PixelModel.learn(x, part, 2)
+    right = (np.argmax(model.log_probability(x), axis=1) == part).mean()
+    # products of two features draw the circle; without them there is only a line
+    assert right > 0.95
+    flat = PixelModel.learn(x, part, 2, products=False)
+    assert (np.argmax(flat.log_probability(x), axis=1) == part).mean() < 0.8
+    np.testing.assert_allclose(np.exp(model.log_probability(x)).sum(axis=1), 1.0, rtol=1e-5)
+
+
+def test_missing_images_are_told(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_reduced(tmp_path / "no.jpg", 100)

@@ -1,0 +1,355 @@
+"""From photographs of a known scene to a block: poses, tracks, repeatability, pieces, and reasons."""
+
+import json
+import runpy
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image, ImageFilter
+from tests.images.sfm_scene import FISHEYE, PERSPECTIVE, Photographs, photographs, similarity
+
+from thalweg.core.errors import InputError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.trajectory import Trajectory
+from thalweg.images.model.block import ImageBlock
+from thalweg.images.sfm.features import Features, FeatureSettings, extract_features, join_features
+from thalweg.images.sfm.mapping import Mapped, MapSettings, is_estimated, main_block, map_images
+from thalweg.images.sfm.matching import Matches, MatchSettings
+from thalweg.images.sfm.pairs import PairSettings
+from thalweg.images.sfm.report import block_facts, image_table
+from thalweg.images.sfm.start import Known, match_images, read_times
+from thalweg.images.sfm.tracks import firm_parts, part_of_block
+from thalweg.settings.images.sfm import Features as FeaturesSection
+from thalweg.settings.images.sfm import Mapping as MappingSection
+
+KNOWN = Known(cameras=(PERSPECTIVE,))
+FIXED = MapSettings(interior="fixed")
+
+
+@pytest.fixture(scope="module")
+def wall(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
+    return photographs(tmp_path_factory.mktemp("wall"))
+
+
+@pytest.fixture(scope="module")
+def features(wall: Photographs) -> Features:
+    return extract_features(wall.files, threads=2)
+
+
+@pytest.fixture(scope="module")
+def matches(wall: Photographs, features: Features) -> Matches:
+    return match_images(features, wall.files, known=KNOWN)
+
+
+def errors(block: ImageBlock, truth: Photographs) -> tuple[float, float]:
+    """Largest errors of centres, units of the scene, and of attitudes, degrees, after a similarity."""
+    k = [int(name[6:8]) - 1 for name in block.images]
+    scale, R, shift = similarity(block.centre_block_m, truth.centre[k])
+    moved = block.transformed(R, shift, scale)
+    turned = np.einsum("kji,kjl->kil", moved.R_block_ccs, truth.R[k])
+    angle = np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    away = np.linalg.norm(moved.centre_block_m - truth.centre[k], axis=1)
+    return float(away.max()), float(np.degrees(angle).max())
+
+
+def equal(a: ImageBlock, b: ImageBlock) -> bool:
+    names = [n for n in ImageBlock.__dataclass_fields__ if n not in ("cameras", "images")]
+    return (
+        a.images == b.images
+        and all(np.array_equal(getattr(a, n), getattr(b, n)) for n in names)
+        and all(np.array_equal(x.parameters, y.parameters) for x, y in zip(a.cameras, b.cameras, strict=True))
+    )
+
+
+def test_poses_are_those_of_the_scene(wall: Photographs, matches: Matches) -> None:
+    mapped = map_images(matches, settings=FIXED)
+    (block,) = mapped.pieces
+    assert block.images == tuple(f.name for f in wall.files)
+    away, angle = errors(block, wall)
+    # marks of 0.1 to 0.2 px at 270 px, 6 units away: 3 mm of a unit each; a block of 9 images and 500 marks
+    # an image errs by as much at its ends
+    assert away < 0.015
+    assert angle < 0.4
+    assert np.array_equal(block.cameras[0].parameters, PERSPECTIVE.parameters)
+    rms = np.sqrt(np.mean(np.sum(block.residuals_px() ** 2, axis=1)))
+    assert rms == pytest.approx(mapped.facts["pieces"][0]["rms_px"])
+    assert rms < 0.5
+
+
+def test_tracks_have_two_images_and_no_doubled_marks(matches: Matches) -> None:
+    mapped = map_images(matches, settings=FIXED)
+    (block,) = mapped.pieces
+    assert np.bincount(block.mark_point).min() >= 2
+    pairs = np.column_stack([block.mark_image, block.mark_point])
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    # SIFT's second direction at the same place
+    places = np.column_stack([block.mark_image, block.mark_px])
+    assert len(np.unique(places, axis=0)) == len(places)
+    left_out = mapped.facts["pieces"][0]["marks_left_out"]
+    assert left_out["same_place_as_a_longer_track"] > 100
+    # large features are placed less well, as their residuals say
+    classes = mapped.facts["pieces"][0]["sigma_classes"]
+    assert classes[-1]["spread_px"] > 2 * classes[0]["spread_px"]
+    assert block.sigma_px.max() > 2 * block.sigma_px.min()
+    assert np.median(block.sigma_px) == pytest.approx(0.4, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "threads"),
+    [(MapSettings(interior="estimated"), 2), (MapSettings(method="global"), 2)],
+    ids=["incremental", "global"],
+)
+def test_the_same_matches_give_the_same_block(matches: Matches, settings: MapSettings, threads: int) -> None:
+    first = map_images(matches, settings=settings, threads=threads)
+    again = map_images(matches, settings=settings, threads=1)
+    assert equal(first.pieces[0], again.pieces[0])
+    assert first.facts == again.facts
+
+
+def test_threads_and_files_change_nothing(
+    wall: Photographs, features: Features, matches: Matches, tmp_path: Path
+) -> None:
+    other = match_images(features, wall.files[::-1], known=KNOWN, threads=2)
+    other.write(tmp_path / "b.npz")
+    matches.write(tmp_path / "a.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    read = Matches.read(tmp_path / "a.npz")
+    assert equal(map_images(read, settings=FIXED).pieces[0], map_images(matches, settings=FIXED).pieces[0])
+
+
+def test_a_camera_of_which_nothing_is_known(wall: Photographs, features: Features) -> None:
+    found = match_images(features, wall.files)
+    assert found.facts["interior"] == ["1.2 times the longer side, a guess, SIMPLE_RADIAL, 384.0 px"]
+    (block,) = map_images(found).pieces
+    assert len(block.images) == len(wall.files)
+    # 384 px were guessed, 270 px are true; one radial term for two takes some of the focal length
+    assert block.cameras[0].parameters[0] == pytest.approx(270, rel=0.02)
+    assert errors(block, wall)[0] < 0.04
+
+
+@pytest.mark.parametrize("method", ["incremental", "global"])
+def test_fisheyes(tmp_path: Path, method: str) -> None:
+    truth = photographs(tmp_path, FISHEYE, x=np.linspace(-2.1, 2.1, 6))
+    found = match_images(extract_features(truth.files), truth.files, known=Known(cameras=(FISHEYE,)))
+    settings = MapSettings(method=method, interior="estimated")
+    (block,) = map_images(found, settings=settings).pieces
+    assert len(block.images) == 6
+    assert block.cameras[0].model == "fisheye"
+    away, angle = errors(block, truth)
+    # as above; a fisheye of 110 px sees three times as wide
+    assert away < 0.015
+    assert angle < 0.4
+    # the self-calibration stays at the truth within a hundredth
+    assert block.cameras[0].parameters[:2] == pytest.approx([110, 110], rel=0.01)
+
+
+def test_a_block_that_splits_is_said_and_kept(tmp_path: Path) -> None:
+    x = np.concatenate([np.linspace(-2.4, -0.3, 5), np.linspace(13.0, 14.4, 4)])
+    truth = photographs(tmp_path, x=x)
+    found = match_images(extract_features(truth.files), truth.files, known=KNOWN)
+    mapped = map_images(found, settings=FIXED)
+    assert [len(piece.images) for piece in mapped.pieces] == [5, 4]
+    assert all(errors(piece, truth)[0] < 0.03 for piece in mapped.pieces)
+    table = image_table(found, mapped)
+    assert table["component"].tolist() == table["piece"].tolist() == [0] * 5 + [1] * 4
+    assert table["registered"].tolist() == [True] * 5 + [False] * 4
+    assert set(table["cause"][5:]) == {"other_piece"}
+    assert "in piece 1 of 4 images" in table["reason"][5]
+    facts = block_facts(found, mapped, table)
+    assert facts["left_out"] == {"other_piece": 4}
+    (gap,) = facts["gaps"]
+    assert (gap["after"], gap["before"], gap["images_between"]) == ("image_05.png", "image_06.png", 0)
+    said = "the block falls into 2 pieces: 5 images (image_01.png to image_05.png), 4 images (image_06.png to"
+    assert any(note.startswith(said) for note in facts["notes"])
+    assert facts["pieces"][1]["names"] == [f"image_0{k}.png" for k in range(6, 10)]
+    json.dumps(facts)
+
+
+def test_parts_that_hang_on_a_few_points_are_taken_apart(matches: Matches) -> None:
+    (block,) = map_images(matches, settings=FIXED).pieces
+    assert [part.tolist() for part in firm_parts(block, 15)] == [list(range(9))]
+    # images 0 to 3 and 4 to 8 keep 14 points in common
+    left = block.mark_image < 4
+    n = len(block.points_block_m)
+    both = (
+        np.bincount(block.mark_point[left], minlength=n) * np.bincount(block.mark_point[~left], minlength=n)
+        > 0
+    )
+    few = np.flatnonzero(both)[:14]
+    keep = ~left | ~both[block.mark_point] | np.isin(block.mark_point, few)
+    weak = replace(
+        block,
+        mark_image=block.mark_image[keep],
+        mark_point=block.mark_point[keep],
+        mark_px=block.mark_px[keep],
+        sigma_px=block.sigma_px[keep],
+    )
+    parts = firm_parts(weak, 15)
+    assert [part.tolist() for part in parts] == [[4, 5, 6, 7, 8], [0, 1, 2, 3]]
+    assert len(firm_parts(weak, 14)) == 1
+    piece, rows = part_of_block(weak, parts[1])
+    assert piece.images == block.images[:4]
+    assert np.bincount(piece.mark_point).min() >= 2
+    # the same marks at the same residuals
+    np.testing.assert_array_equal(piece.residuals_px(), weak.residuals_px()[rows])
+
+
+def test_auto_keeps_a_given_camera_and_estimates_a_guess(wall: Photographs, matches: Matches) -> None:
+    assert not is_estimated(matches, MapSettings())
+    assert is_estimated(matches, MapSettings(interior="estimated"))
+    (block,) = map_images(matches, settings=MapSettings(interior="estimated")).pieces
+    assert 0 < abs(block.cameras[0].parameters[0] - 270) < 5
+
+
+def test_every_image_that_stays_out_has_its_reason(wall: Photographs, tmp_path: Path) -> None:
+    for file in wall.files[:5]:
+        shutil.copy(file, tmp_path)
+    shutil.copy(wall.files[1], tmp_path / "image_20.png")
+    (tmp_path / "image_21.png").write_bytes(b"broken")
+    noise = np.random.default_rng(5).normal(128, 60, (240, 320)).clip(0, 255).astype(np.uint8)
+    Image.fromarray(noise).filter(ImageFilter.GaussianBlur(1.2)).save(tmp_path / "image_22.png")
+    with Image.open(wall.files[5]) as image:
+        image.filter(ImageFilter.GaussianBlur(3.5)).save(tmp_path / "image_23.png")
+        image.resize((240, 320)).save(tmp_path / "image_24.png")
+    files = sorted(tmp_path.glob("*.png"))
+    settings = FeatureSettings(min_features=10)
+    found = match_images(join_features([extract_features(files, settings=settings)]), files, known=KNOWN)
+    mapped = map_images(found, settings=FIXED)
+    table = image_table(found, mapped).set_index("image")
+    cause = table["cause"]
+    assert (cause[:5] == "").all()
+    assert table["registered"].sum() == 5 + (cause["image_23.png"] == "")
+    assert cause["image_20.png"] == "double"
+    assert cause["image_21.png"] == "unreadable"
+    assert cause["image_22.png"] == "no_overlap"
+    assert "no overlap with the 6 images" in table["reason"]["image_22.png"]
+    assert cause["image_24.png"] == "size"
+    assert table["reason"]["image_24.png"] == "240 x 320 pixels, the camera has 320 x 240"
+    assert table["sharpness"]["image_23.png"] < 0.5 * table["sharpness"]["image_01.png"]
+    facts = block_facts(found, mapped, table.reset_index())
+    assert facts["left_out"]["double"] == facts["left_out"]["unreadable"] == facts["left_out"]["size"] == 1
+    assert any("are not of the size of the given camera" in note for note in facts["notes"])
+    assert "1 images, such as image_20.png, are the same files as others: left out" in facts["notes"]
+    assert table["marks"].sum() == len(mapped.pieces[0].mark_image)
+    assert (table["pairs_compared"][["image_20.png", "image_21.png", "image_24.png"]] == 0).all()
+
+
+def test_one_image_and_none_that_overlap(wall: Photographs, tmp_path: Path, features: Features) -> None:
+    one = extract_features(wall.files[:1])
+    with pytest.raises(InputError, match=r"1 of 1 images can take part; expected at least two"):
+        match_images(one, wall.files, known=KNOWN)
+    truth = photographs(tmp_path, x=np.array([-2.0, 13.0]))
+    found = match_images(extract_features(truth.files), truth.files, known=KNOWN)
+    mapped = map_images(found, settings=FIXED)
+    assert mapped.pieces == ()
+    table = image_table(found, mapped)
+    assert table["cause"].tolist() == ["no_overlap"] * 2
+    with pytest.raises(
+        InputError, match=r"no two of 2 images could be oriented.*no overlap with the 1 images"
+    ):
+        main_block(mapped, dict(zip(table["image"], table["reason"], strict=True)))
+    assert block_facts(found, mapped, table)["registered"] == 0
+    assert main_block(Mapped(pieces=(mapped_two(wall, features),), facts={}), {}).images
+
+
+def mapped_two(wall: Photographs, features: Features) -> ImageBlock:
+    """Two images are a block."""
+    two = extract_features(wall.files[3:5])
+    (block,) = map_images(match_images(two, wall.files, known=KNOWN), settings=FIXED).pieces
+    assert len(block.images) == 2
+    assert len(block.points_block_m) > 100
+    return block
+
+
+def test_sizes_without_a_given_camera_have_cameras_of_their_own(wall: Photographs, tmp_path: Path) -> None:
+    for k, file in enumerate(wall.files[2:7]):
+        with Image.open(file) as image:
+            size = (480, 360) if k == 2 else image.size
+            image.resize(size, Image.Resampling.BICUBIC).save(tmp_path / file.name)
+    files = sorted(tmp_path.glob("*.png"))
+    found = match_images(extract_features(files), files)
+    assert found.facts["notes"] == ["images of 2 sizes: each size has an interior orientation of its own"]
+    (block,) = map_images(found).pieces
+    assert [camera.size_px for camera in block.cameras] == [(320, 240), (480, 360)]
+    assert block.camera.tolist() == [0, 0, 1, 0, 0]
+    with pytest.raises(InputError, match="none is given"):
+        match_images(
+            extract_features(files), files, section={**MappingSection().model_dump(), "interior": "fixed"}
+        )
+
+
+def test_times_and_a_trajectory_choose_the_pairs(
+    wall: Photographs, features: Features, tmp_path: Path
+) -> None:
+    t = {file.name: 100.0 + k for k, file in enumerate(wall.files)}
+    pd.DataFrame({"file": list(t), "t_gps_s": list(t.values())}).to_parquet(tmp_path / "times.parquet")
+    assert read_times(tmp_path / "times.parquet") == t
+    n = len(wall.files)
+    trajectory = Trajectory(
+        frame=LocalFrame(lat_deg=48.0, lon_deg=14.0, h_ell_m=250.0),
+        t_gps_s=np.array([99.0, 120.0]),
+        position_wcs_m=np.array([[-3.0, 0, 0], [60.0, 0, 0]]),
+        quaternion_wcs_ics=np.array([[0, 0, 0, 1.0], [0, 0, 0, 1.0]]),
+        cov_pose_wcs=np.tile(np.eye(6), (2, 1, 1)),
+        valid=np.array([True, True]),
+    )
+    known = replace(KNOWN, t_s=t, trajectory=trajectory)
+    section = MappingSection(pairs="spatial", overlap=1, quadratic=False, max_distance_m=6.5).model_dump()
+    found = match_images(features, wall.files, known=known, section=section)
+    assert (found.facts["images_with_time"], found.facts["images_with_position"]) == (n, n)
+    # 3 units a second: neighbours in time, and the next but one 6 units away
+    assert set((found.pairs[:, 1] - found.pairs[:, 0]).tolist()) == {1, 2}
+    pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "other.parquet")
+    with pytest.raises(InputError, match="the columns a; expected file or image"):
+        read_times(tmp_path / "other.parquet")
+
+
+def test_settings_are_those_of_the_campaign_file() -> None:
+    mapping = MappingSection().model_dump()
+    assert PairSettings.from_section(mapping) == PairSettings()
+    assert MatchSettings.from_section(mapping) == MatchSettings()
+    assert MapSettings.from_section(mapping) == MapSettings()
+    assert FeatureSettings.from_section(FeaturesSection().model_dump()) == FeatureSettings()
+
+
+def test_the_four_scripts(wall: Photographs, matches: Matches, repository: Path, tmp_path: Path) -> None:
+    def script(name: str) -> object:
+        return runpy.run_path(str(repository / f"workflow/scripts/{name}.py"))["main"]
+
+    options = FeaturesSection(parts=2).model_dump()
+    parts = [tmp_path / f"part_{k}.npz" for k in range(2)]
+    for k, part in enumerate(parts):
+        script("extract_features")(  # type: ignore[operator]
+            images=wall.files, masks=[], features=part, part=k, options=options, threads=1
+        )
+    camera = tmp_path / "cameras.txt"
+    values = " ".join(str(v) for v in PERSPECTIVE.parameters[:8])
+    camera.write_text(f"1 OPENCV 320 240 {values}\n")
+    mapping = MappingSection(interior="fixed").model_dump()
+    shared = {
+        "features": parts, "images": wall.files, "camera": [camera], "interiors": [], "folders": [],
+        "times": [], "trajectory": [], "options": mapping,
+    }  # fmt: skip
+    script("match_features")(pairs=tmp_path / "pairs.npz", part=0, threads=1, **shared)  # type: ignore[operator]
+    script("join_matches")(  # type: ignore[operator]
+        pairs=[tmp_path / "pairs.npz"], matches=tmp_path / "matches.npz", **shared
+    )
+    assert np.array_equal(Matches.read(tmp_path / "matches.npz").common, matches.common)
+    script("map_images")(  # type: ignore[operator]
+        matches=tmp_path / "matches.npz",
+        block=tmp_path / "block.npz",
+        pieces=tmp_path / "pieces",
+        images=tmp_path / "images.csv",
+        facts=tmp_path / "facts.json",
+        options=mapping,
+        threads=1,
+    )
+    block = ImageBlock.read(tmp_path / "block.npz")
+    assert equal(block, map_images(matches, settings=FIXED).pieces[0])
+    assert pd.read_csv(tmp_path / "images.csv")["registered"].all()
+    assert json.loads((tmp_path / "facts.json").read_text())["registered"] == len(wall.files)
+    assert list((tmp_path / "pieces").iterdir()) == []

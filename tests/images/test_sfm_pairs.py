@@ -1,0 +1,78 @@
+"""Order of images and the pairs that are compared."""
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import GeometryError
+from thalweg.images.sfm.pairs import PairSettings, image_pairs, order_in_time
+
+NAMES = ["img_2.jpg", "img_10.jpg", "img_1.jpg", "img_3.jpg"]
+
+
+def as_set(pairs: np.ndarray) -> set[tuple[int, int]]:
+    return {(int(a), int(b)) for a, b in pairs}
+
+
+def test_names_count_by_their_numbers() -> None:
+    order, notes = order_in_time(NAMES)
+    assert [NAMES[k] for k in order] == ["img_1.jpg", "img_2.jpg", "img_3.jpg", "img_10.jpg"]
+    assert notes == []
+
+
+def test_time_counts_before_names() -> None:
+    order, notes = order_in_time(NAMES, np.array([20.0, 5.0, 10.0, 30.0]))
+    assert [NAMES[k] for k in order] == ["img_10.jpg", "img_1.jpg", "img_2.jpg", "img_3.jpg"]
+    assert notes == ["names do not follow time at 1 places: the order in time counts"]
+
+
+def test_an_image_without_time_stands_behind_its_name() -> None:
+    order, notes = order_in_time(NAMES, np.array([np.nan, 5.0, 10.0, 30.0]))
+    assert [NAMES[k] for k in order] == ["img_10.jpg", "img_1.jpg", "img_2.jpg", "img_3.jpg"]
+    assert notes[0] == "1 images without time, such as img_2.jpg, are placed by their names"
+    assert order_in_time(NAMES, np.full(4, np.nan))[1] == []
+
+
+def test_sequential_pairs() -> None:
+    order = np.array([3, 1, 0, 2, 4, 5])
+    pairs, kind = image_pairs(order, PairSettings(pairs="sequential", overlap=1, quadratic=False))
+    assert kind == "sequential"
+    assert as_set(pairs) == {(1, 3), (0, 1), (0, 2), (2, 4), (4, 5)}
+    pairs, _ = image_pairs(np.arange(20), PairSettings(pairs="sequential", overlap=3))
+    # steps 1, 2, 3 and the powers of two below 2^3
+    assert set((pairs[:, 1] - pairs[:, 0]).tolist()) == {1, 2, 3, 4}
+    assert len(pairs) == 19 + 18 + 17 + 16
+
+
+def test_pairs_by_position_join_two_passes_of_the_same_bank() -> None:
+    x = np.concatenate([np.arange(40.0), np.arange(40.0)[::-1]])
+    position = np.column_stack([x, np.zeros(80), np.zeros(80)])
+    settings = PairSettings(pairs="auto", overlap=3, quadratic=False, max_distance_m=2.5, max_neighbours=4)
+    pairs, kind = image_pairs(np.arange(80), settings, position)
+    assert kind == "spatial"
+    found = as_set(pairs)
+    assert (10, 69) in found  # the same place on the way back
+    far = [abs(x[a] - x[b]) for a, b in found if b - a > 3]
+    assert far
+    assert max(far) <= 2.5
+    only_time, _ = image_pairs(np.arange(80), PairSettings(pairs="sequential", overlap=3, quadratic=False))
+    assert as_set(only_time) < found
+    # images without position are still neighbours in time
+    position[20:25] = np.nan
+    pairs, _ = image_pairs(np.arange(80), settings, position)
+    assert (21, 22) in as_set(pairs)
+    assert not any(a in range(20, 25) and b - a > 3 for a, b in as_set(pairs))
+
+
+def test_auto_compares_few_images_all_with_all() -> None:
+    pairs, kind = image_pairs(np.array([0, 2, 5]), PairSettings())
+    assert (kind, as_set(pairs)) == ("exhaustive", {(0, 2), (0, 5), (2, 5)})
+    assert image_pairs(np.arange(31), PairSettings())[1] == "sequential"
+    pairs, _ = image_pairs(np.array([4]), PairSettings())
+    assert pairs.shape == (0, 2)
+
+
+def test_pairs_by_position_need_positions() -> None:
+    with pytest.raises(
+        GeometryError, match=r"no image has an approximate position.*sequential or exhaustive"
+    ):
+        image_pairs(np.arange(5), PairSettings(pairs="spatial"), np.full((5, 3), np.nan))

@@ -1,0 +1,105 @@
+"""A short twin that several tests look at: 4 s across a full hour, all logs, and its truth."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from thalweg.core.frames import LocalFrame, rotation_opk
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.instruments.echo import simulate_echo
+from thalweg_lab.instruments.gnss import simulate_gnss
+from thalweg_lab.instruments.ins import simulate_ins
+from thalweg_lab.instruments.lidar import simulate_lidar
+from thalweg_lab.instruments.tls import simulate_tls
+from thalweg_lab.river.scene import Scene, simulate_scene
+from thalweg_lab.voyage.truth import simulate_voyage
+from thalweg_lab.voyage.voyage import Voyage
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+R_ICS_SCS = rotation_opk(0.01, -np.pi / 2 + 0.02, -0.015)
+LIDAR_M = np.array([-0.35, 0.02, -0.25])
+ANTENNA_M = np.array([0.10, -0.05, -0.45])
+ECHO_M = np.array([0.20, 0.03, 0.30])
+SEED = 5
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A simulated campaign."""
+
+    config: TwinConfig
+    folder: Path
+    voyage: Voyage
+    facts: dict[str, dict[str, Any]]
+
+    def path(self, name: str) -> Path:
+        return self.folder / name
+
+
+def record_lidar(twin_folder: Path, out: Path, config: TwinConfig) -> dict[str, Any]:
+    """The lidar log of another configuration, on a scene that exists."""
+    return simulate_lidar(
+        config,
+        SEED,
+        FRAME,
+        twin_folder / "scene.npz",
+        out,
+        R_ics_scs=R_ICS_SCS,
+        lever_ics_scs_m=LIDAR_M,
+        out_shots=out.with_suffix(".parquet"),
+        out_effects=out.with_suffix(".json"),
+    )
+
+
+def short(**changes: Any) -> TwinConfig:
+    """The tiny twin, 4 s long, across a full hour."""
+    base: dict[str, Any] = {"start_utc": "2021-05-12T08:59:58.25Z", "duration_s": 4.0}
+    return TwinConfig.of_size("tiny", **{**base, **changes})
+
+
+@pytest.fixture(scope="session")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Twin:
+    folder = tmp_path_factory.mktemp("twin")
+    config = short(tls={"spacing_m": 0.2})
+    scene = folder / "scene.npz"
+    simulate_scene(config, SEED, scene)
+    simulate_voyage(config, SEED, FRAME, folder / "trajectory.parquet")
+    facts = {
+        "lidar": record_lidar(folder, folder / "lidar.pcap", config),
+        "ins": simulate_ins(config, SEED, FRAME, folder / "ins.anpp", out_effects=folder / "ins.json"),
+        "gnss": simulate_gnss(
+            config, SEED, FRAME, folder / "rover.sbp", folder / "ppk.pos", lever_ics_antenna_m=ANTENNA_M
+        ),
+        "echo": simulate_echo(config, SEED, FRAME, scene, folder / "echo.nmea", lever_ics_echo_m=ECHO_M),
+        "tls": simulate_tls(
+            config, SEED, FRAME, scene, [folder / f"tls_{i}.laz" for i in (1, 2, 3)], crs="EPSG:25833"
+        ),
+    }
+    return Twin(config, folder, Voyage(config, SEED), facts)
+
+
+@pytest.fixture(scope="session")
+def scene(twin: Twin) -> Scene:
+    return Scene.read(twin.path("scene.npz"))
+
+
+@pytest.fixture(scope="session")
+def mount() -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and lever arm of the scanner."""
+    return R_ICS_SCS, LIDAR_M
+
+
+@pytest.fixture
+def record(twin: Twin, tmp_path: Path) -> Callable[..., tuple[Path, dict[str, Any], TwinConfig]]:
+    """Record the lidar again with other settings, on the same scene."""
+
+    def again(name: str, **changes: Any) -> tuple[Path, dict[str, Any], TwinConfig]:
+        config = short(**changes)
+        path = tmp_path / f"{name}.pcap"
+        return path, record_lidar(twin.folder, path, config), config
+
+    return again

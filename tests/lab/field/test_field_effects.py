@@ -1,0 +1,123 @@
+"""Faults of a calibration: each changes what it names, when it should, and nothing else."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from thalweg.core.errors import ConfigError
+from thalweg.core.frames import LocalFrame
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.yard.layout import Field, build_field
+from thalweg_lab.yard.scene import people, recorded_scene
+from thalweg_lab.yard_records.records import description
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+SEED = 4
+
+
+def small(**field: Any) -> TwinConfig:
+    """The small field with changes in its section."""
+    return TwinConfig.of_size("field_tiny", field=field)
+
+
+def fields(**effects: Any) -> tuple[Field, Field]:
+    """The field at the time of the reference and of the boat."""
+    config = small(effects=effects)
+    return build_field(config, SEED), build_field(config, SEED, when="boat")
+
+
+def moved(a: Field, b: Field) -> set[int]:
+    """Markers of which a saddle differs."""
+    there, then = a.saddles_wcs_m(), b.saddles_wcs_m()
+    return {marker for marker, k in there if not np.array_equal(there[marker, k], then[marker, k])}
+
+
+def test_without_effects_nothing_changes(field: Field) -> None:
+    before, after = fields()
+    assert moved(before, after) == moved(field, before) == set()
+
+
+def test_a_toppled_cone_leans_with_its_sheets_after_the_reference(field: Field) -> None:
+    before, after = fields(toppled_cone="C5", toppled_by_deg=8.0)
+    assert moved(field, before) == set()
+    assert moved(before, after) == set(range(32, 40))
+    a, b = before.cone("C5"), after.cone("C5")
+    # The axis lies across the line that it leans about only in part, where the builder has tilted it.
+    assert np.rad2deg(np.arccos(a.axis_wcs @ b.axis_wcs)) == pytest.approx(8.0, abs=0.05)
+    np.testing.assert_allclose(b.distance_m(after.sheet(33).saddles_wcs_m()), 0.0, atol=1e-13)
+    assert fields(toppled_cone="C7")[1].cone("C7").axis_wcs[2] > -0.999
+
+
+def test_a_moved_marker_is_shifted_in_its_plane(field: Field) -> None:
+    before, after = fields(moved_marker=74, moved_by_m=0.02)
+    assert moved(before, after) == {74}
+    shift = after.sheet(74).saddles_wcs_m() - before.sheet(74).saddles_wcs_m()
+    np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 0.02, atol=1e-12)
+    np.testing.assert_allclose(shift @ before.sheet(74).normal_wcs(), 0.0, atol=1e-10)
+    on_cone = fields(moved_marker=9)
+    assert moved(*on_cone) == {9}
+
+
+@pytest.mark.parametrize(
+    ("marker", "found"),
+    [
+        (40, "marker 40 on C6 looks away from the boat"),
+        (98, "marker 98 is on no board"),
+        (200, "marker 200 is"),
+    ],
+)
+def test_a_marker_that_nobody_would_see_moved_is_refused(marker: int, found: str) -> None:
+    with pytest.raises(ConfigError, match=found) as caught:
+        fields(moved_marker=marker)
+    assert "70 to 79" in caught.value.cure
+
+
+def test_swapped_ids_hang_in_each_others_place_from_the_start(field: Field) -> None:
+    before, after = fields(swapped_ids=((3, 70), (64, 65)))
+    assert moved(before, after) == set()
+    for a, b in ((3, 70), (70, 3), (64, 65), (65, 64)):
+        assert before.sheet(a).thing == field.sheet(b).thing
+        np.testing.assert_array_equal(before.sheet(a).saddles_wcs_m(), field.sheet(b).saddles_wcs_m())
+    # The surveyor measures the board he calls T1, whatever hangs there.
+    assert description(before, SEED, FRAME) == description(field, SEED, FRAME)
+
+
+def test_a_cone_outside_the_view_stands_elsewhere(field: Field) -> None:
+    away, _ = fields(outside_view="C2")
+    assert away.cone("C2").middle_wcs_m[1] - field.cone("C2").middle_wcs_m[1] > 3.0
+    same = [c.name for c in field.cones if c.name != "C2"]
+    assert all(np.array_equal(away.cone(n).apex_wcs_m, field.cone(n).apex_wcs_m) for n in same)
+
+
+def test_a_wrong_bar_has_a_wrong_certificate(field: Field) -> None:
+    wrong, _ = fields(wrong_bar="S2", wrong_bar_by_m=0.003)
+    lines = [description(f, SEED, FRAME).splitlines() for f in (field, wrong)]
+    differ = [(a, b) for a, b in zip(*lines, strict=True) if a != b]
+    assert len(differ) == 1
+    assert "S2" in differ[0][0]
+
+
+def test_people_stand_near_cones_and_off_the_boats_way() -> None:
+    config = small(effects={"passers_by": 5})
+    places = {}
+    for recording in ("run", "position 1", "position 2"):
+        field = build_field(config, SEED)
+        places[recording] = people(config, SEED, recording, field)
+        assert places[recording].shape == (5, 2)
+        middles = np.array([c.middle_wcs_m[:2] for c in field.cones[:6]])
+        near = np.linalg.norm(places[recording][:, None] - middles, axis=2).min(axis=1)
+        assert (near < 1.3).all()
+        assert (np.linalg.norm(places[recording], axis=1) > 3.6).all()
+        assert "person" in recorded_scene(config, SEED, recording).names
+    assert not np.allclose(places["run"], places["position 1"])
+    assert "person" not in recorded_scene(small(), SEED, "run").names
+
+
+@pytest.mark.parametrize(
+    "effects", [{"toppled_cone": "C9"}, {"outside_view": "C7"}, {"wrong_bar": "S4"}, {"moved_marker": 250}]
+)
+def test_names_that_do_not_exist_are_refused(effects: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        small(effects=effects)

@@ -1,0 +1,96 @@
+"""What the owner writes down has honest errors and can be read; the truth is the truth."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.calibration.field.description import parse_field, read_field
+from thalweg.core.frames import LocalFrame
+from thalweg.core.tables import read_table
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.voyage.yard_motion import standing
+from thalweg_lab.yard.layout import Field, build_field
+from thalweg_lab.yard_records.records import FIELD_POSES, description, simulate_field
+
+SEED = 4
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+
+
+def written(folder: Path, **field: Any) -> tuple[TwinConfig, Path]:
+    config = TwinConfig.of_size("field_tiny", field=field)
+    simulate_field(
+        config,
+        SEED,
+        FRAME,
+        out_field=folder / "logs/field.yaml",
+        out_truth=folder / "truth/field.json",
+        out_poses=folder / "truth/field_poses.parquet",
+    )
+    return config, folder
+
+
+def test_the_description_can_be_read(tmp_path: Path, field: Field) -> None:
+    _, folder = written(tmp_path)
+    known = read_field(folder / "logs/field.yaml")
+    assert [c.name for c in known.cones] == [c.name for c in field.cones]
+    assert [c.markers for c in known.cones] == [c.markers for c in field.cones]
+    assert {c.half_angle_rad for c in known.cones} == {np.deg2rad(25.0)}
+    assert all(known.layout.module_of(s.marker) == s.module_m for s in field.sheets)
+    assert len(known.scale_bars) == 3
+    assert [t.marker for t in known.targets] == [64, 65, 66, 67, 68, 69]
+    assert known.antenna is not None
+    assert known.antenna.marker == 98
+    assert known.antenna.offset_m == pytest.approx(-0.030, abs=0.004)  # sigma 1 mm
+
+
+def test_stated_values_err_by_their_sigmas() -> None:
+    config = TwinConfig.of_size("field_tiny")
+    bars, targets, offsets = [], [], []
+    for seed in range(60):
+        field = build_field(config, seed)
+        known = parse_field(description(field, seed, FRAME))
+        bars += [
+            (k.length_m - b.length_m) / k.sigma_m for k, b in zip(known.scale_bars, field.bars, strict=True)
+        ]
+        for t in known.targets:
+            at = FRAME.from_geodetic(np.array([t.lat_deg]), np.array([t.lon_deg]), np.array([t.h_ell_m]))[0]
+            targets.append((at - field.sheet(t.marker).centre_wcs_m()) / t.sigma_m)
+        offsets.append((known.antenna.offset_m + 0.030) / known.antenna.sigma_m)
+    # 180, 1080 and 60 normal numbers: their rms is known to 1 / sqrt(2 n) = 5, 2 and 9 %; three times that.
+    for errors, band in ((bars, 0.16), (targets, 0.065), (offsets, 0.27)):
+        assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=band)
+
+
+def test_the_truth_is_that_of_the_field(tmp_path: Path) -> None:
+    config, folder = written(tmp_path, effects={"toppled_cone": "C1"})
+    truth = json.loads((folder / "truth/field.json").read_text())
+    assert (truth["kind"], truth["effects"]["toppled_cone"]) == ("thalweg twin field", "C1")
+    for when in ("reference", "boat"):
+        field = build_field(config, SEED, when=when)  # type: ignore[arg-type]
+        facts = truth[when]
+        for cone, fact in zip(field.cones, facts["cones"], strict=True):
+            np.testing.assert_array_equal(cone.apex_wcs_m, fact["apex_wcs_m"])
+            np.testing.assert_array_equal(cone.axis_wcs, fact["axis_wcs"])
+            assert cone.half_angle_rad == fact["half_angle_rad"]
+        np.testing.assert_array_equal(field.sheet(7).saddles_wcs_m()[2], facts["saddles_wcs_m"]["7/2"])
+        np.testing.assert_array_equal(field.sheet(66).centre_wcs_m(), facts["targets"][2]["centre_wcs_m"])
+    assert truth["reference"]["cones"][0] != truth["boat"]["cones"][0]
+    assert truth["reference"]["cones"][1:] == truth["boat"]["cones"][1:]
+    table, _ = read_table(folder / "truth/field_poses.parquet", FIELD_POSES)
+    for number, row in enumerate(table.itertuples(), start=1):
+        pose = standing(config, number).T_wcs_ics
+        np.testing.assert_array_equal([row.east_m, row.north_m, row.up_m], pose.shift_m)
+        R = Rotation.from_quat([row.q_x, row.q_y, row.q_z, row.q_w]).as_matrix()
+        np.testing.assert_allclose(R, pose.R, atol=1e-14)
+        assert row.end_t_gps_s - row.begin_t_gps_s == config.field.position_s
+
+
+def test_same_seed_same_bytes(tmp_path: Path) -> None:
+    _, a = written(tmp_path / "a")
+    _, b = written(tmp_path / "b")
+    for name in ("logs/field.yaml", "truth/field.json", "truth/field_poses.parquet"):
+        assert (a / name).read_bytes() == (b / name).read_bytes()

@@ -1,0 +1,104 @@
+"""Rays meet the sheets where they are painted, and the boat sees cones and markers."""
+
+from typing import Any
+
+import numpy as np
+
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.river.scene import Scene
+from thalweg_lab.voyage.yard_motion import standing
+from thalweg_lab.yard.layout import Field
+from thalweg_lab.yard.scene import FieldScene
+from thalweg_lab.yard_records.records import simulate_field_scene
+
+SEED = 4
+
+
+def small(**field: Any) -> TwinConfig:
+    """The small field with changes in its section."""
+    return TwinConfig.of_size("field_tiny", field=field)
+
+
+def looked_at(field: Field, yard: FieldScene, eye: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Markers and modules that rays from an eye to points meet, and how far before them they end."""
+    way = points - eye
+    distance = np.linalg.norm(way, axis=1)
+    ray = way / distance[:, None]
+    hits = yard.scene.caster().cast(np.broadcast_to(eye, points.shape), ray)
+    met = eye + np.where(np.isfinite(hits.t_hit_m), hits.t_hit_m, 0.0)[:, None] * ray
+    marker, modules = field.sheet_uv(
+        met, np.where(hits.primitive >= 0, yard.things[hits.primitive], -1), yard.names
+    )
+    return marker, modules, distance - hits.t_hit_m
+
+
+def test_rays_meet_each_sheet_at_its_modules(field: Field, yard: FieldScene) -> None:
+    modules = np.random.default_rng(1).uniform(-0.4, 10.4, (40, 2))
+    seen = 0
+    for sheet in field.sheets:
+        points = sheet.to_wcs(modules)
+        # From 0.4 m before it; under the lowest cones the ground is nearer than that.
+        eye = sheet.centre_wcs_m() + 0.4 * sheet.normal_wcs()
+        if eye[2] < 0.02:
+            continue
+        marker, found, short = looked_at(field, yard, eye, points)
+        free = np.abs(short) < 1e-4
+        assert (marker[free] == sheet.marker).all()
+        # Chords lie up to 0.008 mm inside the cone, float32 of the ray caster steps by 0.0005 mm.
+        np.testing.assert_allclose(found[free], modules[free], atol=5e-3)
+        seen += int(free.all())
+    assert seen > 0.9 * len(field.sheets)
+
+
+def test_plain_places_show_no_sheet(field: Field, yard: FieldScene) -> None:
+    rng = np.random.default_rng(2)
+    ground = np.column_stack([rng.uniform(-3, 3, (500, 2)), np.zeros(500)])
+    things = np.full(500, yard.names.index("ground"))
+    marker, modules = field.sheet_uv(ground, things, yard.names)
+    on = marker >= 0
+    assert 0 < on.sum() < 50
+    assert np.isnan(modules[~on]).all()
+    # The back of a board and the far side of a cone carry nothing.
+    board = field.boards[-1]
+    back = board.plane.origin_wcs_m - 0.012 * board.plane.normal_wcs
+    number = np.array([yard.names.index(board.name)])
+    assert field.sheet_uv(back[None], number, yard.names)[0][0] == -1
+    marker, _ = field.sheet_uv(ground, np.full(500, -1), yard.names)
+    assert (marker == -1).all()
+
+
+def test_the_boat_sees_cones_and_enough_markers_to_port(field: Field, yard: FieldScene) -> None:
+    for number in (1, 2, 3):
+        boat = standing(small(), number).T_wcs_ics
+        camera = boat.apply(np.array([[-0.25, -0.1, -0.18]]))[0]
+        port = boat.R @ np.array([0.0, -1.0, 0.0])
+        seen = set()
+        for sheet in field.sheets:
+            points = sheet.saddles_wcs_m()
+            short = looked_at(field, yard, camera, points)[2]
+            way = points - camera
+            ahead = way @ port / np.linalg.norm(way, axis=1)
+            # The lens of P2 looks 31 degrees to each side; a print is read up to 70 degrees off its normal.
+            slant = -(way @ sheet.normal_wcs()) / np.linalg.norm(way, axis=1)
+            if (
+                (ahead > np.cos(np.deg2rad(29))).all()
+                and (slant > 0.34).all()
+                and (np.abs(short) < 1e-3).all()
+            ):
+                seen.add(sheet.marker)
+        side = {1: "C1 C2 C3", 2: "C4 C5 C6", 3: "C1 C2 C3"}[number].split()
+        for name in side:
+            assert len(seen & set(field.cone(name).markers)) >= 3, (number, name)
+        assert len(seen) >= 14
+
+
+def test_the_scene_of_the_run_is_a_scene_file(tmp_path: object, field: Field) -> None:
+    path = tmp_path / "scene.npz"  # type: ignore[operator]
+    simulate_field_scene(small(), SEED, path)
+    scene = Scene.read(path)
+    assert len(scene.triangles) > 15_000
+    assert scene.water_level_m < -100
+    nearest = scene.caster().closest_points(
+        np.stack([s.centre_wcs_m() for s in field.sheets if s.cone is None])
+    )
+    assert nearest.distance_m.max() < 1e-5

@@ -1,0 +1,272 @@
+"""The sets of images: names, EXIF, clock, poses, effects between the sets, and what other software finds."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
+
+from thalweg.core.errors import ConfigError
+from thalweg.core.timescales import unix_from_gps
+from thalweg.settings.base.mounts import Mounts
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.voyage.true_mounts import true_mounts
+from thalweg_lab.voyage.yard_motion import FieldRun, standing
+from thalweg_lab.yard.layout import Field, build_field
+from thalweg_lab.yard.scene import field_scene
+from thalweg_lab.yard.tour import tour
+from thalweg_lab.yard_images.images import mount_of, simulate_field_images, true_camera
+from thalweg_lab.yard_records.image_times import run_times
+
+SEED = 22
+SMALL: dict[str, Any] = {
+    "duration_s": 4.0,
+    "camera": {
+        "size_px": (640, 480), "focal_px": 900.0, "exposure_s": 0.001,
+        "reference": {"size_px": (760, 500), "focal_px": 620.0, "n_images": 4},
+    },
+}  # fmt: skip
+MOUNTS = Mounts(
+    camera={"lever_ics_m": (-0.25, -0.10, -0.18)},
+    lidar={"lever_ics_m": (-0.35, 0.0, -0.25)},
+    antenna={"lever_ics_m": (0.10, 0.0, -0.45)},
+).model_dump()
+ARUCO = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250))
+
+
+def config(**changes: Any) -> TwinConfig:
+    return TwinConfig.of_size("field_tiny", **{**SMALL, **changes})
+
+
+def mounts() -> dict[str, Any]:
+    return true_mounts(MOUNTS, SEED, on=True)
+
+
+def take(folder: Path, kind: str, twin: TwinConfig) -> pd.DataFrame:
+    out = folder / kind
+    return simulate_field_images(
+        twin, SEED, kind, mounts(), out, folder / f"{kind}.parquet", out_cameras=folder / "cameras.json"
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("images")
+    for kind in ("reference", "positions", "run"):
+        take(folder, kind, config())
+    return folder
+
+
+def table(folder: Path, kind: str) -> pd.DataFrame:
+    return pd.read_parquet(folder / f"{kind}.parquet")
+
+
+def exif(path: Path) -> tuple[dict[int, Any], dict[int, Any]]:
+    with Image.open(path) as image:
+        own = image.getexif()
+        return dict(own), dict(own.get_ifd(0x8769))
+
+
+def tags(path: Path) -> dict[int, np.ndarray]:
+    """Corners (4, 2) of tags that OpenCV finds, in pixels from the corner of the image."""
+    corners, ids, _ = ARUCO.detectMarkers(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    return {} if ids is None else {int(i): c[0] + 0.5 for i, c in zip(ids.ravel(), corners, strict=True)}
+
+
+@pytest.mark.parametrize("kind", ["reference", "positions", "run"])
+def test_each_image_of_the_table_is_there_and_no_other(folder: Path, kind: str) -> None:
+    names = table(folder, kind)["file"].tolist()
+    assert sorted(p.name for p in (folder / kind).iterdir()) == sorted(names)
+    assert names == sorted(names)
+    size = (760, 500) if kind == "reference" else (640, 480)
+    for name in names:
+        with Image.open(folder / kind / name) as image:
+            assert image.size == size
+            assert image.format == "JPEG"
+
+
+def test_stamps_stand_in_names_and_exif(folder: Path) -> None:
+    for row in table(folder, "run").itertuples():
+        moment = pd.Timestamp(row.stamp_us, unit="us")
+        assert row.file == f"R{moment:%Y%m%d_%H%M%S}{moment.microsecond // 1000:03d}.jpg"
+        assert moment.microsecond % 1000 == 0
+        own, photo = exif(folder / "run" / row.file)
+        assert photo[0x9003] == f"{moment:%Y:%m:%d %H:%M:%S}"
+        assert photo[0x9291] == f"{moment.microsecond // 1000:03d}"
+        assert photo[0x9011] == "+00:00"
+        assert own[0x0110] == "boat camera"
+    own, photo = exif(folder / "reference" / "IMG_0001.jpg")
+    assert 0x9291 not in photo
+    assert 0x9011 not in photo
+    assert photo[0xA405] == round(620 / 760 * 36)
+    assert float(photo[0x920A]) == pytest.approx(620 / 760 * 36, abs=0.06)
+
+
+def test_the_stamp_is_true_time_plus_clock_plus_error(folder: Path) -> None:
+    run = table(folder, "run")
+    utc = unix_from_gps(run["t_true_gps_s"].to_numpy())
+    error = run["stamp_us"] * 1e-6 - utc - run["clock_minus_utc_s"]
+    # Unix time in float64 steps by 0.24 us.
+    np.testing.assert_allclose(error, run["stamp_error_s"], atol=1e-6)
+    assert run["clock_minus_utc_s"].iloc[0] == pytest.approx(2.3471, abs=1e-4)
+
+
+def test_clock_offset_drift_and_jitter_are_those_of_the_configuration() -> None:
+    twin = config(
+        duration_s=3000.0, camera={**SMALL["camera"], "clock_offset_s": -3.25, "clock_drift_ppm": 40.0}
+    )
+    times = run_times(twin, SEED)
+    n = len(times.t_gps_s)
+    assert n in (2999, 3000)
+    since = times.t_gps_s - times.t_gps_s[0]
+    stamp = (times.stamp_us - times.stamp_us[0]) * 1e-6
+    error = stamp - since
+    drift, _ = np.polyfit(since, error, 1)
+    # 0.023 s over 3000 images: 0.023 sqrt(12 / 3000) / 3000 s = 5e-7.
+    assert drift == pytest.approx(40e-6, abs=2e-6)
+    # Standard error of a standard deviation of 3000: 1.3 %.
+    assert np.std(error - drift * since) == pytest.approx(0.023, rel=0.05)
+    assert np.std(np.diff(stamp)) == pytest.approx(0.004, rel=0.06)
+    steady = run_times(config(camera={**SMALL["camera"], "jitter_s": 0.0, "clock_drift_ppm": 0.0}), SEED)
+    utc = unix_from_gps(steady.t_gps_s)
+    np.testing.assert_allclose(steady.stamp_us * 1e-6 - utc, 2.3471, atol=6e-4)  # whole milliseconds
+
+
+def test_poses_are_those_of_boat_and_mount_at_the_true_time(folder: Path) -> None:
+    twin, run = config(), table(folder, "run")
+    motion, mount = FieldRun(twin, SEED), mount_of(mounts()["camera"])
+    t = run["t_true_gps_s"].to_numpy()
+    np.testing.assert_allclose(
+        run[["east_m", "north_m", "up_m"]], motion.sensor_wcs_m(t, mount.shift_m), atol=1e-9
+    )
+    R = Rotation.from_quat(run[["q_x", "q_y", "q_z", "q_w"]].to_numpy()).as_matrix()
+    np.testing.assert_allclose(R, motion.R_wcs_ics(t) @ mount.R, atol=1e-9)
+    first = table(folder, "positions").iloc[0]
+    expected = (standing(twin, 1).T_wcs_ics @ mount).shift_m
+    np.testing.assert_allclose(first[["east_m", "north_m", "up_m"]].astype(float), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["positions", "run"])
+def test_opencv_finds_the_tags_where_the_truth_projects_them(folder: Path, kind: str) -> None:
+    """Middles of tags, by software of other people, with the true pose and camera."""
+    twin = config()
+    camera, field = true_camera(twin.camera, "boat"), build_field(twin, SEED, when="boat")
+    errors = []
+    for row in table(folder, kind).itertuples():
+        R = Rotation.from_quat([row.q_x, row.q_y, row.q_z, row.q_w]).as_matrix()
+        eye = np.array([row.east_m, row.north_m, row.up_m])
+        for marker, corners in tags(folder / kind / row.file).items():
+            true = field.sheet(marker).to_wcs([[2.0, 2.0], [8.0, 2.0], [8.0, 8.0], [2.0, 8.0]])
+            errors.append((corners - camera.project((true - eye) @ R)).mean(axis=0))
+    error = np.array(errors)
+    assert len(error) >= 10
+    # OpenCV's corners come from a contour in whole pixels; all four lie inside by about a pixel.
+    assert np.abs(np.median(error, axis=0)).max() < 0.3
+    assert np.median(np.hypot(*error.T)) < 0.6
+
+
+def test_the_antenna_is_in_the_last_two_reference_images_only(folder: Path) -> None:
+    names = table(folder, "reference")["file"].tolist()
+    assert len(names) == 6
+    found = [98 in tags(folder / "reference" / name) for name in names]
+    assert found == [False, False, False, False, True, True]
+
+
+def test_the_same_seed_gives_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+    take(tmp_path, "positions", config())
+    for path in (folder / "positions").iterdir():
+        assert (tmp_path / "positions" / path.name).read_bytes() == path.read_bytes()
+
+
+def test_a_marker_moves_between_reference_and_boat_and_ids_are_swapped_in_both(
+    tmp_path: Path, folder: Path
+) -> None:
+    plain = {name: tags(folder / "positions" / name) for name in table(folder, "positions")["file"]}
+    name, seen = max(plain.items(), key=lambda item: len(item[1]))
+    a, b = sorted(seen, key=lambda i: -np.ptp(seen[i]))[:2]
+    changed = config(field={"position_s": 2.0, "effects": {"swapped_ids": ((a, b),)}})
+    take(tmp_path, "positions", changed)
+    now = tags(tmp_path / "positions" / name)
+    # Half a module of the smaller tag; they hang far apart.
+    assert np.abs(now[a].mean(axis=0) - seen[b].mean(axis=0)).max() < 2.0
+    assert np.abs(now[b].mean(axis=0) - seen[a].mean(axis=0)).max() < 2.0
+    effects = {"moved_marker": 66, "moved_by_m": 0.1}
+    moved = config(field={"position_s": 2.0, "effects": effects})
+    before, after = (build_field(moved, SEED, when=w).sheet(66).centre_wcs_m() for w in ("reference", "boat"))
+    assert np.linalg.norm(after - before) == pytest.approx(0.1, abs=1e-6)
+
+
+def test_the_tour_stays_clear_and_turns_the_camera() -> None:
+    twin = TwinConfig.of_size("field_tiny")
+    field = build_field(twin, SEED)
+    poses = tour(field, twin.camera.reference, SEED)
+    assert len(poses) == twin.camera.reference.n_images
+    eyes = np.stack([p.shift_m for p in poses])
+    things = np.stack([c.middle_wcs_m for c in field.cones] + [b.plane.origin_wcs_m for b in field.boards])
+    assert np.linalg.norm(eyes[:, None, :2] - things[None, :, :2], axis=2).min() > 0.8
+    assert np.hypot(*eyes[:, :2].T).max() < twin.field.fence_m - 1.0
+    # Camera x points along the horizon, or up or down where it is turned.
+    upright = np.array([abs(p.R[2, 0]) for p in poses]) > 0.7
+    assert upright.sum() == round(twin.camera.reference.rolled * len(poses))
+    assert {np.sign(p.R[2, 0]) for p, turned in zip(poses, upright, strict=True) if turned} == {-1.0, 1.0}
+    heights = eyes[:, 2]
+    assert (heights < 1.4).sum() >= len(poses) // 3 <= (heights > 1.6).sum()
+
+
+def seen_in(field: Field, twin: TwinConfig) -> np.ndarray:
+    """In how many images each sheet faces the camera, is large enough, and is hidden by nothing."""
+    camera = true_camera(twin.camera.reference, "reference")
+    yard = field_scene(field)
+    saddles = np.stack([s.saddles_wcs_m() for s in field.sheets])
+    normals = np.stack([s.normal_wcs() for s in field.sheets])
+    count = np.zeros(len(saddles), int)
+    for pose in tour(field, twin.camera.reference, SEED):
+        way = pose.shift_m - saddles.mean(axis=1)
+        near = np.einsum("ni,ni->n", way, normals) > 0.5 * np.linalg.norm(way, axis=1)
+        xy = camera.project(pose.inverse().apply(saddles.reshape(-1, 3)))
+        near &= camera.inside(xy, 25.0).reshape(-1, 4).all(axis=1)
+        xy = xy.reshape(-1, 4, 2)
+        near &= np.linalg.norm(xy - np.roll(xy, 1, axis=1), axis=2).min(axis=1) > 20.0
+        at = np.flatnonzero(near)
+        points = (saddles[at] + 0.01 * normals[at][:, None]).reshape(-1, 3)
+        far = np.linalg.norm(points - pose.shift_m, axis=1)
+        rays = (points - pose.shift_m) / far[:, None]
+        hits = yard.scene.caster().cast(np.broadcast_to(pose.shift_m, points.shape), rays)
+        count[at] += (hits.t_hit_m >= far - 1e-3).reshape(-1, 4).all(axis=1)
+    return count
+
+
+def test_the_planned_tour_shows_markers_in_three_images() -> None:
+    twin = TwinConfig.of_size("field")
+    field = build_field(twin, SEED)
+    count = seen_in(field, twin)
+    plain = TwinConfig.of_size("field_tiny")
+    before = seen_in(build_field(plain, SEED), plain)
+    names = [s.cone for s in field.sheets]
+    # by this simple measure; 35 images in place of 28 are a quarter more
+    on_cones = np.array([name is not None for name in names])
+    assert (count >= 3).sum() > 1.15 * (before >= 3).sum()
+    assert (count[on_cones] >= 3).sum() > 1.3 * (before[on_cones] >= 3).sum()
+    for cone in field.cones:
+        mine = np.array([name == cone.name for name in names])
+        assert (count[mine] >= 3).sum() >= 3
+    eyes = np.stack([p.shift_m for p in tour(field, twin.camera.reference, SEED)])
+    things = np.stack([c.middle_wcs_m for c in field.cones] + [b.plane.origin_wcs_m for b in field.boards])
+    assert np.linalg.norm(eyes[:, None, :2] - things[None, :, :2], axis=2).min() > 0.5
+    assert len(eyes) == twin.camera.reference.n_images
+
+
+def test_wrong_settings_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="of the kind 'tour'"):
+        take(tmp_path, "tour", config())
+    with pytest.raises(ConfigError, match=r"twin\.field"):
+        simulate_field_images(
+            TwinConfig.of_size("tiny"), SEED, "run", mounts(), tmp_path, tmp_path / "t.parquet"
+        )
+    with pytest.raises(ValidationError, match="a fisheye lens has 4: k1, k2, k3, k4"):
+        config(camera={"model": "fisheye"})

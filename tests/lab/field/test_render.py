@@ -1,0 +1,323 @@
+"""Photographs of the yard against an independent projection, brute force, and a fit of crossings."""
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from thalweg.calibration.markers.sheets import SADDLES_MODULES, MarkerLayout, sheet_picture
+from thalweg.core.camera.model import Camera
+from thalweg.core.errors import GeometryError
+from thalweg.core.rigid import Rigid
+from thalweg.settings.twin.camera import TwinLens
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.yard.cones import FieldCone
+from thalweg_lab.yard.layout import Field, build_field
+from thalweg_lab.yard.scene import field_scene
+from thalweg_lab.yard.sheets import Sheet
+from thalweg_lab.yard.tour import looking
+from thalweg_lab.yard.yard import Yard
+from thalweg_lab.yard_images.exposure import exposed
+from thalweg_lab.yard_images.images import SUN, true_camera
+from thalweg_lab.yard_images.lens_rays import LensRays
+from thalweg_lab.yard_images.render import Photographer, Seen, _changes
+from thalweg_lab.yard_images.render_kernels import turned
+from thalweg_lab.yard_images.sheet_paint import PaintTable
+from thalweg_lab.yard_images.synthetic_view import synthetic_view
+
+SEED = 5
+EYE = np.array([0.1, -0.2, 0.8])
+LENS = TwinLens(size_px=(700, 520), focal_px=3200.0, principal_offset_px=(3.3, -2.1), noise=0.0)
+WIDE = TwinLens(size_px=(420, 320), focal_px=1300.0, principal_offset_px=(3.3, -2.1), noise=0.0)
+
+
+@pytest.fixture(scope="module")
+def field() -> Field:
+    return build_field(TwinConfig.of_size("field_tiny"), SEED)
+
+
+@pytest.fixture(scope="module")
+def photographer(field: Field) -> Photographer:
+    return Photographer(Yard.of(field_scene(field), field.sheets), SUN)
+
+
+@pytest.fixture(scope="module")
+def rays() -> LensRays:
+    return LensRays(true_camera(LENS, "test"))
+
+
+@pytest.fixture(scope="module")
+def wide() -> LensRays:
+    return LensRays(true_camera(WIDE, "wide"))
+
+
+def toward(field: Field, cone: str, eye: np.ndarray = EYE, roll_rad: float = 0.0) -> Rigid:
+    return looking(eye, field.cone(cone).middle_wcs_m, roll_rad=roll_rad)
+
+
+def pixels_of(sheet: Sheet, modules: np.ndarray, camera: Camera, pose: Rigid) -> np.ndarray:
+    return camera.project(pose.inverse().apply(sheet.to_wcs(modules)))
+
+
+def seen_sheets(
+    field: Field, photographer: Photographer, seen: Seen, camera: Camera, pose: Rigid
+) -> list[Sheet]:
+    """Sheets of which all saddles are met by the picture's rays and that do not lie too flat."""
+    out = []
+    for sheet in field.sheets:
+        points = sheet.saddles_wcs_m()
+        xy = camera.project(pose.inverse().apply(points))
+        if not np.isfinite(xy).all() or not camera.inside(xy, 8.0).all():
+            continue
+        i, j = xy.astype(int).T
+        there = photographer.yard.names.index(sheet.thing)
+        way = np.linalg.norm(points - pose.shift_m, axis=1)
+        far = np.abs(seen.range_m[j, i] - way) > 0.01
+        a, b = xy[1] - xy[0], xy[3] - xy[0]
+        flat = abs(a[0] * b[1] - a[1] * b[0]) < 0.7 * np.linalg.norm(a) * np.linalg.norm(b)
+        if (seen.thing[j, i] == there).all() and not far.any() and not flat:
+            out.append(sheet)
+    return out
+
+
+# ---------------------------------------------------------------- rays
+
+
+@pytest.mark.parametrize("model", ["perspective", "fisheye"])
+def test_the_ray_of_each_pixel_is_that_of_the_camera(model: str) -> None:
+    distortion = (-0.062, 0.081, 0.0004, -0.0003, -0.018) if model == "perspective" else (0.01, -0.003, 0, 0)
+    lens = TwinLens(model=model, size_px=(203, 151), focal_px=140.0 if model == "perspective" else 50.0,
+                    distortion=distortion)  # fmt: skip
+    camera = true_camera(lens, "test")
+    rays = LensRays(camera).rays_ccs
+    y, x = np.mgrid[0:151, 0:203] + 0.5
+    xy = np.stack([x.ravel(), y.ravel()], axis=1)
+    sees = np.isfinite(rays.reshape(-1, 3)).all(axis=1)
+    assert sees.mean() > 0.7
+    # float32 steps by 6e-8, that is 1e-5 px here.
+    np.testing.assert_allclose(camera.project(rays.reshape(-1, 3)[sees]), xy[sees], atol=5e-5)
+
+
+# ---------------------------------------------------------------- prints
+
+
+def true_shares(
+    sheet: Sheet, camera: Camera, pose: Rigid, n: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels (k, 2) about a sheet and the shares of paper and ink in each, by n x n rays in float64."""
+    rim = np.array([[u, v] for u in (-0.5, 5, 10.5) for v in (-0.5, 5, 10.5)])
+    xy = pixels_of(sheet, rim, camera, pose)
+    low, high = np.floor(xy.min(axis=0)).astype(int), np.ceil(xy.max(axis=0)).astype(int)
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1])))
+    a, b = (o.ravel() for o in np.meshgrid(*2 * [(np.arange(n) + 0.5) / n]))
+    sub = np.stack([(x[:, None] + a).ravel(), (y[:, None] + b).ravel()], axis=1)
+    ray, eye, surface = camera.rays(sub) @ pose.R.T, pose.shift_m, sheet.surface
+    if isinstance(surface, FieldCone):
+        o, d = surface.to_cocs(eye[None])[0], ray @ surface.R_cocs_wcs.T
+        k = np.array([1.0, 1.0, -(np.tan(surface.half_angle_rad) ** 2)])
+        qa, qb, qc = (d * d) @ k, (d * o) @ k, (o * o) @ k
+        root = np.sqrt(np.where(qb * qb > qa * qc, qb * qb - qa * qc, np.nan))
+        t = np.minimum((-qb - root) / qa, (-qb + root) / qa)
+    else:
+        t = (surface.origin_wcs_m - eye) @ surface.normal_wcs / (ray @ surface.normal_wcs)
+    modules = np.nan_to_num(sheet.to_modules(eye + t[:, None] * ray), nan=-9.0)
+    paper = np.all((modules >= -0.5) & (modules <= 10.5), axis=1)
+    picture = np.pad(sheet_picture(sheet.marker, MarkerLayout(), 2)[1:-1:2, 1:-1:2] == 0, 1)
+    u, v = (np.clip(np.floor(m).astype(int), -1, 10) + 1 for m in modules.T)
+    return np.stack([x, y], axis=1), *(
+        s.reshape(len(x), -1).mean(axis=1) for s in (paper, paper & picture[v, u])
+    )
+
+
+@pytest.mark.parametrize(("marker", "roll_rad"), [(1, 0.0), (5, 0.0), (6, 0.4), (66, 0.0), (75, 0.2)])
+def test_a_pixel_sees_as_much_ink_as_lies_in_it(
+    field: Field, photographer: Photographer, wide: LensRays, marker: int, roll_rad: float
+) -> None:
+    """Cone and board, straight and turned: the shares of 256 rays a pixel in float64."""
+    sheet = field.sheet(marker)
+    pose = looking(EYE, sheet.centre_wcs_m(), roll_rad=roll_rad)
+    pixels, paper, ink = true_shares(sheet, wide.camera, pose, 16)
+    w, _ = wide.camera.size_px
+    index = pixels[:, 1] * w + pixels[:, 0]
+    grid = turned(wide.rays_ccs.reshape(-1, 3), pose.R).reshape(wide.rays_ccs.shape)
+    ray, (dx, dy) = grid.reshape(-1, 3)[index], _changes(grid, index)
+    t, primitive = photographer._cast(pose.shift_m, ray)
+    thing = photographer._things(primitive)
+    # This sheet alone: its neighbours on the cone may lie in the same window.
+    table = PaintTable.of([sheet], photographer.yard.names, MarkerLayout())
+    got_paper, got_ink = table.paint(pose.shift_m, ray, dx, dy, t.astype(np.float64), thing, 4)
+    on = thing == photographer.yard.names.index(sheet.thing)
+    assert on.mean() > 0.6
+    assert ink[on].std() > 0.3
+    for got, true in ((got_paper, paper), (got_ink, ink)):
+        # A pixel's parts are taken as squares along the print: 0.004 of a pixel where edges are slanted, and
+        # up to a few hundredths at corners. The brute force is itself true to 1/16 of an edge's pixel.
+        assert np.sqrt(np.mean((got - true)[on] ** 2)) < 0.006
+    # As a shift of the whole print: error of the ink along its gradient.
+    shape = np.unique(pixels[:, 1]).size, np.unique(pixels[:, 0]).size
+    gy, gx = (g.ravel()[on] for g in np.gradient(ink.reshape(shape)))
+    shift = np.linalg.lstsq(np.stack([gx, gy], axis=1), (ink - got_ink)[on], rcond=None)[0]
+    # A hundredth of what a saddle can be measured to.
+    assert np.abs(shift).max() < 0.003
+
+
+def fitted_crossing(image: np.ndarray, start: np.ndarray, across: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Crossing of a checker by least squares: two soft edges whose product is the picture."""
+    half = int(np.clip(0.55 * min(np.linalg.norm(across), np.linalg.norm(down)), 2, 8))
+    x0, y0 = np.rint(start - 0.5).astype(int)
+    y, x = np.mgrid[y0 - half : y0 + half + 1, x0 - half : x0 + half + 1]
+    value = image[y0 - half : y0 + half + 1, x0 - half : x0 + half + 1].ravel()
+    x, y = x.ravel() + 0.5, y.ravel() + 0.5
+    angles = [np.arctan2(e[1], e[0]) for e in (across, down)]
+
+    def model(p: np.ndarray) -> np.ndarray:
+        one = np.sin(p[2]) * (x - p[0]) - np.cos(p[2]) * (y - p[1])
+        two = np.sin(p[3]) * (x - p[0]) - np.cos(p[3]) * (y - p[1])
+        tilt = p[7] * (x - start[0]) + p[8] * (y - start[1])
+        return p[4] + tilt + p[5] * np.tanh(one / p[6]) * np.tanh(two / p[6]) - value
+
+    begin = [*start, *angles, value.mean(), np.ptp(value) / 2, 1.0, 0.0, 0.0]
+    best = [least_squares(model, [*begin[:5], sign * begin[5], *begin[6:]]) for sign in (1, -1)]
+    return min(best, key=lambda b: b.cost).x[:2]
+
+
+def test_crossings_lie_where_they_are_projected(
+    field: Field, photographer: Photographer, rays: LensRays
+) -> None:
+    """In the developed 8-bit picture, by a fit that knows nothing of the twin."""
+    errors = []
+    for cone, roll_rad in (("C1", 0.0), ("C5", 0.35), ("C4", 1.5)):
+        pose = toward(field, cone, roll_rad=roll_rad)
+        seen = photographer.see(rays, pose)
+        sheets = seen_sheets(field, photographer, seen, rays.camera, pose)
+        image = exposed(seen.light, LENS, np.random.default_rng(0)).astype(np.float64).mean(axis=2)
+        for sheet in sheets:
+            for u, v in SADDLES_MODULES:
+                near = np.array([[u, v], [u + 0.5, v], [u - 0.5, v], [u, v + 0.5], [u, v - 0.5]])
+                p = pixels_of(sheet, near, rays.camera, pose)
+                errors.append(fitted_crossing(image, p[0], p[1] - p[2], p[3] - p[4]) - p[0])
+    error = np.array(errors)
+    assert len(error) >= 40
+    # 8 bits and modules of about eight pixels let the fit scatter by 0.02 px; some lie at a shadow's edge.
+    kept = np.abs(error).max(axis=1) < 0.3
+    assert kept.mean() > 0.9
+    assert np.abs(error[kept].mean(axis=0)).max() < 0.02
+    assert np.abs(np.median(error, axis=0)).max() < 0.02
+    assert error[kept].std() < 0.06
+
+
+def test_a_mirrored_sheet_shows_the_mirror_image(
+    field: Field, photographer: Photographer, rays: LensRays
+) -> None:
+    sheet = field.sheet(66)
+    pose = looking(EYE, sheet.centre_wcs_m())
+    light = []
+    for mirrored in (False, True):
+        yard = replace(photographer.yard, sheets=(replace(sheet, mirrored=mirrored),))
+        light.append(photographer.with_yard(yard).see(rays, pose).light.mean(axis=2))
+    middles = np.stack(np.meshgrid(np.arange(10) + 0.5, np.arange(10) + 0.5), axis=-1).reshape(-1, 2)
+    i, j = pixels_of(sheet, middles, rays.camera, pose).astype(int).T
+    modules = [picture[j, i].reshape(10, 10) for picture in light]
+    plain, mirror = (m < (m.min() + m.max()) / 2 for m in modules)
+    true = sheet_picture(66, MarkerLayout(), 2)[1:-1:2, 1:-1:2] == 0
+    np.testing.assert_array_equal(plain, true)
+    np.testing.assert_array_equal(mirror, true[:, ::-1])
+
+
+# ---------------------------------------------------------------- light
+
+
+def test_a_cone_throws_a_shadow_on_the_ground(field: Field, photographer: Photographer) -> None:
+    camera = Camera(
+        model="perspective", size_px=(300, 220), parameters=np.array([260, 260, 150, 110, 0, 0, 0, 0, 0])
+    )
+    middle = field.cone("C1").middle_wcs_m
+    sun = SUN.direction_wcs
+    spot = middle - middle[2] / sun[2] * sun
+    beside = spot + np.array([-1.4 * sun[1], 1.4 * sun[0], 0.0])
+    pose = looking(spot + np.array([1.5, -0.6, 2.4]), spot)
+    seen = photographer.see(LensRays(camera), pose)
+    ground = photographer.yard.names.index("ground")
+    brightness = []
+    for place in (spot, beside):
+        x, y = camera.project(pose.inverse().apply([place]))[0].astype(int)
+        assert (seen.thing[y - 2 : y + 3, x - 2 : x + 3] == ground).all()
+        brightness.append(seen.light[y - 2 : y + 3, x - 2 : x + 3].mean())
+    # The sun behind thin cloud adds twice the light of the sky.
+    assert brightness[0] < 0.6 * brightness[1]
+
+
+def test_the_picture_is_the_same_at_each_run_and_with_one_thread(
+    field: Field, photographer: Photographer, wide: LensRays
+) -> None:
+    pose = toward(field, "C2")
+    first = photographer.see(wide, pose).light
+    threads = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1)
+        again = Photographer(photographer.yard, SUN).see(wide, pose).light
+    finally:
+        numba.set_num_threads(threads)
+    np.testing.assert_array_equal(first, again)
+
+
+def test_smear_and_blur_move_nothing() -> None:
+    """A bright point stays where it is; its centre of mass tells."""
+    light = np.zeros((41, 41, 3), dtype=np.float32)
+    light[20, 20] = 0.2
+    lens = TwinLens(noise=0.0, sharpness_px=0.8)
+    image = exposed(light.copy(), lens, np.random.default_rng(0), smear_px=(2.3, -1.1)).astype(float)[..., 0]
+    image -= image.min()
+    y, x = np.mgrid[0:41, 0:41]
+    assert image[20, 22] > image[22, 20]
+    # Steps of 8 bits.
+    assert abs(np.sum(image * x) / image.sum() - 20) < 0.05
+    assert abs(np.sum(image * y) / image.sum() - 20) < 0.05
+
+
+# ---------------------------------------------------------------- other views
+
+
+def test_a_fisheye_sees_behind_itself_and_is_dark_outside_its_circle(field: Field) -> None:
+    """190 degrees: the upright cone in the north stands 92 degrees off a view to the west by south."""
+    camera = Camera(
+        model="fisheye", size_px=(400, 400), parameters=np.array([119, 119, 201, 199, 0.01, -0.002, 0, 0])
+    )
+    eye = np.array([0.0, 0.0, 0.9])
+    cone = field.cone("C7").middle_wcs_m
+    view = np.array([cone[1], -cone[0], 0.0])
+    turn = np.deg2rad(2.0)
+    back = np.cos(turn) * view / np.linalg.norm(view) - np.sin(turn) * (cone - eye) / np.linalg.norm(
+        cone - eye
+    )
+    pose = looking(eye, eye + back * [1, 1, 0])
+    seen = synthetic_view(field, camera, pose, SUN, colours=None, with_sheets=True)
+    ray = pose.inverse().apply(cone[None])
+    assert ray[0, 2] < 0
+    x, y = camera.project(ray)[0].astype(int)
+    assert seen.cone[y, x] == [c.name for c in field.cones].index("C7")
+    assert seen.range_m[y, x] == pytest.approx(np.linalg.norm(cone - eye), abs=0.35)  # its surface
+    assert seen.image[2, 2].max() <= 2
+    rays = LensRays(camera, field_of_view_deg=190.0).rays_ccs
+    lit = np.isfinite(rays[..., 0])
+    assert np.nanmin(rays[..., 2]) == pytest.approx(np.cos(np.deg2rad(95.0)), abs=0.01)
+    assert (seen.image[~lit].max(axis=1) < 40).mean() > 0.97  # the rim is blurred
+    assert (seen.image[lit].max(axis=1) > 40).mean() > 0.97
+
+
+def test_heights_of_cones_tell_their_colours(field: Field) -> None:
+    """P2 Fig. 4a: low cones blue, high ones red by the given colours; the ground keeps its own."""
+    camera = Camera(
+        model="perspective", size_px=(240, 180), parameters=np.array([170, 170, 120, 90, 0, 0, 0, 0, 0])
+    )
+    pose = looking(np.array([0.0, 0.0, 0.8]), np.array([-5.0, 0.0, 1.2]))
+    view = synthetic_view(field, camera, pose, SUN, colours=np.array([[0.0, 0.0, 0.8], [0.8, 0.0, 0.0]]))
+    found = [i for i in range(len(view.height_m)) if (view.cone == i).sum() > 30]
+    assert len(found) >= 3
+    colour = np.array([np.median(view.image[view.cone == i], axis=0) for i in found])
+    share = colour[:, 0] / (colour[:, 0] + colour[:, 2])
+    np.testing.assert_array_equal(np.argsort(share), np.argsort(view.height_m[found]))
+    with pytest.raises(GeometryError, match="colours of the shape"):
+        synthetic_view(field, camera, pose, SUN, colours=np.zeros(3))

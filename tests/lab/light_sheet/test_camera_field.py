@@ -1,0 +1,141 @@
+"""The marker field of the sensor's camera: what its pictures show; nothing else of the twin depends on it."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.calibration.field.description import read_field
+from thalweg.core.camera.model import Camera
+from thalweg.core.rigid import Rigid
+from thalweg.lightsheet.optics.sensor import paper_4
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.tank.camera_field import (
+    MODULE_M,
+    SIGMA_BAR_M,
+    SIGMA_PX,
+    build_marker_field,
+    observe_field,
+    record_camera_field,
+    stations,
+)
+from thalweg_lab.tank.series import Basin, record_camera_station
+
+TINY = TwinConfig.of_size("basin_tiny")
+CAMERA = paper_4().camera.scaled((1024, 1024))
+
+
+def recorded(folder: Path, seed: int = 7, **changes: int) -> tuple[pd.DataFrame, Path]:
+    twin = TwinConfig.of_size("basin_tiny", light_sheet=changes)
+    paths = folder / f"marks{seed}.csv", folder / f"field{seed}.yaml"
+    record_camera_field(twin, seed, out_marks=paths[0], out_field=paths[1])
+    return pd.read_csv(paths[0]), paths[1]
+
+
+def test_the_description_is_that_of_a_calibration_field(tmp_path: Path) -> None:
+    marks, path = recorded(tmp_path)
+    field = read_field(path)
+    assert field.layout.module_m == MODULE_M
+    assert len(field.scale_bars) == 3
+    true = build_marker_field(7).bar_lengths_m()
+    # certificates are off by what they state, six digits of a metre are written
+    assert np.abs([b.length_m for b in field.scale_bars] - true).max() < 4 * SIGMA_BAR_M
+    assert not field.targets
+    assert marks.columns.tolist() == ["file", "marker", "corner", "x_px", "y_px", "sigma_px"]
+    assert marks["file"].nunique() == 24
+    ends = {int(name.split("/")[0]) for b in field.scale_bars for name in (b.start, b.end)}
+    assert ends <= set(marks["marker"])
+
+
+def test_pictures_are_taken_from_all_sides_and_rolled() -> None:
+    field = build_marker_field(1)
+    poses = list(stations(field, 1, 24).values())
+    view = np.array([p.R[:, 2] for p in poses])
+    zenith = np.rad2deg(np.arccos(-view[:, 2]))
+    assert zenith.min() < 12
+    assert zenith.max() > 38
+    azimuth = np.sort(np.rad2deg(np.arctan2(view[:, 1], view[:, 0])))
+    assert np.diff(azimuth).max() < 60
+    # the horizontal of the field lies along the rows in some, along the columns in others
+    horizontal = np.cross(view, [0.0, 0.0, 1.0])
+    horizontal /= np.linalg.norm(horizontal, axis=1, keepdims=True)
+    along = np.abs(np.einsum("ij,ij->i", horizontal, [p.R[:, 0] for p in poses]))
+    assert (along > 0.95).sum() == (along < 0.35).sum() == 12
+    plain = list(stations(field, 1, 6, roll=False, convergent=False).values())
+    assert np.rad2deg(np.arccos(plain[0].R[:, 2] @ plain[3].R[:, 2])) < 5
+
+
+def test_marks_have_the_noise_that_they_state_and_fill_the_picture() -> None:
+    field = build_marker_field(1)
+    poses = stations(field, 1, 24)
+    marks = observe_field(field, CAMERA, poses, 1)
+    still = observe_field(field, CAMERA, poses, 1, sigma_px=0.0)
+    off = (marks[["x_px", "y_px"]] - still[["x_px", "y_px"]]).to_numpy()
+    # 5000 numbers: 1 % of a standard deviation
+    assert off.std() == pytest.approx(SIGMA_PX, rel=0.05)
+    assert abs(off.mean()) < 4 * SIGMA_PX / np.sqrt(off.size)
+    reach = np.linalg.norm(still[["x_px", "y_px"]].to_numpy() - 512, axis=1).max()
+    assert reach > 0.85 * 512 * np.sqrt(2)
+    assert still["x_px"].between(0, 1024).all()
+    assert still["y_px"].between(0, 1024).all()
+
+
+def test_a_sheet_on_a_post_hides_what_is_behind_it() -> None:
+    field = build_marker_field(1)
+    post = max(field.sheets, key=lambda sheet: sheet.centre_wcs_m()[2])
+    top = post.centre_wcs_m()
+    on_board = [s for s in field.sheets if s.centre_wcs_m()[2] == 0.0]
+    low = min(on_board, key=lambda s: float(np.linalg.norm(s.centre_wcs_m()[:2] - top[:2])))
+    foot = low.centre_wcs_m()
+    away = (top - foot) / np.linalg.norm(top - foot)
+
+    def seen(place: np.ndarray) -> set[int]:
+        z = (foot - place) / np.linalg.norm(foot - place)
+        x = np.cross(z, [0.0, 0.0, 1.0])
+        x /= np.linalg.norm(x)
+        pose = Rigid(R=np.column_stack([x, np.cross(z, x), z]), shift_m=place)
+        wide = Camera(
+            model="perspective",
+            size_px=(4000, 4000),
+            parameters=np.array([900.0, 900, 2000, 2000, *[0.0] * 5]),
+        )
+        return set(observe_field(field, wide, {"a": pose}, 1)["marker"])
+
+    steep = foot + 0.4 * np.array([0.1, 0.0, 0.995])
+    assert low.marker in seen(steep)
+    # steep enough to be read, were it not for the post
+    assert away[2] > np.cos(np.deg2rad(60))
+    behind = seen(foot + 0.4 * away)
+    assert low.marker not in behind
+    assert post.marker in behind
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+    one, _ = recorded(tmp_path)
+    first = (tmp_path / "marks7.csv").read_bytes(), (tmp_path / "field7.yaml").read_bytes()
+    recorded(tmp_path)
+    assert first == ((tmp_path / "marks7.csv").read_bytes(), (tmp_path / "field7.yaml").read_bytes())
+    other, _ = recorded(tmp_path, seed=8)
+    assert not one.equals(other)
+
+
+def test_nothing_else_of_the_twin_depends_on_the_field(tmp_path: Path) -> None:
+    files = ("sensor.yaml", "camera_marks.csv", "mark_points.csv")
+    written = []
+    for pictures in (0, 24):
+        twin = TwinConfig.of_size("basin_tiny", light_sheet={"lens_pictures": pictures})
+        folder = tmp_path / str(pictures)
+        folder.mkdir()
+        record_camera_station(
+            twin, 7, out_sensor=folder / files[0], out_marks=folder / files[1], out_points=folder / files[2]
+        )
+        written.append([(folder / name).read_bytes() for name in files])
+        np.testing.assert_array_equal(Basin.of(twin, 7).true.vector(), Basin.of(TINY, 7).true.vector())
+    assert written[0] == written[1]
+
+
+def test_more_pictures_begin_with_the_same_ones(tmp_path: Path) -> None:
+    few, _ = recorded(tmp_path, lens_pictures=12)
+    many, _ = recorded(tmp_path)
+    pd.testing.assert_frame_equal(few, many[many["file"].isin(set(few["file"]))])

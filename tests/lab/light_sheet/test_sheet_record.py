@@ -1,0 +1,155 @@
+"""Files of a series: read by the project's own readers, the truth apart, the same bytes again."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from tests.lab.light_sheet.conftest import SEED, Small
+
+from thalweg.clocks.ties.hand_tables import read_number_columns
+from thalweg.clocks.ties.trigger import match_pulses
+from thalweg.core.errors import InputError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.tables import read_table
+from thalweg.ingest.photos.stamps import read_image_stamps
+from thalweg.lightsheet.calibration.grid import read_grid
+from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg_lab.tank.files import trigger, write_image
+from thalweg_lab.tank.objects import stepped_object
+from thalweg_lab.tank.plan import calibration_plan, describe, panel_plan, scan_plan
+from thalweg_lab.tank.record import record
+from thalweg_lab.tank.truth_files import LINE_TRUTH, POSE_TRUTH
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+START = 3.0e8
+
+
+@pytest.fixture(scope="module")
+def scan(small: Small, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scan")
+    plan = scan_plan(small.sensor, SEED, stepped_object(), lines=9, step_mm=4.0)
+    record(
+        plan,
+        small.sensor,
+        small.settings,
+        SEED,
+        folder,
+        folder / "truth",
+        FRAME,
+        start_gps_s=START,
+        six_dof=True,
+        lost_pulses=1,
+    )
+    return folder
+
+
+def test_stamps_and_pulses_find_each_other(scan: Path) -> None:
+    stamps = read_image_stamps(scan / "images").table
+    (pulses,) = read_number_columns(scan / "trigger_pulses.csv", ("t_gps_s",))
+    match = match_pulses(stamps.t_device_s.to_numpy(), pulses)
+    assert (match.images_without_pulse, match.pulses_without_image) == (1, 0)
+    truth, _ = read_table(scan / "truth" / "poses.parquet", POSE_TRUTH)
+    assert stamps.file.tolist() == truth.file.tolist()
+    has = match.pulse >= 0
+    assert pulses[match.pulse[has]] == pytest.approx(truth.t_gps_s.to_numpy()[has], abs=1e-6)
+    assert -match.offset_s == pytest.approx(3.417, abs=0.005)  # jitter of 2 ms
+
+
+def test_the_truth_lies_on_the_bright_line(scan: Path) -> None:
+    truth, _ = read_table(scan / "truth" / "lines.parquet", LINE_TRUTH)
+    name = truth.file.iloc[0]
+    image = cv2.imread(str(scan / "images" / name), cv2.IMREAD_UNCHANGED)
+    assert image.shape == (512, 512)
+    one = truth[(truth.file == name) & truth.visible & (truth.albedo > 0.3)]
+    at = image[one.y_px.astype(int), one.x_px.astype(int)]
+    aside = image[one.y_px.astype(int), np.clip(one.x_px.astype(int) + 15, 0, 511)]
+    assert at.mean() > 2 * aside.mean()
+
+
+def test_what_the_camera_gives_holds_no_truth(scan: Path) -> None:
+    files = {path.relative_to(scan).parts[0] for path in scan.rglob("*") if path.is_file()}
+    assert files == {"images", "images.csv", "trigger_pulses.csv", "six_dof", "truth"}
+    assert pd.read_csv(scan / "images.csv").columns.tolist() == ["file", "object"]
+    marks = pd.read_csv(scan / "six_dof" / "marks.csv")
+    assert marks.groupby("file").size().tolist() == [30] * 9
+    assert (scan / "truth" / "stepped_object.ply").is_file()
+    assert read_sensor(scan / "truth" / "sensor.yaml").camera.size_px == (512, 512)
+    assert json.loads((scan / "truth" / "plan.json").read_text())["images"] == 9
+
+
+def test_a_part_of_the_images_is_the_same_as_all(small: Small, scan: Path, tmp_path: Path) -> None:
+    plan = scan_plan(small.sensor, SEED, stepped_object(), lines=9, step_mm=4.0)
+    names = record(
+        plan,
+        small.sensor,
+        small.settings,
+        SEED,
+        tmp_path,
+        tmp_path / "truth",
+        FRAME,
+        start_gps_s=START,
+        only=[4],
+    )
+    assert [path.name for path in (tmp_path / "images").iterdir()] == [names[4]]
+    assert (tmp_path / "images" / names[4]).read_bytes() == (scan / "images" / names[4]).read_bytes()
+
+
+def test_each_image_has_speckle_and_noise_of_its_own(small: Small, tmp_path: Path) -> None:
+    plan = panel_plan(small.sensor, depths_mm=(125.0, 125.0))
+    names = record(
+        plan, small.sensor, small.settings, SEED, tmp_path, tmp_path / "truth", FRAME, start_gps_s=START
+    )
+    files = [str(tmp_path / "images" / name) for name in names]
+    one, two = (cv2.imread(file, cv2.IMREAD_UNCHANGED).astype(float) for file in files)
+    # two independent noises of read and rounding, where nothing but daylight is: 0.4 grey values each
+    assert 0.3 < (one - two)[:, 400:].std() < 1.5
+    assert np.abs(one - two).max() > 30  # speckle
+
+
+def test_the_grid_is_described_as_the_calibration_reads_it(small: Small, tmp_path: Path) -> None:
+    plan = calibration_plan(small.sensor, SEED, positions=2)
+    record(
+        plan,
+        small.sensor,
+        small.clean,
+        SEED,
+        tmp_path,
+        tmp_path / "truth",
+        FRAME,
+        start_gps_s=START,
+        only=[0],
+    )
+    for k, depths in enumerate(plan.facts["depths_mm"]):
+        grid = read_grid(tmp_path / f"grid_{k + 1}.yaml")
+        # a calliper of 0.05 mm
+        assert grid.depths_mm == pytest.approx(depths, abs=0.25)
+        assert (grid.depths_mm != np.array(depths)).all()
+        assert len(grid.gaps_x_mm) == 11
+        assert np.diff(grid.gaps_x_mm, axis=1)[[0, 5], 0] == pytest.approx([3.5, 5.25])
+
+
+def test_a_plan_is_described_without_being_rendered(small: Small) -> None:
+    plan = calibration_plan(small.sensor, SEED, positions=4, depths_mm=(60.0, 105.0, 150.0))
+    told = describe(plan, small.sensor)
+    assert (told["images"], told["sheets"], len(told["depths_mm"][3])) == (4, 1, 3)
+
+
+@pytest.mark.parametrize("ending", ["png", "tiff", "jpg"])
+def test_formats(tmp_path: Path, ending: str) -> None:
+    colour = np.zeros((20, 30, 3), dtype=np.uint8)
+    colour[..., 0], colour[..., 1] = 40, 200  # little red, much green
+    write_image(tmp_path / f"a.{ending}", colour)
+    again = cv2.imread(str(tmp_path / f"a.{ending}"), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    assert np.abs(again.astype(int) - colour).max() <= (3 if ending == "jpg" else 0)  # JPEG of one colour
+    with pytest.raises(InputError, match="ending"):
+        write_image(tmp_path / "a.bmp", colour)
+
+
+def test_pulses_are_on_the_grid_of_the_divider_and_pause_once() -> None:
+    shots = trigger(SEED, 2.0 * np.arange(12), START + 0.3, name="x")
+    gaps = np.diff(shots.t_gps_s)
+    assert sorted(set(gaps.round(6))) == [2.0, 7.0]
+    assert (np.abs(shots.t_gps_s * 10 - np.rint(shots.t_gps_s * 10)) < 1e-6).all()

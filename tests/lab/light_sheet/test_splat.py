@@ -1,0 +1,47 @@
+"""Points of light on the pixels: place, width and sum."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from thalweg_lab.tank.splat import splat
+
+
+def drawn(x: float, y: float, sigma: float, size: int = 40) -> np.ndarray:
+    image = np.zeros((size, size), dtype=np.float32)
+    splat(image, np.array([[x, y]]), np.array([2.5]), np.array([sigma]))
+    return image.astype(np.float64)
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.5, 1.3])
+@pytest.mark.parametrize("part", [0.0, 0.13, 0.5, 0.77])
+def test_a_point_keeps_its_place(part: float, sigma: float) -> None:
+    # a finer grid without the half of its step shifts everything by 0.25 px: a pixel covers i to i + 1
+    image = drawn(19.0 + part, 21.0 - part, sigma)
+    centres = np.arange(40) + 0.5
+    # pixels sample a narrow point too coarsely, which moves its centre of gravity by up to this; and the
+    # reach of 4 sigma ends at different parts of a pixel on both sides
+    close = np.exp(-2 * (np.pi * sigma) ** 2) / np.pi + 5e-4
+    assert (image.sum(axis=0) @ centres) / image.sum() == pytest.approx(19.0 + part, abs=close)
+    assert (image.sum(axis=1) @ centres) / image.sum() == pytest.approx(21.0 - part, abs=close)
+
+
+def test_a_point_keeps_its_light_and_width() -> None:
+    image = drawn(20.3, 20.6, 1.2)
+    assert image.sum() == pytest.approx(2.5, rel=1e-6)  # float32
+    x = np.arange(41)
+    exact = 2.5 * np.outer(np.diff(norm.cdf(x, 20.6, 1.2)), np.diff(norm.cdf(x, 20.3, 1.2)))
+    # beyond 4 sigma nothing is drawn, and its share is given to the rest
+    assert np.abs(image - exact).max() < 2e-4 * exact.max()
+
+
+def test_light_beyond_the_border_is_lost_and_not_folded_back() -> None:
+    assert drawn(0.0, 20.0, 1.0).sum() == pytest.approx(1.25, rel=1e-3)
+    assert drawn(-9.0, 20.0, 1.0).sum() == 0
+    assert drawn(39.9, 39.9, 1.0)[:20, :20].sum() == 0
+
+
+def test_what_has_no_place_leaves_no_light() -> None:
+    image = np.zeros((8, 8), dtype=np.float32)
+    splat(image, np.array([[np.nan, 4.0], [4.0, 4.0]]), np.array([1.0, np.nan]), np.ones(2))
+    assert image.sum() == 0

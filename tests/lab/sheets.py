@@ -1,0 +1,33 @@
+"""Scenes of a few flat sheets, for tests that must know where each of them is."""
+
+from typing import Any
+
+import numpy as np
+
+from thalweg.core.types import ArrayF
+from thalweg_lab.river.materials import Material
+from thalweg_lab.river.scene import Scene
+
+
+def sheet(centre: Any, along: Any, across: Any) -> tuple[ArrayF, np.ndarray]:
+    """A parallelogram of two triangles about a point, with half sides."""
+    c, a, b = (np.asarray(v, dtype=np.float64) for v in (centre, along, across))
+    return np.array([c - a - b, c + a - b, c + a + b, c - a + b]), np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def scene_of(*parts: tuple[tuple[ArrayF, np.ndarray], Material]) -> Scene:
+    """A scene of a few sheets."""
+    vertices, triangles, material = [], [], []
+    for (v, f), kind in parts:
+        triangles.append(f + 4 * len(vertices))
+        vertices.append(v)
+        material += [int(kind)] * len(f)
+    return Scene(
+        vertices_wcs_m=np.concatenate(vertices),
+        triangles=np.concatenate(triangles),
+        material=np.array(material, dtype=np.uint8),
+        water_level_m=-1.0,
+    )
+
+
+GROUND = (sheet([0, 0, -30.0], [400, 0, 0], [0, 400, 0]), Material.BED)

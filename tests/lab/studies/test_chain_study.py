@@ -1,0 +1,108 @@
+"""The study of INS, camera and fused trajectory: a small one, and what its tables say."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.accuracy.solutions.comparison import CHAINS
+from thalweg.accuracy.solutions.ranges import range_facts
+from thalweg.core.frames import LocalFrame
+from thalweg.core.rigid import Rigid, rotation_vector
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.studies import chain_study as study
+from thalweg_lab.studies import chain_study_tables as tables
+from thalweg_lab.studies.drawn_images import ImageErrors, draw_images
+from thalweg_lab.studies.survey import BARE
+from thalweg_lab.voyage.voyage import Voyage
+
+SMALL: dict[str, Any] = {
+    "size": "tiny",
+    "duration_s": 8.0,
+    "scene": BARE | {"length_m": 50.0, "grid_m": 0.25},
+    "tls": {"spacing_m": 0.15},
+    "boat": {"turn_rate_degps": 24.0},
+}
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+CAMERA = Rigid.from_opk(np.deg2rad([90.0, 0.0, 0.0]), [-0.25, -0.10, -0.18])
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[study.Found]]:
+    folder = tmp_path_factory.mktemp("chains")
+    settings = study.ChainStudy.of(tables.DISTURBED, study.DISTURBANCES, SMALL, {"cell_m": 0.1})
+    world = study.make_world(settings, folder / "world")
+    out = [study.survey_chains(1, settings, world, folder / "survey")]
+    assert not (folder / "survey").exists()
+    return {tables.DISTURBED: out}
+
+
+def test_all_chains_see_the_bank(found: dict[str, list[study.Found]]) -> None:
+    table = tables.study_table(found)
+    assert len(table) == 2 * len(CHAINS)
+    of = table[table["points"] == "without outliers"].set_index("chain")
+    assert (of["n"] > 1000).all()
+    # one image a second gives a tenth of the lidar's time a pose
+    assert of.loc["camera", "share_with_pose"] == pytest.approx(0.1, abs=0.03)
+    # fields of some mG turn the INS by more than its 0.2 degrees; the images do not know of them
+    assert of.loc["ins", "rms_heading_deg"] > 0.4
+    assert of.loc["camera", "rms_heading_deg"] < 0.3
+    assert of.loc["fused", "rms_heading_deg"] < 0.3
+    # the camera has points at its images only, of which eight are few: both orders may come out
+    assert of.loc["fused", "rmse_m"] < 0.5 * of.loc["ins", "rmse_m"]
+    # asked for on the demo's bank; this one is bare and near
+    assert of.loc["fused", "rmse_m"] < 0.08
+
+
+def test_surveys_are_pooled_at_times_of_their_own(found: dict[str, list[study.Found]]) -> None:
+    one = found[tables.DISTURBED][0]
+    both = tables.pooled([one, one])
+    n = len(one.distances["ins"])
+    assert len(both["ins"]) == 2 * n
+    later = both["ins"]["t_gps_s"].to_numpy()[n:] - one.distances["ins"]["t_gps_s"].to_numpy()
+    assert np.all(later == study.APART_S)
+    settings = study.comparison_settings(study.ChainStudy.of("", {}, SMALL).settings(1), 1)
+    ranges = tables.ranges_of([one], settings)
+    assert {f"{name}_rmse_observed_m" for name in CHAINS} <= set(ranges.columns)
+    page = tables.as_markdown(tables.study_table(found), range_facts(ranges))
+    assert "digital twin" in page
+    assert page.count("| disturbed |") == 2 * len(CHAINS)
+
+
+def test_a_goal_that_is_missed_says_by_how_much() -> None:
+    rows = [
+        {"setting": tables.DISTURBED, "chain": chain, "points": points, "rmse_m": rmse, "mean_m": mean}
+        for points in ("all", "without outliers")
+        for chain, rmse, mean in (("ins", 0.23, 0.0), ("camera", 0.08, 0.0), ("fused", 0.06, -0.035))
+    ]
+    goals = tables.goals_table(pd.DataFrame(rows)).set_index("goal")
+    assert goals["met"].tolist() == [True, False, True, False]
+    assert goals["missed_by_m"].tolist() == pytest.approx([0.0, 0.03, 0.0, 0.015])
+
+
+def test_drawn_images_err_as_they_say() -> None:
+    """Normalised squares of first and last images of 200 surveys: the spread of 2400 squares is 0.08."""
+    motion = Voyage(TwinConfig.of_size("demo", duration_s=6.0), 1)
+    errors = ImageErrors(jitter_s=0.0, sigma_clock_s=0.0)
+    squares, products = [], []
+    for seed in range(200):
+        poses = draw_images(seed, motion, FRAME, CAMERA, errors)
+        R = motion.R_wcs_ics(poses.t_gps_s)
+        off = motion.position_wcs_m(poses.t_gps_s) + R @ CAMERA.shift_m - poses.centre_wcs_m
+        turn = rotation_vector(R @ CAMERA.R @ np.swapaxes(poses.R_wcs_ccs, 1, 2))
+        e = np.concatenate([off, turn], axis=1)
+        squares += [e[k] @ np.linalg.solve(poses.cov_pose_wcs[k], e[k]) / 6 for k in (0, -1)]
+        products.append(e[0, 0] * e[1, 0] / poses.cov_next[0, 0, 0])
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.08)
+    # neighbours are as alike as stated: the product of 200 pairs scatters by 0.12
+    assert np.mean(products) == pytest.approx(1.0, abs=0.35)
+
+
+def test_clock_and_poses_have_random_numbers_of_their_own() -> None:
+    motion = Voyage(TwinConfig.of_size("demo", duration_s=6.0), 1)
+    a = draw_images(1, motion, FRAME, CAMERA, ImageErrors())
+    b = draw_images(1, motion, FRAME, CAMERA, ImageErrors(jitter_s=0.0))
+    c = draw_images(1, motion, FRAME, CAMERA, ImageErrors(sigma_m=(0.01, 0.01, 0.01)))
+    assert not np.allclose(a.centre_wcs_m, b.centre_wcs_m)
+    np.testing.assert_array_equal(a.R_wcs_ccs, c.R_wcs_ccs)

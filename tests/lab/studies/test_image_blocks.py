@@ -1,0 +1,130 @@
+"""Covariances of image blocks on rendered pictures."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.errors import GeometryError
+from thalweg_lab.studies import image_blocks
+from thalweg_lab.studies.image_blocks import (
+    DEFAULT_FACTOR,
+    FACTORS,
+    as_markdown,
+    block_study,
+    by_factor,
+    fitted_factor,
+    normalised,
+    pooled,
+    read_blocks,
+    summary,
+)
+
+SEEDS = range(21, 27)
+"""Blocks that chose no number of the method."""
+
+
+def blocks(*joint: float, images: int = 10, factor: float = DEFAULT_FACTOR) -> pd.DataFrame:
+    return pd.DataFrame([
+        {"seed": k, "factor": factor, "images": images, "single": 1.0 + k, "joint": value,
+         "independent": 20.0, "rms_mm": 30.0, "sigma_mm": 28.0, "rms_mdeg": 100.0, "sigma_mdeg": 120.0,
+         "check": 0.5, "check_points": 2, "notes": "", "failure": ""}
+        for k, value in enumerate(joint)
+    ])  # fmt: skip
+
+
+def test_normalised_squares_of_correlated_poses(rng: np.random.Generator) -> None:
+    A = rng.normal(size=(24, 24))
+    cov = A @ A.T
+    values = [normalised((A @ rng.standard_normal(24)).reshape(4, 6), cov) for _ in range(2000)]
+    single, joint, independent = np.transpose(values)
+    # 2000 draws of 24 numbers: 0.7 % of the mean; single ones are correlated
+    assert joint.mean() == pytest.approx(1.0, abs=0.03)
+    assert single.mean() == pytest.approx(1.0, abs=0.05)
+    # the variance of a mean square of n errors is 2 / n; that of 2000 draws is known to 5 %
+    assert single.var() == pytest.approx(2 / independent[0], rel=0.2)
+    assert joint.var() == pytest.approx(2 / 24, rel=0.2)
+
+
+def test_images_that_err_as_one_count_once() -> None:
+    own = np.diag([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
+    assert normalised(np.ones((5, 6)), np.kron(np.eye(5), own))[2] == pytest.approx(30.0)
+    alike = np.kron(np.full((5, 5), 1.0) + 1e-9 * np.eye(5), own)
+    assert normalised(np.ones((5, 6)), alike)[2] == pytest.approx(6.0, rel=1e-6)
+
+
+def test_bands_narrow_with_the_number_of_errors() -> None:
+    few, many = pooled(blocks(1.1)), pooled(blocks(1.1, 0.9))
+    assert few.loc["all poses jointly", "normalised"] == pytest.approx(1.1)
+    assert many.loc["all poses jointly", "normalised"] == pytest.approx(1.0)
+    assert many.loc["single poses", "normalised"] == pytest.approx(1.5)
+    assert many["independent"].tolist() == [40.0, 120.0, 12.0]
+    for name in few.index:
+        assert (
+            few.loc[name, "low"] < many.loc[name, "low"] < 1 < many.loc[name, "high"] < few.loc[name, "high"]
+        )
+
+
+def test_a_block_that_fails_is_a_line_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise GeometryError("no block", expected="one")
+
+    monkeypatch.setattr(image_blocks, "rendered_block", fails)
+    table = block_study([3], tmp_path)
+    assert table["factor"].tolist() == list(FACTORS)
+    assert set(table["failure"]) == {"no block; expected one."}
+    table.to_csv(tmp_path / "3.csv", index=False)
+    again = read_blocks([tmp_path / "3.csv"])
+    pd.testing.assert_frame_equal(again, table, check_dtype=False)
+    table = again[again["factor"] == DEFAULT_FACTOR]
+    both = pd.concat([blocks(1.2), table], ignore_index=True)
+    assert pooled(both).loc["all poses jointly", "normalised"] == pytest.approx(1.2)
+    page = as_markdown(both, blocks(1.3))
+    assert "| 3 | | | | | | | | failed: no block; expected one. |" in page
+    assert "| 0 | 10 | 1.00 | 20 | 1.20 | 30 (28) | 100 (120) | 0.50 (2) |  |" in page
+    assert "| fitted | all poses jointly | 2 | 1.20 | 60 |" in page
+    assert "| judged | all poses jointly | 2 | 1.30 | 60 |" in page
+
+
+def test_the_factor_is_where_single_poses_have_a_square_of_one() -> None:
+    # one block with 20 independent errors: 1.4 by the model, 1.1 and 0.9 with 2 and 4 times its variance
+    table = pd.concat([
+        blocks(1.0, factor=factor).assign(single=value)
+        for factor, value in ((1.0, 1.4), (2.0, 1.1), (4.0, 0.9))
+    ])  # fmt: skip
+    best, low, high = fitted_factor(table)
+    assert best == pytest.approx(3.0)
+    # chi-square of 20: 9.59 and 34.17 in any table; 1.71 and 0.48 are beyond the ends
+    assert (low, high) == (1.0, 4.0)
+    assert by_factor(table).query("of == 'single poses'")["high"].tolist() == pytest.approx(
+        [34.17 / 20] * 3, rel=1e-3
+    )
+    both = summary(table, blocks(1.0))
+    assert both["blocks"].tolist() == ["fitted"] * 9 + ["judged"] * 3
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+    """Six blocks, three minutes each on a busy machine."""
+    table = block_study(SEEDS, tmp_path_factory.mktemp("blocks"))
+    return table[table["factor"] == DEFAULT_FACTOR]
+
+
+@pytest.mark.slow
+def test_poses_of_rendered_blocks_err_as_their_covariances_say(rendered: pd.DataFrame) -> None:
+    assert (rendered["images"] >= 25).all()
+    found = pooled(rendered)
+    for of in ("single poses", "check points"):
+        row = found.loc[of]
+        assert row["low"] < row["normalised"] < row["high"]
+    # position sigmas follow the errors: a block has some ten independent ones
+    ratio = np.sqrt(np.mean(rendered["rms_mm"] ** 2) / np.mean(rendered["sigma_mm"] ** 2))
+    assert 0.7 < ratio < 1.4
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(reason="joint covariances are some 6 % of a sigma too small: docs/images.md", strict=True)
+def test_poses_of_rendered_blocks_err_together_as_their_covariance_says(rendered: pd.DataFrame) -> None:
+    joint = pooled(rendered).loc["all poses jointly"]
+    assert joint["low"] < joint["normalised"] < joint["high"]

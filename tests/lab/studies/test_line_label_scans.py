@@ -1,0 +1,31 @@
+"""Two labelled scans of a wreck: the table of points fits the study's counts."""
+
+import numpy as np
+
+from thalweg_lab.studies.calibrated_sensor import calibrated_sensor
+from thalweg_lab.studies.line_label_scans import LASER_SEED, labelled_scans
+from thalweg_lab.studies.line_labels import Setting, calibrated_lines, study_scene
+
+
+def test_points_and_counts_are_those_of_the_study() -> None:
+    # a short way: the ground before the wreck, and its edge
+    points, shifts = labelled_scans(1, spacings=(0.3,), step_mm=6.0, end_mm=35.0)
+    pair = calibrated_sensor(LASER_SEED)
+    setting = Setting(irregular=0.3, step_mm=6.0, end_mm=35.0)
+    row = study_scene(pair, *calibrated_lines(pair, 0.3, LASER_SEED), setting, 1)
+    assert len(points) == row["n"]
+    assert points["image"].nunique() == row["images"]
+    given = points["line"] >= 0
+    assert given.mean() == row["flag_given"]
+    assert (points["line"] == points["true_line"])[given].mean() == row["precision"]
+    # a point has a place if and only if it has a label, and a reason otherwise
+    assert (points["x_mm"].notna() == given).all()
+    assert set(points.loc[given, "reason"]) == {"given"}
+    assert "given" not in set(points.loc[~given, "reason"])
+    assert given.mean() > 0.3
+    assert (shifts["irregular"] == 0.3).all()
+    assert shifts.loc[shifts["shift"] == 0, "median_mm"].item() == row["disagreement_mm"]
+    assert bool(shifts["resolved"].iloc[0]) == row["resolved"]
+    # the ground lies 140 to 165 mm deep, the wreck above it
+    low, high = np.quantile(points.loc[given, "depth_mm"], [0.01, 0.99])
+    assert 60.0 < low < high < 175.0

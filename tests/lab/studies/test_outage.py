@@ -1,0 +1,77 @@
+"""The study of outages: shape of its tables, and that the fused trajectory wins."""
+
+import numpy as np
+import pytest
+
+from thalweg_lab.studies import outage
+
+
+@pytest.fixture(scope="module")
+def table():
+    found = outage.outage_study(range(1, 4), outage.VoyageSpec(duration_s=50.0), (2.0, 10.0, 18.0))
+    return outage.summarised(found)
+
+
+def test_the_fused_trajectory_is_at_least_as_good_as_each_chain_at_every_length(table) -> None:
+    assert len(table) == 12
+    by = table.pivot_table(index="length_s", columns="chain", values="rms_m")
+    whole = np.sqrt((by**2).mean())
+    # of 5 % over all lengths; three surveys have but some ten independent errors at each
+    assert whole["fused"] <= 1.05 * whole[["ins_model", "ins_velocity", "camera"]].min()
+    assert (by["fused"] <= 1.15 * by[["ins_model", "ins_velocity", "camera"]].min(axis=1)).all()
+    # without camera the error grows with the outage; with it, it does not
+    assert by["ins_velocity"].is_monotonic_increasing
+    assert by.loc[18.0, "ins_velocity"] > 3 * by.loc[18.0, "fused"]
+    assert by.loc[18.0, "fused"] < 1.5 * by.loc[2.0, "camera"]
+
+
+def test_predicted_sigmas_follow_the_errors(table) -> None:
+    """Some ten outages of few independent errors: a factor of 1.6 is their spread (99 %)."""
+    known = table[table["chain"] != "ins_model"]
+    ratio = known["rms_m"] / known["sigma_m"]
+    assert ((ratio > 1 / 1.6) & (ratio < 1.6)).all()
+
+
+def test_outages_leave_positions_on_both_sides_and_do_not_overlap() -> None:
+    spans = outage.outages(np.arange(0.0, 100.0, 0.1), 20.0)
+    assert spans == [(15.0, 35.0), (50.0, 70.0)]
+
+
+def test_the_page_has_a_line_for_each_length(table) -> None:
+    page = outage.as_markdown(table)
+    assert [line.split(" | ")[0] for line in page.splitlines() if line[:3] in ("| 2", "| 1")] == [
+        "| 2", "| 10", "| 18",
+    ]  # fmt: skip
+
+
+def test_under_trees_positions_are_disturbed_there_only() -> None:
+    effects = {"gnss_floats": ((2.0, 1.0),), "gnss_outages": ((5.0, 2.0),)}
+    spec = outage.VoyageSpec(
+        duration_s=10.0, shade_s=((1.0, 3.0),), twin={"gnss": {"multipath_m": 0.05}, "effects": effects}
+    )
+    shaded, free = outage.make_survey(1, spec), outage.make_survey(1, outage.VoyageSpec(duration_s=10.0))
+    table = shaded.positions.merge(free.positions, on="t_gps_s", suffixes=("", "_free"))
+    since = table["t_gps_s"].to_numpy() - free.motion.start_gps_s
+    assert len(free.positions) - len(table) == 20
+    assert not ((since > 5.0) & (since < 6.9)).any()
+    off = np.abs(table["h_ell_m"] - table["h_ell_m_free"]).to_numpy()
+    under, floats = (since >= 1.0) & (since < 4.0), (since >= 2.0) & (since < 3.0)
+    assert (table["fix"] == "float").to_numpy().tolist() == floats.tolist()
+    assert (off[~under] == 0).all()
+    # 0.6 of 5 cm
+    assert 0.005 < np.sqrt(np.mean(off[under & ~floats] ** 2)) < 0.09
+
+
+def test_outages_move_with_their_shift() -> None:
+    t = np.arange(0.0, 100.0, 0.1)
+    (first, _), (second, end) = outage.outages(t, 20.0, 1.0)
+    assert (first, second) == (pytest.approx(29.9), pytest.approx(64.9))
+    assert end == pytest.approx(99.9 - 15.0)
+
+
+def test_each_cause_has_random_numbers_of_its_own() -> None:
+    """Other images must not move the errors of INS and GNSS."""
+    a = outage.make_survey(1, outage.VoyageSpec(duration_s=10.0))
+    b = outage.make_survey(1, outage.VoyageSpec(duration_s=10.0, image_interval_s=2.0, jitter_s=0.0))
+    assert a.states.equals(b.states)
+    assert a.positions.equals(b.positions)

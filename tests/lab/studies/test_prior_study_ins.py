@@ -1,0 +1,37 @@
+"""The study of wrong presumptions for INS and lidar, on one short survey."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thalweg_lab.studies import prior_study_ins
+from thalweg_lab.studies.trials import Sample, Trial, as_table, from_table
+
+
+def test_sigmas_stated_at_half_are_seen_and_mended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors of twice the stated size: a mean square of 4 as presumed; estimated, much less."""
+    monkeypatch.setitem(prior_study_ins.SURVEY, "duration_s", 12.0)
+    monkeypatch.setitem(prior_study_ins.SURVEY, "ins", {"attitude_time_s": 2.0})
+    rows = prior_study_ins.run(7, tmp_path, ("stated_half", "component_150"))
+    assert not list(tmp_path.iterdir()), "the logs are gone"
+    square = rows.set_index(["chain", "model", "quantity"])["nees"]
+    assert square["ins", "presumed", "pose"] > 1.25
+    assert square["ins", "estimated", "pose"] < 0.6 * square["ins", "presumed", "pose"]
+    assert square["lidar_noise", "presumed", "component"] == pytest.approx(2.25)
+    assert 0.5 < square["lidar_noise", "estimated", "component"] < 2.0
+
+
+def test_a_survey_is_the_same_after_it_was_a_table() -> None:
+    rng = np.random.default_rng(1)
+
+    def sample() -> Sample:
+        return Sample.of(*rng.random((4, 5)))
+
+    trial = Trial(in_3d={"none": sample(), "estimated": sample()}, to_mesh={"none": sample()})
+    again = from_table(as_table(trial))
+    for name in ("in_3d", "to_mesh"):
+        assert list(getattr(again, name)) == list(getattr(trial, name))
+        for mistake, one in getattr(trial, name).items():
+            np.testing.assert_array_equal(getattr(again, name)[mistake].squared_m2, one.squared_m2)
+            np.testing.assert_array_equal(getattr(again, name)[mistake].range_m, one.range_m)

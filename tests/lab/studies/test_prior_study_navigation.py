@@ -1,0 +1,90 @@
+"""Wrong presumptions of the navigation's errors: surveys that err as asked, and what estimates make of it."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.types import ArrayF
+from thalweg_lab.studies import prior_study_navigation as study
+from thalweg_lab.studies.outage import FRAME, LEVER_ANTENNA_M
+
+
+def antenna_errors_m(variant: str, seed: int = 1) -> tuple[ArrayF, ArrayF]:
+    """Errors (n, 3) of the positions of a survey of a minute, and the stated sigmas (n, 3)."""
+    survey = study.survey_of(study.VARIANTS[variant], seed, 60.0)
+    table = survey.positions
+    place = FRAME.from_geodetic(table["lat_deg"], table["lon_deg"], table["h_ell_m"])
+    true = survey.motion.sensor_wcs_m(table["t_gps_s"].to_numpy(), LEVER_ANTENNA_M)
+    return place - true, table[[f"sigma_{a}_m" for a in ("east", "north", "up")]].to_numpy()
+
+
+def test_stated_sigmas_are_those_that_the_processing_is_used_to() -> None:
+    for variant in ("base", "stated_half", "stated_double", "heavy_tails"):
+        assert np.allclose(antenna_errors_m(variant)[1], [0.02, 0.02, 0.03])
+    images = {v: study.survey_of(study.VARIANTS[v], 1, 20.0).images for v in ("base", "stated_half")}
+    assert images["base"].cov_pose_wcs == pytest.approx(images["stated_half"].cov_pose_wcs)
+    assert images["base"].sigma_t_s == pytest.approx(images["stated_half"].sigma_t_s)
+
+
+def test_errors_are_as_the_variant_says() -> None:
+    """Steps from one position to the next are white noise but for a little: variance ``2 w sigma^2``."""
+    steps = {v: np.diff(antenna_errors_m(v)[0][:, 0]) for v in study.VARIANTS}
+    white = {v: float(np.mean(np.square(d)) / (2 * 0.02**2)) for v, d in steps.items()}
+    assert white["base"] == pytest.approx(0.25 + 0.75 * 0.02, rel=0.15)
+    assert white["white_0"] == pytest.approx(0.02, rel=0.3)
+    assert white["white_60"] == pytest.approx(0.6, rel=0.15)
+    assert white["stated_half"] == pytest.approx(4 * white["base"])
+    assert white["times_fivefold"] < white["base"] < white["times_fifth"]
+    tail = {v: float(np.mean(d**4) / np.mean(d**2) ** 2) for v, d in steps.items()}
+    assert tail["base"] < 4 < tail["heavy_tails"]
+
+
+def test_slow_errors_of_the_heading_are_in_no_sigma() -> None:
+    heading = {
+        v: study.survey_of(study.VARIANTS[v], 1, 20.0).states["heading_rad"].to_numpy()
+        for v in ("base", "heading_constant", "heading_slow")
+    }
+    constant = np.rad2deg(heading["heading_constant"] - heading["base"])
+    slow = np.rad2deg(heading["heading_slow"] - heading["base"])
+    assert np.abs(constant) == pytest.approx(np.full(len(constant), 0.3))
+    # in 20 of 300 s it changes by a third of itself
+    assert 0 < np.ptp(slow) < 0.4
+
+
+def test_sigmas_stated_too_small_fail_as_presumed_and_hold_as_estimated() -> None:
+    """One survey of 40 s: means of a few independent values, so that only what is four times off shows."""
+    rows = study.run("stated_half", 2, duration_s=40.0)
+    found = rows[rows["quantity"] == "pose"].set_index(["chain", "model"])["nees"]
+    for chain in ("fused", "camera"):
+        assert found[chain, "presumed"] > 2.2
+        assert found[chain, "estimated"] < 0.6 * found[chain, "presumed"]
+        assert 0.4 < found[chain, "estimated"] < 1.9
+    assert set(rows["chain"]) == set(study.CHAINS)
+    assert (rows["n"] > 90).all()
+
+
+def test_a_table_pools_seeds_and_says_what_is_right() -> None:
+    rows = pd.DataFrame([
+        {"chain": "fused", "variant": "base", "model": model, "seed": seed, "quantity": "pose", "nees": nees,
+         "n": 100, "coverage_95": 0.9}
+        for model, values in (("presumed", (3.0, 4.0, 5.0)), ("estimated", (0.9, 1.0, 1.1)))
+        for seed, nees in enumerate(values)
+    ])  # fmt: skip
+    table = study.table(rows).set_index("model")
+    assert table["nees"].to_dict() == pytest.approx({"presumed": 4.0, "estimated": 1.0})
+    assert table["right"].to_dict() == {"presumed": False, "estimated": True}
+    # t of 0.975 with two degrees is 4.303; the mean's sigma is 0.1 / sqrt(3)
+    assert table["high"]["estimated"] == pytest.approx(np.exp(4.303 * 0.1 / np.sqrt(3)), rel=1e-3)
+    assert table["low"]["estimated"] == pytest.approx(1 / table["high"]["estimated"])
+    assert table["seeds"].tolist() == [3, 3]
+    assert np.isnan(study.table(rows[rows["seed"] == 0])["low"]).all()
+
+
+def test_surveys_that_were_refused_are_counted_and_in_no_mean() -> None:
+    rows = pd.DataFrame([
+        {"chain": "fused", "variant": "base", "model": "presumed", "quantity": "pose", "seed": seed,
+         "nees": nees, "n": 10, "coverage_95": 0.9}
+        for seed, nees in enumerate((0.9, 1.1, np.nan))
+    ])  # fmt: skip
+    found = study.table(rows).iloc[0]
+    assert (found["nees"], found["seeds"], found["refused"]) == (pytest.approx(1.0), 2, 1)

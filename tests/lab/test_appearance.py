@@ -1,0 +1,124 @@
+"""Colours: band-limited with the mean kept, a function of place alone, wet at the water."""
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import GeometryError
+from thalweg_lab.river.materials import COLOUR, Material
+from thalweg_lab.river_images.appearance import noise, surface_colour, surface_look
+
+GROUND = [Material.BED, Material.GRAVEL, Material.SOIL, Material.GRASS]
+UPRIGHT = [Material.STONE, Material.BARK, Material.WALL, Material.ROOF, Material.CONCRETE, Material.WOOD]
+
+
+def places(n: int, material: Material, size_m: float = 200.0) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(int(material))
+    p = rng.uniform(0, size_m, (n, 3))
+    p[:, 2] += 5.0
+    normal = [0.0, 0.0, 1.0] if material in GROUND else [0.6, 0.0, 0.8]
+    return p, np.tile(normal, (n, 1)), np.full(n, material), np.full(n, 0.5)
+
+
+def colour(material: Material, footprint_m: float, n: int = 40_000) -> np.ndarray:
+    p, normal, code, same = places(n, material)
+    return surface_colour(p, normal, code, same, np.full(n, footprint_m), water_level_m=0.0)
+
+
+@pytest.mark.parametrize("material", [*GROUND, *UPRIGHT])
+def test_detail_fades_out_and_leaves_the_mean(material: Material) -> None:
+    near, far, farther = (colour(material, f) for f in (0.001, 1.0, 20.0))
+    contrast = near.std(axis=0) / near.mean(axis=0)
+    # Plaster and concrete are the smoothest: 6 %.
+    assert contrast.min() > 0.05
+    # Details of half a metre and less are gone at 1 m; patches and stains of some metres stay.
+    assert np.all(far.std(axis=0) < 0.85 * near.std(axis=0))
+    # The longest spacing is 6 m.
+    np.testing.assert_allclose(farther.std(axis=0), 0.0, atol=1e-12)
+    # Constants of the means are rounded and contrast is cut at black: 8 %.
+    np.testing.assert_allclose(farther.mean(axis=0), near.mean(axis=0), rtol=0.08)
+
+
+@pytest.mark.parametrize("material", [Material.GRAVEL, Material.STONE])
+def test_detail_goes_down_to_millimetres(material: Material) -> None:
+    """Neighbours 2 mm apart differ where the footprint is 1 mm, and are alike where it is 5 cm."""
+    p, normal, code, same = places(20_000, material)
+    step = np.zeros_like(p)
+    step[:, 0] = 0.002
+    differ = []
+    for f in (0.001, 0.05):
+        a, b = (
+            surface_colour(q, normal, code, same, np.full(len(p), f), water_level_m=0.0)
+            for q in (p, p + step)
+        )
+        differ.append(np.sqrt(np.mean((a - b) ** 2)) / a.mean())
+    assert differ[0] > 0.03
+    assert differ[1] < 0.25 * differ[0]
+
+
+def test_a_place_has_one_colour() -> None:
+    p, normal, code, same = places(5000, Material.GRAVEL)
+    f = np.full(len(p), 0.003)
+    first = surface_colour(p, normal, code, same, f, water_level_m=0.0)
+    order = np.random.default_rng(1).permutation(len(p))
+    again = surface_colour(p[order], normal[order], code, same, f, water_level_m=0.0)
+    np.testing.assert_array_equal(again, first[order])
+    # The direction that the surface is seen or met from has no say on ground.
+    tilted = surface_colour(p, np.tile([0.6, 0, 0.8], (len(p), 1)), code, same, f, water_level_m=0.0)
+    np.testing.assert_array_equal(tilted, first)
+
+
+def test_stones_are_told_apart_by_their_variation() -> None:
+    p, normal, code, _ = places(20_000, Material.STONE)
+    dark, light = (
+        surface_colour(p, normal, code, np.full(len(p), v), np.full(len(p), 1.0), water_level_m=0.0).mean()
+        for v in (0.0, 1.0)
+    )
+    # Brightness 1 -+ 0.275.
+    assert 1.4 < light / dark < 2.2
+
+
+def test_the_ground_is_dark_at_the_water() -> None:
+    n = 20_000
+    p, normal, code, same = places(n, Material.GRAVEL)
+    means = []
+    for height in (0.10, 2.0):
+        p[:, 2] = 3.0 + height
+        means.append(surface_colour(p, normal, code, same, np.full(n, 0.01), water_level_m=3.0).mean())
+    # Wet: 0.48 of the dry colour.
+    assert 0.4 < means[0] / means[1] < 0.65
+
+
+def test_the_relief_bends_normals_about_the_mesh() -> None:
+    p, normal, code, same = places(20_000, Material.SOIL)
+    near = surface_look(p, normal, code, same, np.full(len(p), 0.002), water_level_m=0.0)[1]
+    far = surface_look(p, normal, code, same, np.full(len(p), 2.0), water_level_m=0.0)[1]
+    np.testing.assert_allclose(np.linalg.norm(near, axis=1), 1.0, atol=1e-12)
+    tilt = np.rad2deg(np.arccos(np.clip(np.sum(near * normal, axis=1), -1, 1)))
+    assert 3.0 < np.median(tilt) < 30.0
+    np.testing.assert_allclose(far, normal, atol=1e-12)
+    # No side is preferred: mean tilt within five standard errors of a few hundred independent clods.
+    assert np.all(np.abs(near[:, :2].mean(axis=0)) < 0.02)
+
+
+def test_every_material_has_a_colour_near_its_mean() -> None:
+    for material in Material:
+        mean = colour(material, 20.0, 500).mean(axis=0)
+        # Patches of lichen, moss, dry grass and repairs shift the mean of the table by up to 40 %.
+        np.testing.assert_allclose(mean, COLOUR[material], rtol=0.45, atol=0.02)
+
+
+def test_noise_is_centred_and_bounded() -> None:
+    p = np.random.default_rng(3).uniform(0, 1000, (50_000, 3))
+    v = noise(p, 1.0, 1, 0.5, 9)
+    assert np.all(np.abs(v) <= 1.0)
+    # 50,000 samples of standard deviation 0.35: 0.0016, taken five times.
+    assert abs(v.mean()) < 0.008
+    assert 0.25 < v.std() < 0.5
+
+
+def test_wrong_arrays_are_refused() -> None:
+    p, normal, code, same = places(3, Material.SOIL)
+    with pytest.raises(GeometryError, match="footprint"):
+        surface_colour(p, normal, code, same, np.ones(2), water_level_m=0.0)
+    with pytest.raises(GeometryError, match="materials 1 to 99"):
+        surface_colour(p, normal, [1, 1, 99], same, np.ones(3), water_level_m=0.0)

@@ -1,0 +1,174 @@
+"""The clock test: times, what the display shows, reflexes and faults, files."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from thalweg.core.timescales import ADJUSTED_OFFSET_S, unix_from_gps
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.instruments.display_look import DisplayLook, Light
+from thalweg_lab.instruments.display_photos import clock_text, exposures, shown_in, simulate_display
+
+SEED = 7
+
+
+def config(**display: Any) -> TwinConfig:
+    return TwinConfig.of_size("demo", camera={"display": {"duration_s": 60.0, **display}})
+
+
+def taken(folder: Path, **display: Any) -> tuple[pd.DataFrame, list[np.ndarray]]:
+    truth = simulate_display(config(**display), SEED, folder / "photos", folder / "truth.parquet")
+    images = []
+    for name in truth["file"]:
+        with Image.open(folder / "photos" / name) as image:
+            images.append(np.asarray(image.convert("L"), dtype=np.float64))
+    return truth, images
+
+
+# ---------------------------------------------------------------- times
+
+
+def test_intervals_have_the_published_mean_and_scatter() -> None:
+    """P2 6.1.2: 0.999 s and 0.023 s over 90 minutes."""
+    times = exposures(config(duration_s=5400.0).camera.display, SEED, 3.0e8)
+    interval = np.diff(times.of_day_s)
+    assert len(times.t_gps_s) == 5406
+    # The errors at both ends: 0.023 / 5400.
+    assert interval.mean() == pytest.approx(0.999, abs=2e-5)
+    # Standard error of a standard deviation of 5405 dependent intervals: about 1.2 %.
+    assert interval.std() == pytest.approx(0.023, rel=0.04)
+    # No wandering: each exposure stays near its even grid.
+    grid = times.of_day_s - times.of_day_s[0] - 0.999 * np.arange(5406)
+    assert np.abs(grid - grid.mean()).max() < 0.023 / np.sqrt(2) * 5
+    np.testing.assert_allclose(np.diff(times.t_gps_s), interval, atol=1e-6)
+
+
+def test_the_text_is_gps_time_of_day(tmp_path: Path) -> None:
+    truth, _ = taken(tmp_path, duration_s=20.0)
+    shown = pd.to_timedelta(truth["shown"]).dt.total_seconds().to_numpy()
+    of_day = np.mod(truth["t_gps_s"] + ADJUSTED_OFFSET_S, 86_400)
+    # What stands there for most of the exposure began at most a step, the refresh and half the exposure ago.
+    late = of_day - shown
+    assert late.min() > -0.006
+    assert late.max() < 0.018
+    assert 0.003 < late.mean() < 0.012
+
+
+@pytest.mark.parametrize(
+    ("count", "rate_hz", "text"),
+    [
+        (0, 100.0, "00:00:00.00"),
+        (8_639_999, 100.0, "23:59:59.99"),
+        (8_640_000, 100.0, "00:00:00.00"),
+        (3_600 * 50, 50.0, "01:00:00.00"),
+        (57, 100.0, "00:00:00.57"),
+        (3, 10.0, "00:00:00.30"),
+    ],
+)
+def test_clock_text(count: int, rate_hz: float, text: str) -> None:
+    assert clock_text(count, rate_hz) == text
+
+
+def test_two_numbers_lie_over_each_other_where_the_display_changes() -> None:
+    rows = np.array([0.0, 0.5, 1.0])
+    counts, shares = shown_in(9.998, 0.004, 100.0, rows)
+    np.testing.assert_allclose(shares.sum(axis=0), 1.0)
+    by_count = dict(zip(counts, shares, strict=True))
+    # At the top the change at 10.000 halves the exposure; the middle follows 3 ms later, outside of it.
+    np.testing.assert_allclose(by_count[1000], [0.5, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(by_count[999], [0.5, 1.0, 1.0], atol=1e-6)
+    # An exposure over several steps shows all of them.
+    counts, shares = shown_in(5.0, 0.05, 100.0, np.zeros(1))
+    np.testing.assert_allclose(shares[:, 0][shares[:, 0] > 1e-9], 0.2, atol=1e-6)
+
+
+# ---------------------------------------------------------------- pictures
+
+
+@pytest.mark.parametrize("digits", ["segments", "font"])
+def test_the_digits_on_the_photographs_are_those_of_the_truth(tmp_path: Path, digits: str) -> None:
+    """Photographs of the same second of the day look alike there, others do not.
+
+    A template of each tenth of a second is the mean of the clear photographs that show it; each photograph
+    must fit its own best. A picture that did not follow its text would not.
+    """
+    truth, images = taken(
+        tmp_path, digits=digits, duration_s=240.0, glare=0.0, unreadable=0.0, interval_mean_s=0.83
+    )
+    clear = truth["shown_share"].to_numpy() > 0.85
+    assert truth["readable"].all()
+    look = DisplayLook.of(config(digits=digits).camera.display)
+    left = look.left_px[9] / 640
+    place = slice(round((0.09 + 0.82 * left) * 320) - 2, round((0.09 + 0.82 * left) * 320) + 24)
+    tenth = truth["shown"].str[9].to_numpy()
+    patches = np.array([image[25:95, place].ravel() for image in images])
+    means = {d: patches[clear & (tenth == d)].mean(axis=0) for d in np.unique(tenth[clear])}
+    assert len(means) == 10
+    names = sorted(means)
+    distance = np.stack([np.linalg.norm(patches - means[d], axis=1) for d in names], axis=1)
+    best = np.array(names)[np.argmin(distance, axis=1)]
+    assert (best[clear] == tenth[clear]).mean() > 0.98
+
+
+def test_a_strong_reflex_hides_digits_and_a_weak_one_does_not(tmp_path: Path) -> None:
+    strong, _ = taken(tmp_path / "strong", glare=1.0, unreadable=0.0)
+    weak, _ = taken(tmp_path / "weak", glare=0.15, unreadable=0.0)
+    assert weak["readable"].all()
+    assert 0.2 < strong["readable"].mean() < 0.95
+    # It moves: photographs before and behind it are readable.
+    lost = np.flatnonzero(~strong["readable"])
+    assert np.ptp(lost) + 1 < 1.5 * len(lost) + 20
+    look = DisplayLook.of(config().camera.display)
+    assert look.contrast(np.zeros(5)) > 0.7
+    assert look.contrast(np.array([0.0, 2.0])) == 0.0
+    at = Light(x_px=10.0, y_px=5.0, radius_px=4.0, strength=0.8, veil=0.1).at(
+        np.array([10.0, 90.0]), np.array([5.0, 5.0])
+    )
+    np.testing.assert_allclose(at, [0.9, 0.1], atol=1e-9)
+
+
+def test_spoiled_photographs_are_counted_and_differ(tmp_path: Path) -> None:
+    good, clean = taken(tmp_path / "good", unreadable=0.0, glare=0.0)
+    bad, spoiled = taken(tmp_path / "bad", unreadable=0.4, glare=0.0)
+    kinds = bad["spoiled"].value_counts()
+    assert 0.2 < (bad["spoiled"] != "").mean() < 0.6
+    assert set(kinds.index) == {"", "shaken", "out of focus", "covered", "burnt out"}
+    assert not bad.loc[bad["spoiled"] != "", "readable"].any()
+    # The same moments; what is not spoiled shows the same.
+    np.testing.assert_array_equal(good["shown"], bad["shown"])
+    apart = np.array([np.abs(a - b).mean() for a, b in zip(clean, spoiled, strict=True)])
+    assert apart[bad["spoiled"] == ""].max() < 6.0  # noise of its own, and the tripod trembles
+    assert apart[bad["spoiled"] != ""].min() > 6.0
+
+
+# ---------------------------------------------------------------- files
+
+
+def test_files_are_numbered_and_know_whole_seconds_only(tmp_path: Path) -> None:
+    truth, images = taken(tmp_path, duration_s=12.0)
+    assert truth["file"].tolist() == [f"P1{k + 1:06d}.JPG" for k in range(13)]
+    assert images[0].shape == (120, 320)
+    utc = unix_from_gps(truth["t_gps_s"].to_numpy()) + 2.3471
+    for row, clock in zip(truth.itertuples(), utc, strict=True):
+        with Image.open(tmp_path / "photos" / row.file) as image:
+            photo = image.getexif().get_ifd(0x8769)
+        assert 0x9291 not in photo
+        assert photo[0x9003] == f"{pd.Timestamp(int(clock * 1e6), unit='us'):%Y:%m:%d %H:%M:%S}"
+    sizes = [p.stat().st_size for p in (tmp_path / "photos").iterdir()]
+    # 5400 of them stay below 50 MB.
+    assert np.mean(sizes) < 9000
+
+
+def test_the_same_seed_gives_the_same_bytes_with_any_number_of_threads(tmp_path: Path) -> None:
+    for name, threads in (("one", 1), ("three", 3)):
+        simulate_display(
+            config(duration_s=15.0), SEED, tmp_path / name, tmp_path / f"{name}.parquet", threads=threads
+        )
+    for path in (tmp_path / "one").iterdir():
+        assert (tmp_path / "three" / path.name).read_bytes() == path.read_bytes()
+    one, three = (pd.read_parquet(tmp_path / f"{name}.parquet") for name in ("one", "three"))
+    pd.testing.assert_frame_equal(one, three)

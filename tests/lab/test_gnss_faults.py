@@ -1,0 +1,277 @@
+"""The receiver under a bridge, under leaves, on one frequency: kinds of solution, sigmas and errors."""
+
+import importlib.util
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sbp.client import Framer
+from sbp.client.drivers.file_driver import FileDriver
+
+from thalweg.core.errors import ConfigError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.types import ArrayF
+from thalweg.ingest.sbp.reader import read_sbp
+from thalweg.ingest.tracks.rtklib_pos import read_pos
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.instruments.gnss import antenna_errors_m, multipath_errors_m, simulate_gnss, stated_sigmas_m
+from thalweg_lab.instruments.shadow import Solution
+from thalweg_lab.river.materials import Material
+from thalweg_lab.river.scene import Scene
+from thalweg_lab.voyage.motion import epochs
+from thalweg_lab.voyage.voyage import Voyage
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+ANTENNA_M = np.array([0.10, -0.05, -0.45])
+SEED = 5
+
+
+def twin(duration_s: float = 25.0, **gnss: Any) -> TwinConfig:
+    """A boat that goes straight down the river."""
+    return TwinConfig.of_size("tiny", duration_s=duration_s, gnss=gnss, boat={"zigzag_deg": 0.0})
+
+
+_spec = importlib.util.spec_from_file_location("sheets", Path(__file__).with_name("sheets.py"))
+assert _spec is not None
+assert _spec.loader is not None
+sheets = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(sheets)
+GROUND, scene_of, sheet = sheets.GROUND, sheets.scene_of, sheets.sheet
+
+
+def roof(t_s: float, half_along_m: float, above_m: float) -> tuple[ArrayF, np.ndarray]:
+    """A level sheet over the track of the boat at a time, 80 m across it."""
+    voyage = Voyage(twin(), SEED)
+    t = np.array([voyage.start_gps_s + t_s])
+    place = voyage.sensor_wcs_m(t, ANTENNA_M)[0]
+    v = voyage.velocity_wcs_mps(t)[0] * [1, 1, 0]
+    v /= np.linalg.norm(v)
+    return sheet(place + np.array([0, 0, above_m]), half_along_m * v, 40.0 * np.array([-v[1], v[0], 0.0]))
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Callable[..., tuple[dict[str, Any], Path]]:
+    """Record the receiver in a scene; facts and folder."""
+
+    def run(name: str, config: TwinConfig, scene: Scene | None = None) -> tuple[dict[str, Any], Path]:
+        folder = tmp_path / name
+        path = None if scene is None else folder / "scene.npz"
+        if scene is not None and path is not None:
+            scene.write(path)
+        facts = simulate_gnss(
+            config, SEED, FRAME, folder / "rover.sbp", folder / "ppk.pos",
+            lever_ics_antenna_m=ANTENNA_M, scene=path, out_effects=folder / "gnss.json",
+        )  # fmt: skip
+        assert json.loads((folder / "gnss.json").read_text()) == json.loads(
+            json.dumps({"stream": "gnss", **facts})
+        )
+        return facts, folder
+
+    return run
+
+
+# ---------------------------------------------------------------- logs
+
+
+def test_an_open_sky_changes_the_number_of_satellites_only(record: Any) -> None:
+    scene = scene_of(GROUND)
+    _, off = record("off", twin(8.0))
+    _, ignored = record("ignored", twin(8.0), scene)
+    facts, on = record("on", twin(8.0, shadow=True), scene)
+    for name in ("ppk.pos", "rover.sbp"):
+        assert (off / name).read_bytes() == (ignored / name).read_bytes()
+    before, after = (read_pos([f / "ppk.pos"]).positions for f in (off, on))
+    assert before.drop(columns="n_sats").equals(after.drop(columns="n_sats"))
+    before, after = (read_sbp([f / "rover.sbp"]).positions for f in (off, on))
+    assert before.drop(columns="n_sats").equals(after.drop(columns="n_sats"))
+    sky = facts["sky"]["free"]
+    assert sky["min"] <= after["n_sats"].min() <= after["n_sats"].max() <= sky["max"]
+    assert facts["solutions"]["rtk"] == {"none": 0, "single": 0, "float": 0, "fixed": facts["epochs"]}
+    assert facts["spans_not_fixed"] == {"rtk": [], "ppk": []}
+
+
+def test_the_velocities_have_their_stated_sigma_two_sided(record: Any) -> None:
+    _, exact = record("exact", twin(sigma_velocity_mps=0.0))
+    _, noisy = record("noisy", twin())
+    _, loud = record("loud", twin(sigma_velocity_mps=0.3))
+    assert (exact / "ppk.pos").read_bytes() == (noisy / "ppk.pos").read_bytes()
+    before, after, most = (read_sbp([f / "rover.sbp"]) for f in (exact, noisy, loud))
+    assert before.positions.equals(after.positions)
+    names = ["v_north_mps", "v_east_mps", "v_down_mps"]
+    t = after.velocities["t_gps_s"].to_numpy()
+    true = Voyage(twin(), SEED).sensor_velocity_wcs_mps(t, ANTENNA_M)[:, [1, 0, 2]] * [1, 1, -1]
+    # Whole millimetres per second.
+    np.testing.assert_allclose(before.velocities[names], true, atol=6e-4)
+    for log, sigma in ((after, 0.03), (most, 0.3)):
+        error = log.velocities[names].to_numpy() - true
+        n = error.size
+        assert n > 800
+        # Two-sided, four sigma of a standard deviation from n values.
+        assert abs(error.std() / sigma - 1.0) < 4 / np.sqrt(2 * n)
+        # New in each epoch: the correlation of neighbours is known to 1 / sqrt(n).
+        assert abs(np.mean(error[1:] * error[:-1])) < 4 / np.sqrt(n) * sigma**2
+        for name in ("sigma_h_mps", "sigma_v_mps"):
+            np.testing.assert_allclose(log.velocities[name], sigma, rtol=1e-9)
+
+
+def test_a_low_bridge_makes_one_outage(record: Any) -> None:
+    """A deck 1.5 m above the antenna and 20 m wide: seen from its middle it reaches down to 9 degrees."""
+    config = twin(shadow=True, refix_s=5.0)
+    scene = scene_of(GROUND, (roof(10.0, 10.0, 1.5), Material.WALL))
+    facts, folder = record("bridge", config, scene)
+    since0 = Voyage(config, SEED).start_gps_s
+    for engine, table in (
+        ("ppk", read_pos([folder / "ppk.pos"]).positions),
+        ("rtk", read_sbp([folder / "rover.sbp"]).positions),
+    ):
+        gone = [span for span in facts["spans_not_fixed"][engine] if span[2] == "none"]
+        assert len(gone) == 1, facts["spans_not_fixed"]
+        begin, length, _ = gone[0]
+        # 20 m at 2.4 m/s are 8.3 s under the deck; from its edges half of the sky is seen.
+        assert 5.8 < begin < 9.0
+        t = table["t_gps_s"].to_numpy() - since0
+        assert not ((t > begin - 1e-3) & (t < begin + length - 1e-3)).any()
+        holes = np.diff(t)
+        assert np.sum(holes > 0.15) == 1
+        assert holes.max() == pytest.approx(length + 0.1, abs=1e-3)
+        kinds = table["fix"].value_counts().to_dict()
+        assert kinds == {k: n for k, n in facts["solutions"][engine].items() if n and k != "none"}
+        # Within 3 s of the start and at the end the deck is far away.
+        assert (table["fix"][(t < 3) | (t > 24)] == "fixed").all()
+        assert table["n_sats"].min() >= 4
+    floats = {
+        engine: sum(s[1] for s in facts["spans_not_fixed"][engine] if s[2] == "float")
+        for engine in ("rtk", "ppk")
+    }
+    assert floats["rtk"] > floats["ppk"] + 3.0, "forward and backward fix sooner than forward alone"
+    assert facts["sky"]["blocked"]["max"] > 15
+
+
+def test_stated_sigmas_grow_with_the_dilution(record: Any) -> None:
+    """A wall of leaves in the east of the whole track: fixed still, with quarter weights there."""
+    config = twin(8.0, shadow=True)
+    scene = scene_of(GROUND, (sheet([60, 0, 0], [0, 300, 0], [0, 0, 300]), Material.LEAF))
+    facts, folder = record("leaves", config, scene)
+    table = read_pos([folder / "ppk.pos"]).positions
+    assert facts["sky"]["dimmed"]["min"] > 3
+    sigmas = table[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
+    assert (sigmas > [0.02, 0.02, 0.03]).all()
+    # All satellites at a quarter of the weight would double them; geometry alone at most some more.
+    assert (sigmas < 3 * np.array([0.02, 0.02, 0.03])).all()
+    # One factor for errors and sigmas: the same draw, in units of the sigmas, as in the open.
+    t = epochs(config, 10.0)
+    error = FRAME.from_geodetic(table["lat_deg"], table["lon_deg"], table["h_ell_m"]) - Voyage(
+        config, SEED
+    ).sensor_wcs_m(t, ANTENNA_M)
+    kinds = np.full(len(t), int(Solution.FIXED))
+    unit = antenna_errors_m(config, SEED, "ppk", kinds, np.ones((len(t), 3)))
+    # .pos states tenths of millimetres: 0.05 mm of 20 mm, and 0.06 mm in the position.
+    np.testing.assert_allclose(error / sigmas, unit, atol=0.02)
+
+
+@pytest.mark.parametrize("kind", [Solution.SINGLE, Solution.FLOAT, Solution.FIXED])
+def test_errors_are_as_large_as_stated_two_sided_and_larger_with_multipath(kind: Solution) -> None:
+    """Over seeds, one epoch each: with multipath the errors leave the band of the stated sigmas."""
+    config = twin(8.0, multipath_m={1: 1.0, 2: 0.5, 3: 0.05}[int(kind)])
+    growth = np.array([[1.3, 1.7, 2.1]])
+    kinds = np.array([int(kind)])
+    sigmas = stated_sigmas_m(config.gnss, kinds, growth)
+    share = np.array([0.8])
+    off, on = [], []
+    for seed in range(300):
+        error = antenna_errors_m(config, seed, "ppk", kinds, sigmas)
+        off.append(error / sigmas)
+        on.append((error + multipath_errors_m(config, seed, share)) / sigmas)
+    # Chi-square of 900 values: 99.9 % between 0.85 and 1.16 of the expectation.
+    assert 0.85 < np.mean(np.square(off)) < 1.16
+    extra = np.mean((0.8 * config.gnss.multipath_m / sigmas) ** 2)
+    assert extra > 0.5
+    assert np.mean(np.square(on)) == pytest.approx(1 + extra, rel=0.16)
+    assert np.mean(np.square(on)) > 1.16
+
+
+def test_multipath_is_in_no_sigma_and_moves_both_engines_alike(record: Any) -> None:
+    scene = scene_of(GROUND, (sheet([60, 0, 0], [0, 300, 0], [0, 0, 300]), Material.LEAF))
+    _, off = record("off", twin(8.0), scene)
+    facts, on = record("on", twin(8.0, multipath_m=0.5), scene)
+    moved = {}
+    for name, reader, digits in (("ppk.pos", read_pos, 3e-4), ("rover.sbp", read_sbp, 1e-6)):
+        a, b = (reader([f / name]).positions for f in (off, on))
+        assert a.drop(columns=["lat_deg", "lon_deg", "h_ell_m"]).equals(
+            b.drop(columns=["lat_deg", "lon_deg", "h_ell_m"])
+        )
+        places = [FRAME.from_geodetic(x["lat_deg"], x["lon_deg"], x["h_ell_m"]) for x in (a, b)]
+        moved[name] = (places[1] - places[0], digits)
+    np.testing.assert_allclose(moved["ppk.pos"][0], moved["rover.sbp"][0], atol=3e-4)
+    rms = np.sqrt(np.mean(moved["rover.sbp"][0] ** 2, axis=0))
+    np.testing.assert_allclose(rms, facts["multipath_rms_m"], rtol=1e-5)
+    share = facts["sky"]["dimmed"]["mean"] / (facts["sky"]["dimmed"]["mean"] + facts["sky"]["free"]["mean"])
+    # 12 s hold two or three correlation times of 5 s: the RMS is known within a factor of two.
+    assert 0.4 < np.sqrt(np.mean(rms**2)) / (0.5 * share) < 2.0
+
+
+def test_shadow_and_multipath_need_the_scene(record: Any) -> None:
+    for changes in ({"shadow": True}, {"multipath_m": 0.1}):
+        with pytest.raises(ConfigError, match="no scene"):
+            record("none", twin(8.0, **changes))
+
+
+def test_outages_and_floats_by_time_come_on_top(record: Any) -> None:
+    config = TwinConfig.of_size(
+        "tiny", duration_s=8.0, gnss={"shadow": True},
+        effects={"gnss_outages": [[2, 1]], "gnss_floats": [[4, 2]]},
+    )  # fmt: skip
+    facts, _ = record("both", config, scene_of(GROUND))
+    for engine in ("rtk", "ppk"):
+        assert facts["spans_not_fixed"][engine] == [[2.0, 1.0, "none"], [4.0, 2.0, "float"]]
+    assert facts["epochs"] - facts["epochs_written"] == 10
+    assert facts["float_epochs"] == 20
+
+
+# ---------------------------------------------------------------- single frequency
+
+
+def test_a_single_frequency_track_as_in_p1(record: Any) -> None:
+    config = twin(8.0, mode="single_frequency")
+    facts, folder = record("single", config)
+    pos, rover = read_pos([folder / "ppk.pos"]).positions, read_sbp([folder / "rover.sbp"]).positions
+    assert facts["mode"] == "single_frequency"
+    assert facts["solutions"]["ppk"]["single"] == len(pos) == len(rover) == facts["epochs"]
+    names = ["sigma_east_m", "sigma_north_m", "sigma_up_m"]
+    for table in (pos, rover):
+        assert set(table["fix"]) == {"single"}
+        np.testing.assert_allclose(table[names], np.tile([0.6, 0.6, 1.0], (len(table), 1)), rtol=1e-6)
+    places = [FRAME.from_geodetic(x["lat_deg"], x["lon_deg"], x["h_ell_m"]) for x in (pos, rover)]
+    # One sky, one ionosphere: both programs find the same place, to the digits of .pos.
+    np.testing.assert_allclose(places[0], places[1], atol=2e-4)
+    # No base: nothing comes over the radio, from sender 0.
+    with FileDriver((folder / "rover.sbp").open("rb")) as driver, Framer(driver.read, None) as framer:
+        assert {message.sender for message, _ in framer} == {0x2EFB}
+
+
+def test_single_frequency_errors_over_seeds() -> None:
+    config = twin(8.0, mode="single_frequency", single_time_s=40.0)
+    kinds = np.full(1201, int(Solution.SINGLE))
+    sigmas = stated_sigmas_m(config.gnss, kinds)
+    found = np.array([antenna_errors_m(config, seed, "ppk", kinds, sigmas) for seed in range(200)])
+    # One epoch of 200 seeds: sigma known to 5 %.
+    np.testing.assert_allclose(found[:, 600].std(axis=0), [0.6, 0.6, 1.0], rtol=0.17)
+    first, later = found[:, 0], found[:, 400]
+    # 40 s later, one correlation time: a coefficient over 3 times 200 seeds is known to 0.035.
+    pooled = np.mean(first * later / sigmas[0] ** 2)
+    assert pooled == pytest.approx(np.exp(-1.0), abs=0.14)
+    # Smooth, as a filter's output: from epoch to epoch 0.07 sigma, sqrt(2 dt / time).
+    steps = np.diff(found, axis=1) / sigmas[0]
+    assert np.std(steps) == pytest.approx(np.sqrt(2 * 0.1 / 40.0), rel=0.05)
+
+
+def test_bad_reception_leaves_single_solutions_at_best(record: Any) -> None:
+    config = twin(shadow=True, mode="single_frequency")
+    facts, folder = record("bridge", config, scene_of(GROUND, (roof(10.0, 10.0, 1.5), Material.WALL)))
+    table = read_pos([folder / "ppk.pos"]).positions
+    assert set(table["fix"]) == {"single"}
+    assert facts["solutions"]["ppk"]["none"] > 10
+    assert table["sigma_up_m"].max() > 1.5 > 1.01 > table["sigma_up_m"].min()

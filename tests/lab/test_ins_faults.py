@@ -1,0 +1,283 @@
+"""Faults of the INS: each has the size that its settings say, and leaves everything else alone."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.frames import R_ENU_NED, LocalFrame, rotation_enu_body
+from thalweg.ingest.anpp.reader import AnppLog, read_anpp
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.base.random import gauss_markov, generator
+from thalweg_lab.instruments.attitude_errors import attitude_errors_rad, standing_drift_rad
+from thalweg_lab.instruments.ins import simulate_ins
+from thalweg_lab.instruments.magnetic import (
+    EARTH_NED_MG,
+    boat_field_mg,
+    levelled_error_rad,
+    low_pass,
+    magnetic_heading_error_rad,
+)
+from thalweg_lab.voyage.motion import epochs
+from thalweg_lab.voyage.voyage import Voyage
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+SEED = 5
+HORIZONTAL_MG = float(np.hypot(199.0, 15.0))
+DECLINATION = float(np.arctan2(15.0, 199.0))
+MOTORS = [[3.0, -4.0, 1.0], [3.0, 4.0, -1.0]]
+
+
+def twin(**ins: Any) -> TwinConfig:
+    return TwinConfig.of_size("tiny", duration_s=8.0, ins=ins)
+
+
+def record(folder: Path, config: TwinConfig) -> tuple[AnppLog, dict[str, Any], bytes]:
+    """The log as the reader sees it, what was done to it, and its bytes."""
+    path = folder / "ins.anpp"
+    facts = simulate_ins(config, SEED, FRAME, path, out_effects=folder / "ins.json")
+    assert json.loads((folder / "ins.json").read_text()) == json.loads(json.dumps({"stream": "ins", **facts}))
+    return read_anpp([path]), facts, path.read_bytes()
+
+
+def magnetometer(log: AnppLog) -> np.ndarray:
+    return log.raw[["mag_x_mg", "mag_y_mg", "mag_z_mg"]].to_numpy()
+
+
+def wrapped(angle: Any) -> np.ndarray:
+    return np.mod(np.asarray(angle) + np.pi, 2 * np.pi) - np.pi
+
+
+def assert_equal_but(first: pd.DataFrame, second: pd.DataFrame, *columns: str) -> None:
+    """The tables differ in those columns only."""
+    different = {name for name in first.columns if not first[name].equals(second[name])}
+    assert different == set(columns)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[AnppLog, dict[str, Any], bytes]:
+    return record(tmp_path_factory.mktemp("plain"), twin())
+
+
+# ---------------------------------------------------------------- magnetic field
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 4.31, 90.0, 200.0, 359.0])
+@pytest.mark.parametrize("field", [(10.0, 0.0, 0.0), (0.0, 10.0, 0.0), (-7.0, 12.0, 30.0)])
+def test_the_heading_error_has_its_closed_form(heading_deg: float, field: tuple[float, ...]) -> None:
+    """A field d at the angle beta from magnetic north turns it by atan2(d sin b, H + d cos b)."""
+    heading = np.deg2rad(heading_deg)
+    d = np.hypot(field[0], field[1])
+    beta = heading + np.arctan2(field[1], field[0]) - DECLINATION
+    # North that seems to lie further east makes headings smaller.
+    expected = -np.arctan2(d * np.sin(beta), HORIZONTAL_MG + d * np.cos(beta))
+    zero = np.zeros(1)
+    found = levelled_error_rad(zero, zero, np.array([heading]), np.array([field]))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_ten_milligauss_abeam_are_three_degrees() -> None:
+    """The textbook case: bow to magnetic north, 10 mG to the right: atan(10 / 199.6) = 2.87 degrees."""
+    zero = np.zeros(1)
+    found = levelled_error_rad(zero, zero, np.array([DECLINATION]), np.array([[0.0, 10.0, 0.0]]))
+    assert np.rad2deg(found[0]) == pytest.approx(-2.868, abs=1e-3)
+
+
+def test_a_leaning_boat_brings_the_vertical_field_in() -> None:
+    """Against brute force: rotate the whole field into the level frame and take its angle."""
+    rng = np.random.default_rng(3)
+    roll, pitch = rng.uniform(-0.3, 0.3, (2, 50))
+    heading = rng.uniform(0, 2 * np.pi, 50)
+    boat = rng.normal(0, 20, (50, 3))
+    found = levelled_error_rad(roll, pitch, heading, boat)
+    R = rotation_enu_body(roll, pitch, heading)
+    enu = R_ENU_NED @ EARTH_NED_MG + np.einsum("nij,nj->ni", R, boat)
+    north = np.arctan2(enu[:, 0], enu[:, 1])
+    np.testing.assert_allclose(wrapped(found + (north - DECLINATION)), 0.0, atol=1e-12)
+
+
+def test_the_filter_follows_with_its_time_constant() -> None:
+    step = np.concatenate([np.zeros(100), np.ones(400)])
+    followed = low_pass(step, 0.02, 2.0)
+    t = np.arange(1, 401) * 0.02
+    np.testing.assert_allclose(followed[100:], 1 - np.exp(-t / 2.0), atol=1e-12)
+    assert (followed[:100] == 0).all()
+    np.testing.assert_array_equal(low_pass(np.full(5, 3.0), 0.02, 2.0), np.full(5, 3.0))
+    assert low_pass(np.empty(0), 0.02, 2.0).size == 0
+    ins = twin(magnetic_weight=0.25, magnetic_time_s=1e-6).ins
+    zero = np.zeros(3)
+    boat = np.full((3, 3), 5.0)
+    whole = levelled_error_rad(zero, zero, zero, boat)
+    np.testing.assert_allclose(magnetic_heading_error_rad(ins, zero, zero, zero, boat), whole / 4, rtol=1e-12)
+
+
+def test_the_raw_magnetometer_shows_the_earths_field(plain: Any) -> None:
+    log, facts, _ = plain
+    field = magnetometer(log)
+    norm = np.linalg.norm(field, axis=1)
+    # 0.5 mG of noise a component: 0.5 in the norm, its mean over 600 states known to 0.02.
+    assert norm.mean() == pytest.approx(np.linalg.norm(EARTH_NED_MG), abs=0.1)
+    assert norm.std() == pytest.approx(0.5, rel=0.15)
+    assert facts["boat_field_max_mg"] == 0.0
+    assert facts["unstated_heading_error_deg"] == {"rms": 0.0, "min": 0.0, "max": 0.0}
+
+
+def test_motor_fields_move_heading_and_magnetometer_and_nothing_else(tmp_path: Path, plain: Any) -> None:
+    config = twin(motor_field_mg=MOTORS, magnetic_time_s=3.0)
+    log, facts, _ = record(tmp_path, config)
+    before = plain[0]
+    assert_equal_but(before.states, log.states, "heading_rad")
+    assert_equal_but(before.raw, log.raw, "mag_x_mg", "mag_y_mg", "mag_z_mg")
+    voyage, t = Voyage(config, SEED), epochs(config, 50.0)
+    thrust = voyage.thrust(t)
+    assert np.ptp(thrust[:, 0] - thrust[:, 1]) > 0.05, "a voyage with turns"
+    field = thrust @ np.array(MOTORS)
+    # float32 at 453 mG: steps of 3e-5.
+    np.testing.assert_allclose(magnetometer(log) - magnetometer(before), field, atol=7e-5)
+    compass = levelled_error_rad(*voyage.angles_rad(t), field)
+    expected = low_pass(compass, 0.02, 3.0)
+    found = wrapped(log.states["heading_rad"] - before.states["heading_rad"])
+    # float32 headings up to 2 pi: steps of 5e-7, in both logs.
+    np.testing.assert_allclose(found, expected, atol=1.1e-6)
+    assert np.rad2deg(np.abs(found)).max() > 0.2, "an effect worth the name"
+    assert facts["unstated_heading_error_deg"]["max"] == pytest.approx(np.rad2deg(found.max()), abs=1e-4)
+    assert facts["boat_field_max_mg"] == pytest.approx(np.linalg.norm(field, axis=1).max(), rel=1e-9)
+    # What the unit says of itself does not know of it.
+    assert np.rad2deg(log.states["sigma_heading_rad"]).to_numpy() == pytest.approx(0.2, rel=1e-6)
+
+
+def test_hard_iron_is_a_constant_in_the_body(tmp_path: Path, plain: Any) -> None:
+    log, facts, _ = record(tmp_path, twin(hard_iron_mg=[2.0, -3.0, 6.0]))
+    np.testing.assert_allclose(
+        magnetometer(log) - magnetometer(plain[0]), np.tile([2.0, -3.0, 6.0], (len(log.raw), 1)), atol=7e-5
+    )
+    assert facts["boat_field_max_mg"] == pytest.approx(7.0)
+    assert facts["hard_iron_mg"] == [2.0, -3.0, 6.0]
+    both = boat_field_mg(
+        twin(hard_iron_mg=[2.0, -3.0, 6.0], motor_field_mg=MOTORS).ins, np.array([[0.5, 1.0]])
+    )
+    np.testing.assert_allclose(both, [[2 + 4.5, -3 + 2.0, 6 - 0.5]])
+
+
+def test_a_magnetometer_without_weight_moves_no_heading(tmp_path: Path, plain: Any) -> None:
+    log, _, _ = record(tmp_path, twin(motor_field_mg=MOTORS, magnetic_weight=0.0))
+    assert_equal_but(plain[0].states, log.states)
+
+
+# ---------------------------------------------------------------- drift and bias
+
+
+def test_a_standing_boat_drifts_and_a_moving_one_recovers() -> None:
+    ins = twin(standing_drift_degpmin=6.0, standing_recovery_s=10.0).ins
+    speed = np.concatenate([np.full(500, 0.4), np.full(1000, 0.05), np.full(1000, 0.4)])
+    drift = np.rad2deg(standing_drift_rad(ins, speed))
+    assert (drift[:500] == 0).all()
+    # 20 s of standing at 0.1 degrees/s, then two time constants on the way.
+    assert drift[1499] == pytest.approx(2.0, rel=1e-9)
+    assert drift[-1] == pytest.approx(2.0 * np.exp(-2.0), rel=1e-9)
+
+
+def test_the_standing_drift_is_in_the_log(tmp_path: Path, plain: Any) -> None:
+    """With a threshold above its speed the boat counts as standing all the time."""
+    log, facts, _ = record(tmp_path, twin(standing_drift_degpmin=3.0, standing_speed_mps=5.0))
+    assert_equal_but(plain[0].states, log.states, "heading_rad")
+    assert_equal_but(plain[0].raw, log.raw)
+    found = np.rad2deg(wrapped(log.states["heading_rad"] - plain[0].states["heading_rad"]))
+    np.testing.assert_allclose(found, np.arange(1, len(found) + 1) * 0.02 * 0.05, atol=6e-5)
+    assert facts["unstated_heading_error_deg"]["max"] == pytest.approx(found[-1], abs=6e-5)
+
+
+def test_the_gyroscopes_bias_is_in_the_raw_rates_only(tmp_path: Path, plain: Any) -> None:
+    log, facts, _ = record(tmp_path, twin(gyro_bias_degps=0.2))
+    assert_equal_but(plain[0].states, log.states)
+    assert_equal_but(plain[0].raw, log.raw, "gyro_x_radps", "gyro_y_radps", "gyro_z_radps")
+    names = ["gyro_x_radps", "gyro_y_radps", "gyro_z_radps"]
+    bias = np.rad2deg((log.raw[names] - plain[0].raw[names]).to_numpy())
+    # float32 at 0.7 rad/s: steps of 6e-8 rad/s in both logs.
+    np.testing.assert_allclose(bias, np.tile(facts["gyro_bias_degps"], (len(bias), 1)), atol=7e-6)
+    # Three draws of N(0, 0.2): outside of these bounds once in 10,000 times, and the seed is fixed.
+    assert 0.01 < np.linalg.norm(facts["gyro_bias_degps"]) < 0.9
+
+
+# ---------------------------------------------------------------- the errors that the sigmas contain
+
+
+def test_errors_are_correlated_over_their_time() -> None:
+    """Autocorrelation exp(-lag / time) at half, one and two correlation times, in all three angles."""
+    config = twin(attitude_time_s=2.0)
+    t = np.arange(60_000) / 50.0
+    errors = attitude_errors_rad(config, SEED, t, 0.0)
+    for lag_s in (1.0, 2.0, 4.0):
+        lag = round(lag_s * 50)
+        found = np.mean(errors[lag:] * errors[:-lag], axis=0) / np.var(errors, axis=0)
+        # 1200 s hold 600 correlation times: a coefficient is known to 0.04 (Bartlett).
+        np.testing.assert_allclose(found, np.exp(-lag_s / 2.0), atol=0.13)
+
+
+def test_the_inss_own_position_has_its_sigmas_and_times(tmp_path: Path) -> None:
+    """P1: 0.6 m in plan, 1 m in height; here with a short correlation, so that one log shows it."""
+    config = TwinConfig.of_size("tiny", duration_s=25.0, ins={"position_time_s": 0.2})
+    simulate_ins(config, SEED, FRAME, tmp_path / "ins.anpp")
+    states = read_anpp([tmp_path / "ins.anpp"]).states
+    t = epochs(config, 50.0)
+    error = FRAME.from_geodetic(states["lat_deg"], states["lon_deg"], states["h_ell_m"])
+    error -= Voyage(config, SEED).position_wcs_m(t)
+    # 29 s hold 73 independent values: a sigma is known to 8 %.
+    np.testing.assert_allclose(error.std(axis=0), [0.6, 0.6, 1.0], rtol=0.3)
+    lagged = np.mean(error[10:] * error[:-10], axis=0) / np.var(error, axis=0)
+    np.testing.assert_allclose(lagged, np.exp(-1.0), atol=0.3)
+    np.testing.assert_allclose(
+        states[["sigma_east_m", "sigma_north_m", "sigma_up_m"]],
+        np.tile([0.6, 0.6, 1.0], (len(states), 1)),
+        rtol=1e-6,
+    )
+
+
+def test_the_velocities_have_their_sigma_and_time_two_sided(tmp_path: Path) -> None:
+    """0.05 m/s as published; here with a short correlation, so that one log shows it."""
+    config = TwinConfig.of_size("tiny", duration_s=25.0, ins={"velocity_time_s": 0.2})
+    simulate_ins(config, SEED, FRAME, tmp_path / "ins.anpp")
+    states = read_anpp([tmp_path / "ins.anpp"]).states
+    true = Voyage(config, SEED).velocity_wcs_mps(epochs(config, 50.0)) * [1, 1, -1]
+    error = states[["v_east_mps", "v_north_mps", "v_down_mps"]].to_numpy() - true
+    # 29 s hold 73 independent values: a sigma is known to 8 %, a mean to 0.006 m/s.
+    np.testing.assert_allclose(error.std(axis=0), 0.05, rtol=0.3)
+    np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=0.024)
+    lagged = np.mean(error[10:] * error[:-10], axis=0) / np.var(error, axis=0)
+    np.testing.assert_allclose(lagged, np.exp(-1.0), atol=0.3)
+    # Axes of their own.
+    assert np.max(np.abs(np.corrcoef(error.T) - np.eye(3))) < 0.5
+
+
+def test_errors_of_the_velocity_are_in_the_velocity_only(tmp_path: Path, plain: Any) -> None:
+    log, _, _ = record(tmp_path, twin(sigma_velocity_mps=0.0))
+    assert_equal_but(plain[0].states, log.states, "v_east_mps", "v_north_mps", "v_down_mps")
+    assert_equal_but(plain[0].raw, log.raw)
+    true = Voyage(twin(), SEED).velocity_wcs_mps(epochs(twin(), 50.0)) * [1, 1, -1]
+    # The level at the boat differs from that of the origin by 50 m / 6.4e6 m.
+    np.testing.assert_allclose(log.states[["v_east_mps", "v_north_mps", "v_down_mps"]], true, atol=1e-4)
+
+
+def test_gauss_markov_is_stationary_from_the_first_value() -> None:
+    first = np.array([gauss_markov(generator(seed, "x"), 3, 1.0, 2.0, 50.0) for seed in range(2000)])
+    # 2000 draws: sigma known to 1.6 %.
+    np.testing.assert_allclose(first.std(axis=0), 2.0, rtol=0.07)
+
+
+def test_a_heading_with_motor_fields_leaves_the_band_of_its_sigma() -> None:
+    """Over seeds the errors are inside their band without the fields, and outside of it with them."""
+    config = twin(motor_field_mg=[[3.0, -20.0, 1.0], [3.0, 8.0, -1.0]], attitude_time_s=0.5)
+    squares = {"off": [], "on": []}  # type: dict[str, list[float]]
+    for seed in range(30):
+        voyage, t = Voyage(config, seed), epochs(config, 50.0)
+        drawn = attitude_errors_rad(config, seed, t, voyage.start_gps_s)[:, 2]
+        field = boat_field_mg(config.ins, voyage.thrust(t))
+        unstated = magnetic_heading_error_rad(config.ins, *voyage.angles_rad(t), field)
+        for name, error in (("off", drawn), ("on", drawn + unstated)):
+            squares[name].append(float((error[-1] / np.deg2rad(0.2)) ** 2))
+    # chi-square with 30 degrees of freedom: 99.9 % between 11.6 and 59.7.
+    assert 11.6 < sum(squares["off"]) < 59.7
+    assert sum(squares["on"]) > 59.7

@@ -1,0 +1,231 @@
+"""Faults of the lidar in whole recordings: each alone, each where it should be."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import dpkt
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.tables import read_table
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.instruments.shots import LIDAR_SHOTS, EchoKind
+from thalweg_lab.river.materials import Material
+from thalweg_lab.river.scene import Scene
+from thalweg_lab.voyage.motion import start_gps_s
+from thalweg_lab.voyage.voyage import Voyage
+
+Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
+SEED = 5
+ELEVATION = np.deg2rad([-15.0, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15])
+OFFSET_MM = np.array(
+    [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
+)
+QUIET = {"sigma_range_m": 0.0, "sigma_lateral_m": 0.0, "sigma_weak_m": 0.0}
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A single-return recording by the number of the shot.
+
+    ``range_m`` and ``brightness`` (n,) hold all shots, 0 where there is no return; ``truth`` has one row a
+    return, with the shot's number as its index.
+    """
+
+    range_m: np.ndarray
+    brightness: np.ndarray
+    azimuth_rad: np.ndarray
+    truth: pd.DataFrame
+    facts: dict[str, Any]
+    config: TwinConfig
+
+    def rays(self, shot: np.ndarray, mount: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Origin and direction of shots, from the pose at each one's own time."""
+        R_ics_scs, lever = mount
+        voyage = Voyage(self.config, SEED)
+        a, e, h = self.azimuth_rad[shot], ELEVATION[shot % 16], OFFSET_MM[shot % 16] / 1000
+        unit = np.stack([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)], axis=1)
+        t = voyage.start_gps_s + shot // 16 * 55.296e-6 + shot % 16 * 2.304e-6
+        R = voyage.R_wcs_ics(t)
+        height = np.stack([0 * h, 0 * h, h], axis=1)
+        origin = voyage.position_wcs_m(t) + np.einsum("nij,nj->ni", R, height @ R_ics_scs.T + lever)
+        return origin, np.einsum("nij,nj->ni", R, unit @ R_ics_scs.T)
+
+
+def read(path: Path, facts: dict[str, Any], config: TwinConfig) -> Recording:
+    """All shots of a single-return capture without lost packets."""
+    with path.open("rb") as file:
+        frames = [dpkt.ethernet.Ethernet(frame).data.data for _, frame in dpkt.pcap.Reader(file)]
+    packets = np.frombuffer(b"".join(u.data for u in frames if u.dport == 2368), dtype=np.uint8)
+    blocks = packets.reshape(-1, 1206)[:, :1200].reshape(-1, 100)
+    shots = blocks[:, 4:].reshape(-1, 3).astype(np.int64)
+    turned = np.unwrap(np.deg2rad((blocks[:, 2] + 256.0 * blocks[:, 3]) / 100))
+    firing = np.arange(2 * len(blocks))
+    share = firing[:, None] / 2 + np.arange(16) * 2.304e-6 / 110.592e-6
+    azimuth = np.interp(share.ravel(), np.arange(len(blocks)), turned)
+    truth, _ = read_table(path.with_suffix(".parquet"), LIDAR_SHOTS)
+    since = truth["t_gps_s"] - start_gps_s(config)
+    # GPS times are rounded to 0.12 us, shots are 2.3 us apart, firings pause 21 us.
+    number = np.floor((since + 1e-6) / 55.296e-6)
+    truth.index = pd.Index((16 * number + np.rint((since - number * 55.296e-6) / 2.304e-6)).astype(int))
+    return Recording((shots[:, 0] + 256 * shots[:, 1]) * 0.002, shots[:, 2], azimuth, truth, facts, config)
+
+
+OFF: dict[str, dict[str, Any]] = {
+    "footprint": {"divergence_mrad": 0.0},
+    "mixed": {"mixed_pixels": False},
+    "weak": {"sigma_weak_m": 0.0},
+    "dark": {"dark_dropouts": False},
+    "chance": {"dropouts": 0.0},
+    "water": {"water_returns": 0.0},
+    "wet": {"wet_reflectance": 1.0},
+    "ghosts": {"mirror_ghosts": False},
+    "hull": {"own_hull": False},
+}
+"""How each fault is switched off."""
+
+
+def test_each_fault_can_be_switched_off_alone(record: Recorder) -> None:
+    """Random numbers of one effect do not shift those of another, and each effect changes what it should."""
+    found = {
+        name: read(*record(name, lidar=change, duration_s=1.0)) for name, change in {"all": {}, **OFF}.items()
+    }
+    full = found.pop("all")
+    kind = full.truth["kind"]
+    assert np.array_equal(np.flatnonzero(full.range_m), kind.index), "truth and log have the same shots"
+    for name, number in (("mixed", EchoKind.MIXED), ("ghosts", EchoKind.GHOST), ("hull", EchoKind.HULL)):
+        assert full.facts[name] == np.sum(kind == number) > 100
+    assert min(full.facts[c] for c in ("hull_blocked", "dropouts_chance", "dropouts_weak")) > 100
+    same, gone, new = {}, {}, {}
+    boat = np.zeros(len(full.range_m), dtype=bool)
+    boat[kind.index[kind == EchoKind.HULL]] = True
+    for name, other in found.items():
+        both = (full.range_m > 0) & (other.range_m > 0) & ~boat
+        equal = (full.range_m == other.range_m) & (full.brightness == other.brightness)
+        same[name] = float(np.mean(equal[both]))
+        gone[name] = kind[other.range_m[kind.index] == 0]
+        new[name] = other.truth.index[full.range_m[other.truth.index] == 0]
+    assert all(same[name] == 1.0 for name in ("chance", "hull", "water", "ghosts")), same
+    # A far echo that is too weak may be stronger than the near one that is reported instead.
+    assert 0.999 < same["dark"] < 1.0
+    assert set(gone["ghosts"]) == {EchoKind.GHOST}
+    assert len(gone["ghosts"]) == pytest.approx(full.facts["ghosts"], rel=0.01)
+    assert set(gone["hull"]) == {EchoKind.HULL}
+    assert len(gone["hull"]) == pytest.approx(full.facts["hull"], rel=0.01)
+    assert set(full.truth["material"][gone["water"].index]) == {Material.WATER}
+    for name in ("ghosts", "water"):
+        assert len(new[name]) == 0, name
+    for name in ("dark", "chance"):
+        assert len(gone[name]) == 0, name
+    for name in ("weak", "mixed"):
+        # Another range is another limit of detection, which matters for the weakest echoes.
+        assert len(new[name]) + len(gone[name]) < 0.001 * len(kind), name
+    for name in ("dark", "chance", "hull"):
+        assert len(new[name]) > 100, name
+    # The others touch some returns and leave the rest as they were: weak echoes, edges, wet ground.
+    assert 0.5 < same["weak"] < 0.99
+    assert 0.1 < same["mixed"] < 0.99
+    assert 0.9 < same["wet"] < 0.9999
+    wet = full.truth[(full.range_m != found["wet"].range_m)[full.truth.index]]
+    assert np.all(wet["up_m"] < full.config.lidar.wet_band_m + 0.3)
+    assert np.all(full.brightness[wet.index] <= found["wet"].brightness[wet.index])
+    solid = kind.index[kind == EchoKind.SURFACE]
+    assert (
+        np.std((full.range_m - found["footprint"].range_m)[solid][found["footprint"].range_m[solid] > 0])
+        > 0.005
+    )
+
+
+def test_ghosts_are_mirror_images_below_the_water(record: Recorder, scene: Scene, mount: Any) -> None:
+    off = {}
+    for slope in (0.0, 0.03):
+        settings = {**QUIET, "divergence_mrad": 0.0, "wave_slope": slope}
+        recording = read(*record(f"slope {slope}", lidar=settings, duration_s=2.0))
+        ghost = recording.truth[recording.truth["kind"] == EchoKind.GHOST]
+        origin, direction = recording.rays(ghost.index.to_numpy(), mount)
+        length = recording.range_m[ghost.index]
+        apparent = origin + length[:, None] * direction
+        true = ghost[["east_m", "north_m", "up_m"]].to_numpy()
+        assert len(ghost) > 1000
+        # Azimuths in steps: 0.175 mm per metre.
+        assert np.all(apparent[:, 2] < scene.water_level_m + 1.75e-4 * length)
+        assert np.all(true[:, 2] > scene.water_level_m)
+        assert Material.WATER not in ghost["material"].to_numpy()
+        mirrored = apparent * [1, 1, -1] + [0, 0, 2 * scene.water_level_m]
+        off[slope] = np.linalg.norm(mirrored - true, axis=1) / length
+    # Steps of azimuth, and of range: 1 mm at more than 4 m.
+    assert np.max(off[0.0]) < 1.75e-4 + 0.001 / 4
+    # Waves of 0.03 turn the image by some 0.06 rad in one of two directions, seen from the mirror.
+    assert 0.01 < np.sqrt(np.mean(off[0.03] ** 2)) < 0.08
+
+
+def test_returns_of_the_own_boat_lie_on_it(record: Recorder) -> None:
+    recording = read(*record("boat", duration_s=1.0))
+    boat = recording.truth[recording.truth["kind"] == EchoKind.HULL]
+    voyage, t = Voyage(recording.config, SEED), boat["t_gps_s"].to_numpy()
+    assert len(boat) > 10_000
+    assert set(boat["material"]) == {255}
+    away = boat[["east_m", "north_m", "up_m"]].to_numpy() - voyage.position_wcs_m(t)
+    body = np.einsum("nji,nj->ni", voyage.R_wcs_ics(t), away)
+    # The HyDrone of T 2.1, 1.17 m by 0.74 m, whose water line is the boat's height below the INS.
+    assert np.all(np.abs(body[:, 0]) < 1.17 / 2 + 0.001)
+    assert np.all(np.abs(body[:, 1]) < 0.74 / 2 + 0.001)
+    assert np.all(np.abs(body[:, 2] - recording.config.boat.height_m) < 0.75)
+    # Nothing within the sensor's blind zone, less six sigma of its noise.
+    assert recording.range_m[boat.index].min() > 0.4 - 6 * 0.0173
+    assert recording.range_m[boat.index].max() < 1.2
+    # What is behind the boat is hidden: no beam sees water straight below the scanner.
+    water = recording.truth[recording.truth["material"] == Material.WATER]
+    assert len(water[water["kind"] == EchoKind.SURFACE]) < 0.05 * len(boat)
+
+
+def test_second_returns_come_from_behind_leaves(record: Recorder) -> None:
+    settings = {"mirror_ghosts": False, "own_hull": False}
+    path, _, _ = record("foliage", lidar={"returns": "dual", **settings}, duration_s=2.0)
+    table, _ = read_table(path.with_suffix(".parquet"), LIDAR_SHOTS)
+    assert table["t_gps_s"].is_monotonic_increasing
+    second = np.flatnonzero(table["return_number"] == 2)
+    assert len(second) > 300
+    first = table.iloc[second - 1]
+    assert np.array_equal(first["t_gps_s"], table.iloc[second]["t_gps_s"])
+    plants = [m for m in Material if m.name in ("LEAF", "REED", "BLADE", "BARK", "WOOD")]
+    # Beams pass by plants: much more often than plants are met at all.
+    assert np.mean(np.isin(first["material"], plants)) > 0.7
+    # The last of two returns is what the mode "last" reports, and "strongest" reports one of both.
+    number = pd.Index(np.rint((table["t_gps_s"] - table["t_gps_s"].min()) / 2.304e-6).astype(int))
+    for mode in ("last", "strongest"):
+        single, _, _ = record(mode, lidar={"returns": mode, **settings}, duration_s=2.0)
+        alone, _ = read_table(single.with_suffix(".parquet"), LIDAR_SHOTS)
+        assert set(alone["return_number"]) == {1}
+        at = pd.Index(np.rint((alone["t_gps_s"] - table["t_gps_s"].min()) / 2.304e-6).astype(int))
+        places = set(zip(number, table["east_m"], strict=True))
+        if mode == "last":
+            last = ~pd.Series(number).duplicated(keep="last").to_numpy()
+            places = set(zip(number[last], table["east_m"][last], strict=True))
+        missing = [p for p in zip(at, alone["east_m"], strict=True) if p not in places]
+        # The recording of whole packets ends a packet earlier or later.
+        assert len(missing) < 0.001 * len(alone)
+
+
+def test_dark_things_are_lost_the_more_the_farther(record: Recorder) -> None:
+    settings = {"mirror_ghosts": False, "own_hull": False}
+    every = read(*record("every", lidar={"dark_dropouts": False, **settings}, duration_s=2.0))
+    some = read(*record("some", lidar=settings, duration_s=2.0))
+    shot = every.truth.index.to_numpy()
+    gone = some.range_m[shot] == 0
+    r, dark = every.range_m[shot], every.brightness[shot]
+    shares = [np.mean(gone[(r >= a) & (r < b) & (dark < 8)]) for a, b in ((3, 15), (15, 30), (30, 100))]
+    assert shares[0] < shares[1] < shares[2]
+    assert shares[2] > 0.1
+    # The limit at 60 m is 3.6 %, and twice the limit is five widths above it.
+    assert np.mean(gone[(dark > 8) & (r < 60)]) == 0
+
+
+def test_pieces_of_any_size_give_the_same_log(record: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, _, _ = record("large pieces", duration_s=1.0)
+    monkeypatch.setattr("thalweg_lab.instruments.lidar._CHUNK", 100)
+    second, _, _ = record("small pieces", duration_s=1.0)
+    assert first.read_bytes() == second.read_bytes()

@@ -1,0 +1,484 @@
+"""The river reach: the same from the same seed, without holes, and of the shape that its settings say."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import InputError
+from thalweg.core.types import ArrayB, ArrayF
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.base.epochs import stretch
+from thalweg_lab.base.river import River
+from thalweg_lab.river.materials import (
+    BARE_GROUND,
+    COLOUR,
+    REFLECTANCE,
+    REFLECTANCE_1550,
+    VEGETATION,
+    Material,
+)
+from thalweg_lab.river.mesh import MeshParts
+from thalweg_lab.river.scene import Scene, build_scene
+from thalweg_lab.river.stones import add_boulders, add_cobbles
+
+CONFIG = TwinConfig.of_size("tiny")
+SEED = 8
+GROUND = [m for m in Material if BARE_GROUND[m]]
+FULL = {"weir": True, "bridge": True, "meander_length_m": 90.0, "buildings": 4}
+"""Everything that a scene may hold, on two meanders."""
+
+
+@pytest.fixture(scope="module")
+def reach() -> Scene:
+    return build_scene(CONFIG, SEED)
+
+
+@pytest.fixture(scope="module")
+def full() -> tuple[TwinConfig, Scene]:
+    config = TwinConfig.of_size("tiny", scene=FULL)
+    return config, build_scene(config, SEED)
+
+
+def corners(scene: Scene) -> ArrayF:
+    """Triangles of a scene, (m, 9), in an order that does not depend on the order of the parts."""
+    flat = scene.vertices_wcs_m[scene.triangles].reshape(-1, 9)
+    return flat[np.lexsort(flat.T)]
+
+
+def test_the_same_seed_gives_the_same_mesh_and_another_one_another(reach: Scene) -> None:
+    again, other = build_scene(CONFIG, SEED), build_scene(CONFIG, SEED + 1)
+    assert np.array_equal(reach.vertices_wcs_m, again.vertices_wcs_m)
+    assert np.array_equal(reach.triangles, again.triangles)
+    assert np.array_equal(reach.material, again.material)
+    assert np.array_equal(reach.variation, again.variation)
+    assert not np.array_equal(reach.vertices_wcs_m[:1000], other.vertices_wcs_m[:1000])
+
+
+def test_every_material_occurs_and_is_described(full: tuple[TwinConfig, Scene]) -> None:
+    scene = full[1]
+    assert set(np.unique(scene.material)) == {int(m) for m in Material}
+    for table in (REFLECTANCE, REFLECTANCE_1550, COLOUR):
+        assert len(table) == len(Material)
+        assert np.all((table > 0) & (table < 1))
+    assert len(VEGETATION) == len(BARE_GROUND) == len(Material)
+    assert not np.any(VEGETATION & BARE_GROUND)
+    assert VEGETATION[[Material.LEAF, Material.BLADE, Material.REED, Material.BARK]].all()
+    assert not VEGETATION[[Material.STONE, Material.GRASS, Material.WALL, Material.WATER]].any()
+    # Water in leaves absorbs at 1550 nm.
+    assert np.all(REFLECTANCE_1550[VEGETATION] < REFLECTANCE[VEGETATION])
+    assert REFLECTANCE_1550[Material.WATER] < REFLECTANCE[Material.WATER]
+    assert np.all((scene.variation >= 0) & (scene.variation <= 1))
+    assert scene.variation[scene.material == Material.LEAF].std() > 0.1
+
+
+def test_ground_and_water_look_up(full: tuple[TwinConfig, Scene]) -> None:
+    v, f = full[1].vertices_wcs_m, full[1].triangles
+    normal = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
+    ground = np.isin(full[1].material, [*GROUND, Material.WATER])
+    assert np.all(normal[ground, 2] > 0)
+    assert np.all(v[f[full[1].material == Material.WATER]][..., 2] == full[0].scene.water_level_m)
+
+
+def test_the_terrain_has_no_holes(full: tuple[TwinConfig, Scene]) -> None:
+    """Each edge belongs to two triangles, but for those around the whole terrain."""
+    f = full[1].only(*GROUND).triangles
+    edges = np.sort(np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]), axis=1)
+    ends, count = np.unique(edges, axis=0, return_counts=True)
+    assert count.max() == 2
+    open_ends = ends[count == 1]
+    # The rim is one closed line: each of its corners has two rim edges, and it walks around the outside.
+    _, uses = np.unique(open_ends, return_counts=True)
+    assert np.all(uses == 2)
+    river = River(full[0].scene, SEED)
+    middle = full[1].vertices_wcs_m[open_ends].mean(axis=1)
+    s, n = river.to_flow(middle[:, 0], middle[:, 1])
+    outside = (np.abs(s) > full[0].scene.length_m / 2 - 1e-3) | (np.abs(n) > 60.0)
+    assert outside.all()
+
+
+def test_the_mesh_is_the_river(reach: Scene) -> None:
+    """Looking straight down on the bed and the banks, the mesh is as high as the river says."""
+    river = River(CONFIG.scene, SEED)
+    rng = np.random.default_rng(2)
+    s, n = rng.uniform(-50, 50, 3000), rng.uniform(-20, 14, 3000)
+    ground = reach.only(*GROUND).caster()
+    origin = np.column_stack([river.to_wcs(s, n), np.full(3000, 50.0)])
+    height = 50.0 - ground.cast(origin, np.tile([0.0, 0, -1], (3000, 1))).t_hit_m
+    difference = height - river.height(s, n)
+    # Linear between nodes of 0.1 to 0.8 m; upright banks fall 1.5 m within two cells of 0.2 m.
+    assert np.median(np.abs(difference)) < 0.015
+    assert np.percentile(np.abs(difference), 99) < 0.12
+    assert np.max(np.abs(difference)) < 0.5
+    half = river.half_width(s)
+    # The roughness of the beach, a decimetre, moves the water line by a metre at most.
+    assert np.all(height[np.abs(n) < half - 1.0] < 0.0)
+    assert np.all(height[np.abs(n) > half + 1.0] > 0.0)
+    crest = height[(n < -half - 6.3) & (n > -half - 7.0)]
+    # Crest height, rounded over 0.35 m, plus roughness.
+    assert np.median(crest) == pytest.approx(CONFIG.scene.embankment_height_m, abs=0.25)
+
+
+def test_at_the_nodes_the_mesh_is_the_river_exactly(reach: Scene) -> None:
+    river = River(CONFIG.scene, SEED)
+    ground = reach.only(*GROUND)
+    v = ground.vertices_wcs_m[np.unique(ground.triangles)][::50]
+    s, n = river.to_flow(v[:, 0], v[:, 1])
+    # float32 in the mesh: 4 um of place; upright banks turn that into 30 um of height.
+    np.testing.assert_allclose(river.height(s, n), v[:, 2], atol=2e-4)
+
+
+def test_cells_are_finest_at_the_water_line() -> None:
+    config = TwinConfig.of_size("demo", scene={"length_m": 32.0})
+    scene = build_scene(config, SEED).only(*GROUND)
+    river = River(config.scene, SEED)
+    corner = scene.vertices_wcs_m[scene.triangles]
+    middle = corner.mean(axis=1)
+    s, n = river.to_flow(middle[:, 0], middle[:, 1])
+    step = np.ptp(np.stack(river.to_flow(corner[..., 0], corner[..., 1]), axis=-1), axis=1).max(axis=1)
+    off = np.abs(np.abs(n) - river.half_width(s))
+    # Bays of the shore shear the cells: 0.35 m over 8 m and 0.12 m over 2.7 m.
+    assert step[off < 0.85].max() < 0.065
+    assert np.median(step[off > 25.0]) > 0.5
+
+
+def test_the_thalweg_is_deeper_than_the_margins() -> None:
+    river = River(TwinConfig.of_size("demo").scene, SEED)
+    s = np.linspace(-100, 100, 50)
+    w, t = river.half_width(s), river.thalweg_n(s)
+    deepest = river.depth(s, t)
+    assert np.all(deepest > river.depth(s, t + 2.0))
+    assert np.all(deepest > river.depth(s, t - 2.0))
+    np.testing.assert_allclose(river.depth(s, w), 0.0, atol=1e-12)
+    np.testing.assert_allclose(river.depth(s, -w), 0.0, atol=1e-12)
+    # The outer bank of a bend to the left (positive curvature) is the right one: there it is deep.
+    bend = river.curvature(s)
+    assert np.all(t[bend > 1e-3] < 0)
+    assert np.all(t[bend < -1e-3] > 0)
+    # Mean depth of the thalweg is the configured one; pools and riffles add 18 and 12 % of either sign.
+    assert np.mean(deepest) == pytest.approx(river.config.depth_m, rel=0.12)
+
+
+@pytest.mark.parametrize("size", ["tiny", "demo"])
+def test_shelves_along_both_shores_are_shallow(size: str) -> None:
+    config = TwinConfig.of_size(size).scene
+    river = River(config, SEED)
+    s = np.linspace(-config.length_m / 2, config.length_m / 2, 400)
+    w = river.half_width(s)
+    widths = river.shelf_width(s)
+    for side, width in zip((-1, 1), widths, strict=True):
+        share = np.linspace(0, 1, 21)[:, None]
+        d = river.depth(s, side * (w - share * width))
+        assert d.min() >= 0
+        assert d.max() == pytest.approx(config.shelf_depth_m, abs=1e-9)
+        assert np.all(np.diff(d, axis=0) > 0)
+        # Behind the edge the bed falls away.
+        assert np.all(river.depth(s, side * (w - width - 1.5)) > config.shelf_depth_m + 0.1)
+    # The shelf of the inner bank, its point bar, is the wider one.
+    inner = river.bend(s) > 0.8
+    assert np.mean(widths[1][inner]) > 1.3 * np.mean(widths[0][inner])
+    assert np.mean(np.concatenate(widths)) == pytest.approx(1.29 * config.shelf_width_m, rel=0.25)
+
+
+def test_the_bed_is_deep_before_the_weir() -> None:
+    base = TwinConfig.of_size("demo").scene
+    plain, dammed = (River(base.model_copy(update={"weir": weir}), SEED) for weir in (False, True))
+    s0 = dammed.weir_s_m()
+    assert 0.9 * base.length_m / 2 < s0 < base.length_m / 2
+    s = np.array([s0 - 2.0, s0 - 30.0, -100.0])
+    gain = dammed.depth(s, dammed.thalweg_n(s)) - plain.depth(s, plain.thalweg_n(s))
+    assert gain[0] > 0.9 * base.weir_pool_m
+    assert 0.2 * base.weir_pool_m < gain[1] < gain[0]
+    assert gain[2] < 0.02 * base.weir_pool_m
+    np.testing.assert_allclose(dammed.depth(s, dammed.half_width(s)), 0.0, atol=1e-12)
+
+
+def bodies_of(parts: MeshParts) -> list[ArrayF]:
+    """Faces (n, f, 3, 3) of the bodies of each piece: a closed body of v corners has 2 v - 4 faces."""
+    found, first = [], 0
+    for vertices, triangles in zip(parts.vertices, parts.triangles, strict=True):
+        count = (2 * len(vertices) - len(triangles)) // 4
+        assert len(triangles) % count == 0
+        found.append(vertices[triangles - first].reshape(count, -1, 3, 3))
+        first += len(vertices)
+    return found
+
+
+def test_stones_are_closed_of_natural_size_and_partly_sunk() -> None:
+    river = River(CONFIG.scene, SEED)
+    for add, low, high in ((add_boulders, 0.12, 1.1), (add_cobbles, 0.015, 0.16)):
+        parts = MeshParts()
+        add(parts, river, SEED)
+        bodies = bodies_of(parts)
+        assert sum(len(b) for b in bodies) > 500
+        sunk, size = [], []
+        for body in bodies:
+            a, b, c = (body[:, :, k] - body.mean(axis=(1, 2))[:, None] for k in range(3))
+            # Signed volume: positive if the faces look outward.
+            assert np.all(np.sum(a * np.cross(b, c), axis=(1, 2)) > 0)
+            points = body.reshape(len(body), -1, 3)
+            s, n = river.to_flow(points[..., 0], points[..., 1])
+            over = points[..., 2] - river.height(s, n)
+            sunk.append((over.min(axis=1) < 0) & (over.max(axis=1) > 0))
+            size.append(np.ptp(points[..., :2], axis=1).max(axis=1))
+        assert np.mean(np.concatenate(sunk)) > 0.99
+        sizes = np.concatenate(size)
+        assert sizes.min() > low
+        assert sizes.max() < high
+
+
+def test_riprap_is_densest_at_the_toe_of_the_embankment() -> None:
+    config = TwinConfig.of_size("demo")
+    river, parts = River(config.scene, SEED), MeshParts()
+    add_boulders(parts, river, SEED)
+    middle = np.concatenate([b.mean(axis=(1, 2)) for b in bodies_of(parts)])
+    s, n = river.to_flow(middle[:, 0], middle[:, 1])
+    right = -river.half_width(s) - n
+    toe, slope = np.sum(np.abs(right - 0.4) < 1.0), np.sum((right > 4.0) & (right < 6.0))
+    assert toe > 4 * slope > 0
+    assert len(middle) == pytest.approx(config.scene.stones_per_m * config.scene.length_m, rel=0.15)
+    # In groups: counts on pieces of 5 m scatter more than those of even chance would (Poisson: ratio 1).
+    counts = np.histogram(s, bins=int(config.scene.length_m / 5))[0]
+    assert counts.var() / counts.mean() > 2.0
+
+
+def standing(scene: Scene) -> ArrayB:
+    """Triangles of things, not of ground and water."""
+    return ~np.isin(scene.material, [*GROUND, Material.WATER])
+
+
+@pytest.mark.parametrize("changes", [(), ("moved_boulders", "fallen_tree", "gravel_bar", "grown_vegetation")])
+def test_nothing_stands_where_the_boat_sails(changes: tuple[str, ...]) -> None:
+    config = TwinConfig.of_size("tiny", scene={**FULL, "changes": list(changes)})
+    scene = build_scene(config, SEED)
+    river = River(config.scene, SEED)
+    middle = scene.vertices_wcs_m[scene.triangles[standing(scene)]].reshape(-1, 3)
+    s, n = river.to_flow(middle[:, 0], middle[:, 1])
+    # A metre of room beside the boat and three above it; the weir closes the end of the reach.
+    track = 0.94 * config.scene.width_m / 2 - config.boat.bank_distance_m
+    inside = (np.abs(n) < track + 1.0) & (middle[:, 2] < config.scene.water_level_m + 3.0)
+    inside &= np.abs(s - river.weir_s_m()) > 6.0
+    assert not inside.any()
+    # The bed too leaves the boat its draught.
+    track_s = np.linspace(-25.0, 25.0, 200)[:, None]
+    assert river.depth(track_s, np.linspace(-track, track, 41)).min() > 0.5
+
+
+def test_the_bridge_spans_the_river_and_the_weir_dams_it(full: tuple[TwinConfig, Scene]) -> None:
+    config, scene = full
+    river = River(config.scene, SEED)
+    concrete = scene.only(Material.CONCRETE).caster()
+    n = np.linspace(-8.0, 8.0, 50)
+    s0 = np.full(50, river.bridge_s_m())
+    up = np.column_stack([river.to_wcs(s0, n), np.full(50, 0.5)])
+    hit = concrete.cast(up, np.tile([0.0, 0, 1], (50, 1))).t_hit_m
+    assert np.all((hit > 3.0) & (hit < 9.0))
+    # Across the axis of the weir, from 5 m before it, just above and below the water.
+    s1 = np.full(50, river.weir_s_m() - 5.0)
+    along = np.column_stack([river.to_wcs(s1 + 1, n) - river.to_wcs(s1, n), np.zeros(50)])
+    for up_m, stops in ((0.05, True), (-0.3, True), (0.5, False)):
+        start = np.column_stack([river.to_wcs(s1, n), np.full(50, up_m)])
+        reached = concrete.cast(start, along).t_hit_m < 6.0
+        # The gap at the left bank stays open.
+        sill = n < river.half_width(s1).min() - 4.5
+        assert np.all(reached[sill] == stops)
+
+
+def keys(scene: Scene) -> set[bytes]:
+    """Each triangle with its material and variation as bytes."""
+    flat = scene.vertices_wcs_m[scene.triangles].reshape(-1, 9)
+    rows = np.column_stack([flat, scene.material, scene.variation])
+    return {row.tobytes() for row in np.ascontiguousarray(rows)}
+
+
+def places(found: set[bytes], river: River) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
+    """Flow coordinates of the middles of such triangles, their materials, and their heights."""
+    rows = np.frombuffer(b"".join(sorted(found))).reshape(-1, 11)
+    middle = rows[:, :9].reshape(-1, 3, 3).mean(axis=1)
+    s, n = river.to_flow(middle[:, 0], middle[:, 1])
+    return s, n, rows[:, 9], middle[:, 2]
+
+
+@pytest.fixture(scope="module")
+def first_epoch(reach: Scene) -> set[bytes]:
+    return keys(reach)
+
+
+@pytest.mark.parametrize(
+    "change", ["undercut_bank", "moved_boulders", "gravel_bar", "scour", "fallen_tree", "grown_vegetation"]
+)
+def test_an_epoch_differs_only_where_it_is_said_to(first_epoch: set[bytes], change: str) -> None:
+    config = TwinConfig.of_size("tiny", scene={"changes": [change], "retreat_m": 5.0})
+    later = keys(build_scene(config, SEED))
+    river = River(config.scene, SEED)
+    s, n, material, up = places(first_epoch ^ later, river)
+    assert len(s) > 100
+    where = stretch(config.scene, change)  # type: ignore[arg-type]
+    # Triangles that reach into the stretch have their middle at most a cell or a crown outside.
+    room = 3.0 if change == "undercut_bank" else 1.5
+    assert np.all(np.abs(s - where.middle_m) < where.half_m + room)
+    if change == "undercut_bank":
+        assert np.all(n > np.minimum(river.thalweg_n(s), 0.0) - 1.0)
+    if change == "moved_boulders":
+        assert set(material) == {Material.STONE}
+        assert np.all(n < 0)
+    if change == "scour":
+        assert set(material) == {Material.BED}
+        assert np.all(np.abs(n - river.thalweg_n(s)) < 0.1 * config.scene.width_m + 1.0)
+    if change == "gravel_bar":
+        assert np.all(n > 0)
+        assert Material.GRAVEL in set(material[up > 0])
+    if change == "fallen_tree":
+        assert set(material) == {Material.BARK}
+    if change == "grown_vegetation":
+        plants = [Material.LEAF, Material.BARK, Material.BLADE, Material.REED]
+        assert set(material) == {float(m) for m in plants}
+    if change != "grown_vegetation":
+        assert len(first_epoch & later) > 0.6 * len(first_epoch)
+
+
+def test_a_second_epoch_may_have_errors_of_its_own(first_epoch: set[bytes]) -> None:
+    config = TwinConfig.of_size("tiny", scene={"seed": SEED})
+    assert keys(build_scene(config, SEED + 1)) == first_epoch
+
+
+def test_changes_go_together(first_epoch: set[bytes]) -> None:
+    """Two changes at once are the two changes: neither shifts the other's random numbers."""
+    scenes = [
+        keys(build_scene(TwinConfig.of_size("tiny", scene={"changes": changes}), SEED))
+        for changes in (["fallen_tree"], ["moved_boulders"], ["fallen_tree", "moved_boulders"])
+    ]
+    first, second, both = scenes
+    assert both - first_epoch == (first - first_epoch) | (second - first_epoch)
+    assert first_epoch - both == (first_epoch - first) | (first_epoch - second)
+
+
+def test_the_undercut_bank_retreats_by_the_metres_of_the_settings() -> None:
+    config = TwinConfig.of_size("demo", scene={"changes": ["undercut_bank"], "retreat_m": 7.0}).scene
+    river, before = River(config, SEED), River(config.model_copy(update={"changes": ()}), SEED)
+    where = stretch(config, "undercut_bank")
+    s = np.linspace(-config.length_m / 2, config.length_m / 2, 2001)
+    retreat = river.retreat(s)
+    assert np.all(retreat[~where.holds(s)] == 0.0)
+    # 6 % of small bays, which the bump's top need not meet.
+    assert 6.0 < retreat.max() <= 7.0
+    middle, w = where.middle_m, float(before.half_width(where.middle_m))
+    n = np.array([w + 2.0, w + 4.0])
+    here = np.full(2, middle)
+    assert np.all(before.height(here, n) > 0.1)
+    assert np.all(river.height(here, n) < 0.0)
+    # The new bank is upright: from the water to a metre above it within a metre.
+    edge = w + float(river.retreat(middle))
+    profile = river.height(np.full(200, middle), np.linspace(edge, edge + 3.0, 200))
+    steepest = np.max(np.diff(profile)) / (3.0 / 199)
+    assert steepest > 1.2
+
+
+def test_retreat_and_bar_shift_no_station() -> None:
+    """The reference scanner stands on the left bank; the first epoch's half width is that of all epochs."""
+    config = TwinConfig.of_size("demo", scene={"changes": ["undercut_bank", "gravel_bar"]}).scene
+    before = River(config.model_copy(update={"changes": ()}), SEED)
+    s = np.linspace(-120.0, 120.0, 99)
+    assert np.array_equal(River(config, SEED).half_width(s), before.half_width(s))
+    stations = np.array([-1.0, 0.0, 1.0]) * 0.3 * config.length_m
+    assert not stretch(config, "undercut_bank").holds(stations).any()
+
+
+def test_flow_coordinates_and_back_at_any_direction() -> None:
+    for flow in (0.0, 90.0, 180.0, -135.0):
+        config = TwinConfig.of_size("tiny", scene={"flow_deg": flow}).scene
+        river = River(config, SEED)
+        rng = np.random.default_rng(4)
+        s, n = rng.uniform(-60, 60, 500), rng.uniform(-40, 40, 500)
+        east, north = river.to_wcs(s, n).T
+        again = river.to_flow(east, north)
+        np.testing.assert_allclose(again[0], s, atol=1e-9)
+        np.testing.assert_allclose(again[1], n, atol=1e-9)
+        way = river.to_wcs(np.array(60.0), np.array(0.0)) - river.to_wcs(np.array(-60.0), np.array(0.0))
+        # The meander's mean over part of a wave: a degree or two.
+        turned = np.rad2deg(np.arctan2(way[1], way[0])) - flow
+        assert abs((turned + 180) % 360 - 180) < 6.0
+
+
+def test_tiny_is_small(reach: Scene) -> None:
+    assert len(reach.triangles) < 700_000
+    leaves = np.count_nonzero(reach.material == Material.LEAF)
+    assert leaves > 20_000
+
+
+def test_a_scene_survives_being_written(reach: Scene, tmp_path: Path) -> None:
+    reach.write(tmp_path / "scene.npz")
+    again = Scene.read(tmp_path / "scene.npz")
+    assert np.array_equal(again.vertices_wcs_m, reach.vertices_wcs_m)
+    assert np.array_equal(again.triangles, reach.triangles)
+    assert np.array_equal(again.material, reach.material)
+    assert np.array_equal(again.variation, reach.variation)
+    assert again.water_level_m == reach.water_level_m
+
+
+def test_parts_of_a_scene_keep_what_belongs_to_them(reach: Scene) -> None:
+    leaves, rest = reach.only(Material.LEAF), reach.without(Material.LEAF)
+    assert set(leaves.material) == {Material.LEAF}
+    assert len(leaves.triangles) + len(rest.triangles) == len(reach.triangles)
+    assert np.array_equal(leaves.variation, reach.variation[reach.material == Material.LEAF])
+    np.testing.assert_array_equal(leaves.reflectance, REFLECTANCE[Material.LEAF])
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        (None, "file not found"),
+        (b"", "not a scene"),
+        (b"PK\x03\x04rubbish", "not a scene"),
+        (b"ply\n", "not a scene"),
+    ],
+)
+def test_what_is_no_scene_is_refused(tmp_path: Path, content: bytes | None, found: str) -> None:
+    path = tmp_path / "scene.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=found) as error:
+        Scene.read(path)
+    assert "simulate_scene" in error.value.cure
+
+
+@pytest.mark.parametrize("version", [1, 99])
+def test_a_scene_of_another_version_is_refused(tmp_path: Path, version: int) -> None:
+    path = tmp_path / "scene.npz"
+    facts = np.array(f'{{"version": {version}}}')
+    np.savez(path, vertices_wcs_m=np.zeros((3, 3)), triangles=[[0, 1, 2]], material=[0], facts=facts)
+    with pytest.raises(InputError, match=f"format version {version}"):
+        Scene.read(path)
+
+
+def test_without_objects_the_scene_is_ground_and_water() -> None:
+    config = TwinConfig.of_size(
+        "tiny",
+        scene={
+            "stones_per_m": 0.0, "cobbles_per_m": 0.0, "bushes_per_100m": 0.0, "trees_per_100m": 0.0,
+            "grass_per_m": 0.0, "reeds_per_m": 0.0, "posts_per_100m": 0.0, "buildings": 0, "railway": False,
+        },
+    )  # fmt: skip
+    found = set(np.unique(build_scene(config, 1).material))
+    assert found == {int(m) for m in (*GROUND, Material.WATER)}
+
+
+def test_leaves_of_a_bush_follow_the_setting() -> None:
+    few, many = (
+        np.count_nonzero(
+            build_scene(
+                TwinConfig.of_size("tiny", scene={"leaves_per_bush": k, "trees_per_100m": 0.0}), SEED
+            ).material
+            == Material.LEAF
+        )
+        for k in (100, 300)
+    )
+    # Two triangles a leaf; counts are rounded down plant by plant.
+    assert many / few == pytest.approx(3.0, rel=0.05)
+
+
+@pytest.mark.parametrize("length_m", [20.0, 35.0, 60.0])
+def test_a_short_reach_is_a_reach(length_m: float) -> None:
+    """Some kinds of objects have no place on it: that is no reason to fail."""
+    base = TwinConfig.of_size("tiny", scene={"length_m": length_m}, duration_s=1.0)
+    assert len(build_scene(base, SEED).triangles) > 1000

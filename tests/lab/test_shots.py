@@ -1,0 +1,57 @@
+"""The truth of shots: whole packets, drawn at random where a recording is long."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from thalweg.core.tables import read_table
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.instruments.shots import LIDAR_SHOTS, MANY_SHOTS, drawn_packets
+from thalweg_lab.voyage.motion import start_gps_s
+
+Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
+
+
+@pytest.mark.parametrize("mode", ["strongest", "dual"])
+def test_the_truth_of_long_recordings_is_that_of_whole_packets(
+    record: Recorder, monkeypatch: pytest.MonkeyPatch, mode: str
+) -> None:
+    every, _, config = record("every", lidar={"returns": mode}, duration_s=1.0)
+    full, facts = read_table(every.with_suffix(".parquet"), LIDAR_SHOTS)
+    assert facts["share"] == 1.0
+    assert facts["packets_drawn"] == facts["packets_fired"]
+    per = 12 if mode == "dual" else 24
+    monkeypatch.setattr("thalweg_lab.instruments.shots.MANY_SHOTS", 0.3 * facts["packets_fired"] * per * 16)
+    # Pieces end inside of what is drawn.
+    monkeypatch.setattr("thalweg_lab.instruments.lidar._CHUNK", 100)
+    some, _, _ = record("some", lidar={"returns": mode}, duration_s=1.0)
+    part, facts = read_table(some.with_suffix(".parquet"), LIDAR_SHOTS)
+    assert facts["share"] == pytest.approx(0.3)
+    assert every.read_bytes() == some.read_bytes(), "the log knows nothing of the truth that is kept"
+    # GPS times step by 0.12 us; the last shot of a packet ends 21 us before the next packet.
+    packet = np.floor((full["t_gps_s"] - start_gps_s(config) + 1e-6) / (per * 55.296e-6)).astype(int)
+    drawn, _ = drawn_packets(5, facts["packets_fired"], per * 16)
+    assert facts["packets_drawn"] == drawn.sum()
+    # Numbers of the same packets in the same order, and nothing of others.
+    expected = full[drawn[packet]].reset_index(drop=True)
+    assert 0.2 * len(full) < len(part) < 0.4 * len(full)
+    assert part.equals(expected)
+
+
+def test_packets_are_drawn_with_the_stated_chance() -> None:
+    fired = 400_000
+    drawn, share = drawn_packets(1, fired, 384)
+    assert share == MANY_SHOTS / (384 * fired)
+    # Binomial: four sigma, two-sided.
+    assert abs(drawn.sum() - share * fired) < 4 * np.sqrt(fired * share * (1 - share))
+    again, _ = drawn_packets(1, fired, 384)
+    other, _ = drawn_packets(2, fired, 384)
+    assert np.array_equal(drawn, again)
+    # Independent draws agree where both have or both lack a packet.
+    assert np.sum(drawn & other) < 4 * share * drawn.sum() + 10
+    # Neighbours no more often than by chance.
+    pairs = np.sum(drawn[1:] & drawn[:-1])
+    assert abs(pairs - fired * share**2) < 5 * np.sqrt(fired * share**2)

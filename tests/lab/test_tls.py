@@ -1,0 +1,215 @@
+"""Terrestrial scans: spacing, noise and footprint as stated, leaves at 1550 nm, rays only where of use."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+
+from thalweg.core.frames import LocalFrame
+from thalweg.core.geometry.raycast import RayCaster
+from thalweg.core.las.files import laz_header
+from thalweg.core.types import ArrayF, ArrayI
+from thalweg.settings.twin.lidar import TwinTls
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.base.river import River
+from thalweg_lab.instruments.tls import Scan, Station, scan, simulate_tls, station_positions
+from thalweg_lab.river.materials import REFLECTANCE, REFLECTANCE_1550, Material
+from thalweg_lab.river.outlook import outlook
+from thalweg_lab.river.scene import Scene
+
+SEED = 5
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+QUIET: dict[str, Any] = {"sigma_50m_m": 0.0, "sigma_floor_m": 0.0, "divergence_mrad": 0.0}
+
+
+def at(scene: Scene, centre: ArrayF, caster: RayCaster, **changes: Any) -> Station:
+    """A station with other settings, its random numbers being those of number 1."""
+    return Station.standing(TwinTls(**changes), SEED, 1, centre, scene, caster)
+
+
+@pytest.fixture(scope="module")
+def caster(scene: Scene) -> RayCaster:
+    return scene.caster()
+
+
+@pytest.fixture(scope="module")
+def centre(twin: Any, caster: RayCaster) -> ArrayF:
+    """The middle one of three stations."""
+    places = station_positions(twin.config, River(twin.config.scene, SEED), 3, caster)
+    return np.asarray(places[1])
+
+
+@pytest.fixture(scope="module")
+def look(scene: Scene, centre: ArrayF, caster: RayCaster) -> Callable[..., Scan]:
+    """A scan of 120 by 60 degrees (20 below to 40 above the horizon), 5 mrad apart, with settings."""
+
+    def again(step_rad: float = 0.005, **changes: Any) -> Scan:
+        return scan(at(scene, centre, caster, **changes), scene, -np.pi / 2, step_rad)
+
+    return again
+
+
+def facing_wall(distance_m: float) -> tuple[Any, RayCaster, ArrayF, ArrayI]:
+    """A wall square to +y, and 10,000 rays that meet it within 0.2 degrees of the middle."""
+    wall = np.array(
+        [[-50.0, distance_m, -50], [50, distance_m, -50], [50, distance_m, 50], [-50, distance_m, 50]]
+    )
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+
+    class Wall:
+        material = np.array([Material.WALL] * 2, dtype=np.uint8)
+        water_level_m = -100.0
+
+    rng = np.random.default_rng(1)
+    direction = np.column_stack([rng.uniform(-0.003, 0.003, (10_000, 1)), np.ones(10_000), np.zeros(10_000)])
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return Wall(), RayCaster(wall, triangles), direction, np.arange(10_000)
+
+
+@pytest.mark.parametrize(
+    ("floor_m", "distance_m", "sigma_m"),
+    [
+        # 1 mm and sqrt(3^2 - 1^2) mm at 50 m, that one in proportion to the distance.
+        (0.001, 1.0, 0.0010016),
+        (0.001, 25.0, 0.0017321),
+        (0.001, 50.0, 0.003),
+        (0.001, 100.0, 0.0057446),
+        # No floor: in proportion to the distance. All floor: the same everywhere.
+        (0.0, 1.0, 0.00006),
+        (0.0, 100.0, 0.006),
+        (0.003, 1.0, 0.003),
+        (0.003, 100.0, 0.003),
+    ],
+)
+def test_noise_is_three_millimetres_at_50_m(floor_m: float, distance_m: float, sigma_m: float) -> None:
+    wall, caster, direction, ray = facing_wall(distance_m)
+    found = at(wall, np.zeros(3), caster, divergence_mrad=0.0, sigma_floor_m=floor_m).shoot(ray, direction)
+    error = found.points_wcs_m - distance_m * direction / direction[:, 1:2]
+    # P2 5.1: 3 mm in 3D at 50 m. n = 10,000: 0.7 % a component, 0.4 % in all; four times that.
+    assert np.sqrt(np.mean(np.sum(error**2, axis=1))) == pytest.approx(sigma_m, rel=0.02)
+    np.testing.assert_allclose(np.std(error, axis=0), sigma_m / 3**0.5, rtol=0.03)
+    np.testing.assert_allclose(found.reflectance, REFLECTANCE_1550[Material.WALL], rtol=1e-4)
+
+
+def test_the_footprint_is_a_tenth_of_the_mobile_lidars() -> None:
+    """Seen as the spread of ranges on a wall that is met at 60 degrees."""
+    _, caster, _, ray = facing_wall(50.0)
+    tilted, _, _, _ = facing_wall(50.0)
+    direction = np.tile([np.sin(np.pi / 3), 0.5, 0.0], (len(ray), 1))
+    centre = np.array([0.0, 25.0, 0.0]) - [25.0 * np.tan(np.pi / 3), 0, 0]
+    settings = {"sigma_50m_m": 0.0, "sigma_floor_m": 0.0, "dark_dropouts": False}
+    found = at(tilted, centre, caster, **settings).shoot(ray, direction)
+    r = np.linalg.norm(found.points_wcs_m - centre, axis=1)
+    # Two cells: sigma = divergence * 50 m / 4 * sqrt(2 / 3) across the beam, times tan(60 deg) along it; n
+    # gives 0.7 %.
+    assert np.std(r) == pytest.approx(3e-4 * 50 / 4 * (2 / 3) ** 0.5 * np.tan(np.pi / 3), rel=0.03)
+    sharp = at(tilted, centre, caster, divergence_mrad=0.0, **settings).shoot(ray, direction)
+    assert np.ptp(np.linalg.norm(sharp.points_wcs_m - centre, axis=1)) < 1e-4
+
+
+def test_points_on_the_far_shore_have_the_spacing_of_the_settings(twin: Any, tmp_path: Path) -> None:
+    config = TwinConfig.of_size("tiny", tls={"spacing_m": 0.05, "coordinates": "local", **QUIET})
+    simulate_tls(config, SEED, FRAME, twin.path("scene.npz"), [tmp_path / "1.laz"], crs="EPSG:25833")
+    assert laz_header(tmp_path / "1.laz").frame == FRAME  # or they would pass for coordinates of the grid
+    cloud = laspy.read(tmp_path / "1.laz")
+    points = np.column_stack([cloud.x, cloud.y, cloud.z])
+    river = River(config.scene, SEED)
+    centre = station_positions(config, river, 1, Scene.read(twin.path("scene.npz")).caster())[0]
+    away = points - centre
+    azimuth, flat = np.arctan2(away[:, 1], away[:, 0]), np.hypot(away[:, 0], away[:, 1])
+    shore = (np.abs(flat - (config.scene.width_m + 3.0)) < 1.0) & (np.abs(azimuth + np.pi / 2) < 0.3)
+    assert np.sum(shore) > 1000
+    columns = np.unique(np.round(azimuth[shore], 4))
+    step = np.median(np.diff(columns[np.concatenate([[True], np.diff(columns) > 5e-4])]))
+    # Coordinates in steps of 1 mm blur the azimuth by 0.04 mrad of 2 mrad.
+    assert step * (config.scene.width_m + 3.0) == pytest.approx(0.05, rel=0.05)
+
+
+def test_no_useful_ray_is_spared(scene: Scene, centre: ArrayF, caster: RayCaster) -> None:
+    azimuth, elevation = np.arange(-3.0, 3.0, 0.01), np.arange(-0.35, 0.26, 0.01)
+    wanted = outlook(scene, centre, azimuth, elevation)
+    a, e = np.meshgrid(azimuth, elevation, indexing="ij")
+    direction = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1).reshape(-1, 3)
+    hits = caster.cast(centre, direction)
+    solid = np.isfinite(hits.t_hit_m) & (scene.material[np.maximum(hits.primitive, 0)] != Material.WATER)
+    assert not np.any(solid & ~wanted.ravel())
+    # Over the water the sky and the water are spared: a part of all that is wasted.
+    ahead = np.abs(azimuth + np.pi / 2) < 1.0
+    useful = solid.reshape(wanted.shape)[ahead].mean()
+    assert useful < wanted[ahead].mean() < useful + 0.4
+
+
+def test_all_echoes_are_written_with_their_numbers(look: Callable[..., Scan]) -> None:
+    # A wide beam, so that a small scan has many edges.
+    every = look(divergence_mrad=3.0)
+    assert every.counts["points"] == len(every.points_wcs_m)
+    assert every.counts["later_returns"] == np.sum(every.return_number == 2) > 100
+    assert set(every.number_of_returns) == {1, 2}
+    second = np.flatnonzero(every.return_number == 2)
+    assert np.all(every.return_number[second - 1] == 1)
+    assert np.all(every.number_of_returns[second - 1] == 2)
+    one = look(divergence_mrad=3.0, multi_target=False)
+    assert one.counts["points"] == every.counts["points"] - every.counts["later_returns"]
+    assert set(one.number_of_returns) == {1}
+    # Narrow beams pass between the leaves: a tenth of the footprint has far fewer edges in it.
+    assert look().counts["later_returns"] < 0.3 * every.counts["later_returns"]
+
+
+def test_leaves_and_wet_ground_are_darker_at_1550_nm(look: Callable[..., Scan]) -> None:
+    settings: dict[str, Any] = {**QUIET, "dark_dropouts": False, "wet_reflectance": 1.0}
+    far, near = look(**settings), look(wavelength_nm=905, **settings)
+    np.testing.assert_array_equal(far.points_wcs_m, near.points_wcs_m)
+    ratio = far.reflectance / near.reflectance
+    known = REFLECTANCE_1550 / REFLECTANCE
+    assert np.all(np.min(np.abs(ratio[:, None] - known), axis=1) < 1e-9)
+    assert known[Material.LEAF] < 0.8
+    assert np.sum(np.abs(ratio - known[Material.LEAF]) < 1e-9) > 100
+    wet = look(**{**settings, "wet_reflectance": 0.3})
+    low = far.points_wcs_m[:, 2] < 0.1
+    assert np.sum(low) > 20
+    np.testing.assert_allclose(wet.reflectance[low], 0.3 * far.reflectance[low])
+    np.testing.assert_array_equal(wet.reflectance[~low], far.reflectance[~low])
+
+
+def test_each_fault_can_be_switched_off_alone(look: Callable[..., Scan]) -> None:
+    full = look()
+    assert full.counts["dropouts_water"] > 100
+    assert full.counts["dropouts_weak"] > 10
+    weak = look(dark_dropouts=False)
+    assert weak.counts["dropouts_weak"] == 0
+    assert len(weak.points_wcs_m) == len(full.points_wcs_m) + full.counts["dropouts_weak"]
+    lost = look(dropouts=0.2)
+    assert len(lost.points_wcs_m) == pytest.approx(0.8 * len(full.points_wcs_m), rel=0.03)
+    # Points are the same to the last bit, noise too: only fewer.
+    all_points = {p.tobytes() for p in full.points_wcs_m}
+    assert all(p.tobytes() in all_points for p in lost.points_wcs_m)
+    sharp = look(mixed_pixels=False)
+    assert sharp.counts["mixed"] == 0 < full.counts["mixed"]
+    assert len(sharp.points_wcs_m) == pytest.approx(len(full.points_wcs_m), rel=0.002)
+    exact, noisy = look(sigma_50m_m=0.0, sigma_floor_m=0.0), full
+    assert len(exact.points_wcs_m) == len(noisy.points_wcs_m)
+    np.testing.assert_array_equal(exact.reflectance, noisy.reflectance)
+    assert 0 < np.max(np.linalg.norm(exact.points_wcs_m - noisy.points_wcs_m, axis=1)) < 0.05
+
+
+def test_stations_stand_where_they_see_the_other_bank(twin: Any, caster: RayCaster) -> None:
+    river = River(twin.config.scene, SEED)
+    nominal = station_positions(twin.config, river, 3)
+    chosen = station_positions(twin.config, river, 3, caster)
+    assert np.all(np.linalg.norm((nominal - chosen)[:, :2], axis=1) < 3.0)
+
+    def view(place: ArrayF) -> float:
+        a = -np.pi / 2 + np.linspace(-0.7, 0.7, 141)
+        e = np.deg2rad([-3.0, 0.0, 3.0])[:, None] + 0 * a
+        rays = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1).reshape(-1, 3)
+        return float(np.mean(caster.cast(place, rays).t_hit_m > 8.0))
+
+    assert all(view(b) >= view(a) - 0.05 for a, b in zip(nominal, chosen, strict=True))
+    assert min(view(b) for b in chosen) > 0.5
+
+
+def test_scans_of_a_seed_are_the_same_and_of_another_are_not(look: Callable[..., Scan]) -> None:
+    np.testing.assert_array_equal(look().points_wcs_m, look().points_wcs_m)

@@ -1,0 +1,205 @@
+"""The true motion: derivatives agree with differences, the boat stays in the water and sees both banks."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.core.errors import ConfigError, CoverageError
+from thalweg.core.frames import LocalFrame
+from thalweg.settings.twin.sections import TwinConfig
+from thalweg_lab.base.random import gauss_markov, generator
+from thalweg_lab.voyage.motion import epochs
+from thalweg_lab.voyage.truth import true_trajectory
+from thalweg_lab.voyage.voyage import Voyage
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+
+
+@pytest.fixture(scope="module", params=["tiny", "demo", "mulde", "reach"])
+def voyage(request: pytest.FixtureRequest) -> Voyage:
+    return Voyage(TwinConfig.of_size(request.param), 3)
+
+
+def test_rates_and_velocities_are_the_derivatives_of_the_pose(
+    voyage: Voyage, rng: np.random.Generator
+) -> None:
+    t = voyage.start_gps_s + rng.uniform(0, voyage.config.duration_s, 400)
+    h = 1e-3
+    # Time differences are taken as the floats give them: at 3e8 s they step by 60 ns.
+    before, after = t - h, t + h
+    step = (after - before)[:, None]
+    velocity = (voyage.position_wcs_m(after) - voyage.position_wcs_m(before)) / step
+    # h^2/6 times the third derivative (50 rad/s^3 of sway at most) is 1e-7 m/s; 60 ns stamps give 2e-4 of it.
+    np.testing.assert_allclose(voyage.velocity_wcs_mps(t), velocity, atol=2e-5)
+    acceleration = (voyage.velocity_wcs_mps(after) - voyage.velocity_wcs_mps(before)) / step
+    # The Hermite spline's second derivative is right to the square of its 20 ms nodes.
+    np.testing.assert_allclose(voyage.velocity_wcs_mps(t, 2), acceleration, atol=2e-3)
+    turn = Rotation.from_matrix(voyage.R_wcs_ics(before)).inv() * Rotation.from_matrix(
+        voyage.R_wcs_ics(after)
+    )
+    np.testing.assert_allclose(voyage.rates_ics_radps(t), turn.as_rotvec() / step, atol=2e-5)
+    lever = np.array([1.0, -2.0, 0.5])
+    moved = (voyage.sensor_wcs_m(after, lever) - voyage.sensor_wcs_m(before, lever)) / step
+    np.testing.assert_allclose(voyage.sensor_velocity_wcs_mps(t, lever), moved, atol=5e-5)
+
+
+def test_speed_and_turn_rate_are_those_of_the_settings(voyage: Voyage) -> None:
+    boat = voyage.config.boat
+    t = voyage.start_gps_s + np.arange(0, voyage.config.duration_s, 0.05)
+    speed = np.linalg.norm(voyage.velocity_wcs_mps(t)[:, :2], axis=1)
+    # 1e-6: error of the Hermite spline between nodes.
+    np.testing.assert_allclose(speed, boat.speed_mps, rtol=1e-6)
+    v = voyage.velocity_wcs_mps(t)
+    turning = np.abs(np.gradient(np.unwrap(np.arctan2(v[:, 1], v[:, 0])), t))
+    # The zigzag leaves the river's own bends room within the rate: it is reached where both add up, and the
+    # reach may have no turn just there.
+    assert np.rad2deg(turning.max()) <= boat.turn_rate_degps + 1e-3
+    assert np.rad2deg(turning.max()) > 0.95 * boat.turn_rate_degps
+
+
+def test_the_zigzag_reaches_both_sides_and_stays_in_the_water(voyage: Voyage) -> None:
+    config = voyage.config
+    t = voyage.start_gps_s + np.arange(-4.9, config.duration_s + 4.9, 0.1)
+    p = voyage.position_wcs_m(t)
+    s, n = voyage.river.to_flow(p[:, 0], p[:, 1])
+    np.testing.assert_allclose(voyage.river.to_wcs(s, n), p[:, :2], atol=1e-9)
+    amplitude = 0.94 * config.scene.width_m / 2 - config.boat.bank_distance_m
+    assert n.max() == pytest.approx(amplitude, rel=0.05)
+    assert n.min() == pytest.approx(-amplitude, rel=0.05)
+    draught_m = 0.2
+    assert np.min(voyage.river.depth(s, n)) > draught_m + 0.3
+    assert np.max(np.abs(s)) < config.scene.length_m / 2
+
+
+def test_the_boat_keeps_clear_of_weir_and_ends(voyage: Voyage) -> None:
+    config = voyage.config
+    p = voyage.position_wcs_m(voyage.start_gps_s + np.arange(-4.9, config.duration_s + 4.9, 1.0))
+    s, _ = voyage.river.to_flow(p[:, 0], p[:, 1])
+    assert np.max(np.abs(s)) < config.scene.length_m / 2 - 15.0
+    if config.scene.weir:
+        assert np.min(np.abs(s - voyage.river.weir_s_m())) > 15.0
+    if config.size == "reach":
+        assert np.ptp(s) == pytest.approx(1500.0, rel=0.02)
+        # The weir closes the reach in the west.
+        weir = voyage.river.to_wcs(np.array(voyage.river.weir_s_m()), np.array(0.0))
+        assert weir[0] < p[:, 0].min()
+
+
+def test_the_boat_heels_outwards_in_turns() -> None:
+    still = {"roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 0.0, "heave_m": 0.0}
+    voyage = Voyage(TwinConfig.of_size("tiny", boat=still), 3)
+    t = voyage.start_gps_s + np.arange(0.0, 25.0, 0.05)
+    roll, pitch, heading = voyage.angles_rad(t)
+    rate = np.gradient(np.unwrap(heading), t)
+    boat = voyage.config.boat
+    # A turn to the right (heading grows) throws the boat's top to the left: the right side rises.
+    expected = -boat.heel_share * boat.speed_mps * rate / 9.81
+    # 4e-4: second difference of a rate that bends by 0.3 rad/s^3 over 0.05 s.
+    np.testing.assert_allclose(roll, expected, atol=4e-4)
+    assert np.rad2deg(np.max(np.abs(roll))) == pytest.approx(2.9, abs=0.3)
+    np.testing.assert_array_equal(pitch, 0.0)
+
+
+def test_waves_sway_the_boat_within_the_amplitudes_and_together() -> None:
+    voyage = Voyage(TwinConfig.of_size("mulde", boat={"heel_share": 0.0}), 3)
+    boat = voyage.config.boat
+    t = voyage.start_gps_s + np.arange(0.0, 1000.0, 0.1)
+    roll, pitch, _ = voyage.angles_rad(t)
+    heave = voyage.position_wcs_m(t)[:, 2] - voyage.config.scene.water_level_m - boat.height_m
+    limits = np.array([np.deg2rad(boat.roll_deg), np.deg2rad(boat.pitch_deg), boat.heave_m])
+    for motion, limit in zip((roll, pitch, heave), limits, strict=True):
+        # Amplitudes that add up to the limit come close to it together within a thousand seconds, not always.
+        assert 0.55 * limit < np.max(np.abs(motion)) <= limit + 1e-12
+    # A boat tilts most where the water rises fastest: roll and pitch go with the rate of heave.
+    rate = voyage.velocity_wcs_mps(t)[:, 2]
+    tilt = np.linalg.lstsq(np.stack([roll, pitch], axis=1), rate, rcond=None)[0]
+    with_rate = np.corrcoef(np.stack([roll, pitch], axis=1) @ tilt, rate)[0, 1]
+    assert with_rate > 0.3
+    assert abs(np.corrcoef(pitch, heave)[0, 1]) < 0.1
+
+
+def test_thrust_lies_between_zero_and_one_and_turns_the_boat(voyage: Voyage) -> None:
+    t = voyage.start_gps_s + np.arange(0.0, min(voyage.config.duration_s, 300.0), 0.1)
+    thrust = voyage.thrust(t)
+    assert thrust.shape == (len(t), 2)
+    assert thrust.min() >= 0.0
+    assert thrust.max() <= 1.0
+    velocity = voyage.velocity_wcs_mps(t)
+    to_left = np.gradient(np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])), t)
+    fast = np.abs(to_left) > 0.8 * np.abs(to_left).max()
+    difference = thrust[:, 1] - thrust[:, 0]
+    # The right motor pushes harder in turns to the left. The boat's inertia delays it within a turn only.
+    assert np.all(np.sign(difference[fast]) == np.sign(to_left[fast]))
+    on_legs = np.abs(to_left) < 0.02 * np.abs(to_left).max()
+    assert np.abs(difference[on_legs]).max() < 0.4 * np.abs(difference).max()
+
+
+def test_full_thrust_is_not_exceeded_and_slow_boats_idle() -> None:
+    mean = [
+        float(np.mean(v.thrust(v.start_gps_s + np.arange(0.0, 20.0, 0.1))))
+        for v in (Voyage(TwinConfig.of_size("tiny", boat={"speed_mps": k}), 3) for k in (0.3, 1.0, 2.4))
+    ]
+    assert 0.05 < mean[0] < mean[1] < mean[2] <= 1.0
+
+
+def test_the_truth_file_holds_the_motion(voyage: Voyage) -> None:
+    truth = true_trajectory(voyage, FRAME)
+    t = voyage.start_gps_s + np.linspace(0, min(20.0, voyage.config.duration_s), 333)
+    position, rotation, valid = truth.at(t)
+    assert valid.all()
+    # Chord error of 5 ms nodes: a dt^2 / 8 with a < 1.1 m/s^2 is 3.5 um.
+    np.testing.assert_allclose(position, voyage.position_wcs_m(t), atol=5e-6)
+    np.testing.assert_allclose(rotation, voyage.R_wcs_ics(t), atol=5e-6)
+
+
+def test_outside_its_time_the_boat_is_nowhere() -> None:
+    voyage = Voyage(TwinConfig.of_size("tiny"), 3)
+    with pytest.raises(CoverageError, match="after the start"):
+        voyage.position_wcs_m(np.array([voyage.start_gps_s + 31.0]))
+
+
+@pytest.mark.parametrize(
+    ("changes", "found"),
+    [
+        ({"boat": {"bank_distance_m": 11.0}}, "leaves no water in the middle"),
+        ({"duration_s": 120.0}, "along a reach of 130 m"),
+        ({"boat": {"turn_rate_degps": 0.3}}, "the river's bends alone turn the boat"),
+    ],
+)
+def test_an_impossible_voyage_is_refused(changes: dict[str, object], found: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        Voyage(TwinConfig.of_size("tiny", **changes), 3)
+    assert found in str(error.value)
+    assert "twin." in error.value.cure
+
+
+def test_epochs_lie_on_the_gps_grid() -> None:
+    config = TwinConfig.of_size("tiny", start_utc="2021-05-12T08:59:58.333Z")
+    t = epochs(config, 10.0)
+    # 1e-7: step of float64 at 3e8 s.
+    np.testing.assert_allclose(t * 10, np.rint(t * 10), atol=1e-6)
+    np.testing.assert_allclose(np.diff(t), 0.1, atol=1e-7)
+
+
+def test_gauss_markov_has_its_sigma_and_its_correlation_two_sided() -> None:
+    x = gauss_markov(np.random.default_rng(1), 400_000, 0.1, 2.0, 1.0)
+    # 400,000 samples with 20 correlated steps each: 20,000 independent ones, sigma known to 0.5 %.
+    assert np.std(x) == pytest.approx(2.0, rel=0.02)
+    for lag in (1, 10, 20):
+        found = np.mean(x[lag:] * x[:-lag]) / np.mean(x * x)
+        assert found == pytest.approx(np.exp(-0.1 * lag), abs=0.02)
+    # Stationary from the first epoch: 3,000 starts give sigma to 1.3 %.
+    starts = [gauss_markov(np.random.default_rng(k), 2, 0.1, 2.0, 1.0) for k in range(3000)]
+    assert np.std([s[0] for s in starts]) == pytest.approx(2.0, rel=0.05)
+    assert np.std([s[1] for s in starts]) == pytest.approx(2.0, rel=0.05)
+
+
+def test_generators_differ_by_name_and_seed() -> None:
+    drawn = [generator(seed, name).integers(2**60) for seed in (1, 2) for name in ("lidar", "ins", "ins raw")]
+    assert len(set(drawn)) == 6
+
+
+def test_no_boat_sails_over_a_weir() -> None:
+    config = TwinConfig.of_size("tiny", scene={"weir": True, "weir_place": 0.1})
+    with pytest.raises(ConfigError, match=r"over the weir at 6 m.*Move twin\.scene\.weir_place"):
+        Voyage(config, 3)

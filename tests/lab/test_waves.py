@@ -1,0 +1,107 @@
+"""Waves: height and slope as asked for, dispersion, footprint, repeatability."""
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import GeometryError
+from thalweg_lab.river.waves import Waves, angular_frequency
+
+
+@pytest.fixture(scope="module")
+def places() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(1)
+    return rng.uniform(-800, 800, 200_000), rng.uniform(-800, 800, 200_000), rng.uniform(0, 900, 200_000)
+
+
+@pytest.mark.parametrize(("slope", "height"), [(0.04, None), (0.03, 0.003), (0.05, 0.010)])
+def test_height_and_slope_are_what_was_asked_for(places, slope: float, height: float | None) -> None:
+    waves = Waves.draw(7, rms_slope=slope, rms_height_m=height)
+    wanted = 0.12 * slope if height is None else height
+    assert waves.rms_slope == pytest.approx(slope, rel=1e-9)
+    assert waves.rms_height_m == pytest.approx(wanted, rel=1e-6)
+    normal = waves.normal(*places)
+    gradient = -normal[:, :2] / normal[:, 2:]
+    # 200,000 independent samples: sampling error of an rms about 1/sqrt(2 n) = 0.2 %, taken five times.
+    assert np.sqrt(np.mean(np.sum(gradient**2, axis=1))) == pytest.approx(slope, rel=0.01)
+    assert np.std(waves.height_m(*places)) == pytest.approx(wanted, rel=0.01)
+
+
+def test_the_normal_is_that_of_the_height(places) -> None:
+    waves = Waves.draw(3, rms_slope=0.05)
+    east, north, t = (a[:500] for a in places)
+    h = 1e-5
+    gradient = np.stack(
+        [
+            (waves.height_m(east + h, north, t) - waves.height_m(east - h, north, t)) / (2 * h),
+            (waves.height_m(east, north + h, t) - waves.height_m(east, north - h, t)) / (2 * h),
+        ],
+        axis=1,
+    )
+    normal = waves.normal(east, north, t)
+    # Central differences over 1e-5 m of waves of 5 cm: relative error (k h)^2 / 6 = 3e-7, rounding 1e-10.
+    np.testing.assert_allclose(-normal[:, :2] / normal[:, 2:], gradient, atol=1e-7)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-12)
+
+
+def test_waves_travel_at_the_speed_of_the_dispersion_relation() -> None:
+    # Phase speed of a wave of 1 m: sqrt(g / k) = 1.2495 m/s, capillarity adds 0.01 %.
+    k = 2 * np.pi
+    assert angular_frequency(k) / k == pytest.approx(np.sqrt(9.81 / k), rel=2e-4)
+    # The slowest wave on water: 0.23 m/s at 17 mm (Lamb 1932, art. 267).
+    lengths = np.geomspace(0.002, 1.0, 20_000)
+    speed = angular_frequency(2 * np.pi / lengths) * lengths / (2 * np.pi)
+    assert speed.min() == pytest.approx(0.231, abs=0.002)
+    assert lengths[np.argmin(speed)] == pytest.approx(0.0171, abs=0.0003)
+    waves = Waves.draw(5, rms_slope=0.04)
+    np.testing.assert_allclose(waves.omega_radps, angular_frequency(waves.k_radpm), rtol=1e-12)
+    # One wave alone comes to another place after the time that its speed takes.
+    one = Waves(
+        amplitude_m=np.array([0.01]), k_east_radpm=np.array([k]), k_north_radpm=np.array([0.0]),
+        omega_radps=angular_frequency([k]), phase_rad=np.array([0.3]),
+    )  # fmt: skip
+    there = one.height_m(np.array([2.0]), np.array([0.0]), 2.0 * k / angular_frequency(k))
+    np.testing.assert_allclose(there, one.height_m(np.array([0.0]), np.array([0.0]), 0.0), atol=1e-12)
+
+
+def test_the_current_carries_the_waves() -> None:
+    still = Waves.draw(5, rms_slope=0.04)
+    carried = Waves.draw(5, rms_slope=0.04, current_mps=(0.5, -0.2))
+    east, north, t = np.linspace(0, 9, 50), np.linspace(3, 4, 50), 7.0
+    moved = carried.height_m(east + 0.5 * t, north - 0.2 * t, t)
+    # Phases of some 1e3 rad in float64.
+    np.testing.assert_allclose(moved, still.height_m(east, north, t), atol=1e-11)
+
+
+def test_short_waves_become_roughness(places) -> None:
+    waves = Waves.draw(7, rms_slope=0.04)
+    for footprint in (0.0, 0.02, 0.1, 0.6, 5.0):
+        normal = waves.normal(*places, footprint_m=footprint)
+        seen = np.mean(np.sum((normal[:, :2] / normal[:, 2:]) ** 2, axis=1))
+        hidden = waves.hidden_slope_variance(footprint)[0]
+        # Sampling error as above.
+        assert seen + hidden == pytest.approx(0.04**2, rel=0.01)
+    assert waves.hidden_slope_variance(0.0)[0] == 0.0
+    assert waves.hidden_slope_variance(5.0)[0] == pytest.approx(0.04**2, rel=1e-9)
+    np.testing.assert_array_equal(waves.normal(*places, footprint_m=5.0)[0], [0.0, 0.0, 1.0])
+
+
+def test_the_same_seed_gives_the_same_water(places) -> None:
+    first, again, other = (Waves.draw(s, rms_slope=0.04) for s in (2, 2, 3))
+    np.testing.assert_array_equal(first.normal(*places), again.normal(*places))
+    assert np.max(np.abs(first.height_m(*places) - other.height_m(*places))) > 0.005
+    # A single place gets the same water as in company.
+    alone = first.normal(*(a[77:78] for a in places))
+    np.testing.assert_array_equal(alone, first.normal(*places)[77:78])
+
+
+def test_a_mirror_and_what_is_refused() -> None:
+    flat = Waves.draw(1, rms_slope=0.0)
+    np.testing.assert_array_equal(flat.normal(np.zeros(2), np.ones(2), 3.0), [[0, 0, 1], [0, 0, 1]])
+    with pytest.raises(GeometryError, match="steeper waves break"):
+        Waves.draw(1, rms_slope=0.5)
+    with pytest.raises(GeometryError, match=r"rms height 0\.1 m"):
+        Waves.draw(1, rms_slope=0.04, rms_height_m=0.1)
+    with pytest.raises(GeometryError, match="without slope"):
+        Waves.draw(1, rms_slope=0.0, rms_height_m=0.1)
+    with pytest.raises(GeometryError, match="or one time"):
+        flat.normal(np.zeros(3), np.zeros(3), np.zeros(2))

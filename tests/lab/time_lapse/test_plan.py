@@ -1,0 +1,97 @@
+"""Times, names, poses, lens and defects of the time-lapse images."""
+
+import numpy as np
+import pytest
+from tests.lab.time_lapse.conftest import CONFIG, MOUNTS, SEED, settings
+
+from thalweg.core.errors import ConfigError
+from thalweg.core.frames import rotation_opk
+from thalweg.settings.twin.camera import TwinLens
+from thalweg_lab.instruments.stamps import start_us
+from thalweg_lab.time_lapse.plan import plan_images, scaled_lens
+from thalweg_lab.voyage.voyage import Voyage
+from thalweg_lab.yard_images.images import true_camera
+from thalweg_lab.yard_records.image_times import clock_minus_utc_s
+
+
+def test_a_smaller_image_is_the_same_lens_with_larger_pixels() -> None:
+    lens = TwinLens(size_px=(1600, 1200), focal_px=1295.0, principal_offset_px=(4.4, -2.9))
+    large, small = true_camera(lens, "large"), true_camera(scaled_lens(lens, (720, 540)), "small")
+    rays = np.random.default_rng(1).normal(0, 0.25, (50, 3)) + np.array([0, 0, 1])
+    # 1e-9 px: two evaluations of the same polynomial.
+    np.testing.assert_allclose(small.project(rays), 0.45 * large.project(rays), atol=1e-9)
+
+
+def test_another_proportion_cuts_rows_evenly_and_keeps_columns() -> None:
+    lens = TwinLens(size_px=(1600, 1200), focal_px=1295.0, principal_offset_px=(4.4, -2.9))
+    large, wide = true_camera(lens, "large"), true_camera(scaled_lens(lens, (800, 400)), "wide")
+    rays = np.array([[0.0, 0.0, 1.0], [0.3, 0.1, 1.0], [-0.2, -0.15, 1.0]])
+    expected = 0.5 * large.project(rays) - [0.0, 100.0]
+    np.testing.assert_allclose(wide.project(rays), expected, atol=1e-9)
+
+
+def test_poses_are_those_of_boat_and_mount_at_the_true_exposure() -> None:
+    plan = plan_images(CONFIG, settings(), SEED, MOUNTS)
+    voyage, mount = Voyage(CONFIG, SEED), MOUNTS["camera"]
+    t = np.array([s.t_gps_s for s in plan.shots])
+    R = voyage.R_wcs_ics(t) @ rotation_opk(
+        *np.deg2rad([mount[f"{a}_deg"] for a in ("omega", "phi", "kappa")])
+    )
+    centre = voyage.sensor_wcs_m(t, np.array(mount["lever_ics_m"]))
+    np.testing.assert_allclose(np.stack([s.T_wcs_ccs.R for s in plan.shots]), R, atol=1e-12)
+    np.testing.assert_allclose(np.stack([s.T_wcs_ccs.shift_m for s in plan.shots]), centre, atol=1e-9)
+    # The camera looks to the right, and upright: its y axis points down.
+    assert (R[:, 2, 1] < -0.95).all()
+
+
+def test_stamps_follow_the_cameras_clock_with_its_jitter() -> None:
+    plan = plan_images(CONFIG, settings(share=1.0, rate_hz=10.0), SEED, MOUNTS)
+    since = np.array([s.since_s for s in plan.shots])
+    shown = (np.array([s.stamp_us for s in plan.shots]) - start_us(CONFIG)) * 1e-6
+    error = shown - since - clock_minus_utc_s(CONFIG.camera, since)
+    n, jitter = len(error), CONFIG.camera.jitter_s
+    assert n > 200
+    # Five sigma of mean and standard deviation of n normal numbers.
+    assert abs(error.mean()) < 5 * jitter / np.sqrt(n)
+    assert abs(error.std() / jitter - 1) < 5 / np.sqrt(2 * n)
+    assert np.allclose(np.diff(since), 0.1, atol=0.2)
+    assert all(s.stamp_us % 1000 == 0 for s in plan.shots)
+
+
+def test_smear_is_the_way_of_a_place_in_the_image_while_the_shutter_is_open() -> None:
+    plan = plan_images(CONFIG, settings(), SEED, MOUNTS)
+    open_s, voyage = CONFIG.camera.exposure_s, Voyage(CONFIG, SEED)
+    R_ics_ccs = rotation_opk(*np.deg2rad([MOUNTS["camera"][f"{a}_deg"] for a in ("omega", "phi", "kappa")]))
+    lever = np.array(MOUNTS["camera"]["lever_ics_m"])
+    for shot in plan.shots[::4]:
+        place = shot.T_wcs_ccs.apply([[0.0, 0.0, 12.0]])
+        at = []
+        for t in (shot.t_gps_s - open_s / 2, shot.t_gps_s + open_s / 2):
+            R = voyage.R_wcs_ics(np.array([t]))[0] @ R_ics_ccs
+            at.append(plan.camera.project((place - voyage.sensor_wcs_m(np.array([t]), lever)) @ R)[0])
+        # 0.01 px: GPS seconds of 3e8 step by 6e-8 s, that is 1e-4 of 0.8 ms; the motion is not quite even.
+        np.testing.assert_allclose(shot.smear_px, at[1] - at[0], atol=0.01)
+    assert max(np.hypot(*s.smear_px) for s in plan.shots) > 0.05
+
+
+def test_defective_images_are_as_many_as_asked_for_and_the_others_do_not_change() -> None:
+    usual = plan_images(CONFIG, settings(), SEED, MOUNTS)
+    effects = {"unstamped": 2, "duplicated": 3, "blurred": 1}
+    plan = plan_images(CONFIG, settings(effects=effects), SEED, MOUNTS)
+    assert sum(not s.stamped for s in plan.shots) == 2
+    assert sum(bool(s.copy_name) for s in plan.shots) == 3
+    assert sum(not s.sharp for s in plan.shots) == 1
+    for a, b in zip(usual.shots, plan.shots, strict=True):
+        assert a.stamp_us == b.stamp_us
+        assert (a.name == b.name) == b.stamped
+    names = [name for s in plan.shots for name in (s.name, s.copy_name) if name]
+    assert len(set(names)) == len(names)
+
+
+def test_refusals_say_what_is_wrong() -> None:
+    with pytest.raises(ConfigError, match=r"mounts\.camera"):
+        plan_images(CONFIG, settings(), SEED, {"lidar": {}})
+    with pytest.raises(ConfigError, match="share"):
+        plan_images(CONFIG, settings(share=0.0), SEED, MOUNTS)
+    with pytest.raises(ConfigError, match=r"effects\.blurred"):
+        plan_images(CONFIG, settings(effects={"blurred": 1000}), SEED, MOUNTS)

@@ -1,0 +1,108 @@
+"""Control points: where they stand, who sees them, and their survey."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.lab.time_lapse.conftest import CONFIG, FRAME, MOUNTS, SEED, Reach, settings
+
+from thalweg.core.errors import ConfigError
+from thalweg.images.model.poses import ImagePoses
+from thalweg_lab.base.river import River
+from thalweg_lab.river.materials import Material
+from thalweg_lab.time_lapse.record import simulate_time_lapse
+from thalweg_lab.time_lapse.survey import surveyed, write_survey
+from thalweg_lab.time_lapse.targets import place_targets
+
+
+def test_every_target_is_seen_free_and_large_enough(reach: Reach) -> None:
+    recording = reach.recording
+    targets, plan = recording.targets, recording.plan
+    mesh = recording.renderer.world.caster
+    places = np.concatenate([targets.centre_wcs_m[:, None], targets.corners_wcs_m()], axis=1)
+    for k in range(len(targets.names)):
+        images = 0
+        for pose in plan.poses:
+            at = plan.camera.project(pose.inverse().apply(places[k]))
+            if not plan.camera.inside(at).all() or np.linalg.norm(at[2] - at[1]) < 9.0:
+                continue
+            way = places[k] - pose.shift_m
+            length = np.linalg.norm(way, axis=1)
+            # Other boards are in this mesh, too, and so is the board itself.
+            images += bool((mesh.cast(pose.shift_m, way / length[:, None]).t_hit_m > length - 0.05).all())
+        assert images >= recording.settings.least_images
+
+
+def test_targets_stand_on_the_right_bank_face_the_river_and_spread(reach: Reach) -> None:
+    targets = reach.recording.targets
+    river = River(CONFIG.scene, SEED)
+    s, n = river.to_flow(*targets.centre_wcs_m[:, :2].T)
+    right, _ = river.shores(s)
+    assert (n < -right).all()
+    flow = river.angle(s)
+    across = np.stack([-np.sin(flow), np.cos(flow), np.zeros(len(s))], axis=1)
+    # The boards are turned by up to 0.15 rad.
+    assert (np.sum(across * targets.normal_wcs, axis=1) > np.cos(0.16)).all()
+    assert (np.diff(s) > 1.2).all()
+    ground = river.height(s, n)
+    assert (targets.centre_wcs_m[:, 2] - targets.size_m / 2 > ground).all()
+    assert np.ptp(targets.centre_wcs_m[:, 2]) > 0.4
+    assert targets.check.tolist() == [False, True, False, False, True]
+    corner = targets.corners_wcs_m()
+    np.testing.assert_allclose(np.linalg.norm(corner[:, 1] - corner[:, 0], axis=1), targets.size_m)
+    outward = np.cross(corner[:, 2] - corner[:, 1], corner[:, 0] - corner[:, 1])
+    assert (np.sum(outward * targets.normal_wcs, axis=1) < 0).all()
+
+
+def test_the_other_bank_and_too_many_targets_are_refused(reach: Reach) -> None:
+    river, caster = River(CONFIG.scene, SEED), reach.scene.without(Material.WATER).caster()
+    plan = reach.recording.plan
+    for changes in ({"side": "left"}, {"n_targets": 200, "least_images": 12}):
+        with pytest.raises(ConfigError, match="n_targets"):
+            place_targets(river, caster, plan.camera, plan.poses, settings(**changes), SEED)
+
+
+def test_the_survey_errs_by_its_sigmas(reach: Reach, tmp_path: Path) -> None:
+    targets = reach.recording.targets
+    sigma = np.array([0.01, 0.02, 0.05])
+    errors = []
+    for seed in range(300):
+        table, swapped = surveyed(targets, settings(sigma_target_m=tuple(sigma)), seed)
+        assert swapped == []
+        errors.append(table[["east_m", "north_m", "up_m"]].to_numpy() - targets.centre_wcs_m)
+    error = np.concatenate(errors)
+    # Five sigma of mean and standard deviation of 1500 normal numbers.
+    assert (np.abs(error.mean(axis=0)) < 5 * sigma / np.sqrt(len(error))).all()
+    np.testing.assert_allclose(error.std(axis=0) / sigma, 1.0, atol=5 / np.sqrt(2 * len(error)))
+    write_survey(tmp_path / "points.csv", table)
+    again = pd.read_csv(tmp_path / "points.csv")
+    assert again.columns.tolist() == [
+        "id", "east_m", "north_m", "up_m", "sigma_east_m", "sigma_north_m", "sigma_up_m", "role",
+    ]  # fmt: skip
+    assert again["role"].tolist() == ["control", "check", "control", "control", "check"]
+
+
+def test_swapped_names_are_told_in_the_truth_only(reach: Reach, tmp_path: Path) -> None:
+    usual, _ = surveyed(reach.recording.targets, settings(), SEED)
+    changed = settings(effects={"swapped_points": 1})
+    points, truth = tmp_path / "points.csv", tmp_path / "truth.json"
+    simulate_time_lapse(
+        CONFIG, changed, SEED, FRAME, reach.path, MOUNTS, tmp_path / "images", points,
+        out_poses=tmp_path / "poses.parquet", out_truth=truth, only=[],
+    )  # fmt: skip
+    table, facts = pd.read_csv(points), json.loads(truth.read_text())
+    moved = np.flatnonzero(table["id"] != usual["id"])
+    assert len(moved) == 2
+    assert sorted(table["id"][moved]) == sorted(facts["swapped_points"][0])
+    # Written to a tenth of a millimetre.
+    np.testing.assert_allclose(table["east_m"], usual["east_m"], atol=6e-5)
+    poses = ImagePoses.read(tmp_path / "poses.parquet")
+    assert len(poses.images) == len(reach.recording.plan.shots)
+    true = reach.recording.plan.shots[3].T_wcs_ccs
+    np.testing.assert_allclose(poses.R_wcs_ccs[3], true.R, atol=1e-12)
+    np.testing.assert_allclose(poses.centre_wcs_m[3], true.shift_m, atol=1e-12)
+    assert facts["camera"]["parameters"]["fx"] == pytest.approx(1858.0 * 480 / 2296)
+    with pytest.raises(ConfigError, match="swapped_points"):
+        surveyed(reach.recording.targets, settings(effects={"swapped_points": 3}), SEED)

@@ -1,0 +1,169 @@
+"""The images: geometry, what moves and what does not, effects, files."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from tests.lab.time_lapse.conftest import Reach
+
+from thalweg.core.errors import GeometryError
+from thalweg.core.types import ArrayB, ArrayF, ArrayU8
+from thalweg.ingest.photos.stamps import read_image_stamps
+from thalweg_lab.time_lapse.record import TimeLapse
+from thalweg_lab.voyage.motion import start_gps_s
+
+FIRST = 5
+"""An image of the tests."""
+
+
+@pytest.fixture(scope="module")
+def images(reach: Reach) -> list[ArrayU8]:
+    return [reach.recording.render_image(k) for k in (FIRST, FIRST + 1)]
+
+
+def land_of(recording: TimeLapse, k: int) -> ArrayB:
+    """(h, w) pixels whose middle meets land, without the own boat."""
+    renderer, shot = recording.renderer, recording.plan.shots[k]
+    rays = renderer.lens.rays_ccs.reshape(-1, 3) @ shot.T_wcs_ccs.R.T.astype(np.float32)
+    eye = shot.T_wcs_ccs.shift_m
+    hits = renderer.world.caster.cast(eye, rays)
+    up = eye[2] + np.where(np.isfinite(hits.t_hit_m), hits.t_hit_m, 0.0) * rays[:, 2]
+    land = (np.isfinite(hits.t_hit_m) & (up > renderer.world.level_m)).reshape(
+        renderer.lens.rays_ccs.shape[:2]
+    )
+    return np.asarray(land & (renderer.boat.share == 0) if renderer.boat else land)
+
+
+def sift(image: ArrayU8, land: ArrayB) -> tuple[ArrayF, ArrayF]:
+    """Places (n, 2), pixels from the upper left corner, and descriptors of features on land."""
+    inner = cv2.erode(land.astype(np.uint8), np.ones((5, 5), np.uint8))
+    points, what = cv2.SIFT_create().detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), inner)
+    return np.array([p.pt for p in points]) + 0.5, what
+
+
+def test_features_of_neighbouring_images_obey_the_true_poses(reach: Reach, images: list[ArrayU8]) -> None:
+    recording = reach.recording
+    camera, shots = recording.plan.camera, recording.plan.shots
+    (xa, da), (xb, db) = (
+        sift(image, land_of(recording, k)) for k, image in zip((FIRST, FIRST + 1), images, strict=True)
+    )
+    # 1500 in 720 x 540 is the aim; these images have 0.44 of the pixels.
+    assert len(xa) > 650
+    pairs = [
+        (m.queryIdx, m.trainIdx)
+        for m, second in cv2.BFMatcher().knnMatch(da, db, k=2)
+        if m.distance < 0.75 * second.distance
+    ]
+    a, b = (camera.rays(x[list(i)]) for x, i in zip((xa, xb), zip(*pairs, strict=True), strict=True))
+    a, b = a / a[:, 2:], b / b[:, 2:]
+    focal = float(camera.parameters[0])
+    _, inlier = cv2.findFundamentalMat(focal * a[:, :2], focal * b[:, :2], cv2.FM_RANSAC, 1.0, 0.999, 5000)
+    inlier = inlier.ravel() > 0
+    assert inlier.sum() > 200
+    assert inlier.mean() > 0.85
+    T = shots[FIRST + 1].T_wcs_ccs.inverse() @ shots[FIRST].T_wcs_ccs
+    x, y, z = T.shift_m
+    E = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ T.R
+    in_b, in_a = a @ E.T, b @ E
+    slope = np.sqrt((in_b[:, :2] ** 2).sum(axis=1) + (in_a[:, :2] ** 2).sum(axis=1))
+    residual = (focal * np.sum(b * in_b, axis=1) / slope)[inlier]
+    assert np.sqrt(np.mean(residual**2)) < 0.5
+    # Without bias: matching errors of near features are alike, so five sigma of their number and 0.02 px.
+    assert abs(residual.mean()) < 0.02 + 5 * residual.std() / np.sqrt(len(residual))
+
+
+def test_crossings_of_the_boards_are_where_lens_and_pose_say(reach: Reach) -> None:
+    recording = reach.recording
+    targets, camera = recording.targets, recording.plan.camera
+    shown = []
+    for shot in recording.plan.shots:
+        way = targets.centre_wcs_m - shot.T_wcs_ccs.shift_m
+        range_m = np.linalg.norm(way, axis=1)
+        facing = -np.sum(way * targets.normal_wcs, axis=1) / range_m
+        at = camera.project(shot.T_wcs_ccs.inverse().apply(targets.centre_wcs_m))
+        large = camera.parameters[0] * targets.size_m * facing / range_m > 12.0
+        shown.append(at[camera.inside(at, 15.0) & large & (facing > 0.5) & (at[:, 1] < 250)])
+    off = []
+    for k in np.argsort([-len(at) for at in shown])[:3].tolist():
+        grey = cv2.cvtColor(recording.render_image(k), cv2.COLOR_RGB2GRAY)
+        for place in shown[k]:
+            start = np.array([[place - 0.5]], dtype=np.float32)
+            criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
+            found = cv2.cornerSubPix(grey, start.copy(), (3, 3), (-1, -1), criteria)[0, 0] + 0.5
+            off.append(found - place)
+    assert len(off) >= 5
+    # Single boards may be hidden in an image, so the median; noise of 1.6 steps of 150 leaves 0.02 px.
+    assert np.median(np.abs(off), axis=0).max() < 0.12
+    assert np.abs(np.median(off, axis=0)).max() < 0.08
+
+
+def test_an_image_is_the_same_alone_and_after_others(reach: Reach, images: list[ArrayU8]) -> None:
+    alone = reach.other().render_image(FIRST + 1)
+    np.testing.assert_array_equal(alone, images[1])
+    with pytest.raises(GeometryError, match="image 99"):
+        reach.recording.render_image(99)
+
+
+def test_effects_act_where_they_should(reach: Reach, images: list[ArrayU8]) -> None:
+    off = dict.fromkeys(("waves", "clouds", "hull", "noise", "blur"), False)
+    plain, land = reach.other(effects=off), land_of(reach.recording, FIRST)
+    bare, full = plain.light(FIRST), reach.recording.light(FIRST)
+    # Land is the same light, whatever water, sky and boat do; but sky shows through gaps between leaves.
+    inner = cv2.erode(land.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    assert inner.sum() > 10_000
+    assert np.mean(np.any(bare[inner] != full[inner], axis=1)) < 0.01
+    boat = reach.recording.renderer.boat
+    assert boat is not None
+    h = land.shape[0]
+    # The float covers part of the lower edge, and nothing above the middle.
+    assert 0.3 < boat.full[-1].mean() < 1.0
+    assert not boat.share[: h // 2].any()
+    assert not np.allclose(bare[boat.full], full[boat.full])
+    rest = ~land & (boat.share == 0)
+    assert np.mean(np.abs(bare - full).max(axis=2)[rest] > 0.01) > 0.3
+    # With waves the water of another moment is another one; without it stands still in the same place.
+    shot = reach.recording.plan.shots[FIRST]
+    R = np.eye(3)
+    still = [plain.renderer.see(shot.T_wcs_ccs, R, t_s=t, grain=1) for t in (1.0, 2.0)]
+    moved = [reach.recording.renderer.see(shot.T_wcs_ccs, R, t_s=t, grain=1) for t in (1.0, 2.0)]
+    np.testing.assert_array_equal(*still)
+    water = np.zeros_like(land)
+    water[h // 2 + 40 : int(0.8 * h)] = True
+    assert np.mean(np.abs(moved[0] - moved[1]).max(axis=2)[water & rest] > 0.01) > 0.3
+
+
+def test_blurred_images_have_lost_their_detail(reach: Reach, images: list[ArrayU8]) -> None:
+    soft = reach.other(effects={"blurred": len(reach.recording.plan.shots)}).render_image(FIRST)
+    sharpness = [
+        cv2.Laplacian(cv2.cvtColor(i, cv2.COLOR_RGB2GRAY), cv2.CV_64F).var() for i in (images[0], soft)
+    ]
+    assert sharpness[1] < 0.2 * sharpness[0]
+
+
+def test_files_carry_their_stamps_as_the_reader_expects(reach: Reach, tmp_path: Path) -> None:
+    recording = reach.other(
+        size_px=(160, 120), least_target_px=2.0, effects={"unstamped": 1, "duplicated": 1}
+    )
+    shots = recording.plan.shots
+    without = next(k for k, s in enumerate(shots) if not s.stamped)
+    copied = next(k for k, s in enumerate(shots) if s.copy_name)
+    wanted = sorted({without, copied, 0, 1})
+    names = [name for k in wanted for name in recording.write_image(k, tmp_path)]
+    assert len(names) == len(wanted) + 1
+    for source in ("name", "exif"):
+        table = read_image_stamps(tmp_path, source=source).table.set_index("file")  # type: ignore[arg-type]
+        for k in wanted:
+            row, shot = table.loc[shots[k].name], shots[k]
+            assert (row["width"], row["height"]) == (160, 120)
+            # 28 mm on full frame: 14 mm on this sensor, as P2's camera.
+            assert row["focal_mm"] == pytest.approx(14.0, abs=0.1)
+            if not shot.stamped:
+                assert np.isnan(row["t_device_s"])
+                continue
+            ahead = recording.config.camera.clock_offset_s
+            error = row["t_device_s"] - start_gps_s(recording.config) - shot.since_s - ahead
+            # Jitter of 23 ms, five sigma; drift of 12 ppm over 8 s and milliseconds are nothing beside it.
+            assert abs(error) < 5 * recording.config.camera.jitter_s + 0.001
+    copy, original = (tmp_path / n for n in (shots[copied].copy_name, shots[copied].name))
+    assert copy.read_bytes() == original.read_bytes()

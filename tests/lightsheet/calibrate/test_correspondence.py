@@ -1,0 +1,143 @@
+"""Levels, pieces and pairs from line points, with approximate values that are off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.lightsheet.calibration.correspondence import (
+    END,
+    FLAGGED,
+    LONELY,
+    NO_NUMBER,
+    OFF,
+    SHORT,
+    THICK,
+    correspond,
+)
+from thalweg.lightsheet.calibration.grid import parse_grid
+from thalweg.lightsheet.calibration.line_levels import levels_of_points
+from thalweg.lightsheet.calibration.settings import CalibrationSettings
+from thalweg.lightsheet.calibration.sheet_calibration import fit_sheet
+from thalweg.lightsheet.optics.sensor import paper_4
+
+SETTINGS = CalibrationSettings(least_gap_px=6.0)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_point_gets_its_level_from_a_start_that_is_off(lines, seed):
+    sensor, grid = paper_4(), lines.grid_object()
+    points = lines.line_points(sensor, grid, seed, every=4)
+    found = correspond(lines.off_start(sensor, seed), points, grid, SETTINGS, first=True)
+    labelled = found.level >= 0
+    np.testing.assert_array_equal(found.level[labelled], points["level"][labelled])
+    # an approximate fan turned by 4 of its 90 degrees, its laser 10 mm aside, leaves points at its ends
+    # without a beam
+    assert labelled.mean() > 0.85
+
+
+def test_levels_are_found_through_shift_slope_and_scale():
+    rng = np.random.default_rng(3)
+    fan = rng.uniform(-0.7, 0.7, 600)
+    level = rng.integers(0, 3, 600)
+    depths = np.array([60.0, 105.0, 150.0])
+    # 25 mm too deep, 30 mm a radian oblique, bent, spread by a tenth
+    seen = 105.0 + 1.1 * (depths[level] - 105.0) + 25.0 + 30.0 * fan + 8.0 * fan**2
+    found = levels_of_points(seen + 0.02 * rng.standard_normal(600), fan, depths)
+    np.testing.assert_array_equal(found, level)
+
+
+def test_pairs_lie_on_one_sub_beam(lines):
+    sensor, grid = paper_4(), lines.grid_object()
+    found = correspond(sensor, lines.line_points(sensor, grid, sigma_px=0.0), grid, SETTINGS)
+    pairs = found.pairs
+    # seven gaps whose both ends are in the picture on both levels
+    assert len(pairs.side) == 14
+    assert sorted(pairs.side.tolist()) == [-1] * 7 + [1] * 7
+    # half a row on either level: 0.6 mrad a pixel at most
+    assert np.abs(found.matched.apart_rad).max() < 0.0013
+
+
+def test_all_that_is_dropped_is_counted(lines):
+    sensor, grid = paper_4(), lines.grid_object()
+    points = lines.line_points(sensor, grid, every=2)
+    stray = points.sample(40, random_state=1).assign(
+        x_px=np.random.default_rng(1).uniform(300, 2040, 40), level=-1
+    )
+    missing = points.sample(5, random_state=2).assign(x_px=np.nan)
+    flagged = points.sample(7, random_state=3).assign(flags=2)
+    every = pd.concat([points, stray, missing, flagged], ignore_index=True)
+    found = correspond(sensor, every, grid, replace(SETTINGS, drop_flags=2))
+    counts = found.counts
+    assert counts[NO_NUMBER] == 5
+    # one that is on a level but not at an end of a piece counts as flagged
+    assert 4 <= counts[FLAGGED] <= 7
+    assert counts[END] == 2 * (10 + 8)
+    # every row is in the adjustment or in a count; ends and pairs are not rows
+    lost = sum(n for what, n in counts.items() if what not in (LONELY, THICK))
+    assert lost + len(found.rows) == len(every)
+    on_level = int((found.level[len(points) : len(points) + 40] >= 0).sum())
+    assert counts[OFF] + counts.get(SHORT, 0) + sum(n for k, n in counts.items() if k.startswith("ray")) == (
+        40 - on_level
+    )
+    # a stray point within half a millimetre of a level may stay: 2 levels, 1 mm of some 250 mm each
+    assert on_level <= 3
+
+
+def test_a_thick_bar_drops_the_ends_that_its_lower_rim_shades(lines):
+    sensor, grid = paper_4(), lines.grid_object()
+    points = lines.line_points(sensor, grid, every=2)
+    thick = replace(grid, thickness_mm=3.0)
+    found = correspond(sensor, points, thick, SETTINGS)
+    assert (
+        found.counts[THICK] == 6
+    )  # one end of each gap but that under the laser, where light falls straight
+    assert len(found.pairs.side) == 14 - 6
+
+
+def test_three_levels(lines):
+    sensor = lines.without_sigmas(paper_4())
+    grid = parse_grid(lines.THREE)
+    points = lines.line_points(sensor, grid, every=2)
+    found = fit_sheet(lines.off_start(sensor, 2), points, grid, SETTINGS)
+    np.testing.assert_array_equal(
+        found.correspondence.level[found.correspondence.rows],
+        points["level"].to_numpy()[found.correspondence.rows],
+    )
+    assert set(found.problem.line.level.tolist()) == {0, 1, 2}
+    assert found.misfit_px < 0.16  # the noise of 0.15 px
+    off = found.sensor.sheet.origin_lcs_mm - sensor.sheet.origin_lcs_mm
+    sigmas = [found.sigma(f"laser_{axis}_mm") for axis in "xyz"]
+    assert np.abs(off / sigmas).max() < 4.0
+
+
+def test_hidden_pieces_are_told_and_do_no_harm(lines):
+    sensor, grid = lines.without_sigmas(paper_4()), lines.grid_object()
+    points = lines.line_points(sensor, grid, every=2)
+    hidden = points[(points["level"] == 0) | (points["y_px"] < 1000.0)]
+    found = fit_sheet(sensor, hidden, grid, SETTINGS)
+    assert any("hidden" in told for told in found.warnings)
+    off = found.sensor.sheet.origin_lcs_mm - sensor.sheet.origin_lcs_mm
+    sigmas = [found.sigma(f"laser_{axis}_mm") for axis in "xyz"]
+    assert np.abs(off / sigmas).max() < 4.0
+
+
+def test_points_without_columns_or_numbers_are_refused(lines):
+    sensor, grid = paper_4(), lines.grid_object()
+    points = lines.line_points(sensor, grid, every=4)
+    with pytest.raises(InputError, match="columns missing: sigma_px"):
+        correspond(sensor, points.drop(columns="sigma_px"), grid, SETTINGS)
+    with pytest.raises(InputError, match=r"0 usable line points of 0.*Look at the picture"):
+        correspond(sensor, points[:0], grid, SETTINGS)
+    with pytest.raises(InputError, match="flagged"):
+        correspond(sensor, points.assign(flags=1), grid, replace(SETTINGS, drop_flags=1))
+
+
+def test_points_all_over_the_picture_are_no_line(lines):
+    sensor, grid = paper_4(), lines.grid_object()
+    points = lines.line_points(sensor, grid, every=3)
+    noise = points.assign(x_px=np.random.default_rng(1).uniform(0, 2048, len(points)))
+    with pytest.raises(GeometryError, match="lie in pieces of line on the levels"):
+        correspond(sensor, noise, grid, SETTINGS, first=True)

@@ -1,0 +1,92 @@
+"""Images without a usable line and settings without a meaning: a clear message each."""
+
+import re
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import ConfigError, InputError
+from thalweg.core.types import AnyArray
+from thalweg.lightsheet.lines.detect import detect_lines
+from thalweg.lightsheet.lines.green import green_image
+from thalweg.lightsheet.lines.settings import LineSettings
+from thalweg_lab.base.random import generator
+from thalweg_lab.tank.speckle import GreyValues, grey_values, laser_mosaic, mean_line_intensity
+
+
+def line(width: int = 100, peak_dn: float = 150) -> AnyArray:
+    light = mean_line_intensity(np.full(80, width / 2 + 0.2), width, 4)
+    return grey_values(light, GreyValues(peak_dn=peak_dn), generator(1, "noise"))
+
+
+def noise(level: float) -> AnyArray:
+    return grey_values(np.full((200, 200), level), GreyValues(peak_dn=100), generator(2, "noise"))
+
+
+@pytest.mark.parametrize(
+    ("image", "settings", "words"),
+    [
+        (noise(0.0), {}, "no laser line.*Check laser, exposure and trigger"),
+        (noise(0.8), {}, "no laser line"),
+        (np.zeros((100, 100), np.uint8), {}, "no laser line"),
+        (np.full((100, 100), 255, np.uint8), {}, "over-exposed: 100%.*shorter exposure"),
+        (line(width=60, peak_dn=1e7), {}, "over-exposed"),
+        (np.zeros((100, 100, 4), np.uint8), {}, r"shape \(100, 100, 4\).*expected an image"),
+        (np.zeros((100, 100), np.int32), {}, "type int32"),
+        (np.zeros(100, np.uint8), {}, r"shape \(100,\)"),
+        (np.zeros((5, 100), np.uint8), {}, "at least 16 pixels"),
+        (np.full((50, 50), np.nan), {}, "2500 pixels are not finite"),
+        (line(), {"layout": "rgb"}, "without colours"),
+        (np.zeros((50, 50, 3), np.uint8), {"layout": "rggb"}, "a colour image, but layout 'rggb'"),
+        (laser_mosaic(line()), {"layout": "grbg"}, "times darker than the others.*data sheet"),
+        (line(), {"least_rows": 100}, "none of which goes on over 100 rows"),
+        (line(), {"largest_sigma_px": 1e-6}, "none of 80 places.*sigma_too_large': 80"),
+    ],
+)
+def test_each_bad_image_says_what_is_wrong(image: AnyArray, settings: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        detect_lines(image, LineSettings(**settings))  # type: ignore[arg-type]
+    assert re.search(words, str(caught.value)), str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"method": "magic"}, {"layout": "bayer"}, {"across": "both"}, {"patch_rows": 4}, {"largest_rows": 0},
+        {"lines": 0}, {"half_width_px": -1.0}, {"albedo_ratio": 1.0}, {"link_gap_rows": -1},
+        {"method": "steger", "direction": "normal"}, {"largest_saturated_share": float("nan")},
+    ],
+)  # fmt: skip
+def test_settings_without_a_meaning_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match="expected"):
+        LineSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_bits_of_industrial_cameras() -> None:
+    settings = LineSettings()
+    for top in (1023, 4095, 16383):
+        deep = np.zeros((50, 50), np.uint16)
+        deep[:, 20:22] = top
+        assert green_image(deep, settings).largest_dn == top
+    deep[0, 0] = 20000
+    assert green_image(deep, settings).largest_dn == 65535
+    assert green_image(line(), LineSettings(saturation_dn=100.0)).saturation_dn == 100
+
+
+def test_all_four_mosaics_give_the_green_pixels_and_means_between_them() -> None:
+    rng = generator(3, "noise")
+    grey = grey_values(mean_line_intensity(np.full(60, 40.3), 80, 6), GreyValues(), rng)
+    mosaic = laser_mosaic(grey)
+    shifted = {"rggb": mosaic, "grbg": mosaic[:, 1:], "gbrg": mosaic[1:], "bggr": mosaic[1:, 1:]}
+    for layout, image in shifted.items():
+        for chosen in ("auto", layout):
+            green = green_image(image, LineSettings(layout=chosen))  # type: ignore[arg-type]
+            assert green.kind == "mosaic"
+            measured = (green.bits & 1) > 0
+            parity = np.add.outer(*map(np.arange, image.shape)) % 2
+            assert (measured == (parity == (1 if layout in ("rggb", "bggr") else 0))).all()
+            np.testing.assert_array_equal(green.dn[measured], image[measured])
+            i, j = np.argwhere(~measured[1:-1, 1:-1])[500] + 1
+            four = [image[i - 1, j], image[i + 1, j], image[i, j - 1], image[i, j + 1]]
+            assert green.dn[i, j] == pytest.approx(np.mean(np.asarray(four, float)))
+    assert green_image(grey, LineSettings()).kind == "mono"

@@ -1,0 +1,101 @@
+"""Bright strips of a pattern in daylight are no laser line: where colours tell, they are counted out."""
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import InputError
+from thalweg.core.types import AnyArray, ArrayF
+from thalweg.lightsheet.lines.detect import detect_lines
+from thalweg.lightsheet.lines.green import green_image
+from thalweg.lightsheet.lines.settings import LineSettings
+from thalweg.lightsheet.optics.sensor import paper_4
+from thalweg.settings.twin.light_sheet import SheetImage
+from thalweg_lab.base.random import generator
+from thalweg_lab.tank.line import line_on
+from thalweg_lab.tank.plan import scan_plan
+from thalweg_lab.tank.render import render_sheet_image
+from thalweg_lab.tank.speckle import GreyValues, grey_values, laser_mosaic, mean_line_intensity
+from thalweg_lab.tank.truth_sensor import sized
+from thalweg_lab.tank.wreck import wreck
+
+ROWS, WIDTH = 120, 160
+LASER_PX, STRIP_PX = 110.3, 40.0
+
+
+def daylight(light_dn: float = 60.0) -> ArrayF:
+    """A white strip, brighter than any line here, on a dark surface; the light of all colours."""
+    x = np.arange(WIDTH) + 0.5
+    strip = np.exp(-2.0 * ((x - STRIP_PX) / 5.0) ** 2)
+    return np.tile(light_dn * (0.1 + 2.0 * strip), (ROWS, 1))
+
+
+def mosaic(laser_dn: float, light: ArrayF) -> AnyArray:
+    """RGGB image of a laser line and of daylight, with noise."""
+    profile = mean_line_intensity(np.full(ROWS, LASER_PX), WIDTH, 4.0)
+    line = laser_mosaic(np.asarray(profile * laser_dn, np.float32)).astype(np.float64)
+    return grey_values((line + light) / 255.0, GreyValues(peak_dn=255.0), generator(1, "daylight noise"))
+
+
+def test_the_line_is_found_beside_a_brighter_strip() -> None:
+    image = mosaic(80.0, daylight())
+    found = detect_lines(image, LineSettings(layout="rggb"))
+    np.testing.assert_allclose(found.x_px, LASER_PX, atol=1.0)
+    assert found.counts["daylight_pattern"] >= 0.9 * ROWS
+    assert found.facts["judged_by_colour"] == 1.0
+    # without colours the strip is the strongest line of each row: the defect that colours mend
+    blind = detect_lines(image, LineSettings(layout="rggb", largest_colour_slope=10.0))
+    assert np.median(np.abs(blind.x_px - STRIP_PX)) < 1.0
+
+
+def test_a_mosaic_is_recognised_though_the_strip_is_brighter_than_the_line() -> None:
+    image = mosaic(80.0, daylight())
+    assert green_image(image, LineSettings()).kind == "mosaic"
+    found = detect_lines(image)
+    np.testing.assert_allclose(found.x_px, LASER_PX, atol=1.0)
+    # daylight alone shows no mosaic, speckle and noise neither
+    assert green_image(mosaic(0.0, daylight()), LineSettings()).kind == "mono"
+
+
+def test_colour_images_are_judged_as_well() -> None:
+    light = daylight()
+    line = 80.0 * mean_line_intensity(np.full(ROWS, LASER_PX), WIDTH, 4.0)
+    image = np.stack([light + 0.1 * line, light + line, light + 0.2 * line], axis=2)
+    found = detect_lines(np.clip(image, 0, 255).astype(np.uint8))
+    np.testing.assert_allclose(found.x_px, LASER_PX, atol=0.5)
+    assert found.counts["daylight_pattern"] > 0
+
+
+def test_a_pattern_without_a_laser_is_refused() -> None:
+    with pytest.raises(InputError, match="as bright in red and blue as in green") as caught:
+        detect_lines(mosaic(0.0, daylight()), LineSettings(layout="rggb"))
+    assert "Shut out daylight" in str(caught.value)
+    # a monochrome camera cannot tell, and says that it did not
+    assert detect_lines(mosaic(0.0, daylight()), LineSettings(layout="mono")).facts["judged_by_colour"] == 0.0
+
+
+def test_an_over_exposed_line_stays() -> None:
+    """Its green pixels end at 255 while red and blue go on: 4 times the range, 0.6 in the clipped middle."""
+    found = detect_lines(mosaic(1000.0, np.zeros((ROWS, WIDTH))), LineSettings(layout="rggb"))
+    assert len(found) > 0.9 * ROWS
+    assert found.counts["daylight_pattern"] == 0
+
+
+def test_a_wreck_in_daylight() -> None:
+    """60 grey values of daylight and a line of 150: half of the places were texture of the wreck."""
+    sensor, settings = sized(paper_4(), SheetImage(), "tiny")
+    bright = settings.model_copy(update={"chip": settings.chip.model_copy(update={"ambient_dn": 60.0})})
+    plan = scan_plan(sensor, 3, wreck(1, step_mm=2.0), lines=4, step_mm=8.0)
+    image = render_sheet_image(sensor, plan.scene(1), bright, generator(3, "x1"))
+    half = sensor.sheet.half_angle_rad
+    seen = line_on(sensor, plan.scene(1), sensor.sheet, half * np.linspace(-1.0, 1.0, 2000))
+    true = seen.xy_px[seen.visible & np.isfinite(seen.xy_px).all(axis=1)]
+
+    def share_off(settings: LineSettings) -> float:
+        found = detect_lines(image, settings)
+        places = np.stack([found.x_px, found.y_px], axis=1)
+        away = np.linalg.norm(places[:, None] - true[None], axis=2).min(axis=1)
+        return float(np.mean(away > 4.0))
+
+    # 0.04 here; ends of pieces where the line leaves the wreck
+    assert share_off(LineSettings()) < 0.1
+    assert share_off(LineSettings(largest_colour_slope=10.0)) > 0.3

@@ -1,0 +1,137 @@
+"""Scans made in memory: exact lines of the twin with noise, marks of a panel, a fine reference."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numba as nb
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.calibration.field.points import FieldPoints
+from thalweg.core.rigid import Rigid
+from thalweg.core.types import ArrayF
+from thalweg.lightsheet.lines.points import LinePoints
+from thalweg.lightsheet.optics.sensor import Sensor, paper_4
+from thalweg.lightsheet.poses.panel_poses import panel_poses
+from thalweg.lightsheet.poses.poses import SensorPoses
+from thalweg.lightsheet.scanning.cloud import ScanCloud, merge
+from thalweg.lightsheet.scanning.profile import Profile, profile
+from thalweg_lab.base.random import generator
+from thalweg_lab.tank.line import line_on
+from thalweg_lab.tank.plan import Plan, scan_plan
+from thalweg_lab.tank.six_dof import (
+    SIGMA_MARK_MM,
+    SIGMA_PX,
+    Panel,
+    Tripod,
+    build_panel,
+    observe,
+    set_up,
+)
+from thalweg_lab.tank.surfaces import Surface
+
+NOISE_PX = 0.15
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Kernels in one thread: with few points, threads cost more than they gain."""
+    before = nb.get_num_threads()
+    nb.set_num_threads(1)
+    yield
+    nb.set_num_threads(before)
+
+
+@pytest.fixture(scope="session")
+def exact() -> Sensor:
+    """The prototype of P4 without any error of its parameters."""
+    return replace(paper_4(), cov=np.zeros((0, 0)))
+
+
+def line_points(
+    xy_px: ArrayF, sigma_px: float = NOISE_PX, *, rows: int = 1, angle_rad: float = 0.0
+) -> LinePoints:
+    """Line points at pixels (n, 2), as a detector gives them."""
+    n = len(xy_px)
+    whole = np.zeros(n, dtype=np.int64)
+    return LinePoints(
+        line=whole, piece=whole, x_px=xy_px[:, 0], y_px=xy_px[:, 1], sigma_px=np.full(n, sigma_px),
+        angle_rad=np.full(n, angle_rad), peak_dn=np.full(n, 120.0), width_px=np.full(n, 5.0),
+        background_dn=np.zeros(n), rows=np.full(n, rows), flags=whole, counts={"points": n}, facts={},
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A simulated scan with its truth."""
+
+    plan: Plan
+    panel: Panel
+    tripod: Tripod
+    marks: pd.DataFrame
+    profiles: list[Profile]
+    poses: SensorPoses
+    cloud: ScanCloud
+
+    @property
+    def T_obj_ccs(self) -> Rigid:
+        """True motion from the frame of the scan to that of the object."""
+        return Rigid(R=self.tripod.R_ccs_obj, shift_m=self.tripod.shift_ccs_mm * 1e-3).inverse()
+
+    @property
+    def images(self) -> list[str]:
+        return [one.image for one in self.profiles]
+
+
+def panel_points(panel: Panel) -> FieldPoints:
+    """The panel as measured, metres."""
+    n = len(panel.marker)
+    return FieldPoints(
+        points=tuple((int(m), 0) for m in panel.marker), points_pcs=panel.measured_lcs_mm * 1e-3,
+        cov=np.eye(3 * n) * (SIGMA_MARK_MM * 1e-3) ** 2,
+    )  # fmt: skip
+
+
+def simulate(
+    sensor: Sensor, surface: Surface, seed: int, *, lines: int = 8, step_mm: float = 4.0, beams: int = 160,
+    noise_px: float = NOISE_PX, processing: Sensor | None = None,
+) -> Scan:  # fmt: skip
+    """A scan without images: places of the visible line with noise along the rows."""
+    plan = scan_plan(sensor, seed, surface, lines=lines, step_mm=step_mm)
+    rng = generator(seed, "test line noise")
+    half = sensor.sheet.half_angle_rad
+    a = half * (2.0 * (np.arange(beams) + 0.5) / beams - 1.0)
+    profiles = []
+    for k in range(lines):
+        found = line_on(sensor, plan.scene(k), sensor.sheet, a)
+        keep = found.visible & np.isfinite(found.xy_px).all(axis=1)
+        keep[keep] = sensor.camera.inside(found.xy_px[keep])
+        xy = found.xy_px[keep] + noise_px * np.column_stack(
+            [rng.standard_normal(keep.sum()), np.zeros(keep.sum())]
+        )
+        profiles.append(profile(processing or sensor, line_points(xy, noise_px), image=f"sheet_{k:03d}.png"))
+    panel = build_panel(seed)
+    tripod = set_up(plan.path, panel)
+    seen = observe(seed, tripod, panel, plan.path, name=f"test {surface.name}")
+    marks = pd.DataFrame({
+        "file": [f"sheet_{k:03d}.png" for k in seen.image], "marker": seen.marker, "corner": 0,
+        "x_px": seen.xy_px[:, 0], "y_px": seen.xy_px[:, 1], "sigma_px": SIGMA_PX,
+    })  # fmt: skip
+    poses = panel_poses(tripod.camera, panel_points(panel), marks, [p.image for p in profiles])
+    return Scan(plan, panel, tripod, marks, profiles, poses, merge(profiles, poses))
+
+
+Simulate = Callable[..., Scan]
+
+
+@pytest.fixture(scope="session")
+def simulated() -> Simulate:
+    """Makes scans, see `simulate`."""
+    return simulate
+
+
+@pytest.fixture(scope="session")
+def points_at() -> Callable[..., LinePoints]:
+    """Makes line points, see `line_points`."""
+    return line_points

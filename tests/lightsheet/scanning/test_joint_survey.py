@@ -1,0 +1,74 @@
+"""Echo sounder and light sheet together: who covers what, and the gain (T 3.2, Fig. 3.5; FW34)."""
+
+import numpy as np
+import pytest
+
+from thalweg.core.errors import GeometryError
+from thalweg.lightsheet.optics.sensor import paper_4
+from thalweg.lightsheet.scanning.joint_survey import (
+    ECHO,
+    ECHO_LEAST_M,
+    LASER,
+    LASER_M,
+    Section,
+    SurveyPlan,
+    joint_survey,
+    small_river,
+    swath,
+)
+
+V = Section(across_m=np.array([0.0, 2.0, 4.0]), depth_m=np.array([0.0, 1.0, 0.0]))
+"""A V-shaped river 4 m wide and 1 m deep: shares and gaps can be said by hand."""
+
+
+def test_shares_and_gaps_of_a_simple_section() -> None:
+    found = joint_survey(V, SurveyPlan(length_m=20.0, wavelength_m=2.0))
+    # depth 0.2 m is 0.4 m from the edge of 2 m: 80 %; 0.05 m to 0.2 m are another 15 %
+    assert found.facts["share_of_width_echo"] == pytest.approx(0.80, abs=0.002)
+    assert found.facts["share_of_width_laser"] == pytest.approx(0.15, abs=0.002)
+    assert found.facts["share_of_width_joint"] == pytest.approx(0.95, abs=0.002)
+    # soundings are 5 cm apart along a track that runs nearly straight across
+    assert 0.40 <= found.facts["gap_left_echo_m"] < 0.46
+    assert 0.10 <= found.facts["gap_left_joint_m"] < 0.16
+    assert found.facts["echo_spacing_m"] == pytest.approx(0.05)
+    # a V is straight from the edge to the first sounding: nothing to gain for the section there
+    assert found.facts["rmse_shallow_echo_m"] < 0.002
+
+
+def test_each_instrument_measures_its_depths_only() -> None:
+    found = joint_survey(small_river())
+    depth = found.places_m[:, 2]
+    assert depth[found.instrument == ECHO].min() >= ECHO_LEAST_M
+    laser = depth[found.instrument == LASER]
+    assert laser.min() >= LASER_M[0]
+    assert laser.max() <= LASER_M[1]
+    assert found.places_m[:, 2] == pytest.approx(small_river().depth(found.places_m[:, 1]), abs=1e-12)
+    table = found.table.set_index("from_m")
+    assert table["area_m2"].sum() == pytest.approx(30.0 * 10.0, rel=0.01)
+    assert table.loc[0.05, "soundings"] == 0
+    assert table.loc[0.05, "share_laser"] > 0.02
+    assert (table["share_joint"] >= table[["share_echo", "share_laser"]].max(axis=1)).all()
+    assert table["soundings"].sum() == found.facts["soundings"]
+
+
+def test_the_shallow_bed_is_known_only_with_the_laser() -> None:
+    facts = joint_survey(small_river()).facts
+    assert small_river().depth_m.max() == pytest.approx(2.5, abs=0.15)
+    assert facts["rmse_shallow_joint_m"] < 0.2 * facts["rmse_shallow_echo_m"]
+    assert facts["gap_left_joint_m"] < 0.3 * facts["gap_left_echo_m"]
+    assert facts["laser_points"] > 50 * facts["soundings"]
+
+
+def test_the_line_of_the_sensor_widens_with_depth() -> None:
+    depths, width = swath(paper_4(), 0.02, [0.01, 0.05, 0.1, 0.2])
+    assert depths.tolist() == [0.01, 0.05, 0.1, 0.2]
+    assert width[0] == 0.0  # above the window
+    assert 0.05 < width[1] < width[2] < width[3] < 0.23  # P4: 227 mm at most
+
+
+def test_rivers_that_are_none_are_refused() -> None:
+    with pytest.raises(GeometryError, match="for the boat"):
+        joint_survey(Section(across_m=np.array([0.0, 1.0, 2.0]), depth_m=np.array([0.0, 0.04, 0.0])))
+    for across, depth in (([0.0, 2.0, 1.0], [0.0, 1.0, 0.0]), ([0.0, 1.0, 2.0], [0.0, 1.0, 0.5])):
+        with pytest.raises(GeometryError, match="depths of zero at both edges"):
+            Section(across_m=np.array(across), depth_m=np.array(depth))

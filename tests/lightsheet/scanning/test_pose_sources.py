@@ -1,0 +1,103 @@
+"""Poses by trajectory and rail: their covariance is that of simulated errors; gaps are named (P4 4.2.1)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.core.errors import CoverageError, GeometryError
+from thalweg.core.frames import LocalFrame, rotation_opk
+from thalweg.core.rigid import Rigid
+from thalweg.core.trajectory import Trajectory
+from thalweg.lightsheet.optics.sensor import Sensor, paper_4
+from thalweg.lightsheet.poses.poses import factor
+from thalweg.lightsheet.poses.sources import Rail, pose_source_table, rail_poses, trajectory_poses
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+
+
+def boat(rng: np.random.Generator) -> Trajectory:
+    """Two seconds at 50 Hz, rolling, with a gap from 1 to 1.5 s; turns count as much as shifts."""
+    t = np.arange(101) / 50.0
+    q = Rotation.from_euler("xyz", np.stack([0.1 * np.sin(3 * t), 0.05 * t, 0.4 + 0.2 * t], axis=1)).as_quat()
+    A = rng.standard_normal((6, 6)) * np.array([4e-4, 4e-4, 6e-4, 0.003, 0.003, 0.003])[:, None]
+    return Trajectory(
+        frame=FRAME, t_gps_s=3e8 + t, position_wcs_m=np.stack([0.5 * t, 0.1 * t, 0.02 * np.sin(t)], axis=1),
+        quaternion_wcs_ics=q, cov_pose_wcs=np.tile(A @ A.T, (len(t), 1, 1)), valid=(t < 1.0) | (t > 1.5),
+    )  # fmt: skip
+
+
+def mount(rng: np.random.Generator) -> Rigid:
+    A = rng.standard_normal((6, 6)) * np.array([4e-4, 4e-4, 4e-4, 0.003, 0.003, 0.003])[:, None]
+    return Rigid(R=rotation_opk(np.pi, 0.05, 0.2), shift_m=np.array([-0.3, 0.1, 0.25]), cov=A @ A.T)
+
+
+def test_covariance_is_that_of_simulated_errors(rng: np.random.Generator) -> None:
+    trajectory, fixed = boat(rng), mount(rng)
+    t = np.array([3e8 + 0.411])
+    sigma_t = 0.002
+    found = trajectory_poses(trajectory, fixed, ["a"], t, sigma_time_s=sigma_t)
+    right = found.pose(0)
+    place, R, _ = trajectory.at(t)
+    ics = Rigid(R=R[0], shift_m=place[0])
+    own, common = factor(trajectory.cov_pose_wcs[0]), factor(fixed.cov)
+    errors = []
+    for _ in range(2500):
+        later = t + sigma_t * rng.standard_normal()
+        p, R, _ = trajectory.at(later)
+        moved = Rigid(R=R[0], shift_m=p[0]).moved(own @ rng.standard_normal(6))
+        errors.append((moved @ fixed.moved(common @ rng.standard_normal(6))).error_from(right))
+    assert (ics @ fixed).shift_m == pytest.approx(right.shift_m, abs=1e-12)
+    seen = np.cov(np.array(errors).T)
+    sigma = np.sqrt(np.diag(right.cov))
+    # 2500 draws: 1.4 % of a sigma, 0.02 of a correlation; five of that
+    assert np.sqrt(np.diag(seen)) == pytest.approx(sigma, rel=0.08)
+    assert seen / np.outer(sigma, sigma) == pytest.approx(right.cov / np.outer(sigma, sigma), abs=0.15)
+    without = trajectory_poses(trajectory, fixed, ["a"], t).pose(0)
+    assert without.cov[0, 0] < right.cov[0, 0]
+
+
+def test_images_beside_the_trajectory_are_named(rng: np.random.Generator) -> None:
+    t = 3e8 + np.array([0.5, 1.2, 9.0, np.nan])
+    found = trajectory_poses(boat(rng), mount(rng), list("abcd"), t)
+    assert found.reasons == ("", "in a gap of the trajectory", "before or after the trajectory", "no time")
+    assert found.usable.tolist() == [True, False, False, False]
+    with pytest.raises(CoverageError, match=r"no image from 300000100\.0"):
+        trajectory_poses(boat(rng), mount(rng), ["a"], np.array([3e8 + 100.0]))
+    with pytest.raises(CoverageError, match="none of 2 images has a time"):
+        trajectory_poses(boat(rng), mount(rng), ["a", "b"], np.full(2, np.nan))
+
+
+def test_a_rail_errs_along_and_across_as_stated(rng: np.random.Generator) -> None:
+    start = Rigid(R=rotation_opk(0.1, 0.0, 0.3), shift_m=np.array([0.1, 0.2, 0.5]))
+    rail = Rail(
+        T_target_lcs=start, direction=np.array([0.0, 2.0, 0.0]), sigma_direction_rad=1e-3,
+        sigma_encoder_mm=0.05, sigma_guide_mm=0.01,
+    )  # fmt: skip
+    found = rail_poses(rail, list("abc"), np.array([0.0, 100.0, np.nan]))
+    assert found.shift_m[1] - found.shift_m[0] == pytest.approx([0.0, 0.1, 0.0], abs=1e-15)
+    own, whole = np.sqrt(np.diag(found.cov[1]))[:3], np.sqrt(np.diag(found.cov_total[1]))[:3]
+    assert own == pytest.approx([1e-5, 5e-5, 1e-5], rel=1e-9)
+    assert whole == pytest.approx([np.hypot(1e-5, 1e-4), 5e-5, np.hypot(1e-5, 1e-4)], rel=1e-9)
+    assert found.reasons[2] == "no reading of the encoder"
+    with pytest.raises(GeometryError, match="a rail along"):
+        rail_poses(replace(rail, direction=np.zeros(3)), ["a"], np.zeros(1))
+
+
+def test_boat_poses_spoil_what_a_panel_keeps(exact: Sensor) -> None:
+    """P4 4.2.1: 0.1 degrees and 2 cm would deteriorate the sub-mm accuracy of each line (C076)."""
+    table = pose_source_table(paper_4()).set_index(["source", "depth_mm"])
+    six, boat_ = table.loc["6-DOF by marker panel"], table.loc["INS and RTK"]
+    assert (six["ratio_height"] < 1.1).all()
+    assert (boat_["ratio_height"] > 50).all()
+    # the closed form of a level arm at depth D below a window 5.2 mm thick: position and turns alone
+    bare = pose_source_table(exact, sigma_px=1e-6, depths_mm=(125.0,)).set_index("source")
+    position, turn = 20.0, np.deg2rad(0.1)
+    across = bare.loc["INS and RTK", "sigma_across_mm"]
+    assert across > np.sqrt(2) * position
+    assert bare.loc["INS and RTK", "sigma_height_mm"] == pytest.approx(
+        np.hypot(position, 121 * turn), rel=0.001
+    )
+    with pytest.raises(GeometryError, match="not in the picture"):
+        pose_source_table(exact, depths_mm=(900.0,))

@@ -1,0 +1,346 @@
+"""Image ray and sheet: golden points, reference, marks, halving of the papers."""
+
+from dataclasses import replace
+
+import numba as nb
+import numpy as np
+import pytest
+
+from thalweg.core.errors import GeometryError
+from thalweg.lightsheet.optics import intersection_kernels
+from thalweg.lightsheet.optics.intersection import Status, fan_limits, intersect
+from thalweg.lightsheet.optics.intersection_paper import intersect_as_printed, intersect_by_halving
+from thalweg.lightsheet.optics.intersection_reference import intersect_exactly
+from thalweg.lightsheet.optics.light_path import beams_at_points, sheet_in_water
+from thalweg.lightsheet.optics.projection import project
+from thalweg.lightsheet.optics.sensor import Sensor, paper_3, paper_4
+from thalweg.lightsheet.optics.threads import threads_for
+from thalweg.lightsheet.optics.volume import depth_lines
+
+
+def pixels(sensor: Sensor, image_mm, pixel_mm: float) -> np.ndarray:
+    """Pixels of the papers' image coordinates (x', y')."""
+    return sensor.camera.parameters[2:4] + np.asarray(image_mm, float) * [1, -1] / pixel_mm
+
+
+def distorted(sensor: Sensor) -> Sensor:
+    """With a lens that distorts, a tilted window and a diffracted line."""
+    x = sensor.vector()
+    x[10:15] = [-0.08, 0.05, 0.001, -0.0007, 0.01]
+    x[24:] = [0.02, -0.03]
+    other = sensor.with_vector(x)
+    return other.with_sheet(replace(other.sheet, v=0.05))
+
+
+def random_pixels(n: int, seed: int = 1, side: float = 2048.0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0, side, (n, 2))
+
+
+def test_golden_points_of_paper_4() -> None:
+    sensor = paper_4()
+    golden = np.array([
+        [3.167970072, -120.189634114, 86.307860506], [-38.71943668, -133.36304119, 48.87397818],
+        [76.070549384, -89.062818573, 188.274713724], [2.558006705, -77.922136608, 201.96408459],
+    ])  # fmt: skip
+    found = intersect(sensor, pixels(sensor, [(0, 0), (2, -3), (-4, 4), (-5, 0), (1, 5)], 0.0055))
+    got = np.column_stack([found.xyz_lcs_mm[:4, :2], found.depth_mm[:4]])
+    assert np.abs(got - golden).max() < 1e-6  # the demand; nine digits are stated
+    assert np.rad2deg(found.fan_angle_rad[0]) == pytest.approx(5.0348084, abs=1e-7)
+    assert found.status.tolist() == [0, 0, 0, 0, Status.NO_SHEET]
+    assert np.isnan(found.xyz_lcs_mm[4]).all()
+    assert np.isnan(found.depth_mm[4])
+    assert found.counts()["NO_SHEET"] == 1
+
+
+def test_golden_points_of_paper_3() -> None:
+    sensor = paper_3()
+    golden = np.array([
+        [111.544296, 7.101954, 106.484531], [144.041368, -76.206579, 188.293006],
+        [86.052927, 71.663573, 47.497654],
+    ])  # fmt: skip
+    found = intersect(sensor, pixels(sensor, [(0, 0), (8.65, 6.5), (-8.65, -6.5)], 0.00375))
+    got = np.column_stack([found.xyz_lcs_mm[:, :2], found.depth_mm])
+    # the angles are stated to 1e-5 degrees: 1e-7 rad over 200 mm, and the points were computed with more
+    # digits
+    assert np.abs(got - golden).max() < 3e-5
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.02, -0.035)])
+@pytest.mark.parametrize("v", [0.0, 0.08])
+def test_against_forty_digits(tilt, v: float) -> None:
+    sensor = paper_4()
+    sensor = replace(
+        sensor,
+        window=replace(sensor.window, tilt_x_rad=tilt[0], tilt_y_rad=tilt[1]),
+        sheet=replace(sensor.sheet, v=v),
+    )
+    xy = random_pixels(14, seed=3)
+    found = intersect(sensor, xy)
+    assert found.ok.sum() >= 8
+    for k, (x, y) in enumerate(xy):
+        exact = intersect_exactly(sensor, x, y)
+        assert (exact is not None) == bool(found.ok[k])
+        if exact is not None:
+            # 1e-9 mm is the demand; 1e-12 is some ulp of 200 mm times the obliqueness
+            assert np.abs(found.xyz_lcs_mm[k] - [float(c) for c in exact.xyz_lcs_mm]).max() < 1e-12
+            assert found.depth_mm[k] == pytest.approx(float(exact.depth_mm), abs=1e-12)
+            assert found.fan_angle_rad[k] == pytest.approx(float(exact.fan_angle_rad), abs=1e-14)
+
+
+def test_the_reference_refuses_what_it_has_not() -> None:
+    with pytest.raises(GeometryError, match="distortion"):
+        intersect_exactly(distorted(paper_4()), 10.0, 10.0)
+
+
+@pytest.mark.parametrize("change", [lambda s: s, distorted], ids=["plain", "distorted"])
+def test_projection_is_the_inverse(change) -> None:
+    sensor = change(paper_4())
+    grid = np.linspace(5.0, 2043.0, 64)
+    xy = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+    found = intersect(sensor, xy)
+    assert found.ok.mean() > 0.5
+    back = project(sensor, found.xyz_lcs_mm)
+    assert np.abs(back - xy)[found.ok].max() < 1e-9  # the demand
+    assert np.isnan(back[~found.ok]).all()
+
+
+def test_rays_of_the_kernel_are_those_of_the_camera() -> None:
+    """Points lie on the camera's own rays, followed step by step through the window."""
+    from thalweg.lightsheet.optics.interfaces import trace
+
+    sensor = distorted(paper_4())
+    xy = random_pixels(500)
+    found = intersect(sensor, xy)
+    rays = sensor.camera.rays(xy[found.ok]) @ sensor.R_lcs_ccs.T
+    path = trace(sensor.camera_origin_lcs_mm, rays, sensor.window)
+    assert (
+        np.abs(path.at_depth(found.depth_mm[found.ok], sensor.window) - found.xyz_lcs_mm[found.ok]).max()
+        < 1e-10
+    )
+
+
+@pytest.mark.parametrize("change", [lambda s: s, distorted], ids=["plain", "distorted"])
+def test_points_lie_on_the_sheet(change) -> None:
+    """Two hundred thousand pixels: the light that reaches each point has the fan angle and the v of the
+    sheet."""
+    sensor = change(paper_4())
+    found = intersect(sensor, random_pixels(200_000))
+    light = beams_at_points(sensor, found.xyz_lcs_mm[found.ok])
+    assert np.abs(light.distance_mm).max() < 1e-6  # the demand of 1e-6 mm, for every pixel
+    assert np.abs(light.v - sensor.sheet.v).max() < 1e-11
+    assert np.abs(light.fan_angle_rad - found.fan_angle_rad[found.ok]).max() < 1e-11
+    assert light.inside.mean() > 0.99999  # 1e-9 rad of margin at the very end of the fan
+
+
+def test_sub_beams_at_borders_of_halves_and_nodes() -> None:
+    """Where the papers' halving fails, at 0 and multiples of an eighth of the fan, and on all nodes of the
+    brackets."""
+    sensor = paper_4()
+    half = sensor.sheet.half_angle_rad
+    angles = np.concatenate([np.linspace(-half, half, 33), [0.0, np.deg2rad(22.6), np.deg2rad(-22.6), 1e-12]])
+    for depth in (5.0, 60.0, 200.0):
+        X = sheet_in_water(sensor, [depth], angles)[0]
+        found = intersect(sensor, project(sensor, X))
+        assert found.ok.all()
+        # 1e-9: the way through the pixel rounds by 1e-12 px, and the ray meets the sheet under a third of a
+        # radian
+        assert np.abs(found.xyz_lcs_mm - X).max() < 1e-9
+
+
+def test_all_pixels_get_the_root_of_a_plain_search() -> None:
+    """A signed halving of 2000 samples a ray, written without the kernel, finds the same points and the same
+    gaps."""
+    from thalweg.lightsheet.optics.refracted_rays import refract_to_water
+    from thalweg.lightsheet.optics.sheet_models import image_rays
+
+    rng = np.random.default_rng(8)
+    total = 0
+    for _ in range(12):
+        sensor = paper_4()
+        x = sensor.vector()
+        x[15:18] += rng.normal(0, 20, 3) * [1, 1, 0.3]
+        x[18:21] += rng.normal(0, 0.25, 3)
+        sensor = sensor.with_vector(x)
+        xy = random_pixels(40, seed=int(rng.integers(1000)))
+        found = intersect(sensor, xy)
+        low, high = fan_limits(sensor.sheet, sensor.window)
+        fan = refract_to_water(
+            sensor.sheet.origin_lcs_mm, sensor.sheet.beams(np.linspace(low, high, 2001)), sensor.window
+        )
+        rays = image_rays(sensor, xy)
+        for k in range(len(xy)):
+            dA, dB = fan.A - rays.A[k], fan.B - rays.B[k]
+            F = dA[:, 0] * dB[:, 1] - dA[:, 1] * dB[:, 0]
+            roots = np.flatnonzero(F[:-1] * F[1:] <= 0)
+            depth = [-(dA[j] @ dB[j]) / (dB[j] @ dB[j]) for j in roots]
+            wet = [d for d in depth if d > 0.5]
+            if wet and found.status[k] != Status.GRAZING:
+                # a sample is 0.04 degrees: up to 0.3 mm along oblique rays
+                assert found.depth_mm[k] == pytest.approx(min(wet), abs=1.0), (k, depth)
+                total += 1
+            elif not depth:
+                assert found.status[k] == Status.NO_SHEET
+    assert total > 150
+
+
+@pytest.mark.parametrize("turn", [0.0, np.pi], ids=["last along the fan", "first along the fan"])
+def test_of_two_places_on_a_ray_the_nearer_one_counts(turn: float) -> None:
+    """A strongly tilted sheet that one ray meets at 14.7 mm and again at 405 mm; the reference agrees."""
+    sensor = paper_4()
+    x = sensor.vector()
+    x[3:6] = [0.2224, 0.0101, -0.7857]
+    x[15:21] = [-38.9028, 115.3181, 40.8135, -0.8962, -0.6938, -1.6754 + turn]
+    x[24:26] = [0.0062, 0.0161]
+    sensor = sensor.with_vector(x)
+    found = intersect(sensor, [[1815.5, 279.0]])
+    exact = intersect_exactly(sensor, 1815.5, 279.0)
+    assert exact is not None
+    assert found.depth_mm[0] == pytest.approx(14.7, abs=0.1)
+    assert found.depth_mm[0] == pytest.approx(float(exact.depth_mm), abs=1e-9)
+
+
+# ---------------------------------------------------------------- marks
+
+
+def test_marks_of_the_kernel_are_those_of_the_enum() -> None:
+    k = intersection_kernels
+    numbers = [k._OK, k._NO_SHEET, k._ABOVE, k._GRAZING, k._REFLECTED, k._NO_RAY]
+    assert numbers == list(Status)
+
+
+def test_pixels_whose_ray_leaves_upwards_or_along_the_window() -> None:
+    sensor = paper_4()
+    up = replace(sensor, camera_angles_rad=np.array([np.deg2rad(-90.0), 0.0, 0.0]))
+    # this camera stands on its head, so rows below the centre look up; 0.3 degrees are 11.4 pixels
+    xy = np.array([[1024.0, 1024.0 + 100], [1024.0, 1024.0 - 11.4], [1024.0, 1024.0 - 1000]])
+    found = intersect(up, xy)
+    assert found.status[:2].tolist() == [Status.ABOVE_WINDOW, Status.GRAZING]
+    assert np.isnan(found.xyz_lcs_mm[:2]).all()
+
+
+def test_sheet_met_above_the_window_is_no_point() -> None:
+    sensor = paper_4()
+    found = intersect(sensor, [[2040.0, 1024.0]])
+    assert found.status[0] == Status.ABOVE_WINDOW
+    assert np.isnan(found.depth_mm[0])
+
+
+def test_rays_within_the_sheet_are_grazing() -> None:
+    sensor = paper_4()
+    sheet = replace(sensor.sheet, origin_lcs_mm=np.array([0.0, 0.0, 50.0]), angles_rad=np.zeros(3))
+    flat = replace(
+        sensor, sheet=sheet, camera_origin_lcs_mm=np.array([30.0, 0.0, 60.0]),
+        camera_angles_rad=np.array([0.0, 0.0, 0.0]),
+    )  # fmt: skip
+    inside = intersect(flat, [[1024.0, 1024.0], [900.0, 1024.0]])
+    assert inside.status.tolist() == [Status.GRAZING] * 2
+    # 1 mm beside the sheet the ray crosses it at some tenths of a degree
+    beside = replace(flat, camera_origin_lcs_mm=np.array([30.0, 1.0, 60.0]))
+    found = intersect(beside, [[1024.0, 1024.0 + 20.0], [1024.0, 1024.0 - 20.0]])
+    assert Status.GRAZING in found.status
+    assert np.isnan(found.xyz_lcs_mm).all()
+
+
+def test_total_reflection_is_marked() -> None:
+    """A housing full of water that looks into air."""
+    sensor = paper_4()
+    window = replace(sensor.window, n_air=1.335, n_water=1.0)
+    wet = replace(sensor, window=window)
+    found = intersect(wet, random_pixels(2000))
+    counts = found.counts()
+    assert counts["TOTAL_REFLECTION"] > 100
+    assert counts["OK"] > 100
+    back = project(wet, found.xyz_lcs_mm[found.ok])
+    assert (
+        np.abs(back - random_pixels(2000)[found.ok]).max() < 1e-6
+    )  # near the critical angle digits are lost
+
+
+def test_pixels_outside_the_lens_are_marked() -> None:
+    sensor = paper_4()
+    x = sensor.vector()
+    x[10] = -0.9  # the radius stops growing at 0.61 c, which the corners pass
+    found = intersect(sensor.with_vector(x), [[1.0, 1.0], [1024.0, 1024.0], [np.nan, 3.0]])
+    assert found.status.tolist() == [Status.OUTSIDE_LENS, Status.OK, Status.OUTSIDE_LENS]
+
+
+def test_a_laser_that_shines_upwards_is_refused() -> None:
+    sensor = paper_4()
+    up = sensor.with_sheet(replace(sensor.sheet, angles_rad=np.array([np.pi, 0.0, 0.0])))
+    with pytest.raises(GeometryError, match="no sub-beam of the fan"):
+        intersect(up, [[1.0, 1.0]])
+    with pytest.raises(GeometryError, match=r"\(n, 2\)"):
+        intersect(sensor, np.zeros((4, 3)))
+    with pytest.raises(GeometryError, match=r"\(n, 3\)"):
+        project(sensor, np.zeros((4, 2)))
+
+
+def test_a_fan_that_partly_leaves_the_window_is_cut() -> None:
+    sensor = paper_4()
+    wide = sensor.with_sheet(
+        replace(sensor.sheet, angles_rad=np.deg2rad([0.0, 65.0, 0.0]), half_angle_rad=np.deg2rad(45.0))
+    )
+    low, high = fan_limits(wide.sheet, wide.window)
+    d = wide.sheet.beams([low, high])
+    assert (d[:, 2] < 0).all()
+    assert min(abs(d[:, 2])) == pytest.approx(0.01, abs=1e-9)  # GRAZING_SINE, found by halving
+
+
+def test_no_pixels_give_no_points() -> None:
+    found = intersect(paper_4(), np.zeros((0, 2)))
+    assert found.xyz_lcs_mm.shape == (0, 3)
+    assert project(paper_4(), np.zeros((0, 3))).shape == (0, 2)
+
+
+# ---------------------------------------------------------------- the papers' way
+
+
+@pytest.mark.parametrize(("compare", "share", "worst_mm"), [("middles", 0.002, 0.08), ("ends", 0.01, 0.15)])
+def test_the_papers_halving_loses_pixels(compare, share: float, worst_mm: float) -> None:
+    """At any threshold: some 0.3 % of the pixels and 0.12 mm with the middles of both halves, 1.2 % and 0.2
+    mm with their ends; P4 does not say which. Those pixels keep a distance between the rays."""
+    sensor = paper_4()
+    xy = random_pixels(40_000)
+    true = intersect(sensor, xy)
+    xy, points = xy[true.ok], true.xyz_lcs_mm[true.ok]
+    for threshold in (1e-3, 1e-6):
+        found = intersect_by_halving(sensor, xy, compare=compare, threshold_mm=threshold)
+        error = np.linalg.norm(found.xyz_lcs_mm - points, axis=1)
+        bad = found.halvings == 50
+        assert bad.mean() > share
+        assert error[bad].max() > worst_mm
+        # the others end within the threshold, stretched by the obliqueness of ray and sheet
+        assert error[~bad].max() < 3 * threshold
+        assert (found.skew_mm[bad] > threshold).all()
+
+
+def test_the_printed_law_shifts_depths_by_a_centimetre() -> None:
+    """Means of 10, 14 and 15 mm at 50, 125, 200 mm with the geometry of P4; half a millimetre for the
+    sampling."""
+    sensor = paper_4()
+    for line, shift in zip(depth_lines(sensor, [50, 125, 200], 31), (10.5, 14.0, 15.2), strict=True):
+        error = intersect_as_printed(sensor, line.xy_px) - line.depth_mm
+        assert np.nanmean(error) == pytest.approx(shift, abs=0.5)
+        assert np.nanmax(error) < 28
+
+
+def test_few_rays_run_in_one_thread_and_give_the_same() -> None:
+    """The number of threads is set back, also after an error, and does not change a bit of the result."""
+    sensor = paper_4()
+    xy = np.random.default_rng(5).uniform(200.0, 1800.0, (9000, 2))
+    whole = intersect(sensor, xy)
+    before = nb.get_num_threads()
+    parts = [intersect(sensor, xy[k : k + 500]) for k in range(0, 9000, 500)]
+    assert nb.get_num_threads() == before
+    np.testing.assert_array_equal(whole.xyz_lcs_mm, np.concatenate([p.xyz_lcs_mm for p in parts]))
+    with threads_for(4096 * 8, each=4096):
+        assert nb.get_num_threads() == min(before, 8)
+
+    def fails() -> None:
+        with threads_for(1, each=10):
+            assert nb.get_num_threads() == 1
+            raise GeometryError("inside")
+
+    with pytest.raises(GeometryError, match="inside"):
+        fails()
+    assert nb.get_num_threads() == before

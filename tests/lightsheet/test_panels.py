@@ -1,0 +1,190 @@
+"""Depths of a panel: the table, the comparison, and what does not belong together."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core.errors import GeometryError, InputError
+from thalweg.lightsheet.optics.light_path import sheet_in_water
+from thalweg.lightsheet.optics.projection import project
+from thalweg.lightsheet.optics.sensor import Sensor, paper_4
+from thalweg.lightsheet.poses.panels import compare_panels, measure_panels, read_panels
+
+NAMES = ("a.png", "b.png", "c.png")
+DEPTHS = (128.9, 100.0, 72.7)
+
+
+def series(
+    errors_mm: list[list[float]], sigma_mm: float = 0.05
+) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    """Points, panels and images; an empty list is an image without points on the sheet."""
+    rows = [
+        {"file": name, "depth_mm": depth + e, "sigma_depth_mm": sigma_mm}
+        for name, depth, image in zip(NAMES, DEPTHS, errors_mm, strict=True)
+        for e in image
+    ]
+    points = pd.DataFrame(rows, columns=["file", "depth_mm", "sigma_depth_mm"])
+    panels = pd.DataFrame({"file": NAMES, "depth_mm": DEPTHS, "sigma_mm": 0.02})
+    images = pd.DataFrame({"file": NAMES, "points": [len(e) for e in errors_mm], "reason": ""})
+    return points, panels, images
+
+
+def test_errors_are_measured_minus_stated() -> None:
+    points, panels, images = series([[0.1, 0.3], [-0.2], [0.0, 0.0, 0.6]])
+    images.loc[2, "points"] = 5
+    found, table = compare_panels(points, panels, images)
+    assert table["file"].tolist() == list(NAMES)
+    np.testing.assert_allclose(table["mean_mm"], [0.2, -0.2, 0.2], atol=1e-9)
+    np.testing.assert_allclose(table["std_mm"], [np.sqrt(0.02), np.nan, np.sqrt(0.12)], atol=1e-9)
+    np.testing.assert_allclose(table["rms_mm"], [np.sqrt(0.05), 0.2, np.sqrt(0.12)], atol=1e-9)
+    np.testing.assert_allclose(table["largest_mm"], [0.3, 0.2, 0.6], atol=1e-9)
+    np.testing.assert_allclose(table["predicted_mm"], 0.05, atol=1e-12)
+    assert table["n"].tolist() == [2, 1, 3]
+    assert table["n_off_sheet"].tolist() == [0, 0, 2]
+    # P3 3.1.2 measured at 128.9 and 72.7, not at 100 mm
+    assert table["published_mean_mm"].tolist()[::2] == [0.03, 0.07]
+    assert np.isnan(table["published_std_mm"][1])
+    np.testing.assert_allclose(found["expected_depth_mm"], np.repeat(DEPTHS, [2, 1, 3]))
+
+
+def test_an_image_that_gives_nothing_keeps_its_row_and_its_reason() -> None:
+    points, panels, images = series([[0.1], [], []])
+    images["points"], images["reason"] = [1, 0, 7], [np.nan, "the image is over-exposed", np.nan]
+    _, table = compare_panels(points, panels, images)
+    assert table["n"].tolist() == [1, 0, 0]
+    assert np.isnan(table["mean_mm"][1])
+    assert table["reason"].tolist() == [
+        "",
+        "the image is over-exposed",
+        "no line point lies on the light sheet",
+    ]
+    assert table["n_off_sheet"].tolist() == [0, 0, 7]
+
+
+def test_names_that_do_not_agree() -> None:
+    points, panels, images = series([[0.1], [0.1], [0.1]])
+    other = panels.assign(file=["a.png", "b.png", "C.PNG"])
+    with pytest.raises(InputError, match=r"1 images without a depth, such as c.png.*column file"):
+        compare_panels(points, other, images)
+    with pytest.raises(InputError, match=r"1 depths without image, such as c.png; .*such as a.png"):
+        compare_panels(points[points["file"] != "c.png"], panels, images[:2])
+
+
+@pytest.mark.parametrize("order", [(1, 0, 2), (2, 0, 1)])
+def test_depths_of_other_images_are_told(order: tuple[int, ...]) -> None:
+    points, panels, images = series([[0.1], [0.1], [0.1]])
+    wrong = panels.assign(depth_mm=np.array(DEPTHS)[list(order)])
+    with pytest.raises(
+        InputError, match=r"fit the images in another order: in a.png the panel is 129.0 mm deep"
+    ):
+        compare_panels(points, wrong, images)
+
+
+def test_depths_that_fit_no_order_are_measured_and_not_explained_away() -> None:
+    """All depths off by centimetres, as with a wrong calibration: the table says so."""
+    points, panels, images = series([[20.0], [21.0], [22.0]])
+    _, table = compare_panels(points, panels, images)
+    np.testing.assert_allclose(table["mean_mm"], [20.0, 21.0, 22.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("file,depth,sigma_mm\na.png,1,1\n", r"columns missing: depth_mm"),
+        ("name,depth_mm,sigma_mm\na.png,1,1\n", r"columns missing: file"),
+        ("file,depth_mm,sigma_mm\n", "no row"),
+        ("", "no table"),
+        ("file,depth_mm,sigma_mm\na.png,deep,0.02\n", "'deep' in column depth_mm, row 1"),
+        ("file,depth_mm,sigma_mm\na.png,128.9,\n", "'' in column sigma_mm, row 1"),
+        ("file,depth_mm,sigma_mm\na.png,128.9,0.02\na.png,72.7,0.02\n", "two depths for a.png"),
+        ("file,depth_mm,sigma_mm\na.png,-128.9,0.02\n", "a depth of -128.9 mm.*row 1 .a.png"),
+        ("file,depth_mm,sigma_mm\na.png,128.9,-1\n", "a sigma of -1 mm"),
+        ("file,depth_mm,sigma_mm\na.png,0.1289,0.00002\n", "no depth exceeds 0.1289 mm.*by 1000"),
+    ],
+)
+def test_tables_that_are_wrong(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "panels.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        read_panels(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.expected
+
+
+def test_a_table_as_people_write_it(tmp_path: Path) -> None:
+    path = tmp_path / "panels.csv"
+    path.write_text("file, object, depth_mm, sigma_mm\n 0012, panel, 128.9, 0.02\n")
+    table = read_panels(path)
+    assert table.to_dict("records") == [{"file": "0012", "depth_mm": 128.9, "sigma_mm": 0.02}]
+    with pytest.raises(InputError, match="not found"):
+        read_panels(tmp_path / "none.csv")
+
+
+# ---------------------------------------------------------------- other media and pictures
+
+
+SENSOR = paper_4()
+WIDTH, HEIGHT = SENSOR.camera.size_px
+
+
+def lines_on_panels(seen_by: Sensor) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    """Line points of three panels as a sensor sees them, without noise; panels and images."""
+    fan = np.linspace(-0.9, 0.9, 60) * seen_by.sheet.half_angle_rad
+    parts = []
+    for name, line in zip(NAMES, sheet_in_water(seen_by, np.array(DEPTHS), fan), strict=True):
+        xy = project(seen_by, line)
+        xy = xy[np.isfinite(xy).all(axis=1) & seen_by.camera.inside(np.nan_to_num(xy, nan=-1.0))]
+        parts.append(pd.DataFrame({"file": name, "x_px": xy[:, 0], "y_px": xy[:, 1]}))
+    table = pd.concat(parts, ignore_index=True).assign(line=0, sigma_px=0.1, angle_rad=0.0, flags=0)
+    panels = pd.DataFrame({"file": NAMES, "depth_mm": DEPTHS, "sigma_mm": 0.02})
+    points = table.groupby("file").size().loc[list(NAMES)].to_numpy()
+    return table, panels, pd.DataFrame({"file": NAMES, "points": points, "reason": ""})
+
+
+def test_panels_of_a_good_sensor_come_back() -> None:
+    _, rows = measure_panels(SENSOR, *lines_on_panels(SENSOR))
+    # no noise: solver and projection agree to 1e-9 mm
+    assert rows["mean_mm"].abs().max() < 1e-6
+
+
+def test_media_that_are_not_those_of_the_panels_are_told() -> None:
+    """Section 9: the index of air in the sensor, and a dry housing."""
+    wet, dry = lines_on_panels(SENSOR), lines_on_panels(SENSOR.with_water(1.0))
+    with pytest.raises(GeometryError, match="state the index of water, not 1 of air") as caught:
+        measure_panels(SENSOR.with_water(1.0), *wet)
+    assert caught.value.where
+    assert "mm off their stated depths" in caught.value.found or "none of" in caught.value.found
+    with pytest.raises(GeometryError, match="was the housing dry"):
+        measure_panels(SENSOR, *dry)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "words"),
+    [(True, False, "left to right"), (True, True, "turned by 180 degrees")],
+)
+def test_flipped_pictures_of_panels_are_told(x: bool, y: bool, words: str) -> None:
+    table, panels, images = lines_on_panels(SENSOR)
+    if x:
+        table["x_px"] = WIDTH - table["x_px"]
+    if y:
+        table["y_px"] = HEIGHT - table["y_px"]
+    with pytest.raises(GeometryError, match=words):
+        measure_panels(SENSOR, table, panels, images)
+
+
+def test_a_picture_mirrored_along_its_line_looks_like_another_plane() -> None:
+    """The sensor is nearly symmetric about the plane of camera and laser: what is left is a tilt."""
+    table, panels, images = lines_on_panels(SENSOR)
+    _, rows = measure_panels(SENSOR, table.assign(y_px=HEIGHT - table["y_px"]), panels, images)
+    assert (rows["mean_mm"].abs() < 3.0).all()
+    # the table shows it: far more scatter than the prediction
+    assert (rows["std_mm"] > 3.0 * rows["predicted_mm"]).all()
+
+
+def test_a_sensor_that_is_simply_wrong_is_measured() -> None:
+    """Stated depths that lie 20 mm off fit no other reading: the table shows it."""
+    table, panels, images = lines_on_panels(SENSOR)
+    _, rows = measure_panels(SENSOR, table, panels.assign(depth_mm=panels["depth_mm"] + 20.0), images)
+    np.testing.assert_allclose(rows["mean_mm"], -20.0, atol=1e-6)

@@ -1,0 +1,348 @@
+"""The workflow's jobs on a small basin: what they yield, and what each mistake of a user is told."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from tests.lightsheet.basin import Basin, Jobs, recorded
+
+from thalweg.core.calibration.model import Source
+from thalweg.core.errors import ConfigError, GeometryError, InputError, ThalwegError
+from thalweg.core.tables import write_table
+from thalweg.lightsheet.optics.intersection import intersect
+from thalweg.lightsheet.optics.light_path import sheet_in_water
+from thalweg.lightsheet.optics.projection import project
+from thalweg.lightsheet.optics.sensor import PARAMETERS, Sensor
+from thalweg.lightsheet.optics.sensor_files import read_sensor, write_sensor
+from thalweg.lightsheet.poses.series import SERIES_POINTS
+from thalweg.settings.light_sheet.sections import LightSheet, SheetCalibration
+
+
+@pytest.fixture
+def jobs(done: Jobs, tmp_path: Path) -> Jobs:
+    """A folder of its own with the results of the good run."""
+    for path in done.out.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    return Jobs(tmp_path)
+
+
+def told(run: Callable[[], object], kind: type[ThalwegError] = ThalwegError) -> str:
+    """The message of a refusal that says where, what was found, what was expected, and a cure."""
+    with pytest.raises(kind) as caught:
+        run()
+    error = caught.value
+    assert error.found
+    assert error.expected
+    assert error.cure
+    return str(error)
+
+
+def other_sensor(path: Path, into: Path, change: Callable[[Sensor], Sensor]) -> Path:
+    changed = change(read_sensor(path))
+    write_sensor(into, changed, source=Source(run="test", method="changed", twin=True))
+    return into
+
+
+def grid_images(basin: Basin, folder: Path, change: Callable[[Any], Any]) -> list[Path]:
+    """The picture of the grid, changed."""
+    folder.mkdir()
+    out = []
+    for path in basin.images("calibration"):
+        cv2.imwrite(str(folder / path.name), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
+        out.append(folder / path.name)
+    return out
+
+
+# ---------------------------------------------------------------- what they yield
+
+
+def test_panels_lie_within_their_prediction(done: Jobs) -> None:
+    table = pd.read_csv(done.out / "depths.csv")
+    assert table["depth_mm"].round(1).tolist() == [128.9, 122.7, 83.1, 72.7]
+    assert table["reason"].isna().all()
+    sigma = np.hypot(table["predicted_mm"], table["sigma_mm"])
+    # one calibration: its error is common to all four panels; Gaussian, beyond 3.5 once in 2000 seeds
+    assert (table["mean_mm"].abs() < 3.5 * sigma).all()
+    # neighbouring points share errors of the picture; beside it their scatter is below the whole prediction
+    assert (table["std_mm"] < table["predicted_mm"]).all()
+    # goal of P3 3.1.2 without effects that are not modelled, here with a quarter of the pixels a side
+    assert (table["rms_mm"] < 0.2).all()
+    # every point of the line is on the sheet, or counted
+    counts = pd.read_csv(done.out / "panels.csv")
+    assert (table["n"] + table["n_off_sheet"] == counts["points"]).all()
+    assert (table["n_off_sheet"] == 0).all()
+
+
+def test_the_files_say_where_they_come_from(done: Jobs) -> None:
+    report = json.loads((done.out / "calibration.json").read_text())
+    assert {p["name"] for p in report["parameters"] if p["treated"] == "estimated"} == {
+        "laser_x_mm", "laser_y_mm", "laser_z_mm", "laser_omega_deg", "laser_kappa_deg",
+    }  # fmt: skip
+    for name, title in (("camera.yaml", "camera oriented"), ("sensor.yaml", "calibrated")):
+        text = (done.out / name).read_text()
+        assert title in text
+        assert "twin: true" in text
+
+
+def test_the_camera_stands_over_the_face_that_the_marks_stick_to(done: Jobs, basin: Basin) -> None:
+    """On the outer face: with thicker glass than stated the camera stands higher over it than believed."""
+    cov = read_sensor(done.out / "camera.yaml").cov
+    glass, height = PARAMETERS.index("glass_mm"), PARAMETERS.index("camera_z_mm")
+    stated = read_sensor(basin.folder / "sensor.yaml").cov[glass, glass]
+    assert cov[glass, height] == pytest.approx(-stated, rel=1e-6)
+    assert cov[height, height] > stated
+
+
+def test_what_is_estimated_jointly_comes_from_the_campaign(basin: Basin, jobs: Jobs) -> None:
+    settings = LightSheet(calibration=SheetCalibration(jointly=("levels", "water")))
+    found = Jobs(jobs.out, settings).calibrate(basin)
+    report = json.loads((jobs.out / "calibration.json").read_text())
+    treated = {p["name"]: p["treated"] for p in report["parameters"]}
+    assert treated["n_water"] == treated["depth_plate_mm"] == "known beforehand, estimated"
+    k = PARAMETERS.index("n_water")
+    # two levels hardly tell the water (docs/light_sheet.md): little is gained on what was known
+    assert 0.8e-3 < np.sqrt(found.cov[k, k]) <= 1e-3
+
+
+def test_three_levels(tmp_path: Path) -> None:
+    """FW17: with a third level the depths are estimated as well; the campaign tells how many there are."""
+    basin = recorded(tmp_path / "logs", 3, changes={"levels_mm": [60.0, 105.0, 150.0]})
+    jobs = Jobs(tmp_path / "out", LightSheet(calibration=SheetCalibration(levels=3)))
+    jobs.orient(basin)
+    jobs.detect(basin, "calibration")
+    jobs.calibrate(basin)
+    report = json.loads((jobs.out / "calibration.json").read_text())
+    assert list(report["levels"]) == ["grid 1", "grid 2", "plate"]
+    treated = {p["name"]: p["treated"] for p in report["parameters"]}
+    names = [f"depth_{name}_mm" for name in report["levels"]]
+    assert {treated[name] for name in names} == {"known beforehand, estimated"}
+    text = told(lambda: Jobs(jobs.out).calibrate(basin), InputError)
+    assert "3 levels (grid 1, grid 2, plate)" in text
+    assert "light_sheet.calibration.levels: 3" in text
+
+
+# ---------------------------------------------------------------- section 9: wrong media
+
+
+def test_the_index_of_air_in_the_design(basin: Basin, jobs: Jobs) -> None:
+    design = other_sensor(basin.folder / "sensor.yaml", jobs.out / "dry.yaml", lambda s: s.with_water(1.0))
+    jobs.orient(basin, design=design)
+    text = told(lambda: jobs.calibrate(basin), GeometryError)
+    assert "state the index of water, not 1 of air" in text
+
+
+def test_a_dry_housing(basin: Basin, jobs: Jobs) -> None:
+    """The picture was taken in air, the design says water: the line of the dry sensor, projected."""
+    camera = jobs.orient(basin)
+    dry = basin.truth.with_water(1.0)
+    points = pd.read_parquet(jobs.out / "calibration.parquet")
+    wet = _moved_to(points, basin.truth, dry)
+    wet.to_parquet(jobs.out / "moved.parquet")
+    assert camera.window.n_water > 1.3
+    text = told(lambda: jobs.calibrate(basin, line_points=_as_table(wet, jobs.out)), GeometryError)
+    assert "was the housing dry" in text
+
+
+def _moved_to(points: pd.DataFrame, seen_by: Sensor, other: Sensor) -> pd.DataFrame:
+    """Where another sensor's camera would see the same sub-beams on the same levels."""
+
+    found = intersect(seen_by, points[["x_px", "y_px"]].to_numpy())
+    level = np.where(found.depth_mm < 105.0, 60.0, 150.0)
+    places = np.full((len(points), 3), np.nan)
+    for depth in (60.0, 150.0):
+        mine = (level == depth) & found.ok
+        places[mine] = sheet_in_water(other, np.array([depth]), found.fan_angle_rad[mine])[0]
+    xy = project(other, places)
+    seen = np.isfinite(xy).all(axis=1) & other.camera.inside(np.nan_to_num(xy, nan=-1.0))
+    return points.assign(x_px=xy[:, 0], y_px=xy[:, 1])[seen].reset_index(drop=True)
+
+
+def _as_table(points: pd.DataFrame, folder: Path) -> Path:
+
+    write_table(folder / "moved.parquet", points, SERIES_POINTS)
+    return folder / "moved.parquet"
+
+
+# ---------------------------------------------------------------- section 9: the object
+
+
+def rewritten(basin: Basin, path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    data = yaml.safe_load((basin.folder / "calibration" / "grid_1.yaml").read_text())
+    change(data)
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def test_swapped_depths_and_swapped_patterns(basin: Basin, jobs: Jobs) -> None:
+    def depths(data: dict[str, Any]) -> None:
+        one, two = data["levels"]
+        one["depth_mm"], two["depth_mm"] = two["depth_mm"], one["depth_mm"]
+
+    grid = rewritten(basin, jobs.out / "grid.yaml", depths)
+    assert "the levels are swapped" in told(lambda: jobs.calibrate(basin, grid=grid), GeometryError)
+    grid = rewritten(basin, jobs.out / "grid.yaml", lambda data: data["levels"].reverse())
+    assert "the levels are swapped" in told(lambda: jobs.calibrate(basin, grid=grid), GeometryError)
+
+
+def test_wrong_depths(basin: Basin, jobs: Jobs) -> None:
+    def change(data: dict[str, Any]) -> None:
+        data["levels"][1]["depth_mm"] = 190.0
+
+    grid = rewritten(basin, jobs.out / "grid.yaml", change)
+    text = told(lambda: jobs.calibrate(basin, grid=grid), GeometryError)
+    assert "depths" in text
+
+
+def test_a_level_or_the_gaps_are_missing(basin: Basin, jobs: Jobs) -> None:
+    grid = rewritten(basin, jobs.out / "grid.yaml", lambda data: data["levels"].pop())
+    assert "1 level (grid 1)" in told(lambda: jobs.calibrate(basin, grid=grid), GeometryError)
+
+    points = pd.read_parquet(jobs.out / "calibration.parquet")
+    camera = basin.truth
+
+    upper = intersect(camera, points[["x_px", "y_px"]].to_numpy()).depth_mm < 105.0
+    line = _as_table(points[upper].reset_index(drop=True), jobs.out)
+    text = told(lambda: jobs.calibrate(basin, line_points=line), GeometryError)
+    assert "seen on 1 of 2 levels" in text
+    assert "gaps" in text
+
+
+def test_a_description_with_mistakes(basin: Basin, jobs: Jobs) -> None:
+    grid = rewritten(basin, jobs.out / "grid.yaml", lambda data: data["levels"][0].pop("depth_mm"))
+    with pytest.raises(ConfigError, match=r"depth_mm: missing"):
+        jobs.calibrate(basin, grid=grid)
+
+
+# ---------------------------------------------------------------- section 9: images
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda image: image[:, ::-1], "mirrored left to right"),
+        # this one fits as well: only the design of the laser tells
+        (lambda image: image[::-1], "mirrored top to bottom"),
+        (lambda image: image[::-1, ::-1], "turned by 180 degrees"),
+    ],
+)
+def test_flipped_pictures(basin: Basin, jobs: Jobs, change: Callable[[Any], Any], words: str) -> None:
+    images = grid_images(basin, jobs.out / "flipped", change)
+    jobs.detect(basin, "calibration", images)
+    assert words in told(lambda: jobs.calibrate(basin), GeometryError)
+
+
+def test_over_exposed_empty_and_foreign_pictures(basin: Basin, jobs: Jobs) -> None:
+    def told_for(name: str, change: Callable[[Any], Any]) -> str:
+        images = grid_images(basin, jobs.out / name, change)
+        return told(lambda: jobs.detect(basin, "calibration", images), InputError)
+
+    assert "over-exposed" in told_for("bright", lambda image: np.full_like(image, 255))
+    assert "no laser line" in told_for("dark", lambda image: np.full_like(image, 3))
+    text = told_for("large", lambda image: cv2.resize(image, (1024, 1024)))
+    assert "1024 x 1024 pixels; expected 512 x 512" in text
+    (jobs.out / "nothing").mkdir()
+    (jobs.out / "nothing" / "notes.txt").write_text("x")
+    with pytest.raises(InputError, match="no photograph in this folder"):
+        jobs.detect(basin, "calibration", [jobs.out / "nothing"])
+
+
+def test_two_pictures_of_the_grid(basin: Basin, jobs: Jobs) -> None:
+    image = basin.images("calibration")[0]
+    copy = jobs.out / "second.png"
+    copy.write_bytes(image.read_bytes())
+    jobs.detect(basin, "calibration", [image, copy])
+    text = told(lambda: jobs.calibrate(basin), InputError)
+    assert f"2 images, such as {image.name} and second.png" in text
+    assert "logs.light_sheet.grid_images" in text
+
+
+# ---------------------------------------------------------------- section 9: panels, camera
+
+
+def test_panels_under_other_names_or_in_another_order(basin: Basin, jobs: Jobs) -> None:
+    table = pd.read_csv(basin.folder / "panels" / "images.csv")
+    path = jobs.out / "other.csv"
+    table.assign(file=table["file"].str.replace("sheet", "img")).to_csv(path, index=False)
+    text = told(lambda: jobs.measure(basin, panels=path), InputError)
+    assert "4 images without a depth" in text
+    assert table["file"][0] in text
+    table.assign(file=table["file"].to_numpy()[::-1]).to_csv(path, index=False)
+    text = told(lambda: jobs.measure(basin, panels=path), InputError)
+    assert "in another order" in text
+    assert "128.883 mm to sheet_" in text or "72.679 mm to sheet_" in text
+
+
+def test_an_over_exposed_panel_is_a_row_with_its_reason(basin: Basin, jobs: Jobs) -> None:
+    folder = jobs.out / "panels_images"
+    folder.mkdir()
+    for path in basin.images("panels"):
+        (folder / path.name).write_bytes(path.read_bytes())
+    bad = folder / basin.images("panels")[1].name
+    cv2.imwrite(str(bad), np.full((512, 512), 255, np.uint8))
+    jobs.detect(basin, "panels", [folder])
+    table = jobs.measure(basin)
+    assert table["n"].tolist()[1] == 0
+    assert "over-exposed" in table["reason"][1]
+    assert (table["n"].drop(1) > 300).all()
+
+
+def test_a_camera_that_is_not_where_the_design_says(basin: Basin, jobs: Jobs) -> None:
+    def turned(sensor: Sensor) -> Sensor:
+        return replace(sensor, camera_angles_rad=sensor.camera_angles_rad + np.array([0.5, 0.0, 0.0]))
+
+    design = other_sensor(basin.folder / "sensor.yaml", jobs.out / "other.yaml", turned)
+    # half a radian is 28.6 degrees; the true camera is off by 0.3
+    assert "is turned by 2" in told(lambda: jobs.orient(basin, design=design), GeometryError)
+
+
+def test_marks_in_millimetres(basin: Basin, jobs: Jobs) -> None:
+    path = jobs.out / "points.csv"
+    table = pd.read_csv(basin.folder / "mark_points.csv")
+    for name in table.columns[1:]:
+        table[name] *= 1000.0
+    table.to_csv(path, index=False)
+    text = told(lambda: jobs.orient(basin, points=path), GeometryError)
+    assert "metres" in text
+
+
+def test_markers_of_the_window_under_other_names(basin: Basin, jobs: Jobs) -> None:
+    settings = LightSheet(calibration=SheetCalibration(window_markers=(901, 902)))
+    text = told(lambda: Jobs(jobs.out, settings).orient(basin), GeometryError)
+    assert "0 marks on the window" in text
+    assert "Name the markers of the window" in text
+
+
+def test_tables_of_the_camera_that_are_wrong(basin: Basin, jobs: Jobs) -> None:
+    table = pd.read_csv(basin.folder / "camera_marks.csv")
+    path = jobs.out / "marks.csv"
+    table.drop(columns="sigma_px").to_csv(path, index=False)
+    with pytest.raises(InputError, match="columns missing: sigma_px"):
+        jobs.orient(basin, marks=path)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "words"),
+    [
+        (True, False, "mirrored left to right"),
+        (False, True, "mirrored top to bottom"),
+        (True, True, "turned by 180 degrees"),
+    ],
+)
+def test_marks_of_a_flipped_picture(basin: Basin, jobs: Jobs, x: bool, y: bool, words: str) -> None:
+    table = pd.read_csv(basin.folder / "camera_marks.csv")
+    path = jobs.out / "marks.csv"
+    if x:
+        table["x_px"] = 512 - table["x_px"]
+    if y:
+        table["y_px"] = 512 - table["y_px"]
+    table.to_csv(path, index=False)
+    text = told(lambda: jobs.orient(basin, marks=path), GeometryError)
+    assert f"The marks fit if the picture is {words}" in text
+    assert "marks.csv" in text

@@ -1,0 +1,159 @@
+"""What an error model makes of stated covariances."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from thalweg.core.frames import LocalFrame, roll_pitch_heading, rotation_enu_body
+from thalweg.core.trajectory import Trajectory
+from thalweg.core.types import ArrayF
+from thalweg.navigation.ins_gnss.error_model import (
+    BEAM,
+    NAMES,
+    ErrorModel,
+    Estimate,
+    PriorErrors,
+    beam_factors,
+    typical_sigmas,
+)
+from thalweg.navigation.ins_gnss.trajectory import pose_covariance
+
+LEVER = np.array([0.4, -0.2, -1.1])
+SIGMA_POSITION = np.array([0.02, 0.03, 0.05])
+SIGMA_ATTITUDE = np.deg2rad([0.1, 0.15, 0.4])
+PRIOR = PriorErrors(
+    sigma_position_m=SIGMA_POSITION,
+    sigma_attitude_rad=SIGMA_ATTITUDE,
+    white_share=0.25,
+    position_time_s=10.0,
+    attitude_time_s=20.0,
+    spread=2.0,
+    time_spread=3.0,
+)
+
+
+def model(sigma_log: float = 0.0, **values: float) -> ErrorModel:
+    return ErrorModel(
+        estimates={
+            name: Estimate(
+                value=values.get(name, 1.0), sigma_log=sigma_log, prior=1.0, prior_sigma_log=np.log(2)
+            )
+            for name in NAMES + BEAM
+        },
+        white_share_stated=0.25,
+    )
+
+
+def poses(heading_deg: ArrayF, sigma_position: ArrayF, sigma_attitude: ArrayF) -> Trajectory:
+    n = len(heading_deg)
+    rng = np.random.default_rng(3)
+    R = rotation_enu_body(*np.deg2rad([rng.normal(0, 3, n), rng.normal(0, 3, n), heading_deg]))
+    return Trajectory(
+        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0),
+        t_gps_s=np.arange(n) * 0.1,
+        position_wcs_m=rng.normal(0, 10, (n, 3)),
+        quaternion_wcs_ics=Rotation.from_matrix(R).as_quat(),
+        cov_pose_wcs=pose_covariance(
+            R,
+            np.tile(np.diag(sigma_position**2), (n, 1, 1)),
+            np.tile(sigma_attitude, (n, 1)),
+            lever_ics_m=LEVER,
+        ),
+        valid=np.ones(n, dtype=bool),
+    )
+
+
+HEADINGS = np.linspace(0, 350, 40)
+
+
+def test_covariances_are_those_of_the_scaled_sigmas() -> None:
+    """Slow part doubled, white noise halved: variance 0.75 * 4 + 0.25 / 4; tilt and heading by themselves."""
+    found = model(position=2.0, white=0.5, roll_pitch=3.0, heading=0.5).apply(
+        poses(HEADINGS, SIGMA_POSITION, SIGMA_ATTITUDE), LEVER
+    )
+    factor = np.sqrt(0.75 * 4 + 0.25 / 4)
+    expected = poses(HEADINGS, factor * SIGMA_POSITION, SIGMA_ATTITUDE * [3.0, 3.0, 0.5])
+    np.testing.assert_allclose(found.cov_pose_wcs, expected.cov_pose_wcs, rtol=1e-9, atol=1e-15)
+    np.testing.assert_array_equal(found.position_wcs_m, expected.position_wcs_m)
+
+
+def test_what_is_not_known_enlarges_sigmas() -> None:
+    """E[f^2] of a lognormal factor with median 1 and sigma ln 2 is exp(2 ln(2)^2) = 2.614."""
+    assert Estimate(value=1.0, sigma_log=np.log(2), prior=1.0, prior_sigma_log=np.log(2)).predictive ** 2 == (
+        pytest.approx(2.614, abs=0.001)
+    )
+    stated = poses(HEADINGS, SIGMA_POSITION, SIGMA_ATTITUDE)
+    found = model(sigma_log=np.log(2)).apply(stated, LEVER)
+    ratio = found.sigma_position_m / stated.sigma_position_m
+    np.testing.assert_allclose(ratio, np.sqrt(2.614), rtol=1e-3)
+
+
+def test_presumed_values_change_nothing() -> None:
+    stated = poses(HEADINGS, SIGMA_POSITION, SIGMA_ATTITUDE)
+    found = ErrorModel.presumed(PRIOR).apply(stated, LEVER)
+    np.testing.assert_allclose(found.cov_pose_wcs, stated.cov_pose_wcs, rtol=1e-9, atol=1e-15)
+
+
+def test_stated_sigmas_are_found_again_in_the_covariances() -> None:
+    position, attitude = typical_sigmas(poses(HEADINGS, SIGMA_POSITION, SIGMA_ATTITUDE), LEVER)
+    np.testing.assert_allclose(position, SIGMA_POSITION, rtol=1e-9)
+    np.testing.assert_allclose(attitude, SIGMA_ATTITUDE, rtol=1e-9)
+
+
+def deviating(size: float) -> ErrorModel:
+    """A = 2, B = -1 times ``size``, each with a sigma of 1, in units of 0.1 degrees."""
+    unit = np.deg2rad(0.1)
+    return ErrorModel(
+        estimates=model().estimates,
+        white_share_stated=0.25,
+        deviation_rad=(2 * size * unit, -1 * size * unit),
+        cov_deviation_rad2=(np.eye(2) * unit**2).tolist(),
+    )
+
+
+def test_a_significant_deviation_of_the_heading_is_taken_off_about_the_antenna() -> None:
+    stated = poses(HEADINGS, SIGMA_POSITION, SIGMA_ATTITUDE)
+    found = deviating(3.0).apply(stated, LEVER)
+    h = np.deg2rad(HEADINGS)
+    before = Rotation.from_quat(stated.quaternion_wcs_ics)
+    after = Rotation.from_quat(found.quaternion_wcs_ics)
+    turned = roll_pitch_heading(before.as_matrix())[2] - roll_pitch_heading(after.as_matrix())[2]
+    expected = np.deg2rad(0.1) * (6 * np.sin(h) - 3 * np.cos(h))
+    # forward of a boat that pitches by 3 degrees is not quite level
+    np.testing.assert_allclose((turned + np.pi) % (2 * np.pi) - np.pi, expected, atol=1e-6)
+    np.testing.assert_allclose(
+        found.position_wcs_m + after.apply(LEVER), stated.position_wcs_m + before.apply(LEVER), atol=1e-12
+    )
+    assert np.all(np.linalg.eigvalsh(found.cov_pose_wcs) > 0)
+
+
+@pytest.mark.parametrize(("size", "corrected"), [(1.65, False), (1.67, True)])
+def test_a_deviation_is_corrected_from_the_printed_limit_on(size: float, corrected: bool) -> None:
+    """Chi-square, two degrees, 0.1 %: 13.82 (Abramowitz and Stegun 26.8); 5 size^2 crosses it at 1.662."""
+    assert chi2.ppf(0.999, 2) == pytest.approx(13.82, abs=0.005)
+    assert deviating(size).deviation_is_significant is corrected
+
+
+def test_the_report_tells_survey_from_prior(tmp_path: Path) -> None:
+    found = model(sigma_log=0.1, position=1.3, component=1.2)
+    found.write(tmp_path / "error_model.json")
+    report = json.loads((tmp_path / "error_model.json").read_text())
+    assert report["estimates"]["position"]["from"] == "survey"
+    assert report["estimates"]["position"]["predictive"] == pytest.approx(1.3 * np.exp(0.01))
+    assert beam_factors(tmp_path / "error_model.json")["component"] == pytest.approx(1.2 * np.exp(0.01))
+    unknown = ErrorModel.of_prior(PRIOR, note="nothing was seen twice").report()
+    assert {e["from"] for e in unknown["estimates"].values()} == {"prior"}
+    assert unknown["notes"] == ["nothing was seen twice"]
+    assert unknown["correlation_s"] == pytest.approx(20.0)
+    assert unknown["white_share"] == pytest.approx(0.25)
+
+
+def test_the_report_states_the_deviation_in_degrees() -> None:
+    """A = 0.2, B = -0.1 degrees, each with a sigma of 0.1."""
+    report = deviating(1.0).report()
+    assert report["heading_deviation_deg"] == pytest.approx([0.2, -0.1])
+    np.testing.assert_allclose(report["cov_heading_deviation_deg2"], np.diag([0.01, 0.01]), atol=1e-15)

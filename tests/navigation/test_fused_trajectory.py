@@ -1,0 +1,393 @@
+"""The fused trajectory against the truth of simulated surveys, and what it does with bad input."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from thalweg.core.errors import CoverageError, InputError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.rigid import exp_rotation
+from thalweg.core.trajectory import Trajectory
+from thalweg.images.model.poses import ImagePoses
+from thalweg.navigation.fusion.report import count_table, group_facts
+from thalweg.navigation.fusion.settings import GROUPS, FusionSettings
+from thalweg.navigation.fusion.trajectory import Fused, fuse_trajectory
+from thalweg.settings.sections.fused import Fused as FusedSection
+from thalweg_lab.studies.outage import (
+    FRAME,
+    LEVER_ANTENNA_M,
+    Recorded,
+    VoyageSpec,
+    errors_at,
+    fuse,
+    make_survey,
+    pose_errors,
+)
+
+SETTINGS = FusionSettings()
+MOTORS = {"ins": {"motor_field_mg": ((5.0, 12.0, 2.0), (-5.0, 12.0, 2.0)), "hard_iron_mg": (6.0, 4.0, 0.0)}}
+
+TREES = {
+    "twin": {
+        "gnss": {"multipath_m": 0.05},
+        "effects": {"gnss_floats": ((4.0, 5.0), (18.0, 3.0)), "gnss_outages": ((9.0, 8.0),)},
+    },
+    "shade_s": ((3.0, 20.0),),
+}
+"""Twenty seconds under trees: dimmed satellites, float solutions, and none for eight seconds."""
+
+
+@cache
+def survey(seed: int = 1, duration_s: float = 40.0) -> Recorded:
+    return make_survey(seed, VoyageSpec(duration_s=duration_s))
+
+
+@cache
+def whole(seed: int = 1) -> Fused:
+    return fuse(survey(seed), SETTINGS)
+
+
+def moments(recorded: Recorded) -> np.ndarray:
+    """Times in the survey, off the nodes too."""
+    return recorded.motion.start_gps_s + np.arange(1.0, recorded.motion.config.duration_s - 2.0, 0.37)
+
+
+def rms(found: Fused, recorded: Recorded, at: np.ndarray | None = None) -> tuple[float, float]:
+    """RMS of the position's error in m, and of the attitude's in rad."""
+    e, _ = errors_at(found, recorded.motion, moments(recorded) if at is None else at)
+    return float(np.sqrt(np.mean(np.sum(e[:, :3] ** 2, axis=1)))), float(np.sqrt(np.mean(e[:, 3:] ** 2)))
+
+
+# ---------------------------------------------------------------- honesty
+
+
+@pytest.mark.parametrize("inputs", ["all", "positions", "images"])
+def test_normalised_errors_lie_in_their_band_over_thirty_seeds(inputs: str) -> None:
+    """One moment a seed: errors are independent. 30 x 6 squares have a band of 0.75 to 1.29 (99 %)."""
+    settings = FusionSettings(heading_disturbance_deg=0.0, estimate_errors=inputs == "all")
+    squares = []
+    for seed in range(1, 31):
+        recorded = make_survey(seed, VoyageSpec(duration_s=12.0))
+        found = fuse(recorded, settings, with_positions=inputs != "images", with_images=inputs != "positions")
+        # between two nodes, 5 s behind the begin
+        e, C = errors_at(found, recorded.motion, np.array([recorded.motion.start_gps_s + 5.13]))
+        squares.append(e[0] @ np.linalg.solve(C[0], e[0]))
+    low, high = chi2.ppf([0.005, 0.995], 180) / 180
+    assert low < np.mean(squares) / 6 < high
+
+
+def test_the_clock_offset_and_the_mount_are_found_within_their_sigmas() -> None:
+    clock, turn = [], []
+    for seed in range(1, 11):
+        recorded = make_survey(seed, VoyageSpec(duration_s=20.0, sigma_clock_s=0.15))
+        facts = fuse(recorded, replace(SETTINGS, sigma_clock_offset_s=0.2)).facts
+        clock.append((facts["clock_offset_s"] - recorded.clock_s) / facts["clock_offset_sigma_s"])
+        turn.append(facts["boresight"]["sigma_rotation_deg"])
+        # 20 images of 16 ms jitter leave 3.6 ms; what turns and walks little adds to it
+        assert facts["clock_offset_sigma_s"] < 0.007
+    low, high = chi2.ppf([0.005, 0.995], 10) / 10
+    assert low < np.mean(np.square(clock)) < high
+    # 0.02 as stated; what is not known of the sizes of the errors adds to it
+    assert np.all(np.array(turn) <= 0.0205)
+
+
+def test_a_wrong_mount_is_found_with_its_sign() -> None:
+    """The mount on file is turned by 0.6 deg about its x and z axis: the correction turns it back."""
+    recorded = survey()
+    wrong = np.array([0.0, 0.0, 0.0, *np.deg2rad([0.6, 0.0, -0.6])])
+    cov = np.diag(np.repeat([0.001, np.deg2rad(0.5)], 3) ** 2)
+    found = fuse(replace(recorded, T_ccs_ics=recorded.T_ccs_ics.moved(wrong).with_cov(cov)), SETTINGS)
+    boresight = found.facts["boresight"]
+    # 4 sigmas, and the survey's own mount error of 0.02 deg
+    limit = 4 * np.array(boresight["sigma_rotation_deg"]) + 0.08
+    assert np.all(np.abs(np.array(boresight["rotation_deg"]) - [-0.6, 0.0, 0.6]) < limit)
+    assert limit[[0, 2]].max() < 0.5
+
+
+# ---------------------------------------------------------------- better than each chain alone
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        {},
+        TREES,
+        {"twin": MOTORS},
+        {"image_interval_s": 5.0},
+        {"sigma_image_m": (0.05, 0.05, 0.05), "sigma_image_deg": (0.3, 0.3, 0.3)},
+    ],
+    ids=["clean", "under trees", "heading disturbed", "few images", "weak images"],
+)
+def test_it_is_never_worse_than_the_better_chain(spec: dict) -> None:
+    """RMS over six surveys; by 5 % at most."""
+    totals = {"positions": [], "images": [], "all": []}
+    for seed in range(1, 7):
+        recorded = make_survey(seed, VoyageSpec(duration_s=30.0, **spec))
+        for name in totals:
+            found = fuse(recorded, SETTINGS, with_positions=name != "images", with_images=name != "positions")
+            totals[name].append(rms(found, recorded))
+    ins, camera, both = (np.sqrt(np.mean(np.square(totals[n]), axis=0)) for n in totals)
+    assert np.all(both <= 1.05 * np.minimum(ins, camera)), (ins, camera, both)
+    if spec is TREES:
+        # multipath and float solutions that no fixed one bounds: the images must win
+        assert both[0] < 0.5 * ins[0]
+    if spec.get("twin") is MOTORS:
+        # motors turn the INS by degrees: what the images say must win
+        assert both[1] < 0.1 * ins[1]
+
+
+def test_it_is_better_than_the_images_themselves() -> None:
+    recorded = survey()
+    images = recorded.images
+    centre = images.centre_wcs_m + images.R_wcs_ccs @ recorded.T_ccs_ics.shift_m
+    raw = pose_errors(centre, images.R_wcs_ccs @ recorded.T_ccs_ics.R, recorded.motion, images.t_gps_s)
+    found = rms(whole(), recorded, images.t_gps_s)
+    assert found[0] < np.sqrt(np.mean(np.sum(raw[:, :3] ** 2, axis=1)))
+    assert found[1] < np.sqrt(np.mean(raw[:, 3:] ** 2))
+
+
+def test_an_outage_is_bridged_by_the_images_and_the_sigma_says_so() -> None:
+    recorded = survey()
+    t = recorded.positions["t_gps_s"].to_numpy() - recorded.motion.start_gps_s
+    keep = (t < 10) | (t > 30)
+    inside = recorded.motion.start_gps_s + np.arange(11, 29, 0.1)
+    both = fuse(recorded, SETTINGS, keep_positions=keep)
+    alone = fuse(recorded, SETTINGS, keep_positions=keep, with_images=False)
+    assert both.trajectory.valid.mean() > 0.98
+    assert rms(both, recorded, inside)[0] < 0.5 * rms(alone, recorded, inside)[0]
+    # valid no longer where the sigma has grown beyond the limit of the settings
+    middle = np.searchsorted(alone.trajectory.t_gps_s, recorded.motion.start_gps_s + 20)
+    assert not alone.trajectory.valid[middle]
+    assert alone.trajectory.sigma_position_m[middle].max() > SETTINGS.max_sigma_position_m
+
+
+def test_what_is_taken_for_known_of_the_start_is_next_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twelve seconds without an observation at the begin: a start of kilometres must not cost digits."""
+    recorded = survey()
+    late = replace(recorded.images, oriented=np.arange(len(recorded.images.images)) > 10)
+    at = recorded.motion.start_gps_s + np.array([-1.9, 5.0, 20.0])
+    poses = []
+    for sigma_m in (300.0, 3000.0):
+        monkeypatch.setattr("thalweg.navigation.fusion.model.START_SIGMA_M", sigma_m)
+        fixed = replace(SETTINGS, estimate_errors=False)
+        poses.append(fuse(replace(recorded, images=late), fixed, with_positions=False).poses(at))
+    # a sigma of 0.4 m at the begin: a start of 300 m holds it by 0.4^2 / 300^2 = 2e-6
+    np.testing.assert_allclose(poses[0][0], poses[1][0], atol=2e-5)
+    np.testing.assert_allclose(poses[0][2], poses[1][2], rtol=2e-5, atol=1e-9)
+
+
+def test_a_smoother_knows_the_begin_as_well_as_the_end() -> None:
+    sigma = whole().trajectory.sigma_position_m.max(axis=1)
+    assert sigma[100] < 1.5 * sigma[-100]
+
+
+# ---------------------------------------------------------------- wrong observations
+
+
+@pytest.mark.parametrize(("jump_m", "with_images"), [(0.3, True), (5.0, True), (0.3, False), (5.0, False)])
+def test_jumps_by_multipath_do_no_harm(jump_m: float, with_images: bool) -> None:
+    recorded = survey(2)
+    positions = recorded.positions.copy()
+    since = positions["t_gps_s"] - recorded.motion.start_gps_s
+    jumped = (since > 18) & (since < 23)
+    positions.loc[jumped, "lat_deg"] += jump_m / 111e3
+    found = fuse(replace(recorded, positions=positions), SETTINGS, with_images=with_images)
+    without = fuse(recorded, SETTINGS, keep_positions=~jumped.to_numpy(), with_images=with_images)
+    used = found.observations.query("kind == 'position'")["used"].to_numpy()
+    assert not used[jumped].any()
+    assert used[~jumped].all()
+    # as if they had never been there: 1 mm of variance components that settle elsewhere
+    at = moments(recorded)
+    np.testing.assert_allclose(found.poses(at)[0], without.poses(at)[0], atol=1e-3)
+    assert found.facts["observations"]["position"]["rejected"] == int(jumped.sum())
+
+
+def test_single_wrong_positions_and_images_are_rejected_and_counted() -> None:
+    recorded = survey(2)
+    positions = recorded.positions.copy()
+    positions.loc[positions.index[50::70], "h_ell_m"] += 0.5
+    images = recorded.images
+    centre, R = images.centre_wcs_m.copy(), images.R_wcs_ccs.copy()
+    centre[[8, 20, 21]] += [0.3, 0.0, 0.0]
+    R[30] = exp_rotation([0.0, 0.0, 0.05]) @ R[30]
+    bad = replace(images, centre_wcs_m=centre, R_wcs_ccs=R)
+    found = fuse(replace(recorded, positions=positions, images=bad), SETTINGS)
+    left_out = found.observations[~found.observations["used"]]
+    assert set(left_out["name"]) - {""} == {f"{k:05d}.jpg" for k in (8, 20, 21, 30)}
+    assert (left_out["kind"] == "position").sum() == len(positions.index[50::70])
+    # 5 %: what four images and seven positions less are worth
+    assert rms(found, recorded)[0] < 1.05 * rms(whole(2), recorded)[0] + 1e-3
+    for kind in ("position", "image"):
+        counts = found.facts["observations"][kind]
+        assert counts["given"] == counts["used"] + counts["rejected"] + sum(counts["dropped"].values())
+
+
+def test_sigmas_stated_too_small_are_found() -> None:
+    recorded = survey()
+    positions = recorded.positions.copy()
+    positions[["sigma_east_m", "sigma_north_m", "sigma_up_m"]] /= 3
+    found = fuse(replace(recorded, positions=positions), SETTINGS)
+    assert found.facts["groups"]["gnss_white"]["sigma_factor"] == pytest.approx(3.0, rel=0.15)
+    # the slow part holds fewer independent values, and what is stated weighs as ten
+    assert 1.6 < found.facts["groups"]["gnss"]["sigma_factor"] < 3.5
+    assert found.facts["observations"]["position"]["rejected"] == 0
+    trusted = fuse(replace(recorded, positions=positions), replace(SETTINGS, estimate_errors=False))
+    assert not trusted.facts["groups"]["gnss_white"]["inside"]
+
+
+# ---------------------------------------------------------------- missing and bad input
+
+
+def test_without_positions_and_images_it_says_what_is_missing() -> None:
+    with pytest.raises(InputError, match=r"no antenna positions; no image poses.*positions or oriented"):
+        fuse(survey(), SETTINGS, with_positions=False, with_images=False)
+
+
+def test_inputs_that_cannot_enter_are_counted_in_the_refusal() -> None:
+    recorded = survey()
+    untimed = recorded.images.with_times(
+        np.full(len(recorded.images.images), np.nan), recorded.images.sigma_t_s
+    )
+    single = recorded.positions.assign(fix="single")
+    with pytest.raises(InputError, match=r"441 antenna positions \(441 kind of solution\); 39 .*39 no time"):
+        fuse(replace(recorded, positions=single, images=untimed), SETTINGS)
+
+
+def test_streams_of_different_days_are_refused() -> None:
+    recorded = survey()
+    later = recorded.positions.assign(t_gps_s=recorded.positions["t_gps_s"] + 86400.0)
+    with pytest.raises(InputError, match="outside the INS"):
+        fuse(replace(recorded, positions=later), SETTINGS, with_images=False)
+
+
+def test_images_of_another_frame_or_without_a_mount_are_refused() -> None:
+    recorded = survey()
+    away = replace(recorded.images, frame=LocalFrame(lat_deg=51.06, lon_deg=13.25, h_ell_m=300.0))
+    with pytest.raises(InputError, match="world frame"):
+        fuse(replace(recorded, images=away), SETTINGS)
+    with pytest.raises(InputError, match="mount of the camera"):
+        fuse_trajectory(
+            recorded.states, FRAME, SETTINGS, images=recorded.images,
+            sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), max_attitude_gap_s=0.1,
+        )  # fmt: skip
+
+
+def test_positions_that_the_image_block_holds_are_not_counted_twice() -> None:
+    recorded = survey()
+    t = recorded.positions["t_gps_s"].to_numpy()
+    first, last = recorded.images.t_gps_s.min(), recorded.images.t_gps_s.max()
+    again = fuse_trajectory(
+        recorded.states, FRAME, SETTINGS, positions=recorded.positions, lever_ics_antenna_m=LEVER_ANTENNA_M,
+        images=recorded.images, T_ccs_ics=recorded.T_ccs_ics, images_hold_positions=True,
+        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), max_attitude_gap_s=0.1,
+    )  # fmt: skip
+    within = int(((t >= first) & (t <= last)).sum())
+    found = again.facts["observations"]["position"]
+    assert found["dropped"]["part of the image poses"] == within > 300
+    assert found["used"] + found["rejected"] == len(t) - within
+    middle = recorded.motion.start_gps_s + np.array([20.0])
+    # with them once more the place would seem to be known better
+    assert (np.diag(again.poses(middle)[2][0])[:3] > np.diag(whole().poses(middle)[2][0])[:3]).all()
+
+
+def test_a_trajectory_that_is_good_enough_nowhere_is_refused() -> None:
+    with pytest.raises(CoverageError, match=r"at least 0\.\d+ m and .*Add what is missing: image poses"):
+        fuse(survey(), replace(SETTINGS, max_sigma_position_m=0.001), with_images=False)
+
+
+def test_holes_of_the_ins_are_not_bridged_and_their_observations_counted() -> None:
+    recorded = survey()
+    t = recorded.states["t_gps_s"] - recorded.motion.start_gps_s
+    found = fuse(replace(recorded, states=recorded.states[(t < 15) | (t > 17)]), SETTINGS)
+    assert found.facts["observations"]["position"]["dropped"] == {"outside the INS or in a hole of it": 21}
+    assert found.facts["observations"]["image"]["dropped"] == {"outside the INS or in a hole of it": 2}
+    _, _, inside = found.trajectory.at(recorded.motion.start_gps_s + np.array([14.9, 15.5, 16.5, 17.1]))
+    assert inside.tolist() == [True, False, False, True]
+    # beside the hole it is as good as elsewhere
+    assert rms(found, recorded, recorded.motion.start_gps_s + np.array([14.5, 17.5]))[0] < 0.05
+
+
+def test_images_out_of_order_alone_or_without_a_pose_are_no_trouble() -> None:
+    recorded = survey()
+    images = recorded.images
+    back = np.arange(len(images.images))[::-1]
+    turned = ImagePoses(
+        frame=FRAME, images=tuple(images.images[k] for k in back), t_gps_s=images.t_gps_s[back],
+        sigma_t_s=np.full(len(back), np.nan), oriented=back % 3 != 0, reasons=images.reasons,
+        centre_wcs_m=images.centre_wcs_m[back], R_wcs_ccs=images.R_wcs_ccs[back],
+        cov_pose_wcs=images.cov_pose_wcs[back], cov_next=images.cov_next[back], n_marks=images.n_marks,
+        rms_px=images.rms_px,
+    )  # fmt: skip
+    found = fuse(replace(recorded, images=turned), SETTINGS)
+    assert found.facts["observations"]["image"]["dropped"] == {"not oriented": 13}
+    assert rms(found, recorded)[0] < 0.03
+    alone = replace(images, oriented=np.arange(len(back)) == 20)
+    assert rms(fuse(replace(recorded, images=alone), SETTINGS), recorded)[0] < 0.05
+
+
+def test_correlated_images_are_not_averaged_away() -> None:
+    """Images that all err alike give the sigma of one of them; independent ones of less than half."""
+    # a good INS joins the images, so that the sigma shows how they are averaged
+    recorded = make_survey(1, VoyageSpec(duration_s=40.0, twin={"ins": {"sigma_velocity_mps": 0.002}}))
+    C = recorded.images.cov_pose_wcs
+    alike, independent = (
+        fuse(
+            replace(recorded, images=replace(recorded.images, cov_next=share * C)),
+            replace(SETTINGS, estimate_errors=False, sigma_velocity_mps=0.002),
+            with_positions=False,
+        ).trajectory
+        for share in (0.998, 0.0)
+    )
+    middle = len(alike.t_gps_s) // 2
+    # the height: along the way the clock adds its own
+    assert alike.sigma_position_m[middle, 2] > 0.0095
+    assert independent.sigma_position_m[middle, 2] < 0.005
+
+
+# ---------------------------------------------------------------- form
+
+
+def test_the_same_input_gives_the_same_bytes(tmp_path) -> None:
+    again = fuse(make_survey(1, VoyageSpec(duration_s=40.0)), SETTINGS)
+    whole().trajectory.write(tmp_path / "a.parquet")
+    again.trajectory.write(tmp_path / "b.parquet")
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+    back = Trajectory.read(tmp_path / "a.parquet")
+    np.testing.assert_array_equal(back.valid, whole().trajectory.valid)
+
+
+def test_facts_can_be_written_and_counts_are_a_table() -> None:
+    facts = json.loads(json.dumps(whole().facts))
+    assert facts["settled"]
+    table = count_table(facts)
+    assert table.query("kind == 'image' and what == 'used'")["n"].item() == 39
+    assert set(facts["groups"]) >= {"gnss", "velocity", "camera", "clock"}
+
+
+def test_poses_between_agree_with_the_trajectory_at_its_nodes() -> None:
+    found = whole()
+    t = found.trajectory.t_gps_s
+    position, _, cov = found.poses(t[500:520])
+    np.testing.assert_array_equal(position, found.trajectory.position_wcs_m[500:520])
+    np.testing.assert_allclose(cov, found.trajectory.cov_pose_wcs[500:520], rtol=0, atol=0)
+    assert np.all(np.linalg.eigvalsh(cov) > 0)
+
+
+def test_the_section_and_the_settings_have_the_same_names_and_defaults() -> None:
+    assert FusionSettings.from_section(FusedSection().model_dump()) == FusionSettings()
+
+
+def test_the_band_of_a_group_is_that_of_the_table() -> None:
+    """Ten degrees of freedom: 2.156 and 25.188 hold 99 % (Abramowitz and Stegun 1964, table 26.8)."""
+    squares = dict.fromkeys(GROUPS, (25.0, 10.0)) | {GROUPS[0]: (25.4, 10.0), GROUPS[1]: (2.1, 10.0)}
+    found = group_facts(SimpleNamespace(groups=squares, factors=dict.fromkeys(GROUPS, 1.5)))
+    assert [found[name]["inside"] for name in GROUPS] == [False, False, *[True] * (len(GROUPS) - 2)]
+    assert found[GROUPS[0]] == {
+        "chi_square": pytest.approx(2.54), "redundancy": 10.0, "band_low": pytest.approx(0.2156, abs=1e-4),
+        "band_high": pytest.approx(2.5188, abs=1e-4), "inside": False, "sigma_factor": 1.5,
+    }  # fmt: skip

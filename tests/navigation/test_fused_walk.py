@@ -1,0 +1,62 @@
+"""How far a boat goes by itself in a gap: sigmas where neither the INS's velocity nor images help."""
+
+import numpy as np
+import pytest
+
+from thalweg.navigation.fusion.inputs import MODEL
+from thalweg.navigation.fusion.settings import FusionSettings
+from thalweg.navigation.fusion.trajectory import Fused
+from thalweg_lab.base.random import generator
+from thalweg_lab.studies import outage
+
+SETTINGS = FusionSettings(use_ins_velocity=False)
+SLOW = {"ins": {"rate_hz": 10.0}, "gnss": {"rate_hz": 1.0}}
+"""Rates that keep twenty surveys short."""
+
+
+def with_gap(seed: int, length_s: float) -> tuple[Fused, outage.Recorded, tuple[float, float]]:
+    """A survey with one outage; boats of other seeds turn otherwise, and the outage begins elsewhere."""
+    turns = float(generator(seed, "test turns").uniform(35.0, 60.0))
+    twin = SLOW | {"boat": {"zigzag_deg": turns}}
+    survey = outage.make_survey(seed, outage.VoyageSpec(duration_s=110.0, twin=twin))
+    t = survey.positions["t_gps_s"].to_numpy()
+    begin = float(t[0]) + 15.0 + (t[-1] - t[0] - 30.0 - length_s) * generator(seed, "test gap").uniform()
+    keep = (t < begin) | (t > begin + length_s)
+    return (
+        outage.fuse(survey, SETTINGS, keep_positions=keep, with_images=False),
+        survey,
+        (float(t[t < begin][-1]), float(t[t > begin + length_s][0])),
+    )
+
+
+@pytest.mark.parametrize(("length_s", "most"), [(10.0, 1.5), (60.0, 1.8)])
+def test_normalised_errors_hold_over_the_length_of_the_gap(length_s: float, most: float) -> None:
+    """Middle of the gap, 20 seeds: means of 60 squares lie below 1.5 (99 %), those of few turns below 1.8.
+
+    Short gaps may be on the safe side: the walk of the steps, by heave, is more than a straight leg needs.
+    With a walk of that size alone the mean at 60 s is 5 and more.
+    """
+    squares = []
+    for seed in range(1, 21):
+        found, survey, (begin, end) = with_gap(seed, length_s)
+        e, C = outage.errors_at(found, survey.motion, np.array([(begin + end) / 2]))
+        squares.append(e[0, :3] @ np.linalg.solve(C[0, :3, :3], e[0, :3]) / 3)
+    assert 0.1 < np.mean(squares) < most
+
+
+def test_only_the_steps_of_the_gap_walk_more() -> None:
+    found, _, (begin, end) = with_gap(1, 30.0)
+    t, walk = found.nodes.t_gps_s, found.nodes.walk
+    inside = (t > begin + 1e-6) & (t < end + 1e-6)
+    assert (found.nodes.kind[1:] == MODEL).all()
+    assert (walk[~inside & (t > t[0] + 5) & (t < t[-1] - 5)] == 1.0).all()
+    # the boat turns in the plane, in height it stays on the water
+    assert walk[inside, :2].max() > 2.0
+    assert walk[inside, 2].max() == 1.0
+
+
+def test_the_velocity_of_the_ins_and_regular_images_need_none_of_it() -> None:
+    survey = outage.make_survey(1, outage.VoyageSpec(duration_s=30.0))
+    assert (outage.fuse(survey, FusionSettings()).nodes.walk == 1.0).all()
+    alone = outage.fuse(survey, SETTINGS, with_positions=False)
+    assert (alone.nodes.walk == 1.0).all()

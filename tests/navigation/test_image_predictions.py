@@ -1,0 +1,100 @@
+"""Approximate poses of images from clock, trajectory and mount."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.clocks.ties.model import ClockModel
+from thalweg.core.errors import CoverageError
+from thalweg.core.frames import LocalFrame
+from thalweg.core.rigid import Rigid, exp_rotation
+from thalweg.core.trajectory import Trajectory
+from thalweg.navigation.camera.image_predictions import NO_STAMP, OFF_BOAT, OUTSIDE, predict_image_poses
+
+FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
+SPEED_MPS, TURN_RADPS = 2.0, 0.3
+
+
+def turning(n: int = 201) -> Trajectory:
+    """A boat that goes north-east at 2 m/s and turns at 0.3 rad/s for 20 s."""
+    t = 1000.0 + np.linspace(0.0, 20.0, n)
+    along = SPEED_MPS * (t - t[0]) / np.sqrt(2)
+    return Trajectory(
+        frame=FRAME,
+        t_gps_s=t,
+        position_wcs_m=np.stack([along, along, np.zeros(n)], axis=1),
+        quaternion_wcs_ics=Rotation.from_rotvec(np.outer(TURN_RADPS * (t - t[0]), [0, 0, 1.0])).as_quat(),
+        cov_pose_wcs=np.tile(np.diag([1e-4, 1e-4, 4e-4, 1e-6, 1e-6, 1e-6]), (n, 1, 1)),
+        valid=np.ones(n, np.bool_),
+    )
+
+
+def clock(offset_s: float, sigma_s: float = 0.0) -> ClockModel:
+    return ClockModel(offset_s=offset_s, reference_s=1000.0, cov=np.diag([sigma_s**2, 0.0]), source="test")
+
+
+def stamps(*t: float) -> pd.DataFrame:
+    return pd.DataFrame({"file": [f"{k}.jpg" for k in range(len(t))], "t_device_s": t})
+
+
+MOUNT = Rigid(R=exp_rotation([0.1, -0.2, 0.3]), shift_m=np.array([0.5, -0.1, 0.2]))
+
+
+def test_pose_is_that_of_the_boat_at_the_corrected_time_times_the_mount() -> None:
+    found = predict_image_poses(stamps(1008.0), clock(2.0), turning(), MOUNT)
+    R = exp_rotation([0.0, 0.0, TURN_RADPS * 10.0])
+    place = np.array([10.0, 10.0, 0.0]) * np.sqrt(2)
+    assert found.t_gps_s[0] == 1010.0
+    # closed form; positions of nodes are exact, arcs of 0.03 rad are exact as well
+    np.testing.assert_allclose(found.centre_wcs_m[0], place + R @ MOUNT.shift_m, atol=1e-9)
+    np.testing.assert_allclose(found.R_wcs_ccs[0], R @ MOUNT.R, atol=1e-9)
+
+
+def test_an_uncertain_time_counts_with_the_speed_of_the_boat() -> None:
+    still = Rigid(R=np.eye(3), shift_m=np.zeros(3))
+    sharp = predict_image_poses(stamps(1010.0), clock(0.0), turning(), still).cov_pose_wcs[0]
+    blurred = predict_image_poses(stamps(1010.0), clock(0.0, 0.1), turning(), still).cov_pose_wcs[0]
+    rate = np.array([SPEED_MPS / np.sqrt(2), SPEED_MPS / np.sqrt(2), 0, 0, 0, TURN_RADPS])
+    # rates are chords of 0.4 s about the time, exact for even motion
+    np.testing.assert_allclose(blurred - sharp, 0.01 * np.outer(rate, rate), atol=1e-12)
+
+
+def test_images_without_stamp_or_trajectory_stay_in_the_table_and_say_why() -> None:
+    found = predict_image_poses(stamps(1005.0, np.nan, 2000.0), clock(0.0), turning(), MOUNT)
+    assert found.oriented.tolist() == [True, False, False]
+    assert found.reasons == ("", NO_STAMP, OUTSIDE)
+    assert np.isnan(found.centre_wcs_m[1:]).all()
+
+
+def test_images_of_a_camera_that_is_not_on_the_boat_get_neither_pose_nor_time() -> None:
+    table = stamps(1005.0, 1006.0, 1007.0).assign(file=["left/1.jpg", "bank/1.jpg", "bank/low/2.jpg"])
+    found = predict_image_poses(table, clock(0.0), turning(), MOUNT, off_boat=["bank"])
+    assert found.oriented.tolist() == [True, False, False]
+    assert found.reasons == ("", OFF_BOAT, OFF_BOAT)
+    assert np.isfinite(found.t_gps_s).tolist() == [True, False, False]
+
+
+def test_a_gap_of_the_trajectory_gives_no_pose() -> None:
+    whole = turning()
+    broken = replace(whole, valid=np.abs(whole.t_gps_s - 1010.0) > 1.0)
+    assert predict_image_poses(stamps(1010.0, 1015.0), clock(0.0), broken, MOUNT).oriented.tolist() == [
+        False,
+        True,
+    ]
+
+
+def test_a_clock_in_another_zone_is_named_with_both_spans() -> None:
+    with pytest.raises(CoverageError, match=r"1 images .* none inside .* covers"):
+        predict_image_poses(stamps(1010.0), clock(3600.0), turning(), MOUNT)
+    with pytest.raises(CoverageError, match="none of 1 images has a time stamp"):
+        predict_image_poses(stamps(np.nan), clock(0.0), turning(), MOUNT)
+
+
+def test_what_all_times_share_is_told_apart_from_jitter() -> None:
+    shaky = replace(clock(0.0, 0.1), jitter_s=0.05)
+    found = predict_image_poses(stamps(1005.0, np.nan, 1010.0), shaky, turning(), MOUNT)
+    assert found.facts["sigma_common_s"] == pytest.approx(0.1)
+    np.testing.assert_allclose(found.sigma_t_s[[0, 2]], np.hypot(0.1, 0.05))

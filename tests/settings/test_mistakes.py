@@ -1,0 +1,385 @@
+"""Each row: what is wrong in an otherwise good campaign, where the message says it is, and the cure."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from thalweg.core.errors import ConfigError
+from thalweg.settings.files.load import load_campaign
+from thalweg.settings.messages.mistakes import CampaignError
+
+GONE = "<removed>"
+
+# (changes at dotted paths, path in the message, fragments of found, expected and cure)
+TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
+    # keys and sections
+    ({"campaign.titel": "x"}, "campaign.titel", ("unknown key", "one of id, title", "Did you mean title?")),
+    ({"georeferencing.max_range": 9}, "georeferencing.max_range", ("Did you mean max_range_m?",)),
+    (
+        {"georeferencing.max_range_mm": 9},
+        "georeferencing.max_range_mm",
+        ("Did you mean max_range_m, in metres?",),
+    ),
+    ({"georeferencing.MAX_RANGE_M": 9}, "georeferencing.MAX_RANGE_M", ("Did you mean max_range_m?",)),
+    ({"ppk.max_gap_s": 1}, "ppk.max_gap_s", ("belongs to orientation.max_gap_s", "move it there")),
+    ({"crs": "EPSG:25833"}, "crs", ("belongs to campaign.crs",)),
+    ({"lidars": {}}, "lidars", ("unknown key", "Did you mean lidar?")),
+    ({"qwertz": 1}, "qwertz", ("unknown key", "Remove it, or use one of: campaign, twin")),
+    ({"campaign.crs": GONE}, "campaign.crs", ("missing", "projected", "Add the line `crs: EPSG:25833`")),
+    ({"campaign.origin": GONE}, "campaign.origin", ("missing", "Add the line `origin: {lat_deg: …")),
+    ({"campaign.origin.h_ell_m": GONE}, "campaign.origin.h_ell_m", ("missing", "Ellipsoidal".lower()[1:])),
+    ({"campaign": GONE}, "campaign", ("missing", "Add the line `campaign:")),
+    ({"lidar": None}, "lidar", ("the section is empty", "or remove the line")),
+    ({"lidar": "VLP-16"}, "lidar", ("found 'VLP-16'", "a section with keys", "indented")),
+    ({"mounts.lidar": [1, 2]}, "mounts.lidar", ("found [1, 2]", "a section with keys")),
+    # kinds of values
+    (
+        {"georeferencing.max_range_m": "100 m"},
+        "georeferencing.max_range_m",
+        ("'100 m'", "number alone", "metres"),
+    ),
+    (
+        {"georeferencing.max_range_m": "99,5"},
+        "georeferencing.max_range_m",
+        ("'99,5'", "Write a decimal point: 99.5"),
+    ),
+    (
+        {"georeferencing.max_range_m": "'99'"},
+        "georeferencing.max_range_m",
+        ("a number above 0 up to 250 (metres)",),
+    ),
+    (
+        {"georeferencing.max_range_m": None},
+        "georeferencing.max_range_m",
+        ("found nothing", "then the default holds"),
+    ),
+    ({"georeferencing.max_range_m": True}, "georeferencing.max_range_m", ("found true", "Write a number")),
+    (
+        {"georeferencing.max_range_m": [1.0]},
+        "georeferencing.max_range_m",
+        ("found [1.0]", "without brackets"),
+    ),
+    ({"georeferencing.max_range_m": float("nan")}, "georeferencing.max_range_m", ("found nan", "a number")),
+    ({"ins.sigma_roll_deg": float("inf")}, "ins.sigma_roll_deg", ("found inf", "up to 45 (degrees)")),
+    ({"campaign.seed": 1.5}, "campaign.seed", ("found 1.5", "whole number", "without decimals")),
+    ({"campaign.seed": "1"}, "campaign.seed", ("found '1'", "Remove the quotes")),
+    ({"campaign.seed": -3}, "campaign.seed", ("from 0 to 4294967295", "without the sign: 3")),
+    ({"campaign.seed": 2**32}, "campaign.seed", ("found 4294967296", "from 0 to 4294967295")),
+    ({"campaign.crs": 25833}, "campaign.crs", ("found 25833", "Write EPSG:25833")),
+    ({"campaign.title": ""}, "campaign.title", ("not empty",)),
+    ({"campaign.title": 2021}, "campaign.title", ('Put it in quotes: "2021"',)),
+    ({"georeferencing.export_map": "yes"}, "georeferencing.export_map", ("true or false without quotes",)),
+    ({"georeferencing.export_map": 1}, "georeferencing.export_map", ("true or false",)),
+    ({"lidar.model": "VLP16"}, "lidar.model", ("one of auto, VLP-16", "Did you mean VLP-16?")),
+    ({"lidar.model": "vlp-16"}, "lidar.model", ("Did you mean VLP-16?",)),
+    ({"figures.format": "bmp"}, "figures.format", ("unknown",)),
+    ({"ppk.systems": ["gps"]}, "ppk.systems[0]", ("one of GPS, GLO", "Did you mean GPS?")),
+    ({"ppk.systems": []}, "ppk.systems", ("found 0 values", "at least one")),
+    ({"orientation.accept_fixes": "fixed"}, "orientation.accept_fixes", ("Write a list: [fixed]",)),
+    ({"orientation.position_source": "sbpp"}, "orientation.position_source", ("Did you mean sbp?",)),
+    ({"logs.lidar": "raw/lidar_1.pcap"}, "logs.lidar", ("Write a list: [raw/lidar_1.pcap]",)),
+    ({"logs.lidar": [3]}, "logs.lidar[0]", ("found 3", "text")),
+    # identity
+    ({"campaign.id": "Mulde 2021"}, "campaign.id", ("small letters", "mulde_2021.yaml")),
+    ({"campaign.id": "2021"}, "campaign.id", ("beginning with a letter", "c2021")),
+    ({"campaign.id": "other"}, "campaign.id", ("in a file named good.yaml", "rename the file to other.yaml")),
+    ({"campaign.id": "real_logs"}, "campaign.id", ("names another target", "Choose another id")),
+    # place
+    ({"campaign.crs": "EPSG:99999"}, "campaign.crs", ("unknown to PROJ", "EPSG:32633")),
+    ({"campaign.crs": "UTM 33"}, "campaign.crs", ("is no CRS", "EPSG:32633, UTM at the origin")),
+    ({"campaign.crs": "EPSG:4326"}, "campaign.crs", ("not projected", "map projection in metres")),
+    ({"campaign.crs": "EPSG:4978"}, "campaign.crs", ("not projected",)),
+    ({"campaign.crs": "EPSG:2263"}, "campaign.crs", ("US survey foot", "in metres")),
+    ({"campaign.crs": "EPSG:32618"}, "campaign.origin", ("outside the area of use", "EPSG:32633")),
+    (
+        {"campaign.origin": {"lat_deg": 13.25, "lon_deg": 51.05, "h_ell_m": 0}},
+        "campaign.origin",
+        ("outside the area of use", "look swapped", "lat_deg: 51.05"),
+    ),
+    (
+        {"campaign.origin": {"lat_deg": 0.891, "lon_deg": 0.2313, "h_ell_m": 0}},
+        "campaign.origin",
+        ("looks like radians", "51.05"),
+    ),
+    (
+        {"campaign.origin": {"lat_deg": 51.05, "lon_deg": -13.25, "h_ell_m": 0}},
+        "campaign.origin",
+        ("East is positive",),
+    ),
+    (
+        {"campaign.origin.lat_deg": 5103.2},
+        "campaign.origin.lat_deg",
+        ("NMEA degrees and minutes", "51.05333333"),
+    ),
+    ({"campaign.origin.lat_deg": 113.2}, "campaign.origin.lat_deg", ("may be swapped",)),
+    ({"campaign.origin.lon_deg": 413250.7}, "campaign.origin.lon_deg", ("degrees, not map coordinates",)),
+    ({"campaign.origin.h_ell_m": 300000}, "campaign.origin.h_ell_m", ("looks like millimetres: write 300",)),
+    # ranges and units
+    (
+        {"georeferencing.max_range_m": 120000},
+        "georeferencing.max_range_m",
+        ("found 120000", "looks like millimetres: write 120"),
+    ),
+    (
+        {"georeferencing.min_range_m": -1},
+        "georeferencing.min_range_m",
+        ("from 0 to 250 (metres)", "without the sign: 1"),
+    ),
+    (
+        {"georeferencing.min_range_m": 130},
+        "georeferencing.min_range_m",
+        ("max_range_m = 120", "Swap the two numbers"),
+    ),
+    ({"georeferencing.min_range_m": 121}, "georeferencing.min_range_m", ("a minimum below the maximum",)),
+    ({"lidar.data_port": 8308}, "lidar.data_port", ("both 8308", "2368")),
+    ({"lidar.data_port": 99999}, "lidar.data_port", ("from 1 to 65535",)),
+    ({"orientation.max_gap_s": 500}, "orientation.max_gap_s", ("looks like milliseconds: write 0.5",)),
+    ({"orientation.max_gap_s": 0}, "orientation.max_gap_s", ("above 0 up to 60 (seconds)",)),
+    ({"ins.sigma_heading_deg": 0}, "ins.sigma_heading_deg", ("above 0 up to 45 (degrees)",)),
+    ({"mounts.lidar.phi_deg": -1.57}, "mounts.lidar.phi_deg", ("looks like radians: write -90", "-1.5701")),
+    ({"mounts.lidar.kappa_deg": 3.1416}, "mounts.lidar.kappa_deg", ("looks like radians: write 180",)),
+    ({"mounts.lidar.omega_deg": 400}, "mounts.lidar.omega_deg", ("from -360 to 360 (degrees)",)),
+    (
+        {"mounts.antenna.lever_ics_m": [100, 0, -450]},
+        "mounts.antenna.lever_ics_m",
+        ("below 10 m", "looks like millimetres: write [0.1, 0, -0.45]"),
+    ),
+    (
+        {"mounts.lidar.sigma_lever_m": [0.5, 0.2, 0.1]},
+        "mounts.lidar.sigma_lever_m",
+        ("below 0.5 m", "write [0.0005, 0.0002, 0.0001]"),
+    ),
+    ({"mounts.lidar.lever_ics_m": [1, 2]}, "mounts.lidar.lever_ics_m", ("found 2 values", "[x, y, z]")),
+    ({"mounts.lidar.lever_ics_m": [1, 2, 3, 4]}, "mounts.lidar.lever_ics_m", ("found 4 values", "3 numbers")),
+    ({"mounts.lidar.lever_ics_m": 0.3}, "mounts.lidar.lever_ics_m", ("found 0.3", "list of 3 numbers")),
+    ({"mounts.lidar.lever_ics_m": [1, "a", 3]}, "mounts.lidar.lever_ics_m[1]", ("found 'a'", "a number")),
+    ({"mounts.lidar.lever_ics_m": GONE}, "mounts.lidar.lever_ics_m", ("missing", "lever_ics_m: [x, y, z]")),
+    ({"mounts.antenna": GONE}, "mounts.antenna.lever_ics_m", ("missing", "place of the antenna")),
+    # input
+    ({"twin": {}}, "twin", ("both twin and logs are given", "exactly one")),
+    ({"logs": GONE}, "", ("neither logs nor twin", "Add a section `logs:`")),
+    ({"logs": None}, "logs", ("the section logs is empty", "exactly one")),
+    (
+        {"calibration.boat_camera.interior": "raw/camera.yaml"},
+        "calibration.boat_camera.interior",
+        ("raw/camera.yaml: no such file", "an interior orientation at", "it holds base.sbp"),
+    ),
+    (
+        {"calibration.boat_camera.interior": "raw"},
+        "calibration.boat_camera.interior",
+        ("raw: this is a folder", "Name the file in it"),
+    ),
+    (
+        {"calibration.boat_camera.interior": "camera\0.yaml"},
+        "calibration.boat_camera.interior",
+        ("a path", "Remove the character"),
+    ),
+    ({"calibration.boat_camera.interior": 3}, "calibration.boat_camera.interior", ("found 3",)),
+    (
+        {"calibration.reference_camera.interior": "raw/base.sbp"},
+        "calibration.reference_camera.interior",
+        ("unknown key", "calibration.boat_camera.interior"),
+    ),
+    ({"logs.ins": ["raw/boat.anp"]}, "logs.ins[0]", ("no such file", "Did you mean boat.anpp in")),
+    ({"logs.ins": ["raw/BOAT.ANPP"]}, "logs.ins[0]", ("no such file", "Did you mean boat.anpp in")),
+    ({"logs.ins": ["rax/boat.anpp"]}, "logs.ins[0]", ("There is no folder", "Did you mean")),
+    ({"logs.ins": ["raw/zzzzz"]}, "logs.ins[0]", ("no such file", "it holds base.sbp")),
+    (
+        {"logs.ins": ["raw/*.anp"]},
+        "logs.ins[0]",
+        ("the pattern matches no file", "it holds base.sbp, boat.anpp"),
+    ),
+    ({"logs.ins": ["raw/\0"]}, "logs.ins[0]", ("expected a path", "Remove the character")),
+    ({"logs.ins": ["x" * 5000]}, "logs.ins[0]", ("File name too long",)),
+    ({"logs.ins": [""]}, "logs.ins[0]", ("not empty", "Write a value")),
+    ({"logs.ins": ["raw"]}, "logs.ins[0]", ("this is a folder", "raw/*")),
+    ({"logs.lidar": ["raw/empty.pcap"]}, "logs.lidar[0]", ("the file is empty", "Copy the log again")),
+    (
+        {"logs.lidar": ["raw/lidar_1.pcap", "raw/../raw/lidar_1.pcap"]},
+        "logs.lidar[1]",
+        ("already named at logs.lidar[0]", "Remove one"),
+    ),
+    ({"logs.depth": ["raw/boat.anpp"]}, "logs.depth[0]", ("already named at logs.ins[0]", "one stream")),
+    (
+        {"logs.gnss": {"rover": ["raw/rover.sbp"], "base": ["raw/rover.sbp"]}},
+        "logs.gnss.base[0]",
+        ("already named at logs.gnss.rover[0]", "Remove it from base"),
+    ),
+    ({"logs.lidar": GONE}, "logs.lidar", ("missing", "Velodyne captures", "Add the line `lidar:")),
+    ({"logs.ins": GONE}, "logs.ins", ("missing", "ANPP logs", "position_source: pos")),
+    ({"logs.positions": GONE}, "logs.positions", ("missing", ".pos files", "position_source: sbp")),
+    (
+        {"orientation.position_source": "sbp", "logs.gnss": GONE},
+        "logs.gnss.rover",
+        ("missing", "raw log of the boat's receiver", "position_source: pos"),
+    ),
+    (
+        {"orientation.position_source": "sbp", "logs.gnss": {"rover": ["raw/boat.obs"]}},
+        "logs.gnss.rover",
+        ("RINEX files only", "position_source: ppk"),
+    ),
+    ({"orientation.position_source": "sbet"}, "logs.sbet", ("missing", "SBET files")),
+    (
+        {"orientation.position_source": "sbet", "logs.sbet": ["raw/base.sbp"]},
+        "logs.gps_week",
+        ("missing", "GPS week"),
+    ),
+    ({"orientation.position_source": "ppk"}, "logs.gnss", ("base antenna is missing", "base_from: sbp")),
+    ({"logs.gps_week": 200}, "logs.gps_week", ("modulo 1024: write 2248",)),
+    ({"logs.depth_date": "12.05.2021"}, "logs.depth_date", ("a date YYYY-MM-DD", "like 2021-05-12")),
+    ({"logs.depth_date": "2021-02-30"}, "logs.depth_date", ("no day of the calendar",)),
+    (
+        {"logs.gnss.base_from": "sbp", "logs.gnss.base_ecef_m": [3909800.0, 920600.0, 4937000.0]},
+        "logs.gnss.base_from",
+        ("base_ecef_m and base_from", "Keep base_ecef_m"),
+    ),
+    (
+        {"logs.gnss.base_ecef_m": [3909.8, 920.6, 4937.0]},
+        "logs.gnss.base_ecef_m",
+        ("from the centre of the earth", "looks like kilometres"),
+    ),
+    (
+        {"logs.gnss.base_ecef_m": [377000.0, 5657000.0, 300.0]},
+        "logs.gnss.base_ecef_m",
+        ("Map or geodetic coordinates?",),
+    ),
+    (
+        {"logs.gnss.base_llh": {"lat_deg": 51.05, "lon_deg": 3.25, "h_ell_m": 300}},
+        "logs.gnss.base_llh",
+        # 10 degrees of longitude at 51 degrees north are 700 km.
+        ("the base is 700 km from campaign.origin", "within 200 km"),
+    ),
+    # twin
+    ({"logs": GONE, "twin.size": "tinny"}, "twin.size", ("one of tiny, demo, mulde", "Did you mean tiny?")),
+    ({"logs": GONE, "twin.boat": {"speed": 1}}, "twin.boat.speed", ("unknown key", "speed_mps")),
+    ({"logs": GONE, "twin.start_utc": "noon"}, "twin.start_utc", ("not a UTC time", "2021-05-12T08:31:07Z")),
+    (
+        {"logs": GONE, "twin.effects": {"gnss_outages": [[3, -2]]}},
+        "twin.effects.gnss_outages[0][1]",
+        ("found -2", "above 0"),
+    ),
+    ({"logs": GONE, "twin": "tiny"}, "twin", ("found 'tiny'", "a section with keys", "size")),
+    # lists
+    ({"orientation.accept_fixes": ["fixed", "fixed"]}, "orientation.accept_fixes[1]", ("stands twice",)),
+    ({"ppk": {"iono": "dual-freq", "frequencies": "l1"}}, "ppk.iono", ("two frequencies",)),
+]
+
+
+def mistakes_of(path: Path) -> CampaignError:
+    with pytest.raises(CampaignError) as caught:
+        load_campaign(path)
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    ("changes", "path", "fragments"), TABLE, ids=[f"{i}-{r[1]}" for i, r in enumerate(TABLE)]
+)
+def test_message_names_place_and_cure(changes, path, fragments, write, removed):
+    spoilt = write({k: removed if v is GONE else v for k, v in changes.items()})
+    error = mistakes_of(spoilt)
+    at_path = [m for m in error.mistakes if m.dotted == path]
+    assert at_path, f"no mistake at {path!r} in:\n{error}"
+    line = str(at_path[0])
+    for fragment in fragments:
+        assert fragment in line
+    assert line in str(error)
+    assert line.startswith(f"{spoilt}:{at_path[0].line}: ")
+    assert at_path[0].cure, "each mistake has a cure"
+
+
+def test_one_mistake_gives_one_line(write):
+    """A wrong value is not reported a second time as missing or as out of place."""
+    for changes in (
+        {"logs.lidar": "raw/lidar_1.pcap"},
+        {"mounts.lidar.lever_ics_m": [1]},
+        {"campaign.id": "Mulde 2021"},
+        {"georeferencing.max_range_m": 120000},
+        {"campaign.crs": "EPSG:2263x"},
+    ):
+        error = mistakes_of(write(changes))
+        assert len(error.mistakes) == 1, str(error)
+        assert str(error).startswith("1 mistake in the campaign settings:\n")
+
+
+def test_all_mistakes_come_at_once(write):
+    """Faults of form do not hide faults of content: wrong types, missing files, CRS and units together."""
+    changes = {
+        "campaign.titel": "x",
+        "campaign.crs": "EPSG:4326",
+        "campaign.seed": "one",
+        "lidar.model": "HDL",
+        "georeferencing.min_range_m": 200,
+        "logs.ins": ["raw/boat.anp"],
+        "logs.depth": ["raw/empty.pcap"],
+        "logs.gps_week": "x",
+        "mounts.lidar.phi_deg": -1.57,
+        "mounts.lidar.sigma_phi_deg": -1,
+        "mounts.antenna.lever_ics_m": [100, 0, -450],
+        "orientation.position_source": "sbet",
+    }
+    error = mistakes_of(write(changes))
+    assert {m.dotted for m in error.mistakes} == {
+        "campaign.titel", "campaign.crs", "campaign.seed", "lidar.model", "georeferencing.min_range_m",
+        "logs.ins[0]", "logs.depth[0]", "logs.gps_week", "logs.sbet", "mounts.lidar.phi_deg",
+        "mounts.lidar.sigma_phi_deg", "mounts.antenna.lever_ics_m",
+    }  # fmt: skip
+    assert str(error).startswith(f"{len(error.mistakes)} mistakes in the campaign settings:\n")
+    assert len(str(error).splitlines()) == 1 + len(error.mistakes)
+    lines = [m.line for m in error.mistakes]
+    assert lines == sorted(lines)
+    assert isinstance(error, ConfigError)
+
+
+def test_lines_are_those_of_the_file(write, survey):
+    path = write()
+    text = (
+        path.read_text()
+        .replace("max_range_m: 120.0", "max_range_m: -2")
+        .replace("raw/lidar_2", "raw/lidar_3")
+    )
+    path.write_text(text)
+    rows = text.splitlines()
+    error = mistakes_of(path)
+    assert len(error.mistakes) == 2
+    for mistake in error.mistakes:
+        row = rows[mistake.line - 1]
+        assert ("max_range_m: -2" in row) if mistake.path[0] == "georeferencing" else ("lidar_3.pcap" in row)
+
+
+def test_a_code_receiver_never_fixes(write, removed):
+    """`single_frequency` with fixed solutions only would leave no position at all."""
+    twin = {"gnss": {"mode": "single_frequency"}}
+    error = mistakes_of(write({"logs": removed, "twin": twin, "orientation.position_source": "pos"}))
+    assert [m.dotted for m in error.mistakes] == ["orientation.accept_fixes"]
+    assert "Write accept_fixes: [single]" in str(error)
+
+
+def test_twin_sources(write, removed):
+    """The twin writes neither raw observations nor SBET."""
+    error = mistakes_of(write({"logs": removed, "twin": {}, "orientation.position_source": "ppk"}))
+    assert [m.dotted for m in error.mistakes] == ["orientation.position_source"]
+    assert "expected pos, sbp or ins" in str(error)
+
+
+def test_angles_with_more_digits_are_degrees(write):
+    """Only a value that equals a multiple of pi/4 to its own digits is suspected of being radians."""
+    for angle in (1.5701, -1.56, 1.5, 3.0, 0.79001, 90.0, 0.0, -1.571):
+        write_ok = {"mounts.lidar.phi_deg": angle}
+        if angle == -1.571:  # pi/2 rounded to three digits
+            assert "radians" in str(mistakes_of(write(write_ok)))
+        else:
+            load_campaign(write(write_ok))
+
+
+def test_unreadable_log(write, survey, monkeypatch):
+    real_open = Path.open
+
+    def refuse(self, *args, **kwargs):
+        if self.name == "boat.anpp":
+            raise PermissionError(13, "Permission denied")
+        return real_open(self, *args, **kwargs)
+
+    path = write()
+    monkeypatch.setattr(Path, "open", refuse)
+    assert "Permission denied" in str(mistakes_of(path))

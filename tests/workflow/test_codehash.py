@@ -1,0 +1,107 @@
+"""The code version of a rule follows the modules that its script reaches, and nothing else."""
+
+from pathlib import Path
+
+import pytest
+
+from thalweg.core.errors import InputError
+from thalweg.workflow import codehash
+
+FILES = {
+    "pkg/__init__.py": "",
+    "pkg/core/__init__.py": "",
+    "pkg/core/a.py": 'def f():\n    """Old words."""\n    return 1\n',
+    "pkg/lidar/__init__.py": "",
+    "pkg/lidar/b.py": "from pkg.core.a import f\n",
+    "pkg/lidar/lazy.py": "def g():\n    from pkg.core import a\n    return a.f()\n",
+    "pkg/figures/__init__.py": "",
+    "pkg/figures/c.py": "x = 1\n",
+    "scripts/direct.py": "from pkg.lidar.b import f\n",
+    "scripts/lazy.py": "import pkg.lidar.lazy\n",
+    "scripts/picture.py": "from pkg.figures import c\n",
+}
+
+
+def versions(root: Path) -> dict[str, str]:
+    for cached in (codehash._facts, codehash._imports, codehash._kept):
+        cached.cache_clear()
+    return {
+        name: codehash.code_version(name, scripts=root / "scripts", source=root)
+        for name in ("direct", "lazy", "picture")
+    }
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Facts of these files stay out of the user's cache."""
+    place = tmp_path_factory.mktemp("cache")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(place))
+    codehash._new.clear()
+    return place
+
+
+@pytest.fixture
+def house(tmp_path: Path) -> Path:
+    for name, text in FILES.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+def test_an_edit_reaches_exactly_its_users(house: Path) -> None:
+    before = versions(house)
+    (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
+    after = versions(house)
+    assert [name for name in before if before[name] != after[name]] == ["direct", "lazy"]
+    (house / "pkg/figures/c.py").write_text("x = 2\n")
+    last = versions(house)
+    assert [name for name in after if after[name] != last[name]] == ["picture"]
+
+
+def test_a_style_file_counts_as_code(house: Path) -> None:
+    before = versions(house)
+    (house / "pkg/figures/look.mplstyle").write_text("font.size: 8\n")
+    after = versions(house)
+    assert [name for name in before if before[name] != after[name]] == ["picture"]
+
+
+def test_words_cost_no_rerun(house: Path) -> None:
+    before = versions(house)
+    (house / "pkg/core/a.py").write_text('# why\ndef f():\n    """New words."""\n    return 1\n')
+    assert versions(house) == before
+
+
+def test_every_shipped_script_has_a_version(repository: Path) -> None:
+    scripts = sorted(p.stem for p in (repository / "workflow" / "scripts").glob("*.py"))
+    assert scripts
+    assert all(len(codehash.code_version(name)) == 12 for name in scripts)
+
+
+def test_an_unknown_script_is_named() -> None:
+    with pytest.raises(InputError, match=r"no_such_rule\.py: entry script not found"):
+        codehash.code_version("no_such_rule")
+
+
+def test_what_was_parsed_once_is_read_from_the_cache(
+    house: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = versions(house)
+    codehash._keep()
+    (kept,) = (own_cache / "thalweg").iterdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(codehash.ast, "parse", lambda *_: pytest.fail("parsed again"))
+        assert versions(house) == first
+    # another file is parsed, the others are not
+    (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
+    assert versions(house)["direct"] != first["direct"]
+    # a damaged cache costs time and nothing else
+    kept.write_text('{"abc": 7}')
+    (house / "pkg/core/a.py").write_text(FILES["pkg/core/a.py"])
+    assert versions(house) == first
+
+
+def test_a_cache_that_cannot_be_written_does_no_harm(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (house / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(house / "file"))
+    assert versions(house)
+    codehash._keep()

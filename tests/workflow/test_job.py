@@ -1,0 +1,104 @@
+"""An entry script as a job: keywords from the rule, log, provenance, messages."""
+
+import json
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
+
+from thalweg.core.errors import InputError
+from thalweg.workflow.job import job_arguments, run_job
+
+
+class FakeJob:
+    """What Snakemake hands to a script."""
+
+    rule = "double"
+    threads = 1
+
+    def __init__(self, folder: Path, **params: object) -> None:
+        (folder / "in.txt").write_text("21")
+        self.input = InputFiles([str(folder / "in.txt")] * 2)
+        self.input._set_name("number", 0)
+        self.input._set_name("several", 1, end=2)
+        self.output = OutputFiles(fromdict={"result": str(folder / "out.txt")})
+        self.log = Log([str(folder / "double.log")])
+        self.params = Params(fromdict={"code": "abc", "factor": 2, **params})
+
+
+def double(*, number: Path, several: list[Path], result: Path, factor: int, offset: int = 0) -> None:
+    result.write_text(str(int(number.read_text()) * factor + offset))
+    assert several == [number]
+
+
+@pytest.fixture(autouse=True)
+def _restore_hooks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("thalweg.workflow.job._start_log", lambda path: None)
+
+
+def test_keywords_come_from_the_rule(tmp_path: Path) -> None:
+    arguments = job_arguments(double, FakeJob(tmp_path))
+    assert arguments == {
+        "number": tmp_path / "in.txt",
+        "several": [tmp_path / "in.txt"],
+        "result": tmp_path / "out.txt",
+        "factor": 2,
+    }
+
+
+def test_a_keyword_without_counterpart_is_named(tmp_path: Path) -> None:
+    def main(*, result: Path, missing: int) -> None: ...
+
+    with pytest.raises(InputError, match="rule double: the script asks for 'missing'"):
+        job_arguments(main, FakeJob(tmp_path))
+
+
+def test_provenance_is_written(tmp_path: Path) -> None:
+    run_job(double, FakeJob(tmp_path, offset=1))
+    assert (tmp_path / "out.txt").read_text() == "43"
+    record = json.loads((tmp_path / "out.txt.meta.json").read_text())
+    assert record["params"] == {"factor": 2, "offset": 1}
+    assert record["code"] == "abc"
+    assert record["rule"] == "double"
+    # sha256 of "21" and "43" by sha256sum
+    assert record["inputs"] == {
+        str(tmp_path / "in.txt"): "6f4b6612125fb3a0daecd2799dfd6c9c299424fd920f9b308110a2c1fbd8f443"
+    }
+    assert record["sha256"] == "44cb730c420480a0477b505ae68af508fb90f96cf0ec54c6ad16949dd427f13a"
+    assert record["libraries"]["numpy"]
+
+
+def test_a_job_that_writes_nothing_fails(tmp_path: Path) -> None:
+    def main(*, number: Path) -> None: ...
+
+    with pytest.raises(InputError, match="outputs were not written"):
+        run_job(main, FakeJob(tmp_path))
+
+
+def test_a_failing_script_leaves_a_traceback_in_its_log_and_a_message_for_people(tmp_path: Path) -> None:
+    code = f"""
+import sys
+from pathlib import Path
+from thalweg.core.errors import InputError
+from thalweg.workflow import job
+job._start_log(Path({str(tmp_path / "job.log")!r}))
+raise InputError("17 bytes", expected="1206", where="a.pcap, packet 3", cure="Cut the file")
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 1
+    assert "InputError: a.pcap, packet 3: 17 bytes; expected 1206. Cut the file." in run.stderr
+    assert "Traceback" not in run.stderr
+    assert "Traceback" in (tmp_path / "job.log").read_text()
+
+
+def test_scripts_can_be_imported_without_snakemake(repository: Path) -> None:
+    scripts = sorted((repository / "workflow" / "scripts").glob("*.py"))
+    for script in scripts:
+        names = runpy.run_path(str(script))
+        assert callable(names["main"]), script
