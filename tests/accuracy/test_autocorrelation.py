@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.autocorrelation import (
+from thalweg.accuracy.cloud_to_mesh.reference_comparison import (
     PERMUTATIONS,
     SIGNIFICANT,
     Cells,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.block_covariance import (
+from thalweg.accuracy.cloud_to_mesh.registration import (
     block_covariance,
     share_within_blocks,
     time_blocks,

@@ -11,16 +11,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from thalweg.accuracy.cloud_to_mesh import registration
-from thalweg.accuracy.cloud_to_mesh.block_covariance import share_within_blocks
 from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings, after_motion
+from thalweg.accuracy.cloud_to_mesh.reference_comparison import registration_facts
 from thalweg.accuracy.cloud_to_mesh.registration import (
     LEAST_VISIBLE,
     TUKEY,
     Motion,
     register,
+    share_within_blocks,
     visible_motions,
 )
-from thalweg.accuracy.cloud_to_mesh.registration_facts import registration_facts
 from thalweg.accuracy.cloud_to_mesh.statistics import chi_square_band
 from thalweg.core.errors import GeometryError
 from thalweg.core.geometry.raycast import _open3d

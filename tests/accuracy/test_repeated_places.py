@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.autocorrelation import dependency_in_words, local_dependency
+from thalweg.accuracy.cloud_to_mesh.reference_comparison import dependency_in_words, local_dependency
 from thalweg.accuracy.cloud_to_mesh.repeated_places import (
     LEAST_CELLS,
     _visits,

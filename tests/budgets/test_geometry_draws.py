@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thalweg.budgets.geometry_draws import drawn
+from thalweg.budgets.published import drawn
 
 
 def test_draws_are_the_same_for_a_seed_and_keep_the_length_of_the_lever_arm(budgets) -> None:

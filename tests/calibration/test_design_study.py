@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from thalweg.calibration.camera_lidar.adjustment import calibrate_camera_lidar
-from thalweg.calibration.camera_lidar.design_study import QUANTITIES, ScanPattern, design_study
+from thalweg.calibration.camera_lidar.files import QUANTITIES, ScanPattern, design_study
 from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
 from thalweg.calibration.cones.fit import fit_reference
 

@@ -8,7 +8,7 @@ from thalweg.calibration.echo_sounder.adjustment import Bed, EchoSettings, EchoS
 from thalweg.calibration.ins_lidar.pose_errors import PoseErrors
 from thalweg.core.adjustment.solve import UnobservableError
 from thalweg.core.errors import CoverageError, GeometryError
-from thalweg_lab.studies.echo_runs import (
+from thalweg_lab.studies.calibration_runs import (
     LEVER_ANTENNA_M,
     SIGMA_RULER_M,
     TRUE_LEVER_M,

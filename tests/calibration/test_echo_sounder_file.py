@@ -18,7 +18,7 @@ from thalweg.core.errors import CoverageError, GeometryError, InputError
 from thalweg.core.tables import write_table
 from thalweg.ingest.schemas import DEPTH
 from thalweg.settings.sections.calibration import Calibration
-from thalweg_lab.studies.echo_runs import (
+from thalweg_lab.studies.calibration_runs import (
     LEVER_ANTENNA_M,
     SIGMA_RULER_M,
     TRUE_LEVER_M,

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.calibration.markers.detection import (
+from thalweg.calibration.markers.sheets import SADDLES_MODULES, MarkerLayout, sheet_picture
+from thalweg.calibration.markers.tables import (
     MIRRORED,
     NO_SADDLES,
     TWICE,
@@ -15,7 +16,6 @@ from thalweg.calibration.markers.detection import (
     detect,
     detect_marks,
 )
-from thalweg.calibration.markers.sheets import SADDLES_MODULES, MarkerLayout, sheet_picture
 from thalweg.core.errors import InputError
 
 LAYOUT = MarkerLayout()

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.calibration.ins_lidar.model import State, Step
-from thalweg.calibration.ins_lidar.pose_errors import BorderedNormals, Knots, PoseErrors, pose_rows
-from thalweg.calibration.ins_lidar.pose_process import (
+from thalweg.calibration.ins_lidar.adjustment import (
     NAMES,
     Processes,
     changed,
     estimate_processes,
     total_covariance,
 )
+from thalweg.calibration.ins_lidar.model import State, Step
+from thalweg.calibration.ins_lidar.pose_errors import BorderedNormals, Knots, PoseErrors, pose_rows
 from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
 from thalweg_lab.base.random import gauss_markov

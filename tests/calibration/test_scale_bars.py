@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.field.scale_bars import scale_of
+from thalweg.calibration.field.network import scale_of
 from thalweg.core.errors import GeometryError
 
 NAMES = ("A", "B", "C")

@@ -9,8 +9,14 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from thalweg.clocks.camera import offset as camera_offset_module
-from thalweg.clocks.camera.offset import CameraOffset, camera_offset
-from thalweg.clocks.camera.offset_fit import OffsetOptions, fit_offset, image_times
+from thalweg.clocks.camera.offset import CameraOffset, MissingMotionError, camera_offset
+from thalweg.clocks.camera.offset_fit import (
+    Component,
+    OffsetOptions,
+    estimate_component,
+    fit_offset,
+    image_times,
+)
 from thalweg.clocks.camera.offset_observations import (
     CameraPoses,
     FieldError,
@@ -18,9 +24,7 @@ from thalweg.clocks.camera.offset_observations import (
     OffsetModel,
     OffsetState,
 )
-from thalweg.clocks.camera.run_motion import MissingMotionError
 from thalweg.clocks.camera.track import Track
-from thalweg.clocks.camera.variance import Component, estimate_component
 from thalweg.core.errors import ClockError, CoverageError
 from thalweg.core.frames import attitude_axes, rotation_enu_body, rotation_opk
 

@@ -11,8 +11,7 @@ import pytest
 from PIL import Image, ImageDraw, ImageFont
 from scipy.stats import chi2
 
-from thalweg.clocks.display.reader import read_display
-from thalweg.clocks.display.sequence import out_of_sequence, seconds_of
+from thalweg.clocks.display.reader import out_of_sequence, read_display, seconds_of
 from thalweg.clocks.display.stability import clock_stability
 from thalweg.core.errors import ClockError, InputError
 from thalweg.settings.twin.sections import TwinConfig

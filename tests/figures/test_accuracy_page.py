@@ -10,8 +10,16 @@ from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings
 from thalweg.accuracy.cloud_to_mesh.comparison_tables import by_range_table, statistics_table, verdicts
 from thalweg.core.errors import InputError
 from thalweg.figures.accuracy.distance_histogram import distance_histogram
-from thalweg.figures.accuracy.page import _error_model, accuracy_page, pivot
-from thalweg.figures.accuracy.words import covered, explanation, limits, value_of, verdict
+from thalweg.figures.accuracy.page import (
+    _error_model,
+    accuracy_page,
+    covered,
+    explanation,
+    limits,
+    pivot,
+    value_of,
+    verdict,
+)
 from thalweg.figures.page import Page
 from thalweg.figures.style import save
 from thalweg.navigation.ins_gnss.error_model import ErrorModel, PriorErrors

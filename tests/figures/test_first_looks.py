@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import InputError
-from thalweg.figures.firstlook.first_looks import (
+from thalweg.figures.firstlook.first_look import (
     MAX_DOTS,
     attitude_first_look,
     depth_first_look,

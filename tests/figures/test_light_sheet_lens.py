@@ -1,7 +1,7 @@
 """The lens on the light-sheet page."""
 
 from thalweg.figures.page import Page
-from thalweg.lightsheet.figures.lens import lens_section
+from thalweg.lightsheet.figures.page import lens_section
 
 REPORT = {
     "views": {"pictures": 24, "largest_angle_deg": 85.4, "rolled": 1},

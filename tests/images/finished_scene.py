@@ -11,7 +11,7 @@ from thalweg.core.frames import LocalFrame, rotation_enu_body
 from thalweg.core.rigid import exp_rotation, opk_of
 from thalweg.core.types import ArrayF
 from thalweg.images.model.poses import ImagePoses
-from thalweg.settings.images.finished import FinishedOrientations
+from thalweg.settings.images.sections import FinishedOrientations
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=110.0)
 UTM33 = CRS.from_epsg(25833)

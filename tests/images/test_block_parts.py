@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.images.bundle.adjustment import Adjusted, adjust_block
-from thalweg.images.bundle.parts import Agreement, parts_agreement
+from thalweg.images.bundle.adjustment import Adjusted, Agreement, adjust_block, parts_agreement
 from thalweg.images.bundle.problem import Problem
 from thalweg.images.bundle.weights import Options
 

@@ -17,7 +17,7 @@ from thalweg.images.bundle.pieces import adjust_pieces, pieces_tables, read_piec
 from thalweg.images.bundle.problem import Problem
 from thalweg.images.model.block import ImageBlock
 from thalweg.images.model.poses import ImagePoses
-from thalweg.images.sfm.tracks import part_of_block
+from thalweg.images.sfm.mapping import part_of_block
 from thalweg.settings.images.block import BlockAdjustment
 from thalweg.settings.images.block import ControlPoints as ControlSection
 

@@ -10,7 +10,7 @@ import pytest
 from thalweg.core.frames import LocalFrame
 from thalweg.core.rigid import exp_rotation
 from thalweg.images.bundle.adjustment import adjust_block
-from thalweg.images.bundle.restart import adjust_from_either_start, misfit, predicted_block
+from thalweg.images.bundle.run import adjust_from_either_start, misfit, predicted_block
 from thalweg.images.bundle.weights import Options
 from thalweg.images.model.poses import ImagePoses
 

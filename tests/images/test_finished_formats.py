@@ -33,8 +33,7 @@ from thalweg.images.imports.angles import (
     changes,
     conventions,
 )
-from thalweg.images.imports.colmap import read_model
-from thalweg.images.imports.poses import import_orientations
+from thalweg.images.imports.poses import import_orientations, read_model
 from thalweg.images.imports.source import Angles
 from thalweg.images.model.poses import ImagePoses
 

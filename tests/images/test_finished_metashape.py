@@ -21,7 +21,7 @@ from tests.images.finished_scene import (
 
 from thalweg.core.rigid import exp_rotation
 from thalweg.core.types import ArrayF
-from thalweg.images.imports.metashape_camera import project_metashape
+from thalweg.images.imports.metashape import project_metashape
 from thalweg.images.imports.poses import import_orientations
 from thalweg.images.model.poses import ImagePoses
 

@@ -23,7 +23,7 @@ from thalweg.images.masks.settings import MaskSettings
 from thalweg.images.model.block import ImageBlock
 from thalweg.images.model.cameras import camera_note, cameras_of, in_folders
 from thalweg.images.model.files import Picture
-from thalweg.images.sfm.assign import Interiors, assign_cameras
+from thalweg.images.sfm.start import Interiors, assign_cameras
 from thalweg.ingest.photos.files import named_images
 
 LONG = replace(PERSPECTIVE, parameters=PERSPECTIVE.parameters * np.array([1.6, 1.6, 1, 1, 1, 1, 1, 1, 1]))

@@ -9,11 +9,9 @@ from thalweg.core.camera.model import Camera
 from thalweg.core.errors import InputError
 from thalweg.core.rigid import exp_rotation
 from thalweg.images.masks.features import read_reduced
-from thalweg.images.masks.geometry import depression, nominal_depression
-from thalweg.images.masks.hull import steady_parts
-from thalweg.images.masks.mirror import mirror_level
+from thalweg.images.masks.learning import _best_path, water_line
 from thalweg.images.masks.model import PixelModel
-from thalweg.images.masks.waterline import _best_path, water_line
+from thalweg.images.masks.series import depression, mirror_level, nominal_depression, steady_parts
 
 
 def test_the_path_is_the_best_of_all(rng):

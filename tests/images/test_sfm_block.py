@@ -17,12 +17,18 @@ from thalweg.core.frames import LocalFrame
 from thalweg.core.trajectory import Trajectory
 from thalweg.images.model.block import ImageBlock
 from thalweg.images.sfm.features import Features, FeatureSettings, extract_features, join_features
-from thalweg.images.sfm.mapping import Mapped, MapSettings, is_estimated, main_block, map_images
+from thalweg.images.sfm.mapping import (
+    Mapped,
+    MapSettings,
+    firm_parts,
+    is_estimated,
+    main_block,
+    map_images,
+    part_of_block,
+)
 from thalweg.images.sfm.matching import Matches, MatchSettings
-from thalweg.images.sfm.pairs import PairSettings
 from thalweg.images.sfm.report import block_facts, image_table
-from thalweg.images.sfm.start import Known, match_images, read_times
-from thalweg.images.sfm.tracks import firm_parts, part_of_block
+from thalweg.images.sfm.start import Known, PairSettings, match_images, read_times
 from thalweg.settings.images.sfm import Features as FeaturesSection
 from thalweg.settings.images.sfm import Mapping as MappingSection
 

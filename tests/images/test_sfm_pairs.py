@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from thalweg.core.errors import GeometryError
-from thalweg.images.sfm.pairs import PairSettings, image_pairs, order_in_time
+from thalweg.images.sfm.start import PairSettings, image_pairs, order_in_time
 
 NAMES = ["img_2.jpg", "img_10.jpg", "img_1.jpg", "img_3.jpg"]
 

@@ -14,8 +14,7 @@ import pytest
 from thalweg.core.errors import InputError, ThalwegError
 from thalweg.core.tables import read_table, write_table
 from thalweg.core.timescales import LeapSecondWarning, gps_from_unix
-from thalweg.ingest.anpp.reader import AnppLog, read_anpp
-from thalweg.ingest.anpp.tables import HEAVE, PASSTHROUGH
+from thalweg.ingest.anpp.reader import HEAVE, PASSTHROUGH, AnppLog, read_anpp
 from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_RAW, INS_STATE
 
 T0 = 1_494_614_695  # 2017-05-12T18:44:55 UTC

@@ -12,9 +12,14 @@ from thalweg.core.tables import read_table, write_table
 from thalweg.core.timescales import gps_from_unix
 from thalweg.ingest.clock_shift import explain_shift
 from thalweg.ingest.photos.exif import CivilStamp, offset_seconds, read_head, stamp_from_exif
-from thalweg.ingest.photos.names import compile_pattern, stamp_from_name
-from thalweg.ingest.photos.stamps import IMAGE_STAMPS, list_images, read_image_stamps
-from thalweg.ingest.photos.table import read_time_table
+from thalweg.ingest.photos.stamps import (
+    IMAGE_STAMPS,
+    compile_pattern,
+    list_images,
+    read_image_stamps,
+    read_time_table,
+    stamp_from_name,
+)
 
 UNIX = 1_620_808_267  # 2021-05-12T08:31:07Z
 T0 = float(gps_from_unix(UNIX))

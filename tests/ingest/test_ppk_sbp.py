@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.ingest.ppk.sbp import looks_like_sbp, walk_sbp
+from thalweg.ingest.ppk.solution import looks_like_sbp, walk_sbp
 
 BASE = (-2706105.2, -4261210.8, 3885598.6)
 

@@ -13,12 +13,11 @@ from thalweg.core.errors import InputError, ThalwegError
 from thalweg.core.tables import write_table
 from thalweg.core.timescales import LeapSecondWarning, gps_from_week
 from thalweg.ingest.framing.stream import BAD_CRC, CUT, SKIPPED, StreamTally
-from thalweg.ingest.ppk.sbp import looks_like_sbp, walk_sbp
+from thalweg.ingest.ppk.solution import looks_like_sbp, walk_sbp
 from thalweg.ingest.registry.recognise import recognise
 from thalweg.ingest.sbp import messages as sm
 from thalweg.ingest.sbp.frames import find_messages
-from thalweg.ingest.sbp.reader import SbpLog, read_sbp
-from thalweg.ingest.sbp.tables import GNSS_BASELINE, GNSS_EVENT, GNSS_VELOCITY
+from thalweg.ingest.sbp.reader import GNSS_BASELINE, GNSS_EVENT, GNSS_VELOCITY, SbpLog, read_sbp
 from thalweg.ingest.schemas import GNSS_POSITION
 
 WEEK = 1948

@@ -9,7 +9,7 @@ import pytest
 from thalweg.core.timescales import gps_from_unix
 from thalweg.ingest.velodyne.clock import parse_rmc
 from thalweg.ingest.velodyne.reader import scan_lidar
-from thalweg.ingest.velodyne.timing import HostPairs
+from thalweg.ingest.velodyne.report import HostPairs
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)

@@ -10,8 +10,14 @@ from PIL import Image
 
 from thalweg.core.timescales import ADJUSTED_OFFSET_S, unix_from_gps
 from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.display_look import DisplayLook, Light
-from thalweg_lab.instruments.display_photos import clock_text, exposures, shown_in, simulate_display
+from thalweg_lab.instruments.display_photos import (
+    DisplayLook,
+    Light,
+    clock_text,
+    exposures,
+    shown_in,
+    simulate_display,
+)
 
 SEED = 7
 

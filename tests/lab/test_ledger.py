@@ -12,12 +12,12 @@ import pytest
 
 from thalweg.budgets.published import BY_CHOICE
 from thalweg.core.errors import ConfigError, InputError
-from thalweg_lab.reproduction.computed import FUNCTIONS
 from thalweg_lab.reproduction.files import ALWAYS_PUT_IN, PUT_IN, Entry, Ours, read_ledger, result_files
 from thalweg_lab.reproduction.ledger import (
     ABOVE,
     BELOW,
     FOUND,
+    FUNCTIONS,
     MISSED,
     NO_RESULT,
     NOT_CHECKABLE,

@@ -21,7 +21,7 @@ from thalweg.settings.twin.sections import TwinConfig
 from thalweg_lab.instruments.echo import simulate_echo
 from thalweg_lab.instruments.gnss import simulate_gnss
 from thalweg_lab.instruments.ins import simulate_ins
-from thalweg_lab.instruments.lidar_clock import LidarClock
+from thalweg_lab.instruments.lidar import LidarClock
 from thalweg_lab.river.materials import Material
 from thalweg_lab.river.scene import Scene
 from thalweg_lab.voyage.motion import epochs

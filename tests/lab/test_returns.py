@@ -8,8 +8,8 @@ from thalweg.core.geometry.raycast import RayCaster
 from thalweg.core.types import ArrayF, ArrayI
 from thalweg_lab.instruments.beams import ELEVATION_RAD
 from thalweg_lab.instruments.footprint import Beam, Echoes, Surfaces, echoes_of, part_of
-from thalweg_lab.instruments.ghosts import fresnel, ghosts, overlap
 from thalweg_lab.instruments.returns import choose, quantise, range_sigma_m, seen
+from thalweg_lab.instruments.scanner import fresnel, ghosts, overlap
 from thalweg_lab.instruments.shot_random import ShotRandom
 from thalweg_lab.instruments.shots import EchoKind
 from thalweg_lab.river.hull import LENGTH_M, WIDTH_M, Hull, hull_mesh

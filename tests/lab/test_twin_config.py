@@ -6,7 +6,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from thalweg.settings.twin.sections import SIZES, TwinConfig
-from thalweg_lab.instruments.lidar_clock import HOUR_US
+from thalweg_lab.instruments.lidar import HOUR_US
 from thalweg_lab.voyage.motion import start_unix
 
 

@@ -69,7 +69,7 @@ LIBRARIES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A module (below src/thalweg, without suffix) and its test files (below tests)."""
+    """A module (below src, without suffix) and its test files (below tests)."""
 
     module: str
     tests: tuple[str, ...]
@@ -77,7 +77,7 @@ class Target:
     @property
     def name(self) -> str:
         """Dotted name."""
-        return "thalweg." + self.module.replace("/", ".")
+        return self.module.replace("/", ".")
 
     @property
     def source(self) -> str:
@@ -87,7 +87,7 @@ class Target:
     @property
     def path(self) -> Path:
         """Its file."""
-        return SOURCE / "thalweg" / f"{self.module}.py"
+        return SOURCE / f"{self.module}.py"
 
     @property
     def compiled(self) -> bool:

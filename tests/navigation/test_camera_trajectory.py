@@ -18,7 +18,7 @@ from thalweg.navigation.camera.carrier import bridged, bridged_integral
 from thalweg.navigation.camera.images import CONTRADICTS, NO_INS, NO_TIME, TWICE
 from thalweg.navigation.camera.settings import CloudSettings
 from thalweg.navigation.camera.trajectory import CameraTrajectory, camera_trajectory
-from thalweg.settings.images.cloud import CameraCloud
+from thalweg.settings.images.sections import CameraCloud
 from thalweg_lab.studies.outage import CAMERA, FRAME, Recorded, VoyageSpec, make_survey, pose_errors
 
 HALF = CloudSettings(estimate_errors=False)

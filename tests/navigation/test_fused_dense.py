@@ -7,9 +7,9 @@ import pytest
 
 from thalweg.navigation.fusion.inputs import MODEL, RESET, Nodes, antenna_of, camera_of, place_nodes
 from thalweg.navigation.fusion.model import Transitions, transitions
-from thalweg.navigation.fusion.output import pose_states
 from thalweg.navigation.fusion.settings import GROUPS, FusionSettings, Layout
 from thalweg.navigation.fusion.solver import Observed, Solved, linearised, smooth
+from thalweg.navigation.fusion.trajectory import pose_states
 from thalweg.navigation.ins_gnss.reference import Reference, make_reference
 from thalweg_lab.studies import outage
 

@@ -19,7 +19,7 @@ from thalweg.navigation.camera.image_times import TimedImages, time_images
 from thalweg.navigation.camera.image_times_run import antenna_in_camera
 from thalweg.navigation.camera.settings import CloudSettings
 from thalweg.navigation.camera.trajectory import camera_trajectory
-from thalweg.settings.images.cloud import CameraCloud
+from thalweg.settings.images.sections import CameraCloud
 from thalweg_lab.studies.outage import (
     CAMERA,
     FRAME,

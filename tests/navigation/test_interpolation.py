@@ -7,11 +7,13 @@ from scipy.stats import chi2
 
 from thalweg.core.errors import CoverageError, GeometryError
 from thalweg.navigation.ins_gnss.interpolation import (
+    CUBIC,
+    LINEAR,
     bridge_factor,
     bridge_with_velocity,
     interpolate_positions,
+    white_noise_m2,
 )
-from thalweg.navigation.ins_gnss.left_out import CUBIC, LINEAR, white_noise_m2
 from thalweg_lab.base.random import gauss_markov
 
 T0 = 4.0e8

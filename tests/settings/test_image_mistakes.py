@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from thalweg.core.errors import ConfigError
-from thalweg.settings.checks.images import check_images
+from thalweg.settings.checks.campaign import check_images
 from thalweg.settings.files.load import load_campaigns
 
 PLACED = {"camera": {"omega_deg": -90.0}}

@@ -11,8 +11,7 @@ from thalweg.core.errors import GeometryError
 from thalweg.core.geometry.mesh import TriangleMesh
 from thalweg.core.geometry.raycast import RayCaster, _open3d
 from thalweg.surface import cloud_to_mesh
-from thalweg.surface.cloud_to_mesh import Distances, Surface
-from thalweg.surface.triangle_tree import LEAF
+from thalweg.surface.cloud_to_mesh import LEAF, Distances, Surface
 
 _spec = importlib.util.spec_from_file_location("rough_bank", Path(__file__).with_name("rough_bank.py"))
 rough_bank = importlib.util.module_from_spec(_spec)

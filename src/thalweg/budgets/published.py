@@ -11,18 +11,51 @@ confirm it, and angles and lever arms that were fitted to a table cannot confirm
 them: ``met by an input chosen for it``.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from thalweg.budgets.budget import COORDINATES, STATUS, Budget
-from thalweg.budgets.geometry_draws import DRAWS, drawn
+from thalweg.budgets.budget import COORDINATES, STATUS, Budget, Frame
 from thalweg.budgets.influences import TOTAL, influences, rmse_mm
 from thalweg.core.errors import InputError
 from thalweg.core.types import ArrayB, ArrayF
+
+# ---------------------------------------------------------------- A budget with angles and lever arms drawn
+# at random: what of a published table does any geometry meet?
+
+
+SEED: Final = 1
+DRAWS: Final = 300
+
+
+def drawn(budget: Budget, draws: int = DRAWS, *, seed: int = SEED) -> Iterator[Budget]:
+    """The budget with random frames, ``draws`` times; the same for the same seed.
+
+    Every angle is uniform over the full turn; a lever arm keeps its length and takes any direction, so that
+    one of zero stays zero. Sigmas, direction and motion stay.
+    """
+    rng = np.random.default_rng(seed)
+    for _ in range(draws):
+        yield replace(budget, frames=tuple(_frame(frame, rng) for frame in budget.frames))
+
+
+def _frame(frame: Frame, rng: np.random.Generator) -> Frame:
+    angles_deg = rng.uniform(-180.0, 180.0, len(frame.angles_deg))
+    way: ArrayF = rng.normal(size=3)
+    x, y, z = way * (np.linalg.norm(frame.lever_m) / np.linalg.norm(way))
+    return replace(
+        frame,
+        angles_deg=dict(zip(frame.angles_deg, map(float, angles_deg), strict=True)),
+        lever_m=(float(x), float(y), float(z)),
+    )
+
+
+# ---------------------------------------------------------------- published
+
 
 MATCHED: Final = "matched"
 BY_SIGMA: Final = "matched within the rounding of the printed sigma"
@@ -206,7 +239,7 @@ def reached(budget: Budget, published: pd.DataFrame, *, draws: int = DRAWS) -> R
 
     Parameters
     ----------
-    draws : geometries, see `thalweg.budgets.geometry_draws.drawn`.
+    draws : geometries, see `thalweg.budgets.published.drawn`.
     """
     own = verdicts(budget, published)
     met = [int(_near(_computed_mm(other, published), published).sum()) for other in drawn(budget, draws)]

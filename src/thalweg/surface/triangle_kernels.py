@@ -327,7 +327,7 @@ def distances(
 ) -> None:
     """Signed distances of points (n, 3), taken in the order ``turn`` so that one is near to the next.
 
-    ``tree`` is order, boxes, level and faces of a leaf of `thalweg.surface.triangle_tree`; ``corner_state``
+    ``tree`` is order, boxes, level and faces of a leaf of `thalweg.surface.cloud_to_mesh`; ``corner_state``
     (vertices,) remembers which corners are borders, 0 at first.
     """
     n = len(points)

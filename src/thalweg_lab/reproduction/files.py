@@ -45,7 +45,7 @@ ALWAYS_PUT_IN: Final = {
     "opening": "constant", "total_to": "fitted", "shrinking_causes": "fitted", "least_in_centre": "fitted",
     "depth_lines_seen": "fitted", "survey_rmse": "fitted",
 }  # fmt: skip
-"""Functions of `thalweg_lab.reproduction.computed` whose numbers are put in, whatever the entry says."""
+"""Functions of `thalweg_lab.reproduction.ledger` whose numbers are put in, whatever the entry says."""
 
 FITTED: Final = (
     ("triangulation/budget_published.csv", "computed_mm"), ("chain_study_goals.csv", "found_m"),
@@ -77,7 +77,7 @@ class Ours:
     Parameters
     ----------
     source : one of `SOURCES`: a file below the campaign's results, a study's table below
-        ``results/reproduction``, a setting of the twin, a function of `thalweg_lab.reproduction.computed`,
+        ``results/reproduction``, a setting of the twin, a function of `thalweg_lab.reproduction.ledger`,
         or nothing yet.
     name : path of the file, dotted path of the setting, name of the function, or why there is nothing.
     where : column of a table -> text or number that its rows must have.

@@ -14,17 +14,344 @@ Some printed numbers are compared in several quantities (the sigma of a paramete
 all). They are counted once, with the weakest of their verdicts.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
+from thalweg.budgets.budget_file import read_budget
+from thalweg.budgets.influences import rmse_mm
 from thalweg.budgets.published import BY_CHOICE
 from thalweg.core.errors import InputError
-from thalweg_lab.reproduction.computed import FUNCTIONS, computed
-from thalweg_lab.reproduction.files import KINDS, PUT_IN, Entry
+from thalweg.core.types import ArrayF
+from thalweg.lightsheet.budget import budget
+from thalweg.lightsheet.budget import checks as budget_checks
+from thalweg.lightsheet.budget import correlations as budget_correlations
+from thalweg.lightsheet.calibration.published import PAPER_3, paper_3_sigmas, paper_3_table
+from thalweg.lightsheet.calibration.rank import SINGULAR
+from thalweg.lightsheet.multi_line.models import Kind, NominalDiode, line_model
+from thalweg.lightsheet.optics import refractive_index
+from thalweg.lightsheet.optics.interfaces import refract
+from thalweg.lightsheet.optics.intersection import intersect
+from thalweg.lightsheet.optics.intersection_paper import intersect_by_halving, refract_as_printed
+from thalweg.lightsheet.optics.refracted_rays import refract_to_water
+from thalweg.lightsheet.optics.sensor import PARAMETERS, LightSheet, Sensor, Window, paper_3, paper_4
+from thalweg.lightsheet.optics.volume import depth_lines, measurement_volume
+from thalweg.lightsheet.poses.sources import pose_source_table
+from thalweg_lab.reproduction.files import KINDS, PUT_IN, Entry, Ours
 from thalweg_lab.reproduction.values import Found, Results
+
+# ---------------------------------------------------------------- numbers of the ledger that need no
+# campaign: optics, the stored prototypes, arithmetic of printed numbers
+#
+# Each function takes the published numbers by the names of their entries, so that nothing printed is typed in
+# here, and the arguments of its entry (``with:``).
+
+
+BUDGETS: Final = Path(__file__).parents[3] / "resources" / "budgets"
+HALVING_STEP_PX: Final = 16
+"""Every so many-th pixel is intersected by the halving of the papers."""
+OFF_MM: Final = 1e-3
+SKEW_MM: Final = 1e-9
+
+Published = Mapping[str, Any]
+
+
+def computed(ours: Ours, published: Published) -> Found:
+    """The number of a function of this module."""
+    return FUNCTIONS[ours.name](published, **dict(ours.extra or {}))
+
+
+def bends(published: Published, *, about_y_deg: float, about_x_deg: float) -> Found:
+    """How often the line of a tilted sheet on a plane in the water changes the side to which it bends.
+
+    A fan along y, first turned about the y axis and then about the x axis (P3 Fig. 1, P4 Fig. 1).
+    """
+    window = Window(thickness_mm=5.0, n_glass=1.52, n_water=1.335)
+    angles = np.deg2rad([about_x_deg, about_y_deg, 90.0])
+    sheet = LightSheet(
+        origin_lcs_mm=np.array([0.0, 0.0, 70.0]), angles_rad=angles, half_angle_rad=np.deg2rad(32.0)
+    )
+    a = np.linspace(-sheet.half_angle_rad, sheet.half_angle_rad, 401)
+    d = np.diff(refract_to_water(sheet.origin_lcs_mm, sheet.beams(a), window).at_depth(100.0)[:, :2], axis=0)
+    turn = d[:-1, 0] * d[1:, 1] - d[:-1, 1] * d[1:, 0]
+    # relative to the largest: a straight line would turn by rounding alone
+    sides = np.sign(turn[np.abs(turn) > 1e-9 * np.abs(turn).max()])
+    return Found(value=float((np.diff(sides) != 0).sum()), n=float(len(a)))
+
+
+def snell(published: Published) -> Found:
+    """Largest |n_1 sin t_1 - n_2 sin t_2| of vector Snell, air to glass to water, up to 89 degrees."""
+    t = np.deg2rad(np.linspace(0.0, 89.0, 2001))
+    d, N = np.stack([np.sin(t), 0 * t, -np.cos(t)], axis=1), np.array([0.0, 0.0, 1.0])
+    worst = 0.0
+    for n_1, n_2 in ((1.0, 1.52), (1.52, 1.335)):
+        out, lost = refract(d, N, n_1, n_2)
+        sines = [np.linalg.norm(np.cross(v, N), axis=1) for v in (d, out)]
+        worst = max(worst, float(np.abs(n_1 * sines[0] - n_2 * sines[1])[~lost].max()))
+    return Found(value=worst, n=float(2 * len(t)))
+
+
+def printed_snell(published: Published, *, angle_deg: float) -> Found:
+    """Length of the refracted unit vector by the root as P3 and P4 print it, air to glass."""
+    t = np.deg2rad(angle_deg)
+    v = refract_as_printed(np.array([[np.sin(t), 0.0, -np.cos(t)]]), np.array([0.0, 0.0, 1.0]), 1.0, 1.52)
+    return Found(value=float(np.linalg.norm(v)))
+
+
+@cache
+def _halved() -> tuple[ArrayF, ArrayF]:
+    """Distances (n,) of points by halving from exact ones, and what the halving left between the rays."""
+    sensor = paper_4()
+    side = np.arange(0.5, sensor.camera.size_px[0], HALVING_STEP_PX)
+    xy = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    exact = intersect(sensor, xy)
+    halved = intersect_by_halving(sensor, xy[exact.ok], threshold_mm=SKEW_MM)
+    return np.linalg.norm(halved.xyz_lcs_mm - exact.xyz_lcs_mm[exact.ok], axis=1), halved.skew_mm
+
+
+def halving_where_it_ends(published: Published) -> Found:
+    """Largest distance of points by halving from exact ones, where the halving meets its threshold."""
+    off, skew = _halved()
+    return Found(value=float(off[skew <= SKEW_MM].max()), n=float((skew <= SKEW_MM).sum()))
+
+
+def halving_misses(published: Published) -> Found:
+    """Percent of the pixels whose point by halving lies more than a micrometre from the exact one."""
+    off, _ = _halved()
+    return Found(value=100.0 * float((off > OFF_MM).mean()), n=float(len(off)))
+
+
+def volume(published: Published, *, paper: int, side: str, unit_mm: float = 1.0) -> Found:
+    """A side of the measurement volume: least and largest depth from the dry face of the window for P3
+    (whose origin lies there), below its wet face for P4; widths along and across the base for P4.
+    """
+    sensor = _paper(paper)
+    found = measurement_volume(sensor)
+    glass = sensor.window.thickness_mm if paper == 3 else 0.0
+    size_mm = {
+        "least depth": found.depth_mm[0] + glass, "largest depth": found.depth_mm[1] + glass,
+        "x": float(found.size_mm[0]), "y": float(found.size_mm[1]),
+    }[side]  # fmt: skip
+    return Found(value=size_mm / unit_mm)
+
+
+def seeing_pixels(published: Published, *, paper: int) -> Found:
+    """Percent of the pixels that see the sheet in the water."""
+    return Found(value=100.0 * measurement_volume(_paper(paper)).share)
+
+
+def depth_lines_seen(published: Published, *, depths_mm: list[float]) -> Found:
+    """How many lines of equal depth are in the picture, counted as long as they lie right to left."""
+    middles = [np.median(line.xy_px[:, 0]) for line in depth_lines(paper_4(), depths_mm) if len(line.xy_px)]
+    ordered = 1 + int(np.cumprod(np.diff(middles) < 0).sum()) if middles else 0
+    return Found(value=float(ordered))
+
+
+def table_1_of_p3(published: Published, *, what: str) -> Found:
+    """A value of P3 Table 1, out of the stored prototype in our own frame."""
+    sensor = paper_3()
+    values = dict(zip(PAPER_3, paper_3_table(sensor.vector()).tolist(), strict=True))
+    # frame of P3 has Z downwards, its fan lies along y
+    values |= {
+        "laser x": float(sensor.sheet.origin_lcs_mm[0]), "laser y": float(sensor.sheet.origin_lcs_mm[1]),
+        "laser omega": float(np.rad2deg(sensor.sheet.angles_rad[0])),
+        "laser kappa": 90.0 - float(np.rad2deg(sensor.sheet.angles_rad[2])),
+    }  # fmt: skip
+    return Found(value=values[what])
+
+
+@cache
+def _calibrated_p3() -> dict[str, float]:
+    """Sigmas of P3 Table 1 by its own plan: 8 pairs, 152 line points, levels 75 and 129 mm, lines of 0.15 px
+    and ends of pieces measured by hand to one pixel.
+    """
+    sensor = paper_3()
+    plan = budget_correlations.design(
+        sensor, (75.0, 129.0), points=(100, 52), pairs=8, sigma_line_px=0.15, sigma_pair_px=1.0
+    )
+    names = ("laser_z_mm", "laser_phi_rad", *PARAMETERS[:6])
+    _, J = budget_correlations.observation_equations(sensor, plan, names)
+    cov = np.zeros((len(PARAMETERS), len(PARAMETERS)))
+    at = [PARAMETERS.index(name) for name in names]
+    cov[np.ix_(at, at)] = np.linalg.inv(J.T @ J)
+    return paper_3_sigmas(sensor.vector(), cov)
+
+
+def sigma_of_p3(published: Published, *, what: str) -> Found:
+    """A sigma of P3 Table 1, predicted from its own plan of observations."""
+    return Found(value=_calibrated_p3()[what], n=168.0)
+
+
+def rank_defect(published: Published, *, paper: int) -> Found:
+    """Unknowns of a published calibration that its observations leave free.
+
+    P3: laser z, phi, kappa and six of the camera. P4: six of the laser.
+    """
+    sensor = _paper(paper)
+    levels = (75.0, 129.0) if paper == 3 else (60.0, 150.0)
+    names = (
+        ("laser_z_mm", "laser_phi_rad", "laser_kappa_rad", *PARAMETERS[:6])
+        if paper == 3
+        else PARAMETERS[15:21]
+    )
+    _, J = budget_correlations.observation_equations(
+        sensor, budget_correlations.design(sensor, levels), names
+    )
+    values = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
+    return Found(value=float((values <= SINGULAR).sum()))
+
+
+def base(published: Published, *, paper: int) -> Found:
+    """Distance of camera and laser, mm."""
+    sensor = _paper(paper)
+    return Found(value=float(np.linalg.norm(sensor.camera_origin_lcs_mm - sensor.sheet.origin_lcs_mm)))
+
+
+def picture_px(published: Published, *, paper: int, axis: int) -> Found:
+    """Size of the picture along x (0) or y (1), px."""
+    return Found(value=float(_paper(paper).camera.size_px[axis]))
+
+
+def picture_mm(published: Published, *, paper: int, axis: int) -> Found:
+    """Size of the sensor of the camera: pixels times the principal distance in mm over that in px."""
+    camera = _paper(paper).camera
+    c_mm = float(published["C279 lens" if paper == 3 else "C228"])
+    return Found(value=camera.size_px[axis] * c_mm / float(camera.parameters[0]))
+
+
+def principal_distance(published: Published) -> Found:
+    """Of the prototype of P4, mm: in pixels times the published pixel."""
+    return Found(value=float(paper_4().camera.parameters[0]) * float(published["C227"]) * 1e-3)
+
+
+def opening(published: Published, *, paper: int) -> Found:
+    """Angle of the fan, degrees."""
+    return Found(value=2.0 * float(np.rad2deg(_paper(paper).sheet.half_angle_rad)))
+
+
+def pixel_on_plane(published: Published, *, depth_mm: float, longest: bool) -> Found:
+    """Longer or shorter step between neighbouring pixels on a level plane, in mid-fan at a depth, mm."""
+    sensor = paper_4()
+    (line,) = depth_lines(sensor, [depth_mm])
+    middle = line.xy_px[int(np.abs(line.fan_angle_rad).argmin())]
+    xy = middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    rays = sensor.camera.rays(xy) @ sensor.R_lcs_ccs.T
+    water = refract_to_water(sensor.camera_origin_lcs_mm, rays, sensor.window)
+    plane = water.at_depth(depth_mm)
+    sides = np.sort(np.linalg.norm(plane[1:] - plane[0], axis=1))
+    return Found(value=float(sides[1 if longest else 0]))
+
+
+@cache
+def _budget_to(depth_mm: float) -> pd.DataFrame:
+    depths = np.linspace(50.0, depth_mm, 5)
+    return budget.budget_table(budget.budget_on_lines(paper_4(), depths_mm=depths.tolist()))
+
+
+def total_to(published: Published, *, depth_mm: float, bound: str) -> Found:
+    """Least or largest sigma of the depth from 50 mm to a depth, correlations left out, mm."""
+    table = _budget_to(depth_mm)
+    total = table[table["cause"] == budget.TOTAL]
+    return Found(value=float(total["least_mm"].min() if bound == "least" else total["most_mm"].max()))
+
+
+def shrinking_causes(published: Published) -> Found:
+    """Causes whose largest sigma of the depth does not grow from 50 over 125 to 200 mm."""
+    trends = budget_checks.depth_trends(_p4_budget_table())
+    trends = trends[~trends["cause"].isin((budget.TOTAL, budget.TOTAL_CORRELATED))]
+    return Found(value=float((~trends["grows"]).sum()), n=float(len(trends)))
+
+
+def least_in_centre(published: Published, *, causes: list[str]) -> Found:
+    """Lines of equal depth (three for each cause) on which a sigma is least nearer to the picture's centre
+    than where it is largest.
+    """
+    sensor = paper_4()
+    trends = budget_checks.centre_trends(budget.budget_on_lines(sensor), sensor)
+    trends = trends[trends["cause"].isin(causes)]
+    return Found(value=float(trends["falls"].sum()), n=float(len(trends)))
+
+
+@cache
+def _p4_budget_table() -> pd.DataFrame:
+    return budget.budget_table(budget.budget_on_lines(paper_4()))
+
+
+def index_change(published: Published, *, low_c: float, high_c: float, wavelength_nm: float) -> Found:
+    """Change of the water's refractive index between two temperatures (IAPWS)."""
+    low, high = (refractive_index.water(wavelength_nm, t) for t in (low_c, high_c))
+    return Found(value=abs(low - high))
+
+
+def pose_spoils(published: Published, *, source: str, depth_mm: float) -> Found:
+    """Sigma of a point in space by a source of poses, at a depth, mm."""
+    table = pose_source_table(paper_4(), depths_mm=(depth_mm,))
+    return Found(value=float(table["sigma_3d_mm"].to_numpy()[table["source"] == source][0]))
+
+
+def unknowns(published: Published, *, kind: Kind, lines: int, fixed_fans: bool = False) -> Found:
+    """Unknowns of a model of a laser with several lines."""
+    nominal = NominalDiode(
+        labels=np.arange(lines), middle=(lines - 1) / 2, origin_lcs_mm=np.zeros(3), angles_rad=np.zeros(3),
+        step_rad=float(np.deg2rad(published["C303 step"])),
+        half_angle_rad=0.5 * float(np.deg2rad(published["C303 width"])),
+    )  # fmt: skip
+    return Found(value=float(len(line_model(kind, nominal, fixed_fans=fixed_fans).names)))
+
+
+def opening_of_all_lines(published: Published) -> Found:
+    """Steps between the first and the last line, degrees."""
+    return Found(value=(float(published["C303 lines"]) - 1.0) * float(published["C303 step"]))
+
+
+def difference(published: Published, *, of: str, minus: str) -> Found:
+    """Of two published numbers."""
+    return Found(value=float(published[of]) - float(published[minus]))
+
+
+def percent(published: Published, *, of: str, part: str) -> Found:
+    """One published number in percent of another."""
+    return Found(value=100.0 * float(published[part]) / float(published[of]), n=float(published[of]))
+
+
+def times(published: Published, *, of: str, factor: float) -> Found:
+    """A published number times a factor."""
+    return Found(value=factor * float(published[of]))
+
+
+def ratio(published: Published, *, of: str, over: str) -> Found:
+    """Of two published numbers."""
+    return Found(value=float(published[of]) / float(published[over]))
+
+
+def survey_rmse(published: Published, *, name: str) -> Found:
+    """RMSE over a survey by a stored budget, cm."""
+    return Found(value=0.1 * rmse_mm(read_budget(BUDGETS / f"{name}.yaml")))
+
+
+def _paper(number: int) -> Sensor:
+    return {3: paper_3, 4: paper_4}[number]()
+
+
+FUNCTIONS: Final[dict[str, Callable[..., Found]]] = {
+    function.__name__: function
+    for function in (
+        bends, snell, printed_snell, halving_where_it_ends, halving_misses, volume, seeing_pixels,
+        depth_lines_seen,
+        table_1_of_p3, sigma_of_p3, rank_defect, base, picture_px, picture_mm, principal_distance, opening,
+        pixel_on_plane, total_to, shrinking_causes, least_in_centre, index_change, pose_spoils, unknowns,
+        opening_of_all_lines, difference, percent, times, ratio, survey_rmse,
+    )
+}  # fmt: skip
+"""What the ledger may name in ``computed``."""
+
+
+# ---------------------------------------------------------------- ledger
+
 
 FOUND: Final = "found"
 WAS_PUT_IN: Final = "put in"

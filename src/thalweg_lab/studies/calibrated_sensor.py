@@ -1,7 +1,7 @@
 """A light-sheet sensor as it truly is, and as its calibration knows it: for studies without images.
 
 The sensor is that of P4, built with the tolerances of its making. The processing knows the pose of the camera
-over the window from the calibration of the basin (`thalweg.lightsheet.lens.camera_over_window`) on
+over the window from the calibration of the basin (`thalweg.lightsheet.lens.camera_marks`) on
 simulated marks. The bundle in air that gives the lens takes a minute, so that its result is drawn here: the
 true lens with errors of the published sigmas (P4 6.2), which are its covariance. Glass and water are drawn
 likewise, and the laser is known from the drawing. The frame of the calibrated sensor is turned a little about

@@ -1,15 +1,21 @@
 """The recording: images, control points' survey, and the truth apart."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
-from thalweg.core.errors import GeometryError
+from thalweg.core.camera.model import Camera
+from thalweg.core.errors import ConfigError, GeometryError
 from thalweg.core.frames import LocalFrame
-from thalweg.core.types import ArrayF32, ArrayU8
+from thalweg.core.rigid import Rigid
+from thalweg.core.types import ArrayB, ArrayF, ArrayF32, ArrayU8
+from thalweg.images.model.poses import ImagePoses
+from thalweg.settings.twin.camera import TwinLens
 from thalweg.settings.twin.sections import TwinConfig
 from thalweg.settings.twin.time_lapse import TwinTimeLapse
 from thalweg_lab.base.random import generator
@@ -20,18 +26,304 @@ from thalweg_lab.river.shading import metered
 from thalweg_lab.river.waves import Waves
 from thalweg_lab.river_images.daylight import Sun
 from thalweg_lab.time_lapse.own_boat import OwnBoat
-from thalweg_lab.time_lapse.plan import Plan, Shot, plan_images
 from thalweg_lab.time_lapse.renderer import Renderer
-from thalweg_lab.time_lapse.survey import surveyed, write_poses, write_survey, write_truth
 from thalweg_lab.time_lapse.targets import Targets, place_targets
 from thalweg_lab.time_lapse.world import World
 from thalweg_lab.voyage.motion import start_unix
 from thalweg_lab.voyage.voyage import Voyage
 from thalweg_lab.writers.jpeg import PhotoFacts, write_jpeg
 from thalweg_lab.yard_images.exposure import exposed
-from thalweg_lab.yard_images.images import BOAT_SENSOR_MM, FULL_FRAME_MM, mount_of
+from thalweg_lab.yard_images.images import BOAT_SENSOR_MM, FULL_FRAME_MM, mount_of, run_name, true_camera
 from thalweg_lab.yard_images.lens_rays import LensRays
-from thalweg_lab.yard_records.image_times import clock_minus_utc_s
+from thalweg_lab.yard_records.image_times import clock_minus_utc_s, run_times
+
+# ---------------------------------------------------------------- which images the boat's camera takes:
+# times, names, true poses, smear, and which of them are defective
+
+
+_USUAL_WAY_M: Final = 12.0
+"""Distance of the bank for the smear by the boat's speed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shot:
+    """One exposure.
+
+    Parameters
+    ----------
+    name : of the file.
+    t_gps_s : true middle of the exposure, adjusted standard GPS time.
+    since_s : the same after the begin of the lidar log.
+    stamp_us : reading of the camera's clock, microseconds since 1970, whole milliseconds.
+    T_wcs_ccs : true pose.
+    smear_px : way of the image over the sensor during the exposure, to the right and down.
+    stamped : whether name and EXIF carry the stamp.
+    sharp : false if it is out of focus.
+    copy_name : name of the second file with the same content; empty if there is none.
+    """
+
+    name: str
+    t_gps_s: float
+    since_s: float
+    stamp_us: int
+    T_wcs_ccs: Rigid
+    smear_px: tuple[float, float]
+    stamped: bool = True
+    sharp: bool = True
+    copy_name: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """All exposures in order of time; ``lens`` with its sharpness, ``camera`` its geometry."""
+
+    shots: tuple[Shot, ...]
+    lens: TwinLens
+    camera: Camera
+
+    @property
+    def poses(self) -> list[Rigid]:
+        """True poses of all exposures."""
+        return [shot.T_wcs_ccs for shot in self.shots]
+
+
+def scaled_lens(lens: TwinLens, size_px: tuple[int, int]) -> TwinLens:
+    """The lens with pixels of another size, as if the camera stored smaller images of its full width.
+
+    Where the heights do not agree in proportion, upper and lower rims are cut or added alike.
+    """
+    scale = size_px[0] / lens.size_px[0]
+    x, y = lens.principal_offset_px
+    changes = {
+        "size_px": size_px,
+        "focal_px": lens.focal_px * scale,
+        "principal_offset_px": (x * scale, y * scale),
+    }
+    return TwinLens(**{name: getattr(lens, name) for name in TwinLens.model_fields} | changes)
+
+
+def plan_images(config: TwinConfig, time_lapse: TwinTimeLapse, seed: int, mounts: Mapping[str, Any]) -> Plan:
+    """Times, poses and defects of the images of a voyage.
+
+    Parameters
+    ----------
+    config : section ``twin``.
+    time_lapse : section ``twin.time_lapse``.
+    seed : seed of the campaign.
+    mounts : true mounts with ``camera``.
+
+    Raises
+    ------
+    ConfigError : the mounts hold no camera, the share leaves no image, or fewer images than defects.
+    """
+    if "camera" not in mounts:
+        raise ConfigError(
+            f"true mounts of {', '.join(mounts)} only",
+            expected="the mount of the camera",
+            where="mounts.camera",
+            cure="State mounts.camera in the campaign file, or take a calibration that has it",
+        )
+    voyage = Voyage(config, seed)
+    lens = scaled_lens(config.camera, time_lapse.size_px)
+    timed = config.camera.model_copy(update={"rate_hz": time_lapse.rate_hz})
+    times = run_times(config.model_copy(update={"camera": timed}), seed)
+    since = times.t_gps_s - voyage.start_gps_s
+    n = int(np.sum(since <= time_lapse.share * config.duration_s))
+    if n == 0:
+        raise ConfigError(
+            f"no image in {time_lapse.share:g} of {config.duration_s:g} s",
+            expected="at least one image",
+            where="twin.time_lapse.share",
+            cure="Raise share or rate_hz",
+        )
+    at = times.t_gps_s[:n]
+    place, R = voyage.position_wcs_m(at), voyage.R_wcs_ics(at)
+    T_ics_ccs = mount_of(mounts["camera"])
+    poses = [Rigid(R=R[k], shift_m=place[k]) @ T_ics_ccs for k in range(n)]
+    smears = _smears(voyage, at, poses, T_ics_ccs.shift_m, config.camera.exposure_s * lens.focal_px)
+    unstamped, copied, soft = _defective(time_lapse, seed, n)
+    shots = []
+    for k, stamp in enumerate(times.stamp_us[:n].tolist()):
+        name = f"P{1050000 + k + 1}.jpg" if unstamped[k] else run_name(stamp)
+        shots.append(
+            Shot(
+                name=name,
+                t_gps_s=float(at[k]),
+                since_s=float(since[k]),
+                stamp_us=stamp,
+                T_wcs_ccs=poses[k],
+                smear_px=smears[k],
+                stamped=not unstamped[k],
+                sharp=not soft[k],
+                copy_name=name.replace(".jpg", " (2).jpg") if copied[k] else "",
+            )
+        )
+    return Plan(shots=tuple(shots), lens=lens, camera=true_camera(lens, "boat"))
+
+
+def _smears(
+    voyage: Voyage, at: ArrayF, poses: list[Rigid], lever_ics_m: ArrayF, scale_px_s: float
+) -> list[tuple[float, float]]:
+    """Way of what is 12 m before the camera during its exposure, to the right and down, pixels."""
+    to_ccs = np.stack([p.R.T for p in poses])
+    rate = np.einsum("nij,nj->ni", to_ccs @ voyage.R_wcs_ics(at), voyage.rates_ics_radps(at))
+    speed = np.einsum("nij,nj->ni", to_ccs, voyage.sensor_velocity_wcs_mps(at, lever_ics_m))
+    across = -rate[:, 1] - speed[:, 0] / _USUAL_WAY_M
+    down = rate[:, 0] - speed[:, 1] / _USUAL_WAY_M
+    return [(scale_px_s * float(x), scale_px_s * float(y)) for x, y in zip(across, down, strict=True)]
+
+
+def _defective(time_lapse: TwinTimeLapse, seed: int, n: int) -> list[list[bool]]:
+    """Whether each image has no stamp, is there twice, is out of focus."""
+    effects = time_lapse.effects
+    flags = []
+    for name, count in (
+        ("unstamped", effects.unstamped),
+        ("duplicated", effects.duplicated),
+        ("blurred", effects.blurred),
+    ):
+        if count > n:
+            raise ConfigError(
+                f"{count} images {name} of {n}",
+                expected="at most all of them",
+                where=f"twin.time_lapse.effects.{name}",
+                cure="Lower the number",
+            )
+        chosen = generator(seed, f"time lapse {name}").permutation(n)[:count]
+        flags.append([k in set(chosen.tolist()) for k in range(n)])
+    return flags
+
+
+# ---------------------------------------------------------------- the survey of the control points as a user
+# would bring it, and the truth about points and camera
+
+
+KIND: Final = "thalweg twin time lapse"
+"""Kind of the JSON file of the truth."""
+
+_AXES: Final = ("east", "north", "up")
+
+
+def surveyed(targets: Targets, settings: TwinTimeLapse, seed: int) -> tuple[pd.DataFrame, list[list[str]]]:
+    """The table of control points, and the pairs whose names are swapped in it.
+
+    Columns ``id``, ``east_m``, ``north_m``, ``up_m`` in wcs, ``sigma_east_m``, ``sigma_north_m``,
+    ``sigma_up_m``, ``role`` (``control`` or ``check``).
+
+    Raises
+    ------
+    ConfigError : more pairs of names to swap than there are.
+    """
+    n = len(targets.names)
+    sigma = np.asarray(settings.sigma_target_m)
+    error = sigma * generator(seed, "control points survey").standard_normal((n, 3))
+    place = np.round(targets.centre_wcs_m + error, 4)
+    names = list(targets.names)
+    pairs = settings.effects.swapped_points
+    if 2 * pairs > n:
+        raise ConfigError(
+            f"{pairs} pairs of {n} control points",
+            expected="at most half as many pairs as points",
+            where="twin.time_lapse.effects.swapped_points",
+            cure="Lower it, or raise n_targets",
+        )
+    order = generator(seed, "control points swapped").permutation(n)[: 2 * pairs].tolist()
+    swapped = [[names[a], names[b]] for a, b in zip(order[::2], order[1::2], strict=True)]
+    for a, b in zip(order[::2], order[1::2], strict=True):
+        names[a], names[b] = names[b], names[a]
+    columns: dict[str, Any] = {"id": names}
+    columns |= {f"{axis}_m": place[:, i] for i, axis in enumerate(_AXES)}
+    columns |= {f"sigma_{axis}_m": np.full(n, sigma[i]) for i, axis in enumerate(_AXES)}
+    columns["role"] = np.where(targets.check, "check", "control")
+    return pd.DataFrame(columns), swapped
+
+
+def write_survey(path: Path, table: pd.DataFrame) -> None:
+    """Write the table of `surveyed` as CSV, coordinates to a tenth of a millimetre."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    table.to_csv(path, index=False, float_format="%.4f", lineterminator="\n")
+
+
+def write_poses(path: Path, plan: Plan, frame: LocalFrame) -> None:
+    """True poses and times of all files, table kind ``image_poses`` with covariances of zero."""
+    files = [(name, shot) for shot in plan.shots for name in (shot.name, shot.copy_name) if name]
+    n = len(files)
+    ImagePoses(
+        frame=frame,
+        images=tuple(name for name, _ in files),
+        t_gps_s=np.array([shot.t_gps_s for _, shot in files]),
+        sigma_t_s=np.zeros(n),
+        oriented=np.ones(n, dtype=np.bool_),
+        reasons=("",) * n,
+        centre_wcs_m=np.array([shot.T_wcs_ccs.shift_m for _, shot in files]).reshape(n, 3),
+        R_wcs_ccs=np.array([shot.T_wcs_ccs.R for _, shot in files]).reshape(n, 3, 3),
+        cov_pose_wcs=np.zeros((n, 6, 6)),
+        cov_next=np.zeros((n, 6, 6)),
+        n_marks=np.zeros(n),
+        rms_px=np.full(n, np.nan),
+        facts={"source": "digital twin, true poses"},
+    ).write(path)
+
+
+def write_truth(path: Path, plan: Plan, targets: Targets, swapped: list[list[str]], clock: ArrayF) -> None:
+    """True interior orientation, true control points, and what is wrong with which file, as JSON.
+
+    Parameters
+    ----------
+    path : target.
+    plan : of the images.
+    targets : the boards.
+    swapped : pairs of names that are swapped in the survey's table.
+    clock : (n,) what the camera's clock was ahead of UTC at each exposure, seconds.
+    """
+    camera = plan.camera
+    facts = {
+        "kind": KIND,
+        "version": 1,
+        "camera": {
+            "model": camera.model,
+            "size_px": list(camera.size_px),
+            "parameters": dict(zip(camera.parameter_names, camera.parameters.tolist(), strict=True)),
+        },
+        "target_size_m": targets.size_m,
+        "targets": [
+            {
+                "id": name,
+                "role": "check" if check else "control",
+                **{f"{axis}_m": float(place[i]) for i, axis in enumerate(_AXES)},
+                "normal_wcs": normal.tolist(),
+                "right_wcs": right.tolist(),
+                "images": int(seen),
+            }
+            for name, check, place, normal, right, seen in zip(
+                targets.names, _plain(targets.check), targets.centre_wcs_m, targets.normal_wcs,
+                targets.right_wcs, targets.seen, strict=True,
+            )
+        ],
+        "swapped_points": swapped,
+        "images": [
+            {
+                "file": shot.name,
+                "t_gps_s": shot.t_gps_s,
+                "stamp_us": shot.stamp_us,
+                "clock_minus_utc_s": float(ahead),
+                "stamped": shot.stamped,
+                "sharp": shot.sharp,
+                "copy": shot.copy_name or None,
+            }
+            for shot, ahead in zip(plan.shots, clock, strict=True)
+        ],
+    }  # fmt: skip
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(facts, indent=1) + "\n")
+
+
+def _plain(flags: ArrayB) -> list[bool]:
+    return [bool(flag) for flag in flags]
+
+
+# ---------------------------------------------------------------- record
+
 
 _FALLBACK_SUN: Final = Sun(azimuth_rad=float(np.deg2rad(150.0)), elevation_rad=float(np.deg2rad(42.0)))
 """For campaigns at night."""

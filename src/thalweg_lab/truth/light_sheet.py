@@ -1,7 +1,7 @@
 """A calibration of the twin's light-sheet sensor against the sensor that took the images.
 
 Nothing shows the heading and the place of the sensor's frame along the window: a calibration takes both from
-the design (`thalweg.lightsheet.lens.camera_over_window`). The true sensor is therefore turned about
+the design (`thalweg.lightsheet.lens.camera_marks`). The true sensor is therefore turned about
 the window's normal and shifted along it, so that both cameras stand alike; heights, tilts and depths stay.
 Nor does anything show a turn of the fan in its own plane, of which the calibration holds one angle fixed: the
 true fan is turned in its plane until it has the same one.

@@ -22,10 +22,9 @@ from thalweg_lab.yard.yard import Yard
 from thalweg_lab.yard_images.exposure import exposed
 from thalweg_lab.yard_images.images import SUN, true_camera
 from thalweg_lab.yard_images.lens_rays import LensRays
-from thalweg_lab.yard_images.render import Photographer, Seen, _changes
+from thalweg_lab.yard_images.render import PaintTable, Photographer, Seen, _changes
 from thalweg_lab.yard_images.render_kernels import turned
-from thalweg_lab.yard_images.sheet_paint import PaintTable
-from thalweg_lab.yard_images.synthetic_view import synthetic_view
+from thalweg_lab.yard_images.view_files import synthetic_view
 
 SEED = 5
 EYE = np.array([0.1, -0.2, 0.8])

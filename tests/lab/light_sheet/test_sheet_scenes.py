@@ -7,7 +7,6 @@ from tests.lab.light_sheet.conftest import SEED, Small
 from thalweg.core.errors import ConfigError, GeometryError
 from thalweg.lightsheet.optics.sensor import paper_4
 from thalweg.settings.twin.light_sheet import SheetImage
-from thalweg_lab.tank.bed import river_bed
 from thalweg_lab.tank.board import build_board, dry, observe_board
 from thalweg_lab.tank.glow import glow, on_sheet
 from thalweg_lab.tank.line import line_on
@@ -20,7 +19,7 @@ from thalweg_lab.tank.objects import (
     stepped_markers_mm,
     stepped_object,
 )
-from thalweg_lab.tank.plan import boat_path, calibration_plan, panel_plan, scan_plan, strip_plan
+from thalweg_lab.tank.plan import boat_path, calibration_plan, panel_plan, river_bed, scan_plan, strip_plan
 from thalweg_lab.tank.six_dof import SIGMA_PX, build_panel, observe, set_up
 from thalweg_lab.tank.surfaces import Posed
 from thalweg_lab.tank.truth_sensor import in_water_of, sized, true_sensor

@@ -8,14 +8,15 @@ from thalweg.settings.twin.sections import TwinConfig
 from thalweg_lab.base.random import generator
 from thalweg_lab.studies.camera_lidar import (
     CASES,
+    Pictures,
     StudySettings,
     _photographed,
     as_markdown,
     camera_lidar_study,
+    seen_marks,
     simulated_trial,
     summary,
 )
-from thalweg_lab.studies.camera_lidar_pictures import Pictures, seen_marks
 from thalweg_lab.yard.layout import build_field
 from thalweg_lab.yard.tour import tour
 from thalweg_lab.yard_images.images import true_camera

@@ -13,7 +13,7 @@ from thalweg.core.rigid import Rigid, rotation_vector
 from thalweg.settings.twin.sections import TwinConfig
 from thalweg_lab.studies import chain_study as study
 from thalweg_lab.studies import chain_study_tables as tables
-from thalweg_lab.studies.drawn_images import ImageErrors, draw_images
+from thalweg_lab.studies.chain_study import ImageErrors, draw_images
 from thalweg_lab.studies.survey import BARE
 from thalweg_lab.voyage.voyage import Voyage
 

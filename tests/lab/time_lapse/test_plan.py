@@ -8,7 +8,7 @@ from thalweg.core.errors import ConfigError
 from thalweg.core.frames import rotation_opk
 from thalweg.settings.twin.camera import TwinLens
 from thalweg_lab.instruments.stamps import start_us
-from thalweg_lab.time_lapse.plan import plan_images, scaled_lens
+from thalweg_lab.time_lapse.record import plan_images, scaled_lens
 from thalweg_lab.voyage.voyage import Voyage
 from thalweg_lab.yard_images.images import true_camera
 from thalweg_lab.yard_records.image_times import clock_minus_utc_s

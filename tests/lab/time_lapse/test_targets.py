@@ -12,8 +12,7 @@ from thalweg.core.errors import ConfigError
 from thalweg.images.model.poses import ImagePoses
 from thalweg_lab.base.river import River
 from thalweg_lab.river.materials import Material
-from thalweg_lab.time_lapse.record import simulate_time_lapse
-from thalweg_lab.time_lapse.survey import surveyed, write_survey
+from thalweg_lab.time_lapse.record import simulate_time_lapse, surveyed, write_survey
 from thalweg_lab.time_lapse.targets import place_targets
 
 

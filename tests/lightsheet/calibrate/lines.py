@@ -4,7 +4,7 @@ import numpy as np
 
 from thalweg.lightsheet.optics.sensor import Sensor
 from thalweg_lab.base.random import generator
-from thalweg_lab.studies.sheet_lines import OBJECT, grid_object, line_points
+from thalweg_lab.studies.prior_study_calibration import OBJECT, grid_object, line_points
 
 __all__ = ["OBJECT", "THREE", "grid_object", "line_points", "off_start", "without_sigmas"]
 

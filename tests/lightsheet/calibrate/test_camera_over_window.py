@@ -9,7 +9,7 @@ import pytest
 from thalweg.calibration.field.points import FieldPoints
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import rotation_opk
-from thalweg.lightsheet.lens.camera_over_window import camera_over_window
+from thalweg.lightsheet.lens.camera_marks import camera_over_window
 from thalweg.lightsheet.optics.sensor import CAMERA, LENS, paper_4
 
 R_PCS_LCS = rotation_opk(0.4, -0.2, 1.1)

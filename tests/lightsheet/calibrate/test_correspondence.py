@@ -16,9 +16,9 @@ from thalweg.lightsheet.calibration.correspondence import (
     SHORT,
     THICK,
     correspond,
+    levels_of_points,
 )
 from thalweg.lightsheet.calibration.grid import parse_grid
-from thalweg.lightsheet.calibration.line_levels import levels_of_points
 from thalweg.lightsheet.calibration.settings import CalibrationSettings
 from thalweg.lightsheet.calibration.sheet_calibration import fit_sheet
 from thalweg.lightsheet.optics.sensor import paper_4

@@ -16,12 +16,12 @@ from thalweg.core.camera.model import Camera
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import LocalFrame
 from thalweg.lightsheet.budget.budget import budget_on_lines, budget_table, point_budget
-from thalweg.lightsheet.lens.checks import LARGEST_SIGMA
-from thalweg.lightsheet.lens.design import predicted
 from thalweg.lightsheet.lens.lens import (
+    LARGEST_SIGMA,
     NAME,
     LensCalibration,
     calibrate_lens,
+    predicted,
     with_lens,
 )
 from thalweg.lightsheet.lens.report import lens_report

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from thalweg.lightsheet.calibration.scatter import SPREAD, estimated_factor
+from thalweg.lightsheet.calibration.sheet_calibration import SPREAD, estimated_factor
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])

@@ -8,8 +8,7 @@ import pytest
 from thalweg.core.tables import read_table, write_table
 from thalweg.core.types import ArrayF
 from thalweg.lightsheet.lines.albedo import albedo_edges, remove_width_shift
-from thalweg.lightsheet.lines.detect import detect_lines
-from thalweg.lightsheet.lines.height import heights, patch_heights
+from thalweg.lightsheet.lines.detect import detect_lines, heights, patch_heights
 from thalweg.lightsheet.lines.points import LINE_POINTS, LinePoints
 from thalweg.lightsheet.lines.settings import LineFlag, LineSettings
 from thalweg_lab.base.random import generator

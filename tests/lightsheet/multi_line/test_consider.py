@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from thalweg.lightsheet.multi_line.adjustment import calibrate_lines, level_depths
-from thalweg.lightsheet.multi_line.comparison import compare_models
-from thalweg.lightsheet.multi_line.consider import consider_sensor, depth_errors
+from thalweg.lightsheet.multi_line.comparison import compare_models, consider_sensor, depth_errors
 from thalweg.lightsheet.multi_line.models import line_model
 from thalweg.lightsheet.optics.sensor import PARAMETERS, paper_4
 from thalweg_lab.studies.calibrated_sensor import calibrated_sensor

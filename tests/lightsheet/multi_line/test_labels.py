@@ -22,12 +22,13 @@ from thalweg.lightsheet.multi_line.surface_map import (
 from thalweg.lightsheet.multi_line.tables import label_table, line_table
 from thalweg.lightsheet.optics.intersection import intersect
 from thalweg_lab.studies.calibrated_sensor import calibrated_sensor
-from thalweg_lab.studies.line_label_scenes import make_scene, observe
 from thalweg_lab.studies.line_labels import (
     MAP,
     Setting,
     calibrated_lines,
     label_counts,
+    make_scene,
+    observe,
     simulate_scan,
     spacing_table,
     study,

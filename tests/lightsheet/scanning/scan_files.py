@@ -19,7 +19,7 @@ from thalweg.lightsheet.optics.sensor_files import write_sensor
 from thalweg.lightsheet.poses.files import write_poses
 from thalweg.lightsheet.poses.poses import SensorPoses
 from thalweg.lightsheet.poses.series import SERIES_POINTS
-from thalweg_lab.tank.reference_mesh import picked_pairs
+from thalweg_lab.tank.scan_series import picked_pairs
 
 FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
 

@@ -17,7 +17,7 @@ from thalweg.lightsheet.scanning.levels import STEP_HEIGHTS_MM
 from thalweg.lightsheet.scanning.outliers import TABLE_3
 from thalweg.surface.cloud_to_mesh import Surface
 from thalweg_lab.tank.objects import stepped_object
-from thalweg_lab.tank.reference_mesh import picked_pairs, reference_mesh
+from thalweg_lab.tank.scan_series import picked_pairs, reference_mesh
 
 Simulate = Callable[..., Any]
 LINES = 7

@@ -14,15 +14,13 @@ from thalweg.core.rigid import Rigid
 from thalweg.lightsheet.optics.sensor import Sensor, paper_4
 from thalweg.lightsheet.poses.poses import factor
 from thalweg.lightsheet.scanning.against_mesh import border_effect, mesh_distances, normality
-from thalweg.lightsheet.scanning.alignment import align, from_pairs
 from thalweg.lightsheet.scanning.cloud import merge
-from thalweg.lightsheet.scanning.line_check import check_lines
+from thalweg.lightsheet.scanning.compare import align, check_lines, from_pairs, scan_against_mesh
 from thalweg.lightsheet.scanning.profile import profile
-from thalweg.lightsheet.scanning.scan import scan_against_mesh
 from thalweg.surface.cloud_to_mesh import Surface
 from thalweg_lab.tank.line import line_on
 from thalweg_lab.tank.objects import panel as plane
-from thalweg_lab.tank.reference_mesh import picked_pairs, reference_mesh
+from thalweg_lab.tank.scan_series import picked_pairs, reference_mesh
 from thalweg_lab.tank.surfaces import Surface as Object
 from thalweg_lab.tank.wreck import wreck
 

@@ -19,7 +19,7 @@ from thalweg.lightsheet.lines.settings import LineFlag
 from thalweg.lightsheet.optics.sensor import paper_4
 from thalweg_lab.tank.files import image_name, write_image, write_pulses
 from thalweg_lab.tank.objects import stepped_object
-from thalweg_lab.tank.reference_mesh import reference_mesh
+from thalweg_lab.tank.scan_series import reference_mesh
 from thalweg_lab.tank.surfaces import Surface as Object
 from thalweg_lab.tank.wreck import wreck
 

@@ -21,7 +21,6 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.accuracy.cloud_to_mesh.coverage import HeightMap, coverage
 from thalweg.accuracy.cloud_to_mesh.overlap_check import (
     LEAST_POINTS,
     OTHER_HEIGHTS_M,
@@ -30,6 +29,7 @@ from thalweg.accuracy.cloud_to_mesh.overlap_check import (
     heights_apart,
 )
 from thalweg.accuracy.cloud_to_mesh.statistics import outlier_limits
+from thalweg.core.cells import CellGrid
 from thalweg.core.errors import InputError
 from thalweg.core.geometry.mesh import TriangleMesh
 from thalweg.core.las.files import iter_laz
@@ -38,6 +38,81 @@ from thalweg.core.types import AnyArray, ArrayF
 from thalweg.lidar.cloud import CORRELATIONS, SIGMAS, cloud_covariance
 from thalweg.surface.area import Area
 from thalweg.surface.cloud_to_mesh import Distances, Surface
+
+# ---------------------------------------------------------------- what a comparison covers: heights of a
+# cloud over its reference, and the parts that nothing lies on
+
+
+PLAN_CELL_M: Final = 1.0
+"""Heights are compared in cells of this width."""
+
+SEEN_CELL_M: Final = 0.5
+"""A reference without a compared point in a cell of this width is not seen."""
+
+LEAST_PLAN_M2: Final = 1.0
+
+
+class HeightMap:
+    """Mean heights of a mesh in plan.
+
+    Parameters
+    ----------
+    mesh : the reference.
+    """
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        vertices = mesh.vertices_m
+        self._grid = CellGrid.around(vertices[:, :2], PLAN_CELL_M)
+        self._keys, number, count = np.unique(
+            self._grid.keys(vertices[:, :2]), return_inverse=True, return_counts=True
+        )
+        self._height_m = np.bincount(number, weights=vertices[:, 2]) / count
+
+    def above(self, points_m: ArrayF) -> ArrayF:
+        """Heights of the points that have mesh above or below them, over the mean height of the mesh there.
+
+        The others are left out.
+        """
+        points = points_m[self._grid.contains(points_m[:, :2])]
+        key = self._grid.keys(points[:, :2])
+        at = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
+        found = self._keys[at] == key
+        return np.asarray(points[found, 2] - self._height_m[at[found]])
+
+
+def coverage(places_m: ArrayF, mesh: TriangleMesh, area: Area) -> dict[str, float]:
+    """How much of the area the reference covers, and how much of the reference the cloud.
+
+    Parameters
+    ----------
+    places_m : (n, 3) places on the reference that points were compared with.
+    mesh : the reference.
+    area : the area of interest.
+
+    Returns
+    -------
+    ``reference_area_m2`` of the triangles whose middle lies in the area; ``without_points``, the share of it
+    in cubes of `SEEN_CELL_M` that hold none of the places. With a polygon also ``without_reference``, the
+    share of the polygon in plan that has no triangle above or below it. A polygon that holds part of the
+    river has no reference there.
+    """
+    middle = mesh.vertices_m[mesh.faces].mean(axis=1)
+    inside = area.contains(middle)
+    middle, size_m2 = middle[inside], mesh.areas_m2()[inside]
+    out = {"reference_area_m2": float(size_m2.sum())}
+    if len(middle):
+        grid = CellGrid.around(middle, SEEN_CELL_M)
+        near = places_m[grid.contains(places_m)]
+        seen = np.isin(grid.keys(middle), grid.keys(near))
+        out["without_points"] = float(size_m2[~seen].sum() / size_m2.sum()) if size_m2.any() else 1.0
+    if area.polygon_en_m is not None and area.size_m2() > LEAST_PLAN_M2:
+        plan_m2 = size_m2 * np.abs(mesh.face_normals()[inside, 2])
+        out["without_reference"] = max(1.0 - float(plan_m2.sum()) / area.size_m2(), 0.0)
+    return out
+
+
+# ---------------------------------------------------------------- comparison
+
 
 CHUNK: Final = 1 << 18
 """Points whose covariances are unpacked at once."""

@@ -23,7 +23,7 @@ def outage_table(
     Parameters
     ----------
     outages : ``without`` (positions, images), ``begin_gps_s``, ``end_gps_s``, as
-        `thalweg.navigation.fusion.outages.outages_of` gives them.
+        `thalweg.navigation.fusion.trajectory.outages_of` gives them.
     trajectories : chain -> poses with their covariances.
 
     Returns

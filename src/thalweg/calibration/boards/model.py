@@ -20,15 +20,264 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration.boards.edges import Edges, edge_rows, find_edges
 from thalweg.calibration.boards.images import BoardView
-from thalweg.calibration.boards.search import meet_board, search_boards
 from thalweg.calibration.camera_lidar.model import ORIENTATION, by_transform
-from thalweg.calibration.cones.search import SearchRange
+from thalweg.calibration.cones.search import SearchRange, normal_set
 from thalweg.calibration.cones.selection import BeamVariances
 from thalweg.core.adjustment.solve import Adjusted, Linear, Observations, UnobservableError, adjust
+from thalweg.core.errors import GeometryError
 from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.core.types import AnyArray, ArrayF
+from thalweg.core.types import AnyArray, ArrayB, ArrayF
+
+# ---------------------------------------------------------------- which points of a scan lie on a board:
+# found from a rough orientation, without cropping by hand
+#
+# As for cones (`thalweg.calibration.cones.search`), many orientations around the nominal one are judged by
+# beams that should meet the boards: on it, through it, or stopped before it. All pictures and scans count
+# together, so that a wall which looks like the board in one of them does not win.
+
+
+_BEAMS: Final = 500
+"""Beams of each scan that judge an orientation."""
+_KEPT: Final = 30
+_WIDTHS_M: Final = (0.4, 0.2, 0.1, 0.06)
+_STEPS: Final = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardBeams:
+    """Beams seen from a board.
+
+    ``range_m`` (n,) at which the plane is met, NaN where it is not; ``place_m`` (n, 2) there along the sides
+    of the board; ``slope`` (n,) ``n . d``, negative on the side of the pattern.
+    """
+
+    range_m: ArrayF
+    place_m: ArrayF
+    slope: ArrayF
+
+    def inside(self, half_m: ArrayF, margin_m: float) -> ArrayB:
+        """Which beams meet the front of the board at least a margin inside its edges."""
+        on = (np.abs(self.place_m) < half_m - margin_m).all(axis=1)
+        return np.asarray(on & (self.range_m > 0) & (self.slope < 0))
+
+
+def meet_board(view: BoardView, origin_m: ArrayF, beam: ArrayF) -> BoardBeams:
+    """Where beams (n, 3), unit vectors in ccs from an origin (3,), meet the plane of a board."""
+    T = view.T_ccs_board
+    slope = beam @ view.normal
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way = (view.normal @ (T.shift_m - origin_m)) / slope
+        place = (origin_m + way[:, None] * beam - T.shift_m) @ T.R[:, :2]
+    return BoardBeams(range_m=way, place_m=place, slope=slope)
+
+
+def search_boards(
+    views: Sequence[BoardView], scans: Sequence[ArrayF], nominal: Rigid, within: SearchRange
+) -> tuple[Rigid, float]:
+    """Orientation ``T_ccs_scs`` near the nominal one that puts boards onto scans, and its balance of beams.
+
+    Parameters
+    ----------
+    views : board in the camera frame at each pose.
+    scans : (n, 3) whole scan of each pose, in scs.
+    nominal : T_ccs_scs.
+    within : how far it may be off.
+
+    Raises
+    ------
+    GeometryError : no beam passes near a board.
+    """
+    tries = normal_set(within.tries) * np.repeat([within.shift_m, np.deg2rad(within.angle_deg)], 3)
+    near = [_near(v, s, nominal, within) for v, s in zip(views, scans, strict=True)]
+    if not any(len(n) for n in near):
+        raise GeometryError(
+            "no beam of the lidar passes near a board",
+            expected="boards in the view of the lidar",
+            cure="Check the nominal orientation between camera and lidar",
+        )
+    candidates = [nominal, *(nominal.moved(t) for t in tries)]
+    scores = [_score(c, views, near, 0.15)[0] for c in candidates]
+    best = np.argsort([-s for s in scores], kind="stable")[:_KEPT]
+    sigmas = np.repeat([2 * within.shift_m, 2 * np.deg2rad(within.angle_deg)], 3)
+    refined = [_refined(candidates[i], nominal, sigmas, views, near) for i in best]
+    finals = [_score(c, views, near, 0.06) for c in refined]
+    winner = int(np.argmax([s for s, _ in finals]))
+    score, beams = finals[winner]
+    return refined[winner], score / max(beams, 1)
+
+
+def _near(view: BoardView, scan: ArrayF, nominal: Rigid, within: SearchRange) -> ArrayF:
+    T = view.T_ccs_board
+    beam = scan @ nominal.R.T
+    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+    arm = T.shift_m - nominal.shift_m
+    radius = float(np.hypot(*view.half_m)) + 2 * within.shift_m
+    radius += float(np.linalg.norm(arm)) * 2 * np.sqrt(3) * np.deg2rad(within.angle_deg)
+    along = beam @ arm
+    rows = np.flatnonzero((along > 0) & (arm @ arm - along**2 < radius**2))
+    if len(rows) > _BEAMS:
+        rows = rows[np.linspace(0, len(rows) - 1, _BEAMS).astype(np.int64)]
+    return np.asarray(scan[rows])
+
+
+def _score(
+    T: Rigid, views: Sequence[BoardView], scans: Sequence[ArrayF], width_m: float
+) -> tuple[float, int]:
+    score, beams = 0.0, 0
+    for view, scan in zip(views, scans, strict=True):
+        reach = np.linalg.norm(scan, axis=1)
+        met = meet_board(view, T.shift_m, scan @ T.R.T / reach[:, None])
+        on = met.inside(view.half_m, 0.0)
+        off = reach[on] - met.range_m[on]
+        score += float(np.sum(np.abs(off) < width_m) - np.sum(off >= width_m))
+        beams += int(on.sum())
+    return score, beams
+
+
+def _refined(
+    T: Rigid, nominal: Rigid, sigmas: ArrayF, views: Sequence[BoardView], scans: Sequence[ArrayF]
+) -> Rigid:
+    """Robust distances from the planes, of points inside the boards; the nominal orientation is observed."""
+    for width in _WIDTHS_M:
+        for _ in range(_STEPS):
+            N, n = np.diag(1 / sigmas**2), T.error_from(nominal) / sigmas**2
+            for view, scan in zip(views, scans, strict=True):
+                at = T.apply(scan)
+                local = (at - view.T_ccs_board.shift_m) @ view.T_ccs_board.R
+                on = (np.abs(local[:, :2]) < view.half_m).all(axis=1)
+                r = local[on, 2]
+                weight = np.maximum(1 - (r / width) ** 2, 0.0) ** 2
+                if not weight.any():
+                    continue
+                P = weight / (width / 3) ** 2 * (30.0 / max(float(weight.sum()), 30.0))
+                arm = at[on] - T.shift_m
+                J = np.hstack([np.tile(view.normal, (len(r), 1)), np.cross(arm, view.normal)])
+                N = N + J.T @ (J * P[:, None])
+                n = n + J.T @ (P * r)
+            dx: AnyArray = -np.linalg.solve(N, n)
+            T = Rigid(R=exp_rotation(dx[3:]) @ T.R, shift_m=T.shift_m + dx[:3])
+            if np.abs(dx).max() < 1e-4:
+                break
+    return T
+
+
+# ---------------------------------------------------------------- edges of a board in a scan: what tells
+# where in its plane the board is
+#
+# Along a ring of the scanner one beam is the last on the board and the next one passes it. The edge lies
+# between both, anywhere with equal chance, and the beam midway is an observation of it. Spots that lie half
+# on the board count as on it or not by their strength; that shifts opposite edges in opposite directions, so
+# that the middle of the board stays.
+
+
+_ON_M: Final = 0.06
+_PAST_M: Final = 0.15
+"""A beam is on the board within the first distance of its plane, and past it beyond the second."""
+
+_REACH_M: Final = 0.06
+_CORNER_M: Final = 0.04
+"""How far from the predicted edge one is looked for, and how far it must be from the corners."""
+
+_LARGEST_STEP_RAD: Final = np.deg2rad(1.0)
+_CROSSING: Final = 0.5
+"""Sine of the least angle between ring and edge. Nearly along an edge the ring leaves the board as often at
+what stands there, the stand above all; turn the board so that its corners look up and down."""
+
+_SPOT_M: Final = 0.003
+"""Standard deviation of what the size of the spot and the cut of the board leave."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Edges:
+    """Beams (n, 3) in scs midway between on and past; ``side`` (n,): 0 along columns, 1 along rows."""
+
+    beam_scs: ArrayF
+    side: AnyArray
+    sign: ArrayF
+    variance_m2: ArrayF
+
+    @classmethod
+    def none(cls) -> "Edges":
+        """No edges."""
+        return cls(
+            beam_scs=np.zeros((0, 3)), side=np.zeros(0, np.int64), sign=np.zeros(0), variance_m2=np.zeros(0)
+        )
+
+    def taken(self, rows: AnyArray) -> "Edges":
+        """Some of them: what else is near the board, its stand above all, has edges that lie elsewhere."""
+        return Edges(
+            beam_scs=self.beam_scs[rows],
+            side=self.side[rows],
+            sign=self.sign[rows],
+            variance_m2=self.variance_m2[rows],
+        )
+
+
+def find_edges(
+    view: BoardView, T_ccs_scs: Rigid, points_scs_m: ArrayF, ring: AnyArray, var_across_m2: ArrayF
+) -> Edges:
+    """Edges of a board in a whole scan.
+
+    Parameters
+    ----------
+    view : of the camera.
+    T_ccs_scs : orientation, to a few centimetres and degrees.
+    points_scs_m, ring : (n, 3) and (n,) of the whole scan, in any order.
+    var_across_m2 : (n,) variance of points across their beams in each direction.
+    """
+    azimuth = np.arctan2(points_scs_m[:, 1], points_scs_m[:, 0])
+    order = np.lexsort((azimuth, ring))
+    points, rings, azimuth, across = (a[order] for a in (points_scs_m, ring, azimuth, var_across_m2))
+    reach = np.linalg.norm(points, axis=1)
+    beam = points / np.maximum(reach, 1e-9)[:, None]
+    met = meet_board(view, T_ccs_scs.shift_m, beam @ T_ccs_scs.R.T)
+    off = reach - met.range_m
+    wide = met.inside(view.half_m, -2 * _REACH_M)
+    on = wide & (np.abs(off * met.slope) < _ON_M)
+    past = wide & (off > _PAST_M)
+    near = (rings[1:] == rings[:-1]) & (np.diff(azimuth) < _LARGEST_STEP_RAD)
+    pair = np.flatnonzero(near & ((on[:-1] & past[1:]) | (past[:-1] & on[1:])))
+    if not len(pair):
+        return Edges.none()
+    middle = (met.place_m[pair] + met.place_m[pair + 1]) / 2
+    gap = np.abs(met.place_m[pair + 1] - met.place_m[pair])
+    short = np.abs(middle) - view.half_m
+    side = np.argmin(np.abs(short), axis=1)
+    row = np.arange(len(pair))
+    other = np.abs(middle[row, 1 - side]) < view.half_m[1 - side] - _CORNER_M
+    across_edge = gap[row, side] > _CROSSING * np.linalg.norm(gap, axis=1)
+    good = (np.abs(short[row, side]) < _REACH_M) & other & across_edge
+    row, pair, side = row[good], pair[good], side[good]
+    mid = beam[pair] + beam[pair + 1]
+    return Edges(
+        beam_scs=mid / np.linalg.norm(mid, axis=1, keepdims=True),
+        side=side,
+        sign=np.sign(middle[row, side]),
+        variance_m2=gap[row, side] ** 2 / 12 + across[pair] + _SPOT_M**2,
+    )
+
+
+def edge_rows(view: BoardView, T_ccs_scs: Rigid, edges: Edges) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Distances (n,) of edges past the board's own; derivatives by orientation (n, 6) and plane (n, 3)."""
+    beam = edges.beam_scs @ T_ccs_scs.R.T
+    met = meet_board(view, T_ccs_scs.shift_m, beam)
+    row = np.arange(len(edges.side))
+    axis = view.T_ccs_board.R[:, :2].T[edges.side]
+    residual = edges.sign * met.place_m[row, edges.side] - view.half_m[edges.side]
+    share = np.einsum("ij,ij->i", axis, beam) / met.slope
+    # A shift of the beam by x moves its place by x less the way along the beam back into the plane.
+    g = edges.sign[:, None] * (axis - share[:, None] * view.normal)
+    arm = met.range_m[:, None] * beam
+    by_height = edges.sign * share
+    by_plane = by_height[:, None] * np.stack(
+        [np.ones(len(row)), met.place_m[:, 1], -met.place_m[:, 0]], axis=1
+    )
+    return residual, np.hstack([g, np.cross(arm, g)]), by_plane
+
+
+# ---------------------------------------------------------------- model
+
 
 _SLACK_M: Final = (0.06, 0.03, 0.0, 0.0, 0.0, 0.0, 0.0)
 """What points and edges may be off besides their sigmas, round by round; edges wait for the second one."""

@@ -11,18 +11,263 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import cv2
 import numpy as np
 import pandas as pd
 
-from thalweg.clocks.display.compare import Match, Pictures, compare, likeness, placed
 from thalweg.clocks.display.layout import CELL_HEIGHT_PX, SEARCH_PX, Layout, find_layouts
-from thalweg.clocks.display.sequence import out_of_sequence, seconds_of
-from thalweg.clocks.display.templates import Family, averaged, built_in
+from thalweg.clocks.display.templates import Family, averaged, built_in, unit
 from thalweg.core.errors import InputError
-from thalweg.core.types import AnyArray, ArrayF, ArrayF32, ArrayU8
+from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8
+
+# ---------------------------------------------------------------- compares cells of a display with pictures
+# of the digits, also where two numbers lie over each other
+#
+# While the shutter is open the display may go from one number to the next, and the change runs over the
+# display with its refresh. A cell then shows ``(1 - s) A + s B`` with two digits that follow each other and a
+# share ``s`` that goes from top to bottom. Such a mixture may look like a third digit: a 1 with the top of a
+# 2 over it is a 7. So each cell is compared with all digits and with mixtures of all neighbours, and a digit
+# fits as well as the best picture in which it has the larger share.
+
+
+_PAIRS: Final = [(d, (d + 1) % 10) for d in range(10)] + [(5, 0)]
+"""A digit and the next one; tens of minutes and seconds go from 5 to 0."""
+_SHARES: Final = np.linspace(-0.2, 1.2, 15)
+"""Share in the middle of the cell; beyond 0 and 1 the change is above or below the middle."""
+_SLOPES: Final = (0.0, -0.3)
+"""Change of the share from the middle to the lower end. Displays refresh from the top: the new number is
+above. A line of digits is a small part of a screen and is refreshed in a part of the exposure, so that
+steeper changes are rare; with
+them a clean 7 could not be told from a 1 with the top of a 2."""
+_OCCAM: Final = 1.5
+"""How much less than a single digit a mixture must leave unexplained: there are many mixtures."""
+_FLAT: Final = 1.0
+"""Sum of squares of a cell without anything in it."""
+_EPS: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Match:
+    """What each of k cells shows.
+
+    ``digit`` and ``second`` (k,); ``score`` (k,) correlation with the best picture; ``margin`` (k,) how much
+    less the digit leaves unexplained than the second one, as a share of the latter; ``share`` (k,) of the
+    number behind (positive) or before (negative) that lies over it.
+    """
+
+    digit: ArrayI
+    second: ArrayI
+    score: ArrayF
+    margin: ArrayF
+    share: ArrayF
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pictures:
+    """Digits and mixtures of neighbours.
+
+    ``size`` (h, w); ``plain`` (10, h w) digits of zero mean and unit length; ``mixed`` (m, h w) with the
+    plain ones first; ``digit`` (m,) with the larger share; ``share`` (m,) as in `Match`.
+    """
+
+    size: tuple[int, int]
+    plain: ArrayF32
+    mixed: ArrayF32
+    digit: ArrayI
+    share: ArrayF
+
+    @classmethod
+    def of(cls, family: Family, *, mixtures: bool = True) -> Self:
+        """All pictures of a look."""
+        _, h, w = family.tiles.shape
+        plain = [unit(tile).ravel() for tile in family.tiles]
+        mixed, digit, share = list(plain), list(range(10)), [0.0] * 10
+        place = np.linspace(-1.0, 1.0, h)
+        # shares are of light: tiles of one display have one scale
+        for first, second in _PAIRS if mixtures else []:
+            seen = set()
+            for slope in _SLOPES:
+                for middle in _SHARES:
+                    s = np.clip(middle + slope * place, 0.0, 1.0)
+                    mean = float(s.mean())
+                    key = tuple(np.round(s, 3).tolist())
+                    if mean in (0.0, 1.0) or key in seen:
+                        continue
+                    seen.add(key)
+                    tile = family.tiles[first] * (1.0 - s[:, None]) + family.tiles[second] * s[:, None]
+                    mixed.append(unit(tile).ravel())
+                    digit.append(first if mean < 0.5 else second)
+                    share.append(mean if mean < 0.5 else mean - 1.0)
+        return cls(
+            size=(h, w),
+            plain=np.stack(plain),
+            mixed=np.stack(mixed),
+            digit=np.array(digit, dtype=np.int64),
+            share=np.array(share),
+        )
+
+
+def compare(cells: ArrayF32, pictures: Pictures) -> Match:
+    """The digit in each cell (k, h + 2 s, w + 2 s), which may stand off by s pixels."""
+    plain, flat = _correlations(cells, pictures)
+    rows = np.arange(len(cells))
+    fit = np.zeros((len(cells), 10))
+    lean = np.zeros((len(cells), 10))
+    # the place of the best single digit, and of the second one: a mixture is where its parts are
+    for place in (-1, -2):
+        digit = np.argsort(plain.max(axis=1), axis=1)[:, place]
+        at = plain[rows, :, digit].argmax(axis=1)
+        square = np.square(np.clip(_along(flat[rows, at], pictures.mixed), 0.0, 1.0))
+        square[:, 10:] = 1.0 - _OCCAM * (1.0 - square[:, 10:])
+        for d in range(10):
+            own = np.flatnonzero(pictures.digit == d)
+            best = square[:, own].argmax(axis=1)
+            better = square[rows, own[best]] > fit[:, d]
+            fit[better, d] = square[rows, own[best]][better]
+            lean[better, d] = pictures.share[own[best]][better]
+    rank = np.argsort(fit, axis=1)
+    digit, order = rank[:, -1], np.take_along_axis(fit, rank, axis=1)
+    return Match(
+        digit=digit.astype(np.int64),
+        second=rank[:, -2].astype(np.int64),
+        score=np.sqrt(order[:, -1]),
+        margin=1.0 - (1.0 - order[:, -1]) / np.maximum(1.0 - order[:, -2], _EPS),
+        share=lean[rows, digit],
+    )
+
+
+def likeness(cells: ArrayF32, pictures: Pictures) -> float:
+    """Mean correlation of cells with their best single digits."""
+    return float(_correlations(cells, pictures)[0].max(axis=(1, 2)).mean())
+
+
+def placed(cells: ArrayF32, pictures: Pictures, digits: AnyArray) -> ArrayF32:
+    """The piece (k, h, w) of each cell where a digit fits best."""
+    plain, flat = _correlations(cells, pictures)
+    rows = np.arange(len(cells))
+    at = plain[rows, :, digits].argmax(axis=1)
+    return np.asarray(flat[rows, at].reshape(len(cells), *pictures.size))
+
+
+def _correlations(cells: ArrayF32, pictures: Pictures) -> tuple[ArrayF, ArrayF32]:
+    """Correlations (k, shifts, 10) with single digits, and the pieces (k, shifts, h w) compared."""
+    h, w = pictures.size
+    windows = np.lib.stride_tricks.sliding_window_view(cells, (h, w), axis=(1, 2))
+    k, ny, nx = windows.shape[:3]
+    flat = windows.reshape(k, ny * nx, h * w)
+    return _along(flat, pictures.plain), flat
+
+
+def _along(flat: ArrayF32, pictures: ArrayF32) -> ArrayF:
+    """Correlations (..., m) of pieces (..., p) with pictures (m, p) of zero mean and unit length."""
+    square = np.square(flat).sum(axis=-1) - np.square(flat.sum(axis=-1)) / flat.shape[-1]
+    return np.asarray((flat @ pictures.T) / np.sqrt(np.maximum(square, _FLAT))[..., None], dtype=np.float64)
+
+
+# ---------------------------------------------------------------- what a display's text means in seconds, and
+# which readings of a series cannot be
+
+
+_UNITS: Final = {"H": 3600.0, "M": 60.0, "S": 1.0}
+_LIMITS: Final = {"H": 24, "M": 60}
+_AROUND: Final = 12
+"""Readings before and behind that are asked."""
+_LEAST: Final = 5
+_FAR: Final = 10.0
+"""Scatters from the neighbours beyond which a reading is impossible: clocks do have late moments."""
+_sequence_DOUBT: Final = 3.0
+_LEAST_S: Final = 0.05
+_NMAD: Final = 1.4826
+
+
+def seconds_of(text: str, pattern: str) -> float | None:
+    """Seconds of the day (or of what the display counts) of a text; None if it is no time.
+
+    Examples
+    --------
+    >>> seconds_of("08:31:07.42", "HH:MM:SS.ff")
+    30667.42
+    >>> seconds_of("08:71:07.42", "HH:MM:SS.ff") is None
+    True
+    """
+    parts = {mark: "".join(c for c, m in zip(text, pattern, strict=True) if m == mark) for mark in "HMSf"}
+    if not all(part.isdecimal() for part in parts.values() if part):
+        return None
+    seconds = 0.0
+    for mark, unit_s in _UNITS.items():
+        value = int(parts[mark] or 0)
+        limit = _LIMITS.get(mark, 60 if "M" in pattern else 10**9)
+        if value >= limit:
+            return None
+        seconds += unit_s * value
+    digits = parts["f"]
+    return seconds + (int(digits) / 10 ** len(digits) if digits else 0.0)
+
+
+def out_of_sequence(
+    t_s: ArrayF, other_s: ArrayF | None = None, *, day_s: float = 86_400.0
+) -> tuple[ArrayF, ArrayB, ArrayB]:
+    """Readings counted on over the end of the day, which of them cannot be, and which are in doubt.
+
+    A reading is compared with those before it, and with those behind it: one of both is enough, so that a
+    series may jump where photographs are missing.
+
+    Parameters
+    ----------
+    t_s : (n,) readings in the order of the photographs, NaN where there is none.
+    other_s : (n,) what they would be with the second best digit, NaN if that is out of the question.
+    day_s : period of the display.
+
+    Returns
+    -------
+    t_s : (n,) with whole periods added.
+    wrong : (n,) readings that cannot be.
+    doubtful : (n,) readings away from their neighbours where the second best digit would not be.
+    """
+    t = np.array(t_s, dtype=np.float64)
+    known = np.flatnonzero(np.isfinite(t))
+    wrong, doubtful = np.zeros(len(t), dtype=bool), np.zeros(len(t), dtype=bool)
+    if known.size < _LEAST:
+        return t, wrong, doubtful
+    t[known] += day_s * np.concatenate([[0], np.cumsum(_turns(np.diff(t[known]), day_s))])
+    x, y = known.astype(np.float64), t[known]
+    interval = float(np.median(np.diff(y) / np.diff(x)))
+    off = y - interval * x
+    before, behind = _medians(off)
+    away = np.fmin(np.abs(off - before), np.abs(off - behind))
+    scatter = _NMAD * float(np.nanmedian(away))
+    wrong[known] = away > max(_FAR * scatter, _LEAST_S)
+    if other_s is not None:
+        shift = (other_s - t_s)[known]
+        there = np.fmin(np.abs(off + shift - before), np.abs(off + shift - behind))
+        doubtful[known] = (away > _sequence_DOUBT * scatter) & (there < away / 2)
+    return t, wrong, doubtful & ~wrong
+
+
+def _turns(step: ArrayF, day_s: float) -> ArrayF:
+    """Whole periods between readings: 1 where the display began again; a single misread hour takes none."""
+    return np.where(step < -day_s / 2, 1.0, np.where(step > day_s / 2, -1.0, 0.0))
+
+
+def _medians(off: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Median of up to 12 values before, and behind, each (n,); NaN with fewer than three."""
+    n = len(off)
+    padded = np.concatenate([np.full(_AROUND, np.nan), off, np.full(_AROUND, np.nan)])
+    windows = np.lib.stride_tricks.sliding_window_view(padded, _AROUND)
+    enough = 3
+    out = []
+    for part in (windows[:n], windows[_AROUND + 1 : _AROUND + 1 + n]):
+        known = np.isfinite(part).sum(axis=1) >= enough
+        value = np.full(n, np.nan)
+        value[known] = np.nanmedian(part[known], axis=1)
+        out.append(value)
+    return out[0], out[1]
+
+
+# ---------------------------------------------------------------- reader
+
 
 _SAMPLE: Final = 40
 _TRAINING: Final = 200

@@ -6,7 +6,7 @@ of each of three blocks find the camera constant too long, by 0.014 to 0.031 % o
 (`thalweg_lab.studies.image_blocks`). Halves of the tracks agree about the lens, divided by chance or
 by place, so neighbours are not to blame. What the images tell of the interior orientation therefore counts
 with a larger variance; what a calibration tells does not change. Errors that differ from part to part of a
-block add to it (`thalweg.images.bundle.parts`).
+block add to it (`thalweg.images.bundle.adjustment`).
 """
 
 from collections.abc import Iterator

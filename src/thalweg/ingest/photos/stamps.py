@@ -6,6 +6,10 @@ the clock is then one small number, ``t_gps_s = t_device_s + dt`` (P2 3.2), and 
 in it.
 """
 
+import csv
+import datetime as dt
+import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,11 +22,11 @@ import pyarrow as pa
 
 from thalweg.core.errors import ClockError, InputError
 from thalweg.core.tables import column, frame_of, table_kind
-from thalweg.core.timescales import gps_from_unix
+from thalweg.core.timescales import gps_from_unix, unix_from_gps
 from thalweg.core.types import ArrayF
 from thalweg.ingest.clock_shift import explain_shift
 from thalweg.ingest.integrity import IntegrityReport, find_gaps
-from thalweg.ingest.photos.exif import CivilStamp, ImageHead, offset_seconds, read_head
+from thalweg.ingest.photos.exif import CivilStamp, ImageHead, civil_second, offset_seconds, read_head
 from thalweg.ingest.photos.files import (
     by_any_name,
     files_by_name,
@@ -31,8 +35,181 @@ from thalweg.ingest.photos.files import (
     named_images,
     natural_key,
 )
-from thalweg.ingest.photos.names import compile_pattern, stamp_from_name
-from thalweg.ingest.photos.table import read_time_table
+from thalweg.ingest.stamps import possible_unix
+
+# ---------------------------------------------------------------- times in the names of photographs: the
+# usual patterns, and a pattern of the user
+
+
+_TOKENS: Final = {
+    "%Y": r"(?P<Y>\d{4})",
+    "%m": r"(?P<m>\d\d)",
+    "%d": r"(?P<d>\d\d)",
+    "%H": r"(?P<H>\d\d)",
+    "%M": r"(?P<M>\d\d)",
+    "%S": r"(?P<S>\d\d)",
+    "%f": r"(?P<f>\d{1,9})",
+    "%s": r"(?P<s>\d{9,10})",
+    "%%": "%",
+    "*": r".*?",
+}
+
+_USUAL: Final = (
+    # R20210512_083107123, IMG_20210512_083107_123, 2021-05-12T08-31-07.123, PXL_20210512_083107123
+    re.compile(
+        r"(?<!\d)(?P<Y>(?:19|20)\d\d)[-_.:]?(?P<m>[01]\d)[-_.:]?(?P<d>[0-3]\d)[-_.T ]{0,3}"
+        r"(?P<H>[0-2]\d)[-_.:h]?(?P<M>[0-5]\d)[-_.:m]?(?P<S>[0-5]\d)(?:[-_., s]?(?P<f>\d{6}|\d{3}))?(?!\d)"
+    ),
+    # Unix time in ms or us, 1620808267123, and in seconds with a fraction, 1620808267.123
+    re.compile(r"(?<!\d)(?P<s>1\d{9})[._]?(?P<f>\d{6}|\d{3})(?!\d)"),
+)
+
+
+def stamp_from_name(stem: str, pattern: str | None = None) -> CivilStamp | None:
+    """Time in the name of a file without its ending; None if there is none.
+
+    The usual names are year to second with or without separators, with three or six digits behind the second
+    or none, and Unix time in ms or us.
+
+    Parameters
+    ----------
+    stem : name without folder and ending.
+    pattern : the user's own, see `compile_pattern`.
+
+    Examples
+    --------
+    >>> stamp_from_name("R20210512_083107125").shown_s
+    1620808267.125
+    >>> stamp_from_name("1620808267125").resolution_s
+    0.001
+    >>> stamp_from_name("boat 12.05.2021 083107", "*%d.%m.%Y %H%M%S").shown_s
+    1620808267.0
+    """
+    for form in [compile_pattern(pattern)] if pattern else _USUAL:
+        found = form.fullmatch(stem) if pattern else form.search(stem)
+        if not found:
+            continue
+        parts = found.groupdict()
+        digits = parts.get("f") or ""
+        if parts.get("s"):
+            second: int | None = int(parts["s"])
+        else:
+            second = civil_second(*(int(parts.get(name) or 0) for name in "YmdHMS"))
+        if second is None or not possible_unix(second):
+            continue
+        fraction = int(digits) / 10 ** len(digits) if digits else 0.0
+        return CivilStamp(second_s=second, fraction_s=fraction, resolution_s=10.0 ** -len(digits))
+    return None
+
+
+def compile_pattern(pattern: str) -> re.Pattern[str]:
+    """The user's pattern for names without ending: %Y %m %d %H %M %S, %f (fraction), %s (Unix), * (any).
+
+    Raises
+    ------
+    InputError : the pattern holds no full time, an unknown token or a token twice.
+    """
+    text, expression, seen = pattern, "", set()
+    while text:
+        head = text[:2] if text[0] == "%" else text[0]
+        if head[0] == "%" and head not in _TOKENS:
+            raise InputError(
+                f"the pattern '{pattern}' holds '{head}'", expected="%Y %m %d %H %M %S %f %s, * or plain text"
+            )
+        if head in seen:
+            raise InputError(f"the pattern '{pattern}' holds '{head}' twice", expected="each part once")
+        if len(head) == 2 and head != "%%":
+            seen.add(head)
+        expression += _TOKENS.get(head, re.escape(head))
+        text = text[len(head) :]
+    if not ({"%Y", "%m", "%d", "%H", "%M", "%S"} <= seen or "%s" in seen):
+        raise InputError(
+            f"the pattern '{pattern}' holds no full time",
+            expected="%Y %m %d %H %M %S, or %s",
+            cure="A name without date cannot be placed: give a table of times instead",
+        )
+    return re.compile(expression)
+
+
+# ---------------------------------------------------------------- times of photographs from a table that a
+# person or another program wrote
+
+
+TIME_COLUMNS: Final = ("time_utc", "unix_s", "t_gps_s")
+"""ISO 8601 text (UTC, or with its own offset), Unix time, or adjusted GPS time."""
+
+
+def read_time_table(path: Path) -> dict[str, CivilStamp]:
+    """Stamps by file name, from a CSV table with the columns ``file`` and one of `TIME_COLUMNS`.
+
+    An empty cell is an image without time. The unit of a stamp is that of its last digit.
+
+    Raises
+    ------
+    InputError : the table is missing, lacks a column, or holds a time that is none, or a file twice.
+    """
+    if not path.is_file():
+        raise InputError("file not found", where=path, expected="a CSV table of times")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError("the table is no UTF-8 text", where=path, cure="Save it as CSV in UTF-8") from error
+    separator = ";" if text.split("\n", 1)[0].count(";") else ","
+    rows = csv.DictReader(text.splitlines(), delimiter=separator)
+    names = [name.strip() for name in rows.fieldnames or []]
+    rows.fieldnames = names
+    known = [name for name in TIME_COLUMNS if name in names]
+    if "file" not in names or len(known) != 1:
+        raise InputError(
+            f"columns {names}",
+            where=path,
+            expected=f"the columns file and one of {', '.join(TIME_COLUMNS)}",
+        )
+    out: dict[str, CivilStamp] = {}
+    for row in rows:
+        where = f"{path}:{rows.line_num}"
+        file, value = (row["file"] or "").strip(), (row[known[0]] or "").strip()
+        if not file:
+            raise InputError("a row without file name", where=where, expected="the name of an image")
+        if file in out:
+            raise InputError(f"'{file}' stands there twice", where=where, expected="each image once")
+        if value:
+            out[file] = _stamp(value, known[0], where)
+    return out
+
+
+def _stamp(text: str, form: str, where: str) -> CivilStamp:
+    digits = len(found.group(1)) if (found := re.search(r"[.,](\d+)", text)) else 0
+    fraction = int(found.group(1)) / 10**digits if found else 0.0
+    whole = re.sub(r"[.,]\d+", "", text)
+    try:
+        if form == "time_utc":
+            moment = dt.datetime.fromisoformat(whole.replace("Z", "+00:00"))
+            own = moment.utcoffset()
+            offset_s = 0.0 if own is None else own.total_seconds()
+            second = int(moment.replace(tzinfo=dt.UTC).timestamp())
+        else:
+            value = float(text.replace(",", "."))
+            if not math.isfinite(value):
+                raise ValueError(text)  # noqa: TRY301
+            offset_s = 0.0
+            if form == "t_gps_s":
+                value = float(unix_from_gps(value))
+            second = math.floor(value)
+            fraction = fraction if form == "unix_s" else value - second
+    except (ValueError, OverflowError) as error:
+        raise InputError(
+            f"'{text}' is no time",
+            where=where,
+            expected="ISO 8601, such as 2021-05-12T08:31:07.123Z" if form == "time_utc" else "a number",
+        ) from error
+    if not possible_unix(second):
+        raise InputError(f"'{text}' is no date of a survey", where=where, expected="a time after 1980")
+    return CivilStamp(second_s=second, fraction_s=fraction, resolution_s=10.0**-digits, utc_offset_s=offset_s)
+
+
+# ---------------------------------------------------------------- stamps
+
 
 __all__ = [
     "IMAGE_STAMPS", "ImageStamps", "Source", "list_images", "natural_key", "read_image_stamps",

@@ -5,21 +5,562 @@ the oracle of the tests. Sender 0 relays the base, any other sender is the rover
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+from pyproj import Transformer
+from sbp.table import lookup
 
-from thalweg.core.timescales import gps_from_week
-from thalweg.core.types import ArrayF
+from thalweg.core.frames import R_ENU_NED, rotation_ecef_enu
+from thalweg.core.tables import column, frame_of, table_kind
+from thalweg.core.timescales import (
+    GPS_EPOCH_UNIX_S,
+    LEAP_TABLE_VALID_UNTIL,
+    WEEK_S,
+    gps_from_week,
+    gps_minus_utc,
+    utc_text_from_unix,
+)
+from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.ingest.framing.stream import CHUNK_BYTES
-from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest.integrity import IntegrityReport, find_gaps
 from thalweg.ingest.sbp import messages as sm
-from thalweg.ingest.sbp import tables
-from thalweg.ingest.sbp.records import SbpRecords, collect
-from thalweg.ingest.sbp.report import describe_log
-from thalweg.ingest.sbp.time import build_track, measured_gps_minus_utc, possible_week
+from thalweg.ingest.sbp.records import Messages, SbpRecords, collect
+from thalweg.ingest.schemas import GNSS_POSITION
+
+# ---------------------------------------------------------------- GPS time of SBP messages: most carry the
+# time of the week only
+
+
+_WEEK_MS: Final = WEEK_S * 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeekTrack:
+    """Full GPS time at some messages, in the order of the log.
+
+    Attributes
+    ----------
+    number : (n,) number of the message.
+    week, tow_ms, ns : (n,) GPS week, millisecond of the week, rest of the millisecond in ns.
+    source : words for the message that they are from; empty if the log has none.
+    """
+
+    number: ArrayI
+    week: ArrayI
+    tow_ms: ArrayI
+    ns: ArrayI
+    source: str = ""
+
+    @property
+    def t_gps_s(self) -> ArrayF:
+        """Adjusted GPS time of the track itself."""
+        return np.asarray(gps_from_week(self.week, self.tow_ms * 1e-3) + self.ns * 1e-9)
+
+    def before(self, number: ArrayI) -> ArrayI:
+        """Index of the last entry before each message, of the first one where there is none before."""
+        return np.maximum(np.searchsorted(self.number, number, side="right").astype(np.int64) - 1, 0)
+
+    def times(self, messages: Messages) -> ArrayF:
+        """Adjusted GPS time of messages with a field ``tow`` in ms; NaN without week or with a false tow.
+
+        The week is that of the entry before (of the first entry for messages ahead of it). A tow that is
+        more than half a week away from that entry's lies on the other side of a week rollover.
+        """
+        tow = messages.fields["tow"].astype(np.int64)
+        if not self.number.size:
+            return np.full(tow.size, np.nan)
+        index = self.before(messages.number)
+        behind = self.tow_ms[index] - tow
+        week = self.week[index] + (behind > _WEEK_MS // 2) - (behind < -(_WEEK_MS // 2))
+        ns = np.where(behind == 0, self.ns[index], 0)
+        t = gps_from_week(week, tow * 1e-3) + ns * 1e-9
+        return np.where(tow < _WEEK_MS, t, np.nan)
+
+
+def possible_week(messages: Messages) -> ArrayB:
+    """True where a message with week and tow can be a time: power-up sends week 0."""
+    return np.asarray((messages.fields["wn"] > 0) & (messages.fields["tow"] < _WEEK_MS))
+
+
+def build_track(records: SbpRecords, sender: int | None) -> WeekTrack:
+    """Time axis from MsgGPSTime; else from its variants, else from the observations.
+
+    Parameters
+    ----------
+    records : the log.
+    sender : the rover; None takes any sender.
+    """
+    for kind, name in (
+        (sm.GPS_TIME, "MsgGPSTime"),
+        (sm.GPS_TIME_GNSS, "MsgGPSTimeGnss"),
+        (sm.GPS_TIME_DEP_A, "MsgGPSTimeDepA"),
+        (sm.OBS, "MsgObs"),
+    ):
+        found = records.of(kind, sender)
+        good = possible_week(found)
+        if kind in (sm.GPS_TIME, sm.GPS_TIME_GNSS):
+            good &= found.fields["flags"] & 7 != 0
+        if good.any():
+            m = found.take(good)
+            return WeekTrack(
+                number=m.number,
+                week=m.fields["wn"].astype(np.int64),
+                tow_ms=m.fields["tow"].astype(np.int64),
+                ns=m.fields["ns"].astype(np.int64),
+                source=name,
+            )
+    none = np.empty(0, dtype=np.int64)
+    return WeekTrack(number=none, week=none, tow_ms=none, ns=none)
+
+
+def measured_gps_minus_utc(
+    records: SbpRecords, track: WeekTrack, sender: int | None
+) -> tuple[ArrayF, ArrayF]:
+    """GPS - UTC (rounded to ms) and Unix time of each MsgUtcTime that stands with a GPS time of its tow."""
+    utc = records.of(sm.UTC_TIME, sender)
+    f = utc.fields
+    ok = (f["flags"] & 7 != 0) & (f["month"] >= 1) & (f["month"] <= 12) & (f["day"] >= 1) & (f["day"] <= 31)
+    ok &= (f["year"] >= 1980) & (f["year"] < 2200) & (f["hours"] < 24) & (f["minutes"] < 60)
+    if not track.number.size or not ok.any():
+        return np.empty(0), np.empty(0)
+    utc = utc.take(np.asarray(ok))
+    index = track.before(utc.number)
+    same = track.tow_ms[index] == utc.fields["tow"]
+    f, index = utc.fields[same], index[same]
+    months = (f["year"].astype(np.int64) - 1970) * 12 + f["month"] - 1
+    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64) + f["day"] - 1
+    seconds = ((days * 24 + f["hours"]) * 60 + f["minutes"]) * 60 + f["seconds"]
+    gps = track.week[index] * WEEK_S + track.tow_ms[index] // 1000 + GPS_EPOCH_UNIX_S
+    rest = (track.tow_ms[index] % 1000) * 1e-3 + track.ns[index] * 1e-9 - f["ns"] * 1e-9
+    return np.round((gps - seconds) + rest, 3), np.asarray(seconds + f["ns"] * 1e-9, dtype=np.float64)
+
+
+# ---------------------------------------------------------------- tables out of decoded SBP messages
+
+
+_F = pa.float64()
+_T = column("t_gps_s", _F, "s", "adjusted standard GPS time; NaN if the log has no GPS week")
+_N_SATS = column("n_sats", pa.int32(), "1", "satellites used")
+
+GNSS_BASELINE = table_kind(
+    "gnss_baseline",
+    1,
+    [
+        _T,
+        column("north_m", _F, "m", "rover minus base, north at the base"),
+        column("east_m", _F, "m", "rover minus base, east"),
+        column("down_m", _F, "m", "rover minus base, down"),
+        column("fix", pa.string(), "1", "single, sbas, dgnss, float, fixed, dead_reckoning"),
+        _N_SATS,
+        column("sigma_h_m", _F, "m", "standard deviation, horizontal; NaN if unknown"),
+        column("sigma_v_m", _F, "m", "standard deviation, vertical; NaN if unknown"),
+    ],
+)
+
+GNSS_VELOCITY = table_kind(
+    "gnss_velocity",
+    1,
+    [
+        _T,
+        column("v_north_mps", _F, "m/s", "velocity north"),
+        column("v_east_mps", _F, "m/s", "velocity east"),
+        column("v_down_mps", _F, "m/s", "velocity down"),
+        _N_SATS,
+        column("sigma_h_mps", _F, "m/s", "standard deviation, horizontal; NaN if unknown"),
+        column("sigma_v_mps", _F, "m/s", "standard deviation, vertical; NaN if unknown"),
+    ],
+)
+
+GNSS_EVENT = table_kind(
+    "gnss_event",
+    1,
+    [
+        _T,
+        column("pin", pa.int32(), "1", "number of the pin"),
+        column("level", pa.int32(), "1", "level after the edge: 1 rising, 0 falling"),
+        column("time_good", pa.bool_(), "1", "the receiver states a time better than 1 us"),
+    ],
+)
+
+POSITION_GROUPS: Final = (
+    (sm.POS_LLH_COV, sm.POS_LLH),
+    (sm.POS_ECEF_COV, sm.POS_ECEF),
+    (sm.POS_LLH_COV_GNSS, sm.POS_LLH_GNSS),
+    (sm.POS_LLH_DEP_A,),
+    (sm.POS_ECEF_DEP_A,),
+)
+"""Sources of positions by preference; inside a group the one with covariances comes first."""
+
+POSITION_KINDS: Final = tuple(kind for group in POSITION_GROUPS for kind in group)
+_ECEF_KINDS: Final = frozenset({sm.POS_ECEF, sm.POS_ECEF_COV, sm.POS_ECEF_DEP_A})
+
+
+@dataclass(slots=True, kw_only=True)
+class Dropped:
+    """Rows that a table does not hold, by reason."""
+
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def add(self, reason: str, n: int) -> None:
+        """Count rows."""
+        if n:
+            self.counts[reason] = self.counts.get(reason, 0) + int(n)
+
+
+def positions_table(
+    records: SbpRecords, track: WeekTrack, sender: int, dropped: Dropped
+) -> tuple[pd.DataFrame, tuple[int, ...]]:
+    """Positions with a fix as table kind ``gnss_position``, and the message types that they are from.
+
+    MsgPosLLH and MsgPosLLHCov of one epoch give one row, with the covariances of the latter. Without them
+    the sigmas are the accuracies that MsgPosLLH states: the horizontal one is that of the worst direction
+    (it equals the longer axis of the error ellipse where a receiver sends both), and is taken for both axes.
+    """
+    for group in POSITION_GROUPS:
+        lost = Dropped()
+        parts = [_positions_of(records.of(kind, sender), kind, track, lost) for kind in group]
+        if any(part["t_gps_s"].size for part in parts):
+            break
+    else:
+        _count_without_fix(records, sender, dropped)
+        return frame_of(GNSS_POSITION, dict.fromkeys(GNSS_POSITION.names, np.empty(0))), ()
+    for reason in ("without_fix", "impossible"):
+        # both messages of an epoch say the same: counting them once each would double the number
+        worst = max((lost.counts.get(f"{reason} {kind}", 0) for kind in group), default=0)
+        dropped.add(f"positions_{reason}_dropped", worst)
+    rank = np.concatenate([np.full(part["t_gps_s"].size, i) for i, part in enumerate(parts)])
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    if not track.number.size:  # epochs cannot be told apart: one message type only
+        keep = np.flatnonzero(rank == rank.min())
+    else:
+        key = np.round(columns["t_gps_s"] * 1000.0)
+        best = np.lexsort((columns["number"], rank))
+        _, first = np.unique(key[best], return_index=True)
+        keep = best[first]
+        repeated = max(int((rank == i).sum()) - np.unique(key[rank == i]).size for i in range(len(parts)))
+        dropped.add("positions_repeated_dropped", repeated)
+    keep = keep[np.argsort(columns["number"][keep], kind="stable")]
+    columns = {name: column_[keep] for name, column_ in columns.items()}
+    columns["age_s"] = _age(records, track, sender, columns["t_gps_s"])
+    used = tuple(kind for i, kind in enumerate(group) if (rank[keep] == i).any())
+    return frame_of(GNSS_POSITION, {n: columns[n] for n in GNSS_POSITION.names}), used
+
+
+def _count_without_fix(records: SbpRecords, sender: int, dropped: Dropped) -> None:
+    sizes = [records.of(kind, sender).number.size for kind in POSITION_KINDS]
+    dropped.add("positions_without_fix_dropped", max(sizes, default=0))
+
+
+def _positions_of(messages: Messages, kind: int, track: WeekTrack, lost: Dropped) -> dict[str, AnyArray]:
+    """Columns of one message type, with the number of the message."""
+    names = sm.FIX_DEP_A if kind in sm.DEP_A else sm.FIX
+    words = names[messages.fields["flags"] & 7]
+    first = "x" if kind in _ECEF_KINDS else "lat"
+    empty = messages.fields[first] == 0  # a receiver without solution sends zeros
+    with_fix = np.asarray((words != "none") & ~empty)
+    lost.add(f"without_fix {kind}", int((~with_fix).sum()))
+    m = messages.take(with_fix)
+    values = _geodetic(m, kind)
+    t = track.times(m)
+    values |= {"t_gps_s": t, "fix": words[with_fix], "n_sats": m.fields["n_sats"], "number": m.number}
+    possible = (np.abs(values["lat_deg"]) <= 90) & (np.abs(values["lon_deg"]) <= 360)
+    possible &= np.isfinite(values["h_ell_m"]) & ~(np.isnan(t) & bool(track.number.size))
+    lost.add(f"impossible {kind}", int((~possible).sum()))
+    nan = np.full(m.number.size, np.nan)
+    every = {**dict.fromkeys(GNSS_POSITION.names, nan), **values}
+    return {name: np.asarray(value)[possible] for name, value in every.items()}
+
+
+def _geodetic(m: Messages, kind: int) -> dict[str, Any]:
+    """Latitude, longitude, height, sigmas and covariances in east-north-up."""
+    f = m.fields
+    if kind in _ECEF_KINDS:
+        to_geodetic = Transformer.from_crs(4978, 4979, always_xy=True, allow_ballpark=False)
+        lon, lat, h = to_geodetic.transform(f["x"], f["y"], f["z"])
+        out = {"lat_deg": np.asarray(lat), "lon_deg": np.asarray(lon), "h_ell_m": np.asarray(h)}
+        if kind == sm.POS_ECEF_COV:
+            R = rotation_ecef_enu(np.where(np.isfinite(lat), lat, 0.0), np.where(np.isfinite(lon), lon, 0.0))
+            C = np.swapaxes(R, -1, -2) @ _matrix(f, "xyz") @ R
+            out |= _sigmas(C)
+        return out
+    out = {"lat_deg": f["lat"], "lon_deg": f["lon"], "h_ell_m": f["height"]}
+    if kind in (sm.POS_LLH_COV, sm.POS_LLH_COV_GNSS):
+        C = _matrix(f, "ned")
+        return out | _sigmas(R_ENU_NED @ C @ R_ENU_NED.T)
+    horizontal, vertical = _millimetres(f["h_accuracy"]), _millimetres(f["v_accuracy"])
+    return out | {"sigma_east_m": horizontal, "sigma_north_m": horizontal, "sigma_up_m": vertical}
+
+
+def _matrix(f: AnyArray, axes: str) -> ArrayF:
+    """Covariance matrices (n, 3, 3) from the six fields of a message."""
+    C = np.empty((f.size, 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            C[:, i, j] = C[:, j, i] = f[f"cov_{axes[i]}_{axes[j]}"]
+    return C
+
+
+def _sigmas(C_enu: ArrayF) -> dict[str, ArrayF]:
+    """Columns of ``gnss_position``; NaN where a variance is not positive (not known)."""
+    variance = np.diagonal(C_enu, axis1=1, axis2=2)
+    known = np.asarray(np.isfinite(C_enu).all(axis=(1, 2)) & (variance > 0).all(axis=1))
+    C = np.where(known[:, None, None], C_enu, np.nan)
+    return {
+        "sigma_east_m": np.sqrt(C[:, 0, 0]),
+        "sigma_north_m": np.sqrt(C[:, 1, 1]),
+        "sigma_up_m": np.sqrt(C[:, 2, 2]),
+        "cov_en_m2": C[:, 0, 1],
+        "cov_eu_m2": C[:, 0, 2],
+        "cov_nu_m2": C[:, 1, 2],
+    }
+
+
+def _millimetres(value: AnyArray) -> ArrayF:
+    """Accuracy in metres; 0 is not implemented and 65535 out of range, both unknown."""
+    return np.where((value > 0) & (value < 0xFFFF), value * 1e-3, np.nan)
+
+
+def _age(records: SbpRecords, track: WeekTrack, sender: int, t_gps_s: AnyArray) -> ArrayF:
+    """Age of the corrections from the MsgAgeCorrections of the same time, NaN where there is none."""
+    age = records.of(sm.AGE, sender)
+    age = age.take(age.fields["age"] != 0xFFFF)
+    out = np.full(t_gps_s.size, np.nan)
+    if age.number.size and out.size:
+        key, first = np.unique(np.round(track.times(age) * 1000.0), return_index=True)
+        wanted = np.round(t_gps_s * 1000.0)
+        at = np.minimum(np.searchsorted(key, wanted), key.size - 1)
+        same = key[at] == wanted
+        out[same] = age.fields["age"][first][at[same]] * 0.1
+    return out
+
+
+def baselines_table(records: SbpRecords, track: WeekTrack, sender: int) -> pd.DataFrame:
+    """Baselines with a fix as table kind ``gnss_baseline``."""
+    kind = sm.BASELINE_NED if records.of(sm.BASELINE_NED, sender).number.size else sm.BASELINE_NED_DEP_A
+    m = records.of(kind, sender)
+    words = (sm.FIX_DEP_A if kind in sm.DEP_A else sm.FIX)[m.fields["flags"] & 7]
+    good = np.asarray(words != "none")
+    m = m.take(good)
+    return _once(
+        frame_of(
+            GNSS_BASELINE,
+            {
+                "t_gps_s": track.times(m),
+                "north_m": m.fields["n"] * 1e-3,
+                "east_m": m.fields["e"] * 1e-3,
+                "down_m": m.fields["d"] * 1e-3,
+                "fix": words[good],
+                "n_sats": m.fields["n_sats"],
+                "sigma_h_m": _millimetres(m.fields["h_accuracy"]),
+                "sigma_v_m": _millimetres(m.fields["v_accuracy"]),
+            },
+        )
+    )
+
+
+def velocities_table(records: SbpRecords, track: WeekTrack, sender: int) -> pd.DataFrame:
+    """Valid velocities as table kind ``gnss_velocity``."""
+    kind = sm.VEL_NED if records.of(sm.VEL_NED, sender).number.size else sm.VEL_NED_DEP_A
+    m = records.of(kind, sender)
+    m = m.take(np.asarray((m.fields["flags"] & 7 != 0) | (kind in sm.DEP_A)))
+    return _once(
+        frame_of(
+            GNSS_VELOCITY,
+            {
+                "t_gps_s": track.times(m),
+                "v_north_mps": m.fields["n"] * 1e-3,
+                "v_east_mps": m.fields["e"] * 1e-3,
+                "v_down_mps": m.fields["d"] * 1e-3,
+                "n_sats": m.fields["n_sats"],
+                "sigma_h_mps": _millimetres(m.fields["h_accuracy"]),
+                "sigma_v_mps": _millimetres(m.fields["v_accuracy"]),
+            },
+        )
+    )
+
+
+def events_table(records: SbpRecords) -> pd.DataFrame:
+    """External events (camera triggers, PPS) as table kind ``gnss_event``; NaN where the week is not set."""
+    f = records.of(sm.EVENT).fields
+    known = possible_week(records.of(sm.EVENT))
+    t = gps_from_week(f["wn"], f["tow"] * 1e-3) + f["ns"] * 1e-9
+    return _once(
+        frame_of(
+            GNSS_EVENT,
+            {
+                "t_gps_s": np.where(known, t, np.nan),
+                "pin": f["pin"],
+                "level": f["flags"] & 1,
+                "time_good": f["flags"] & 2 != 0,
+            },
+        )
+    )
+
+
+def _once(table: pd.DataFrame) -> pd.DataFrame:
+    """The table without rows that are repeated in full (files that overlap)."""
+    return table.drop_duplicates(ignore_index=True)
+
+
+def base_positions(records: SbpRecords) -> ArrayF:
+    """Earth-centred base positions (n, 3) in metres that the log states, zeros left out."""
+    f = records.of(sm.BASE_ECEF).fields
+    xyz = np.stack([f["x"], f["y"], f["z"]], axis=-1)
+    xyz = xyz[np.isfinite(xyz).all(axis=1) & (np.linalg.norm(xyz, axis=1) > 6e6)]
+    if xyz.shape[0]:
+        return np.asarray(xyz)
+    f = records.of(sm.BASE_LLH).fields
+    f = f[(np.abs(f["lat"]) <= 90) & (f["lat"] != 0) & np.isfinite(f["lon"]) & np.isfinite(f["height"])]
+    to_ecef = Transformer.from_crs(4979, 4978, always_xy=True, allow_ballpark=False)
+    return np.stack(to_ecef.transform(f["lon"], f["lat"], f["height"]), axis=-1).reshape(-1, 3)
+
+
+# ---------------------------------------------------------------- what the integrity report says about an SBP
+# log: messages, clock, UTC offset, base, gaps
+
+
+_BASE_MOVE_M: Final = 0.001
+_MILLISECOND_S: Final = 1e-3
+_NANOSECOND_S: Final = 1e-9
+_UTC_TOLERANCE_S: Final = 0.0015
+"""Offsets are rounded to a millisecond; leap seconds differ by whole seconds."""
+
+
+def message_name(kind: int) -> str | None:
+    """Name of a message type in the library ``sbp``, None if it knows none.
+
+    Examples
+    --------
+    >>> message_name(0x020A), message_name(0xFFF0)
+    ('MsgPosLLH', None)
+    """
+    found = lookup(kind)
+    return None if found is None else str(found.__name__)
+
+
+def describe_log(
+    report: IntegrityReport,
+    records: SbpRecords,
+    track: WeekTrack,
+    positions: pd.DataFrame,
+    kinds: tuple[int, ...],
+    base_ecef_m: ArrayF,
+    offset_s: ArrayF,
+    unix_s: ArrayF,
+    obs_epochs: dict[int, tuple[int, float, float]],
+) -> None:
+    """Fill in messages, losses, clock state, UTC offset, base and gaps."""
+    _clock(report, track, positions)
+    records.tally.write(report, "message")
+    _messages(report, records)
+    _utc(report, offset_s, unix_s)
+    if len(positions):
+        report.details["positions from"] = " + ".join(str(message_name(k)) for k in kinds)
+        report.details["fixes"] = {str(k): int(v) for k, v in positions["fix"].value_counts().items()}
+    else:
+        report.note("The log holds no position with a fix.")
+    if base_ecef_m.shape[0]:
+        spread = float(np.ptp(base_ecef_m, axis=0).max())
+        report.count("base_positions", base_ecef_m.shape[0])
+        if spread > _BASE_MOVE_M:
+            report.note(
+                f"The base positions stated in the log differ by up to {spread:.3f} m; the median is used."
+            )
+    for sender, (n, _, _) in obs_epochs.items():
+        report.count("observation_epochs_base" if sender == 0 else f"observation_epochs_{sender}", n)
+
+
+def _clock(report: IntegrityReport, track: WeekTrack, positions: pd.DataFrame) -> None:
+    t = positions["t_gps_s"].to_numpy()
+    t = t[np.isfinite(t)]
+    what = "positions" if t.size else "time messages"
+    t = t if t.size else track.t_gps_s
+    report.synchronised = bool(t.size)
+    report.time_scale = "gps" if t.size else "none"
+    if not t.size:
+        report.note(
+            "No message states a valid GPS week (MsgGPSTime, MsgObs): the time of the week alone is no date, "
+            "and nothing in this log can be timed."
+        )
+        return
+    report.t_first_s, report.t_last_s = float(t.min()), float(t.max())
+    report.gaps = find_gaps(t)
+    report.timing.describe_stamps(t, _NANOSECOND_S if track.ns.any() else _MILLISECOND_S)
+    untimed = len(positions) - int(np.isfinite(positions["t_gps_s"]).sum())
+    report.timing.unsynchronised_s = untimed * (report.timing.period_s or 0.0)
+    report.details["GPS week from"] = track.source
+    step = np.diff(t)
+    if (step > 0).any():
+        report.rates_hz[what] = 1.0 / float(np.median(step[step > 0]))
+    backwards = int((step < 0).sum())
+    if backwards:
+        report.lose("time_steps_backwards", backwards)
+        report.note(f"Time steps backwards {backwards:,} times among {t.size:,} {what}.")
+
+
+def _messages(report: IntegrityReport, records: SbpRecords) -> None:
+    by_name: dict[str, int] = {}
+    unknown: dict[int, int] = {}
+    for (kind, sender), n in sorted(records.counts.items(), key=lambda item: -item[1]):
+        name = message_name(kind)
+        by_name[f"{name or f'0x{kind:04X}'} {sender}"] = n
+        if name is None:
+            unknown[kind] = unknown.get(kind, 0) + n
+    if unknown:
+        report.count("messages_of_unknown_type", sum(unknown.values()))
+        report.note(
+            "Message types that the SBP specification does not name: "
+            + ", ".join(f"0x{kind:04X} ({n:,})" for kind, n in unknown.items())
+            + "."
+        )
+    wrong = sum(records.wrong_size.values())
+    if wrong:
+        report.lose("messages_of_wrong_size", wrong)
+        report.note(
+            "Messages not of the documented size, left out: "
+            + ", ".join(f"{message_name(kind)} ({n:,})" for kind, n in records.wrong_size.items())
+            + "."
+        )
+    for name, kind in (("imu_raw", sm.IMU_RAW), ("mag_raw", sm.MAG_RAW)):
+        n = sum(count for (k, _), count in records.counts.items() if k == kind)
+        if n:
+            report.count(name, n)
+    ephemerides = sum(n for name, n in by_name.items() if name.startswith("MsgEphemeris"))
+    if ephemerides:
+        report.count("ephemerides", ephemerides)
+    for sender in sorted({s for s, _ in records.signals}):
+        report.details[f"signals by code, sender {sender}"] = {
+            str(code): n for (s, code), n in sorted(records.signals.items()) if s == sender
+        }
+    report.details["messages by type and sender"] = by_name
+
+
+def _utc(report: IntegrityReport, offset_s: ArrayF, unix_s: ArrayF) -> None:
+    """Compare the receiver's GPS - UTC with the table of leap seconds."""
+    if not offset_s.size:
+        return
+    values, counts = np.unique(offset_s, return_counts=True)
+    report.details["GPS - UTC"] = {f"{value:.3f} s": int(n) for value, n in zip(values, counts, strict=True)}
+    table = gps_minus_utc(unix_s)
+    wrong = np.abs(offset_s - table) > _UTC_TOLERANCE_S
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        moment = utc_text_from_unix(unix_s[first])
+        report.note(
+            f"The receiver states GPS - UTC = {offset_s[first]:.3f} s at {moment}, "
+            f"the table of leap seconds (complete until {LEAP_TABLE_VALID_UNTIL}) {table[first]:.0f} s "
+            f"({int(wrong.sum()):,} of {wrong.size:,} stamps differ). GPS times come from MsgGPSTime and do "
+            "not depend on it."
+        )
+
+
+# ---------------------------------------------------------------- reader
+
 
 __all__ = ["SbpLog", "read_sbp"]
 
@@ -75,12 +616,12 @@ def read_sbp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> SbpLog
 def _log_of(records: SbpRecords) -> SbpLog:
     sender, others = _rover(records)
     track = build_track(records, sender or None)
-    dropped = tables.Dropped()
-    positions, kinds = tables.positions_table(records, track, sender, dropped)
-    baselines = tables.baselines_table(records, track, sender)
-    velocities = tables.velocities_table(records, track, sender)
-    events = tables.events_table(records)
-    base = tables.base_positions(records)
+    dropped = Dropped()
+    positions, kinds = positions_table(records, track, sender, dropped)
+    baselines = baselines_table(records, track, sender)
+    velocities = velocities_table(records, track, sender)
+    events = events_table(records)
+    base = base_positions(records)
     offset_s, unix_s = measured_gps_minus_utc(records, track, sender or None)
     report = IntegrityReport(stream="gnss", format="SBP", files=[])
     obs_epochs = _observation_epochs(records)
@@ -117,12 +658,12 @@ def _log_of(records: SbpRecords) -> SbpLog:
 
 def _rover(records: SbpRecords) -> tuple[int, dict[int, int]]:
     """The sender with most positions (else times, else observations; 0 if none), and the other ones."""
-    for kinds in (tables.POSITION_KINDS, (sm.GPS_TIME, sm.GPS_TIME_DEP_A), (sm.OBS,)):
+    for kinds in (POSITION_KINDS, (sm.GPS_TIME, sm.GPS_TIME_DEP_A), (sm.OBS,)):
         found = records.senders(kinds)
         if found:
             best = max(sorted(found), key=lambda sender: found[sender])
             others = {s: n for s, n in found.items() if s != best}
-            return best, others if kinds == tables.POSITION_KINDS else {}
+            return best, others if kinds == POSITION_KINDS else {}
     return 0, {}
 
 

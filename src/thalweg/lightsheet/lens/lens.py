@@ -7,28 +7,304 @@ are not rolled the principal point to the tilt. What cannot be had is refused, w
 taken for.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from scipy import sparse
 
+from thalweg.calibration.field.bundle import (
+    Layout,
+    Problem,
+    State,
+    inner_constraints,
+    marks_model,
+    start_state,
+)
+from thalweg.calibration.field.bundle_cleaning import thinned
 from thalweg.calibration.field.description import FieldDescription
 from thalweg.calibration.field.job import MeasuredField, measure
+from thalweg.calibration.field.network_start import misfit_px, start_network
+from thalweg.calibration.field.picture_overview import with_overview
+from thalweg.calibration.markers.mark_block import block_of
 from thalweg.calibration.markers.nominal_camera import nominal_camera
 from thalweg.core.camera.model import Camera
 from thalweg.core.errors import GeometryError
 from thalweg.core.frames import LocalFrame
-from thalweg.lightsheet.lens.checks import (
-    require_design,
-    require_determined,
-    require_fit,
-    require_pictures,
-    require_steady,
-    with_misfit,
-)
-from thalweg.lightsheet.lens.design import lens_correlations, lens_cov, predicted, view_facts
+from thalweg.core.rigid import Rigid
+from thalweg.core.types import ArrayF
 from thalweg.lightsheet.optics.sensor import LENS, Sensor
+
+# ---------------------------------------------------------------- what the pictures of a marker field can
+# tell about a camera: correlations, how they were taken
+
+
+GOOD_MARK_PX: Final = 0.1
+"""Standard deviation of a crossing of black and white in a sharp picture."""
+
+ONE_DIRECTION: Final = float(np.deg2rad(30.0))
+"""Largest angle between views that count as one direction."""
+
+_POSE: Final = ("place along the rows", "place along the columns", "distance", "tilt about the rows",
+                "tilt about the columns", "roll")  # fmt: skip
+_TILTED: Final = float(np.deg2rad(5.0))
+_ROLLED: Final = float(np.deg2rad(45.0))
+_LEAST_EIGENVALUE: Final = 1e-15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """State, layout, covariance, pictures of a bundle at approximate values; how badly these fit, pixels."""
+
+    x: State
+    layout: Layout
+    cov: ArrayF
+    images: tuple[str, ...]
+    misfit_px: float
+
+
+def predicted(marks: pd.DataFrame, camera: Camera, field: FieldDescription) -> Prediction:
+    """What the free bundle would know, at approximate values.
+
+    Marks count with `GOOD_MARK_PX` where their table states more: the bundle estimates their sigma anyway,
+    and here only the geometry is judged.
+
+    Raises
+    ------
+    GeometryError : no approximate values, with what the pictures show.
+    """
+    try:
+        block = block_of(marks, {camera.name: camera})
+        block = replace(block, sigma_px=np.minimum(block.sigma_px, GOOD_MARK_PX))
+        start = start_network(block, field.layout)
+        misfit = misfit_px(block, start, float(camera.parameters[0]))
+        n = len(block.images)
+        oriented = np.array([i in start.poses for i in range(n)])
+        nowhere = Rigid(R=np.eye(3), shift_m=np.zeros(3))
+        poses = {i: start.poses.get(i, nowhere) for i in range(n)}
+        problem = Problem(
+            block, np.zeros(n, np.int64), np.ones(len(block.image), np.bool_), (camera.parameter_names,)
+        )
+        x = start_state(block.images, (camera,), poses, start.points)
+        problem, x, _ = thinned(
+            problem, x, oriented, np.ones(len(block.points), np.bool_), set(), doubt=False
+        )
+    except GeometryError as error:
+        raise with_overview(error, marks) from error
+    layout = Layout(problem, x.cameras)
+    rows = (
+        sparse.diags_array(1.0 / np.repeat(problem.block.sigma_px, 2))
+        @ marks_model(problem, layout, x).jacobian
+    )
+    N = np.asarray((rows.T @ rows).todense())
+    scale = np.sqrt(np.maximum(np.diag(N), 1e-30))
+    Q = np.linalg.qr((inner_constraints(x.X, layout, scale=True) / scale).T)[0]
+    w, V = np.linalg.eigh(N / np.outer(scale, scale) + Q @ Q.T)
+    # a free combination has next to no eigenvalue: its unknowns get sigmas that nobody takes for small
+    cov = (V / np.maximum(w, _LEAST_EIGENVALUE)) @ V.T / np.outer(scale, scale)
+    return Prediction(x=x, layout=layout, cov=cov, images=problem.block.images, misfit_px=misfit)
+
+
+def lens_cov(layout: Layout, cov: ArrayF) -> ArrayF:
+    """(9, 9) part of the first camera of a joint covariance; all its parameters are unknowns."""
+    at = [layout.at_camera[0][k] for k in sorted(layout.at_camera[0])]
+    return cov[np.ix_(at, at)]
+
+
+def lens_correlations(x: State, layout: Layout, cov: ArrayF, images: Sequence[str]) -> pd.DataFrame:
+    """What each parameter of the camera is most correlated with: another one, and an element of a pose.
+
+    Parameters
+    ----------
+    x, layout, cov : of a bundle with one camera.
+    images : names of its pictures, in order.
+
+    Returns
+    -------
+    Columns parameter, with, correlation; two rows a parameter, the pose in the
+    second. Poses are taken in the camera's own frame:
+    places along rows and columns, distance along the view, tilts, roll.
+    """
+    lens = lens_cov(layout, cov)
+    at = [layout.at_camera[0][k] for k in sorted(layout.at_camera[0])]
+    names = x.cameras[0].parameter_names
+    sigma = np.sqrt(np.maximum(np.diag(lens), 1e-300))
+    own = lens / np.outer(sigma, sigma) - np.eye(len(names))
+    poses = np.empty((len(names), len(images), 6))
+    for i in range(len(images)):
+        turn = np.kron(np.eye(2), x.R[i].T)
+        pose = layout.pose(i)
+        spread = np.sqrt(np.maximum(np.diag(turn @ cov[pose, pose] @ turn.T), 1e-300))
+        poses[:, i] = cov[at, pose] @ turn.T / np.outer(sigma, spread)
+    rows = []
+    for k, name in enumerate(names):
+        j = int(np.abs(own[k]).argmax())
+        rows.append((name, names[j], float(own[k, j])))
+        i, part = divmod(int(np.abs(poses[k]).argmax()), len(_POSE))
+        rows.append((name, f"{_POSE[part]} of {images[i]}", float(poses[k, i, part])))
+    return pd.DataFrame(rows, columns=["parameter", "with", "correlation"])
+
+
+def view_facts(x: State) -> dict[str, Any]:
+    """How the pictures were taken.
+
+    Returns
+    -------
+    ``pictures``; ``largest_angle_deg`` between the views of any two; ``rolled``: those in which the field is
+    turned by more than 45 degrees against most others. Where the views differ, only tilted ones count, and
+    the turn is that of the field's upright; in one direction it is that of the picture over the field.
+    """
+    views = x.R[:, :, 2]
+    angle = np.arccos(np.clip(views @ views.T, -1.0, 1.0)).max()
+    if angle < ONE_DIRECTION:
+        rows = x.R[:, :, 0] @ x.R[0][:, :2]
+        way = np.arctan2(rows[:, 1], rows[:, 0])
+    else:
+        solved = x.X[np.isfinite(x.X).all(axis=1)]
+        normal = np.linalg.svd(solved - solved.mean(axis=0), full_matrices=False)[2][2]
+        upright = np.einsum("ikj,k->ij", x.R, normal)
+        upright *= -np.sign(upright[:, 2:])
+        tilted = np.hypot(upright[:, 0], upright[:, 1]) > np.sin(_TILTED)
+        way = np.arctan2(upright[:, 0], upright[:, 1])[tilted]
+    alike = (np.abs(np.angle(np.exp(1j * (way[:, None] - way)))) < _ROLLED).sum(axis=1)
+    rolled = int(len(way) - alike.max()) if len(way) else 0
+    return {"pictures": len(views), "largest_angle_deg": float(np.rad2deg(angle)), "rolled": rolled}
+
+
+# ---------------------------------------------------------------- what a calibration of the sensor's camera
+# refuses, each with its cause
+
+
+LEAST_PICTURES: Final = 6
+"""With fewer hardly a mark is checked by another."""
+
+LARGEST_SIGMA: Final = 1e-3
+"""Of camera constant and principal point over the camera constant: three times P4's 0.004 mm of 12 mm; that
+alone makes 0.15 mm in depth, as much as P4's whole budget near the window (P4 6.6)."""
+
+_LARGEST_SCATTER_PX: Final = 1.0
+_LARGEST_START_PX: Final = 2.0
+"""A lens that is 0.4 % off its design and has 16 px of distortion in the corners leaves 0.4 px."""
+_FAR: Final = 0.1
+"""Relative difference of the camera constant from the design at which it is another camera."""
+_LEVEL: Final = 1e-4
+"""Probability with which a steady camera is called changed."""
+_AT_LARGE: Final = (
+    "Check that markers and corners have the same numbers in all pictures (corner 0 is the upper left one of "
+    "the printed sheet), that the field stood still, and that size and camera constant of the design are "
+    "those of the pictures"
+)
+
+
+def require_determined(
+    camera: Camera, cov: ArrayF, correlations: pd.DataFrame, views: dict[str, Any], *, where: str = ""
+) -> None:
+    """Refuse an interior orientation whose camera constant or principal point is not determined.
+
+    Parameters
+    ----------
+    camera, cov : values, and covariance (9, 9).
+    correlations, views : see `lens_correlations` and `view_facts`.
+    where : name of the table of marks.
+
+    Raises
+    ------
+    GeometryError : names the parameters, their sigmas and what they are correlated with.
+    """
+    sigma = np.sqrt(np.maximum(np.diag(cov)[:4], 0.0))
+    free = np.flatnonzero(~(sigma <= LARGEST_SIGMA * camera.parameters[0]))
+    if not free.size:
+        return
+    told = []
+    for k in free:
+        name = camera.parameter_names[k]
+        # that fx goes with fy, or cx with p2, is nothing that pictures could change
+        most = correlations[correlations["parameter"] == name].iloc[-1]
+        size = f"{sigma[k]:.1f} px" if sigma[k] < camera.size_px[0] else "more than the picture's width"
+        told.append(f"{name} (sigma {size}, correlation {most['correlation']:+.4f} with {most['with']})")
+    raise GeometryError(
+        f"the pictures do not determine {', '.join(told)}; {_view_words(views)}",
+        expected=f"sigmas below {LARGEST_SIGMA * camera.parameters[0]:.1f} px",
+        where=where,
+        cure="Take more pictures: tilted by 30 to 45 degrees from all sides, each second one with the camera "
+        "rolled by 90 degrees about its view, and put some markers on posts of different heights",
+    )
+
+
+def _view_words(views: dict[str, Any]) -> str:
+    angle = views["largest_angle_deg"]
+    if np.deg2rad(angle) < ONE_DIRECTION:
+        words = f"all look in one direction within {angle:.2g} degrees"
+    else:
+        words = f"they look in directions that differ by up to {angle:.0f} degrees"
+    rolled = f"{views['rolled']} of {views['pictures']} are" if views["rolled"] else "none is"
+    return f"{words}, and {rolled} rolled"
+
+
+def require_pictures(marks: pd.DataFrame, where: str) -> None:
+    """Refuse a table of marks of too few pictures."""
+    n = int(marks["image"].nunique())
+    if n < LEAST_PICTURES:
+        raise GeometryError(
+            f"{n} picture{'s' * (n != 1)} of the field",
+            expected=f"at least {LEAST_PICTURES}, better 20",
+            where=where,
+            cure="Take more pictures of the field: tilted by 30 to 45 degrees from all sides, each second "
+            "one with the camera rolled by 90 degrees",
+        )
+
+
+def require_design(camera: Camera, design: Camera, where: str) -> None:
+    """Refuse a camera whose constant is another one than the design's."""
+    ratio = float(camera.parameters[0] / design.parameters[0])
+    if abs(ratio - 1) > _FAR:
+        raise GeometryError(
+            f"by the pictures the camera constant is {camera.parameters[0]:.0f} px, {ratio:.3g} times that "
+            "of the design",
+            expected="pictures of the sensor's camera, in the mode and at the focus of the sensor",
+            where=where,
+            cure="Check which camera and which lens took the pictures, or correct fx and fy in the design",
+        )
+
+
+def with_misfit(error: GeometryError, start_px: float) -> GeometryError:
+    """The error; where already the approximate values do not fit, with what may be wrong at large."""
+    if start_px < _LARGEST_START_PX:
+        return error
+    found = f"{error.found}; already the approximate values leave {start_px:.0f} px (median)"
+    cure = f"{_AT_LARGE}; else: {error.cure}"
+    return GeometryError(found, expected=error.expected, where=error.where, cure=cure)
+
+
+def require_fit(scatter_px: float, where: str) -> None:
+    """Refuse marks that scatter by more than a pixel after the adjustment."""
+    if scatter_px > _LARGEST_SCATTER_PX:
+        raise GeometryError(
+            f"the marks fit one rigid field to {scatter_px:.1f} px only",
+            expected=f"less than {_LARGEST_SCATTER_PX:g} px, in sharp pictures 0.1 px",
+            where=where,
+            cure=_AT_LARGE,
+        )
+
+
+def require_steady(measured: MeasuredField, where: str) -> None:
+    """Refuse a change of the camera: even if it leaves the field as it is, the result mixes two cameras."""
+    for change in measured.network.changes:
+        if change.probability < _LEVEL:
+            raise GeometryError(
+                f"the camera changed between {change.before} and {change.since}: camera constant by "
+                f"{change.constant:+.2%} (sigma {change.sigma_constant:.2%}), principal point by "
+                f"{change.shift_px[0]:+.1f} and {change.shift_px[1]:+.1f} pixels",
+                expected="one focus and one mount of the lens for all pictures, those of the sensor",
+                where=where,
+                cure="Take all pictures again with the focus ring fixed, or leave out those before or since",
+            )
+
+
+# ---------------------------------------------------------------- lens
+
 
 NAME: Final = "sheet_camera"
 """Of the camera in tables; with the ending ``_interior`` of its block in files, as a sensor's file has it."""

@@ -4,24 +4,364 @@ Start values come from `search`; row-wise, patch-wise and direction-normal fits 
 patches from `height`; halos from `halo`; ridges from `steger`; edges of the albedo from `albedo`.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Final
 
+import numba as nb
 import numpy as np
 
 from thalweg.core.errors import InputError
-from thalweg.core.types import AnyArray, ArrayF, ArrayI
+from thalweg.core.types import AnyArray, ArrayF, ArrayF32, ArrayI
 from thalweg.lightsheet.lines import patch
 from thalweg.lightsheet.lines.albedo import albedo_edges, remove_width_shift
 from thalweg.lightsheet.lines.green import GreenImage, green_image
-from thalweg.lightsheet.lines.halo import NO_HALO, find_halo
-from thalweg.lightsheet.lines.height import patch_heights
 from thalweg.lightsheet.lines.noise import LAG, PixelNoise, first_noise, speckle_noise
 from thalweg.lightsheet.lines.points import LinePoints
 from thalweg.lightsheet.lines.search import Starts, find_starts, runs_down
 from thalweg.lightsheet.lines.settings import LineFlag, LineSettings
 from thalweg.lightsheet.lines.steger import ridge_points
-from thalweg.lightsheet.lines.windows import patch_windows
+
+# ---------------------------------------------------------------- how many rows a patch may have: as many as
+# the line is straight over
+#
+# More rows average more speckle, but blur what the surface does. From row-wise places ``x`` with sigma ``s``
+# (each row for itself) the mean squared error of a local straight line over ``h`` rows is estimated without
+# knowing the surface (Mallows 1973, C_p) ::
+#
+#     R_h = mean (x_h - x)^2 - s^2 + 2 cov(x_h, x)
+#
+# with ``cov`` from the weight of a row in its own fit and the correlation of neighbouring rows. The mean runs
+# over the neighbourhood; the height with the smallest R_h is taken.
+
+
+_NEIGHBOURHOOD: Final = 45.0
+"""Standard deviation, in rows, of the window over which the squared differences are averaged."""
+_INDIFFERENCE: Final = 0.02
+"""Of heights whose risks differ by less than that share of a single row's variance the largest is taken."""
+_LEAST_TRIPLES: Final = 30
+_LARGEST_EXCESS: Final = 3.0
+_CLIP: Final = 5.0
+"""Differences beyond that many sigmas count as that many: a missed row must not shrink all patches around."""
+
+
+def heights(largest: int) -> list[int]:
+    """Heights to choose from, odd, growing by about 1.5."""
+    out = [1, 3]
+    while out[-1] < largest:
+        out.append(min(largest, max(out[-1] + 2, int(out[-1] * 1.5) // 2 * 2 + 1)))
+    return [h for h in out if h <= largest]
+
+
+def patch_heights(
+    row: ArrayI, x_px: ArrayF, sigma_px: ArrayF, piece: ArrayI, correlation: ArrayF, largest: int
+) -> tuple[ArrayI, ArrayF]:
+    """Height of the patch and the surface's share of its error, for each row of each piece.
+
+    Parameters
+    ----------
+    row, x_px, sigma_px, piece : (n,) row-wise places, NaN where there is none; sorted by piece and row.
+    correlation : (k,) of the errors of rows 0, 1, 2, ... apart.
+    largest : largest height, odd.
+
+    Returns
+    -------
+    heights : (n,) odd numbers.
+    bias_px : (n,) root of the mean squared error that the chosen height has beyond its scatter.
+    """
+    chosen = np.ones(row.size, np.int64)
+    bias = np.zeros(row.size)
+    bounds = np.flatnonzero(np.r_[True, piece[1:] != piece[:-1], True])
+    for start, stop in pairwise(bounds):
+        inside = slice(int(start), int(stop))
+        chosen[inside], bias[inside] = _one_piece(
+            row[inside], x_px[inside], sigma_px[inside], correlation, heights(largest)
+        )
+    return chosen, bias
+
+
+def _one_piece(
+    row: ArrayI, x_px: ArrayF, sigma_px: ArrayF, correlation: ArrayF, choices: list[int]
+) -> tuple[ArrayI, ArrayF]:
+    """Heights and biases of one piece."""
+    n = int(row[-1] - row[0]) + 1
+    place, known = np.zeros(n), np.zeros(n)
+    variance = np.zeros(n)
+    good = np.isfinite(x_px) & np.isfinite(sigma_px)
+    at = (row - row[0])[good]
+    place[at], known[at], variance[at] = x_px[good], 1.0, sigma_px[good] ** 2
+    if at.size < 3:
+        return np.ones(row.size, np.int64), np.zeros(row.size)
+    variance *= _excess(place, known, variance, correlation)
+    typical = float(np.median(variance[at]))
+    # rows that scatter more than usual say less about the surface
+    weight = known / np.maximum(variance, 0.25 * typical)
+    risk = np.full((len(choices), n), np.inf)
+    scatter = np.zeros((len(choices), n))
+    window = _neighbourhood(n)
+    total = np.maximum(np.convolve(weight, window, "same"), 1e-300)
+    for k, height in enumerate(choices):
+        if height == 1:
+            local = variance
+            risk[k] = np.convolve(weight * local, window, "same") / total
+            scatter[k] = risk[k]
+            continue
+        fitted, own, noise = _local_line(place, known, height // 2, correlation)
+        apart = np.clip((fitted - place) ** 2, 0.0, _CLIP**2 * np.maximum(variance, 1e-12))
+        local = apart - variance + 2.0 * own * variance
+        risk[k] = np.convolve(weight * local, window, "same") / total
+        scatter[k] = np.convolve(weight * noise * variance, window, "same") / total
+    best = _tallest(risk, risk.min(axis=0) + _INDIFFERENCE * risk[0])
+    columns = np.arange(n)
+    excess = np.sqrt(np.maximum(risk[best, columns] - scatter[best, columns], 0.0))
+    here = row - row[0]
+    return np.asarray(choices)[best][here], excess[here]
+
+
+def _excess(place: ArrayF, known: ArrayF, variance: ArrayF, correlation: ArrayF) -> float:
+    """Factor of the variances: how much neighbouring rows differ beyond it.
+
+    Second differences of neighbours see hardly anything of the surface. Under strong speckle a fit to a
+    single row is worse than its sigma, which holds to first order.
+    """
+    rho = np.r_[correlation, 0.0, 0.0][:3]
+    expected = 1.5 * rho[0] - 2.0 * rho[1] + 0.5 * rho[2]
+    all_three = (known[:-2] * known[1:-1] * known[2:]) > 0
+    if np.count_nonzero(all_three) < _LEAST_TRIPLES:
+        return 1.0
+    apart = (place[1:-1] - 0.5 * (place[:-2] + place[2:]))[all_three]
+    usual = np.sqrt(np.maximum(variance[1:-1][all_three], 1e-18) * max(expected, 0.2))
+    ratio = 1.4826 * float(np.median(np.abs(apart) / usual))
+    return float(np.clip(ratio**2, 1.0, _LARGEST_EXCESS))
+
+
+def _tallest(risk: ArrayF, bearable: ArrayF) -> ArrayI:
+    """Index of the largest height whose risk is bearable, for each row."""
+    fits = risk <= bearable
+    return np.asarray(risk.shape[0] - 1 - np.argmax(fits[::-1], axis=0))
+
+
+def _neighbourhood(n: int) -> ArrayF:
+    """Weights of the neighbours, not longer than the piece."""
+    reach = int(min(3.0 * _NEIGHBOURHOOD, (n - 1) // 2))
+    return np.exp(-0.5 * (np.arange(-reach, reach + 1) / _NEIGHBOURHOOD) ** 2)
+
+
+def _local_line(
+    place: ArrayF, known: ArrayF, half: int, correlation: ArrayF
+) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Local straight line: its value in each row, covariance with that row and variance (unit sigma).
+
+    Covariance and variance are those of a complete, symmetric neighbourhood, where the slope drops out.
+    """
+    size = 2 * half + 1
+    away = np.arange(-half, half + 1, dtype=np.float64)
+
+    # np.convolve turns its kernel round; the moments are of (other row - own row)
+    def moment(values: ArrayF, power: int) -> ArrayF:
+        full = np.convolve(values, (away**power)[::-1], "full")
+        return np.asarray(full[half : half + values.size])
+
+    s0, s1, s2 = (moment(known, p) for p in range(3))
+    reference = float(np.sum(place * known) / max(np.sum(known), 1.0))
+    centred = (place - reference) * known
+    t0, t1 = moment(centred, 0), moment(centred, 1)
+    determinant = s0 * s2 - s1 * s1
+    flat = determinant < 1e-9
+    fitted = np.where(flat, t0 / np.maximum(s0, 1.0), (s2 * t0 - s1 * t1) / np.where(flat, 1.0, determinant))
+    lags = np.abs(away).astype(np.int64)
+    rho = np.where(lags < correlation.size, correlation[np.minimum(lags, correlation.size - 1)], 0.0)
+    own = float(rho.sum()) / size
+    pair = np.abs(away[:, None] - away[None, :]).astype(np.int64)
+    both = np.where(pair < correlation.size, correlation[np.minimum(pair, correlation.size - 1)], 0.0)
+    noise = float(both.sum()) / size**2
+    return fitted + reference, np.full(place.size, own), np.full(place.size, noise)
+
+
+# ---------------------------------------------------------------- which pixels belong to a patch, and first
+# guesses of its peak and background: before `patch` fits it
+
+
+@nb.njit(cache=True, error_model="numpy", nogil=True)
+def _row_ranges(
+    row: int, x: float, cosine: float, sine: float, tilt: float, h_n: float, h_t: float, top: int, bottom:
+    int, width: int, ranges: ArrayI,
+) -> None:  # fmt: skip
+    """Columns (first, end) of the rows of a patch from ``top`` to ``bottom``.
+
+    A pixel belongs to it if its centre is within ``h_t`` along and ``h_n`` across, both plus half a pixel.
+    """
+    for r in range(top, bottom):
+        dy = float(r - row)
+        first, end = width, 0
+        # both conditions are linear in the column
+        centre = x - 0.5
+        reach = (h_n + 0.5 + h_t * (abs(sine) + abs(tilt)) + 1.0) / max(abs(cosine), 0.3)
+        low = max(0, int(np.floor(centre - reach - abs(dy))))
+        high = min(width, int(np.ceil(centre + reach + abs(dy))) + 1)
+        for c in range(low, high):
+            dx = c + 0.5 - x
+            along = -dx * sine + dy * cosine
+            if abs(along) <= h_t + 0.5 and abs(dx * cosine + dy * sine - tilt * along) <= h_n + 0.5:
+                first = min(first, c)
+                end = max(end, c + 1)
+        ranges[r - top, 0] = first
+        ranges[r - top, 1] = max(end, first)
+
+
+@nb.njit(cache=True, error_model="numpy", nogil=True)
+def _start(
+    dn: ArrayF32, top: int, bottom: int, ranges: ArrayI, row: int, x: float, cosine: float, sine: float,
+    half_width: float, slope: float, out: ArrayF,
+) -> None:  # fmt: skip
+    """Peak and background by a linear fit, lowest and highest grey value, number of pixels."""
+    e1 = e2 = y1 = ye = 0.0
+    lowest, highest = 1e30, -1e30
+    n = 0
+    for i in range(bottom - top):
+        dy = float(top + i - row)
+        for c in range(ranges[i, 0], ranges[i, 1]):
+            dx = c + 0.5 - x
+            across = dx * cosine + dy * sine
+            d = (across - slope * (-dx * sine + dy * cosine)) / half_width
+            e = np.exp(-2.0 * d * d)
+            value = dn[top + i, c]
+            e1 += e
+            e2 += e * e
+            y1 += value
+            ye += e * value
+            lowest = min(lowest, value)
+            highest = max(highest, value)
+            n += 1
+    spread = e2 * n - e1 * e1
+    peak = (ye * n - y1 * e1) / spread if spread > 0.0 else 0.0
+    out[0] = max(peak, 0.1 * (highest - lowest), 1e-3)
+    out[1] = min(max((y1 - peak * e1) / max(n, 1), lowest), highest)
+    out[2] = lowest
+    out[3] = highest
+    out[4] = n
+
+
+@nb.njit(cache=True, error_model="numpy", nogil=True)
+def patch_windows(
+    dn: ArrayF32, row: ArrayI, x_px: ArrayF, first_row: ArrayI, last_row: ArrayI, slope: ArrayF,
+    normal_rad: ArrayF, half_across: ArrayF, half_along: ArrayF, half_width: ArrayF, follow: bool,
+) -> tuple[ArrayI, ArrayI, ArrayF]:  # fmt: skip
+    """Windows of patches; parameters as in `patch.fit_patches`.
+
+    Returns
+    -------
+    rows : (n, 2) first row and end.
+    ranges : (n, most rows, 2) first column and end in each of them.
+    guess : (n, 5) peak and background by a linear fit, lowest and highest grey value, number of pixels.
+    """
+    height, width = dn.shape
+    n = row.size
+    rows = np.empty((n, 2), np.int64)
+    for i in range(n):
+        cosine, sine = abs(np.cos(normal_rad[i])), abs(np.sin(normal_rad[i]))
+        reach = int(half_along[i] * cosine + half_across[i] * sine) + (0 if sine == 0.0 else 1)
+        # rows beyond the piece of line show something else
+        rows[i, 0] = max(0, row[i] - reach, first_row[i])
+        rows[i, 1] = min(height, row[i] + reach + 1, last_row[i] + 1)
+    ranges = np.zeros((n, np.max(rows[:, 1] - rows[:, 0]), 2), np.int64)
+    guess = np.empty((n, 5))
+    for i in range(n):
+        cosine, sine = np.cos(normal_rad[i]), np.sin(normal_rad[i])
+        _row_ranges(
+            row[i], x_px[i], cosine, sine, slope[i] if follow else 0.0, half_across[i], half_along[i],
+            rows[i, 0], rows[i, 1], width, ranges[i],
+        )  # fmt: skip
+        _start(
+            dn, rows[i, 0], rows[i, 1], ranges[i], row[i], x_px[i], cosine, sine, half_width[i], slope[i],
+            guess[i],
+        )  # fmt: skip
+    return rows, ranges, guess
+
+
+# ---------------------------------------------------------------- A halo on one side of a line: what bright
+# surfaces add to the side of the laser (P4 7.2)
+#
+# There the light that entered the surface leaves it again, or its lobe is seen. The halo is the line itself,
+# spread to one side by an exponential::
+#
+#     H(d) = integral_0^inf exp(-u / L) / L exp(-2 (d - side u)^2 / w^2) du
+#
+# Side and length are those of the image: patches are fitted with each candidate, and a halo is believed only
+# if one side describes them clearly better than the other. Its share is then an unknown of each patch,
+# because it depends on the surface. Without this the flanks, which carry the weight under speckle, move with
+# the brightness.
+
+
+NO_HALO: Final = np.zeros((1, 2))
+
+_PER_PX: Final = 8
+_LENGTHS: Final = (0.7, 1.4, 2.8)
+"""Lengths to choose from, in half widths of the line."""
+_SIGNIFICANT: Final = 6.0
+
+
+def halo_table(half_width_px: float, length_px: float, side: int, reach_px: float) -> ArrayF:
+    """Values and slopes of a halo, as the compiled loops take it.
+
+    Parameters
+    ----------
+    half_width_px : of the line, at 1/e^2.
+    length_px : distance at which the spread falls to 1/e.
+    side : 1 right, -1 left.
+    reach_px : largest distance from the line's centre.
+
+    Returns
+    -------
+    table : (n + 1, 2): first (reach, samples per pixel), then values and slopes from -reach to reach.
+    """
+    n = int(np.ceil(reach_px * _PER_PX))
+    d = np.arange(-n, n + 1) / _PER_PX
+    tail_px = 8.0 * length_px
+    u = np.arange(0.0, tail_px, 1.0 / _PER_PX) + 0.5 / _PER_PX
+    kernel = np.exp(-u / length_px)
+    kernel /= kernel.sum()
+    away = d[:, None] - side * u[None, :]
+    f = 2.0 / half_width_px**2
+    profile = np.exp(-f * away**2)
+    value, slope = profile @ kernel, (-2.0 * f * away * profile) @ kernel
+    return np.vstack([[n / _PER_PX, _PER_PX], np.stack([value, slope], axis=1)])
+
+
+def find_halo(fit: Callable[[ArrayF], ArrayF], half_width_px: float, reach_px: float) -> tuple[ArrayF, float]:
+    """The halo of an image and its length, negative to the left, 0 for none.
+
+    Parameters
+    ----------
+    fit : fits some patches with a table and returns what `patch.fit_patches` does.
+    half_width_px : typical of the line.
+    reach_px : half size of the patches across.
+    """
+    best: dict[int, tuple[float, ArrayF, ArrayF, float]] = {}
+    for side in (-1, 1):
+        for ratio in _LENGTHS:
+            table = halo_table(half_width_px, ratio * half_width_px, side, reach_px + half_width_px)
+            deviance = fit(table)[:, patch.DEVIANCE]
+            good = np.isfinite(deviance)
+            if np.count_nonzero(good) < 0.5 * good.size:
+                continue
+            score = float(np.mean(deviance[good]))
+            if side not in best or score < best[side][0]:
+                best[side] = (score, deviance, table, side * ratio * half_width_px)
+    if len(best) < 2:
+        return NO_HALO, 0.0
+    better, worse = sorted(best.values(), key=lambda found: found[0])
+    apart = worse[1] - better[1]
+    apart = apart[np.isfinite(apart)]
+    error = float(np.std(apart)) / np.sqrt(max(apart.size, 1))
+    if not float(np.mean(apart)) > _SIGNIFICANT * max(error, 1e-12):
+        return NO_HALO, 0.0
+    return better[2], float(better[3])
+
+
+# ---------------------------------------------------------------- detect
+
 
 _ACROSS: Final = 2.2
 """Half width of a patch in half widths of the line: beyond, a Gaussian has 6e-5 of its peak."""

@@ -83,7 +83,7 @@ def calibrate_lines(
 
     Parameters
     ----------
-    sensor : camera and window as calibrated; see `thalweg.lightsheet.multi_line.consider`.
+    sensor : camera and window as calibrated; see `thalweg.lightsheet.multi_line.comparison`.
     points : on levels.
     model : from `thalweg.lightsheet.multi_line.models.line_model`.
     estimate_deviations : whether the variances of line deviations are estimated, or their start is kept.

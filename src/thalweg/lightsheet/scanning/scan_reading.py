@@ -136,7 +136,7 @@ def explanation(
     ----------
     sensor, line_points, poses : see `compare_scan`.
     compare : of a cloud in the frame of the poses.
-    limit : disagreement of lines (`thalweg.lightsheet.scanning.line_check.LineCheck.scale`) that a reading
+    limit : disagreement of lines (`thalweg.lightsheet.scanning.compare.LineCheck.scale`) that a reading
         must stay below.
     """
     few = line_points.iloc[:: max(1, len(line_points) // (_POINTS_OF_LINE * max(len(poses), 1)))]

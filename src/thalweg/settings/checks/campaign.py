@@ -1,30 +1,394 @@
 """Rules between values: what no single field can see. All of them run before the first job."""
 
 import datetime as dt
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from thalweg.core.mistakes import Key, Mistake
 from thalweg.settings.base.mounts import Mounts, OrientedMount
-from thalweg.settings.checks.area import check_accuracy_area
-from thalweg.settings.checks.calibration import check_calibration_logs, check_interior
 from thalweg.settings.checks.files import check_files
-from thalweg.settings.checks.images import check_images
 from thalweg.settings.checks.light_sheet import check_sheet_logs, check_sheet_twin
 from thalweg.settings.checks.mounts import check_mounts_calibration
-from thalweg.settings.checks.place import check_base, check_crs
-from thalweg.settings.checks.sheet_scans import check_scans
+from thalweg.settings.checks.place import check_base, check_crs, geodetic_place, parse_crs
 from thalweg.settings.identity import ID_PATTERN
+from thalweg.settings.light_sheet.scans import SCAN_PARTS, SERIES, scan_stream
 from thalweg.settings.messages.hints import radians_cure
 from thalweg.settings.messages.messages import show
-from thalweg.settings.sections.accuracy import Accuracy
+from thalweg.settings.messages.paths import anchor, missing_cure
+from thalweg.settings.sections.accuracy import Accuracy, Area
 from thalweg.settings.sections.lidar import Lidar
-from thalweg.settings.sections.logs import Logs, is_rinex_name
+from thalweg.settings.sections.logs import STREAM_KEYS, CalibrationLogs, Logs, is_rinex_name
 from thalweg.settings.sections.navigation import Orientation
 from thalweg.settings.sections.products import Georeferencing
+
+# ---------------------------------------------------------------- do the recordings of a calibration field
+# belong together, and is the camera's file there?
+
+
+_calibration_NEEDED = {
+    "reference_images": "images of the field by a hand-held camera",
+}
+_STATIC = {
+    "position_images": "an image of the boat's camera at each static position",
+    "position_scans": "a lidar capture of each static position",
+}
+_CLOCKS = {"clock_ties": "comparisons", "trigger_pulses": "pulses"}
+
+
+def check_calibration_logs(
+    logs: CalibrationLogs, *, jitter_s: object = None, has_run: bool = False
+) -> Iterator[Mistake]:
+    """Mistakes between the recordings of a calibration field or of a board; patterns are not expanded yet.
+
+    ``jitter_s`` is ``calibration.clock.jitter_s`` as written, None if absent. ``has_run``: whether lidar and
+    INS were recorded on the moving boat; their mount then needs no camera and no static positions.
+    """
+    given = {name: getattr(logs, name) for name in type(logs).model_fields}
+    if logs.field:
+        static = not has_run or any(given[name] for name in _STATIC)
+        for name, what in (_calibration_NEEDED | _STATIC if static else _calibration_NEEDED).items():
+            if not given[name]:
+                yield Mistake(
+                    path=("logs", "calibration", name),
+                    found="missing",
+                    expected=f"{what}, beside logs.calibration.field",
+                    cure=f"Add the line `{name}: [...]`",
+                )
+    elif any(given[name] for name in (*_calibration_NEEDED, *_STATIC, "run_images")):
+        yield Mistake(
+            path=("logs", "calibration", "field"),
+            found="missing",
+            expected="the description of the field: cones, markers, scale bars, targets",
+            cure="Write it as docs/calibration.md shows",
+        )
+    if len(logs.field) > 1:
+        yield Mistake(
+            path=("logs", "calibration", "field"),
+            found=f"{len(logs.field)} files",
+            expected="one description",
+            cure="Put all cones and targets into one file",
+        )
+    if logs.board_images and not (logs.board_scans and logs.board_camera):
+        lacking = "board_camera" if logs.board_scans else "board_scans"
+        yield Mistake(
+            path=("logs", "calibration", lacking),
+            found="missing",
+            expected="images, scans and the interior orientation of the camera",
+            cure=f"Add the line `{lacking}: [...]`",
+        )
+    yield from _check_clock(logs, jitter_s)
+
+
+def check_interior(chosen: Any, folder: Path) -> Iterator[Mistake]:
+    """Is the file of ``calibration.boat_camera.interior`` there?
+
+    Parameters
+    ----------
+    chosen : the value as written; what is no text is another check's.
+    folder : folder of the campaign file.
+    """
+    if not isinstance(chosen, str) or not chosen:
+        return
+    where = ("calibration", "boat_camera", "interior")
+    if "\0" in chosen:
+        yield Mistake(
+            path=where, found=f"found {chosen!r}", expected="a path", cure="Remove the character \\0"
+        )
+        return
+    path = anchor(chosen, folder)
+    if not path.is_file():
+        yield Mistake(
+            path=where,
+            found=f"{chosen}: {'this is a folder' if path.is_dir() else 'no such file'}",
+            expected=f"an interior orientation at {path}",
+            cure="Name the file in it" if path.is_dir() else missing_cure(path),
+        )
+
+
+def _check_clock(logs: CalibrationLogs, jitter_s: object) -> Iterator[Mistake]:
+    """One source of the camera's clock, in one file, that says all that is needed."""
+    for name, what in _CLOCKS.items():
+        count = len(getattr(logs, name))
+        if count and not logs.run_images:
+            yield Mistake(
+                path=("logs", "calibration", "run_images"),
+                found="missing",
+                expected=f"the images whose times {name} tells; without images it would not be used",
+                cure=f"Add the line `run_images: [...]`, or remove {name}",
+            )
+        if count > 1:
+            yield Mistake(
+                path=("logs", "calibration", name),
+                found=f"{count} files",
+                expected=f"one table of {what}",
+                cure="Put all rows into one file",
+            )
+    if logs.clock_ties and logs.trigger_pulses:
+        yield Mistake(
+            path=("logs", "calibration", "clock_ties"),
+            found="both clock_ties and trigger_pulses are given",
+            expected="one of them: pulses say when each image was taken, ties how the camera's clock runs",
+            cure="Remove clock_ties if the camera was triggered, else trigger_pulses",
+        )
+    if logs.clock_ties and not logs.display and jitter_s is None:
+        yield Mistake(
+            path=("calibration", "clock", "jitter_s"),
+            found="missing",
+            expected="the jitter of the camera's stamps, seconds: ties do not tell it",
+            cure="State calibration.clock.jitter_s, or give logs.calibration.display",
+        )
+
+
+# ---------------------------------------------------------------- is the area of interest a polygon, and near
+# the survey?
+
+
+MAX_AREA_KM = 20.0
+"""Farther from the origin lies another survey."""
+NEAR_M = 50.0
+"""Banks rise less than this above the water; heights of the two frames differ by the origin's height."""
+
+_PATH = ("accuracy", "area", "polygon")
+
+
+def check_accuracy_area(section: Accuracy, crs: Any, origin: Any) -> Iterator[Mistake]:
+    """The polygon encloses an area, its heights are not those of another frame, and it lies near the origin.
+
+    Parameters
+    ----------
+    section : section ``accuracy``.
+    crs, origin : ``campaign.crs`` and ``campaign.origin`` as written.
+    """
+    area = section.area
+    yield from _check_heights(area, origin)
+    if area.polygon is None:
+        return
+    from thalweg.core.geometry.polygon import (
+        LEAST_AREA_M2,
+        crossing_in_words,
+        first_crossing,
+        polygon_area_m2,
+    )
+
+    crossing = first_crossing(area.polygon)
+    if crossing is not None:
+        yield Mistake(
+            path=_PATH,
+            found=crossing_in_words(area.polygon, crossing),
+            expected="a polygon whose edges do not cross",
+            cure="Give the corners in their order along the outline",
+        )
+        return
+    if polygon_area_m2(area.polygon) < LEAST_AREA_M2:
+        yield Mistake(
+            path=_PATH,
+            found="the corners enclose no area",
+            expected="at least three corners that are not on one line, in order around the area",
+            cure="Copy the corners from a map program in the order in which they were drawn",
+        )
+        return
+    if area.frame == "local":
+        yield from _check_local(area.polygon)
+    else:
+        yield from _check_map(area.polygon, crs, origin)
+
+
+def _check_heights(area: Area, origin: Any) -> Iterator[Mistake]:
+    """Heights above the origin in the frame of the map, or heights above the ellipsoid in the local one."""
+    origin_m = origin.get("h_ell_m") if isinstance(origin, dict) else None
+    if isinstance(origin_m, bool) or not isinstance(origin_m, int | float) or abs(origin_m) <= 2 * NEAR_M:
+        return  # too near to each other to tell the two apart
+    frames = {"local": (0.0, "above campaign.origin"), "map": (float(origin_m), "above the ellipsoid")}
+    other = "map" if area.frame == "local" else "local"
+    for key in ("min_height_m", "max_height_m"):
+        height = getattr(area, key)
+        if height is None or abs(height - frames[other][0]) > NEAR_M:
+            continue
+        yield Mistake(
+            path=("accuracy", "area", key),
+            found=f"found {height:g}, with frame: {area.frame} and an origin at {origin_m:g} m",
+            expected=f"a height {frames[area.frame][1]}, metres, near {frames[area.frame][0]:g}",
+            cure=f"Heights {frames[other][1]}? Then write frame: {other}"
+            if area.polygon is None
+            else f"Write it in the frame of the polygon, {area.frame}",
+        )
+
+
+def _check_local(polygon: Sequence[tuple[float, float]]) -> Iterator[Mistake]:
+    for number, corner in enumerate(polygon):
+        far_km = math.hypot(*corner) / 1000
+        if far_km > MAX_AREA_KM:
+            yield Mistake(
+                path=(*_PATH, number),
+                found=f"a corner {far_km:,.0f} km from campaign.origin",
+                expected=f"east and north from campaign.origin in metres, within {MAX_AREA_KM:g} km",
+                cure="Map coordinates? Then write frame: map",
+            )
+            return
+
+
+def _check_map(polygon: Sequence[tuple[float, float]], crs: Any, origin: Any) -> Iterator[Mistake]:
+    place = geodetic_place(origin)
+    grid = parse_crs(crs.strip()) if isinstance(crs, str) else None
+    if place is None or grid is None or isinstance(grid, str) or not grid.is_projected:
+        return  # those mistakes are told by others
+    from pyproj import Transformer
+
+    to_map = Transformer.from_crs(grid.geodetic_crs, grid, always_xy=True)
+    east, north = to_map.transform(place[1], place[0])
+    for number, corner in enumerate(polygon):
+        far_km = math.dist(corner, (east, north)) / 1000
+        if far_km > MAX_AREA_KM:
+            swapped_km = math.dist(corner[::-1], (east, north)) / 1000
+            local = math.hypot(*corner) / 1000 < MAX_AREA_KM
+            path: tuple[Key, ...] = (*_PATH, number)
+            yield Mistake(
+                path=path,
+                found=f"a corner {far_km:,.0f} km from campaign.origin",
+                expected=f"east and north in {crs.strip()}, within {MAX_AREA_KM:g} km of "
+                f"{east:.0f}, {north:.0f}",
+                cure="Local coordinates? Then write frame: local"
+                if local
+                else "East comes first: swap the two numbers of each corner"
+                if swapped_km < MAX_AREA_KM
+                else "Check the CRS of the map program that the polygon comes from",
+            )
+            return
+
+
+# ---------------------------------------------------------------- rules between values about photographs of
+# the bank
+
+
+_BESIDE = ("times", "control_points", "marks", "masks", "interior", "interiors", "orientations")
+_SOLVED = {"ins": "the INS's own filter", "sbet": "an Applanix trajectory"}
+
+
+def check_images(
+    logs: Mapping[str, Any] | None, mounts: Any, images: Any, twin: Any, orientation: Any = None
+) -> Iterator[Mistake]:
+    """Mistakes in what belongs to images of the bank.
+
+    Parameters
+    ----------
+    logs : ``logs.time_lapse`` as written.
+    mounts, images, twin, orientation : the sections of these names as written.
+    """
+    given = logs if isinstance(logs, Mapping) else {}
+    taken = bool(given.get("images")) or bool(_below(twin, "time_lapse"))
+    if not taken:
+        for key in _BESIDE:
+            if given.get(key):
+                yield Mistake(
+                    path=("logs", "time_lapse", key),
+                    found="files that belong to images, but there are none",
+                    cure="State logs.time_lapse.images, or leave this out",
+                )
+        return
+    placed = isinstance(mounts, Mapping) and ("camera" in mounts or "calibration" in mounts)
+    if not placed:
+        yield Mistake(
+            path=("mounts",),
+            found="images of the bank, but no place of the camera on the boat",
+            cure="State mounts.camera, or name the calibration that found it as mounts.calibration",
+        )
+    adjusted = bool(given.get("images")) and not given.get("orientations")
+    antenna = _below(images, "adjustment", "antenna", "use") is True
+    source = _below(orientation, "position_source")
+    if adjusted and not given.get("control_points") and not antenna:
+        place = (
+            "; positions that are part of the INS's solution cannot take their place"
+            if source in _SOLVED
+            else ", or let the antenna's positions take their place: images.adjustment.antenna.use: true"
+        )
+        yield Mistake(
+            path=("logs", "time_lapse"),
+            found="images without control points",
+            cure=f"State logs.time_lapse.control_points{place}",
+        )
+    if antenna and source in _SOLVED and not given.get("orientations"):
+        yield Mistake(
+            path=("images", "adjustment", "antenna", "use"),
+            found=f"true, with positions of {_SOLVED[source]} (orientation.position_source: {source})",
+            expected="positions of a GNSS antenna: pos, sbp or ppk",
+            cure="Such positions are those of the body's origin and not of the antenna, and the trajectory "
+            "that the images are joined with has their GNSS inside: it would count twice. Write use: false "
+            "and give control points, or name GNSS positions of the antenna and their position_source",
+        )
+    interiors = given.get("interiors")
+    for folder, files in interiors.items() if isinstance(interiors, Mapping) else ():
+        if isinstance(files, list) and len(files) != 1:
+            yield Mistake(
+                path=("logs", "time_lapse", "interiors", folder),
+                found=f"{len(files)} files",
+                expected="one interior orientation for the camera of a folder",
+                cure="Name one file; a second camera has a folder of its own",
+            )
+
+
+def _below(section: Any, *keys: str) -> Any:
+    """A value below a section as written, None if absent."""
+    for key in keys:
+        section = section.get(key) if isinstance(section, Mapping) else None
+    return section
+
+
+# ---------------------------------------------------------------- is each scan of the light-sheet sensor
+# complete?
+
+
+_NEEDED: Final = {
+    "images": "images of the sensor",
+    "panel": "coordinates of the panel's marks",
+    "marks": "marks in the pictures of the standing camera",
+    "camera": "interior orientation of the standing camera",
+}
+
+
+def check_scans(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterator[Mistake]:
+    """Mistakes in ``logs.light_sheet.scans``.
+
+    Parameters
+    ----------
+    logs : the section as written.
+    files : absolute paths by stream, patterns expanded; see `thalweg.settings.checks.files.check_files`.
+    """
+    for name, scan in logs.light_sheet.scans.items():
+        where = ("logs", "light_sheet", "scans", name)
+        if name in SERIES or name in STREAM_KEYS:
+            yield Mistake(
+                path=where, found=f"a scan called {name}",
+                expected="a name that no other series of images has",
+                cure="Call the scan by its object",
+            )  # fmt: skip
+            continue
+        for part, what in _NEEDED.items():
+            if not getattr(scan, part):
+                yield Mistake(
+                    path=(*where, part), found="missing", expected=what,
+                    cure=f"Add the line `{part}: [...]`; docs/light_sheet.md says what each file holds",
+                )  # fmt: skip
+        for one, other in (("reference", "pairs"), ("pairs", "reference")):
+            if getattr(scan, one) and not getattr(scan, other):
+                yield Mistake(
+                    path=(*where, other), found="missing", expected=f"both reference and pairs, beside {one}",
+                    cure="Pick three or more places that scan and mesh both show",
+                )  # fmt: skip
+        for part in SCAN_PARTS[1:]:
+            count = len(files.get(scan_stream(name, part), ()))
+            if count > 1:
+                yield Mistake(
+                    path=(*where, part), found=f"{count} files", expected="one file",
+                    cure="Name the one of this scan; another scan gets a name of its own",
+                )  # fmt: skip
+
+
+# ---------------------------------------------------------------- campaign
+
 
 RESERVED_IDS = frozenset({"real_logs"})
 """Names that other targets use below ``results``."""
