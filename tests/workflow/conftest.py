@@ -78,7 +78,7 @@ def tiny_house(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Ho
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     begun = house.root / "logs/tiny/simulation/simulate_lidar.log"
-    wait_for(lambda: begun.exists() or process.poll() is not None, seconds=120)
+    wait_for(lambda: begun.exists() or process.poll() is not None, seconds=900)
     assert process.poll() is None, "the run ended before it could be killed"
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
