@@ -8,6 +8,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,26 @@ def test_the_conda_environment_keeps_step_with_the_lock(repository: Path) -> Non
     assert len(pinned) > 5
     for name, version in pinned:
         assert any(f"{v}.".startswith(f"{version}.") for v in versions[canonicalize_name(name)]), name
+
+
+CONDA_NAMES = {"matplotlib": "matplotlib-base", "lazrs": "lazrs-python"}
+"""Where conda-forge calls a package otherwise."""
+BEHIND_OTHERS = {"pydantic-core"}
+"""Comes with a package that is listed."""
+
+
+def test_every_import_is_provided_by_lock_and_conda_environment(repository: Path) -> None:
+    files = [*(repository / "src").rglob("*.py"), *(repository / "workflow/scripts").glob("*.py")]
+    tops = {name.split(".")[0] for path in files for name, _ in imports(path)}
+    foreign = tops - set(sys.stdlib_module_names) - {"thalweg", "thalweg_lab"}
+    of_import = packages_distributions()
+    wanted = {canonicalize_name(of_import[top][0]) for top in foreign} - BEHIND_OTHERS
+    assert {"numpy", "opencv-python-headless", "pillow"} <= wanted
+    assert wanted - set(locked(repository)) == set()
+    listed = yaml.safe_load((repository / "envs/thalweg.yaml").read_text())["dependencies"]
+    texts = [text for entry in listed for text in (entry["pip"] if isinstance(entry, dict) else [entry])]
+    conda = {re.split("[=<>]", text)[0] for text in texts}
+    assert {name for name in wanted if CONDA_NAMES.get(name, name) not in conda} == set()
 
 
 # ---------------------------------------------------------------- Open3D without libusb
