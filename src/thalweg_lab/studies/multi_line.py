@@ -43,7 +43,7 @@ def multi_line_study(seeds: Iterable[int]) -> tuple[pd.DataFrame, pd.DataFrame, 
     Returns
     -------
     models : a row for each laser and model, see `compare_models`.
-    tests : whether there is a joint centre and an equal spacing (C327), by laser.
+    tests : whether there is a joint centre and an equal spacing, by laser.
     lines : where the lines of the nominal laser meet planes, see `line_table` (T Fig. 4.3).
     """
     models, tests = [], []

@@ -2,7 +2,7 @@
 
 P2 found its points 5 to 6 cm behind the mesh of a terrestrial scanner, and names as possible causes: plants,
 which both scanners see differently, and the bank's slope together with the boat's wide beam, which makes
-mixed signals (P2 section 7). In the digital twin each of them can be switched on alone (C312). A cause
+mixed signals (P2 section 7). In the digital twin each of them can be switched on alone. A cause
 explains the change of the mean distance that it makes, survey by survey: the same seed shoots the same shots
 from the same places, so that most of the noise cancels. Errors of poses and mounts are off but in the rows
 that name them; they have no mean over many surveys, and a few seeds would not show one of some millimetres

@@ -1,4 +1,4 @@
-"""The same errors of 6-DOF poses over an object of planes and over a wreck (P4 7.3; C325).
+"""The same errors of 6-DOF poses over an object of planes and over a wreck (P4 7.3).
 
 P4 finds that errors of the poses matter more for the wreck than for the plane object. An error that is alike
 in all directions would not: a distance sees the part along the normal, wherever that points. But a standing

@@ -23,7 +23,7 @@ from thalweg.core.rigid import Rigid
 from thalweg.core.types import ArrayF
 
 # ---------------------------------------------------------------- what more cones and positions bring: sigmas
-# of the relative orientation before anything is measured (FW14)
+# of the relative orientation before anything is measured
 #
 # Covariances follow from the geometry alone: where the nominal beams of the scanner meet the cones, where the
 # marks are, how well the camera is oriented. So a field can be judged before it is built, and a calibration

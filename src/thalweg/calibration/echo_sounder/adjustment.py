@@ -1,4 +1,4 @@
-"""Place of the echo sounder from soundings over a surveyed bed, on top of what a ruler says (FW05).
+"""Place of the echo sounder from soundings over a surveyed bed, on top of what a ruler says.
 
 A sounding ``d`` along the vertical axis of the boat meets the bed ``h(east, north)``::
 

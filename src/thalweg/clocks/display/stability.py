@@ -1,7 +1,7 @@
 """How evenly a camera takes its pictures, from photographs of a running clock (P2 6.1.2, Fig. 13).
 
 P2 found 0.999 s between images with a standard deviation of 0.023 s, and took that as the error of every
-image's time. Two clocks with the same 0.023 s are very different (erratum E11 of the source's checklist):
+image's time. Two clocks with the same 0.023 s are very different:
 
 - *White stamps*: every exposure is off an even grid by its own error. Neighbouring intervals share one
 exposure and are

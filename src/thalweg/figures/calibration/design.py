@@ -1,4 +1,4 @@
-"""Sigma of the relative orientation against the number of cones and of positions (FW14)."""
+"""Sigma of the relative orientation against the number of cones and of positions."""
 
 from collections.abc import Sequence
 from typing import Final

@@ -207,7 +207,7 @@ def rayleigh_range_mm(diameter_mm: float, n: float, wavelength_nm: float = WAVEL
 
 
 def depth_trends(table: pd.DataFrame) -> pd.DataFrame:
-    """Whether each cause grows with depth, as P4 6.6 says of all (C320).
+    """Whether each cause grows with depth, as P4 6.6 says of all.
 
     Returns
     -------
@@ -221,7 +221,7 @@ def depth_trends(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def centre_trends(lines: pd.DataFrame, sensor: Sensor) -> pd.DataFrame:
-    """Where along a line each cause is least, as P4 6.6 says: in the centre of the picture (C321).
+    """Where along a line each cause is least, as P4 6.6 says: in the centre of the picture.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Errors that simpler models of the light sheet leave against the strict one (C086)."""
+"""Errors that simpler models of the light sheet leave against the strict one."""
 
 from typing import Final
 

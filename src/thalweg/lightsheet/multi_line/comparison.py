@@ -322,7 +322,7 @@ def cross_validate(
 
 
 def nested_tests(sensor: Sensor, points: LevelPoints, nominal: NominalDiode) -> pd.DataFrame:
-    """Whether the lines have one centre and equal angles (C327).
+    """Whether the lines have one centre and equal angles.
 
     Lines that lack a second level or pairs are left out; their number is in the table.
 

@@ -1,4 +1,4 @@
-"""Simpler models of the sheet, and the errors that they leave against the strict one (C086).
+"""Simpler models of the sheet, and the errors that they leave against the strict one.
 
 ``plane``
     the refracted sheet as a plane, fitted to it (Matos et al. 2018, van der Lucht et al. 2019); image rays

@@ -166,7 +166,7 @@ def pose_source_table(
     sigma_px: float = 0.15,
     sources: Mapping[str, tuple[float, float]] = SOURCES,
 ) -> pd.DataFrame:
-    """What each source of poses makes of a single profile's accuracy (P4 4.2.1, 7.3; C076).
+    """What each source of poses makes of a single profile's accuracy (P4 4.2.1, 7.3).
 
     For points in the middle of the line: the standard deviation of height (Z of lcs), across it, and in all
     directions, of the profile alone and with the pose, and the ratio of the latter two.

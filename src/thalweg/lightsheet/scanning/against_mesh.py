@@ -1,7 +1,7 @@
 """Signed distances of a scan from a reference mesh, with what each point's sigmas predict (P4 7.2, 7.3).
 
 Points whose nearest place is on a border of the mesh are left out: there the distance says where the mesh
-ends, at a hole that a marker left, and not where the surface is (C326). Points farther than a limit lie on
+ends, at a hole that a marker left, and not where the surface is. Points farther than a limit lie on
 something that is not part of the reference, such as the ground around the object.
 """
 
@@ -91,7 +91,7 @@ def mesh_distances(
 
 
 def border_effect(found: MeshDistances) -> dict[str, float]:
-    """Mean and standard deviation with and without the points at the mesh's border (C326).
+    """Mean and standard deviation with and without the points at the mesh's border.
 
     Raises
     ------

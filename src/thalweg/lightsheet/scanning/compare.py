@@ -263,7 +263,7 @@ def _covariances(
 
 
 # ---------------------------------------------------------------- whole scan lines that lie off: poses that
-# are worse than their sigmas say (P4 7.3, C324)
+# are worse than their sigmas say (P4 7.3)
 #
 # For each line its distances from the reference give a mean and a slope along the line. Both are predicted by
 # the covariance of the line's pose and by the errors of its points::

@@ -1,4 +1,4 @@
-"""Orthophoto of the bed from the sensor's own images, lit by the day (P4 4.1, Bodenmann et al. 2016; FW28).
+"""Orthophoto of the bed from the sensor's own images, lit by the day (P4 4.1, Bodenmann et al. 2016).
 
 The images that hold the laser line also show the bed around it. Each cell of a level grid gets its height
 from the measured points; its centre is projected through the window into each image, strip by strip, and the

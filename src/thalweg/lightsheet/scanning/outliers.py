@@ -1,4 +1,4 @@
-"""Outlier rules for distances, always with the numbers on both sides (P4 Tables 2 and 3; E28).
+"""Outlier rules for distances, always with the numbers on both sides (P4 Tables 2 and 3).
 
 P4 takes the standard deviation of all distances, leaves out what is farther than three of them, and states
 the standard deviation of the rest. That rule depends on the outliers it removes: with some large ones the

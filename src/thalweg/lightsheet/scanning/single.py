@@ -1,4 +1,4 @@
-"""One profile of a scan by itself: outlier rules beside P4 Table 2, brightness and planes (P4 7.2; E28)."""
+"""One profile of a scan by itself: outlier rules beside P4 Table 2, brightness and planes (P4 7.2)."""
 
 from typing import Any, Final
 
