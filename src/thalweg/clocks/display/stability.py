@@ -4,11 +4,10 @@ P2 found 0.999 s between images with a standard deviation of 0.023 s, and took t
 image's time. Two clocks with the same 0.023 s are very different:
 
 - *White stamps*: every exposure is off an even grid by its own error. Neighbouring intervals share one
-exposure and are
-  correlated by -1/2. An image is off by ``std / sqrt 2`` (0.016 s), after an hour as after a second.
+  exposure and are correlated by -1/2. An image is off by ``std / sqrt 2`` (0.016 s), after an hour as after
+  a second.
 - *Wandering intervals*: every interval has its own error, which all later images keep. Intervals are
-independent, and
-  after ``n`` images the count is off by ``std sqrt n`` (0.7 s after 1000).
+  independent, and after ``n`` images the count is off by ``std sqrt n`` (0.7 s after 1000).
 
 The covariance of neighbouring intervals tells them apart: ``c0 = w^2 + 2 (s^2 + q^2)``, ``c1 = -(s^2 +
 q^2)``, with the stamps' error ``s``, the intervals' ``w``, and the display's steps, ``q^2 = step^2 / 12`` a
