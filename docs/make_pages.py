@@ -7,9 +7,11 @@ these keys of docs/validation/outages.csv, with two decimals, and a parameter of
 
     {{ outages[60, "camera"].normalised | d(2) }} over {{ run.outage_study.parameters.seeds }} surveys
 
-The keys of a table stand in config/studies. What is not recorded yet reads "pending".
+The keys of a table stand in config/studies. What is not recorded yet reads "pending". The packages of
+docs/architecture.md, and which takes from which, are read from the source.
 """
 
+import ast
 import math
 import runpy
 import sys
@@ -114,6 +116,39 @@ def largest(table: Any, column: str) -> Any:
     return table if isinstance(table, Pending) else max(abs(row[column]) for row in table)
 
 
+def packages(source: Path = ROOT / "src") -> dict[str, tuple[str, int]]:
+    """What each package is for, by its own words, and its number of modules."""
+    found = {}
+    for door in sorted(source.rglob("__init__.py")):
+        words = ast.get_docstring(ast.parse(door.read_text(encoding="utf-8"))) or ""
+        modules = len(list(door.parent.glob("*.py"))) - 1
+        found[".".join(door.parent.relative_to(source).parts)] = (" ".join(words.split()), modules)
+    return found
+
+
+def package_graph(source: Path = ROOT / "src") -> str:
+    """Which folder of `thalweg` takes from which, as Mermaid: no arrow where a longer way says the same."""
+    above: dict[str, set[str]] = {}
+    for path in (source / "thalweg").rglob("*.py"):
+        own = path.relative_to(source / "thalweg").parts[0]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("thalweg."):
+                above.setdefault(own, set()).add(str(node.module).split(".")[1])
+    folders = {name for name in above if (source / "thalweg" / name).is_dir()}
+    above = {name: (others & folders) - {name} for name, others in above.items() if name in folders}
+
+    def reached(name: str) -> set[str]:
+        return above[name].union(*(reached(other) for other in above[name]))
+
+    lines = [
+        f"    {other} --> {name}"
+        for name in sorted(above)
+        for other in sorted(above[name])
+        if not any(other in reached(between) for between in above[name] - {other})
+    ]
+    return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
+
+
 def pages(root: Path = ROOT) -> dict[Path, str]:
     """All pages by their place, filled.
 
@@ -134,6 +169,7 @@ def pages(root: Path = ROOT) -> dict[Path, str]:
             known[table] = Table(path, wanted.get("keys", ["key"])) if path.exists() else Pending()
     timings = folder / "timings.csv"
     known["timings"] = Table(timings, ["campaign"]) if timings.exists() else Pending()
+    known |= {"packages": packages(), "package_graph": package_graph()}
     environment = Environment(
         undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True, autoescape=False
     )
