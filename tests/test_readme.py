@@ -13,20 +13,15 @@ from thalweg.core.errors import InputError
 from thalweg.settings.files.load import load_campaign
 
 
-def test_the_graph_names_the_rooms(repository: Path) -> None:
+def test_the_graph_names_the_packages_that_data_pass(repository: Path) -> None:
     text = (repository / "README.md").read_text()
     graph = re.search(r"```mermaid\n(.*?)```", text, re.S)
     assert graph
     drawn = set(
         re.findall(r"\b[a-z]{4,}\b", re.sub(r"flowchart|\[.*?\]|-\..*?\.->|logs", "", graph.group(1)))
     )
-    own = {"real_logs", "reproduction"}  # targets of their own
-    rooms = {
-        path.stem.split("_")[0]
-        for path in (repository / "workflow/rules").glob("*.smk")
-        if path.stem not in own
-    }
-    assert drawn == rooms - {"common"}
+    packages = {path.parent.name for path in (repository / "src/thalweg").glob("*/__init__.py")}
+    assert drawn == packages - {"core", "settings", "workflow", "budgets"}
 
 
 def test_the_page_of_the_rules_is_in_step(repository: Path) -> None:
