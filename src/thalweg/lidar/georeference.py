@@ -19,8 +19,7 @@ from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32
 from thalweg.lidar.covariance import WEAK_RANGE_M, WEAK_REFLECTIVITY, BeamErrors
 from thalweg.lidar.mount import Mount
 
-# ---------------------------------------------------------------- compiled loops of
-# `thalweg.lidar.georeference`
+# ---------------------------------------------------------------- compiled loops
 #
 # They make one pass over the points. These come nearly in time order, so the node interval is carried along
 # instead of searched. Points that follow each other in one interval are copied into columns of one small

@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from thalweg.core.errors import GeometryError
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
 
-# ---------------------------------------------------------------- kernels of `thalweg.surface.thinning`:
-# points sorted by cell -> one robust point a cell
+# ---------------------------------------------------------------- kernels: points sorted by cell -> one
+# robust point a cell
 
 
 # Open3D brings an old TBB into the process, which numba would try first and complain about.

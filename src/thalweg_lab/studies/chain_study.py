@@ -3,7 +3,7 @@
 Each seed is a survey of the digital twin with logs of its own: INS and receiver err as their published sigmas
 say, and by what no sigma says: fields of the motors and of the hull at the magnetometer, a drifting heading,
 leaves that dim satellites and reflections from the water. Poses of images are drawn with the published
-sigmas of poses and times (`thalweg_lab.studies.chain_study`), not rendered. From there on all is the
+sigmas of poses and times, not rendered. From there on all is the
 code of a campaign: three trajectories, three clouds with the same filters, one reference of terrestrial
 scans, one outlier rule.
 

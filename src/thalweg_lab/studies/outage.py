@@ -2,8 +2,8 @@
 
 Each seed is a voyage of its own. INS and antenna err as the twin's instruments do
 (`thalweg_lab.instruments.attitude_errors`, `thalweg_lab.instruments.gnss`); poses of images have correlated
-errors of a
-stated covariance, a common clock offset, jitter and a mount that is a little off. In memory, without logs.
+errors of a stated covariance, a common clock offset, jitter and a mount that is a little off. In memory,
+without logs.
 """
 
 from collections.abc import Mapping, Sequence

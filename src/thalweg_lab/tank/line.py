@@ -17,9 +17,8 @@ class LinePoints:
 
     ``fan_angle_rad``; ``xyz_lcs_mm`` (n, 3); ``lit``: the sub-beam meets the surface; ``visible``: the
     camera sees the point, within its picture or beside it; ``albedo`` in green; ``laser_mm``: way of the
-    laser in the water;
-    ``cosine`` between the normal and the way to the camera; ``along`` (n, 3): the part of the sub-beam's
-    direction along the surface. ``seen``: the image of each point.
+    laser in the water; ``cosine`` between the normal and the way to the camera; ``along`` (n, 3): the part
+    of the sub-beam's direction along the surface. ``seen``: the image of each point.
     """
 
     fan_angle_rad: ArrayF

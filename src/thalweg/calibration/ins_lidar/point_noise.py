@@ -1,12 +1,11 @@
 """Noise of single lidar points along and across their beams, estimated from their residuals.
 
-A point at the incidence ``i`` has, along the normal of the surface, the variance
-``a^2 cos^2 i + b^2 sin^2 i`` with the noise ``a`` along its beam and ``b`` in each direction across it.
-Squared residuals of many points show both (variance components; Koch 1999, sec. 3.6). What is stated of each
-is prior
-knowledge with a factor of `SPREAD`, so that points of one incidence, which cannot tell the two apart, leave
-their ratio as stated. Hundreds of points give the size to some per cent: next to the errors of the poses that
-uncertainty adds nothing.
+A point at the incidence ``i`` has, along the normal of the surface, the variance ``a^2 cos^2 i + b^2 sin^2
+i`` with the noise ``a`` along its beam and ``b`` in each direction across it. Squared residuals of many
+points show both (variance components; Koch 1999, sec. 3.6). What is stated of each is prior knowledge with
+a factor of `SPREAD`, so that points of one incidence, which cannot tell the two apart, leave their ratio as
+stated. Hundreds of points give the size to some per cent: next to the errors of the poses that uncertainty
+adds nothing.
 """
 
 from dataclasses import dataclass

@@ -8,8 +8,7 @@
     blocks:
       lidar:
         equation: x_ics = R_ics_scs @ x_scs + (x, y, z), R_ics_scs = R_x(omega) R_y(phi) R_z(kappa)
-        sigma_axes: ics
-        values:
+        sigma_axes: ics values:
           omega_deg: {value: 0.12, sigma: 0.01, unit: deg}
           phi_deg: {value: -90.2, sigma: 0.01, unit: deg}
           ...

@@ -33,12 +33,10 @@ def clock_stability(
     ----------
     readings : columns of ``display`` (see `thalweg.figures.calibration.tables`), in order of time. Intervals
         are taken between neighbouring photos that are both readable.
-    photo : (h, w) or (h, w, 3) uint8, one of the photos.
-    photo_text : what was read from it.
-    nominal_s : interval that was set, seconds.
-    step_s : step of the display, seconds: bars of the histogram are multiples of it; 0: not known.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
+    photo : (h, w) or (h, w, 3) uint8, one of the photos. photo_text : what was read from it. nominal_s :
+    interval that was set, seconds. step_s : step of the display, seconds: bars of the histogram are
+    multiples of it; 0: not known. title : first words of the title. twin : true if the digital twin made
+    the data.
 
     Raises
     ------

@@ -355,7 +355,7 @@ def _stated(form: tuple[str, ...], crs: CRS | None) -> str:
 # ---------------------------------------------------------------- control points and marks as other programs
 # write them: OpenDroneMap and Metashape
 #
-# Rows come out as texts by our own names of the columns, for `thalweg.images.control.tables`.
+# Rows come out as texts by our own names of the columns.
 
 
 def is_gcp_list(text: str) -> bool:

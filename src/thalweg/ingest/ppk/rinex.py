@@ -27,7 +27,7 @@ from thalweg.ingest.integrity import IntegrityReport, find_gaps
 # which are whole, which are damaged or cut
 #
 # The walkers know the structure of epochs and ephemerides, no observation values. Columns follow the
-# documents named in `thalweg.ingest.ppk.rinex`.
+# documents named above.
 
 
 _GPS_EPOCH_DAY: Final = dt.date(1980, 1, 6).toordinal()

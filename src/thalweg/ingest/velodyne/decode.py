@@ -59,15 +59,13 @@ class PointBlock:
     t_gps_s : (n,) adjusted GPS time of the shot; NaN where the sensor was unsynchronised.
     t_device_s : (n,) seconds past the hour of the first packet on the device's clock, unrolled; it jumps only
         where the sensor set its clock.
-    xyz_scs_m : (n, 3) coordinates in the sensor frame: x right, y forward (azimuth 0), z up.
-    range_m : (n,) measured distance.
-    azimuth_rad : (n,) clockwise from forward, seen from above, [0, 2 pi].
-    ring : (n,) laser by elevation, 0 is -15 degrees, 15 is +15 degrees.
-    laser : (n,) laser by firing order, 0..15.
-    intensity : (n,) calibrated reflectivity, 0..100 diffuse, 101..255 retro-reflecting.
-    return_number : (n,) as in LAS: 1 is the nearest return of the shot, whichever was stronger.
-    n_returns : (n,) returns of the shot that the packet holds: 1, or 2 in dual mode.
-    packet : (n,) index of the data packet, over all files, dropped packets counted too.
+    xyz_scs_m : (n, 3) coordinates in the sensor frame: x right, y forward (azimuth 0), z up. range_m : (n,)
+    measured distance. azimuth_rad : (n,) clockwise from forward, seen from above, [0, 2 pi]. ring : (n,)
+    laser by elevation, 0 is -15 degrees, 15 is +15 degrees. laser : (n,) laser by firing order, 0..15.
+    intensity : (n,) calibrated reflectivity, 0..100 diffuse, 101..255 retro-reflecting. return_number :
+    (n,) as in LAS: 1 is the nearest return of the shot, whichever was stronger. n_returns : (n,) returns of
+    the shot that the packet holds: 1, or 2 in dual mode. packet : (n,) index of the data packet, over all
+    files, dropped packets counted too.
     """
 
     t_gps_s: ArrayF

@@ -110,12 +110,10 @@ def camera_over_window(
     nominal : design of the sensor, whose camera has its calibrated interior orientation with covariance;
         gives the place along the window and the heading.
     marks : marks (marker, corner, x_px, y_px, sigma_px) of the sensor's picture, all seen through air.
-    points : coordinates of the marks, among them those of the window, in metres, with their joint covariance.
-    window_markers : markers on the window.
-    face : of the window that they stick to.
-    sheet_mm : thickness of their sheets.
-    sigma_factor : see `thalweg.calibration.field.resection.resect`.
-    where : name of the picture.
+    points : coordinates of the marks, among them those of the window, in metres, with their joint
+    covariance. window_markers : markers on the window. face : of the window that they stick to. sheet_mm :
+    thickness of their sheets. sigma_factor : see `thalweg.calibration.field.resection.resect`. where : name
+    of the picture.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """Parallel planes of known heights under a profile or a scan: the stepped object of P4 7.1 to 7.3.
 
-The object stands anywhere; three numbers say where its planes are: two tilts and a height. They are adjusted
-to the points through `thalweg.core.adjustment.solve`, the spacing of the planes being that of the reference.
-Points
-are given to the nearest plane; those farther than ``near_mm`` lie on the ground, on a side, or nowhere.
+The object stands anywhere; three numbers say where its planes are: two tilts and a height. They are
+adjusted to the points through `thalweg.core.adjustment.solve`, the spacing of the planes being that of the
+reference. Points are given to the nearest plane; those farther than ``near_mm`` lie on the ground, on a
+side, or nowhere.
 """
 
 from dataclasses import dataclass
