@@ -7,10 +7,11 @@ misses: it keeps motion that is faster than the epochs.
 The covariance of an interpolated position is the sum of two parts. The first is the covariance of the
 epochs, interpolated linearly. It is an upper bound: with weights that sum to one, averaging can only lower
 it, and it does not for errors that neighbours share. The second is the variance of the interpolation
-itself, taken from the data: epochs are left out and predicted by the others (cross-validation). It is zero at the epochs and largest between them, with the shape ``16 u^2 (1
-- u)^2``. For smooth motion that is the shape of a cubic spline's error itself (a fourth derivative times
-``u^2 (1 - u)^2``), and its variance is the square of it; motion near the limit of the epochs fills the
-interval more evenly. The broader shape of both is taken.
+itself, taken from the data: epochs are left out and predicted by the others (cross-validation). It is zero
+at the epochs and largest between them, with the shape ``16 u^2 (1 - u)^2``. For smooth motion that is the
+shape of a cubic spline's error itself (a fourth derivative times ``u^2 (1 - u)^2``), and its variance is
+the square of it; motion near the limit of the epochs fills the interval more evenly. The broader shape of
+both is taken.
 """
 
 import itertools
