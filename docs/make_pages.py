@@ -7,7 +7,8 @@ these keys of docs/validation/outages.csv, with two decimals, and a parameter of
 
     {{ outages[60, "camera"].normalised | d(2) }} over {{ run.outage_study.parameters.seeds }} surveys
 
-The keys of a table stand in config/studies. What is not recorded yet reads "pending". The packages of
+The keys of a table stand in config/studies. A row or paragraph with a number that is not recorded yet is
+left out, and the command says how many. The packages of
 docs/architecture.md, and which takes from which, are read from the source.
 """
 
@@ -47,8 +48,14 @@ class Pending:
     def __mul__(self, factor: Any) -> "Pending":
         return self
 
+    def __pow__(self, power: Any) -> "Pending":
+        return self
+
+    def __bool__(self) -> bool:
+        return False
+
     def __str__(self) -> str:
-        return "pending"
+        return "(waits for its record)"
 
 
 class Row:
@@ -149,8 +156,8 @@ def package_graph(source: Path = ROOT / "src") -> str:
     return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
 
 
-def pages(root: Path = ROOT) -> dict[Path, str]:
-    """All pages by their place, filled.
+def pages(root: Path = ROOT) -> tuple[dict[Path, str], int]:
+    """All pages by their place, filled, and how many numbers wait for a record and are left out.
 
     Raises
     ------
@@ -174,18 +181,33 @@ def pages(root: Path = ROOT) -> dict[Path, str]:
         undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True, autoescape=False
     )
     environment.filters |= {"d": decimals, "judged": judged, "largest": largest}
-    out = {}
+    out, waiting = {}, 0
     for template in sorted((root / "docs/pages").glob("*.md")):
         target = root / template.name if template.name == "README.md" else root / "docs" / template.name
         text = environment.from_string(template.read_text(encoding="utf-8"))
-        out[target] = text.render(known | {"run": runs})
-    return out
+        filled = text.render(known | {"run": runs})
+        out[target] = recorded(filled)
+        waiting += filled.count(str(Pending()))
+    return out, waiting
+
+
+def recorded(text: str) -> str:
+    """A page without the rows, tables and paragraphs in which a number waits for its record."""
+    blocks = []
+    for block in text.split("\n\n"):
+        if block.lstrip().startswith("|"):
+            lines = [line for line in block.split("\n") if str(Pending()) not in line]
+            if len([line for line in lines if line.startswith("|")]) > 2:
+                blocks.append("\n".join(lines))
+        elif str(Pending()) not in block:
+            blocks.append(block)
+    return "\n\n".join(blocks).rstrip("\n") + "\n"
 
 
 if __name__ == "__main__":
-    for target, text in pages().items():
-        target.write_text(text, encoding="utf-8")
-        waiting = text.count("pending")
-        sys.stdout.write(
-            f"{target.relative_to(ROOT)}" + (f": {waiting} numbers pending\n" if waiting else "\n")
-        )
+    made, waits = pages()
+    for place, text in made.items():
+        place.write_text(text, encoding="utf-8")
+        sys.stdout.write(f"{place.relative_to(ROOT)}\n")
+    if waits:
+        sys.stdout.write(f"{waits} numbers wait for their record and are left out\n")

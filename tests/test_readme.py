@@ -64,13 +64,13 @@ def validation(repository: Path) -> dict[str, Any]:
     return runpy.run_path(str(repository / "docs/make_validation.py"))
 
 
-def filled(repository: Path) -> dict[Path, str]:
+def filled(repository: Path) -> tuple[dict[Path, str], int]:
     return runpy.run_path(str(repository / "docs/make_pages.py"))["pages"](repository)
 
 
 def test_pages_hold_the_recorded_numbers(repository: Path) -> None:
     """A digit that is changed in a page or in a record is found here."""
-    made = filled(repository)
+    made, _ = filled(repository)
     assert repository / "README.md" in made
     for path, text in made.items():
         assert path.read_text() == text, f"{path.name}: run .venv/bin/python docs/make_pages.py"
@@ -93,15 +93,22 @@ def small(tmp_path: Path) -> Path:
     (tmp_path / "results/waves.csv.meta.json").write_text(json.dumps(job))
     (tmp_path / "docs/pages/README.md").write_text(
         '{{ waves["all"].ratio | d(1) }} {{ waves["all"].ratio | judged(0.9, 1.1) }} '
-        "{{ run.wave_study.parameters.seeds }} {{ run.wave_study.cpu_min }}\n"
+        "{{ run.wave_study.parameters.seeds }} {{ run.wave_study.cpu_min }}\n\n"
+        "| wave | ratio |\n| --- | --- |\n| all | {{ waves['all'].ratio | d }} |\n\n"
+        "Seeds: {{ run.wave_study.parameters.seeds }}.\n"
     )
     return tmp_path
 
 
 def test_a_record_says_how_it_was_made_and_fills_the_page(repository: Path, small: Path) -> None:
     of = validation(repository)
-    pages = runpy.run_path(str(repository / "docs/make_pages.py"))["pages"]
-    assert pages(small)[small / "README.md"] == "pending pending 3 pending\n"
+
+    def page() -> str:
+        return filled_of(small)[0][small / "README.md"]
+
+    filled_of = runpy.run_path(str(repository / "docs/make_pages.py"))["pages"]
+    # rows and paragraphs without their numbers are left out, and a table without rows with them
+    assert (page(), filled_of(small)[1]) == ("Seeds: 3.\n", 4)
     (entry,) = of["studies"](small).values()
     of["record"]("wave_study", entry, small, small / "docs/validation")
     assert of["front_matter"](small / "docs/validation/wave_study.md") == {
@@ -109,10 +116,11 @@ def test_a_record_says_how_it_was_made_and_fills_the_page(repository: Path, smal
         "parameters": {"first_seed": 1, "seeds": 3}, "date": "2026-05-01", "jobs": 1, "wall_min": 2.0,
         "cpu_min": 1.5,
     }  # fmt: skip
-    assert pages(small)[small / "README.md"] == "−1.2 **−1.23** (0.90–1.10) 3 1.5\n"
+    rest = "| wave | ratio |\n| --- | --- |\n| all | −1 |\n\nSeeds: 3.\n"
+    assert page() == f"−1.2 **−1.23** (0.90–1.10) 3 1.5\n\n{rest}"
     table = small / "docs/validation/waves.csv"
     table.write_text(table.read_text().replace("-1.2345", "-1.1345"))
-    assert pages(small)[small / "README.md"] == "−1.1 **−1.13** (0.90–1.10) 3 1.5\n"
+    assert page() == f"−1.1 **−1.13** (0.90–1.10) 3 1.5\n\n{rest}"
 
 
 def test_a_reference_to_nothing_is_refused(repository: Path, small: Path) -> None:
