@@ -213,6 +213,7 @@ def _in_plane(sensor: Sensor) -> ArrayF:
     """Change of the parameters by a rotation of the fan in its own plane."""
 
     def turned(h: float) -> ArrayF:
+        """Parameters of the sensor with its fan turned in the plane of the sheet by ``h``, radians."""
         x = sensor.vector()
         x[LASER][3:] = opk_of(sensor.sheet.R_lcs_las @ exp_rotation([0.0, h, 0.0]))
         return x

@@ -160,6 +160,7 @@ def _local_line(
 
     # np.convolve turns its kernel round; the moments are of (other row - own row)
     def moment(values: ArrayF, power: int) -> ArrayF:
+        """Sum of ``values`` times a power of the distance, over the window of each row."""
         full = np.convolve(values, (away**power)[::-1], "full")
         return np.asarray(full[half : half + values.size])
 
@@ -454,6 +455,7 @@ def _halo(green: GreenImage, starts: Starts, noise: PixelNoise) -> tuple[ArrayF,
     across = _ACROSS * starts.half_width_px
 
     def fit(table: ArrayF) -> ArrayF:
+        """The patches of all rows with a table of the halo."""
         return _fit(
             green, some, rows, noise, straight, half_across=across, speckle=True, free_slope=True, halo=table
         )

@@ -450,6 +450,7 @@ def _slopes(row: ArrayI, x: ArrayF, piece: ArrayI, half_rows: int = 7) -> ArrayF
         )
 
         def mean(values: ArrayF, count: ArrayF = count, window: ArrayF = window) -> ArrayF:
+            """Mean over the window about each row; over all rows where these are fewer."""
             if values.size < window.size:
                 return np.full(values.size, values.mean())
             return np.asarray(np.convolve(values, window, "same") / count)

@@ -200,6 +200,7 @@ def line_and_pair_groups(sensor: Sensor, points: LevelPoints, model: LineModel) 
         )
 
     def lines_and_pairs(x: ArrayF) -> tuple[Linear, Linear]:
+        """Linearised distances of the points from their sheets, and of pairs of points."""
         found = line_residuals(model.lines(x), at, objects.xyd_mm, objects.across_mm, sensor.window)
         by_x = model.derivatives(x)
         # Away from the solution a point may meet no beam: a great distance makes the adjustment step back
@@ -222,6 +223,7 @@ def line_and_pair_groups(sensor: Sensor, points: LevelPoints, model: LineModel) 
     last: dict[bytes, tuple[Linear, Linear]] = {}
 
     def at_state(x: ArrayF) -> tuple[Linear, Linear]:
+        """`lines_and_pairs`, computed once for each state."""
         key = x.tobytes()
         if key not in last:
             last.clear()

@@ -72,6 +72,7 @@ class LevelPoints:
         kept = chosen[self.pairs].all(axis=1) if len(self.pairs) else np.zeros(0, dtype=np.bool_)
 
         def some(values: AnyArray) -> AnyArray:
+            """The chosen rows."""
             return values[chosen]
 
         return replace(

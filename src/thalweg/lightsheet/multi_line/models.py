@@ -203,6 +203,7 @@ def _individual(nominal: NominalDiode, fixed_fans: bool) -> _Made:
     start = np.hstack([np.tile(nominal.origin_lcs_mm, (n, 1)), angles[:, free]]).ravel()
 
     def function(x: ArrayF) -> Lines:
+        """Lines with a place and angles of their own."""
         p = x.reshape(n, -1)
         opk = angles.copy()
         opk[:, free] = p[:, 3:]
@@ -221,6 +222,7 @@ def _joint_centre(nominal: NominalDiode) -> _Made:
     start = np.r_[nominal.origin_lcs_mm, angles[:, [0, 2]].ravel()]
 
     def function(x: ArrayF) -> Lines:
+        """Lines with one place and angles of their own."""
         opk = angles.copy()
         opk[:, [0, 2]] = x[3:].reshape(n, 2)
         return _lines(nominal, x[:3], rotation_rad(opk), np.zeros(n))
@@ -230,6 +232,7 @@ def _joint_centre(nominal: NominalDiode) -> _Made:
 
 def _regular(nominal: NominalDiode) -> _Made:
     def function(x: ArrayF) -> Lines:
+        """Lines with one place, an attitude and equal angles between them."""
         R = _turned(rotation_rad(x[3:6]), nominal.orders * x[6])
         return _lines(nominal, x[:3], R, np.zeros(len(nominal.labels)))
 
@@ -249,6 +252,7 @@ def _diode(nominal: NominalDiode, hierarchical: bool) -> _Made:
     start = np.r_[nominal.pose, 0.0, np.sin(nominal.step_rad), 0.0, 0.0, 0.0]
 
     def zero(places: ArrayI, sigma: float) -> Prior:
+        """Prior knowledge that parameters are zero."""
         return Prior(places=places, mean=np.zeros(len(places)), sigma=sigma)
 
     # The lines see phi only through their spread, v0 only through the curvature of the cones, and the drift
@@ -271,6 +275,7 @@ def _diode(nominal: NominalDiode, hierarchical: bool) -> _Made:
         }
 
     def function(x: ArrayF) -> Lines:
+        """Lines of a grating whose spacing and origins drift with the order."""
         R = rotation_rad(x[3:6])
         v = x[6] + x[7] * j + x[8] * j * j
         origins = x[:3] + np.outer(j, R[:, 1]) * x[9] + np.outer(np.abs(j), R[:, 2]) * x[10]
@@ -296,6 +301,7 @@ def _cones(nominal: NominalDiode, free_origins: bool) -> _Made:
     start = np.r_[origins, phi, shape.ravel()]
 
     def function(x: ArrayF) -> Lines:
+        """Lines with one attitude, a spacing and a turn of their own."""
         v, turn = x[m + 1 :].reshape(n, 2).T
         zero = np.zeros(n)
         R = rotation_rad(np.array([omega, x[m], kappa]))

@@ -151,6 +151,7 @@ def fan_limits(sheet: LightSheet, window: Window) -> tuple[float, float]:
     least_n = min(window.n_glass, window.n_water)
 
     def wet(b: ArrayF) -> ArrayB:
+        """Whether the beam at an angle ``b`` of the fan passes the window into the water."""
         w = np.sqrt(1.0 - sheet.v**2)
         d = np.stack([w * np.sin(b), np.full_like(b, sheet.v), -w * np.cos(b)], axis=-1) @ L.T
         sine = np.hypot(d[..., 0], d[..., 1])
