@@ -130,7 +130,7 @@ def camera_over_window(
     on_window = points.points_pcs[at]
 
     def numbers(shift: ArrayF, p: ArrayF) -> ArrayF:
-        """Place and angles of the camera by a shift of its pose and the values ``p`` of the window."""
+        """Place and angles of the camera by a shift of its pose and the points ``p`` on the window."""
         moved = pose.moved(shift)
         R, t = _frame(moved, p, nominal, height_mm)
         angles = np.asarray(opk_of(R @ moved.R @ FLIP))
