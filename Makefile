@@ -5,7 +5,7 @@ CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 PY := .venv/bin/python
 SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
 
-.PHONY: help env demo study record timings report real-logs test check test-slow fuzz mutants benchmark lock clean
+.PHONY: help env demo study record timings report real-logs test check test-slow fuzz mutants golden benchmark lock clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -54,6 +54,12 @@ fuzz: env ## every binary reader on 10,000 mutated inputs
 
 mutants: env ## 300 deliberate mistakes that tests must find
 	@$(PY) tests/mutants/run.py --workers $(CORES)
+
+golden: env ## results of small campaigns beside those of another checkout, made by the same command there; BEFORE=folder
+	@for each in tiny field_tiny basin_tiny; do $(SNAKEMAKE) --config campaign=$$each || exit; done
+	@$(SNAKEMAKE) reproduce
+	@bash tests/golden/commands.sh
+	@[ -z "$(BEFORE)" ] || $(PY) tests/golden/compare.py $(BEFORE)/results results
 
 benchmark: env ## speed against named peers
 	@$(PY) -m pytest tests/benchmarks -m slow -s

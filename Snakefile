@@ -2,6 +2,8 @@
 
 snakemake                              the campaign of config/config.yaml
 snakemake --config campaign=tiny       another one; a list or a path works as well
+snakemake lidar                        a part of it: ingest, lidar, images, accuracy, figures
+snakemake -n --quiet host              what would run, with all files
 snakemake real_logs                    page of other people's recordings
 snakemake reproduce                    published error tables, a verdict on each cell
 """
@@ -24,11 +26,6 @@ report: "workflow/report/workflow.rst"
 
 
 include: "workflow/rules/common.smk"
-include: "workflow/rules/common_calibration.smk"
-include: "workflow/rules/common_images.smk"
-include: "workflow/rules/common_light_sheet.smk"
-include: "workflow/rules/common_sheet_scans.smk"
-include: "workflow/rules/common_ledger.smk"
 include: "workflow/rules/common_studies.smk"
 include: "workflow/rules/simulation.smk"
 include: "workflow/rules/simulation_field.smk"
@@ -45,16 +42,19 @@ include: "workflow/rules/triangulation_ledger.smk"
 include: "workflow/rules/surface.smk"
 include: "workflow/rules/accuracy.smk"
 include: "workflow/rules/figures.smk"
-include: "workflow/rules/figures_calibration.smk"
-include: "workflow/rules/figures_images.smk"
-include: "workflow/rules/figures_sheet_scans.smk"
-include: "workflow/rules/figures_light_sheet.smk"
+include: "workflow/rules/figures_pages.smk"
 include: "workflow/rules/real_logs.smk"
 include: "workflow/rules/reproduction.smk"
+include: "workflow/rules/studies.smk"
 
 
 localrules:
     all,
+    ingest,
+    lidar,
+    images,
+    accuracy,
+    figures,
     real_logs,
     reproduce,
 
@@ -63,7 +63,39 @@ rule all:
     """Every table and picture of the chosen campaigns."""
     default_target: True
     input:
-        [final_outputs(name) for name in CAMPAIGNS],
+        [files.final_outputs() for files in FILES.values()],
+        [FIGURES.files(files) for files in FILES.values()],
+        [laboratory.ledger_outputs(files) for files in FILES.values()],
+
+
+rule ingest:
+    """Logs of the chosen campaigns as tables, with a report of what is missing or broken."""
+    input:
+        [files.target("ingest") for files in FILES.values()],
+
+
+rule lidar:
+    """Clouds of the chosen campaigns."""
+    input:
+        [files.target("lidar") for files in FILES.values()],
+
+
+rule images:
+    """Oriented photographs of the bank, and the trajectories that rest on them."""
+    input:
+        [files.target("images") for files in FILES.values()],
+
+
+rule accuracy:
+    """Comparisons with references and truth, with their pages."""
+    input:
+        [files.target("accuracy") for files in FILES.values()],
+
+
+rule figures:
+    """Every picture of the chosen campaigns."""
+    input:
+        [FIGURES.files(files) for files in FILES.values()],
 
 
 rule real_logs:
@@ -81,8 +113,6 @@ rule reproduce:
         "logs/reproduction/reproduce.log",
     conda:
         "envs/thalweg.yaml"
-    message:
-        "published error tables and their verdicts"
     shell:
         "tee {log} < {input.text}"
 

@@ -124,13 +124,19 @@ def largest(table: Any, column: str) -> Any:
 
 
 def packages(source: Path = ROOT / "src") -> dict[str, tuple[str, int]]:
-    """What each package is for, by its own words, and its number of modules."""
+    """What each package is for, by its own words, and its number of modules.
+
+    A module that stands beside packages is one by itself.
+    """
     found = {}
-    for door in sorted(source.rglob("__init__.py")):
-        words = ast.get_docstring(ast.parse(door.read_text(encoding="utf-8"))) or ""
-        modules = len(list(door.parent.glob("*.py"))) - 1
-        found[".".join(door.parent.relative_to(source).parts)] = (" ".join(words.split()), modules)
-    return found
+    doors = {door.parent: door for door in source.rglob("__init__.py")}
+    beside = {folder.parent for folder in doors} - {source, source / "thalweg"}
+    single = [p for folder in beside for p in folder.glob("*.py") if p.name != "__init__.py"]
+    for place, file in [*doors.items(), *((p.with_suffix(""), p) for p in single)]:
+        words = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").split("\n\n")[0]
+        modules = 1 if file in single else 0 if place in beside else len(list(place.glob("*.py"))) - 1
+        found[".".join(place.relative_to(source).parts)] = (" ".join(words.split()), modules)
+    return dict(sorted(found.items()))
 
 
 def package_graph(source: Path = ROOT / "src") -> str:

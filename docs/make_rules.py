@@ -1,4 +1,4 @@
-"""Write docs/rules.md: every rule of the workflow, room by room, from the rules' own docstrings.
+"""Write docs/rules.md: every rule, room by room, from the docstrings of rules and the table of figures.
 
 .venv/bin/python docs/make_rules.py
 """
@@ -6,6 +6,8 @@
 import re
 from collections.abc import Iterator
 from pathlib import Path
+
+import yaml
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {
@@ -20,7 +22,8 @@ ROOMS = {
     "accuracy": "How far off, and did the sigmas know",
     "figures": "Pictures and pages",
     "real_logs": "Recordings of other people",
-    "reproduction": "Published tables, and studies over many surveys of the twin",
+    "reproduction": "Published tables",
+    "studies": "Studies over many surveys of the twin",
 }
 _RULE = re.compile(r'^(?:# (.+)\n)?(?:rule|use rule \w+ as) (\w+)[^\n]*:\n(?:    """(.*?)""")?', re.M | re.S)
 
@@ -31,8 +34,16 @@ def rules_of(path: Path) -> Iterator[tuple[str, str]]:
         yield name, " ".join((words or comment).split("\n\n")[0].split())
 
 
+def pictures_of(path: Path) -> Iterator[tuple[str, str]]:
+    """Name of the rule of each picture in the table of figures, and what it shows."""
+    for rows in yaml.safe_load(path.read_text(encoding="utf-8")).values():
+        for name, row in rows.items():
+            if "draw" in row:
+                yield f"plot_{name}", row["shows"]
+
+
 def page(folder: Path) -> str:
-    """The page for a folder of rules files.
+    """The page for a folder of rules files, with the table of figures beside it.
 
     Raises
     ------
@@ -43,6 +54,11 @@ def page(folder: Path) -> str:
         if not path.stem.startswith("common"):
             room = path.stem if path.stem in ROOMS else path.stem.split("_")[0]
             found[room] += rules_of(path)
+    found["figures"] += pictures_of(folder.parent / "figures.yaml")
+    for path in sorted((folder.parents[1] / "config/studies").glob("*.yaml")):
+        entry = yaml.safe_load(path.read_text())
+        if "study" in entry:  # one rule of studies.smk for each
+            found["studies"].append((path.stem, entry["question"]))
     lines = [
         "# The rules",
         "",

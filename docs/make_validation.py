@@ -22,8 +22,8 @@ from PIL import Image
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "src"))
 
-from thalweg.core.errors import InputError  # noqa: E402
-from thalweg.workflow.codehash import code_version  # noqa: E402
+from thalweg.core import InputError  # noqa: E402
+from thalweg.workflow import code_version  # noqa: E402
 
 NOT_SIZES = {"code", "campaign"}
 """Parameters of rules that say nothing of a study's size."""
@@ -188,18 +188,26 @@ def front_matter(path: Path) -> dict[str, Any]:
     return yaml.safe_load(path.read_text(encoding="utf-8").split("---\n")[1])
 
 
+def now(rule: str, name: str, entry: Mapping[str, Any], root: Path) -> str | None:
+    """Version of the code behind a rule today; None if there is no such rule any more."""
+    scripts = root / "workflow/scripts"
+    if "study" in entry and rule in (name, "rows_of_study"):
+        script = "rows_of_study" if rule == "rows_of_study" else "results_of_study"
+        return code_version(script, entry["study"], scripts=scripts)
+    return code_version(rule, scripts=scripts) if (scripts / f"{rule}.py").exists() else None
+
+
 def state(root: Path = ROOT) -> list[str]:
     """One line a study: not recorded, of older code, or in step."""
     lines = []
-    for name in studies(root):
+    for name, entry in studies(root).items():
         path = root / f"docs/validation/{name}.md"
         if not path.exists():
             lines.append(f"{name}: not recorded yet")
             continue
         head = front_matter(path)
-        scripts = root / "workflow/scripts"
-        older = [r for r, code in head["code"].items()
-                 if (scripts / f"{r}.py").exists() and code_version(r, scripts=scripts) != code]  # fmt: skip
+        today = {rule: now(rule, name, entry, root) for rule in head["code"]}
+        older = [rule for rule, code in head["code"].items() if today[rule] not in (code, None)]
         lines.append(
             f"{name}: {head['date']}, {head['commit'][:7]}, "
             + (f"code of {', '.join(older)} changed since" if older else "code as now")

@@ -1,16 +1,16 @@
 """The command ``thalweg``."""
 
+import re
 import subprocess
 import sys
-import types
 from pathlib import Path
 
 import pytest
 
 from thalweg.cli import main
-from thalweg.core.errors import InputError
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.settings.files.load import check_campaign, load_campaign
+from thalweg.core import InputError
+from thalweg.ingest import IntegrityReport, registry
+from thalweg.settings.load import check_campaign, load_campaign
 
 
 @pytest.fixture
@@ -62,9 +62,13 @@ def test_new_campaign_refuses(here, capsys, name, fragment):
 def _put_logs(folder: Path) -> None:
     folder.mkdir()
     for name, content in {
-        "a b.pcap": b"pcap", "boat.bin": b"anpp", "rover.sbp": b"sbp", "notes.txt": b"what",
-        "base.obs": b"rinex" + b" " * 15 + b"O", "brdc.rnx": b"rinex" + b" " * 15 + b"N",
-    }.items():  # fmt: skip
+        "a b.pcap": b"pcap",
+        "boat.bin": b"anpp",
+        "rover.sbp": b"sbp",
+        "notes.txt": b"what",
+        "base.obs": b"rinex" + b" " * 15 + b"O",
+        "brdc.rnx": b"rinex" + b" " * 15 + b"N",
+    }.items():
         (folder / name).write_bytes(content)
 
 
@@ -77,9 +81,7 @@ def _recognise(path: Path) -> str:
 
 def test_new_campaign_from_logs(here, capsys, monkeypatch):
     """Files are sorted by their content; what is not known is named and left out."""
-    module = types.ModuleType("thalweg.ingest.registry.recognise")
-    module.recognise = _recognise
-    monkeypatch.setitem(sys.modules, "thalweg.ingest.registry.recognise", module)
+    monkeypatch.setattr(registry, "recognise", _recognise)
     _put_logs(here / "raw")
     assert main(["new-campaign", "mine", "--from-logs", "raw", "--folder", "."]) == 0
     said = capsys.readouterr()
@@ -89,16 +91,19 @@ def test_new_campaign_from_logs(here, capsys, monkeypatch):
     campaign = load_campaign("mine.yaml")
     assert campaign.orientation.position_source == "ppk"
     for stream, names in {
-        "lidar": ["a b.pcap"], "ins": ["boat.bin"], "rover": ["rover.sbp"], "base": ["base.obs"],
-        "nav": ["brdc.rnx"], "pos": [], "depth": [],
-    }.items():  # fmt: skip
+        "lidar": ["a b.pcap"],
+        "ins": ["boat.bin"],
+        "rover": ["rover.sbp"],
+        "base": ["base.obs"],
+        "nav": ["brdc.rnx"],
+        "pos": [],
+        "depth": [],
+    }.items():
         assert campaign.log_files(stream) == [here / "raw" / name for name in names]
 
 
 def test_new_campaign_lists_numbered_parts_in_their_order(here, monkeypatch):
-    module = types.ModuleType("thalweg.ingest.registry.recognise")
-    module.recognise = _recognise
-    monkeypatch.setitem(sys.modules, "thalweg.ingest.registry.recognise", module)
+    monkeypatch.setattr(registry, "recognise", _recognise)
     _put_logs(here / "raw")
     for k in (10, 2, 1):
         (here / "raw" / f"part_{k}.pcap").write_bytes(b"pcap ")
@@ -109,9 +114,7 @@ def test_new_campaign_lists_numbered_parts_in_their_order(here, monkeypatch):
 
 
 def test_new_campaign_from_a_folder_without_logs(here, capsys, monkeypatch):
-    module = types.ModuleType("thalweg.ingest.registry.recognise")
-    module.recognise = _recognise
-    monkeypatch.setitem(sys.modules, "thalweg.ingest.registry.recognise", module)
+    monkeypatch.setattr(registry, "recognise", _recognise)
     Path("raw").mkdir()
     assert main(["new-campaign", "mine", "--from-logs", "raw", "--folder", "."]) == 2
     assert "no raw log was recognised" in capsys.readouterr().err
@@ -143,9 +146,7 @@ def _fake_describe(monkeypatch) -> None:
             raise InputError("the file is empty", where=path)
         return IntegrityReport(stream="lidar", format="pcap", files=[str(path)])
 
-    module = types.ModuleType("thalweg.ingest.registry.describe")
-    module.describe = describe
-    monkeypatch.setitem(sys.modules, "thalweg.ingest.registry.describe", module)
+    monkeypatch.setattr(registry, "describe", describe)
 
 
 def test_describe(monkeypatch, capsys):
@@ -233,7 +234,7 @@ def test_check_config_looks_into_the_logs(here, capsys):
     assert main(["check-config", "mine.yaml"]) == 2
     said = capsys.readouterr().err
     assert "logs.lidar: " in said
-    assert "holds a RINEX file; expected: network capture" in said
+    assert re.search("holds a RINEX file; expected: .*network capture", said)
     assert "holds a network capture (pcap, pcapng); expected: Advanced Navigation ANPP log" in said
     assert "logs.positions: " in said
     assert "of no known kind" in said

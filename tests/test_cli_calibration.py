@@ -6,26 +6,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.calibration.boat.mounts import write_mounts
-from thalweg.calibration.markers.camera_file import interior_calibration, read_camera
+from thalweg.calibration import interior_calibration, read_camera, write_mounts
 from thalweg.cli import main
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.core.calibration.files import read_calibration, write_calibration
-from thalweg.core.calibration.model import Calibration, Source, lever_block
-from thalweg.core.camera.model import Camera
-from thalweg.settings.base.mounts import Mounts
+from thalweg.clocks import ClockModel
+from thalweg.core import Camera
+from thalweg.core.calibration import Calibration, Source, lever_block, read_calibration, write_calibration
+from thalweg.settings.sections import Mounts
 
 SOURCE = Source(run="yard", method="bundle adjustment")
 BROWN = Camera(
-    model="perspective", size_px=(1600, 1200), name="boat",
+    model="perspective",
+    size_px=(1600, 1200),
+    name="boat",
     parameters=np.array([1295.0, 1294.0, 804.4, 597.1, -0.06, 0.08, 4e-4, -3e-4, -0.02]),
     cov=np.diag(np.r_[np.full(4, 0.1), np.full(5, 1e-4)] ** 2),
-)  # fmt: skip
+)
 FISHEYE = Camera(
-    model="fisheye", size_px=(1920, 1208), name="boat",
+    model="fisheye",
+    size_px=(1920, 1208),
+    name="boat",
     parameters=np.array([1176.9, 1177.7, 962.7, 613.2, -0.054, -0.078, 0.096, -0.052]),
     cov=np.diag(np.r_[np.full(4, 0.1), np.full(4, 1e-4)] ** 2),
-)  # fmt: skip
+)
 SIGMAS = ["--sigma", "focal_px=0.1", "--sigma", "centre_px=0.1", "--sigma", "distortion=0.0001"]
 FIELD = """\
 thalweg_field: 1
@@ -168,9 +170,15 @@ def test_describe_prints_the_field(capsys) -> None:
 @pytest.mark.usefixtures("here")
 def test_describe_prints_the_clock(capsys) -> None:
     clock = ClockModel(
-        offset_s=-2.347964, reference_s=304_773_426.158, cov=np.diag([0.002**2, 1e-5**2]), drift=-1.7e-5,
-        jitter_s=0.0229, sigma_jitter_s=0.0014, source="kinematic run", notes=("one sentence",),
-    )  # fmt: skip
+        offset_s=-2.347964,
+        reference_s=304_773_426.158,
+        cov=np.diag([0.002**2, 1e-5**2]),
+        drift=-1.7e-5,
+        jitter_s=0.0229,
+        sigma_jitter_s=0.0014,
+        source="kinematic run",
+        notes=("one sentence",),
+    )
     clock.write(Path("camera_clock.yaml"))
     assert main(["describe", "--json", "camera_clock.yaml"]) == 0
     found = json.loads(capsys.readouterr().out)

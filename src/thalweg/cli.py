@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 
 import thalweg
 from thalweg.cli_calibration import add_calibration_commands, describe_marked
-from thalweg.core.errors import ConfigError, InputError, ThalwegError
+from thalweg.cli_deformation import add_deformation_commands
+from thalweg.core import ConfigError, InputError, ThalwegError
 
 if TYPE_CHECKING:
-    from thalweg.settings.campaign import Campaign
+    from thalweg.settings import Campaign
 
 CAMPAIGNS = Path("config") / "campaigns"
 
@@ -81,9 +82,12 @@ def _parser() -> argparse.ArgumentParser:
         "--from-logs", type=Path, metavar="FOLDER", help="fill in the logs of this folder, known by content"
     )
     new.add_argument(
-        "--origin", type=float, nargs=3, metavar=("LAT_DEG", "LON_DEG", "H_ELL_M"),
+        "--origin",
+        type=float,
+        nargs=3,
+        metavar=("LAT_DEG", "LON_DEG", "H_ELL_M"),
         help="point near the survey: origin of the local frame",
-    )  # fmt: skip
+    )
     new.add_argument("--folder", type=Path, default=CAMPAIGNS, help="where to write (default: %(default)s)")
     new.set_defaults(command=_new_campaign)
 
@@ -97,13 +101,12 @@ def _parser() -> argparse.ArgumentParser:
         "beside it: description of the field, clock of the camera, mounts",
     )
     describe.add_argument("files", nargs="+", type=Path, metavar="FILE")
-    describe.add_argument(
-        "--model", choices=["VLP-16"], help="lidar model, where the packets state a wrong one"
-    )
+    describe.add_argument("--model", help="lidar model, where the packets state a wrong one")
     describe.add_argument("--json", action="store_true", help="as JSON")
     describe.set_defaults(command=_describe)
 
     add_calibration_commands(commands)
+    add_deformation_commands(commands)
 
     summary = commands.add_parser("summary", help="print the summary of a processed campaign")
     summary.add_argument("folder", type=Path, metavar="FOLDER", help="results/<campaign>")
@@ -128,8 +131,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _new_campaign(options: argparse.Namespace) -> int:
-    from thalweg.settings.files.template import campaign_text
-    from thalweg.settings.identity import ID_PATTERN
+    from thalweg.settings import ID_PATTERN, campaign_text
 
     name, folder = options.id, options.folder
     if not re.fullmatch(ID_PATTERN, name):
@@ -158,9 +160,8 @@ def _new_campaign(options: argparse.Namespace) -> int:
 
 def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     """Files of a folder by stream, recognised by their content."""
-    from thalweg.ingest.registry.recognise import recognise
-    from thalweg.settings.files.template import ALSO_MARKS, stream_of
-    from thalweg.settings.messages.paths import natural_order
+    from thalweg.ingest.registry import ALSO_MARKS, recognise, stream_of
+    from thalweg.settings import natural_order
 
     if not folder.is_dir():
         raise InputError("no such folder", where=folder, expected="a folder of raw logs")
@@ -199,8 +200,8 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
 
 
 def _check_config(options: argparse.Namespace) -> int:
-    from thalweg.settings.files.load import load_campaigns
-    from thalweg.settings.sections.logs import STREAM_KEYS
+    from thalweg.settings import load_campaigns
+    from thalweg.settings.sections import STREAM_KEYS
 
     for name, campaign in load_campaigns(options.files, CAMPAIGNS).items():
         _check_contents(campaign)
@@ -218,7 +219,7 @@ def _check_config(options: argparse.Namespace) -> int:
 
 def _places(campaign: "Campaign") -> str:
     """Where the place of each sensor comes from, in words."""
-    from thalweg.settings.checks.mounts import mount_sources
+    from thalweg.settings import mount_sources
 
     by_source: dict[str, list[str]] = {}
     for sensor, source in mount_sources(campaign).items():
@@ -232,9 +233,8 @@ def _places(campaign: "Campaign") -> str:
 
 def _check_contents(campaign: "Campaign") -> None:
     """Are the logs what the campaign file takes them for? All misplaced files are named at once."""
-    from thalweg.ingest.registry.recognise import KINDS, recognise
-    from thalweg.settings.files.template import KINDS_OF_STREAM
-    from thalweg.settings.sections.logs import STREAM_KEYS
+    from thalweg.ingest.registry import KINDS, KINDS_OF_STREAM, recognise
+    from thalweg.settings.sections import STREAM_KEYS
 
     wrong = []
     for stream, keys in STREAM_KEYS.items():
@@ -258,8 +258,7 @@ def _check_contents(campaign: "Campaign") -> None:
 
 
 def _describe(options: argparse.Namespace) -> int:
-    from thalweg.ingest.registry.describe import describe
-    from thalweg.ingest.registry.recognise import recognise
+    from thalweg.ingest.registry import LIDAR_KINDS, describe, recognise
 
     code = 0
     texts: list[str] = []
@@ -267,7 +266,7 @@ def _describe(options: argparse.Namespace) -> int:
         try:
             report = describe_marked(path)
             if report is None:
-                lidar = options.model is not None and recognise(path) in ("capture", "velodyne_payloads")
+                lidar = options.model is not None and recognise(path) in LIDAR_KINDS
                 report = describe(path, {"model": options.model} if lidar else None)
         except ThalwegError as error:
             sys.stdout.flush()
@@ -294,7 +293,7 @@ def _summary(options: argparse.Namespace) -> int:
         )
     import pandas as pd
 
-    from thalweg.accuracy.cloud_to_mesh.summary import summary_lines
+    from thalweg.accuracy import summary_lines
 
     print(f"\nSummary of campaign {options.folder.name}")
     print("\n".join(summary_lines(pd.read_csv(path))))
@@ -323,9 +322,7 @@ def _distances(text: str) -> tuple[float, ...]:
 def _budget(options: argparse.Namespace) -> int:
     from dataclasses import replace
 
-    from thalweg.budgets.budget_file import read_budget
-    from thalweg.budgets.budget_tables import long_table, marks_line, text_lines
-    from thalweg.budgets.published import read_published
+    from thalweg.budgets import long_table, marks_line, read_budget, read_published, text_lines
 
     budget = read_budget(options.file)
     if options.distances:
@@ -344,7 +341,7 @@ def _budget(options: argparse.Namespace) -> int:
 
 
 def _schema(options: argparse.Namespace) -> int:
-    from thalweg.settings.files.generate import schema_text, write_generated
+    from thalweg.settings import schema_text, write_generated
 
     if not options.write:
         print(schema_text(), end="")

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from thalweg.core.errors import InputError
+from thalweg.core import InputError
 
 if TYPE_CHECKING:
-    from thalweg.ingest.integrity import IntegrityReport
+    from thalweg.ingest import IntegrityReport
 
 _HEAD_BYTES: Final = 4096
 _MARKS: Final = (
@@ -74,9 +74,12 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "--model", choices=["perspective", "fisheye"], help="where a file of OpenCV does not say it"
     )
     camera.add_argument(
-        "--size-px", type=int, nargs=2, metavar=("WIDTH", "HEIGHT"),
+        "--size-px",
+        type=int,
+        nargs=2,
+        metavar=("WIDTH", "HEIGHT"),
         help="where a file of OpenCV does not say it",
-    )  # fmt: skip
+    )
     camera.add_argument(
         "--block", default="camera", metavar="NAME", help="name of the camera (default: %(default)s)"
     )
@@ -86,14 +89,18 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
 def _add_sigmas(parser: argparse.ArgumentParser, names: str) -> None:
     parser.add_argument("out", type=Path, metavar="OUT", help="calibration file to write, .yaml")
     parser.add_argument(
-        "--sigma", action="append", default=[], type=_sigma, metavar="NAME=VALUE",
+        "--sigma",
+        action="append",
+        default=[],
+        type=_sigma,
+        metavar="NAME=VALUE",
         help=f"a standard deviation that the file does not state: {names}",
-    )  # fmt: skip
+    )
 
 
 def _print_markers(options: argparse.Namespace) -> int:
-    from thalweg.calibration.field.description import read_field
-    from thalweg.calibration.markers.sheets import MarkerLayout, write_sheets
+    from thalweg.calibration import MarkerLayout, write_sheets
+    from thalweg.calibration.field import read_field
 
     found = re.fullmatch(r"(\d{1,3})(?:-(\d{1,3}))?", options.ids)
     first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
@@ -118,9 +125,8 @@ def _print_markers(options: argparse.Namespace) -> int:
 
 
 def _import_calibration(options: argparse.Namespace) -> int:
-    from thalweg.core.calibration.files import write_calibration
-    from thalweg.core.calibration.imports import import_kalibr, import_matrix
-    from thalweg.ingest.registry.recognise import KINDS, recognise
+    from thalweg.core.calibration import import_kalibr, import_matrix, write_calibration
+    from thalweg.ingest.registry import KINDS, recognise
 
     kind, sigmas = recognise(options.file), dict(options.sigma)
     _not_there(options.out)
@@ -143,9 +149,8 @@ def _import_calibration(options: argparse.Namespace) -> int:
 
 
 def _import_camera(options: argparse.Namespace) -> int:
-    from thalweg.core.calibration.files import write_calibration
-    from thalweg.core.calibration.imports import import_camera
-    from thalweg.ingest.registry.recognise import KINDS, recognise
+    from thalweg.core.calibration import import_camera, write_calibration
+    from thalweg.ingest.registry import KINDS, recognise
 
     kind = recognise(options.file)
     _not_there(options.out)
@@ -159,19 +164,23 @@ def _import_camera(options: argparse.Namespace) -> int:
     if not options.block.isidentifier():
         raise InputError(f"a camera named {options.block!r}", expected="a name such as camera or reference")
     found = import_camera(
-        options.file, dict(options.sigma), kind="colmap" if kind == "colmap" else "opencv",
-        number=options.camera, model=options.model, name=options.block,
+        options.file,
+        dict(options.sigma),
+        kind="colmap" if kind == "colmap" else "opencv",
+        number=options.camera,
+        model=options.model,
+        name=options.block,
         size_px=tuple(options.size_px) if options.size_px else None,
-    )  # fmt: skip
+    )
     write_calibration(options.out, found)
     print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
     return 0
 
 
 def _export_camera(options: argparse.Namespace) -> int:
-    from thalweg.calibration.markers.camera_file import SUFFIX, camera_of
-    from thalweg.core.calibration.files import read_calibration
-    from thalweg.core.camera.files import write_colmap, write_opencv
+    from thalweg.calibration import SUFFIX, camera_of
+    from thalweg.core import write_colmap, write_opencv
+    from thalweg.core.calibration import read_calibration
 
     if options.out.suffix.lower() not in _ENDINGS[options.to]:
         raise InputError(
@@ -206,7 +215,7 @@ def _not_there(path: Path, cure: str = "Choose another name") -> None:
 
 
 def _sigma(text: str) -> tuple[str, float]:
-    from thalweg.core.calibration.imports import SIGMAS
+    from thalweg.core.calibration import SIGMAS
 
     name, _, value = text.partition("=")
     try:
@@ -239,10 +248,13 @@ def describe_marked(path: Path) -> "IntegrityReport | None":
     kind = next((name for name, mark in _MARKS if mark.search(head)), None)
     if kind is None:
         return None
-    from thalweg.ingest.registry.describe_calibration import CalibrationReport
+    from thalweg.ingest.registry import CalibrationReport
 
-    formats = {"field": "description of a calibration field", "clock": "clock against GPS time",
-               "mounts": "places of the sensors in ics (x forward, y right, z down)"}  # fmt: skip
+    formats = {
+        "field": "description of a calibration field",
+        "clock": "clock against GPS time",
+        "mounts": "places of the sensors in ics (x forward, y right, z down)",
+    }
     report = CalibrationReport(stream=kind, format=formats[kind], files=[str(path)])
     report.bytes_read = path.stat().st_size
     match kind:
@@ -251,7 +263,7 @@ def describe_marked(path: Path) -> "IntegrityReport | None":
         case "clock":
             _describe_clock(path, report)
         case _:
-            from thalweg.calibration.boat.mounts import read_mounts
+            from thalweg.calibration import read_mounts
 
             for sensor, mount in read_mounts(path).items():
                 report.count("sensors")
@@ -260,8 +272,8 @@ def describe_marked(path: Path) -> "IntegrityReport | None":
 
 
 def _describe_field(path: Path, report: "IntegrityReport") -> None:
-    from thalweg.calibration.field.description import read_field
-    from thalweg.ingest.registry.describe_calibration import with_sigma
+    from thalweg.calibration.field import read_field
+    from thalweg.ingest.registry import with_sigma
 
     field = read_field(path)
     layout, antenna = field.layout, field.antenna
@@ -269,24 +281,33 @@ def _describe_field(path: Path, report: "IntegrityReport") -> None:
     report.details["markers"] = [f"{layout.dictionary}, modules of {layout.module_m * 1e3:g} mm", *sizes]
     report.details["cones"] = [
         f"{len(field.cones)}; their form is nominal",
-        *(f"{c.name:5s} markers {_ids(c.markers)}, half angle {c.half_angle_rad * _DEG:.6g} deg, "
-          f"length {c.length_m:g} m" for c in field.cones),
-    ]  # fmt: skip
+        *(
+            f"{c.name:5s} markers {_ids(c.markers)}, half angle {c.half_angle_rad * _DEG:.6g} deg, "
+            f"length {c.length_m:g} m"
+            for c in field.cones
+        ),
+    ]
     report.details["scale bars"] = [
         str(len(field.scale_bars)),
-        *(f"{b.name:5s} {b.start} to {b.end}  {with_sigma(b.length_m, b.sigma_m)} m"
-          for b in field.scale_bars),
-    ]  # fmt: skip
+        *(
+            f"{b.name:5s} {b.start} to {b.end}  {with_sigma(b.length_m, b.sigma_m)} m"
+            for b in field.scale_bars
+        ),
+    ]
     report.details["targets"] = [
         str(len(field.targets)),
-        *(f"{t.name:5s} marker {t.marker}  {t.lat_deg:.9f} deg, {t.lon_deg:.9f} deg, {t.h_ell_m:.4f} m, "
-          f"sigma {', '.join(f'{s:g}' for s in t.sigma_m)} m east, north, up" for t in field.targets),
-    ]  # fmt: skip
+        *(
+            f"{t.name:5s} marker {t.marker}  {t.lat_deg:.9f} deg, {t.lon_deg:.9f} deg, {t.h_ell_m:.4f} m, "
+            f"sigma {', '.join(f'{s:g}' for s in t.sigma_m)} m east, north, up"
+            for t in field.targets
+        ),
+    ]
     report.details["antenna"] = (
-        "no marker on it" if antenna is None else
-        f"marker {antenna.marker}, phase centre {with_sigma(antenna.offset_m, antenna.sigma_m)} m out of the "
-        "print"
-    )  # fmt: skip
+        "no marker on it"
+        if antenna is None
+        else f"marker {antenna.marker}, phase centre {with_sigma(antenna.offset_m, antenna.sigma_m)} m "
+        "out of the print"
+    )
     for name in ("cones", "scale_bars", "targets"):
         report.count(name, len(getattr(field, name)))
 
@@ -300,7 +321,7 @@ def _ids(markers: tuple[int, ...]) -> str:
 
 
 def _describe_clock(path: Path, report: "IntegrityReport") -> None:
-    from thalweg.clocks.ties.model import ClockModel
+    from thalweg.clocks import ClockModel
 
     for line in ClockModel.read(path).lines():
         key, _, words = line.partition(" ")
@@ -312,8 +333,8 @@ def _describe_clock(path: Path, report: "IntegrityReport") -> None:
 
 def _mount_lines(mount: Mapping[str, Any], path: Path) -> list[str]:
     """Value, sigma and unit of each quantity of a mount."""
-    from thalweg.core.calibration.model import ANGLES, LEVER
-    from thalweg.ingest.registry.describe_calibration import with_sigma
+    from thalweg.core.calibration import ANGLES, LEVER
+    from thalweg.ingest.registry import with_sigma
 
     try:
         angles = [

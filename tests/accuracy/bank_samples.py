@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.las.files import write_laz
-from thalweg.lidar.cloud import CORRELATION_DIMENSIONS, CORRELATIONS, EXTRA_DIMENSIONS, SIGMAS
+from thalweg.core import LocalFrame
+from thalweg.core.geometry import TriangleMesh
+from thalweg.core.las import write_laz
+from thalweg.lidar import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS
+from thalweg.lidar.cloud import EXTRA_DIMENSIONS
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SLOPE = np.radians(30.0)

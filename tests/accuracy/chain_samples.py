@@ -4,11 +4,9 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings
-from thalweg.accuracy.cloud_to_mesh.comparison_tables import by_range_table, statistics_table
-from thalweg.accuracy.solutions.comparison import Chain
-from thalweg.core.frames import LocalFrame
-from thalweg.core.trajectory import Trajectory
+from thalweg.accuracy import Chain, ComparisonSettings, by_range_table
+from thalweg.accuracy.comparison_tables import statistics_table
+from thalweg.core import LocalFrame, Trajectory
 
 T0 = 3.0e8
 SETTINGS = ComparisonSettings(correlation_s=0.5, reference_sigma_m=0.004)
@@ -25,11 +23,13 @@ def trajectory(*, n=1001, step_s=0.02, valid=None, sigma_m=0.02, sigma_rad=1e-3,
         position = position - error[:, :3]
         turn = Rotation.from_rotvec(-error[:, 3:]) * turn
     return Trajectory(
-        frame=LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0), t_gps_s=t, position_wcs_m=position,
+        frame=LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0),
+        t_gps_s=t,
+        position_wcs_m=position,
         quaternion_wcs_ics=turn.as_quat(),
         cov_pose_wcs=np.tile(np.diag([sigma_m**2] * 3 + [sigma_rad**2] * 3), (n, 1, 1)),
         valid=np.ones(n, bool) if valid is None else valid,
-    )  # fmt: skip
+    )
 
 
 def distances(rng, *, sigma_m, per_metre, n=12_000, mean_m=0.0, span=(0.0, 20.0)):
@@ -39,32 +39,54 @@ def distances(rng, *, sigma_m, per_metre, n=12_000, mean_m=0.0, span=(0.0, 20.0)
     distance = mean_m + sigma * rng.standard_normal(n)
     distance[: n // 50] = rng.uniform(0.8, 1.8, n // 50)
     used = np.arange(n) % 40 != 0
-    return pd.DataFrame({
-        "t_gps_s": T0 + rng.uniform(*span, n), "east_m": 0.0, "north_m": 0.0, "up_m": 0.0,
-        "range_m": range_m.astype(np.float32), "distance_m": distance, "normal_east": 0.0,
-        "normal_north": 1.0, "normal_up": 0.0, "sigma_normal_m": sigma.astype(np.float32),
-        "sigma_reference_m": np.float32(0.004), "sigma_3d_m": (1.7 * sigma).astype(np.float32),
-        "at_border": ~used, "used": used,
-        "outlier": used & (distance > 0.7),
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "t_gps_s": T0 + rng.uniform(*span, n),
+            "east_m": 0.0,
+            "north_m": 0.0,
+            "up_m": 0.0,
+            "range_m": range_m.astype(np.float32),
+            "distance_m": distance,
+            "normal_east": 0.0,
+            "normal_north": 1.0,
+            "normal_up": 0.0,
+            "sigma_normal_m": sigma.astype(np.float32),
+            "sigma_reference_m": np.float32(0.004),
+            "sigma_3d_m": (1.7 * sigma).astype(np.float32),
+            "at_border": ~used,
+            "used": used,
+            "outlier": used & (distance > 0.7),
+        }
+    )
 
 
 def chain(rng, name, *, sigma_m, per_metre, kept, no_pose=0, valid=None, span=(0.0, 20.0)):
     table = distances(rng, sigma_m=sigma_m, per_metre=per_metre, span=span)
-    counts = pd.DataFrame({
-        "reason": ["kept", "no_gps_time", "no_pose", "too_near"],
-        "n": [kept, 0, no_pose, 100_000 - kept - no_pose],
-    })  # fmt: skip
+    counts = pd.DataFrame(
+        {
+            "reason": ["kept", "no_gps_time", "no_pose", "too_near"],
+            "n": [kept, 0, no_pose, 100_000 - kept - no_pose],
+        }
+    )
     facts = {
-        "counts": {"points": 50_000, "outside_area": 9_000, "far_from_reference": 1_000,
-                   "not_in_sample": 20_000, "compared": int(table["used"].sum())},
+        "counts": {
+            "points": 50_000,
+            "outside_area": 9_000,
+            "far_from_reference": 1_000,
+            "not_in_sample": 20_000,
+            "compared": int(table["used"].sum()),
+        },
         "coverage": {"reference_area_m2": 400.0, "without_points": 0.25},
-    }  # fmt: skip
+    }
     return Chain(
-        name=name, counts=counts, trajectory=trajectory(valid=valid),
-        statistics=statistics_table(table, SETTINGS), by_range=by_range_table(table, SETTINGS),
-        distances=table, facts=facts,
-    )  # fmt: skip
+        name=name,
+        counts=counts,
+        trajectory=trajectory(valid=valid),
+        statistics=statistics_table(table, SETTINGS),
+        by_range=by_range_table(table, SETTINGS),
+        distances=table,
+        facts=facts,
+    )
 
 
 def frames_of_images():

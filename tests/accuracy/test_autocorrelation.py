@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.reference_comparison import (
+from thalweg.accuracy.reference_comparison import (
     PERMUTATIONS,
     SIGNIFICANT,
     Cells,
@@ -99,9 +99,13 @@ def grid(rng: np.random.Generator, size: int = 12) -> Cells:
     x, y = (a.ravel().astype(float) for a in np.meshgrid(range(size), range(size)))
     n = rng.integers(10, 90, size**2)
     return Cells(
-        middle_m=np.stack([x, y, 0 * x], axis=1), mean_m=np.sin(x / 3) + 0.2 * rng.normal(size=size**2),
-        std_m=rng.uniform(0.5, 1.5, size**2), n=n, width_m=1.0, n_left_out=0,
-    )  # fmt: skip
+        middle_m=np.stack([x, y, 0 * x], axis=1),
+        mean_m=np.sin(x / 3) + 0.2 * rng.normal(size=size**2),
+        std_m=rng.uniform(0.5, 1.5, size**2),
+        n=n,
+        width_m=1.0,
+        n_left_out=0,
+    )
 
 
 def test_morans_i_is_its_formula(rng: np.random.Generator) -> None:

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import CoverageError
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg_lab.truth.bed_strip import compare_bed
+from thalweg.core import CoverageError
+from thalweg.core.geometry import TriangleMesh
+from thalweg_lab.truth import compare_bed
 
 
 def bed(slope: float = 0.2) -> TriangleMesh:
@@ -23,10 +23,16 @@ def points(
     """Points so many metres above the bed."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(1.0, 9.0, (2, len(height_m)))
-    return pd.DataFrame({
-        "file": [f"{k}.png" for k in line], "east_m": x, "north_m": y, "up_m": -slope * x + height_m,
-        "cov_uu_m2": sigma_m**2, "sigma_line_m": 0.0003,
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "file": [f"{k}.png" for k in line],
+            "east_m": x,
+            "north_m": y,
+            "up_m": -slope * x + height_m,
+            "cov_uu_m2": sigma_m**2,
+            "sigma_line_m": 0.0003,
+        }
+    )
 
 
 def test_heights_are_vertical_and_positive_above() -> None:

@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.registration import (
-    block_covariance,
-    share_within_blocks,
-    time_blocks,
-)
-from thalweg_lab.base.random import gauss_markov
+from thalweg.accuracy.registration import block_covariance, share_within_blocks, time_blocks
+from thalweg_lab.random_numbers import gauss_markov
 
 
 def test_it_is_the_spread_of_fits_without_one_block(rng: np.random.Generator) -> None:
@@ -22,10 +18,12 @@ def test_it_is_the_spread_of_fits_without_one_block(rng: np.random.Generator) ->
     found = block_covariance(design, rest, np.ones(n), t_gps_s=t, correlation_s=tau)
     number, length = time_blocks(t, tau)
     assert length == 2.0
-    changes = np.array([
-        np.linalg.lstsq(design[number != k], errors[number != k], rcond=None)[0] - whole
-        for k in range(number.max() + 1)
-    ])  # fmt: skip
+    changes = np.array(
+        [
+            np.linalg.lstsq(design[number != k], errors[number != k], rcond=None)[0] - whole
+            for k in range(number.max() + 1)
+        ]
+    )
     wanted = (len(changes) - 1) / len(changes) * changes.T @ changes / share_within_blocks(2.0, 1.0)
     np.testing.assert_allclose(found.cov, wanted, rtol=1e-9)
 

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from thalweg.core.calibration.model import Calibration, Source, lever_block, pose_block
-from thalweg.core.errors import InputError
-from thalweg.core.frames import rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg_lab.truth.calibration import compare_calibration
+from thalweg.core import InputError, Rigid, rotation_opk
+from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
+from thalweg_lab.truth import compare_calibration
 
 LIDAR = {"omega_deg": 0.3, "phi_deg": -89.6, "kappa_deg": 0.2, "lever_ics_m": [-0.345, 0.004, -0.257]}
 CAMERA = {"omega_deg": 90.4, "phi_deg": -0.2, "kappa_deg": 0.1, "lever_ics_m": [-0.251, -0.102, -0.176]}

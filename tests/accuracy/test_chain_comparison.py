@@ -9,42 +9,37 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.accuracy.chain_samples import T0, frames_of_images, three_chains, trajectory
 
-from thalweg.accuracy.cloud_to_mesh.comparison_tables import ALL, WITHOUT_OUTLIERS
-from thalweg.accuracy.solutions.comparison import (
+from thalweg.accuracy import (
+    ALL,
     COMMON,
-    PUBLISHED,
+    PUBLISHED_CROSSING_M,
     REFERENCE,
     SHOTS,
     TRAJECTORY,
+    WITHOUT_OUTLIERS,
     Chain,
+    chains_by_range as by_range_of,
     chains_of,
     chains_table,
+    crossing_of,
+    crossings_m,
     longest_gap_s,
+    range_facts,
     shared,
     valid_spans,
     value,
     within,
 )
-from thalweg.accuracy.solutions.ranges import (
-    PUBLISHED_CROSSING_M,
-    TIE,
-    chains_by_range,
-    crossing_of,
-    crossings_m,
-    range_facts,
-)
-from thalweg.budgets.budget_file import read_budget
-from thalweg.budgets.influences import totals_mm
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.rigid import Rigid
-from thalweg.core.trajectory import Trajectory
-from thalweg_lab.truth.solutions import (
-    COMMON_TIMES,
-    OWN_TIMES,
-    carried_by_camera,
-    chains_truth_table,
-    pose_errors,
-)
+from thalweg.accuracy.solutions import PUBLISHED, TIE
+from thalweg.budgets import read_budget, totals_mm
+from thalweg.core import CoverageError, InputError, Rigid, Trajectory
+from thalweg_lab.truth import OWN_TIMES, carried_by_camera, chains_truth_table
+from thalweg_lab.truth.solutions import COMMON_TIMES, pose_errors
+
+
+def chains_by_range(chains, *published):
+    """Of those chains that were compared with a reference."""
+    return by_range_of({c.name: c.by_range for c in chains if c.by_range is not None}, *published)
 
 
 @pytest.fixture
@@ -142,8 +137,13 @@ def test_spans():
     assert longest_gap_s(np.zeros((0, 2)), (0.0, 7.0)) == 7.0
     assert shared(spans, np.zeros((0, 2))).shape == (0, 2)
     assert within(np.array([[0.0, 1.0], [3.0, 4.0]]), np.array([-1.0, 0.0, 1.0, 2.0, 3.5, 5.0])).tolist() == [
-        False, True, True, False, True, False,
-    ]  # fmt: skip
+        False,
+        True,
+        True,
+        False,
+        True,
+        False,
+    ]
 
 
 # ---------------------------------------------------------------- by range
@@ -256,9 +256,10 @@ def test_honest_poses_are_found_honest(rng):
     truth = trajectory(sigma_m=1e-9, sigma_rad=1e-9)
     noise = rng.standard_normal((1001, 6)) * np.repeat([0.02, 1e-3], 3)
     paths = {
-        "ins": trajectory(error=noise), "camera": trajectory(error=2 * noise),
+        "ins": trajectory(error=noise),
+        "camera": trajectory(error=2 * noise),
         "fused": trajectory(error=noise / 2),
-    }  # fmt: skip
+    }
     table = chains_truth_table(paths, truth, correlation_s=0.02).set_index(["times", "quantity"])
     own = table.loc[OWN_TIMES]
     # 3003 values: 2.6 % of scatter, three sigmas
@@ -308,10 +309,13 @@ def test_the_mount_of_the_camera_is_no_error_of_its_poses():
     R_ics = R_ccs @ used.R.T
     centre = position + R @ true.shift_m
     by_camera = Trajectory(
-        frame=truth.frame, t_gps_s=truth.t_gps_s, position_wcs_m=centre - R_ics @ used.shift_m,
-        quaternion_wcs_ics=Rotation.from_matrix(R_ics).as_quat(), cov_pose_wcs=truth.cov_pose_wcs,
+        frame=truth.frame,
+        t_gps_s=truth.t_gps_s,
+        position_wcs_m=centre - R_ics @ used.shift_m,
+        quaternion_wcs_ics=Rotation.from_matrix(R_ics).as_quat(),
+        cov_pose_wcs=truth.cov_pose_wcs,
         valid=truth.valid,
-    )  # fmt: skip
+    )
     plain, _ = pose_errors(by_camera, truth, every)
     assert np.abs(plain[:, :3]).max() > 0.01
     carried, _ = pose_errors(by_camera, truth, every, carried_by_camera(true, used))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.accuracy.chain_samples import T0, frames_of_images, trajectory
 
-from thalweg.accuracy.solutions.outages import outage_table
+from thalweg.accuracy import outage_table
 
 
 def test_sigmas_and_shares_are_those_of_the_poses_inside() -> None:
@@ -36,7 +36,14 @@ def test_sigmas_and_shares_are_those_of_the_poses_inside() -> None:
 def test_no_outage_gives_an_empty_table_with_its_columns() -> None:
     found = outage_table([], {"ins": trajectory(), "fused": trajectory()})
     assert list(found.columns) == [
-        "without", "begin_gps_s", "length_s", "ins_share", "ins_sigma_m", "ins_most_m", "fused_share",
-        "fused_sigma_m", "fused_most_m",
-    ]  # fmt: skip
+        "without",
+        "begin_gps_s",
+        "length_s",
+        "ins_share",
+        "ins_sigma_m",
+        "ins_most_m",
+        "fused_share",
+        "fused_sigma_m",
+        "fused_most_m",
+    ]
     assert found.empty

@@ -9,19 +9,17 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.comparison import (
+from thalweg.accuracy import (
     CLOUD_TO_MESH,
     ComparisonSettings,
-    _Sample,
     after_motion,
     compare_with_mesh,
     normalised_distances,
     predicted_sigma_m,
 )
-from thalweg.core.errors import InputError
-from thalweg.core.tables import read_table, write_table
-from thalweg.surface.area import Area
-from thalweg.surface.cloud_to_mesh import Surface
+from thalweg.accuracy.comparison import _Sample
+from thalweg.core import InputError, read_table, write_table
+from thalweg.surface import Area, Surface
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
 bank = importlib.util.module_from_spec(_spec)
@@ -29,9 +27,14 @@ _spec.loader.exec_module(bank)
 
 SETTINGS = ComparisonSettings(reference_sigma_m=0.004)
 ADDITIVE = (
-    "outside_area", "far_from_reference", "not_in_sample", "beyond_max_distance", "left_out_at_border",
-    "without_normal", "compared",
-)  # fmt: skip
+    "outside_area",
+    "far_from_reference",
+    "not_in_sample",
+    "beyond_max_distance",
+    "left_out_at_border",
+    "without_normal",
+    "compared",
+)
 
 
 def cloud_of(tmp_path: Path, xyz: np.ndarray, **more) -> Path:
@@ -101,9 +104,12 @@ def test_outliers_are_judged_by_their_own_sigmas(tmp_path: Path, rng: np.random.
     out[bush] += 0.2  # 8 sigma of its own and more, but one of the points at 75 m
     sigmas = tuple(np.broadcast_to(sigma, (3, n)))
     path = cloud_of(
-        tmp_path, bank.on_bank(rng, n) + out[:, None] * bank.OUT, range_m=range_m, sigmas=sigmas,
+        tmp_path,
+        bank.on_bank(rng, n) + out[:, None] * bank.OUT,
+        range_m=range_m,
+        sigmas=sigmas,
         correlations=(0.0, 0.0, 0.0),
-    )  # fmt: skip
+    )
     settings = ComparisonSettings(reference_sigma_m=0.0)
     table, facts = compare_with_mesh(path, bank.bank_mesh(sigma_m=0.0), area=Area(), settings=settings)
     assert table["used"].all()

@@ -4,21 +4,24 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH, ComparisonSettings
-from thalweg.accuracy.cloud_to_mesh.comparison_tables import (
+from thalweg.accuracy import (
     ALL,
-    BY_RANGE_COLUMNS,
+    CLOUD_TO_MESH,
     REGISTERED,
-    STATISTICS_COLUMNS,
     WITHOUT_OUTLIERS,
+    ComparisonSettings,
     by_range_table,
     classes_in_words,
+)
+from thalweg.accuracy.comparison_tables import (
+    BY_RANGE_COLUMNS,
+    STATISTICS_COLUMNS,
     parts_in_words,
     statistics_table,
     verdicts,
 )
-from thalweg.core.tables import frame_of
-from thalweg_lab.base.random import gauss_markov
+from thalweg.core import frame_of
+from thalweg_lab.random_numbers import gauss_markov
 
 TAU_S = 2.0
 SETTINGS = ComparisonSettings(correlation_s=TAU_S, reference_sigma_m=0.0)
@@ -34,11 +37,22 @@ def survey(
     sigma = 0.002 * range_m
     error = factor * sigma * gauss_markov(rng, n, 0.1, 1.0, TAU_S)
     given = {
-        "t_gps_s": t, "east_m": t, "north_m": t * 0, "up_m": t * 0, "range_m": range_m, "distance_m": error,
-        "normal_east": t * 0, "normal_north": t * 0, "normal_up": t * 0 + 1, "sigma_normal_m": sigma,
-        "sigma_reference_m": t * 0, "sigma_3d_m": sigma * np.sqrt(3.0), "at_border": t < 0, "used": t >= 0,
+        "t_gps_s": t,
+        "east_m": t,
+        "north_m": t * 0,
+        "up_m": t * 0,
+        "range_m": range_m,
+        "distance_m": error,
+        "normal_east": t * 0,
+        "normal_north": t * 0,
+        "normal_up": t * 0 + 1,
+        "sigma_normal_m": sigma,
+        "sigma_reference_m": t * 0,
+        "sigma_3d_m": sigma * np.sqrt(3.0),
+        "at_border": t < 0,
+        "used": t >= 0,
         "outlier": t < 0,
-    } | columns  # fmt: skip
+    } | columns
     return frame_of(CLOUD_TO_MESH, given)
 
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from thalweg.settings.twin.sections import TwinConfig
+from thalweg.settings.twin import TwinConfig
 from thalweg_lab.studies.survey import BARE
-from thalweg_lab.studies.trials import MISTAKES, NONE, Trial, Verdict, trials, verdict
+from thalweg_lab.studies.trials import MISTAKES, NONE, Trial, Verdict, trial, verdict
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,5 @@ def test_on_the_whole_river_too(tmp_path: Path) -> None:
         "ins": {"attitude_time_s": 0.5},
         "gnss": {"correlation_time_s": 0.5},
     }
-    found = verdict(
-        [survey.in_3d[NONE.name] for survey in trials(range(60), tmp_path, twin=twin, mesh=False)]
-    )
+    found = verdict([trial(seed, tmp_path, twin=twin, mesh=False).in_3d[NONE.name] for seed in range(60)])
     assert found.honest, found

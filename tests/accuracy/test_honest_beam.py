@@ -22,8 +22,11 @@ TWIN: dict[str, Any] = {
     "lidar": {"mirror_ghosts": False},
 }
 LIDAR = MOUNTS["lidar"] | {
-    "sigma_omega_deg": 0.001, "sigma_phi_deg": 0.001, "sigma_kappa_deg": 0.001, "sigma_lever_m": (1e-4,) * 3,
-}  # fmt: skip
+    "sigma_omega_deg": 0.001,
+    "sigma_phi_deg": 0.001,
+    "sigma_kappa_deg": 0.001,
+    "sigma_lever_m": (1e-4,) * 3,
+}
 FAR_M = 25.0
 
 

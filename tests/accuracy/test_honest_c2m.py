@@ -7,15 +7,7 @@ meshed. It errs anew with each seed; its stations by 5 mm, as section ``referenc
 import numpy as np
 import pytest
 
-from thalweg_lab.studies.trials import (
-    MISTAKES,
-    NONE,
-    QUANTITIES,
-    Trial,
-    Verdict,
-    honesty_tables,
-    verdict,
-)
+from thalweg_lab.studies.trials import MISTAKES, NONE, QUANTITIES, Trial, Verdict, honesty_tables, verdict
 
 
 @pytest.fixture(scope="module")

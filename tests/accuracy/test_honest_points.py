@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.independent import independent_squares
-from thalweg.accuracy.cloud_to_mesh.statistics import chi_square_band
-from thalweg.settings.twin.sections import TwinConfig
+from thalweg.accuracy import chi_square_band, independent_squares
+from thalweg.settings.twin import TwinConfig
 from thalweg_lab.studies.survey import BARE, process, record, survey_settings
-from thalweg_lab.truth.errors import PointErrors
+from thalweg_lab.truth import PointErrors
 
 SEEDS = 24
 DURATION_S, CORRELATION_S = 4.0, 0.5

@@ -3,15 +3,10 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.independent import (
-    correlated_sum,
-    independent_means,
-    independent_squares,
-    observed_correlation_s,
-)
-from thalweg.accuracy.cloud_to_mesh.statistics import chi_square_band
-from thalweg_lab.base.random import gauss_markov
-from thalweg_lab.truth.errors import PointErrors
+from thalweg.accuracy import chi_square_band, independent_squares
+from thalweg.accuracy.comparison_tables import correlated_sum, independent_means, observed_correlation_s
+from thalweg_lab.random_numbers import gauss_markov
+from thalweg_lab.truth import PointErrors
 
 TAU_S = 20.0
 

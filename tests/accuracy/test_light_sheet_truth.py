@@ -9,20 +9,22 @@ import pytest
 from scipy.stats import chi2
 from tests.lightsheet.basin import Jobs, recorded
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import rotation_y, rotation_z
-from thalweg.core.rigid import opk_of
-from thalweg.core.types import ArrayF
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.sensor import FLIP, PARAMETERS, Sensor, paper_3, paper_4
-from thalweg_lab.truth.light_sheet import COLUMNS, aligned, compare_sensor, turned_in_its_plane
+from thalweg.core import ArrayF, GeometryError, opk_of, rotation_y, rotation_z
+from thalweg.lightsheet.optics import FLIP, PARAMETERS, Sensor, intersect, paper_3, paper_4
+from thalweg_lab.truth import compare_sensor
+from thalweg_lab.truth.calibration import LIGHT_SHEET_COLUMNS, aligned, turned_in_its_plane
 
 SEEDS = range(200, 210)
 
 SIGMA = {
-    "camera_z_mm": 0.05, "camera_omega_rad": 3e-4, "fx": 0.3, "laser_y_mm": 0.1, "laser_kappa_rad": 2e-4,
-    "glass_mm": 0.05, "n_water": 1e-3,
-}  # fmt: skip
+    "camera_z_mm": 0.05,
+    "camera_omega_rad": 3e-4,
+    "fx": 0.3,
+    "laser_y_mm": 0.1,
+    "laser_kappa_rad": 2e-4,
+    "glass_mm": 0.05,
+    "n_water": 1e-3,
+}
 
 
 def known(sensor: Sensor) -> Sensor:
@@ -68,7 +70,7 @@ def test_turning_the_true_sensor_about_z_changes_nothing(angle_deg: float) -> No
 
 def test_a_sensor_compared_with_itself_has_no_error() -> None:
     table = compare_sensor(known(paper_4()), moved(paper_4(), 1.0, (5.0, 5.0)))
-    assert tuple(table.columns) == COLUMNS
+    assert tuple(table.columns) == LIGHT_SHEET_COLUMNS
     # the solver of the depths stops at 1e-9 mm
     assert table["estimated_minus_true"].abs().max() < 1e-6
 
@@ -176,8 +178,11 @@ def test_depths_are_beside_what_their_covariance_predicts() -> None:
     table = compare_sensor(found.with_vector(found.vector(), cov=cov), truth)
     depths = table[table["what"].str.startswith("depth")]
     assert depths["what"].tolist() == [
-        "depth 30 to 80 mm", "depth 80 to 130 mm", "depth 130 to 180 mm", "depth 180 to 230 mm",
-    ]  # fmt: skip
+        "depth 30 to 80 mm",
+        "depth 80 to 130 mm",
+        "depth 130 to 180 mm",
+        "depth 180 to 230 mm",
+    ]
     # first order of a step of 2e-4
     np.testing.assert_allclose(depths["normalised"], 2.0, rtol=1e-3)
     assert (depths["n"] > 500).all()

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings, compare_with_mesh
-from thalweg.accuracy.cloud_to_mesh.overlap_check import Reach, check_frames
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.las.files import write_laz
-from thalweg.surface.area import Area
+from thalweg.accuracy import ComparisonSettings, check_frames, compare_with_mesh
+from thalweg.accuracy.comparison import Reach
+from thalweg.core import CoverageError, InputError
+from thalweg.core.las import write_laz
+from thalweg.surface import Area
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
 bank = importlib.util.module_from_spec(_spec)
@@ -38,8 +38,7 @@ def message(tmp_path: Path, xyz, error, *, area: Area | None = None, **settings)
 
 
 @pytest.mark.parametrize(
-    ("offset", "words"),
-    [(46.3, "46.3 m above the reference"), (-46.3, "46.3 m below the reference")],
+    ("offset", "words"), [(46.3, "46.3 m above the reference"), (-46.3, "46.3 m below the reference")]
 )
 @pytest.mark.parametrize("max_distance_m", [2.0, 100.0])
 def test_another_height_system(tmp_path: Path, rng, offset: float, words: str, max_distance_m: float) -> None:
@@ -49,18 +48,26 @@ def test_another_height_system(tmp_path: Path, rng, offset: float, words: str, m
     lower = "reference" if offset > 0 else "cloud"
     higher = "cloud" if offset > 0 else "reference"
     for word in (
-        words, "Geoid?", "35 to 50 m in Germany", "ellipsoidal heights", "Where it is negative (India",
-        f"the lower ones: here those of the {lower}", f"the higher ones: here those of the {higher}",
-    ):  # fmt: skip
+        words,
+        "Geoid?",
+        "35 to 50 m in Germany",
+        "ellipsoidal heights",
+        "Where it is negative (India",
+        f"the lower ones: here those of the {lower}",
+        f"the higher ones: here those of the {higher}",
+    ):
         assert word in text
 
 
 def test_a_cloud_of_another_crs_or_origin(tmp_path: Path, rng) -> None:
     text = message(tmp_path, moved(bank.on_bank(rng, 1000), 377_000.0, 5_656_000.0, 0.0), InputError)
     for word in (
-        "do not overlap in plan", "the cloud lies at east 376,", "the reference at east -20.0 to 20.0 m",
-        "5,668.5 km apart", "Another CRS or origin? Compare campaign.crs and campaign.origin",
-    ):  # fmt: skip
+        "do not overlap in plan",
+        "the cloud lies at east 376,",
+        "the reference at east -20.0 to 20.0 m",
+        "5,668.5 km apart",
+        "Another CRS or origin? Compare campaign.crs and campaign.origin",
+    ):
         assert word in text
     assert "70.5 m apart" in message(tmp_path, moved(bank.on_bank(rng, 1000), 110.0, 0.0, 0.0), InputError)
 
@@ -75,7 +82,7 @@ def test_a_cloud_of_another_crs_or_origin(tmp_path: Path, rng) -> None:
         (square_at(0.0, 5.0), ["the area is 1", "away from it"]),
     ],
     ids=["elsewhere", "map coordinates", "too high", "heights of the other frame", "beside"],
-)  # fmt: skip
+)
 def test_an_area_without_points(tmp_path: Path, rng, area: Area, words: list[str]) -> None:
     text = message(tmp_path, bank.on_bank(rng, 2000), CoverageError, area=area)
     for word in (

@@ -8,12 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH, ComparisonSettings
-from thalweg.accuracy.cloud_to_mesh.reference_comparison import compare_with_reference
-from thalweg.core.geometry.mesh_ply import write_mesh
-from thalweg.core.tables import read_table
-from thalweg.settings.sections.accuracy import Accuracy, Reference
-from thalweg.surface.area import Area
+from thalweg.accuracy import CLOUD_TO_MESH, ComparisonSettings, compare_with_reference
+from thalweg.core import read_table
+from thalweg.core.geometry import write_mesh
+from thalweg.settings.sections import Accuracy, ReferenceSettings
+from thalweg.surface import Area
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
 bank = importlib.util.module_from_spec(_spec)
@@ -88,17 +87,19 @@ def test_the_entry_script_writes_all_files(tmp_path: Path, rng, repository: Path
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     write_mesh(tmp_path / "mesh.ply", bank.bank_mesh(), bank.FRAME, {})
-    accuracy = Accuracy(area={"min_height_m": 0.5}).model_dump(mode="json")
     names = ("cloud_to_mesh.parquet", "statistics.csv", "by_range.csv", "spatial.csv", "registration.json")
     outputs = {Path(name).stem: tmp_path / name for name in names}
     error_model = tmp_path / "error_model.json"
     error_model.write_text(json.dumps({"correlation_s": 7.5}))
     script.main(
         error_model=error_model,
-        points=cloud(tmp_path, rng), mesh=tmp_path / "mesh.ply", **outputs,
-        campaign={"crs": "EPSG:25833", "seed": 3}, accuracy=accuracy,
-        reference=Reference().model_dump(mode="json"),
-    )  # fmt: skip
+        points=cloud(tmp_path, rng),
+        mesh=tmp_path / "mesh.ply",
+        **outputs,
+        campaign={"crs": "EPSG:25833", "seed": 3},
+        accuracy=Accuracy(area={"min_height_m": 0.5}),
+        reference=ReferenceSettings(),
+    )
     table, facts = read_table(outputs["cloud_to_mesh"], CLOUD_TO_MESH)
     assert facts["area"] == "height from 0.5 m"
     assert facts["seed"] == 3

@@ -10,22 +10,13 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.accuracy.cloud_to_mesh import registration
-from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings, after_motion
-from thalweg.accuracy.cloud_to_mesh.reference_comparison import registration_facts
-from thalweg.accuracy.cloud_to_mesh.registration import (
-    LEAST_VISIBLE,
-    TUKEY,
-    Motion,
-    register,
-    share_within_blocks,
-    visible_motions,
-)
-from thalweg.accuracy.cloud_to_mesh.statistics import chi_square_band
-from thalweg.core.errors import GeometryError
-from thalweg.core.geometry.raycast import _open3d
-from thalweg.surface.cloud_to_mesh import Distances, Surface
-from thalweg_lab.base.random import gauss_markov, generator
+from thalweg.accuracy import ComparisonSettings, after_motion, chi_square_band, register, registration
+from thalweg.accuracy.reference_comparison import registration_facts
+from thalweg.accuracy.registration import LEAST_VISIBLE, TUKEY, Motion, share_within_blocks, visible_motions
+from thalweg.core import GeometryError
+from thalweg.core.geometry import _open3d
+from thalweg.surface import Distances, Surface
+from thalweg_lab.random_numbers import gauss_markov, generator
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))
 bank = importlib.util.module_from_spec(_spec)
@@ -49,10 +40,14 @@ def plane() -> Surface:
 def table_of(xyz: np.ndarray, surface: Surface, t: np.ndarray | None = None) -> pd.DataFrame:
     n = len(xyz)
     small = np.full(n, 0.03)
-    measured = pd.DataFrame({
-        "t_gps_s": np.linspace(0.0, 1e7, n) if t is None else t, "range_m": np.full(n, 20.0),
-        "sigma_normal_m": small, "sigma_3d_m": small,
-    })  # fmt: skip
+    measured = pd.DataFrame(
+        {
+            "t_gps_s": np.linspace(0.0, 1e7, n) if t is None else t,
+            "range_m": np.full(n, 20.0),
+            "sigma_normal_m": small,
+            "sigma_3d_m": small,
+        }
+    )
     return after_motion(measured, xyz, surface, SETTINGS)
 
 
@@ -139,8 +134,9 @@ def test_noise_of_the_reference_does_not_feign_relief(rng) -> None:
     mesh = bank.bank_mesh(20.0, 6.0, step_m=0.05)
     noisy = type(mesh)(
         vertices_m=mesh.vertices_m + 0.005 * rng.normal(size=(len(mesh.vertices_m), 1)) * bank.OUT,
-        faces=mesh.faces, sigma_m=mesh.sigma_m,
-    )  # fmt: skip
+        faces=mesh.faces,
+        sigma_m=mesh.sigma_m,
+    )
     surface = Surface(noisy)
     normals = noisy.face_normals()
     assert np.sqrt(np.mean((normals @ bank.EAST) ** 2)) > LEAST_VISIBLE
@@ -155,10 +151,13 @@ class Plane:
         n = len(points_m)
         distance = (points_m - bank.CORNER) @ bank.OUT
         return Distances(
-            distance_m=distance, nearest_m=points_m - distance[:, None] * bank.OUT,
-            normal=np.broadcast_to(bank.OUT, (n, 3)), face=np.zeros(n, dtype=np.int64),
-            at_border=np.zeros(n, dtype=bool), sigma_m=np.zeros(n),
-        )  # fmt: skip
+            distance_m=distance,
+            nearest_m=points_m - distance[:, None] * bank.OUT,
+            normal=np.broadcast_to(bank.OUT, (n, 3)),
+            face=np.zeros(n, dtype=np.int64),
+            at_border=np.zeros(n, dtype=bool),
+            sigma_m=np.zeros(n),
+        )
 
 
 TAU_S = 5.0
@@ -260,9 +259,13 @@ def test_open3d_finds_the_same(rough: Surface, rng) -> None:
     start = np.eye(4)
     start[:3, 3] = [0.03, -0.02, 0.04]  # its scale is fixed: it needs a start within it
     result = icp.registration_icp(
-        source, target, 2.0, start, icp.TransformationEstimationPointToPlane(loss),
+        source,
+        target,
+        2.0,
+        start,
+        icp.TransformationEstimationPointToPlane(loss),
         icp.ICPConvergenceCriteria(relative_fitness=1e-10, relative_rmse=1e-10, max_iteration=100),
-    )  # fmt: skip
+    )
     T = np.asarray(result.transformation)
     # Open3D pairs with vertices up to 3 cm aside, whose tangential planes leave the waves by millimetres
     assert worst(mine.motion, noisy, noisy @ T[:3, :3].T + T[:3, 3]) < 0.003

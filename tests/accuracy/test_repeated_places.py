@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.reference_comparison import dependency_in_words, local_dependency
-from thalweg.accuracy.cloud_to_mesh.repeated_places import (
+from thalweg.accuracy.reference_comparison import (
     LEAST_CELLS,
     _visits,
+    dependency_in_words,
     independent_cells,
+    local_dependency,
     repeated_places,
 )
-from thalweg.core.cells import cell_numbers
-from thalweg_lab.base.random import gauss_markov, generator
+from thalweg.core.geometry import cell_numbers
+from thalweg_lab.random_numbers import gauss_markov, generator
 
 TAU_S = 2.0
 
@@ -61,10 +62,10 @@ def test_offsets_of_places_come_back_with_their_size() -> None:
     assert max(f.p for f in found) < 0.001
 
 
-@pytest.mark.parametrize(("offset_m", "wanted"), [
-    (0.0, "it is not shown that it is the place"),
-    (0.03, "it is the place, at least in part"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("offset_m", "wanted"),
+    [(0.0, "it is not shown that it is the place"), (0.03, "it is the place, at least in part")],
+)
 def test_the_words_say_which(offset_m: float, wanted: str) -> None:
     places, error, t = two_passes(generator(6, "words"), offset_m=offset_m, pose_m=0.1)
     words = dependency_in_words(local_dependency(places, error, seed=1, t_gps_s=t, correlation_s=TAU_S))
@@ -100,9 +101,12 @@ def test_independent_cells_of_known_maps(rng: np.random.Generator) -> None:
     for _ in range(20):
         white = rng.normal(size=(2, 576))
         blocks = rng.normal(size=(2, 6, 6)).repeat(4, axis=1).repeat(4, axis=2).reshape(2, 576)
-        found.append([
-            independent_cells(middle, *(m - m.mean() for m in maps), class_m=2.0) for maps in (white, blocks)
-        ])  # fmt: skip
+        found.append(
+            [
+                independent_cells(middle, *(m - m.mean() for m in maps), class_m=2.0)
+                for maps in (white, blocks)
+            ]
+        )
     white_cells, block_cells = np.mean(found, axis=0)
     assert white_cells > 400
     # blocks of 4 by 4 cells: correlation (1 - dx / 4) (1 - dy / 4), the sum of its squares is 2.75^2

@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.independent import independent_squares
-from thalweg.accuracy.cloud_to_mesh.statistics import (
-    NORMAL_SHARES,
+from thalweg.accuracy import (
     by_range_class,
     chi_square_band,
     describe_errors,
+    honesty_in_words,
+    independent_squares,
+)
+from thalweg.accuracy.statistics import (
+    NORMAL_SHARES,
     describe_shape,
     fit_in_words,
-    honesty_in_words,
     outlier_limits,
     ratio_band,
 )

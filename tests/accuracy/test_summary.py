@@ -6,9 +6,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.summary import COLUMNS, summary_lines, summary_table
-from thalweg.clocks.streams.streams import stream_table
-from thalweg.ingest.integrity import IntegrityReport
+from thalweg.accuracy import summary_lines, summary_table
+from thalweg.accuracy.summary import COLUMNS
+from thalweg.clocks import stream_table
+from thalweg.ingest import IntegrityReport
 from thalweg.lidar.filters import reason_table
 
 TRUTH = """\
@@ -51,10 +52,15 @@ with registration,without outliers,rmse,0.8,m
 def files(tmp_path: Path) -> dict[str, Path]:
     """Tables as the rules before `summarise` leave them."""
     lidar = IntegrityReport(
-        stream="lidar", format="pcap", files=["lidar.pcap"], time_scale="utc", synchronised=True,
-        t_first_s=300_000_000.0, t_last_s=300_000_025.5,
+        stream="lidar",
+        format="pcap",
+        files=["lidar.pcap"],
+        time_scale="utc",
+        synchronised=True,
+        t_first_s=300_000_000.0,
+        t_last_s=300_000_025.5,
         losses={"packets_missing": 7, "bytes_outside_packets": 1206},
-    )  # fmt: skip
+    )
     depth = IntegrityReport(stream="depth", format="nmea", files=["echo.nmea"], time_scale="none")
     paths = {
         "streams": tmp_path / "streams.csv",
@@ -178,9 +184,12 @@ def test_lines_are_aligned_and_numbers_readable() -> None:
 
 def test_every_quantity_fits_its_column(files: dict[str, Path]) -> None:
     table = summary_table(
-        files["streams"], files["trajectory"], files["counts"],
-        reference=files["reference"], truth=files["truth"],
-    )  # fmt: skip
+        files["streams"],
+        files["trajectory"],
+        files["counts"],
+        reference=files["reference"],
+        truth=files["truth"],
+    )
     values(table)  # no quantity stands twice
     assert table["quantity"].str.len().max() <= 52
     lines = summary_lines(table[table["value"].notna()])

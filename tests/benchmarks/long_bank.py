@@ -14,9 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.timescales import gps_from_unix
-from thalweg.core.trajectory import Trajectory
+from thalweg.core import LocalFrame, Trajectory, gps_from_unix
 
 _builder = Path(__file__).parents[1] / "ingest" / "test_velodyne_log.py"
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)

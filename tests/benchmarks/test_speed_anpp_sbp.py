@@ -16,11 +16,9 @@ from advanced_navigation.anpp_packets.an_packet_protocol import ANDecoder
 from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
-from thalweg.ingest.anpp.frames import find_anpp
-from thalweg.ingest.anpp.reader import read_anpp
-from thalweg.ingest.framing.stream import StreamTally, read_packets
-from thalweg.ingest.sbp.frames import find_sbp
-from thalweg.ingest.sbp.reader import read_sbp
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.framing import StreamTally, find_anpp, find_sbp, read_packets
+from thalweg.ingest.sbp import read_sbp
 
 pytestmark = pytest.mark.slow
 

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.mesh_ply import write_mesh
-from thalweg.surface.cloud_to_mesh import Surface
+from thalweg.core import LocalFrame
+from thalweg.core.geometry import write_mesh
+from thalweg.surface import Surface
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +41,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from thalweg.surface.cloud_to_mesh import Surface
-from thalweg.core.geometry.mesh_ply import read_mesh
+from thalweg.core.geometry.mesh import read_mesh
 np.save("ours.npy", Surface(read_mesh(Path("ours.ply"))[0]).distances(np.load("points.npy")).distance_m)
 """
 OPEN3D = """
@@ -115,10 +115,9 @@ def test_cloud_to_mesh_beside_other_programs(tmp_path: Path, capsys: pytest.Capt
             took[name].append(run(tmp_path, command))
     took["trimesh"] = [run(tmp_path, [*python, TRIMESH])]  # once: it takes its time
     wall = {name: float(np.median([seconds for seconds, _ in runs])) for name, runs in took.items()}
-    inside = turns.in_turns({
-        "build": lambda: Surface(bank.mesh),
-        "both": lambda: Surface(bank.mesh).distances(points),
-    })  # fmt: skip
+    inside = turns.in_turns(
+        {"build": lambda: Surface(bank.mesh), "both": lambda: Surface(bank.mesh).distances(points)}
+    )
 
     ours = np.load(tmp_path / "ours.npy")
     size = f"{len(points):,} points, {len(bank.mesh.faces):,} faces"

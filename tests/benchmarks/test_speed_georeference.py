@@ -13,11 +13,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.trajectory import Trajectory
-from thalweg.lidar.covariance import BeamErrors, point_covariance, point_jacobian
-from thalweg.lidar.georeference import WorldPoints, georeference_points
-from thalweg.lidar.mount import Mount
+from thalweg.core import LocalFrame, Trajectory
+from thalweg.lidar import Mount, georeference_points
+from thalweg.lidar.georeference import WorldPoints, point_covariance, point_jacobian
+from thalweg.settings.sections import LidarAccuracy
 
 pytestmark = pytest.mark.slow
 
@@ -40,8 +39,8 @@ MOUNT = Mount(
     lever_ics_m=np.array([-0.35, 0.0, -0.25]),
     cov_ics=np.diag(np.array([3e-4, 2e-4, 1e-4, 5e-4, 2e-4, 1e-4]) ** 2),
 )
-BEAM = BeamErrors(
-    sigma_component_m=0.0173, divergence_rad=3e-3, footprint_share=0.177, sigma_weak_m=0.03, sigma_time_s=1e-6
+BEAM = LidarAccuracy(
+    sigma_component_m=0.0173, divergence_mrad=3.0, footprint_share=0.177, sigma_weak_m=0.03, sigma_time_s=1e-6
 )
 
 
@@ -158,9 +157,14 @@ def copied_pose(shots: Shots) -> None:
 def copied_covariance(shots: Shots) -> None:
     n = len(shots)
     copy_covariance(
-        shots.xyz, shots.t, shots.range, shots.reflectivity,
-        np.empty((n, 3)), np.empty(n, np.bool_), np.empty((n, 6), np.float32),
-    )  # fmt: skip
+        shots.xyz,
+        shots.t,
+        shots.range,
+        shots.reflectivity,
+        np.empty((n, 3)),
+        np.empty(n, np.bool_),
+        np.empty((n, 6), np.float32),
+    )
 
 
 def with_covariance(shots: Shots, boat: Trajectory) -> WorldPoints:
@@ -179,11 +183,13 @@ def test_pose_beside_scipy(capsys: pytest.CaptureFixture[str]) -> None:
         "chunks": lambda: scipy_chunks(shots, trajectory),
         "chunks, cubic positions": lambda: scipy_chunks(shots, trajectory, cubic=True),
     }
-    took = turns.in_turns({
-        "own": lambda: georeference_points(shots.xyz, shots.t, trajectory, MOUNT),
-        "copy": lambda: copied_pose(shots),
-        **peers,
-    })  # fmt: skip
+    took = turns.in_turns(
+        {
+            "own": lambda: georeference_points(shots.xyz, shots.t, trajectory, MOUNT),
+            "copy": lambda: copied_pose(shots),
+            **peers,
+        }
+    )
     beside = ", ".join(
         f"{name} {turns.millions(n, took[name])} (ratio {took[name] / took['own']:.0f})" for name in peers
     )
@@ -208,12 +214,14 @@ def test_covariance_beside_numpy(capsys: pytest.CaptureFixture[str]) -> None:
     n, trajectory = len(shots), boat(len(shots) / SHOTS_HZ)
     own = with_covariance(few, trajectory)
     copied_covariance(shots)
-    took = turns.in_turns({
-        "own": lambda: with_covariance(shots, trajectory),
-        "pose": lambda: georeference_points(shots.xyz, shots.t, trajectory, MOUNT),
-        "copy": lambda: copied_covariance(shots),
-        "numpy": lambda: numpy_covariance(few, trajectory),
-    })  # fmt: skip
+    took = turns.in_turns(
+        {
+            "own": lambda: with_covariance(shots, trajectory),
+            "pose": lambda: georeference_points(shots.xyz, shots.t, trajectory, MOUNT),
+            "copy": lambda: copied_covariance(shots),
+            "numpy": lambda: numpy_covariance(few, trajectory),
+        }
+    )
     ratio = took["numpy"] / len(few) / (took["own"] / n)
     with capsys.disabled():
         print(

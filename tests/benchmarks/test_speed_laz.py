@@ -7,9 +7,9 @@ import laspy
 import numpy as np
 import pytest
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.files import LazWriter, iter_laz
-from thalweg.lidar.cloud import EXTRA_DIMENSIONS, SIGMAS
+from thalweg.core import LazWriter, LocalFrame, iter_laz
+from thalweg.lidar import SIGMAS
+from thalweg.lidar.cloud import EXTRA_DIMENSIONS
 
 
 def beside(name):
@@ -68,14 +68,18 @@ def with_laspy(path: Path, columns: dict[str, np.ndarray]) -> None:
     """As its documentation does it; the default backend is that of `LazWriter` too."""
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
-    header.add_extra_dims([
-        laspy.ExtraBytesParams(
-            name, np.dtype(spec[0]), spec[1],
-            scales=np.array([spec[2]]) if len(spec) == 3 else None,
-            offsets=np.zeros(1) if len(spec) == 3 else None,
-        )
-        for name, spec in EXTRA_DIMENSIONS.items()
-    ])  # fmt: skip
+    header.add_extra_dims(
+        [
+            laspy.ExtraBytesParams(
+                name,
+                np.dtype(spec[0]),
+                spec[1],
+                scales=np.array([spec[2]]) if len(spec) == 3 else None,
+                offsets=np.zeros(1) if len(spec) == 3 else None,
+            )
+            for name, spec in EXTRA_DIMENSIONS.items()
+        ]
+    )
     with laspy.open(path, mode="w", header=header) as writer:
         for start in range(0, len(columns["x"]), CHUNK):
             c = {name: values[start : start + CHUNK] for name, values in columns.items()}
@@ -115,10 +119,14 @@ def test_laz_beside_plain_laspy(tmp_path: Path, capsys: pytest.CaptureFixture[st
         {"own": lambda: with_thalweg(own, columns), "plain": lambda: with_laspy(plain, columns)}
     )
     names = (*next(iter_laz(own, 10)),)[1:]
-    took |= turns.in_turns({
-        "read own": lambda: read_with_thalweg(own),
-        "read plain": lambda: read_with_laspy(plain, tuple({"t_gps_s": "gps_time"}.get(k, k) for k in names)),
-    })  # fmt: skip
+    took |= turns.in_turns(
+        {
+            "read own": lambda: read_with_thalweg(own),
+            "read plain": lambda: read_with_laspy(
+                plain, tuple({"t_gps_s": "gps_time"}.get(k, k) for k in names)
+            ),
+        }
+    )
     bytes_own, bytes_plain = own.stat().st_size, plain.stat().st_size
     with capsys.disabled():
         print(

@@ -9,11 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.intersection_paper import intersect_by_halving
-from thalweg.lightsheet.optics.lookup import look_up_table
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import paper_4
+from thalweg.lightsheet.optics import intersect, intersect_by_halving, look_up_table, paper_4, project
 
 pytestmark = pytest.mark.slow
 
@@ -88,8 +84,10 @@ def test_millions_of_points_a_second() -> None:
     for name, rate in rates.items():
         print(f"{name:14s} {rate / 1e6:9.4f} million points a second of processor time")
     built_ms = 1e3 * seconds(lambda: look_up_table(sensor))
-    print(f"table: {table.values.nbytes / 1e6:.2f} MB, {built_ms:.1f} ms; largest error "
-          f"{np.nanmax(np.abs(quick.xyz_lcs_mm - found.xyz_lcs_mm)):.1e} mm")  # fmt: skip
+    print(
+        f"table: {table.values.nbytes / 1e6:.2f} MB, {built_ms:.1f} ms; largest error "
+        f"{np.nanmax(np.abs(quick.xyz_lcs_mm - found.xyz_lcs_mm)):.1e} mm"
+    )
     assert np.array_equal(found.status, quick.status)
     reference = plain_loop(sensor, some)
     good = np.isfinite(reference)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.las.files import iter_laz, laz_header
-from thalweg.settings.files.load import load_campaign
+from thalweg.core import iter_laz, laz_header
+from thalweg.settings.load import load_campaign
 
 
 def beside(name):
@@ -28,10 +28,12 @@ PROBE = """
 import json, resource, sys, time
 from pathlib import Path
 from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.velodyne.reader import LidarOptions, scan_lidar
+from thalweg.ingest.readers import LidarOptions
+from thalweg.ingest.registry.lidar import lidar_reader
+from thalweg.ingest.velodyne.reader import scan_lidar
 from thalweg.lidar.cloud import LogSettings, georeference_log
-from thalweg.lidar.covariance import BeamErrors
-from thalweg.lidar.filters import FilterSettings
+from thalweg.settings.sections.lidar import LidarAccuracy
+from thalweg.settings.sections.lidar import Filters
 from thalweg.lidar.mount import Mount
 
 def peak_bytes():
@@ -46,15 +48,15 @@ campaign = json.loads((folder / "campaign.json").read_text())
 options = LidarOptions(**campaign["lidar"])
 settings = LogSettings(
     mount=Mount.from_section(campaign["mounts"]["lidar"]),
-    beam=BeamErrors.from_section(campaign["lidar_accuracy"]),
-    filters=FilterSettings.from_section(campaign["filters"]),
+    beam=LidarAccuracy(**campaign["lidar_accuracy"]),
+    filters=Filters(**campaign["filters"]),
     **campaign["georeferencing"],
 )
 def run(log, trajectory):
     begin = time.perf_counter()
     scan = scan_lidar([log], options)
     middle = time.perf_counter()
-    table = georeference_log([log], options, scan.clock, Trajectory.read(trajectory), settings,
+    table = georeference_log(lidar_reader([log], options), scan.clock, Trajectory.read(trajectory), settings,
                              folder / "cloud.laz", out_removed=folder / "removed.parquet")
     end = time.perf_counter()
     return {"n_points": scan.n_points, "reasons": dict(zip(table.reason, table.n.tolist())),
@@ -81,8 +83,11 @@ def test_75_million_points_on_two_cores(
     two = {f"{name}_NUM_THREADS": "2" for name in ("NUMBA", "OMP", "RAYON", "OPENBLAS")}
     run = subprocess.run(
         [sys.executable, "-c", PROBE, str(tmp_path)],
-        check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, **two},
-    )  # fmt: skip
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **two},
+    )
     found = json.loads(run.stdout)
     (tmp_path / "long.pcap").unlink()
     cloud = tmp_path / "cloud.laz"

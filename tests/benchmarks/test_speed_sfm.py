@@ -20,8 +20,9 @@ RUN = """
 import json, resource, sys, time
 from pathlib import Path
 import numpy as np
-from thalweg.images.sfm.features import FeatureSettings, extract_features
-from thalweg.images.sfm.start import match_images
+from thalweg.images.sfm.features import extract_features
+from thalweg.settings.sections.images import FeatureSettings
+from thalweg.images.sfm.matching import match_images
 
 images = sorted(Path(sys.argv[1]).glob("*.jpg"))
 settings = FeatureSettings(max_size_px=int(sys.argv[2]), double_size=sys.argv[3] == "True")
@@ -70,8 +71,8 @@ def test_time_and_memory(
 MAPPER = """
 import json, resource, sys, time
 import numpy as np
-from thalweg.core.camera.model import Camera
-from thalweg.images.sfm.camera import start_given
+from thalweg.core.camera import Camera
+from thalweg.images.sfm.colmap import start_given
 from thalweg.images.model.files import Picture
 from thalweg.images.sfm.mapping import map_images
 from thalweg.images.sfm.matching import Matches

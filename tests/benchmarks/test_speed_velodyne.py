@@ -67,8 +67,10 @@ def test_speed_against_velodyne_decoder(tmp_path, benchmark, mode):
         return time.perf_counter() - start, n
 
     # Taken in turns, so that a busy machine disturbs both.
-    rounds = [(duration_s(theirs, path), duration_s(ours, path, clock), duration_s(scan_lidar, [path]))
-              for _ in range(3)]  # fmt: skip
+    rounds = [
+        (duration_s(theirs, path), duration_s(ours, path, clock), duration_s(scan_lidar, [path]))
+        for _ in range(3)
+    ]
     (peer_s, n_peer), (own_s, n_own), (scan_s, _) = (min(r[i] for r in rounds) for i in range(3))
     assert n_own == n_peer
     benchmark.extra_info |= {"points": n_own, "peer_s": peer_s, "scan_s": scan_s, "ratio": peer_s / own_s}

@@ -5,14 +5,18 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from thalweg.budgets.budget import Budget
-from thalweg.budgets.budget_file import read_budget
-from thalweg.budgets.published import read_published
+from thalweg.budgets import Budget, read_budget, read_published
 
 NAMES = (
-    "p2_table1", "t_table3_1", "p2_perfect_trigger", "p2_trigger_4ms", "p1_direct", "p1_direct_one_sigma",
-    "sajo_2019", "sajo_2021",
-)  # fmt: skip
+    "p2_table1",
+    "t_table3_1",
+    "p2_perfect_trigger",
+    "p2_trigger_4ms",
+    "p1_direct",
+    "p1_direct_one_sigma",
+    "sajo_2019",
+    "sajo_2021",
+)
 
 
 @pytest.fixture(scope="session")

@@ -8,16 +8,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.budgets.budget import covariance
-from thalweg.budgets.budget_file import read_budget
-from thalweg.budgets.budget_page import page, terminal_text, what_the_cells_tell
-from thalweg.budgets.budget_tables import WIDTH, latex, long_table
-from thalweg.budgets.influences import ball_coverage, influences, rmse_mm, totals_mm
+from thalweg.budgets import (
+    latex,
+    long_table,
+    page,
+    read_budget,
+    rmse_mm,
+    statements,
+    terminal_text,
+    totals_mm,
+    what_the_cells_tell,
+)
+from thalweg.budgets.budget import ball_coverage, covariance, influences
+from thalweg.budgets.budget_page import WIDTH
 from thalweg.budgets.published import verdicts
-from thalweg.budgets.statements import statements
-from thalweg.core.errors import ConfigError, GeometryError
-from thalweg.core.frames import rotation_enu_body
-from thalweg.lidar.covariance import BeamErrors, point_covariance, point_jacobian
+from thalweg.core import ConfigError, GeometryError, rotation_enu_body
+from thalweg.lidar.georeference import point_covariance, point_jacobian
+from thalweg.settings.sections import LidarAccuracy
 
 D = np.array([5.0, 10.0, 25.0, 50.0])
 
@@ -70,8 +77,14 @@ def test_budgets_and_points_share_one_formula(budgets) -> None:
     n, R, A = len(D), outer.rotation(), outer.axes()
     assert budget.motion is not None
     rates, velocity = budget.motion.rates()
-    J = point_jacobian(xyz, np.tile(R, (n, 1, 1)), inner.rotation(), np.array(inner.lever_m),
-                       np.tile(velocity, (n, 1)), np.tile(A @ rates, (n, 1)))  # fmt: skip
+    J = point_jacobian(
+        xyz,
+        np.tile(R, (n, 1, 1)),
+        inner.rotation(),
+        np.array(inner.lever_m),
+        np.tile(velocity, (n, 1)),
+        np.tile(A @ rates, (n, 1)),
+    )
 
     def block(name: str, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         turn = axes @ np.diag([sigma[f"{name}.{k}"] ** 2 for k in ("omega", "phi", "kappa")]) @ axes.T
@@ -80,7 +93,7 @@ def test_budgets_and_points_share_one_formula(budgets) -> None:
     pose, mount = np.zeros((6, 6)), np.zeros((6, 6))
     pose[3:, 3:], pose[:3, :3] = block("ccs", A)
     mount[:3, :3], mount[3:, 3:] = block("scs", inner.axes())
-    beam = BeamErrors(sigma_component_m=0.0173)
+    beam = LidarAccuracy(sigma_component_m=0.0173, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0)
     cov = point_covariance(J, np.tile(pose, (n, 1, 1)), mount, beam.variances(D, D), sigma["time"])
     np.testing.assert_allclose(covariance(budget, D), cov, rtol=1e-10, atol=1e-18)
 
@@ -231,8 +244,17 @@ def test_a_budget_based_on_another(example: Path) -> None:
 def facts():
     import pandas as pd
 
-    one = {"left_out": "none", "instead": "", "needed": True, "matched": 64, "by_sigma": 4, "missed": 0,
-           "totals_missed": 0, "missed_cells": "", "lever_m": 0.16}  # fmt: skip
+    one = {
+        "left_out": "none",
+        "instead": "",
+        "needed": True,
+        "matched": 64,
+        "by_sigma": 4,
+        "missed": 0,
+        "totals_missed": 0,
+        "missed_cells": "",
+        "lever_m": 0.16,
+    }
     other = one | {"left_out": "lever arm", "missed": 1, "missed_cells": "ccs.omega at 5 m"}
     tables = ("p2_table1", "t_table3_1")
     rows = [row | {"table": table} for table in tables for row in (one, other)]

@@ -6,21 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.budgets.influences import coverages, influences, rmse_mm, totals_mm
-from thalweg.budgets.published import (
-    BY_CHOICE,
-    BY_SIGMA,
-    COLUMNS,
-    ITSELF,
-    MATCHED,
-    MISSED,
-    count,
-    reached,
-    read_published,
-    verdicts,
-)
-from thalweg.budgets.statements import group_shares, largest_rows, own_totals, statements
-from thalweg.core.errors import InputError
+from thalweg.budgets import BY_CHOICE, group_shares, read_published, rmse_mm, statements, totals_mm
+from thalweg.budgets.budget import coverages, influences
+from thalweg.budgets.budget_page import largest_rows, own_totals
+from thalweg.budgets.published import BY_SIGMA, COLUMNS, ITSELF, MATCHED, MISSED, count, reached, verdicts
+from thalweg.core import InputError
 
 P2 = """5.7 11.3 28.0 55.8; 0.3 0.6 1.5 2.9; 5.6 11.0 27.4 54.7; 5.1 5.1 5.1 5.1; 5.4 5.4 5.4 5.4;
 5.1 5.1 5.1 5.1; 21.1 42.5 112 229; 4.7 9.4 23.4 46.8; 2.6 5.2 13.0 25.9; 1.0 2.1 5.2 10.5; 1.0 1.0 1.0 1.0;
@@ -51,8 +41,11 @@ def test_every_cell_of_both_tables_is_met(budgets) -> None:
     assert p2["met"].value_counts().to_dict() == {MATCHED: 64, BY_SIGMA: 4}
     rounded = p2[p2["met"] == BY_SIGMA]
     assert list(zip(rounded["input"], rounded["distance_m"], strict=True)) == [
-        ("ccs.phi", 50), ("scs.kappa", 5), ("scs.kappa", 25), ("scs.kappa", 50),
-    ]  # fmt: skip
+        ("ccs.phi", 50),
+        ("scs.kappa", 5),
+        ("scs.kappa", 25),
+        ("scs.kappa", 50),
+    ]
     t = verdicts(*budgets["t_table3_1"])
     assert t["met"].value_counts().to_dict() == {MATCHED: 62, BY_SIGMA: 2}
     assert set(t[t["met"] == BY_SIGMA]["input"]) == {"scs.kappa"}
@@ -82,9 +75,7 @@ def test_what_a_met_cell_is_worth(budgets) -> None:
 
 def test_random_geometries_meet_more_than_half_of_the_cells(budgets) -> None:
     """37 to 46 of 68, 38 to 51 of 64 in 300 draws of another program; any geometry meets the least."""
-    for name, cells, itself, least, most in (
-        ("p2_table1", 68, 36, 37, 46), ("t_table3_1", 64, 36, 38, 51),
-    ):  # fmt: skip
+    for name, cells, itself, least, most in (("p2_table1", 68, 36, 37, 46), ("t_table3_1", 64, 36, 38, 51)):
         found = reached(*budgets[name], draws=40)
         assert (found.cells, found.itself, found.draws) == (cells, itself, 40)
         assert found.least == least

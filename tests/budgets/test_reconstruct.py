@@ -6,12 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.budgets.assumptions import left_out, published_setup
-from thalweg.budgets.budget import Budget
-from thalweg.budgets.influences import influences
+from thalweg.budgets import Budget, left_out, published_setup, reconstruct
+from thalweg.budgets.budget import influences
 from thalweg.budgets.published import count, verdicts
-from thalweg.budgets.reconstruct import reconstruct
-from thalweg.core.errors import GeometryError
+from thalweg.core import GeometryError
 
 LEVERS_M = {"p2_table1": 0.16, "t_table3_1": 0.0}
 
@@ -82,8 +80,10 @@ def test_what_the_tables_do_not_settle(tables) -> None:
     open_ = p2[~p2["needed"]]
     assert (open_["missed"] == 0).all()
     assert set(open_.index) == {
-        "direction around the scanner's z axis", "length of the lever arm", "0.4 m/s on the third axis",
-    }  # fmt: skip
+        "direction around the scanner's z axis",
+        "length of the lever arm",
+        "0.4 m/s on the third axis",
+    }
     # 0.36 m fits as well as the 0.16 m that the paper states elsewhere
     assert p2.loc["length of the lever arm", "lever_m"] > 0.25
 

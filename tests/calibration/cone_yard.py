@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration.cones.fit import ConeReference
-from thalweg.calibration.cones.selection import Position
-from thalweg.core.rigid import Rigid, exp_rotation
+from thalweg.calibration import ConeReference, Position
+from thalweg.core import Rigid, exp_rotation
 
 ELEVATIONS_DEG = np.arange(-15.0, 16.0, 2.0)
 NOMINAL = Rigid(  # z of the scanner to the stern (ccs -x), camera looks to port

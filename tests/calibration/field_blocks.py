@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration.field.description import FieldDescription, ScaleBar
-from thalweg.calibration.markers.sheets import MarkerLayout
-from thalweg.core.camera.model import Camera
-from thalweg.core.rigid import Rigid, exp_rotation
+from thalweg.calibration import MarkerLayout
+from thalweg.calibration.field import FieldDescription
+from thalweg.calibration.field.description import ScaleBar
+from thalweg.core import Camera, Rigid, exp_rotation
 
 SLR = Camera(
     model="perspective",
@@ -85,10 +85,13 @@ def yard(
         length = float(np.linalg.norm(first.saddles[0] - second.saddles[2]))
         bars.append(
             ScaleBar(
-                name=f"S{b + 1}", start=f"{first.marker}/0", end=f"{second.marker}/2",
-                length_m=length + rng.normal(0, 3e-5), sigma_m=3e-5,
+                name=f"S{b + 1}",
+                start=f"{first.marker}/0",
+                end=f"{second.marker}/2",
+                length_m=length + rng.normal(0, 3e-5),
+                sigma_m=3e-5,
             )
-        )  # fmt: skip
+        )
     return sheets, FieldDescription(layout=layout, scale_bars=tuple(bars))
 
 
@@ -113,9 +116,15 @@ def stations(seed: int, n: int = 36, radius: float = 8.5) -> dict[str, Rigid]:
 
 
 def observe(
-    sheets: list[Sheet], poses: dict[str, Rigid], camera: Camera, seed: int, *, sigma_px: float = 0.05,
-    wrong: float = 0.0, largest_angle_deg: float = 65.0,
-) -> pd.DataFrame:  # fmt: skip
+    sheets: list[Sheet],
+    poses: dict[str, Rigid],
+    camera: Camera,
+    seed: int,
+    *,
+    sigma_px: float = 0.05,
+    wrong: float = 0.0,
+    largest_angle_deg: float = 65.0,
+) -> pd.DataFrame:
     """Marks of all pictures; a share is wrong by 1 to 50 pixels."""
     rng = np.random.default_rng([seed, 3])
     rows = []

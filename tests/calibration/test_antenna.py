@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.ins_lidar.antenna import AntennaLever, antenna_lever, check_nominal, phase_centre
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.calibration.ins_lidar import AntennaLever
+from thalweg.calibration.ins_lidar.antenna import antenna_lever, check_nominal, phase_centre
+from thalweg.core import ArrayF, GeometryError, Rigid, rotation_opk
 
 SIDE_M = 0.128
 SQUARE = SIDE_M / 2 * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
@@ -88,9 +86,15 @@ def test_a_bent_marker_is_refused() -> None:
 
 
 LIDAR = {
-    "omega_deg": 0.0, "phi_deg": -90.0, "kappa_deg": 0.0, "lever_ics_m": [-0.35, 0.0, -0.25],
-    "sigma_omega_deg": 0.6, "sigma_phi_deg": 0.6, "sigma_kappa_deg": 0.6, "sigma_lever_m": [0.01, 0.01, 0.01],
-}  # fmt: skip
+    "omega_deg": 0.0,
+    "phi_deg": -90.0,
+    "kappa_deg": 0.0,
+    "lever_ics_m": [-0.35, 0.0, -0.25],
+    "sigma_omega_deg": 0.6,
+    "sigma_phi_deg": 0.6,
+    "sigma_kappa_deg": 0.6,
+    "sigma_lever_m": [0.01, 0.01, 0.01],
+}
 ANTENNA = {"lever_ics_m": [0.1, -0.05, -0.45], "sigma_lever_m": [0.002, 0.002, 0.002]}
 
 
@@ -99,9 +103,12 @@ def seen_at(off_m: ArrayF) -> AntennaLever:
     R = rotation_opk(0.0, -np.pi / 2, 0.0)
     x_scs = R.T @ (np.array(ANTENNA["lever_ics_m"]) + off_m - np.array(LIDAR["lever_ics_m"]))
     return AntennaLever(
-        x_ccs_m=np.zeros(3), cov_ccs_m2=np.eye(3) * 1e-6, x_scs_m=x_scs, cov_scs_m2=np.eye(3) * 1e-6,
+        x_ccs_m=np.zeros(3),
+        cov_ccs_m2=np.eye(3) * 1e-6,
+        x_scs_m=x_scs,
+        cov_scs_m2=np.eye(3) * 1e-6,
         by_camera_lidar=np.zeros((3, 6)),
-    )  # fmt: skip
+    )
 
 
 def test_a_marker_far_from_the_antenna_is_refused_with_both_places() -> None:

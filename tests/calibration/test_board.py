@@ -9,18 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.calibration.boards.images import BoardView, Checkerboard, board_view, find_corners, read_grey
-from thalweg.calibration.boards.model import BoardPose, BoardSettings, calibrate_board
-from thalweg.calibration.boards.poses import BoardPoses, calibrate_board_poses
-from thalweg.core.adjustment.solve import UnobservableError
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.rigid import Rigid
-from thalweg.ingest.clouds.pcd import read_pcd
-from thalweg.lidar.covariance import BeamErrors
+from thalweg.calibration import BoardSettings, Checkerboard, calibrate_board, calibrate_board_poses
+from thalweg.calibration.boards import BoardPose, BoardPoses, BoardView, board_view, find_corners, read_grey
+from thalweg.core import Camera, GeometryError, InputError, Rigid, UnobservableError
+from thalweg.ingest.clouds import read_pcd
+from thalweg.settings.sections import LidarAccuracy
 
 BOARD = Checkerboard(columns=7, rows=5, square_m=0.095, width_m=0.85, height_m=0.61)
-BEAM = BeamErrors(sigma_component_m=0.0173)
+BEAM = LidarAccuracy(sigma_component_m=0.0173, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0)
 NOMINAL = Rigid(R=np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), shift_m=np.zeros(3))
 TRUTH = NOMINAL.moved([0.06, -0.12, -0.08, 0.05, -0.04, 0.06])
 TILTS_DEG = ((20, 10), (-25, 5), (5, 30), (0, -28), (25, -20), (-18, 22), (12, 25), (-22, -15))

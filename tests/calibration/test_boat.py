@@ -6,18 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.calibration.boat.joint import EchoPlace, assemble
-from thalweg.calibration.ins_lidar.adjustment import START, InsLidar, InsLidarSettings, calibrate
-from thalweg.calibration.ins_lidar.antenna import AntennaLever, antenna_lever, phase_centre
-from thalweg.calibration.ins_lidar.file import read_mount_result, write_mount_result, write_tables
-from thalweg.calibration.ins_lidar.motion_search import MountRange
-from thalweg.calibration.ins_lidar.pose_errors import PoseErrors
-from thalweg.calibration.ins_lidar.run_points import RunPoints
-from thalweg.core.calibration.files import read_calibration, write_calibration
-from thalweg.core.calibration.model import Calibration, Source
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.calibration import EchoPlace, assemble
+from thalweg.calibration.ins_lidar import (
+    START,
+    AntennaLever,
+    InsLidarSettings,
+    MountRange,
+    PoseErrors,
+    RunPoints,
+    calibrate,
+    read_mount_result,
+)
+from thalweg.calibration.ins_lidar.adjustment import InsLidar
+from thalweg.calibration.ins_lidar.antenna import antenna_lever, phase_centre
+from thalweg.calibration.ins_lidar.file import write_mount_result, write_tables
+from thalweg.core import ArrayF, GeometryError, InputError, Rigid
+from thalweg.core.calibration import Calibration, Source, read_calibration, write_calibration
 from thalweg_lab.studies.cone_runs import LEVER_ANTENNA_M, RunSpec, make_run
 
 SOURCE = Source(run="yard", method="test")
@@ -42,10 +46,12 @@ def seen_antenna(relative: Rigid = RELATIVE) -> AntennaLever:
 
 def boat(lidar: Lidar, **changes: object) -> Calibration:
     given: dict[str, object] = {
-        "T_ccs_scs": RELATIVE, "antenna": seen_antenna(), "source": SOURCE,
+        "T_ccs_scs": RELATIVE,
+        "antenna": seen_antenna(),
+        "source": SOURCE,
         "lever_ics_antenna_m": LEVER_ANTENNA_M,
         "echo_sounder": EchoPlace(lever_m=RULED, cov_m2=np.diag([2.5e-5] * 3)),
-    }  # fmt: skip
+    }
     return assemble(lidar, **(given | changes))  # type: ignore[arg-type]
 
 
@@ -72,9 +78,18 @@ def test_the_joint_covariance_is_that_of_drawn_errors(lidar: Lidar, rng: np.rand
         camera = mount @ relative.inverse()
         echo = LEVER_ANTENNA_M + RULED + 0.005 * rng.normal(size=3)
         rows = [mount.error_from(MOUNT), camera.error_from(MOUNT @ RELATIVE.inverse())]
-        drawn.append(np.concatenate([
-            np.rad2deg(rows[0][3:]), rows[0][:3], np.rad2deg(rows[1][3:]), rows[1][:3], LEVER_ANTENNA_M, echo,
-        ]))  # fmt: skip
+        drawn.append(
+            np.concatenate(
+                [
+                    np.rad2deg(rows[0][3:]),
+                    rows[0][:3],
+                    np.rad2deg(rows[1][3:]),
+                    rows[1][:3],
+                    LEVER_ANTENNA_M,
+                    echo,
+                ]
+            )
+        )
     cov = np.cov(np.array(drawn).T)
     at = [i for i in range(18) if not 12 <= i < 15]
     # the antenna defines the origin and has no error
@@ -99,8 +114,10 @@ def test_places_are_those_of_the_frames(lidar: Lidar) -> None:
 @pytest.mark.parametrize(("origin", "shared"), [("antenna", False), ("lidar", True), ("ics", False)])
 def test_a_ruler_held_to_the_lidar_shares_its_errors(lidar: Lidar, origin: str, shared: bool) -> None:
     place = EchoPlace(
-        lever_m=RULED, cov_m2=np.diag([1e-6] * 3), measured_from=origin,  # type: ignore[arg-type]
-    )  # fmt: skip
+        lever_m=RULED,
+        cov_m2=np.diag([1e-6] * 3),
+        measured_from=origin,  # type: ignore[arg-type]
+    )
     found = boat(lidar, echo_sounder=place)
     values, cov = found.joint(["lidar.x_m", "echo_sounder.x_m"])
     start = {"antenna": LEVER_ANTENNA_M[0], "lidar": MOUNT.shift_m[0], "ics": 0.0}[origin]
@@ -139,11 +156,14 @@ def run_result() -> InsLidar:
         sigma_position_m=np.array([0.02, 0.02, 0.03]), sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2])
     )
     return calibrate(
-        RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s), run.cones, run.T_wcs_pcs,
+        RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s),
+        run.cones,
+        run.T_wcs_pcs,
         InsLidarSettings(errors=errors, search=MountRange(lever_m=0.0, angle_deg=0.0)),
-        lever_ics_antenna_m=LEVER_ANTENNA_M, antenna=run.antenna,
+        lever_ics_antenna_m=LEVER_ANTENNA_M,
+        antenna=run.antenna,
         start=START.moved([-0.35, 0.0, -0.25, 0.0, 0.0, 0.0]),
-    )  # fmt: skip
+    )
 
 
 def test_results_survive_their_files(run_result: InsLidar, tmp_path: Path) -> None:

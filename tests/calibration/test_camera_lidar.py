@@ -10,17 +10,16 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.camera_lidar.adjustment import CameraLidar, calibrate_camera_lidar
-from thalweg.calibration.camera_lidar.model import FieldErrors
-from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
-from thalweg.calibration.camera_lidar.tables import cone_table, report, residual_table, sensor_table
-from thalweg.calibration.cones.cone import Cone
-from thalweg.calibration.cones.search import SearchRange, search
-from thalweg.calibration.cones.selection import WORDS, Position, Verdict
-from thalweg.core.adjustment.solve import UnobservableError
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.lidar.covariance import BeamErrors
+from thalweg.calibration import WORDS, Cone, Position, SearchRange, Verdict, search
+from thalweg.calibration.camera_lidar import (
+    CameraLidar,
+    CameraLidarSettings,
+    FieldErrors,
+    calibrate_camera_lidar,
+)
+from thalweg.calibration.camera_lidar.adjustment import cone_table, report, residual_table, sensor_table
+from thalweg.core import GeometryError, InputError, Rigid, UnobservableError, exp_rotation
+from thalweg.settings.sections import LidarAccuracy
 
 _spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
 assert _spec
@@ -143,8 +142,13 @@ def test_42_parameters_with_fixed_exterior_orientation() -> None:
     result = calibrated(y, 1)
     assert len(result.adjusted.names) == 42
     assert result.adjusted.names[-6:] == (
-        "lever_x", "lever_y", "lever_z", "rotation_x", "rotation_y", "rotation_z",
-    )  # fmt: skip
+        "lever_x",
+        "lever_y",
+        "lever_z",
+        "rotation_x",
+        "rotation_y",
+        "rotation_z",
+    )
     assert square(result, y.truth) < LIKELY
 
 
@@ -271,7 +275,12 @@ def test_no_position_is_refused() -> None:
 def test_empty_scans_are_refused(points: np.ndarray, message: str) -> None:
     pose = Rigid(R=np.eye(3), shift_m=np.zeros(3))
     with pytest.raises(InputError, match=message):
-        Position.measured("position_2", pose, points, BeamErrors(sigma_component_m=0.017))
+        Position.measured(
+            "position_2",
+            pose,
+            points,
+            LidarAccuracy(sigma_component_m=0.017, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0),
+        )
 
 
 def test_verdicts_have_words() -> None:
@@ -286,8 +295,13 @@ def test_residuals_of_a_cone_by_hand() -> None:
     table = residual_table(layout, [scan], [row])
     assert table.to_dict("records") == [
         {
-            "position": "P1", "cone": "C1", "points": 4, "mean_mm": pytest.approx(4.0),
-            "sigma_mean_mm": pytest.approx(8.0), "rms_mm": pytest.approx(np.sqrt(80.0)),
-            "greatest_mm": pytest.approx(12.0), "standardised": pytest.approx(np.sqrt(80.0) / 16),
+            "position": "P1",
+            "cone": "C1",
+            "points": 4,
+            "mean_mm": pytest.approx(4.0),
+            "sigma_mean_mm": pytest.approx(8.0),
+            "rms_mm": pytest.approx(np.sqrt(80.0)),
+            "greatest_mm": pytest.approx(12.0),
+            "standardised": pytest.approx(np.sqrt(80.0) / 16),
         }
-    ]  # fmt: skip
+    ]

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.camera_lidar import adjustment as camera_lidar
-from thalweg.calibration.camera_lidar.adjustment import CameraLidar, calibrate_camera_lidar
-from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
-from thalweg.calibration.cones.search import SearchRange
-from thalweg.calibration.cones.selection import Position
-from thalweg.calibration.cones.views import gaps_deg
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid, exp_rotation
+from thalweg.calibration import Position, SearchRange
+from thalweg.calibration.camera_lidar import (
+    CameraLidar,
+    CameraLidarSettings,
+    adjustment as camera_lidar,
+    calibrate_camera_lidar,
+)
+from thalweg.calibration.cone_search import gaps_deg
+from thalweg.core import GeometryError, Rigid, exp_rotation
 
 _spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
 assert _spec
@@ -109,12 +110,7 @@ def named(positions: list[Position]) -> list[Position]:
 
 @pytest.mark.parametrize(
     ("order", "fits"),
-    [
-        ([2, 1, 0], {1: 3, 3: 1}),
-        ([1, 2, 0], {1: 2, 2: 3, 3: 1}),
-        ([0, 0, 2], {2: 1}),
-        ([1, 0], {1: 2, 2: 1}),
-    ],
+    [([2, 1, 0], {1: 3, 3: 1}), ([1, 2, 0], {1: 2, 2: 3, 3: 1}), ([0, 0, 2], {2: 1}), ([1, 0], {1: 2, 2: 1})],
     ids=["1 and 3", "all round", "one twice", "two positions"],
 )
 def test_scans_of_other_positions_are_named(order: list[int], fits: dict[int, int]) -> None:

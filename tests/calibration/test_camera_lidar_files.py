@@ -11,30 +11,31 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.calibration.boards.files import (
-    COLUMNS,
+from thalweg.calibration import (
+    Checkerboard,
+    ConeReference,
     board_calibration,
+    fit_reference,
     pose_table,
     read_observations,
-    read_poses,
-    read_scan,
 )
-from thalweg.calibration.boards.images import Checkerboard
-from thalweg.calibration.camera_lidar import input as given
-from thalweg.calibration.camera_lidar.adjustment import calibrate_camera_lidar
-from thalweg.calibration.camera_lidar.files import ResultFiles, study_of, write_camera_lidar
-from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
-from thalweg.calibration.camera_lidar.statics import Statics
-from thalweg.calibration.camera_lidar.tables import foreign_markers, reference_table
-from thalweg.calibration.cones.fit import ConeReference, fit_reference
-from thalweg.calibration.field.description import parse_field
-from thalweg.calibration.field.points import FieldPoints
-from thalweg.calibration.field.resection import Resected
-from thalweg.core.calibration.files import read_calibration, write_calibration
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError
-from thalweg.core.rigid import Rigid
-from thalweg.ingest.velodyne.reader import LidarOptions
+from thalweg.calibration.boards import COLUMNS, read_board_poses, read_scan
+from thalweg.calibration.camera_lidar import (
+    CameraLidarSettings,
+    ResultFiles,
+    Statics,
+    calibrate_camera_lidar,
+    foreign_markers,
+    input as given,
+    write_camera_lidar,
+)
+from thalweg.calibration.camera_lidar.adjustment import reference_table
+from thalweg.calibration.camera_lidar.files import study_of
+from thalweg.calibration.field import FieldPoints, Resected, parse_field
+from thalweg.core import Camera, InputError, Rigid
+from thalweg.core.calibration import read_calibration, write_calibration
+from thalweg.ingest import LidarOptions
+from thalweg.settings.sections import CameraLidarFit
 
 _spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
 assert _spec
@@ -91,11 +92,16 @@ def test_positions_share_errors_of_field_and_camera(rng: np.random.Generator, de
         root = rng.standard_normal((6, 6))
         resected.append(
             Resected(
-                T_pcs_ccs=Rigid(R=np.eye(3), shift_m=np.zeros(3)), cov_marks=root @ root.T,
-                by_interior=rng.standard_normal((6, 9)), by_points=rng.standard_normal((6, 36)),
-                residuals=pd.DataFrame(), redundancy=1.0, sigma0=1.0, moved=(),
+                T_pcs_ccs=Rigid(R=np.eye(3), shift_m=np.zeros(3)),
+                cov_marks=root @ root.T,
+                by_interior=rng.standard_normal((6, 9)),
+                by_points=rng.standard_normal((6, 36)),
+                residuals=pd.DataFrame(),
+                redundancy=1.0,
+                sigma0=1.0,
+                moved=(),
             )
-        )  # fmt: skip
+        )
     errors = given.field_errors(parse_field(description), points, resected, camera)
     assert dict(errors.points) == {"C1": 4, "C2": 4}
     marks = np.zeros((12, 12))
@@ -161,9 +167,12 @@ def test_two_of_one_name_are_refused(tmp_path: Path) -> None:
 def test_positions_without_a_pose_are_named(tmp_path: Path) -> None:
     scans = touched(tmp_path, "a.pcap", "b.pcap")
     statics = Statics(
-        images=("a.jpg",), poses=(Rigid(R=np.eye(3), shift_m=np.zeros(3)),), lost={"b.jpg": "blurred"},
-        points=known(np.random.default_rng(1)), cov=np.eye(42),
-    )  # fmt: skip
+        images=("a.jpg",),
+        poses=(Rigid(R=np.eye(3), shift_m=np.zeros(3)),),
+        lost={"b.jpg": "blurred"},
+        points=known(np.random.default_rng(1)),
+        cov=np.eye(42),
+    )
     good, left_out = given.oriented(given.static_positions(scans, ["a.jpg", "b.jpg", "c.jpg"]), statics)
     assert good == {"a": (scans[0], "a.jpg")}
     assert left_out == {
@@ -207,12 +216,9 @@ def test_nominal_orientation_of_mounts() -> None:
 
 
 def test_settings_from_a_campaign() -> None:
-    section = {
-        "free_half_angle": False,
-        "max_incidence_deg": 60.0,
-        "search_shift_m": 0.2,
-        "search_angle_deg": 4.0,
-    }
+    section = CameraLidarFit(
+        free_half_angle=False, max_incidence_deg=60.0, search_shift_m=0.2, search_angle_deg=4.0
+    )
     settings = CameraLidarSettings.from_section(section)
     assert not settings.free_half_angle
     assert settings.limits.max_incidence_deg == 60.0
@@ -341,10 +347,10 @@ def test_pictures_and_scans_of_boards_go_together(tmp_path: Path) -> None:
     camera = Camera(model="fisheye", size_px=(64, 48), parameters=np.array([40.0, 40, 32, 24, 0, 0, 0, 0]))
     cv2.imwrite(str(tmp_path / "pose1.png"), np.full((48, 64), 99, np.uint8))
     with pytest.raises(InputError, match="1 pictures and 0 scans"):
-        read_poses([tmp_path / "pose1.png"], [], board, camera, LidarOptions())
+        read_board_poses([tmp_path / "pose1.png"], [], board, camera, LidarOptions())
     cloud = tmp_path / "pose1.pcd"
     cloud.write_text("FIELDS x y z\nPOINTS 1\nDATA ascii\n1 2 3\n")
-    poses, lost = read_poses([tmp_path / "pose1.png"], [cloud], board, camera, LidarOptions())
+    poses, lost = read_board_poses([tmp_path / "pose1.png"], [cloud], board, camera, LidarOptions())
     assert poses == []
     assert lost["reason"].iloc[0].startswith("pose1.png: no checkerboard")
     points, brightness, ring = read_scan(cloud, LidarOptions())

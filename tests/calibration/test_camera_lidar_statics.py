@@ -9,14 +9,11 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.camera.boat_camera import orient_on_field
-from thalweg.calibration.camera_lidar.input import field_errors
-from thalweg.calibration.camera_lidar.statics import Statics, read_statics, statics_of, write_statics
-from thalweg.calibration.field.description import FieldCone, FieldDescription
-from thalweg.calibration.field.points import FieldPoints
-from thalweg.calibration.field.resection import resect
-from thalweg.core.errors import InputError
-from thalweg.core.rigid import Rigid
+from thalweg.calibration import orient_on_field
+from thalweg.calibration.camera_lidar import Statics, field_errors, read_statics, statics_of, write_statics
+from thalweg.calibration.field import FieldDescription, FieldPoints, resect
+from thalweg.calibration.field.description import FieldCone
+from thalweg.core import InputError, Rigid
 
 _spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
 blocks = importlib.util.module_from_spec(_spec)

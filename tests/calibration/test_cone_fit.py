@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.cones.cone import Cone
-from thalweg.calibration.cones.fit import FORM_SIGMA_M, ConeReference, fit_reference, start_cone
-from thalweg.core.errors import GeometryError, InputError
+from thalweg.calibration import FORM_SIGMA_M, Cone, ConeReference, fit_reference
+from thalweg.calibration.cones import start_cone
+from thalweg.core import GeometryError, InputError
 
 HALF = np.deg2rad(25.0)
 SIGMA_M = 0.0002
@@ -140,9 +140,13 @@ def test_the_form_of_a_cone_counts(rng: np.random.Generator) -> None:
     normals = np.eye(3)[[0, 1, 2, 0]]
     for cov in (np.zeros((4, 3, 3)), np.zeros((12, 12))):
         given = ConeReference(
-            name="C1", points_m=np.zeros((4, 3)), cov=cov, half_angle_rad=HALF, length_m=0.7,
+            name="C1",
+            points_m=np.zeros((4, 3)),
+            cov=cov,
+            half_angle_rad=HALF,
+            length_m=0.7,
             form_sigma_m=0.002,
-        )  # fmt: skip
+        )
         np.testing.assert_allclose(given.distance_cov(normals), 4e-6 * np.eye(4), rtol=1e-12)
 
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.cones.cone import Cone
-from thalweg.calibration.cones.selection import Position, Selection, SelectionLimits, Verdict, select
-from thalweg.core.rigid import Rigid
+from thalweg.calibration import Cone, Position, Selection, SelectionLimits, Verdict, select
+from thalweg.core import Rigid
 
 CONE = Cone(
     apex_m=np.array([-0.2, 5.0, 0.1]), axis=np.array([0.8, 0.6, 0.0]), half_angle_rad=np.deg2rad(25.0)

@@ -9,10 +9,9 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration.cones.cone import Cone, beam_spread
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.calibration import Cone
+from thalweg.calibration.cones import beam_spread
+from thalweg.core import ArrayF, GeometryError, Rigid
 
 _spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
 assert _spec
@@ -295,3 +294,25 @@ def test_tangents_of_an_axis_that_is_nearly_upright_are_unit_vectors() -> None:
 def test_an_axis_of_two_numbers_is_refused() -> None:
     with pytest.raises(GeometryError, match="are no cone"):
         Cone(apex_m=np.zeros(3), axis=np.array([0.0, 1.0]), half_angle_rad=HALF)
+
+
+@pytest.mark.parametrize(
+    ("beam", "depth"),
+    [
+        # along the axis, and steeper than the surface: the beam ends up inside, or comes from there
+        ((0.0, 0.0, 1.0), np.inf),
+        ((0.0, 0.0, -1.0), -np.inf),
+        ((0.3, 0.0, 0.95), np.inf),
+        ((0.3, 0.0, -0.95), -np.inf),
+        ((0.6, 0.0, 0.8), np.inf),
+        ((0.0, -0.6, -0.8), -np.inf),
+        # level beams at height 2, past the axis at 0.5 and at 3: (2 - 0.5) and (2 - 3) over the root of 2
+        ((1.0, 0.0, 0.0), 1.5 * np.sqrt(0.5)),
+        ((0.0, 1.0, 0.0), -np.sqrt(0.5)),
+    ],
+)
+def test_how_deep_beams_go_by_hand(beam: tuple[float, float, float], depth: float) -> None:
+    """A right-angled cone upright, beams from (3, 0.5, 2)."""
+    cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 4)
+    direction = np.array([beam]) / np.linalg.norm(beam)
+    assert cone.meet(np.array([3.0, 0.5, 2.0]), direction).depth_m[0] == pytest.approx(depth, rel=1e-12)

@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.calibration.camera_lidar.adjustment import calibrate_camera_lidar
+from thalweg.calibration import fit_reference
+from thalweg.calibration.camera_lidar import CameraLidarSettings, calibrate_camera_lidar
 from thalweg.calibration.camera_lidar.files import QUANTITIES, ScanPattern, design_study
-from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
-from thalweg.calibration.cones.fit import fit_reference
 
 _spec = importlib.util.spec_from_file_location("cone_yard", Path(__file__).with_name("cone_yard.py"))
 assert _spec

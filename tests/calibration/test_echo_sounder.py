@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.echo_sounder.adjustment import Bed, EchoSettings, EchoSounder, estimate_echo_sounder
-from thalweg.calibration.ins_lidar.pose_errors import PoseErrors
-from thalweg.core.adjustment.solve import UnobservableError
-from thalweg.core.errors import CoverageError, GeometryError
-from thalweg_lab.studies.calibration_runs import (
+from thalweg.calibration import Bed, EchoSettings, estimate_echo_sounder
+from thalweg.calibration.echo_sounder import EchoSounder
+from thalweg.calibration.ins_lidar import PoseErrors
+from thalweg.core import CoverageError, GeometryError, UnobservableError
+from thalweg_lab.studies.cone_runs import (
     LEVER_ANTENNA_M,
     SIGMA_RULER_M,
     TRUE_LEVER_M,
@@ -29,10 +29,16 @@ def estimated(seed: int, spec: EchoSpec, *, wanted: tuple[str, ...] = (), away_m
         away = bed.points_wcs_m + np.array([away_m, 0.0, 0.0])
         bed = Bed(points_wcs_m=away, sigma_m=0.01, sigma_datum_m=0.01)
     return estimate_echo_sounder(
-        run.t_gps_s, run.depth_m, run.trajectory, bed, EchoSettings(errors=ERRORS),
-        ruler_ics_m=run.ruler_m, cov_ruler_m2=np.diag(SIGMA_RULER_M**2),
-        lever_ics_antenna_m=LEVER_ANTENNA_M, wanted=wanted,
-    )  # fmt: skip
+        run.t_gps_s,
+        run.depth_m,
+        run.trajectory,
+        bed,
+        EchoSettings(errors=ERRORS),
+        ruler_ics_m=run.ruler_m,
+        cov_ruler_m2=np.diag(SIGMA_RULER_M**2),
+        lever_ics_antenna_m=LEVER_ANTENNA_M,
+        wanted=wanted,
+    )
 
 
 def test_honest_over_seeds_and_formal_not() -> None:

@@ -11,14 +11,12 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from thalweg.calibration.boat.mounts import resolve_mounts, write_mounts
-from thalweg.calibration.echo_sounder import file as files
-from thalweg.core.calibration.files import read_calibration
-from thalweg.core.errors import CoverageError, GeometryError, InputError
-from thalweg.core.tables import write_table
-from thalweg.ingest.schemas import DEPTH
-from thalweg.settings.sections.calibration import Calibration
-from thalweg_lab.studies.calibration_runs import (
+from thalweg.calibration import echo_sounder as files, resolve_mounts, write_mounts
+from thalweg.core import CoverageError, GeometryError, InputError, write_table
+from thalweg.core.calibration import read_calibration
+from thalweg.ingest import DEPTH
+from thalweg.settings.sections import Calibration
+from thalweg_lab.studies.cone_runs import (
     LEVER_ANTENNA_M,
     SIGMA_RULER_M,
     TRUE_LEVER_M,
@@ -57,11 +55,16 @@ def calibrated(folder: Path, repository: Path, run: EchoRun, *, up_m: float = 0.
     write_mounts(folder / "mounts.json", resolve_mounts({"echo_sounder": ruler, "antenna": antenna}, None))
     origin = {"lat_deg": frame.lat_deg, "lon_deg": frame.lon_deg, "h_ell_m": frame.h_ell_m}
     script.main(
-        depths=folder / "depths.parquet", trajectory=folder / "trajectory.parquet",
-        mounts=folder / "mounts.json", bed=[folder / "bed.csv"],
-        echo_sounder=folder / "echo_sounder.yaml", report=folder / "echo_sounder.json",
-        campaign={"id": "river", "origin": origin, "crs": "EPSG:25833"}, settings=SETTINGS, twin=True,
-    )  # fmt: skip
+        depths=folder / "depths.parquet",
+        trajectory=folder / "trajectory.parquet",
+        mounts=folder / "mounts.json",
+        bed=[folder / "bed.csv"],
+        echo_sounder=folder / "echo_sounder.yaml",
+        report=folder / "echo_sounder.json",
+        campaign={"id": "river", "origin": origin, "crs": "EPSG:25833"},
+        settings=SETTINGS,
+        twin=True,
+    )
     return json.loads((folder / "echo_sounder.json").read_text())
 
 

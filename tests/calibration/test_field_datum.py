@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from thalweg.calibration import MarkerLayout
+from thalweg.calibration.field import FieldPoints
 from thalweg.calibration.field.datum import FieldDatum, field_datum
 from thalweg.calibration.field.description import Target
-from thalweg.calibration.field.points import FieldPoints
-from thalweg.calibration.markers.sheets import MarkerLayout
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid, exp_rotation
+from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
 
 FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
 SIGMA = (0.008, 0.008, 0.012)

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.calibration.field.description import parse_field, read_field
-from thalweg.core.errors import ConfigError
+from thalweg.calibration.field import parse_field, read_field
+from thalweg.core import ConfigError
 
 GOOD = """\
 thalweg_field: 1
@@ -61,7 +61,7 @@ def test_what_is_not_there_is_not_needed() -> None:
         ("cones:\n", "cones:\n  - 5\n", "line 4: cones[0]: found 5; expected keys with values"),
         ("antenna: {", "antenna: {{", "not valid YAML"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_are_told_with_their_line(old: str, new: str, answer: str) -> None:
     assert old in GOOD
     with pytest.raises(ConfigError) as caught:

@@ -8,17 +8,30 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from thalweg.calibration import camera_of, interior_calibration, read_camera, same_size
+from thalweg.calibration.field import (
+    FieldPoints,
+    measure,
+    point_table,
+    read_facts,
+    read_place,
+    read_points,
+    starting_camera,
+    write_facts,
+    write_points,
+)
 from thalweg.calibration.field.description import FieldCone, Target
-from thalweg.calibration.field.facts import read_facts, read_place, write_facts
-from thalweg.calibration.field.job import measure, point_table, starting_camera
-from thalweg.calibration.field.points import FieldPoints, covariance_file, read_points, write_points
-from thalweg.calibration.markers.camera_file import camera_of, interior_calibration, read_camera, same_size
-from thalweg.core.calibration.files import read_calibration, write_calibration
-from thalweg.core.calibration.model import Source
-from thalweg.core.camera.files import write_colmap, write_opencv
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid, exp_rotation
+from thalweg.calibration.field.points import covariance_file
+from thalweg.core import (
+    GeometryError,
+    InputError,
+    LocalFrame,
+    Rigid,
+    exp_rotation,
+    write_colmap,
+    write_opencv,
+)
+from thalweg.core.calibration import Source, read_calibration, write_calibration
 
 _spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
 blocks = importlib.util.module_from_spec(_spec)

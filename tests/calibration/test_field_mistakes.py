@@ -9,14 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.calibration.field.description import FieldDescription, Target
-from thalweg.calibration.field.job import MeasuredField, measure, starting_camera
-from thalweg.calibration.field.network_start import start_network
-from thalweg.calibration.field.picture_overview import advice_words, overview_words
-from thalweg.calibration.markers.mark_block import block_of
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid, exp_rotation
+from thalweg.calibration import block_of
+from thalweg.calibration.field import FieldDescription, MeasuredField, measure, start_network, starting_camera
+from thalweg.calibration.field.description import Target
+from thalweg.calibration.field.job import advice_words, overview_words
+from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
 
 _spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
 blocks = importlib.util.module_from_spec(_spec)
@@ -42,11 +39,15 @@ def with_targets(markers: tuple[int, ...] = (80, 83, 86, 89, 91)) -> FieldDescri
     lat, lon, h = FRAME.to_geodetic(PLACE.apply(np.array(list(centres.values()))))
     targets = tuple(
         Target(
-            name=f"T{k}", marker=m, lat_deg=lat[k], lon_deg=lon[k], h_ell_m=h[k],
+            name=f"T{k}",
+            marker=m,
+            lat_deg=lat[k],
+            lon_deg=lon[k],
+            h_ell_m=h[k],
             sigma_m=(0.008, 0.008, 0.012),
         )
         for k, m in enumerate(centres)
-    )  # fmt: skip
+    )
     return replace(yard()[1], targets=targets)
 
 

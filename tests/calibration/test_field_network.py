@@ -10,23 +10,20 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.field import bundle_cleaning
-from thalweg.calibration.field.bundle import (
+from thalweg.calibration import block_of
+from thalweg.calibration.field import (
+    FieldNetwork,
     Layout,
     Problem,
+    bundle,
     inner_constraints,
     marks_model,
-    moved,
+    measure_field,
+    start_network,
     start_state,
 )
-from thalweg.calibration.field.network import FieldNetwork, measure_field
-from thalweg.calibration.field.network_start import start_network
-from thalweg.calibration.markers.mark_block import block_of
-from thalweg.core.adjustment.solve import UnobservableError
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError
-from thalweg.core.propagation import cross_matrix
-from thalweg.core.rigid import Rigid
+from thalweg.calibration.field.bundle import moved
+from thalweg.core import Camera, GeometryError, Rigid, UnobservableError, cross_matrix
 
 _spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
 blocks = importlib.util.module_from_spec(_spec)
@@ -281,7 +278,7 @@ def test_the_limit_of_a_mark_is_that_of_two_coordinates(monkeypatch: pytest.Monk
     Of all marks one gets 23.6 and one 24.0, of different points; the rest is what the block says.
     """
     seen: list[np.ndarray] = []
-    true = bundle_cleaning.mark_tests
+    true = bundle.mark_tests
 
     def tests(problem: Problem, layout: Layout, adjusted: object) -> np.ndarray:
         found = np.minimum(true(problem, layout, adjusted), 3.0)
@@ -290,6 +287,6 @@ def test_the_limit_of_a_mark_is_that_of_two_coordinates(monkeypatch: pytest.Monk
         seen.append(problem.used[[first, other]])
         return found
 
-    monkeypatch.setattr(bundle_cleaning, "mark_tests", tests)
+    monkeypatch.setattr(bundle, "mark_tests", tests)
     measure_field(observed(0), {"slr": NOMINAL}, yard(0)[1])
     assert seen[-1].tolist() == [True, False]

@@ -6,17 +6,20 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, truncnorm
 
-from thalweg.calibration.ins_lidar.adjustment import START, InsLidar, InsLidarSettings, calibrate
-from thalweg.calibration.ins_lidar.checks import RunGates, seen_headings_deg
-from thalweg.calibration.ins_lidar.model import Known, State, linearise, truncated_variance
-from thalweg.calibration.ins_lidar.motion_search import MountRange, find_mount
-from thalweg.calibration.ins_lidar.point_noise import BeamNoise
-from thalweg.calibration.ins_lidar.pose_errors import Knots, PoseErrors
-from thalweg.calibration.ins_lidar.run_points import RunPoints
-from thalweg.core.adjustment.solve import UnobservableError
-from thalweg.core.errors import CoverageError, GeometryError
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.calibration.ins_lidar import (
+    START,
+    InsLidarSettings,
+    Knots,
+    MountRange,
+    PoseErrors,
+    RunGates,
+    RunPoints,
+    calibrate,
+)
+from thalweg.calibration.ins_lidar.adjustment import InsLidar, seen_headings_deg
+from thalweg.calibration.ins_lidar.model import BeamNoise, Known, State, linearise, truncated_variance
+from thalweg.calibration.ins_lidar.run_points import find_mount
+from thalweg.core import ArrayF, CoverageError, GeometryError, Rigid, UnobservableError
 from thalweg_lab.studies.cone_runs import LEVER_ANTENNA_M, TRUE_MOUNT, ConeRun, RunSpec, make_run
 
 NEAR = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), [-0.350, 0.0, -0.250])
@@ -40,9 +43,14 @@ def settings(spec: RunSpec, **changes: object) -> InsLidarSettings:
 def solved(run: ConeRun, how: InsLidarSettings, *, start: Rigid = START, antenna: bool = True) -> InsLidar:
     points = RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s)
     return calibrate(
-        points, run.cones, run.T_wcs_pcs, how, lever_ics_antenna_m=LEVER_ANTENNA_M,
-        antenna=run.antenna if antenna else None, start=start,
-    )  # fmt: skip
+        points,
+        run.cones,
+        run.T_wcs_pcs,
+        how,
+        lever_ics_antenna_m=LEVER_ANTENNA_M,
+        antenna=run.antenna if antenna else None,
+        start=start,
+    )
 
 
 def normalised(found: Rigid, cov: ArrayF | None = None) -> float:
@@ -64,9 +72,13 @@ def test_derivatives_are_those_of_the_distances(rng: np.random.Generator) -> Non
     run = make_run(3, spec)
     points = RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s)
     known = Known(
-        field=run.cones, T_wcs_pcs=run.T_wcs_pcs, lever_ics_antenna_m=LEVER_ANTENNA_M,
-        errors=settings(spec).errors, noise=BeamNoise(across_m=0.0), sigma_time_s=0.01,
-    )  # fmt: skip
+        field=run.cones,
+        T_wcs_pcs=run.T_wcs_pcs,
+        lever_ics_antenna_m=LEVER_ANTENNA_M,
+        errors=settings(spec).errors,
+        noise=BeamNoise(across_m=0.0),
+        sigma_time_s=0.01,
+    )
     knots = Knots.over(float(points.t_gps_s[0]), float(points.t_gps_s[-1]), known.errors)
     cone = run.cones.near(points.in_wcs(TRUE_MOUNT), run.T_wcs_pcs, 0.0)
     at = State(mount=TRUE_MOUNT, z=rng.normal(size=known.n_border - 6), e=np.zeros(knots.n))
@@ -82,9 +94,13 @@ def test_derivatives_are_those_of_the_distances(rng: np.random.Generator) -> Non
     for j in (*range(12), 13, 17, known.n_border - 1):
         step = 1e-5 if j < 6 else 1e-3
         unit = np.eye(known.n_border)[j] * step
-        found = slope(*(
-            replace(at, mount=at.mount.moved(sign * unit[:6]), z=at.z + sign * unit[6:]) for sign in (1, -1)
-        ), step)  # fmt: skip
+        found = slope(
+            *(
+                replace(at, mount=at.mount.moved(sign * unit[:6]), z=at.z + sign * unit[6:])
+                for sign in (1, -1)
+            ),
+            step,
+        )
         scale = np.abs(here.border[ok, j]).max()
         # 5 cm of distance against 20 cm of radius: some points are off by a third, all together by a tenth
         assert np.sqrt(np.mean((found - here.border[ok, j]) ** 2)) < 0.12 * scale, j
@@ -97,9 +113,12 @@ def test_derivatives_are_those_of_the_distances(rng: np.random.Generator) -> Non
 def test_noisy_beams_on_round_cones_leave_no_mean() -> None:
     """Without errors of poses and field: points lie 0.8 mm inside in the mean, and that is taken off."""
     spec = RunSpec(
-        duration_s=40.0, points=250_000, reference_scale=0.01,
-        sigma_position_m=(1e-5, 1e-5, 1e-5), sigma_attitude_deg=(1e-4, 1e-4, 1e-4),
-    )  # fmt: skip
+        duration_s=40.0,
+        points=250_000,
+        reference_scale=0.01,
+        sigma_position_m=(1e-5, 1e-5, 1e-5),
+        sigma_attitude_deg=(1e-4, 1e-4, 1e-4),
+    )
     found = solved(make_run(9, spec), settings(spec, search=NO_SEARCH), start=NEAR, antenna=False)
     left = found.points["distance_adjusted_m"][found.points["used"]]
     # four sigmas of a mean; 0.25 mm here, a third of the effect
@@ -170,15 +189,25 @@ def test_the_antenna_defines_the_origin() -> None:
     moved = np.array([0.03, -0.05, 0.02])
     points = RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s)
     first = calibrate(
-        points, run.cones, run.T_wcs_pcs, settings(SHORT, search=NO_SEARCH), start=NEAR,
-        lever_ics_antenna_m=LEVER_ANTENNA_M, antenna=run.antenna,
-    )  # fmt: skip
+        points,
+        run.cones,
+        run.T_wcs_pcs,
+        settings(SHORT, search=NO_SEARCH),
+        start=NEAR,
+        lever_ics_antenna_m=LEVER_ANTENNA_M,
+        antenna=run.antenna,
+    )
     # the same antenna track with another lever arm: another point of the boat is called origin
     other = replace(points, position_wcs_m=points.to_wcs(-moved))
     second = calibrate(
-        other, run.cones, run.T_wcs_pcs, settings(SHORT, search=NO_SEARCH), start=NEAR,
-        lever_ics_antenna_m=LEVER_ANTENNA_M + moved, antenna=run.antenna,
-    )  # fmt: skip
+        other,
+        run.cones,
+        run.T_wcs_pcs,
+        settings(SHORT, search=NO_SEARCH),
+        start=NEAR,
+        lever_ics_antenna_m=LEVER_ANTENNA_M + moved,
+        antenna=run.antenna,
+    )
     # a hundredth of a sigma: where the steps end
     assert second.T_ics_scs.shift_m - first.T_ics_scs.shift_m == pytest.approx(moved, abs=1e-4)
     assert second.T_ics_scs.cov == pytest.approx(first.T_ics_scs.cov, rel=0.05, abs=1e-9)

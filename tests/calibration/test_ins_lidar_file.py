@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.cones.cone import Cone
-from thalweg.calibration.field.description import AntennaMarker, FieldCone, FieldDescription
-from thalweg.calibration.field.points import FieldPoints
+from thalweg.calibration import Cone, MarkerLayout
+from thalweg.calibration.field import FieldDescription, FieldPoints
+from thalweg.calibration.field.description import AntennaMarker, FieldCone
+from thalweg.calibration.ins_lidar import FieldCones
 from thalweg.calibration.ins_lidar.file import field_cones, seen_antenna
-from thalweg.calibration.ins_lidar.run_points import FieldCones
-from thalweg.calibration.markers.sheets import MarkerLayout
-from thalweg.core.errors import ConfigError, InputError
+from thalweg.core import ConfigError, InputError
 
 HALF_RAD = np.deg2rad(25.0)
 PER_CONE = 8
@@ -69,10 +68,16 @@ def measured(seed: int) -> FieldPoints:
 
 
 def off(found: FieldCones) -> np.ndarray:
-    return np.concatenate([
-        np.r_[true.apex_m - cone.apex_m, cone.tangents @ true.axis, true.half_angle_rad - cone.half_angle_rad]
-        for cone, true in zip(found.cones, TRUE, strict=True)
-    ])  # fmt: skip
+    return np.concatenate(
+        [
+            np.r_[
+                true.apex_m - cone.apex_m,
+                cone.tangents @ true.axis,
+                true.half_angle_rad - cone.half_angle_rad,
+            ]
+            for cone, true in zip(found.cones, TRUE, strict=True)
+        ]
+    )
 
 
 def test_the_covariance_of_the_cones_is_a_joint_one_and_positive() -> None:

@@ -5,14 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.calibration.ins_lidar.adjustment import START
-from thalweg.calibration.ins_lidar.points import NearCones, Way
-from thalweg.calibration.ins_lidar.run_points import RunPoints, smooth_rates
-from thalweg.core.errors import CoverageError
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF
-from thalweg.lidar.georeference import georeference_points
-from thalweg.lidar.mount import Mount
+from thalweg.calibration.ins_lidar import START, NearCones, RunPoints
+from thalweg.calibration.ins_lidar.run_points import Way, smooth_rates
+from thalweg.core import ArrayF, CoverageError, Trajectory
+from thalweg.lidar import Mount, georeference_points
 from thalweg_lab.studies.cone_runs import ConeRun, RunSpec, make_run
 
 SPEC = RunSpec(duration_s=20.0, points=6000)
@@ -162,10 +158,13 @@ def test_missing_nodes_end_a_piece_too() -> None:
     whole = straight(speed, np.ones(n))
     keep = np.r_[np.arange(195), np.arange(206, n)]
     holed = replace(
-        whole, t_gps_s=whole.t_gps_s[keep], position_wcs_m=whole.position_wcs_m[keep],
-        quaternion_wcs_ics=whole.quaternion_wcs_ics[keep], cov_pose_wcs=whole.cov_pose_wcs[keep],
+        whole,
+        t_gps_s=whole.t_gps_s[keep],
+        position_wcs_m=whole.position_wcs_m[keep],
+        quaternion_wcs_ics=whole.quaternion_wcs_ics[keep],
+        cov_pose_wcs=whole.cov_pose_wcs[keep],
         valid=whole.valid[keep],
-    )  # fmt: skip
+    )
     velocity = smooth_rates(holed)[0][:, 0]
     np.testing.assert_allclose(velocity[:194], 0.5, atol=1e-5)
     np.testing.assert_allclose(velocity[195:], 1.5, atol=1e-5)

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from thalweg.calibration.markers.sheets import MarkerLayout, sheet_picture
-from thalweg.calibration.markers.tables import (
+from thalweg.calibration import (
     MARKS,
+    MarkerLayout,
     detect_pictures,
-    read_grey,
     recordings_folder,
     report_of,
+    sheet_picture,
 )
-from thalweg.core.errors import InputError
-from thalweg.core.tables import read_table, write_table
-from thalweg.ingest.photos.stamps import list_images
+from thalweg.calibration.markers import read_grey
+from thalweg.core import InputError, read_table, write_table
+from thalweg.ingest.photos import list_images
 
 LAYOUT = MarkerLayout()
 

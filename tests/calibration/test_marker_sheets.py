@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from thalweg.calibration.markers.sheets import (
-    DOTS_PER_MM,
+from thalweg.calibration import (
     SADDLES_MODULES,
     MarkerLayout,
     mark_name,
     parse_mark,
-    sheet_page,
     sheet_picture,
     write_sheets,
 )
-from thalweg.core.errors import GeometryError, InputError
+from thalweg.calibration.marker_sheets import DOTS_PER_MM, sheet_page
+from thalweg.core import GeometryError, InputError
 
 LAYOUT = MarkerLayout(sizes=((60, 99, 0.016),))
 

@@ -6,17 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.calibration.markers.sheets import SADDLES_MODULES, MarkerLayout, sheet_picture
-from thalweg.calibration.markers.tables import (
-    MIRRORED,
-    NO_SADDLES,
-    TWICE,
-    UNKNOWN,
-    Detection,
-    detect,
-    detect_marks,
-)
-from thalweg.core.errors import InputError
+from thalweg.calibration import SADDLES_MODULES, MarkerLayout, sheet_picture
+from thalweg.calibration.markers import MIRRORED, NO_SADDLES, TWICE, UNKNOWN, Detection, detect, detect_marks
+from thalweg.core import InputError
 
 LAYOUT = MarkerLayout()
 SUPER = 4
@@ -29,9 +21,13 @@ def rejected_for(found: Detection, reason: str) -> list[int]:
 
 
 def drawn(
-    sheets: list[tuple[int, np.ndarray]], size: tuple[int, int], *, seed: int = 0, mirrored: tuple[int, ...]
-    = (), bend: float = 0.0,
-) -> tuple[np.ndarray, dict[int, np.ndarray]]:  # fmt: skip
+    sheets: list[tuple[int, np.ndarray]],
+    size: tuple[int, int],
+    *,
+    seed: int = 0,
+    mirrored: tuple[int, ...] = (),
+    bend: float = 0.0,
+) -> tuple[np.ndarray, dict[int, np.ndarray]]:
     """A picture (h, w) of sheets, each by its id and homography from the sheet to pixels; true saddles by id.
 
     ``bend`` moves the sheet by ``bend (u - 5)^2`` modules downwards, as on a cone.

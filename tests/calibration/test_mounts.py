@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.boat.mounts import read_mounts, resolve_mounts, write_mounts
-from thalweg.core.calibration.model import Calibration, Source, lever_block, pose_block
-from thalweg.core.errors import ConfigError, GeometryError, InputError
-from thalweg.core.frames import rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg.lidar.mount import Mount
-from thalweg.settings.base.mounts import Mounts
+from thalweg.calibration import read_mounts, resolve_mounts, write_mounts
+from thalweg.core import ConfigError, GeometryError, InputError, Rigid, rotation_opk
+from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
+from thalweg.lidar import Mount
+from thalweg.settings.sections import Mounts
 
 
 @pytest.fixture

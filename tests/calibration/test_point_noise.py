@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.ins_lidar.point_noise import LEAST_SHARE, MOST, BeamNoise, estimate_noise
+from thalweg.calibration.ins_lidar.model import LEAST_SHARE, MOST, BeamNoise, estimate_noise
 
 STATED = BeamNoise(along_m=0.0173, across_m=0.0173)
 

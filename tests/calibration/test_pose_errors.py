@@ -3,18 +3,9 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.ins_lidar.pose_errors import (
-    SLOW,
-    BorderedNormals,
-    Knots,
-    PoseErrors,
-    pose_rows,
-    turns,
-)
-from thalweg.core.errors import CoverageError, GeometryError
-from thalweg.core.frames import rotation_enu_body
-from thalweg.core.rigid import exp_rotation
-from thalweg.core.types import ArrayF
+from thalweg.calibration.ins_lidar import BorderedNormals, Knots, PoseErrors, pose_rows
+from thalweg.calibration.ins_lidar.pose_errors import SLOW, turns
+from thalweg.core import ArrayF, CoverageError, GeometryError, exp_rotation, rotation_enu_body
 
 ERRORS = PoseErrors(
     sigma_position_m=np.array([0.02, 0.02, 0.03]), sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), knot_s=0.5
@@ -32,9 +23,11 @@ def dense(band: ArrayF) -> ArrayF:
 @pytest.mark.parametrize("white", [0.0, 0.25])
 def test_the_prior_is_the_inverse_of_the_covariance_of_the_processes(white: float) -> None:
     errors = PoseErrors(
-        sigma_position_m=ERRORS.sigma_position_m, sigma_attitude_rad=ERRORS.sigma_attitude_rad, knot_s=0.5,
+        sigma_position_m=ERRORS.sigma_position_m,
+        sigma_attitude_rad=ERRORS.sigma_attitude_rad,
+        knot_s=0.5,
         white_share=white,
-    )  # fmt: skip
+    )
     knots = Knots.over(0.0, 2.2, errors)
     band, logdet = knots.prior(errors)
     C = np.linalg.inv(dense(band))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from thalweg.calibration.ins_lidar import BorderedNormals, Knots, PoseErrors, pose_rows
 from thalweg.calibration.ins_lidar.adjustment import (
     NAMES,
     Processes,
@@ -13,15 +14,16 @@ from thalweg.calibration.ins_lidar.adjustment import (
     total_covariance,
 )
 from thalweg.calibration.ins_lidar.model import State, Step
-from thalweg.calibration.ins_lidar.pose_errors import BorderedNormals, Knots, PoseErrors, pose_rows
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
-from thalweg_lab.base.random import gauss_markov
+from thalweg.core import ArrayF, Rigid
+from thalweg_lab.random_numbers import gauss_markov
 
 STATED = PoseErrors(
-    sigma_position_m=np.array([0.02, 0.02, 0.03]), sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
-    epoch_s=0.5, position_time_s=4.0, attitude_time_s=4.0,
-)  # fmt: skip
+    sigma_position_m=np.array([0.02, 0.02, 0.03]),
+    sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
+    epoch_s=0.5,
+    position_time_s=4.0,
+    attitude_time_s=4.0,
+)
 
 
 def step_of(true: PoseErrors, seconds: float, seed: int) -> tuple[Step, Knots]:
@@ -36,10 +38,13 @@ def step_of(true: PoseErrors, seconds: float, seed: int) -> tuple[Step, Knots]:
     grid = np.arange(0.0, seconds + 1.0, 0.5)
     slow = np.sqrt(1 - true.white_share)
     sizes = [*(slow * true.sigma_position_m), *true.sigma_attitude_rad]
-    error = np.stack([
-        np.interp(t, grid, gauss_markov(rng, len(grid), 0.5, float(sigma), float(time)))
-        for sigma, time in zip(sizes, true.times_s, strict=True)
-    ], axis=1)  # fmt: skip
+    error = np.stack(
+        [
+            np.interp(t, grid, gauss_markov(rng, len(grid), 0.5, float(sigma), float(time)))
+            for sigma, time in zip(sizes, true.times_s, strict=True)
+        ],
+        axis=1,
+    )
     for axis, sigma in enumerate(true.sigma_position_m):
         white = np.sqrt(true.white_share) * sigma * rng.standard_normal(len(grid))
         error[:, axis] += np.interp(t, grid, white)
@@ -50,15 +55,17 @@ def step_of(true: PoseErrors, seconds: float, seed: int) -> tuple[Step, Knots]:
     prior_border = np.zeros((6, 6))
     solution = normals.solve(knots.prior(STATED)[0], prior_border)
     state = State(mount=Rigid(R=np.eye(3), shift_m=np.zeros(3)), z=np.zeros(0), e=np.zeros(knots.n))
-    return Step(normals=normals, prior_border=prior_border, solution=solution, state=state,
-                residual_m=y, share=1.0), knots  # fmt: skip
+    return Step(
+        normals=normals, prior_border=prior_border, solution=solution, state=state, residual_m=y, share=1.0
+    ), knots
 
 
 def test_one_width_of_the_prior_is_a_factor_of_two_three_and_five() -> None:
     for i, name in enumerate(NAMES):
         far = changed(STATED, np.eye(7)[i])
-        sizes = np.r_[far.sigma_position_m / STATED.sigma_position_m,
-                      far.sigma_attitude_rad / STATED.sigma_attitude_rad]  # fmt: skip
+        sizes = np.r_[
+            far.sigma_position_m / STATED.sigma_position_m, far.sigma_attitude_rad / STATED.sigma_attitude_rad
+        ]
         expected = np.ones(6)
         if name.endswith("size"):
             expected[{"position": [0, 1, 2], "tilt": [3, 4], "heading": [5]}[name.split("_")[0]]] = 2.0
@@ -73,9 +80,13 @@ def test_one_width_of_the_prior_is_a_factor_of_two_three_and_five() -> None:
 
 def test_a_long_run_determines_sizes_times_and_white_share() -> None:
     true = replace(
-        STATED, sigma_position_m=0.5 * STATED.sigma_position_m, position_time_s=2.0, white_share=0.6,
-        sigma_attitude_rad=2.0 * STATED.sigma_attitude_rad, attitude_time_s=2.0,
-    )  # fmt: skip
+        STATED,
+        sigma_position_m=0.5 * STATED.sigma_position_m,
+        position_time_s=2.0,
+        white_share=0.6,
+        sigma_attitude_rad=2.0 * STATED.sigma_attitude_rad,
+        attitude_time_s=2.0,
+    )
     step, knots = step_of(true, 150.0, 1)
     found = estimate_processes(step, knots, STATED)
     assert found.errors.white_share == pytest.approx(0.6, abs=0.12)
@@ -93,10 +104,15 @@ def test_a_long_run_determines_sizes_times_and_white_share() -> None:
 
 def test_a_run_that_sees_nothing_leaves_the_prior_with_its_width() -> None:
     step, knots = step_of(STATED, 10.0, 2)
-    blind = replace(step, normals=replace(
-        step.normals, band=1e-9 * step.normals.band, coupling=1e-9 * step.normals.coupling,
-        rhs_band=1e-9 * step.normals.rhs_band,
-    ))  # fmt: skip
+    blind = replace(
+        step,
+        normals=replace(
+            step.normals,
+            band=1e-9 * step.normals.band,
+            coupling=1e-9 * step.normals.coupling,
+            rhs_band=1e-9 * step.normals.rhs_band,
+        ),
+    )
     found = estimate_processes(blind, knots, STATED)
     assert np.abs(found.z) == pytest.approx(np.zeros(7), abs=0.05)
     # 64 weighted draws of a standard normal number

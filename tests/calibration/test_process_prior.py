@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from thalweg.calibration.ins_lidar import PoseErrors
 from thalweg.calibration.ins_lidar.adjustment import estimate_processes
-from thalweg.calibration.ins_lidar.pose_errors import PoseErrors
 
 
 def test_the_prior_holds_a_size_that_the_run_would_let_go() -> None:

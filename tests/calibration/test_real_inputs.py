@@ -13,18 +13,14 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.calibration.camera_lidar.statics import read_statics
-from thalweg.calibration.field.points import FieldPoints, write_points
-from thalweg.calibration.markers.camera_file import interior_calibration, read_camera
-from thalweg.calibration.markers.sheets import MarkerLayout, sheet_picture
-from thalweg.calibration.markers.tables import MARKS
-from thalweg.core.calibration.files import write_calibration
-from thalweg.core.calibration.model import Source
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.tables import read_table, write_table
-from thalweg.ingest.photos.stamps import IMAGE_STAMPS, list_images
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.display_photos import simulate_display
+from thalweg.calibration import MARKS, MarkerLayout, interior_calibration, read_camera, sheet_picture
+from thalweg.calibration.camera_lidar import read_statics
+from thalweg.calibration.field import FieldPoints, write_points
+from thalweg.core import GeometryError, InputError, read_table, write_table
+from thalweg.core.calibration import Source, write_calibration
+from thalweg.ingest.photos import IMAGE_STAMPS, list_images
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import simulate_display
 
 _spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
 assert _spec
@@ -70,9 +66,14 @@ def detected(main: Callable[..., None], base: Path, folders: list[Path], name: s
     out = base / name
     out.mkdir()
     main(
-        folders=folders, field=base / "field.yaml", marks=out / "marks.parquet", report=out / "report.json",
-        rejected=out / "rejected.csv", camera="boat", threads=1,
-    )  # fmt: skip
+        folders=folders,
+        field=base / "field.yaml",
+        marks=out / "marks.parquet",
+        report=out / "report.json",
+        rejected=out / "rejected.csv",
+        camera="boat",
+        threads=1,
+    )
     table, meta = read_table(out / "marks.parquet", MARKS)
     assert meta["sizes_px"] == {"boat": [320, 180]}
     assert json.loads((out / "report.json").read_text())["images"] == 5
@@ -87,8 +88,10 @@ def test_markers_in_folders_and_in_lists_of_files(
     by_folders = detected(main, recordings, [shots, run], "folders")
     assert by_folders["image"].unique().tolist() == ["position_2.png", "position_10.png", *RUN]
     assert by_folders["file"].unique().tolist() == [
-        "shots.2021/position_2.png", "shots.2021/position_10.png", *(f"run/{name}" for name in RUN),
-    ]  # fmt: skip
+        "shots.2021/position_2.png",
+        "shots.2021/position_10.png",
+        *(f"run/{name}" for name in RUN),
+    ]
     files = [shots / "position_2.png", shots / "position_10.png", *(run / name for name in RUN)]
     by_files = detected(main, recordings, files, "files")
     mixed = detected(main, recordings, [*files[:2], run], "mixed")
@@ -102,9 +105,14 @@ def test_markers_in_files_of_one_folder_keep_its_name(
     monkeypatch.chdir(recordings)
     files = [Path("logs/run") / name for name in RUN]
     script("detect_markers")(
-        folders=files, field=Path("field.yaml"), marks=Path("m.parquet"), report=Path("r.json"),
-        rejected=Path("x.csv"), camera="boat", threads=1,
-    )  # fmt: skip
+        folders=files,
+        field=Path("field.yaml"),
+        marks=Path("m.parquet"),
+        report=Path("r.json"),
+        rejected=Path("x.csv"),
+        camera="boat",
+        threads=1,
+    )
     table, _ = read_table(Path("m.parquet"), MARKS)
     assert table["file"].unique().tolist() == [f"run/{name}" for name in RUN]
 
@@ -121,9 +129,15 @@ def test_stamps_of_a_folder_and_of_a_list_of_files(
     for name, images in given.items():
         stamps, integrity = recordings / f"{name}.parquet", recordings / f"{name}.json"
         script("read_image_stamps")(
-            images=images, times=[], stamps=stamps, integrity=integrity, source="auto", pattern=None,
-            utc_offset=None, folders=False,
-        )  # fmt: skip
+            images=images,
+            times=[],
+            stamps=stamps,
+            integrity=integrity,
+            source="auto",
+            pattern=None,
+            utc_offset=None,
+            folders=False,
+        )
         tables.append(read_table(stamps, IMAGE_STAMPS)[0])
         assert json.loads(integrity.read_text())["counts"]["images"] == 3
     assert tables[0]["file"].tolist() == RUN
@@ -148,9 +162,13 @@ def test_a_display_in_a_folder_in_two_and_in_files(
     for photos in ([tmp_path / "whole"], [tmp_path / "first", tmp_path / "second.half"], files):
         out = tmp_path / "display.csv"
         script("read_display")(
-            photos=photos, labels=[], display=out, stability=tmp_path / "stability.json",
-            options={"pattern": "HH:MM:SS.ff", "step_s": 0.01}, threads=1,
-        )  # fmt: skip
+            photos=photos,
+            labels=[],
+            display=out,
+            stability=tmp_path / "stability.json",
+            options={"pattern": "HH:MM:SS.ff", "step_s": 0.01},
+            threads=1,
+        )
         tables.append(out.read_text())
     assert len(tables[0].splitlines()) == 1 + len(files)
     assert tables[1:] == tables[:1] * 2
@@ -197,12 +215,20 @@ def test_the_boats_camera_from_a_file_and_from_nothing(
 
     def run(interior: list[Path]) -> None:
         script("orient_camera")(
-            marks=tmp_path / "marks.parquet", points=tmp_path / "points.csv", field=tmp_path / "field.yaml",
-            interior=interior, position_images=[], poses=tmp_path / "poses.parquet",
-            statics=tmp_path / "statics.npz", camera=tmp_path / "camera.yaml",
-            residuals=tmp_path / "residuals.csv", report=tmp_path / "report.json", campaign={"id": "x"},
-            model="fisheye", focal_px=None,
-        )  # fmt: skip
+            marks=tmp_path / "marks.parquet",
+            points=tmp_path / "points.csv",
+            field=tmp_path / "field.yaml",
+            interior=interior,
+            position_images=[],
+            poses=tmp_path / "poses.parquet",
+            statics=tmp_path / "statics.npz",
+            camera=tmp_path / "camera.yaml",
+            residuals=tmp_path / "residuals.csv",
+            report=tmp_path / "report.json",
+            campaign={"id": "x"},
+            model="fisheye",
+            focal_px=None,
+        )
 
     with pytest.raises(GeometryError, match="2 of 2 pictures of the boat's camera"):
         run([])

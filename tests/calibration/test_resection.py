@@ -9,15 +9,16 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.camera.boat_camera import orient_on_field, starting_boat_camera
-from thalweg.calibration.camera.poses import network_pose_table, read_poses, write_poses
-from thalweg.calibration.camera_lidar.statics import statics_of
-from thalweg.calibration.field.points import FieldPoints
-from thalweg.calibration.field.resection import resect
-from thalweg.calibration.markers.ray_resection import pose_from_rays
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid, exp_rotation
+from thalweg.calibration import (
+    network_pose_table,
+    orient_on_field,
+    read_poses,
+    starting_boat_camera,
+    write_poses,
+)
+from thalweg.calibration.camera_lidar import statics_of
+from thalweg.calibration.field import FieldPoints, pose_from_rays, resect
+from thalweg.core import Camera, GeometryError, Rigid, exp_rotation
 
 _spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
 blocks = importlib.util.module_from_spec(_spec)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.calibration.markers.saddles import fit_saddles
+from thalweg.calibration import fit_saddles
 
 pytestmark = pytest.mark.real
 

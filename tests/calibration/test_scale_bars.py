@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from thalweg.calibration.field.network import scale_of
-from thalweg.core.errors import GeometryError
+from thalweg.core import GeometryError
 
 NAMES = ("A", "B", "C")
 
@@ -68,3 +68,27 @@ def test_two_bars_that_contradict_are_told_with_the_difference() -> None:
     """Bars of 2 m, 1.00 and 1.01 units long: by the first one a unit is 2 m, and the second bar 2.02 m."""
     with pytest.raises(GeometryError, match=r"by A, B is \+20\.00 mm longer than its 2\.00000 m"):
         scale_of(NAMES[:2], np.array([2.0, 2.0]), np.full(2, 1e-3), np.array([1.0, 1.01]), np.zeros((2, 2)))
+
+
+def test_how_far_a_bar_is_off_by_another_one() -> None:
+    """Bars of 2.01 and 3 m, 4 and 6 units long: by the second a unit is 0.5 m, and the first 10 mm too short.
+
+    Its sigma: certificate 20 mm, network 0.01 units, and the scale by the second (30 mm, 0.02 units) times 4.
+    """
+    scale = scale_of(
+        NAMES[:2],
+        np.array([2.01, 3.0]),
+        np.array([0.02, 0.03]),
+        np.array([4.0, 6.0]),
+        np.diag([0.01, 0.02]) ** 2,
+    )
+    by_second = np.hypot(0.03, 0.5 * 0.02) / 6
+    by_first = np.hypot(0.02, 0.5025 * 0.01) / 4
+    np.testing.assert_allclose(scale.off_m, [0.01, 3.0 - 0.5025 * 6], atol=1e-12)
+    np.testing.assert_allclose(
+        scale.sigma_off_m,
+        [
+            np.sqrt(0.02**2 + (0.5 * 0.01) ** 2 + (4 * by_second) ** 2),
+            np.sqrt(0.03**2 + (0.5025 * 0.02) ** 2 + (6 * by_first) ** 2),
+        ],
+    )

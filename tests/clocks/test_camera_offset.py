@@ -1,5 +1,6 @@
 """Offset of a camera's clock from a run (P2 eq. 4-5), on simulated observations with known errors."""
 
+import importlib
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -8,25 +9,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.clocks.camera import offset as camera_offset_module
-from thalweg.clocks.camera.offset import CameraOffset, MissingMotionError, camera_offset
-from thalweg.clocks.camera.offset_fit import (
+from thalweg.clocks import CameraOffset, CameraPoses, InsAttitude, OffsetOptions, Track, camera_offset
+from thalweg.clocks.camera_offset import (
     Component,
-    OffsetOptions,
+    FieldError,
+    MissingMotionError,
+    OffsetModel,
+    OffsetState,
     estimate_component,
     fit_offset,
     image_times,
 )
-from thalweg.clocks.camera.offset_observations import (
-    CameraPoses,
-    FieldError,
-    InsAttitude,
-    OffsetModel,
-    OffsetState,
-)
-from thalweg.clocks.camera.track import Track
-from thalweg.core.errors import ClockError, CoverageError
-from thalweg.core.frames import attitude_axes, rotation_enu_body, rotation_opk
+from thalweg.core import ClockError, CoverageError, attitude_axes, rotation_enu_body, rotation_opk
 
 T0 = 3.0e8
 R_ICS_CCS = rotation_opk(np.pi / 2, 0.0, 0.0)
@@ -163,13 +157,15 @@ def test_errors_are_as_large_as_the_sigmas_say(attitude: bool) -> None:
         used = found.images["used"].to_numpy()
         own = (found.images["t_best_s"] - run.t_true_s) / found.images["sigma_best_s"]
         images.append(np.square(own[used]).mean())
-        rows.append([
-            (found.clock.offset_s - OFFSET_S) / found.clock.sigma_offset_s,
-            (found.run_offset_s - run.run_offset_s) / found.sigma_run_offset_s,
-            found.clock.offset_s - OFFSET_S,
-            found.run_offset_s - run.run_offset_s,
-            found.clock.jitter_s,
-        ])  # fmt: skip
+        rows.append(
+            [
+                (found.clock.offset_s - OFFSET_S) / found.clock.sigma_offset_s,
+                (found.run_offset_s - run.run_offset_s) / found.sigma_run_offset_s,
+                found.clock.offset_s - OFFSET_S,
+                found.run_offset_s - run.run_offset_s,
+                found.clock.jitter_s,
+            ]
+        )
     table = np.array(rows)
     low, high = band(50)
     clock, mean = np.square(table[:, :2]).mean(axis=0)
@@ -200,10 +196,14 @@ def test_a_run_of_four_minutes_finds_its_offset_within_a_millisecond() -> None:
     for seed in range(60):
         run = simulate(1000 + seed, 240)
         found = solve(run, attitude=True)
-        rows.append([
-            found.clock.offset_s - OFFSET_S, found.clock.sigma_offset_s,
-            found.run_offset_s - run.run_offset_s, found.sigma_run_offset_s,
-        ])  # fmt: skip
+        rows.append(
+            [
+                found.clock.offset_s - OFFSET_S,
+                found.clock.sigma_offset_s,
+                found.run_offset_s - run.run_offset_s,
+                found.sigma_run_offset_s,
+            ]
+        )
     error_c, sigma_c, error_r, sigma_r = np.array(rows).T
     low, high = band(60)
     assert low < np.square(error_c / sigma_c).mean() < high
@@ -247,8 +247,9 @@ def test_wrong_poses_are_taken_out_and_do_not_matter() -> None:
     left = found.images[~found.images["used"]]
     assert 4 <= len(left) <= 7  # one of five may err by less than its sigma
     assert set(left["reason"]) <= {
-        "rejected: residual does not fit", "gross: far from the rest before the adjustment"
-    }  # fmt: skip
+        "rejected: residual does not fit",
+        "gross: far from the rest before the adjustment",
+    }
     clean = solve(simulate(21, 100), attitude=True)
     # five images fewer of a hundred; other draws of the errors behind them
     assert found.clock.offset_s == pytest.approx(OFFSET_S, abs=4 * found.clock.sigma_offset_s)
@@ -301,10 +302,12 @@ def test_a_run_too_short_for_slow_errors_of_the_ins_starts_with_its_attitude() -
 @pytest.mark.parametrize(
     ("shift", "words"),
     [
-        (7200.0, "-2:00 h: a time zone"), (-3600.0, "+1:00 h: a time zone"),
-        (86_400.0, "-1 day(s)"), (500.0, "images and positions of one run"),
+        (7200.0, "-2:00 h: a time zone"),
+        (-3600.0, "+1:00 h: a time zone"),
+        (86_400.0, "-1 day(s)"),
+        (500.0, "images and positions of one run"),
     ],
-)  # fmt: skip
+)
 def test_runs_that_do_not_overlap_are_refused_and_whole_hours_named(shift: float, words: str) -> None:
     run = simulate(5)
     moved = replace(run.poses, t_device_s=run.poses.t_device_s + shift)
@@ -334,16 +337,20 @@ def test_gaps_of_the_positions_are_counted_and_too_many_refused() -> None:
     keep = ~((t > 40) & (t < 52))
     track = replace(
         run.track,
-        t_gps_s=run.track.t_gps_s[keep], position_m=run.track.position_m[keep], cov_m2=run.track.cov_m2[keep],
-    )  # fmt: skip
+        t_gps_s=run.track.t_gps_s[keep],
+        position_m=run.track.position_m[keep],
+        cov_m2=run.track.cov_m2[keep],
+    )
     found = camera_offset(run.poses, track, field_error=run.field)
     gap = found.images["reason"] == "outside the positions or in a gap of them"
     assert 12 <= gap.sum() <= 14
     keep = (t * 10).round().astype(int) % 100 < 8
     holes = replace(
         run.track,
-        t_gps_s=run.track.t_gps_s[keep], position_m=run.track.position_m[keep], cov_m2=run.track.cov_m2[keep],
-    )  # fmt: skip
+        t_gps_s=run.track.t_gps_s[keep],
+        position_m=run.track.position_m[keep],
+        cov_m2=run.track.cov_m2[keep],
+    )
     with pytest.raises(CoverageError, match="lie where positions are complete"):
         camera_offset(run.poses, holes)
     with pytest.raises(ClockError, match="5 images"):
@@ -414,9 +421,12 @@ def test_the_covariance_of_a_track_is_that_of_its_errors() -> None:
     kernel = 0.7 * np.exp(-np.abs(t[:, None] - t) / 2.0) + 0.3 * np.eye(len(t))
     errors = np.linalg.cholesky(kernel) @ rng.standard_normal((len(t), 4000))
     track = Track(
-        t_gps_s=t, position_m=np.zeros((len(t), 3)), cov_m2=np.tile(np.eye(3), (len(t), 1, 1)),
-        correlation_time_s=2.0, white_share=0.3,
-    )  # fmt: skip
+        t_gps_s=t,
+        position_m=np.zeros((len(t), 3)),
+        cov_m2=np.tile(np.eye(3), (len(t), 1, 1)),
+        correlation_time_s=2.0,
+        white_share=0.3,
+    )
     between = track.at([2.03, 2.31, 4.77])
     for weight, cov in (
         (between.weight, track.covariance(between)),
@@ -473,12 +483,18 @@ def test_the_limit_of_an_image_is_that_of_its_coordinates(
             state=state, tests=np.array([tests.get(name, 0.0) for name in model.poses.file])
         )
 
+    camera_offset_module = importlib.import_module("thalweg.clocks.camera_offset")
     monkeypatch.setattr(camera_offset_module, "fit_offset", fit)
     reason = np.full(10, "", dtype=object)
     camera_offset_module._settled(
-        run.poses, run.track, reason, OffsetState(offset_s=0.0, drift=0.0, lever_m=LEVER_CCS),
-        ins=run.ins if attitude else None, field_error=None, options=OffsetOptions(),
-    )  # fmt: skip
+        run.poses,
+        run.track,
+        reason,
+        OffsetState(offset_s=0.0, drift=0.0, lever_m=LEVER_CCS),
+        ins=run.ins if attitude else None,
+        field_error=None,
+        options=OffsetOptions(),
+    )
     # the limit for one of the nine images that are left is 1 % lower
     assert [bool(word) for word in reason[:2]] == [False, True]
     assert not any(reason[2:])

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.clocks.ties.hand_tables import read_text_columns
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.clocks.ties.ties import clock_from_ties, read_ties
-from thalweg.clocks.ties.trigger import clock_from_pulses, match_pulses, trigger_clock
-from thalweg.core.errors import ClockError, InputError
+from thalweg.clocks import ClockModel, clock_from_ties, read_text_columns, read_ties
+from thalweg.clocks.ties import clock_from_pulses, match_pulses, trigger_clock
+from thalweg.core import ClockError, InputError
 
 T0 = 3.0e8
 
@@ -31,9 +29,16 @@ def test_a_clock_and_its_sigma_at_any_time() -> None:
 
 def test_a_clock_survives_its_file(tmp_path: Path) -> None:
     clock = ClockModel(
-        offset_s=1.25, drift=-3e-6, reference_s=T0, cov=np.array([[1e-6, 2e-13], [2e-13, 1e-14]]),
-        jitter_s=0.023, source="two ties", t_first_s=T0 - 5, t_last_s=T0 + 5, notes=("a", "b"),
-    )  # fmt: skip
+        offset_s=1.25,
+        drift=-3e-6,
+        reference_s=T0,
+        cov=np.array([[1e-6, 2e-13], [2e-13, 1e-14]]),
+        jitter_s=0.023,
+        source="two ties",
+        t_first_s=T0 - 5,
+        t_last_s=T0 + 5,
+        notes=("a", "b"),
+    )
     clock.write(tmp_path / "camera_clock.yaml")
     again = ClockModel.read(tmp_path / "camera_clock.yaml")
     assert np.array_equal(again.cov, clock.cov)
@@ -259,3 +264,33 @@ def test_pauses_do_not_widen_what_counts_as_near() -> None:
     image[5] += 0.4
     match = match_pulses(image, pulse)
     assert np.flatnonzero(match.pulse < 0).tolist() == [5]
+
+
+def test_images_of_the_end_of_many_pulses_are_found() -> None:
+    """Twenty images of pulses 75 to 94 of a hundred; more than fifty may be missing where there are more."""
+    pulse = np.cumsum(1.0 + 0.01 * np.arange(100))
+    match = match_pulses(pulse[75:95] - 500.0, pulse, tolerance_s=0.001)
+    assert match.pulse.tolist() == list(range(75, 95))
+    assert match.image.tolist() == [-1] * 75 + list(range(20)) + [-1] * 5
+    assert (match.images_without_pulse, match.pulses_without_image) == (0, 80)
+
+
+def test_a_trigger_without_delay_is_without_error() -> None:
+    clock = trigger_clock(t_first_s=T0, t_last_s=T0 + 100)
+    assert (clock.offset_s, clock.drift, clock.jitter_s) == (0.0, 0.0, 0.0)
+    np.testing.assert_array_equal(clock.cov, np.zeros((2, 2)))
+    assert (clock.reference_s, clock.t_first_s, clock.t_last_s) == (T0 + 50, T0, T0 + 100)
+    assert "delay" not in clock.source
+    late = trigger_clock(t_first_s=T0, t_last_s=T0 + 100, delay_s=0.003, sigma_delay_s=1e-4, jitter_s=2e-4)
+    np.testing.assert_allclose(late.cov, [[1e-8, 0.0], [0.0, 0.0]])
+    assert (late.offset_s, late.jitter_s) == (0.003, 2e-4)
+    assert late.source.endswith("with a delay of 3 ms")
+
+
+def test_stamps_that_stand_still_once_are_refused_and_three_of_each_are_enough() -> None:
+    good = np.array([0.0, 1.0, 2.5, 4.5, 7.0])
+    once = np.array([0.0, 1.0, 1.0, 4.5, 7.0])
+    for t, p in ((once, good), (good, once), (good[::-1], good), (good[:2], good), (good, good[:2])):
+        with pytest.raises(ClockError, match="at least three of each, in order of time"):
+            match_pulses(t, p)
+    assert match_pulses(good[:3] - 50.0, good[:3]).pulse.tolist() == [0, 1, 2]

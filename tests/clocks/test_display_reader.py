@@ -11,11 +11,11 @@ import pytest
 from PIL import Image, ImageDraw, ImageFont
 from scipy.stats import chi2
 
-from thalweg.clocks.display.reader import out_of_sequence, read_display, seconds_of
-from thalweg.clocks.display.stability import clock_stability
-from thalweg.core.errors import ClockError, InputError
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.display_photos import simulate_display
+from thalweg.clocks import clock_stability, read_display
+from thalweg.clocks.display import out_of_sequence, seconds_of
+from thalweg.core import ClockError, InputError
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import simulate_display
 
 STEP_S = 0.01
 

@@ -6,11 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.clocks.camera.image_fixes import antenna_track, image_fixes, in_motion
-from thalweg.clocks.camera.offset_observations import CameraPoses
-from thalweg.clocks.camera.track import Track
-from thalweg.core.errors import InputError
-from thalweg.core.frames import rotation_opk
+from thalweg.clocks import CameraPoses, Track, antenna_track, image_fixes
+from thalweg.clocks.synchronise import in_motion
+from thalweg.core import InputError, rotation_opk
 
 LEVER_M = np.array([0.35, -0.27, -0.08])
 
@@ -27,9 +25,12 @@ def run():
     antenna = at[:, None] * ahead - off @ np.stack([ahead, left, [0.0, 0.0, 1.0]])
     R = np.stack([rotation_opk(0.1 * k, 0.2, 0.3 * k) for k in range(3)])
     poses = CameraPoses(
-        file=np.array(["a.jpg", "b.jpg", "c.jpg"], dtype=object), t_device_s=at + 2.0, R_wcs_ccs=R,
-        centre_wcs_m=antenna - R @ LEVER_M, cov_pose_wcs=np.zeros((3, 6, 6)),
-    )  # fmt: skip
+        file=np.array(["a.jpg", "b.jpg", "c.jpg"], dtype=object),
+        t_device_s=at + 2.0,
+        R_wcs_ccs=R,
+        centre_wcs_m=antenna - R @ LEVER_M,
+        cov_pose_wcs=np.zeros((3, 6, 6)),
+    )
     images = pd.DataFrame({"file": poses.file, "t_gps_s": at, "used": [True, False, True]})
     return SimpleNamespace(images=images, lever_ccs_antenna_m=LEVER_M), poses, track, off, antenna
 

@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from thalweg.clocks.streams.lag import LIMIT_S, Lag, ins_position_lag, stream_lag
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame, roll_pitch_heading, rotation_enu_body
-from thalweg_lab.base.random import gauss_markov
+from thalweg.clocks import Lag, ins_position_lag
+from thalweg.clocks.streams import LIMIT_S, stream_lag
+from thalweg.core import GeometryError, LocalFrame, roll_pitch_heading, rotation_enu_body
+from thalweg_lab.random_numbers import gauss_markov
 
 SEEDS = 60
 
@@ -121,17 +121,26 @@ def survey(offset_s: float, seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:
     position, speed, R = pose(s)
     lat, lon, h = FRAME.to_geodetic(position)
     roll, pitch, heading = roll_pitch_heading(R)
-    states = pd.DataFrame({
-        "t_gps_s": 4e8 + s, "lat_deg": lat, "lon_deg": lon, "h_ell_m": h, "v_east_mps": speed[:, 0],
-        "v_north_mps": speed[:, 1], "v_down_mps": -speed[:, 2], "roll_rad": roll, "pitch_rad": pitch,
-        "heading_rad": heading,
-    })  # fmt: skip
+    states = pd.DataFrame(
+        {
+            "t_gps_s": 4e8 + s,
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "h_ell_m": h,
+            "v_east_mps": speed[:, 0],
+            "v_north_mps": speed[:, 1],
+            "v_down_mps": -speed[:, 2],
+            "roll_rad": roll,
+            "pitch_rad": pitch,
+            "heading_rad": heading,
+        }
+    )
     t = np.arange(2, 58, 0.1)
     position, _, R = pose(t - offset_s)
     lat, lon, h = FRAME.to_geodetic(position + R @ LEVER + rng.normal(0, 0.005, (len(t), 3)))
-    positions = pd.DataFrame({
-        "t_gps_s": 4e8 + t, "lat_deg": lat, "lon_deg": lon, "h_ell_m": h, "fix": "fixed",
-    })  # fmt: skip
+    positions = pd.DataFrame(
+        {"t_gps_s": 4e8 + t, "lat_deg": lat, "lon_deg": lon, "h_ell_m": h, "fix": "fixed"}
+    )
     return states, positions
 
 

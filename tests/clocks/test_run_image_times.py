@@ -9,17 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.clocks.ties.run_image_times import (
-    RUN_IMAGE_TIMES,
-    image_times_words,
-    read_run_image_times,
-    tied_images,
-    triggered_images,
-)
-from thalweg.core.errors import ClockError, InputError
-from thalweg.core.tables import frame_of, read_table, write_table
-from thalweg.ingest.photos.stamps import IMAGE_STAMPS
+from thalweg.clocks import ClockModel, read_run_image_times, triggered_images
+from thalweg.clocks.ties import RUN_IMAGE_TIMES, image_times_words, tied_images
+from thalweg.core import ClockError, InputError, frame_of, read_table, write_table
+from thalweg.ingest.photos import IMAGE_STAMPS
 
 ROOT = Path(__file__).parents[2]
 T0 = 3.0e8
@@ -28,11 +21,20 @@ OFFSET_S = 712.25
 
 def stamps_of(t_device_s: np.ndarray) -> pd.DataFrame:
     n = len(t_device_s)
-    return frame_of(IMAGE_STAMPS, {
-        "file": [f"R{i:02d}.jpg" for i in range(n)], "t_device_s": t_device_s, "source": ["name"] * n,
-        "resolution_s": np.full(n, 1e-3), "width": np.full(n, 10), "height": np.full(n, 10),
-        "make": [""] * n, "model": [""] * n, "focal_mm": np.full(n, np.nan),
-    })  # fmt: skip
+    return frame_of(
+        IMAGE_STAMPS,
+        {
+            "file": [f"R{i:02d}.jpg" for i in range(n)],
+            "t_device_s": t_device_s,
+            "source": ["name"] * n,
+            "resolution_s": np.full(n, 1e-3),
+            "width": np.full(n, 10),
+            "height": np.full(n, 10),
+            "make": [""] * n,
+            "model": [""] * n,
+            "focal_mm": np.full(n, np.nan),
+        },
+    )
 
 
 def pulses() -> np.ndarray:
@@ -129,10 +131,14 @@ def job(tmp_path: Path) -> dict[str, Any]:
     pd.DataFrame({"t_gps_s": pulses()}).to_csv(tmp_path / "pulses.csv", index=False)
     (tmp_path / "stability.json").write_text('{"image_error_s": 0.0163}')
     return {
-        "ties": [tmp_path / "ties.csv"], "pulses": [], "stability": [], "stamps": tmp_path / "stamps.parquet",
-        "clock": tmp_path / "clock.yaml", "images": tmp_path / "images.parquet",
+        "ties": [tmp_path / "ties.csv"],
+        "pulses": [],
+        "stability": [],
+        "stamps": tmp_path / "stamps.parquet",
+        "clock": tmp_path / "clock.yaml",
+        "images": tmp_path / "images.parquet",
         "options": {"jitter_s": None, "delay_s": 0.0},
-    }  # fmt: skip
+    }
 
 
 def test_ties_do_not_tell_the_jitter(script: ModuleType, job: dict[str, Any]) -> None:

@@ -4,12 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.clocks.streams.lag import Lag
-from thalweg.clocks.streams.streams import common_span, gaps_text, stream_table
-from thalweg.core.errors import ClockError
-from thalweg.core.timescales import gps_from_unix
-from thalweg.ingest.integrity import Gap, IntegrityReport
-from thalweg.ingest.stamps import StreamTiming
+from thalweg.clocks import Lag, common_span, stream_table
+from thalweg.clocks.streams import gaps_text
+from thalweg.core import ClockError, gps_from_unix
+from thalweg.ingest import Gap, IntegrityReport, StreamTiming
 
 T0 = float(gps_from_unix(1_620_808_267))  # 2021-05-12T08:31:07Z
 
@@ -29,22 +27,55 @@ def report(stream: str, first: float | None, last: float | None, **more: object)
 
 
 COLUMNS = [
-    "stream", "format", "model", "synchronised", "time_scale", "t_first_s", "t_last_s", "first_utc",
-    "last_utc", "duration_s", "rate_hz", "period_s", "jitter_s", "jitter_max_s", "resolution_s", "clock",
-    "clock_offset_s", "sigma_clock_offset_s", "clock_drift_ppm", "sigma_clock_drift_ppm", "clock_set_s",
-    "pps_locked_share", "pps_unlocked_start_s", "pps_losses", "unsynchronised_s", "lag_against", "lag_s",
-    "sigma_lag_s", "lag_n", "lag_significant", "n_gaps", "longest_gap_s", "gaps", "lost_records",
-    "lost_bytes", "notes",
-]  # fmt: skip
+    "stream",
+    "format",
+    "model",
+    "synchronised",
+    "time_scale",
+    "t_first_s",
+    "t_last_s",
+    "first_utc",
+    "last_utc",
+    "duration_s",
+    "rate_hz",
+    "period_s",
+    "jitter_s",
+    "jitter_max_s",
+    "resolution_s",
+    "clock",
+    "clock_offset_s",
+    "sigma_clock_offset_s",
+    "clock_drift_ppm",
+    "sigma_clock_drift_ppm",
+    "clock_set_s",
+    "pps_locked_share",
+    "pps_unlocked_start_s",
+    "pps_losses",
+    "unsynchronised_s",
+    "lag_against",
+    "lag_s",
+    "sigma_lag_s",
+    "lag_n",
+    "lag_significant",
+    "n_gaps",
+    "longest_gap_s",
+    "gaps",
+    "lost_records",
+    "lost_bytes",
+    "notes",
+]
 
 
 def test_a_row_tells_all_about_a_synchronised_stream() -> None:
     lidar = report(
-        "lidar", 0.0, 25.5, model="VLP-16",
+        "lidar",
+        0.0,
+        25.5,
+        model="VLP-16",
         rates_hz={"packets": 754.0, "points": 300_000.0},
         gaps=[Gap(t_start_s=T0 + 3, duration_s=0.2), Gap(t_start_s=T0 + 9, duration_s=1.5)],
         notes=["worst", "second"],
-    )  # fmt: skip
+    )
     table = stream_table([lidar])
     assert list(table.columns) == COLUMNS
     (row,) = table.to_dict("records")
@@ -60,17 +91,39 @@ def test_a_row_tells_all_about_a_synchronised_stream() -> None:
 
 def test_the_clock_and_the_offset_to_another_stream_stand_in_the_row(tmp_path) -> None:
     timing = StreamTiming(
-        period_s=0.0013271, jitter_s=1e-6, jitter_max_s=2e-5, resolution_s=1e-6, clock="host",
-        clock_offset_s=0.4, sigma_clock_offset_s=1e-4, clock_drift_ppm=3.0, sigma_clock_drift_ppm=0.5,
-        pps_locked_share=0.9, pps_unlocked_start_s=2.5, pps_losses=1, unsynchronised_s=2.6,
-    )  # fmt: skip
+        period_s=0.0013271,
+        jitter_s=1e-6,
+        jitter_max_s=2e-5,
+        resolution_s=1e-6,
+        clock="host",
+        clock_offset_s=0.4,
+        sigma_clock_offset_s=1e-4,
+        clock_drift_ppm=3.0,
+        sigma_clock_drift_ppm=0.5,
+        pps_locked_share=0.9,
+        pps_unlocked_start_s=2.5,
+        pps_losses=1,
+        unsynchronised_s=2.6,
+    )
     streams = [report("lidar", 0.0, 25.0, timing=timing), report("positions", 0.0, 25.0, rates_hz={"p": 4.0})]
     lag = Lag(offset_s=0.04, sigma_s=0.003, n=250)
     stream_table(streams, {"positions": ("ins", lag)}).to_csv(tmp_path / "streams.csv", index=False)
     lidar, positions = pd.read_csv(tmp_path / "streams.csv").to_dict("records")
-    for name in ("period_s", "jitter_s", "jitter_max_s", "resolution_s", "clock", "clock_offset_s",
-                 "sigma_clock_offset_s", "clock_drift_ppm", "sigma_clock_drift_ppm", "pps_locked_share",
-                 "pps_unlocked_start_s", "pps_losses", "unsynchronised_s"):  # fmt: skip
+    for name in (
+        "period_s",
+        "jitter_s",
+        "jitter_max_s",
+        "resolution_s",
+        "clock",
+        "clock_offset_s",
+        "sigma_clock_offset_s",
+        "clock_drift_ppm",
+        "sigma_clock_drift_ppm",
+        "pps_locked_share",
+        "pps_unlocked_start_s",
+        "pps_losses",
+        "unsynchronised_s",
+    ):
         assert lidar[name] == getattr(timing, name), name
     assert np.isnan(lidar["lag_s"])
     assert (positions["lag_against"], positions["lag_s"], positions["sigma_lag_s"]) == ("ins", 0.04, 0.003)
@@ -156,9 +209,16 @@ def test_the_common_span_is_the_overlap_of_the_needed_streams() -> None:
 
 LIDAR = report("lidar", 0.0, 25.0)
 FREE = report(
-    "ins", None, None, synchronised=False, time_scale="device", t_first_s=T0, t_last_s=T0 + 25.0,
-    files=["a.anpp", "b.anpp"], notes=["UTC was never initialised.", "Clock of 1970."],
-)  # fmt: skip
+    "ins",
+    None,
+    None,
+    synchronised=False,
+    time_scale="device",
+    t_first_s=T0,
+    t_last_s=T0 + 25.0,
+    files=["a.anpp", "b.anpp"],
+    notes=["UTC was never initialised.", "Clock of 1970."],
+)
 
 
 @pytest.mark.parametrize(
@@ -205,8 +265,15 @@ def test_the_smallest_overlap_is_enough() -> None:
 
 def test_a_hole_before_the_clock_was_set_has_no_time(tmp_path) -> None:
     """A packet that is lost while the lidar runs freely: the hole is counted, its place is not known."""
-    report = IntegrityReport(stream="lidar", format="pcap", files=["a"], time_scale="utc", synchronised=True,
-                             t_first_s=3.0e8, t_last_s=3.0e8 + 25)  # fmt: skip
+    report = IntegrityReport(
+        stream="lidar",
+        format="pcap",
+        files=["a"],
+        time_scale="utc",
+        synchronised=True,
+        t_first_s=3.0e8,
+        t_last_s=3.0e8 + 25,
+    )
     report.gaps = [Gap(t_start_s=float("nan"), duration_s=0.1), Gap(t_start_s=3.0e8 + 5, duration_s=0.2)]
     report.write(tmp_path / "lidar.integrity.json")
     again = IntegrityReport.read(tmp_path / "lidar.integrity.json")

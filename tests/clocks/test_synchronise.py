@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 
-from thalweg.clocks.camera.synchronise import _numbers
+from thalweg.clocks.synchronise import _numbers
 
 
 def test_every_number_of_a_run_stands_under_its_name() -> None:
@@ -15,11 +15,15 @@ def test_every_number_of_a_run_stands_under_its_name() -> None:
     )
     found = _numbers(
         SimpleNamespace(
-            clock=clock, run_offset_s=1.5, sigma_run_offset_s=0.0015, cov=np.diag(sigma**2),
-            lever_ccs_antenna_m=np.array([0.1, -0.2, 0.3]), sigma0_squared=1.1,
+            clock=clock,
+            run_offset_s=1.5,
+            sigma_run_offset_s=0.0015,
+            cov=np.diag(sigma**2),
+            lever_ccs_antenna_m=np.array([0.1, -0.2, 0.3]),
+            sigma0_squared=1.1,
             images=pd.DataFrame({"used": [True, False, True]}),
         )
-    )  # fmt: skip
+    )
     expected = {
         "offset_s": 1.25, "sigma_offset_s": 0.001, "run_offset_s": 1.5, "sigma_run_offset_s": 0.0015,
         "drift_ppm": 3.0, "sigma_drift_ppm": 2.0, "jitter_s": 0.02, "sigma_jitter_s": 0.007,

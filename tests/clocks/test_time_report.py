@@ -8,21 +8,21 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.clocks.camera.synchronise import offset_options, run_attitude, run_poses
-from thalweg.clocks.streams.lag import Lag
-from thalweg.clocks.streams.streams import stream_table
-from thalweg.clocks.streams.time_report import COLUMNS, Speeds, report_lines, time_report
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.clocks.ties.run_image_times import RUN_IMAGE_TIMES
-from thalweg.clocks.ties.trigger import trigger_clock
-from thalweg.core.errors import ClockError, CoverageError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid
-from thalweg.core.tables import frame_of
-from thalweg.core.timescales import gps_from_unix
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.stamps import StreamTiming
+from thalweg.clocks import ClockModel, Lag, Speeds, report_lines, stream_table, time_report
+from thalweg.clocks.streams import COLUMNS
+from thalweg.clocks.synchronise import offset_options, run_attitude, run_poses
+from thalweg.clocks.ties import RUN_IMAGE_TIMES, trigger_clock
+from thalweg.core import (
+    ClockError,
+    CoverageError,
+    InputError,
+    LocalFrame,
+    Rigid,
+    Trajectory,
+    frame_of,
+    gps_from_unix,
+)
+from thalweg.ingest import IntegrityReport, StreamTiming
 
 T0 = float(gps_from_unix(1_620_808_267))
 FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.7, h_ell_m=160.0)
@@ -49,9 +49,15 @@ def trajectory(speed_mps: float, turn_degps: float, *, n: int = 500, hole: bool 
 def streams() -> pd.DataFrame:
     def report(stream: str, form: str, scale: str, **timing: float) -> IntegrityReport:
         return IntegrityReport(
-            stream=stream, format=form, files=["a"], time_scale=scale, synchronised=scale in ("gps", "utc"),
-            t_first_s=T0, t_last_s=T0 + 60, timing=StreamTiming(**timing),
-        )  # fmt: skip
+            stream=stream,
+            format=form,
+            files=["a"],
+            time_scale=scale,
+            synchronised=scale in ("gps", "utc"),
+            t_first_s=T0,
+            t_last_s=T0 + 60,
+            timing=StreamTiming(**timing),
+        )
 
     reports = [
         report("lidar", "Velodyne packets, pcap", "utc", resolution_s=1e-6, jitter_s=2e-7),
@@ -76,9 +82,15 @@ def test_speeds_are_those_of_the_survey() -> None:
 def test_every_stream_says_who_stamps_it_and_what_that_costs(tmp_path: Path) -> None:
     speeds = Speeds.of(trajectory(0.4, 7.0))
     clock = ClockModel(
-        offset_s=-2.3471, drift=12e-6, reference_s=T0, cov=np.diag([0.0016**2, 1e-10]), jitter_s=0.023,
-        source="kinematic run", t_first_s=T0, t_last_s=T0 + 200,
-    )  # fmt: skip
+        offset_s=-2.3471,
+        drift=12e-6,
+        reference_s=T0,
+        cov=np.diag([0.0016**2, 1e-10]),
+        jitter_s=0.023,
+        source="kinematic run",
+        t_first_s=T0,
+        t_last_s=T0 + 200,
+    )
     streams().to_csv(tmp_path / "streams.csv", index=False)
     for table in (streams(), pd.read_csv(tmp_path / "streams.csv")):
         report = time_report(table, speeds, camera=clock)
@@ -182,11 +194,19 @@ OPTIONS = {
 def test_options_and_attitudes_of_a_campaign() -> None:
     assert offset_options(OPTIONS).sigma_drift == pytest.approx(50e-6)
     n = 20
-    states = pd.DataFrame({
-        "t_gps_s": T0 + 0.02 * np.arange(n), "roll_rad": 0.0, "pitch_rad": 0.0, "heading_rad": np.pi / 2,
-        "lat_deg": 51.0, "lon_deg": 13.7,
-        "sigma_roll_rad": np.nan, "sigma_pitch_rad": 0.001, "sigma_heading_rad": 0.004,
-    })  # fmt: skip
+    states = pd.DataFrame(
+        {
+            "t_gps_s": T0 + 0.02 * np.arange(n),
+            "roll_rad": 0.0,
+            "pitch_rad": 0.0,
+            "heading_rad": np.pi / 2,
+            "lat_deg": 51.0,
+            "lon_deg": 13.7,
+            "sigma_roll_rad": np.nan,
+            "sigma_pitch_rad": 0.001,
+            "sigma_heading_rad": 0.004,
+        }
+    )
     ins = run_attitude(states, FRAME, OPTIONS)
     assert ins is not None
     # heading east: forward is east, right is south, down is down
@@ -198,10 +218,17 @@ def test_options_and_attitudes_of_a_campaign() -> None:
 
 
 def test_times_by_pulses_stand_in_the_cameras_remark() -> None:
-    times = frame_of(RUN_IMAGE_TIMES, {
-        "file": ["a.jpg", "b.jpg"], "t_device_s": [T0, T0 + 1], "t_gps_s": [T0 + 0.1, T0 + 1.1],
-        "sigma_s": [2e-4, 0.02], "matched": [True, False], "reason": ["", "no pulse"],
-    })  # fmt: skip
+    times = frame_of(
+        RUN_IMAGE_TIMES,
+        {
+            "file": ["a.jpg", "b.jpg"],
+            "t_device_s": [T0, T0 + 1],
+            "t_gps_s": [T0 + 0.1, T0 + 1.1],
+            "sigma_s": [2e-4, 0.02],
+            "matched": [True, False],
+            "reason": ["", "no pulse"],
+        },
+    )
     clock = ClockModel(offset_s=0.1, reference_s=T0, cov=np.zeros((2, 2)), source="hardware trigger")
     speeds = Speeds.of(trajectory(0.4, 7.0))
     remark = (

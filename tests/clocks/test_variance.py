@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.clocks.camera.offset_fit import Component, estimate_component
+from thalweg.clocks.camera_offset import Component, estimate_component
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])

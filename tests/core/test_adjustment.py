@@ -5,18 +5,20 @@ import pytest
 from scipy import sparse
 from scipy.stats import chi2
 
-from thalweg.core.adjustment.normal_equations import HUBER_LIMIT, check_rank, normal_equations
-from thalweg.core.adjustment.solve import (
+from thalweg.core import (
     Adjusted,
+    GeometryError,
     Linear,
     Observations,
+    Rigid,
     UnobservableError,
     adjust,
-    condition,
+    check_rank,
+    exp_rotation,
+    normal_equations,
     prior,
 )
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid, exp_rotation
+from thalweg.core.adjustment import HUBER_LIMIT, condition
 
 LINE = ("height", "slope")
 
@@ -427,19 +429,22 @@ def test_the_smallest_eigenvalue_decides_whether_unknowns_are_determined(
         check_rank(N, ("a", "b"), None, "")
 
 
-def test_unknowns_with_a_small_part_in_what_is_free_are_not_named() -> None:
-    """1 a + 0.83 b + 0.18 c is free; named is who has more than a fifth of the strongest part.
+@pytest.mark.parametrize(("part", "named"), [(0.18, ("a", "b")), (0.22, ("a", "b", "c"))])
+def test_unknowns_with_a_small_part_in_what_is_free_are_not_named(
+    part: float, named: tuple[str, ...]
+) -> None:
+    """1 a + 0.83 b + c's part is free; named is who has more than a fifth of the strongest part.
 
     Derivatives of length 1 that make a triangle with these sides: their cosines are those of its angles.
     """
-    a, b, c = 1.0, 0.83, 0.18
+    a, b, c = 1.0, 0.83, part
     ab, ac, bc = (
         (third**2 - one**2 - other**2) / (2 * one * other)
         for one, other, third in ((a, b, c), (a, c, b), (b, c, a))
     )
     with pytest.raises(UnobservableError) as caught:
         check_rank(np.array([[1.0, ab, ac], [ab, 1.0, bc], [ac, bc, 1.0]]), ("a", "b", "c"), None, "")
-    assert caught.value.parameters == ("a", "b")
+    assert caught.value.parameters == named
 
 
 def test_the_limit_grows_with_the_scatter() -> None:
@@ -467,3 +472,32 @@ def test_nothing_to_reject_costs_no_further_step(points: tuple[np.ndarray, ...])
     plain = adjust([line(x, y, sigma)], np.zeros(2), LINE)
     asked = adjust([line(x, y, sigma)], np.zeros(2), LINE, reject_sigmas=100.0)
     assert asked.n_iterations == plain.n_iterations
+
+
+def test_uneven_inner_constraints_are_the_adjustment_of_what_they_leave(rng: np.random.Generator) -> None:
+    """``G x = 0`` leaves ``x = T z``: covariance ``T (T^T N T)^-1 T^T``, whatever the weights in ``G``."""
+    group = levels(RING, 4, rng)
+    G = np.array([[1.0, 2.0, 0.0, -0.5]])
+    found = adjust([group], np.zeros(4), "ABCD", inner_constraints=lambda x: G)
+    part = group.model(np.zeros(4))
+    N = part.jacobian.T @ part.jacobian / 1e-4
+    T = np.linalg.svd(G)[2][1:].T
+    Q = T @ np.linalg.inv(T.T @ N @ T) @ T.T
+    np.testing.assert_allclose(found.cov, Q, atol=1e-12)
+    np.testing.assert_allclose(found.x, -Q @ part.jacobian.T @ part.residual / 1e-4, atol=1e-9)
+    # all five differences are of one group, and three unknowns are left to them
+    assert found.group_redundancy["levels"] == pytest.approx(2.0)
+    assert (found.redundancy, found.sigma0_squared) == pytest.approx((2.0, found.group_sigma0["levels"] ** 2))
+
+
+def test_observations_that_just_determine_the_unknowns_have_no_scatter() -> None:
+    """Two points make a line: nothing is left over, for the group as for the whole."""
+    found = adjust(
+        [line(np.array([0.0, 2.0]), np.array([1.0, 5.0]), np.array([0.1, 0.1]))], np.zeros(2), LINE
+    )
+    np.testing.assert_allclose(found.x, [1.0, 2.0], atol=1e-9)
+    np.testing.assert_allclose(found.cov, [[0.01, -0.005], [-0.005, 0.005]], rtol=1e-9)
+    assert (found.redundancy, found.sigma0_squared) == (0.0, 0.0)
+    assert found.group_redundancy["points"] == pytest.approx(0.0, abs=1e-9)
+    assert found.group_sigma0["points"] == 0.0
+    np.testing.assert_allclose(found.sigmas, [0.1, np.sqrt(0.005)], rtol=1e-9)

@@ -5,24 +5,30 @@ import re
 import numpy as np
 import pytest
 
-from thalweg.core.calibration.files import calibration_text, read_calibration, write_calibration
-from thalweg.core.calibration.model import (
+from thalweg.core import ConfigError, GeometryError, Rigid, opk_axes, rotation_opk
+from thalweg.core.calibration import (
     POSE,
     Block,
     Calibration,
     Source,
     lever_block,
     pose_block,
+    read_calibration,
     unit_of,
+    write_calibration,
 )
-from thalweg.core.errors import ConfigError, GeometryError
-from thalweg.core.frames import opk_axes, rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg.lidar.mount import Mount
-from thalweg.settings.base.mounts import LidarMount
+from thalweg.core.calibration.model import calibration_text
+from thalweg.lidar import Mount
+from thalweg.settings.sections.mounts import LidarMount
 
-SOURCE = Source(run="field", method="cones, moving boat", created="2026-05-01T10:00:00Z", observations=81_234,
-                sigma0=1.02, twin=True)  # fmt: skip
+SOURCE = Source(
+    run="field",
+    method="cones, moving boat",
+    created="2026-05-01T10:00:00Z",
+    observations=81_234,
+    sigma0=1.02,
+    twin=True,
+)
 
 
 def random_cov(rng, sigma):
@@ -43,10 +49,12 @@ def boat(rng):
     lidar, cov = pose_block("lidar", make_pose(rng))
     antenna = lever_block("antenna", [0.1, 0.0, -0.45])
     clock = Block(
-        name="camera_clock", quantities=("offset_s", "drift_ppm"), values=np.array([0.123456789012345, -3.5]),
+        name="camera_clock",
+        quantities=("offset_s", "drift_ppm"),
+        values=np.array([0.123456789012345, -3.5]),
         equation="t_gps_s = t_camera_s + offset_s + 1e-6 drift_ppm (t_camera_s - reference_s)",
         facts={"reference_s": 178_649_913.4, "camera": "left: port", "images": 512, "triggered": False},
-    )  # fmt: skip
+    )
     sigma = np.concatenate([np.sqrt(np.diag(cov)), [1e-3, 1e-3, 2e-3], [4e-3, 0.0]])
     joint = random_cov(rng, sigma)
     return Calibration(title="Boat: port", blocks=(lidar, antenna, clock), cov=joint, source=SOURCE)
@@ -184,18 +192,30 @@ MISTAKES = [
     (r"thalweg_calibration: 1\n", "", "the mark thalweg_calibration is missing", "the line"),
     (r"    lidar\.omega_deg: -?[\d.]+", "    lidar.omega_deg: 1.2", "found 1.2", "at most 1"),
     (r"    lidar\.omega_deg:", "    lidar.omgea_deg:", "unknown quantity lidar.omgea", "lidar.omega_deg?"),
-    (r"correlations:\n", "correlations:\n  lidar.omega_deg:\n    lidar.phi_deg: 0.9\n", "the other way round",
-     "symmetric"),
+    (
+        r"correlations:\n",
+        "correlations:\n  lidar.omega_deg:\n    lidar.phi_deg: 0.9\n",
+        "the other way round",
+        "symmetric",
+    ),
     (r"lidar\.x_m:\n", "lidar.x_m:\n    lidar.x_m: 1.0\n", "a quantity with itself", "two"),
-    (r"correlations:\n", "correlations:\n  camera_clock.drift_ppm:\n    lidar.x_m: 0.1\n", "whose sigma is 0",
-     "zero, or a sigma"),
+    (
+        r"correlations:\n",
+        "correlations:\n  camera_clock.drift_ppm:\n    lidar.x_m: 0.1\n",
+        "whose sigma is 0",
+        "zero, or a sigma",
+    ),
     (r"\n  run: field", "\n  runn: field", "unknown key", "Did you mean run?"),
     (r"observations: 81234", "observations: many", "found 'many'", "a number of observations"),
-    (r"value: -0\.35\b", "value: -350.0", "lidar.values.x_m: a lever arm of (-350,",
-     "Are these millimetres? Then write (-0.35,"),
+    (
+        r"value: -0\.35\b",
+        "value: -350.0",
+        "lidar.values.x_m: a lever arm of (-350,",
+        "Are these millimetres? Then write (-0.35,",
+    ),
     (r"value: -0\.35\b", "value: -35.0", "a lever arm of (-35,", "(-0.35, 1e-05, -0.0025) if centimetres"),
     (r"values:\n      offset_s", "sigma_axes: ics\n    values:\n      offset_s", "without angles", "no such"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("pattern", "to", "found", "more"), MISTAKES)

@@ -4,25 +4,33 @@ import numpy as np
 import pytest
 
 from thalweg.cli import main
-from thalweg.core.calibration.files import read_calibration
-from thalweg.core.calibration.imports import (
+from thalweg.core import (
+    Camera,
+    ConfigError,
+    InputError,
+    UnsupportedError,
+    rotation_opk,
+    write_colmap,
+    write_opencv,
+)
+from thalweg.core.calibration import (
     import_camera,
     import_kalibr,
     import_matrix,
+    read_calibration,
     read_kalibr,
     read_matrix,
 )
-from thalweg.core.camera.files import write_colmap, write_opencv
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import ConfigError, InputError, UnsupportedError
-from thalweg.core.frames import rotation_opk
-from thalweg.ingest.registry.describe import describe
-from thalweg.ingest.registry.recognise import recognise
+from thalweg.ingest.registry import describe, recognise
 
 SIGMAS = {
-    "angle_deg": 0.02, "lever_m": 0.002, "focal_px": 0.5, "centre_px": 0.3, "distortion": 1e-4,
+    "angle_deg": 0.02,
+    "lever_m": 0.002,
+    "focal_px": 0.5,
+    "centre_px": 0.3,
+    "distortion": 1e-4,
     "time_s": 1e-4,
-}  # fmt: skip
+}
 
 T_CAM_IMU = np.eye(4)
 T_CAM_IMU[:3, :3] = rotation_opk(*np.deg2rad([-91.0, 0.5, 2.0]))
@@ -101,8 +109,12 @@ def test_kalibr_projects_like_opencv(chain):
 def test_kalibr_becomes_a_calibration_with_the_sigmas_that_are_stated(chain):
     found = import_kalibr(chain, SIGMAS, run="yard")
     assert [b.name for b in found.blocks] == [
-        "camera", "camera_interior", "camera_clock", "camera_1_camera_0", "camera_1_interior",
-    ]  # fmt: skip
+        "camera",
+        "camera_interior",
+        "camera_clock",
+        "camera_1_camera_0",
+        "camera_1_interior",
+    ]
     assert found.pose("camera").matrix == pytest.approx(np.linalg.inv(T_CAM_IMU), abs=2e-9)
     sigma = dict(zip(found.labels, found.sigmas, strict=True))
     assert sigma["camera.x_m"] == pytest.approx(0.002)
@@ -133,7 +145,7 @@ def test_no_sigma_is_invented(chain, missing):
         (", -0.110000000]", ", -110.0]", InputError, r"cam1\.T_cn_cnm1: a lever arm of \(-110, .*\(-0\.11,"),
         ("0.000000000, 1.0", "0.1, 1.0", InputError, ":2: cam0.T_cam_imu: the last row"),
     ],
-)  # fmt: skip
+)
 def test_what_kalibr_files_must_not_hold(chain, old, new, error, message):
     text = chain.read_text()
     assert old in text

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.core.camera.model import PARAMETERS, Camera
-from thalweg.core.errors import GeometryError
+from thalweg.core import PARAMETERS, Camera, GeometryError
 
 BROWN = Camera(
     model="perspective",
@@ -117,8 +116,11 @@ def test_what_cannot_be_imaged_is_nan() -> None:
 
 def test_inside() -> None:
     assert BROWN.inside(np.array([[0.0, 0.0], [4592.0, 3448.0], [-1.0, 5.0], [np.nan, 5.0]])).tolist() == [
-        True, True, False, False,
-    ]  # fmt: skip
+        True,
+        True,
+        False,
+        False,
+    ]
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.core.camera.files import read_colmap, read_opencv, write_colmap, write_opencv
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError, UnsupportedError
+from thalweg.core import (
+    Camera,
+    InputError,
+    UnsupportedError,
+    read_colmap,
+    read_opencv,
+    write_colmap,
+    write_opencv,
+)
 
 BROWN = Camera(
     model="perspective",

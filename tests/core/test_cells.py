@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.core.cells import CellGrid, cell_numbers
-from thalweg.core.errors import GeometryError
+from thalweg.core import GeometryError
+from thalweg.core.geometry import CellGrid, cell_numbers
 
 
 @pytest.mark.parametrize("k", [2, 3])

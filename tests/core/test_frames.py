@@ -2,17 +2,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from pyproj import CRS, Geod, Transformer
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import (
+from thalweg.core import (
     R_ENU_NED,
+    GeometryError,
     LocalFrame,
     attitude_axes,
-    grid_factors,
     opk_axes,
     roll_pitch_heading,
     rotation_ecef_enu,
@@ -21,8 +19,8 @@ from thalweg.core.frames import (
     rotation_x,
     rotation_y,
     rotation_z,
-    transform,
 )
+from thalweg.core.frames import grid_factors, transform
 
 ANGLES = st.floats(-np.pi, np.pi)
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -175,10 +173,16 @@ def test_a_survey_may_reach_over_the_border_of_its_zone() -> None:
     # EPSG gives zone 33 the area from 12 to 18.01 degrees east, 34.79 to 84.01 north; 3 degrees are allowed
     ("lat", "lon", "inside"),
     [
-        (86.9, 15.0, True), (87.1, 15.0, False), (31.9, 15.0, True), (31.7, 15.0, False),
-        (51.0, 9.1, True), (51.0, 8.9, False), (51.0, 20.9, True), (51.0, 21.1, False),
+        (86.9, 15.0, True),
+        (87.1, 15.0, False),
+        (31.9, 15.0, True),
+        (31.7, 15.0, False),
+        (51.0, 9.1, True),
+        (51.0, 8.9, False),
+        (51.0, 20.9, True),
+        (51.0, 21.1, False),
     ],
-)  # fmt: skip
+)
 def test_the_area_of_a_grid_ends_three_degrees_beyond_its_border(
     lat: float, lon: float, inside: bool
 ) -> None:
@@ -238,3 +242,16 @@ def test_a_point_that_a_grid_without_limits_cannot_express_is_refused() -> None:
     away = TO_ECEF.transform(13.25 + 90.0, 0.0, 0.0)
     with pytest.raises(GeometryError, match="cannot be expressed"):
         FRAME.to_map(FRAME.R_ecef_enu.T @ (np.array(away) - FRAME.origin_ecef_m), grid)
+
+
+def test_a_point_of_a_grid_is_that_of_its_latitude_and_longitude() -> None:
+    """Against PROJ's own way from ETRS89; easting, northing and height have their places, also in arrays."""
+    lat, lon, h = np.array([[51.06, 51.01], [51.2, 51.1]]), np.array([[13.27, 13.3], [13.1, 13.4]]), 310.0
+    east, north = Transformer.from_crs(4258, 25833, always_xy=True).transform(lon, lat)
+    there = FRAME.from_map(np.stack([east, north, np.full((2, 2), h)], axis=-1), UTM)
+    # PROJ's series are good to 1e-9 m, coordinates of 5.6e6 m in float64 too
+    np.testing.assert_allclose(there, FRAME.from_geodetic(lat, lon, h), atol=1e-6)
+    # and back
+    np.testing.assert_allclose(FRAME.to_map(there, UTM)[..., 1], north, atol=1e-6)
+    with pytest.raises(GeometryError, match="outside"):
+        FRAME.from_map([[5_656_000.0, 377_000.0, 310.0]], UTM)  # northing before easting

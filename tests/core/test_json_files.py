@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.core.json_files import read_marked, write_marked
+from thalweg.core import InputError, read_marked, write_marked
 
 
 def read(path: Path) -> dict[str, object]:

@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from thalweg.core.errors import GeometryError, InputError, ThalwegError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.files import LazWriter, iter_laz, laz_header, read_laz, write_laz
-from thalweg.core.las.header import local_crs
+from thalweg.core import (
+    GeometryError,
+    InputError,
+    LazWriter,
+    LocalFrame,
+    ThalwegError,
+    iter_laz,
+    laz_header,
+    local_crs,
+)
+from thalweg.core.las import read_laz, write_laz
 
 FRAME = LocalFrame(lat_deg=51.0501234567890123, lon_deg=13.25, h_ell_m=300.1)
 EXTRA = {

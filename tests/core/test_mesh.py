@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.geometry.mesh import NO_FACE, TriangleMesh
+from thalweg.core import GeometryError
+from thalweg.core.geometry import TriangleMesh
+from thalweg.core.geometry.mesh import NO_FACE
 
 
 def mesh_of(vertices: list[list[float]], faces: list[list[int]]) -> TriangleMesh:
@@ -29,8 +30,11 @@ def test_a_closed_body_has_no_border() -> None:
     mesh = mesh_of([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     assert not mesh.border_faces().any()
     assert {tuple(sorted(row)) for row in mesh.neighbours().tolist()} == {
-        (1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2),
-    }  # fmt: skip
+        (1, 2, 3),
+        (0, 2, 3),
+        (0, 1, 3),
+        (0, 1, 2),
+    }
 
 
 def test_an_edge_of_three_faces_is_a_border() -> None:

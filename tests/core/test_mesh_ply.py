@@ -13,11 +13,8 @@ import pytest
 import trimesh
 from plyfile import PlyData
 
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.geometry.mesh_ply import read_mesh, write_mesh
-from thalweg.core.geometry.raycast import _open3d
+from thalweg.core import InputError, LocalFrame
+from thalweg.core.geometry import TriangleMesh, _open3d, read_mesh, write_mesh
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 # longer than a line of rply may be, and with what JSON must escape
@@ -71,11 +68,28 @@ def test_cloudcompare_opens_it(mesh: TriangleMesh, path: Path) -> None:
     if program is None:
         pytest.skip("CloudCompare is not installed")
     run = subprocess.run(
-        [program, "-SILENT", "-AUTO_SAVE", "OFF", "-O", path.name, "-M_EXPORT_FMT", "PLY",
-         "-PLY_EXPORT_FMT", "BINARY_LE", "-SAVE_MESHES", "FILE", "out.ply"],
-        cwd=path.parent, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
-        capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
+        [
+            program,
+            "-SILENT",
+            "-AUTO_SAVE",
+            "OFF",
+            "-O",
+            path.name,
+            "-M_EXPORT_FMT",
+            "PLY",
+            "-PLY_EXPORT_FMT",
+            "BINARY_LE",
+            "-SAVE_MESHES",
+            "FILE",
+            "out.ply",
+        ],
+        cwd=path.parent,
+        env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
     assert (path.parent / "out.ply").is_file(), run.stdout[-2000:]
     back = PlyData.read(str(path.parent / "out.ply"))
     np.testing.assert_array_equal(np.stack(back["face"]["vertex_indices"]), mesh.faces)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.core.geometry.polygon import crossing_in_words, first_crossing, polygon_area_m2
+from thalweg.core.geometry import crossing_in_words, first_crossing, polygon_area_m2
 
 SHIFT = np.array([377_000.0, 5_657_000.0])
 

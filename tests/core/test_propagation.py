@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import opk_axes, rotation_opk
-from thalweg.core.propagation import Link, beam_axes, chain_derivatives, cross_matrix, propagated
+from thalweg.core import (
+    GeometryError,
+    Link,
+    beam_axes,
+    chain_derivatives,
+    cross_matrix,
+    opk_axes,
+    propagated,
+    rotation_opk,
+)
 
 
 def three_links(rng: np.random.Generator, n: int) -> list[Link]:

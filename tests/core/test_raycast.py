@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.geometry.raycast import RayCaster
+from thalweg.core import GeometryError
+from thalweg.core.geometry import RayCaster
 
 SQUARE = np.array([[0.0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])

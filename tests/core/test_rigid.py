@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import rotation_opk
-from thalweg.core.rigid import Rigid, opk_of
+from thalweg.core import GeometryError, Rigid, opk_of, rotation_opk
 
 TURN = rotation_opk(0.0, 0.0, np.pi / 2)
 """x of the source is y of the target, y is -x."""
@@ -116,3 +114,17 @@ def test_the_first_of_two_transforms_turns_the_shift_of_the_second() -> None:
 @pytest.mark.parametrize("phi", [np.pi / 2, -np.pi / 2])
 def test_at_phi_of_ninety_degrees_all_is_kappa(phi: float) -> None:
     np.testing.assert_allclose(opk_of(rotation_opk(0.0, phi, 0.3)), [0.0, phi, 0.3], atol=1e-12)
+
+
+@pytest.mark.parametrize("omega", [-2.8, -0.4, 0.3, 2.1])
+@pytest.mark.parametrize("phi", [-1.5, -0.6, 0.2, 1.5])
+@pytest.mark.parametrize("kappa", [-3.0, -0.7, 0.9, 2.5])
+def test_omega_phi_and_kappa_come_back_in_every_quadrant(omega: float, phi: float, kappa: float) -> None:
+    np.testing.assert_allclose(opk_of(rotation_opk(omega, phi, kappa)), [omega, phi, kappa], atol=1e-13)
+
+
+@pytest.mark.parametrize(("phi", "sign"), [(np.pi / 2, 1.0), (-np.pi / 2, -1.0)])
+def test_upright_omega_and_kappa_are_one_angle_and_kappa_has_it(phi: float, sign: float) -> None:
+    """Where phi is 90 degrees both turn about the same axis: kappa + omega counts, at -90 kappa - omega."""
+    found = opk_of(rotation_opk(0.4, phi, 1.1))
+    np.testing.assert_allclose(found, [0.0, phi, 1.1 + sign * 0.4], atol=1e-12)

@@ -8,8 +8,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.core.tables import column, frame_of, kind_of, read_table, table_kind, write_table
+from thalweg.core import InputError, column, frame_of, read_table, table_kind, write_table
+from thalweg.core.tables import kind_of
 from thalweg.ingest import schemas
 
 KIND = table_kind(

@@ -5,23 +5,21 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
-from thalweg.core.errors import ClockError
-from thalweg.core.timescales import (
+from thalweg.core import (
     GPS_EPOCH_UNIX_S,
     LEAP_TABLE,
     LEAP_TABLE_VALID_UNTIL,
-    LeapSecondWarning,
+    ClockError,
     gps_from_unix,
     gps_from_week,
     gps_minus_utc,
     unix_from_gps,
     utc_text_from_gps,
     utc_text_from_unix,
-    week_from_gps,
 )
+from thalweg.core.timescales import LeapSecondWarning, week_from_gps
 
 
 def unix(date: str) -> float:

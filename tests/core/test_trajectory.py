@@ -8,9 +8,14 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import CoverageError, GeometryError
-from thalweg.core.frames import LocalFrame, attitude_axes, rotation_enu_body
-from thalweg.core.trajectory import Trajectory
+from thalweg.core import (
+    CoverageError,
+    GeometryError,
+    LocalFrame,
+    Trajectory,
+    attitude_axes,
+    rotation_enu_body,
+)
 
 
 def turning(n: int = 50, rate_hz: float = 10.0) -> Trajectory:
@@ -110,21 +115,37 @@ def test_every_column_of_the_file_by_hand(tmp_path: Path) -> None:
     ).write(tmp_path / "trajectory.parquet")
     table = pq.read_table(tmp_path / "trajectory.parquet")
     expected = {
-        "t_gps_s": (4.0e8, "s"), "east_m": (1.0, "m"), "north_m": (2.0, "m"), "up_m": (3.0, "m"),
-        "qx": (0.1, "1"), "qy": (0.5, "1"), "qz": (-0.7, "1"), "qw": (0.5, "1"),
-        "sigma_east_m": (0.01, "m"), "sigma_north_m": (0.02, "m"), "sigma_up_m": (0.03, "m"),
-        "sigma_rotation_east_rad": (0.001, "rad"), "sigma_rotation_north_rad": (0.002, "rad"),
+        "t_gps_s": (4.0e8, "s"),
+        "east_m": (1.0, "m"),
+        "north_m": (2.0, "m"),
+        "up_m": (3.0, "m"),
+        "qx": (0.1, "1"),
+        "qy": (0.5, "1"),
+        "qz": (-0.7, "1"),
+        "qw": (0.5, "1"),
+        "sigma_east_m": (0.01, "m"),
+        "sigma_north_m": (0.02, "m"),
+        "sigma_up_m": (0.03, "m"),
+        "sigma_rotation_east_rad": (0.001, "rad"),
+        "sigma_rotation_north_rad": (0.002, "rad"),
         "sigma_rotation_up_rad": (0.003, "rad"),
-        "correlation_east_north": (0.01, "1"), "correlation_east_up": (0.02, "1"),
-        "correlation_east_rotation_east": (0.03, "1"), "correlation_east_rotation_north": (0.04, "1"),
-        "correlation_east_rotation_up": (0.05, "1"), "correlation_north_up": (0.06, "1"),
-        "correlation_north_rotation_east": (0.07, "1"), "correlation_north_rotation_north": (0.08, "1"),
-        "correlation_north_rotation_up": (0.09, "1"), "correlation_up_rotation_east": (0.10, "1"),
-        "correlation_up_rotation_north": (0.11, "1"), "correlation_up_rotation_up": (0.12, "1"),
+        "correlation_east_north": (0.01, "1"),
+        "correlation_east_up": (0.02, "1"),
+        "correlation_east_rotation_east": (0.03, "1"),
+        "correlation_east_rotation_north": (0.04, "1"),
+        "correlation_east_rotation_up": (0.05, "1"),
+        "correlation_north_up": (0.06, "1"),
+        "correlation_north_rotation_east": (0.07, "1"),
+        "correlation_north_rotation_north": (0.08, "1"),
+        "correlation_north_rotation_up": (0.09, "1"),
+        "correlation_up_rotation_east": (0.10, "1"),
+        "correlation_up_rotation_north": (0.11, "1"),
+        "correlation_up_rotation_up": (0.12, "1"),
         "correlation_rotation_east_rotation_north": (0.13, "1"),
         "correlation_rotation_east_rotation_up": (0.14, "1"),
-        "correlation_rotation_north_rotation_up": (0.15, "1"), "valid": (1.0, "1"),
-    }  # fmt: skip
+        "correlation_rotation_north_rotation_up": (0.15, "1"),
+        "valid": (1.0, "1"),
+    }
     assert table.slice(0, 1).to_pylist()[0] == pytest.approx(
         {name: value for name, (value, _) in expected.items()}
     )
@@ -159,3 +180,10 @@ def test_quaternions_of_neighbours_are_on_the_same_side() -> None:
     q = whole.quaternion_wcs_ics
     mixed = replace(whole, quaternion_wcs_ics=q * np.array([1, -1, -1, 1, -1, 1])[:, None])
     np.testing.assert_allclose(mixed.quaternion_wcs_ics, q)
+
+
+def test_sigmas_of_each_node_are_the_roots_of_its_variances() -> None:
+    trajectory = turning(2)
+    first, second = np.square([2.0, 3.0, 4.0, 0.1, 0.2, 0.3]), np.square([5.0, 6.0, 7.0, 0.4, 0.5, 0.6])
+    trajectory = replace(trajectory, cov_pose_wcs=np.stack([np.diag(first), np.diag(second)]))
+    np.testing.assert_allclose(trajectory.sigma_position_m, [[2.0, 3.0, 4.0], [5.0, 6.0, 7.0]])

@@ -2,10 +2,9 @@
 
 import pytest
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.yaml_lines import parse_yaml, read_mapping, read_yaml
-from thalweg.settings.files.load import load_campaign
-from thalweg.settings.messages.mistakes import CampaignError
+from thalweg.core import ConfigError, parse_yaml, read_mapping, read_yaml
+from thalweg.settings.load import load_campaign
+from thalweg.settings.messages import CampaignError
 
 BROKEN = [
     ("campaign:\n\tid: x\n", 2, "Replace the tab by spaces"),
@@ -65,9 +64,15 @@ def test_scalars_are_those_of_yaml_1_2():
     """YAML 1.1 reads these as text, false, minutes, octal and a date."""
     data = parse_yaml("a: 1e-3\nb: no\nc: 12:30\nd: 010\ne: 2021-05-12\nf: .5\ng: ~\nh: -.inf\n").data
     assert data == {
-        "a": 0.001, "b": "no", "c": "12:30", "d": 10, "e": "2021-05-12", "f": 0.5, "g": None,
+        "a": 0.001,
+        "b": "no",
+        "c": "12:30",
+        "d": 10,
+        "e": "2021-05-12",
+        "f": 0.5,
+        "g": None,
         "h": float("-inf"),
-    }  # fmt: skip
+    }
 
 
 def test_aliases_and_merges():
@@ -114,12 +119,16 @@ def test_yaml_scalars_of_version_1_2(tmp_path) -> None:
         (b"a: \x07\n", "not valid YAML"),
         (b"- 1\n", "holds a list"),
         (b"", "the file is empty"),
-        (b"a: &x [1, 1, 1, 1, 1, 1, 1, 1]\n" + b"b: &y [*x, *x, *x, *x, *x, *x, *x, *x]\n" * 1
-         + b"c: &z [*y, *y, *y, *y, *y, *y, *y, *y, *y]\nd: &u [*z, *z, *z, *z, *z, *z]\n"
-         + b"e: &v [*u, *u, *u, *u, *u, *u]\nf: [*v, *v, *v, *v]\n", "more than 100,000 values"),
+        (
+            b"a: &x [1, 1, 1, 1, 1, 1, 1, 1]\n"
+            + b"b: &y [*x, *x, *x, *x, *x, *x, *x, *x]\n" * 1
+            + b"c: &z [*y, *y, *y, *y, *y, *y, *y, *y, *y]\nd: &u [*z, *z, *z, *z, *z, *z]\n"
+            + b"e: &v [*u, *u, *u, *u, *u, *u]\nf: [*v, *v, *v, *v]\n",
+            "more than 100,000 values",
+        ),
     ],
     ids=["twice", "bracket", "alias", "bytes", "control", "list", "empty", "bomb"],
-)  # fmt: skip
+)
 def test_yaml_that_cannot_be_read(tmp_path, text: bytes, answer: str) -> None:
     path = tmp_path / "a.yaml"
     path.write_bytes(text)

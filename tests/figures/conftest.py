@@ -8,15 +8,13 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.frames import LocalFrame, rotation_enu_body, rotation_opk
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.trajectory import Trajectory
-from thalweg.figures.calibration.field_views import cones_of
+from thalweg.core import LocalFrame, Trajectory, rotation_enu_body, rotation_opk
+from thalweg.core.geometry import TriangleMesh
+from thalweg.figures import read_picture, save
+from thalweg.figures.calibration.field import cones_of
 from thalweg.figures.calibration.tables import CONES
-from thalweg.figures.images.pictures import read_picture
-from thalweg.figures.style import save
-from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_STATE
-from thalweg.surface.bank_frame import BankFrame
+from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
+from thalweg.surface import BankFrame
 
 T0_GPS_S = 178_649_913.4  # 2017-05-12T18:44:55.4 UTC, the example of core.timescales
 
@@ -70,20 +68,32 @@ def states():
     t = T0_GPS_S + 0.1 * np.arange(n)
     t[200:] += 50.0
     return table_of(
-        INS_STATE, n, t_gps_s=t, t_device_s=t, roll_rad=0.1 * np.sin(t), pitch_rad=0.05 * np.cos(t),
-        heading_rad=np.mod(0.5 * (t - t[0]), 2 * np.pi), v_north_mps=1.0, v_east_mps=0.5, v_down_mps=0.0,
+        INS_STATE,
+        n,
+        t_gps_s=t,
+        t_device_s=t,
+        roll_rad=0.1 * np.sin(t),
+        pitch_rad=0.05 * np.cos(t),
+        heading_rad=np.mod(0.5 * (t - t[0]), 2 * np.pi),
+        v_north_mps=1.0,
+        v_east_mps=0.5,
+        v_down_mps=0.0,
         fix=np.where(np.arange(n) < 250, "fixed", "float"),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
 def depths():
     n = 60
     return table_of(
-        DEPTH, n, t_gps_s=T0_GPS_S + np.arange(n), depth_m=1.0 + 0.01 * np.arange(n),
-        offset_m=np.where(np.arange(n) % 2, np.nan, 0.3), sentence=np.where(np.arange(n) % 2, "DBT", "DPT"),
+        DEPTH,
+        n,
+        t_gps_s=T0_GPS_S + np.arange(n),
+        depth_m=1.0 + 0.01 * np.arange(n),
+        offset_m=np.where(np.arange(n) % 2, np.nan, 0.3),
+        sentence=np.where(np.arange(n) % 2, "DBT", "DPT"),
         line=np.arange(1, n + 1),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
@@ -117,10 +127,12 @@ def make_plane_bank(*, length_m=60.0, height_m=8.0, cell_m=1.0):
     )
     vertices = frame.to_wcs(np.stack([along.ravel(), up.ravel(), np.zeros(along.size)], axis=1))
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    faces = np.concatenate([
-        np.stack([corner, corner + 1, corner + columns], axis=1),
-        np.stack([corner + 1, corner + columns + 1, corner + columns], axis=1),
-    ])  # fmt: skip
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + columns], axis=1),
+            np.stack([corner + 1, corner + columns + 1, corner + columns], axis=1),
+        ]
+    )
     return frame, TriangleMesh(vertices_m=vertices, faces=faces, sigma_m=np.full(len(vertices), 0.004))
 
 
@@ -134,13 +146,25 @@ def make_comparison(rng, *, n=20_000, mean_m=0.03, std_m=0.05, length_m=60.0, he
     bank = np.stack([along, up, distance], axis=1)
     wcs = frame.to_wcs(bank)
     border = np.abs(along) > length_m / 2 - 0.5
-    table = pd.DataFrame({
-        "t_gps_s": np.sort(rng.uniform(0.0, 40.0, n)), "east_m": wcs[:, 0], "north_m": wcs[:, 1],
-        "up_m": wcs[:, 2], "range_m": rng.uniform(5.0, 30.0, n).astype(np.float32), "distance_m": distance,
-        "normal_east": 0.0, "normal_north": np.sin(BANK_SLOPE_RAD), "normal_up": np.cos(BANK_SLOPE_RAD),
-        "sigma_normal_m": std_m, "sigma_reference_m": 0.006, "sigma_3d_m": 1.7 * std_m,
-        "at_border": border, "used": ~border, "outlier": ~border & (distance > 0.5),
-    })  # fmt: skip
+    table = pd.DataFrame(
+        {
+            "t_gps_s": np.sort(rng.uniform(0.0, 40.0, n)),
+            "east_m": wcs[:, 0],
+            "north_m": wcs[:, 1],
+            "up_m": wcs[:, 2],
+            "range_m": rng.uniform(5.0, 30.0, n).astype(np.float32),
+            "distance_m": distance,
+            "normal_east": 0.0,
+            "normal_north": np.sin(BANK_SLOPE_RAD),
+            "normal_up": np.cos(BANK_SLOPE_RAD),
+            "sigma_normal_m": std_m,
+            "sigma_reference_m": 0.006,
+            "sigma_3d_m": 1.7 * std_m,
+            "at_border": border,
+            "used": ~border,
+            "outlier": ~border & (distance > 0.5),
+        }
+    )
     return SimpleNamespace(table=table, mesh=mesh, frame=frame, bank=bank, slope_rad=BANK_SLOPE_RAD)
 
 
@@ -200,11 +224,21 @@ def on_cones(rng, cones, *, n=300, noise_m=0.01, mean_m=0.0):
             radius = z * np.tan(cone.half_angle_rad) + s * c
             local = np.stack([radius * np.sin(turn), radius * np.cos(turn), z - s * sine], axis=1)
             xyz = cone.apex_m + local @ cone.frame
-            parts.append(pd.DataFrame({
-                "cone": name, "position": position, "ring": rng.integers(0, 16, n), "x_m": xyz[:, 0],
-                "y_m": xyz[:, 1], "z_m": xyz[:, 2], "residual_m": s, "used": np.arange(n) % 50 != 0,
-                "t_gps_s": 1e8 + np.sort(rng.uniform(0, 60, n)),
-            }))  # fmt: skip
+            parts.append(
+                pd.DataFrame(
+                    {
+                        "cone": name,
+                        "position": position,
+                        "ring": rng.integers(0, 16, n),
+                        "x_m": xyz[:, 0],
+                        "y_m": xyz[:, 1],
+                        "z_m": xyz[:, 2],
+                        "residual_m": s,
+                        "used": np.arange(n) % 50 != 0,
+                        "t_gps_s": 1e8 + np.sort(rng.uniform(0, 60, n)),
+                    }
+                )
+            )
     return pd.concat(parts, ignore_index=True)
 
 

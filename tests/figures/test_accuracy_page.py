@@ -6,23 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings
-from thalweg.accuracy.cloud_to_mesh.comparison_tables import by_range_table, statistics_table, verdicts
-from thalweg.core.errors import InputError
-from thalweg.figures.accuracy.distance_histogram import distance_histogram
-from thalweg.figures.accuracy.page import (
-    _error_model,
-    accuracy_page,
-    covered,
-    explanation,
-    limits,
-    pivot,
-    value_of,
-    verdict,
-)
-from thalweg.figures.page import Page
-from thalweg.figures.style import save
-from thalweg.navigation.ins_gnss.error_model import ErrorModel, PriorErrors
+from thalweg.accuracy import ComparisonSettings, by_range_table
+from thalweg.accuracy.comparison_tables import statistics_table, verdicts
+from thalweg.core import InputError
+from thalweg.figures import Page, save
+from thalweg.figures.accuracy import accuracy_page
+from thalweg.figures.accuracy.distances import distance_histogram
+from thalweg.figures.accuracy.page import _error_model, covered, explanation, limits, pivot, value_of, verdict
+from thalweg.navigation.ins_gnss import ErrorModel, PriorErrors
 
 SETTINGS = ComparisonSettings(correlation_s=0.2)
 
@@ -79,15 +70,29 @@ def found(made):
     }
     return {
         "facts": {
-            "area": "a polygon of 5 corners", "border": "exclude", "correlation_s": 0.2, "outlier_nmads": 5.0,
-            "reference_sigma_m": 0.005, "outlier_limits_sigmas": [-4.4, 5.6], "max_distance_m": 2.0,
-            "survey_gps_s": [178_649_913.4, 178_650_513.4], "height_above_reference_m": 0.1,
+            "area": "a polygon of 5 corners",
+            "border": "exclude",
+            "correlation_s": 0.2,
+            "outlier_nmads": 5.0,
+            "reference_sigma_m": 0.005,
+            "outlier_limits_sigmas": [-4.4, 5.6],
+            "max_distance_m": 2.0,
+            "survey_gps_s": [178_649_913.4, 178_650_513.4],
+            "height_above_reference_m": 0.1,
             "coverage": {"reference_area_m2": 480.0, "without_points": 0.12, "without_reference": 0.4},
             "predicted_95": {
-                "plan_median_m": 0.12, "plan_p95_m": 0.31, "height_median_m": 0.08, "height_p95_m": 0.19,
+                "plan_median_m": 0.12,
+                "plan_p95_m": 0.31,
+                "height_median_m": 0.08,
+                "height_p95_m": 0.19,
             },
-            "counts": {"points": 30_000, "outside_area": 9_000, "a_new_count": 7, "compared": 20_000,
-                       "outliers": 300},
+            "counts": {
+                "points": 30_000,
+                "outside_area": 9_000,
+                "a_new_count": 7,
+                "compared": 20_000,
+                "outliers": 300,
+            },
             "verdicts": verdicts(statistics, by_range),
             "local_dependency": [
                 {"registration": "as measured", "points": "all", "words": "it depends <on> the place"}
@@ -96,20 +101,35 @@ def found(made):
         "statistics": statistics,
         "by_range": by_range,
         "registration": {
-            "done": True, "words": "A motion of 30 mm takes it away.", "shift_m": axes, "sigma_shift_m": axes,
-            "rotation_deg": axes, "sigma_rotation_deg": axes,
+            "done": True,
+            "words": "A motion of 30 mm takes it away.",
+            "shift_m": axes,
+            "sigma_shift_m": axes,
+            "rotation_deg": axes,
+            "sigma_rotation_deg": axes,
             "change": {"all": change | {"share_of_bias_removed": 0.31}},
         },
         "mesh_facts": {
-            "method": "delaunay", "vertices": 549, "faces": 960, "area_m2": 480.0, "notes": ["Look here."],
-            "ingest_losses": {"points_not_finite": 17}, "ingest_notes": ["tls_1.laz states no CRS."],
+            "method": "delaunay",
+            "vertices": 549,
+            "faces": 960,
+            "area_m2": 480.0,
+            "notes": ["Look here."],
+            "ingest_losses": {"points_not_finite": 17},
+            "ingest_notes": ["tls_1.laz states no CRS."],
             "median_edge_m": 0.085,
             "counts": {
-                "read": 4_000, "outside_area": 3_000, "given": 1_000, "isolated": 12, "off_surface": 4,
-                "spikes": 2, "long_faces": 5, "kept": 549,
+                "read": 4_000,
+                "outside_area": 3_000,
+                "given": 1_000,
+                "isolated": 12,
+                "off_surface": 4,
+                "spikes": 2,
+                "long_faces": 5,
+                "kept": 549,
             },
         },
-    }  # fmt: skip
+    }
 
 
 def test_the_verdict_comes_first_and_is_that_of_the_tables(found, made):
@@ -156,18 +176,26 @@ def test_the_page_is_whole_and_needs_nothing_from_elsewhere(found, made, tmp_pat
         assert words in read.text
     assert "not of a real boat" in read.text
     assert read.headings == [
-        "Statistics", "Figures", "By range", "Why distances are smaller than the 3D error", "By place",
-        "Registration", "What was compared", "Limits",
-    ]  # fmt: skip
+        "Statistics",
+        "Figures",
+        "By range",
+        "Why distances are smaller than the 3D error",
+        "By place",
+        "Registration",
+        "What was compared",
+        "Limits",
+    ]
     assert page.html() == page.html()
 
 
 def test_both_registrations_and_both_point_sets_stand_below_each_other(found, made):
     table = Reader(accuracy_page(**found).html()).tables[0]
     assert [row[:2] for row in table[1:]] == [
-        ["as measured", "all"], ["as measured", "without outliers"],
-        ["with registration", "all"], ["with registration", "without outliers"],
-    ]  # fmt: skip
+        ["as measured", "all"],
+        ["as measured", "without outliers"],
+        ["with registration", "all"],
+        ["with registration", "without outliers"],
+    ]
     assert table[0][2:] == [
         "n",
         "mean / mm",
@@ -220,10 +248,14 @@ def test_without_registration_it_says_why(found):
 def test_the_truth_has_a_section_of_its_own(found, made, tmp_path):
     picture = tmp_path / "error_versus_range.png"
     save(distance_histogram(made.table), picture, dpi=50)
-    truth = pd.DataFrame({
-        "quantity": ["n", "rmse", "n", "rmse"], "points": ["all", "all", "bare ground", "bare ground"],
-        "value": [100.0, 1.5, 40.0, 0.09], "unit": ["1", "m", "1", "m"],
-    })  # fmt: skip
+    truth = pd.DataFrame(
+        {
+            "quantity": ["n", "rmse", "n", "rmse"],
+            "points": ["all", "all", "bare ground", "bare ground"],
+            "value": [100.0, 1.5, 40.0, 0.09],
+            "unit": ["1", "m", "1", "m"],
+        }
+    )
     html = accuracy_page(**found, pictures=[picture], truth=truth, twin=True).html()
     read = Reader(html)
     assert "Against the truth of the digital twin" in read.headings
@@ -267,10 +299,13 @@ def test_the_observed_correlation_stands_beside_the_assumed_one(found, seen, wor
 def test_what_the_area_holds_is_said(found):
     text = covered(found["facts"]).replace("\N{NO-BREAK SPACE}", " ")
     for words in (
-        "40 % of the polygon have no reference", "480 m², 12 % hold no compared point",
-        "from 2017-05-12T18:44:55", "is not known here", "below 12.0 cm in plan and 8.0 cm in height",
+        "40 % of the polygon have no reference",
+        "480 m², 12 % hold no compared point",
+        "from 2017-05-12T18:44:55",
+        "is not known here",
+        "below 12.0 cm in plan and 8.0 cm in height",
         "below 31.0 cm and 19.0 cm for 95 % of them",
-    ):  # fmt: skip
+    ):
         assert words in text
     assert covered({}) == ""
 
@@ -312,9 +347,14 @@ def test_statistics_of_nothing_are_refused(found):
 
 def test_the_page_says_who_tells_how_the_poses_err() -> None:
     prior = PriorErrors(
-        sigma_position_m=np.full(3, 0.02), sigma_attitude_rad=np.full(3, 1e-3), white_share=0.25,
-        position_time_s=10.0, attitude_time_s=20.0, spread=2.0, time_spread=3.0,
-    )  # fmt: skip
+        sigma_position_m=np.full(3, 0.02),
+        sigma_attitude_rad=np.full(3, 1e-3),
+        white_share=0.25,
+        position_time_s=10.0,
+        attitude_time_s=20.0,
+        spread=2.0,
+        time_spread=3.0,
+    )
     page = Page("Accuracy", "")
     _error_model(page, ErrorModel.of_prior(prior, note="no plane was seen again").report())
     text = page.html()

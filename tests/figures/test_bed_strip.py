@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.core.errors import InputError
-from thalweg.lightsheet.figures.bed_strip import along_lines, bed_strip
-from thalweg.lightsheet.figures.scans import strip_page
+from thalweg.core import InputError
+from thalweg.lightsheet.figures import strip_page
+from thalweg.lightsheet.figures.survey import along_lines, bed_strip
 
 LINES, N = 8, 60
 STEP_S = 0.02
@@ -20,10 +20,19 @@ def points() -> pd.DataFrame:
     parts = []
     for k in range(LINES):
         east, north = s / np.sqrt(2) - 0.02 * k, s / np.sqrt(2) + 0.02 * k
-        parts.append(pd.DataFrame({
-            "file": f"{k}.png", "t_gps_s": 3e8 + STEP_S * k, "east_m": east - 77.0, "north_m": north + 11.0,
-            "up_m": -0.17 + 0.1 * (north - east), "cov_uu_m2": 0.03**2, "sigma_line_m": 2e-5,
-        }))  # fmt: skip
+        parts.append(
+            pd.DataFrame(
+                {
+                    "file": f"{k}.png",
+                    "t_gps_s": 3e8 + STEP_S * k,
+                    "east_m": east - 77.0,
+                    "north_m": north + 11.0,
+                    "up_m": -0.17 + 0.1 * (north - east),
+                    "cov_uu_m2": 0.03**2,
+                    "sigma_line_m": 2e-5,
+                }
+            )
+        )
     return pd.concat(parts, ignore_index=True)
 
 
@@ -95,13 +104,20 @@ def test_the_page_counts_what_was_left_out(tmp_path) -> None:
     page = strip_page(counts, [(tmp_path / "bed_strip.png", "From above")], title="Strip: Demo", twin=True)
     text = page.html().replace("\N{NO-BREAK SPACE}", " ")
     for words in (
-        "<h1>Strip: Demo</h1>", "24 images of the bed", "24 344 points in the world", "digital twin made",
-        "images: no line", "line points: no sheet", "images without a pulse", "From above",
+        "<h1>Strip: Demo</h1>",
+        "24 images of the bed",
+        "24 344 points in the world",
+        "digital twin made",
+        "images: no line",
+        "line points: no sheet",
+        "images without a pulse",
+        "From above",
         "INS, antenna positions and image poses together",
-    ):  # fmt: skip
+    ):
         assert words in text, words
     for words, n in (
-        ("images without a pulse", "2"), ("pulses without an image", "1"),
+        ("images without a pulse", "2"),
+        ("pulses without an image", "1"),
         ("points of images without a pose", "980"),
-    ):  # fmt: skip
+    ):
         assert text.split(f"<td>{words}</td>")[1].split("</td>")[0].endswith(f">{n}")

@@ -6,11 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.budgets.budget import GROUPS
-from thalweg.budgets.budget_file import read_budget
-from thalweg.budgets.published import read_published
-from thalweg.core.errors import InputError
-from thalweg.figures.style import save
+from thalweg.budgets import GROUPS, read_budget, read_published
+from thalweg.core import InputError
+from thalweg.figures import save
 from thalweg.figures.survey.budget import LOOK, error_budget
 
 

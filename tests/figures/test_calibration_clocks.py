@@ -5,11 +5,12 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.rigid import Rigid
-from thalweg.figures.calibration.cone_residuals import cone_residuals
-from thalweg.figures.calibration.field_setup import axes_of, field_setup
-from thalweg.figures.calibration.field_views import cones_of
+from thalweg.core import CoverageError, InputError, Rigid
+from thalweg.figures import read_picture
+from thalweg.figures.calibration import read_figure_table
+from thalweg.figures.calibration.clock import chosen_photo, clock_offset, clock_stability, display_intervals
+from thalweg.figures.calibration.cones import cone_residuals
+from thalweg.figures.calibration.field import axes_of, cones_of, field_setup
 from thalweg.figures.calibration.tables import (
     CONES,
     first_picture,
@@ -17,12 +18,8 @@ from thalweg.figures.calibration.tables import (
     placed,
     read_cones,
     read_display,
-    read_figure_table,
     read_image_marks,
 )
-from thalweg.figures.clocks.offset import clock_offset
-from thalweg.figures.clocks.stability import chosen_photo, clock_stability, display_intervals
-from thalweg.figures.images.pictures import read_picture
 
 # ---------------------------------------------------------------- clocks
 
@@ -34,9 +31,11 @@ def test_the_offset_figure_shows_both_tracks(rng, tmp_path, look):
     )
     at = np.arange(10, 590, 10)
     images = track.iloc[at].assign(
-        residual_along_m=rng.normal(0, 0.01, len(at)), residual_across_m=0.002, residual_up_m=0.0,
+        residual_along_m=rng.normal(0, 0.01, len(at)),
+        residual_across_m=0.002,
+        residual_up_m=0.0,
         used=np.arange(len(at)) != 3,
-    )  # fmt: skip
+    )
     figure = clock_offset(images, track, {"offset_s": 2.3471, "sigma_offset_s": 0.0031}, twin=True)
     words = look.texts(figure)
     assert "GPS minus camera +2.3471 s ± 3.1 ms, n = 57 images, 1 rejected" in words
@@ -60,10 +59,15 @@ def test_intervals_jump_over_what_could_not_be_read(tmp_path, look):
     read[1::2] += 0.01
     good = np.ones(50, dtype=bool)
     good[[10, 11, 30]] = False
-    table = pd.DataFrame({
-        "t_camera_s": np.arange(50.0), "read_s": np.where(good, read, np.nan), "readable": good,
-        "file": [f"{k}.jpg" for k in range(50)], "text": "10:00:00.00",
-    })  # fmt: skip
+    table = pd.DataFrame(
+        {
+            "t_camera_s": np.arange(50.0),
+            "read_s": np.where(good, read, np.nan),
+            "readable": good,
+            "file": [f"{k}.jpg" for k in range(50)],
+            "text": "10:00:00.00",
+        }
+    )
     minutes, intervals = display_intervals(table)
     # 49 intervals; three at the hole of two photos, two at that of one
     assert intervals.size == 44
@@ -111,10 +115,17 @@ scale_bars:
 def test_cones_of_the_adjustment_get_axes_and_lengths(tmp_path):
     path, field = tmp_path / "cones.csv", tmp_path / "field.yaml"
     field.write_text(FIELD)
-    table = pd.DataFrame({
-        "cone": ["C1", "C2"], "apex_x_m": 1.0, "apex_y_m": 2.0, "apex_z_m": 3.0, "lambda_deg": [30.0, 0.0],
-        "theta_deg": [90.0, 180.0], "half_angle_deg": 25.0,
-    })  # fmt: skip
+    table = pd.DataFrame(
+        {
+            "cone": ["C1", "C2"],
+            "apex_x_m": 1.0,
+            "apex_y_m": 2.0,
+            "apex_z_m": 3.0,
+            "lambda_deg": [30.0, 0.0],
+            "theta_deg": [90.0, 180.0],
+            "half_angle_deg": 25.0,
+        }
+    )
     table.to_csv(path, index=False)
     found = cones_of(read_cones(path, field))
     assert found["C1"].axis == pytest.approx([np.cos(np.pi / 6), 0.5, 0.0])

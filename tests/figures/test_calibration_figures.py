@@ -6,22 +6,21 @@ import pytest
 from matplotlib.collections import PathCollection
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.calibration.model import Calibration, Source, lever_block, pose_block
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.rigid import Rigid
-from thalweg.figures.calibration.cone_before_after import cone_before_after
-from thalweg.figures.calibration.cone_frame import cone_frame
-from thalweg.figures.calibration.cone_residuals import cone_residuals
-from thalweg.figures.calibration.correlations import correlation_matrix
-from thalweg.figures.calibration.design import calibration_design
-from thalweg.figures.calibration.field_reference import field_reference
-from thalweg.figures.calibration.field_setup import field_positions, field_setup, lever_text
-from thalweg.figures.calibration.field_views import Oblique, cones_of
-from thalweg.figures.calibration.synthetic_view import HeightView, read_height_view, synthetic_view
-from thalweg.figures.calibration.tables import (
-    STUDY,
+from thalweg.core import CoverageError, InputError, Rigid
+from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
+from thalweg.figures import count, save
+from thalweg.figures.calibration import Oblique
+from thalweg.figures.calibration.cones import cone_before_after, cone_frame, cone_residuals
+from thalweg.figures.calibration.field import (
+    cones_of,
+    field_positions,
+    field_reference,
+    field_setup,
+    lever_text,
 )
-from thalweg.figures.style import count, save
+from thalweg.figures.calibration.quality import calibration_design, correlation_matrix
+from thalweg.figures.calibration.synthetic_view import HeightView, read_height_view, synthetic_view
+from thalweg.figures.calibration.tables import STUDY
 
 NBSP = "\N{NO-BREAK SPACE}"
 
@@ -145,11 +144,16 @@ def reference(rng, cones):
     ]
     points = pd.DataFrame(rows, columns=["mark", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m"])
     n = 40
-    marks = pd.DataFrame({
-        "mark": [f"{i}/0" for i in range(n)], "x_px": rng.uniform(10, 190, n),
-        "y_px": rng.uniform(10, 140, n), "residual_x_px": rng.normal(0, 0.1, n),
-        "residual_y_px": rng.normal(0, 0.1, n), "used": np.arange(n) != 7,
-    })  # fmt: skip
+    marks = pd.DataFrame(
+        {
+            "mark": [f"{i}/0" for i in range(n)],
+            "x_px": rng.uniform(10, 190, n),
+            "y_px": rng.uniform(10, 140, n),
+            "residual_x_px": rng.normal(0, 0.1, n),
+            "residual_y_px": rng.normal(0, 0.1, n),
+            "used": np.arange(n) != 7,
+        }
+    )
     return points, marks
 
 
@@ -281,9 +285,11 @@ def boat():
     cov = np.zeros((9, 9))
     cov[:6, :6], cov[6:, 6:] = cov6, 1e-6 * np.eye(3)
     return Calibration(
-        title="Boat", blocks=(block, lever_block("antenna", [0, 0, 0])), cov=cov,
+        title="Boat",
+        blocks=(block, lever_block("antenna", [0, 0, 0])),
+        cov=cov,
         source=Source(run="field", method="cones"),
-    )  # fmt: skip
+    )
 
 
 def test_correlations_are_those_of_the_file(tmp_path, look):
@@ -309,9 +315,11 @@ def test_correlations_are_those_of_the_file(tmp_path, look):
 def test_the_design_study_has_a_line_for_each_number_of_positions(rng, tmp_path, look):
     rows = [
         (c, p, q, u, s * np.sqrt(18 / c / p) * f)
-        for c in (4, 6, 8) for p in (1, 3) for f in (0.8, 1.0, 1.3)
+        for c in (4, 6, 8)
+        for p in (1, 3)
+        for f in (0.8, 1.0, 1.3)
         for q, u, s in (("rotation_x_deg", "deg", 0.05), ("rotation_z_deg", "deg", 0.02), ("x_m", "m", 5e-4))
-    ]  # fmt: skip
+    ]
     figure = calibration_design(pd.DataFrame(rows, columns=list(STUDY)), twin=True)
     assert "n = 54 sigmas" in look.texts(figure)
     titles = [ax.get_title(loc="left") for ax in figure.axes]

@@ -6,13 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.calibration.model import Block, Calibration, Source, lever_block, pose_block
-from thalweg.core.errors import InputError
-from thalweg.core.frames import rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg.figures.calibration.correlations import correlation_matrix
-from thalweg.figures.calibration.page import block_table, calibration_page, summary, with_units
-from thalweg.figures.style import save
+from thalweg.core import InputError, Rigid, rotation_opk
+from thalweg.core.calibration import Block, Calibration, Source, lever_block, pose_block
+from thalweg.figures import save
+from thalweg.figures.calibration import calibration_page, with_units
+from thalweg.figures.calibration.page import block_table, summary
+from thalweg.figures.calibration.quality import correlation_matrix
 
 
 @pytest.fixture
@@ -24,8 +23,13 @@ def boat():
         cov=np.diag(sigma**2),
     )
     block, cov = pose_block("camera_lidar", pose)
-    clock = Block(name="camera_clock", quantities=("offset_s", "drift_ppm"), values=np.array([2.3471, -3.0]),
-                  equation="t_gps_s = t_camera_s + offset_s", facts={"camera": "left"})  # fmt: skip
+    clock = Block(
+        name="camera_clock",
+        quantities=("offset_s", "drift_ppm"),
+        values=np.array([2.3471, -3.0]),
+        equation="t_gps_s = t_camera_s + offset_s",
+        facts={"camera": "left"},
+    )
     joint = np.zeros((8, 8))
     joint[:6, :6], joint[6, 6] = cov, 0.0031**2
     source = Source(run="field", method="cones", observations=8_821, sigma0=1.013)
@@ -57,28 +61,45 @@ def test_values_have_the_places_of_their_sigmas(boat):
 def test_the_page_is_whole(boat, tmp_path):
     picture = tmp_path / "correlations.png"
     save(correlation_matrix(boat), picture, dpi=50)
-    truth = pd.DataFrame({
-        "block": "camera_lidar", "quantity": ["rotation_x_deg", "x_m", "together"],
-        "estimated_minus_true": [0.01, 3e-4, 1.1], "sigma": [0.067, 1e-3, 0.9], "unit": ["deg", "m", "1"],
-        "normalised": [0.15, 0.3, 1.1],
-    })  # fmt: skip
+    truth = pd.DataFrame(
+        {
+            "block": "camera_lidar",
+            "quantity": ["rotation_x_deg", "x_m", "together"],
+            "estimated_minus_true": [0.01, 3e-4, 1.1],
+            "sigma": [0.067, 1e-3, 0.9],
+            "unit": ["deg", "m", "1"],
+            "normalised": [0.15, 0.3, 1.1],
+        }
+    )
     page = calibration_page(
         [boat],
-        [("Cones that were found", pd.DataFrame({"cone": ["C1", "C2"], "used": [812, 0]})),
-         ("Marks rejected", pd.DataFrame({"mark": []}))],
-        pictures=[picture], captions={"correlations": "Which <quantities> hang together"}, truth=truth,
-        notes=["The antenna defines the origin of ics."], title="Calibration: yard", twin=True,
-    )  # fmt: skip
+        [
+            ("Cones that were found", pd.DataFrame({"cone": ["C1", "C2"], "used": [812, 0]})),
+            ("Marks rejected", pd.DataFrame({"mark": []})),
+        ],
+        pictures=[picture],
+        captions={"correlations": "Which <quantities> hang together"},
+        truth=truth,
+        notes=["The antenna defines the origin of ics."],
+        title="Calibration: yard",
+        twin=True,
+    )
     html = page.html()
     plain = re.sub(r"<[^>]+>", " ", html)
     assert html.count("data:image/png;base64,") == 1
     assert "http" not in html
     for words in (
-        "not of a real boat", "Run field; cones; 8\N{NO-BREAK SPACE}821 observations; sigma0 1.013",
-        "Which &lt;quantities&gt; hang together", "Marks rejected: none.", "Cones that were found",
-        "1.0, 0.4 and 0.2 mm", "about one axis", "The antenna defines the origin", "Camera &amp; lidar",
+        "not of a real boat",
+        "Run field; cones; 8\N{NO-BREAK SPACE}821 observations; sigma0 1.013",
+        "Which &lt;quantities&gt; hang together",
+        "Marks rejected: none.",
+        "Cones that were found",
+        "1.0, 0.4 and 0.2 mm",
+        "about one axis",
+        "The antenna defines the origin",
+        "Camera &amp; lidar",
         "camera_lidar: x_ccs = R_ccs_scs @ x_scs",
-    ):  # fmt: skip
+    ):
         assert words in plain, words
     # metres of the truth are shown in millimetres
     row = re.search(r"<tr><td>camera lidar</td><td>x</td>.*?</tr>", html)
@@ -94,12 +115,29 @@ def test_a_missing_picture_is_refused(boat, tmp_path):
 
 
 CLOCK = {
-    "offset_s": -2.348, "sigma_offset_s": 0.002, "drift_ppm": -17.6, "sigma_drift_ppm": 34.0,
-    "jitter_s": 0.0229, "sigma_jitter_s": 0.0014, "images_used": 148, "variant": "positions and attitude",
-    "sigma0_squared": 1.025, "sigma0_squared_band": [0.85, 1.17],
-    "variants": [{"variant": "p2", "offset_s": -2.35, "sigma_offset_s": 0.0139, "drift_ppm": 0.0,
-                  "sigma_drift_ppm": 1e-6, "jitter_s": 0.0, "sigma0_squared": 4.8, "images_used": 148}],
-}  # fmt: skip
+    "offset_s": -2.348,
+    "sigma_offset_s": 0.002,
+    "drift_ppm": -17.6,
+    "sigma_drift_ppm": 34.0,
+    "jitter_s": 0.0229,
+    "sigma_jitter_s": 0.0014,
+    "images_used": 148,
+    "variant": "positions and attitude",
+    "sigma0_squared": 1.025,
+    "sigma0_squared_band": [0.85, 1.17],
+    "variants": [
+        {
+            "variant": "p2",
+            "offset_s": -2.35,
+            "sigma_offset_s": 0.0139,
+            "drift_ppm": 0.0,
+            "sigma_drift_ppm": 1e-6,
+            "jitter_s": 0.0,
+            "sigma0_squared": 4.8,
+            "images_used": 148,
+        }
+    ],
+}
 
 
 def plain_text(page):

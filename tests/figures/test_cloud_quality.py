@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.figures.cloud.cloud_quality import (
+from thalweg.core import InputError
+from thalweg.figures import save
+from thalweg.figures.cloud import Splat
+from thalweg.figures.cloud.overview import (
     THESIS_RANGE_M,
     THESIS_SIGMA_CM,
     cloud_by_range,
     cloud_by_sigma,
     sigma_3d_m,
 )
-from thalweg.figures.cloud.splat import ObliqueView, Splat
-from thalweg.figures.style import save
+from thalweg.figures.cloud.views import ObliqueView
 
 
 def by_gid(figure, gid):

@@ -4,10 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.trajectory import Trajectory
+from thalweg.core import LocalFrame, Trajectory
+from thalweg.figures import save
 from thalweg.figures.accuracy.cross_sections import MOST_ZOOM_M, WIDEST_M, Slabs, cross_sections, zoom_box
-from thalweg.figures.style import save
 
 OPTIONS = {"count": 3, "stations_m": None, "thickness_m": 0.4}
 

@@ -4,16 +4,11 @@ import matplotlib
 import numpy as np
 import pytest
 
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.figures.accuracy.distance_map import DISTANCE_MAP, distance_map, strips, view_text
-from thalweg.figures.accuracy.distances import (
-    bank_frame_of,
-    centimetres,
-    compared,
-    round_above,
-    round_limit_m,
-)
-from thalweg.figures.style import count, save
+from thalweg.core import CoverageError, InputError
+from thalweg.figures import count, save
+from thalweg.figures.accuracy import DISTANCE_MAP, centimetres, compared, round_above, round_limit_m
+from thalweg.figures.accuracy.distance_map import distance_map, strips, view_text
+from thalweg.figures.accuracy.distances import bank_frame_of
 
 
 def by_gid(figure, gid):

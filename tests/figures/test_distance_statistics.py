@@ -4,13 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings
-from thalweg.accuracy.cloud_to_mesh.comparison_tables import by_range_table
-from thalweg.core.errors import InputError
-from thalweg.figures.accuracy.distance_by_range import distance_by_range
-from thalweg.figures.accuracy.distance_histogram import distance_histogram
-from thalweg.figures.accuracy.distances import robust_fit
-from thalweg.figures.style import count, save
+from thalweg.accuracy import ComparisonSettings, by_range_table
+from thalweg.core import InputError
+from thalweg.figures import count, save
+from thalweg.figures.accuracy.distances import distance_by_range, distance_histogram, robust_fit
 
 
 def by_gid(figure, gid):

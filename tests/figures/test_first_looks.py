@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError
+from thalweg.core import InputError
+from thalweg.figures import save
 from thalweg.figures.firstlook.first_look import (
     MAX_DOTS,
     attitude_first_look,
@@ -11,7 +12,6 @@ from thalweg.figures.firstlook.first_look import (
     lidar_first_look,
     track_first_look,
 )
-from thalweg.figures.style import save
 
 
 def legend_labels(figure):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
+from thalweg.core import GeometryError, InputError
+from thalweg.figures import save
 from thalweg.figures.cloud.footprints import (
     best_moment,
     candidate_moments,
@@ -11,7 +12,6 @@ from thalweg.figures.cloud.footprints import (
     footprint_ellipses,
     footprints,
 )
-from thalweg.figures.style import save
 
 
 def by_gid(figure, gid):
@@ -104,9 +104,10 @@ def test_scale_bar_and_arrow_avoid_what_is_drawn(frame):
     corner = np.array([[18.0, 28.0, 0.0], [18.0, -28.0, 0.0]])
     crowd = np.repeat(corner, 300, axis=0) + np.random.default_rng(1).uniform(-8, 8, (600, 3))
     figure = footprints(
-        np.concatenate([points, crowd]), np.concatenate([scanner, np.tile(scanner[0], (600, 1))]),
+        np.concatenate([points, crowd]),
+        np.concatenate([scanner, np.tile(scanner[0], (600, 1))]),
         divergence_mrad=3.0,
-    )  # fmt: skip
+    )
     ax = figure.axes[0]
     (bar,), (arrow,) = by_gid(ax, "scale-bar"), by_gid(ax, "north-arrow")
     drawn = np.concatenate([points, crowd])[:, :2]

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.files import LazWriter
+from thalweg.core import GeometryError, InputError, LazWriter, LocalFrame
 from thalweg.figures.cloud.frames_by_image import FrameImages, FrameViews, frames_by_image
-from thalweg.images.model.poses import ImagePoses
+from thalweg.images.model import ImagePoses
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 T0 = 3.0e8
@@ -21,13 +19,19 @@ def poses() -> ImagePoses:
     order = np.array([3, 0, 1, 2, *range(4, n)])
     oriented = order != 5
     return ImagePoses(
-        frame=FRAME, images=tuple(f"{k}.jpg" for k in order), t_gps_s=T0 + order.astype(float),
-        sigma_t_s=np.full(n, 0.02), oriented=oriented,
+        frame=FRAME,
+        images=tuple(f"{k}.jpg" for k in order),
+        t_gps_s=T0 + order.astype(float),
+        sigma_t_s=np.full(n, 0.02),
+        oriented=oriented,
         reasons=tuple("" if o else "blurred" for o in oriented),
         centre_wcs_m=np.column_stack([4.0 * order, np.sin(order), np.full(n, 1.0)]),
-        R_wcs_ccs=np.tile(np.eye(3), (n, 1, 1)), cov_pose_wcs=np.tile(1e-6 * np.eye(6), (n, 1, 1)),
-        cov_next=np.zeros((n, 6, 6)), n_marks=np.full(n, 50.0), rms_px=np.full(n, 0.4),
-    )  # fmt: skip
+        R_wcs_ccs=np.tile(np.eye(3), (n, 1, 1)),
+        cov_pose_wcs=np.tile(1e-6 * np.eye(6), (n, 1, 1)),
+        cov_next=np.zeros((n, 6, 6)),
+        n_marks=np.full(n, 50.0),
+        rms_px=np.full(n, 0.4),
+    )
 
 
 @pytest.fixture

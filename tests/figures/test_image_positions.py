@@ -6,11 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.figures.images.image_positions import COLUMNS, image_positions
-from thalweg.images.model.control_points import ControlPoints
-from thalweg.images.model.poses import ImagePoses
+from thalweg.core import GeometryError, InputError, LocalFrame
+from thalweg.figures.images.photographs import COLUMNS, image_positions
+from thalweg.images.model import ControlPoints, ImagePoses
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 T0 = 178_649_913.4
@@ -22,13 +20,19 @@ def poses(n=20):
     # x to the west, y down, z to the south
     R = np.array([[-1.0, 0, 0], [0, 0, -1.0], [0, -1.0, 0]])
     return ImagePoses(
-        frame=FRAME, images=tuple(f"{k}.jpg" for k in range(n)), t_gps_s=T0 + np.arange(n, dtype=float),
-        sigma_t_s=np.full(n, 0.02), oriented=oriented,
+        frame=FRAME,
+        images=tuple(f"{k}.jpg" for k in range(n)),
+        t_gps_s=T0 + np.arange(n, dtype=float),
+        sigma_t_s=np.full(n, 0.02),
+        oriented=oriented,
         reasons=tuple("" if o else "blurred" for o in oriented),
         centre_wcs_m=np.column_stack([2.0 * np.arange(n), np.zeros(n), np.ones(n)]),
-        R_wcs_ccs=np.tile(R, (n, 1, 1)), cov_pose_wcs=np.tile(1e-4 * np.eye(6), (n, 1, 1)),
-        cov_next=np.zeros((n, 6, 6)), n_marks=np.full(n, 50.0), rms_px=np.full(n, 0.4),
-    )  # fmt: skip
+        R_wcs_ccs=np.tile(R, (n, 1, 1)),
+        cov_pose_wcs=np.tile(1e-4 * np.eye(6), (n, 1, 1)),
+        cov_next=np.zeros((n, 6, 6)),
+        n_marks=np.full(n, 50.0),
+        rms_px=np.full(n, 0.4),
+    )
 
 
 def surveyed(names="ABCDE"):
@@ -36,15 +40,20 @@ def surveyed(names="ABCDE"):
     return ControlPoints(
         names=tuple(names),
         points_wcs_m=np.column_stack([np.linspace(0, 38, k), np.full(k, -12.0), np.ones(k)]),
-        cov_wcs_m2=np.tile(1e-4 * np.eye(3), (k, 1, 1)), check=np.arange(k) % 2 == 1,
-    )  # fmt: skip
+        cov_wcs_m2=np.tile(1e-4 * np.eye(3), (k, 1, 1)),
+        check=np.arange(k) % 2 == 1,
+    )
 
 
 def report():
-    table = pd.DataFrame({
-        "point": list("ABCDE"), "role": ["control", "check", "control", "check", "left out"],
-        "images": [4, 5, 6, 7, 0], "suspect": [False, False, True, False, False],
-    })  # fmt: skip
+    table = pd.DataFrame(
+        {
+            "point": list("ABCDE"),
+            "role": ["control", "check", "control", "check", "left out"],
+            "images": [4, 5, 6, 7, 0],
+            "suspect": [False, False, True, False, False],
+        }
+    )
     for k, axis in enumerate(("east", "north", "up")):
         table[f"without_{axis}_mm"] = [3.0 + k, -4.0, 20.0, 4.0, np.nan]
         table[f"sigma_without_{axis}_mm"] = [5.0, 5.0, 5.0, 6.0, np.nan]
@@ -54,8 +63,15 @@ def report():
 def test_everything_is_on_the_map(look, tmp_path, trajectory):
     figure = image_positions(poses(), surveyed(), report(), trajectory=trajectory, title="Test", twin=True)
     words = look.texts(figure)
-    for text in ("n = 18 of 20 images", "2 control points", "2 check points", "digital twin", "suspect",
-                 "image without a pose, n = 2", "point seen in no image"):  # fmt: skip
+    for text in (
+        "n = 18 of 20 images",
+        "2 control points",
+        "2 check points",
+        "digital twin",
+        "suspect",
+        "image without a pose, n = 2",
+        "point seen in no image",
+    ):
         assert text in words, text
     # of the check points: -4 and +4 mm
     assert "RMSE of 2 check points: east 4.0, north 4.0, up 4.0 mm" in words
@@ -92,9 +108,11 @@ def test_many_points_are_drawn_without_names(look, tmp_path):
     names = [f"P{k:03d}" for k in range(60)]
     table = pd.concat([report().iloc[[0]]] * 60, ignore_index=True).assign(point=names)
     points = ControlPoints(
-        names=tuple(names), points_wcs_m=np.random.default_rng(1).uniform(0, 40, (60, 3)),
-        cov_wcs_m2=np.tile(1e-4 * np.eye(3), (60, 1, 1)), check=np.zeros(60, bool),
-    )  # fmt: skip
+        names=tuple(names),
+        points_wcs_m=np.random.default_rng(1).uniform(0, 40, (60, 3)),
+        cov_wcs_m2=np.tile(1e-4 * np.eye(3), (60, 1, 1)),
+        check=np.zeros(60, bool),
+    )
     figure = image_positions(poses(), points, table)
     assert not [t for t in figure.axes[0].texts if t.get_text() == "P001"]
     look.drawn(figure, tmp_path)

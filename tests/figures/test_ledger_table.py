@@ -5,11 +5,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from thalweg.figures.page import Page
-from thalweg_lab.figures.ledger_table import ledger_section
-from thalweg_lab.reproduction.files import read_ledger
-from thalweg_lab.reproduction.ledger import judged, sentence
-from thalweg_lab.reproduction.values import Results
+from thalweg.figures import Page
+from thalweg_lab.figures import ledger_section
+from thalweg_lab.reproduction import Results, judged, read_ledger, sentence
 
 
 @pytest.fixture(scope="module")

@@ -7,31 +7,27 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.core.calibration.model import Source
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.figures.calibration.correlations import correlation_matrix
-from thalweg.lightsheet.budget.budget import TOTAL, TOTAL_CORRELATED, budget_on_lines, budget_table
+from thalweg.core import CoverageError, InputError
+from thalweg.core.calibration import Source
+from thalweg.figures.calibration.quality import correlation_matrix
+from thalweg.lightsheet.budget import TOTAL, TOTAL_CORRELATED, budget_on_lines, budget_table
 from thalweg.lightsheet.budget.checks import contradictions, read_published, verdicts
-from thalweg.lightsheet.figures.depth_budget import depth_budget
+from thalweg.lightsheet.figures import departures_px, first_image, measured
+from thalweg.lightsheet.figures.budget import MODEL_COLUMNS as MODEL_COLUMNS, depth_budget, model_errors_view
 from thalweg.lightsheet.figures.grid_calibration import grid_calibration
-from thalweg.lightsheet.figures.line_measurement import departures_px, line_measurement, measured
-from thalweg.lightsheet.figures.line_on_markers import line_on_markers, shown_flag
-from thalweg.lightsheet.figures.measurement_volume import measurement_volume_view
+from thalweg.lightsheet.figures.lines import line_measurement, line_on_markers, shown_flag
 from thalweg.lightsheet.figures.panel_distances import first_with_points, panel_distances, signed
-from thalweg.lightsheet.figures.sheet_deformation import (
+from thalweg.lightsheet.figures.sensor import (
     TILTS_DEG,
+    measurement_volume_view,
     sheet_deformation,
     sheet_paths,
     tilted_sheet,
 )
-from thalweg.lightsheet.figures.sheet_models import COLUMNS as MODEL_COLUMNS
-from thalweg.lightsheet.figures.sheet_models import model_errors_view
-from thalweg.lightsheet.figures.views import along_and_off, beam_paths, find_image, first_image
-from thalweg.lightsheet.lines.settings import LineFlag
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.sensor import Sensor, paper_4
-from thalweg.lightsheet.optics.sensor_files import sensor_calibration
-from thalweg.lightsheet.optics.volume import depth_lines, measurement_volume
+from thalweg.lightsheet.figures.views import along_and_off, beam_paths, find_image
+from thalweg.lightsheet.lines import LineFlag
+from thalweg.lightsheet.optics import Sensor, depth_lines, intersect, measurement_volume, paper_4
+from thalweg.lightsheet.optics.sensor import sensor_calibration
 
 
 @pytest.fixture(scope="module")
@@ -52,11 +48,19 @@ def image_of_line(x_px, shape=(512, 512), *, sigma_px=1.6, peak=150.0):
 
 def line_table(x_px, y_px, *, flags=0, angle_rad=0.0):
     n = len(x_px)
-    return pd.DataFrame({
-        "file": "a.png", "x_px": x_px, "y_px": y_px, "sigma_px": 0.1, "angle_rad": angle_rad,
-        "peak_dn": 150.0, "width_px": 3.2, "background_dn": 4.0,
-        "flags": np.broadcast_to(flags, n).astype(np.uint8),
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "file": "a.png",
+            "x_px": x_px,
+            "y_px": y_px,
+            "sigma_px": 0.1,
+            "angle_rad": angle_rad,
+            "peak_dn": 150.0,
+            "width_px": 3.2,
+            "background_dn": 4.0,
+            "flags": np.broadcast_to(flags, n).astype(np.uint8),
+        }
+    )
 
 
 def line_at(sensor, depth_mm):
@@ -212,17 +216,31 @@ def test_flags_are_shown_by_their_last_bit(tmp_path, look) -> None:
 def observations(sensor: Sensor):
     """Image, residuals and pairs of two levels as the adjustment writes them."""
     (x1, y1), (x2, y2) = line_at(sensor, 60.0), line_at(sensor, 150.0)
-    residuals = pd.DataFrame({
-        "level": ["grid"] * len(x1) + ["plate"] * len(x2), "x_px": np.concatenate([x1, x2]),
-        "y_px": np.concatenate([y1, y2]), "residual_px": 0.05, "standardised": 0.5, "used": True,
-    })  # fmt: skip
+    residuals = pd.DataFrame(
+        {
+            "level": ["grid"] * len(x1) + ["plate"] * len(x2),
+            "x_px": np.concatenate([x1, x2]),
+            "y_px": np.concatenate([y1, y2]),
+            "residual_px": 0.05,
+            "standardised": 0.5,
+            "used": True,
+        }
+    )
     upper, lower = depth_lines(sensor, [60.0, 150.0], 401)
     shared = np.intersect1d(upper.fan_angle_rad, lower.fan_angle_rad)[::40]
     ends = [line.xy_px[np.searchsorted(line.fan_angle_rad, shared)] for line in (upper, lower)]
-    pairs = pd.DataFrame({
-        "upper_x_px": ends[0][:, 0], "upper_y_px": ends[0][:, 1], "lower_x_px": ends[1][:, 0],
-        "lower_y_px": ends[1][:, 1], "side": 1, "apart_deg": 0.01, "standardised": 0.3, "used": True,
-    })  # fmt: skip
+    pairs = pd.DataFrame(
+        {
+            "upper_x_px": ends[0][:, 0],
+            "upper_y_px": ends[0][:, 1],
+            "lower_x_px": ends[1][:, 0],
+            "lower_y_px": ends[1][:, 1],
+            "side": 1,
+            "apart_deg": 0.01,
+            "standardised": 0.3,
+            "used": True,
+        }
+    )
     return image_of_line(np.full(512, 250.0)), residuals, pairs
 
 
@@ -296,15 +314,31 @@ def on_panels(sensor: Sensor):
         x, y = line_at(sensor, depth)
         points = intersect(sensor, np.stack([x, y], axis=1))
         off = 0.1 * (k + 1)
-        parts.append(pd.DataFrame({
-            "file": f"{k}.png", "x_mm": points.xyz_lcs_mm[:, 0], "y_mm": points.xyz_lcs_mm[:, 1],
-            "depth_mm": points.depth_mm + off, "sigma_depth_mm": 0.07, "expected_depth_mm": depth, "x_px": x,
-            "y_px": y,
-        }))  # fmt: skip
+        parts.append(
+            pd.DataFrame(
+                {
+                    "file": f"{k}.png",
+                    "x_mm": points.xyz_lcs_mm[:, 0],
+                    "y_mm": points.xyz_lcs_mm[:, 1],
+                    "depth_mm": points.depth_mm + off,
+                    "sigma_depth_mm": 0.07,
+                    "expected_depth_mm": depth,
+                    "x_px": x,
+                    "y_px": y,
+                }
+            )
+        )
         rows.append((f"{k}.png", depth, len(x), off, 0.01, 0.07, 0.03, 0.21))
     names = (
-        "file", "depth_mm", "n", "mean_mm", "std_mm", "predicted_mm", "published_mean_mm", "published_std_mm",
-    )  # fmt: skip
+        "file",
+        "depth_mm",
+        "n",
+        "mean_mm",
+        "std_mm",
+        "predicted_mm",
+        "published_mean_mm",
+        "published_std_mm",
+    )
     return pd.concat(parts, ignore_index=True), pd.DataFrame(rows, columns=names)
 
 
@@ -345,7 +379,8 @@ def test_models_show_root_mean_square_and_largest_error(tmp_path, look) -> None:
     np.testing.assert_allclose(rms.get_xdata(), [0.05, 0.5])
     np.testing.assert_allclose(most.get_xdata(), [0.1, 1.2])
     assert [tick.get_text().split(",")[0] for tick in figure.axes[0].get_yticklabels()] == [
-        "elliptical cone", "plane",
-    ]  # fmt: skip
+        "elliptical cone",
+        "plane",
+    ]
     assert "2 without a depth" in look.texts(figure)
     look.drawn(figure, tmp_path)

@@ -4,16 +4,27 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.lightsheet.figures.page import flag_counts, inequality, light_sheet_page, parameter_rows
-from thalweg.lightsheet.lines.settings import LineFlag
+from thalweg.lightsheet.figures import light_sheet_page
+from thalweg.lightsheet.figures.page import flag_counts, inequality, parameter_rows
+from thalweg.lightsheet.lines import LineFlag
 
 CALIBRATION = {
     "object": "grid over a plate",
     "parameters": [
-        {"name": "laser_x_mm", "value": -7.0377, "sigma": 0.0907, "sigma_image": 0.045,
-         "treated": "estimated"},
-        {"name": "fx", "value": 1091.017, "sigma": 0.2, "sigma_image": None,
-         "treated": "held fixed, considered"},
+        {
+            "name": "laser_x_mm",
+            "value": -7.0377,
+            "sigma": 0.0907,
+            "sigma_image": 0.045,
+            "treated": "estimated",
+        },
+        {
+            "name": "fx",
+            "value": 1091.017,
+            "sigma": 0.2,
+            "sigma_image": None,
+            "treated": "held fixed, considered",
+        },
         {"name": "camera_x_mm", "value": 0.0, "sigma": 0.0, "sigma_image": None, "treated": "held fixed"},
     ],
     "correlations": [["laser_kappa_rad", "camera_kappa_rad", 0.9245]],
@@ -23,29 +34,60 @@ CALIBRATION = {
     "levels": {"grid 1": {"depth_mm": 60.0, "points": 622, "gaps": 11, "rms_px": 0.044, "bias_px": 0.0}},
     "sigma_of_depth": [{"depth_mm": 60.0, "most_mm": 0.05, "most_uncorrelated_mm": 0.28}],
     "warnings": ["the window may be tilted"],
-}  # fmt: skip
+}
 BUDGET = pd.DataFrame(
-    [(d, c, p, s * d / 50) for d in (50.0, 200.0) for c, p, s in
-     (("image", "a", 0.02), ("total", "g", 0.2), ("total with correlations", "g", 0.05))
-     for _ in range(2)],
+    [
+        (d, c, p, s * d / 50)
+        for d in (50.0, 200.0)
+        for c, p, s in (("image", "a", 0.02), ("total", "g", 0.2), ("total with correlations", "g", 0.05))
+        for _ in range(2)
+    ],
     columns=["depth_mm", "cause", "panel", "sigma_depth_mm"],
-)  # fmt: skip
+)
 PUBLISHED = pd.DataFrame(
-    [("a", "image", 0.15, "px", "most", 0.027, 0.023, 200.0, 0.87, "met"),
-     ("c", "camera omega", 0.02, "deg", "most", 0.04, 0.139, 200.0, 3.5, "contradicted")],
-    columns=["panel", "cause", "sigma", "unit", "bound", "published_mm", "computed_mm", "at_depth_mm",
-             "ratio", "verdict"],
-)  # fmt: skip
-INEQUALITIES = pd.DataFrame([
-    {"name": "ground sampling distance", "left": "as published", "left_value": 0.03,
-     "right": "that of a camera on the glass", "right_value": 0.0343, "unit": "mm", "holds": False,
-     "factor": 1.14, "condition": ""},
-])  # fmt: skip
+    [
+        ("a", "image", 0.15, "px", "most", 0.027, 0.023, 200.0, 0.87, "met"),
+        ("c", "camera omega", 0.02, "deg", "most", 0.04, 0.139, 200.0, 3.5, "contradicted"),
+    ],
+    columns=[
+        "panel",
+        "cause",
+        "sigma",
+        "unit",
+        "bound",
+        "published_mm",
+        "computed_mm",
+        "at_depth_mm",
+        "ratio",
+        "verdict",
+    ],
+)
+INEQUALITIES = pd.DataFrame(
+    [
+        {
+            "name": "ground sampling distance",
+            "left": "as published",
+            "left_value": 0.03,
+            "right": "that of a camera on the glass",
+            "right_value": 0.0343,
+            "unit": "mm",
+            "holds": False,
+            "factor": 1.14,
+            "condition": "",
+        }
+    ]
+)
 CHANGES = pd.DataFrame(
     [(50.0, 0.054, 0.055, 0.31, 0.33, 6.0)],
-    columns=["depth_mm", "correlated_least_mm", "correlated_most_mm", "dropped_least_mm", "dropped_most_mm",
-             "factor"],
-)  # fmt: skip
+    columns=[
+        "depth_mm",
+        "correlated_least_mm",
+        "correlated_most_mm",
+        "dropped_least_mm",
+        "dropped_most_mm",
+        "factor",
+    ],
+)
 MODELS = pd.DataFrame(
     [("plane", 50.0, 0.3, 0.4, -1.2, 0.9, 41, 0)],
     columns=["model", "depth_mm", "mean_mm", "std_mm", "low_mm", "high_mm", "n", "lost"],
@@ -71,10 +113,15 @@ def page(**more):
 
 def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path) -> None:
     Image.new("L", (8, 8)).save(tmp_path / "depth_budget.png")
-    counts = pd.DataFrame({
-        "file": ["a.png", "b.png"], "points": [500, 0], "candidates": [600, 0], "short_pieces": [8, 0],
-        "reason": ["", "no line"],
-    })  # fmt: skip
+    counts = pd.DataFrame(
+        {
+            "file": ["a.png", "b.png"],
+            "points": [500, 0],
+            "candidates": [600, 0],
+            "short_pieces": [8, 0],
+            "reason": ["", "no line"],
+        }
+    )
     points = pd.DataFrame({"flags": pd.Series([0, 1, 5], dtype="uint8")})
     truth = pd.DataFrame(
         [("laser_x", 0.01, 0.09, "mm", 0.11, 1)],
@@ -82,10 +129,16 @@ def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path) -> None:
     )
     camera = {"camera": {"z_mm": {"value": 78.04, "sigma": 0.05}}, "window_flatness_mm": 0.012}
     text = page(
-        panels=PANELS, truth=truth, camera=camera, counts={"panels": counts}, points={"panels": points},
-        pictures=[tmp_path / "depth_budget.png"], captions={"depth_budget": "Budget by cause"},
-        title="Light-sheet sensor: Basin", twin=True,
-    )  # fmt: skip
+        panels=PANELS,
+        truth=truth,
+        camera=camera,
+        counts={"panels": counts},
+        points={"panels": points},
+        pictures=[tmp_path / "depth_budget.png"],
+        captions={"depth_budget": "Budget by cause"},
+        title="Light-sheet sensor: Basin",
+        twin=True,
+    )
     for words in (
         "<h1>Light-sheet sensor: Basin</h1>",
         "989 line points and 20 pairs of ends; 4 observations rejected",
@@ -130,8 +183,15 @@ def test_parameters_have_as_many_places_as_their_sigmas_warrant() -> None:
 
 @pytest.mark.parametrize(("left", "words"), [(0.05, "Holds"), (0.02, "Contradicted, by a factor of 2.0")])
 def test_inequalities_in_words(left, words) -> None:
-    row = {"name": "x", "left": "a", "right": "b", "left_value": left, "right_value": 0.04, "unit": "mm",
-           "condition": "|phi| below 55 degrees"}  # fmt: skip
+    row = {
+        "name": "x",
+        "left": "a",
+        "right": "b",
+        "left_value": left,
+        "right_value": 0.04,
+        "unit": "mm",
+        "condition": "|phi| below 55 degrees",
+    }
     assert inequality(row) == f"x: a {left} mm >= b 0.04 mm? {words} (for |phi| below 55 degrees)"
     # an empty field of a CSV file
     assert inequality(row | {"condition": float("nan")}).endswith(words)

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from thalweg.core.errors import InputError
-from thalweg.figures.page import Page
-from thalweg.lightsheet.figures.scans import kind_of, left_out, read_scans, scan_section, scan_words
+from thalweg.core import InputError
+from thalweg.figures import Page
+from thalweg.lightsheet.figures import read_scans
+from thalweg.lightsheet.figures.page import kind_of, left_out, scan_section, scan_words
 
 COUNTS = {
     "lines": {"line_points": 9000, "no_sheet": 12, "points": 8988},
@@ -37,12 +38,14 @@ PROFILE = "points,lines,rule,n,std_mm,std_kept_mm\nmiddle line,1,3 sigma,621,0.0
 def files(tmp_path: Path) -> list[Path]:
     """What the rules write for a scan with a reference and for one without."""
     written = {
-        "old_wreck/counts.json": json.dumps(COUNTS), "old_wreck/facts.json": json.dumps(FACTS),
-        "old_wreck/statistics.csv": STATISTICS, "old_wreck/lines.csv": LINES,
+        "old_wreck/counts.json": json.dumps(COUNTS),
+        "old_wreck/facts.json": json.dumps(FACTS),
+        "old_wreck/statistics.csv": STATISTICS,
+        "old_wreck/lines.csv": LINES,
         "old_wreck/profile.csv": PROFILE,
         "old_wreck/profile.json": json.dumps({"rms_mm": 0.0581, "bimodality": "one mode (D 3.4)"}),
         "wreck/counts.json": json.dumps(COUNTS | {"images_left_out": {}}),
-    }  # fmt: skip
+    }
     for name, text in written.items():
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
@@ -58,9 +61,10 @@ def picture(path: Path) -> Path:
 
 def test_each_scan_has_its_numbers_and_pictures(files, tmp_path) -> None:
     pictures = [
-        picture(tmp_path / "figures/scan_old_wreck.png"), picture(tmp_path / "old_wreck/orthophoto.png"),
+        picture(tmp_path / "figures/scan_old_wreck.png"),
+        picture(tmp_path / "old_wreck/orthophoto.png"),
         picture(tmp_path / "figures/sheet_image_wreck.png"),
-    ]  # fmt: skip
+    ]
     captions = {"scan_distances": "Coloured by distance", "sheet_image": "The green channel"}
     first, second = read_scans(["old_wreck", "wreck"], files, pictures, captions)
     # the name of one scan ends with that of the other
@@ -77,8 +81,12 @@ def test_each_scan_has_its_numbers_and_pictures(files, tmp_path) -> None:
         "1.12.",
         "Middle line: 0.058 mm root mean square; distribution with one mode (D 3.4).",
         "Warning: no line can be told from the others by its pose.",
-        "beside P4 Table 3", "beside P4 Table 2", "20.195", "66 666", "line points: no sheet",
-    ):  # fmt: skip
+        "beside P4 Table 3",
+        "beside P4 Table 2",
+        "20.195",
+        "66 666",
+        "line points: no sheet",
+    ):
         assert words in before, words
     assert "There is no reference to compare with." in after
     assert before.count("<img") == 2
@@ -89,13 +97,18 @@ def test_everything_left_out_is_counted(files) -> None:
     first, second = read_scans(["old_wreck", "wreck"], files, [], {})
     found = dict(left_out(first).itertuples(index=False))
     assert found == {
-        "images: no line": 2, "line points: no sheet": 12, "points of images without a pose": 30,
-        "points not on the object": 700, "points at a border of the mesh": 11,
-        "points of lines with a bad pose": 400, "lines not judged: fewer than 30 points": 2,
-    }  # fmt: skip
+        "images: no line": 2,
+        "line points: no sheet": 12,
+        "points of images without a pose": 30,
+        "points not on the object": 700,
+        "points at a border of the mesh": 11,
+        "points of lines with a bad pose": 400,
+        "lines not judged: fewer than 30 points": 2,
+    }
     assert left_out(second).to_numpy().tolist() == [
-        ["line points: no sheet", 12], ["points of images without a pose", 30],
-    ]  # fmt: skip
+        ["line points: no sheet", 12],
+        ["points of images without a pose", 30],
+    ]
     assert scan_words(second).startswith("39 images")
 
 
@@ -109,11 +122,15 @@ def test_files_of_no_scan_are_refused(files, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("name", "scan", "kind"),
     [
-        ("sheet_image_wreck", "wreck", "sheet_image"), ("scan_wreck", "wreck", "scan_distances"),
-        ("setup_of_wreck", "wreck", "scan_setup"), ("profile_of_wreck", "wreck", "scan_profile"),
-        ("reference_of_wreck", "wreck", "scan_reference"), ("scan_old_wreck", "wreck", ""),
-        ("scan_setup_of_wreck", "wreck", ""), ("setup_of_scan_wreck", "wreck", ""),
+        ("sheet_image_wreck", "wreck", "sheet_image"),
+        ("scan_wreck", "wreck", "scan_distances"),
+        ("setup_of_wreck", "wreck", "scan_setup"),
+        ("profile_of_wreck", "wreck", "scan_profile"),
+        ("reference_of_wreck", "wreck", "scan_reference"),
+        ("scan_old_wreck", "wreck", ""),
+        ("scan_setup_of_wreck", "wreck", ""),
+        ("setup_of_scan_wreck", "wreck", ""),
     ],
-)  # fmt: skip
+)
 def test_pictures_belong_to_scans_by_their_whole_name(name, scan, kind) -> None:
     assert kind_of(Path(f"figures/{name}.png"), scan) == kind

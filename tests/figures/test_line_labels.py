@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.lightsheet.figures.line_labels import label_words, line_labels, spacing_words
+from thalweg.core import InputError
+from thalweg.lightsheet.figures.multi_line import label_words, line_labels, spacing_words
 
 N = 200
 
@@ -20,12 +20,22 @@ def points(rng) -> pd.DataFrame:
         line = np.where(given, true, -1)
         if irregular:
             line[0] = (true[0] + 1) % 15
-        parts.append(pd.DataFrame({
-            "irregular": irregular, "image": np.repeat([0, 1, 2], N), "row": np.tile(np.arange(N), 3),
-            "x_px": 60.0 * true, "line": line, "true_line": true,
-            "reason": np.where(given, "given", "unsure"), "x_mm": np.where(given, true - 7.0, np.nan),
-            "y_mm": np.where(given, 1.0, np.nan), "depth_mm": np.where(given, 120.0 + true, np.nan),
-        }))  # fmt: skip
+        parts.append(
+            pd.DataFrame(
+                {
+                    "irregular": irregular,
+                    "image": np.repeat([0, 1, 2], N),
+                    "row": np.tile(np.arange(N), 3),
+                    "x_px": 60.0 * true,
+                    "line": line,
+                    "true_line": true,
+                    "reason": np.where(given, "given", "unsure"),
+                    "x_mm": np.where(given, true - 7.0, np.nan),
+                    "y_mm": np.where(given, 1.0, np.nan),
+                    "depth_mm": np.where(given, 120.0 + true, np.nan),
+                }
+            )
+        )
     return pd.concat(parts, ignore_index=True)
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.lightsheet.figures.line_patch import SIDE, gauss_row, line_patch, middle_point
+from thalweg.core import CoverageError, InputError
+from thalweg.lightsheet.figures.lines import SIDE, gauss_row, line_patch, middle_point
 
 H, W = 120, 90
 WIDTH, PEAK, GROUND = 2.4, 120.0, 6.0
@@ -26,10 +26,18 @@ def image() -> np.ndarray:
 @pytest.fixture
 def points() -> pd.DataFrame:
     y = np.arange(H) + 0.5
-    return pd.DataFrame({
-        "x_px": line_x(y), "y_px": y, "sigma_px": 0.11, "angle_rad": 0.0, "peak_dn": PEAK, "width_px": WIDTH,
-        "background_dn": GROUND, "flags": 0,
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "x_px": line_x(y),
+            "y_px": y,
+            "sigma_px": 0.11,
+            "angle_rad": 0.0,
+            "peak_dn": PEAK,
+            "width_px": WIDTH,
+            "background_dn": GROUND,
+            "flags": 0,
+        }
+    )
 
 
 def test_the_template_lies_on_the_line(image, points, tmp_path, look) -> None:

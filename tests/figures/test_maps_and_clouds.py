@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.figures.cloud.bank import BankSegment, bankward_azimuth, choose_segment
-from thalweg.figures.cloud.overview import balanced_gamma, bent_ticks, cloud_detail, cloud_overview
-from thalweg.figures.cloud.splat import ObliqueView, Splat
-from thalweg.figures.style import save
-from thalweg.figures.survey.maps import survey_map, track_gaps
+from thalweg.core import GeometryError
+from thalweg.figures import save
+from thalweg.figures.cloud import Splat, choose_segment, cloud_overview
+from thalweg.figures.cloud.overview import balanced_gamma, bent_ticks, cloud_detail
+from thalweg.figures.cloud.views import BankSegment, ObliqueView, bankward_azimuth
+from thalweg.figures.survey import track_gaps
+from thalweg.figures.survey.maps import survey_map
 
 
 def by_gid(figure, gid):

@@ -5,18 +5,23 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.figures.images.mask_view import COLUMNS, example_names, mask_view, read_examples
+from thalweg.core import CoverageError, InputError
+from thalweg.figures.images.photographs import MASK_COLUMNS, example_names, mask_view, read_examples
 
 
 def masks_table(n=20):
     usable = np.linspace(0.1, 0.5, n)
     return pd.DataFrame(
         {
-            "image": [f"{k:02d}.jpg" for k in range(n)], "usable_share": usable, "water_share": 0.3,
-            "sky_share": 0.7 - usable - 0.1, "hull_share": 0.1, "source": "automatic", "note": "",
+            "image": [f"{k:02d}.jpg" for k in range(n)],
+            "usable_share": usable,
+            "water_share": 0.3,
+            "sky_share": 0.7 - usable - 0.1,
+            "hull_share": 0.1,
+            "source": "automatic",
+            "note": "",
         }
-    )[list(COLUMNS)]  # fmt: skip
+    )[list(MASK_COLUMNS)]
 
 
 def test_examples_shares_and_masked_parts_are_shown(rng, tmp_path, look):

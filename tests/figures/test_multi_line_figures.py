@@ -5,20 +5,20 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.figures.calibration.field_views import PLAN, Oblique
-from thalweg.lightsheet.figures.mesh_views import mesh_picture
-from thalweg.lightsheet.figures.multi_line_geometry import across_direction, multi_line_geometry
-from thalweg.lightsheet.figures.multi_line_images import (
+from thalweg.core import GeometryError, InputError
+from thalweg.figures.calibration import Oblique
+from thalweg.figures.calibration.field import PLAN
+from thalweg.lightsheet.figures.multi_line import (
     NAMES,
     SeenObject,
+    across_direction,
+    multi_line_geometry,
     multi_line_images_view,
     read_objects,
 )
+from thalweg.lightsheet.figures.scan_reference import mesh_picture
 from thalweg.lightsheet.figures.views import path_to
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.refracted_rays import refract_to_water
-from thalweg.lightsheet.optics.sensor import LightSheet, paper_4
+from thalweg.lightsheet.optics import LightSheet, paper_4, project, refract_to_water
 
 DEPTHS_MM = (60.0, 120.0)
 N = 4
@@ -36,11 +36,21 @@ def lines() -> pd.DataFrame:
         for depth in DEPTHS_MM:
             xyz = water.at_depth(depth)
             xy = project(sensor, xyz)
-            rows.append(pd.DataFrame({
-                "line": number, "fan_angle_deg": np.rad2deg(a), "depth_mm": depth, "x_mm": xyz[:, 0],
-                "y_mm": xyz[:, 1], "z_mm": xyz[:, 2], "x_px": xy[:, 0], "y_px": xy[:, 1],
-                "in_picture": sensor.camera.inside(xy),
-            }))  # fmt: skip
+            rows.append(
+                pd.DataFrame(
+                    {
+                        "line": number,
+                        "fan_angle_deg": np.rad2deg(a),
+                        "depth_mm": depth,
+                        "x_mm": xyz[:, 0],
+                        "y_mm": xyz[:, 1],
+                        "z_mm": xyz[:, 2],
+                        "x_px": xy[:, 0],
+                        "y_px": xy[:, 1],
+                        "in_picture": sensor.camera.inside(xy),
+                    }
+                )
+            )
     return pd.concat(rows, ignore_index=True)
 
 
@@ -109,9 +119,12 @@ def measured(lines) -> pd.DataFrame:
     rows = []
     for name in NAMES:
         mine = level[["line", "x_mm", "y_mm", "z_mm"]].assign(
-            object=name, best_line=level["line"], true_line=level["line"], x_px=level["x_px"] / 32.0,
+            object=name,
+            best_line=level["line"],
+            true_line=level["line"],
+            x_px=level["x_px"] / 32.0,
             y_px=level["y_px"] / 32.0,
-        )  # fmt: skip
+        )
         if name == "wreck":
             mine = mine.assign(line=-1, x_mm=np.nan, y_mm=np.nan, z_mm=np.nan, best_line=2)
         rows.append(mine)
@@ -143,8 +156,11 @@ def test_objects_are_read_in_order(tmp_path) -> None:
     seen = plane_object(paper_4())
     arrays = {}
     for name in reversed(NAMES):
-        arrays |= {f"image_{name}": seen.image, f"vertices_{name}": seen.vertices_lcs_mm,
-                   f"faces_{name}": seen.faces}  # fmt: skip
+        arrays |= {
+            f"image_{name}": seen.image,
+            f"vertices_{name}": seen.vertices_lcs_mm,
+            f"faces_{name}": seen.faces,
+        }
     np.savez(tmp_path / "all.npz", **arrays)
     found = read_objects(tmp_path / "all.npz")
     assert list(found) == list(NAMES)

@@ -7,9 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.figures.page import Page
-from thalweg.figures.style import save
+from thalweg.core import InputError
+from thalweg.figures import Page, save
 from thalweg.figures.survey.maps import survey_map
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
@@ -51,10 +50,14 @@ def check(html):
 
 @pytest.fixture
 def table():
-    return pd.DataFrame({
-        "stream": ["lidar", "<ins> & co"], "n": [1_234_567, 3], "rate_hz": [753.512345, np.nan],
-        "locked": [True, False],
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "stream": ["lidar", "<ins> & co"],
+            "n": [1_234_567, 3],
+            "rate_hz": [753.512345, np.nan],
+            "locked": [True, False],
+        }
+    )
 
 
 @pytest.fixture

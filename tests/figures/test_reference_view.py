@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import CoverageError, GeometryError, InputError
+from thalweg.core import CoverageError, GeometryError, InputError
+from thalweg.figures import save
 from thalweg.figures.accuracy.reference_view import (
     EYE_M,
     PanoramaView,
@@ -11,8 +12,7 @@ from thalweg.figures.accuracy.reference_view import (
     reference_view,
     viewpoint_on_track,
 )
-from thalweg.figures.cloud.splat import Splat
-from thalweg.figures.style import save
+from thalweg.figures.cloud import Splat
 
 
 def by_gid(figure, gid):
@@ -21,9 +21,14 @@ def by_gid(figure, gid):
 
 def view_at(viewpoint=(0.0, 0.0, 0.0), left_deg=350.0, top_deg=10.0, pixel_deg=1.0, width=40, height=20):
     return PanoramaView(
-        viewpoint_wcs_m=np.array(viewpoint), left_rad=np.deg2rad(left_deg), top_rad=np.deg2rad(top_deg),
-        pixel_rad=np.deg2rad(pixel_deg), width_px=width, height_px=height, distance_m=20.0,
-    )  # fmt: skip
+        viewpoint_wcs_m=np.array(viewpoint),
+        left_rad=np.deg2rad(left_deg),
+        top_rad=np.deg2rad(top_deg),
+        pixel_rad=np.deg2rad(pixel_deg),
+        width_px=width,
+        height_px=height,
+        distance_m=20.0,
+    )
 
 
 def test_angles_are_those_of_a_compass():
@@ -116,9 +121,16 @@ def scanned(trajectory, bank):
 def test_figure_names_the_scan_and_counts_its_points(trajectory, bank, scanned):
     splat, source = scanned
     figure = reference_view(
-        splat, bank.points, source, trajectory, shown=2, names={1: "a", 2: "tls_2", 3: "c"},
-        counts={1: 10, 2: 20, 3: 30}, title="Test", twin=True,
-    )  # fmt: skip
+        splat,
+        bank.points,
+        source,
+        trajectory,
+        shown=2,
+        names={1: "a", 2: "tls_2", 3: "c"},
+        counts={1: 10, 2: 20, 3: 30},
+        title="Test",
+        twin=True,
+    )
     n = f"{splat.n_drawn:,}".replace(",", "\N{NO-BREAK SPACE}")
     title = figure.get_suptitle().replace("\n", " ")
     assert f"scan tls_2, n = {n} of 13\N{NO-BREAK SPACE}333 points" in title

@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
+from thalweg.core import GeometryError, InputError
+from thalweg.figures import save
 from thalweg.figures.cloud.removed import Across, along_reach, removed_points
-from thalweg.figures.style import save
-from thalweg.lidar.filters import REMOVED, WORDS, Reason, reason_table
-from thalweg.lidar.removed import REMOVED_POINTS
-from thalweg.settings.sections.filters import Filters
+from thalweg.lidar import REMOVED, REMOVED_POINTS, WORDS, Reason
+from thalweg.lidar.filters import reason_table
+from thalweg.settings.sections import Filters
 
 FILTERS = Filters().model_dump()
 AZIMUTH_RAD = np.deg2rad(70.0)  # of the track in conftest

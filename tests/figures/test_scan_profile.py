@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.lightsheet.figures.scan_profile import classes, scan_profile
+from thalweg.core import InputError
+from thalweg.lightsheet.figures.scan_distances import classes, scan_profile
 
 N = 400
 SIGMA_MM = 0.05
@@ -18,10 +18,17 @@ def points(rng) -> pd.DataFrame:
     x[N // 2 :] += 0.03
     d = rng.normal(0.01, SIGMA_MM, N)
     d[7] = 3.0
-    second = pd.DataFrame({
-        "file": "b.png", "x_m": x, "z_m": 0.02, "distance_mm": d, "sigma_mm": SIGMA_MM,
-        "sigma_own_mm": 0.4 * SIGMA_MM, "used": np.arange(N) >= 20,
-    })  # fmt: skip
+    second = pd.DataFrame(
+        {
+            "file": "b.png",
+            "x_m": x,
+            "z_m": 0.02,
+            "distance_mm": d,
+            "sigma_mm": SIGMA_MM,
+            "sigma_own_mm": 0.4 * SIGMA_MM,
+            "used": np.arange(N) >= 20,
+        }
+    )
     second.loc[7, "used"] = True
     # rows in any order
     return pd.concat([second.assign(file="a.png", distance_mm=9.0), second.sample(frac=1.0, random_state=1)])

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.core.errors import InputError
-from thalweg.core.geometry.mesh import TriangleMesh
+from thalweg.core import InputError
+from thalweg.core.geometry import TriangleMesh
 from thalweg.lightsheet.figures.scan_reference import read_orthophoto, scan_reference, share_of_noise
 
 LEVELS = [
@@ -30,11 +30,16 @@ def points(rng) -> pd.DataFrame:
     """Six lines across both levels; what lies beside the object is not used."""
     x = np.tile(np.linspace(-0.058, 0.049, 46), 6)
     off = rng.normal(0.0, 0.03, len(x))
-    return pd.DataFrame({
-        "file": np.repeat([f"{k}.png" for k in range(6)], 46), "x_m": x, "used": x > -0.05,
-        "y_m": np.repeat(np.linspace(-0.02, 0.02, 6), 46), "z_m": np.where(x > 0, 0.02, 0.0) + 1e-3 * off,
-        "distance_mm": off,
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "file": np.repeat([f"{k}.png" for k in range(6)], 46),
+            "x_m": x,
+            "used": x > -0.05,
+            "y_m": np.repeat(np.linspace(-0.02, 0.02, 6), 46),
+            "z_m": np.where(x > 0, 0.02, 0.0) + 1e-3 * off,
+            "distance_mm": off,
+        }
+    )
 
 
 def test_the_object_with_its_levels(mesh, points, rng, tmp_path, look) -> None:

@@ -4,12 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError
-from thalweg.core.frames import rotation_opk
+from thalweg.core import Camera, InputError, rotation_opk
 from thalweg.lightsheet.figures.scan_setup import InSensor, frame_corners, scan_setup
-from thalweg.lightsheet.optics.sensor import Sensor, paper_4
-from thalweg.lightsheet.poses.poses import SensorPoses
+from thalweg.lightsheet.optics import Sensor, paper_4
+from thalweg.lightsheet.poses import SensorPoses
 
 N = 7
 STEP_M = 0.01
@@ -42,18 +40,29 @@ def poses() -> SensorPoses:
     shift[2], R[2] = np.nan, np.nan
     cov = np.tile(np.diag([4e-10] * 3 + [1e-8] * 3), (N, 1, 1))
     return SensorPoses(
-        images=tuple(f"{k}.png" for k in range(N)), R_target_lcs=R, shift_m=shift, cov=cov,
-        shared=np.zeros((N, 6, 0)), reasons=tuple("no picture" if k == 2 else "" for k in range(N)),
-        t_gps_s=np.arange(N, dtype=float), target="standing camera", source="6-DOF",
-    )  # fmt: skip
+        images=tuple(f"{k}.png" for k in range(N)),
+        R_target_lcs=R,
+        shift_m=shift,
+        cov=cov,
+        shared=np.zeros((N, 6, 0)),
+        reasons=tuple("no picture" if k == 2 else "" for k in range(N)),
+        t_gps_s=np.arange(N, dtype=float),
+        target="standing camera",
+        source="6-DOF",
+    )
 
 
 @pytest.fixture
 def points(poses) -> pd.DataFrame:
     """A line 120 mm under the sensor at each image with a pose."""
     lcs_m = 1e-3 * np.stack([np.linspace(-80, 80, 50), np.full(50, -110.0), np.full(50, -125.0)], axis=1)
-    parts = [pd.DataFrame(lcs_m @ poses.R_target_lcs[k].T + poses.shift_m[k], columns=["x_m", "y_m", "z_m"])
-             .assign(file=poses.images[k]) for k in range(N) if k != 2]  # fmt: skip
+    parts = [
+        pd.DataFrame(
+            lcs_m @ poses.R_target_lcs[k].T + poses.shift_m[k], columns=["x_m", "y_m", "z_m"]
+        ).assign(file=poses.images[k])
+        for k in range(N)
+        if k != 2
+    ]
     return pd.concat(parts, ignore_index=True)
 
 
@@ -110,10 +119,16 @@ def test_the_frame_of_the_picture() -> None:
 
 def test_a_scan_without_poses_has_no_set_up(sensor, poses, panel_m, points) -> None:
     none = SensorPoses(
-        images=("a.png",), R_target_lcs=np.full((1, 3, 3), np.nan), shift_m=np.full((1, 3), np.nan),
-        cov=np.full((1, 6, 6), np.nan), shared=np.zeros((1, 6, 0)), reasons=("no picture",),
-        t_gps_s=np.zeros(1), target="", source="",
-    )  # fmt: skip
+        images=("a.png",),
+        R_target_lcs=np.full((1, 3, 3), np.nan),
+        shift_m=np.full((1, 3), np.nan),
+        cov=np.full((1, 6, 6), np.nan),
+        shared=np.zeros((1, 6, 0)),
+        reasons=("no picture",),
+        t_gps_s=np.zeros(1),
+        target="",
+        source="",
+    )
     with pytest.raises(InputError, match="no pose"):
         scan_setup(sensor, none, panel_m, CAMERA, points)
     with pytest.raises(InputError, match="columns missing: z_m"):

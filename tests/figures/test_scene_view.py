@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.figures.cloud.scene_view import View, read_view, scene_view
-from thalweg.figures.style import WIDTH_MM, save
+from thalweg.core import InputError
+from thalweg.figures import WIDTH_MM, save
+from thalweg.figures.cloud.overview import View, read_view, scene_view
 
 FACTS = {"distance_m": 20.0, "pixel_mm": 15.0, "height_above_water_m": 1.1, "utc": "2021-05-12T08:31:07Z"}
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import CoverageError
-from thalweg.lightsheet.figures.sensor_setup import in_section, pixel_size_mm, sensor_setup, tilt_deg
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import Sensor, paper_3, paper_4
+from thalweg.core import CoverageError
+from thalweg.lightsheet.figures.sensor import in_section, pixel_size_mm, sensor_setup, tilt_deg
+from thalweg.lightsheet.optics import Sensor, paper_3, paper_4, project
 
 
 @pytest.fixture(scope="module")

@@ -3,15 +3,21 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.figures.cloud.splat import DEPTH_STEP_M, EDL_CAP, ObliqueView, Splat, eye_dome, view_axes
+from thalweg.core import GeometryError
+from thalweg.figures.cloud import Splat
+from thalweg.figures.cloud.views import DEPTH_STEP_M, EDL_CAP, ObliqueView, eye_dome, view_axes
 
 
 def view_of(width=40, height=30, azimuth=0.4, elevation=0.7):
     return ObliqueView(
-        azimuth_rad=azimuth, elevation_rad=elevation, left_m=-10.0, top_m=7.5, pixel_m=0.5, width_px=width,
+        azimuth_rad=azimuth,
+        elevation_rad=elevation,
+        left_m=-10.0,
+        top_m=7.5,
+        pixel_m=0.5,
+        width_px=width,
         height_px=height,
-    )  # fmt: skip
+    )
 
 
 def slow_buffers(view, points, values, radius):

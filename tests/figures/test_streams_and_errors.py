@@ -5,14 +5,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.core.timescales import unix_from_gps
-from thalweg.figures.accuracy.errors import error_histograms, error_versus_range
-from thalweg.figures.clocks.clocks import StreamLag, clock_lines, lag_words, read_lags, timing_words
-from thalweg.figures.style import save
-from thalweg.figures.survey.streams import streams_in_time, time_span
-from thalweg.ingest.integrity import Gap, IntegrityReport
-from thalweg.ingest.stamps import StreamTiming
+from thalweg.core import InputError, unix_from_gps
+from thalweg.figures import save
+from thalweg.figures.accuracy.distances import error_histograms, error_versus_range
+from thalweg.figures.survey.streams import (
+    StreamLag,
+    clock_lines,
+    lag_words,
+    read_lags,
+    streams_in_time,
+    time_span,
+    timing_words,
+)
+from thalweg.ingest import Gap, IntegrityReport, StreamTiming
 
 T0 = 178_649_913.4
 
@@ -25,25 +30,49 @@ def by_gid(figure, gid):
 def reports():
     return [
         IntegrityReport(
-            stream="lidar", format="pcap", files=["a"], model="VLP-16", time_scale="utc", synchronised=True,
-            t_first_s=T0 + 10, t_last_s=T0 + 110, counts={"packets": 75_400, "points": 2_000_000},
-            losses={"packets": 3}, rates_hz={"packets": 753.5}, gaps=[Gap(t_start_s=T0 + 50, duration_s=4.0)],
+            stream="lidar",
+            format="pcap",
+            files=["a"],
+            model="VLP-16",
+            time_scale="utc",
+            synchronised=True,
+            t_first_s=T0 + 10,
+            t_last_s=T0 + 110,
+            counts={"packets": 75_400, "points": 2_000_000},
+            losses={"packets": 3},
+            rates_hz={"packets": 753.5},
+            gaps=[Gap(t_start_s=T0 + 50, duration_s=4.0)],
             details={"host_minus_sensor_s": 0.36812},
             timing=StreamTiming(
-                pps_locked_share=0.9, pps_unlocked_start_s=4.0, pps_losses=1, unsynchronised_s=11.0,
+                pps_locked_share=0.9,
+                pps_unlocked_start_s=4.0,
+                pps_losses=1,
+                unsynchronised_s=11.0,
                 unsynchronised=[(T0 + 6, T0 + 10), (T0 + 30, T0 + 37)],
             ),
         ),
         IntegrityReport(
-            stream="ins", format="ANPP", files=["b"], time_scale="utc", synchronised=True, t_first_s=T0,
-            t_last_s=T0 + 100, counts={"states": 5000}, rates_hz={"states": 50.0},
+            stream="ins",
+            format="ANPP",
+            files=["b"],
+            time_scale="utc",
+            synchronised=True,
+            t_first_s=T0,
+            t_last_s=T0 + 100,
+            counts={"states": 5000},
+            rates_hz={"states": 50.0},
         ),
         IntegrityReport(
-            stream="depth", format="NMEA", files=["c"], time_scale="host", t_first_s=5.0, t_last_s=65.0,
+            stream="depth",
+            format="NMEA",
+            files=["c"],
+            time_scale="host",
+            t_first_s=5.0,
+            t_last_s=65.0,
             counts={"soundings": 600},
         ),
         IntegrityReport(stream="positions", format="pos", files=["d"]),
-    ]  # fmt: skip
+    ]
 
 
 def bars(figure, gid):
@@ -66,13 +95,17 @@ def test_gaps_and_unsynchronised_parts(reports):
     figure = streams_in_time(reports)
     ((start, length, row),) = bars(figure, "gap")
     assert (start, length, row) == (
-        pytest.approx(float(unix_from_gps(T0 + 50)), abs=1e-5), pytest.approx(4.0, abs=1e-5), 0,
-    )  # fmt: skip
+        pytest.approx(float(unix_from_gps(T0 + 50)), abs=1e-5),
+        pytest.approx(4.0, abs=1e-5),
+        0,
+    )
     before, part, whole = bars(figure, "unsynchronised")
     for found, begin, length in ((before, T0 + 6, 4.0), (part, T0 + 30, 7.0)):
         assert found == (
-            pytest.approx(float(unix_from_gps(begin)), abs=1e-5), pytest.approx(length, abs=1e-5), 0,
-        )  # fmt: skip
+            pytest.approx(float(unix_from_gps(begin)), abs=1e-5),
+            pytest.approx(length, abs=1e-5),
+            0,
+        )
     # A stream without GPS time begins at the start of the axis.
     assert whole == (pytest.approx(float(unix_from_gps(T0)), abs=1e-5), pytest.approx(60.0, abs=1e-5), 2)
     assert all(p.get_hatch() for p in by_gid(figure, "unsynchronised"))
@@ -93,9 +126,16 @@ def test_a_part_before_the_first_gps_time_is_on_the_axis(reports):
 
 def test_the_clock_in_words():
     timing = StreamTiming(
-        period_s=0.0013271, jitter_s=2.9e-7, jitter_max_s=0.0, resolution_s=1e-6, clock="host",
-        clock_offset_s=0.368, sigma_clock_offset_s=2e-5, clock_drift_ppm=-1.25, sigma_clock_drift_ppm=0.3,
-    )  # fmt: skip
+        period_s=0.0013271,
+        jitter_s=2.9e-7,
+        jitter_max_s=0.0,
+        resolution_s=1e-6,
+        clock="host",
+        clock_offset_s=0.368,
+        sigma_clock_offset_s=2e-5,
+        clock_drift_ppm=-1.25,
+        sigma_clock_drift_ppm=0.3,
+    )
     assert timing_words(timing) == [
         "step 1.327 ms, jitter at most the resolution of 1 µs",
         "host clock 0.368 s ahead of UTC (± 20 µs), drift -1.25 ± 0.3 ppm",
@@ -113,9 +153,15 @@ def test_the_clock_in_words():
 def test_nothing_finer_than_the_stamps_is_said():
     """Rounding of stamps gives jitters of 0.04 µs and drifts of 0 ± 0; neither is a finding."""
     timing = StreamTiming(
-        period_s=0.1, jitter_s=3.5e-8, jitter_max_s=3.6e-8, clock="host", clock_offset_s=0.4,
-        sigma_clock_offset_s=0.0, clock_drift_ppm=0.0, sigma_clock_drift_ppm=0.0,
-    )  # fmt: skip
+        period_s=0.1,
+        jitter_s=3.5e-8,
+        jitter_max_s=3.6e-8,
+        clock="host",
+        clock_offset_s=0.4,
+        sigma_clock_offset_s=0.0,
+        clock_drift_ppm=0.0,
+        sigma_clock_drift_ppm=0.0,
+    )
     # Without a resolution 64 bits are the limit: 60 ns. Over 10 s three of them are 0.018 ppm.
     assert timing_words(timing, 10.0) == [
         "step 100 ms, jitter at most 0.0596 µs",
@@ -130,12 +176,20 @@ def test_nothing_finer_than_the_stamps_is_said():
 
 def test_details_on_time_are_words():
     report = IntegrityReport(
-        stream="gnss", format="SBP", files=[], time_scale="gps", synchronised=True,
+        stream="gnss",
+        format="SBP",
+        files=[],
+        time_scale="gps",
+        synchronised=True,
         details={
-            "rmc_age_s": 1.14, "host_minus_sensor_s": 0.401327, "GPS - UTC": {"18.000 s": 1841},
-            "free_running_drift_ppm": 12.5, "free_running_drift_sigma_ppm": 0.2, "lock_time_s": 3.0,
+            "rmc_age_s": 1.14,
+            "host_minus_sensor_s": 0.401327,
+            "GPS - UTC": {"18.000 s": 1841},
+            "free_running_drift_ppm": 12.5,
+            "free_running_drift_sigma_ppm": 0.2,
+            "lock_time_s": 3.0,
         },
-    )  # fmt: skip
+    )
     text = ";  ".join(clock_lines(report)).replace("\N{NO-BREAK SPACE}", " ")
     assert text == (
         "stamps in GPS;  GPS time message at most 1.14 s old;  host clock 0.401327 s ahead of the sensor's;  "
@@ -149,11 +203,13 @@ def test_details_on_time_are_words():
 def test_the_lag_says_what_it_cannot_tell(reports, tmp_path):
     pd.DataFrame(
         {
-            "stream": ["lidar", "ins", "positions", "depth"], "lag_against": ["", "positions", "ins", "ins"],
-            "lag_s": [np.nan, 0.25, -0.037, np.nan], "sigma_lag_s": [np.nan, 0.004, 0.115, np.nan],
+            "stream": ["lidar", "ins", "positions", "depth"],
+            "lag_against": ["", "positions", "ins", "ins"],
+            "lag_s": [np.nan, 0.25, -0.037, np.nan],
+            "sigma_lag_s": [np.nan, 0.004, 0.115, np.nan],
             "lag_significant": [None, True, False, None],
         }
-    ).to_csv(tmp_path / "streams.csv", index=False)  # fmt: skip
+    ).to_csv(tmp_path / "streams.csv", index=False)
     lags = read_lags(tmp_path / "streams.csv")
     assert lags["positions"] == StreamLag(against="ins", lag_s=-0.037, sigma_s=0.115, significant=False)
     assert {stream: lag_words(lag) for stream, lag in lags.items()} == {
@@ -209,9 +265,13 @@ def test_ticks_are_utc(reports):
 
 def test_long_clock_details_break_into_lines():
     report = IntegrityReport(
-        stream="x", format="y", files=[], synchronised=True, time_scale="gps",
+        stream="x",
+        format="y",
+        files=[],
+        synchronised=True,
+        time_scale="gps",
         details={f"clock_{i}": "word " * 8 for i in range(6)} | {"product": "no clock"},
-    )  # fmt: skip
+    )
     lines = clock_lines(report)
     assert len(lines) > 1
     assert max(map(len, lines)) <= 150

@@ -4,7 +4,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError
+from thalweg.core import InputError
 from thalweg.figures import style
 from thalweg.figures.survey.maps import survey_map
 

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from matplotlib.colors import LogNorm
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.timescales import unix_from_gps
-from thalweg.figures.style import save
-from thalweg.figures.survey.maps import sigma_norm
-from thalweg.figures.survey.trajectory import gap_intervals, trajectory_sheet, valid_share
+from thalweg.core import GeometryError, unix_from_gps
+from thalweg.figures import save
+from thalweg.figures.survey import sigma_norm
+from thalweg.figures.survey.maps import gap_intervals, trajectory_sheet, valid_share
 
 
 def by_gid(figure, gid):
@@ -32,9 +31,7 @@ def seconds(figure, gid):
 def test_gaps_run_from_the_last_pose_before_to_the_first_behind(trajectory):
     t = trajectory.t_gps_s
     broken = with_valid(trajectory, slice(0, 5), slice(150, 160), slice(200, 201), slice(390, 400))
-    assert gap_intervals(broken) == [
-        (t[0], t[5]), (t[149], t[160]), (t[199], t[201]), (t[389], t[399])
-    ]  # fmt: skip
+    assert gap_intervals(broken) == [(t[0], t[5]), (t[149], t[160]), (t[199], t[201]), (t[389], t[399])]
     assert gap_intervals(with_valid(trajectory)) == []
 
 

@@ -8,19 +8,21 @@ import pandas as pd
 import pytest
 from tests.accuracy.chain_samples import T0, three_chains, trajectory
 
-from thalweg.accuracy.solutions.comparison import Chain, chains_table
-from thalweg.accuracy.solutions.outages import outage_table
-from thalweg.accuracy.solutions.ranges import chains_by_range as range_table
-from thalweg.accuracy.solutions.ranges import range_facts
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.figures.accuracy.distances import centimetres
-from thalweg.figures.solutions.comparison import LOOK, chain_histograms, chains_by_range
-from thalweg.figures.solutions.costs import computing_seconds
-from thalweg.figures.solutions.outages import outage_study
-from thalweg.figures.solutions.page import TWIN_NOTE, cell, trajectory_comparison_page
-from thalweg.figures.solutions.sigmas import pose_sigmas
-from thalweg.figures.solutions.words import (
-    Costs,
+from thalweg.accuracy import Chain, chains_by_range as by_range_of, chains_table, outage_table, range_facts
+from thalweg.core import GeometryError, InputError
+from thalweg.figures import save
+from thalweg.figures.accuracy import centimetres
+from thalweg.figures.solutions import Costs, computing_seconds, trajectory_comparison_page
+from thalweg.figures.solutions.comparison import (
+    LOOK,
+    chain_histograms,
+    chains_by_range,
+    outage_study,
+    pose_sigmas,
+)
+from thalweg.figures.solutions.page import (
+    TWIN_NOTE,
+    cell,
     for_and_against,
     lead,
     percent,
@@ -29,8 +31,11 @@ from thalweg.figures.solutions.words import (
     side_by_side,
     time_words,
 )
-from thalweg.figures.style import save
-from thalweg_lab.truth.solutions import chains_truth_table
+from thalweg_lab.truth import chains_truth_table
+
+
+def range_table(chains, *published):
+    return by_range_of({chain.name: chain.by_range for chain in chains}, *published)
 
 
 @pytest.fixture
@@ -70,10 +75,13 @@ def gaps(chains):
 
 @pytest.fixture
 def control():
-    return pd.DataFrame({
-        "point": ["A", "B", "C", "D"], "role": ["control", "control", "check", "control"],
-        "images": [5, 4, 6, 0],
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "point": ["A", "B", "C", "D"],
+            "role": ["control", "control", "check", "control"],
+            "images": [5, 4, 6, 0],
+        }
+    )
 
 
 # ---------------------------------------------------------------- figures
@@ -82,9 +90,15 @@ def control():
 def test_ranges_of_all_chains(ranges, look, tmp_path):
     figure = chains_by_range(ranges, outlier_rule="without 5 NMAD", title="Test", twin=True)
     words = look.texts(figure)
-    for text in ("digital twin", "INS, achieved, n = ", "fused, predicted",
-                 "published curves cross between 11 and",
-                 "INS, T Table 3.1", "camera, P2 Table 1", "without 5 NMAD"):  # fmt: skip
+    for text in (
+        "digital twin",
+        "INS, achieved, n = ",
+        "fused, predicted",
+        "published curves cross between 11 and",
+        "INS, T Table 3.1",
+        "camera, P2 Table 1",
+        "without 5 NMAD",
+    ):
         assert text in words, text
     kept = ranges[ranges["points"] == "without outliers"]
     for name in LOOK:
@@ -229,18 +243,23 @@ def test_for_and_against_by_numbers(chains, gaps, control):
     assert "no control point on the bank; no image" in rows.loc["INS", "for"]
     assert "lacks poses in 1 of 1 gap without GNSS, longest 2.0 s" in rows.loc["INS", "against"]
     assert "poses all through 1 gap without GNSS, longest 2.0 s, sigma" in rows.loc["fused", "for"]
-    for words in ("no pose for 90 % of the points", "up to 0.9 s without a pose",
-                  "2 control points to be surveyed",
-                  "21 images to be taken", "5 min of computing"):  # fmt: skip
+    for words in (
+        "no pose for 90 % of the points",
+        "up to 0.9 s without a pose",
+        "2 control points to be surveyed",
+        "21 images to be taken",
+        "5 min of computing",
+    ):
         assert words in rows.loc["camera", "against"], words
     assert "computing" not in rows.loc["INS", "against"]
     # honest sigmas are no reproach, others are
     assert "as predicted" not in " ".join(rows["against"])
     low = (table["of"] == "without outliers") & (table["quantity"] == "ratio")
     table.loc[low, "camera"] = 0.4
-    assert "2.5 times as large as predicted" in for_and_against(table, costs).set_index("trajectory").loc[
-        "camera", "against"
-    ]  # fmt: skip
+    assert (
+        "2.5 times as large as predicted"
+        in for_and_against(table, costs).set_index("trajectory").loc["camera", "against"]
+    )
 
 
 def test_the_decisive_numbers(chains, gaps, control):
@@ -262,8 +281,12 @@ def test_the_decisive_numbers(chains, gaps, control):
 
 def test_small_words():
     assert [percent(x) for x in (0.0, 0.1234, 0.9997, 1.0, np.nan)] == [
-        "0 %", "12.3 %", "more than 99.9 %", "100 %", "–",
-    ]  # fmt: skip
+        "0 %",
+        "12.3 %",
+        "more than 99.9 %",
+        "100 %",
+        "–",
+    ]
     assert [time_words(s) for s in (0.0123, 85.4, 300.0, 9000.0)] == ["0.012 s", "85 s", "5 min", "2.5 h"]
     assert runs_words([[k, k] for k in range(0, 12, 2)]).endswith("6 m and 2 more runs)")
     assert [cell(x) for x in (-1.234, 1234.4, np.nan)] == [
@@ -276,10 +299,13 @@ def test_small_words():
 def test_computing_time_is_that_of_the_records(tmp_path):
     for name, seconds in (("a.parquet", 1.5), ("b.npz", 2.0), ("masks", 10.0)):
         (tmp_path / f"{name}.meta.json").write_text(json.dumps({"wall_s": seconds}))
-    found = computing_seconds({
-        "ins": [tmp_path / "a.parquet"], "camera": [tmp_path / "masks", tmp_path / "b.npz"],
-        "fused": [tmp_path / "a.parquet", tmp_path / "by_hand.parquet"],
-    })  # fmt: skip
+    found = computing_seconds(
+        {
+            "ins": [tmp_path / "a.parquet"],
+            "camera": [tmp_path / "masks", tmp_path / "b.npz"],
+            "fused": [tmp_path / "a.parquet", tmp_path / "by_hand.parquet"],
+        }
+    )
     assert found == {"ins": 1.5, "camera": 12.0}
 
 
@@ -291,25 +317,39 @@ def test_the_page_holds_all_chains(chains, ranges, control, gaps, tmp_path):
     save(pose_sigmas({c.name: c.trajectory for c in chains}), picture, dpi=40)
     truth = chains_truth_table({c.name: c.trajectory for c in chains}, trajectory(), correlation_s=1.0)
     made = {
-        "truth": truth, "costs": Costs(control=control, images=21, outages=gaps), "pictures": [picture],
-        "captions": {"pose_sigmas": "Sigmas & gaps"}, "title": "Test", "twin": True,
-    }  # fmt: skip
+        "truth": truth,
+        "costs": Costs(control=control, images=21, outages=gaps),
+        "pictures": [picture],
+        "captions": {"pose_sigmas": "Sigmas & gaps"},
+        "title": "Test",
+        "twin": True,
+    }
     page = trajectory_comparison_page(chains_table(chains), ranges, range_facts(ranges), **made)
     html = page.html()
     for words in (
-        TWIN_NOTE[:40], "Side by side", "For and against", "published, INS", "published, camera", "By range",
-        "Against the truth of the digital twin", "Sigmas &amp; gaps", "nothing here is fitted", "Limits",
-        "at which every trajectory has a pose", "1 gap without GNSS, 2.0 s in all", "1 gap without images",
-    ):  # fmt: skip
+        TWIN_NOTE[:40],
+        "Side by side",
+        "For and against",
+        "published, INS",
+        "published, camera",
+        "By range",
+        "Against the truth of the digital twin",
+        "Sigmas &amp; gaps",
+        "nothing here is fitted",
+        "Limits",
+        "at which every trajectory has a pose",
+        "1 gap without GNSS, 2.0 s in all",
+        "1 gap without images",
+    ):
         assert words in html, words
     assert html.index("Of 26 range classes") > html.index("By range")
     assert html.count("data:image/png;base64,") == 1
     assert "http" not in html
     assert "nan" not in html.lower().replace("base64", "")[:2000]
     assert ">nan<" not in html
-    assert html == trajectory_comparison_page(
-        chains_table(chains), ranges, range_facts(ranges), **made
-    ).html()  # fmt: skip
+    assert (
+        html == trajectory_comparison_page(chains_table(chains), ranges, range_facts(ranges), **made).html()
+    )
 
 
 def test_a_real_survey_without_reference_and_truth(chains):

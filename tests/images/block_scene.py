@@ -6,18 +6,18 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.rigid import exp_rotation
-from thalweg.core.types import ArrayF
-from thalweg.images.bundle.adjustment import Adjusted
-from thalweg.images.bundle.correlation import views
+from thalweg.core import ArrayF, Camera, exp_rotation
+from thalweg.images.bundle import Adjusted
+from thalweg.images.bundle.normals import views
 from thalweg.images.bundle.problem import Problem
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.model.control_points import ControlMarks, ControlPoints
+from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock
+from thalweg.settings.sections import BlockAdjustment
 
 SIZE = (720, 540)
 PERSPECTIVE = np.array([582.0, 582.0, 361.0, 270.0, -0.05, 0.012, 3e-4, -2e-4, 0.0])
 FISHEYE = np.array([330.0, 330.0, 361.0, 270.0, -0.02, 0.004, 0.0, 0.0])
+OPTIONS = BlockAdjustment(interior_variance=1.0)
+"""Errors of these blocks follow the model: their residuals tell of the lens what there is to tell."""
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 
 

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 from pyproj import CRS, Proj
 
-from thalweg.core.frames import LocalFrame, rotation_enu_body
-from thalweg.core.rigid import exp_rotation, opk_of
-from thalweg.core.types import ArrayF
-from thalweg.images.model.poses import ImagePoses
-from thalweg.settings.images.sections import FinishedOrientations
+from thalweg.core import ArrayF, LocalFrame, exp_rotation, opk_of, rotation_enu_body
+from thalweg.images.model import ImagePoses
+from thalweg.settings.sections.images import FinishedOrientations
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=110.0)
 UTM33 = CRS.from_epsg(25833)
@@ -54,11 +52,19 @@ def predictions(
         turn = np.deg2rad(sigma_deg) * (rng.normal(size=3) + 0.1 * rng.normal(size=(n, 3)))
     cov = np.diag([max(sigma_m, 0.02) ** 2] * 3 + [np.deg2rad(max(sigma_deg, 0.02)) ** 2] * 3)
     return ImagePoses(
-        frame=FRAME, images=truth.images, t_gps_s=1e9 + np.arange(n), sigma_t_s=np.full(n, 0.02),
-        oriented=np.ones(n, np.bool_), reasons=("",) * n, centre_wcs_m=truth.C + shift,
-        R_wcs_ccs=exp_rotation(turn) @ truth.R, cov_pose_wcs=np.tile(cov, (n, 1, 1)),
-        cov_next=np.zeros((n, 6, 6)), n_marks=np.zeros(n), rms_px=np.full(n, np.nan),
-    )  # fmt: skip
+        frame=FRAME,
+        images=truth.images,
+        t_gps_s=1e9 + np.arange(n),
+        sigma_t_s=np.full(n, 0.02),
+        oriented=np.ones(n, np.bool_),
+        reasons=("",) * n,
+        centre_wcs_m=truth.C + shift,
+        R_wcs_ccs=exp_rotation(turn) @ truth.R,
+        cov_pose_wcs=np.tile(cov, (n, 1, 1)),
+        cov_next=np.zeros((n, 6, 6)),
+        n_marks=np.zeros(n),
+        rms_px=np.full(n, np.nan),
+    )
 
 
 def settings(**changes: Any) -> dict[str, Any]:
@@ -128,10 +134,19 @@ TERMS = {"f": 582.0, "cx": 1.5, "cy": -2.0, "b1": 0.5, "k1": -0.05, "k2": 0.012,
 
 
 def write_metashape(
-    path: Path, names: Any, C: ArrayF, R: ArrayF, *, reference: str, chunk: bool = True, extra: str = "",
-    covariance: tuple[ArrayF, ArrayF] | None = None, terms: Any = None, calibration: str = "",
+    path: Path,
+    names: Any,
+    C: ArrayF,
+    R: ArrayF,
+    *,
+    reference: str,
+    chunk: bool = True,
+    extra: str = "",
+    covariance: tuple[ArrayF, ArrayF] | None = None,
+    terms: Any = None,
+    calibration: str = "",
     component: bool = False,
-) -> Path:  # fmt: skip
+) -> Path:
     """Cameras XML of poses in the chunk's place (geocentric or local), in a chunk frame of another scale."""
     scale, R0, t0 = 3.7, exp_rotation(np.array([0.3, -1.1, 0.7])), C.mean(axis=0) + 0.25
     text = lambda a: " ".join(repr(float(v)) for v in np.ravel(a))  # noqa: E731

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from thalweg.core.camera.model import Camera
+from thalweg.core import Camera
 
 PERSPECTIVE = Camera(
     model="perspective",

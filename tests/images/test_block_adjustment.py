@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.adjustment.normal_equations import UnobservableError
-from thalweg.core.errors import GeometryError
-from thalweg.images.bundle.adjustment import adjust_block
-from thalweg.images.bundle.correlation import Correlation, views
-from thalweg.images.bundle.linear import linearised, reduced_system, tracks_of
-from thalweg.images.bundle.problem import Antenna, Layout, Problem, State, moved, start_state
-from thalweg.images.bundle.result import (
+from thalweg.core import GeometryError, UnobservableError
+from thalweg.images.bundle import Adjusted
+from thalweg.images.bundle.adjustment import (
+    adjust_block,
     adjusted_block,
     adjusted_cameras,
     control_result,
     point_covariances,
+    repeated,
 )
-from thalweg.images.bundle.weights import Options, repeated
-from thalweg.images.model.control_points import ControlMarks, ControlPoints
+from thalweg.images.bundle.normals import Correlation, linearised, reduced_system, tracks_of, views
+from thalweg.images.bundle.problem import Antenna, Layout, Problem, State, moved, start_state
+from thalweg.images.model import ControlMarks, ControlPoints
+from thalweg.settings.sections import BlockAdjustment
 
 _spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
 assert _spec
@@ -29,7 +29,14 @@ block_scene = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(block_scene)
 scene, normalised, pose_errors = block_scene.scene, block_scene.normalised, block_scene.pose_errors
 
-PLAIN = Options(loss=None, correlated=False, reject_limit=np.inf, least_angle_deg=0.0, scale_by_sigma0=False)
+PLAIN = BlockAdjustment(
+    loss="none", correlated=False, reject_limit=100.0, interior_variance=1.0, least_angle_deg=0.0
+)
+
+
+def adjust_plain(problem: Problem) -> Adjusted:
+    """With sigmas that count as they are stated."""
+    return adjust_block(problem, PLAIN, scale_by_sigma0=False)
 
 
 def start_of(problem: Problem) -> tuple[Layout, State]:
@@ -48,11 +55,18 @@ def with_antenna(
     error = 0.01 * np.linalg.cholesky(rho) @ rng.standard_normal((n, 3))
     place = truth.C + truth.R @ arm + error + (np.array([0.3, -0.2, 0.5]) if shift else 0.0)
     antenna = Antenna(
-        image=np.arange(n), t_s=t, position_wcs_m=place, sigma_m=np.full((n, 3), 0.01),
-        lever_ccs_m=arm, sigma_lever_m=np.full(3, lever), correlation_time_s=10.0, shift=shift,
-        velocity_wcs_m_s=np.gradient(truth.C, axis=0), sigma_jitter_s=np.full(n, 0.01),
+        image=np.arange(n),
+        t_s=t,
+        position_wcs_m=place,
+        sigma_m=np.full((n, 3), 0.01),
+        lever_ccs_m=arm,
+        sigma_lever_m=np.full(3, lever),
+        correlation_time_s=10.0,
+        shift=shift,
+        velocity_wcs_m_s=np.gradient(truth.C, axis=0),
+        sigma_jitter_s=np.full(n, 0.01),
         sigma_clock_s=clock_s,
-    )  # fmt: skip
+    )
     return replace(problem, antenna=antenna)
 
 
@@ -119,11 +133,14 @@ def dense(
     return N, g[:, 0]
 
 
-@pytest.mark.parametrize("model", [
-    Correlation(),
-    Correlation(white=0.5, slow=1.2, reach_rad=0.2),
-    Correlation(white=0.5, slow=1.2, reach_rad=0.2, power=1.5, white_across=0.6, slow_across=1.4),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "model",
+    [
+        Correlation(),
+        Correlation(white=0.5, slow=1.2, reach_rad=0.2),
+        Correlation(white=0.5, slow=1.2, reach_rad=0.2, power=1.5, white_across=0.6, slow_across=1.4),
+    ],
+)
 def test_eliminating_points_changes_nothing(rng: np.random.Generator, model: Correlation) -> None:
     problem, truth = scene(rng, images=8, points=60)
     problem = with_antenna(problem, truth, rng)
@@ -154,9 +171,11 @@ def test_antenna_derivatives(rng: np.random.Generator) -> None:
     x = replace(x, extras=rng.normal(0, 0.05, len(x.extras)))
     assert layout.names[layout.control - 1] == "antenna clock"
     none = tracks_of(
-        problem, np.zeros(len(problem.block.mark_image), np.bool_), problem.block.sigma_px,
+        problem,
+        np.zeros(len(problem.block.mark_image), np.bool_),
+        problem.block.sigma_px,
         np.zeros((len(problem.block.mark_image), 4)),
-    )  # fmt: skip
+    )
 
     def cost(state: State) -> float:
         s = reduced_system(problem, layout, state, none, Correlation(), problem.marks.sigma_px, 0.0)
@@ -183,7 +202,7 @@ def test_truth_is_found_without_noise(rng: np.random.Generator) -> None:
         marks=replace(problem.marks, xy_px=xy),
         control=replace(problem.control, points_wcs_m=truth.G),
     )
-    found = adjust_block(problem, PLAIN)
+    found = adjust_plain(problem)
     # pixels are exact to 1e-13, a metre is 30 pixels, weak directions amplify by 1e4
     assert np.abs(pose_errors(found, truth)).max() < 1e-7
     np.testing.assert_allclose(found.x.cameras[0].parameters, truth.camera.parameters, atol=1e-5)
@@ -193,7 +212,7 @@ def test_truth_is_found_without_noise(rng: np.random.Generator) -> None:
 def test_large_coordinates_lose_nothing() -> None:
     here, _ = scene(np.random.default_rng(1), images=10, points=150)
     far, _ = scene(np.random.default_rng(1), images=10, points=150, origin=np.array([4.5e5, 5.6e6, 300.0]))
-    a, b = adjust_block(here, PLAIN), adjust_block(far, PLAIN)
+    a, b = adjust_plain(here), adjust_plain(far)
     # float64 has 1e-9 m at 5,600 km
     assert np.abs(b.x.C + b.origin_m - np.array([4.5e5, 5.6e6, 300.0]) - (a.x.C + a.origin_m)).max() < 1e-6
     np.testing.assert_allclose(b.cov, a.cov, rtol=1e-4, atol=1e-12)
@@ -201,7 +220,7 @@ def test_large_coordinates_lose_nothing() -> None:
 
 def test_the_same_block_gives_the_same_bytes() -> None:
     problem, _ = scene(np.random.default_rng(3), images=12, points=200, slow_px=0.2)
-    a, b = adjust_block(problem, Options()), adjust_block(problem, Options())
+    a, b = (adjust_block(problem, block_scene.OPTIONS), adjust_block(problem, block_scene.OPTIONS))
     assert a.cov.tobytes() == b.cov.tobytes()
     assert a.x.C.tobytes() == b.x.C.tobytes()
 
@@ -210,11 +229,11 @@ def test_a_block_without_datum_names_its_unknowns(rng: np.random.Generator) -> N
     problem, _ = scene(rng, images=10, points=150)
     free = replace(problem, control=ControlPoints.none(), marks=ControlMarks.none())
     with pytest.raises(UnobservableError, match=r"do not determine .*\(7 combinations"):
-        adjust_block(free, PLAIN)
+        adjust_plain(free)
     held = np.zeros((10, 6), np.bool_)
     held[0] = True
     held[9, 0] = True
-    fixed = adjust_block(replace(free, held=held, free=((),)), PLAIN)
+    fixed = adjust_plain(replace(free, held=held, free=((),)))
     assert fixed.redundancy > 0
     assert not fixed.cov[:6].any()
 
@@ -223,7 +242,7 @@ def test_blunders_are_left_out_and_counted(rng: np.random.Generator) -> None:
     clean, truth = scene(np.random.default_rng(5), outliers=0.0)
     dirty, _ = scene(np.random.default_rng(5), outliers=0.04)
     wrong = np.linalg.norm(dirty.block.mark_px - clean.block.mark_px, axis=1)
-    found = adjust_block(dirty, Options())
+    found = adjust_block(dirty, block_scene.OPTIONS)
     gross = wrong > 5.0
     assert gross.sum() > 100
     # one along its ray's picture looks like another point; such a short track still counts little
@@ -234,7 +253,7 @@ def test_blunders_are_left_out_and_counted(rng: np.random.Generator) -> None:
     each, _ = normalised(found, truth)
     # without robust weights the same blunders move the poses by several sigmas of the clean block
     rms = np.sqrt(np.square(pose_errors(found, truth)[:, :3]).mean())
-    bad = np.sqrt(np.square(pose_errors(adjust_block(dirty, PLAIN), truth)[:, :3]).mean())
+    bad = np.sqrt(np.square(pose_errors(adjust_plain(dirty), truth)[:, :3]).mean())
     assert bad > 2 * rms
     assert each.mean() < 3
 
@@ -255,8 +274,8 @@ def test_a_feature_found_twice_counts_once(rng: np.random.Generator) -> None:
     found = repeated(replace(problem, block=twice))
     assert found.sum() == keep.sum()
     assert found[len(b.mark_image) :].sum() + found[: len(b.mark_image)].sum() == keep.sum()
-    once = adjust_block(problem, PLAIN)
-    again = adjust_block(replace(problem, block=twice), PLAIN)
+    once = adjust_plain(problem)
+    again = adjust_plain(replace(problem, block=twice))
     # a track cut in two by equal length loses a little; sigmas of a block counted twice would fall by 0.82
     ratio = np.sqrt(np.diag(again.cov)[:60] / np.diag(once.cov)[:60])
     assert 0.99 < np.median(ratio) < 1.1
@@ -265,7 +284,7 @@ def test_a_feature_found_twice_counts_once(rng: np.random.Generator) -> None:
 def test_antenna_positions_replace_control_points(rng: np.random.Generator) -> None:
     problem, truth = scene(rng, images=40, points=600, control=0, check=6)
     problem = with_antenna(problem, truth, rng, shift=False)
-    found = adjust_block(problem, Options())
+    found = adjust_block(problem, block_scene.OPTIONS)
     each, joint = normalised(found, truth)
     # one block of 40 images has about 10 independent errors: chi-square of 60 is within 0.5 to 1.7 at 99.9 %
     assert 0.3 < each.mean() < 2.2
@@ -277,7 +296,7 @@ def test_antenna_positions_replace_control_points(rng: np.random.Generator) -> N
 def test_a_common_shift_of_the_antenna_is_found_with_control(rng: np.random.Generator) -> None:
     problem, truth = scene(rng, images=30, points=500)
     problem = with_antenna(problem, truth, rng, shift=True, lever=0.0)
-    found = adjust_block(problem, Options())
+    found = adjust_block(problem, block_scene.OPTIONS)
     layout = found.layout
     assert layout.names[layout.extras : layout.control] == tuple(f"antenna shift {a}" for a in "enu")
     sigma = np.sqrt(np.diag(found.cov)[layout.extras : layout.control])
@@ -290,7 +309,7 @@ def test_a_weighted_interior_stays_near_its_calibration(rng: np.random.Generator
     sigma = np.array([0.3, 0.3, 0.3, 0.3, 1e-3, 1e-3, 1e-4, 1e-4, 0.0])
     known = truth.camera.with_parameters(truth.camera.parameters, np.diag(sigma**2))
     weighted = replace(problem, block=replace(problem.block, cameras=(known,)), weighted=(True,))
-    free, tied = adjust_block(problem, PLAIN), adjust_block(weighted, PLAIN)
+    free, tied = adjust_plain(problem), adjust_plain(weighted)
     before, after = (np.sqrt(np.diag(adjusted_cameras(a)[0].cov)) for a in (free, tied))
     assert (after[:8] <= np.minimum(before, sigma)[:8] * 1.0001).all()
     assert after[8] == 0
@@ -303,8 +322,8 @@ def test_square_pixels_share_a_focal_length(rng: np.random.Generator) -> None:
     camera = problem.block.cameras[0]
     apart = camera.with_parameters(camera.parameters + np.eye(9)[0])
     uneven = replace(problem, block=replace(problem.block, cameras=(apart,)), square_pixels=True)
-    one = adjust_block(uneven, PLAIN)
-    two = adjust_block(problem, PLAIN)
+    one = adjust_plain(uneven)
+    two = adjust_plain(problem)
     assert one.n_unknowns == two.n_unknowns - 1
     assert one.x.cameras[0].parameters[0] == one.x.cameras[0].parameters[1]
     cov = adjusted_cameras(one)[0].cov
@@ -313,7 +332,7 @@ def test_square_pixels_share_a_focal_length(rng: np.random.Generator) -> None:
 
 def test_covariance_of_points_is_that_of_the_dense_system(rng: np.random.Generator) -> None:
     problem, _ = scene(rng, images=8, points=60)
-    found = adjust_block(problem, PLAIN)
+    found = adjust_plain(problem)
     N, _ = dense(found.problem, found.layout, found.x, found.correlation, found.tracks.along)
     u = len(found.layout.names)
     cov = np.linalg.inv(N)
@@ -336,7 +355,7 @@ def test_no_marks_at_all_is_said(rng: np.random.Generator) -> None:
         sigma_px=b.sigma_px[:0],
     )
     with pytest.raises(GeometryError, match="no marks are left"):
-        adjust_block(replace(problem, block=empty, marks=ControlMarks.none()), PLAIN)
+        adjust_plain(replace(problem, block=empty, marks=ControlMarks.none()))
 
 
 def test_an_image_and_a_check_point_that_lose_their_marks_are_named(rng: np.random.Generator) -> None:
@@ -347,7 +366,7 @@ def test_an_image_and_a_check_point_that_lose_their_marks_are_named(rng: np.rand
     px[wrong] += rng.uniform(-150, 150, (int(wrong.sum()), 2))
     check = np.flatnonzero(problem.control.check)[0]
     few = marks.chosen((marks.image != 7) & ((marks.point != check) | (np.cumsum(marks.point == check) <= 1)))
-    found = adjust_block(replace(problem, block=replace(b, mark_px=px), marks=few), Options())
+    found = adjust_block(replace(problem, block=replace(b, mark_px=px), marks=few), block_scene.OPTIONS)
     assert found.lost_images.tolist() == [k == 7 for k in range(20)]
     assert found.left_out["images that kept too few marks"] == 1
     assert not found.layout.free[found.layout.point(int(check))].any()
@@ -373,7 +392,7 @@ def test_the_weight_and_the_information_of_a_track_of_students_errors() -> None:
 )
 def test_a_check_point_is_suspect_beyond_three_degrees_of_freedom(risk: float, limit: float) -> None:
     problem, _ = scene(np.random.default_rng(1), images=8, points=120, control=4, check=6)
-    adjusted = adjust_block(problem, PLAIN)
+    adjusted = adjust_plain(problem)
     cov = control_result(adjusted).cov_m2
     known = adjusted.problem.control.check & np.isfinite(cov).all(axis=(1, 2))
     checks = np.flatnonzero(known)[:2]

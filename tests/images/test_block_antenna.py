@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.images.bundle.adjustment import Adjusted, adjust_block
-from thalweg.images.bundle.antenna import clock_notes
-from thalweg.images.bundle.problem import CLOCK, Antenna
-from thalweg.images.bundle.result import pose_covariance
-from thalweg.images.bundle.weights import Options
+from thalweg.images.bundle import Adjusted, pose_covariance
+from thalweg.images.bundle.adjustment import adjust_block
+from thalweg.images.bundle.problem import CLOCK, Antenna, clock_notes
 
 _spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
 assert _spec
@@ -40,12 +38,17 @@ def late_block(seed: int, *, told: bool, late_s: float | None = None, control: i
     rho = np.exp(-np.abs(t[:, None] - t) / 10.0)
     error = GNSS_M * np.linalg.cholesky(rho) @ rng.standard_normal((IMAGES, 3))
     antenna = Antenna(
-        image=np.arange(IMAGES), t_s=t, sigma_m=np.full((IMAGES, 3), GNSS_M), lever_ccs_m=LEVER_M,
+        image=np.arange(IMAGES),
+        t_s=t,
+        sigma_m=np.full((IMAGES, 3), GNSS_M),
+        lever_ccs_m=LEVER_M,
         position_wcs_m=truth.C + truth.R @ LEVER_M - velocity * after[:, None] + error,
-        velocity_wcs_m_s=velocity, correlation_time_s=10.0, sigma_clock_s=CLOCK_S if told else 0.0,
+        velocity_wcs_m_s=velocity,
+        correlation_time_s=10.0,
+        sigma_clock_s=CLOCK_S if told else 0.0,
         sigma_jitter_s=np.full(IMAGES, JITTER_S if told else np.hypot(JITTER_S, CLOCK_S)),
-    )  # fmt: skip
-    return adjust_block(replace(problem, antenna=antenna), Options()), truth, late
+    )
+    return (adjust_block(replace(problem, antenna=antenna), block_scene.OPTIONS), truth, late)
 
 
 def clock_of(found: Adjusted) -> tuple[float, float]:
@@ -111,10 +114,15 @@ def test_a_clock_far_off_is_told() -> None:
 
 def test_jitter_lies_along_the_motion() -> None:
     antenna = Antenna(
-        image=np.arange(2), t_s=np.array([0.0, 1.0]), position_wcs_m=np.zeros((2, 3)),
-        sigma_m=np.full((2, 3), 0.01), lever_ccs_m=np.zeros(3), correlation_time_s=10.0,
-        velocity_wcs_m_s=np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]), sigma_jitter_s=np.full(2, 0.01),
-    )  # fmt: skip
+        image=np.arange(2),
+        t_s=np.array([0.0, 1.0]),
+        position_wcs_m=np.zeros((2, 3)),
+        sigma_m=np.full((2, 3), 0.01),
+        lever_ccs_m=np.zeros(3),
+        correlation_time_s=10.0,
+        velocity_wcs_m_s=np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]),
+        sigma_jitter_s=np.full(2, 0.01),
+    )
     cov = np.linalg.inv(antenna.inverse_covariance.reshape(6, 6)).reshape(2, 3, 2, 3)
     along = np.array([0.6, 0.8, 0.0])
     assert along @ cov[0, :, 0] @ along == pytest.approx(0.01**2 + 0.05**2)

@@ -6,18 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.frames import rotation_opk
-from thalweg.images.bundle.adjustment import adjust_block
+from thalweg.core import Camera, rotation_opk
+from thalweg.images.bundle.adjustment import adjust_block, control_result
 from thalweg.images.bundle.problem import Problem
-from thalweg.images.bundle.result import control_result
-from thalweg.images.bundle.weights import Options
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.model.control_points import ControlMarks, ControlPoints
+from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock
+from thalweg.settings.sections import BlockAdjustment
 
 pytestmark = pytest.mark.real
 
-AS_STATED = Options(loss=None, correlated=False, reject_limit=np.inf, least_angle_deg=0.0)
+AS_STATED = BlockAdjustment(
+    loss="none", correlated=False, reject_limit=100.0, interior_variance=1.0, least_angle_deg=0.0
+)
 CHECKS = (351, 410)
 
 
@@ -56,22 +55,35 @@ def strasbourg(folder: Path) -> Problem:
     X = np.stack([np.bincount(tie_point, ground[:, a]) for a in range(3)], axis=1)
     X /= np.bincount(tie_point)[:, None]
     block = ImageBlock(
-        cameras=(camera,), images=("8811", "8936", "8937", "8938", "9111"), camera=np.zeros(5, int),
-        R_block_ccs=R, centre_block_m=C, points_block_m=X, mark_image=image, mark_point=tie_point,
-        mark_px=tie[:, 2:] - 0.5, sigma_px=np.ones(len(tie)),
-    )  # fmt: skip
+        cameras=(camera,),
+        images=("8811", "8936", "8937", "8938", "9111"),
+        camera=np.zeros(5, int),
+        R_block_ccs=R,
+        centre_block_m=C,
+        points_block_m=X,
+        mark_image=image,
+        mark_point=tie_point,
+        mark_px=tie[:, 2:] - 0.5,
+        sigma_px=np.ones(len(tie)),
+    )
     return Problem(
         block=block,
         control=ControlPoints(
-            names=tuple(str(k) for k in ids), points_wcs_m=xyz, check=check,
+            names=tuple(str(k) for k in ids),
+            points_wcs_m=xyz,
+            check=check,
             cov_wcs_m2=np.array([np.diag(s**2) for s in sigma]),
         ),
         marks=ControlMarks(
-            image=given[:, 1].astype(int) - 1, point=mark_point, xy_px=given[:, 2:] - 0.5,
+            image=given[:, 1].astype(int) - 1,
+            point=mark_point,
+            xy_px=given[:, 2:] - 0.5,
             sigma_px=np.full(len(given), 0.5),
         ),
-        free=((),), weighted=(False,), held=np.zeros((5, 6), bool),
-    )  # fmt: skip
+        free=((),),
+        weighted=(False,),
+        held=np.zeros((5, 6), bool),
+    )
 
 
 def test_strasbourg_with_control_and_check_points(data_dir: Path) -> None:
@@ -116,9 +128,10 @@ def rome(folder: Path, *, corrected: bool) -> ImageBlock:
         xy, k = c + away * (1 + k1 * r2 + k2 * r2**2) / PIXEL_MM, [0.0, 0.0]
     f = cc / PIXEL_MM
     camera = Camera(
-        model="perspective", size_px=(5616, 3744),
+        model="perspective",
+        size_px=(5616, 3744),
         parameters=np.array([f, f, *(pp / PIXEL_MM - 0.5), *k, 0, 0, 0]),
-    )  # fmt: skip
+    )
     _, point = np.unique(marks[:, 1], return_inverse=True)
     image = marks[:, 0].astype(int) - 1
     ray = np.einsum("mij,mj->mi", R[image], camera.rays(xy))
@@ -127,10 +140,17 @@ def rome(folder: Path, *, corrected: bool) -> ImageBlock:
     np.add.at(N, point, across)
     np.add.at(b, point, np.einsum("mij,mj->mi", across, C[image]))
     return ImageBlock(
-        cameras=(camera,), images=tuple(f"{k:02d}" for k in range(60)), camera=np.zeros(60, int),
-        R_block_ccs=R, centre_block_m=C, points_block_m=np.linalg.solve(N, b[..., None])[..., 0],
-        mark_image=image, mark_point=point, mark_px=xy, sigma_px=np.ones(len(xy)),
-    )  # fmt: skip
+        cameras=(camera,),
+        images=tuple(f"{k:02d}" for k in range(60)),
+        camera=np.zeros(60, int),
+        R_block_ccs=R,
+        centre_block_m=C,
+        points_block_m=np.linalg.solve(N, b[..., None])[..., 0],
+        mark_image=image,
+        mark_point=point,
+        mark_px=xy,
+        sigma_px=np.ones(len(xy)),
+    )
 
 
 def free_network(block: ImageBlock, free: tuple[str, ...]) -> Problem:
@@ -141,9 +161,14 @@ def free_network(block: ImageBlock, free: tuple[str, ...]) -> Problem:
     far = int(np.argmax(np.linalg.norm(away, axis=1)))
     held[far, int(np.argmax(away[far]))] = True
     return Problem(
-        block=block, control=ControlPoints.none(), marks=ControlMarks.none(), free=(free,),
-        weighted=(False,), held=held, square_pixels=True,
-    )  # fmt: skip
+        block=block,
+        control=ControlPoints.none(),
+        marks=ControlMarks.none(),
+        free=(free,),
+        weighted=(False,),
+        held=held,
+        square_pixels=True,
+    )
 
 
 def test_rome_with_the_published_camera(data_dir: Path) -> None:

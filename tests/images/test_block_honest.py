@@ -9,13 +9,20 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.core.rigid import exp_rotation
-from thalweg.images.bundle.adjustment import adjust_block
-from thalweg.images.bundle.correlation import Correlation, estimate, parallax, views
-from thalweg.images.bundle.linear import derivatives_by_point, linearised, tracks_of
+from thalweg.core import exp_rotation
+from thalweg.images.bundle import pose_covariance
+from thalweg.images.bundle.adjustment import adjust_block, control_result, neighbours_noise
+from thalweg.images.bundle.normals import (
+    Correlation,
+    derivatives_by_point,
+    estimate,
+    linearised,
+    parallax,
+    tracks_of,
+    views,
+)
 from thalweg.images.bundle.problem import Layout, State
-from thalweg.images.bundle.result import control_result, pose_covariance
-from thalweg.images.bundle.weights import Options, neighbours_noise
+from thalweg.settings.sections import BlockAdjustment
 
 _spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
 assert _spec
@@ -25,7 +32,7 @@ _spec.loader.exec_module(block_scene)
 scene, normalised = block_scene.scene, block_scene.normalised
 
 SEEDS = 30
-FORMAL = Options(correlated=False)
+FORMAL = BlockAdjustment(correlated=False, interior_variance=1.0)
 WANDERING = {"slow_px": 0.6, "reach": 0.5, "white_px": 0.1}
 OTHERS = {
     "smooth": {"slow_px": 0.3, "reach": 0.08, "kernel": "smooth"},
@@ -40,7 +47,7 @@ def band(degrees: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def study(options: Options, effects: dict, seeds: int = SEEDS) -> tuple[np.ndarray, float, float]:
+def study(options: BlockAdjustment, effects: dict, seeds: int = SEEDS) -> tuple[np.ndarray, float, float]:
     """Mean normalised error of each image, of all poses together, and of check points."""
     images, joint, checks = [], [], []
     for seed in range(seeds):
@@ -56,7 +63,7 @@ def study(options: Options, effects: dict, seeds: int = SEEDS) -> tuple[np.ndarr
 
 
 def check_honest(effects: dict, seeds: int = SEEDS) -> None:
-    each, joint, checks = study(Options(), effects, seeds)
+    each, joint, checks = study(block_scene.OPTIONS, effects, seeds)
     low, high = band(6 * seeds)
     # 24 images of a block err alike: no more than one of them may be just outside the band of one
     assert ((each > low) & (each < high)).sum() >= 23, each
@@ -94,7 +101,7 @@ def test_related_errors_are_weighed_better() -> None:
     error = {name: [] for name in ("formal", "honest")}
     for seed in range(6):
         problem, truth = scene(np.random.default_rng(50 + seed), images=24, points=400, **WANDERING)
-        for name, options in (("formal", FORMAL), ("honest", Options())):
+        for name, options in (("formal", FORMAL), ("honest", block_scene.OPTIONS)):
             error[name].append(block_scene.pose_errors(adjust_block(problem, options), truth)[:, :3])
     rms = {name: float(np.sqrt(np.square(e).mean())) for name, e in error.items()}
     assert rms["honest"] < 0.95 * rms["formal"]
@@ -196,11 +203,14 @@ def test_leaves_in_the_wind_take_no_part() -> None:
     sway = rng.normal(0, 1.0, (24, 2))
     px = b.mark_px + moving[:, None] * (sway[b.mark_image] + rng.normal(0, 0.5, b.mark_px.shape))
     swayed = replace(problem, block=replace(b, mark_px=px))
-    found = adjust_block(swayed, Options())
+    found = adjust_block(swayed, block_scene.OPTIONS)
     assert found.used[moving].mean() < 0.25
     assert found.used[~moving].mean() > 0.9
     _, joint = normalised(found, truth)
-    _, spoilt = normalised(adjust_block(swayed, Options(restless_limit=1e9, correlated=False)), truth)
+    _, spoilt = normalised(
+        adjust_block(swayed, BlockAdjustment(restless_limit=1000.0, interior_variance=1.0, correlated=False)),
+        truth,
+    )
     low, high = band(6 * 24)
     # a few points at the edge of the tree stay
     assert low < joint < 1.3 * high
@@ -212,7 +222,7 @@ def test_leaves_in_the_wind_take_no_part() -> None:
 def test_neighbours_err_alike(rng: np.random.Generator) -> None:
     """The covariance between neighbours is that of their difference over seeds, not zero."""
     problem, _ = scene(rng, images=24, points=400, **WANDERING)
-    Q = pose_covariance(adjust_block(problem, Options()))
+    Q = pose_covariance(adjust_block(problem, block_scene.OPTIONS))
     a, b = slice(6 * 11, 6 * 11 + 6), slice(6 * 12, 6 * 12 + 6)
     apart = np.diag(Q[a, a] + Q[b, b] - Q[a, b] - Q[b, a])
     alone = np.diag(Q[a, a]) + np.diag(Q[b, b])

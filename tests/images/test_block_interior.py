@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.images.bundle.adjustment import Adjusted, adjust_block
-from thalweg.images.bundle.interior import interior_priors, with_shared_errors
-from thalweg.images.bundle.run import BlockSettings
-from thalweg.images.bundle.weights import Options
-from thalweg.settings.images.block import BlockAdjustment
+from thalweg.images.bundle import Adjusted, with_shared_errors
+from thalweg.images.bundle.adjustment import adjust_block
+from thalweg.images.bundle.problem import interior_priors
+from thalweg.settings.sections import BlockAdjustment
 
 _spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
 assert _spec
@@ -27,7 +26,7 @@ def adjusted() -> Adjusted:
     problem, _ = block_scene.scene(np.random.default_rng(5), images=14, points=250)
     # a lens of which some is known beforehand
     return adjust_block(
-        replace(problem, prior_sigma={"p1": 2e-4, "p2": 1e-7}), Options(scale_by_sigma0=False)
+        replace(problem, prior_sigma={"p1": 2e-4, "p2": 1e-7}), block_scene.OPTIONS, scale_by_sigma0=False
     )
 
 
@@ -56,8 +55,11 @@ def test_it_is_the_inverse_of_normal_equations_that_tell_less(adjusted: Adjusted
     N[np.ix_(inside, inside)] -= M * (1 - 1 / FACTOR)
     expected = np.linalg.inv(N) * np.outer(scale, scale)
     # two inversions of 130 unknowns
-    np.testing.assert_allclose(larger(adjusted, FACTOR)[np.ix_(free, free)] / np.outer(scale, scale),
-                               expected / np.outer(scale, scale), atol=1e-6)  # fmt: skip
+    np.testing.assert_allclose(
+        larger(adjusted, FACTOR)[np.ix_(free, free)] / np.outer(scale, scale),
+        expected / np.outer(scale, scale),
+        atol=1e-6,
+    )
 
 
 def test_what_the_images_tell_counts_less_and_what_is_known_stays(adjusted: Adjusted) -> None:
@@ -81,14 +83,11 @@ def test_a_lens_that_is_held_or_a_factor_of_one_changes_nothing(adjusted: Adjust
 
 
 def test_the_adjustment_does_it(adjusted: Adjusted) -> None:
-    options = Options(scale_by_sigma0=False, interior_variance=FACTOR)
-    again = adjust_block(adjusted.problem.shifted(adjusted.origin_m), options)
+    options = BlockAdjustment(interior_variance=FACTOR)
+    again = adjust_block(adjusted.problem.shifted(adjusted.origin_m), options, scale_by_sigma0=False)
     sigma = np.sqrt(np.diag(again.cov)[lens(again)] / np.diag(larger(adjusted, FACTOR))[lens(adjusted)])
     np.testing.assert_allclose(sigma, 1.0, rtol=0.02)
-    section = BlockAdjustment().model_dump()
-    assert (
-        BlockSettings.from_section(section).options.interior_variance == section["interior_variance"] == 2.0
-    )
+    assert BlockAdjustment().interior_variance == 2.0
 
 
 @pytest.mark.real
@@ -107,18 +106,24 @@ def test_a_real_block_errs_in_its_lens_by_twice_its_variance(data_dir: Path) -> 
     known = problem.block.cameras[0]
     names = ("fx", "cx", "cy", "k1", "k2", "p1", "p2")
     problem = replace(
-        problem, free=(("fy", *names, "k3"),), square_pixels=True, prior_sigma={"k3": 0.05},
+        problem,
+        free=(("fy", *names, "k3"),),
+        square_pixels=True,
+        prior_sigma={"k3": 0.05},
         control=replace(problem.control, check=np.zeros(len(problem.control.names), np.bool_)),
-    )  # fmt: skip
-    found = adjust_block(problem, Options())
+    )
+    found = adjust_block(problem, block_scene.OPTIONS)
     rows = [known.parameter_names.index(name) for name in names]
     off = found.x.cameras[0].parameters[rows] - known.parameters[rows]
     own = found.layout.interior[0][rows]
     square = {}
     for factor in (1.0, 2.0):
-        C = with_shared_errors(
-            found.problem, found.layout, found.x, found.cov / found.cov_scale, factor
-        )[np.ix_(own, own)] * found.cov_scale  # fmt: skip
+        C = (
+            with_shared_errors(found.problem, found.layout, found.x, found.cov / found.cov_scale, factor)[
+                np.ix_(own, own)
+            ]
+            * found.cov_scale
+        )
         s = np.sqrt(np.diag(C))
         square[factor] = float((off / s) @ np.linalg.solve(C / np.outer(s, s), off / s) / len(off))
     assert square[1.0] == pytest.approx(2.37, abs=0.05)

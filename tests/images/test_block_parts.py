@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.images.bundle.adjustment import Adjusted, Agreement, adjust_block, parts_agreement
+from thalweg.images.bundle import Adjusted
+from thalweg.images.bundle.adjustment import Agreement, adjust_block, parts_agreement
 from thalweg.images.bundle.problem import Problem
-from thalweg.images.bundle.weights import Options
+from thalweg.settings.sections import BlockAdjustment
 
 
 def module(name: str) -> ModuleType:
@@ -47,14 +48,15 @@ def bent(problem: Problem, by: float) -> Problem:
         return centre + away * (1.0 + k1[image] * r2)[:, None]
 
     return replace(
-        problem, block=replace(block, mark_px=moved(block.mark_px, block.mark_image)),
+        problem,
+        block=replace(block, mark_px=moved(block.mark_px, block.mark_image)),
         marks=replace(marks, xy_px=moved(marks.xy_px, marks.image)),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
 def still() -> Adjusted:
-    return adjust_block(scene(1), Options(interior_variance=2.0, scale_by_sigma0=False))
+    return adjust_block(scene(1), BlockAdjustment(interior_variance=2.0), scale_by_sigma0=False)
 
 
 def test_parts_with_independent_errors_agree_as_chi_square_says(still: Adjusted) -> None:
@@ -67,7 +69,7 @@ def test_parts_with_independent_errors_agree_as_chi_square_says(still: Adjusted)
 
 
 def test_a_lens_that_changes_between_exposures_is_found_out() -> None:
-    moved = adjust_block(bent(scene(1), 0.05), Options(interior_variance=2.0))
+    moved = adjust_block(bent(scene(1), 0.05), BlockAdjustment(interior_variance=2.0))
     assert moved.interior_variance > 4.0
     assert any("disagree about the lens" in note for note in moved.notes)
 
@@ -105,11 +107,15 @@ def test_the_lens_of_a_real_block_moved(data_dir: Path) -> None:
     rows = block.mark_point % 8 == 0
     point = block.mark_point[rows] // 8
     block = replace(
-        block, points_block_m=block.points_block_m[::8], mark_image=block.mark_image[rows], mark_point=point,
-        mark_px=block.mark_px[rows], sigma_px=block.sigma_px[rows],
-    )  # fmt: skip
+        block,
+        points_block_m=block.points_block_m[::8],
+        mark_image=block.mark_image[rows],
+        mark_point=point,
+        mark_px=block.mark_px[rows],
+        sigma_px=block.sigma_px[rows],
+    )
     problem = gold.free_network(block, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"))
-    found = adjust_block(problem, Options(interior_variance=2.0))
+    found = adjust_block(problem, BlockAdjustment(interior_variance=2.0))
     parts = agreement(found)
     assert (parts.parts, parts.degrees) == (4, 21)
     assert found.interior_variance > 4.0

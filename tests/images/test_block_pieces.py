@@ -8,18 +8,20 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.images.bundle.control_job import mark_rows, marks_of_pieces
-from thalweg.images.bundle.job import Boat, adjust_campaign
-from thalweg.images.bundle.pieces import adjust_pieces, pieces_tables, read_pieces, time_gaps
+from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
+from thalweg.images.bundle import (
+    Boat,
+    adjust_campaign,
+    adjust_pieces,
+    marks_of_pieces,
+    pieces_tables,
+    read_pieces,
+)
+from thalweg.images.bundle.job import mark_rows, time_gaps
 from thalweg.images.bundle.problem import Problem
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.model.poses import ImagePoses
+from thalweg.images.model import ImageBlock, ImagePoses
 from thalweg.images.sfm.mapping import part_of_block
-from thalweg.settings.images.block import BlockAdjustment
-from thalweg.settings.images.block import ControlPoints as ControlSection
+from thalweg.settings.sections import BlockAdjustment, ControlSettings
 
 _spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
 assert _spec
@@ -57,17 +59,27 @@ def predictions_of(truth) -> ImagePoses:
 def tables(folder: Path, problem: Problem, *, none_is_control: bool = False) -> dict[str, object]:
     control = problem.control
     check = control.check | none_is_control
-    pd.DataFrame({
-        "id": control.names,
-        **{a: control.points_wcs_m[:, i] for i, a in enumerate(("east_m", "north_m", "up_m"))},
-        "sigma_east_m": 0.005, "sigma_north_m": 0.005, "sigma_up_m": 0.005,
-        "role": np.where(check, "check", "control"),
-    }).to_csv(folder / "control.csv", index=False)  # fmt: skip
+    pd.DataFrame(
+        {
+            "id": control.names,
+            **{a: control.points_wcs_m[:, i] for i, a in enumerate(("east_m", "north_m", "up_m"))},
+            "sigma_east_m": 0.005,
+            "sigma_north_m": 0.005,
+            "sigma_up_m": 0.005,
+            "role": np.where(check, "check", "control"),
+        }
+    ).to_csv(folder / "control.csv", index=False)
     mark_rows(problem.block, control, problem.marks).to_csv(folder / "marks.csv", index=False)
     return {
-        "frame": FRAME, "crs": None, "control": ControlSection().model_dump(), "known": None, "boat": None,
-        "control_points": [folder / "control.csv"], "marks": folder / "marks.csv", "reasons": {},
-    }  # fmt: skip
+        "frame": FRAME,
+        "crs": None,
+        "control": ControlSettings(),
+        "known": None,
+        "boat": None,
+        "control_points": [folder / "control.csv"],
+        "marks": folder / "marks.csv",
+        "reasons": {},
+    }
 
 
 def piece(block: ImageBlock, rows, *, turn: float) -> ImageBlock:
@@ -82,7 +94,7 @@ def test_pieces_are_adjusted_by_themselves_and_losses_counted_in_seconds(survey,
         block.write(tmp_path / path)
     read = read_pieces(tmp_path / "block.npz", tmp_path / "pieces")
     assert [b.images for b in read] == [b.images for b in blocks]
-    options = tables(tmp_path, problem) | {"adjustment": BlockAdjustment().model_dump()}
+    options = tables(tmp_path, problem) | {"adjustment": BlockAdjustment()}
     found = adjust_pieces(read, predictions_of(truth), **options)
     assert found.poses.oriented.sum() == N - 3
     assert found.piece.tolist() == [1] * 11 + [-1] * 3 + [0] * (N - 14)
@@ -112,14 +124,14 @@ def test_a_piece_without_control_points_is_left_with_its_reason(survey, tmp_path
     blocks = [piece(problem.block, range(14, N), turn=1.0), piece(problem.block, range(9), turn=0.5)]
     late = problem.marks.image >= 14
     options = tables(tmp_path, replace(problem, marks=problem.marks.chosen(late)))
-    found = adjust_pieces(blocks, predictions_of(truth), adjustment=BlockAdjustment().model_dump(), **options)
+    found = adjust_pieces(blocks, predictions_of(truth), adjustment=BlockAdjustment(), **options)
     assert found.poses.oriented.sum() == N - 14
     assert "0 usable control points" in found.poses.reasons[3]
     assert found.facts["pieces"][1]["left_out"].startswith("0 usable control points")
     # no image before it: its length in time is not known
     assert found.facts["gaps"][0]["seconds"] is None
     with pytest.raises(GeometryError, match="0 usable control points"):
-        adjust_pieces(blocks[1:], predictions_of(truth), adjustment=BlockAdjustment().model_dump(), **options)
+        adjust_pieces(blocks[1:], predictions_of(truth), adjustment=BlockAdjustment(), **options)
 
 
 def test_marks_of_a_table_belong_to_the_piece_of_their_image(survey, tmp_path: Path) -> None:
@@ -128,9 +140,14 @@ def test_marks_of_a_table_belong_to_the_piece_of_their_image(survey, tmp_path: P
     tables(tmp_path, problem)
     lost = int(((problem.marks.image >= 11) & (problem.marks.image < 14)).sum())
     found = marks_of_pieces(
-        blocks, problem.control, predictions_of(truth), ControlSection().model_dump(),
-        tables=[tmp_path / "marks.csv"], grey=lambda n: None, mask=lambda n: None,
-    )  # fmt: skip
+        blocks,
+        problem.control,
+        predictions_of(truth),
+        ControlSettings(),
+        tables=[tmp_path / "marks.csv"],
+        grey=lambda n: None,
+        mask=lambda n: None,
+    )
     assert found.counts["used"] == len(problem.marks.image) - lost
     assert found.counts["in images without a pose"] == lost
     assert len(found.table) == found.counts["used"]
@@ -144,13 +161,17 @@ def test_gaps_of_images_without_time_and_at_the_end(survey) -> None:
     t = poses.t_gps_s.copy()
     t[5] = np.nan
     poses = replace(
-        poses, oriented=~lost, t_gps_s=t,
+        poses,
+        oriented=~lost,
+        t_gps_s=t,
         reasons=tuple("blurred" if k == 9 else "masked" if x else "" for k, x in enumerate(lost)),
-    )  # fmt: skip
+    )
     gaps = time_gaps(poses)
     assert [(g["images"], g["seconds"], g["reason"]) for g in gaps] == [
-        (2, pytest.approx(3.0), "masked"), (1, pytest.approx(2.0), "blurred"), (1, None, "masked"),
-    ]  # fmt: skip
+        (2, pytest.approx(3.0), "masked"),
+        (1, pytest.approx(2.0), "blurred"),
+        (1, None, "masked"),
+    ]
 
 
 def rtk(truth, rng: np.random.Generator, last_s: float) -> pd.DataFrame:
@@ -160,11 +181,18 @@ def rtk(truth, rng: np.random.Generator, last_s: float) -> pd.DataFrame:
     place = np.stack([np.interp(t, np.arange(N), antenna[:, a]) for a in range(3)], axis=1)
     place += rng.normal(0, 0.01, place.shape)
     lat, lon, h = FRAME.to_geodetic(place)
-    return pd.DataFrame({
-        "t_gps_s": 1.4e9 + t, "lat_deg": lat, "lon_deg": lon, "h_ell_m": h,
-        "fix": np.where(t <= last_s, "fixed", "single"),
-        "sigma_east_m": 0.01, "sigma_north_m": 0.01, "sigma_up_m": 0.01,
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "t_gps_s": 1.4e9 + t,
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "h_ell_m": h,
+            "fix": np.where(t <= last_s, "fixed", "single"),
+            "sigma_east_m": 0.01,
+            "sigma_north_m": 0.01,
+            "sigma_up_m": 0.01,
+        }
+    )
 
 
 def test_rtk_on_part_of_the_track_takes_the_place_of_control_points(tmp_path: Path) -> None:
@@ -188,7 +216,7 @@ def test_rtk_on_part_of_the_track_takes_the_place_of_control_points(tmp_path: Pa
             lever_ics_m=LEVER.tolist(),
             sigma_lever_m=[0.002] * 3,
         )
-        adjustment = BlockAdjustment(antenna={"use": True, "correlation_time_s": 0.0}).model_dump()
+        adjustment = BlockAdjustment(antenna={"use": True, "correlation_time_s": 0.0})
         block = problem.block.transformed(exp_rotation([1.0, -0.4, 2.0]), np.array([3.0, -5.0, 1.0]), 0.13)
         _, _, facts = adjust_campaign(block, predictions_of(truth), adjustment=adjustment, **options)
         assert facts["control_points"] == 0

@@ -7,17 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import exp_rotation
-from thalweg.images.bundle.consent import check_datum
-from thalweg.images.bundle.place import Expected, check_attitudes, check_start, fitted_in_time, points_lie
+from thalweg.core import GeometryError, LocalFrame, exp_rotation
+from thalweg.images.bundle.checks import (
+    Expected,
+    check_attitudes,
+    check_datum,
+    check_start,
+    fitted_in_time,
+    points_lie,
+)
 from thalweg.images.bundle.problem import Problem
-from thalweg.images.bundle.run import BlockSettings, orient_block
-from thalweg.images.bundle.weights import Options
-from thalweg.images.model.control_points import ControlPoints
-from thalweg.images.model.poses import ImagePoses
-from thalweg.images.model.start import Similarity, swapped
+from thalweg.images.bundle.run import orient_block
+from thalweg.images.model import ControlPoints, ImagePoses, Similarity, swapped
+from thalweg.settings.sections import BlockAdjustment
 
 _spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
 assert _spec
@@ -26,7 +28,7 @@ block_scene = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(block_scene)
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
-SETTINGS = BlockSettings(options=Options(), square_pixels=False)
+SETTINGS = BlockAdjustment(square_pixels=False, interior_variance=1.0)
 N = 24
 OFF = np.array([0.2, -0.2, 0.1])
 
@@ -70,10 +72,7 @@ def moved(control: ControlPoints, xyz) -> ControlPoints:
             r"45\.\d m below the trajectory, all alike.*height_offset_m.*about 45 m",
         ),
         (lambda x: x + np.array([0, 0, 6.0]), r"5\.\d m above the trajectory.*Check the heights"),
-        (
-            lambda x: x + np.array([900.0, 0, 0]),
-            r"90\d m away from the trajectory; expected at most 20 m",
-        ),
+        (lambda x: x + np.array([900.0, 0, 0]), r"90\d m away from the trajectory; expected at most 20 m"),
         (lambda x: x[:, [1, 0, 2]], r"east and north swapped they would fit.*Swap the columns"),
         (lambda x: x * [1, 1, -1], r"heights as depths they would fit.*count upwards"),
         (lambda x: x * 10, r"away from the trajectory; decimetres would fit.*in metres"),
@@ -212,9 +211,13 @@ def test_an_interior_orientation_of_another_camera(survey) -> None:
         GeometryError, match=r"calibrated interior orientation.*with an estimated one.*interior: free"
     ):
         orient_block(
-            in_own_frame(problem), problem.control, problem.marks, SETTINGS,
-            known=replace(known, parameters=longer), **options,
-        )  # fmt: skip
+            in_own_frame(problem),
+            problem.control,
+            problem.marks,
+            SETTINGS,
+            known=replace(known, parameters=longer),
+            **options,
+        )
 
 
 def test_only_points_that_are_nearer_to_each_other_than_to_themselves_are_swapped() -> None:

@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import exp_rotation
+from thalweg.core import LocalFrame, exp_rotation
 from thalweg.images.bundle.adjustment import adjust_block
 from thalweg.images.bundle.run import adjust_from_either_start, misfit, predicted_block
-from thalweg.images.bundle.weights import Options
-from thalweg.images.model.poses import ImagePoses
+from thalweg.images.model import ImagePoses
 
 _spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
 assert _spec
@@ -27,13 +25,20 @@ def predictions(problem, truth, rng: np.random.Generator, known: int = IMAGES) -
     """Poses by clock, trajectory and mount: 0.1 m and 0.3 degrees, the last ones unknown."""
     names, n = problem.block.images[:known], known
     return ImagePoses(
-        frame=LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0), images=names,
-        t_gps_s=np.arange(n, dtype=float), sigma_t_s=np.full(n, 0.05), oriented=np.ones(n, bool),
-        reasons=("",) * n, centre_wcs_m=truth.C[:n] + rng.normal(0, 0.1, (n, 3)),
+        frame=LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0),
+        images=names,
+        t_gps_s=np.arange(n, dtype=float),
+        sigma_t_s=np.full(n, 0.05),
+        oriented=np.ones(n, bool),
+        reasons=("",) * n,
+        centre_wcs_m=truth.C[:n] + rng.normal(0, 0.1, (n, 3)),
         R_wcs_ccs=exp_rotation(rng.normal(0, 0.005, (n, 3))) @ truth.R[:n],
-        cov_pose_wcs=np.tile(np.diag([0.01] * 3 + [2.5e-5] * 3), (n, 1, 1)), cov_next=np.zeros((n, 6, 6)),
-        n_marks=np.zeros(n), rms_px=np.full(n, np.nan), facts={},
-    )  # fmt: skip
+        cov_pose_wcs=np.tile(np.diag([0.01] * 3 + [2.5e-5] * 3), (n, 1, 1)),
+        cov_next=np.zeros((n, 6, 6)),
+        n_marks=np.zeros(n),
+        rms_px=np.full(n, np.nan),
+        facts={},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +56,10 @@ def position_rms_m(found, truth) -> float:
 
 def test_a_wrong_shape_is_left_for_the_predicted_one(block) -> None:
     problem, truth = block
-    alone = adjust_block(problem, Options())
+    alone = adjust_block(problem, block_scene.OPTIONS)
     assert position_rms_m(alone, truth) > 1.0
     where = predictions(problem, truth, np.random.default_rng(2))
-    again, found, result, notes = adjust_from_either_start(problem, Options(), where)
+    again, found, result, notes = adjust_from_either_start(problem, block_scene.OPTIONS, where)
     assert position_rms_m(found, truth) < 0.12
     assert block_scene.normalised(found, truth)[1] < 1.5
     assert again.block is not problem.block
@@ -66,10 +71,10 @@ def test_a_wrong_shape_is_left_for_the_predicted_one(block) -> None:
 
 def test_without_predictions_or_doubt_nothing_changes(block) -> None:
     problem, truth = block
-    assert adjust_from_either_start(problem, Options(), None)[3] == []
+    assert adjust_from_either_start(problem, block_scene.OPTIONS, None)[3] == []
     good, truth = block_scene.scene(np.random.default_rng(0), images=IMAGES, points=300)
     same, found, _, notes = adjust_from_either_start(
-        good, Options(), predictions(good, truth, np.random.default_rng(2))
+        good, block_scene.OPTIONS, predictions(good, truth, np.random.default_rng(2))
     )
     assert same is good
     assert notes == []
@@ -80,7 +85,7 @@ def test_wrong_predictions_do_not_spoil_a_good_block() -> None:
     good, truth = block_scene.scene(np.random.default_rng(0), images=IMAGES, points=300)
     wrong = replace(truth, R=exp_rotation(np.tile([1.0, 0, 0], (IMAGES, 1))) @ truth.R, C=truth.C + UP_M)
     _, found, _, notes = adjust_from_either_start(
-        good, Options(), predictions(good, wrong, np.random.default_rng(2))
+        good, block_scene.OPTIONS, predictions(good, wrong, np.random.default_rng(2))
     )
     assert position_rms_m(found, truth) < 0.12
     assert notes == []
@@ -91,8 +96,9 @@ def test_images_without_prediction_keep_their_place_beside_their_neighbour(block
     good = replace(problem.block, R_block_ccs=truth.R, centre_block_m=truth.C)
     exact = replace(
         predictions(problem, truth, np.random.default_rng(0), 12),
-        centre_wcs_m=truth.C[:12], R_wcs_ccs=truth.R[:12],
-    )  # fmt: skip
+        centre_wcs_m=truth.C[:12],
+        R_wcs_ccs=truth.R[:12],
+    )
     # seen from a frame of its own
     turned = good.transformed(exp_rotation([0.1, 0.2, 0.3]), np.array([5.0, 6.0, 7.0]), 1.0)
     found = predicted_block(turned, exact)

@@ -9,27 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.images.bundle.antenna import antenna_at_images, antenna_lever_ccs
-from thalweg.images.bundle.control_job import mark_rows, marks_of_campaign
-from thalweg.images.bundle.job import Boat, adjust_campaign
-from thalweg.images.bundle.problem import Problem
-from thalweg.images.bundle.report import (
-    check_statistics,
-    control_table,
-    facts_of,
-    image_table,
-    summary_text,
-)
-from thalweg.images.bundle.result import image_poses, pose_covariance
-from thalweg.images.bundle.run import BlockSettings, orient_block
-from thalweg.images.bundle.weights import Options
-from thalweg.images.model.control_points import ControlMarks, ControlPoints
-from thalweg.images.model.poses import ImagePoses
-from thalweg.settings.images.block import BlockAdjustment
-from thalweg.settings.images.block import ControlPoints as ControlSection
+from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
+from thalweg.images.bundle import Boat, adjust_campaign, marks_of_campaign, pose_covariance, summary_text
+from thalweg.images.bundle.adjustment import image_poses
+from thalweg.images.bundle.job import check_statistics, control_table, facts_of, image_table, mark_rows
+from thalweg.images.bundle.problem import Problem, antenna_at_images, antenna_lever_ccs
+from thalweg.images.bundle.run import orient_block
+from thalweg.images.model import ControlMarks, ControlPoints, ImagePoses
+from thalweg.settings.sections import BlockAdjustment, ControlSettings
 
 _spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
 assert _spec
@@ -38,7 +25,7 @@ block_scene = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(block_scene)
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
-SETTINGS = BlockSettings(options=Options(), square_pixels=False)
+SETTINGS = BlockAdjustment(square_pixels=False, interior_variance=1.0)
 N = 30
 
 
@@ -65,10 +52,19 @@ def predictions_of(truth, extra: int = 0, off_m: float = 0.3) -> ImagePoses:
     cov = np.full((n, 6, 6), np.nan)
     cov[:N] = 0.01 * np.eye(6)
     return ImagePoses(
-        frame=FRAME, images=tuple(f"{k:04d}.jpg" for k in range(n)), t_gps_s=1.4e9 + np.arange(n) * 1.0,
-        sigma_t_s=np.full(n, 0.02), oriented=known, reasons=("",) * n, centre_wcs_m=centre, R_wcs_ccs=R,
-        cov_pose_wcs=cov, cov_next=np.zeros((n, 6, 6)), n_marks=np.zeros(n), rms_px=np.full(n, np.nan),
-    )  # fmt: skip
+        frame=FRAME,
+        images=tuple(f"{k:04d}.jpg" for k in range(n)),
+        t_gps_s=1.4e9 + np.arange(n) * 1.0,
+        sigma_t_s=np.full(n, 0.02),
+        oriented=known,
+        reasons=("",) * n,
+        centre_wcs_m=centre,
+        R_wcs_ccs=R,
+        cov_pose_wcs=cov,
+        cov_next=np.zeros((n, 6, 6)),
+        n_marks=np.zeros(n),
+        rms_px=np.full(n, np.nan),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -142,9 +138,12 @@ def test_swapped_names_in_a_table_of_marks(survey) -> None:
     point = problem.marks.point.copy()
     point[problem.marks.point == a], point[problem.marks.point == b] = b, a
     found = orient_block(
-        model_frame(problem), problem.control, replace(problem.marks, point=point), SETTINGS,
+        model_frame(problem),
+        problem.control,
+        replace(problem.marks, point=point),
+        SETTINGS,
         predictions=predictions_of(truth),
-    )  # fmt: skip
+    )
     names = problem.control.names
     assert any(f"names of {names[a]} and {names[b]} seem to be swapped" in n for n in found.notes)
     assert set(found.left_out) == {names[a], names[b]}
@@ -160,9 +159,12 @@ def test_a_wrong_coordinate_is_named_with_its_size(survey) -> None:
     xyz = problem.control.points_wcs_m.copy()
     xyz[k, 2] += 0.25
     found = orient_block(
-        model_frame(problem), replace(problem.control, points_wcs_m=xyz), problem.marks, SETTINGS,
+        model_frame(problem),
+        replace(problem.control, points_wcs_m=xyz),
+        problem.marks,
+        SETTINGS,
         predictions=predictions_of(truth),
-    )  # fmt: skip
+    )
     name = problem.control.names[k]
     assert any(note.startswith(f"Control point {name} contradicts the others by 0.2") for note in found.notes)
     # as a check point it shows its error, and the others fit
@@ -188,7 +190,7 @@ def test_what_cannot_be_put_into_the_world_is_said(survey) -> None:
     with pytest.raises(GeometryError, match=r"km from the images.*CRS of the control points"):
         orient_block(block, away, problem.marks, SETTINGS, predictions=predictions_of(truth))
     with pytest.raises(GeometryError, match=r"'weighted', and no interior orientation is given"):
-        orient_block(block, problem.control, problem.marks, replace(SETTINGS, interior="weighted"))
+        orient_block(block, problem.control, problem.marks, SETTINGS.replace(interior="weighted"))
 
 
 def gnss(truth, lever_ccs: np.ndarray, gap: tuple[float, float] = (0.0, 0.0)) -> pd.DataFrame:
@@ -199,10 +201,18 @@ def gnss(truth, lever_ccs: np.ndarray, gap: tuple[float, float] = (0.0, 0.0)) ->
     place += np.random.default_rng(6).normal(0, 0.01, place.shape)
     lat, lon, h = FRAME.to_geodetic(place)
     keep = (t <= gap[0]) | (t >= gap[1])
-    table = pd.DataFrame({
-        "t_gps_s": 1.4e9 + t, "lat_deg": lat, "lon_deg": lon, "h_ell_m": h, "fix": "fixed",
-        "sigma_east_m": 0.01, "sigma_north_m": 0.01, "sigma_up_m": 0.01,
-    })  # fmt: skip
+    table = pd.DataFrame(
+        {
+            "t_gps_s": 1.4e9 + t,
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "h_ell_m": h,
+            "fix": "fixed",
+            "sigma_east_m": 0.01,
+            "sigma_north_m": 0.01,
+            "sigma_up_m": 0.01,
+        }
+    )
     return table[keep]
 
 
@@ -214,9 +224,15 @@ def test_positions_at_the_exposures(survey) -> None:
     t = 1.4e9 + np.arange(N) * 1.0
     t[4] = np.nan
     antenna, counts = antenna_at_images(
-        gnss(truth, lever, (10.1, 13.9)), FRAME, t, np.full(N, 0.02), lever_ccs_m=lever,
-        sigma_lever_m=np.zeros(3), accept_fixes=("fixed",), max_gap_s=1.0,
-    )  # fmt: skip
+        gnss(truth, lever, (10.1, 13.9)),
+        FRAME,
+        t,
+        np.full(N, 0.02),
+        lever_ccs_m=lever,
+        sigma_lever_m=np.zeros(3),
+        accept_fixes=("fixed",),
+        max_gap_s=1.0,
+    )
     assert antenna is not None
     # 11, 12 and 13 lie in the hole
     assert counts == {
@@ -239,42 +255,66 @@ def test_positions_at_the_exposures(survey) -> None:
     assert np.sqrt(np.linalg.eigvalsh(own[6, :, 6])[-1]) == pytest.approx(0.024, abs=0.006)
     assert np.sqrt(np.linalg.eigvalsh(own[6, :, 6])[0]) == pytest.approx(0.01, rel=0.01)
     none, _ = antenna_at_images(
-        gnss(truth, lever), FRAME, t, np.full(N, 0.02), lever_ccs_m=lever, sigma_lever_m=np.zeros(3),
-        accept_fixes=("ppp",), max_gap_s=1.0,
-    )  # fmt: skip
+        gnss(truth, lever),
+        FRAME,
+        t,
+        np.full(N, 0.02),
+        lever_ccs_m=lever,
+        sigma_lever_m=np.zeros(3),
+        accept_fixes=("ppp",),
+        max_gap_s=1.0,
+    )
     assert none is None
 
 
 def test_a_campaign_with_tables(survey, tmp_path: Path) -> None:
     problem, truth = survey
     control = problem.control
-    pd.DataFrame({
-        "id": control.names, **{a: control.points_wcs_m[:, i] for i, a in
-                                enumerate(("east_m", "north_m", "up_m"))},
-        "sigma_east_m": 0.005, "sigma_north_m": 0.005, "sigma_up_m": 0.005,
-        "role": np.where(control.check, "check", "control"),
-    }).to_csv(tmp_path / "control.csv", index=False)  # fmt: skip
+    pd.DataFrame(
+        {
+            "id": control.names,
+            **{a: control.points_wcs_m[:, i] for i, a in enumerate(("east_m", "north_m", "up_m"))},
+            "sigma_east_m": 0.005,
+            "sigma_north_m": 0.005,
+            "sigma_up_m": 0.005,
+            "role": np.where(control.check, "check", "control"),
+        }
+    ).to_csv(tmp_path / "control.csv", index=False)
     predictions = predictions_of(truth, extra=2)
     block = model_frame(problem)
     mark_rows(block, control, problem.marks).to_csv(tmp_path / "given.csv", index=False)
-    section = ControlSection().model_dump()
+    section = ControlSettings()
     read = marks_of_campaign(
-        block, control, predictions, section, tables=[tmp_path / "given.csv"], grey=lambda n: None,
+        block,
+        control,
+        predictions,
+        section,
+        tables=[tmp_path / "given.csv"],
+        grey=lambda n: None,
         mask=lambda n: None,
-    )  # fmt: skip
+    )
     assert read.counts["used"] == len(problem.marks.image)
     read.table.to_csv(tmp_path / "marks.csv", index=False)
     lever = np.array([0.1, -1.2, -0.3])
-    adjustment = BlockAdjustment(antenna={"use": True}).model_dump()
+    adjustment = BlockAdjustment(antenna={"use": True})
     found, poses, facts = adjust_campaign(
-        block, predictions, frame=FRAME, crs=None, adjustment=adjustment, control=section,
-        control_points=[tmp_path / "control.csv"], marks=tmp_path / "marks.csv", known=None,
+        block,
+        predictions,
+        frame=FRAME,
+        crs=None,
+        adjustment=adjustment,
+        control=section,
+        control_points=[tmp_path / "control.csv"],
+        marks=tmp_path / "marks.csv",
+        known=None,
         boat=Boat(
-            positions=gnss(truth, lever), T_ics_ccs=Rigid(R=np.eye(3), shift_m=np.zeros(3)),
-            lever_ics_m=lever.tolist(), sigma_lever_m=[0.01] * 3,
+            positions=gnss(truth, lever),
+            T_ics_ccs=Rigid(R=np.eye(3), shift_m=np.zeros(3)),
+            lever_ics_m=lever.tolist(),
+            sigma_lever_m=[0.01] * 3,
         ),
         reasons={"0030.jpg": "no overlap"},
-    )  # fmt: skip
+    )
     assert poses.oriented.tolist() == [True] * N + [False, False]
     assert poses.reasons[-2:] == ("no overlap", "not in the block")
     assert facts["antenna_positions"]["images with a position"] == N
@@ -286,7 +326,7 @@ def test_a_campaign_with_tables(survey, tmp_path: Path) -> None:
 
 def test_without_control_points_nothing_is_measured(survey) -> None:
     problem, truth = survey
-    section = ControlSection(detect=False).model_dump()
+    section = ControlSettings(detect=False)
     options = {"tables": [], "grey": lambda n: None, "mask": lambda n: None}
     none = marks_of_campaign(problem.block, ControlPoints.none(), predictions_of(truth), section, **options)
     assert len(none.table) == 0

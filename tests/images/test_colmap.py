@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.images.sfm.colmap import colmap
+from thalweg.core import InputError
+from thalweg.images.sfm import colmap
 
 
 def test_it_is_the_locked_version(repository: Path) -> None:

@@ -1,20 +1,17 @@
 """Boards found in rendered pictures where roughly known poses predict them."""
 
 import importlib.util
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import exp_rotation
-from thalweg.images.bundle.control_job import grey_loader, mask_loader
-from thalweg.images.control.marks import COLUMNS, Boards, Measured, measure_boards
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.model.control_points import ControlPoints
+from thalweg.core import Camera, GeometryError, exp_rotation
+from thalweg.images import COLUMNS, Measured, measure_boards
+from thalweg.images.bundle import grey_loader, mask_loader
+from thalweg.images.model import ControlPoints, ImageBlock
+from thalweg.settings.sections import ControlSettings
 
 _spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
 assert _spec
@@ -24,7 +21,7 @@ _spec.loader.exec_module(block_scene)
 
 SIZE = (720, 540)
 FOCAL = 600.0
-BOARD = Boards(size_m=0.6, search_m=0.3)
+BOARD = ControlSettings(board_m=0.6, search_m=0.3)
 PLACES = np.array([[2.0, 0.0, 2.0], [6.0, 3.0, 3.2], [10.0, 1.0, 2.2], [14.0, 4.0, 3.5]])
 FINE = 2
 
@@ -38,10 +35,17 @@ def block_of(n: int = 8) -> ImageBlock:
     R = np.array([block_scene.looking(0.05 * np.sin(k), 0.01 * k, 0.03 * np.cos(k)) for k in range(n)])
     none = np.empty(0, np.int64)
     return ImageBlock(
-        cameras=(camera,), images=tuple(f"{k}.png" for k in range(n)), camera=np.zeros(n, np.int64),
-        R_block_ccs=R, centre_block_m=C, points_block_m=np.empty((0, 3)), mark_image=none, mark_point=none,
-        mark_px=np.empty((0, 2)), sigma_px=np.empty(0),
-    )  # fmt: skip
+        cameras=(camera,),
+        images=tuple(f"{k}.png" for k in range(n)),
+        camera=np.zeros(n, np.int64),
+        R_block_ccs=R,
+        centre_block_m=C,
+        points_block_m=np.empty((0, 3)),
+        mark_image=none,
+        mark_point=none,
+        mark_px=np.empty((0, 2)),
+        sigma_px=np.empty(0),
+    )
 
 
 def picture(block: ImageBlock, k: int, places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -74,9 +78,11 @@ def pictures() -> dict[str, np.ndarray]:
 def survey(places: np.ndarray = PLACES) -> ControlPoints:
     n = len(places)
     return ControlPoints(
-        names=tuple(f"T{k}" for k in range(n)), points_wcs_m=places, check=np.zeros(n, bool),
+        names=tuple(f"T{k}" for k in range(n)),
+        points_wcs_m=places,
+        check=np.zeros(n, bool),
         cov_wcs_m2=np.tile(1e-4 * np.eye(3), (n, 1, 1)),
-    )  # fmt: skip
+    )
 
 
 def roughly(block: ImageBlock) -> ImageBlock:
@@ -136,7 +142,7 @@ def test_a_board_that_is_not_there_is_not_found(pictures: dict[str, np.ndarray])
 def test_a_point_surveyed_wrongly_is_named(pictures: dict[str, np.ndarray]) -> None:
     wrong = PLACES.copy()
     wrong[1, 0] += 0.7
-    found = measure(pictures, survey(wrong), boards=replace(BOARD, search_m=0.5))
+    found = measure(pictures, survey(wrong), boards=BOARD.replace(search_m=0.5))
     assert any("T1 is 0." in note for note in found.notes)
     # its marks are those of the board, not of the survey
     assert np.abs(errors_px(found)).max() < 0.5
@@ -149,14 +155,14 @@ def test_masked_and_small_boards_are_counted(pictures: dict[str, np.ndarray]) ->
     used = found.table[found.table["used"].astype(bool)]
     assert found.counts["masked"] > 3
     assert (used["x_px"] > 358).all()
-    far = measure(pictures, survey(), boards=replace(BOARD, least_px=40.0))
+    far = measure(pictures, survey(), boards=BOARD.replace(least_board_px=40.0))
     assert far.counts["too small"] > 10
     assert far.table["reason"].str.startswith("too small: ").any()
 
 
 def test_the_colour_of_the_upper_left_quarter_counts(pictures: dict[str, np.ndarray]) -> None:
-    right = measure(pictures, survey(), boards=replace(BOARD, upper_left="black"))
-    wrong = measure(pictures, survey(), boards=replace(BOARD, upper_left="white"))
+    right = measure(pictures, survey(), boards=BOARD.replace(upper_left="black"))
+    wrong = measure(pictures, survey(), boards=BOARD.replace(upper_left="white"))
     assert right.counts["used"] > 15
     assert wrong.counts["used"] == 0
 

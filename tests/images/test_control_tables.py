@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.images.control.tables import (
-    matched_marks,
-    read_all_control_points,
-    read_control_points,
-    read_marks,
-)
-from thalweg.images.model.control_points import ControlMarks, ControlPoints
+from thalweg.core import GeometryError, InputError, LocalFrame
+from thalweg.images import matched_marks, read_all_control_points, read_control_points, read_marks
+from thalweg.images.model import ControlMarks, ControlPoints
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 LOCAL = np.array([[10.0, 20.0, 1.5], [-35.0, 40.0, 3.25], [60.0, 5.0, 0.5]])
@@ -35,18 +29,25 @@ def points(path: Path, crs: str | None = "EPSG:25833") -> ControlPoints:
 
 def control() -> ControlPoints:
     return ControlPoints(
-        names=("A", "B", "C"), points_wcs_m=LOCAL, cov_wcs_m2=np.tile(1e-4 * np.eye(3), (3, 1, 1)),
+        names=("A", "B", "C"),
+        points_wcs_m=LOCAL,
+        cov_wcs_m2=np.tile(1e-4 * np.eye(3), (3, 1, 1)),
         check=np.zeros(3, bool),
-    )  # fmt: skip
+    )
 
 
 def match(path: Path, **changes) -> tuple[ControlMarks, dict[str, int]]:
     options = {"images": IMAGES[:2], "all_images": IMAGES} | changes
     images = options["images"]
     return matched_marks(
-        read_marks(path), control(), images, [SIZE] * len(images), options["all_images"], sigma_px=0.5,
+        read_marks(path),
+        control(),
+        images,
+        [SIZE] * len(images),
+        options["all_images"],
+        sigma_px=0.5,
         where=path,
-    )  # fmt: skip
+    )
 
 
 def test_the_table_of_the_house(tmp_path: Path) -> None:
@@ -154,7 +155,7 @@ def test_marks_with_and_without_sigma(tmp_path: Path) -> None:
         ("", r"an empty table"),
         ("EPSG:32633\n1 2 3 4\n", r"marks\.csv:2: 4 columns; expected x y z im_x im_y image"),
     ],
-)  # fmt: skip
+)
 def test_wrong_marks_are_told(tmp_path: Path, text: str, answer: str) -> None:
     with pytest.raises(InputError, match=answer):
         match(write(tmp_path, "marks.csv", text))

@@ -25,10 +25,9 @@ from tests.images.finished_scene import (
     write_metashape,
 )
 
-from thalweg.core.errors import InputError
-from thalweg.core.rigid import exp_rotation, opk_of
-from thalweg.images.imports.poses import import_orientations
-from thalweg.images.model.align import align, mean_rotation
+from thalweg.core import InputError, exp_rotation, opk_of
+from thalweg.images.imports import import_orientations
+from thalweg.images.model import align, mean_rotation
 
 
 @pytest.fixture

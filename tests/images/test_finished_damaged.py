@@ -19,9 +19,10 @@ from tests.images.finished_scene import (
     write_metashape,
 )
 
-from thalweg.core.errors import InputError
-from thalweg.images.imports.poses import NOT_IN_FILE, import_orientations
-from thalweg.images.model.names import matched
+from thalweg.core import InputError
+from thalweg.images.imports import import_orientations
+from thalweg.images.imports.poses import NOT_IN_FILE
+from thalweg.images.model import matched
 
 
 @pytest.fixture

@@ -22,20 +22,19 @@ from tests.images.finished_scene import (
     write_colmap_text,
 )
 
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import opk_of, rotation_vector
-from thalweg.images.imports.angles import (
+from thalweg.core import InputError, LocalFrame, opk_of, rotation_vector
+from thalweg.images.imports import import_orientations
+from thalweg.images.imports.poses import read_model
+from thalweg.images.imports.source import (
     AXES,
     ORDERS,
+    Angles,
     angle_covariance,
     ccs_rotations,
     changes,
     conventions,
 )
-from thalweg.images.imports.poses import import_orientations, read_model
-from thalweg.images.imports.source import Angles
-from thalweg.images.model.poses import ImagePoses
+from thalweg.images.model import ImagePoses
 
 
 @pytest.fixture
@@ -52,9 +51,12 @@ def test_the_published_example_of_pix4d() -> None:
     ``calibrated_camera_parameters.txt`` holds the world-to-camera matrix of the axes right, down, forward.
     """
     angles = Angles(
-        values=np.array([[91.277233, -45.714811, 0.991059]]), unit="deg", rotation="omega_phi_kappa",
-        direction="image_to_world", axes="right_up_back",
-    )  # fmt: skip
+        values=np.array([[91.277233, -45.714811, 0.991059]]),
+        unit="deg",
+        rotation="omega_phi_kappa",
+        direction="image_to_world",
+        axes="right_up_back",
+    )
     R_ccs_world = [
         [6.9608e-01, -7.1796e-01, 7.4567e-04],
         [1.0111e-02, 8.7643e-03, -9.9991e-01],
@@ -68,8 +70,13 @@ def test_the_published_example_of_pix4d() -> None:
 
 
 def test_a_camera_that_looks_down_with_its_top_to_the_north_has_no_angles() -> None:
-    angles = Angles(values=np.zeros((1, 3)), unit="deg", rotation="omega_phi_kappa",
-                    direction="image_to_world", axes="right_up_back")  # fmt: skip
+    angles = Angles(
+        values=np.zeros((1, 3)),
+        unit="deg",
+        rotation="omega_phi_kappa",
+        direction="image_to_world",
+        axes="right_up_back",
+    )
     R = ccs_rotations(angles)[0]
     np.testing.assert_array_equal(R @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0])
     np.testing.assert_array_equal(R @ [1.0, 0.0, 0.0], [1.0, 0.0, 0.0])
@@ -87,9 +94,17 @@ def test_sigmas_of_angles_become_those_of_the_rotation_vector(rotation: str, dir
         step = np.zeros(3)
         step[k] = 1e-4
         plus, minus = (
-            ccs_rotations(Angles(values=values + s * step, unit="gon", rotation=rotation, direction=direction,
-                                 axes="right_up_back")) for s in (1, -1)
-        )  # fmt: skip
+            ccs_rotations(
+                Angles(
+                    values=values + s * step,
+                    unit="gon",
+                    rotation=rotation,
+                    direction=direction,
+                    axes="right_up_back",
+                )
+            )
+            for s in (1, -1)
+        )
         J[:, :, k] = rotation_vector(plus @ np.swapaxes(minus, 1, 2)) / 2e-4
     expected = (J * sigma[:, None, :]) @ np.swapaxes(J * sigma[:, None, :], 1, 2)
     # central differences over 1.6e-6 rad: 1e-10 relative
@@ -268,11 +283,16 @@ def test_own_poses_of_a_campaign_with_another_origin(tmp_path: Path, truth: Scen
     following = np.tile(np.diag([4e-4, 3e-4, 2e-4, 1e-8, 2e-8, 3e-8]) * 0.3, (12, 1, 1))
     J = np.kron(np.eye(2), turn)
     values = {name: getattr(own, name) for name in own.__dataclass_fields__}
-    moved = ImagePoses(**{
-        **values, "frame": other, "centre_wcs_m": other.from_ecef(geocentric(truth)[0]),
-        "R_wcs_ccs": turn @ truth.R,
-        "cov_pose_wcs": J @ own.cov_pose_wcs @ J.T, "cov_next": J @ following @ J.T,
-    })  # fmt: skip
+    moved = ImagePoses(
+        **{
+            **values,
+            "frame": other,
+            "centre_wcs_m": other.from_ecef(geocentric(truth)[0]),
+            "R_wcs_ccs": turn @ truth.R,
+            "cov_pose_wcs": J @ own.cov_pose_wcs @ J.T,
+            "cov_next": J @ following @ J.T,
+        }
+    )
     moved.write(tmp_path / "image_poses.parquet")
     found = import_orientations([tmp_path / "image_poses.parquet"], own, settings())
     assert_poses(found.poses, truth, atol_m=1e-8)
@@ -291,5 +311,8 @@ def test_two_files_are_joined(tmp_path: Path, truth: Scene) -> None:
     assert not found.poses.cov_next[6].any()
     assert found.poses.cov_next[5].any()
     with pytest.raises(InputError, match=r"has a pose in 0\.txt, too"):
-        import_orientations([files[0], write_colmap_text(tmp_path / "m", truth.images, truth.C, truth.R)],
-                            predictions(truth), settings(crs="world"))  # fmt: skip
+        import_orientations(
+            [files[0], write_colmap_text(tmp_path / "m", truth.images, truth.C, truth.R)],
+            predictions(truth),
+            settings(crs="world"),
+        )

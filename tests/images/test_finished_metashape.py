@@ -19,11 +19,10 @@ from tests.images.finished_scene import (
     write_metashape,
 )
 
-from thalweg.core.rigid import exp_rotation
-from thalweg.core.types import ArrayF
-from thalweg.images.imports.metashape import project_metashape
-from thalweg.images.imports.poses import import_orientations
-from thalweg.images.model.poses import ImagePoses
+from thalweg.core import ArrayF, exp_rotation
+from thalweg.images.imports import import_orientations
+from thalweg.images.imports.formats import project_metashape
+from thalweg.images.model import ImagePoses
 
 
 @pytest.fixture

@@ -19,11 +19,10 @@ from tests.images.finished_scene import (
     write_colmap_text,
 )
 
-from thalweg.calibration.markers.camera_file import read_camera
-from thalweg.core.camera.model import Camera
-from thalweg.core.frames import rotation_opk
-from thalweg.images.imports.poses import import_orientations
-from thalweg.images.model.poses import ImagePoses
+from thalweg.calibration import read_camera
+from thalweg.core import Camera, rotation_opk
+from thalweg.images.imports import import_orientations
+from thalweg.images.model import ImagePoses
 
 
 @pytest.fixture
@@ -79,8 +78,12 @@ def test_orientations_of_an_aerial_block_by_its_control_points(tmp_path: Path, d
     names, rows = [], []
     for _, name, text in values:
         names.append(name)
-        rows.append([float(re.findall(rf"{key}:\s+Value:\s+(\S+)", text)[0]) for key in
-                     ("Xc", "Yc", "Zc", "Omega", "Phi", "Kappa")])  # fmt: skip
+        rows.append(
+            [
+                float(re.findall(rf"{key}:\s+Value:\s+(\S+)", text)[0])
+                for key in ("Xc", "Yc", "Zc", "Omega", "Phi", "Kappa")
+            ]
+        )
     table = np.array(rows)
     assert len(table) == 5
     path = tmp_path / "eo.txt"
@@ -129,10 +132,15 @@ def test_script(tmp_path: Path, truth: Scene, repository: Path, kind: str) -> No
         interior = [tmp_path / "cameras.txt"]
         interior[0].write_text("1 PINHOLE 720 540 600 600 360 270\n")
     script.main(
-        files=[path], predictions=given, interior=interior, poses=tmp_path / "poses.parquet",
-        camera=tmp_path / "camera.yaml", facts=tmp_path / "facts.json",
-        campaign={"id": "test", "crs": None}, finished=settings(crs="world"),
-    )  # fmt: skip
+        files=[path],
+        predictions=given,
+        interior=interior,
+        poses=tmp_path / "poses.parquet",
+        camera=tmp_path / "camera.yaml",
+        facts=tmp_path / "facts.json",
+        campaign={"id": "test", "crs": None},
+        finished=settings(crs="world"),
+    )
     assert_poses(ImagePoses.read(tmp_path / "poses.parquet"), truth)
     facts = json.loads((tmp_path / "facts.json").read_text())
     assert facts["oriented"] == 12

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.rigid import exp_rotation
-from thalweg.images.model.block import ImageBlock
+from thalweg.core import GeometryError, InputError, exp_rotation
+from thalweg.images.model import ImageBlock
 
 _spec = importlib.util.spec_from_file_location("block_scene", Path(__file__).with_name("block_scene.py"))
 assert _spec

@@ -8,23 +8,20 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from tests.images.block_scene import FREE, scene
+from tests.images.block_scene import FREE, OPTIONS, scene
 from tests.images.sfm_scene import PERSPECTIVE
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.images.bundle.adjustment import adjust_block
-from thalweg.images.bundle.camera_interiors import camera_table, interiors_of, main_camera
-from thalweg.images.bundle.result import adjusted_cameras
-from thalweg.images.bundle.run import BlockSettings, orient_block
-from thalweg.images.bundle.weights import Options
-from thalweg.images.masks.cameras import KnownCameras, make_masks_of_cameras
-from thalweg.images.masks.settings import MaskSettings
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.model.cameras import camera_note, cameras_of, in_folders
-from thalweg.images.model.files import Picture
-from thalweg.images.sfm.start import Interiors, assign_cameras
-from thalweg.ingest.photos.files import named_images
+from thalweg.core import Camera, GeometryError, InputError
+from thalweg.images.bundle import interiors_of
+from thalweg.images.bundle.adjustment import adjust_block, adjusted_cameras
+from thalweg.images.bundle.job import camera_table, main_camera
+from thalweg.images.bundle.run import orient_block
+from thalweg.images.masks import make_masks_of_cameras
+from thalweg.images.masks.images import KnownCameras
+from thalweg.images.model import ImageBlock, Picture, camera_note, cameras_of, in_folders
+from thalweg.images.sfm.matching import Interiors, assign_cameras
+from thalweg.ingest.photos import named_images
+from thalweg.settings.sections import MaskSettings
 
 LONG = replace(PERSPECTIVE, parameters=PERSPECTIVE.parameters * np.array([1.6, 1.6, 1, 1, 1, 1, 1, 1, 1]))
 """A camera of the same picture size with 432 px instead of 270 px."""
@@ -164,19 +161,33 @@ def test_another_zoom_is_estimated_and_another_lens_alone_refused(tmp_path: Path
     assert found.starts[1].camera.parameters[0] == pytest.approx(47 / 43.267 * 400, rel=1e-3)
     assert any("theirs is estimated" in note for note in found.notes)
     with pytest.raises(InputError, match=r"a focal length of 600 px .* and 268 px by the EXIF"):
-        assigned(tmp_path, Interiors(cameras=(PERSPECTIVE.with_parameters(
-            PERSPECTIVE.parameters * np.array([600 / 270, 600 / 270, 1, 1, 1, 1, 1, 1, 1])
-        ),)), by="size")  # fmt: skip
+        assigned(
+            tmp_path,
+            Interiors(
+                cameras=(
+                    PERSPECTIVE.with_parameters(
+                        PERSPECTIVE.parameters * np.array([600 / 270, 600 / 270, 1, 1, 1, 1, 1, 1, 1])
+                    ),
+                )
+            ),
+            by="size",
+        )
 
 
 def block_of(images: list[str], camera: list[int], cameras: tuple[Camera, ...]) -> ImageBlock:
     n = len(images)
     return ImageBlock(
-        cameras=cameras, images=tuple(images), camera=np.array(camera),
+        cameras=cameras,
+        images=tuple(images),
+        camera=np.array(camera),
         R_block_ccs=np.tile(np.eye(3), (n, 1, 1)),
-        centre_block_m=np.zeros((n, 3)), points_block_m=np.zeros((0, 3)), mark_image=np.zeros(0, np.int64),
-        mark_point=np.zeros(0, np.int64), mark_px=np.zeros((0, 2)), sigma_px=np.zeros(0),
-    )  # fmt: skip
+        centre_block_m=np.zeros((n, 3)),
+        points_block_m=np.zeros((0, 3)),
+        mark_image=np.zeros(0, np.int64),
+        mark_point=np.zeros(0, np.int64),
+        mark_px=np.zeros((0, 2)),
+        sigma_px=np.zeros(0),
+    )
 
 
 def test_each_camera_of_a_block_has_its_calibration() -> None:
@@ -207,10 +218,16 @@ def test_two_cameras_in_one_adjustment() -> None:
     own, control_far = problem.marks.xy_px.copy(), of[problem.marks.image] == 1
     own[control_far] = middle + 1.4 * (own[control_far] - middle)
     cameras = (block.cameras[0], block.cameras[0].with_parameters(block.cameras[0].parameters * grown))
-    found = adjust_block(replace(
-        problem, block=replace(block, cameras=cameras, camera=of, mark_px=marks),
-        marks=replace(problem.marks, xy_px=own), free=(FREE, FREE), weighted=(False, False),
-    ), Options())  # fmt: skip
+    found = adjust_block(
+        replace(
+            problem,
+            block=replace(block, cameras=cameras, camera=of, mark_px=marks),
+            marks=replace(problem.marks, xy_px=own),
+            free=(FREE, FREE),
+            weighted=(False, False),
+        ),
+        OPTIONS,
+    )
     for camera, factor in zip(adjusted_cameras(found), (1.0, 1.4), strict=True):
         sigma = np.sqrt(camera.cov[0, 0])
         assert 0 < sigma < 3.0
@@ -225,7 +242,7 @@ def test_one_camera_is_weighted_and_the_other_estimated() -> None:
     left = replace(problem.block.cameras[0], name="left")
     block = replace(problem.block, cameras=(left, replace(left, name="right")), camera=np.arange(24) % 2)
     given = replace(truth.camera, cov=cov, name="given")
-    settings = BlockSettings(options=Options())
+    settings = OPTIONS
     found = orient_block(block, problem.control, problem.marks, settings, known={"left": given})
     assert found.adjusted.problem.weighted == (True, False)
     sigma = [np.sqrt(camera.cov[0, 0]) for camera in adjusted_cameras(found.adjusted)]
@@ -233,7 +250,7 @@ def test_one_camera_is_weighted_and_the_other_estimated() -> None:
     assert sigma[0] < sigma[1]
     with pytest.raises(GeometryError, match="no interior orientation is given for right"):
         orient_block(
-            block, problem.control, problem.marks, replace(settings, interior="fixed"), known={"left": given}
+            block, problem.control, problem.marks, settings.replace(interior="fixed"), known={"left": given}
         )
 
 
@@ -247,7 +264,7 @@ def test_masks_are_learned_for_each_camera(tmp_path: Path) -> None:
     (tmp_path / "given" / "left").mkdir(parents=True)
     Image.new("L", (80, 60)).save(tmp_path / "given" / "left" / "1.png.png")
     table = make_masks_of_cameras(
-        images, tmp_path / "out", MaskSettings(), KnownCameras(), supplied=tmp_path / "given", automatic=True
+        images, tmp_path / "out", MaskSettings(), KnownCameras(), supplied=tmp_path / "given"
     )
     assert table["image"].tolist() == list(images)
     assert table["source"].tolist() == ["supplied", "automatic", "automatic"]
@@ -262,10 +279,5 @@ def test_masks_are_learned_for_each_camera(tmp_path: Path) -> None:
         InputError, match=r"one mask 1.png.png for left/1.png and right/1.png; expected folders"
     ):
         make_masks_of_cameras(
-            images,
-            tmp_path / "out",
-            MaskSettings(),
-            KnownCameras(),
-            supplied=tmp_path / "flat",
-            automatic=True,
+            images, tmp_path / "out", MaskSettings(), KnownCameras(), supplied=tmp_path / "flat"
         )

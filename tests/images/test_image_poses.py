@@ -5,10 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import exp_rotation
-from thalweg.images.model.poses import ImagePoses
+from thalweg.core import GeometryError, LocalFrame, exp_rotation
+from thalweg.images.model import ImagePoses
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 
@@ -23,11 +21,20 @@ def poses_of(rng: np.random.Generator, n: int = 5) -> ImagePoses:
     for a in (R, centre, cov, following):
         a[~known] = np.nan
     return ImagePoses(
-        frame=FRAME, images=tuple(f"{k}.jpg" for k in range(n)), t_gps_s=1e9 + np.arange(n),
-        sigma_t_s=np.full(n, 0.02), oriented=known, reasons=("", "no overlap", *[""] * (n - 2)),
-        centre_wcs_m=centre, R_wcs_ccs=R, cov_pose_wcs=cov, cov_next=following,
-        n_marks=np.where(known, 100.0, 0.0), rms_px=np.where(known, 0.3, np.nan), facts={"sigma0": 1.02},
-    )  # fmt: skip
+        frame=FRAME,
+        images=tuple(f"{k}.jpg" for k in range(n)),
+        t_gps_s=1e9 + np.arange(n),
+        sigma_t_s=np.full(n, 0.02),
+        oriented=known,
+        reasons=("", "no overlap", *[""] * (n - 2)),
+        centre_wcs_m=centre,
+        R_wcs_ccs=R,
+        cov_pose_wcs=cov,
+        cov_next=following,
+        n_marks=np.where(known, 100.0, 0.0),
+        rms_px=np.where(known, 0.3, np.nan),
+        facts={"sigma0": 1.02},
+    )
 
 
 def test_poses_come_back_from_their_table(rng: np.random.Generator, tmp_path: Path) -> None:

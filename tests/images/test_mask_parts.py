@@ -5,12 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError
-from thalweg.core.rigid import exp_rotation
-from thalweg.images.masks.features import read_reduced
-from thalweg.images.masks.learning import _best_path, water_line
-from thalweg.images.masks.model import PixelModel
+from thalweg.core import Camera, InputError, exp_rotation
+from thalweg.images.masks.learning import PixelModel, _best_path, read_reduced, water_line
 from thalweg.images.masks.series import depression, mirror_level, nominal_depression, steady_parts
 
 

@@ -8,19 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.images.masks.images import COLUMNS, make_masks
-from thalweg.images.masks.settings import MaskSettings
-from thalweg.images.model.poses import ImagePoses
-from thalweg.settings.images.masks import Masks
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.settings.twin.time_lapse import TwinTimeLapse
-from thalweg_lab.river.scene import build_scene
+from thalweg.core import Camera, InputError, LocalFrame
+from thalweg.images.masks import make_masks
+from thalweg.images.masks.images import COLUMNS
+from thalweg.images.model import ImagePoses
+from thalweg.settings.sections import MaskSettings
+from thalweg.settings.twin import TwinConfig, TwinTimeLapse
+from thalweg_lab.river import build_scene
 from thalweg_lab.time_lapse.record import TimeLapse
 from thalweg_lab.time_lapse.renderer import Renderer
-from thalweg_lab.yard_images.render_kernels import turned
+from thalweg_lab.yard_images import turned
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 MOUNTS = {
@@ -46,12 +43,19 @@ class Series:
         R = Rotation.from_rotvec(np.deg2rad(off)).as_matrix() @ self.R_wcs_ccs
         oriented = np.array([k not in without for k in range(n)])
         return ImagePoses(
-            frame=FRAME, images=tuple(f.name for f in self.files), t_gps_s=np.arange(n) * 1.0,
-            sigma_t_s=np.zeros(n), oriented=oriented, reasons=("",) * n, centre_wcs_m=np.zeros((n, 3)),
+            frame=FRAME,
+            images=tuple(f.name for f in self.files),
+            t_gps_s=np.arange(n) * 1.0,
+            sigma_t_s=np.zeros(n),
+            oriented=oriented,
+            reasons=("",) * n,
+            centre_wcs_m=np.zeros((n, 3)),
             R_wcs_ccs=np.where(oriented[:, None, None], R, np.nan),
             cov_pose_wcs=np.tile(np.eye(6) * np.deg2rad(sigma_deg) ** 2, (n, 1, 1)),
-            cov_next=np.zeros((n, 6, 6)), n_marks=np.zeros(n), rms_px=np.full(n, np.nan),
-        )  # fmt: skip
+            cov_next=np.zeros((n, 6, 6)),
+            n_marks=np.zeros(n),
+            rms_px=np.full(n, np.nan),
+        )
 
 
 def render(folder, recording, numbers):
@@ -98,9 +102,11 @@ def scores(masks, land):
 @pytest.mark.parametrize("known", [False, True], ids=["without poses", "with poses"])
 def test_water_sky_and_hull_are_masked_and_land_is_kept(series, tmp_path, rng, known):
     table = make_masks(
-        series.files, tmp_path, poses=series.poses(rng) if known else None,
+        series.files,
+        tmp_path,
+        poses=series.poses(rng) if known else None,
         camera=series.camera if known else None,
-    )  # fmt: skip
+    )
     masks = read(tmp_path, series.files)
     assert masks.shape == series.land.shape
     assert set(np.unique(masks)) == {0, 255}
@@ -196,7 +202,7 @@ def test_supplied_masks_win_and_the_others_are_told(series, tmp_path):
     assert table.loc[series.files[-1].name, "note"] == "no supplied mask"
     (note,) = table.attrs["notes"]
     assert note.startswith("8 of 10 images have no usable supplied mask: IMG_0010.jpg")
-    rest = make_masks(series.files[:3], tmp_path / "off", supplied=own, automatic=False)
+    rest = make_masks(series.files[:3], tmp_path / "off", MaskSettings(automatic=False), supplied=own)
     assert rest["source"].tolist() == ["supplied", "supplied", "none"]
     assert (read(tmp_path / "off", [c]) == 255).all()
 
@@ -265,11 +271,3 @@ def test_few_images_are_masked_without_the_hull(series, tmp_path):
 def test_nearly_all_masked_is_told(series, tmp_path):
     table = make_masks(series.files[:9], tmp_path, MaskSettings(least_usable_share=1.0))
     assert table["note"].str.startswith("nearly all masked: ").all()
-
-
-def test_settings_of_the_campaign_file_are_those_of_the_functions():
-    section = Masks().model_dump()
-    assert MaskSettings.from_section(section) == MaskSettings()
-    assert MaskSettings.from_section({**section, "margin_share": 0.1}, seed=4) == MaskSettings(
-        margin_share=0.1, seed=4
-    )

@@ -12,28 +12,25 @@ import pytest
 from PIL import Image, ImageFilter
 from tests.images.sfm_scene import FISHEYE, PERSPECTIVE, Photographs, photographs, similarity
 
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.trajectory import Trajectory
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.sfm.features import Features, FeatureSettings, extract_features, join_features
-from thalweg.images.sfm.mapping import (
-    Mapped,
-    MapSettings,
-    firm_parts,
-    is_estimated,
+from thalweg.core import InputError, LocalFrame, Trajectory
+from thalweg.images.model import ImageBlock
+from thalweg.images.sfm import (
+    Known,
+    Matches,
+    block_facts,
+    extract_features,
+    image_table,
     main_block,
     map_images,
-    part_of_block,
+    match_images,
 )
-from thalweg.images.sfm.matching import Matches, MatchSettings
-from thalweg.images.sfm.report import block_facts, image_table
-from thalweg.images.sfm.start import Known, PairSettings, match_images, read_times
-from thalweg.settings.images.sfm import Features as FeaturesSection
-from thalweg.settings.images.sfm import Mapping as MappingSection
+from thalweg.images.sfm.features import Features, join_features
+from thalweg.images.sfm.mapping import Mapped, firm_parts, is_estimated, part_of_block
+from thalweg.images.sfm.matching import read_times
+from thalweg.settings.sections import FeatureSettings, MappingSettings
 
 KNOWN = Known(cameras=(PERSPECTIVE,))
-FIXED = MapSettings(interior="fixed")
+FIXED = MappingSettings(interior="fixed")
 
 
 @pytest.fixture(scope="module")
@@ -106,10 +103,12 @@ def test_tracks_have_two_images_and_no_doubled_marks(matches: Matches) -> None:
 
 @pytest.mark.parametrize(
     ("settings", "threads"),
-    [(MapSettings(interior="estimated"), 2), (MapSettings(method="global"), 2)],
+    [(MappingSettings(interior="estimated"), 2), (MappingSettings(method="global"), 2)],
     ids=["incremental", "global"],
 )
-def test_the_same_matches_give_the_same_block(matches: Matches, settings: MapSettings, threads: int) -> None:
+def test_the_same_matches_give_the_same_block(
+    matches: Matches, settings: MappingSettings, threads: int
+) -> None:
     first = map_images(matches, settings=settings, threads=threads)
     again = map_images(matches, settings=settings, threads=1)
     assert equal(first.pieces[0], again.pieces[0])
@@ -141,7 +140,7 @@ def test_a_camera_of_which_nothing_is_known(wall: Photographs, features: Feature
 def test_fisheyes(tmp_path: Path, method: str) -> None:
     truth = photographs(tmp_path, FISHEYE, x=np.linspace(-2.1, 2.1, 6))
     found = match_images(extract_features(truth.files), truth.files, known=Known(cameras=(FISHEYE,)))
-    settings = MapSettings(method=method, interior="estimated")
+    settings = MappingSettings(method=method, interior="estimated")
     (block,) = map_images(found, settings=settings).pieces
     assert len(block.images) == 6
     assert block.cameras[0].model == "fisheye"
@@ -205,9 +204,9 @@ def test_parts_that_hang_on_a_few_points_are_taken_apart(matches: Matches) -> No
 
 
 def test_auto_keeps_a_given_camera_and_estimates_a_guess(wall: Photographs, matches: Matches) -> None:
-    assert not is_estimated(matches, MapSettings())
-    assert is_estimated(matches, MapSettings(interior="estimated"))
-    (block,) = map_images(matches, settings=MapSettings(interior="estimated")).pieces
+    assert not is_estimated(matches, MappingSettings())
+    assert is_estimated(matches, MappingSettings(interior="estimated"))
+    (block,) = map_images(matches, settings=MappingSettings(interior="estimated")).pieces
     assert 0 < abs(block.cameras[0].parameters[0] - 270) < 5
 
 
@@ -283,9 +282,7 @@ def test_sizes_without_a_given_camera_have_cameras_of_their_own(wall: Photograph
     assert [camera.size_px for camera in block.cameras] == [(320, 240), (480, 360)]
     assert block.camera.tolist() == [0, 0, 1, 0, 0]
     with pytest.raises(InputError, match="none is given"):
-        match_images(
-            extract_features(files), files, section={**MappingSection().model_dump(), "interior": "fixed"}
-        )
+        match_images(extract_features(files), files, section=MappingSettings(interior="fixed"))
 
 
 def test_times_and_a_trajectory_choose_the_pairs(
@@ -304,7 +301,7 @@ def test_times_and_a_trajectory_choose_the_pairs(
         valid=np.array([True, True]),
     )
     known = replace(KNOWN, t_s=t, trajectory=trajectory)
-    section = MappingSection(pairs="spatial", overlap=1, quadratic=False, max_distance_m=6.5).model_dump()
+    section = MappingSettings(pairs="spatial", overlap=1, quadratic=False, max_distance_m=6.5)
     found = match_images(features, wall.files, known=known, section=section)
     assert (found.facts["images_with_time"], found.facts["images_with_position"]) == (n, n)
     # 3 units a second: neighbours in time, and the next but one 6 units away
@@ -314,19 +311,11 @@ def test_times_and_a_trajectory_choose_the_pairs(
         read_times(tmp_path / "other.parquet")
 
 
-def test_settings_are_those_of_the_campaign_file() -> None:
-    mapping = MappingSection().model_dump()
-    assert PairSettings.from_section(mapping) == PairSettings()
-    assert MatchSettings.from_section(mapping) == MatchSettings()
-    assert MapSettings.from_section(mapping) == MapSettings()
-    assert FeatureSettings.from_section(FeaturesSection().model_dump()) == FeatureSettings()
-
-
 def test_the_four_scripts(wall: Photographs, matches: Matches, repository: Path, tmp_path: Path) -> None:
     def script(name: str) -> object:
         return runpy.run_path(str(repository / f"workflow/scripts/{name}.py"))["main"]
 
-    options = FeaturesSection(parts=2).model_dump()
+    options = FeatureSettings(parts=2)
     parts = [tmp_path / f"part_{k}.npz" for k in range(2)]
     for k, part in enumerate(parts):
         script("extract_features")(  # type: ignore[operator]
@@ -335,11 +324,17 @@ def test_the_four_scripts(wall: Photographs, matches: Matches, repository: Path,
     camera = tmp_path / "cameras.txt"
     values = " ".join(str(v) for v in PERSPECTIVE.parameters[:8])
     camera.write_text(f"1 OPENCV 320 240 {values}\n")
-    mapping = MappingSection(interior="fixed").model_dump()
+    mapping = MappingSettings(interior="fixed")
     shared = {
-        "features": parts, "images": wall.files, "camera": [camera], "interiors": [], "folders": [],
-        "times": [], "trajectory": [], "options": mapping,
-    }  # fmt: skip
+        "features": parts,
+        "images": wall.files,
+        "camera": [camera],
+        "interiors": [],
+        "folders": [],
+        "times": [],
+        "trajectory": [],
+        "options": mapping,
+    }
     script("match_features")(pairs=tmp_path / "pairs.npz", part=0, threads=1, **shared)  # type: ignore[operator]
     script("join_matches")(  # type: ignore[operator]
         pairs=[tmp_path / "pairs.npz"], matches=tmp_path / "matches.npz", **shared

@@ -6,16 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError
-from thalweg.images.sfm.camera import (
-    cameras_by_size,
-    from_colmap,
-    start_given,
-    start_guessed,
-    to_colmap,
-)
-from thalweg.images.sfm.colmap import colmap
+from thalweg.core import Camera, InputError
+from thalweg.images.sfm import colmap, from_colmap
+from thalweg.images.sfm.colmap import cameras_by_size, start_given, start_guessed, to_colmap
 
 
 def camera(model: str, *shape: float, size: tuple[int, int] = (640, 480)) -> Camera:

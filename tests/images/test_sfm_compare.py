@@ -9,18 +9,25 @@ import numpy as np
 import pytest
 from tests.images.sfm_scene import PERSPECTIVE, photographs, similarity
 
-from thalweg.core.errors import InputError
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.sfm.colmap import colmap
-from thalweg.images.sfm.compare import ComparedPairs, compare_pairs, joined_parts, part_of_pairs
-from thalweg.images.sfm.database import fill_database
-from thalweg.images.sfm.features import Features, FeatureSettings, extract_features
-from thalweg.images.sfm.mapping import MapSettings, held_cameras, map_images
-from thalweg.images.sfm.matching import Matches
-from thalweg.images.sfm.start import Known, match_images, plan_matches
-from thalweg.ingest.photos.files import named_images
-from thalweg.settings.images.sfm import Features as FeaturesSection
-from thalweg.settings.images.sfm import Mapping as MappingSection
+from thalweg.core import InputError
+from thalweg.images.model import ImageBlock
+from thalweg.images.sfm import (
+    ComparedPairs,
+    Known,
+    Matches,
+    colmap,
+    compare_pairs,
+    extract_features,
+    joined_parts,
+    map_images,
+    match_images,
+    part_of_pairs,
+)
+from thalweg.images.sfm.features import Features
+from thalweg.images.sfm.mapping import held_cameras
+from thalweg.images.sfm.matching import fill_database, plan_matches
+from thalweg.ingest.photos import named_images
+from thalweg.settings.sections import FeatureSettings, MappingSettings
 
 LONG = replace(PERSPECTIVE, parameters=PERSPECTIVE.parameters * np.array([1.4, 1.4, 1, 1, 1, 1, 1, 1, 1]))
 """A camera of the same picture size with 378 px instead of 270 px."""
@@ -62,7 +69,7 @@ def test_two_cameras_of_one_size_have_focal_lengths_of_their_own(two: Two) -> No
     assert focal == pytest.approx([270, 378], rel=0.02)
     assert two.away(block) < 0.04
     # as one camera they have one focal length, which is that of neither
-    section = MappingSection(cameras="size").model_dump()
+    section = MappingSettings(cameras="size")
     pieces = map_images(match_images(two.features, two.images, section=section)).pieces
     assert all(len(piece.cameras) == 1 for piece in pieces)
     assert not any(len(p.images) == 12 and two.away(p) < 0.04 for p in pieces)
@@ -71,8 +78,8 @@ def test_two_cameras_of_one_size_have_focal_lengths_of_their_own(two: Two) -> No
 def test_a_given_camera_stays_while_that_of_another_folder_is_estimated(two: Two) -> None:
     known = Known(of_folder={"right": LONG})
     found = match_images(two.features, two.images, known=known)
-    assert held_cameras(found, MapSettings()) == {2}
-    assert held_cameras(found, MapSettings(interior="estimated")) == set()
+    assert held_cameras(found, MappingSettings()) == {2}
+    assert held_cameras(found, MappingSettings(interior="estimated")) == set()
     (block,) = map_images(found).pieces
     np.testing.assert_array_equal(block.cameras[1].parameters, LONG.parameters)
     assert block.cameras[0].parameters[0] == pytest.approx(270, rel=0.02)
@@ -142,15 +149,19 @@ def test_the_jobs_of_the_parts_and_their_join(two: Two, repository: Path, tmp_pa
     two.features.write(tmp_path / "features.npz")
     assert Features.read(tmp_path / "features.npz", descriptors=False).descriptor.shape == (0, 128)
     shared = {
-        "features": [tmp_path / "features.npz"], "images": [next(iter(two.images.values())).parents[1]],
-        "camera": [], "times": [], "trajectory": [],
-        "interiors": [tmp_path / "cameras.txt"], "folders": ["right"],
-    }  # fmt: skip
+        "features": [tmp_path / "features.npz"],
+        "images": [next(iter(two.images.values())).parents[1]],
+        "camera": [],
+        "times": [],
+        "trajectory": [],
+        "interiors": [tmp_path / "cameras.txt"],
+        "folders": ["right"],
+    }
     values = " ".join(str(v) for v in LONG.parameters[:8])
     (tmp_path / "cameras.txt").write_text(f"1 OPENCV 320 240 {values}\n")
     written = []
     for parts in (1, 2):
-        options = MappingSection(parts=parts).model_dump()
+        options = MappingSettings(parts=parts)
         pairs = [tmp_path / f"pairs_{k}.npz" for k in range(parts)]
         for k, path in enumerate(pairs):
             script(repository, "match_features")(pairs=path, part=k, options=options, threads=1, **shared)
@@ -162,7 +173,7 @@ def test_the_jobs_of_the_parts_and_their_join(two: Two, repository: Path, tmp_pa
     assert equal(
         Matches.read(tmp_path / "matches_2.npz"), match_images(two.features, two.images, known=known)
     )
-    assert FeaturesSection().parts == MappingSection().parts == 1
+    assert FeatureSettings().parts == MappingSettings().parts == 1
 
 
 def script(repository: Path, name: str):

@@ -1,7 +1,6 @@
 """Images before their features, and features in parts."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +8,11 @@ import pytest
 from PIL import Image
 from tests.images.sfm_scene import Photographs, photographs
 
-from thalweg.core.errors import InputError
-from thalweg.images.model.files import inspect
-from thalweg.images.sfm.features import (
-    Features,
-    FeatureSettings,
-    extract_features,
-    join_features,
-    part_of,
-)
+from thalweg.core import InputError
+from thalweg.images.model import inspect
+from thalweg.images.sfm import extract_features, part_of
+from thalweg.images.sfm.features import Features, join_features
+from thalweg.settings.sections import FeatureSettings
 
 SETTINGS = FeatureSettings(max_features=400)
 
@@ -48,7 +43,7 @@ def test_any_split_gives_the_same_features(wall: Photographs, tmp_path: Path) ->
     assert whole.descriptor.shape == (whole.start[-1], 128)
     # the largest are kept
     assert (np.diff(whole.start) <= 400).all()
-    some = extract_features(files[:1], settings=replace(SETTINGS, max_features=100))
+    some = extract_features(files[:1], settings=SETTINGS.replace(max_features=100))
     all_of_it = whole.place[whole.rows(0)]
     assert some.place[:, 2].min() >= np.sort(all_of_it[:, 2])[-101]
 
@@ -58,7 +53,7 @@ def test_features_of_a_scaled_image_stand_in_pixels_of_the_full_one(
 ) -> None:
     with Image.open(wall.files[0]) as image:
         image.resize((960, 720), Image.Resampling.BICUBIC).save(tmp_path / wall.files[0].name)
-    large = extract_features([tmp_path / wall.files[0].name], settings=replace(SETTINGS, max_size_px=320))
+    large = extract_features([tmp_path / wall.files[0].name], settings=SETTINGS.replace(max_size_px=320))
     small = extract_features(wall.files[:1], settings=SETTINGS)
     assert large.pictures[0].size_px == (960, 720)
     near = np.linalg.norm(large.place[:, None, :2] / 3 - small.place[None, :, :2], axis=2).min(axis=1)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.images.sfm.start import PairSettings, image_pairs, order_in_time
+from thalweg.core import GeometryError
+from thalweg.images.sfm.matching import image_pairs, order_in_time
+from thalweg.settings.sections import MappingSettings
 
 NAMES = ["img_2.jpg", "img_10.jpg", "img_1.jpg", "img_3.jpg"]
 
@@ -34,10 +35,10 @@ def test_an_image_without_time_stands_behind_its_name() -> None:
 
 def test_sequential_pairs() -> None:
     order = np.array([3, 1, 0, 2, 4, 5])
-    pairs, kind = image_pairs(order, PairSettings(pairs="sequential", overlap=1, quadratic=False))
+    pairs, kind = image_pairs(order, MappingSettings(pairs="sequential", overlap=1, quadratic=False))
     assert kind == "sequential"
     assert as_set(pairs) == {(1, 3), (0, 1), (0, 2), (2, 4), (4, 5)}
-    pairs, _ = image_pairs(np.arange(20), PairSettings(pairs="sequential", overlap=3))
+    pairs, _ = image_pairs(np.arange(20), MappingSettings(pairs="sequential", overlap=3))
     # steps 1, 2, 3 and the powers of two below 2^3
     assert set((pairs[:, 1] - pairs[:, 0]).tolist()) == {1, 2, 3, 4}
     assert len(pairs) == 19 + 18 + 17 + 16
@@ -46,7 +47,7 @@ def test_sequential_pairs() -> None:
 def test_pairs_by_position_join_two_passes_of_the_same_bank() -> None:
     x = np.concatenate([np.arange(40.0), np.arange(40.0)[::-1]])
     position = np.column_stack([x, np.zeros(80), np.zeros(80)])
-    settings = PairSettings(pairs="auto", overlap=3, quadratic=False, max_distance_m=2.5, max_neighbours=4)
+    settings = MappingSettings(pairs="auto", overlap=3, quadratic=False, max_distance_m=2.5, max_neighbours=4)
     pairs, kind = image_pairs(np.arange(80), settings, position)
     assert kind == "spatial"
     found = as_set(pairs)
@@ -54,7 +55,7 @@ def test_pairs_by_position_join_two_passes_of_the_same_bank() -> None:
     far = [abs(x[a] - x[b]) for a, b in found if b - a > 3]
     assert far
     assert max(far) <= 2.5
-    only_time, _ = image_pairs(np.arange(80), PairSettings(pairs="sequential", overlap=3, quadratic=False))
+    only_time, _ = image_pairs(np.arange(80), MappingSettings(pairs="sequential", overlap=3, quadratic=False))
     assert as_set(only_time) < found
     # images without position are still neighbours in time
     position[20:25] = np.nan
@@ -64,10 +65,10 @@ def test_pairs_by_position_join_two_passes_of_the_same_bank() -> None:
 
 
 def test_auto_compares_few_images_all_with_all() -> None:
-    pairs, kind = image_pairs(np.array([0, 2, 5]), PairSettings())
+    pairs, kind = image_pairs(np.array([0, 2, 5]), MappingSettings())
     assert (kind, as_set(pairs)) == ("exhaustive", {(0, 2), (0, 5), (2, 5)})
-    assert image_pairs(np.arange(31), PairSettings())[1] == "sequential"
-    pairs, _ = image_pairs(np.array([4]), PairSettings())
+    assert image_pairs(np.arange(31), MappingSettings())[1] == "sequential"
+    pairs, _ = image_pairs(np.array([4]), MappingSettings())
     assert pairs.shape == (0, 2)
 
 
@@ -75,4 +76,4 @@ def test_pairs_by_position_need_positions() -> None:
     with pytest.raises(
         GeometryError, match=r"no image has an approximate position.*sequential or exhaustive"
     ):
-        image_pairs(np.arange(5), PairSettings(pairs="spatial"), np.full((5, 3), np.nan))
+        image_pairs(np.arange(5), MappingSettings(pairs="spatial"), np.full((5, 3), np.nan))

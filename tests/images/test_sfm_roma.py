@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 from tests.images.sfm_scene import similarity
 
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.sfm.features import FeatureSettings, extract_features
-from thalweg.images.sfm.mapping import MapSettings, map_images
-from thalweg.images.sfm.report import block_facts, image_table
-from thalweg.images.sfm.start import match_images
-from thalweg.settings.images.sfm import Mapping
+from thalweg.images.model import ImageBlock
+from thalweg.images.sfm import block_facts, extract_features, image_table, map_images, match_images
+from thalweg.settings.sections import FeatureSettings, MappingSettings
 
 pytestmark = pytest.mark.real
 
@@ -35,8 +32,8 @@ def oriented(
     found = extract_features(
         images, settings=FeatureSettings(max_size_px=size_px, max_features=n_features), threads=2
     )
-    matches = match_images(found, images, section=Mapping(**pairs).model_dump(), threads=2)
-    mapped = map_images(matches, settings=MapSettings())
+    matches = match_images(found, images, section=MappingSettings(**pairs), threads=2)
+    mapped = map_images(matches, settings=MappingSettings())
     facts = block_facts(matches, mapped, image_table(matches, mapped))
     return mapped.pieces[0], facts
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError, ThalwegError
-from thalweg.core.tables import read_table, write_table
-from thalweg.core.timescales import LeapSecondWarning, gps_from_unix
-from thalweg.ingest.anpp.reader import HEAVE, PASSTHROUGH, AnppLog, read_anpp
-from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_RAW, INS_STATE
+from thalweg.core import InputError, ThalwegError, gps_from_unix, read_table, write_table
+from thalweg.core.timescales import LeapSecondWarning
+from thalweg.ingest import DEPTH, GNSS_POSITION, INS_RAW, INS_STATE
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.anpp.reader import HEAVE, PASSTHROUGH, AnppLog
 
 T0 = 1_494_614_695  # 2017-05-12T18:44:55 UTC
 UTC_FIXED = 0x8 | 7 << 4 | 0x7
@@ -99,8 +99,7 @@ def test_tables_fit_their_kinds(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("heading", "expected"),
-    [(-0.5, 2 * np.pi - 0.5), (7.0, 7.0 - 2 * np.pi), (-1e-30, 0.0), (0.0, 0.0)],
+    ("heading", "expected"), [(-0.5, 2 * np.pi - 0.5), (7.0, 7.0 - 2 * np.pi), (-1e-30, 0.0), (0.0, 0.0)]
 )
 def test_heading_is_in_one_turn(heading: float, expected: float, tmp_path: Path) -> None:
     log = read(tmp_path, state(0, rpy=(0, 0, heading)))
@@ -110,8 +109,7 @@ def test_heading_is_in_one_turn(heading: float, expected: float, tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("bits", "word"),
-    list(enumerate(["none", "2d", "3d", "sbas", "dgnss", "omnistar", "float", "fixed"])),
+    ("bits", "word"), list(enumerate(["none", "2d", "3d", "sbas", "dgnss", "omnistar", "float", "fixed"]))
 )
 def test_fix_words(bits: int, word: str, tmp_path: Path) -> None:
     assert read(tmp_path, state(0, filter_status=8 | bits << 4)).states["fix"][0] == word

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.ingest.anpp.frames import crc16, find_anpp, find_packets
-from thalweg.ingest.framing.stream import BAD_CRC, CUT, HOLES, SKIPPED, StreamTally, read_packets
+from thalweg.core import InputError
+from thalweg.ingest.anpp import find_packets
+from thalweg.ingest.framing import StreamTally, find_anpp, read_packets
+from thalweg.ingest.framing.stream import BAD_CRC, CUT, HOLES, SKIPPED, crc16
 
 
 def packet(packet_id: int, payload: bytes) -> bytes:

@@ -16,9 +16,9 @@ from advanced_navigation.anpp_packets.an_packet_53 import ExternalDepthPacket
 from advanced_navigation.anpp_packets.an_packet_58 import HeavePacket
 from advanced_navigation.anpp_packets.an_packet_protocol import ANDecoder, ANPacket
 
-from thalweg.ingest.anpp import packets as ap
-from thalweg.ingest.anpp.reader import AnppLog, read_anpp
-from thalweg.ingest.anpp.records import build_clock, collect
+from thalweg.ingest.anpp import packets as ap, read_anpp
+from thalweg.ingest.anpp.packets import build_clock, collect
+from thalweg.ingest.anpp.reader import AnppLog
 
 pytestmark = pytest.mark.real
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.ingest.tracks.bed_survey import read_bed_survey
+from thalweg.core import InputError, LocalFrame
+from thalweg.ingest.tracks import read_bed_survey
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 UTM = "EPSG:25833"

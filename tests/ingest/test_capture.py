@@ -9,8 +9,8 @@ import dpkt
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError, ThalwegError, UnsupportedError
-from thalweg.ingest.pcap.capture import BarePayloads, CaptureTally, Stream, read_payloads
+from thalweg.core import InputError, ThalwegError, UnsupportedError
+from thalweg.ingest.pcap import BarePayloads, CaptureTally, Stream, read_payloads
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
@@ -151,16 +151,23 @@ def test_pcapng_sections_interfaces_and_block_types(tmp_path):
     f = frames_of()
     second = struct.pack(">HHIIII", 0, 0, 0, 3_000_000, len(f[0]), len(f[0])) + f[6]
     content = (
-        section() + interface() + interface(resolution=9)
-        + interface(link=147) + interface(101, 0x8A, offset_s=100)
+        section()
+        + interface()
+        + interface(resolution=9)
+        + interface(link=147)
+        + interface(101, 0x8A, offset_s=100)
         + b"".join(enhanced(x, 1_500_000 + k) for k, x in enumerate(f[:3]))
         + enhanced(f[3], 7_000_000_123, 1)
-        + enhanced(f[4], 5, 2) + enhanced(f[4], 5, 9)
+        + enhanced(f[4], 5, 2)
+        + enhanced(f[4], 5, 9)
         + enhanced(f[4][14:], 2048, 3)
         + block(0xBAD, b"comment")
         + block(3, struct.pack("<I", len(f[5])) + f[5])
-        + section(">") + interface(e=">") + block(2, second, ">") + enhanced(f[7], 4_000_000, e=">")
-    )  # fmt: skip
+        + section(">")
+        + interface(e=">")
+        + block(2, second, ">")
+        + enhanced(f[7], 4_000_000, e=">")
+    )
     ((payload, _, t_host), _), tally = read(tmp_path / "a", content)
     assert np.array_equal(payload, DATA[:8])
     expected = [1.5, 1.500001, 1.500002, 7.000000123, 102.0, np.nan, 3.0, 4.0]

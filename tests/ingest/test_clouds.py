@@ -10,11 +10,8 @@ import pytest
 from plyfile import PlyData, PlyElement
 from pyproj import CRS
 
-from thalweg.core.errors import InputError, ThalwegError, UnsupportedError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.files import LazWriter
-from thalweg.core.types import ArrayF
-from thalweg.ingest.clouds.reader import read_cloud
+from thalweg.core import ArrayF, InputError, LazWriter, LocalFrame, ThalwegError, UnsupportedError
+from thalweg.ingest.clouds import read_cloud
 
 N = 1000
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

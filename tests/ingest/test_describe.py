@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from thalweg.core.errors import InputError, UnsupportedError
-from thalweg.figures.firstlook.first_look import first_looks_of
-from thalweg.figures.firstlook.recordings_page import recordings_page, recordings_table
-from thalweg.figures.style import save
-from thalweg.ingest.registry.describe import describe, load_recording
-from thalweg.ingest.registry.recognise import recognise
+from thalweg.core import InputError, UnsupportedError
+from thalweg.figures import save
+from thalweg.figures.firstlook import first_looks_of, recordings_page, recordings_table
+from thalweg.ingest.registry import describe, load_recording, recognise
 
 REAL = [
     ("vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap", "capture", "VLP-16", "points", 73_486, True),

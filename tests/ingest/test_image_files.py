@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from thalweg.core.errors import InputError
-from thalweg.ingest.photos.files import by_any_name, find_images, list_images, named_images
-from thalweg.ingest.photos.stamps import read_image_stamps
+from thalweg.core import InputError
+from thalweg.ingest.photos import by_any_name, list_images, named_images, read_image_stamps
+from thalweg.ingest.photos.files import find_images
 
 
 def photographs(folder: Path, *names: str) -> Path:
@@ -25,10 +25,21 @@ STAMPED = ("left/a_20210512_083107.jpg", "left/a_20210512_083108.jpg", "right/a_
 
 def test_folders_below_are_read_and_the_rest_is_counted(tmp_path: Path) -> None:
     folder = photographs(
-        tmp_path / "photos", "IMG_10.jpg", "IMG_2.JPG", "low/IMG_1.jpg", "low/deep/IMG_3.jpg",
-        "notes.txt", "IMG_2.cr2", "._IMG_2.jpg", ".thumbs/IMG_2.jpg", "@eaDir/IMG_2.jpg",
-        "IMG_2.JPG.png", "IMG_10_mask.png", "masks/IMG_10.png", "low/IMG_9_mask.png",
-    )  # fmt: skip
+        tmp_path / "photos",
+        "IMG_10.jpg",
+        "IMG_2.JPG",
+        "low/IMG_1.jpg",
+        "low/deep/IMG_3.jpg",
+        "notes.txt",
+        "IMG_2.cr2",
+        "._IMG_2.jpg",
+        ".thumbs/IMG_2.jpg",
+        "@eaDir/IMG_2.jpg",
+        "IMG_2.JPG.png",
+        "IMG_10_mask.png",
+        "masks/IMG_10.png",
+        "low/IMG_9_mask.png",
+    )
     found = find_images(folder)
     names = [path.relative_to(folder).as_posix() for path in found.files]
     # a mask of no photograph is a photograph whose name happens to end so

@@ -8,9 +8,8 @@ import yaml
 from PIL import Image
 
 from thalweg.cli import main
-from thalweg.core.errors import InputError
-from thalweg.ingest.registry.describe import describe
-from thalweg.ingest.registry.recognise import recognise
+from thalweg.core import InputError
+from thalweg.ingest.registry import describe, recognise
 
 XML = (
     '<?xml version="1.0"?>\n<document version="1.5.0"><chunk><cameras>\n'

@@ -7,19 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from thalweg.core.errors import ClockError, InputError
-from thalweg.core.tables import read_table, write_table
-from thalweg.core.timescales import gps_from_unix
-from thalweg.ingest.clock_shift import explain_shift
-from thalweg.ingest.photos.exif import CivilStamp, offset_seconds, read_head, stamp_from_exif
-from thalweg.ingest.photos.stamps import (
-    IMAGE_STAMPS,
-    compile_pattern,
-    list_images,
-    read_image_stamps,
-    read_time_table,
-    stamp_from_name,
-)
+from thalweg.core import ClockError, InputError, gps_from_unix, read_table, write_table
+from thalweg.ingest import explain_shift
+from thalweg.ingest.photos import IMAGE_STAMPS, list_images, read_head, read_image_stamps
+from thalweg.ingest.photos.exif import CivilStamp, offset_seconds, stamp_from_exif
+from thalweg.ingest.photos.stamps import compile_pattern, read_time_table, stamp_from_name
 
 UNIX = 1_620_808_267  # 2021-05-12T08:31:07Z
 T0 = float(gps_from_unix(UNIX))
@@ -101,8 +93,12 @@ def test_exif_with_sub_seconds_and_zone(tmp_path: Path) -> None:
         second_s=UNIX + 7200, fraction_s=0.025, resolution_s=1e-3, utc_offset_s=7200.0
     )
     assert (head.width, head.height, head.make, head.model, head.focal_mm) == (
-        32, 24, "Panasonic", "DMC-GX80", 14.0,
-    )  # fmt: skip
+        32,
+        24,
+        "Panasonic",
+        "DMC-GX80",
+        14.0,
+    )
 
 
 @pytest.mark.parametrize(
@@ -260,10 +256,17 @@ def test_damaged_exif_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("shift", "words"),
     [
-        (3600.2, "+1:00 h"), (-19800.0, "-5:30 h"), (18.0, "leap seconds"), (-17.6, "leap seconds"),
-        (86_400.0, "+1 day(s)"), (90_000.0, "+1 day(s) and +1:00 h"), (700.0, ""), (2.3, ""), (0.0, ""),
+        (3600.2, "+1:00 h"),
+        (-19800.0, "-5:30 h"),
+        (18.0, "leap seconds"),
+        (-17.6, "leap seconds"),
+        (86_400.0, "+1 day(s)"),
+        (90_000.0, "+1 day(s) and +1:00 h"),
+        (700.0, ""),
+        (2.3, ""),
+        (0.0, ""),
     ],
-)  # fmt: skip
+)
 def test_shifts_are_named(shift: float, words: str) -> None:
     found = explain_shift(shift)
     assert (words in found) if words else found == ""

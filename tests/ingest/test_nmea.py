@@ -12,11 +12,10 @@ import pandas as pd
 import pytest
 from pynmeagps import NMEAReader
 
-from thalweg.core.errors import InputError, ThalwegError
-from thalweg.core.tables import write_table
-from thalweg.core.timescales import gps_from_unix, gps_from_week
-from thalweg.ingest.nmea.reader import NmeaLog, read_nmea
-from thalweg.ingest.schemas import DEPTH, GNSS_POSITION
+from thalweg.core import InputError, ThalwegError, gps_from_unix, gps_from_week, write_table
+from thalweg.ingest import DEPTH, GNSS_POSITION
+from thalweg.ingest.nmea import read_nmea
+from thalweg.ingest.nmea.reader import NmeaLog
 
 GGA = "GPGGA,{},5251.0094,N,00518.8172,E,4,12,0.60,10.500,M,46.800,M,1.2,0123"
 RMC = "GPRMC,{},A,5251.0093,N,00518.8170,E,5.6,230.5,{},1.4,E,A"
@@ -45,10 +44,12 @@ def gps(year: int, month: int, day: int, hour: int, minute: int, second: float) 
         # PROVENANCE.md: sentences, depths (n, min, mean, max), offsets, positions, steps back
         ("humminbird-M37", (98, {"DPT": (33, 2.0, 2.3152, 2.6)}, [0.0], 33, 1)),
         ("sounder", (244, {"DBT": (122, 2.3, 2.318, 2.5)}, [], 122, 0)),
-        ("bundg_zeus_9",
-         (4999, {"DPT": (149, 5.2, 5.657, 6.7), "DBT": (148, 5.2, 5.6581, 6.7)}, [0.4], 431, 0)),
+        (
+            "bundg_zeus_9",
+            (4999, {"DPT": (149, 5.2, 5.657, 6.7), "DBT": (148, 5.2, 5.6581, 6.7)}, [0.4], 431, 0),
+        ),
     ],
-)  # fmt: skip
+)
 def test_real_boats_have_the_published_figures(data_dir: Path, name: str, figures: tuple) -> None:  # type: ignore[type-arg]
     n, depths, offsets, n_positions, steps_back = figures
     log = read_nmea([data_dir / "nmea_gpsd_depth" / f"{name}.log"])

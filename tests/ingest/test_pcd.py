@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError, UnsupportedError
-from thalweg.ingest.clouds.pcd import read_pcd
+from thalweg.core import InputError, UnsupportedError
+from thalweg.ingest.clouds import read_pcd
 
 HEAD = """# .PCD v0.7 - Point Cloud Data file format
 VERSION 0.7

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.core.tables import write_table
-from thalweg.ingest.registry.positions import positions_from_states, read_positions
-from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
+from thalweg.core import InputError, write_table
+from thalweg.ingest import GNSS_POSITION, INS_STATE
+from thalweg.ingest.registry import read_positions
+from thalweg.ingest.registry.positions import positions_from_states
 
 NOTHING: dict[str, Any] = {"base": [], "nav": [], "ppk": {}, "base_position": {}}
 
@@ -58,9 +58,14 @@ def test_an_indefinite_covariance_does_not_pass(tmp_path: Path) -> None:
 def test_ppk_through_the_sections_of_a_campaign(data_dir: Path, tmp_path: Path) -> None:
     log = data_dir / "sbp_piksi_rtk_2017/2017-05-12-v1.1.26.sbp"
     table, report = read_positions(
-        "ppk", [log], states=tmp_path / "x", base=[], nav=[],
-        ppk={"systems": ["GPS"], "elevation_mask_deg": 10.0}, base_position={"base_from": "sbp"},
-    )  # fmt: skip
+        "ppk",
+        [log],
+        states=tmp_path / "x",
+        base=[],
+        nav=[],
+        ppk={"systems": ["GPS"], "elevation_mask_deg": 10.0},
+        base_position={"base_from": "sbp"},
+    )
     fixes = table["fix"].value_counts()
     assert fixes["fixed"] == pytest.approx(378, abs=3)  # PROVENANCE: Q1 378, Q2 22
     assert fixes.sum() == 400

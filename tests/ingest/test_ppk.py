@@ -9,17 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import ConfigError, InputError, ThalwegError
-from thalweg.ingest.integrity import IntegrityReport
+from thalweg.core import ConfigError, InputError, ThalwegError
+from thalweg.ingest import GNSS_POSITION, IntegrityReport
+from thalweg.ingest.ppk import PpkOptions, replace_covariances, run_ppk
 from thalweg.ingest.ppk.engine import check_settings, run_worker, write_settings
-from thalweg.ingest.ppk.positions import (
-    SIGMA_FLOOR_M,
-    covariance_enu,
-    read_solution,
-    replace_covariances,
-)
-from thalweg.ingest.ppk.solution import PpkOptions, PpkSolution, run_ppk
-from thalweg.ingest.schemas import GNSS_POSITION
+from thalweg.ingest.ppk.positions import SIGMA_FLOOR_M, covariance_enu, read_solution
+from thalweg.ingest.ppk.solution import PpkSolution
 
 BASE = (-2706105.2018, -4261210.8062, 3885598.6411)
 OPTIONS = PpkOptions(base_ecef_m=BASE, systems=("GPS", "GAL"))
@@ -199,9 +194,13 @@ def test_a_setting_that_the_engine_ignores_is_found(tmp_path: Path) -> None:
     settings = {"pos2-armode": "nonsense", "pos1-elmask": "10"}
     write_settings(tmp_path / "a.conf", settings)
     task = {
-        "action": "solve", "config": str(tmp_path / "a.conf"), "readback": str(tmp_path / "a.taken"),
-        "inputs": [], "output": str(tmp_path / "a.pos"), "interval_s": 0.0,
-    }  # fmt: skip
+        "action": "solve",
+        "config": str(tmp_path / "a.conf"),
+        "readback": str(tmp_path / "a.taken"),
+        "inputs": [],
+        "output": str(tmp_path / "a.pos"),
+        "interval_s": 0.0,
+    }
     answer = run_worker([task], tmp_path, where="", time_limit_s=60.0)
     assert answer.engine.startswith("RTKLIB EX")
     with pytest.raises(ConfigError) as caught:
@@ -290,9 +289,14 @@ def solution(n_fixed: int, n_float: int, n_none: int) -> PpkSolution:
     n = n_fixed + n_float + n_none
     report = IntegrityReport(stream="PPK positions", format="SBP", files=["rover.sbp"])
     report.details = {
-        "fix_ratio": n_fixed / n, "n_rover_epochs": n, "n_fixed": n_fixed, "n_float": n_float,
-        "n_single": 0, "n_other": 0, "n_none": n_none,
-    }  # fmt: skip
+        "fix_ratio": n_fixed / n,
+        "n_rover_epochs": n,
+        "n_fixed": n_fixed,
+        "n_float": n_float,
+        "n_single": 0,
+        "n_other": 0,
+        "n_none": n_none,
+    }
     table = pd.DataFrame({"fix": ["fixed"] * n_fixed + ["float"] * n_float})
     return PpkSolution(positions=table, report=report, options=OPTIONS, base_ecef_m=np.array(BASE))
 

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from thalweg.core.errors import ConfigError
-from thalweg.ingest.ppk.options import PpkOptions, engine_settings
+from thalweg.core import ConfigError
+from thalweg.ingest.ppk import PpkOptions
+from thalweg.ingest.ppk.options import engine_settings
 
 BASE = (-2706105.2018, -4261210.8062, 3885598.6411)
 LLH = (37.773497750, -122.417811914, -6.2480)  # of BASE, header of the engine's own .pos file

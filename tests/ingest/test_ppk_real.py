@@ -10,14 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import ConfigError, InputError, ThalwegError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import write_table
+from thalweg.core import ArrayF, ConfigError, InputError, LocalFrame, ThalwegError, write_table
 from thalweg.core.timescales import week_from_gps
-from thalweg.core.types import ArrayF
+from thalweg.ingest import GNSS_POSITION
+from thalweg.ingest.ppk import PpkOptions, run_ppk
 from thalweg.ingest.ppk.positions import SIGMA_FLOOR_M, covariance_enu
-from thalweg.ingest.ppk.solution import PpkOptions, PpkSolution, run_ppk
-from thalweg.ingest.schemas import GNSS_POSITION
+from thalweg.ingest.ppk.solution import PpkSolution
 
 pytestmark = pytest.mark.real
 

@@ -7,11 +7,10 @@ import pytest
 from plyfile import PlyData, PlyElement
 from pyproj import CRS, Transformer
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.files import LazWriter, read_laz
-from thalweg.ingest.clouds.reference import gather_reference
-from thalweg.ingest.integrity import IntegrityReport
+from thalweg.core import GeometryError, InputError, LazWriter, LocalFrame
+from thalweg.core.las import read_laz
+from thalweg.ingest import IntegrityReport
+from thalweg.ingest.clouds import gather_reference
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 UTM = CRS(25833)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError, ThalwegError, UnsupportedError
-from thalweg.core.timescales import LeapSecondWarning, utc_text_from_gps
-from thalweg.ingest.ppk.rinex import describe_rinex, scan_rinex, whole_records
+from thalweg.core import InputError, ThalwegError, UnsupportedError, utc_text_from_gps
+from thalweg.core.timescales import LeapSecondWarning
+from thalweg.ingest.ppk import describe_rinex
+from thalweg.ingest.ppk.rinex import scan_rinex, whole_records
 
 
 def line(text: str, label: str) -> str:

@@ -10,11 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 from pyproj import Transformer
 
-from thalweg.core.errors import InputError
-from thalweg.core.tables import write_table
-from thalweg.core.timescales import gps_from_week
-from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.ingest.tracks.rtklib_pos import read_pos
+from thalweg.core import InputError, gps_from_week, write_table
+from thalweg.ingest import GNSS_POSITION
+from thalweg.ingest.tracks import read_pos
 
 HEAD = (
     "% program   : RTKLIB\n% ref pos   :  50.000000000   13.000000000   200.0000\n%\n"
@@ -234,13 +232,14 @@ def test_missing_header_is_said(tmp_path: Path) -> None:
         ("\x89PNG\r\n\x1a\n" * 40, "none of"),
         (HEAD + LINE[:70], "line 6"),
         (
-            HEAD.replace("latitude(deg) longitude(deg)  height(m)", "e-baseline n-baseline u-baseline")
-            .replace("ref pos", "unk pos")
+            HEAD.replace(
+                "latitude(deg) longitude(deg)  height(m)", "e-baseline n-baseline u-baseline"
+            ).replace("ref pos", "unk pos")
             + LINE,
             "without the position of its base",
         ),
     ],
-)  # fmt: skip
+)
 def test_bad_input_has_a_message(tmp_path: Path, text: str, fragment: str) -> None:
     with pytest.raises(InputError, match=fragment) as caught:
         read_pos([write(tmp_path / "bad.pos", text)])
@@ -280,13 +279,21 @@ def test_every_column_of_the_positions_by_hand(tmp_path: Path) -> None:
     expected = {
         # GPS week 1948 begins on 7 May 2017; 5 days, 18:45:13.4; LAS takes 1e9 off
         "t_gps_s": (1948 * 604800 + 5 * 86400 + 67513.4 - 1e9, "s"),
-        "lat_deg": (50.0, "deg"), "lon_deg": (13.0, "deg"), "h_ell_m": (200.0, "m"), "fix": ("fixed", "1"),
-        "n_sats": (11, "1"), "sigma_east_m": (0.002, "m"), "sigma_north_m": (0.003, "m"),
+        "lat_deg": (50.0, "deg"),
+        "lon_deg": (13.0, "deg"),
+        "h_ell_m": (200.0, "m"),
+        "fix": ("fixed", "1"),
+        "n_sats": (11, "1"),
+        "sigma_east_m": (0.002, "m"),
+        "sigma_north_m": (0.003, "m"),
         "sigma_up_m": (0.006, "m"),
         # RTKLIB writes roots of covariances with the covariance's sign, and -1 mm for north-east
-        "cov_en_m2": (-1e-6, "m^2"), "cov_eu_m2": (2.25e-6, "m^2"), "cov_nu_m2": (-6.25e-6, "m^2"),
-        "age_s": (0.4, "s"), "ratio": (12.3, "1"),
-    }  # fmt: skip
+        "cov_en_m2": (-1e-6, "m^2"),
+        "cov_eu_m2": (2.25e-6, "m^2"),
+        "cov_nu_m2": (-6.25e-6, "m^2"),
+        "age_s": (0.4, "s"),
+        "ratio": (12.3, "1"),
+    }
     found = table.to_pylist()[0]
     assert {name: value for name, value in found.items() if name in expected} == {
         name: value if isinstance(value, str) else pytest.approx(value)

@@ -9,12 +9,9 @@ import pandas as pd
 import pytest
 from pyproj import Geod
 
-from thalweg.core.errors import InputError, ThalwegError
-from thalweg.core.tables import write_table
-from thalweg.core.timescales import gps_from_week
-from thalweg.core.types import ArrayF
-from thalweg.ingest.schemas import INS_STATE
-from thalweg.ingest.tracks.sbet import read_sbet
+from thalweg.core import ArrayF, InputError, ThalwegError, gps_from_week, write_table
+from thalweg.ingest import INS_STATE
+from thalweg.ingest.tracks import read_sbet
 
 WEEK = 1948
 HEADING = np.deg2rad(60.0)

@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError, ThalwegError
-from thalweg.core.tables import write_table
-from thalweg.core.timescales import LeapSecondWarning, gps_from_week
-from thalweg.ingest.framing.stream import BAD_CRC, CUT, SKIPPED, StreamTally
+from thalweg.core import InputError, ThalwegError, gps_from_week, write_table
+from thalweg.core.timescales import LeapSecondWarning
+from thalweg.ingest import GNSS_POSITION
+from thalweg.ingest.framing import StreamTally
+from thalweg.ingest.framing.stream import BAD_CRC, CUT, SKIPPED
 from thalweg.ingest.ppk.solution import looks_like_sbp, walk_sbp
-from thalweg.ingest.registry.recognise import recognise
-from thalweg.ingest.sbp import messages as sm
-from thalweg.ingest.sbp.frames import find_messages
-from thalweg.ingest.sbp.reader import GNSS_BASELINE, GNSS_EVENT, GNSS_VELOCITY, SbpLog, read_sbp
-from thalweg.ingest.schemas import GNSS_POSITION
+from thalweg.ingest.registry import recognise
+from thalweg.ingest.sbp import find_messages, messages as sm, read_sbp
+from thalweg.ingest.sbp.reader import GNSS_BASELINE, GNSS_EVENT, GNSS_VELOCITY, SbpLog
 
 WEEK = 1948
 TOW = 499_513_400

@@ -10,11 +10,10 @@ import pytest
 from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
-from thalweg.core.timescales import gps_from_week
-from thalweg.ingest.sbp import messages as sm
-from thalweg.ingest.sbp.frames import find_messages
-from thalweg.ingest.sbp.reader import SbpLog, read_sbp
-from thalweg.ingest.sbp.records import SbpRecords, collect
+from thalweg.core import gps_from_week
+from thalweg.ingest.sbp import find_messages, messages as sm, read_sbp
+from thalweg.ingest.sbp.messages import SbpRecords, collect
+from thalweg.ingest.sbp.reader import SbpLog
 
 pytestmark = pytest.mark.real
 

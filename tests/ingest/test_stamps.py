@@ -3,15 +3,13 @@
 import numpy as np
 import pytest
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.timescales import gps_from_unix
-from thalweg.ingest.anpp.reader import read_anpp
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.nmea.reader import read_nmea
-from thalweg.ingest.stamps import StreamTiming, fit_clock, possible_unix
-from thalweg.ingest.tracks.rtklib_pos import read_pos
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.ins import simulate_ins
+from thalweg.core import LocalFrame, gps_from_unix
+from thalweg.ingest import IntegrityReport, StreamTiming, fit_clock, possible_unix
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.nmea import read_nmea
+from thalweg.ingest.tracks import read_pos
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import simulate_ins
 
 T0 = 3.0e8
 
@@ -55,8 +53,12 @@ def test_clock_fits_are_as_good_as_they_say() -> None:
         late = np.repeat(rng.normal(0, 1e-3, 100), 10) + rng.normal(0, 3e-4, 1000)
         fit = fit_clock(t, t + 0.5 + 20e-6 * (t - t.mean()) + late)
         assert fit is not None
-        squares.append([((fit.offset_s - 0.5) / fit.sigma_offset_s) ** 2,
-                        ((fit.drift_ppm - 20) / fit.sigma_drift_ppm) ** 2])  # fmt: skip
+        squares.append(
+            [
+                ((fit.offset_s - 0.5) / fit.sigma_offset_s) ** 2,
+                ((fit.drift_ppm - 20) / fit.sigma_drift_ppm) ** 2,
+            ]
+        )
     # 18 degrees of freedom: t-distributed, mean square 18/16; its mean over 300 scatters by 0.1 (99.9 %: 0.3)
     np.testing.assert_allclose(np.mean(squares, axis=0), 18 / 16, atol=0.3)
 

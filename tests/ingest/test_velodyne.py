@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import ConfigError, InputError, ThalwegError, UnsupportedError
-from thalweg.ingest.velodyne.model import ELEVATION_DEG, RING, VERTICAL_CORRECTION_M
-from thalweg.ingest.velodyne.reader import LidarOptions, PointBlock, iter_points, scan_lidar
+from thalweg.core import ConfigError, InputError, ThalwegError, UnsupportedError
+from thalweg.ingest import LidarOptions, PointBlock
+from thalweg.ingest.velodyne import VLP16
+from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
@@ -73,9 +74,15 @@ def slow_decoder(packets, corrected=True):
                             r * math.cos(omega) * math.sin(alpha),
                             r * math.cos(omega) * math.cos(alpha),
                             r * math.sin(omega) + up,
-                            r, alpha, laser, i, k + 1, len(found), number,
+                            r,
+                            alpha,
+                            laser,
+                            i,
+                            k + 1,
+                            len(found),
+                            number,
                         )
-                    )  # fmt: skip
+                    )
     return np.array(rows)
 
 
@@ -101,9 +108,9 @@ def assert_equal_to_slow(p, slow):
 
 def test_tables_of_the_manual():
     assert {
-        k: (e, v) for k, (e, v) in enumerate(zip(ELEVATION_DEG, VERTICAL_CORRECTION_M * 1e3, strict=True))
+        k: (e, v) for k, (e, v) in enumerate(zip(VLP16.elevation_deg, VLP16.vertical_m * 1e3, strict=True))
     } == ({k: (e, pytest.approx(v)) for k, (e, v) in MANUAL.items()})
-    assert np.array_equal(ELEVATION_DEG[np.argsort(RING)], np.arange(-15, 16, 2))
+    assert np.array_equal(VLP16.elevation_deg[np.argsort(VLP16.ring)], np.arange(-15, 16, 2))
 
 
 @pytest.mark.parametrize("corrected", [True, False])
@@ -229,22 +236,28 @@ def test_limited_field_of_view_is_told(tmp_path):
 
 @pytest.mark.parametrize(
     ("product", "name"),
-    [
-        (0x21, "HDL-32E"),
-        (0x24, "Puck Hi-Res"),
-        (0x28, "VLP-32C"),
-        (0xA1, "VLS-128"),
-        (0x20, "HDL-64E"),
-        (0x77, "unk"),
-    ],
+    [(0x21, "HDL-32E"), (0x28, "VLP-32C"), (0xA1, "VLS-128"), (0x20, "HDL-64E"), (0x77, "unk")],
 )
 def test_other_models_are_refused_by_name(tmp_path, product, name):
     path = write(tmp_path / "a.pcap", log.recording(log.times(30), product=product))
-    with pytest.raises(UnsupportedError, match=f"{name}.*expected VLP-16.*set lidar.model to VLP-16"):
+    with pytest.raises(UnsupportedError, match=f"{name}.*expected .*set lidar.model to (it|VLP-16)"):
         scan_lidar([path])
     scan = scan_lidar([path], LidarOptions(model="VLP-16"))
     assert scan.report.notes[0].startswith(f"The packets say {name}")
     assert scan.n_points == len(points(path, LidarOptions(model="VLP-16"))["range_m"]) > 9000
+
+
+def test_a_hi_res_is_told_by_its_product_byte(tmp_path):
+    """It has the timing of the VLP-16 and other lasers: the same packets make a cloud of less height."""
+    records = log.times(30)
+    path = write(tmp_path / "a.pcap", log.recording(records, product=0x24))
+    assert scan_lidar([path]).model == "Puck Hi-Res"
+    flat, steep = points(path), points(path, LidarOptions(model="VLP-16"))
+    assert np.array_equal(flat["range_m"], steep["range_m"])
+    assert np.array_equal(flat["ring"], steep["ring"])
+    low = flat["ring"] == 0
+    z = flat["range_m"][low].astype(float) * math.sin(math.radians(-10.0)) + 7.4e-3
+    close(flat["xyz_scs_m"][low, 2], z, 1e-5)  # float32
 
 
 def test_bad_settings():
@@ -260,8 +273,8 @@ def test_bad_settings():
 
 def test_wrong_model_setting(tmp_path):
     path = write(tmp_path / "a.pcap", log.recording(log.times(3)))
-    with pytest.raises(UnsupportedError, match=r"lidar\.model 'VLP-32C'"):
-        scan_lidar([path], LidarOptions(model="VLP-32C"))
+    with pytest.raises(UnsupportedError, match=r"lidar\.model 'VLS-128'"):
+        scan_lidar([path], LidarOptions(model="VLS-128"))
 
 
 def test_wanting_a_return_that_was_not_recorded_is_told(tmp_path):

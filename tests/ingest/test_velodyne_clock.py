@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.timescales import gps_from_unix
+from thalweg.core import gps_from_unix
+from thalweg.ingest import LidarClock
 from thalweg.ingest.velodyne.clock import parse_rmc
-from thalweg.ingest.velodyne.reader import LidarClock, iter_points, scan_lidar
+from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)

@@ -73,9 +73,18 @@ def udp(payload, port, *, sender=(192, 168, 1, 201), options=b"", fragment=0, pr
     payload = bytes(payload)
     u = struct.pack(">HHHH", 443, port, 8 + len(payload), 0) + payload
     head = struct.pack(
-        ">BBHHHBBH4s4s", 0x45 + len(options) // 4, 0, 20 + len(options) + len(u), 7, fragment, 64, proto, 0,
-        bytes(sender), b"\xff" * 4,
-    )  # fmt: skip
+        ">BBHHHBBH4s4s",
+        0x45 + len(options) // 4,
+        0,
+        20 + len(options) + len(u),
+        7,
+        fragment,
+        64,
+        proto,
+        0,
+        bytes(sender),
+        b"\xff" * 4,
+    )
     return head + options + u
 
 

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError, UnsupportedError
+from thalweg.core import InputError, UnsupportedError
+from thalweg.ingest import LidarOptions
+from thalweg.ingest.velodyne import VLP16
 from thalweg.ingest.velodyne.packets import read_packets
-from thalweg.ingest.velodyne.reader import LidarOptions, iter_points, scan_lidar
+from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 
 _builder = Path(__file__).with_name("test_velodyne_log.py")
 _spec = importlib.util.spec_from_file_location("velodyne_log", _builder)
@@ -21,7 +23,9 @@ STEP = 1327.104
 def stream(files, chunk_bytes=8 << 20):
     """Unrolled stamps of the packets kept, and all events."""
     blocks = list(
-        read_packets(files, any_product=False, data_port=2368, position_port=8308, chunk_bytes=chunk_bytes)
+        read_packets(
+            files, model=VLP16, any_product=False, data_port=2368, position_port=8308, chunk_bytes=chunk_bytes
+        )
     )
     kept = np.concatenate([b.t_us[b.keep] for b in blocks])
     return kept, np.concatenate([b.event for b in blocks])

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.timescales import gps_from_unix
+from thalweg.core import gps_from_unix
 from thalweg.ingest.velodyne.clock import parse_rmc
 from thalweg.ingest.velodyne.reader import scan_lidar
 from thalweg.ingest.velodyne.report import HostPairs

@@ -8,16 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.frames import LocalFrame, rotation_opk
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.echo import simulate_echo
-from thalweg_lab.instruments.gnss import simulate_gnss
-from thalweg_lab.instruments.ins import simulate_ins
-from thalweg_lab.instruments.lidar import simulate_lidar
-from thalweg_lab.instruments.tls import simulate_tls
-from thalweg_lab.river.scene import Scene, simulate_scene
-from thalweg_lab.voyage.truth import simulate_voyage
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg.core import LocalFrame, rotation_opk
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import simulate_echo, simulate_gnss, simulate_ins, simulate_lidar, simulate_tls
+from thalweg_lab.river import Scene, simulate_scene
+from thalweg_lab.voyage import Voyage, simulate_voyage
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 R_ICS_SCS = rotation_opk(0.01, -np.pi / 2 + 0.02, -0.015)

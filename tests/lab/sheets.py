@@ -4,9 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.core.types import ArrayF
-from thalweg_lab.river.materials import Material
-from thalweg_lab.river.scene import Scene
+from thalweg.core import ArrayF
+from thalweg_lab.river import Material, Scene
 
 
 def sheet(centre: Any, along: Any, across: Any) -> tuple[ArrayF, np.ndarray]:

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg_lab.river.materials import COLOUR, Material
-from thalweg_lab.river_images.appearance import noise, surface_colour, surface_look
+from thalweg.core import GeometryError
+from thalweg_lab.river import COLOUR, Material
+from thalweg_lab.river_images import surface_look
+from thalweg_lab.river_images.appearance import noise, surface_colour
 
 GROUND = [Material.BED, Material.GRAVEL, Material.SOIL, Material.GRASS]
 UPRIGHT = [Material.STONE, Material.BARK, Material.WALL, Material.ROOF, Material.CONCRETE, Material.WOOD]

@@ -8,11 +8,11 @@ import pytest
 from scipy.spatial import cKDTree
 from tests.lab.conftest import FRAME, SEED, Twin, short
 
-from thalweg.core.errors import CoverageError
-from thalweg.ingest.tracks.bed_survey import read_bed_survey
-from thalweg_lab.instruments.bed_survey import DEPTHS_M, REACH_M, bed_points, simulate_bed_survey
-from thalweg_lab.river.materials import Material
-from thalweg_lab.river.scene import Scene
+from thalweg.core import CoverageError
+from thalweg.ingest.tracks import read_bed_survey
+from thalweg_lab.instruments import simulate_bed_survey
+from thalweg_lab.instruments.bed import DEPTHS_M, REACH_M, bed_points
+from thalweg_lab.river import Material, Scene
 
 
 @pytest.fixture(scope="module")

@@ -8,16 +8,10 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.core.timescales import ADJUSTED_OFFSET_S, unix_from_gps
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.display_photos import (
-    DisplayLook,
-    Light,
-    clock_text,
-    exposures,
-    shown_in,
-    simulate_display,
-)
+from thalweg.core import ADJUSTED_OFFSET_S, unix_from_gps
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import simulate_display
+from thalweg_lab.instruments.display_photos import DisplayLook, Light, clock_text, exposures, shown_in
 
 SEED = 7
 

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.settings.twin.sections import TwinConfig, TwinEffects
-from thalweg_lab.instruments.effects import damage_file, inside, lost_packets
+from thalweg.settings.twin import TwinConfig, TwinEffects
+from thalweg_lab.instruments import inside
+from thalweg_lab.instruments.effects import damage_file, lost_packets
 
 
 def test_damage_is_where_the_report_says(tmp_path: Path) -> None:
@@ -29,8 +30,12 @@ def test_damage_is_where_the_report_says(tmp_path: Path) -> None:
 
 def test_spans_and_bursts() -> None:
     assert inside(np.array([0.0, 1.0, 1.9, 2.0, 5.0]), ((1.0, 1.0), (5.0, 0.1))).tolist() == [
-        False, True, True, False, True,
-    ]  # fmt: skip
+        False,
+        True,
+        True,
+        False,
+        True,
+    ]
     effects = TwinConfig.of_size("tiny", effects={"lost_packets": 0.1, "lost_burst": 10}).effects
     lost = lost_packets(effects, 10_000, np.random.default_rng(2))
     # 100 bursts of 10; overlaps take some away.

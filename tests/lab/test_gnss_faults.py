@@ -11,18 +11,19 @@ import pytest
 from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.types import ArrayF
-from thalweg.ingest.sbp.reader import read_sbp
-from thalweg.ingest.tracks.rtklib_pos import read_pos
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.gnss import antenna_errors_m, multipath_errors_m, simulate_gnss, stated_sigmas_m
-from thalweg_lab.instruments.shadow import Solution
-from thalweg_lab.river.materials import Material
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.voyage.motion import epochs
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg.core import ArrayF, ConfigError, LocalFrame
+from thalweg.ingest.sbp import read_sbp
+from thalweg.ingest.tracks import read_pos
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import (
+    Solution,
+    antenna_errors_m,
+    multipath_errors_m,
+    simulate_gnss,
+    stated_sigmas_m,
+)
+from thalweg_lab.river import Material, Scene
+from thalweg_lab.voyage import Voyage, epochs
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 ANTENNA_M = np.array([0.10, -0.05, -0.45])
@@ -62,9 +63,15 @@ def record(tmp_path: Path) -> Callable[..., tuple[dict[str, Any], Path]]:
         if scene is not None and path is not None:
             scene.write(path)
         facts = simulate_gnss(
-            config, SEED, FRAME, folder / "rover.sbp", folder / "ppk.pos",
-            lever_ics_antenna_m=ANTENNA_M, scene=path, out_effects=folder / "gnss.json",
-        )  # fmt: skip
+            config,
+            SEED,
+            FRAME,
+            folder / "rover.sbp",
+            folder / "ppk.pos",
+            lever_ics_antenna_m=ANTENNA_M,
+            scene=path,
+            out_effects=folder / "gnss.json",
+        )
         assert json.loads((folder / "gnss.json").read_text()) == json.loads(
             json.dumps({"stream": "gnss", **facts})
         )
@@ -221,9 +228,11 @@ def test_shadow_and_multipath_need_the_scene(record: Any) -> None:
 
 def test_outages_and_floats_by_time_come_on_top(record: Any) -> None:
     config = TwinConfig.of_size(
-        "tiny", duration_s=8.0, gnss={"shadow": True},
+        "tiny",
+        duration_s=8.0,
+        gnss={"shadow": True},
         effects={"gnss_outages": [[2, 1]], "gnss_floats": [[4, 2]]},
-    )  # fmt: skip
+    )
     facts, _ = record("both", config, scene_of(GROUND))
     for engine in ("rtk", "ppk"):
         assert facts["spans_not_fixed"][engine] == [[2.0, 1.0, "none"], [4.0, 2.0, "float"]]

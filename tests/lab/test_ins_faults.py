@@ -8,21 +8,20 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.frames import R_ENU_NED, LocalFrame, rotation_enu_body
-from thalweg.ingest.anpp.reader import AnppLog, read_anpp
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.random import gauss_markov, generator
-from thalweg_lab.instruments.attitude_errors import attitude_errors_rad, standing_drift_rad
-from thalweg_lab.instruments.ins import simulate_ins
-from thalweg_lab.instruments.magnetic import (
+from thalweg.core import R_ENU_NED, LocalFrame, rotation_enu_body
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.anpp.reader import AnppLog
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import attitude_errors_rad, boat_field_mg, simulate_ins
+from thalweg_lab.instruments.ins import (
     EARTH_NED_MG,
-    boat_field_mg,
     levelled_error_rad,
     low_pass,
     magnetic_heading_error_rad,
+    standing_drift_rad,
 )
-from thalweg_lab.voyage.motion import epochs
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg_lab.random_numbers import gauss_markov, generator
+from thalweg_lab.voyage import Voyage, epochs
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SEED = 5

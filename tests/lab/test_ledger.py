@@ -10,32 +10,37 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.budgets.published import BY_CHOICE
-from thalweg.core.errors import ConfigError, InputError
-from thalweg_lab.reproduction.files import ALWAYS_PUT_IN, PUT_IN, Entry, Ours, read_ledger, result_files
+from thalweg.budgets import BY_CHOICE
+from thalweg.core import ConfigError, InputError
+from thalweg_lab.reproduction import (
+    MISSED,
+    NO_RESULT,
+    Results,
+    counts,
+    judged,
+    markdown,
+    read_ledger,
+    result_files,
+    sentence,
+)
+from thalweg_lab.reproduction.files import ALWAYS_PUT_IN, PUT_IN, Entry, Ours
 from thalweg_lab.reproduction.ledger import (
     ABOVE,
     BELOW,
     FOUND,
     FUNCTIONS,
-    MISSED,
-    NO_RESULT,
     NOT_CHECKABLE,
     SHOWN,
     VERDICTS,
     WAS_PUT_IN,
     WEAKEST_FIRST,
+    Found,
     count,
-    counts,
     distinct,
-    judged,
-    markdown,
     ours_words,
-    sentence,
     verdict_of,
     verdict_words,
 )
-from thalweg_lab.reproduction.values import Found, Results
 
 ROWS = (
     *(f"C{i:03d}" for i in range(67, 87)),
@@ -148,13 +153,17 @@ def test_the_small_ledger_matches(small) -> None:
     table = judged(*small)
     assert table["verdict"].tolist() == [BELOW, WAS_PUT_IN, WAS_PUT_IN, FOUND, NOT_CHECKABLE]
     assert {verdict: n for verdict, n in count(table).items() if n} == {
-        BELOW: 1, WAS_PUT_IN: 2, FOUND: 1, NOT_CHECKABLE: 1,
-    }  # fmt: skip
+        BELOW: 1,
+        WAS_PUT_IN: 2,
+        FOUND: 1,
+        NOT_CHECKABLE: 1,
+    }
     # 0.2 of a bound of 0.21
     np.testing.assert_allclose(table["of_bound"], [0.2 / 0.21, *[np.nan] * 4])
     assert [verdict_words(row) for row in table.to_dict("records")][:2] == [
-        "below a bound: 95.2 % of it", "put in: a constant of the stored instrument",
-    ]  # fmt: skip
+        "below a bound: 95.2 % of it",
+        "put in: a constant of the stored instrument",
+    ]
     assert table["n"].iloc[0] == 1024
     np.testing.assert_allclose(table["sigma"].iloc[3], np.std([0.30, 0.35], ddof=1))
     np.testing.assert_allclose(table["difference"].iloc[0], -0.01)
@@ -242,14 +251,23 @@ def test_counts_and_the_sentence_agree_and_add_up() -> None:
     studies = ["reproduction/multi_line_models.csv: n", "panels.csv: n"]
     table = numbers(
         verdict=[
-            FOUND, WAS_PUT_IN, BY_CHOICE, BELOW, BELOW, ABOVE, SHOWN, MISSED, NOT_CHECKABLE,
-            NO_RESULT, NO_RESULT,
+            FOUND,
+            WAS_PUT_IN,
+            BY_CHOICE,
+            BELOW,
+            BELOW,
+            ABOVE,
+            SHOWN,
+            MISSED,
+            NOT_CHECKABLE,
+            NO_RESULT,
+            NO_RESULT,
         ],
         printed=list("abcdefghijk"),
         of_bound=[*[np.nan] * 3, 0.2, 0.5, *[np.nan] * 6],
         put_in=["", "setting", "fitted", *[""] * 8],
         source=[*[""] * 9, *studies],
-    )  # fmt: skip
+    )
     assert sentence(table) == (
         "of 11 distinct numbers: 1 found, 2 put in (1 of them met by an input chosen for it), "
         "2 below a bound (1 of them below a third of it), 1 above a bound, "
@@ -277,19 +295,43 @@ def test_inputs_constants_and_arithmetic_are_put_in(ledger) -> None:
     """Every class of an audit by hand: nothing of it may come back as a finding."""
     by_name = {entry.name: entry.put_in for entry in ledger}
     for name, put_in in (
-        ("C278 opening", "constant"), ("C228", "constant"), ("C226 x", "constant"), ("C082", "setting"),
-        ("C230", "setting"), ("C227", "setting"), ("C295", "setting"), ("C285 ground", "setting"),
-        ("C284", "setting"), ("C281 pairs", "setting"), ("C293 length", "setting"), ("C245 sigma", "setting"),
-        ("C327 spacing", "setting"), ("C221 laser z", "decoded"), ("C282", "decoded"),
-        ("C236 wreck rule", "definition"), ("C084 joint", "definition"), ("C076", "arithmetic"),
-        ("C237 stepped counted", "arithmetic"), ("C303 opening", "arithmetic"), ("C276 ratio", "arithmetic"),
-        ("C225 Table 1", "fitted"), ("C255 largest", "fitted"), ("C288 least", "fitted"),
+        ("C278 opening", "constant"),
+        ("C228", "constant"),
+        ("C226 x", "constant"),
+        ("C082", "setting"),
+        ("C230", "setting"),
+        ("C227", "setting"),
+        ("C295", "setting"),
+        ("C285 ground", "setting"),
+        ("C284", "setting"),
+        ("C281 pairs", "setting"),
+        ("C293 length", "setting"),
+        ("C245 sigma", "setting"),
+        ("C327 spacing", "setting"),
+        ("C221 laser z", "decoded"),
+        ("C282", "decoded"),
+        ("C236 wreck rule", "definition"),
+        ("C084 joint", "definition"),
+        ("C076", "arithmetic"),
+        ("C237 stepped counted", "arithmetic"),
+        ("C303 opening", "arithmetic"),
+        ("C276 ratio", "arithmetic"),
+        ("C225 Table 1", "fitted"),
+        ("C255 largest", "fitted"),
+        ("C288 least", "fitted"),
         ("C291 depth", "fitted"),
-        ("C321 total", "fitted"), ("C275", "fitted"), ("C302 2019", "fitted"), ("C302 2021", "fitted"),
+        ("C321 total", "fitted"),
+        ("C275", "fitted"),
+        ("C302 2019", "fitted"),
+        ("C302 2021", "fitted"),
         # measured: the heights of the object were put in, but not what the scan finds of them
-        ("C293 level 2", ""), ("C237 stepped", ""), ("C068 row by row", ""), ("C254 index", ""),
-        ("C283 least depth", ""), ("C070 vector form", ""),
-    ):  # fmt: skip
+        ("C293 level 2", ""),
+        ("C237 stepped", ""),
+        ("C068 row by row", ""),
+        ("C254 index", ""),
+        ("C283 least depth", ""),
+        ("C070 vector form", ""),
+    ):
         assert by_name[name] == put_in, name
     for entry in ledger:
         compared = entry.rule not in ("present", "not checkable")
@@ -359,16 +401,22 @@ TAKEN = pd.DataFrame(
 @pytest.mark.parametrize(
     ("more", "value"),
     [
-        ({"take": "mean"}, -0.5), ({"take": "median"}, -0.5), ({"take": "sum"}, -1.0),
-        ({"take": "least"}, -4.0), ({"take": "largest"}, 3.0), ({"take": "largest size"}, 4.0),
-        ({"take": "rms"}, np.sqrt(12.5)), ({"take": "count"}, 2.0),
-        ({"take": "largest", "times": 10.0}, 30.0), ({"take": "largest", "over": "b"}, 3.0),
+        ({"take": "mean"}, -0.5),
+        ({"take": "median"}, -0.5),
+        ({"take": "sum"}, -1.0),
+        ({"take": "least"}, -4.0),
+        ({"take": "largest"}, 3.0),
+        ({"take": "largest size"}, 4.0),
+        ({"take": "rms"}, np.sqrt(12.5)),
+        ({"take": "count"}, 2.0),
+        ({"take": "largest", "times": 10.0}, 30.0),
+        ({"take": "largest", "over": "b"}, 3.0),
         ({"take": "rms", "columns": ("a", "b")}, np.sqrt(34 / 5)),
         ({"take": "one", "where": {"b": 1.0}}, 3.0),
         ({"columns": ("word",), "near": {"a": (0.0, 9.0)}, "words": {"one": 1.0, "two": 2.0}}, 1.0),
         ({"take": "largest", "against": "t.csv"}, 1.0),
     ],
-)  # fmt: skip
+)
 def test_several_numbers_become_one(tmp_path: Path, more: dict, value: float) -> None:
     TAKEN.to_csv(tmp_path / "t.csv", index=False)
     ours = replace(Ours(source="file", name="t.csv", where={}, near={}, columns=("a",)), **more)

@@ -13,14 +13,12 @@ import pandas as pd
 import pytest
 import velodyne_decoder
 
-from thalweg.core.tables import read_table
-from thalweg.core.timescales import gps_from_unix
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.beams import beams
-from thalweg_lab.instruments.shots import LIDAR_SHOTS
-from thalweg_lab.river.materials import Material
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg.core import gps_from_unix, read_table
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import LIDAR_SHOTS
+from thalweg_lab.instruments.lidar import beams
+from thalweg_lab.river import Material, Scene
+from thalweg_lab.voyage import Voyage
 
 Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
 SHARP: dict[str, Any] = {"divergence_mrad": 0.0, "mirror_ghosts": False, "own_hull": False}
@@ -62,8 +60,17 @@ def decode(data: list[bytes]) -> pd.DataFrame:
         there = distance > 0
         t_gps = gps_from_unix(hour, stamp) + t
         laser = np.broadcast_to(np.arange(16), distance.shape)
-        rows.append(np.stack([t_gps[there], np.deg2rad(turned[there] / 100), laser[there], distance[there],
-                              shots[..., 2][there].astype(float)]))  # fmt: skip
+        rows.append(
+            np.stack(
+                [
+                    t_gps[there],
+                    np.deg2rad(turned[there] / 100),
+                    laser[there],
+                    distance[there],
+                    shots[..., 2][there].astype(float),
+                ]
+            )
+        )
     return pd.DataFrame(np.hstack(rows).T, columns=["t_gps_s", "azimuth", "laser", "range_m", "brightness"])
 
 

@@ -10,13 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.tables import read_table
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.shots import LIDAR_SHOTS, EchoKind
-from thalweg_lab.river.materials import Material
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.voyage.motion import start_gps_s
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg.core import read_table
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
+from thalweg_lab.river import Material, Scene
+from thalweg_lab.voyage import Voyage, start_gps_s
 
 Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
 SEED = 5

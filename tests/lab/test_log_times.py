@@ -9,23 +9,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.timescales import ADJUSTED_OFFSET_S, WEEK_S, gps_from_unix
-from thalweg.ingest.anpp.reader import read_anpp
-from thalweg.ingest.nmea.reader import read_nmea
-from thalweg.ingest.sbp.reader import read_sbp
-from thalweg.ingest.tracks.rtklib_pos import read_pos
+from thalweg.core import ADJUSTED_OFFSET_S, WEEK_S, ConfigError, LocalFrame, gps_from_unix
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.nmea import read_nmea
+from thalweg.ingest.sbp import read_sbp
+from thalweg.ingest.tracks import read_pos
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.echo import simulate_echo
-from thalweg_lab.instruments.gnss import simulate_gnss
-from thalweg_lab.instruments.ins import simulate_ins
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import simulate_echo, simulate_gnss, simulate_ins
 from thalweg_lab.instruments.lidar import LidarClock
-from thalweg_lab.river.materials import Material
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.voyage.motion import epochs
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg_lab.river import Material, Scene
+from thalweg_lab.voyage import Voyage, epochs
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 ANTENNA_M = np.array([0.10, -0.05, -0.45])

@@ -20,23 +20,24 @@ from pyproj import CRS, Transformer
 from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import LocalFrame, roll_pitch_heading
-from thalweg.core.timescales import gps_from_unix, gps_from_week
-from thalweg.settings.twin.sections import TwinConfig
+from thalweg.core import ConfigError, LocalFrame, gps_from_unix, gps_from_week, roll_pitch_heading
+from thalweg.settings.twin import TwinConfig
 from thalweg.workflow.codehash import imported_modules, reached_modules
-from thalweg_lab.base.river import River
-from thalweg_lab.instruments.attitude_errors import attitude_errors_rad
-from thalweg_lab.instruments.echo import true_depth_m
-from thalweg_lab.instruments.gnss import antenna_errors_m, simulate_gnss, stated_sigmas_m
-from thalweg_lab.instruments.ins import simulate_ins, velocity_errors_mps
-from thalweg_lab.instruments.shadow import Solution
-from thalweg_lab.instruments.tls import simulate_tls
-from thalweg_lab.river.materials import Material
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.voyage.motion import epochs
-from thalweg_lab.voyage.voyage import Voyage
-from thalweg_lab.writers import anpp, nmea
+from thalweg_lab import writers
+from thalweg_lab.instruments import (
+    Solution,
+    antenna_errors_m,
+    attitude_errors_rad,
+    simulate_gnss,
+    simulate_ins,
+    simulate_tls,
+    stated_sigmas_m,
+    velocity_errors_mps,
+)
+from thalweg_lab.instruments.bed import true_depth_m
+from thalweg_lab.reach import River
+from thalweg_lab.river import Material, Scene
+from thalweg_lab.voyage import Voyage, epochs
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 ANTENNA_M = np.array([0.10, -0.05, -0.45])
@@ -74,8 +75,18 @@ def ins_table(path: Path) -> pd.DataFrame:
         if identifier == 20:
             p = sdk_decode(SystemStatePacket, raw)
             t = float(gps_from_unix(p.unix_time_seconds, p.microseconds))
-            rows.append([t, p.filter_status.utc_time_initialised, p.latitude, p.longitude, p.height,
-                         *p.orientation, *p.velocity, *p.angular_velocity])  # fmt: skip
+            rows.append(
+                [
+                    t,
+                    p.filter_status.utc_time_initialised,
+                    p.latitude,
+                    p.longitude,
+                    p.height,
+                    *p.orientation,
+                    *p.velocity,
+                    *p.angular_velocity,
+                ]
+            )
     names = ["t", "utc", "lat", "lon", "h", "roll", "pitch", "heading", "vn", "ve", "vd", "wx", "wy", "wz"]
     return pd.DataFrame(rows, columns=names)
 
@@ -151,19 +162,14 @@ def test_depth_packets_need_the_scene(twin: Any, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="depth_rate_hz"):
         simulate_ins(config, SEED, FRAME, tmp_path / "depth.anpp")
     facts = simulate_ins(
-        config,
-        SEED,
-        FRAME,
-        tmp_path / "depth.anpp",
-        scene=twin.path("scene.npz"),
-        lever_ics_echo_m=ECHO_M,
+        config, SEED, FRAME, tmp_path / "depth.anpp", scene=twin.path("scene.npz"), lever_ics_echo_m=ECHO_M
     )
     packets = sdk_packets(tmp_path / "depth.anpp")
     assert sum(i == 53 for i, _ in packets) == facts["depths"] == 80
 
 
 def test_header_sums_and_checksums_of_anpp() -> None:
-    raw = anpp.packet(58, b"123456789")
+    raw = writers.anpp_packet(58, b"123456789")
     assert sum(raw[:5]) % 256 == 0
     # CRC-16/CCITT-FALSE of "123456789" is 0x29B1 (catalogue of CRC algorithms).
     assert raw[3:5] == bytes([0xB1, 0x29])
@@ -356,11 +362,14 @@ def test_the_depth_is_that_of_the_bed(twin: Any, scene: Scene) -> None:
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(51.0, "5100.0000000,N,01315.0000000,E"), (-0.5, "0030.0000000,S,01315.0000000,E"),
-     (59.99999999999, "6000.0000000,N,01315.0000000,E")],
-)  # fmt: skip
+    [
+        (51.0, "5100.0000000,N,01315.0000000,E"),
+        (-0.5, "0030.0000000,S,01315.0000000,E"),
+        (59.99999999999, "6000.0000000,N,01315.0000000,E"),
+    ],
+)
 def test_minutes_never_print_as_sixty(value: float, text: str) -> None:
-    assert text in nmea.rmc(1620809998_500000, value, 13.25, 1.0, -10.0)
+    assert text in writers.rmc(1620809998_500000, value, 13.25, 1.0, -10.0)
 
 
 def test_scans_lie_on_the_surface_within_their_noise(twin: Any, scene: Scene) -> None:
@@ -406,10 +415,10 @@ def test_each_target_is_a_station_of_its_own(twin: Any, tmp_path: Path) -> None:
 FORMULAS = {
     "core/frames.py": ("core/test_frames.py", "Rotation.from_euler"),
     "core/rigid.py": ("core/test_adjustment.py", "source @ truth.T"),
-    "core/camera/model.py": ("core/test_camera.py", "cv2.projectPoints"),
+    "core/camera.py": ("core/test_camera.py", "cv2.projectPoints"),
     "core/timescales.py": ("core/test_timescales.py", "dt.datetime"),
     "core/geometry/raycast.py": ("core/test_raycast.py", "test_slanting_rays_meet_a_plane"),
-    "calibration/markers/sheets.py": ("calibration/test_marker_sheets.py", "cv2.aruco.generateImageMarker"),
+    "calibration/marker_sheets.py": ("calibration/test_marker_sheets.py", "cv2.aruco.generateImageMarker"),
     "lightsheet/optics/interfaces.py": ("lightsheet/test_optics.py", "test_fermat"),
     "lightsheet/optics/refractive_index.py": ("lightsheet/test_optics.py", "Schiebener et al. 1990"),
     "lightsheet/optics/sensor.py": ("lightsheet/test_intersection.py", "test_golden_points_of_paper_4"),
@@ -422,33 +431,37 @@ HOLDERS = {
     "calibration/field/points.py": "writes the file of the points of the light-sheet series",
     "core/calibration/model.py": "true values with their names",
     "core/errors.py": "messages",
-    "core/json_files.py": "files",
-    "core/las/header.py": "the plausible extent of a scan",
-    "core/geometry/mesh.py": "true surfaces",
-    "core/geometry/mesh_ply.py": "files",
+    "core/kernels.py": "how loops are compiled",
     "core/tables.py": "files",
+    "core/las.py": "the plausible extent of a scan",
+    "core/geometry/mesh.py": "true surfaces",
     "core/trajectory.py": "writes the truth",
     "core/types.py": "types",
     "lidar/mount.py": "the pose of a mount",
     "images/model/poses.py": "true poses of images",
     "lightsheet/multi_line/level_points.py": "observations of lines, as they are measured",
-    "lightsheet/optics/sensor_files.py": "writes the sensor of the campaign, and the true one",
 }
 """Modules that the generators use to hold and write what they made; none of their formulas shapes a log."""
 
-BEHIND = {
-    "core/calibration/files.py", "core/lever_arms.py", "core/mistakes.py", "core/geometry/ply_header.py",
-    "core/propagation.py", "core/yaml_lines.py",
-    "lightsheet/optics/refracted_rays.py", "lightsheet/optics/threads.py",
-}  # fmt: skip
+BEHIND = {"core/documents.py", "lightsheet/optics/refraction.py"}
 """What the modules above import for their other functions; no generator imports it itself."""
 
 
 GENERATORS = (
-    "base", "instruments", "river", "river_images", "tank", "time_lapse", "voyage", "writers", "yard",
-    "yard_images", "yard_records",
-)  # fmt: skip
-"""Packages of the laboratory that simulate."""
+    "instruments",
+    "random_numbers",
+    "reach",
+    "river",
+    "river_images",
+    "tank",
+    "time_lapse",
+    "voyage",
+    "writers",
+    "yard",
+    "yard_images",
+    "yard_records",
+)
+"""Packages and modules of the laboratory that simulate."""
 
 
 def of_library(modules: Iterable[Path], package: Path) -> set[str]:
@@ -461,7 +474,9 @@ def test_the_twin_shares_no_code_with_the_processing(repository: Path) -> None:
     """But for what is named above, module by module; a name that is not used any more has to go."""
     package = repository / "src" / "thalweg"
     # studies and comparisons with the truth process by design
-    generators = [p for name in GENERATORS for p in (package.parent / "thalweg_lab" / name).rglob("*.py")]
+    laboratory = package.parent / "thalweg_lab"
+    places = [(laboratory / name, laboratory / f"{name}.py") for name in GENERATORS]
+    generators = [p for folder, module in places for p in [module, *folder.rglob("*.py")] if p.is_file()]
     reached = set().union(*(reached_modules(path) for path in generators))
     assert not any("studies" in path.parts for path in reached)
     direct = of_library(set().union(*(imported_modules(path) for path in generators)), package)

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.river.materials import Material
-from thalweg_lab.river.scene import Scene, build_scene
-from thalweg_lab.river.shading import (
+from thalweg.core import GeometryError, LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.river import (
+    Material,
+    Scene,
+    Waves,
+    build_scene,
     developed,
     fresnel,
     half_sphere,
@@ -26,13 +27,11 @@ from thalweg_lab.river.shading import (
     under_water,
     vertex_normals,
 )
-from thalweg_lab.river.waves import Waves
-from thalweg_lab.river_images.daylight import Sun, clear_sky, sky
+from thalweg_lab.river_images import Sun, simulate_view, sky
+from thalweg_lab.river_images.daylight import clear_sky
 from thalweg_lab.river_images.picture import SKY, Painter, render
 from thalweg_lab.river_images.pinhole import PictureCamera
-from thalweg_lab.river_images.view import simulate_view
-from thalweg_lab.voyage.motion import start_unix
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg_lab.voyage import Voyage, start_unix
 
 NOON = Sun(azimuth_rad=np.pi, elevation_rad=np.deg2rad(60.0))
 CALM = Waves.draw(1, rms_slope=0.0)
@@ -52,9 +51,12 @@ def made(*parts: tuple[np.ndarray, Material], water_level_m: float = 0.0) -> Sce
     )
     material = np.repeat(np.array([m for _, m in parts], dtype=np.uint8), 2)
     return Scene(
-        vertices_wcs_m=vertices, triangles=triangles, material=material, water_level_m=water_level_m,
+        vertices_wcs_m=vertices,
+        triangles=triangles,
+        material=material,
+        water_level_m=water_level_m,
         variation=np.full(len(triangles), 0.5, dtype=np.float32),
-    )  # fmt: skip
+    )
 
 
 GROUND = quad([[-50, -50, 1], [50, -50, 1], [50, 50, 1], [-50, 50, 1]])
@@ -352,9 +354,15 @@ def test_the_near_picture_is_taken_where_the_bank_is_sunlit(reach: Scene, tmp_pa
         )
         shaded.write(tmp_path / f"{name}.npz")
         simulate_view(
-            config, 8, frame, tmp_path / f"{name}.npz", tmp_path / "a.npz", tmp_path / f"{name} b.npz",
-            samples=1, shrink=16,
-        )  # fmt: skip
+            config,
+            8,
+            frame,
+            tmp_path / f"{name}.npz",
+            tmp_path / "a.npz",
+            tmp_path / f"{name} b.npz",
+            samples=1,
+            shrink=16,
+        )
         with np.load(tmp_path / f"{name} b.npz") as data:
             return np.array(json.loads(str(data["facts"]))["position_wcs_m"])
 

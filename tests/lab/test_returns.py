@@ -4,17 +4,23 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from thalweg.core.geometry.raycast import RayCaster
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg_lab.instruments.beams import ELEVATION_RAD
-from thalweg_lab.instruments.footprint import Beam, Echoes, Surfaces, echoes_of, part_of
-from thalweg_lab.instruments.returns import choose, quantise, range_sigma_m, seen
-from thalweg_lab.instruments.scanner import fresnel, ghosts, overlap
-from thalweg_lab.instruments.shot_random import ShotRandom
-from thalweg_lab.instruments.shots import EchoKind
-from thalweg_lab.river.hull import LENGTH_M, WIDTH_M, Hull, hull_mesh
-from thalweg_lab.river.materials import REFLECTANCE, Material
-from thalweg_lab.river.waves import Waves
+from thalweg.core import ArrayF, ArrayI
+from thalweg.core.geometry import RayCaster
+from thalweg_lab.instruments import EchoKind
+from thalweg_lab.instruments.footprint import (
+    Beam,
+    Echoes,
+    ShotRandom,
+    Surfaces,
+    choose,
+    echoes_of,
+    part_of,
+    quantise,
+    range_sigma_m,
+    seen,
+)
+from thalweg_lab.instruments.lidar import ELEVATION_RAD, fresnel, ghosts, overlap
+from thalweg_lab.river import LENGTH_M, REFLECTANCE, WIDTH_M, Hull, Material, Waves, hull_mesh
 
 DIVERGENCE = 0.003
 
@@ -165,9 +171,13 @@ def test_wet_ground_is_darker_and_water_gives_no_echo() -> None:
         np.testing.assert_allclose(b.strength[:, 0] / a.strength[:, 0], ratio)
     half = edge(0.6)
     water = Surfaces(
-        caster=half.caster, material=np.array([1, 1, 7, 7], dtype=np.uint8), reflectance=REFLECTANCE,
-        water_level_m=-100.0, wet_band_m=0.0, wet_reflectance=1.0,
-    )  # fmt: skip
+        caster=half.caster,
+        material=np.array([1, 1, 7, 7], dtype=np.uint8),
+        reflectance=REFLECTANCE,
+        water_level_m=-100.0,
+        wet_band_m=0.0,
+        wet_reflectance=1.0,
+    )
     found, _ = look(water, beam(3), 5000, AHEAD, HERE)
     on_ground = found.there[:, 0]
     np.testing.assert_allclose(found.range_m[on_ground, 0], 20.0, atol=1e-3)
@@ -200,9 +210,12 @@ def test_range_noise_of_weak_echoes() -> None:
 
 def test_reported_distances_and_reflectivities() -> None:
     echo = Echoes.single(
-        np.array([10.0011, 0.39, 99.999, np.inf, 50.0]), np.array([0.333, 0.5, 0.001, 0.5, 3.0]),
-        np.zeros((5, 3)), np.zeros(5, dtype=np.uint8), EchoKind.SURFACE,
-    )  # fmt: skip
+        np.array([10.0011, 0.39, 99.999, np.inf, 50.0]),
+        np.array([0.333, 0.5, 0.001, 0.5, 3.0]),
+        np.zeros((5, 3)),
+        np.zeros(5, dtype=np.uint8),
+        EchoKind.SURFACE,
+    )
     distance, brightness = quantise(echo, np.array([0.0, 0.1, 0.002, 0.0, -0.01])[:, None], 100.0)
     assert distance[:, 0].tolist() == [5001, 0, 0, 0, 24995]
     assert brightness[:, 0].tolist() == [33, 0, 0, 0, 100]
@@ -319,9 +332,8 @@ def test_rays_by_way_of_facets_find_the_same_share(
 
     found = seen(slope) / seen(0.0)
     said = overlap(
-        DIVERGENCE, np.full(1, 2 * slope**2), np.full(1, np.cos(incidence)),
-        behind_m / (before_m + behind_m),
-    )[0]  # fmt: skip
+        DIVERGENCE, np.full(1, 2 * slope**2), np.full(1, np.cos(incidence)), behind_m / (before_m + behind_m)
+    )[0]
     assert 0.2 < found < 0.9
     # 2 million rays in some 1,000 bins: 0.1 %; bins: below 1 %; curvature of a wide beam at 80 degrees: 1 %.
     assert found == pytest.approx(said, rel=0.02)

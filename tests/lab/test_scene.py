@@ -5,22 +5,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayB, ArrayF
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.epochs import stretch
-from thalweg_lab.base.river import River
-from thalweg_lab.river.materials import (
+from thalweg.core import ArrayB, ArrayF, InputError
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.reach import River, stretch
+from thalweg_lab.river import (
     BARE_GROUND,
     COLOUR,
     REFLECTANCE,
     REFLECTANCE_1550,
-    VEGETATION,
     Material,
+    MeshParts,
+    Scene,
+    build_scene,
 )
-from thalweg_lab.river.mesh import MeshParts
-from thalweg_lab.river.scene import Scene, build_scene
-from thalweg_lab.river.stones import add_boulders, add_cobbles
+from thalweg_lab.river.land import add_boulders, add_cobbles
+from thalweg_lab.river.mesh import VEGETATION
 
 CONFIG = TwinConfig.of_size("tiny")
 SEED = 8
@@ -455,10 +454,17 @@ def test_without_objects_the_scene_is_ground_and_water() -> None:
     config = TwinConfig.of_size(
         "tiny",
         scene={
-            "stones_per_m": 0.0, "cobbles_per_m": 0.0, "bushes_per_100m": 0.0, "trees_per_100m": 0.0,
-            "grass_per_m": 0.0, "reeds_per_m": 0.0, "posts_per_100m": 0.0, "buildings": 0, "railway": False,
+            "stones_per_m": 0.0,
+            "cobbles_per_m": 0.0,
+            "bushes_per_100m": 0.0,
+            "trees_per_100m": 0.0,
+            "grass_per_m": 0.0,
+            "reeds_per_m": 0.0,
+            "posts_per_100m": 0.0,
+            "buildings": 0,
+            "railway": False,
         },
-    )  # fmt: skip
+    )
     found = set(np.unique(build_scene(config, 1).material))
     assert found == {int(m) for m in (*GROUND, Material.WATER)}
 

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.tables import read_table
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.shots import LIDAR_SHOTS, MANY_SHOTS, drawn_packets
-from thalweg_lab.voyage.motion import start_gps_s
+from thalweg.core import read_table
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import LIDAR_SHOTS
+from thalweg_lab.instruments.footprint import MANY_SHOTS, drawn_packets
+from thalweg_lab.voyage import start_gps_s
 
 Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
 
@@ -24,7 +25,9 @@ def test_the_truth_of_long_recordings_is_that_of_whole_packets(
     assert facts["share"] == 1.0
     assert facts["packets_drawn"] == facts["packets_fired"]
     per = 12 if mode == "dual" else 24
-    monkeypatch.setattr("thalweg_lab.instruments.shots.MANY_SHOTS", 0.3 * facts["packets_fired"] * per * 16)
+    monkeypatch.setattr(
+        "thalweg_lab.instruments.footprint.MANY_SHOTS", 0.3 * facts["packets_fired"] * per * 16
+    )
     # Pieces end inside of what is drawn.
     monkeypatch.setattr("thalweg_lab.instruments.lidar._CHUNK", 100)
     some, _, _ = record("some", lidar={"returns": mode}, duration_s=1.0)

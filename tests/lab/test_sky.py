@@ -6,12 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.types import ArrayF
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.shadow import SkyView, Solution, look_at_sky, multipath_share, solutions, spans
-from thalweg_lab.river.materials import Material
-from thalweg_lab.river.sky import Constellation, dilution
+from thalweg.core import ArrayF, LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import Solution
+from thalweg_lab.instruments.gnss import (
+    Constellation,
+    SkyView,
+    dilution,
+    look_at_sky,
+    multipath_share,
+    solutions,
+    spans,
+)
+from thalweg_lab.river import Material
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SEED = 5
@@ -128,18 +135,32 @@ def view_of(free: list[int], dilution_3d: float = 1.5, dimmed: int = 0, blocked:
     zero = np.zeros(n, dtype=np.int64)
     d = np.full((n, 3), dilution_3d / np.sqrt(3))
     return SkyView(
-        t_gps_s=T0 + np.arange(n), free=np.array(free), dimmed=zero + dimmed, blocked=zero + blocked,
-        reflected=zero, dilution=d, growth=np.ones((n, 3)),
-    )  # fmt: skip
+        t_gps_s=T0 + np.arange(n),
+        free=np.array(free),
+        dimmed=zero + dimmed,
+        blocked=zero + blocked,
+        reflected=zero,
+        dilution=d,
+        growth=np.ones((n, 3)),
+    )
 
 
 def test_thresholds_of_the_solutions() -> None:
     for free, dimmed, blocked, pdop, kind in [
-        (6, 0, 0, 2.9, "FIXED"), (6, 0, 0, 3.1, "FLOAT"), (5, 3, 0, 2.0, "FLOAT"), (0, 5, 0, 9.9, "FLOAT"),
-        (9, 4, 5, 2.0, "FIXED"), (9, 4, 6, 2.0, "FLOAT"), (9, 10, 0, 2.0, "FLOAT"),
-        (5, 0, 0, 10.1, "SINGLE"), (4, 0, 0, 2.0, "SINGLE"), (2, 2, 20, 29.0, "SINGLE"),
-        (4, 0, 0, 31.0, "NONE"), (3, 0, 0, 1.0, "NONE"), (12, 0, 0, 31.0, "NONE"),
-    ]:  # fmt: skip
+        (6, 0, 0, 2.9, "FIXED"),
+        (6, 0, 0, 3.1, "FLOAT"),
+        (5, 3, 0, 2.0, "FLOAT"),
+        (0, 5, 0, 9.9, "FLOAT"),
+        (9, 4, 5, 2.0, "FIXED"),
+        (9, 4, 6, 2.0, "FLOAT"),
+        (9, 10, 0, 2.0, "FLOAT"),
+        (5, 0, 0, 10.1, "SINGLE"),
+        (4, 0, 0, 2.0, "SINGLE"),
+        (2, 2, 20, 29.0, "SINGLE"),
+        (4, 0, 0, 31.0, "NONE"),
+        (3, 0, 0, 1.0, "NONE"),
+        (12, 0, 0, 31.0, "NONE"),
+    ]:
         found = solutions(view_of([free], pdop, dimmed, blocked), 10.0, both_ways=False)
         assert Solution(int(found[0])).name == kind, (free, dimmed, blocked, pdop)
 

@@ -8,17 +8,13 @@ import laspy
 import numpy as np
 import pytest
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.raycast import RayCaster
-from thalweg.core.las.files import laz_header
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.settings.twin.lidar import TwinTls
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.river import River
-from thalweg_lab.instruments.tls import Scan, Station, scan, simulate_tls, station_positions
-from thalweg_lab.river.materials import REFLECTANCE, REFLECTANCE_1550, Material
-from thalweg_lab.river.outlook import outlook
-from thalweg_lab.river.scene import Scene
+from thalweg.core import ArrayF, ArrayI, LocalFrame, laz_header
+from thalweg.core.geometry import RayCaster
+from thalweg.settings.twin import TwinConfig, TwinTls
+from thalweg_lab.instruments import simulate_tls
+from thalweg_lab.instruments.tls import Scan, Station, scan, station_positions
+from thalweg_lab.reach import River
+from thalweg_lab.river import REFLECTANCE, REFLECTANCE_1550, Material, Scene, outlook
 
 SEED = 5
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.errors import ConfigError, InputError
-from thalweg.settings.base.mounts import Mounts
-from thalweg_lab.voyage.true_mounts import mount_errors, read_true_mounts, true_mounts, write_true_mounts
+from thalweg.core import ConfigError, InputError
+from thalweg.settings.sections import Mounts
+from thalweg_lab.voyage import read_true_mounts, true_mounts, write_true_mounts
+from thalweg_lab.voyage.truth import mount_errors
 
 SEEDS = 800
 

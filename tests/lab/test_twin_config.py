@@ -5,9 +5,10 @@ import json
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from thalweg.settings.twin.sections import SIZES, TwinConfig
+from thalweg.settings.twin import TwinConfig
+from thalweg.settings.twin.survey import SIZES
 from thalweg_lab.instruments.lidar import HOUR_US
-from thalweg_lab.voyage.motion import start_unix
+from thalweg_lab.voyage import start_unix
 
 
 @pytest.mark.parametrize("size", list(SIZES))

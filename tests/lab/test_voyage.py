@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import ConfigError, CoverageError
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.random import gauss_markov, generator
-from thalweg_lab.voyage.motion import epochs
-from thalweg_lab.voyage.truth import true_trajectory
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg.core import ConfigError, CoverageError, LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.random_numbers import gauss_markov, generator
+from thalweg_lab.voyage import Voyage, epochs, true_trajectory
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 

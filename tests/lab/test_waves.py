@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg_lab.river.waves import Waves, angular_frequency
+from thalweg.core import GeometryError
+from thalweg_lab.river import Waves
+from thalweg_lab.river.waves import angular_frequency
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +57,12 @@ def test_waves_travel_at_the_speed_of_the_dispersion_relation() -> None:
     np.testing.assert_allclose(waves.omega_radps, angular_frequency(waves.k_radpm), rtol=1e-12)
     # One wave alone comes to another place after the time that its speed takes.
     one = Waves(
-        amplitude_m=np.array([0.01]), k_east_radpm=np.array([k]), k_north_radpm=np.array([0.0]),
-        omega_radps=angular_frequency([k]), phase_rad=np.array([0.3]),
-    )  # fmt: skip
+        amplitude_m=np.array([0.01]),
+        k_east_radpm=np.array([k]),
+        k_north_radpm=np.array([0.0]),
+        omega_radps=angular_frequency([k]),
+        phase_rad=np.array([0.3]),
+    )
     there = one.height_m(np.array([2.0]), np.array([0.0]), 2.0 * k / angular_frequency(k))
     np.testing.assert_allclose(there, one.height_m(np.array([0.0]), np.array([0.0]), 0.0), atol=1e-12)
 

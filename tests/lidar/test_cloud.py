@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import laspy
 import numpy as np
@@ -9,30 +10,33 @@ import pyarrow.parquet as pq
 import pytest
 from pyproj import CRS, Transformer
 
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.files import LazWriter, laz_header, read_laz
-from thalweg.core.tables import read_table
-from thalweg.core.timescales import gps_from_unix
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.velodyne.decode import PointBlock
-from thalweg.ingest.velodyne.reader import LidarOptions, scan_lidar
-from thalweg.lidar import cloud as cloud_module
-from thalweg.lidar.cloud import (
+from thalweg.core import (
+    CoverageError,
+    InputError,
+    LazWriter,
+    LocalFrame,
+    Trajectory,
+    gps_from_unix,
+    laz_header,
+    read_table,
+)
+from thalweg.core.las import read_laz
+from thalweg.ingest import PointBlock
+from thalweg.ingest.registry import lidar_reader
+from thalweg.lidar import (
     CORRELATIONS,
-    EXTRA_DIMENSIONS,
+    REMOVED_POINTS,
     SIGMAS,
     LogSettings,
+    Mount,
+    cloud as cloud_module,
     export_map,
     georeference_log,
     sample_cloud,
 )
-from thalweg.lidar.covariance import BeamErrors
-from thalweg.lidar.filters import FilterSettings
+from thalweg.lidar.cloud import EXTRA_DIMENSIONS
 from thalweg.lidar.georeference import WorldPoints
-from thalweg.lidar.mount import Mount
-from thalweg.lidar.removed import REMOVED_POINTS
-from thalweg.settings.sections.filters import Filters
+from thalweg.settings.sections import Filters, LidarAccuracy
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
@@ -98,12 +102,12 @@ def still(t_first_s: float, t_last_s: float) -> Trajectory:
 
 
 def settings(**changes) -> LogSettings:
-    filters = FilterSettings.from_section(
-        Filters(below_water_m=None, **changes.pop("filters", {})).model_dump()
-    )
+    filters = Filters(below_water_m=None, **changes.pop("filters", {}))
     options = {
         "mount": Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3)),
-        "beam": BeamErrors(sigma_component_m=0.0173),
+        "beam": LidarAccuracy(
+            sigma_component_m=0.0173, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0
+        ),
         "filters": filters,
         "min_range_m": 0.8,
         "max_range_m": 2.5,
@@ -117,13 +121,17 @@ T0_S = float(gps_from_unix(1453364282, 340595))  # first packet, PROVENANCE: 08:
 
 @pytest.mark.real
 def test_every_point_of_a_real_log_is_accounted_for(data_dir: Path, tmp_path: Path) -> None:
-    log, options = [data_dir / LOG], LidarOptions()
-    clock = scan_lidar(log, options).clock
+    log = lidar_reader([data_dir / LOG])
+    clock = log.scan().clock
     trajectory = still(T0_S + 0.1, T0_S + 10.0)  # the first 0.1 s have no pose
     table = georeference_log(
-        log, options, clock, trajectory, settings(correlations=True), tmp_path / "out.laz",
+        log,
+        clock,
+        trajectory,
+        settings(correlations=True),
+        tmp_path / "out.laz",
         out_removed=tmp_path / "removed.parquet",
-    )  # fmt: skip
+    )
     n = table.set_index("reason")["n"]
     assert n.sum() == 73486  # PROVENANCE: non-zero returns
     assert n[["kept", "no_pose", "too_near", "too_far", "own_hull"]].min() > 0
@@ -140,24 +148,26 @@ def test_every_point_of_a_real_log_is_accounted_for(data_dir: Path, tmp_path: Pa
     removed, _ = read_table(tmp_path / "removed.parquet", REMOVED_POINTS)
     assert set(removed["reason"]) == set(table.query("n > 0 and reason != 'kept'")["reason"])
     with pytest.raises(CoverageError, match=r"none of 73,486 lidar points is left: .*73,\d{3} no_pose"):
-        georeference_log(
-            log, options, clock, still(T0_S + 100, T0_S + 101), settings(), tmp_path / "none.laz"
-        )
+        georeference_log(log, clock, still(T0_S + 100, T0_S + 101), settings(), tmp_path / "none.laz")
     assert not (tmp_path / "none.laz").exists()
 
 
 @pytest.mark.real
 def test_the_size_of_the_pieces_changes_nothing(data_dir: Path, tmp_path: Path) -> None:
-    log, options = [data_dir / LOG], LidarOptions()
-    clock, trajectory = scan_lidar(log, options).clock, still(T0_S, T0_S + 10.0)
+    log = lidar_reader([data_dir / LOG])
+    clock, trajectory = log.scan().clock, still(T0_S, T0_S + 10.0)
     lonely = {"isolated_radius_m": 0.1, "isolated_neighbours": 10}
     results = []
     for chunk in (10_000, 1_000_000):
         out, removed = tmp_path / f"{chunk}.laz", tmp_path / f"{chunk}.parquet"
         table = georeference_log(
-            log, options, clock, trajectory, settings(chunk_points=chunk, max_range_m=50.0, filters=lonely),
-            out, out_removed=removed,
-        )  # fmt: skip
+            log,
+            clock,
+            trajectory,
+            settings(chunk_points=chunk, max_range_m=50.0, filters=lonely),
+            out,
+            out_removed=removed,
+        )
         results.append((table, read_laz(out)[0], read_table(removed, REMOVED_POINTS)[0]))
     small, large = results
     assert small[0].equals(large[0])
@@ -170,15 +180,15 @@ def test_the_size_of_the_pieces_changes_nothing(data_dir: Path, tmp_path: Path) 
 
 @pytest.mark.real
 def test_an_unlikely_water_level_is_told(data_dir: Path, tmp_path: Path, caplog) -> None:
-    log, options = [data_dir / LOG], LidarOptions()
-    clock, trajectory = scan_lidar(log, options).clock, still(T0_S, T0_S + 10.0)
+    log = lidar_reader([data_dir / LOG])
+    clock, trajectory = log.scan().clock, still(T0_S, T0_S + 10.0)
     wet = Filters(below_water_m=0.0, below_water_sigmas=0.0, water_line_ics_m=-0.5, mirror_ghosts=False)
     options_wet = settings(max_range_m=50.0)
-    options_wet = replace(options_wet, filters=FilterSettings.from_section(wet.model_dump()))
-    georeference_log(log, options, clock, trajectory, options_wet, tmp_path / "wet.laz")
+    options_wet = replace(options_wet, filters=wet)
+    georeference_log(log, clock, trajectory, options_wet, tmp_path / "wet.laz")
     assert "of the points lie below the water level at the boat" in caplog.text
     caplog.clear()
-    georeference_log(log, options, clock, trajectory, settings(max_range_m=50.0), tmp_path / "dry.laz")
+    georeference_log(log, clock, trajectory, settings(max_range_m=50.0), tmp_path / "dry.laz")
     assert not caplog.text
 
 
@@ -186,7 +196,7 @@ def test_an_unlikely_water_level_is_told(data_dir: Path, tmp_path: Path, caplog)
 
 COLUMNS = {
     "range": "measured range, m",
-    "ring": "beam, 0 lowest .. 15 highest",
+    "ring": "beam by elevation, 0 lowest",
     "sigma_east": "standard deviation, m",
     "sigma_north": "standard deviation, m",
     "sigma_up": "standard deviation, m",
@@ -215,7 +225,7 @@ def one_shot(t_gps_s: float) -> PointBlock:
     )
 
 
-def test_every_column_of_the_cloud_by_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_column_of_the_cloud_by_hand(tmp_path: Path) -> None:
     """Read back with laspy alone: writer and reader share their names, so both may err alike."""
     sigma, correlation = np.diag([0.010, 0.020, 0.030]), np.eye(3)
     correlation[0, 1] = correlation[1, 0] = 0.1
@@ -227,18 +237,14 @@ def test_every_column_of_the_cloud_by_hand(tmp_path: Path, monkeypatch: pytest.M
     boat = replace(
         still(t - 1.0, t + 1.0), position_wcs_m=np.tile([100.0, 20.0, 3.0], (2, 1)), cov_pose_wcs=cov
     )
-    monkeypatch.setattr(cloud_module, "iter_points", lambda *_, **__: iter([one_shot(t)]))
+    log = SimpleNamespace(files=[], points=lambda *_, **__: iter([one_shot(t)]))
     exact = settings(
-        correlations=True, beam=BeamErrors(sigma_component_m=0.0), filters={"isolated_neighbours": 0}
+        correlations=True,
+        beam=LidarAccuracy(sigma_component_m=1e-9, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0),
+        filters={"isolated_neighbours": 0},
     )
     georeference_log(
-        [],
-        LidarOptions(),
-        None,
-        boat,
-        exact,
-        tmp_path / "points.laz",
-        out_removed=tmp_path / "removed.parquet",
+        log, None, boat, exact, tmp_path / "points.laz", out_removed=tmp_path / "removed.parquet"
     )
     las = laspy.read(tmp_path / "points.laz")
     assert {d.name: d.description for d in las.point_format.extra_dimensions} == COLUMNS
@@ -248,23 +254,34 @@ def test_every_column_of_the_cloud_by_hand(tmp_path: Path, monkeypatch: pytest.M
     # sigmas and correlations are stored to 0.0001; the kernel gives float32
     assert found == pytest.approx(
         {
-            "range": 2.25, "ring": 7.0, "sigma_east": 0.010, "sigma_north": 0.020, "sigma_up": 0.030,
-            "corr_east_north": 0.1, "corr_east_up": 0.2, "corr_north_up": -0.3,
+            "range": 2.25,
+            "ring": 7.0,
+            "sigma_east": 0.010,
+            "sigma_north": 0.020,
+            "sigma_up": 0.030,
+            "corr_east_north": 0.1,
+            "corr_east_up": 0.2,
+            "corr_north_up": -0.3,
         },
         abs=1e-7,
-    )  # fmt: skip
+    )
     standard = ("gps_time", "intensity", "return_number", "number_of_returns")
     # LAS 1.4 R15: 8-bit intensities times 256
     assert [float(np.asarray(las[name])[0]) for name in standard] == [t, 42 * 256, 2, 2]
     removed = pq.read_table(tmp_path / "removed.parquet")
     assert removed.to_pylist() == [
         {
-            "reason": "too_near", "t_gps_s": t,
-            "east_m": pytest.approx(100.1), "north_m": pytest.approx(20.1), "up_m": pytest.approx(3.2),
-            "x_ics_m": pytest.approx(0.1), "y_ics_m": pytest.approx(0.1),
-            "z_ics_m": pytest.approx(0.2), "range_m": 0.25,
+            "reason": "too_near",
+            "t_gps_s": t,
+            "east_m": pytest.approx(100.1),
+            "north_m": pytest.approx(20.1),
+            "up_m": pytest.approx(3.2),
+            "x_ics_m": pytest.approx(0.1),
+            "y_ics_m": pytest.approx(0.1),
+            "z_ics_m": pytest.approx(0.2),
+            "range_m": 0.25,
         }
-    ]  # fmt: skip
+    ]
     units = {field.name: field.metadata[b"unit"].decode() for field in removed.schema}
     assert units == {"reason": "1", "t_gps_s": "s"} | dict.fromkeys(list(units)[2:], "m")
 

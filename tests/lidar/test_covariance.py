@@ -4,24 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame, attitude_axes, rotation_enu_body, rotation_opk
-from thalweg.core.trajectory import Trajectory
-from thalweg.lidar.covariance import INPUTS, BeamErrors, point_covariance, point_jacobian
-from thalweg.lidar.georeference import georeference_points
-from thalweg.lidar.mount import Mount, opk_axes
+from thalweg.core import (
+    GeometryError,
+    LocalFrame,
+    Trajectory,
+    attitude_axes,
+    opk_axes,
+    rotation_enu_body,
+    rotation_opk,
+)
+from thalweg.lidar import Mount, georeference_points
+from thalweg.lidar.georeference import INPUTS, point_covariance, point_jacobian
+from thalweg.settings.sections import LidarAccuracy
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 POSE_SIGMAS = np.array([0.02, 0.02, 0.03, 2e-3, 2e-3, 4e-3])
 MOUNT_SIGMAS = np.array([3e-4, 2e-4, 1e-4, 5e-4, 2e-4, 1e-4])
-BEAM = BeamErrors(
-    sigma_component_m=0.0173,
-    divergence_rad=0.003,
-    footprint_share=0.177,
-    sigma_weak_m=0.03,
-    sigma_time_s=0.02,
+BEAM = LidarAccuracy(
+    sigma_component_m=0.0173, divergence_mrad=3.0, footprint_share=0.177, sigma_weak_m=0.03, sigma_time_s=0.02
 )
 
 
@@ -207,9 +210,17 @@ def test_published_totals_of_the_thesis() -> None:
     a component, mount 0.018, 0.009, 0.004 deg and 0.5, 0.2, 0.1 mm. The table's lever of each angle is 0.8
     times the range, as for a point at equal distance along all body axes: sqrt(2/3).
     """
-    section = {"omega_deg": 0.0, "phi_deg": 0.0, "kappa_deg": 0.0, "lever_ics_m": (0.0, 0.0, 0.0),
-               "sigma_omega_deg": 0.018, "sigma_phi_deg": 0.009, "sigma_kappa_deg": 0.004,
-               "sigma_lever_m": (0.0005, 0.0002, 0.0001), "correlation": None}  # fmt: skip
+    section = {
+        "omega_deg": 0.0,
+        "phi_deg": 0.0,
+        "kappa_deg": 0.0,
+        "lever_ics_m": (0.0, 0.0, 0.0),
+        "sigma_omega_deg": 0.018,
+        "sigma_phi_deg": 0.009,
+        "sigma_kappa_deg": 0.004,
+        "sigma_lever_m": (0.0005, 0.0002, 0.0001),
+        "correlation": None,
+    }
     mount = Mount.from_section(section)
     pose = np.diag(np.square([0.02, 0.02, 0.03, *np.deg2rad([0.1, 0.1, 0.2])]))
     for range_m, total_m in ((5, 0.054), (10, 0.062), (25, 0.101), (50, 0.183)):
@@ -217,7 +228,7 @@ def test_published_totals_of_the_thesis() -> None:
         J = point_jacobian(
             xyz, np.eye(3)[None], mount.R_ics_sensor, mount.lever_ics_m, np.zeros((1, 3)), np.zeros((1, 3))
         )
-        beam = BeamErrors(sigma_component_m=0.017)
+        beam = LidarAccuracy(sigma_component_m=0.017, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0)
         cov = point_covariance(J, pose[None], mount.cov_ics, beam.variances(np.ones(1), np.ones(1)))[0]
         # the table rounds inputs and influences to mm, its levers are not quite sqrt(2/3): within 8 %
         assert abs(np.sqrt(np.trace(cov)) / total_m - 1) < 0.08, range_m
@@ -226,7 +237,7 @@ def test_published_totals_of_the_thesis() -> None:
 def test_an_inclined_surface_sees_the_footprint(rng) -> None:
     """An echo ``d`` off across the beam lies ``d sin(i)`` off the surface: ``n^T C n`` and draws agree."""
     range_m, incidence = 30.0, np.deg2rad(60)
-    beam = BeamErrors(sigma_component_m=0.01, divergence_rad=0.003, footprint_share=0.25)
+    beam = LidarAccuracy(sigma_component_m=0.01, divergence_mrad=3.0, footprint_share=0.25, sigma_weak_m=0.0)
     along, across = (v[0] for v in beam.variances(np.array([range_m]), np.array([50.0])))
     d, n = np.array([1.0, 0, 0]), np.array([-np.cos(incidence), np.sin(incidence), 0])
     C = across * np.eye(3) + (along - across) * np.outer(d, d)
@@ -268,11 +279,11 @@ def test_no_pose_no_covariance(trajectory: Trajectory, mount: Mount) -> None:
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"sigma_component_m": -0.1}, "sigma_component_m"), ({"divergence_rad": np.nan}, "divergence_rad")],
+    [({"sigma_component_m": -0.1}, "sigma_component_m"), ({"divergence_mrad": np.nan}, "divergence_mrad")],
 )
 def test_impossible_accuracies_are_refused(change: dict, message: str) -> None:
-    with pytest.raises(GeometryError, match=message):
-        BeamErrors(**({"sigma_component_m": 0.01} | change))
+    with pytest.raises(ValidationError, match=message):
+        LidarAccuracy(**({"sigma_component_m": 0.01} | change))
 
 
 def test_a_matrix_that_is_no_covariance_is_refused() -> None:
@@ -282,15 +293,18 @@ def test_a_matrix_that_is_no_covariance_is_refused() -> None:
 
 
 LIDAR_ACCURACY = {
-    "sigma_component_m": 0.017, "divergence_mrad": 3.0, "footprint_share": 0.25, "sigma_weak_m": 0.03,
+    "sigma_component_m": 0.017,
+    "divergence_mrad": 3.0,
+    "footprint_share": 0.25,
+    "sigma_weak_m": 0.03,
     "sigma_time_s": 0.001,
-}  # fmt: skip
+}
 """Section of a campaign file, by hand."""
 
 
 def test_the_footprint_is_that_of_the_full_divergence_in_milliradians() -> None:
     """3 mrad at 50 m are a footprint of 150 mm, a quarter of it 37.5 mm; 17 mm of the sensor beside it."""
-    beam = BeamErrors.from_section(LIDAR_ACCURACY)
+    beam = LidarAccuracy(**LIDAR_ACCURACY)
     along, across = beam.variances(np.array([50.0]), np.array([100.0]))
     assert np.sqrt(across[0]) == pytest.approx(np.sqrt(0.0375**2 + 0.017**2), rel=1e-12)
     # at 50 m a white target returns 40 times the light of a 10 % target at 100 m
@@ -329,9 +343,14 @@ def test_a_halved_divergence_is_seen_far_away_at_an_angle_with_good_poses(rng) -
             "sigma_time_s": 0.0,
         }
         found = georeference_points(
-            xyz, np.full(n, 0.5), trajectory, mount,
-            beam=BeamErrors.from_section(section), range_m=np.full(n, 40.0), reflectivity=np.full(n, 50.0),
-        )  # fmt: skip
+            xyz,
+            np.full(n, 0.5),
+            trajectory,
+            mount,
+            beam=LidarAccuracy(**section),
+            range_m=np.full(n, 40.0),
+            reflectivity=np.full(n, 50.0),
+        )
         e, en, eu, nn, nu, uu = found.cov_m2[0].astype(np.float64)
         C = np.array([[e, en, eu], [en, nn, nu], [eu, nu, uu]])
         ratio[divergence_mrad] = float(np.mean((error @ normal) ** 2) / (normal @ C @ normal))
@@ -341,7 +360,7 @@ def test_a_halved_divergence_is_seen_far_away_at_an_angle_with_good_poses(rng) -
 
 
 def test_factors_widen_range_and_directions_and_the_place_in_the_footprint() -> None:
-    beam = BeamErrors(sigma_component_m=0.01, divergence_rad=0.003, footprint_share=0.25, sigma_weak_m=0.03)
+    beam = LidarAccuracy(sigma_component_m=0.01, divergence_mrad=3.0, footprint_share=0.25, sigma_weak_m=0.03)
     wide = beam.scaled(component=2.0, footprint=1.5)
     assert (wide.sigma_component_m, wide.sigma_weak_m) == pytest.approx((0.02, 0.06))
     assert (wide.footprint_share, wide.divergence_rad) == pytest.approx((0.375, 0.003))
@@ -362,8 +381,13 @@ def test_beside_an_invalid_node_there_is_no_covariance(trajectory: Trajectory, m
     valid[10] = False
     t = trajectory.t_gps_s[0] + np.array([0.17, 0.19, 0.21, 0.23])
     found = georeference_points(
-        np.ones((4, 3)), t, replace(trajectory, valid=valid), mount, beam=BEAM,
-        range_m=np.ones(4), reflectivity=np.ones(4),
-    )  # fmt: skip
+        np.ones((4, 3)),
+        t,
+        replace(trajectory, valid=valid),
+        mount,
+        beam=BEAM,
+        range_m=np.ones(4),
+        reflectivity=np.ones(4),
+    )
     assert found.has_pose.tolist() == [True, False, False, True]
     assert np.isnan(found.cov_m2).all(axis=1).tolist() == [False, True, True, False]

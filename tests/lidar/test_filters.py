@@ -1,6 +1,5 @@
 """Filters of the cloud: on a small river whose every point's fate is known, and rule by rule."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,20 +8,12 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial import cKDTree
 
-from thalweg.core.errors import GeometryError
-from thalweg.lidar.filters import (
-    WORDS,
-    FilterSettings,
-    Reason,
-    classify,
-    count_reasons,
-    reason_table,
-    water_level_m,
-)
-from thalweg.lidar.occupancy import Occupancy
-from thalweg.settings.sections.filters import Filters
+from thalweg.core import GeometryError
+from thalweg.lidar import WORDS, Occupancy, Reason
+from thalweg.lidar.filters import classify, count_reasons, reason_table, water_level_m
+from thalweg.settings.sections import Filters
 
-SETTINGS = FilterSettings.from_section(Filters(below_water_m=0.3).model_dump())
+SETTINGS = Filters(below_water_m=0.3)
 LEVEL_M = 100.0
 RANGES = {"min_range_m": 0.5, "max_range_m": 100.0}
 SCANNER_ICS_M = np.array([-0.35, 0.0, -0.25])
@@ -93,7 +84,7 @@ def scene(rng: np.random.Generator, n_bank: int = 60_000, slope_deg: float = 0.5
     }
 
 
-def two_passes(data: dict[str, Any], settings: FilterSettings, pieces: int = 1) -> np.ndarray:
+def two_passes(data: dict[str, Any], settings: Filters, pieces: int = 1) -> np.ndarray:
     """Reasons of a whole cloud, streamed in pieces."""
     arrays = {name: values for name, values in data.items() if name != "truth"}
     blocks = [
@@ -116,13 +107,19 @@ def score(found: np.ndarray, truth: np.ndarray, reason: Reason) -> tuple[float, 
 
 def test_every_point_of_the_river_meets_its_fate(rng: np.random.Generator) -> None:
     data = scene(rng)
-    settings = replace(SETTINGS, max_sigma_m=0.2)
+    settings = SETTINGS.replace(max_sigma_m=0.2)
     found, truth = two_passes(data, settings), data["truth"]
     assert set(found) == set(Reason)  # every filter had something to do
     # What a point tells by itself is found without error. The corner of the hull's box is 4 cm outside the
     # boat, and the bank is 10 m away.
-    for reason in (Reason.NO_GPS_TIME, Reason.NO_POSE, Reason.TOO_NEAR, Reason.TOO_FAR, Reason.OWN_HULL,
-                   Reason.UNCERTAIN):  # fmt: skip
+    for reason in (
+        Reason.NO_GPS_TIME,
+        Reason.NO_POSE,
+        Reason.TOO_NEAR,
+        Reason.TOO_FAR,
+        Reason.OWN_HULL,
+        Reason.UNCERTAIN,
+    ):
         assert score(found, truth, reason) == (1.0, 1.0), reason
     # all that lies below the water is gone under one of both names
     wet = (truth == Reason.MIRROR_GHOST) | (truth == Reason.BELOW_WATER)
@@ -211,7 +208,7 @@ def test_two_returns_of_one_shot_do_not_save_each_other() -> None:
     data = some(2)
     data["points_wcs_m"] = np.array([[0.0, 20.0, 110.0], [0.0, 20.3, 110.0]])
     assert two_passes(data, SETTINGS).tolist() == [Reason.ISOLATED] * 2
-    assert two_passes(data, replace(SETTINGS, isolated_neighbours=1)).tolist() == [Reason.KEPT] * 2
+    assert two_passes(data, SETTINGS.replace(isolated_neighbours=1)).tolist() == [Reason.KEPT] * 2
 
 
 @pytest.mark.parametrize("least", [1, 2, 3, 5])
@@ -223,7 +220,7 @@ def test_a_group_stays_if_each_has_so_many_others(least: int) -> None:
     data["points_wcs_m"] = np.column_stack(
         [10.0 * group, np.full(len(group), 20.0), np.full(len(group), 110.0)]
     )
-    found = two_passes(data, replace(SETTINGS, isolated_neighbours=least))
+    found = two_passes(data, SETTINGS.replace(isolated_neighbours=least))
     np.testing.assert_array_equal(found, np.where(group - 1 < least, Reason.ISOLATED, Reason.KEPT))
 
 
@@ -243,7 +240,7 @@ def some(n: int, **changes: Any) -> dict[str, Any]:
 
 def test_the_first_reason_counts() -> None:
     """A point to which all reasons apply; they are taken away one by one."""
-    settings = replace(SETTINGS, max_sigma_m=0.2)
+    settings = SETTINGS.replace(max_sigma_m=0.2)
     bad = some(
         7,
         timed=np.arange(7) > 0,
@@ -255,9 +252,14 @@ def test_the_first_reason_counts() -> None:
     )
     found = classify(**bad, settings=settings, **RANGES)
     assert [Reason(r) for r in found] == [
-        Reason.NO_GPS_TIME, Reason.NO_POSE, Reason.TOO_NEAR, Reason.TOO_FAR, Reason.OWN_HULL,
-        Reason.UNCERTAIN, Reason.BELOW_WATER,
-    ]  # fmt: skip
+        Reason.NO_GPS_TIME,
+        Reason.NO_POSE,
+        Reason.TOO_NEAR,
+        Reason.TOO_FAR,
+        Reason.OWN_HULL,
+        Reason.UNCERTAIN,
+        Reason.BELOW_WATER,
+    ]
     assert [r.value for r in Reason] == list(range(10))
 
 
@@ -273,26 +275,26 @@ def test_the_ends_of_the_limits_belong_to_the_cloud() -> None:
 
 def test_filters_can_be_switched_off() -> None:
     data = some(2, x_ics_m=np.float32([[0.3, 0, 0]] * 2), points_wcs_m=np.array([[0.0, 0, LEVEL_M - 2]] * 2))
-    hull_off = replace(SETTINGS, hull_low_ics_m=None, hull_high_ics_m=None)
-    water_off = replace(hull_off, below_water_m=None)
-    all_off = replace(water_off, isolated_neighbours=0)
+    hull_off = SETTINGS.replace(hull_low_ics_m=None, hull_high_ics_m=None)
+    water_off = hull_off.replace(below_water_m=None)
+    all_off = water_off.replace(isolated_neighbours=0)
     assert two_passes(data, SETTINGS).tolist() == [Reason.OWN_HULL] * 2
     assert two_passes(data, hull_off).tolist() == [Reason.BELOW_WATER] * 2
     assert two_passes(data, water_off).tolist() == [Reason.ISOLATED] * 2
     assert two_passes(data, all_off).tolist() == [Reason.KEPT] * 2
     assert [s.needs_occupancy for s in (SETTINGS, water_off, all_off)] == [True, True, False]
-    assert not replace(SETTINGS, mirror_ghosts=False, isolated_neighbours=0).needs_occupancy
+    assert not SETTINGS.replace(mirror_ghosts=False, isolated_neighbours=0).needs_occupancy
 
 
 def test_ghosts_are_told_apart_only_on_demand(rng: np.random.Generator) -> None:
     data = scene(rng, n_bank=5000)
     with_names = two_passes(data, SETTINGS)
-    without = two_passes(data, replace(SETTINGS, mirror_ghosts=False))
+    without = two_passes(data, SETTINGS.replace(mirror_ghosts=False))
     np.testing.assert_array_equal(
         without, np.where(with_names == Reason.MIRROR_GHOST, Reason.BELOW_WATER, with_names)
     )
     # ghosts need the cloud, not the filter of isolated points
-    lonely = two_passes(data, replace(SETTINGS, isolated_neighbours=0))
+    lonely = two_passes(data, SETTINGS.replace(isolated_neighbours=0))
     assert np.sum(lonely == Reason.MIRROR_GHOST) >= np.sum(with_names == Reason.MIRROR_GHOST) > 1000
     assert not np.any(lonely == Reason.ISOLATED)
 
@@ -322,7 +324,7 @@ def test_misfit_is_named() -> None:
     with pytest.raises(GeometryError, match=r"range_m.shape=\(2,\).*each of 3 points"):
         classify(**some(3, range_m=np.zeros(2)), settings=SETTINGS, **RANGES)
     with pytest.raises(GeometryError, match=r"max_sigma_m is set, but no sigmas"):
-        classify(**some(3, sigma_max_m=None), settings=replace(SETTINGS, max_sigma_m=0.1), **RANGES)
+        classify(**some(3, sigma_max_m=None), settings=SETTINGS.replace(max_sigma_m=0.1), **RANGES)
     assert classify(**some(0), settings=SETTINGS, **RANGES).size == 0
 
 
@@ -371,7 +373,7 @@ def test_wrong_settings_are_refused(changes: dict[str, Any], answer: str) -> Non
 
 def test_null_switches_off() -> None:
     off = Filters(hull_low_ics_m=None, hull_high_ics_m=None, below_water_m=None, max_sigma_m=None)
-    assert FilterSettings.from_section(off.model_dump()).below_water_m is None
+    assert off.below_water_m is None
 
 
 @pytest.mark.parametrize(("range_m", "fate"), [(30.0, Reason.ISOLATED), (60.0, Reason.KEPT)])
@@ -388,7 +390,7 @@ def test_far_points_may_lie_wider_apart(range_m: float, fate: Reason) -> None:
         x_ics_m=np.full((n, 3), 30.0),
         points_wcs_m=points,
         water_level_m=np.full(n, LEVEL_M),
-        settings=replace(SETTINGS, isolated_radius_m=0.45, isolated_neighbours=2),
+        settings=SETTINGS.replace(isolated_radius_m=0.45, isolated_neighbours=2),
         occupancy=grid,
         **RANGES,
     )
@@ -405,7 +407,7 @@ def test_the_margin_below_the_water_grows_with_sigma(sigma_up_m: float, fate: Re
         x_ics_m=np.full((1, 3), 30.0),
         points_wcs_m=np.array([[0.0, 20.0, LEVEL_M - 0.12]]),
         water_level_m=np.full(1, LEVEL_M),
-        settings=replace(SETTINGS, below_water_m=0.05, below_water_sigmas=2.0),
+        settings=SETTINGS.replace(below_water_m=0.05, below_water_sigmas=2.0),
         sigma_up_m=np.full(1, sigma_up_m),
         **RANGES,
     )

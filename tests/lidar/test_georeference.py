@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame, rotation_ecef_enu, rotation_enu_body, rotation_opk
-from thalweg.core.trajectory import Trajectory
-from thalweg.lidar.georeference import georeference_points
-from thalweg.lidar.mount import Mount
+from thalweg.core import (
+    GeometryError,
+    LocalFrame,
+    Trajectory,
+    rotation_ecef_enu,
+    rotation_enu_body,
+    rotation_opk,
+)
+from thalweg.lidar import Mount, georeference_points
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
@@ -134,10 +138,21 @@ def test_real_airborne_shots_reach_the_published_point(data_dir) -> None:
     assert (week, n) == (1660, 1000)
     misalignment = np.array(struct.unpack_from("<3d", raw, head.size + 1024))
     imu_misalignment = np.array(struct.unpack_from("<3d", raw, head.size + 1024 + 24))
-    record = np.dtype([
-        ("t", "<f8"), ("n", "u1"), ("r", "<f4", 4), ("i", "<u2", 4), ("scan", "<f4"), ("roll", "<f4"),
-        ("pitch", "<f4"), ("head", "<f4"), ("lat", "<f8"), ("lon", "<f8"), ("h", "<f4"),
-    ])  # fmt: skip
+    record = np.dtype(
+        [
+            ("t", "<f8"),
+            ("n", "u1"),
+            ("r", "<f4", 4),
+            ("i", "<u2", 4),
+            ("scan", "<f4"),
+            ("roll", "<f4"),
+            ("pitch", "<f4"),
+            ("head", "<f4"),
+            ("lat", "<f8"),
+            ("lon", "<f8"),
+            ("h", "<f4"),
+        ]
+    )
     shots = np.frombuffer(raw[header_bytes:], record)[:n]
     lon = np.where(shots["lon"] < -2 * np.pi, shots["lon"] + 2 * np.pi, shots["lon"])
     lat_deg, lon_deg = np.rad2deg(shots["lat"]), np.rad2deg(lon)
@@ -180,3 +195,17 @@ def test_real_airborne_shots_reach_the_published_point(data_dir) -> None:
 def optech_rotation(roll: float, pitch: float, heading: float) -> np.ndarray:
     """Optech's convention in its own axes (x right, y forward, z up): R_z(-h) R_x(p) R_y(r)."""
     return Rotation.from_euler("ZXY", [-heading, pitch, roll]).as_matrix()
+
+
+def test_points_at_the_first_and_the_last_node_have_its_pose() -> None:
+    """Each alone, so that the search for the interval begins at it; a hair beyond there is no pose."""
+    trajectory = make_trajectory(5)
+    xyz = np.array([[3.0, -2.0, 1.0]])
+    for node in (0, 4):
+        points, has_pose = world(xyz, trajectory.t_gps_s[[node]], trajectory, MOUNT)
+        R = Rotation.from_quat(trajectory.quaternion_wcs_ics[node]).as_matrix()
+        expected = R @ (MOUNT.R_ics_sensor @ xyz[0] + MOUNT.lever_ics_m) + trajectory.position_wcs_m[node]
+        assert has_pose.tolist() == [True]
+        np.testing.assert_allclose(points[0], expected, atol=1e-9)
+    beyond = trajectory.t_gps_s[[0, 4]] + [-1e-6, 1e-6]
+    assert not world(np.tile(xyz, (2, 1)), beyond, trajectory, MOUNT)[1].any()

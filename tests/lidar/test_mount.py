@@ -3,15 +3,20 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import rotation_opk
-from thalweg.lidar.mount import Mount
+from thalweg.core import GeometryError, rotation_opk
+from thalweg.lidar import Mount
 
 SECTION = {
-    "omega_deg": 0.0, "phi_deg": -90.0, "kappa_deg": 0.0, "lever_ics_m": (-0.35, 0.02, -0.25),
-    "sigma_omega_deg": 0.01, "sigma_phi_deg": 0.02, "sigma_kappa_deg": 0.04,
-    "sigma_lever_m": (0.001, 0.002, 0.003), "correlation": None,
-}  # fmt: skip
+    "omega_deg": 0.0,
+    "phi_deg": -90.0,
+    "kappa_deg": 0.0,
+    "lever_ics_m": (-0.35, 0.02, -0.25),
+    "sigma_omega_deg": 0.01,
+    "sigma_phi_deg": 0.02,
+    "sigma_kappa_deg": 0.04,
+    "sigma_lever_m": (0.001, 0.002, 0.003),
+    "correlation": None,
+}
 """The scanner of the published boat: at phi = -90 degrees kappa and omega both turn about x of ics."""
 
 

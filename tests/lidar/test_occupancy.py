@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from thalweg.core.errors import GeometryError
-from thalweg.lidar.occupancy import CELLS_PER_RADIUS, MOST_COUNTED, Occupancy
+from thalweg.core import GeometryError
+from thalweg.lidar import MOST_COUNTED, Occupancy
+from thalweg.lidar.filters import CELLS_PER_RADIUS
 
 RADIUS_M = 0.5
 

@@ -8,25 +8,25 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.frames import LocalFrame, attitude_axes, rotation_enu_body
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF
-from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions
-from thalweg.lidar import overlap
-from thalweg.lidar.cloud import LogSample, LogSettings
-from thalweg.lidar.covariance import BeamErrors
-from thalweg.lidar.mount import Mount
+from thalweg.core import ArrayF, LocalFrame, Trajectory, attitude_axes, rotation_enu_body
+from thalweg.ingest import LidarClock
+from thalweg.ingest.registry import lidar_reader
+from thalweg.lidar import LogSettings, Mount, error_model_of_log, overlap
+from thalweg.lidar.cloud import LogSample
 from thalweg.lidar.overlap import (
     Scatter,
+    _joined,
     _Likelihood,
+    _Planes,
     _planes,
+    _scatter_of_epochs,
     _window,
-    error_model_of_log,
     estimate_beam,
     estimate_pose_errors,
     windows_of,
 )
-from thalweg.navigation.ins_gnss.error_model import NAMES, ErrorModel, PriorErrors
+from thalweg.navigation.ins_gnss import NAMES, ErrorModel, PriorErrors
+from thalweg.settings.sections import LidarAccuracy
 
 LENGTH_S = 20.0
 EPOCH_S = 0.5
@@ -36,14 +36,17 @@ MOUNT = Mount(
     lever_ics_m=np.array([-0.35, 0.0, -0.25]),
     cov_ics=np.diag([3e-4, 3e-4, 3e-4, 5e-4, 5e-4, 5e-4]) ** 2,
 )
-BEAM = BeamErrors(sigma_component_m=0.01)
+BEAM = LidarAccuracy(sigma_component_m=0.01, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0)
 
 
 def prior(**changes: float) -> PriorErrors:
     values = {
-        "white_share": 0.25, "position_time_s": 10.0, "attitude_time_s": 20.0, "spread": 2.0,
+        "white_share": 0.25,
+        "position_time_s": 10.0,
+        "attitude_time_s": 20.0,
+        "spread": 2.0,
         "time_spread": 3.0,
-    }  # fmt: skip
+    }
     return PriorErrors(
         sigma_position_m=np.array([0.02, 0.02, 0.03]),
         sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
@@ -81,15 +84,22 @@ def survey(
     R_wrong = Rotation.from_rotvec(turn).as_matrix() @ R
     wrong = boat + R @ LEVER + error - R_wrong @ LEVER
     trajectory = Trajectory(
-        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0), t_gps_s=t, position_wcs_m=wrong,
+        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0),
+        t_gps_s=t,
+        position_wcs_m=wrong,
         quaternion_wcs_ics=Rotation.from_matrix(R_wrong).as_quat(),
-        cov_pose_wcs=np.tile(np.eye(6) * 1e-4, (len(t), 1, 1)), valid=np.ones(len(t), dtype=bool),
-    )  # fmt: skip
+        cov_pose_wcs=np.tile(np.eye(6) * 1e-4, (len(t), 1, 1)),
+        valid=np.ones(len(t), dtype=bool),
+    )
     n = 250
     centre = np.stack(
-        [rng.integers(0, 24, n) + 0.25, rng.choice([-1, 1], n) * (rng.integers(6, 20, n) + 0.25),
-         rng.integers(0, 6, n) + 0.25], axis=1,
-    )  # fmt: skip
+        [
+            rng.integers(0, 24, n) + 0.25,
+            rng.choice([-1, 1], n) * (rng.integers(6, 20, n) + 0.25),
+            rng.integers(0, 6, n) + 0.25,
+        ],
+        axis=1,
+    )
     normal = rng.standard_normal((n, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     which, at = np.repeat(np.arange(n), 60), np.sort(rng.integers(0, len(t), (n, 60)), axis=1).ravel()
@@ -109,23 +119,15 @@ def survey(
 
 def estimated(sample: LogSample, trajectory: Trajectory, p: PriorErrors, mount: Mount = MOUNT) -> ErrorModel:
     return estimate_pose_errors(
-        [sample], [(0.0, LENGTH_S)], trajectory, mount, lever_ics_antenna_m=LEVER, prior=p, beam=BEAM,
+        [sample],
+        [(0.0, LENGTH_S)],
+        trajectory,
+        mount,
+        lever_ics_antenna_m=LEVER,
+        prior=p,
+        beam=BEAM,
         epoch_s=EPOCH_S,
-    )  # fmt: skip
-
-
-def test_sizes_are_found_whatever_is_stated() -> None:
-    """True errors of half and twice the stated size: logarithms within their sigmas, two-sided."""
-    for size in (0.5, 2.0):
-        names = ("position", "roll_pitch", "heading", "white")
-        found = [estimated(*survey(seed, size=size), prior()).estimates for seed in range(3)]
-        z = np.array([[np.log(f[n].value / size) / f[n].sigma_log for n in names] for f in found])
-        sigma = np.array([[f[n].sigma_log for n in names] for f in found])
-        # Twelve values that share processes: chi-square of 12 at 0.1 % and 99.9 % is 2.2 and 32.9. The prior
-        # pulls towards 1, by ln(2) / ln(2) of its sigma at most.
-        assert 0.5 < np.sum(z**2) < 32.9
-        assert np.all(sigma < 0.9 * np.log(2)), "a survey says more than the prior alone"
-        assert all(f["white"].sigma_log < 0.2 for f in found), "forty epochs of three axes tell noise"
+    )
 
 
 def test_the_gradient_is_that_of_the_density() -> None:
@@ -156,9 +158,11 @@ def test_without_planes_the_prior_counts_with_its_width() -> None:
     sample, trajectory = survey(1)
     rng = np.random.default_rng(0)
     bush = LogSample(
-        xyz_wcs_m=sample.xyz_wcs_m + rng.normal(0, 1.0, sample.xyz_wcs_m.shape), t_gps_s=sample.t_gps_s,
-        range_m=sample.range_m, reflectivity=sample.reflectivity,
-    )  # fmt: skip
+        xyz_wcs_m=sample.xyz_wcs_m + rng.normal(0, 1.0, sample.xyz_wcs_m.shape),
+        t_gps_s=sample.t_gps_s,
+        range_m=sample.range_m,
+        reflectivity=sample.reflectivity,
+    )
     found = estimated(bush, trajectory, prior())
     assert not any(e.informed for e in found.estimates.values())
     assert found.estimates["heading"].predictive == pytest.approx(np.exp(np.log(2) ** 2))
@@ -227,14 +231,25 @@ def test_white_noise_comes_with_the_positions_and_else_with_the_nodes(
     asked = {}
     monkeypatch.setattr(overlap, "sample_log", lambda *_: [])
     monkeypatch.setattr(overlap, "estimate_pose_errors", lambda *_, **how: asked.update(how))
-    settings = {"estimate": True, "white_share": 0.25, "position_time_s": 10.0, "attitude_time_s": 20.0,
-                "spread": 2.0, "time_spread": 3.0}  # fmt: skip
+    settings = {
+        "estimate": True,
+        "white_share": 0.25,
+        "position_time_s": 10.0,
+        "attitude_time_s": 20.0,
+        "spread": 2.0,
+        "time_spread": 3.0,
+    }
     how = cast(LogSettings, SimpleNamespace(mount=MOUNT, beam=BEAM))
     for epochs, step_s in ((np.array([0.0, 0.5, np.nan, 1.0, 1.5]), 0.5), (None, 0.1)):
         error_model_of_log(
-            [], LidarOptions(), LidarClock(), survey(1)[1], how,
-            positions_t_gps_s=epochs, lever_ics_antenna_m=LEVER, settings=settings,
-        )  # fmt: skip
+            lidar_reader([]),
+            LidarClock(),
+            survey(1)[1],
+            how,
+            positions_t_gps_s=epochs,
+            lever_ics_antenna_m=LEVER,
+            settings=settings,
+        )
         assert asked["epoch_s"] == pytest.approx(step_s)
 
 
@@ -260,3 +275,80 @@ def test_knots_reach_to_the_end_of_a_window() -> None:
     window = _window(*survey(1), MOUNT, LEVER, BEAM, 0.0, 19.9, 0.3)
     assert window is not None
     assert (window.n_slow, window.n_fast) == (81, 68)
+
+
+@pytest.mark.parametrize(("lag_s", "planes"), [(0.0, 1), (0.25, 0)])
+def test_roughness_is_the_scatter_within_half_a_second_of_the_first_point(lag_s: float, planes: int) -> None:
+    """Ten points each half second, up and down by 7 cm from one to the next.
+
+    That is what poses may err; half the way through, a quarter of a second later, it would be a rough bank.
+    """
+    rng = np.random.default_rng(2)
+    t = 0.125 + 0.05 * np.arange(50)
+    up = 0.07 * (-1.0) ** np.floor((t - 0.125 + lag_s) / 0.5 + 1e-9)
+    x = np.column_stack([rng.uniform(0.02, 0.48, (50, 2)), 0.25 + up])
+    assert _planes(x, t).n == planes
+
+
+def test_the_scatter_about_planes_by_hand() -> None:
+    """Plane 0 has 20 points in two epochs, off their means by 1 and 3 mm; plane 1 has 12 in three, by 2 mm.
+
+    Of 18 and 9 degrees of freedom both inclinations take 2 / 20 and 2 / 12: 16.2, and 7.5, which are too few.
+    """
+    owner = np.repeat([0, 1], [20, 12])
+    joined, of_plane = _joined(
+        owner, np.r_[np.repeat([0.1, 0.6], 10), np.repeat([0.1, 0.6, 1.1], 4)], 0.5, 2.0
+    )
+    assert of_plane.tolist() == [0, 0, 1, 1, 1]
+    d = np.tile([1.0, -1.0], 16) * np.repeat([1e-3, 3e-3, 2e-3], [10, 10, 12]) + 0.05 * joined
+    planes = _Planes(order=np.arange(32), owner=owner, centre_m=np.zeros((2, 3)), axes=np.zeros((2, 3, 3)))
+    noise = np.repeat([4e-6, 1e-6], [20, 12]), np.r_[np.full(10, 1e-6), np.full(10, 3e-6), np.zeros(12)]
+    found = _scatter_of_epochs(d, planes, joined, noise)
+    np.testing.assert_allclose(found.freedom, [16.2])
+    np.testing.assert_allclose(found.variance_m2, [(10 * 1e-6 + 10 * 9e-6) / 16.2])
+    np.testing.assert_allclose(found.component_m2, [4e-6])
+    np.testing.assert_allclose(found.footprint_m2, [2e-6])
+
+
+def test_sigmas_are_those_of_the_second_derivatives_at_the_best() -> None:
+    """The posterior's curvature from its values alone, where the search ended."""
+    sample, trajectory = survey(5)
+    found = estimated(sample, trajectory, prior())
+    window = _window(sample, trajectory, MOUNT, LEVER, BEAM, 0.0, LENGTH_S, EPOCH_S)
+    assert window is not None
+    density = _Likelihood([window], prior(), np.sqrt(np.diag(MOUNT.cov_ics)), epoch_s=EPOCH_S)
+    mean, spread = prior().mean_and_spread()
+    z = np.array(
+        [(np.log(found.estimates[name].value) - mean[i]) / spread[i] for i, name in enumerate(NAMES)]
+    )
+    step = 0.1 * np.eye(len(NAMES))
+    value = {
+        (i, j, a, b): density(z + a * step[i] + b * step[j])[0]
+        for i in range(len(NAMES))
+        for j in range(i + 1)
+        for a in (-1, 1)
+        for b in (-1, 1)
+    }
+    second = np.zeros((len(NAMES), len(NAMES)))
+    for i, j, a, b in value:
+        second[i, j] += a * b * value[i, j, a, b] / (4 * 0.1**2)
+    second += np.tril(second, -1).T
+    sigma = spread * np.sqrt(np.diag(np.linalg.inv(second / 2)))
+    # both are differences over a tenth of a prior's sigma, of values and of slopes
+    np.testing.assert_allclose([found.estimates[name].sigma_log for name in NAMES], sigma, rtol=0.02)
+    np.testing.assert_allclose([found.estimates[name].prior for name in NAMES], np.exp(mean))
+    assert (found.windows, found.planes, found.observations) == (1, window.planes, window.observations)
+
+
+def test_sizes_are_found_whatever_is_stated() -> None:
+    """True errors of half and twice the stated size: logarithms within their sigmas, two-sided."""
+    for size in (0.5, 2.0):
+        names = ("position", "roll_pitch", "heading", "white")
+        found = [estimated(*survey(seed, size=size), prior()).estimates for seed in range(3)]
+        z = np.array([[np.log(f[n].value / size) / f[n].sigma_log for n in names] for f in found])
+        sigma = np.array([[f[n].sigma_log for n in names] for f in found])
+        # Twelve values that share processes: chi-square of 12 at 0.1 % and 99.9 % is 2.2 and 32.9. The prior
+        # pulls towards 1, by ln(2) / ln(2) of its sigma at most.
+        assert 0.5 < np.sum(z**2) < 32.9
+        assert np.all(sigma < 0.9 * np.log(2)), "a survey says more than the prior alone"
+        assert all(f["white"].sigma_log < 0.2 for f in found), "forty epochs of three axes tell noise"

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from thalweg.core.tables import kind_of, read_table, write_table
-from thalweg.lidar.filters import REMOVED, Reason
-from thalweg.lidar.removed import REMOVED_POINTS, RemovedSample
+from thalweg.core import read_table, write_table
+from thalweg.core.tables import kind_of
+from thalweg.lidar import REMOVED, REMOVED_POINTS, Reason
+from thalweg.lidar.cloud import RemovedSample
 
 
 def sampled(reasons: np.ndarray, most: int, pieces: int) -> RemovedSample:

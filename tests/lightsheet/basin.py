@@ -9,15 +9,12 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.calibration.markers.camera_file import read_camera
-from thalweg.core.camera.model import Camera
-from thalweg.core.frames import LocalFrame
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.optics.sensor_files import read_sensor
-from thalweg.settings.light_sheet.sections import LightSheet
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.tank.camera_field import record_camera_field
-from thalweg_lab.tank.series import record_camera_station, record_series
+from thalweg.calibration import read_camera
+from thalweg.core import Camera, LocalFrame
+from thalweg.lightsheet.optics import Sensor, read_sensor
+from thalweg.settings.sections import LightSheet
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.tank import record_camera_field, record_camera_station, record_series
 
 SCRIPTS = Path(__file__).parents[2] / "workflow" / "scripts"
 FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
@@ -51,9 +48,12 @@ def recorded(
     """Record the camera station, the grid, and on request the panels."""
     twin = TwinConfig.of_size("basin_tiny", light_sheet=changes or {})
     record_camera_station(
-        twin, seed, out_sensor=folder / "sensor.yaml", out_marks=folder / "camera_marks.csv",
+        twin,
+        seed,
+        out_sensor=folder / "sensor.yaml",
+        out_marks=folder / "camera_marks.csv",
         out_points=folder / "mark_points.csv",
-    )  # fmt: skip
+    )
     record_camera_field(
         twin, seed, out_marks=folder / "camera_field_marks.csv", out_field=folder / "camera_field.yaml"
     )
@@ -75,59 +75,83 @@ class Jobs:
     def calibrate_camera(self, basin: Basin, **other: Path) -> Camera:
         """Interior orientation from the pictures of the marker field."""
         files = {
-            "design": basin.folder / "sensor.yaml", "marks": basin.folder / "camera_field_marks.csv",
+            "design": basin.folder / "sensor.yaml",
+            "marks": basin.folder / "camera_field_marks.csv",
             "field": basin.folder / "camera_field.yaml",
-        }  # fmt: skip
+        }
         origin = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
         run(
-            "calibrate_sheet_camera", self.out, **files | other, camera=self.out / "camera_interior.yaml",
-            report=self.out / "camera_interior.json", campaign={"id": "x", "origin": origin}, twin=True,
-        )  # fmt: skip
+            "calibrate_sheet_camera",
+            self.out,
+            **files | other,
+            camera=self.out / "camera_interior.yaml",
+            report=self.out / "camera_interior.json",
+            campaign={"id": "x", "origin": origin},
+            twin=True,
+        )
         return read_camera(self.out / "camera_interior.yaml")
 
     def orient(self, basin: Basin, *, interior: Sequence[Path] = (), **other: Path) -> Sensor:
         files = {
-            "design": basin.folder / "sensor.yaml", "marks": basin.folder / "camera_marks.csv",
+            "design": basin.folder / "sensor.yaml",
+            "marks": basin.folder / "camera_marks.csv",
             "points": basin.folder / "mark_points.csv",
-        }  # fmt: skip
+        }
         run(
-            "orient_sheet_camera", self.out, **files | other, interior=list(interior),
+            "orient_sheet_camera",
+            self.out,
+            **files | other,
+            interior=list(interior),
             sensor=self.out / "camera.yaml",
-            campaign={"id": "x"}, calibration=self.settings.calibration.model_dump(), twin=True,
-        )  # fmt: skip
+            campaign={"id": "x"},
+            calibration=self.settings.calibration.model_dump(),
+            twin=True,
+        )
         return read_sensor(self.out / "camera.yaml")
 
     def detect(self, basin: Basin, series: str, images: list[Path] | None = None) -> pd.DataFrame:
         """Counts by image."""
         lines = self.settings.lines.model_dump()
         if series == "calibration":
-            # as workflow/rules/common_light_sheet.smk has it
-            lines |= {"lines": self.settings.calibration.levels, "link_gap_rows": 0}
-            lines |= {"least_rows": 5, "largest_rows": 7}
+            how = self.settings.calibration
+            lines |= {"lines": how.levels, **how.pieces.model_dump()}
         run(
-            "detect_sheet_lines", self.out, images=images or [basin.folder / series / "images"],
-            sensor=basin.folder / "sensor.yaml", line_points=self.out / f"{series}.parquet",
-            counts=self.out / f"{series}.csv", lines=lines, threads=1,
-        )  # fmt: skip
+            "detect_sheet_lines",
+            self.out,
+            images=images or [basin.folder / series / "images"],
+            sensor=basin.folder / "sensor.yaml",
+            line_points=self.out / f"{series}.parquet",
+            counts=self.out / f"{series}.csv",
+            lines=lines,
+            threads=1,
+        )
         return pd.read_csv(self.out / f"{series}.csv")
 
     def calibrate(self, basin: Basin, **other: Path) -> Sensor:
         files = {
-            "camera": self.out / "camera.yaml", "line_points": self.out / "calibration.parquet",
+            "camera": self.out / "camera.yaml",
+            "line_points": self.out / "calibration.parquet",
             "grid": basin.folder / "calibration" / "grid_1.yaml",
-        }  # fmt: skip
+        }
         run(
-            "calibrate_light_sheet", self.out, **files | other, sensor=self.out / "sensor.yaml",
-            report=self.out / "calibration.json", campaign={"id": "x"},
-            calibration=self.settings.calibration.model_dump(), water=self.settings.water.model_dump(),
+            "calibrate_light_sheet",
+            self.out,
+            **files | other,
+            sensor=self.out / "sensor.yaml",
+            report=self.out / "calibration.json",
+            campaign={"id": "x"},
+            calibration=self.settings.calibration.model_dump(),
+            water=self.settings.water.model_dump(),
             twin=True,
-        )  # fmt: skip
+        )
         return read_sensor(self.out / "sensor.yaml")
 
     def measure(self, basin: Basin, **other: Path) -> pd.DataFrame:
         files = {
-            "sensor": self.out / "sensor.yaml", "line_points": self.out / "panels.parquet",
-            "counts": self.out / "panels.csv", "panels": basin.folder / "panels" / "images.csv",
-        }  # fmt: skip
+            "sensor": self.out / "sensor.yaml",
+            "line_points": self.out / "panels.parquet",
+            "counts": self.out / "panels.csv",
+            "panels": basin.folder / "panels" / "images.csv",
+        }
         run("measure_panels", self.out, **files | other, table=self.out / "depths.csv")
         return pd.read_csv(self.out / "depths.csv")

@@ -3,15 +3,22 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.lightsheet.budget.budget import (
-    CAUSES,
+from thalweg.core import GeometryError, InputError
+from thalweg.lightsheet.budget import (
     TOTAL,
     TOTAL_CORRELATED,
     budget_on_lines,
-    budget_over_picture,
     budget_table,
+    calibrated,
+    depth_sigmas,
+    design,
+)
+from thalweg.lightsheet.budget.budget import (
+    CAUSES,
+    budget_over_picture,
     point_budget,
+    recalibrated,
+    simulated_depth_errors,
 )
 from thalweg.lightsheet.budget.checks import (
     camera_angles,
@@ -24,17 +31,8 @@ from thalweg.lightsheet.budget.checks import (
     read_published,
     verdicts,
 )
-from thalweg.lightsheet.budget.correlations import (
-    calibrated,
-    depth_sigmas,
-    design,
-    recalibrated,
-    simulated_depth_errors,
-)
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.sensor import PARAMETERS, paper_4
-from thalweg.lightsheet.optics.volume import depth_lines
-from thalweg_lab.base.random import generator
+from thalweg.lightsheet.optics import PARAMETERS, depth_lines, intersect, paper_4
+from thalweg_lab.random_numbers import generator
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.lightsheet.lens.camera_marks import read_camera_marks
+from thalweg.core import InputError
+from thalweg.lightsheet.calibration import read_camera_marks
 
 HEAD = "file,marker,corner,x_px,y_px,sigma_px\n"
 ROW = "s.png,1,0,10.5,20.5,0.1\n"

@@ -5,10 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.lightsheet.optics.derivatives import point_derivatives, sheet_derivatives
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.light_path import beams_at_points, fan_angles, sheet_in_water, sheet_normals
-from thalweg.lightsheet.optics.sensor import PARAMETERS, paper_4
+from thalweg.lightsheet.optics import (
+    PARAMETERS,
+    fan_angles,
+    intersect,
+    paper_4,
+    point_derivatives,
+    sheet_derivatives,
+    sheet_in_water,
+)
+from thalweg.lightsheet.optics.volume import beams_at_points, sheet_normals
 
 
 @pytest.fixture(scope="module")

@@ -5,17 +5,25 @@ from dataclasses import replace
 import numba as nb
 import numpy as np
 import pytest
+from tests.lightsheet.exact_intersection import intersect_exactly
 
-from thalweg.core.errors import GeometryError
-from thalweg.lightsheet.optics import intersection_kernels
-from thalweg.lightsheet.optics.intersection import Status, fan_limits, intersect
-from thalweg.lightsheet.optics.intersection_paper import intersect_as_printed, intersect_by_halving
-from thalweg.lightsheet.optics.intersection_reference import intersect_exactly
-from thalweg.lightsheet.optics.light_path import beams_at_points, sheet_in_water
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import Sensor, paper_3, paper_4
-from thalweg.lightsheet.optics.threads import threads_for
-from thalweg.lightsheet.optics.volume import depth_lines
+from thalweg.core import GeometryError
+from thalweg.lightsheet.optics import (
+    Sensor,
+    Status,
+    depth_lines,
+    intersect,
+    intersect_by_halving,
+    intersection,
+    paper_3,
+    paper_4,
+    project,
+    sheet_in_water,
+)
+from thalweg.lightsheet.optics.approximations import intersect_as_printed
+from thalweg.lightsheet.optics.intersection import fan_limits
+from thalweg.lightsheet.optics.refraction import threads_for
+from thalweg.lightsheet.optics.volume import beams_at_points
 
 
 def pixels(sensor: Sensor, image_mm, pixel_mm: float) -> np.ndarray:
@@ -106,7 +114,7 @@ def test_projection_is_the_inverse(change) -> None:
 
 def test_rays_of_the_kernel_are_those_of_the_camera() -> None:
     """Points lie on the camera's own rays, followed step by step through the window."""
-    from thalweg.lightsheet.optics.interfaces import trace
+    from thalweg.lightsheet.optics import trace
 
     sensor = distorted(paper_4())
     xy = random_pixels(500)
@@ -150,8 +158,8 @@ def test_sub_beams_at_borders_of_halves_and_nodes() -> None:
 def test_all_pixels_get_the_root_of_a_plain_search() -> None:
     """A signed halving of 2000 samples a ray, written without the kernel, finds the same points and the same
     gaps."""
-    from thalweg.lightsheet.optics.refracted_rays import refract_to_water
-    from thalweg.lightsheet.optics.sheet_models import image_rays
+    from thalweg.lightsheet.optics import refract_to_water
+    from thalweg.lightsheet.optics.approximations import image_rays
 
     rng = np.random.default_rng(8)
     total = 0
@@ -203,7 +211,7 @@ def test_of_two_places_on_a_ray_the_nearer_one_counts(turn: float) -> None:
 
 
 def test_marks_of_the_kernel_are_those_of_the_enum() -> None:
-    k = intersection_kernels
+    k = intersection
     numbers = [k._OK, k._NO_SHEET, k._ABOVE, k._GRAZING, k._REFLECTED, k._NO_RAY]
     assert numbers == list(Status)
 
@@ -229,9 +237,11 @@ def test_rays_within_the_sheet_are_grazing() -> None:
     sensor = paper_4()
     sheet = replace(sensor.sheet, origin_lcs_mm=np.array([0.0, 0.0, 50.0]), angles_rad=np.zeros(3))
     flat = replace(
-        sensor, sheet=sheet, camera_origin_lcs_mm=np.array([30.0, 0.0, 60.0]),
+        sensor,
+        sheet=sheet,
+        camera_origin_lcs_mm=np.array([30.0, 0.0, 60.0]),
         camera_angles_rad=np.array([0.0, 0.0, 0.0]),
-    )  # fmt: skip
+    )
     inside = intersect(flat, [[1024.0, 1024.0], [900.0, 1024.0]])
     assert inside.status.tolist() == [Status.GRAZING] * 2
     # 1 mm beside the sheet the ray crosses it at some tenths of a degree

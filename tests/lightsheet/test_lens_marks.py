@@ -11,17 +11,12 @@ import pandas as pd
 import pytest
 from tests.lightsheet.basin import FRAME, Basin, Jobs, run
 
-from thalweg.calibration.markers.camera_file import read_camera
-from thalweg.calibration.markers.sheets import MarkerLayout, sheet_picture
-from thalweg.calibration.markers.tables import MARKS
-from thalweg.core.calibration.files import read_calibration
-from thalweg.core.calibration.model import Source
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.tables import frame_of, write_table
-from thalweg.lightsheet.lens.lens import NAME
-from thalweg.lightsheet.lens.marks import read_lens_marks
-from thalweg.lightsheet.optics.sensor import LENS, paper_4
-from thalweg.lightsheet.optics.sensor_files import LENS_BLOCK, write_sensor
+from thalweg.calibration import MARKS, MarkerLayout, read_camera, sheet_picture
+from thalweg.core import GeometryError, InputError, frame_of, write_table
+from thalweg.core.calibration import Source, read_calibration
+from thalweg.lightsheet.calibration import NAME, read_lens_marks
+from thalweg.lightsheet.optics import LENS, paper_4, write_sensor
+from thalweg.lightsheet.optics.sensor import LENS_BLOCK
 from thalweg_lab.tank.camera_field import MODULE_M, build_marker_field, field_text, stations
 
 SIZE = (512, 512)
@@ -41,9 +36,7 @@ def changed(basin: Basin, path: Path, change: Callable[[pd.DataFrame], pd.DataFr
 
 def test_the_twin_writes_what_is_read(basin: Basin) -> None:
     marks = read_lens_marks(basin.folder / "camera_field_marks.csv", SIZE)
-    assert marks.columns.tolist() == [
-        "image", "camera", "marker", "corner", "x_px", "y_px", "sigma_px",
-    ]  # fmt: skip
+    assert marks.columns.tolist() == ["image", "camera", "marker", "corner", "x_px", "y_px", "sigma_px"]
     assert marks["image"].nunique() == 24
     assert set(marks["camera"]) == {NAME}
     assert (marks.groupby(["image", "marker"]).size() == 4).all()
@@ -151,10 +144,14 @@ def test_a_message_names_the_table(basin: Basin, tmp_path: Path) -> None:
     origin = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
     with pytest.raises(InputError, match="file not found"):
         run(
-            "calibrate_sheet_camera", tmp_path, design=basin.folder / "sensor.yaml",
-            marks=tmp_path / "none.csv", field=basin.folder / "camera_field.yaml",
-            campaign={"id": "x", "origin": origin}, twin=True,
-        )  # fmt: skip
+            "calibrate_sheet_camera",
+            tmp_path,
+            design=basin.folder / "sensor.yaml",
+            marks=tmp_path / "none.csv",
+            field=basin.folder / "camera_field.yaml",
+            campaign={"id": "x", "origin": origin},
+            twin=True,
+        )
 
 
 # ---------------------------------------------------------------- photographs
@@ -188,18 +185,29 @@ def test_photographs_lead_to_the_same_camera(tmp_path: Path) -> None:
     folder = photographs(tmp_path / "pictures")
     marks = tmp_path / "marks.parquet"
     run(
-        "detect_markers", tmp_path, folders=[folder], field=folder / "field.yaml", marks=marks,
-        camera="sheet_camera", threads=1,
-    )  # fmt: skip
+        "detect_markers",
+        tmp_path,
+        folders=[folder],
+        field=folder / "field.yaml",
+        marks=marks,
+        camera="sheet_camera",
+        threads=1,
+    )
     design = tmp_path / "design.yaml"
     nominal = paper_4()
     nominal = replace(nominal, camera=nominal.camera.scaled((1024, 1024)))
     write_sensor(design, nominal, source=Source(run="test", method="drawing", twin=True))
     origin = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
     run(
-        "calibrate_sheet_camera", tmp_path, design=design, marks=marks, field=folder / "field.yaml",
-        camera=tmp_path / "camera.yaml", campaign={"id": "x", "origin": origin}, twin=False,
-    )  # fmt: skip
+        "calibrate_sheet_camera",
+        tmp_path,
+        design=design,
+        marks=marks,
+        field=folder / "field.yaml",
+        camera=tmp_path / "camera.yaml",
+        campaign={"id": "x", "origin": origin},
+        twin=False,
+    )
     found = read_camera(tmp_path / "camera.yaml")
     off = (found.parameters - nominal.camera.parameters)[:4]
     sigma = np.sqrt(np.diag(found.cov))[:4]

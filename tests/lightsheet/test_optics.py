@@ -5,15 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from thalweg.core.errors import InputError
-from thalweg.lightsheet.optics import refractive_index
-from thalweg.lightsheet.optics.interfaces import refract, trace
-from thalweg.lightsheet.optics.intersection_paper import refract_as_printed
-from thalweg.lightsheet.optics.refracted_rays import Status, directions_to_points, refract_to_water
-from thalweg.lightsheet.optics.sensor import Window, paper_4
+from thalweg.core import InputError
+from thalweg.lightsheet.optics import (
+    Status,
+    Window,
+    directions_to_points,
+    paper_4,
+    refract,
+    refract_as_printed,
+    refract_to_water,
+    refractive_index,
+    trace,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -66,9 +71,15 @@ def test_the_printed_law_is_wrong() -> None:
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(
-    st.floats(0.0, 1.3), st.floats(-3.0, 3.0), st.floats(0.0, 20.0), st.floats(1.2, 1.9), st.floats(1.0, 1.5),
-    st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(0.0, 300.0),
-)  # fmt: skip
+    st.floats(0.0, 1.3),
+    st.floats(-3.0, 3.0),
+    st.floats(0.0, 20.0),
+    st.floats(1.2, 1.9),
+    st.floats(1.0, 1.5),
+    st.floats(-0.2, 0.2),
+    st.floats(-0.2, 0.2),
+    st.floats(0.0, 300.0),
+)
 def test_the_closed_form_is_the_traced_ray(angle, azimuth, thickness, glass, water, tilt_x, tilt_y, depth):
     window = Window(
         thickness_mm=thickness, n_glass=glass, n_water=water, tilt_x_rad=tilt_x, tilt_y_rad=tilt_y
@@ -194,3 +205,23 @@ def test_the_ends_of_what_water_and_air_may_be_belong_to_it() -> None:
     for outside in ((520.0, -2.1, 0.0), (520.0, 40.1, 0.0), (520.0, 20.0, 40.1)):
         with pytest.raises(InputError):
             refractive_index.water(*outside)
+
+
+@pytest.mark.parametrize("wavelength_nm", [420.0, 700.0])
+def test_the_ends_of_the_visible_belong_to_it(wavelength_nm: float) -> None:
+    outside = wavelength_nm + (0.5 if wavelength_nm > 500 else -0.5)
+    for n in (
+        lambda nm: refractive_index.water(nm, 20.0),
+        lambda nm: refractive_index.air(nm),
+        lambda nm: refractive_index.glass("N-BK7", nm),
+    ):
+        assert n(wavelength_nm) > 1.0
+        with pytest.raises(InputError, match="420 to 700 nm"):
+            n(outside)
+
+
+def test_air_is_thinner_where_it_is_warm_or_high_up() -> None:
+    """What is beyond 1 grows with pressure over absolute temperature: 288.15 K at 15 degrees."""
+    standard = refractive_index.air(520.0) - 1
+    assert refractive_index.air(520.0, 30.0) - 1 == pytest.approx(standard * 288.15 / 303.15, rel=1e-9)
+    assert refractive_index.air(520.0, 15.0, 900.0) - 1 == pytest.approx(standard * 900 / 1013.25, rel=1e-9)

@@ -6,10 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.lightsheet.optics.light_path import sheet_in_water
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import Sensor, paper_4
+from thalweg.core import GeometryError, InputError
+from thalweg.lightsheet.optics import Sensor, paper_4, project, sheet_in_water
 from thalweg.lightsheet.poses.panels import compare_panels, measure_panels, read_panels
 
 NAMES = ("a.png", "b.png", "c.png")
@@ -161,8 +159,7 @@ def test_media_that_are_not_those_of_the_panels_are_told() -> None:
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "words"),
-    [(True, False, "left to right"), (True, True, "turned by 180 degrees")],
+    ("x", "y", "words"), [(True, False, "left to right"), (True, True, "turned by 180 degrees")]
 )
 def test_flipped_pictures_of_panels_are_told(x: bool, y: bool, words: str) -> None:
     table, panels, images = lines_on_panels(SENSOR)

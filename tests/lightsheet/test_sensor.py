@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.core.calibration.model import Source
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError, InputError, ThalwegError
-from thalweg.core.frames import rotation_opk
-from thalweg.ingest.registry.describe_calibration import describe_calibration
-from thalweg.lightsheet.optics.sensor import (
+from thalweg.core import Camera, GeometryError, InputError, ThalwegError, rotation_opk
+from thalweg.core.calibration import Source
+from thalweg.ingest.registry.calibrations import describe_calibration
+from thalweg.lightsheet.optics import (
     PARAMETERS,
     RESOURCES,
     LightSheet,
@@ -18,13 +16,10 @@ from thalweg.lightsheet.optics.sensor import (
     Window,
     paper_3,
     paper_4,
-)
-from thalweg.lightsheet.optics.sensor_files import (
-    file_derivatives,
     read_sensor,
-    sensor_calibration,
     write_sensor,
 )
+from thalweg.lightsheet.optics.sensor import file_derivatives, sensor_calibration
 
 SOURCE = Source(run="tank", method="two levels")
 
@@ -138,10 +133,9 @@ def test_describe_prints_it() -> None:
         ("x_lcs = R_lcs_las", "x_ics = R_ics_las", "a place in the frame of the sensor"),
         ("z_m: {value: 0.07736", "z_m: {value: -0.07736", "77.36 mm above the inner face"),
         ("n_water: {value: 1.335", "n_water: {value: 0.5", "refractive indices"),
-        ("n_glass: {value: 1.52, sigma: 0.0, unit: \"1\"}\n", "n_glass: {value: 1.52, sigma: -1}\n",
-        "mistake"),
+        ('n_glass: {value: 1.52, sigma: 0.0, unit: "1"}\n', "n_glass: {value: 1.52, sigma: -1}\n", "mistake"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_file_says_where_and_what(tmp_path, old: str, new: str, answer: str) -> None:
     text = (RESOURCES / "paper_4.yaml").read_text()
     assert old in text

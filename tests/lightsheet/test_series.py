@@ -9,41 +9,38 @@ import pandas as pd
 import pytest
 from tests.lightsheet.basin import Basin
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.tables import read_table, write_table
-from thalweg.lightsheet.calibration.grid import read_grid
-from thalweg.lightsheet.lines.detect import detect_lines
-from thalweg.lightsheet.lines.series_shift import pooled_shift, without_shift
-from thalweg.lightsheet.lines.settings import LineSettings
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import PARAMETERS, Sensor, paper_4
-from thalweg.lightsheet.poses.series import (
+from thalweg.core import GeometryError, InputError, read_table, write_table
+from thalweg.lightsheet.calibration import read_grid
+from thalweg.lightsheet.lines import LineSettings, detect_lines, pooled_shift, without_shift
+from thalweg.lightsheet.optics import PARAMETERS, Sensor, intersect, paper_4, project
+from thalweg.lightsheet.poses import (
     SERIES_POINTS,
-    SHEET_POINTS,
     detect_series,
-    image_covariance,
-    points_on_sheet,
     read_sheet_image,
     require_levels,
     require_one_image,
 )
-from thalweg.settings.twin.light_sheet import SheetImage
-from thalweg_lab.base.random import generator
-from thalweg_lab.tank.objects import stepped_object
-from thalweg_lab.tank.plan import scan_plan
-from thalweg_lab.tank.render import render_sheet_image
-from thalweg_lab.tank.truth_sensor import sized
+from thalweg.lightsheet.poses.series import SHEET_POINTS, image_covariance, points_on_sheet
+from thalweg.settings.twin import SheetImage
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank import render_sheet_image, scan_plan, sized, stepped_object
 
 SIZE = (512, 512)
 
 
 def line_table(xy: np.ndarray, *, sigma_px: float = 0.1, angle_rad: float = 0.0) -> pd.DataFrame:
     n = len(xy)
-    return pd.DataFrame({
-        "file": "a.png", "line": np.zeros(n, np.int32), "x_px": xy[:, 0], "y_px": xy[:, 1],
-        "sigma_px": sigma_px, "angle_rad": angle_rad, "flags": np.arange(n, dtype=np.uint8) % 2,
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "file": "a.png",
+            "line": np.zeros(n, np.int32),
+            "x_px": xy[:, 0],
+            "y_px": xy[:, 1],
+            "sigma_px": sigma_px,
+            "angle_rad": angle_rad,
+            "flags": np.arange(n, dtype=np.uint8) % 2,
+        }
+    )
 
 
 def on_plane(sensor: Sensor, depth_mm: float, n: int = 40) -> np.ndarray:
@@ -243,9 +240,11 @@ def test_a_series_removes_the_shift_that_its_images_have_in_common(tmp_path: Pat
     ]
     shift = pooled_shift([one.facts for one in alone])
     assert points.attrs["width_shift"] == {
-        "coefficient": shift.coefficient, "sigma": shift.sigma, "edges": shift.edges,
+        "coefficient": shift.coefficient,
+        "sigma": shift.sigma,
+        "edges": shift.edges,
         "applied": shift.applied,
-    }  # fmt: skip
+    }
     assert shift.edges >= 6
     expected = np.concatenate([without_shift(one, shift).x_px for one in alone])
     np.testing.assert_array_equal(points["x_px"].to_numpy(), expected)

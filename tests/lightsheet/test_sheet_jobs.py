@@ -13,16 +13,19 @@ import pytest
 import yaml
 from tests.lightsheet.basin import Basin, Jobs, recorded
 
-from thalweg.core.calibration.model import Source
-from thalweg.core.errors import ConfigError, GeometryError, InputError, ThalwegError
-from thalweg.core.tables import write_table
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.light_path import sheet_in_water
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import PARAMETERS, Sensor
-from thalweg.lightsheet.optics.sensor_files import read_sensor, write_sensor
-from thalweg.lightsheet.poses.series import SERIES_POINTS
-from thalweg.settings.light_sheet.sections import LightSheet, SheetCalibration
+from thalweg.core import ConfigError, GeometryError, InputError, ThalwegError, write_table
+from thalweg.core.calibration import Source
+from thalweg.lightsheet.optics import (
+    PARAMETERS,
+    Sensor,
+    intersect,
+    project,
+    read_sensor,
+    sheet_in_water,
+    write_sensor,
+)
+from thalweg.lightsheet.poses import SERIES_POINTS
+from thalweg.settings.sections import LightSheet, SheetCalibration
 
 
 @pytest.fixture
@@ -83,8 +86,12 @@ def test_panels_lie_within_their_prediction(done: Jobs) -> None:
 def test_the_files_say_where_they_come_from(done: Jobs) -> None:
     report = json.loads((done.out / "calibration.json").read_text())
     assert {p["name"] for p in report["parameters"] if p["treated"] == "estimated"} == {
-        "laser_x_mm", "laser_y_mm", "laser_z_mm", "laser_omega_deg", "laser_kappa_deg",
-    }  # fmt: skip
+        "laser_x_mm",
+        "laser_y_mm",
+        "laser_z_mm",
+        "laser_omega_deg",
+        "laser_kappa_deg",
+    }
     for name, title in (("camera.yaml", "camera oriented"), ("sensor.yaml", "calibrated")):
         text = (done.out / name).read_text()
         assert title in text

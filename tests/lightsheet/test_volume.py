@@ -5,12 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.lightsheet.optics.intersection import Status, intersect
-from thalweg.lightsheet.optics.lookup import EXACT, look_up_table, table_counts
-from thalweg.lightsheet.optics.sensor import paper_3, paper_4
-from thalweg.lightsheet.optics.sheet_models import fit_cone, fit_plane, model_errors
-from thalweg.lightsheet.optics.volume import depth_lines, measurement_volume, picture_grid
+from thalweg.core import GeometryError
+from thalweg.lightsheet.optics import (
+    Status,
+    depth_lines,
+    intersect,
+    look_up_table,
+    measurement_volume,
+    model_errors,
+    paper_3,
+    paper_4,
+    picture_grid,
+)
+from thalweg.lightsheet.optics.approximations import fit_cone, fit_plane
+from thalweg.lightsheet.optics.lookup import EXACT, table_counts
 
 
 def test_volume_of_paper_4() -> None:

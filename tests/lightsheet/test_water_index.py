@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from tests.lightsheet.basin import Basin, Jobs
 
-from thalweg.core.errors import InputError
-from thalweg.lightsheet.optics.refractive_index import air, water
-from thalweg.lightsheet.optics.sensor import PARAMETERS, paper_4
-from thalweg.lightsheet.optics.water_index import N_WATER, WaterState, in_measured_water
-from thalweg.settings.light_sheet.sections import LightSheet, SheetWater
+from thalweg.core import InputError
+from thalweg.lightsheet.optics import PARAMETERS, WaterState, air, in_measured_water, paper_4, water
+from thalweg.lightsheet.optics.refractive_index import N_WATER
+from thalweg.settings.sections import LightSheet, SheetWater
 
 
 def test_index_is_that_of_the_formulas_against_air() -> None:
@@ -25,16 +24,20 @@ def test_index_is_that_of_the_formulas_against_air() -> None:
 @pytest.mark.parametrize("temperature_c", [0.5, 18.0, 40.0])
 def test_sigma_is_the_scatter_of_drawn_states(temperature_c: float, rng: np.random.Generator) -> None:
     state = WaterState(
-        temperature_c=temperature_c, sigma_temperature_c=0.4, salinity_psu=15.0, sigma_salinity_psu=0.5,
+        temperature_c=temperature_c,
+        sigma_temperature_c=0.4,
+        salinity_psu=15.0,
+        sigma_salinity_psu=0.5,
         sigma_wavelength_nm=2.0,
-    )  # fmt: skip
+    )
     drawn = [
         WaterState(
             temperature_c=float(np.clip(temperature_c + 0.4 * a, -2, 40)),
-            salinity_psu=15.0 + 0.5 * b, wavelength_nm=520.0 + 2.0 * c,
+            salinity_psu=15.0 + 0.5 * b,
+            wavelength_nm=520.0 + 2.0 * c,
         ).index()[0]
         for a, b, c in rng.standard_normal((4000, 3))
-    ]  # fmt: skip
+    ]
     own = np.hypot(2e-5, 15 * 3e-6)
     # 4000 draws: 1.1 %; at 40 degrees half of the draws are held at the end of the formulas, whose share is
     # 0.4 * 1.6e-4 of 1.3e-4 in all

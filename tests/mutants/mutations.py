@@ -10,35 +10,92 @@ goes to the log, and arguments that change no number (``strict`` of `zip`, toler
 """
 
 import ast
+import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 OPERATORS: Final[dict[type[ast.operator], type[ast.operator]]] = {
-    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
-    ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
-}  # fmt: skip
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.BitAnd: ast.BitOr,
+    ast.BitOr: ast.BitAnd,
+}
 COMPARISONS: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
-    ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
-    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
-}  # fmt: skip
+    ast.Lt: ast.GtE,
+    ast.LtE: ast.Gt,
+    ast.Gt: ast.LtE,
+    ast.GtE: ast.Lt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+    ast.In: ast.NotIn,
+    ast.NotIn: ast.In,
+}
 FUNCTIONS: Final = {
-    "cos": "sin", "sin": "cos", "min": "max", "max": "min", "argmin": "argmax", "argmax": "argmin",
-    "floor": "ceil", "ceil": "floor", "minimum": "maximum", "maximum": "minimum", "any": "all", "all": "any",
-    "deg2rad": "rad2deg", "rad2deg": "deg2rad", "ppf": "isf", "isf": "ppf", "mean": "median",
-    "median": "mean", "zeros": "ones", "ones": "zeros",
-}  # fmt: skip
+    "cos": "sin",
+    "sin": "cos",
+    "min": "max",
+    "max": "min",
+    "argmin": "argmax",
+    "argmax": "argmin",
+    "floor": "ceil",
+    "ceil": "floor",
+    "minimum": "maximum",
+    "maximum": "minimum",
+    "any": "all",
+    "all": "any",
+    "deg2rad": "rad2deg",
+    "rad2deg": "deg2rad",
+    "ppf": "isf",
+    "isf": "ppf",
+    "mean": "median",
+    "median": "mean",
+    "zeros": "ones",
+    "ones": "zeros",
+}
 SYMMETRIC: Final = {
-    "hypot", "maximum", "minimum", "clip", "max", "min", "isinstance", "outer", "logical_and", "array_equal",
-    "allclose", "print", "setattr", "column", "getattr",
-}  # fmt: skip
+    "hypot",
+    "maximum",
+    "minimum",
+    "clip",
+    "max",
+    "min",
+    "isinstance",
+    "outer",
+    "logical_and",
+    "array_equal",
+    "allclose",
+    "print",
+    "setattr",
+    "column",
+    "getattr",
+}
 """Functions whose first two arguments may be exchanged, or fail at once if they are."""
 SHAPES: Final = {"zeros", "ones", "empty", "eye", "range", "reshape", "field", "broadcast_to", "tile"}
 """Functions whose arguments are sizes."""
 IDLE_FLAGS: Final = {
-    "strict", "copy", "check_finite", "kw_only", "frozen", "slots", "cache", "sort", "safe", "init", "repr",
-    "atol", "rtol",
-}  # fmt: skip
+    "strict",
+    "copy",
+    "check_finite",
+    "kw_only",
+    "frozen",
+    "slots",
+    "cache",
+    "sort",
+    "safe",
+    "init",
+    "repr",
+    "atol",
+    "rtol",
+}
 """Arguments that change no number where the input is right: flags, and tolerances for rounding."""
 LOGGERS: Final = {"debug", "info", "warning", "error", "exception"}
 
@@ -57,23 +114,31 @@ def sites(source: str) -> list[Site]:
     """All mistakes that can be made in a module, in the order of its text."""
     return [
         Site(number, kind, node.lineno, function)
-        for number, (node, function) in enumerate(_walk(ast.parse(source)))
+        for number, (node, function) in enumerate(_nodes(source))
         for kind in _kinds(node)
     ]
 
 
 def in_words(source: str, site: Site) -> str:
     """What is changed into what, on one line."""
-    tree = ast.parse(source)
-    before = ast.unparse(next(node for k, (node, _) in enumerate(_walk(tree)) if k == site.node))
-    return f"{_short(before)} -> {_short(ast.unparse(_changed(tree, site.node, site.kind)))}"
+    node = _nodes(source)[site.node][0]
+    return f"{_short(ast.unparse(node))} -> {_short(ast.unparse(_changed(copy.deepcopy(node), site.kind)))}"
 
 
 def mutated(source: str, site: Site) -> ast.Module:
     """The tree of a module with one mistake."""
     tree = ast.parse(source)
-    _changed(tree, site.node, site.kind)
+    node = next(node for number, (node, _) in enumerate(_walk(tree)) if number == site.node)
+    new = _changed(node, site.kind)
+    if new is not node:
+        _put(tree, node, new)
     return ast.fix_missing_locations(tree)
+
+
+@cache
+def _nodes(source: str) -> tuple[tuple[ast.expr | ast.stmt, str], ...]:
+    """What `_walk` gives of a module, parsed once; not to be changed."""
+    return tuple(_walk(ast.parse(source)))
 
 
 def _short(text: str, most: int = 90) -> str:
@@ -124,8 +189,10 @@ def _left_alone(node: ast.AST) -> bool:
 def _only_shape(node: ast.AST, child: ast.AST) -> bool:
     """Whether a child holds sizes and places: another one fails at once and asks nothing of the tests."""
     if isinstance(node, ast.Subscript) and child is node.slice:
-        return all(isinstance(n, ast.Constant | ast.Slice | ast.Tuple | ast.UnaryOp | ast.USub | ast.Load)
-                   for n in ast.walk(child))  # fmt: skip
+        return all(
+            isinstance(n, ast.Constant | ast.Slice | ast.Tuple | ast.UnaryOp | ast.USub | ast.Load)
+            for n in ast.walk(child)
+        )
     if isinstance(node, ast.Call) and _name(node.func) in SHAPES:
         return child is not node.func and all(
             isinstance(n, ast.Constant | ast.Tuple | ast.Call | ast.Name | ast.Attribute | ast.Load)
@@ -181,9 +248,8 @@ def _name(func: ast.expr) -> str:
     return func.attr if isinstance(func, ast.Attribute) else func.id if isinstance(func, ast.Name) else ""
 
 
-def _changed(tree: ast.Module, number: int, kind: str) -> ast.AST:
-    """Change one node of the tree in place; returns what stands there now."""
-    node = next(n for k, (n, _) in enumerate(_walk(tree)) if k == number)
+def _changed(node: ast.AST, kind: str) -> ast.AST:
+    """Change a node in place; returns what is to stand there now."""
     new: ast.AST = node
     match node, kind:
         case ast.BinOp(), "swapped product":
@@ -215,8 +281,6 @@ def _changed(tree: ast.Module, number: int, kind: str) -> ast.AST:
             args[0], args[1] = args[1], args[0]
         case _:
             raise ValueError(f"no {kind} at {ast.unparse(node)}")
-    if new is not node:
-        _put(tree, node, new)
     return new
 
 

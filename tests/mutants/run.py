@@ -61,10 +61,27 @@ LIMIT_MORE_S: Final = 15.0
 MEMORY_BYTES: Final = 8 * 2**30
 """Address space of a child: a mistake in a size must not take the machine down."""
 LIBRARIES: Final = (
-    "numpy", "scipy.stats", "scipy.optimize", "scipy.spatial.transform", "scipy.interpolate", "scipy.linalg",
-    "scipy.sparse.linalg", "scipy.ndimage", "pandas", "pyarrow.parquet", "numba", "laspy", "pyproj",
-    "pydantic", "hypothesis", "pytest", "_pytest.doctest", "cv2", "yaml", "PIL.Image",
-)  # fmt: skip
+    "numpy",
+    "scipy.stats",
+    "scipy.optimize",
+    "scipy.spatial.transform",
+    "scipy.interpolate",
+    "scipy.linalg",
+    "scipy.sparse.linalg",
+    "scipy.ndimage",
+    "pandas",
+    "pyarrow.parquet",
+    "numba",
+    "laspy",
+    "pyproj",
+    "pydantic",
+    "hypothesis",
+    "pytest",
+    "_pytest.doctest",
+    "cv2",
+    "yaml",
+    "PIL.Image",
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration.boat.mounts import read_mounts, resolve_mounts, write_mounts
-from thalweg.core.calibration.model import Calibration, Source, lever_block, pose_block
-from thalweg.core.errors import ConfigError
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.lidar.mount import Mount
-from thalweg.navigation.camera.mounts import lidar_mount_by_camera
+from thalweg.calibration import read_mounts, resolve_mounts, write_mounts
+from thalweg.core import ConfigError, Rigid, exp_rotation
+from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
+from thalweg.lidar import Mount
+from thalweg.navigation.camera import lidar_mount_by_camera
 
 LIDAR = Rigid.from_opk(np.deg2rad([0.4, -89.5, -0.3]), [-0.36, -0.01, -0.25])
 RELATIVE = Rigid.from_opk(np.deg2rad([-0.5, -1.0, 88.0]), [0.02, -0.06, 0.11])
@@ -23,7 +22,7 @@ def spread(seed: int, shift_m: float, turn_rad: float) -> np.ndarray:
 
 
 def boat() -> Calibration:
-    """As `thalweg.calibration.boat.joint`: the camera comes from lidar and relative orientation."""
+    """As `thalweg.calibration.boat`: the camera comes from lidar and relative orientation."""
     lidar, relative = LIDAR.with_cov(spread(1, 1e-3, 1e-3)), RELATIVE.with_cov(spread(2, 3e-4, 1e-4))
     inverse = relative.inverse()
     camera = lidar @ inverse

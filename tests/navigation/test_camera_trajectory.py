@@ -9,20 +9,31 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core.errors import ClockError, CoverageError, InputError
-from thalweg.core.frames import rotation_enu_body
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.core.trajectory import Trajectory
-from thalweg.images.model.poses import ImagePoses
-from thalweg.navigation.camera.carrier import bridged, bridged_integral
-from thalweg.navigation.camera.images import CONTRADICTS, NO_INS, NO_TIME, TWICE
-from thalweg.navigation.camera.settings import CloudSettings
-from thalweg.navigation.camera.trajectory import CameraTrajectory, camera_trajectory
-from thalweg.settings.images.sections import CameraCloud
+from thalweg.core import (
+    ClockError,
+    CoverageError,
+    InputError,
+    Rigid,
+    Trajectory,
+    exp_rotation,
+    rotation_enu_body,
+)
+from thalweg.images.model import ImagePoses
+from thalweg.navigation.camera import CloudSettings, camera_trajectory
+from thalweg.navigation.camera.trajectory import (
+    CONTRADICTS,
+    NO_INS,
+    NO_TIME,
+    TWICE,
+    CameraTrajectory,
+    bridged,
+    bridged_integral,
+)
+from thalweg.settings.sections import CameraCloud
 from thalweg_lab.studies.outage import CAMERA, FRAME, Recorded, VoyageSpec, make_survey, pose_errors
 
 HALF = CloudSettings(estimate_errors=False)
-BRIDGE = replace(HALF, frames="bridge")
+BRIDGE = HALF.replace(frames="bridge")
 """Closed forms hold for errors as stated; surveys of seconds do not tell them."""
 SIGMA_RAD = np.deg2rad([0.1, 0.1, 0.2])
 JITTER_S, COMMON_S = 0.020, 0.004
@@ -52,9 +63,14 @@ def run(recorded: Recorded, settings: CloudSettings, **changes: object) -> Camer
     poses = changes.pop("poses", timed(recorded.images))
     states = changes.pop("states", recorded.states)
     return camera_trajectory(
-        poses, recorded.T_ccs_ics.inverse(), settings, states=states, sigma_attitude_rad=SIGMA_RAD,
-        max_attitude_gap_s=0.1, **changes,
-    )  # fmt: skip
+        poses,
+        recorded.T_ccs_ics.inverse(),
+        settings,
+        states=states,
+        sigma_attitude_rad=SIGMA_RAD,
+        max_attitude_gap_s=0.1,
+        **changes,
+    )
 
 
 def changed(poses: ImagePoses, **columns: np.ndarray) -> ImagePoses:
@@ -75,9 +91,12 @@ def taken(poses: ImagePoses, keep: np.ndarray) -> ImagePoses:
         "rms_px",
     )
     return replace(
-        poses, images=tuple(poses.images[k] for k in keep), reasons=tuple(poses.reasons[k] for k in keep),
-        cov_next=poses.cov_next[keep] * follow[:, None, None], **{n: getattr(poses, n)[keep] for n in names},
-    )  # fmt: skip
+        poses,
+        images=tuple(poses.images[k] for k in keep),
+        reasons=tuple(poses.reasons[k] for k in keep),
+        cov_next=poses.cov_next[keep] * follow[:, None, None],
+        **{n: getattr(poses, n)[keep] for n in names},
+    )
 
 
 # ---------------------------------------------------------------- honesty
@@ -131,22 +150,37 @@ def perfect(image_s: np.ndarray, *, heading_bias_rad: float = 0.0, velocity_bias
     """Exact images on the circle, and an INS with constant errors."""
     t = 3.0e8 + np.arange(0, 10, 0.02)
     _, velocity, heading, _ = circle(t)
-    states = pd.DataFrame({
-        "t_gps_s": t, "roll_rad": 0.0, "pitch_rad": 0.0, "heading_rad": heading + heading_bias_rad,
-        "v_east_mps": velocity[:, 0] + velocity_bias_mps, "v_north_mps": velocity[:, 1], "v_down_mps": 0.0,
-        "sigma_roll_rad": 0.002, "sigma_pitch_rad": 0.002, "sigma_heading_rad": 0.004,
-        "filter_status": np.uint16(0b1111),
-    })  # fmt: skip
+    states = pd.DataFrame(
+        {
+            "t_gps_s": t,
+            "roll_rad": 0.0,
+            "pitch_rad": 0.0,
+            "heading_rad": heading + heading_bias_rad,
+            "v_east_mps": velocity[:, 0] + velocity_bias_mps,
+            "v_north_mps": velocity[:, 1],
+            "v_down_mps": 0.0,
+            "sigma_roll_rad": 0.002,
+            "sigma_pitch_rad": 0.002,
+            "sigma_heading_rad": 0.004,
+            "filter_status": np.uint16(0b1111),
+        }
+    )
     n = len(image_s)
     position, _, _, R = circle(3.0e8 + image_s)
     poses = ImagePoses(
-        frame=FRAME, images=tuple(f"{k}.jpg" for k in range(n)), t_gps_s=3.0e8 + image_s,
+        frame=FRAME,
+        images=tuple(f"{k}.jpg" for k in range(n)),
+        t_gps_s=3.0e8 + image_s,
         sigma_t_s=np.zeros(n),
-        oriented=np.ones(n, dtype=bool), reasons=("",) * n, centre_wcs_m=position + R @ CAMERA.shift_m,
-        R_wcs_ccs=R @ CAMERA.R, cov_pose_wcs=np.tile(1e-6 * np.eye(6), (n, 1, 1)),
+        oriented=np.ones(n, dtype=bool),
+        reasons=("",) * n,
+        centre_wcs_m=position + R @ CAMERA.shift_m,
+        R_wcs_ccs=R @ CAMERA.R,
+        cov_pose_wcs=np.tile(1e-6 * np.eye(6), (n, 1, 1)),
         cov_next=np.zeros((n, 6, 6)),
-        n_marks=np.full(n, 99.0), rms_px=np.full(n, 0.5),
-    )  # fmt: skip
+        n_marks=np.full(n, 99.0),
+        rms_px=np.full(n, 0.5),
+    )
     return poses, states
 
 
@@ -166,11 +200,14 @@ def test_constant_errors_of_the_ins_do_no_harm(motion: str) -> None:
     t = states["t_gps_s"].to_numpy()
     shifted, _, _, turned = circle(t)
     boat = Trajectory(
-        frame=FRAME, t_gps_s=t, position_wcs_m=shifted + np.array([3.0, -2.0, 1.0]),
+        frame=FRAME,
+        t_gps_s=t,
+        position_wcs_m=shifted + np.array([3.0, -2.0, 1.0]),
         quaternion_wcs_ics=quaternion(exp_rotation([0, 0, -0.05]) @ turned),
-        cov_pose_wcs=np.tile(1e-4 * np.eye(6), (len(t), 1, 1)), valid=np.ones(len(t), dtype=bool),
-    )  # fmt: skip
-    found = follow(poses, states, replace(BRIDGE, motion=motion), trajectory=boat).trajectory
+        cov_pose_wcs=np.tile(1e-4 * np.eye(6), (len(t), 1, 1)),
+        valid=np.ones(len(t), dtype=bool),
+    )
+    found = follow(poses, states, BRIDGE.replace(motion=motion), trajectory=boat).trajectory
     place, rotation, inside = found.at(at)
     assert inside.all()
     # chord of the circle between nodes: 0.2 m/s^2 (0.02 s)^2 / 8 = 1e-5 m; times are exact to 6e-8 s
@@ -191,11 +228,14 @@ def test_covariance_between_two_images_is_that_of_their_weighted_sum() -> None:
     cov, following = poses.cov_pose_wcs.copy(), poses.cov_next.copy()
     cov[1], cov[2], following[1] = joint[:6, :6], joint[6:, 6:], joint[:6, 6:]
     poses = replace(
-        poses, cov_pose_wcs=cov, cov_next=following, sigma_t_s=np.full(4, 0.02),
+        poses,
+        cov_pose_wcs=cov,
+        cov_next=following,
+        sigma_t_s=np.full(4, 0.02),
         facts={"image_times": {"sigma_common_s": 0.01}},
-    )  # fmt: skip
+    )
     # no error of the INS, so that only the images count
-    quiet = replace(BRIDGE, sigma_velocity_mps=1e-9, attitude_time_s=1e12, outlier_probability=0.0)
+    quiet = BRIDGE.replace(sigma_velocity_mps=1e-9, attitude_time_s=1e12, outlier_probability=0.0)
     found = follow(poses, states, quiet).trajectory
     A = np.zeros((6, 14))
     velocity, rate = circle(poses.t_gps_s)[1], np.array([0.0, 0.0, -0.2])
@@ -333,7 +373,7 @@ def test_common_errors_pass_through_an_image_without_time() -> None:
     poses = timed(recorded.images)
     t = poses.t_gps_s.copy()
     t[5] = np.nan
-    settings = replace(BRIDGE, sigma_velocity_mps=1e-9, attitude_time_s=1e12)
+    settings = BRIDGE.replace(sigma_velocity_mps=1e-9, attitude_time_s=1e12)
     found = run(recorded, settings, poses=replace(poses, t_gps_s=t, sigma_t_s=0 * t)).trajectory
     middle = found.cov_at(poses.t_gps_s[[5]])[0]
     keep = np.exp(-1.0 / 4.0)
@@ -377,11 +417,11 @@ def test_nothing_usable_is_an_error_with_both_spans() -> None:
     with pytest.raises(InputError, match="have a velocity"):
         follow(poses, states.assign(v_north_mps=np.nan), HALF)
     with pytest.raises(CoverageError, match="no trajectory"):
-        follow(poses, states, replace(HALF, motion="trajectory"))
+        follow(poses, states, HALF.replace(motion="trajectory"))
 
 
 def test_settings_are_those_of_the_campaign_file() -> None:
-    assert CloudSettings.from_section(CameraCloud().model_dump()) == CloudSettings()
+    assert CloudSettings.of(CameraCloud()) == CloudSettings()
 
 
 def test_the_mount_moves_the_boat_but_not_the_camera() -> None:

@@ -5,9 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.navigation.camera import trajectory as module
-from thalweg.navigation.camera.images import CONTRADICTS, BoatImages
-from thalweg.navigation.camera.settings import CloudSettings
+from thalweg.navigation.camera import CloudSettings, trajectory as module
+from thalweg.navigation.camera.trajectory import CONTRADICTS, BoatImages
 from thalweg_lab.studies.outage import VoyageSpec, make_survey
 
 
@@ -21,10 +20,13 @@ def test_the_limit_is_that_of_six_components(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(module, "neighbour_tests", neighbour_tests)
     found = module.camera_trajectory(
-        recorded.images, recorded.T_ccs_ics.inverse(),
+        recorded.images,
+        recorded.T_ccs_ics.inverse(),
         CloudSettings(outlier_probability=0.001, estimate_errors=False),
-        states=recorded.states, sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), max_attitude_gap_s=0.1,
-    )  # fmt: skip
+        states=recorded.states,
+        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
+        max_attitude_gap_s=0.1,
+    )
     assert np.flatnonzero(found.images["reason"] == CONTRADICTS).tolist() == [8]
     # the median of chi-squares of six degrees is 5.348
     assert found.facts["neighbours_differ_by_sigmas"] == pytest.approx(1.0, abs=1e-4)

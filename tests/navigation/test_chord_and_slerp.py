@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.trajectory import Trajectory
-from thalweg.lidar.georeference import georeference_points
-from thalweg.lidar.mount import Mount
+from thalweg.core import LocalFrame, Trajectory
+from thalweg.lidar import Mount, georeference_points
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
@@ -16,10 +14,13 @@ def largest_difference_rad(angle_rad: float) -> float:
     """Between kernel and slerp, over the interval between two nodes that differ by an angle."""
     nodes = Rotation.from_rotvec(np.array([[0, 0, 0.3], [0, 0, 0.3 + angle_rad]]))
     trajectory = Trajectory(
-        frame=FRAME, t_gps_s=np.array([0.0, 1.0]), position_wcs_m=np.zeros((2, 3)),
-        quaternion_wcs_ics=nodes.as_quat(), cov_pose_wcs=np.zeros((2, 6, 6)),
+        frame=FRAME,
+        t_gps_s=np.array([0.0, 1.0]),
+        position_wcs_m=np.zeros((2, 3)),
+        quaternion_wcs_ics=nodes.as_quat(),
+        cov_pose_wcs=np.zeros((2, 6, 6)),
         valid=np.ones(2, dtype=np.bool_),
-    )  # fmt: skip
+    )
     t = np.linspace(0, 1, 2001)
     mount = Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3))
     # a point at 1 m across the axis: its displacement is the angle

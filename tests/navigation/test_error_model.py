@@ -1,6 +1,7 @@
 """What an error model makes of stated covariances."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core.frames import LocalFrame, roll_pitch_heading, rotation_enu_body
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF
-from thalweg.navigation.ins_gnss.error_model import (
+from thalweg.core import ArrayF, LocalFrame, Trajectory, cross_matrix, roll_pitch_heading, rotation_enu_body
+from thalweg.navigation.ins_gnss import (
     BEAM,
     NAMES,
     ErrorModel,
@@ -157,3 +156,82 @@ def test_the_report_states_the_deviation_in_degrees() -> None:
     report = deviating(1.0).report()
     assert report["heading_deviation_deg"] == pytest.approx([0.2, -0.1])
     np.testing.assert_allclose(report["cov_heading_deviation_deg2"], np.diag([0.01, 0.01]), atol=1e-15)
+
+
+def test_prior_knowledge_by_hand() -> None:
+    """A quarter of 0.02, 0.03, 0.05 m squared is white: half of them, and 0.866 of them is slow."""
+    slow, white = PRIOR.sigmas()
+    np.testing.assert_allclose(slow[:3], np.sqrt(0.75) * SIGMA_POSITION)
+    np.testing.assert_array_equal(slow[3:], SIGMA_ATTITUDE)
+    np.testing.assert_allclose(white, 0.5 * SIGMA_POSITION)
+    mean, spread = PRIOR.mean_and_spread()
+    np.testing.assert_allclose(np.exp(mean), [1.0, 1.0, 1.0, 1.0, 10.0, 20.0])
+    np.testing.assert_allclose(np.exp(spread), [2.0, 2.0, 2.0, 2.0, 3.0, 3.0])
+
+
+def test_models_that_are_not_estimated_by_hand() -> None:
+    """The width of the prior, or none; sigmas of a single measurement may be wrong by a factor of 1.5."""
+    width = np.log([2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 1.5, 1.5])
+    values = [1.0, 1.0, 1.0, 1.0, 10.0, 20.0, 1.0, 1.0]
+    for found, sigma, informed in (
+        (ErrorModel.of_prior(PRIOR, note="x"), width, False),
+        (ErrorModel.presumed(PRIOR), 0.0 * width, False),
+    ):
+        assert list(found.estimates) == [*NAMES, *BEAM]
+        rows = list(found.estimates.values())
+        np.testing.assert_allclose([e.value for e in rows], values)
+        np.testing.assert_allclose([e.prior for e in rows], values)
+        np.testing.assert_allclose([e.sigma_log for e in rows], sigma)
+        np.testing.assert_allclose([e.prior_sigma_log for e in rows], sigma)
+        assert {e.informed for e in rows} == {informed}
+        assert (found.white_share_stated, len(found.notes)) == (0.25, 1)
+        assert (found.windows, found.planes, found.observations) == (0, 0, 0)
+        assert found.deviation_rad == (0.0, 0.0)
+        assert found.cov_deviation_rad2 is None
+        assert not found.deviation_is_significant
+        assert found.report()["heading_deviation_deg"] == [0.0, 0.0]
+        assert found.report()["cov_heading_deviation_deg2"] is None
+
+
+def test_shares_and_factors_of_unequal_estimates_by_hand() -> None:
+    """Slow errors tripled, white ones doubled, of 25 %: 0.75 * 9 + 0.25 * 4 = 7.75, of which 1 is white."""
+    found = model(
+        position=3.0, white=2.0, position_time_s=7.0, attitude_time_s=4.0, component=1.2, footprint=0.7
+    )
+    assert found.position_factor == pytest.approx(np.sqrt(7.75))
+    assert found.white_share == pytest.approx(1 / 7.75)
+    assert found.correlation_s == 7.0
+    assert found.beam == {"component": pytest.approx(1.2), "footprint": pytest.approx(0.7)}
+    report = found.report()
+    assert (report["position_factor"], report["white_share"]) == (found.position_factor, found.white_share)
+    # what is uncertain is larger in what is predicted, not in what is told
+    loose = model(sigma_log=0.5, position=3.0, white=2.0)
+    assert loose.position_factor == pytest.approx(np.sqrt(7.75) * np.exp(0.25))
+    assert loose.white_share == pytest.approx(1 / 7.75)
+
+
+def test_a_corrected_heading_adds_the_variance_of_its_correction() -> None:
+    """Level poses at 0 and 90 degrees: sine and cosine have sigmas of 0.1 and 0.2 degrees."""
+    unit = np.deg2rad(0.1)
+    R = rotation_enu_body(np.zeros(2), np.zeros(2), np.deg2rad([0.0, 90.0]))
+    stated = poses(np.array([0.0, 90.0]), SIGMA_POSITION, SIGMA_ATTITUDE)
+    stated = replace(
+        stated,
+        quaternion_wcs_ics=Rotation.from_matrix(R).as_quat(),
+        cov_pose_wcs=pose_covariance(
+            R,
+            np.tile(np.diag(SIGMA_POSITION**2), (2, 1, 1)),
+            np.tile(SIGMA_ATTITUDE, (2, 1)),
+            lever_ics_m=LEVER,
+        ),
+    )
+    found = replace(deviating(5.0), cov_deviation_rad2=(np.diag([1.0, 4.0]) * unit**2).tolist()).apply(
+        stated, LEVER
+    )
+    more = found.cov_pose_wcs[:, 3:, 3:] - stated.cov_pose_wcs[:, 3:, 3:]
+    np.testing.assert_allclose(more[0], np.diag([0.0, 0.0, 4.0]) * unit**2, atol=1e-12)
+    np.testing.assert_allclose(more[1], np.diag([0.0, 0.0, 1.0]) * unit**2, atol=1e-12)
+    # the antenna is as uncertain as it was stated
+    to_antenna = np.concatenate([np.tile(np.eye(3), (2, 1, 1)), -cross_matrix(R @ LEVER)], axis=2)
+    antenna = to_antenna @ found.cov_pose_wcs @ np.swapaxes(to_antenna, 1, 2)
+    np.testing.assert_allclose(antenna, np.tile(np.diag(SIGMA_POSITION**2), (2, 1, 1)), atol=1e-12)

@@ -5,12 +5,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from thalweg.navigation.fusion.inputs import MODEL, RESET, Nodes, antenna_of, camera_of, place_nodes
-from thalweg.navigation.fusion.model import Transitions, transitions
-from thalweg.navigation.fusion.settings import GROUPS, FusionSettings, Layout
-from thalweg.navigation.fusion.solver import Observed, Solved, linearised, smooth
+from thalweg.navigation.fusion import (
+    FusionSettings,
+    Layout,
+    Observed,
+    Reference,
+    camera_of,
+    make_reference,
+    place_nodes,
+)
+from thalweg.navigation.fusion.model import GROUPS, MODEL, RESET, Nodes, Transitions, antenna_of, transitions
+from thalweg.navigation.fusion.solver import Solved, linearised, smooth
 from thalweg.navigation.fusion.trajectory import pose_states
-from thalweg.navigation.ins_gnss.reference import Reference, make_reference
 from thalweg_lab.studies import outage
 
 SETTINGS = FusionSettings(clock_walk_s=1e-3)
@@ -45,9 +51,14 @@ def task(settings: FusionSettings = SETTINGS, hole: bool = True) -> Task:
     positions["fix"] = np.where(positions["t_gps_s"].between(t0 + 0.95, t0 + 1.45), "float", "fixed")
     near = outage.FRAME.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
     reference = make_reference(
-        states, outage.FRAME, sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), max_attitude_gap_s=0.1,
-        use_velocity=settings.use_ins_velocity, near_t_s=positions["t_gps_s"].to_numpy(), near_wcs_m=near,
-    )  # fmt: skip
+        states,
+        outage.FRAME,
+        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
+        max_attitude_gap_s=0.1,
+        use_velocity=settings.use_ins_velocity,
+        near_t_s=positions["t_gps_s"].to_numpy(),
+        near_wcs_m=near,
+    )
     antenna = antenna_of(positions, outage.FRAME, outage.LEVER_ANTENNA_M, [0.01, 0.02, 0.03])
     use = reference.inside(survey.images.t_gps_s)
     camera = camera_of(survey.images, use, survey.T_ccs_ics, settings.sigma_jitter_s)
@@ -85,9 +96,15 @@ def dense(t: Task, settings: FusionSettings = SETTINGS):
     """Mean (m n,) and covariance (m n, m n) of all states of all nodes, and all parts of the prior."""
     at = t.reference.at(t.nodes.t_gps_s)
     chain = transitions(
-        t.nodes, t.layout, settings, FACTORS,
-        start_m=t.start, antenna=t.observed.antenna, camera=t.observed.camera, clock_start_s=0.003,
-    )  # fmt: skip
+        t.nodes,
+        t.layout,
+        settings,
+        FACTORS,
+        start_m=t.start,
+        antenna=t.observed.antenna,
+        camera=t.observed.camera,
+        clock_start_s=0.003,
+    )
     rows = linearised(t.x, at, t.observed, t.layout, settings, FACTORS)
     m, n = t.x.shape
     mean = np.zeros((m, n))
@@ -174,11 +191,11 @@ def test_squares_and_redundancies_of_groups_agree_with_the_dense_solution() -> N
 @pytest.mark.parametrize("velocity", [True, False])
 def test_between_nodes_the_pose_is_that_of_a_node_placed_there(velocity: bool) -> None:
     """Adding nodes without observations changes nothing; the states between follow from both neighbours."""
-    settings = replace(SETTINGS, use_ins_velocity=velocity)
+    settings = SETTINGS.replace(use_ins_velocity=velocity)
     t = task(settings, hole=False)
     t.x[:] = 0.0
     found = solved(t, settings)
-    close = replace(settings, node_s=0.03)
+    close = settings.replace(node_s=0.03)
     more = task(close, hole=False)
     more.x[:] = 0.0
     finer = solved(more, close)

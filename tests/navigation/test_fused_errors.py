@@ -6,10 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from thalweg.navigation.fusion.errors import ErrorModel, Prior, applied
-from thalweg.navigation.fusion.settings import SPREAD, FusionSettings
-from thalweg.navigation.fusion.trajectory import Fused
-from thalweg.settings.sections.fused import Fused as FusedSection
+from thalweg.navigation.fusion import SPREAD, ErrorModel, Fused, FusionSettings, Prior
+from thalweg.navigation.fusion.errors import applied
+from thalweg.settings.sections import Fused as FusedSection
 from thalweg_lab.studies import outage
 
 SETTINGS = FusionSettings()
@@ -54,7 +53,7 @@ def test_the_white_share_is_found(white: float) -> None:
 def test_what_images_would_show_is_not_told_without_them_and_enlarges_the_sigmas() -> None:
     survey = outage.make_survey(1, outage.VoyageSpec(duration_s=20.0))
     found = outage.fuse(survey, SETTINGS, with_images=False)
-    presumed = outage.fuse(survey, replace(SETTINGS, estimate_errors=False), with_images=False)
+    presumed = outage.fuse(survey, SETTINGS.replace(estimate_errors=False), with_images=False)
     assert {"roll_pitch", "heading", "attitude_time_s"} <= set(found.errors.untold())
     assert found.facts["errors"]["heading"]["estimated"] == pytest.approx(1.0, abs=0.1)
     assert presumed.facts["errors"] == {}
@@ -68,7 +67,7 @@ def test_what_images_would_show_is_not_told_without_them_and_enlarges_the_sigmas
 
 def test_fixed_values_stay_and_the_rest_is_estimated() -> None:
     survey = outage.make_survey(1, outage.VoyageSpec(duration_s=20.0))
-    found = outage.fuse(survey, replace(SETTINGS, fixed=("attitude_time_s", "gnss_white_share")))
+    found = outage.fuse(survey, SETTINGS.replace(fixed=("attitude_time_s", "gnss_white_share")))
     assert not {"attitude_time_s", "gnss_white"} & set(found.errors.priors)
     assert found.settings.attitude_time_s == 20.0
     assert found.solved.factors["gnss"] == found.solved.factors["gnss_white"]
@@ -114,7 +113,7 @@ def test_slow_and_white_errors_of_positions_make_the_white_share() -> None:
 
 def test_a_campaign_file_says_auto_or_a_number_that_is_presumed() -> None:
     section = FusedSection.model_validate({"gnss_time_s": 3, "fixed": ["attitude_time_s"]})
-    settings = FusionSettings.from_section(section.model_dump())
+    settings = FusionSettings.of(section)
     assert (settings.gnss_time_s, settings.attitude_time_s) == (3.0, 20.0)
     assert settings.fixed == ("attitude_time_s",)
     assert settings.spread == SPREAD

@@ -5,25 +5,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid
-from thalweg.images.model.poses import ImagePoses
-from thalweg.navigation.fusion.inputs import (
+from thalweg.core import ConfigError, LocalFrame, Rigid
+from thalweg.images.model import ImagePoses
+from thalweg.navigation.fusion import (
+    FusionSettings,
+    Layout,
+    Reference,
+    camera_of,
+    fuse_trajectory,
+    jumped_images,
+    make_reference,
+    place_nodes,
+    with_own_jitter,
+)
+from thalweg.navigation.fusion.model import (
+    GROUPS,
     INS,
     MODEL,
     RESET,
     antenna_of,
-    camera_of,
-    place_nodes,
-    with_own_jitter,
+    antenna_rows,
+    camera_rows,
+    pair_transition,
 )
-from thalweg.navigation.fusion.model import antenna_rows, camera_rows, pair_transition
-from thalweg.navigation.fusion.screen import jumped_images, jumped_positions
-from thalweg.navigation.fusion.settings import GROUPS, FusionSettings, Layout
-from thalweg.navigation.fusion.trajectory import fuse_trajectory
-from thalweg.navigation.ins_gnss.reference import Reference, make_reference
-from thalweg.navigation.ins_gnss.trajectory import build_trajectory
+from thalweg.navigation.fusion.solver import jumped_positions
+from thalweg.navigation.ins_gnss import build_trajectory
 from thalweg_lab.studies import outage
 
 SETTINGS = FusionSettings()
@@ -41,9 +47,14 @@ def survey() -> outage.Recorded:
 def reference(survey: outage.Recorded) -> Reference:
     t = survey.states["t_gps_s"].to_numpy()
     return make_reference(
-        survey.states, outage.FRAME, sigma_attitude_rad=SIGMA, max_attitude_gap_s=0.1, use_velocity=True,
-        near_t_s=t, near_wcs_m=survey.motion.position_wcs_m(t),
-    )  # fmt: skip
+        survey.states,
+        outage.FRAME,
+        sigma_attitude_rad=SIGMA,
+        max_attitude_gap_s=0.1,
+        use_velocity=True,
+        near_t_s=t,
+        near_wcs_m=survey.motion.position_wcs_m(t),
+    )
 
 
 def matrices(step_s: float, kind: int) -> tuple[np.ndarray, np.ndarray]:
@@ -132,14 +143,25 @@ def test_a_chain_of_images_keeps_covariances_and_neighbours_covariances(survey: 
 def test_far_from_the_origin_the_level_of_the_ins_is_turned(survey: outage.Recorded) -> None:
     """1.4 km from the origin the verticals differ by 2.3e-4 rad; the older way knows it too."""
     alone = fuse_trajectory(
-        survey.states, FAR, SETTINGS, positions=survey.positions,
-        lever_ics_antenna_m=outage.LEVER_ANTENNA_M, sigma_attitude_rad=SIGMA, max_attitude_gap_s=0.1,
-    ).trajectory  # fmt: skip
-    older, _ = build_trajectory(
-        survey.positions, survey.states, FAR, lever_ics_antenna_m=outage.LEVER_ANTENNA_M,
-        sigma_lever_m=np.zeros(3), accept_fixes=["fixed"], max_gap_s=1.0, max_attitude_gap_s=0.1,
+        survey.states,
+        FAR,
+        SETTINGS,
+        positions=survey.positions,
+        lever_ics_antenna_m=outage.LEVER_ANTENNA_M,
         sigma_attitude_rad=SIGMA,
-    )  # fmt: skip
+        max_attitude_gap_s=0.1,
+    ).trajectory
+    older, _ = build_trajectory(
+        survey.positions,
+        survey.states,
+        FAR,
+        lever_ics_antenna_m=outage.LEVER_ANTENNA_M,
+        sigma_lever_m=np.zeros(3),
+        accept_fixes=["fixed"],
+        max_gap_s=1.0,
+        max_attitude_gap_s=0.1,
+        sigma_attitude_rad=SIGMA,
+    )
     at = survey.motion.start_gps_s + np.arange(5.0, 25.0, 0.5)
     here, there = alone.at(at)[1], older.at(at)[1]
     turned = here @ np.swapaxes(there, 1, 2)

@@ -9,15 +9,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import exp_rotation
-from thalweg.core.trajectory import Trajectory
-from thalweg.images.model.poses import ImagePoses
-from thalweg.navigation.fusion.report import count_table, group_facts
-from thalweg.navigation.fusion.settings import GROUPS, FusionSettings
-from thalweg.navigation.fusion.trajectory import Fused, fuse_trajectory
-from thalweg.settings.sections.fused import Fused as FusedSection
+from thalweg.core import CoverageError, InputError, LocalFrame, Trajectory, exp_rotation
+from thalweg.images.model import ImagePoses
+from thalweg.navigation.fusion import Fused, FusionSettings, count_table, fuse_trajectory
+from thalweg.navigation.fusion.model import GROUPS
+from thalweg.navigation.fusion.trajectory import group_facts
+from thalweg.settings.sections import Fused as FusedSection
 from thalweg_lab.studies.outage import (
     FRAME,
     LEVER_ANTENNA_M,
@@ -85,7 +82,7 @@ def test_the_clock_offset_and_the_mount_are_found_within_their_sigmas() -> None:
     clock, turn = [], []
     for seed in range(1, 11):
         recorded = make_survey(seed, VoyageSpec(duration_s=20.0, sigma_clock_s=0.15))
-        facts = fuse(recorded, replace(SETTINGS, sigma_clock_offset_s=0.2)).facts
+        facts = fuse(recorded, SETTINGS.replace(sigma_clock_offset_s=0.2)).facts
         clock.append((facts["clock_offset_s"] - recorded.clock_s) / facts["clock_offset_sigma_s"])
         turn.append(facts["boresight"]["sigma_rotation_deg"])
         # 20 images of 16 ms jitter leave 3.6 ms; what turns and walks little adds to it
@@ -174,7 +171,7 @@ def test_what_is_taken_for_known_of_the_start_is_next_to_nothing(monkeypatch: py
     poses = []
     for sigma_m in (300.0, 3000.0):
         monkeypatch.setattr("thalweg.navigation.fusion.model.START_SIGMA_M", sigma_m)
-        fixed = replace(SETTINGS, estimate_errors=False)
+        fixed = SETTINGS.replace(estimate_errors=False)
         poses.append(fuse(replace(recorded, images=late), fixed, with_positions=False).poses(at))
     # a sigma of 0.4 m at the begin: a start of 300 m holds it by 0.4^2 / 300^2 = 2e-6
     np.testing.assert_allclose(poses[0][0], poses[1][0], atol=2e-5)
@@ -236,7 +233,7 @@ def test_sigmas_stated_too_small_are_found() -> None:
     # the slow part holds fewer independent values, and what is stated weighs as ten
     assert 1.6 < found.facts["groups"]["gnss"]["sigma_factor"] < 3.5
     assert found.facts["observations"]["position"]["rejected"] == 0
-    trusted = fuse(replace(recorded, positions=positions), replace(SETTINGS, estimate_errors=False))
+    trusted = fuse(replace(recorded, positions=positions), SETTINGS.replace(estimate_errors=False))
     assert not trusted.facts["groups"]["gnss_white"]["inside"]
 
 
@@ -272,9 +269,13 @@ def test_images_of_another_frame_or_without_a_mount_are_refused() -> None:
         fuse(replace(recorded, images=away), SETTINGS)
     with pytest.raises(InputError, match="mount of the camera"):
         fuse_trajectory(
-            recorded.states, FRAME, SETTINGS, images=recorded.images,
-            sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), max_attitude_gap_s=0.1,
-        )  # fmt: skip
+            recorded.states,
+            FRAME,
+            SETTINGS,
+            images=recorded.images,
+            sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
+            max_attitude_gap_s=0.1,
+        )
 
 
 def test_positions_that_the_image_block_holds_are_not_counted_twice() -> None:
@@ -282,10 +283,17 @@ def test_positions_that_the_image_block_holds_are_not_counted_twice() -> None:
     t = recorded.positions["t_gps_s"].to_numpy()
     first, last = recorded.images.t_gps_s.min(), recorded.images.t_gps_s.max()
     again = fuse_trajectory(
-        recorded.states, FRAME, SETTINGS, positions=recorded.positions, lever_ics_antenna_m=LEVER_ANTENNA_M,
-        images=recorded.images, T_ccs_ics=recorded.T_ccs_ics, images_hold_positions=True,
-        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), max_attitude_gap_s=0.1,
-    )  # fmt: skip
+        recorded.states,
+        FRAME,
+        SETTINGS,
+        positions=recorded.positions,
+        lever_ics_antenna_m=LEVER_ANTENNA_M,
+        images=recorded.images,
+        T_ccs_ics=recorded.T_ccs_ics,
+        images_hold_positions=True,
+        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
+        max_attitude_gap_s=0.1,
+    )
     within = int(((t >= first) & (t <= last)).sum())
     found = again.facts["observations"]["position"]
     assert found["dropped"]["part of the image poses"] == within > 300
@@ -297,7 +305,7 @@ def test_positions_that_the_image_block_holds_are_not_counted_twice() -> None:
 
 def test_a_trajectory_that_is_good_enough_nowhere_is_refused() -> None:
     with pytest.raises(CoverageError, match=r"at least 0\.\d+ m and .*Add what is missing: image poses"):
-        fuse(survey(), replace(SETTINGS, max_sigma_position_m=0.001), with_images=False)
+        fuse(survey(), SETTINGS.replace(max_sigma_position_m=0.001), with_images=False)
 
 
 def test_holes_of_the_ins_are_not_bridged_and_their_observations_counted() -> None:
@@ -317,12 +325,19 @@ def test_images_out_of_order_alone_or_without_a_pose_are_no_trouble() -> None:
     images = recorded.images
     back = np.arange(len(images.images))[::-1]
     turned = ImagePoses(
-        frame=FRAME, images=tuple(images.images[k] for k in back), t_gps_s=images.t_gps_s[back],
-        sigma_t_s=np.full(len(back), np.nan), oriented=back % 3 != 0, reasons=images.reasons,
-        centre_wcs_m=images.centre_wcs_m[back], R_wcs_ccs=images.R_wcs_ccs[back],
-        cov_pose_wcs=images.cov_pose_wcs[back], cov_next=images.cov_next[back], n_marks=images.n_marks,
+        frame=FRAME,
+        images=tuple(images.images[k] for k in back),
+        t_gps_s=images.t_gps_s[back],
+        sigma_t_s=np.full(len(back), np.nan),
+        oriented=back % 3 != 0,
+        reasons=images.reasons,
+        centre_wcs_m=images.centre_wcs_m[back],
+        R_wcs_ccs=images.R_wcs_ccs[back],
+        cov_pose_wcs=images.cov_pose_wcs[back],
+        cov_next=images.cov_next[back],
+        n_marks=images.n_marks,
         rms_px=images.rms_px,
-    )  # fmt: skip
+    )
     found = fuse(replace(recorded, images=turned), SETTINGS)
     assert found.facts["observations"]["image"]["dropped"] == {"not oriented": 13}
     assert rms(found, recorded)[0] < 0.03
@@ -338,7 +353,7 @@ def test_correlated_images_are_not_averaged_away() -> None:
     alike, independent = (
         fuse(
             replace(recorded, images=replace(recorded.images, cov_next=share * C)),
-            replace(SETTINGS, estimate_errors=False, sigma_velocity_mps=0.002),
+            SETTINGS.replace(estimate_errors=False, sigma_velocity_mps=0.002),
             with_positions=False,
         ).trajectory
         for share in (0.998, 0.0)
@@ -379,7 +394,7 @@ def test_poses_between_agree_with_the_trajectory_at_its_nodes() -> None:
 
 
 def test_the_section_and_the_settings_have_the_same_names_and_defaults() -> None:
-    assert FusionSettings.from_section(FusedSection().model_dump()) == FusionSettings()
+    assert FusionSettings.of(FusedSection()) == FusionSettings()
 
 
 def test_the_band_of_a_group_is_that_of_the_table() -> None:
@@ -388,6 +403,10 @@ def test_the_band_of_a_group_is_that_of_the_table() -> None:
     found = group_facts(SimpleNamespace(groups=squares, factors=dict.fromkeys(GROUPS, 1.5)))
     assert [found[name]["inside"] for name in GROUPS] == [False, False, *[True] * (len(GROUPS) - 2)]
     assert found[GROUPS[0]] == {
-        "chi_square": pytest.approx(2.54), "redundancy": 10.0, "band_low": pytest.approx(0.2156, abs=1e-4),
-        "band_high": pytest.approx(2.5188, abs=1e-4), "inside": False, "sigma_factor": 1.5,
-    }  # fmt: skip
+        "chi_square": pytest.approx(2.54),
+        "redundancy": 10.0,
+        "band_low": pytest.approx(0.2156, abs=1e-4),
+        "band_high": pytest.approx(2.5188, abs=1e-4),
+        "inside": False,
+        "sigma_factor": 1.5,
+    }

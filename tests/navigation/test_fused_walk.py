@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from thalweg.navigation.fusion.inputs import MODEL
-from thalweg.navigation.fusion.settings import FusionSettings
-from thalweg.navigation.fusion.trajectory import Fused
-from thalweg_lab.base.random import generator
+from thalweg.navigation.fusion import Fused, FusionSettings
+from thalweg.navigation.fusion.model import MODEL
+from thalweg_lab.random_numbers import generator
 from thalweg_lab.studies import outage
 
 SETTINGS = FusionSettings(use_ins_velocity=False)

@@ -7,12 +7,10 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.core.errors import CoverageError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.core.trajectory import Trajectory
-from thalweg.navigation.camera.image_predictions import NO_STAMP, OFF_BOAT, OUTSIDE, predict_image_poses
+from thalweg.clocks import ClockModel
+from thalweg.core import CoverageError, LocalFrame, Rigid, Trajectory, exp_rotation
+from thalweg.navigation.camera import predict_image_poses
+from thalweg.navigation.camera.image_predictions import NO_STAMP, OFF_BOAT, OUTSIDE
 
 FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
 SPEED_MPS, TURN_RADPS = 2.0, 0.3

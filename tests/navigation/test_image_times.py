@@ -8,18 +8,13 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from thalweg.clocks.camera.offset_fit import OffsetOptions
-from thalweg.clocks.camera.synchronise import IMAGE_TIMES, run_attitude
-from thalweg.clocks.camera.track import Track
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.core.errors import ClockError
-from thalweg.core.tables import write_table
-from thalweg.images.model.poses import ImagePoses
-from thalweg.navigation.camera.image_times import TimedImages, time_images
-from thalweg.navigation.camera.image_times_run import antenna_in_camera
-from thalweg.navigation.camera.settings import CloudSettings
-from thalweg.navigation.camera.trajectory import camera_trajectory
-from thalweg.settings.images.sections import CameraCloud
+from thalweg.clocks import IMAGE_TIMES, ClockModel, OffsetOptions, Track
+from thalweg.clocks.synchronise import run_attitude
+from thalweg.core import ClockError, write_table
+from thalweg.images.model import ImagePoses
+from thalweg.navigation.camera import CloudSettings, antenna_in_camera, camera_trajectory, time_images
+from thalweg.navigation.camera.image_times import TimedImages
+from thalweg.settings.sections import CameraCloud
 from thalweg_lab.studies.outage import (
     CAMERA,
     FRAME,
@@ -53,9 +48,12 @@ def stamps_of(recorded: Recorded) -> pd.DataFrame:
 def clock_of(recorded: Recorded, *, off_s: float = 0.0, sigma_s: float = 0.002) -> ClockModel:
     """Clock of a calibration an hour before the survey."""
     return ClockModel(
-        offset_s=recorded.clock_s + off_s, reference_s=recorded.images.t_gps_s[0] - 3600.0,
-        cov=np.diag([sigma_s**2, 1e-14]), jitter_s=0.021, source="calibration",
-    )  # fmt: skip
+        offset_s=recorded.clock_s + off_s,
+        reference_s=recorded.images.t_gps_s[0] - 3600.0,
+        cov=np.diag([sigma_s**2, 1e-14]),
+        jitter_s=0.021,
+        source="calibration",
+    )
 
 
 def timed(recorded: Recorded, *, with_ins: bool = True, **more: object) -> TimedImages:
@@ -111,9 +109,13 @@ def test_the_trajectory_by_either_time_is_honest(use: str, least: float) -> None
         recorded = survey(seed, 14.0)
         done = timed(recorded, use=use, options=replace(KNOWN, jitter_s=JITTER_S))
         found = camera_trajectory(
-            done.poses, CAMERA, CloudSettings(frames="bridge"), states=recorded.states,
-            sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), max_attitude_gap_s=0.1,
-        ).trajectory  # fmt: skip
+            done.poses,
+            CAMERA,
+            CloudSettings(frames="bridge"),
+            states=recorded.states,
+            sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
+            max_attitude_gap_s=0.1,
+        ).trajectory
         at = done.poses.t_gps_s[[6]] + 0.31
         position, R, _ = found.at(at)
         e = pose_errors(position, R, recorded.motion, at)[0]

@@ -4,10 +4,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.frames import LocalFrame, roll_pitch_heading, rotation_enu_body
-from thalweg.core.trajectory import TRAJECTORY, Trajectory
-from thalweg.navigation.ins_gnss.trajectory import build_trajectory, trajectory_from_states
+from thalweg.core import (
+    CoverageError,
+    InputError,
+    LocalFrame,
+    Trajectory,
+    roll_pitch_heading,
+    rotation_enu_body,
+)
+from thalweg.core.trajectory import TRAJECTORY
+from thalweg.navigation.ins_gnss import build_trajectory, trajectory_from_states
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 LEVER = np.array([0.30, -0.20, -0.80])  # forward, right, down: the antenna is above the INS
@@ -30,30 +36,57 @@ def survey(far_m: float = 0.0, duration_s: float = 20.0) -> tuple[pd.DataFrame, 
     step = 1e-3  # differences over 2 ms: motion of 2 rad/s changes its rate by 1e-6 of itself
     wcs_mps = (motion(t_ins + step, far_m)[0] - motion(t_ins - step, far_m)[0]) / (2 * step)
     v_east, v_north, v_up = np.einsum("nji,nj->in", FRAME.R_wcs_enu(lat, lon), wcs_mps)
-    states = pd.DataFrame({
-        "t_gps_s": t_ins, "roll_rad": roll, "pitch_rad": pitch, "heading_rad": heading,
-        "lat_deg": lat, "lon_deg": lon, "h_ell_m": h,
-        "sigma_roll_rad": np.nan, "sigma_pitch_rad": np.nan, "sigma_heading_rad": np.nan,
-        "filter_status": np.uint16(0b1111), "v_north_mps": v_north, "v_east_mps": v_east, "v_down_mps": -v_up,
-        "sigma_north_m": 0.6, "sigma_east_m": 0.5, "sigma_up_m": 1.0,
-    })  # fmt: skip
+    states = pd.DataFrame(
+        {
+            "t_gps_s": t_ins,
+            "roll_rad": roll,
+            "pitch_rad": pitch,
+            "heading_rad": heading,
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "h_ell_m": h,
+            "sigma_roll_rad": np.nan,
+            "sigma_pitch_rad": np.nan,
+            "sigma_heading_rad": np.nan,
+            "filter_status": np.uint16(0b1111),
+            "v_north_mps": v_north,
+            "v_east_mps": v_east,
+            "v_down_mps": -v_up,
+            "sigma_north_m": 0.6,
+            "sigma_east_m": 0.5,
+            "sigma_up_m": 1.0,
+        }
+    )
     t_gnss = T0 + np.arange(0, duration_s, 0.1)
     position, R = motion(t_gnss, far_m)
     lat, lon, h = FRAME.to_geodetic(position + R @ LEVER)
-    positions = pd.DataFrame({
-        "t_gps_s": t_gnss, "lat_deg": lat, "lon_deg": lon, "h_ell_m": h, "fix": "fixed",
-        "sigma_east_m": 0.02, "sigma_north_m": 0.02, "sigma_up_m": 0.03,
-        "cov_en_m2": 1e-4, "cov_eu_m2": np.nan, "cov_nu_m2": np.nan,
-    })  # fmt: skip
+    positions = pd.DataFrame(
+        {
+            "t_gps_s": t_gnss,
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "h_ell_m": h,
+            "fix": "fixed",
+            "sigma_east_m": 0.02,
+            "sigma_north_m": 0.02,
+            "sigma_up_m": 0.03,
+            "cov_en_m2": 1e-4,
+            "cov_eu_m2": np.nan,
+            "cov_nu_m2": np.nan,
+        }
+    )
     return positions, states
 
 
 def build(positions: pd.DataFrame, states: pd.DataFrame, **changes):
     options = {
-        "lever_ics_antenna_m": LEVER, "sigma_lever_m": np.array([0.01, 0.02, 0.03]),
-        "accept_fixes": ["fixed"], "max_gap_s": 0.5, "max_attitude_gap_s": 0.2,
+        "lever_ics_antenna_m": LEVER,
+        "sigma_lever_m": np.array([0.01, 0.02, 0.03]),
+        "accept_fixes": ["fixed"],
+        "max_gap_s": 0.5,
+        "max_attitude_gap_s": 0.2,
         "sigma_attitude_rad": np.deg2rad([0.1, 0.1, 0.2]),
-    }  # fmt: skip
+    }
     return build_trajectory(positions, states, FRAME, **(options | changes))
 
 
@@ -314,3 +347,26 @@ def test_an_ins_alone_keeps_the_sigmas_that_it_states() -> None:
         sigma_attitude_rad=[3e-3, 4e-3, 5e-3],
     )
     np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[0], [2e-3, 4e-3, 5e-3])
+
+
+def test_a_state_without_one_of_its_sigmas_has_no_pose() -> None:
+    """Ten states lack the sigma of their height, the others are stated with 0.5, 0.6 and 1.0 m."""
+    _, states = survey()
+    states.loc[states.index[100:110], "sigma_up_m"] = np.nan
+    trajectory, summary = trajectory_from_states(
+        states, FRAME, max_attitude_gap_s=0.2, sigma_attitude_rad=[3e-3, 4e-3, 5e-3]
+    )
+    assert np.flatnonzero(~trajectory.valid).tolist() == list(range(100, 110))
+    assert summary.n_nodes_valid == len(states) - 10
+    np.testing.assert_allclose(np.diag(trajectory.cov_pose_wcs[99])[:3], [0.25, 0.36, 1.0], rtol=1e-4)
+
+
+def test_streams_that_meet_by_less_than_an_interval_overlap() -> None:
+    """States at 19.895 s and later, the last position is at 19.9 s: one node has a pose; beyond it, none."""
+    positions, states = survey(duration_s=22.0)
+    positions = positions[positions["t_gps_s"] < T0 + 19.95]
+    late = states[states["t_gps_s"] > T0 + 19.89].assign(t_gps_s=lambda s: s["t_gps_s"] - 0.005)
+    trajectory, _ = build(positions, late)
+    assert np.flatnonzero(trajectory.valid).tolist() == [0]
+    with pytest.raises(CoverageError, match="streams of the same survey"):
+        build(positions, late.iloc[1:])

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import chi2
 
-from thalweg.core.errors import CoverageError, GeometryError
+from thalweg.core import CoverageError, GeometryError
 from thalweg.navigation.ins_gnss.interpolation import (
     CUBIC,
     LINEAR,
@@ -14,7 +14,7 @@ from thalweg.navigation.ins_gnss.interpolation import (
     interpolate_positions,
     white_noise_m2,
 )
-from thalweg_lab.base.random import gauss_markov
+from thalweg_lab.random_numbers import gauss_markov
 
 T0 = 4.0e8
 SIGMA_M = np.array([0.020, 0.020, 0.030])
@@ -79,9 +79,13 @@ def squares(
         else:
             wrong = np.column_stack([gauss_markov(rng, len(t_ins), 0.02, 0.03, 1.0) for _ in range(3)])
             found = bridge_with_velocity(
-                *arguments, max_gap_s=1.0, velocity_t_s=T0 + t_ins, velocity_mps=v[n + 6 :] + wrong,
-                sigma_velocity_mps=sigma_velocity_mps, max_velocity_gap_s=0.1,
-            )  # fmt: skip
+                *arguments,
+                max_gap_s=1.0,
+                velocity_t_s=T0 + t_ins,
+                velocity_mps=v[n + 6 :] + wrong,
+                sigma_velocity_mps=sigma_velocity_mps,
+                max_velocity_gap_s=0.1,
+            )
         assert found.covered.all()
         variance = np.diagonal(found.cov_m2, axis1=1, axis2=2)
         out.append((found.position_m - x[n : n + 6]) ** 2 / variance)
@@ -150,10 +154,16 @@ def test_a_bridge_told_a_false_sigma_is_found_out() -> None:
         wrong = np.column_stack([gauss_markov(rng, len(t_ins), 0.02, 0.03, 0.3) for _ in range(3)])
         for sigma in (0.03, 0.0):
             found = bridge_with_velocity(
-                t, x[:60], np.tile(np.eye(3) * 1e-6, (60, 1, 1)), np.array([30.5]), max_gap_s=1.0,
-                velocity_t_s=t_ins, velocity_mps=v[61:] + wrong, sigma_velocity_mps=sigma,
+                t,
+                x[:60],
+                np.tile(np.eye(3) * 1e-6, (60, 1, 1)),
+                np.array([30.5]),
+                max_gap_s=1.0,
+                velocity_t_s=t_ins,
+                velocity_mps=v[61:] + wrong,
+                sigma_velocity_mps=sigma,
                 velocity_time_s=0.3,
-            )  # fmt: skip
+            )
             ratios.append((found.position_m - x[60]) ** 2 / np.diagonal(found.cov_m2, axis1=1, axis2=2))
     honest, wrong_sigma = np.mean(ratios[::2]), np.mean(ratios[1::2])
     low, high = band(120)
@@ -335,9 +345,11 @@ def test_times_may_come_in_any_order() -> None:
 )
 def test_bad_arguments_are_refused(change: dict, words: str) -> None:
     good = {
-        "epochs_s": np.arange(4.0), "position_m": np.zeros((4, 3)), "cov_m2": constant_cov(4),
+        "epochs_s": np.arange(4.0),
+        "position_m": np.zeros((4, 3)),
+        "cov_m2": constant_cov(4),
         "at_s": np.zeros(1),
-    }  # fmt: skip
+    }
     with pytest.raises(GeometryError, match=words):
         interpolate_positions(**(good | change), max_gap_s=1.0)
 
@@ -410,8 +422,14 @@ def test_intervals_without_velocity_are_gaps() -> None:
 def test_without_sigma_and_epochs_the_velocity_cannot_be_judged() -> None:
     t_ins = np.arange(100) / 50.0
     with pytest.raises(CoverageError, match="Give sigma_velocity_mps"):
-        bridged(np.arange(2.0), np.zeros((2, 3)), np.array([0.5]), t_ins, np.zeros((100, 3)),
-                sigma_velocity_mps=None)  # fmt: skip
+        bridged(
+            np.arange(2.0),
+            np.zeros((2, 3)),
+            np.array([0.5]),
+            t_ins,
+            np.zeros((100, 3)),
+            sigma_velocity_mps=None,
+        )
 
 
 # ---------------------------------------------------------------- noise
@@ -474,3 +492,14 @@ def test_three_velocities_are_too_few_for_a_spline() -> None:
     t = np.arange(3.0)
     found = bridged(t, np.zeros((3, 3)), np.array([0.5]), t, np.zeros((3, 3)), max_velocity_gap_s=2.0)
     assert not found.covered.any()
+
+
+def test_what_lies_still_has_no_order() -> None:
+    """East swings, north and up lie still: nothing is missed there, at any spacing."""
+    t = np.arange(400) * 0.1
+    x = np.column_stack([np.sin(2 * t), np.zeros(400), np.zeros(400)])
+    found = interpolate_positions(t, x, np.tile(np.eye(3), (400, 1, 1)), t[:10], max_gap_s=1.0)
+    assert found.error is not None
+    assert found.error.order[0] > 3.7
+    np.testing.assert_array_equal(found.error.order[1:], [0.0, 0.0])
+    np.testing.assert_array_equal(found.error.variances_m2[:, 1:], 0.0)

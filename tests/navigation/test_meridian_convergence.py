@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pyproj import CRS, Geod, Proj, Transformer
 
-from thalweg.core.frames import LocalFrame, roll_pitch_heading, rotation_enu_body
-from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
+from thalweg.core import LocalFrame, roll_pitch_heading, rotation_enu_body
+from thalweg.ingest import GNSS_POSITION, INS_STATE
 
 UTM33 = CRS.from_epsg(25833)
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

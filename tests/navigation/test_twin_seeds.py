@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.core.frames import LocalFrame
-from thalweg.ingest.anpp.reader import read_anpp
-from thalweg.ingest.tracks.rtklib_pos import read_pos
-from thalweg.navigation.ins_gnss.trajectory import build_trajectory
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.gnss import simulate_gnss
-from thalweg_lab.instruments.ins import simulate_ins
-from thalweg_lab.voyage.truth import true_trajectory
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg.core import LocalFrame
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.tracks import read_pos
+from thalweg.navigation.ins_gnss import build_trajectory
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import simulate_gnss, simulate_ins
+from thalweg_lab.voyage import Voyage, true_trajectory
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 LEVER = np.array([0.1, 0.0, -0.45])

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from thalweg.settings.files.load import load_campaign
-from thalweg.settings.messages.mistakes import CampaignError
+from thalweg.settings.load import load_campaign
+from thalweg.settings.messages import CampaignError
 
 TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     (

@@ -2,7 +2,7 @@
 
 import pytest
 
-from thalweg.settings.files.load import CampaignError, load_campaign
+from thalweg.settings.load import CampaignError, load_campaign
 
 BED = "east_m,north_m,h_ell_m,sigma_m\n1,2,3,0.02\n"
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from thalweg.settings.files.load import load_campaign
-from thalweg.settings.messages.mistakes import CampaignError
+from thalweg.settings.load import load_campaign
+from thalweg.settings.messages import CampaignError
 
 
 def test_duplicate_key_does_not_hide_other_mistakes(write):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from thalweg.settings.files.load import CampaignError, load_campaign
+from thalweg.settings.load import CampaignError, load_campaign
 
 RUN = {
     "logs.calibration.field": ["raw/field.yaml"],

@@ -5,11 +5,11 @@ import dataclasses
 import jsonschema
 import pytest
 
-from thalweg.core.yaml_lines import read_yaml
-from thalweg.settings.campaign import Campaign
-from thalweg.settings.files.generate import BEGIN, END, generated, schema_text, with_manual, write_generated
-from thalweg.settings.messages.shape import all_paths, node_at, schema
-from thalweg.settings.sections.navigation import Ppk
+from thalweg.core import read_yaml
+from thalweg.settings import Campaign, schema_text, write_generated
+from thalweg.settings.generate import BEGIN, END, generated, with_manual
+from thalweg.settings.messages import all_paths, node_at, schema
+from thalweg.settings.sections import Ppk
 
 
 def test_generated_files_are_in_step(repository):
@@ -66,8 +66,8 @@ def test_units_stand_in_descriptions(suffix):
 
 
 def test_defaults_hold_every_key_with_its_default(repository):
-    from thalweg.core.yaml_lines import parse_yaml
-    from thalweg.settings.files.generate import defaults_text
+    from thalweg.core import parse_yaml
+    from thalweg.settings.generate import defaults_text
 
     document = parse_yaml(defaults_text())
     assert not document.mistakes

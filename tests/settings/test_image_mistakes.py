@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 import yaml
 
-from thalweg.core.errors import ConfigError
-from thalweg.settings.checks.campaign import check_images
-from thalweg.settings.files.load import load_campaigns
+from thalweg.core import ConfigError
+from thalweg.settings import load_campaigns
+from thalweg.settings.checks_campaign import check_images
 
 PLACED = {"camera": {"omega_deg": -90.0}}
 WHOLE = {"images": ["photos"], "control_points": ["targets.csv"]}
@@ -53,11 +53,20 @@ def write_campaign(folder: Path, **time_lapse: Any) -> Path:
         (folder / name).write_text("x")
     path = folder / "good.yaml"
     origin = {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}
-    path.write_text(yaml.safe_dump({
-        "campaign": {"id": "good", "title": "t", "crs": "EPSG:25833", "origin": origin, "seed": 1},
-        "logs": {"lidar": ["a.pcap"], "ins": ["b.anpp"], "positions": ["c.pos"], "time_lapse": time_lapse},
-        "mounts": {name: {"lever_ics_m": [0.1, 0.0, 0.0]} for name in ("lidar", "antenna", "camera")},
-    }))  # fmt: skip
+    path.write_text(
+        yaml.safe_dump(
+            {
+                "campaign": {"id": "good", "title": "t", "crs": "EPSG:25833", "origin": origin, "seed": 1},
+                "logs": {
+                    "lidar": ["a.pcap"],
+                    "ins": ["b.anpp"],
+                    "positions": ["c.pos"],
+                    "time_lapse": time_lapse,
+                },
+                "mounts": {name: {"lever_ics_m": [0.1, 0.0, 0.0]} for name in ("lidar", "antenna", "camera")},
+            }
+        )
+    )
     return path
 
 

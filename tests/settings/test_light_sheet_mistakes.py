@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 import yaml
 
-from thalweg.core.errors import ConfigError
-from thalweg.settings.checks.light_sheet import check_sheet_twin
-from thalweg.settings.files.load import load_campaign
-from thalweg.settings.sections.logs import LightSheetLogs
+from thalweg.core import ConfigError
+from thalweg.settings.checks_light_sheet import check_sheet_twin
+from thalweg.settings.load import load_campaign
+from thalweg.settings.sections import LightSheetLogs
 
 FILES: dict[str, list[str]] = {
     "sensor": ["sensor.yaml"],
@@ -86,9 +86,10 @@ def marker_field(folder: Path, *keys: str) -> dict[str, list[str]]:
     for name in ("camera_field.yaml", "camera_field_marks.csv", "field/1.png", "field/2.png"):
         (folder / name).write_text("x")
     files = {
-        "camera_field": ["camera_field.yaml"], "camera_field_images": ["field"],
+        "camera_field": ["camera_field.yaml"],
+        "camera_field_images": ["field"],
         "camera_field_marks": ["camera_field_marks.csv"],
-    }  # fmt: skip
+    }
     return {key: files[key] for key in keys}
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from thalweg.settings.files.load import load_campaign, load_campaigns
-from thalweg.settings.messages.mistakes import CampaignError
-from thalweg.settings.messages.paths import natural_order
+from thalweg.settings import load_campaigns, natural_order
+from thalweg.settings.load import load_campaign
+from thalweg.settings.messages import CampaignError
 
 SHIPPED = sorted((Path(__file__).resolve().parents[2] / "config" / "campaigns").glob("*.yaml"))
 
@@ -102,9 +102,12 @@ def test_ppk_and_sbet_campaigns(write, removed):
     ppk = {"orientation.position_source": "ppk", "logs.gnss": gnss, "logs.positions": removed}
     assert load_campaign(write(ppk)).logs.gnss.base_from == "sbp"
     sbet = {
-        "orientation.position_source": "sbet", "logs.sbet": ["raw/base.sbp"], "logs.gps_week": 2157,
-        "logs.ins": removed, "mounts.antenna": removed,
-    }  # fmt: skip
+        "orientation.position_source": "sbet",
+        "logs.sbet": ["raw/base.sbp"],
+        "logs.gps_week": 2157,
+        "logs.ins": removed,
+        "mounts.antenna": removed,
+    }
     assert load_campaign(write(sbet)).logs.gps_week == 2157
 
 
@@ -175,7 +178,7 @@ def test_shipped_choice_is_a_shipped_campaign(repository):
 def test_import_is_light():
     """Every job parses the Snakefile, which imports this: no numerics until a CRS is to be checked."""
     code = (
-        "import sys, thalweg.settings.files.load, thalweg.cli;"
+        "import sys, thalweg.settings.load, thalweg.cli;"
         "heavy = {'numpy', 'pandas', 'pyproj', 'scipy', 'pyarrow', 'numba', 'open3d', 'matplotlib'};"
         "print(sorted(heavy & set(sys.modules)))"
     )
@@ -215,5 +218,14 @@ def test_natural_order_of_names():
     names = ["a/x2", "a/x10", "a/x", "a/X1", "a10/x", "a2/x", "a/07", "a/7", "a/lidar.pcap1", "a/lidar.pcap"]
     found = [str(p) for p in sorted(map(Path, names), key=natural_order)]
     assert found == [
-        "a/07", "a/7", "a/X1", "a/lidar.pcap", "a/lidar.pcap1", "a/x", "a/x2", "a/x10", "a2/x", "a10/x",
-    ]  # fmt: skip
+        "a/07",
+        "a/7",
+        "a/X1",
+        "a/lidar.pcap",
+        "a/lidar.pcap1",
+        "a/x",
+        "a/x2",
+        "a/x10",
+        "a2/x",
+        "a10/x",
+    ]

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from thalweg.core.errors import ConfigError
-from thalweg.settings.files.load import load_campaign
-from thalweg.settings.messages.mistakes import CampaignError
+from thalweg.core import ConfigError
+from thalweg.settings.load import load_campaign
+from thalweg.settings.messages import CampaignError
 
 GONE = "<removed>"
 
@@ -320,10 +320,19 @@ def test_all_mistakes_come_at_once(write):
     }
     error = mistakes_of(write(changes))
     assert {m.dotted for m in error.mistakes} == {
-        "campaign.titel", "campaign.crs", "campaign.seed", "lidar.model", "georeferencing.min_range_m",
-        "logs.ins[0]", "logs.depth[0]", "logs.gps_week", "logs.sbet", "mounts.lidar.phi_deg",
-        "mounts.lidar.sigma_phi_deg", "mounts.antenna.lever_ics_m",
-    }  # fmt: skip
+        "campaign.titel",
+        "campaign.crs",
+        "campaign.seed",
+        "lidar.model",
+        "georeferencing.min_range_m",
+        "logs.ins[0]",
+        "logs.depth[0]",
+        "logs.gps_week",
+        "logs.sbet",
+        "mounts.lidar.phi_deg",
+        "mounts.lidar.sigma_phi_deg",
+        "mounts.antenna.lever_ics_m",
+    }
     assert str(error).startswith(f"{len(error.mistakes)} mistakes in the campaign settings:\n")
     assert len(str(error).splitlines()) == 1 + len(error.mistakes)
     lines = [m.line for m in error.mistakes]

@@ -8,14 +8,12 @@ import pytest
 import yaml
 
 from thalweg.cli import main
-from thalweg.core.calibration.files import write_calibration
-from thalweg.core.calibration.model import Calibration, Source, lever_block, pose_block
-from thalweg.core.frames import rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg.settings.base.mounts import is_calibration_path
-from thalweg.settings.checks.mounts import mount_sources
-from thalweg.settings.files.load import check_campaign, load_campaign, load_campaigns, with_calibrations
-from thalweg.settings.messages.mistakes import CampaignError
+from thalweg.core import Rigid, rotation_opk
+from thalweg.core.calibration import Calibration, Source, lever_block, pose_block, write_calibration
+from thalweg.settings import load_campaigns, mount_sources, with_calibrations
+from thalweg.settings.load import check_campaign, load_campaign
+from thalweg.settings.messages import CampaignError
+from thalweg.settings.sections import is_calibration_path
 
 IDENTITY = {"title": "x", "crs": "EPSG:25833", "origin": {"lat_deg": 51.0, "lon_deg": 13.2, "h_ell_m": 300.0}}
 
@@ -129,10 +127,7 @@ def test_a_calibration_without_a_run_places_nothing(campaigns, tmp_path):
 BROKEN = {
     "none.yaml": (None, ("no such file", "a calibration file at")),
     "folder.d/": ("/", ("this is a folder", "boat.yaml")),
-    "cut.json": (
-        '{"thalweg_calibration": 1, "blocks": {',
-        ("1 mistake: line 1: not valid YAML",),
-    ),
+    "cut.json": ('{"thalweg_calibration": 1, "blocks": {', ("1 mistake: line 1: not valid YAML",)),
     "cut.yaml": ("thalweg_calibration: 1\nblocks: [", ("not valid YAML", "Correct ")),
     "bytes.yaml": (b"\xff\xfe", ("is not UTF-8",)),
     "river.yaml": ("campaign: {id: river}\n", ("no calibration file", "write its id, calibration: river")),
@@ -201,9 +196,11 @@ def test_sources_of_the_places(campaigns, tmp_path, capsys, monkeypatch):
     campaigns("survey", "boat.yml", antenna={"lever_ics_m": [0.1, 0.0, -0.4]})
     found = load_campaigns("survey", tmp_path)["survey"]
     assert mount_sources(found) == {
-        "lidar": "boat.yml, run yard", "camera": "", "antenna": "the campaign file",
+        "lidar": "boat.yml, run yard",
+        "camera": "",
+        "antenna": "the campaign file",
         "echo_sounder": "boat.yml, run yard",
-    }  # fmt: skip
+    }
     campaigns("other", "yard")
     found = load_campaigns("other", tmp_path)["other"]
     assert set(mount_sources(found).values()) == {"the calibration campaign yard"}

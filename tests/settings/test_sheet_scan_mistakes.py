@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 import yaml
 
-from thalweg.core.errors import ConfigError
-from thalweg.settings.files.load import load_campaign
+from thalweg.core import ConfigError
+from thalweg.settings.load import load_campaign
 
 SCAN: dict[str, Any] = {
     "images": ["wreck"],
@@ -19,9 +19,12 @@ SCAN: dict[str, Any] = {
     "pairs": ["wreck/pairs.csv"],
 }
 BASIN: dict[str, Any] = {
-    "sensor": ["sensor.yaml"], "camera_marks": ["camera_marks.csv"], "mark_points": ["mark_points.csv"],
-    "grid_images": ["grid.png"], "grid": ["grid.yaml"],
-}  # fmt: skip
+    "sensor": ["sensor.yaml"],
+    "camera_marks": ["camera_marks.csv"],
+    "mark_points": ["mark_points.csv"],
+    "grid_images": ["grid.png"],
+    "grid": ["grid.yaml"],
+}
 
 
 def campaign(folder: Path, scans: Any) -> Path:

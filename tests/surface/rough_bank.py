@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thalweg.core.geometry.mesh import TriangleMesh
+from thalweg.core.geometry import TriangleMesh
 
 SLOPE = np.radians(33.0)
 R_WCS_FLAT = np.array([[1.0, 0, 0], [0, np.cos(SLOPE), -np.sin(SLOPE)], [0, np.sin(SLOPE), np.cos(SLOPE)]])

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.surface.area import Area, checked_polygon
+from thalweg.core import InputError, LocalFrame
+from thalweg.settings.sections import Area as AreaSection
+from thalweg.surface import Area
+from thalweg.surface.area import checked_polygon
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 UTM = "EPSG:25833"
-SECTION = {"polygon": None, "frame": "local", "min_height_m": None, "max_height_m": None}
 BAY = np.array([[0.0, 0], [10, 0], [10, 8], [6, 8], [6, 2], [4, 2], [4, 8], [0, 8]])
 
 
@@ -42,7 +42,7 @@ def test_jagged_outlines_agree_with_winding_numbers(rng: np.random.Generator, co
     "polygon",
     [BAY, BAY[::-1], np.vstack([BAY, BAY[:1]]), np.repeat(BAY, 2, axis=0), np.roll(BAY, 3, axis=0)],
     ids=["plain", "clockwise", "closed", "doubled corners", "another beginning"],
-)  # fmt: skip
+)
 def test_a_bay_is_outside_however_the_corners_are_given(polygon: np.ndarray) -> None:
     area = Area(polygon_en_m=polygon)
     points = np.array(
@@ -76,7 +76,7 @@ def test_map_coordinates_reach_the_same_points() -> None:
     crs = CRS.from_user_input(UTM)
     centre = FRAME.to_map(np.array([1500.0, -1300.0, 10.0]), crs)
     polygon = centre[:2] + np.array([[-700.0, -600], [800, -500], [100, 0], [750, 640], [-650, 500]])
-    section = SECTION | {"frame": "map", "polygon": polygon.tolist(), "min_height_m": 309.9}
+    section = AreaSection(frame="map", polygon=polygon.tolist(), min_height_m=309.9)
     area = Area.from_section(section, FRAME, UTM)
     rng = np.random.default_rng(5)
     on_map = centre + rng.uniform([-800, -700, -1], [900, 700, 1], (20_000, 3))
@@ -103,7 +103,7 @@ def test_map_coordinates_reach_the_same_points() -> None:
         ([[0, 0], [4, 4], [4, 0], [0, 4]], ["corner 1 to 2", "corner 3 to 4", "cross", "order along the"]),
         ([[0, 0], [4, 0], [np.nan, 4]], ["not finite"]),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_polygon_is_refused(polygon: list[list[float]], words: list[str]) -> None:
     with pytest.raises(InputError) as refused:
         Area(polygon_en_m=np.array(polygon, dtype=np.float64))
@@ -118,7 +118,7 @@ def test_a_crossing_at_map_coordinates_is_found() -> None:
 
 
 def test_local_corners_called_map_are_refused_with_the_cure() -> None:
-    section = SECTION | {"frame": "map", "polygon": BAY.tolist()}
+    section = AreaSection(frame="map", polygon=BAY.tolist())
     with pytest.raises(InputError, match=r"do not lie in EPSG:25833.*accuracy.area.frame to local"):
         Area.from_section(section, FRAME, UTM)
 

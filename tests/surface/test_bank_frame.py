@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.surface.bank_frame import BankFrame, fit_bank, front_direction, thin_track
+from thalweg.core import GeometryError
+from thalweg.surface import BankFrame
+from thalweg.surface.meshing import fit_bank, front_direction, thin_track
 
 TRACK = np.column_stack([np.linspace(-40, 40, 200), np.full(200, 15.0), np.zeros(200)])
 """A boat north of a bank whose water line is north = 0: the right bank of a river that flows west."""

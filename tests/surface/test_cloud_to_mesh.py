@@ -7,11 +7,10 @@ import numba as nb
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.geometry.raycast import RayCaster, _open3d
-from thalweg.surface import cloud_to_mesh
-from thalweg.surface.cloud_to_mesh import LEAF, Distances, Surface
+from thalweg.core import GeometryError
+from thalweg.core.geometry import RayCaster, TriangleMesh, _open3d
+from thalweg.surface import Distances, Surface, cloud_to_mesh
+from thalweg.surface.cloud_to_mesh import LEAF
 
 _spec = importlib.util.spec_from_file_location("rough_bank", Path(__file__).with_name("rough_bank.py"))
 rough_bank = importlib.util.module_from_spec(_spec)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.surface.cloud_to_mesh import Surface
+from thalweg.core.geometry import TriangleMesh
+from thalweg.surface import Surface
 
 _spec = importlib.util.spec_from_file_location("rough_bank", Path(__file__).with_name("rough_bank.py"))
 rough_bank = importlib.util.module_from_spec(_spec)

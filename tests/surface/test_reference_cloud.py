@@ -3,16 +3,11 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.surface.bank_frame import BankFrame
-from thalweg.surface.lower_envelope import heights_above_envelope
-from thalweg.surface.reference.cloud import (
-    ReferenceSettings,
-    clean_reference,
-    finite_and_single,
-    first_of_equals,
-)
-from thalweg.surface.thinning import spikes, thin
+from thalweg.core import GeometryError, InputError
+from thalweg.settings.sections import ReferenceSettings
+from thalweg.surface import BankFrame
+from thalweg.surface.reference import clean_reference, finite_and_single, first_of_equals
+from thalweg.surface.thinning import heights_above_envelope, spikes, thin
 
 FLAT = BankFrame(origin_m=np.zeros(3), R_bank_wcs=np.eye(3))
 CLEARANCE_M = 0.3

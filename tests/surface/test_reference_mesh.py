@@ -6,19 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.errors import CoverageError, GeometryError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.geometry.raycast import RayCaster
-from thalweg.core.las.files import read_laz, write_laz
-from thalweg.settings.sections.accuracy import Reference
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.surface.area import Area
-from thalweg.surface.reference.mesh import ReferenceSettings, mesh_reference
-from thalweg.surface.reference.near_area import area_margin_m, near_area, read_reference
-from thalweg_lab.instruments.tls import simulate_tls
-from thalweg_lab.river.materials import BARE_GROUND, VEGETATION, Material
-from thalweg_lab.river.scene import Scene, build_scene
+from thalweg.core import CoverageError, GeometryError, InputError, LocalFrame
+from thalweg.core.geometry import RayCaster, TriangleMesh
+from thalweg.core.las import read_laz, write_laz
+from thalweg.settings.sections import ReferenceSettings
+from thalweg.settings.twin import TwinConfig
+from thalweg.surface import Area, area_margin_m, mesh_reference, read_reference
+from thalweg.surface.reference import near_area
+from thalweg_lab.instruments import simulate_tls
+from thalweg_lab.river import BARE_GROUND, Material, Scene, build_scene
+from thalweg_lab.river.mesh import VEGETATION
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 TRACK = np.column_stack([np.linspace(-40, 40, 200), np.full(200, 15.0), np.zeros(200)])
@@ -164,13 +161,13 @@ def test_the_mesh_of_the_twin_is_its_ground(twin: tuple[Scene, np.ndarray]) -> N
 
 
 def test_cleaning_takes_plants_and_leaves_ground_and_stones(twin: tuple[Scene, np.ndarray]) -> None:
-    from thalweg.surface.bank_frame import fit_bank
-    from thalweg.surface.lower_envelope import heights_above_envelope
+    from thalweg.surface.meshing import fit_bank
+    from thalweg.surface.thinning import heights_above_envelope
 
     scene, points = twin
     dry = scene.without(Material.WATER)
     material = dry.material[dry.caster().closest_points(points).primitive]
-    clearance_m = Reference().clearance_m
+    clearance_m = ReferenceSettings().clearance_m
     assert clearance_m is not None
     frame = fit_bank(points, TRACK).frame
     height = heights_above_envelope(frame.to_bank(points), clearance_m=clearance_m)
@@ -282,10 +279,3 @@ def test_repeated_and_broken_points_change_nothing(rng: np.random.Generator) -> 
     np.testing.assert_array_equal(one.sigma_m, other.sigma_m)
     assert (more["counts"]["duplicates"], more["counts"]["not_finite"]) == (5000, 7)
     assert facts["counts"]["given"] == 5000
-
-
-def test_the_section_gives_the_settings() -> None:
-    section = Reference().model_dump()
-    assert ReferenceSettings.from_section(section) == ReferenceSettings(
-        poisson_depth=section["poisson_depth"]
-    )

@@ -6,15 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.errors import CoverageError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.files import LazWriter
-from thalweg.surface.area import Area
-from thalweg.surface.bank_frame import fit_bank
-from thalweg.surface.poisson import _console_to_log
-from thalweg.surface.reference.files import compare_files
-from thalweg.surface.reference.mesh import ReferenceSettings, mesh_reference
-from thalweg.surface.reference.near_area import ReferencePoints, read_reference
+from thalweg.core import CoverageError, LazWriter, LocalFrame
+from thalweg.settings.sections import ReferenceSettings
+from thalweg.surface import Area, compare_files, mesh_reference, read_reference
+from thalweg.surface.meshing import _console_to_log, fit_bank
+from thalweg.surface.reference import ReferencePoints
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 TRACK = np.column_stack([np.linspace(-40, 40, 200), np.full(200, 15.0), np.zeros(200)])

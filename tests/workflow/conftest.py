@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from thalweg.core import read_yaml
+from thalweg.workflow.figures import rows_of
+
 COPIED = ("Snakefile", "config", "envs", "profiles", "resources", "src", "workflow")
 
 
@@ -74,9 +77,13 @@ def tiny_house(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Ho
     """
     house = copy_house(repository, tmp_path_factory.mktemp("tiny"))
     process = subprocess.Popen(
-        house.command("--config", "campaign=tiny"), cwd=house.root, env=house.environment(),
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
+        house.command("--config", "campaign=tiny"),
+        cwd=house.root,
+        env=house.environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     begun = house.root / "logs/tiny/simulation/simulate_lidar.log"
     wait_for(lambda: begun.exists() or process.poll() is not None, seconds=900)
     assert process.poll() is None, "the run ended before it could be killed"
@@ -98,16 +105,27 @@ def tiny_house(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Ho
 SIMULATED = tuple(
     f"simulation/{name}"
     for name in (
-        "logs/lidar.pcap", "logs/ins.anpp", "logs/rover.sbp", "logs/echo.nmea", "logs/tls_1.laz",
-        "logs/time_lapse", "pictures/view_bank.npz", "truth/trajectory.parquet",
+        "logs/lidar.pcap",
+        "logs/ins.anpp",
+        "logs/rover.sbp",
+        "logs/echo.nmea",
+        "logs/tls_1.laz",
+        "logs/time_lapse",
+        "pictures/view_bank.npz",
+        "truth/trajectory.parquet",
     )
-)  # fmt: skip
+)
 """A file of each rule of the twin that nothing else of the twin needs."""
 
 PROCESSED = (
-    "timing/streams.csv", "timing/time_report.txt", "lidar/points_map.laz", "lidar/removed.parquet",
-    "accuracy/statistics.csv", "accuracy/chains.csv", "ingest/reference.laz",
-)  # fmt: skip
+    "timing/streams.csv",
+    "timing/time_report.txt",
+    "lidar/points_map.laz",
+    "lidar/removed.parquet",
+    "accuracy/statistics.csv",
+    "accuracy/chains.csv",
+    "ingest/reference.laz",
+)
 """What the processing of the tiny campaign ends in, apart from pictures and pages."""
 
 
@@ -119,7 +137,8 @@ def part(house: House, names: tuple[str, ...], rules: set[str]) -> None:
 
 def rule_names(house: House) -> set[str]:
     """All rules of the workflow."""
-    return {
+    pictures, _ = rows_of(read_yaml(house.root / "workflow/figures.yaml"))
+    return {row.rule for row in pictures if row.draw} | {
         name
         for path in (house.root / "workflow/rules").glob("*.smk")
         for name in re.findall(r"(?m)^(?:rule|use rule \w+ as) (\w+)", path.read_text())

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 import yaml
 
-from thalweg.core.calibration.files import read_calibration
-from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.core.calibration import read_calibration
+from thalweg.lightsheet.optics import read_sensor
 from thalweg.lightsheet.poses.panels import PUBLISHED
 
 pytestmark = pytest.mark.workflow
@@ -43,10 +43,11 @@ def real_campaign(house, name: str) -> None:
         "panel_images": [f"../../{LOGS}/panels/images"],
         "panels": [f"../../{LOGS}/panels/images.csv"],
     }
-    (house.root / f"config/campaigns/{name}.yaml").write_text(yaml.safe_dump({
-        "campaign": {**twin["campaign"], "id": name, "title": "A basin"},
-        "logs": {"light_sheet": sheet},
-    }))  # fmt: skip
+    (house.root / f"config/campaigns/{name}.yaml").write_text(
+        yaml.safe_dump(
+            {"campaign": {**twin["campaign"], "id": name, "title": "A basin"}, "logs": {"light_sheet": sheet}}
+        )
+    )
 
 
 def test_errors_against_the_truth_are_what_the_sigmas_say(hall) -> None:

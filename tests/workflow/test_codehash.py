@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from thalweg.core.errors import InputError
+from thalweg.core import InputError
 from thalweg.workflow import codehash
 
 FILES = {
@@ -23,7 +23,7 @@ FILES = {
 
 
 def versions(root: Path) -> dict[str, str]:
-    for cached in (codehash._facts, codehash._imports, codehash._kept):
+    for cached in (codehash._facts, codehash._imports, codehash._door, codehash._kept):
         cached.cache_clear()
     return {
         name: codehash.code_version(name, scripts=root / "scripts", source=root)
@@ -58,11 +58,53 @@ def test_an_edit_reaches_exactly_its_users(house: Path) -> None:
     assert [name for name in after if after[name] != last[name]] == ["picture"]
 
 
+def test_what_a_script_calls_by_name_counts(house: Path) -> None:
+    """The script of all pictures imports none of their modules: each picture follows its own."""
+
+    def drawn() -> dict[str, str]:
+        versions(house)
+        called = ("pkg.lidar.b:f", "pkg.lidar.lazy:g", "pkg.figures.c:draw")
+        return {
+            name: codehash.code_version("picture", name, scripts=house / "scripts", source=house)
+            for name in called
+        }
+
+    (house / "scripts/picture.py").write_text("")
+    before = drawn()
+    assert len(set(before.values())) == 3
+    (house / "pkg/figures/c.py").write_text("x = 2\n")
+    after = drawn()
+    assert [name for name in before if before[name] != after[name]] == ["pkg.figures.c:draw"]
+    (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
+    last = drawn()
+    assert [name for name in after if after[name] != last[name]] == ["pkg.lidar.b:f", "pkg.lidar.lazy:g"]
+    (house / "pkg/figures/look.mplstyle").write_text("font.size: 8\n")
+    assert [name for name in last if drawn()[name] != last[name]] == ["pkg.figures.c:draw"]
+
+
+def test_an_unknown_module_is_named(house: Path) -> None:
+    with pytest.raises(InputError, match=r"no module pkg\.figures\.nothing"):
+        codehash.code_version("picture", "pkg.figures.nothing:f", scripts=house / "scripts", source=house)
+
+
 def test_a_style_file_counts_as_code(house: Path) -> None:
     before = versions(house)
     (house / "pkg/figures/look.mplstyle").write_text("font.size: 8\n")
     after = versions(house)
     assert [name for name in before if before[name] != after[name]] == ["picture"]
+
+
+def test_a_name_from_a_front_door_counts_as_its_module(house: Path) -> None:
+    (house / "pkg/core/__init__.pyi").write_text("from .a import f as f\nfrom .d import h as h\n")
+    (house / "pkg/core/d.py").write_text("def h():\n    return 1\n")
+    (house / "pkg/lidar/b.py").write_text("from pkg.core import f\n")
+    before = versions(house)
+    (house / "pkg/core/d.py").write_text("def h():\n    return 2\n")
+    (house / "pkg/core/__init__.pyi").write_text("from .a import f as f\n")
+    assert versions(house) == before
+    (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
+    after = versions(house)
+    assert [name for name in before if before[name] != after[name]] == ["direct", "lazy"]
 
 
 def test_words_cost_no_rerun(house: Path) -> None:

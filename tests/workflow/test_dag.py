@@ -32,20 +32,10 @@ class Job:
     outputs: tuple[str, ...]
 
 
-@pytest.fixture(scope="module")
-def talkative_house(repository, tmp_path_factory, house_builder):
-    """A copy whose rules have no message: Snakemake then prints the files of each job in a dry run."""
-    house = house_builder(repository, tmp_path_factory.mktemp("talkative"))
-    for path in (house.root / "workflow/rules").glob("*.smk"):
-        path.write_text(re.sub(r"(?m)^    message:\n        .*\n", "", path.read_text()))
-    return house
-
-
-def jobs(house, campaign: str) -> list[Job]:
-    """All jobs of a campaign with their files."""
-    run = house.snakemake(
-        "--workflow-profile", "none", "--dry-run", "--forceall", "--config", f"campaign={campaign}"
-    )
+def jobs(house, campaign: str, *targets: str) -> list[Job]:
+    """All jobs of a campaign with their files, as a dry run shows them."""
+    options = ("--dry-run", "--quiet", "host", "--forceall", "--config", f"campaign={campaign}", "--")
+    run = house.snakemake(*options, *targets)
     found = []
     for block in re.split(r"(?m)^(?:local)?rule ", run.stdout + run.stderr)[1:]:
         files = {
@@ -57,8 +47,8 @@ def jobs(house, campaign: str) -> list[Job]:
 
 
 @pytest.mark.parametrize("campaign", ["tiny", "demo", "mulde", "field_tiny", "basin_tiny"])
-def test_no_processing_rule_reads_the_truth(talkative_house, campaign: str) -> None:
-    found = jobs(talkative_house, campaign)
+def test_no_processing_rule_reads_the_truth(empty_house, campaign: str) -> None:
+    found = jobs(empty_house, campaign)
     assert len(found) > 20
     readers = {job.rule for job in found if any("/truth/" in name for name in job.inputs)}
     simulating = {rule for rule in readers if rule.startswith("simulate_")}
@@ -80,13 +70,13 @@ def test_no_processing_rule_reads_the_truth(talkative_house, campaign: str) -> N
             assert job.rule.startswith("simulate_")
 
 
-def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(talkative_house) -> None:
-    campaigns = talkative_house.root / "config/campaigns"
+def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(empty_house) -> None:
+    campaigns = empty_house.root / "config/campaigns"
     text = (campaigns / "tiny.yaml").read_text().replace("id: tiny", "id: parted")
     assert "images: " in text
     path = campaigns / "parted.yaml"
     path.write_text(re.sub(r"(?m)^images:.*$", "images:\n  mapping: {parts: 3}", text))
-    found = jobs(talkative_house, "parted")
+    found = jobs(empty_house, "parted")
     path.unlink()
     parts = sorted(name for job in found if job.rule == "match_features" for name in job.outputs)
     assert [name.rsplit("/", 1)[-1] for name in parts] == [f"pairs_{k}.npz" for k in range(3)]
@@ -97,40 +87,56 @@ def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(talk
 
 
 @pytest.mark.parametrize("images", [True, False])
-def test_the_strip_of_the_bed_takes_the_best_trajectory(talkative_house, images: bool) -> None:
+def test_the_strip_of_the_bed_takes_the_best_trajectory(empty_house, images: bool) -> None:
     """INS alone leads the strip centimetres away from the bed; fused where the survey has images."""
-    campaigns = talkative_house.root / "config/campaigns"
+    campaigns = empty_house.root / "config/campaigns"
     text = (campaigns / "demo.yaml").read_text().replace("id: demo", "id: strip")
     assert "  time_lapse: " in text
     path = campaigns / "strip.yaml"
     path.write_text(text if images else re.sub(r"(?m)^  time_lapse: .*\n", "", text))
-    found = jobs(talkative_house, "strip")
+    found = jobs(empty_house, "strip")
     path.unlink()
     (job,) = (job for job in found if job.rule == "locate_bed_strip")
     used = [name.rsplit("/", 1)[-1] for name in job.inputs if "/orientation/" in name]
     assert used == ["trajectory_fused.parquet" if images else "trajectory.parquet"]
 
 
-SHARED_SCRIPTS = {
-    "detect_markers",
-    "plot_correlations",
-    "simulate_field_images",
-    "simulate_sheet_series",
-}
+@pytest.mark.parametrize(
+    ("target", "last", "absent"),
+    [
+        ("ingest", "read_reference", "build_trajectory"),
+        ("lidar", "georeference_by_trajectory", "mesh_reference"),
+        ("images", "fuse_trajectory", "georeference_lidar"),
+        ("accuracy", "compare_chains", "summarise"),
+        ("figures", "plot_cloud_by_range", "summarise"),
+    ],
+)
+def test_a_target_builds_what_its_name_says(empty_house, target: str, last: str, absent: str) -> None:
+    found = jobs(empty_house, "tiny", target)
+    rules = {job.rule for job in found}
+    assert {target, last} <= rules
+    assert absent not in rules
+    (asked,) = (job for job in found if job.rule == target)
+    assert len(asked.inputs) >= 3
+
+
+SHARED_SCRIPTS = {"detect_markers", "results_of_study", "simulate_field_images", "simulate_sheet_series"}
 
 
 def test_every_rule_has_its_script_log_and_code_version(repository) -> None:
     scripts = {p.stem for p in (repository / "workflow/scripts").glob("*.py")}
     used: set[str] = set()
     for path in sorted((repository / "workflow/rules").glob("*.smk")):
-        for text in re.split(r"(?m)^rule ", path.read_text())[1:]:
-            name = text.split(":", 1)[0]
+        for text in re.split(r"(?m)^ *rule\b", path.read_text())[1:]:
+            # a rule without a name is that of all pictures, or of all studies
+            unnamed = {"figures": "plot", "studies": "results_of_study"}
+            name = text.split(":", 1)[0].strip() or unnamed[path.stem]
             # A rule has the name of its script; rules that share one say what of it they do.
             script = re.search(r'"\.\./scripts/(\w+)\.py"', text)[1]
             used.add(script)
             assert script == name or script in SHARED_SCRIPTS, name
-            assert f'code=code_version("{script}")' in text, name
-            for field in ("log:", "benchmark:", "threads:", "mem_mb=", "runtime=", "conda:", "message:"):
+            assert re.search(rf'code=.*\b\w+_version\("{script}"', text), name
+            for field in ("log:", "benchmark:", "threads:", "mem_mb=", "runtime=", "conda:"):
                 assert field in text, f"{name} has no {field}"
     assert used == scripts
 

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from PIL import Image
 
-from thalweg.core.calibration.files import read_calibration
+from thalweg.core.calibration import read_calibration
 
 pytestmark = pytest.mark.workflow
 

@@ -5,12 +5,14 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 
-from thalweg.core.errors import InputError
-from thalweg.workflow.job import job_arguments, run_job
+from thalweg.core import InputError
+from thalweg.settings.sections import Filters, Lidar
+from thalweg.workflow import job_arguments, run_job
 
 
 class FakeJob:
@@ -59,6 +61,19 @@ def test_a_keyword_without_counterpart_is_named(tmp_path: Path) -> None:
         job_arguments(main, FakeJob(tmp_path))
 
 
+def test_plain_values_become_the_section_that_a_keyword_names(tmp_path: Path) -> None:
+    def main(*, filters: Filters, lidar: Lidar | None, area: Lidar | None, plain: dict[str, Any]) -> None: ...
+
+    values = {"isolated_neighbours": 5}
+    job = FakeJob(tmp_path, filters=values, lidar={"data_port": 99}, area=None, plain=values)
+    assert job_arguments(main, job) == {
+        "filters": Filters(isolated_neighbours=5),
+        "lidar": Lidar(data_port=99),
+        "area": None,
+        "plain": values,
+    }
+
+
 def test_provenance_is_written(tmp_path: Path) -> None:
     run_job(double, FakeJob(tmp_path, offset=1))
     assert (tmp_path / "out.txt").read_text() == "43"
@@ -85,6 +100,7 @@ def test_a_failing_script_leaves_a_traceback_in_its_log_and_a_message_for_people
     code = f"""
 import sys
 from pathlib import Path
+from typing import Any
 from thalweg.core.errors import InputError
 from thalweg.workflow import job
 job._start_log(Path({str(tmp_path / "job.log")!r}))

@@ -23,9 +23,13 @@ def house(repository, tmp_path_factory, house_builder):
 
 def run(house, data: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        house.command("real_logs"), cwd=house.root, env={**house.environment(), "THALWEG_DATA": data},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        house.command("real_logs"),
+        cwd=house.root,
+        env={**house.environment(), "THALWEG_DATA": data},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def test_without_the_folder_people_are_told_what_to_set(house) -> None:

@@ -14,23 +14,16 @@ import pandas as pd
 import pytest
 import yaml
 
-from thalweg.core.tables import read_table
+from thalweg.core import Trajectory, read_table
 from thalweg.core.timescales import week_from_gps
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.schemas import INS_STATE
-from thalweg.ingest.velodyne.reader import LidarOptions, scan_lidar
-from thalweg.lidar.cloud import CORRELATIONS, SIGMAS, LogSettings, georeference_log
-from thalweg.lidar.covariance import BeamErrors
-from thalweg.lidar.filters import FilterSettings
-from thalweg.lidar.mount import Mount
-from thalweg.settings.sections.filters import Filters
-from thalweg.settings.sections.lidar import LidarAccuracy
-from thalweg_lab.instruments.shots import LIDAR_SHOTS, EchoKind
-from thalweg_lab.river.materials import BARE_GROUND
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.truth.errors import Truth, compare_cloud
-from thalweg_lab.truth.returns import TrueReturns
-from thalweg_lab.voyage.true_mounts import read_true_mounts
+from thalweg.ingest import INS_STATE, LidarOptions
+from thalweg.ingest.registry import lidar_reader
+from thalweg.lidar import CORRELATIONS, SIGMAS, LogSettings, Mount, georeference_log
+from thalweg.settings.sections import Filters, LidarAccuracy
+from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
+from thalweg_lab.river import BARE_GROUND, Scene
+from thalweg_lab.truth import TrueReturns, Truth, compare_cloud
+from thalweg_lab.voyage import read_true_mounts
 
 pytestmark = pytest.mark.workflow
 
@@ -38,14 +31,20 @@ BASE = "results/tiny"
 
 
 OF_DISTANCES = {
-    "plot_distance_map", "plot_cross_sections", "plot_distance_histogram", "plot_distance_by_range",
-}  # fmt: skip
+    "plot_distance_map",
+    "plot_cross_sections",
+    "plot_distance_histogram",
+    "plot_distance_by_range",
+}
 """Pictures of the comparison with the reference."""
 
 OF_CHAINS = {
-    "compare_chain_with_reference", "compare_chains", "plot_chain_histograms", "plot_chains_by_range",
+    "compare_chain_with_reference",
+    "compare_chains",
+    "plot_chain_histograms",
+    "plot_chains_by_range",
     "trajectory_comparison_page",
-}  # fmt: skip
+}
 """The same for the trajectories by INS, camera and all sensors."""
 
 OF_IMAGES = {"plot_mask_view", "plot_image_positions", "plot_frames_by_image", "plot_pose_sigmas"}
@@ -181,11 +180,17 @@ def test_a_second_call_has_nothing_to_do(tiny_house) -> None:
 def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
     of_streams, of_views = {"plot_streams_in_time"}, {"plot_scene_view"}
     of_clouds = {
-        "plot_survey_map", "plot_trajectory", "plot_cloud_overview", "plot_cloud_detail",
-        "plot_cloud_by_sigma", "plot_cloud_by_range", "plot_footprints", "plot_removed_points",
+        "plot_survey_map",
+        "plot_trajectory",
+        "plot_cloud_overview",
+        "plot_cloud_detail",
+        "plot_cloud_by_sigma",
+        "plot_cloud_by_range",
+        "plot_footprints",
+        "plot_removed_points",
         "plot_error_versus_range",
         "plot_reference_view",
-    }  # fmt: skip
+    }
     pictures = of_streams | of_views | of_clouds | OF_DISTANCES | OF_IMAGES
     pictures |= {"plot_chain_histograms", "plot_chains_by_range"}
     undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
@@ -206,10 +211,20 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
     }
     # where the camera roughly was comes from the trajectory, and all of the images' orientation follows
     after_prediction = {
-        "predict_images", "mask_images", "extract_features", "match_features", "join_matches", "map_images",
-        "measure_control_points", "adjust_images", "time_images", "camera_trajectory", "fuse_trajectory",
-        "georeference_by_trajectory", "compare_chains_with_truth",
-    }  # fmt: skip
+        "predict_images",
+        "mask_images",
+        "extract_features",
+        "match_features",
+        "join_matches",
+        "map_images",
+        "measure_control_points",
+        "adjust_images",
+        "time_images",
+        "camera_trajectory",
+        "fuse_trajectory",
+        "georeference_by_trajectory",
+        "compare_chains_with_truth",
+    }
     clouds = of_clouds | OF_DISTANCES | OF_CHAINS | OF_IMAGES
     assert planned(tiny_house) == after_trajectory | after_prediction | clouds
     undo()
@@ -324,10 +339,25 @@ def test_logs_of_a_survey_go_the_same_way(tiny_house, source: str) -> None:
 def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house) -> None:
     logs = tiny_house.root / BASE / "simulation/logs"
     run = subprocess.run(
-        [sys.executable, "-m", "thalweg", "new-campaign", "found", "--from-logs", str(logs),
-         "--origin", "51.05", "13.25", "300"],
-        cwd=tiny_house.root, env=tiny_house.environment(), capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "thalweg",
+            "new-campaign",
+            "found",
+            "--from-logs",
+            str(logs),
+            "--origin",
+            "51.05",
+            "13.25",
+            "300",
+        ],
+        cwd=tiny_house.root,
+        env=tiny_house.environment(),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert run.returncode == 0, run.stderr
     text = (tiny_house.root / "config/campaigns/found.yaml").read_text()
     (tiny_house.root / "config/campaigns/found.yaml").unlink()
@@ -351,13 +381,14 @@ def test_with_the_true_poses_the_lidar_noise_remains(
     assumed = replace(mount, lever_ics_m=mount.lever_ics_m + np.array([0.0, sideways_error_m, 0.0]))
     settings = LogSettings(
         mount=assumed,
-        beam=BeamErrors.from_section(LidarAccuracy().model_dump()),
-        filters=FilterSettings.from_section(Filters().model_dump()),
+        beam=LidarAccuracy(),
+        filters=Filters(),
         min_range_m=0.5,
         max_range_m=100.0,
         correlations=True,
     )
-    georeference_log(log, options, scan_lidar(log, options).clock, true, settings, tmp_path / "points.laz")
+    reader = lidar_reader(log, options)
+    georeference_log(reader, reader.scan().clock, true, settings, tmp_path / "points.laz")
     statistics, _ = compare_cloud(
         tmp_path / "points.laz",
         estimated=true,

@@ -16,12 +16,8 @@ import yaml
 from PIL import Image
 from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.files import iter_laz, laz_header
-from thalweg.core.tables import read_parquet
-from thalweg.core.trajectory import Trajectory
-from thalweg.workflow.job import run_job
+from thalweg.core import InputError, LocalFrame, Trajectory, iter_laz, laz_header, read_parquet
+from thalweg.workflow import run_job
 from thalweg.workflow.truth import may_read_truth, truth_closed
 
 REFUSED = r"rule process: the truth of the digital twin is closed to this rule, which opens \S*truth"
@@ -162,10 +158,16 @@ def test_all_else_stays_open(truth: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rule", "may"),
     [
-        ("simulate_lidar", True), ("compare_with_truth", True), ("compare_bed_with_truth", True),
-        ("chain_study", True), ("plot_chain_study", False), ("compare_with_reference", False),
-        ("georeference_lidar", False), ("plot_compare_with_truth", False), ("summarise", False),
+        ("simulate_lidar", True),
+        ("compare_with_truth", True),
+        ("compare_bed_with_truth", True),
+        ("chain_study", True),
+        ("plot_chain_study", False),
+        ("compare_with_reference", False),
+        ("georeference_lidar", False),
+        ("plot_compare_with_truth", False),
+        ("summarise", False),
     ],
-)  # fmt: skip
+)
 def test_only_the_twin_and_its_judges_may_read_the_truth(rule: str, may: bool) -> None:
     assert may_read_truth(rule) is may

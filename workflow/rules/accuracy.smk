@@ -26,12 +26,10 @@ rule compare_with_reference:
     params:
         code=code_version("compare_with_reference"),
         campaign=identity("crs", "seed"),
-        accuracy=comparison_settings,
+        accuracy=of(CampaignFiles.comparison),
         reference=lambda wildcards: {
             "sigma_m": CAMPAIGNS[wildcards.campaign].reference.sigma_m
         },
-    message:
-        "{wildcards.campaign}: cloud against the reference"
     script:
         "../scripts/compare_with_reference.py"
 
@@ -62,11 +60,9 @@ rule compare_with_truth:
         runtime=minutes(10),
     params:
         code=code_version("compare_with_truth"),
-        twin=twin_parts("lidar", "ins", "gnss"),
+        twin=of(CampaignFiles.twin_parts, "lidar", "ins", "gnss"),
         lidar_options=section("lidar"),
         orientation=section("orientation"),
-    message:
-        "{wildcards.campaign}: cloud against the truth of the digital twin"
     script:
         "../scripts/compare_with_truth.py"
 
@@ -94,9 +90,7 @@ rule compare_calibration_with_truth:
         runtime=minutes(10),
     params:
         code=code_version("compare_calibration_with_truth"),
-        twin=twin_parts("camera"),
-    message:
-        "{wildcards.campaign}: calibration against the truth of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "camera"),
     script:
         "../scripts/compare_calibration_with_truth.py"
 
@@ -107,8 +101,8 @@ rule summarise:
         streams="results/{campaign}/timing/streams.csv",
         trajectory="results/{campaign}/orientation/trajectory.json",
         counts="results/{campaign}/lidar/counts.csv",
-        reference=reference_statistics,
-        truth=truth_statistics,
+        reference=of(CampaignFiles.reference_statistics),
+        truth=of(CampaignFiles.truth_statistics),
     output:
         summary="results/{campaign}/summary.csv",
     log:
@@ -123,8 +117,6 @@ rule summarise:
         runtime=minutes(10),
     params:
         code=code_version("summarise"),
-    message:
-        "{wildcards.campaign}: summary"
     script:
         "../scripts/summarise.py"
 
@@ -137,12 +129,8 @@ rule accuracy_page:
         by_range="results/{campaign}/accuracy/by_range.csv",
         registration="results/{campaign}/accuracy/registration.json",
         mesh_facts="results/{campaign}/surface/reference_mesh.json",
-        pictures=accuracy_pictures,
-        captions=lambda wildcards: [
-            ROOT / "workflow" / "report" / f"{Path(picture).stem}.rst"
-            for picture in accuracy_pictures(wildcards)
-        ],
-        truth=truth_statistics,
+        pictures=of_page("accuracy"),
+        truth=of(CampaignFiles.truth_statistics),
         error_model="results/{campaign}/orientation/error_model.json",
     output:
         page="results/{campaign}/accuracy/index.html",
@@ -158,10 +146,9 @@ rule accuracy_page:
         runtime=minutes(10),
     params:
         code=code_version("accuracy_page"),
-        twin=lambda wildcards: is_twin(wildcards.campaign),
+        captions=FIGURES.captions("accuracy"),
+        twin=of(CampaignFiles.is_twin),
         campaign=identity("title"),
-    message:
-        "{wildcards.campaign}: accuracy page"
     script:
         "../scripts/accuracy_page.py"
 
@@ -182,18 +169,16 @@ use rule compare_with_reference as compare_chain_with_reference with:
         "logs/{campaign}/accuracy/compare_{chain}_with_reference.log",
     benchmark:
         "benchmarks/{campaign}/accuracy/compare_{chain}_with_reference.jsonl"
-    message:
-        "{wildcards.campaign}: cloud by the trajectory of {wildcards.chain} against the reference"
 
 
 rule compare_chains:
     """Clouds and trajectories by INS, camera and all sensors side by side (T 3.1.4)."""
     input:
-        trajectories=chain_trajectories,
-        counts=of_chains("lidar", "counts.csv"),
-        statistics=of_compared_chains("statistics.csv"),
-        by_range=of_compared_chains("by_range.csv"),
-        distances=of_compared_chains("cloud_to_mesh.parquet"),
+        trajectories=of(CampaignFiles.trajectories),
+        counts=of(CampaignFiles.of_chains, "lidar", "counts.csv"),
+        statistics=of(CampaignFiles.of_compared_chains, "statistics.csv"),
+        by_range=of(CampaignFiles.of_compared_chains, "by_range.csv"),
+        distances=of(CampaignFiles.of_compared_chains, "cloud_to_mesh.parquet"),
         budgets=[
             ROOT / "resources" / "budgets" / f"{name}.yaml"
             for name in ("t_table3_1", "p2_table1")
@@ -214,8 +199,6 @@ rule compare_chains:
         runtime=minutes(10),
     params:
         code=code_version("compare_chains"),
-    message:
-        "{wildcards.campaign}: INS, camera and fused trajectory side by side"
     script:
         "../scripts/compare_chains.py"
 
@@ -223,11 +206,11 @@ rule compare_chains:
 rule compare_chains_with_truth:
     """Poses by INS, camera and all sensors of a twin campaign against the true ones."""
     input:
-        trajectories=chain_trajectories,
+        trajectories=of(CampaignFiles.trajectories),
         voyage="results/{campaign}/simulation/truth/trajectory.parquet",
         true_mounts="results/{campaign}/simulation/truth/mounts.json",
         mounts="results/{campaign}/calibration/mounts.json",
-        boat=calibration_file,
+        boat=of(CampaignFiles.calibration_file),
     output:
         table="results/{campaign}/accuracy/chains_truth.csv",
     log:
@@ -242,10 +225,8 @@ rule compare_chains_with_truth:
         runtime=minutes(10),
     params:
         code=code_version("compare_chains_with_truth"),
-        twin=twin_parts("ins", "gnss"),
+        twin=of(CampaignFiles.twin_parts, "ins", "gnss"),
         orientation=section("orientation"),
-    message:
-        "{wildcards.campaign}: trajectories against the truth of the digital twin"
     script:
         "../scripts/compare_chains_with_truth.py"
 
@@ -269,7 +250,5 @@ rule compare_light_sheet_with_truth:
         runtime=minutes(10),
     params:
         code=code_version("compare_light_sheet_with_truth"),
-    message:
-        "{wildcards.campaign}: light-sheet sensor against the truth"
     script:
         "../scripts/compare_light_sheet_with_truth.py"

@@ -4,7 +4,7 @@
 rule collect_mounts:
     """The mounts of a campaign: from its file, or from the calibration that it names."""
     input:
-        calibration=calibration_file,
+        calibration=of(CampaignFiles.calibration_file),
     output:
         mounts="results/{campaign}/calibration/mounts.json",
     log:
@@ -21,8 +21,6 @@ rule collect_mounts:
     params:
         code=code_version("collect_mounts"),
         section=section("mounts"),
-    message:
-        "{wildcards.campaign}: mounts of the sensors"
     script:
         "../scripts/collect_mounts.py"
 
@@ -50,8 +48,6 @@ rule detect_reference_marks:
     params:
         code=code_version("detect_markers"),
         camera="reference",
-    message:
-        "{wildcards.campaign}: markers in the images of the reference camera"
     script:
         "../scripts/detect_markers.py"
 
@@ -59,7 +55,7 @@ rule detect_reference_marks:
 rule detect_boat_marks:
     """Printed markers in the images of the boat's camera."""
     input:
-        folders=boat_images,
+        folders=of(CampaignFiles.boat_images),
         field=raw("field"),
     output:
         marks="results/{campaign}/calibration/boat_marks.parquet",
@@ -79,8 +75,6 @@ rule detect_boat_marks:
     params:
         code=code_version("detect_markers"),
         camera="boat",
-    message:
-        "{wildcards.campaign}: markers in the images of the boat camera"
     script:
         "../scripts/detect_markers.py"
 
@@ -110,10 +104,8 @@ rule adjust_field:
     params:
         code=code_version("adjust_field"),
         campaign=identity("id", "origin"),
-        model=calibration("reference_camera", "model"),
-        focal_px=calibration("reference_camera", "focal_px"),
-    message:
-        "{wildcards.campaign}: bundle adjustment of the field"
+        model=section("calibration", "reference_camera", "model"),
+        focal_px=section("calibration", "reference_camera", "focal_px"),
     script:
         "../scripts/adjust_field.py"
 
@@ -125,7 +117,7 @@ rule orient_camera:
         points="results/{campaign}/calibration/field_points.csv",
         covariance="results/{campaign}/calibration/field_points.npz",
         field=raw("field"),
-        interior=boat_interior,
+        interior=of(CampaignFiles.boat_interior),
         position_images=raw("position_images"),
     output:
         poses="results/{campaign}/calibration/camera_poses.parquet",
@@ -147,10 +139,8 @@ rule orient_camera:
     params:
         code=code_version("orient_camera"),
         campaign=identity("id"),
-        model=calibration("boat_camera", "model"),
-        focal_px=calibration("boat_camera", "focal_px"),
-    message:
-        "{wildcards.campaign}: poses of the boat's camera"
+        model=section("calibration", "boat_camera", "model"),
+        focal_px=section("calibration", "boat_camera", "focal_px"),
     script:
         "../scripts/orient_camera.py"
 
@@ -188,13 +178,11 @@ rule calibrate_camera_lidar:
     params:
         code=code_version("calibrate_camera_lidar"),
         campaign=identity("id"),
-        mounts=mounts_of("lidar", "camera"),
+        mounts=of(CampaignFiles.mounts, "lidar", "camera"),
         lidar_options=section("lidar"),
         lidar_accuracy=section("lidar_accuracy"),
-        settings=calibration("camera_lidar"),
-        twin=lambda wildcards: is_twin(wildcards.campaign),
-    message:
-        "{wildcards.campaign}: relative orientation of camera and lidar"
+        settings=section("calibration", "camera_lidar"),
+        twin=of(CampaignFiles.is_twin),
     script:
         "../scripts/calibrate_camera_lidar.py"
 
@@ -210,8 +198,8 @@ rule calibrate_ins_lidar:
         points="results/{campaign}/calibration/field_points.csv",
         covariance="results/{campaign}/calibration/field_points.npz",
         facts="results/{campaign}/calibration/field.json",
-        poses=of_static_camera("camera_poses.parquet"),
-        camera_lidar=of_static_camera("camera_lidar.yaml"),
+        poses=of(CampaignFiles.of_static_camera, "camera_poses.parquet"),
+        camera_lidar=of(CampaignFiles.of_static_camera, "camera_lidar.yaml"),
     output:
         ins_lidar="results/{campaign}/calibration/ins_lidar.yaml",
         mount="results/{campaign}/calibration/ins_lidar.json",
@@ -233,10 +221,8 @@ rule calibrate_ins_lidar:
         code=code_version("calibrate_ins_lidar"),
         campaign=identity("id"),
         lidar_options=section("lidar"),
-        settings=ins_lidar_settings,
-        antenna_position=calibration("ins_lidar", "antenna_position"),
-    message:
-        "{wildcards.campaign}: mount of the lidar"
+        settings=of(CampaignFiles.ins_lidar_settings),
+        antenna_position=section("calibration", "ins_lidar", "antenna_position"),
     script:
         "../scripts/calibrate_ins_lidar.py"
 
@@ -265,10 +251,8 @@ rule calibrate_echo_sounder:
     params:
         code=code_version("calibrate_echo_sounder"),
         campaign=identity("id", "origin", "crs"),
-        settings=echo_settings,
-        twin=lambda wildcards: is_twin(wildcards.campaign),
-    message:
-        "{wildcards.campaign}: place of the echo sounder"
+        settings=of(CampaignFiles.echo_settings),
+        twin=of(CampaignFiles.is_twin),
     script:
         "../scripts/calibrate_echo_sounder.py"
 
@@ -277,7 +261,7 @@ rule assemble_boat:
     """All sensors of the boat in one calibration."""
     input:
         mount="results/{campaign}/calibration/ins_lidar.json",
-        camera_lidar=of_static_camera("camera_lidar.yaml"),
+        camera_lidar=of(CampaignFiles.of_static_camera, "camera_lidar.yaml"),
     output:
         boat="results/{campaign}/calibration/boat.yaml",
     log:
@@ -294,10 +278,8 @@ rule assemble_boat:
     params:
         code=code_version("assemble_boat"),
         campaign=identity("id"),
-        echo_sounder=echo_place,
-        twin=lambda wildcards: is_twin(wildcards.campaign),
-    message:
-        "{wildcards.campaign}: calibration of the boat"
+        echo_sounder=of(CampaignFiles.echo_place),
+        twin=of(CampaignFiles.is_twin),
     script:
         "../scripts/assemble_boat.py"
 
@@ -326,12 +308,10 @@ rule calibrate_board:
     params:
         code=code_version("calibrate_board"),
         campaign=identity("id"),
-        mounts=mounts_of("lidar", "camera"),
+        mounts=of(CampaignFiles.mounts, "lidar", "camera"),
         lidar_options=section("lidar"),
         lidar_accuracy=section("lidar_accuracy"),
-        board=calibration("board"),
-        settings=board_settings,
-    message:
-        "{wildcards.campaign}: camera and lidar from a board"
+        board=section("calibration", "board"),
+        settings=of(CampaignFiles.board_settings),
     script:
         "../scripts/calibrate_board.py"

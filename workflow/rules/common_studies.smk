@@ -1,30 +1,26 @@
-"""Studies of the twin: their sizes stand once, in config/studies, for rules and for documents."""
+"""Studies of the twin: sizes, jobs and outputs stand once, in config/studies, also for documents."""
+
+from thalweg_lab.studies import batches
 
 STUDIES = {}
 for path in sorted((ROOT / "config" / "studies").glob("*.yaml")):
     with open(path) as stream:
-        STUDIES[path.stem] = yaml.safe_load(stream)
+        entry = yaml.safe_load(stream)
+    if "study" in entry:
+        STUDIES[path.stem] = entry
+BATCHES = {name: batches(entry) for name, entry in STUDIES.items()}
 
 
-def study(name):
-    """Parameters of a study's rule, by name."""
-    return STUDIES[name]["parameters"]
+wildcard_constraints:
+    study="|".join(STUDIES),
+    batch="[a-z]+_[0-9]+(_to_[0-9]+)?",
 
 
-def seeds_of(name, pattern, of=""):
-    """Files of the surveys of a study, a job each; pattern below results/reproduction with {seed}."""
-    size = STUDIES[name]["parameters"]
-    first = size[f"first_seed{of}"]
-    return expand(
-        f"results/reproduction/{pattern}", seed=range(first, first + size[f"seeds{of}"])
-    )
+def of_study(key):
+    """Resource function: what a study's file says of its jobs, more on each attempt."""
+    return lambda wildcards, attempt: STUDIES[wildcards.study]["jobs"][key] * attempt
 
 
-def prior_surveys(wildcards):
-    """Input function: surveys with wrong presumptions, by kind and seed."""
-    size = STUDIES["prior_study"]["parameters"]
-    return [
-        f"results/reproduction/prior_study/{kind}_{size['first_seed'] + k}.csv"
-        for kind, n in size["sizes"].items()
-        for k in range(n)
-    ]
+def study_version(script, name):
+    """Version of the code of a script and of the study which it loads by name."""
+    return code_version(script, STUDIES[name]["study"])

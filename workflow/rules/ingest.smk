@@ -21,8 +21,6 @@ rule scan_lidar:
     params:
         code=code_version("scan_lidar"),
         lidar_options=section("lidar"),
-    message:
-        "{wildcards.campaign}: clock and integrity of the lidar log"
     script:
         "../scripts/scan_lidar.py"
 
@@ -30,8 +28,8 @@ rule scan_lidar:
 rule read_ins:
     """States of the INS."""
     input:
-        ins=ins_logs,
-        smrmsg=smrmsg_logs,
+        ins=of(CampaignFiles.ins_logs),
+        smrmsg=of(CampaignFiles.smrmsg_logs),
     output:
         states="results/{campaign}/ingest/ins_states.parquet",
         depths="results/{campaign}/ingest/ins_depths.parquet",
@@ -48,10 +46,8 @@ rule read_ins:
         runtime=minutes(10),
     params:
         code=code_version("read_ins"),
-        source=position_source,
-        gps_week=lambda wildcards: log_option(wildcards.campaign, "gps_week"),
-    message:
-        "{wildcards.campaign}: INS log"
+        source=of(CampaignFiles.position_source),
+        gps_week=of(CampaignFiles.log_option, "gps_week"),
     script:
         "../scripts/read_ins.py"
 
@@ -75,8 +71,6 @@ rule read_gnss:
         runtime=minutes(10),
     params:
         code=code_version("read_gnss"),
-    message:
-        "{wildcards.campaign}: GNSS receiver log"
     script:
         "../scripts/read_gnss.py"
 
@@ -84,9 +78,9 @@ rule read_gnss:
 rule read_positions:
     """Positions of the antenna from the source that the campaign chooses (PPK included)."""
     input:
-        logs=position_logs,
-        base=base_logs,
-        nav=nav_logs,
+        logs=of(CampaignFiles.position_logs),
+        base=of(CampaignFiles.ppk_logs, "base"),
+        nav=of(CampaignFiles.ppk_logs, "nav"),
         states="results/{campaign}/ingest/ins_states.parquet",
     output:
         positions="results/{campaign}/ingest/positions.parquet",
@@ -103,11 +97,9 @@ rule read_positions:
         runtime=minutes(20, 60),
     params:
         code=code_version("read_positions"),
-        source=position_source,
+        source=of(CampaignFiles.position_source),
         ppk=section("ppk"),
-        base_position=base_position,
-    message:
-        "{wildcards.campaign}: positions"
+        base_position=of(CampaignFiles.base_position),
     script:
         "../scripts/read_positions.py"
 
@@ -131,9 +123,7 @@ rule read_depth:
         runtime=minutes(10),
     params:
         code=code_version("read_depth"),
-        date=lambda wildcards: log_option(wildcards.campaign, "depth_date"),
-    message:
-        "{wildcards.campaign}: depth log"
+        date=of(CampaignFiles.log_option, "depth_date"),
     script:
         "../scripts/read_depth.py"
 
@@ -158,8 +148,6 @@ rule read_reference:
     params:
         code=code_version("read_reference"),
         campaign=identity("origin", "crs"),
-    message:
-        "{wildcards.campaign}: reference clouds"
     script:
         "../scripts/read_reference.py"
 
@@ -167,8 +155,8 @@ rule read_reference:
 rule read_image_stamps:
     """When the images were taken, by the camera's clock."""
     input:
-        images=stamped_images,
-        times=stamp_tables,
+        images=of(CampaignFiles.stamped_images),
+        times=of(CampaignFiles.stamp_tables),
     output:
         stamps="results/{campaign}/ingest/image_stamps.parquet",
         integrity="results/{campaign}/ingest/camera.integrity.json",
@@ -184,11 +172,9 @@ rule read_image_stamps:
         runtime=minutes(20),
     params:
         code=code_version("read_image_stamps"),
-        folders=names_hold_folders,
-        source=stamp_options("source"),
-        pattern=stamp_options("pattern"),
-        utc_offset=stamp_options("utc_offset"),
-    message:
-        "{wildcards.campaign}: stamps of the images"
+        folders=of(CampaignFiles.has_time_lapse),
+        source=of(CampaignFiles.stamp_option, "source"),
+        pattern=of(CampaignFiles.stamp_option, "pattern"),
+        utc_offset=of(CampaignFiles.stamp_option, "utc_offset"),
     script:
         "../scripts/read_image_stamps.py"

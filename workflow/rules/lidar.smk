@@ -27,11 +27,9 @@ rule estimate_pose_errors:
         code=code_version("estimate_pose_errors"),
         lidar_options=section("lidar"),
         lidar_accuracy=section("lidar_accuracy"),
-        georeferencing=georeferencing,
+        georeferencing=of(CampaignFiles.georeferencing),
         filters=section("filters"),
         orientation=section("orientation"),
-    message:
-        "{wildcards.campaign}: errors of the poses from overlapping points"
     script:
         "../scripts/estimate_pose_errors.py"
 
@@ -62,10 +60,8 @@ rule georeference_lidar:
         code=code_version("georeference_lidar"),
         lidar_options=section("lidar"),
         lidar_accuracy=section("lidar_accuracy"),
-        georeferencing=georeferencing,
+        georeferencing=of(CampaignFiles.georeferencing),
         filters=section("filters"),
-    message:
-        "{wildcards.campaign}: lidar points into the world"
     script:
         "../scripts/georeference_lidar.py"
 
@@ -89,8 +85,6 @@ rule export_map:
     params:
         code=code_version("export_map"),
         campaign=identity("crs"),
-    message:
-        "{wildcards.campaign}: cloud in the map grid"
     script:
         "../scripts/export_map.py"
 
@@ -100,8 +94,8 @@ use rule georeference_lidar as georeference_by_trajectory with:
     input:
         lidar=raw("lidar"),
         clock="results/{campaign}/ingest/lidar.clock.json",
-        trajectory=trajectory_of_chain,
-        mounts=mounts_of_chain,
+        trajectory=of_wildcard("chain", CampaignFiles.trajectory),
+        mounts=of_wildcard("chain", CampaignFiles.mounts_of_chain),
         error_model="results/{campaign}/orientation/error_model.json",
     output:
         points="results/{campaign}/lidar/by_{chain}/points.laz",
@@ -111,5 +105,3 @@ use rule georeference_lidar as georeference_by_trajectory with:
         "logs/{campaign}/lidar/georeference_by_{chain}.log",
     benchmark:
         "benchmarks/{campaign}/lidar/georeference_by_{chain}.jsonl"
-    message:
-        "{wildcards.campaign}: lidar points into the world by the trajectory of {wildcards.chain}"

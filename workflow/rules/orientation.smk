@@ -27,8 +27,6 @@ rule build_trajectory:
         campaign=identity("origin"),
         orientation=section("orientation"),
         ins=section("ins"),
-    message:
-        "{wildcards.campaign}: trajectory"
     script:
         "../scripts/build_trajectory.py"
 
@@ -39,7 +37,7 @@ rule predict_images:
         stamps="results/{campaign}/ingest/image_stamps.parquet",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
-        clock=camera_clock,
+        clock=of(CampaignFiles.camera_clock),
     output:
         predictions="results/{campaign}/orientation/image_predictions.parquet",
     log:
@@ -55,10 +53,8 @@ rule predict_images:
         runtime=minutes(10),
     params:
         code=code_version("predict_images"),
-        stated=images("clock"),
-        off_boat=images("off_boat"),
-    message:
-        "{wildcards.campaign}: approximate poses of the images"
+        stated=section("images", "clock"),
+        off_boat=section("images", "off_boat"),
     script:
         "../scripts/predict_images.py"
 
@@ -66,7 +62,7 @@ rule predict_images:
 rule start_camera:
     """The calibrated interior orientation of the camera, for the size of the survey's images."""
     input:
-        calibrated=calibrated_interior,
+        calibrated=of(CampaignFiles.calibrated_interior),
         stamps="results/{campaign}/ingest/image_stamps.parquet",
     output:
         camera="results/{campaign}/orientation/camera_start.yaml",
@@ -84,9 +80,7 @@ rule start_camera:
     params:
         code=code_version("start_camera"),
         campaign=identity("id"),
-        folders=interior_folders,
-    message:
-        "{wildcards.campaign}: interior orientation to begin with"
+        folders=of(CampaignFiles.interior_folders),
     script:
         "../scripts/start_camera.py"
 
@@ -96,8 +90,8 @@ rule mask_images:
     input:
         images=raw("time_lapse"),
         predictions="results/{campaign}/orientation/image_predictions.parquet",
-        camera=known_interior,
-        interiors=folder_interiors,
+        camera=of(CampaignFiles.known_interior),
+        interiors=of(CampaignFiles.folder_interiors),
         supplied=raw("masks"),
     output:
         masks=directory("results/{campaign}/orientation/masks"),
@@ -116,11 +110,9 @@ rule mask_images:
     params:
         code=code_version("mask_images"),
         campaign=identity("seed"),
-        options=images("masks"),
-        folders=interior_folders,
-        cameras=images("mapping", "cameras"),
-    message:
-        "{wildcards.campaign}: masks of water, sky and boat"
+        options=section("images", "masks"),
+        folders=of(CampaignFiles.interior_folders),
+        cameras=section("images", "mapping", "cameras"),
     script:
         "../scripts/mask_images.py"
 
@@ -146,9 +138,7 @@ rule extract_features:
     params:
         code=code_version("extract_features"),
         part=lambda wildcards: int(wildcards.part),
-        options=images("features"),
-    message:
-        "{wildcards.campaign}: features of images, part {wildcards.part}"
+        options=section("images", "features"),
     script:
         "../scripts/extract_features.py"
 
@@ -156,10 +146,10 @@ rule extract_features:
 rule match_features:
     """What the pairs of images of one part have in common; the parts are jobs of their own."""
     input:
-        features=feature_parts,
+        features=of(CampaignFiles.feature_parts),
         images=raw("time_lapse"),
-        camera=known_interior,
-        interiors=folder_interiors,
+        camera=of(CampaignFiles.known_interior),
+        interiors=of(CampaignFiles.folder_interiors),
         times="results/{campaign}/orientation/image_predictions.parquet",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
     output:
@@ -178,10 +168,8 @@ rule match_features:
     params:
         code=code_version("match_features"),
         part=lambda wildcards: int(wildcards.part),
-        options=images("mapping"),
-        folders=interior_folders,
-    message:
-        "{wildcards.campaign}: common points of images, part {wildcards.part}"
+        options=section("images", "mapping"),
+        folders=of(CampaignFiles.interior_folders),
     script:
         "../scripts/match_features.py"
 
@@ -189,11 +177,11 @@ rule match_features:
 rule join_matches:
     """Which images have which points in common, of all parts."""
     input:
-        features=feature_parts,
-        pairs=pair_parts,
+        features=of(CampaignFiles.feature_parts),
+        pairs=of(CampaignFiles.pair_parts),
         images=raw("time_lapse"),
-        camera=known_interior,
-        interiors=folder_interiors,
+        camera=of(CampaignFiles.known_interior),
+        interiors=of(CampaignFiles.folder_interiors),
         times="results/{campaign}/orientation/image_predictions.parquet",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
     output:
@@ -211,10 +199,8 @@ rule join_matches:
         runtime=minutes(20),
     params:
         code=code_version("join_matches"),
-        options=images("mapping"),
-        folders=interior_folders,
-    message:
-        "{wildcards.campaign}: common points of all images"
+        options=section("images", "mapping"),
+        folders=of(CampaignFiles.interior_folders),
     script:
         "../scripts/join_matches.py"
 
@@ -241,9 +227,7 @@ rule map_images:
         runtime=minutes(120),
     params:
         code=code_version("map_images"),
-        options=images("mapping"),
-    message:
-        "{wildcards.campaign}: structure from motion"
+        options=section("images", "mapping"),
     script:
         "../scripts/map_images.py"
 
@@ -273,13 +257,11 @@ rule fuse_trajectory:
         runtime=minutes(30),
     params:
         code=code_version("fuse_trajectory"),
-        images_hold_positions=images_hold_positions,
+        images_hold_positions=of(CampaignFiles.images_hold_positions),
         campaign=identity("origin"),
         fused=section("fused"),
         orientation=section("orientation"),
         ins=section("ins"),
-    message:
-        "{wildcards.campaign}: fused trajectory"
     script:
         "../scripts/fuse_trajectory.py"
 
@@ -311,9 +293,7 @@ rule measure_control_points:
     params:
         code=code_version("measure_control_points"),
         campaign=identity("origin", "crs"),
-        options=images("control"),
-    message:
-        "{wildcards.campaign}: control points in the images"
+        options=section("images", "control"),
     script:
         "../scripts/measure_control_points.py"
 
@@ -327,8 +307,8 @@ rule adjust_images:
         predictions="results/{campaign}/orientation/image_predictions.parquet",
         control_points=raw("control_points"),
         marks="results/{campaign}/orientation/control_marks.csv",
-        interior=known_interior,
-        interiors=folder_interiors,
+        interior=of(CampaignFiles.known_interior),
+        interiors=of(CampaignFiles.folder_interiors),
         positions="results/{campaign}/ingest/positions.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
     output:
@@ -352,11 +332,9 @@ rule adjust_images:
     params:
         code=code_version("adjust_images"),
         campaign=identity("id", "origin", "crs"),
-        adjustment=images("adjustment"),
-        control=images("control"),
-        folders=interior_folders,
-    message:
-        "{wildcards.campaign}: adjustment of the images"
+        adjustment=section("images", "adjustment"),
+        control=section("images", "control"),
+        folders=of(CampaignFiles.interior_folders),
     script:
         "../scripts/adjust_images.py"
 
@@ -366,7 +344,7 @@ rule import_orientations:
     input:
         files=raw("finished_orientations"),
         predictions="results/{campaign}/orientation/image_predictions.parquet",
-        interior=known_interior,
+        interior=of(CampaignFiles.known_interior),
     output:
         poses="results/{campaign}/orientation/image_poses_finished.parquet",
         camera="results/{campaign}/orientation/camera_finished.yaml",
@@ -385,9 +363,7 @@ rule import_orientations:
     params:
         code=code_version("import_orientations"),
         campaign=identity("id", "origin", "crs"),
-        finished=images("finished"),
-    message:
-        "{wildcards.campaign}: orientations from another program"
+        finished=section("images", "finished"),
     script:
         "../scripts/import_orientations.py"
 
@@ -395,13 +371,13 @@ rule import_orientations:
 rule time_images:
     """When each image was taken: its stamp and the camera's clock, from the calibration and from the survey."""
     input:
-        poses=oriented_images,
+        poses=of(CampaignFiles.oriented_images),
         stamps="results/{campaign}/ingest/image_stamps.parquet",
         positions="results/{campaign}/ingest/positions.parquet",
         states="results/{campaign}/ingest/ins_states.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
-        camera_clock=camera_clock,
-        boat=calibration_file,
+        camera_clock=of(CampaignFiles.camera_clock),
+        boat=of(CampaignFiles.calibration_file),
     output:
         timed="results/{campaign}/orientation/image_poses_timed.parquet",
         times="results/{campaign}/orientation/image_times.parquet",
@@ -421,11 +397,9 @@ rule time_images:
     params:
         code=code_version("time_images"),
         campaign=identity("origin"),
-        options=clock_options,
-        cloud=images("cloud"),
-        off_boat=images("off_boat"),
-    message:
-        "{wildcards.campaign}: times of the images"
+        options=of(CampaignFiles.clock_options),
+        cloud=section("images", "cloud"),
+        off_boat=section("images", "off_boat"),
     script:
         "../scripts/time_images.py"
 
@@ -437,7 +411,7 @@ rule camera_trajectory:
         states="results/{campaign}/ingest/ins_states.parquet",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
-        boat=calibration_file,
+        boat=of(CampaignFiles.calibration_file),
     output:
         trajectory_camera="results/{campaign}/orientation/trajectory_camera.parquet",
         mounts_camera="results/{campaign}/orientation/mounts_camera.json",
@@ -456,10 +430,8 @@ rule camera_trajectory:
         runtime=minutes(20),
     params:
         code=code_version("camera_trajectory"),
-        cloud=images("cloud"),
+        cloud=section("images", "cloud"),
         orientation=section("orientation"),
         ins=section("ins"),
-    message:
-        "{wildcards.campaign}: trajectory by the camera"
     script:
         "../scripts/camera_trajectory.py"

@@ -25,8 +25,6 @@ rule look_at_recording:
         reader=lambda wildcards: RECORDINGS[wildcards.recording].get("reader", "auto"),
         title=lambda wildcards: RECORDINGS[wildcards.recording]["title"],
         options=lambda wildcards: RECORDINGS[wildcards.recording].get("options", {}),
-    message:
-        "real recording {wildcards.recording}"
     script:
         "../scripts/look_at_recording.py"
 
@@ -54,7 +52,5 @@ rule real_logs_page:
     params:
         code=code_version("real_logs_page"),
         titles=[recording["title"] for recording in RECORDINGS.values()],
-    message:
-        "page of the real recordings"
     script:
         "../scripts/real_logs_page.py"

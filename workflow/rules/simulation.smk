@@ -19,9 +19,7 @@ rule simulate_scene:
     params:
         code=code_version("simulate_scene"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("scene"),
-    message:
-        "{wildcards.campaign}: river reach of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "scene"),
     script:
         "../scripts/simulate_scene.py"
 
@@ -43,9 +41,7 @@ rule simulate_voyage:
     params:
         code=code_version("simulate_voyage"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("scene", "boat"),
-    message:
-        "{wildcards.campaign}: voyage of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "scene", "boat"),
     script:
         "../scripts/simulate_voyage.py"
 
@@ -53,7 +49,7 @@ rule simulate_voyage:
 rule simulate_mounts:
     """Where the sensors truly sit on the boat."""
     input:
-        same_boat=calibrated_boat,
+        same_boat=of(laboratory.calibrated_boat),
     output:
         true_mounts_file="results/{campaign}/simulation/truth/mounts.json",
     log:
@@ -69,10 +65,8 @@ rule simulate_mounts:
     params:
         code=code_version("simulate_mounts"),
         campaign=identity("seed"),
-        twin=twin_parts("effects"),
-        mounts=mounts_of("lidar", "camera", "antenna", "echo_sounder"),
-    message:
-        "{wildcards.campaign}: true mounts of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "effects"),
+        mounts=of(CampaignFiles.mounts, "lidar", "camera", "antenna", "echo_sounder"),
     script:
         "../scripts/simulate_mounts.py"
 
@@ -101,12 +95,8 @@ rule simulate_time_lapse:
     params:
         code=code_version("simulate_time_lapse"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("scene", "boat", "camera", "lidar"),
-        time_lapse=lambda wildcards: CAMPAIGNS[wildcards.campaign].plain()["twin"][
-            "time_lapse"
-        ],
-    message:
-        "{wildcards.campaign}: images of the bank by the digital twin"
+        twin=of(CampaignFiles.twin_parts, "scene", "boat", "camera", "lidar"),
+        time_lapse=section("twin", "time_lapse"),
     script:
         "../scripts/simulate_time_lapse.py"
 
@@ -134,9 +124,7 @@ rule simulate_lidar:
     params:
         code=code_version("simulate_lidar"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("scene", "boat", "lidar", "effects"),
-    message:
-        "{wildcards.campaign}: lidar packets of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "scene", "boat", "lidar", "effects"),
     script:
         "../scripts/simulate_lidar.py"
 
@@ -163,9 +151,7 @@ rule simulate_ins:
     params:
         code=code_version("simulate_ins"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("scene", "boat", "ins", "echo", "effects"),
-    message:
-        "{wildcards.campaign}: INS log of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "scene", "boat", "ins", "echo", "effects"),
     script:
         "../scripts/simulate_ins.py"
 
@@ -193,9 +179,7 @@ rule simulate_gnss:
     params:
         code=code_version("simulate_gnss"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("scene", "boat", "gnss", "effects"),
-    message:
-        "{wildcards.campaign}: GNSS logs of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "scene", "boat", "gnss", "effects"),
     script:
         "../scripts/simulate_gnss.py"
 
@@ -221,9 +205,7 @@ rule simulate_echo:
     params:
         code=code_version("simulate_echo"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("scene", "boat", "echo", "effects"),
-    message:
-        "{wildcards.campaign}: depth log of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "scene", "boat", "echo", "effects"),
     script:
         "../scripts/simulate_echo.py"
 
@@ -248,9 +230,7 @@ rule simulate_bed_survey:
     params:
         code=code_version("simulate_bed_survey"),
         campaign=identity("origin", "seed", "crs"),
-        twin=twin_parts("scene", "boat", "echo"),
-    message:
-        "{wildcards.campaign}: survey of the bed of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "scene", "boat", "echo"),
     script:
         "../scripts/simulate_bed_survey.py"
 
@@ -279,9 +259,7 @@ rule simulate_tls:
     params:
         code=code_version("simulate_tls"),
         campaign=identity("origin", "seed", "crs"),
-        twin=twin_parts("scene", "tls"),
-    message:
-        "{wildcards.campaign}: terrestrial scans of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "scene", "tls"),
     script:
         "../scripts/simulate_tls.py"
 
@@ -306,8 +284,6 @@ rule simulate_view:
     params:
         code=code_version("simulate_view"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("scene", "boat", "lidar"),
-    message:
-        "{wildcards.campaign}: view from the boat"
+        twin=of(CampaignFiles.twin_parts, "scene", "boat", "lidar"),
     script:
         "../scripts/simulate_view.py"

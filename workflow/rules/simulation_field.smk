@@ -21,9 +21,9 @@ rule simulate_field:
     params:
         code=code_version("simulate_field"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts(),
-    message:
-        "{wildcards.campaign}: calibration field of the digital twin"
+        twin=of(
+            CampaignFiles.twin_parts,
+        ),
     script:
         "../scripts/simulate_field.py"
 
@@ -49,9 +49,7 @@ rule simulate_positions:
     params:
         code=code_version("simulate_positions"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("lidar", "effects"),
-    message:
-        "{wildcards.campaign}: static lidar recordings of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "lidar", "effects"),
     script:
         "../scripts/simulate_positions.py"
 
@@ -79,9 +77,7 @@ rule simulate_reference_images:
         code=code_version("simulate_field_images"),
         kind="reference",
         campaign=identity("seed"),
-        twin=twin_parts("camera", "effects"),
-    message:
-        "{wildcards.campaign}: reference images of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "camera", "effects"),
     script:
         "../scripts/simulate_field_images.py"
 
@@ -108,9 +104,7 @@ rule simulate_position_images:
         code=code_version("simulate_field_images"),
         kind="positions",
         campaign=identity("seed"),
-        twin=twin_parts("camera", "effects"),
-    message:
-        "{wildcards.campaign}: images of the static positions of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "camera", "effects"),
     script:
         "../scripts/simulate_field_images.py"
 
@@ -137,9 +131,7 @@ rule simulate_run_images:
         code=code_version("simulate_field_images"),
         kind="run",
         campaign=identity("seed"),
-        twin=twin_parts("camera", "effects"),
-    message:
-        "{wildcards.campaign}: images of the run of the digital twin"
+        twin=of(CampaignFiles.twin_parts, "camera", "effects"),
     script:
         "../scripts/simulate_field_images.py"
 
@@ -163,9 +155,7 @@ rule simulate_display:
     params:
         code=code_version("simulate_display"),
         campaign=identity("seed"),
-        twin=twin_parts("camera"),
-    message:
-        "{wildcards.campaign}: photographs of a clock by the digital twin"
+        twin=of(CampaignFiles.twin_parts, "camera"),
     script:
         "../scripts/simulate_display.py"
 
@@ -190,8 +180,6 @@ rule simulate_synthetic_view:
     params:
         code=code_version("simulate_synthetic_view"),
         campaign=identity("seed"),
-        twin=twin_parts("camera", "lidar", "effects"),
-    message:
-        "{wildcards.campaign}: synthetic image and lidar frame"
+        twin=of(CampaignFiles.twin_parts, "camera", "lidar", "effects"),
     script:
         "../scripts/simulate_synthetic_view.py"

@@ -21,9 +21,7 @@ rule simulate_sheet_station:
     params:
         code=code_version("simulate_sheet_station"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("light_sheet"),
-    message:
-        "{wildcards.campaign}: design of the light-sheet sensor"
+        twin=of(CampaignFiles.twin_parts, "light_sheet"),
     script:
         "../scripts/simulate_sheet_station.py"
 
@@ -46,9 +44,7 @@ rule simulate_sheet_camera_field:
     params:
         code=code_version("simulate_sheet_camera_field"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("light_sheet"),
-    message:
-        "{wildcards.campaign}: marker field for the light-sheet sensor's camera"
+        twin=of(CampaignFiles.twin_parts, "light_sheet"),
     script:
         "../scripts/simulate_sheet_camera_field.py"
 
@@ -75,9 +71,7 @@ rule simulate_sheet_grid:
         code=code_version("simulate_sheet_series"),
         series="calibration",
         campaign=identity("origin", "seed"),
-        twin=twin_parts("light_sheet"),
-    message:
-        "{wildcards.campaign}: image of the laser on the grid object"
+        twin=of(CampaignFiles.twin_parts, "light_sheet"),
     script:
         "../scripts/simulate_sheet_series.py"
 
@@ -102,8 +96,6 @@ rule simulate_sheet_panels:
         code=code_version("simulate_sheet_series"),
         series="panels",
         campaign=identity("origin", "seed"),
-        twin=twin_parts("light_sheet"),
-    message:
-        "{wildcards.campaign}: images of the laser on a panel"
+        twin=of(CampaignFiles.twin_parts, "light_sheet"),
     script:
         "../scripts/simulate_sheet_series.py"

@@ -26,9 +26,7 @@ rule simulate_sheet_scan:
         code=code_version("simulate_sheet_scan"),
         scanned=lambda wildcards: wildcards.scan,
         campaign=identity("origin", "seed"),
-        twin=twin_parts("light_sheet"),
-    message:
-        "{wildcards.campaign}: scan of {wildcards.scan}"
+        twin=of(CampaignFiles.twin_parts, "light_sheet"),
     script:
         "../scripts/simulate_sheet_scan.py"
 
@@ -52,13 +50,9 @@ rule simulate_sheet_strip:
     params:
         code=code_version("simulate_sheet_strip"),
         campaign=identity("origin", "seed"),
-        twin=twin_parts("boat", "scene", "effects"),
-        strip=lambda wildcards: CAMPAIGNS[wildcards.campaign].plain()["twin"][
-            "light_sheet_strip"
-        ],
-        mount=light_sheet("mount"),
-        basin=sheet_basin,
-    message:
-        "{wildcards.campaign}: images of the bed by the light-sheet sensor"
+        twin=of(CampaignFiles.twin_parts, "boat", "scene", "effects"),
+        strip=section("twin", "light_sheet_strip"),
+        mount=section("light_sheet", "mount"),
+        basin=of(laboratory.sheet_basin),
     script:
         "../scripts/simulate_sheet_strip.py"

@@ -23,9 +23,7 @@ rule mesh_reference:
     params:
         code=code_version("mesh_reference"),
         campaign=identity("origin", "crs"),
-        reference=reference_surface,
-        area=area_of_interest,
-    message:
-        "{wildcards.campaign}: mesh of the reference"
+        reference=of(CampaignFiles.reference_surface),
+        area=section("accuracy", "area"),
     script:
         "../scripts/mesh_reference.py"

@@ -4,7 +4,7 @@
 rule align_streams:
     """Do all streams carry GPS time, and do they overlap?"""
     input:
-        reports=reports,
+        reports=of(CampaignFiles.reports),
         states="results/{campaign}/ingest/ins_states.parquet",
         positions="results/{campaign}/ingest/positions.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
@@ -24,9 +24,7 @@ rule align_streams:
     params:
         code=code_version("align_streams"),
         campaign=identity("origin"),
-        source=position_source,
-    message:
-        "{wildcards.campaign}: time axis of all streams"
+        source=of(CampaignFiles.position_source),
     script:
         "../scripts/align_streams.py"
 
@@ -59,9 +57,7 @@ rule synchronise_camera:
     params:
         code=code_version("synchronise_camera"),
         campaign=identity("origin"),
-        options=clock_options,
-    message:
-        "{wildcards.campaign}: clock of the camera"
+        options=of(CampaignFiles.clock_options),
     script:
         "../scripts/synchronise_camera.py"
 
@@ -72,7 +68,7 @@ rule clock_from_ties:
         ties=raw("clock_ties"),
         pulses=raw("trigger_pulses"),
         stamps="results/{campaign}/ingest/image_stamps.parquet",
-        stability=clock_stability,
+        stability=of(CampaignFiles.clock_stability),
     output:
         clock="results/{campaign}/timing/camera_clock_ties.yaml",
         images="results/{campaign}/timing/image_times_ties.parquet",
@@ -89,9 +85,7 @@ rule clock_from_ties:
         runtime=minutes(10),
     params:
         code=code_version("clock_from_ties"),
-        options=clock_options,
-    message:
-        "{wildcards.campaign}: clock of the camera from ties"
+        options=of(CampaignFiles.clock_options),
     script:
         "../scripts/clock_from_ties.py"
 
@@ -117,9 +111,7 @@ rule read_display:
         runtime=minutes(20),
     params:
         code=code_version("read_display"),
-        options=calibration("display"),
-    message:
-        "{wildcards.campaign}: photographs of a clock"
+        options=section("calibration", "display"),
     script:
         "../scripts/read_display.py"
 
@@ -129,9 +121,9 @@ rule time_report:
     input:
         streams="results/{campaign}/timing/streams.csv",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
-        clock=camera_clock,
-        stability=clock_stability,
-        images=tied_images,
+        clock=of(CampaignFiles.camera_clock),
+        stability=of(CampaignFiles.clock_stability),
+        images=of(CampaignFiles.tied_images),
     output:
         report="results/{campaign}/timing/time_report.csv",
         text="results/{campaign}/timing/time_report.txt",
@@ -149,7 +141,5 @@ rule time_report:
     params:
         code=code_version("time_report"),
         range_m=25.0,
-    message:
-        "{wildcards.campaign}: time report"
     script:
         "../scripts/time_report.py"

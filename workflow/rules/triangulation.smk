@@ -23,8 +23,6 @@ rule detect_camera_field_marks:
     params:
         code=code_version("detect_markers"),
         camera="sheet_camera",
-    message:
-        "{wildcards.campaign}: markers in the pictures of the light-sheet sensor's camera"
     script:
         "../scripts/detect_markers.py"
 
@@ -33,7 +31,7 @@ rule calibrate_sheet_camera:
     """Interior orientation of the sensor's camera, from a marker field in air (P3 2.4, P4 6.2)."""
     input:
         design=raw("sheet_sensor"),
-        marks=camera_field_marks,
+        marks=of(CampaignFiles.camera_field_marks),
         field=raw("camera_field"),
     output:
         camera="results/{campaign}/triangulation/camera_interior.yaml",
@@ -52,9 +50,7 @@ rule calibrate_sheet_camera:
     params:
         code=code_version("calibrate_sheet_camera"),
         campaign=identity("id", "origin"),
-        twin=lambda wildcards: is_twin(wildcards.campaign),
-    message:
-        "{wildcards.campaign}: interior orientation of the light-sheet sensor's camera"
+        twin=of(CampaignFiles.is_twin),
     script:
         "../scripts/calibrate_sheet_camera.py"
 
@@ -63,7 +59,7 @@ rule orient_sheet_camera:
     """The sensor's camera over the window, from marks that it sees through air (P4 4.3)."""
     input:
         design=raw("sheet_sensor"),
-        interior=sheet_interior,
+        interior=of(CampaignFiles.sheet_interior),
         marks=raw("camera_marks"),
         points=raw("mark_points"),
     output:
@@ -82,10 +78,8 @@ rule orient_sheet_camera:
     params:
         code=code_version("orient_sheet_camera"),
         campaign=identity("id"),
-        calibration=light_sheet("calibration"),
-        twin=lambda wildcards: is_twin(wildcards.campaign),
-    message:
-        "{wildcards.campaign}: camera of the light-sheet sensor"
+        calibration=section("light_sheet", "calibration"),
+        twin=of(CampaignFiles.is_twin),
     script:
         "../scripts/orient_sheet_camera.py"
 
@@ -93,8 +87,8 @@ rule orient_sheet_camera:
 rule detect_sheet_lines:
     """The laser line in each image of a series (P4 4.1)."""
     input:
-        images=sheet_images,
-        sensor=sheet_design,
+        images=of_wildcard("series", CampaignFiles.sheet_images),
+        sensor=of(CampaignFiles.sheet_design),
     output:
         line_points="results/{campaign}/triangulation/{series}/line_points.parquet",
         counts="results/{campaign}/triangulation/{series}/line_counts.csv",
@@ -110,9 +104,7 @@ rule detect_sheet_lines:
         runtime=minutes(20),
     params:
         code=code_version("detect_sheet_lines"),
-        lines=sheet_lines,
-    message:
-        "{wildcards.campaign}: laser lines of {wildcards.series}"
+        lines=of_wildcard("series", CampaignFiles.sheet_lines),
     script:
         "../scripts/detect_sheet_lines.py"
 
@@ -143,11 +135,9 @@ rule calibrate_light_sheet:
     params:
         code=code_version("calibrate_light_sheet"),
         campaign=identity("id"),
-        calibration=light_sheet("calibration"),
-        water=light_sheet("water"),
-        twin=lambda wildcards: is_twin(wildcards.campaign),
-    message:
-        "{wildcards.campaign}: calibration of the light sheet"
+        calibration=section("light_sheet", "calibration"),
+        water=section("light_sheet", "water"),
+        twin=of(CampaignFiles.is_twin),
     script:
         "../scripts/calibrate_light_sheet.py"
 
@@ -174,8 +164,6 @@ rule measure_panels:
         runtime=minutes(20),
     params:
         code=code_version("measure_panels"),
-    message:
-        "{wildcards.campaign}: depths of the panel"
     script:
         "../scripts/measure_panels.py"
 
@@ -203,7 +191,5 @@ rule light_sheet_budget:
         runtime=minutes(20),
     params:
         code=code_version("light_sheet_budget"),
-    message:
-        "{wildcards.campaign}: budget of the light-sheet sensor"
     script:
         "../scripts/light_sheet_budget.py"

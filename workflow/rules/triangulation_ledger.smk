@@ -20,8 +20,6 @@ rule compare_line_methods:
         runtime=minutes(10),
     params:
         code=code_version("compare_line_methods"),
-    message:
-        "{wildcards.campaign}: methods of line measurement"
     script:
         "../scripts/compare_line_methods.py"
 
@@ -29,9 +27,9 @@ rule compare_line_methods:
 rule light_sheet_ledger:
     """Each published number with a verdict: found, put in, within a bound, missed and by how much, not checkable."""
     input:
-        published=LEDGER,
-        stored=STORED,
-        results=ledger_results,
+        published=ROOT / laboratory.LEDGER,
+        stored=[ROOT / name for name in laboratory.STORED],
+        results=of(laboratory.ledger_results, ROOT),
     output:
         ledger="results/{campaign}/triangulation/ledger.csv",
         text="results/{campaign}/triangulation/ledger.md",
@@ -49,13 +47,9 @@ rule light_sheet_ledger:
     params:
         code=code_version("light_sheet_ledger"),
         folder=lambda wildcards: f"results/{wildcards.campaign}",
-        studies=ledger_studies,
-        light_sheet=lambda wildcards: twin_parts("light_sheet")(wildcards)[
-            "light_sheet"
-        ],
+        studies=laboratory.ledger_studies(ROOT),
+        light_sheet=section("twin", "light_sheet"),
         campaign=identity("title"),
-        twin=lambda wildcards: is_twin(wildcards.campaign),
-    message:
-        "{wildcards.campaign}: published numbers beside those of the digital twin"
+        twin=of(CampaignFiles.is_twin),
     script:
         "../scripts/light_sheet_ledger.py"

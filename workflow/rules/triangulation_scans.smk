@@ -4,11 +4,11 @@
 rule locate_sheet_sensor:
     """Where the sensor was at each image of a scan, by a standing camera (P4 4.2.1)."""
     input:
-        images=of_scan("images"),
-        panel=of_scan("panel"),
-        marks=of_scan("marks"),
-        camera=of_scan("camera"),
-        pulses=of_scan("pulses"),
+        images=of_wildcard("scan", CampaignFiles.scan_logs, "images"),
+        panel=of_wildcard("scan", CampaignFiles.scan_logs, "panel"),
+        marks=of_wildcard("scan", CampaignFiles.scan_logs, "marks"),
+        camera=of_wildcard("scan", CampaignFiles.scan_logs, "camera"),
+        pulses=of_wildcard("scan", CampaignFiles.scan_logs, "pulses"),
     output:
         poses="results/{campaign}/triangulation/{scan}/poses.npz",
         table="results/{campaign}/triangulation/{scan}/poses.csv",
@@ -24,8 +24,6 @@ rule locate_sheet_sensor:
         runtime=minutes(20),
     params:
         code=code_version("locate_sheet_sensor"),
-    message:
-        "{wildcards.campaign}: poses of the sensor over {wildcards.scan}"
     script:
         "../scripts/locate_sheet_sensor.py"
 
@@ -51,8 +49,6 @@ rule merge_scan:
         runtime=minutes(20),
     params:
         code=code_version("merge_scan"),
-    message:
-        "{wildcards.campaign}: cloud of {wildcards.scan}"
     script:
         "../scripts/merge_scan.py"
 
@@ -63,8 +59,8 @@ rule compare_scan:
         sensor="results/{campaign}/triangulation/sensor.yaml",
         line_points="results/{campaign}/triangulation/{scan}/line_points.parquet",
         poses="results/{campaign}/triangulation/{scan}/poses.npz",
-        reference=of_scan("reference"),
-        pairs=of_scan("pairs"),
+        reference=of_wildcard("scan", CampaignFiles.scan_logs, "reference"),
+        pairs=of_wildcard("scan", CampaignFiles.scan_logs, "pairs"),
     output:
         statistics="results/{campaign}/triangulation/{scan}/statistics.csv",
         lines="results/{campaign}/triangulation/{scan}/lines.csv",
@@ -83,9 +79,7 @@ rule compare_scan:
     params:
         code=code_version("compare_scan"),
         scanned=lambda wildcards: wildcards.scan,
-        levels_mm=scan_levels,
-    message:
-        "{wildcards.campaign}: scan of {wildcards.scan} against its reference"
+        levels_mm=of_wildcard("scan", CampaignFiles.scan_levels),
     script:
         "../scripts/compare_scan.py"
 
@@ -112,9 +106,7 @@ rule measure_profile:
     params:
         code=code_version("measure_profile"),
         scanned=lambda wildcards: wildcards.scan,
-        levels_mm=scan_levels,
-    message:
-        "{wildcards.campaign}: middle profile of {wildcards.scan}"
+        levels_mm=of_wildcard("scan", CampaignFiles.scan_levels),
     script:
         "../scripts/measure_profile.py"
 
@@ -122,7 +114,7 @@ rule measure_profile:
 rule rectify_scan:
     """Orthophoto of a scanned object from the images that hold its lines (P4 4.1)."""
     input:
-        images=of_scan("images"),
+        images=of_wildcard("scan", CampaignFiles.scan_logs, "images"),
         sensor="results/{campaign}/triangulation/sensor.yaml",
         line_points="results/{campaign}/triangulation/{scan}/line_points.parquet",
         poses="results/{campaign}/triangulation/{scan}/poses.npz",
@@ -143,10 +135,8 @@ rule rectify_scan:
         runtime=minutes(20),
     params:
         code=code_version("rectify_scan"),
-        lines=light_sheet("lines"),
+        lines=section("light_sheet", "lines"),
         cell_m=0.0005,
-    message:
-        "{wildcards.campaign}: orthophoto of {wildcards.scan}"
     script:
         "../scripts/rectify_scan.py"
 
@@ -171,9 +161,7 @@ rule predict_joint_survey:
         runtime=minutes(20),
     params:
         code=code_version("predict_joint_survey"),
-        window_depth_m=light_sheet("window_depth_m"),
-    message:
-        "{wildcards.campaign}: survey with echo sounder and light sheet"
+        window_depth_m=section("light_sheet", "window_depth_m"),
     script:
         "../scripts/predict_joint_survey.py"
 
@@ -184,8 +172,8 @@ rule locate_bed_strip:
         images=raw("strip_images"),
         pulses=raw("strip_pulses"),
         line_points="results/{campaign}/triangulation/strip/line_points.parquet",
-        sensor=sheet_on_board,
-        trajectory=best_trajectory,
+        sensor=of(CampaignFiles.sheet_on_board),
+        trajectory=of(CampaignFiles.best_trajectory),
     output:
         bed="results/{campaign}/triangulation/strip/bed.laz",
         points="results/{campaign}/triangulation/strip/points.parquet",
@@ -203,11 +191,9 @@ rule locate_bed_strip:
     params:
         code=code_version("locate_bed_strip"),
         campaign=identity("origin"),
-        mount=light_sheet("mount"),
-        water=light_sheet("water"),
-        chain=lambda wildcards: best_chain(wildcards.campaign),
-    message:
-        "{wildcards.campaign}: strip of the bed by the light sheet"
+        mount=section("light_sheet", "mount"),
+        water=section("light_sheet", "water"),
+        chain=of(CampaignFiles.best_chain),
     script:
         "../scripts/locate_bed_strip.py"
 
@@ -232,7 +218,5 @@ rule compare_bed_with_truth:
         runtime=minutes(20),
     params:
         code=code_version("compare_bed_with_truth"),
-    message:
-        "{wildcards.campaign}: strip of the bed against the truth"
     script:
         "../scripts/compare_bed_with_truth.py"

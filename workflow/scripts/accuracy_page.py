@@ -6,10 +6,10 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH
-from thalweg.core.tables import read_table
-from thalweg.figures.accuracy.page import accuracy_page
-from thalweg.workflow.job import run_job
+from thalweg.accuracy import CLOUD_TO_MESH
+from thalweg.core import read_table
+from thalweg.figures.accuracy import accuracy_page
+from thalweg.workflow import run_job
 
 
 def main(
@@ -20,7 +20,7 @@ def main(
     registration: Path,
     mesh_facts: Path,
     pictures: list[Path],
-    captions: list[Path],
+    captions: dict[str, str],
     truth: list[Path],
     error_model: Path,
     page: Path,
@@ -34,7 +34,7 @@ def main(
         json.loads(registration.read_text()),
         json.loads(mesh_facts.read_text()),
         pictures=pictures,
-        captions={path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions},
+        captions=captions,
         truth=pd.read_csv(truth[0]) if truth else None,
         error_model=json.loads(error_model.read_text()),
         title=f"Accuracy of the cloud: {campaign['title']}",

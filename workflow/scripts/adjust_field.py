@@ -4,17 +4,18 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.field.description import read_field
-from thalweg.calibration.field.facts import write_facts
-from thalweg.calibration.field.job import measure, point_table, starting_camera
-from thalweg.calibration.field.points import write_points
-from thalweg.calibration.markers.camera_file import interior_calibration
-from thalweg.calibration.markers.tables import MARKS
-from thalweg.core.calibration.files import write_calibration
-from thalweg.core.calibration.model import Source
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table
-from thalweg.workflow.job import run_job
+from thalweg.calibration import MARKS, interior_calibration
+from thalweg.calibration.field import (
+    measure,
+    point_table,
+    read_field,
+    starting_camera,
+    write_facts,
+    write_points,
+)
+from thalweg.core import LocalFrame, read_table
+from thalweg.core.calibration import Source, write_calibration
+from thalweg.workflow import run_job
 
 
 def main(
@@ -44,9 +45,11 @@ def main(
     found.network.residuals.to_csv(residuals, index=False, float_format="%.5f")
     (reference,) = found.network.cameras.values()
     source = Source(
-        run=str(campaign["id"]), method="self-calibrating bundle adjustment of the field",
-        observations=2 * found.network.report["marks"], sigma0=found.network.report["sigma0"],
-    )  # fmt: skip
+        run=str(campaign["id"]),
+        method="self-calibrating bundle adjustment of the field",
+        observations=2 * found.network.report["marks"],
+        sigma0=found.network.report["sigma0"],
+    )
     write_calibration(camera, interior_calibration(reference, source, block="reference"))
 
 

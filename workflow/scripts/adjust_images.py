@@ -7,45 +7,82 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.core.calibration.model import Source
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table
-from thalweg.images.bundle.camera_interiors import interiors_of, read_interiors, write_cameras
-from thalweg.images.bundle.job import Boat
-from thalweg.images.bundle.pieces import adjust_pieces, pieces_tables, read_pieces
-from thalweg.images.bundle.report import summary_text
-from thalweg.images.model.poses import ImagePoses
-from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.lidar.mount import Mount
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_mounts
+from thalweg.core import LocalFrame, read_table
+from thalweg.core.calibration import Source
+from thalweg.images.bundle import (
+    Boat,
+    adjust_pieces,
+    interiors_of,
+    pieces_tables,
+    read_interiors,
+    read_pieces,
+    summary_text,
+    write_cameras,
+)
+from thalweg.images.model import ImagePoses
+from thalweg.ingest import GNSS_POSITION
+from thalweg.lidar import Mount
+from thalweg.settings.sections import BlockAdjustment, ControlSettings
+from thalweg.workflow import run_job
 
 
 def main(
-    *, block: Path, pieces: Path, sfm_images: Path, predictions: Path, control_points: list[Path],
-    marks: Path, interior: list[Path], interiors: list[Path], positions: list[Path], mounts: Path,
-    poses: Path, camera: Path, cameras: Path, control_report: Path, images_report: Path, facts: Path,
-    campaign: dict[str, Any], adjustment: dict[str, Any], control: dict[str, Any], folders: list[str],
-) -> None:  # fmt: skip
+    *,
+    block: Path,
+    pieces: Path,
+    sfm_images: Path,
+    predictions: Path,
+    control_points: list[Path],
+    marks: Path,
+    interior: list[Path],
+    interiors: list[Path],
+    positions: list[Path],
+    mounts: Path,
+    poses: Path,
+    camera: Path,
+    cameras: Path,
+    control_report: Path,
+    images_report: Path,
+    facts: Path,
+    campaign: dict[str, Any],
+    adjustment: BlockAdjustment,
+    control: ControlSettings,
+    folders: list[str],
+) -> None:
     log = logging.getLogger("thalweg")
     places, boat = read_mounts(mounts), None
-    if adjustment["antenna"]["use"] and positions:
+    if adjustment.antenna.use and positions:
         boat = Boat(
             positions=read_table(positions[0], GNSS_POSITION)[0],
             T_ics_ccs=Mount.from_section(places["camera"]).as_rigid(),
-            lever_ics_m=places["antenna"]["lever_ics_m"], sigma_lever_m=places["antenna"]["sigma_lever_m"],
-        )  # fmt: skip
+            lever_ics_m=places["antenna"]["lever_ics_m"],
+            sigma_lever_m=places["antenna"]["sigma_lever_m"],
+        )
     told = pd.read_csv(sfm_images, keep_default_na=False)
     reasons = dict(zip(told["image"], told["reason"], strict=True))
     blocks, given = read_pieces(block, pieces), read_interiors(interior, folders, interiors)
     found = adjust_pieces(
-        blocks, ImagePoses.read(predictions), frame=LocalFrame(**campaign["origin"]),
-        crs=campaign["crs"], adjustment=adjustment, control=control, control_points=control_points,
-        marks=marks, known=interiors_of(blocks, *given), boat=boat, reasons=reasons, progress=log.info,
-    )  # fmt: skip
+        blocks,
+        ImagePoses.read(predictions),
+        frame=LocalFrame(**campaign["origin"]),
+        crs=campaign["crs"],
+        adjustment=adjustment,
+        control=control,
+        control_points=control_points,
+        marks=marks,
+        known=interiors_of(blocks, *given),
+        boat=boat,
+        reasons=reasons,
+        progress=log.info,
+    )
     found.poses.write(poses)
-    source = Source(run=str(campaign["id"]), method="block adjustment of the survey's images",
-                    observations=found.facts["observations"], sigma0=found.facts["sigma0"])  # fmt: skip
+    source = Source(
+        run=str(campaign["id"]),
+        method="block adjustment of the survey's images",
+        observations=found.facts["observations"],
+        sigma0=found.facts["sigma0"],
+    )
     write_cameras(camera, cameras, found.oriented, source)
     for table, path in zip(pieces_tables(found), (images_report, control_report), strict=True):
         table.to_csv(path, index=False)

@@ -3,14 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.clocks.streams.lag import Lag, ins_position_lag
-from thalweg.clocks.streams.streams import common_span, stream_table
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_mounts
+from thalweg.clocks import Lag, common_span, ins_position_lag, stream_table
+from thalweg.core import LocalFrame, read_table
+from thalweg.ingest import GNSS_POSITION, INS_STATE, IntegrityReport
+from thalweg.workflow import run_job
 
 
 def main(

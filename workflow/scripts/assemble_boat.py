@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.boat.joint import EchoPlace, assemble
-from thalweg.calibration.ins_lidar.file import read_mount_result
-from thalweg.core.calibration.files import read_calibration, write_calibration
-from thalweg.core.calibration.model import Source
-from thalweg.workflow.job import run_job
+from thalweg.calibration import EchoPlace, assemble
+from thalweg.calibration.ins_lidar import read_mount_result
+from thalweg.core.calibration import Source, read_calibration, write_calibration
+from thalweg.workflow import run_job
 
 
 def main(
@@ -26,14 +25,23 @@ def main(
     relative = read_calibration(camera_lidar[0]).pose("camera_lidar") if camera_lidar else None
     methods = ("cones from the moving boat", *(["cones and camera"] if camera_lidar else []), "ruler")
     source = Source(
-        run=str(campaign["id"]), method=", ".join(methods),
-        observations=int(found.facts["points"]), sigma0=float(found.facts["sigmas"]["all"]), twin=twin,
-    )  # fmt: skip
+        run=str(campaign["id"]),
+        method=", ".join(methods),
+        observations=int(found.facts["points"]),
+        sigma0=float(found.facts["sigmas"]["all"]),
+        twin=twin,
+    )
     write_calibration(
         boat,
-        assemble(found, T_ccs_scs=relative, antenna=found.antenna, echo_sounder=place, source=source,
-                 lever_ics_antenna_m=found.lever_ics_antenna_m),
-    )  # fmt: skip
+        assemble(
+            found,
+            T_ccs_scs=relative,
+            antenna=found.antenna,
+            echo_sounder=place,
+            source=source,
+            lever_ics_antenna_m=found.lever_ics_antenna_m,
+        ),
+    )
 
 
 if "snakemake" in globals():

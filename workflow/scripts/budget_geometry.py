@@ -4,11 +4,15 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.budgets.assumptions import left_out, published_setup
-from thalweg.budgets.budget_file import read_budget
-from thalweg.budgets.published import read_published
-from thalweg.budgets.reconstruct import reconstruct, solution_facts
-from thalweg.workflow.job import run_job
+from thalweg.budgets import (
+    left_out,
+    published_setup,
+    read_budget,
+    read_published,
+    reconstruct,
+    solution_facts,
+)
+from thalweg.workflow import run_job
 
 
 def main(

@@ -4,12 +4,17 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.budgets.budget_file import read_budget
-from thalweg.budgets.budget_page import page, terminal_text, what_the_cells_tell
-from thalweg.budgets.budget_tables import latex, long_table
-from thalweg.budgets.published import read_published
-from thalweg.budgets.statements import statements
-from thalweg.workflow.job import run_job
+from thalweg.budgets import (
+    latex,
+    long_table,
+    page,
+    read_budget,
+    read_published,
+    statements,
+    terminal_text,
+    what_the_cells_tell,
+)
+from thalweg.workflow import run_job
 
 
 def main(

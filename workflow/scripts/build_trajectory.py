@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table
-from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
-from thalweg.navigation.ins_gnss.selection import NAVIGATION_INITIALISED
-from thalweg.navigation.ins_gnss.trajectory import build_trajectory, trajectory_from_states
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_mounts
+from thalweg.core import LocalFrame, read_table
+from thalweg.ingest import GNSS_POSITION, INS_STATE
+from thalweg.navigation.ins_gnss import NAVIGATION_INITIALISED, build_trajectory, trajectory_from_states
+from thalweg.workflow import run_job
 
 
 def main(

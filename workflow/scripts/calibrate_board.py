@@ -6,24 +6,39 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.boards.files import board_calibration, pose_table, read_observations, read_poses
-from thalweg.calibration.boards.images import Checkerboard
-from thalweg.calibration.boards.model import BoardSettings, calibrate_board
-from thalweg.calibration.boards.poses import calibrate_board_poses
-from thalweg.calibration.camera_lidar.input import nominal_orientation
-from thalweg.calibration.markers.camera_file import read_camera
-from thalweg.core.calibration.files import write_calibration
-from thalweg.ingest.velodyne.reader import LidarOptions
-from thalweg.lidar.covariance import BeamErrors
-from thalweg.workflow.job import run_job
+from thalweg.calibration import (
+    BoardSettings,
+    Checkerboard,
+    board_calibration,
+    calibrate_board,
+    calibrate_board_poses,
+    pose_table,
+    read_board_poses,
+    read_camera,
+    read_observations,
+)
+from thalweg.calibration.camera_lidar import nominal_orientation
+from thalweg.core.calibration import write_calibration
+from thalweg.ingest import LidarOptions
+from thalweg.settings.sections import LidarAccuracy
+from thalweg.workflow import run_job
 
 
 def main(
-    *, images: list[Path], scans: list[Path], camera: list[Path], observations: list[Path],
-    camera_lidar: Path, table: Path, campaign: dict[str, Any], mounts: dict[str, Any],
-    lidar_options: dict[str, Any], lidar_accuracy: dict[str, Any], board: dict[str, Any],
+    *,
+    images: list[Path],
+    scans: list[Path],
+    camera: list[Path],
+    observations: list[Path],
+    camera_lidar: Path,
+    table: Path,
+    campaign: dict[str, Any],
+    mounts: dict[str, Any],
+    lidar_options: dict[str, Any],
+    lidar_accuracy: LidarAccuracy,
+    board: dict[str, Any],
     settings: dict[str, Any],
-) -> None:  # fmt: skip
+) -> None:
     run = str(campaign["id"])
     if observations:
         seen = read_observations(observations[0])
@@ -37,9 +52,8 @@ def main(
         )
         return
     options = LidarOptions(**lidar_options)
-    poses, lost = read_poses(images, scans, Checkerboard(**board), read_camera(camera[0]), options)
-    beam = BeamErrors.from_section(lidar_accuracy)
-    result = calibrate_board(poses, nominal_orientation(mounts), beam, BoardSettings(**settings))
+    poses, lost = read_board_poses(images, scans, Checkerboard(**board), read_camera(camera[0]), options)
+    result = calibrate_board(poses, nominal_orientation(mounts), lidar_accuracy, BoardSettings(**settings))
     rows = pose_table(result, lost)
     for line in rows[~rows["used"].astype(bool)].itertuples():
         logging.getLogger("thalweg").warning("%s: %s", line.pose, line.reason)

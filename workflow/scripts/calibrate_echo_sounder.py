@@ -5,16 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.calibration.echo_sounder import file as files
-from thalweg.calibration.echo_sounder.adjustment import estimate_echo_sounder
-from thalweg.core.calibration.files import write_calibration
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.schemas import DEPTH
-from thalweg.ingest.tracks.bed_survey import read_bed_survey
-from thalweg.workflow.job import run_job
+from thalweg.calibration import echo_sounder as files, estimate_echo_sounder, read_mounts
+from thalweg.core import LocalFrame, Trajectory, read_table
+from thalweg.core.calibration import write_calibration
+from thalweg.ingest import DEPTH
+from thalweg.ingest.tracks import read_bed_survey
+from thalweg.workflow import run_job
 
 
 def main(

@@ -7,28 +7,39 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.calibration.field.description import read_field
-from thalweg.calibration.field.facts import read_place
-from thalweg.calibration.field.points import read_points
-from thalweg.calibration.ins_lidar import file as files
-from thalweg.calibration.ins_lidar.adjustment import START, InsLidarSettings, calibrate
-from thalweg.calibration.ins_lidar.points import NearCones
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions, iter_points
-from thalweg.lidar.georeference import georeference_points
-from thalweg.lidar.mount import Mount
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_mounts
+from thalweg.calibration.field import read_field, read_place, read_points
+from thalweg.calibration.ins_lidar import START, InsLidarSettings, NearCones, calibrate, file as files
+from thalweg.core import Trajectory
+from thalweg.ingest import LidarClock, LidarOptions
+from thalweg.ingest.registry import lidar_reader
+from thalweg.lidar import Mount, georeference_points
+from thalweg.workflow import run_job
 
 log = logging.getLogger("thalweg")
 
 
 def main(
-    *, lidar: list[Path], clock: Path, trajectory: Path, mounts: Path, field: Path, points: Path, facts: Path,
-    poses: list[Path], camera_lidar: list[Path], ins_lidar: Path, mount: Path, passes: Path, before: Path,
-    after: Path, campaign: dict[str, Any], lidar_options: dict[str, Any], settings: dict[str, Any],
+    *,
+    lidar: list[Path],
+    clock: Path,
+    trajectory: Path,
+    mounts: Path,
+    field: Path,
+    points: Path,
+    facts: Path,
+    poses: list[Path],
+    camera_lidar: list[Path],
+    ins_lidar: Path,
+    mount: Path,
+    passes: Path,
+    before: Path,
+    after: Path,
+    campaign: dict[str, Any],
+    lidar_options: dict[str, Any],
+    settings: dict[str, Any],
     antenna_position: str,
-) -> None:  # fmt: skip
+) -> None:
     description, known, place = read_field(field), read_points(points), read_place(facts)
     path, how = Trajectory.read(trajectory), InsLidarSettings.from_section(settings)
     nominal = read_mounts(mounts)
@@ -40,13 +51,17 @@ def main(
     stamps = LidarClock.from_dict(json.loads(clock.read_text()))
     start = Mount(R_ics_sensor=START.R, lever_ics_m=START.shift_m)
     near = NearCones(trajectory=path, cones=cones, T_wcs_pcs=place, reach_m=how.search.reach_m)
-    for block in iter_points(lidar, LidarOptions(**lidar_options), clock=stamps):
+    for block in lidar_reader(lidar, LidarOptions(**lidar_options)).points(stamps):
         world = georeference_points(block.xyz_scs_m, block.t_gps_s, path, start)
         near.add(block.xyz_scs_m, block.t_gps_s, world.points_wcs_m, world.has_pose)
     found = calibrate(
-        near.points(), cones, place, how, lever_ics_antenna_m=lever,
+        near.points(),
+        cones,
+        place,
+        how,
+        lever_ics_antenna_m=lever,
         antenna=None if antenna is None else antenna.point,
-    )  # fmt: skip
+    )
     for name, why in (refused | found.dropped).items():
         log.warning("cone %s is left out: %s", name, why)
     files.write_mount_result(mount, found, antenna, lever)

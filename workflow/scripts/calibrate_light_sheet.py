@@ -4,25 +4,39 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.calibration.model import Source
-from thalweg.core.tables import read_table
-from thalweg.lightsheet.calibration import report as tables
-from thalweg.lightsheet.calibration.calibrate_sheet import calibrate_sheet
-from thalweg.lightsheet.calibration.grid import read_grid
-from thalweg.lightsheet.calibration.published import PAPER_4, sensor_sigmas, verdicts
-from thalweg.lightsheet.calibration.settings import CalibrationSettings
-from thalweg.lightsheet.lines.settings import LineFlag
-from thalweg.lightsheet.optics.sensor_files import read_sensor, write_sensor
-from thalweg.lightsheet.optics.water_index import WaterState, in_measured_water
-from thalweg.lightsheet.poses.series import SERIES_POINTS, require_levels, require_one_image
-from thalweg.workflow.job import run_job
+from thalweg.core import read_table
+from thalweg.core.calibration import Source
+from thalweg.lightsheet.calibration import (
+    PAPER_4,
+    CalibrationSettings,
+    calibrate_sheet,
+    read_grid,
+    report as tables,
+    sensor_sigmas,
+    verdicts,
+)
+from thalweg.lightsheet.lines import LineFlag
+from thalweg.lightsheet.optics import WaterState, in_measured_water, read_sensor, write_sensor
+from thalweg.lightsheet.poses import SERIES_POINTS, require_levels, require_one_image
+from thalweg.workflow import run_job
 
 
 def main(
-    *, camera: Path, line_points: Path, grid: Path, sensor: Path, report: Path, parameters: Path,
-    residuals: Path, pairs: Path, published: Path, campaign: dict[str, Any], calibration: dict[str, Any],
-    water: dict[str, Any], twin: bool,
-) -> None:  # fmt: skip
+    *,
+    camera: Path,
+    line_points: Path,
+    grid: Path,
+    sensor: Path,
+    report: Path,
+    parameters: Path,
+    residuals: Path,
+    pairs: Path,
+    published: Path,
+    campaign: dict[str, Any],
+    calibration: dict[str, Any],
+    water: dict[str, Any],
+    twin: bool,
+) -> None:
     points = require_one_image(read_table(line_points, SERIES_POINTS)[0], where=line_points)
     described = read_grid(grid)
     require_levels(described, calibration["levels"], where=grid)
@@ -30,9 +44,11 @@ def main(
     jointly = (*calibration["jointly"], *(("levels",) if len(described.levels) > 2 else ()))
     settings = CalibrationSettings(
         # points at the end of a piece leave its line; they still show where it ends
-        drop_flags=LineFlag.NEAR_JUMP, jointly=tuple(dict.fromkeys(jointly)),
-        reject_sigmas=calibration["reject_sigmas"], largest_misfit_px=calibration["largest_misfit_px"],
-    )  # fmt: skip
+        drop_flags=LineFlag.NEAR_JUMP,
+        jointly=tuple(dict.fromkeys(jointly)),
+        reject_sigmas=calibration["reject_sigmas"],
+        largest_misfit_px=calibration["largest_misfit_px"],
+    )
     start, medium = in_measured_water(read_sensor(camera), WaterState(**water))
     found = calibrate_sheet(start, points, described, settings)
     method = f"grid object in {len(described.levels)} levels (P3 2.4, P4 4.3)"

@@ -4,10 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.calibration.files import read_calibration
-from thalweg.figures.calibration.page import calibration_page
-from thalweg.figures.calibration.tables import read_figure_table
-from thalweg.workflow.job import run_job
+from thalweg.core.calibration import read_calibration
+from thalweg.figures.calibration import calibration_page, read_figure_table
+from thalweg.workflow import run_job
 
 
 def main(
@@ -15,7 +14,7 @@ def main(
     calibrations: list[Path],
     tables: list[Path],
     pictures: list[Path],
-    captions: list[Path],
+    captions: dict[str, str],
     truth: list[Path],
     facts: list[Path],
     page: Path,
@@ -29,7 +28,7 @@ def main(
             for path in tables
         ],
         pictures=pictures,
-        captions={path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions},
+        captions=captions,
         truth=read_figure_table(truth[0], ()) if truth else None,
         facts={path.stem: json.loads(path.read_text(encoding="utf-8")) for path in facts},
         title=f"Calibration: {campaign['title']}",

@@ -6,30 +6,38 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.boat.mounts import read_mounts, write_mounts
-from thalweg.core.calibration.files import read_calibration
-from thalweg.core.tables import read_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.images.model.poses import ImagePoses
-from thalweg.ingest.schemas import INS_STATE
-from thalweg.navigation.camera.mounts import lidar_mount_by_camera
-from thalweg.navigation.camera.settings import CloudSettings
-from thalweg.navigation.camera.trajectory import camera_trajectory
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_mounts, write_mounts
+from thalweg.core import Trajectory, read_table
+from thalweg.core.calibration import read_calibration
+from thalweg.images.model import ImagePoses
+from thalweg.ingest import INS_STATE
+from thalweg.navigation.camera import CloudSettings, camera_trajectory, lidar_mount_by_camera
+from thalweg.settings.sections import CameraCloud
+from thalweg.workflow import run_job
 
 
 def main(
-    *, poses: Path, states: Path, mounts: Path, trajectory_camera: Path, mounts_camera: Path, images: Path,
-    facts: Path, cloud: dict[str, Any], orientation: dict[str, Any], ins: dict[str, Any],
-    trajectory: list[Path], boat: list[Path],
-) -> None:  # fmt: skip
+    *,
+    poses: Path,
+    states: Path,
+    mounts: Path,
+    trajectory_camera: Path,
+    mounts_camera: Path,
+    images: Path,
+    facts: Path,
+    cloud: CameraCloud,
+    orientation: dict[str, Any],
+    ins: dict[str, Any],
+    trajectory: list[Path],
+    boat: list[Path],
+) -> None:
     places, T_ics_ccs, placed = lidar_mount_by_camera(
         read_mounts(mounts), read_calibration(boat[0]) if boat else None
     )
     found = camera_trajectory(
         ImagePoses.read(poses),
         T_ics_ccs,
-        CloudSettings.from_section(cloud),
+        CloudSettings.of(cloud),
         states=read_table(states, INS_STATE)[0],
         sigma_attitude_rad=np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
         max_attitude_gap_s=orientation["max_attitude_gap_s"],

@@ -6,13 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from thalweg.clocks.ties import run_image_times as times
-from thalweg.clocks.ties.hand_tables import read_number_columns
-from thalweg.clocks.ties.ties import clock_from_ties, read_ties
-from thalweg.core.errors import InputError
-from thalweg.core.tables import read_table, write_table
-from thalweg.ingest.photos.stamps import IMAGE_STAMPS
-from thalweg.workflow.job import run_job
+from thalweg.clocks import clock_from_ties, read_number_columns, read_ties, ties as times
+from thalweg.core import InputError, read_table, write_table
+from thalweg.ingest.photos import IMAGE_STAMPS
+from thalweg.workflow import run_job
 
 log = logging.getLogger("thalweg")
 

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.boat.mounts import resolve_mounts, write_mounts
-from thalweg.core.calibration.files import read_calibration
-from thalweg.workflow.job import run_job
+from thalweg.calibration import resolve_mounts, write_mounts
+from thalweg.core.calibration import read_calibration
+from thalweg.workflow import run_job
 
 
 def main(*, calibration: list[Path], mounts: Path, section: dict[str, Any]) -> None:

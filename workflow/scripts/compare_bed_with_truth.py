@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from thalweg.core.geometry.mesh_ply import read_mesh
-from thalweg.core.tables import read_table
-from thalweg.lightsheet.scanning.world import BED_POINTS
-from thalweg.workflow.job import run_job
-from thalweg_lab.truth.bed_strip import compare_bed
+from thalweg.core import read_table
+from thalweg.core.geometry import read_mesh
+from thalweg.lightsheet.scanning import BED_POINTS
+from thalweg.workflow import run_job
+from thalweg_lab.truth import compare_bed
 
 
 def main(*, points: Path, truth: Path, statistics: Path, lines: Path) -> None:

@@ -6,14 +6,13 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.calibration.markers.camera_file import read_camera
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.core.calibration.files import read_calibration
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.truth.calibration import compare_calibration, compare_clock, compare_interior
-from thalweg_lab.voyage.motion import start_gps_s
-from thalweg_lab.voyage.true_mounts import read_true_mounts
+from thalweg.calibration import read_camera
+from thalweg.clocks import ClockModel
+from thalweg.core.calibration import read_calibration
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.truth import compare_calibration, compare_clock, compare_interior
+from thalweg_lab.voyage import read_true_mounts, start_gps_s
 
 
 def main(

@@ -6,20 +6,32 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.cloud_to_mesh.comparison import CLOUD_TO_MESH
-from thalweg.accuracy.solutions.comparison import CHAINS, Chain, chains_table
-from thalweg.accuracy.solutions.ranges import chains_by_range, crossings_m, range_facts
-from thalweg.budgets.budget_file import read_budget
-from thalweg.budgets.influences import totals_mm
-from thalweg.core.tables import read_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.workflow.job import run_job
+from thalweg.accuracy import (
+    CHAINS,
+    CLOUD_TO_MESH,
+    Chain,
+    chains_by_range,
+    chains_table,
+    crossings_m,
+    range_facts,
+)
+from thalweg.budgets import read_budget, totals_mm
+from thalweg.core import Trajectory, read_table
+from thalweg.workflow import run_job
 
 
 def main(
-    *, trajectories: list[Path], counts: list[Path], statistics: list[Path], by_range: list[Path],
-    distances: list[Path], budgets: list[Path], chains: Path, chains_by_range_csv: Path, facts: Path,
-) -> None:  # fmt: skip
+    *,
+    trajectories: list[Path],
+    counts: list[Path],
+    statistics: list[Path],
+    by_range: list[Path],
+    distances: list[Path],
+    budgets: list[Path],
+    chains: Path,
+    chains_by_range_csv: Path,
+    facts: Path,
+) -> None:
     """Lists are in the order of `CHAINS`; those of the comparison are empty where there is no reference."""
     found = []
     for k, name in enumerate(CHAINS):
@@ -40,7 +52,8 @@ def main(
     published = {
         name: totals_mm(read_budget(path), at_m) for name, path in zip(CHAINS, budgets, strict=False)
     }
-    ranges = chains_by_range(found, published, at_m) if by_range else pd.DataFrame({"range_m": []})
+    with_ranges = {chain.name: chain.by_range for chain in found if chain.by_range is not None}
+    ranges = chains_by_range(with_ranges, published, at_m) if by_range else pd.DataFrame({"range_m": []})
     ranges.to_csv(chains_by_range_csv, index=False, float_format="%.9g")
     said = range_facts(ranges) if by_range else {}
     said["published_crossing_m"] = crossings_m(at_m, published["ins"], published["camera"])

@@ -3,16 +3,15 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.accuracy.solutions.comparison import CHAINS
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.core.calibration.files import read_calibration
-from thalweg.core.trajectory import Trajectory
-from thalweg.lidar.mount import Mount
-from thalweg.navigation.camera.mounts import lidar_mount_by_camera
-from thalweg.workflow.job import run_job
-from thalweg_lab.truth.solutions import carried_by_camera, chains_truth_table
-from thalweg_lab.voyage.true_mounts import read_true_mounts
-from thalweg_lab.voyage.truth import longest_correlation_s
+from thalweg.accuracy import CHAINS
+from thalweg.calibration import read_mounts
+from thalweg.core import Trajectory
+from thalweg.core.calibration import read_calibration
+from thalweg.lidar import Mount
+from thalweg.navigation.camera import lidar_mount_by_camera
+from thalweg.workflow import run_job
+from thalweg_lab.truth import carried_by_camera, chains_truth_table
+from thalweg_lab.voyage import longest_correlation_s, read_true_mounts
 
 
 def main(

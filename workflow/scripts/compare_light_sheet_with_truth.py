@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from thalweg.lightsheet.optics.sensor_files import read_sensor
-from thalweg.workflow.job import run_job
-from thalweg_lab.truth.light_sheet import compare_sensor
+from thalweg.lightsheet.optics import read_sensor
+from thalweg.workflow import run_job
+from thalweg_lab.truth import compare_sensor
 
 
 def main(*, sensor: Path, truth: Path, table: Path) -> None:

@@ -6,10 +6,9 @@ from typing import get_args
 import numpy as np
 import pandas as pd
 
-from thalweg.lightsheet.figures.line_measurement import departures_px, measured
-from thalweg.lightsheet.figures.views import first_image
-from thalweg.lightsheet.lines.settings import Method
-from thalweg.workflow.job import run_job
+from thalweg.lightsheet.figures import departures_px, first_image, measured
+from thalweg.lightsheet.lines import Method
+from thalweg.workflow import run_job
 
 
 def main(*, images: list[Path], line_points: Path, line_methods: Path) -> None:

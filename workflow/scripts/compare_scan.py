@@ -3,26 +3,37 @@
 import json
 from pathlib import Path
 
-from thalweg.core.geometry.mesh_ply import read_mesh
-from thalweg.core.tables import read_table, write_table
-from thalweg.lightsheet.optics.sensor_files import read_sensor
-from thalweg.lightsheet.poses.files import read_poses
-from thalweg.lightsheet.poses.series import SERIES_POINTS
-from thalweg.lightsheet.scanning import compare
-from thalweg.lightsheet.scanning.scan_reading import compare_scan
-from thalweg.surface.cloud_to_mesh import Surface
-from thalweg.workflow.job import run_job
+from thalweg.core import read_table, write_table
+from thalweg.core.geometry import read_mesh
+from thalweg.lightsheet.optics import read_sensor
+from thalweg.lightsheet.poses import SERIES_POINTS, read_poses
+from thalweg.lightsheet.scanning import compare, compare_scan
+from thalweg.surface import Surface
+from thalweg.workflow import run_job
 
 
 def main(
-    *, sensor: Path, line_points: Path, poses: Path, reference: Path, pairs: Path, statistics: Path,
-    lines: Path, distances: Path, facts: Path, scanned: str, levels_mm: list[float] | None,
-) -> None:  # fmt: skip
+    *,
+    sensor: Path,
+    line_points: Path,
+    poses: Path,
+    reference: Path,
+    pairs: Path,
+    statistics: Path,
+    lines: Path,
+    distances: Path,
+    facts: Path,
+    scanned: str,
+    levels_mm: list[float] | None,
+) -> None:
     compared = compare_scan(
-        read_sensor(sensor), read_table(line_points, SERIES_POINTS)[0], read_poses(poses),
-        Surface(read_mesh(reference)[0]), compare.read_pairs(pairs),
+        read_sensor(sensor),
+        read_table(line_points, SERIES_POINTS)[0],
+        read_poses(poses),
+        Surface(read_mesh(reference)[0]),
+        compare.read_pairs(pairs),
         None if levels_mm is None else tuple(levels_mm),
-    )  # fmt: skip
+    )
     compare.statistics(compared, scanned).to_csv(statistics, index=False, float_format="%.6g")
     compared.check.table.to_csv(lines, index=False, float_format="%.6g")
     write_table(distances, compare.distance_table(compared), compare.SCAN_DISTANCES)

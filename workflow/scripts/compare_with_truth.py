@@ -3,18 +3,14 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.core.tables import read_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.lidar.mount import Mount
-from thalweg.workflow.job import run_job
-from thalweg_lab.instruments.shots import LIDAR_SHOTS, EchoKind
-from thalweg_lab.river.materials import BARE_GROUND
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.truth.errors import Truth, compare_cloud
-from thalweg_lab.truth.returns import TrueReturns, filter_scores
-from thalweg_lab.voyage.true_mounts import read_true_mounts
-from thalweg_lab.voyage.truth import longest_correlation_s
+from thalweg.calibration import read_mounts
+from thalweg.core import Trajectory, read_table
+from thalweg.lidar import Mount
+from thalweg.workflow import run_job
+from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
+from thalweg_lab.river import BARE_GROUND, Scene
+from thalweg_lab.truth import TrueReturns, Truth, compare_cloud, filter_scores
+from thalweg_lab.voyage import longest_correlation_s, read_true_mounts
 
 
 def main(

@@ -4,11 +4,11 @@ import json
 import logging
 from pathlib import Path
 
-from thalweg.calibration.field.description import read_field
-from thalweg.calibration.markers.tables import MARKS, detect_pictures, recordings_folder, report_of
-from thalweg.core.tables import write_table
-from thalweg.ingest.photos.stamps import list_images
-from thalweg.workflow.job import run_job
+from thalweg.calibration import MARKS, detect_pictures, recordings_folder, report_of
+from thalweg.calibration.field import read_field
+from thalweg.core import write_table
+from thalweg.ingest.photos import list_images
+from thalweg.workflow import run_job
 
 
 def main(

@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.tables import write_table
-from thalweg.ingest.photos.stamps import list_images
-from thalweg.lightsheet.lines.settings import LineSettings
-from thalweg.lightsheet.optics.sensor_files import read_sensor
-from thalweg.lightsheet.poses.series import SERIES_POINTS, detect_series
-from thalweg.workflow.job import run_job
+from thalweg.core import write_table
+from thalweg.ingest.photos import list_images
+from thalweg.lightsheet.lines import LineSettings
+from thalweg.lightsheet.optics import read_sensor
+from thalweg.lightsheet.poses import SERIES_POINTS, detect_series
+from thalweg.workflow import run_job
 
 
 def main(

@@ -4,17 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.core.tables import read_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions
-from thalweg.lidar.cloud import LogSettings
-from thalweg.lidar.covariance import BeamErrors
-from thalweg.lidar.filters import FilterSettings
-from thalweg.lidar.mount import Mount
-from thalweg.lidar.overlap import error_model_of_log
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_mounts
+from thalweg.core import Trajectory, read_table
+from thalweg.ingest import GNSS_POSITION, LidarClock, LidarOptions
+from thalweg.ingest.registry import lidar_reader
+from thalweg.lidar import LogSettings, Mount, error_model_of_log
+from thalweg.settings.sections import Filters, LidarAccuracy
+from thalweg.workflow import run_job
 
 
 def main(
@@ -27,9 +23,9 @@ def main(
     trajectory: Path,
     error_model: Path,
     lidar_options: dict[str, Any],
-    lidar_accuracy: dict[str, Any],
+    lidar_accuracy: LidarAccuracy,
     georeferencing: dict[str, Any],
-    filters: dict[str, Any],
+    filters: Filters,
     orientation: dict[str, Any],
 ) -> None:
     sensors = read_mounts(mounts)
@@ -37,15 +33,11 @@ def main(
     lever = [0.0, 0.0, 0.0] if own else sensors["antenna"]["lever_ics_m"]
     poses = Trajectory.read(stated)
     model = error_model_of_log(
-        lidar,
-        LidarOptions(**lidar_options),
+        lidar_reader(lidar, LidarOptions(**lidar_options)),
         LidarClock.from_dict(json.loads(clock.read_text())),
         poses,
         LogSettings(
-            mount=Mount.from_section(sensors["lidar"]),
-            beam=BeamErrors.from_section(lidar_accuracy),
-            filters=FilterSettings.from_section(filters),
-            **georeferencing,
+            mount=Mount.from_section(sensors["lidar"]), beam=lidar_accuracy, filters=filters, **georeferencing
         ),
         positions_t_gps_s=None if own else read_table(positions, GNSS_POSITION)[0]["t_gps_s"].to_numpy(),
         lever_ics_antenna_m=lever,

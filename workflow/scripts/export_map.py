@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.lidar.cloud import export_map
-from thalweg.workflow.job import run_job
+from thalweg.lidar import export_map
+from thalweg.workflow import run_job
 
 
 def main(*, points: Path, points_map: Path, campaign: dict[str, Any]) -> None:

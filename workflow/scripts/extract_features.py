@@ -2,22 +2,26 @@
 
 import logging
 from pathlib import Path
-from typing import Any
 
-from thalweg.images.sfm.features import FeatureSettings, extract_features, part_of
-from thalweg.ingest.photos.files import named_images
-from thalweg.workflow.job import run_job
+from thalweg.images.sfm import extract_features, part_of
+from thalweg.ingest.photos import named_images
+from thalweg.settings.sections import FeatureSettings
+from thalweg.workflow import run_job
 
 
 def main(
-    *, images: list[Path], masks: list[Path], features: Path, part: int, options: dict[str, Any], threads: int
+    *,
+    images: list[Path],
+    masks: list[Path],
+    features: Path,
+    part: int,
+    options: FeatureSettings,
+    threads: int,
 ) -> None:
     log = logging.getLogger("thalweg")
     folder = masks[0] if masks and masks[0].is_dir() else masks[0].parent if masks else None
-    mine = part_of(named_images(images), part, options["parts"])
-    found = extract_features(
-        mine, masks=folder, settings=FeatureSettings.from_section(options), threads=threads
-    )
+    mine = part_of(named_images(images), part, options.parts)
+    found = extract_features(mine, masks=folder, settings=options, threads=threads)
     for picture in found.pictures:
         if picture.problem:
             log.warning("%s: %s", picture.name, picture.problem)

@@ -6,24 +6,32 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table
-from thalweg.images.model.poses import ImagePoses
-from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
-from thalweg.lidar.mount import Mount
-from thalweg.navigation.fusion.inputs import with_own_jitter
-from thalweg.navigation.fusion.report import count_table
-from thalweg.navigation.fusion.settings import FusionSettings
-from thalweg.navigation.fusion.trajectory import fuse_trajectory
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_mounts
+from thalweg.core import LocalFrame, read_table
+from thalweg.images.model import ImagePoses
+from thalweg.ingest import GNSS_POSITION, INS_STATE
+from thalweg.lidar import Mount
+from thalweg.navigation.fusion import FusionSettings, count_table, fuse_trajectory, with_own_jitter
+from thalweg.settings.sections import Fused
+from thalweg.workflow import run_job
 
 
 def main(
-    *, states: Path, mounts: Path, trajectory: Path, observations: Path, counts: Path, facts: Path,
-    campaign: dict[str, Any], fused: dict[str, Any], orientation: dict[str, Any], ins: dict[str, Any],
-    images_hold_positions: bool, positions: Path | None = None, images: Path | None = None,
-) -> None:  # fmt: skip
+    *,
+    states: Path,
+    mounts: Path,
+    trajectory: Path,
+    observations: Path,
+    counts: Path,
+    facts: Path,
+    campaign: dict[str, Any],
+    fused: Fused,
+    orientation: dict[str, Any],
+    ins: dict[str, Any],
+    images_hold_positions: bool,
+    positions: Path | None = None,
+    images: Path | None = None,
+) -> None:
     places = read_mounts(mounts)
     T_ics_ccs = Mount.from_section(places["camera"]).as_rigid()
     # positions of `ins` and `sbet` are no antenna: they would count the INS twice
@@ -31,7 +39,7 @@ def main(
     found = fuse_trajectory(
         read_table(states, INS_STATE)[0],
         LocalFrame(**campaign["origin"]),
-        FusionSettings.from_section(fused),
+        FusionSettings.of(fused),
         positions=read_table(positions, GNSS_POSITION)[0] if antenna and positions else None,
         lever_ics_antenna_m=places["antenna"]["lever_ics_m"],
         sigma_lever_m=places["antenna"]["sigma_lever_m"],

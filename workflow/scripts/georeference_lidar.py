@@ -4,15 +4,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions
-from thalweg.lidar.cloud import LogSettings, georeference_log
-from thalweg.lidar.covariance import BeamErrors
-from thalweg.lidar.filters import FilterSettings
-from thalweg.lidar.mount import Mount
-from thalweg.navigation.ins_gnss.error_model import beam_factors
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_mounts
+from thalweg.core import Trajectory
+from thalweg.ingest import LidarClock, LidarOptions
+from thalweg.ingest.registry import lidar_reader
+from thalweg.lidar import LogSettings, Mount, georeference_log
+from thalweg.navigation.ins_gnss import beam_factors
+from thalweg.settings.sections import Filters, LidarAccuracy
+from thalweg.workflow import run_job
 
 
 def main(
@@ -26,19 +25,18 @@ def main(
     removed: Path,
     counts: Path,
     lidar_options: dict[str, Any],
-    lidar_accuracy: dict[str, Any],
+    lidar_accuracy: LidarAccuracy,
     georeferencing: dict[str, Any],
-    filters: dict[str, Any],
+    filters: Filters,
 ) -> None:
     table = georeference_log(
-        lidar,
-        LidarOptions(**lidar_options),
+        lidar_reader(lidar, LidarOptions(**lidar_options)),
         LidarClock.from_dict(json.loads(clock.read_text())),
         Trajectory.read(trajectory),
         LogSettings(
             mount=Mount.from_section(read_mounts(mounts)["lidar"]),
-            beam=BeamErrors.from_section(lidar_accuracy).scaled(**beam_factors(error_model)),
-            filters=FilterSettings.from_section(filters),
+            beam=lidar_accuracy.scaled(**beam_factors(error_model)),
+            filters=filters,
             **georeferencing,
         ),
         points,

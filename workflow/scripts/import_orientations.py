@@ -5,12 +5,11 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.markers.camera_file import interior_calibration, read_camera
-from thalweg.core.calibration.files import write_calibration
-from thalweg.core.calibration.model import Source
-from thalweg.images.imports.poses import import_orientations
-from thalweg.images.model.poses import ImagePoses
-from thalweg.workflow.job import run_job
+from thalweg.calibration import interior_calibration, read_camera
+from thalweg.core.calibration import Source, write_calibration
+from thalweg.images.imports import import_orientations
+from thalweg.images.model import ImagePoses
+from thalweg.workflow import run_job
 
 NO_CAMERA = "# No interior orientation: the files state none, and the campaign has no calibration.\n"
 

@@ -2,11 +2,10 @@
 
 import logging
 from pathlib import Path
-from typing import Any
 
-from thalweg.images.sfm.compare import ComparedPairs, joined_parts
-from thalweg.images.sfm.job import MatchInputs, plan_of
-from thalweg.workflow.job import run_job
+from thalweg.images.sfm import ComparedPairs, MatchInputs, joined_parts, plan_of
+from thalweg.settings.sections import MappingSettings
+from thalweg.workflow import run_job
 
 
 def main(
@@ -19,13 +18,17 @@ def main(
     trajectory: list[Path],
     pairs: list[Path],
     matches: Path,
-    options: dict[str, Any],
+    options: MappingSettings,
     folders: list[str],
 ) -> None:
     inputs = MatchInputs(
-        features=features, images=images, camera=camera, interiors=dict(zip(folders, interiors, strict=True)),
-        times=times, trajectory=trajectory,
-    )  # fmt: skip
+        features=features,
+        images=images,
+        camera=camera,
+        interiors=dict(zip(folders, interiors, strict=True)),
+        times=times,
+        trajectory=trajectory,
+    )
     plan, _ = plan_of(inputs, options, descriptors=False)
     found = joined_parts(plan, [ComparedPairs.read(path) for path in pairs])
     for note in found.facts["notes"]:

@@ -2,14 +2,9 @@
 
 from pathlib import Path
 
-from thalweg.lightsheet.budget import budget as budgets
-from thalweg.lightsheet.budget import checks
-from thalweg.lightsheet.budget.correlations import calibrated, depth_sigmas, design
-from thalweg.lightsheet.optics.lookup import look_up_table
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg.lightsheet.optics.sensor_files import read_sensor
-from thalweg.lightsheet.optics.sheet_models import model_errors
-from thalweg.workflow.job import run_job
+from thalweg.lightsheet.budget import budget as budgets, calibrated, checks, depth_sigmas, design
+from thalweg.lightsheet.optics import look_up_table, model_errors, paper_4, read_sensor
+from thalweg.workflow import run_job
 
 
 def main(

@@ -4,10 +4,8 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.workflow.job import run_job
-from thalweg_lab.reproduction.files import read_ledger
-from thalweg_lab.reproduction.ledger import counts, judged, markdown, sentence
-from thalweg_lab.reproduction.values import Results
+from thalweg.workflow import run_job
+from thalweg_lab.reproduction import Results, counts, judged, markdown, read_ledger, sentence
 
 log = logging.getLogger("thalweg")
 

@@ -6,11 +6,10 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.core.tables import read_parquet
-from thalweg.lightsheet.figures.page import light_sheet_page
-from thalweg.lightsheet.figures.scans import read_scans
-from thalweg.workflow.job import run_job
-from thalweg_lab.figures.ledger_table import ledger_section
+from thalweg.core import read_parquet
+from thalweg.lightsheet.figures import light_sheet_page, read_scans
+from thalweg.workflow import run_job
+from thalweg_lab.figures import ledger_section
 
 
 def main(
@@ -30,14 +29,13 @@ def main(
     scan_files: list[Path],
     scan_pictures: list[Path],
     pictures: list[Path],
-    captions: list[Path],
+    captions: dict[str, str],
     ledger: list[Path],
     page: Path,
     twin: bool,
     campaign: dict[str, Any],
     scans: list[str],
 ) -> None:
-    words = {path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions}
     built = light_sheet_page(
         json.loads(calibration.read_text(encoding="utf-8")),
         *(pd.read_csv(path) for path in (budget, published, contradictions, correlations, models)),
@@ -47,9 +45,9 @@ def main(
         lens=json.loads(lens[0].read_text(encoding="utf-8")) if lens else None,
         counts={path.parent.name: pd.read_csv(path) for path in counts},
         points={path.parent.name: read_parquet(path) for path in line_points},
-        scans=read_scans(scans, scan_files, scan_pictures, words),
+        scans=read_scans(scans, scan_files, scan_pictures, captions),
         pictures=pictures,
-        captions=words,
+        captions=captions,
         title=f"Light-sheet sensor: {campaign['title']}",
         twin=twin,
     )

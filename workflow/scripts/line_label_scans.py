@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from thalweg.workflow.job import run_job
-from thalweg_lab.studies.line_label_scans import labelled_scans
+from thalweg.workflow import run_job
+from thalweg_lab.studies import labelled_scans
 
 
 def main(*, points: Path, shifts: Path, seed: int) -> None:

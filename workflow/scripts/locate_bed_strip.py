@@ -4,26 +4,31 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.clocks.ties.hand_tables import read_number_columns
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.files import LazWriter
-from thalweg.core.tables import read_table, write_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.photos.stamps import list_images, read_image_stamps
-from thalweg.lidar.mount import Mount
-from thalweg.lightsheet.optics.sensor_files import read_sensor
-from thalweg.lightsheet.optics.water_index import WaterState, in_measured_water
-from thalweg.lightsheet.poses.series import SERIES_POINTS
-from thalweg.lightsheet.scanning import world
-from thalweg.lightsheet.scanning.profile import joined_counts, profiles
-from thalweg.workflow.job import run_job
+from thalweg.clocks import read_number_columns
+from thalweg.core import LazWriter, LocalFrame, Trajectory, read_table, write_table
+from thalweg.ingest.photos import list_images, read_image_stamps
+from thalweg.lidar import Mount
+from thalweg.lightsheet.optics import WaterState, in_measured_water, read_sensor
+from thalweg.lightsheet.poses import SERIES_POINTS
+from thalweg.lightsheet.scanning import joined_counts, profiles, world
+from thalweg.workflow import run_job
 
 
 def main(
-    *, images: list[Path], pulses: Path, line_points: Path, sensor: Path, trajectory: Path, bed: Path,
-    points: Path, counts: Path, campaign: dict[str, Any], mount: dict[str, Any], water: dict[str, Any],
+    *,
+    images: list[Path],
+    pulses: Path,
+    line_points: Path,
+    sensor: Path,
+    trajectory: Path,
+    bed: Path,
+    points: Path,
+    counts: Path,
+    campaign: dict[str, Any],
+    mount: dict[str, Any],
+    water: dict[str, Any],
     chain: str,
-) -> None:  # fmt: skip
+) -> None:
     # the river is not the basin of the calibration
     here, medium = in_measured_water(read_sensor(sensor), WaterState(**water))
     found, empty = profiles(here, read_table(line_points, SERIES_POINTS)[0])
@@ -41,8 +46,14 @@ def main(
         writer.append(**world.laz_columns(cloud))
     write_table(points, world.bed_points(cloud), world.BED_POINTS)
     left = {**cloud.left_out, **empty}
-    report = {"lines": joined_counts(found), "merged": cloud.counts, "images_left_out": left, "times": facts,
-              "water": medium, "trajectory": chain}  # fmt: skip
+    report = {
+        "lines": joined_counts(found),
+        "merged": cloud.counts,
+        "images_left_out": left,
+        "times": facts,
+        "water": medium,
+        "trajectory": chain,
+    }
     counts.write_text(json.dumps(report, indent=2) + "\n")
 
 

@@ -2,18 +2,23 @@
 
 from pathlib import Path
 
-from thalweg.clocks.ties.hand_tables import read_number_columns
-from thalweg.ingest.photos.stamps import list_images, read_image_stamps
-from thalweg.lightsheet.poses import panel_poses as panels
-from thalweg.lightsheet.poses.files import pose_table, write_poses
-from thalweg.lightsheet.scanning.world import image_times
-from thalweg.workflow.job import run_job
+from thalweg.clocks import read_number_columns
+from thalweg.ingest.photos import list_images, read_image_stamps
+from thalweg.lightsheet.poses import pose_table, sources as panels, write_poses
+from thalweg.lightsheet.scanning import image_times
+from thalweg.workflow import run_job
 
 
 def main(
-    *, images: list[Path], panel: Path, marks: Path, camera: Path, pulses: list[Path], poses: Path,
+    *,
+    images: list[Path],
+    panel: Path,
+    marks: Path,
+    camera: Path,
+    pulses: list[Path],
+    poses: Path,
     table: Path,
-) -> None:  # fmt: skip
+) -> None:
     names = [path.name for path in list_images(images)]
     t_gps_s = None
     if pulses:
@@ -21,9 +26,12 @@ def main(
         times, _ = image_times(read_image_stamps(images).table, t_pulse_s, names)
         t_gps_s = times["t_gps_s"].to_numpy()
     found = panels.panel_poses(
-        panels.read_standing_camera(camera), panels.read_panel(panel), panels.read_marks(marks), names,
+        panels.read_standing_camera(camera),
+        panels.read_panel(panel),
+        panels.read_marks(marks),
+        names,
         t_gps_s=t_gps_s,
-    )  # fmt: skip
+    )
     write_poses(poses, found)
     # a time has nine digits before its point
     pose_table(found).to_csv(table, index=False, float_format="%.13g")

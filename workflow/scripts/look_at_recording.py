@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.figures.firstlook.first_look import first_looks_of
-from thalweg.figures.style import save
-from thalweg.ingest.registry.describe import load_recording
-from thalweg.workflow.job import run_job
+from thalweg.figures import save
+from thalweg.figures.firstlook import first_looks_of
+from thalweg.ingest.registry import load_recording
+from thalweg.workflow import run_job
 
 
 def main(

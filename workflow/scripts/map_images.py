@@ -3,12 +3,10 @@
 import json
 import logging
 from pathlib import Path
-from typing import Any
 
-from thalweg.images.sfm.mapping import MapSettings, main_block, map_images
-from thalweg.images.sfm.matching import Matches
-from thalweg.images.sfm.report import block_facts, image_table
-from thalweg.workflow.job import run_job
+from thalweg.images.sfm import Matches, block_facts, image_table, main_block, map_images
+from thalweg.settings.sections import MappingSettings
+from thalweg.workflow import run_job
 
 
 def main(
@@ -18,11 +16,11 @@ def main(
     pieces: Path,
     images: Path,
     facts: Path,
-    options: dict[str, Any],
+    options: MappingSettings,
     threads: int,
 ) -> None:
     found = Matches.read(matches)
-    mapped = map_images(found, settings=MapSettings.from_section(options), threads=threads)
+    mapped = map_images(found, settings=options, threads=threads)
     table = image_table(found, mapped)
     told = block_facts(found, mapped, table)
     for note in told["notes"]:

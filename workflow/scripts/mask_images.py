@@ -4,11 +4,11 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.images.masks.cameras import known_camera, make_masks_of_cameras
-from thalweg.images.masks.settings import MaskSettings
-from thalweg.images.model.files import mask_folder
-from thalweg.ingest.photos.files import named_images
-from thalweg.workflow.job import run_job
+from thalweg.images.masks import known_camera, make_masks_of_cameras
+from thalweg.images.model import mask_folder
+from thalweg.ingest.photos import named_images
+from thalweg.settings.sections import MaskSettings
+from thalweg.workflow import run_job
 
 
 def main(
@@ -20,7 +20,7 @@ def main(
     supplied: list[Path],
     masks: Path,
     table: Path,
-    options: dict[str, Any],
+    options: MaskSettings,
     campaign: dict[str, Any],
     folders: list[str],
     cameras: str,
@@ -29,11 +29,11 @@ def main(
     found = make_masks_of_cameras(
         named_images(images),
         masks,
-        MaskSettings.from_section(options, campaign["seed"]),
+        options,
         known,
         by=cameras,
         supplied=mask_folder(supplied),
-        automatic=options["automatic"],
+        seed=campaign["seed"],
     )
     log = logging.getLogger("thalweg")
     for note in found.attrs["notes"]:

@@ -2,14 +2,12 @@
 
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from thalweg.images.sfm.compare import compare_pairs, part_of_pairs
-from thalweg.images.sfm.job import MatchInputs, plan_of
-from thalweg.images.sfm.matching import MatchSettings
-from thalweg.workflow.job import run_job
+from thalweg.images.sfm import MatchInputs, compare_pairs, part_of_pairs, plan_of
+from thalweg.settings.sections import MappingSettings
+from thalweg.workflow import run_job
 
 
 def main(
@@ -22,20 +20,23 @@ def main(
     trajectory: list[Path],
     pairs: Path,
     part: int,
-    options: dict[str, Any],
+    options: MappingSettings,
     folders: list[str],
     threads: int,
 ) -> None:
     inputs = MatchInputs(
-        features=features, images=images, camera=camera, interiors=dict(zip(folders, interiors, strict=True)),
-        times=times, trajectory=trajectory,
-    )  # fmt: skip
+        features=features,
+        images=images,
+        camera=camera,
+        interiors=dict(zip(folders, interiors, strict=True)),
+        times=times,
+        trajectory=trajectory,
+    )
     plan, descriptor = plan_of(inputs, options)
-    rows = part_of_pairs(plan, part, options["parts"])
+    rows = part_of_pairs(plan, part, options.parts)
     log = logging.getLogger("thalweg")
-    log.info("part %d of %d: %d of %d pairs", part + 1, options["parts"], len(rows), len(plan.pairs))
-    settings = MatchSettings.from_section(options)
-    found = compare_pairs(plan, descriptor, rows, settings=settings, threads=threads)
+    log.info("part %d of %d: %d of %d pairs", part + 1, options.parts, len(rows), len(plan.pairs))
+    found = compare_pairs(plan, descriptor, rows, settings=options, threads=threads)
     log.info("%d pairs have common points", np.count_nonzero(np.diff(found.pair_start)))
     found.write(pairs)
 

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.core.tables import read_table
-from thalweg.lightsheet.optics.sensor_files import read_sensor
-from thalweg.lightsheet.poses import panels as panel
-from thalweg.lightsheet.poses.series import SERIES_POINTS
-from thalweg.workflow.job import run_job
+from thalweg.core import read_table
+from thalweg.lightsheet.optics import read_sensor
+from thalweg.lightsheet.poses import SERIES_POINTS, panels as panel
+from thalweg.workflow import run_job
 
 
 def main(*, sensor: Path, line_points: Path, counts: Path, panels: Path, points: Path, table: Path) -> None:

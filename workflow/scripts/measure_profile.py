@@ -3,22 +3,30 @@
 import json
 from pathlib import Path
 
-from thalweg.core.tables import read_table
-from thalweg.lightsheet.optics.sensor_files import read_sensor
-from thalweg.lightsheet.poses.series import SERIES_POINTS
-from thalweg.lightsheet.scanning.compare import SCAN_DISTANCES
-from thalweg.lightsheet.scanning.single import single_profile
-from thalweg.workflow.job import run_job
+from thalweg.core import read_table
+from thalweg.lightsheet.optics import read_sensor
+from thalweg.lightsheet.poses import SERIES_POINTS
+from thalweg.lightsheet.scanning import SCAN_DISTANCES, single_profile
+from thalweg.workflow import run_job
 
 
 def main(
-    *, sensor: Path, line_points: Path, distances: Path, table: Path, facts: Path, scanned: str,
+    *,
+    sensor: Path,
+    line_points: Path,
+    distances: Path,
+    table: Path,
+    facts: Path,
+    scanned: str,
     levels_mm: list[float] | None,
-) -> None:  # fmt: skip
+) -> None:
     rows, found = single_profile(
-        read_sensor(sensor), read_table(line_points, SERIES_POINTS)[0],
-        read_table(distances, SCAN_DISTANCES)[0], scanned, None if levels_mm is None else tuple(levels_mm),
-    )  # fmt: skip
+        read_sensor(sensor),
+        read_table(line_points, SERIES_POINTS)[0],
+        read_table(distances, SCAN_DISTANCES)[0],
+        scanned,
+        None if levels_mm is None else tuple(levels_mm),
+    )
     rows.to_csv(table, index=False, float_format="%.6g")
     facts.write_text(json.dumps(found, indent=2) + "\n")
 

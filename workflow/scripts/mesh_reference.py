@@ -6,16 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.mesh_ply import write_mesh
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.surface.area import Area
-from thalweg.surface.bank_frame import BankFrame
-from thalweg.surface.reference.files import compare_files
-from thalweg.surface.reference.mesh import ReferenceSettings, mesh_reference
-from thalweg.surface.reference.near_area import area_margin_m, read_reference
-from thalweg.workflow.job import run_job
+from thalweg.core import LocalFrame, Trajectory
+from thalweg.core.geometry import write_mesh
+from thalweg.ingest import IntegrityReport
+from thalweg.settings.sections import Area as AreaSection, ReferenceSettings
+from thalweg.surface import Area, BankFrame, area_margin_m, compare_files, mesh_reference, read_reference
+from thalweg.workflow import run_job
 
 
 def main(
@@ -26,11 +22,11 @@ def main(
     mesh: Path,
     facts: Path,
     campaign: dict[str, Any],
-    reference: dict[str, Any],
-    area: dict[str, Any],
+    reference: ReferenceSettings,
+    area: AreaSection,
 ) -> None:
     frame = LocalFrame(**campaign["origin"])
-    how = ReferenceSettings.from_section(reference)
+    how = reference
     limits = Area.from_section(area, frame, campaign["crs"])
     report = IntegrityReport.read(integrity)
     names = [Path(file).name for file in report.files]

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from thalweg.workflow.job import run_job
-from thalweg_lab.studies.multi_line_images import multi_line_images, write_images
+from thalweg.workflow import run_job
+from thalweg_lab.studies import multi_line_images, write_images
 
 
 def main(*, images: Path, points: Path, seed: int) -> None:

@@ -5,25 +5,39 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.camera.boat_camera import orient_on_field, starting_boat_camera
-from thalweg.calibration.camera.poses import network_pose_table, write_poses
-from thalweg.calibration.camera_lidar.input import static_images
-from thalweg.calibration.camera_lidar.statics import statics_of, write_statics
-from thalweg.calibration.field.description import read_field
-from thalweg.calibration.field.points import read_points
-from thalweg.calibration.markers.camera_file import interior_calibration, read_camera, same_size
-from thalweg.calibration.markers.tables import MARKS
-from thalweg.core.calibration.files import write_calibration
-from thalweg.core.calibration.model import Source
-from thalweg.core.tables import read_table
-from thalweg.workflow.job import run_job
+from thalweg.calibration import (
+    MARKS,
+    interior_calibration,
+    network_pose_table,
+    orient_on_field,
+    read_camera,
+    same_size,
+    starting_boat_camera,
+    write_poses,
+)
+from thalweg.calibration.camera_lidar import static_images, statics_of, write_statics
+from thalweg.calibration.field import read_field, read_points
+from thalweg.core import read_table
+from thalweg.core.calibration import Source, write_calibration
+from thalweg.workflow import run_job
 
 
 def main(
-    *, marks: Path, points: Path, field: Path, interior: list[Path], position_images: list[Path],
-    poses: Path, statics: Path, camera: Path, residuals: Path, report: Path,
-    campaign: dict[str, Any], model: str, focal_px: float | None,
-) -> None:  # fmt: skip
+    *,
+    marks: Path,
+    points: Path,
+    field: Path,
+    interior: list[Path],
+    position_images: list[Path],
+    poses: Path,
+    statics: Path,
+    camera: Path,
+    residuals: Path,
+    report: Path,
+    campaign: dict[str, Any],
+    model: str,
+    focal_px: float | None,
+) -> None:
     log = logging.getLogger("thalweg")
     table, meta = read_table(marks, MARKS)
     ((name, size),) = meta["sizes_px"].items()
@@ -41,9 +55,11 @@ def main(
     found.residuals.to_csv(residuals, index=False, float_format="%.5f")
     (boat,) = found.cameras.values()
     source = Source(
-        run=str(campaign["id"]), method="bundle adjustment on the points of the field",
-        observations=2 * found.report["marks"], sigma0=found.report["sigma0"],
-    )  # fmt: skip
+        run=str(campaign["id"]),
+        method="bundle adjustment on the points of the field",
+        observations=2 * found.report["marks"],
+        sigma0=found.report["sigma0"],
+    )
     write_calibration(camera, interior_calibration(boat, source))
     rejected = found.rejected.to_dict("records")
     report.write_text(json.dumps({"adjustment": found.report, "rejected": rejected}, indent=2) + "\n")

@@ -4,19 +4,26 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.field.points import read_points
-from thalweg.calibration.markers.camera_file import read_camera
-from thalweg.core.calibration.model import Source
-from thalweg.lightsheet.lens.camera_marks import orient_camera, read_camera_marks
-from thalweg.lightsheet.lens.lens import with_lens
-from thalweg.lightsheet.optics.sensor_files import read_sensor, write_sensor
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_camera
+from thalweg.calibration.field import read_points
+from thalweg.core.calibration import Source
+from thalweg.lightsheet.calibration import orient_camera, read_camera_marks, with_lens
+from thalweg.lightsheet.optics import read_sensor, write_sensor
+from thalweg.workflow import run_job
 
 
 def main(
-    *, design: Path, interior: list[Path], marks: Path, points: Path, sensor: Path, report: Path,
-    campaign: dict[str, Any], calibration: dict[str, Any], twin: bool,
-) -> None:  # fmt: skip
+    *,
+    design: Path,
+    interior: list[Path],
+    marks: Path,
+    points: Path,
+    sensor: Path,
+    report: Path,
+    campaign: dict[str, Any],
+    calibration: dict[str, Any],
+    twin: bool,
+) -> None:
     nominal = read_sensor(design)
     if interior:
         nominal = with_lens(nominal, read_camera(interior[0]))

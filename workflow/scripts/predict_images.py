@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.core.tables import read_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.photos.stamps import IMAGE_STAMPS
-from thalweg.lidar.mount import Mount
-from thalweg.navigation.camera.image_predictions import predict_image_poses
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_mounts
+from thalweg.clocks import ClockModel
+from thalweg.core import Trajectory, read_table
+from thalweg.ingest.photos import IMAGE_STAMPS
+from thalweg.lidar import Mount
+from thalweg.navigation.camera import predict_image_poses
+from thalweg.workflow import run_job
 
 
 def main(

@@ -3,10 +3,10 @@
 import datetime as dt
 from pathlib import Path
 
-from thalweg.core.tables import write_table
-from thalweg.ingest.nmea.reader import read_nmea
-from thalweg.ingest.schemas import DEPTH
-from thalweg.workflow.job import run_job
+from thalweg.core import write_table
+from thalweg.ingest import DEPTH
+from thalweg.ingest.nmea import read_nmea
+from thalweg.workflow import run_job
 
 
 def main(*, depth: list[Path], depths: Path, integrity: Path, date: str | None) -> None:

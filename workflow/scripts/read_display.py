@@ -4,11 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.clocks.display.reader import read_display
-from thalweg.clocks.display.stability import clock_stability
-from thalweg.clocks.ties.hand_tables import read_text_columns
-from thalweg.ingest.photos.stamps import list_images
-from thalweg.workflow.job import run_job
+from thalweg.clocks import clock_stability, read_display, read_text_columns
+from thalweg.ingest.photos import list_images
+from thalweg.workflow import run_job
 
 
 def main(

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from thalweg.core.tables import write_table
-from thalweg.ingest.photos.stamps import IMAGE_STAMPS, read_image_stamps
-from thalweg.workflow.job import run_job
+from thalweg.core import write_table
+from thalweg.ingest.photos import IMAGE_STAMPS, read_image_stamps
+from thalweg.workflow import run_job
 
 
 def main(

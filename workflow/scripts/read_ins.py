@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-from thalweg.core.tables import write_table
-from thalweg.ingest.anpp.reader import read_anpp
-from thalweg.ingest.schemas import DEPTH, INS_STATE
-from thalweg.ingest.tracks.sbet import read_sbet
-from thalweg.workflow.job import run_job
+from thalweg.core import write_table
+from thalweg.ingest import DEPTH, INS_STATE, TrackOptions
+from thalweg.ingest.registry import read_poses
+from thalweg.workflow import run_job
 
 
 def main(
@@ -19,14 +18,11 @@ def main(
     source: str,
     gps_week: int | None,
 ) -> None:
-    if source == "sbet":
-        log = read_sbet(ins, gps_week=gps_week, smrmsg=smrmsg or None)
-        soundings = DEPTH.empty_table().to_pandas()
-    else:
-        log = read_anpp(ins)
-        soundings = log.depth
+    log = read_poses(
+        ins, "sbet" if source == "sbet" else "ins", TrackOptions(gps_week=gps_week, smrmsg=tuple(smrmsg))
+    )
     write_table(states, log.states, INS_STATE)
-    write_table(depths, soundings, DEPTH)
+    write_table(depths, DEPTH.empty_table().to_pandas() if log.depths is None else log.depths, DEPTH)
     log.report.stream = "ins"
     log.report.write(integrity)
 

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.tables import write_table
-from thalweg.ingest.registry.positions import read_positions
-from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.workflow.job import run_job
+from thalweg.core import write_table
+from thalweg.ingest import GNSS_POSITION
+from thalweg.ingest.registry import read_positions
+from thalweg.workflow import run_job
 
 
 def main(

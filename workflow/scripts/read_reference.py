@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.ingest.clouds.reference import gather_reference
-from thalweg.workflow.job import run_job
+from thalweg.core import LocalFrame
+from thalweg.ingest.clouds import gather_reference
+from thalweg.workflow import run_job
 
 
 def main(*, reference: list[Path], cloud: Path, integrity: Path, campaign: dict[str, Any]) -> None:

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from thalweg.figures.firstlook.recordings_page import recordings_page, recordings_table
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.workflow.job import run_job
+from thalweg.figures.firstlook import recordings_page, recordings_table
+from thalweg.ingest import IntegrityReport
+from thalweg.workflow import run_job
 
 
 def main(*, integrity: list[Path], pictures: list[Path], page: Path, table: Path, titles: list[str]) -> None:

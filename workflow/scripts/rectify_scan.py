@@ -4,32 +4,38 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.tables import read_table
-from thalweg.ingest.photos.stamps import list_images
-from thalweg.lightsheet.optics.sensor_files import read_sensor
-from thalweg.lightsheet.poses.files import read_poses
-from thalweg.lightsheet.poses.series import SERIES_POINTS, read_sheet_image
-from thalweg.lightsheet.scanning.cloud import merge
-from thalweg.lightsheet.scanning.compare import to_reference
-from thalweg.lightsheet.scanning.ortho import orthophoto
-from thalweg.lightsheet.scanning.ortho_files import write_orthophoto
-from thalweg.lightsheet.scanning.profile import profiles
-from thalweg.workflow.job import run_job
+from thalweg.core import read_table
+from thalweg.ingest.photos import list_images
+from thalweg.lightsheet.optics import read_sensor
+from thalweg.lightsheet.poses import SERIES_POINTS, read_poses, read_sheet_image
+from thalweg.lightsheet.scanning import merge, orthophoto, profiles, to_reference, write_orthophoto
+from thalweg.workflow import run_job
 
 
 def main(
-    *, images: list[Path], sensor: Path, line_points: Path, poses: Path, facts: Path, picture: Path,
-    world: Path, report: Path, lines: dict[str, Any], cell_m: float,
-) -> None:  # fmt: skip
+    *,
+    images: list[Path],
+    sensor: Path,
+    line_points: Path,
+    poses: Path,
+    facts: Path,
+    picture: Path,
+    world: Path,
+    report: Path,
+    lines: dict[str, Any],
+    cell_m: float,
+) -> None:
     calibrated = read_sensor(sensor)
     files = {path.name: path for path in list_images(images)}
     cloud = merge(profiles(calibrated, read_table(line_points, SERIES_POINTS)[0])[0], read_poses(poses))
     layout = lines["layout"]
     found = orthophoto(
-        calibrated, cloud.moved(to_reference(json.loads(facts.read_text())), "reference"),
-        lambda name: read_sheet_image(files[name]), cell_m=cell_m,
+        calibrated,
+        cloud.moved(to_reference(json.loads(facts.read_text())), "reference"),
+        lambda name: read_sheet_image(files[name]),
+        cell_m=cell_m,
         layout="rggb" if layout in ("auto", "rgb") else layout,
-    )  # fmt: skip
+    )
     write_orthophoto(found, picture, world)
     report.write_text(json.dumps(found.counts, indent=2) + "\n")
 

@@ -4,12 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.ingest.velodyne.reader import LidarOptions, scan_lidar
-from thalweg.workflow.job import run_job
+from thalweg.ingest import LidarOptions
+from thalweg.ingest.registry import lidar_reader
+from thalweg.workflow import run_job
 
 
 def main(*, lidar: list[Path], clock: Path, integrity: Path, lidar_options: dict[str, Any]) -> None:
-    scan = scan_lidar(lidar, LidarOptions(**lidar_options))
+    scan = lidar_reader(lidar, LidarOptions(**lidar_options)).scan()
     clock.write_text(json.dumps(scan.clock.to_dict()) + "\n")
     scan.report.write(integrity)
 

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.instruments.bed_survey import simulate_bed_survey
+from thalweg.core import LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.instruments import simulate_bed_survey
 
 
 def main(*, scene: Path, bed: Path, effects: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:

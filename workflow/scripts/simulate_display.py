@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.instruments.display_photos import simulate_display
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.instruments import simulate_display
 
 
 def main(*, photos: Path, truth: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:

@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.instruments.echo import simulate_echo
-from thalweg_lab.voyage.true_mounts import read_true_mounts
+from thalweg.core import LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.instruments import simulate_echo
+from thalweg_lab.voyage import read_true_mounts
 
 
 def main(

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.voyage.true_mounts import read_true_mounts
-from thalweg_lab.yard_images.images import simulate_field_images
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.voyage import read_true_mounts
+from thalweg_lab.yard_images import simulate_field_images
 
 
 def main(

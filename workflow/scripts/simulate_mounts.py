@@ -4,9 +4,9 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.voyage.true_mounts import true_mounts, write_true_mounts
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.voyage import true_mounts, write_true_mounts
 
 
 def main(

@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.lidar.mount import Mount
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.voyage.true_mounts import read_true_mounts
-from thalweg_lab.yard_records.positions import simulate_positions
+from thalweg.core import LocalFrame
+from thalweg.lidar import Mount
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.voyage import read_true_mounts
+from thalweg_lab.yard_records import simulate_positions
 
 
 def main(

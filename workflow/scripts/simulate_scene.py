@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.river.scene import simulate_scene
-from thalweg_lab.yard_records.records import simulate_field_scene
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.river import simulate_scene
+from thalweg_lab.yard_records import simulate_field_scene
 
 
 def main(*, scene: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.tank.camera_field import record_camera_field
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.tank import record_camera_field
 
 
 def main(*, marks: Path, field: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:

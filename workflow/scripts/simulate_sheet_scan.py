@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.tank.scan_series import record_scan
+from thalweg.core import LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.tank import record_scan
 
 
 def main(*, images: Path, truth: Path, scanned: str, campaign: dict[str, Any], twin: dict[str, Any]) -> None:

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.tank.series import record_series
+from thalweg.core import LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.tank import record_series
 
 
 def main(*, images: Path, truth: Path, series: str, campaign: dict[str, Any], twin: dict[str, Any]) -> None:

@@ -3,23 +3,32 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.settings.twin.sheet_strip import TwinSheetStrip
-from thalweg.workflow.job import run_job
-from thalweg_lab.tank.series import Basin
-from thalweg_lab.tank.strip import record_strip
+from thalweg.core import LocalFrame
+from thalweg.settings.twin import TwinConfig, TwinSheetStrip
+from thalweg.workflow import run_job
+from thalweg_lab.tank import Basin, record_strip
 
 
 def main(
-    *, images: Path, truth: Path, campaign: dict[str, Any], twin: dict[str, Any], strip: dict[str, Any],
-    mount: dict[str, Any], basin: dict[str, Any],
-) -> None:  # fmt: skip
+    *,
+    images: Path,
+    truth: Path,
+    campaign: dict[str, Any],
+    twin: dict[str, Any],
+    strip: dict[str, Any],
+    mount: dict[str, Any],
+    basin: dict[str, Any],
+) -> None:
     record_strip(
-        TwinConfig(**twin), TwinSheetStrip(**strip), campaign["seed"], LocalFrame(**campaign["origin"]),
-        basin=Basin.of(TwinConfig(**basin["twin"]), basin["seed"]), mount=mount, folder=images.parent,
+        TwinConfig(**twin),
+        TwinSheetStrip(**strip),
+        campaign["seed"],
+        LocalFrame(**campaign["origin"]),
+        basin=Basin.of(TwinConfig(**basin["twin"]), basin["seed"]),
+        mount=mount,
+        folder=images.parent,
         truth=truth,
-    )  # fmt: skip
+    )
 
 
 if "snakemake" in globals():

@@ -3,12 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.settings.twin.time_lapse import TwinTimeLapse
-from thalweg.workflow.job import run_job
-from thalweg_lab.time_lapse.record import simulate_time_lapse
-from thalweg_lab.voyage.true_mounts import read_true_mounts
+from thalweg.core import LocalFrame
+from thalweg.settings.twin import TwinConfig, TwinTimeLapse
+from thalweg.workflow import run_job
+from thalweg_lab.time_lapse import simulate_time_lapse
+from thalweg_lab.voyage import read_true_mounts
 
 
 def main(

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.instruments.tls import simulate_tls
+from thalweg.core import LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.instruments import simulate_tls
 
 
 def main(
@@ -14,13 +14,7 @@ def main(
 ) -> None:
     frame = LocalFrame(**campaign["origin"])
     simulate_tls(
-        TwinConfig(**twin),
-        campaign["seed"],
-        frame,
-        scene,
-        scans,
-        crs=campaign["crs"],
-        out_effects=effects,
+        TwinConfig(**twin), campaign["seed"], frame, scene, scans, crs=campaign["crs"], out_effects=effects
     )
 
 

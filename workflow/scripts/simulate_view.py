@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.river_images.view import simulate_view
+from thalweg.core import LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.river_images import simulate_view
 
 
 def main(*, scene: Path, bank: Path, detail: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:

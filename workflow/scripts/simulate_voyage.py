@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.workflow.job import run_job
-from thalweg_lab.voyage.truth import simulate_voyage
+from thalweg.core import LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg.workflow import run_job
+from thalweg_lab.voyage import simulate_voyage
 
 
 def main(*, voyage: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:

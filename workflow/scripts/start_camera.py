@@ -3,13 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.markers.camera_file import interior_calibration, read_camera
-from thalweg.core.calibration.files import write_calibration
-from thalweg.core.calibration.model import Source
-from thalweg.core.tables import read_table
-from thalweg.images.model.cameras import in_folders
-from thalweg.ingest.photos.stamps import IMAGE_STAMPS
-from thalweg.workflow.job import run_job
+from thalweg.calibration import interior_calibration, read_camera
+from thalweg.core import read_table
+from thalweg.core.calibration import Source, write_calibration
+from thalweg.images.model import in_folders
+from thalweg.ingest.photos import IMAGE_STAMPS
+from thalweg.workflow import run_job
 
 
 def main(

@@ -2,18 +2,12 @@
 
 from pathlib import Path
 
-from thalweg.accuracy.cloud_to_mesh.summary import summary_table
-from thalweg.workflow.job import run_job
+from thalweg.accuracy import summary_table
+from thalweg.workflow import run_job
 
 
 def main(
-    *,
-    streams: Path,
-    trajectory: Path,
-    counts: Path,
-    reference: list[Path],
-    truth: list[Path],
-    summary: Path,
+    *, streams: Path, trajectory: Path, counts: Path, reference: list[Path], truth: list[Path], summary: Path
 ) -> None:
     summary_table(
         streams,

@@ -4,16 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.camera.poses import read_poses
-from thalweg.calibration.field.facts import read_place
-from thalweg.clocks.camera import synchronise
-from thalweg.clocks.camera.image_fixes import ANTENNA_TRACK, IMAGE_FIXES, antenna_track, image_fixes
-from thalweg.clocks.camera.track import Track
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table, write_table
-from thalweg.ingest.photos.stamps import IMAGE_STAMPS
-from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_poses
+from thalweg.calibration.field import read_place
+from thalweg.clocks import ANTENNA_TRACK, IMAGE_FIXES, Track, antenna_track, image_fixes, synchronise
+from thalweg.core import LocalFrame, read_table, write_table
+from thalweg.ingest import GNSS_POSITION, INS_STATE
+from thalweg.ingest.photos import IMAGE_STAMPS
+from thalweg.workflow import run_job
 
 
 def main(

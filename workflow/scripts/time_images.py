@@ -5,28 +5,35 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from thalweg.calibration.boat.mounts import read_mounts
-from thalweg.clocks.camera import synchronise
-from thalweg.clocks.camera.track import Track
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.core.calibration.files import read_calibration
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table, write_table
-from thalweg.images.model.cameras import in_folders
-from thalweg.images.model.poses import ImagePoses
-from thalweg.ingest.photos.stamps import IMAGE_STAMPS
-from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
-from thalweg.navigation.camera.image_times import time_images
-from thalweg.navigation.camera.image_times_run import antenna_in_camera
-from thalweg.navigation.camera.mounts import lidar_mount_by_camera
-from thalweg.workflow.job import run_job
+from thalweg.calibration import read_mounts
+from thalweg.clocks import ClockModel, Track, synchronise
+from thalweg.core import LocalFrame, read_table, write_table
+from thalweg.core.calibration import read_calibration
+from thalweg.images.model import ImagePoses, in_folders
+from thalweg.ingest import GNSS_POSITION, INS_STATE
+from thalweg.ingest.photos import IMAGE_STAMPS
+from thalweg.navigation.camera import antenna_in_camera, lidar_mount_by_camera, time_images
+from thalweg.workflow import run_job
 
 
 def main(
-    *, poses: Path, stamps: Path, positions: Path, states: Path, mounts: Path, timed: Path, times: Path,
-    clock: Path, report: Path, campaign: dict[str, Any], options: dict[str, Any], cloud: dict[str, Any],
-    camera_clock: list[Path], boat: list[Path], off_boat: list[str],
-) -> None:  # fmt: skip
+    *,
+    poses: Path,
+    stamps: Path,
+    positions: Path,
+    states: Path,
+    mounts: Path,
+    timed: Path,
+    times: Path,
+    clock: Path,
+    report: Path,
+    campaign: dict[str, Any],
+    options: dict[str, Any],
+    cloud: dict[str, Any],
+    camera_clock: list[Path],
+    boat: list[Path],
+    off_boat: list[str],
+) -> None:
     frame = LocalFrame(**campaign["origin"])
     places = read_mounts(mounts)
     _, T_ics_ccs, _ = lidar_mount_by_camera(places, read_calibration(boat[0]) if boat else None)

@@ -5,11 +5,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from thalweg.clocks.streams.time_report import Speeds, report_lines, time_report
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.clocks.ties.run_image_times import read_run_image_times
-from thalweg.core.trajectory import Trajectory
-from thalweg.workflow.job import run_job
+from thalweg.clocks import ClockModel, Speeds, read_run_image_times, report_lines, time_report
+from thalweg.core import Trajectory
+from thalweg.workflow import run_job
 
 
 def main(

@@ -6,21 +6,31 @@ from typing import Any
 
 import pandas as pd
 
-from thalweg.accuracy.solutions.comparison import CHAINS
-from thalweg.accuracy.solutions.outages import outage_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.figures.solutions.costs import computing_seconds
-from thalweg.figures.solutions.page import trajectory_comparison_page
-from thalweg.figures.solutions.words import Costs
-from thalweg.workflow.job import run_job
+from thalweg.accuracy import CHAINS, outage_table
+from thalweg.core import Trajectory
+from thalweg.figures.solutions import Costs, computing_seconds, trajectory_comparison_page
+from thalweg.workflow import run_job
 
 
 def main(
-    *, chains: Path, by_range: Path, facts: Path, camera_facts: Path, control: list[Path], truth: list[Path],
-    fused_facts: Path, trajectories: list[Path], steps_ins: list[Path], steps_camera: list[Path],
-    steps_fused: list[Path], pictures: list[Path], captions: list[Path], page: Path, twin: bool,
+    *,
+    chains: Path,
+    by_range: Path,
+    facts: Path,
+    camera_facts: Path,
+    control: list[Path],
+    truth: list[Path],
+    fused_facts: Path,
+    trajectories: list[Path],
+    steps_ins: list[Path],
+    steps_camera: list[Path],
+    steps_fused: list[Path],
+    pictures: list[Path],
+    captions: dict[str, str],
+    page: Path,
+    twin: bool,
     campaign: dict[str, Any],
-) -> None:  # fmt: skip
+) -> None:
     steps = dict(zip(CHAINS, (steps_ins, steps_camera, steps_fused), strict=True))
     trajectory_comparison_page(
         pd.read_csv(chains),
@@ -37,7 +47,7 @@ def main(
             ),
         ),
         pictures=pictures,
-        captions={path.stem: " ".join(path.read_text(encoding="utf-8").split()) for path in captions},
+        captions=captions,
         title=f"INS, camera and fused trajectory: {campaign['title']}",
         twin=twin,
     ).write(page)

@@ -1,1 +1,5 @@
 """Error budgets: published tables and own ones, by the formula behind each point's covariance."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

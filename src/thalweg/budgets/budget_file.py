@@ -27,8 +27,7 @@ from thalweg.budgets.budget import (
     Motion,
     Survey,
 )
-from thalweg.core.errors import ConfigError
-from thalweg.core.yaml_lines import read_mapping
+from thalweg.core import ConfigError, read_mapping
 
 KEYS: Final = {
     "based_on": False, "title": True, "source": True, "status": True, "remarks": False, "world": False,
@@ -67,8 +66,12 @@ class _Reader:
             return {}
         for key in data.keys() - keys.keys():
             near = difflib.get_close_matches(key, keys, 1)
-            self.wrong((*path, key), "unknown key", f"one of {', '.join(keys)}",
-                       f"Did you mean {near[0]}?".rstrip(".") if near else "")  # fmt: skip
+            self.wrong(
+                (*path, key),
+                "unknown key",
+                f"one of {', '.join(keys)}",
+                f"Did you mean {near[0]}?".rstrip(".") if near else "",
+            )
         for key, needed in keys.items():
             if needed and data.get(key) is None:
                 self.wrong((*path, key) if key in data else path, f"{key} is missing", f"the key {key}")
@@ -83,9 +86,12 @@ class _Reader:
 
     def number(self, data: Any, path: tuple[str, ...], low: float = -np.inf, high: float = np.inf) -> float:
         """A finite number from ``low`` to ``high``."""
-        if isinstance(data, bool) or not isinstance(data, int | float) or not low <= data <= high or (
-            not np.isfinite(data)
-        ):  # fmt: skip
+        if (
+            isinstance(data, bool)
+            or not isinstance(data, int | float)
+            or not low <= data <= high
+            or (not np.isfinite(data))
+        ):
             bounds = (
                 ""
                 if np.isinf(low)
@@ -122,8 +128,9 @@ def read_budget(path: Path | str) -> Budget:
         n = len(reader.mistakes)
         raise ConfigError(
             f"{n} mistake{'s' * (n > 1)} in the error budget:\n  " + "\n  ".join(reader.mistakes).rstrip("."),
-            where=path, cure="docs/budgets.md describes the format",
-        )  # fmt: skip
+            where=path,
+            cure="docs/budgets.md describes the format",
+        )
     return budget
 
 
@@ -143,9 +150,11 @@ def _inherited(path: Path, seen: tuple[Path, ...]) -> tuple[dict[str, Any], Line
         raise ConfigError(f"based_on: found {base!r}", where=path, expected="the path of a budget file")
     if not (path.parent / base).is_file():
         raise ConfigError(
-            f"based_on: there is no file {base}", where=f"{path}:{own.get(('based_on',), 1)}",
-            expected="the path of a budget file, relative to this one", cure="Check the name",
-        )  # fmt: skip
+            f"based_on: there is no file {base}",
+            where=f"{path}:{own.get(('based_on',), 1)}",
+            expected="the path of a budget file, relative to this one",
+            cure="Check the name",
+        )
     merged, base_lines = _inherited(path.parent / base, (*seen, path.resolve()))
     merged = {key: value for key, value in merged.items() if key not in OWN}
     for key, value in data.items():
@@ -202,8 +211,12 @@ def _frames(reader: _Reader, data: Any) -> tuple[Frame, ...]:
         given = fields.get("angles_deg", {})
         names = ANGLES[1] if isinstance(given, dict) and "heading" in given else ANGLES[0]
         if names == ANGLES[1] and frames:
-            reader.wrong((*at, "angles_deg"), "roll, pitch, heading of an inner frame", "omega, phi, kappa",
-                         "Roll, pitch and heading are those of the outermost frame in the world")  # fmt: skip
+            reader.wrong(
+                (*at, "angles_deg"),
+                "roll, pitch, heading of an inner frame",
+                "omega, phi, kappa",
+                "Roll, pitch and heading are those of the outermost frame in the world",
+            )
         angles = reader.mapping(given, (*at, "angles_deg"), dict.fromkeys(names, True))
         lever = reader.numbers(fields.get("lever_m", [0, 0, 0]), (*at, "lever_m"), 3)
         frames.append(
@@ -242,8 +255,9 @@ def _inputs(
         at = ("inputs", key)
         if key not in units:
             near = difflib.get_close_matches(key, units, 1)
-            reader.wrong(at, "no such input", f"one of {', '.join(units)}",
-                         f"Did you mean {near[0]}" if near else "")  # fmt: skip
+            reader.wrong(
+                at, "no such input", f"one of {', '.join(units)}", f"Did you mean {near[0]}" if near else ""
+            )
             continue
         if key == "time" and motion is None:
             reader.wrong(at, "an error of time, but no motion", "the section motion")
@@ -286,8 +300,12 @@ def _correlations(reader: _Reader, data: Any, inputs: tuple[Input, ...]) -> dict
         matrix[place[a], place[b]] = matrix[place[b], place[a]] = value
     # -1e-12: a correlation of exactly 1 leaves an eigenvalue of zero, known to 1e-16 times the inputs
     if out and float(np.linalg.eigvalsh(matrix)[0]) < -1e-12:
-        reader.wrong(("correlations",), "these cannot hold together", "a matrix without negative eigenvalues",
-                     "Check their signs: if a goes with b and b with c, a cannot go against c")  # fmt: skip
+        reader.wrong(
+            ("correlations",),
+            "these cannot hold together",
+            "a matrix without negative eigenvalues",
+            "Check their signs: if a goes with b and b with c, a cannot go against c",
+        )
     return out
 
 

@@ -19,10 +19,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.budgets.budget import COORDINATES, STATUS, Budget, Frame
-from thalweg.budgets.influences import TOTAL, influences, rmse_mm
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayB, ArrayF
+from thalweg.budgets.budget import COORDINATES, STATUS, TOTAL, Budget, Frame, influences, rmse_mm
+from thalweg.core import ArrayB, ArrayF, InputError
 
 # ---------------------------------------------------------------- A budget with angles and lever arms drawn
 # at random: what of a published table does any geometry meet?
@@ -76,9 +74,16 @@ RMSE: Final = "rmse"
 """Name of the row that holds an RMSE over the survey, without a distance."""
 
 COLUMNS: Final = (
-    "input", "distance_m", "printed", "value_mm", "half_unit_mm", "tolerance_mm",
-    "sigma_printed", "sigma_half_unit", "source",
-)  # fmt: skip
+    "input",
+    "distance_m",
+    "printed",
+    "value_mm",
+    "half_unit_mm",
+    "tolerance_mm",
+    "sigma_printed",
+    "sigma_half_unit",
+    "source",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,8 +134,9 @@ def read_published(path: Path | str) -> pd.DataFrame:
     if bad.any():
         raise InputError(
             f"rows {[int(i) + 2 for i in table.index[bad]]} have no positive value, half unit or tolerance",
-            where=path, expected="millimetres",
-        )  # fmt: skip
+            where=path,
+            expected="millimetres",
+        )
     table[numbers.columns] = numbers
     twice = table.duplicated(["input", "distance_m"])
     if twice.any():

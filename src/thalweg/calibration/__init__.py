@@ -1,1 +1,5 @@
 """Where the sensors sit on the boat: fields of targets, adjustments, one joint covariance."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

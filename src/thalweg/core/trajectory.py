@@ -46,7 +46,7 @@ TRAJECTORY = table_kind(
         *(column(name, _F, "1", "correlation of two errors of the pose") for name in _CORRELATIONS),
         column("valid", pa.bool_(), "1", "false inside a gap: no point gets a pose from such a node"),
     ],
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,9 +179,7 @@ class Trajectory:
         columns |= {name: sigma[:, i] for i, name in enumerate(_SIGMAS)}
         columns |= {name: correlation[:, i, j] for name, i, j in zip(_CORRELATIONS, *_UPPER, strict=True)}
         columns["valid"] = self.valid
-        origin = {
-            "lat_deg": self.frame.lat_deg, "lon_deg": self.frame.lon_deg, "h_ell_m": self.frame.h_ell_m,
-        }  # fmt: skip
+        origin = {"lat_deg": self.frame.lat_deg, "lon_deg": self.frame.lon_deg, "h_ell_m": self.frame.h_ell_m}
         write_table(path, pd.DataFrame(columns), TRAJECTORY, {**(meta or {}), "origin": origin})
 
     @classmethod

@@ -12,7 +12,7 @@ from typing import Any, Final, Self
 import pandas as pd
 from matplotlib.figure import Figure
 
-from thalweg.core.errors import InputError
+from thalweg.core import InputError
 from thalweg.figures.style import save
 
 PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"

@@ -17,8 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, InputError
 
 WIDTH_MM: Final = 170.0
 """Width of every figure: the type area of an A4 page."""
@@ -121,10 +120,17 @@ def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
     figure.suptitle("\n".join(lines).replace(_GLUE, " "), x=0.012, ha="left")
     if twin:
         figure.text(
-            0.988, 1.0 - 1.8 / height_mm, TWIN_MARK, ha="right", va="top", fontsize=8, fontweight="bold",
-            color="white", gid="twin-mark",
+            0.988,
+            1.0 - 1.8 / height_mm,
+            TWIN_MARK,
+            ha="right",
+            va="top",
+            fontsize=8,
+            fontweight="bold",
+            color="white",
+            gid="twin-mark",
             bbox={"boxstyle": "round,pad=0.25", "facecolor": PURPLE, "edgecolor": "none"},
-        )  # fmt: skip
+        )
     return figure
 
 
@@ -144,9 +150,11 @@ def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200) -> None:
     kind = path.suffix.lower().lstrip(".") if isinstance(path, Path) else "png"
     if kind not in FORMATS:
         raise InputError(
-            f"figure format '{kind}'", expected=f"one of {', '.join(FORMATS)}", where=str(path),
+            f"figure format '{kind}'",
+            expected=f"one of {', '.join(FORMATS)}",
+            where=str(path),
             cure="Set figures.format",
-        )  # fmt: skip
+        )
     # A date or a version in the file would make two runs differ.
     date = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
     if isinstance(path, Path):
@@ -249,24 +257,53 @@ def scale_bar(
     width = length_m / span_m
     x, y = xy
     ax.plot(
-        (x, x + width), (y, y), color=colour, lw=1.6, marker="|", ms=6, mew=1.2, transform=ax.transAxes,
-        clip_on=False, zorder=9, gid="scale-bar", path_effects=HALO,
-    )  # fmt: skip
+        (x, x + width),
+        (y, y),
+        color=colour,
+        lw=1.6,
+        marker="|",
+        ms=6,
+        mew=1.2,
+        transform=ax.transAxes,
+        clip_on=False,
+        zorder=9,
+        gid="scale-bar",
+        path_effects=HALO,
+    )
     ax.annotate(
-        length_text(length_m), (x + width / 2, y), xycoords="axes fraction", xytext=(0, 3),
-        textcoords="offset points", ha="center", va="bottom", fontsize=7, color=colour, zorder=9,
-        gid="scale-text", path_effects=HALO,
-    )  # fmt: skip
+        length_text(length_m),
+        (x + width / 2, y),
+        xycoords="axes fraction",
+        xytext=(0, 3),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=7,
+        color=colour,
+        zorder=9,
+        gid="scale-text",
+        path_effects=HALO,
+    )
     return length_m
 
 
 def north_arrow(ax: Axes, *, xy: tuple[float, float] = (0.965, 0.95)) -> None:
     """Draw a north arrow; north is up in every plan view."""
     ax.annotate(
-        "N", xy=xy, xytext=(0, -26), xycoords="axes fraction", textcoords="offset points", ha="center",
-        va="center", fontsize=8, fontweight="bold", zorder=9, gid="north-arrow", path_effects=HALO,
+        "N",
+        xy=xy,
+        xytext=(0, -26),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        fontsize=8,
+        fontweight="bold",
+        zorder=9,
+        gid="north-arrow",
+        path_effects=HALO,
         arrowprops={"arrowstyle": "-|>", "lw": 1.2, "color": "black", "shrinkA": 4, "shrinkB": 0},
-    )  # fmt: skip
+    )
 
 
 def marks_in_free_corners(ax: Axes, points_en_m: ArrayF) -> None:
@@ -288,8 +325,11 @@ def marks_in_free_corners(ax: Axes, points_en_m: ArrayF) -> None:
         return int(np.sum(np.all((share >= start) & (share <= start + size), axis=1)))
 
     # The usual corners come first: they win where all are free.
-    bars = {(x, y): hidden((x - 0.02, y - 0.045, bar_share + 0.05, 0.17)) for y in (0.045, 0.87)
-            for x in (0.02, 0.97 - bar_share)}  # fmt: skip
+    bars = {
+        (x, y): hidden((x - 0.02, y - 0.045, bar_share + 0.05, 0.17))
+        for y in (0.045, 0.87)
+        for x in (0.02, 0.97 - bar_share)
+    }
     bar = min(bars, key=lambda xy: bars[xy])
     arrows = {(x, y): hidden((x - 0.05, y - 0.25, 0.1, 0.3)) for y in (0.95, 0.25) for x in (0.955, 0.045)}
     same = {xy for xy in arrows if (xy[0] > 0.5, xy[1] > 0.5) == (bar[0] > 0.5, bar[1] > 0.5)}

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
-from thalweg.core.timescales import utc_text_from_gps
+from thalweg.core import AnyArray, ArrayB, utc_text_from_gps
 from thalweg.ingest.stamps import StreamTiming
 
 TimeScale = Literal["gps", "utc", "device", "host", "none"]
@@ -155,11 +156,7 @@ def find_gaps(t_s: ArrayLike, factor: float = 1.5) -> list[Gap]:
         return []
     holes = np.flatnonzero(step > factor * normal)
     return [
-        Gap(
-            t_start_s=float(t[i]),
-            duration_s=float(step[i]),
-            lost=max(0, round(float(step[i]) / normal) - 1),
-        )
+        Gap(t_start_s=float(t[i]), duration_s=float(step[i]), lost=max(0, round(float(step[i]) / normal) - 1))
         for i in holes
     ]
 
@@ -175,3 +172,39 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
+
+
+# ---------------------------------------------------------------- Rows that two files of one recording
+# both hold
+
+
+def repeated_rows(table: pd.DataFrame, file: AnyArray) -> ArrayB:
+    """True for rows that an earlier file holds already, with the same content in all columns.
+
+    Rows that are repeated inside one file are none of these: an instrument may send the same value twice.
+
+    Parameters
+    ----------
+    table : (n,) rows, their time among the columns; NaN equals NaN.
+    file : (n,) number of the file of each row.
+
+    Examples
+    --------
+    >>> rows = pd.DataFrame({"t_gps_s": [1.0, 2.0, 2.0, 2.0, 3.0], "depth_m": [5.0, 6.0, 6.0, 6.0, 6.0]})
+    >>> repeated_rows(rows, np.array([0, 0, 0, 1, 1])).tolist()
+    [False, False, False, True, False]
+    """
+    number = np.asarray(file, dtype=np.int64)
+    if number.size == 0 or number.min() == number.max():
+        return np.zeros(number.size, dtype=np.bool_)
+    group = table.groupby(list(table.columns), dropna=False, sort=False).ngroup().to_numpy()
+    first = np.full(int(group.max()) + 1, number.max(), dtype=np.int64)
+    np.minimum.at(first, group, number)
+    return np.asarray(number > first[group])
+
+
+def say_repeated(report: IntegrityReport, what: str, n: int) -> None:
+    """Count rows that were dropped because two files hold them; ``what`` is their plural."""
+    if n:
+        report.count(f"repeated_{what.replace(' ', '_')}_dropped", n)
+        report.note(f"The files overlap: {n:,} {what} that occur in two of them are kept once.")

@@ -2,7 +2,7 @@
 
 import pyarrow as pa
 
-from thalweg.core.tables import column, table_kind
+from thalweg.core import column, table_kind
 
 _F = pa.float64()
 _T_GPS = column(
@@ -52,7 +52,7 @@ INS_RAW = table_kind(
         column("pressure_pa", _F, "Pa", "air pressure"),
         column("pressure_temperature_degc", _F, "degC", "temperature of the pressure sensor"),
     ],
-)  # fmt: skip
+)
 
 GNSS_POSITION = table_kind(
     "gnss_position",
@@ -73,7 +73,7 @@ GNSS_POSITION = table_kind(
         column("age_s", _F, "s", "age of the corrections; NaN if unknown"),
         column("ratio", _F, "1", "ambiguity ratio; NaN if unknown"),
     ],
-)  # fmt: skip
+)
 
 DEPTH = table_kind(
     "depth",
@@ -87,4 +87,4 @@ DEPTH = table_kind(
         column("sentence", pa.string(), "1", "DPT, DBT, DBS or ANPP53"),
         column("line", pa.int64(), "1", "line (NMEA) or packet (ANPP) of the log, from 1"),
     ],
-)  # fmt: skip
+)

@@ -8,20 +8,34 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+from numpy.typing import ArrayLike
 from pyproj import CRS
 
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.columns import ExtraDimension
-from thalweg.core.las.files import LazWriter, iter_laz, laz_header
-from thalweg.core.tables import write_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8
-from thalweg.ingest.velodyne.decode import PointBlock
-from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions, iter_points
-from thalweg.lidar.covariance import BeamErrors
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayF32,
+    ArrayI,
+    ArrayU8,
+    CoverageError,
+    ExtraDimension,
+    InputError,
+    LazWriter,
+    LocalFrame,
+    Trajectory,
+    column,
+    frame_of,
+    iter_laz,
+    laz_header,
+    table_kind,
+    write_table,
+)
+from thalweg.ingest import LidarClock, LidarReader, PointBlock
 from thalweg.lidar.filters import (
-    FilterSettings,
+    REMOVED,
+    Occupancy,
     Reason,
     classify,
     count_reasons,
@@ -30,32 +44,42 @@ from thalweg.lidar.filters import (
 )
 from thalweg.lidar.georeference import WorldPoints, georeference_points
 from thalweg.lidar.mount import Mount
-from thalweg.lidar.occupancy import Occupancy
-from thalweg.lidar.removed import REMOVED_POINTS, RemovedSample
+from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy
 
 SIGMAS: Final = ("sigma_east", "sigma_north", "sigma_up")
 """Extra dimensions with the standard deviations of a point along the axes of wcs, metres."""
-
 CORRELATIONS: Final = ("corr_east_north", "corr_east_up", "corr_north_up")
 """Extra dimensions with the correlations of a point's coordinates; with `SIGMAS` its full covariance."""
-
 EXTRA_DIMENSIONS: Final[dict[str, ExtraDimension]] = {
     "range": ("f4", "measured range, m"),
-    "ring": ("u1", "beam, 0 lowest .. 15 highest"),
+    "ring": ("u1", "beam by elevation, 0 lowest"),
     **dict.fromkeys(SIGMAS, ("u4", "standard deviation, m", 0.0001)),
 }
 """Extra bytes of a georeferenced cloud: name -> (type, description, scale)."""
-
 CORRELATION_DIMENSIONS: Final[dict[str, ExtraDimension]] = dict.fromkeys(
     CORRELATIONS, ("i2", "correlation", 0.0001)
 )
 """Extra bytes of the full covariance, on request."""
-
-
 MANY_BELOW_WATER: Final = 0.25
 """Share of points below the water that waves and mirror images do not explain."""
-
 _LOG = logging.getLogger("thalweg")
+
+_WCS = ("east", "north", "up")
+REMOVED_POINTS: Final = table_kind(
+    "removed_points",
+    1,
+    [
+        column("reason", pa.string(), "1", "name of thalweg.lidar.filters.Reason in small letters"),
+        column("t_gps_s", pa.float64(), "s", "adjusted standard GPS time of the shot; NaN without"),
+        *(column(f"{a}_m", pa.float64(), "m", f"{a} in wcs; NaN without a pose") for a in _WCS),
+        *(column(f"{a}_ics_m", pa.float32(), "m", f"{a} in the body frame") for a in "xyz"),
+        column("range_m", pa.float32(), "m", "measured range"),
+    ],
+)
+"""An even sample of the points that were left out, so many at most for each reason."""
+
+
+# ---------------------------------------------------------------- cloud
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,18 +98,17 @@ class LogSettings:
     """
 
     mount: Mount
-    beam: BeamErrors
-    filters: FilterSettings
+    beam: LidarAccuracy
+    filters: Filters
     min_range_m: float
     max_range_m: float
-    laz_scale_m: float = 0.001
+    laz_scale_m: float = Georeferencing().laz_scale_m
     correlations: bool = False
-    chunk_points: int = 1_000_000
+    chunk_points: int = Georeferencing().chunk_points
 
 
 def georeference_log(
-    files: Sequence[Path],
-    options: LidarOptions,
+    reader: LidarReader,
     clock: LidarClock,
     trajectory: Trajectory,
     settings: LogSettings,
@@ -100,9 +123,8 @@ def georeference_log(
 
     Parameters
     ----------
-    files : the log, in order of time.
-    options : how packets become points.
-    clock : GPS time of each packet, from `scan_lidar`.
+    reader : the log, see `thalweg.ingest.registry.lidar.lidar_reader`.
+    clock : GPS time of each packet, from the reader's scan.
     trajectory : poses of the boat with their covariance.
     settings : mount, accuracy, filters.
     out : target, ``.laz``.
@@ -120,7 +142,7 @@ def georeference_log(
     occupancy = None
     if settings.filters.needs_occupancy:
         occupancy = Occupancy(settings.filters.isolated_radius_m)
-        for block in iter_points(files, options, clock=clock, max_points=settings.chunk_points):
+        for block in reader.points(clock, max_points=settings.chunk_points):
             first = _classified(block, trajectory, settings, None)
             occupancy.add(first.points.points_wcs_m, first.reasons == Reason.KEPT)
         occupancy.freeze()
@@ -128,7 +150,7 @@ def georeference_log(
     removed = RemovedSample()
     extra = EXTRA_DIMENSIONS | (CORRELATION_DIMENSIONS if settings.correlations else {})
     with LazWriter(out, trajectory.frame, scale_m=settings.laz_scale_m, extra_dimensions=extra) as writer:
-        for block in iter_points(files, options, clock=clock, max_points=settings.chunk_points):
+        for block in reader.points(clock, max_points=settings.chunk_points):
             found = _classified(block, trajectory, settings, occupancy)
             counts += count_reasons(found.reasons)
             keep = found.reasons == Reason.KEPT
@@ -148,7 +170,7 @@ def georeference_log(
             raise CoverageError(
                 f"none of {counts.sum():,} lidar points is left: {what}",
                 expected="a trajectory that covers the lidar log, and filters that leave something",
-                where=", ".join(str(f) for f in files),
+                where=", ".join(str(f) for f in reader.files),
                 cure=_cure(Reason(int(np.argmax(counts)))),
             )
     _warn_of_water(counts)
@@ -168,8 +190,7 @@ class LogSample:
 
 
 def sample_log(
-    files: Sequence[Path],
-    options: LidarOptions,
+    reader: LidarReader,
     clock: LidarClock,
     trajectory: Trajectory,
     settings: LogSettings,
@@ -180,12 +201,12 @@ def sample_log(
 
     Parameters
     ----------
-    files, options, clock, trajectory, settings : as for `georeference_log`; single points are not looked for.
+    reader, clock, trajectory, settings : as for `georeference_log`; single points are not looked for.
     windows : start and length of each span, GPS seconds.
     max_points : a random sample of so many points a span, the same in each run.
     """
     parts: list[list[ArrayF]] = [[np.empty((0, 6))] for _ in windows]
-    for block in iter_points(files, options, clock=clock, max_points=settings.chunk_points):
+    for block in reader.points(clock, max_points=settings.chunk_points):
         for part, (start_s, length_s) in zip(parts, windows, strict=True):
             inside = (block.t_gps_s >= start_s) & (block.t_gps_s < start_s + length_s)
             if not inside.any():
@@ -306,7 +327,7 @@ def _append(
     )
 
 
-def export_map(points: Path, out: Path, crs: str, chunk_points: int = 1_000_000) -> None:
+def export_map(points: Path, out: Path, crs: str, chunk_points: int = Georeferencing().chunk_points) -> None:
     """Write a cloud of the world frame in map coordinates with ellipsoidal heights.
 
     Standard deviations and correlations are copied: they refer to true east and north, from which the axes of
@@ -381,3 +402,77 @@ def cloud_covariance(cloud: Mapping[str, AnyArray], path: Path) -> ArrayF:
     for name, i, j in zip(CORRELATIONS, (0, 0, 1), (1, 2, 2), strict=True):
         correlation[:, i, j] = correlation[:, j, i] = cloud[name]
     return np.asarray(correlation * sigma[:, :, None] * sigma[:, None, :])
+
+
+# ---------------------------------------------------------------- a sample of the points that were removed
+
+
+class RemovedSample:
+    """An even sample of the removed points of each reason, of bounded size, from a log of unknown length.
+
+    The points of a reason are numbered as they come, and a hash of the number decides: those below a
+    threshold stay, and when they become too many the threshold is halved. So each point has the same chance,
+    the sample does not depend on the pieces in which the log comes, and holds about half of ``most`` points
+    or more. Every k-th point would not do: a scanner of 16 lasers repeats itself.
+
+    Parameters
+    ----------
+    most : points kept at most for each reason.
+    """
+
+    def __init__(self, most: int = 20_000) -> None:
+        self.most = most
+        self._seen = dict.fromkeys(REMOVED, 0)
+        self._threshold = dict.fromkeys(REMOVED, 1 << 64)
+        self._hashes: dict[Reason, AnyArray] = {r: np.empty(0, np.uint64) for r in REMOVED}
+        self._rows: dict[Reason, ArrayF] = {r: np.empty((0, 8)) for r in REMOVED}
+
+    def add(
+        self,
+        reasons: ArrayU8,
+        *,
+        t_gps_s: ArrayLike,
+        points_wcs_m: ArrayLike,
+        x_ics_m: ArrayLike,
+        range_m: ArrayLike,
+    ) -> None:
+        """Take part of the removed points of a chunk.
+
+        Parameters
+        ----------
+        reasons : (n,) from `classify` with the grid.
+        t_gps_s, points_wcs_m, x_ics_m, range_m : (n,), (n, 3), (n, 3), (n,) of the same points.
+        """
+        columns = [np.asarray(values) for values in (t_gps_s, points_wcs_m, x_ics_m, range_m)]
+        for reason in REMOVED:
+            index = np.flatnonzero(reasons == reason)
+            if not len(index):
+                continue
+            hashes = _stirred(self._seen[reason] + np.arange(len(index), dtype=np.uint64))
+            self._seen[reason] += len(index)
+            drawn = hashes <= np.uint64(self._threshold[reason] - 1)
+            rows = np.column_stack([values[index[drawn]] for values in columns])
+            self._hashes[reason] = np.concatenate([self._hashes[reason], hashes[drawn]])
+            self._rows[reason] = np.concatenate([self._rows[reason], rows])
+            while len(self._hashes[reason]) > self.most:
+                self._threshold[reason] //= 2
+                stay = self._hashes[reason] <= np.uint64(self._threshold[reason] - 1)
+                self._hashes[reason], self._rows[reason] = (
+                    self._hashes[reason][stay],
+                    self._rows[reason][stay],
+                )
+
+    def table(self) -> pd.DataFrame:
+        """The sample as a table of kind ``removed_points``: reason by reason, in the order of the log."""
+        rows = np.concatenate([self._rows[reason] for reason in REMOVED])
+        names = [name for name in REMOVED_POINTS.names if name != "reason"]
+        reason = [r.name.lower() for r in REMOVED for _ in range(len(self._rows[r]))]
+        return frame_of(REMOVED_POINTS, {"reason": reason, **dict(zip(names, rows.T, strict=True))})
+
+
+def _stirred(numbers: AnyArray) -> AnyArray:
+    """Hash of (n,) uint64 numbers, even over all 64 bits: SplitMix64 (Steele, Lea and Flood 2014)."""
+    z = numbers.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))

@@ -4,20 +4,183 @@
 
 Attitudes are interpolated along the chord and normalised, which differs from slerp by less than
 ``a**3 / 124`` for an angle ``a`` between nodes (1e-9 rad at 50 Hz and 7 deg/s). The covariance is that of
-`thalweg.lidar.covariance`, written out; the tests compare both.
+`thalweg.lidar.georeference`, written out; the tests compare both.
 """
 
 from dataclasses import dataclass
+from typing import Final
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32
-from thalweg.lidar.covariance import WEAK_RANGE_M, WEAK_REFLECTIVITY, BeamErrors
+from thalweg.core import (
+    SHIFT,
+    TURN,
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayF32,
+    GeometryError,
+    Link,
+    Trajectory,
+    beam_axes,
+    chain_derivatives,
+    njit,
+    prange,
+    propagated,
+)
 from thalweg.lidar.mount import Mount
+from thalweg.settings.sections import WEAK_RANGE_M, WEAK_REFLECTIVITY, LidarAccuracy
+
+_SIDE = 128
+"""Points that are computed side by side: 12 columns of them fit the innermost cache."""
+_BLOCK = 16384
+"""Points of a task: large enough to amortise one binary search, small enough to balance two cores."""
+
+INPUTS: Final = (
+    "east",
+    "north",
+    "up",
+    "rotation_east",
+    "rotation_north",
+    "rotation_up",
+    "mount_rotation_x",
+    "mount_rotation_y",
+    "mount_rotation_z",
+    "lever_x",
+    "lever_y",
+    "lever_z",
+    "range",
+    "across_right",
+    "across_up",
+    "time",
+)
+"""Columns of `point_jacobian`."""
+
+
+# ---------------------------------------------------------------- georeferencing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldPoints:
+    """Points in the world.
+
+    ``points_wcs_m`` (n, 3), NaN where there is no valid pose; ``has_pose`` (n,), false outside the
+    trajectory, in its gaps, and for points without GPS time; ``cov_m2`` (n, 6) float32: the elements ee, en,
+    eu, nn, nu, uu of each covariance in wcs, NaN where there is no pose, or None if it was not asked for.
+    """
+
+    points_wcs_m: ArrayF
+    has_pose: ArrayB
+    cov_m2: ArrayF32 | None = None
+
+    def sigmas_m(self) -> ArrayF32:
+        """Standard deviations (n, 3) east, north, up.
+
+        Raises
+        ------
+        GeometryError : the points were made without covariances.
+        """
+        return np.asarray(np.sqrt(self._cov()[:, [0, 3, 5]]))
+
+    def correlations(self) -> ArrayF32:
+        """Correlations (n, 3) east-north, east-up, north-up.
+
+        Raises
+        ------
+        GeometryError : the points were made without covariances.
+        """
+        e, n, u = self.sigmas_m().T
+        en, eu, nu = self._cov()[:, [1, 2, 4]].T
+        return np.stack([en / (e * n), eu / (e * u), nu / (n * u)], axis=1)
+
+    def where(self, keep: ArrayB) -> "WorldPoints":
+        """The points for which ``keep`` (n,) is true."""
+        return WorldPoints(
+            points_wcs_m=self.points_wcs_m[keep],
+            has_pose=self.has_pose[keep],
+            cov_m2=None if self.cov_m2 is None else self.cov_m2[keep],
+        )
+
+    def _cov(self) -> ArrayF32:
+        if self.cov_m2 is None:
+            raise GeometryError("points without covariances", expected="georeferenced with `beam`")
+        return self.cov_m2
+
+
+def georeference_points(
+    xyz_scs_m: ArrayLike,
+    t_gps_s: ArrayLike,
+    trajectory: Trajectory,
+    mount: Mount,
+    *,
+    beam: LidarAccuracy | None = None,
+    range_m: ArrayLike | None = None,
+    reflectivity: ArrayLike | None = None,
+) -> WorldPoints:
+    """Transform points of a moving scanner into the world frame.
+
+    Parameters
+    ----------
+    xyz_scs_m : (n, 3) float32 or float64, scanner frame.
+    t_gps_s : (n,) time of each point; NaN gives no pose.
+    trajectory : poses of the boat with their covariance.
+    mount : pose of the scanner on the boat with its covariance.
+    beam : accuracy of the scanner; with it, and ``range_m`` (n,) and ``reflectivity`` (n,) in percent, the
+        covariance of each point is predicted.
+
+    Raises
+    ------
+    GeometryError : arrays whose shapes do not match.
+    """
+    xyz = np.ascontiguousarray(xyz_scs_m, dtype=np.float32)
+    t = np.ascontiguousarray(t_gps_s, dtype=np.float64)
+    if xyz.ndim != 2 or xyz.shape[1] != 3 or t.shape != (len(xyz),):
+        raise GeometryError(f"{xyz.shape=}, {t.shape=}", expected="(n, 3) points and (n,) times")
+    points = np.empty((len(xyz), 3))
+    has_pose = np.zeros(len(xyz), dtype=np.bool_)
+    poses = (trajectory.t_gps_s, trajectory.position_wcs_m, trajectory.quaternion_wcs_ics, trajectory.valid)
+    R = np.ascontiguousarray(mount.R_ics_sensor, dtype=np.float64)
+    lever = np.ascontiguousarray(mount.lever_ics_m, dtype=np.float64)
+    if beam is None:
+        georeference(xyz, t, *poses, R, lever, points, has_pose)
+        return WorldPoints(points_wcs_m=points, has_pose=has_pose)
+    along, across = _per_point(xyz, range_m), _per_point(xyz, reflectivity)
+    cov = np.empty((len(xyz), 6), dtype=np.float32)
+    georeference_with_covariance(
+        xyz,
+        t,
+        along,
+        across,
+        *poses,
+        np.ascontiguousarray(trajectory.cov_pose_wcs),
+        R,
+        lever,
+        np.ascontiguousarray(mount.cov_ics, dtype=np.float64),
+        _beam_numbers(beam),
+        points,
+        has_pose,
+        cov,
+    )
+    return WorldPoints(points_wcs_m=points, has_pose=has_pose, cov_m2=cov)
+
+
+def _per_point(xyz: ArrayF32, values: ArrayLike | None) -> AnyArray:
+    array = np.ascontiguousarray(np.zeros(0) if values is None else values)
+    if array.shape != (len(xyz),):
+        raise GeometryError(
+            f"{array.shape} values for {len(xyz)} points",
+            expected="one range and one reflectivity for each point if its covariance is asked for",
+        )
+    return array
+
+
+def _beam_numbers(beam: LidarAccuracy) -> ArrayF:
+    """The beam's variances as coefficients of range and reflectivity, for the kernel."""
+    weak = beam.sigma_weak_m * WEAK_REFLECTIVITY / WEAK_RANGE_M**2
+    spot = beam.footprint_share * beam.divergence_rad
+    return np.array([beam.sigma_component_m**2, spot**2, weak**2, beam.sigma_time_s**2])
+
 
 # ---------------------------------------------------------------- compiled loops
 #
@@ -27,17 +190,7 @@ from thalweg.lidar.mount import Mount
 # vector instructions.
 
 
-# Open3D brings an old TBB into the process, which numba would try first and complain about.
-nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
-
-_SIDE = 128
-"""Points that are computed side by side: 12 columns of them fit the innermost cache."""
-
-_BLOCK = 16384
-"""Points of a task: large enough to amortise one binary search, small enough to balance two cores."""
-
-
-@nb.njit(inline="always", cache=True, error_model="numpy")
+@njit(inline="always", cache=True, error_model="numpy")
 def _interval(ti: float, j: int, node_t: ArrayF) -> int:
     """The node interval of a time near to interval ``j``."""
     m = len(node_t)
@@ -48,7 +201,7 @@ def _interval(ti: float, j: int, node_t: ArrayF) -> int:
     return j
 
 
-@nb.njit(inline="always", cache=True, error_model="numpy")
+@njit(inline="always", cache=True, error_model="numpy")
 def _run_end(first: int, stop: int, low: float, high: float, t: ArrayF) -> int:
     """End of the run of points behind ``first`` whose times lie in [low, high)."""
     k = first + 1
@@ -57,7 +210,7 @@ def _run_end(first: int, stop: int, low: float, high: float, t: ArrayF) -> int:
     return k
 
 
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
 def georeference(
     xyz: ArrayF32,
     t: ArrayF,
@@ -72,7 +225,7 @@ def georeference(
 ) -> None:
     """Points ``xyz`` (n, 3) of scs at times ``t`` into wcs; NaN and false where there is no pose."""
     n, m = len(t), len(node_t)
-    for b in nb.prange((n + _BLOCK - 1) // _BLOCK):
+    for b in prange((n + _BLOCK - 1) // _BLOCK):
         s = np.empty(4 * _SIDE)
         i, stop = b * _BLOCK, min((b + 1) * _BLOCK, n)
         j = min(max(np.searchsorted(node_t, t[i], side="right") - 1, 0), m - 2)
@@ -93,7 +246,7 @@ def georeference(
             i = k
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _columns(xyz: ArrayF32, t: ArrayF, s: ArrayF) -> None:
     """Points and times into columns 0 to 3."""
     for i in range(len(t)):
@@ -103,7 +256,7 @@ def _columns(xyz: ArrayF32, t: ArrayF, s: ArrayF) -> None:
         s[3 * _SIDE + i] = t[i]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _rows(s: ArrayF, out: ArrayF) -> None:
     """Columns 0 to 2 into points."""
     for i in range(len(out)):
@@ -112,17 +265,17 @@ def _rows(s: ArrayF, out: ArrayF) -> None:
         out[i, 2] = s[2 * _SIDE + i]
 
 
-@nb.njit(inline="always", cache=True, error_model="numpy")
+@njit(inline="always", cache=True, error_model="numpy")
 def _three(a: ArrayF) -> tuple[float, float, float]:
     return a[0], a[1], a[2]
 
 
-@nb.njit(inline="always", cache=True, error_model="numpy")
+@njit(inline="always", cache=True, error_model="numpy")
 def _four(a: ArrayF) -> tuple[float, float, float, float]:
     return a[0], a[1], a[2], a[3]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _place(
     s: ArrayF, n: int, j: int, node_t: ArrayF, node_x: ArrayF, node_q: ArrayF, R: ArrayF, lever: ArrayF
 ) -> None:
@@ -156,7 +309,7 @@ def _place(
         s[2 * _SIDE + i] = bz + g * (q0 * cy - q1 * cx) + v * ez + u * fz
 
 
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
 def georeference_with_covariance(
     xyz: ArrayF32,
     t: ArrayF,
@@ -177,7 +330,7 @@ def georeference_with_covariance(
 ) -> None:
     """As `georeference`; ``cov`` (n, 6) becomes the elements ee, en, eu, nn, nu, uu of the covariance."""
     n, m = len(t), len(node_t)
-    for b in nb.prange((n + _BLOCK - 1) // _BLOCK):
+    for b in prange((n + _BLOCK - 1) // _BLOCK):
         s = np.empty(12 * _SIDE)
         i, stop = b * _BLOCK, min((b + 1) * _BLOCK, n)
         j = min(max(np.searchsorted(node_t, t[i], side="right") - 1, 0), m - 2)
@@ -207,7 +360,7 @@ def georeference_with_covariance(
             i = k
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _place_with_covariance(
     s: ArrayF,
     n: int,
@@ -288,7 +441,7 @@ def _place_with_covariance(
         s[11 * _SIDE + i] = uu + more * dz * dz + late * pz * pz
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _turn_rate(p: ArrayF, q: ArrayF, per_s: float) -> tuple[float, float, float]:
     """Angular velocity in wcs that turns attitude ``p`` into ``q``: the rotation vector of ``q p*``."""
     x = -q[3] * p[0] + q[0] * p[3] - q[1] * p[2] + q[2] * p[1]
@@ -300,31 +453,45 @@ def _turn_rate(p: ArrayF, q: ArrayF, per_s: float) -> tuple[float, float, float]
     return x * scale, y * scale, z * scale
 
 
-@nb.njit(inline="always", cache=True, error_model="numpy")
+@njit(inline="always", cache=True, error_model="numpy")
 def _times(
-    r0: float, r1: float, r2: float,
-    h0: float, h1: float, h2: float, h3: float, h4: float, h5: float,
-) -> tuple[float, float, float]:  # fmt: skip
+    r0: float, r1: float, r2: float, h0: float, h1: float, h2: float, h3: float, h4: float, h5: float
+) -> tuple[float, float, float]:
     """A row times a symmetric matrix, given by its elements 00, 01, 02, 11, 12, 22."""
     return r0 * h0 + r1 * h1 + r2 * h2, r0 * h1 + r1 * h3 + r2 * h4, r0 * h2 + r1 * h4 + r2 * h5
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _shift_and_turn(C: ArrayF, shift: int, turn: int) -> tuple[float, ...]:
     """Covariance P of a shift (upper half), X of shift and turn, T / 2 of a turn (upper half) out of 6x6."""
     d, e, f = C[shift], C[shift + 1], C[shift + 2]
     a, b, c = C[turn], C[turn + 1], C[turn + 2]
     return (
-        d[shift], d[shift + 1], d[shift + 2], e[shift + 1], e[shift + 2], f[shift + 2],
-        d[turn], d[turn + 1], d[turn + 2],
-        e[turn], e[turn + 1], e[turn + 2],
-        f[turn], f[turn + 1], f[turn + 2],
-        0.5 * a[turn], 0.5 * a[turn + 1], 0.5 * a[turn + 2],
-        0.5 * b[turn + 1], 0.5 * b[turn + 2], 0.5 * c[turn + 2],
-    )  # fmt: skip
+        d[shift],
+        d[shift + 1],
+        d[shift + 2],
+        e[shift + 1],
+        e[shift + 2],
+        f[shift + 2],
+        d[turn],
+        d[turn + 1],
+        d[turn + 2],
+        e[turn],
+        e[turn + 1],
+        e[turn + 2],
+        f[turn],
+        f[turn + 1],
+        f[turn + 2],
+        0.5 * a[turn],
+        0.5 * a[turn + 1],
+        0.5 * a[turn + 2],
+        0.5 * b[turn + 1],
+        0.5 * b[turn + 2],
+        0.5 * c[turn + 2],
+    )
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _turn_covariance(
     parts: tuple[float, ...], ax: float, ay: float, az: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -334,10 +501,28 @@ def _turn_covariance(
     theta, X that between them.
     """
     (
-        p00, p01, p02, p11, p12, p22,
-        x00, x01, x02, x10, x11, x12, x20, x21, x22,
-        t00, t01, t02, t11, t12, t22,
-    ) = parts  # fmt: skip
+        p00,
+        p01,
+        p02,
+        p11,
+        p12,
+        p22,
+        x00,
+        x01,
+        x02,
+        x10,
+        x11,
+        x12,
+        x20,
+        x21,
+        x22,
+        t00,
+        t01,
+        t02,
+        t11,
+        t12,
+        t22,
+    ) = parts
     # S = [0 az -ay; -az 0 ax; ay -ax 0]
     m00, m01, m02 = x00 + az * t01 - ay * t02, x01 + az * t11 - ay * t12, x02 + az * t12 - ay * t22
     m10, m11, m12 = x10 + ax * t02 - az * t00, x11 + ax * t12 - az * t01, x12 + ax * t22 - az * t02
@@ -352,130 +537,77 @@ def _turn_covariance(
     )
 
 
-# ---------------------------------------------------------------- georeference
+# ---------------------------------------------------------------- covariance of a point (T Table 3.1)
+#
+# ``x_wcs = x_wcs_ics + R_wcs_ics (R_ics_scs x_scs + l)`` (P1 eq. 7-8) has fifteen inputs in T Table 3.1:
+# three angles and three coordinates of the platform, three angles and three coordinates of the mount, three
+# of the point in the scanner. Time is the sixteenth: what the platform moves until the stamp is right. With
+# small rotations ``dtheta`` as vectors, in wcs for the platform and in ics for the mount, the derivatives
+# are::
+#
+#     dx_wcs = dx + dtheta x (x_wcs - x_wcs_ics) + R_wcs_ics (dtheta_mount x R_ics_scs x_scs + dl)
+#              + (range, right, up) errors of the beam + (v + omega x (x_wcs - x_wcs_ics)) dt
+#
+# The table takes 17 mm for each coordinate in the scanner at any range (P2 eq. 7). Here the beam adds to that
+# where in its footprint the echo arose, across the beam, and how weak the echo was, along it. An inclined
+# surface needs no term of its own: an echo that is off by ``d`` across the beam lies ``d sin(i)`` off the
+# surface along its normal, which is what ``n^T C n`` gives for incidence ``i``.
+#
+# The derivatives come from `thalweg.core.rigid`, the chain of frames that error budgets use as well.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorldPoints:
-    """Points in the world.
-
-    ``points_wcs_m`` (n, 3), NaN where there is no valid pose; ``has_pose`` (n,), false outside the
-    trajectory, in its gaps, and for points without GPS time; ``cov_m2`` (n, 6) float32: the elements ee, en,
-    eu, nn, nu, uu of each covariance in wcs, NaN where there is no pose, or None if it was not asked for.
-    """
-
-    points_wcs_m: ArrayF
-    has_pose: ArrayB
-    cov_m2: ArrayF32 | None = None
-
-    def sigmas_m(self) -> ArrayF32:
-        """Standard deviations (n, 3) east, north, up.
-
-        Raises
-        ------
-        GeometryError : the points were made without covariances.
-        """
-        return np.asarray(np.sqrt(self._cov()[:, [0, 3, 5]]))
-
-    def correlations(self) -> ArrayF32:
-        """Correlations (n, 3) east-north, east-up, north-up.
-
-        Raises
-        ------
-        GeometryError : the points were made without covariances.
-        """
-        e, n, u = self.sigmas_m().T
-        en, eu, nu = self._cov()[:, [1, 2, 4]].T
-        return np.stack([en / (e * n), eu / (e * u), nu / (n * u)], axis=1)
-
-    def where(self, keep: ArrayB) -> "WorldPoints":
-        """The points for which ``keep`` (n,) is true."""
-        return WorldPoints(
-            points_wcs_m=self.points_wcs_m[keep],
-            has_pose=self.has_pose[keep],
-            cov_m2=None if self.cov_m2 is None else self.cov_m2[keep],
-        )
-
-    def _cov(self) -> ArrayF32:
-        if self.cov_m2 is None:
-            raise GeometryError("points without covariances", expected="georeferenced with `beam`")
-        return self.cov_m2
-
-
-def georeference_points(
-    xyz_scs_m: ArrayLike,
-    t_gps_s: ArrayLike,
-    trajectory: Trajectory,
-    mount: Mount,
-    *,
-    beam: BeamErrors | None = None,
-    range_m: ArrayLike | None = None,
-    reflectivity: ArrayLike | None = None,
-) -> WorldPoints:
-    """Transform points of a moving scanner into the world frame.
+def point_jacobian(
+    xyz_scs_m: ArrayF,
+    R_wcs_ics: ArrayF,
+    R_ics_scs: ArrayF,
+    lever_ics_m: ArrayF,
+    velocity_mps: ArrayF,
+    rate_wcs_radps: ArrayF,
+) -> ArrayF:
+    """Derivatives of points in wcs by their inputs, see `INPUTS`, shape (n, 3, 16).
 
     Parameters
     ----------
-    xyz_scs_m : (n, 3) float32 or float64, scanner frame.
-    t_gps_s : (n,) time of each point; NaN gives no pose.
-    trajectory : poses of the boat with their covariance.
-    mount : pose of the scanner on the boat with its covariance.
-    beam : accuracy of the scanner; with it, and ``range_m`` (n,) and ``reflectivity`` (n,) in percent, the
-        covariance of each point is predicted.
-
-    Raises
-    ------
-    GeometryError : arrays whose shapes do not match.
+    xyz_scs_m : (n, 3) points in the scanner frame.
+    R_wcs_ics : (n, 3, 3) attitude at the time of each point.
+    R_ics_scs, lever_ics_m : (3, 3), (3,) mount of the scanner.
+    velocity_mps, rate_wcs_radps : (n, 3) velocity of the ics origin and angular velocity, both in wcs.
     """
-    xyz = np.ascontiguousarray(xyz_scs_m, dtype=np.float32)
-    t = np.ascontiguousarray(t_gps_s, dtype=np.float64)
-    if xyz.ndim != 2 or xyz.shape[1] != 3 or t.shape != (len(xyz),):
-        raise GeometryError(f"{xyz.shape=}, {t.shape=}", expected="(n, 3) points and (n,) times")
-    points = np.empty((len(xyz), 3))
-    has_pose = np.zeros(len(xyz), dtype=np.bool_)
-    poses = (
-        trajectory.t_gps_s,
-        trajectory.position_wcs_m,
-        trajectory.quaternion_wcs_ics,
-        trajectory.valid,
+    xyz = np.asarray(xyz_scs_m, dtype=np.float64)
+    chain = chain_derivatives(
+        [Link(rotation=R_wcs_ics, shift_m=np.zeros(3)), Link(rotation=R_ics_scs, shift_m=lever_ics_m)], xyz
     )
-    R = np.ascontiguousarray(mount.R_ics_sensor, dtype=np.float64)
-    lever = np.ascontiguousarray(mount.lever_ics_m, dtype=np.float64)
-    if beam is None:
-        georeference(xyz, t, *poses, R, lever, points, has_pose)
-        return WorldPoints(points_wcs_m=points, has_pose=has_pose)
-    along, across = _per_point(xyz, range_m), _per_point(xyz, reflectivity)
-    cov = np.empty((len(xyz), 6), dtype=np.float32)
-    georeference_with_covariance(
-        xyz,
-        t,
-        along,
-        across,
-        *poses,
-        np.ascontiguousarray(trajectory.cov_pose_wcs),
-        R,
-        lever,
-        np.ascontiguousarray(mount.cov_ics, dtype=np.float64),
-        _beam_numbers(beam),
-        points,
-        has_pose,
-        cov,
-    )
-    return WorldPoints(points_wcs_m=points, has_pose=has_pose, cov_m2=cov)
+    platform, mount = chain.by_link
+    moved = np.concatenate([velocity_mps, rate_wcs_radps], axis=1)
+    out = np.empty((len(xyz), 3, 16))
+    out[:, :, 0:6] = platform
+    out[:, :, 6:9], out[:, :, 9:12] = mount[:, :, TURN], mount[:, :, SHIFT]
+    out[:, :, 12:15] = beam_axes(np.einsum("nij,nj->ni", chain.by_point, xyz))
+    out[:, :, 15] = np.einsum("nij,nj->ni", platform, moved)
+    return out
 
 
-def _per_point(xyz: ArrayF32, values: ArrayLike | None) -> AnyArray:
-    array = np.ascontiguousarray(np.zeros(0) if values is None else values)
-    if array.shape != (len(xyz),):
-        raise GeometryError(
-            f"{array.shape} values for {len(xyz)} points",
-            expected="one range and one reflectivity for each point if its covariance is asked for",
-        )
-    return array
+def point_covariance(
+    jacobian: ArrayF,
+    cov_pose_wcs: ArrayF,
+    cov_mount_ics: ArrayF,
+    variances: tuple[ArrayF, ArrayF],
+    sigma_time_s: float = 0.0,
+) -> ArrayF:
+    """Covariance (n, 3, 3) of points in wcs: ``J S J^T``, the slow and clear form of the kernel.
 
-
-def _beam_numbers(beam: BeamErrors) -> ArrayF:
-    """The beam's variances as coefficients of range and reflectivity, for the kernel."""
-    weak = beam.sigma_weak_m * WEAK_REFLECTIVITY / WEAK_RANGE_M**2
-    spot = beam.footprint_share * beam.divergence_rad
-    return np.array([beam.sigma_component_m**2, spot**2, weak**2, beam.sigma_time_s**2])
+    Parameters
+    ----------
+    jacobian : (n, 3, 16) from `point_jacobian`.
+    cov_pose_wcs : (n, 6, 6) of the poses, see `thalweg.core.trajectory`.
+    cov_mount_ics : (6, 6) of the mount: rotation vector in ics, lever arm.
+    variances : (n,) along and (n,) across the beam, from `LidarAccuracy.variances`.
+    sigma_time_s : standard deviation of the stamps.
+    """
+    along, across = variances
+    S = np.zeros((len(jacobian), 16, 16))
+    S[:, :6, :6] = cov_pose_wcs
+    S[:, 6:12, 6:12] = cov_mount_ics
+    S[:, 12, 12], S[:, 13, 13], S[:, 14, 14] = along, across, across
+    S[:, 15, 15] = sigma_time_s**2
+    return propagated(jacobian, S)

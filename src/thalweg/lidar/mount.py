@@ -6,10 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import opk_axes, rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, GeometryError, Rigid, opk_axes, rotation_opk
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,10 +50,12 @@ class Mount:
         """
         angles = np.deg2rad([section[f"{name}_deg"] for name in ("omega", "phi", "kappa")])
         sigmas_deg = ("sigma_omega_deg", "sigma_phi_deg", "sigma_kappa_deg")
-        sigma = np.concatenate([
-            np.deg2rad([section[name] for name in sigmas_deg]),
-            np.asarray(section["sigma_lever_m"], dtype=np.float64),
-        ])  # fmt: skip
+        sigma = np.concatenate(
+            [
+                np.deg2rad([section[name] for name in sigmas_deg]),
+                np.asarray(section["sigma_lever_m"], dtype=np.float64),
+            ]
+        )
         given = section.get("correlation")
         correlation = np.eye(6) if given is None else np.asarray(given, dtype=np.float64)
         to_vector = np.eye(6)

@@ -26,7 +26,6 @@ itself.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -38,14 +37,12 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation, Slerp
 from scipy.special import logsumexp
 
-from thalweg.calibration.ins_lidar.pose_errors import pose_rows
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.ingest.velodyne.reader import LidarClock, LidarOptions
+from thalweg.calibration.ins_lidar import pose_rows
+from thalweg.core import ArrayF, ArrayI, Trajectory
+from thalweg.ingest import LidarClock, LidarReader
 from thalweg.lidar.cloud import LogSample, LogSettings, sample_log
-from thalweg.lidar.covariance import BeamErrors
 from thalweg.lidar.mount import Mount
-from thalweg.navigation.ins_gnss.error_model import (
+from thalweg.navigation.ins_gnss import (
     BEAM,
     BEAM_SPREAD,
     NAMES,
@@ -54,6 +51,7 @@ from thalweg.navigation.ins_gnss.error_model import (
     PriorErrors,
     typical_sigmas,
 )
+from thalweg.settings.sections import LidarAccuracy
 
 CELL_M: Final = 0.5
 """Width of the cells whose points are tried as a plane: some footprints wide, small against the relief."""
@@ -151,7 +149,7 @@ def estimate_pose_errors(
     *,
     lever_ics_antenna_m: ArrayF,
     prior: PriorErrors,
-    beam: BeamErrors,
+    beam: LidarAccuracy,
     epoch_s: float,
 ) -> ErrorModel:
     """Sizes and correlation times of the errors of the poses from surfaces that were seen again.
@@ -216,8 +214,7 @@ def estimate_pose_errors(
 
 
 def error_model_of_log(
-    files: Sequence[Path],
-    options: LidarOptions,
+    reader: LidarReader,
     clock: LidarClock,
     trajectory: Trajectory,
     how: LogSettings,
@@ -230,7 +227,7 @@ def error_model_of_log(
 
     Parameters
     ----------
-    files, options, clock, trajectory, how : as for `thalweg.lidar.cloud.georeference_log`; the trajectory
+    reader, clock, trajectory, how : as for `thalweg.lidar.cloud.georeference_log`; the trajectory
         with covariances as stated.
     positions_t_gps_s : epochs of the positions; None for positions of the INS, which have no white noise of
         epochs of their own: an epoch then counts as a node's distance.
@@ -250,7 +247,7 @@ def error_model_of_log(
     )
     windows = windows_of(float(nodes[0]), float(nodes[-1]))
     return estimate_pose_errors(
-        sample_log(files, options, clock, trajectory, how, windows),
+        sample_log(reader, clock, trajectory, how, windows),
         windows,
         trajectory,
         how.mount,
@@ -334,7 +331,7 @@ def _window(
     trajectory: Trajectory,
     mount: Mount,
     lever_ics_antenna_m: ArrayF,
-    beam: BeamErrors,
+    beam: LidarAccuracy,
     start_s: float,
     length_s: float,
     epoch_s: float,
@@ -373,21 +370,30 @@ def _window(
     weight = 1.0 / np.sqrt(scatter[owner] * (1.0 / n + ROUGHNESS))
     n_slow, n_fast = int(np.ceil(length_s / SLOW_S)) + 1, int(np.ceil(length_s / epoch)) + 1
     at, pose, border = mean[:, 3], mean[:, 4:10], mean[:, 10:]
-    design = sp.hstack([
-        _at_knots(at, SLOW_S, n_slow, pose), _at_knots(at, epoch, n_fast, pose[:, :3]), sp.csr_matrix(border),
-    ]).tocsr()  # fmt: skip
+    design = sp.hstack(
+        [
+            _at_knots(at, SLOW_S, n_slow, pose),
+            _at_knots(at, epoch, n_fast, pose[:, :3]),
+            sp.csr_matrix(border),
+        ]
+    ).tocsr()
     N, h = _without_planes(sp.diags(weight) @ design, weight * mean[:, 0], owner, mean[:, 1:3], weight)
     noise = _noise(
         x, boat + np.einsum("nij,j->ni", R_wcs_ics, mount.lever_ics_m), normal, sample, planes, beam
     )
     return _Window(
-        N=N, h=h, n_slow=n_slow, n_fast=n_fast, planes=len(np.unique(owner)), observations=len(n),
+        N=N,
+        h=h,
+        n_slow=n_slow,
+        n_fast=n_fast,
+        planes=len(np.unique(owner)),
+        observations=len(n),
         scatter=_scatter_of_epochs(local[:, 0], planes, joined, noise),
-    )  # fmt: skip
+    )
 
 
 def _noise(
-    x: ArrayF, scanner_wcs_m: ArrayF, normal: ArrayF, sample: LogSample, planes: _Planes, beam: BeamErrors
+    x: ArrayF, scanner_wcs_m: ArrayF, normal: ArrayF, sample: LogSample, planes: _Planes, beam: LidarAccuracy
 ) -> tuple[ArrayF, ArrayF]:
     """Predicted variances (m,) along the normals: of range and directions, and of the footprint."""
     ray = x - scanner_wcs_m
@@ -447,17 +453,18 @@ def estimate_beam(scatters: Sequence[Scatter]) -> dict[str, Estimate]:
     start = np.array([0.0, 0.0, np.log(max(float(np.median(v - c - p)), 1e-6))])
     simplex = np.vstack([start, start + np.eye(3)])
     found = minimize(
-        cost, start, method="Nelder-Mead",
-        options={"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-2},
-    )  # fmt: skip
+        cost, start, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-2}
+    )
     second = np.empty((3, 3))
     steps = _STEP * np.eye(3)
     for i, one in enumerate(steps):
         for j, other in enumerate(steps):
             second[i, j] = (
-                cost(found.x + one + other) - cost(found.x + one - other)
-                - cost(found.x - one + other) + cost(found.x - one - other)
-            ) / (4 * _STEP**2)  # fmt: skip
+                cost(found.x + one + other)
+                - cost(found.x + one - other)
+                - cost(found.x - one + other)
+                + cost(found.x - one - other)
+            ) / (4 * _STEP**2)
     from_fit = width**2 * np.clip(2 * np.diag(np.linalg.pinv(second)), 0.0, 1.0)
     share = width**2 / (width**2 + SIGMA_FORM**2)  # what the form's error leaves of the fit's weight
     sigma = np.sqrt(np.minimum(from_fit + share * SIGMA_FORM**2, width**2))
@@ -573,8 +580,10 @@ class _Likelihood:
             row = 6 * np.arange(window.n_slow) + j
             d, o, log = _gauss_markov(window.n_slow, SLOW_S / time[j])
             P[row, row], P[row[1:], row[:-1]], P[row[:-1], row[1:]] = (
-                d / size[j] ** 2, o / size[j] ** 2, o / size[j] ** 2,
-            )  # fmt: skip
+                d / size[j] ** 2,
+                o / size[j] ** 2,
+                o / size[j] ** 2,
+            )
             logdet += log - 2 * window.n_slow * np.log(size[j])
             rows.append(row)
             main.append(d / size[j] ** 2)
@@ -618,9 +627,13 @@ class _Likelihood:
             return float(-2.0 * (np.sum((S[row, row] + x[row] ** 2) * white) - len(row)))
 
         parts = {
-            "position": of_size([0, 1, 2]), "roll_pitch": of_size([3, 4]), "heading": of_size([5]),
-            "position_time_s": of_time([0, 1, 2]), "attitude_time_s": of_time([3, 4, 5]), "white": of_white,
-        }  # fmt: skip
+            "position": of_size([0, 1, 2]),
+            "roll_pitch": of_size([3, 4]),
+            "heading": of_size([5]),
+            "position_time_s": of_time([0, 1, 2]),
+            "attitude_time_s": of_time([3, 4, 5]),
+            "white": of_white,
+        }
         return P, [parts[name] for name in NAMES], logdet
 
 

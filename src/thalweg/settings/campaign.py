@@ -1,32 +1,86 @@
 """The whole campaign file as one model."""
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field
 
-from thalweg.settings.base.base import Section
-from thalweg.settings.base.mounts import Mounts
-from thalweg.settings.identity import Identity
-from thalweg.settings.images.sections import Images
-from thalweg.settings.light_sheet.sections import LightSheet
-from thalweg.settings.sections.accuracy import Accuracy, Reference
-from thalweg.settings.sections.calibration import Calibration
-from thalweg.settings.sections.filters import Filters
-from thalweg.settings.sections.fused import Fused
-from thalweg.settings.sections.lidar import Lidar, LidarAccuracy
-from thalweg.settings.sections.logs import STREAM_KEYS, Logs, is_rinex_name
-from thalweg.settings.sections.navigation import Ins, Orientation, Ppk
-from thalweg.settings.sections.products import Figures, Georeferencing
-from thalweg.settings.twin.sections import TwinConfig
+from thalweg.settings.sections import (
+    STREAM_KEYS,
+    Accuracy,
+    Calibration,
+    Figures,
+    Filters,
+    Finite,
+    Fused,
+    Georeferencing,
+    Images,
+    Ins,
+    Lidar,
+    LidarAccuracy,
+    LightSheet,
+    Logs,
+    Mounts,
+    Orientation,
+    Ppk,
+    ReferenceSettings,
+    Section,
+    is_rinex_name,
+)
+from thalweg.settings.twin import TwinConfig
+
+# ---------------------------------------------------------------- section ``campaign``
+
+
+ID_PATTERN = "^[a-z][a-z0-9_]*$"
+
+
+class Origin(Section):
+    """Origin of the local east-north-up frame wcs, geodetic."""
+
+    lat_deg: Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)] = Field(
+        description="Latitude of the origin of the local frame, degrees, north positive", examples=[51.05]
+    )
+    lon_deg: Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)] = Field(
+        description="Longitude of the origin, degrees, east positive", examples=[13.25]
+    )
+    h_ell_m: Finite = Field(
+        ge=-500,
+        le=9000,
+        description="Ellipsoidal (not orthometric) height of the origin, metres",
+        examples=[300.0],
+    )
+
+
+class Identity(Section):
+    """Name, map and world frame of the campaign."""
+
+    id: str = Field(
+        pattern=ID_PATTERN,
+        max_length=60,
+        description="Short name: small letters, digits, underscores; equals the name of the file",
+        examples=["mulde"],
+    )
+    title: str = Field(
+        min_length=1, description="One line for figures and reports", examples=["Mulde near Grimma, May 2021"]
+    )
+    crs: str = Field(
+        description="Projected, metric CRS of the map exports: EPSG code or PROJ definition",
+        examples=["EPSG:25833"],
+    )
+    origin: Origin = Field(description="Origin of the local east-north-up frame: near the survey")
+    seed: int = Field(
+        default=1, ge=0, le=2**32 - 1, description="Seed of everything random (digital twin, sampling)"
+    )
+
+
+# ---------------------------------------------------------------- the whole file
 
 
 class Campaign(Section):
     """One survey: who, where, its logs (or the digital twin that writes them), and all settings."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"anyOf": [{"required": ["twin"]}, {"required": ["logs"]}]},
-    )
+    model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": ["twin"]}, {"required": ["logs"]}]})
 
     campaign: Identity = Field(description="Name, map and world frame")
     twin: TwinConfig | None = Field(
@@ -53,7 +107,9 @@ class Campaign(Section):
         default=Georeferencing(), description="Lidar points into the world"
     )
     filters: Filters = Field(default=Filters(), description="Points that are left out of the cloud")
-    reference: Reference = Field(default=Reference(), description="Reference cloud -> surface mesh")
+    reference: ReferenceSettings = Field(
+        default=ReferenceSettings(), description="Reference cloud -> surface mesh"
+    )
     accuracy: Accuracy = Field(default=Accuracy(), description="Comparison of the cloud with the reference")
     figures: Figures = Field(default=Figures(), description="Pictures")
 

@@ -10,21 +10,25 @@ plane: 2 cm between both at 500 m. That is taken into account at each point, by 
 at the origin.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Final, Self
 
-import numba as nb
 import numpy as np
 from pyproj import CRS
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.frames import GRS80_SEMI_MAJOR_M, LocalFrame
-from thalweg.core.geometry.polygon import LEAST_AREA_M2, crossing_in_words, first_crossing, polygon_area_m2
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
-
-# Open3D brings an old TBB into the process, which numba would try first and complain about.
-nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+from thalweg.core import (
+    GRS80_SEMI_MAJOR_M,
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    GeometryError,
+    InputError,
+    LocalFrame,
+    njit,
+    prange,
+)
+from thalweg.core.geometry import LEAST_AREA_M2, crossing_in_words, first_crossing, polygon_area_m2
+from thalweg.settings.sections import Area as AreaSection
 
 LONGEST_MAP_EDGE_M: Final = 500.0
 """Longer edges in map coordinates get corners in between: a straight line of a grid is curved in wcs, by less
@@ -73,12 +77,12 @@ class Area:
             object.__setattr__(self, "polygon_en_m", checked_polygon(self.polygon_en_m))
 
     @classmethod
-    def from_section(cls, section: Mapping[str, Any], frame: LocalFrame, crs: str) -> Self:
+    def from_section(cls, section: AreaSection, frame: LocalFrame, crs: str) -> Self:
         """The area that a campaign file describes.
 
         Parameters
         ----------
-        section : `accuracy.area` as plain values.
+        section : `accuracy.area`.
         frame : the world frame.
         crs : the campaign's map grid.
 
@@ -86,9 +90,9 @@ class Area:
         ------
         InputError : the polygon is none, or its corners do not lie in the map grid.
         """
-        corners = section["polygon"]
-        low, high = section["min_height_m"], section["max_height_m"]
-        in_map = section["frame"] == "map"
+        corners = section.polygon
+        low, high = section.min_height_m, section.max_height_m
+        in_map = section.frame == "map"
         polygon = None
         if corners is not None:
             polygon = checked_polygon(np.asarray(corners, dtype=np.float64))
@@ -113,10 +117,20 @@ class Area:
         east_curve, north_curve, base = self._curvature()
         return np.asarray(
             _contains(
-                points, lower, upper, start, listed, south, per_m, self.lowest_m, self.highest_m,
-                east_curve, north_curve, base,
+                points,
+                lower,
+                upper,
+                start,
+                listed,
+                south,
+                per_m,
+                self.lowest_m,
+                self.highest_m,
+                east_curve,
+                north_curve,
+                base,
             )
-        )  # fmt: skip
+        )
 
     def heights_m(self, points_m: ArrayF) -> ArrayF:
         """Heights (n,) of points in the sense of the limits: wcs up, or ellipsoidal."""
@@ -200,9 +214,9 @@ def _from_map(polygon: ArrayF, frame: LocalFrame, crs: str) -> ArrayF:
             expected="the area of a survey",
             where=_WHERE,
         )
-    dense = np.concatenate([
-        a + np.arange(n)[:, None] / n * (b - a) for a, b, n in zip(polygon, nexts, pieces, strict=True)
-    ])  # fmt: skip
+    dense = np.concatenate(
+        [a + np.arange(n)[:, None] / n * (b - a) for a, b, n in zip(polygon, nexts, pieces, strict=True)]
+    )
     heights = np.full((len(dense), 1), frame.h_ell_m)
     try:
         return frame.from_map(np.hstack([dense, heights]), CRS.from_user_input(crs))[:, :2]
@@ -243,7 +257,7 @@ def _strips(polygon: ArrayF | None) -> tuple[ArrayF, ArrayF, ArrayI, ArrayI, flo
     return np.ascontiguousarray(lower), np.ascontiguousarray(upper), start, edge[order], south, per_m
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, cache=True, error_model="numpy")
 def _contains(
     points: ArrayF,
     lower: ArrayF,
@@ -261,7 +275,7 @@ def _contains(
     """Even-odd rule: inside if an odd number of edges lies to the east; edges lack their northern ends."""
     out = np.zeros(len(points), dtype=np.bool_)
     n_strips = len(start) - 1
-    for i in nb.prange(len(points)):
+    for i in prange(len(points)):
         x, y = points[i, 0], points[i, 1]
         height = base + points[i, 2] + east_curve * x * x + north_curve * y * y
         if not (lowest <= height <= highest and np.isfinite(x) and np.isfinite(y) and np.isfinite(height)):

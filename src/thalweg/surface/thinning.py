@@ -11,226 +11,11 @@ over the root of the number of points: a cell of one point has the scatter of it
 from dataclasses import dataclass
 from typing import Final
 
-import numba as nb
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
-
-# ---------------------------------------------------------------- kernels: points sorted by cell -> one
-# robust point a cell
-
-
-# Open3D brings an old TBB into the process, which numba would try first and complain about.
-nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
-
-_BLOCK = 4096
-
-
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def medians(points: ArrayF, start: ArrayI) -> ArrayF:
-    """Median (k, 3) of each coordinate in each cell.
-
-    Parameters
-    ----------
-    points : (n, 3) sorted by cell.
-    start : (k + 1,) first point of each cell, and n.
-    """
-    k = len(start) - 1
-    out = np.empty((k, 3))
-    for b in nb.prange((k + _BLOCK - 1) // _BLOCK):
-        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
-            for axis in range(3):
-                out[c, axis] = np.median(points[start[c] : start[c + 1], axis])
-    return out
-
-
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def local_planes(centre: ArrayF, near: ArrayI) -> tuple[ArrayF, ArrayF]:
-    """Unit normals (k, 3), third component not negative, and residual variance (k,) of planes.
-
-    Parameters
-    ----------
-    centre : (k, 3).
-    near : (k, m) neighbours of each, itself among them; k stands for a missing one.
-    """
-    k, m = near.shape
-    normal, variance = np.empty((k, 3)), np.empty(k)
-    for b in nb.prange((k + _BLOCK - 1) // _BLOCK):
-        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
-            n = 0
-            x, y, z = 0.0, 0.0, 0.0
-            for j in range(m):
-                at = near[c, j]
-                if at < k:
-                    n += 1
-                    x += centre[at, 0]
-                    y += centre[at, 1]
-                    z += centre[at, 2]
-            x, y, z = x / n, y / n, z / n
-            xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for j in range(m):
-                at = near[c, j]
-                if at < k:
-                    dx, dy, dz = centre[at, 0] - x, centre[at, 1] - y, centre[at, 2] - z
-                    xx += dx * dx
-                    xy += dx * dy
-                    xz += dx * dz
-                    yy += dy * dy
-                    yz += dy * dz
-                    zz += dz * dz
-            if n < 4:
-                normal[c, 0], normal[c, 1], normal[c, 2] = 0.0, 0.0, 1.0
-                variance[c] = zz / max(n - 1, 1)
-                continue
-            least, nx, ny, nz = _smallest(xx, xy, xz, yy, yz, zz)
-            sign = -1.0 if nz < 0.0 else 1.0
-            normal[c, 0], normal[c, 1], normal[c, 2] = sign * nx, sign * ny, sign * nz
-            variance[c] = max(least, 0.0) / (n - 3)
-    return normal, variance
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _smallest(
-    xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
-) -> tuple[float, float, float, float]:
-    """Smallest eigenvalue of a symmetric matrix and its unit eigenvector (closed form, Smith 1961)."""
-    mean = (xx + yy + zz) / 3.0
-    off = xy * xy + xz * xz + yz * yz
-    a, b, c = xx - mean, yy - mean, zz - mean
-    size = np.sqrt((a * a + b * b + c * c + 2.0 * off) / 6.0)
-    if size <= 1e-15 * (abs(mean) + 1e-300):
-        return mean, 0.0, 0.0, 1.0
-    det = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
-    angle = np.arccos(min(1.0, max(-1.0, det / (2.0 * size**3)))) / 3.0
-    least = mean + 2.0 * size * np.cos(angle + 2.0 * np.pi / 3.0)
-    # rows of M - least I span the plane across the eigenvector: the longest of their products is the best one
-    a, b, c = xx - least, yy - least, zz - least
-    x1, y1, z1 = xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy
-    x2, y2, z2 = xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz
-    x3, y3, z3 = b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz
-    s1, s2, s3 = x1 * x1 + y1 * y1 + z1 * z1, x2 * x2 + y2 * y2 + z2 * z2, x3 * x3 + y3 * y3 + z3 * z3
-    if s2 >= s1 and s2 >= s3:
-        x1, y1, z1, s1 = x2, y2, z2, s2
-    elif s3 >= s1:
-        x1, y1, z1, s1 = x3, y3, z3, s3
-    if s1 <= 0.0:
-        return least, 0.0, 0.0, 1.0
-    length = np.sqrt(s1)
-    return least, x1 / length, y1 / length, z1 / length
-
-
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def deviations(points: ArrayF, start: ArrayI, normal: ArrayF) -> tuple[ArrayF, ArrayF]:
-    """Median (k,) of the points of each cell along its normal, and median (k,) of the distances from it."""
-    k = len(start) - 1
-    middle, spread = np.empty(k), np.empty(k)
-    for b in nb.prange((k + _BLOCK - 1) // _BLOCK):
-        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
-            along = np.empty(start[c + 1] - start[c])
-            for i in range(len(along)):
-                p = start[c] + i
-                along[i] = (
-                    points[p, 0] * normal[c, 0] + points[p, 1] * normal[c, 1] + points[p, 2] * normal[c, 2]
-                )
-            middle[c] = np.median(along)
-            spread[c] = np.median(np.abs(along - middle[c]))
-    return middle, spread
-
-
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def trimmed_means(
-    points: ArrayF, start: ArrayI, normal: ArrayF, middle: ArrayF, limit: ArrayF
-) -> tuple[ArrayF, ArrayI, ArrayF]:
-    """Means (k, 3) of the points no farther than ``limit`` from the middle of their cell along its normal.
-
-    Returns
-    -------
-    mean : (k, 3).
-    n : (k,) points that took part, at least 1.
-    squares : (k,) their squared distances from the mean along the normal, summed.
-    """
-    k = len(start) - 1
-    mean, n, squares = np.zeros((k, 3)), np.zeros(k, dtype=np.int64), np.zeros(k)
-    for b in nb.prange((k + _BLOCK - 1) // _BLOCK):
-        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
-            total, square = 0.0, 0.0
-            for p in range(start[c], start[c + 1]):
-                d = -middle[c]
-                for axis in range(3):
-                    d += points[p, axis] * normal[c, axis]
-                if abs(d) <= limit[c]:
-                    n[c] += 1
-                    total += d
-                    square += d * d
-                    for axis in range(3):
-                        mean[c, axis] += points[p, axis]
-            if n[c] == 0:  # two points, or pairs, whose median lies between them and far from both
-                n[c] = start[c + 1] - start[c]
-                for p in range(start[c], start[c + 1]):
-                    d = -middle[c]
-                    for axis in range(3):
-                        d += points[p, axis] * normal[c, axis]
-                    total += d
-                    square += d * d
-                    for axis in range(3):
-                        mean[c, axis] += points[p, axis]
-            for axis in range(3):
-                mean[c, axis] /= n[c]
-            squares[c] = max(square - total * total / n[c], 0.0)
-    return mean, n, squares
-
-
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def pooled(n: ArrayI, squares: ArrayF, near: ArrayI) -> tuple[ArrayF, ArrayI]:
-    """Sums (k,) of squares, and their degrees of freedom (k,), over each cell and its neighbours."""
-    k, m = near.shape
-    total, freedom = np.zeros(k), np.zeros(k, dtype=np.int64)
-    for c in nb.prange(k):
-        for j in range(m):
-            at = near[c, j]
-            if at < k:
-                total[c] += squares[at]
-                freedom[c] += n[at] - 1
-    return total, freedom
-
-
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def pooled_spread(n: ArrayI, spread: ArrayF, near: ArrayI) -> ArrayF:
-    """Median (k,) of the spreads of a cell and its neighbours with three points; infinite without any."""
-    k, m = near.shape
-    out = np.full(k, np.inf)
-    for b in nb.prange((k + _BLOCK - 1) // _BLOCK):
-        some = np.empty(m)
-        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
-            i = 0
-            for j in range(m):
-                at = near[c, j]
-                if at < k and n[at] >= 3:
-                    some[i] = spread[at]
-                    i += 1
-            if i > 0:
-                out[c] = np.median(some[:i])
-    return out
-
-
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def medians_about(value: ArrayF, near: ArrayI) -> ArrayF:
-    """Median (k,) of the values (k,) at the neighbours (k, m) of each."""
-    k, m = near.shape
-    out = np.empty(k)
-    for b in nb.prange((k + _BLOCK - 1) // _BLOCK):
-        some = np.empty(m)
-        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
-            for j in range(m):
-                some[j] = value[near[c, j]]
-            out[c] = np.median(some)
-    return out
-
-
-# ---------------------------------------------------------------- thinning
-
+from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, njit, prange
 
 NEIGHBOURS: Final = 16
 """A cell and those about it, from which its plane and scatter are estimated."""
@@ -249,6 +34,20 @@ _LEAST_FREEDOM: Final = 12
 """With fewer degrees of freedom within the cells, the scatter of their points about a plane helps out."""
 _LEAST_SIGMA_M: Final = 1e-4
 """No surface is known better: clouds are stored in steps of a millimetre or less."""
+_BLOCK = 4096
+
+LEVELS_M: Final = (4.0, 2.0, 1.0, 0.5)
+"""Widths of the cells, metres: from crowns of trees to boulders."""
+QUANTILE: Final = 0.1
+"""Share of a cell's area that may lie below the envelope."""
+RASTER_M: Final = 0.1
+"""Width of the raster of lowest points: at least 25 in a cell of the finest level."""
+SLOPE: Final = 1.0
+"""Steepest ground against the plane of the bank: a wall and a meadow behind it are at 45 degrees each."""
+MOST_CELLS: Final = 50_000_000
+
+
+# ---------------------------------------------------------------- thinning
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -357,3 +156,317 @@ def _neighbours(centre: ArrayF) -> ArrayI:
     """The nearest cells (k, m) of each, itself among them."""
     near = cKDTree(centre).query(centre, k=min(NEIGHBOURS, len(centre)), workers=-1)[1]
     return np.asarray(near, dtype=np.int64).reshape(len(centre), -1)
+
+
+# ---------------------------------------------------------------- kernels: points sorted by cell -> one
+# robust point a cell
+
+
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+def medians(points: ArrayF, start: ArrayI) -> ArrayF:
+    """Median (k, 3) of each coordinate in each cell.
+
+    Parameters
+    ----------
+    points : (n, 3) sorted by cell.
+    start : (k + 1,) first point of each cell, and n.
+    """
+    k = len(start) - 1
+    out = np.empty((k, 3))
+    for b in prange((k + _BLOCK - 1) // _BLOCK):
+        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
+            for axis in range(3):
+                out[c, axis] = np.median(points[start[c] : start[c + 1], axis])
+    return out
+
+
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+def local_planes(centre: ArrayF, near: ArrayI) -> tuple[ArrayF, ArrayF]:
+    """Unit normals (k, 3), third component not negative, and residual variance (k,) of planes.
+
+    Parameters
+    ----------
+    centre : (k, 3).
+    near : (k, m) neighbours of each, itself among them; k stands for a missing one.
+    """
+    k, m = near.shape
+    normal, variance = np.empty((k, 3)), np.empty(k)
+    for b in prange((k + _BLOCK - 1) // _BLOCK):
+        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
+            n = 0
+            x, y, z = 0.0, 0.0, 0.0
+            for j in range(m):
+                at = near[c, j]
+                if at < k:
+                    n += 1
+                    x += centre[at, 0]
+                    y += centre[at, 1]
+                    z += centre[at, 2]
+            x, y, z = x / n, y / n, z / n
+            xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for j in range(m):
+                at = near[c, j]
+                if at < k:
+                    dx, dy, dz = centre[at, 0] - x, centre[at, 1] - y, centre[at, 2] - z
+                    xx += dx * dx
+                    xy += dx * dy
+                    xz += dx * dz
+                    yy += dy * dy
+                    yz += dy * dz
+                    zz += dz * dz
+            if n < 4:
+                normal[c, 0], normal[c, 1], normal[c, 2] = 0.0, 0.0, 1.0
+                variance[c] = zz / max(n - 1, 1)
+                continue
+            least, nx, ny, nz = _smallest(xx, xy, xz, yy, yz, zz)
+            sign = -1.0 if nz < 0.0 else 1.0
+            normal[c, 0], normal[c, 1], normal[c, 2] = sign * nx, sign * ny, sign * nz
+            variance[c] = max(least, 0.0) / (n - 3)
+    return normal, variance
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _smallest(
+    xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
+) -> tuple[float, float, float, float]:
+    """Smallest eigenvalue of a symmetric matrix and its unit eigenvector (closed form, Smith 1961)."""
+    mean = (xx + yy + zz) / 3.0
+    off = xy * xy + xz * xz + yz * yz
+    a, b, c = xx - mean, yy - mean, zz - mean
+    size = np.sqrt((a * a + b * b + c * c + 2.0 * off) / 6.0)
+    if size <= 1e-15 * (abs(mean) + 1e-300):
+        return mean, 0.0, 0.0, 1.0
+    det = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    angle = np.arccos(min(1.0, max(-1.0, det / (2.0 * size**3)))) / 3.0
+    least = mean + 2.0 * size * np.cos(angle + 2.0 * np.pi / 3.0)
+    # rows of M - least I span the plane across the eigenvector: the longest of their products is the best one
+    a, b, c = xx - least, yy - least, zz - least
+    x1, y1, z1 = xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy
+    x2, y2, z2 = xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz
+    x3, y3, z3 = b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz
+    s1, s2, s3 = x1 * x1 + y1 * y1 + z1 * z1, x2 * x2 + y2 * y2 + z2 * z2, x3 * x3 + y3 * y3 + z3 * z3
+    if s2 >= s1 and s2 >= s3:
+        x1, y1, z1, s1 = x2, y2, z2, s2
+    elif s3 >= s1:
+        x1, y1, z1, s1 = x3, y3, z3, s3
+    if s1 <= 0.0:
+        return least, 0.0, 0.0, 1.0
+    length = np.sqrt(s1)
+    return least, x1 / length, y1 / length, z1 / length
+
+
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+def deviations(points: ArrayF, start: ArrayI, normal: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Median (k,) of the points of each cell along its normal, and median (k,) of the distances from it."""
+    k = len(start) - 1
+    middle, spread = np.empty(k), np.empty(k)
+    for b in prange((k + _BLOCK - 1) // _BLOCK):
+        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
+            along = np.empty(start[c + 1] - start[c])
+            for i in range(len(along)):
+                p = start[c] + i
+                along[i] = (
+                    points[p, 0] * normal[c, 0] + points[p, 1] * normal[c, 1] + points[p, 2] * normal[c, 2]
+                )
+            middle[c] = np.median(along)
+            spread[c] = np.median(np.abs(along - middle[c]))
+    return middle, spread
+
+
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+def trimmed_means(
+    points: ArrayF, start: ArrayI, normal: ArrayF, middle: ArrayF, limit: ArrayF
+) -> tuple[ArrayF, ArrayI, ArrayF]:
+    """Means (k, 3) of the points no farther than ``limit`` from the middle of their cell along its normal.
+
+    Returns
+    -------
+    mean : (k, 3).
+    n : (k,) points that took part, at least 1.
+    squares : (k,) their squared distances from the mean along the normal, summed.
+    """
+    k = len(start) - 1
+    mean, n, squares = np.zeros((k, 3)), np.zeros(k, dtype=np.int64), np.zeros(k)
+    for b in prange((k + _BLOCK - 1) // _BLOCK):
+        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
+            total, square = 0.0, 0.0
+            for p in range(start[c], start[c + 1]):
+                d = -middle[c]
+                for axis in range(3):
+                    d += points[p, axis] * normal[c, axis]
+                if abs(d) <= limit[c]:
+                    n[c] += 1
+                    total += d
+                    square += d * d
+                    for axis in range(3):
+                        mean[c, axis] += points[p, axis]
+            if n[c] == 0:  # two points, or pairs, whose median lies between them and far from both
+                n[c] = start[c + 1] - start[c]
+                for p in range(start[c], start[c + 1]):
+                    d = -middle[c]
+                    for axis in range(3):
+                        d += points[p, axis] * normal[c, axis]
+                    total += d
+                    square += d * d
+                    for axis in range(3):
+                        mean[c, axis] += points[p, axis]
+            for axis in range(3):
+                mean[c, axis] /= n[c]
+            squares[c] = max(square - total * total / n[c], 0.0)
+    return mean, n, squares
+
+
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+def pooled(n: ArrayI, squares: ArrayF, near: ArrayI) -> tuple[ArrayF, ArrayI]:
+    """Sums (k,) of squares, and their degrees of freedom (k,), over each cell and its neighbours."""
+    k, m = near.shape
+    total, freedom = np.zeros(k), np.zeros(k, dtype=np.int64)
+    for c in prange(k):
+        for j in range(m):
+            at = near[c, j]
+            if at < k:
+                total[c] += squares[at]
+                freedom[c] += n[at] - 1
+    return total, freedom
+
+
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+def pooled_spread(n: ArrayI, spread: ArrayF, near: ArrayI) -> ArrayF:
+    """Median (k,) of the spreads of a cell and its neighbours with three points; infinite without any."""
+    k, m = near.shape
+    out = np.full(k, np.inf)
+    for b in prange((k + _BLOCK - 1) // _BLOCK):
+        some = np.empty(m)
+        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
+            i = 0
+            for j in range(m):
+                at = near[c, j]
+                if at < k and n[at] >= 3:
+                    some[i] = spread[at]
+                    i += 1
+            if i > 0:
+                out[c] = np.median(some[:i])
+    return out
+
+
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+def medians_about(value: ArrayF, near: ArrayI) -> ArrayF:
+    """Median (k,) of the values (k,) at the neighbours (k, m) of each."""
+    k, m = near.shape
+    out = np.empty(k)
+    for b in prange((k + _BLOCK - 1) // _BLOCK):
+        some = np.empty(m)
+        for c in range(b * _BLOCK, min((b + 1) * _BLOCK, k)):
+            for j in range(m):
+                some[j] = value[near[c, j]]
+            out[c] = np.median(some)
+    return out
+
+
+# ---------------------------------------------------------------- lower envelope of a cloud, from coarse to
+# fine
+#
+# In the frame of the bank, "low" is into the bank. The cloud becomes a raster of its lowest points first,
+# so that each piece of the bank has the same say, whether ten points or ten thousand lie on it. Then the
+# envelope is refined: each level adds what the low quantile of the remaining heights is in its cells,
+# interpolated bilinearly, and takes part only what can still be ground, given the level before.
+#
+# A quantile, not the lowest: points behind the surface (multipath, mirror images) must not pull the envelope
+# down. A dense patch of them of more than a tenth of a coarsest cell (1.6 m2) still does: cut mirror images
+# under water off by a lowest height.
+#
+# The finest cells are smaller than a boulder, so a boulder lifts the envelope and stays; a bush does not,
+# because ground is seen through it or beside it.
+#
+# Related: progressive morphological filters (Zhang et al. 2003), hierarchic robust interpolation (Kraus and
+# Pfeifer 1998). Tested on the digital twin in ``tests/accuracy``.
+
+
+def heights_above_envelope(points_bank_m: ArrayF, *, clearance_m: float) -> ArrayF:
+    """Heights (n,) of points above the lower envelope of all of them, metres along `out`.
+
+    Parameters
+    ----------
+    points_bank_m : (n, 3) along, up the slope, out.
+    clearance_m : what is taken as ground on the way from one level to the next: points below
+        ``clearance_m + SLOPE * cell / 2``. That far a ridge of that slope stands out of the plane through
+        the middles of the cells beside it. What lies twice as far behind is no ground either; a crown that
+        fills a coarse cell lifts the envelope so far at most.
+
+    Raises
+    ------
+    GeometryError : the cloud is so wide that its raster would not fit into memory.
+    """
+    plane = points_bank_m[:, :2] - points_bank_m[:, :2].min(axis=0)
+    height = np.array(points_bank_m[:, 2])
+    extent = plane.max(axis=0)
+    if np.prod(extent / LEVELS_M[-1] + 2) > MOST_CELLS:
+        raise GeometryError(
+            f"a reference of {extent[0]:.0f} m by {extent[1]:.0f} m",
+            expected=f"at most {MOST_CELLS * LEVELS_M[-1] ** 2 / 1e6:.0f} km2 in the plane of the bank",
+            cure="Set accuracy.area, or look for stray points far away",
+        )
+    lowest = _lowest_of_cells(plane, height)
+    ground = np.ones(len(lowest), dtype=np.bool_)
+    for level, size in enumerate(LEVELS_M):
+        grid = _quantiles(plane[lowest[ground]], height[lowest[ground]], size, extent)
+        # a cell without ground keeps what the coarser level says
+        grid = _cone_envelope(_filled(grid), SLOPE * size) if level == 0 else np.nan_to_num(grid, nan=0.0)
+        height -= _interpolated(grid, plane / size)
+        left = height[lowest]
+        ground = (left < clearance_m + SLOPE * size / 2) & (left > -2 * clearance_m - SLOPE * size)
+    return height
+
+
+def _lowest_of_cells(plane: ArrayF, height: ArrayF) -> ArrayI:
+    """Index of the lowest point of each cell of the raster."""
+    cell = np.floor(plane / RASTER_M).astype(np.int64)
+    key = cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]
+    order = np.lexsort((height, key))
+    first = np.ones(len(order), dtype=np.bool_)
+    first[1:] = np.diff(key[order]) != 0
+    return np.asarray(order[first])
+
+
+def _quantiles(plane: ArrayF, height: ArrayF, size: float, extent: ArrayF) -> ArrayF:
+    """Low quantile of the heights in each cell (i, j); NaN where there are none."""
+    shape = tuple(np.floor(extent / size).astype(np.int64) + 1)
+    cell = np.floor(plane / size).astype(np.int64)
+    key = cell[:, 0] * shape[1] + cell[:, 1]
+    order = np.lexsort((height, key))
+    count = np.bincount(key, minlength=shape[0] * shape[1])
+    there = np.flatnonzero(count)
+    start = (np.cumsum(count) - count)[there]
+    grid = np.full(shape[0] * shape[1], np.nan)
+    grid[there] = height[order[start + np.floor(QUANTILE * (count[there] - 1)).astype(np.int64)]]
+    return np.asarray(grid.reshape(shape))
+
+
+def _filled(grid: ArrayF) -> ArrayF:
+    """Empty cells take the value of the nearest cell that has one."""
+    nearest = ndimage.distance_transform_edt(np.isnan(grid), return_distances=False, return_indices=True)
+    return np.asarray(grid[tuple(nearest)])
+
+
+def _cone_envelope(grid: ArrayF, rise_m: float) -> ArrayF:
+    """The largest surface below a grid that rises no more than ``rise_m`` a cell in any direction.
+
+    A crown that fills a whole cell would lift the ground to its own height; its neighbours know better.
+    """
+    out = grid.copy()
+    for _ in range(sum(grid.shape)):
+        before = out.copy()
+        around = np.pad(before, 1, mode="edge")
+        for i in range(3):
+            for j in range(3):
+                shifted = around[i : i + grid.shape[0], j : j + grid.shape[1]]
+                np.minimum(out, shifted + rise_m * np.hypot(i - 1, j - 1), out=out)
+        if np.array_equal(out, before):
+            break
+    return out
+
+
+def _interpolated(grid: ArrayF, place: ArrayF) -> ArrayF:
+    """Bilinear values at places in units of cells; beyond the outermost middles the slope goes on."""
+    wide = np.pad(grid, 1, mode="reflect", reflect_type="odd")
+    return np.asarray(ndimage.map_coordinates(wide, (place + 0.5).T, order=1, mode="nearest"))

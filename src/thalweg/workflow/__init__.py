@@ -1,1 +1,5 @@
 """What jobs share: provenance, code versions, the truth kept from processing."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -3,7 +3,9 @@
 Snakemake sees edits of an entry script but not of packages that the script imports. Each rule therefore
 carries ``params: code=code_version("<script>")``. The hash runs over the syntax trees, without docstrings,
 of the modules that the script imports directly or through others; a comment costs no rerun, an edit of a
-module reruns exactly the rules that use it, and no list of rooms has to be kept by hand.
+module reruns exactly the rules that use it, and no list of packages has to be kept by hand. A name that is
+imported from the front door of a package (``__init__.pyi``) counts as its module; an edit beside it costs
+nothing.
 
 What a file imports and the hash of its tree depend on its bytes alone. Both are kept in the user's cache by
 the hash of these bytes, because parsing some hundred modules takes seconds at each start of Snakemake.
@@ -21,7 +23,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from thalweg.core.errors import InputError
+from thalweg.core import InputError
 
 SOURCE = Path(__file__).resolve().parents[2]
 """Folder of the packages: library and laboratory."""
@@ -33,18 +35,21 @@ DATA_SUFFIXES = {".mplstyle", ".csv", ".yaml", ".json"}
 _DIGITS = 12
 
 
-def code_version(script: str, *, scripts: Path = SCRIPTS, source: Path = SOURCE) -> str:
+def code_version(
+    script: str, called: str | None = None, *, scripts: Path = SCRIPTS, source: Path = SOURCE
+) -> str:
     """Hash of the modules that an entry script reaches.
 
     Parameters
     ----------
     script : name of the entry script without ``.py``.
+    called : ``module:function`` that the script calls by name, without an import that could be seen in it.
     scripts : folder of entry scripts.
     source : folder of the packages.
 
     Raises
     ------
-    InputError : there is no such script, or a file is not valid Python.
+    InputError : there is no such script or module, or a file is not valid Python.
 
     Examples
     --------
@@ -55,7 +60,10 @@ def code_version(script: str, *, scripts: Path = SCRIPTS, source: Path = SOURCE)
     if not path.is_file():
         raise InputError("entry script not found", where=path, expected="one script for each rule")
     digest = hashlib.sha256()
-    for module in sorted(reached_modules(path, source)):
+    reached = reached_modules(path, source)
+    if called is not None:
+        reached |= modules_behind(called.split(":", maxsplit=1)[0], source)
+    for module in sorted(reached):
         digest.update(module.relative_to(source).as_posix().encode())
         digest.update(_tree_hash(module))
         if module.name == "__init__.py":
@@ -67,8 +75,24 @@ def code_version(script: str, *, scripts: Path = SCRIPTS, source: Path = SOURCE)
 
 def reached_modules(path: Path, source: Path = SOURCE) -> set[Path]:
     """All modules of ``source`` that a file imports, directly or through others, lazily or at its head."""
+    return _closure([path], source)
+
+
+def modules_behind(name: str, source: Path = SOURCE) -> set[Path]:
+    """A module, the packages that hold it, and all modules of ``source`` that they reach.
+
+    Raises
+    ------
+    InputError : there is no such module.
+    """
+    own = _files_of(name, source)
+    if not any(path.name != "__init__.py" for path in own):
+        raise InputError(f"no module {name}", where=source, expected="a module of the library")
+    return own | _closure(sorted(own), source)
+
+
+def _closure(queue: list[Path], source: Path) -> set[Path]:
     seen: set[Path] = set()
-    queue = [path]
     while queue:
         for module in _imports(queue.pop(), source):
             if module not in seen:
@@ -92,16 +116,35 @@ class _Facts:
 
 @cache
 def _imports(path: Path, source: Path) -> frozenset[Path]:
-    found: set[Path] = set()
-    for name in _facts(path).names:
-        base = source
-        for part in name.split("."):
-            base = base / part
-            if (base / "__init__.py").is_file():
-                found.add(base / "__init__.py")
-            elif base.with_suffix(".py").is_file():
-                found.add(base.with_suffix(".py"))
-    return frozenset(found)
+    return frozenset(found for name in _facts(path).names for found in _files_of(name, source))
+
+
+def _files_of(name: str, source: Path) -> set[Path]:
+    """Files of a dotted name: of each package on the way, and of the module."""
+    found, base = set(), source
+    for part in name.split("."):
+        base = base / part
+        if (base / "__init__.py").is_file():
+            found.add(base / "__init__.py")
+        elif part in (door := _door(base.parent)):
+            found.add(door[part])
+        elif base.with_suffix(".py").is_file():
+            found.add(base.with_suffix(".py"))
+    return found
+
+
+@cache
+def _door(package: Path) -> dict[str, Path]:
+    """Names that a package exports, with the modules that define them."""
+    stub = package / "__init__.pyi"
+    if not stub.is_file():
+        return {}
+    statements = [node for node in ast.parse(stub.read_bytes()).body if isinstance(node, ast.ImportFrom)]
+    return {
+        alias.name: package.joinpath(*(node.module or alias.name).split(".")).with_suffix(".py")
+        for node in statements
+        for alias in node.names
+    }
 
 
 def _tree_hash(path: Path) -> bytes:

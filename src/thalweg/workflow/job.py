@@ -8,12 +8,12 @@ import resource
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from thalweg.core.errors import InputError, ThalwegError
+from thalweg.core import InputError, ThalwegError
 from thalweg.workflow.provenance import write_provenance
 from thalweg.workflow.truth import truth_closed
 
@@ -26,8 +26,9 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     """Map a Snakemake job onto the keywords of ``main`` and run it.
 
     Each keyword of ``main`` is looked up by name among the job's outputs, inputs and params (in that order),
-    then ``threads``; files become `Path` (or ``list[Path]`` where the annotation says so). The helper sets up
-    the log file and an excepthook that writes the traceback there, limits threads, and on success writes
+    then ``threads``; files become `Path` (or ``list[Path]`` where the annotation says so), and plain
+    values the section of settings that the annotation names. The helper sets up the log file and an
+    excepthook that writes the traceback there, limits threads, and on success writes
     ``<output>.meta.json``.
 
     Raises
@@ -79,7 +80,7 @@ def job_arguments(main: Callable[..., None], snakemake: Any) -> dict[str, Any]:
         hint = hints.get(name, Any)
         for i, source in enumerate(sources):
             if name in source:
-                arguments[name] = _as_paths(source[name], hint) if i < 2 else source[name]
+                arguments[name] = _as_paths(source[name], hint) if i < 2 else _as_section(source[name], hint)
                 break
         else:
             if name == "threads":
@@ -104,6 +105,12 @@ def _as_paths(value: Any, hint: Any) -> Any:
             expected="one file, or a script whose parameter is list[Path]",
         )
     return Path(value[0])
+
+
+def _as_section(value: Any, hint: Any) -> Any:
+    """The section of settings that a keyword asks for, from its plain values; other values as they are."""
+    kinds = [kind for kind in (hint, *get_args(hint)) if hasattr(kind, "model_validate")]
+    return kinds[0].model_validate(value) if kinds and isinstance(value, Mapping) else value
 
 
 def _limit_threads(threads: int) -> None:

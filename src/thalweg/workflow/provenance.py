@@ -13,8 +13,21 @@ from typing import Any
 import thalweg
 
 FORMAT_VERSION = 1
-LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "numba", "laspy", "pyproj", "open3d-cpu", "open3d",
-             "sbp", "pyrtklib5", "matplotlib", "snakemake")  # fmt: skip
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "pandas",
+    "pyarrow",
+    "numba",
+    "laspy",
+    "pyproj",
+    "open3d-cpu",
+    "open3d",
+    "sbp",
+    "pyrtklib5",
+    "matplotlib",
+    "snakemake",
+)
 
 
 def sha256_of(path: Path) -> str:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.errors import InputError
+from thalweg.core import InputError
 
 _MAY_READ = re.compile(r"simulate_\w+|compare_(\w+_)?with_truth|(?!plot_)\w+_study")
 """What makes the truth, what judges by it, and studies, which do both."""

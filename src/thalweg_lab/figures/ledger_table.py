@@ -4,15 +4,8 @@ from typing import Final
 
 import pandas as pd
 
-from thalweg.figures.page import Page
-from thalweg_lab.reproduction.ledger import (
-    MISSED,
-    NO_RESULT,
-    VERDICTS_NOTE,
-    counts,
-    readable,
-    sentence,
-)
+from thalweg.figures import Page
+from thalweg_lab.reproduction import MISSED, NO_RESULT, VERDICTS_NOTE, counts, readable, sentence
 
 LEDGER_NOTE: Final = (
     "Numbers that P3, P4 and T 4.2 print, beside those that this project measures on the digital twin or "

@@ -18,15 +18,22 @@ import pandas as pd
 import pyarrow as pa
 from PIL import Image, ImageDraw, ImageFont
 
-from thalweg.core.tables import column, frame_of, table_kind, write_table
-from thalweg.core.timescales import ADJUSTED_OFFSET_S
-from thalweg.core.types import AnyArray, ArrayF, ArrayF32, ArrayI, ArrayU8
-from thalweg.settings.twin.camera import TwinCamera, TwinDisplay
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.random import generator
-from thalweg_lab.instruments.stamps import start_us
-from thalweg_lab.voyage.motion import start_gps_s
-from thalweg_lab.writers.jpeg import PhotoFacts, jpeg_bytes
+from thalweg.core import (
+    ADJUSTED_OFFSET_S,
+    AnyArray,
+    ArrayF,
+    ArrayF32,
+    ArrayI,
+    ArrayU8,
+    column,
+    frame_of,
+    table_kind,
+    write_table,
+)
+from thalweg.settings.twin import TwinCamera, TwinConfig, TwinDisplay
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.voyage import start_gps_s
+from thalweg_lab.writers import PhotoFacts, jpeg_bytes, start_us
 
 # ---------------------------------------------------------------- how a clock on a display looks in a
 # photograph: digits, perspective, reflex of the sun, blur, noise
@@ -132,9 +139,14 @@ class DisplayLook:
         empty = np.asarray(picture, dtype=np.float32) / np.float32(255)
         tint = np.array([[0.03, 0.03, 0.04], [0.93, 0.97, 1.0]])
         return cls(
-            empty=empty, tiles=tiles, left_px=_columns(tiles, 0), top_px=58,
-            ink=22 / 255, paper=224 / 255, tint=tint,
-        )  # fmt: skip
+            empty=empty,
+            tiles=tiles,
+            left_px=_columns(tiles, 0),
+            top_px=58,
+            ink=22 / 255,
+            paper=224 / 255,
+            tint=tint,
+        )
 
     @property
     def rows(self) -> ArrayF:
@@ -166,10 +178,14 @@ class DisplayLook:
         height = self.tiles["0"].shape[0]
         width = self.tiles["0"].shape[1]
         digits = [left for place, left in enumerate(self.left_px) if place not in (2, 5, 8)]
-        return np.array([
-            [left + a * width, self.top_px + b * height]
-            for left in digits for a in (0.2, 0.5, 0.8) for b in (0.15, 0.5, 0.85)
-        ])  # fmt: skip
+        return np.array(
+            [
+                [left + a * width, self.top_px + b * height]
+                for left in digits
+                for a in (0.2, 0.5, 0.8)
+                for b in (0.15, 0.5, 0.85)
+            ]
+        )
 
     def contrast(self, light: ArrayF) -> float:
         """Contrast of the faintest digit's faintest place under added light (m,) at `digit_places`."""
@@ -423,8 +439,7 @@ def simulate_display(
     rows = []
     with ThreadPoolExecutor(threads) as pool:
         made = pool.map(
-            lambda k: _photo(camera, look, seed, times.of_day_s, int(k), int(spoils[k])),
-            range(len(spoils)),
+            lambda k: _photo(camera, look, seed, times.of_day_s, int(k), int(spoils[k])), range(len(spoils))
         )
         stamps = start_us(config) + _camera_clock_us(camera, times.t_gps_s - start)
         for k, (image, row) in enumerate(made):
@@ -509,9 +524,16 @@ def _photo(
     to_photo = placed(size, lean, settled + rng.normal(0.0, 0.15, 2))
     light = _reflex(display, seed, since)
     image = photograph(
-        shown, look, to_photo, size,
-        light=light, spoil=_spoil(kind, rng), blur_px=display.blur_px, noise=display.noise, rng=rng,
-    )  # fmt: skip
+        shown,
+        look,
+        to_photo,
+        size,
+        light=light,
+        spoil=_spoil(kind, rng),
+        blur_px=display.blur_px,
+        noise=display.noise,
+        rng=rng,
+    )
     places = look.digit_places()
     seen = np.column_stack([places, np.ones(len(places))]) @ to_photo.T
     contrast = look.contrast(light.at(seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2]))

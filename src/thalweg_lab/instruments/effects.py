@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
-from thalweg.settings.twin.sections import Stream, TwinEffects
+from thalweg.core import ArrayB, ArrayF, ArrayI
+from thalweg.settings.twin import Stream, TwinEffects
 
 _SPARED_BYTES = 64
 """Begin of a file that is never damaged: without its file header a capture is no capture."""

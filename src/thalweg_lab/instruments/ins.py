@@ -10,23 +10,17 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import lfilter
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import R_ENU_NED, LocalFrame, roll_pitch_heading
-from thalweg.core.types import ArrayF
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.random import gauss_markov, generator
-from thalweg_lab.instruments.attitude_errors import attitude_errors_rad, unstated_heading_errors_rad
-from thalweg_lab.instruments.echo import true_depth_m
+from thalweg.core import R_ENU_NED, ArrayF, ConfigError, LocalFrame, roll_pitch_heading
+from thalweg.settings.twin import TwinConfig, TwinIns
+from thalweg_lab import writers
+from thalweg_lab.instruments.bed import true_depth_m
 from thalweg_lab.instruments.effects import damage_file
-from thalweg_lab.instruments.magnetic import EARTH_NED_MG, boat_field_mg
-from thalweg_lab.instruments.stamps import unix_us
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.voyage.motion import LEAD_S, Motion, epochs
-from thalweg_lab.voyage.motions import motion_of
-from thalweg_lab.voyage.truth import write_effects
-from thalweg_lab.writers import anpp
-from thalweg_lab.writers.nmea import moment
+from thalweg_lab.random_numbers import gauss_markov, generator
+from thalweg_lab.river import Scene
+from thalweg_lab.voyage import LEAD_S, Motion, epochs, motion_of, write_effects
+from thalweg_lab.writers import moment, unix_us
 
 _CHUNK: Final = 5000
 _GRAVITY_MPS2: Final = 9.81
@@ -36,6 +30,12 @@ _STATUS_UTC: Final = 0b1000
 _GYRO_NOISE_RADPS: Final = np.deg2rad(0.05)
 _ACCEL_NOISE_MPS2: Final = 0.01
 _MAGNETIC_NOISE_MG: Final = 0.5
+
+EARTH_NED_MG: Final[ArrayF] = np.array([199.0, 15.0, 453.0])
+"""Earth's field in Saxony in 2021 (IGRF): north, east, down; declination 4.3, inclination 66.2 degrees."""
+
+
+# ---------------------------------------------------------------- INS
 
 
 def simulate_ins(
@@ -93,13 +93,20 @@ def simulate_ins(
     noise = generator(seed, "ins raw")
     out_anpp.parent.mkdir(parents=True, exist_ok=True)
     with out_anpp.open("wb") as file:
-        file.write(anpp.device_information(4400, 1000, (20, 21, 512)))
+        file.write(writers.anpp_device_information(4400, 1000, (20, 21, 512)))
         for first in range(0, len(t), _CHUNK):
             part = slice(first, first + _CHUNK)
             rows = _rows(
-                motion, frame, t[part], attitude[part], position_error[part], velocity_error[part],
-                boat_field[part], bias, noise,
-            )  # fmt: skip
+                motion,
+                frame,
+                t[part],
+                attitude[part],
+                position_error[part],
+                velocity_error[part],
+                boat_field[part],
+                bias,
+                noise,
+            )
             for row, extra in zip(rows, depth[part], strict=True):
                 file.write(_packets(config, row) + extra)
     facts = {
@@ -168,7 +175,7 @@ def _depth_packets(
     depth = depth + generator(seed, "ins depth").normal(0.0, sigma, len(depth))
     for i, value in enumerate(depth.tolist()):
         if np.isfinite(value) and 0 < value <= config.echo.max_depth_m:
-            out[i * every] = anpp.external_depth(value, sigma)
+            out[i * every] = writers.anpp_external_depth(value, sigma)
     return out
 
 
@@ -225,7 +232,7 @@ def _packets(config: TwinConfig, row: dict[str, Any]) -> bytes:
     unix_us = row["unix_us"] if synchronised else round(running_s * 1e6)
     status = _STATUS_READY | (_STATUS_UTC if synchronised else 0)
     east, north, up = ins.sigma_position_m
-    out = anpp.system_state(
+    out = writers.anpp_system_state(
         0,
         status,
         unix_us,
@@ -238,13 +245,123 @@ def _packets(config: TwinConfig, row: dict[str, Any]) -> bytes:
         (north, east, up),
     )
     sigmas = np.deg2rad([ins.sigma_roll_deg, ins.sigma_pitch_deg, ins.sigma_heading_deg]).tolist()
-    out += anpp.orientation_sigma(sigmas)
-    out += anpp.raw_sensors(row["accel_raw"], row["gyro_raw"], row["magnetic"], 31.0, 98_100.0, 29.5)
+    out += writers.anpp_orientation_sigma(sigmas)
+    out += writers.anpp_raw_sensors(row["accel_raw"], row["gyro_raw"], row["magnetic"], 31.0, 98_100.0, 29.5)
     if unix_us % 1_000_000 < 1_000_000 / ins.rate_hz:
         when = moment(unix_us)
         day = when.timetuple().tm_yday - 1
-        out += anpp.unix_time(unix_us)
-        out += anpp.formatted_time(
+        out += writers.anpp_unix_time(unix_us)
+        out += writers.anpp_formatted_time(
             when.microsecond, when.year, day, when.month - 1, when.day, (when.hour, when.minute, when.second)
         )
     return out
+
+
+# ---------------------------------------------------------------- errors of the attitude
+
+
+def attitude_errors_rad(config: TwinConfig, seed: int, t_gps_s: ArrayF, start_gps_s: float) -> ArrayF:
+    """Errors (n, 3) of roll, pitch and heading: Gauss-Markov processes, and the heading's drift."""
+    ins = config.ins
+    rng = generator(seed, "ins attitude")
+    sigmas = np.deg2rad([ins.sigma_roll_deg, ins.sigma_pitch_deg, ins.sigma_heading_deg])
+    errors = [
+        gauss_markov(rng, len(t_gps_s), 1.0 / ins.rate_hz, sigma, ins.attitude_time_s) for sigma in sigmas
+    ]
+    out = np.stack(errors, axis=1)
+    out[:, 2] += np.deg2rad(ins.heading_drift_degpmin) / 60.0 * (t_gps_s - start_gps_s)
+    return np.asarray(out)
+
+
+def standing_drift_rad(ins: TwinIns, speed_mps: ArrayF) -> ArrayF:
+    """Heading drift (n,) of a boat that stands still (T 3.1.1), lost again on the way.
+
+    ``e' = drift`` while the speed is below ``standing_speed_mps``, ``e' = -e / standing_recovery_s`` above:
+    without motion nothing but the gyroscopes carries the heading.
+    """
+    step_s = 1.0 / ins.rate_hz
+    grow = np.deg2rad(ins.standing_drift_degpmin) / 60.0 * step_s
+    keep = float(np.exp(-step_s / ins.standing_recovery_s))
+    out = np.zeros(len(speed_mps))
+    error = 0.0
+    for i, standing in enumerate((np.asarray(speed_mps) < ins.standing_speed_mps).tolist()):
+        error = error + grow if standing else error * keep
+        out[i] = error
+    return out
+
+
+def unstated_heading_errors_rad(
+    config: TwinConfig, motion: Motion, t_gps_s: ArrayF, boat_field_ics_mg: ArrayF
+) -> ArrayF:
+    """Heading errors (n,) that no sigma states: standing drift and the fields of the boat; 0 where off."""
+    out = np.zeros(len(t_gps_s))
+    if config.ins.standing_drift_degpmin:
+        velocity = motion.velocity_wcs_mps(t_gps_s)
+        out += standing_drift_rad(config.ins, np.hypot(velocity[:, 0], velocity[:, 1]))
+    if np.any(boat_field_ics_mg):
+        out += magnetic_heading_error_rad(config.ins, *motion.angles_rad(t_gps_s), boat_field_ics_mg)
+    return out
+
+
+# ---------------------------------------------------------------- magnetometer
+#
+# T 2.2.1 names the magnetometer among the INS's sensors; the abstracts of T and P2 name errors of the
+# orientation from the electromagnetic fields of the boat's rotors. A lead with the current I and its return
+# at a distance d make a field of about ``mu_0 I d / (2 pi r^2)`` at the distance r (Biot-Savart): 4.4 mG
+# for 10 A, 2 cm and 0.3 m, against 200 mG of the Earth's horizontal field, so 1.3 degrees.
+
+
+def boat_field_mg(ins: TwinIns, thrust: ArrayF) -> ArrayF:
+    """Field (n, 3) of the boat itself at the INS, body frame: hard iron and the currents of the motors.
+
+    Parameters
+    ----------
+    ins : section ``twin.ins``.
+    thrust : (n, 2) thrust of the left and the right motor as a share of the full one; the current is taken as
+        proportional to it.
+    """
+    return np.asarray(np.asarray(thrust) @ np.asarray(ins.motor_field_mg) + np.asarray(ins.hard_iron_mg))
+
+
+def levelled_error_rad(
+    roll_rad: ArrayF, pitch_rad: ArrayF, heading_rad: ArrayF, boat_field_ics_mg: ArrayF
+) -> ArrayF:
+    """Heading error (n,) of a magnetic compass that levels its field with the true roll and pitch.
+
+    The compass takes the horizontal field for magnetic north, ``atan2(-h_right, h_forward)``; its error is
+    the angle between the disturbed and the undisturbed horizontal field. In the level frame that looks along
+    the heading the undisturbed field is ``H (cos(heading - declination), -sin(heading - declination))``.
+    """
+    north, east, _ = EARTH_NED_MG
+    forward = north * np.cos(heading_rad) + east * np.sin(heading_rad)
+    right = east * np.cos(heading_rad) - north * np.sin(heading_rad)
+    x, y, z = np.asarray(boat_field_ics_mg, dtype=np.float64).T
+    sr, cr = np.sin(roll_rad), np.cos(roll_rad)
+    # R_y(pitch) R_x(roll) of the body vector, its horizontal part.
+    turned = sr * y + cr * z
+    b_forward = np.cos(pitch_rad) * x + np.sin(pitch_rad) * turned
+    b_right = cr * y - sr * z
+    disturbed = np.arctan2(-(right + b_right), forward + b_forward)
+    error = disturbed - np.arctan2(-right, forward)
+    return np.asarray(np.mod(error + np.pi, 2 * np.pi) - np.pi)
+
+
+def low_pass(values: ArrayF, step_s: float, time_s: float) -> ArrayF:
+    """First-order low pass (n,), settled on the first value: ``y' = (x - y) / time``, exact for steps."""
+    if not len(values):
+        return np.asarray(values)
+    a = float(np.exp(-step_s / time_s))
+    out, _ = lfilter([1.0 - a], [1.0, -a], values, zi=[a * float(values[0])])
+    return np.asarray(out)
+
+
+def magnetic_heading_error_rad(
+    ins: TwinIns, roll_rad: ArrayF, pitch_rad: ArrayF, heading_rad: ArrayF, boat_field_ics_mg: ArrayF
+) -> ArrayF:
+    """Heading error (n,) of the INS at its epochs.
+
+    Gyroscopes carry the heading over short times and the magnetometer draws it with its time constant: the
+    error of the filter's heading is the low-passed error of the compass, times ``magnetic_weight``.
+    """
+    compass = levelled_error_rad(roll_rad, pitch_rad, heading_rad, boat_field_ics_mg)
+    return ins.magnetic_weight * low_pass(np.unwrap(compass), 1.0 / ins.rate_hz, ins.magnetic_time_s)

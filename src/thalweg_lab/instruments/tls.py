@@ -8,22 +8,15 @@ from typing import Any, Final, Self
 import numpy as np
 from pyproj import CRS
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.raycast import RayCaster
-from thalweg.core.types import AnyArray, ArrayF, ArrayI
-from thalweg.settings.twin.lidar import TwinTls
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.random import generator
-from thalweg_lab.base.river import River
-from thalweg_lab.instruments.footprint import Beam, Surfaces, echoes_of, part_of
-from thalweg_lab.instruments.returns import seen
-from thalweg_lab.instruments.shot_random import ShotRandom
-from thalweg_lab.instruments.shots import EchoKind
-from thalweg_lab.river.materials import REFLECTANCE, REFLECTANCE_1550, Material
-from thalweg_lab.river.outlook import outlook
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.voyage.truth import write_effects
-from thalweg_lab.writers.laz import write_scan
+from thalweg.core import AnyArray, ArrayF, ArrayI, LocalFrame
+from thalweg.core.geometry import RayCaster
+from thalweg.settings.twin import TwinConfig, TwinTls
+from thalweg_lab.instruments.footprint import Beam, EchoKind, ShotRandom, Surfaces, echoes_of, part_of, seen
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.reach import River
+from thalweg_lab.river import REFLECTANCE, REFLECTANCE_1550, Material, Scene, outlook
+from thalweg_lab.voyage import write_effects
+from thalweg_lab.writers import write_scan
 
 _AZIMUTH_RAD: Final = np.deg2rad(60.0)
 _LOWEST_RAD: Final = np.deg2rad(-20.0)
@@ -250,7 +243,7 @@ def simulate_tls(
 
     Parameters
     ----------
-    config, seed, frame, scene : as in `thalweg_lab.instruments.echo.simulate_echo`.
+    config, seed, frame, scene : as in `thalweg_lab.instruments.bed.simulate_echo`.
     out_scans : one target a station; the stations share the reach evenly.
     crs : projected CRS of the campaign; heights in the files are ellipsoidal.
     out_effects : where to write station positions and errors (JSON), beside the truth.

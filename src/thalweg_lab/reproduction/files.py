@@ -12,9 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.mistakes import Key, Mistake
-from thalweg.core.yaml_lines import Document, read_yaml
+from thalweg.core import ConfigError, Document, Key, Mistake, read_yaml
 
 VERSION: Final = 1
 KINDS: Final = ("input constant", "exact", "statistic on the twin", "procedure only")
@@ -34,28 +32,35 @@ PUT_IN: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "decoded": ("a stored table turned back", ("exact",)),
     "definition": ("true by definition", ("exact", "statistic on the twin")),
     "fitted": ("met by an input chosen for it", KINDS),
-}  # fmt: skip
+}
 """Why a number is no finding of this project, in words, and of which kinds it may be: no measurement could
 have given it otherwise, or geometry or inputs were fitted to it or to its neighbours."""
 
 ALWAYS_PUT_IN: Final = {
-    "times": "arithmetic", "percent": "arithmetic", "difference": "arithmetic", "ratio": "arithmetic",
-    "opening_of_all_lines": "arithmetic", "table_1_of_p3": "decoded", "unknowns": "definition",
-    "picture_px": "constant", "picture_mm": "constant", "principal_distance": "constant",
-    "opening": "constant", "total_to": "fitted", "shrinking_causes": "fitted", "least_in_centre": "fitted",
-    "depth_lines_seen": "fitted", "survey_rmse": "fitted",
-}  # fmt: skip
+    "times": "arithmetic",
+    "percent": "arithmetic",
+    "difference": "arithmetic",
+    "ratio": "arithmetic",
+    "opening_of_all_lines": "arithmetic",
+    "table_1_of_p3": "decoded",
+    "unknowns": "definition",
+    "picture_px": "constant",
+    "picture_mm": "constant",
+    "principal_distance": "constant",
+    "opening": "constant",
+    "total_to": "fitted",
+    "shrinking_causes": "fitted",
+    "least_in_centre": "fitted",
+    "depth_lines_seen": "fitted",
+    "survey_rmse": "fitted",
+}
 """Functions of `thalweg_lab.reproduction.ledger` whose numbers are put in, whatever the entry says."""
 
-FITTED: Final = (
-    ("triangulation/budget_published.csv", "computed_mm"), ("chain_study_goals.csv", "found_m"),
-)  # fmt: skip
+FITTED: Final = (("triangulation/budget_published.csv", "computed_mm"), ("chain_study_goals.csv", "found_m"))
 """Files and columns that rest on geometry or inputs which were fitted to published figures: the prototype of
 P4, and the magnetic fields, drift and multipath of the study of chains."""
 
-POINTERS: Final = {
-    ".csv": "column", ".parquet": "column", ".json": "key", ".yaml": "key", ".ply": "axis"
-}  # fmt: skip
+POINTERS: Final = {".csv": "column", ".parquet": "column", ".json": "key", ".yaml": "key", ".ply": "axis"}
 """What says where a number stands, by the kind of file."""
 
 _ENTRY: Final = {
@@ -64,9 +69,22 @@ _ENTRY: Final = {
     "put_in": False, "why": True, "ours": True, "note": False,
 }  # fmt: skip
 _OURS: Final = {
-    *SOURCES, "where", "near", "column", "key", "over", "against", "take", "times", "n", "sigma", "sigma_of",
-    "words", "axis", "with",
-}  # fmt: skip
+    *SOURCES,
+    "where",
+    "near",
+    "column",
+    "key",
+    "over",
+    "against",
+    "take",
+    "times",
+    "n",
+    "sigma",
+    "sigma_of",
+    "words",
+    "axis",
+    "with",
+}
 _NEEDS_VALUE: Final = ("equal", "at most", "at least", "inside")
 
 
@@ -256,14 +274,28 @@ class _Reader:
         value = data.get("value")
         words = {key: " ".join(str(data.get(key) or "").split()) for key in _ENTRY}
         return Entry(
-            rows=tuple(rows or ()), part=words["part"], section=section, where=words["where"],
-            quantity=words["quantity"], printed=words["printed"], unit=words["unit"],
-            value=(float(value[0]), float(value[1])) if isinstance(value, list)
-            else value if value is None or isinstance(value, str) else float(value),
-            half_unit=float(data.get("half_unit") or 0.0), tolerance=float(data.get("tolerance") or 0.0),
-            kind=words["kind"], rule=words["rule"], basis=words["basis"], put_in=words["put_in"],
-            why=words["why"], ours=ours, note=words["note"],
-        )  # fmt: skip
+            rows=tuple(rows or ()),
+            part=words["part"],
+            section=section,
+            where=words["where"],
+            quantity=words["quantity"],
+            printed=words["printed"],
+            unit=words["unit"],
+            value=(float(value[0]), float(value[1]))
+            if isinstance(value, list)
+            else value
+            if value is None or isinstance(value, str)
+            else float(value),
+            half_unit=float(data.get("half_unit") or 0.0),
+            tolerance=float(data.get("tolerance") or 0.0),
+            kind=words["kind"],
+            rule=words["rule"],
+            basis=words["basis"],
+            put_in=words["put_in"],
+            why=words["why"],
+            ours=ours,
+            note=words["note"],
+        )
 
     def judged(self, path: tuple[Key, ...], data: dict[str, Any]) -> None:
         """Value, half unit, tolerance and basis must fit the rule."""
@@ -288,9 +320,10 @@ class _Reader:
             tolerated and basis not in ("identity", "printed digits")
         ):
             self.wrong(
-                path, "tolerance and basis do not fit",
+                path,
+                "tolerance and basis do not fit",
                 "a tolerance with the basis identity, or one that follows from several printed numbers",
-            )  # fmt: skip
+            )
         if basis in ("printed digits", "sampling error") and data.get("half_unit") is None:
             self.wrong(path, "half_unit is missing", "half a unit of the last printed digit")
 
@@ -300,9 +333,10 @@ class _Reader:
         if data["rule"] in ("present", "not checkable"):
             if given is not None:
                 self.wrong(
-                    (*path, "put_in"), f"found {given!r} with the rule {data['rule']!r}",
+                    (*path, "put_in"),
+                    f"found {given!r} with the rule {data['rule']!r}",
                     "no put_in where nothing is compared",
-                )  # fmt: skip
+                )
             return
         needed = _must_be_put_in(data["ours"])
         if given is None and (needed or kind == "input constant"):
@@ -314,9 +348,10 @@ class _Reader:
             self.wrong((*path, "put_in"), f"found {given!r} for {needed[1]}", f"put_in: {needed[0]}")
         elif given is not None and kind not in PUT_IN[given][1]:
             self.wrong(
-                (*path, "put_in"), f"found {given!r} for the kind {kind!r}",
+                (*path, "put_in"),
+                f"found {given!r} for the kind {kind!r}",
                 f"one of the kinds {', '.join(PUT_IN[given][1])}",
-            )  # fmt: skip
+            )
 
     def ours(self, path: tuple[Key, ...], data: Any) -> Ours | None:
         """Where the pipeline's own value comes from, or None after a mistake."""
@@ -353,15 +388,23 @@ class _Reader:
         if len(self.mistakes) > before:
             return None
         return Ours(
-            source=source, name=" ".join(data[source].split()), where=dict(data.get("where") or {}),
+            source=source,
+            name=" ".join(data[source].split()),
+            where=dict(data.get("where") or {}),
             near={k: (float(v[0]), float(v[1])) for k, v in near.items()},
-            columns=_several(data.get("column", [])), key=_several(data.get("key", [])),
-            over=str(data.get("over", "")), against=str(data.get("against", "")),
-            take=data.get("take", "one"), times=float(data.get("times", 1.0)), n=str(data.get("n", "")),
-            sigma=str(data.get("sigma", "")), sigma_of=(spread["file"], spread["column"]) if spread else None,
-            words=data.get("words"), axis=int(data.get("axis", 0)),
+            columns=_several(data.get("column", [])),
+            key=_several(data.get("key", [])),
+            over=str(data.get("over", "")),
+            against=str(data.get("against", "")),
+            take=data.get("take", "one"),
+            times=float(data.get("times", 1.0)),
+            n=str(data.get("n", "")),
+            sigma=str(data.get("sigma", "")),
+            sigma_of=(spread["file"], spread["column"]) if spread else None,
+            words=data.get("words"),
+            axis=int(data.get("axis", 0)),
             extra=data.get("with"),
-        )  # fmt: skip
+        )
 
 
 def _must_be_put_in(ours: Any) -> tuple[str, str] | None:

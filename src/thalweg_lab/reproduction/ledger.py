@@ -14,344 +14,41 @@ Some printed numbers are compared in several quantities (the sigma of a paramete
 all). They are counted once, with the weakest of their verdicts.
 """
 
+import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+import yaml
 
-from thalweg.budgets.budget_file import read_budget
-from thalweg.budgets.influences import rmse_mm
-from thalweg.budgets.published import BY_CHOICE
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayF
-from thalweg.lightsheet.budget import budget
-from thalweg.lightsheet.budget import checks as budget_checks
-from thalweg.lightsheet.budget import correlations as budget_correlations
-from thalweg.lightsheet.calibration.published import PAPER_3, paper_3_sigmas, paper_3_table
-from thalweg.lightsheet.calibration.rank import SINGULAR
-from thalweg.lightsheet.multi_line.models import Kind, NominalDiode, line_model
-from thalweg.lightsheet.optics import refractive_index
-from thalweg.lightsheet.optics.interfaces import refract
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.intersection_paper import intersect_by_halving, refract_as_printed
-from thalweg.lightsheet.optics.refracted_rays import refract_to_water
-from thalweg.lightsheet.optics.sensor import PARAMETERS, LightSheet, Sensor, Window, paper_3, paper_4
-from thalweg.lightsheet.optics.volume import depth_lines, measurement_volume
-from thalweg.lightsheet.poses.sources import pose_source_table
+from thalweg.budgets import BY_CHOICE, read_budget, rmse_mm
+from thalweg.core import ArrayF, InputError, read_parquet
+from thalweg.core.geometry import read_mesh
+from thalweg.lightsheet.budget import budget, budget as budget_correlations, checks as budget_checks
+from thalweg.lightsheet.calibration import PAPER_3, SINGULAR, paper_3_sigmas, paper_3_table
+from thalweg.lightsheet.multi_line import Kind, NominalDiode, line_model
+from thalweg.lightsheet.optics import (
+    PARAMETERS,
+    LightSheet,
+    Sensor,
+    Window,
+    depth_lines,
+    intersect,
+    intersect_by_halving,
+    measurement_volume,
+    paper_3,
+    paper_4,
+    refract,
+    refract_as_printed,
+    refract_to_water,
+    refractive_index,
+)
+from thalweg.lightsheet.poses import pose_source_table
 from thalweg_lab.reproduction.files import KINDS, PUT_IN, Entry, Ours
-from thalweg_lab.reproduction.values import Found, Results
-
-# ---------------------------------------------------------------- numbers of the ledger that need no
-# campaign: optics, the stored prototypes, arithmetic of printed numbers
-#
-# Each function takes the published numbers by the names of their entries, so that nothing printed is typed in
-# here, and the arguments of its entry (``with:``).
-
-
-BUDGETS: Final = Path(__file__).parents[3] / "resources" / "budgets"
-HALVING_STEP_PX: Final = 16
-"""Every so many-th pixel is intersected by the halving of the papers."""
-OFF_MM: Final = 1e-3
-SKEW_MM: Final = 1e-9
-
-Published = Mapping[str, Any]
-
-
-def computed(ours: Ours, published: Published) -> Found:
-    """The number of a function of this module."""
-    return FUNCTIONS[ours.name](published, **dict(ours.extra or {}))
-
-
-def bends(published: Published, *, about_y_deg: float, about_x_deg: float) -> Found:
-    """How often the line of a tilted sheet on a plane in the water changes the side to which it bends.
-
-    A fan along y, first turned about the y axis and then about the x axis (P3 Fig. 1, P4 Fig. 1).
-    """
-    window = Window(thickness_mm=5.0, n_glass=1.52, n_water=1.335)
-    angles = np.deg2rad([about_x_deg, about_y_deg, 90.0])
-    sheet = LightSheet(
-        origin_lcs_mm=np.array([0.0, 0.0, 70.0]), angles_rad=angles, half_angle_rad=np.deg2rad(32.0)
-    )
-    a = np.linspace(-sheet.half_angle_rad, sheet.half_angle_rad, 401)
-    d = np.diff(refract_to_water(sheet.origin_lcs_mm, sheet.beams(a), window).at_depth(100.0)[:, :2], axis=0)
-    turn = d[:-1, 0] * d[1:, 1] - d[:-1, 1] * d[1:, 0]
-    # relative to the largest: a straight line would turn by rounding alone
-    sides = np.sign(turn[np.abs(turn) > 1e-9 * np.abs(turn).max()])
-    return Found(value=float((np.diff(sides) != 0).sum()), n=float(len(a)))
-
-
-def snell(published: Published) -> Found:
-    """Largest |n_1 sin t_1 - n_2 sin t_2| of vector Snell, air to glass to water, up to 89 degrees."""
-    t = np.deg2rad(np.linspace(0.0, 89.0, 2001))
-    d, N = np.stack([np.sin(t), 0 * t, -np.cos(t)], axis=1), np.array([0.0, 0.0, 1.0])
-    worst = 0.0
-    for n_1, n_2 in ((1.0, 1.52), (1.52, 1.335)):
-        out, lost = refract(d, N, n_1, n_2)
-        sines = [np.linalg.norm(np.cross(v, N), axis=1) for v in (d, out)]
-        worst = max(worst, float(np.abs(n_1 * sines[0] - n_2 * sines[1])[~lost].max()))
-    return Found(value=worst, n=float(2 * len(t)))
-
-
-def printed_snell(published: Published, *, angle_deg: float) -> Found:
-    """Length of the refracted unit vector by the root as P3 and P4 print it, air to glass."""
-    t = np.deg2rad(angle_deg)
-    v = refract_as_printed(np.array([[np.sin(t), 0.0, -np.cos(t)]]), np.array([0.0, 0.0, 1.0]), 1.0, 1.52)
-    return Found(value=float(np.linalg.norm(v)))
-
-
-@cache
-def _halved() -> tuple[ArrayF, ArrayF]:
-    """Distances (n,) of points by halving from exact ones, and what the halving left between the rays."""
-    sensor = paper_4()
-    side = np.arange(0.5, sensor.camera.size_px[0], HALVING_STEP_PX)
-    xy = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    exact = intersect(sensor, xy)
-    halved = intersect_by_halving(sensor, xy[exact.ok], threshold_mm=SKEW_MM)
-    return np.linalg.norm(halved.xyz_lcs_mm - exact.xyz_lcs_mm[exact.ok], axis=1), halved.skew_mm
-
-
-def halving_where_it_ends(published: Published) -> Found:
-    """Largest distance of points by halving from exact ones, where the halving meets its threshold."""
-    off, skew = _halved()
-    return Found(value=float(off[skew <= SKEW_MM].max()), n=float((skew <= SKEW_MM).sum()))
-
-
-def halving_misses(published: Published) -> Found:
-    """Percent of the pixels whose point by halving lies more than a micrometre from the exact one."""
-    off, _ = _halved()
-    return Found(value=100.0 * float((off > OFF_MM).mean()), n=float(len(off)))
-
-
-def volume(published: Published, *, paper: int, side: str, unit_mm: float = 1.0) -> Found:
-    """A side of the measurement volume: least and largest depth from the dry face of the window for P3
-    (whose origin lies there), below its wet face for P4; widths along and across the base for P4.
-    """
-    sensor = _paper(paper)
-    found = measurement_volume(sensor)
-    glass = sensor.window.thickness_mm if paper == 3 else 0.0
-    size_mm = {
-        "least depth": found.depth_mm[0] + glass, "largest depth": found.depth_mm[1] + glass,
-        "x": float(found.size_mm[0]), "y": float(found.size_mm[1]),
-    }[side]  # fmt: skip
-    return Found(value=size_mm / unit_mm)
-
-
-def seeing_pixels(published: Published, *, paper: int) -> Found:
-    """Percent of the pixels that see the sheet in the water."""
-    return Found(value=100.0 * measurement_volume(_paper(paper)).share)
-
-
-def depth_lines_seen(published: Published, *, depths_mm: list[float]) -> Found:
-    """How many lines of equal depth are in the picture, counted as long as they lie right to left."""
-    middles = [np.median(line.xy_px[:, 0]) for line in depth_lines(paper_4(), depths_mm) if len(line.xy_px)]
-    ordered = 1 + int(np.cumprod(np.diff(middles) < 0).sum()) if middles else 0
-    return Found(value=float(ordered))
-
-
-def table_1_of_p3(published: Published, *, what: str) -> Found:
-    """A value of P3 Table 1, out of the stored prototype in our own frame."""
-    sensor = paper_3()
-    values = dict(zip(PAPER_3, paper_3_table(sensor.vector()).tolist(), strict=True))
-    # frame of P3 has Z downwards, its fan lies along y
-    values |= {
-        "laser x": float(sensor.sheet.origin_lcs_mm[0]), "laser y": float(sensor.sheet.origin_lcs_mm[1]),
-        "laser omega": float(np.rad2deg(sensor.sheet.angles_rad[0])),
-        "laser kappa": 90.0 - float(np.rad2deg(sensor.sheet.angles_rad[2])),
-    }  # fmt: skip
-    return Found(value=values[what])
-
-
-@cache
-def _calibrated_p3() -> dict[str, float]:
-    """Sigmas of P3 Table 1 by its own plan: 8 pairs, 152 line points, levels 75 and 129 mm, lines of 0.15 px
-    and ends of pieces measured by hand to one pixel.
-    """
-    sensor = paper_3()
-    plan = budget_correlations.design(
-        sensor, (75.0, 129.0), points=(100, 52), pairs=8, sigma_line_px=0.15, sigma_pair_px=1.0
-    )
-    names = ("laser_z_mm", "laser_phi_rad", *PARAMETERS[:6])
-    _, J = budget_correlations.observation_equations(sensor, plan, names)
-    cov = np.zeros((len(PARAMETERS), len(PARAMETERS)))
-    at = [PARAMETERS.index(name) for name in names]
-    cov[np.ix_(at, at)] = np.linalg.inv(J.T @ J)
-    return paper_3_sigmas(sensor.vector(), cov)
-
-
-def sigma_of_p3(published: Published, *, what: str) -> Found:
-    """A sigma of P3 Table 1, predicted from its own plan of observations."""
-    return Found(value=_calibrated_p3()[what], n=168.0)
-
-
-def rank_defect(published: Published, *, paper: int) -> Found:
-    """Unknowns of a published calibration that its observations leave free.
-
-    P3: laser z, phi, kappa and six of the camera. P4: six of the laser.
-    """
-    sensor = _paper(paper)
-    levels = (75.0, 129.0) if paper == 3 else (60.0, 150.0)
-    names = (
-        ("laser_z_mm", "laser_phi_rad", "laser_kappa_rad", *PARAMETERS[:6])
-        if paper == 3
-        else PARAMETERS[15:21]
-    )
-    _, J = budget_correlations.observation_equations(
-        sensor, budget_correlations.design(sensor, levels), names
-    )
-    values = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
-    return Found(value=float((values <= SINGULAR).sum()))
-
-
-def base(published: Published, *, paper: int) -> Found:
-    """Distance of camera and laser, mm."""
-    sensor = _paper(paper)
-    return Found(value=float(np.linalg.norm(sensor.camera_origin_lcs_mm - sensor.sheet.origin_lcs_mm)))
-
-
-def picture_px(published: Published, *, paper: int, axis: int) -> Found:
-    """Size of the picture along x (0) or y (1), px."""
-    return Found(value=float(_paper(paper).camera.size_px[axis]))
-
-
-def picture_mm(published: Published, *, paper: int, axis: int) -> Found:
-    """Size of the sensor of the camera: pixels times the principal distance in mm over that in px."""
-    camera = _paper(paper).camera
-    c_mm = float(published["C279 lens" if paper == 3 else "C228"])
-    return Found(value=camera.size_px[axis] * c_mm / float(camera.parameters[0]))
-
-
-def principal_distance(published: Published) -> Found:
-    """Of the prototype of P4, mm: in pixels times the published pixel."""
-    return Found(value=float(paper_4().camera.parameters[0]) * float(published["C227"]) * 1e-3)
-
-
-def opening(published: Published, *, paper: int) -> Found:
-    """Angle of the fan, degrees."""
-    return Found(value=2.0 * float(np.rad2deg(_paper(paper).sheet.half_angle_rad)))
-
-
-def pixel_on_plane(published: Published, *, depth_mm: float, longest: bool) -> Found:
-    """Longer or shorter step between neighbouring pixels on a level plane, in mid-fan at a depth, mm."""
-    sensor = paper_4()
-    (line,) = depth_lines(sensor, [depth_mm])
-    middle = line.xy_px[int(np.abs(line.fan_angle_rad).argmin())]
-    xy = middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    rays = sensor.camera.rays(xy) @ sensor.R_lcs_ccs.T
-    water = refract_to_water(sensor.camera_origin_lcs_mm, rays, sensor.window)
-    plane = water.at_depth(depth_mm)
-    sides = np.sort(np.linalg.norm(plane[1:] - plane[0], axis=1))
-    return Found(value=float(sides[1 if longest else 0]))
-
-
-@cache
-def _budget_to(depth_mm: float) -> pd.DataFrame:
-    depths = np.linspace(50.0, depth_mm, 5)
-    return budget.budget_table(budget.budget_on_lines(paper_4(), depths_mm=depths.tolist()))
-
-
-def total_to(published: Published, *, depth_mm: float, bound: str) -> Found:
-    """Least or largest sigma of the depth from 50 mm to a depth, correlations left out, mm."""
-    table = _budget_to(depth_mm)
-    total = table[table["cause"] == budget.TOTAL]
-    return Found(value=float(total["least_mm"].min() if bound == "least" else total["most_mm"].max()))
-
-
-def shrinking_causes(published: Published) -> Found:
-    """Causes whose largest sigma of the depth does not grow from 50 over 125 to 200 mm."""
-    trends = budget_checks.depth_trends(_p4_budget_table())
-    trends = trends[~trends["cause"].isin((budget.TOTAL, budget.TOTAL_CORRELATED))]
-    return Found(value=float((~trends["grows"]).sum()), n=float(len(trends)))
-
-
-def least_in_centre(published: Published, *, causes: list[str]) -> Found:
-    """Lines of equal depth (three for each cause) on which a sigma is least nearer to the picture's centre
-    than where it is largest.
-    """
-    sensor = paper_4()
-    trends = budget_checks.centre_trends(budget.budget_on_lines(sensor), sensor)
-    trends = trends[trends["cause"].isin(causes)]
-    return Found(value=float(trends["falls"].sum()), n=float(len(trends)))
-
-
-@cache
-def _p4_budget_table() -> pd.DataFrame:
-    return budget.budget_table(budget.budget_on_lines(paper_4()))
-
-
-def index_change(published: Published, *, low_c: float, high_c: float, wavelength_nm: float) -> Found:
-    """Change of the water's refractive index between two temperatures (IAPWS)."""
-    low, high = (refractive_index.water(wavelength_nm, t) for t in (low_c, high_c))
-    return Found(value=abs(low - high))
-
-
-def pose_spoils(published: Published, *, source: str, depth_mm: float) -> Found:
-    """Sigma of a point in space by a source of poses, at a depth, mm."""
-    table = pose_source_table(paper_4(), depths_mm=(depth_mm,))
-    return Found(value=float(table["sigma_3d_mm"].to_numpy()[table["source"] == source][0]))
-
-
-def unknowns(published: Published, *, kind: Kind, lines: int, fixed_fans: bool = False) -> Found:
-    """Unknowns of a model of a laser with several lines."""
-    nominal = NominalDiode(
-        labels=np.arange(lines), middle=(lines - 1) / 2, origin_lcs_mm=np.zeros(3), angles_rad=np.zeros(3),
-        step_rad=float(np.deg2rad(published["C303 step"])),
-        half_angle_rad=0.5 * float(np.deg2rad(published["C303 width"])),
-    )  # fmt: skip
-    return Found(value=float(len(line_model(kind, nominal, fixed_fans=fixed_fans).names)))
-
-
-def opening_of_all_lines(published: Published) -> Found:
-    """Steps between the first and the last line, degrees."""
-    return Found(value=(float(published["C303 lines"]) - 1.0) * float(published["C303 step"]))
-
-
-def difference(published: Published, *, of: str, minus: str) -> Found:
-    """Of two published numbers."""
-    return Found(value=float(published[of]) - float(published[minus]))
-
-
-def percent(published: Published, *, of: str, part: str) -> Found:
-    """One published number in percent of another."""
-    return Found(value=100.0 * float(published[part]) / float(published[of]), n=float(published[of]))
-
-
-def times(published: Published, *, of: str, factor: float) -> Found:
-    """A published number times a factor."""
-    return Found(value=factor * float(published[of]))
-
-
-def ratio(published: Published, *, of: str, over: str) -> Found:
-    """Of two published numbers."""
-    return Found(value=float(published[of]) / float(published[over]))
-
-
-def survey_rmse(published: Published, *, name: str) -> Found:
-    """RMSE over a survey by a stored budget, cm."""
-    return Found(value=0.1 * rmse_mm(read_budget(BUDGETS / f"{name}.yaml")))
-
-
-def _paper(number: int) -> Sensor:
-    return {3: paper_3, 4: paper_4}[number]()
-
-
-FUNCTIONS: Final[dict[str, Callable[..., Found]]] = {
-    function.__name__: function
-    for function in (
-        bends, snell, printed_snell, halving_where_it_ends, halving_misses, volume, seeing_pixels,
-        depth_lines_seen,
-        table_1_of_p3, sigma_of_p3, rank_defect, base, picture_px, picture_mm, principal_distance, opening,
-        pixel_on_plane, total_to, shrinking_causes, least_in_centre, index_change, pose_spoils, unknowns,
-        opening_of_all_lines, difference, percent, times, ratio, survey_rmse,
-    )
-}  # fmt: skip
-"""What the ledger may name in ``computed``."""
-
-
-# ---------------------------------------------------------------- ledger
-
 
 FOUND: Final = "found"
 WAS_PUT_IN: Final = "put in"
@@ -361,22 +58,14 @@ SHOWN: Final = "shown"
 MISSED: Final = "missed"
 NOT_CHECKABLE: Final = "not checkable"
 NO_RESULT: Final = "no result yet"
-VERDICTS: Final = (
-    FOUND, WAS_PUT_IN, BY_CHOICE, BELOW, ABOVE, SHOWN, MISSED, NOT_CHECKABLE, NO_RESULT,
-)  # fmt: skip
-WEAKEST_FIRST: Final = (
-    MISSED, NO_RESULT, NOT_CHECKABLE, BY_CHOICE, WAS_PUT_IN, SHOWN, ABOVE, BELOW, FOUND,
-)  # fmt: skip
+VERDICTS: Final = (FOUND, WAS_PUT_IN, BY_CHOICE, BELOW, ABOVE, SHOWN, MISSED, NOT_CHECKABLE, NO_RESULT)
+WEAKEST_FIRST: Final = (MISSED, NO_RESULT, NOT_CHECKABLE, BY_CHOICE, WAS_PUT_IN, SHOWN, ABOVE, BELOW, FOUND)
 """Which verdict counts for a printed number that is compared in several quantities."""
-
 FAR_BELOW: Final = 1.0 / 3.0
 """Share of a bound that an error-free twin would meet as well: the match says little."""
-
 SAMPLING_SIGMAS: Final = 3.0
 """Sigmas of our own number that the basis ``sampling error`` adds: one of 370 normal numbers lies beyond."""
-
 NO_SIGMA: Final = "the number has no sigma, or is none"
-
 VERDICTS_NOTE: Final = (
     "*Found*: a measurement or computation gave the printed number and could have given another. *Put "
     "in*: an input of the twin, a constant of a stored instrument, arithmetic of printed numbers, a "
@@ -387,12 +76,122 @@ VERDICTS_NOTE: Final = (
     "once, with the weakest verdict."
 )
 """What the verdicts mean, for pages."""
-
 COLUMNS: Final = (
-    "rows", "name", "section", "where", "quantity", "printed", "value", "unit", "half_unit", "kind", "rule",
-    "basis", "put_in", "ours", "sigma", "n", "difference", "tolerance", "missed_by", "of_bound", "verdict",
-    "reason", "source", "note",
-)  # fmt: skip
+    "rows",
+    "name",
+    "section",
+    "where",
+    "quantity",
+    "printed",
+    "value",
+    "unit",
+    "half_unit",
+    "kind",
+    "rule",
+    "basis",
+    "put_in",
+    "ours",
+    "sigma",
+    "n",
+    "difference",
+    "tolerance",
+    "missed_by",
+    "of_bound",
+    "verdict",
+    "reason",
+    "source",
+    "note",
+)
+BUDGETS: Final = Path(__file__).parents[3] / "resources" / "budgets"
+HALVING_STEP_PX: Final = 16
+"""Every so many-th pixel is intersected by the halving of the papers."""
+OFF_MM: Final = 1e-3
+SKEW_MM: Final = 1e-9
+Published = Mapping[str, Any]
+
+MM_PER_M: Final = 1000.0
+SPREADS: Final = ("binomial", "scatter", "unit")
+"""Sigmas that are no column, see `thalweg_lab.reproduction.files.Ours`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Our number: ``value`` a number or word, None if there is none, and then ``absent`` says why; ``sigma``
+    and ``n`` where the result has them.
+    """
+
+    value: float | str | None = None
+    sigma: float = float("nan")
+    n: float = float("nan")
+    absent: str = ""
+
+
+@dataclass(slots=True)
+class Results:
+    """Files that the ledger may read, each read once.
+
+    Parameters
+    ----------
+    files : path below the campaign's results -> file.
+    studies : path below ``results/reproduction`` -> file.
+    settings : section ``twin.light_sheet`` of the campaign, as plain values; None for a campaign that is no
+        twin.
+    """
+
+    files: Mapping[str, Path]
+    studies: Mapping[str, Path]
+    settings: Mapping[str, Any] | None
+    _read: dict[Path, Any]
+
+    @classmethod
+    def of(
+        cls, files: Mapping[str, Path], studies: Mapping[str, Path], settings: Mapping[str, Any] | None
+    ) -> "Results":
+        """Nothing is read yet."""
+        return cls(files, studies, settings, {})
+
+    def find(self, ours: Ours) -> Found:
+        """The number of a pointer to a file, a study or a setting.
+
+        Raises
+        ------
+        InputError : a file that cannot be read at all.
+        """
+        if ours.source == "none":
+            return Found(absent=ours.name)
+        if ours.source == "setting":
+            return _setting(self.settings, ours)
+        found = self._in_file(ours, ours.name)
+        if ours.sigma_of and found.value is not None:
+            file, column = ours.sigma_of
+            spread = self._in_file(
+                Ours(source=ours.source, name=file, where={}, near={}, columns=(column,), take="mean error"),
+                file,
+            )
+            found = replace(found, sigma=spread.value if isinstance(spread.value, float) else float("nan"))
+        if not ours.against or not isinstance(found.value, float):
+            return found
+        divisor = self._in_file(ours, ours.against)
+        if not isinstance(divisor.value, float):
+            return divisor
+        return Found(value=found.value / divisor.value)
+
+    def _in_file(self, ours: Ours, name: str) -> Found:
+        path = (self.files if ours.source == "file" else self.studies).get(name)
+        if path is None or not path.is_file():
+            return Found(absent=_how_to_get(ours.source, name))
+        if path not in self._read:
+            self._read[path] = _content(path)
+        content = self._read[path]
+        try:
+            if ours.axis:
+                return Found(value=float(np.sort(np.ptp(content, axis=0))[-ours.axis]) * ours.times)
+            return _of_table(content, ours) if isinstance(content, pd.DataFrame) else _of_tree(content, ours)
+        except _AbsentError as absent:
+            return Found(absent=f"{name}: {absent}")
+
+
+# ---------------------------------------------------------------- ledger
 
 
 def judged(entries: Sequence[Entry], results: Results) -> pd.DataFrame:
@@ -602,8 +401,10 @@ def markdown(table: pd.DataFrame, *, title: str, twin: bool) -> str:
         lines += ["", f"## {section}", "", summary(part) + ".", ""]
         lines += _grid(readable(part))
     for verdict, head in (
-        (MISSED, "Missed"), (NO_RESULT, "No result yet"), (NOT_CHECKABLE, "Not checkable, and why"),
-    ):  # fmt: skip
+        (MISSED, "Missed"),
+        (NO_RESULT, "No result yet"),
+        (NOT_CHECKABLE, "Not checkable, and why"),
+    ):
         part = table[table["verdict"] == verdict]
         if not len(part):
             continue
@@ -681,9 +482,7 @@ def _bounds(entry: Entry) -> tuple[float, float]:
     if isinstance(value, tuple):
         return value
     number = float(value) if isinstance(value, float | int) else float("nan")
-    return {
-        "at most": (-np.inf, number), "at least": (number, np.inf), "equal": (number, number),
-    }[entry.rule]  # fmt: skip
+    return {"at most": (-np.inf, number), "at least": (number, np.inf), "equal": (number, number)}[entry.rule]
 
 
 def _row(entry: Entry, found: Found) -> dict[str, Any]:
@@ -693,21 +492,33 @@ def _row(entry: Entry, found: Found) -> dict[str, Any]:
     bound = value if isinstance(value, float) and entry.rule in ("at most", "at least") else 0.0
     pair = isinstance(value, tuple)
     return {
-        "rows": " ".join(entry.rows), "name": entry.name, "section": entry.section, "where": entry.where,
-        "quantity": entry.quantity, "printed": entry.printed,
+        "rows": " ".join(entry.rows),
+        "name": entry.name,
+        "section": entry.section,
+        "where": entry.where,
+        "quantity": entry.quantity,
+        "printed": entry.printed,
         "value": f"{value[0]:g} to {value[1]:g}" if isinstance(value, tuple) else value,
-        "unit": entry.unit, "half_unit": entry.half_unit if numbers or pair else float("nan"),
-        "kind": entry.kind, "rule": entry.rule, "basis": entry.basis, "put_in": entry.put_in,
+        "unit": entry.unit,
+        "half_unit": entry.half_unit if numbers or pair else float("nan"),
+        "kind": entry.kind,
+        "rule": entry.rule,
+        "basis": entry.basis,
+        "put_in": entry.put_in,
         "ours": found.value,
-        "sigma": found.sigma, "n": found.n,
+        "sigma": found.sigma,
+        "n": found.n,
         "difference": found.value - value
-        if isinstance(value, float) and isinstance(found.value, float) else float("nan"),
-        "tolerance": tolerance, "missed_by": missed_by,
+        if isinstance(value, float) and isinstance(found.value, float)
+        else float("nan"),
+        "tolerance": tolerance,
+        "missed_by": missed_by,
         "of_bound": found.value / bound if bound and isinstance(found.value, float) else float("nan"),
         "verdict": verdict,
         "reason": (found.absent or NO_SIGMA) if verdict == NO_RESULT else entry.why,
-        "source": _source(entry), "note": entry.note,
-    }  # fmt: skip
+        "source": _source(entry),
+        "note": entry.note,
+    }
 
 
 def _source(entry: Entry) -> str:
@@ -726,3 +537,489 @@ def _source(entry: Entry) -> str:
     return f"{base}{ours.name}: {ours.take + ' of ' if ours.take != 'one' else ''}{at}" + (
         f" ({rows})" if rows else ""
     )
+
+
+# ---------------------------------------------------------------- numbers of the ledger that need no
+# campaign: optics, the stored prototypes, arithmetic of printed numbers
+#
+# Each function takes the published numbers by the names of their entries, so that nothing printed is typed in
+# here, and the arguments of its entry (``with:``).
+
+
+def computed(ours: Ours, published: Published) -> Found:
+    """The number of a function of this module."""
+    return FUNCTIONS[ours.name](published, **dict(ours.extra or {}))
+
+
+def bends(published: Published, *, about_y_deg: float, about_x_deg: float) -> Found:
+    """How often the line of a tilted sheet on a plane in the water changes the side to which it bends.
+
+    A fan along y, first turned about the y axis and then about the x axis (P3 Fig. 1, P4 Fig. 1).
+    """
+    window = Window(thickness_mm=5.0, n_glass=1.52, n_water=1.335)
+    angles = np.deg2rad([about_x_deg, about_y_deg, 90.0])
+    sheet = LightSheet(
+        origin_lcs_mm=np.array([0.0, 0.0, 70.0]), angles_rad=angles, half_angle_rad=np.deg2rad(32.0)
+    )
+    a = np.linspace(-sheet.half_angle_rad, sheet.half_angle_rad, 401)
+    d = np.diff(refract_to_water(sheet.origin_lcs_mm, sheet.beams(a), window).at_depth(100.0)[:, :2], axis=0)
+    turn = d[:-1, 0] * d[1:, 1] - d[:-1, 1] * d[1:, 0]
+    # relative to the largest: a straight line would turn by rounding alone
+    sides = np.sign(turn[np.abs(turn) > 1e-9 * np.abs(turn).max()])
+    return Found(value=float((np.diff(sides) != 0).sum()), n=float(len(a)))
+
+
+def snell(published: Published) -> Found:
+    """Largest |n_1 sin t_1 - n_2 sin t_2| of vector Snell, air to glass to water, up to 89 degrees."""
+    t = np.deg2rad(np.linspace(0.0, 89.0, 2001))
+    d, N = np.stack([np.sin(t), 0 * t, -np.cos(t)], axis=1), np.array([0.0, 0.0, 1.0])
+    worst = 0.0
+    for n_1, n_2 in ((1.0, 1.52), (1.52, 1.335)):
+        out, lost = refract(d, N, n_1, n_2)
+        sines = [np.linalg.norm(np.cross(v, N), axis=1) for v in (d, out)]
+        worst = max(worst, float(np.abs(n_1 * sines[0] - n_2 * sines[1])[~lost].max()))
+    return Found(value=worst, n=float(2 * len(t)))
+
+
+def printed_snell(published: Published, *, angle_deg: float) -> Found:
+    """Length of the refracted unit vector by the root as P3 and P4 print it, air to glass."""
+    t = np.deg2rad(angle_deg)
+    v = refract_as_printed(np.array([[np.sin(t), 0.0, -np.cos(t)]]), np.array([0.0, 0.0, 1.0]), 1.0, 1.52)
+    return Found(value=float(np.linalg.norm(v)))
+
+
+@cache
+def _halved() -> tuple[ArrayF, ArrayF]:
+    """Distances (n,) of points by halving from exact ones, and what the halving left between the rays."""
+    sensor = paper_4()
+    side = np.arange(0.5, sensor.camera.size_px[0], HALVING_STEP_PX)
+    xy = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    exact = intersect(sensor, xy)
+    halved = intersect_by_halving(sensor, xy[exact.ok], threshold_mm=SKEW_MM)
+    return np.linalg.norm(halved.xyz_lcs_mm - exact.xyz_lcs_mm[exact.ok], axis=1), halved.skew_mm
+
+
+def halving_where_it_ends(published: Published) -> Found:
+    """Largest distance of points by halving from exact ones, where the halving meets its threshold."""
+    off, skew = _halved()
+    return Found(value=float(off[skew <= SKEW_MM].max()), n=float((skew <= SKEW_MM).sum()))
+
+
+def halving_misses(published: Published) -> Found:
+    """Percent of the pixels whose point by halving lies more than a micrometre from the exact one."""
+    off, _ = _halved()
+    return Found(value=100.0 * float((off > OFF_MM).mean()), n=float(len(off)))
+
+
+def volume(published: Published, *, paper: int, side: str, unit_mm: float = 1.0) -> Found:
+    """A side of the measurement volume: least and largest depth from the dry face of the window for P3
+    (whose origin lies there), below its wet face for P4; widths along and across the base for P4.
+    """
+    sensor = _paper(paper)
+    found = measurement_volume(sensor)
+    glass = sensor.window.thickness_mm if paper == 3 else 0.0
+    size_mm = {
+        "least depth": found.depth_mm[0] + glass,
+        "largest depth": found.depth_mm[1] + glass,
+        "x": float(found.size_mm[0]),
+        "y": float(found.size_mm[1]),
+    }[side]
+    return Found(value=size_mm / unit_mm)
+
+
+def seeing_pixels(published: Published, *, paper: int) -> Found:
+    """Percent of the pixels that see the sheet in the water."""
+    return Found(value=100.0 * measurement_volume(_paper(paper)).share)
+
+
+def depth_lines_seen(published: Published, *, depths_mm: list[float]) -> Found:
+    """How many lines of equal depth are in the picture, counted as long as they lie right to left."""
+    middles = [np.median(line.xy_px[:, 0]) for line in depth_lines(paper_4(), depths_mm) if len(line.xy_px)]
+    ordered = 1 + int(np.cumprod(np.diff(middles) < 0).sum()) if middles else 0
+    return Found(value=float(ordered))
+
+
+def table_1_of_p3(published: Published, *, what: str) -> Found:
+    """A value of P3 Table 1, out of the stored prototype in our own frame."""
+    sensor = paper_3()
+    values = dict(zip(PAPER_3, paper_3_table(sensor.vector()).tolist(), strict=True))
+    # frame of P3 has Z downwards, its fan lies along y
+    values |= {
+        "laser x": float(sensor.sheet.origin_lcs_mm[0]),
+        "laser y": float(sensor.sheet.origin_lcs_mm[1]),
+        "laser omega": float(np.rad2deg(sensor.sheet.angles_rad[0])),
+        "laser kappa": 90.0 - float(np.rad2deg(sensor.sheet.angles_rad[2])),
+    }
+    return Found(value=values[what])
+
+
+@cache
+def _calibrated_p3() -> dict[str, float]:
+    """Sigmas of P3 Table 1 by its own plan: 8 pairs, 152 line points, levels 75 and 129 mm, lines of 0.15 px
+    and ends of pieces measured by hand to one pixel.
+    """
+    sensor = paper_3()
+    plan = budget_correlations.design(
+        sensor, (75.0, 129.0), points=(100, 52), pairs=8, sigma_line_px=0.15, sigma_pair_px=1.0
+    )
+    names = ("laser_z_mm", "laser_phi_rad", *PARAMETERS[:6])
+    _, J = budget_correlations.observation_equations(sensor, plan, names)
+    cov = np.zeros((len(PARAMETERS), len(PARAMETERS)))
+    at = [PARAMETERS.index(name) for name in names]
+    cov[np.ix_(at, at)] = np.linalg.inv(J.T @ J)
+    return paper_3_sigmas(sensor.vector(), cov)
+
+
+def sigma_of_p3(published: Published, *, what: str) -> Found:
+    """A sigma of P3 Table 1, predicted from its own plan of observations."""
+    return Found(value=_calibrated_p3()[what], n=168.0)
+
+
+def rank_defect(published: Published, *, paper: int) -> Found:
+    """Unknowns of a published calibration that its observations leave free.
+
+    P3: laser z, phi, kappa and six of the camera. P4: six of the laser.
+    """
+    sensor = _paper(paper)
+    levels = (75.0, 129.0) if paper == 3 else (60.0, 150.0)
+    names = (
+        ("laser_z_mm", "laser_phi_rad", "laser_kappa_rad", *PARAMETERS[:6])
+        if paper == 3
+        else PARAMETERS[15:21]
+    )
+    _, J = budget_correlations.observation_equations(
+        sensor, budget_correlations.design(sensor, levels), names
+    )
+    values = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
+    return Found(value=float((values <= SINGULAR).sum()))
+
+
+def base(published: Published, *, paper: int) -> Found:
+    """Distance of camera and laser, mm."""
+    sensor = _paper(paper)
+    return Found(value=float(np.linalg.norm(sensor.camera_origin_lcs_mm - sensor.sheet.origin_lcs_mm)))
+
+
+def picture_px(published: Published, *, paper: int, axis: int) -> Found:
+    """Size of the picture along x (0) or y (1), px."""
+    return Found(value=float(_paper(paper).camera.size_px[axis]))
+
+
+def picture_mm(published: Published, *, paper: int, axis: int) -> Found:
+    """Size of the sensor of the camera: pixels times the principal distance in mm over that in px."""
+    camera = _paper(paper).camera
+    c_mm = float(published["C279 lens" if paper == 3 else "C228"])
+    return Found(value=camera.size_px[axis] * c_mm / float(camera.parameters[0]))
+
+
+def principal_distance(published: Published) -> Found:
+    """Of the prototype of P4, mm: in pixels times the published pixel."""
+    return Found(value=float(paper_4().camera.parameters[0]) * float(published["C227"]) * 1e-3)
+
+
+def opening(published: Published, *, paper: int) -> Found:
+    """Angle of the fan, degrees."""
+    return Found(value=2.0 * float(np.rad2deg(_paper(paper).sheet.half_angle_rad)))
+
+
+def pixel_on_plane(published: Published, *, depth_mm: float, longest: bool) -> Found:
+    """Longer or shorter step between neighbouring pixels on a level plane, in mid-fan at a depth, mm."""
+    sensor = paper_4()
+    (line,) = depth_lines(sensor, [depth_mm])
+    middle = line.xy_px[int(np.abs(line.fan_angle_rad).argmin())]
+    xy = middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    rays = sensor.camera.rays(xy) @ sensor.R_lcs_ccs.T
+    water = refract_to_water(sensor.camera_origin_lcs_mm, rays, sensor.window)
+    plane = water.at_depth(depth_mm)
+    sides = np.sort(np.linalg.norm(plane[1:] - plane[0], axis=1))
+    return Found(value=float(sides[1 if longest else 0]))
+
+
+@cache
+def _budget_to(depth_mm: float) -> pd.DataFrame:
+    depths = np.linspace(50.0, depth_mm, 5)
+    return budget.budget_table(budget.budget_on_lines(paper_4(), depths_mm=depths.tolist()))
+
+
+def total_to(published: Published, *, depth_mm: float, bound: str) -> Found:
+    """Least or largest sigma of the depth from 50 mm to a depth, correlations left out, mm."""
+    table = _budget_to(depth_mm)
+    total = table[table["cause"] == budget.TOTAL]
+    return Found(value=float(total["least_mm"].min() if bound == "least" else total["most_mm"].max()))
+
+
+def shrinking_causes(published: Published) -> Found:
+    """Causes whose largest sigma of the depth does not grow from 50 over 125 to 200 mm."""
+    trends = budget_checks.depth_trends(_p4_budget_table())
+    trends = trends[~trends["cause"].isin((budget.TOTAL, budget.TOTAL_CORRELATED))]
+    return Found(value=float((~trends["grows"]).sum()), n=float(len(trends)))
+
+
+def least_in_centre(published: Published, *, causes: list[str]) -> Found:
+    """Lines of equal depth (three for each cause) on which a sigma is least nearer to the picture's centre
+    than where it is largest.
+    """
+    sensor = paper_4()
+    trends = budget_checks.centre_trends(budget.budget_on_lines(sensor), sensor)
+    trends = trends[trends["cause"].isin(causes)]
+    return Found(value=float(trends["falls"].sum()), n=float(len(trends)))
+
+
+@cache
+def _p4_budget_table() -> pd.DataFrame:
+    return budget.budget_table(budget.budget_on_lines(paper_4()))
+
+
+def index_change(published: Published, *, low_c: float, high_c: float, wavelength_nm: float) -> Found:
+    """Change of the water's refractive index between two temperatures (IAPWS)."""
+    low, high = (refractive_index.water(wavelength_nm, t) for t in (low_c, high_c))
+    return Found(value=abs(low - high))
+
+
+def pose_spoils(published: Published, *, source: str, depth_mm: float) -> Found:
+    """Sigma of a point in space by a source of poses, at a depth, mm."""
+    table = pose_source_table(paper_4(), depths_mm=(depth_mm,))
+    return Found(value=float(table["sigma_3d_mm"].to_numpy()[table["source"] == source][0]))
+
+
+def unknowns(published: Published, *, kind: Kind, lines: int, fixed_fans: bool = False) -> Found:
+    """Unknowns of a model of a laser with several lines."""
+    nominal = NominalDiode(
+        labels=np.arange(lines),
+        middle=(lines - 1) / 2,
+        origin_lcs_mm=np.zeros(3),
+        angles_rad=np.zeros(3),
+        step_rad=float(np.deg2rad(published["C303 step"])),
+        half_angle_rad=0.5 * float(np.deg2rad(published["C303 width"])),
+    )
+    return Found(value=float(len(line_model(kind, nominal, fixed_fans=fixed_fans).names)))
+
+
+def opening_of_all_lines(published: Published) -> Found:
+    """Steps between the first and the last line, degrees."""
+    return Found(value=(float(published["C303 lines"]) - 1.0) * float(published["C303 step"]))
+
+
+def difference(published: Published, *, of: str, minus: str) -> Found:
+    """Of two published numbers."""
+    return Found(value=float(published[of]) - float(published[minus]))
+
+
+def percent(published: Published, *, of: str, part: str) -> Found:
+    """One published number in percent of another."""
+    return Found(value=100.0 * float(published[part]) / float(published[of]), n=float(published[of]))
+
+
+def times(published: Published, *, of: str, factor: float) -> Found:
+    """A published number times a factor."""
+    return Found(value=factor * float(published[of]))
+
+
+def ratio(published: Published, *, of: str, over: str) -> Found:
+    """Of two published numbers."""
+    return Found(value=float(published[of]) / float(published[over]))
+
+
+def survey_rmse(published: Published, *, name: str) -> Found:
+    """RMSE over a survey by a stored budget, cm."""
+    return Found(value=0.1 * rmse_mm(read_budget(BUDGETS / f"{name}.yaml")))
+
+
+def _paper(number: int) -> Sensor:
+    return {3: paper_3, 4: paper_4}[number]()
+
+
+FUNCTIONS: Final[dict[str, Callable[..., Found]]] = {
+    function.__name__: function
+    for function in (
+        bends,
+        snell,
+        printed_snell,
+        halving_where_it_ends,
+        halving_misses,
+        volume,
+        seeing_pixels,
+        depth_lines_seen,
+        table_1_of_p3,
+        sigma_of_p3,
+        rank_defect,
+        base,
+        picture_px,
+        picture_mm,
+        principal_distance,
+        opening,
+        pixel_on_plane,
+        total_to,
+        shrinking_causes,
+        least_in_centre,
+        index_change,
+        pose_spoils,
+        unknowns,
+        opening_of_all_lines,
+        difference,
+        percent,
+        times,
+        ratio,
+        survey_rmse,
+    )
+}
+"""What the ledger may name in ``computed``."""
+
+
+# ---------------------------------------------------------------- numbers that the ledger points to
+
+
+class _AbsentError(Exception):
+    """A row, column or key is not in the file."""
+
+
+def _how_to_get(source: str, name: str) -> str:
+    if source == "study":
+        target = f"results/reproduction/{name}"
+        return f"{target} is not there; snakemake {target}"
+    return f"{name} is not among the results of this campaign"
+
+
+def _content(path: Path) -> Any:
+    try:
+        if path.suffix == ".csv":
+            return pd.read_csv(path)
+        if path.suffix == ".parquet":
+            return read_parquet(path)
+        if path.suffix == ".ply":
+            return read_mesh(path)[0].vertices_m * MM_PER_M
+        text = path.read_text(encoding="utf-8")
+        return yaml.safe_load(text) if path.suffix == ".yaml" else json.loads(text)
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise InputError(
+            f"cannot be read: {error}", where=path, expected="a table, JSON or YAML", cure="Make it again"
+        ) from error
+
+
+def _of_table(table: pd.DataFrame, ours: Ours) -> Found:
+    chosen = pd.Series(data=True, index=table.index)
+    for name, wanted in ours.where.items():
+        column = _column(table, name)
+        chosen &= (column == wanted) if not isinstance(wanted, str) else (column.astype(str) == wanted)
+    for name, (value, reach) in ours.near.items():
+        chosen &= (pd.to_numeric(_column(table, name), errors="coerce") - value).abs() <= reach
+    rows = table[chosen]
+    if not len(rows):
+        raise _AbsentError(f"no row with {_selection(ours)}")
+    if ours.take == "count":
+        known = _column(rows, ours.columns[0]).notna().sum()
+        return Found(value=float(known), n=float(known))
+    first = _column(rows, ours.columns[0])
+    if not pd.api.types.is_numeric_dtype(first):
+        return Found(value=_word(first.astype(str).tolist(), ours))
+    values = np.stack([_column(rows, name).to_numpy(np.float64) for name in ours.columns], axis=1)
+    if ours.over:
+        values = values / _column(rows, ours.over).to_numpy(np.float64)[:, None]
+    n = float(_column(rows, ours.n).sum()) if ours.n else float("nan")
+    return _taken(values, ours, n, _column(rows, ours.sigma) if _named(ours.sigma) else None)
+
+
+def _of_tree(content: Any, ours: Ours) -> Found:
+    found = _at(content, ours.key)
+    if isinstance(found, str):
+        return Found(value=_word([found], ours))
+    if isinstance(found, bool) or found is None:
+        raise _AbsentError(f"{_dotted(ours.key)} is {found}")
+    if ours.take == "count":
+        return Found(value=float(len(found)))
+    values = np.atleast_1d(np.asarray(found, dtype=np.float64))
+    if ours.over:
+        values = values / float(_at(content, _beside(ours.key, ours.over)))
+    n = float(_at(content, _beside(ours.key, ours.n))) if ours.n else float("nan")
+    sigma = pd.Series([_at(content, _beside(ours.key, ours.sigma))]) if _named(ours.sigma) else None
+    return _taken(values, ours, n, sigma)
+
+
+def _taken(values: ArrayF, ours: Ours, n: float, sigma: "pd.Series[Any] | None") -> Found:
+    known = values[np.isfinite(values)].ravel()
+    if not len(known):
+        raise _AbsentError("no number there")
+    if ours.take == "one" and len(known) != 1:
+        raise _AbsentError(f"{len(known)} numbers with {_selection(ours)} instead of one")
+    functions: dict[str, Callable[[ArrayF], Any]] = {
+        "one": np.max,
+        "mean": np.mean,
+        "median": np.median,
+        "sum": np.sum,
+        "least": np.min,
+        "largest": np.max,
+        "rms": lambda v: np.sqrt(np.mean(v * v)),
+        "mean error": lambda v: np.sqrt(np.mean(v * v) / len(v)),
+        "largest size": lambda v: np.max(np.abs(v)),
+    }
+    value = float(functions[ours.take](known))
+    spread = float("nan")
+    if ours.sigma == "binomial":
+        if not (0.0 <= value <= 1.0 and n > 0.0):
+            raise _AbsentError(f"{value:g} of {n:g} is no share")
+        spread = float(np.sqrt(value * (1.0 - value) / n))
+    elif ours.sigma == "unit":
+        spread = 1.0
+    elif ours.sigma == "scatter" and len(known) > 1:
+        spread = float(known.std(ddof=1))
+    elif sigma is not None:
+        spread = float(sigma.astype(float).max())
+    return Found(value=value * ours.times, sigma=spread * ours.times, n=n)
+
+
+def _setting(settings: Mapping[str, Any] | None, ours: Ours) -> Found:
+    if settings is None:
+        return Found(absent="the campaign is no twin")
+    try:
+        value = _at(settings, tuple(ours.name.split(".")))
+    except _AbsentError as absent:
+        return Found(absent=f"twin.light_sheet: {absent}")
+    if isinstance(value, str):
+        return Found(value=value)
+    return Found(value=float(value) * ours.times)
+
+
+def _word(words: list[str], ours: Ours) -> float | str:
+    if len(set(words)) != 1:
+        raise _AbsentError(f"{len(set(words))} words with {_selection(ours)} instead of one")
+    if ours.words is None:
+        return words[0]
+    for begin, number in ours.words.items():
+        if words[0].startswith(begin):
+            return float(number)
+    raise _AbsentError(f"found {words[0]!r}, which begins with none of {list(ours.words)}")
+
+
+def _column(table: pd.DataFrame, name: str) -> "pd.Series[Any]":
+    if name not in table.columns:
+        raise _AbsentError(f"no column {name!r}")
+    return table[name]
+
+
+def _at(content: Any, key: tuple[Any, ...]) -> Any:
+    here = content
+    for part in key:
+        known = isinstance(here, Mapping) and part in here
+        known |= isinstance(here, list | tuple) and isinstance(part, int) and part < len(here)
+        if not known:
+            raise _AbsentError(f"no {_dotted(key)}")
+        here = here[part]
+    return here
+
+
+def _beside(key: tuple[Any, ...], name: str) -> tuple[Any, ...]:
+    return (*key[:-1], name)
+
+
+def _named(sigma: str) -> bool:
+    return sigma not in ("", *SPREADS)
+
+
+def _dotted(key: tuple[Any, ...]) -> str:
+    return ".".join(str(part) for part in key)
+
+
+def _selection(ours: Ours) -> str:
+    parts = [f"{name} {wanted}" for name, wanted in ours.where.items()]
+    parts += [f"{name} within {reach:g} of {value:g}" for name, (value, reach) in ours.near.items()]
+    return ", ".join(parts) or "any content"

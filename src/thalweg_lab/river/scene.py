@@ -8,36 +8,209 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from thalweg.core.errors import InputError
-from thalweg.core.geometry.raycast import RayCaster
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.banks import BALLAST_M, bridge_soffit_m, track_offset
-from thalweg_lab.base.random import generator
-from thalweg_lab.base.river import River
-from thalweg_lab.river.materials import REFLECTANCE, Material
-from thalweg_lab.river.mesh import BOX_FACES, MeshParts, boxes, tube_faces, tubes, turned
-from thalweg_lab.river.stones import add_boulders, add_cobbles, stand
-from thalweg_lab.river.terrain import add_terrain, add_water
-from thalweg_lab.river.vegetation import (
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError, njit
+from thalweg.core.geometry import RayCaster
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.reach import BALLAST_M, River, bridge_soffit_m, track_offset
+from thalweg_lab.river.land import (
     add_background,
+    add_boulders,
     add_bushes,
+    add_cobbles,
     add_fallen_tree,
     add_grass,
     add_reeds,
+    add_terrain,
     add_trees,
+    add_water,
+    stand,
+)
+from thalweg_lab.river.mesh import (
+    BOX_FACES,
+    REFLECTANCE,
+    Material,
+    MeshParts,
+    boxes,
+    tube_faces,
+    tubes,
+    turned,
 )
 
-# ---------------------------------------------------------------- what people have built: houses, weir,
-# bridge, railway, fences and posts
-
-
+FORMAT = 2
+"""Version of the scene file."""
 WEIR_CREST_M: Final = 0.12
 """Height of the weir's sill above the water: at low water the river leaves by a gap at the left bank."""
-
 WEIR_GAP_M: Final = 3.0
 _GAUGE_HALF_M: Final = 0.7525
 _SLEEPER_STEP_M: Final = 0.65
+
+_STEP_RAD: Final = (np.pi / 180, np.pi / 360)
+"""Size of a cell, azimuth and elevation; a full turn is a whole number of columns."""
+_WIDEST: Final = 0.03
+"""Triangles whose radius is a larger share of their distance are cut into four."""
+_DEPTH: Final = 12
+"""So often at most: a triangle of 40 m then has pieces of 1 cm."""
+_MARGIN_RAD: Final = 1e-3
+"""Added to the angular radius of each triangle: half a beam's divergence, rounding of the ray caster."""
+
+
+# ---------------------------------------------------------------- scene
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """A triangle mesh in wcs with a material for each triangle.
+
+    Parameters
+    ----------
+    vertices_wcs_m : (n, 3) float64.
+    triangles : (m, 3) corners, counter-clockwise seen from outside or above.
+    material : (m,) values of `Material`.
+    water_level_m : up coordinate of the water.
+    variation : (m,) 0 to 1, what tells like things apart: leaves, stones, patches of the ground.
+        Without it all are 0.
+    """
+
+    vertices_wcs_m: ArrayF
+    triangles: ArrayI
+    material: ArrayU8
+    water_level_m: float
+    variation: ArrayF32 = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
+
+    def __post_init__(self) -> None:
+        if len(self.variation) != len(self.triangles):
+            object.__setattr__(self, "variation", np.zeros(len(self.triangles), dtype=np.float32))
+
+    @property
+    def reflectance(self) -> ArrayF:
+        """(m,) diffuse reflectance of each triangle."""
+        return np.asarray(REFLECTANCE[self.material])
+
+    def only(self, *materials: Material) -> Self:
+        """The part of the scene that is made of the given materials."""
+        keep = np.isin(self.material, [int(m) for m in materials])
+        return self._part(keep)
+
+    def without(self, *materials: Material) -> Self:
+        """The part of the scene that is not made of the given materials."""
+        keep = ~np.isin(self.material, [int(m) for m in materials])
+        return self._part(keep)
+
+    def caster(self) -> RayCaster:
+        """Ray caster of the mesh; its triangle numbers are those of this scene."""
+        return RayCaster(self.vertices_wcs_m, self.triangles)
+
+    def _part(self, keep: ArrayB) -> Self:
+        return type(self)(
+            vertices_wcs_m=self.vertices_wcs_m,
+            triangles=self.triangles[keep],
+            material=self.material[keep],
+            water_level_m=self.water_level_m,
+            variation=self.variation[keep],
+        )
+
+    def write(self, path: Path) -> None:
+        """Write as ``.npz``: vertices, triangles, material, and a JSON text with the facts."""
+        facts = {
+            "format": "thalweg twin scene",
+            "version": FORMAT,
+            "frame": "wcs, east north up, metres",
+            "water_level_m": self.water_level_m,
+            "materials": {m.name.lower(): int(m) for m in Material},
+        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as file:
+            np.savez(
+                file,
+                vertices_wcs_m=self.vertices_wcs_m.astype(np.float32),
+                triangles=self.triangles.astype(np.int32),
+                material=self.material,
+                variation=self.variation,
+                facts=np.array(json.dumps(facts)),
+            )
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a scene written by `write`.
+
+        Raises
+        ------
+        InputError : the file is missing, no scene, or of another format version.
+        """
+        cure = "Build it again with the rule simulate_scene"
+        if not path.is_file():
+            raise InputError("file not found", expected="a scene of the digital twin", where=path, cure=cure)
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+                facts = json.loads(str(data["facts"]))
+                vertices, triangles = data["vertices_wcs_m"], data["triangles"]
+                material = data["material"]
+                variation = data["variation"] if facts.get("version") == FORMAT else None
+        except (KeyError, ValueError, OSError, EOFError, BadZipFile) as error:
+            raise InputError(
+                f"not a scene ({error})", expected="a scene of the digital twin", where=path, cure=cure
+            ) from error
+        if facts.get("version") != FORMAT:
+            raise InputError(
+                f"scene of format version {facts.get('version')}",
+                expected=f"version {FORMAT}",
+                where=path,
+                cure=cure,
+            )
+        return cls(
+            vertices_wcs_m=vertices.astype(np.float64),
+            triangles=triangles.astype(np.int64),
+            material=material,
+            water_level_m=float(facts["water_level_m"]),
+            variation=np.asarray(variation, dtype=np.float32),
+        )
+
+
+def build_scene(config: TwinConfig, seed: int) -> Scene:
+    """The scene of a configuration; the same seed gives the same mesh to the last bit.
+
+    Parameters
+    ----------
+    config : section ``twin``.
+    seed : seed of the campaign.
+    """
+    river = River(config.scene, seed)
+    parts = MeshParts()
+    add_terrain(parts, river)
+    add_water(parts, river)
+    for add in (
+        add_boulders,
+        add_cobbles,
+        add_bushes,
+        add_trees,
+        add_background,
+        add_grass,
+        add_reeds,
+        add_fallen_tree,
+        add_buildings,
+        add_posts,
+    ):
+        add(parts, river, river.seed)
+    for build in (add_railway, add_weir, add_bridge):
+        build(parts, river)
+    vertices, triangles, material, variation = parts.joined()
+    return Scene(
+        vertices_wcs_m=vertices,
+        triangles=triangles,
+        material=material,
+        water_level_m=config.scene.water_level_m,
+        variation=variation,
+    )
+
+
+def simulate_scene(config: TwinConfig, seed: int, out_scene: Path) -> None:
+    """Build the scene and write it."""
+    build_scene(config, seed).write(out_scene)
+
+
+# ---------------------------------------------------------------- what people have built: houses, weir,
+# bridge, railway, fences and posts
 
 
 def _boxes_along(
@@ -181,8 +354,15 @@ def add_bridge(parts: MeshParts, river: River) -> None:
         ds: float, up: float, width: float, height: float, length: float = span, n: float = middle
     ) -> None:
         """A box of concrete at a place along and across the river."""
-        _boxes_along(parts, river, np.array([s0 + ds]), np.array([n]), np.array([up]),
-                     np.array([width, length, height]), Material.CONCRETE)  # fmt: skip
+        _boxes_along(
+            parts,
+            river,
+            np.array([s0 + ds]),
+            np.array([n]),
+            np.array([up]),
+            np.array([width, length, height]),
+            Material.CONCRETE,
+        )
 
     for ds in (-1.8, 1.8):
         beam(ds, low, 0.6, 0.9)
@@ -195,8 +375,15 @@ def add_bridge(parts: MeshParts, river: River) -> None:
         _boxes_along(
             parts, river, np.full(len(n), s0 + ds), n, np.full(len(n), low + 1.45), post, Material.RAIL
         )
-        _boxes_along(parts, river, np.array([s0 + ds]), np.array([middle]), np.array([low + 2.4]),
-                     np.array([0.07, span, 0.06]), Material.RAIL)  # fmt: skip
+        _boxes_along(
+            parts,
+            river,
+            np.array([s0 + ds]),
+            np.array([middle]),
+            np.array([low + 2.4]),
+            np.array([0.07, span, 0.06]),
+            Material.RAIL,
+        )
 
 
 def add_railway(parts: MeshParts, river: River) -> None:
@@ -262,149 +449,109 @@ def add_posts(parts: MeshParts, river: River, seed: int) -> None:
     _poles(parts, stand(river, s[stays], n[stays]), radius[stays], height[stays], tint[stays])
 
 
-# ---------------------------------------------------------------- scene
+# ---------------------------------------------------------------- where a standing scanner has anything to
+# look at
 
 
-FORMAT = 2
-"""Version of the scene file."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
-    """A triangle mesh in wcs with a material for each triangle.
+def outlook(scene: Scene, centre_wcs_m: ArrayF, azimuth_rad: ArrayF, elevation_rad: ArrayF) -> ArrayB:
+    """Which rays of a regular grid of directions may meet something other than water.
 
     Parameters
     ----------
-    vertices_wcs_m : (n, 3) float64.
-    triangles : (m, 3) corners, counter-clockwise seen from outside or above.
-    material : (m,) values of `Material`.
-    water_level_m : up coordinate of the water.
-    variation : (m,) 0 to 1, what tells like things apart: leaves, stones, patches of the ground.
-        Without it all are 0.
+    scene : the river reach.
+    centre_wcs_m : (3,) the scanner.
+    azimuth_rad : (a,) from east, counter-clockwise, rising in even steps over less than one turn.
+    elevation_rad : (e,) rising in even steps.
+
+    Returns
+    -------
+    wanted : (a, e). False means that the ray meets water or nothing. Each triangle that is not of water and
+        not wholly below it stands for the cone about its bounding sphere; a ray is wanted if its cell of the
+        grid of 1 degree by half a degree meets one of the cones.
     """
-
-    vertices_wcs_m: ArrayF
-    triangles: ArrayI
-    material: ArrayU8
-    water_level_m: float
-    variation: ArrayF32 = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
-
-    def __post_init__(self) -> None:
-        if len(self.variation) != len(self.triangles):
-            object.__setattr__(self, "variation", np.zeros(len(self.triangles), dtype=np.float32))
-
-    @property
-    def reflectance(self) -> ArrayF:
-        """(m,) diffuse reflectance of each triangle."""
-        return np.asarray(REFLECTANCE[self.material])
-
-    def only(self, *materials: Material) -> Self:
-        """The part of the scene that is made of the given materials."""
-        keep = np.isin(self.material, [int(m) for m in materials])
-        return self._part(keep)
-
-    def without(self, *materials: Material) -> Self:
-        """The part of the scene that is not made of the given materials."""
-        keep = ~np.isin(self.material, [int(m) for m in materials])
-        return self._part(keep)
-
-    def caster(self) -> RayCaster:
-        """Ray caster of the mesh; its triangle numbers are those of this scene."""
-        return RayCaster(self.vertices_wcs_m, self.triangles)
-
-    def _part(self, keep: ArrayB) -> Self:
-        return type(self)(
-            vertices_wcs_m=self.vertices_wcs_m,
-            triangles=self.triangles[keep],
-            material=self.material[keep],
-            water_level_m=self.water_level_m,
-            variation=self.variation[keep],
-        )
-
-    def write(self, path: Path) -> None:
-        """Write as ``.npz``: vertices, triangles, material, and a JSON text with the facts."""
-        facts = {
-            "format": "thalweg twin scene",
-            "version": FORMAT,
-            "frame": "wcs, east north up, metres",
-            "water_level_m": self.water_level_m,
-            "materials": {m.name.lower(): int(m) for m in Material},
-        }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file:
-            np.savez(
-                file,
-                vertices_wcs_m=self.vertices_wcs_m.astype(np.float32),
-                triangles=self.triangles.astype(np.int32),
-                material=self.material,
-                variation=self.variation,
-                facts=np.array(json.dumps(facts)),
-            )
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a scene written by `write`.
-
-        Raises
-        ------
-        InputError : the file is missing, no scene, or of another format version.
-        """
-        cure = "Build it again with the rule simulate_scene"
-        if not path.is_file():
-            raise InputError("file not found", expected="a scene of the digital twin", where=path, cure=cure)
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-                facts = json.loads(str(data["facts"]))
-                vertices, triangles = data["vertices_wcs_m"], data["triangles"]
-                material = data["material"]
-                variation = data["variation"] if facts.get("version") == FORMAT else None
-        except (KeyError, ValueError, OSError, EOFError, BadZipFile) as error:
-            raise InputError(
-                f"not a scene ({error})", expected="a scene of the digital twin", where=path, cure=cure
-            ) from error
-        if facts.get("version") != FORMAT:
-            raise InputError(
-                f"scene of format version {facts.get('version')}",
-                expected=f"version {FORMAT}",
-                where=path,
-                cure=cure,
-            )
-        return cls(
-            vertices_wcs_m=vertices.astype(np.float64),
-            triangles=triangles.astype(np.int64),
-            material=material,
-            water_level_m=float(facts["water_level_m"]),
-            variation=np.asarray(variation, dtype=np.float32),
-        )
-
-
-def build_scene(config: TwinConfig, seed: int) -> Scene:
-    """The scene of a configuration; the same seed gives the same mesh to the last bit.
-
-    Parameters
-    ----------
-    config : section ``twin``.
-    seed : seed of the campaign.
-    """
-    river = River(config.scene, seed)
-    parts = MeshParts()
-    add_terrain(parts, river)
-    add_water(parts, river)
-    for add in (add_boulders, add_cobbles, add_bushes, add_trees, add_background, add_grass, add_reeds,
-                add_fallen_tree, add_buildings, add_posts):  # fmt: skip
-        add(parts, river, river.seed)
-    for build in (add_railway, add_weir, add_bridge):
-        build(parts, river)
-    vertices, triangles, material, variation = parts.joined()
-    return Scene(
-        vertices_wcs_m=vertices,
-        triangles=triangles,
-        material=material,
-        water_level_m=config.scene.water_level_m,
-        variation=variation,
+    column = np.floor((azimuth_rad - azimuth_rad[0]) / _STEP_RAD[0]).astype(np.int64)
+    row = np.floor((elevation_rad - elevation_rad[0]) / _STEP_RAD[1]).astype(np.int64)
+    cells = np.zeros((column[-1] + 1, row[-1] + 1), dtype=np.bool_)
+    _mark(
+        scene.vertices_wcs_m,
+        scene.triangles,
+        scene.material == Material.WATER,
+        scene.water_level_m - 0.01,
+        np.asarray(centre_wcs_m, dtype=np.float64),
+        (float(azimuth_rad[0]), float(elevation_rad[0])),
+        _STEP_RAD,
+        _MARGIN_RAD,
+        cells,
     )
+    return np.asarray(cells[column[:, None], row[None, :]])
 
 
-def simulate_scene(config: TwinConfig, seed: int, out_scene: Path) -> None:
-    """Build the scene and write it."""
-    build_scene(config, seed).write(out_scene)
+@njit(cache=True, error_model="numpy")
+def _mark(  # type: ignore[no-untyped-def]
+    vertices, triangles, water, level, centre, begin, step, margin, cells
+):
+    stack = np.empty((4 * _DEPTH + 4, 3, 3))
+    depth = np.empty(4 * _DEPTH + 4, dtype=np.int64)
+    for i in range(len(triangles)):
+        if water[i]:
+            continue
+        for k in range(3):
+            stack[0, k] = vertices[triangles[i, k]]
+        if max(stack[0, 0, 2], stack[0, 1, 2], stack[0, 2, 2]) < level:
+            continue
+        for k in range(3):
+            stack[0, k] -= centre
+        depth[0], height = 0, 1
+        while height > 0:
+            height -= 1
+            if _mark_piece(stack[height], begin, step, margin, depth[height] >= _DEPTH, cells):
+                continue
+            # Too wide for a cone: its four quarters instead.
+            corners, below = stack[height].copy(), depth[height] + 1
+            middle = (corners + np.stack((corners[1], corners[2], corners[0]))) / 2.0
+            for k in range(3):
+                stack[height, 0], stack[height, 1], stack[height, 2] = corners[k], middle[k], middle[k - 1]
+                depth[height] = below
+                height += 1
+            stack[height], depth[height] = middle, below
+            height += 1
+
+
+@njit(cache=True, error_model="numpy")
+def _mark_piece(corners, begin, step, margin, last, cells):  # type: ignore[no-untyped-def]
+    """Mark the cells that the cone about a triangle meets; false if it is too wide and not the last piece."""
+    columns, rows = cells.shape
+    whole = int(np.rint(2.0 * np.pi / step[0]))
+    x = (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
+    y = (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
+    z = (corners[0, 2] + corners[1, 2] + corners[2, 2]) / 3.0
+    radius = 0.0
+    for k in range(3):
+        away = (corners[k, 0] - x) ** 2 + (corners[k, 1] - y) ** 2 + (corners[k, 2] - z) ** 2
+        radius = max(radius, np.sqrt(away))
+    flat = np.sqrt(x * x + y * y)
+    distance = np.sqrt(flat * flat + z * z)
+    if radius > _WIDEST * distance and not last:
+        return False
+    if distance <= radius * 1.001:
+        cells[:] = True
+        return True
+    angle = np.arcsin(radius / distance) + margin
+    elevation = np.arctan2(z, flat)
+    first_row = max(int(np.floor((elevation - angle - begin[1]) / step[1])), 0)
+    last_row = min(int(np.floor((elevation + angle - begin[1]) / step[1])), rows - 1)
+    if first_row > last_row:
+        return True
+    # A cone about the zenith or the nadir is seen in all azimuths.
+    side = np.sin(angle) / np.cos(elevation)
+    if abs(elevation) + angle >= 0.5 * np.pi or side >= 1.0:
+        cells[:, first_row : last_row + 1] = True
+        return True
+    width = np.arcsin(side)
+    start = np.arctan2(y, x) - width - begin[0]
+    for column in range(int(np.floor(start / step[0])), int(np.floor((start + 2.0 * width) / step[0])) + 1):
+        # Columns count whole degrees, so the full turn has no seam.
+        place = column % whole
+        if place < columns:
+            cells[place, first_row : last_row + 1] = True
+    return True

@@ -5,14 +5,10 @@ Arrays in, arrays out; `picture` says which rays are cast.
 
 from typing import Final
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.types import AnyArray, ArrayF, ArrayF32, ArrayI, ArrayU8
-
-# Open3D brings an old TBB into the process, which numba would try first and complain about.
-nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+from thalweg.core import AnyArray, ArrayF, ArrayF32, ArrayI, ArrayU8, njit, prange
 
 WATER_INDEX: Final = 1.333
 """Refractive index of water for visible light."""
@@ -213,7 +209,7 @@ def lit(
     return out
 
 
-@nb.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _sum_normals(vertices, triangles, total):  # type: ignore[no-untyped-def]
     for f in range(len(triangles)):
         a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
@@ -224,9 +220,9 @@ def _sum_normals(vertices, triangles, total):  # type: ignore[no-untyped-def]
                 total[corner, k] += n[k]
 
 
-@nb.njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True)
 def _blend(facet, vertices, corner, triangles, primitive, uv, normal, shift):  # type: ignore[no-untyped-def]
-    for i in nb.prange(len(primitive)):
+    for i in prange(len(primitive)):
         corners = triangles[primitive[i]]
         weight = (1 - uv[i, 0] - uv[i, 1], uv[i, 0], uv[i, 1])
         n, p = np.zeros(3), np.zeros(3)
@@ -245,10 +241,10 @@ def _blend(facet, vertices, corner, triangles, primitive, uv, normal, shift):  #
                 shift[i] -= weight[j] * below * m
 
 
-@nb.njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True)
 def _bilateral(ambient, known_range, known_normal, known, range_m, normal, radius, out):  # type: ignore[no-untyped-def]
     h, w = range_m.shape
-    for y in nb.prange(h):
+    for y in prange(h):
         for x in range(w):
             here = range_m[y, x]
             if not np.isfinite(here):
@@ -272,9 +268,9 @@ def _bilateral(ambient, known_range, known_normal, known, range_m, normal, radiu
             out[y, x, 0], out[y, x, 1], out[y, x, 2] = r / total, g / total, b / total
 
 
-@nb.njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True)
 def _light(colour, normal, direction, thin, sunlit, ambient, sun, sun_colour, out):  # type: ignore[no-untyped-def]
-    for i in nb.prange(len(colour)):
+    for i in prange(len(colour)):
         facing = normal[i, 0] * sun[0] + normal[i, 1] * sun[1] + normal[i, 2] * sun[2]
         front = max(facing, 0.0) * sunlit[i]
         through = max(-facing, 0.0) * sunlit[i] if thin[i] else 0.0

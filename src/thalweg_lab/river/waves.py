@@ -9,16 +9,11 @@ have the asked-for rms. The same sum gives lidar ghosts their mirror and picture
 from dataclasses import dataclass
 from typing import Final, Self
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF
-from thalweg_lab.base.random import generator
-
-# Open3D brings an old TBB into the process, which numba would try first and complain about.
-nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+from thalweg.core import ArrayF, GeometryError, njit, prange
+from thalweg_lab.random_numbers import generator
 
 GRAVITY_MPS2: Final = 9.81
 TENSION_M3PS2: Final = 7.28e-5
@@ -214,9 +209,9 @@ def _places(east_m: ArrayLike, north_m: ArrayLike, t_s: ArrayLike) -> tuple[Arra
     return np.ascontiguousarray(east), np.ascontiguousarray(north), np.ascontiguousarray(t)
 
 
-@nb.njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True)
 def _sum_heights(east, north, t, amplitude, k_east, k_north, omega, phase, out):  # type: ignore[no-untyped-def]
-    for i in nb.prange(len(east)):
+    for i in prange(len(east)):
         total = 0.0
         for j in range(len(amplitude)):
             total += amplitude[j] * np.cos(
@@ -225,9 +220,9 @@ def _sum_heights(east, north, t, amplitude, k_east, k_north, omega, phase, out):
         out[i] = total
 
 
-@nb.njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True)
 def _sum_slopes(east, north, t, footprint, amplitude, k_east, k_north, omega, phase, out):  # type: ignore[no-untyped-def]
-    for i in nb.prange(len(east)):
+    for i in prange(len(east)):
         slope_east, slope_north = 0.0, 0.0
         for j in range(len(amplitude)):
             length = 2 * np.pi / np.sqrt(k_east[j] * k_east[j] + k_north[j] * k_north[j])

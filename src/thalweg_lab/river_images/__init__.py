@@ -1,1 +1,5 @@
 """Views of the river as a camera on the boat would see it."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

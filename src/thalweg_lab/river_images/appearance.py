@@ -7,16 +7,12 @@ aliases. Nothing depends on the view or on time: two pictures of a place see the
 
 from typing import Final
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg_lab.river.materials import COLOUR, Material
-
-# Open3D brings an old TBB into the process, which numba would try first and complain about.
-nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+from thalweg.core import ArrayF, ArrayI, GeometryError, njit, prange
+from thalweg_lab.reach import mixed, noise_and_slope, noise_at, seen_share
+from thalweg_lab.river import COLOUR, Material
 
 WET_M: Final = 0.2
 """Height above the water up to which ground is wet by waves and creeping water."""
@@ -25,9 +21,20 @@ PLAIN, GRAVEL, ROCK, SOIL, GRASS, LEAF, BARK, WALL, ROOF = range(9)
 """Kinds of texture."""
 
 _KIND: Final = {
-    "BED": GRAVEL, "GRAVEL": GRAVEL, "STONE": ROCK, "SOIL": SOIL, "GRASS": GRASS, "LEAF": LEAF, "REED": LEAF,
-    "BLADE": LEAF, "WOOD": BARK, "BARK": BARK, "WALL": WALL, "CONCRETE": WALL, "ROOF": ROOF,
-}  # fmt: skip
+    "BED": GRAVEL,
+    "GRAVEL": GRAVEL,
+    "STONE": ROCK,
+    "SOIL": SOIL,
+    "GRASS": GRASS,
+    "LEAF": LEAF,
+    "REED": LEAF,
+    "BLADE": LEAF,
+    "WOOD": BARK,
+    "BARK": BARK,
+    "WALL": WALL,
+    "CONCRETE": WALL,
+    "ROOF": ROOF,
+}
 
 # Mean cover of the patches: what is left of them from afar.
 LICHEN: Final = 0.043
@@ -120,42 +127,7 @@ def noise(points: ArrayLike, spacing: float, octaves: int, gain: float, seed: in
     return out
 
 
-@nb.njit(cache=True, error_model="numpy")
-def _mixed(ix, iy, iz, seed):  # type: ignore[no-untyped-def]
-    """A number in [0, 1) that belongs to a lattice point."""
-    h = ix * 374761393 + iy * 668265263 + iz * 2147483647 + seed * 1274126177
-    h = (h ^ (h >> 29)) * 5871781006564002453
-    h = (h ^ (h >> 32)) * 1181783497276652981
-    return ((h >> 24) & 16777215) * 5.9604644775390625e-08
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _value(x, y, z, seed):  # type: ignore[no-untyped-def]
-    """Value noise in [-1, 1] of spacing 1 and its gradient."""
-    fx, fy, fz = np.floor(x), np.floor(y), np.floor(z)
-    ix, iy, iz = np.int64(fx), np.int64(fy), np.int64(fz)
-    x, y, z = x - fx, y - fy, z - fz
-    u, v, w = x * x * (3 - 2 * x), y * y * (3 - 2 * y), z * z * (3 - 2 * z)
-    a, b = _mixed(ix, iy, iz, seed), _mixed(ix + 1, iy, iz, seed)
-    c, d = _mixed(ix, iy + 1, iz, seed), _mixed(ix + 1, iy + 1, iz, seed)
-    e, f = _mixed(ix, iy, iz + 1, seed), _mixed(ix + 1, iy, iz + 1, seed)
-    g, h = _mixed(ix, iy + 1, iz + 1, seed), _mixed(ix + 1, iy + 1, iz + 1, seed)
-    ab, cd, ef, gh = a + (b - a) * u, c + (d - c) * u, e + (f - e) * u, g + (h - g) * u
-    low, high = ab + (cd - ab) * v, ef + (gh - ef) * v
-    below, above = (b - a) + ((d - c) - (b - a)) * v, (f - e) + ((h - g) - (f - e)) * v
-    dx = (below + (above - below) * w) * 12 * x * (1 - x)
-    dy = ((cd - ab) + ((gh - ef) - (cd - ab)) * w) * 12 * y * (1 - y)
-    dz = (high - low) * 12 * z * (1 - z)
-    return 2 * (low + (high - low) * w) - 1, dx, dy, dz
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _seen(spacing, footprint):  # type: ignore[no-untyped-def]
-    """Share of a detail that is left at a footprint: none from one lattice spacing on (Nyquist)."""
-    return min(max(spacing / footprint - 1.0, 0.0), 1.0)
-
-
-@nb.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _fractal(x, y, z, spacing, gain, footprint, finest, seed):  # type: ignore[no-untyped-def]
     """Noise over octaves down to the footprint, and slopes of a relief of the same shape.
 
@@ -164,18 +136,18 @@ def _fractal(x, y, z, spacing, gain, footprint, finest, seed):  # type: ignore[n
     total, gx, gy, gz = 0.0, 0.0, 0.0, 0.0
     amplitude = 1.0
     for octave in range(12):
-        seen = _seen(spacing, footprint)
+        seen = seen_share(spacing, footprint)
         if seen <= 0.0 or spacing < finest:
             break
         part = seen * amplitude
         if octave % 2:
             px, py, pz = 0.6 * x + 0.8 * z, y, -0.8 * x + 0.6 * z
             px, py = 0.8 * px + 0.6 * py, -0.6 * px + 0.8 * py
-            v, a, b, c = _value(px / spacing, py / spacing, pz / spacing, seed + octave)
+            v, a, b, c = noise_and_slope(px / spacing, py / spacing, pz / spacing, seed + octave)
             a, b = 0.8 * a - 0.6 * b, 0.6 * a + 0.8 * b
             a, c = 0.6 * a - 0.8 * c, 0.8 * a + 0.6 * c
         else:
-            v, a, b, c = _value(x / spacing, y / spacing, z / spacing, seed + octave)
+            v, a, b, c = noise_and_slope(x / spacing, y / spacing, z / spacing, seed + octave)
         total += part * v
         gx, gy, gz = gx + part * a, gy + part * b, gz + part * c
         amplitude *= gain
@@ -183,14 +155,14 @@ def _fractal(x, y, z, spacing, gain, footprint, finest, seed):  # type: ignore[n
     return total, gx, gy, gz
 
 
-@nb.njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True)
 def _noise_at(p, spacing, octaves, gain, seed, out):  # type: ignore[no-untyped-def]
-    for i in nb.prange(len(p)):
+    for i in prange(len(p)):
         finest = spacing * 0.5**octaves * 1.5
         out[i] = _fractal(p[i, 0], p[i, 1], p[i, 2], spacing, gain, 1e-9, finest, seed)[0]
 
 
-@nb.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _pebble(x, y, size, share, seed):  # type: ignore[no-untyped-def]
     """The topmost of the oval stones that lie scattered at a spacing.
 
@@ -198,30 +170,30 @@ def _pebble(x, y, size, share, seed):  # type: ignore[no-untyped-def]
     radii, and two numbers in [0, 1) that belong to it.
     """
     u, v = x / size, y / size
-    bend = _value(2.3 * u, 2.3 * v, 0.5, seed + 3)[0]
+    bend = noise_at(2.3 * u, 2.3 * v, 0.5, seed + 3)
     u, v = u + 0.10 * bend, v - 0.08 * bend
     iu, iv = np.int64(np.floor(u)), np.int64(np.floor(v))
     best, rank, ox, oy, tint, hue = 2.0, -1.0, 0.0, 0.0, 0.0, 0.0
     for j in range(-1, 2):
         for i in range(-1, 2):
-            order = _mixed(iu + i, iv + j, 0, seed)
+            order = mixed(iu + i, iv + j, 0, seed)
             if order >= share or order <= rank:
                 continue
-            cx = iu + i + 0.15 + 0.7 * _mixed(iu + i, iv + j, 1, seed)
-            cy = iv + j + 0.15 + 0.7 * _mixed(iu + i, iv + j, 2, seed)
-            turn = 3.1416 * _mixed(iu + i, iv + j, 3, seed)
-            form = _mixed(iu + i, iv + j, 4, seed)
+            cx = iu + i + 0.15 + 0.7 * mixed(iu + i, iv + j, 1, seed)
+            cy = iv + j + 0.15 + 0.7 * mixed(iu + i, iv + j, 2, seed)
+            turn = 3.1416 * mixed(iu + i, iv + j, 3, seed)
+            form = mixed(iu + i, iv + j, 4, seed)
             length, width = 0.42 + 0.28 * form, 0.34 + 0.16 * (1 - form)
             ca, sa = np.cos(turn), np.sin(turn)
             a, b = (ca * (u - cx) + sa * (v - cy)) / length, (-sa * (u - cx) + ca * (v - cy)) / width
             distance = a * a + b * b
             if distance < 1.0:
                 best, rank, ox, oy = np.sqrt(distance), order, u - cx, v - cy
-                tint, hue = _mixed(iu + i, iv + j, 5, seed), _mixed(iu + i, iv + j, 6, seed)
+                tint, hue = mixed(iu + i, iv + j, 5, seed), mixed(iu + i, iv + j, 6, seed)
     return best, 2 * ox, 2 * oy, tint, hue
 
 
-@nb.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _gravel(x, y, footprint, largest, share, seed):  # type: ignore[no-untyped-def]
     """Stones of four sizes: brightness (mean 1), warmth (mean 0), slopes east and north.
 
@@ -230,7 +202,7 @@ def _gravel(x, y, footprint, largest, share, seed):  # type: ignore[no-untyped-d
     bright, warm, gx, gy, left = 0.0, 0.0, 0.0, 0.0, 1.0
     size, chance = largest, share
     for level in range(4):
-        seen = _seen(size / 2, footprint)
+        seen = seen_share(size / 2, footprint)
         if seen <= 0.0:
             break
         distance, ox, oy, tint, hue = _pebble(x, y, size, chance, seed + 11 * level)
@@ -251,17 +223,17 @@ def _gravel(x, y, footprint, largest, share, seed):  # type: ignore[no-untyped-d
     return bright + left, warm, gx, gy
 
 
-@nb.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _patches(x, y, z, spacing, gain, threshold, soft, mean, footprint, seed):  # type: ignore[no-untyped-def]
     """Spots with ragged edges, 0 to 1, where noise passes a threshold; from afar their mean."""
-    seen = _seen(spacing, footprint)
+    seen = seen_share(spacing, footprint)
     if seen <= 0.0:
         return mean
     v = _fractal(x, y, z, spacing, gain, footprint, 0.004, seed)[0]
     return mean + seen * (min(max((v - threshold) / soft, 0.0), 1.0) - mean)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _bricks(u, v, width, height, joint, footprint, seed):  # type: ignore[no-untyped-def]
     """Brightness of a brick and how far a place (u, v) on a wall is in a joint, both less their means."""
     row = np.floor(v / height)
@@ -269,15 +241,15 @@ def _bricks(u, v, width, height, joint, footprint, seed):  # type: ignore[no-unt
     column = np.floor(x)
     du, dv = (x - column) * width, v - row * height
     edge = min(min(du, width - du), min(dv, height - dv))
-    seen = _seen(height / 2, footprint)
-    tint = _mixed(np.int64(column), np.int64(row), 0, seed) - 0.5
+    seen = seen_share(height / 2, footprint)
+    tint = mixed(np.int64(column), np.int64(row), 0, seed) - 0.5
     mean = 1.0 - (1.0 - 2.0 * joint / width) * (1.0 - 2.0 * joint / height)
     return seen * tint, seen * (min(max(1.5 - edge / joint, 0.0), 1.0) - mean)
 
 
-@nb.njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True)
 def _look(p, normal, code, variation, footprint, kind, table, grain, water, colour, relief):  # type: ignore[no-untyped-def]
-    for i in nb.prange(len(p)):
+    for i in prange(len(p)):
         x, y, z = p[i, 0], p[i, 1], p[i, 2]
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
         what, same = kind[code[i]], variation[i]
@@ -304,15 +276,15 @@ def _look(p, normal, code, variation, footprint, kind, table, grain, water, colo
             warm += 0.34 * hue
             sx, sy = sx + 0.75 * gx, sy + 0.75 * gy
         elif what == 2:
-            speck = _seen(0.004, foot) * _value(x / 0.004, y / 0.004, z / 0.004, seed + 22)[0]
+            speck = seen_share(0.004, foot) * noise_at(x / 0.004, y / 0.004, z / 0.004, seed + 22)
             vein = _fractal(x, y, z, 0.18, 0.5, foot, 0.02, seed + 23)[0] + 6.0 * (same - 0.5)
-            bright *= 1.0 + 0.25 * speck + 0.12 * np.sin(5.0 * vein) * _seen(0.18, foot)
+            bright *= 1.0 + 0.25 * speck + 0.12 * np.sin(5.0 * vein) * seen_share(0.18, foot)
             band = _fractal(x, y, z / 0.4, 0.30, 0.6, foot, 0.004, seed + 30)[0]
             bright *= 1.0 + 0.16 * band
             mix = 0.6 * _patches(x, y, z, 0.05, 0.75, 0.75, 0.35, LICHEN, foot, seed + 26)
             mix *= min(max(above / 0.5 - 0.6, 0.0), 1.0)
-            pick = _value(x / 0.4, y / 0.4, z / 0.4, seed + 27)[0]
-            blend = min(max(0.5 + 3.0 * (pick - 0.3) * _seen(0.4, foot), 0.0), 1.0)
+            pick = noise_at(x / 0.4, y / 0.4, z / 0.4, seed + 27)
+            blend = min(max(0.5 + 3.0 * (pick - 0.3) * seen_share(0.4, foot), 0.0), 1.0)
             mr, mg, mb = 0.40 - 0.06 * blend, 0.40 - 0.10 * blend, 0.33 - 0.22 * blend
             warm += 0.06 * (same - 0.3)
         elif what == 3:
@@ -324,22 +296,22 @@ def _look(p, normal, code, variation, footprint, kind, table, grain, water, colo
             blade = 1.0 + 0.5 * n
             mr, mg, mb = 0.105 * blade, 0.130 * blade, 0.045 * blade
         elif what == 4:
-            tuft = _value(x / 0.09, y / 0.09, z / 0.14, seed + 21)[0]
-            bright *= 1.0 + 0.45 * _seen(0.09, foot) * (0.5 - abs(tuft) - 0.13)
-            blade = _value((x + 0.4 * y) / 0.004, (y - 0.4 * x) / 0.030, z / 0.04, seed + 22)[0]
-            blade += _value((x - 0.9 * y) / 0.005, (y + 0.9 * x) / 0.035, z / 0.05, seed + 23)[0]
-            bright *= 1.0 + 0.35 * blade * _seen(0.004, foot)
+            tuft = noise_at(x / 0.09, y / 0.09, z / 0.14, seed + 21)
+            bright *= 1.0 + 0.45 * seen_share(0.09, foot) * (0.5 - abs(tuft) - 0.13)
+            blade = noise_at((x + 0.4 * y) / 0.004, (y - 0.4 * x) / 0.030, z / 0.04, seed + 22)
+            blade += noise_at((x - 0.9 * y) / 0.005, (y + 0.9 * x) / 0.035, z / 0.05, seed + 23)
+            bright *= 1.0 + 0.35 * blade * seen_share(0.004, foot)
             mix = 0.5 * _patches(x, y, z, 1.7, 0.8, 0.1, 0.9, DRY, foot, seed + 24)
             mr, mg, mb = 0.25 * bright, 0.22 * bright, 0.09 * bright
         elif what == 5:
             warm += 0.5 * (same - 0.5) + 0.15 * n
         elif what == 6:
-            ridge = _value(x / 0.025, y / 0.025, z / 0.30, seed + 22)[0]
-            bright *= 1.0 + _seen(0.025, foot) * (0.17 - 0.5 * (1.0 - abs(ridge)) ** 3)
+            ridge = noise_at(x / 0.025, y / 0.025, z / 0.30, seed + 22)
+            bright *= 1.0 + seen_share(0.025, foot) * (0.17 - 0.5 * (1.0 - abs(ridge)) ** 3)
             mix = 0.4 * _patches(x, y, z, 0.12, 0.6, 0.20, 0.3, MOSS, foot, seed + 23)
             mr, mg, mb = 0.13, 0.15, 0.07
         elif what == 7:
-            rain = _value(along / 0.25, 0.5, up / 4.0, seed + 22)[0] * _seen(0.25, foot)
+            rain = noise_at(along / 0.25, 0.5, up / 4.0, seed + 22) * seen_share(0.25, foot)
             bright *= 1.0 + 0.07 * rain
             tint, joint = _bricks(along, up, 0.50, 0.25, 0.008, foot, seed + 23)
             if same > 0.66 or same < 0.2:
@@ -358,7 +330,9 @@ def _look(p, normal, code, variation, footprint, kind, table, grain, water, colo
         # Wet ground is darker; its upper edge wanders with the place. Beneath, algae grow, and above it the
         # mud of the last higher water has dried.
         if what != 5 and what != 8:
-            edge = above + 0.05 * _value(x / 0.35, y / 0.35, z / 0.35, 7)[0] * _seen(0.35, foot) + 0.02 * n
+            edge = (
+                above + 0.05 * noise_at(x / 0.35, y / 0.35, z / 0.35, 7) * seen_share(0.35, foot) + 0.02 * n
+            )
             wet = min(max((0.2 - edge) / 0.08, 0.0), 1.0)
             silt = min(max((0.55 - edge) / 0.25, 0.0), 1.0) * (1 - wet) * 0.30
             algae = min(max((0.07 - edge) / 0.06, 0.0), 1.0) * 0.45

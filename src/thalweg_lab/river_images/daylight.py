@@ -7,16 +7,11 @@ sun adds about 2.4 to a white surface that faces it.
 from dataclasses import dataclass
 from typing import Final, Self
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, GeometryError, njit, prange
 from thalweg_lab.river_images.appearance import noise
-
-# Open3D brings an old TBB into the process, which numba would try first and complain about.
-nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 
 HAZE: Final = np.array([0.66, 0.73, 0.82])
 """Colour of the air over the horizon."""
@@ -144,9 +139,9 @@ def _density(plane: ArrayF, cover: float) -> ArrayF:
     return np.asarray(np.clip((form - 0.75 + 1.1 * cover) / 0.9, 0.0, 1.2))
 
 
-@nb.njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True)
 def _gradient(d, sun, haze, zenith, sun_colour, disc, out):  # type: ignore[no-untyped-def]
-    for i in nb.prange(len(d)):
+    for i in prange(len(d)):
         up = d[i, 2]
         low = np.exp(-4.6 * abs(up))
         dim = 1.0 if up >= 0.0 else 0.35

@@ -11,12 +11,13 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.geometry.raycast import Hits
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8
-from thalweg_lab.river.materials import BARE_GROUND, Material
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.river.shading import (
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, GeometryError
+from thalweg.core.geometry import Hits
+from thalweg_lab.river import (
+    BARE_GROUND,
+    Material,
+    Scene,
+    Waves,
     corner_shares,
     developed,
     fresnel,
@@ -31,7 +32,6 @@ from thalweg_lab.river.shading import (
     under_water,
     vertex_normals,
 )
-from thalweg_lab.river.waves import Waves
 from thalweg_lab.river_images.appearance import noise, surface_look
 from thalweg_lab.river_images.daylight import HAZE, Sun, clear_sky, sky
 from thalweg_lab.river_images.pinhole import PictureCamera
@@ -180,9 +180,19 @@ class Painter:
         size = 1.0 / (camera.focal_px * samples)
         grain = np.arange(len(ray)) + len(ray) * number
         return _Passing(
-            shape=camera.size_px[::-1], origin=origin, ray=ray, range_m=range_m, material=material,
-            land=where, hits=land, normal=normal, shift=shift, size_rad=size, grain=grain, ambient=None,
-        )  # fmt: skip
+            shape=camera.size_px[::-1],
+            origin=origin,
+            ray=ray,
+            range_m=range_m,
+            material=material,
+            land=where,
+            hits=land,
+            normal=normal,
+            shift=shift,
+            size_rad=size,
+            grain=grain,
+            ambient=None,
+        )
 
     def _normals(self, hits: Hits, where: ArrayI, ray: ArrayF) -> tuple[ArrayF, ArrayF]:
         """Smooth normals of hits, towards the viewer, and shifts to where shadow rays begin."""
@@ -191,9 +201,13 @@ class Painter:
         round_ = np.flatnonzero(_ROUND[self._material[primitive]])
         away = np.sum(normal * ray, axis=1) > 0
         normal[round_], shift[round_] = smooth_normals(
-            normal[round_], self._vertices, self._corner_normals, self._triangles, primitive[round_],
+            normal[round_],
+            self._vertices,
+            self._corner_normals,
+            self._triangles,
+            primitive[round_],
             hits.uv[where[round_]],
-        )  # fmt: skip
+        )
         normal[away] *= -1.0
         return normal, shift
 
@@ -254,9 +268,17 @@ class Painter:
         return np.asarray(np.where(np.isfinite(hits.t_hit_m), 0.0, 1.0))
 
     def _surface(
-        self, points: ArrayF, ray: ArrayF, normal: ArrayF, shift: ArrayF, material: ArrayU8,
-        variation: ArrayF32, footprint_m: ArrayF, ambient: ArrayF, grain: AnyArray,
-    ) -> ArrayF:  # fmt: skip
+        self,
+        points: ArrayF,
+        ray: ArrayF,
+        normal: ArrayF,
+        shift: ArrayF,
+        material: ArrayU8,
+        variation: ArrayF32,
+        footprint_m: ArrayF,
+        ambient: ArrayF,
+        grain: AnyArray,
+    ) -> ArrayF:
         """Light (n, 3) from places of the land towards a viewer."""
         colour, relief = surface_look(
             points, normal, material, variation, footprint_m, water_level_m=self._level_m
@@ -282,9 +304,16 @@ class Painter:
         land = seen.land
         ambient = first.spread_to(seen)[land]
         light[land] = self._surface(
-            seen.points(land), seen.ray[land], seen.normal[land], seen.shift[land], seen.material[land],
-            self._variation[seen.hits.primitive[land]], seen.footprint(land), ambient, seen.grain[land],
-        )  # fmt: skip
+            seen.points(land),
+            seen.ray[land],
+            seen.normal[land],
+            seen.shift[land],
+            seen.material[land],
+            self._variation[seen.hits.primitive[land]],
+            seen.footprint(land),
+            ambient,
+            seen.grain[land],
+        )
         wet = np.flatnonzero(seen.material == Material.WATER)
         light[wet] = self._water(seen, wet, t_s)
         near = np.flatnonzero(np.isfinite(seen.range_m))
@@ -335,10 +364,16 @@ class Painter:
         ambient = (0.42 + 0.16 * normal[:, 2:]) * np.array([0.80, 0.92, 1.0])
         place = points[where] + range_m[:, None] * ray
         light[where] = self._surface(
-            place, ray, normal, shift, self._materials(hits, where, place),
-            self._variation[hits.primitive[where]], 2.0 * spot_m[where] + 0.02 * range_m,
-            ambient, grain[where],
-        )  # fmt: skip
+            place,
+            ray,
+            normal,
+            shift,
+            self._materials(hits, where, place),
+            self._variation[hits.primitive[where]],
+            2.0 * spot_m[where] + 0.02 * range_m,
+            ambient,
+            grain[where],
+        )
         return light
 
     def _bed(self, points: ArrayF, down: ArrayF, footprint_m: ArrayF) -> ArrayF:
@@ -350,9 +385,13 @@ class Painter:
         place = points[where] + way[:, None] * down[where]
         primitive = hits.primitive[where]
         colour, relief = surface_look(
-            place, self._normals(hits, where, down[where])[0], self._materials(hits, where, place),
-            self._variation[primitive], footprint_m[where], water_level_m=self._level_m,
-        )  # fmt: skip
+            place,
+            self._normals(hits, where, down[where])[0],
+            self._materials(hits, where, place),
+            self._variation[primitive],
+            footprint_m[where],
+            water_level_m=self._level_m,
+        )
         shade = 0.45 + 0.55 * np.clip(relief @ self.sun.direction_wcs, 0.0, 1.0)
         depth = self._level_m - place[:, 2]
         added[where] = under_water(colour * shade[:, None], depth, way, self._daylight()) - self._murk()
@@ -393,8 +432,12 @@ class _Passing:
         for target, passing in zip(land_only, (self, seen), strict=True):
             target[passing.land] = passing.range_m[passing.land]
         spread = spread_ambient(
-            self.ambient.reshape(h, w, 3), land_only[0].reshape(h, w), self.normal.reshape(h, w, 3),
-            (self.ambient.sum(axis=1) > 0).reshape(h, w), land_only[1].reshape(h, w),
-            seen.normal.reshape(h, w, 3), _AMBIENT_RADIUS_PX,
-        )  # fmt: skip
+            self.ambient.reshape(h, w, 3),
+            land_only[0].reshape(h, w),
+            self.normal.reshape(h, w, 3),
+            (self.ambient.sum(axis=1) > 0).reshape(h, w),
+            land_only[1].reshape(h, w),
+            seen.normal.reshape(h, w, 3),
+            _AMBIENT_RADIUS_PX,
+        )
         return spread.reshape(-1, 3)

@@ -6,8 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, GeometryError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,18 +10,13 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.timescales import utc_text_from_gps
-from thalweg.core.types import ArrayF
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.river.waves import Waves
+from thalweg.core import ArrayF, GeometryError, LocalFrame, utc_text_from_gps
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.river import Scene, Waves
 from thalweg_lab.river_images.daylight import Sun
 from thalweg_lab.river_images.picture import SKY, Painter, Picture
 from thalweg_lab.river_images.pinhole import PictureCamera
-from thalweg_lab.voyage.motion import start_unix
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg_lab.voyage import Voyage, start_unix
 
 FORMAT = 1
 """Version of the file of a view."""

@@ -7,41 +7,36 @@ that of the boat's camera with static pictures and run, and the errors that pose
 """
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from functools import lru_cache
-from multiprocessing import get_context
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from thalweg.calibration.camera.boat_camera import orient_on_field
-from thalweg.calibration.camera_lidar.adjustment import CameraLidar, calibrate_camera_lidar
-from thalweg.calibration.camera_lidar.input import cone_references, nominal_orientation
-from thalweg.calibration.camera_lidar.model import FieldErrors
-from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
-from thalweg.calibration.camera_lidar.statics import Statics, statics_of
-from thalweg.calibration.cones.fit import ConeReference
-from thalweg.calibration.cones.selection import Position
-from thalweg.calibration.field.description import FieldDescription, parse_field
-from thalweg.calibration.field.network import measure_field
-from thalweg.calibration.field.points import FieldPoints
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError, ThalwegError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid
-from thalweg.lidar.covariance import BeamErrors
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.random import generator
-from thalweg_lab.voyage.true_mounts import true_mounts
-from thalweg_lab.voyage.yard_motion import FieldRun, standing
-from thalweg_lab.yard.layout import Field, build_field
-from thalweg_lab.yard.tour import tour
-from thalweg_lab.yard_images.images import mount_of, true_camera
-from thalweg_lab.yard_records.records import description
-from thalweg_lab.yard_records.scan import static_scan
+from thalweg.calibration import ConeReference, Position, orient_on_field
+from thalweg.calibration.camera_lidar import (
+    CameraLidar,
+    CameraLidarSettings,
+    FieldErrors,
+    Statics,
+    calibrate_camera_lidar,
+    cone_references,
+    nominal_orientation,
+    statics_of,
+)
+from thalweg.calibration.field import FieldDescription, FieldPoints, measure_field, parse_field
+from thalweg.core import Camera, GeometryError, LocalFrame, Rigid, ThalwegError
+from thalweg.settings.sections import LidarAccuracy
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.voyage import FieldRun, standing, true_mounts
+from thalweg_lab.yard import Field, build_field, tour
+from thalweg_lab.yard_images import mount_of, true_camera
+from thalweg_lab.yard_records import description, static_scan
 
 # ---------------------------------------------------------------- marks of the pictures of a calibration
 # field without pictures: true places, projected, with errors
@@ -139,12 +134,16 @@ def seen_marks(
         parts.append(
             pd.DataFrame(
                 {
-                    "image": image, "camera": camera.name, "marker": np.repeat(printed[seen], 4),
-                    "corner": np.tile(np.arange(4), len(seen)), "x_px": at[:, 0], "y_px": at[:, 1],
+                    "image": image,
+                    "camera": camera.name,
+                    "marker": np.repeat(printed[seen], 4),
+                    "corner": np.tile(np.arange(4), len(seen)),
+                    "x_px": at[:, 0],
+                    "y_px": at[:, 1],
                     "sigma_px": how.sigma_px,
                 }
             )
-        )  # fmt: skip
+        )
     return pd.concat(parts, ignore_index=True)
 
 
@@ -176,7 +175,9 @@ MOUNTS: Final[dict[str, Any]] = {
 }
 """Nominal mounts with what a ruler and the eye are worth."""
 
-BEAM: Final = BeamErrors(sigma_component_m=0.0173, divergence_rad=0.003, footprint_share=0.177)
+BEAM: Final = LidarAccuracy(
+    sigma_component_m=0.0173, divergence_mrad=3.0, footprint_share=0.177, sigma_weak_m=0.0, sigma_time_s=0.0
+)
 ERRORS: Final = (
     "lever_x_mm",
     "lever_y_mm",
@@ -234,27 +235,18 @@ class Trial:
     truth: Rigid
 
 
-def all_cases(seeds: Sequence[int], *, processes: int = 1) -> pd.DataFrame:
-    """`camera_lidar_study` of all `CASES`, with the column ``case``."""
-    if processes > 1:
-        shares = [list(seeds)[i::processes] for i in range(processes)]
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-            parts = [part for parts in pool.map(_cases_of, shares) for part in parts]
-    else:
-        parts = _cases_of(seeds)
-    table = pd.concat(parts, ignore_index=True)
+def all_cases(seed: int) -> pd.DataFrame:
+    """`camera_lidar_study` of all `CASES`, with the column ``case``; they share the pictures of the seed."""
+    parts = [camera_lidar_study([seed], settings).assign(case=name) for name, settings in CASES.items()]
+    return pd.concat(parts, ignore_index=True)
+
+
+def by_case(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows of many seeds in the order of `CASES`."""
     order = {name: k for k, name in enumerate(CASES)}
-    return table.sort_values(["case", "seed"], key=lambda c: c.map(order) if c.name == "case" else c,
-                             ignore_index=True)  # fmt: skip
-
-
-def _cases_of(seeds: Sequence[int]) -> list[pd.DataFrame]:
-    """Seed by seed, because cases share the pictures of a seed."""
-    return [
-        camera_lidar_study([seed], settings).assign(case=name)
-        for seed in seeds
-        for name, settings in CASES.items()
-    ]
+    return rows.sort_values(
+        ["case", "seed"], key=lambda c: c.map(order) if c.name == "case" else c, ignore_index=True
+    )
 
 
 def as_markdown(study: pd.DataFrame) -> str:
@@ -389,12 +381,7 @@ def simulated_trial(seed: int, settings: StudySettings) -> Trial:
 
 
 def _twin(effects: tuple[tuple[str, Any], ...]) -> TwinConfig:
-    return TwinConfig.model_validate(
-        {
-            "size": "field",
-            "field": {"effects": dict(effects)},
-        }
-    )
+    return TwinConfig.model_validate({"size": "field", "field": {"effects": dict(effects)}})
 
 
 @lru_cache(maxsize=2)
@@ -404,3 +391,16 @@ def _photographed(
     """What cases of one seed share."""
     camera = mount_of(true_mounts(MOUNTS, seed, on=True)["camera"])
     return photographed_field(_twin(effects), seed, camera, (1, 2, 3), pictures)
+
+
+def _study_rows(seed: Seed) -> Tables:
+    return {"cases": all_cases(seed.number)}
+
+
+def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
+    found = by_case(tables["cases"])
+    cases = partial(summary_table(found).to_csv, index=False, float_format="%.6g")
+    return {"table": found, "cases": cases, "page": as_markdown(found)}
+
+
+STUDY: Final = Study(rows=_study_rows, results=_study_results, float_format=None)

@@ -16,65 +16,117 @@ sigmas that P2 Table 1 publishes and a jitter of 23 ms, so that the camera's RMS
 assumed inputs, and the processing knows them.
 """
 
+import json
 import logging
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings, compare_with_mesh
-from thalweg.accuracy.solutions.comparison import CHAINS
-from thalweg.core.frames import LocalFrame, opk_axes
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF
-from thalweg.images.model.poses import ImagePoses
-from thalweg.ingest.anpp.reader import read_anpp
-from thalweg.ingest.tracks.rtklib_pos import read_pos
-from thalweg.lidar.mount import Mount
-from thalweg.navigation.camera.mounts import lidar_mount_by_camera
-from thalweg.navigation.camera.settings import CloudSettings
-from thalweg.navigation.camera.trajectory import camera_trajectory
-from thalweg.navigation.fusion.inputs import with_own_jitter
-from thalweg.navigation.fusion.settings import FusionSettings
-from thalweg.navigation.fusion.trajectory import fuse_trajectory
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.surface.area import Area
-from thalweg.surface.cloud_to_mesh import Surface
-from thalweg_lab.base.random import generator
-from thalweg_lab.base.river import River
-from thalweg_lab.studies.survey import (
-    Logs,
-    ins_trajectory,
-    orient,
-    record,
-    reference_mesh,
-    survey_settings,
+from thalweg.accuracy import (
+    ALL,
+    CHAINS,
+    CLOUD_TO_MESH,
+    WITHOUT_OUTLIERS,
+    ComparisonSettings,
+    by_range_table,
+    chains_by_range,
+    compare_with_mesh,
+    point_sets,
+    predicted_sigma_m,
+    range_facts,
 )
-from thalweg_lab.truth.solutions import (
-    carried_by_camera,
-    chains_truth_table,
-)
-from thalweg_lab.voyage.motion import Motion
-from thalweg_lab.voyage.truth import true_trajectory
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg.budgets import read_budget, totals_mm
+from thalweg.core import ArrayF, LocalFrame, Rigid, Trajectory, exp_rotation, opk_axes, write_table
+from thalweg.core.geometry import TriangleMesh
+from thalweg.images.model import ImagePoses
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.tracks import read_pos
+from thalweg.lidar import Mount
+from thalweg.navigation.camera import CloudSettings, camera_trajectory, lidar_mount_by_camera
+from thalweg.navigation.fusion import FusionSettings, fuse_trajectory, with_own_jitter
+from thalweg.settings.sections import Accuracy, CameraCloud, Fused, ReferenceSettings
+from thalweg.settings.twin import TwinConfig
+from thalweg.surface import Area, Surface
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.reach import River
+from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies.survey import Logs, ins_trajectory, orient, record, reference_mesh, survey_settings
+from thalweg_lab.truth import OWN_TIMES, carried_by_camera, chains_truth_table
+from thalweg_lab.voyage import Motion, Voyage, true_trajectory
 
-# ---------------------------------------------------------------- poses of images drawn about the true motion
-# with errors of stated sigmas, as a block of images gives them
-#
-# Rendering and orienting images costs seconds an image. What the trajectories take from them is a pose, its
-# covariance and a time; here these are drawn, with the published sigmas if nothing is said (P2 Table 1).
-
-
+STATIONS: Final = 3
+MAX_POINTS: Final = 60_000
+"""Points of a cloud that are compared."""
+RIVER_SEED: Final = 1
+"""All seeds survey the same river: scene and terrestrial scans are made once."""
+LOWEST_M: Final = 0.15
+"""Nearer to the water waves and mirror images mix with the bank."""
+APART_S: Final = 1e5
+"""Surveys of different seeds are so far apart in time that none of their errors are taken for shared."""
+MOUNTS: Final[dict[str, Any]] = {
+    "lidar": {
+        "phi_deg": -90.0,
+        "lever_ics_m": (-0.35, 0.0, -0.25),
+        "sigma_axes": "ics",
+        "sigma_omega_deg": 0.018,
+        "sigma_phi_deg": 0.009,
+        "sigma_kappa_deg": 0.004,
+        "sigma_lever_m": (0.0005, 0.0002, 0.0001),
+    },
+    "camera": {
+        "omega_deg": -90.0,
+        "kappa_deg": 180.0,
+        "lever_ics_m": (-0.25, 0.10, -0.18),
+        "sigma_axes": "ics",
+        "sigma_omega_deg": 0.067,
+        "sigma_phi_deg": 0.035,
+        "sigma_kappa_deg": 0.015,
+        "sigma_lever_m": (0.001, 0.0004, 0.0002),
+    },
+    "antenna": {"lever_ics_m": (0.1, 0.0, -0.45), "sigma_lever_m": (0.002, 0.002, 0.002)},
+}
+"""Sigmas of the mounts: T Table 3.1 for the lidar, those of P2 Table 1 for the camera."""
+DISTURBANCES: Final[dict[str, Any]] = {
+    "ins": {
+        "motor_field_mg": ((2.2, 5.4, 0.8), (-2.2, 5.4, 0.8)),
+        "hard_iron_mg": (2.7, 1.6, 0.0),
+        "heading_drift_degpmin": 0.1,
+    },
+    "gnss": {"shadow": True, "multipath_m": 0.05},
+}
+"""What no sigma states: fields at the magnetometer, drift of the heading, shadows and reflections."""
+TURN_RATE_DEGPS: Final = 20.0
+"""Greatest turn rate, with which the root mean square about the vertical is 7 degrees/s: the angular speed
+that P2 6.1.2 and T 3.1.2 assume for every moment."""
+CLEAN: Final[dict[str, Any]] = {"gnss": {"shadow": False}}
 MARKS: Final = 300.0
 RESIDUAL_PX: Final = 0.5
 """What the table of poses says of the marks of an image; no trajectory uses it."""
+
+DISTURBED: Final = "disturbed"
+UNDISTURBED: Final = "undisturbed"
+"""Names of the settings with and without `thalweg_lab.studies.chain_study.DISTURBANCES`."""
+_NO_POSE: Final = ("no_gps_time", "no_pose")
+_TRUTH: Final = (
+    ("rms_position", "rms_place_m"),
+    ("rms_roll", "rms_roll_deg"),
+    ("rms_pitch", "rms_pitch_deg"),
+    ("rms_heading", "rms_heading_deg"),
+    ("sigma_heading", "sigma_heading_deg"),
+    ("normalised_pose", "normalised_pose"),
+)
+LIMITS: Final = (
+    "Not in the poses of the images is what a block of a real survey may have beyond its stated sigmas; "
+    "plants are in all clouds, and rule the rows of all points. The twin turns at the banks, so that short "
+    "ranges are measured while it turns and the jitter of the camera's clock counts most there; the "
+    "published budgets take one angular speed for all ranges."
+)
+_ABOUT: Final = ["setting", "chain", "seed"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,106 +151,7 @@ class ImageErrors:
     interval_s: float = 1.0
 
 
-def draw_images(
-    seed: int, motion: Motion, frame: LocalFrame, true_T_ics_ccs: Rigid, errors: ImageErrors
-) -> ImagePoses:
-    """Poses of images of a voyage with the errors of a block and of the camera's clock.
-
-    Parameters
-    ----------
-    seed : of the survey; poses, jitter and offset have random numbers of their own.
-    motion : the true one.
-    frame : the world frame.
-    true_T_ics_ccs : where the camera really sits.
-    errors : their sizes.
-    """
-    stamp = motion.start_gps_s + np.arange(0.5, motion.config.duration_s - 0.5, errors.interval_s)
-    n = len(stamp)
-    clock_s = errors.sigma_clock_s * float(generator(seed, "drawn images clock").standard_normal())
-    jitter = errors.jitter_s * generator(seed, "drawn images jitter").standard_normal(n)
-    exposed = stamp + clock_s + jitter
-    R_wcs_ics = motion.R_wcs_ics(exposed)
-    R = R_wcs_ics @ true_T_ics_ccs.R
-    root = _roots(R, errors)
-    keep = float(np.exp(-errors.interval_s / errors.time_s))
-    unit = generator(seed, "drawn images poses").standard_normal((n, 6))
-    for k in range(1, n):
-        unit[k] = keep * unit[k - 1] + np.sqrt(1 - keep**2) * unit[k]
-    # an error moves the estimate to the truth
-    error = np.einsum("nij,nj->ni", root, unit)
-    following = np.zeros((n, 6, 6))
-    following[:-1] = keep * root[:-1] @ np.swapaxes(root[1:], 1, 2)
-    return ImagePoses(
-        frame=frame,
-        images=tuple(f"{k:05d}.jpg" for k in range(n)),
-        t_gps_s=stamp,
-        sigma_t_s=np.full(n, np.hypot(errors.jitter_s, errors.sigma_clock_s)),
-        oriented=np.ones(n, dtype=np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=motion.position_wcs_m(exposed) + R_wcs_ics @ true_T_ics_ccs.shift_m - error[:, :3],
-        R_wcs_ccs=exp_rotation(-error[:, 3:]) @ R,
-        cov_pose_wcs=root @ np.swapaxes(root, 1, 2),
-        cov_next=following,
-        n_marks=np.full(n, MARKS),
-        rms_px=np.full(n, RESIDUAL_PX),
-        facts={"image_times": {"sigma_common_s": errors.sigma_clock_s, "independent_of_ins": True}},
-    )
-
-
-def _roots(R_wcs_ccs: ArrayF, errors: ImageErrors) -> ArrayF:
-    """Roots (n, 6, 6) of the covariances in wcs; the sigmas of angles act about the axes of the angles."""
-    phi = np.arcsin(np.clip(R_wcs_ccs[:, 0, 2], -1.0, 1.0))
-    omega = np.arctan2(-R_wcs_ccs[:, 1, 2], R_wcs_ccs[:, 2, 2])
-    root = np.zeros((len(R_wcs_ccs), 6, 6))
-    root[:, :3, :3] = np.diag(errors.sigma_m)
-    root[:, 3:, 3:] = opk_axes(omega, phi) * np.deg2rad(errors.sigma_opk_deg)
-    return root
-
-
-# ---------------------------------------------------------------- chain study
-
-
-STATIONS: Final = 3
-MAX_POINTS: Final = 60_000
-"""Points of a cloud that are compared."""
-
-RIVER_SEED: Final = 1
-"""All seeds survey the same river: scene and terrestrial scans are made once."""
-
-LOWEST_M: Final = 0.15
-"""Nearer to the water waves and mirror images mix with the bank."""
-
-APART_S: Final = 1e5
-"""Surveys of different seeds are so far apart in time that none of their errors are taken for shared."""
-
-MOUNTS: Final[dict[str, Any]] = {
-    "lidar": {
-        "phi_deg": -90.0, "lever_ics_m": (-0.35, 0.0, -0.25), "sigma_axes": "ics", "sigma_omega_deg": 0.018,
-        "sigma_phi_deg": 0.009, "sigma_kappa_deg": 0.004, "sigma_lever_m": (0.0005, 0.0002, 0.0001),
-    },
-    "camera": {
-        "omega_deg": -90.0, "kappa_deg": 180.0, "lever_ics_m": (-0.25, 0.10, -0.18), "sigma_axes": "ics",
-        "sigma_omega_deg": 0.067, "sigma_phi_deg": 0.035, "sigma_kappa_deg": 0.015,
-        "sigma_lever_m": (0.001, 0.0004, 0.0002),
-    },
-    "antenna": {"lever_ics_m": (0.1, 0.0, -0.45), "sigma_lever_m": (0.002, 0.002, 0.002)},
-}  # fmt: skip
-"""Sigmas of the mounts: T Table 3.1 for the lidar, those of P2 Table 1 for the camera."""
-
-DISTURBANCES: Final[dict[str, Any]] = {
-    "ins": {
-        "motor_field_mg": ((2.2, 5.4, 0.8), (-2.2, 5.4, 0.8)), "hard_iron_mg": (2.7, 1.6, 0.0),
-        "heading_drift_degpmin": 0.1,
-    },
-    "gnss": {"shadow": True, "multipath_m": 0.05},
-}  # fmt: skip
-"""What no sigma states: fields at the magnetometer, drift of the heading, shadows and reflections."""
-
-TURN_RATE_DEGPS: Final = 20.0
-"""Greatest turn rate, with which the root mean square about the vertical is 7 degrees/s: the angular speed
-that P2 6.1.2 and T 3.1.2 assume for every moment."""
-
-CLEAN: Final[dict[str, Any]] = {"gnss": {"shadow": False}}
+# ---------------------------------------------------------------- surveys
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -285,14 +238,12 @@ def bank_area(twin: TwinConfig) -> Area:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """What came of one survey: for each chain a table of kind ``cloud_to_mesh``, what became of its shots,
-    the trajectory and the facts of the comparison; and the errors of the poses (`chains_truth_table`).
+    """What came of one survey: for each chain a table of kind ``cloud_to_mesh`` and what became of its shots;
+    and the errors of the poses (`chains_truth_table`).
     """
 
     distances: dict[str, pd.DataFrame]
     counts: dict[str, pd.DataFrame]
-    trajectories: dict[str, Trajectory]
-    facts: dict[str, dict[str, Any]]
     truth: pd.DataFrame
 
 
@@ -304,12 +255,12 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> F
     trajectories, mounts, used = trajectories_of(logs, study.images)
     surface = Surface(world.mesh)
     how = comparison_settings(settings, seed)
-    distances, counts, facts = {}, {}, {}
+    distances, counts = {}, {}
     for name in CHAINS:
         survey = orient(logs, trajectories[name], name=name, mount=mounts[name])
-        distances[name], facts[name] = compare_with_mesh(
+        distances[name] = compare_with_mesh(
             survey.points, world.mesh, area=world.area, settings=how, surface=surface
-        )
+        )[0]
         counts[name] = survey.counts
         survey.points.unlink()
     camera = Mount.from_section(logs.true_mounts["camera"]).as_rigid()
@@ -320,7 +271,7 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> F
         carried={"camera": carried_by_camera(camera, used)},
     )
     logs.remove()
-    return Found(distances=distances, counts=counts, trajectories=trajectories, facts=facts, truth=truth)
+    return Found(distances=distances, counts=counts, truth=truth)
 
 
 def trajectories_of(logs: Logs, errors: ImageErrors) -> tuple[dict[str, Trajectory], dict[str, Mount], Rigid]:
@@ -344,12 +295,12 @@ def trajectories_of(logs: Logs, errors: ImageErrors) -> tuple[dict[str, Trajecto
         "max_attitude_gap_s": s["orientation"]["max_attitude_gap_s"],
     }
     by_camera = camera_trajectory(
-        images, T_ics_ccs, CloudSettings.from_section(s["images"]["cloud"]), states=states, **ins
+        images, T_ics_ccs, CloudSettings.of(CameraCloud(**s["images"]["cloud"])), states=states, **ins
     )
     by_all = fuse_trajectory(
         states,
         logs.frame,
-        FusionSettings.from_section(s["fused"]),
+        FusionSettings.of(Fused(**s["fused"])),
         positions=read_pos([logs.pos]).positions,
         lever_ics_antenna_m=places["antenna"]["lever_ics_m"],
         sigma_lever_m=places["antenna"]["sigma_lever_m"],
@@ -358,46 +309,343 @@ def trajectories_of(logs: Logs, errors: ImageErrors) -> tuple[dict[str, Trajecto
         **ins,
     )
     own = Mount.from_section(places["lidar"])
-    trajectories = {
-        "ins": ins_trajectory(logs),
-        "camera": by_camera.trajectory,
-        "fused": by_all.trajectory,
-    }
+    trajectories = {"ins": ins_trajectory(logs), "camera": by_camera.trajectory, "fused": by_all.trajectory}
     return trajectories, {"ins": own, "camera": Mount.from_section(through["lidar"]), "fused": own}, T_ics_ccs
 
 
 def comparison_settings(settings: Mapping[str, Any], seed: int) -> ComparisonSettings:
     """How clouds are compared: as in a campaign, with fewer points."""
-    accuracy = {**settings["accuracy"], "max_points": MAX_POINTS}
-    return ComparisonSettings.from_sections(accuracy, settings["reference"], seed)
+    accuracy = Accuracy(**{**settings["accuracy"], "max_points": MAX_POINTS})
+    return ComparisonSettings.of(accuracy, ReferenceSettings(**settings["reference"]), seed)
 
 
-def chain_study(
-    folder: Path, studies: Sequence[ChainStudy], *, seeds: Sequence[int], processes: int = 2
-) -> dict[str, list[Found]]:
-    """Survey each setting with each seed; all of them must be of one scene.
+# ---------------------------------------------------------------- poses of images drawn about the true motion
+# with errors of stated sigmas, as a block of images gives them
+#
+# Rendering and orienting images costs seconds an image. What the trajectories take from them is a pose, its
+# covariance and a time; here these are drawn, with the published sigmas if nothing is said (P2 Table 1).
+
+
+def draw_images(
+    seed: int, motion: Motion, frame: LocalFrame, true_T_ics_ccs: Rigid, errors: ImageErrors
+) -> ImagePoses:
+    """Poses of images of a voyage with the errors of a block and of the camera's clock.
 
     Parameters
     ----------
-    folder : for files of the surveys, which are deleted again.
-    studies : settings; the scene is that of the first.
-    seeds : of the surveys.
-    processes : surveys at a time.
-
-    Returns
-    -------
-    Name of a setting -> what was found, in the order of the seeds.
+    seed : of the survey; poses, jitter and offset have random numbers of their own.
+    motion : the true one.
+    frame : the world frame.
+    true_T_ics_ccs : where the camera really sits.
+    errors : their sizes.
     """
-    world = make_world(studies[0], folder / "world")
-    jobs = [(study, seed) for study in studies for seed in seeds]
-    # Spawned: numba's threads do not survive a fork.
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        running = [
-            pool.submit(survey_chains, seed, study, world, folder / f"{number}")
-            for number, (study, seed) in enumerate(jobs)
+    stamp = motion.start_gps_s + np.arange(0.5, motion.config.duration_s - 0.5, errors.interval_s)
+    n = len(stamp)
+    clock_s = errors.sigma_clock_s * float(generator(seed, "drawn images clock").standard_normal())
+    jitter = errors.jitter_s * generator(seed, "drawn images jitter").standard_normal(n)
+    exposed = stamp + clock_s + jitter
+    R_wcs_ics = motion.R_wcs_ics(exposed)
+    R = R_wcs_ics @ true_T_ics_ccs.R
+    root = _roots(R, errors)
+    keep = float(np.exp(-errors.interval_s / errors.time_s))
+    unit = generator(seed, "drawn images poses").standard_normal((n, 6))
+    for k in range(1, n):
+        unit[k] = keep * unit[k - 1] + np.sqrt(1 - keep**2) * unit[k]
+    # an error moves the estimate to the truth
+    error = np.einsum("nij,nj->ni", root, unit)
+    following = np.zeros((n, 6, 6))
+    following[:-1] = keep * root[:-1] @ np.swapaxes(root[1:], 1, 2)
+    return ImagePoses(
+        frame=frame,
+        images=tuple(f"{k:05d}.jpg" for k in range(n)),
+        t_gps_s=stamp,
+        sigma_t_s=np.full(n, np.hypot(errors.jitter_s, errors.sigma_clock_s)),
+        oriented=np.ones(n, dtype=np.bool_),
+        reasons=("",) * n,
+        centre_wcs_m=motion.position_wcs_m(exposed) + R_wcs_ics @ true_T_ics_ccs.shift_m - error[:, :3],
+        R_wcs_ccs=exp_rotation(-error[:, 3:]) @ R,
+        cov_pose_wcs=root @ np.swapaxes(root, 1, 2),
+        cov_next=following,
+        n_marks=np.full(n, MARKS),
+        rms_px=np.full(n, RESIDUAL_PX),
+        facts={"image_times": {"sigma_common_s": errors.sigma_clock_s, "independent_of_ins": True}},
+    )
+
+
+def _roots(R_wcs_ccs: ArrayF, errors: ImageErrors) -> ArrayF:
+    """Roots (n, 6, 6) of the covariances in wcs; the sigmas of angles act about the axes of the angles."""
+    phi = np.arcsin(np.clip(R_wcs_ccs[:, 0, 2], -1.0, 1.0))
+    omega = np.arctan2(-R_wcs_ccs[:, 1, 2], R_wcs_ccs[:, 2, 2])
+    root = np.zeros((len(R_wcs_ccs), 6, 6))
+    root[:, :3, :3] = np.diag(errors.sigma_m)
+    root[:, 3:, 3:] = opk_axes(omega, phi) * np.deg2rad(errors.sigma_opk_deg)
+    return root
+
+
+# ---------------------------------------------------------------- tables and goals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Goal:
+    """What was asked for: a column of `study_table` between ``low_m`` and ``high_m``, for a chain."""
+
+    words: str
+    chain: str
+    quantity: str
+    low_m: float
+    high_m: float
+
+
+GOALS: Final = (
+    Goal(words="INS near 23 cm RMSE (T 3.1.3)", chain="ins", quantity="rmse_m", low_m=0.18, high_m=0.28),
+    Goal(words="camera near 14 cm RMSE (P2 6.2)", chain="camera", quantity="rmse_m", low_m=0.11, high_m=0.17),
+    Goal(words="fused at most 8 cm RMSE", chain="fused", quantity="rmse_m", low_m=0.0, high_m=0.08),
+    Goal(words="fused at most 2 cm mean", chain="fused", quantity="mean_m", low_m=-0.02, high_m=0.02),
+)
+"""Near: within a fifth."""
+
+
+def both_settings() -> list[ChainStudy]:
+    """The surveys with and without disturbances."""
+    return [ChainStudy.of(DISTURBED, DISTURBANCES), ChainStudy.of(UNDISTURBED, CLEAN)]
+
+
+def pooled(found: Sequence[Found]) -> dict[str, pd.DataFrame]:
+    """Distances of all surveys by chain, kind ``cloud_to_mesh``; each survey lies at times of its own."""
+    out = {}
+    for name in CHAINS:
+        parts = [
+            f.distances[name].assign(t_gps_s=f.distances[name]["t_gps_s"] + k * APART_S)
+            for k, f in enumerate(found)
         ]
-        found = [job.result() for job in running]
-    of: dict[str, list[Found]] = {study.name: [] for study in studies}
-    for (study, _), each in zip(jobs, found, strict=True):
-        of[study.name].append(each)
-    return of
+        out[name] = pd.concat(parts, ignore_index=True)
+    return out
+
+
+def ranges_of(
+    found: Sequence[Found],
+    settings: ComparisonSettings,
+    published_mm: Mapping[str, ArrayF] | None = None,
+    at_m: ArrayF | None = None,
+) -> pd.DataFrame:
+    """RMSE of all surveys in range classes, see `chains_by_range`."""
+    by_range = {name: by_range_table(table, settings) for name, table in pooled(found).items()}
+    return chains_by_range(by_range, published_mm, at_m)
+
+
+def study_table(found: Mapping[str, Sequence[Found]]) -> pd.DataFrame:
+    """One row a setting, chain and set of points.
+
+    Columns ``setting, chain, points, surveys, n``; ``mean_m`` with ``sigma_mean_m`` of the spread over the
+    surveys; ``std_m, rmse_m`` of all points together, ``rmse_least_m, rmse_most_m`` of single surveys;
+    ``predicted_rmse_m``; ``share_with_pose`` of the shots; ``mean_range_m``; errors of the poses against the
+    truth: ``rms_place_m`` and so on, root mean square over the surveys.
+    """
+    rows = []
+    for setting, surveys in found.items():
+        for name in CHAINS:
+            truth = _truth(surveys, name)
+            share = float(np.mean([_share(f.counts[name]) for f in surveys]))
+            for points in (ALL, WITHOUT_OUTLIERS):
+                parts = [f.distances[name][point_sets(f.distances[name])[points]] for f in surveys]
+                rows.append(
+                    dict[str, Any](setting=setting, chain=name, points=points, surveys=len(parts))
+                    | _distances(parts)
+                    | {"share_with_pose": share}
+                    | truth
+                )
+    return pd.DataFrame(rows)
+
+
+def goals_table(table: pd.DataFrame) -> pd.DataFrame:
+    """What was asked for with the disturbances on, and what came out.
+
+    Columns ``goal, chain, low_m, high_m, found_m`` (without outliers), ``found_all_m`` (all points), ``met``
+    (of the first) and ``missed_by_m``, 0 if met.
+    """
+    rows = []
+    for goal in GOALS:
+        of = table[(table["setting"] == DISTURBED) & (table["chain"] == goal.chain)]
+        value = dict(zip(of["points"], of[goal.quantity], strict=True))
+        found = float(value[WITHOUT_OUTLIERS])
+        missed = max(goal.low_m - found, found - goal.high_m, 0.0)
+        rows.append(
+            {
+                "goal": goal.words,
+                "chain": goal.chain,
+                "low_m": goal.low_m,
+                "high_m": goal.high_m,
+                "found_m": found,
+                "found_all_m": float(value[ALL]),
+                "met": missed == 0.0,
+                "missed_by_m": missed,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def as_markdown(table: pd.DataFrame, facts: Mapping[str, Any]) -> str:
+    """Page of the study; ``facts`` of `thalweg.accuracy.solutions.range_facts`."""
+    n = int(table["n"].max())
+    lines = [
+        "# INS, camera and fused trajectory on the digital twin",
+        "",
+        "Distances of the clouds to a mesh of terrestrial scans on the slope of the right bank, in "
+        f"centimetres; {int(table['surveys'].max())} surveys of each setting, up to n = {n:,} points a row. "
+        "These are results of the digital twin. Disturbed: fields of the motors and of the hull turn the "
+        "heading, it drifts, leaves and bridge take satellites away and the water reflects them. The size of "
+        "the fields was chosen so that the INS comes near its published RMSE; camera and fused trajectory "
+        "follow.",
+        "",
+        "| setting | trajectory | points | n | mean | RMSE | of single surveys | predicted | with pose | "
+        "place | heading |",
+        "|" + " --- |" * 3 + " ---: |" * 8,
+    ]
+    lines += [
+        f"| {r['setting']} | {r['chain']} | {r['points']} | {r['n']:,} "
+        f"| {100 * r['mean_m']:+.1f} ± {100 * r['sigma_mean_m']:.1f} | {100 * r['rmse_m']:.1f} "
+        f"| {100 * r['rmse_least_m']:.1f} to {100 * r['rmse_most_m']:.1f} "
+        f"| {100 * r['predicted_rmse_m']:.1f} | {100 * r['share_with_pose']:.0f} % "
+        f"| {100 * r['rms_place_m']:.1f} | {r['rms_heading_deg']:.2f} deg |"
+        for r in _records(table)
+    ]
+    lines += ["", "| asked for | without outliers, cm | all points, cm | |", "| --- | ---: | ---: | --- |"]
+    for r in _records(goals_table(table)):
+        verdict = "met" if r["met"] else f"missed by {100 * r['missed_by_m']:.1f} cm"
+        lines.append(f"| {r['goal']} | {100 * r['found_m']:.1f} | {100 * r['found_all_m']:.1f} | {verdict} |")
+    return "\n".join([*lines, "", crossing_words(facts), "", LIMITS]) + "\n"
+
+
+def crossing_words(facts: Mapping[str, Any]) -> str:
+    """Where the predicted curves of INS and camera cross."""
+    for found in facts["crossings"]:
+        if set(found["chains"]) == {"ins", "camera"} and found["curve"] == "rmse_predicted_3d":
+            at = found.get("crossing_m")
+            if at is not None:
+                return (
+                    f"The predicted 3D sigmas of INS and camera cross at {at:.1f} m: nearer the "
+                    f"{_name(found['nearer'])} is better, farther the {_name(found['farther'])} (published "
+                    "budgets: 11 to 13 m)."
+                )
+            return (
+                f"The predicted 3D sigmas of INS and camera do not cross: the {_name(found['nearer'])} is "
+                "better at every range (published budgets: 11 to 13 m)."
+            )
+    return "Too few points for predicted curves."
+
+
+def _name(chain: str) -> str:
+    return {"ins": "INS", "camera": "camera", "fused": "fused trajectory"}.get(chain, chain)
+
+
+def _distances(parts: Sequence[pd.DataFrame]) -> dict[str, float]:
+    d = [part["distance_m"].to_numpy(np.float64) for part in parts if len(part)]
+    whole = np.concatenate(d)
+    sigma = np.concatenate([predicted_sigma_m(part) for part in parts])
+    means, single = np.array([x.mean() for x in d]), [float(np.sqrt(np.mean(x**2))) for x in d]
+    return {
+        "n": len(whole),
+        "mean_m": float(whole.mean()),
+        "sigma_mean_m": float(means.std(ddof=1) / np.sqrt(len(d))) if len(d) > 1 else float("nan"),
+        "std_m": float(whole.std()),
+        "rmse_m": float(np.sqrt(np.mean(whole**2))),
+        "rmse_least_m": min(single),
+        "rmse_most_m": max(single),
+        "predicted_rmse_m": float(np.sqrt(np.mean(sigma**2))),
+        "mean_range_m": float(np.mean(np.concatenate([part["range_m"].to_numpy() for part in parts]))),
+    }
+
+
+def _truth(surveys: Sequence[Found], chain: str) -> dict[str, float]:
+    out = {}
+    for quantity, column in _TRUTH:
+        values = []
+        for f in surveys:
+            rows = f.truth[(f.truth["times"] == OWN_TIMES) & (f.truth["quantity"] == quantity)]
+            values.append(float(rows[chain].iloc[0]))
+        squares = (
+            np.mean(values) if quantity.startswith("normalised") else np.sqrt(np.mean(np.square(values)))
+        )
+        out[column] = float(squares)
+    return out
+
+
+def _share(counts: pd.DataFrame) -> float:
+    n = dict(zip(counts["reason"], counts["n"], strict=True))
+    return 1.0 - sum(n.get(reason, 0) for reason in _NO_POSE) / sum(n.values())
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]
+
+
+# ---------------------------------------------------------------- rows of one seed, and what comes of all
+
+
+def as_rows(found: Mapping[str, Found], seed: int) -> Tables:
+    """What was found in the settings of one seed, as tables; `from_rows` reads them."""
+    distances, counts, truth = [], [], []
+    for setting, survey in found.items():
+        distances += [
+            survey.distances[name].assign(chain=name, setting=setting, seed=seed) for name in CHAINS
+        ]
+        counts += [survey.counts[name].assign(chain=name, setting=setting, seed=seed) for name in CHAINS]
+        truth.append(survey.truth.assign(setting=setting, seed=seed))
+    return {
+        name: pd.concat(parts, ignore_index=True)
+        for name, parts in (("distances", distances), ("counts", counts), ("truth", truth))
+    }
+
+
+def from_rows(tables: Tables) -> dict[str, list[Found]]:
+    """Name of a setting -> what was found, in the order of the seeds."""
+    parts = {
+        name: {
+            key: rows.drop(columns=_ABOUT).reset_index(drop=True)
+            for key, rows in tables[name].groupby(_ABOUT, sort=False)
+        }
+        for name in ("distances", "counts")
+    }
+    found: dict[str, list[Found]] = {}
+    for (setting, seed), truth in tables["truth"].groupby(["setting", "seed"], sort=False):
+        of = {name: {chain: rows[setting, chain, seed] for chain in CHAINS} for name, rows in parts.items()}
+        truth = truth.drop(columns=["setting", "seed"]).reset_index(drop=True)
+        survey = Found(distances=of["distances"], counts=of["counts"], truth=truth)
+        found.setdefault(str(setting), []).append(survey)
+    return found
+
+
+def _study_rows(seed: Seed) -> Tables:
+    """Both settings are surveys of one scene."""
+    settings = both_settings()
+    world = make_world(settings[0], seed.folder / "world")
+    found = {each.name: survey_chains(seed.number, each, world, seed.folder / each.name) for each in settings}
+    return as_rows(found, seed.number)
+
+
+def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
+    """Budgets are in the order of `CHAINS`."""
+    found = from_rows(tables)
+    numbers = study_table(found)
+    at_m = np.linspace(1.0, 200.0, 797)
+    published = {name: totals_mm(read_budget(path), at_m) for name, path in zip(CHAINS, files, strict=False)}
+    settings = comparison_settings(both_settings()[0].settings(1), 1)
+    ranges = ranges_of(found[DISTURBED], settings, published, at_m)
+    facts = range_facts(ranges)
+    surveys = len(found[DISTURBED])
+    about = {"setting": DISTURBED, "surveys": surveys}
+    distances = {
+        f"distances_{name}": partial(write_table, frame=rows, schema=CLOUD_TO_MESH, meta=about)
+        for name, rows in pooled(found[DISTURBED]).items()
+    }
+    return {
+        "table": numbers,
+        "goals": goals_table(numbers),
+        "by_range": partial(ranges.to_csv, index=False, float_format="%.9g"),
+        "facts": json.dumps(facts, indent=2) + "\n",
+        **distances,
+        "page": as_markdown(numbers, facts),
+    }
+
+
+STUDY: Final = Study(rows=_study_rows, results=_study_results)

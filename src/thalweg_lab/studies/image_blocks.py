@@ -3,10 +3,7 @@
 Each seed is a reach, a voyage, boards and pictures of its own. They go the campaign's way: masks, features,
 structure from motion, boards measured in the pictures, adjustment with control points. Errors of matches are
 then those that pictures have, and no model of them. In short pieces of a voyage and small pictures, because
-a study needs many::
-
-    fit, judged = block_study(range(1, 9), folder), block_study(range(21, 29), folder)
-    print(as_markdown(fit, judged))
+a study needs many.
 
 The variance of what images tell of the lens (``images.adjustment.interior_variance``) was chosen on one set
 of blocks; the others judge it. From a shell: ``make study NAME=image_block_study``.
@@ -21,35 +18,34 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from thalweg.core.errors import ThalwegError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import exp_rotation, rotation_vector
-from thalweg.core.types import ArrayF
-from thalweg.images.bundle.adjustment import Adjusted
-from thalweg.images.bundle.control_job import grey_loader, marks_of_campaign, mask_loader
-from thalweg.images.bundle.interior import with_shared_errors
-from thalweg.images.bundle.job import adjust_campaign
-from thalweg.images.bundle.result import pose_covariance
-from thalweg.images.bundle.run import Oriented
-from thalweg.images.control.tables import read_control_points
-from thalweg.images.masks.images import make_masks
-from thalweg.images.masks.settings import MaskSettings
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.model.poses import ImagePoses
-from thalweg.images.sfm.features import FeatureSettings, extract_features
-from thalweg.images.sfm.mapping import MapSettings, main_block, map_images
-from thalweg.images.sfm.report import image_table
-from thalweg.images.sfm.start import Known, match_images
-from thalweg.ingest.photos.stamps import list_images
-from thalweg.settings.images.block import BlockAdjustment
-from thalweg.settings.images.block import ControlPoints as ControlSection
-from thalweg.settings.images.masks import Masks
-from thalweg.settings.images.sfm import Features, Mapping
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.settings.twin.time_lapse import TwinTimeLapse
-from thalweg_lab.base.random import generator
-from thalweg_lab.river.scene import build_scene
-from thalweg_lab.time_lapse.record import simulate_time_lapse
+from thalweg.core import ArrayF, LocalFrame, ThalwegError, exp_rotation, rotation_vector
+from thalweg.images import read_control_points
+from thalweg.images.bundle import (
+    Adjusted,
+    Oriented,
+    adjust_campaign,
+    grey_loader,
+    marks_of_campaign,
+    mask_loader,
+    pose_covariance,
+    with_shared_errors,
+)
+from thalweg.images.masks import make_masks
+from thalweg.images.model import ImageBlock, ImagePoses
+from thalweg.images.sfm import Known, extract_features, image_table, main_block, map_images, match_images
+from thalweg.ingest.photos import list_images
+from thalweg.settings.sections import (
+    BlockAdjustment,
+    ControlSettings,
+    FeatureSettings,
+    MappingSettings,
+    MaskSettings,
+)
+from thalweg.settings.twin import TwinConfig, TwinTimeLapse
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.river import build_scene
+from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.time_lapse import simulate_time_lapse
 
 FRAME: Final = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 MOUNTS: Final[dict[str, Any]] = {
@@ -63,9 +59,7 @@ FACTORS: Final = (1.0, 1.5, 2.0, 3.0, 4.0)
 """Variances of what images tell of the lens over that by the model of their errors, for each block."""
 DEFAULT_FACTOR: Final[float] = BlockAdjustment().interior_variance
 
-_NUMBERS: Final = (
-    "single", "joint", "independent", "rms_mm", "sigma_mm", "rms_mdeg", "sigma_mdeg", "check",
-)  # fmt: skip
+_NUMBERS: Final = ("single", "joint", "independent", "rms_mm", "sigma_mm", "rms_mdeg", "sigma_mdeg", "check")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,25 +87,45 @@ def rendered_block(seed: int, folder: Path, spec: BlockSpec | None = None) -> tu
     )
     build_scene(TwinConfig.of_size("tiny"), seed).write(folder / "scene.npz")
     simulate_time_lapse(
-        TwinConfig.of_size("tiny"), lapse, seed, FRAME, folder / "scene.npz", MOUNTS, folder / "pictures",
-        folder / "targets.csv", out_poses=folder / "truth.parquet", out_truth=folder / "truth.json",
-    )  # fmt: skip
+        TwinConfig.of_size("tiny"),
+        lapse,
+        seed,
+        FRAME,
+        folder / "scene.npz",
+        MOUNTS,
+        folder / "pictures",
+        folder / "targets.csv",
+        out_poses=folder / "truth.parquet",
+        out_truth=folder / "truth.json",
+    )
     truth = ImagePoses.read(folder / "truth.parquet")
     expected = _predicted(truth, seed)
     block, reasons = _mapped(folder, seed)
-    control = ControlSection(board_m=lapse.target_size_m).model_dump()
-    points = read_control_points(folder / "targets.csv", FRAME, crs=None, sigma_m=control["sigma_m"])
+    control = ControlSettings(board_m=lapse.target_size_m)
+    points = read_control_points(folder / "targets.csv", FRAME, crs=None, sigma_m=control.sigma_m)
     measured = marks_of_campaign(
-        block, points, expected, control, tables=[], grey=grey_loader([folder / "pictures"]),
+        block,
+        points,
+        expected,
+        control,
+        tables=[],
+        grey=grey_loader([folder / "pictures"]),
         mask=mask_loader(None),
-    )  # fmt: skip
+    )
     measured.table.to_csv(folder / "marks.csv", index=False, float_format="%.4f")
     oriented, _, _ = adjust_campaign(
-        block, expected, frame=FRAME, crs=None,
-        adjustment=BlockAdjustment(interior_variance=1.0).model_dump(), control=control,
-        control_points=[folder / "targets.csv"], marks=folder / "marks.csv", known=None, boat=None,
+        block,
+        expected,
+        frame=FRAME,
+        crs=None,
+        adjustment=BlockAdjustment(interior_variance=1.0),
+        control=control,
+        control_points=[folder / "targets.csv"],
+        marks=folder / "marks.csv",
+        known=None,
+        boat=None,
         reasons=reasons,
-    )  # fmt: skip
+    )
     return oriented, truth
 
 
@@ -130,14 +144,11 @@ def _predicted(truth: ImagePoses, seed: int) -> ImagePoses:
 
 def _mapped(folder: Path, seed: int) -> tuple[ImageBlock, dict[str, str]]:
     """The block by structure from motion, and why a picture is not in it."""
-    files, mapping = list_images([folder / "pictures"]), Mapping().model_dump()
-    make_masks(files, folder / "masks", MaskSettings.from_section(Masks().model_dump(), seed), None)
-    features = extract_features(
-        files, masks=folder / "masks", settings=FeatureSettings.from_section(Features().model_dump()),
-        threads=1,
-    )  # fmt: skip
+    files, mapping = list_images([folder / "pictures"]), MappingSettings()
+    make_masks(files, folder / "masks", MaskSettings(), None, seed=seed)
+    features = extract_features(files, masks=folder / "masks", settings=FeatureSettings(), threads=1)
     matches = match_images(features, files, known=Known(), section=mapping, threads=1)
-    mapped = map_images(matches, settings=MapSettings.from_section(mapping), threads=1)
+    mapped = map_images(matches, settings=mapping, threads=1)
     table = image_table(matches, mapped)
     reasons = dict(zip(table["image"], table["reason"], strict=True))
     return main_block(mapped, reasons), reasons
@@ -150,9 +161,12 @@ def counted(adjusted: Adjusted, factor: float) -> Adjusted:
     """
     present = adjusted.interior_variance
     cov = with_shared_errors(
-        adjusted.problem, adjusted.layout, adjusted.x, adjusted.cov / adjusted.cov_scale,
+        adjusted.problem,
+        adjusted.layout,
+        adjusted.x,
+        adjusted.cov / adjusted.cov_scale,
         (present - 1.0 + factor) / present,
-    )  # fmt: skip
+    )
     return replace(adjusted, cov=cov * adjusted.cov_scale, interior_variance=present - 1.0 + factor)
 
 
@@ -203,12 +217,6 @@ def block_study(seeds: Sequence[int], folder: Path, spec: BlockSpec | None = Non
     return pd.DataFrame([row for seed in seeds for row in _rows(seed, folder / str(seed), spec)])
 
 
-def read_blocks(files: Sequence[Path]) -> pd.DataFrame:
-    """Tables of `block_study` that were written as CSV, one below the other."""
-    rows = pd.concat([pd.read_csv(path) for path in files], ignore_index=True)
-    return rows.assign(**{name: rows[name].astype(object).fillna("") for name in ("notes", "failure")})
-
-
 def _rows(seed: int, folder: Path, spec: BlockSpec | None) -> list[dict[str, Any]]:
     """Of one block."""
     row: dict[str, Any] = {"seed": seed, "images": 0, **dict.fromkeys(_NUMBERS, np.nan), "check_points": 0}
@@ -228,12 +236,19 @@ def _numbers(oriented: Oriented, truth: ImagePoses, factor: float) -> dict[str, 
     check = oriented.adjusted.problem.control.check
     told = oriented.control.test[check & np.isfinite(oriented.control.test)]
     return {
-        "images": len(error), "single": single, "joint": joint, "independent": independent,
-        "rms_mm": 1e3 * _rms(error[:, :3]), "sigma_mm": 1e3 * _rms(sigma[:, :3]),
-        "rms_mdeg": 1e3 * _rms(np.degrees(error[:, 3:])), "sigma_mdeg": 1e3 * _rms(np.degrees(sigma[:, 3:])),
-        "check": float(told.mean() / 3) if len(told) else np.nan, "check_points": len(told),
-        "notes": "; ".join(oriented.notes), "failure": "",
-    }  # fmt: skip
+        "images": len(error),
+        "single": single,
+        "joint": joint,
+        "independent": independent,
+        "rms_mm": 1e3 * _rms(error[:, :3]),
+        "sigma_mm": 1e3 * _rms(sigma[:, :3]),
+        "rms_mdeg": 1e3 * _rms(np.degrees(error[:, 3:])),
+        "sigma_mdeg": 1e3 * _rms(np.degrees(sigma[:, 3:])),
+        "check": float(told.mean() / 3) if len(told) else np.nan,
+        "check_points": len(told),
+        "notes": "; ".join(oriented.notes),
+        "failure": "",
+    }
 
 
 def _rms(values: ArrayF) -> float:
@@ -351,3 +366,16 @@ def _blocks(table: pd.DataFrame) -> list[str]:
             f"| {row['rms_mdeg']:.0f} ({row['sigma_mdeg']:.0f}) | {checks} | {row['notes']} |"
         )
     return lines
+
+
+def _study_rows(seed: Seed) -> Tables:
+    return {seed.kind: block_study([seed.number], seed.folder)}
+
+
+def _study_results(tables: Tables, files: Sequence[Path]) -> dict[str, Result]:
+    fit, judged = tables["fitted"], tables["judged"]
+    blocks = pd.concat([rows.assign(blocks=name) for name, rows in (("fitted", fit), ("judged", judged))])
+    return {"table": summary(fit, judged), "blocks": blocks, "page": as_markdown(fit, judged)}
+
+
+STUDY: Final = Study(rows=_study_rows, results=_study_results)

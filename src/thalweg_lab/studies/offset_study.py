@@ -13,20 +13,18 @@ Distances are positive in front of the reference, toward the boat, and negative 
 
 import logging
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.cloud_to_mesh.comparison import ComparisonSettings, after_motion, compare_with_mesh
-from thalweg.accuracy.cloud_to_mesh.registration import register
-from thalweg.core.errors import GeometryError
-from thalweg.surface.area import Area
-from thalweg.surface.cloud_to_mesh import Surface
+from thalweg.accuracy import ComparisonSettings, after_motion, compare_with_mesh, register
+from thalweg.core import GeometryError
+from thalweg.settings.sections import Accuracy, ReferenceSettings
+from thalweg.surface import Area, Surface
+from thalweg_lab.studies.study import Result, Seed, Study, Tables
 from thalweg_lab.studies.survey import BARE, process, record, reference_mesh, survey_settings
 
 PUBLISHED_M: Final = (-0.06, -0.05)
@@ -38,9 +36,17 @@ MAX_POINTS: Final = 50_000
 _STEEP: Final[dict[str, Any]] = {
     "size": "demo",
     "duration_s": 12.0,
-    "scene": BARE | {
-        "length_m": 70.0, "width_m": 30.0, "grid_m": 0.1, "embankment_slope_deg": 60.0, "roughness_m": 0.0,
-        "leaves_per_bush": 300, "leaves_per_tree": 1500, "bridge": False, "weir": False,
+    "scene": BARE
+    | {
+        "length_m": 70.0,
+        "width_m": 30.0,
+        "grid_m": 0.1,
+        "embankment_slope_deg": 60.0,
+        "roughness_m": 0.0,
+        "leaves_per_bush": 300,
+        "leaves_per_tree": 1500,
+        "bridge": False,
+        "weir": False,
     },
     "boat": {"speed_mps": 2.0, "turn_rate_degps": 20.0},
     "lidar": {"divergence_mrad": 0.0, "mixed_pixels": False, "mirror_ghosts": False},
@@ -48,7 +54,7 @@ _STEEP: Final[dict[str, Any]] = {
     "gnss": {"sigma_m": (0.001, 0.001, 0.001), "shadow": False},
     "tls": {"spacing_m": 0.05},
     "effects": {"mount_errors": False},
-}  # fmt: skip
+}
 """Bare, smooth bank, as steep as the twin makes one: nearly across the beams. No beam width, true poses."""
 
 _SLOPE: Final[dict[str, Any]] = {"scene": {"embankment_slope_deg": 33.0}}
@@ -139,8 +145,9 @@ def distances(seed: int, folder: Path, effect: Effect) -> dict[str, float]:
     logs = record(settings, folder, stations=STATIONS)
     survey = process(logs)
     surface = Surface(reference_mesh(logs, survey.trajectory.position_wcs_m)[0])
-    how = ComparisonSettings.from_sections(
-        {**settings["accuracy"], "max_points": MAX_POINTS}, settings["reference"]
+    how = ComparisonSettings.of(
+        Accuracy(**{**settings["accuracy"], "max_points": MAX_POINTS}),
+        ReferenceSettings(**settings["reference"]),
     )
     table, _ = compare_with_mesh(survey.points, surface.mesh, area=Area(), settings=how, surface=surface)
     logs.remove()
@@ -154,23 +161,44 @@ def distances(seed: int, folder: Path, effect: Effect) -> dict[str, float]:
         moved = after_motion(table, places, surface, how)
         fitted = moved.loc[moved["used"], "distance_m"].to_numpy()
     values = (
-        len(d), np.mean(d), np.median(d), np.sqrt(np.mean(d**2)), np.mean(d < 0),
-        np.mean(fitted), np.sqrt(np.mean(fitted**2)),
-    )  # fmt: skip
+        len(d),
+        np.mean(d),
+        np.median(d),
+        np.sqrt(np.mean(d**2)),
+        np.mean(d < 0),
+        np.mean(fitted),
+        np.sqrt(np.mean(fitted**2)),
+    )
     return {name: float(value) for name, value in zip(PER_SURVEY, values, strict=True)}
 
 
-def offset_study(
-    folder: Path, *, seeds: Sequence[int] = range(6), effects: Sequence[Effect] = EFFECTS, processes: int = 2
-) -> pd.DataFrame:
-    """Survey each effect with each seed and say what it adds to the mean distance.
+def rows_of_seed(seed: int, folder: Path, effects: Sequence[Effect] = EFFECTS) -> pd.DataFrame:
+    """Survey each effect with one seed.
 
     Parameters
     ----------
-    folder : for files of the surveys, which are deleted again.
-    seeds : at least two.
+    seed : of all surveys.
+    folder : for their files, which are deleted again.
+    effects : rows.
+
+    Returns
+    -------
+    ``effect``, ``seed`` and `PER_SURVEY`.
+    """
+    found = [
+        {"effect": effect.name, "seed": seed, **distances(seed, folder / f"{number}", effect)}
+        for number, effect in enumerate(effects)
+    ]
+    return pd.DataFrame(found)
+
+
+def offset_table(rows: pd.DataFrame, effects: Sequence[Effect] = EFFECTS) -> pd.DataFrame:
+    """What each effect adds to the mean distance.
+
+    Parameters
+    ----------
+    rows : `rows_of_seed` of at least two seeds.
     effects : rows; the one that a row is compared with must be among them.
-    processes : surveys at a time.
 
     Returns
     -------
@@ -180,15 +208,7 @@ def offset_study(
     ``mean_registered_m`` with its sigma and ``rmse_registered_m`` after a rigid fit of each cloud, which
     ``fitted`` of the surveys allowed. All sigmas come from the spread over the seeds.
     """
-    jobs = [(effect, seed) for effect in effects for seed in seeds]
-    # Spawned: numba's threads do not survive a fork.
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        running = [
-            pool.submit(distances, seed, folder / f"{number}", effect)
-            for number, (effect, seed) in enumerate(jobs)
-        ]
-        found = [job.result() for job in running]
-    of = {e.name: pd.DataFrame(found[k * len(seeds) : (k + 1) * len(seeds)]) for k, e in enumerate(effects)}
+    of = {e.name: rows[rows["effect"] == e.name].reset_index(drop=True) for e in effects}
     return pd.DataFrame([_row(effect, of) for effect in effects])
 
 
@@ -218,9 +238,17 @@ def _row(effect: Effect, of: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
 def as_markdown(table: pd.DataFrame) -> str:
     """The table of `offset_study` as a page for people, in millimetres, with P2's figure and a conclusion."""
     columns = (
-        "effect", "against", "explains, mm", "mean, mm", "median, mm", "RMSE, mm", "behind, %",
-        "registered: mean, mm", "RMSE, mm", "points",
-    )  # fmt: skip
+        "effect",
+        "against",
+        "explains, mm",
+        "mean, mm",
+        "median, mm",
+        "RMSE, mm",
+        "behind, %",
+        "registered: mean, mm",
+        "RMSE, mm",
+        "points",
+    )
     lines = [
         "# Why does the cloud lie off the reference? (digital twin)",
         "",
@@ -291,3 +319,15 @@ def _mm(row: Mapping[str, Any], name: str) -> str:
     if np.isnan(value):
         return ""
     return f"{value:+.1f}" if np.isnan(sigma) else f"{value:+.1f} ± {sigma:.1f}"
+
+
+def _study_rows(seed: Seed) -> Tables:
+    return {"surveys": rows_of_seed(seed.number, seed.folder)}
+
+
+def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
+    table = offset_table(tables["surveys"])
+    return {"table": table, "page": as_markdown(table)}
+
+
+STUDY: Final = Study(rows=_study_rows, results=_study_results, float_format=None)

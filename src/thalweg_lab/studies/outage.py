@@ -1,34 +1,37 @@
 """How the position errs while GNSS is gone: INS, camera and fused trajectory against the truth of the twin.
 
 Each seed is a voyage of its own. INS and antenna err as the twin's instruments do
-(`thalweg_lab.instruments.attitude_errors`, `thalweg_lab.instruments.gnss`); poses of images have correlated
+(`thalweg_lab.instruments.ins`, `thalweg_lab.instruments.gnss`); poses of images have correlated
 errors of a stated covariance, a common clock offset, jitter and a mount that is a little off. In memory,
 without logs.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
-from thalweg.core.frames import R_ENU_NED, LocalFrame, roll_pitch_heading
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.core.types import ArrayB, ArrayF
-from thalweg.images.model.poses import ImagePoses
-from thalweg.navigation.fusion.settings import FusionSettings
-from thalweg.navigation.fusion.trajectory import Fused, fuse_trajectory
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.random import generator
-from thalweg_lab.instruments.attitude_errors import attitude_errors_rad, unstated_heading_errors_rad
-from thalweg_lab.instruments.effects import inside
-from thalweg_lab.instruments.gnss import antenna_errors_m, multipath_errors_m, stated_sigmas_m
-from thalweg_lab.instruments.ins import velocity_errors_mps
-from thalweg_lab.instruments.magnetic import boat_field_mg
-from thalweg_lab.instruments.shadow import Solution
-from thalweg_lab.voyage.motion import Motion, epochs
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg.core import R_ENU_NED, ArrayB, ArrayF, LocalFrame, Rigid, exp_rotation, roll_pitch_heading
+from thalweg.images.model import ImagePoses
+from thalweg.navigation.fusion import Fused, FusionSettings, fuse_trajectory
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import (
+    Solution,
+    antenna_errors_m,
+    attitude_errors_rad,
+    boat_field_mg,
+    inside,
+    multipath_errors_m,
+    stated_sigmas_m,
+    unstated_heading_errors_rad,
+    velocity_errors_mps,
+)
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.voyage import Motion, Voyage, epochs
 
 FRAME: Final = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 LEVER_ANTENNA_M: Final = np.array([0.10, 0.0, -0.45])
@@ -38,7 +41,7 @@ CAMERA: Final = Rigid.from_opk(np.deg2rad([90.0, 0.0, 0.0]), [-0.25, -0.10, -0.1
 LENGTHS_S: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0)
 CHAINS: Final = ("ins_model", "ins_velocity", "camera", "fused")
 DIMMED: Final = 0.6
-"""Share of the satellites that leaves dim under trees, see `thalweg_lab.instruments.shadow`."""
+"""Share of the satellites that leaves dim under trees, see `thalweg_lab.instruments.gnss`."""
 
 _LEAD_S: Final = 15.0
 """GNSS between two outages, seconds: longer than its errors are correlated."""
@@ -100,9 +103,14 @@ def make_survey(seed: int, spec: VoyageSpec | None = None) -> Recorded:
     motion = Voyage(config, seed)
     images, T_ccs_ics, clock, true_mount = _images(seed, spec, motion)
     return Recorded(
-        states=_states(config, seed, motion), positions=_positions(config, seed, motion, spec.shade_s),
-        images=images, T_ccs_ics=T_ccs_ics, motion=motion, clock_s=clock, true_T_ics_ccs=true_mount,
-    )  # fmt: skip
+        states=_states(config, seed, motion),
+        positions=_positions(config, seed, motion, spec.shade_s),
+        images=images,
+        T_ccs_ics=T_ccs_ics,
+        motion=motion,
+        clock_s=clock,
+        true_T_ics_ccs=true_mount,
+    )
 
 
 def fuse(
@@ -116,11 +124,16 @@ def fuse(
     """The trajectory of a survey, of some of its inputs."""
     positions = survey.positions if keep_positions is None else survey.positions[keep_positions]
     return fuse_trajectory(
-        survey.states, FRAME, settings,
-        positions=positions if with_positions else None, lever_ics_antenna_m=LEVER_ANTENNA_M,
-        images=survey.images if with_images else None, T_ccs_ics=survey.T_ccs_ics,
-        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), max_attitude_gap_s=0.1,
-    )  # fmt: skip
+        survey.states,
+        FRAME,
+        settings,
+        positions=positions if with_positions else None,
+        lever_ics_antenna_m=LEVER_ANTENNA_M,
+        images=survey.images if with_images else None,
+        T_ccs_ics=survey.T_ccs_ics,
+        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
+        max_attitude_gap_s=0.1,
+    )
 
 
 def errors_at(fused: Fused, motion: Motion, t_gps_s: ArrayF) -> tuple[ArrayF, ArrayF]:
@@ -200,12 +213,17 @@ def summarised(found: pd.DataFrame) -> pd.DataFrame:
     """
     rows = []
     for (length, chain), part in found.groupby(["length_s", "chain"], sort=True):
-        rows.append({
-            "length_s": length, "chain": chain, "outages": len(part),
-            "rms_m": float(np.sqrt(np.mean(part["rms_m"] ** 2))), "max_m": float(part["max_m"].max()),
-            "sigma_m": float(np.sqrt(np.mean(part["sigma_m"] ** 2))),
-            "normalised": float(part["normalised"].mean()),
-        })  # fmt: skip
+        rows.append(
+            {
+                "length_s": length,
+                "chain": chain,
+                "outages": len(part),
+                "rms_m": float(np.sqrt(np.mean(part["rms_m"] ** 2))),
+                "max_m": float(part["max_m"].max()),
+                "sigma_m": float(np.sqrt(np.mean(part["sigma_m"] ** 2))),
+                "normalised": float(part["normalised"].mean()),
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -310,11 +328,29 @@ def _images(seed: int, spec: VoyageSpec, motion: Motion) -> tuple[ImagePoses, Ri
     C = np.diag(sigma**2)
     # an error moves the estimate to the truth
     poses = ImagePoses(
-        frame=FRAME, images=tuple(f"{k:05d}.jpg" for k in range(n)), t_gps_s=stamp,
-        sigma_t_s=np.full(n, spec.jitter_s), oriented=np.ones(n, dtype=np.bool_), reasons=("",) * n,
+        frame=FRAME,
+        images=tuple(f"{k:05d}.jpg" for k in range(n)),
+        t_gps_s=stamp,
+        sigma_t_s=np.full(n, spec.jitter_s),
+        oriented=np.ones(n, dtype=np.bool_),
+        reasons=("",) * n,
         centre_wcs_m=motion.position_wcs_m(exposed) + R @ true_mount.shift_m - error[:, :3],
-        R_wcs_ccs=exp_rotation(-error[:, 3:]) @ R @ true_mount.R, cov_pose_wcs=np.tile(C, (n, 1, 1)),
+        R_wcs_ccs=exp_rotation(-error[:, 3:]) @ R @ true_mount.R,
+        cov_pose_wcs=np.tile(C, (n, 1, 1)),
         cov_next=np.concatenate([np.tile(keep * C, (n - 1, 1, 1)), np.zeros((1, 6, 6))]),
-        n_marks=np.full(n, 300.0), rms_px=np.full(n, 0.5),
-    )  # fmt: skip
+        n_marks=np.full(n, 300.0),
+        rms_px=np.full(n, 0.5),
+    )
     return poses, T_ccs_ics, clock, true_mount
+
+
+def _study_rows(seed: Seed) -> Tables:
+    return {"outages": outage_trial(seed.number)}
+
+
+def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
+    found = summarised(tables["outages"])
+    return {"table": found, "page": as_markdown(found)}
+
+
+STUDY: Final = Study(rows=_study_rows, results=_study_results)

@@ -24,45 +24,39 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.las.files import iter_laz
-from thalweg.core.tables import read_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF
-from thalweg.ingest.anpp.reader import read_anpp
-from thalweg.ingest.clouds.reference import gather_reference
-from thalweg.ingest.tracks.rtklib_pos import read_pos
-from thalweg.ingest.velodyne.model import RING, VERTICAL_CORRECTION_M
-from thalweg.ingest.velodyne.reader import LidarOptions, scan_lidar
-from thalweg.lidar.cloud import LogSettings, cloud_covariance, georeference_log
-from thalweg.lidar.covariance import BeamErrors
-from thalweg.lidar.filters import FilterSettings
-from thalweg.lidar.mount import Mount
-from thalweg.lidar.overlap import error_model_of_log
-from thalweg.navigation.ins_gnss.error_model import ErrorModel
-from thalweg.navigation.ins_gnss.trajectory import build_trajectory
-from thalweg.settings.campaign import Campaign
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.surface.reference.mesh import ReferenceSettings, mesh_reference
-from thalweg_lab.instruments.gnss import simulate_gnss
-from thalweg_lab.instruments.ins import simulate_ins
-from thalweg_lab.instruments.lidar import simulate_lidar
-from thalweg_lab.instruments.shots import LIDAR_SHOTS, EchoKind
-from thalweg_lab.instruments.tls import simulate_tls
-from thalweg_lab.river.materials import BARE_GROUND
-from thalweg_lab.river.scene import Scene, simulate_scene
-from thalweg_lab.truth.errors import (
+from thalweg.core import ArrayF, LocalFrame, Trajectory, iter_laz, read_table
+from thalweg.core.geometry import TriangleMesh
+from thalweg.ingest import LidarOptions
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.clouds import gather_reference
+from thalweg.ingest.registry import lidar_reader
+from thalweg.ingest.tracks import read_pos
+from thalweg.ingest.velodyne import VLP16
+from thalweg.lidar import LogSettings, Mount, cloud_covariance, error_model_of_log, georeference_log
+from thalweg.navigation.ins_gnss import ErrorModel, build_trajectory
+from thalweg.settings import Campaign
+from thalweg.settings.sections import Filters, LidarAccuracy, ReferenceSettings
+from thalweg.settings.twin import TwinConfig
+from thalweg.surface import mesh_reference
+from thalweg_lab.instruments import (
+    LIDAR_SHOTS,
+    EchoKind,
+    simulate_gnss,
+    simulate_ins,
+    simulate_lidar,
+    simulate_tls,
+)
+from thalweg_lab.river import BARE_GROUND, Scene, simulate_scene
+from thalweg_lab.truth import (
     PointErrors,
     PointErrors3d,
+    TrueReturns,
     Truth,
     point_errors,
     point_errors_3d,
+    sample_of_known_points,
 )
-from thalweg_lab.truth.returns import TrueReturns, sample_of_known_points
-from thalweg_lab.voyage.true_mounts import true_mounts
-from thalweg_lab.voyage.truth import true_trajectory
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg_lab.voyage import Voyage, true_mounts, true_trajectory
 
 PLACE: Final[dict[str, Any]] = {
     "crs": "EPSG:25833",
@@ -149,7 +143,7 @@ class Logs:
         return LocalFrame(**self.settings["campaign"]["origin"])
 
     def truth(self) -> Truth:
-        """What `thalweg_lab.truth.errors` compares with."""
+        """What `thalweg_lab.truth.points` compares with."""
         reach, twin = Scene.read(self.scene), self.twin
         return Truth(
             trajectory=true_trajectory(Voyage(twin, self.seed), self.frame),
@@ -194,7 +188,7 @@ class Survey:
         """Errors along the normal of the true surface, of points that come from bare ground alone."""
         cloud, row, returns = self._known(max_points)
         bare = np.append(BARE_GROUND, np.zeros(256 - len(BARE_GROUND), dtype=np.bool_))
-        corrections = VERTICAL_CORRECTION_M[np.argsort(RING)] * self.settings["lidar"]["vertical_corrections"]
+        corrections = VLP16.vertical_by_ring_m * self.settings["lidar"]["vertical_corrections"]
         return point_errors(
             cloud["xyz_m"],
             cloud["t_gps_s"],
@@ -224,11 +218,7 @@ class Survey:
 
 
 def record(
-    settings: Mapping[str, Any],
-    folder: Path,
-    *,
-    scene: Path | None = None,
-    stations: int = 0,
+    settings: Mapping[str, Any], folder: Path, *, scene: Path | None = None, stations: int = 0
 ) -> Logs:
     """Let the twin's instruments record a survey.
 
@@ -333,11 +323,10 @@ def _antenna_lever_m(logs: Logs, settings: Mapping[str, Any] | None) -> ArrayF:
 def pose_errors(logs: Logs, trajectory: Trajectory, settings: Mapping[str, Any] | None = None) -> ErrorModel:
     """Error model of the poses, from surfaces that the lidar saw again; ``settings`` as for `process`."""
     s = logs.settings if settings is None else settings
-    options = LidarOptions(**s["lidar"])
+    log = lidar_reader([logs.pcap], LidarOptions(**s["lidar"]))
     return error_model_of_log(
-        [logs.pcap],
-        options,
-        scan_lidar([logs.pcap], options).clock,
+        log,
+        log.scan().clock,
         trajectory,
         log_settings(s, Mount.from_section(s["mounts"]["lidar"])),
         positions_t_gps_s=read_pos([logs.pos]).positions["t_gps_s"].to_numpy(),
@@ -351,8 +340,8 @@ def log_settings(s: Mapping[str, Any], mount: Mount) -> LogSettings:
     wanted = {key: value for key, value in s["georeferencing"].items() if key != "export_map"}
     return LogSettings(
         mount=mount,
-        beam=BeamErrors.from_section(s["lidar_accuracy"]),
-        filters=FilterSettings.from_section(s["filters"]),
+        beam=LidarAccuracy(**s["lidar_accuracy"]),
+        filters=Filters(**s["filters"]),
         **(wanted | {"correlations": True}),
     )
 
@@ -377,14 +366,13 @@ def orient(
     beam : factors on the stated sigmas of a single measurement.
     """
     s = logs.settings if settings is None else settings
-    options = LidarOptions(**s["lidar"])
+    log = lidar_reader([logs.pcap], LidarOptions(**s["lidar"]))
     mount = Mount.from_section(s["mounts"]["lidar"]) if mount is None else mount
     how = log_settings(s, mount)
     points = logs.folder / f"{name}.laz"
     counts = georeference_log(
-        [logs.pcap],
-        options,
-        scan_lidar([logs.pcap], options).clock,
+        log,
+        log.scan().clock,
         trajectory,
         how if beam is None else replace(how, beam=how.beam.scaled(**beam)),
         points,
@@ -405,10 +393,10 @@ def reference_mesh(
 
     Returns
     -------
-    mesh, facts : see `thalweg.surface.reference.mesh.mesh_reference`.
+    mesh, facts : see `thalweg.surface.reference.mesh_reference`.
     """
     s = logs.settings if settings is None else settings
     cloud = logs.folder / "reference.laz"
     gather_reference(list(logs.scans), cloud, logs.frame, s["campaign"]["crs"])
     points = np.concatenate([chunk["xyz_m"] for chunk in iter_laz(cloud, 5_000_000)])
-    return mesh_reference(points, track_m=track_m, settings=ReferenceSettings.from_section(s["reference"]))
+    return mesh_reference(points, track_m=track_m, settings=ReferenceSettings(**s["reference"]))

@@ -13,16 +13,13 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration.markers.sheets import MarkerLayout
-from thalweg.core.camera.model import Camera
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.core.types import ArrayB, ArrayF
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.random import generator
-from thalweg_lab.tank.board import SIGMA_PX
+from thalweg.calibration import MarkerLayout
+from thalweg.core import ArrayB, ArrayF, Camera, Rigid, exp_rotation
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank.objects import SIGMA_PX
 from thalweg_lab.tank.series import Basin
-from thalweg_lab.yard.cones import Plane
-from thalweg_lab.yard.sheets import Sheet
+from thalweg_lab.yard import Plane, Sheet
 
 MODULE_M: Final = 0.003
 """Side of a module: sheets of 33 mm with their margin."""
@@ -134,9 +131,7 @@ def stations(
         aim = np.array([*(0.25 * field.half_side_m * rng.uniform(-1.0, 1.0, 2)), 0.0])
         if not convergent:
             azimuth, zenith = 0.0, np.deg2rad(2.0)
-        out = np.array([
-            np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)
-        ])  # fmt: skip
+        out = np.array([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)])
         angle = np.deg2rad(90.0 * (k % 4) + turn) if roll else 0.0
         poses[f"field_{k + 1:03d}.png"] = _looking(aim + away * out, -out, angle)
     return poses
@@ -177,11 +172,18 @@ def observe_field(
         seen = inside & steep & (module_px > _LEAST_MODULE_PX) & ~_hidden(field, saddles, pose.shift_m)
         at = np.flatnonzero(seen)
         shown = (xy + noise)[at].reshape(-1, 2)
-        tables.append(pd.DataFrame({
-            "file": name, "marker": np.repeat([field.sheets[i].marker for i in at], 4).astype(np.int64),
-            "corner": np.tile(np.arange(4), len(at)), "x_px": shown[:, 0], "y_px": shown[:, 1],
-            "sigma_px": sigma_px,
-        }))  # fmt: skip
+        tables.append(
+            pd.DataFrame(
+                {
+                    "file": name,
+                    "marker": np.repeat([field.sheets[i].marker for i in at], 4).astype(np.int64),
+                    "corner": np.tile(np.arange(4), len(at)),
+                    "x_px": shown[:, 0],
+                    "y_px": shown[:, 1],
+                    "sigma_px": sigma_px,
+                }
+            )
+        )
     return pd.concat(tables, ignore_index=True)
 
 

@@ -1,22 +1,27 @@
-"""How bright a light sheet of finite width is in the image, point by point.
+"""A light sheet on a surface: what each sub-beam meets, whether the camera sees it, how bright it is in the
+image.
 
 The units of light cancel: `light_to_dn` sets the exposure by a grey panel, as one who operates the camera.
+
+Light of single points is spread on the pixels as a Gaussian that is integrated over them. No finer grid is
+needed, so no half pixel can be lost between two grids: pixel i covers i to i + 1, and the share of a point at
+x with the standard deviation s is ``Phi((i + 1 - x) / s) - Phi((i - x) / s)``.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from thalweg.core.types import ArrayF
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.settings.twin.light_sheet import Laser, SheetImage
-from thalweg_lab.tank.fans import Fan, rays_of
-from thalweg_lab.tank.forward import beams_in_water, in_picture, see
-from thalweg_lab.tank.line import LinePoints, line_on, meet
+from thalweg.core import ArrayB, ArrayF, ArrayF32, njit
+from thalweg.lightsheet.optics import LightSheet, Sensor
+from thalweg.settings.twin import Laser, SheetImage
+from thalweg_lab.tank.forward import Seen, WaterBeams, beams_in_water, in_picture, see
+from thalweg_lab.tank.grating import Grating
 from thalweg_lab.tank.objects import panel
-from thalweg_lab.tank.splat import splat
-from thalweg_lab.tank.surfaces import Posed
+from thalweg_lab.tank.surfaces import GREEN, Posed
 
 _EDGE: Final = 1.6
 """Rays across the sheet reach so many radii; outside lies 0.14 % of its light."""
@@ -30,6 +35,51 @@ _BESIDE_PX: Final = 60.0
 _WHITE: Final = 0.9
 _HALO_PARTS: Final = 5
 
+_REACH: Final = 4.0
+"""Sigmas that a point reaches; 1.3e-4 of its light lies outside and is given to what is inside."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GratingLine:
+    """One line of a grating, by its number from 0."""
+
+    grating: Grating
+    number: int
+
+    @property
+    def half_angle_rad(self) -> float:
+        """Largest fan angle on either side."""
+        return self.grating.half_angle_rad
+
+
+Fan = LightSheet | GratingLine
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinePoints:
+    """Points (n) where sub-beams meet a surface.
+
+    ``fan_angle_rad``; ``xyz_lcs_mm`` (n, 3); ``lit``: the sub-beam meets the surface; ``visible``: the
+    camera sees the point, within its picture or beside it; ``albedo`` in green; ``laser_mm``: way of the
+    laser in the water; ``cosine`` between the normal and the way to the camera; ``along`` (n, 3): the part
+    of the sub-beam's direction along the surface. ``seen``: the image of each point.
+    """
+
+    fan_angle_rad: ArrayF
+    xyz_lcs_mm: ArrayF
+    lit: ArrayB
+    visible: ArrayB
+    albedo: ArrayF
+    laser_mm: ArrayF
+    cosine: ArrayF
+    along: ArrayF
+    seen: Seen
+
+    @property
+    def xy_px(self) -> ArrayF:
+        """(n, 2) pixels, NaN where the sub-beam meets nothing."""
+        return self.seen.xy_px
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Glow:
@@ -38,6 +88,48 @@ class Glow:
     xy_px: ArrayF
     light: ArrayF
     sigma_px: ArrayF
+
+
+def lines_of(grating: Grating, numbers: Sequence[int] | None = None) -> tuple[GratingLine, ...]:
+    """Lines of a grating, all if no numbers are given."""
+    wanted = range(len(grating.cosine_offsets)) if numbers is None else numbers
+    return tuple(GratingLine(grating=grating, number=k) for k in wanted)
+
+
+def rays_of(fan: Fan, a_rad: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Origins and unit directions (n, 3) in air, lcs, of sub-beams (n,)."""
+    if isinstance(fan, GratingLine):
+        return fan.grating.beams(np.full(len(a_rad), fan.number), a_rad)
+    return np.broadcast_to(fan.origin_lcs_mm, (len(a_rad), 3)), fan.beams(a_rad)
+
+
+def line_on(sensor: Sensor, posed: Posed, fan: Fan, a_rad: ArrayF) -> LinePoints:
+    """What sub-beams of the fan angles (n,) meet: the exact line, without width."""
+    return meet(sensor, posed, a_rad, beams_in_water(*rays_of(fan, a_rad), sensor.window))
+
+
+def meet(sensor: Sensor, posed: Posed, a_rad: ArrayF, beams: WaterBeams) -> LinePoints:
+    """Where rays in the water meet a surface, and which of these points the camera sees."""
+    hits = posed.first_hits(beams.start_mm, beams.direction)
+    under = sensor.window.depth_mm(np.where(hits.met[:, None], hits.xyz_lcs_mm, 0.0)) > 0
+    lit = hits.met & under
+    seen = see(sensor, np.where(lit[:, None], hits.xyz_lcs_mm, np.nan))
+    cosine = np.einsum("ni,ni->n", hits.normal_lcs, seen.up)
+    visible = lit & np.isfinite(seen.xy_px).all(axis=1) & (cosine > 0)
+    at = np.flatnonzero(visible)
+    visible[at] = ~posed.blocked(hits.xyz_lcs_mm[at], seen.up[at], seen.water_mm[at])
+    into = np.einsum("ni,ni->n", hits.normal_lcs, beams.direction)
+    return LinePoints(
+        fan_angle_rad=a_rad,
+        xyz_lcs_mm=np.where(lit[:, None], hits.xyz_lcs_mm, np.nan),
+        lit=lit,
+        visible=visible,
+        albedo=hits.albedo[:, GREEN],
+        laser_mm=hits.way_mm,
+        cosine=cosine,
+        along=beams.direction - into[:, None] * hits.normal_lcs,
+        seen=seen,
+    )
 
 
 def fan_angles(sensor: Sensor, fan: Fan, settings: SheetImage) -> ArrayF:
@@ -144,6 +236,20 @@ def light_to_dn(sensor: Sensor, settings: SheetImage) -> float:
     return settings.chip.peak_dn / float(image.max())
 
 
+def splat(image: ArrayF32, xy_px: ArrayF, light: ArrayF, sigma_px: ArrayF) -> None:
+    """Add points to an image in place.
+
+    Parameters
+    ----------
+    image : (h, w); what falls outside is lost.
+    xy_px : (n, 2), counted from the upper left corner.
+    light : (n,) sum over the pixels of each point.
+    sigma_px : (n,) standard deviation of its Gaussian.
+    """
+    finite = np.isfinite(xy_px).all(axis=1) & np.isfinite(light) & (light > 0)
+    _splat(image, np.ascontiguousarray(xy_px[finite]), light[finite], sigma_px[finite], _REACH)
+
+
 def _with_halo(sensor: Sensor, settings: SheetImage, points: LinePoints, direct: Glow) -> Glow:
     """A share of the light leaves the surface further on, where the laser runs along it."""
     visible = points.visible
@@ -166,3 +272,39 @@ def _with_halo(sensor: Sensor, settings: SheetImage, points: LinePoints, direct:
 
 def _px_per_mm(sensor: Sensor, axial_mm: ArrayF) -> ArrayF:
     return np.asarray(sensor.camera.parameters[0] / axial_mm)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _splat(image: ArrayF32, xy: ArrayF, light: ArrayF, sigma: ArrayF, reach: float) -> None:
+    height, width = image.shape
+    for n in range(len(xy)):
+        x, y, s = xy[n, 0], xy[n, 1], sigma[n]
+        if not (x > -reach * s and y > -reach * s and x < width + reach * s and y < height + reach * s):
+            continue
+        left, right = math.floor(x - reach * s), math.floor(x + reach * s)
+        top, bottom = math.floor(y - reach * s), math.floor(y + reach * s)
+        nx, ny = int(right - left) + 1, int(bottom - top) + 1
+        along, down = np.empty(nx), np.empty(ny)
+        scale = 1.0 / (s * math.sqrt(2.0))
+        before, total_x = math.erf((left - x) * scale), 0.0
+        for i in range(nx):
+            after = math.erf((left + i + 1 - x) * scale)
+            along[i] = after - before
+            total_x += along[i]
+            before = after
+        before, total_y = math.erf((top - y) * scale), 0.0
+        for j in range(ny):
+            after = math.erf((top + j + 1 - y) * scale)
+            down[j] = after - before
+            total_y += down[j]
+            before = after
+        share = light[n] / (total_x * total_y)
+        for j in range(ny):
+            row = int(top) + j
+            if row < 0 or row >= height:
+                continue
+            part = share * down[j]
+            for i in range(nx):
+                column = int(left) + i
+                if column >= 0 and column < width:
+                    image[row, column] += part * along[i]

@@ -6,17 +6,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core.frames import rotation_opk
-from thalweg.core.types import ArrayF
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg_lab.base.random import generator
-from thalweg_lab.tank.fans import Fan
-from thalweg_lab.tank.glow import on_sheet
-from thalweg_lab.tank.meshes import Pieces, noise_relief, pebble, relief
+from thalweg.core import ArrayF, rotation_opk
+from thalweg.lightsheet.optics import Sensor
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank.glow import Fan, on_sheet
 from thalweg_lab.tank.motion import SensorPath, drift, rail
-from thalweg_lab.tank.objects import GridPattern, grid_object, panel, stepped_object
-from thalweg_lab.tank.surfaces import Posed, Surface, Texture
-from thalweg_lab.tank.wreck import wreck
+from thalweg_lab.tank.objects import GridPattern, grid_object, panel, stepped_object, wreck
+from thalweg_lab.tank.surfaces import Pieces, Posed, Surface, Texture, noise_relief, pebble, relief
 
 # ---------------------------------------------------------------- A strip of river bed: sand ripples,
 # roughness, stones (millimetres, Z up, 0 at the mean height)
@@ -180,9 +176,13 @@ def calibration_plan(
     }
     surface = grid_object(used)
     return Plan(
-        name="calibration", surfaces={surface.name: surface}, seen=(surface.name,) * positions, path=path,
-        fans=fans, facts=facts,
-    )  # fmt: skip
+        name="calibration",
+        surfaces={surface.name: surface},
+        seen=(surface.name,) * positions,
+        path=path,
+        fans=fans,
+        facts=facts,
+    )
 
 
 def panel_plan(
@@ -196,9 +196,13 @@ def panel_plan(
     R = sensor.window.R_lcs_window @ rotation_opk(float(np.deg2rad(tilt_deg)), 0.0, 0.0)
     path = _path([(R, _on_line(sensor, d)) for d in depths_mm])
     return Plan(
-        name="panels", surfaces={"panel": panel()}, seen=("panel",) * len(depths_mm), path=path, fans=fans,
+        name="panels",
+        surfaces={"panel": panel()},
+        seen=("panel",) * len(depths_mm),
+        path=path,
+        fans=fans,
         facts={"depths_mm": [float(d) for d in depths_mm]},
-    )  # fmt: skip
+    )
 
 
 def profile_plan(sensor: Sensor, seed: int, *, depth_mm: float = 150.0, step_mm: float = 0.8) -> Plan:
@@ -271,11 +275,15 @@ def strip_plan(
     """
     if path is None:
         path = drift(
-            seed, lines=lines, rate_hz=STRIP_HZ, speed_mmps=speed_mmps,
+            seed,
+            lines=lines,
+            rate_hz=STRIP_HZ,
+            speed_mmps=speed_mmps,
             middle_lcs_mm=_on_line(sensor, depth_mm),
-            start_obj_mm=np.array([0.0, 60.0, 0.0]), name="strip",
+            start_obj_mm=np.array([0.0, 60.0, 0.0]),
+            name="strip",
             kappa_rad=_line_angle(sensor),
-        )  # fmt: skip
+        )
     way = float(path.shift_obj_mm[-1, 1] - path.shift_obj_mm[0, 1])
     bed = river_bed(
         seed, length_mm=abs(way) + 200.0, width_mm=380.0, step_mm=step_mm, stones=round(8 + 0.04 * abs(way))

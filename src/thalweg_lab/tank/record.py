@@ -8,34 +8,97 @@
 <truth>/                          lines, poses, sensor, meshes
 """
 
+import datetime as dt
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
+import cv2
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
-from thalweg.core.calibration.model import Source
-from thalweg.core.frames import LocalFrame
-from thalweg.core.types import AnyArray, ArrayF
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.optics.sensor_files import write_sensor
-from thalweg.settings.twin.light_sheet import SheetImage
-from thalweg_lab.base.random import generator
-from thalweg_lab.tank.files import ImageFormat, image_name, trigger, write_image, write_pulses
+from thalweg.core import (
+    AnyArray,
+    ArrayF,
+    ArrayI,
+    ArrayU8,
+    InputError,
+    LocalFrame,
+    column,
+    frame_of,
+    table_kind,
+    unix_from_gps,
+    write_table,
+)
+from thalweg.core.calibration import Source
+from thalweg.core.geometry import TriangleMesh, write_mesh
+from thalweg.lightsheet.optics import Sensor, write_sensor
+from thalweg.settings.twin import SheetImage
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank.forward import in_picture
+from thalweg_lab.tank.glow import Fan, line_on
+from thalweg_lab.tank.motion import SIGMA_MARK_MM, SIGMA_PX, SensorPath, build_panel, observe, set_up
 from thalweg_lab.tank.objects import GridPattern
 from thalweg_lab.tank.plan import Plan, describe
 from thalweg_lab.tank.render import Darkroom, render_sheet_image
-from thalweg_lab.tank.six_dof import SIGMA_MARK_MM, SIGMA_PX, build_panel, observe, set_up
-from thalweg_lab.tank.truth_files import true_lines, write_lines, write_poses, write_surface
+from thalweg_lab.tank.surfaces import Posed, Surface
 
 CALLIPER_MM: Final = 0.05
 """Standard deviation of the depth of a level (P3 3.1.1)."""
 
 PANEL_MM: Final = 0.02
 """The same of the panel (P3 3.1.2: 0.01 to 0.03 mm)."""
+
+ImageFormat = Literal["png", "tiff", "jpg"]
+
+JPEG_QUALITY: Final = 92
+PNG_LEVEL: Final = 1
+"""Noise does not compress: higher levels cost time only."""
+
+_F = pa.float64()
+
+LINE_TRUTH: Final = table_kind(
+    "twin_sheet_lines",
+    1,
+    [
+        column("file", pa.string(), "1", "name of the image"),
+        column("line", pa.int32(), "1", "number of the light sheet, from 0"),
+        column("fan_angle_rad", _F, "rad", "fan angle of the sub-beam"),
+        *(column(f"{a}_mm", _F, "mm", f"{a} of the lit point, lcs") for a in "xyz"),
+        column("x_px", _F, "px", "its image, from the upper left corner to the right"),
+        column("y_px", _F, "px", "its image, downwards"),
+        column("visible", pa.bool_(), "1", "the camera sees the point, and it lies in the picture"),
+        column("albedo", _F, "1", "albedo in green"),
+    ],
+)
+
+POSE_TRUTH: Final = table_kind(
+    "twin_sheet_poses",
+    1,
+    [
+        column("file", pa.string(), "1", "name of the image"),
+        column("surface", pa.string(), "1", "what was seen"),
+        column("t_gps_s", _F, "s", "true middle of the exposure, adjusted standard GPS time"),
+        *(column(f"{a}_mm", _F, "mm", f"{a} of the origin of lcs in the frame of the object") for a in "xyz"),
+        *(column(f"q_{a}", _F, "1", f"quaternion of R_obj_lcs, {a}, scalar last") for a in "xyzw"),
+    ],
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trigger:
+    """Images that pulses on whole parts of the GPS second release.
+
+    ``t_gps_s`` (n,) true middle of the exposure; ``pulse_gps_s`` (m,) all recorded pulses; ``stamp_us`` (n,)
+    reading of the camera's own clock at each image, microseconds since 1970.
+    """
+
+    t_gps_s: ArrayF
+    pulse_gps_s: ArrayF
+    stamp_us: ArrayI
 
 
 def record(
@@ -75,9 +138,13 @@ def record(
     wanted = range(len(plan)) if only is None else only
     for k in wanted:
         image = render_sheet_image(
-            sensor, plan.scene(k), settings, generator(seed, f"light sheet {plan.name} image {k}"),
-            fans=plan.fans or None, darkroom=room,
-        )  # fmt: skip
+            sensor,
+            plan.scene(k),
+            settings,
+            generator(seed, f"light sheet {plan.name} image {k}"),
+            fans=plan.fans or None,
+            darkroom=room,
+        )
         write_image(folder / "images" / names[k], image)
     write_pulses(folder / "trigger_pulses.csv", shots.pulse_gps_s)
     notes = pd.DataFrame({"file": names, "object": plan.seen})
@@ -94,14 +161,6 @@ def record(
         _write_six_dof(plan, seed, names, folder, truth)
     _write_truth(plan, sensor, settings, names, shots.t_gps_s, truth, frame)
     return names
-
-
-def _write_grids(plan: Plan, pattern: GridPattern, seed: int, folder: Path) -> None:
-    """Descriptions of the calibration object at each position, with depths as a calliper gives them."""
-    noise = generator(seed, "light sheet calibration calliper").standard_normal((len(plan), 3))
-    for k, depths in enumerate(plan.facts["depths_mm"]):
-        measured = [d + CALLIPER_MM * e for d, e in zip(depths, noise[k], strict=False)]
-        (folder / f"grid_{k + 1}.yaml").write_text(grid_text(pattern, measured))
 
 
 def grid_text(pattern: GridPattern, depths_mm: Sequence[float]) -> str:
@@ -122,6 +181,170 @@ def grid_text(pattern: GridPattern, depths_mm: Sequence[float]) -> str:
     )
 
 
+def trigger(
+    seed: int,
+    t_s: ArrayF,
+    start_gps_s: float,
+    *,
+    name: str,
+    rate_hz: float = 10.0,
+    clock_offset_s: float = 3.417,
+    jitter_s: float = 0.002,
+    lost: int = 0,
+) -> Trigger:
+    """Pulses and stamps of a series.
+
+    The planned times are moved to the grid of a divider of the receiver's PPS. After a third of the images
+    the series rests for two and a half intervals: with perfectly regular pulses nothing would tell which
+    pulse belongs to which image if one is lost at an end.
+
+    Parameters
+    ----------
+    seed : of the campaign; the streams are ``light sheet <name> clock`` and ``... lost pulses``.
+    t_s : (n,) planned times after the start, growing.
+    start_gps_s : adjusted standard GPS time of the start.
+    name : of the series.
+    rate_hz : of the divider.
+    clock_offset_s : what the camera's clock is ahead of UTC.
+    jitter_s : standard deviation of its stamps.
+    lost : number of pulses that were not recorded, never at an end.
+    """
+    n = len(t_s)
+    rest = np.ceil(2.5 * np.median(np.diff(t_s)) * rate_hz) / rate_hz if n > 1 else 0.0
+    planned = np.asarray(t_s) + np.where(np.arange(n) >= (n + 2) // 3, rest, 0.0)
+    at = np.ceil(start_gps_s) + np.rint(planned * rate_hz) / rate_hz
+    noise = generator(seed, f"light sheet {name} clock").standard_normal(n)
+    shown = unix_from_gps(at) + clock_offset_s + jitter_s * noise
+    kept = np.ones(n, dtype=np.bool_)
+    if lost and n > lost + 2:
+        rng = generator(seed, f"light sheet {name} lost pulses")
+        kept[1 + rng.choice(n - 2, lost, replace=False)] = False
+    stamp = np.rint(shown * 1e3).astype(np.int64) * 1000
+    return Trigger(t_gps_s=at, pulse_gps_s=at[kept], stamp_us=stamp)
+
+
+def image_name(stamp_us: int, ending: ImageFormat) -> str:
+    """Name of an image by the camera's clock.
+
+    Examples
+    --------
+    >>> image_name(1620808267_042000, "png")
+    'sheet_20210512_083107_042.png'
+    """
+    whole, micros = divmod(stamp_us, 1_000_000)
+    moment = dt.datetime.fromtimestamp(whole, dt.UTC)
+    return f"sheet_{moment:%Y%m%d_%H%M%S}_{micros // 1000:03d}.{ending}"
+
+
+def write_image(path: Path, image: ArrayU8) -> None:
+    """Write (h, w) raw or grey, or (h, w, 3) red, green, blue; the ending decides about the format.
+
+    Raises
+    ------
+    InputError : another ending than png, tif, tiff, jpg, jpeg.
+    """
+    options = {
+        ".png": [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL],
+        ".tif": [],
+        ".tiff": [],
+        ".jpg": [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY],
+        ".jpeg": [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY],
+    }.get(path.suffix.lower())
+    if options is None:
+        raise InputError(f"an image called {path.name}", expected="the ending png, tif, tiff, jpg or jpeg")
+    ordered = image if image.ndim == 2 else image[:, :, ::-1]
+    done, data = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(ordered), options)
+    if not done:
+        raise InputError("the image cannot be encoded", where=path, expected="uint8 pixels")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data.tobytes())
+
+
+def write_pulses(path: Path, pulse_gps_s: ArrayF) -> None:
+    """Table of the pulses, CSV with the column ``t_gps_s``, as `thalweg.clocks` reads it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("t_gps_s\n" + "".join(f"{t:.6f}\n" for t in pulse_gps_s))
+
+
+def true_lines(
+    sensor: Sensor, posed: Posed, fans: tuple[Fan, ...], file: str, *, beams: int | None = None
+) -> pd.DataFrame:
+    """The exact line of one image, sub-beams that meet the surface only; see `LINE_TRUTH`.
+
+    Parameters
+    ----------
+    sensor, posed : what the image was rendered from.
+    fans : lit sheets, empty for that of the sensor.
+    file : name of the image.
+    beams : sub-beams of each sheet, None: one a pixel of the larger side.
+    """
+    parts = []
+    n = beams or max(sensor.camera.size_px)
+    for number, fan in enumerate(fans or (sensor.sheet,)):
+        a = fan.half_angle_rad * (2.0 * (np.arange(n) + 0.5) / n - 1.0)
+        line = line_on(sensor, posed, fan, a)
+        lit = line.lit
+        xyz, xy = line.xyz_lcs_mm[lit], line.xy_px[lit]
+        parts.append(
+            frame_of(
+                LINE_TRUTH,
+                {
+                    "file": np.full(int(lit.sum()), file, dtype=object),
+                    "line": np.full(int(lit.sum()), number),
+                    "fan_angle_rad": a[lit],
+                    "x_mm": xyz[:, 0],
+                    "y_mm": xyz[:, 1],
+                    "z_mm": xyz[:, 2],
+                    "x_px": xy[:, 0],
+                    "y_px": xy[:, 1],
+                    "visible": line.visible[lit] & in_picture(sensor, xy, 0.0),
+                    "albedo": line.albedo[lit],
+                },
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
+
+
+def write_lines(path: Path, tables: list[pd.DataFrame]) -> None:
+    """Write the true lines of all images of a series."""
+    write_table(path, pd.concat(tables, ignore_index=True), LINE_TRUTH, {"source": "digital twin, truth"})
+
+
+def write_poses(
+    path: Path, files: list[str], seen: tuple[str, ...], t_gps_s: ArrayF, poses: SensorPath
+) -> None:
+    """Write the true poses of the sensor in the frame of the object."""
+    q = poses.quaternions()
+    table = frame_of(
+        POSE_TRUTH,
+        {
+            "file": files,
+            "surface": list(seen),
+            "t_gps_s": t_gps_s,
+            **{f"{a}_mm": poses.shift_obj_mm[:, i] for i, a in enumerate("xyz")},
+            **{f"q_{a}": q[:, i] for i, a in enumerate("xyzw")},
+        },
+    )
+    write_table(path, table, POSE_TRUTH, {"source": "digital twin, truth"})
+
+
+def write_surface(path: Path, surface: Surface, frame: LocalFrame, *, sigma_mm: float = 0.0) -> None:
+    """Write the mesh of an object in its own frame, metres, PLY."""
+    vertices = surface.vertices_mm * 1e-3
+    mesh = TriangleMesh(
+        vertices_m=vertices, faces=surface.faces, sigma_m=np.full(len(vertices), sigma_mm * 1e-3)
+    )
+    write_mesh(path, mesh, frame, {"object": surface.name, "note": "frame of the object; digital twin"})
+
+
+def _write_grids(plan: Plan, pattern: GridPattern, seed: int, folder: Path) -> None:
+    """Descriptions of the calibration object at each position, with depths as a calliper gives them."""
+    noise = generator(seed, "light sheet calibration calliper").standard_normal((len(plan), 3))
+    for k, depths in enumerate(plan.facts["depths_mm"]):
+        measured = [d + CALLIPER_MM * e for d, e in zip(depths, noise[k], strict=False)]
+        (folder / f"grid_{k + 1}.yaml").write_text(grid_text(pattern, measured))
+
+
 def _write_six_dof(plan: Plan, seed: int, names: Sequence[str], folder: Path, truth: Path) -> None:
     """Panel, camera and marks; the truth holds where the standing camera stood."""
     panel = build_panel(seed)
@@ -130,10 +353,15 @@ def _write_six_dof(plan: Plan, seed: int, names: Sequence[str], folder: Path, tr
     out = folder / "six_dof"
     out.mkdir(parents=True, exist_ok=True)
     _table(out / "panel.csv", {"marker": panel.marker}, panel.measured_lcs_mm, SIGMA_MARK_MM)
-    marks = pd.DataFrame({
-        "file": [names[k] for k in seen.image], "marker": seen.marker,
-        "x_px": seen.xy_px[:, 0].round(4), "y_px": seen.xy_px[:, 1].round(4), "sigma_px": SIGMA_PX,
-    })  # fmt: skip
+    marks = pd.DataFrame(
+        {
+            "file": [names[k] for k in seen.image],
+            "marker": seen.marker,
+            "x_px": seen.xy_px[:, 0].round(4),
+            "y_px": seen.xy_px[:, 1].round(4),
+            "sigma_px": SIGMA_PX,
+        }
+    )
     marks.to_csv(out / "marks.csv", index=False)
     camera = tripod.camera
     values = dict(zip(camera.parameter_names, camera.parameters.tolist(), strict=True))

@@ -7,15 +7,12 @@ from typing import Final
 import cv2
 import numpy as np
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import AnyArray, ArrayF, ArrayF32, ArrayU8
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.settings.twin.light_sheet import Chip, SheetImage
-from thalweg_lab.tank.fans import Fan, rays_of
+from thalweg.core import AnyArray, ArrayF, ArrayF32, ArrayU8, GeometryError
+from thalweg.lightsheet.optics import Sensor
+from thalweg.settings.twin import Chip, SheetImage
 from thalweg_lab.tank.forward import beams_in_water, camera_rays, see
-from thalweg_lab.tank.glow import glow, light_to_dn, power
+from thalweg_lab.tank.glow import Fan, glow, light_to_dn, power, rays_of, splat
 from thalweg_lab.tank.speckle import SpeckleOptics, SpeckleTile
-from thalweg_lab.tank.splat import splat
 from thalweg_lab.tank.surfaces import Posed
 
 # ---------------------------------------------------------------- light beside the line: the scene in

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import AnyArray, ArrayF, ArrayF32
+from thalweg.core import AnyArray, ArrayF, ArrayF32, GeometryError
 
 _LEAST_OVERSAMPLING: Final = 2
 

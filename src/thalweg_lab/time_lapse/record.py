@@ -9,33 +9,37 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import ConfigError, GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayB, ArrayF, ArrayF32, ArrayU8
-from thalweg.images.model.poses import ImagePoses
-from thalweg.settings.twin.camera import TwinLens
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg.settings.twin.time_lapse import TwinTimeLapse
-from thalweg_lab.base.random import generator
-from thalweg_lab.base.river import River
-from thalweg_lab.river.materials import Material
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.river.shading import metered
-from thalweg_lab.river.waves import Waves
-from thalweg_lab.river_images.daylight import Sun
-from thalweg_lab.time_lapse.own_boat import OwnBoat
-from thalweg_lab.time_lapse.renderer import Renderer
-from thalweg_lab.time_lapse.targets import Targets, place_targets
-from thalweg_lab.time_lapse.world import World
-from thalweg_lab.voyage.motion import start_unix
-from thalweg_lab.voyage.voyage import Voyage
-from thalweg_lab.writers.jpeg import PhotoFacts, write_jpeg
-from thalweg_lab.yard_images.exposure import exposed
-from thalweg_lab.yard_images.images import BOAT_SENSOR_MM, FULL_FRAME_MM, mount_of, run_name, true_camera
-from thalweg_lab.yard_images.lens_rays import LensRays
-from thalweg_lab.yard_records.image_times import clock_minus_utc_s, run_times
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    ArrayF32,
+    ArrayU8,
+    Camera,
+    ConfigError,
+    GeometryError,
+    LocalFrame,
+    Rigid,
+)
+from thalweg.images.model import ImagePoses
+from thalweg.settings.twin import TwinConfig, TwinLens, TwinTimeLapse
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.reach import River
+from thalweg_lab.river import Material, Scene, Waves, metered
+from thalweg_lab.river_images import Sun
+from thalweg_lab.time_lapse.foreground import OwnBoat, Targets, place_targets
+from thalweg_lab.time_lapse.renderer import Renderer, World
+from thalweg_lab.voyage import Voyage, start_unix
+from thalweg_lab.writers import PhotoFacts, write_jpeg
+from thalweg_lab.yard_images import (
+    BOAT_SENSOR_MM,
+    FULL_FRAME_MM,
+    LensRays,
+    exposed,
+    mount_of,
+    run_name,
+    true_camera,
+)
+from thalweg_lab.yard_records import clock_minus_utc_s, run_times
 
 # ---------------------------------------------------------------- which images the boat's camera takes:
 # times, names, true poses, smear, and which of them are defective
@@ -296,8 +300,13 @@ def write_truth(path: Path, plan: Plan, targets: Targets, swapped: list[list[str
                 "images": int(seen),
             }
             for name, check, place, normal, right, seen in zip(
-                targets.names, _plain(targets.check), targets.centre_wcs_m, targets.normal_wcs,
-                targets.right_wcs, targets.seen, strict=True,
+                targets.names,
+                _plain(targets.check),
+                targets.centre_wcs_m,
+                targets.normal_wcs,
+                targets.right_wcs,
+                targets.seen,
+                strict=True,
             )
         ],
         "swapped_points": swapped,
@@ -313,7 +322,7 @@ def write_truth(path: Path, plan: Plan, targets: Targets, swapped: list[list[str
             }
             for shot, ahead in zip(plan.shots, clock, strict=True)
         ],
-    }  # fmt: skip
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(facts, indent=1) + "\n")
 

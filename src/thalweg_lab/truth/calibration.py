@@ -8,22 +8,51 @@ true places are therefore shifted to the calibration's origin before they are co
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.core.calibration.model import Calibration
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError
-from thalweg.core.frames import rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.clocks import ClockModel
+from thalweg.core import (
+    ArrayF,
+    Camera,
+    GeometryError,
+    InputError,
+    Rigid,
+    opk_of,
+    rotation_opk,
+    rotation_y,
+    rotation_z,
+)
+from thalweg.core.calibration import Calibration
+from thalweg.lightsheet.optics import (
+    FLIP,
+    LASER,
+    LENS,
+    PARAMETERS,
+    LightSheet,
+    Sensor,
+    intersect,
+    sheet_derivatives,
+)
 
 QUANTITIES: Final = ("rotation_x_deg", "rotation_y_deg", "rotation_z_deg", "x_m", "y_m", "z_m")
-COLUMNS: Final = ("block", "quantity", "estimated_minus_true", "sigma", "unit", "normalised")
+BOAT_COLUMNS: Final = ("block", "quantity", "estimated_minus_true", "sigma", "unit", "normalised")
+
+LIGHT_SHEET_COLUMNS: Final = ("what", "estimated_minus_true", "sigma", "unit", "normalised", "n")
+DEPTHS_MM: Final = (30.0, 80.0, 130.0, 180.0, 230.0)
+"""Borders of the classes of depth."""
+_STEP_PX: Final = 16
+_ROUNDING: Final = 1e-9
+"""Sigmas below that (mm, rad, px) are zeros that went through a file."""
+_TURNS: Final = 20
+
+
+# ---------------------------------------------------------------- boat
 
 
 def compare_calibration(calibration: Calibration, true_mounts: Mapping[str, Any]) -> pd.DataFrame:
@@ -33,12 +62,12 @@ def compare_calibration(calibration: Calibration, true_mounts: Mapping[str, Any]
     ----------
     calibration : with the block ``antenna`` and pose blocks ``lidar``, ``camera``, ``camera_lidar``, as it
         holds them.
-    true_mounts : what `thalweg_lab.voyage.true_mounts.read_true_mounts` gives.
+    true_mounts : what `thalweg_lab.voyage.truth.read_true_mounts` gives.
 
     Returns
     -------
-    Columns `COLUMNS`. Errors of rotations are small rotation vectors about the axes of the target frame. The
-    row ``together`` of a block holds the normalised square ``e^T C^-1 e / 6`` (expectation 1) and, as
+    Columns `BOAT_COLUMNS`. Errors of rotations are small rotation vectors about the axes of the target frame.
+    The row ``together`` of a block holds the normalised square ``e^T C^-1 e / 6`` (expectation 1) and, as
     ``sigma``, half the width of its 95 % band.
 
     Raises
@@ -60,7 +89,7 @@ def compare_calibration(calibration: Calibration, true_mounts: Mapping[str, Any]
             low, high = (float(chi2.ppf(level, 6)) / 6 for level in (0.025, 0.975))
             square = float(error @ np.linalg.solve(estimated.cov, error)) / 6
             rows.append((name, "together", square, (high - low) / 2, "1", square))
-    return pd.DataFrame(rows, columns=list(COLUMNS))
+    return pd.DataFrame(rows, columns=list(BOAT_COLUMNS))
 
 
 def compare_interior(camera: Camera, truth: Mapping[str, float]) -> pd.DataFrame:
@@ -74,11 +103,17 @@ def compare_interior(camera: Camera, truth: Mapping[str, float]) -> pd.DataFrame
     error = camera.parameters - np.array([truth[name] for name in camera.parameter_names])
     sigma = np.sqrt(np.diag(camera.cov))
     units = ["px" if name in ("fx", "fy", "cx", "cy") else "1" for name in camera.parameter_names]
-    table = pd.DataFrame({
-        "block": "camera interior", "quantity": camera.parameter_names, "estimated_minus_true": error,
-        "sigma": sigma, "unit": units, "normalised": error / np.where(sigma > 0, sigma, np.nan),
-    })  # fmt: skip
-    return table[list(COLUMNS)]
+    table = pd.DataFrame(
+        {
+            "block": "camera interior",
+            "quantity": camera.parameter_names,
+            "estimated_minus_true": error,
+            "sigma": sigma,
+            "unit": units,
+            "normalised": error / np.where(sigma > 0, sigma, np.nan),
+        }
+    )
+    return table[list(BOAT_COLUMNS)]
 
 
 def compare_clock(clock: ClockModel, *, start_gps_s: float, ahead_s: float, drift_ppm: float) -> pd.DataFrame:
@@ -98,7 +133,7 @@ def compare_clock(clock: ClockModel, *, start_gps_s: float, ahead_s: float, drif
         ("camera clock", "offset_s", error[0], sigma[0], "s", ratio[0]),
         ("camera clock", "drift_ppm", 1e6 * error[1], 1e6 * sigma[1], "ppm", ratio[1]),
     ]
-    return pd.DataFrame(rows, columns=list(COLUMNS))
+    return pd.DataFrame(rows, columns=list(BOAT_COLUMNS))
 
 
 def _true_poses(calibration: Calibration, mounts: Mapping[str, Any]) -> dict[str, Rigid]:
@@ -130,3 +165,152 @@ def _sensor(mounts: Mapping[str, Any], name: str) -> Mapping[str, Any]:
         )
     found: Mapping[str, Any] = mounts[name]
     return found
+
+
+# ---------------------------------------------------------------- light-sheet sensor
+#
+# Nothing shows the heading and the place of the sensor's frame along the window: a calibration takes both
+# from the design (`thalweg.lightsheet.calibration.camera_over_window`). The true sensor is therefore turned
+# about the window's normal and shifted along it, so that both cameras stand alike; heights, tilts and depths
+# stay.
+# Nor does anything show a turn of the fan in its own plane, of which the calibration holds one angle fixed:
+# the true fan is turned in its plane until it has the same one.
+
+
+def aligned(truth: Sensor, like: Sensor) -> Sensor:
+    """The true sensor, turned about Z and shifted along the window until its camera stands like another's."""
+    M = like.R_lcs_ccs @ truth.R_lcs_ccs.T
+    Rz = rotation_z(float(np.arctan2(M[1, 0] - M[0, 1], M[0, 0] + M[1, 1])))
+    shift = like.camera_origin_lcs_mm - Rz @ truth.camera_origin_lcs_mm
+    shift[2] = 0.0
+    sheet = truth.sheet
+    return replace(
+        truth,
+        camera_origin_lcs_mm=Rz @ truth.camera_origin_lcs_mm + shift,
+        camera_angles_rad=np.array(opk_of(Rz @ truth.R_lcs_ccs @ FLIP)),
+        sheet=replace(
+            sheet,
+            origin_lcs_mm=Rz @ sheet.origin_lcs_mm + shift,
+            angles_rad=np.array(opk_of(Rz @ sheet.R_lcs_las)),
+        ),
+    )
+
+
+def turned_in_its_plane(sheet: LightSheet, like: LightSheet, held: int) -> LightSheet:
+    """The fan, turned in its own plane until one of its angles is that of another fan.
+
+    Parameters
+    ----------
+    sheet, like : plane fans (``v`` = 0); a cone shows its turn.
+    held : 0, 1, 2 for omega, phi, kappa.
+
+    Raises
+    ------
+    GeometryError : no turn gives that angle.
+    """
+    goal, turn, step = float(like.angles_rad[held]), 0.0, 1e-4
+
+    def off(a: float) -> float:
+        """Angle left to the goal after a turn about the fan's own axis, radians."""
+        angle = opk_of(sheet.R_lcs_las @ rotation_y(a))[held]
+        return float(np.angle(np.exp(1j * (angle - goal))))
+
+    for _ in range(_TURNS):
+        here = off(turn)
+        if abs(here) < 1e-12:
+            return replace(sheet, angles_rad=np.array(opk_of(sheet.R_lcs_las @ rotation_y(turn))))
+        slope = (off(turn + step) - off(turn - step)) / (2 * step)
+        turn -= here / slope if abs(slope) > 1e-6 else np.inf
+        if not abs(turn) < np.pi / 2:
+            break
+    raise GeometryError(
+        f"no turn of the laser's fan in its plane gives {PARAMETERS[LASER][3 + held]} of the other sensor",
+        expected="two calibrations of one sensor",
+    )
+
+
+def compare_sensor(found: Sensor, truth: Sensor) -> pd.DataFrame:
+    """Errors of the parameters, and of the depths that follow from them.
+
+    Parameters
+    ----------
+    found : calibrated, with covariance.
+    truth : the true sensor; a tilted window is not known to `aligned`.
+
+    Returns
+    -------
+    Columns `LIGHT_SHEET_COLUMNS`. A row for each parameter with a sigma (the camera's place along the window
+    and one angle of the laser have none); ``interior orientation jointly``: root of the squared error of the
+    camera's parameters in units of their covariance, beside that of their number; ``image of a ray``:
+    difference of both cameras' images of the same rays, beside the predicted one; ``depth ... mm``: root mean
+    square over every sixteenth pixel of a class of depth of the difference of both sensors' depths, beside
+    that of the predicted sigma (with correlations), ``normalised`` their ratio.
+    """
+    true = aligned(truth, found)
+    sigma = np.sqrt(np.maximum(np.diag(found.cov), 0.0))
+    sigma[sigma < _ROUNDING] = 0.0
+    error = found.vector() - _same_fan(true, found, sigma).vector()
+    rows: list[tuple[str, float, float, str, float, int]] = []
+    for k, name in enumerate(PARAMETERS):
+        if sigma[k] <= 0.0:
+            continue
+        angle = name.endswith("_rad")
+        factor = float(np.rad2deg(1.0)) if angle else 1.0
+        if angle:
+            error[k] = np.angle(np.exp(1j * error[k]))
+        word = name.replace("_rad", "") if angle else name.removesuffix("_mm")
+        unit = "deg" if angle else "mm" if name.endswith("_mm") else "px" if name[0] in "fc" else "1"
+        rows.append((word, error[k] * factor, sigma[k] * factor, unit, error[k] / sigma[k], 1))
+    return pd.DataFrame(rows + _lens(found, true) + _depths(found, true), columns=list(LIGHT_SHEET_COLUMNS))
+
+
+def _same_fan(true: Sensor, found: Sensor, sigma: ArrayF) -> Sensor:
+    """The true sensor with its fan turned as the calibration held it; as it is if no angle was held."""
+    held = np.flatnonzero(sigma[LASER][3:] == 0.0)
+    if len(held) != 1 or true.sheet.v != 0.0:
+        return true
+    return true.with_sheet(turned_in_its_plane(true.sheet, found.sheet, int(held[0])))
+
+
+def _lens(found: Sensor, true: Sensor) -> list[tuple[str, float, float, str, float, int]]:
+    sigma = np.sqrt(np.maximum(np.diag(found.cov)[LENS], 0.0))
+    at = np.flatnonzero(sigma > 0.0)
+    if not len(at):
+        return []
+    error = (found.camera.parameters - true.camera.parameters)[at]
+    C = found.cov[LENS, LENS][np.ix_(at, at)]
+    scale = np.outer(sigma[at], sigma[at])
+    squared = float(error / sigma[at] @ np.linalg.solve(C / scale, error / sigma[at]))
+    k = float(np.sqrt(len(at)))
+    joint = ("interior orientation jointly", np.sqrt(squared), k, "1", np.sqrt(squared) / k, len(at))
+    rays = found.camera.rays(_pixels(found))
+    off = found.camera.project(rays) - true.camera.project(rays)
+    J = found.camera.project_with_derivatives(rays)[2][:, :, at]
+    ok = np.isfinite(off).all(axis=1) & np.isfinite(J).all(axis=(1, 2))
+    rms = float(np.sqrt(np.square(off[ok]).mean()))
+    predicted = float(np.sqrt(np.einsum("nij,jk,nik->ni", J[ok], C, J[ok]).mean()))
+    return [joint, ("image of a ray", rms, predicted, "px", rms / predicted, int(ok.sum()))]
+
+
+def _pixels(sensor: Sensor) -> ArrayF:
+    """Every sixteenth pixel (n, 2) in both directions."""
+    width, height = sensor.camera.size_px
+    grid = np.meshgrid(np.arange(_STEP_PX / 2, width, _STEP_PX), np.arange(_STEP_PX / 2, height, _STEP_PX))
+    return np.stack(grid, axis=-1).reshape(-1, 2)
+
+
+def _depths(found: Sensor, true: Sensor) -> list[tuple[str, float, float, str, float, int]]:
+    xy = _pixels(found)
+    d, other = sheet_derivatives(found, xy), intersect(true, xy)
+    ok = d.points.ok & other.ok
+    off = (d.points.depth_mm - other.depth_mm)[ok]
+    J: ArrayF = d.depth_by_parameters[ok]
+    variance = np.einsum("ni,ij,nj->n", J, found.cov, J)
+    rows = []
+    for low, high in pairwise(DEPTHS_MM):
+        mine = (other.depth_mm[ok] >= low) & (other.depth_mm[ok] < high)
+        if mine.any():
+            rms, predicted = np.sqrt(np.mean(off[mine] ** 2)), np.sqrt(np.mean(variance[mine]))
+            words = f"depth {low:g} to {high:g} mm"
+            rows.append((words, float(rms), float(predicted), "mm", float(rms / predicted), int(mine.sum())))
+    return rows

@@ -22,17 +22,24 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from thalweg.accuracy.cloud_to_mesh.statistics import range_class
-from thalweg.core.errors import CoverageError
-from thalweg.core.types import ArrayF, ArrayI
+from thalweg.accuracy import range_class
+from thalweg.core import ArrayF, ArrayI, CoverageError
 
 LEAST_SURVEYS: Final = 12.0
 """Effective number of surveys below which a class is joined with the next one."""
 
 COLUMNS: Final = (
-    "range_from_m", "range_to_m", "n", "surveys", "rmse_observed_m", "rmse_predicted_m", "ratio",
-    "ratio_low", "ratio_high", "inside",
-)  # fmt: skip
+    "range_from_m",
+    "range_to_m",
+    "n",
+    "surveys",
+    "rmse_observed_m",
+    "rmse_predicted_m",
+    "ratio",
+    "ratio_low",
+    "ratio_high",
+    "inside",
+)
 """Columns of `honesty_by_range`."""
 
 
@@ -52,9 +59,15 @@ def ratio_of_surveys(
 
     Raises
     ------
-    CoverageError : fewer than two surveys hold any points.
+    CoverageError : fewer than two surveys hold any points, or one with errors has no predicted variance.
     """
     there = predicted > 0
+    if observed[~there].any():
+        raise CoverageError(
+            f"{np.count_nonzero(observed[~there])} surveys with errors but without a predicted variance",
+            expected="a variance above zero for each point",
+            cure="Look for points whose covariance was not filled in",
+        )
     o, p = observed[there], predicted[there]
     if len(p) < 2:
         raise CoverageError(
@@ -98,28 +111,44 @@ def honesty_by_range(
 
     Raises
     ------
-    CoverageError : fewer than two surveys hold any points.
+    CoverageError : no points, points without a predicted variance, or fewer than two surveys with points.
     """
+    without = np.count_nonzero(~(predicted > 0))
+    if not len(survey) or without:
+        raise CoverageError(
+            f"{len(survey)} points, {without} of them without a predicted variance",
+            expected="points of at least two surveys, each with a variance above zero",
+            cure="Look for surveys without points, and for points whose covariance was not filled in",
+        )
     number = np.unique(survey, return_inverse=True)[1]
     centre = range_class(range_m)
-    first = int(centre.min()) if len(centre) else 0
-    shape = (number.max(initial=-1) + 1, int(centre.max()) - first + 1 if len(centre) else 0)
-    cell = np.ravel_multi_index((number, centre - first), shape) if len(centre) else centre
+    first = int(centre.min())
+    shape = (int(number.max()) + 1, int(centre.max()) - first + 1)
+    cell = np.ravel_multi_index((number, centre - first), shape)
     sums = [
-        np.bincount(cell, weights=w, minlength=shape[0] * shape[1]).reshape(shape)
+        np.bincount(cell, weights=w, minlength=shape[0] * shape[1]).astype(np.float64).reshape(shape)
         for w in (np.ones(len(cell)), squared, predicted)
     ]
     groups = _joined(sums[2], least_surveys)
-    each = 1 - (1 - level) / max(len(groups), 1)
+    each = 1 - (1 - level) / len(groups)
     rows = []
     for low, high in groups:
         n, observed, expected = (s[:, low:high].sum(axis=1) for s in sums)
         ratio, band_low, band_high, surveys = ratio_of_surveys(observed, expected, level=each)
-        rows.append((
-            low + first - 0.5, high + first - 0.5, int(n.sum()), surveys,
-            np.sqrt(observed.sum() / n.sum()), np.sqrt(expected.sum() / n.sum()),
-            ratio, band_low, band_high, band_low < ratio < band_high,
-        ))  # fmt: skip
+        rows.append(
+            (
+                low + first - 0.5,
+                high + first - 0.5,
+                int(n.sum()),
+                surveys,
+                np.sqrt(observed.sum() / n.sum()),
+                np.sqrt(expected.sum() / n.sum()),
+                ratio,
+                band_low,
+                band_high,
+                band_low < ratio < band_high,
+            )
+        )
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
@@ -132,6 +161,6 @@ def _joined(predicted: ArrayF, least: float) -> list[tuple[int, int]]:
         if p.sum() > 0 and p.sum() ** 2 / np.sum(p**2) >= least:
             found.append((low, high))
             low = high
-    if low < n and predicted[:, low:].any():
+    if low < n:
         found = [*found[:-1], (found[-1][0] if found else 0, n)]
     return found

@@ -15,14 +15,16 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from thalweg.accuracy.cloud_to_mesh.independent import independent_squares
-from thalweg.accuracy.cloud_to_mesh.statistics import chi_square_band
-from thalweg.accuracy.solutions.comparison import CHAINS, check_chains, shared, valid_spans, within
-from thalweg.core.errors import CoverageError
-from thalweg.core.frames import attitude_axes
-from thalweg.core.rigid import Rigid
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayB, ArrayF
+from thalweg.accuracy import (
+    CHAINS,
+    check_chains,
+    chi_square_band,
+    independent_squares,
+    shared,
+    valid_spans,
+    within,
+)
+from thalweg.core import ArrayB, ArrayF, CoverageError, Rigid, Trajectory, attitude_axes
 
 OWN_TIMES: Final = "own poses"
 COMMON_TIMES: Final = "times with a pose by every chain"
@@ -75,12 +77,14 @@ def chains_truth_table(
                 row = rows.setdefault((times, quantity), {"unit": unit, "words": words})
                 row[name] = value
     keys = sorted(rows, key=lambda key: key[0] != OWN_TIMES)
-    return pd.DataFrame([
-        {"times": times, "quantity": quantity, "unit": rows[times, quantity]["unit"]}
-        | {name: rows[times, quantity].get(name, np.nan) for name in names}
-        | {"words": rows[times, quantity]["words"]}
-        for times, quantity in keys
-    ])  # fmt: skip
+    return pd.DataFrame(
+        [
+            {"times": times, "quantity": quantity, "unit": rows[times, quantity]["unit"]}
+            | {name: rows[times, quantity].get(name, np.nan) for name in names}
+            | {"words": rows[times, quantity]["words"]}
+            for times, quantity in keys
+        ]
+    )
 
 
 def pose_errors(
@@ -120,12 +124,18 @@ def _judged(
     rows = [
         ("n", float(n), "1", "poses"),
         ("rms_position", _rms(length), "m", "rms of the error of the place, three-dimensional"),
-        ("sigma_position", float(np.sqrt(np.mean(np.trace(cov[:, :3, :3], axis1=1, axis2=2)))), "m",
-         "predicted"),
+        (
+            "sigma_position",
+            float(np.sqrt(np.mean(np.trace(cov[:, :3, :3], axis1=1, axis2=2)))),
+            "m",
+            "predicted",
+        ),
         ("max_position", float(length.max()), "m", "largest error of the place"),
-        *((f"mean_{a}", float(error[:, i].mean()), "m", f"mean error, {a}: true minus estimated")
-          for i, a in enumerate(_AXES)),
-    ]  # fmt: skip
+        *(
+            (f"mean_{a}", float(error[:, i].mean()), "m", f"mean error, {a}: true minus estimated")
+            for i, a in enumerate(_AXES)
+        ),
+    ]
     for i, name in enumerate(_ANGLES):
         rows += [
             (f"rms_{name}", _rms(angles[:, i]), "deg", f"rms of the error of the {name}"),

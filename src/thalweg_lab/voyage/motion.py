@@ -7,25 +7,106 @@ sample it at their own times; times count in GPS seconds or in seconds since the
 import datetime as dt
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.special import jn_zeros, jv
 
-from thalweg.core.errors import CoverageError
-from thalweg.core.frames import rotation_enu_body
-from thalweg.core.timescales import gps_from_unix
-from thalweg.core.types import ArrayF
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.voyage.sway import Sway
+from thalweg.core import ArrayF, ConfigError, CoverageError, Rigid, gps_from_unix, rotation_enu_body
+from thalweg.settings.twin import TwinBoat, TwinConfig, TwinFieldRun
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.reach import River
+from thalweg_lab.yard import field_of
 
 PAD_S: Final = 5.0
 """The motion is defined this long before and after the lidar log."""
-
 LEAD_S: Final = 2.0
 """INS, GNSS and echo sounder record this long before and after the lidar."""
-
 GRAVITY_MPS2: Final = 9.81
+
+_NODE_S: Final = 0.02
+_IDLE: Final = 0.08
+"""Share of the full thrust below which a motor does not turn."""
+_FULL_SPEED_MPS: Final = 2.5
+"""Speed of the boat at full thrust; faster voyages run at full thrust."""
+_DIFFERENCE_S: Final = 1.6
+"""Share of the full thrust by which the motors differ, per rad/s of turn rate."""
+_DIFFERENCE_S2: Final = 0.8
+"""The same per rad/s^2 of turn acceleration: the boat's inertia."""
+_PEAK: Final = 15.0 / 8.0
+"""Greatest slope of the quintic smooth step."""
+
+_CLOSING_RAD: Final = float(jn_zeros(0, 1)[0])
+"""First zero of J0: the amplitude at which a sine-generated curve closes to an eight."""
+_ORDERS: Final = np.array([n for n in range(-30, 31) if n != 0])
+_SWING: Final = 0.35
+"""Share by which the speed swings: slow in the loops, fast where they cross."""
+_START_SPACING_S: Final = 120.0
+"""From the start of one static recording to that of the next; the run comes after all of them."""
+
+_PERIODS_S: Final = np.array([1.15, 1.4, 1.7, 2.1, 2.6, 3.3])
+"""Encounter periods of the wind waves of a river and the wakes on it; round values."""
+_WEIGHTS: Final = np.array([0.10, 0.17, 0.24, 0.22, 0.16, 0.11])
+_OWN_ROLL_S: Final = 1.5
+_OWN_ROLL_SHARE: Final = 0.3
+_YAW_PERIODS_S: Final = np.array([4.3, 2.3, 9.9])
+_YAW_WEIGHTS: Final = np.array([0.6, 0.25, 0.15])
+
+
+def eight(phase_rad: ArrayF) -> ArrayF:
+    """Complex points (n,) of an eight of length 1 that is crossed in its middle.
+
+    The direction is ``A sin(phase)``, so that ``exp(i A sin p) = sum J_n(A) exp(i n p)`` (Jacobi and Anger)
+    gives its points by integration; with ``J_0(A) = 0`` they close.
+    """
+    terms = jv(_ORDERS, _CLOSING_RAD) / (1j * _ORDERS)
+    return np.asarray(np.exp(1j * np.outer(phase_rad, _ORDERS)) @ terms / (2 * np.pi))
+
+
+_REACH: Final = float(np.abs(eight(np.linspace(0, 2 * np.pi, 2001))).max())
+"""Greatest distance from the middle of an eight of length 1."""
+
+
+def _course(run: TwinFieldRun, t_s: ArrayF, duration_s: float, start_rad: float, turned_rad: float) -> ArrayF:
+    """Complex places (n,) in the yard."""
+    length_m = run.reach_m / _REACH
+    # The phase grows as speed over length; its time follows by adding up the slowness.
+    rate = 2 * np.pi * run.speed_mps / length_m
+    laps = (duration_s + 2 * PAD_S) * rate * (1 + _SWING) / (2 * np.pi)
+    phase = np.linspace(0, 2 * np.pi * (laps + 1), int(400 * (laps + 1)))
+    slowness = CubicSpline(phase, 1.0 / (rate * (1.0 - _SWING * np.cos(2 * (phase + start_rad)))))
+    time = slowness.antiderivative()(phase)
+    at = CubicSpline(time, phase)(t_s - t_s[0]) + start_rad
+    turn = turned_rad + np.deg2rad(run.turn_of_eight_degpmin) * t_s / 60.0
+    return np.asarray(length_m * eight(at) * np.exp(1j * turn))
+
+
+@dataclass(frozen=True, slots=True)
+class Sway:
+    """Sum of sinusoids ``amplitude sin(rate t + phase)`` and its derivatives.
+
+    Parameters
+    ----------
+    amplitude : (k,) in the unit of the motion.
+    rate : (k,) rad/s.
+    phase : (k,) rad.
+    """
+
+    amplitude: ArrayF
+    rate: ArrayF
+    phase: ArrayF
+
+    def __call__(self, t_s: ArrayF, derivative: int = 0) -> ArrayF:
+        """Value, or derivative of the given order, at times in seconds."""
+        total = np.zeros(np.shape(t_s))
+        for a, w, p in zip(self.amplitude, self.rate, self.phase, strict=True):
+            total = total + a * w**derivative * np.sin(w * t_s + p + derivative * np.pi / 2)
+        return total
+
+
+# ---------------------------------------------------------------- motion
 
 
 def start_gps_s(config: TwinConfig) -> float:
@@ -175,3 +256,305 @@ def epochs(config: TwinConfig, rate_hz: float) -> ArrayF:
     first = np.ceil((start - LEAD_S) * rate_hz - 1e-6)
     last = np.floor((start + config.duration_s + LEAD_S) * rate_hz + 1e-6)
     return np.asarray(np.arange(first, last + 1) / rate_hz)
+
+
+# ---------------------------------------------------------------- which motion a configuration asks for
+
+
+def motion_of(config: TwinConfig, seed: int) -> Motion:
+    """The run about the calibration field if there is one, else the voyage on the river."""
+    return Voyage(config, seed) if config.field is None else FieldRun(config, seed)
+
+
+# ---------------------------------------------------------------- a zigzag between the banks
+#
+# The course leaves the flow by ``+zigzag`` and ``-zigzag`` in turn. Between the legs it turns by a quintic
+# smooth step, whose rate peaks at ``15/8 * angle / duration``; that peak is the configured turn rate. In flow
+# coordinates ``dn/dt = v sin(c)`` and ``ds/dt = v cos(c) / (1 - kappa n)`` for the angle ``c`` between course
+# and flow, so that the speed over ground is constant and the boat turns at the same distance from each shore.
+
+
+@dataclass(frozen=True, slots=True)
+class _Zigzag:
+    """Angle between course and flow over time; starts in the middle of the river, leaving to the left."""
+
+    angle_rad: float
+    leg_s: float
+    turn_s: float
+
+    def course(self, t_s: ArrayF) -> ArrayF:
+        """Angle (n,) between course and flow at times since the start, radians."""
+        half = self.leg_s + self.turn_s
+        phase = np.mod(np.asarray(t_s) + self.leg_s / 2, 2 * half)
+        second = phase >= half
+        u = np.clip((np.mod(phase, half) - self.leg_s) / self.turn_s, 0.0, 1.0)
+        step = u * u * u * (10.0 + u * (6.0 * u - 15.0))
+        angle = self.angle_rad * (1.0 - 2.0 * step)
+        return np.asarray(np.where(second, -angle, angle))
+
+
+def _plan(boat: TwinBoat, amplitude_m: float, curvature_1pm: float) -> _Zigzag:
+    """Legs and turns that stay within ``amplitude_m`` of the middle; flatter legs where turns need it.
+
+    The river's own bends turn the boat too: the turns of the zigzag leave room for its greatest curvature.
+    """
+    bends = boat.speed_mps * curvature_1pm / (1.0 - curvature_1pm * amplitude_m)
+    rate = np.deg2rad(boat.turn_rate_degps) - bends
+    if rate <= 0:
+        raise ConfigError(
+            f"the river's bends alone turn the boat by {np.rad2deg(bends):.2f} degrees/s",
+            expected=f"less than twin.boat.turn_rate_degps, {boat.turn_rate_degps}",
+            cure="Lower twin.boat.speed_mps or twin.scene.meander_deg, or raise twin.boat.turn_rate_degps",
+        )
+    u = (np.arange(400) + 0.5) / 800
+    step = u**3 * (10 + u * (6 * u - 15))
+    angle = np.deg2rad(boat.zigzag_deg)
+    while angle > np.deg2rad(1.0):
+        turn_s = _PEAK * 2 * angle / rate
+        # Way across the river in the first half of a turn, while the course still leads to the bank.
+        overshoot = boat.speed_mps * turn_s / 2 * float(np.mean(np.sin(angle * (1 - 2 * step))))
+        if overshoot <= amplitude_m:
+            leg_s = 2 * (amplitude_m - overshoot) / (boat.speed_mps * np.sin(angle))
+            return _Zigzag(angle, float(leg_s), float(turn_s))
+        angle *= 0.95
+    # A zigzag of a degree is none: go straight.
+    return _Zigzag(0.0, 10.0, 1.0)
+
+
+@dataclass(slots=True)
+class Voyage(OnCourse):
+    """The true pose of the boat as a function of time.
+
+    Parameters
+    ----------
+    config : section ``twin``.
+    seed : seed of the campaign.
+
+    Raises
+    ------
+    ConfigError : the river is too narrow or too short for the voyage.
+    """
+
+    config: TwinConfig
+    seed: int
+    river: River = field(init=False)
+    start_gps_s: float = field(init=False)
+    _xy: CubicHermiteSpline = field(init=False)
+    _course: CubicSpline = field(init=False)
+    _sways: dict[str, Sway] = field(init=False)
+    _level_m: float = field(init=False)
+    _heel_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        c = self.config
+        self.river = River(c.scene, self.seed)
+        self.start_gps_s = start_gps_s(c)
+        amplitude = 0.94 * c.scene.width_m / 2 - c.boat.bank_distance_m
+        if amplitude <= 0:
+            raise ConfigError(
+                f"twin.boat.bank_distance_m {c.boat.bank_distance_m} leaves no water in the middle",
+                expected=f"less than 0.47 times twin.scene.width_m, {0.47 * c.scene.width_m:.1f}",
+                cure="Lower twin.boat.bank_distance_m or raise twin.scene.width_m",
+            )
+        self._sail(_plan(c.boat, amplitude, self.river.greatest_curvature))
+        self._sways = draw_sways(generator(self.seed, "voyage"), c.boat)
+        self._level_m = c.scene.water_level_m + c.boat.height_m
+        self._heel_s = c.boat.heel_share * c.boat.speed_mps / GRAVITY_MPS2
+
+    def _sail(self, zigzag: _Zigzag) -> None:
+        boat, river = self.config.boat, self.river
+        steps = int(np.ceil((self.config.duration_s + 2 * PAD_S) / _NODE_S)) + 1
+        t = np.asarray(np.arange(-1, steps + 1) * _NODE_S - PAD_S, dtype=np.float64)
+        nodes, weights = np.polynomial.legendre.leggauss(3)
+        course = zigzag.course(np.asarray(t[:-1, None] + _NODE_S / 2 * (1 + nodes), dtype=np.float64))
+        across = boat.speed_mps * np.sin(course) @ weights * _NODE_S / 2
+        n = np.concatenate([[0.0], np.cumsum(across)])
+        n -= np.interp(0.0, t, n)
+        along = boat.speed_mps * np.cos(course) @ weights * _NODE_S / 2
+        # Heun steps for s: the correction by the curvature is small and smooth.
+        s = np.zeros_like(n)
+        s[0] = -np.sum(along) / 2
+        k_amp = river.greatest_curvature
+        k = 2 * np.pi / river.config.meander_length_m
+        position = float(s[0])
+        for i in range(len(along)):
+            first = along[i] / (1.0 - k_amp * np.cos(k * position) * n[i])
+            second = along[i] / (1.0 - k_amp * np.cos(k * (position + first)) * n[i + 1])
+            position += (first + second) / 2
+            s[i + 1] = position
+        reach = river.config.length_m / 2
+        if max(-s[0], s[-1]) > reach:
+            raise ConfigError(
+                f"the boat sails {s[-1] - s[0]:.0f} m along a reach of {2 * reach:.0f} m",
+                expected="twin.scene.length_m longer than the voyage",
+                cure="Raise twin.scene.length_m, or lower twin.duration_s or twin.boat.speed_mps",
+            )
+        if river.config.weir and s[0] < river.weir_s_m() < s[-1]:
+            raise ConfigError(
+                f"the boat sails from {s[0]:.0f} to {s[-1]:.0f} m along the reach, over the weir at "
+                f"{river.weir_s_m():.0f} m",
+                expected="a weir beyond the voyage",
+                cure="Move twin.scene.weir_place towards 1 or -1, or raise twin.scene.length_m",
+            )
+        course_enu = river.angle(s) + zigzag.course(t)
+        velocity = boat.speed_mps * np.stack([np.cos(course_enu), np.sin(course_enu)], axis=1)
+        self._xy = CubicHermiteSpline(t, river.to_wcs(s, n), velocity)
+        self._course = CubicSpline(t, course_enu)
+
+    def thrust(self, t_gps_s: ArrayF) -> ArrayF:
+        """Thrust (n, 2) of the left and the right motor as a share of the full one, 0 to 1.
+
+        The mean holds the speed against a drag that grows with its square, above the idle share. A turn to
+        the right needs more thrust on the left, in proportion to turn rate and turn acceleration. The motors
+        do not push backwards: where the inner one would have to, it stops and the outer one does its part.
+        """
+        t = self.since_start(t_gps_s)
+        boat = self.config.boat
+        mean = min(1.0, _IDLE + (1.0 - _IDLE) * (boat.speed_mps / _FULL_SPEED_MPS) ** 2)
+        half = -0.5 * (_DIFFERENCE_S * self._course(t, 1) + _DIFFERENCE_S2 * self._course(t, 2))
+        pair = np.stack([mean + half, mean - half], axis=-1)
+        lacking = np.minimum(pair, 0.0)
+        return np.asarray(np.clip(pair - lacking - lacking[..., ::-1], 0.0, 1.0))
+
+
+# ---------------------------------------------------------------- the boat on land
+
+
+class FieldRun(OnCourse):
+    """The dynamic run: eights in the middle of the yard that turn slowly, with a speed that swings.
+
+    Turns to both sides, changing speed and all headings make offsets of clocks and levers observable.
+
+    Parameters
+    ----------
+    config : section ``twin`` with ``field``.
+    seed : seed of the campaign.
+
+    Raises
+    ------
+    ConfigError : the section ``twin.field`` is missing.
+    """
+
+    def __init__(self, config: TwinConfig, seed: int) -> None:
+        field = field_of(config)
+        self.config, self.seed = config, seed
+        self.start_gps_s = start_gps_s(config)
+        rng = generator(seed, "field run")
+        t = np.arange(-PAD_S, config.duration_s + PAD_S + 2 * _NODE_S, _NODE_S)
+        place = _course(field.run, t, config.duration_s, *rng.uniform(0, 2 * np.pi, 2).tolist())
+        self._xy = CubicSpline(t, np.stack([place.real, place.imag], axis=1))
+        velocity = self._xy(t, 1)
+        self._course = CubicSpline(t, np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])))
+        self._sways = draw_sways(rng, config.boat)
+        self._level_m = field.ics_height_m
+        # A trolley does not heel.
+        self._heel_s = 0.0
+
+
+class Standing(Motion):
+    """A boat that stands still.
+
+    Parameters
+    ----------
+    config : section ``twin``; its start and duration are those of the recording.
+    position_wcs_m : (3,) of the ics origin.
+    angles_rad : roll, pitch, heading.
+    """
+
+    def __init__(
+        self, config: TwinConfig, position_wcs_m: ArrayF, angles_rad: tuple[float, float, float]
+    ) -> None:
+        self.config = config
+        self.start_gps_s = start_gps_s(config)
+        self._position_wcs_m = np.asarray(position_wcs_m, dtype=np.float64)
+        self._angles_rad = angles_rad
+
+    @property
+    def T_wcs_ics(self) -> Rigid:
+        """The pose."""
+        R = rotation_enu_body(*(np.array([a]) for a in self._angles_rad))[0]
+        return Rigid(R=R, shift_m=self._position_wcs_m)
+
+    def position_at(self, t_s: ArrayF) -> ArrayF:
+        """Position (n, 3) of the ics origin in wcs: always the same."""
+        return np.tile(self._position_wcs_m, (len(t_s), 1))
+
+    def velocity_at(self, t_s: ArrayF, derivative: int = 1) -> ArrayF:
+        """Velocity (n, 3): none."""
+        return np.zeros((len(t_s), 3))
+
+    def angles_at(self, t_s: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
+        """Roll, pitch and heading (n,), always the same; heading in [0, 2 pi)."""
+        roll, pitch, heading = (np.full(len(t_s), a) for a in self._angles_rad)
+        return roll, pitch, np.mod(heading, 2 * np.pi)
+
+    def rates_at(self, t_s: ArrayF) -> ArrayF:
+        """Angular velocity (n, 3): none."""
+        return np.zeros((len(t_s), 3))
+
+
+def standing(config: TwinConfig, number: int) -> Standing:
+    """The boat at a static position.
+
+    Parameters
+    ----------
+    config : section ``twin`` with ``field``.
+    number : of the position, from 1.
+    """
+    field = field_of(config)
+    place = field.positions[number - 1]
+    roll, pitch, heading = np.deg2rad([place.roll_deg, place.pitch_deg, place.heading_deg]).tolist()
+    at = np.array([place.east_m, place.north_m, field.ics_height_m])
+    return Standing(static_recording(config, number), at, (roll, pitch, heading))
+
+
+def static_recording(config: TwinConfig, number: int) -> TwinConfig:
+    """Start and length of the lidar recording of a static position, from 1; all come before the run."""
+    field = field_of(config)
+    before = (len(field.positions) + 1 - number) * _START_SPACING_S
+    begin = dt.datetime.fromisoformat(config.start_utc) - dt.timedelta(seconds=before)
+    return config.model_copy(update={"start_utc": begin.isoformat(), "duration_s": field.position_s})
+
+
+def static_seed(seed: int, number: int) -> int:
+    """Seed of the noise of a static position, from 1: each has noise of its own."""
+    return int(generator(seed, f"field position {number}").integers(2**31))
+
+
+# ---------------------------------------------------------------- how a small boat sways
+#
+# Roll, pitch and heave answer to the same waves: a wave that lifts the boat tilts it a quarter of a period
+# earlier or later, about the axis that its direction gives. So the three are correlated in time, as they
+# are in the log of an INS, and none of them is white. A share of the roll swings at the boat's own period.
+
+
+def draw_sways(rng: np.random.Generator, boat: TwinBoat) -> dict[str, Sway]:
+    """Roll, pitch, yaw (rad) and heave (m) of a boat.
+
+    The amplitudes of each motion add up to the configured one, so that it is never exceeded. Each motion's
+    numbers do not depend on the amplitudes of the others.
+    """
+    k = len(_PERIODS_S)
+    rate = 2 * np.pi / (_PERIODS_S * rng.uniform(0.92, 1.08, k))
+    phase = rng.uniform(0, 2 * np.pi, k)
+    # Waves run along the reach or across it with the wind: they come from all sides, rarely dead ahead.
+    side = rng.uniform(-np.pi, np.pi, k)
+    roll = _WEIGHTS * np.sin(side)
+    pitch = _WEIGHTS * np.cos(side)
+    own = np.array([2 * np.pi / (_OWN_ROLL_S * rng.uniform(0.9, 1.1))])
+    own_phase = rng.uniform(0, 2 * np.pi, 1)
+    yaw_rate = 2 * np.pi / (_YAW_PERIODS_S * rng.uniform(0.9, 1.1, 3))
+    yaw_phase = rng.uniform(0, 2 * np.pi, 3)
+    degree = np.pi / 180
+    roll = roll / np.sum(np.abs(roll)) * (1.0 - _OWN_ROLL_SHARE)
+    pitch = pitch / np.sum(np.abs(pitch))
+    return {
+        "roll": Sway(
+            boat.roll_deg * degree * np.concatenate([roll, [_OWN_ROLL_SHARE]]),
+            np.concatenate([rate, own]),
+            np.concatenate([phase + np.pi / 2, own_phase]),
+        ),
+        "pitch": Sway(boat.pitch_deg * degree * pitch, rate, phase + np.pi / 2),
+        "heave": Sway(boat.heave_m * _WEIGHTS / np.sum(_WEIGHTS), rate, phase),
+        "yaw": Sway(boat.yaw_deg * degree * _YAW_WEIGHTS, yaw_rate, yaw_phase),
+    }

@@ -6,26 +6,21 @@ from near and low to far and high. Two upright ones stand north and south, where
 look.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final, Literal, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import AnyArray, ArrayF, ArrayI
-from thalweg.settings.twin.field import CONES, TwinField
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.random import generator
-from thalweg_lab.yard.cones import FieldCone, Plane
-from thalweg_lab.yard.furniture import ANTENNA, Bar, Board, bars, boards, ground_sheets
-from thalweg_lab.yard.sheets import Sheet, covers
+from thalweg.calibration import MARGIN_MODULES, SADDLES_MODULES, SHEET_MODULES
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ConfigError, Rigid
+from thalweg.settings.twin import CONES, TwinConfig, TwinField
+from thalweg_lab.random_numbers import generator
 
 When = Literal["reference", "boat"]
 """Reference images come first, then the boat; some effects change the field in between."""
-
 _PLACES: Final = {
     # bearing from north and distance of the middle of the cone, its height, axis off the line to the middle
     "C1": (267.5, 3.9, 0.50, 45.0),
@@ -39,16 +34,276 @@ _PLACES: Final = {
 }
 _SHIFT_M: Final = 3.4
 """A cone outside the lidar's view is moved north by this."""
-
 _RINGS: Final = ((0.36, (-99, -33, 33, 99)), (0.66, (-66, 0, 66, 132)))
 """Slant distance of two rings of sheets and their azimuths from the side toward the boat, degrees."""
-
 _EYE_WCS_M: Final = np.array([0.0, 0.0, 0.8])
 _LEAST_FACING: Final = 0.2
 """Cosine of the angle between the normal of a sheet and the way to the boat's camera amid the yard."""
-
 _SHEET_TOLERANCE_M: Final = 2e-3
 """Hits on a mesh lie a few micrometres off its surface; the back of a board lies a centimetre off."""
+
+TARGETS: Final = tuple(range(64, 70))
+BOARDS: Final = (*range(70, 80), *range(86, 98), *range(112, 130))
+BARS: Final = ((80, 81), (82, 83), (84, 85))
+GROUND: Final = tuple(range(99, 111))
+ANTENNA: Final = 98
+FLAT: Final = (64, 149)
+"""Ids of the markers that are not on cones."""
+THICK_M: Final = 0.012
+"""Of a board."""
+_GAP_DEG: Final = 1.5
+_TRIES: Final = 4000
+_BAR_PLACES: Final = (
+    # bearing, distance, height of the middle, angle of the bar from the horizontal
+    (318.0, 5.0, 0.9, 4.0),
+    (48.0, 4.8, 1.05, 68.0),
+    (221.0, 5.2, 0.75, -25.0),
+)
+
+SIDES: Final = 480
+"""Of a cone's mesh: at the base, 0.33 m from the axis, chords then lie less than 0.008 mm inside."""
+
+_MIDDLE: Final = SHEET_MODULES / 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plane:
+    """A plane with directions to the right and down on the print; right x down points into it."""
+
+    origin_wcs_m: ArrayF
+    right_wcs: ArrayF
+    down_wcs: ArrayF
+
+    @property
+    def normal_wcs(self) -> ArrayF:
+        """(3,) toward whoever looks at the print."""
+        return np.asarray(-np.cross(self.right_wcs, self.down_wcs))
+
+    def roll(self, flat_m: ArrayF, place: tuple[float, float]) -> ArrayF:
+        """Points (n, 3) in wcs of a sheet: right and down (n, 2) from its middle at ``place``."""
+        at = flat_m + np.asarray(place)
+        return np.asarray(self.origin_wcs_m + at[:, :1] * self.right_wcs + at[:, 1:] * self.down_wcs)
+
+    def unroll(self, points_wcs_m: ArrayF, place: tuple[float, float]) -> ArrayF:
+        """Inverse of `roll`; points off the plane are projected onto it."""
+        off = points_wcs_m - self.origin_wcs_m
+        return np.stack([off @ self.right_wcs, off @ self.down_wcs], axis=1) - np.asarray(place)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board:
+    """A flat board on a post.
+
+    Parameters
+    ----------
+    name : of the object in the scene.
+    plane : its front, with the origin in the middle.
+    half_m : half its extent to the right and down.
+    """
+
+    name: str
+    plane: Plane
+    half_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bar:
+    """A scale bar between the first saddles of two sheets, with its true length."""
+
+    name: str
+    markers: tuple[int, int]
+    length_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldCone:
+    """A cone as it really stands.
+
+    Parameters
+    ----------
+    name : C1 to C8.
+    apex_wcs_m : (3,) where its surface would come to a point.
+    axis_wcs : (3,) unit vector from the apex into the cone.
+    zero_wcs : (3,) unit vector across the axis at which the azimuth is zero.
+    half_angle_rad : between axis and surface.
+    start_m, length_m : blunt tip and base, from the apex along the axis.
+    markers : ids of the sheets on it by the description of the field.
+    """
+
+    name: str
+    apex_wcs_m: ArrayF
+    axis_wcs: ArrayF
+    zero_wcs: ArrayF
+    half_angle_rad: float
+    start_m: float
+    length_m: float
+    markers: tuple[int, ...] = ()
+
+    @property
+    def base_wcs_m(self) -> ArrayF:
+        """(3,) middle of the base."""
+        return np.asarray(self.apex_wcs_m + self.length_m * self.axis_wcs)
+
+    @property
+    def middle_wcs_m(self) -> ArrayF:
+        """(3,) middle of the axis between blunt tip and base."""
+        return np.asarray(self.apex_wcs_m + (self.start_m + self.length_m) / 2 * self.axis_wcs)
+
+    @property
+    def sphere(self) -> tuple[ArrayF, float]:
+        """Centre (3,) in wcs and radius of the smallest sphere about it, metres."""
+        near, far = self.start_m / np.cos(self.half_angle_rad), self.length_m / np.cos(self.half_angle_rad)
+        along = (far**2 - near**2) / (2 * (self.length_m - self.start_m))
+        wide = self.length_m * np.tan(self.half_angle_rad)
+        return self.apex_wcs_m + along * self.axis_wcs, float(np.hypot(self.length_m - along, wide))
+
+    @property
+    def R_cocs_wcs(self) -> ArrayF:
+        """(3, 3) rotation into the frame of the cone: z along the axis, x at the azimuth zero."""
+        return np.stack([self.zero_wcs, np.cross(self.axis_wcs, self.zero_wcs), self.axis_wcs])
+
+    def to_cocs(self, points_wcs_m: ArrayLike) -> ArrayF:
+        """Points (n, 3) in the frame of the cone."""
+        return np.asarray((np.asarray(points_wcs_m, dtype=np.float64) - self.apex_wcs_m) @ self.R_cocs_wcs.T)
+
+    def distance_m(self, points_wcs_m: ArrayLike) -> ArrayF:
+        """Distance (n,) of points from the endless surface, positive outside."""
+        return self._off(self.to_cocs(points_wcs_m))
+
+    def _off(self, points_cocs_m: ArrayF) -> ArrayF:
+        across = np.hypot(points_cocs_m[:, 0], points_cocs_m[:, 1])
+        along = points_cocs_m[:, 2]
+        return np.asarray(across * np.cos(self.half_angle_rad) - along * np.sin(self.half_angle_rad))
+
+    def holds(self, points_wcs_m: ArrayLike, tolerance_m: float) -> ArrayB:
+        """Which points (n,) lie on the surface between tip and base, within a tolerance."""
+        local = self.to_cocs(points_wcs_m)
+        along, near = local[:, 2], np.abs(self._off(local)) <= tolerance_m
+        return np.asarray(near & (along >= self.start_m) & (along <= self.length_m))
+
+    def at(self, slant_m: ArrayLike, azimuth_rad: ArrayLike) -> ArrayF:
+        """Points (n, 3) in wcs of the surface at slant distances and azimuths (n,)."""
+        s, psi = np.asarray(slant_m, dtype=np.float64), np.asarray(azimuth_rad, dtype=np.float64)
+        across = s * np.sin(self.half_angle_rad)
+        local = np.stack(
+            [across * np.cos(psi), across * np.sin(psi), s * np.cos(self.half_angle_rad)], axis=-1
+        )
+        return np.asarray(self.apex_wcs_m + local @ self.R_cocs_wcs)
+
+    def roll(self, flat_m: ArrayF, place: tuple[float, float]) -> ArrayF:
+        """Points of a sheet on the surface.
+
+        Parameters
+        ----------
+        flat_m : (n, 2) to the right and down on the sheet, from its middle. Down is away from the apex.
+        place : slant distance and azimuth of the middle.
+
+        Returns
+        -------
+        (n, 3) in wcs.
+        """
+        slant, azimuth = place
+        right, down = flat_m[:, 0], flat_m[:, 1] + slant
+        # Seen from outside with the apex up, the azimuth grows to the left.
+        turn = np.arctan2(right, down) / np.sin(self.half_angle_rad)
+        return self.at(np.hypot(right, down), azimuth - turn)
+
+    def unroll(self, points_wcs_m: ArrayF, place: tuple[float, float]) -> ArrayF:
+        """Inverse of `roll`: (n, 2) right and down; points off the surface are projected onto it."""
+        p = self.to_cocs(points_wcs_m)
+        sine, cosine = np.sin(self.half_angle_rad), np.cos(self.half_angle_rad)
+        slant = p[:, 2] * cosine + np.hypot(p[:, 0], p[:, 1]) * sine
+        turn = place[1] - np.arctan2(p[:, 1], p[:, 0])
+        turn = (np.mod(turn + np.pi, 2 * np.pi) - np.pi) * sine
+        return np.stack([slant * np.sin(turn), slant * np.cos(turn) - place[0]], axis=1)
+
+    def moved(self, R: ArrayF, about_wcs_m: ArrayF) -> Self:
+        """The cone turned about a point."""
+        return replace(
+            self,
+            apex_wcs_m=about_wcs_m + R @ (self.apex_wcs_m - about_wcs_m),
+            axis_wcs=R @ self.axis_wcs,
+            zero_wcs=R @ self.zero_wcs,
+        )
+
+    def mesh(self) -> tuple[ArrayF, ArrayI]:
+        """Vertices (2 SIDES + 2, 3) in wcs and triangles (4 SIDES, 3), outward, closed at tip and base."""
+        turn = 2 * np.pi * np.arange(SIDES) / SIDES
+        slants = np.array([self.start_m, self.length_m]) / np.cos(self.half_angle_rad)
+        rings = [self.at(np.full(SIDES, s), turn) for s in slants]
+        ends = [self.apex_wcs_m + z * self.axis_wcs for z in (self.start_m, self.length_m)]
+        i = np.arange(SIDES)
+        k, tip, base = (i + 1) % SIDES, np.full(SIDES, 2 * SIDES), np.full(SIDES, 2 * SIDES + 1)
+        faces = [(i, i + SIDES, k + SIDES), (i, k + SIDES, k), (tip, i, k), (base, k + SIDES, i + SIDES)]
+        # The azimuth turns about the axis into the cone, so outside lies to the left of this order.
+        triangles = np.concatenate([np.stack(f, axis=1) for f in faces])[:, ::-1]
+        return np.concatenate([*rings, np.stack(ends)]), triangles.astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sheet:
+    """One sheet on a surface.
+
+    Parameters
+    ----------
+    marker : printed id.
+    module_m : side of a module.
+    thing : name of the object of the scene that it is glued on.
+    surface : cone or plane.
+    place : middle of the sheet on the surface: slant distance and azimuth, or metres right and down.
+    turn_rad : by which the print is turned clockwise.
+    mirrored : printed in a mirror.
+    """
+
+    marker: int
+    module_m: float
+    thing: str
+    surface: FieldCone | Plane
+    place: tuple[float, float] = (0.0, 0.0)
+    turn_rad: float = 0.0
+    mirrored: bool = False
+
+    @property
+    def cone(self) -> str | None:
+        """Name of the cone that it is glued on, if it is one."""
+        return self.surface.name if isinstance(self.surface, FieldCone) else None
+
+    @property
+    def half_side_m(self) -> float:
+        """Half the side of the paper with its margin."""
+        return (_MIDDLE + MARGIN_MODULES) * self.module_m
+
+    def _turn(self) -> ArrayF:
+        """(2, 2) from the print to right and down on the surface."""
+        cos, sin = np.cos(self.turn_rad), np.sin(self.turn_rad)
+        return np.array([[-cos if self.mirrored else cos, -sin], [-sin if self.mirrored else sin, cos]])
+
+    def to_wcs(self, modules: ArrayLike) -> ArrayF:
+        """Points (n, 3) of module coordinates (n, 2)."""
+        flat = (np.asarray(modules, dtype=np.float64) - _MIDDLE) * self.module_m
+        return self.surface.roll(flat @ self._turn().T, self.place)
+
+    def to_modules(self, points_wcs_m: ArrayLike) -> ArrayF:
+        """Module coordinates (n, 2) of points (n, 3) on the surface."""
+        flat = self.surface.unroll(np.asarray(points_wcs_m, dtype=np.float64), self.place)
+        return np.asarray(flat @ self._turn() / self.module_m + _MIDDLE)
+
+    def saddles_wcs_m(self) -> ArrayF:
+        """(4, 3) the four saddles."""
+        return self.to_wcs(SADDLES_MODULES)
+
+    def centre_wcs_m(self) -> ArrayF:
+        """(3,) mean of the saddles: what RTK measured of a target."""
+        return np.asarray(self.saddles_wcs_m().mean(axis=0))
+
+    def normal_wcs(self) -> ArrayF:
+        """(3,) in the middle, toward whoever looks at the print."""
+        middle, right, down = self.surface.roll(np.array([[0, 0], [1e-6, 0], [0, 1e-6]]), self.place)
+        across = -np.cross(right - middle, down - middle)
+        return np.asarray(across / np.linalg.norm(across))
+
+
+# ---------------------------------------------------------------- layout
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -316,3 +571,141 @@ def _shifted(sheet: Sheet, way_m: float) -> Sheet:
         slant, azimuth = sheet.place
         return replace(sheet, place=(slant, azimuth + way_m / (slant * np.sin(sheet.surface.half_angle_rad))))
     return replace(sheet, place=(sheet.place[0] + way_m, sheet.place[1]))
+
+
+# ---------------------------------------------------------------- boards, scale bars and sheets on the ground
+
+
+def facing(middle_wcs_m: ArrayF, turn_rad: float, tilt_deg: ArrayF) -> Plane:
+    """A plane that looks toward the middle of the yard, but for tilts about up and across."""
+    normal = (_EYE_WCS_M - middle_wcs_m) * [1, 1, 0.5]
+    normal /= np.linalg.norm(normal)
+    # Seen from the front, right is to the right of whoever stands there: up x normal.
+    right = np.cross([0.0, 0.0, 1.0], normal)
+    right /= np.linalg.norm(right)
+    down = np.cross(right, normal)
+    axes = np.stack([right, down, -normal], axis=1) @ Rotation.from_rotvec([0, 0, turn_rad]).as_matrix()
+    tilt = Rotation.from_euler("zx", np.asarray(tilt_deg), degrees=True).as_matrix()
+    axes = tilt @ axes
+    return Plane(origin_wcs_m=middle_wcs_m, right_wcs=axes[:, 0], down_wcs=axes[:, 1])
+
+
+def bars(field: TwinField, rng: np.random.Generator) -> tuple[list[Bar], list[Board], list[Sheet]]:
+    """Three scale bars of a sheet at each end; their true lengths are some tenths of a millimetre off."""
+    made, boards_, sheets = [], [], []
+    for i, (pair, (bearing, distance, height, slope)) in enumerate(zip(BARS, _BAR_PLACES, strict=True)):
+        length = field.bar_length_m + rng.normal(0.0, 2e-4)
+        middle = _place(bearing, distance, height)
+        plane = facing(middle, np.deg2rad(slope), rng.normal(0.0, 4.0, 2))
+        half = 0.5 * field.bar_length_m + 6.5 * field.flat_module_m
+        name = f"bar S{i + 1}"
+        boards_.append(Board(name=name, plane=plane, half_m=(half, 6.5 * field.flat_module_m)))
+        for marker, side in zip(pair, (-0.5, 0.5), strict=True):
+            sheets.append(
+                Sheet(
+                    marker=marker,
+                    module_m=field.flat_module_m,
+                    thing=name,
+                    surface=plane,
+                    place=(side * length, 0.0),
+                )
+            )
+        made.append(Bar(name=f"S{i + 1}", markers=pair, length_m=float(length)))
+    return made, boards_, sheets
+
+
+def boards(
+    field: TwinField, cones: Sequence[FieldCone], taken: Sequence[Board], rng: np.random.Generator
+) -> tuple[list[Board], list[Sheet]]:
+    """Targets and other markers on boards, all round the yard, none in front of another thing.
+
+    Raises
+    ------
+    ConfigError : there is no room for so many.
+    """
+    ids = [*TARGETS[: field.n_targets], *BOARDS[: field.n_boards]]
+    half = 6.5 * field.flat_module_m
+    seen = [_seen(c.middle_wcs_m, 0.45) for c in cones]
+    seen += [
+        _seen(b.plane.roll(np.array([[x * b.half_m[0], 0.0]]), (0.0, 0.0))[0], 0.25)
+        for b in taken
+        for x in (-0.9, -0.45, 0.0, 0.45, 0.9)
+    ]
+    made, sheets = [], []
+    for i, marker in enumerate(ids):
+        if i < field.n_targets:
+            number, count = i, field.n_targets
+        else:
+            number, count = i - field.n_targets, max(field.n_boards, 1)
+        middle = _free_place(field, number / count, half, seen, rng)
+        seen.append(_seen(middle, 1.4 * half))
+        plane = facing(middle, rng.uniform(-0.3, 0.3), rng.normal(0.0, 8.0, 2))
+        name = f"board {marker}"
+        made.append(Board(name=name, plane=plane, half_m=(half, half)))
+        sheets.append(Sheet(marker=marker, module_m=field.flat_module_m, thing=name, surface=plane))
+    return made, sheets
+
+
+def ground_sheets(field: TwinField, rng: np.random.Generator) -> list[Sheet]:
+    """Sheets that lie on the ground around the boat."""
+    sheets = []
+    for i, marker in enumerate(GROUND[: field.n_ground]):
+        bearing = 360.0 * (i + 0.5) / field.n_ground + rng.uniform(-10, 10)
+        turn = rng.uniform(0, 2 * np.pi)
+        plane = Plane(
+            origin_wcs_m=_place(bearing, rng.uniform(2.2, 3.3), 0.0),
+            right_wcs=np.array([np.cos(turn), np.sin(turn), 0.0]),
+            down_wcs=np.array([np.sin(turn), -np.cos(turn), 0.0]),
+        )
+        sheets.append(Sheet(marker=marker, module_m=field.flat_module_m, thing="ground", surface=plane))
+    return sheets
+
+
+def _place(bearing_deg: float, distance_m: float, height_m: float) -> ArrayF:
+    a = np.deg2rad(bearing_deg)
+    return np.array([distance_m * np.sin(a), distance_m * np.cos(a), height_m])
+
+
+def _seen(place_wcs_m: ArrayF, radius_m: float) -> tuple[ArrayF, float]:
+    """Direction (3,) of a thing from the middle of the yard and its angular radius."""
+    way = place_wcs_m - _EYE_WCS_M
+    distance = float(np.linalg.norm(way))
+    return way / distance, float(np.arctan(radius_m / distance))
+
+
+def _free_place(
+    field: TwinField,
+    share: float,
+    half_m: float,
+    seen: Sequence[tuple[ArrayF, float]],
+    rng: np.random.Generator,
+) -> ArrayF:
+    """A place near a share of the full turn from which no other thing is hidden."""
+    directions = np.stack([d for d, _ in seen])
+    radii = np.array([r for _, r in seen])
+    for attempt in range(_TRIES):
+        spread = 8.0 + 0.02 * attempt
+        bearing = 360.0 * share + rng.uniform(-spread, spread)
+        middle = _place(bearing, rng.uniform(4.3, min(8.0, field.fence_m - 2.0)), rng.uniform(0.3, 2.2))
+        way, radius = _seen(middle, 1.4 * half_m)
+        apart = np.arccos(np.clip(directions @ way, -1.0, 1.0))
+        if np.all(apart > radii + radius + np.deg2rad(_GAP_DEG)):
+            return middle
+    raise ConfigError(
+        f"no room for {field.n_boards} boards",
+        expected="boards that hide neither cones nor each other",
+        where="twin.field.n_boards",
+        cure="Lower twin.field.n_boards or twin.field.flat_module_m",
+    )
+
+
+# ---------------------------------------------------------------- printed sheets
+#
+# Module coordinates are those of `thalweg.calibration.marker_sheets`: u to the right and v down from (0,
+# 0) to (10, 10), half a module of white margin outside, saddles at (1, 1), (9, 1), (9, 9), (1, 9).
+
+
+def covers(modules: ArrayF) -> ArrayF:
+    """Whether module coordinates (n, 2) lie on the paper, its margin included."""
+    low, high = -MARGIN_MODULES, SHEET_MODULES + MARGIN_MODULES
+    return np.asarray(np.all((modules >= low) & (modules <= high), axis=1))

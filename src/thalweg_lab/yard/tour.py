@@ -4,11 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
-from thalweg.settings.twin.camera import TwinReference
-from thalweg_lab.base.random import generator
+from thalweg.core import ArrayF, GeometryError, Rigid
+from thalweg.settings.twin import TwinReference
+from thalweg_lab.random_numbers import generator
 from thalweg_lab.yard.layout import Field
 
 # ---------------------------------------------------------------- A planned tour of the yard: views chosen so

@@ -7,262 +7,30 @@ is averaged over the pixel exactly (`sheet_paint`); at silhouettes 4 x 4 rays ar
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Final, Self
 
-import numba as nb
 import numpy as np
 
-from thalweg.calibration.markers.sheets import SHEET_MODULES, MarkerLayout, sheet_picture
-from thalweg.core.geometry.raycast import RayCaster
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayB, ArrayF, ArrayF32, ArrayI
-from thalweg_lab.river.shading import half_sphere, hash01
-from thalweg_lab.river_images.daylight import Sun
-from thalweg_lab.yard.cones import FieldCone
-from thalweg_lab.yard.sheets import Sheet
-from thalweg_lab.yard.yard import Yard
-from thalweg_lab.yard_images.lens_rays import LensRays
-from thalweg_lab.yard_images.render_kernels import (
-    edges,
-    surface_light,
-    turned,
-    unlike_corners,
-)
-from thalweg_lab.yard_images.yard_look import INK, PAPER, Look, albedo, look_of, panorama, surroundings
-
-# ---------------------------------------------------------------- printed sheets in a picture: the share of
-# ink that a pixel sees, without a bias of its crossings
-#
-# For each pixel that meets a thing with sheets the ray and its four neighbours half a pixel away are cut with
-# the *exact* cone or plane of each sheet, not with the mesh, whose chords lie up to 0.01 mm inside. That
-# gives the place on the print and its change over the pixel. The pixel is then divided, and each part takes
-# the mean of the print over its own small rectangle, exactly. So an edge along the pixels is as true as a
-# slanted one.
-
-
-# Open3D brings an old TBB into the process, which numba would try first and complain about.
-nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
-
-_MIDDLE: Final = SHEET_MODULES / 2
-_NEAR_M: Final = 0.001
-"""A point of the mesh belongs to the surface of a sheet if it lies this close to it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PaintTable:
-    """Sheets as arrays, sorted by the thing that they are glued on.
-
-    Parameters
-    ----------
-    first : (things + 1,) where the sheets of each thing begin.
-    is_cone : (k,) whether the surface is a cone.
-    origin : (k, 3) apex, or origin of the plane, wcs.
-    axes : (k, 3, 3) rows: axes of the cone's frame; or right, down, normal of the plane.
-    half_angle_rad : (k,) of the cone.
-    place : (k, 2) middle of the sheet: slant distance and azimuth, or right and down.
-    to_modules : (k, 2, 2) from metres right and down of the middle to modules.
-    black : (k, 10, 10) modules with ink, row first.
-    """
-
-    first: ArrayI
-    is_cone: ArrayB
-    origin: ArrayF
-    axes: ArrayF
-    half_angle_rad: ArrayF
-    place: ArrayF
-    to_modules: ArrayF
-    black: ArrayB
-
-    @classmethod
-    def of(cls, sheets: Sequence[Sheet], things: Sequence[str], layout: MarkerLayout) -> Self:
-        """Table of the sheets on things; sheets on other things are left out."""
-        number = {name: i for i, name in enumerate(things)}
-        kept = sorted((s for s in sheets if s.thing in number), key=lambda s: number[s.thing])
-        on = np.array([number[s.thing] for s in kept], dtype=np.int64)
-        cones = [s.surface if isinstance(s.surface, FieldCone) else None for s in kept]
-        k = len(kept)
-        black = np.zeros((k, SHEET_MODULES, SHEET_MODULES), dtype=np.bool_)
-        origin, axes, matrix = np.zeros((k, 3)), np.zeros((k, 3, 3)), np.zeros((k, 2, 2))
-        for i, sheet in enumerate(kept):
-            # Two pixels a module and half a module of margin: each module's first pixel tells its colour.
-            black[i] = sheet_picture(sheet.marker, layout, 2)[1:-1:2, 1:-1:2] == 0
-            surface = sheet.surface
-            if isinstance(surface, FieldCone):
-                origin[i], axes[i] = surface.apex_wcs_m, surface.R_cocs_wcs
-            else:
-                origin[i] = surface.origin_wcs_m
-                axes[i] = np.stack([surface.right_wcs, surface.down_wcs, surface.normal_wcs])
-            matrix[i] = _print_axes(sheet) / sheet.module_m
-        return cls(
-            first=np.searchsorted(on, np.arange(len(things) + 1)).astype(np.int64),
-            is_cone=np.array([c is not None for c in cones], dtype=np.bool_),
-            origin=origin,
-            axes=axes,
-            half_angle_rad=np.array([0.1 if c is None else c.half_angle_rad for c in cones]),
-            place=np.array([s.place for s in kept]).reshape(k, 2),
-            to_modules=matrix,
-            black=black,
-        )
-
-    def paint(
-        self,
-        eye_wcs_m: ArrayF,
-        rays_wcs: ArrayF32,
-        dx: ArrayF32,
-        dy: ArrayF32,
-        t_m: ArrayF,
-        thing: ArrayI,
-        cells: int,
-    ) -> tuple[ArrayF32, ArrayF32]:
-        """Shares (n,) of paper and of ink that pixels see; ink is a part of the paper.
-
-        Parameters
-        ----------
-        eye_wcs_m : (3,) projection centre.
-        rays_wcs : (n, 3) directions.
-        dx, dy : (n, 3) change of the direction from one side of the pixel, or of its part, to the other.
-        t_m : (n,) where the ray meets the mesh.
-        thing : (n,) number of the thing that it meets, -1 for none.
-        cells : parts along each side that a pixel is divided into.
-        """
-        paper, ink = (np.zeros(len(t_m), dtype=np.float32) for _ in range(2))
-        if len(self.place):
-            _paint(
-                eye_wcs_m, rays_wcs, dx, dy, t_m, thing, cells, self.first, self.is_cone, self.origin,
-                self.axes, self.half_angle_rad, self.place, self.to_modules, self.black, _NEAR_M, _MIDDLE,
-                paper, ink,
-            )  # fmt: skip
-        return paper, ink
-
-
-def _print_axes(sheet: Sheet) -> ArrayF:
-    """(2, 2) from right and down on the surface to the print, turned and mirrored as it is glued."""
-    cos, sin = np.cos(sheet.turn_rad), np.sin(sheet.turn_rad)
-    flip = -1.0 if sheet.mirrored else 1.0
-    return np.array([[flip * cos, flip * sin], [-sin, cos]])
-
-
-@nb.njit(cache=True, error_model="numpy", inline="always")
-def _flat(eye, x, y, z, near, cone, origin, axes, angle, place):  # type: ignore[no-untyped-def]
-    """Where a ray (x, y, z) cuts a sheet's surface near a distance: right, down, distance off, share."""
-    ox, oy, oz = eye[0] - origin[0], eye[1] - origin[1], eye[2] - origin[2]
-    px = axes[0, 0] * ox + axes[0, 1] * oy + axes[0, 2] * oz
-    py = axes[1, 0] * ox + axes[1, 1] * oy + axes[1, 2] * oz
-    pz = axes[2, 0] * ox + axes[2, 1] * oy + axes[2, 2] * oz
-    dx = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
-    dy = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-    dz = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
-    if not cone:
-        t = -pz / dz
-        off = abs(pz + near * dz)
-        if dz >= 0.0:
-            off = 1.0
-        return px + t * dx - place[0], py + t * dy - place[1], off
-    sine, cosine = np.sin(angle), np.cos(angle)
-    across = np.sqrt((px + near * dx) ** 2 + (py + near * dy) ** 2)
-    off = abs(across * cosine - (pz + near * dz) * sine)
-    # x^2 + y^2 - tan^2 z^2 = 0 along the ray: the root next to the mesh.
-    tan2 = (sine / cosine) ** 2
-    a = dx * dx + dy * dy - tan2 * dz * dz
-    b = px * dx + py * dy - tan2 * pz * dz
-    c = px * px + py * py - tan2 * pz * pz
-    root = b * b - a * c
-    t = near
-    if root > 0.0 and abs(a) > 1e-12:
-        root = np.sqrt(root)
-        one, other = (-b - root) / a, (-b + root) / a
-        t = one if abs(one - near) < abs(other - near) else other
-    qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
-    slant = qz * cosine + np.sqrt(qx * qx + qy * qy) * sine
-    turn = place[1] - np.arctan2(qy, qx)
-    turn = (turn + np.pi) - 2 * np.pi * np.floor((turn + np.pi) / (2 * np.pi)) - np.pi
-    turn *= sine
-    return slant * np.sin(turn), slant * np.cos(turn) - place[0], off
-
-
-@nb.njit(cache=True, error_model="numpy", inline="always")
-def _overlap(low, high, a, b):  # type: ignore[no-untyped-def]
-    """Share of [low, high] inside [a, b]."""
-    return max(min(high, b) - max(low, a), 0.0) / (high - low)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _mean_of_print(u, v, wide, high, black):  # type: ignore[no-untyped-def]
-    """Paper and ink in a rectangle of the print about (u, v), wide by high modules."""
-    u0, u1, v0, v1 = u - wide / 2, u + wide / 2, v - high / 2, v + high / 2
-    paper = _overlap(u0, u1, -0.5, 10.5) * _overlap(v0, v1, -0.5, 10.5)
-    ink = 0.0
-    if paper > 0.0:
-        for row in range(max(int(np.floor(v0)), 0), min(int(np.floor(v1)), 9) + 1):
-            share = _overlap(v0, v1, row, row + 1)
-            for col in range(max(int(np.floor(u0)), 0), min(int(np.floor(u1)), 9) + 1):
-                if black[row, col]:
-                    ink += share * _overlap(u0, u1, col, col + 1)
-    return paper, ink
-
-
-@nb.njit(cache=True, error_model="numpy", parallel=True)
-def _paint(  # type: ignore[no-untyped-def]
-    eye, rays, dx, dy, t, thing, cells, first, is_cone, origin, axes, angle, place, matrix, black, close,
-    middle, paper, ink,
-):  # fmt: skip
-    for i in nb.prange(len(t)):
-        what = thing[i]
-        if what < 0:
-            continue
-        x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
-        for k in range(first[what], first[what + 1]):
-            m = matrix[k]
-            fu, fv, off = _flat(eye, x, y, z, t[i], is_cone[k], origin[k], axes[k], angle[k], place[k])
-            if off > close:
-                continue
-            u, v = fu * m[0, 0] + fv * m[0, 1] + middle, fu * m[1, 0] + fv * m[1, 1] + middle
-            if u < -2.5 or u > 12.5 or v < -2.5 or v > 12.5:
-                continue
-            j = np.zeros((2, 2))
-            for side in range(2):
-                d = dx[i] if side == 0 else dy[i]
-                hx, hy, hz = 0.5 * d[0], 0.5 * d[1], 0.5 * d[2]
-                au, av, _ = _flat(eye, x + hx, y + hy, z + hz, t[i], is_cone[k], origin[k], axes[k], angle[k],
-                                  place[k])  # fmt: skip
-                bu, bv, _ = _flat(eye, x - hx, y - hy, z - hz, t[i], is_cone[k], origin[k], axes[k], angle[k],
-                                  place[k])  # fmt: skip
-                j[0, side] = (au - bu) * m[0, 0] + (av - bv) * m[0, 1]
-                j[1, side] = (au - bu) * m[1, 0] + (av - bv) * m[1, 1]
-            wide = max(np.sqrt(j[0, 0] ** 2 + j[0, 1] ** 2) / cells, 1e-6)
-            high = max(np.sqrt(j[1, 0] ** 2 + j[1, 1] ** 2) / cells, 1e-6)
-            sum_paper, sum_ink = 0.0, 0.0
-            for row in range(cells):
-                b = (row + 0.5) / cells - 0.5
-                for col in range(cells):
-                    a = (col + 0.5) / cells - 0.5
-                    p, q = _mean_of_print(
-                        u + a * j[0, 0] + b * j[0, 1], v + a * j[1, 0] + b * j[1, 1], wide, high, black[k]
-                    )
-                    sum_paper += p
-                    sum_ink += q
-            paper[i] = min(paper[i] + sum_paper / cells**2, 1.0)
-            ink[i] = min(ink[i] + sum_ink / cells**2, 1.0)
-
-
-# ---------------------------------------------------------------- render
-
+from thalweg.calibration import SHEET_MODULES, MarkerLayout, sheet_picture
+from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, Rigid, njit, prange
+from thalweg.core.geometry import RayCaster
+from thalweg_lab.reach import mixed, noise_at, seen_share
+from thalweg_lab.river import half_sphere, hash01
+from thalweg_lab.river_images import Sun, sky
+from thalweg_lab.yard import FieldCone, Sheet, Yard
+from thalweg_lab.yard_images.camera import LensRays
 
 HAZY_SUN_RAD: Final = 0.012
 """Half the angle that the sun seems to have through thin cloud: its shadows have soft borders."""
-
 SUN_SHARE: Final = 0.62
 """Light that thin cloud leaves of the sun."""
-
 SKY_COLOUR: Final = np.array([0.66, 0.72, 0.80])
 GROUND_COLOUR: Final = np.array([0.26, 0.255, 0.25])
-
 _BAND_PX: Final = 400_000
 """Rays that are cast at a time."""
-
 _PARTS: Final = 4
 """Parts of a pixel along each side."""
-
 _SHADOW_STEP_PX: Final = 2
 _APART: Final = ((-0.5, -0.5), (0.5, 0.5))
 """Places in every second pixel that lie evenly apart from those of the next one."""
@@ -270,6 +38,41 @@ _WITHIN: Final = ((-0.25, -0.25), (0.25, -0.25), (0.25, 0.25), (-0.25, 0.25))
 _LIFT_M: Final = 5e-4
 _CELL_M: Final = 0.05
 _SKY_RAYS: Final = 16
+_MIDDLE: Final = SHEET_MODULES / 2
+_NEAR_M: Final = 0.001
+"""A point of the mesh belongs to the surface of a sheet if it lies this close to it."""
+
+PAPER: Final = 0.80
+"""Share of light that white paper reflects."""
+INK: Final = 0.045
+_COLOUR: Final = np.array([
+    [0.168, 0.166, 0.164],  # asphalt
+    [0.300, 0.205, 0.125],  # fence
+    [0.430, 0.420, 0.395],  # cone
+    [0.330, 0.345, 0.350],  # board
+    [0.240, 0.250, 0.260],  # post
+    [0.070, 0.090, 0.160],  # person
+    [0.640, 0.400, 0.050],  # boat
+    [0.330, 0.340, 0.350],  # metal
+    [0.045, 0.047, 0.050],  # sensor
+])  # fmt: skip
+# Longest spacing of the noise (m), its contrast, that of broad stains, that of grains, size of a grain.
+_GRAIN: Final = np.array([
+    [0.110, 0.14, 0.16, 0.42, 0.0065],
+    [0.300, 0.10, 0.10, 0.10, 0.0030],
+    [0.120, 0.06, 0.07, 0.05, 0.0040],
+    [0.150, 0.05, 0.06, 0.03, 0.0040],
+    [0.060, 0.12, 0.05, 0.08, 0.0030],
+    [0.200, 0.16, 0.10, 0.10, 0.0100],
+    [0.200, 0.04, 0.05, 0.02, 0.0040],
+    [0.200, 0.05, 0.05, 0.04, 0.0040],
+    [0.200, 0.05, 0.05, 0.04, 0.0040],
+])  # fmt: skip
+_PANORAMA: Final = (512, 2048)
+"""Rows from the nadir to the zenith, columns around."""
+
+
+# ---------------------------------------------------------------- rendering
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -463,9 +266,15 @@ class Photographer:
         print_ = (paper - ink) * np.float32(PAPER) + ink * np.float32(INK)
         colour[painted] = colour[painted] * (1 - paper)[:, None] + print_[:, None]
         return surface_light(
-            colour, normal, sunlit, self._open_sky(points, normal, look), self.sun.direction_wcs,
-            SUN_SHARE * self.sun.colour, SKY_COLOUR, GROUND_COLOUR,
-        )  # fmt: skip
+            colour,
+            normal,
+            sunlit,
+            self._open_sky(points, normal, look),
+            self.sun.direction_wcs,
+            SUN_SHARE * self.sun.colour,
+            SKY_COLOUR,
+            GROUND_COLOUR,
+        )
 
     def _divided(
         self, eye: ArrayF, grid: ArrayF32, rays: ArrayF32, pixels: ArrayI, size_rad: float
@@ -533,3 +342,589 @@ def _changes(grid: ArrayF32, pixels: ArrayI) -> tuple[ArrayF32, ArrayF32]:
         # At the rim of an image circle one neighbour has no ray.
         changes.append(np.nan_to_num(change))
     return changes[0], changes[1]
+
+
+# ---------------------------------------------------------------- printed sheets in a picture: the share of
+# ink that a pixel sees, without a bias of its crossings
+#
+# For each pixel that meets a thing with sheets the ray and its four neighbours half a pixel away are cut with
+# the *exact* cone or plane of each sheet, not with the mesh, whose chords lie up to 0.01 mm inside. That
+# gives the place on the print and its change over the pixel. The pixel is then divided, and each part takes
+# the mean of the print over its own small rectangle, exactly. So an edge along the pixels is as true as a
+# slanted one.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaintTable:
+    """Sheets as arrays, sorted by the thing that they are glued on.
+
+    Parameters
+    ----------
+    first : (things + 1,) where the sheets of each thing begin.
+    is_cone : (k,) whether the surface is a cone.
+    origin : (k, 3) apex, or origin of the plane, wcs.
+    axes : (k, 3, 3) rows: axes of the cone's frame; or right, down, normal of the plane.
+    half_angle_rad : (k,) of the cone.
+    place : (k, 2) middle of the sheet: slant distance and azimuth, or right and down.
+    to_modules : (k, 2, 2) from metres right and down of the middle to modules.
+    black : (k, 10, 10) modules with ink, row first.
+    """
+
+    first: ArrayI
+    is_cone: ArrayB
+    origin: ArrayF
+    axes: ArrayF
+    half_angle_rad: ArrayF
+    place: ArrayF
+    to_modules: ArrayF
+    black: ArrayB
+
+    @classmethod
+    def of(cls, sheets: Sequence[Sheet], things: Sequence[str], layout: MarkerLayout) -> Self:
+        """Table of the sheets on things; sheets on other things are left out."""
+        number = {name: i for i, name in enumerate(things)}
+        kept = sorted((s for s in sheets if s.thing in number), key=lambda s: number[s.thing])
+        on = np.array([number[s.thing] for s in kept], dtype=np.int64)
+        cones = [s.surface if isinstance(s.surface, FieldCone) else None for s in kept]
+        k = len(kept)
+        black = np.zeros((k, SHEET_MODULES, SHEET_MODULES), dtype=np.bool_)
+        origin, axes, matrix = np.zeros((k, 3)), np.zeros((k, 3, 3)), np.zeros((k, 2, 2))
+        for i, sheet in enumerate(kept):
+            # Two pixels a module and half a module of margin: each module's first pixel tells its colour.
+            black[i] = sheet_picture(sheet.marker, layout, 2)[1:-1:2, 1:-1:2] == 0
+            surface = sheet.surface
+            if isinstance(surface, FieldCone):
+                origin[i], axes[i] = surface.apex_wcs_m, surface.R_cocs_wcs
+            else:
+                origin[i] = surface.origin_wcs_m
+                axes[i] = np.stack([surface.right_wcs, surface.down_wcs, surface.normal_wcs])
+            matrix[i] = _print_axes(sheet) / sheet.module_m
+        return cls(
+            first=np.searchsorted(on, np.arange(len(things) + 1)).astype(np.int64),
+            is_cone=np.array([c is not None for c in cones], dtype=np.bool_),
+            origin=origin,
+            axes=axes,
+            half_angle_rad=np.array([0.1 if c is None else c.half_angle_rad for c in cones]),
+            place=np.array([s.place for s in kept]).reshape(k, 2),
+            to_modules=matrix,
+            black=black,
+        )
+
+    def paint(
+        self,
+        eye_wcs_m: ArrayF,
+        rays_wcs: ArrayF32,
+        dx: ArrayF32,
+        dy: ArrayF32,
+        t_m: ArrayF,
+        thing: ArrayI,
+        cells: int,
+    ) -> tuple[ArrayF32, ArrayF32]:
+        """Shares (n,) of paper and of ink that pixels see; ink is a part of the paper.
+
+        Parameters
+        ----------
+        eye_wcs_m : (3,) projection centre.
+        rays_wcs : (n, 3) directions.
+        dx, dy : (n, 3) change of the direction from one side of the pixel, or of its part, to the other.
+        t_m : (n,) where the ray meets the mesh.
+        thing : (n,) number of the thing that it meets, -1 for none.
+        cells : parts along each side that a pixel is divided into.
+        """
+        paper, ink = (np.zeros(len(t_m), dtype=np.float32) for _ in range(2))
+        if len(self.place):
+            _paint(
+                eye_wcs_m,
+                rays_wcs,
+                dx,
+                dy,
+                t_m,
+                thing,
+                cells,
+                self.first,
+                self.is_cone,
+                self.origin,
+                self.axes,
+                self.half_angle_rad,
+                self.place,
+                self.to_modules,
+                self.black,
+                _NEAR_M,
+                _MIDDLE,
+                paper,
+                ink,
+            )
+        return paper, ink
+
+
+def _print_axes(sheet: Sheet) -> ArrayF:
+    """(2, 2) from right and down on the surface to the print, turned and mirrored as it is glued."""
+    cos, sin = np.cos(sheet.turn_rad), np.sin(sheet.turn_rad)
+    flip = -1.0 if sheet.mirrored else 1.0
+    return np.array([[flip * cos, flip * sin], [-sin, cos]])
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _flat(eye, x, y, z, near, cone, origin, axes, angle, place):  # type: ignore[no-untyped-def]
+    """Where a ray (x, y, z) cuts a sheet's surface near a distance: right, down, distance off, share."""
+    ox, oy, oz = eye[0] - origin[0], eye[1] - origin[1], eye[2] - origin[2]
+    px = axes[0, 0] * ox + axes[0, 1] * oy + axes[0, 2] * oz
+    py = axes[1, 0] * ox + axes[1, 1] * oy + axes[1, 2] * oz
+    pz = axes[2, 0] * ox + axes[2, 1] * oy + axes[2, 2] * oz
+    dx = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+    dy = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+    dz = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    if not cone:
+        t = -pz / dz
+        off = abs(pz + near * dz)
+        if dz >= 0.0:
+            off = 1.0
+        return px + t * dx - place[0], py + t * dy - place[1], off
+    sine, cosine = np.sin(angle), np.cos(angle)
+    across = np.sqrt((px + near * dx) ** 2 + (py + near * dy) ** 2)
+    off = abs(across * cosine - (pz + near * dz) * sine)
+    # x^2 + y^2 - tan^2 z^2 = 0 along the ray: the root next to the mesh.
+    tan2 = (sine / cosine) ** 2
+    a = dx * dx + dy * dy - tan2 * dz * dz
+    b = px * dx + py * dy - tan2 * pz * dz
+    c = px * px + py * py - tan2 * pz * pz
+    root = b * b - a * c
+    t = near
+    if root > 0.0 and abs(a) > 1e-12:
+        root = np.sqrt(root)
+        one, other = (-b - root) / a, (-b + root) / a
+        t = one if abs(one - near) < abs(other - near) else other
+    qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
+    slant = qz * cosine + np.sqrt(qx * qx + qy * qy) * sine
+    turn = place[1] - np.arctan2(qy, qx)
+    turn = (turn + np.pi) - 2 * np.pi * np.floor((turn + np.pi) / (2 * np.pi)) - np.pi
+    turn *= sine
+    return slant * np.sin(turn), slant * np.cos(turn) - place[0], off
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _overlap(low, high, a, b):  # type: ignore[no-untyped-def]
+    """Share of [low, high] inside [a, b]."""
+    return max(min(high, b) - max(low, a), 0.0) / (high - low)
+
+
+@njit(cache=True, error_model="numpy")
+def _mean_of_print(u, v, wide, high, black):  # type: ignore[no-untyped-def]
+    """Paper and ink in a rectangle of the print about (u, v), wide by high modules."""
+    u0, u1, v0, v1 = u - wide / 2, u + wide / 2, v - high / 2, v + high / 2
+    paper = _overlap(u0, u1, -0.5, 10.5) * _overlap(v0, v1, -0.5, 10.5)
+    ink = 0.0
+    if paper > 0.0:
+        for row in range(max(int(np.floor(v0)), 0), min(int(np.floor(v1)), 9) + 1):
+            share = _overlap(v0, v1, row, row + 1)
+            for col in range(max(int(np.floor(u0)), 0), min(int(np.floor(u1)), 9) + 1):
+                if black[row, col]:
+                    ink += share * _overlap(u0, u1, col, col + 1)
+    return paper, ink
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _paint(  # type: ignore[no-untyped-def]
+    eye,
+    rays,
+    dx,
+    dy,
+    t,
+    thing,
+    cells,
+    first,
+    is_cone,
+    origin,
+    axes,
+    angle,
+    place,
+    matrix,
+    black,
+    close,
+    middle,
+    paper,
+    ink,
+):
+    for i in prange(len(t)):
+        what = thing[i]
+        if what < 0:
+            continue
+        x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
+        for k in range(first[what], first[what + 1]):
+            m = matrix[k]
+            fu, fv, off = _flat(eye, x, y, z, t[i], is_cone[k], origin[k], axes[k], angle[k], place[k])
+            if off > close:
+                continue
+            u, v = fu * m[0, 0] + fv * m[0, 1] + middle, fu * m[1, 0] + fv * m[1, 1] + middle
+            if u < -2.5 or u > 12.5 or v < -2.5 or v > 12.5:
+                continue
+            j = np.zeros((2, 2))
+            for side in range(2):
+                d = dx[i] if side == 0 else dy[i]
+                hx, hy, hz = 0.5 * d[0], 0.5 * d[1], 0.5 * d[2]
+                au, av, _ = _flat(
+                    eye, x + hx, y + hy, z + hz, t[i], is_cone[k], origin[k], axes[k], angle[k], place[k]
+                )
+                bu, bv, _ = _flat(
+                    eye, x - hx, y - hy, z - hz, t[i], is_cone[k], origin[k], axes[k], angle[k], place[k]
+                )
+                j[0, side] = (au - bu) * m[0, 0] + (av - bv) * m[0, 1]
+                j[1, side] = (au - bu) * m[1, 0] + (av - bv) * m[1, 1]
+            wide = max(np.sqrt(j[0, 0] ** 2 + j[0, 1] ** 2) / cells, 1e-6)
+            high = max(np.sqrt(j[1, 0] ** 2 + j[1, 1] ** 2) / cells, 1e-6)
+            sum_paper, sum_ink = 0.0, 0.0
+            for row in range(cells):
+                b = (row + 0.5) / cells - 0.5
+                for col in range(cells):
+                    a = (col + 0.5) / cells - 0.5
+                    p, q = _mean_of_print(
+                        u + a * j[0, 0] + b * j[0, 1], v + a * j[1, 0] + b * j[1, 1], wide, high, black[k]
+                    )
+                    sum_paper += p
+                    sum_ink += q
+            paper[i] = min(paper[i] + sum_paper / cells**2, 1.0)
+            ink[i] = min(ink[i] + sum_ink / cells**2, 1.0)
+
+
+# ---------------------------------------------------------------- compiled loops: edges, shadows, light
+
+
+def turned(rays_ccs: ArrayF32, R_wcs_ccs: ArrayF) -> ArrayF32:
+    """Rays (n, 3) in wcs."""
+    out = np.empty_like(rays_ccs)
+    _turned(rays_ccs, np.ascontiguousarray(R_wcs_ccs), out)
+    return out
+
+
+def edges(
+    eye: ArrayF, rays: ArrayF32, t_m: ArrayF32, primitive: ArrayI, thing: ArrayI, normal: ArrayF32
+) -> ArrayB:
+    """Pixels (h, w) that meet another surface than a neighbour does.
+
+    Parameters
+    ----------
+    eye : (3,) projection centre.
+    rays : (h, w, 3) directions.
+    t_m : (h, w) distances.
+    primitive : (h, w) triangles, -1 for none.
+    thing : (m,) thing of each triangle.
+    normal : (m, 3) of each triangle.
+    """
+    out = np.zeros(t_m.shape, dtype=np.bool_)
+    _edges(eye, rays, t_m, primitive, thing, normal, out)
+    return out
+
+
+def unlike_corners(state: ArrayU8, primitive: ArrayI, thing: ArrayI, step: int) -> tuple[ArrayU8, ArrayB]:
+    """Shadow of all pixels from that of some, and which pixels need a ray of their own.
+
+    Parameters
+    ----------
+    state : (a, b) 0 shade, 1 sun, 2 nothing met: of each ``step``-th pixel in each direction.
+    primitive : (h, w) triangle of each pixel, -1 for none.
+    thing : (m,) thing of each triangle.
+    step : between known pixels.
+    """
+    out = np.zeros(primitive.shape, dtype=np.uint8)
+    open_ = np.zeros(primitive.shape, dtype=np.bool_)
+    _unlike(state, primitive, thing, step, out, open_)
+    return out, open_
+
+
+def surface_light(
+    albedo: ArrayF32,
+    normal: ArrayF32,
+    sunlit: ArrayF32,
+    open_sky: ArrayF32,
+    sun: ArrayF,
+    sun_colour: ArrayF,
+    sky_colour: ArrayF,
+    ground_colour: ArrayF,
+) -> ArrayF32:
+    """Light (n, 3) from matt surfaces.
+
+    Parameters
+    ----------
+    albedo, normal : (n, 3) colours and normals toward the viewer.
+    sunlit, open_sky : (n,) share of the sun and of the sky that is not hidden.
+    sun : (3,) direction.
+    sun_colour, sky_colour, ground_colour : (3,) light of sun, sky and of the ground around.
+    """
+    out = np.empty_like(albedo)
+    _lit(albedo, normal, sunlit, open_sky, sun, sun_colour, sky_colour, ground_colour, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _turned(rays, R, out):  # type: ignore[no-untyped-def]
+    for i in prange(len(rays)):
+        x, y, z = np.float64(rays[i, 0]), np.float64(rays[i, 1]), np.float64(rays[i, 2])
+        for k in range(3):
+            out[i, k] = R[k, 0] * x + R[k, 1] * y + R[k, 2] * z
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _differ(eye, rays, t, primitive, thing, normal, y0, x0, y1, x1):  # type: ignore[no-untyped-def]
+    a, b = primitive[y0, x0], primitive[y1, x1]
+    if a == b:
+        return False
+    if a < 0 or b < 0 or thing[a] != thing[b]:
+        return True
+    alike = normal[a, 0] * normal[b, 0] + normal[a, 1] * normal[b, 1] + normal[a, 2] * normal[b, 2]
+    if alike < 0.97:
+        return True
+    off, way = 0.0, 0.0
+    for k in range(3):
+        d = t[y1, x1] * rays[y1, x1, k] - t[y0, x0] * rays[y0, x0, k]
+        off += d * normal[a, k]
+        way += d * d
+    return abs(off) > 0.001 + 0.25 * np.sqrt(way)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _edges(eye, rays, t, primitive, thing, normal, out):  # type: ignore[no-untyped-def]
+    h, w = t.shape
+    for y in prange(h):
+        for x in range(w):
+            found = False
+            if x + 1 < w:
+                found = _differ(eye, rays, t, primitive, thing, normal, y, x, y, x + 1)
+            if not found and x > 0:
+                found = _differ(eye, rays, t, primitive, thing, normal, y, x, y, x - 1)
+            if not found and y + 1 < h:
+                found = _differ(eye, rays, t, primitive, thing, normal, y, x, y + 1, x)
+            if not found and y > 0:
+                found = _differ(eye, rays, t, primitive, thing, normal, y, x, y - 1, x)
+            out[y, x] = found
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _unlike(state, primitive, thing, step, out, open_):  # type: ignore[no-untyped-def]
+    h, w = primitive.shape
+    rows, columns = state.shape
+    for y in prange(h):
+        for x in range(w):
+            p = primitive[y, x]
+            if p < 0:
+                continue
+            j, i = y // step, x // step
+            j1 = min(j + 1, rows - 1) if y % step else j
+            i1 = min(i + 1, columns - 1) if x % step else i
+            s = state[j, i]
+            same = s != 2 and state[j, i1] == s and state[j1, i] == s and state[j1, i1] == s
+            if same:
+                for a in (j, j1):
+                    for b in (i, i1):
+                        q = primitive[a * step, b * step]
+                        same = same and q >= 0 and thing[q] == thing[p]
+            if same:
+                out[y, x] = s
+            else:
+                open_[y, x] = True
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _lit(albedo, normal, sunlit, open_sky, sun, sun_colour, sky, ground, out):  # type: ignore[no-untyped-def]
+    for i in prange(len(albedo)):
+        facing = normal[i, 0] * sun[0] + normal[i, 1] * sun[1] + normal[i, 2] * sun[2]
+        direct = max(facing, 0.0) * sunlit[i]
+        up = 0.5 + 0.5 * normal[i, 2]
+        for k in range(3):
+            around = open_sky[i] * (up * sky[k] + (1 - up) * ground[k])
+            out[i, k] = albedo[i, k] * (direct * sun_colour[k] + around)
+
+
+# ---------------------------------------------------------------- colours of the yard and of the sky
+#
+# Procedural and fixed in place; a detail fades out where its spacing comes down to what a pixel covers.
+
+
+class Look(IntEnum):
+    """How the surface of a thing looks."""
+
+    GROUND = 0
+    FENCE = 1
+    CONE = 2
+    BOARD = 3
+    POST = 4
+    PERSON = 5
+    BOAT = 6
+    METAL = 7
+    SENSOR = 8
+
+
+_LOOKS: Final = {
+    "ground": Look.GROUND,
+    "fence": Look.FENCE,
+    "posts": Look.POST,
+    "person": Look.PERSON,
+    "boat": Look.BOAT,
+    "trolley": Look.METAL,
+    "sensors": Look.SENSOR,
+}
+
+
+def look_of(name: str) -> Look:
+    """Look of a thing by its name: ``ground``, ``C1``, ``board 64`` and so on."""
+    if name in _LOOKS:
+        return _LOOKS[name]
+    return Look.CONE if name[:1] == "C" and name[1:].isdigit() else Look.BOARD
+
+
+def albedo(
+    points_wcs_m: ArrayF32, normal_wcs: ArrayF32, look: ArrayI, footprint_m: ArrayF32, stretch: ArrayF32
+) -> ArrayF32:
+    """Share of light (n, 3) that surfaces reflect, linear RGB, without the sheets on them.
+
+    Parameters
+    ----------
+    points_wcs_m, normal_wcs : (n, 3) places and normals.
+    look : (n,) values of `Look`, -1 for none.
+    footprint_m : (n,) mean side of what a pixel covers there.
+    stretch : (n,) its longer side over the mean one.
+    """
+    out = np.zeros((len(look), 3), dtype=np.float32)
+    _albedo(points_wcs_m, normal_wcs, look, footprint_m, stretch, _COLOUR, _GRAIN, out)
+    return out
+
+
+def panorama(sun: Sun, *, cover: float = 0.55) -> ArrayF32:
+    """The sky with its clouds (512, 2048, 3) as linear light.
+
+    Rows run from the nadir to the zenith, columns counter-clockwise from east.
+    """
+    rows, columns = _PANORAMA
+    elevation = ((np.arange(rows) + 0.5) / rows - 0.5) * np.pi
+    azimuth = (np.arange(columns) + 0.5) / columns * 2 * np.pi
+    el, az = (a.ravel() for a in np.meshgrid(elevation, azimuth, indexing="ij"))
+    way = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], axis=1)
+    light = np.minimum(sky(way, sun, cover=cover), 6.0)
+    return np.ascontiguousarray(light.reshape(rows, columns, 3), dtype=np.float32)
+
+
+def surroundings(rays_wcs: ArrayF32, sky_map: ArrayF32, sun: Sun, size_rad: float) -> ArrayF32:
+    """Light (n, 3) from where rays meet nothing: sky, and trees behind the fence that stand far away.
+
+    Parameters
+    ----------
+    rays_wcs : (n, 3) directions.
+    sky_map : from `panorama`.
+    sun : lights the trees.
+    size_rad : angle of a pixel.
+    """
+    out = np.empty_like(rays_wcs)
+    _surroundings(rays_wcs, sky_map, sun.direction_wcs, size_rad, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _line(place, spacing, wide, footprint):  # type: ignore[no-untyped-def]
+    """Share of a dark joint that repeats at a spacing in what a pixel covers."""
+    off = abs(place / spacing - np.floor(place / spacing + 0.5)) * spacing
+    reach = max(wide, footprint)
+    return (wide / reach) * min(max((0.5 * (reach + wide) - off) / reach, 0.0), 1.0)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _albedo(points, normal, look, footprint, stretch, colour, grain, out):  # type: ignore[no-untyped-def]
+    for i in prange(len(look)):
+        what = look[i]
+        if what < 0:
+            continue
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        foot = max(np.float64(footprint[i]), 1e-6)
+        g = grain[what]
+        seed = 50 + 17 * what
+        # Planks and stretched grain run upwards.
+        squeeze = 0.12 if what == 1 or what == 4 else 1.0
+        total, spacing, part = 0.0, g[0], 1.0
+        for octave in range(4):
+            seen = seen_share(spacing, foot)
+            if seen <= 0.0:
+                break
+            # Every other octave is turned, so that the lattices do not show.
+            px, py = (x, y) if octave % 2 == 0 else (0.8 * x + 0.6 * y, -0.6 * x + 0.8 * y)
+            total += seen * part * noise_at(px / spacing, py / spacing, z * squeeze / spacing, seed + octave)
+            part *= 0.75
+            spacing *= 0.45
+        bright = 1.0 + g[1] * total
+        broad = noise_at(x / 1.9, y / 1.9, z / 1.9, seed + 9) + 0.6 * noise_at(
+            x / 0.6, y / 0.6, z / 0.6, seed + 10
+        )
+        bright += g[2] * broad
+        seen = seen_share(g[4], foot)
+        if seen > 0.0:
+            bright += g[3] * seen * noise_at(x / g[4], y / g[4], z * squeeze / g[4], seed + 11)
+        warm = 0.03 * broad
+        if what == 0:
+            # Joints of the paving, patches of another age, and spots of oil.
+            long = foot * stretch[i]
+            joint = max(_line(x + 0.35, 3.1, 0.012, long), _line(y - 0.6, 4.3, 0.012, long))
+            bright *= 1.0 - 0.55 * joint
+            oil = noise_at(x / 0.45, y / 0.45, 3.7, seed + 12)
+            bright *= 1.0 - 0.35 * min(max(4.0 * (oil - 0.62), 0.0), 1.0)
+            seen = seen_share(0.02, foot)
+            if seen > 0.0:
+                stone = noise_at(x / 0.02, y / 0.02, 0.3, seed + 13)
+                bright += seen * 0.55 * min(max(4.0 * (stone - 0.60), 0.0), 1.0)
+        elif what == 1:
+            flat = np.sqrt(normal[i, 0] ** 2 + normal[i, 1] ** 2)
+            if flat > 0.5:
+                along = (normal[i, 0] * y - normal[i, 1] * x) / flat
+                plank = np.int64(np.floor(along / 0.14))
+                bright *= 0.82 + 0.36 * mixed(plank, np.int64(10 * normal[i, 0]), 1, seed)
+                bright *= 1.0 - 0.75 * _line(along, 0.14, 0.008, foot)
+                bright *= 1.0 - 0.5 * (_line(z - 0.4, 100.0, 0.07, foot) + _line(z - 1.9, 100.0, 0.07, foot))
+        bright = max(bright, 0.15)
+        out[i, 0] = min(colour[what, 0] * bright * (1 + warm), 0.95)
+        out[i, 1] = min(colour[what, 1] * bright, 0.95)
+        out[i, 2] = min(colour[what, 2] * bright * (1 - warm), 0.95)
+
+
+@njit(cache=True, error_model="numpy")
+def _octaves(x, y, z, spacing, gain, count, footprint, seed):  # type: ignore[no-untyped-def]
+    total, part = 0.0, 1.0
+    for octave in range(count):
+        seen = seen_share(spacing, footprint)
+        if seen <= 0.0:
+            break
+        total += seen * part * noise_at(x / spacing, y / spacing, z / spacing, seed + octave)
+        part *= gain
+        spacing *= 0.5
+    return total
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _surroundings(rays, panorama, sun, size, out):  # type: ignore[no-untyped-def]
+    rows, columns = panorama.shape[0], panorama.shape[1]
+    for i in prange(len(rays)):
+        x, y = np.float64(rays[i, 0]), np.float64(rays[i, 1])
+        z = min(max(np.float64(rays[i, 2]), -1.0), 1.0)
+        high = np.arcsin(z)
+        flat = max(np.sqrt(x * x + y * y), 1e-9)
+        v = min(max((high / np.pi + 0.5) * rows - 0.5, 0.0), rows - 1.001)
+        u = np.arctan2(y, x) / (2 * np.pi) * columns - 0.5
+        u -= np.floor(u / columns) * columns
+        j, k = np.int64(v), np.int64(u)
+        b, a = v - j, u - k
+        k, k1 = k % columns, (k + 1) % columns
+        for c in range(3):
+            below = panorama[j, k, c] * (1 - a) + panorama[j, k1, c] * a
+            above = panorama[j + 1, k, c] * (1 - a) + panorama[j + 1, k1, c] * a
+            out[i, c] = below * (1 - b) + above * b
+        if high > 0.45:
+            continue
+        # Crowns: broad ones, then branches, then leaves at their rim.
+        crown = 0.19 + 0.08 * _octaves(x / flat, y / flat, 0.0, 0.45, 0.5, 2, size, 31)
+        crown += 0.022 * _octaves(x, y, z, 0.05, 0.8, 5, size, 33)
+        cover = min(max(0.5 + (crown - high) / (0.6 * size + 0.0015), 0.0), 1.0)
+        if cover <= 0.0:
+            continue
+        leaves = _octaves(x, y, z, 0.035, 0.85, 6, size, 40)
+        clump = _octaves(x, y, z, 0.11, 0.6, 2, size, 50)
+        facing = 0.5 - 0.5 * (x * sun[0] + y * sun[1]) / flat
+        bright = max((0.45 + 0.75 * facing) * (1.0 + 0.55 * clump + 0.45 * leaves), 0.06)
+        warm = 0.5 + 0.5 * clump
+        for c in range(3):
+            tree = bright * (0.070 + 0.045 * warm if c == 0 else (0.115 + 0.025 * warm if c == 1 else 0.040))
+            out[i, c] += cover * (1.5 * tree - out[i, c])

@@ -2,9 +2,8 @@
 
 import pytest
 
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.yard.layout import Field, build_field
-from thalweg_lab.yard.scene import FieldScene, field_scene
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.yard import Field, FieldScene, build_field, field_scene
 
 SEED = 4
 

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import LocalFrame
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.yard.layout import Field, build_field
-from thalweg_lab.yard.scene import people, recorded_scene
-from thalweg_lab.yard_records.records import description
+from thalweg.core import ConfigError, LocalFrame
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.yard import Field, build_field, people, recorded_scene
+from thalweg_lab.yard_records import description
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SEED = 4

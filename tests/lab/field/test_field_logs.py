@@ -5,19 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.frames import LocalFrame, rotation_opk
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.anpp.reader import read_anpp
-from thalweg.ingest.tracks.rtklib_pos import read_pos
+from thalweg.core import LocalFrame, Trajectory, rotation_opk
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.tracks import read_pos
 from thalweg.ingest.velodyne.reader import iter_points
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.gnss import simulate_gnss
-from thalweg_lab.instruments.ins import simulate_ins
-from thalweg_lab.instruments.lidar import simulate_lidar
-from thalweg_lab.voyage.truth import simulate_voyage
-from thalweg_lab.voyage.yard_motion import FieldRun
-from thalweg_lab.yard_records.records import simulate_field_scene
-from thalweg_lab.yard_records.scan import run_scan
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import simulate_gnss, simulate_ins, simulate_lidar
+from thalweg_lab.voyage import FieldRun, simulate_voyage
+from thalweg_lab.yard_records import run_scan, simulate_field_scene
 
 SEED = 4
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import CoverageError
-from thalweg.core.frames import rotation_enu_body
-from thalweg.core.timescales import gps_from_unix
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.voyage.motions import motion_of
-from thalweg_lab.voyage.voyage import Voyage
-from thalweg_lab.voyage.yard_motion import FieldRun, eight, standing, static_recording, static_seed
-from thalweg_lab.yard.layout import Field
+from thalweg.core import CoverageError, gps_from_unix, rotation_enu_body
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.voyage import FieldRun, Voyage, motion_of, standing, static_seed
+from thalweg_lab.voyage.motion import eight, static_recording
+from thalweg_lab.yard import Field
 
 SEED = 4
 

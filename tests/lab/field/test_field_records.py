@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration.field.description import parse_field, read_field
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.voyage.yard_motion import standing
-from thalweg_lab.yard.layout import Field, build_field
-from thalweg_lab.yard_records.records import FIELD_POSES, description, simulate_field
+from thalweg.calibration.field import parse_field, read_field
+from thalweg.core import LocalFrame, read_table
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.voyage import standing
+from thalweg_lab.yard import Field, build_field
+from thalweg_lab.yard_records import FIELD_POSES, description, simulate_field
 
 SEED = 4
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

@@ -6,16 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import LocalFrame, rotation_opk
+from thalweg.core import ConfigError, LocalFrame, rotation_opk
 from thalweg.ingest.velodyne.reader import iter_points
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.instruments.beams import VLP_16, Lasers
-from thalweg_lab.instruments.shots import EchoKind
-from thalweg_lab.voyage.yard_motion import FieldRun, standing
-from thalweg_lab.yard.layout import build_field
-from thalweg_lab.yard_records.positions import simulate_positions
-from thalweg_lab.yard_records.scan import Scan, run_scan, static_scan
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import VLP_16, EchoKind, Lasers
+from thalweg_lab.voyage import FieldRun, standing
+from thalweg_lab.yard import build_field
+from thalweg_lab.yard_records import Scan, run_scan, simulate_positions, static_scan
 
 SEED = 4
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)

@@ -4,12 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.river.scene import Scene
-from thalweg_lab.voyage.yard_motion import standing
-from thalweg_lab.yard.layout import Field
-from thalweg_lab.yard.scene import FieldScene
-from thalweg_lab.yard_records.records import simulate_field_scene
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.river import Scene
+from thalweg_lab.voyage import standing
+from thalweg_lab.yard import Field, FieldScene
+from thalweg_lab.yard_records import simulate_field_scene
 
 SEED = 4
 

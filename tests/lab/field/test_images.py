@@ -11,26 +11,24 @@ from PIL import Image
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.timescales import unix_from_gps
-from thalweg.settings.base.mounts import Mounts
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.voyage.true_mounts import true_mounts
-from thalweg_lab.voyage.yard_motion import FieldRun, standing
-from thalweg_lab.yard.layout import Field, build_field
-from thalweg_lab.yard.scene import field_scene
-from thalweg_lab.yard.tour import tour
-from thalweg_lab.yard_images.images import mount_of, simulate_field_images, true_camera
-from thalweg_lab.yard_records.image_times import run_times
+from thalweg.core import ConfigError, unix_from_gps
+from thalweg.settings.sections import Mounts
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.voyage import FieldRun, standing, true_mounts
+from thalweg_lab.yard import Field, build_field, field_scene, tour
+from thalweg_lab.yard_images import mount_of, simulate_field_images, true_camera
+from thalweg_lab.yard_records import run_times
 
 SEED = 22
 SMALL: dict[str, Any] = {
     "duration_s": 4.0,
     "camera": {
-        "size_px": (640, 480), "focal_px": 900.0, "exposure_s": 0.001,
+        "size_px": (640, 480),
+        "focal_px": 900.0,
+        "exposure_s": 0.001,
         "reference": {"size_px": (760, 500), "focal_px": 620.0, "n_images": 4},
     },
-}  # fmt: skip
+}
 MOUNTS = Mounts(
     camera={"lever_ics_m": (-0.25, -0.10, -0.18)},
     lidar={"lever_ics_m": (-0.35, 0.0, -0.25)},

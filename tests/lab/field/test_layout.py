@@ -5,12 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.yard import furniture
-from thalweg_lab.yard.cones import SIDES
-from thalweg_lab.yard.layout import Field, antenna_sheet, build_field
+from thalweg.core import ConfigError, Rigid, exp_rotation
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.yard import Field, build_field, layout
+from thalweg_lab.yard.layout import SIDES, antenna_sheet
 
 UPRIGHT = (6, 7)
 SEED = 4
@@ -167,6 +165,6 @@ def test_a_river_has_no_field() -> None:
 
 
 def test_boards_that_find_no_free_place_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(furniture, "_TRIES", 1)
+    monkeypatch.setattr(layout, "_TRIES", 1)
     with pytest.raises(ConfigError, match="n_boards"):
         build_field(small(n_boards=40, flat_module_m=0.05), SEED)

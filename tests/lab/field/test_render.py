@@ -7,24 +7,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from thalweg.calibration.markers.sheets import SADDLES_MODULES, MarkerLayout, sheet_picture
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid
-from thalweg.settings.twin.camera import TwinLens
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.yard.cones import FieldCone
-from thalweg_lab.yard.layout import Field, build_field
-from thalweg_lab.yard.scene import field_scene
-from thalweg_lab.yard.sheets import Sheet
+from thalweg.calibration import SADDLES_MODULES, MarkerLayout, sheet_picture
+from thalweg.core import Camera, GeometryError, Rigid
+from thalweg.settings.twin import TwinConfig, TwinLens
+from thalweg_lab.yard import Field, FieldCone, Sheet, Yard, build_field, field_scene
 from thalweg_lab.yard.tour import looking
-from thalweg_lab.yard.yard import Yard
-from thalweg_lab.yard_images.exposure import exposed
-from thalweg_lab.yard_images.images import SUN, true_camera
-from thalweg_lab.yard_images.lens_rays import LensRays
+from thalweg_lab.yard_images import LensRays, exposed, true_camera, turned
+from thalweg_lab.yard_images.images import SUN, synthetic_view
 from thalweg_lab.yard_images.render import PaintTable, Photographer, Seen, _changes
-from thalweg_lab.yard_images.render_kernels import turned
-from thalweg_lab.yard_images.view_files import synthetic_view
 
 SEED = 5
 EYE = np.array([0.1, -0.2, 0.8])
@@ -87,8 +77,12 @@ def seen_sheets(
 @pytest.mark.parametrize("model", ["perspective", "fisheye"])
 def test_the_ray_of_each_pixel_is_that_of_the_camera(model: str) -> None:
     distortion = (-0.062, 0.081, 0.0004, -0.0003, -0.018) if model == "perspective" else (0.01, -0.003, 0, 0)
-    lens = TwinLens(model=model, size_px=(203, 151), focal_px=140.0 if model == "perspective" else 50.0,
-                    distortion=distortion)  # fmt: skip
+    lens = TwinLens(
+        model=model,
+        size_px=(203, 151),
+        focal_px=140.0 if model == "perspective" else 50.0,
+        distortion=distortion,
+    )
     camera = true_camera(lens, "test")
     rays = LensRays(camera).rays_ccs
     y, x = np.mgrid[0:151, 0:203] + 0.5

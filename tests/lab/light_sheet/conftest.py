@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from thalweg.core.types import ArrayF
-from thalweg.lightsheet.optics.sensor import Sensor, paper_4
-from thalweg.settings.twin.light_sheet import SheetImage
-from thalweg_lab.tank.truth_sensor import sized
+from thalweg.core import ArrayF
+from thalweg.lightsheet.optics import Sensor, paper_4
+from thalweg.settings.twin import SheetImage
+from thalweg_lab.tank import sized
 
 SEED = 7
 

@@ -6,21 +6,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.calibration.field.description import read_field
-from thalweg.core.camera.model import Camera
-from thalweg.core.rigid import Rigid
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg.settings.twin.sections import TwinConfig
+from thalweg.calibration.field import read_field
+from thalweg.core import Camera, Rigid
+from thalweg.lightsheet.optics import paper_4
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.tank import Basin, record_camera_field, record_camera_station
 from thalweg_lab.tank.camera_field import (
     MODULE_M,
     SIGMA_BAR_M,
     SIGMA_PX,
     build_marker_field,
     observe_field,
-    record_camera_field,
     stations,
 )
-from thalweg_lab.tank.series import Basin, record_camera_station
 
 TINY = TwinConfig.of_size("basin_tiny")
 CAMERA = paper_4().camera.scaled((1024, 1024))

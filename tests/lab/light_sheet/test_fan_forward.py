@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from thalweg.lightsheet.optics.refracted_rays import refract_to_water
-from thalweg.lightsheet.optics.sensor import Sensor, paper_4
-from thalweg_lab.tank.fan_forward import seen_points, sub_beams
-from thalweg_lab.tank.grating import make_grating
+from thalweg.lightsheet.optics import Sensor, paper_4, refract_to_water
+from thalweg_lab.tank import make_grating, seen_points, sub_beams
 
 
 def tilted() -> Sensor:

@@ -2,19 +2,20 @@
 
 import numpy as np
 
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg_lab.tank.grating import (
-    GratingErrors,
-    calibration_points,
-    image_of_level,
-    make_grating,
-)
+from thalweg.lightsheet.optics import paper_4
+from thalweg_lab.tank import GratingErrors, calibration_points, make_grating
+from thalweg_lab.tank.grating import image_of_level
 
 SENSOR = paper_4()
 IDEAL = GratingErrors(
-    tilt_deg=(0.0, 0.0), grooves_deg=0.0, cover_mm=0.0, sigma_spacing_deg=0.0, sigma_rotation_deg=0.0,
-    sigma_origin_mm=(0.0, 0.0, 0.0), sigma_bow=0.0,
-)  # fmt: skip
+    tilt_deg=(0.0, 0.0),
+    grooves_deg=0.0,
+    cover_mm=0.0,
+    sigma_spacing_deg=0.0,
+    sigma_rotation_deg=0.0,
+    sigma_origin_mm=(0.0, 0.0, 0.0),
+    sigma_bow=0.0,
+)
 
 
 def _local(errors: GratingErrors, seed: int = 1, n: int = 41):

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.mesh_ply import read_mesh
-from thalweg.surface.cloud_to_mesh import Surface
-from thalweg_lab.tank.objects import stepped_object
-from thalweg_lab.tank.scan_series import divided, reference_mesh, write_reference
+from thalweg.core import GeometryError, LocalFrame
+from thalweg.core.geometry import read_mesh
+from thalweg.surface import Surface
+from thalweg_lab.tank import stepped_object
+from thalweg_lab.tank.series import divided, reference_mesh, write_reference
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 

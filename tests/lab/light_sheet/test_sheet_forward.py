@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import Sensor, paper_3, paper_4
+from thalweg.lightsheet.optics import Sensor, intersect, paper_3, paper_4, project
 from thalweg_lab.tank.forward import beams_in_water, camera_rays, see
 
 

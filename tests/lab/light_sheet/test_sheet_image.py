@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from tests.lab.light_sheet.conftest import SEED, Small, row_centres
 
-from thalweg.core.types import ArrayF
-from thalweg.settings.twin.light_sheet import SheetImage
-from thalweg_lab.base.random import generator
+from thalweg.core import ArrayF
+from thalweg.settings.twin import SheetImage
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank import Posed, render_sheet_image
 from thalweg_lab.tank.forward import see
 from thalweg_lab.tank.glow import on_sheet
 from thalweg_lab.tank.objects import BLACK, WHITE, panel
-from thalweg_lab.tank.render import Darkroom, laser_light, render_sheet_image
-from thalweg_lab.tank.surfaces import Posed
+from thalweg_lab.tank.render import Darkroom, laser_light
 
 ROWS = slice(120, 400)
 TURN = np.linspace(0.0, 2 * np.pi, 181)[:-1]

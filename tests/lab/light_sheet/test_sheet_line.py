@@ -4,23 +4,12 @@ import numpy as np
 import pytest
 from tests.lab.light_sheet.conftest import SEED, Small, at_rows, row_centres
 
-from thalweg.core.frames import rotation_opk
-from thalweg.core.types import ArrayF
-from thalweg_lab.tank.fans import lines_of, rays_of
+from thalweg.core import ArrayF, rotation_opk
+from thalweg_lab.tank import Posed, line_on, lines_of, make_grating, stepped_object
 from thalweg_lab.tank.forward import beams_in_water
-from thalweg_lab.tank.glow import glow, on_sheet
-from thalweg_lab.tank.grating import make_grating
-from thalweg_lab.tank.line import LinePoints, line_on
-from thalweg_lab.tank.objects import (
-    STEP_HEIGHTS_MM,
-    STEP_SIZE_MM,
-    GridPattern,
-    grid_object,
-    panel,
-    stepped_object,
-)
+from thalweg_lab.tank.glow import LinePoints, glow, on_sheet, rays_of
+from thalweg_lab.tank.objects import STEP_HEIGHTS_MM, STEP_SIZE_MM, GridPattern, grid_object, panel
 from thalweg_lab.tank.render import laser_light
-from thalweg_lab.tank.surfaces import Posed
 
 DENSE = np.deg2rad(np.linspace(-44.5, 44.5, 6001))
 

@@ -9,19 +9,15 @@ import pandas as pd
 import pytest
 from tests.lab.light_sheet.conftest import SEED, Small
 
-from thalweg.clocks.ties.hand_tables import read_number_columns
-from thalweg.clocks.ties.trigger import match_pulses
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table
-from thalweg.ingest.photos.stamps import read_image_stamps
-from thalweg.lightsheet.calibration.grid import read_grid
-from thalweg.lightsheet.optics.sensor_files import read_sensor
-from thalweg_lab.tank.files import trigger, write_image
-from thalweg_lab.tank.objects import stepped_object
-from thalweg_lab.tank.plan import calibration_plan, describe, panel_plan, scan_plan
-from thalweg_lab.tank.record import record
-from thalweg_lab.tank.truth_files import LINE_TRUTH, POSE_TRUTH
+from thalweg.clocks import read_number_columns
+from thalweg.clocks.ties import match_pulses
+from thalweg.core import InputError, LocalFrame, read_table
+from thalweg.ingest.photos import read_image_stamps
+from thalweg.lightsheet.calibration import read_grid
+from thalweg.lightsheet.optics import read_sensor
+from thalweg_lab.tank import calibration_plan, panel_plan, scan_plan, stepped_object
+from thalweg_lab.tank.plan import describe
+from thalweg_lab.tank.record import LINE_TRUTH, POSE_TRUTH, record, trigger, write_image
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 START = 3.0e8

@@ -4,26 +4,40 @@ import numpy as np
 import pytest
 from tests.lab.light_sheet.conftest import SEED, Small
 
-from thalweg.core.errors import ConfigError, GeometryError
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg.settings.twin.light_sheet import SheetImage
-from thalweg_lab.tank.board import build_board, dry, observe_board
+from thalweg.core import ConfigError, GeometryError
+from thalweg.lightsheet.optics import paper_4
+from thalweg.settings.twin import SheetImage
+from thalweg_lab.tank import (
+    SIGMA_PX,
+    Posed,
+    build_panel,
+    calibration_plan,
+    line_on,
+    observe,
+    panel_plan,
+    scan_plan,
+    set_up,
+    sized,
+    stepped_object,
+    wreck,
+)
+from thalweg_lab.tank.forward import in_water_of, true_sensor
 from thalweg_lab.tank.glow import glow, on_sheet
-from thalweg_lab.tank.line import line_on
 from thalweg_lab.tank.motion import drift, rail
 from thalweg_lab.tank.objects import (
+    HEIGHT_MM,
+    LENGTH_MM,
     STEP_HEIGHTS_MM,
     STEP_SIZE_MM,
+    WIDTH_MM,
     GridPattern,
+    build_board,
+    dry,
+    observe_board,
     panel,
     stepped_markers_mm,
-    stepped_object,
 )
-from thalweg_lab.tank.plan import boat_path, calibration_plan, panel_plan, river_bed, scan_plan, strip_plan
-from thalweg_lab.tank.six_dof import SIGMA_PX, build_panel, observe, set_up
-from thalweg_lab.tank.surfaces import Posed
-from thalweg_lab.tank.truth_sensor import in_water_of, sized, true_sensor
-from thalweg_lab.tank.wreck import HEIGHT_MM, LENGTH_MM, WIDTH_MM, wreck
+from thalweg_lab.tank.plan import boat_path, river_bed, strip_plan
 
 
 def test_the_stepped_object_is_that_of_the_paper() -> None:
@@ -198,9 +212,15 @@ def test_a_trajectory_in_the_world_becomes_the_path_of_a_strip() -> None:
 def test_streams_of_a_rail_are_its_own() -> None:
     def path(wobble_mm: float) -> np.ndarray:
         return rail(
-            SEED, lines=9, step_mm=3.0, middle_lcs_mm=np.zeros(3), middle_obj_mm=np.zeros(3), name="r",
-            wobble_mm=wobble_mm, wobble_deg=0.0,
-        ).shift_obj_mm  # fmt: skip
+            SEED,
+            lines=9,
+            step_mm=3.0,
+            middle_lcs_mm=np.zeros(3),
+            middle_obj_mm=np.zeros(3),
+            name="r",
+            wobble_mm=wobble_mm,
+            wobble_deg=0.0,
+        ).shift_obj_mm
 
     calm, rough = path(0.0), path(0.3)
     assert (calm[:, [0, 2]] == 0).all()

@@ -8,19 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.calibration.field.points import read_points
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.tables import read_table
-from thalweg.lightsheet.calibration.grid import read_grid
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.refractive_index import air, water
-from thalweg.lightsheet.optics.sensor import LASER, LENS, PARAMETERS, paper_4
-from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.calibration.field import read_points
+from thalweg.core import ConfigError, LocalFrame, read_table
+from thalweg.lightsheet.calibration import read_grid
+from thalweg.lightsheet.optics import LASER, LENS, PARAMETERS, air, intersect, paper_4, read_sensor, water
 from thalweg.lightsheet.poses.panels import read_panels
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.tank.series import WINDOW_MARKERS, Basin, record_camera_station, record_series
-from thalweg_lab.tank.truth_files import LINE_TRUTH
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.tank import WINDOW_MARKERS, Basin, record_camera_station, record_series
+from thalweg_lab.tank.record import LINE_TRUTH
 
 FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.7, h_ell_m=160.0)
 TINY = TwinConfig.of_size("basin_tiny")

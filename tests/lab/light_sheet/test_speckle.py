@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from thalweg.core.errors import GeometryError
-from thalweg_lab.base.random import generator
+from thalweg.core import GeometryError
+from thalweg_lab.random_numbers import generator
 from thalweg_lab.tank.speckle import (
     GreyValues,
     SpeckleOptics,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from thalweg_lab.tank.splat import splat
+from thalweg_lab.tank.glow import splat
 
 
 def drawn(x: float, y: float, sigma: float, size: int = 40) -> np.ndarray:

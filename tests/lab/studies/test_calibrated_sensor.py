@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from thalweg.lightsheet.optics.sensor import LASER, LENS, PARAMETERS, WINDOW
-from thalweg_lab.studies.calibrated_sensor import calibrated_sensor
+from thalweg.lightsheet.optics import LASER, LENS, PARAMETERS, WINDOW
+from thalweg_lab.studies.laser_lines import calibrated_sensor
 
 
 def test_errors_of_the_calibration_are_as_large_as_their_sigmas() -> None:

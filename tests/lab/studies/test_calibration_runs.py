@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import CoverageError
-from thalweg_lab.studies import calibration_runs as runs
+from thalweg.core import CoverageError
+from thalweg_lab.studies import cone_runs as runs
 
 
 @pytest.mark.parametrize(("scale", "inside"), [(1.0, True), (1.5, False), (0.7, False)])

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.base.random import generator
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.random_numbers import generator
 from thalweg_lab.studies.camera_lidar import (
     CASES,
     Pictures,
@@ -17,9 +17,8 @@ from thalweg_lab.studies.camera_lidar import (
     simulated_trial,
     summary,
 )
-from thalweg_lab.yard.layout import build_field
-from thalweg_lab.yard.tour import tour
-from thalweg_lab.yard_images.images import true_camera
+from thalweg_lab.yard import build_field, tour
+from thalweg_lab.yard_images import true_camera
 
 
 @pytest.fixture(scope="module")

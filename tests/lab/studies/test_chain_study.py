@@ -6,16 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy.solutions.comparison import CHAINS
-from thalweg.accuracy.solutions.ranges import range_facts
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid, rotation_vector
-from thalweg.settings.twin.sections import TwinConfig
-from thalweg_lab.studies import chain_study as study
-from thalweg_lab.studies import chain_study_tables as tables
+from thalweg.accuracy import CHAINS, range_facts
+from thalweg.core import LocalFrame, Rigid, read_parquet, rotation_vector
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.studies import Batch, chain_study as study, chain_study as tables, run_seeds
 from thalweg_lab.studies.chain_study import ImageErrors, draw_images
+from thalweg_lab.studies.study import Study
 from thalweg_lab.studies.survey import BARE
-from thalweg_lab.voyage.voyage import Voyage
+from thalweg_lab.voyage import Voyage
 
 SMALL: dict[str, Any] = {
     "size": "tiny",
@@ -53,6 +51,21 @@ def test_all_chains_see_the_bank(found: dict[str, list[study.Found]]) -> None:
     assert of.loc["fused", "rmse_m"] < 0.5 * of.loc["ins", "rmse_m"]
     # asked for on the demo's bank; this one is bare and near
     assert of.loc["fused", "rmse_m"] < 0.08
+
+
+def test_what_a_survey_found_goes_through_files(found: dict[str, list[study.Found]], tmp_path) -> None:
+    """Jobs of single seeds hand over tables: what is read again gives the same numbers."""
+    (one,) = found[tables.DISTURBED]
+    target = tmp_path / "survey_1"
+    how = Study(rows=lambda seed: tables.as_rows({tables.DISTURBED: one}, seed.number), results=lambda *_: {})
+    run_seeds(how, Batch(kind="survey", seeds=(1, 2)), {}, target)
+    read = {path.stem: read_parquet(path) for path in target.glob("*.parquet")}
+    again = tables.from_rows(read)[tables.DISTURBED]
+    assert len(again) == 2
+    for name in CHAINS:
+        pd.testing.assert_frame_equal(again[1].distances[name], one.distances[name])
+        pd.testing.assert_frame_equal(again[1].counts[name], one.counts[name])
+    pd.testing.assert_frame_equal(again[1].truth, one.truth)
 
 
 def test_surveys_are_pooled_at_times_of_their_own(found: dict[str, list[study.Found]]) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import GeometryError
+from thalweg.core import GeometryError, read_parquet
 from thalweg_lab.studies import image_blocks
 from thalweg_lab.studies.image_blocks import (
     DEFAULT_FACTOR,
@@ -17,7 +17,6 @@ from thalweg_lab.studies.image_blocks import (
     fitted_factor,
     normalised,
     pooled,
-    read_blocks,
     summary,
 )
 
@@ -26,12 +25,27 @@ SEEDS = range(21, 27)
 
 
 def blocks(*joint: float, images: int = 10, factor: float = DEFAULT_FACTOR) -> pd.DataFrame:
-    return pd.DataFrame([
-        {"seed": k, "factor": factor, "images": images, "single": 1.0 + k, "joint": value,
-         "independent": 20.0, "rms_mm": 30.0, "sigma_mm": 28.0, "rms_mdeg": 100.0, "sigma_mdeg": 120.0,
-         "check": 0.5, "check_points": 2, "notes": "", "failure": ""}
-        for k, value in enumerate(joint)
-    ])  # fmt: skip
+    return pd.DataFrame(
+        [
+            {
+                "seed": k,
+                "factor": factor,
+                "images": images,
+                "single": 1.0 + k,
+                "joint": value,
+                "independent": 20.0,
+                "rms_mm": 30.0,
+                "sigma_mm": 28.0,
+                "rms_mdeg": 100.0,
+                "sigma_mdeg": 120.0,
+                "check": 0.5,
+                "check_points": 2,
+                "notes": "",
+                "failure": "",
+            }
+            for k, value in enumerate(joint)
+        ]
+    )
 
 
 def test_normalised_squares_of_correlated_poses(rng: np.random.Generator) -> None:
@@ -74,8 +88,9 @@ def test_a_block_that_fails_is_a_line_of_its_own(tmp_path: Path, monkeypatch: py
     table = block_study([3], tmp_path)
     assert table["factor"].tolist() == list(FACTORS)
     assert set(table["failure"]) == {"no block; expected one."}
-    table.to_csv(tmp_path / "3.csv", index=False)
-    again = read_blocks([tmp_path / "3.csv"])
+    # as the job of a seed hands them to the one that gathers
+    table.to_parquet(tmp_path / "3.parquet", index=False)
+    again = read_parquet(tmp_path / "3.parquet")
     pd.testing.assert_frame_equal(again, table, check_dtype=False)
     table = again[again["factor"] == DEFAULT_FACTOR]
     both = pd.concat([blocks(1.2), table], ignore_index=True)
@@ -89,10 +104,12 @@ def test_a_block_that_fails_is_a_line_of_its_own(tmp_path: Path, monkeypatch: py
 
 def test_the_factor_is_where_single_poses_have_a_square_of_one() -> None:
     # one block with 20 independent errors: 1.4 by the model, 1.1 and 0.9 with 2 and 4 times its variance
-    table = pd.concat([
-        blocks(1.0, factor=factor).assign(single=value)
-        for factor, value in ((1.0, 1.4), (2.0, 1.1), (4.0, 0.9))
-    ])  # fmt: skip
+    table = pd.concat(
+        [
+            blocks(1.0, factor=factor).assign(single=value)
+            for factor, value in ((1.0, 1.4), (2.0, 1.1), (4.0, 0.9))
+        ]
+    )
     best, low, high = fitted_factor(table)
     assert best == pytest.approx(3.0)
     # chi-square of 20: 9.59 and 34.17 in any table; 1.71 and 0.48 are beyond the ends

@@ -2,9 +2,14 @@
 
 import numpy as np
 
-from thalweg_lab.studies.calibrated_sensor import calibrated_sensor
-from thalweg_lab.studies.line_label_scans import LASER_SEED, labelled_scans
-from thalweg_lab.studies.line_labels import Setting, calibrated_lines, study_scene
+from thalweg_lab.studies import labelled_scans
+from thalweg_lab.studies.laser_lines import (
+    LASER_SEED,
+    Setting,
+    calibrated_lines,
+    calibrated_sensor,
+    study_scene,
+)
 
 
 def test_points_and_counts_are_those_of_the_study() -> None:

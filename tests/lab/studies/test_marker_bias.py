@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from thalweg.lightsheet.lines import LineFlag, LinePoints, pooled_shift, without_shift
 from thalweg.lightsheet.lines.albedo import WidthShift
-from thalweg.lightsheet.lines.points import LinePoints
-from thalweg.lightsheet.lines.series_shift import pooled_shift, without_shift
-from thalweg.lightsheet.lines.settings import LineFlag
-from thalweg_lab.base.random import generator
-from thalweg_lab.studies.marker_bias import METHODS, STUDIED, WET_PAPER, marker_bias
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.studies.sheet_scans import METHODS, STUDIED, WET_PAPER, marker_bias
 
 CHOSEN = {name: METHODS[name] for name in ("matching as P4 4.1", "matching, width corrected")}
 
@@ -70,12 +68,20 @@ def test_images_without_a_coefficient_take_no_part() -> None:
 def test_only_saturated_points_move_along_their_measurement(angle_rad: float) -> None:
     n = 4
     points = LinePoints(
-        line=np.zeros(n, np.int64), piece=np.zeros(n, np.int64), x_px=np.full(n, 50.0), y_px=np.full(n, 60.0),
-        sigma_px=np.full(n, 0.1), angle_rad=np.full(n, angle_rad), peak_dn=np.full(n, 100.0),
-        width_px=np.array([5.0, 8.0, 8.0, 3.0]), background_dn=np.zeros(n), rows=np.ones(n, np.int64),
-        flags=np.array([0, int(LineFlag.SATURATED), 0, int(LineFlag.SATURATED)]), counts={"points": n},
+        line=np.zeros(n, np.int64),
+        piece=np.zeros(n, np.int64),
+        x_px=np.full(n, 50.0),
+        y_px=np.full(n, 60.0),
+        sigma_px=np.full(n, 0.1),
+        angle_rad=np.full(n, angle_rad),
+        peak_dn=np.full(n, 100.0),
+        width_px=np.array([5.0, 8.0, 8.0, 3.0]),
+        background_dn=np.zeros(n),
+        rows=np.ones(n, np.int64),
+        flags=np.array([0, int(LineFlag.SATURATED), 0, int(LineFlag.SATURATED)]),
+        counts={"points": n},
         facts={"width_unsaturated_px": 5.0},
-    )  # fmt: skip
+    )
     moved = without_shift(points, WidthShift(-0.3, 0.02, 40, True))
     along = (moved.x_px - 50.0) * np.cos(angle_rad) + (moved.y_px - 60.0) * np.sin(angle_rad)
     np.testing.assert_allclose(along, [0.0, 0.9, 0.0, -0.6], atol=1e-12)

@@ -4,12 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg_lab.studies.multi_line_images import (
-    OBJECTS,
-    MultiLineImage,
-    multi_line_images,
-    write_images,
-)
+from thalweg_lab.studies import multi_line_images, write_images
+from thalweg_lab.studies.laser_lines import OBJECTS, MultiLineImage
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,8 @@ from thalweg_lab.studies.offset_study import (
     as_markdown,
     conclusion,
     distances,
-    offset_study,
+    offset_table,
+    rows_of_seed,
 )
 from thalweg_lab.studies.survey import survey_settings
 
@@ -45,7 +46,9 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
         "bushes",
     )
     effects = [small(effect) for effect in EFFECTS if effect.name in names]
-    return offset_study(tmp_path_factory.mktemp("offset"), seeds=range(2), effects=effects)
+    folder = tmp_path_factory.mktemp("offset")
+    rows = pd.concat([rows_of_seed(seed, folder, effects) for seed in range(2)], ignore_index=True)
+    return offset_table(rows, effects)
 
 
 def test_every_row_is_a_campaign_and_has_its_counterpart() -> None:
@@ -103,19 +106,33 @@ def test_the_page_reads_as_a_table(found: pd.DataFrame) -> None:
 
 def rows(**means: tuple[float, float, float]) -> pd.DataFrame:
     """A table with (mean, explained, its sigma) of some effects, in millimetres."""
-    return pd.DataFrame([
-        {"effect": name.replace("_", " "), "mean_m": mean / 1e3, "explains_m": change / 1e3,
-         "sigma_explains_m": sigma / 1e3, "sigma_mean_m": sigma / 1e3, "seeds": 4, "fitted": 4,
-         "sigma_mean_registered_m": sigma / 4e3}
-        for name, (mean, change, sigma) in means.items()
-    ])  # fmt: skip
+    return pd.DataFrame(
+        [
+            {
+                "effect": name.replace("_", " "),
+                "mean_m": mean / 1e3,
+                "explains_m": change / 1e3,
+                "sigma_explains_m": sigma / 1e3,
+                "sigma_mean_m": sigma / 1e3,
+                "seeds": 4,
+                "fitted": 4,
+                "sigma_mean_registered_m": sigma / 4e3,
+            }
+            for name, (mean, change, sigma) in means.items()
+        ]
+    )
 
 
 def test_the_conclusion_follows_the_numbers() -> None:
     words = conclusion(
-        rows(stones=(3.0, 1.0, 1.0), bushes=(-20.0, -19.0, 2.0), trees=(9.0, 8.0, 3.0),
-             all_but_poses_and_mounts=(-31.0, -31.0, 4.0), plants_left_in_the_reference=(5.0, 36.0, 2.0))
-    )  # fmt: skip
+        rows(
+            stones=(3.0, 1.0, 1.0),
+            bushes=(-20.0, -19.0, 2.0),
+            trees=(9.0, 8.0, 3.0),
+            all_but_poses_and_mounts=(-31.0, -31.0, 4.0),
+            plants_left_in_the_reference=(5.0, 36.0, 2.0),
+        )
+    )
     assert "31 mm behind the reference" in words
     assert words.index("bushes -19.0 ± 2.0") < words.index("trees +8.0 ± 3.0")
     assert "Not told from zero: stones." in words

@@ -40,8 +40,10 @@ def test_outages_leave_positions_on_both_sides_and_do_not_overlap() -> None:
 def test_the_page_has_a_line_for_each_length(table) -> None:
     page = outage.as_markdown(table)
     assert [line.split(" | ")[0] for line in page.splitlines() if line[:3] in ("| 2", "| 1")] == [
-        "| 2", "| 10", "| 18",
-    ]  # fmt: skip
+        "| 2",
+        "| 10",
+        "| 18",
+    ]
 
 
 def test_under_trees_positions_are_disturbed_there_only() -> None:

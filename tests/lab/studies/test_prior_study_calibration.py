@@ -1,17 +1,12 @@
 """Calibrations with another model than stated: what a study gives, and that wrong sizes show."""
 
-import runpy
-from pathlib import Path
-
 import numpy as np
-import pandas as pd
 import pytest
 
-from thalweg_lab.studies import prior_study_calibration as study
-from thalweg_lab.studies import prior_study_navigation as navigation
+from thalweg.core import read_parquet
+from thalweg_lab.studies import Batch, prior_study as navigation, prior_study as study, run_seeds
 from thalweg_lab.studies.cone_runs import RunSpec
-
-ROOT = Path(__file__).parents[3]
+from thalweg_lab.studies.prior_study import STUDY
 
 
 def squares(rows, quantity):
@@ -20,17 +15,19 @@ def squares(rows, quantity):
 
 
 def test_variants_are_what_the_processing_does_not_know():
-    assert len(study.VARIANTS) == 12
-    for variant in study.VARIANTS.values():
+    assert len(study.CALIBRATION_VARIANTS) == 12
+    for variant in study.CALIBRATION_VARIANTS.values():
         if variant.boat is not None:
             RunSpec(**variant.boat)
     # twice what is stated, in degrees
-    assert study.VARIANTS["stated_half"].boat["sigma_attitude_deg"] == pytest.approx((0.2, 0.2, 0.4))
-    assert study.VARIANTS["times_fifth"].boat == {"position_time_s": 2.0, "attitude_time_s": 4.0}
+    assert study.CALIBRATION_VARIANTS["stated_half"].boat["sigma_attitude_deg"] == pytest.approx(
+        (0.2, 0.2, 0.4)
+    )
+    assert study.CALIBRATION_VARIANTS["times_fifth"].boat == {"position_time_s": 2.0, "attitude_time_s": 4.0}
 
 
 def test_a_line_that_scatters_twice_as_much_is_noticed():
-    wrong = study.VARIANTS["stated_half"].sheet
+    wrong = study.CALIBRATION_VARIANTS["stated_half"].sheet
     runs = [squares(study.light_sheet(wrong, seed), "sheet") for seed in (1, 2, 3)]
     presumed, estimated = (np.mean([run[model] for run in runs]) for model in study.MODELS)
     # all sigmas twice as large; three surveys of five components leave the mean itself open by a half
@@ -38,11 +35,15 @@ def test_a_line_that_scatters_twice_as_much_is_noticed():
 
 
 def test_a_run_gives_a_row_for_each_model_and_quantity():
-    rows = study.moving_boat(study.VARIANTS["stated_double"].boat, 1, duration_s=40.0, points=20_000)
+    rows = study.moving_boat(
+        study.CALIBRATION_VARIANTS["stated_double"].boat, 1, duration_s=40.0, points=20_000
+    )
     assert [(row["model"], row["quantity"], row["n"]) for row in rows[:4]] == [
-        ("presumed", "mount", 6), ("presumed", "lever arm", 3), ("presumed", "tilt", 2),
+        ("presumed", "mount", 6),
+        ("presumed", "lever arm", 3),
+        ("presumed", "tilt", 2),
         ("presumed", "heading", 1),
-    ]  # fmt: skip
+    ]
     assert len(rows) == 8
     assert all(0 <= row["coverage_95"] <= 1 and row["nees"] > 0 for row in rows)
     # two correlation times say nothing of the time of the heading
@@ -57,17 +58,16 @@ def test_the_job_of_a_survey_takes_all_variants(kind, monkeypatch, tmp_path):
     error = navigation.Processed(error=np.ones((3, 6)), cov=np.tile(np.eye(6), (3, 1, 1)))
     monkeypatch.setattr(navigation, "survey_of", lambda variant, seed, duration_s: None)
     monkeypatch.setattr(navigation, "processed", lambda survey, *, estimate: {"fused": error})
-    job = runpy.run_path(str(ROOT / "workflow/scripts/prior_survey.py"))
-    job["main"](table=tmp_path / "rows.csv", kind=kind, seed=1)
-    assert set(pd.read_csv(tmp_path / "rows.csv")["variant"]) == set(
-        navigation.VARIANTS if kind == "navigation" else study.VARIANTS
+    run_seeds(STUDY, Batch(kind=kind, seeds=(1,)), {}, tmp_path / "rows")
+    assert set(read_parquet(tmp_path / f"rows/{kind}.parquet")["variant"]) == set(
+        navigation.VARIANTS if kind == "navigation" else study.CALIBRATION_VARIANTS
     )
 
 
 def test_a_table_names_chain_variant_and_seed(monkeypatch):
     # the run of 150 s is long for a test: the light sheet alone
     monkeypatch.setattr(study, "moving_boat", lambda truth, seed: [])
-    table = study.run("heavy_tails", 2)
+    table = study.run_calibration("heavy_tails", 2)
     assert list(table)[:3] == ["chain", "variant", "seed"]
     assert {"model", "quantity", "nees", "n", "coverage_95", "undetermined"} <= set(table)
     assert set(table["model"]) == set(study.MODELS)

@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg_lab.studies import prior_study_ins
+from thalweg_lab.studies import prior_study
 from thalweg_lab.studies.trials import Sample, Trial, as_table, from_table
 
 
 def test_sigmas_stated_at_half_are_seen_and_mended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Errors of twice the stated size: a mean square of 4 as presumed; estimated, much less."""
-    monkeypatch.setitem(prior_study_ins.SURVEY, "duration_s", 12.0)
-    monkeypatch.setitem(prior_study_ins.SURVEY, "ins", {"attitude_time_s": 2.0})
-    rows = prior_study_ins.run(7, tmp_path, ("stated_half", "component_150"))
+    monkeypatch.setitem(prior_study.SURVEY, "duration_s", 12.0)
+    monkeypatch.setitem(prior_study.SURVEY, "ins", {"attitude_time_s": 2.0})
+    rows = prior_study.run_ins(7, tmp_path, ("stated_half", "component_150"))
     assert not list(tmp_path.iterdir()), "the logs are gone"
     square = rows.set_index(["chain", "model", "quantity"])["nees"]
     assert square["ins", "presumed", "pose"] > 1.25

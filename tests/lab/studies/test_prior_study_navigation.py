@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.types import ArrayF
-from thalweg_lab.studies import prior_study_navigation as study
+from thalweg.core import ArrayF
+from thalweg_lab.studies import prior_study as study
 from thalweg_lab.studies.outage import FRAME, LEVER_ANTENNA_M
 
 
@@ -53,7 +53,7 @@ def test_slow_errors_of_the_heading_are_in_no_sigma() -> None:
 
 def test_sigmas_stated_too_small_fail_as_presumed_and_hold_as_estimated() -> None:
     """One survey of 40 s: means of a few independent values, so that only what is four times off shows."""
-    rows = study.run("stated_half", 2, duration_s=40.0)
+    rows = study.run_navigation("stated_half", 2, duration_s=40.0)
     found = rows[rows["quantity"] == "pose"].set_index(["chain", "model"])["nees"]
     for chain in ("fused", "camera"):
         assert found[chain, "presumed"] > 2.2
@@ -64,12 +64,22 @@ def test_sigmas_stated_too_small_fail_as_presumed_and_hold_as_estimated() -> Non
 
 
 def test_a_table_pools_seeds_and_says_what_is_right() -> None:
-    rows = pd.DataFrame([
-        {"chain": "fused", "variant": "base", "model": model, "seed": seed, "quantity": "pose", "nees": nees,
-         "n": 100, "coverage_95": 0.9}
-        for model, values in (("presumed", (3.0, 4.0, 5.0)), ("estimated", (0.9, 1.0, 1.1)))
-        for seed, nees in enumerate(values)
-    ])  # fmt: skip
+    rows = pd.DataFrame(
+        [
+            {
+                "chain": "fused",
+                "variant": "base",
+                "model": model,
+                "seed": seed,
+                "quantity": "pose",
+                "nees": nees,
+                "n": 100,
+                "coverage_95": 0.9,
+            }
+            for model, values in (("presumed", (3.0, 4.0, 5.0)), ("estimated", (0.9, 1.0, 1.1)))
+            for seed, nees in enumerate(values)
+        ]
+    )
     table = study.table(rows).set_index("model")
     assert table["nees"].to_dict() == pytest.approx({"presumed": 4.0, "estimated": 1.0})
     assert table["right"].to_dict() == {"presumed": False, "estimated": True}
@@ -81,10 +91,20 @@ def test_a_table_pools_seeds_and_says_what_is_right() -> None:
 
 
 def test_surveys_that_were_refused_are_counted_and_in_no_mean() -> None:
-    rows = pd.DataFrame([
-        {"chain": "fused", "variant": "base", "model": "presumed", "quantity": "pose", "seed": seed,
-         "nees": nees, "n": 10, "coverage_95": 0.9}
-        for seed, nees in enumerate((0.9, 1.1, np.nan))
-    ])  # fmt: skip
+    rows = pd.DataFrame(
+        [
+            {
+                "chain": "fused",
+                "variant": "base",
+                "model": "presumed",
+                "quantity": "pose",
+                "seed": seed,
+                "nees": nees,
+                "n": 10,
+                "coverage_95": 0.9,
+            }
+            for seed, nees in enumerate((0.9, 1.1, np.nan))
+        ]
+    )
     found = study.table(rows).iloc[0]
     assert (found["nees"], found["seeds"], found["refused"]) == (pytest.approx(1.0), 2, 1)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.las.files import laz_header
+from thalweg.core import laz_header
 from thalweg_lab.studies.survey import BARE, Logs, process, record, reference_mesh, survey_settings
 
 TWIN: dict[str, Any] = {

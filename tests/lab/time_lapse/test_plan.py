@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from tests.lab.time_lapse.conftest import CONFIG, MOUNTS, SEED, settings
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import rotation_opk
-from thalweg.settings.twin.camera import TwinLens
-from thalweg_lab.instruments.stamps import start_us
+from thalweg.core import ConfigError, rotation_opk
+from thalweg.settings.twin import TwinLens
 from thalweg_lab.time_lapse.record import plan_images, scaled_lens
-from thalweg_lab.voyage.voyage import Voyage
-from thalweg_lab.yard_images.images import true_camera
-from thalweg_lab.yard_records.image_times import clock_minus_utc_s
+from thalweg_lab.voyage import Voyage
+from thalweg_lab.writers import start_us
+from thalweg_lab.yard_images import true_camera
+from thalweg_lab.yard_records import clock_minus_utc_s
 
 
 def test_a_smaller_image_is_the_same_lens_with_larger_pixels() -> None:

@@ -8,12 +8,13 @@ import pandas as pd
 import pytest
 from tests.lab.time_lapse.conftest import CONFIG, FRAME, MOUNTS, SEED, Reach, settings
 
-from thalweg.core.errors import ConfigError
-from thalweg.images.model.poses import ImagePoses
-from thalweg_lab.base.river import River
-from thalweg_lab.river.materials import Material
-from thalweg_lab.time_lapse.record import simulate_time_lapse, surveyed, write_survey
-from thalweg_lab.time_lapse.targets import place_targets
+from thalweg.core import ConfigError
+from thalweg.images.model import ImagePoses
+from thalweg_lab.reach import River
+from thalweg_lab.river import Material
+from thalweg_lab.time_lapse import simulate_time_lapse
+from thalweg_lab.time_lapse.foreground import place_targets
+from thalweg_lab.time_lapse.record import surveyed, write_survey
 
 
 def test_every_target_is_seen_free_and_large_enough(reach: Reach) -> None:
@@ -78,8 +79,15 @@ def test_the_survey_errs_by_its_sigmas(reach: Reach, tmp_path: Path) -> None:
     write_survey(tmp_path / "points.csv", table)
     again = pd.read_csv(tmp_path / "points.csv")
     assert again.columns.tolist() == [
-        "id", "east_m", "north_m", "up_m", "sigma_east_m", "sigma_north_m", "sigma_up_m", "role",
-    ]  # fmt: skip
+        "id",
+        "east_m",
+        "north_m",
+        "up_m",
+        "sigma_east_m",
+        "sigma_north_m",
+        "sigma_up_m",
+        "role",
+    ]
     assert again["role"].tolist() == ["control", "check", "control", "control", "check"]
 
 
@@ -88,9 +96,18 @@ def test_swapped_names_are_told_in_the_truth_only(reach: Reach, tmp_path: Path) 
     changed = settings(effects={"swapped_points": 1})
     points, truth = tmp_path / "points.csv", tmp_path / "truth.json"
     simulate_time_lapse(
-        CONFIG, changed, SEED, FRAME, reach.path, MOUNTS, tmp_path / "images", points,
-        out_poses=tmp_path / "poses.parquet", out_truth=truth, only=[],
-    )  # fmt: skip
+        CONFIG,
+        changed,
+        SEED,
+        FRAME,
+        reach.path,
+        MOUNTS,
+        tmp_path / "images",
+        points,
+        out_poses=tmp_path / "poses.parquet",
+        out_truth=truth,
+        only=[],
+    )
     table, facts = pd.read_csv(points), json.loads(truth.read_text())
     moved = np.flatnonzero(table["id"] != usual["id"])
     assert len(moved) == 2

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from tests.lab.time_lapse.conftest import Reach
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayB, ArrayF, ArrayU8
-from thalweg.ingest.photos.stamps import read_image_stamps
+from thalweg.core import ArrayB, ArrayF, ArrayU8, GeometryError
+from thalweg.ingest.photos import read_image_stamps
 from thalweg_lab.time_lapse.record import TimeLapse
-from thalweg_lab.voyage.motion import start_gps_s
+from thalweg_lab.voyage import start_gps_s
 
 FIRST = 5
 """An image of the tests."""

@@ -2,15 +2,14 @@
 
 import numpy as np
 
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg_lab.base.random import generator
-from thalweg_lab.studies.prior_study_calibration import OBJECT, grid_object, line_points
+from thalweg.lightsheet.optics import Sensor
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.studies.prior_study import OBJECT, grid_object, line_points
 
 __all__ = ["OBJECT", "THREE", "grid_object", "line_points", "off_start", "without_sigmas"]
 
 THREE = OBJECT.replace(
-    "  - {name: plate",
-    "  - {name: middle, pattern: grid, depth_mm: 105.0, sigma_mm: 0.05}\n  - {name: plate",
+    "  - {name: plate", "  - {name: middle, pattern: grid, depth_mm: 105.0, sigma_mm: 0.05}\n  - {name: plate"
 )
 """A third level under every other gap."""
 

@@ -3,11 +3,9 @@
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.lightsheet.calibration.calibrate_sheet import calibrate_sheet
-from thalweg.lightsheet.calibration.grid import parse_grid
-from thalweg.lightsheet.calibration.settings import CalibrationSettings
-from thalweg.lightsheet.optics.sensor import paper_4
+from thalweg.core import GeometryError
+from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet, parse_grid
+from thalweg.lightsheet.optics import paper_4
 
 SETTINGS = CalibrationSettings(least_gap_px=6.0)
 

@@ -6,11 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.calibration.field.points import FieldPoints
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import rotation_opk
-from thalweg.lightsheet.lens.camera_marks import camera_over_window
-from thalweg.lightsheet.optics.sensor import CAMERA, LENS, paper_4
+from thalweg.calibration.field import FieldPoints
+from thalweg.core import GeometryError, rotation_opk
+from thalweg.lightsheet.calibration.camera_over_window import camera_over_window
+from thalweg.lightsheet.optics import CAMERA, LENS, paper_4
 
 R_PCS_LCS = rotation_opk(0.4, -0.2, 1.1)
 SHIFT_PCS_M = np.array([0.3, -0.1, 0.7])

@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
+from thalweg.core import GeometryError, InputError
+from thalweg.lightsheet.calibration import CalibrationSettings, fit_sheet, parse_grid
 from thalweg.lightsheet.calibration.correspondence import (
     END,
     FLAGGED,
@@ -18,10 +19,7 @@ from thalweg.lightsheet.calibration.correspondence import (
     correspond,
     levels_of_points,
 )
-from thalweg.lightsheet.calibration.grid import parse_grid
-from thalweg.lightsheet.calibration.settings import CalibrationSettings
-from thalweg.lightsheet.calibration.sheet_calibration import fit_sheet
-from thalweg.lightsheet.optics.sensor import paper_4
+from thalweg.lightsheet.optics import paper_4
 
 SETTINGS = CalibrationSettings(least_gap_px=6.0)
 

@@ -3,20 +3,15 @@
 import numpy as np
 import pytest
 
-from thalweg.core.frames import rotation_opk
-from thalweg.lightsheet.calibration.calibrate_sheet import calibrate_sheet
-from thalweg.lightsheet.calibration.grid import parse_grid
-from thalweg.lightsheet.calibration.settings import CalibrationSettings
-from thalweg.lightsheet.lines.detect import detect_lines
-from thalweg.lightsheet.lines.settings import LineFlag, LineSettings
-from thalweg.lightsheet.optics.light_path import sheet_in_water
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg.settings.twin.light_sheet import SheetImage
-from thalweg_lab.base.random import generator
+from thalweg.core import rotation_opk
+from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet, parse_grid
+from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines
+from thalweg.lightsheet.optics import paper_4, sheet_in_water
+from thalweg.settings.twin import SheetImage
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank import Posed, render_sheet_image
 from thalweg_lab.tank.objects import GridPattern, grid_object
 from thalweg_lab.tank.record import grid_text
-from thalweg_lab.tank.render import render_sheet_image
-from thalweg_lab.tank.surfaces import Posed
 
 
 @pytest.mark.parametrize("levels_mm", [(0.0, -90.0), (0.0, -45.0, -90.0)], ids=["two levels", "three levels"])

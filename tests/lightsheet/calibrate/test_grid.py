@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import ConfigError, GeometryError
-from thalweg.lightsheet.calibration.grid import parse_grid, read_grid
+from thalweg.core import ConfigError, GeometryError
+from thalweg.lightsheet.calibration import parse_grid, read_grid
 
 
 def test_the_description_holds_levels_and_gaps(lines, tmp_path):
@@ -46,9 +46,14 @@ lid: 3
     told = str(error.value)
     assert "8 mistakes" not in told or told.count("\n") == 8
     for line, word in (
-        (1, "thalweg_grid"), (4, "pattern"), (4, "depth_mm"), (5, "sigma_mm"), (7, "whole number"),
-        (8, "gaps_mm"), (9, "lid"),
-    ):  # fmt: skip
+        (1, "thalweg_grid"),
+        (4, "pattern"),
+        (4, "depth_mm"),
+        (5, "sigma_mm"),
+        (7, "whole number"),
+        (8, "gaps_mm"),
+        (9, "lid"),
+    ):
         assert any(f"line {line}:" in row and word in row for row in told.splitlines()), (line, word, told)
 
 

@@ -11,27 +11,14 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration.field.description import FieldDescription, parse_field
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.lightsheet.budget.budget import budget_on_lines, budget_table, point_budget
-from thalweg.lightsheet.lens.lens import (
-    LARGEST_SIGMA,
-    NAME,
-    LensCalibration,
-    calibrate_lens,
-    predicted,
-    with_lens,
-)
-from thalweg.lightsheet.lens.report import lens_report
-from thalweg.lightsheet.optics.sensor import LENS, WINDOW, paper_4
-from thalweg_lab.tank.camera_field import (
-    build_marker_field,
-    field_text,
-    observe_field,
-    stations,
-)
+from thalweg.calibration.field import FieldDescription, parse_field
+from thalweg.core import Camera, GeometryError, LocalFrame
+from thalweg.lightsheet.budget import budget_on_lines, budget_table
+from thalweg.lightsheet.budget.budget import point_budget
+from thalweg.lightsheet.calibration import NAME, calibrate_lens, lens_report, with_lens
+from thalweg.lightsheet.calibration.lens import LARGEST_SIGMA, LensCalibration, predicted
+from thalweg.lightsheet.optics import LENS, WINDOW, paper_4
+from thalweg_lab.tank.camera_field import build_marker_field, field_text, observe_field, stations
 
 FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
 DESIGN = paper_4().camera.scaled((1024, 1024))

@@ -2,7 +2,8 @@
 
 import pytest
 
-from thalweg.core.adjustment.normal_equations import UnobservableError
+from thalweg.core import UnobservableError
+from thalweg.lightsheet.calibration import CalibrationSettings, fit_sheet
 from thalweg.lightsheet.calibration.rank import (
     ABOUT_NORMAL,
     ALONG_X,
@@ -11,9 +12,7 @@ from thalweg.lightsheet.calibration.rank import (
     FreeDirectionError,
     estimable_laser,
 )
-from thalweg.lightsheet.calibration.settings import CalibrationSettings
-from thalweg.lightsheet.calibration.sheet_calibration import fit_sheet
-from thalweg.lightsheet.optics.sensor import PARAMETERS, paper_3, paper_4
+from thalweg.lightsheet.optics import PARAMETERS, paper_3, paper_4
 
 SIX = PARAMETERS[15:21]
 CAMERA = PARAMETERS[:6]
@@ -51,8 +50,11 @@ def test_the_nine_unknowns_of_paper_3_leave_the_turn_about_the_normal(lines):
     assert direction.motion == ABOUT_NORMAL
     # study, section 4: Yc, wc, kl, kc take part
     assert set(list(direction.change)[:4]) == {
-        "camera_y_mm", "camera_kappa_rad", "laser_kappa_rad", "camera_omega_rad"
-    }  # fmt: skip
+        "camera_y_mm",
+        "camera_kappa_rad",
+        "laser_kappa_rad",
+        "camera_omega_rad",
+    }
     assert direction.singular_value < 1e-9
 
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.core.calibration.model import Source
-from thalweg.core.json_files import read_marked
-from thalweg.lightsheet.calibration.calibrate_sheet import calibrate_sheet
+from thalweg.core import read_marked
+from thalweg.core.calibration import Source
+from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet
 from thalweg.lightsheet.calibration.report import (
     KIND,
     VERSION,
@@ -19,9 +19,7 @@ from thalweg.lightsheet.calibration.report import (
     strong_correlations,
     write_calibrated,
 )
-from thalweg.lightsheet.calibration.settings import CalibrationSettings
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg.lightsheet.optics.sensor_files import read_sensor
+from thalweg.lightsheet.optics import paper_4, read_sensor
 
 SOURCE = Source(run="bench", method="grid calibration", twin=True)
 
@@ -31,9 +29,11 @@ def found(lines):
     points = lines.line_points(paper_4(), lines.grid_object(), 6, every=3)
     points.loc[10, "x_px"] += 1.8  # one blunder that the level still takes in
     return calibrate_sheet(
-        lines.off_start(paper_4(), 6), points, lines.grid_object(),
+        lines.off_start(paper_4(), 6),
+        points,
+        lines.grid_object(),
         CalibrationSettings(least_gap_px=6.0, jointly=("levels",)),
-    )  # fmt: skip
+    )
 
 
 def test_the_tables_hold_every_parameter_point_and_pair(found):

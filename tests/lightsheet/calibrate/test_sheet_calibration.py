@@ -6,24 +6,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.lightsheet.calibration.calibrate_sheet import calibrate_sheet
-from thalweg.lightsheet.calibration.consider import depth_sigmas
-from thalweg.lightsheet.calibration.model import LINE, PAIRS, sheet_values
-from thalweg.lightsheet.calibration.published import (
+from thalweg.lightsheet.calibration import (
     PAPER_3,
     PAPER_4,
+    CalibrationSettings,
+    calibrate_sheet,
+    fit_sheet,
     paper_3_sigmas,
     paper_3_table,
-    paper_4_sigmas,
     verdicts,
 )
-from thalweg.lightsheet.calibration.settings import CalibrationSettings
-from thalweg.lightsheet.calibration.sheet_calibration import beforehand, fit_sheet
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.light_path import sheet_in_water
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import PARAMETERS, paper_3, paper_4
-from thalweg_lab.base.random import generator
+from thalweg.lightsheet.calibration.model import LINE, PAIRS, depth_sigmas, sheet_values
+from thalweg.lightsheet.calibration.report import paper_4_sigmas
+from thalweg.lightsheet.calibration.sheet_calibration import beforehand
+from thalweg.lightsheet.optics import PARAMETERS, intersect, paper_3, paper_4, project, sheet_in_water
+from thalweg_lab.random_numbers import generator
 
 SETTINGS = CalibrationSettings(least_gap_px=6.0)
 PLAIN = replace(SETTINGS, rescale=False)
@@ -220,12 +217,15 @@ def test_sigmas_of_depth_against_calibrations_with_other_nuisances(lines):
             continue
         step = np.sqrt(value) * vector
         levels = tuple(
-            replace(level, depth_mm=level.depth_mm + step[26 + k]) for k, level in enumerate(grid.levels)
+            level.model_copy(update={"depth_mm": level.depth_mm + step[26 + k]})
+            for k, level in enumerate(grid.levels)
         )
         moved = fit_sheet(
-            truth.with_vector(truth.vector() + step[:26]), points.assign(sigma_px=0.15),
-            replace(grid, levels=levels), PLAIN,
-        )  # fmt: skip
+            truth.with_vector(truth.vector() + step[:26]),
+            points.assign(sigma_px=0.15),
+            replace(grid, levels=levels),
+            PLAIN,
+        )
         squares += np.square(intersect(moved.sensor, xy).depth_mm - reference)
     values, by_parameters, _, good = sheet_values(found.sensor, xy)
     assert good.all()
@@ -251,7 +251,7 @@ def test_sigmas_of_depth_against_random_nuisances(lines):
         points = lines.line_points(truth, grid, seed, every=4)
         step = rng.multivariate_normal(np.zeros(26), _prior_of(truth), method="svd")
         levels = tuple(
-            replace(level, depth_mm=level.depth_mm + level.sigma_mm * rng.standard_normal())
+            level.model_copy(update={"depth_mm": level.depth_mm + level.sigma_mm * rng.standard_normal()})
             for level in grid.levels
         )
         fit = fit_sheet(truth.with_vector(truth.vector() + step), points, replace(grid, levels=levels), PLAIN)
@@ -291,9 +291,12 @@ def test_published_sigmas_of_paper_3(lines):
     points = lines.line_points(sensor, grid, 3, axis=1, along=1, every=12, sigma_px=0.7 * np.sqrt(390 / 152))
     pair_px = 5.0 * np.sqrt(18 / 8)
     settings = replace(
-        PLAIN, least_gap_px=24.0, least_points=3, sigma_edge_px=np.sqrt(pair_px**2 - 12.0**2 / 12),
+        PLAIN,
+        least_gap_px=24.0,
+        least_points=3,
+        sigma_edge_px=np.sqrt(pair_px**2 - 12.0**2 / 12),
         estimate=("laser_z_mm", "laser_phi_rad", *PARAMETERS[:6]),
-    )  # fmt: skip
+    )
     found = fit_sheet(sensor, points, grid, settings)
     np.testing.assert_allclose(
         paper_3_table(sensor.vector()),

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from thalweg.core.types import AnyArray, ArrayF
-from thalweg.lightsheet.lines.points import LinePoints
-from thalweg_lab.base.random import generator
+from thalweg.core import AnyArray, ArrayF
+from thalweg.lightsheet.lines import LinePoints
+from thalweg_lab.random_numbers import generator
 from thalweg_lab.tank.speckle import GreyValues, SpeckleOptics, grey_values, line_intensity
 
 BORDER = 12

@@ -5,12 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from thalweg.core.errors import ConfigError, InputError
-from thalweg.core.types import AnyArray
-from thalweg.lightsheet.lines.detect import detect_lines
-from thalweg.lightsheet.lines.green import green_image
-from thalweg.lightsheet.lines.settings import LineSettings
-from thalweg_lab.base.random import generator
+from thalweg.core import AnyArray, ConfigError, InputError
+from thalweg.lightsheet.lines import LineSettings, detect_lines, green_image
+from thalweg_lab.random_numbers import generator
 from thalweg_lab.tank.speckle import GreyValues, grey_values, laser_mosaic, mean_line_intensity
 
 
@@ -52,11 +49,19 @@ def test_each_bad_image_says_what_is_wrong(image: AnyArray, settings: dict[str, 
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"method": "magic"}, {"layout": "bayer"}, {"across": "both"}, {"patch_rows": 4}, {"largest_rows": 0},
-        {"lines": 0}, {"half_width_px": -1.0}, {"albedo_ratio": 1.0}, {"link_gap_rows": -1},
-        {"method": "steger", "direction": "normal"}, {"largest_saturated_share": float("nan")},
+        {"method": "magic"},
+        {"layout": "bayer"},
+        {"across": "both"},
+        {"patch_rows": 4},
+        {"largest_rows": 0},
+        {"lines": 0},
+        {"half_width_px": -1.0},
+        {"albedo_ratio": 1.0},
+        {"link_gap_rows": -1},
+        {"method": "steger", "direction": "normal"},
+        {"largest_saturated_share": float("nan")},
     ],
-)  # fmt: skip
+)
 def test_settings_without_a_meaning_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match="expected"):
         LineSettings(**wrong)  # type: ignore[arg-type]

@@ -3,20 +3,13 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.core.types import AnyArray, ArrayF
-from thalweg.lightsheet.lines.detect import detect_lines
-from thalweg.lightsheet.lines.green import green_image
-from thalweg.lightsheet.lines.settings import LineSettings
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg.settings.twin.light_sheet import SheetImage
-from thalweg_lab.base.random import generator
-from thalweg_lab.tank.line import line_on
-from thalweg_lab.tank.plan import scan_plan
-from thalweg_lab.tank.render import render_sheet_image
+from thalweg.core import AnyArray, ArrayF, InputError
+from thalweg.lightsheet.lines import LineSettings, detect_lines, green_image
+from thalweg.lightsheet.optics import paper_4
+from thalweg.settings.twin import SheetImage
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank import line_on, render_sheet_image, scan_plan, sized, wreck
 from thalweg_lab.tank.speckle import GreyValues, grey_values, laser_mosaic, mean_line_intensity
-from thalweg_lab.tank.truth_sensor import sized
-from thalweg_lab.tank.wreck import wreck
 
 ROWS, WIDTH = 120, 160
 LASER_PX, STRIP_PX = 110.3, 40.0

@@ -7,17 +7,10 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import curve_fit
 
-from thalweg.core.types import ArrayF
-from thalweg.lightsheet.lines.detect import detect_lines
-from thalweg.lightsheet.lines.settings import LineFlag, LineSettings
-from thalweg_lab.base.random import generator
-from thalweg_lab.tank.speckle import (
-    GreyValues,
-    SpeckleOptics,
-    grey_values,
-    laser_mosaic,
-    mean_line_intensity,
-)
+from thalweg.core import ArrayF
+from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank.speckle import GreyValues, SpeckleOptics, grey_values, laser_mosaic, mean_line_intensity
 
 if TYPE_CHECKING:
     from conftest import Maker
@@ -121,10 +114,17 @@ def test_the_default_is_never_worse_than_the_row_fit(
 @pytest.mark.parametrize("turned", [False, True], ids=["rows", "columns"])
 @pytest.mark.parametrize(
     "settings",
-    [ROW, LineSettings(method="row_gauss", direction="normal"), LineSettings(method="lsm", shear=True),
-     LineSettings(method="steger"), FIXED, LineSettings(), LineSettings(direction="normal")],
+    [
+        ROW,
+        LineSettings(method="row_gauss", direction="normal"),
+        LineSettings(method="lsm", shear=True),
+        LineSettings(method="steger"),
+        FIXED,
+        LineSettings(),
+        LineSettings(direction="normal"),
+    ],
     ids=["row", "row normal", "lsm", "steger", "fixed", "default", "normal"],
-)  # fmt: skip
+)
 @pytest.mark.parametrize(("slope", "bend"), [(0.0, 0.0), (0.3, 0.0), (0.6, 2e-4)])
 def test_no_bias_without_noise(settings: LineSettings, slope: float, bend: float, turned: bool) -> None:
     """Corner origin, rows and columns alike; half a pixel or half a sample of a renderer would show."""

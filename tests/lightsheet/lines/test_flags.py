@@ -5,19 +5,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from thalweg.core.tables import read_table, write_table
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, read_table, write_table
+from thalweg.lightsheet.lines import LINE_POINTS, LineFlag, LinePoints, LineSettings, detect_lines
 from thalweg.lightsheet.lines.albedo import albedo_edges, remove_width_shift
-from thalweg.lightsheet.lines.detect import detect_lines, heights, patch_heights
-from thalweg.lightsheet.lines.points import LINE_POINTS, LinePoints
-from thalweg.lightsheet.lines.settings import LineFlag, LineSettings
-from thalweg_lab.base.random import generator
-from thalweg_lab.tank.speckle import (
-    GreyValues,
-    grey_values,
-    mean_line_intensity,
-    one_sided_halo,
-)
+from thalweg.lightsheet.lines.detect import heights, patch_heights
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank.speckle import GreyValues, grey_values, mean_line_intensity, one_sided_halo
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,9 +43,14 @@ def bimodal_px(points: LinePoints, centre_px: ArrayF) -> float:
 def test_a_halo_on_white_markers_shifts_and_is_taken_out(picture: "Maker", seed: int) -> None:
     """P4 7.2, Fig. 16: over-exposed markers pull the line to one side, the distances become bi-modal."""
     made = picture(
-        80 + 0.02 * (ROWS - 512), seed=seed, width=160, half_width_px=4.0, peak_dn=40.0, brightness=MARKERS,
+        80 + 0.02 * (ROWS - 512),
+        seed=seed,
+        width=160,
+        half_width_px=4.0,
+        peak_dn=40.0,
+        brightness=MARKERS,
         change=lambda light: one_sided_halo(light, share=0.1, length_px=6.0),
-    )  # fmt: skip
+    )
     raw = detect_lines(made.image, LineSettings(correct_albedo=False))
     corrected = detect_lines(made.image)
     # 0.7 px as it is; the patches' scatter leaves 0.02 px to the difference of the medians

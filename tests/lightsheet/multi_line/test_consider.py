@@ -5,18 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.lightsheet.multi_line.adjustment import calibrate_lines, level_depths
-from thalweg.lightsheet.multi_line.comparison import compare_models, consider_sensor, depth_errors
-from thalweg.lightsheet.multi_line.models import line_model
-from thalweg.lightsheet.optics.sensor import PARAMETERS, paper_4
-from thalweg_lab.studies.calibrated_sensor import calibrated_sensor
-from thalweg_lab.studies.multi_line import LEVELS_MM, PAIRED, PLANES_MM, nominal_diode
-from thalweg_lab.tank.grating import GratingErrors, calibration_points, make_grating
+from thalweg.lightsheet.multi_line import calibrate_lines, compare_models, line_model
+from thalweg.lightsheet.multi_line.adjustment import level_depths
+from thalweg.lightsheet.multi_line.comparison import consider_sensor, depth_errors
+from thalweg.lightsheet.optics import PARAMETERS, paper_4
+from thalweg_lab.studies.laser_lines import LEVELS_MM, PAIRED, PLANES_MM, calibrated_sensor, nominal_diode
+from thalweg_lab.tank import GratingErrors, calibration_points, make_grating
 
 IDEAL = GratingErrors(
-    tilt_deg=(0.0, 0.0), grooves_deg=0.0, cover_mm=0.0, sigma_spacing_deg=0.0, sigma_rotation_deg=0.0,
-    sigma_origin_mm=(0.0, 0.0, 0.0), sigma_bow=0.0,
-)  # fmt: skip
+    tilt_deg=(0.0, 0.0),
+    grooves_deg=0.0,
+    cover_mm=0.0,
+    sigma_spacing_deg=0.0,
+    sigma_rotation_deg=0.0,
+    sigma_origin_mm=(0.0, 0.0, 0.0),
+    sigma_bow=0.0,
+)
 """The diode describes it exactly."""
 
 
@@ -29,7 +33,7 @@ def quiet():
         replace(
             calibration_points(
                 sensor, grating, levels, 1, points_per_line=15, sigma_px=1e-9, sigma_along_px=1e-9, **own
-            ),
+            )
         )
         for levels, own in ((LEVELS_MM, {}), ((100.0,), {"pairs_per_line": 0}))
     )

@@ -5,27 +5,36 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.lightsheet.multi_line.detections import Detections, LabelSettings, hypotheses
-from thalweg.lightsheet.multi_line.label_kernels import link_rows, row_marginals
-from thalweg.lightsheet.multi_line.labels import depth_evidence, label_image
-from thalweg.lightsheet.multi_line.scan_labels import Flag, label_scan
-from thalweg.lightsheet.multi_line.single_image import label_single_image, spacing_irregularity
-from thalweg.lightsheet.multi_line.surface_map import (
+from thalweg.core import GeometryError
+from thalweg.lightsheet.multi_line import (
+    Detections,
+    Flag,
+    LabelSettings,
+    MapSettings,
+    hypotheses,
+    label_scan,
+    label_single_image,
+    label_table,
+    line_table,
+)
+from thalweg.lightsheet.multi_line.labels import (
     CONTRADICTED,
     IMPOSSIBLE,
     SUPPORTED,
     UNKNOWN,
-    MapSettings,
     SurfaceMap,
+    depth_evidence,
+    label_image,
+    link_rows,
+    row_marginals,
 )
-from thalweg.lightsheet.multi_line.tables import label_table, line_table
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg_lab.studies.calibrated_sensor import calibrated_sensor
-from thalweg_lab.studies.line_labels import (
+from thalweg.lightsheet.multi_line.scan_labels import spacing_irregularity
+from thalweg.lightsheet.optics import intersect
+from thalweg_lab.studies.laser_lines import (
     MAP,
     Setting,
     calibrated_lines,
+    calibrated_sensor,
     label_counts,
     make_scene,
     observe,

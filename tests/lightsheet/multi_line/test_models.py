@@ -5,16 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.core.adjustment.solve import UnobservableError
-from thalweg.core.errors import GeometryError
-from thalweg.lightsheet.multi_line import comparison
-from thalweg.lightsheet.multi_line.adjustment import calibrate_lines, level_depths
-from thalweg.lightsheet.multi_line.comparison import compare_models, cross_validate, nested_tests
-from thalweg.lightsheet.multi_line.level_points import LevelPoints, on_levels
-from thalweg.lightsheet.multi_line.models import KINDS, NominalDiode, line_model
-from thalweg.lightsheet.multi_line.sheet_curves import line_residuals
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg_lab.tank.grating import GratingErrors, calibration_points, make_grating
+from thalweg.core import GeometryError, UnobservableError
+from thalweg.lightsheet.multi_line import (
+    KINDS,
+    LevelPoints,
+    NominalDiode,
+    calibrate_lines,
+    compare_models,
+    comparison,
+    line_model,
+    nested_tests,
+)
+from thalweg.lightsheet.multi_line.adjustment import level_depths
+from thalweg.lightsheet.multi_line.comparison import cross_validate
+from thalweg.lightsheet.multi_line.level_points import on_levels
+from thalweg.lightsheet.multi_line.models import line_residuals
+from thalweg.lightsheet.optics import paper_4
+from thalweg_lab.tank import GratingErrors, calibration_points, make_grating
 
 SENSOR = paper_4()
 LINES = np.arange(15)

@@ -8,28 +8,26 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.calibration.field.points import FieldPoints
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
-from thalweg.lightsheet.lines.points import LinePoints
-from thalweg.lightsheet.optics.sensor import Sensor, paper_4
-from thalweg.lightsheet.poses.panel_poses import panel_poses
-from thalweg.lightsheet.poses.poses import SensorPoses
-from thalweg.lightsheet.scanning.cloud import ScanCloud, merge
-from thalweg.lightsheet.scanning.profile import Profile, profile
-from thalweg_lab.base.random import generator
-from thalweg_lab.tank.line import line_on
-from thalweg_lab.tank.plan import Plan, scan_plan
-from thalweg_lab.tank.six_dof import (
+from thalweg.calibration.field import FieldPoints
+from thalweg.core import ArrayF, Rigid
+from thalweg.lightsheet.lines import LinePoints
+from thalweg.lightsheet.optics import Sensor, paper_4
+from thalweg.lightsheet.poses import SensorPoses, panel_poses
+from thalweg.lightsheet.scanning import ScanCloud, merge, profile
+from thalweg.lightsheet.scanning.profile import Profile
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank import (
     SIGMA_MARK_MM,
     SIGMA_PX,
-    Panel,
-    Tripod,
+    Plan,
+    Surface,
     build_panel,
+    line_on,
     observe,
+    scan_plan,
     set_up,
 )
-from thalweg_lab.tank.surfaces import Surface
+from thalweg_lab.tank.motion import Panel, Tripod
 
 NOISE_PX = 0.15
 
@@ -56,10 +54,20 @@ def line_points(
     n = len(xy_px)
     whole = np.zeros(n, dtype=np.int64)
     return LinePoints(
-        line=whole, piece=whole, x_px=xy_px[:, 0], y_px=xy_px[:, 1], sigma_px=np.full(n, sigma_px),
-        angle_rad=np.full(n, angle_rad), peak_dn=np.full(n, 120.0), width_px=np.full(n, 5.0),
-        background_dn=np.zeros(n), rows=np.full(n, rows), flags=whole, counts={"points": n}, facts={},
-    )  # fmt: skip
+        line=whole,
+        piece=whole,
+        x_px=xy_px[:, 0],
+        y_px=xy_px[:, 1],
+        sigma_px=np.full(n, sigma_px),
+        angle_rad=np.full(n, angle_rad),
+        peak_dn=np.full(n, 120.0),
+        width_px=np.full(n, 5.0),
+        background_dn=np.zeros(n),
+        rows=np.full(n, rows),
+        flags=whole,
+        counts={"points": n},
+        facts={},
+    )
 
 
 @dataclass(frozen=True)
@@ -88,15 +96,23 @@ def panel_points(panel: Panel) -> FieldPoints:
     """The panel as measured, metres."""
     n = len(panel.marker)
     return FieldPoints(
-        points=tuple((int(m), 0) for m in panel.marker), points_pcs=panel.measured_lcs_mm * 1e-3,
+        points=tuple((int(m), 0) for m in panel.marker),
+        points_pcs=panel.measured_lcs_mm * 1e-3,
         cov=np.eye(3 * n) * (SIGMA_MARK_MM * 1e-3) ** 2,
-    )  # fmt: skip
+    )
 
 
 def simulate(
-    sensor: Sensor, surface: Surface, seed: int, *, lines: int = 8, step_mm: float = 4.0, beams: int = 160,
-    noise_px: float = NOISE_PX, processing: Sensor | None = None,
-) -> Scan:  # fmt: skip
+    sensor: Sensor,
+    surface: Surface,
+    seed: int,
+    *,
+    lines: int = 8,
+    step_mm: float = 4.0,
+    beams: int = 160,
+    noise_px: float = NOISE_PX,
+    processing: Sensor | None = None,
+) -> Scan:
     """A scan without images: places of the visible line with noise along the rows."""
     plan = scan_plan(sensor, seed, surface, lines=lines, step_mm=step_mm)
     rng = generator(seed, "test line noise")
@@ -114,10 +130,16 @@ def simulate(
     panel = build_panel(seed)
     tripod = set_up(plan.path, panel)
     seen = observe(seed, tripod, panel, plan.path, name=f"test {surface.name}")
-    marks = pd.DataFrame({
-        "file": [f"sheet_{k:03d}.png" for k in seen.image], "marker": seen.marker, "corner": 0,
-        "x_px": seen.xy_px[:, 0], "y_px": seen.xy_px[:, 1], "sigma_px": SIGMA_PX,
-    })  # fmt: skip
+    marks = pd.DataFrame(
+        {
+            "file": [f"sheet_{k:03d}.png" for k in seen.image],
+            "marker": seen.marker,
+            "corner": 0,
+            "x_px": seen.xy_px[:, 0],
+            "y_px": seen.xy_px[:, 1],
+            "sigma_px": SIGMA_PX,
+        }
+    )
     poses = panel_poses(tripod.camera, panel_points(panel), marks, [p.image for p in profiles])
     return Scan(plan, panel, tripod, marks, profiles, poses, merge(profiles, poses))
 

@@ -9,17 +9,12 @@ import numpy as np
 import pandas as pd
 from tests.lightsheet.basin import run
 
-from thalweg.core.calibration.model import Source
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.geometry.mesh_ply import write_mesh
-from thalweg.core.tables import frame_of, write_table
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.optics.sensor_files import write_sensor
-from thalweg.lightsheet.poses.files import write_poses
-from thalweg.lightsheet.poses.poses import SensorPoses
-from thalweg.lightsheet.poses.series import SERIES_POINTS
-from thalweg_lab.tank.scan_series import picked_pairs
+from thalweg.core import LocalFrame, frame_of, write_table
+from thalweg.core.calibration import Source
+from thalweg.core.geometry import TriangleMesh, write_mesh
+from thalweg.lightsheet.optics import Sensor, write_sensor
+from thalweg.lightsheet.poses import SERIES_POINTS, SensorPoses, write_poses
+from thalweg_lab.tank.series import picked_pairs
 
 FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
 
@@ -29,11 +24,22 @@ def pixel_table(pixels: dict[str, np.ndarray], sigma_px: float) -> pd.DataFrame:
     names = np.repeat(list(pixels), [len(xy) for xy in pixels.values()])
     xy = np.concatenate(list(pixels.values()))
     n = len(xy)
-    return pd.DataFrame({
-        "file": names.astype(object), "line": np.zeros(n, np.int32), "piece": np.zeros(n, np.int32),
-        "x_px": xy[:, 0], "y_px": xy[:, 1], "sigma_px": sigma_px, "angle_rad": 0.0, "peak_dn": 120.0,
-        "width_px": 5.0, "background_dn": 0.0, "rows": np.ones(n, np.int32), "flags": np.zeros(n, np.uint8),
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "file": names.astype(object),
+            "line": np.zeros(n, np.int32),
+            "piece": np.zeros(n, np.int32),
+            "x_px": xy[:, 0],
+            "y_px": xy[:, 1],
+            "sigma_px": sigma_px,
+            "angle_rad": 0.0,
+            "peak_dn": 120.0,
+            "width_px": 5.0,
+            "background_dn": 0.0,
+            "rows": np.ones(n, np.int32),
+            "flags": np.zeros(n, np.uint8),
+        }
+    )
 
 
 def write_points(path: Path, table: pd.DataFrame) -> Path:
@@ -67,10 +73,18 @@ class ScanFiles:
         """Facts of `compare_scan`."""
         f = self.folder
         run(
-            "compare_scan", f, sensor=f / "sensor.yaml", line_points=f / "points.parquet",
-            poses=f / "poses.npz", reference=f / "reference.ply", pairs=f / "pairs.csv",
-            distances=f / "distances.parquet", facts=f / "facts.json", scanned="other", levels_mm=levels_mm,
-        )  # fmt: skip
+            "compare_scan",
+            f,
+            sensor=f / "sensor.yaml",
+            line_points=f / "points.parquet",
+            poses=f / "poses.npz",
+            reference=f / "reference.ply",
+            pairs=f / "pairs.csv",
+            distances=f / "distances.parquet",
+            facts=f / "facts.json",
+            scanned="other",
+            levels_mm=levels_mm,
+        )
         return dict(json.loads((f / "facts.json").read_text()))
 
 

@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.rigid import Rigid
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.scanning import compare
-from thalweg.lightsheet.scanning.cloud import merge
+from thalweg.core import GeometryError, InputError, Rigid
+from thalweg.lightsheet.optics import Sensor
+from thalweg.lightsheet.scanning import compare, merge
+from thalweg.lightsheet.scanning.distances import TABLE_3
 from thalweg.lightsheet.scanning.levels import STEP_HEIGHTS_MM
-from thalweg.lightsheet.scanning.outliers import TABLE_3
-from thalweg.surface.cloud_to_mesh import Surface
-from thalweg_lab.tank.objects import stepped_object
-from thalweg_lab.tank.scan_series import picked_pairs, reference_mesh
+from thalweg.surface import Surface
+from thalweg_lab.tank import stepped_object
+from thalweg_lab.tank.series import picked_pairs, reference_mesh
 
 Simulate = Callable[..., Any]
 LINES = 7

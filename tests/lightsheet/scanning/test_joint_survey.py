@@ -3,19 +3,10 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg.lightsheet.scanning.joint_survey import (
-    ECHO,
-    ECHO_LEAST_M,
-    LASER,
-    LASER_M,
-    Section,
-    SurveyPlan,
-    joint_survey,
-    small_river,
-    swath,
-)
+from thalweg.core import GeometryError
+from thalweg.lightsheet.optics import paper_4
+from thalweg.lightsheet.scanning import LASER_M, SurveyPlan, joint_survey, small_river, swath
+from thalweg.lightsheet.scanning.joint_survey import ECHO, ECHO_LEAST_M, LASER, Section
 
 V = Section(across_m=np.array([0.0, 2.0, 4.0]), depth_m=np.array([0.0, 1.0, 0.0]))
 """A V-shaped river 4 m wide and 1 m deep: shares and gaps can be said by hand."""

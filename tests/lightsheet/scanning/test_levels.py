@@ -3,23 +3,15 @@
 import numpy as np
 import pytest
 
-from thalweg.core.adjustment.solve import UnobservableError
-from thalweg.core.errors import GeometryError
-from thalweg.lightsheet.lines.detect import detect_lines
-from thalweg.lightsheet.lines.settings import LineFlag, LineSettings
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg.lightsheet.poses.poses import SensorPoses
-from thalweg.lightsheet.scanning.bimodality import bimodality
-from thalweg.lightsheet.scanning.cloud import ScanCloud, merge
-from thalweg.lightsheet.scanning.levels import STEP_HEIGHTS_MM, Levels, fit_levels
-from thalweg.lightsheet.scanning.outliers import filtered
-from thalweg.lightsheet.scanning.profile import profile
-from thalweg.settings.twin.light_sheet import SheetImage
-from thalweg_lab.base.random import generator
-from thalweg_lab.tank.objects import stepped_object
-from thalweg_lab.tank.plan import scan_plan
-from thalweg_lab.tank.render import render_sheet_image
-from thalweg_lab.tank.truth_sensor import sized
+from thalweg.core import GeometryError, UnobservableError
+from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines
+from thalweg.lightsheet.optics import paper_4
+from thalweg.lightsheet.poses import SensorPoses
+from thalweg.lightsheet.scanning import ScanCloud, bimodality, filtered, fit_levels, merge, profile
+from thalweg.lightsheet.scanning.levels import STEP_HEIGHTS_MM, Levels
+from thalweg.settings.twin import SheetImage
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank import render_sheet_image, scan_plan, sized, stepped_object
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -92,10 +84,16 @@ def scanned(halo: float) -> tuple[ScanCloud, Levels]:
     ]
     path = plan.path
     poses = SensorPoses(
-        images=("i0", "i3"), R_target_lcs=path.R_obj_lcs[[0, 3]],
-        shift_m=path.shift_obj_mm[[0, 3]] * 1e-3, cov=np.zeros((2, 6, 6)), shared=np.zeros((2, 6, 0)),
-        reasons=("",) * 2, t_gps_s=np.full(2, np.nan), target="object", source="truth",
-    )  # fmt: skip
+        images=("i0", "i3"),
+        R_target_lcs=path.R_obj_lcs[[0, 3]],
+        shift_m=path.shift_obj_mm[[0, 3]] * 1e-3,
+        cov=np.zeros((2, 6, 6)),
+        shared=np.zeros((2, 6, 0)),
+        reasons=("",) * 2,
+        t_gps_s=np.full(2, np.nan),
+        target="object",
+        source="truth",
+    )
     cloud = merge(found, poses)
     return cloud, fit_levels(cloud.xyz_m * 1e3, UP)
 
@@ -108,9 +106,8 @@ def test_markers_pull_the_line_and_a_rule_hides_it() -> None:
         on = found.used
         bright = (cloud.flags[on] & LineFlag.SATURATED) != 0
         shift[halo] = bimodality(
-            found.distance_mm[on], cloud.peak_dn[on], bright=bright,
-            independent_share=cloud.independent_share,
-        )  # fmt: skip
+            found.distance_mm[on], cloud.peak_dn[on], bright=bright, independent_share=cloud.independent_share
+        )
         assert found.plane_height_mm == pytest.approx(STEP_HEIGHTS_MM, abs=0.25)
     assert shift[0.3].by_brightness
     assert not shift[0.0].by_brightness

@@ -3,18 +3,16 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.lightsheet.lines.detect import detect_lines
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg.lightsheet.poses.poses import SensorPoses
-from thalweg.lightsheet.scanning.cloud import merge
-from thalweg.lightsheet.scanning.ortho import colours, height_grid, orthophoto
-from thalweg.lightsheet.scanning.profile import profile
-from thalweg.settings.twin.light_sheet import SheetImage
-from thalweg_lab.base.random import generator
+from thalweg.core import GeometryError, InputError
+from thalweg.lightsheet.lines import detect_lines
+from thalweg.lightsheet.optics import paper_4
+from thalweg.lightsheet.poses import SensorPoses
+from thalweg.lightsheet.scanning import merge, orthophoto, profile
+from thalweg.lightsheet.scanning.ortho import colours, height_grid
+from thalweg.settings.twin import SheetImage
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank import render_sheet_image, sized
 from thalweg_lab.tank.plan import strip_plan
-from thalweg_lab.tank.render import render_sheet_image
-from thalweg_lab.tank.truth_sensor import sized
 
 LINES = 7
 
@@ -29,10 +27,16 @@ def test_the_orthophoto_shows_the_albedo_of_the_bed() -> None:
     }
     path = plan.path
     poses = SensorPoses(
-        images=tuple(names), R_target_lcs=path.R_obj_lcs, shift_m=path.shift_obj_mm * 1e-3,
-        cov=np.zeros((LINES, 6, 6)), shared=np.zeros((LINES, 6, 0)), reasons=("",) * LINES, t_gps_s=path.t_s,
-        target="bed", source="truth",
-    )  # fmt: skip
+        images=tuple(names),
+        R_target_lcs=path.R_obj_lcs,
+        shift_m=path.shift_obj_mm * 1e-3,
+        cov=np.zeros((LINES, 6, 6)),
+        shared=np.zeros((LINES, 6, 0)),
+        reasons=("",) * LINES,
+        t_gps_s=path.t_s,
+        target="bed",
+        source="truth",
+    )
     cloud = merge([profile(sensor, detect_lines(images[name]), image=name) for name in names], poses)
     photo = orthophoto(sensor, cloud, images.__getitem__, cell_m=0.001)
     seen = (photo.images > 0).ravel()

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from thalweg.core.errors import GeometryError
-from thalweg.lightsheet.scanning.bimodality import bimodality, otsu
-from thalweg.lightsheet.scanning.outliers import TABLE_2, TABLE_3, filtered, statistics_table
+from thalweg.core import GeometryError
+from thalweg.lightsheet.scanning import bimodality, filtered
+from thalweg.lightsheet.scanning.distances import TABLE_2, TABLE_3, otsu, statistics_table
 
 
 def marker_errors(rng: np.random.Generator) -> np.ndarray:
@@ -34,9 +34,10 @@ def test_the_rule_decides_about_the_result(rng: np.random.Generator) -> None:
 
 
 def test_tables_hold_the_published_row(rng: np.random.Generator) -> None:
-    table = statistics_table({"stepped_object": marker_errors(rng), "bed": rng.standard_normal(50)}, {
-        "stepped_object": 7, "bed": 3,
-    })  # fmt: skip
+    table = statistics_table(
+        {"stepped_object": marker_errors(rng), "bed": rng.standard_normal(50)},
+        {"stepped_object": 7, "bed": 3},
+    )
     published = table[table["rule"] == "published"]
     assert published[["object", "n", "std_kept_mm"]].to_numpy().tolist() == [["stepped_object", 4656, 0.20]]
     assert len(table) == 7

@@ -8,22 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.rigid import Rigid
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.poses.panel_poses import (
-    PUBLISHED_SIGMA_DEG,
-    PUBLISHED_SIGMA_MM,
-    panel_poses,
-    read_marks,
-    read_panel,
-    read_standing_camera,
-    sigmas_at,
-)
-from thalweg.lightsheet.poses.poses import SensorPoses
+from thalweg.core import GeometryError, InputError, Rigid
+from thalweg.lightsheet.optics import Sensor
+from thalweg.lightsheet.poses import SensorPoses, panel_poses, read_panel, read_standing_camera, sigmas_at
+from thalweg.lightsheet.poses.sources import PUBLISHED_SIGMA_DEG, PUBLISHED_SIGMA_MM, read_marks
+from thalweg_lab.tank import SIGMA_MARK_MM, SIGMA_PX, build_panel, observe, scan_plan, set_up
 from thalweg_lab.tank.objects import panel as plane
-from thalweg_lab.tank.plan import scan_plan
-from thalweg_lab.tank.six_dof import SIGMA_MARK_MM, SIGMA_PX, build_panel, observe, set_up
 
 LINES = 4
 
@@ -34,14 +24,22 @@ def recorded(sensor: Sensor, seed: int, folder: Path) -> tuple[Any, Any, Any]:
     panel = build_panel(seed)
     tripod = set_up(plan.path, panel)
     seen = observe(seed, tripod, panel, plan.path, name="test")
-    pd.DataFrame({
-        "marker": panel.marker, **{f"{a}_mm": panel.measured_lcs_mm[:, i] for i, a in enumerate("xyz")},
-        "sigma_mm": SIGMA_MARK_MM,
-    }).to_csv(folder / "panel.csv", index=False)  # fmt: skip
-    pd.DataFrame({
-        "file": [f"i{k}.png" for k in seen.image], "marker": seen.marker, "x_px": seen.xy_px[:, 0],
-        "y_px": seen.xy_px[:, 1], "sigma_px": SIGMA_PX,
-    }).to_csv(folder / "marks.csv", index=False)  # fmt: skip
+    pd.DataFrame(
+        {
+            "marker": panel.marker,
+            **{f"{a}_mm": panel.measured_lcs_mm[:, i] for i, a in enumerate("xyz")},
+            "sigma_mm": SIGMA_MARK_MM,
+        }
+    ).to_csv(folder / "panel.csv", index=False)
+    pd.DataFrame(
+        {
+            "file": [f"i{k}.png" for k in seen.image],
+            "marker": seen.marker,
+            "x_px": seen.xy_px[:, 0],
+            "y_px": seen.xy_px[:, 1],
+            "sigma_px": SIGMA_PX,
+        }
+    ).to_csv(folder / "marks.csv", index=False)
     camera = tripod.camera
     values = dict(zip(camera.parameter_names, camera.parameters.tolist(), strict=True))
     (folder / "camera.json").write_text(
@@ -52,9 +50,11 @@ def recorded(sensor: Sensor, seed: int, folder: Path) -> tuple[Any, Any, Any]:
 
 def poses_of(folder: Path, images: list[str]) -> SensorPoses:
     return panel_poses(
-        read_standing_camera(folder / "camera.json"), read_panel(folder / "panel.csv"),
-        read_marks(folder / "marks.csv"), images,
-    )  # fmt: skip
+        read_standing_camera(folder / "camera.json"),
+        read_panel(folder / "panel.csv"),
+        read_marks(folder / "marks.csv"),
+        images,
+    )
 
 
 NAMES = [f"i{k}.png" for k in range(LINES)]

@@ -5,21 +5,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.lightsheet.poses.files import pose_table, read_poses, write_poses
-from thalweg.lightsheet.poses.poses import SensorPoses
+from thalweg.core import InputError
+from thalweg.lightsheet.poses import SensorPoses, pose_table, read_poses, write_poses
 
 
 def poses(rng: np.random.Generator) -> SensorPoses:
     """Three poses, the middle one missing."""
     A = rng.standard_normal((3, 6, 6)) * 1e-4
     found = SensorPoses(
-        images=("a.png", "b ü.png", "c.png"), R_target_lcs=np.tile(np.eye(3), (3, 1, 1)),
-        shift_m=rng.standard_normal((3, 3)), cov=A @ np.swapaxes(A, 1, 2),
-        shared=1e-4 * rng.standard_normal((3, 6, 2)), reasons=("", "no picture", ""),
-        t_gps_s=np.array([3e8, np.nan, 3e8 + 0.2]), target="standing camera", source="6-DOF",
+        images=("a.png", "b ü.png", "c.png"),
+        R_target_lcs=np.tile(np.eye(3), (3, 1, 1)),
+        shift_m=rng.standard_normal((3, 3)),
+        cov=A @ np.swapaxes(A, 1, 2),
+        shared=1e-4 * rng.standard_normal((3, 6, 2)),
+        reasons=("", "no picture", ""),
+        t_gps_s=np.array([3e8, np.nan, 3e8 + 0.2]),
+        target="standing camera",
+        source="6-DOF",
         facts={"poses": 2.0, "scale_of_marks": 1.25},
-    )  # fmt: skip
+    )
     for array in (found.R_target_lcs, found.shift_m, found.cov, found.shared):
         array[1] = np.nan
     return found

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import CoverageError, GeometryError
-from thalweg.core.frames import LocalFrame, rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg.core.trajectory import Trajectory
-from thalweg.lightsheet.optics.sensor import Sensor, paper_4
-from thalweg.lightsheet.poses.poses import factor
-from thalweg.lightsheet.poses.sources import Rail, pose_source_table, rail_poses, trajectory_poses
+from thalweg.core import CoverageError, GeometryError, LocalFrame, Rigid, Trajectory, rotation_opk
+from thalweg.lightsheet.optics import Sensor, paper_4
+from thalweg.lightsheet.poses import factor, pose_source_table, trajectory_poses
+from thalweg.lightsheet.poses.sources import Rail, rail_poses
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
@@ -23,9 +20,13 @@ def boat(rng: np.random.Generator) -> Trajectory:
     q = Rotation.from_euler("xyz", np.stack([0.1 * np.sin(3 * t), 0.05 * t, 0.4 + 0.2 * t], axis=1)).as_quat()
     A = rng.standard_normal((6, 6)) * np.array([4e-4, 4e-4, 6e-4, 0.003, 0.003, 0.003])[:, None]
     return Trajectory(
-        frame=FRAME, t_gps_s=3e8 + t, position_wcs_m=np.stack([0.5 * t, 0.1 * t, 0.02 * np.sin(t)], axis=1),
-        quaternion_wcs_ics=q, cov_pose_wcs=np.tile(A @ A.T, (len(t), 1, 1)), valid=(t < 1.0) | (t > 1.5),
-    )  # fmt: skip
+        frame=FRAME,
+        t_gps_s=3e8 + t,
+        position_wcs_m=np.stack([0.5 * t, 0.1 * t, 0.02 * np.sin(t)], axis=1),
+        quaternion_wcs_ics=q,
+        cov_pose_wcs=np.tile(A @ A.T, (len(t), 1, 1)),
+        valid=(t < 1.0) | (t > 1.5),
+    )
 
 
 def mount(rng: np.random.Generator) -> Rigid:
@@ -72,9 +73,12 @@ def test_images_beside_the_trajectory_are_named(rng: np.random.Generator) -> Non
 def test_a_rail_errs_along_and_across_as_stated(rng: np.random.Generator) -> None:
     start = Rigid(R=rotation_opk(0.1, 0.0, 0.3), shift_m=np.array([0.1, 0.2, 0.5]))
     rail = Rail(
-        T_target_lcs=start, direction=np.array([0.0, 2.0, 0.0]), sigma_direction_rad=1e-3,
-        sigma_encoder_mm=0.05, sigma_guide_mm=0.01,
-    )  # fmt: skip
+        T_target_lcs=start,
+        direction=np.array([0.0, 2.0, 0.0]),
+        sigma_direction_rad=1e-3,
+        sigma_encoder_mm=0.05,
+        sigma_guide_mm=0.01,
+    )
     found = rail_poses(rail, list("abc"), np.array([0.0, 100.0, np.nan]))
     assert found.shift_m[1] - found.shift_m[0] == pytest.approx([0.0, 0.1, 0.0], abs=1e-15)
     own, whole = np.sqrt(np.diag(found.cov[1]))[:3], np.sqrt(np.diag(found.cov_total[1]))[:3]

@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core.errors import InputError
-from thalweg.lightsheet.lines.points import LinePoints
-from thalweg.lightsheet.optics.light_path import sheet_in_water
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import Sensor, paper_4
-from thalweg.lightsheet.poses.poses import compressed, factor
-from thalweg.lightsheet.scanning.profile import independent_share, joined_counts, profile, profiles
+from thalweg.core import InputError
+from thalweg.lightsheet.lines import LinePoints
+from thalweg.lightsheet.optics import Sensor, paper_4, project, sheet_in_water
+from thalweg.lightsheet.poses import factor
+from thalweg.lightsheet.poses.poses import compressed
+from thalweg.lightsheet.scanning import joined_counts, profile, profiles
+from thalweg.lightsheet.scanning.profile import independent_share
 
 PointsAt = Callable[..., LinePoints]
 
@@ -20,10 +20,12 @@ PointsAt = Callable[..., LinePoints]
 def places(sensor: Sensor, n: int = 5) -> np.ndarray:
     """Pixels (n, 2) of points at 60 to 190 mm."""
     fan = np.linspace(-0.25, 0.25, n)
-    xyz = np.stack([
-        sheet_in_water(sensor, np.array([d]), np.array([a]))[0, 0]
-        for d, a in zip(np.linspace(60, 190, n), fan, strict=True)
-    ])  # fmt: skip
+    xyz = np.stack(
+        [
+            sheet_in_water(sensor, np.array([d]), np.array([a]))[0, 0]
+            for d, a in zip(np.linspace(60, 190, n), fan, strict=True)
+        ]
+    )
     return project(sensor, xyz)
 
 
@@ -61,11 +63,13 @@ def test_pixels_off_the_sheet_are_counted_not_measured(points_at: PointsAt, exac
 
 def test_profiles_of_a_table_stand_in_its_order(points_at: PointsAt, exact: Sensor) -> None:
     xy = places(exact)
-    table = pd.concat([
-        points_at(xy).to_frame().assign(file="b.png"),
-        points_at(np.full((1, 2), 2047.0)).to_frame().assign(file="c.png"),
-        points_at(xy[:3]).to_frame().assign(file="a.png"),
-    ])  # fmt: skip
+    table = pd.concat(
+        [
+            points_at(xy).to_frame().assign(file="b.png"),
+            points_at(np.full((1, 2), 2047.0)).to_frame().assign(file="c.png"),
+            points_at(xy[:3]).to_frame().assign(file="a.png"),
+        ]
+    )
     found, empty = profiles(exact, table)
     assert [one.image for one in found] == ["b.png", "a.png"]
     assert [len(one) for one in found] == [5, 3]

@@ -7,22 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core.adjustment.solve import UnobservableError
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.rigid import Rigid
-from thalweg.lightsheet.optics.sensor import Sensor, paper_4
-from thalweg.lightsheet.poses.poses import factor
-from thalweg.lightsheet.scanning.against_mesh import border_effect, mesh_distances, normality
-from thalweg.lightsheet.scanning.cloud import merge
-from thalweg.lightsheet.scanning.compare import align, check_lines, from_pairs, scan_against_mesh
-from thalweg.lightsheet.scanning.profile import profile
-from thalweg.surface.cloud_to_mesh import Surface
-from thalweg_lab.tank.line import line_on
+from thalweg.core import GeometryError, InputError, Rigid, UnobservableError
+from thalweg.core.geometry import TriangleMesh
+from thalweg.lightsheet.optics import Sensor, paper_4
+from thalweg.lightsheet.poses import factor
+from thalweg.lightsheet.scanning import merge, mesh_distances, profile
+from thalweg.lightsheet.scanning.alignment import align, check_lines, from_pairs
+from thalweg.lightsheet.scanning.compare import scan_against_mesh
+from thalweg.lightsheet.scanning.distances import border_effect, normality
+from thalweg.surface import Surface
+from thalweg_lab.tank import Surface as Object, line_on, wreck
 from thalweg_lab.tank.objects import panel as plane
-from thalweg_lab.tank.scan_series import picked_pairs, reference_mesh
-from thalweg_lab.tank.surfaces import Surface as Object
-from thalweg_lab.tank.wreck import wreck
+from thalweg_lab.tank.series import picked_pairs, reference_mesh
 
 Simulate = Callable[..., Any]
 OFF = np.array([1e-3, -1e-3, 0.5e-3, 0.0, 0.0, 0.003])
@@ -115,10 +111,12 @@ def test_with_perfect_poses_the_motion_errs_by_its_points(
         rng = np.random.default_rng(seed)
         true = [one.tripod.T_ccs_lcs(one.plan.path, k) for k in range(6)]
         poses = replace(
-            one.poses, R_target_lcs=np.stack([t[0] for t in true]),
-            shift_m=np.stack([t[1] for t in true]) * 1e-3, cov=np.zeros((6, 6, 6)),
+            one.poses,
+            R_target_lcs=np.stack([t[0] for t in true]),
+            shift_m=np.stack([t[1] for t in true]) * 1e-3,
+            cov=np.zeros((6, 6, 6)),
             shared=np.zeros((6, 6, 0)),
-        )  # fmt: skip
+        )
         lines = []
         for p in one.profiles:  # noise of the fixture off, moving means of five on
             white = rng.standard_normal(len(p) + 4)

@@ -12,16 +12,13 @@ import pytest
 from tests.lightsheet.basin import run
 from tests.lightsheet.scanning.scan_files import ScanFiles, pixel_table, scan_files
 
-from thalweg.core.errors import ClockError, GeometryError, InputError, ThalwegError
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.timescales import gps_from_unix
-from thalweg.lightsheet.lines.settings import LineFlag
-from thalweg.lightsheet.optics.sensor import paper_4
-from thalweg_lab.tank.files import image_name, write_image, write_pulses
-from thalweg_lab.tank.objects import stepped_object
-from thalweg_lab.tank.scan_series import reference_mesh
-from thalweg_lab.tank.surfaces import Surface as Object
-from thalweg_lab.tank.wreck import wreck
+from thalweg.core import ClockError, GeometryError, InputError, ThalwegError, gps_from_unix
+from thalweg.core.geometry import TriangleMesh
+from thalweg.lightsheet.lines import LineFlag
+from thalweg.lightsheet.optics import paper_4
+from thalweg_lab.tank import Surface as Object, stepped_object, wreck
+from thalweg_lab.tank.record import image_name, write_image, write_pulses
+from thalweg_lab.tank.series import reference_mesh
 
 Simulate = Callable[..., Any]
 NOISE_PX = 0.15
@@ -225,10 +222,13 @@ def tripod(tmp_path: Path, scan: Any) -> Callable[..., Path]:
         write_image(folder / name, np.zeros((16, 16), np.uint8))
     write_pulses(tmp_path / "pulses.csv", gps_from_unix(stamps * 1e-6))
     panel, camera = scan.panel, scan.tripod.camera
-    pd.DataFrame({
-        "marker": panel.marker, **{f"{a}_mm": panel.measured_lcs_mm[:, i] for i, a in enumerate("xyz")},
-        "sigma_mm": 0.01,
-    }).to_csv(tmp_path / "panel.csv", index=False)  # fmt: skip
+    pd.DataFrame(
+        {
+            "marker": panel.marker,
+            **{f"{a}_mm": panel.measured_lcs_mm[:, i] for i, a in enumerate("xyz")},
+            "sigma_mm": 0.01,
+        }
+    ).to_csv(tmp_path / "panel.csv", index=False)
     new = dict(zip(scan.images, names, strict=True))
     scan.marks.assign(file=scan.marks["file"].map(new)).to_csv(tmp_path / "marks.csv", index=False)
     values = dict(zip(camera.parameter_names, camera.parameters.tolist(), strict=True))
@@ -238,10 +238,16 @@ def tripod(tmp_path: Path, scan: Any) -> Callable[..., Path]:
 
     def locate(images: list[Path] | None = None, marks: Path | None = None) -> Path:
         run(
-            "locate_sheet_sensor", tmp_path, images=images or [folder], panel=tmp_path / "panel.csv",
-            marks=marks or tmp_path / "marks.csv", camera=tmp_path / "camera.json",
-            pulses=[tmp_path / "pulses.csv"], poses=tmp_path / "out.npz", table=tmp_path / "out.csv",
-        )  # fmt: skip
+            "locate_sheet_sensor",
+            tmp_path,
+            images=images or [folder],
+            panel=tmp_path / "panel.csv",
+            marks=marks or tmp_path / "marks.csv",
+            camera=tmp_path / "camera.json",
+            pulses=[tmp_path / "pulses.csv"],
+            poses=tmp_path / "out.npz",
+            table=tmp_path / "out.csv",
+        )
         return tmp_path / "out.csv"
 
     return locate

@@ -10,33 +10,38 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.calibration.model import Calibration, Source
-from thalweg.core.errors import ClockError, GeometryError
-from thalweg.core.frames import LocalFrame, rotation_opk
-from thalweg.core.las.files import LazWriter, read_laz
-from thalweg.core.rigid import Rigid
-from thalweg.core.tables import read_table, write_table
-from thalweg.core.trajectory import Trajectory
-from thalweg.ingest.photos.stamps import read_image_stamps
-from thalweg.lidar.cloud import cloud_covariance
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.poses.poses import factor
+from thalweg.core import (
+    ClockError,
+    GeometryError,
+    LazWriter,
+    LocalFrame,
+    Rigid,
+    Trajectory,
+    read_table,
+    rotation_opk,
+    write_table,
+)
+from thalweg.core.calibration import Calibration, Source
+from thalweg.core.las import read_laz
+from thalweg.ingest.photos import read_image_stamps
+from thalweg.lidar import cloud_covariance
+from thalweg.lightsheet.optics import Sensor
+from thalweg.lightsheet.poses import factor
+from thalweg.lightsheet.scanning import BED_POINTS, image_times
 from thalweg.lightsheet.scanning.world import (
-    BED_POINTS,
     EXTRA_DIMENSIONS,
     LAZ_SCALE_M,
     FieldView,
     bed_points,
     check_order,
-    image_times,
     laz_columns,
     mount_block,
     mount_from_field,
     mount_of,
     world_cloud,
 )
-from thalweg_lab.tank.files import image_name, trigger, write_image
 from thalweg_lab.tank.objects import panel
+from thalweg_lab.tank.record import image_name, trigger, write_image
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 START = 3.0e8
@@ -84,9 +89,10 @@ def test_views_that_contradict_are_refused(rng: np.random.Generator) -> None:
     _, some = views(rng, 3)
     last = some[2].T_pcs_ics
     moved = FieldView(
-        T_pcs_ics=last.moved(np.array([0.05, 0, 0, 0, 0, 0])), T_pcs_grid=some[2].T_pcs_grid,
+        T_pcs_ics=last.moved(np.array([0.05, 0, 0, 0, 0, 0])),
+        T_pcs_grid=some[2].T_pcs_grid,
         T_grid_lcs=some[2].T_grid_lcs,
-    )  # fmt: skip
+    )
     with pytest.raises(GeometryError, match="the views contradict each other"):
         mount_from_field([*some[:2], moved])
     with pytest.raises(GeometryError, match="no view"):
@@ -146,9 +152,13 @@ def boat(t_gps_s: np.ndarray) -> Trajectory:
     q = np.tile(Rotation.from_matrix(R).as_quat(), (n, 1))
     place = np.stack([0.1 * (t - t[0]), np.zeros(n), np.full(n, 0.5)], axis=1)
     return Trajectory(
-        frame=FRAME, t_gps_s=t, position_wcs_m=place, quaternion_wcs_ics=q,
-        cov_pose_wcs=np.tile(C, (n, 1, 1)), valid=np.ones(n, dtype=np.bool_),
-    )  # fmt: skip
+        frame=FRAME,
+        t_gps_s=t,
+        position_wcs_m=place,
+        quaternion_wcs_ics=q,
+        cov_pose_wcs=np.tile(C, (n, 1, 1)),
+        valid=np.ones(n, dtype=np.bool_),
+    )
 
 
 def test_bed_points_lie_in_the_world_with_their_covariance(

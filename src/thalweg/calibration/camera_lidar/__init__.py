@@ -1,1 +1,5 @@
 """Camera and lidar against each other, from cones seen by both (P2)."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -13,14 +13,37 @@ against each other, and the small mean distance of points from curved surfaces g
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
+from thalweg.calibration import (
+    AGAIN,
+    WORDS,
+    Cone,
+    ConeFit,
+    ConeReference,
+    ConeScan,
+    Found,
+    Position,
+    SearchRange,
+    Selection,
+    SelectionLimits,
+    Verdict,
+    beside_its_place,
+    fit_of,
+    fit_reference,
+    nowhere,
+    out_of_view,
+    search,
+    select,
+    without_support,
+)
 from thalweg.calibration.camera_lidar.model import (
     FIELD,
     LIDAR,
@@ -33,49 +56,30 @@ from thalweg.calibration.camera_lidar.model import (
     groups_of,
     lidar_rows,
 )
-from thalweg.calibration.camera_lidar.settings import CameraLidarSettings
-from thalweg.calibration.camera_lidar.tables import (
-    detection_table,
-    point_table,
-    reference_table,
-    residual_table,
-)
-from thalweg.calibration.cones.cone import Cone
-from thalweg.calibration.cones.fit import ConeFit, ConeReference, fit_reference
-from thalweg.calibration.cones.search import Found, SearchRange, fit_of, search
-from thalweg.calibration.cones.selection import (
-    ConeScan,
-    Position,
-    Selection,
-    Verdict,
-    select,
-)
-from thalweg.calibration.cones.views import AGAIN, beside_its_place, nowhere, out_of_view, without_support
-from thalweg.core.adjustment.solve import Adjusted, UnobservableError, adjust
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.core import Adjusted, ArrayF, GeometryError, Rigid, UnobservableError, adjust
+from thalweg.settings.sections import CameraLidarFit
 
-# ---------------------------------------------------------------- each cone against all others: does the
-# lidar see it where the reference says?
-#
-# After an adjustment one cone at a time is given a place of its own for the lidar: a shift of its middle and
-# a tilt of its axis that the reference does not know. With the standardised derivatives ``G`` of the lidar's
-# distances by these five, residuals ``v`` and the adjustment's ``A`` and ``Q``, all in units of the sigmas::
-#
-#     S = G^T G - (G^T A) Q (A^T G),    displacement = -S^-1 G^T v,    covariance S^-1
-#
-# (Baarda 1968, data snooping with several outliers in one group). A cone that fell over or was pushed since
-# the pictures of the field were taken stands out, and the others tell it.
-
-
+_COARSE_M: Final = 0.05
+_ROUNDS: Final = 8
+_ENOUGH_POINTS: Final = 8
+_IN_THE_WAY: Final = 0.1
+_STAYS: Final = 0.05
+"""Part of a sigma by which the orientation may still change from one selection of points to the next."""
 _MIDDLE_M: Final = 0.35
 """Place along the axis whose shift is reported, about the middle of a cone; it changes no test."""
-
 _FREE: Final = 1e-9
 """Smallest eigenvalue of a normal matrix over its largest, if scaled to a unit diagonal."""
-
 _PARALLEL: Final = 0.999
+_FITS: Final = 0.4
+"""Balance of the beams of a scan with the picture that it belongs to."""
+_SCANS: Final = 2
+"""Scans that are searched with each picture; any one right pair gives the orientation."""
+
+FOUND: Final = "found"
+_ON_SIGMAS: Final = 4.0
+"""Distance from a cone, up to which a point counts as one on it."""
+_CORNERS: Final = 3
+"""Saddles of a marker, of four, by which it is judged as a whole."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,220 +114,47 @@ class Displacement:
         }
 
 
-def displacements(
-    adjusted: Adjusted[Unknowns],
-    layout: Layout,
-    scans: Sequence[ConeScan],
-    tolerance_m: float,
-) -> list[Displacement]:
-    """Displacement of each cone, for all positions together and, if there are several, for each one.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraLidarSettings:
+    """How to calibrate.
 
     Parameters
     ----------
-    adjusted, layout, scans : of the adjustment.
-    tolerance_m : standard deviation of a displacement that is no fault; 3 times its tilt over the length.
+    free_half_angle : six unknowns a cone; false: five, the half angle is that of the field description.
+    limits : which beams take part.
+    within : how far the nominal orientation may be off; None: it is good enough to start from.
+    least_points : points of a cone at a position, below which it takes no part there.
+    least_support : share of the beams through a cone's place that must end on it rather than behind it.
+    least_score : balance of the beams of the first search, see `thalweg.calibration.cone_search`.
+    contradiction_sigmas : displacement of a cone against the others, in sigmas, that puts it out.
+    contradiction_m : displacement that is accepted all the same: form of the cones, and what the model of the
+        lidar leaves.
+    free_range_offset : one offset of all ranges is an unknown.
+    free_noise : the lidar's variances are scaled to the residuals.
     """
-    x = adjusted.x
-    rows = [lidar_rows(layout, x, p, scan) for p, scan in enumerate(scans)]
-    out = []
-    for k, name in enumerate(layout.cones):
-        parts = [_normal(x, k, r, scan) for r, scan in zip(rows, scans, strict=True)]
-        there = [p for p, part in enumerate(parts) if part[3] > 0]
-        for mine, label in [(there, ""), *(([p], layout.positions[p]) for p in there if len(there) > 1)]:
-            if not mine:
-                continue
-            G = np.sum([parts[p][0] for p in mine], axis=0)
-            GA = np.sum([parts[p][1] for p in mine], axis=0)
-            g = np.sum([parts[p][2] for p in mine], axis=0)
-            found = _solve(G, GA, g, adjusted.cov, tolerance_m)
-            if found is not None:
-                d, cov, sigmas = found
-                n = sum(parts[p][3] for p in mine)
-                out.append(
-                    Displacement(cone=name, position=label, points=n, shift_m=d[:3], tilt_rad=d[3:], cov=cov,
-                                 sigmas=sigmas)
-                )  # fmt: skip
-    return out
 
+    free_half_angle: bool = CameraLidarFit().free_half_angle
+    limits: SelectionLimits = field(default_factory=SelectionLimits)
+    within: SearchRange | None = field(default_factory=SearchRange)
+    least_points: int = 25
+    least_support: float = 0.6
+    least_score: float = 0.25
+    contradiction_sigmas: float = 4.0
+    contradiction_m: float = 0.001
+    free_range_offset: bool = False
+    free_noise: bool = True
 
-def worst(found: Sequence[Displacement], sigmas: float) -> Displacement | None:
-    """The displacement that is least likely, if it exceeds a number of sigmas; a single position only where
-    the cone as a whole does not stand out more.
-    """
-    bad = [d for d in found if d.sigmas > sigmas]
-    return max(bad, key=lambda d: (d.sigmas, d.position == "")) if bad else None
-
-
-def _normal(x: Unknowns, k: int, rows: LidarRows, scan: ConeScan) -> tuple[ArrayF, ArrayF, ArrayF, int]:
-    cone = x.cones[k]
-    on = np.flatnonzero(scan.cone == k)
-    root = 1 / np.sqrt(scan.variance_m2[on])
-    by_motion = -rows.by_transform(rows.at_pcs - (cone.apex_m + _MIDDLE_M * cone.axis))[on]
-    # Turning about b2 moves the axis along b1, about -b1 along b2; about the axis itself nothing changes.
-    b1, b2 = cone.tangents
-    G = np.hstack([by_motion[:, :3], by_motion[:, 3:] @ np.stack([b2, -b1]).T]) * root[:, None]
-    A, r = rows.jacobian[on] * root[:, None], rows.residual[on] * root
-    return G.T @ G, G.T @ A, G.T @ r, len(on)
-
-
-def _solve(
-    G: ArrayF, GA: ArrayF, g: ArrayF, Q: ArrayF, tolerance_m: float
-) -> tuple[ArrayF, ArrayF, float] | None:
-    S = G - GA @ Q @ GA.T
-    values, vectors = np.linalg.eigh((S + S.T) / 2)
-    seen = values > 1e-6 * max(float(np.trace(G)), 1e-30)
-    if not seen.any():
-        return None
-    V = vectors[:, seen]
-    inverse = V @ np.diag(1 / values[seen]) @ V.T
-    d = -inverse @ g
-    slack = np.diag([tolerance_m**2] * 3 + [(3 * tolerance_m) ** 2] * 2)
-    small = V.T @ (inverse + slack) @ V
-    square = float((V.T @ d) @ np.linalg.solve(small, V.T @ d))
-    return d, inverse, float(norm.isf(max(chi2.sf(square, int(seen.sum())) / 2, 1e-300)))
-
-
-def refuse_undetermined(layout: Layout, x: Unknowns, scans: Sequence[ConeScan]) -> None:
-    """Refuse scans that leave the relative orientation free even with cones and camera known.
-
-    Raises
-    ------
-    UnobservableError : names the turn or shift that is free, and what to add.
-    """
-    N = np.zeros((6, 6))
-    for p, scan in enumerate(scans):
-        if len(scan.cone):
-            rows = lidar_rows(layout, x, p, scan)
-            # In pcs, about the scanner: what is free is a turn or shift that can be shown in the field.
-            J = rows.by_transform(rows.at_pcs - (x.poses[p] @ x.T_ccs_scs).shift_m)
-            N += J.T @ (J / scan.variance_m2[:, None])
-    scale = np.sqrt(np.maximum(np.diag(N), _FREE * max(N.max(), 1.0)))
-    values, vectors = np.linalg.eigh(N / np.outer(scale, scale))
-    free = values < _FREE * max(values[-1], 1e-300)
-    if not free.any():
-        return
-    turn = (vectors[:, 0] / scale)[3:]
-    used = sorted({layout.cones[k] for s in scans for k in np.unique(s.cone)})
-    weight = np.abs(np.concatenate([np.zeros(3), x.poses[0].R.T @ turn]))
-    order = [i for i in np.argsort(-weight)[:3] if weight[i] > 0.2 * weight.max()]
-    raise UnobservableError(
-        [*(layout.names[layout.orientation][i] for i in order), f"{_words(turn, layout, x, used)}"],
-        defects=int(free.sum()),
-        cure=f"The lidar sees {', '.join(used)} only. Add a cone at another place in its view, with another "
-        "axis, or a position from which it sees more: nothing shows a turn about the axis of a single cone",
-    )
-
-
-def _words(turn: ArrayF, layout: Layout, x: Unknowns, used: Sequence[str]) -> str:
-    length = float(np.linalg.norm(turn))
-    if length == 0:
-        return "a shift of the lidar"
-    u = turn / length
-    about = [n for n in used if abs(u @ x.cones[layout.cones.index(n)].axis) > _PARALLEL]
-    if about:
-        return f"a turn of the lidar about the axis of {' and '.join(about)}"
-    return "a turn of the lidar about " + (
-        "the vertical" if abs(u[2]) > _PARALLEL else f"the direction ({u[0]:.2f}, {u[1]:.2f}, {u[2]:.2f})"
-    )
-
-
-# ---------------------------------------------------------------- do scan and picture of each static position
-# belong together? Which assignment fits better?
-#
-# Recordings are renamed by hand. If the scan of one position stands with the picture of another one, no cone
-# is where it should be, and nothing in the message of a single cone tells why. So each scan that does not fit
-# is tried with the picture of every position.
-
-
-_FITS: Final = 0.4
-"""Balance of the beams of a scan with the picture that it belongs to."""
-_SCANS: Final = 2
-"""Scans that are searched with each picture; any one right pair gives the orientation."""
-
-
-def refuse_swapped(
-    cones: Sequence[Cone],
-    lengths_m: Sequence[float],
-    positions: Sequence[Position],
-    nominal: Rigid,
-    within: SearchRange,
-    found: Found,
-    least_score: float,
-) -> list[str]:
-    """Positions whose scan does not fit, with its balance; refuse those that fit the picture of another one.
-
-    Parameters
-    ----------
-    cones, lengths_m, positions, nominal, within : of `thalweg.calibration.cones.search.search`.
-    found : its result.
-    least_score : balance below which a scan does not fit.
-
-    Raises
-    ------
-    GeometryError : scans fit the pictures of other positions; names both.
-    """
-    own = [fit_of(found.T_ccs_scs, cones, lengths_m, p.T_pcs_ccs, p) for p in positions]
-    odd = [i for i, score in enumerate(own) if score < least_score]
-    told = [f"{positions[i].name}: {own[i]:.2f}" for i in odd]
-    if not odd or len(positions) < 2:
-        return told
-    scores = _best_scores(cones, lengths_m, positions, nominal, within, found.T_ccs_scs, odd)
-    best = scores.argmax(axis=1)
-    swapped = [i for i in range(len(positions)) if best[i] != i and scores[i, best[i]] > _FITS > scores[i, i]]
-    if not swapped:
-        return told
-    names = [p.name for p in positions]
-    raise GeometryError(
-        "; ".join(
-            f"the scan of {names[i]} fits the picture of {names[best[i]]} (balance of its beams "
-            f"{scores[i, best[i]]:.2f}) and not its own ({scores[i, i]:.2f})"
-            for i in swapped
-        ),
-        expected="scan and picture of one position together",
-        cure="Rename the recordings of "
-        + ", ".join(dict.fromkeys(n for i in swapped for n in (names[i], names[best[i]])))
-        + " so that scan and picture of one position have the same name",
-    )
-
-
-def _best_scores(
-    cones: Sequence[Cone],
-    lengths_m: Sequence[float],
-    positions: Sequence[Position],
-    nominal: Rigid,
-    within: SearchRange,
-    first: Rigid,
-    odd: Sequence[int],
-) -> ArrayF:
-    """(n, n) balance of each scan (row) with each picture, at the orientation at which most scans fit one."""
-
-    def table_at(T: Rigid) -> ArrayF:
-        """The balances at one orientation."""
-        return np.array([[fit_of(T, cones, lengths_m, q.T_pcs_ccs, p) for q in positions] for p in positions])
-
-    best = table_at(first)
-    for i in odd[:_SCANS]:
-        for picture in positions:
-            if float(best.max(axis=1).min()) > _FITS:
-                return best
-            try:
-                pair = positions[i].at(picture.T_pcs_ccs)
-                found = search(cones, lengths_m, [pair], nominal, within)
-            except GeometryError:
-                continue
-            best = max(best, table_at(found.T_ccs_scs), key=lambda table: float(table.max(axis=1).sum()))
-    return best
+    @classmethod
+    def from_section(cls, section: CameraLidarFit) -> Self:
+        """From section ``calibration.camera_lidar`` of a campaign file."""
+        return cls(
+            free_half_angle=section.free_half_angle,
+            limits=SelectionLimits(max_incidence_deg=section.max_incidence_deg),
+            within=SearchRange(shift_m=section.search_shift_m, angle_deg=section.search_angle_deg),
+        )
 
 
 # ---------------------------------------------------------------- adjustment
-
-
-_COARSE_M: Final = 0.05
-_ROUNDS: Final = 8
-_ENOUGH_POINTS: Final = 8
-_IN_THE_WAY: Final = 0.1
-_STAYS: Final = 0.05
-"""Part of a sigma by which the orientation may still change from one selection of points to the next."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -337,7 +168,7 @@ class CameraLidar:
     adjusted : the adjustment, with the covariance of all unknowns.
     variance_factor : of the lidar's stated variances.
     detection, residuals, references, displacements, points : tables, see
-        `thalweg.calibration.camera_lidar.tables`.
+        `thalweg.calibration.camera_lidar.adjustment`.
     found : result of the search; None if there was none.
     """
 
@@ -569,7 +400,7 @@ def _until_it_stays(work: _Work) -> tuple[Adjusted[Unknowns], list[Selection], L
             before,
             layout.names,
             update=layout.update,
-        )  # fmt: skip
+        )
         cones = list(work.x.cones)
         for k, cone in zip(seen, adjusted.x.cones, strict=True):
             cones[k] = cone
@@ -658,3 +489,483 @@ def _result(
         points=point_table(work.layout, work.positions, work.x, selections, work.out),
         found=found,
     )
+
+
+# ---------------------------------------------------------------- each cone against all others: does the
+# lidar see it where the reference says?
+#
+# After an adjustment one cone at a time is given a place of its own for the lidar: a shift of its middle and
+# a tilt of its axis that the reference does not know. With the standardised derivatives ``G`` of the lidar's
+# distances by these five, residuals ``v`` and the adjustment's ``A`` and ``Q``, all in units of the sigmas::
+#
+#     S = G^T G - (G^T A) Q (A^T G),    displacement = -S^-1 G^T v,    covariance S^-1
+#
+# (Baarda 1968, data snooping with several outliers in one group). A cone that fell over or was pushed since
+# the pictures of the field were taken stands out, and the others tell it.
+
+
+def displacements(
+    adjusted: Adjusted[Unknowns], layout: Layout, scans: Sequence[ConeScan], tolerance_m: float
+) -> list[Displacement]:
+    """Displacement of each cone, for all positions together and, if there are several, for each one.
+
+    Parameters
+    ----------
+    adjusted, layout, scans : of the adjustment.
+    tolerance_m : standard deviation of a displacement that is no fault; 3 times its tilt over the length.
+    """
+    x = adjusted.x
+    rows = [lidar_rows(layout, x, p, scan) for p, scan in enumerate(scans)]
+    out = []
+    for k, name in enumerate(layout.cones):
+        parts = [_normal(x, k, r, scan) for r, scan in zip(rows, scans, strict=True)]
+        there = [p for p, part in enumerate(parts) if part[3] > 0]
+        for mine, label in [(there, ""), *(([p], layout.positions[p]) for p in there if len(there) > 1)]:
+            if not mine:
+                continue
+            G = np.sum([parts[p][0] for p in mine], axis=0)
+            GA = np.sum([parts[p][1] for p in mine], axis=0)
+            g = np.sum([parts[p][2] for p in mine], axis=0)
+            found = _solve(G, GA, g, adjusted.cov, tolerance_m)
+            if found is not None:
+                d, cov, sigmas = found
+                n = sum(parts[p][3] for p in mine)
+                out.append(
+                    Displacement(
+                        cone=name,
+                        position=label,
+                        points=n,
+                        shift_m=d[:3],
+                        tilt_rad=d[3:],
+                        cov=cov,
+                        sigmas=sigmas,
+                    )
+                )
+    return out
+
+
+def worst(found: Sequence[Displacement], sigmas: float) -> Displacement | None:
+    """The displacement that is least likely, if it exceeds a number of sigmas; a single position only where
+    the cone as a whole does not stand out more.
+    """
+    bad = [d for d in found if d.sigmas > sigmas]
+    return max(bad, key=lambda d: (d.sigmas, d.position == "")) if bad else None
+
+
+def _normal(x: Unknowns, k: int, rows: LidarRows, scan: ConeScan) -> tuple[ArrayF, ArrayF, ArrayF, int]:
+    cone = x.cones[k]
+    on = np.flatnonzero(scan.cone == k)
+    root = 1 / np.sqrt(scan.variance_m2[on])
+    by_motion = -rows.by_transform(rows.at_pcs - (cone.apex_m + _MIDDLE_M * cone.axis))[on]
+    # Turning about b2 moves the axis along b1, about -b1 along b2; about the axis itself nothing changes.
+    b1, b2 = cone.tangents
+    G = np.hstack([by_motion[:, :3], by_motion[:, 3:] @ np.stack([b2, -b1]).T]) * root[:, None]
+    A, r = rows.jacobian[on] * root[:, None], rows.residual[on] * root
+    return G.T @ G, G.T @ A, G.T @ r, len(on)
+
+
+def _solve(
+    G: ArrayF, GA: ArrayF, g: ArrayF, Q: ArrayF, tolerance_m: float
+) -> tuple[ArrayF, ArrayF, float] | None:
+    S = G - GA @ Q @ GA.T
+    values, vectors = np.linalg.eigh((S + S.T) / 2)
+    seen = values > 1e-6 * max(float(np.trace(G)), 1e-30)
+    if not seen.any():
+        return None
+    V = vectors[:, seen]
+    inverse = V @ np.diag(1 / values[seen]) @ V.T
+    d = -inverse @ g
+    slack = np.diag([tolerance_m**2] * 3 + [(3 * tolerance_m) ** 2] * 2)
+    small = V.T @ (inverse + slack) @ V
+    square = float((V.T @ d) @ np.linalg.solve(small, V.T @ d))
+    return d, inverse, float(norm.isf(max(chi2.sf(square, int(seen.sum())) / 2, 1e-300)))
+
+
+def refuse_undetermined(layout: Layout, x: Unknowns, scans: Sequence[ConeScan]) -> None:
+    """Refuse scans that leave the relative orientation free even with cones and camera known.
+
+    Raises
+    ------
+    UnobservableError : names the turn or shift that is free, and what to add.
+    """
+    N = np.zeros((6, 6))
+    for p, scan in enumerate(scans):
+        if len(scan.cone):
+            rows = lidar_rows(layout, x, p, scan)
+            # In pcs, about the scanner: what is free is a turn or shift that can be shown in the field.
+            J = rows.by_transform(rows.at_pcs - (x.poses[p] @ x.T_ccs_scs).shift_m)
+            N += J.T @ (J / scan.variance_m2[:, None])
+    scale = np.sqrt(np.maximum(np.diag(N), _FREE * max(N.max(), 1.0)))
+    values, vectors = np.linalg.eigh(N / np.outer(scale, scale))
+    free = values < _FREE * max(values[-1], 1e-300)
+    if not free.any():
+        return
+    turn = (vectors[:, 0] / scale)[3:]
+    used = sorted({layout.cones[k] for s in scans for k in np.unique(s.cone)})
+    weight = np.abs(np.concatenate([np.zeros(3), x.poses[0].R.T @ turn]))
+    order = [i for i in np.argsort(-weight)[:3] if weight[i] > 0.2 * weight.max()]
+    raise UnobservableError(
+        [*(layout.names[layout.orientation][i] for i in order), f"{_words(turn, layout, x, used)}"],
+        defects=int(free.sum()),
+        cure=f"The lidar sees {', '.join(used)} only. Add a cone at another place in its view, with another "
+        "axis, or a position from which it sees more: nothing shows a turn about the axis of a single cone",
+    )
+
+
+def _words(turn: ArrayF, layout: Layout, x: Unknowns, used: Sequence[str]) -> str:
+    length = float(np.linalg.norm(turn))
+    if length == 0:
+        return "a shift of the lidar"
+    u = turn / length
+    about = [n for n in used if abs(u @ x.cones[layout.cones.index(n)].axis) > _PARALLEL]
+    if about:
+        return f"a turn of the lidar about the axis of {' and '.join(about)}"
+    return "a turn of the lidar about " + (
+        "the vertical" if abs(u[2]) > _PARALLEL else f"the direction ({u[0]:.2f}, {u[1]:.2f}, {u[2]:.2f})"
+    )
+
+
+# ---------------------------------------------------------------- do scan and picture of each static position
+# belong together? Which assignment fits better?
+#
+# Recordings are renamed by hand. If the scan of one position stands with the picture of another one, no cone
+# is where it should be, and nothing in the message of a single cone tells why. So each scan that does not fit
+# is tried with the picture of every position.
+
+
+def refuse_swapped(
+    cones: Sequence[Cone],
+    lengths_m: Sequence[float],
+    positions: Sequence[Position],
+    nominal: Rigid,
+    within: SearchRange,
+    found: Found,
+    least_score: float,
+) -> list[str]:
+    """Positions whose scan does not fit, with its balance; refuse those that fit the picture of another one.
+
+    Parameters
+    ----------
+    cones, lengths_m, positions, nominal, within : of `thalweg.calibration.cone_search.search`.
+    found : its result.
+    least_score : balance below which a scan does not fit.
+
+    Raises
+    ------
+    GeometryError : scans fit the pictures of other positions; names both.
+    """
+    own = [fit_of(found.T_ccs_scs, cones, lengths_m, p.T_pcs_ccs, p) for p in positions]
+    odd = [i for i, score in enumerate(own) if score < least_score]
+    told = [f"{positions[i].name}: {own[i]:.2f}" for i in odd]
+    if not odd or len(positions) < 2:
+        return told
+    scores = _best_scores(cones, lengths_m, positions, nominal, within, found.T_ccs_scs, odd)
+    best = scores.argmax(axis=1)
+    swapped = [i for i in range(len(positions)) if best[i] != i and scores[i, best[i]] > _FITS > scores[i, i]]
+    if not swapped:
+        return told
+    names = [p.name for p in positions]
+    raise GeometryError(
+        "; ".join(
+            f"the scan of {names[i]} fits the picture of {names[best[i]]} (balance of its beams "
+            f"{scores[i, best[i]]:.2f}) and not its own ({scores[i, i]:.2f})"
+            for i in swapped
+        ),
+        expected="scan and picture of one position together",
+        cure="Rename the recordings of "
+        + ", ".join(dict.fromkeys(n for i in swapped for n in (names[i], names[best[i]])))
+        + " so that scan and picture of one position have the same name",
+    )
+
+
+def _best_scores(
+    cones: Sequence[Cone],
+    lengths_m: Sequence[float],
+    positions: Sequence[Position],
+    nominal: Rigid,
+    within: SearchRange,
+    first: Rigid,
+    odd: Sequence[int],
+) -> ArrayF:
+    """(n, n) balance of each scan (row) with each picture, at the orientation at which most scans fit one."""
+
+    def table_at(T: Rigid) -> ArrayF:
+        """The balances at one orientation."""
+        return np.array([[fit_of(T, cones, lengths_m, q.T_pcs_ccs, p) for q in positions] for p in positions])
+
+    best = table_at(first)
+    for i in odd[:_SCANS]:
+        for picture in positions:
+            if float(best.max(axis=1).min()) > _FITS:
+                return best
+            try:
+                pair = positions[i].at(picture.T_pcs_ccs)
+                found = search(cones, lengths_m, [pair], nominal, within)
+            except GeometryError:
+                continue
+            best = max(best, table_at(found.T_ccs_scs), key=lambda table: float(table.max(axis=1).sum()))
+    return best
+
+
+# ---------------------------------------------------------------- tables: what was used, what was not, what
+# is left over
+
+
+def detection_table(
+    layout: Layout,
+    selections: Sequence[Selection],
+    out: Mapping[tuple[int, int], str],
+    refused: Mapping[str, str],
+) -> pd.DataFrame:
+    """One line a position and cone: ``predicted`` beams, how many had which verdict, ``found``, ``reason``.
+
+    ``predicted`` counts returned beams whose nominal direction meets the cone; the numbers behind it add up
+    to it: ``used``, ``grazing``, too near to the ``outline`` or an ``end``, reflected ``in_front`` or
+    ``behind``, or passing ``beside`` what is in front. Points of a cone that takes no part count as
+    ``left_out`` instead of ``used``.
+    """
+    lines: list[dict[str, Any]] = []
+    for p, (name, selection) in enumerate(zip(layout.positions, selections, strict=True)):
+        for k, cone in enumerate(layout.cones):
+            n = selection.counts(k)
+            reason = out.get((p, k), "")
+            if not reason and n[Verdict.USED] == 0:
+                reason = (
+                    f"none of {sum(n.values())} beams that should meet it ended on it: it fell over or was "
+                    "moved, or it is hidden. Measure the field again, or leave the cone out"
+                )
+            line: dict[str, Any] = {"position": name, "cone": cone, "predicted": sum(n.values())}
+            line |= {WORDS[v]: n[v] for v in WORDS}
+            line["left_out"] = n[Verdict.USED] if reason else 0
+            line["used"] = 0 if reason else n[Verdict.USED]
+            lines.append({**line, FOUND: not reason, "reason": reason})
+        none = {"predicted": 0, **dict.fromkeys(WORDS.values(), 0), "left_out": 0, FOUND: False}
+        lines += [
+            {"position": name, "cone": cone, **none, "reason": f"no reference: {why}"}
+            for cone, why in refused.items()
+        ]
+    return pd.DataFrame(lines)
+
+
+def residual_table(layout: Layout, scans: Sequence[ConeScan], rows: Sequence[LidarRows]) -> pd.DataFrame:
+    """One line a position and cone: number of points, and mean, RMS and greatest distance in millimetres.
+
+    ``standardised`` is the RMS of the distances over their sigmas. Distances are those left by the
+    adjustment, less their expectation for noisy beams.
+    """
+    lines = []
+    for name, scan, row in zip(layout.positions, scans, rows, strict=True):
+        # Along the outward normal: positive outside.
+        distance = row.residual * row.slope
+        variance = scan.variance_m2 * row.slope**2
+        for k, cone in enumerate(layout.cones):
+            on = scan.cone == k
+            if on.any():
+                d = distance[on]
+                lines.append(
+                    {
+                        "position": name,
+                        "cone": cone,
+                        "points": int(on.sum()),
+                        "mean_mm": 1e3 * float(d.mean()),
+                        "sigma_mean_mm": 1e3 * float(np.sqrt(variance[on].mean() / on.sum())),
+                        "rms_mm": 1e3 * float(np.sqrt(np.mean(d**2))),
+                        "greatest_mm": 1e3 * float(np.abs(d).max()),
+                        "standardised": float(np.sqrt(np.mean(d**2 / variance[on]))),
+                    }
+                )
+    return pd.DataFrame(lines)
+
+
+def point_table(
+    layout: Layout,
+    positions: Sequence[Position],
+    x: Unknowns,
+    selections: Sequence[Selection],
+    out: Mapping[tuple[int, int], str],
+) -> pd.DataFrame:
+    """One line a beam that should meet a cone: place of its point in pcs, distance from the cone, verdict.
+
+    ``residual_m`` is positive outside, and less its expectation where the point is used.
+    """
+    parts = []
+    for p, (position, selection) in enumerate(zip(positions, selections, strict=True)):
+        T = x.poses[p] @ x.T_ccs_scs
+        for k, name in enumerate(layout.cones):
+            rows = np.flatnonzero(selection.cone == k)
+            at = T.apply(position.points_scs_m[rows])
+            reach = np.linalg.norm(position.points_scs_m[rows], axis=1)
+            met = x.cones[k].meet(T.shift_m, (at - T.shift_m) / reach[:, None])
+            residual = -(reach - met.range_m - np.nan_to_num(selection.excess_m[rows])) * met.cosine
+            verdict = selection.verdict[rows]
+            parts.append(
+                pd.DataFrame(
+                    {
+                        "cone": name,
+                        "position": position.name,
+                        **{f"{a}_m": at[:, i] for i, a in enumerate("xyz")},
+                        "residual_m": residual,
+                        "used": (verdict == Verdict.USED) & ((p, k) not in out),
+                        "verdict": [WORDS[Verdict(v)] for v in verdict],
+                    }
+                )
+            )
+    return pd.concat(parts, ignore_index=True)
+
+
+def sensor_table(positions: Sequence[str], poses: Sequence[Rigid], T_ccs_scs: Rigid) -> pd.DataFrame:
+    """Where camera and lidar were in pcs at each position: origin, and rotation from the sensor's frame."""
+    lines = []
+    for name, pose in zip(positions, poses, strict=True):
+        for sensor, T in (("camera", pose), ("lidar", pose @ T_ccs_scs)):
+            q = Rotation.from_matrix(T.R).as_quat(canonical=True)
+            place = dict(zip(("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"), [*T.shift_m, *q], strict=True))
+            lines.append({"position": name, "sensor": sensor, **place})
+    return pd.DataFrame(lines)
+
+
+def reference_table(
+    references: Sequence[ConeReference], fits: Mapping[str, ConeFit], refused: Mapping[str, str]
+) -> pd.DataFrame:
+    """One line a reference point: distance from its cone in millimetres, whether it was used, why not.
+
+    ``lies_on`` names another cone on which a point lies that is not on its own.
+    """
+    lines = []
+    for r in references:
+        fit = fits.get(r.name)
+        others = _lies_on(r, {name: f for name, f in fits.items() if name != r.name}, references)
+        for i, label in enumerate(r.labels):
+            used = fit is not None and bool(fit.used[i])
+            elsewhere = "" if used or fit is None else others[i]
+            far = "not on the cone: moved, or read wrongly"
+            if elsewhere:
+                far = f"not on the cone but on {elsewhere}"
+            reason = "" if used else refused.get(r.name, far)
+            distance = np.nan if fit is None else 1e3 * float(fit.distance_m[i])
+            lines.append(
+                {
+                    "cone": r.name,
+                    "point": label,
+                    "distance_mm": distance,
+                    "used": used,
+                    "lies_on": elsewhere,
+                    "reason": reason,
+                }
+            )
+    return pd.DataFrame(lines)
+
+
+def _lies_on(
+    reference: ConeReference, fits: Mapping[str, ConeFit], references: Sequence[ConeReference]
+) -> list[str]:
+    """For each point the other cone on whose surface it lies; empty if there is none."""
+    out = [""] * len(reference.points_m)
+    lengths = {r.name: r.length_m for r in references}
+    sigma = np.hypot(reference.sigma_m, reference.form_sigma_m)
+    for name, fit in fits.items():
+        seen = fit.cone.see(reference.points_m)
+        slant = lengths[name] / np.cos(fit.cone.half_angle_rad)
+        on = (np.abs(seen.distance_m) < _ON_SIGMAS * sigma) & (seen.slant_m > 0) & (seen.slant_m < slant)
+        for i in np.flatnonzero(on):
+            out[i] = name
+    return out
+
+
+def foreign_markers(references: pd.DataFrame) -> list[str]:
+    """What to tell about markers that are not on the cone that the description of the field names.
+
+    Parameters
+    ----------
+    references : of `reference_table`.
+    """
+    marker = references["point"].str.split("/").str[0]
+    where: dict[tuple[str, str], str] = {}
+    bad: dict[tuple[str, str], str] = {}
+    for key, part in references.assign(marker=marker).groupby(["cone", "marker"], sort=False):
+        cone, name = (str(k) for k in key)
+        places = part["lies_on"][part["lies_on"] != ""]
+        if len(places) >= _CORNERS:
+            where[cone, name] = str(places.mode().iloc[0])
+        elif int((~part["used"]).sum()) >= _CORNERS and part["distance_mm"].notna().all():
+            off = float(part["distance_mm"].abs().median())
+            bad[cone, name] = (
+                f"marker {name} of cone {cone} is {off:.1f} mm off its surface: it is not glued on it, or "
+                "was moved between the pictures of the field. Photograph the field again, or leave it out"
+            )
+    lines, told = [], set()
+    for (cone, name), place in where.items():
+        back = [m for (c, m), p in where.items() if (c, p) == (place, cone)]
+        if back and (cone, name) not in told:
+            told |= {(place, m) for m in back}
+            lines.append(
+                f"marker {name} is stated for cone {cone} but lies on {place}, and marker {', '.join(back)} "
+                f"is stated for {place} but lies on {cone}: they are swapped, and take no part. Exchange the "
+                "sheets and photograph the field again, or leave them out of the description of the field"
+            )
+        elif (cone, name) not in told:
+            lines.append(
+                f"marker {name} is stated for cone {cone} but lies on {place}, and takes no part. Correct "
+                f"the markers of {cone} and {place} in the description of the field"
+            )
+    return [*lines, *bad.values()]
+
+
+def cone_table(cones: Mapping[str, Cone]) -> pd.DataFrame:
+    """One line a cone: apex in pcs, P2's angles, half angle, and sigmas, those of the axis across itself."""
+    lines = []
+    for name, cone in cones.items():
+        s = np.sqrt(np.maximum(np.diag(cone.cov), 0.0))
+        lam, theta = np.rad2deg(cone.angles_rad)
+        lines.append(
+            {
+                "cone": name,
+                **{f"apex_{a}_m": float(v) for a, v in zip("xyz", cone.apex_m, strict=True)},
+                "lambda_deg": lam,
+                "theta_deg": theta,
+                "half_angle_deg": float(np.rad2deg(cone.half_angle_rad)),
+                **{f"sigma_apex_{a}_mm": 1e3 * float(v) for a, v in zip("xyz", s[:3], strict=True)},
+                "sigma_axis_1_deg": float(np.rad2deg(s[3])),
+                "sigma_axis_2_deg": float(np.rad2deg(s[4])),
+                "sigma_half_angle_deg": float(np.rad2deg(s[5])),
+            }
+        )
+    return pd.DataFrame(lines)
+
+
+def correlation_table(names: Sequence[str], correlation: ArrayF) -> pd.DataFrame:
+    """Correlations of the unknowns as a square table with their names."""
+    return pd.DataFrame(correlation, index=list(names), columns=list(names))
+
+
+def report(result: "CameraLidar", nominal: Rigid) -> dict[str, Any]:
+    """What a person reads first, as plain values: orientation, sigmas, correlations, groups, verdict."""
+    T = result.T_ccs_scs
+    s = np.sqrt(np.diag(T.cov))
+    back = T.error_from(nominal)
+    low, high = result.adjusted.global_test()
+    return {
+        "lever_ccs_scs_m": T.shift_m.tolist(),
+        "lever_length_m": float(np.linalg.norm(T.shift_m)),
+        "sigma_lever_mm": (1e3 * T.sigma_shift_m).tolist(),
+        "sigma_rotation_deg": np.rad2deg(T.sigma_rotation_rad).tolist(),
+        "R_ccs_scs": T.R.tolist(),
+        "correlation": (T.cov / np.outer(s, s)).tolist(),
+        "from_nominal": {
+            "shift_mm": (1e3 * back[:3]).tolist(),
+            "rotation_deg": np.rad2deg(back[3:]).tolist(),
+        },
+        "unknowns": len(result.adjusted.names),
+        "iterations": result.adjusted.n_iterations,
+        "sigma0": float(np.sqrt(result.adjusted.sigma0_squared)),
+        "sigma0_band": [float(np.sqrt(low)), float(np.sqrt(high))],
+        "group_sigma0": result.group_sigma0,
+        "lidar_sigma_factor": float(np.sqrt(result.variance_factor)),
+        "points": int(result.residuals["points"].sum()),
+        "positions": int(result.residuals["position"].nunique()),
+        "cones": len(result.cones),
+        "single_shot_claim": {
+            "expected": "sigmas below 1 mm and 0.1 deg (P2 section 7)",
+            "kept": bool((T.sigma_shift_m < 1e-3).all() and (np.rad2deg(T.sigma_rotation_rad) < 0.1).all()),
+        },
+    }

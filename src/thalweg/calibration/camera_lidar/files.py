@@ -10,17 +10,17 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration.camera_lidar.adjustment import CameraLidar
+from thalweg.calibration import Cone, ConeReference, ConeScan, Position, SelectionLimits, Verdict, select
+from thalweg.calibration.camera_lidar.adjustment import (
+    CameraLidar,
+    cone_table,
+    correlation_table,
+    report,
+    sensor_table,
+)
 from thalweg.calibration.camera_lidar.model import Layout, Unknowns, groups_of
-from thalweg.calibration.camera_lidar.tables import cone_table, correlation_table, report, sensor_table
-from thalweg.calibration.cones.cone import Cone
-from thalweg.calibration.cones.fit import ConeReference
-from thalweg.calibration.cones.selection import ConeScan, Position, SelectionLimits, Verdict, select
-from thalweg.core.adjustment.solve import RANK_TOLERANCE
-from thalweg.core.calibration.files import write_calibration
-from thalweg.core.calibration.model import Calibration, Source, pose_block
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.core import RANK_TOLERANCE, ArrayF, Rigid
+from thalweg.core.calibration import Calibration, Source, pose_block, write_calibration
 
 # ---------------------------------------------------------------- what more cones and positions bring: sigmas
 # of the relative orientation before anything is measured
@@ -31,9 +31,13 @@ from thalweg.core.types import ArrayF
 
 
 QUANTITIES: Final = (
-    ("x_m", "m"), ("y_m", "m"), ("z_m", "m"),
-    ("rotation_x_deg", "deg"), ("rotation_y_deg", "deg"), ("rotation_z_deg", "deg"),
-)  # fmt: skip
+    ("x_m", "m"),
+    ("y_m", "m"),
+    ("z_m", "m"),
+    ("rotation_x_deg", "deg"),
+    ("rotation_y_deg", "deg"),
+    ("rotation_z_deg", "deg"),
+)
 _SUBSETS: Final = 15
 """Choices of cones, or of positions, of one number that are tried; evenly spread over all of them."""
 

@@ -21,13 +21,8 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.calibration.cones.cone import PARAMETERS, Cone
-from thalweg.calibration.cones.fit import ConeReference
-from thalweg.calibration.cones.selection import ConeScan
-from thalweg.core.adjustment.solve import Linear, Observations
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import AnyArray, ArrayF
+from thalweg.calibration import PARAMETERS, Cone, ConeReference, ConeScan
+from thalweg.core import AnyArray, ArrayF, GeometryError, Linear, Observations, Rigid
 
 ORIENTATION: Final = ("lever_x", "lever_y", "lever_z", "rotation_x", "rotation_y", "rotation_z")
 """Six of the relative orientation: shift and small rotation vector, in ccs."""

@@ -1,1 +1,5 @@
 """The calibration field by a self-calibrating bundle of photographs."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

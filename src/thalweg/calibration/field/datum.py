@@ -2,7 +2,7 @@
 
 ``x_wcs = R_wcs_pcs x_pcs + shift``; the scale is that of the scale bars. Both the RTK sigmas and the
 covariance of the field's points count. What contradicts grossly is found first and without approximate values
-(`thalweg.calibration.field.target_search`), small contradictions by leaving out each target in turn.
+(`thalweg.calibration.field.network`), small contradictions by leaving out each target in turn.
 """
 
 from collections.abc import Sequence
@@ -14,19 +14,20 @@ import pandas as pd
 from scipy.stats import chi2
 
 from thalweg.calibration.field.description import Target
+from thalweg.calibration.field.network import agreeing, distances_words, exchanged, other_scale, similarity
 from thalweg.calibration.field.points import FieldPoints
-from thalweg.calibration.field.target_search import (
-    agreeing,
-    distances_words,
-    exchanged,
-    other_scale,
-    similarity,
+from thalweg.core import (
+    Adjusted,
+    ArrayB,
+    ArrayF,
+    GeometryError,
+    Linear,
+    LocalFrame,
+    Observations,
+    Rigid,
+    UnobservableError,
+    adjust,
 )
-from thalweg.core.adjustment.solve import Adjusted, Linear, Observations, UnobservableError, adjust
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayB, ArrayF
 
 _LEVEL: Final = 1e-3
 """Probability with which good targets are called contradictory."""
@@ -141,9 +142,7 @@ def _adjust(pcs: ArrayF, cov: ArrayF, wcs: ArrayF, rtk: ArrayF, used: ArrayB) ->
     def model(x: Rigid) -> Linear:
         """Residuals of the targets, field minus RTK."""
         return Linear(
-            residual=(x.apply(p) - w).ravel(),
-            jacobian=x.by_error(p).reshape(-1, 6),
-            cov=S + x.R @ C @ x.R.T,
+            residual=(x.apply(p) - w).ravel(), jacobian=x.by_error(p).reshape(-1, 6), cov=S + x.R @ C @ x.R.T
         )
 
     start = similarity(p, w, scaled=False)[1]

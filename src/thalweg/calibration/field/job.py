@@ -1,28 +1,26 @@
 """The field from its table of marks: nominal camera, adjustment, place in the world, notes for people."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
+from thalweg.calibration import block_of, starting_camera_by
 from thalweg.calibration.field.datum import FieldDatum, field_datum, targets_wcs
 from thalweg.calibration.field.description import FieldDescription
-from thalweg.calibration.field.network import FieldNetwork, measure_field
-from thalweg.calibration.field.network_start import misfit_px, start_network
-from thalweg.calibration.field.picture_overview import with_overview
+from thalweg.calibration.field.network import (
+    FieldNetwork,
+    measure_field,
+    misfit_px,
+    require_steady,
+    start_network,
+)
 from thalweg.calibration.field.points import FieldPoints
-from thalweg.calibration.field.steady_camera import require_steady
-from thalweg.calibration.markers.mark_block import block_of
-from thalweg.calibration.markers.nominal_camera import starting_camera_by
-from thalweg.core.camera.model import Camera, Model
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-
-# ---------------------------------------------------------------- what people should know of a measured
-# field: what is missing, what checks nothing, what looks wrong
-
+from thalweg.core import Camera, GeometryError, InputError, LocalFrame, Model, Rigid, ThalwegError
 
 _NAMED: Final = 8
 """Points named of those with one reason."""
@@ -33,6 +31,112 @@ _PRINT_SHARE: Final = 0.03
 """Printers that fit a page into their margins shrink a sheet by 3 to 5 %."""
 _ANOTHER_UNIT: Final = 1.5
 _SURE_SIGMAS: Final = 3.0
+
+_GOOD_PICTURES: Final = 3
+_TIES: Final = 3
+"""Markers that two pictures share if one is to be oriented by the other."""
+_FEW_MARKERS: Final = 4
+
+KIND: Final = "thalweg field"
+VERSION: Final = 1
+
+
+# ---------------------------------------------------------------- job
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredField:
+    """A field, its points, its place in the world if it has targets, and what people should know."""
+
+    network: FieldNetwork
+    points: FieldPoints
+    datum: FieldDatum | None
+    notes: list[str]
+
+
+def starting_camera(
+    marks: pd.DataFrame,
+    field: FieldDescription,
+    name: str,
+    size_px: tuple[int, int],
+    *,
+    model: Model = "perspective",
+    focal_px: float | None = None,
+) -> Camera:
+    """Nominal interior orientation of the field's camera; without a focal length several are tried.
+
+    Raises
+    ------
+    GeometryError : none gives a field; tells what the pictures show, and what to photograph.
+    """
+    mine = marks[marks["camera"] == name]
+
+    def misfit(camera: Camera) -> float:
+        """How badly a field by this camera fits, pixels."""
+        block = block_of(mine, {name: camera})
+        return misfit_px(block, start_network(block, field.layout), float(camera.parameters[0]))
+
+    try:
+        return starting_camera_by(misfit, name, model, size_px, focal_px)
+    except GeometryError as error:
+        raise with_overview(error, mine) from error
+
+
+def measure(
+    marks: pd.DataFrame,
+    cameras: Mapping[str, Camera],
+    field: FieldDescription,
+    frame: LocalFrame,
+    *,
+    calibrate: Mapping[str, tuple[str, ...]] | None = None,
+) -> MeasuredField:
+    """Adjust a field and place it in the world.
+
+    Parameters
+    ----------
+    marks : table of kind ``marks``.
+    cameras : nominal interior orientations by name.
+    field : its description.
+    frame : of wcs.
+    calibrate : parameters to estimate of each camera; all if None.
+
+    Raises
+    ------
+    GeometryError : the pictures do not determine the field (with what they show, and what to photograph); the
+        camera changed so much that the field is bent; scale bars, targets and sheets contradict each other.
+    """
+    approximate = None
+    if len(field.targets) >= 3:
+        wcs = targets_wcs(field.targets, frame)
+        # a frame with its origin amid the targets: coordinates stay small wherever wcs begins
+        middle = np.round(np.median(wcs, axis=0))
+        approximate = {t.marker: place - middle for t, place in zip(field.targets, wcs, strict=True)}
+    try:
+        network = measure_field(marks, cameras, field, approximate=approximate, calibrate=calibrate)
+    except GeometryError as error:
+        raise with_overview(error, marks) from error
+    require_steady(list(network.changes))
+    points = FieldPoints(points=network.points, points_pcs=network.points_pcs, cov=network.cov_points)
+    datum = field_datum(points, field.targets, frame) if field.targets else None
+    sheets = sheet_sizes(network, field)
+    if datum is None:
+        require_size(sheets)
+    notes = field_notes(network, datum, field, sheets)
+    return MeasuredField(network=network, points=points, datum=datum, notes=notes)
+
+
+def point_table(field: FieldDescription, measured: MeasuredField) -> pd.DataFrame:
+    """Table for people: mark, coordinates, sigmas, cone that carries it, number of pictures."""
+    table = measured.points.table()
+    used = measured.network.residuals[measured.network.residuals["used"]]
+    count = used.groupby(["marker", "corner"]).size().to_dict()
+    table["cone"] = [field.cone_of(marker) for marker, _ in measured.points.points]
+    table["images"] = [int(count.get(point, 0)) for point in measured.points.points]
+    return table
+
+
+# ---------------------------------------------------------------- what people should know of a measured
+# field: what is missing, what checks nothing, what looks wrong
 
 
 def sheet_sizes(network: FieldNetwork, field: FieldDescription) -> dict[float, float]:
@@ -135,95 +239,158 @@ def _times(sheets: Mapping[float, float]) -> str:
     return " and ".join(told)
 
 
-# ---------------------------------------------------------------- job
+# ---------------------------------------------------------------- how many images show how many markers
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MeasuredField:
-    """A field, its points, its place in the world if it has targets, and what people should know."""
+def overview_words(marks: pd.DataFrame) -> str:
+    """Counts of pictures and markers of a table of marks, in words."""
+    pairs = marks.drop_duplicates(["image", "marker"])
+    seen = pairs.groupby("marker")["image"].nunique()
+    shown = pairs.groupby("image")["marker"].nunique()
+    often, twice, once = (int(n.sum()) for n in (seen >= _GOOD_PICTURES, seen == 2, seen == 1))
+    words = (
+        f"{len(shown)} pictures show {len(seen)} markers: {often} stand in {_GOOD_PICTURES} pictures or "
+        f"more, {twice} in two, {once} in one"
+    )
+    poor = shown[shown < _FEW_MARKERS]
+    if len(poor):
+        words += f"; {len(poor)} pictures show fewer than {_FEW_MARKERS} markers ({_some(poor.index)})"
+    groups = _groups(pairs)
+    if len(groups) > 1:
+        told = "; ".join(f"{len(g)} with {_some(g)}" for g in groups[:3])
+        words += f"; they fall into {len(groups)} groups that share fewer than {_TIES} markers: {told}"
+    return words
 
-    network: FieldNetwork
-    points: FieldPoints
-    datum: FieldDatum | None
-    notes: list[str]
+
+def advice_words(marks: pd.DataFrame) -> str:
+    """What to photograph, by the same counts."""
+    pairs = marks.drop_duplicates(["image", "marker"])
+    seen = pairs.groupby("marker")["image"].nunique()
+    shown = pairs.groupby("image")["marker"].nunique()
+    advice = []
+    groups = _groups(pairs)
+    if len(groups) > 1:
+        sides = [_some(_most_seen(pairs[pairs["image"].isin(group)])) for group in groups[:2]]
+        advice.append(f"take pictures that show markers of both groups, so {sides[0]} and {sides[1]}")
+    rare = seen[seen < _GOOD_PICTURES].index.astype(int).tolist()
+    if rare:
+        advice.append(f"take the markers {_some(rare, 12)} from two more sides")
+    if len(shown) < 20:
+        advice.append(f"take {20 - len(shown)} pictures more, from all sides and two heights")
+    return "; ".join(advice)
 
 
-def starting_camera(
-    marks: pd.DataFrame,
-    field: FieldDescription,
-    name: str,
-    size_px: tuple[int, int],
-    *,
-    model: Model = "perspective",
-    focal_px: float | None = None,
-) -> Camera:
-    """Nominal interior orientation of the field's camera; without a focal length several are tried.
+def with_overview(error: GeometryError, marks: pd.DataFrame) -> GeometryError:
+    """The same error, which also tells what the pictures show and what to photograph."""
+    if len(marks) == 0:
+        return error
+    cure = "; ".join(words.rstrip(".") for words in (error.cure, advice_words(marks)) if words)
+    found = f"{error.found}; {overview_words(marks)}"
+    ThalwegError.__init__(error, found, expected=error.expected, where=error.where, cure=cure)
+    return error
+
+
+def _groups(pairs: pd.DataFrame) -> list[list[str]]:
+    """Names of pictures that hang together by common markers, the largest group first."""
+    markers = {str(image): set(part["marker"]) for image, part in pairs.groupby("image")}
+    left, groups = sorted(markers), []
+    while left:
+        group, waiting = [], [left.pop(0)]
+        while waiting:
+            here = waiting.pop()
+            group.append(here)
+            near = [name for name in left if len(markers[name] & markers[here]) >= _TIES]
+            left = [name for name in left if name not in near]
+            waiting += near
+        groups.append(sorted(group))
+    return sorted(groups, key=lambda g: (-len(g), g[0]))
+
+
+def _most_seen(pairs: pd.DataFrame) -> list[int]:
+    """Markers, those in the most pictures first."""
+    count = pairs.groupby("marker").size()
+    return [int(m) for m in sorted(count.index, key=lambda m: (-count[m], m))]
+
+
+def _some(names: Iterable[object], most: int = 4) -> str:
+    every = [str(name) for name in names]
+    return ", ".join(every[:most]) + (" ..." if len(every) > most else "")
+
+
+# ---------------------------------------------------------------- facts of a field beside its points
+
+
+def write_facts(path: Path, network: FieldNetwork, datum: FieldDatum | None, notes: list[str]) -> None:
+    """Write the facts of an adjusted field as JSON."""
+    facts: dict[str, Any] = {"kind": KIND, "version": VERSION, "adjustment": network.report, "notes": notes}
+    facts["rejected"] = network.rejected.to_dict("records")
+    facts["camera_changes"] = [asdict(change) for change in network.changes]
+    if network.scale is not None:
+        facts["scale_bars"] = {
+            "used": network.scale.used.tolist(),
+            "off_mm": [_or_none(v * 1000.0) for v in network.scale.off_m],
+            "sigma_off_mm": [_or_none(v * 1000.0) for v in network.scale.sigma_off_m],
+        }
+    facts["T_wcs_pcs"] = None
+    if datum is not None:
+        facts["T_wcs_pcs"] = {
+            "equation": "x_wcs = T_wcs_pcs @ x_pcs",
+            "matrix": datum.T_wcs_pcs.matrix.tolist(),
+            "cov": datum.T_wcs_pcs.cov.tolist(),
+            "cov_of": "shift in m, small rotation vector in rad, both in wcs",
+        }
+        facts["targets"] = {
+            "table": datum.table.to_dict("records"),
+            "rejected": [{"name": name, "reason": reason} for name, reason in datum.rejected],
+            "sigma0": datum.sigma0,
+            "redundancy": datum.redundancy,
+            "sigma_scale": datum.sigma_scale,
+        }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(facts, indent=2, allow_nan=False) + "\n")
+
+
+def read_facts(path: Path) -> dict[str, Any]:
+    """Read what `write_facts` wrote.
 
     Raises
     ------
-    GeometryError : none gives a field; tells what the pictures show, and what to photograph.
+    InputError : the file is missing or something else.
     """
-    mine = marks[marks["camera"] == name]
-
-    def misfit(camera: Camera) -> float:
-        """How badly a field by this camera fits, pixels."""
-        block = block_of(mine, {name: camera})
-        return misfit_px(block, start_network(block, field.layout), float(camera.parameters[0]))
-
+    if not path.is_file():
+        raise InputError("file not found", expected="facts of a calibration field", where=path)
     try:
-        return starting_camera_by(misfit, name, model, size_px, focal_px)
-    except GeometryError as error:
-        raise with_overview(error, mine) from error
+        facts = json.loads(path.read_text())
+        known = (facts["kind"], facts["version"]) == (KIND, VERSION)
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"no facts of a field ({error!r})", expected=f"{KIND}, version {VERSION}", where=path
+        ) from error
+    if not known:
+        raise InputError(
+            f"{facts['kind']}, version {facts['version']}", expected=f"{KIND}, version {VERSION}", where=path
+        )
+    return dict(facts)
 
 
-def measure(
-    marks: pd.DataFrame,
-    cameras: Mapping[str, Camera],
-    field: FieldDescription,
-    frame: LocalFrame,
-    *,
-    calibrate: Mapping[str, tuple[str, ...]] | None = None,
-) -> MeasuredField:
-    """Adjust a field and place it in the world.
-
-    Parameters
-    ----------
-    marks : table of kind ``marks``.
-    cameras : nominal interior orientations by name.
-    field : its description.
-    frame : of wcs.
-    calibrate : parameters to estimate of each camera; all if None.
+def read_place(path: Path) -> Rigid:
+    """``T_wcs_pcs`` of a field with its covariance.
 
     Raises
     ------
-    GeometryError : the pictures do not determine the field (with what they show, and what to photograph); the
-        camera changed so much that the field is bent; scale bars, targets and sheets contradict each other.
+    InputError : the file is missing or something else.
+    GeometryError : the field has no targets, so that its place in the world is unknown.
     """
-    approximate = None
-    if len(field.targets) >= 3:
-        wcs = targets_wcs(field.targets, frame)
-        # a frame with its origin amid the targets: coordinates stay small wherever wcs begins
-        middle = np.round(np.median(wcs, axis=0))
-        approximate = {t.marker: place - middle for t, place in zip(field.targets, wcs, strict=True)}
-    try:
-        network = measure_field(marks, cameras, field, approximate=approximate, calibrate=calibrate)
-    except GeometryError as error:
-        raise with_overview(error, marks) from error
-    require_steady(list(network.changes))
-    points = FieldPoints(points=network.points, points_pcs=network.points_pcs, cov=network.cov_points)
-    datum = field_datum(points, field.targets, frame) if field.targets else None
-    sheets = sheet_sizes(network, field)
-    if datum is None:
-        require_size(sheets)
-    notes = field_notes(network, datum, field, sheets)
-    return MeasuredField(network=network, points=points, datum=datum, notes=notes)
+    place = read_facts(path)["T_wcs_pcs"]
+    if place is None:
+        raise GeometryError(
+            "the field has no place in the world: its description names no RTK targets",
+            expected="at least three targets",
+            where=path,
+            cure="Measure three markers or more by RTK and add them to the field description",
+        )
+    return Rigid.from_matrix(np.array(place["matrix"]), np.array(place["cov"]))
 
 
-def point_table(field: FieldDescription, measured: MeasuredField) -> pd.DataFrame:
-    """Table for people: mark, coordinates, sigmas, cone that carries it, number of pictures."""
-    table = measured.points.table()
-    used = measured.network.residuals[measured.network.residuals["used"]]
-    count = used.groupby(["marker", "corner"]).size().to_dict()
-    table["cone"] = [field.cone_of(marker) for marker, _ in measured.points.points]
-    table["images"] = [int(count.get(point, 0)) for point in measured.points.points]
-    return table
+def _or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

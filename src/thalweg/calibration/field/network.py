@@ -1,48 +1,70 @@
 """From marks of pictures to the reference points of a field: start, blunders, scale, adjustment."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
+from thalweg.calibration import Block, MarkerLayout, block_of, parse_mark, sheet_centres
 from thalweg.calibration.field.bundle import (
     BARS,
+    LEAST_RAYS,
     Bar,
     Layout,
     Problem,
+    Rejected,
     State,
+    clean,
     mark_lengths,
     marks_model,
     solve,
     start_state,
+    thinned,
     transformed,
-)  # fmt: skip
-from thalweg.calibration.field.bundle_cleaning import LEAST_RAYS, Rejected, clean, thinned
+)
 from thalweg.calibration.field.description import FieldDescription
-from thalweg.calibration.field.network_start import start_network
-from thalweg.calibration.field.steady_camera import CameraChange, camera_changes
-from thalweg.calibration.field.target_search import approximate_place
-from thalweg.calibration.markers.mark_block import Block, block_of
-from thalweg.calibration.markers.sheets import parse_mark
-from thalweg.core.adjustment.solve import Adjusted
-from thalweg.core.camera.model import PARAMETERS, Camera
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import AnyArray, ArrayB, ArrayF
-
-# ---------------------------------------------------------------- do the scale bars of a field agree with
-# each other?
-#
-# A free network knows all distances up to one scale. With two bars or more each gives it, so that a wrong one
-# shows; with two, nobody can say which of them it is.
-
+from thalweg.calibration.field.resection import improved_pose, pose_from_rays
+from thalweg.core import PARAMETERS, Adjusted, AnyArray, ArrayB, ArrayF, ArrayI, Camera, GeometryError, Rigid
+from thalweg.core.geometry import fit_points
 
 _LEVEL: Final = 1e-4
 """Probability with which good bars are called contradictory."""
+
+_ROUGH_RAD: Final = 0.06
+"""Directions to the centres of sheets from their distances in one other picture."""
+_FINE_RAD: Final = 0.01
+"""Directions to intersected saddles with nominal interior orientation."""
+_LEAST_MARKERS: Final = 4
+_LEAST_SADDLES: Final = 7
+_LEAST_ANGLE_RAD: Final = 0.03
+_FITS_WELL: Final = 0.85
+"""Share of fitting marks from which on a picture's pose is taken as right."""
+_LEAST_ALIGNED: Final = 3
+_ALIGNED: Final = 0.1
+"""Median difference of the centres of aligned sheets over the size of their layout."""
+_LEAST_WIDTH_OF_SHEETS: Final = 0.05
+"""Width of the aligned sheets' layout over their distance: in one line they leave a turn free."""
+
+_MOST_TRIPLES: Final = 2000
+_LEAST_WIDTH_OF_TARGETS: Final = 0.02
+"""Width over length of three targets below which they leave a turn of the field free."""
+_SCALES: Final = (0.6, 1.6)
+"""The sheets' printed size gives the size of a field, less the error of a nominal focal length."""
+_ASKEW: Final = 0.15
+"""Median distance over the size of the field up to which an approximate place is one."""
+_SIMILAR: Final = 1.01
+"""Factor between two scales below which they are no explanation of a gross contradiction."""
+
+_LEAST_IMAGES: Final = 3
+"""Pictures on either side of the place where a camera may have changed."""
+_NOTED: Final = 0.3
+_REFUSED: Final = 3.0
+"""Bending of the field over its sigmas from which on it is told, and from which on it is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,86 +87,47 @@ class Scale:
     sigma_off_m: ArrayF
 
 
-def scale_of(names: Sequence[str], stated_m: ArrayF, sigma_m: ArrayF, measured: ArrayF, cov: ArrayF) -> Scale:
-    """Scale from bars; a single wrong one among three or more is found by leaving out each in turn.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraChange:
+    """The most likely change of a camera in the course of the pictures.
 
     Parameters
     ----------
-    names : of the bars.
-    stated_m, sigma_m : (b,) their certificates.
-    measured, cov : (b,) lengths in the free network, in its unit, and their covariance.
-
-    Raises
-    ------
-    GeometryError : no bar; two bars contradict; or more than one of several is wrong.
+    camera : its name.
+    before, since : last picture before and first picture after the change, by the order of the file names.
+    constant : relative change of the camera constant, and ``sigma_constant``.
+    shift_px : (2,) change of the principal point.
+    probability : of a change at least as clear if the camera is steady, over all places that were tried.
+    bend_m : root mean square of the change of the points if the change is accounted for.
+    bend_sigmas : the same over that of their standard deviations.
     """
-    b = len(names)
-    if b == 0:
-        raise GeometryError(
-            "no scale bar", expected="at least two scale bars in the field description",
-            cure="Put two bars of known length into the field and take the pictures again",
-        )  # fmt: skip
-    used = np.ones(b, dtype=np.bool_)
-    if b > 1 and _contradiction(stated_m, sigma_m, measured, cov, used) < _LEVEL:
-        if b == 2:
-            factor, _ = _factor(stated_m, sigma_m, measured, cov, np.array([True, False]))
-            off = (factor * measured[1] - stated_m[1]) * 1000.0
-            raise GeometryError(
-                f"the scale bars {names[0]} and {names[1]} contradict each other, one of them is wrong: by "
-                f"{names[0]}, {names[1]} is {off:+.2f} mm longer than its {stated_m[1]:.5f} m",
-                expected="bars that agree within their sigmas",
-                cure="Check lengths and end marks in the field description; a third bar would tell which",
-            )
-        fits = np.array(
-            [_contradiction(stated_m, sigma_m, measured, cov, np.arange(b) != k) for k in range(b)]
+
+    camera: str
+    before: str
+    since: str
+    constant: float
+    sigma_constant: float
+    shift_px: tuple[float, float]
+    probability: float
+    bend_m: float
+    bend_sigmas: float
+
+    @property
+    def clear(self) -> bool:
+        """It is no accident, and it matters."""
+        return self.probability < _LEVEL and self.bend_sigmas > _NOTED
+
+    @property
+    def words(self) -> str:
+        """What was found and what to do, for people."""
+        x, y = self.shift_px
+        return (
+            f"the camera {self.camera} changed between {self.before} and {self.since}: camera constant by "
+            f"{self.constant:+.3%} (sigma {self.sigma_constant:.3%}), principal point by {x:+.1f} and "
+            f"{y:+.1f} pixels. The lens was focused or zoomed, or its stabiliser was on; that bends the "
+            f"field by {self.bend_m * 1000:.2f} mm, {self.bend_sigmas:.1f} times its sigma. Take out the "
+            "pictures before or since, or take all again with focus and zoom taped and the stabiliser off"
         )
-        wrong = int(fits.argmax())
-        if fits[wrong] < _LEVEL:
-            raise GeometryError(
-                f"more than one of the scale bars {', '.join(names)} is wrong",
-                expected="at most one that contradicts the others",
-                cure="Check lengths, sigmas and end marks in the field description",
-            )
-        used[wrong] = False
-    factor, sigma = _factor(stated_m, sigma_m, measured, cov, used)
-    off, sigma_off = np.empty(b), np.empty(b)
-    for k in range(b):
-        others = used.copy()
-        others[k] = False
-        if not others.any():
-            off[k], sigma_off[k] = 0.0, np.nan
-            continue
-        own, own_sigma = _factor(stated_m, sigma_m, measured, cov, others)
-        off[k] = stated_m[k] - own * measured[k]
-        sigma_off[k] = np.sqrt(sigma_m[k] ** 2 + own**2 * cov[k, k] + (own_sigma * measured[k]) ** 2)
-    return Scale(factor, sigma, used, off, sigma_off)
-
-
-def _factor(
-    stated: ArrayF, sigma: ArrayF, measured: ArrayF, cov: ArrayF, used: ArrayB
-) -> tuple[float, float]:
-    S, m, s = _system(stated, sigma, measured, cov, used)
-    W = np.linalg.inv(S)
-    N = float(m @ W @ m)
-    return float(m @ W @ s) / N, N**-0.5
-
-
-def _contradiction(stated: ArrayF, sigma: ArrayF, measured: ArrayF, cov: ArrayF, used: ArrayB) -> float:
-    """Probability of a contradiction at least as large if all used bars are right."""
-    if used.sum() < 2:
-        return 1.0
-    factor, _ = _factor(stated, sigma, measured, cov, used)
-    S, m, s = _system(stated, sigma, measured, cov, used)
-    v = s - factor * m
-    return float(chi2.sf(v @ np.linalg.solve(S, v), used.sum() - 1))
-
-
-def _system(
-    stated: ArrayF, sigma: ArrayF, measured: ArrayF, cov: ArrayF, used: ArrayB
-) -> tuple[ArrayF, ArrayF, ArrayF]:
-    rough = float(np.median(stated[used] / measured[used]))
-    S = rough**2 * cov[np.ix_(used, used)] + np.diag(np.square(sigma[used]))
-    return S, measured[used], stated[used]
 
 
 # ---------------------------------------------------------------- network
@@ -239,12 +222,7 @@ def measure_field(
 
 
 def _frame(
-    block: Block,
-    x: State,
-    images: ArrayB,
-    approximate: Mapping[int, ArrayF] | None,
-    *,
-    scaled: bool = True,
+    block: Block, x: State, images: ArrayB, approximate: Mapping[int, ArrayF] | None, *, scaled: bool = True
 ) -> tuple[float, Rigid]:
     """Scale and turn into pcs: the frame of approximate centres, or upright by the pictures.
 
@@ -320,11 +298,7 @@ def _scaled(
 
 
 def network_of(
-    problem: Problem,
-    adjusted: Adjusted[State],
-    layout: Layout,
-    rejected: list[Rejected],
-    scale: Scale | None,
+    problem: Problem, adjusted: Adjusted[State], layout: Layout, rejected: list[Rejected], scale: Scale | None
 ) -> FieldNetwork:
     """Tables and covariances of an adjusted bundle."""
     block, x, cov = problem.block, adjusted.x, adjusted.cov
@@ -393,3 +367,588 @@ def network_of(
 
 def _symmetric(C: AnyArray) -> ArrayF:
     return np.asarray((C + C.T) / 2)
+
+
+# ---------------------------------------------------------------- do the scale bars of a field agree with
+# each other?
+#
+# A free network knows all distances up to one scale. With two bars or more each gives it, so that a wrong one
+# shows; with two, nobody can say which of them it is.
+
+
+def scale_of(names: Sequence[str], stated_m: ArrayF, sigma_m: ArrayF, measured: ArrayF, cov: ArrayF) -> Scale:
+    """Scale from bars; a single wrong one among three or more is found by leaving out each in turn.
+
+    Parameters
+    ----------
+    names : of the bars.
+    stated_m, sigma_m : (b,) their certificates.
+    measured, cov : (b,) lengths in the free network, in its unit, and their covariance.
+
+    Raises
+    ------
+    GeometryError : no bar; two bars contradict; or more than one of several is wrong.
+    """
+    b = len(names)
+    if b == 0:
+        raise GeometryError(
+            "no scale bar",
+            expected="at least two scale bars in the field description",
+            cure="Put two bars of known length into the field and take the pictures again",
+        )
+    used = np.ones(b, dtype=np.bool_)
+    if b > 1 and _contradiction(stated_m, sigma_m, measured, cov, used) < _LEVEL:
+        if b == 2:
+            factor, _ = _factor(stated_m, sigma_m, measured, cov, np.array([True, False]))
+            off = (factor * measured[1] - stated_m[1]) * 1000.0
+            raise GeometryError(
+                f"the scale bars {names[0]} and {names[1]} contradict each other, one of them is wrong: by "
+                f"{names[0]}, {names[1]} is {off:+.2f} mm longer than its {stated_m[1]:.5f} m",
+                expected="bars that agree within their sigmas",
+                cure="Check lengths and end marks in the field description; a third bar would tell which",
+            )
+        fits = np.array(
+            [_contradiction(stated_m, sigma_m, measured, cov, np.arange(b) != k) for k in range(b)]
+        )
+        wrong = int(fits.argmax())
+        if fits[wrong] < _LEVEL:
+            raise GeometryError(
+                f"more than one of the scale bars {', '.join(names)} is wrong",
+                expected="at most one that contradicts the others",
+                cure="Check lengths, sigmas and end marks in the field description",
+            )
+        used[wrong] = False
+    factor, sigma = _factor(stated_m, sigma_m, measured, cov, used)
+    off, sigma_off = np.empty(b), np.empty(b)
+    for k in range(b):
+        others = used.copy()
+        others[k] = False
+        if not others.any():
+            off[k], sigma_off[k] = 0.0, np.nan
+            continue
+        own, own_sigma = _factor(stated_m, sigma_m, measured, cov, others)
+        off[k] = stated_m[k] - own * measured[k]
+        sigma_off[k] = np.sqrt(sigma_m[k] ** 2 + own**2 * cov[k, k] + (own_sigma * measured[k]) ** 2)
+    return Scale(factor, sigma, used, off, sigma_off)
+
+
+def _factor(
+    stated: ArrayF, sigma: ArrayF, measured: ArrayF, cov: ArrayF, used: ArrayB
+) -> tuple[float, float]:
+    S, m, s = _system(stated, sigma, measured, cov, used)
+    W = np.linalg.inv(S)
+    N = float(m @ W @ m)
+    return float(m @ W @ s) / N, N**-0.5
+
+
+def _contradiction(stated: ArrayF, sigma: ArrayF, measured: ArrayF, cov: ArrayF, used: ArrayB) -> float:
+    """Probability of a contradiction at least as large if all used bars are right."""
+    if used.sum() < 2:
+        return 1.0
+    factor, _ = _factor(stated, sigma, measured, cov, used)
+    S, m, s = _system(stated, sigma, measured, cov, used)
+    v = s - factor * m
+    return float(chi2.sf(v @ np.linalg.solve(S, v), used.sum() - 1))
+
+
+def _system(
+    stated: ArrayF, sigma: ArrayF, measured: ArrayF, cov: ArrayF, used: ArrayB
+) -> tuple[ArrayF, ArrayF, ArrayF]:
+    rough = float(np.median(stated[used] / measured[used]))
+    S = rough**2 * cov[np.ix_(used, used)] + np.diag(np.square(sigma[used]))
+    return S, measured[used], stated[used]
+
+
+# ---------------------------------------------------------------- approximate poses and points
+#
+# Each sheet of known size has a distance from the camera in each picture. So the picture with the most
+# markers gives a first rough field; a second picture is resected on the centres of its sheets; from then on
+# saddles are intersected from the pictures that are known, and picture after picture is resected on them.
+# Planar poses of a sheet have two solutions that lie close together for a small sheet; only the centre,
+# which hardly depends on which one is right, is used, and intersection settles the rest.
+#
+# A wrong mark makes its sheet look like no flat square: the marks of such sheets make no points until the
+# poses are known. Where too few markers link a picture to the others, three sheets of known distance do.
+
+
+@dataclass(slots=True)
+class Start:
+    """Approximate values: poses ``T_pcs_ccs`` by image, points (p, 3), NaN if unknown, images left out."""
+
+    poses: dict[int, Rigid]
+    points: ArrayF
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+def start_network(block: Block, layout: MarkerLayout) -> Start:
+    """Approximate values in the frame of one picture; see the module.
+
+    Raises
+    ------
+    GeometryError : no picture shows enough markers, or no two belong together.
+    """
+    centres, rays, odd = sheet_centres(block, layout)
+    # marks of odd sheets make no points; for a pose, wrong ones among many do no harm
+    sure = replace(block, rays=np.where(odd[:, None], np.nan, block.rays))
+    count = {i: len(seen) for i, seen in centres.items()}
+    if not count or max(count.values()) < _LEAST_MARKERS:
+        best = max(count.values(), default=0)
+        raise GeometryError(
+            f"at most {best} whole markers in one picture",
+            expected=f"pictures with {_LEAST_MARKERS} markers or more",
+            cure="Take pictures from farther away or with a wider lens, so that each shows several sheets",
+        )
+    first = max(sorted(count), key=lambda i: count[i])
+    start = Start({first: Rigid(R=np.eye(3), shift_m=np.zeros(3))}, np.full((len(block.points), 3), np.nan))
+    rough = dict(centres[first])
+    waiting = set(range(len(block.images))) - {first}
+    next_sweep = 3
+    while waiting:
+        solved = np.isfinite(start.points[:, 0])
+        score = {i: _known(block, i, solved, rough, rays.get(i, {})) for i in sorted(waiting)}
+        order = sorted(waiting, key=lambda i: (-max(score[i]), i))
+        found = _first((i, _resected(block, i, start, solved, rough, rays.get(i, {}))) for i in order)
+        if found is None:
+            # a weak link, only where no other is left
+            places = rough | _centres(block, start)
+            found = _first((i, _aligned(centres.get(i, {}), places)) for i in order)
+        if found is None:
+            break
+        image, pose = found
+        start.poses[image] = pose
+        waiting.remove(image)
+        for marker, centre in centres.get(image, {}).items():
+            rough.setdefault(marker, pose.apply(centre[None])[0])
+        if len(start.poses) >= next_sweep or not waiting:
+            next_sweep = max(next_sweep + 1, round(1.3 * next_sweep))
+            _sweep(block, sure, start, 3)
+        else:
+            start.points = _intersect(sure, start.poses)
+    waiting -= _join(block, sure, start, waiting, centres, layout)
+    for image in sorted(waiting):
+        n = len(set(block.marker[block.image == image]))
+        seen = f"{n} marker{'s' if n != 1 else ''}"
+        start.left_out[block.images[image]] = f"shows {seen}, too few that other pictures show, too"
+    if len(start.poses) < 2:
+        raise GeometryError(
+            "no two pictures show the same four markers",
+            expected="overlapping pictures of one field",
+            cure="Take more pictures, each with at least half of the markers of the one before",
+        )
+    _sweep(block, sure, start, 4)
+    _repair(block, sure, start)
+    _sweep(block, sure, start, 2)
+    unsolved = np.isnan(start.points[:, 0])
+    start.points[unsolved] = _intersect(block, start.poses)[unsolved]
+    return start
+
+
+def misfit_px(block: Block, start: Start, focal_px: float) -> float:
+    """How badly a start fits: median angle of rays in pixels, more if pictures are missing."""
+    off = _off_rad(block, start)
+    off = off[np.isfinite(off)]
+    if len(off) == 0:
+        return float("inf")
+    return float(np.median(off)) * focal_px * (len(block.image) / len(off)) ** 2
+
+
+def _off_rad(block: Block, start: Start) -> ArrayF:
+    """(m,) angle between the ray of a mark and the direction to its point, NaN where one is unknown."""
+    R = np.full((len(block.images), 3, 3), np.nan)
+    C = np.full((len(block.images), 3), np.nan)
+    for image, pose in start.poses.items():
+        R[image], C[image] = pose.R, pose.shift_m
+    away = start.points[block.point] - C[block.image]
+    local = np.einsum("mji,mj->mi", R[block.image], away)
+    return np.asarray(np.linalg.norm(_unit(local) - block.rays, axis=1))
+
+
+def _known(
+    block: Block, image: int, solved: ArrayB, rough: dict[int, ArrayF], rays: dict[int, ArrayF]
+) -> tuple[int, int]:
+    mine = block.image == image
+    return len(set(block.marker[mine & solved[block.point]])), len(set(rays) & set(rough))
+
+
+def _resected(
+    block: Block, image: int, start: Start, solved: ArrayB, rough: dict[int, ArrayF], rays: dict[int, ArrayF]
+) -> Rigid | None:
+    """Pose of an image on intersected saddles, or else on the centres of sheets; None if neither is safe."""
+    mine = np.flatnonzero((block.image == image) & solved[block.point])
+    mine = mine[np.isfinite(block.rays[mine]).all(axis=1)]
+    markers = len(set(block.marker[mine]))
+    if markers >= 2 and len(mine) >= _LEAST_SADDLES:
+        pose, angles = _pose(start.points[block.point[mine]], block.rays[mine], block.marker[mine], _FINE_RAD)
+        if pose is not None and (angles < _FINE_RAD).mean() > (0.6 if markers >= _LEAST_MARKERS else 0.85):
+            return pose
+    both = sorted(set(rays) & set(rough))
+    if len(both) < _LEAST_MARKERS:
+        return None
+    points, directions = np.array([rough[m] for m in both]), np.array([rays[m] for m in both])
+    pose, angles = _pose(points, directions, np.array(both), _ROUGH_RAD)
+    enough = (angles < _ROUGH_RAD).sum() >= max(_LEAST_MARKERS, 0.6 * len(both))
+    return pose if enough else None
+
+
+def _pose(points: ArrayF, rays: ArrayF, groups: ArrayI, cap_rad: float) -> tuple[Rigid | None, ArrayF]:
+    """A pose and the angles of rays (n,), None if no three rays give one: another picture goes on."""
+    try:
+        return pose_from_rays(points, rays, groups, cap_rad=cap_rad)
+    except GeometryError:
+        return None, np.full(len(points), np.pi)
+
+
+def _first(tried: Iterable[tuple[int, Rigid | None]]) -> tuple[int, Rigid] | None:
+    """The first image that has a pose; None if no image has one."""
+    return next(((image, pose) for image, pose in tried if pose is not None), None)
+
+
+def _centres(block: Block, start: Start) -> dict[int, ArrayF]:
+    """Centres (3,) of markers whose four saddles were intersected."""
+    solved = [(p[0], x) for p, x in zip(block.points, start.points, strict=True) if np.isfinite(x).all()]
+    sums: dict[int, list[ArrayF]] = {}
+    for marker, x in solved:
+        sums.setdefault(marker, []).append(x)
+    return {marker: np.mean(xs, axis=0) for marker, xs in sums.items() if len(xs) == 4}
+
+
+def _places(block: Block, start: Start, centres: dict[int, dict[int, ArrayF]]) -> dict[int, ArrayF]:
+    """Places (3,) of markers: intersected, or else by their distances in the pictures that show them."""
+    seen: dict[int, list[ArrayF]] = {}
+    for image, pose in start.poses.items():
+        for marker, centre in centres.get(image, {}).items():
+            seen.setdefault(marker, []).append(pose.apply(centre[None])[0])
+    return {m: np.median(xs, axis=0) for m, xs in seen.items()} | _centres(block, start)
+
+
+def _aligned(centres: dict[int, ArrayF], places: dict[int, ArrayF]) -> Rigid | None:
+    """Pose from three common sheets or more: their centres in ccs, with the distances, laid upon pcs."""
+    both = sorted(set(centres) & set(places))
+    if len(both) < _LEAST_ALIGNED:
+        return None
+    ccs, pcs = (np.array([at[m] for m in both]) for at in (centres, places))
+    R, shift_m, _ = fit_points(ccs, pcs)
+    pose = Rigid(R=R, shift_m=shift_m)
+    off = np.linalg.norm(pose.apply(ccs) - pcs, axis=1)
+    size = np.linalg.svd(ccs - ccs.mean(axis=0), compute_uv=False) / np.sqrt(len(ccs))
+    narrow = size[1] < _LEAST_WIDTH_OF_SHEETS * float(np.linalg.norm(ccs, axis=1).max())
+    return None if narrow or np.median(off) > _ALIGNED * np.linalg.norm(size) else pose
+
+
+def _sweep(block: Block, sure: Block, start: Start, times: int) -> None:
+    """Points from poses and the sure marks, and poses from points, in turns."""
+    for _ in range(times):
+        start.points = _intersect(sure, start.poses)
+        for image, pose in start.poses.items():
+            mine = np.flatnonzero((block.image == image) & np.isfinite(start.points[block.point, 0]))
+            mine = mine[np.isfinite(block.rays[mine]).all(axis=1)]
+            points, rays = start.points[block.point[mine]], block.rays[mine]
+            off = np.linalg.norm(_unit((points - pose.shift_m) @ pose.R) - rays, axis=1)
+            near = off < max(_FINE_RAD, 3 * float(np.median(off))) if len(off) else off > 0
+            if near.sum() >= 6:
+                start.poses[image] = improved_pose(pose, points[near], rays[near])
+    start.points = _intersect(sure, start.poses)
+
+
+def _join(
+    block: Block,
+    sure: Block,
+    start: Start,
+    waiting: set[int],
+    centres: dict[int, dict[int, ArrayF]],
+    layout: MarkerLayout,
+) -> set[int]:
+    """Pictures that hang together among themselves are laid upon the others by markers that both show.
+
+    Returns those that are joined.
+    """
+    rows = np.isin(block.image, list(waiting))
+    if len(waiting) < 2 or len(start.poses) < 2 or not rows.any():
+        return set()
+    part = replace(
+        block,
+        image=block.image[rows],
+        point=block.point[rows],
+        xy_px=block.xy_px[rows],
+        sigma_px=block.sigma_px[rows],
+        rays=block.rays[rows],
+    )
+    try:
+        other = start_network(part, layout)
+    except GeometryError:
+        return set()
+    T = _aligned(_places(block, other, centres), _places(block, start, centres))
+    if T is None:
+        return set()
+    start.poses |= {image: T @ pose for image, pose in other.poses.items()}
+    _sweep(block, sure, start, 3)
+    return set(other.poses)
+
+
+def _repair(block: Block, sure: Block, start: Start) -> None:
+    """Pictures that fit badly are resected anew on what the others say: a wrong pose spoils points, too."""
+    off = _off_rad(block, start)
+    fitting = {i: float(np.mean(off[block.image == i] < _FINE_RAD)) for i in start.poses}
+    for image in sorted((i for i in fitting if fitting[i] < _FITS_WELL), key=lambda i: (fitting[i], i)):
+        others = {i: pose for i, pose in start.poses.items() if i != image}
+        points = _intersect(sure, others)
+        mine = np.flatnonzero((block.image == image) & np.isfinite(points[block.point, 0]))
+        mine = mine[np.isfinite(block.rays[mine]).all(axis=1)]
+        if len(mine) < _LEAST_SADDLES or len(set(block.marker[mine])) < _LEAST_MARKERS:
+            continue
+        there, rays = points[block.point[mine]], block.rays[mine]
+        pose, angles = _pose(there, rays, block.marker[mine], _FINE_RAD)
+        old = start.poses[image]
+        before = np.linalg.norm(_unit((there - old.shift_m) @ old.R) - rays, axis=1)
+        if pose is not None and (angles < _FINE_RAD).mean() > (before < _FINE_RAD).mean():
+            start.poses[image] = pose
+
+
+def _intersect(block: Block, poses: dict[int, Rigid]) -> ArrayF:
+    """Points (p, 3) nearest to their rays, wrong ones weighted down; NaN without two that cross."""
+    n = len(block.points)
+    rows = np.flatnonzero(np.isin(block.image, list(poses)) & np.isfinite(block.rays).all(axis=1))
+    R = np.stack([poses[i].R if i in poses else np.eye(3) for i in range(len(block.images))])
+    C = np.stack([poses[i].shift_m if i in poses else np.zeros(3) for i in range(len(block.images))])
+    image, point = block.image[rows], block.point[rows]
+    d = np.einsum("mij,mj->mi", R[image], block.rays[rows])
+    across = np.eye(3) - d[:, :, None] * d[:, None, :]
+    weight = np.ones(len(rows))
+    points = np.full((n, 3), np.nan)
+    for _ in range(4):
+        A, b = np.zeros((n, 3, 3)), np.zeros((n, 3))
+        np.add.at(A, point, weight[:, None, None] * across)
+        np.add.at(b, point, weight[:, None] * np.einsum("mij,mj->mi", across, C[image]))
+        count = np.bincount(point, minlength=n)
+        smallest = np.linalg.eigvalsh(A)[:, 0]
+        mass = np.bincount(point, weights=weight, minlength=n)
+        fixed = (count >= 2) & (smallest > mass * _LEAST_ANGLE_RAD**2 / 4)
+        points[:] = np.nan
+        points[fixed] = np.linalg.solve(A[fixed], b[fixed][:, :, None])[:, :, 0]
+        off = np.linalg.norm(np.einsum("mij,mj->mi", across, points[point] - C[image]), axis=1)
+        distance = np.linalg.norm(points[point] - C[image], axis=1)
+        weight = 1e-3 / np.maximum(np.nan_to_num(off / distance, nan=1.0), 1e-3)
+    return points
+
+
+def _unit(v: ArrayF) -> ArrayF:
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
+
+
+# ---------------------------------------------------------------- targets that contradict the field grossly
+#
+# Any three targets give a place of the field in closed form; the place that most targets agree with is
+# kept, as in RANSAC, but over all triples. What agrees with nothing is then explained: exchanged ids,
+# coordinates with latitude and longitude exchanged, scale bars in another unit.
+
+
+def similarity(a: ArrayF, b: ArrayF, *, scaled: bool) -> tuple[float, Rigid]:
+    """Factor and ``T`` with ``b = T (factor a)`` by least squares (Umeyama 1991); without scale, factor is 1.
+
+    Parameters
+    ----------
+    a, b : (n, 3) the same places in two frames, n >= 3.
+    scaled : estimate the factor.
+    """
+    R, shift_m, factor = fit_points(a, b, scaled=scaled)
+    return float(factor), Rigid(R=R, shift_m=shift_m)
+
+
+def approximate_place(a: ArrayF, b: ArrayF, *, scaled: bool) -> tuple[float, Rigid] | None:
+    """The similarity of three places that most others lie nearest to; None if no three belong together.
+
+    Parameters
+    ----------
+    a, b : (n, 3) the same places in two frames, of about the same size.
+    scaled : estimate a factor, too.
+    """
+    best: tuple[float, ArrayB] | None = None
+    size = float(np.sqrt(np.square(a - a.mean(axis=0)).sum(axis=1).mean()))
+    for three in _triples(a):
+        factor, T = similarity(a[three], b[three], scaled=True)
+        if not _SCALES[0] < factor < _SCALES[1]:
+            continue
+        off = np.linalg.norm(T.apply(factor * a) - b, axis=1)
+        cost = float(np.median(off)) + float(off[three].max())
+        if best is None or cost < best[0]:
+            best = cost, np.asarray(off < _ASKEW * size)
+    if best is None or best[0] > 2 * _ASKEW * size or best[1].sum() < 3:
+        return None
+    return similarity(a[best[1]], b[best[1]], scaled=scaled)
+
+
+def agreeing(
+    pcs: ArrayF, wcs: ArrayF, tolerance_m: ArrayF, *, scaled: bool = False
+) -> tuple[ArrayB, ArrayF, float]:
+    """Targets that the place of most targets agrees with.
+
+    Parameters
+    ----------
+    pcs, wcs : (n, 3) targets in the field and by RTK.
+    tolerance_m : (n,) distance up to which a target agrees.
+    scaled : the scale of the field is free.
+
+    Returns
+    -------
+    (n,) which agree, (n, 3) RTK minus field [m], and the factor of the scale.
+    """
+    best: tuple[int, float] | None = None
+    kept: AnyArray = np.zeros(len(pcs), np.bool_)
+    for three in _triples(pcs):
+        factor, T = similarity(pcs[three], wcs[three], scaled=scaled)
+        off = np.linalg.norm(T.apply(factor * pcs) - wcs, axis=1)
+        near = off <= tolerance_m
+        key = int(near.sum()), -float(np.minimum(off, tolerance_m).sum())
+        if near[three].all() and (best is None or key > best):
+            best, kept = key, near
+    everyone: AnyArray = np.ones(len(pcs), np.bool_)
+    factor, T = similarity(*(x[kept if best else everyone] for x in (pcs, wcs)), scaled=scaled)
+    return kept, wcs - T.apply(factor * pcs), factor
+
+
+def exchanged(pcs: ArrayF, wcs: ArrayF, tolerance_m: ArrayF) -> tuple[int, int] | None:
+    """The two targets whose exchange makes all agree, None if there are none."""
+    best: tuple[float, tuple[int, int]] | None = None
+    for i, j in combinations(range(len(pcs)), 2):
+        order = np.arange(len(pcs))
+        order[[i, j]] = j, i
+        kept, off, _ = agreeing(pcs, wcs[order], tolerance_m)
+        left = float(np.linalg.norm(off, axis=1).sum())
+        if kept.all() and (best is None or left < best[0]):
+            best = left, (i, j)
+    return best[1] if best else None
+
+
+def other_scale(pcs: ArrayF, wcs: ArrayF, tolerance_m: ArrayF) -> float | None:
+    """The factor by which the field is too small if that explains what contradicts, None if not."""
+    kept, _, factor = agreeing(pcs, wcs, tolerance_m, scaled=True)
+    clear = max(factor, 1 / factor) > _SIMILAR if factor > 0 else False
+    return factor if clear and kept.all() else None
+
+
+def distances_words(names: Sequence[str], off_m: ArrayF) -> str:
+    """Names with the lengths of their residuals (n, 3), the largest first."""
+    length = np.linalg.norm(off_m, axis=1)
+    return ", ".join(f"{names[k]} {length[k]:.2f} m" for k in np.argsort(-length, kind="stable"))
+
+
+def _triples(places: ArrayF) -> list[AnyArray]:
+    """Indices of triples that span a triangle; an even choice of them if there are very many."""
+    every = np.array(list(combinations(range(len(places)), 3)), dtype=np.int64).reshape(-1, 3)
+    chosen = every[:: max(1, -(-len(every) // _MOST_TRIPLES))]
+    three = places[chosen]
+    size = np.linalg.svd(three - three.mean(axis=1, keepdims=True), compute_uv=False)
+    return list(chosen[size[:, 1] > _LEAST_WIDTH_OF_TARGETS * size[:, 0]])
+
+
+# ---------------------------------------------------------------- did the camera stay the same?
+#
+# A lens that is focused anew, a zoom that creeps or a sensor that is stabilised gives the later pictures
+# another interior orientation. One bundle with one camera then bends the field, and its residuals hardly
+# tell. So each place between two pictures is tried as the beginning of another camera constant and
+# principal point: as extra unknowns of the finished adjustment (a score test, Rao 1948), which takes no new
+# adjustment.
+
+
+def camera_changes(problem: Problem, adjusted: Adjusted[State], layout: Layout) -> list[CameraChange]:
+    """The most likely change of each camera with enough pictures.
+
+    Parameters
+    ----------
+    problem, adjusted, layout : a finished adjustment; pictures in the order in which they were taken.
+    """
+    x, block, used = adjusted.x, problem.block, problem.used
+    part = marks_model(problem, layout, x)
+    image = block.image[used]
+    weight = 1.0 / block.sigma_px[used]
+    residual = part.residual.reshape(-1, 2) * weight[:, None]
+    by_camera = _by_interior(problem, x) * weight[:, None, None]
+    n = len(block.images)
+    square, side = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    np.add.at(square, image, np.swapaxes(by_camera, 1, 2) @ by_camera)
+    np.add.at(side, image, (np.swapaxes(by_camera, 1, 2) @ residual[:, :, None])[:, :, 0])
+    rows = part.jacobian
+    pairs = np.zeros((n, len(layout.names), 3))
+    weights = np.repeat(weight, 2)
+    for i in range(n):
+        mine = np.repeat(image == i, 2)
+        pairs[i] = rows[mine].T @ (by_camera[image == i].reshape(-1, 3) * weights[mine, None])
+    found = []
+    for k, camera in enumerate(x.cameras):
+        mine = np.flatnonzero(problem.camera == k)
+        if len(mine) < 2 * _LEAST_IMAGES:
+            continue
+        # all sums run over the pictures since the change, the last one first
+        S, g, B = (np.cumsum(a[mine][::-1], axis=0)[::-1] for a in (square, side, pairs))
+        change = _likeliest(S, g, B, adjusted, layout)
+        if change is not None:
+            at, values, sigmas, probability = change
+            names = [block.images[i] for i in mine]
+            moved = (adjusted.cov[layout.points :] @ (B[at] @ values)).ravel()
+            sigma = float(np.sqrt(np.diag(adjusted.cov)[layout.points :].mean()))
+            bend = float(np.sqrt(np.square(moved).mean()))
+            found.append(
+                CameraChange(
+                    camera=camera.name,
+                    before=names[at - 1],
+                    since=names[at],
+                    constant=float(values[0]),
+                    sigma_constant=float(sigmas[0]),
+                    shift_px=(float(values[1]), float(values[2])),
+                    probability=probability,
+                    bend_m=bend,
+                    bend_sigmas=bend / sigma,
+                )
+            )
+    return found
+
+
+def require_steady(changes: list[CameraChange]) -> None:
+    """Refuse a field that a changed camera has bent far beyond its sigmas.
+
+    Raises
+    ------
+    GeometryError : names the camera and the pictures between which it changed.
+    """
+    for change in changes:
+        if change.clear and change.bend_sigmas > _REFUSED:
+            found, _, cure = change.words.partition(". Take out")
+            raise GeometryError(
+                found, expected="one focus and one zoom for all pictures of a camera", cure=f"Take out{cure}"
+            )
+
+
+def _likeliest(
+    S: ArrayF, g: ArrayF, B: ArrayF, adjusted: Adjusted[State], layout: Layout
+) -> tuple[int, ArrayF, ArrayF, float] | None:
+    """First picture after the change; (3,) relative constant and principal point, sigmas; probability."""
+    tried = range(_LEAST_IMAGES, len(S) - _LEAST_IMAGES + 1)
+    best: tuple[float, int, ArrayF, ArrayF] | None = None
+    for at in tried:
+        left = S[at] - B[at].T @ adjusted.cov @ B[at]
+        scale = np.sqrt(np.maximum(np.diag(S[at]), 1e-30))
+        # what the adjustment already knows leaves nothing to tell
+        if np.linalg.eigvalsh(left / np.outer(scale, scale))[0] < 1e-9:
+            continue
+        values = -np.linalg.solve(left, g[at])
+        score = float(values @ left @ values)
+        if best is None or score > best[0]:
+            best = score, at, values, np.sqrt(np.diag(np.linalg.inv(left)))
+    if best is None:
+        return None
+    score, at, values, sigmas = best
+    return at, values, sigmas, min(1.0, float(chi2.sf(score, 3)) * len(tried))
+
+
+def _by_interior(problem: Problem, x: State) -> ArrayF:
+    """(m, 2, 3) derivatives of used marks by the relative camera constant and by the principal point."""
+    block, used = problem.block, problem.used
+    image, point = block.image[used], block.point[used]
+    local = np.einsum("mji,mj->mi", x.R[image], x.X[point] - x.C[image])
+    out = np.zeros((len(image), 2, 3))
+    for k, camera in enumerate(x.cameras):
+        rows = problem.camera[image] == k
+        _, _, by_parameters = camera.project_with_derivatives(local[rows])
+        out[rows, :, 0] = by_parameters[:, :, :2] @ camera.parameters[:2]
+        out[rows, :, 1:] = by_parameters[:, :, 2:4]
+    return out

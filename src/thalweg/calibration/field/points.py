@@ -7,9 +7,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration.markers.sheets import mark_name, parse_mark
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayF
+from thalweg.calibration import mark_name, parse_mark
+from thalweg.core import ArrayF, InputError
 
 POINT_COLUMNS: Final = ("mark", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m")
 
@@ -107,7 +106,9 @@ def read_points(path: Path) -> FieldPoints:
         same = tuple(map(tuple, stored["points"].tolist())) == points
         if not same or not np.allclose(stored["points_pcs"], xyz, atol=1e-6):
             raise InputError(
-                "the covariance belongs to other points", expected=f"those of {path.name}", where=beside,
+                "the covariance belongs to other points",
+                expected=f"those of {path.name}",
+                where=beside,
                 cure="Adjust the field again, or delete this file to use the sigmas alone",
-            )  # fmt: skip
+            )
         return FieldPoints(points=points, points_pcs=stored["points_pcs"], cov=stored["cov"])

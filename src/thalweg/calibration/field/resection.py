@@ -1,6 +1,6 @@
 """Space resection: the pose of one camera picture from marks of known points (P1 eq. 1-3, P2 3.1).
 
-The robust start needs no approximate values (`thalweg.calibration.markers.ray_resection`). The adjustment
+The robust start needs no approximate values (`thalweg.calibration.field.resection`). The adjustment
 takes each mark with its own sigma and that of its point, and the interior orientation as unknowns that were
 observed with their covariance: held fixed, its errors would make good marks near the border look wrong. The
 covariance of the pose then also carries what marks share through the joint covariance of the points.
@@ -14,59 +14,22 @@ import numpy as np
 import pandas as pd
 
 from thalweg.calibration.field.points import FieldPoints
-from thalweg.calibration.markers.ray_resection import other_poses, pose_from_rays
-from thalweg.core.adjustment.solve import Adjusted, Linear, Observations, adjust
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError, ThalwegError
-from thalweg.core.propagation import cross_matrix
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
-
-# ---------------------------------------------------------------- other readings of the marks of a picture
-# that fits no pose: in reverse order, or of a mirrored picture
-
-
-FITS: Final = 4.0
-"""Sigma of unit weight below which a reading explains the marks."""
-
-_BETTER: Final = 0.2
-
-
-def reading_that_fits(
-    marks: pd.DataFrame, size_px: tuple[int, int], sigma0_of: Callable[[pd.DataFrame], float], sigma0: float
-) -> str:
-    """Which other reading fits a pose, as a sentence without its full stop; "" if none does.
-
-    Parameters
-    ----------
-    marks : marker, corner, x_px, y_px, sigma_px of one picture.
-    size_px : width and height of the picture.
-    sigma0_of : sigma of unit weight of marks, infinite if many do not fit; may refuse.
-    sigma0 : of the marks as they are, infinite if they fit no pose at all.
-    """
-    width, height = size_px
-    xy = marks[["x_px", "y_px"]].to_numpy(np.float64)
-    readings = {
-        "in reverse order": xy[::-1],
-        "if the picture is mirrored left to right": xy * [-1.0, 1.0] + [width, 0.0],
-        "if the picture is mirrored top to bottom": xy * [1.0, -1.0] + [0.0, height],
-    }
-    found: dict[str, float] = {}
-    for words, moved in readings.items():
-        try:
-            found[words] = sigma0_of(marks.assign(x_px=moved[:, 0], y_px=moved[:, 1]))
-        except (ThalwegError, np.linalg.LinAlgError):
-            continue
-    limit = min(FITS, _BETTER * sigma0)
-    # a symmetric panel read backwards looks as in a mirror: then both are named
-    fitting = [words for words, value in found.items() if value < limit]
-    if not fitting:
-        return ""
-    return f"The marks fit {', and '.join(fitting)}: check their numbers, and use the files as stored"
-
-
-# ---------------------------------------------------------------- resection
-
+from thalweg.core import (
+    Adjusted,
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    Camera,
+    GeometryError,
+    Linear,
+    Observations,
+    Rigid,
+    ThalwegError,
+    adjust,
+    cross_matrix,
+)
+from thalweg.core.geometry import fit_points
 
 LEAST_MARKS: Final = 4
 LEAST_MARKERS: Final = 2
@@ -85,6 +48,17 @@ _NAMES: Final = ("x", "y", "z", "rotation about x", "rotation about y", "rotatio
 _NO_IMAGE_PX: Final = 1e4
 LARGEST_SIGMA0: Final = 20.0
 """Sigma of unit weight beyond which the marks, not their sigmas, are wrong: a panel read backwards."""
+FITS: Final = 4.0
+"""Sigma of unit weight below which a reading explains the marks."""
+_BETTER: Final = 0.2
+
+_TRIPLES: Final = 300
+_SEED: Final = np.array([7, *b"resection"])
+_REAL: Final = 0.02
+"""Largest imaginary part of a root that counts as real: noise turns double roots into complex pairs."""
+
+
+# ---------------------------------------------------------------- resection
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,9 +132,10 @@ def resect(
         sigma0 = found.sigma0
         error = GeometryError(
             f"the marks are {sigma0:.0f} times their sigmas off any pose",
-            expected=f"at most {LARGEST_SIGMA0:g} times", where=where,
+            expected=f"at most {LARGEST_SIGMA0:g} times",
+            where=where,
             cure="Check the numbers of the marks, the interior orientation and that no mark was moved",
-        )  # fmt: skip
+        )
     except GeometryError as refused:
         error = refused
 
@@ -176,9 +151,13 @@ def resect(
 
 
 def _pose(
-    camera: Camera, marks: pd.DataFrame, points: FieldPoints, with_interior: bool, sigma_factor: float,
+    camera: Camera,
+    marks: pd.DataFrame,
+    points: FieldPoints,
+    with_interior: bool,
+    sigma_factor: float,
     where: str,
-) -> Resected:  # fmt: skip
+) -> Resected:
     """Pose of a picture, however well it fits, see `resect`."""
     index = points.index
     keys = list(zip(marks["marker"].astype(int), marks["corner"].astype(int), strict=True))
@@ -211,9 +190,10 @@ def _pose(
     if used.mean() < _LEAST_SHARE:
         raise GeometryError(
             f"{int((~used).sum())} of {len(used)} marks do not fit",
-            expected="less than half of them wrong", where=where,
+            expected="less than half of them wrong",
+            where=where,
             cure="Look at the picture: motion blur, a moved marker, or a camera that was refocused",
-        )  # fmt: skip
+        )
     found = adjusted.x.camera
     _require_one_solution(adjusted.x.pose, found, X[used], xy[used], sigma[used], marker[used], where)
     T, cov_marks, by_interior, by_points = _propagated(
@@ -222,9 +202,10 @@ def _pose(
     if float(T.sigma_shift_m.max()) > _LARGEST_SIGMA_M:
         raise GeometryError(
             f"the pose has a sigma of {T.sigma_shift_m.max():.2f} m from {int(used.sum())} marks",
-            expected=f"at most {_LARGEST_SIGMA_M} m", where=where,
+            expected=f"at most {_LARGEST_SIGMA_M} m",
+            where=where,
             cure="Record it again with markers spread over the whole picture",
-        )  # fmt: skip
+        )
     v = -adjusted.residuals["marks"].reshape(-1, 2)
     residuals = pd.DataFrame(
         {
@@ -383,3 +364,199 @@ def _moved(marker: ArrayI, used: ArrayB) -> tuple[int, ...]:
         if len(mine) >= 3 and mine.sum() <= 1:
             found.append(int(m))
     return tuple(found)
+
+
+# ---------------------------------------------------------------- other readings of the marks of a picture
+# that fits no pose: in reverse order, or of a mirrored picture
+
+
+def reading_that_fits(
+    marks: pd.DataFrame, size_px: tuple[int, int], sigma0_of: Callable[[pd.DataFrame], float], sigma0: float
+) -> str:
+    """Which other reading fits a pose, as a sentence without its full stop; "" if none does.
+
+    Parameters
+    ----------
+    marks : marker, corner, x_px, y_px, sigma_px of one picture.
+    size_px : width and height of the picture.
+    sigma0_of : sigma of unit weight of marks, infinite if many do not fit; may refuse.
+    sigma0 : of the marks as they are, infinite if they fit no pose at all.
+    """
+    width, height = size_px
+    xy = marks[["x_px", "y_px"]].to_numpy(np.float64)
+    readings = {
+        "in reverse order": xy[::-1],
+        "if the picture is mirrored left to right": xy * [-1.0, 1.0] + [width, 0.0],
+        "if the picture is mirrored top to bottom": xy * [1.0, -1.0] + [0.0, height],
+    }
+    found: dict[str, float] = {}
+    for words, moved in readings.items():
+        try:
+            found[words] = sigma0_of(marks.assign(x_px=moved[:, 0], y_px=moved[:, 1]))
+        except (ThalwegError, np.linalg.LinAlgError):
+            continue
+    limit = min(FITS, _BETTER * sigma0)
+    # a symmetric panel read backwards looks as in a mirror: then both are named
+    fitting = [words for words, value in found.items() if value < limit]
+    if not fitting:
+        return ""
+    return f"The marks fit {', and '.join(fitting)}: check their numbers, and use the files as stored"
+
+
+# ---------------------------------------------------------------- start: from known points and the directions
+# to them, without approximate values
+#
+# Three points and the angles between their rays leave up to four poses (Grunert 1841, in the form of Haralick
+# et al. 1994). Many triples are solved at once, each pose is judged by its angles to all rays, and the best
+# one is kept, as in RANSAC. Directions are unit vectors, not image coordinates, so that lenses beyond 90
+# degrees off the axis work too.
+
+
+def pose_from_rays(
+    points_pcs: ArrayF, rays_ccs: ArrayF, groups: ArrayI, *, cap_rad: float, triples: int = _TRIPLES
+) -> tuple[Rigid, ArrayF]:
+    """Pose ``T_pcs_ccs`` that most rays agree with.
+
+    Parameters
+    ----------
+    points_pcs : (n, 3) known points, n >= 4.
+    rays_ccs : (n, 3) unit directions to them in the camera frame.
+    groups : (n,) marker of each point; triples take three different markers where there are as many, because
+        the corners of one marker are too close together.
+    cap_rad : angle beyond which a ray is taken as wrong: each counts with its angle, but at most with this.
+    triples : how many triples are tried.
+
+    Returns
+    -------
+    The pose, without covariance, and the angle (n,) between each ray and the direction to its point.
+
+    Raises
+    ------
+    GeometryError : fewer than four points, or no triple gives a pose.
+    """
+    n = len(points_pcs)
+    if n < 4:
+        raise GeometryError(f"{n} points", expected="at least 4: three leave up to four poses")
+    chosen = _triples(groups, triples)
+    R, C = _three_point_poses(points_pcs[chosen], rays_ccs[chosen])
+    if len(R) == 0:
+        raise GeometryError(
+            f"no pose fits any three of {n} points",
+            expected="rays that could have seen these points",
+            cure="Check that the ids of the markers and the interior orientation belong to this picture",
+        )
+    cost = np.empty(len(R))
+    for first in range(0, len(R), 256):
+        part = slice(first, first + 256)
+        cost[part] = np.minimum(_angles(R[part], C[part], points_pcs, rays_ccs), cap_rad).sum(axis=1)
+    best = int(cost.argmin())
+    pose = Rigid(R=R[best], shift_m=C[best])
+    for _ in range(5):
+        angles = _angles(pose.R[None], pose.shift_m[None], points_pcs, rays_ccs)[0]
+        near = angles < cap_rad
+        if near.sum() < 4:
+            break
+        pose = improved_pose(pose, points_pcs[near], rays_ccs[near])
+    refined = _angles(pose.R[None], pose.shift_m[None], points_pcs, rays_ccs)[0]
+    if np.minimum(refined, cap_rad).sum() > cost[best]:
+        pose = Rigid(R=R[best], shift_m=C[best])
+        refined = _angles(pose.R[None], pose.shift_m[None], points_pcs, rays_ccs)[0]
+    return pose, refined
+
+
+def _triples(groups: ArrayI, triples: int) -> AnyArray:
+    rng = np.random.default_rng(_SEED)
+    n = len(groups)
+    draws = rng.random((4 * triples, n)).argsort(axis=1)[:, :3]
+    kinds = groups[draws]
+    different = (kinds[:, 0] != kinds[:, 1]) & (kinds[:, 0] != kinds[:, 2]) & (kinds[:, 1] != kinds[:, 2])
+    best = draws[different] if different.any() else draws
+    return best[:triples]
+
+
+def _three_point_poses(P: ArrayF, r: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Rotations (k, 3, 3) from ccs to pcs and centres (k, 3) of triples (m, 3, 3) of points and rays."""
+    a2 = ((P[:, 1] - P[:, 2]) ** 2).sum(axis=1)
+    b2 = ((P[:, 0] - P[:, 2]) ** 2).sum(axis=1)
+    c2 = ((P[:, 0] - P[:, 1]) ** 2).sum(axis=1)
+    size = np.maximum(np.maximum(a2, b2), c2)
+    wide = np.minimum(np.minimum(a2, b2), c2) > 1e-6 * size
+    P, r, a2, b2, c2 = P[wide], r[wide], a2[wide], b2[wide], c2[wide]
+    ca, cb, cg = (r[:, 1] * r[:, 2]).sum(1), (r[:, 0] * r[:, 2]).sum(1), (r[:, 0] * r[:, 1]).sum(1)
+    q, p, s = (a2 - c2) / b2, (a2 + c2) / b2, c2 / b2
+    A4 = (q - 1) ** 2 - 4 * s * ca**2
+    A3 = 4 * (q * (1 - q) * cb - (1 - p) * ca * cg + 2 * s * ca**2 * cb)
+    A2 = 2 * (
+        q**2 - 1 + 2 * q**2 * cb**2 + 2 * (1 - s) * ca**2 - 4 * p * ca * cb * cg + 2 * (1 - a2 / b2) * cg**2
+    )
+    A1 = 4 * (-q * (1 + q) * cb + 2 * a2 / b2 * cg**2 * cb - (1 - p) * ca * cg)
+    A0 = (1 + q) ** 2 - 4 * a2 / b2 * cg**2
+    quartic = np.abs(A4) > 1e-12
+    P, r, b2, q, ca, cb, cg = (x[quartic] for x in (P, r, b2, q, ca, cb, cg))
+    if len(P) == 0:
+        return np.empty((0, 3, 3)), np.empty((0, 3))
+    companion = np.zeros((len(P), 4, 4))
+    companion[:, 0] = -np.stack([A3, A2, A1, A0], axis=1)[quartic] / A4[quartic, None]
+    companion[:, 1, 0] = companion[:, 2, 1] = companion[:, 3, 2] = 1.0
+    roots = np.linalg.eigvals(companion)
+    v = roots.real
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = ((q[:, None] - 1) * v**2 - 2 * (q * cb)[:, None] * v + 1 + q[:, None]) / (
+            2 * (cg[:, None] - v * ca[:, None])
+        )
+        s1 = np.sqrt(b2[:, None] / (1 + v**2 - 2 * v * cb[:, None]))
+        good = (np.abs(roots.imag) < _REAL * (1 + np.abs(v))) & (v > 0) & (u > 0) & np.isfinite(s1)
+    k, root = np.nonzero(good)
+    distances = np.stack([s1[k, root], u[k, root] * s1[k, root], v[k, root] * s1[k, root]], axis=1)
+    R, shift_m, _ = fit_points(distances[:, :, None] * r[k], P[k])
+    return R, shift_m
+
+
+def _angles(R: ArrayF, C: ArrayF, points: ArrayF, rays: ArrayF) -> ArrayF:
+    """(k, n) angles between rays and the directions to their points."""
+    away = points[None] - C[:, None]
+    turned = np.einsum("kij,nj->kni", R, rays)
+    along = np.einsum("kni,kni->kn", away, turned)
+    across = np.linalg.norm(np.cross(turned, away), axis=2)
+    return np.arctan2(across, along)
+
+
+def improved_pose(pose: Rigid, points: ArrayF, rays: ArrayF) -> Rigid:
+    """One Gauss-Newton step of a pose on the parts of unit directions across the rays, all of one weight."""
+    local = (points - pose.shift_m) @ pose.R
+    length = np.linalg.norm(local, axis=1)
+    unit = local / length[:, None]
+    across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
+    J = np.empty((len(points), 3, 6))
+    J[:, :, :3] = -across @ pose.R.T / length[:, None, None]
+    d = points - pose.shift_m
+    cross = np.zeros((len(points), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -d[:, 2], d[:, 1], -d[:, 0]
+    cross -= np.swapaxes(cross, 1, 2)
+    J[:, :, 3:] = across @ pose.R.T @ cross / length[:, None, None]
+    off = rays - unit
+    N = np.einsum("nij,nik->jk", J, J)
+    dx = np.linalg.lstsq(N, np.einsum("nij,ni->j", J, off), rcond=1e-12)[0]
+    limit = float(np.linalg.norm(dx[3:]))
+    return pose.moved(dx * min(1.0, 0.5 / max(limit, 1e-12)))
+
+
+def other_poses(
+    pose: Rigid, points_pcs: ArrayF, rays_ccs: ArrayF, groups: ArrayI, *, apart_m: float
+) -> list[Rigid]:
+    """The best few poses that fit the rays from somewhere else, at least ``apart_m`` away from ``pose``."""
+    chosen = _triples(groups, 100)
+    R, C = _three_point_poses(points_pcs[chosen], rays_ccs[chosen])
+    elsewhere = np.linalg.norm(C - pose.shift_m, axis=1) > apart_m
+    R, C = R[elsewhere], C[elsewhere]
+    if len(R) == 0:
+        return []
+    cost = np.square(_angles(R, C, points_pcs, rays_ccs)).mean(axis=1)
+    found = []
+    for k in np.argsort(cost)[:6]:
+        other = Rigid(R=R[k], shift_m=C[k])
+        for _ in range(20):
+            other = improved_pose(other, points_pcs, rays_ccs)
+        if np.linalg.norm(other.shift_m - pose.shift_m) > apart_m:
+            found.append(other)
+    return found

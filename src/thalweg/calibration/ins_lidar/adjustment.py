@@ -26,93 +26,85 @@ from typing import Any, Final, Literal, Self, TypeAlias
 import numpy as np
 import pandas as pd
 from scipy.optimize import minimize
-from scipy.stats import qmc
+from scipy.stats import chi2, qmc
 
-from thalweg.calibration.cones.fit import FORM_SIGMA_M
-from thalweg.calibration.ins_lidar.checks import (
-    RunGates,
-    check_antenna,
-    check_cones,
-    check_geometry,
-    check_turns,
-    moved_cone,
-)
+from thalweg.calibration import FORM_SIGMA_M
 from thalweg.calibration.ins_lidar.model import (
     MOUNT,
     AntennaPoint,
+    BeamNoise,
     Known,
     Linearised,
     State,
     Step,
     by_antenna,
     cone_shifts,
+    estimate_noise,
     linearise,
     solve_step,
     truncated_variance,
 )
-from thalweg.calibration.ins_lidar.motion_search import MountRange, OnCones, find_mount, select
-from thalweg.calibration.ins_lidar.point_noise import BeamNoise, estimate_noise
 from thalweg.calibration.ins_lidar.pose_errors import SLOW, BorderedNormals, Knots, PoseErrors
-from thalweg.calibration.ins_lidar.run_points import FieldCones, RunPoints
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
+from thalweg.calibration.ins_lidar.run_points import (
+    FieldCones,
+    MountRange,
+    OnCones,
+    RunPoints,
+    find_mount,
+    select,
+)
+from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, GeometryError, Rigid, UnobservableError
+from thalweg.settings.sections import InsLidarFit
 
-# ---------------------------------------------------------------- how large the errors of the poses were in a
-# run: variance components, correlation times, white share
-#
-# The points on the cones show the errors of the poses but for a constant. Their likelihood with all unknowns
-# integrated out (restricted maximum likelihood, Patterson and Thompson 1971; Koch 1999, sec. 3.6)::
-#
-#     -2 log L(z) = log|N + Q| + log|S| - log|Q| + Omega
-#
-# with the normal matrix ``N`` of the errors, their inverse prior covariance ``Q(z)``, the reduced normal
-# matrix ``S`` of the border and the weighted squares ``Omega`` of all residuals. What is stated is prior
-# knowledge with a width, and ``z`` counts its widths: sizes by a factor of `SIZE_SPREAD`, correlation times
-# by `TIME_SPREAD`, the white share by `WHITE_SPREAD` on its logit. The posterior has the density ``p(z) ~
-# exp(-c(z) / 2)`` with ``c = -2 log L + z^T z``.
-#
-# **What the run leaves open enlarges the covariance.** With the mount ``x(z)`` and its covariance ``C(z)``
-# for given processes, the law of total covariance about the estimate ``x(z0)`` at the minimum ``z0`` of ``c``
-# is::
-#
-#     Cov(x) = sum w_i (C(z_i) + d_i d_i^T),    d_i = x(z_i) - x(z0),    w_i ~ p(z_i) / q(z_i),    sum w_i = 1
-#
-# The ``z_i`` come from a normal proposal ``q`` about ``z0`` whose covariance is that of Laplace's
-# approximation, ``2 (d^2c / dz^2)^-1``, times `_WIDER`: a fixed quasi-random sequence (Owen 1998), so that
-# equal runs give equal results. Where a run cannot tell a parameter its posterior is the prior, and the
-# prior's width counts.
-
-
+START: Final = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), np.zeros(3))
+"""T 3.1.1: phi = -90 deg, omega = kappa = 0, lever arm 0."""
+_MAX_STEPS: Final = 12
+_NEARLY: Final = 0.05
+_NOISE_NEARLY: Final = 0.02
+# Steps of the mount in sigmas. Beams at the outlines of cones keep it moving by 0.03; a step of 0.05
+# adds a quarter of a percent to the variance.
+_SETTLED: Final = 0.05
 GroupSigmas: TypeAlias = dict[str, float]
 """By group of observations: root of the weighted squares of its residuals over its redundancy; expected 1."""
-
 SIZE_SPREAD: Final = 2.0
 """Stated sizes may be wrong by this factor, as one sigma of the logarithm."""
-
 TIME_SPREAD: Final = 3.0
 """Stated correlation times may be wrong by this factor, as one sigma of the logarithm."""
-
 WHITE_SPREAD: Final = 5.0
 """The white share ``w``: its ``w / (1 - w)`` may be wrong by this factor, as one sigma of the logarithm."""
-
 NAMES: Final = (
-    "position_size", "tilt_size", "heading_size", "position_time", "tilt_time", "heading_time", "white_share",
-)  # fmt: skip
+    "position_size",
+    "tilt_size",
+    "heading_size",
+    "position_time",
+    "tilt_time",
+    "heading_time",
+    "white_share",
+)
 """Parameters of the processes; tilt is roll and pitch. Without a white part the last one is left out."""
-
 DETERMINED: Final = 0.5
 """A parameter whose posterior is narrower than this share of its prior counts as determined by the run."""
-
 _KINDS: Final = {
-    "size": ("size", SIZE_SPREAD), "time": ("time", TIME_SPREAD), "share": ("share", WHITE_SPREAD)
-}  # fmt: skip
+    "size": ("size", SIZE_SPREAD),
+    "time": ("time", TIME_SPREAD),
+    "share": ("share", WHITE_SPREAD),
+}
 _WIDER: Final = 1.5
 _NOTHING: Final = 1e-4
 _DRAWS: Final = 64
 _STEP: Final = 0.25
 _FARTHEST: Final = 4.0
 _GROUPS: Final = {"position": slice(0, 3), "attitude": slice(3, 6)}
+
+PARAMETERS: Final = ("lever_x", "lever_y", "lever_z", "rotation_x", "rotation_y", "rotation_z")
+"""Unknowns of the mount, in ics."""
+UNLIKELY: Final = 1e-6
+"""Probability below which a cone's disagreement with its reference is no chance."""
+_MOST_OFF: Final = 0.7
+"""Share of beams toward a cone that something else may return: the ground, passers-by."""
+_BIN_DEG: Final = 5
+_LEAST_SHARE: Final = 0.002
+"""Of the points in a bin of headings, to count as seen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,185 +156,37 @@ class Processes:
             low, high = (_values(changed(self.stated, self.z + side * away))[name] for side in (-1, 1))
             kind, spread = _KINDS[name.rpartition("_")[2]]
             out[name] = {
-                "kind": kind, "stated": stated[name], "stated_within_factor": spread,
-                "estimated": found[name], "low": low, "high": high,
+                "kind": kind,
+                "stated": stated[name],
+                "stated_within_factor": spread,
+                "estimated": found[name],
+                "low": low,
+                "high": high,
                 "told_by_survey": bool(width <= DETERMINED),
-            }  # fmt: skip
+            }
         return out
 
 
-def changed(stated: PoseErrors, z: ArrayF) -> PoseErrors:
-    """Processes whose parameters lie ``z`` (h,) widths of the prior from what is stated.
-
-    Examples
-    --------
-    >>> stated = PoseErrors(sigma_position_m=np.full(3, 0.02), sigma_attitude_rad=np.full(3, 1e-3))
-    >>> other = changed(stated, np.array([1.0, 0, 0, -1.0, 0, 0, 0]))
-    >>> float(other.sigma_position_m[0]), round(other.position_time_s, 3)
-    (0.04, 3.333)
-    """
-    position, tilt, heading = SIZE_SPREAD ** z[:3]
-    times = stated.times_s[[0, 3, 5]] * TIME_SPREAD ** z[3:6]
-    share = stated.white_share
-    if share > 0:
-        share = 1.0 / (1.0 + (1.0 / share - 1.0) * WHITE_SPREAD ** -z[6])
-    return replace(
-        stated,
-        sigma_position_m=stated.sigma_position_m * position,
-        sigma_attitude_rad=stated.sigma_attitude_rad * np.array([tilt, tilt, heading]),
-        position_time_s=float(times[0]),
-        attitude_time_s=float(times[1]),
-        heading_time_s=float(times[2]),
-        white_share=float(share),
-    )
-
-
-def estimate_processes(step: Step, knots: Knots, stated: PoseErrors) -> Processes:
-    """The errors of the poses that a run and what is stated leave possible.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunGates:
+    """What a run must have.
 
     Parameters
     ----------
-    step : normal equations and prior knowledge of the border.
-    knots : where the errors are unknowns.
-    stated : centre of the prior; a white share of 0 says that there is none and is kept.
+    min_cones : cones with enough points.
+    min_points_per_cone : points on a cone, to count.
+    min_headings_deg : range of headings in which cones were seen.
+    max_sigma_lever_m, max_sigma_rotation_deg : a parameter with a larger formal sigma is not determined.
     """
 
-    def cost(z: ArrayF) -> float:
-        """``-2 log L`` and the prior."""
-        band, logdet = knots.prior(changed(stated, z))
-        found = step.normals.solve(band, step.prior_border)
-        return float(found.logdet - logdet + found.omega + z @ z)
-
-    h = len(NAMES) if stated.white_share > 0 else len(NAMES) - 1
-    found = minimize(
-        cost, np.zeros(h), method="L-BFGS-B", bounds=[(-_FARTHEST, _FARTHEST)] * h,
-        options={"eps": 1e-3, "ftol": 1e-7, "gtol": 1e-2},
-    )  # fmt: skip
-    z0 = np.asarray(found.x)
-    root = _root_of_laplace(cost, z0, float(found.fun)) * np.sqrt(_WIDER)
-    normal = qmc.MultivariateNormalQMC(np.zeros(h), rng=np.random.default_rng(h)).random(_DRAWS)
-    draws = z0 + normal @ root.T
-    logs = np.array([-0.5 * cost(z) for z in draws]) + 0.5 * np.sum(normal**2, axis=1)
-    weights = np.exp(logs - logs.max())
-    return Processes(
-        stated=stated, errors=changed(stated, z0), z=z0, draws=draws, weights=weights / weights.sum()
-    )
-
-
-def _root_of_laplace(cost: Callable[[ArrayF], float], z: ArrayF, here: float) -> ArrayF:
-    """Matrix ``L`` (h, h) with ``L L^T = 2 (d^2c / dz^2)^-1``, no wider than the prior.
-
-    Differences over a quarter of a prior's width see the shape of the minimum, not its roughness.
-    """
-    h = len(z)
-    unit = _STEP * np.eye(h)
-    more, less = ([cost(z + sign * e) for e in unit] for sign in (1, -1))
-    H = np.diag(np.array(more) + np.array(less) - 2 * here)
-    for i in range(h):
-        for j in range(i):
-            both = cost(z + unit[i] + unit[j]) + cost(z - unit[i] - unit[j])
-            H[i, j] = H[j, i] = 0.5 * (both - more[i] - more[j] - less[i] - less[j] + 2 * here)
-    values, vectors = np.linalg.eigh(H / (2 * _STEP**2))
-    return np.asarray(vectors / np.sqrt(np.maximum(values, 1.0)))
-
-
-def total_covariance(
-    normals: BorderedNormals, prior_border: ArrayF, knots: Knots, processes: Processes
-) -> ArrayF:
-    """Covariance (6, 6) of the mount over all processes that a run leaves possible.
-
-    Parameters
-    ----------
-    normals, prior_border : of a `Step`.
-    knots : where the errors are unknowns.
-    processes : from `estimate_processes`.
-    """
-
-    def mount(errors: PoseErrors) -> tuple[ArrayF, ArrayF]:
-        """Step (6,) of the mount and its covariance."""
-        found = normals.solve(knots.prior(errors)[0], prior_border)
-        return found.border[MOUNT], found.cov_border[MOUNT, MOUNT]
-
-    at_best, _ = mount(processes.errors)
-    total = np.zeros((6, 6))
-    for weight, z in zip(processes.weights, processes.draws, strict=True):
-        if weight < _NOTHING:
-            continue
-        x, cov = mount(changed(processes.stated, z))
-        total += weight * (cov + np.outer(x - at_best, x - at_best))
-    return total
-
-
-def _values(errors: PoseErrors) -> dict[str, float]:
-    """Parameters by name, in metres, degrees, seconds."""
-    attitude = np.rad2deg(errors.sigma_attitude_rad)
-    values: Sequence[float] = (
-        errors.sigma_position_m.max(), attitude[:2].max(), attitude[2], *errors.times_s[[0, 3, 5]],
-        errors.white_share,
-    )  # fmt: skip
-    return {name: float(value) for name, value in zip(NAMES, values, strict=True)}
-
-
-def group_sigmas(step: Step, knots: Knots, errors: PoseErrors) -> GroupSigmas:
-    """Sizes of the residuals of points, positions and attitudes, and of all, in units of what is stated.
-
-    The redundancy of a group is its number minus ``tr(P_group Q_xx)``, and that trace is the derivative of
-    the log determinant of the normal equations by the group's weight.
-    """
-    band, _ = knots.prior(errors)
-    normals, solution = step.normals, step.solution
-    e = solution.errors
-    out: GroupSigmas = {}
-    taken, squares = 0.0, 0.0
-    parts = _prior_parts(knots, band)
-    h = 1e-3
-    for name, part in parts.items():
-        n = int(np.count_nonzero(part[0]))
-        square = _banded_square(part, e)
-        more = normals.solve(band + h * part, step.prior_border).logdet
-        less = normals.solve(band - h * part, step.prior_border).logdet
-        trace = (more - less) / (2 * h)
-        out[name] = float(np.sqrt(square / max(n - trace, 1e-9)))
-        taken, squares = taken + trace, squares + square
-    z = solution.border[6:]
-    border = np.diag(solution.cov_border)[6:].sum()
-    unknowns = knots.n + len(solution.border)
-    of_points = unknowns - taken - border
-    left = solution.omega - squares - float(z @ z)
-    out["points"] = float(np.sqrt(left / (normals.n - of_points)))
-    out["all"] = float(np.sqrt(solution.omega / (normals.n - 6)))
-    return out
-
-
-def _prior_parts(knots: Knots, band: ArrayF) -> dict[str, ArrayF]:
-    """Prior weights of positions (slow), attitudes, and epochs (fast)."""
-    place = np.arange(knots.n) % knots.stride
-    masks = {name: (place >= s.start) & (place < s.stop) for name, s in _GROUPS.items()}
-    if knots.fast:
-        masks["epochs"] = place >= SLOW
-    return {name: np.where(mask, band, 0.0) for name, mask in masks.items()}
-
-
-def _banded_square(band: ArrayF, x: ArrayF) -> float:
-    """``x^T A x`` of a symmetric matrix in lower banded form."""
-    total = float(np.sum(band[0] * x**2))
-    for k in np.flatnonzero(np.any(band[1:] != 0, axis=1)) + 1:
-        total += 2 * float(np.sum(band[k, : len(x) - k] * x[: len(x) - k] * x[k:]))
-    return total
+    min_cones: int = InsLidarFit().min_cones
+    min_points_per_cone: int = 100
+    min_headings_deg: float = InsLidarFit().min_headings_deg
+    max_sigma_lever_m: float = 0.005
+    max_sigma_rotation_deg: float = 0.1
 
 
 # ---------------------------------------------------------------- adjustment
-
-
-START: Final = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), np.zeros(3))
-"""T 3.1.1: phi = -90 deg, omega = kappa = 0, lever arm 0."""
-
-_MAX_STEPS: Final = 12
-_NEARLY: Final = 0.05
-_NOISE_NEARLY: Final = 0.02
-# Steps of the mount in sigmas. Beams at the outlines of cones keep it moving by 0.03; a step of 0.05
-# adds a quarter of a percent to the variance.
-_SETTLED: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -367,7 +211,7 @@ class InsLidarSettings:
 
     errors: PoseErrors
     noise: BeamNoise = field(default_factory=BeamNoise)
-    sigma_time_s: float = 0.0005
+    sigma_time_s: float = InsLidarFit().sigma_time_s
     search: MountRange = field(default_factory=MountRange)
     gates: RunGates = field(default_factory=RunGates)
     gates_m: tuple[float, ...] = (0.20, 0.10)
@@ -428,25 +272,32 @@ class InsLidar:
     def cone_points(self, which: Literal["start", "calibrated"]) -> pd.DataFrame:
         """Points near the cones in pcs, with the approximate or with the calibrated mount (T Fig. 3.1)."""
         t = self.points
-        return pd.DataFrame({
-            "cone": t["cone"], "position": "run", "t_gps_s": t["t_gps_s"],
-            **{f"{a}_m": t[f"{a}_{which}_m"] for a in "xyz"},
-            "residual_m": t[f"distance_{which}_m"], "used": t["used"],
-        })  # fmt: skip
+        return pd.DataFrame(
+            {
+                "cone": t["cone"],
+                "position": "run",
+                "t_gps_s": t["t_gps_s"],
+                **{f"{a}_m": t[f"{a}_{which}_m"] for a in "xyz"},
+                "residual_m": t[f"distance_{which}_m"],
+                "used": t["used"],
+            }
+        )
 
     def summary(self) -> pd.DataFrame:
         """A row for each parameter: value, honest sigma, formal sigma, sigma without the antenna."""
         T, W = self.T_ics_scs, self.without_antenna
         unit = np.r_[np.full(3, 1e3), np.full(3, np.rad2deg(1.0))]
-        return pd.DataFrame({
-            "parameter": ["x", "y", "z", "rotation_x", "rotation_y", "rotation_z"],
-            "unit": ["mm"] * 3 + ["deg"] * 3,
-            "from_start": T.error_from(START) * unit,
-            "sigma": np.sqrt(np.diag(T.cov)) * unit,
-            "sigma_formal": np.sqrt(np.diag(self.cov_formal)) * unit,
-            "sigma_without_antenna": np.sqrt(np.diag(W.cov)) * unit,
-            "without_antenna_minus_with": W.error_from(T) * unit,
-        })  # fmt: skip
+        return pd.DataFrame(
+            {
+                "parameter": ["x", "y", "z", "rotation_x", "rotation_y", "rotation_z"],
+                "unit": ["mm"] * 3 + ["deg"] * 3,
+                "from_start": T.error_from(START) * unit,
+                "sigma": np.sqrt(np.diag(T.cov)) * unit,
+                "sigma_formal": np.sqrt(np.diag(self.cov_formal)) * unit,
+                "sigma_without_antenna": np.sqrt(np.diag(W.cov)) * unit,
+                "without_antenna_minus_with": W.error_from(T) * unit,
+            }
+        )
 
 
 def calibrate(
@@ -479,9 +330,14 @@ def calibrate(
     dropped: dict[str, str] = {}
     while True:
         known = Known(
-            field=cones, T_wcs_pcs=T_wcs_pcs, lever_ics_antenna_m=np.asarray(lever_ics_antenna_m, np.float64),
-            errors=settings.errors, noise=settings.noise, sigma_time_s=settings.sigma_time_s, antenna=antenna,
-        )  # fmt: skip
+            field=cones,
+            T_wcs_pcs=T_wcs_pcs,
+            lever_ics_antenna_m=np.asarray(lever_ics_antenna_m, np.float64),
+            errors=settings.errors,
+            noise=settings.noise,
+            sigma_time_s=settings.sigma_time_s,
+            antenna=antenna,
+        )
         run = _Run.prepare(points, known, settings, start)
         settled = run.passes()
         bad = check_cones(run.selection, cones, settings.gates, dropped) or run.moved()
@@ -527,9 +383,15 @@ class _Run:
         none = np.zeros(len(points), dtype=np.bool_)
         empty = OnCones(cone=cone, used=none, far=none, ends=none, grazing=none)
         return cls(
-            points=points, cone=cone, near=near, known=known, settings=settings, knots=knots, state=state,
+            points=points,
+            cone=cone,
+            near=near,
+            known=known,
+            settings=settings,
+            knots=knots,
+            state=state,
             selection=empty,
-        )  # fmt: skip
+        )
 
     def passes(self) -> bool:
         """Adjust with layers that grow thinner; whether the mount came to rest."""
@@ -573,9 +435,14 @@ class _Run:
 
     def _moved(self, linear: Linearised, used: ArrayB, errors: PoseErrors) -> tuple[int, str] | None:
         shift, square = cone_shifts(
-            self.points.taken(used), linear.taken(used), self.cone[used], self.known, self.state, self.knots,
+            self.points.taken(used),
+            linear.taken(used),
+            self.cone[used],
+            self.known,
+            self.state,
+            self.knots,
             prior_band=self.knots.prior(errors)[0],
-        )  # fmt: skip
+        )
         return moved_cone(shift, square, self.selection, self.known.field)
 
     def _pass(self, band: ArrayF, gate_m: float | None, *, steps: int) -> Step:
@@ -584,10 +451,15 @@ class _Run:
         gate = s.reject_sigmas * np.sqrt(linear.variance_m2) if gate_m is None else gate_m
         half = np.array([cone.half_angle_rad for cone in field_.cones])
         self.selection = select(
-            self.cone, linear.distance_m, linear.slant_m, linear.cosine,
-            ends_m=field_.length_m / np.cos(half), gate_m=gate,
-            end_margin_m=s.end_margin_m, max_incidence_deg=s.max_incidence_deg,
-        )  # fmt: skip
+            self.cone,
+            linear.distance_m,
+            linear.slant_m,
+            linear.cosine,
+            ends_m=field_.length_m / np.cos(half),
+            gate_m=gate,
+            end_margin_m=s.end_margin_m,
+            max_incidence_deg=s.max_incidence_deg,
+        )
         self._thin()
         self._count(gate_m, linear)
         for i in range(steps):
@@ -615,9 +487,14 @@ class _Run:
         # a beam at the outline may miss the cone after the mount has moved
         used = self.selection.used & np.isfinite(linear.distance_m) if rows is None else rows
         return solve_step(
-            self.points.taken(used), linear.taken(used), self.known, self.state, self.knots,
-            prior_band=band, with_antenna=with_antenna,
-        )  # fmt: skip
+            self.points.taken(used),
+            linear.taken(used),
+            self.known,
+            self.state,
+            self.knots,
+            prior_band=band,
+            with_antenna=with_antenna,
+        )
 
     def _thin(self) -> None:
         """Leave out used points of cones that have more than enough, evenly in time."""
@@ -636,19 +513,21 @@ class _Run:
             mine = self.cone == k
             used = s.used & mine
             rms = float(np.sqrt(np.nanmean(linear.distance_m[used] ** 2))) if used.any() else np.nan
-            self.rows.append({
-                "pass": number,
-                "layer_mm": 1e3 * gate_m if gate_m is not None else np.nan,
-                "cone": name,
-                "near": int(self.near[k]),
-                "taken": int(mine.sum()),
-                "used": int(used.sum()),
-                "far_from_surface": int((s.far & mine).sum()),
-                "beyond_ends": int((s.ends & mine).sum()),
-                "grazing": int((s.grazing & mine).sum()),
-                "thinned": int((mine & ~s.used & ~s.far & ~s.ends & ~s.grazing).sum()),
-                "rms_mm": 1e3 * rms,
-            })  # fmt: skip
+            self.rows.append(
+                {
+                    "pass": number,
+                    "layer_mm": 1e3 * gate_m if gate_m is not None else np.nan,
+                    "cone": name,
+                    "near": int(self.near[k]),
+                    "taken": int(mine.sum()),
+                    "used": int(used.sum()),
+                    "far_from_surface": int((s.far & mine).sum()),
+                    "beyond_ends": int((s.ends & mine).sum()),
+                    "grazing": int((s.grazing & mine).sum()),
+                    "thinned": int((mine & ~s.used & ~s.far & ~s.ends & ~s.grazing).sum()),
+                    "rms_mm": 1e3 * rms,
+                }
+            )
 
     def result(self, start: Rigid, dropped: dict[str, str]) -> InsLidar:
         """The last solution with covariances and tables, if the run determines it."""
@@ -717,3 +596,346 @@ class _Run:
             "sigma_m": np.sqrt(adjusted.variance_m2),
         }
         return pd.DataFrame(out)
+
+
+# ---------------------------------------------------------------- how large the errors of the poses were in a
+# run: variance components, correlation times, white share
+#
+# The points on the cones show the errors of the poses but for a constant. Their likelihood with all unknowns
+# integrated out (restricted maximum likelihood, Patterson and Thompson 1971; Koch 1999, sec. 3.6)::
+#
+#     -2 log L(z) = log|N + Q| + log|S| - log|Q| + Omega
+#
+# with the normal matrix ``N`` of the errors, their inverse prior covariance ``Q(z)``, the reduced normal
+# matrix ``S`` of the border and the weighted squares ``Omega`` of all residuals. What is stated is prior
+# knowledge with a width, and ``z`` counts its widths: sizes by a factor of `SIZE_SPREAD`, correlation times
+# by `TIME_SPREAD`, the white share by `WHITE_SPREAD` on its logit. The posterior has the density ``p(z) ~
+# exp(-c(z) / 2)`` with ``c = -2 log L + z^T z``.
+#
+# **What the run leaves open enlarges the covariance.** With the mount ``x(z)`` and its covariance ``C(z)``
+# for given processes, the law of total covariance about the estimate ``x(z0)`` at the minimum ``z0`` of ``c``
+# is::
+#
+#     Cov(x) = sum w_i (C(z_i) + d_i d_i^T),    d_i = x(z_i) - x(z0),    w_i ~ p(z_i) / q(z_i),    sum w_i = 1
+#
+# The ``z_i`` come from a normal proposal ``q`` about ``z0`` whose covariance is that of Laplace's
+# approximation, ``2 (d^2c / dz^2)^-1``, times `_WIDER`: a fixed quasi-random sequence (Owen 1998), so that
+# equal runs give equal results. Where a run cannot tell a parameter its posterior is the prior, and the
+# prior's width counts.
+
+
+def changed(stated: PoseErrors, z: ArrayF) -> PoseErrors:
+    """Processes whose parameters lie ``z`` (h,) widths of the prior from what is stated.
+
+    Examples
+    --------
+    >>> stated = PoseErrors(sigma_position_m=np.full(3, 0.02), sigma_attitude_rad=np.full(3, 1e-3))
+    >>> other = changed(stated, np.array([1.0, 0, 0, -1.0, 0, 0, 0]))
+    >>> float(other.sigma_position_m[0]), round(other.position_time_s, 3)
+    (0.04, 3.333)
+    """
+    position, tilt, heading = SIZE_SPREAD ** z[:3]
+    times = stated.times_s[[0, 3, 5]] * TIME_SPREAD ** z[3:6]
+    share = stated.white_share
+    if share > 0:
+        share = 1.0 / (1.0 + (1.0 / share - 1.0) * WHITE_SPREAD ** -z[6])
+    return replace(
+        stated,
+        sigma_position_m=stated.sigma_position_m * position,
+        sigma_attitude_rad=stated.sigma_attitude_rad * np.array([tilt, tilt, heading]),
+        position_time_s=float(times[0]),
+        attitude_time_s=float(times[1]),
+        heading_time_s=float(times[2]),
+        white_share=float(share),
+    )
+
+
+def estimate_processes(step: Step, knots: Knots, stated: PoseErrors) -> Processes:
+    """The errors of the poses that a run and what is stated leave possible.
+
+    Parameters
+    ----------
+    step : normal equations and prior knowledge of the border.
+    knots : where the errors are unknowns.
+    stated : centre of the prior; a white share of 0 says that there is none and is kept.
+    """
+
+    def cost(z: ArrayF) -> float:
+        """``-2 log L`` and the prior."""
+        band, logdet = knots.prior(changed(stated, z))
+        found = step.normals.solve(band, step.prior_border)
+        return float(found.logdet - logdet + found.omega + z @ z)
+
+    h = len(NAMES) if stated.white_share > 0 else len(NAMES) - 1
+    found = minimize(
+        cost,
+        np.zeros(h),
+        method="L-BFGS-B",
+        bounds=[(-_FARTHEST, _FARTHEST)] * h,
+        options={"eps": 1e-3, "ftol": 1e-7, "gtol": 1e-2},
+    )
+    z0 = np.asarray(found.x)
+    root = _root_of_laplace(cost, z0, float(found.fun)) * np.sqrt(_WIDER)
+    normal = qmc.MultivariateNormalQMC(np.zeros(h), rng=np.random.default_rng(h)).random(_DRAWS)
+    draws = z0 + normal @ root.T
+    logs = np.array([-0.5 * cost(z) for z in draws]) + 0.5 * np.sum(normal**2, axis=1)
+    weights = np.exp(logs - logs.max())
+    return Processes(
+        stated=stated, errors=changed(stated, z0), z=z0, draws=draws, weights=weights / weights.sum()
+    )
+
+
+def _root_of_laplace(cost: Callable[[ArrayF], float], z: ArrayF, here: float) -> ArrayF:
+    """Matrix ``L`` (h, h) with ``L L^T = 2 (d^2c / dz^2)^-1``, no wider than the prior.
+
+    Differences over a quarter of a prior's width see the shape of the minimum, not its roughness.
+    """
+    h = len(z)
+    unit = _STEP * np.eye(h)
+    more, less = ([cost(z + sign * e) for e in unit] for sign in (1, -1))
+    H = np.diag(np.array(more) + np.array(less) - 2 * here)
+    for i in range(h):
+        for j in range(i):
+            both = cost(z + unit[i] + unit[j]) + cost(z - unit[i] - unit[j])
+            H[i, j] = H[j, i] = 0.5 * (both - more[i] - more[j] - less[i] - less[j] + 2 * here)
+    values, vectors = np.linalg.eigh(H / (2 * _STEP**2))
+    return np.asarray(vectors / np.sqrt(np.maximum(values, 1.0)))
+
+
+def total_covariance(
+    normals: BorderedNormals, prior_border: ArrayF, knots: Knots, processes: Processes
+) -> ArrayF:
+    """Covariance (6, 6) of the mount over all processes that a run leaves possible.
+
+    Parameters
+    ----------
+    normals, prior_border : of a `Step`.
+    knots : where the errors are unknowns.
+    processes : from `estimate_processes`.
+    """
+
+    def mount(errors: PoseErrors) -> tuple[ArrayF, ArrayF]:
+        """Step (6,) of the mount and its covariance."""
+        found = normals.solve(knots.prior(errors)[0], prior_border)
+        return found.border[MOUNT], found.cov_border[MOUNT, MOUNT]
+
+    at_best, _ = mount(processes.errors)
+    total = np.zeros((6, 6))
+    for weight, z in zip(processes.weights, processes.draws, strict=True):
+        if weight < _NOTHING:
+            continue
+        x, cov = mount(changed(processes.stated, z))
+        total += weight * (cov + np.outer(x - at_best, x - at_best))
+    return total
+
+
+def _values(errors: PoseErrors) -> dict[str, float]:
+    """Parameters by name, in metres, degrees, seconds."""
+    attitude = np.rad2deg(errors.sigma_attitude_rad)
+    values: Sequence[float] = (
+        errors.sigma_position_m.max(),
+        attitude[:2].max(),
+        attitude[2],
+        *errors.times_s[[0, 3, 5]],
+        errors.white_share,
+    )
+    return {name: float(value) for name, value in zip(NAMES, values, strict=True)}
+
+
+def group_sigmas(step: Step, knots: Knots, errors: PoseErrors) -> GroupSigmas:
+    """Sizes of the residuals of points, positions and attitudes, and of all, in units of what is stated.
+
+    The redundancy of a group is its number minus ``tr(P_group Q_xx)``, and that trace is the derivative of
+    the log determinant of the normal equations by the group's weight.
+    """
+    band, _ = knots.prior(errors)
+    normals, solution = step.normals, step.solution
+    e = solution.errors
+    out: GroupSigmas = {}
+    taken, squares = 0.0, 0.0
+    parts = _prior_parts(knots, band)
+    h = 1e-3
+    for name, part in parts.items():
+        n = int(np.count_nonzero(part[0]))
+        square = _banded_square(part, e)
+        more = normals.solve(band + h * part, step.prior_border).logdet
+        less = normals.solve(band - h * part, step.prior_border).logdet
+        trace = (more - less) / (2 * h)
+        out[name] = float(np.sqrt(square / max(n - trace, 1e-9)))
+        taken, squares = taken + trace, squares + square
+    z = solution.border[6:]
+    border = np.diag(solution.cov_border)[6:].sum()
+    unknowns = knots.n + len(solution.border)
+    of_points = unknowns - taken - border
+    left = solution.omega - squares - float(z @ z)
+    out["points"] = float(np.sqrt(left / (normals.n - of_points)))
+    out["all"] = float(np.sqrt(solution.omega / (normals.n - 6)))
+    return out
+
+
+def _prior_parts(knots: Knots, band: ArrayF) -> dict[str, ArrayF]:
+    """Prior weights of positions (slow), attitudes, and epochs (fast)."""
+    place = np.arange(knots.n) % knots.stride
+    masks = {name: (place >= s.start) & (place < s.stop) for name, s in _GROUPS.items()}
+    if knots.fast:
+        masks["epochs"] = place >= SLOW
+    return {name: np.where(mask, band, 0.0) for name, mask in masks.items()}
+
+
+def _banded_square(band: ArrayF, x: ArrayF) -> float:
+    """``x^T A x`` of a symmetric matrix in lower banded form."""
+    total = float(np.sum(band[0] * x**2))
+    for k in np.flatnonzero(np.any(band[1:] != 0, axis=1)) + 1:
+        total += 2 * float(np.sum(band[k, : len(x) - k] * x[: len(x) - k] * x[k:]))
+    return total
+
+
+# ---------------------------------------------------------------- what a run must have, and the words for
+# what it lacks
+
+
+def check_cones(
+    selection: OnCones, cones: FieldCones, gates: RunGates, dropped: dict[str, str]
+) -> tuple[int, str] | None:
+    """A cone with too few points, if enough others are left: its number and the reason to leave it out.
+
+    Raises
+    ------
+    CoverageError : too few cones are left; names those that are missing.
+    """
+    c = len(cones.names)
+    on = selection.cone >= 0
+    used = np.bincount(selection.cone[selection.used], minlength=c)
+    near = np.bincount(selection.cone[on], minlength=c)
+    few = [k for k in range(c) if used[k] < gates.min_points_per_cone]
+    if c - len(few) < gates.min_cones:
+        lost = {cones.names[k]: f"{used[k]} of {near[k]} points near it lie on it" for k in few} | dropped
+        raise CoverageError(
+            f"{c - len(few)} cones were seen by the lidar; not "
+            + "; ".join(f"{name}: {why}" for name, why in lost.items()),
+            expected=f"{gates.min_cones} cones with {gates.min_points_per_cone} points each",
+            cure="Check that the cones stand as they were measured"
+            + (
+                "; as most of them are off, that heights and datum of the targets are those of the positions"
+                if 2 * len(lost) > c + len(dropped)
+                else ""
+            )
+            + ". Record the run again so that the scan planes sweep over them",
+        )
+    if not few:
+        return None
+    k = min(few, key=lambda i: int(used[i]))
+    return k, f"{used[k]} of {near[k]} points near it lie on its surface"
+
+
+def moved_cone(
+    shift_m: ArrayF, square: ArrayF, selection: OnCones, cones: FieldCones
+) -> tuple[int, str] | None:
+    """The cone that does not stand where it was measured: moved, toppled or mistaken for another one.
+
+    Parameters
+    ----------
+    shift_m : (c, 3) by which the run would move each cone if it alone were free.
+    square : (c,) its squared size in units of its covariance.
+    selection : points of the last pass.
+    cones : of the field.
+    """
+    c = len(cones.names)
+    used, far = (np.bincount(selection.cone[rows], minlength=c) for rows in (selection.used, selection.far))
+    off = far / np.maximum(used + far, 1)
+    cure = "it was moved, has toppled, or its reference is another cone's. Measure the field again"
+    if off.max() > _MOST_OFF:
+        k = int(np.argmax(off))
+        return k, f"{far[k]} of {used[k] + far[k]} beams toward it end before or behind its surface: {cure}"
+    k = int(np.argmax(square))
+    if square[k] > chi2.isf(UNLIKELY, 3):
+        return k, f"its points lie {1e3 * np.linalg.norm(shift_m[k]):.0f} mm beside its reference: {cure}"
+    return None
+
+
+def check_antenna(known: Known, mount: Rigid) -> None:
+    """Refuse an antenna by its marker that contradicts the run.
+
+    Parameters
+    ----------
+    known : with the antenna seen from the scanner; nothing is tested without.
+    mount : ``T_ics_scs`` with covariance from the run without that antenna.
+
+    Raises
+    ------
+    GeometryError : both are farther apart than their sigmas explain, but for a probability of `UNLIKELY`.
+    """
+    if known.antenna is None:
+        return
+    point = known.antenna.x_scs_m[None]
+    off = mount.apply(point)[0] - known.lever_ics_antenna_m
+    J = mount.by_error(point)[0]
+    cov = J @ mount.cov @ J.T + mount.R @ known.antenna.cov_m2 @ mount.R.T
+    if off @ np.linalg.solve(cov, off) > chi2.isf(UNLIKELY, 3):
+        sigma = float(np.sqrt(np.trace(cov)))
+        raise GeometryError(
+            f"the antenna by its marker lies {1e3 * np.linalg.norm(off):.0f} mm from where the run has it",
+            expected=f"agreement within some {1e3 * sigma:.0f} mm (one sigma)",
+            cure="Check antenna.marker and antenna.offset_m of the field description (negative for a print "
+            "on top of the antenna), that the marker lies on the antenna, and that heights and datum of the "
+            "field's targets are those of the positions",
+        )
+
+
+def seen_headings_deg(heading_rad: ArrayF) -> float:
+    """Range of headings: the circle without its largest gap, in bins of 5 degrees.
+
+    Examples
+    --------
+    >>> seen_headings_deg(np.deg2rad([2.0, 8.0, 91.0, 358.0]))
+    100.0
+    """
+    bins = 360 // _BIN_DEG
+    number = np.floor(np.rad2deg(heading_rad) % 360.0 / _BIN_DEG).astype(np.int64) % bins
+    counts = np.bincount(number, minlength=bins)
+    seen = np.flatnonzero(counts >= max(1.0, _LEAST_SHARE * len(heading_rad)))
+    gaps = np.diff(np.append(seen, seen[0] + bins)) - 1
+    return float(_BIN_DEG * (bins - int(gaps.max())))
+
+
+def check_turns(heading_rad: ArrayF, gates: RunGates) -> None:
+    """Refuse a run in one heading: an offset of the positions or of the field is then a lever arm.
+
+    Raises
+    ------
+    UnobservableError : the boat turned too little while it saw cones.
+    """
+    span = seen_headings_deg(heading_rad)
+    if span < gates.min_headings_deg:
+        raise UnobservableError(
+            ["lever_x", "lever_y"],
+            defects=2,
+            cure=f"The missing motion is a turn: cones were seen in headings that span {span:.0f} deg, "
+            f"needed are {gates.min_headings_deg:.0f}. Drive circles or a figure of eight between the cones",
+        )
+
+
+def check_geometry(normals: ArrayF, gates: RunGates) -> None:
+    """Refuse cones that leave a parameter of the mount to noise even if all else were known.
+
+    Parameters
+    ----------
+    normals : (6, 6) normal equations of the mount from the points alone.
+    gates : limits of the formal sigmas.
+
+    Raises
+    ------
+    UnobservableError : names the parameters.
+    """
+    limit = np.r_[np.full(3, gates.max_sigma_lever_m), np.full(3, np.deg2rad(gates.max_sigma_rotation_deg))]
+    power, axes = np.linalg.eigh(normals * np.outer(limit, limit))
+    free = power < 1.0
+    if not free.any():
+        return
+    part = np.sqrt(np.square(axes[:, free]).sum(axis=1))
+    order = np.argsort(-part)
+    raise UnobservableError(
+        [PARAMETERS[i] for i in order if part[i] > 0.3 * part[order[0]]],
+        defects=int(free.sum()),
+        cure="Use cones on both sides of the boat, in different heights and distances, and pass them all",
+    )

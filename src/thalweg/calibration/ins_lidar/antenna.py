@@ -20,10 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from thalweg.calibration.ins_lidar.model import AntennaPoint
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, GeometryError, Rigid, rotation_opk
 
 NOMINAL_M: Final = 0.5
 NOMINAL_SIGMAS: Final = 5.0
@@ -149,7 +146,7 @@ def check_nominal(
     Parameters
     ----------
     seen : the antenna by the marker.
-    lidar, antenna : nominal mounts with their sigmas, as `thalweg.calibration.boat.mounts.read_mounts` gives
+    lidar, antenna : nominal mounts with their sigmas, as `thalweg.calibration.boat.read_mounts` gives
     them. marker : number of the print, for the message.
 
     Raises

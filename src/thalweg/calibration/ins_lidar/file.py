@@ -8,19 +8,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.calibration.camera.poses import read_poses
-from thalweg.calibration.camera_lidar.input import cone_references, field_errors
-from thalweg.calibration.cones.fit import FORM_SIGMA_M, fit_reference, parameter_cov
-from thalweg.calibration.field.description import FieldDescription
-from thalweg.calibration.field.points import FieldPoints
+from thalweg.calibration import FORM_SIGMA_M, fit_reference, parameter_cov, read_poses
+from thalweg.calibration.camera_lidar import cone_references, field_errors
+from thalweg.calibration.field import FieldDescription, FieldPoints
 from thalweg.calibration.ins_lidar.adjustment import InsLidar
 from thalweg.calibration.ins_lidar.antenna import AntennaLever, antenna_lever, check_nominal, phase_centre
 from thalweg.calibration.ins_lidar.run_points import FieldCones
-from thalweg.core.calibration.files import read_calibration, write_calibration
-from thalweg.core.calibration.model import Calibration, Source, pose_block
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, GeometryError, InputError, Rigid
+from thalweg.core.calibration import Calibration, Source, pose_block, read_calibration, write_calibration
 
 KIND: Final = "thalweg lidar mount"
 VERSION: Final = 1
@@ -129,16 +124,22 @@ def field_antenna(
         )
     coordinates = (3 * at[:, None] + np.arange(3)).ravel()
     mark = phase_centre(
-        points.points_pcs[at], points.cov[np.ix_(coordinates, coordinates)],
-        offset_m=field.antenna.offset_m, sigma_offset_m=field.antenna.sigma_m,
-    )  # fmt: skip
+        points.points_pcs[at],
+        points.cov[np.ix_(coordinates, coordinates)],
+        offset_m=field.antenna.offset_m,
+        sigma_offset_m=field.antenna.sigma_m,
+    )
     return antenna_lever(mark, found[0], T_ccs_scs)
 
 
 def seen_antenna(
-    field: FieldDescription, points: FieldPoints, mounts: Mapping[str, Mapping[str, Any]],
-    poses: Sequence[Path], camera_lidar: Sequence[Path], position: str,
-) -> AntennaLever | None:  # fmt: skip
+    field: FieldDescription,
+    points: FieldPoints,
+    mounts: Mapping[str, Mapping[str, Any]],
+    poses: Sequence[Path],
+    camera_lidar: Sequence[Path],
+    position: str,
+) -> AntennaLever | None:
     """The antenna by its marker, checked against its lever arm.
 
     None if the field describes no such marker, or if the boat has no camera: nothing says then where the
@@ -176,9 +177,9 @@ def write_mount_result(
         "T_ics_scs": {"matrix": T.matrix.tolist(), "cov": T.cov.tolist()},
         "cov_formal": found.cov_formal.tolist(),
         "by_antenna": found.by_antenna.tolist(),
-        "antenna": None if antenna is None else {
-            name: np.asarray(getattr(antenna, name)).tolist() for name in AntennaLever.__slots__
-        },
+        "antenna": None
+        if antenna is None
+        else {name: np.asarray(getattr(antenna, name)).tolist() for name in AntennaLever.__slots__},
         "lever_ics_antenna_m": [float(value) for value in lever_ics_antenna_m],
         "facts": {
             "points": found.n_points,
@@ -196,7 +197,7 @@ def write_mount_result(
             "sigma_across_m": found.noise.across_m,
             "parameters": found.summary().to_dict("records"),
         },
-    }  # fmt: skip
+    }
     path.write_text(json.dumps(document, indent=2) + "\n")
 
 

@@ -3,7 +3,7 @@
 Each point of the scanner is an observation: its range is that at which the nominal beam meets a cone of the
 field. Times the cosine of incidence that is its distance from the cone, but taken at a place without noise:
 derivatives at the noisy point would depend on its noise. Noise across the beam makes ranges on a curved
-surface too long in the mean (`thalweg.calibration.cones.cone`), along the normal by
+surface too long in the mean (`thalweg.calibration.cones`), along the normal by
 ``v k / 2 (1 + (t.d / n.d)^2)``.
 
 What is asked for is the mount. What is not, but errs, is unknown too and observed with its covariance: where
@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
+from scipy.optimize import minimize
 
-from thalweg.calibration.cones.cone import ConePoints
-from thalweg.calibration.ins_lidar.point_noise import BeamNoise
+from thalweg.calibration import ConePoints
 from thalweg.calibration.ins_lidar.pose_errors import (
     BorderedNormals,
     Knots,
@@ -29,19 +29,43 @@ from thalweg.calibration.ins_lidar.pose_errors import (
     turns,
 )
 from thalweg.calibration.ins_lidar.run_points import FieldCones, RunPoints
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
+from thalweg.core import ArrayB, ArrayF, ArrayI, Rigid
 
 MOUNT: Final = slice(0, 6)
 FIELD: Final = slice(6, 12)
 """Columns of the border: shift and rotation of the mount in ics; error of ``T_wcs_pcs`` in its own sigmas."""
-
 _FIXED_M: Final = 1e-6
 _FREE_M: Final = 1.0
 """Prior sigmas of a cone's shift that hold it, or leave it free."""
-
 _LEAST_COSINE: Final = 0.2
 """Of incidence, for the mean of noisy beams; points met at a larger angle are not used."""
+
+SPREAD: Final = 2.0
+"""Stated noise may be wrong by this factor, as one sigma of its logarithm."""
+MOST: Final = 3.0
+"""Noise that differs by more than this factor from what is stated is no noise but moved cones."""
+LEAST_SHARE: Final = 0.1
+"""Redundancy of an observation below which residuals say nothing of the noise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BeamNoise:
+    """Standard deviations of a single point along its beam and in each direction across it, metres."""
+
+    along_m: float = 0.0173
+    across_m: float = 0.0173
+
+    def variance_along(self, cosine: ArrayF) -> ArrayF:
+        """Variance (n,) of points in a direction that encloses an angle with their beams."""
+        return np.asarray(self.along_m**2 * cosine**2 + self.across_m**2 * (1 - cosine**2))
+
+    def change(self, other: Self) -> float:
+        """Difference of the variances at 45 degrees, relative to the other's."""
+        here, there = (n.along_m**2 + n.across_m**2 for n in (self, other))
+        return abs(here / there - 1.0)
+
+
+# ---------------------------------------------------------------- observation equations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,9 +133,13 @@ class Linearised:
     def taken(self, rows: ArrayB) -> Self:
         """Some of the points."""
         return type(self)(
-            distance_m=self.distance_m[rows], variance_m2=self.variance_m2[rows], border=self.border[rows],
-            pose=self.pose[rows], slant_m=self.slant_m[rows], cosine=self.cosine[rows],
-        )  # fmt: skip
+            distance_m=self.distance_m[rows],
+            variance_m2=self.variance_m2[rows],
+            border=self.border[rows],
+            pose=self.pose[rows],
+            slant_m=self.slant_m[rows],
+            cosine=self.cosine[rows],
+        )
 
 
 def root_of(cov: ArrayF) -> ArrayF:
@@ -150,8 +178,9 @@ def linearise(points: RunPoints, cone: ArrayI, known: Known, state: State, knots
     n, c = len(points), len(S_cones)
     antenna = points.to_wcs(known.lever_ics_antenna_m)
     arm = antenna - points.position_wcs_m
-    by_time = np.concatenate([points.velocity_wcs_mps + np.cross(points.rate_wcs_radps, arm),
-                              points.rate_wcs_radps], axis=1)  # fmt: skip
+    by_time = np.concatenate(
+        [points.velocity_wcs_mps + np.cross(points.rate_wcs_radps, arm), points.rate_wcs_radps], axis=1
+    )
     errors = knots.at(state.e, points.t_gps_s)
     lag = state.z[-1] * known.sigma_time_s * by_time
     turn = turns(attitude_vector(errors[:, 3:], points.R_wcs_ics) + lag[:, 3:])
@@ -298,9 +327,15 @@ def solve_step(
 
 
 def cone_shifts(
-    points: RunPoints, linear: Linearised, cone: ArrayI, known: Known, state: State, knots: Knots, *,
+    points: RunPoints,
+    linear: Linearised,
+    cone: ArrayI,
+    known: Known,
+    state: State,
+    knots: Knots,
+    *,
     prior_band: ArrayF,
-) -> tuple[ArrayF, ArrayF]:  # fmt: skip
+) -> tuple[ArrayF, ArrayF]:
     """Shift (c, 3) in pcs that a run would give each cone if it alone were free, and its squared size, (c,).
 
     The size is in units of the covariance: chi-square of three degrees of freedom if the cone has not moved.
@@ -338,3 +373,55 @@ def cone_shifts(
         shift[k] = found.border[mine]
         square[k] = shift[k] @ np.linalg.solve(found.cov_border[mine, mine], shift[k])
     return shift, square
+
+
+# ---------------------------------------------------------------- noise of points along and across their
+# beams, from residuals
+#
+# A point at the incidence ``i`` has, along the normal of the surface, the variance ``a^2 cos^2 i + b^2 sin^2
+# i`` with the noise ``a`` along its beam and ``b`` in each direction across it. Squared residuals of many
+# points show both (variance components; Koch 1999, sec. 3.6). What is stated of each is prior knowledge with
+# a factor of `SPREAD`, so that points of one incidence, which cannot tell the two apart, leave their ratio as
+# stated. Hundreds of points give the size to some per cent: next to the errors of the poses that uncertainty
+# adds nothing.
+
+
+def estimate_noise(residual_m: ArrayF, cosine: ArrayF, share: float, stated: BeamNoise) -> BeamNoise:
+    """The noise along and across beams that explains residuals best.
+
+    Parameters
+    ----------
+    residual_m : (n,) of points, along the normals of the surface.
+    cosine : (n,) of their incidence.
+    share : of the noise's variance that residuals show in the mean: redundancy over number, and what a limit
+        for outliers leaves of it. Below `LEAST_SHARE`, where points hardly outnumber unknowns, the noise is
+        as stated.
+    stated : centre of the prior; noise that is stated as zero stays zero.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> cosine = rng.uniform(0.5, 1.0, 20_000)
+    >>> true = BeamNoise(along_m=0.03, across_m=0.01)
+    >>> residual = rng.standard_normal(20_000) * np.sqrt(true.variance_along(cosine))
+    >>> found = estimate_noise(residual, cosine, 1.0, BeamNoise())
+    >>> round(found.along_m, 3), round(found.across_m, 3)
+    (0.03, 0.01)
+    """
+    if share < LEAST_SHARE:
+        return stated
+    square = np.square(residual_m) / share
+
+    def noise(logs: ArrayF) -> BeamNoise:
+        """Stated noise times two factors."""
+        along, across = np.exp(logs)
+        return BeamNoise(along_m=float(stated.along_m * along), across_m=float(stated.across_m * across))
+
+    def cost(logs: ArrayF) -> float:
+        """-2 log L of normal residuals and the prior of the two factors."""
+        variance = noise(logs).variance_along(cosine)
+        return float(np.sum(np.log(variance) + square / variance) + np.sum((logs / np.log(SPREAD)) ** 2))
+
+    most = float(np.log(MOST))
+    found = minimize(cost, np.zeros(2), method="L-BFGS-B", bounds=[(-most, most)] * 2)
+    return noise(np.asarray(found.x))

@@ -24,10 +24,8 @@ import numpy as np
 from scipy.linalg import cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 
-from thalweg.core.errors import CoverageError, GeometryError
-from thalweg.core.frames import attitude_axes
-from thalweg.core.propagation import cross_matrix
-from thalweg.core.types import ArrayF, ArrayI
+from thalweg.core import ArrayF, ArrayI, CoverageError, GeometryError, attitude_axes, cross_matrix
+from thalweg.settings.sections import RunErrors
 
 SLOW: Final = 6
 """Slow errors: east, north, up of the antenna, metres; roll, pitch, heading, radians."""
@@ -60,11 +58,11 @@ class PoseErrors:
 
     sigma_position_m: ArrayF
     sigma_attitude_rad: ArrayF
-    position_time_s: float = 10.0
-    attitude_time_s: float = 20.0
-    white_share: float = 0.25
+    position_time_s: float = RunErrors().position_time_s
+    attitude_time_s: float = RunErrors().attitude_time_s
+    white_share: float = RunErrors().white_share
     epoch_s: float = 0.1
-    knot_s: float = 1.0
+    knot_s: float = RunErrors().knot_s
     heading_time_s: float | None = None
 
     def __post_init__(self) -> None:

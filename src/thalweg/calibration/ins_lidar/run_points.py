@@ -8,19 +8,35 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import savgol_filter
 
-from thalweg.calibration.cones.cone import Cone
-from thalweg.clocks.streams.spans import apart_words, span_text
-from thalweg.core.errors import CoverageError, GeometryError
-from thalweg.core.rigid import Rigid
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
+from thalweg.calibration import Cone
+from thalweg.clocks import apart_words, span_text
+from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, GeometryError, Rigid, Trajectory
+from thalweg.settings.sections import InsLidarFit
 
 _SMOOTHED_S: Final = 1.5
 """Half of the time over which velocities are smoothed."""
-
 _DEGREE: Final = 3
 _HOLE: Final = 3.0
 """Nodes that are farther apart than so many usual steps have a gap between them."""
+
+SAMPLED: Final = 500
+"""Points of each block that are kept to say where the lidar's points are."""
+_AROUND_M: Final = 10.0
+"""Heights of points as near to a cone in plan are compared with it."""
+_WIND: Final = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+_POLE_M: Final = 5.0
+"""A pole that was not taken off explains no greater difference of heights."""
+_DATUM_M: Final = 1000.0
+"""Datums of one country differ by less; farther away the place itself is another one."""
+
+SCORE_WIDTH_M: Final = 0.10
+"""Width of the score's kernel: wider than the errors of trajectory and scanner, narrower than a cone."""
+ANNEAL_M: Final = (0.20, 0.12, 0.08, 0.05)
+"""Widths of the robust fit; the last one is three sigma of a point (P2 eq. 7)."""
+_CHUNK: Final = 200
+
+
+# ---------------------------------------------------------------- points of a run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,9 +150,13 @@ class RunPoints:
         velocity, rate = smooth_rates(trajectory)
         left = np.minimum(left, len(rate) - 1)
         return cls(
-            xyz_scs_m=xyz[keep], t_gps_s=t[keep], position_wcs_m=position, R_wcs_ics=R,
-            velocity_wcs_mps=velocity[left], rate_wcs_radps=rate[left],
-        )  # fmt: skip
+            xyz_scs_m=xyz[keep],
+            t_gps_s=t[keep],
+            position_wcs_m=position,
+            R_wcs_ics=R,
+            velocity_wcs_mps=velocity[left],
+            rate_wcs_radps=rate[left],
+        )
 
     def __len__(self) -> int:
         return len(self.t_gps_s)
@@ -144,10 +164,13 @@ class RunPoints:
     def taken(self, rows: ArrayI | ArrayB) -> Self:
         """Some of the points."""
         return type(self)(
-            xyz_scs_m=self.xyz_scs_m[rows], t_gps_s=self.t_gps_s[rows],
-            position_wcs_m=self.position_wcs_m[rows], R_wcs_ics=self.R_wcs_ics[rows],
-            velocity_wcs_mps=self.velocity_wcs_mps[rows], rate_wcs_radps=self.rate_wcs_radps[rows],
-        )  # fmt: skip
+            xyz_scs_m=self.xyz_scs_m[rows],
+            t_gps_s=self.t_gps_s[rows],
+            position_wcs_m=self.position_wcs_m[rows],
+            R_wcs_ics=self.R_wcs_ics[rows],
+            velocity_wcs_mps=self.velocity_wcs_mps[rows],
+            rate_wcs_radps=self.rate_wcs_radps[rows],
+        )
 
     def in_wcs(self, T_ics_scs: Rigid) -> ArrayF:
         """Points (n, 3) in the world for a mount (P1 eq. 7-8)."""
@@ -225,3 +248,328 @@ def smooth_rates(trajectory: Trajectory) -> tuple[ArrayF, ArrayF]:
         if window >= _DEGREE + 2:
             both[start:end] = savgol_filter(both[start:end], window, _DEGREE, axis=0)
     return both[:, :3], both[:, 3:]
+
+
+# ---------------------------------------------------------------- points of a lidar log that may lie on cones
+#
+# A log is read in blocks. Of each block the points near the cones are kept, and some of all others: if none
+# comes near, these say where the lidar's points are and where the cones should be. A field whose heights
+# are of another system lies tens of metres above or below the scan; one with a wrong datum or zone lies
+# beside it.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """From a lidar's points to the cones of a field: the nearest pair, and how the whole field lies.
+
+    ``nearest_m`` in space, ``nearest_plan_m`` in plan; ``plan_m`` (2,) east and north from the middle of the
+    points to that of the cones; ``height_m`` of the cones above the points around them, or above all points
+    if none is around.
+    """
+
+    nearest_m: float
+    nearest_plan_m: float
+    plan_m: ArrayF
+    height_m: float
+
+    @classmethod
+    def between(cls, points_wcs_m: ArrayF, centres_wcs_m: ArrayF) -> Self:
+        """The way from points (n, 3) to the centres (c, 3) of cones."""
+        apart = centres_wcs_m[None] - points_wcs_m[:, None]
+        plan = np.linalg.norm(apart[..., :2], axis=2)
+        around = plan < _AROUND_M
+        heights = apart[..., 2][around if around.any() else np.ones_like(around)]
+        return cls(
+            nearest_m=float(np.linalg.norm(apart, axis=2).min()),
+            nearest_plan_m=float(plan.min()),
+            plan_m=np.asarray(centres_wcs_m[:, :2].mean(axis=0) - np.median(points_wcs_m[:, :2], axis=0)),
+            height_m=float(np.median(heights)),
+        )
+
+    @property
+    def words(self) -> str:
+        """The way as a part of a sentence about the cones."""
+        wind = _WIND[round(np.degrees(np.arctan2(*self.plan_m)) / 45.0) % 8]
+        return (
+            f"{np.linalg.norm(self.plan_m):,.1f} m {wind} of the middle of the points, "
+            f"{abs(self.height_m):,.1f} m {'above' if self.height_m > 0 else 'below'} them; the nearest "
+            f"point is {self.nearest_m:,.1f} m away, in plan {self.nearest_plan_m:,.1f} m"
+        )
+
+    def cure(self, reach_m: float) -> str:
+        """What to look at: heights, datum, or place."""
+        if self.nearest_plan_m <= reach_m:
+            if abs(self.height_m) <= _POLE_M:
+                return (
+                    "In plan the field is where the lidar was: check that the height of the pole was taken "
+                    "off the heights of the targets, and the lever arm of the boat's antenna"
+                )
+            return (
+                "In plan the field is where the lidar was, its height is not: heights of targets and "
+                "positions are of two systems. Both must be ellipsoidal (h_ell_m); heights above sea level "
+                "differ from these by the geoid, 36 to 50 m in Germany. Check the base's height as well"
+            )
+        if np.linalg.norm(self.plan_m) <= _DATUM_M:
+            return (
+                "Check the datum of the targets and of the base's coordinates: national datums are some "
+                "100 m apart from ITRS; and that the run was recorded at this field"
+            )
+        return (
+            "Check lat_deg and lon_deg of the targets: exchanged, of another EPSG code or zone before they "
+            "were converted, or of another field; and the coordinates of the base"
+        )
+
+
+@dataclass(slots=True, kw_only=True)
+class NearCones:
+    """Collects the points of a lidar log near the cones of a field, block by block.
+
+    Parameters
+    ----------
+    trajectory : of the run.
+    cones, T_wcs_pcs : the field, and its place in the world.
+    reach_m : how far from a cone points may lie with the mount by which they were put into the world.
+    """
+
+    trajectory: Trajectory
+    cones: FieldCones
+    T_wcs_pcs: Rigid
+    reach_m: float
+    n: int = 0
+    _near: list[ArrayF] = field(default_factory=list)
+    _times: list[ArrayF] = field(default_factory=list)
+    _sample: list[ArrayF] = field(default_factory=list)
+
+    def add(self, xyz_scs_m: ArrayF, t_gps_s: ArrayF, points_wcs_m: ArrayF, has_pose: ArrayB) -> None:
+        """A block: points (n, 3) in scs, their times (n,), and in the world (n, 3) where they have a pose."""
+        self.n += len(t_gps_s)
+        timed = t_gps_s[np.isfinite(t_gps_s)]
+        if timed.size:
+            self._times.append(np.array([timed.min(), timed.max()]))
+        posed = np.flatnonzero(has_pose)
+        self._sample.append(points_wcs_m[posed[:: max(posed.size // SAMPLED, 1)]])
+        near = posed[self.cones.near(points_wcs_m[posed], self.T_wcs_pcs, self.reach_m) >= 0]
+        self._near.append(np.column_stack([xyz_scs_m[near], t_gps_s[near]]))
+
+    def points(self) -> RunPoints:
+        """The points near the cones, with poses.
+
+        Raises
+        ------
+        CoverageError : the log is empty, has no clock or none that overlaps with the trajectory; or no point
+            is near a cone: with distance and direction of the field, and what may be the cause.
+        """
+        if not self.n:
+            raise CoverageError(
+                "the lidar log holds no points",
+                expected="a run past the cones of the field",
+                cure="Check logs.lidar, and the limits of the range in the section lidar",
+            )
+        sample = np.concatenate(self._sample)
+        if not len(sample):
+            raise no_pose(self.trajectory, np.concatenate([np.zeros(0), *self._times]), self.n)
+        rows = np.concatenate(self._near)
+        if not len(rows):
+            way = Way.between(sample, self.cones.spheres(self.T_wcs_pcs)[0])
+            raise CoverageError(
+                f"the lidar and the trajectory overlap in time, but none of {self.n:,} lidar points comes "
+                f"within {self.reach_m:.1f} m of a cone: the cones {', '.join(self.cones.names)} are "
+                + way.words,
+                expected="a run past the cones of the field, in the world frame of its targets",
+                cure=way.cure(self.reach_m + float(self.cones.spheres(self.T_wcs_pcs)[1].max())),
+            )
+        return RunPoints.on(self.trajectory, rows[:, :3], rows[:, 3])
+
+
+# ---------------------------------------------------------------- cones in the points of a moving scanner,
+# from coarse to fine
+#
+# The mount is known roughly: the angles to some degrees, the lever arm to some decimetres (T 3.1.1 starts
+# with 0). A grid of lever arms, then one of angles, is scored by how many points come to lie on the cones'
+# surfaces; each cone counts by the logarithm of its own score, so that one near cone cannot outvote the
+# others, and the ground beneath a cone has no say beside its surface. From the best place a robust fit goes
+# on with weights ``(w^2 / (w^2 + d^2))^2`` (Geman and McClure 1987) whose width ``w`` shrinks.
+#
+# Which points then enter an adjustment is decided by the surface alone: near it, between apex and base, and
+# not met at a grazing angle, where a beam that leaves aside passes or comes from elsewhere.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountRange:
+    """How far from the start the mount may be.
+
+    Parameters
+    ----------
+    lever_m : in each component of the lever arm.
+    angle_deg : about each axis of ics.
+    points_per_cone : points that are tried for each cone at most.
+    """
+
+    lever_m: float = InsLidarFit().search_lever_m
+    angle_deg: float = InsLidarFit().search_angle_deg
+    points_per_cone: int = 600
+
+    @property
+    def reach_m(self) -> float:
+        """How far from a cone its points may lie with the start's lever arm."""
+        return float(self.lever_m * np.sqrt(3) + 0.1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OnCones:
+    """Points (n,) on the surface of a cone by the present state of knowledge.
+
+    ``cone`` number of the cone in whose neighbourhood a point lies, -1 none; ``used``; and why others are
+    not: ``far`` from the surface, beyond the ``ends``, met at a ``grazing`` angle or beside the outline.
+    """
+
+    cone: ArrayI
+    used: ArrayB
+    far: ArrayB
+    ends: ArrayB
+    grazing: ArrayB
+
+
+def find_mount(
+    points: RunPoints, field: FieldCones, T_wcs_pcs: Rigid, start: Rigid, search: MountRange
+) -> Rigid:
+    """The mount ``T_ics_scs`` to some centimetres, from a start that is decimetres off.
+
+    Raises
+    ------
+    CoverageError : no point of the run comes near any cone, or none lies on one.
+    """
+    reach = search.reach_m
+    near = field.near(points.in_wcs(start), T_wcs_pcs, reach)
+    if not np.any(near >= 0):
+        raise CoverageError(
+            f"none of {len(points)} lidar points comes within {reach:.1f} m of one of the cones "
+            f"{', '.join(field.names)}",
+            expected="a run past the cones of the field",
+            cure="Check heights and datum of the field's targets, and record a run along the cones",
+        )
+    parts, cones = [], []
+    for k, cone in enumerate(field.cones):
+        rows = np.flatnonzero(near == k)
+        if rows.size:
+            rows = rows[:: -(-rows.size // search.points_per_cone)]
+            parts.append(points.taken(rows))
+            cones.append((cone.in_frame(T_wcs_pcs), float(field.length_m[k])))
+    mount = start
+    steps = np.arange(-search.lever_m, search.lever_m + 0.05, 0.1)
+    turns = np.deg2rad(np.arange(-search.angle_deg, search.angle_deg + 0.5, 1.0))
+    for grid, turning in ((steps, False), (turns, True), (np.linspace(-0.2, 0.2, 9), False)):
+        mount = _best(parts, cones, mount, grid, turning=turning)
+    for width in ANNEAL_M:
+        for _ in range(4):
+            mount = _robust_step(parts, cones, mount, width)
+    return mount
+
+
+def _best(
+    parts: list[RunPoints], cones: list[tuple[Cone, float]], mount: Rigid, grid: ArrayF, *, turning: bool
+) -> Rigid:
+    """The mount with the best score on a grid of shifts, or of rotation vectors, in ics."""
+    changes = np.stack(np.meshgrid(grid, grid, grid, indexing="ij"), axis=-1).reshape(-1, 3)
+    total = np.zeros(len(changes))
+    for part, (cone, length) in zip(parts, cones, strict=True):
+        arm = part.xyz_scs_m @ mount.R.T
+        beam = np.einsum("nij,nj->ni", part.R_wcs_ics, arm / np.linalg.norm(arm, axis=1, keepdims=True))
+        start = part.to_wcs(mount.apply(part.xyz_scs_m))
+        score = np.empty(len(changes))
+        for at in range(0, len(changes), _CHUNK):
+            some = changes[at : at + _CHUNK]
+            if turning:
+                moved = np.einsum("nij,gnj->gni", part.R_wcs_ics, np.cross(some[:, None], arm[None]))
+            else:
+                moved = np.einsum("nij,gj->gni", part.R_wcs_ics, some)
+            score[at : at + _CHUNK] = _score(cone, length, start + moved, beam)
+        total += np.log(0.05 + score / max(float(score.max()), 1e-9))
+    error = np.zeros(6)
+    error[3 if turning else 0 :][:3] = changes[int(np.argmax(total))]
+    return mount.moved(error)
+
+
+def _score(cone: Cone, length_m: float, points: ArrayF, beam: ArrayF) -> ArrayF:
+    """How many of points (g, n, 3) lie on the side of a cone that beams (n, 3) see, softly counted, (g,)."""
+    d = points - cone.apex_m
+    z = d @ cone.axis
+    across = d - z[..., None] * cone.axis
+    rho = np.linalg.norm(across, axis=-1)
+    cos_a, sin_a = np.cos(cone.half_angle_rad), np.sin(cone.half_angle_rad)
+    toward = cos_a * np.einsum("gni,ni->gn", across, beam) / np.maximum(rho, 1e-9) - sin_a * (
+        beam @ cone.axis
+    )
+    distance = rho * cos_a - z * sin_a
+    on = (z > 0) & (z < length_m) & (toward < 0)
+    return np.asarray(np.sum(np.where(on, np.exp(-0.5 * (distance / SCORE_WIDTH_M) ** 2), 0.0), axis=1))
+
+
+def _robust_step(
+    parts: list[RunPoints], cones: list[tuple[Cone, float]], mount: Rigid, width_m: float
+) -> Rigid:
+    N, n = np.zeros((6, 6)), np.zeros(6)
+    for part, (cone, length) in zip(parts, cones, strict=True):
+        seen = cone.see(part.in_wcs(mount))
+        slant = length / np.cos(cone.half_angle_rad)
+        J = mount_rows(part, mount, seen.normal)
+        toward = np.einsum("ni,ni->n", J[:, :3], part.xyz_scs_m @ mount.R.T)
+        on = (seen.slant_m > 0) & (seen.slant_m < slant) & (toward < 0)
+        weight = np.where(on, (width_m**2 / (width_m**2 + seen.distance_m**2)) ** 2, 0.0)
+        # one vote a cone: near cones have many more points
+        weight /= max(float(weight.sum()), 1e-9)
+        N += J.T @ (J * weight[:, None])
+        n -= J.T @ (weight * seen.distance_m)
+    if not np.trace(N) > 0:
+        raise CoverageError(
+            f"lidar points come near {len(cones)} cones, but none lies on the side that its beam can see",
+            expected="points on the surfaces of the cones",
+            cure="Check heights and datum of the field's targets (a pole that was not taken off is 2 m), "
+            "that the cones stand as they were measured, and calibration.ins_lidar.search_lever_m",
+        )
+    # 1e-9 of the largest: a direction that no point determines stays where it is
+    return mount.moved(np.linalg.solve(N + 1e-9 * np.trace(N) * np.eye(6), n))
+
+
+def mount_rows(points: RunPoints, T_ics_scs: Rigid, normal_wcs: ArrayF) -> ArrayF:
+    """Change (n, 6) of a component of points in wcs with the error (shift; rotation) of the mount in ics."""
+    normal_ics = np.einsum("nij,ni->nj", points.R_wcs_ics, normal_wcs)
+    arm = points.xyz_scs_m @ T_ics_scs.R.T
+    return np.concatenate([normal_ics, np.cross(arm, normal_ics)], axis=1)
+
+
+def select(
+    cone: ArrayI,
+    distance_m: ArrayF,
+    slant_m: ArrayF,
+    cosine: ArrayF,
+    *,
+    ends_m: ArrayF,
+    gate_m: ArrayF | float,
+    end_margin_m: float,
+    max_incidence_deg: float,
+) -> OnCones:
+    """Which points lie on the surfaces.
+
+    Parameters
+    ----------
+    cone : (n,) number of the cone in whose neighbourhood a point lies, -1 none.
+    distance_m, slant_m, cosine : (n,) distance from the surface, and where and at which cosine of incidence
+        the nominal beam meets it; NaN where it does not.
+    ends_m : (c,) length of each cone along its surface.
+    gate_m : half width of the layer about the surface, for each point (n,) or for all.
+    end_margin_m : points nearer to apex or base are left out.
+    max_incidence_deg : points met at a larger angle are left out.
+    """
+    met = (cone >= 0) & np.isfinite(distance_m)
+    away = met & (np.abs(np.nan_to_num(distance_m)) > gate_m)
+    on = met & ~away
+    outside = (slant_m < end_margin_m) | (slant_m > ends_m[cone] - end_margin_m)
+    flat = cosine < np.cos(np.deg2rad(max_incidence_deg))
+    return OnCones(
+        cone=cone,
+        used=on & ~outside & ~flat,
+        far=away,
+        ends=on & outside,
+        grazing=(on & ~outside & flat) | ((cone >= 0) & ~met),
+    )

@@ -1,1 +1,5 @@
 """Calibrations of a boat as files: mounts with one joint covariance, and their imports."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

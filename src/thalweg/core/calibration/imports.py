@@ -19,17 +19,25 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from thalweg.core.calibration.model import Block, Calibration, Source, pose_block
-from thalweg.core.camera.files import read_colmap, read_opencv
-from thalweg.core.camera.model import PARAMETERS, Camera, Model
-from thalweg.core.errors import ConfigError, GeometryError, InputError, UnsupportedError
-from thalweg.core.lever_arms import lever_doubt
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
-from thalweg.core.yaml_lines import read_mapping
+from thalweg.core import (
+    PARAMETERS,
+    ArrayF,
+    Camera,
+    ConfigError,
+    GeometryError,
+    InputError,
+    Model,
+    Rigid,
+    UnsupportedError,
+    read_colmap,
+    read_mapping,
+    read_opencv,
+)
+from thalweg.core.calibration.model import Block, Calibration, Source, lever_doubt, pose_block
+from thalweg.core.geometry import nearest_rotation
 
 MODELS: Final = {"radtan": "perspective", "equidistant": "fisheye"}
-"""Kalibr's distortion of a pinhole camera -> model of `thalweg.core.camera.model`."""
+"""Kalibr's distortion of a pinhole camera -> model of `thalweg.core.camera`."""
 
 SIGMAS: Final = {
     "angle_deg": "rotations about each axis, degrees",
@@ -179,9 +187,11 @@ def import_kalibr(path: Path, sigmas: Mapping[str, float], *, run: str = "") -> 
         parts.append(_interior(f"{name}_interior", found.camera, sigmas, path, held))
         if found.offset_s is not None:
             clock = Block(
-                name=f"{name}_clock", quantities=("offset_s",), values=np.array([found.offset_s]),
+                name=f"{name}_clock",
+                quantities=("offset_s",),
+                values=np.array([found.offset_s]),
                 equation=CLOCK_EQUATION,
-            )  # fmt: skip
+            )
             parts.append((clock, np.array([[_sigma(sigmas, "time_s", path) ** 2]])))
     return _joined(
         parts, title=f"Kalibr: {path.name}", run=run or path.stem, method="Kalibr, sigmas as stated"
@@ -320,8 +330,10 @@ def rigid_of(rows: Any, *, where: str) -> Rigid:
         by_columns = np.abs(T[:, 3] - last).max() <= 1e-9
         raise InputError(
             "the matrix stands column after column" if by_columns else f"the last row is {T[3].tolist()}",
-            where=where, expected=expected, cure="Transpose it" if by_columns else "",
-        )  # fmt: skip
+            where=where,
+            expected=expected,
+            cure="Transpose it" if by_columns else "",
+        )
     R = T[:3, :3]
     gram, det = R.T @ R, float(np.linalg.det(R))
     scale = float(np.cbrt(abs(det)))
@@ -334,9 +346,8 @@ def rigid_of(rows: Any, *, where: str) -> Rigid:
             where=where,
             expected="a rotation: orthogonal, determinant +1",
             cure="Register again without scale" if only_scale and det > 0 else "Check order and signs",
-        )  # fmt: skip
-    u, _, v = np.linalg.svd(R)
-    return Rigid(R=u @ v, shift_m=T[:3, 3])
+        )
+    return Rigid(R=nearest_rotation(R), shift_m=T[:3, 3])
 
 
 def _near(pose: Rigid, where: str) -> Rigid:
@@ -363,11 +374,13 @@ def _sigma(sigmas: Mapping[str, float], key: str, path: Path) -> float:
     value = sigmas.get(key)
     if value is None or not np.isfinite(value) or value < 0:
         raise InputError(
-            f"the file does not say how well it is known: no sigma {key}" if value is None
+            f"the file does not say how well it is known: no sigma {key}"
+            if value is None
             else f"sigma {key} is {value}",
-            where=path, expected=f"the standard deviation of {SIGMAS[key]}",
+            where=path,
+            expected=f"the standard deviation of {SIGMAS[key]}",
             cure=f"State it: --sigma {key}=..., from the report of the program that wrote the file",
-        )  # fmt: skip
+        )
     return float(value)
 
 

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF
 
 LEAST_AREA_M2: Final = 1e-6
 """A smaller polygon is a line."""

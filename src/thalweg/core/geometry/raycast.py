@@ -13,8 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import GeometryError, ThalwegError
-from thalweg.core.types import ArrayF, ArrayI
+from thalweg.core import ArrayF, ArrayI, GeometryError, ThalwegError
 
 MAX_EXTENT_M: Final = 20_000.0
 """Meshes wider than this are refused: a float32 step is 1 mm there."""

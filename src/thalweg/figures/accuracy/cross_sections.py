@@ -4,8 +4,10 @@ A section is a vertical plane across the bank. Points within half of the slab's 
 are drawn as if they lay in it. Looked at along the bank, the river is on the left.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -18,20 +20,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF
-from thalweg.figures.accuracy.distances import compared, round_above
-from thalweg.figures.style import (
-    BLUE,
-    TIME_MAP,
-    WIDTH_MM,
-    count,
-    new_figure,
-    scale_bar,
-    styled,
-)
-from thalweg.surface.bank_frame import BankFrame
+from thalweg.accuracy import CLOUD_TO_MESH
+from thalweg.core import ArrayF, Trajectory, iter_laz, read_table
+from thalweg.core.geometry import TriangleMesh, read_mesh
+from thalweg.figures import BLUE, TIME_MAP, WIDTH_MM, count, new_figure, scale_bar, styled
+from thalweg.figures.accuracy.distances import bank_frame_of, compared, round_above
+from thalweg.surface import BankFrame
 
 PLACE_MAP: Final[Colormap] = ListedColormap(TIME_MAP(np.linspace(0.05, 0.88, 256)), "thalweg_place")
 """From dark to light along the bank; without the end that vanishes on paper."""
@@ -226,10 +220,15 @@ def cross_sections(
     panels[-1][0].set_xlabel("across the bank, away from the river / m")
     panels[-1][1].set_xlabel("across the bank / m")
     figure.colorbar(
-        ScalarMappable(norm, PLACE_MAP), ax=list(panels.ravel()), location="bottom", aspect=55, shrink=0.8,
-        pad=0.02, extend="both" if (known > reach).any() else "neither",
+        ScalarMappable(norm, PLACE_MAP),
+        ax=list(panels.ravel()),
+        location="bottom",
+        aspect=55,
+        shrink=0.8,
+        pad=0.02,
+        extend="both" if (known > reach).any() else "neither",
         label="place of the boat along the bank when it measured the point, from the section / m",
-    )  # fmt: skip
+    )
     figure.align_ylabels(list(panels[:, 0]))
     _legend(figure, panels[0][0], water=water_line_ics_m is not None)
     return figure
@@ -260,15 +259,30 @@ def _draw_row(
         if water_m is not None:
             ax.axhline(water_m, color=BLUE, lw=0.8, ls=(0, (6, 2)), zorder=1, gid="water")
         ax.scatter(
-            reference[:, 0], reference[:, 1], s=0.5 * size, color="0.55", lw=0, zorder=2, rasterized=True,
+            reference[:, 0],
+            reference[:, 1],
+            s=0.5 * size,
+            color="0.55",
+            lw=0,
+            zorder=2,
+            rasterized=True,
             gid="reference-points",
-        )  # fmt: skip
+        )
         # A fixed shuffle: no place of the boat lies on top of the others.
         order = np.argsort((np.arange(len(points)) * 2_654_435_761) % 2**32)
         ax.scatter(
-            points[order, 0], points[order, 1], c=place[order], s=size, cmap=PLACE_MAP, norm=norm, lw=0,
-            zorder=3, rasterized=True, gid="cloud", plotnonfinite=False,
-        )  # fmt: skip
+            points[order, 0],
+            points[order, 1],
+            c=place[order],
+            s=size,
+            cmap=PLACE_MAP,
+            norm=norm,
+            lw=0,
+            zorder=3,
+            rasterized=True,
+            gid="cloud",
+            plotnonfinite=False,
+        )
         width = 0.8 if ax is whole else 1.3
         ax.add_collection(
             LineCollection(list(lines), colors="black", linewidths=width, zorder=4, gid="reference")
@@ -344,3 +358,33 @@ def _legend(figure: Figure, ax: Axes, *, water: bool) -> None:
     ]
     handles = [ax.plot([], [], **look)[0] for look in looks if water or "water" not in look["label"]]
     figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
+
+
+def draw_cross_sections(
+    *,
+    comparison: Path,
+    mesh: Path,
+    mesh_facts: Path,
+    points: Path,
+    reference: Path,
+    trajectory: Path,
+    sections: dict[str, Any],
+    water_line_ics_m: float | None,
+    title: str,
+    twin: bool,
+) -> Figure:
+    """Cloud, reference and their comparison -> cross sections through both."""
+    table, _ = read_table(comparison, CLOUD_TO_MESH)
+    slabs = Slabs(table, bank_frame_of(json.loads(mesh_facts.read_text())), sections)
+    for chunk in iter_laz(points, 1_000_000):
+        slabs.add("cloud", chunk["xyz_m"], chunk["t_gps_s"])
+    for chunk in iter_laz(reference, 1_000_000):
+        slabs.add("reference", chunk["xyz_m"])
+    return cross_sections(
+        slabs,
+        read_mesh(mesh)[0],
+        Trajectory.read(trajectory),
+        water_line_ics_m=water_line_ics_m,
+        title=f"Cross sections of cloud and reference: {title}",
+        twin=twin,
+    )

@@ -4,7 +4,9 @@ The map is drawn in the plane of the bank: along the bank to the right as one lo
 up its slope. A long bank is cut into strips that lie below each other, all at one scale.
 """
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -16,12 +18,12 @@ from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.geometry.raycast import RayCaster
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.figures.accuracy.distances import compared, round_limit_m, statistics_text
-from thalweg.figures.style import HALO, WIDTH_MM, count, new_figure, round_length, scale_bar, styled
-from thalweg.surface.bank_frame import BankFrame
+from thalweg.accuracy import CLOUD_TO_MESH
+from thalweg.core import ArrayF, ArrayI, read_table
+from thalweg.core.geometry import RayCaster, TriangleMesh, read_mesh
+from thalweg.figures import HALO, WIDTH_MM, count, new_figure, round_length, scale_bar, styled
+from thalweg.figures.accuracy.distances import bank_frame_of, compared, round_limit_m, statistics_text
+from thalweg.surface import BankFrame
 
 DISTANCE_MAP: Final[Colormap] = ListedColormap(cm.vik(np.linspace(0.08, 0.92, 256)), "thalweg_distance")
 """Blue behind the reference, brown in front of it, light in between; without the ends: both are black."""
@@ -287,9 +289,13 @@ def _draw_cells(ax: Axes, piece: Strip, points: _Points) -> None:
     picture[aside[aside >= 0]] = (*LEFT_OUT, 1.0)
     picture[n > 0] = DISTANCE_MAP(Normalize(-points.limit_m, points.limit_m)(medians[n > 0]))
     ax.imshow(
-        picture.reshape(*shape, 4), extent=tuple(edges), origin="lower", interpolation="nearest", zorder=2,
+        picture.reshape(*shape, 4),
+        extent=tuple(edges),
+        origin="lower",
+        interpolation="nearest",
+        zorder=2,
         gid="distances",
-    )  # fmt: skip
+    )
 
 
 def _draw_signs(ax: Axes, piece: Strip, points: _Points) -> None:
@@ -301,21 +307,57 @@ def _draw_signs(ax: Axes, piece: Strip, points: _Points) -> None:
     for sign, marker in ((1.0, "+"), (-1.0, "_")):
         shown = (n >= POINTS_IN_BLOCK) & (sign * np.nan_to_num(medians) > SIGN_FROM * points.limit_m)
         ax.plot(
-            x[shown], y[shown], ls="none", marker=marker, ms=3.4, mew=0.7, color="black", zorder=3,
-            gid=f"sign{marker}", path_effects=HALO,
-        )  # fmt: skip
+            x[shown],
+            y[shown],
+            ls="none",
+            marker=marker,
+            ms=3.4,
+            mew=0.7,
+            color="black",
+            zorder=3,
+            gid=f"sign{marker}",
+            path_effects=HALO,
+        )
 
 
 def _colour_bar(figure: Figure, panels: list[Axes], points: _Points, distance_m: ArrayF) -> None:
     limit = points.limit_m
     bar = figure.colorbar(
-        ScalarMappable(Normalize(-100 * limit, 100 * limit), DISTANCE_MAP), ax=panels, location="bottom",
-        aspect=55, shrink=0.8, pad=0.02, extend="both",
+        ScalarMappable(Normalize(-100 * limit, 100 * limit), DISTANCE_MAP),
+        ax=panels,
+        location="bottom",
+        aspect=55,
+        shrink=0.8,
+        pad=0.02,
+        extend="both",
         label=f"signed distance to the reference, median of each cell of {100 * points.cell_m:g} cm / cm",
-    )  # fmt: skip
+    )
     behind, front = int(np.sum(distance_m < -limit)), int(np.sum(distance_m > limit))
     for x, side, words, n in ((0.0, "left", BEHIND, behind), (1.0, "right", FRONT, front)):
         bar.ax.annotate(
-            f"{words}\nbeyond the end: n = {count(n)}", (x, 1.0), xycoords="axes fraction", xytext=(0, 3),
-            textcoords="offset points", ha=side, va="bottom", fontsize=7, gid=f"end-{side}",
-        )  # fmt: skip
+            f"{words}\nbeyond the end: n = {count(n)}",
+            (x, 1.0),
+            xycoords="axes fraction",
+            xytext=(0, 3),
+            textcoords="offset points",
+            ha=side,
+            va="bottom",
+            fontsize=7,
+            gid=f"end-{side}",
+        )
+
+
+def draw_distance_map(
+    *, comparison: Path, mesh: Path, mesh_facts: Path, max_points: int, title: str, twin: bool
+) -> Figure:
+    """Comparison and reference mesh -> map of the distances on the bank."""
+    table, facts = read_table(comparison, CLOUD_TO_MESH)
+    return distance_map(
+        table,
+        read_mesh(mesh)[0],
+        bank_frame_of(json.loads(mesh_facts.read_text())),
+        max_distance_m=facts["max_distance_m"],
+        max_points=max_points,
+        title=f"Distance to the reference: {title}",
+        twin=twin,
+    )

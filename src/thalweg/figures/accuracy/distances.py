@@ -1,20 +1,53 @@
-"""What the figures of distances to a reference share: the rows that count, round limits, words."""
+"""Distances of a cloud from a reference and errors against a truth: histograms, and by range."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from scipy.stats import norm
 
-from thalweg.accuracy.cloud_to_mesh.statistics import NMAD_FACTOR
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.types import ArrayF
-from thalweg.surface.bank_frame import BankFrame
+from thalweg.accuracy import ALL, AS_MEASURED, CLOUD_TO_MESH, NMAD_FACTOR, WITHOUT_OUTLIERS
+from thalweg.core import ArrayB, ArrayF, CoverageError, InputError, read_table
+from thalweg.figures import BLUE, GREY, RED, VERMILION, count, legend_below, new_figure, styled
+from thalweg.surface import BankFrame
 
 COLUMNS: Final = ("east_m", "north_m", "up_m", "distance_m", "at_border", "used", "outlier")
 """Columns of a comparison that the figures need."""
-
 _TIE: Final = "\N{NO-BREAK SPACE}"
+
+BINS: Final = 81
+"""Bars of the histogram; an odd number, so that one stands on zero."""
+QUANTILES: Final = 401
+"""Points of the quantile plot."""
+SIGMAS: Final = 3.9
+"""End of the quantile plot: 1 of 20,000 values of a normal distribution lies beyond."""
+
+RANGE_COLUMNS = ("range_m", "n", "rmse_observed_m", "rmse_predicted_m")
+HISTOGRAM_LIMIT = 5.0
+"""Ends of the histograms of normalised errors, in sigmas; what lies beyond is counted in the title."""
+
+CLASS_COLUMNS: Final = (
+    "points",
+    "range_m",
+    "n",
+    "rmse_observed_m",
+    "rmse_predicted_m",
+    "rmse_predicted_3d_m",
+    "ratio",
+    "ratio_low95",
+    "ratio_high95",
+    "inside",
+)
+MOST_RATIO: Final = 4.0
+"""Ratios are drawn up to this and down to its inverse."""
+
+
+# ---------------------------------------------------------------- what the figures of distances share
 
 
 def bank_frame_of(mesh_facts: Mapping[str, Any]) -> BankFrame:
@@ -27,9 +60,10 @@ def bank_frame_of(mesh_facts: Mapping[str, Any]) -> BankFrame:
     stated = mesh_facts.get("bank_frame")
     if not stated:
         raise InputError(
-            "facts of a mesh without a bank frame", expected="'bank_frame' with 'origin_m' and 'R_bank_wcs'",
+            "facts of a mesh without a bank frame",
+            expected="'bank_frame' with 'origin_m' and 'R_bank_wcs'",
             cure="Mesh the reference again with this version of Thalweg",
-        )  # fmt: skip
+        )
     return BankFrame(
         origin_m=np.asarray(stated["origin_m"], dtype=np.float64),
         R_bank_wcs=np.asarray(stated["R_bank_wcs"], dtype=np.float64),
@@ -105,3 +139,447 @@ def round_limit_m(distance_m: ArrayF) -> float:
     """
     median, nmad = robust_fit(distance_m)
     return round_above(max(abs(median) + 3.0 * nmad, 1e-3))
+
+
+# ---------------------------------------------------------------- histogram with normal and robust fit (P2
+# Fig. 16a)
+
+
+@styled
+def distance_histogram(
+    table: pd.DataFrame,
+    *,
+    limit_m: float | None = None,
+    title: str = "Distances of the cloud to the reference",
+    twin: bool = False,
+) -> Figure:
+    """Histogram, the normal distributions of mean and std and of median and NMAD, and the quantiles beside.
+
+    Parameters
+    ----------
+    table : of kind ``cloud_to_mesh``.
+    limit_m : distance at both ends of the axis; twice that of the map by default.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : a column is missing.
+    CoverageError : no point was compared.
+    """
+    used = compared(table)
+    d = used["distance_m"].to_numpy(np.float64)
+    kept = d[~used["outlier"].to_numpy(bool)]
+    limit = limit_m or 2.0 * round_limit_m(d)
+    head = f"{title}, n = {count(d.size)} points, {statistics_text(d, std=True)}"
+    figure = new_figure(92.0, head, twin=twin)
+    left, right = figure.subplots(1, 2, width_ratios=[1.75, 1.0])
+    _bars(left, d, kept, limit)
+    _quantiles(right, d, limit)
+    return figure
+
+
+def _bars(ax: Axes, d: ArrayF, kept: ArrayF, limit: float) -> None:
+    edges = np.linspace(-limit, limit, BINS + 1)
+    n, _ = np.histogram(d, edges)
+    width = float(edges[1] - edges[0])
+    ax.stairs(n, 100 * edges, fill=True, color="0.72", gid="histogram")
+    x = np.linspace(-limit, limit, 601)
+    median, nmad = robust_fit(d)
+    without = f"normal fit without {count(d.size - kept.size)} outliers"
+    fits = (
+        ("normal fit: mean, std", float(np.mean(d)), float(np.std(d)), VERMILION, "-"),
+        (without, float(np.mean(kept)), float(np.std(kept)), VERMILION, ":"),
+        ("robust fit: median, NMAD", median, nmad, BLUE, "--"),
+    )
+    for k, (name, middle, spread, colour, dashes) in enumerate(fits):
+        n_fit = kept.size if k == 1 else d.size
+        if spread > 0 and not (k == 1 and kept.size == d.size):
+            ax.plot(
+                100 * x,
+                n_fit * width * norm.pdf(x, middle, spread),
+                color=colour,
+                lw=1.5,
+                ls=dashes,
+                label=f"{name}: {centimetres(middle, sign=True)}, {centimetres(spread)}",
+                gid=f"fit-{k}",
+            )
+    ax.axvline(0.0, color="black", lw=0.7, zorder=1)
+    top = float(n.max()) * 1.42
+    ax.set_xlim(-100 * limit, 100 * limit)
+    ax.set_ylim(0.0, max(top, 1.0))
+    low, high = int(np.sum(d < -limit)), int(np.sum(d > limit))
+    beyond = f"{count(low)} behind, {count(high)} in front" if low + high else "none"
+    ax.set_title(f"a: distances and fitted normal distributions\nbeyond the axis: {beyond}")
+    ax.set_xlabel("behind  \N{LEFTWARDS ARROW}   signed distance / cm   \N{RIGHTWARDS ARROW}  in front")
+    ax.set_ylabel(f"points per {100 * width:.2g} cm / 1")
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(int(value))))
+    ax.grid(axis="y")
+    if len(ax.lines) > 1:  # equal distances have no fit
+        ax.legend(loc="upper left")
+
+
+def _quantiles(ax: Axes, d: ArrayF, limit: float) -> None:
+    """Quantiles of the distances over those of the standard normal: a straight line if they are normal."""
+    z = np.linspace(-SIGMAS, SIGMAS, QUANTILES)
+    z = z[(norm.cdf(z) >= 0.5 / d.size) & (norm.cdf(-z) >= 0.5 / d.size)]
+    found = np.quantile(d, norm.cdf(z))
+    median, nmad = robust_fit(d)
+    ax.axhline(0.0, color="black", lw=0.7, zorder=1)
+    ax.plot(z, 100 * (float(np.mean(d)) + np.std(d) * z), color=VERMILION, lw=1.5, label="normal fit")
+    ax.plot(z, 100 * (median + nmad * z), color=BLUE, lw=1.5, ls="--", label="robust fit")
+    ax.plot(z, 100 * found, color="black", ls="none", marker=".", ms=2.5, label="distances", gid="quantiles")
+    ax.set_ylim(-100 * limit, 100 * limit)
+    ax.set_xlim(-SIGMAS - 0.1, SIGMAS + 0.1)
+    within = 100.0 * float(np.mean(np.abs(d - median) <= 1.959964 * nmad)) if nmad > 0 else 100.0
+    ax.set_title(f"b: quantiles; {within:.1f} % within\n±1.96 NMAD (normal: 95 %)")
+    ax.set_xlabel("quantile of the standard normal / 1")
+    ax.set_ylabel("signed distance / cm")
+    ax.grid(color=GREY, alpha=0.2)
+
+
+def draw_distance_histogram(*, comparison: Path, title: str, twin: bool) -> Figure:
+    """Comparison with the reference -> histogram of the distances with normal and robust fit."""
+    return distance_histogram(
+        read_table(comparison, CLOUD_TO_MESH)[0], title=f"Distances to the reference: {title}", twin=twin
+    )
+
+
+# ---------------------------------------------------------------- observed and predicted error by range
+
+
+@styled
+def error_versus_range(
+    table: pd.DataFrame,
+    *,
+    n_least: int = 30,
+    outlier_rule: str = "",
+    quantity: str = "3D error of a point",
+    title: str = "Error versus range",
+    twin: bool = False,
+) -> Figure:
+    """RMSE observed and predicted by range class, with their ratio and the number of points per class.
+
+    Parameters
+    ----------
+    table : columns ``range_m`` (centre of the class), ``n``, ``rmse_observed_m``, ``rmse_predicted_m``, and
+        optionally ``ratio_low95`` and ``ratio_high95``, the band of their ratio, the same in each row.
+    n_least : classes with fewer points are drawn hollow: their RMSE is uncertain.
+    outlier_rule : sentence on what was left out.
+    quantity : what the RMSE is of.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : a column is missing, or the table has no row.
+    """
+    missing = [name for name in RANGE_COLUMNS if name not in table.columns]
+    if missing or table.empty:
+        raise InputError(
+            f"columns missing: {missing}" if missing else "a table without a row",
+            expected=f"columns {', '.join(RANGE_COLUMNS)} and at least one range class",
+        )
+    r, n = table["range_m"].to_numpy(float), table["n"].to_numpy(np.int64)
+    observed = table["rmse_observed_m"].to_numpy(float) * 1e3
+    predicted = table["rmse_predicted_m"].to_numpy(float) * 1e3
+    figure = new_figure(118.0, f"{title}, n = {count(int(n.sum()))} points", twin=twin)
+    upper, middle, lower = figure.subplots(3, 1, sharex=True, height_ratios=[2.6, 1.0, 1.0])
+    many = n >= n_least
+    upper.plot(r, predicted, color=VERMILION, lw=1.6, label="predicted", zorder=2)
+    draw_observed(upper, r, observed, many, n_least=n_least, also=predicted)
+    upper.set_ylabel("RMSE / mm")
+    upper.set_title("\n".join(filter(None, [quantity, outlier_rule])))
+    upper.legend(loc="upper left", ncols=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = observed / predicted
+    if "ratio_low95" in table.columns:
+        low, high = (float(table[f"ratio_{end}95"].iloc[0]) for end in ("low", "high"))
+        middle.axhspan(low, high, color=VERMILION, alpha=0.12, lw=0, gid="band")
+        text = "shaded: where honest sigmas leave the ratio of all points together, 95 %"
+        middle.set_title(text, fontsize="small")
+    middle.axhline(1.0, color=VERMILION, lw=1.0)
+    middle.plot(r[many], ratio[many], color=BLUE, marker="o", lw=0.8, gid="ratio")
+    usable = ratio[many & np.isfinite(ratio)]
+    reach = float(np.clip(np.max(np.abs(usable - 1.0)), 0.1, 1.5)) * 1.15 if usable.size else 0.5
+    if "ratio_high95" in table.columns:
+        reach = max(reach, 1.1 * float(table["ratio_high95"].iloc[0] - 1.0))
+    middle.set_ylim(max(0.0, 1 - reach), 1 + reach)
+    middle.set_ylabel("observed /\npredicted / 1")
+    width = 0.8 * float(np.min(np.diff(r))) if r.size > 1 else 0.8
+    lower.bar(r, n, width=width, color="0.65", gid="counts")
+    lower.set_yscale("log")
+    lower.set_ylim(0.7, 2.0 * float(n.max()))
+    lower.set_ylabel("points\nper class / 1")
+    lower.set_xlabel("range / m")
+    for ax in (upper, middle, lower):
+        ax.grid(axis="y")
+    figure.align_ylabels([upper, middle, lower])
+    return figure
+
+
+def draw_observed(
+    ax: Axes, range_m: ArrayF, observed: ArrayF, many: ArrayB, *, n_least: int, also: ArrayF
+) -> None:
+    """Errors observed by range class; hollow dots for classes with few points, arrows for what is beyond.
+
+    Sets the limits of the y axis: single classes with few points do not decide about them.
+
+    Parameters
+    ----------
+    ax : where.
+    range_m : (n,) centres of the classes.
+    observed : (n,) in the unit of the axis.
+    many : (n,) true for classes with at least ``n_least`` points.
+    n_least : for the legend.
+    also : values that have to be on the axis too.
+    """
+    ax.plot(range_m, observed, color=BLUE, lw=0.8, zorder=3)
+    ax.plot(range_m[many], observed[many], color=BLUE, ls="none", marker="o", label="observed", zorder=4)
+    if not many.all():
+        ax.plot(
+            range_m[~many],
+            observed[~many],
+            color=BLUE,
+            ls="none",
+            marker="o",
+            mfc="white",
+            zorder=4,
+            label=f"observed, fewer than {n_least} points",
+        )
+    top = max(float(np.nanmax(also)), float(np.nanmax(observed[many] if many.any() else observed)))
+    ax.set_ylim(0, 1.3 * top if top > 0 else 1.0)
+    above = observed > ax.get_ylim()[1]
+    if above.any():
+        ax.plot(
+            range_m[above],
+            np.full(int(above.sum()), 0.97 * ax.get_ylim()[1]),
+            color=BLUE,
+            ls="none",
+            marker="^",
+            mfc="white",
+            label=f"beyond the axis, n = {int(above.sum())}",
+        )
+
+
+@styled
+def error_histograms(
+    normalised: Mapping[str, ArrayF],
+    *,
+    outlier_rule: str = "",
+    title: str = "Errors divided by their predicted sigma",
+    twin: bool = False,
+) -> Figure:
+    """Histograms of normalised errors against the standard normal density.
+
+    Parameters
+    ----------
+    normalised : name of a component -> (n,) errors over their sigmas; NaN are left out.
+    outlier_rule : sentence on what was left out.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : no component, or one without a finite value.
+    """
+    if not normalised:
+        raise InputError("no normalised errors", expected="at least one component")
+    clean = {name: np.asarray(v, dtype=np.float64) for name, v in normalised.items()}
+    clean = {name: v[np.isfinite(v)] for name, v in clean.items()}
+    for name, v in clean.items():
+        if not v.size:
+            raise InputError(f"component '{name}' has no finite normalised error", expected="numbers")
+    largest = max(v.size for v in clean.values())
+    figure = new_figure(78.0, f"{title}, n = {count(largest)} points", twin=twin)
+    panels = figure.subplots(1, len(clean), sharey=True, squeeze=False)[0]
+    for ax, (name, values) in zip(panels, clean.items(), strict=True):
+        _histogram(ax, name, values)
+    panels[0].set_ylabel("density / 1")
+    legend_below(figure, panels[0], title=outlier_rule or None)
+    return figure
+
+
+def _histogram(ax: Axes, name: str, values: ArrayF) -> None:
+    edges = np.linspace(-HISTOGRAM_LIMIT, HISTOGRAM_LIMIT, 51)
+    n, _ = np.histogram(values, edges)
+    # Over all values, also those beyond the ends: the bars then compare with the density as they stand.
+    density = n / (values.size * np.diff(edges))
+    ax.stairs(density, edges, fill=True, color=BLUE, alpha=0.45, label="errors found", gid="histogram")
+    x = np.linspace(-HISTOGRAM_LIMIT, HISTOGRAM_LIMIT, 201)
+    ax.plot(x, norm.pdf(x), color=VERMILION, lw=1.4, label="standard normal")
+    beyond = int(np.sum(np.abs(values) > HISTOGRAM_LIMIT))
+    inside = 100.0 * float(np.mean(np.abs(values) <= 1.959964))
+    ax.set_title(
+        f"{name}: n = {count(values.size)}\nmean {np.mean(values):+.2f}, std {np.std(values):.2f}\n"
+        f"{inside:.1f} % within ±1.96 (normal: 95 %)\n{count(beyond)} beyond ±{HISTOGRAM_LIMIT:g}",
+        fontsize=7,
+    )
+    ax.set_xlim(-HISTOGRAM_LIMIT, HISTOGRAM_LIMIT)
+    ax.set_xlabel("error over predicted sigma / 1")
+
+
+def draw_error_versus_range(*, by_range: Path, title: str, twin: bool) -> Figure:
+    """Range classes of the comparison with the truth -> observed against predicted error."""
+    return error_versus_range(
+        pd.read_csv(by_range),
+        quantity="error along the surface normal",
+        outlier_rule="bare ground: whole footprints on it below 78° incidence, errors below 6 sigma",
+        title=f"Error of the cloud by range: {title}",
+        twin=twin,
+    )
+
+
+# ---------------------------------------------------------------- observed and predicted distances by range
+# (P2 Fig. 16b)
+
+
+@styled
+def distance_by_range(
+    table: pd.DataFrame,
+    *,
+    n_least: int = 30,
+    outlier_rule: str = "",
+    title: str = "Distance to the reference by range",
+    twin: bool = False,
+) -> Figure:
+    """RMSE observed and predicted by range class, points per class in red, and predicted over observed.
+
+    Parameters
+    ----------
+    table : columns ``points`` ("all", "without outliers"), ``range_m`` (centre of the class), ``n``,
+        ``rmse_observed_m``, ``rmse_predicted_m`` (what a comparison with a surface can see),
+        ``rmse_predicted_3d_m`` (P2 eq. 9), ``ratio`` (predicted over observed), ``ratio_low95`` and
+        ``ratio_high95`` (band of the class), ``inside`` (is it in its band?); of a column ``registration``
+        the rows "as measured" are drawn.
+    n_least : classes with fewer points are drawn hollow: their RMSE is uncertain.
+    outlier_rule : sentence on what the outlier rule is.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : a column is missing, or no row is left.
+    """
+    kept, everything = _rows(table)
+    r, n = kept["range_m"].to_numpy(np.float64), kept["n"].to_numpy(np.int64)
+    observed, normal, full = (
+        1e3 * kept[f"rmse_{name}_m"].to_numpy(np.float64)
+        for name in ("observed", "predicted", "predicted_3d")
+    )
+    many = n >= n_least
+    figure = new_figure(122.0, f"{title}, n = {count(int(n.sum()))} points", twin=twin)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.5, 1.0])
+    _draw_rmse(upper, r, observed, normal, full, many, n_least, everything)
+    upper.set_title("\n".join(filter(None, ["distance along the normal of the reference", outlier_rule])))
+    _draw_counts(upper, r, n)
+    _draw_ratio(lower, kept, many)
+    legend_below(figure, upper)
+    lower.set_xlabel("range / m")
+    for ax in (upper, lower):
+        ax.grid(axis="y")
+    figure.align_ylabels([upper, lower])
+    return figure
+
+
+def _rows(table: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Rows without outliers, and those of all points; the latter stand for both where there is no rule."""
+    missing = [name for name in CLASS_COLUMNS if name not in table.columns]
+    if missing:
+        raise InputError(f"columns missing: {missing}", expected=f"columns {', '.join(CLASS_COLUMNS)}")
+    if "registration" in table.columns:
+        table = table[table["registration"] == AS_MEASURED]
+    everything, kept = (table[table["points"] == which] for which in (ALL, WITHOUT_OUTLIERS))
+    kept = kept if len(kept) else everything
+    if kept.empty:
+        raise InputError(
+            f"no row of points '{ALL}' or '{WITHOUT_OUTLIERS}'", expected="at least one range class"
+        )
+    return kept.sort_values("range_m"), everything.sort_values("range_m")
+
+
+def _draw_rmse(
+    ax: Axes,
+    r: ArrayF,
+    observed: ArrayF,
+    normal: ArrayF,
+    full: ArrayF,
+    many: ArrayB,
+    n_least: int,
+    everything: pd.DataFrame,
+) -> None:
+    ax.plot(r, full, color=GREY, lw=1.4, ls=":", label="predicted, all three components (P2 eq. 9)", gid="3d")
+    words = "predicted, normal component and reference"
+    ax.plot(r, normal, color=VERMILION, lw=1.6, ls="--", label=words, gid="normal")
+    draw_observed(ax, r, observed, many, n_least=n_least, also=np.concatenate([normal, full]))
+    if len(everything):
+        ax.plot(
+            everything["range_m"],
+            1e3 * everything["rmse_observed_m"],
+            color=BLUE,
+            lw=0.7,
+            ls=(0, (1, 1.5)),
+            label="observed, outliers included",
+            gid="all",
+            zorder=1,
+        )
+    ax.set_ylabel("RMSE / mm")
+
+
+def _draw_counts(ax: Axes, r: ArrayF, n: ArrayF) -> None:
+    """Points per class in red on an axis of their own, as the paper draws them."""
+    right = ax.twinx()
+    right.step(r, n, where="mid", color=RED, lw=0.9, gid="counts")
+    # The curves of the errors keep the upper part of the panel.
+    right.set_ylim(0.0, 2.2 * float(n.max()))
+    right.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(int(value))))
+    right.set_ylabel("points per class of 1 m / 1", color=RED)
+    right.tick_params(axis="y", colors=RED, labelcolor=RED)
+    right.spines["right"].set_visible(True)
+    right.spines["right"].set_color(RED)
+    ax.set_zorder(right.get_zorder() + 1)
+    ax.patch.set_visible(False)
+
+
+def _draw_ratio(ax: Axes, kept: pd.DataFrame, many: ArrayB) -> None:
+    r = kept["range_m"].to_numpy(np.float64)
+    ratio, low, high = (kept[name].to_numpy(np.float64) for name in ("ratio", "ratio_low95", "ratio_high95"))
+    shown, outside = np.isfinite(ratio), ~kept["inside"].to_numpy(bool)
+    ax.fill_between(r, low, high, step="mid", color=VERMILION, alpha=0.15, lw=0, gid="band")
+    ax.axhline(1.0, color=VERMILION, lw=1.0, ls="--")
+    ax.plot(r[shown], ratio[shown], color=BLUE, lw=0.8, marker="o", gid="ratio")
+    ax.plot(r[shown & ~many], ratio[shown & ~many], color=BLUE, ls="none", marker="o", mfc="white")
+    ax.plot(
+        r[outside],
+        ratio[outside],
+        ls="none",
+        marker="o",
+        ms=6.5,
+        mfc="none",
+        mec="black",
+        mew=0.9,
+        gid="outside",
+    )
+    values = np.concatenate([ratio[shown], low[many], high[many], [0.5, 2.0]])
+    values = np.clip(values[np.isfinite(values) & (values > 0)], 1.0 / MOST_RATIO, MOST_RATIO)
+    ax.set_yscale("log", base=2)
+    ax.set_ylim(0.9 * float(values.min()), 1.1 * float(values.max()))
+    ax.yaxis.set_major_locator(FixedLocator([0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0]))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.set_ylabel("predicted /\nobserved / 1")
+    n_outside = int(outside.sum())
+    words = f"ringed: {n_outside} of {len(r)} classes outside" if n_outside else f"all {len(r)} inside"
+    ax.set_title(f"shaded: where honest sigmas leave the ratio of a class, 95 %; {words}", fontsize="small")
+
+
+def draw_distance_by_range(*, by_range: Path, outlier_nmads: float, title: str, twin: bool) -> Figure:
+    """Range classes of the comparison with the reference -> observed against predicted distances."""
+    return distance_by_range(
+        pd.read_csv(by_range),
+        outlier_rule=f"without points whose distance over its sigma is farther than {outlier_nmads:g} NMAD "
+        "from the median",
+        title=f"Distance to the reference by range: {title}",
+        twin=twin,
+    )

@@ -7,18 +7,10 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.cloud_to_mesh.comparison_tables import (
-    ALL,
-    AS_MEASURED,
-    REGISTERED,
-    WITHOUT_OUTLIERS,
-    classes_in_words,
-)
-from thalweg.core.errors import InputError
-from thalweg.core.timescales import utc_text_from_gps
+from thalweg.accuracy import ALL, AS_MEASURED, REGISTERED, WITHOUT_OUTLIERS, classes_in_words
+from thalweg.core import InputError, utc_text_from_gps
+from thalweg.figures import Page, count
 from thalweg.figures.accuracy.distances import centimetres
-from thalweg.figures.page import Page
-from thalweg.figures.style import count
 
 # ---------------------------------------------------------------- the accuracy of a cloud in words: verdict,
 # explanation, limits
@@ -501,7 +493,7 @@ def _registration(page: Page, registration: Mapping[str, Any]) -> None:
             ("rotation about", registration["rotation_deg"], registration["sigma_rotation_deg"], 1.0, "°"),
         )
         for axis in values
-    ]  # fmt: skip
+    ]
     caption = "Motion of the cloud onto the reference, about the middle of its points"
     page.table(short(pd.DataFrame(rows)), caption)
     changes = []
@@ -528,12 +520,15 @@ def _error_model(page: Page, model: Mapping[str, Any]) -> None:
     )
     rows = [
         {
-            "parameter": ERRORS_IN_WORDS[name], "presumed": e["prior"], "estimated": e["value"],
-            "68 % from": e["value"] / np.exp(e["sigma_log"]), "to": e["value"] * np.exp(e["sigma_log"]),
+            "parameter": ERRORS_IN_WORDS[name],
+            "presumed": e["prior"],
+            "estimated": e["value"],
+            "68 % from": e["value"] / np.exp(e["sigma_log"]),
+            "to": e["value"] * np.exp(e["sigma_log"]),
             "from the": e["from"],
         }
         for name, e in model["estimates"].items()
-    ]  # fmt: skip
+    ]
     page.table(short(pd.DataFrame(rows)), "Factors on stated sigmas, and correlation times in seconds")
     for note in model["notes"]:
         page.text(str(note))
@@ -562,10 +557,14 @@ def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any
         if rows:
             page.table(short(pd.DataFrame(rows)), caption, {"share": "%"})
     rows = [
-        {"what": words, "value": f"{mesh_facts[name]:.4g}" if unit != "1" else count(int(mesh_facts[name])),
-         "unit": "" if unit == "1" else unit}
-        for name, words, unit in MESH_IN_WORDS if name in mesh_facts
-    ]  # fmt: skip
+        {
+            "what": words,
+            "value": f"{mesh_facts[name]:.4g}" if unit != "1" else count(int(mesh_facts[name])),
+            "unit": "" if unit == "1" else unit,
+        }
+        for name, words, unit in MESH_IN_WORDS
+        if name in mesh_facts
+    ]
     if rows:
         page.table(pd.DataFrame(rows), f"The reference surface (method {mesh_facts.get('method', '?')})")
     lost = [

@@ -1,7 +1,9 @@
 """The terrestrial scan as it looks from one place (P2 Fig. 7), and a plan of where it lies."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
@@ -12,12 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Wedge
 from matplotlib.ticker import FuncFormatter
 
-from thalweg.core.errors import CoverageError, GeometryError, InputError
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import AnyArray, ArrayF
-from thalweg.figures.cloud.bank import choose_segment
-from thalweg.figures.cloud.splat import Splat
-from thalweg.figures.style import (
+from thalweg.core import AnyArray, ArrayF, CoverageError, GeometryError, InputError, Trajectory, iter_laz
+from thalweg.figures import (
     BLUE,
     GREEN,
     HALO,
@@ -35,7 +33,9 @@ from thalweg.figures.style import (
     robust_limits,
     styled,
 )
-from thalweg.figures.survey.maps import map_extent
+from thalweg.figures.cloud import Splat, choose_segment
+from thalweg.figures.survey import map_extent
+from thalweg.lidar import sample_cloud
 
 EYE_M: Final = 1.7
 """Height of the viewer above the INS of the boat."""
@@ -309,9 +309,15 @@ def _draw_panorama(figure: Figure, ax: Axes, splat: Splat[PanoramaView], what: s
     ax.set_xlabel("azimuth, clockwise from north / °")
     ax.set_ylabel("elevation / °")
     figure.colorbar(
-        ScalarMappable(Normalize(*limits), REFLECTANCE_MAP), ax=ax, label=what, location="bottom", pad=0.02,
-        aspect=50, shrink=0.7, extend="both",
-    )  # fmt: skip
+        ScalarMappable(Normalize(*limits), REFLECTANCE_MAP),
+        ax=ax,
+        label=what,
+        location="bottom",
+        pad=0.02,
+        aspect=50,
+        shrink=0.7,
+        extend="both",
+    )
 
 
 def _draw_plan(
@@ -333,18 +339,33 @@ def _draw_plan(
     order = np.argsort((np.arange(len(points)) * 2_654_435_761) % 2**32)
     colours = {k: STATION_COLOURS[i % len(STATION_COLOURS)] for i, k in enumerate(labels)}
     ax.scatter(
-        points[order, 0], points[order, 1], c=[colours[int(k)] for k in which[order]], s=0.5, lw=0, alpha=0.6,
-        rasterized=True, gid="scans",
-    )  # fmt: skip
+        points[order, 0],
+        points[order, 1],
+        c=[colours[int(k)] for k in which[order]],
+        s=0.5,
+        lw=0,
+        alpha=0.6,
+        rasterized=True,
+        gid="scans",
+    )
     for k, label in labels.items():
         ax.plot([], [], ls="none", marker="s", color=colours[k], label=label)
     if trajectory is not None:
         ax.plot(*track.T, color="black", lw=0.9, label="track of the boat", gid="track", path_effects=HALO)
     label = "viewpoint of the upper picture" + (", on the track" if trajectory is not None else "")
     ax.plot(
-        eye[0], eye[1], ls="none", marker="^", ms=7, mfc=RED, mec="white", mew=0.8, zorder=6, label=label,
+        eye[0],
+        eye[1],
+        ls="none",
+        marker="^",
+        ms=7,
+        mfc=RED,
+        mec="white",
+        mew=0.8,
+        zorder=6,
+        label=label,
         gid="viewpoint",
-    )  # fmt: skip
+    )
     left, right, _, _ = view.extent_deg
     # Wedges turn anticlockwise from east, azimuths clockwise from north.
     sector = Wedge((float(eye[0]), float(eye[1])), 1.3 * view.distance_m, 90.0 - right, 90.0 - left)
@@ -356,3 +377,34 @@ def _draw_plan(
     ax.set_xlabel("east / m")
     ax.set_ylabel("north / m")
     marks_in_free_corners(ax, np.concatenate([points, track[np.isfinite(track[:, 0])], eye[None, :2]]))
+
+
+def draw_reference_view(
+    *, reference: Path, integrity: Path, trajectory: Path, title: str, twin: bool
+) -> Figure:
+    """Reference cloud and trajectory -> the terrestrial scan as it looks from the river."""
+    sample, track = sample_cloud(reference, 500_000), Trajectory.read(trajectory)
+    source = sample["point_source_id"]
+    viewpoint, azimuth_rad = viewpoint_on_track(sample["xyz_m"], track)
+    view = PanoramaView.fit(sample["xyz_m"], viewpoint, azimuth_rad=azimuth_rad)
+    column, row, _ = view.project(sample["xyz_m"]).T
+    seen = (column >= 0) & (column < view.width_px) & (row >= 0) & (row < view.height_px)
+    # The scan with most points in the picture; mixed scans would show each other's shadows filled.
+    shown = int(np.argmax(np.bincount(source[seen])))
+    splat, n = Splat(view), np.zeros(2**16, dtype=np.int64)
+    for chunk in iter_laz(reference, 1_000_000):
+        n += np.bincount(chunk["point_source_id"], minlength=len(n))
+        part = chunk["point_source_id"] == shown
+        splat.add(chunk["xyz_m"][part], chunk["intensity"][part])
+    files = json.loads(integrity.read_text())["files"]
+    return reference_view(
+        splat,
+        sample["xyz_m"],
+        source,
+        track,
+        shown=shown,
+        counts=dict(enumerate(n.tolist())),
+        names={number: Path(file).stem for number, file in enumerate(files, start=1)},
+        title=f"Terrestrial laser scan: {title}",
+        twin=twin,
+    )

@@ -7,11 +7,10 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.calibration.model import Block, Calibration, unit_of
-from thalweg.core.types import AnyArray
-from thalweg.figures.page import Page
-from thalweg.figures.style import count, plural
-from thalweg.ingest.registry.describe_calibration import largest_correlations, with_sigma
+from thalweg.core import AnyArray
+from thalweg.core.calibration import Block, Calibration, unit_of
+from thalweg.figures import Page, count, plural
+from thalweg.ingest.registry import largest_correlations, with_sigma
 
 # ---------------------------------------------------------------- what the reports of a calibration's jobs
 # say, in sentences for its page
@@ -102,10 +101,14 @@ def process_words(facts: Mapping[str, Any]) -> str:
     )
     words = ["Errors of the poses are estimated from the run; what the campaign states of them is a prior."]
     words += [f"The run determines {', '.join(found)}."] if found else []
-    words += [
-        f"It says little of {', '.join(open_)}: there the width of the prior counts. The sigmas hold all "
-        "values that run and prior leave possible."
-    ] if open_ else []  # fmt: skip
+    words += (
+        [
+            f"It says little of {', '.join(open_)}: there the width of the prior counts. The sigmas hold all "
+            "values that run and prior leave possible."
+        ]
+        if open_
+        else []
+    )
     return " ".join(words)
 
 
@@ -351,22 +354,26 @@ def block_table(calibration: Calibration, block: Block) -> pd.DataFrame:
         unit = unit_of(quantity)
         factor, shown = (1e3, "mm") if unit == "m" else (1e3, "ms") if quantity == "offset_s" else (1.0, unit)
         value_text, _, _ = with_sigma(float(value), float(sigma)).partition(" ")
-        rows.append({
-            "quantity": quantity.removesuffix(f"_{unit}"),
-            "value": value_text,
-            "unit": "" if unit == "1" else unit,
-            "sigma": "fixed" if sigma == 0 else f"{factor * sigma:.3g}",
-            "unit of sigma": "" if shown == "1" or sigma == 0 else shown,
-        })  # fmt: skip
+        rows.append(
+            {
+                "quantity": quantity.removesuffix(f"_{unit}"),
+                "value": value_text,
+                "unit": "" if unit == "1" else unit,
+                "sigma": "fixed" if sigma == 0 else f"{factor * sigma:.3g}",
+                "unit of sigma": "" if shown == "1" or sigma == 0 else shown,
+            }
+        )
     return pd.DataFrame(rows)
 
 
 def short(frame: pd.DataFrame, digits: int = 4) -> pd.DataFrame:
     """Fractions rounded to significant digits; whole numbers stay."""
-    return pd.DataFrame({
-        name: column.map(lambda x: float(f"{x:.{digits}g}")) if column.dtype.kind == "f" else column
-        for name, column in frame.items()
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            name: column.map(lambda x: float(f"{x:.{digits}g}")) if column.dtype.kind == "f" else column
+            for name, column in frame.items()
+        }
+    )
 
 
 def _truth(page: Page, truth: pd.DataFrame) -> None:

@@ -12,11 +12,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Normalize
 from matplotlib.figure import Figure
 
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayF32, ArrayU8
-from thalweg.figures.calibration.field_views import Oblique
-from thalweg.figures.calibration.tables import LIDAR_FRAME, checked, filled, points_of
-from thalweg.figures.style import HEIGHT_MAP, RING_MAP, count, new_figure, plural, scale_bar, styled
+from thalweg.core import ArrayF32, ArrayU8, InputError
+from thalweg.figures import HEIGHT_MAP, RING_MAP, count, new_figure, plural, scale_bar, styled
+from thalweg.figures.calibration.field import Oblique
+from thalweg.figures.calibration.tables import LIDAR_FRAME, checked, filled, points_of, read_figure_table
 
 BRIGHTEST: Final = 0.35
 DARKEST: Final = 1.0
@@ -53,9 +52,10 @@ def read_height_view(path: Path) -> HeightView:
         raise InputError(f"no such picture ({error})", expected="height_m and shade", where=path) from error
     if height.ndim != 2 or shade.shape != height.shape or shade.dtype != np.uint8:
         raise InputError(
-            f"height_m {height.shape}, shade {shade.shape} of {shade.dtype}", where=path,
+            f"height_m {height.shape}, shade {shade.shape} of {shade.dtype}",
+            where=path,
             expected="two pictures of one size, the shade uint8",
-        )  # fmt: skip
+        )
     return HeightView(height_m=height.astype(np.float32), shade=shade)
 
 
@@ -114,11 +114,30 @@ def _frame(figure: Figure, ax: Axes, points: pd.DataFrame, on_cone: np.ndarray, 
     xy, depth = view.apply(points_of(points))
     ring = np.searchsorted(rings, points["ring"].to_numpy())
     norm = BoundaryNorm(np.arange(len(rings) + 1) - 0.5, RING_MAP.N)
-    ax.plot(xy[~on_cone, 0], xy[~on_cone, 1], ls="none", marker=".", ms=1.4, mew=0, color="0.65",
-            rasterized=True, gid="others")  # fmt: skip
+    ax.plot(
+        xy[~on_cone, 0],
+        xy[~on_cone, 1],
+        ls="none",
+        marker=".",
+        ms=1.4,
+        mew=0,
+        color="0.65",
+        rasterized=True,
+        gid="others",
+    )
     order = np.flatnonzero(on_cone)[np.argsort(depth[on_cone])]
-    ax.scatter(xy[order, 0], xy[order, 1], c=ring[order], cmap=RING_MAP, norm=norm, s=4.0, lw=0, gid="frame",
-               rasterized=True, zorder=3)  # fmt: skip
+    ax.scatter(
+        xy[order, 0],
+        xy[order, 1],
+        c=ring[order],
+        cmap=RING_MAP,
+        norm=norm,
+        s=4.0,
+        lw=0,
+        gid="frame",
+        rasterized=True,
+        zorder=3,
+    )
     low, high = xy[on_cone].min(axis=0), xy[on_cone].max(axis=0)
     pad = 0.06 * float((high - low).max())
     ax.set_aspect("equal", adjustable="box")
@@ -128,7 +147,21 @@ def _frame(figure: Figure, ax: Axes, points: pd.DataFrame, on_cone: np.ndarray, 
     scale_bar(ax, span_m=float(high[0] - low[0] + 2 * pad), xy=(0.02, 0.03))
     ax.set_title(f"b: lidar frame, coloured by scan line; the lowest of {len(rings)} is 0")
     bar = figure.colorbar(
-        ScalarMappable(norm, RING_MAP), ax=ax, label="scan line / 1", shrink=0.85, pad=0.01,
+        ScalarMappable(norm, RING_MAP),
+        ax=ax,
+        label="scan line / 1",
+        shrink=0.85,
+        pad=0.01,
         ticks=np.arange(len(rings))[:: max(1, len(rings) // 8)],
-    )  # fmt: skip
+    )
     bar.ax.tick_params(length=0)
+
+
+def draw_synthetic_view(*, view: Path, lidar_frame: Path, title: str, twin: bool) -> Figure:
+    """Picture of the field with heights, and a coarse lidar frame -> figure of both."""
+    return synthetic_view(
+        read_height_view(view),
+        read_figure_table(lidar_frame, LIDAR_FRAME),
+        title=f"{title}: synthetic image and lidar frame",
+        twin=twin,
+    )

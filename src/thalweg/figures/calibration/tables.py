@@ -33,26 +33,28 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from thalweg.calibration.field.description import read_field
-from thalweg.calibration.field.facts import read_facts
-from thalweg.core.errors import CoverageError, InputError
-from thalweg.core.rigid import Rigid
-from thalweg.core.tables import read_parquet
-from thalweg.core.types import ArrayF
+from thalweg.calibration.field import read_facts, read_field
+from thalweg.core import ArrayF, CoverageError, InputError, Rigid, read_parquet
 
 XYZ: Final = ("x_m", "y_m", "z_m")
 ENU: Final = ("east_m", "north_m", "up_m")
 FIELD_POINTS: Final = ("mark", *XYZ, "sigma_x_m", "sigma_y_m", "sigma_z_m")
 CONES: Final = (
-    "name", "apex_x_m", "apex_y_m", "apex_z_m", "axis_x", "axis_y", "axis_z", "half_angle_deg", "length_m",
+    "name",
+    "apex_x_m",
+    "apex_y_m",
+    "apex_z_m",
+    "axis_x",
+    "axis_y",
+    "axis_z",
+    "half_angle_deg",
+    "length_m",
     "used",
-)  # fmt: skip
+)
 POSES: Final = ("position", "sensor", *XYZ, "qx", "qy", "qz", "qw")
 CONE_POINTS: Final = ("cone", "position", *XYZ, "residual_m", "used")
 IMAGE_MARKS: Final = ("mark", "x_px", "y_px", "residual_x_px", "residual_y_px", "used")
-IMAGE_FIXES: Final = (
-    "t_gps_s", *ENU, "residual_along_m", "residual_across_m", "residual_up_m", "used",
-)  # fmt: skip
+IMAGE_FIXES: Final = ("t_gps_s", *ENU, "residual_along_m", "residual_across_m", "residual_up_m", "used")
 TRACK: Final = ("t_gps_s", *ENU)
 DISPLAY: Final = ("t_camera_s", "read_s", "readable")
 STUDY: Final = ("cones", "positions", "quantity", "unit", "sigma")

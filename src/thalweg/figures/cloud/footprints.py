@@ -1,6 +1,7 @@
 """Footprints of the mobile lidar on the bank (P2 Fig. 17)."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -12,10 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayB, ArrayF
-from thalweg.figures.style import (
+from thalweg.calibration import read_mounts
+from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, Trajectory, iter_laz
+from thalweg.figures import (
     HALO,
     ORANGE,
     RANGE_MAP,
@@ -28,7 +28,8 @@ from thalweg.figures.style import (
     robust_limits,
     styled,
 )
-from thalweg.figures.survey.maps import map_extent
+from thalweg.figures.survey import map_extent
+from thalweg.lidar import sample_cloud
 
 REVOLUTION_S: Final = 0.1
 """One revolution of the scanner at 10 Hz."""
@@ -205,9 +206,13 @@ def choose_patch(
         depth = np.abs((points_wcs_m - centre) @ away) <= 2.0 * size_m
         inside = (np.abs(u) <= 0.5 * size_m) & (np.abs(v) <= 0.5 * size_m) & depth & (range_m > 1e-3)
     return Patch(
-        centre_wcs_m=centre, right=right, up=up, away=away, inside=inside,
+        centre_wcs_m=centre,
+        right=right,
+        up=up,
+        away=away,
+        inside=inside,
         range_m=float(np.median(range_m[inside])),
-    )  # fmt: skip
+    )
 
 
 def footprint_ellipses(
@@ -292,18 +297,51 @@ def _draw_frame(figure: Figure, ax: Axes, points: ArrayF, scanner: ArrayF, patch
     order = np.argsort(-range_m)
     norm = Normalize(*robust_limits(range_m, 1.0, 99.0))
     dots = ax.scatter(
-        points[order, 0], points[order, 1], c=range_m[order], s=1.6, lw=0, cmap=RANGE_MAP, norm=norm,
-        rasterized=True, gid="frame",
-    )  # fmt: skip
+        points[order, 0],
+        points[order, 1],
+        c=range_m[order],
+        s=1.6,
+        lw=0,
+        cmap=RANGE_MAP,
+        norm=norm,
+        rasterized=True,
+        gid="frame",
+    )
     place = scanner.mean(axis=0)
-    ax.plot(place[0], place[1], ls="none", marker="^", ms=6, mfc="white", mec="black", mew=1.0, zorder=6,
-            label="lidar", gid="scanner")  # fmt: skip
     ax.plot(
-        *np.stack([place[:2], patch.centre_wcs_m[:2]]).T, color=VERMILION, lw=0.8, ls="--", zorder=5,
-        label=f"line of sight of b, {patch.range_m:.1f} m", path_effects=HALO,
-    )  # fmt: skip
-    ax.add_patch(Polygon(_outline(patch), fill=False, ec=ORANGE, lw=1.8, zorder=6, gid="patch",
-                         label="area of b", path_effects=HALO))  # fmt: skip
+        place[0],
+        place[1],
+        ls="none",
+        marker="^",
+        ms=6,
+        mfc="white",
+        mec="black",
+        mew=1.0,
+        zorder=6,
+        label="lidar",
+        gid="scanner",
+    )
+    ax.plot(
+        *np.stack([place[:2], patch.centre_wcs_m[:2]]).T,
+        color=VERMILION,
+        lw=0.8,
+        ls="--",
+        zorder=5,
+        label=f"line of sight of b, {patch.range_m:.1f} m",
+        path_effects=HALO,
+    )
+    ax.add_patch(
+        Polygon(
+            _outline(patch),
+            fill=False,
+            ec=ORANGE,
+            lw=1.8,
+            zorder=6,
+            gid="patch",
+            label="area of b",
+            path_effects=HALO,
+        )
+    )
     outside = int(np.sum(np.any(np.abs(points[:, :2] - middle) > half, axis=1)))
     ax.set_title(f"a: scan pattern in plan view, n = {count(len(points))}\n{count(outside)} beyond the map")
     ax.set_xlabel("east / m")
@@ -321,17 +359,13 @@ def _outline(patch: Patch) -> ArrayF:
     if float(np.hypot(*deep)) < 0.5:
         deep = 0.5 * np.array([-patch.right[1], patch.right[0]])
     centre = patch.centre_wcs_m[:2]
-    return np.stack([centre - along - deep, centre + along - deep, centre + along + deep,
-                     centre - along + deep])  # fmt: skip
+    return np.stack(
+        [centre - along - deep, centre + along - deep, centre + along + deep, centre - along + deep]
+    )
 
 
 def _draw_patch(
-    figure: Figure,
-    ax: Axes,
-    points: ArrayF,
-    scanner: ArrayF,
-    patch: Patch,
-    divergence_mrad: float,
+    figure: Figure, ax: Axes, points: ArrayF, scanner: ArrayF, patch: Patch, divergence_mrad: float
 ) -> None:
     beam = points - scanner
     range_m = np.linalg.norm(beam, axis=1)
@@ -353,11 +387,20 @@ def _draw_patch(
     for axes, gid in ((ax, "footprints"), (lens, "magnified")):
         axes.add_collection(
             EllipseCollection(
-                widths, heights, angles, units="xy", offsets=place, offset_transform=axes.transData, zorder=3,
-                facecolors=faces, edgecolors="0.15", linewidths=0.5, gid=gid,
+                widths,
+                heights,
+                angles,
+                units="xy",
+                offsets=place,
+                offset_transform=axes.transData,
+                zorder=3,
+                facecolors=faces,
+                edgecolors="0.15",
+                linewidths=0.5,
+                gid=gid,
             ),
             autolim=False,
-        )  # fmt: skip
+        )
     one = int(np.argmin(np.linalg.norm(place, axis=1)))
     size_m, spot_m = float(heights[one]), float(heights[one]) * TLS_DIVERGENCE_MRAD / divergence_mrad
     ax.set_title(
@@ -367,9 +410,14 @@ def _draw_patch(
     )
     _draw_lens(ax, lens, place[one], size_m, spot_m)
     figure.colorbar(
-        ScalarMappable(norm, RANGE_MAP), ax=ax, label="measured range / m", location="bottom", pad=0.02,
-        aspect=30, extend="both",
-    )  # fmt: skip
+        ScalarMappable(norm, RANGE_MAP),
+        ax=ax,
+        label="measured range / m",
+        location="bottom",
+        pad=0.02,
+        aspect=30,
+        extend="both",
+    )
 
 
 def _free_corner(place: ArrayF, half: float, size: float) -> ArrayF:
@@ -390,10 +438,41 @@ def _draw_lens(ax: Axes, lens: Axes, centre: ArrayF, size_m: float, spot_m: floa
     lens.add_patch(Circle((u, v), 0.5 * spot_m, fc=RED, ec="white", lw=0.3, zorder=7, gid="tls-spot"))
     below = v - 0.6 * size_m
     lens.annotate(
-        "", (u - 0.5 * size_m, below), xytext=(u + 0.5 * size_m, below), zorder=8,
-        arrowprops={"arrowstyle": "<|-|>", "lw": 0.8, "color": "black", "shrinkA": 0, "shrinkB": 0,
-                    "mutation_scale": 6},
-    )  # fmt: skip
+        "",
+        (u - 0.5 * size_m, below),
+        xytext=(u + 0.5 * size_m, below),
+        zorder=8,
+        arrowprops={
+            "arrowstyle": "<|-|>",
+            "lw": 0.8,
+            "color": "black",
+            "shrinkA": 0,
+            "shrinkB": 0,
+            "mutation_scale": 6,
+        },
+    )
     for text, y in ((f"{100 * size_m:.1f} cm", below - 0.06 * size_m), ("TLS", v - 0.5 * spot_m)):
         lens.text(u, y, text, ha="center", va="top", fontsize=7, zorder=8, gid="size-text", path_effects=HALO)
     ax.indicate_inset_zoom(lens, edgecolor=RED, alpha=1.0, lw=0.8)
+
+
+def draw_footprints(
+    *, points: Path, trajectory: Path, mounts: Path, divergence_mrad: float, title: str, twin: bool
+) -> Figure:
+    """Cloud and trajectory -> one revolution of the lidar and its footprints on the bank."""
+    sample, track = sample_cloud(points, 2_000_000), Trajectory.read(trajectory)
+    lever_m = read_mounts(mounts)["lidar"]["lever_ics_m"]
+    start = best_moment(sample["xyz_m"], sample["t_gps_s"], sample["range"], track, lever_m)
+    xyz_m, t_gps_s = [], []
+    for chunk in iter_laz(points, 1_000_000):
+        turn = (chunk["t_gps_s"] >= start) & (chunk["t_gps_s"] < start + REVOLUTION_S)
+        xyz_m.append(chunk["xyz_m"][turn])
+        t_gps_s.append(chunk["t_gps_s"][turn])
+    scanner_m, has_pose = scanner_positions(np.concatenate(t_gps_s), track, lever_m)
+    return footprints(
+        np.concatenate(xyz_m)[has_pose],
+        scanner_m[has_pose],
+        divergence_mrad=divergence_mrad,
+        title=f"Footprints of the mobile lidar: {title}",
+        twin=twin,
+    )

@@ -10,22 +10,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.las.files import iter_laz
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.figures.cloud.splat import ObliqueView, Splat
-from thalweg.figures.style import (
-    HALO,
-    TIME_MAP,
-    WIDTH_MM,
-    count,
-    marks_in_free_corners,
-    new_figure,
-    plural,
-    styled,
-)
-from thalweg.images.model.poses import ImagePoses
-from thalweg.lidar.cloud import sample_cloud
+from thalweg.core import ArrayF, ArrayI, GeometryError, InputError, iter_laz
+from thalweg.figures import HALO, TIME_MAP, WIDTH_MM, count, marks_in_free_corners, new_figure, plural, styled
+from thalweg.figures.cloud.views import ObliqueView, Splat
+from thalweg.images.model import ImagePoses
+from thalweg.lidar import sample_cloud
 
 IMAGE_MAP: Final[Colormap] = ListedColormap(TIME_MAP(np.linspace(0.0, 0.92, 256)), "thalweg_image")
 """Without the pale end, which vanishes on paper."""
@@ -169,9 +158,12 @@ def frames_by_image(
     degrees = float(np.rad2deg(views.side.view.azimuth_rad)) % 360.0
     lower.set_title(f"from the water towards {degrees:.0f}°")
     figure.colorbar(
-        ScalarMappable(Normalize(*limits), IMAGE_MAP), ax=[upper, lower], label="image number / 1", aspect=35,
+        ScalarMappable(Normalize(*limits), IMAGE_MAP),
+        ax=[upper, lower],
+        label="image number / 1",
+        aspect=35,
         pad=0.01,
-    )  # fmt: skip
+    )
     return figure
 
 
@@ -190,9 +182,17 @@ def _places(ax: Axes, images: FrameImages, limits: tuple[float, float], points: 
     east, north = en.T
     ax.plot(east, north, color="black", lw=0.5, zorder=3)
     ax.scatter(
-        east, north, c=images.number, cmap=IMAGE_MAP, norm=Normalize(*limits), s=14, edgecolors="black",
-        lw=0.5, zorder=4, gid="images",
-    )  # fmt: skip
+        east,
+        north,
+        c=images.number,
+        cmap=IMAGE_MAP,
+        norm=Normalize(*limits),
+        s=14,
+        edgecolors="black",
+        lw=0.5,
+        zorder=4,
+        gid="images",
+    )
     without = points == 0
     if without.any():
         ax.scatter(
@@ -201,9 +201,15 @@ def _places(ax: Axes, images: FrameImages, limits: tuple[float, float], points: 
     step = max(1, -(-len(en) // _LABELS))
     for k in range(0, len(en), step):
         ax.annotate(
-            str(int(images.number[k])), en[k], xytext=(0, 5), textcoords="offset points", fontsize=7,
-            ha="center", zorder=6, path_effects=HALO,
-        )  # fmt: skip
+            str(int(images.number[k])),
+            en[k],
+            xytext=(0, 5),
+            textcoords="offset points",
+            fontsize=7,
+            ha="center",
+            zorder=6,
+            path_effects=HALO,
+        )
     marks_in_free_corners(ax, en)
 
 
@@ -223,3 +229,14 @@ def _bankward(points_wcs_m: ArrayF, centres_wcs_m: ArrayF) -> float:
     side = float(np.median((points_wcs_m[:, :2] - centres_wcs_m[:, :2].mean(axis=0)) @ across))
     east, north = across if side >= 0 else -across
     return float(np.arctan2(east, north))
+
+
+def draw_frames_by_image(*, points: Path, poses: Path, title: str, twin: bool) -> Figure:
+    """Cloud by the camera and image poses -> the cloud by image number."""
+    images = FrameImages.of(ImagePoses.read(poses))
+    return frames_by_image(
+        FrameViews.of_cloud(points, images),
+        images,
+        title=f"Lidar points by the image that orients them: {title}",
+        twin=twin,
+    )

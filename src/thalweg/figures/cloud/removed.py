@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -12,11 +13,11 @@ from matplotlib.patches import Rectangle
 from matplotlib.transforms import offset_copy
 from scipy.spatial import cKDTree
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF
-from thalweg.figures.style import BLUE, HALO, VERMILION, count, legend_below, new_figure, styled
-from thalweg.lidar.filters import REMOVED, WORDS, Reason
+from thalweg.core import ArrayF, GeometryError, InputError, Trajectory, read_table
+from thalweg.figures import BLUE, HALO, VERMILION, count, legend_below, new_figure, styled
+from thalweg.lidar import REMOVED, REMOVED_POINTS, WORDS, Reason, sample_cloud
+
+MOST_KEPT = 200_000
 
 COLUMNS: Final = 2
 PANEL_MM: Final = 58.0
@@ -162,9 +163,17 @@ def _entitle(ax: Axes, reason: Reason, n: int, total: int, *, drawn: int, beyond
     notes = [f"{count(drawn)} drawn"] if drawn + beyond < n else []
     notes += [f"{count(beyond)} beyond the axes"] if beyond else []
     ax.text(
-        0.99, 0.98, ", ".join(notes), ha="right", va="top", fontsize=7, transform=ax.transAxes, zorder=9,
-        path_effects=HALO, gid="note",
-    )  # fmt: skip
+        0.99,
+        0.98,
+        ", ".join(notes),
+        ha="right",
+        va="top",
+        fontsize=7,
+        transform=ax.transAxes,
+        zorder=9,
+        path_effects=HALO,
+        gid="note",
+    )
 
 
 def _shared_legend(figure: Figure, axes: Any, title: str | None) -> None:
@@ -176,9 +185,15 @@ def _shared_legend(figure: Figure, axes: Any, title: str | None) -> None:
             if label not in known:
                 known.add(label)
                 last.plot(
-                    [], [], color=line.get_color(), ls=line.get_linestyle(), lw=line.get_linewidth(),
-                    marker=line.get_marker(), ms=line.get_markersize(), label=label,
-                )  # fmt: skip
+                    [],
+                    [],
+                    color=line.get_color(),
+                    ls=line.get_linestyle(),
+                    lw=line.get_linewidth(),
+                    marker=line.get_marker(),
+                    ms=line.get_markersize(),
+                    label=label,
+                )
     legend_below(figure, last, title=title)
 
 
@@ -193,9 +208,16 @@ def _scatter(ax: Axes, xy: ArrayF, limits: ArrayF) -> Drawn:
     inside = np.all((xy >= limits[0]) & (xy <= limits[1]), axis=1)
     size = float(np.clip(40.0 / np.sqrt(max(len(xy), 1)), 0.6, 3.0))
     ax.plot(
-        *xy[inside].T, ls="none", marker="o", ms=size, mew=0, color=VERMILION, rasterized=True, zorder=3,
+        *xy[inside].T,
+        ls="none",
+        marker="o",
+        ms=size,
+        mew=0,
+        color=VERMILION,
+        rasterized=True,
+        zorder=3,
         gid="removed",
-    )  # fmt: skip
+    )
     ax.plot([], [], ls="none", marker="o", ms=3.0, mew=0, color=VERMILION, label="left out")
     return int(inside.sum()), int(np.sum(~inside))
 
@@ -261,10 +283,20 @@ def _north(ax: Axes, direction: ArrayF) -> None:
     dx, dy = 10.0 * direction
     head = offset_copy(ax.transAxes, fig=ax.get_figure(root=True), x=dx, y=dy, units="points")
     ax.annotate(
-        "N", xy=(0.10, 0.86), xytext=(-2.2 * dx, -2.2 * dy), xycoords=head, textcoords="offset points",
-        ha="center", va="center", fontsize=7, fontweight="bold", zorder=9, gid="north", path_effects=HALO,
+        "N",
+        xy=(0.10, 0.86),
+        xytext=(-2.2 * dx, -2.2 * dy),
+        xycoords=head,
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        fontsize=7,
+        fontweight="bold",
+        zorder=9,
+        gid="north",
+        path_effects=HALO,
         arrowprops={"arrowstyle": "-|>", "lw": 1.0, "color": "black", "shrinkA": 3, "shrinkB": 0},
-    )  # fmt: skip
+    )
 
 
 def _section(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
@@ -326,9 +358,16 @@ def _over_time(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
     ax.plot([], [], ls="none", marker="o", ms=3.0, mew=0, color=VERMILION, label="left out")
     node_t, valid = scene.trajectory.t_gps_s - first, scene.trajectory.valid
     ax.plot(
-        node_t, np.where(valid, -0.06, np.nan), color="black", lw=2.5, solid_capstyle="butt", clip_on=False,
-        transform=ax.get_xaxis_transform(), label="times with a pose", gid="poses",
-    )  # fmt: skip
+        node_t,
+        np.where(valid, -0.06, np.nan),
+        color="black",
+        lw=2.5,
+        solid_capstyle="butt",
+        clip_on=False,
+        transform=ax.get_xaxis_transform(),
+        label="times with a pose",
+        gid="poses",
+    )
     ax.tick_params(axis="x", pad=7)
     ax.set_xlim(edges[0], edges[-1])
     ax.set_ylim(0.0)
@@ -382,3 +421,26 @@ class Across:
         return np.column_stack(
             [np.where(right, distance, -distance), points_wcs_m[:, 2] - self._level[nearest]]
         )
+
+
+def draw_removed_points(
+    *,
+    points: Path,
+    removed: Path,
+    counts: Path,
+    trajectory: Path,
+    max_points: int,
+    filters: dict[str, Any],
+    title: str,
+    twin: bool,
+) -> Figure:
+    """Cloud, removed points and their counts -> what each filter left out."""
+    return removed_points(
+        read_table(removed, REMOVED_POINTS)[0],
+        pd.read_csv(counts),
+        sample_cloud(points, min(MOST_KEPT, max_points))["xyz_m"],
+        Trajectory.read(trajectory),
+        filters=filters,
+        title=f"Points left out of the cloud: {title}",
+        twin=twin,
+    )

@@ -1,5 +1,6 @@
 """The pictures that suit a recording, whatever it holds."""
 
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -8,18 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.timescales import utc_text_from_gps
-from thalweg.core.types import ArrayB, ArrayF
-from thalweg.figures.cloud.overview import cloud_overview
-from thalweg.figures.style import (
+from thalweg.core import ArrayB, ArrayF, InputError, LocalFrame, utc_text_from_gps
+from thalweg.figures import (
     BLUE,
     GREEN,
     GREY,
     INTENSITY_MAP,
     RING_MAP,
     VERMILION,
+    Page,
     count,
     fix_looks,
     legend_below,
@@ -27,18 +25,58 @@ from thalweg.figures.style import (
     robust_limits,
     styled,
 )
-from thalweg.ingest.registry.describe import Recording
-
-# ---------------------------------------------------------------- first looks at single recordings: is this
-# what the instrument should have seen?
-
+from thalweg.figures.cloud import cloud_overview
+from thalweg.ingest import IntegrityReport
+from thalweg.ingest.registry import Recording
 
 MAX_DOTS: Final = 150_000
 """Most dots of a scatter plot; beyond it one of k points is drawn and the title says so."""
-
-
 LEAST_REACH_M: Final = 0.5
 """Smallest half width of a plan view."""
+
+
+# ---------------------------------------------------------------- first look
+
+
+def first_looks_of(recording: Recording, *, title: str, twin: bool = False) -> dict[str, Figure]:
+    """First pictures of a recording, one for each kind of data in it: name -> figure.
+
+    Parameters
+    ----------
+    recording : from `load_recording`.
+    title : first words of the titles.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : the recording holds nothing that could be drawn.
+    """
+    figures: dict[str, Figure] = {}
+    if recording.points_scs_m is not None and recording.intensity is not None and recording.ring is not None:
+        figures["points"] = lidar_first_look(
+            recording.points_scs_m, recording.intensity, recording.ring, title=title, twin=twin
+        )
+    if recording.cloud_m is not None and len(recording.cloud_m):
+        figures["cloud"] = cloud_overview(recording.cloud_m, title=title, twin=twin)
+    for name, draw in (
+        ("depths", depth_first_look),
+        ("states", attitude_first_look),
+        ("positions", track_first_look),
+    ):
+        table = recording.tables.get(name)
+        if table is not None and not table.empty:
+            figures[name] = draw(table, title=title, twin=twin)
+    if not figures:
+        raise InputError(
+            "the recording holds no points, depths, attitudes or positions",
+            where=", ".join(recording.report.files),
+            cure="Look at its integrity report with `thalweg describe`",
+        )
+    return figures
+
+
+# ---------------------------------------------------------------- first looks at single recordings: is this
+# what the instrument should have seen?
 
 
 @styled
@@ -78,11 +116,18 @@ def lidar_first_look(
     plan, side = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
     low, high = robust_limits(shown, 2, 98)
     reach = max(1.05 * float(np.percentile(np.abs(points[:, :2]), 99.5)), LEAST_REACH_M)
-    dots = plan.scatter(*points[:, :2].T, c=shown, s=0.8, lw=0, cmap=INTENSITY_MAP, vmin=low, vmax=high,
-                        rasterized=True)  # fmt: skip
+    dots = plan.scatter(
+        *points[:, :2].T, c=shown, s=0.8, lw=0, cmap=INTENSITY_MAP, vmin=low, vmax=high, rasterized=True
+    )
     plan.plot(0, 0, marker="+", color=VERMILION, ms=8, mew=1.2)
-    plan.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="x (right) / m",
-             ylabel="y (forward) / m", title="from above")  # fmt: skip
+    plan.set(
+        xlim=(-reach, reach),
+        ylim=(-reach, reach),
+        aspect="equal",
+        xlabel="x (right) / m",
+        ylabel="y (forward) / m",
+        title="from above",
+    )
     figure.colorbar(dots, ax=plan, label="intensity / 1", orientation="horizontal", aspect=35, extend="both")
     distance = np.hypot(points[:, 0], points[:, 1])
     dots = side.scatter(distance, points[:, 2], c=rings, s=0.8, lw=0, cmap=RING_MAP, rasterized=True)
@@ -132,8 +177,9 @@ def track_first_look(positions: pd.DataFrame, *, title: str = "GNSS positions", 
     for fix, colour, marker in fix_looks(fixes):
         here = fixes == fix
         look: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 3, "color": colour, "rasterized": True}
-        plan.plot(enu[here, 0], enu[here, 1], **look,
-                  label=f"{fix.replace('_', ' ')}, n = {count(int(here.sum()))}")  # fmt: skip
+        plan.plot(
+            enu[here, 0], enu[here, 1], **look, label=f"{fix.replace('_', ' ')}, n = {count(int(here.sum()))}"
+        )
         up.plot(when[here], height[here], **look)
     plan.set(xlabel="east of the median / m", ylabel="north of the median / m", aspect="equal")
     plan.set_adjustable("datalim")
@@ -196,8 +242,15 @@ def attitude_first_look(states: pd.DataFrame, *, title: str = "INS states", twin
     numbers = states["fix"].value_counts()
     for row, (kind, colour, _) in enumerate(kinds):
         here = (states["fix"] == kind).to_numpy()
-        fix.plot(order[here], np.full(int(here.sum()), row), ls="none", marker="|", ms=5,
-                 color=colour, rasterized=True)  # fmt: skip
+        fix.plot(
+            order[here],
+            np.full(int(here.sum()), row),
+            ls="none",
+            marker="|",
+            ms=5,
+            color=colour,
+            rasterized=True,
+        )
     fix.set_yticks(range(len(kinds)), [f"{kind}, n = {count(int(numbers[kind]))}" for kind, _, _ in kinds])
     fix.set_ylim(len(kinds) - 0.4, -0.6)
     tilt.set_ylabel("angle / °")
@@ -246,9 +299,18 @@ def depth_first_look(
         offsets = rows["offset_m"].to_numpy(dtype=np.float64)[here]
         given = np.unique(offsets[np.isfinite(offsets)])
         said = f", offset {given[0]:+.2f} m" if given.size == 1 else ""
-        ax.plot(x[here], rows["depth_m"].to_numpy()[here], ls="none", marker=marker, ms=3, mew=0.8,
-                mfc="none", color=colour, rasterized=True,
-                label=f"{sentence}, n = {count(int(here.sum()))}{said}")  # fmt: skip
+        ax.plot(
+            x[here],
+            rows["depth_m"].to_numpy()[here],
+            ls="none",
+            marker=marker,
+            ms=3,
+            mew=0.8,
+            mfc="none",
+            color=colour,
+            rasterized=True,
+            label=f"{sentence}, n = {count(int(here.sum()))}{said}",
+        )
     low, high = float(rows["depth_m"].min()), float(rows["depth_m"].max())
     margin = max(0.08 * (high - low), 0.05)
     ax.set_ylim(high + margin, low - margin)
@@ -284,45 +346,71 @@ def _breaks(t: ArrayF) -> ArrayB:
 def _line(ax: Axes, x: ArrayF, y: ArrayF, broken: ArrayB, *, color: str, label: str | None = None) -> None:
     """A line with holes where it is broken."""
     at = np.flatnonzero(broken) + 1
-    ax.plot(np.insert(x, at, np.nan), np.insert(np.asarray(y, dtype=np.float64), at, np.nan), lw=0.9,
-            color=color, label=label)  # fmt: skip
+    ax.plot(
+        np.insert(x, at, np.nan),
+        np.insert(np.asarray(y, dtype=np.float64), at, np.nan),
+        lw=0.9,
+        color=color,
+        label=label,
+    )
 
 
-# ---------------------------------------------------------------- first look
+# ---------------------------------------------------------------- page of recordings
 
 
-def first_looks_of(recording: Recording, *, title: str, twin: bool = False) -> dict[str, Figure]:
-    """First pictures of a recording, one for each kind of data in it: name -> figure.
+def recordings_table(reports: list[IntegrityReport], titles: list[str]) -> pd.DataFrame:
+    """One row a recording.
+
+    Returns
+    -------
+    Columns ``recording, format, model, time, duration_s, counts, losses, gaps``.
+    """
+    rows = []
+    for report, title in zip(reports, titles, strict=True):
+        known = report.t_first_s is not None and report.t_last_s is not None
+        start = (
+            utc_text_from_gps(report.t_first_s or 0.0, 0)
+            if report.synchronised and known
+            else "unsynchronised"
+        )
+        rows.append(
+            {
+                "recording": title,
+                "format": report.format,
+                "model": report.model,
+                "time": start,
+                "duration_s": (report.t_last_s or 0.0) - (report.t_first_s or 0.0) if known else float("nan"),
+                "counts": ", ".join(f"{k} {v:,}" for k, v in report.counts.items()),
+                "losses": ", ".join(f"{k} {v:,}" for k, v in report.losses.items() if v) or "none",
+                "gaps": len(report.gaps),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def recordings_page(reports: list[IntegrityReport], titles: list[str], pictures: list[list[Path]]) -> Page:
+    """The page: overview table, then a section for each recording.
 
     Parameters
     ----------
-    recording : from `load_recording`.
-    title : first words of the titles.
-    twin : true if the digital twin made the data.
-
-    Raises
-    ------
-    InputError : the recording holds nothing that could be drawn.
+    reports, titles, pictures : one each a recording, in the same order; pictures are lists of PNG files.
     """
-    figures: dict[str, Figure] = {}
-    if recording.points_scs_m is not None and recording.intensity is not None and recording.ring is not None:
-        figures["points"] = lidar_first_look(
-            recording.points_scs_m, recording.intensity, recording.ring, title=title, twin=twin
-        )
-    if recording.cloud_m is not None and len(recording.cloud_m):
-        figures["cloud"] = cloud_overview(recording.cloud_m, title=title, twin=twin)
-    for name, draw in (
-        ("depths", depth_first_look),
-        ("states", attitude_first_look),
-        ("positions", track_first_look),
-    ):
-        table = recording.tables.get(name)
-        if table is not None and not table.empty:
-            figures[name] = draw(table, title=title, twin=twin)
-    if not figures:
-        raise InputError(
-            "the recording holds no points, depths, attitudes or positions",
-            where=", ".join(recording.report.files),
-            cure="Look at its integrity report with `thalweg describe`",
-        )
-    return figures
+    page = Page(
+        "Real recordings",
+        "Logs that other people recorded with the instruments that Thalweg reads. Nothing here was made "
+        "by the digital twin; sources, licences and checksums stand in the PROVENANCE.md of each folder.",
+    )
+    overview = recordings_table(reports, titles)
+    # All counts stand in the sections; the largest is enough here, and words instead of keys can be wrapped.
+    largest = [max(r.counts.items(), key=lambda item: item[1], default=("none", 0)) for r in reports]
+    overview["counts"] = [f"{n:,} {what}" for what, n in largest]
+    for name in ("counts", "losses"):
+        overview[name] = overview[name].str.replace("_", " ")
+    page.section("All recordings").table(
+        overview, "What was recorded, and how whole it is", units={"duration_s": "s"}
+    )
+    for report, title, looks in zip(reports, titles, pictures, strict=True):
+        page.section(title).lines(report.lines())
+        for picture in looks:
+            page.figure(picture, f"First look at the {picture.stem}: {title}")
+    return page

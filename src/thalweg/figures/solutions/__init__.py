@@ -1,1 +1,5 @@
 """INS, camera and fused solution side by side, on one page."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

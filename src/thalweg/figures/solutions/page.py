@@ -1,28 +1,35 @@
-"""One page on INS, camera and fused trajectory of a survey, side by side (T 3.1.4)."""
+"""The page on INS, camera and fused trajectory."""
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy.cloud_to_mesh.comparison_tables import ALL, WITHOUT_OUTLIERS
-from thalweg.accuracy.solutions.comparison import COMMON, SHOTS, TRAJECTORY, chains_of, value
-from thalweg.accuracy.solutions.ranges import LEAST
-from thalweg.figures.page import Page
-from thalweg.figures.solutions.comparison import IN_WORDS
-from thalweg.figures.solutions.words import (
-    PUBLISHED_WORDS,
-    Costs,
-    for_and_against,
-    lead,
-    outage_rows,
-    outage_words,
-    range_words,
-    side_by_side,
+from thalweg.accuracy import (
+    ALL,
+    CERTAIN,
+    CHAINS,
+    COMMON,
+    LEAST,
+    PUBLISHED_CROSSING_M,
+    REFERENCE,
+    SHOTS,
+    TRAJECTORY,
+    WITHOUT,
+    WITHOUT_OUTLIERS,
+    chains_of,
+    crossing_of,
+    honesty_in_words,
+    value,
 )
-from thalweg.figures.style import count
+from thalweg.core import utc_text_from_gps
+from thalweg.figures import Page, count, plural
+from thalweg.figures.accuracy import centimetres
+from thalweg.figures.solutions.comparison import IN_WORDS
 
 TWIN_NOTE: Final = (
     "The digital twin made these data: survey, images and reference are simulated. The figures speak of the "
@@ -30,7 +37,6 @@ TWIN_NOTE: Final = (
 )
 SHOWN: Final = {"m": (1e3, "mm"), "deg": (1.0, "°"), "1/m2": (1.0, "1/m²"), "s": (1.0, "s"), "1": (1.0, "")}
 """Unit of a table -> factor and unit for people."""
-
 SETS: Final = (
     (SHOTS, "Points of the lidar"),
     (TRAJECTORY, "Poses and their predicted sigmas"),
@@ -39,9 +45,45 @@ SETS: Final = (
     (COMMON, "The same without outliers, at times at which every trajectory has a pose"),
 )
 TRUTH_SETS: Final = ("own poses", "times with a pose by every chain")
-
 EVERY_RANGE: Final = 5
 """Of the range classes every so many-th stands in the table of the page; all are in the file."""
+
+EVERYWHERE: Final = 0.98
+"""A chain with poses for a greater share of a gap has them all through: its nodes end short of the edge."""
+PUBLISHED_WORDS: Final = (
+    "Published for the Freiberger Mulde: an RMSE of 23 cm by INS (Sardemann 2024, 3.1.3) and of 14 cm with a "
+    "mean of 6 cm by camera (Sardemann et al. 2023, 6.2), 6 million points by INS against 560 000 by camera, "
+    "and error budgets by which the INS is better beyond 11 to 13 m. That was another boat, river and "
+    "reference; nothing here is fitted to these numbers."
+)
+BY_NAME: Final = {"ins": "the INS", "camera": "the camera", "fused": "the fused trajectory"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Costs:
+    """What a chain asks for besides its trajectory.
+
+    Parameters
+    ----------
+    control : the adjustment's report on control and check points, or None.
+    images : number of images that the camera's trajectory rests on, or None.
+    seconds : chain -> computing time of its own steps.
+    outages : of `thalweg.accuracy.solutions.outage_table`, or None.
+    """
+
+    control: pd.DataFrame | None = None
+    images: int | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    outages: pd.DataFrame | None = None
+
+    def points(self, role: str) -> int:
+        """Control or check points that are marked in images."""
+        if self.control is None:
+            return 0
+        return int(((self.control["role"] == role) & (self.control["images"] > 0)).sum())
+
+
+# ---------------------------------------------------------------- page
 
 
 def trajectory_comparison_page(
@@ -60,8 +102,8 @@ def trajectory_comparison_page(
 
     Parameters
     ----------
-    table : of `thalweg.accuracy.solutions.comparison.chains_table`.
-    by_range, facts : of `thalweg.accuracy.solutions.ranges`; without rows where there is no reference.
+    table : of `thalweg.accuracy.solutions.chains_table`.
+    by_range, facts : of `thalweg.accuracy.solutions`; without rows where there is no reference.
     truth : for a twin, of `thalweg_lab.truth.solutions.chains_truth_table`.
     costs : what each chain needs.
     pictures : PNG files, shown in their order.
@@ -135,7 +177,7 @@ def limits(table: pd.DataFrame) -> str:
     n = [value(table, WITHOUT_OUTLIERS, "independent_values", name) for name in chains_of(table)]
     words = [
         "All clouds come from one drive and one lidar: its noise, the plants on the bank and the errors of "
-        "the reference are in all of them alike.",
+        "the reference are in all of them alike."
     ]
     if np.isfinite(n).any():
         words.append(
@@ -190,3 +232,354 @@ def _truth(page: Page, truth: pd.DataFrame) -> None:
         rows = truth[truth["times"] == times]
         if len(rows):
             page.table(numbers(rows, names), f"Errors of the poses, {times} (chains_truth.csv)")
+
+
+# ---------------------------------------------------------------- words
+
+
+def lead(table: pd.DataFrame) -> str:
+    """The first sentences: how many points each chain places, how good they are, what was published."""
+    names = chains_of(table)
+    share = ", ".join(
+        f"{percent(value(table, SHOTS, 'share_with_pose', name))} by {BY_NAME[name]}" for name in names
+    )
+    decoded = max(value(table, SHOTS, "decoded", name) for name in names)
+    words = [f"Points with a pose, of {count(int(decoded))} that the lidar recorded: {share}."]
+    rmse = {name: value(table, WITHOUT_OUTLIERS, "rmse", name) for name in names}
+    if not all(np.isfinite(list(rmse.values()))):
+        words.append("There is no reference surface, so their clouds cannot be compared with one.")
+        return " ".join(words)
+    numbers = ", ".join(
+        f"{centimetres(rmse[name])} by {BY_NAME[name]} (mean "
+        f"{centimetres(value(table, WITHOUT_OUTLIERS, 'bias', name), sign=True)})"
+        for name in names
+    )
+    words.append(
+        f"Without outliers the distances of their clouds to the reference have an RMSE of {numbers}."
+    )
+    first, second = sorted(names, key=lambda name: rmse[name])[:2]
+    words.append(
+        f"The smallest is that of {BY_NAME[first]}, {100 * (1 - rmse[first] / rmse[second]):.0f} % below "
+        f"that of {BY_NAME[second]}: {certainty(table, first, second)}."
+    )
+    return " ".join(words)
+
+
+def certainty(table: pd.DataFrame, first: str, second: str) -> str:
+    """Is the difference of two RMSE more than their independent values allow by chance?"""
+    n_first, n_second = (
+        value(table, WITHOUT_OUTLIERS, "independent_values", name) for name in (first, second)
+    )
+    ratio = value(table, WITHOUT_OUTLIERS, "rmse", second) / value(table, WITHOUT_OUTLIERS, "rmse", first)
+    if not np.isfinite([n_first, n_second, ratio]).all():
+        return "how certain that is was not computed"
+    limit = CERTAIN * float(np.sqrt(1 / (2 * n_first) + 1 / (2 * n_second)))
+    rests = f"they rest on {n_first:.0f} and {n_second:.0f} independent values"
+    if np.log(ratio) > limit:
+        return f"a certain difference, although {rests}"
+    chance = f"which differ by up to {100 * (np.exp(limit) - 1):.0f} % by chance"
+    return f"no certain difference, as {rests}, {chance}"
+
+
+def range_words(facts: Mapping[str, Any]) -> str:
+    """Which chain is better where, and whether theory and result agree on it."""
+    names = facts["chains"]
+    won = [
+        f"{BY_NAME[n]} in {runs_words(facts['best_observed'][n])}" for n in names if facts["best_observed"][n]
+    ]
+    total, sure = facts["classes"], sum(facts["decided"].values())
+    words = [
+        f"Of {count(total)} range classes with enough points, the smallest RMSE has {'; '.join(won)}."
+        if won
+        else "No range class holds enough points of two clouds."
+    ]
+    if won:
+        words.append(
+            f"In {count(sure)} of them the lead is certain: points of one class share poses, and few of "
+            "their errors are independent."
+        )
+    words.append(growth_words(facts))
+    if {"ins", "camera"} <= set(names):
+        words.append(theory_words(facts))
+    return " ".join(filter(None, words))
+
+
+def growth_words(facts: Mapping[str, Any]) -> str:
+    """Constant and growing part of the predictions."""
+    parts = [
+        f"{BY_NAME[name]} {centimetres(form['constant_m'])} and {1e3 * form['per_metre']:.1f} mm per metre "
+        "of range"
+        for name, form in facts.get("growth", {}).items()
+    ]
+    return f"The predicted 3D sigmas have a constant and a growing part: {'; '.join(parts)}." if parts else ""
+
+
+def theory_words(facts: Mapping[str, Any]) -> str:
+    """Predicted order of INS and camera, near and far, against the published one and the result."""
+    theory = crossing_of(facts, "ins", "camera", "rmse_predicted_3d")
+    low, high = PUBLISHED_CROSSING_M
+    computed = facts.get("published_crossing_m") or []
+    exact = f" (the budgets recomputed: {computed[0]:.1f} m)" if computed else ""
+    published = f"published: between {low:g} and {high:g} m{exact}, camera nearer, INS farther"
+    if theory.get("crossing_m") is not None:
+        here = (
+            f"By prediction INS and camera change places at {theory['crossing_m']:.1f} m, "
+            f"{BY_NAME[theory['nearer']]} being better nearer and {BY_NAME[theory['farther']]} farther "
+            f"({published})."
+        )
+    elif theory.get("nearer") in BY_NAME:
+        here = (
+            f"By prediction {BY_NAME[theory['nearer']]} is the better of both at every range ({published})."
+        )
+    else:
+        here = f"Too few points for a prediction ({published})."
+    won = {n: _length(facts["best_of_two"][n]) for n in ("ins", "camera")} if "best_of_two" in facts else {}
+    if sum(won.values()):
+        here += (
+            f" Achieved: of these two {BY_NAME['ins']} is better in {won['ins']} classes, "
+            f"{BY_NAME['camera']} in {won['camera']}."
+        )
+    return here
+
+
+def runs_words(runs: Sequence[Sequence[int]], most: int = 4) -> str:
+    """Runs of range classes in words.
+
+    Examples
+    --------
+    >>> runs_words([[5, 9], [12, 12]])
+    '6 classes (5 to 9, 12 m)'
+    """
+    shown = ", ".join(f"{a} to {b}" if b > a else f"{a}" for a, b in list(runs)[:most])
+    more = f" and {len(runs) - most} more runs" if len(runs) > most else ""
+    return f"{_length(runs)} class{'es' * (_length(runs) != 1)} ({shown} m{more})"
+
+
+def for_and_against(table: pd.DataFrame, costs: Costs) -> pd.DataFrame:
+    """What speaks for and against each chain, with numbers: columns trajectory, for, against."""
+    return pd.DataFrame(
+        [
+            {
+                "trajectory": IN_WORDS[name],
+                "for": "; ".join(_for(table, costs, name)) or "–",
+                "against": "; ".join(_against(table, costs, name)) or "–",
+            }
+            for name in chains_of(table)
+        ]
+    )
+
+
+def _for(table: pd.DataFrame, costs: Costs, name: str) -> list[str]:
+    out = []
+    names = chains_of(table)
+    share = value(table, SHOTS, "share_with_pose", name)
+    if share >= max(value(table, SHOTS, "share_with_pose", other) for other in names) - 1e-9:
+        fewer = [
+            f"{value(table, SHOTS, 'in_cloud', name) / n:.1f} times the points of {BY_NAME[other]}"
+            for other in names
+            if other != name
+            and 0
+            < (n := value(table, SHOTS, "in_cloud", other))
+            < 0.9 * value(table, SHOTS, "in_cloud", name)
+        ]
+        out.append(", ".join([f"a pose for {percent(share)} of the points", *fewer]))
+    rmse = {other: value(table, WITHOUT_OUTLIERS, "rmse", other) for other in names}
+    if np.isfinite(rmse[name]) and rmse[name] <= np.nanmin(list(rmse.values())):
+        out.append(f"smallest RMSE, {centimetres(rmse[name])}")
+    more_s = value(table, TRAJECTORY, "time_without_ins", name)
+    if more_s > 0.05 and name != "ins":
+        out.append(f"poses for {more_s:.1f} s in which the INS with its antenna has none")
+    if name == "ins" and costs.points("control"):
+        out.append("no control point on the bank")
+    if name == "ins" and costs.images:
+        out.append("no image")
+    out += _outages(costs, name, good=True)
+    return out
+
+
+def _against(table: pd.DataFrame, costs: Costs, name: str) -> list[str]:
+    out = []
+    names = chains_of(table)
+    share = value(table, SHOTS, "share_with_pose", name)
+    if share < max(value(table, SHOTS, "share_with_pose", other) for other in names) - 1e-9:
+        out.append(f"no pose for {percent(1 - share)} of the points")
+    rmse = {other: value(table, WITHOUT_OUTLIERS, "rmse", other) for other in names}
+    if (
+        np.isfinite(rmse[name])
+        and rmse[name] >= np.nanmax(list(rmse.values()))
+        and len(set(rmse.values())) > 1
+    ):
+        out.append(f"largest RMSE, {centimetres(rmse[name])}")
+    gap_s = value(table, TRAJECTORY, "longest_gap", name)
+    if gap_s > 0.05:
+        out.append(f"up to {gap_s:.1f} s without a pose")
+    low, ratio, high = (
+        value(table, WITHOUT_OUTLIERS, q, name) for q in ("ratio_low95", "ratio", "ratio_high95")
+    )
+    if np.isfinite(ratio) and not low <= ratio <= high:
+        out.append(honesty_in_words(ratio, low, high))
+    if name != "ins" and costs.points("control"):
+        out.append(f"{plural(costs.points('control'), 'control point')} to be surveyed")
+    if name != "ins" and costs.images:
+        out.append(f"{plural(costs.images, 'image')} to be taken and oriented")
+    own = costs.seconds.get(name, 0.0)
+    if own and own == max(costs.seconds.values()):
+        out.append(f"{time_words(own)} of computing for its poses")
+    out += _outages(costs, name, good=False)
+    return out
+
+
+def _outages(costs: Costs, name: str, *, good: bool) -> list[str]:
+    """What a chain is worth where there is no GNSS: poses all through, or not."""
+    rows = _without_gnss(costs)
+    if rows is None or f"{name}_share" not in rows.columns:
+        return []
+    through = rows[f"{name}_share"] > EVERYWHERE
+    where = f"{plural(len(rows), 'gap')} without GNSS, longest {rows['length_s'].max():.1f} s"
+    if good and through.all():
+        sigma = float(np.sqrt(np.mean(rows[f"{name}_sigma_m"] ** 2)))
+        return [f"poses all through {where}, sigma of the place {centimetres(sigma)}"]
+    if not good and not through.all():
+        return [f"lacks poses in {count(int((~through).sum()))} of {where}"]
+    return []
+
+
+def _without_gnss(costs: Costs) -> pd.DataFrame | None:
+    if costs.outages is None:
+        return None
+    rows = costs.outages[costs.outages["without"] == "positions"]
+    return rows if len(rows) else None
+
+
+def outage_words(outages: pd.DataFrame) -> str:
+    """How many gaps there are of each kind, and how long."""
+    parts = []
+    for kind, words in WITHOUT.items():
+        rows = outages[outages["without"] == kind]
+        if len(rows):
+            parts.append(
+                f"{plural(len(rows), 'gap')} {words}, {rows['length_s'].sum():.1f} s in all, "
+                f"longest {rows['length_s'].max():.1f} s"
+            )
+    if not parts:
+        return "Positions and images run through: the fused trajectory had nothing to bridge."
+    return (
+        f"The fused trajectory found {'; '.join(parts)}. A trajectory has its poses there from the other "
+        "sensors, or none; its sigma says what they are worth."
+    )
+
+
+def outage_rows(outages: pd.DataFrame, most: int = 12) -> pd.DataFrame:
+    """The longest gaps for people: what lacks, when, how long, and the sigma of each trajectory."""
+    names = [name for name in CHAINS if f"{name}_share" in outages.columns]
+    shown = outages.sort_values("length_s", ascending=False, kind="stable").head(most)
+    out = []
+    for row in shown.sort_values("begin_gps_s", kind="stable").to_dict("records"):
+        line = {
+            "gap": WITHOUT[row["without"]],
+            "begin": utc_text_from_gps(row["begin_gps_s"])[11:19],
+            "length": f"{row['length_s']:.1f}",
+        }
+        for name in names:
+            cell = "no pose"
+            if np.isfinite(row[f"{name}_sigma_m"]):
+                cell = f"{centimetres(row[f'{name}_sigma_m'])}, at most {centimetres(row[f'{name}_most_m'])}"
+                if row[f"{name}_share"] <= EVERYWHERE:
+                    cell += f", poses for {percent(row[f'{name}_share'])}"
+            line[IN_WORDS[name]] = cell
+        out.append(line)
+    return pd.DataFrame(out)
+
+
+def side_by_side(table: pd.DataFrame, costs: Costs) -> pd.DataFrame:
+    """The decisive numbers, one row a question and one column a chain."""
+    names = chains_of(table)
+
+    def row(what: str, cells: Mapping[str, str]) -> dict[str, str]:
+        """A question, and an answer or a dash for each chain."""
+        return {"": what} | {IN_WORDS[name]: cells.get(name, "–") for name in names}
+
+    def of(where: str, quantity: str) -> dict[str, float]:
+        """A quantity of the chains that have it."""
+        found = {name: value(table, where, quantity, name) for name in names}
+        return {name: number for name, number in found.items() if np.isfinite(number)}
+
+    rows = [
+        row("points with a pose", {n: percent(x) for n, x in of(SHOTS, "share_with_pose").items()}),
+        row("points in the cloud", {n: count(int(x)) for n, x in of(SHOTS, "in_cloud").items()}),
+        row("points on a square metre", {n: f"{x:.3g}" for n, x in of(REFERENCE, "density").items()}),
+        row("reference that holds points", {n: percent(x) for n, x in of(REFERENCE, "covered").items()}),
+    ]
+    for quantity, what in (("rmse", "RMSE"), ("bias", "mean"), ("predicted_rmse", "predicted RMSE")):
+        cells = {
+            n: centimetres(x, sign=quantity == "bias") for n, x in of(WITHOUT_OUTLIERS, quantity).items()
+        }
+        rows.append(row(f"{what}, without outliers", cells))
+    rows += [
+        row(
+            "longest time without a pose", {n: f"{x:.1f} s" for n, x in of(TRAJECTORY, "longest_gap").items()}
+        ),
+        row(
+            "poses where the INS has none",
+            {n: f"{x:.1f} s" for n, x in of(TRAJECTORY, "time_without_ins").items() if n != "ins"},
+        ),
+    ]
+    if costs.control is not None:
+        needed = f"{costs.points('control')}, and {costs.points('check')} that check"
+        rows.append(row("control points", {n: "none" if n == "ins" else needed for n in names}))
+    if costs.images is not None:
+        rows.append(row("images", {n: "none" if n == "ins" else count(costs.images) for n in names}))
+    without = _without_gnss(costs)
+    if without is not None:
+        words = f"sigma of the place without GNSS ({plural(len(without), 'gap')})"
+        rows.append(row(words, {n: _sigma_cell(without, n) for n in names}))
+    if costs.seconds:
+        cells = {n: time_words(s) for n, s in costs.seconds.items()}
+        rows.append(row("computing time of its own steps", cells))
+    return pd.DataFrame([r for r in rows if any(r[IN_WORDS[n]] not in ("–", "") for n in names)])
+
+
+def _sigma_cell(outages: pd.DataFrame, name: str) -> str:
+    """Root mean square of a chain's sigmas over gaps, and for how much of them it has poses."""
+    if f"{name}_sigma_m" not in outages.columns or not outages[f"{name}_sigma_m"].notna().any():
+        return "no pose"
+    sigma = float(np.sqrt(np.nanmean(outages[f"{name}_sigma_m"] ** 2)))
+    share = float(np.average(outages[f"{name}_share"], weights=outages["length_s"]))
+    return centimetres(sigma) + ("" if share > EVERYWHERE else f", poses for {percent(share)} of it")
+
+
+def percent(share: float) -> str:
+    """A share in percent; nothing is rounded to 0 or 100 % that is not."""
+    if 0.9995 <= share < 1.0:
+        return "more than 99.9 %"
+    return f"{100 * share:.3g} %" if np.isfinite(share) else "–"
+
+
+def time_words(seconds: float) -> str:
+    """Seconds, minutes or hours with two digits."""
+    if seconds < 120:
+        return f"{float(f'{seconds:.2g}'):g} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _length(runs: Sequence[Sequence[int]]) -> int:
+    return sum(b - a + 1 for a, b in runs)
+
+
+# ---------------------------------------------------------------- computing time
+
+
+def computing_seconds(steps: Mapping[str, Sequence[Path]]) -> dict[str, float]:
+    """Wall time of the jobs that made some results, in seconds, for each chain.
+
+    Parameters
+    ----------
+    steps : chain -> one result of each of its jobs. The record of a job is ``<result>.meta.json``; a result
+        without one (made by hand, or copied) makes the time of its chain unknown, and the chain is left out.
+    """
+    out = {}
+    for chain, results in steps.items():
+        records = [Path(f"{str(result).rstrip('/')}.meta.json") for result in results]
+        if records and all(record.is_file() for record in records):
+            out[chain] = float(sum(json.loads(record.read_text())["wall_s"] for record in records))
+    return out

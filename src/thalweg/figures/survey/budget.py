@@ -1,6 +1,7 @@
 """Where the error of a point comes from, over its distance: budgets side by side."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -8,12 +9,18 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thalweg.budgets.budget import GROUPS, Budget
-from thalweg.budgets.influences import CORRELATIONS, TOTAL, totals_mm
-from thalweg.budgets.statements import group_shares
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayF
-from thalweg.figures.style import BLUE, GREEN, HALO, ORANGE, PURPLE, SKY, VERMILION, new_figure, styled
+from thalweg.budgets import (
+    CORRELATIONS,
+    GROUPS,
+    TOTAL,
+    Budget,
+    group_shares,
+    read_budget,
+    read_published,
+    totals_mm,
+)
+from thalweg.core import ArrayF, InputError
+from thalweg.figures import BLUE, GREEN, HALO, ORANGE, PURPLE, SKY, VERMILION, new_figure, styled
 
 FARTHEST_M: Final = 60.0
 LOOK: Final = {
@@ -63,9 +70,18 @@ def error_budget(budgets: Sequence[Budget], published: Sequence[pd.DataFrame | N
         if cells is not None:
             points = cells[(cells["input"] == TOTAL) & cells["distance_m"].notna()]
             axes[0, k].plot(
-                points["distance_m"], points["value_mm"], ls="none", marker="o", mfc="white", mec="black",
-                mew=1.1, ms=5, label="total as published", gid="published", zorder=5,
-            )  # fmt: skip
+                points["distance_m"],
+                points["value_mm"],
+                ls="none",
+                marker="o",
+                mfc="white",
+                mec="black",
+                mew=1.1,
+                ms=5,
+                label="total as published",
+                gid="published",
+                zorder=5,
+            )
         axes[0, k].set_title(f"{budget.title}\n{budget.source}; geometry {budget.status}", fontsize="small")
         axes[1, k].set_xlabel("distance / m")
         _names(axes[1, k], d, [100 * share for share in stacked])
@@ -83,9 +99,16 @@ def _stack(ax: Axes, d: ArrayF, parts: list[ArrayF]) -> None:
     for group, part in zip(LOOK, parts, strict=True):
         colour, hatch = LOOK[group]
         ax.fill_between(
-            d, below, below + part, facecolor=colour, edgecolor=(1, 1, 1, 0.55), hatch=hatch, lw=0.0,
-            label=group, gid=group,
-        )  # fmt: skip
+            d,
+            below,
+            below + part,
+            facecolor=colour,
+            edgecolor=(1, 1, 1, 0.55),
+            hatch=hatch,
+            lw=0.0,
+            label=group,
+            gid=group,
+        )
         below = below + part
         ax.plot(d, below, color="white", lw=0.5)
 
@@ -98,9 +121,15 @@ def _names(ax: Axes, d: ArrayF, parts: list[ArrayF]) -> None:
         at = int(np.flatnonzero(inner)[np.argmax(part[inner])])
         if part[at] > 9:
             ax.text(
-                d[at], below[at] + part[at] / 2, group, ha="center", va="center", fontsize=7,
-                path_effects=HALO, gid="name",
-            )  # fmt: skip
+                d[at],
+                below[at] + part[at] / 2,
+                group,
+                ha="center",
+                va="center",
+                fontsize=7,
+                path_effects=HALO,
+                gid="name",
+            )
         below = below + part
 
 
@@ -110,3 +139,8 @@ def _legend(figure: Figure, ax: Axes) -> None:
     figure.legend(
         [handles[i] for i in order], [labels[i] for i in order], loc="outside lower left", ncols=len(order)
     )
+
+
+def draw_error_budget(*, budgets: list[Path], published: list[Path]) -> Figure:
+    """Error budgets of both ways of orientation -> shares of their inputs over distance."""
+    return error_budget([read_budget(path) for path in budgets], [read_published(path) for path in published])

@@ -1,1 +1,5 @@
 """Adjustment of image blocks with control, and the covariance of every pose."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

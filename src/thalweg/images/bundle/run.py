@@ -1,50 +1,49 @@
 """A block of images from its own frame to the world: start, observations, adjustment, checks."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from thalweg.core.camera.model import PARAMETERS, Camera
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import rotation_vector
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.images.bundle.adjustment import Adjusted, adjust_block
-from thalweg.images.bundle.antenna import clock_notes
-from thalweg.images.bundle.consent import (
+from thalweg.core import PARAMETERS, ArrayF, ArrayI, Camera, GeometryError, rotation_vector
+from thalweg.images.bundle.adjustment import Adjusted, ControlResult, adjust_block, control_result
+from thalweg.images.bundle.checks import (
+    LEAST,
+    Expected,
     Interiors,
+    check_attitudes,
     check_consent,
     check_datum,
     check_free,
+    check_start,
     doubts,
+    fitted_in_time,
     interior_notes,
     interior_of,
-)
-from thalweg.images.bundle.correlation import Correlation, views
-from thalweg.images.bundle.kernels import restricted_parts
-from thalweg.images.bundle.linear import along_and_across, linearised, tracks_of
-from thalweg.images.bundle.place import (
-    LEAST,
-    Expected,
-    check_attitudes,
-    check_start,
-    fitted_in_time,
     other_reading,
 )
-from thalweg.images.bundle.problem import Antenna, Problem
-from thalweg.images.bundle.result import ControlResult, control_result
-from thalweg.images.bundle.weights import Options
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.model.control_points import ControlMarks, ControlPoints
-from thalweg.images.model.poses import ImagePoses
-from thalweg.images.model.start import (
+from thalweg.images.bundle.normals import (
+    Correlation,
+    along_and_across,
+    linearised,
+    restricted_parts,
+    tracks_of,
+    views,
+)
+from thalweg.images.bundle.problem import Antenna, Problem, clock_notes
+from thalweg.images.model import (
     CURE_LINE,
+    ControlMarks,
+    ControlPoints,
+    ImageBlock,
+    ImagePoses,
     Similarity,
     check_place,
     start_from_control,
     start_from_positions,
 )
+from thalweg.settings.sections import BlockAdjustment
 
 # ---------------------------------------------------------------- A second start of an adjustment that may
 # have settled in a wrong shape
@@ -67,7 +66,7 @@ _MOST: Final = 25.0
 
 def adjust_from_either_start(
     problem: Problem,
-    options: Options,
+    options: BlockAdjustment,
     predictions: ImagePoses | None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Problem, Adjusted, ControlResult, list[str]]:
@@ -162,9 +161,11 @@ def predicted_block(block: ImageBlock, predictions: ImagePoses | None) -> ImageB
         rays[rows] = camera.rays(block.mark_px[rows])
     rays = np.einsum("mij,mj->mi", R[block.mark_image], np.nan_to_num(rays))
     return replace(
-        block, centre_block_m=centre, R_block_ccs=R,
+        block,
+        centre_block_m=centre,
+        R_block_ccs=R,
         points_block_m=_meeting(rays, centre[block.mark_image], block.mark_point, block.points_block_m),
-    )  # fmt: skip
+    )
 
 
 def _meeting(rays: ArrayF, centres: ArrayF, point: ArrayI, like: ArrayF) -> ArrayF:
@@ -193,9 +194,16 @@ def misfit(one: Adjusted, first: Adjusted, second: Adjusted) -> float:
     n = len(tracks.point)
     logarithm, square = np.empty(n), np.empty(n)
     restricted_parts(
-        tracks.first, part.by_point, part.residual, tracks.sigma_px, tracks.view, model.model, logarithm,
-        square, np.empty(0),
-    )  # fmt: skip
+        tracks.first,
+        part.by_point,
+        part.residual,
+        tracks.sigma_px,
+        tracks.view,
+        model.model,
+        logarithm,
+        square,
+        np.empty(0),
+    )
     total = float(_surprise(square, 2.0 * np.diff(tracks.first) - 3.0, model).sum())
     off = one.control_residual_px / (problem.marks.sigma_px * second.control_scale)[:, None]
     total += float(np.minimum(np.nan_to_num(np.square(off).sum(axis=1), nan=_MOST), _MOST).sum())
@@ -223,36 +231,6 @@ at zero, k2 came out ten sigmas off.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BlockSettings:
-    """Options of the adjustment, and how the interior orientation enters."""
-
-    options: Options
-    interior: str = "auto"
-    free_parameters: tuple[str, ...] = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
-    square_pixels: bool = True
-
-    @classmethod
-    def from_section(cls, section: Mapping[str, Any]) -> "BlockSettings":
-        """From the section ``images.adjustment``."""
-        loss = section["loss"]
-        return cls(
-            options=Options(
-                loss=None if loss == "none" else loss,
-                loss_limit=section["loss_limit"],
-                reject_limit=section["reject_limit"],
-                restless_limit=section["restless_limit"],
-                correlated=section["correlated"],
-                least_angle_deg=section["least_angle_deg"],
-                max_iterations=section["max_iterations"],
-                interior_variance=section["interior_variance"],
-            ),
-            interior=section["interior"],
-            free_parameters=tuple(section["free_parameters"]),
-            square_pixels=section["square_pixels"],
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Oriented:
     """An adjusted block, its control points, those left out with the reason, and notes for people.
 
@@ -267,10 +245,7 @@ class Oriented:
 
 
 def world_block(
-    block: ImageBlock,
-    control: ControlPoints,
-    marks: ControlMarks,
-    predictions: ImagePoses | None,
+    block: ImageBlock, control: ControlPoints, marks: ControlMarks, predictions: ImagePoses | None
 ) -> tuple[ImageBlock, Similarity, str]:
     """The block moved into the world: by control points where three are measured, else by predicted poses.
 
@@ -287,9 +262,10 @@ def world_block(
     """
     if len(block.images) < LEAST:
         raise GeometryError(
-            f"a block of {len(block.images)} images", expected=f"{LEAST} at least",
+            f"a block of {len(block.images)} images",
+            expected=f"{LEAST} at least",
             cure="See the report of the images for why the others are not in it",
-        )  # fmt: skip
+        )
     expected = Expected.of(block, predictions)
     n = len(expected.at)
     check_place(control, expected.centre_wcs_m)
@@ -343,7 +319,7 @@ def orient_block(
     block: ImageBlock,
     control: ControlPoints,
     marks: ControlMarks,
-    settings: BlockSettings,
+    settings: BlockAdjustment,
     *,
     predictions: ImagePoses | None = None,
     antenna: Antenna | None = None,
@@ -373,14 +349,17 @@ def orient_block(
     check_datum(moved, given, control, antenna, left_out)
     cameras, free, weighted = _interior(moved.cameras, settings, known)
     problem = Problem(
-        block=replace(moved, cameras=cameras), control=control, marks=marks, antenna=antenna, free=free,
-        weighted=weighted, held=np.zeros((len(block.images), 6), np.bool_),
+        block=replace(moved, cameras=cameras),
+        control=control,
+        marks=marks,
+        antenna=antenna,
+        free=free,
+        weighted=weighted,
+        held=np.zeros((len(block.images), 6), np.bool_),
         square_pixels=settings.square_pixels,
         prior_sigma={k: v for k, v in _DISTORTION.items() if k not in settings.free_parameters},
-    )  # fmt: skip
-    problem, adjusted, result, told = adjust_from_either_start(
-        problem, settings.options, predictions, progress
     )
+    problem, adjusted, result, told = adjust_from_either_start(problem, settings, predictions, progress)
     notes += told
     demoted: list[str] = []
     for _ in range(_MOST_DEMOTED):
@@ -394,14 +373,14 @@ def orient_block(
         )
         demoted.append(problem.control.names[worst])
         problem = replace(problem, control=problem.control.as_check(demoted[-1:]))
-        adjusted = adjust_block(problem, settings.options, progress=progress)
+        adjusted = adjust_block(problem, settings, progress=progress)
         result = control_result(adjusted)
     if known is not None and any(problem.weighted):
-        cameras, free, weighted = _interior(moved.cameras, replace(settings, interior="free"), None)
+        cameras, free, weighted = _interior(moved.cameras, settings.replace(interior="free"), None)
         estimated = replace(
             problem, block=replace(moved, cameras=cameras), free=free, weighted=weighted, control=control
         )
-        check_free(problem, estimated, settings.options, result, len(demoted))
+        check_free(problem, estimated, settings, result, len(demoted))
     check_consent(moved, control, marks, result, demoted, predictions)
     notes += interior_notes(adjusted, known)
     notes += clock_notes(antenna, float(adjusted.x.extras[-1]) if len(adjusted.x.extras) else 0.0)
@@ -439,7 +418,7 @@ def _usable(
 
 
 def _interior(
-    cameras: Sequence[Camera], settings: BlockSettings, known: Interiors
+    cameras: Sequence[Camera], settings: BlockAdjustment, known: Interiors
 ) -> tuple[tuple[Camera, ...], tuple[tuple[str, ...], ...], tuple[bool, ...]]:
     """Cameras to begin with, their free parameters, and whether their covariance is an observation."""
     given = [interior_of(known, camera) for camera in cameras]

@@ -1,27 +1,59 @@
-"""Orientations as a file of another program has them, before they are put into the world frame.
+"""Orientations as a file of another program has them: frames, angles, units.
 
 The coordinates of a pose stand in the frame of the file (`Place`); its rotation leads from the camera frame
 ccs (x right, y down, z along the view) into that frame: in a map grid east, north, up of the grid, in
 geographic coordinates those of the place itself.
 """
 
+import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from itertools import product
+from typing import Any, Final, Literal
 
 import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError
-from thalweg.core.types import AnyArray, ArrayF, ArrayI
+from thalweg.core import (
+    GRS80_SEMI_MAJOR_M,
+    AnyArray,
+    ArrayF,
+    ArrayI,
+    Camera,
+    GeometryError,
+    InputError,
+    LocalFrame,
+)
 
 Kind = Literal["world", "map", "geographic", "geocentric", "free"]
-
 WORLD = "world"
 """Name of the campaign's world frame, where a CRS is asked for."""
+
+_STEP_M: Final = 50.0
+"""Half the chord of the grid's north line; curvature and rounding cost some 1e-10 rad each."""
+
+UNITS: Final[Mapping[str, float]] = {"deg": math.pi / 180, "gon": math.pi / 200, "rad": 1.0}
+"""Radians of one unit."""
+ORDERS: Final[Mapping[str, str]] = {
+    "omega_phi_kappa": "xyz",
+    "phi_omega_kappa": "yxz",
+    "kappa_phi_omega": "zyx",
+}
+DIRECTIONS: Final = ("image_to_world", "world_to_image")
+AXES: Final[Mapping[str, tuple[tuple[int, int, int], ...]]] = {
+    "right_up_back": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "right_down_forward": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "up_left_back": ((0, -1, 0), (-1, 0, 0), (0, 0, -1)),
+    "left_down_back": ((-1, 0, 0), (0, 1, 0), (0, 0, -1)),
+    "down_right_back": ((0, 1, 0), (1, 0, 0), (0, 0, -1)),
+}
+"""Directions of the image axes x, y, z in ccs: the columns of ``R_ccs_image``."""
+_PLACE: Final = {"x": 0, "y": 1, "z": 2}
+
+
+# ---------------------------------------------------------------- source
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,9 +147,10 @@ class Finished:
         if odd.any():
             name = self.names[int(np.argmax(odd))]
             raise InputError(
-                f"the rotation of {name} is none", expected="an orthogonal matrix, no reflection",
+                f"the rotation of {name} is none",
+                expected="an orthogonal matrix, no reflection",
                 where=self.where,
-            )  # fmt: skip
+            )
 
     def chosen(self, rows: AnyArray) -> "Finished":
         """Some of the poses, by index."""
@@ -125,10 +158,15 @@ class Finished:
         if angles is not None:
             angles = replace(angles, values=angles.values[rows])
         return replace(
-            self, names=tuple(self.names[i] for i in rows), coordinates=self.coordinates[rows],
-            R_place_ccs=self.R_place_ccs[rows], cov=self.cov[rows], camera=self.camera[rows],
-            n_marks=self.n_marks[rows], angles=angles,
-        )  # fmt: skip
+            self,
+            names=tuple(self.names[i] for i in rows),
+            coordinates=self.coordinates[rows],
+            R_place_ccs=self.R_place_ccs[rows],
+            cov=self.cov[rows],
+            camera=self.camera[rows],
+            n_marks=self.n_marks[rows],
+            angles=angles,
+        )
 
 
 def place_of(text: str | CRS, where: str) -> Place:
@@ -154,9 +192,11 @@ def place_of(text: str | CRS, where: str) -> Place:
     if base.is_geographic:
         return Place(kind="geographic", crs=crs)
     raise InputError(
-        f"the CRS '{crs.name}' has no place on the earth", expected="a grid, or geographic coordinates",
-        where=where, cure="Name the CRS in images.finished.crs",
-    )  # fmt: skip
+        f"the CRS '{crs.name}' has no place on the earth",
+        expected="a grid, or geographic coordinates",
+        where=where,
+        cure="Name the CRS in images.finished.crs",
+    )
 
 
 def orthogonal(R: ArrayF, where: str, names: tuple[str, ...]) -> ArrayF:
@@ -177,3 +217,209 @@ def orthogonal(R: ArrayF, where: str, names: tuple[str, ...]) -> ArrayF:
             f"the rotation of {name} is none", expected="an orthogonal matrix, no reflection", where=where
         )
     return np.asarray(U @ Vt)
+
+
+# ---------------------------------------------------------------- poses in the world frame
+#
+# A map grid is conformal but no world frame: its north differs from true north by the meridian convergence,
+# and its metres are 0.9996 m in the middle of a UTM zone. So each projection centre is transformed by
+# itself, and each rotation is turned by the axes of the grid at that place::
+#
+#     R_wcs_ccs = R_wcs_grid(E, N, h) R_grid_ccs
+#
+# with the tangent of the grid's north line as second column, the normal of the ellipsoid as third. For
+# geographic coordinates the axes are east, north, up of the place itself (`LocalFrame.R_wcs_enu`).
+
+
+def world_axes(coordinates: ArrayF, place: Place, frame: LocalFrame, north: str = "grid") -> ArrayF:
+    """``R_wcs_place`` (n, 3, 3): the axes to which rotations refer at each place.
+
+    Parameters
+    ----------
+    coordinates : (n, 3) as in the file.
+    north : ``true`` if angles given in a map grid refer to true north all the same.
+    """
+    if place.kind in ("world", "free"):
+        return np.tile(np.eye(3), (len(coordinates), 1, 1))
+    crs = place.crs
+    assert crs is not None
+    if place.kind == "geocentric":
+        return np.tile(frame.R_ecef_enu.T, (len(coordinates), 1, 1))
+    if place.kind == "geographic":
+        return frame.R_wcs_enu(coordinates[:, 1], coordinates[:, 0])
+    lat, lon, _ = frame.to_geodetic(frame.from_map(coordinates, crs))
+    level = frame.R_wcs_enu(lat, lon)
+    if north == "true":
+        return level
+    step = np.array([0.0, _STEP_M, 0.0])
+    along = frame.from_map(coordinates + step, crs) - frame.from_map(coordinates - step, crs)
+    up = level[:, :, 2]
+    along -= (along * up).sum(axis=1, keepdims=True) * up
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.stack([np.cross(along, up), along, up], axis=-1)
+
+
+def world_positions(coordinates: ArrayF, place: Place, frame: LocalFrame) -> ArrayF:
+    """Projection centres (n, 3) in wcs.
+
+    Raises
+    ------
+    GeometryError : coordinates outside of the CRS, or a datum other than that of GNSS.
+    """
+    if place.kind in ("world", "free"):
+        return coordinates
+    crs = place.crs
+    assert crs is not None
+    if place.kind == "map":
+        return frame.from_map(coordinates, crs)
+    _check_datum(crs)
+    if place.kind == "geocentric":
+        return frame.from_ecef(coordinates)
+    lon, lat = coordinates[:, 0], coordinates[:, 1]
+    if not ((np.abs(lat) <= 90) & (np.abs(lon) <= 360)).all():
+        k = int(np.argmax((np.abs(lat) > 90) | (np.abs(lon) > 360)))
+        raise GeometryError(
+            f"longitude {lon[k]:.3f}, latitude {lat[k]:.3f}",
+            expected=f"degrees of '{crs.name}'",
+            cure="Check images.finished.crs and the order of the columns: X is the longitude",
+        )
+    return frame.from_geodetic(lat, lon, coordinates[:, 2])
+
+
+def raised(coordinates: ArrayF, place: Place, offset_m: float, frame: LocalFrame) -> ArrayF:
+    """Coordinates with an offset added to their heights."""
+    if not offset_m:
+        return coordinates
+    if place.kind == "geocentric":
+        lat, lon, _ = frame.to_geodetic(frame.from_ecef(coordinates))
+        up = (frame.R_ecef_enu @ frame.R_wcs_enu(lat, lon))[:, :, 2]
+        return np.asarray(coordinates + offset_m * up)
+    return np.asarray(coordinates + np.array([0.0, 0.0, offset_m]))
+
+
+def to_world(
+    source: Finished,
+    frame: LocalFrame,
+    *,
+    north: Literal["grid", "true"] = "grid",
+    height_offset_m: float = 0.0,
+) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Projection centres (n, 3), ``R_wcs_ccs`` (n, 3, 3) and covariances (n, 6, 6) in wcs.
+
+    Covariances keep the NaN of what the file does not state. The scale of a grid leaves them as they are.
+
+    Raises
+    ------
+    GeometryError : coordinates outside of the CRS, or a datum other than that of GNSS.
+    """
+    coordinates = raised(source.coordinates, source.place, height_offset_m, frame)
+    centre = world_positions(coordinates, source.place, frame)
+    axes = world_axes(coordinates, source.place, frame, north if source.angles is not None else "grid")
+    J = np.zeros((len(centre), 6, 6))
+    J[:, :3, :3] = J[:, 3:, 3:] = axes
+    # block by block: a missing rotation must not take the position with it
+    cov = np.full_like(source.cov, np.nan)
+    for part in (slice(0, 3), slice(3, 6)):
+        cov[:, part, part] = axes @ source.cov[:, part, part] @ np.swapaxes(axes, 1, 2)
+    whole = np.isfinite(source.cov).all(axis=(1, 2))
+    cov[whole] = J[whole] @ source.cov[whole] @ np.swapaxes(J[whole], 1, 2)
+    return centre, axes @ source.R_place_ccs, cov
+
+
+def between_frames(
+    source: LocalFrame, target: LocalFrame, centre: ArrayF, R: ArrayF, cov: ArrayF, following: ArrayF
+) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
+    """Poses of one world frame in another one: the origins of two campaigns."""
+    turn = target.R_ecef_enu.T @ source.R_ecef_enu
+    ecef = centre @ source.R_ecef_enu.T + source.origin_ecef_m
+    J = np.zeros((6, 6))
+    J[:3, :3] = J[3:, 3:] = turn
+    return target.from_ecef(ecef), turn @ R, J @ cov @ J.T, J @ following @ J.T
+
+
+def _check_datum(crs: CRS) -> None:
+    """As `LocalFrame.from_map` does for grids."""
+    ellipsoid = crs.ellipsoid
+    if ellipsoid is None or abs(ellipsoid.semi_major_metre - GRS80_SEMI_MAJOR_M) > 0.5:
+        raise GeometryError(
+            f"'{crs.name}' is on the ellipsoid {ellipsoid.name if ellipsoid else 'unknown'}, another datum "
+            "than that of GNSS positions",
+            expected="coordinates on GRS80 or WGS84",
+            cure="Export in WGS84 or ETRS89",
+        )
+
+
+# ---------------------------------------------------------------- angles as rotations: orders, directions,
+# image axes, units
+#
+# In aerial photogrammetry, in Metashape, Pix4D and DBAT (``omega_phi_kappa``, ``image_to_world``,
+# ``right_up_back``) the image axes are x to the right, y up, z backwards, against the view, and::
+#
+#     R_world_image = R_x(omega) R_y(phi) R_z(kappa)
+#     R_world_ccs = R_world_image diag(1, -1, -1)
+#
+# ``phi_omega_kappa`` is ``R_y(phi) R_x(omega) R_z(kappa)``, ``kappa_phi_omega`` is
+# ``R_z(kappa) R_y(phi) R_x(omega)``; with ``world_to_image`` the product is the transposed matrix.
+
+
+def turns(axis: str, angle_rad: ArrayF) -> ArrayF:
+    """Rotations (n, 3, 3) about one axis, as `thalweg.core.frames.rotation_x` and its sisters."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    k = _PLACE[axis]
+    i, j = (k + 1) % 3, (k + 2) % 3
+    R = np.zeros((len(angle_rad), 3, 3))
+    R[:, k, k] = 1.0
+    R[:, i, i] = R[:, j, j] = c
+    R[:, i, j], R[:, j, i] = -s, s
+    return R
+
+
+def image_rotations(angles: Angles) -> ArrayF:
+    """``R_place_image`` (n, 3, 3) of the angles, in the file's own image axes."""
+    order = ORDERS[angles.rotation]
+    rad = angles.values * UNITS[angles.unit]
+    first, second, third = (turns(a, rad[:, _PLACE[a]]) for a in order)
+    R = first @ second @ third
+    return np.asarray(np.swapaxes(R, 1, 2) if angles.direction == "world_to_image" else R)
+
+
+def ccs_rotations(angles: Angles) -> ArrayF:
+    """``R_place_ccs`` (n, 3, 3) of the angles."""
+    R_ccs_image = np.array(AXES[angles.axes], np.float64).T
+    return np.asarray(image_rotations(angles) @ R_ccs_image.T)
+
+
+def angle_covariance(angles: Angles, sigma: ArrayF) -> ArrayF:
+    """Covariance (n, 3, 3) of the rotation vector in the file's frame, of sigmas (n, 3) of the angles."""
+    order = ORDERS[angles.rotation]
+    rad = angles.values * UNITS[angles.unit]
+    before = np.tile(np.eye(3), (len(rad), 1, 1))
+    axes = np.zeros((len(rad), 3, 3))
+    for name in order:
+        k = _PLACE[name]
+        axes[:, :, k] = before[:, :, k]
+        before = before @ turns(name, rad[:, k])
+    if angles.direction == "world_to_image":
+        # d(M^T) = -[M^T v]x M^T
+        axes = -np.swapaxes(before, 1, 2) @ axes
+    J = axes * (sigma * UNITS[angles.unit])[:, None, :]
+    return np.asarray(J @ np.swapaxes(J, 1, 2))
+
+
+def conventions(angles: Angles) -> Iterator[Angles]:
+    """All usual readings of the same numbers, those first that differ least from the one at hand."""
+    found = [
+        Angles(values=angles.values, unit=unit, rotation=rotation, direction=direction, axes=axes)
+        for unit, rotation, direction, axes in product(UNITS, ORDERS, DIRECTIONS, AXES)
+    ]
+    yield from sorted(found, key=lambda other: len(changes(angles, other)))
+
+
+def changes(one: Angles, other: Angles) -> list[str]:
+    """Settings by which two readings differ, as they stand in the campaign file."""
+    names = {"unit": "angle_unit", "rotation": "rotation", "direction": "direction", "axes": "axes"}
+    return [
+        f"{setting}: {getattr(other, name)}"
+        for name, setting in names.items()
+        if getattr(one, name) != getattr(other, name)
+    ]

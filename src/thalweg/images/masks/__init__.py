@@ -1,1 +1,5 @@
 """Masks of water, sky and the own boat, learnt from each campaign."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,6 +5,7 @@ wants it. Masks that the user made win over those found here.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,18 +14,19 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayU8
-from thalweg.images.masks.features import read_reduced
-from thalweg.images.masks.series import Horizons, SeriesModel, learn_series
-from thalweg.images.masks.settings import LAND, PARTS, MaskSettings
-from thalweg.images.model.files import check_flat_masks, find_mask, named_once
-from thalweg.images.model.poses import ImagePoses
-from thalweg.ingest.photos.files import Images
+from thalweg.calibration import read_camera
+from thalweg.core import ArrayU8, Camera, InputError
+from thalweg.images.masks.learning import LAND, PARTS, read_reduced
+from thalweg.images.masks.series import ASPECT, Horizons, SeriesModel, learn_series
+from thalweg.images.model import ImagePoses, cameras_of, check_flat_masks, find_mask, named_once
+from thalweg.ingest.photos import Images
+from thalweg.settings.sections import MaskSettings
 
 COLUMNS: Final = ("image", "usable_share", "water_share", "sky_share", "hull_share", "source", "note")
 """Columns of the table of masks; shares of masks that the user made are unknown but for the usable one."""
+
+
+# ---------------------------------------------------------------- masks of images
 
 
 def make_masks(
@@ -35,7 +37,7 @@ def make_masks(
     *,
     camera: Camera | None = None,
     supplied: Path | None = None,
-    automatic: bool = True,
+    seed: int = 0,
 ) -> pd.DataFrame:
     """Mask a series of images.
 
@@ -48,7 +50,7 @@ def make_masks(
         texture and mirroring alone.
     camera : interior orientation that goes with the poses.
     supplied : folder of masks that win over those found here.
-    automatic : false: images without a supplied mask stay unmasked.
+    seed : for the choice of sample pixels.
 
     Returns
     -------
@@ -65,7 +67,7 @@ def make_masks(
     own, problems = _supplied_masks(ordered, supplied)
     rest = {name: path for name, path in ordered.items() if name not in own}
     notes: list[str] = []
-    model = learn_series(rest, use, Horizons.of(poses, camera, use)) if rest and automatic else None
+    model = learn_series(rest, use, Horizons.of(poses, camera, use), seed) if rest and use.automatic else None
     if model is not None:
         notes += model.notes
     if supplied is not None:
@@ -192,3 +194,99 @@ def write_mask(path: Path, mask: ArrayU8) -> None:
     """Write a mask (h, w) as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(cv2.imencode(".png", mask)[1].tobytes())
+
+
+# ---------------------------------------------------------------- several cameras: each has its own fixed
+# places
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownCameras:
+    """Approximate ``poses`` of images, and interior orientations: the common one and those ``of_folder``."""
+
+    poses: ImagePoses | None = None
+    camera: Camera | None = None
+    of_folder: Mapping[str, Camera] = field(default_factory=dict)
+
+
+def known_camera(
+    camera: Sequence[Path], predictions: Sequence[Path], interiors: Mapping[str, Path]
+) -> KnownCameras:
+    """From the files of a campaign; a pose says where the horizon is only together with a camera."""
+    if not predictions:
+        return KnownCameras()
+    return KnownCameras(
+        poses=ImagePoses.read(predictions[0]),
+        camera=read_camera(camera[0]) if camera else None,
+        of_folder={folder: read_camera(path) for folder, path in interiors.items()},
+    )
+
+
+def make_masks_of_cameras(
+    images: Mapping[str, Path],
+    out_dir: Path,
+    settings: MaskSettings,
+    known: KnownCameras,
+    *,
+    by: str = "auto",
+    supplied: Path | None = None,
+    **options: Any,
+) -> pd.DataFrame:
+    """Mask the images of each camera by themselves, as of `make_masks`.
+
+    Parameters
+    ----------
+    images : photographs by name.
+    by : how cameras are told apart, see `cameras_of`.
+    supplied : folder of masks for images of any of the cameras.
+
+    Raises
+    ------
+    InputError : as of `make_masks`; masks are supplied, but for none of the images.
+    """
+    groups = cameras_of(images, by, tuple(known.of_folder))
+    if supplied is not None and len(groups) > 1:
+        check_flat_masks(list(images), supplied)
+    tables, notes = [], []
+    for group in groups:
+        own = {name: images[name] for name in group.images}
+        camera, poses = known.of_folder[group.folder] if group.folder else known.camera, known.poses
+        if len(groups) > 1 and not _usable(own, camera, poses):
+            camera, poses = None, None
+        found = supplied is not None and any(find_mask(name, supplied) for name in own)
+        table = make_masks(
+            own,
+            out_dir,
+            settings,
+            poses if camera is not None else None,
+            camera=camera,
+            supplied=supplied if found or len(groups) == 1 else None,
+            **options,
+        )
+        tables.append(table)
+        notes += [note if len(groups) == 1 else f"{group.name}: {note}" for note in table.attrs["notes"]]
+        if supplied is not None and not found and len(groups) > 1:
+            notes.append(f"{group.name}: none of its {len(own)} images has a supplied mask")
+    if supplied is not None and not any((table["source"] == "supplied").any() for table in tables):
+        raise InputError(
+            f"no usable mask for any of {len(images)} images",
+            expected=f"files as {next(iter(images))}.png of the images' size",
+            where=supplied,
+        )
+    out = pd.concat(tables, ignore_index=True) if len(tables) > 1 else tables[0]
+    out.attrs["notes"] = notes
+    return out
+
+
+def _usable(images: Mapping[str, Path], camera: Camera | None, poses: ImagePoses | None) -> bool:
+    """Whether poses are those of a camera's images, and the camera has the proportions of one of them."""
+    if camera is None or poses is None:
+        return False
+    placed = {name for name, oriented in zip(poses.images, poses.oriented, strict=True) if oriented}
+    if placed.isdisjoint(images):
+        return False
+    size = next((size for path in images.values() if (size := size_of(path)) is not None), None)
+    if size is None:
+        return False
+    (w, h), (a, b) = camera.size_px, size
+    return abs(w * b - a * h) <= ASPECT * w * b

@@ -1,4 +1,4 @@
-"""Colours and textures of water, sky and land of one series, learned from the series itself.
+"""Water, sky and land of one series by colour and texture, learned from the series itself.
 
 At the begin only geometry speaks: each image mirrors about some level (`mask_mirror`), land and sky lie above
 it, and well below it there is water; what is smooth and reaches the image's upper border is sky. A model of
@@ -8,94 +8,26 @@ labels, and the next model learns from them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from pathlib import Path
+from typing import Final, Self
 
 import cv2
-import numba as nb
 import numpy as np
+from scipy.optimize import minimize
 
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI
-from thalweg.images.masks.model import PixelModel
-from thalweg.images.masks.settings import LAND, SKY, WATER
-
-# ---------------------------------------------------------------- the line between land and water: one row
-# per column, the best path through an image
-#
-# What a path costs is the sum, over all pixels, of how unlikely water is below it and land or sky above it
-# (the region's, not only the edge's evidence), a price on its bends, and what is known beforehand about where
-# it lies. Dynamic programming finds the best of all paths.
-
-
-_MOST: Final = 1.0
-"""Evidence of one pixel counts up to this much: neighbours err alike."""
-
-STEEPEST: Final = 3
-"""Rows that a line may climb from one column to the next."""
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _best_path(cost, bend, steepest):  # type: ignore[no-untyped-def]
-    """Row in each column of the path of least cost (rows, columns) plus ``bend`` times squared steps."""
-    n, m = cost.shape
-    back = np.zeros((m, n), np.int8)
-    now, last = np.empty(n), cost[:, 0].astype(np.float64)
-    for x in range(1, m):
-        for r in range(n):
-            best, at = np.inf, 0
-            for d in range(-steepest, steepest + 1):
-                k = r + d
-                if k < 0 or k >= n:
-                    continue
-                c = last[k] + bend * d * d
-                if c < best:
-                    best, at = c, d
-            now[r] = best + cost[r, x]
-            back[x, r] = at
-        for r in range(n):
-            last[r] = now[r]
-    rows = np.empty(m, np.int64)
-    at_row = np.argmin(last)
-    for x in range(m - 1, -1, -1):
-        rows[x] = at_row
-        at_row += back[x, at_row]
-    return rows
-
-
-def water_line(log_ratio: ArrayF32, prior: ArrayF32, *, bend: float) -> ArrayI:
-    """First row of water in each column; the number of rows where a column has no water.
-
-    Parameters
-    ----------
-    log_ratio : (h, w) logarithm of the probability of water over that of anything else; 0: no evidence.
-    prior : (h + 1, w) cost of a line above row r, in the same unit.
-    bend : price of a step of one row, in the same unit; two rows cost four times as much.
-    """
-    h = len(log_ratio)
-    cost = prior.astype(np.float32, copy=True)
-    # A pixel of water above the line is as wrong as one of land below it.
-    cost[1:] += np.cumsum(np.clip(log_ratio, -_MOST, _MOST), axis=0)
-    rows = _best_path(cost, bend, STEEPEST)
-    return np.minimum(rows, h)
-
-
-# ---------------------------------------------------------------- learning
-
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError, njit
 
 SAMPLES: Final = 2000
 """Pixels of each part a model learns from."""
-
 WATER_BEGIN: Final = 0.06
 """Seeds of water lie so far below the mirror level, share of the image's height."""
-
 _BEND: Final = 20.0
 _EDGE: Final = 12.0
 _MIRROR: Final = 15.0
 """Prices along the water line in units of a pixel's evidence: a step of a row, a shore's looks, mirroring."""
-
 _BELOW_LEVEL: Final = 0.02
 _LEVEL_SPREAD: Final = 0.025
 """The line lies so far below the mirror level, shares of the image's height: mean and standard deviation."""
-
 _MOST_PRIOR: Final = 40.0
 _LEAST_SPREAD_DEG: Final = 2.0
 _ROUNDS: Final = 3
@@ -104,9 +36,114 @@ _MOST_LOSS: Final = 0.5
 """Mean negative logarithm of the right part's probability: 0.1 to 0.2 where parts differ, 1 by chance."""
 _TEXTURE, _BLUE, _BRIGHT = 3, 6, 8
 """Places of the features that begin the sky, in `mask_features.COARSE`."""
-
 _SKY_DIFFERS: Final = 1.0
 """Sky must be bluer or brighter than land by so many standard deviations, else the series shows none."""
+_MOST: Final = 1.0
+"""Evidence of one pixel counts up to this much: neighbours err alike."""
+STEEPEST: Final = 3
+"""Rows that a line may climb from one column to the next."""
+
+_STEPS: Final = 60
+_SHRINKAGE: Final = 1e-3
+"""Weight of the squares of the coefficients: keeps the probabilities modest where classes do not overlap."""
+_FAR: Final = 3.0
+"""Features count up to so many standard deviations: beyond, their squares would rule."""
+
+COARSE: Final = (
+    "brightness",
+    "blue",
+    "red",
+    "fine_texture",
+    "texture",
+    "lying",
+    "mean_blue",
+    "mean_red",
+    "mean_brightness",
+)
+"""Features for the water line. `lying`: how much more a pattern changes downwards than sideways."""
+FINE: Final = ("brightness", "blue", "red", "spread", "mean_blue", "mean_brightness", "mean_spread")
+"""Features that tell sky from land. The first three are the pixel's own colour."""
+_DARK: Final = 6.0
+"""Added to grey values of 8 bits before the logarithm: noise of dark pixels would make colours of its own."""
+_LEAST_GRADIENT: Final = 1e-4
+_LEAST_STEP: Final = 1e-3
+_MOST_STEP: Final = 3.0
+_STEP_SHARE: Final = 0.02
+_FINE_SHARE: Final = 0.012
+_COARSE_SHARE: Final = 0.035
+"""Sides of the windows, as shares of the image's height."""
+
+SKY: Final = 0
+WATER: Final = 1
+LAND: Final = 2
+HULL: Final = 3
+"""Codes of label pictures; only land is usable."""
+PARTS: Final[dict[str, int]] = {"sky": SKY, "water": WATER, "land": LAND, "hull": HULL}
+
+
+@dataclass(frozen=True, slots=True)
+class PixelModel:
+    """Coefficients of a regression.
+
+    Parameters
+    ----------
+    mean, scale : (f,) of the features.
+    weights : (p, classes) coefficients of 1, the features, and their products.
+    products : whether products of features count as well; without them more of a feature never means less.
+    loss : mean negative logarithm of the probability of the right class, classes weighing alike.
+    """
+
+    mean: ArrayF32
+    scale: ArrayF32
+    weights: ArrayF32
+    loss: float
+    products: bool = True
+
+    @classmethod
+    def learn(
+        cls,
+        features: ArrayF32,
+        part: ArrayI,
+        classes: int,
+        start: "PixelModel | None" = None,
+        products: bool = True,
+    ) -> Self:
+        """Fit by L-BFGS; all classes weigh alike, however many pixels they have.
+
+        Parameters
+        ----------
+        features : (n, f) of sample pixels.
+        part : (n,) their classes, from 0.
+        classes : number of classes; one without samples gets no probability.
+        start : an earlier model of the same features; keeps its scales.
+        """
+        mean = features.mean(axis=0) if start is None else start.mean
+        scale = features.std(axis=0) + np.float32(1e-6) if start is None else start.scale
+        x = _products(features, mean, scale, products)
+        n = np.bincount(part, minlength=classes).astype(np.float64)
+        weight = (1.0 / (np.maximum(n, 1) * max(int((n > 0).sum()), 1)))[part].astype(np.float32)[:, None]
+        target = np.eye(classes, dtype=np.float32)[part]
+
+        def cost(flat: ArrayF) -> tuple[float, ArrayF]:
+            """Value and gradient of the loss at flat weights."""
+            w = flat.reshape(-1, classes).astype(np.float32)
+            p = np.exp(_log_shares(x @ w))
+            loss = -float((weight * np.log(np.maximum((p * target).sum(axis=1, keepdims=True), 1e-12))).sum())
+            slope = x.T @ ((p - target) * weight) + 2 * _SHRINKAGE * w
+            return loss + _SHRINKAGE * float((w * w).sum()), slope.astype(np.float64).ravel()
+
+        first = np.zeros((x.shape[1], classes)) if start is None else start.weights.astype(np.float64)
+        found = minimize(cost, first.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": _STEPS})
+        return cls(mean, scale, found.x.reshape(-1, classes).astype(np.float32), float(found.fun), products)
+
+    def log_probability(self, features: ArrayF32) -> ArrayF32:
+        """Logarithms (..., classes) of the probabilities at features (..., f)."""
+        flat = features.reshape(-1, features.shape[-1])
+        out = _log_shares(_products(flat, self.mean, self.scale, self.products) @ self.weights)
+        return out.reshape(*features.shape[:-1], self.weights.shape[1])
+
+
+# ---------------------------------------------------------------- learning
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,9 +196,7 @@ def learn_scenery(samples: Sequence[Sample], hull: ArrayB, rng: np.random.Genera
     _without_false_sky(samples, parts)
     levels = np.concatenate([line_angle(_whole(s.level), s.below_deg) for s in samples])
     scenery = Scenery(
-        model=_model(samples, parts, rng, None),
-        line_deg=float(np.nanmedian(levels)) + 2.0,
-        spread_deg=5.0,
+        model=_model(samples, parts, rng, None), line_deg=float(np.nanmedian(levels)) + 2.0, spread_deg=5.0
     )
     for _ in range(_ROUNDS):
         scenery = _refined(samples, hull, scenery, rng)
@@ -300,3 +335,216 @@ def labelled(log_p: ArrayF32, rows: ArrayI, hull: ArrayB) -> AnyArray:
     part[np.arange(h)[:, None] >= rows[None]] = WATER
     part[hull] = -1
     return part
+
+
+# ---------------------------------------------------------------- the line between land and water: one row
+# per column, the best path through an image
+#
+# What a path costs is the sum, over all pixels, of how unlikely water is below it and land or sky above it
+# (the region's, not only the edge's evidence), a price on its bends, and what is known beforehand about where
+# it lies. Dynamic programming finds the best of all paths.
+
+
+@njit(cache=True, error_model="numpy")
+def _best_path(cost, bend, steepest):  # type: ignore[no-untyped-def]
+    """Row in each column of the path of least cost (rows, columns) plus ``bend`` times squared steps."""
+    n, m = cost.shape
+    back = np.zeros((m, n), np.int8)
+    now, last = np.empty(n), cost[:, 0].astype(np.float64)
+    for x in range(1, m):
+        for r in range(n):
+            best, at = np.inf, 0
+            for d in range(-steepest, steepest + 1):
+                k = r + d
+                if k < 0 or k >= n:
+                    continue
+                c = last[k] + bend * d * d
+                if c < best:
+                    best, at = c, d
+            now[r] = best + cost[r, x]
+            back[x, r] = at
+        for r in range(n):
+            last[r] = now[r]
+    rows = np.empty(m, np.int64)
+    at_row = np.argmin(last)
+    for x in range(m - 1, -1, -1):
+        rows[x] = at_row
+        at_row += back[x, at_row]
+    return rows
+
+
+def water_line(log_ratio: ArrayF32, prior: ArrayF32, *, bend: float) -> ArrayI:
+    """First row of water in each column; the number of rows where a column has no water.
+
+    Parameters
+    ----------
+    log_ratio : (h, w) logarithm of the probability of water over that of anything else; 0: no evidence.
+    prior : (h + 1, w) cost of a line above row r, in the same unit.
+    bend : price of a step of one row, in the same unit; two rows cost four times as much.
+    """
+    h = len(log_ratio)
+    cost = prior.astype(np.float32, copy=True)
+    # A pixel of water above the line is as wrong as one of land below it.
+    cost[1:] += np.cumsum(np.clip(log_ratio, -_MOST, _MOST), axis=0)
+    rows = _best_path(cost, bend, STEEPEST)
+    return np.minimum(rows, h)
+
+
+# ---------------------------------------------------------------- logistic regression on features and their
+# products
+#
+# Learned anew from each series; nothing is known beforehand about the colour of a river or a sky.
+
+
+def _products(features: ArrayF32, mean: ArrayF32, scale: ArrayF32, products: bool) -> ArrayF32:
+    """1, the standardised features, and their products, (n, p)."""
+    z = np.clip((features - mean) / scale, -_FAR, _FAR).T
+    f = len(z)
+    out = np.empty((1 + f + (f * (f + 1) // 2 if products else 0), z.shape[1]), dtype=np.float32)
+    out[0], out[1 : 1 + f] = 1.0, z
+    at = 1 + f
+    for i in range(f if products else 0):
+        np.multiply(z[i], z[i:], out=out[at : at + f - i])
+        at += f - i
+    return out.T
+
+
+def _log_shares(scores: AnyArray) -> ArrayF32:
+    z = scores - scores.max(axis=1, keepdims=True)
+    return np.asarray(z - np.log(np.exp(z).sum(axis=1, keepdims=True)))
+
+
+# ---------------------------------------------------------------- features of each pixel of a reduced image
+#
+# All values are logarithms of ratios or relative to the image itself, so that exposure and white balance
+# change them little.
+
+
+def read_reduced(path: Path, longest_px: int) -> tuple[ArrayU8, tuple[int, int]]:
+    """An image with its longest side reduced to ``longest_px``, and its true width and height.
+
+    Pixels stay as they are stored: a rotation noted in EXIF is not applied.
+
+    Parameters
+    ----------
+    path : JPEG, PNG or TIFF.
+    longest_px : a smaller image is not enlarged.
+
+    Returns
+    -------
+    image : (h, w, 3) blue, green, red.
+    size_px : width and height of the file's image.
+
+    Raises
+    ------
+    InputError : the file is missing or no picture.
+    """
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        data = np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise InputError(f"the image cannot be read ({error.strerror})", where=path) from error
+    image = cv2.imdecode(data, flags) if data.size else None
+    if image is None:
+        raise InputError("no picture", expected="JPEG, PNG or TIFF", where=path, cure="Copy the file again")
+    h, w = image.shape[:2]
+    return scaled_to(image, longest_px), (w, h)
+
+
+def scaled_to(image: ArrayU8, longest_px: int) -> ArrayU8:
+    """An image (h, w[, 3]) with its longest side reduced to so many pixels; smaller ones stay."""
+    h, w = image.shape[:2]
+    scale = longest_px / max(h, w)
+    if scale >= 1:
+        return image
+    size = max(round(w * scale), 8), max(round(h * scale), 8)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _logarithms(image: ArrayU8) -> tuple[ArrayF32, ArrayF32, ArrayF32]:
+    """Brightness relative to the image's median, blue and red against green; each (h, w)."""
+    light = np.log(np.arange(256, dtype=np.float32) + np.float32(_DARK))[image]
+    bright = cv2.transform(light, np.full((1, 3), 1 / 3, dtype=np.float32))
+    green = light[..., 1]
+    return bright - np.median(bright[::3, ::3]), light[..., 0] - green, light[..., 2] - green
+
+
+def _mean(values: AnyArray, size: tuple[int, int]) -> ArrayF32:
+    return np.asarray(cv2.blur(values, size, borderType=cv2.BORDER_REFLECT_101))
+
+
+def coarse_features(image: ArrayU8) -> ArrayF32:
+    """Features (h, w, `COARSE`) of an image (h, w, 3)."""
+    bright, blue, red = _logarithms(image)
+    h = image.shape[0]
+    fine, coarse = max(3, int(h * _FINE_SHARE) | 1), max(5, int(h * _COARSE_SHARE) | 1)
+    across = (cv2.Sobel(bright, cv2.CV_32F, 1, 0, ksize=3) / 8) ** 2
+    down = (cv2.Sobel(bright, cv2.CV_32F, 0, 1, ksize=3) / 8) ** 2
+    # Water lies: windows are wide rather than high, so that they see little beyond its line.
+    wide = (2 * coarse + 1, coarse)
+    mean_across, mean_down = _mean(across, wide), _mean(down, wide)
+    square = (coarse, coarse)
+    return np.stack(
+        [
+            bright,
+            blue,
+            red,
+            np.log(_mean(across + down, (fine, fine)) + _LEAST_GRADIENT),
+            np.log(mean_across + mean_down + _LEAST_GRADIENT),
+            np.log((mean_down + _LEAST_GRADIENT) / (mean_across + _LEAST_GRADIENT)),
+            _mean(blue, square),
+            _mean(red, square),
+            _mean(bright, square),
+        ],
+        axis=-1,
+    )
+
+
+def fine_features(image: ArrayU8) -> ArrayF32:
+    """Features (h, w, `FINE`) of an image (h, w, 3)."""
+    bright, blue, red = _logarithms(image)
+    wide = max(5, int(image.shape[0] * _FINE_SHARE) | 1)
+    near = _mean(bright, (3, 3))
+    spread = np.maximum(_mean(bright * bright, (3, 3)) - near * near, 0)
+    return np.stack(
+        [
+            bright,
+            blue,
+            red,
+            np.log(spread + _LEAST_GRADIENT),
+            _mean(blue, (wide, wide)),
+            _mean(bright, (wide, wide)),
+            np.log(_mean(spread, (wide, wide)) + _LEAST_GRADIENT),
+        ],
+        axis=-1,
+    )
+
+
+def shore_edges(image: ArrayU8) -> ArrayF32:
+    """How much a line above each row (h, w) looks like the edge of water, between -1 and 3 or so.
+
+    What is reflected has less fine contrast than what stands above it, and the edge itself, a long level
+    line, lies above the line and not below.
+    """
+    bright, _, _ = _logarithms(image)
+    rows = max(2, round(_STEP_SHARE * image.shape[0]))
+    across = cv2.blur((cv2.Sobel(bright, cv2.CV_32F, 1, 0, ksize=3)) ** 2, (15, 1))
+    down = cv2.blur((cv2.Sobel(bright, cv2.CV_32F, 0, 1, ksize=3)) ** 2, (15, 1))
+    across, down = np.log(across + _LEAST_STEP), np.log(down + _LEAST_STEP)
+    texture = 0.5 * _step(across + down, rows)
+    lying = _step(down - across, rows)
+    return np.clip(texture + lying, -_MOST_STEP, _MOST_STEP)
+
+
+def _step(values: ArrayF32, rows: int) -> ArrayF32:
+    """Mean of the rows above a row minus that of the rows from it on."""
+    h = values.shape[0]
+    total = np.zeros((h + 1, values.shape[1]), dtype=np.float32)
+    np.cumsum(values, axis=0, out=total[1:])
+    y = np.arange(h)
+    top, bottom = np.maximum(y - rows, 0), np.minimum(y + rows, h)
+    above = (total[y] - total[top]) / np.maximum(y - top, 1)[:, None]
+    below = (total[bottom] - total[y]) / (bottom - y)[:, None]
+    out = above - below
+    out[0] = 0.0
+    return np.asarray(out, dtype=np.float32)

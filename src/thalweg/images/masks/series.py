@@ -6,23 +6,29 @@ from pathlib import Path
 from typing import Final
 
 import cv2
-import numba as nb
 import numpy as np
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8
-from thalweg.images.masks.features import (
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, Camera, InputError, njit
+from thalweg.images.masks.learning import (
+    HULL,
+    LAND,
+    SKY,
+    WATER,
+    PixelModel,
+    Sample,
+    Scenery,
     coarse_features,
     fine_features,
+    labelled,
+    learn_scenery,
+    line_of,
+    reaches_top,
     read_reduced,
     scaled_to,
     shore_edges,
 )
-from thalweg.images.masks.learning import Sample, Scenery, labelled, learn_scenery, line_of, reaches_top
-from thalweg.images.masks.model import PixelModel
-from thalweg.images.masks.settings import HULL, LAND, SKY, WATER, MaskSettings
-from thalweg.images.model.poses import ImagePoses
+from thalweg.images.model import ImagePoses
+from thalweg.settings.sections import MaskSettings
 
 # ---------------------------------------------------------------- sky or land, pixel by pixel: what shows
 # between leaves is sky, the leaves are land
@@ -327,7 +333,7 @@ _BRIGHTNESS: Final = 0.3
 _EDGE_SHARE: Final = 0.06
 
 
-@nb.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _agreement(values, reach, flat, out):  # type: ignore[no-untyped-def]
     """Correlation (h + 1, w) of the rows above each level with the mirrored rows below; values (h, w, c)."""
     h, w, c = values.shape
@@ -369,9 +375,10 @@ def mirror_level(
     """
     h, w = hull.shape
     light = np.log(image.astype(np.float32) + 6.0)
-    values = np.stack([
-        light[..., 0] - light[..., 1], light[..., 2] - light[..., 1], _BRIGHTNESS * light.mean(axis=2)
-    ], axis=-1)  # fmt: skip
+    values = np.stack(
+        [light[..., 0] - light[..., 1], light[..., 2] - light[..., 1], _BRIGHTNESS * light.mean(axis=2)],
+        axis=-1,
+    )
     values = cv2.blur(values, (9, 3))
     values[hull] = 0.0
     first = _EVERY // 2
@@ -490,9 +497,7 @@ class Horizons:
         variance = np.nan_to_num(np.trace(poses.cov_pose_wcs[known, 3:, 3:], axis1=1, axis2=2) / 3)
         sigma = max(float(np.rad2deg(np.sqrt(np.median(variance)))), settings.pose_sigma_deg)
         return cls(
-            camera=camera,
-            R_wcs_ccs={poses.images[k]: poses.R_wcs_ccs[k] for k in known},
-            sigma_deg=sigma,
+            camera=camera, R_wcs_ccs={poses.images[k]: poses.R_wcs_ccs[k] for k in known}, sigma_deg=sigma
         )
 
     def below_deg(self, name: str, size_px: tuple[int, int]) -> ArrayF32:
@@ -579,7 +584,9 @@ class SeriesModel:
         return np.interp(at, np.arange(cw), np.where(rows >= ch, 2 * ch, rows)) * h / ch
 
 
-def learn_series(images: Mapping[str, Path], settings: MaskSettings, horizons: Horizons) -> SeriesModel:
+def learn_series(
+    images: Mapping[str, Path], settings: MaskSettings, horizons: Horizons, seed: int = 0
+) -> SeriesModel:
     """Learn hull, water, sky and land from images spread over a series.
 
     Parameters
@@ -587,20 +594,23 @@ def learn_series(images: Mapping[str, Path], settings: MaskSettings, horizons: H
     images : by name, in order; those that cannot be read are passed over.
     settings : how they are masked.
     horizons : what is known of the horizon.
+    seed : for the choice of sample pixels.
 
     Raises
     ------
     InputError : no image can be read, or the camera has not their proportions.
     """
-    rng = np.random.default_rng(settings.seed)
+    rng = np.random.default_rng(seed)
     chosen = np.unique(np.linspace(0, len(images) - 1, min(settings.sample_images, len(images))).astype(int))
     every = list(images.items())
     read = _readable([every[k] for k in chosen], settings) or _readable(every, settings)
     if not read:
         raise InputError(
-            f"none of {len(images)} images can be read", expected="JPEG, PNG or TIFF",
-            where=every[0][1].parent, cure="Copy the files again",
-        )  # fmt: skip
+            f"none of {len(images)} images can be read",
+            expected="JPEG, PNG or TIFF",
+            where=every[0][1].parent,
+            cure="Copy the files again",
+        )
     sizes = [size for _, _, size in read]
     size = max(sorted(set(sizes)), key=sizes.count)
     _check_proportions(horizons.camera, size)
@@ -621,9 +631,14 @@ def learn_series(images: Mapping[str, Path], settings: MaskSettings, horizons: H
         if sky is None:
             notes.append("no sky found in the series")
     return SeriesModel(
-        scenery=scenery, sky=sky, hull=hull, size_px=size, horizons=horizons, settings=settings,
+        scenery=scenery,
+        sky=sky,
+        hull=hull,
+        size_px=size,
+        horizons=horizons,
+        settings=settings,
         notes=tuple(notes),
-    )  # fmt: skip
+    )
 
 
 def _readable(

@@ -1,1 +1,5 @@
 """What the steps hand on: blocks of image points, poses, control points, cameras."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,34 +1,39 @@
-"""Images before their features are looked for: readable, sharp, how much of them is usable, doubled or not.
+"""The images of a campaign before their features are looked for: files, cameras, names.
 
 Pixels are those of the stored raster: a rotation noted in EXIF is not applied, because the interior
 orientation belongs to the sensor.
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import laplace
 
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayB
-from thalweg.ingest.photos.files import Images, named_images
+from thalweg.core import ArrayB, ArrayI, InputError
+from thalweg.ingest.photos import ImageHead, Images, named_images, read_head
 
 Grey = NDArray[np.uint8]
-
 LEAST_SHARE: Final = 0.005
 """Share of usable pixels below which an image counts as wholly masked."""
-
 CAUSES: Final = ("unreadable", "mask", "masked", "featureless", "double", "size")
 """Kinds of problems: the file, the mask's file, all masked, too few features, same bytes, other size."""
-
 _SHAPE: Final = 0.01
 """Sides of a mask and of its image may differ by this share after scaling."""
+
+KINDS: Final = ("auto", "folder", "exif", "size")
+_CAMERAS_NAMED: Final = 4
+
+_NAMES_SHOWN: Final = 3
+
+
+# ---------------------------------------------------------------- readable, sharp, usable, doubled or not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,9 +93,11 @@ def mask_folder(paths: Sequence[Path]) -> Path | None:
     folders = list(dict.fromkeys(path.parent if path.is_file() else path for path in paths))
     if len(folders) > 1:
         raise InputError(
-            f"masks in {len(folders)} folders", where=folders[1], expected=f"all of them in {folders[0]}",
+            f"masks in {len(folders)} folders",
+            where=folders[1],
+            expected=f"all of them in {folders[0]}",
             cure="Put the masks of all images into one folder, or name the folder above them",
-        )  # fmt: skip
+        )
     if folders and not folders[0].is_dir():
         raise InputError("folder not found", expected="masks named <image>.png", where=folders[0])
     return folders[0] if folders else None
@@ -179,12 +186,7 @@ def inspect(
     contrast = float(values[inside].std())
     sharpness = float(laplace(values)[inside].std()) / contrast if contrast > 0 else 0.0
     picture = Picture(
-        name=name,
-        size_px=size_px,
-        sha256=sha256,
-        usable_share=share,
-        contrast=contrast,
-        sharpness=sharpness,
+        name=name, size_px=size_px, sha256=sha256, usable_share=share, contrast=contrast, sharpness=sharpness
     )
     return picture, grey, usable
 
@@ -233,3 +235,198 @@ def _read_grey(path: Path, max_size_px: int) -> tuple[Grey, tuple[int, int]]:
         small = (max(1, round(size[0] * factor)), max(1, round(size[1] * factor)))
         picture = picture.resize(small, Image.Resampling.BOX)
     return np.asarray(picture), size
+
+
+# ---------------------------------------------------------------- which images one camera took
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageCamera:
+    """A camera: ``name`` for tables, its ``images`` in natural order, and the ``folder`` whose interior
+    orientation is given, empty if that is the common one or none.
+    """
+
+    name: str
+    images: tuple[str, ...]
+    folder: str = ""
+
+
+def below(image: str, folder: str) -> bool:
+    """Whether an image lies in a folder or below it; both as named from the common folder."""
+    return PurePosixPath(folder) in PurePosixPath(image).parents
+
+
+def cameras_of(
+    images: Mapping[str, Path], by: str = "auto", folders: Sequence[str] = ()
+) -> tuple[ImageCamera, ...]:
+    """Cameras of images, in the order of their first image.
+
+    Parameters
+    ----------
+    images : photographs by name, in natural order.
+    by : ``folder``: those of one folder have one camera; ``exif``: those for which EXIF states the same
+        maker, model, serial number and focal length; ``auto``: those of which both is true, where images with
+        the same serial number may lie in several folders; ``size``: all, and only pictures of another size
+        tell a camera apart.
+    folders : whose camera has an interior orientation of its own, whatever ``by`` says.
+
+    Raises
+    ------
+    InputError : an unknown ``by``, or a folder without images.
+    """
+    if by not in KINDS:
+        raise InputError(f"cameras told apart by {by!r}", expected=f"one of {', '.join(KINDS)}")
+    for folder in folders:
+        if not any(below(name, folder) for name in images):
+            raise InputError(
+                f"no image in the folder {folder!r}",
+                expected=f"one of {', '.join(_folders(images)) or 'folders below logs.time_lapse.images'}",
+                where="logs.time_lapse.interiors",
+                cure="Name the folder as the images' names begin, from the folder that holds all images",
+            )
+    groups: dict[tuple[Any, ...], list[str]] = {}
+    own_of: dict[tuple[Any, ...], str] = {}
+    for name, path in images.items():
+        own = max((f for f in folders if below(name, f)), key=len, default="")
+        key = (own, *_key(name, _head(path) if by in ("auto", "exif") else None, by, own))
+        groups.setdefault(key, []).append(name)
+        own_of[key] = own
+    names = _names([(own_of[key], found) for key, found in groups.items()])
+    return tuple(
+        ImageCamera(name=label, images=tuple(found), folder=own_of[key])
+        for label, (key, found) in zip(names, groups.items(), strict=True)
+    )
+
+
+def camera_note(cameras: Sequence[ImageCamera]) -> str:
+    """What is to be said of several cameras; empty for one."""
+    if len(cameras) < 2:
+        return ""
+    told = ", ".join(f"{c.name} ({len(c.images)} images)" for c in cameras[:_CAMERAS_NAMED])
+    more = f" and {len(cameras) - _CAMERAS_NAMED} more" if len(cameras) > _CAMERAS_NAMED else ""
+    return (
+        f"images of {len(cameras)} cameras, told apart by folder and EXIF: {told}{more}: each has an "
+        "interior orientation of its own (images.mapping.cameras)"
+    )
+
+
+def in_folders(images: Iterable[str], folders: Sequence[str]) -> ArrayB:
+    """(n,) whether each image lies in one of the folders or below it."""
+    return np.array([any(below(str(name), folder) for folder in folders) for name in images], dtype=np.bool_)
+
+
+def _key(name: str, head: ImageHead | None, by: str, own: str) -> tuple[Any, ...]:
+    folder = "" if own else str(PurePosixPath(name).parent)
+    if by in ("size", "folder"):
+        return (folder,) if by == "folder" else ()
+    told = (
+        None
+        if head is None
+        else (head.make, head.model, head.serial, round(head.focal_mm, 2) if head.focal_mm > 0 else None)
+    )
+    if by == "exif" or (head is not None and head.serial):
+        return (told,)
+    return (folder, told)
+
+
+def _head(path: Path) -> ImageHead | None:
+    try:
+        return read_head(path)
+    except InputError:
+        return None
+
+
+def _names(groups: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
+    """A name of its own for each group: its folder, with a number where that is not enough."""
+    if len(groups) == 1:
+        return ["camera"]
+    out: list[str] = []
+    for own, images in groups:
+        folders = _folders(images)
+        base = own or (folders[0] if len(folders) == 1 else "") or "camera"
+        n = sum(name == base or name.startswith(f"{base} ") for name in out)
+        out.append(base if not n else f"{base} {n + 1}")
+    return out
+
+
+def _folders(images: Mapping[str, Path] | Sequence[str]) -> list[str]:
+    found = dict.fromkeys(PurePosixPath(name).parent.as_posix() for name in images)
+    return [folder for folder in found if folder != "."]
+
+
+# ---------------------------------------------------------------- which image a name in another program's
+# file means
+
+
+def base_name(name: str) -> str:
+    """Name without folders, also those of Windows."""
+    return PurePosixPath(name.strip().strip('"').replace("\\", "/")).name
+
+
+def near_name(name: str) -> str:
+    """Name with its last folder."""
+    return "/".join(PurePosixPath(name.strip().strip('"').replace("\\", "/")).parts[-2:])
+
+
+_KEYS: Final[tuple[Callable[[str], str], ...]] = (
+    lambda name: name,
+    near_name,
+    base_name,
+    lambda name: PurePosixPath(base_name(name)).stem,
+    lambda name: base_name(name).casefold(),
+    lambda name: PurePosixPath(base_name(name)).stem.casefold(),
+)
+"""From the strictest to the loosest: as it is, with its last folder, without folders, without suffix, in any
+case, both."""
+
+
+def matched(names: Sequence[str], images: Sequence[str], where: str, *, once: bool = True) -> ArrayI:
+    """Index (n,) of each name among the images; -1 where none or more than one fits.
+
+    Raises
+    ------
+    InputError : two names mean the same image; not asked without ``once``.
+    """
+    found = np.full(len(names), -1, np.int64)
+    for key in _KEYS:
+        keys = [key(image) for image in images]
+        times = Counter(keys)
+        index = {k: i for i, k in enumerate(keys) if times[k] == 1}
+        for row in np.flatnonzero(found < 0).tolist():
+            found[row] = index.get(key(names[row]), -1)
+    hit = found[found >= 0]
+    twice = [i for i, n in Counter(hit.tolist()).items() if n > 1]
+    if once and twice:
+        same = [name for name, i in zip(names, found, strict=True) if i == twice[0]]
+        raise InputError(
+            f"{' and '.join(same[:_NAMES_SHOWN])} both mean the image {images[twice[0]]}",
+            expected="one pose of each image",
+            where=where,
+            cure="Export with the whole names of the images",
+        )
+    return found
+
+
+def check_share(
+    found: ArrayI, names: Sequence[str], images: Sequence[str], least_share: float, where: str
+) -> None:
+    """Refuse a file of which too few names are images of the campaign.
+
+    Raises
+    ------
+    InputError : none is, or a smaller share than ``least_share``.
+    """
+    hit = int((found >= 0).sum())
+    if hit and hit >= least_share * len(names):
+        return
+    lost = [name for name, i in zip(names, found, strict=True) if i < 0]
+    raise InputError(
+        f"{hit} of {len(names)} images of the file are images of the campaign; not so {_some(lost)}",
+        expected=f"names as {_some(images)}, at least {100 * least_share:.0f} % of them",
+        where=where,
+        cure="Check that the file belongs to these images, or lower images.finished.least_matched",
+    )
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:_NAMES_SHOWN]) + (" ..." if len(names) > _NAMES_SHOWN else "")

@@ -14,11 +14,18 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.rigid import Rigid
-from thalweg.core.tables import column, frame_of, read_table, table_kind, write_table
-from thalweg.core.types import ArrayB, ArrayF
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    GeometryError,
+    LocalFrame,
+    Rigid,
+    column,
+    frame_of,
+    read_table,
+    table_kind,
+    write_table,
+)
 
 _F = pa.float64()
 _PARTS: Final = ("east", "north", "up", "rotation_east", "rotation_north", "rotation_up")
@@ -142,11 +149,7 @@ class ImagePoses:
         columns |= {
             f"next_{_PARTS[i]}_{_PARTS[j]}": self.cov_next[:, i, j] for i in range(6) for j in range(6)
         }
-        origin = {
-            "lat_deg": self.frame.lat_deg,
-            "lon_deg": self.frame.lon_deg,
-            "h_ell_m": self.frame.h_ell_m,
-        }
+        origin = {"lat_deg": self.frame.lat_deg, "lon_deg": self.frame.lon_deg, "h_ell_m": self.frame.h_ell_m}
         write_table(path, frame_of(IMAGE_POSES, columns), IMAGE_POSES, {**self.facts, "origin": origin})
 
     @classmethod

@@ -6,7 +6,7 @@ number of threads gives the same features, bit by bit.
 
 import json
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayB, ArrayI
-from thalweg.images.model.files import (
+from thalweg.core import ArrayB, ArrayI, InputError
+from thalweg.images.model import (
     Picture,
     at_pixels,
     find_mask,
@@ -28,7 +27,8 @@ from thalweg.images.model.files import (
     without_doubles,
 )
 from thalweg.images.sfm.colmap import colmap
-from thalweg.ingest.photos.files import Images, natural_key
+from thalweg.ingest.photos import Images, natural_key
+from thalweg.settings.sections import FeatureSettings
 
 _FORMAT: Final = 1
 _MOST_BUDGET: Final = 4
@@ -36,22 +36,6 @@ _BLANK: Final = 3.0
 """Contrast, steps of 8 bits, below which an image is called blank."""
 _AT_ONCE: Final = 32
 """Images whose scaled pictures lie on disk and in memory at the same time."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FeatureSettings:
-    """Settings of the features; names, units and defaults as in section ``images.features``."""
-
-    max_size_px: int = 3200
-    max_features: int = 8192
-    peak_threshold: float = 0.0067
-    double_size: bool = True
-    min_features: int = 50
-
-    @classmethod
-    def from_section(cls, section: Mapping[str, Any]) -> Self:
-        """From the section ``images.features`` of a campaign file."""
-        return cls(**{name: section[name] for name in cls.__dataclass_fields__})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +66,7 @@ class Features:
         head = {
             "kind": "image_features",
             "version": _FORMAT,
-            "settings": asdict(self.settings),
+            "settings": self.settings.model_dump(exclude={"parts"}),
             "pictures": [asdict(picture) for picture in self.pictures],
         }
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -115,11 +99,7 @@ class Features:
 
 
 def extract_features(
-    images: Images,
-    *,
-    masks: Path | None = None,
-    settings: FeatureSettings | None = None,
-    threads: int = 1,
+    images: Images, *, masks: Path | None = None, settings: FeatureSettings | None = None, threads: int = 1
 ) -> Features:
     """Find the features of images; images that cannot be used stay in the result with their problem.
 

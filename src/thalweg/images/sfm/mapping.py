@@ -5,31 +5,30 @@ The frame of each piece is its own: any origin, attitude and scale.
 
 import tempfile
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
-from scipy.sparse import csr_matrix
+import pandas as pd
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
-from thalweg.images.model.block import ImageBlock
-from thalweg.images.sfm.camera import from_colmap
-from thalweg.images.sfm.colmap import SEED, colmap
-from thalweg.images.sfm.database import fill_database
-from thalweg.images.sfm.matching import Matches
-
-# ---------------------------------------------------------------- marks of points in images: doubled ones
-# left out, and how well each is measured
-
+from thalweg.core import ArrayB, ArrayF, ArrayI, Camera, InputError
+from thalweg.images.model import ImageBlock
+from thalweg.images.sfm.colmap import SEED, colmap, from_colmap
+from thalweg.images.sfm.matching import Matches, fill_database
+from thalweg.settings.sections import MappingSettings
 
 _CLASSES: Final = 8
 _LEAST_IN_CLASS: Final = 50
 _MAD: Final = 1.4826
+
+BLURRED: Final = 0.5
+"""Sharpness of a blurred image, in units of the median of all images."""
+_NAMED: Final = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +39,237 @@ class Marks:
     point: ArrayI
     xy_px: ArrayF
     scale_px: ArrayF
+
+
+# ---------------------------------------------------------------- mapping
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mapped:
+    """What the mapper made of the matches.
+
+    Parameters
+    ----------
+    pieces : blocks in frames of their own, that of most images first; an image may be in several.
+    facts : JSON-able facts of each piece and notes.
+    """
+
+    pieces: tuple[ImageBlock, ...]
+    facts: dict[str, Any]
+
+
+def map_images(matches: Matches, *, settings: MappingSettings | None = None, threads: int = 1) -> Mapped:
+    """Put images together.
+
+    With one thread, or with ``repeatable``, the same matches give the same block bit by bit. With several
+    threads the sums of the adjustments change their order from run to run; that may even let the mapper begin
+    with other images, and then frame, points and marks differ.
+
+    Parameters
+    ----------
+    matches : of all images.
+    settings : see `MappingSettings`.
+    threads : of the adjustments within the mapper, unless it is to be repeatable.
+
+    Returns
+    -------
+    mapped : without pieces if no two images could be oriented to each other.
+    """
+    use = settings or MappingSettings()
+    if not (matches.n_common > 0).any():
+        return Mapped(pieces=(), facts={"notes": [], "pieces": []})
+    with tempfile.TemporaryDirectory(prefix="thalweg-block-") as temporary:
+        folder = Path(temporary)
+        notes = fill_database(folder / "block.db", matches)
+        run = _incremental if use.method == "incremental" else _global
+        models = run(folder, matches, use, 1 if use.repeatable else max(1, threads))
+        found = [piece for model in models for piece in _pieces(model, matches, use, notes)]
+    good = [(block, facts) for block, facts in found if len(block.images) >= min(2, use.smallest_piece)]
+    good.sort(key=lambda item: (-len(item[0].images), -len(item[0].points_block_m), item[0].images))
+    main = set(good[0][0].images) if good else set()
+    kept = [
+        (block, facts)
+        for i, (block, facts) in enumerate(good)
+        if i == 0 or (len(block.images) >= use.smallest_piece and not set(block.images) <= main)
+    ]
+    return Mapped(
+        pieces=tuple(block for block, _ in kept),
+        facts={"notes": list(dict.fromkeys(notes)), "pieces": [facts for _, facts in kept]},
+    )
+
+
+def main_block(
+    mapped: Mapped, reasons: Mapping[str, str], causes: Mapping[str, str] | None = None
+) -> ImageBlock:
+    """The block of most images.
+
+    Parameters
+    ----------
+    reasons, causes : why each image is in no block, in words and by kind, by name.
+
+    Raises
+    ------
+    InputError : there is none; the message counts the reasons.
+    """
+    if mapped.pieces:
+        return mapped.pieces[0]
+    kinds = Counter((causes or {}).get(name, "") for name in reasons)
+    counted = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common() if kind)
+    # of each kind one image
+    first = {(causes or {}).get(name, name): name for name in reversed(list(reasons)) if reasons[name]}
+    told = "; ".join(f"{name}: {reasons[name]}" for name in sorted(first.values())[:3])
+    raise InputError(
+        f"no two of {len(reasons)} images could be oriented to each other"
+        + (f", {counted}" if counted else "")
+        + (f" ({told})" if told else ""),
+        expected="images that overlap, with texture outside their masks",
+        cure="Look at the images and their masks, which are black where nothing is to be used; compare more "
+        "pairs (images.mapping.pairs: exhaustive)",
+    )
+
+
+def is_estimated(matches: Matches, use: MappingSettings) -> bool:
+    """Whether an interior orientation is an unknown."""
+    if use.interior == "auto":
+        return any(start.source != "given" for start in matches.starts)
+    return use.interior == "estimated"
+
+
+def held_cameras(matches: Matches, use: MappingSettings) -> set[int]:
+    """COLMAP's numbers of given cameras that stay as they are while others are estimated."""
+    if use.interior != "auto" or not is_estimated(matches, use):
+        return set()
+    return {key for key, start in enumerate(matches.starts, start=1) if start.source == "given"}
+
+
+def _incremental(folder: Path, matches: Matches, use: MappingSettings, threads: int) -> list[Any]:
+    pc = colmap()
+    estimated = is_estimated(matches, use)
+    scale = matches.scale()
+    o = pc.IncrementalPipelineOptions()
+    o.random_seed = SEED
+    o.num_threads = threads
+    o.extract_colors = False
+    o.min_num_matches = use.min_inliers
+    o.min_model_size = use.smallest_piece
+    o.ba_refine_focal_length = o.ba_refine_extra_params = estimated
+    o.ba_refine_principal_point = False
+    # pairs of images have a base of their own only if two-view points count
+    o.triangulation.ignore_two_view_tracks = len(matches.order) > 2
+    o.mapper.random_seed = o.triangulation.random_seed = SEED
+    o.mapper.num_threads = threads
+    o.constant_cameras = o.mapper.constant_cameras = held_cameras(matches, use)
+    o.mapper.abs_pose_refine_focal_length = o.mapper.abs_pose_refine_extra_params = estimated
+    o.mapper.abs_pose_min_num_inliers = max(use.min_inliers, 12)
+    o.mapper.filter_max_reproj_error = use.max_error_px * scale
+    o.mapper.init_max_error = use.max_error_px * scale
+    o.mapper.abs_pose_max_error = 3 * use.max_error_px * scale
+    o.triangulation.merge_max_reproj_error = o.triangulation.complete_max_reproj_error = (
+        use.max_error_px * scale
+    )
+    (folder / "models").mkdir()
+    made = pc.incremental_mapping(folder / "block.db", folder, folder / "models", o)
+    return [made[key] for key in sorted(made)]
+
+
+def _global(folder: Path, matches: Matches, use: MappingSettings, threads: int) -> list[Any]:
+    pc = colmap()
+    o = pc.GlobalPipelineOptions()
+    o.random_seed = o.mapper.random_seed = SEED
+    o.num_threads = o.mapper.num_threads = threads
+    o.min_num_matches = use.min_inliers
+    o.min_model_size = use.smallest_piece
+    o.mapper.rotation_averaging.random_seed = o.mapper.global_positioning.random_seed = SEED
+    o.mapper.retriangulation.random_seed = SEED
+    o.mapper.global_positioning.use_gpu = o.mapper.bundle_adjustment.ceres.use_gpu = False
+    adjustment = o.mapper.bundle_adjustment
+    adjustment.refine_focal_length = adjustment.refine_extra_params = is_estimated(matches, use)
+    adjustment.refine_principal_point = False
+    adjustment.ceres.solver_options.num_threads = threads
+    (folder / "models").mkdir()
+    made = pc.global_mapping(folder / "block.db", folder, folder / "models", o)
+    return [made[key] for key in sorted(made)]
+
+
+def _pieces(
+    model: Any, matches: Matches, use: MappingSettings, notes: list[str]
+) -> list[tuple[ImageBlock, dict[str, Any]]]:
+    """A model of COLMAP as blocks: images by name, points in the order of their first mark.
+
+    The mappers may leave parts in one model that next to nothing holds together; such parts stand at wrong
+    places without a residual that tells it, so they become pieces of their own.
+    """
+    keys = sorted((int(k) for k in model.reg_image_ids()), key=lambda k: matches.pictures[k - 1].name)
+    place_of = {key: i for i, key in enumerate(keys)}
+    cameras: list[Camera] = []
+    camera_of: dict[int, int] = {}
+    for c in sorted({int(model.image(k).camera_id) for k in keys}):
+        camera, error_px = from_colmap(model.camera(c), matches.starts[c - 1].camera.name)
+        if error_px > 0.05:
+            notes.append(
+                f"the estimated lens of {camera.name!r} differs from Brown's by up to {error_px:.2f} px"
+            )
+        camera_of[c] = len(cameras)
+        cameras.append(camera)
+    R = np.empty((len(keys), 3, 3))
+    centre = np.empty((len(keys), 3))
+    for i, key in enumerate(keys):
+        pose = model.image(key).cam_from_world()
+        R[i] = pose.rotation.matrix().T
+        centre[i] = -R[i] @ pose.translation
+    points, marks = _marks(model, matches, place_of)
+    block = ImageBlock(
+        cameras=tuple(cameras),
+        images=tuple(matches.pictures[k - 1].name for k in keys),
+        camera=np.array([camera_of[int(model.image(k).camera_id)] for k in keys], np.int64),
+        R_block_ccs=R,
+        centre_block_m=centre,
+        points_block_m=points,
+        mark_image=marks.image,
+        mark_point=marks.point,
+        mark_px=marks.xy_px,
+        sigma_px=np.ones(len(marks.image)),
+    )
+    block, scale_px, facts = cleaned(block, marks.scale_px, 2 * use.max_error_px * matches.scale())
+    parts = firm_parts(block, use.min_inliers)
+    if sum(len(part) > 1 for part in parts) > 1:
+        sizes = ", ".join(str(len(part)) for part in parts if len(part) > 1)
+        notes.append(
+            f"the mapper joined parts of {sizes} images by fewer than {use.min_inliers} common points: "
+            "they are taken apart"
+        )
+    out = []
+    for part in parts:
+        piece, rows = part_of_block(block, part)
+        told = {**facts, "images": len(part), "points": len(piece.points_block_m), "marks": len(rows)}
+        told["rms_px"] = rms_of(piece)
+        out.append(sigma_of_marks(piece, scale_px[rows], told, use.sigma_px * matches.scale()))
+    return out
+
+
+def _marks(model: Any, matches: Matches, place_of: Mapping[int, int]) -> tuple[ArrayF, Marks]:
+    ids = sorted(int(p) for p in model.point3D_ids())
+    points = np.array([model.point3D(p).xyz for p in ids]).reshape(-1, 3)
+    image: list[int] = []
+    feature: list[int] = []
+    point: list[int] = []
+    for i, p in enumerate(ids):
+        for element in model.point3D(p).track.elements:
+            image.append(int(element.image_id))
+            feature.append(int(element.point2D_idx))
+            point.append(i)
+    rows: ArrayI = np.array(feature, np.int64) + matches.start[np.array(image, np.int64) - 1]
+    place = matches.place[rows].astype(np.float64).reshape(-1, 3)
+    return points, Marks(
+        image=np.array([place_of[k] for k in image], np.int64),
+        point=np.array(point, np.int64),
+        xy_px=place[:, :2],
+        scale_px=place[:, 2],
+    )
+
+
+# ---------------------------------------------------------------- marks of points in images: doubled ones
+# left out, and how well each is measured
 
 
 def cleaned(
@@ -91,7 +321,7 @@ def cleaned(
             "second_of_a_point_in_an_image": int((fits & ~once).sum()),
             "same_place_as_a_longer_track": int((fits & once & ~alone).sum()),
             "of_points_with_one_image": int(len(off) - len(rows) - (~(fits & once & alone)).sum()),
-        },
+        }
     }
     return out, scale_px[rows], facts
 
@@ -190,251 +420,210 @@ def rms_of(block: ImageBlock) -> float:
     return float(np.sqrt(squares.mean())) if len(squares) else float("nan")
 
 
-# ---------------------------------------------------------------- mapping
+# ---------------------------------------------------------------- what became of each image, and why some
+# have no pose
 
 
-INTERIORS: Final = ("auto", "estimated", "fixed")
+def image_table(matches: Matches, mapped: Mapped) -> pd.DataFrame:
+    """One row per image in natural order of names.
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MapSettings:
-    """Settings of the mapping; names, units and defaults as in section ``images.mapping``."""
-
-    method: str = "incremental"
-    interior: str = "auto"
-    min_inliers: int = 15
-    smallest_piece: int = 3
-    max_error_px: float = 2.0
-    sigma_px: float = 0.4
-    repeatable: bool = True
-
-    @classmethod
-    def from_section(cls, section: Mapping[str, Any]) -> Self:
-        """From the section ``images.mapping`` of a campaign file."""
-        return cls(**{name: section[name] for name in cls.__dataclass_fields__})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mapped:
-    """What the mapper made of the matches.
-
-    Parameters
-    ----------
-    pieces : blocks in frames of their own, that of most images first; an image may be in several.
-    facts : JSON-able facts of each piece and notes.
+    Columns: ``image``; ``order`` (place in time, -1: takes no part); ``width_px``, ``height_px``;
+    ``usable_share`` of the pixels; ``sharpness``; ``features``; ``pairs_compared``; ``pairs`` with enough in
+    common; ``matches`` (common points of these pairs); ``registered`` in the main block; ``piece`` (0 main
+    block, -1 none); ``component`` (groups of images joined by pairs, 0 the largest, -1 none); ``marks``;
+    ``rms_px`` of both coordinates together; ``cause`` and ``reason`` if not in the main block.
     """
+    n = len(matches.pictures)
+    verified = matches.n_common > 0
+    joined = matches.pairs[verified]
+    order = np.full(n, -1)
+    order[matches.order] = np.arange(len(matches.order))
+    component = _components(n, joined)
+    piece, marks, rms_px = _in_pieces(matches, mapped)
+    causes, reasons = _reasons(matches, mapped, piece)
+    points = np.zeros(n, np.int64)
+    np.add.at(points, joined.ravel(), np.repeat(matches.n_common[verified], 2))
+    return pd.DataFrame(
+        {
+            "image": [picture.name for picture in matches.pictures],
+            "order": order,
+            "width_px": [picture.size_px[0] for picture in matches.pictures],
+            "height_px": [picture.size_px[1] for picture in matches.pictures],
+            "usable_share": [round(picture.usable_share, 4) for picture in matches.pictures],
+            "sharpness": [round(picture.sharpness, 4) for picture in matches.pictures],
+            "features": np.diff(matches.start),
+            "pairs_compared": np.bincount(matches.pairs.ravel(), minlength=n),
+            "pairs": np.bincount(joined.ravel(), minlength=n),
+            "matches": points,
+            "registered": piece == 0,
+            "piece": piece,
+            "component": component,
+            "marks": marks,
+            "rms_px": np.round(rms_px, 4),
+            "cause": causes,
+            "reason": reasons,
+        }
+    )
 
-    pieces: tuple[ImageBlock, ...]
-    facts: dict[str, Any]
 
-
-def map_images(matches: Matches, *, settings: MapSettings | None = None, threads: int = 1) -> Mapped:
-    """Put images together.
-
-    With one thread, or with ``repeatable``, the same matches give the same block bit by bit. With several
-    threads the sums of the adjustments change their order from run to run; that may even let the mapper begin
-    with other images, and then frame, points and marks differ.
-
-    Parameters
-    ----------
-    matches : of all images.
-    settings : see `MapSettings`.
-    threads : of the adjustments within the mapper, unless it is to be repeatable.
-
-    Returns
-    -------
-    mapped : without pieces if no two images could be oriented to each other.
-    """
-    use = settings or MapSettings()
-    if use.method not in ("incremental", "global") or use.interior not in INTERIORS:
-        raise GeometryError(f"method {use.method}, interior {use.interior}", expected="see images.mapping")
-    if not (matches.n_common > 0).any():
-        return Mapped(pieces=(), facts={"notes": [], "pieces": []})
-    with tempfile.TemporaryDirectory(prefix="thalweg-block-") as temporary:
-        folder = Path(temporary)
-        notes = fill_database(folder / "block.db", matches)
-        run = _incremental if use.method == "incremental" else _global
-        models = run(folder, matches, use, 1 if use.repeatable else max(1, threads))
-        found = [piece for model in models for piece in _pieces(model, matches, use, notes)]
-    good = [(block, facts) for block, facts in found if len(block.images) >= min(2, use.smallest_piece)]
-    good.sort(key=lambda item: (-len(item[0].images), -len(item[0].points_block_m), item[0].images))
-    main = set(good[0][0].images) if good else set()
-    kept = [
-        (block, facts)
-        for i, (block, facts) in enumerate(good)
-        if i == 0 or (len(block.images) >= use.smallest_piece and not set(block.images) <= main)
+def block_facts(matches: Matches, mapped: Mapped, table: pd.DataFrame) -> dict[str, Any]:
+    """JSON-able facts of a whole block: counts, pieces with their images and gaps, notes in plain words."""
+    pieces = [
+        {**facts, "names": list(block.images)}
+        for facts, block in zip(mapped.facts["pieces"], mapped.pieces, strict=True)
     ]
-    return Mapped(
-        pieces=tuple(block for block, _ in kept),
-        facts={"notes": list(dict.fromkeys(notes)), "pieces": [facts for _, facts in kept]},
-    )
+    left_out = Counter(cause for cause in table["cause"] if cause)
+    registered = int(table["registered"].sum())
+    gaps = _gaps(matches, table)
+    notes = [*matches.facts["notes"], *mapped.facts["notes"]]
+    if len(pieces) > 1:
+        sizes = ", ".join(f"{len(block.images)} images ({_span(matches, block)})" for block in mapped.pieces)
+        notes.append(f"the block falls into {len(pieces)} pieces: {sizes}")
+        notes += [
+            f"gap between {g['after']} and {g['before']}: {g['images_between']} images between them without "
+            f"pose, {g['common_points']} common points across"
+            for g in gaps[:_NAMED]
+        ]
+    if left_out:
+        counts = ", ".join(f"{count} {cause}" for cause, count in sorted(left_out.items()))
+        notes.append(f"{len(table) - registered} of {len(table)} images are not in the main block: {counts}")
+    return {
+        "images": len(table),
+        "registered": registered,
+        "left_out": dict(sorted(left_out.items())),
+        "pairs": {
+            "kind": matches.facts.get("pairs", "given"),
+            "compared": len(matches.pairs),
+            "joined": int((matches.n_common > 0).sum()),
+            "matches": int(matches.n_matches.sum()),
+            "common_points": int(matches.n_common.sum()),
+        },
+        "start": matches.facts.get("interior", []),
+        "estimated": [
+            dict(zip(c.parameter_names, np.round(c.parameters, 6).tolist(), strict=True))
+            for c in (mapped.pieces[0].cameras if mapped.pieces else ())
+        ],
+        "pieces": pieces,
+        "gaps": gaps,
+        "notes": notes,
+    }
 
 
-def main_block(
-    mapped: Mapped, reasons: Mapping[str, str], causes: Mapping[str, str] | None = None
-) -> ImageBlock:
-    """The block of most images.
-
-    Parameters
-    ----------
-    reasons, causes : why each image is in no block, in words and by kind, by name.
-
-    Raises
-    ------
-    InputError : there is none; the message counts the reasons.
-    """
-    if mapped.pieces:
-        return mapped.pieces[0]
-    kinds = Counter((causes or {}).get(name, "") for name in reasons)
-    counted = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common() if kind)
-    # of each kind one image
-    first = {(causes or {}).get(name, name): name for name in reversed(list(reasons)) if reasons[name]}
-    told = "; ".join(f"{name}: {reasons[name]}" for name in sorted(first.values())[:3])
-    raise InputError(
-        f"no two of {len(reasons)} images could be oriented to each other"
-        + (f", {counted}" if counted else "")
-        + (f" ({told})" if told else ""),
-        expected="images that overlap, with texture outside their masks",
-        cure="Look at the images and their masks, which are black where nothing is to be used; compare more "
-        "pairs (images.mapping.pairs: exhaustive)",
-    )
+def _components(n: int, joined: ArrayI) -> ArrayI:
+    """Numbers of the groups of joined images, the largest first; -1 for single images."""
+    graph = coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    size = np.bincount(label, minlength=n)
+    first = np.full(n, n)
+    np.minimum.at(first, label, np.arange(n))
+    rank = np.empty(n, np.int64)
+    rank[np.lexsort((first, -size))] = np.arange(n)
+    return np.where(size[label] > 1, rank[label], -1)
 
 
-def is_estimated(matches: Matches, use: MapSettings) -> bool:
-    """Whether an interior orientation is an unknown."""
-    if use.interior == "auto":
-        return any(start.source != "given" for start in matches.starts)
-    return use.interior == "estimated"
+def _in_pieces(matches: Matches, mapped: Mapped) -> tuple[ArrayI, ArrayI, ArrayF]:
+    at = {picture.name: k for k, picture in enumerate(matches.pictures)}
+    piece = np.full(len(at), -1, np.int64)
+    marks = np.zeros(len(at), np.int64)
+    rms_px = np.full(len(at), np.nan)
+    for i, block in enumerate(mapped.pieces):
+        squares = np.sum(block.residuals_px() ** 2, axis=1)
+        count = np.bincount(block.mark_image, minlength=len(block.images))
+        total = np.bincount(block.mark_image, weights=squares, minlength=len(block.images))
+        for j, name in enumerate(block.images):
+            k = at[name]
+            if piece[k] < 0:
+                piece[k], marks[k] = i, count[j]
+                rms_px[k] = np.sqrt(total[j] / count[j]) if count[j] else np.nan
+    return piece, marks, rms_px
 
 
-def held_cameras(matches: Matches, use: MapSettings) -> set[int]:
-    """COLMAP's numbers of given cameras that stay as they are while others are estimated."""
-    if use.interior != "auto" or not is_estimated(matches, use):
-        return set()
-    return {key for key, start in enumerate(matches.starts, start=1) if start.source == "given"}
-
-
-def _incremental(folder: Path, matches: Matches, use: MapSettings, threads: int) -> list[Any]:
-    pc = colmap()
-    estimated = is_estimated(matches, use)
-    scale = matches.scale()
-    o = pc.IncrementalPipelineOptions()
-    o.random_seed = SEED
-    o.num_threads = threads
-    o.extract_colors = False
-    o.min_num_matches = use.min_inliers
-    o.min_model_size = use.smallest_piece
-    o.ba_refine_focal_length = o.ba_refine_extra_params = estimated
-    o.ba_refine_principal_point = False
-    # pairs of images have a base of their own only if two-view points count
-    o.triangulation.ignore_two_view_tracks = len(matches.order) > 2
-    o.mapper.random_seed = o.triangulation.random_seed = SEED
-    o.mapper.num_threads = threads
-    o.constant_cameras = o.mapper.constant_cameras = held_cameras(matches, use)
-    o.mapper.abs_pose_refine_focal_length = o.mapper.abs_pose_refine_extra_params = estimated
-    o.mapper.abs_pose_min_num_inliers = max(use.min_inliers, 12)
-    o.mapper.filter_max_reproj_error = use.max_error_px * scale
-    o.mapper.init_max_error = use.max_error_px * scale
-    o.mapper.abs_pose_max_error = 3 * use.max_error_px * scale
-    o.triangulation.merge_max_reproj_error = o.triangulation.complete_max_reproj_error = (
-        use.max_error_px * scale
-    )
-    (folder / "models").mkdir()
-    made = pc.incremental_mapping(folder / "block.db", folder, folder / "models", o)
-    return [made[key] for key in sorted(made)]
-
-
-def _global(folder: Path, matches: Matches, use: MapSettings, threads: int) -> list[Any]:
-    pc = colmap()
-    o = pc.GlobalPipelineOptions()
-    o.random_seed = o.mapper.random_seed = SEED
-    o.num_threads = o.mapper.num_threads = threads
-    o.min_num_matches = use.min_inliers
-    o.min_model_size = use.smallest_piece
-    o.mapper.rotation_averaging.random_seed = o.mapper.global_positioning.random_seed = SEED
-    o.mapper.retriangulation.random_seed = SEED
-    o.mapper.global_positioning.use_gpu = o.mapper.bundle_adjustment.ceres.use_gpu = False
-    adjustment = o.mapper.bundle_adjustment
-    adjustment.refine_focal_length = adjustment.refine_extra_params = is_estimated(matches, use)
-    adjustment.refine_principal_point = False
-    adjustment.ceres.solver_options.num_threads = threads
-    (folder / "models").mkdir()
-    made = pc.global_mapping(folder / "block.db", folder, folder / "models", o)
-    return [made[key] for key in sorted(made)]
-
-
-def _pieces(
-    model: Any, matches: Matches, use: MapSettings, notes: list[str]
-) -> list[tuple[ImageBlock, dict[str, Any]]]:
-    """A model of COLMAP as blocks: images by name, points in the order of their first mark.
-
-    The mappers may leave parts in one model that next to nothing holds together; such parts stand at wrong
-    places without a residual that tells it, so they become pieces of their own.
-    """
-    keys = sorted((int(k) for k in model.reg_image_ids()), key=lambda k: matches.pictures[k - 1].name)
-    place_of = {key: i for i, key in enumerate(keys)}
-    cameras: list[Camera] = []
-    camera_of: dict[int, int] = {}
-    for c in sorted({int(model.image(k).camera_id) for k in keys}):
-        camera, error_px = from_colmap(model.camera(c), matches.starts[c - 1].camera.name)
-        if error_px > 0.05:
-            notes.append(
-                f"the estimated lens of {camera.name!r} differs from Brown's by up to {error_px:.2f} px"
-            )
-        camera_of[c] = len(cameras)
-        cameras.append(camera)
-    R = np.empty((len(keys), 3, 3))
-    centre = np.empty((len(keys), 3))
-    for i, key in enumerate(keys):
-        pose = model.image(key).cam_from_world()
-        R[i] = pose.rotation.matrix().T
-        centre[i] = -R[i] @ pose.translation
-    points, marks = _marks(model, matches, place_of)
-    block = ImageBlock(
-        cameras=tuple(cameras),
-        images=tuple(matches.pictures[k - 1].name for k in keys),
-        camera=np.array([camera_of[int(model.image(k).camera_id)] for k in keys], np.int64),
-        R_block_ccs=R,
-        centre_block_m=centre,
-        points_block_m=points,
-        mark_image=marks.image,
-        mark_point=marks.point,
-        mark_px=marks.xy_px,
-        sigma_px=np.ones(len(marks.image)),
-    )
-    block, scale_px, facts = cleaned(block, marks.scale_px, 2 * use.max_error_px * matches.scale())
-    parts = firm_parts(block, use.min_inliers)
-    if sum(len(part) > 1 for part in parts) > 1:
-        sizes = ", ".join(str(len(part)) for part in parts if len(part) > 1)
-        notes.append(
-            f"the mapper joined parts of {sizes} images by fewer than {use.min_inliers} common points: "
-            "they are taken apart"
-        )
+def _reasons(matches: Matches, mapped: Mapped, piece: ArrayI) -> tuple[list[str], list[str]]:
+    sharp = [p.sharpness for p in matches.pictures if not p.problem]
+    usual = float(np.median(sharp)) if sharp else 0.0
     out = []
-    for part in parts:
-        piece, rows = part_of_block(block, part)
-        told = {**facts, "images": len(part), "points": len(piece.points_block_m), "marks": len(rows)}
-        told["rms_px"] = rms_of(piece)
-        out.append(sigma_of_marks(piece, scale_px[rows], told, use.sigma_px * matches.scale()))
+    for k, picture in enumerate(matches.pictures):
+        if piece[k] == 0:
+            out.append(("", ""))
+        elif picture.problem:
+            out.append((picture.cause, picture.problem))
+        elif piece[k] > 0:
+            out.append(("other_piece", _elsewhere(matches, mapped, piece, int(piece[k]))))
+        else:
+            cause, reason = _alone(matches, piece, k)
+            if picture.sharpness < BLURRED * usual:
+                reason += f"; probably blurred (sharpness {picture.sharpness:.2f}, usual {usual:.2f})"
+            if picture.usable_share < 0.1:
+                reason += f"; {100 * picture.usable_share:.0f} % of it are usable"
+            out.append((cause, reason))
+    return [cause for cause, _ in out], [reason for _, reason in out]
+
+
+def _elsewhere(matches: Matches, mapped: Mapped, piece: ArrayI, i: int) -> str:
+    count = len(mapped.pieces[i].images)
+    across = (piece[matches.pairs] == 0).any(axis=1) & (piece[matches.pairs] == i).any(axis=1)
+    best = _best(matches, across)
+    joint = f"closest pair across: {best}" if best else "no common points with the main block"
+    return f"in piece {i} of {count} images, oriented apart from the main block; {joint}"
+
+
+def _alone(matches: Matches, piece: ArrayI, k: int) -> tuple[str, str]:
+    mine = (matches.pairs == k).any(axis=1)
+    verified = mine & (matches.n_common > 0)
+    if not mine.any():
+        return "not_compared", "compared with no other image"
+    if not verified.any():
+        m = int(np.flatnonzero(mine)[np.argmax(matches.n_matches[mine])])
+        other = matches.pictures[int(matches.pairs[m].sum()) - k].name
+        return "no_overlap", (
+            f"no overlap with the {mine.sum()} images it was compared with: at best {matches.n_matches[m]} "
+            f"similar points, with {other}, that no geometry joins"
+        )
+    to_block = verified & (piece[matches.pairs] == 0).any(axis=1)
+    if not to_block.any():
+        return "apart", f"joined to {verified.sum()} images only, none of which is in the block"
+    return "weak", (
+        f"too few points of the block to find its pose: {to_block.sum()} pairs, "
+        f"at best {_best(matches, to_block)}"
+    )
+
+
+def _best(matches: Matches, rows: Any) -> str:
+    some = np.flatnonzero(rows & (matches.n_common > 0))
+    if not len(some):
+        return ""
+    m = int(some[np.argmax(matches.n_common[some])])
+    a, b = (matches.pictures[int(k)].name for k in matches.pairs[m])
+    return f"{a} with {b}, {matches.n_common[m]} points"
+
+
+def _gaps(matches: Matches, table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Where, in time, the images of one piece end and those of another begin."""
+    piece = table["piece"].to_numpy()
+    placed = [int(k) for k in matches.order if piece[k] >= 0]
+    place = table["order"].to_numpy()
+    across = (piece[matches.pairs] >= 0).all(axis=1) & (
+        piece[matches.pairs[:, 0]] != piece[matches.pairs[:, 1]]
+    )
+    out = []
+    for a, b in pairwise(placed):
+        if piece[a] != piece[b]:
+            both = across & (np.sort(piece[matches.pairs], axis=1) == sorted((piece[a], piece[b]))).all(
+                axis=1
+            )
+            out.append(
+                {
+                    "after": matches.pictures[a].name,
+                    "before": matches.pictures[b].name,
+                    "pieces": [int(piece[a]), int(piece[b])],
+                    "images_between": int(place[b] - place[a] - 1),
+                    "common_points": int(matches.n_common[both].sum()),
+                }
+            )
     return out
 
 
-def _marks(model: Any, matches: Matches, place_of: Mapping[int, int]) -> tuple[ArrayF, Marks]:
-    ids = sorted(int(p) for p in model.point3D_ids())
-    points = np.array([model.point3D(p).xyz for p in ids]).reshape(-1, 3)
-    image: list[int] = []
-    feature: list[int] = []
-    point: list[int] = []
-    for i, p in enumerate(ids):
-        for element in model.point3D(p).track.elements:
-            image.append(int(element.image_id))
-            feature.append(int(element.point2D_idx))
-            point.append(i)
-    rows: ArrayI = np.array(feature, np.int64) + matches.start[np.array(image, np.int64) - 1]
-    place = matches.place[rows].astype(np.float64).reshape(-1, 3)
-    return points, Marks(
-        image=np.array([place_of[k] for k in image], np.int64),
-        point=np.array(point, np.int64),
-        xy_px=place[:, :2],
-        scale_px=place[:, 2],
-    )
+def _span(matches: Matches, block: ImageBlock) -> str:
+    names: Sequence[str] = [matches.pictures[int(k)].name for k in matches.order]
+    mine = [name for name in names if name in set(block.images)]
+    return mine[0] if len(mine) == 1 else f"{mine[0]} to {mine[-1]}"

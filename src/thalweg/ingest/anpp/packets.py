@@ -3,14 +3,26 @@
 All little endian. Sources: Advanced Navigation, Spatial Reference Manual 4.4 and Spatial Dual Reference
 Manual 2.3 (state packets), docs.advancednavigation.com (packet 92, device ids); checked against the
 manufacturer's SDK ``advanced_navigation`` 0.2.2.
+
+A packet is LRC, id, length, CRC (two bytes, low first) and up to 255 bytes of payload. The LRC is the two's
+complement of the sum of the other four header bytes; the CRC is CRC16-CCITT-FALSE (polynomial 0x1021, start
+0xFFFF) over the payload (Advanced Navigation, Spatial Reference Manual, "Packet Protocol").
+
+A device sends the packets of one moment in the order of their ids, so a packet without time belongs to the
+time packet before it. In the manufacturer's sample log the raw gyroscopes correlate by 0.93 to 0.97 with the
+angular velocity of the state before them, and negatively with that of the state behind.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core.types import AnyArray
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, gps_from_unix
+from thalweg.ingest import possible_unix
+from thalweg.ingest.framing import CHUNK_BYTES, PacketBlock, StreamTally, find_anpp, find_in, read_packets
 
 
 def _layout(fields: str) -> np.dtype[Any]:
@@ -110,17 +122,32 @@ GNSS_FIX: Final = np.array(
 FILTER_ORIENTATION, FILTER_INS, FILTER_HEADING, FILTER_UTC = 1, 2, 4, 8
 
 SYSTEM_ALARMS: Final = (
-    "system failure", "accelerometer failure", "gyroscope failure", "magnetometer failure",
-    "pressure sensor failure", "GNSS failure", "accelerometer over range", "gyroscope over range",
-    "magnetometer over range", "pressure over range", "minimum temperature alarm",
-    "maximum temperature alarm", "low voltage alarm", "high voltage alarm", "GNSS antenna disconnected",
+    "system failure",
+    "accelerometer failure",
+    "gyroscope failure",
+    "magnetometer failure",
+    "pressure sensor failure",
+    "GNSS failure",
+    "accelerometer over range",
+    "gyroscope over range",
+    "magnetometer over range",
+    "pressure over range",
+    "minimum temperature alarm",
+    "maximum temperature alarm",
+    "low voltage alarm",
+    "high voltage alarm",
+    "GNSS antenna disconnected",
     "data output overflow",
-)  # fmt: skip
+)
 """Bits 0 to 15 of the system status."""
 
 GNSS_MAKERS: Final[Mapping[int, str]] = {
-    1: "Trimble", 2: "u-blox", 3: "Advanced Navigation", 5: "SkyTraq", 6: "Septentrio",
-}  # fmt: skip
+    1: "Trimble",
+    2: "u-blox",
+    3: "Advanced Navigation",
+    5: "SkyTraq",
+    6: "Septentrio",
+}
 
 
 def describe(packet_id: int) -> str:
@@ -131,3 +158,216 @@ def describe(packet_id: int) -> str:
 def fix_of(flags: AnyArray, first_bit: int, names: AnyArray) -> AnyArray:
     """Words for the three bits of the fix type that begin at ``first_bit``."""
     return np.asarray(names[(flags.astype(np.int64) >> first_bit) & 7], dtype=object)
+
+
+# ---------------------------------------------------------------- Framing of the Advanced Navigation
+# Packet Protocol
+
+
+def find_packets(buf: ArrayU8, tally: StreamTally | None = None) -> PacketBlock:
+    """All intact packets of a buffer.
+
+    Parameters
+    ----------
+    buf : (n,) bytes; cut packets at either end are left out.
+    tally : takes the bytes outside of packets.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> found = find_packets(np.frombuffer(bytes.fromhex("00 9b 03 01 ff ff 00"), np.uint8))
+    >>> found.kind.tolist(), found.length.tolist(), found.offset.tolist()
+    ([], [], [])
+    >>> found = find_packets(np.frombuffer(bytes.fromhex("00 ff 03 00 ff ff 00"), np.uint8))
+    >>> found.kind.tolist(), found.length.tolist(), found.offset.tolist()
+    ([3], [0], [6])
+    """
+    block, _ = find_in(buf, find_anpp, StreamTally() if tally is None else tally)
+    return block
+
+
+# ---------------------------------------------------------------- Decoded ANPP packets by id, and the time
+# of those that carry none
+
+
+CURE = "Give files as the device or its Manager program logs them (.anpp), not exported text"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Records:
+    """Packets of one id: fields as a structured array, and (n,) number of the packet and byte in the log."""
+
+    fields: AnyArray
+    packet: ArrayI
+    position: ArrayI
+
+    def take(self, keep: ArrayB) -> "Records":
+        """Some of the packets."""
+        return Records(fields=self.fields[keep], packet=self.packet[keep], position=self.position[keep])
+
+
+@dataclass(slots=True, kw_only=True)
+class AnppRecords:
+    """All decoded packets of a log."""
+
+    tally: StreamTally = field(default_factory=StreamTally)
+    by_id: dict[int, Records] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
+    wrong_size: dict[int, int] = field(default_factory=dict)
+    passthrough: list[tuple[int, int, bytes]] = field(default_factory=list)
+    """Packet number, route and bytes of each serial port passthrough packet."""
+    satellites_31: list[int] = field(default_factory=list)
+    """Satellites listed in each packet 31."""
+
+    def of(self, packet_id: int) -> Records:
+        """Packets of an id, maybe none."""
+        return self.by_id.get(packet_id) or Records(
+            fields=np.empty(0, dtype=LAYOUTS[packet_id]),
+            packet=np.empty(0, dtype=np.int64),
+            position=np.empty(0, dtype=np.int64),
+        )
+
+
+def collect(files: Sequence[Path], chunk_bytes: int = CHUNK_BYTES) -> AnppRecords:
+    """Read all packets of a log that are of interest.
+
+    Raises
+    ------
+    InputError : no files, a file that cannot be read, is no ANPP log, or all files are empty.
+    """
+    out = AnppRecords()
+    parts: dict[int, list[Records]] = {}
+    for block in read_packets(
+        files, find_anpp, out.tally, what="ANPP packet", cure=CURE, chunk_bytes=chunk_bytes
+    ):
+        counts = np.bincount(block.kind, minlength=256)
+        for packet_id in np.flatnonzero(counts):
+            key = int(packet_id)
+            out.counts[key] = out.counts.get(key, 0) + int(counts[key])
+            _decode(block, key, out, parts)
+    for key, pieces in parts.items():
+        out.by_id[key] = Records(
+            fields=np.concatenate([p.fields for p in pieces]),
+            packet=np.concatenate([p.packet for p in pieces]),
+            position=np.concatenate([p.position for p in pieces]),
+        )
+    out.counts = dict(sorted(out.counts.items()))
+    return out
+
+
+def _decode(block: PacketBlock, key: int, out: AnppRecords, parts: dict[int, list[Records]]) -> None:
+    rows = np.flatnonzero(block.kind == key)
+    if key == PASSTHROUGH:
+        for row in rows[block.length[rows] > 1]:
+            start, size = int(block.offset[row]), int(block.length[row])
+            data = block.buf[start : start + size].tobytes()
+            out.passthrough.append((block.first + int(row), data[0], data[1:]))
+    elif key == 31:
+        out.satellites_31 += (block.length[rows] // 7).tolist()
+    layout = LAYOUTS.get(key)
+    if layout is None:
+        return
+    size = layout.itemsize
+    good = block.length[rows] >= size if key in VARIABLE else block.length[rows] == size
+    if not good.all():
+        out.wrong_size[key] = out.wrong_size.get(key, 0) + int((~good).sum())
+        rows = rows[good]
+    if rows.size:
+        parts.setdefault(key, []).append(
+            Records(
+                fields=block.payloads(rows, size).view(layout)[:, 0],
+                packet=block.first + rows,
+                position=block.position[rows],
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clock:
+    """The log's own time axis: one entry a time packet (20, 21 or 22), in the order of the log.
+
+    Attributes
+    ----------
+    packet : (n,) number of the packet.
+    unix_s, us : (n,) whole seconds and microseconds of the device's clock.
+    utc : (n,) true once the filter status says that UTC is initialised, and the date can be.
+    """
+
+    packet: ArrayI
+    unix_s: ArrayF
+    us: ArrayF
+    utc: ArrayB
+    n_impossible: int
+
+    @property
+    def t_device_s(self) -> ArrayF:
+        """Device clock as Unix time, seconds."""
+        return np.asarray(self.unix_s + self.us * 1e-6)
+
+    @property
+    def t_gps_s(self) -> ArrayF:
+        """Adjusted GPS time, NaN before UTC was initialised."""
+        return gps_time(self.unix_s, self.us, self.utc)
+
+    def before(self, packet: ArrayI) -> ArrayI:
+        """Index of the time packet before each packet (or that packet itself); -1 where there is none."""
+        return np.searchsorted(self.packet, packet, side="right").astype(np.int64) - 1
+
+
+def gps_time(unix_s: AnyArray, us: AnyArray, valid: ArrayB) -> ArrayF:
+    """Adjusted GPS time of UTC stamps, NaN where not valid."""
+    out = np.full(unix_s.size, np.nan)
+    out[valid] = gps_from_unix(unix_s[valid].astype(np.float64), us[valid])
+    return out
+
+
+def possible_utc(unix_s: AnyArray, us: AnyArray) -> ArrayB:
+    """False where no survey can have been made, or where a stamp has more than a second of microseconds."""
+    return possible_unix(unix_s) & (us < 1_000_000)
+
+
+def build_clock(records: AnppRecords) -> Clock:
+    """Time axis out of packets 20, 21 and 22; 21 and 22 take the UTC bit from the status before them."""
+    state, unix = records.of(STATE), records.of(UNIX_TIME)
+    formatted, status = records.of(FORMATTED_TIME), records.of(STATUS)
+    calendar_s, calendar_ok = _calendar(formatted.fields)
+    packet = np.concatenate([state.packet, unix.packet, formatted.packet])
+    unix_s = np.concatenate([state.fields["unix_s"], unix.fields["unix_s"], calendar_s]).astype(np.float64)
+    us = np.concatenate([state.fields["us"], unix.fields["us"], formatted.fields["us"]]).astype(np.float64)
+    readable = np.concatenate([np.ones(state.packet.size + unix.packet.size, dtype=np.bool_), calendar_ok])
+    readable &= us < 1_000_000
+    utc_packet = np.concatenate([state.packet, status.packet])
+    utc_bit = np.concatenate([state.fields["filter"], status.fields["filter"]]) & FILTER_UTC != 0
+    order = np.argsort(utc_packet, kind="stable")
+    utc_packet, utc_bit = utc_packet[order], utc_bit[order]
+    if utc_packet.size:
+        last = np.searchsorted(utc_packet, packet, side="right") - 1
+        utc = utc_bit[np.maximum(last, 0)]
+    else:
+        utc = np.zeros(packet.size, dtype=np.bool_)
+    impossible = (utc & ~possible_utc(unix_s, us)) | ~readable
+    order = np.argsort(packet, kind="stable")
+    order = order[readable[order]]
+    return Clock(
+        packet=packet[order],
+        unix_s=unix_s[order],
+        us=us[order],
+        utc=(utc & ~impossible)[order],
+        n_impossible=int(impossible.sum()),
+    )
+
+
+def _calendar(fields: AnyArray) -> tuple[ArrayF, ArrayB]:
+    """Unix time of packet 22, whose month (not its day) counts from 0, and whether the date exists."""
+    ok = (
+        (fields["month"] < 12)
+        & (fields["day"] >= 1)
+        & (fields["day"] <= 31)
+        & (fields["year"] >= 1970)
+        & (fields["year"] < 2107)
+    )
+    ok &= (fields["hour"] < 24) & (fields["minute"] < 60) & (fields["second"] < 61)
+    months = np.where(ok, (fields["year"].astype(np.int64) - 1970) * 12 + fields["month"], 0)
+    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
+    seconds = (fields["hour"].astype(np.int64) * 60 + fields["minute"]) * 60 + fields["second"]
+    return ((days + fields["day"] - 1) * 86_400 + seconds).astype(np.float64), np.asarray(ok)

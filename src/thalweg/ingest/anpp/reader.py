@@ -16,10 +16,10 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.core.tables import column, frame_of, table_kind
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, column, frame_of, table_kind
+from thalweg.ingest import DEPTH, GNSS_POSITION, INS_RAW, INS_STATE, IntegrityReport, find_gaps
 from thalweg.ingest.anpp import packets as ap
-from thalweg.ingest.anpp.records import (
+from thalweg.ingest.anpp.packets import (
     AnppRecords,
     Clock,
     Records,
@@ -28,9 +28,7 @@ from thalweg.ingest.anpp.records import (
     gps_time,
     possible_utc,
 )
-from thalweg.ingest.framing.stream import CHUNK_BYTES
-from thalweg.ingest.integrity import IntegrityReport, find_gaps
-from thalweg.ingest.schemas import DEPTH, GNSS_POSITION, INS_RAW, INS_STATE
+from thalweg.ingest.framing import CHUNK_BYTES
 
 # ---------------------------------------------------------------- tables out of decoded ANPP packets
 

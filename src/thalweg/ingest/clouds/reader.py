@@ -2,26 +2,176 @@
 
 Coordinates stay in the file's own frame, in float64; nothing is shifted or transformed but the poses of
 the scans inside an E57, which belong to the format.
+
+A LAZ file keeps the table of its chunks at the end, and no library reads one without it. Chunks of
+layered LAZ (point formats 6 to 10) state the sizes of their layers, so a cut file is walked from the
+front, its whole chunks are given a new table in a temporary file, and that is read (LASzip 3
+specification, "layered chunked" compressor).
+
+Binary forms are told from it and refused by name: `pcl_convert_pcd_ascii_binary` turns them into ASCII.
 """
 
+import struct
+import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import lazrs
 import numpy as np
 import pye57
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from scipy.spatial.transform import Rotation
 
-from thalweg.core.errors import InputError, UnsupportedError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.geometry.ply_header import ORDERS, PlyElement, read_ply_header
-from thalweg.core.las.header import Frame, library_errors, local_crs
-from thalweg.core.types import AnyArray, ArrayF, ArrayF32, ArrayU8
-from thalweg.ingest.clouds.las import read_las
-from thalweg.ingest.clouds.raw import RawCloud, eight_bit, single_step_m
-from thalweg.ingest.integrity import IntegrityReport
+from thalweg.core import (
+    AnyArray,
+    ArrayF,
+    ArrayF32,
+    ArrayU8,
+    Frame,
+    InputError,
+    LazHeader,
+    LocalFrame,
+    UnsupportedError,
+    iter_laz,
+    laz_header,
+    laz_layout,
+    library_errors,
+    local_crs,
+    whole_chunks,
+)
+from thalweg.core.geometry import ORDERS, PlyElement, read_ply_header
+from thalweg.ingest import IntegrityReport
+
+# ---------------------------------------------------------------- What the cloud readers hand over, and
+# colours to 8 bit
+
+
+@dataclass(slots=True, kw_only=True)
+class RawCloud:
+    """Columns of a cloud before points that are not finite are dropped.
+
+    ``step_m`` is the coarsest step of the coordinates that the number format can tell.
+    """
+
+    points: ArrayF
+    intensity: AnyArray | None = None
+    rgb: AnyArray | None = None
+    normals: AnyArray | None = None
+    t_gps_s: AnyArray | None = None
+    frame: Any = None
+    step_m: float = 0.0
+
+
+def single_step_m(values: AnyArray) -> float:
+    """Step of single precision at the largest finite one of some values."""
+    reach = np.max(np.abs(values), where=np.isfinite(values), initial=0.0)
+    return float(np.spacing(np.float32(min(float(reach), float(np.finfo(np.float32).max) / 2))))
+
+
+def eight_bit(rgb: AnyArray, report: IntegrityReport) -> ArrayU8:
+    """Colours to 8 bit: uint8 as they are, floats from 0..1, wider integers by their high byte.
+
+    Integers of 16 bit that never exceed 255 are taken as 8-bit values; floats above 1 as 0..255.
+    """
+    if rgb.dtype == np.uint8:
+        return rgb
+    if rgb.dtype.kind == "f":
+        clean = np.nan_to_num(rgb, nan=0.0, posinf=0.0, neginf=0.0)
+        factor = 255.0 if not clean.size or clean.max() <= 1.0 else 1.0
+        return np.clip(np.rint(clean * factor), 0, 255).astype(np.uint8)
+    if not rgb.size or rgb.max() <= 255:
+        return np.clip(rgb, 0, 255).astype(np.uint8)
+    report.note("Colours of 16 bit are brought to 8 bit.")
+    return np.clip(rgb // 256, 0, 255).astype(np.uint8)
+
+
+# ---------------------------------------------------------------- LAS and LAZ clouds of other makers,
+# whole or cut
+
+
+WEEK_TIMES: Final = "Times are seconds of an unstated GPS week: they are left empty."
+
+_CHUNK_POINTS: Final = 500_000
+_LAYERED: Final = 3
+_NAMES: Final[tuple[str, ...]] = ("xyz_m", "intensity", "rgb", "t_gps_s", "t_week_s")
+
+
+def read_las(path: Path, report: IntegrityReport) -> RawCloud:
+    """All points of a LAS or LAZ file that can be read.
+
+    Raises
+    ------
+    InputError : the header is damaged, or no point can be read.
+    """
+    header = laz_header(path)
+    report.format = f"LAS/LAZ, point format {header.point_format}"
+    report.count("points_declared", header.n_points)
+    if header.crs_note:
+        report.note(header.crs_note)
+    parts: list[dict[str, AnyArray]] = []
+    try:
+        _collect(iter_laz(path, _CHUNK_POINTS), parts)
+    except InputError as error:
+        if not parts:
+            _salvage(path, parts, error)
+        report.note(f"The file is cut or damaged: {error.found}.")
+    n = sum(len(part["xyz_m"]) for part in parts)
+    if not n:
+        raise InputError("the cloud has no points", expected="at least one point", where=path)
+    if n < header.n_points:
+        report.lose("points_missing", header.n_points - n)
+        report.note(f"{n:,} of {header.n_points:,} points could be read.")
+    return _raw({name: np.concatenate([p[name] for p in parts]) for name in parts[0]}, header, report)
+
+
+def _collect(chunks: Iterable[dict[str, AnyArray]], parts: list[dict[str, AnyArray]]) -> None:
+    for chunk in chunks:
+        kept: dict[str, AnyArray] = {name: chunk[name] for name in _NAMES if name in chunk}
+        parts.append(kept)  # one by one: what was read before an error stays
+
+
+def _raw(columns: dict[str, AnyArray], header: LazHeader, report: IntegrityReport) -> RawCloud:
+    if "t_week_s" in columns:
+        report.note(WEEK_TIMES)
+    t = columns["t_gps_s"]
+    return RawCloud(
+        points=columns["xyz_m"],
+        intensity=columns["intensity"].astype(np.float32) if "intensity" in columns else None,
+        rgb=eight_bit(columns["rgb"], report) if "rgb" in columns else None,
+        t_gps_s=t if np.isfinite(t).any() else None,
+        frame=header.frame,
+        step_m=header.scale_m,
+    )
+
+
+def _salvage(path: Path, parts: list[dict[str, AnyArray]], error: InputError) -> None:
+    """Read the whole chunks of a cut layered LAZ; raises the first error again if there are none."""
+    layout = laz_layout(path)
+    table, end = whole_chunks(path, layout) if layout is not None else ([], 0)
+    if layout is None or not table:
+        raise error
+    with tempfile.TemporaryDirectory() as folder:
+        mended = Path(folder) / path.name
+        with path.open("rb") as source, mended.open("wb") as out:
+            head = bytearray(source.read(layout.start))
+            # no extended VLRs, and the number of points that are left; format 6+ has no 32-bit count
+            struct.pack_into("<QIQ", head, 235, 0, 0, sum(n for n, _ in table))
+            out.write(head)
+            out.write(struct.pack("<q", end))
+            source.seek(layout.start + 8)
+            for _, length in table:
+                out.write(source.read(length))
+            with library_errors(path, "mend the LAZ file"):
+                lazrs.write_chunk_table(out, table, lazrs.LazVlr(layout.laszip))
+        try:
+            _collect(iter_laz(mended, _CHUNK_POINTS), parts)
+        except InputError:
+            if not parts:
+                raise error from None
+
 
 # ---------------------------------------------------------------- scans of an E57 file (ASTM E2807), each
 # moved by its pose into the frame of the file
@@ -325,8 +475,6 @@ def _stack(table: AnyArray, names: tuple[str, ...]) -> AnyArray:
 # ---------------------------------------------------------------- reader
 
 
-__all__ = ["NO_CRS", "Cloud", "read_cloud"]
-
 _READERS: Final = {b"LASF": read_las, b"ply": read_ply, b"ASTM-E57": read_e57}
 NO_CRS: Final = "The file states no coordinate reference system."
 _FINE_M: Final = 1.01e-3
@@ -443,3 +591,101 @@ def _cloud(raw: RawCloud, report: IntegrityReport, path: Path) -> Cloud:
         report=report,
         step_m=raw.step_m,
     )
+
+
+# ---------------------------------------------------------------- Clouds in the ASCII form of the Point
+# Cloud Library's PCD files, version 0.7, as single scans often come
+
+
+_KEYS: Final = ("FIELDS", "POINTS", "DATA")
+_HEAD_LINES: Final = 30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PcdCloud:
+    """Points of a file: ``xyz_m`` (n, 3), all ``fields`` (n,) by name, number of points left out."""
+
+    xyz_m: ArrayF
+    fields: dict[str, ArrayF]
+    n_left_out: int
+
+
+def read_pcd(path: Path) -> PcdCloud:
+    """Read an ASCII PCD file.
+
+    Points with coordinates that are not finite (PCL writes ``nan`` for missing returns) are left out and
+    counted.
+
+    Raises
+    ------
+    InputError : the file is missing, is none, or holds other than the stated number of points and fields.
+    UnsupportedError : the data are binary.
+    """
+    if not path.is_file():
+        raise InputError("file not found", expected="a PCD cloud", where=path)
+    raw = path.read_bytes()
+    head, body = _head(raw, path)
+    names = head["FIELDS"].split()
+    if head["DATA"] != "ascii":
+        raise UnsupportedError(
+            f"data in the form {head['DATA']!r}",
+            expected="ascii",
+            where=path,
+            cure="Convert it with pcl_convert_pcd_ascii_binary <in> <out> 0",
+        )
+    if any(count != "1" for count in head.get("COUNT", "").split()):
+        raise UnsupportedError(
+            f"fields with several values each (COUNT {head['COUNT']})", expected="COUNT 1", where=path
+        )
+    missing = [name for name in "xyz" if name not in names]
+    if missing:
+        raise InputError(f"no fields {', '.join(missing)}", expected="x, y and z", where=path)
+    table = _numbers(raw[body:], len(names), path)
+    if not head["POINTS"].isdigit() or len(table) != int(head["POINTS"]):
+        raise InputError(
+            f"{len(table)} points where the head says {head['POINTS']}",
+            expected="a whole file",
+            where=path,
+            cure="Copy the file again: it is cut off or was joined with another one",
+        )
+    good = np.isfinite(table[:, [names.index(a) for a in "xyz"]]).all(axis=1)
+    fields = {name: table[good, i] for i, name in enumerate(names)}
+    xyz = np.stack([fields[a] for a in "xyz"], axis=1)
+    return PcdCloud(xyz_m=xyz, fields=fields, n_left_out=int(np.count_nonzero(~good)))
+
+
+def _head(raw: bytes, path: Path) -> tuple[dict[str, str], int]:
+    """Entries of the head, and where the data begin."""
+    head: dict[str, str] = {}
+    start = 0
+    for _ in range(_HEAD_LINES):
+        end = raw.find(b"\n", start)
+        line = raw[start : end if end >= 0 else len(raw)].decode("ascii", errors="replace").strip()
+        if line and not line.startswith("#"):
+            key, _, value = line.partition(" ")
+            head[key] = value.strip()
+        if end < 0 or "DATA" in head:
+            break
+        start = end + 1
+    missing = [key for key in _KEYS if key not in head]
+    if missing:
+        raise InputError(
+            f"no PCD head (without {', '.join(missing)})", expected="FIELDS, POINTS and DATA", where=path
+        )
+    return head, end + 1 if end >= 0 else len(raw)
+
+
+def _numbers(text: bytes, columns: int, path: Path) -> ArrayF:
+    lines = [line for line in text.split(b"\n") if line.strip()]
+    table = np.empty((len(lines), columns))
+    for i, line in enumerate(lines):
+        words = line.split()
+        try:
+            table[i] = [float(word) for word in words]
+        except ValueError as error:
+            raise InputError(
+                f"point {i + 1} is {line[:60].decode('ascii', errors='replace')!r}",
+                expected=f"{columns} numbers",
+                where=path,
+            ) from error
+    return table

@@ -8,13 +8,9 @@ import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.las.files import LazWriter
-from thalweg.core.types import AnyArray, ArrayF
-from thalweg.ingest.clouds.las import WEEK_TIMES
-from thalweg.ingest.clouds.reader import NO_CRS, Cloud, read_cloud
-from thalweg.ingest.integrity import IntegrityReport
+from thalweg.core import AnyArray, ArrayF, GeometryError, InputError, LazWriter, LocalFrame
+from thalweg.ingest import IntegrityReport
+from thalweg.ingest.clouds.reader import NO_CRS, WEEK_TIMES, Cloud, read_cloud
 
 # ---------------------------------------------------------------- A reference that does not lie where the
 # campaign is: where it lies, and what it may be instead

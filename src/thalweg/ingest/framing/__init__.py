@@ -1,1 +1,5 @@
 """Frames of ANPP and SBP in a byte stream, with resynchronisation after damage."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,10 +8,14 @@ synchronised: ``t_gps_s`` stays NaN.
 
 Heights are ellipsoidal: GGA field 9 (above the geoid) plus field 11 (geoid above ellipsoid).
 The offset of DPT is handed on and never added.
+
+A checksum is the exclusive or of all characters between ``$`` and ``*`` (NMEA 0183, "Sentence
+structure"). It is computed for a whole chunk at once; only wanted sentences become Python strings.
 """
 
 import datetime as dt
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -19,15 +23,310 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.errors import InputError
-from thalweg.core.timescales import DAY_S, gps_from_unix
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.ingest.integrity import IntegrityReport, find_gaps
-from thalweg.ingest.nmea.positions import Fix, position_table
-from thalweg.ingest.nmea.scan import Sentence, scan_sentences
-from thalweg.ingest.schemas import DEPTH
-from thalweg.ingest.stamps import possible_unix
-from thalweg.ingest.tracks.overlap import repeated_rows, say_repeated
+from thalweg.core import DAY_S, ArrayF, ArrayI, InputError, gps_from_unix
+from thalweg.ingest import (
+    DEPTH,
+    GNSS_POSITION,
+    IntegrityReport,
+    find_gaps,
+    possible_unix,
+    repeated_rows,
+    say_repeated,
+)
+
+# ---------------------------------------------------------------- NMEA 0183 sentences out of a log's
+# bytes: framing, checksum, logger prefixes, TAG blocks
+
+
+_SENTENCE: Final = re.compile(rb"[$!]([A-Z][A-Z0-9]{1,9},[^$!\r\n*]*)(?:\*([^$!\r\n]{0,2}))?")
+_TAG: Final = re.compile(rb"\\([^\\*]*)\*([0-9A-Fa-f]{2})\\\s*$")
+_TAG_TIME: Final = re.compile(rb"(?:^|,)c:(\d{9,13})(?:,|$)")
+_UNIX: Final = re.compile(rb"^\W*(\d{9,10}(?:\.\d+)?|\d{13})\W*$")
+_ISO: Final = re.compile(
+    rb"^\W*(\d{4})[-/](\d\d)[-/](\d\d)[ T,;]+(\d\d):(\d\d):(\d\d(?:\.\d+)?)(?:Z|[+-]00:?00)?\W*$"
+)
+_BLANK: Final = b"\r\n \t\0"
+_CHUNK: Final = 1 << 22
+_UNIX_ORDINAL: Final = dt.date(1970, 1, 1).toordinal()
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """A sentence with a good checksum: three-letter type, fields, line from 1, logger's Unix time or NaN."""
+
+    kind: str
+    fields: list[str]
+    line: int
+    t_host_s: float
+
+
+def scan_sentences(path: Path, wanted: frozenset[bytes], report: IntegrityReport) -> Iterator[Sentence]:
+    """Wanted sentences of a log in the order of the file; everything else is counted.
+
+    A sentence without a checksum is used only if the first 4 MB of the file hold no good checksum at all:
+    in a log with checksums it is a cut sentence.
+
+    Parameters
+    ----------
+    path : log of any line ending.
+    wanted : three-letter types, such as ``b"GGA"``, of any talker of two letters.
+    report : takes the counts.
+
+    Raises
+    ------
+    InputError : missing or empty file.
+    """
+    if not path.is_file():
+        raise InputError("file not found", expected="an NMEA log", where=path, cure="Check the path")
+    line = 0
+    demand: bool | None = None
+    tail = b""
+    with path.open("rb") as stream:
+        while True:
+            data = stream.read(_CHUNK)
+            report.bytes_read += len(data)
+            chunk = tail + data
+            tail = b""
+            if data:
+                cut = max(chunk.rfind(b"\n"), chunk.rfind(b"\r")) + 1
+                # "\r" at the very end may be half of "\r\n"
+                if cut and chunk[cut - 1 : cut] == b"\r" and cut == len(chunk):
+                    cut = max(chunk.rfind(b"\n", 0, cut - 1), chunk.rfind(b"\r", 0, cut - 1)) + 1
+                if cut or len(chunk) < 2 * _CHUNK:
+                    chunk, tail = chunk[:cut], chunk[cut:]
+            if chunk:
+                found = _frames(chunk)
+                if demand is None:
+                    demand = bool(np.any(found.good))
+                yield from _sentences(chunk, found, line, wanted, demand, report)
+                line += found.n_lines
+            if not data:
+                return
+
+
+@dataclass(frozen=True, slots=True)
+class _Frames:
+    matches: list[re.Match[bytes]]
+    good: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    stated: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    line: list[int]
+    n_lines: int
+
+
+def _frames(chunk: bytes) -> _Frames:
+    matches = list(_SENTENCE.finditer(chunk))
+    raw = np.frombuffer(chunk, dtype=np.uint8)
+    feeds = raw == 10
+    returns = raw == 13
+    returns[:-1] &= ~feeds[1:]
+    ends = np.flatnonzero(feeds | returns)
+    spans = np.array([m.span(1) for m in matches], dtype=np.int64).reshape(-1, 2)
+    stated = np.array([_hex(m[2]) for m in matches], dtype=np.int64)
+    # reduceat takes pairs (begin, end); a byte is added so that an end at the end of the chunk is an index
+    sums = np.bitwise_xor.reduceat(np.append(raw, np.uint8(0)), spans.ravel())[::2] if matches else stated
+    line = np.searchsorted(ends, spans[:, 0]).tolist()
+    # 256: no hexadecimal number of two digits, which is a wrong checksum; -1: none stated
+    return _Frames(matches, sums == stated, stated >= 0, line, len(ends))
+
+
+def _hex(text: bytes | None) -> int:
+    if text is None:
+        return -1
+    try:
+        return int(text, 16) if len(text) == 2 else 256
+    except ValueError:
+        return 256
+
+
+def _sentences(
+    chunk: bytes,
+    found: _Frames,
+    first_line: int,
+    wanted: frozenset[bytes],
+    demand: bool,
+    report: IntegrityReport,
+) -> Iterator[Sentence]:
+    n_good = int(np.count_nonzero(found.good))
+    n_bare = int(np.count_nonzero(~found.stated))
+    if n_good:
+        report.count("sentences", n_good)
+    if n_bad := len(found.matches) - n_good - n_bare:
+        report.lose("bad_checksum", n_bad)
+    if n_bare and demand:
+        report.lose("without_checksum", n_bare)
+    elif n_bare:
+        report.count("sentences_without_checksum", n_bare)
+    use = found.good if demand else found.good | ~found.stated
+    kinds: dict[bytes, int] = {}
+    end = 0
+    for match, usable, line in zip(found.matches, use.tolist(), found.line, strict=True):
+        start = match.start()
+        t_host_s = float("nan")
+        if start - end > 2:
+            t_host_s = _between(chunk[end:start], report, followed=True)
+        end = match.end()
+        if not usable:
+            continue
+        body = match[1]
+        comma = body.index(b",")
+        kind = body[2:comma]
+        kinds[kind] = kinds.get(kind, 0) + 1
+        if comma == 5 and kind in wanted:
+            fields = body.decode("latin-1").split(",")
+            yield Sentence(fields[0][2:], fields, first_line + line + 1, t_host_s)
+    if len(chunk) - end > 2:
+        _between(chunk[end:], report, followed=False)
+    for kind, n in kinds.items():
+        report.count(kind.decode("ascii"), n)
+
+
+def _between(text: bytes, report: IntegrityReport, *, followed: bool) -> float:
+    """Count what lies between sentences; returns the logger's time stamp in front of the next one."""
+    if not text.strip(_BLANK):
+        return float("nan")
+    lines = re.split(rb"[\r\n]+", text)
+    prefix = lines.pop() if followed else b""
+    for line in lines:
+        if line.startswith(b"#"):
+            report.count("comment_lines")
+        elif line.strip(_BLANK):
+            report.lose("foreign_bytes", len(line))
+    if not prefix.strip(_BLANK):
+        return float("nan")
+    stamp = _host_time(prefix)
+    if stamp is None:
+        report.lose("foreign_bytes", len(prefix))
+        return float("nan")
+    report.count("prefixed_sentences")
+    return stamp
+
+
+def _host_time(prefix: bytes) -> float | None:
+    """Unix time in a prefix; NaN for a TAG block without one; None if the prefix is nothing known."""
+    if tag := _TAG.search(prefix):
+        total = 0
+        for byte in tag[1]:
+            total ^= byte
+        stamp = _TAG_TIME.search(tag[1])
+        if total != int(tag[2], 16):
+            return None
+        return _seconds(stamp[1]) if stamp else float("nan")
+    if number := _UNIX.match(prefix):
+        return _seconds(number[1])
+    if date := _ISO.match(prefix):
+        year, month, day, hour, minute = (int(x) for x in date.groups()[:5])
+        try:
+            days = dt.date(year, month, day).toordinal() - _UNIX_ORDINAL
+        except ValueError:
+            return None
+        return days * 86400.0 + hour * 3600 + minute * 60 + float(date[6])
+    return None
+
+
+def _seconds(digits: bytes) -> float:
+    """Unix time from a number of seconds, or of milliseconds where it has 12 or 13 digits."""
+    value = float(digits)
+    return value / 1000 if value > 1e11 else value
+
+
+# ---------------------------------------------------------------- Positions of NMEA epochs: one a time,
+# with the standard deviations of GST
+
+
+_NAN: Final = float("nan")
+_RANK: Final = {"GGA": 0, "RMC": 1, "GLL": 2}
+
+Seconds = Callable[[ArrayF, ArrayF, ArrayF], ArrayF]
+"""Second of the day, midnights since the start, day of midnight 0 -> ``t_gps_s``."""
+
+
+@dataclass(slots=True)
+class Fix:
+    """Position of one sentence."""
+
+    kind: str
+    lat_deg: float
+    lon_deg: float
+    h_ell_m: float = _NAN
+    fix: str = "none"
+    n_sats: int = -1
+    age_s: float = _NAN
+    second: float = _NAN
+    midnights: int = 0
+    day_zero: float = _NAN
+    file: int = 0
+    """Number of the file that holds the sentence."""
+
+
+def position_table(
+    fixes: list[Fix], sigmas: list[tuple[float, ...]], seconds: Seconds, report: IntegrityReport
+) -> tuple[pd.DataFrame, ArrayI]:
+    """Table of kind ``gnss_position``, one row an epoch, and the number of the file of each row.
+
+    Parameters
+    ----------
+    fixes : positions in the order of the log.
+    sigmas : of GST: second of the day, midnights, semi-major and semi-minor standard deviation (m), its
+        orientation (degrees from true north), standard deviations of latitude, longitude, height (m).
+    seconds : time onto the GPS axis.
+    report : takes the counts.
+    """
+    kept: list[Fix] = []
+    for fix in fixes:
+        last = kept[-1] if kept else None
+        if (
+            last is None
+            or fix.second != fix.second
+            or (fix.second, fix.midnights) != (last.second, last.midnights)
+        ):
+            kept.append(fix)
+        elif _RANK[fix.kind] < _RANK[last.kind]:
+            kept[-1] = fix
+    if fixes:
+        report.count("position_sentences", len(fixes))
+    n = len(kept)
+    by_time = {(s[0], int(s[1])): s[2:] for s in sigmas if s[0] == s[0]}
+    none = (_NAN,) * 6
+    gst = np.array([by_time.get((f.second, f.midnights), none) for f in kept], dtype=np.float64).reshape(
+        -1, 6
+    )
+    major, minor, angle = gst[:, 0], gst[:, 1], np.deg2rad(gst[:, 2])
+    sigma_north, sigma_east = gst[:, 3], gst[:, 4]
+    cov_en = (major**2 - minor**2) * np.sin(angle) * np.cos(angle)
+    # An ellipse that contradicts the standard deviations by more than the rounding to 1 mm is not used.
+    bound = sigma_north * sigma_east
+    inside = np.abs(cov_en) <= bound
+    lost = int(np.count_nonzero(np.isfinite(cov_en) & ~inside))
+    if lost:
+        report.lose("contradicting_error_ellipses", lost)
+    columns = {name: np.array([getattr(f, name) for f in kept], dtype=np.float64) for name in _FLOATS}
+    unknown = np.full(n, np.nan)
+    table = pd.DataFrame(
+        {
+            "t_gps_s": seconds(columns["second"], columns["midnights"], columns["day_zero"]),
+            "lat_deg": columns["lat_deg"],
+            "lon_deg": columns["lon_deg"],
+            "h_ell_m": columns["h_ell_m"],
+            "fix": pd.Series([f.fix for f in kept], dtype=object),
+            "n_sats": np.array([f.n_sats for f in kept], dtype=np.int32),
+            "sigma_east_m": sigma_east,
+            "sigma_north_m": sigma_north,
+            "sigma_up_m": gst[:, 5],
+            "cov_en_m2": np.where(inside, cov_en, np.nan),
+            "cov_eu_m2": unknown,
+            "cov_nu_m2": unknown,
+            "age_s": columns["age_s"],
+            "ratio": unknown,
+        }
+    )
+    bare = sum(f.kind == "GGA" and f.h_ell_m != f.h_ell_m for f in kept)
+    if bare:
+        report.note(f"{bare} GGA sentences have no geoid separation: no ellipsoidal height can be given.")
+    return table[list(GNSS_POSITION.names)], np.array([f.file for f in kept], dtype=np.int64)
+
+
+_FLOATS: Final = ("second", "midnights", "day_zero", "lat_deg", "lon_deg", "h_ell_m", "age_s")
+
 
 # ---------------------------------------------------------------- values out of NMEA fields: times, dates,
 # coordinates, qualities, depths
@@ -37,18 +336,32 @@ FOOT_M: Final = 0.3048
 FATHOM_M: Final = 1.8288
 
 FIX_OF_QUALITY: Final = {
-    "0": "none", "1": "single", "2": "dgnss", "3": "single", "4": "fixed", "5": "float",
-    "6": "dead_reckoning", "7": "none", "8": "none", "9": "sbas",
-}  # fmt: skip
+    "0": "none",
+    "1": "single",
+    "2": "dgnss",
+    "3": "single",
+    "4": "fixed",
+    "5": "float",
+    "6": "dead_reckoning",
+    "7": "none",
+    "8": "none",
+    "9": "sbas",
+}
 """GGA field 6 -> fix; 7 is manual input, 8 a simulator, 9 SBAS in NovAtel receivers."""
 
 FIX_OF_MODE: Final = {
-    "A": "single", "D": "dgnss", "R": "fixed", "F": "float", "P": "single", "E": "dead_reckoning",
-    "M": "none", "S": "none", "N": "none", "": "single",
-}  # fmt: skip
+    "A": "single",
+    "D": "dgnss",
+    "R": "fixed",
+    "F": "float",
+    "P": "single",
+    "E": "dead_reckoning",
+    "M": "none",
+    "S": "none",
+    "N": "none",
+    "": "single",
+}
 """Mode indicator of RMC and GLL (NMEA 2.3) -> fix; older sentences have none."""
-
-_UNIX_ORDINAL: Final = dt.date(1970, 1, 1).toordinal()
 
 
 def second_of_day(text: str) -> float:
@@ -134,7 +447,6 @@ def below_depth(fields: list[str]) -> float:
 _TIME_FIELD: Final = {"GGA": 1, "RMC": 1, "GLL": 5, "GST": 1, "ZDA": 1}
 _WANTED: Final = frozenset(k.encode() for k in (*_TIME_FIELD, "HDT", "DBT", "DPT", "DBS"))
 _HALF_DAY_S: Final = 43_200
-_NAN: Final = float("nan")
 _DEPTH_FLOATS: Final = ("t_day_s", "midnights", "day_zero", "t_host_s", "depth_m", "offset_m")
 
 
@@ -292,17 +604,7 @@ def _take(sentence: Sentence, rows: _Rows, report: IntegrityReport) -> None:
         offset = number(f, 2) if kind == "DPT" else _NAN
         if depth < 0:
             raise ValueError(depth)
-        rows.depths.append(
-            (
-                *_now(clock),
-                sentence.t_host_s,
-                depth,
-                offset,
-                kind,
-                sentence.line,
-                clock.file,
-            )
-        )
+        rows.depths.append((*_now(clock), sentence.t_host_s, depth, offset, kind, sentence.line, clock.file))
 
 
 def _now(clock: _Clock) -> tuple[float, float, float]:
@@ -376,10 +678,9 @@ def _log(rows: _Rows, date: dt.date | None, report: IntegrityReport) -> NmeaLog:
         return gps_from_unix(day * DAY_S + whole) + (second - leap - whole) + leap
 
     positions, position_file = position_table(rows.fixes, rows.sigmas, seconds, report)
-    depth = pd.DataFrame(
-        rows.depths,
-        columns=[*_DEPTH_FLOATS, "sentence", "line", "file"],
-    ).astype(dict.fromkeys(_DEPTH_FLOATS, np.float64))
+    depth = pd.DataFrame(rows.depths, columns=[*_DEPTH_FLOATS, "sentence", "line", "file"]).astype(
+        dict.fromkeys(_DEPTH_FLOATS, np.float64)
+    )
     heading = pd.DataFrame(
         rows.headings,
         columns=["t_day_s", "midnights", "day_zero", "heading_deg", "line", "file"],

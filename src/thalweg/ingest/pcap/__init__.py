@@ -1,1 +1,5 @@
 """Network captures: pcap and pcapng, gaps and cut files counted."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -18,8 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core.errors import InputError, UnsupportedError
-from thalweg.core.types import ArrayF, ArrayI, ArrayU8
+from thalweg.core import ArrayF, ArrayI, ArrayU8, InputError, UnsupportedError
 from thalweg.ingest.pcap import kernels as frames
 
 # ---------------------------------------------------------------- the record layers of capture files: classic

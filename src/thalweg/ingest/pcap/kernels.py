@@ -7,9 +7,8 @@ decide: the end of the window, a header that cannot be, a block that changes the
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 
-from thalweg.core.types import AnyArray, ArrayF, ArrayI, ArrayU8
+from thalweg.core import AnyArray, ArrayF, ArrayI, ArrayU8, njit
 
 NEED: Final = 0
 """The record at the returned offset reaches beyond the window."""
@@ -308,9 +307,19 @@ def walk_pcapng(
             tally[_MALFORMED] += 1
         elif interface >= 0:
             k = _take(
-                buf, start, start + captured, links[interface], t_s,
-                ports, sizes, tally, foreign, out, out_t, k,
-            )  # fmt: skip
+                buf,
+                start,
+                start + captured,
+                links[interface],
+                t_s,
+                ports,
+                sizes,
+                tally,
+                foreign,
+                out,
+                out_t,
+                k,
+            )
         last = o
         o += length
 

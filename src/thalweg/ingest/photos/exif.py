@@ -9,8 +9,8 @@ from typing import Any, Final
 
 from PIL import Image, UnidentifiedImageError
 
-from thalweg.core.errors import InputError
-from thalweg.ingest.stamps import possible_unix
+from thalweg.core import InputError
+from thalweg.ingest import possible_unix
 
 _DATE = re.compile(r"\s*(\d{4})[:\-/](\d\d)[:\-/](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*\Z")
 _OFFSET = re.compile(r"\s*(?:UTC|GMT)?\s*([+-])(\d{1,2})(?::?([0-5]\d))?\s*\Z")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from thalweg.core.errors import InputError
+from thalweg.core import InputError
 
 IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
@@ -23,7 +23,7 @@ Images = Mapping[str, Path] | Sequence[Path]
 _SYSTEM: Final = ("@eadir", "__macosx")
 """Folders in which systems keep previews."""
 _MASKS: Final = "mask"
-"""Folders whose name holds this hold no photographs; as `thalweg.settings.files.template.stream_of`
+"""Folders whose name holds this hold no photographs; as `thalweg.settings.template.stream_of`
 takes them.
 """
 _ENDINGS_NAMED: Final = 4

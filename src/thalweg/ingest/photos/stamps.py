@@ -20,12 +20,17 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.core.errors import ClockError, InputError
-from thalweg.core.tables import column, frame_of, table_kind
-from thalweg.core.timescales import gps_from_unix, unix_from_gps
-from thalweg.core.types import ArrayF
-from thalweg.ingest.clock_shift import explain_shift
-from thalweg.ingest.integrity import IntegrityReport, find_gaps
+from thalweg.core import (
+    ArrayF,
+    ClockError,
+    InputError,
+    column,
+    frame_of,
+    gps_from_unix,
+    table_kind,
+    unix_from_gps,
+)
+from thalweg.ingest import IntegrityReport, explain_shift, find_gaps, possible_unix
 from thalweg.ingest.photos.exif import CivilStamp, ImageHead, civil_second, offset_seconds, read_head
 from thalweg.ingest.photos.files import (
     by_any_name,
@@ -35,7 +40,6 @@ from thalweg.ingest.photos.files import (
     named_images,
     natural_key,
 )
-from thalweg.ingest.stamps import possible_unix
 
 # ---------------------------------------------------------------- times in the names of photographs: the
 # usual patterns, and a pattern of the user
@@ -161,9 +165,7 @@ def read_time_table(path: Path) -> dict[str, CivilStamp]:
     known = [name for name in TIME_COLUMNS if name in names]
     if "file" not in names or len(known) != 1:
         raise InputError(
-            f"columns {names}",
-            where=path,
-            expected=f"the columns file and one of {', '.join(TIME_COLUMNS)}",
+            f"columns {names}", where=path, expected=f"the columns file and one of {', '.join(TIME_COLUMNS)}"
         )
     out: dict[str, CivilStamp] = {}
     for row in rows:
@@ -211,9 +213,7 @@ def _stamp(text: str, form: str, where: str) -> CivilStamp:
 # ---------------------------------------------------------------- stamps
 
 
-__all__ = [
-    "IMAGE_STAMPS", "ImageStamps", "Source", "list_images", "natural_key", "read_image_stamps",
-]  # fmt: skip
+__all__ = ["IMAGE_STAMPS", "ImageStamps", "Source", "list_images", "natural_key", "read_image_stamps"]
 
 Source = Literal["auto", "name", "exif", "table"]
 

@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from thalweg.core.errors import ConfigError, InputError
+from thalweg.core import ConfigError, InputError
 from thalweg.ingest.ppk import worker as ppk_worker
 
 # Imported for its path only: so an edit of the worker counts as an edit of what runs it.
@@ -73,9 +73,13 @@ def run_worker(
         with log.open("wb") as sink:
             done = subprocess.run(
                 command,
-                stdin=subprocess.DEVNULL, stdout=sink, stderr=subprocess.STDOUT,
-                cwd=folder, timeout=time_limit_s, check=False,
-            )  # fmt: skip
+                stdin=subprocess.DEVNULL,
+                stdout=sink,
+                stderr=subprocess.STDOUT,
+                cwd=folder,
+                timeout=time_limit_s,
+                check=False,
+            )
     except subprocess.TimeoutExpired as error:
         raise InputError(
             f"the RTKLIB engine did not finish within {time_limit_s:g} s; it printed: {_tail(log)}",

@@ -6,9 +6,8 @@ from typing import Any, Final, Literal, Self
 
 import numpy as np
 
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, ConfigError, LocalFrame
+from thalweg.settings.sections import Ppk
 
 SYSTEM_BITS: Final[Mapping[str, int]] = {"GPS": 1, "SBS": 2, "GLO": 4, "GAL": 8, "QZS": 16, "BDS": 32}
 """Values of RTKLIB's ``pos1-navsys`` (RTKLIB manual 2.4.2, section 3.5); their sum selects systems."""
@@ -28,6 +27,9 @@ _CHOICES: Final[dict[str, tuple[str, ...]]] = {
     "iono": ("off", "brdc", "dual-freq", "est-stec"),
     "tropo": ("off", "saas", "est-ztd", "est-ztdgrad"),
 }
+
+
+_SECTION: Final = Ppk()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,18 +67,18 @@ class PpkOptions:
     base_llh: tuple[float, float, float] | None = None
     base_source: BaseSource | None = None
     base_antenna_delta_enu_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    elevation_mask_deg: float = 15.0
-    frequencies: Frequencies = "l1+l2"
-    systems: tuple[str, ...] = ("GPS",)
-    ambiguity: Ambiguity = "continuous"
-    fix_glonass: bool = False
-    fix_beidou: bool = False
-    direction: Direction = "forward"
-    ratio_threshold: float = 3.0
-    iono: Literal["off", "brdc", "dual-freq", "est-stec"] = "brdc"
-    tropo: Literal["off", "saas", "est-ztd", "est-ztdgrad"] = "saas"
-    dynamics: bool = False
-    max_age_s: float = 30.0
+    elevation_mask_deg: float = _SECTION.elevation_mask_deg
+    frequencies: Frequencies = _SECTION.frequencies
+    systems: tuple[str, ...] = _SECTION.systems
+    ambiguity: Ambiguity = _SECTION.ambiguity
+    fix_glonass: bool = _SECTION.fix_glonass
+    fix_beidou: bool = _SECTION.fix_beidou
+    direction: Direction = _SECTION.direction
+    ratio_threshold: float = _SECTION.ratio_threshold
+    iono: Literal["off", "brdc", "dual-freq", "est-stec"] = _SECTION.iono
+    tropo: Literal["off", "saas", "est-ztd", "est-ztdgrad"] = _SECTION.tropo
+    dynamics: bool = _SECTION.dynamics
+    max_age_s: float = _SECTION.max_age_s
 
     def __post_init__(self) -> None:
         """Check all options at once."""

@@ -6,10 +6,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayB, ArrayF
-from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.ingest.tracks.rtklib_pos import read_pos
+from thalweg.core import ArrayB, ArrayF, InputError
+from thalweg.ingest import GNSS_POSITION
+from thalweg.ingest.tracks import read_pos
 
 SIGMA_FLOOR_M: Final = 0.0005
 """Least standard deviation of one epoch in any direction: 3 mm of phase noise over 30 satellites."""

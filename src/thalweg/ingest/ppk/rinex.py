@@ -12,16 +12,18 @@ from typing import Final, Literal
 
 import numpy as np
 
-from thalweg.core.errors import InputError, UnsupportedError
-from thalweg.core.timescales import (
+from thalweg.core import (
     ADJUSTED_OFFSET_S,
     DAY_S,
     GPS_EPOCH_UNIX_S,
+    ArrayF,
+    ArrayI,
+    InputError,
+    UnsupportedError,
     gps_from_unix,
     utc_text_from_gps,
 )
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.ingest.integrity import IntegrityReport, find_gaps
+from thalweg.ingest import IntegrityReport, find_gaps
 
 # ---------------------------------------------------------------- walk through the records of a RINEX file:
 # which are whole, which are damaged or cut
@@ -240,9 +242,7 @@ def walk_navigation(
 # ---------------------------------------------------------------- rinex
 
 
-SYSTEM_OF_LETTER: Final = {
-    "G": "GPS", "R": "GLO", "E": "GAL", "J": "QZS", "C": "BDS", "I": "IRN", "S": "SBS",
-}  # fmt: skip
+SYSTEM_OF_LETTER: Final = {"G": "GPS", "R": "GLO", "E": "GAL", "J": "QZS", "C": "BDS", "I": "IRN", "S": "SBS"}
 """Satellite systems by their RINEX letter."""
 
 _FOREIGN: Final = (

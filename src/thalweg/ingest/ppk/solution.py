@@ -16,22 +16,13 @@ import numpy as np
 import pandas as pd
 from pyproj import Transformer
 
-from thalweg.core.errors import InputError
-from thalweg.core.frames import rotation_ecef_enu
-from thalweg.core.timescales import utc_text_from_gps
-from thalweg.core.types import ArrayF
-from thalweg.ingest.integrity import IntegrityReport, find_gaps
-from thalweg.ingest.ppk.engine import (
-    EngineAnswer,
-    check_settings,
-    engine_version,
-    run_worker,
-    write_settings,
-)
+from thalweg.core import ArrayF, InputError, rotation_ecef_enu, utc_text_from_gps
+from thalweg.ingest import IntegrityReport, find_gaps
+from thalweg.ingest.ppk.engine import EngineAnswer, check_settings, engine_version, run_worker, write_settings
 from thalweg.ingest.ppk.options import PpkOptions, ecef_fault, engine_settings
 from thalweg.ingest.ppk.positions import read_solution, replace_covariances
 from thalweg.ingest.ppk.rinex import RinexScan, rinex_kind, scan_rinex, whole_records
-from thalweg.ingest.sbp.frames import find_messages
+from thalweg.ingest.sbp import find_messages
 
 # ---------------------------------------------------------------- input files of a PPK run: their kinds, the
 # files that the engine reads, and checks before it runs

@@ -41,9 +41,19 @@ def solve(job: dict[str, Any]) -> dict[str, Any]:
     start.time = end.time = 0
     inputs = list(job["inputs"])
     returned = rtk.postpos(
-        start, end, float(job["interval_s"]), 0.0, processing, solution, files,
-        inputs, len(inputs), job["output"], "", "",
-    )  # fmt: skip
+        start,
+        end,
+        float(job["interval_s"]),
+        0.0,
+        processing,
+        solution,
+        files,
+        inputs,
+        len(inputs),
+        job["output"],
+        "",
+        "",
+    )
     return {"loaded": loaded, "returned": int(returned)}
 
 

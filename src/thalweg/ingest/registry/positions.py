@@ -1,17 +1,23 @@
-"""Antenna positions from whichever source a campaign chooses, in one table kind."""
+"""Formats of antenna positions, and the positions of a campaign from whichever source it chooses."""
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
-from thalweg.core.errors import InputError
-from thalweg.core.tables import read_table
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.ppk.positions import replace_covariances
-from thalweg.ingest.registry.recognise import recognise
-from thalweg.ingest.schemas import GNSS_POSITION, INS_STATE
+from thalweg.core import InputError, read_table
+from thalweg.ingest import GNSS_POSITION, INS_STATE, IntegrityReport, PositionLog, TrackOptions
+from thalweg.ingest.ppk import replace_covariances
+from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
+
+_NMEA = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},[^\r\n*]*(\*[0-9A-Fa-f]{2})?")
+_POS_LINE = re.compile(
+    rb"(?m)^\s*(\d{4}/\d\d/\d\d[ ,;\t]+\d\d:\d\d:\d\d(\.\d+)?|\d{4}[ ,;\t]+\d{1,6}\.\d+)"
+    rb"([ ,;\t]+[-\d.:]+){6,}"
+)
 
 
 def positions_from_states(states: pd.DataFrame) -> pd.DataFrame:
@@ -40,13 +46,13 @@ def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
     ------
     InputError : a file is neither.
     """
-    sbp = [path for path in files if recognise(path) == "sbp"]
+    sbp = [path for path in files if _kind(path) == "sbp"]
     if sbp:
-        from thalweg.ingest.sbp.reader import read_sbp
+        from thalweg.ingest.sbp import read_sbp
 
         log = read_sbp(sbp)
         return log.positions, log.report
-    from thalweg.ingest.ppk.rinex import describe_rinex
+    from thalweg.ingest.ppk import describe_rinex
 
     report = describe_rinex(files[0])
     report.stream = "gnss"
@@ -78,18 +84,13 @@ def read_positions(
     ------
     InputError : the source is unknown, or its files cannot be used.
     """
-    if source == "pos":
-        from thalweg.ingest.tracks.rtklib_pos import read_pos
-
-        pos = read_pos(logs)
-        positions, report = pos.positions, pos.report
-    elif source == "sbp":
-        from thalweg.ingest.sbp.reader import read_sbp
-
-        sbp = read_sbp(logs)
-        positions, report = sbp.positions, sbp.report
+    reader = next((row.positions for row in POSITIONS if row.kind == source), None)
+    if reader is not None:
+        log = reader(logs, TrackOptions())
+        assert log.positions is not None
+        positions, report = log.positions, log.report
     elif source == "ppk":
-        from thalweg.ingest.ppk.solution import PpkOptions, run_ppk
+        from thalweg.ingest.ppk import PpkOptions, run_ppk
 
         solution = run_ppk(logs, base or None, nav, PpkOptions.from_sections(ppk, base_position))
         positions, report = solution.positions, solution.report
@@ -124,3 +125,100 @@ def read_positions(
                 "median of their neighbours of the same fix."
             )
     return positions, report
+
+
+def _kind(path: Path) -> str | None:
+    known = find_format(POSITIONS, read_head(path), path.stat().st_size)
+    return None if known is None else known.kind
+
+
+def _sbp(files: Sequence[Path], options: TrackOptions) -> PositionLog:
+    from thalweg.ingest.sbp import read_sbp
+
+    log = read_sbp(files)
+    return PositionLog(positions=log.positions, report=log.report)
+
+
+def _pos(files: Sequence[Path], options: TrackOptions) -> PositionLog:
+    from thalweg.ingest.tracks import read_pos
+
+    log = read_pos(files)
+    return PositionLog(positions=log.positions, report=log.report)
+
+
+def _nmea(files: Sequence[Path], options: TrackOptions) -> PositionLog:
+    from thalweg.ingest.nmea import read_nmea
+
+    log = read_nmea(files, date=options.date)
+    return PositionLog(positions=log.positions, depths=log.depths, report=log.report)
+
+
+def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    reader = next(row.positions for row in POSITIONS if row.kind == kind)
+    assert reader is not None
+    log = reader(files, TrackOptions(**options))
+    tables = {"positions": log.positions, "depths": log.depths}
+    held = {name: table for name, table in tables.items() if table is not None}
+    return Recording(kind=kind, report=log.report, tables=held)
+
+
+def _describe_rinex(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    from thalweg.ingest.ppk import describe_rinex
+
+    return Recording(kind=kind, report=describe_rinex(files[0]))
+
+
+def _is_rinex(head: bytes, size: int) -> bool:
+    first = head.split(b"\n", 1)[0]
+    return b"RINEX VERSION / TYPE" in first or b"CRINEX VERS" in first
+
+
+def _is_pos(head: bytes, size: int) -> bool:
+    comment = head.startswith(b"%") and (b"GPST" in head or b"UTC" in head or b"JST" in head)
+    return comment or (head.isascii() and _POS_LINE.search(head) is not None)
+
+
+def _is_nmea(head: bytes, size: int) -> bool:
+    covered = sum(len(found.group()) for found in _NMEA.finditer(head))
+    return covered > 0.3 * len(head)
+
+
+def _sbp_share(head: bytes, size: int) -> float:
+    from thalweg.ingest.sbp import find_messages
+
+    return framed_share(find_messages(np.frombuffer(head, dtype=np.uint8)).length, 8, head)
+
+
+POSITIONS: Final = (
+    Format(
+        kind="rinex",
+        words="RINEX file",
+        streams=("rover", "base", "nav"),
+        matches=_is_rinex,
+        describe=_describe_rinex,
+    ),
+    Format(
+        kind="pos",
+        words="RTKLIB .pos solution",
+        streams=("pos",),
+        matches=_is_pos,
+        positions=_pos,
+        describe=_describe,
+    ),
+    Format(
+        kind="nmea",
+        words="NMEA 0183 log",
+        streams=("depth",),
+        matches=_is_nmea,
+        positions=_nmea,
+        describe=_describe,
+    ),
+    Format(
+        kind="sbp",
+        words="Swift SBP log",
+        streams=("rover", "base"),
+        matches=_sbp_share,
+        positions=_sbp,
+        describe=_describe,
+    ),
+)

@@ -2,12 +2,21 @@
 
 All little endian. Source: Swift Navigation, SBP specification 6.5 (as in the library ``sbp`` 6.5.2, against
 which the tests compare each field).
+
+A frame is 0x55, type u16, sender u16, length u8, payload and CRC16-CCITT (polynomial 0x1021, start 0) over
+type to payload, all little endian (Swift Navigation, SBP specification, "Message framing"). No message has
+type 0.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+
+from thalweg.core import AnyArray, ArrayB, ArrayI, ArrayU8
+from thalweg.ingest.framing import CHUNK_BYTES, PacketBlock, StreamTally, find_in, find_sbp, read_packets
 
 GPS_TIME, GPS_TIME_DEP_A, GPS_TIME_GNSS, UTC_TIME = 0x0102, 0x0100, 0x0104, 0x0103
 POS_LLH, POS_LLH_DEP_A, POS_LLH_GNSS = 0x020A, 0x0201, 0x022A
@@ -41,8 +50,17 @@ LAYOUTS: Final[Mapping[int, np.dtype[Any]]] = {
     GPS_TIME_DEP_A: _L_TIME,
     GPS_TIME_GNSS: _L_TIME,
     UTC_TIME: np.dtype(
-        [("flags", "u1"), ("tow", "<u4"), ("year", "<u2"), ("month", "u1"), ("day", "u1"), ("hours", "u1"),
-         ("minutes", "u1"), ("seconds", "u1"), ("ns", "<u4")]
+        [
+            ("flags", "u1"),
+            ("tow", "<u4"),
+            ("year", "<u2"),
+            ("month", "u1"),
+            ("day", "u1"),
+            ("hours", "u1"),
+            ("minutes", "u1"),
+            ("seconds", "u1"),
+            ("ns", "<u4"),
+        ]
     ),
     POS_LLH: _L_LLH,
     POS_LLH_DEP_A: _L_LLH,
@@ -61,7 +79,7 @@ LAYOUTS: Final[Mapping[int, np.dtype[Any]]] = {
     AGE: np.dtype([("tow", "<u4"), ("age", "<u2")]),
     EVENT: np.dtype([*_WEEK, ("flags", "u1"), ("pin", "u1")]),
     OBS: np.dtype([("tow", "<u4"), ("ns", "<i4"), ("wn", "<u2"), ("n_obs", "u1")]),
-}  # fmt: skip
+}
 """Messages that are decoded; of MsgObs only the head, which 17 bytes a signal follow."""
 
 OBS_SIGNAL_BYTES: Final = 17
@@ -78,3 +96,151 @@ FIX_DEP_A: Final = np.array(["single", "fixed", "float", *["none"] * 5], dtype=o
 """The same bits in the deprecated messages ..._DEP_A, where 0 is a single point solution."""
 
 DEP_A: Final = frozenset({POS_LLH_DEP_A, POS_ECEF_DEP_A, VEL_NED_DEP_A, BASELINE_NED_DEP_A})
+
+
+# ---------------------------------------------------------------- Framing of the Swift Binary Protocol
+
+
+def find_messages(buf: ArrayU8, tally: StreamTally | None = None) -> PacketBlock:
+    """All intact messages of a buffer.
+
+    Parameters
+    ----------
+    buf : (n,) bytes; cut messages at either end are left out.
+    tally : takes the bytes outside of messages.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> raw = bytes.fromhex("55 0b 01 d3 88 07 28 f4 7a 13 03 00 01")  # a frame cut in its payload
+    >>> find_messages(np.frombuffer(raw, np.uint8)).kind.size
+    0
+    """
+    block, _ = find_in(buf, find_sbp, StreamTally() if tally is None else tally)
+    return block
+
+
+# ---------------------------------------------------------------- Decoded SBP messages by type
+
+
+CURE = "Give files as the receiver logs them (.sbp, .bin), not the JSON of Swift Console"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Messages:
+    """Messages of one type.
+
+    Attributes
+    ----------
+    fields : (n,) structured array.
+    number : (n,) number of the message in the log, from 0.
+    sender : (n,) who sent it; 0 relays the base.
+    size : (n,) bytes of the payload.
+    """
+
+    fields: AnyArray
+    number: ArrayI
+    sender: ArrayI
+    size: ArrayI
+
+    def take(self, keep: ArrayB) -> "Messages":
+        """Some of the messages."""
+        return Messages(
+            fields=self.fields[keep], number=self.number[keep], sender=self.sender[keep], size=self.size[keep]
+        )
+
+
+@dataclass(slots=True, kw_only=True)
+class SbpRecords:
+    """All decoded messages of a log, and how many of which type and sender there were."""
+
+    tally: StreamTally = field(default_factory=StreamTally)
+    by_type: dict[int, Messages] = field(default_factory=dict)
+    counts: dict[tuple[int, int], int] = field(default_factory=dict)
+    wrong_size: dict[int, int] = field(default_factory=dict)
+    signals: dict[tuple[int, int], int] = field(default_factory=dict)
+    """Observed signals by (sender, code)."""
+
+    def of(self, kind: int, sender: int | None = None) -> Messages:
+        """Messages of a type (of one sender), maybe none."""
+        none = np.empty(0, dtype=np.int64)
+        found = self.by_type.get(kind) or Messages(
+            fields=np.empty(0, dtype=LAYOUTS[kind]), number=none, sender=none, size=none
+        )
+        return found if sender is None else found.take(found.sender == sender)
+
+    def senders(self, kinds: Iterable[int]) -> dict[int, int]:
+        """Senders of some types other than 0, and how many messages each sent."""
+        wanted = set(kinds)
+        out: dict[int, int] = {}
+        for (kind, sender), n in self.counts.items():
+            if kind in wanted and sender:
+                out[sender] = out.get(sender, 0) + n
+        return out
+
+
+def collect(files: Sequence[Path], chunk_bytes: int = CHUNK_BYTES) -> SbpRecords:
+    """Read all messages of a log that are of interest.
+
+    Raises
+    ------
+    InputError : no files, a file that cannot be read, is no SBP log, or all files are empty.
+    """
+    out = SbpRecords()
+    parts: dict[int, list[Messages]] = {}
+    for block in read_packets(
+        files, find_sbp, out.tally, what="SBP message", cure=CURE, chunk_bytes=chunk_bytes
+    ):
+        both = block.kind.astype(np.int64) << 16 | block.sender
+        for value, n in zip(*np.unique(both, return_counts=True), strict=True):
+            key = (int(value) >> 16, int(value) & 0xFFFF)
+            out.counts[key] = out.counts.get(key, 0) + int(n)
+        for kind in LAYOUTS:
+            _decode(block, kind, out, parts)
+    for kind, pieces in parts.items():
+        out.by_type[kind] = Messages(
+            fields=np.concatenate([p.fields for p in pieces]),
+            number=np.concatenate([p.number for p in pieces]),
+            sender=np.concatenate([p.sender for p in pieces]),
+            size=np.concatenate([p.size for p in pieces]),
+        )
+    return out
+
+
+def _decode(block: PacketBlock, kind: int, out: SbpRecords, parts: dict[int, list[Messages]]) -> None:
+    rows = np.flatnonzero(block.kind == kind)
+    if not rows.size:
+        return
+    size = LAYOUTS[kind].itemsize
+    if kind == OBS:
+        body = block.length[rows] - size
+        good = (body >= 0) & (body % OBS_SIGNAL_BYTES == 0)
+    else:
+        good = block.length[rows] == size
+    if not good.all():
+        out.wrong_size[kind] = out.wrong_size.get(kind, 0) + int((~good).sum())
+        rows = rows[good]
+    if not rows.size:
+        return
+    if kind == OBS:
+        _count_signals(block, rows, out)
+    parts.setdefault(kind, []).append(
+        Messages(
+            fields=block.payloads(rows, size).view(LAYOUTS[kind])[:, 0],
+            number=block.first + rows,
+            sender=block.sender[rows].astype(np.int64),
+            size=block.length[rows],
+        )
+    )
+
+
+def _count_signals(block: PacketBlock, rows: ArrayI, out: SbpRecords) -> None:
+    head = LAYOUTS[OBS].itemsize
+    n = (block.length[rows] - head) // OBS_SIGNAL_BYTES
+    message = np.repeat(rows, n)
+    inside = np.arange(message.size) - np.repeat(np.cumsum(n) - n, n)
+    last_byte = block.offset[message] + head + (inside + 1) * OBS_SIGNAL_BYTES - 1
+    both = block.sender[message].astype(np.int64) << 8 | block.buf[last_byte]
+    for value, count in zip(*np.unique(both, return_counts=True), strict=True):
+        key = (int(value) >> 8, int(value) & 0xFF)
+        out.signals[key] = out.signals.get(key, 0) + int(count)

@@ -15,22 +15,27 @@ import pyarrow as pa
 from pyproj import Transformer
 from sbp.table import lookup
 
-from thalweg.core.frames import R_ENU_NED, rotation_ecef_enu
-from thalweg.core.tables import column, frame_of, table_kind
-from thalweg.core.timescales import (
+from thalweg.core import (
     GPS_EPOCH_UNIX_S,
     LEAP_TABLE_VALID_UNTIL,
+    R_ENU_NED,
     WEEK_S,
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    column,
+    frame_of,
     gps_from_week,
     gps_minus_utc,
+    rotation_ecef_enu,
+    table_kind,
     utc_text_from_unix,
 )
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
-from thalweg.ingest.framing.stream import CHUNK_BYTES
-from thalweg.ingest.integrity import IntegrityReport, find_gaps
+from thalweg.ingest import GNSS_POSITION, IntegrityReport, find_gaps
+from thalweg.ingest.framing import CHUNK_BYTES
 from thalweg.ingest.sbp import messages as sm
-from thalweg.ingest.sbp.records import Messages, SbpRecords, collect
-from thalweg.ingest.schemas import GNSS_POSITION
+from thalweg.ingest.sbp.messages import Messages, SbpRecords, collect
 
 # ---------------------------------------------------------------- GPS time of SBP messages: most carry the
 # time of the week only

@@ -1,1 +1,5 @@
 """Tracks that other programs computed: RTKLIB, SBET, surveyed beds."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -17,9 +17,7 @@ import numpy as np
 import pandas as pd
 from pyproj import CRS
 
-from thalweg.core.errors import InputError
-from thalweg.core.frames import LocalFrame
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, InputError, LocalFrame
 
 COLUMNS: Final = ("east_m", "north_m", "h_ell_m", "sigma_m")
 

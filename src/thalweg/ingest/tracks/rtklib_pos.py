@@ -18,14 +18,27 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from pyproj import Transformer
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.frames import rotation_ecef_enu
-from thalweg.core.timescales import ADJUSTED_OFFSET_S, DAY_S, GPS_EPOCH_UNIX_S, WEEK_S, gps_from_unix
-from thalweg.core.types import AnyArray, ArrayF
-from thalweg.ingest.integrity import IntegrityReport, find_gaps
-from thalweg.ingest.schemas import GNSS_POSITION
-from thalweg.ingest.stamps import FIRST_UNIX_S, LAST_UNIX_S
-from thalweg.ingest.tracks.overlap import repeated_rows, say_repeated
+from thalweg.core import (
+    ADJUSTED_OFFSET_S,
+    DAY_S,
+    GPS_EPOCH_UNIX_S,
+    WEEK_S,
+    AnyArray,
+    ArrayF,
+    GeometryError,
+    InputError,
+    gps_from_unix,
+    rotation_ecef_enu,
+)
+from thalweg.ingest import (
+    FIRST_UNIX_S,
+    GNSS_POSITION,
+    LAST_UNIX_S,
+    IntegrityReport,
+    find_gaps,
+    repeated_rows,
+    say_repeated,
+)
 
 # ---------------------------------------------------------------- which columns a RTKLIB .pos file has: read
 # from its header, or guessed from its first line

@@ -26,18 +26,17 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.errors import InputError
-from thalweg.core.timescales import (
+from thalweg.core import (
     GPS_EPOCH_UNIX_S,
     WEEK_S,
+    AnyArray,
+    ArrayF,
+    InputError,
     gps_from_unix,
     gps_from_week,
     utc_text_from_gps,
 )
-from thalweg.core.types import AnyArray, ArrayF
-from thalweg.ingest.integrity import IntegrityReport, find_gaps
-from thalweg.ingest.schemas import INS_STATE
-from thalweg.ingest.tracks.overlap import repeated_rows, say_repeated
+from thalweg.ingest import INS_STATE, IntegrityReport, find_gaps, repeated_rows, say_repeated
 
 _FIELDS: Final = 17
 _SMRMSG_FIELDS: Final = 10
@@ -57,11 +56,7 @@ class SbetLog:
 
 
 def read_sbet(
-    files: Sequence[Path],
-    gps_week: int | None,
-    smrmsg: Sequence[Path] | None = None,
-    *,
-    utc: bool = False,
+    files: Sequence[Path], gps_week: int | None, smrmsg: Sequence[Path] | None = None, *, utc: bool = False
 ) -> SbetLog:
     """Read one or several SBET files.
 

@@ -1,23 +1,21 @@
-"""GPS time of VLP-16 packets: hour from NMEA RMC, minutes and seconds from the packets themselves.
+"""GPS time of Velodyne packets: hour from NMEA RMC, minutes and seconds from the packets themselves.
 
 The sensor stamps packets with microseconds past the hour (TOH). With a PPS signal and RMC sentences it
 sets this counter to UTC; without them it runs freely. RMC lags by up to about a second, so it only names
 the hour: the one that brings TOH within half an hour of it. The host clock is never used.
 
-Source: VLP-16 User Manual 63-9243 Rev. D, sections 7.4 (GPS), 9.3.1.6 and 9.3.3.
+Source: VLP-16 User Manual 63-9243 Rev. D, sections 7.4 (GPS), 9.3.1.6 and 9.3.3; HDL-32E and VLP-32C alike.
 """
 
 import datetime as dt
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Self
+from typing import Final
 
 import numpy as np
 
-from thalweg.core.timescales import gps_from_unix
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.ingest.stamps import possible_unix
+from thalweg.core import gps_from_unix
+from thalweg.ingest import LidarClock, possible_unix
 from thalweg.ingest.velodyne.model import HOUR_US
 from thalweg.ingest.velodyne.packets import GAP, STEP_BACK, PacketBlock, PositionPacket
 
@@ -72,54 +70,6 @@ def parse_rmc(sentence: bytes) -> tuple[float, str]:
         return math.nan, "no date"
     unix_s = day + 3600 * int(clock[:2]) + 60 * int(clock[2:4]) + int(clock[4:6]) + second
     return (unix_s, "") if possible_unix(unix_s) and second < 1.0 else (math.nan, "no date")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LidarClock:
-    """Puts packets on GPS time, by stretches of the packet index.
-
-    Attributes
-    ----------
-    first_packet : first packet index of each stretch; the first one is 0.
-    device_extra_s : added to the unrolled stamp: whole hours that a hole has hidden.
-    gps_minus_device_s : adjusted GPS time minus device time, NaN where the sensor was unsynchronised.
-    """
-
-    first_packet: tuple[int, ...] = (0,)
-    device_extra_s: tuple[float, ...] = (0.0,)
-    gps_minus_device_s: tuple[float, ...] = (math.nan,)
-
-    def _stretch(self, packet: ArrayI) -> ArrayI:
-        return np.searchsorted(np.array(self.first_packet), packet, side="right") - 1
-
-    def extra_s(self, packet: ArrayI) -> ArrayF:
-        """Hidden hours in seconds, shape of ``packet``."""
-        return np.array(self.device_extra_s, dtype=np.float64)[self._stretch(packet)]
-
-    def offset_s(self, packet: ArrayI) -> ArrayF:
-        """GPS minus device time in seconds, shape of ``packet``; NaN if unsynchronised."""
-        return np.array(self.gps_minus_device_s, dtype=np.float64)[self._stretch(packet)]
-
-    def gps_time(self, packet: ArrayI, t_device_s: ArrayF) -> ArrayF:
-        """Adjusted GPS time of packets from their index and device time; NaN if unsynchronised."""
-        return np.asarray(t_device_s + self.offset_s(packet))
-
-    def to_dict(self) -> dict[str, list[Any]]:
-        """Plain lists for JSON or YAML; NaN becomes None."""
-        return {
-            "first_packet": list(self.first_packet),
-            "device_extra_s": list(self.device_extra_s),
-            "gps_minus_device_s": [None if math.isnan(v) else v for v in self.gps_minus_device_s],
-        }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Self:
-        """The inverse of `to_dict`."""
-        return cls(
-            first_packet=tuple(int(v) for v in data["first_packet"]),
-            device_extra_s=tuple(float(v) for v in data["device_extra_s"]),
-            gps_minus_device_s=tuple(math.nan if v is None else float(v) for v in data["gps_minus_device_s"]),
-        )
 
 
 @dataclass(slots=True)

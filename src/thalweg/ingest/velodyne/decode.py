@@ -1,93 +1,25 @@
-"""Compiled decoding of VLP-16 data packets into points.
+"""Compiled decoding of Velodyne data packets into points.
 
 Equations: VLP-16 User Manual 63-9243 Rev. D, 9.2 (coordinates), 9.4 (timing), 9.5 (azimuth). The azimuth
 of a block belongs to its first firing; each laser takes the share of the gap to the next block that its
-delay is of 110.592 us. The last block of a packet takes the gap before it, as VeloView does: the azimuth of
-the next packet would spare half a hundredth of a degree where the rotor speeds up, but that packet may be
-missing, late or of another rotation, and points would then depend on what the network lost.
+delay is of the time of a block. The last block of a packet takes the gap before it, as VeloView does: the
+azimuth of the next packet would spare half a hundredth of a degree where the rotor speeds up, but that
+packet may be missing, late or of another rotation, and points would then depend on what the network lost.
 """
 
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8
-from thalweg.ingest.velodyne.model import (
-    BLOCK_S,
-    ELEVATION_DEG,
-    FIRING_S,
-    LASER_S,
-    LASERS,
-    RING,
-    VERTICAL_CORRECTION_M,
-)
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, njit
 
 RETURNS: Final = {"all": 0, "strongest": 1, "last": 2}
 
 _MAX_GAP: Final = 400
 """Azimuth steps beyond 4 degrees a block are none: the fastest rotor does 0.8 degrees."""
 
-DELAY_S: Final[ArrayF] = (np.arange(2)[:, None] * FIRING_S + np.arange(LASERS)[None, :] * LASER_S).ravel()
-"""Delay of each of the 32 shots of a block behind its first one."""
-
-SHOT_TABLE: Final[ArrayF] = np.stack(
-    [
-        DELAY_S,
-        DELAY_S / BLOCK_S,
-        np.tile(np.cos(np.radians(ELEVATION_DEG)), 2),
-        np.tile(np.sin(np.radians(ELEVATION_DEG)), 2),
-        np.tile(RING, 2),
-    ]
-)
-"""Delay, share of the azimuth gap, cosine and sine of the elevation, and ring of the 32 shots of a block.
-
-An argument of `decode`, not a global in it: numba's cache does not see edits in another module.
-"""
-
 BAD_FLAG, BAD_AZIMUTH, JUMPS, GAP_SUM, GAP_COUNT, TWO_RETURNS = range(6)
 N_COUNTERS: Final = 6
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PointBlock:
-    """Points of a piece of the recording, in the order of firing.
-
-    Attributes
-    ----------
-    t_gps_s : (n,) adjusted GPS time of the shot; NaN where the sensor was unsynchronised.
-    t_device_s : (n,) seconds past the hour of the first packet on the device's clock, unrolled; it jumps only
-        where the sensor set its clock.
-    xyz_scs_m : (n, 3) coordinates in the sensor frame: x right, y forward (azimuth 0), z up. range_m : (n,)
-    measured distance. azimuth_rad : (n,) clockwise from forward, seen from above, [0, 2 pi]. ring : (n,)
-    laser by elevation, 0 is -15 degrees, 15 is +15 degrees. laser : (n,) laser by firing order, 0..15.
-    intensity : (n,) calibrated reflectivity, 0..100 diffuse, 101..255 retro-reflecting. return_number :
-    (n,) as in LAS: 1 is the nearest return of the shot, whichever was stronger. n_returns : (n,) returns of
-    the shot that the packet holds: 1, or 2 in dual mode. packet : (n,) index of the data packet, over all
-    files, dropped packets counted too.
-    """
-
-    t_gps_s: ArrayF
-    t_device_s: ArrayF
-    xyz_scs_m: ArrayF32
-    range_m: ArrayF32
-    azimuth_rad: ArrayF32
-    ring: ArrayU8
-    laser: ArrayU8
-    intensity: ArrayU8
-    return_number: ArrayU8
-    n_returns: ArrayU8
-    packet: ArrayI
-
-    @property
-    def n(self) -> int:
-        """Number of points."""
-        return int(self.range_m.size)
-
-    def where(self, keep: ArrayB) -> "PointBlock":
-        """The points for which ``keep`` (n,) is true."""
-        return PointBlock(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
 
 @njit(cache=True, nogil=True)
@@ -148,13 +80,7 @@ def _select(near: int, far: int, strongest: int, returns: int, low: int, high: i
 
 @njit(cache=True, nogil=True)
 def count_points(
-    payload: ArrayU8,
-    keep: ArrayB,
-    returns: int,
-    low: int,
-    high: int,
-    points: ArrayI,
-    counters: ArrayI,
+    payload: ArrayU8, keep: ArrayB, returns: int, low: int, high: int, points: ArrayI, counters: ArrayI
 ) -> None:
     """Number of points of each packet, and counts of damaged blocks, azimuth jumps and double returns."""
     azimuth = np.empty(12, np.int64)
@@ -201,6 +127,7 @@ def decode(
     returns: int,
     low: int,
     high: int,
+    range_unit_m: float,
     rate: float,
     o_gps: ArrayF,
     o_device: ArrayF,
@@ -257,55 +184,35 @@ def decode(
                         distance[k], brightness[k] = d, row[j + 2]
                         distance[1 - k], brightness[1 - k] = s, row[j + 102]
                         wanted[0], wanted[1] = _select(distance[0], distance[1], s, returns, low, high)
-                a = azimuth[g] + gap[g] * shots[1, c]
-                x = gap[g] * shots[1, c] * unit
+                x = gap[g] * shots[1, c] * unit + shots[6, c]
+                a = azimuth[g] + gap[g] * shots[1, c] + shots[6, c] / unit
                 x2 = x * x
-                # Series of sine and cosine of the small turn since the block's azimuth: below 0.07 rad
-                # the first term left out is under 1e-10.
+                # Series of sine and cosine of the small turn since the block's azimuth: below 0.15 rad
+                # the first term left out is under 4e-10.
                 sin_x = x * (1.0 - x2 / 6.0 * (1.0 - x2 / 20.0))
                 cos_x = 1.0 - x2 / 2.0 * (1.0 - x2 / 12.0 * (1.0 - x2 / 30.0))
                 sin_c, cos_c = sin_a * cos_x + cos_a * sin_x, cos_a * cos_x - sin_a * sin_x
                 if a >= 36000.0:
                     a -= 36000.0
+                elif a < 0.0:
+                    a += 36000.0
                 for r in range(rows):
                     if not wanted[r]:
                         continue
-                    length = distance[r] * 0.002
+                    length = distance[r] * range_unit_m
                     flat = length * shots[2, c]
                     o_xyz[w, 0] = flat * sin_c
                     o_xyz[w, 1] = flat * cos_c
-                    o_xyz[w, 2] = length * shots[3, c] + offset_z_m[c & 15]
+                    o_xyz[w, 2] = length * shots[3, c] + offset_z_m[c]
                     o_range[w] = length
                     o_azimuth[w] = a * unit
                     o_device[w] = t_block + shots[0, c]
                     o_gps[w] = o_device[w] + offset_s[p]
                     o_ring[w] = np.uint8(shots[4, c])
-                    o_laser[w] = c & 15
+                    o_laser[w] = np.uint8(shots[5, c])
                     o_intensity[w] = brightness[r]
                     o_return[w] = r + 1
                     o_n[w] = n_returns
                     o_packet[w] = first_packet + p
                     w += 1
     return rate
-
-
-def vertical_offset_m(corrected: bool) -> ArrayF:
-    """Height of the 16 lasers above the origin in firing order, or zeros if they are switched off."""
-    return VERTICAL_CORRECTION_M.copy() if corrected else np.zeros(LASERS)
-
-
-def empty_points(n: int) -> PointBlock:
-    """A block of ``n`` points to be filled."""
-    return PointBlock(
-        t_gps_s=np.empty(n),
-        t_device_s=np.empty(n),
-        xyz_scs_m=np.empty((n, 3), dtype=np.float32),
-        range_m=np.empty(n, dtype=np.float32),
-        azimuth_rad=np.empty(n, dtype=np.float32),
-        ring=np.empty(n, dtype=np.uint8),
-        laser=np.empty(n, dtype=np.uint8),
-        intensity=np.empty(n, dtype=np.uint8),
-        return_number=np.empty(n, dtype=np.uint8),
-        n_returns=np.empty(n, dtype=np.uint8),
-        packet=np.empty(n, dtype=np.int64),
-    )

@@ -1,4 +1,4 @@
-"""The stream of VLP-16 packets of one or several files: order, duplicates, holes, position packets.
+"""The stream of Velodyne packets of one or several files: order, duplicates, holes, position packets.
 
 Packets are put on a device time that does not turn over at the hour. What arrives late, twice or with an
 impossible stamp is told apart from an hour rollover by its distance from the newest packet.
@@ -11,23 +11,17 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numba import njit
 
-from thalweg.core.types import AnyArray, ArrayB, ArrayI, ArrayU8
-from thalweg.ingest.pcap.capture import (
-    CHUNK_BYTES,
-    BarePayloads,
-    CaptureTally,
-    PayloadBlock,
-    Stream,
-    read_payloads,
-)
+from thalweg.core import AnyArray, ArrayB, ArrayI, ArrayU8, njit
+from thalweg.ingest.pcap import CHUNK_BYTES, BarePayloads, CaptureTally, PayloadBlock, Stream, read_payloads
 from thalweg.ingest.velodyne.model import (
     BLOCK_FLAG,
     BLOCK_SIZE,
     BLOCKS,
     DATA_SIZE,
     POSITION_SIZE,
+    STRONGEST,
+    Model,
 )
 
 NORMAL: Final = 0
@@ -115,7 +109,13 @@ class StreamTally:
 
 @njit(cache=True, nogil=True)
 def _headers(
-    payload: ArrayU8, any_product: bool, toh_us: ArrayI, valid: ArrayB, step_us: AnyArray, mark: ArrayI
+    payload: ArrayU8,
+    product: int,
+    single_us: float,
+    toh_us: ArrayI,
+    valid: ArrayB,
+    step_us: AnyArray,
+    mark: ArrayI,
 ) -> None:
     """Stamp, usability, expected interval to the next packet, and a signature that duplicates share."""
     for i in range(payload.shape[0]):
@@ -138,9 +138,9 @@ def _headers(
             h = (h ^ word) * np.int64(1099511628211)
         toh_us[i] = toh
         mark[i] = h
-        step_us[i] = 663.552 if mode == 0x39 else 1327.104
+        step_us[i] = 0.5 * single_us if mode == 0x39 else single_us
         known = mode == 0x37 or mode == 0x38 or mode == 0x39
-        valid[i] = flags > 0 and known and toh < 3_600_000_000 and (any_product or row[1205] == 0x22)
+        valid[i] = flags > 0 and known and toh < 3_600_000_000 and (product < 0 or row[1205] == product)
 
 
 @njit(cache=True, nogil=True)
@@ -260,8 +260,9 @@ def _sequence(
 class _Sequencer:
     """Judges one piece of the stream when the head of the next one is known."""
 
-    def __init__(self, any_product: bool) -> None:
-        self.any_product = any_product
+    def __init__(self, model: Model, any_product: bool) -> None:
+        self.product = -1 if any_product else model.product
+        self.single_us = 1e6 * model.packet_s(STRONGEST)
         self.state = np.array([0, 0, 0, 0, -2], dtype=np.int64)
         self.old_t = np.empty(_MEMORY, dtype=np.int64)
         self.old_mark = np.empty(_MEMORY, dtype=np.int64)
@@ -270,7 +271,7 @@ class _Sequencer:
         """Stamp, usability, expected step and signature of each packet, see `_headers`."""
         n = payload.shape[0]
         out = np.empty(n, np.int64), np.empty(n, np.bool_), np.empty(n), np.empty(n, np.int64)
-        _headers(payload, self.any_product, *out)
+        _headers(payload, self.product, self.single_us, *out)
         return out
 
     def judge(self, payload: ArrayU8, ahead: Sequence[ArrayU8]) -> tuple[ArrayI, ArrayU8, ArrayI]:
@@ -302,6 +303,7 @@ def _positions(block: PayloadBlock, data: PayloadBlock, first_packet: int) -> li
 def read_packets(
     files: Sequence[Path],
     *,
+    model: Model,
     any_product: bool,
     data_port: int,
     position_port: int,
@@ -315,7 +317,8 @@ def read_packets(
     Parameters
     ----------
     files : parts of one recording, in the order of recording.
-    any_product : take packets whatever model they name; else only VLP-16 (0x22).
+    model : of the scanner.
+    any_product : take packets whatever model they name; else only those of ``model``.
     data_port, position_port : UDP ports.
     tally : takes the findings about the files.
 
@@ -325,7 +328,7 @@ def read_packets(
     """
     found = StreamTally() if tally is None else tally
     streams = (Stream(port=data_port, size=DATA_SIZE), Stream(port=position_port, size=POSITION_SIZE))
-    sequencer = _Sequencer(any_product)
+    sequencer = _Sequencer(model, any_product)
     waiting: deque[tuple[PayloadBlock, int]] = deque()
     positions: deque[PositionPacket] = deque()
     n_data = 0
@@ -343,6 +346,18 @@ def read_packets(
         found.formats.append(found.capture.format)
     while waiting:
         yield _next_block(waiting, positions, sequencer)
+
+
+def first_product(files: Sequence[Path], data_port: int, chunk_bytes: int = CHUNK_BYTES) -> int | None:
+    """Most frequent product byte of the first data packets; None if there are none."""
+    streams = (Stream(port=data_port, size=DATA_SIZE),)
+    for path in files:
+        for (data,) in read_payloads(
+            path, streams, bare=_BARE, tally=CaptureTally(), chunk_bytes=chunk_bytes
+        ):
+            if data.record.size:
+                return int(np.bincount(data.payload[:, 1205]).argmax())
+    return None
 
 
 def _next_block(

@@ -1,4 +1,4 @@
-"""The VLP-16 reader: what a recording holds (`scan_lidar`) and its points (`iter_points`).
+"""The Velodyne reader: what a recording holds (`scan_lidar`) and its points (`iter_points`).
 
 Both read the files in pieces: memory does not grow with the recording. The frame ``scs`` is that of the
 manual: x right, y forward (azimuth 0), z up along the axis of rotation.
@@ -8,110 +8,62 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from thalweg.core.errors import ConfigError, InputError
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.ingest.integrity import IntegrityReport
-from thalweg.ingest.pcap.capture import CHUNK_BYTES
-from thalweg.ingest.velodyne.clock import ClockBuilder, LidarClock
-from thalweg.ingest.velodyne.decode import (
-    N_COUNTERS,
-    RETURNS,
-    SHOT_TABLE,
-    PointBlock,
-    count_points,
-    decode,
-    empty_points,
-    vertical_offset_m,
-)
-from thalweg.ingest.velodyne.model import BLOCK_S, DATA_PORT, POSITION_PORT, RANGE_UNIT_M, choose_model
-from thalweg.ingest.velodyne.packets import PacketBlock, StreamTally, read_packets
-from thalweg.ingest.velodyne.report import Findings, check_senders, no_packets, write_report
-
-__all__ = ["LidarClock", "LidarOptions", "LidarScan", "PointBlock", "iter_points", "scan_lidar"]
+from thalweg.core import ArrayF, ArrayI, InputError, UnsupportedError
+from thalweg.ingest import IntegrityReport, LidarClock, LidarOptions, LidarScan, PointBlock, empty_points
+from thalweg.ingest.pcap import CHUNK_BYTES
+from thalweg.ingest.velodyne.clock import ClockBuilder
+from thalweg.ingest.velodyne.decode import N_COUNTERS, RETURNS, count_points, decode
+from thalweg.ingest.velodyne.model import DUAL, VLP16, Model, choose_model
+from thalweg.ingest.velodyne.packets import PacketBlock, StreamTally, first_product, read_packets
+from thalweg.ingest.velodyne.report import Findings, check_interval, check_senders, no_packets, write_report
 
 _MIN_BLOCK_POINTS = 384
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LidarOptions:
-    """How to read a recording.
+class VelodyneReader:
+    """A recording of a Velodyne: a `thalweg.ingest.readers.LidarReader`."""
 
-    Parameters
-    ----------
-    model : ``"auto"`` (product byte of the packets) or ``"VLP-16"`` (whatever that byte says).
-    vertical_corrections : add the manual's height of each laser to z.
-    min_range_m, max_range_m : returns outside are left out, limits included.
-    returns : ``"all"``; in dual mode also ``"strongest"`` or ``"last"`` (the farthest) return of each
-        shot. A single-return recording has one return a shot, which is kept in any case.
-    data_port, position_port : UDP ports.
+    files: Sequence[Path]
+    options: LidarOptions
 
-    Raises
-    ------
-    ConfigError : a value is out of its domain.
-    """
+    def scan(self) -> LidarScan:
+        """See `scan_lidar`."""
+        return scan_lidar(self.files, self.options)
 
-    model: str = "auto"
-    vertical_corrections: bool = True
-    min_range_m: float = 0.0
-    max_range_m: float = math.inf
-    returns: Literal["all", "strongest", "last"] = "all"
-    data_port: int = DATA_PORT
-    position_port: int = POSITION_PORT
-
-    def __post_init__(self) -> None:
-        if self.returns not in RETURNS:
-            raise ConfigError(
-                f"lidar.returns '{self.returns}'", expected="all, strongest or last", cure="Set lidar.returns"
-            )
-        if not 0 <= self.min_range_m < self.max_range_m:
-            raise ConfigError(
-                f"lidar ranges {self.min_range_m} .. {self.max_range_m} m",
-                expected="0 <= min_range_m < max_range_m",
-                cure="Set lidar.min_range_m and lidar.max_range_m",
-            )
-        for port in (self.data_port, self.position_port):
-            if not 0 < port < 65536:
-                raise ConfigError(
-                    f"UDP port {port}", expected="1 .. 65535", cure="Set the ports of the lidar"
-                )
-
-    @property
-    def range_ticks(self) -> tuple[int, int]:
-        """Limits of the range in units of 2 mm."""
-        low = max(1, math.ceil(self.min_range_m / RANGE_UNIT_M - 1e-6))
-        high = math.floor(min(self.max_range_m, 200.0) / RANGE_UNIT_M + 1e-6)
-        return low, high
+    def points(self, clock: LidarClock | None = None, *, max_points: int = 1_000_000) -> Iterator[PointBlock]:
+        """See `iter_points`."""
+        return iter_points(self.files, self.options, clock, max_points)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LidarScan:
-    """What a recording holds.
+def _range_ticks(options: LidarOptions, unit_m: float) -> tuple[int, int]:
+    """Limits of the range in units of the model."""
+    low = max(1, math.ceil(options.min_range_m / unit_m - 1e-6))
+    high = math.floor(min(options.max_range_m, 65536 * unit_m) / unit_m + 1e-6)
+    return low, high
 
-    Attributes
-    ----------
-    report : integrity report, stream ``"lidar"``.
-    clock : puts its packets on GPS time; give it to `iter_points`.
-    model : decoded as this model.
-    return_mode : strongest, last, dual, or mixed if it changes.
-    n_points : points that `iter_points` yields with the same options.
-    """
 
-    report: IntegrityReport
-    clock: LidarClock
-    model: str
-    return_mode: str
-    n_points: int
+def _first_model(files: Sequence[Path], options: LidarOptions, chunk_bytes: int) -> Model:
+    """The model that the first packets name, or the setting."""
+    product = first_product(files, options.data_port, chunk_bytes)
+    return choose_model(
+        options.model, VLP16.product if product is None else product, ", ".join(map(str, files))
+    )[0]
 
 
 def _packets(
-    files: Sequence[Path], options: LidarOptions, chunk_bytes: int, tally: StreamTally | None = None
+    files: Sequence[Path],
+    options: LidarOptions,
+    model: Model,
+    chunk_bytes: int,
+    tally: StreamTally | None = None,
 ) -> Iterator[PacketBlock]:
     return read_packets(
         files,
+        model=model,
         any_product=options.model.lower() != "auto",
         data_port=options.data_port,
         position_port=options.position_port,
@@ -120,9 +72,9 @@ def _packets(
     )
 
 
-def _count(block: PacketBlock, options: LidarOptions, counters: ArrayI) -> ArrayI:
+def _count(block: PacketBlock, options: LidarOptions, model: Model, counters: ArrayI) -> ArrayI:
     points = np.empty(block.payload.shape[0], dtype=np.int64)
-    low, high = options.range_ticks
+    low, high = _range_ticks(options, model.range_unit_m)
     count_points(block.payload, block.keep, RETURNS[options.returns], low, high, points, counters)
     return points
 
@@ -142,25 +94,35 @@ def scan_lidar(
 
     Raises
     ------
-    InputError : a file is missing or no capture, there are no VLP-16 packets, or two lidars are mixed.
-    UnsupportedError : the packets are of another model.
+    InputError : a file is missing or no capture, there are no data packets, or two lidars are mixed.
+    UnsupportedError : the packets are of a model, or in a form, that is not known.
     """
     options = LidarOptions() if options is None else options
     paths = [Path(f) for f in files]
     if not paths:
         raise InputError("no lidar files", expected="at least one log", cure="Set logs.lidar")
-    tally, clock, findings = StreamTally(), ClockBuilder(), Findings()
+    model = _first_model(paths, options, chunk_bytes)
+    tally, clock, findings = StreamTally(), ClockBuilder(), Findings(model)
     clock.file_starts = findings.parts.file_starts = tally.file_starts
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     n_points = 0
-    for block in _packets(paths, options, chunk_bytes, tally):
-        n_points += int(_count(block, options, counters).sum())
+    for block in _packets(paths, options, model, chunk_bytes, tally):
+        n_points += int(_count(block, options, model, counters).sum())
         findings.feed(block)
         clock.feed(block)
     where = ", ".join(str(p) for p in paths)
     if findings.n_packets == 0:
         raise no_packets(tally.capture, options.data_port, where)
-    model, disagreement = choose_model(options.model, findings.product, where)
+    _, disagreement = choose_model(options.model, findings.product, where)
+    if findings.all_modes[DUAL] and not model.dual:
+        raise UnsupportedError(
+            f"{findings.all_modes[DUAL]} dual-return packets of a {model.name}",
+            expected=f"one return a shot of a {model.name}; dual return of a VLP-16 or Puck Hi-Res",
+            where=where,
+            cure="Record the strongest or the last return; there was no recording to test the dual form with",
+        )
+    if options.model.lower() == "auto" and findings.n_kept:
+        check_interval(findings, where)
     check_senders(findings.senders, where)
     if findings.n_kept == 0:
         raise no_packets(tally.capture, options.data_port, where, findings)
@@ -169,7 +131,7 @@ def scan_lidar(
         stream="lidar",
         format=f"Velodyne packets, {' + '.join(dict.fromkeys(tally.formats))}",
         files=[str(p) for p in paths],
-        model=model,
+        model=model.name,
         bytes_read=tally.capture.bytes_read,
     )
     if disagreement:
@@ -182,11 +144,7 @@ def scan_lidar(
             "return only: all its points are kept."
         )
     return LidarScan(
-        report=report,
-        clock=finished,
-        model=model,
-        return_mode=findings.return_mode,
-        n_points=n_points,
+        report=report, clock=finished, model=model.name, return_mode=findings.return_mode, n_points=n_points
     )
 
 
@@ -214,11 +172,12 @@ def iter_points(
     paths = [Path(f) for f in files]
     if clock is None:
         clock = scan_lidar(paths, options, chunk_bytes).clock
+    model = _first_model(paths, options, chunk_bytes)
     limit = max(int(max_points), _MIN_BLOCK_POINTS)
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     rate = 40.0
-    for block in _packets(paths, options, chunk_bytes):
-        points = _count(block, options, counters)
+    for block in _packets(paths, options, model, chunk_bytes):
+        points = _count(block, options, model, counters)
         packet = block.first_packet + np.arange(points.size)
         t_device_s = block.t_us * 1e-6 + clock.extra_s(packet)
         offset_s = clock.offset_s(packet)
@@ -229,7 +188,7 @@ def iter_points(
             stop = max(start + 1, int(np.searchsorted(total, done + limit, side="right")))
             piece = slice(start, stop)
             out, rate = _decode(
-                block, piece, points[piece], t_device_s[piece], offset_s[piece], options, rate
+                block, piece, points[piece], t_device_s[piece], offset_s[piece], options, model, rate
             )
             if out.n:
                 yield out
@@ -243,22 +202,24 @@ def _decode(
     t_device_s: ArrayF,
     offset_s: ArrayF,
     options: LidarOptions,
+    model: Model,
     rate: float,
 ) -> tuple[PointBlock, float]:
     out = empty_points(int(points.sum()))
-    low, high = options.range_ticks
+    low, high = _range_ticks(options, model.range_unit_m)
     rate = decode(
         block.payload[piece],
         points,
         block.first_packet + int(piece.start),
         t_device_s,
         offset_s,
-        BLOCK_S,
-        SHOT_TABLE,
-        vertical_offset_m(options.vertical_corrections),
+        model.block_s,
+        model.shots,
+        model.vertical_offset_m(options.vertical_corrections),
         RETURNS[options.returns],
         low,
         high,
+        model.range_unit_m,
         rate,
         out.t_gps_s,
         out.t_device_s,

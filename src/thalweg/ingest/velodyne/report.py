@@ -1,4 +1,4 @@
-"""What the scan of a VLP-16 recording finds, and how it is put into the integrity report."""
+"""What the scan of a Velodyne recording finds, and how it is put into the integrity report."""
 
 import itertools
 import math
@@ -10,22 +10,12 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core.errors import InputError, UnsupportedError
-from thalweg.core.timescales import unix_from_gps
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.ingest.integrity import Gap, IntegrityReport
-from thalweg.ingest.pcap.capture import CaptureTally
-from thalweg.ingest.stamps import StreamTiming, fit_clock
-from thalweg.ingest.velodyne.clock import ClockBuilder, LidarClock
-from thalweg.ingest.velodyne.decode import (
-    BAD_AZIMUTH,
-    BAD_FLAG,
-    GAP_COUNT,
-    GAP_SUM,
-    JUMPS,
-    TWO_RETURNS,
-)
-from thalweg.ingest.velodyne.model import BLOCK_S, PACKET_S, RETURN_MODES, VLP16_PRODUCT, product_name
+from thalweg.core import ArrayF, ArrayI, InputError, UnsupportedError, unix_from_gps
+from thalweg.ingest import Gap, IntegrityReport, LidarClock, StreamTiming, fit_clock
+from thalweg.ingest.pcap import CaptureTally
+from thalweg.ingest.velodyne.clock import ClockBuilder
+from thalweg.ingest.velodyne.decode import BAD_AZIMUTH, BAD_FLAG, GAP_COUNT, GAP_SUM, JUMPS, TWO_RETURNS
+from thalweg.ingest.velodyne.model import MODELS, RETURN_MODES, Model, product_name
 from thalweg.ingest.velodyne.packets import (
     BAD_STAMP,
     DUPLICATE,
@@ -37,7 +27,7 @@ from thalweg.ingest.velodyne.packets import (
     StreamTally,
 )
 
-# ---------------------------------------------------------------- the clock of a VLP-16 recording in numbers:
+# ---------------------------------------------------------------- the clock of a recording in numbers:
 # steps, PPS, capture host, and times without GPS
 
 
@@ -49,6 +39,8 @@ _RESOLUTION_S: Final = 1e-6
 _SET_S: Final = 0.1
 """A free-running clock is not wrong by that much within a stretch; a larger jump is the clock being set."""
 _LEAST_PAIRS: Final = 10
+_SAME_RATE: Final = 0.1
+"""Packets of different models come at rates that differ by a fifth and more."""
 _LEAST_SPAN_S: Final = 2.0
 """Pairs of stamps, and the time that they span, without which the drift of a free-running clock is noise."""
 
@@ -186,7 +178,7 @@ def _write_host(report: IntegrityReport, host: ArrayF, clock: LidarClock) -> Non
             break
 
 
-# ---------------------------------------------------------------- the parts of a VLP-16 recording, one a
+# ---------------------------------------------------------------- the parts of a Velodyne recording, one a
 # file, and whether they were given in the order of time
 
 
@@ -323,8 +315,9 @@ class Hole:
 
 @dataclass(slots=True)
 class Findings:
-    """Counts that grow while packets stream by."""
+    """Counts that grow while packets of a model stream by."""
 
+    model: Model
     n_packets: int = 0
     n_kept: int = 0
     products: Counter[int] = field(default_factory=Counter)
@@ -390,7 +383,7 @@ class Findings:
     def _hole(self, block: PacketBlock, i: int) -> None:
         t_us, jump_us = int(block.t_us[i]), int(block.jump_us[i])
         if block.event[i] != LATE:
-            step_s = PACKET_S[int(block.payload[i, 1204])]
+            step_s = self.model.packet_s(int(block.payload[i, 1204]))
             lost = round(jump_us * 1e-6 / step_s) - 1
             self.holes.append(Hole(block.first_packet + i, t_us, jump_us, lost, step_s))
             return
@@ -414,7 +407,7 @@ def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | Non
             f"{product_name(found.product)})",
             expected="return mode 0x37, 0x38 or 0x39, block flags ff ee and stamps within the hour",
             where=where,
-            cure="Check that it is the log of a VLP-16 with firmware 3.0.29 or later",
+            cure="Check that it is the log of a lidar that is read, a VLP-16 with firmware 3.0.29 or later",
         )
     held = {**tally.counts, **tally.losses}
     text = ", ".join(f"{name} {n}" for name, n in held.items() if n) or "nothing"
@@ -428,6 +421,35 @@ def no_packets(tally: CaptureTally, port: int, where: str, found: Findings | Non
         where=where,
         cure=cure,
     )
+
+
+def check_interval(found: Findings, where: str) -> None:
+    """Refuse packets that come at the rate of another model than the one that they name.
+
+    Early firmware of the VLP-16 writes the product byte of the HDL-32E: decoded as such its cloud would look
+    plausible and be wrong.
+
+    Raises
+    ------
+    UnsupportedError : another model's packets come at this rate.
+    """
+    until = np.cumsum(found.step_counts)
+    if until[-1] < _LEAST_PAIRS:
+        return
+    step_s = 1e-6 * float(np.searchsorted(until, until[-1] / 2))
+    mode = found.modes.most_common(1)[0][0]
+    if math.isclose(step_s, found.model.packet_s(mode), rel_tol=_SAME_RATE):
+        return
+    like = [m.name for m in MODELS if math.isclose(step_s, m.packet_s(mode), rel_tol=_SAME_RATE)]
+    if like:
+        expected_us = 1e6 * found.model.packet_s(mode)
+        raise UnsupportedError(
+            f"packets of a {product_name(found.product)} that come every {1e6 * step_s:.0f} us, "
+            f"as those of a {' or '.join(like)}",
+            expected=f"{expected_us:.0f} us from packet to packet of a {found.model.name}",
+            where=where,
+            cure=f"Old firmware names a wrong model: set lidar.model to {like[0]}",
+        )
 
 
 def check_senders(senders: Counter[int], where: str) -> None:
@@ -467,7 +489,7 @@ def write_report(
         report.rates_hz["packets"] = found.n_steps / (found.steps_us * 1e-6)
     if counters[GAP_COUNT]:
         degrees = counters[GAP_SUM] / counters[GAP_COUNT] / 100
-        report.rates_hz["rotation"] = float(degrees / 360 / BLOCK_S)
+        report.rates_hz["rotation"] = float(degrees / 360 / found.model.block_s)
     report.details["return_mode"] = found.return_mode
     report.details["product"] = product_name(found.product)
     set_s = {h.packet: h.jump_us * 1e-6 for h in found.holes if h.packet in builder.clock_set}
@@ -481,8 +503,8 @@ def write_report(
     if found.return_mode == "mixed":
         modes = ", ".join(f"{RETURN_MODES[m]} {n}" for m, n in sorted(found.modes.items()))
         report.note(f"The return mode changes within the recording (packets: {modes}).")
-    foreign = {p: n for p, n in found.products.items() if p != VLP16_PRODUCT}
-    if foreign and found.product == VLP16_PRODUCT:
+    foreign = {p: n for p, n in found.products.items() if p != found.model.product}
+    if foreign and found.product == found.model.product:
         names = ", ".join(f"{n} of {product_name(p)}" for p, n in sorted(foreign.items()))
         report.note(f"Packets that name another model: {names}.")
     if counters[JUMPS]:
@@ -604,7 +626,7 @@ def _write_counts(
 def _write_gaps(report: IntegrityReport, found: Findings, builder: ClockBuilder, clock: LidarClock) -> None:
     """List the holes, on GPS time if the report is on it (NaN where it is not known)."""
     holes = {hole.packet: hole for hole in found.holes}
-    step_s = PACKET_S[max(found.modes)]
+    step_s = found.model.packet_s(max(found.modes))
     for before, after in pairwise(builder.stretches):
         if after.extra_s > before.extra_s and after.first not in holes:
             holes[after.first] = Hole(after.first, after.t_us, round(step_s * 1e6), 0, step_s)

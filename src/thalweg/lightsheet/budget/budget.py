@@ -1,30 +1,65 @@
-"""Where the error of a measured point comes from, over the picture and in reference depths (P4 6, Fig. 13).
+"""Where the error of a measured point comes from (P4 6, Fig. 13), and what correlations change of it (P4
+6.6).
 
 The covariance of a point is ``J C J^T`` with the derivatives of `derivatives` and the covariance C of the
 sensor, and the line's error in the picture on top. A *cause* is a part of C: its own block gives its share.
 The sum of the shares leaves out what is correlated between causes, as P4 does; the whole C does not.
+
+P4 adds the squares of all causes as if the laser's five parameters had been found apart from each other. They
+come from one adjustment on two levels and are strongly correlated; and errors of everything that this
+adjustment held fixed (levels, camera, principal distance, indices, glass) are correlated with the laser's
+errors that they caused.
+
+A *design* is the set of observations of such a calibration: points of the line on each level, and pairs of
+points on one sub-beam (the gaps of the upper level and the pieces on the lower one). The laser's rotation in
+its own plane moves no point of the sheet, so five of its parameters are estimated: all but phi, whose axis is
+nearest to the normal of the fan.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.propagation import propagated
-from thalweg.core.types import ArrayF
-from thalweg.lightsheet.optics.derivatives import point_derivatives
-from thalweg.lightsheet.optics.intersection import SheetPoints
-from thalweg.lightsheet.optics.sensor import PARAMETERS, Sensor
-from thalweg.lightsheet.optics.volume import depth_lines, picture_grid
+from thalweg.core import ArrayF, GeometryError, propagated
+from thalweg.lightsheet.optics import (
+    PARAMETERS,
+    Sensor,
+    SheetPoints,
+    depth_lines,
+    intersect,
+    picture_grid,
+    point_derivatives,
+    sheet_derivatives,
+)
 
 DEPTHS_MM: Final = (50.0, 125.0, 200.0)
 """Reference depths of P4 Fig. 13."""
 
 SIGMA_LINE_PX: Final = (0.15, 0.0)
 """P4 6.1: the line is measured along the rows."""
+
+TOTAL: Final = "total"
+TOTAL_CORRELATED: Final = "total with correlations"
+
+ESTIMATED: Final = ("laser_x_mm", "laser_y_mm", "laser_z_mm", "laser_omega_rad", "laser_kappa_rad")
+
+CONSIDERED: Final[Mapping[str, float]] = {
+    "camera_z_mm": 0.05,
+    "camera_omega_rad": float(np.deg2rad(0.02)),
+    "camera_phi_rad": float(np.deg2rad(0.02)),
+    "camera_kappa_rad": float(np.deg2rad(0.02)),
+    "fx": 0.004 / 0.0055,
+    "n_water": 0.001,
+    "n_glass": 0.005,
+    "glass_mm": 0.05,
+}
+"""Sigmas of what a calibration holds fixed: P4 6.2 to 6.5, and 0.005 and 0.05 mm for the glass. fx stands for
+both focal lengths."""
+
+SIGMA_LEVEL_MM: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +92,6 @@ CAUSES: Final = (
     Cause("window tilt", "", ("tilt_x_rad", "tilt_y_rad")),
 )
 """Every parameter of a sensor belongs to one cause; those without a panel are no part of P4's budget."""
-
-TOTAL: Final = "total"
-TOTAL_CORRELATED: Final = "total with correlations"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +126,32 @@ class PictureBudget:
     depth_mm: ArrayF
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Design:
+    """Observations of a calibration on two levels: ``line_px`` (n, 2) with ``line_level`` (n,); ``upper_px``,
+    ``lower_px`` (m, 2) pairs on one sub-beam; ``levels_mm`` (2,) depths; ``sigma_line_px``,
+    ``sigma_pair_px``.
+    """
+
+    levels_mm: tuple[float, float]
+    line_px: ArrayF
+    line_level: ArrayF
+    upper_px: ArrayF
+    lower_px: ArrayF
+    sigma_line_px: float
+    sigma_pair_px: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibrated:
+    """Covariances of a calibration: ``names`` of all errors, ``full`` (k, k), ``laser`` (5, 5)."""
+
+    names: tuple[str, ...]
+    full: ArrayF
+    laser: ArrayF
+    design: Design = field(repr=False)
+
+
 def point_budget(
     sensor: Sensor, xy_px: ArrayF, *, sigma_px: tuple[float, float] = SIGMA_LINE_PX
 ) -> PointBudget:
@@ -119,9 +177,11 @@ def point_budget(
     along = np.einsum("i,nkij,j->nk", normal, covariances, normal)
     # a difference of equal numbers may fall below zero by rounding
     return PointBudget(
-        points=points, names=(*(cause.name for cause in CAUSES), TOTAL, TOTAL_CORRELATED),
-        sigma_lcs_mm=np.sqrt(np.maximum(variances, 0.0)), sigma_depth_mm=np.sqrt(np.maximum(along, 0.0)),
-    )  # fmt: skip
+        points=points,
+        names=(*(cause.name for cause in CAUSES), TOTAL, TOTAL_CORRELATED),
+        sigma_lcs_mm=np.sqrt(np.maximum(variances, 0.0)),
+        sigma_depth_mm=np.sqrt(np.maximum(along, 0.0)),
+    )
 
 
 def budget_on_lines(
@@ -154,12 +214,22 @@ def budget_on_lines(
         found = point_budget(sensor, line.xy_px, sigma_px=sigma_px)
         for k, name in enumerate(found.names):
             x, y, z = found.sigma_lcs_mm[:, k].T
-            parts.append(pd.DataFrame({
-                "depth_mm": line.depth_mm, "x_px": line.xy_px[:, 0], "y_px": line.xy_px[:, 1],
-                "fan_angle_deg": np.rad2deg(line.fan_angle_rad), "panel": panels[name], "cause": name,
-                "sigma_x_mm": x, "sigma_y_mm": y, "sigma_z_mm": z,
-                "sigma_depth_mm": found.sigma_depth_mm[:, k],
-            }))  # fmt: skip
+            parts.append(
+                pd.DataFrame(
+                    {
+                        "depth_mm": line.depth_mm,
+                        "x_px": line.xy_px[:, 0],
+                        "y_px": line.xy_px[:, 1],
+                        "fan_angle_deg": np.rad2deg(line.fan_angle_rad),
+                        "panel": panels[name],
+                        "cause": name,
+                        "sigma_x_mm": x,
+                        "sigma_y_mm": y,
+                        "sigma_z_mm": z,
+                        "sigma_depth_mm": found.sigma_depth_mm[:, k],
+                    }
+                )
+            )
     return pd.concat(parts, ignore_index=True)
 
 
@@ -171,9 +241,12 @@ def budget_over_picture(
     xy = np.stack(np.meshgrid(grid.x_px, grid.y_px), axis=-1).reshape(-1, 2)
     found = point_budget(sensor, xy, sigma_px=sigma_px)
     return PictureBudget(
-        x_px=grid.x_px, y_px=grid.y_px, names=found.names,
-        sigma_depth_mm=found.sigma_depth_mm.T.reshape(-1, *grid.depth_mm.shape), depth_mm=grid.depth_mm,
-    )  # fmt: skip
+        x_px=grid.x_px,
+        y_px=grid.y_px,
+        names=found.names,
+        sigma_depth_mm=found.sigma_depth_mm.T.reshape(-1, *grid.depth_mm.shape),
+        depth_mm=grid.depth_mm,
+    )
 
 
 def budget_table(lines: pd.DataFrame) -> pd.DataFrame:
@@ -190,3 +263,186 @@ def budget_table(lines: pd.DataFrame) -> pd.DataFrame:
     table = grouped.agg(least_mm="min", most_mm="max").reset_index()
     shares = table.groupby("cause")["most_mm"].transform("max") > 0.0
     return table.loc[shares, ["panel", "cause", "depth_mm", "least_mm", "most_mm"]].reset_index(drop=True)
+
+
+def design(
+    sensor: Sensor,
+    levels_mm: tuple[float, float] = (60.0, 150.0),
+    *,
+    points: tuple[int, int] = (900, 250),
+    pairs: int = 12,
+    sigma_line_px: float = 0.15,
+    sigma_pair_px: float = 1.0,
+) -> Design:
+    """The observations of a calibration like that of P4 4.3, without errors.
+
+    Raises
+    ------
+    GeometryError : a level is not in the picture, or no sub-beam is seen on both.
+    """
+    lines = depth_lines(sensor, levels_mm, n=2001)
+    shared = np.intersect1d(lines[0].fan_angle_rad, lines[1].fan_angle_rad)
+    if not len(shared):
+        raise GeometryError(
+            f"no sub-beam is seen on both levels at {levels_mm[0]:g} and {levels_mm[1]:g} mm",
+            expected="levels within the measurement volume",
+            where=f"sensor {sensor.name!r}",
+        )
+    inner = shared[(np.linspace(0.06, 0.94, pairs) * (len(shared) - 1)).astype(int)]
+    upper, lower = (line.xy_px[np.searchsorted(line.fan_angle_rad, inner)] for line in lines)
+    chosen = [
+        line.xy_px[np.linspace(0, len(line.xy_px) - 1, n).astype(int)]
+        for line, n in zip(lines, points, strict=True)
+    ]
+    return Design(
+        levels_mm=levels_mm,
+        line_px=np.concatenate(chosen),
+        line_level=np.repeat([0, 1], points).astype(float),
+        upper_px=upper,
+        lower_px=lower,
+        sigma_line_px=sigma_line_px,
+        sigma_pair_px=sigma_pair_px,
+    )
+
+
+def calibrated(sensor: Sensor, plan: Design, considered: Mapping[str, float] = CONSIDERED) -> Calibrated:
+    """Covariance of the laser and of all that its calibration held fixed.
+
+    With ``v = A dx + B dy``, dx the laser's errors and dy those held fixed with the covariance S, the
+    adjustment gives ``dx = -(A^T A)^-1 A^T (e + B dy)``: the covariance of dx is ``(A^T A)^-1 + G S G^T``
+    with ``G = -(A^T A)^-1 A^T B``, that between dx and dy ``G S``.
+    """
+    names = (*ESTIMATED, *considered, "level_1_mm", "level_2_mm")
+    _, J = observation_equations(sensor, plan, names)
+    k = len(ESTIMATED)
+    A, B = J[:, :k], J[:, k:]
+    inverse = np.linalg.inv(A.T @ A)
+    G = -inverse @ A.T @ B
+    S = np.diag(np.square([*considered.values(), SIGMA_LEVEL_MM, SIGMA_LEVEL_MM]))
+    laser = inverse + G @ S @ G.T
+    return Calibrated(names=names, full=np.block([[laser, G @ S], [S @ G.T, S]]), laser=laser, design=plan)
+
+
+def observation_equations(sensor: Sensor, plan: Design, names: Sequence[str]) -> tuple[ArrayF, ArrayF]:
+    """Weighted contradictions (n,) and their derivatives (n, k) by named errors.
+
+    Points of the line: depth minus that of the level. Pairs: both points on their levels, and the fan angle
+    of the upper one minus that of the lower one. Weights from the derivatives by the pixel across the line.
+    """
+    all_px = np.concatenate([plan.line_px, plan.upper_px, plan.lower_px])
+    n, m = len(plan.line_px), len(plan.upper_px)
+    level = np.concatenate([plan.line_level, np.zeros(m), np.ones(m)]).astype(int)
+    d = sheet_derivatives(sensor, all_px)
+    sigma_px = np.concatenate([np.full(n, plan.sigma_line_px), np.full(2 * m, plan.sigma_line_px)])
+    # the line runs along y of the picture or along x: the depth changes across it
+    cross = int(np.abs(d.depth_by_pixel).mean(axis=0).argmax())
+    weight = 1.0 / (np.abs(d.depth_by_pixel[:, cross]) * sigma_px)
+    by_depth, by_fan = _by_names(d.depth_by_parameters, names), _by_names(d.fan_by_parameters, names)
+    for k in (0, 1):
+        if f"level_{k + 1}_mm" in names:
+            by_depth[level == k, list(names).index(f"level_{k + 1}_mm")] = -1.0
+    off = (d.points.depth_mm - np.take(plan.levels_mm, level)) * weight
+    up, low = slice(n, n + m), slice(n + m, n + 2 * m)
+    along = np.abs(d.fan_by_pixel[:, 1 - cross])
+    pair = 1.0 / (plan.sigma_pair_px * np.hypot(along[up], along[low]))
+    fan = d.points.fan_angle_rad
+    rows = np.concatenate([by_depth * weight[:, None], (by_fan[up] - by_fan[low]) * pair[:, None]])
+    return np.concatenate([off, (fan[up] - fan[low]) * pair]), rows
+
+
+def recalibrated(sensor: Sensor, plan: Design, *, iterations: int = 3) -> Sensor:
+    """The sensor with the five laser parameters that fit the observations of a plan best (Gauss-Newton)."""
+    at = [PARAMETERS.index(name) for name in ESTIMATED]
+    for _ in range(iterations):
+        off, J = observation_equations(sensor, plan, ESTIMATED)
+        good = np.isfinite(off)
+        step = np.linalg.lstsq(J[good], -off[good], rcond=None)[0]
+        x = sensor.vector()
+        x[at] += step
+        sensor = sensor.with_vector(x)
+    return sensor
+
+
+def depth_sigmas(
+    sensor: Sensor, calibration: Calibrated, depths_mm: Sequence[float] = (50.0, 125.0, 200.0), n: int = 41
+) -> pd.DataFrame:
+    """What correlations change in the sigma of the depth, along lines of equal depth.
+
+    Returns
+    -------
+    ``depth_mm``; ``correlated_least_mm, correlated_most_mm`` with the full covariance; ``dropped_least_mm,
+    dropped_most_mm`` with the same sigmas and no correlations; ``factor`` of the two largest.
+    """
+    rows = []
+    for line in depth_lines(sensor, depths_mm, n):
+        J = _by_names(sheet_derivatives(sensor, line.xy_px).depth_by_parameters, calibration.names)
+        full = np.sqrt(np.einsum("ni,ij,nj->n", J, calibration.full, J))
+        bare = np.sqrt(np.einsum("ni,i,ni->n", J, np.diag(calibration.full), J))
+        rows.append((line.depth_mm, full.min(), full.max(), bare.min(), bare.max(), bare.max() / full.max()))
+    columns = [
+        "depth_mm",
+        "correlated_least_mm",
+        "correlated_most_mm",
+        "dropped_least_mm",
+        "dropped_most_mm",
+        "factor",
+    ]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def simulated_depth_errors(
+    sensor: Sensor,
+    plan: Design,
+    rng: np.random.Generator,
+    *,
+    runs: int = 60,
+    depths_mm: Sequence[float] = (50.0, 125.0, 200.0),
+    considered: Mapping[str, float] = CONSIDERED,
+) -> ArrayF:
+    """Errors in depth (runs, depths) in the middle of each line after complete calibrations with wrong fixed
+    values.
+
+    Each run draws what the calibration holds fixed and the observations, estimates the laser, and measures
+    with what it has: the counterpart of `calibrated` without any linear propagation.
+    """
+    lines = depth_lines(sensor, depths_mm, n=41)
+    middle = np.stack([line.xy_px[len(line.xy_px) // 2] for line in lines])
+    truth = sensor.vector()
+    errors = np.empty((runs, len(depths_mm)))
+    for run in range(runs):
+        x = truth.copy()
+        for name, sigma in considered.items():
+            e = rng.normal(0.0, sigma)
+            for each in ("fx", "fy") if name == "fx" else (name,):
+                x[PARAMETERS.index(each)] += e
+        levels = np.asarray(plan.levels_mm) + rng.normal(0.0, SIGMA_LEVEL_MM, 2)
+        noisy = Design(
+            levels_mm=(float(levels[0]), float(levels[1])),
+            line_level=plan.line_level,
+            line_px=plan.line_px + rng.normal(0.0, plan.sigma_line_px, plan.line_px.shape),
+            upper_px=plan.upper_px + _pair_noise(rng, plan),
+            lower_px=plan.lower_px + _pair_noise(rng, plan),
+            sigma_line_px=plan.sigma_line_px,
+            sigma_pair_px=plan.sigma_pair_px,
+        )
+        found = recalibrated(sensor.with_vector(x), noisy)
+        errors[run] = intersect(found, middle).depth_mm - np.asarray(depths_mm)
+    return errors
+
+
+def _pair_noise(rng: np.random.Generator, plan: Design) -> ArrayF:
+    """A piece ends somewhere along the line, and its centre lies across it as well as that of any point."""
+    along_y = np.ptp(plan.line_px[:, 1]) >= np.ptp(plan.line_px[:, 0])
+    sigma = (plan.sigma_line_px, plan.sigma_pair_px) if along_y else (plan.sigma_pair_px, plan.sigma_line_px)
+    return rng.normal(0.0, 1.0, plan.upper_px.shape) * sigma
+
+
+def _by_names(by_parameters: ArrayF, names: Sequence[str]) -> ArrayF:
+    """(n, k) derivatives by named errors; zero for names that are no parameters, such as levels."""
+    out = np.zeros((len(by_parameters), len(names)))
+    for i, name in enumerate(names):
+        if name == "fx":
+            out[:, i] = by_parameters[:, PARAMETERS.index("fx")] + by_parameters[:, PARAMETERS.index("fy")]
+        elif name in PARAMETERS:
+            out[:, i] = by_parameters[:, PARAMETERS.index(name)]
+    return out

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.errors import InputError
-from thalweg.lightsheet.optics.sensor import RESOURCES, Sensor
+from thalweg.core import InputError
+from thalweg.lightsheet.optics import RESOURCES, Sensor
 
 PUBLISHED: Final = RESOURCES / "paper_4_budget.csv"
 COLUMNS: Final = ("panel", "cause", "sigma", "unit", "published_least_mm", "published_most_mm", "source")
@@ -112,9 +112,17 @@ def verdicts(
             given = (row["panel"], row["cause"], row["sigma"], row["unit"], bound, value)
             rows.append((*given, float(figures[at]), depth, ratio, word))
     columns = [
-        "panel", "cause", "sigma", "unit", "bound", "published_mm", "computed_mm", "at_depth_mm", "ratio",
+        "panel",
+        "cause",
+        "sigma",
+        "unit",
+        "bound",
+        "published_mm",
+        "computed_mm",
+        "at_depth_mm",
+        "ratio",
         "verdict",
-    ]  # fmt: skip
+    ]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -125,14 +133,22 @@ def contradictions(sensor: Sensor, published: pd.DataFrame) -> list[Inequality]:
 
 def inequality_table(found: Sequence[Inequality]) -> pd.DataFrame:
     """A row for each: both sides in words and values, unit, whether it holds, factor, condition."""
-    return pd.DataFrame([
-        {
-            "name": c.name, "left": c.left, "left_value": c.left_value, "right": c.right,
-            "right_value": c.right_value, "unit": c.unit, "holds": c.holds, "factor": c.factor,
-            "condition": c.condition,
-        }
-        for c in found
-    ])  # fmt: skip
+    return pd.DataFrame(
+        [
+            {
+                "name": c.name,
+                "left": c.left,
+                "left_value": c.left_value,
+                "right": c.right,
+                "right_value": c.right_value,
+                "unit": c.unit,
+                "holds": c.holds,
+                "factor": c.factor,
+                "condition": c.condition,
+            }
+            for c in found
+        ]
+    )
 
 
 def camera_angles(sensor: Sensor, published: pd.DataFrame) -> Inequality:
@@ -162,10 +178,12 @@ def camera_angles(sensor: Sensor, published: pd.DataFrame) -> Inequality:
         name="camera angles against image measurement",
         left="root of the squared sum of the published maxima of omega, phi, kappa",
         right=f"published image maximum times {c_px * sigma:.3f} px / {image_px:g} px",
-        left_value=left, right_value=right, unit="mm",
+        left_value=left,
+        right_value=right,
+        unit="mm",
         causes=CAMERA_ANGLES,
         condition=f"|phi| below {least_phi:.0f} degrees",
-    )  # fmt: skip
+    )
 
 
 def ground_sampling(sensor: Sensor) -> Inequality:
@@ -180,8 +198,10 @@ def ground_sampling(sensor: Sensor) -> Inequality:
         name="ground sampling distance",
         left=f"larger side of a pixel at {GSD_DEPTH_MM:g} mm, as published",
         right="that of a camera on the glass that looks straight down, D / (c n)",
-        left_value=max(GSD_MM), right_value=GSD_DEPTH_MM / (c_px * n), unit="mm",
-    )  # fmt: skip
+        left_value=max(GSD_MM),
+        right_value=GSD_DEPTH_MM / (c_px * n),
+        unit="mm",
+    )
 
 
 def line_thickness(sensor: Sensor, reach_mm: float = 100.0) -> Inequality:
@@ -198,7 +218,7 @@ def line_thickness(sensor: Sensor, reach_mm: float = 100.0) -> Inequality:
         left_value=LINE_THICKNESS_MM,
         right_value=float(2.0 * np.sqrt(2.0 * wave_mm * reach_mm / (np.pi * sensor.window.n_water))),
         unit="mm",
-    )  # fmt: skip
+    )
 
 
 def rayleigh_range_mm(diameter_mm: float, n: float, wavelength_nm: float = WAVELENGTH_NM) -> float:

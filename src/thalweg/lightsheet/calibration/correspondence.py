@@ -6,14 +6,11 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, GeometryError, InputError
 from thalweg.lightsheet.calibration.grid import GridObject
 from thalweg.lightsheet.calibration.model import LineObservations, PairObservations
 from thalweg.lightsheet.calibration.settings import CalibrationSettings
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.refracted_rays import Status
-from thalweg.lightsheet.optics.sensor import Sensor
+from thalweg.lightsheet.optics import Sensor, Status, intersect
 
 # ---------------------------------------------------------------- which level of the calibration object each
 # measured line point lies on, and the pieces of line on each
@@ -521,10 +518,17 @@ def correspond(
         ),
     )
     return Correspondence(
-        line=line, pairs=pairs, rows=rows, segment=number, level=level, edges=edges, matched=matched,
-        counts={what: n for what, n in counts.items() if n}, gaps=gaps,
+        line=line,
+        pairs=pairs,
+        rows=rows,
+        segment=number,
+        level=level,
+        edges=edges,
+        matched=matched,
+        counts={what: n for what, n in counts.items() if n},
+        gaps=gaps,
         lost=lost,
-    )  # fmt: skip
+    )
 
 
 def _measured(
@@ -634,7 +638,7 @@ def _lost_levels(level: ArrayI, rows: ArrayI, grid: GridObject, counts: dict[str
         expected=f"at least {POINTS_ON_LEVEL} points on two levels",
         where=f"calibration object {grid.name!r}",
         cure="Take pictures with more pixels, or an object with wider gaps: the pieces of line are too short",
-    )  # fmt: skip
+    )
 
 
 def _fan_of_pieces(fan: ArrayF, segments: list[Segment], edges: Edges) -> ArrayF:

@@ -19,29 +19,21 @@ stated by their number and widths, or as a list of [from, to] from the edge of t
 9).
 """
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Final, Literal, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from thalweg.core.errors import ConfigError, GeometryError
-from thalweg.core.mistakes import Key, Mistake
-from thalweg.core.types import ArrayF
-from thalweg.core.yaml_lines import Document, parse_yaml, read_yaml
+from thalweg.core import ArrayF, Document, GeometryError, Part, checked, parse_yaml, read_yaml, wrong
 
-VERSION: Final = 1
-PATTERNS: Final = ("grid", "plate")
 LEAST_SPACING_MM: Final = 10.0
 """Levels closer than this fix neither the direction of a sub-beam nor the sheet: at 10 mm, edges of half a
 pixel leave the laser uncertain by centimetres."""
 
-_SECTIONS: Final = ("thalweg_grid", "name", "levels", "sigma_common_mm", "grid")
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Level:
+class Level(Part):
     """A plane parallel to the window.
 
     Parameters
@@ -51,10 +43,10 @@ class Level:
     depth_mm, sigma_mm : below the outer face of the window.
     """
 
-    name: str
-    pattern: str
-    depth_mm: float
-    sigma_mm: float
+    name: str = ""
+    pattern: Literal["grid", "plate"]
+    depth_mm: Annotated[float, Field(ge=0.0, le=10_000.0)]
+    sigma_mm: Annotated[float, Field(ge=0.0, le=100.0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +113,7 @@ class GridObject:
                 expected="a plate that stops the light",
                 where=where,
                 cure="State pattern: plate for the deepest level",
-            )  # fmt: skip
+            )
 
     @property
     def depths_mm(self) -> ArrayF:
@@ -152,140 +144,63 @@ def parse_grid(text: str) -> GridObject:
 
 
 def _described(document: Document, path: Path | None) -> GridObject:
-    reader = _Reader(document)
-    found = reader.grid() if not document.mistakes else None
-    if reader.mistakes or found is None:
-        told = sorted(reader.mistakes, key=lambda mistake: mistake.line)
-        count = (
-            f"{len(told)} mistake{'s' if len(told) > 1 else ''} in the description of the calibration object"
-        )
-        raise ConfigError(count + "".join(f"\n  {mistake}" for mistake in told), where=path or "")
-    return GridObject(**found)
-
-
-class _Reader:
-    """Takes a document apart and notes every mistake on the way."""
-
-    def __init__(self, document: Document) -> None:
-        self.document = document
-        self.mistakes = list(document.mistakes)
-
-    def wrong(self, path: tuple[Key, ...], found: str, expected: str = "", cure: str = "") -> None:
-        """Note a mistake with the line where it stands."""
-        line = self.document.line(path)
-        self.mistakes.append(Mistake(path=path, found=found, expected=expected, cure=cure, line=line))
-
-    def grid(self) -> dict[str, Any] | None:
-        """Arguments of `GridObject`, None if the document holds no keys."""
-        data = self.document.data
-        if not isinstance(data, dict):
-            self.wrong((), "no keys with values", "a description that begins with thalweg_grid: 1")
-            return None
-        if data.get("thalweg_grid") != VERSION:
-            self.wrong(
-                ("thalweg_grid",), f"found {data.get('thalweg_grid')!r}", f"thalweg_grid: {VERSION}",
-                "Add this line at the top",
-            )  # fmt: skip
-        self._known((), data, _SECTIONS)
-        pattern = self._mapping(("grid",), data.get("grid"), ("thickness_mm", "along_x", "along_y"))
-        return {
-            "name": str(data.get("name") or "calibration object"),
-            "levels": self._levels(data.get("levels")),
-            "sigma_common_mm": self._number((), data, "sigma_common_mm", 0.0, 100.0, 0.0),
-            "thickness_mm": self._number(("grid",), pattern, "thickness_mm", 0.0, 50.0, 0.0),
-            "gaps_x_mm": self._gaps("along_x", pattern),
-            "gaps_y_mm": self._gaps("along_y", pattern),
-        }
-
-    def _levels(self, data: Any) -> tuple[Level, ...]:
-        if not isinstance(data, list) or not data:
-            self.wrong(
-                ("levels",),
-                "missing" if data is None else f"found {data!r}",
-                "a list, each entry with a dash",
-            )
-            return ()
-        levels = []
-        for i, item in enumerate(data):
-            path: tuple[Key, ...] = ("levels", i)
-            entry = self._mapping(path, item, ("name", "pattern", "depth_mm", "sigma_mm"), needed=True)
-            if entry.get("pattern") not in PATTERNS:
-                self.wrong(
-                    (*path, "pattern"), f"found {entry.get('pattern')!r}", f"one of {', '.join(PATTERNS)}"
-                )
-            levels.append(
-                Level(
-                    name=str(entry.get("name") or f"level {i + 1}"),
-                    pattern=str(entry.get("pattern")),
-                    depth_mm=self._number(path, entry, "depth_mm", 0.0, 10000.0),
-                    sigma_mm=self._number(path, entry, "sigma_mm", 0.0, 100.0),
-                )
-            )
-        return tuple(levels)
-
-    def _gaps(self, side: str, pattern: dict[str, Any]) -> ArrayF:
-        path: tuple[Key, ...] = ("grid", side)
-        if side not in pattern:
-            return np.empty((0, 2))
-        data = self._mapping(path, pattern[side], ("bar_mm", "gap_mm", "gaps", "gaps_mm"), needed=True)
-        if "gaps_mm" in data:
-            stated = data["gaps_mm"]
-            good = isinstance(stated, list) and all(_interval(item) for item in stated)
-            edges = np.asarray(stated, dtype=np.float64).reshape(-1, 2) if good else np.empty((0, 2))
-            if not good or not (np.diff(edges.ravel()) > 0).all():
-                self.wrong(
-                    (*path, "gaps_mm"), f"found {stated!r}", "gaps as [from, to] in mm, one after the other"
-                )
-                return np.empty((0, 2))
-            return edges
-        bar = self._number(path, data, "bar_mm", 0.01, 1000.0)
-        gap = self._number(path, data, "gap_mm", 0.01, 1000.0)
-        count = self._number(path, data, "gaps", 1, 1000)
-        if not (math.isfinite(count) and count == int(count)):
-            if math.isfinite(count):
-                self.wrong((*path, "gaps"), f"found {count:g}", "a whole number")
-            return np.empty((0, 2))
-        begin = bar + (bar + gap) * np.arange(int(count))
-        return np.column_stack([begin, begin + gap])
-
-    def _mapping(
-        self, path: tuple[Key, ...], data: Any, keys: tuple[str, ...], *, needed: bool = False
-    ) -> dict[str, Any]:
-        if data is None and not needed:
-            return {}
-        if not isinstance(data, dict):
-            self.wrong(path, f"found {data!r}", f"the keys {', '.join(keys)}")
-            return {}
-        self._known(path, data, keys)
-        return data
-
-    def _known(self, path: tuple[Key, ...], data: dict[str, Any], keys: tuple[str, ...]) -> None:
-        for key in data:
-            if key not in keys:
-                self.wrong((*path, key), "unknown key", f"one of {', '.join(keys)}")
-
-    def _number(
-        self,
-        path: tuple[Key, ...],
-        data: dict[str, Any],
-        key: str,
-        low: float,
-        high: float,
-        default: float | None = None,
-    ) -> float:
-        value: Any = data.get(key, default)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not math.isfinite(value) or not low <= value <= high:
-            found = "missing" if key not in data else f"found {value!r}"
-            self.wrong((*path, key), f"{key}: {found}", f"a number from {low:g} to {high:g}")
-            return math.nan
-        return float(value)
-
-
-def _interval(item: Any) -> bool:
-    """Whether an entry is a pair of finite numbers."""
-    return (
-        isinstance(item, list)
-        and len(item) == 2
-        and all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in item)
+    found = checked(_Object, document, what="description of the calibration object", where=path)
+    return GridObject(
+        name=found.name or "calibration object",
+        levels=tuple(
+            level if level.name else level.model_copy(update={"name": f"level {i}"})
+            for i, level in enumerate(found.levels, 1)
+        ),
+        sigma_common_mm=found.sigma_common_mm,
+        thickness_mm=found.grid.thickness_mm if found.grid else 0.0,
+        gaps_x_mm=_edges(found.grid.along_x if found.grid else None),
+        gaps_y_mm=_edges(found.grid.along_y if found.grid else None),
     )
+
+
+_Width = Annotated[float, Field(ge=0.01, le=1000.0)]
+
+
+class _Gaps(Part):
+    bar_mm: _Width | None = None
+    gap_mm: _Width | None = None
+    gaps: Annotated[int, Field(ge=1, le=1000)] | None = None
+    gaps_mm: list[Annotated[list[float], Field(min_length=2, max_length=2)]] | None = Field(
+        default=None, description="gaps as [from, to] in mm, one after the other"
+    )
+
+    @model_validator(mode="after")
+    def _stated(self) -> Self:
+        lacking = [name for name in ("bar_mm", "gap_mm", "gaps") if getattr(self, name) is None]
+        if self.gaps_mm is None and lacking:
+            raise wrong(f"{', '.join(lacking)}: missing", "bar_mm, gap_mm and gaps, or gaps_mm")
+        if self.gaps_mm is not None and not (np.diff(np.ravel(self.gaps_mm)) > 0).all():
+            expected = "gaps as [from, to] in mm, one after the other"
+            raise wrong(f"found {self.gaps_mm!r}", expected, at=("gaps_mm",))
+        return self
+
+
+class _Pattern(Part):
+    thickness_mm: Annotated[float, Field(ge=0.0, le=50.0)] = 0.0
+    along_x: _Gaps | None = None
+    along_y: _Gaps | None = None
+
+
+class _Object(Part):
+    thalweg_grid: Literal[1]
+    name: str | None = None
+    levels: list[Level] = Field(min_length=1)
+    sigma_common_mm: Annotated[float, Field(ge=0.0, le=100.0)] = 0.0
+    grid: _Pattern | None = None
+
+
+def _edges(gaps: _Gaps | None) -> ArrayF:
+    """(g, 2) begin and end of the gaps."""
+    if gaps is None:
+        return np.empty((0, 2))
+    if gaps.gaps_mm is not None:
+        return np.asarray(gaps.gaps_mm, dtype=np.float64).reshape(-1, 2)
+    assert gaps.bar_mm is not None
+    assert gaps.gap_mm is not None
+    begin = gaps.bar_mm + (gaps.bar_mm + gaps.gap_mm) * np.arange(gaps.gaps or 0)
+    return np.column_stack([begin, begin + gaps.gap_mm])

@@ -12,12 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core.adjustment.normal_equations import UnobservableError, whitened
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import exp_rotation, opk_of
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, GeometryError, UnobservableError, exp_rotation, opk_of, whitened
 from thalweg.lightsheet.calibration.model import Problem
-from thalweg.lightsheet.optics.sensor import CAMERA, FLIP, LASER, PARAMETERS, Sensor
+from thalweg.lightsheet.optics import CAMERA, FLIP, LASER, PARAMETERS, Sensor
 
 SINGULAR: Final = 1e-5
 """Smallest singular value, of columns of unit length, that counts; as `RANK_TOLERANCE` for eigenvalues."""

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from typing import Final
 
-from thalweg.core.errors import GeometryError
+from thalweg.core import GeometryError
 from thalweg.lightsheet.calibration.grid import GridObject
-from thalweg.lightsheet.optics.sensor import CAMERA, LENS, PARAMETERS, WINDOW
+from thalweg.lightsheet.optics import CAMERA, LENS, PARAMETERS, WINDOW
+from thalweg.settings.sections import SheetCalibration
 
 GROUPS: Final = ("camera", "lens", "window", "water", "levels", "slopes")
 """What can be estimated together with the sheet."""
@@ -41,9 +42,9 @@ class CalibrationSettings:
     sigma_slope: float = 5e-4
     sigma_edge_px: float = 0.5
     sigma_edge_shift_px: float = 1.0
-    reject_sigmas: float = 4.5
+    reject_sigmas: float = SheetCalibration().reject_sigmas
     rescale: bool = True
-    largest_misfit_px: float = 2.0
+    largest_misfit_px: float = SheetCalibration().largest_misfit_px
     drop_flags: int = 0
     least_points: int = 5
     least_gap_px: float = 4.0

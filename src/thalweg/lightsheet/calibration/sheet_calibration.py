@@ -11,17 +11,20 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.adjustment.normal_equations import damped_step, normal_equations
-from thalweg.core.adjustment.solve import Adjusted, adjust
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF
-from thalweg.lightsheet.calibration.consider import considered_covariance
+from thalweg.core import Adjusted, ArrayF, GeometryError, adjust, damped_step, normal_equations
 from thalweg.lightsheet.calibration.correspondence import Correspondence, correspond
 from thalweg.lightsheet.calibration.grid import GridObject
-from thalweg.lightsheet.calibration.model import EDGE_SHIFT, LINE, PAIRS, Problem, sensor_at
+from thalweg.lightsheet.calibration.model import (
+    EDGE_SHIFT,
+    LINE,
+    PAIRS,
+    Problem,
+    considered_covariance,
+    sensor_at,
+)
 from thalweg.lightsheet.calibration.rank import estimable_laser, require_full_rank
 from thalweg.lightsheet.calibration.settings import CalibrationSettings, joint_names
-from thalweg.lightsheet.optics.sensor import LASER, PARAMETERS, Sensor
+from thalweg.lightsheet.optics import LASER, PARAMETERS, Sensor
 
 # ---------------------------------------------------------------- whether residuals are what the sigmas say:
 # scatter, and errors that neighbouring line points share
@@ -299,9 +302,15 @@ def _problem(
 ) -> Problem:
     estimate = settings.estimate or estimable_laser(sensor)
     everything = Problem(
-        sensor=sensor, grid=grid, line=found.line, pairs=found.pairs, free=estimate, known=(),
-        mean=np.empty(0), cov_known=np.empty((0, 0)),
-    )  # fmt: skip
+        sensor=sensor,
+        grid=grid,
+        line=found.line,
+        pairs=found.pairs,
+        free=estimate,
+        known=(),
+        mean=np.empty(0),
+        cov_known=np.empty((0, 0)),
+    )
     prior = beforehand(everything, settings)
     names = everything.names
     wanted = set(joint_names(settings, grid)) | {EDGE_SHIFT}
@@ -334,9 +343,14 @@ def _lines_alone(problem: Problem) -> Problem:
     start = problem.start()[problem.places]
     nothing = np.empty((0, 2))
     pairs = replace(
-        problem.pairs, upper_px=nothing, upper_out=nothing, lower_px=nothing, lower_out=nothing,
-        side=np.empty(0, dtype=np.int64), sigma_px=nothing,
-    )  # fmt: skip
+        problem.pairs,
+        upper_px=nothing,
+        upper_out=nothing,
+        lower_px=nothing,
+        lower_out=nothing,
+        side=np.empty(0, dtype=np.int64),
+        sigma_px=nothing,
+    )
     return replace(problem, pairs=pairs, known=problem.free, mean=start, cov_known=np.diag(np.square(sigma)))
 
 
@@ -379,11 +393,16 @@ def beforehand(problem: Problem, settings: CalibrationSettings) -> ArrayF:
 
 def _solve(problem: Problem, x: ArrayF, settings: CalibrationSettings, *, robust: bool) -> Adjusted[ArrayF]:
     return adjust(
-        problem.observations(), x, problem.free, update=problem.updated, loss="huber" if robust else None,
-        reject_sigmas=settings.reject_sigmas, max_iterations=100,
+        problem.observations(),
+        x,
+        problem.free,
+        update=problem.updated,
+        loss="huber" if robust else None,
+        reject_sigmas=settings.reject_sigmas,
+        max_iterations=100,
         cure="Start from values nearer to the truth, and check the depths of the levels and the refractive "
         "indices",
-    )  # fmt: skip
+    )
 
 
 def _used_residuals(problem: Problem, adjusted: Adjusted[ArrayF]) -> ArrayF:

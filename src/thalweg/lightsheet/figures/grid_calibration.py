@@ -1,6 +1,7 @@
 """Calibration of the light sheet on a grid above a plate (P3 Fig. 4 and 7; P4 Fig. 9 and 10)."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -8,10 +9,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thalweg.core.errors import CoverageError
-from thalweg.core.types import AnyArray, ArrayF
-from thalweg.figures.calibration.field_views import Oblique
-from thalweg.figures.style import GREY, ORANGE, count, new_figure, plural, styled
+from thalweg.core import AnyArray, ArrayF, CoverageError
+from thalweg.figures import GREY, ORANGE, count, new_figure, plural, styled
+from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import (
     DEPTH_LOOKS,
     GLASS_COLOUR,
@@ -19,14 +19,14 @@ from thalweg.lightsheet.figures.views import (
     axes_cross,
     beam_paths,
     fill_oblique,
+    first_image,
     green_of,
     need,
     plate,
     show_green,
     words_oblique,
 )
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.sensor import Sensor
+from thalweg.lightsheet.optics import Sensor, intersect, read_sensor
 
 RESIDUALS: Final = ("level", "x_px", "y_px", "residual_px", "standardised", "used")
 PAIRS: Final = ("upper_x_px", "upper_y_px", "lower_x_px", "lower_y_px", "apart_deg", "standardised", "used")
@@ -96,12 +96,32 @@ def _image(
         mine = residuals[residuals["level"].astype(str) == level]
         shown = mine[mine["used"].astype(bool)]
         step = max(1, -(-len(shown) // _MOST_POINTS))
-        ax.plot(shown["x_px"][::step], shown["y_px"][::step], ls="none", marker=marker, ms=2.2, color=colour,
-                label=f"{level}: {count(len(shown))} points", gid=f"level {k}", zorder=3)  # fmt: skip
+        ax.plot(
+            shown["x_px"][::step],
+            shown["y_px"][::step],
+            ls="none",
+            marker=marker,
+            ms=2.2,
+            color=colour,
+            label=f"{level}: {count(len(shown))} points",
+            gid=f"level {k}",
+            zorder=3,
+        )
     out = residuals[~residuals["used"].astype(bool)]
     if len(out):
-        ax.plot(out["x_px"], out["y_px"], ls="none", marker="X", ms=5, mfc="white", mec="black", mew=0.6,
-                label=f"rejected: {len(out)}", gid="rejected", zorder=4)  # fmt: skip
+        ax.plot(
+            out["x_px"],
+            out["y_px"],
+            ls="none",
+            marker="X",
+            ms=5,
+            mfc="white",
+            mec="black",
+            mew=0.6,
+            label=f"rejected: {len(out)}",
+            gid="rejected",
+            zorder=4,
+        )
     ax.set(xlabel="column / px", ylabel="row / px")
     ax.set_title("a: image and observations")
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=2, borderaxespad=0.0)
@@ -120,8 +140,10 @@ def _space(ax: Axes, sensor: Sensor, pairs: pd.DataFrame, levels: Sequence[str])
     # across the line the paths of laser and camera lie side by side
     view = Oblique(azimuth_deg=66.0 if along[0] >= along[1] else 24.0, elevation_deg=14.0)
     ends = [(upper.xyz_lcs_mm[good], 0), (lower.xyz_lcs_mm[good], 1)]
-    rays = [_image_rays(sensor, pairs, name, points) for name, points in
-            zip(("upper", "lower"), (ends[0][0], ends[1][0]), strict=True)]  # fmt: skip
+    rays = [
+        _image_rays(sensor, pairs, name, points)
+        for name, points in zip(("upper", "lower"), (ends[0][0], ends[1][0]), strict=True)
+    ]
     every = np.concatenate([beams, *rays]).reshape(-1, 3)
     low, high = every.min(axis=0) - 12.0, every.max(axis=0) + 12.0
     for points, k in reversed(ends):
@@ -163,16 +185,35 @@ def _residuals(ax: Axes, residuals: pd.DataFrame, levels: Sequence[str]) -> None
         colour, _, marker = DEPTH_LOOKS[k]
         mine = residuals[(residuals["level"].astype(str) == level) & residuals["used"].astype(bool)]
         rms = float(np.sqrt(np.mean(np.square(mine["residual_px"])))) if len(mine) else float("nan")
-        ax.plot(mine[along], mine["residual_px"], ls="none", marker=marker, ms=1.8, color=colour, mew=0.0,
-                label=f"{level}: {rms:.3f} px", gid=f"residuals {k}")  # fmt: skip
+        ax.plot(
+            mine[along],
+            mine["residual_px"],
+            ls="none",
+            marker=marker,
+            ms=1.8,
+            color=colour,
+            mew=0.0,
+            label=f"{level}: {rms:.3f} px",
+            gid=f"residuals {k}",
+        )
     out = residuals[~residuals["used"].astype(bool)]
     seen = residuals[residuals["used"].astype(bool)]["residual_px"].abs()
     limit = 1.3 * float(seen.quantile(0.998)) + 1e-6
-    ax.plot(out[along], out["residual_px"].clip(-limit, limit), ls="none", marker="x", ms=4, color=GREY,
-            gid="rejected residuals")  # fmt: skip
+    ax.plot(
+        out[along],
+        out["residual_px"].clip(-limit, limit),
+        ls="none",
+        marker="x",
+        ms=4,
+        color=GREY,
+        gid="rejected residuals",
+    )
     ax.axhline(0.0, color="0.3", lw=0.6)
-    ax.set(xlabel=f"{'row' if along == 'y_px' else 'column'} / px", ylabel="residual / px",
-           ylim=(-1.05 * limit, 1.35 * limit))  # fmt: skip
+    ax.set(
+        xlabel=f"{'row' if along == 'y_px' else 'column'} / px",
+        ylabel="residual / px",
+        ylim=(-1.05 * limit, 1.35 * limit),
+    )
     ax.set_title("c: residuals, root mean squares" + ("; crosses: rejected" if len(out) else ""))
     ax.legend(loc="upper left", ncols=len(levels), markerscale=2.0)
     ax.grid()
@@ -185,11 +226,43 @@ def _pairs(ax: Axes, pairs: pd.DataFrame) -> None:
     apart = pairs["apart_deg"].to_numpy(np.float64)
     sigma = np.abs(apart / pairs["standardised"].to_numpy(np.float64))
     sigma = np.where(np.isfinite(sigma), sigma, 0.0)
-    ax.errorbar(number[used], apart[used], yerr=sigma[used], ls="none", marker="o", ms=3.5, color=ORANGE,
-                ecolor="0.5", elinewidth=0.8, capsize=1.5, gid="pairs")  # fmt: skip
+    ax.errorbar(
+        number[used],
+        apart[used],
+        yerr=sigma[used],
+        ls="none",
+        marker="o",
+        ms=3.5,
+        color=ORANGE,
+        ecolor="0.5",
+        elinewidth=0.8,
+        capsize=1.5,
+        gid="pairs",
+    )
     ax.plot(number[~used], apart[~used], ls="none", marker="x", color=GREY, gid="rejected pairs")
     ax.axhline(0.0, color="0.3", lw=0.6)
     rms = float(np.sqrt(np.mean(np.square(apart[used]))))
     ax.set(xlabel="pair / 1", ylabel="difference of fan angles / °")
     ax.set_title(f"d: pairs with sigmas, root mean square {rms:.3f}°")
     ax.grid()
+
+
+def draw_grid_calibration(
+    *,
+    sensor: Path,
+    images: list[Path],
+    line_points: Path,
+    residuals: Path,
+    pairs: Path,
+    title: str,
+    twin: bool,
+) -> Figure:
+    """Image, residuals and pairs of a calibration of the light sheet -> figure."""
+    return grid_calibration(
+        read_sensor(sensor),
+        first_image(images, line_points)[0],
+        pd.read_csv(residuals),
+        pd.read_csv(pairs),
+        title=title,
+        twin=twin,
+    )

@@ -1,69 +1,52 @@
-"""One page on a light-sheet sensor: calibration, panels, budget with verdicts, models, what was rejected."""
+"""The page on the light-sheet sensor, and that on a strip of the bed."""
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
 
-from thalweg.figures.calibration.page import TWIN_NOTE, short, with_units
-from thalweg.figures.page import Page
-from thalweg.figures.style import count, plural
-from thalweg.ingest.registry.describe_calibration import with_sigma
-from thalweg.lightsheet.budget.budget import TOTAL, TOTAL_CORRELATED, budget_table
-from thalweg.lightsheet.figures.scans import ScanFiles, scan_section
-from thalweg.lightsheet.lines.settings import LineFlag
+from thalweg.core import InputError
+from thalweg.figures import Page, count, plural
+from thalweg.figures.calibration import TWIN_NOTE, short, with_units
+from thalweg.ingest.registry import with_sigma
+from thalweg.lightsheet.budget import TOTAL, TOTAL_CORRELATED, budget_table
+from thalweg.lightsheet.lines import LineFlag
 
-# ---------------------------------------------------------------- part of the light-sheet page: the lens of
-# the sensor's camera from pictures of a field of markers
-
-
-LENS_NOTE: Final = (
-    "Sigmas are those of the adjustment: they tell of the marks' noise and of the geometry of the pictures, "
-    "not of a lens that moves between the field and the housing."
+PICTURES: Final = {
+    "sheet_image_": "sheet_image",
+    "setup_of_": "scan_setup",
+    "reference_of_": "scan_reference",
+    "profile_of_": "scan_profile",
+    "scan_": "scan_distances",
+}
+"""What names of a scan's pictures begin with, and the stem of the caption that belongs to them."""
+SCAN_NOTE: Final = (
+    "Distances are signed, positive in front of the reference, after the scan was fitted to it. Standard "
+    "deviations are those before and after each outlier rule. The first rule is that of "
+    "P4 Tables 2 and 3, three standard deviations of all points; the robust one takes median and NMAD."
 )
-
-
-def lens_section(page: Page, report: Mapping[str, Any]) -> Page:
-    """Pictures, scale bars and precision of the self-calibrating bundle.
-
-    Parameters
-    ----------
-    page : to which the section is added.
-    report : ``camera_interior.json``, see `thalweg.lightsheet.lens.report`.
-    """
-    views, fit, share = report["views"], report["adjustment"], report["sigma_over_constant"]
-    low, high = fit["sigma0_band"]
-    page.section("Lens").text(
-        f"{plural(views['pictures'], 'picture')} of a field of {plural(fit['markers'], 'marker')}, "
-        f"directions up to {views['largest_angle_deg']:.0f}° apart, {count(views['rolled'])} rolled against "
-        f"the others: {count(fit['marks'])} marks, {count(fit['marks_rejected'])} rejected; "
-        f"sigma0 {fit['sigma0']:.3f} (95 % band {low:.3f} to {high:.3f}). The camera constant is known to "
-        f"{share['camera_constant']:.2g} of its length, that of P4 to "
-        f"{share['published_camera_constant']:.2g}."
-    ).text(LENS_NOTE)
-    for note in report["notes"]:
-        page.text(f"Note: {note}.")
-    for rows, caption in (
-        ("images", "Pictures of the marker field (camera_interior.json)"),
-        ("scale_bars", "Scale bars of the marker field"),
-    ):
-        shown, units = with_units(
-            short(pd.DataFrame(report[rows]).rename(columns={"largest": "largest over its sigma"}))
-        )
-        page.table(shown, caption, units)
-    return page
-
-
-# ---------------------------------------------------------------- page
-
+STRIP_NOTE: Final = (
+    "Each line gets its place from the boat's trajectory at the time of its pulse, and from the mount of the "
+    "sensor. Sigmas of heights hold the errors of both; those within a line are of its measurement alone."
+)
+STRIP_TRAJECTORY: Final = {
+    "fused": "The trajectory is that of INS, antenna positions and image poses together.",
+    "ins": "The trajectory is that of the INS and the antenna positions: there are no images of the bank.",
+}
+LOST: Final = {
+    "far": "points not on the object",
+    "at_border": "points at a border of the mesh",
+    "on_bad_lines": "points of lines with a bad pose",
+}
+"""Counts of `facts.json` that say why a point of a scan was not compared."""
 
 LENS_PX: Final = ("fx", "fy", "cx", "cy")
 """Parameters in pixels whose names do not say so."""
-
 STRONG_SHOWN: Final = 12
 """Correlations that the page names."""
-
 SHEET_NOTE: Final = (
     "The rotation of the laser in the plane of its own fan moves no point of the sheet. It is fixed by the "
     "design, and five parameters of the laser are estimated. Parameters that were held fixed have sigmas "
@@ -97,6 +80,200 @@ MODEL_NOTE: Final = (
     "Depths by simpler models minus those of the strict intersection of image ray and refracted sub-beam. "
     "Palomer et al. (2017) state errors of about 2 mm for an elliptical cone."
 )
+LENS_NOTE: Final = (
+    "Sigmas are those of the adjustment: they tell of the marks' noise and of the geometry of the pictures, "
+    "not of a lens that moves between the field and the housing."
+)
+
+
+# ---------------------------------------------------------------- scans
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanFiles:
+    """What is known about one scan: tables and reports by stem, pictures with their captions."""
+
+    name: str
+    tables: Mapping[str, pd.DataFrame]
+    facts: Mapping[str, Mapping[str, Any]]
+    pictures: Sequence[tuple[Path, str]] = field(default_factory=tuple)
+
+
+def read_scans(
+    names: Sequence[str], files: Sequence[Path], pictures: Sequence[Path], captions: Mapping[str, str]
+) -> list[ScanFiles]:
+    """Read the files of all scans, sorted by scan.
+
+    Parameters
+    ----------
+    names : of the scans in the order of the page.
+    files : tables ``<scan>/<stem>.csv`` and reports ``<scan>/<stem>.json``.
+    pictures : ``<kind>_<scan>.png``, see `PICTURES`, or ``<scan>/<stem>.png``.
+    captions : stem of a caption -> its words.
+
+    Raises
+    ------
+    InputError : a file that belongs to none of the scans.
+    """
+    found = []
+    for name in names:
+        mine = [path for path in files if path.parent.name == name]
+        kinds = [(path, kind_of(path, name)) for path in pictures]
+        found.append(
+            ScanFiles(
+                name=name,
+                tables={path.stem: pd.read_csv(path) for path in mine if path.suffix == ".csv"},
+                facts={
+                    path.stem: json.loads(path.read_text(encoding="utf-8"))
+                    for path in mine
+                    if path.suffix == ".json"
+                },
+                pictures=[(path, captions.get(kind, _words(kind))) for path, kind in kinds if kind],
+            )
+        )
+    lost = [path for path in files if path.parent.name not in names]
+    lost += [path for path in pictures if not any(kind_of(path, name) for name in names)]
+    if lost:
+        raise InputError(
+            f"{lost[0].name} in '{lost[0].parent.name}' belongs to no scan",
+            expected=f"files of {', '.join(names) or 'no scan'}",
+            where="page on a light-sheet sensor",
+        )
+    return found
+
+
+def kind_of(picture: Path, scan: str) -> str:
+    """Stem of the caption of a picture of that scan; empty if the picture is not one of it.
+
+    Examples
+    --------
+    >>> kind_of(Path("figures/scan_old_wreck.png"), "old_wreck"), kind_of(Path("scan_old_wreck.png"), "wreck")
+    ('scan_distances', '')
+    """
+    if picture.parent.name == scan:
+        return picture.stem
+    return next((kind for start, kind in PICTURES.items() if picture.stem == f"{start}{scan}"), "")
+
+
+def scan_section(page: Page, scan: ScanFiles) -> None:
+    """One scanned object: what was found and left out, statistics beside P4's, levels, pictures."""
+    page.section(f"Scan: {_words(scan.name)}").text(scan_words(scan))
+    table, facts = scan.tables, scan.facts
+    for warning in facts.get("facts", {}).get("warnings", ()):
+        page.text(f"Warning: {warning}.")
+    if "statistics" in table:
+        page.text(SCAN_NOTE)
+        _units(page, table["statistics"], "All lines, beside P4 Table 3 (statistics.csv)")
+    if "profile" in table:
+        _units(page, table["profile"], "The middle line by itself, beside P4 Table 2 (profile.csv)")
+    levels = facts.get("facts", {}).get("levels")
+    if levels:
+        words = "Levels of the object; root mean square from the points' own plane of each (facts.json)"
+        _units(page, pd.DataFrame(levels), words, digits=5)
+    words = "Images, lines and points that were left out (counts.json, facts.json, lines.csv)"
+    page.table(left_out(scan), words)
+    for picture, words in scan.pictures:
+        page.figure(picture, words)
+
+
+def scan_words(scan: ScanFiles) -> str:
+    """The scan in sentences: points, lines, poses, what was predicted, whether two modes were found."""
+    merged = scan.facts["counts"]["merged"]
+    words = [f"{plural(merged['images'], 'image')} with {count(merged['points'])} points of the line."]
+    facts, profile = scan.facts.get("facts"), scan.facts.get("profile")
+    if facts is None:
+        return " ".join([*words, "There is no reference to compare with."])
+    bad = len(facts["images_with_bad_pose"])
+    words.append(
+        f"{count(facts['counts']['used'])} points lie on the {facts['reference']}; "
+        f"{plural(bad, 'line')} with a bad pose."
+    )
+    honesty = facts["honesty"]
+    words.append(
+        f"Root mean square of the distances {honesty['rms_mm']:.3f} mm, predicted "
+        f"{honesty['predicted_mm']:.3f} mm; of the distances over their sigmas "
+        f"{honesty['rms_over_sigma']:.2f}."
+    )
+    if profile is not None:
+        words.append(
+            f"Middle line: {profile['rms_mm']:.3f} mm root mean square; distribution with "
+            f"{profile['bimodality']}."
+        )
+    return " ".join(words)
+
+
+def left_out(scan: ScanFiles) -> pd.DataFrame:
+    """Reasons and numbers of what was not compared."""
+    rows = _lost_points(scan.facts["counts"])
+    facts = scan.facts.get("facts")
+    if facts is not None:
+        rows += [(words, int(facts["counts"][name])) for name, words in LOST.items()]
+    if "lines" in scan.tables:
+        reasons = scan.tables["lines"]["reason"].dropna().astype(str).value_counts()
+        rows += [(f"lines not judged: {reason}", int(n)) for reason, n in reasons.items()]
+    return pd.DataFrame(rows, columns=["left out", "number"])
+
+
+def strip_page(
+    counts: Mapping[str, Any], pictures: Sequence[tuple[Path, str]], *, title: str, twin: bool = False
+) -> Page:
+    """The page on a strip of the bed under the boat.
+
+    Parameters
+    ----------
+    counts : ``counts.json`` of the strip: ``lines, merged, images_left_out, times, trajectory``.
+    pictures : PNG files with their captions.
+    title : heading.
+    twin : true if the digital twin made the recordings.
+    """
+    merged, times = counts["merged"], counts.get("times", {})
+    words = (
+        f"{plural(int(merged['images']), 'image')} of the bed by the light-sheet sensor under the boat, with "
+        f"{count(int(merged['points']))} points in the world (bed.laz)."
+    )
+    page = Page(title, words)
+    if twin:
+        page.text(TWIN_NOTE)
+    page.text(f"{STRIP_NOTE} {STRIP_TRAJECTORY[counts['trajectory']]}")
+    rows = [
+        *_lost_points(counts),
+        ("images without a pulse", len(times.get("images_without_pulse", ()))),
+        ("pulses without an image", len(times.get("pulses_without_image_s", ()))),
+    ]
+    page.section("What was left out")
+    page.table(pd.DataFrame(rows, columns=["left out", "number"]), "Images, pulses and points (counts.json)")
+    page.section("Figures")
+    for picture, caption in pictures:
+        page.figure(picture, caption)
+    return page
+
+
+def _lost_points(counts: Mapping[str, Any]) -> list[tuple[str, int]]:
+    """Images by reason, line points by status, and points whose image has no pose."""
+    rows = [(f"images: {reason}", n) for reason, n in _numbers(counts.get("images_left_out", {})).items()]
+    rows += [
+        (f"line points: {_words(name)}", int(n))
+        for name, n in counts.get("lines", {}).items()
+        if name not in ("line_points", "points")
+    ]
+    return [*rows, ("points of images without a pose", int(counts["merged"]["points_without_pose"]))]
+
+
+def _numbers(images: Mapping[str, Any]) -> dict[str, int]:
+    """Number of images by reason, from the reason of each image."""
+    return {str(reason): int(n) for reason, n in pd.Series(images, dtype=object).value_counts().items()}
+
+
+def _words(stem: str) -> str:
+    return stem.replace("_", " ")
+
+
+def _units(page: Page, table: pd.DataFrame, caption: str, *, digits: int = 4) -> None:
+    shown, units = with_units(short(table, digits))
+    page.table(shown, caption, units)
+
+
+# ---------------------------------------------------------------- page
 
 
 def light_sheet_page(
@@ -127,10 +304,10 @@ def light_sheet_page(
     budget : `thalweg.lightsheet.budget.budget.budget_on_lines` of the sensor.
     published : `thalweg.lightsheet.budget.checks.verdicts`.
     contradictions : `thalweg.lightsheet.budget.checks.inequality_table`.
-    correlations : `thalweg.lightsheet.budget.correlations.depth_sigmas`.
-    models : `thalweg.lightsheet.optics.sheet_models.model_errors`.
+    correlations : `thalweg.lightsheet.budget.budget.depth_sigmas`.
+    models : `thalweg.lightsheet.optics.approximations.model_errors`.
     panels : `thalweg.lightsheet.poses.panels.compare_panels`; None if there were none.
-    truth : for a twin, `thalweg_lab.truth.light_sheet.compare_sensor`.
+    truth : for a twin, `thalweg_lab.truth.calibration.compare_sensor`.
     camera : report on the camera over the window; None if it was oriented elsewhere.
     lens : report on the lens from pictures of a marker field; None if the lens was given.
     counts : by series, what line detection found and dropped in each image.
@@ -165,8 +342,11 @@ def light_sheet_page(
         scan_section(page, scan)
     _budget(page, budget, published, contradictions, correlations)
     page.section("Simpler models").text(MODEL_NOTE)
-    _units(page, models.drop(columns="lost") if not models["lost"].any() else models,
-           "Errors in depth of each model (models.csv)")  # fmt: skip
+    _units(
+        page,
+        models.drop(columns="lost") if not models["lost"].any() else models,
+        "Errors in depth of each model (models.csv)",
+    )
     _rejected(page, calibration, counts or {}, points or {}, panels)
     if pictures:
         page.section("Figures")
@@ -202,8 +382,10 @@ def _lead(calibration: Mapping[str, Any], budget: pd.DataFrame, panels: pd.DataF
 def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str, Any] | None) -> None:
     page.section("What was calibrated").text(SHEET_NOTE)
     if camera:
-        rows = [{"name": f"camera_{name}", "treated": "resection over the window", **found}
-                for name, found in camera["camera"].items()]  # fmt: skip
+        rows = [
+            {"name": f"camera_{name}", "treated": "resection over the window", **found}
+            for name, found in camera["camera"].items()
+        ]
         flat = f"the marks on the window lie within {camera['window_flatness_mm']:.3f} mm of one plane"
         page.table(
             parameter_rows(rows).drop(columns="sigma by the image alone"),
@@ -228,8 +410,12 @@ def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str,
         page.text("No pair of parameters is correlated by more than 0.9.")
     if calibration.get("sigma_of_depth"):
         sigmas = pd.DataFrame(calibration["sigma_of_depth"]).dropna()
-        _units(page, sigmas, "Sigma of a depth that the calibration leaves, without the noise of the line; "
-               "uncorrelated: the same sigmas without correlations")  # fmt: skip
+        _units(
+            page,
+            sigmas,
+            "Sigma of a depth that the calibration leaves, without the noise of the line; "
+            "uncorrelated: the same sigmas without correlations",
+        )
 
 
 def water_words(water: Mapping[str, Any]) -> str:
@@ -259,21 +445,26 @@ def parameter_rows(parameters: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
         known = bool(stem) and unit in ("mm", "deg", "px")
         sigma = float(one["sigma"])
         alone = one.get("sigma_image")
-        rows.append({
-            "parameter": (stem if known else str(one["name"])).replace("_", " "),
-            "value": with_sigma(float(one["value"]), sigma).partition(" ")[0],
-            "unit": {"deg": "°"}.get(unit, unit) if known else "px" if one["name"] in LENS_PX else "",
-            "sigma": "fixed" if sigma == 0.0 else f"{sigma:.2g}",
-            "sigma by the image alone": "" if alone is None else f"{float(alone):.2g}",
-            "treated": one["treated"],
-        })  # fmt: skip
+        rows.append(
+            {
+                "parameter": (stem if known else str(one["name"])).replace("_", " "),
+                "value": with_sigma(float(one["value"]), sigma).partition(" ")[0],
+                "unit": {"deg": "°"}.get(unit, unit) if known else "px" if one["name"] in LENS_PX else "",
+                "sigma": "fixed" if sigma == 0.0 else f"{sigma:.2g}",
+                "sigma by the image alone": "" if alone is None else f"{float(alone):.2g}",
+                "treated": one["treated"],
+            }
+        )
     return pd.DataFrame(rows)
 
 
 def _budget(
-    page: Page, budget: pd.DataFrame, published: pd.DataFrame, contradictions: pd.DataFrame,
+    page: Page,
+    budget: pd.DataFrame,
+    published: pd.DataFrame,
+    contradictions: pd.DataFrame,
     correlations: pd.DataFrame,
-) -> None:  # fmt: skip
+) -> None:
     page.section("Budget of the depth").text(BUDGET_NOTE)
     table = budget_table(budget)
     wide = table.pivot(index="cause", columns="depth_mm", values=["least_mm", "most_mm"])
@@ -293,8 +484,12 @@ def _budget(
     page.text("Inequalities that published figures would have to obey, whatever the geometry:")
     page.lines([inequality(row) for row in contradictions.to_dict("records")])
     page.section("What correlations change").text(CORRELATION_NOTE)
-    _units(page, correlations, "Sigma of the depth by the calibration; factor: largest without correlations "
-           "over largest with them (budget_correlations.csv)")  # fmt: skip
+    _units(
+        page,
+        correlations,
+        "Sigma of the depth by the calibration; factor: largest without correlations "
+        "over largest with them (budget_correlations.csv)",
+    )
 
 
 def inequality(row: Mapping[Any, Any]) -> str:
@@ -326,9 +521,12 @@ def inequality(row: Mapping[Any, Any]) -> str:
 
 
 def _rejected(
-    page: Page, calibration: Mapping[str, Any], counts: Mapping[str, pd.DataFrame],
-    points: Mapping[str, pd.DataFrame], panels: pd.DataFrame | None,
-) -> None:  # fmt: skip
+    page: Page,
+    calibration: Mapping[str, Any],
+    counts: Mapping[str, pd.DataFrame],
+    points: Mapping[str, pd.DataFrame],
+    panels: pd.DataFrame | None,
+) -> None:
     page.section("What was left out")
     rows = [
         ("calibration", "line points rejected by the adjustment", calibration["line_points"]["rejected"]),
@@ -357,17 +555,50 @@ def flag_counts(points: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     rows = []
     for series, table in points.items():
         flags = table["flags"].to_numpy()
-        found = {flag.name.lower().replace("_", " "): int(((flags & flag) != 0).sum())
-                 for flag in LineFlag if flag.name}  # fmt: skip
+        found = {
+            flag.name.lower().replace("_", " "): int(((flags & flag) != 0).sum())
+            for flag in LineFlag
+            if flag.name
+        }
         rows.append({"series": series, "points": len(table), **found})
     return pd.DataFrame(rows)
-
-
-def _units(page: Page, table: pd.DataFrame, caption: str) -> None:
-    shown, units = with_units(short(table))
-    page.table(shown, caption, units)
 
 
 def _name(parameter: str) -> str:
     stem, _, unit = parameter.rpartition("_")
     return (stem if unit in ("mm", "rad", "deg", "px") else parameter).replace("_", " ")
+
+
+# ---------------------------------------------------------------- part of the light-sheet page: the lens of
+# the sensor's camera from pictures of a field of markers
+
+
+def lens_section(page: Page, report: Mapping[str, Any]) -> Page:
+    """Pictures, scale bars and precision of the self-calibrating bundle.
+
+    Parameters
+    ----------
+    page : to which the section is added.
+    report : ``camera_interior.json``, see `thalweg.lightsheet.calibration.lens`.
+    """
+    views, fit, share = report["views"], report["adjustment"], report["sigma_over_constant"]
+    low, high = fit["sigma0_band"]
+    page.section("Lens").text(
+        f"{plural(views['pictures'], 'picture')} of a field of {plural(fit['markers'], 'marker')}, "
+        f"directions up to {views['largest_angle_deg']:.0f}° apart, {count(views['rolled'])} rolled against "
+        f"the others: {count(fit['marks'])} marks, {count(fit['marks_rejected'])} rejected; "
+        f"sigma0 {fit['sigma0']:.3f} (95 % band {low:.3f} to {high:.3f}). The camera constant is known to "
+        f"{share['camera_constant']:.2g} of its length, that of P4 to "
+        f"{share['published_camera_constant']:.2g}."
+    ).text(LENS_NOTE)
+    for note in report["notes"]:
+        page.text(f"Note: {note}.")
+    for rows, caption in (
+        ("images", "Pictures of the marker field (camera_interior.json)"),
+        ("scale_bars", "Scale bars of the marker field"),
+    ):
+        shown, units = with_units(
+            short(pd.DataFrame(report[rows]).rename(columns={"largest": "largest over its sigma"}))
+        )
+        page.table(shown, caption, units)
+    return page

@@ -1,5 +1,6 @@
 """A plane panel in known depths: the line, its distances, and published ones (P3 Fig. 9 and 10)."""
 
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -7,16 +8,12 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thalweg.core.errors import CoverageError
-from thalweg.core.types import AnyArray
-from thalweg.figures.style import BLUE, GREY, HALO, VERMILION, count, legend_below, new_figure, plural, styled
-from thalweg.lightsheet.figures.views import DEPTH_LOOKS, green_of, need, show_green
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.optics.volume import depth_lines
+from thalweg.core import AnyArray, CoverageError, read_parquet
+from thalweg.figures import BLUE, GREY, HALO, VERMILION, count, legend_below, new_figure, plural, styled
+from thalweg.lightsheet.figures.views import DEPTH_LOOKS, find_image, green_of, need, show_green
+from thalweg.lightsheet.optics import Sensor, depth_lines, read_sensor
 
-POINTS: Final = (
-    "file", "x_mm", "y_mm", "depth_mm", "sigma_depth_mm", "expected_depth_mm", "x_px", "y_px",
-)  # fmt: skip
+POINTS: Final = ("file", "x_mm", "y_mm", "depth_mm", "sigma_depth_mm", "expected_depth_mm", "x_px", "y_px")
 PANELS: Final = ("file", "depth_mm", "n", "mean_mm", "std_mm", "published_mean_mm", "published_std_mm")
 """Columns of `thalweg.lightsheet.poses.panels.compare_panels`."""
 
@@ -117,10 +114,28 @@ def _detail(ax: Axes, sensor: Sensor, image: AnyArray, points: pd.DataFrame, sho
         if not len(line.xy_px):
             continue
         colour, style, _ = DEPTH_LOOKS[k]
-        ax.plot(*line.xy_px.T, color=colour, ls=style, lw=1.6, label=f"{line.depth_mm:.1f} mm",
-                gid=f"reference {k}", zorder=3)  # fmt: skip
-    ax.plot(mine["x_px"], mine["y_px"], ls="none", marker="o", ms=2.6, mfc="white", mec="black", mew=0.4,
-            label="measured", gid="measured", zorder=4)  # fmt: skip
+        ax.plot(
+            *line.xy_px.T,
+            color=colour,
+            ls=style,
+            lw=1.6,
+            label=f"{line.depth_mm:.1f} mm",
+            gid=f"reference {k}",
+            zorder=3,
+        )
+    ax.plot(
+        mine["x_px"],
+        mine["y_px"],
+        ls="none",
+        marker="o",
+        ms=2.6,
+        mfc="white",
+        mec="black",
+        mew=0.4,
+        label="measured",
+        gid="measured",
+        zorder=4,
+    )
     ax.set_xlim(left, left + green.shape[1])
     ax.set_ylim(top + green.shape[0], top)
     ax.set(xlabel="column / px", ylabel="row / px")
@@ -135,9 +150,7 @@ def _inside(ax: Axes, xy: AnyArray) -> bool:
     return bool(((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)).any())
 
 
-def _distances(
-    ax: Axes, mine: pd.DataFrame, row: pd.Series, along: str, k: int, limit: float
-) -> None:  # fmt: skip
+def _distances(ax: Axes, mine: pd.DataFrame, row: pd.Series, along: str, k: int, limit: float) -> None:
     colour, _, marker = DEPTH_LOOKS[k]
     off = (mine["depth_mm"] - mine["expected_depth_mm"]).to_numpy()
     ax.plot(mine[along], off, ls="none", marker=marker, ms=1.8, color=colour, mew=0.0, gid=f"distances {k}")
@@ -146,8 +159,15 @@ def _distances(
         ax.axhline(float(row["mean_mm"]), color="black", lw=0.9, ls="--", gid="mean")
     ax.set_ylim(-limit, 1.9 * limit)
     words = f"{signed(row['mean_mm'])} ± {float(row['std_mm']):.3f} mm, n = {count(int(row['n']))}"
-    ax.text(0.01, 0.96, f"{float(row['depth_mm']):.1f} mm: {words if row['n'] else 'no points'}",
-            transform=ax.transAxes, va="top", fontsize=7, path_effects=HALO)  # fmt: skip
+    ax.text(
+        0.01,
+        0.96,
+        f"{float(row['depth_mm']):.1f} mm: {words if row['n'] else 'no points'}",
+        transform=ax.transAxes,
+        va="top",
+        fontsize=7,
+        path_effects=HALO,
+    )
     ax.grid()
 
 
@@ -157,15 +177,42 @@ def _beside_published(ax: Axes, shown: pd.DataFrame) -> None:
     sides = (("", "this measurement", VERMILION, "o", -0.1), ("published_", "P3 3.1.2", BLUE, "s", 0.1))
     for prefix, words, colour, marker, aside in sides:
         mean, std = (shown[f"{prefix}{name}_mm"].to_numpy(np.float64) for name in ("mean", "std"))
-        ax.errorbar(place + aside, mean, yerr=std, ls="none", marker=marker, ms=4, color=colour,
-                    elinewidth=1.2, capsize=3, label=f"{words}: mean, standard deviation",
-                    gid=f"{prefix or 'own '}means")  # fmt: skip
+        ax.errorbar(
+            place + aside,
+            mean,
+            yerr=std,
+            ls="none",
+            marker=marker,
+            ms=4,
+            color=colour,
+            elinewidth=1.2,
+            capsize=3,
+            label=f"{words}: mean, standard deviation",
+            gid=f"{prefix or 'own '}means",
+        )
     if "predicted_mm" in shown:
         sigma = shown["predicted_mm"].to_numpy(np.float64)
-        ax.bar(place - 0.1, 2 * sigma, bottom=-sigma, width=0.16, color=GREY, alpha=0.3,
-               label="predicted sigma", gid="predicted")  # fmt: skip
+        ax.bar(
+            place - 0.1,
+            2 * sigma,
+            bottom=-sigma,
+            width=0.16,
+            color=GREY,
+            alpha=0.3,
+            label="predicted sigma",
+            gid="predicted",
+        )
     ax.axhline(0.0, color="0.3", lw=0.6)
     ax.set_xticks(place, [f"{depth:.1f} mm" for depth in shown["depth_mm"]])
     ax.set(xlabel="reference depth", ylabel="measured minus reference / mm", xlim=(-0.5, len(shown) - 0.5))
     ax.set_title("c: beside published values")
     ax.grid(axis="y")
+
+
+def draw_panel_distances(
+    *, sensor: Path, images: list[Path], points: Path, panels: Path, title: str, twin: bool
+) -> Figure:
+    """Points on a panel in known depths -> figure of their distances, beside published ones."""
+    rows = pd.read_csv(panels)
+    image = find_image(images, str(first_with_points(rows)["file"]))
+    return panel_distances(read_sensor(sensor), image, read_parquet(points), rows, title=title, twin=twin)

@@ -1,6 +1,8 @@
-"""A scanned object: its picture, its reference, the scan on it, planes of its levels (P4 Fig. 14, 15, 20)."""
+"""The scanned object: orthophoto, reference, the scan on it (P4 Fig. 14, 15 and 20)."""
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,18 +11,20 @@ import pandas as pd
 from cmcrameri import cm
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import Colormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter
 
-from thalweg.core.errors import InputError
-from thalweg.core.geometry.mesh import TriangleMesh
-from thalweg.core.types import AnyArray, ArrayF, ArrayU8
-from thalweg.figures.calibration.field_views import Oblique
-from thalweg.figures.images.pictures import read_picture
-from thalweg.figures.style import HEIGHT_MAP, count, new_figure, plural, styled
-from thalweg.lightsheet.figures.mesh_views import mesh_picture
+from thalweg.core import AnyArray, ArrayF, ArrayU8, GeometryError, InputError, read_parquet
+from thalweg.core.geometry import RayCaster, TriangleMesh, read_mesh
+from thalweg.figures import HEIGHT_MAP, count, new_figure, plural, read_picture, styled
+from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import DEPTH_LOOKS, axes_cross, need
+
+LIGHT: Final = np.array([-0.35, 0.45, 0.82])
+"""Where the light comes from: to the right, up in the picture, toward the viewer."""
+_DARKEST: Final = 0.35
+_OVERSAMPLED: Final = 2
 
 POINTS: Final = ("file", "x_m", "y_m", "z_m", "distance_mm", "used")
 VIEW: Final = Oblique(azimuth_deg=25.0, elevation_deg=32.0)
@@ -29,12 +33,116 @@ BRIGHTENING: Final = 0.6
 LARGEST_NOISE: Final = 0.85
 """Share of the variance of neighbouring pixels that is noise, from which on a picture shows nothing; noise
 alone has 0.96."""
-
 _MM_PER_M: Final = 1e3
 _BLOCK: Final = 5
 _MOST_POINTS: Final = 20_000
 _ABOVE_MM: Final = 0.15
 """Points are drawn so far above the mesh, as seen from the viewer's side."""
+
+
+# ---------------------------------------------------------------- views of a mesh
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshPicture:
+    """A drawn mesh.
+
+    ``rgba`` (h, w, 4), transparent where there is nothing; ``extent`` left, right, bottom, top in the plane
+    of the view, in the unit of the mesh.
+    """
+
+    rgba: ArrayF
+    extent: tuple[float, float, float, float]
+
+    @property
+    def covered(self) -> float:
+        """Share of the picture that shows the mesh."""
+        return float((self.rgba[..., 3] > 0).mean())
+
+    def show(self, ax: Axes, *, zorder: float = 1.0, gid: str = "mesh") -> None:
+        """Draw it; limits of the axes stay as the caller sets them."""
+        ax.imshow(
+            self.rgba,
+            extent=self.extent,
+            origin="lower",
+            interpolation="antialiased",
+            zorder=zorder,
+            gid=gid,
+            aspect="equal",
+        )
+
+
+def mesh_picture(
+    vertices: ArrayF,
+    faces: AnyArray,
+    view: Oblique,
+    *,
+    colours: Colormap | str,
+    inside: tuple[ArrayF, ArrayF] | None = None,
+    pixels: int = 600,
+) -> MeshPicture:
+    """Cast parallel rays on a mesh and shade what they meet.
+
+    Parameters
+    ----------
+    vertices, faces : (n, 3) of any unit, (m, 3).
+    view : how it is seen.
+    colours : map of heights (z) of the part; or one colour.
+    inside : lowest and highest corner (3,) of the part that is shown; None: all. What lies before it hides
+        it.
+    pixels : of the longer side.
+
+    Raises
+    ------
+    GeometryError : no vertex.
+    """
+    if not len(vertices):
+        raise GeometryError("no vertex", expected="a mesh", where="picture of a mesh")
+    box = inside or (vertices.min(axis=0), vertices.max(axis=0))
+    corners = np.array(np.meshgrid(*np.transpose(box))).reshape(3, -1).T
+    flat, toward = view.apply(corners)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    step = float((high - low).max()) / (pixels * _OVERSAMPLED)
+    n_x, n_y = (max(int(n), 1) * _OVERSAMPLED for n in np.ceil((high - low) / step / _OVERSAMPLED))
+    x, y = low[0] + step * (np.arange(n_x) + 0.5), low[1] + step * (np.arange(n_y) + 0.5)
+    right, up, viewer = view.axes
+    # in front of everything, also of what lies outside of the part
+    front = max(float(toward.max()), float(view.apply(vertices)[1].max())) + 1.0
+    start = x[None, :, None] * right + y[:, None, None] * up + front * viewer
+    rays = start.reshape(-1, 3)
+    hits = RayCaster(vertices, faces).cast(rays, np.tile(-viewer, (len(rays), 1)))
+    met = hits.primitive >= 0
+    at = rays - np.where(met, hits.t_hit_m, 0.0)[:, None] * viewer
+    margin = 1e-6 * float(np.ptp(corners))
+    met &= ((at >= box[0] - margin) & (at <= box[1] + margin)).all(axis=1)
+    rgba = _coloured(at[:, 2], hits.normal @ view.axes.T, met, colours, (float(box[0][2]), float(box[1][2])))
+    k = _OVERSAMPLED
+    blocks = rgba.reshape(n_y // k, k, n_x // k, k, 4)
+    alpha = blocks[..., 3].mean(axis=(1, 3))
+    mean = (blocks[..., :3] * blocks[..., 3:]).mean(axis=(1, 3)) / np.maximum(alpha, 1e-9)[..., None]
+    extent = (float(low[0]), float(low[0] + step * n_x), float(low[1]), float(low[1] + step * n_y))
+    return MeshPicture(rgba=np.concatenate([mean, alpha[..., None]], axis=2), extent=extent)
+
+
+def _coloured(
+    height: ArrayF, normal: ArrayF, met: AnyArray, colours: Colormap | str, limits: tuple[float, float]
+) -> ArrayF:
+    """Colours (n, 4) of hits: by height or one for all, darker where the surface is turned from the light.
+
+    ``normal`` (n, 3) in the axes of the view; a face shows the same from both sides.
+    """
+    if isinstance(colours, str):
+        rgba = np.tile(to_rgba(colours), (len(height), 1))
+    else:
+        rgba = np.array(colours(Normalize(*limits)(height)))
+    facing = np.where(normal[:, 2:] < 0, -normal, normal)
+    shine = np.clip(facing @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+    rgba[:, :3] *= (_DARKEST + (1.0 - _DARKEST) * shine)[:, None]
+    rgba[:, 3] = met
+    return np.asarray(rgba, dtype=np.float64)
+
+
+# ---------------------------------------------------------------- the object and its levels
 
 
 @styled
@@ -98,8 +206,13 @@ def scan_reference(
 
 def _photo(ax: Axes, photo: AnyArray, extent_mm: tuple[float, float, float, float]) -> None:
     bright = np.asarray(photo, dtype=np.float64) / max(float(np.percentile(photo, 99.5)), 1.0)
-    ax.imshow(np.clip(bright, 0.0, 1.0) ** BRIGHTENING, extent=extent_mm, gid="photo", aspect="equal",
-              cmap="gray" if bright.ndim == 2 else None)  # fmt: skip
+    ax.imshow(
+        np.clip(bright, 0.0, 1.0) ** BRIGHTENING,
+        extent=extent_mm,
+        gid="photo",
+        aspect="equal",
+        cmap="gray" if bright.ndim == 2 else None,
+    )
     ax.set(xlabel="x / mm", ylabel="y / mm")
     noise = share_of_noise(photo) > LARGEST_NOISE
     ax.set_title("a: orthophoto, noise: no light but the laser's" if noise else "a: orthophoto, brightened")
@@ -121,8 +234,9 @@ def _scan(ax: Axes, used: pd.DataFrame) -> ScalarMappable:
     xyz = _MM_PER_M * used[["x_m", "y_m", "z_m"]].to_numpy(np.float64)[::step] + _ABOVE_MM * VIEW.axes[2]
     shades = ScalarMappable(Normalize(1, max(float(number.max()), 2.0)), cm.batlow)
     flat = VIEW.apply(xyz)[0]
-    ax.scatter(flat[:, 0], flat[:, 1], c=shades.to_rgba(number), s=0.7, lw=0, gid="scan", zorder=3,
-               rasterized=True)  # fmt: skip
+    ax.scatter(
+        flat[:, 0], flat[:, 1], c=shades.to_rgba(number), s=0.7, lw=0, gid="scan", zorder=3, rasterized=True
+    )
     return shades
 
 
@@ -139,8 +253,18 @@ def _levels(ax: Axes, used: pd.DataFrame, levels: Sequence[Mapping[str, Any]]) -
             f"{stated[k]:g} mm: {level['measured_mm']:.3f} mm, rms {level['rms_own_plane_mm']:.3f} mm, "
             f"n = {count(int(level['n']))}"
         )
-        ax.plot(x[mine], off[mine], ls="none", marker=marker, ms=1.2, mew=0, color=colour, gid=f"level {k}",
-                rasterized=True, zorder=2)  # fmt: skip
+        ax.plot(
+            x[mine],
+            off[mine],
+            ls="none",
+            marker=marker,
+            ms=1.2,
+            mew=0,
+            color=colour,
+            gid=f"level {k}",
+            rasterized=True,
+            zorder=2,
+        )
         ax.plot([], [], ls="none", marker=marker, ms=4, mew=0, color=colour, label=words)
     limit = 1.4 * float(np.quantile(np.abs(off), 0.998)) + 1e-6
     ax.set_ylim(-limit, 2.2 * limit)
@@ -174,3 +298,27 @@ def read_orthophoto(picture: Path, world: Path) -> tuple[ArrayU8, tuple[float, f
     left, top = x - 0.5 * cell_x, y - 0.5 * cell_y
     edges: ArrayF = _MM_PER_M * np.array([left, left + columns * cell_x, top + rows * cell_y, top])
     return photo, (float(edges[0]), float(edges[1]), float(edges[2]), float(edges[3]))
+
+
+def draw_scan_reference(
+    *,
+    picture: Path,
+    world: Path,
+    reference: list[Path],
+    distances: Path,
+    facts: Path,
+    scan: str,
+    title: str,
+    twin: bool,
+) -> Figure:
+    """Orthophoto, reference and distances of a scan -> figure of the object."""
+    photo, extent_mm = read_orthophoto(picture, world)
+    return scan_reference(
+        photo,
+        extent_mm,
+        read_mesh(reference[0])[0],
+        read_parquet(distances),
+        levels=json.loads(facts.read_text(encoding="utf-8")).get("levels", ()),
+        title=f"{title}, {scan.replace('_', ' ')}",
+        twin=twin,
+    )

@@ -1,6 +1,7 @@
 """Set-up of a scan with marker panel and standing camera: the whole, and three images (P4 Fig. 8 and 17)."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -11,11 +12,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from thalweg.core.camera.model import Camera
-from thalweg.core.errors import InputError
-from thalweg.core.types import ArrayF
-from thalweg.figures.calibration.field_views import Oblique
-from thalweg.figures.style import BLUE, GREEN, PURPLE, VERMILION, new_figure, plural, styled
+from thalweg.core import ArrayF, Camera, InputError, read_parquet
+from thalweg.figures import BLUE, GREEN, PURPLE, VERMILION, new_figure, plural, styled
+from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import (
     GLASS_COLOUR,
     LIGHT_COLOUR,
@@ -25,9 +24,8 @@ from thalweg.lightsheet.figures.views import (
     plate,
     words_oblique,
 )
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.poses.panel_poses import sigmas_at
-from thalweg.lightsheet.poses.poses import SensorPoses
+from thalweg.lightsheet.optics import Sensor, read_sensor
+from thalweg.lightsheet.poses import SensorPoses, read_panel, read_poses, read_standing_camera, sigmas_at
 
 POINTS: Final = ("file", "x_m", "y_m", "z_m")
 LOOKS: Final = ((VERMILION, "o"), (GREEN, "s"), (BLUE, "^"))
@@ -126,8 +124,18 @@ def _three(
         marks, both = (
             part @ poses.R_target_lcs[k].T + poses.shift_m[k] for part in (panel_m, np.stack([camera, laser]))
         )
-        ax.plot(marks[:, i], marks[:, j], ls="none", marker=marker, ms=2.4, mew=0, color=colour, zorder=3,
-                gid=f"marks {k}", label=f"marks, image {k + 1}")  # fmt: skip
+        ax.plot(
+            marks[:, i],
+            marks[:, j],
+            ls="none",
+            marker=marker,
+            ms=2.4,
+            mew=0,
+            color=colour,
+            zorder=3,
+            gid=f"marks {k}",
+            label=f"marks, image {k + 1}",
+        )
         ax.plot(both[:, i], both[:, j], color=colour, lw=0.6, zorder=2)
         ax.plot(both[0, i], both[0, j], marker="x", ms=6, mew=1.4, color=colour, zorder=4, gid=f"camera {k}")
         ax.plot(both[1, i], both[1, j], marker="s", ms=5, mfc="none", mec=colour, zorder=4, gid=f"laser {k}")
@@ -145,8 +153,16 @@ def _whole(
     xyz, _ = here.scan(points)
     ax.plot(*view.apply(xyz)[0].T, ls="none", marker=".", ms=0.8, mew=0, color="0.35", gid="scan", zorder=2)
     _sensor(ax, view, sensor)
-    ax.plot(*view.apply(marks)[0].T, ls="none", marker="o", ms=2.0, mew=0, color=LOOKS[1][0], zorder=8,
-            gid="panel")  # fmt: skip
+    ax.plot(
+        *view.apply(marks)[0].T,
+        ls="none",
+        marker="o",
+        ms=2.0,
+        mew=0,
+        color=LOOKS[1][0],
+        zorder=8,
+        gid="panel",
+    )
     corners = frame_corners(camera)
     far_m = float(np.linalg.norm(marks.mean(axis=0) - eye)) / _MM_PER_M
     cone = here.apply(corners / corners[:, 2:] * (0.35 * far_m))
@@ -155,17 +171,39 @@ def _whole(
         ax.plot(*view.apply(edge)[0].T, color=_CAMERA_COLOUR, lw=0.8, zorder=8)
     axis = here.apply(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, far_m]]))
     ax.plot(*view.apply(axis)[0].T, color=_CAMERA_COLOUR, lw=0.8, ls=":", zorder=7)
-    ax.plot(*view.apply(eye)[0], marker="o", ms=7, mfc="none", mec=_CAMERA_COLOUR, mew=1.6, zorder=9,
-            gid="standing camera")  # fmt: skip
+    ax.plot(
+        *view.apply(eye)[0],
+        marker="o",
+        ms=7,
+        mfc="none",
+        mec=_CAMERA_COLOUR,
+        mew=1.6,
+        zorder=9,
+        gid="standing camera",
+    )
     words_oblique(ax, view, eye, "   standing camera")
     flat = view.apply(marks)[0]
-    ax.annotate("panel", (float(flat[:, 0].min()), float(flat[:, 1].mean())), xytext=(-4, 0), ha="right",
-                textcoords="offset points", fontsize=7, va="center")  # fmt: skip
+    ax.annotate(
+        "panel",
+        (float(flat[:, 0].min()), float(flat[:, 1].mean())),
+        xytext=(-4, 0),
+        ha="right",
+        textcoords="offset points",
+        fontsize=7,
+        va="center",
+    )
     window = sensor.camera_origin_lcs_mm * [1.0, 1.0, 0.0]
     for words, place in (("sensor", window), ("object", xyz.mean(axis=0))):
         height = float(view.apply(place)[0][1])
-        ax.annotate(words, (float(flat[:, 0].min()), height), xytext=(-30, 0), ha="right", va="center",
-                    textcoords="offset points", fontsize=7)  # fmt: skip
+        ax.annotate(
+            words,
+            (float(flat[:, 0].min()), height),
+            xytext=(-30, 0),
+            ha="right",
+            va="center",
+            textcoords="offset points",
+            fontsize=7,
+        )
     ax.set_aspect("equal")
     ax.margins(0.06)
     ax.axis("off")
@@ -176,8 +214,9 @@ def _detail(ax: Axes, sensor: Sensor, here: InSensor, points: pd.DataFrame) -> S
     xyz, number = here.scan(points)
     shades = ScalarMappable(Normalize(1, max(float(number.max()), 2.0)), cm.batlow)
     flat = VIEW.apply(xyz)[0]
-    ax.scatter(flat[:, 0], flat[:, 1], c=shades.to_rgba(number), s=0.8, lw=0, gid="lines", zorder=2,
-               rasterized=True)  # fmt: skip
+    ax.scatter(
+        flat[:, 0], flat[:, 1], c=shades.to_rgba(number), s=0.8, lw=0, gid="lines", zorder=2, rasterized=True
+    )
     _sensor(ax, VIEW, sensor)
     words_oblique(ax, VIEW, sensor.camera_origin_lcs_mm, "   camera")
     words_oblique(ax, VIEW, sensor.sheet.origin_lcs_mm, "   laser")
@@ -213,3 +252,26 @@ def frame_corners(camera: Camera) -> ArrayF:
     """Directions (4, 3) in ccs of the corners of the picture."""
     width, height = camera.size_px
     return camera.rays(np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]))
+
+
+def draw_scan_setup(
+    *,
+    sensor: Path,
+    poses: Path,
+    panel: list[Path],
+    camera: list[Path],
+    points: Path,
+    scan: str,
+    title: str,
+    twin: bool,
+) -> Figure:
+    """Poses of a scan, panel, standing camera, sensor and cloud -> figure of the set-up."""
+    return scan_setup(
+        read_sensor(sensor),
+        read_poses(poses),
+        read_panel(panel[0]).points_pcs,
+        read_standing_camera(camera[0]),
+        read_parquet(points),
+        title=f"{title}, scan of {scan.replace('_', ' ')}",
+        twin=twin,
+    )

@@ -11,22 +11,22 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, ListedColormap, PowerNorm
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import InputError
-from thalweg.core.tables import read_parquet
-from thalweg.core.types import AnyArray, ArrayF, ArrayF32
-from thalweg.figures.calibration.field_views import Oblique
-from thalweg.figures.style import BLUE, GREEN, HALO, ORANGE, PURPLE, SKY, VERMILION
-from thalweg.ingest.photos.stamps import list_images
-from thalweg.lightsheet.lines.green import green_image
-from thalweg.lightsheet.lines.settings import LineSettings
-from thalweg.lightsheet.optics.refracted_rays import directions_to_points, refract_to_water
-from thalweg.lightsheet.optics.sensor import Window
-from thalweg.lightsheet.poses.series import read_sheet_image
+from thalweg.core import AnyArray, ArrayF, ArrayF32, InputError, read_parquet
+from thalweg.figures import BLUE, GREEN, HALO, ORANGE, PURPLE, SKY, VERMILION
+from thalweg.figures.calibration import Oblique
+from thalweg.ingest.photos import list_images
+from thalweg.lightsheet.lines import LineSettings, green_image
+from thalweg.lightsheet.optics import Window, directions_to_points, refract_to_water
+from thalweg.lightsheet.poses import read_sheet_image
 
 DEPTH_LOOKS: Final = (
-    (BLUE, "-", "o"), (VERMILION, "--", "s"), (GREEN, "-.", "^"), (PURPLE, ":", "D"), (ORANGE, "-", "v"),
+    (BLUE, "-", "o"),
+    (VERMILION, "--", "s"),
+    (GREEN, "-.", "^"),
+    (PURPLE, ":", "D"),
+    (ORANGE, "-", "v"),
     (SKY, "--", "P"),
-)  # fmt: skip
+)
 """Colour, line and marker of each depth or level, in order: told apart in grey print as well."""
 
 LIGHT_MAP: Final[Colormap] = ListedColormap(cm.grayC_r(np.linspace(0.0, 1.0, 256)), "thalweg_light")
@@ -82,9 +82,13 @@ def show_green(ax: Axes, green: AnyArray, *, left: int = 0, top: int = 0) -> Non
     h, w = green.shape
     bright = float(np.percentile(green, 99.9)) if green.size else 1.0
     ax.imshow(
-        green, cmap=LIGHT_MAP.reversed(), norm=PowerNorm(BRIGHTENING, 0.0, max(bright, 1.0)),
-        extent=(left, left + w, top + h, top), aspect="equal", gid="picture",
-    )  # fmt: skip
+        green,
+        cmap=LIGHT_MAP.reversed(),
+        norm=PowerNorm(BRIGHTENING, 0.0, max(bright, 1.0)),
+        extent=(left, left + w, top + h, top),
+        aspect="equal",
+        gid="picture",
+    )
     ax.set_xlim(left, left + w)
     ax.set_ylim(top + h, top)
 
@@ -115,20 +119,22 @@ def path_to(origin_lcs_mm: ArrayF, point_lcs_mm: ArrayF, window: Window) -> Arra
 
 def plate(low: ArrayF, high: ArrayF, z_mm: float) -> ArrayF:
     """Corners (4, 3) of a level rectangle."""
-    return np.array([
-        [low[0], low[1], z_mm], [high[0], low[1], z_mm], [high[0], high[1], z_mm], [low[0], high[1], z_mm],
-    ])  # fmt: skip
+    return np.array(
+        [[low[0], low[1], z_mm], [high[0], low[1], z_mm], [high[0], high[1], z_mm], [low[0], high[1], z_mm]]
+    )
 
 
-def fill_oblique(ax: Axes, view: Oblique, corners_mm: ArrayF, colour: str, *, alpha: float, zorder: float,
-                 gid: str = "") -> None:  # fmt: skip
+def fill_oblique(
+    ax: Axes, view: Oblique, corners_mm: ArrayF, colour: str, *, alpha: float, zorder: float, gid: str = ""
+) -> None:
     """A polygon in an oblique view."""
     flat = view.apply(corners_mm)[0]
     ax.fill(*flat.T, facecolor=colour, edgecolor="0.4", lw=0.5, alpha=alpha, zorder=zorder, gid=gid)
 
 
-def words_oblique(ax: Axes, view: Oblique, place_mm: ArrayF, words: str, *, ha: str = "left",
-                  dy: float = 0.0) -> None:  # fmt: skip
+def words_oblique(
+    ax: Axes, view: Oblique, place_mm: ArrayF, words: str, *, ha: str = "left", dy: float = 0.0
+) -> None:
     """Words at a place of an oblique view."""
     x, y = view.apply(place_mm)[0]
     ax.text(float(x), float(y) + dy, words, fontsize=7, ha=ha, va="center", path_effects=HALO, zorder=20)
@@ -141,12 +147,24 @@ def axes_cross(ax: Axes, view: Oblique, at_mm: ArrayF, length_mm: float) -> None
         # the line makes room for the arrow, which has none of its own
         ax.plot(*ends.T, color="0.2", lw=0.6, zorder=15)
         ax.annotate(
-            "", tuple(ends[1]), xytext=tuple(ends[0]), zorder=15, annotation_clip=False,
+            "",
+            tuple(ends[1]),
+            xytext=tuple(ends[0]),
+            zorder=15,
+            annotation_clip=False,
             arrowprops={"arrowstyle": "-|>", "color": "0.2", "lw": 0.9, "shrinkA": 0, "shrinkB": 0},
-        )  # fmt: skip
+        )
         tip = ends[0] + 1.25 * (ends[1] - ends[0])
-        ax.text(float(tip[0]), float(tip[1]), name, fontsize=7, ha="center", va="center",
-                path_effects=HALO, zorder=16)  # fmt: skip
+        ax.text(
+            float(tip[0]),
+            float(tip[1]),
+            name,
+            fontsize=7,
+            ha="center",
+            va="center",
+            path_effects=HALO,
+            zorder=16,
+        )
 
 
 def depth_looks(depths_mm: Sequence[float]) -> Mapping[float, tuple[str, str, str]]:

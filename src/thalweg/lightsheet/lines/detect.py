@@ -1,7 +1,7 @@
 """Lines of an image, measured: the four methods, sigmas, flags, and counts of what was dropped.
 
-Start values come from `search`; row-wise, patch-wise and direction-normal fits from `patch`; the height of
-patches from `height`; halos from `halo`; ridges from `steger`; edges of the albedo from `albedo`.
+Start values come from `search`; row-wise, patch-wise and direction-normal fits and ridges from `fits`; edges
+of the albedo from `albedo`.
 """
 
 from collections.abc import Callable
@@ -9,19 +9,23 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Final
 
-import numba as nb
 import numpy as np
 
-from thalweg.core.errors import InputError
-from thalweg.core.types import AnyArray, ArrayF, ArrayF32, ArrayI
-from thalweg.lightsheet.lines import patch
+from thalweg.core import AnyArray, ArrayF, ArrayF32, ArrayI, InputError, njit
+from thalweg.lightsheet.lines import fits
 from thalweg.lightsheet.lines.albedo import albedo_edges, remove_width_shift
-from thalweg.lightsheet.lines.green import GreenImage, green_image
-from thalweg.lightsheet.lines.noise import LAG, PixelNoise, first_noise, speckle_noise
+from thalweg.lightsheet.lines.fits import ridge_points
+from thalweg.lightsheet.lines.image import (
+    LAG,
+    GreenImage,
+    PixelNoise,
+    first_noise,
+    green_image,
+    speckle_noise,
+)
 from thalweg.lightsheet.lines.points import LinePoints
 from thalweg.lightsheet.lines.search import Starts, find_starts, runs_down
 from thalweg.lightsheet.lines.settings import LineFlag, LineSettings
-from thalweg.lightsheet.lines.steger import ridge_points
 
 # ---------------------------------------------------------------- how many rows a patch may have: as many as
 # the line is straight over
@@ -184,11 +188,20 @@ def _local_line(
 # guesses of its peak and background: before `patch` fits it
 
 
-@nb.njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _row_ranges(
-    row: int, x: float, cosine: float, sine: float, tilt: float, h_n: float, h_t: float, top: int, bottom:
-    int, width: int, ranges: ArrayI,
-) -> None:  # fmt: skip
+    row: int,
+    x: float,
+    cosine: float,
+    sine: float,
+    tilt: float,
+    h_n: float,
+    h_t: float,
+    top: int,
+    bottom: int,
+    width: int,
+    ranges: ArrayI,
+) -> None:
     """Columns (first, end) of the rows of a patch from ``top`` to ``bottom``.
 
     A pixel belongs to it if its centre is within ``h_t`` along and ``h_n`` across, both plus half a pixel.
@@ -211,11 +224,20 @@ def _row_ranges(
         ranges[r - top, 1] = max(end, first)
 
 
-@nb.njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _start(
-    dn: ArrayF32, top: int, bottom: int, ranges: ArrayI, row: int, x: float, cosine: float, sine: float,
-    half_width: float, slope: float, out: ArrayF,
-) -> None:  # fmt: skip
+    dn: ArrayF32,
+    top: int,
+    bottom: int,
+    ranges: ArrayI,
+    row: int,
+    x: float,
+    cosine: float,
+    sine: float,
+    half_width: float,
+    slope: float,
+    out: ArrayF,
+) -> None:
     """Peak and background by a linear fit, lowest and highest grey value, number of pixels."""
     e1 = e2 = y1 = ye = 0.0
     lowest, highest = 1e30, -1e30
@@ -244,11 +266,20 @@ def _start(
     out[4] = n
 
 
-@nb.njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def patch_windows(
-    dn: ArrayF32, row: ArrayI, x_px: ArrayF, first_row: ArrayI, last_row: ArrayI, slope: ArrayF,
-    normal_rad: ArrayF, half_across: ArrayF, half_along: ArrayF, half_width: ArrayF, follow: bool,
-) -> tuple[ArrayI, ArrayI, ArrayF]:  # fmt: skip
+    dn: ArrayF32,
+    row: ArrayI,
+    x_px: ArrayF,
+    first_row: ArrayI,
+    last_row: ArrayI,
+    slope: ArrayF,
+    normal_rad: ArrayF,
+    half_across: ArrayF,
+    half_along: ArrayF,
+    half_width: ArrayF,
+    follow: bool,
+) -> tuple[ArrayI, ArrayI, ArrayF]:
     """Windows of patches; parameters as in `patch.fit_patches`.
 
     Returns
@@ -271,13 +302,31 @@ def patch_windows(
     for i in range(n):
         cosine, sine = np.cos(normal_rad[i]), np.sin(normal_rad[i])
         _row_ranges(
-            row[i], x_px[i], cosine, sine, slope[i] if follow else 0.0, half_across[i], half_along[i],
-            rows[i, 0], rows[i, 1], width, ranges[i],
-        )  # fmt: skip
+            row[i],
+            x_px[i],
+            cosine,
+            sine,
+            slope[i] if follow else 0.0,
+            half_across[i],
+            half_along[i],
+            rows[i, 0],
+            rows[i, 1],
+            width,
+            ranges[i],
+        )
         _start(
-            dn, rows[i, 0], rows[i, 1], ranges[i], row[i], x_px[i], cosine, sine, half_width[i], slope[i],
+            dn,
+            rows[i, 0],
+            rows[i, 1],
+            ranges[i],
+            row[i],
+            x_px[i],
+            cosine,
+            sine,
+            half_width[i],
+            slope[i],
             guess[i],
-        )  # fmt: skip
+        )
     return rows, ranges, guess
 
 
@@ -343,7 +392,7 @@ def find_halo(fit: Callable[[ArrayF], ArrayF], half_width_px: float, reach_px: f
     for side in (-1, 1):
         for ratio in _LENGTHS:
             table = halo_table(half_width_px, ratio * half_width_px, side, reach_px + half_width_px)
-            deviance = fit(table)[:, patch.DEVIANCE]
+            deviance = fit(table)[:, fits.DEVIANCE]
             good = np.isfinite(deviance)
             if np.count_nonzero(good) < 0.5 * good.size:
                 continue
@@ -433,9 +482,15 @@ def _measure(green: GreenImage, settings: LineSettings) -> LinePoints:
     elif settings.method == "lsm":
         rows = np.full(starts.row.size, settings.patch_rows)
         fitted = _fit(
-            green, starts, rows, noise, normal, half_across=settings.patch_columns / 2 - 0.5,
-            free_slope=settings.shear, keep_slope=settings.shear,
-        )  # fmt: skip
+            green,
+            starts,
+            rows,
+            noise,
+            normal,
+            half_across=settings.patch_columns / 2 - 0.5,
+            free_slope=settings.shear,
+            keep_slope=settings.shear,
+        )
     else:
         rows = np.ones(starts.row.size, np.int64)
         fitted = _fit(green, starts, rows, noise, normal, half_across=_ACROSS * starts.half_width_px)
@@ -469,12 +524,19 @@ def _noise(green: GreenImage, starts: Starts, settings: LineSettings) -> PixelNo
     some = _some(starts, _PILOTS)
     rows = np.full(some.row.size, _PILOT_ROWS)
     fitted = _fit(
-        green, some, rows, first, np.zeros(some.row.size), half_across=_ACROSS * starts.half_width_px,
-        speckle=True, free_slope=True, peak_per_row=False,
-    )  # fmt: skip
-    good = np.isfinite(fitted[:, patch.MEAN])
-    shape = fitted[good][:, [patch.WIDTH, patch.PEAK, patch.BACKGROUND, patch.SLOPE]]
-    places = some.x_px[good] + fitted[good, patch.MEAN]
+        green,
+        some,
+        rows,
+        first,
+        np.zeros(some.row.size),
+        half_across=_ACROSS * starts.half_width_px,
+        speckle=True,
+        free_slope=True,
+        peak_per_row=False,
+    )
+    good = np.isfinite(fitted[:, fits.MEAN])
+    shape = fitted[good][:, [fits.WIDTH, fits.PEAK, fits.BACKGROUND, fits.SLOPE]]
+    places = some.x_px[good] + fitted[good, fits.MEAN]
     return speckle_noise(green, first, places, some.row[good].astype(np.float64), shape, _PILOT_ROWS // 2)
 
 
@@ -494,19 +556,15 @@ def _speckle_patches(
         single = np.ones(starts.row.size, np.int64)
         rough = _fit(green, starts, single, noise, normal_rad, half_across=across, speckle=True, halo=halo)
         rows, bias = patch_heights(
-            starts.row, starts.x_px + rough[:, patch.MEAN] / np.cos(normal_rad), rough[:, patch.SIGMA],
-            starts.piece, noise.correlation[:, LAG], settings.largest_rows,
-        )  # fmt: skip
+            starts.row,
+            starts.x_px + rough[:, fits.MEAN] / np.cos(normal_rad),
+            rough[:, fits.SIGMA],
+            starts.piece,
+            noise.correlation[:, LAG],
+            settings.largest_rows,
+        )
     fitted = _fit(
-        green,
-        starts,
-        rows,
-        noise,
-        normal_rad,
-        half_across=across,
-        speckle=True,
-        free_slope=True,
-        halo=halo,
+        green, starts, rows, noise, normal_rad, half_across=across, speckle=True, free_slope=True, halo=halo
     )
     return fitted, rows, bias
 
@@ -537,17 +595,40 @@ def _fit(
     across = np.minimum(half_across, np.maximum(starts.room_px, 2.0))
     half_width = np.full(n, starts.half_width_px)
     windows = patch_windows(
-        green.dn, starts.row, starts.x_px, starts.first_row, starts.last_row, slope, normal_rad, across,
-        rows // 2 + 0.0, half_width, speckle,
-    )  # fmt: skip
+        green.dn,
+        starts.row,
+        starts.x_px,
+        starts.first_row,
+        starts.last_row,
+        slope,
+        normal_rad,
+        across,
+        rows // 2 + 0.0,
+        half_width,
+        speckle,
+    )
     return np.asarray(
-        patch.fit_patches(
-            green.dn, green.bits, starts.row, starts.x_px, *windows, slope, normal_rad, across, half_width,
-            (rows >= _SLOPE_ROWS) & free_slope, speckle, speckle and peak_per_row and not normal_rad.any(),
-            speckle and green.kind == "mosaic", noise.vector(), noise.correlation,
-            green.saturation_dn if speckle else np.inf, halo, _TURNS,
+        fits.fit_patches(
+            green.dn,
+            green.bits,
+            starts.row,
+            starts.x_px,
+            *windows,
+            slope,
+            normal_rad,
+            across,
+            half_width,
+            (rows >= _SLOPE_ROWS) & free_slope,
+            speckle,
+            speckle and peak_per_row and not normal_rad.any(),
+            speckle and green.kind == "mosaic",
+            noise.vector(),
+            noise.correlation,
+            green.saturation_dn if speckle else np.inf,
+            halo,
+            _TURNS,
         )
-    )  # fmt: skip
+    )
 
 
 def _points(
@@ -563,9 +644,9 @@ def _points(
 ) -> LinePoints:
     """Table of the points that are fit to be used, with flags, corrections and counts."""
     height, width = green.dn.shape
-    x = starts.x_px + np.cos(normal_rad) * fitted[:, patch.MEAN]
-    y = starts.row + 0.5 + np.sin(normal_rad) * fitted[:, patch.MEAN]
-    sigma = np.hypot(fitted[:, patch.SIGMA], bias)
+    x = starts.x_px + np.cos(normal_rad) * fitted[:, fits.MEAN]
+    y = starts.row + 0.5 + np.sin(normal_rad) * fitted[:, fits.MEAN]
+    sigma = np.hypot(fitted[:, fits.SIGMA], bias)
     found = np.isfinite(x)
     inside = (x > 0.0) & (x < width) & (y > 0.0) & (y < height)
     steady = sigma <= settings.largest_sigma_px
@@ -584,9 +665,9 @@ def _points(
         )
     shape, piece, rows = fitted[keep], starts.piece[keep], rows[keep]
     x, y, sigma = x[keep], y[keep], sigma[keep]
-    core = 2.0 * shape[:, patch.WIDTH] * (1 if settings.method == "steger" else rows)
-    saturated = shape[:, patch.SATURATED_PIXELS] > _SATURATED_SHARE * core
-    near_edge, edges = albedo_edges(piece, shape[:, patch.PEAK], rows, settings.albedo_ratio)
+    core = 2.0 * shape[:, fits.WIDTH] * (1 if settings.method == "steger" else rows)
+    saturated = shape[:, fits.SATURATED_PIXELS] > _SATURATED_SHARE * core
+    near_edge, edges = albedo_edges(piece, shape[:, fits.PEAK], rows, settings.albedo_ratio)
     facts = {
         "half_width_px": starts.half_width_px,
         "contrast": noise.contrast,
@@ -598,7 +679,7 @@ def _points(
     }
     if settings.correct_albedo:
         corrected, wider_sigma, shift = remove_width_shift(
-            x, shape[:, patch.WIDTH], sigma, saturated, piece, edges, rows
+            x, shape[:, fits.WIDTH], sigma, saturated, piece, edges, rows
         )
         if settings.apply_shift:
             # measured along the normal, a point moves along it
@@ -613,18 +694,26 @@ def _points(
         }
     flags = (
         saturated * int(LineFlag.SATURATED)
-        | (shape[:, patch.PEAK] < settings.least_snr * noise.read_dn) * int(LineFlag.WEAK)
+        | (shape[:, fits.PEAK] < settings.least_snr * noise.read_dn) * int(LineFlag.WEAK)
         | _near_jump(starts, keep, rows, height) * int(LineFlag.NEAR_JUMP)
         | near_edge * int(LineFlag.ALBEDO_EDGE)
     )
     counts["points"] = int(x.size)
     return LinePoints(
         line=np.full(x.size, 0 if settings.lines == 1 else -1),
-        piece=piece, x_px=x, y_px=y, sigma_px=sigma, angle_rad=normal_rad[keep],
-        peak_dn=shape[:, patch.PEAK], width_px=shape[:, patch.WIDTH],
-        background_dn=shape[:, patch.BACKGROUND], rows=rows, flags=flags.astype(np.int64),
-        counts=counts, facts=facts,
-    )  # fmt: skip
+        piece=piece,
+        x_px=x,
+        y_px=y,
+        sigma_px=sigma,
+        angle_rad=normal_rad[keep],
+        peak_dn=shape[:, fits.PEAK],
+        width_px=shape[:, fits.WIDTH],
+        background_dn=shape[:, fits.BACKGROUND],
+        rows=rows,
+        flags=flags.astype(np.int64),
+        counts=counts,
+        facts=facts,
+    )
 
 
 def _near_jump(starts: Starts, keep: AnyArray, rows: ArrayI, height: int) -> AnyArray:

@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.core.tables import column, frame_of, table_kind
-from thalweg.core.types import AnyArray, ArrayF, ArrayI
+from thalweg.core import AnyArray, ArrayF, ArrayI, column, frame_of, table_kind
 
 LINE_POINTS: Final = table_kind(
     "line_points",

@@ -8,12 +8,10 @@ from itertools import pairwise
 from typing import Final
 
 import cv2
-import numba as nb
 import numpy as np
 
-from thalweg.core.errors import InputError
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI
-from thalweg.lightsheet.lines.green import SATURATED, GreenImage
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, InputError, njit
+from thalweg.lightsheet.lines.image import SATURATED, GreenImage
 from thalweg.lightsheet.lines.settings import LineSettings
 
 # ---------------------------------------------------------------- which pieces of line are no laser: bright
@@ -52,11 +50,17 @@ def colour_slopes(image: GreenImage, row: ArrayI, x_px: ArrayF, piece: ArrayI, r
     return np.where(known, sums[:, 2] / np.where(known, sums[:, 1], 1.0), np.nan)
 
 
-@nb.njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _sums(
-    green: ArrayF32, other: ArrayF32, clipped: ArrayB, row: ArrayI, x: ArrayF, piece: ArrayI, reach: int,
+    green: ArrayF32,
+    other: ArrayF32,
+    clipped: ArrayB,
+    row: ArrayI,
+    x: ArrayF,
+    piece: ArrayI,
+    reach: int,
     out: ArrayF,
-) -> None:  # fmt: skip
+) -> None:
     """Number of pixels, sum of squares of green, sum of products, by piece; each row about its own means."""
     width = green.shape[1]
     for i in range(len(row)):
@@ -259,7 +263,7 @@ def _candidates(
     return row, x, prominence, half
 
 
-@nb.njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _peaks(
     smooth: ArrayF32, least: float, reach: int, separation: float
 ) -> tuple[ArrayI, ArrayF, ArrayF, ArrayF]:
@@ -320,7 +324,7 @@ def _peaks(
     return out_row[:n], out[:n, 0].copy(), out[:n, 1].copy(), out[:n, 2].copy()
 
 
-@nb.njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _link_kernel(row: ArrayI, x: ArrayF, height: int, tolerance: float, gap: int, memory: float) -> ArrayI:
     """Number of the piece of each candidate; candidates are sorted by row."""
     n = row.size

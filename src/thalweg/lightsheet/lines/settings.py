@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from enum import IntFlag
 from typing import Literal, get_args
 
-from thalweg.core.errors import ConfigError
+from thalweg.core import ConfigError
+from thalweg.settings.sections import SheetLines
 
 Method = Literal["speckle_patch", "lsm", "row_gauss", "steger"]
 Layout = Literal["auto", "mono", "rgb", "rggb", "bggr", "grbg", "gbrg"]
@@ -80,11 +81,11 @@ class LineSettings:
     least_rows: int = 8
     link_px: float = 2.0
     link_gap_rows: int = 3
-    largest_sigma_px: float = 2.0
+    largest_sigma_px: float = SheetLines().largest_sigma_px
     saturation_dn: float | None = None
     largest_saturated_share: float = 0.2
     full_well_electrons: float = 13_500.0
-    largest_colour_slope: float = 0.6
+    largest_colour_slope: float = SheetLines().largest_colour_slope
     albedo_ratio: float = 1.6
     correct_albedo: bool = True
     apply_shift: bool = True
@@ -109,10 +110,19 @@ class LineSettings:
                     f"a patch of {value}", expected="an odd number, so that it has a centre", where=name
                 )
         positive = (
-            "lines", "half_width_px", "steger_scale_px", "least_contrast_dn", "least_snr", "least_rows",
-            "link_px", "largest_sigma_px", "saturation_dn", "largest_saturated_share", "full_well_electrons",
+            "lines",
+            "half_width_px",
+            "steger_scale_px",
+            "least_contrast_dn",
+            "least_snr",
+            "least_rows",
+            "link_px",
+            "largest_sigma_px",
+            "saturation_dn",
+            "largest_saturated_share",
+            "full_well_electrons",
             "largest_colour_slope",
-        )  # fmt: skip
+        )
         for name in positive:
             value = getattr(self, name)
             if value is not None and not value > 0:

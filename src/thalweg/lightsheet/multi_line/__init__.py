@@ -1,1 +1,5 @@
 """Fifteen lines at once: calibration of the fan and labels of lines."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -14,14 +14,10 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core.adjustment.solve import Adjusted, Linear, Observations, adjust, prior
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF
+from thalweg.core import Adjusted, ArrayF, GeometryError, Linear, Observations, adjust, prior
 from thalweg.lightsheet.multi_line.level_points import LevelPoints, on_levels
-from thalweg.lightsheet.multi_line.models import LineModel
-from thalweg.lightsheet.multi_line.sheet_curves import Lines, line_residuals
-from thalweg.lightsheet.optics.intersection import intersect
-from thalweg.lightsheet.optics.sensor import Sensor
+from thalweg.lightsheet.multi_line.models import LineModel, Lines, line_residuals
+from thalweg.lightsheet.optics import Sensor, intersect
 
 _ROUNDS: Final = 15
 _STEADY: Final = 0.02
@@ -213,11 +209,7 @@ def line_and_pair_groups(sensor: Sensor, points: LevelPoints, model: LineModel) 
         by_angle = np.einsum("ng,ngu->nu", found.angle_by_geometry, by_x[at])
         by_angle[lost] = 0.0
         a = np.where(lost, 0.0, found.fan_angle_rad)
-        pairs = Linear(
-            residual=a[one] - a[other],
-            jacobian=by_angle[one] - by_angle[other],
-            cov=cov_pairs,
-        )
+        pairs = Linear(residual=a[one] - a[other], jacobian=by_angle[one] - by_angle[other], cov=cov_pairs)
         return errors, pairs
 
     last: dict[bytes, tuple[Linear, Linear]] = {}

@@ -23,8 +23,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import f as f_distribution
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, GeometryError
 from thalweg.lightsheet.multi_line.adjustment import (
     LineCalibration,
     calibrate_lines,
@@ -32,16 +31,15 @@ from thalweg.lightsheet.multi_line.adjustment import (
     line_and_pair_groups,
 )
 from thalweg.lightsheet.multi_line.level_points import LevelPoints, on_levels
-from thalweg.lightsheet.multi_line.models import Kind, NominalDiode, line_model
-from thalweg.lightsheet.multi_line.sheet_curves import LineResiduals, line_residuals
-from thalweg.lightsheet.optics.sensor import LASER, PARAMETERS, Sensor
+from thalweg.lightsheet.multi_line.models import Kind, LineResiduals, NominalDiode, line_model, line_residuals
+from thalweg.lightsheet.optics import LASER, PARAMETERS, Sensor
 
 # ---------------------------------------------------------------- what an uncertain camera does to calibrated
 # lines and to the depths that they measure
 #
 # Camera, window and water were calibrated before the lines, and their errors ``o`` are in every object point.
 # The lines take up the larger part of them, because their levels have known depths ("consider" covariance,
-# Schmidt 1966; see `thalweg.lightsheet.calibration.consider`)::
+# Schmidt 1966; see `thalweg.lightsheet.calibration.model`)::
 #
 #     dx = N^-1 (J^T W e - J^T W J_o o),      B = -N^-1 J^T W J_o
 #
@@ -309,15 +307,17 @@ def cross_validate(
             out = points.depth_mm == depth
             found = calibrate_lines(sensor, points.of(~out), line_model(kind, nominal))
             errors = plane_errors(sensor, found, points.of(out))
-            rows.append({
-                "model": kind,
-                "depth_mm": float(depth),
-                "rmse_mm": errors["plane_rmse_mm"],
-                "bias_mm": errors["plane_bias_mm"],
-                "n": int(errors["n_plane"]),
-                "n_lost": int(errors["n_plane_lost"]),
-                "inside": bool(levels[0] < depth < levels[-1]),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "model": kind,
+                    "depth_mm": float(depth),
+                    "rmse_mm": errors["plane_rmse_mm"],
+                    "bias_mm": errors["plane_bias_mm"],
+                    "n": int(errors["n_plane"]),
+                    "n_lost": int(errors["n_plane_lost"]),
+                    "inside": bool(levels[0] < depth < levels[-1]),
+                }
+            )
     return pd.DataFrame(rows)
 
 
@@ -347,18 +347,20 @@ def nested_tests(sensor: Sensor, points: LevelPoints, nominal: NominalDiode) -> 
             spare[i] = n - k
         conditions = spare[0] - spare[1]
         ratio = (chi2[0] - chi2[1]) / conditions / (chi2[1] / spare[1])
-        rows.append({
-            "assumption": assumption,
-            "narrow": narrow,
-            "wide": wide,
-            "n_lines": len(complete),
-            "n_lines_left_out": len(nominal.labels) - len(complete),
-            "conditions": round(conditions),
-            "redundancy": round(spare[1]),
-            "f": float(ratio),
-            "p_value": float(f_distribution.sf(ratio, conditions, spare[1])),
-            "f_at_1_percent": float(f_distribution.isf(0.01, conditions, spare[1])),
-        })  # fmt: skip
+        rows.append(
+            {
+                "assumption": assumption,
+                "narrow": narrow,
+                "wide": wide,
+                "n_lines": len(complete),
+                "n_lines_left_out": len(nominal.labels) - len(complete),
+                "conditions": round(conditions),
+                "redundancy": round(spare[1]),
+                "f": float(ratio),
+                "p_value": float(f_distribution.sf(ratio, conditions, spare[1])),
+                "f_at_1_percent": float(f_distribution.isf(0.01, conditions, spare[1])),
+            }
+        )
     return pd.DataFrame(rows)
 
 

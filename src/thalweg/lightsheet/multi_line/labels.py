@@ -5,26 +5,131 @@ lines may be hidden and detections spurious. A dynamic programme over each row g
 label the least cost of the whole row (min-marginals), and segments, which are nearly always of one line,
 share these costs among their rows. What remains is a shift: where lines are hidden, all labels of a patch
 may move by one with hardly any cost. So a label is given only where it is cheaper than the second best by a
-margin, and along a scan the map decides (`surface_map`).
+margin, and along a scan the map decides (`SurfaceMap`).
+
+**The map.** Each labelled point says two things. Its place is occupied; and the ways of the light from the
+laser to it and from it to the camera are free. A detection is a camera ray with one place on it for each
+line; places in free water, or behind a known surface, cannot be right, and places on a surface that another
+line has seen in another image are likely.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
-from thalweg.core.types import ArrayF, ArrayI, ArrayU8
-from thalweg.lightsheet.multi_line.detections import Hypotheses, LabelSettings
-from thalweg.lightsheet.multi_line.label_kernels import row_marginals
-from thalweg.lightsheet.multi_line.surface_map import (
-    CONTRADICTED,
-    IMPOSSIBLE,
-    SUPPORTED,
-    Pose,
-    SurfaceMap,
-    in_map,
-)
+from thalweg.core import ArrayB, ArrayF, ArrayI, ArrayU8, GeometryError, njit
+from thalweg.lightsheet.multi_line.models import Lines
+from thalweg.lightsheet.optics import Sensor, intersect, project, refract_to_water
 
 _CAP = 6.0
+
+UNKNOWN: Final = 0
+SUPPORTED: Final = 1
+CONTRADICTED: Final = 2
+IMPOSSIBLE: Final = 3
+
+_SLOTS: Final = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detections:
+    """Places where lines cross the rows of an image; the lines run along its columns.
+
+    Parameters
+    ----------
+    row : (n,) rows, ascending.
+    x_px : (n,) places in them, ascending within a row, corner origin.
+    row_step : distance of the rows that were searched.
+
+    Raises
+    ------
+    GeometryError : columns of different lengths or out of order, or numbers that are not finite.
+    """
+
+    row: ArrayI
+    x_px: ArrayF
+    row_step: int = 1
+
+    def __post_init__(self) -> None:
+        lost = int(np.sum(~np.isfinite(self.x_px)))
+        if len(self.row) != len(self.x_px) or lost:
+            raise GeometryError(
+                f"{len(self.row)} rows, {len(self.x_px)} places, {lost} not finite",
+                expected="one finite place for each row",
+            )
+        later = (np.diff(self.row) > 0) | ((np.diff(self.row) == 0) & (np.diff(self.x_px) >= 0))
+        if not later.all():
+            raise GeometryError(
+                f"{np.sum(~later)} detections out of order",
+                expected="detections sorted by row and place",
+                where="detections of a multi-line image",
+            )
+
+    @property
+    def xy_px(self) -> ArrayF:
+        """(n, 2) pixels, corner origin."""
+        return np.stack([self.x_px, self.row + 0.5], axis=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelSettings:
+    """Rules of the assignment.
+
+    Parameters
+    ----------
+    min_depth_mm, max_depth_mm : working range.
+    link_px : how far a segment's next place may lie from where its slope leads.
+    gap_rows : steps without a detection that end a segment.
+    skip, missing : costs of a detection without line, and of a line without detection, in a row.
+    smooth_per_mm, smooth_cap_mm : cost of a change of depth from line to line.
+    rounds : of the exchange between rows and segments.
+    min_points : least length of a segment that gets a label of its own.
+    margin : least difference of the mean cost of a row to the second best label.
+    support : least share of a segment's points that lie on the map.
+    """
+
+    min_depth_mm: float = 40.0
+    max_depth_mm: float = 210.0
+    link_px: float = 1.5
+    gap_rows: int = 3
+    skip: float = 2.0
+    missing: float = 0.6
+    smooth_per_mm: float = 0.12
+    smooth_cap_mm: float = 12.0
+    rounds: int = 6
+    min_points: int = 8
+    margin: float = 1.5
+    support: float = 0.7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hypotheses:
+    """What each detection would be on each line.
+
+    Parameters
+    ----------
+    detections : (n,).
+    order : +1 if places in a row grow with the number of the line, else -1.
+    xyd_mm : (n, L, 3) place and depth in the window's frame, NaN where the line is not met.
+    slope : (n, 2) change of x and y of the camera ray for each millimetre of depth.
+    laser_slope : (n, L, 2) the same of the sub-beams.
+    possible : (n, L) whether the depth lies in the working range and the sub-beam in the fan.
+    segment : (n,) number of the segment.
+    """
+
+    detections: Detections
+    order: int
+    xyd_mm: ArrayF
+    slope: ArrayF
+    laser_slope: ArrayF
+    possible: ArrayB
+    segment: ArrayI
+
+    @property
+    def n_segments(self) -> int:
+        """Number of segments."""
+        return int(self.segment.max(initial=-1)) + 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +151,155 @@ class Labels:
     def labelled_share(self) -> float:
         """Share of the detections that have a label."""
         return float(np.mean(self.label >= 0)) if len(self.label) else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pose:
+    """Pose of the sensor's window frame in the frame of the map: ``x_map = R x + t`` in millimetres."""
+
+    t_mm: ArrayF
+    R: ArrayF = field(default_factory=lambda: np.eye(3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapSettings:
+    """Size and tolerances of the map.
+
+    Parameters
+    ----------
+    low_mm, high_mm : (2,) extent in the plane.
+    min_depth_mm, max_depth_mm : extent in depth, in the frame of the map.
+    cell_mm, voxel_mm : size of cells in the plane, and (3,) of the voxels of free water.
+    radius_mm : how far in the plane a point supports.
+    tolerance_mm, growth : difference of depth that is allowed at no distance, and its growth per millimetre.
+    hidden_mm : how far behind a surface a place must be to be hidden.
+    free_end_mm : distance from a point at which its rays begin to count as free.
+    free_length_mm : how far up the rays are followed.
+    free_rays : rays that must have passed through a voxel.
+    """
+
+    low_mm: tuple[float, float]
+    high_mm: tuple[float, float]
+    min_depth_mm: float = 30.0
+    max_depth_mm: float = 220.0
+    cell_mm: float = 1.0
+    voxel_mm: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    radius_mm: float = 1.6
+    tolerance_mm: float = 0.3
+    growth: float = 0.35
+    hidden_mm: float = 2.0
+    free_end_mm: float = 1.5
+    free_length_mm: float = 90.0
+    free_rays: int = 2
+
+
+class SurfaceMap:
+    """Cells with points and voxels of free water."""
+
+    def __init__(self, settings: MapSettings) -> None:
+        self.settings = settings
+        extent = np.asarray(settings.high_mm) - settings.low_mm
+        nx, ny = (int(np.ceil(side / settings.cell_mm)) for side in extent)
+        self.corner = np.array([*settings.low_mm, settings.min_depth_mm])
+        self.voxel = np.asarray(settings.voxel_mm, dtype=np.float64)
+        depth = settings.max_depth_mm - settings.min_depth_mm
+        size = [int(np.ceil(side / v)) for side, v in zip([*extent, depth], self.voxel, strict=True)]
+        self.points = np.zeros((nx, ny, _SLOTS, 3))
+        self.who: ArrayI = np.zeros((nx, ny, _SLOTS, 2), dtype=np.int64)
+        self.count: ArrayU8 = np.zeros((nx, ny), dtype=np.uint8)
+        self.free: ArrayU8 = np.zeros(size, dtype=np.uint8)
+        self.n_outside = 0
+
+    def add(
+        self, xyd_mm: ArrayF, label: ArrayI, frame: int, camera_slope: ArrayF, laser_slope: ArrayF
+    ) -> None:
+        """Add labelled points (n, 3: x, y, depth) of an image, with the slopes (n, 2) of their rays."""
+        s = self.settings
+        self.n_outside += add_points(
+            self.points, self.who, self.count, self.corner, s.cell_mm, xyd_mm, label, frame
+        )
+        for slope in (camera_slope, laser_slope):
+            carve(self.free, self.corner, self.voxel, xyd_mm, slope, s.free_end_mm, s.free_length_mm)
+
+    def ask(self, xyd_mm: ArrayF, slope: ArrayF, possible: ArrayU8, frame: int) -> tuple[ArrayU8, ArrayF]:
+        """State (n, L) of hypotheses (n, L, 3) on camera rays (n, 2), and depth of support minus theirs."""
+        s = self.settings
+        state = np.zeros(possible.shape, dtype=np.uint8)
+        off = np.full(possible.shape, np.nan)
+        limits = np.array([s.radius_mm, s.tolerance_mm, s.growth, s.hidden_mm, float(s.free_rays)])
+        look_up(
+            self.points,
+            self.who,
+            self.count,
+            self.corner,
+            s.cell_mm,
+            self.free,
+            self.voxel,
+            xyd_mm,
+            slope,
+            possible,
+            limits,
+            frame,
+            state,
+            off,
+        )
+        return state, off
+
+
+def line_order(sensor: Sensor, lines: Lines, depth_mm: float) -> int:
+    """Whether image places in a row grow (+1) or shrink (-1) with the number of the line.
+
+    Raises
+    ------
+    GeometryError : the lines do not run side by side along the columns of the image.
+    """
+    middle = []
+    for sheet in lines.sheets():
+        water = refract_to_water(sheet.origin_lcs_mm, sheet.beams(0.0), sensor.window)
+        middle.append(project(sensor, water.at_depth(depth_mm))[0, 0])
+    steps = np.diff(middle)
+    if not ((steps > 0).all() or (steps < 0).all()):
+        raise GeometryError(
+            f"lines at the places {np.round(middle).tolist()} px",
+            expected="lines one beside the other along the columns of the image",
+            cure="Turn the image, or check the calibration of the lines",
+        )
+    return 1 if steps[0] > 0 else -1
+
+
+def hypotheses(
+    sensor: Sensor, lines: Lines, detections: Detections, settings: LabelSettings, *, order: int | None = None
+) -> Hypotheses:
+    """Intersect every detection with every line, and link detections to segments."""
+    xy = detections.xy_px
+    n, L = len(xy), len(lines.labels)
+    xyd, laser_slope = np.full((n, L, 3), np.nan), np.full((n, L, 2), np.nan)
+    R = sensor.window.R_lcs_window
+    for j, sheet in enumerate(lines.sheets()):
+        # the ends of a fan are blurred by a few milliradians
+        wide = replace(sheet, half_angle_rad=1.003 * sheet.half_angle_rad)
+        met = intersect(sensor.with_sheet(wide), xy)
+        xyd[:, j, :2] = (met.xyz_lcs_mm @ R)[:, :2]
+        xyd[:, j, 2] = met.depth_mm
+        laser_slope[:, j] = refract_to_water(
+            sheet.origin_lcs_mm, sheet.beams(met.fan_angle_rad), sensor.window
+        ).B
+    rays = sensor.camera.rays(xy) @ sensor.R_lcs_ccs.T
+    slope = refract_to_water(sensor.camera_origin_lcs_mm, rays, sensor.window).B
+    with np.errstate(invalid="ignore"):
+        possible = (xyd[:, :, 2] > settings.min_depth_mm) & (xyd[:, :, 2] < settings.max_depth_mm)
+    middle = 0.5 * (settings.min_depth_mm + settings.max_depth_mm)
+    return Hypotheses(
+        detections=detections,
+        order=line_order(sensor, lines, middle) if order is None else order,
+        xyd_mm=xyd,
+        slope=slope,
+        laser_slope=laser_slope,
+        possible=possible,
+        segment=link_rows(
+            detections.row, detections.x_px, detections.row_step, settings.link_px, settings.gap_rows
+        ),
+    )
 
 
 def label_image(
@@ -134,6 +388,264 @@ def add_labelled(h: Hypotheses, labels: Labels, surface: SurfaceMap, pose: Pose,
     surface.add(xyd[i, j], j, frame, slope[i], laser[i, j])
 
 
+def in_map(h: Hypotheses, pose: Pose) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Hypotheses (n, L, 3: x, y, depth) and slopes (n, 2), (n, L, 2) of their rays, in the map's frame."""
+    xyz = h.xyd_mm * [1.0, 1.0, -1.0] @ pose.R.T + pose.t_mm
+    return xyz * [1.0, 1.0, -1.0], _turned(h.slope, pose), _turned(h.laser_slope, pose)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def link_rows(row: ArrayI, x: ArrayF, row_step: int, tolerance_px: float, gap_rows: int) -> ArrayI:
+    """Number of the segment of each detection, linked from row to row.
+
+    Detections (n,) are ordered by row. A segment goes on with the nearest detection to where its slope
+    leads, if both are nearest to each other; it ends after ``gap_rows`` steps without one.
+    """
+    n = len(row)
+    segment = np.full(n, -1, dtype=np.int64)
+    last_row = np.empty(n, dtype=np.int64)
+    last_x, slope = np.empty(n), np.empty(n)
+    active = np.empty(n, dtype=np.int64)
+    n_active, n_segments, i = 0, 0, 0
+    while i < n:
+        k = i
+        while k < n and row[k] == row[i]:
+            k += 1
+        kept = 0
+        for q in range(n_active):
+            if row[i] - last_row[active[q]] <= gap_rows * row_step:
+                active[kept] = active[q]
+                kept += 1
+        n_active = kept
+        best_of = np.full(n_active, -1, dtype=np.int64)
+        for q in range(n_active):
+            s = active[q]
+            steps = (row[i] - last_row[s]) / row_step
+            limit = tolerance_px * (1.0 + 0.5 * (steps - 1.0))
+            place = last_x[s] + slope[s] * (row[i] - last_row[s])
+            nearest = limit
+            for m in range(i, k):
+                if abs(x[m] - place) < nearest:
+                    nearest, best_of[q] = abs(x[m] - place), m
+        for m in range(i, k):
+            chosen, nearest = -1, np.inf
+            for q in range(n_active):
+                if best_of[q] == m:
+                    s = active[q]
+                    off = abs(x[m] - last_x[s] - slope[s] * (row[i] - last_row[s]))
+                    if off < nearest:
+                        nearest, chosen = off, s
+            if chosen < 0:
+                chosen = n_segments
+                n_segments += 1
+                slope[chosen] = 0.0
+                active[n_active] = chosen
+                n_active += 1
+                best_of = np.append(best_of, -1)
+            else:
+                seen = (x[m] - last_x[chosen]) / (row[i] - last_row[chosen])
+                slope[chosen] = 0.8 * slope[chosen] + 0.2 * min(max(seen, -1.0), 1.0)
+            segment[m], last_row[chosen], last_x[chosen] = chosen, row[i], x[m]
+        i = k
+    return segment
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def row_marginals(
+    row: ArrayI, unary: ArrayF, depth: ArrayF, missing: ArrayF, skip: float, smooth: float, step_cap_mm: float
+) -> ArrayF:
+    """Smallest cost of a whole row if one detection has one label, (n, L); inf where it cannot have it.
+
+    Detections are ordered by row and within a row in the order of the labels. Labels grow strictly along a
+    row; a label without detection costs ``missing`` (L,), a detection without label ``skip``, a change of
+    depth (n, L) between neighbours ``smooth`` for each millimetre and label, up to a cap.
+    """
+    n, L = unary.shape
+    out = np.full((n, L), np.inf)
+    before = np.zeros(L + 1)
+    for j in range(L):
+        before[j + 1] = before[j] + missing[j]
+    i = 0
+    while i < n:
+        end = i
+        while end < n and row[end] == row[i]:
+            end += 1
+        K = end - i
+        F, B = np.full((K, L), np.inf), np.full((K, L), np.inf)
+        for k in range(K):
+            for j in range(L):
+                if not unary[i + k, j] < np.inf:
+                    continue
+                best = skip * k + before[j]
+                for p in range(max(0, k - 4), k):
+                    for q in range(j):
+                        if F[p, q] < np.inf:
+                            change = abs(depth[i + k, j] - depth[i + p, q]) / (j - q)
+                            cost = F[p, q] + skip * (k - p - 1) + before[j] - before[q + 1]
+                            cost += smooth * min(change, step_cap_mm)
+                            best = min(best, cost)
+                F[k, j] = best + unary[i + k, j]
+        for k in range(K - 1, -1, -1):
+            for j in range(L):
+                if not unary[i + k, j] < np.inf:
+                    continue
+                best = skip * (K - 1 - k) + before[L] - before[j + 1]
+                for p in range(k + 1, min(K, k + 5)):
+                    for q in range(j + 1, L):
+                        if B[p, q] < np.inf:
+                            change = abs(depth[i + k, j] - depth[i + p, q]) / (q - j)
+                            cost = B[p, q] + unary[i + p, q] + skip * (p - k - 1) + before[q] - before[j + 1]
+                            cost += smooth * min(change, step_cap_mm)
+                            best = min(best, cost)
+                B[k, j] = best
+                out[i + k, j] = F[k, j] + best
+        i = end
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_points(
+    grid: ArrayF,
+    who: ArrayI,
+    count: ArrayU8,
+    corner: ArrayF,
+    cell_mm: float,
+    points: ArrayF,
+    label: ArrayI,
+    frame: int,
+) -> int:
+    """Put points (n, 3: x, y, depth) into cells (nx, ny, slots, 3); returns how many fell outside.
+
+    ``who`` (nx, ny, slots, 2) gets the label and the frame. A cell keeps one point of each label and frame,
+    and when it is full its first ones: they were there before a mistake could be.
+    """
+    outside = 0
+    for i in range(len(points)):
+        a = int(np.floor((points[i, 0] - corner[0]) / cell_mm))
+        b = int(np.floor((points[i, 1] - corner[1]) / cell_mm))
+        if a < 0 or b < 0 or a >= grid.shape[0] or b >= grid.shape[1]:
+            outside += 1
+            continue
+        c = count[a, b]
+        known = False
+        for k in range(c):
+            if who[a, b, k, 0] == label[i] and who[a, b, k, 1] == frame:
+                known = True
+        if known or c >= grid.shape[2]:
+            continue
+        for k in range(3):
+            grid[a, b, c, k] = points[i, k]
+        who[a, b, c, 0], who[a, b, c, 1] = label[i], frame
+        count[a, b] = c + 1
+    return outside
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carve(
+    free: ArrayU8,
+    corner: ArrayF,
+    voxel: ArrayF,
+    points: ArrayF,
+    slopes: ArrayF,
+    end_mm: float,
+    length_mm: float,
+) -> None:
+    """Mark voxels along rays above points (n, 3) as free: from ``end_mm`` above a point on, ``length_mm`` up.
+
+    ``slopes`` (n, 2): change of x and y for each millimetre of depth.
+    """
+    step = 0.7 * min(voxel[0], voxel[2])
+    steps = int(length_mm / step)
+    for i in range(len(points)):
+        for s in range(steps):
+            up = end_mm + s * step
+            a = int(np.floor((points[i, 0] - slopes[i, 0] * up - corner[0]) / voxel[0]))
+            b = int(np.floor((points[i, 1] - slopes[i, 1] * up - corner[1]) / voxel[1]))
+            c = int(np.floor((points[i, 2] - up - corner[2]) / voxel[2]))
+            inside = 0 <= a < free.shape[0] and 0 <= b < free.shape[1] and 0 <= c < free.shape[2]
+            if inside and free[a, b, c] < 255:
+                free[a, b, c] += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def look_up(
+    grid: ArrayF,
+    who: ArrayI,
+    count: ArrayU8,
+    corner: ArrayF,
+    cell_mm: float,
+    free: ArrayU8,
+    voxel: ArrayF,
+    places: ArrayF,
+    slope: ArrayF,
+    possible: ArrayU8,
+    limits: ArrayF,
+    frame: int,
+    state: ArrayU8,
+    off_mm: ArrayF,
+) -> None:
+    """What the map says of hypotheses (n, L, 3: x, y, depth) on camera rays with slopes (n, 2).
+
+    A point supports a hypothesis only if it comes from another line and another frame: what one line says
+    twice would be wrong twice. ``state`` (n, L) becomes 0 unknown, 1 supported, 2 contradicted, 3
+    impossible (``possible`` is 0). ``off_mm`` is the difference of depth to the nearest supporting point.
+    ``limits``: radius, tolerance, its growth per millimetre of distance, how far in front a surface must be
+    to hide what is behind it, and how many rays must have gone through a voxel that is free.
+    """
+    radius, tolerance, growth, hidden_mm, rays = limits[0], limits[1], limits[2], limits[3], limits[4]
+    reach = int(np.ceil(radius / cell_mm))
+    n, L = possible.shape
+    for i in range(n):
+        for j in range(L):
+            off_mm[i, j] = np.nan
+            if possible[i, j] == 0:
+                state[i, j] = 3
+                continue
+            x, y, d = places[i, j, 0], places[i, j, 1], places[i, j, 2]
+            a = int(np.floor((x - corner[0]) / cell_mm))
+            b = int(np.floor((y - corner[1]) / cell_mm))
+            state[i, j] = 0
+            best = np.inf
+            for p in range(max(0, a - reach), min(grid.shape[0], a + reach + 1)):
+                for q in range(max(0, b - reach), min(grid.shape[1], b + reach + 1)):
+                    for c in range(count[p, q]):
+                        if who[p, q, c, 0] == j or who[p, q, c, 1] == frame:
+                            continue
+                        dx, dy = grid[p, q, c, 0] - x, grid[p, q, c, 1] - y
+                        r = np.sqrt(dx * dx + dy * dy)
+                        if r > radius:
+                            continue
+                        dd = grid[p, q, c, 2] - d
+                        share = abs(dd) / (tolerance + growth * r)
+                        if share < 1.0 and share < best:
+                            best = share
+                            off_mm[i, j] = dd
+                            state[i, j] = 1
+            if state[i, j] == 1:
+                continue
+            u = int(np.floor((x - corner[0]) / voxel[0]))
+            v = int(np.floor((y - corner[1]) / voxel[1]))
+            w = int(np.floor((d - corner[2]) / voxel[2]))
+            inside = 0 <= u < free.shape[0] and 0 <= v < free.shape[1] and 0 <= w < free.shape[2]
+            if inside and free[u, v, w] >= rays:
+                state[i, j] = 2
+                continue
+            # a known surface in front of the hypothesis on the same camera ray hides it
+            up = hidden_mm
+            hits = 0
+            while up < 60.0 and hits < 2:
+                a = int(np.floor((x - slope[i, 0] * up - corner[0]) / cell_mm))
+                b = int(np.floor((y - slope[i, 1] * up - corner[1]) / cell_mm))
+                if 0 <= a < grid.shape[0] and 0 <= b < grid.shape[1]:
+                    for c in range(count[a, b]):
+                        if who[a, b, c, 1] != frame and abs(grid[a, b, c, 2] - (d - up)) < 0.8:
+                            hits += 1
+                            break
+                up += 0.7
+            if hits >= 2:
+                state[i, j] = 2
+
+
 def _segment_costs(marginals: ArrayF, segment: ArrayI, size: ArrayI) -> ArrayF:
     """Mean over the rows of a segment of what a label costs above the best one, (segments, L)."""
     above = marginals - np.min(marginals, axis=1, keepdims=True, initial=1e6)
@@ -155,3 +667,8 @@ def _in_order(h: Hypotheses, label: ArrayI, margin: ArrayF) -> ArrayI:
         first, second = at[wrong], at[wrong + 1]
         out[np.where(margin[first] < margin[second], first, second)] = -1
         at = np.flatnonzero(out >= 0)
+
+
+def _turned(slope: ArrayF, pose: Pose) -> ArrayF:
+    ray = np.concatenate([slope, np.full((*slope.shape[:-1], 1), -1.0)], axis=-1) @ pose.R.T
+    return np.asarray(-ray[..., :2] / ray[..., 2:])

@@ -10,10 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI
-from thalweg.lightsheet.optics.refracted_rays import refract_to_water
-from thalweg.lightsheet.optics.sensor import Sensor
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, GeometryError
+from thalweg.lightsheet.optics import Sensor, refract_to_water
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
-"""Labels along a scan, and the tests that decide which of them are given out.
+"""Labels along a scan and from single images, and the tests that decide which of them are given out.
 
-1. Forward: from ground of known depth, image after image against the growing map (`labels`, `surface_map`).
+1. Forward: from ground of known depth, image after image against the growing map (`labels`).
    A label is taken where the map supports it, or where the map and the order rule all others out.
 2. Confirmation against the finished map: other lines in other images must have seen the same surface at the
    label's place, closely, and at no neighbouring label's place; repeated, because who was confirmed by a
@@ -10,6 +10,11 @@
    spacing. If the labels are not clearly more consistent than those shifted, nothing is given out.
 4. Shift test of each segment against its surroundings, and a limit for its disagreement, from the scan's
    own median.
+
+**One image alone** is tested against a shift of all labels. Where all lines are seen side by side, their
+number leaves no room for a shift. Elsewhere only the distances of the lines can tell: across three
+neighbouring lines a surface is nearly straight, and with irregular spacing a shift by one bends it by as much
+as the spacing is irregular. With regular spacing it does not, and then one image cannot know.
 """
 
 from collections.abc import Sequence
@@ -20,28 +25,33 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayB, ArrayF, ArrayI, ArrayU8
-from thalweg.lightsheet.multi_line.detections import Hypotheses, LabelSettings
+from thalweg.core import ArrayB, ArrayF, ArrayI, ArrayU8, GeometryError
 from thalweg.lightsheet.multi_line.labels import (
-    Labels,
-    add_labelled,
-    depth_evidence,
-    label_image,
-    map_evidence,
-)
-from thalweg.lightsheet.multi_line.surface_map import (
     CONTRADICTED,
     SUPPORTED,
+    Hypotheses,
+    Labels,
+    LabelSettings,
     MapSettings,
     Pose,
     SurfaceMap,
+    add_labelled,
+    depth_evidence,
     in_map,
+    label_image,
+    map_evidence,
 )
+from thalweg.lightsheet.multi_line.models import Lines
+from thalweg.lightsheet.optics import Sensor, project, refract_to_water
 
 _NEXT: Final = (-1, 0, 1)
 _SHIFTS: Final = (-4, -3, -2, -1, 0, 1, 2, 3, 4)
 """Where the leading line is taken for one behind it, patches are shifted by several lines."""
+
+_IMAGE_SHIFTS: Final = (-2, -1, 0, 1, 2)
+_LEAST_IRREGULARITY: Final = 0.05
+_LEAST_BEND_MM: Final = 0.25
+"""Regular lines bend a shifted surface by some 0.05 mm only, and the roughness of a bed is more."""
 
 
 class Flag(IntEnum):
@@ -158,15 +168,17 @@ def label_scan(
         kept = _confirmed(images, poses, labels, map_settings, scan)
         labels = _without(labels, flags, kept, Flag.NOT_CONFIRMED)
     off = {shift: _disagreement(images, poses, labels, map_settings, scan, shift) for shift in _SHIFTS}
-    test = pd.DataFrame([
-        {
-            "shift": shift,
-            "n": int(sum(len(each) for each in off[shift])),
-            "share_met": _share_met(np.concatenate(off[shift])),
-            "median_mm": _median(np.concatenate(off[shift])),
-        }
-        for shift in _SHIFTS
-    ])  # fmt: skip
+    test = pd.DataFrame(
+        [
+            {
+                "shift": shift,
+                "n": int(sum(len(each) for each in off[shift])),
+                "share_met": _share_met(np.concatenate(off[shift])),
+                "median_mm": _median(np.concatenate(off[shift])),
+            }
+            for shift in _SHIFTS
+        ]
+    )
     medians = dict(zip(_SHIFTS, test["median_mm"], strict=True))
     # a shift at which no two lines meet has no median and is none that could be confused
     others = [median for shift, median in medians.items() if shift and np.isfinite(median)]
@@ -183,6 +195,110 @@ def label_scan(
         shift_test=test,
         resolved=resolved,
     )
+
+
+def label_single_image(
+    h: Hypotheses,
+    lines: Lines,
+    settings: LabelSettings,
+    *,
+    evidence: ArrayF | None = None,
+    ratio: float = 2.0,
+    full_share: float = 0.6,
+) -> Labels:
+    """Labels of one image without a map.
+
+    Parameters
+    ----------
+    lines : whose spacing decides whether the surface can be asked.
+    evidence : see `label_image`.
+    ratio : how much more a shifted segment must bend the surface than the segment as it is.
+    full_share : share of a segment's rows in which all lines must be seen, else.
+    """
+    found = label_image(h, settings, evidence=evidence)
+    sure = _all_lines_seen(h, found, full_share)
+    if spacing_irregularity(lines) > _LEAST_IRREGULARITY:
+        sure |= _straightest(h, found, ratio)
+    return replace(found, label=np.where(sure, found.label, -1))
+
+
+def spacing_irregularity(lines: Lines) -> float:
+    """Standard deviation of the steps from line to line over their mean, from the middles of the fans."""
+    middle = lines.R_lcs_las @ np.array([0.0, 0.0, -1.0])
+    axis = lines.R_lcs_las[len(lines.v) // 2]
+    across = np.sqrt(1 - np.square(lines.v)) * (middle @ axis[:, 1]) + lines.v * (
+        lines.R_lcs_las[:, :, 1] @ axis[:, 1]
+    )
+    steps = np.diff(across)
+    return float(np.std(steps) / abs(np.mean(steps)))
+
+
+def line_table(
+    sensor: Sensor, lines: Lines, depths_mm: Sequence[float], *, beams_per_line: int = 61
+) -> pd.DataFrame:
+    """Where the lines meet levels, in space and in the image: T Fig. 4.3 a to c.
+
+    Returns
+    -------
+    ``line, fan_angle_deg, depth_mm, x_mm, y_mm, z_mm`` (lcs), ``x_px, y_px``, and ``in_picture``.
+    """
+    parts = []
+    a = np.linspace(-lines.half_angle_rad, lines.half_angle_rad, beams_per_line)
+    for label, sheet in zip(lines.labels, lines.sheets(), strict=True):
+        water = refract_to_water(sheet.origin_lcs_mm, sheet.beams(a), sensor.window)
+        for depth in depths_mm:
+            xyz = water.at_depth(depth)
+            xy = project(sensor, xyz)
+            parts.append(
+                pd.DataFrame(
+                    {
+                        "line": label,
+                        "fan_angle_deg": np.rad2deg(a),
+                        "depth_mm": depth,
+                        "x_mm": xyz[:, 0],
+                        "y_mm": xyz[:, 1],
+                        "z_mm": xyz[:, 2],
+                        "x_px": xy[:, 0],
+                        "y_px": xy[:, 1],
+                        "in_picture": sensor.camera.inside(xy),
+                    }
+                )
+            )
+    return pd.concat(parts, ignore_index=True)
+
+
+def label_table(images: Sequence[Hypotheses], poses: Sequence[Pose], found: ScanLabels) -> pd.DataFrame:
+    """All detections of a scan with label, reason and, where they have a label, place: T Fig. 4.4 d to f.
+
+    Returns
+    -------
+    ``image, row, x_px, segment, line`` (-1 for none), ``best_line, margin, flag, x_mm, y_mm, depth_mm``, the
+    places in the frame of the map and NaN without a label.
+    """
+    parts = []
+    rows = zip(images, poses, found.labels, found.flags, strict=True)
+    for k, (h, pose, labels, flags) in enumerate(rows):
+        xyd = np.full((len(labels.label), 3), np.nan)
+        i = np.flatnonzero(labels.label >= 0)
+        xyd[i] = in_map(h, pose)[0][i, labels.label[i]]
+        parts.append(
+            pd.DataFrame(
+                {
+                    "image": k,
+                    "row": h.detections.row,
+                    "x_px": h.detections.x_px,
+                    "segment": h.segment,
+                    "line": labels.label,
+                    "best_line": labels.best,
+                    "margin": labels.margin,
+                    "flag": flags,
+                    "x_mm": xyd[:, 0],
+                    "y_mm": xyd[:, 1],
+                    "depth_mm": xyd[:, 2],
+                }
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
 
 
 def _without(labels: list[ArrayI], flags: list[ArrayU8], kept: Sequence[ArrayB], why: Flag) -> list[ArrayI]:
@@ -299,3 +415,43 @@ def _share_met(values: ArrayF) -> float:
 def _median(values: ArrayF) -> float:
     met = values[np.isfinite(values)]
     return float(np.median(met)) if len(met) else float("nan")
+
+
+def _straightest(h: Hypotheses, found: Labels, ratio: float) -> ArrayB:
+    """Whether a segment bends the surface less than shifted by one or two, (n,)."""
+    n, L = h.possible.shape
+    given = np.flatnonzero(found.label >= 0)
+    if len(given) < 3:
+        return np.zeros(n, dtype=np.bool_)
+    left, middle, right = given[:-2], given[1:-1], given[2:]
+    row, label = h.detections.row, found.label
+    beside = (row[left] == row[middle]) & (row[right] == row[middle])
+    beside &= (label[middle] - label[left] == h.order) & (label[right] - label[middle] == h.order)
+    left, middle, right = left[beside], middle[beside], right[beside]
+    bend = pd.DataFrame({"segment": h.segment[middle]})
+    for shift in _IMAGE_SHIFTS:
+        j = [label[at] + shift for at in (left, middle, right)]
+        inside = (np.min(j, axis=0) >= 0) & (np.max(j, axis=0) < L)
+        depth = [
+            h.xyd_mm[at, np.clip(k, 0, L - 1), 2] for at, k in zip((left, middle, right), j, strict=True)
+        ]
+        bend[shift] = np.where(inside, np.abs(depth[0] - 2 * depth[1] + depth[2]), np.nan)
+    groups = bend.groupby("segment")
+    median = groups.median()
+    others = median[[shift for shift in _IMAGE_SHIFTS if shift]].min(axis=1)
+    clear = (others > ratio * median[0]) & (others - median[0] > _LEAST_BEND_MM)
+    good = clear & (groups.size() >= max(8, 30 // h.detections.row_step))
+    out = np.zeros(h.n_segments, dtype=np.bool_)
+    out[good.index[good.to_numpy()].to_numpy(dtype=np.int64)] = True
+    return out[h.segment]
+
+
+def _all_lines_seen(h: Hypotheses, found: Labels, share: float) -> ArrayB:
+    """Whether all lines have a detection in most rows of a segment, (n,)."""
+    rows, at = np.unique(h.detections.row, return_inverse=True)
+    count = np.zeros(len(rows))
+    np.add.at(count, at, found.label >= 0)
+    full = count[at] == h.possible.shape[1]
+    size = np.maximum(np.bincount(h.segment, minlength=h.n_segments), 1)
+    seen = np.bincount(h.segment, weights=full.astype(np.float64), minlength=h.n_segments)
+    return np.asarray((seen / size >= share)[h.segment])

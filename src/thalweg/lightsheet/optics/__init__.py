@@ -1,1 +1,5 @@
 """Rays through window and water, the sensor model, strict intersection with covariance."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.frames import opk_axes, rotation_x
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, opk_axes, rotation_x
 from thalweg.lightsheet.optics.intersection import SheetPoints, intersect
 from thalweg.lightsheet.optics.sensor import CAMERA, LASER, LENS, PARAMETERS, Sensor, Window
 
@@ -108,10 +107,16 @@ def sheet_derivatives(sensor: Sensor, xy_px: ArrayLike) -> Derivatives:
         out[:, :, column] += np.cross(axis, place @ R.T)
     return Derivatives(
         points=points,
-        by_parameters=out[:, :, :k], by_pixel=out[:, :, k : k + 2], by_v=out[:, :, k + 2],
-        fan_by_parameters=da[:, :k], fan_by_pixel=da[:, k : k + 2], fan_by_v=da[:, k + 2],
-        depth_by_parameters=dD[:, :k], depth_by_pixel=dD[:, k : k + 2], depth_by_v=dD[:, k + 2],
-    )  # fmt: skip
+        by_parameters=out[:, :, :k],
+        by_pixel=out[:, :, k : k + 2],
+        by_v=out[:, :, k + 2],
+        fan_by_parameters=da[:, :k],
+        fan_by_pixel=da[:, k : k + 2],
+        fan_by_v=da[:, k + 2],
+        depth_by_parameters=dD[:, :k],
+        depth_by_pixel=dD[:, k : k + 2],
+        depth_by_v=dD[:, k + 2],
+    )
 
 
 def ray_derivatives(origin_mm: ArrayF, directions: ArrayF, window: Window) -> RayDerivatives:
@@ -147,9 +152,12 @@ def ray_derivatives(origin_mm: ArrayF, directions: ArrayF, window: Window) -> Ra
             "nij,nj->ni", by_d, np.cross(directions, axis) @ R
         )
     return RayDerivatives(
-        A=o[:2] + q * k[:, None], B=q / water[:, None],
-        by_origin=by_o @ R.T, by_direction=by_d @ R.T, by_window=by_window,
-    )  # fmt: skip
+        A=o[:2] + q * k[:, None],
+        B=q / water[:, None],
+        by_origin=by_o @ R.T,
+        by_direction=by_d @ R.T,
+        by_window=by_window,
+    )
 
 
 def camera_directions(sensor: Sensor, xy_px: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:

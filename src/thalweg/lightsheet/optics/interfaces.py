@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.types import ArrayB, ArrayF
+from thalweg.core import ArrayB, ArrayF
 from thalweg.lightsheet.optics.sensor import Window
 
 
@@ -92,6 +92,10 @@ def trace(origin_mm: ArrayLike, directions: ArrayLike, window: Window) -> Path:
     outer = inner - glass * (window.thickness_mm / (glass @ N))[:, None]
     water, second = refract(glass, N, window.n_glass, window.n_water)
     return Path(
-        at_inner_mm=inner, at_outer_mm=outer, in_glass=glass, in_water=water,
-        total_reflection=first | second, away=away,
-    )  # fmt: skip
+        at_inner_mm=inner,
+        at_outer_mm=outer,
+        in_glass=glass,
+        in_water=water,
+        total_reflection=first | second,
+        away=away,
+    )

@@ -9,16 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF, ArrayU8
-from thalweg.lightsheet.optics.intersection import SheetPoints, Status, intersect
+from thalweg.core import ArrayF, ArrayU8, GeometryError, njit, prange
+from thalweg.lightsheet.optics.intersection import SheetPoints, intersect
+from thalweg.lightsheet.optics.refraction import Status
 from thalweg.lightsheet.optics.sensor import Sensor
-
-nb.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 
 STEP_PX: Final = 16
 EXACT: Final = 255
@@ -102,17 +99,17 @@ def look_up_table(sensor: Sensor, step_px: int = STEP_PX) -> LookUpTable:
     return LookUpTable(sensor=sensor, step_px=step_px, values=np.ascontiguousarray(values), cells=cells)
 
 
-@nb.njit(inline="always", cache=True, error_model="numpy")
+@njit(inline="always", cache=True, error_model="numpy")
 def _weights(t: float) -> tuple[float, float, float, float]:
     """Of the nodes -1, 0, 1, 2 in the cubic polynomial through them, at t in [0, 1]."""
     a, b, c, d = t + 1.0, t, t - 1.0, t - 2.0
     return -b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0
 
 
-@nb.njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
 def _interpolate(xy: ArrayF, step: int, values: ArrayF, cells: ArrayU8, out: ArrayF, status: ArrayU8) -> None:
     inverse = 1.0 / step
-    for i in nb.prange(len(xy)):
+    for i in prange(len(xy)):
         px, py = xy[i, 0] * inverse + 1.0, xy[i, 1] * inverse + 1.0
         j, k = int(px), int(py)
         mark = cells[k, j]

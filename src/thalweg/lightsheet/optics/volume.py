@@ -1,16 +1,35 @@
-"""What a sensor can measure: lines of equal depth in the picture, and the box in the water (P3 2.5, P4 5)."""
+"""The light sheet in the water, and what a sensor can measure of it: lines of equal depth in the picture, the
+box in the water (P3 2.5, P4 5).
+
+Refraction bends the plane fan: a sheet that is tilted about one axis becomes a curved surface, one that is
+tilted about two an S-shaped one (P3 Fig. 1, P4 Fig. 1 and 2).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayF, ArrayU8
-from thalweg.lightsheet.optics.intersection import Status, intersect
-from thalweg.lightsheet.optics.light_path import fan_angles, sheet_in_water
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import Sensor
+from thalweg.core import ArrayB, ArrayF, ArrayU8, GeometryError
+from thalweg.lightsheet.optics.intersection import fan_table, intersect, project
+from thalweg.lightsheet.optics.refraction import Status, directions_to_points, refract_to_water
+from thalweg.lightsheet.optics.sensor import LightSheet, Sensor, Window
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BeamsAtPoints:
+    """The sub-beams that would reach given points of the water.
+
+    ``fan_angle_rad`` (n,) and ``v`` (n,) direction cosine of the light that reaches each point;
+    ``distance_mm`` (n,) from the sheet along its normal, positive on the side of its larger v; ``inside``
+    (n,) whether the fan is as wide. NaN and false for points that no light from the laser can reach.
+    """
+
+    fan_angle_rad: ArrayF
+    v: ArrayF
+    distance_mm: ArrayF
+    inside: ArrayB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +85,50 @@ class PictureGrid:
     status: ArrayU8
 
 
+def sheet_in_water(sensor: Sensor, depths_mm: ArrayLike, fan_angles_rad: ArrayLike) -> ArrayF:
+    """Points (k, m, 3) in lcs of m sub-beams at k depths; NaN for sub-beams that do not reach the water."""
+    D = np.atleast_1d(np.asarray(depths_mm, dtype=np.float64))
+    rays = refract_to_water(sensor.sheet.origin_lcs_mm, sensor.sheet.beams(fan_angles_rad), sensor.window)
+    return np.stack([rays.at_depth(depth) for depth in D]) if len(D) else np.zeros((0, len(rays.A), 3))
+
+
+def fan_angles(sensor: Sensor, n: int) -> ArrayF:
+    """Fan angles (n,) spread over the part of the fan that reaches the water."""
+    return fan_table(sensor.sheet, sensor.window, n).angle_rad
+
+
+def beams_at_points(sensor: Sensor, xyz_lcs_mm: ArrayLike) -> BeamsAtPoints:
+    """Which light of the laser reaches points (n, 3) of the water, and how far these lie from the sheet."""
+    sheet, window = sensor.sheet, sensor.window
+    points = np.atleast_2d(np.asarray(xyz_lcs_mm, dtype=np.float64))
+    local = directions_to_points(sheet.origin_lcs_mm, points, window) @ sheet.R_lcs_las
+    with np.errstate(invalid="ignore"):
+        a = np.arcsin(local[:, 0])
+        behind = ~(local[:, 2] < 0.0) | ~(np.sin(a) ** 2 + sheet.v**2 < 1.0)
+    a = np.where(behind, np.nan, a)
+    v = np.where(behind, np.nan, local[:, 1])
+    D = window.depth_mm(points)
+    foot, normal = sheet_normals(sheet, window, a, D)
+    distance = np.einsum("ni,ni->n", points - foot, normal)
+    with np.errstate(invalid="ignore"):
+        inside = np.abs(a) <= sheet.half_angle_rad
+    return BeamsAtPoints(fan_angle_rad=a, v=v, distance_mm=distance, inside=inside)
+
+
+def sheet_normals(
+    sheet: LightSheet, window: Window, fan_angles_rad: ArrayF, depths_mm: ArrayF
+) -> tuple[ArrayF, ArrayF]:
+    """Points (n, 3) of the sheet and its unit normals (n, 3) there, lcs, to the side of larger v."""
+    step = 1e-6  # rad: the difference quotient of a smooth curve is good to some 1e-9 of its length
+    beams = [sheet.beams(fan_angles_rad + k * step) for k in (0.0, 1.0, -1.0)]
+    rays = [refract_to_water(sheet.origin_lcs_mm, b, window) for b in beams]
+    at, ahead, back = (r.at_depth(depths_mm) for r in rays)
+    normal = np.cross(ahead - back, rays[0].directions())
+    with np.errstate(invalid="ignore"):
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return at, normal
+
+
 def depth_lines(sensor: Sensor, depths_mm: Sequence[float], n: int = 401) -> list[DepthLine]:
     """Lines of equal depth, from ``n`` sub-beams each.
 
@@ -94,10 +157,13 @@ def picture_grid(sensor: Sensor, step_px: int = 16) -> PictureGrid:
     found = intersect(sensor, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
     shape = (len(y), len(x))
     return PictureGrid(
-        x_px=x, y_px=y, xyz_lcs_mm=found.xyz_lcs_mm.reshape(*shape, 3),
-        depth_mm=found.depth_mm.reshape(shape), fan_angle_rad=found.fan_angle_rad.reshape(shape),
+        x_px=x,
+        y_px=y,
+        xyz_lcs_mm=found.xyz_lcs_mm.reshape(*shape, 3),
+        depth_mm=found.depth_mm.reshape(shape),
+        fan_angle_rad=found.fan_angle_rad.reshape(shape),
         status=found.status.reshape(shape),
-    )  # fmt: skip
+    )
 
 
 def measurement_volume(sensor: Sensor, step_px: int = 8) -> Volume:
@@ -125,10 +191,12 @@ def measurement_volume(sensor: Sensor, step_px: int = 8) -> Volume:
     shares = {status.name: 0.0 for status in Status}
     shares |= {Status(s).name: float(c / grid.status.size) for s, c in zip(found, counts, strict=True)}
     return Volume(
-        low_lcs_mm=points.min(axis=0), high_lcs_mm=points.max(axis=0),
-        depth_mm=(float(depth.min()), float(depth.max())), shares=shares,
+        low_lcs_mm=points.min(axis=0),
+        high_lcs_mm=points.max(axis=0),
+        depth_mm=(float(depth.min()), float(depth.max())),
+        shares=shares,
         border_lcs_mm=border.xyz_lcs_mm[border.ok],
-    )  # fmt: skip
+    )
 
 
 def _steps(side: int, step: int) -> ArrayF:
@@ -140,7 +208,9 @@ def _border_px(width: int, height: int) -> ArrayF:
     """Places all around the edge of the picture, in order."""
     x, y = np.arange(0.0, width + 0.5), np.arange(0.0, height + 0.5)
     sides = [
-        np.stack([x, np.zeros_like(x)], axis=1), np.stack([np.full_like(y, width), y], axis=1),
-        np.stack([x[::-1], np.full_like(x, height)], axis=1), np.stack([np.zeros_like(y), y[::-1]], axis=1),
-    ]  # fmt: skip
+        np.stack([x, np.zeros_like(x)], axis=1),
+        np.stack([np.full_like(y, width), y], axis=1),
+        np.stack([x[::-1], np.full_like(x, height)], axis=1),
+        np.stack([np.zeros_like(y), y[::-1]], axis=1),
+    ]
     return np.concatenate(sides)

@@ -6,11 +6,10 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.clocks.ties.hand_tables import read_number_columns, read_text_columns
-from thalweg.core.errors import GeometryError, InputError, ThalwegError
-from thalweg.core.types import ArrayF, ArrayI
-from thalweg.lightsheet.calibration.other_readings import other_readings
-from thalweg.lightsheet.optics.sensor import Sensor
+from thalweg.clocks import read_number_columns, read_text_columns
+from thalweg.core import ArrayF, ArrayI, GeometryError, InputError, ThalwegError
+from thalweg.lightsheet.calibration import other_readings
+from thalweg.lightsheet.optics import Sensor
 from thalweg.lightsheet.poses.series import points_on_sheet
 
 PUBLISHED: Final = {128.9: (0.03, 0.21), 122.7: (0.03, 0.21), 83.1: (0.46, 0.34), 72.7: (0.07, 0.15)}
@@ -38,13 +37,16 @@ def read_panels(path: Path) -> pd.DataFrame:
         k = int(wrong[0])
         raise InputError(
             f"a depth of {depth[k]:g} mm with a sigma of {sigma[k]:g} mm in row {k + 1} ({names[k]})",
-            expected="a depth above 0, counted from the window's outer face, and a sigma", where=path,
-        )  # fmt: skip
+            expected="a depth above 0, counted from the window's outer face, and a sigma",
+            where=path,
+        )
     if depth.max() < 1.0:
         raise InputError(
-            f"no depth exceeds {depth.max():g} mm", expected="depths of the panel in millimetres", where=path,
+            f"no depth exceeds {depth.max():g} mm",
+            expected="depths of the panel in millimetres",
+            where=path,
             cure="Multiply depth_mm and sigma_mm by 1000 if they are metres",
-        )  # fmt: skip
+        )
     table = pd.DataFrame({"file": names, "depth_mm": depth, "sigma_mm": sigma})
     twice = table["file"][table["file"].duplicated()]
     if len(twice):
@@ -82,8 +84,10 @@ def measure_panels(
         if cure:
             raise GeometryError(
                 f"the panels lie {off.min():.1f} to {off.max():.1f} mm off their stated depths",
-                expected=f"less than {_FAR_MM:g} mm", where=f"sensor {sensor.name!r}", cure=cure,
-            )  # fmt: skip
+                expected=f"less than {_FAR_MM:g} mm",
+                where=f"sensor {sensor.name!r}",
+                cure=cure,
+            )
     return points, rows
 
 
@@ -144,14 +148,20 @@ def _row(panel: Any, found: pd.DataFrame, of_image: pd.DataFrame) -> dict[str, o
     if lines and not len(e):
         reason = "no line point lies on the light sheet"
     return {
-        "file": panel.file, "depth_mm": panel.depth_mm, "sigma_mm": panel.sigma_mm, "n": len(e),
-        "mean_mm": e.mean() if len(e) else np.nan, "std_mm": e.std(ddof=1) if len(e) > 1 else np.nan,
+        "file": panel.file,
+        "depth_mm": panel.depth_mm,
+        "sigma_mm": panel.sigma_mm,
+        "n": len(e),
+        "mean_mm": e.mean() if len(e) else np.nan,
+        "std_mm": e.std(ddof=1) if len(e) > 1 else np.nan,
         "rms_mm": np.sqrt(np.mean(e**2)) if len(e) else np.nan,
         "largest_mm": np.abs(e).max() if len(e) else np.nan,
         "predicted_mm": np.sqrt(np.mean(mine["sigma_depth_mm"] ** 2)) if len(e) else np.nan,
-        "published_mean_mm": known[0], "published_std_mm": known[1],
-        "n_off_sheet": lines - len(e), "reason": "" if pd.isna(reason) else reason,
-    }  # fmt: skip
+        "published_mean_mm": known[0],
+        "published_std_mm": known[1],
+        "n_off_sheet": lines - len(e),
+        "reason": "" if pd.isna(reason) else reason,
+    }
 
 
 def _require_same_names(images: set[str], panels: set[str]) -> None:

@@ -1,16 +1,35 @@
-"""Poses of the sensor at its images, with the errors of each and those that all have in common."""
+"""Poses of the sensor at its images, with the errors of each and those that all have in common.
+
+Their files: everything for the next job (NPZ), and a table for people (CSV).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+from zipfile import BadZipFile
 
 import numpy as np
+import pandas as pd
+from numpy.lib.npyio import NpzFile
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.propagation import cross_matrix
-from thalweg.core.rigid import Rigid, exp_rotation
-from thalweg.core.types import AnyArray, ArrayB, ArrayF
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    GeometryError,
+    InputError,
+    Rigid,
+    cross_matrix,
+    exp_rotation,
+)
 
 M_PER_MM = 1e-3
+
+_ARRAYS: Final = ("R_target_lcs", "shift_m", "cov", "shared", "t_gps_s")
+_TEXTS: Final = ("images", "reasons")
+_NAMES: Final = ("target", "source")
+_MARK: Final = "thalweg sensor poses 1"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,9 +83,10 @@ class SensorPoses:
         if len(set(self.images)) < n:
             twice = sorted({name for name in self.images if self.images.count(name) > 1})
             raise GeometryError(
-                f"{len(twice)} images have two poses, such as {twice[0]}", expected="one pose for each image",
+                f"{len(twice)} images have two poses, such as {twice[0]}",
+                expected="one pose for each image",
                 where=self.source,
-            )  # fmt: skip
+            )
 
     def __len__(self) -> int:
         return len(self.images)
@@ -98,10 +118,14 @@ class SensorPoses:
         at = np.flatnonzero(keep)
         return replace(
             self,
-            images=tuple(self.images[k] for k in at), R_target_lcs=self.R_target_lcs[at],
-            shift_m=self.shift_m[at], cov=self.cov[at], shared=self.shared[at],
-            reasons=tuple(self.reasons[k] for k in at), t_gps_s=self.t_gps_s[at],
-        )  # fmt: skip
+            images=tuple(self.images[k] for k in at),
+            R_target_lcs=self.R_target_lcs[at],
+            shift_m=self.shift_m[at],
+            cov=self.cov[at],
+            shared=self.shared[at],
+            reasons=tuple(self.reasons[k] for k in at),
+            t_gps_s=self.t_gps_s[at],
+        )
 
     def of(self, images: Sequence[str]) -> "SensorPoses":
         """The poses of some images, in the order of those.
@@ -122,10 +146,14 @@ class SensorPoses:
         at = np.array([index[name] for name in images], dtype=np.int64)
         return replace(
             self,
-            images=tuple(images), R_target_lcs=self.R_target_lcs[at], shift_m=self.shift_m[at],
-            cov=self.cov[at], shared=self.shared[at], reasons=tuple(self.reasons[k] for k in at),
+            images=tuple(images),
+            R_target_lcs=self.R_target_lcs[at],
+            shift_m=self.shift_m[at],
+            cov=self.cov[at],
+            shared=self.shared[at],
+            reasons=tuple(self.reasons[k] for k in at),
             t_gps_s=self.t_gps_s[at],
-        )  # fmt: skip
+        )
 
     def disturbed(self, errors: ArrayF) -> "SensorPoses":
         """The same poses with errors (n, 6) put on: shift in metres, rotation vector in radians."""
@@ -141,9 +169,12 @@ class SensorPoses:
         turn[:3, :3] = turn[3:, 3:] = R
         return replace(
             self,
-            R_target_lcs=R @ self.R_target_lcs, shift_m=self.shift_m @ R.T + T_new_target.shift_m,
-            cov=turn @ self.cov @ turn.T, shared=turn @ self.shared, target=target or self.target,
-        )  # fmt: skip
+            R_target_lcs=R @ self.R_target_lcs,
+            shift_m=self.shift_m @ R.T + T_new_target.shift_m,
+            cov=turn @ self.cov @ turn.T,
+            shared=turn @ self.shared,
+            target=target or self.target,
+        )
 
 
 def by_pose(arm_m: ArrayF) -> ArrayF:
@@ -193,3 +224,71 @@ def compressed(shared: ArrayF, *, arm_m: float = 0.3) -> ArrayF:
     used = axes[kept].T
     used = used * np.where(used.sum(axis=0) < 0.0, -1.0, 1.0)
     return np.asarray((stacked @ used).reshape(n, 6, -1))
+
+
+def write_poses(path: Path, poses: SensorPoses) -> None:
+    """Write poses as NPZ."""
+    facts = sorted(poses.facts)
+    np.savez_compressed(
+        path,
+        allow_pickle=False,
+        mark=np.array(_MARK),
+        **{name: getattr(poses, name) for name in _ARRAYS},
+        **{name: np.array(getattr(poses, name), dtype=np.str_) for name in (*_TEXTS, *_NAMES)},
+        fact_names=np.array(facts, dtype=np.str_),
+        fact_values=np.array([poses.facts[name] for name in facts], dtype=np.float64),
+    )
+
+
+def read_poses(path: Path) -> SensorPoses:
+    """Read what `write_poses` wrote.
+
+    Raises
+    ------
+    InputError : the file is missing or something else.
+    """
+    expected = "poses of the light-sheet sensor (NPZ)"
+    if not path.is_file():
+        raise InputError("file not found", expected=expected, where=path)
+    try:
+        # opened here, because numpy leaves a damaged file open
+        with path.open("rb") as stream:
+            return _poses(np.load(stream, allow_pickle=False), path, expected)
+    except (OSError, EOFError, BadZipFile, ValueError, KeyError) as error:
+        raise InputError(f"this cannot be read ({error})", expected=expected, where=path) from error
+
+
+def pose_table(poses: SensorPoses) -> pd.DataFrame:
+    """A row an image: time, place, standard deviations by own and by shared errors, reason."""
+    own = np.sqrt(np.diagonal(poses.cov, axis1=1, axis2=2))
+    shared = np.sqrt(np.square(poses.shared).sum(axis=2))
+    columns: dict[str, object] = {"file": poses.images, "t_gps_s": poses.t_gps_s}
+    columns |= {f"{a}_m": poses.shift_m[:, i] for i, a in enumerate("xyz")}
+    for words, sigma in (("", own), ("shared_", shared)):
+        columns |= {f"sigma_{words}{a}_mm": sigma[:, i] / M_PER_MM for i, a in enumerate("xyz")}
+        columns |= {f"sigma_{words}turn_{a}_deg": np.rad2deg(sigma[:, 3 + i]) for i, a in enumerate("xyz")}
+    return pd.DataFrame({**columns, "reason": poses.reasons})
+
+
+def _poses(data: object, path: Path, expected: str) -> SensorPoses:
+    """Poses of an opened file."""
+    if not isinstance(data, NpzFile):
+        raise InputError("an array", expected=expected, where=path)
+    if str(data["mark"]) != _MARK:
+        raise InputError(f"a file of the kind '{data['mark']}'", expected=expected, where=path)
+    names = [str(name) for name in data["fact_names"]]
+    images, reasons = (tuple(str(text) for text in data[name]) for name in _TEXTS)
+    target, source = (str(data[name]) for name in _NAMES)
+    R, shift_m, cov, shared, t_gps_s = (data[name] for name in _ARRAYS)
+    return SensorPoses(
+        images=images,
+        reasons=reasons,
+        target=target,
+        source=source,
+        R_target_lcs=R,
+        shift_m=shift_m,
+        cov=cov,
+        shared=shared,
+        t_gps_s=t_gps_s,
+        facts=dict(zip(names, data["fact_values"].tolist(), strict=True)),
+    )

@@ -13,17 +13,26 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.core.errors import GeometryError, InputError, ThalwegError
-from thalweg.core.tables import column, frame_of, table_kind
-from thalweg.core.types import AnyArray, ArrayF
-from thalweg.lightsheet.calibration.grid import GridObject
-from thalweg.lightsheet.lines.detect import detect_lines
-from thalweg.lightsheet.lines.points import LINE_POINTS, LinePoints
-from thalweg.lightsheet.lines.series_shift import pooled_shift, without_shift
-from thalweg.lightsheet.lines.settings import LineSettings
-from thalweg.lightsheet.optics.derivatives import sheet_derivatives
-from thalweg.lightsheet.optics.refracted_rays import Status
-from thalweg.lightsheet.optics.sensor import Sensor
+from thalweg.core import (
+    AnyArray,
+    ArrayF,
+    GeometryError,
+    InputError,
+    ThalwegError,
+    column,
+    frame_of,
+    table_kind,
+)
+from thalweg.lightsheet.calibration import GridObject
+from thalweg.lightsheet.lines import (
+    LINE_POINTS,
+    LinePoints,
+    LineSettings,
+    detect_lines,
+    pooled_shift,
+    without_shift,
+)
+from thalweg.lightsheet.optics import Sensor, Status, sheet_derivatives
 
 log = logging.getLogger("thalweg")
 
@@ -67,9 +76,11 @@ def read_sheet_image(path: Path) -> AnyArray:
     if data is None:
         found = "cannot be read as an image" if stored.size else "the file is empty or missing"
         raise InputError(
-            found, expected="PNG, TIFF or JPEG of the sensor's camera", where=path,
+            found,
+            expected="PNG, TIFF or JPEG of the sensor's camera",
+            where=path,
             cure="Copy the file again from the camera's disk",
-        )  # fmt: skip
+        )
     return data if data.ndim == 2 else np.ascontiguousarray(data[:, :, 2::-1])
 
 
@@ -102,19 +113,27 @@ def detect_series(
     twice = [name for name, n in Counter(path.name for path in images).items() if n > 1]
     if twice:
         raise InputError(
-            f"two images are called {twice[0]}", expected="a name of its own for each image",
-            where=images[0].parent, cure="Rename them, or name one folder only",
-        )  # fmt: skip
+            f"two images are called {twice[0]}",
+            expected="a name of its own for each image",
+            where=images[0].parent,
+            cure="Rename them, or name one folder only",
+        )
     each = replace(settings, apply_shift=False)
     with ThreadPoolExecutor(threads) as pool:
         found = list(pool.map(lambda path: _detect(path, each, size_px), images))
     shift = pooled_shift([points.facts for points, _ in found if points])
     found = [(without_shift(points, shift) if points else None, failed) for points, failed in found]
-    counts = pd.DataFrame([
-        {"file": path.name, "points": len(points) if points else 0, **(points.counts if points else {}),
-         "reason": failed.found if failed else ""}
-        for path, (points, failed) in zip(images, found, strict=True)
-    ])  # fmt: skip
+    counts = pd.DataFrame(
+        [
+            {
+                "file": path.name,
+                "points": len(points) if points else 0,
+                **(points.counts if points else {}),
+                "reason": failed.found if failed else "",
+            }
+            for path, (points, failed) in zip(images, found, strict=True)
+        ]
+    )
     tables = [
         points.to_frame().assign(file=path.name)
         for path, (points, _) in zip(images, found, strict=True)
@@ -124,8 +143,10 @@ def detect_series(
     if not tables:
         raise InputError(
             f"none of {len(images)} images shows a line; {images[0].name}: {first.found if first else ''}",
-            expected="a laser line in each image", where=images[0].parent, cure=first.cure if first else "",
-        )  # fmt: skip
+            expected="a laser line in each image",
+            where=images[0].parent,
+            cure=first.cure if first else "",
+        )
     for path, (_, failed) in zip(images, found, strict=True):
         if failed:
             log.warning("%s gives no points: %s", path.name, failed)
@@ -134,16 +155,20 @@ def detect_series(
         log.info(
             "over-exposed points were moved by %.3f px for each pixel by which the line is wider there "
             "(sigma %.3f, %d edges of brightness)",
-            -shift.coefficient, shift.sigma, shift.edges,
-        )  # fmt: skip
+            -shift.coefficient,
+            shift.sigma,
+            shift.edges,
+        )
     numbers = {name: "int64" for name in counts.columns if name not in ("file", "reason")}
     counts = counts.fillna(dict.fromkeys(numbers, 0)).astype(numbers)
     points = frame_of(SERIES_POINTS, {name: joined[name] for name in SERIES_POINTS.names})
     if shift.edges:
         points.attrs["width_shift"] = {
-            "coefficient": shift.coefficient, "sigma": shift.sigma, "edges": shift.edges,
+            "coefficient": shift.coefficient,
+            "sigma": shift.sigma,
+            "edges": shift.edges,
             "applied": shift.applied,
-        }  # fmt: skip
+        }
     return points, counts
 
 
@@ -158,9 +183,10 @@ def require_one_image(line_points: pd.DataFrame, *, where: Path) -> pd.DataFrame
     if len(names) != 1:
         raise InputError(
             f"line points of {len(names)} images, such as {names[0]} and {names[-1]}",
-            expected="one image of the laser on the grid object", where=where,
+            expected="one image of the laser on the grid object",
+            where=where,
             cure="Name one image in logs.light_sheet.grid_images, with the depths of its levels in grid",
-        )  # fmt: skip
+        )
     return line_points
 
 
@@ -174,9 +200,10 @@ def require_levels(grid: GridObject, levels: int, *, where: Path) -> None:
     if len(grid.levels) != levels:
         raise InputError(
             f"{len(grid.levels)} levels ({', '.join(level.name for level in grid.levels)})",
-            expected=f"{levels}, as light_sheet.calibration.levels says", where=where,
+            expected=f"{levels}, as light_sheet.calibration.levels says",
+            where=where,
             cure=f"Write light_sheet.calibration.levels: {len(grid.levels)}, or correct the description",
-        )  # fmt: skip
+        )
 
 
 def _detect(
@@ -186,9 +213,10 @@ def _detect(
     if image.shape[1::-1] != tuple(size_px):
         raise InputError(
             f"an image of {image.shape[1]} x {image.shape[0]} pixels",
-            expected=f"{size_px[0]} x {size_px[1]}, as the sensor's interior orientation says", where=path,
+            expected=f"{size_px[0]} x {size_px[1]}, as the sensor's interior orientation says",
+            where=path,
             cure="Set the camera to the format of its calibration, or calibrate it for this format",
-        )  # fmt: skip
+        )
     try:
         return detect_lines(image, settings), None
     except ThalwegError as error:
@@ -220,9 +248,10 @@ def points_on_sheet(sensor: Sensor, line_points: pd.DataFrame) -> tuple[pd.DataF
         told = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items())
         raise GeometryError(
             f"none of {len(xy)} line points lies on the light sheet in the water ({told})",
-            expected="points in front of the window", where=f"sensor {sensor.name!r}",
+            expected="points in front of the window",
+            where=f"sensor {sensor.name!r}",
             cure="Were these images taken with this sensor, and neither mirrored nor turned?",
-        )  # fmt: skip
+        )
     cov = image_covariance(
         d.by_pixel[ok], line_points["sigma_px"].to_numpy()[ok], line_points["angle_rad"].to_numpy()[ok]
     )
@@ -232,14 +261,21 @@ def points_on_sheet(sensor: Sensor, line_points: pd.DataFrame) -> tuple[pd.DataF
     common = np.einsum("ni,ij,nj->n", by_parameters, sensor.cov, by_parameters)
     xyz = d.points.xyz_lcs_mm[ok]
     pairs = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
-    table = frame_of(SHEET_POINTS, {
-        "file": line_points["file"].to_numpy()[ok], "line": line_points["line"].to_numpy()[ok],
-        **{f"{a}_mm": xyz[:, i] for i, a in enumerate("xyz")},
-        "depth_mm": d.points.depth_mm[ok], "fan_angle_rad": d.points.fan_angle_rad[ok],
-        "x_px": xy[ok, 0], "y_px": xy[ok, 1],
-        **{f"cov_{key}_mm2": cov[:, i, j] for key, (i, j) in pairs.items()},
-        "sigma_depth_mm": np.sqrt(own + common), "flags": line_points["flags"].to_numpy()[ok],
-    })  # fmt: skip
+    table = frame_of(
+        SHEET_POINTS,
+        {
+            "file": line_points["file"].to_numpy()[ok],
+            "line": line_points["line"].to_numpy()[ok],
+            **{f"{a}_mm": xyz[:, i] for i, a in enumerate("xyz")},
+            "depth_mm": d.points.depth_mm[ok],
+            "fan_angle_rad": d.points.fan_angle_rad[ok],
+            "x_px": xy[ok, 0],
+            "y_px": xy[ok, 1],
+            **{f"cov_{key}_mm2": cov[:, i, j] for key, (i, j) in pairs.items()},
+            "sigma_depth_mm": np.sqrt(own + common),
+            "flags": line_points["flags"].to_numpy()[ok],
+        },
+    )
     return table, counts
 
 

@@ -1,27 +1,44 @@
-"""Where poses of the sensor come from: the boat's trajectory, or a rail with an encoder (P4 4.2.1).
+"""Where poses of the sensor come from: a panel before a standing camera, or the boat's trajectory (P4 4.2.1).
 
-The third source, a panel with marks before a standing camera, is `panel_poses`. All give `SensorPoses`, so
-that nothing behind them knows the difference. What the pose of a boat is worth for a scan of sub-millimetre
-profiles is a table of its own, `pose_source_table`: P4 says that 0.1 degrees and 2 cm would spoil it.
+All sources give `SensorPoses`, so that nothing behind them knows the difference. What the pose of a boat is
+worth for a scan of sub-millimetre profiles is a table of its own, `pose_source_table`: P4 says that 0.1
+degrees and 2 cm would spoil it.
+
+**The panel** (Luhmann 2009). The panel is fixed to the sensor; its marks are known in lcs. For each picture
+of the standing camera a space resection gives the pose of that camera in lcs
+(`thalweg.calibration.field.resection`); its inverse is the pose of the sensor in the frame of the standing
+camera, which is the world of the scan::
+
+    T_ccs_lcs = (T_lcs_ccs) ^ -1
+
+The errors of a picture's own marks differ from pose to pose. Those of the panel's coordinates and of the
+interior orientation are the same in all pictures: they turn and shift the scan as a whole.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
+from scipy.stats import chi2
 
-from thalweg.core.errors import CoverageError, GeometryError
-from thalweg.core.propagation import cross_matrix
-from thalweg.core.rigid import Rigid
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF
-from thalweg.lightsheet.optics.derivatives import point_derivatives
-from thalweg.lightsheet.optics.light_path import sheet_in_water
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.poses.poses import M_PER_MM, SensorPoses, by_pose, factor
+from thalweg.calibration.field import LARGEST_SIGMA0, FieldPoints, resect
+from thalweg.clocks import read_number_columns, read_text_columns
+from thalweg.core import (
+    ArrayF,
+    Camera,
+    CoverageError,
+    GeometryError,
+    InputError,
+    Rigid,
+    Trajectory,
+    cross_matrix,
+)
+from thalweg.lightsheet.optics import Sensor, point_derivatives, project, sheet_in_water
+from thalweg.lightsheet.poses.poses import M_PER_MM, SensorPoses, by_pose, compressed, factor
 
 SOURCES: Final[Mapping[str, tuple[float, float]]] = {
     "6-DOF by marker panel": (0.05, 0.01),
@@ -30,6 +47,40 @@ SOURCES: Final[Mapping[str, tuple[float, float]]] = {
 }
 """Standard deviations of position, mm, and of each turn, degrees: P4 7.3, a linear encoder on a lab rail, P4
 4.2.1."""
+
+MARK_COLUMNS: Final = ("marker", "x_px", "y_px", "sigma_px")
+PANEL_COLUMNS: Final = ("marker", "x_mm", "y_mm", "z_mm", "sigma_mm")
+PUBLISHED_SIGMA_MM: Final = 0.05
+PUBLISHED_SIGMA_DEG: Final = 0.01
+"""What P4 7.3 states for the poses of its scans."""
+
+_MISFIT: Final = 4.0
+"""Residuals in units of their sigmas, more than those of other pictures: wrong marks."""
+_EXPLAINED: Final = 3
+"""Pictures without a pose for which another reading of their marks is looked for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rail:
+    """A straight rail with an encoder.
+
+    Parameters
+    ----------
+    T_target_lcs : pose of the sensor at the encoder's zero, metres, with covariance.
+    direction : (3,) of growing numbers, in the target frame.
+    sigma_direction_rad : of that direction, across it.
+    sigma_encoder_mm : of a reading.
+    sigma_guide_mm, sigma_guide_rad : play of the carriage from reading to reading, each axis.
+    scale : true length of one unit of the encoder.
+    """
+
+    T_target_lcs: Rigid
+    direction: ArrayF
+    sigma_direction_rad: float = 0.0
+    sigma_encoder_mm: float = 0.02
+    sigma_guide_mm: float = 0.02
+    sigma_guide_rad: float = 3.5e-5
+    scale: float = 1.0
 
 
 def trajectory_poses(
@@ -62,19 +113,26 @@ def trajectory_poses(
     known = np.isfinite(t)
     if not known.any():
         raise CoverageError(
-            f"none of {len(t)} images has a time", expected="times of the trigger's pulses",
-            where="poses by the trajectory", cure="Give the table of pulses, or tie the camera's clock",
-        )  # fmt: skip
+            f"none of {len(t)} images has a time",
+            expected="times of the trigger's pulses",
+            where="poses by the trajectory",
+            cure="Give the table of pulses, or tie the camera's clock",
+        )
     first, last = trajectory.span()
     asked = np.where(known, t, first)
     position, R, inside = trajectory.at(asked)
     cov_ics = trajectory.cov_at(np.clip(asked, trajectory.t_gps_s[0], trajectory.t_gps_s[-1]))
     ok = known & inside
     reasons = [
-        "" if good else "no time" if not has else
-        "before or after the trajectory" if not first <= moment <= last else "in a gap of the trajectory"
+        ""
+        if good
+        else "no time"
+        if not has
+        else "before or after the trajectory"
+        if not first <= moment <= last
+        else "in a gap of the trajectory"
         for good, has, moment in zip(ok, known, asked, strict=True)
-    ]  # fmt: skip
+    ]
     if not ok.any():
         raise CoverageError(
             f"no image from {asked[known].min():.1f} to {asked[known].max():.1f} s lies within the "
@@ -96,33 +154,17 @@ def trajectory_poses(
     sigma_t = np.broadcast_to(np.asarray(sigma_time_s, dtype=np.float64), (n,))
     cov = cov + (motion * sigma_t[:, None])[:, :, None] * (motion * sigma_t[:, None])[:, None, :]
     return SensorPoses(
-        images=tuple(images), R_target_lcs=R @ T_ics_lcs.R, shift_m=position + lever, cov=cov,
-        shared=by_mount @ factor(T_ics_lcs.cov), reasons=tuple(reasons), t_gps_s=t, target="wcs",
-        source="trajectory of the boat", facts={"poses": float(ok.sum())},
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rail:
-    """A straight rail with an encoder.
-
-    Parameters
-    ----------
-    T_target_lcs : pose of the sensor at the encoder's zero, metres, with covariance.
-    direction : (3,) of growing numbers, in the target frame.
-    sigma_direction_rad : of that direction, across it.
-    sigma_encoder_mm : of a reading.
-    sigma_guide_mm, sigma_guide_rad : play of the carriage from reading to reading, each axis.
-    scale : true length of one unit of the encoder.
-    """
-
-    T_target_lcs: Rigid
-    direction: ArrayF
-    sigma_direction_rad: float = 0.0
-    sigma_encoder_mm: float = 0.02
-    sigma_guide_mm: float = 0.02
-    sigma_guide_rad: float = 3.5e-5
-    scale: float = 1.0
+        images=tuple(images),
+        R_target_lcs=R @ T_ics_lcs.R,
+        shift_m=position + lever,
+        cov=cov,
+        shared=by_mount @ factor(T_ics_lcs.cov),
+        reasons=tuple(reasons),
+        t_gps_s=t,
+        target="wcs",
+        source="trajectory of the boat",
+        facts={"poses": float(ok.sum())},
+    )
 
 
 def rail_poses(rail: Rail, images: Sequence[str], encoder_mm: ArrayF) -> SensorPoses:
@@ -138,8 +180,9 @@ def rail_poses(rail: Rail, images: Sequence[str], encoder_mm: ArrayF) -> SensorP
     if not length > 0.0 or not known.any():
         raise GeometryError(
             f"a rail along {np.asarray(rail.direction).tolist()} with {int(known.sum())} readings",
-            expected="a direction and readings of the encoder", where="rail",
-        )  # fmt: skip
+            expected="a direction and readings of the encoder",
+            where="rail",
+        )
     u = np.asarray(rail.direction, dtype=np.float64) / length
     n, way = len(e), np.where(known, e, 0.0) * M_PER_MM
     own = np.zeros((6, 6))
@@ -151,12 +194,16 @@ def rail_poses(rail: Rail, images: Sequence[str], encoder_mm: ArrayF) -> SensorP
     aside[:, :3] = way[:, None, None] * across.T * rail.sigma_direction_rad
     start = np.tile(factor(rail.T_target_lcs.cov), (n, 1, 1))
     return SensorPoses(
-        images=tuple(images), R_target_lcs=np.tile(rail.T_target_lcs.R, (n, 1, 1)),
-        shift_m=rail.T_target_lcs.shift_m + way[:, None] * u, cov=np.tile(own, (n, 1, 1)),
+        images=tuple(images),
+        R_target_lcs=np.tile(rail.T_target_lcs.R, (n, 1, 1)),
+        shift_m=rail.T_target_lcs.shift_m + way[:, None] * u,
+        cov=np.tile(own, (n, 1, 1)),
         shared=np.concatenate([start, aside], axis=2),
         reasons=tuple("" if k else "no reading of the encoder" for k in known),
-        t_gps_s=np.full(n, np.nan), target="rail", source="rail with encoder",
-    )  # fmt: skip
+        t_gps_s=np.full(n, np.nan),
+        target="rail",
+        source="rail with encoder",
+    )
 
 
 def pose_source_table(
@@ -199,11 +246,209 @@ def pose_source_table(
         for k, depth in enumerate(depths_mm):
             height = [float(np.sqrt(c[k, 2, 2])) for c in (alone, total)]
             space = [float(np.sqrt(np.trace(c[k]))) for c in (alone, total)]
-            rows.append({
-                "source": name, "sigma_position_mm": sigma_mm, "sigma_turn_deg": sigma_deg, "depth_mm": depth,
-                "sigma_height_profile_mm": height[0], "sigma_height_mm": height[1],
-                "sigma_across_mm": float(np.sqrt(total[k, 0, 0] + total[k, 1, 1])),
-                "sigma_3d_profile_mm": space[0], "sigma_3d_mm": space[1],
-                "ratio_height": height[1] / height[0], "ratio_3d": space[1] / space[0],
-            })  # fmt: skip
+            rows.append(
+                {
+                    "source": name,
+                    "sigma_position_mm": sigma_mm,
+                    "sigma_turn_deg": sigma_deg,
+                    "depth_mm": depth,
+                    "sigma_height_profile_mm": height[0],
+                    "sigma_height_mm": height[1],
+                    "sigma_across_mm": float(np.sqrt(total[k, 0, 0] + total[k, 1, 1])),
+                    "sigma_3d_profile_mm": space[0],
+                    "sigma_3d_mm": space[1],
+                    "ratio_height": height[1] / height[0],
+                    "ratio_3d": space[1] / space[0],
+                }
+            )
     return pd.DataFrame(rows)
+
+
+def read_panel(path: Path) -> FieldPoints:
+    """Marks of the panel in lcs from a CSV table: marker, x_mm, y_mm, z_mm, sigma_mm.
+
+    Raises
+    ------
+    InputError : the file is missing, lacks a column or a number, or names a marker twice.
+    """
+    marker, x, y, z, sigma = read_number_columns(path, PANEL_COLUMNS)
+    names = [int(m) for m in marker]
+    if len(set(names)) < len(names):
+        twice = next(m for m in names if names.count(m) > 1)
+        raise InputError(f"marker {twice} stands twice", where=path, expected="each marker once")
+    return FieldPoints(
+        points=tuple((m, 0) for m in names),
+        points_pcs=np.stack([x, y, z], axis=1) * M_PER_MM,
+        cov=np.diag(np.repeat((sigma * M_PER_MM) ** 2, 3)),
+    )
+
+
+def read_marks(path: Path) -> pd.DataFrame:
+    """Marks in the pictures of the standing camera from a CSV table: file, marker, x_px, y_px, sigma_px.
+
+    Raises
+    ------
+    InputError : the file is missing, or lacks a column or a number.
+    """
+    (files,) = read_text_columns(path, ("file",))
+    marker, x, y, sigma = read_number_columns(path, MARK_COLUMNS)
+    return pd.DataFrame(
+        {
+            "file": files,
+            "marker": marker.astype(np.int64),
+            "corner": 0,
+            "x_px": x,
+            "y_px": y,
+            "sigma_px": sigma,
+        }
+    )
+
+
+def read_standing_camera(path: Path) -> Camera:
+    """Interior orientation of the standing camera from JSON: model, size_px, parameters by name.
+
+    Raises
+    ------
+    InputError : the file is missing or incomplete.
+    """
+    expected = "JSON with model, size_px and parameters (fx, fy, cx, cy, k1, ...)"
+    if not path.is_file():
+        raise InputError("file not found", where=path, expected=expected)
+    try:
+        data = json.loads(path.read_text())
+        size = tuple(int(n) for n in data["size_px"])
+        values = {str(name): float(value) for name, value in data["parameters"].items()}
+        model = data["model"]
+    except (json.JSONDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"this cannot be read ({error})", where=path, expected=expected) from error
+    if model != "perspective" or len(size) != 2:
+        raise InputError(f"a {model} camera of {size} pixels", where=path, expected="a perspective camera")
+    names = Camera(model="perspective", size_px=(size[0], size[1]), parameters=np.ones(9)).parameter_names
+    missing = [name for name in names if name not in values]
+    if missing:
+        raise InputError(f"parameters missing: {', '.join(missing)}", where=path, expected=expected)
+    parameters = np.array([values[name] for name in names])
+    return Camera(model="perspective", size_px=(size[0], size[1]), parameters=parameters, name=path.stem)
+
+
+def panel_poses(
+    camera: Camera,
+    panel: FieldPoints,
+    marks: pd.DataFrame,
+    images: Sequence[str],
+    *,
+    t_gps_s: ArrayF | None = None,
+    sigma_factor: float = 1.0,
+) -> SensorPoses:
+    """Poses of the sensor in the frame of the standing camera.
+
+    Parameters
+    ----------
+    camera : the standing one, with the covariance of its interior orientation.
+    panel : marks in lcs, metres, corner 0 of each marker.
+    marks : file, marker, corner, x_px, y_px, sigma_px; ``file`` names the image of the sensor that was taken
+        together with the picture.
+    images : of the sensor, in order; those without a usable picture get no pose, with the reason.
+    t_gps_s : (n,) times of the images, where they are known.
+    sigma_factor : what the stated sigmas of marks must be multiplied with.
+
+    Raises
+    ------
+    InputError : no picture belongs to any of the images.
+    GeometryError : none of the pictures gives a pose.
+    """
+    known = set(marks["file"])
+    if not known & set(images):
+        raise InputError(
+            f"none of {len(images)} images is among the {len(known)} pictures of the standing camera",
+            expected="marks named by the image of the sensor",
+            where="6-DOF",
+            cure="Check that both recordings are of one scan",
+        )
+    n = len(images)
+    R, shift = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
+    cov = np.full((n, 6, 6), np.nan)
+    common = factor(panel.cov)
+    interior = factor(camera.cov) if camera.cov.size else np.zeros((len(camera.parameters), 0))
+    shared = np.full((n, 6, common.shape[1] + interior.shape[1]), np.nan)
+    reasons = ["no picture of the standing camera"] * n
+    sigma0, redundancy = np.full(n, np.nan), np.zeros(n)
+    refused, cure = 0, ""
+    for k, (name, own) in enumerate((name, marks[marks["file"] == name]) for name in images):
+        if not len(own):
+            continue
+        try:
+            found = resect(
+                camera, own, panel, sigma_factor=sigma_factor, where=name, explain=refused < _EXPLAINED
+            )
+        except GeometryError as error:
+            refused, cure = refused + 1, cure or error.cure
+            reasons[k] = f"{error.found}. {error.cure}" if refused <= _EXPLAINED else error.found
+            continue
+        turned = found.T_pcs_ccs.inverse()
+        J = found.T_pcs_ccs.by_inverse()
+        R[k], shift[k] = turned.R, turned.shift_m
+        cov[k] = J @ found.cov_marks @ J.T
+        shared[k] = J @ np.concatenate([found.by_points @ common, found.by_interior @ interior], axis=1)
+        reasons[k], sigma0[k], redundancy[k] = "", found.sigma0, found.redundancy
+    scale = _refuse_misfits(sigma0, redundancy, reasons)
+    R[[bool(r) for r in reasons]] = np.nan
+    shift[[bool(r) for r in reasons]] = np.nan
+    if all(reasons):
+        raise GeometryError(
+            f"none of {n} pictures gives a pose; the first: {reasons[0]}",
+            expected="pictures in which at least four marks of the panel fit",
+            where="6-DOF",
+            cure=cure or "Check the interior orientation of the standing camera and the numbers of the marks",
+        )
+    there = np.array([not reason for reason in reasons])
+    few = compressed(shared[there])
+    together = np.full((n, 6, few.shape[2]), np.nan)
+    together[there] = few
+    times = np.full(n, np.nan) if t_gps_s is None else np.asarray(t_gps_s, dtype=np.float64)
+    return SensorPoses(
+        images=tuple(images),
+        R_target_lcs=R,
+        shift_m=shift,
+        cov=cov * scale**2,
+        shared=together,
+        reasons=tuple(reasons),
+        t_gps_s=times,
+        target="standing camera",
+        source="6-DOF by marker panel",
+        facts={"poses": float(there.sum()), "scale_of_marks": scale},
+    )
+
+
+def sigmas_at(poses: SensorPoses, point_lcs_mm: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Standard deviations of a point of lcs (n, 3) in millimetres by each pose's own errors, and of its turns
+    (n, 3) in degrees: what P4 7.3 states as 0.05 mm and 0.01 degrees.
+
+    The origin of lcs may lie far from the panel; the middle of the marks is what a camera determines best.
+    """
+    arm = poses.R_target_lcs @ (np.asarray(point_lcs_mm, dtype=np.float64) * M_PER_MM)
+    J = by_pose(arm)
+    place = J @ poses.cov @ np.swapaxes(J, 1, 2)
+    sigma = np.sqrt(np.diagonal(place, axis1=1, axis2=2))
+    turn = np.sqrt(np.diagonal(poses.cov, axis1=1, axis2=2)[:, 3:])
+    return np.asarray(sigma / M_PER_MM), np.rad2deg(turn)
+
+
+def _refuse_misfits(sigma0: ArrayF, redundancy: ArrayF, reasons: list[str]) -> float:
+    """Give pictures whose marks fit no pose a reason; the factor by which all sigmas of marks are too small.
+
+    A resection scales its limit for outliers with the scatter of its own marks, so that marks in a wrong
+    order may pass as many small errors.
+    """
+    known = np.isfinite(sigma0)
+    if not known.any():
+        return 1.0
+    limit = min(max(_MISFIT, _MISFIT * float(np.median(sigma0[known]))), LARGEST_SIGMA0)
+    for k in np.flatnonzero(known & ~(sigma0 <= limit)):
+        reasons[k] = f"the marks are {sigma0[k]:.0f} times their sigmas off any pose"
+    good = known & (sigma0 <= limit)
+    spare = float(redundancy[good].sum())
+    if not spare > 0:
+        return 1.0
+    pooled = float((sigma0[good] ** 2 * redundancy[good]).sum()) / spare
+    return float(np.sqrt(pooled)) if pooled > chi2.ppf(0.99, spare) / spare else 1.0

@@ -1,1 +1,5 @@
 """Objects scanned by the sheet: profiles, clouds, comparison with references."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,8 +2,17 @@
 
 A mesh of an object that has parallel planes only leaves shifts along them free, so nearest places have
 nothing to converge to. Such an object is compared with its planes: two tilts and a height are adjusted.
+
+Where both contradict each other, the mistake is looked for that would explain it. A scan in the wrong medium,
+of pictures that were turned, or with the poses of other images lies anywhere. The comparison is then repeated
+with part of the points under each reading that is known of, and the reading that fits is named. On an object
+of parallel planes exchanged poses give no failure, only lines that disagree by many times what their poses
+explain: the same search starts from there.
+
+One profile of the scan is judged by itself (`single_profile`).
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -11,361 +20,99 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from scipy.stats import chi2
 
-from thalweg.clocks.ties.hand_tables import read_number_columns
-from thalweg.core.adjustment.solve import Linear, Observations, UnobservableError, adjust
-from thalweg.core.errors import GeometryError
-from thalweg.core.rigid import Rigid
-from thalweg.core.tables import column, frame_of, table_kind
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
-from thalweg.lightsheet.poses.poses import M_PER_MM
-from thalweg.lightsheet.scanning.against_mesh import (
+from thalweg.clocks import read_number_columns
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    GeometryError,
+    InputError,
+    Rigid,
+    ThalwegError,
+    column,
+    frame_of,
+    table_kind,
+)
+from thalweg.lightsheet.calibration import other_readings
+from thalweg.lightsheet.lines import LineFlag
+from thalweg.lightsheet.optics import Sensor
+from thalweg.lightsheet.poses import M_PER_MM, SensorPoses
+from thalweg.lightsheet.scanning.alignment import Alignment, LineCheck, align, check_lines, from_pairs, of_all
+from thalweg.lightsheet.scanning.distances import (
     MAX_DISTANCE_MM,
+    NMAD,
+    RULES,
+    TABLE_2,
+    TABLE_3,
     MeshDistances,
+    bimodality,
     border_effect,
+    filtered,
     honesty,
     mesh_distances,
     normality,
 )
-from thalweg.lightsheet.scanning.cloud import ScanCloud
 from thalweg.lightsheet.scanning.levels import Levels, fit_levels
-from thalweg.lightsheet.scanning.outliers import NMAD, RULES, TABLE_2, TABLE_3, filtered
-from thalweg.surface.cloud_to_mesh import Surface
-
-# ---------------------------------------------------------------- alignment of a scan with a reference mesh:
-# from picked pairs, then by iterated nearest places (P4 7.3)
-#
-# Each turn takes the tangential plane at the nearest place of each point (Chen and Medioni 1992) and adjusts
-# a shift and a small rotation through `thalweg.core.adjustment.solve`, each distance weighted by what is
-# predicted for it; nearest places on the border of the mesh take no part.
-#
-# Points of a line share the error of their pose, and all points share those of the sensor; the adjustment
-# knows nothing of that. The covariance of the motion therefore is not that of the normal equations but ::
-#
-#     K S K^T,    K = N^-1 A^T W,    S = own errors (with their neighbours) + poses + shared errors
-
-
-MOST_POINTS: Final = 20_000
-_LEAST_POINTS: Final = 50
-_STEP_NMAD: Final = 0.02
-"""Largest motion of a point in the last turn, as a share of the scatter of distances."""
-_TURNS: Final = 60
-_WHOLE_STEPS: Final = 15
-_NAMES: Final = ("shift x", "shift y", "shift z", "turn about x", "turn about y", "turn about z")
-_REJECT: Final = 5.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Alignment:
-    """Result of `align`.
-
-    ``T_mesh_target`` brings the scan onto the mesh, with the covariance of everything that is known;
-    ``cov_fit`` (6, 6) the part of it that other lines of the same sensor would change (no shared errors);
-    ``by_shared`` (6, k) change of the motion by each shared error;
-    ``cloud`` and ``distances`` of all points, aligned; ``sigma0`` of the last adjustment; ``turns``, ``n``
-    points that took part; ``last_step_mm`` largest motion of a point in the last turn.
-    """
-
-    T_mesh_target: Rigid
-    cov_fit: ArrayF
-    by_shared: ArrayF
-    cloud: ScanCloud
-    distances: MeshDistances
-    sigma0: float
-    turns: int
-    n: int
-    last_step_mm: float
-
-    @property
-    def sigma_shift_mm(self) -> ArrayF:
-        """(3,) of a shift of the middle of the points."""
-        return np.asarray(np.sqrt(np.maximum(np.diag(self.cov_fit)[:3], 0.0)) / M_PER_MM)
-
-
-def from_pairs(scan_m: ArrayF, mesh_m: ArrayF) -> Rigid:
-    """Rigid motion that brings picked points of a scan (n, 3) onto those of a mesh (n, 3) (Kabsch 1976).
-
-    Raises
-    ------
-    GeometryError : fewer than three pairs, pairs on a line, or pairs that are no motion of each other.
-    """
-    a, b = np.asarray(scan_m, dtype=np.float64), np.asarray(mesh_m, dtype=np.float64)
-    if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 3 or len(a) < 3:
-        raise GeometryError(f"picked points {a.shape} and {b.shape}", expected="three and more pairs")
-    left, right = a - a.mean(axis=0), b - b.mean(axis=0)
-    U, _, Vt = np.linalg.svd(right.T @ left)
-    spread = np.linalg.svd(left, compute_uv=False)
-    if spread[1] < 0.05 * spread[0]:
-        raise GeometryError("the picked points lie on a line", expected="points that span the object")
-    D = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
-    R = U @ D @ Vt
-    off = right - left @ R.T
-    rms = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-    if rms > 0.2 * float(spread[0]) / np.sqrt(len(a)):
-        raise GeometryError(
-            f"the pairs differ by {1e3 * rms:.1f} mm after the best motion",
-            expected="the same points in both lists, in the same order",
-            where="picked pairs",
-        )
-    return Rigid(R=R, shift_m=b.mean(axis=0) - R @ a.mean(axis=0))
-
-
-def align(
-    cloud: ScanCloud,
-    surface: Surface,
-    start: Rigid,
-    *,
-    start_mm: float = 8.0,
-    max_distance_mm: float = MAX_DISTANCE_MM,
-    reference_sigma_mm: float = 0.0,
-) -> Alignment:
-    """Align a scan with a mesh.
-
-    Parameters
-    ----------
-    cloud : in the frame of its poses.
-    surface : the reference in its own frame, metres.
-    start : approximate ``T_mesh_target``, such as that of `from_pairs`.
-    start_mm : how far points may lie from the mesh at the start; the limit narrows down to
-        ``max_distance_mm``.
-    max_distance_mm, reference_sigma_mm : see `mesh_distances`.
-
-    Raises
-    ------
-    UnobservableError : the surface leaves motions free, such as shifts along a plane.
-    GeometryError : too few points near the mesh, or no convergence.
-    """
-    step = max(1, len(cloud) // MOST_POINTS)
-    few = cloud.where(np.arange(len(cloud)) % step == 0)
-    T, limit, moved_mm, turns = start, max(start_mm, max_distance_mm), np.inf, 0
-    kept, sigma0 = np.zeros(len(few), dtype=np.bool_), 1.0
-    while turns < _TURNS:
-        here = few.moved(T)
-        found = mesh_distances(here, surface, max_distance_mm=limit, reference_sigma_mm=reference_sigma_mm)
-        if found.used.sum() < _LEAST_POINTS:
-            raise GeometryError(
-                f"{int(found.used.sum())} of {len(here)} points lie within {limit:.1f} mm of the mesh",
-                expected=f"at least {_LEAST_POINTS}", where="alignment with the reference",
-                cure="Give a better start: pick points that can be seen in both, and check the units",
-            )  # fmt: skip
-        dx, kept, sigma0 = _step(here, found, T.shift_m)
-        # points that change between two faces at every turn would swing for ever
-        dx = dx if turns < _WHOLE_STEPS else dx / 2
-        arms = here.xyz_m - T.shift_m
-        T = T.moved(dx)
-        far = np.linalg.norm(dx[:3] + np.cross(dx[3:], arms[found.used]), axis=1)
-        moved_mm, turns = float(far.max()) / M_PER_MM, turns + 1
-        d = found.distance_mm[found.used]
-        narrow = max(max_distance_mm, 6.0 * NMAD * float(np.median(np.abs(d))))
-        steady = narrow >= limit - 1e-9
-        limit = min(limit, narrow)
-        if steady and moved_mm < _STEP_NMAD * NMAD * float(np.median(np.abs(d))):
-            break
-    else:
-        raise GeometryError(
-            f"no convergence in {_TURNS} turns; the last step was {moved_mm:.3f} mm",
-            expected="a start within some millimetres, and surfaces in three directions",
-            where="alignment with the reference",
-            cure="Give a better start; an object of parallel planes is compared with planes instead",
-        )  # fmt: skip
-    here = few.moved(T)
-    last = mesh_distances(here, surface, max_distance_mm=limit, reference_sigma_mm=reference_sigma_mm)
-    kept &= last.used
-    cov_fit, by_shared = _covariances(here.where(kept), last, kept, T.shift_m, step)
-    done = Alignment(
-        T_mesh_target=T.with_cov(cov_fit + by_shared @ by_shared.T), cov_fit=cov_fit, by_shared=by_shared,
-        cloud=here, distances=last, sigma0=sigma0, turns=turns, n=int(kept.sum()), last_step_mm=moved_mm,
-    )  # fmt: skip
-    return of_all(
-        done, cloud, surface, max_distance_mm=max_distance_mm, reference_sigma_mm=reference_sigma_mm
-    )
-
-
-def of_all(
-    found: Alignment,
-    cloud: ScanCloud,
-    surface: Surface,
-    *,
-    max_distance_mm: float = MAX_DISTANCE_MM,
-    reference_sigma_mm: float = 0.0,
-) -> Alignment:
-    """The same motion applied to all points of a scan; shared sigmas are what the alignment leaves of them.
-
-    Parameters are those of `align`.
-    """
-    T = found.T_mesh_target
-    whole = cloud.moved(T)
-    distances = mesh_distances(
-        whole, surface, max_distance_mm=max_distance_mm, reference_sigma_mm=reference_sigma_mm
-    )
-    left = whole.shared_rates(distances.normal) - _rates(whole, distances.normal, T.shift_m) @ found.by_shared
-    sigma_mm = np.linalg.norm(left, axis=1) / M_PER_MM
-    return replace(found, cloud=whole, distances=distances.with_shared(sigma_mm))
-
-
-def _rates(cloud: ScanCloud, normal: ArrayF, origin_m: ArrayF) -> ArrayF:
-    """(n, 6) change of distances with the error (shift, turn) of the motion, as `Rigid.moved` counts it."""
-    return np.concatenate([normal, np.cross(cloud.xyz_m - origin_m, normal)], axis=1)
-
-
-def _step(cloud: ScanCloud, found: MeshDistances, shift_m: ArrayF) -> tuple[ArrayF, ArrayB, float]:
-    """Motion (6,) about the middle of the points, who took part (n,), sigma of unit weight.
-
-    The turn of `Rigid.moved` is about the origin of the scan's frame; unknowns are about the middle of the
-    points, where shift and turn are not correlated.
-    """
-    use = np.flatnonzero(found.used)
-    normal, centre = found.normal[use], cloud.xyz_m[use].mean(axis=0)
-    A = _rates(cloud.where(use), normal, centre)
-    d, variance = found.distance_mm[use] * M_PER_MM, (found.sigma_mm[use] * M_PER_MM) ** 2
-
-    def planes(x: ArrayF) -> Linear:
-        """Distances from the tangential planes."""
-        return Linear(residual=d + A @ x, jacobian=A, cov=variance)
-
-    try:
-        done = adjust(
-            [Observations("distances", planes)], np.zeros(6), _NAMES, loss="huber", reject_sigmas=_REJECT
-        )
-    except UnobservableError as error:
-        raise UnobservableError(
-            error.parameters, defects=error.defects,
-            cure="Align on an object with surfaces in three directions, or compare with planes",
-        ) from error  # fmt: skip
-    kept = np.zeros(len(cloud), dtype=np.bool_)
-    kept[use] = done.used["distances"]
-    dx = np.concatenate([done.x[:3] + np.cross(done.x[3:], shift_m - centre), done.x[3:]])
-    return dx, kept, float(np.sqrt(done.sigma0_squared))
-
-
-def _covariances(
-    cloud: ScanCloud, found: MeshDistances, kept: ArrayB, shift_m: ArrayF, step: int
-) -> tuple[ArrayF, ArrayF]:
-    """Covariance (6, 6) of the motion by own errors and poses, and its change (6, k) by each shared error.
-
-    ``cloud`` are the points that took part, ``found`` and ``kept`` belong to all that were asked.
-    """
-    normal = found.normal[kept]
-    A = _rates(cloud, normal, shift_m)
-    weight = 1.0 / (found.sigma_mm[kept] * M_PER_MM) ** 2
-    N = A.T @ (weight[:, None] * A)
-    K = np.linalg.solve(N, (weight[:, None] * A).T)
-    neighbours = max(1.0 / cloud.independent_share / step, 1.0)
-    single = neighbours * found.sigma_own_mm[kept] ** 2 + found.sigma_reference_mm[kept] ** 2
-    cov = (K * (single * M_PER_MM**2)) @ K.T
-    by_pose = cloud.pose_rates(normal)
-    for k in np.unique(cloud.number):
-        own = cloud.number == k
-        moved = K[:, own] @ by_pose[own]
-        cov += moved @ cloud.poses.cov[k] @ moved.T
-    return np.asarray((cov + cov.T) / 2), np.asarray(K @ cloud.shared_rates(normal))
-
-
-# ---------------------------------------------------------------- whole scan lines that lie off: poses that
-# are worse than their sigmas say (P4 7.3)
-#
-# For each line its distances from the reference give a mean and a slope along the line. Both are predicted by
-# the covariance of the line's pose and by the errors of its points::
-#
-#     e = B^+ d,     Cov e = B^+ (G C_pose G^T + own errors) B^+^T,     T = e^T Cov^-1 e
-#
-# with ``B = [1, s]``. T follows a chi-square distribution of two degrees of freedom if the pose is as good as
-# stated. The limit scales with the median of T over all lines where that is larger than expected: errors that
-# all lines have, such as those of the sensor, do not make a pose bad.
-
-
-LEVEL: Final = 0.01
-"""Probability with which a scan without bad poses gets one marked."""
-
-LEAST_POINTS: Final = 30
-_CUT_NMAD: Final = 5.0
-_DEGREES: Final = 2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LineCheck:
-    """Result of `check_lines`.
-
-    ``table`` one row for each image: image, number, n, mean_mm, sigma_mean_mm (predicted), slope_mm (half the
-    change along the line), sigma_slope_mm, statistic, limit, bad, reason; ``scale`` by which the limit was
-    widened; ``bad`` (n,) points of bad lines.
-    """
-
-    table: pd.DataFrame
-    scale: float
-    bad: ArrayB
-
-    @property
-    def images(self) -> list[str]:
-        """Names of the images with bad poses."""
-        return [str(name) for name in self.table["image"][self.table["bad"]]]
-
-
-def check_lines(cloud: ScanCloud, found: MeshDistances, *, level: float = LEVEL) -> LineCheck:
-    """Find lines whose distances do not agree with the covariance of their pose.
-
-    Parameters
-    ----------
-    cloud, found : points in the frame of the reference, and their distances. Lines with fewer than
-        `LEAST_POINTS` points on the reference are not judged.
-    level : probability of a false alarm in the whole scan.
-    """
-    rates = cloud.pose_rates(found.normal) / M_PER_MM
-    rows = []
-    for k in range(len(cloud.poses)):
-        on = np.flatnonzero((cloud.number == k) & found.used)
-        row = {"image": cloud.poses.images[k], "number": k, "n": len(on)}
-        if len(on) < LEAST_POINTS:
-            rows.append({**row, "reason": f"fewer than {LEAST_POINTS} points on the reference"})
-            continue
-        rows.append({**row, **_line(cloud, found, rates, on), "reason": ""})
-    columns = ["image", "number", "n", "mean_mm", "sigma_mean_mm", "slope_mm", "sigma_slope_mm", "statistic",
-               "reason"]  # fmt: skip
-    table = pd.DataFrame(rows, columns=columns)
-    values = table["statistic"].to_numpy(np.float64)
-    judged = np.isfinite(values)
-    scale = 1.0
-    if judged.sum() >= 3:
-        scale = max(1.0, float(np.median(values[judged])) / float(chi2.median(_DEGREES)))
-    limit = scale * float(chi2.isf(level / max(int(judged.sum()), 1), _DEGREES))
-    table["limit"] = limit
-    table["bad"] = judged & (np.nan_to_num(values) > limit)
-    bad_numbers: ArrayI = table["number"].to_numpy(np.int64)[table["bad"].to_numpy()]
-    return LineCheck(table=table, scale=scale, bad=np.isin(cloud.number, bad_numbers))
-
-
-def _line(cloud: ScanCloud, found: MeshDistances, rates: ArrayF, on: ArrayI) -> dict[str, float]:
-    """Mean and slope of one line, their predicted sigmas, and the statistic."""
-    d = found.distance_mm[on]
-    away = np.abs(d - np.median(d))
-    on = on[away <= _CUT_NMAD * max(NMAD * float(np.median(away)), 1e-6)]
-    d = found.distance_mm[on]
-    X = cloud.xyz_m[on] - cloud.xyz_m[on].mean(axis=0)
-    along = X @ np.linalg.svd(X, full_matrices=False)[2][0]
-    half = max(float(np.abs(along).max()), 1e-9)
-    B = np.stack([np.ones(len(on)), along / half], axis=1)
-    back = np.linalg.pinv(B)
-    e = back @ d
-    by_pose = back @ rates[on]
-    # what the image measurement leaves: predicted, or what the line shows where that is more
-    single = np.hypot(found.sigma_own_mm[on], found.sigma_reference_mm[on])
-    seen = float(np.std(d - B @ e)) / max(float(np.sqrt(np.mean(single**2))), 1e-12)
-    variance = (single * max(seen, 1.0)) ** 2 / cloud.where(on).independent_share
-    cov = by_pose @ cloud.poses.cov[cloud.number[on[0]]] @ by_pose.T + (back * variance) @ back.T
-    sigma = np.sqrt(np.diag(cov))
-    return {
-        "mean_mm": float(e[0]), "sigma_mean_mm": float(sigma[0]), "slope_mm": float(e[1]),
-        "sigma_slope_mm": float(sigma[1]), "statistic": float(e @ np.linalg.solve(cov, e)),
-    }  # fmt: skip
-
-
-# ---------------------------------------------------------------- A scan against its reference: aligned, bad
-# poses found, numbers as P4 Table 3 (P4 7.3)
-
+from thalweg.lightsheet.scanning.profile import (
+    ScanCloud,
+    independent_share,
+    merge,
+    profile_of_table,
+    profiles,
+    sigma_along,
+)
+from thalweg.surface import Surface
 
 _MOST_BAD: Final = 0.4
 _ROUNDS: Final = 3
+
+
+PUBLISHED_NAMES: Final = {"stepped": "stepped_object"}
+"""Scan -> object in the published tables, where they differ."""
+
+_LEVELS_OFF: Final = 3.0
+_LEAST_OFF_MM: Final = 0.4
+"""Scatter about the common planes, in that about planes of their own and in mm, that only wrong heights
+leave."""
+
+_LEAST_ON_LEVEL: Final = 10
+_MANY_BESIDE: Final = 0.3
+
+PAIR_COLUMNS: Final = tuple(f"{where}_{a}_m" for where in ("scan", "mesh") for a in "xyz")
+_F = pa.float64()
+
+SCAN_DISTANCES: Final = table_kind(
+    "scan_distances",
+    1,
+    [
+        column("file", pa.string(), "1", "name of the image"),
+        *(column(f"{a}_m", _F, "m", f"{a} in the frame of the reference") for a in "xyz"),
+        column("distance_mm", _F, "mm", "signed distance from the reference, positive in front of it"),
+        column("sigma_mm", _F, "mm", "its predicted standard deviation"),
+        column("sigma_own_mm", _F, "mm", "share of the image measurement"),
+        column("sigma_pose_mm", _F, "mm", "share of the pose of the image"),
+        column("peak_dn", _F, "1", "height of the line above its background"),
+        column("flags", pa.uint8(), "1", "as in the line points"),
+        column("used", pa.bool_(), "1", "the point has a counterpart and its line a good pose"),
+        column("reason", pa.string(), "1", "why it is not used: far, at_border, bad_pose"),
+    ],
+)
+"""Points of a scan with their distances."""
+
+DOUBT: Final = 25.0
+"""Median of the lines' statistics over its expectation: half of the lines are off by five sigmas."""
+_BETTER: Final = 0.1
+"""A disagreement of lines that many times smaller is an explanation."""
+_SHARE: Final = 0.3
+"""Of the points that must have a counterpart for a reading to count."""
+_LEAST_LINES: Final = 3
+_POINTS_OF_LINE: Final = 150
+_SHIFTS: Final = (-2, -1, 1, 2)
+
+Pairs = tuple[ArrayF, ArrayF]
+
+TILT_SIGMA_RAD: Final = 0.003
+"""How well the window stands parallel to the levels: a single line tells no tilt across itself."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -405,16 +152,40 @@ class ScanResult:
         found = self.alignment
         share = found.cloud.where(self.used).independent_share
         return {
-            "counts": {**found.cloud.counts, **self.distances.counts(), "on_bad_lines": int(
-                (self.distances.used & self.check.bad).sum()
-            )},
-            "images_left_out": found.cloud.left_out, "images_with_bad_pose": self.check.images,
-            "line_limit_scale": self.check.scale, "sigma0": found.sigma0, "turns": found.turns,
+            "counts": {
+                **found.cloud.counts,
+                **self.distances.counts(),
+                "on_bad_lines": int((self.distances.used & self.check.bad).sum()),
+            },
+            "images_left_out": found.cloud.left_out,
+            "images_with_bad_pose": self.check.images,
+            "line_limit_scale": self.check.scale,
+            "sigma0": found.sigma0,
+            "turns": found.turns,
             "sigma_turn_deg": np.rad2deg(found.T_mesh_target.sigma_rotation_rad).tolist(),
-            "border": border_effect(self.distances), "shape": normality(self.distance_mm, share),
+            "border": border_effect(self.distances),
+            "shape": normality(self.distance_mm, share),
             "honesty": honesty(self.distances.distance_mm, self.distances.sigma_mm, self.used),
             "independent_share": share,
-        }  # fmt: skip
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """A scan in the frame of its reference, distances of all points, lines with bad poses, and facts."""
+
+    cloud: ScanCloud
+    distances: MeshDistances
+    check: LineCheck
+    facts: dict[str, Any]
+
+    @property
+    def used(self) -> ArrayB:
+        """(n,) points with a counterpart on lines with good poses."""
+        return self.distances.used & ~self.check.bad
+
+
+Compare = Callable[[ScanCloud], Compared]
 
 
 def scan_against_mesh(
@@ -447,10 +218,11 @@ def scan_against_mesh(
         if len(check.images) > _MOST_BAD * judged:
             raise GeometryError(
                 f"{len(check.images)} of {judged} lines lie off by more than their poses explain",
-                expected="a few bad poses at most", where="scan against its reference",
+                expected="a few bad poses at most",
+                where="scan against its reference",
                 cure="Check that images and poses belong together (files in one order, nothing renamed), and "
                 "that the panel was not moved on the sensor",
-            )  # fmt: skip
+            )
         good = align(
             cloud.where(~check.bad), surface, found.T_mesh_target, start_mm=max_distance_mm, **options
         )
@@ -461,57 +233,6 @@ def scan_against_mesh(
             break
         check = again
     return ScanResult(alignment=found, check=check, used=found.distances.used & ~check.bad)
-
-
-# ---------------------------------------------------------------- compare
-
-
-PUBLISHED_NAMES: Final = {"stepped": "stepped_object"}
-"""Scan -> object in the published tables, where they differ."""
-
-_LEVELS_OFF: Final = 3.0
-_LEAST_OFF_MM: Final = 0.4
-"""Scatter about the common planes, in that about planes of their own and in mm, that only wrong heights
-leave."""
-
-_LEAST_ON_LEVEL: Final = 10
-_MANY_BESIDE: Final = 0.3
-
-PAIR_COLUMNS: Final = tuple(f"{where}_{a}_m" for where in ("scan", "mesh") for a in "xyz")
-_F = pa.float64()
-
-SCAN_DISTANCES: Final = table_kind(
-    "scan_distances",
-    1,
-    [
-        column("file", pa.string(), "1", "name of the image"),
-        *(column(f"{a}_m", _F, "m", f"{a} in the frame of the reference") for a in "xyz"),
-        column("distance_mm", _F, "mm", "signed distance from the reference, positive in front of it"),
-        column("sigma_mm", _F, "mm", "its predicted standard deviation"),
-        column("sigma_own_mm", _F, "mm", "share of the image measurement"),
-        column("sigma_pose_mm", _F, "mm", "share of the pose of the image"),
-        column("peak_dn", _F, "1", "height of the line above its background"),
-        column("flags", pa.uint8(), "1", "as in the line points"),
-        column("used", pa.bool_(), "1", "the point has a counterpart and its line a good pose"),
-        column("reason", pa.string(), "1", "why it is not used: far, at_border, bad_pose"),
-    ],
-)
-"""Points of a scan with their distances."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Compared:
-    """A scan in the frame of its reference, distances of all points, lines with bad poses, and facts."""
-
-    cloud: ScanCloud
-    distances: MeshDistances
-    check: LineCheck
-    facts: dict[str, Any]
-
-    @property
-    def used(self) -> ArrayB:
-        """(n,) points with a counterpart on lines with good poses."""
-        return self.distances.used & ~self.check.bad
 
 
 def read_pairs(path: Path) -> tuple[ArrayF, ArrayF]:
@@ -539,8 +260,12 @@ def compare_with_mesh(
     """
     found = scan_against_mesh(cloud, surface, from_pairs(*pairs), start_mm=picked_mm)
     T = found.alignment.T_mesh_target
-    facts = {"reference": "mesh", **found.facts(), "R_reference_target": T.R.tolist(),
-             "shift_reference_target_m": T.shift_m.tolist()}  # fmt: skip
+    facts = {
+        "reference": "mesh",
+        **found.facts(),
+        "R_reference_target": T.R.tolist(),
+        "shift_reference_target_m": T.shift_m.tolist(),
+    }
     return Compared(cloud=found.alignment.cloud, distances=found.distances, check=found.check, facts=facts)
 
 
@@ -574,52 +299,51 @@ def compare_with_levels(
     own, _, _ = here.variances_along(np.tile(up, (len(here), 1)))
     on = mesh_distances(here, surface, max_distance_mm=picked_mm).used
     found = fit_levels(
-        here.xyz_m[on] / M_PER_MM, up, heights_mm=heights_mm, sigma_mm=np.sqrt(own[on]) / M_PER_MM,
+        here.xyz_m[on] / M_PER_MM,
+        up,
+        heights_mm=heights_mm,
+        sigma_mm=np.sqrt(own[on]) / M_PER_MM,
         near_mm=near_mm,
-    )  # fmt: skip
+    )
     _require_heights(found, heights_mm)
     distance, far = np.full(len(here), near_mm), np.ones(len(here), dtype=np.bool_)
     distance[on], far[on] = np.nan_to_num(found.distance_mm, nan=near_mm), ~found.used
     normal = np.tile(found.normal, (len(here), 1))
     single, pose, _ = here.variances_along(normal)
     distances = MeshDistances(
-        distance_mm=distance, normal=normal,
-        sigma_own_mm=np.sqrt(single) / M_PER_MM, sigma_pose_mm=np.sqrt(pose) / M_PER_MM,
+        distance_mm=distance,
+        normal=normal,
+        sigma_own_mm=np.sqrt(single) / M_PER_MM,
+        sigma_pose_mm=np.sqrt(pose) / M_PER_MM,
         # errors that all points share shift and tilt the planes with them; how they bend them is left out
-        sigma_shared_mm=np.zeros(len(here)), sigma_reference_mm=np.zeros(len(here)),
-        at_border=np.zeros(len(here), dtype=np.bool_), far=far,
-    )  # fmt: skip
+        sigma_shared_mm=np.zeros(len(here)),
+        sigma_reference_mm=np.zeros(len(here)),
+        at_border=np.zeros(len(here), dtype=np.bool_),
+        far=far,
+    )
     check = check_lines(here, distances)
     used = distances.used & ~check.bad
     share = here.where(used).independent_share
     facts = {
-        "reference": "planes", "counts": {**here.counts, **distances.counts(),
-                                          "on_bad_lines": int((distances.used & check.bad).sum())},
-        "images_left_out": here.left_out, "images_with_bad_pose": check.images,
-        "line_limit_scale": check.scale, "sigma0": float(np.sqrt(found.adjusted.sigma0_squared)),
+        "reference": "planes",
+        "counts": {
+            **here.counts,
+            **distances.counts(),
+            "on_bad_lines": int((distances.used & check.bad).sum()),
+        },
+        "images_left_out": here.left_out,
+        "images_with_bad_pose": check.images,
+        "line_limit_scale": check.scale,
+        "sigma0": float(np.sqrt(found.adjusted.sigma0_squared)),
         "shape": normality(distances.distance_mm[used], share),
-        "honesty": honesty(distances.distance_mm, distances.sigma_mm, used), "independent_share": share,
-        "levels": level_facts(found, heights_mm), "warnings": level_warnings(found, heights_mm),
+        "honesty": honesty(distances.distance_mm, distances.sigma_mm, used),
+        "independent_share": share,
+        "levels": level_facts(found, heights_mm),
+        "warnings": level_warnings(found, heights_mm),
         "R_reference_target": T.R.tolist(),
         "shift_reference_target_m": T.shift_m.tolist(),
-    }  # fmt: skip
+    }
     return Compared(cloud=here, distances=distances, check=check, facts=facts)
-
-
-def _require_heights(found: Levels, heights_mm: tuple[float, ...]) -> None:
-    """Refuse heights that are not those of the object: a tilt then takes up the mean of their errors."""
-    n = np.maximum(found.plane_n - 3, 0)
-    if not n.any():
-        return
-    own = float(np.sqrt(np.nansum(n * found.plane_rms_mm**2) / n.sum()))
-    off = float(np.sqrt(np.mean(np.square(found.distance_mm[found.used]))))
-    if off > max(_LEVELS_OFF * own, _LEAST_OFF_MM):
-        raise GeometryError(
-            f"each level is plane to {own:.2f} mm, but together they lie {off:.2f} mm off planes at "
-            f"{', '.join(f'{h:g}' for h in heights_mm)} mm",
-            expected="levels at these heights", where="levels",
-            cure="Check light_sheet.levels_mm of this scan, and the refractive indices of the sensor",
-        )  # fmt: skip
 
 
 def level_warnings(found: Levels, heights_mm: tuple[float, ...]) -> list[str]:
@@ -672,12 +396,21 @@ def distance_table(found: Compared) -> pd.DataFrame:
     cloud, d = found.cloud, found.distances
     reason = np.select([d.far, d.at_border, found.check.bad], ["far", "at_border", "bad_pose"], default="")
     names = np.array(cloud.poses.images, dtype=object)
-    return frame_of(SCAN_DISTANCES, {
-        "file": names[cloud.number], **{f"{a}_m": cloud.xyz_m[:, i] for i, a in enumerate("xyz")},
-        "distance_mm": d.distance_mm, "sigma_mm": d.sigma_mm, "sigma_own_mm": d.sigma_own_mm,
-        "sigma_pose_mm": d.sigma_pose_mm, "peak_dn": cloud.peak_dn, "flags": cloud.flags,
-        "used": found.used, "reason": reason.astype(object),
-    })  # fmt: skip
+    return frame_of(
+        SCAN_DISTANCES,
+        {
+            "file": names[cloud.number],
+            **{f"{a}_m": cloud.xyz_m[:, i] for i, a in enumerate("xyz")},
+            "distance_mm": d.distance_mm,
+            "sigma_mm": d.sigma_mm,
+            "sigma_own_mm": d.sigma_own_mm,
+            "sigma_pose_mm": d.sigma_pose_mm,
+            "peak_dn": cloud.peak_dn,
+            "flags": cloud.flags,
+            "used": found.used,
+            "reason": reason.astype(object),
+        },
+    )
 
 
 def to_reference(facts: dict[str, Any]) -> Rigid:
@@ -686,3 +419,233 @@ def to_reference(facts: dict[str, Any]) -> Rigid:
         R=np.asarray(facts["R_reference_target"], dtype=np.float64),
         shift_m=np.asarray(facts["shift_reference_target_m"], dtype=np.float64),
     )
+
+
+def compare_scan(
+    sensor: Sensor,
+    line_points: pd.DataFrame,
+    poses: SensorPoses,
+    surface: Surface,
+    pairs: Pairs,
+    levels_mm: tuple[float, ...] | None = None,
+) -> Compared:
+    """Compare a scan with its reference.
+
+    Parameters
+    ----------
+    sensor : calibrated.
+    line_points : of all images, `thalweg.lightsheet.poses.series.SERIES_POINTS`.
+    poses : of the images.
+    surface : reference mesh.
+    pairs : picked places, see `thalweg.lightsheet.scanning.compare.read_pairs`.
+    levels_mm : heights of the planes of an object that consists of such; None: compared with the mesh.
+
+    Returns
+    -------
+    Compared; its facts have ``brightness`` (`thalweg.lightsheet.scanning.distances`) and ``warnings``.
+
+    Raises
+    ------
+    InputError : no image gives a point, or none has a pose.
+    GeometryError : scan and reference contradict each other; the cure names the reading of pictures, medium
+        or order that would explain it, if one of those known does.
+    """
+
+    def compare(cloud: ScanCloud) -> Compared:
+        """One cloud against the reference."""
+        if levels_mm is None:
+            return compare_with_mesh(cloud, surface, pairs)
+        return compare_with_levels(cloud, surface, levels_mm, pairs)
+
+    try:
+        found = compare(merge(profiles(sensor, line_points)[0], poses))
+    except GeometryError as error:
+        cure = explanation(sensor, line_points, poses, compare, limit=DOUBT)
+        raise GeometryError(
+            error.found,
+            expected=error.expected,
+            where=error.where or "scan against its reference",
+            cure=cure or error.cure,
+        ) from error
+    warnings = found.facts.setdefault("warnings", [])
+    found.facts["brightness"], bias = _by_brightness(found)
+    if bias:
+        warnings.append(bias)
+    if found.check.scale < DOUBT:
+        return found
+    words = (
+        f"half of the lines lie off the reference by more than {np.sqrt(found.check.scale):.0f} times what "
+        "their poses explain"
+    )
+    cure = explanation(sensor, line_points, poses, compare, limit=_BETTER * found.check.scale)
+    if cure:
+        raise GeometryError(
+            words, expected="lines that agree with each other", where="scan against its reference", cure=cure
+        )
+    warnings.append(f"{words}: no line can be told from the others by its pose")
+    return found
+
+
+def explanation(
+    sensor: Sensor, line_points: pd.DataFrame, poses: SensorPoses, compare: Compare, *, limit: float
+) -> str:
+    """The reading under which the lines of a scan agree best; "" if none makes them agree.
+
+    Parameters
+    ----------
+    sensor, line_points, poses : see `compare_scan`.
+    compare : of a cloud in the frame of the poses.
+    limit : disagreement of lines (`thalweg.lightsheet.scanning.compare.LineCheck.scale`) that a reading
+        must stay below.
+    """
+    few = line_points.iloc[:: max(1, len(line_points) // (_POINTS_OF_LINE * max(len(poses), 1)))]
+    best, told = limit, ""
+    for cure, other, points, moved in _readings(sensor, few, poses):
+        try:
+            found = compare(merge(profiles(other, points)[0], moved))
+        except (ThalwegError, np.linalg.LinAlgError):
+            continue
+        used, scale = found.distances.used, found.check.scale
+        judged = int(found.check.table["statistic"].notna().sum())
+        if used.mean() > _SHARE and judged >= _LEAST_LINES and scale < best:
+            rms = float(np.sqrt(np.mean(np.square(found.distances.distance_mm[used]))))
+            best, told = scale, f"{cure} (then {rms:.2f} mm root mean square)"
+    return told
+
+
+def middle_image(distances: pd.DataFrame) -> str:
+    """Name of the image in the middle of a scan, among those that have at least half of the most points.
+
+    Parameters
+    ----------
+    distances : `thalweg.lightsheet.scanning.compare.SCAN_DISTANCES`.
+
+    Raises
+    ------
+    InputError : no point is used.
+    """
+    counts = distances[distances["used"]].groupby("file", sort=False).size()
+    if not len(counts):
+        raise InputError("no point of the scan is used", expected="points on the reference", where="profile")
+    full = counts[counts >= 0.5 * counts.max()].index
+    return str(full[len(full) // 2])
+
+
+def single_profile(
+    sensor: Sensor,
+    line_points: pd.DataFrame,
+    distances: pd.DataFrame,
+    name: str,
+    heights_mm: tuple[float, ...] | None = None,
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Statistics of the scan's middle profile.
+
+    Parameters
+    ----------
+    sensor : calibrated.
+    line_points : of all images of the scan.
+    distances : of the scan from its reference; for an object without levels its alignment counts for the
+        profile too, because a line alone leaves the motion along a surface free.
+    name : of the scan.
+    heights_mm : levels of the object, which are then fitted to this line alone.
+
+    Returns
+    -------
+    A row for each outlier rule and the published one, and facts: image, levels, bimodality.
+    """
+    image = middle_image(distances)
+    facts: dict[str, Any] = {"image": image}
+    if heights_mm is None:
+        mine = distances[(distances["file"] == image) & distances["used"]]
+        d, peak = mine["distance_mm"].to_numpy(), mine["peak_dn"].to_numpy()
+        share = 1.0 / max(float(line_points["rows"][line_points["file"] == image].mean()), 1.0)
+    else:
+        one = profile_of_table(sensor, line_points, image)
+        up = sensor.window.normal_lcs
+        own, _ = sigma_along(one.own_mm, one.shared_mm, up)
+        found = fit_levels(
+            one.xyz_lcs_mm, up, heights_mm=heights_mm, sigma_mm=own, tilt_sigma_rad=TILT_SIGMA_RAD
+        )
+        on = found.used
+        d, peak = found.distance_mm[on], one.peak_dn[on]
+        share = independent_share(one.rows[on], one.piece[on])
+        facts |= {"levels": level_facts(found, heights_mm), "points_on_no_level": int((~on).sum())}
+    rows = pd.DataFrame([{"points": "middle line", "lines": 1, **filtered(d, rule).row()} for rule in RULES])
+    try:
+        facts["bimodality"] = bimodality(d, peak, independent_share=share).words()
+    except GeometryError as error:
+        facts["bimodality"] = error.found
+    facts["rms_mm"] = float(np.sqrt(np.mean(d**2)))
+    return pd.concat([rows, published(name, TABLE_2)], ignore_index=True), facts
+
+
+def _require_heights(found: Levels, heights_mm: tuple[float, ...]) -> None:
+    """Refuse heights that are not those of the object: a tilt then takes up the mean of their errors."""
+    n = np.maximum(found.plane_n - 3, 0)
+    if not n.any():
+        return
+    own = float(np.sqrt(np.nansum(n * found.plane_rms_mm**2) / n.sum()))
+    off = float(np.sqrt(np.mean(np.square(found.distance_mm[found.used]))))
+    if off > max(_LEVELS_OFF * own, _LEAST_OFF_MM):
+        raise GeometryError(
+            f"each level is plane to {own:.2f} mm, but together they lie {off:.2f} mm off planes at "
+            f"{', '.join(f'{h:g}' for h in heights_mm)} mm",
+            expected="levels at these heights",
+            where="levels",
+            cure="Check light_sheet.levels_mm of this scan, and the refractive indices of the sensor",
+        )
+
+
+def _by_brightness(found: Compared) -> tuple[dict[str, float | bool | str], str]:
+    """Whether brightness shifts the distances (P4 7.2), and a warning if by more than they scatter."""
+    on = found.used
+    d, bright = found.distances.distance_mm[on], (found.cloud.flags[on] & LineFlag.SATURATED) != 0
+    try:
+        modes = bimodality(
+            d,
+            found.cloud.peak_dn[on],
+            independent_share=found.cloud.where(on).independent_share,
+            bright=bright if 3 <= bright.sum() <= len(bright) - 3 else None,
+        )
+    except GeometryError as error:
+        return {"words": error.found}, ""
+    facts: dict[str, float | bool | str] = {
+        "shift_mm": modes.shift_mm,
+        "sigma_shift_mm": modes.sigma_shift_mm,
+        "by_brightness": modes.by_brightness,
+        "two_modes": modes.bimodal,
+        "words": modes.words(),
+    }
+    nmad = NMAD * float(np.median(np.abs(d - np.median(d))))
+    if not modes.by_brightness or abs(modes.shift_mm) < nmad:
+        return facts, ""
+    what = "over-exposed" if np.isnan(modes.threshold_dn) else "bright"
+    return facts, (
+        f"{what} points lie {modes.shift_mm:+.2f} mm from the others, which scatter by {nmad:.2f} mm: the "
+        "line is measured aside there (P4 7.2); expose shorter, or cover white markers"
+    )
+
+
+def _readings(
+    sensor: Sensor, points: pd.DataFrame, poses: SensorPoses
+) -> Iterator[tuple[str, Sensor, pd.DataFrame, SensorPoses]]:
+    """What else the scan could be: cure, sensor, points, poses."""
+    for reading in other_readings(sensor, points):
+        yield reading.cure, reading.sensor, reading.points, poses
+    names = poses.images
+    yield (
+        "The poses fit the images in reverse order: the recordings of both run against each other, sort the "
+        "files by time",
+        sensor,
+        points,
+        replace(poses, images=names[::-1]),
+    )
+    for shift in _SHIFTS:
+        if len(names) > 4 * abs(shift):
+            yield (
+                f"Each pose fits the image {abs(shift)} {'before' if shift > 0 else 'after'} its own: one "
+                "recording began later, or lost a picture; give marks the names of the images they belong to",
+                sensor,
+                points,
+                replace(poses, images=(*names[-shift:], *names[:-shift])),
+            )

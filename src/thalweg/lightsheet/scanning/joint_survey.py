@@ -14,10 +14,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.optics.volume import depth_lines
+from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError
+from thalweg.lightsheet.optics import Sensor, depth_lines
 
 ECHO_LEAST_M: Final = 0.2
 LASER_M: Final = (0.05, 0.2)
@@ -52,9 +50,10 @@ class Section:
             or max(d[0], d[-1]) > 0
         ):
             raise GeometryError(
-                f"a cross-section of {y.shape} places and {d.shape} depths", where="joint survey",
+                f"a cross-section of {y.shape} places and {d.shape} depths",
+                where="joint survey",
                 expected="three and more growing places with depths of zero at both edges of the water",
-            )  # fmt: skip
+            )
 
     def depth(self, across_m: ArrayF) -> ArrayF:
         """Depths (n,) at places (n,), zero on land."""
@@ -153,9 +152,12 @@ def joint_survey(section: Section, plan: SurveyPlan | None = None) -> JointSurve
     places = np.concatenate([echo, laser])
     kind = np.concatenate([np.full(len(echo), ECHO), np.full(len(laser), LASER)]).astype(np.int64)
     return JointSurvey(
-        track_m=track, places_m=places, instrument=kind, table=_by_depth(section, plan, echo, laser),
+        track_m=track,
+        places_m=places,
+        instrument=kind,
+        table=_by_depth(section, plan, echo, laser),
         facts=_facts(section, plan, echo, laser),
-    )  # fmt: skip
+    )
 
 
 def _track(section: Section, plan: SurveyPlan) -> ArrayF:
@@ -167,7 +169,7 @@ def _track(section: Section, plan: SurveyPlan) -> ArrayF:
             f"a river of at most {section.depth_m.max():.2f} m",
             where="joint survey",
             expected=f"{plan.least_depth_m} m for the boat",
-        )  # fmt: skip
+        )
     corners = np.arange(0.0, plan.length_m + plan.wavelength_m / 2, plan.wavelength_m / 2)
     corner_y = np.where(np.arange(len(corners)) % 2 == 0, deep[0], deep[-1])
     way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(corners), np.diff(corner_y)))])
@@ -211,6 +213,7 @@ def _covered(
     shape = (len(y), len(x))
 
     def marked(points: ArrayF) -> ArrayB:
+        """Cells that hold one of the points."""
         out = np.zeros(shape, dtype=np.bool_)
         i = ((points[:, 1] - section.across_m[0]) / CELL_M).astype(np.int64)
         j = (points[:, 0] / CELL_M).astype(np.int64)
@@ -221,9 +224,9 @@ def _covered(
     # the footprint of a sounding, as points on its disc
     radius = echo[:, 2] * np.tan(np.deg2rad(plan.echo_beam_deg / 2))
     ring = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
-    disc = np.concatenate([[[0.0, 0.0]], *(
-        r * np.stack([np.cos(ring), np.sin(ring)], axis=1) for r in (0.5, 1.0)
-    )])  # fmt: skip
+    disc = np.concatenate(
+        [[[0.0, 0.0]], *(r * np.stack([np.cos(ring), np.sin(ring)], axis=1) for r in (0.5, 1.0))]
+    )
     spots = (echo[:, None, :2] + radius[:, None, None] * disc).reshape(-1, 2)
     depth = np.repeat(section.depth(y)[:, None], len(x), axis=1)
     return depth, marked(spots), marked(laser)
@@ -238,12 +241,20 @@ def _by_depth(section: Section, plan: SurveyPlan, echo: ArrayF, laser: ArrayF) -
         if not area:
             continue
         n = [int(((p[:, 2] >= low) & (p[:, 2] < high)).sum()) for p in (echo, laser)]
-        rows.append({
-            "from_m": low, "to_m": high, "area_m2": area, "soundings": n[0], "laser_points": n[1],
-            "soundings_per_m2": n[0] / area, "laser_points_per_m2": n[1] / area,
-            "share_echo": float(by_echo[cells].mean()), "share_laser": float(by_laser[cells].mean()),
-            "share_joint": float((by_echo | by_laser)[cells].mean()),
-        })  # fmt: skip
+        rows.append(
+            {
+                "from_m": low,
+                "to_m": high,
+                "area_m2": area,
+                "soundings": n[0],
+                "laser_points": n[1],
+                "soundings_per_m2": n[0] / area,
+                "laser_points_per_m2": n[1] / area,
+                "share_echo": float(by_echo[cells].mean()),
+                "share_laser": float(by_laser[cells].mean()),
+                "share_joint": float((by_echo | by_laser)[cells].mean()),
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -255,12 +266,16 @@ def _facts(section: Section, plan: SurveyPlan, echo: ArrayF, laser: ArrayF) -> d
     joint = np.concatenate([echo, laser])
     spacing = plan.speed_mps / plan.echo_hz
     out: dict[str, Any] = {
-        "width_m": section.width_m, "share_of_width_echo": float(deep.mean()),
-        "share_of_width_laser": float(shallow.mean()), "share_of_width_joint": float((deep | shallow).mean()),
-        "soundings": len(echo), "laser_points": len(laser), "echo_spacing_m": spacing,
+        "width_m": section.width_m,
+        "share_of_width_echo": float(deep.mean()),
+        "share_of_width_laser": float(shallow.mean()),
+        "share_of_width_joint": float((deep | shallow).mean()),
+        "soundings": len(echo),
+        "laser_points": len(laser),
+        "echo_spacing_m": spacing,
         "laser_line_spacing_m": plan.speed_mps / plan.laser_hz,
         "points_per_sounding": len(laser) / max(len(echo), 1),
-    }  # fmt: skip
+    }
     for name, points in (("echo", echo), ("joint", joint)):
         first, last = (
             (float(points[:, 1].min()), float(points[:, 1].max())) if len(points) else (np.nan, np.nan)

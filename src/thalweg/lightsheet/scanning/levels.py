@@ -1,7 +1,7 @@
 """Parallel planes of known heights under a profile or a scan: the stepped object of P4 7.1 to 7.3.
 
 The object stands anywhere; three numbers say where its planes are: two tilts and a height. They are
-adjusted to the points through `thalweg.core.adjustment.solve`, the spacing of the planes being that of the
+adjusted to the points through `thalweg.core.adjustment`, the spacing of the planes being that of the
 reference. Points are given to the nearest plane; those farther than ``near_mm`` lie on the ground, on a
 side, or nowhere.
 """
@@ -11,9 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core.adjustment.solve import Adjusted, Linear, Observations, adjust
-from thalweg.core.errors import GeometryError
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
+from thalweg.core import Adjusted, ArrayB, ArrayF, ArrayI, GeometryError, Linear, Observations, adjust
 
 STEP_HEIGHTS_MM: Final = (0.006, 20.195, 40.135)
 """Heights of the levels of the test object by plane fits (P4 7.1)."""
@@ -107,9 +105,10 @@ def fit_levels(
     if np.hypot(x[1], x[2]) > _LARGEST_TILT_RAD:
         raise GeometryError(
             f"planes tilted by {np.rad2deg(np.hypot(x[1], x[2])):.1f} degrees against the stated direction",
-            expected=f"at most {np.rad2deg(_LARGEST_TILT_RAD):.0f} degrees", where="levels",
+            expected=f"at most {np.rad2deg(_LARGEST_TILT_RAD):.0f} degrees",
+            where="levels",
             cure="State the direction upwards of the object",
-        )  # fmt: skip
+        )
     away = _heights(local, x)[:, None] - h
     level = np.argmin(np.abs(away), axis=1).astype(np.int64)
     distance = away[np.arange(len(X)), level]
@@ -119,9 +118,15 @@ def fit_levels(
     rms, n, height = _single_planes(local, level, _heights(local, x), len(h))
     first = float(x[0] * normal[2] + (normal @ (axes @ centre)))
     return Levels(
-        normal=axes.T @ normal, height_mm=first, level=level, distance_mm=distance, adjusted=adjusted,
-        plane_rms_mm=rms, plane_n=n, plane_height_mm=height,
-    )  # fmt: skip
+        normal=axes.T @ normal,
+        height_mm=first,
+        level=level,
+        distance_mm=distance,
+        adjusted=adjusted,
+        plane_rms_mm=rms,
+        plane_n=n,
+        plane_height_mm=height,
+    )
 
 
 def _axes(up: ArrayF) -> ArrayF:
@@ -171,9 +176,13 @@ def _adjusted(local: ArrayF, h: ArrayF, sigma: ArrayF, x: ArrayF, tilt_sigma_rad
     if tilt_sigma_rad > 0:
         groups.append(Observations("direction upwards", tilts))
     return adjust(
-        groups, x, _NAMES, loss="huber", reject_sigmas=6.0,
+        groups,
+        x,
+        _NAMES,
+        loss="huber",
+        reject_sigmas=6.0,
         cure="Scan several lines, or state how well the direction upwards is known",
-    )  # fmt: skip
+    )
 
 
 def _single_planes(

@@ -4,10 +4,13 @@ The images that hold the laser line also show the bed around it. Each cell of a 
 from the measured points; its centre is projected through the window into each image, strip by strip, and the
 colours of all images that see it are averaged: daylight under water is weak, and a mean of k images has
 1 / sqrt(k) of their noise. Pixels near the laser line are left out, and cells that the bed itself hides.
+
+It is written as a picture, and a world file that says where its pixels are.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import cv2
@@ -15,23 +18,22 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import QhullError, cKDTree
 
-from thalweg.core.errors import GeometryError, InputError
-from thalweg.core.geometry.raycast import RayCaster
-from thalweg.core.types import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8
-from thalweg.lightsheet.optics.projection import project
-from thalweg.lightsheet.optics.refracted_rays import directions_to_points, refract_to_water
-from thalweg.lightsheet.optics.sensor import Sensor
-from thalweg.lightsheet.poses.poses import M_PER_MM
-from thalweg.lightsheet.scanning.cloud import ScanCloud
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, GeometryError, InputError
+from thalweg.core.geometry import RayCaster
+from thalweg.lightsheet.optics import Sensor, directions_to_points, project, refract_to_water
+from thalweg.lightsheet.poses import M_PER_MM
+from thalweg.lightsheet.scanning.profile import ScanCloud
 
 LINE_MARGIN_PX: Final = 20.0
 _LIFT_MM: Final = 0.3
 """A ray of sight starts so far above its cell: float32 and the cell's own triangles."""
 _MOST_CELLS: Final = 50_000_000
 _MOSAICS: Final = {
-    "rggb": cv2.COLOR_BayerRGGB2RGB, "bggr": cv2.COLOR_BayerBGGR2RGB, "grbg": cv2.COLOR_BayerGRBG2RGB,
+    "rggb": cv2.COLOR_BayerRGGB2RGB,
+    "bggr": cv2.COLOR_BayerBGGR2RGB,
+    "grbg": cv2.COLOR_BayerGRBG2RGB,
     "gbrg": cv2.COLOR_BayerGBRG2RGB,
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,17 +212,40 @@ def orthophoto(
     if not n.any():
         raise GeometryError(
             f"none of {len(cloud.poses)} images sees any of {len(known)} cells",
-            expected="images of this scan", where="orthophoto",
-        )  # fmt: skip
+            expected="images of this scan",
+            where="orthophoto",
+        )
     with np.errstate(invalid="ignore"):
         mean = np.where(n[:, None] > 0, total / np.maximum(n, 1)[:, None], np.nan)
     shape = grid.height_m.shape
     counts = {
-        "cells": len(points), "cells_without_height": len(points) - len(known),
+        "cells": len(points),
+        "cells_without_height": len(points) - len(known),
         "cells_seen": int((n > 0).sum()),
-        "views": int(n.sum()), "views_beside_the_line": beside, "views_hidden": hidden,
-    }  # fmt: skip
+        "views": int(n.sum()),
+        "views_beside_the_line": beside,
+        "views_hidden": hidden,
+    }
     return Orthophoto(grid=grid, dn=mean.reshape(*shape, 3), images=n.reshape(shape), counts=counts)
+
+
+def write_orthophoto(found: Orthophoto, picture: Path, world: Path) -> None:
+    """Write an orthophoto.
+
+    Parameters
+    ----------
+    found : the orthophoto.
+    picture : PNG, north (larger y) up; black where nothing was seen.
+    world : world file (six lines): width of a cell, two zeros, minus its height, centre of the upper left
+        cell, in metres of the grid's frame.
+    """
+    grid = found.grid
+    done, data = cv2.imencode(".png", np.ascontiguousarray(found.picture()[:, :, ::-1]))
+    assert done
+    picture.write_bytes(data.tobytes())
+    top = grid.y0_m + grid.cell_m * (grid.height_m.shape[0] - 1)
+    numbers = (grid.cell_m, 0.0, 0.0, -grid.cell_m, grid.x0_m, top)
+    world.write_text("".join(f"{value:.9f}\n" for value in numbers))
 
 
 def _seen(sensor: Sensor, local_mm: ArrayF) -> tuple[ArrayI, ArrayF, ArrayF]:

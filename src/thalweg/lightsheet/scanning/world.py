@@ -3,7 +3,7 @@
     x_wcs = R_wcs_ics(t) (R_ics_lcs x_lcs + lever) + x_wcs_ics(t)
 
 The camera is released by pulses of the GNSS receiver, so an image has the time of its pulse
-(`thalweg.clocks.ties.trigger`); the camera's own clock only tells which pulse. The mount comes from a field
+(`thalweg.clocks.ties`); the camera's own clock only tells which pulse. The mount comes from a field
 that
 boat and sensor see together: the grid object of P3 lies in the field of P2, whose marks give the pose of the
 boat, and the sensor's calibration that of the grid object::
@@ -19,19 +19,26 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.clocks.ties.run_image_times import triggered_images
-from thalweg.core.adjustment.solve import Linear, Observations, adjust
-from thalweg.core.calibration.model import Block, Calibration, pose_block
-from thalweg.core.errors import ClockError, GeometryError
-from thalweg.core.las.columns import ExtraDimension
-from thalweg.core.rigid import Rigid
-from thalweg.core.tables import column, frame_of, table_kind
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import AnyArray, ArrayF
-from thalweg.lidar.cloud import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS
-from thalweg.lightsheet.poses.sources import trajectory_poses
-from thalweg.lightsheet.scanning.cloud import ScanCloud, merge
-from thalweg.lightsheet.scanning.profile import Profile
+from thalweg.clocks import triggered_images
+from thalweg.core import (
+    AnyArray,
+    ArrayF,
+    ClockError,
+    ExtraDimension,
+    GeometryError,
+    Linear,
+    Observations,
+    Rigid,
+    Trajectory,
+    adjust,
+    column,
+    frame_of,
+    table_kind,
+)
+from thalweg.core.calibration import Block, Calibration, pose_block
+from thalweg.lidar import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS
+from thalweg.lightsheet.poses import trajectory_poses
+from thalweg.lightsheet.scanning.profile import Profile, ScanCloud, merge
 
 MOUNT: Final = "light_sheet"
 """Name of the block of the sensor's mount in a calibration file."""
@@ -121,9 +128,10 @@ def mount_from_field(views: Sequence[FieldView]) -> tuple[Rigid, float]:
         raise GeometryError(
             f"the views contradict each other: sigma of unit weight {np.sqrt(done.sigma0_squared):.1f}, view "
             f"{worst + 1} worst",
-            expected=f"between {np.sqrt(low):.1f} and {np.sqrt(high):.1f}", where="mount",
+            expected=f"between {np.sqrt(low):.1f} and {np.sqrt(high):.1f}",
+            where="mount",
             cure="Was the sensor moved on the boat, or the grid object in the field?",
-        )  # fmt: skip
+        )
     return done.x.with_cov(done.cov), float(np.sqrt(done.sigma0_squared))
 
 
@@ -169,8 +177,9 @@ def image_times(
     if missing:
         raise ClockError(
             f"{len(missing)} of {len(images)} images have no stamp, such as {missing[0]}",
-            expected="a stamp for each image", where="times of the light sheet's images",
-        )  # fmt: skip
+            expected="a stamp for each image",
+            where="times of the light sheet's images",
+        )
     chosen = times.iloc[[index[name] for name in images]].reset_index(drop=True)
     check_order(images, chosen["t_gps_s"].to_numpy(np.float64))
     return chosen, facts
@@ -194,7 +203,7 @@ def check_order(images: Sequence[str], t_gps_s: ArrayF) -> None:
             expected="images in the order in which they were taken",
             where="times of the light sheet's images",
             cure="Sort the images by their stamps; look for renamed or repeated files",
-        )  # fmt: skip
+        )
 
 
 def world_cloud(
@@ -214,9 +223,12 @@ def world_cloud(
     InputError, CoverageError : see `merge`, `trajectory_poses`.
     """
     poses = trajectory_poses(
-        trajectory, T_ics_lcs, [str(name) for name in times["file"]], times["t_gps_s"].to_numpy(np.float64),
+        trajectory,
+        T_ics_lcs,
+        [str(name) for name in times["file"]],
+        times["t_gps_s"].to_numpy(np.float64),
         sigma_time_s=np.nan_to_num(times["sigma_s"].to_numpy(np.float64)),
-    )  # fmt: skip
+    )
     return merge(profiles, poses)
 
 
@@ -225,29 +237,42 @@ def bed_points(cloud: ScanCloud) -> pd.DataFrame:
     C = cloud.cov_m2
     pairs = dict(zip(_COVS, ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), strict=True))
     names = np.array(cloud.poses.images, dtype=object)
-    return frame_of(BED_POINTS, {
-        "file": names[cloud.number], "t_gps_s": cloud.t_gps_s,
-        **{f"{a}_m": cloud.xyz_m[:, i] for i, a in enumerate(("east", "north", "up"))},
-        **{f"cov_{ab}_m2": C[:, i, j] for ab, (i, j) in pairs.items()},
-        "sigma_line_m": np.abs(cloud.own_m[:, 2]), "line": cloud.line,
-        "x_px": cloud.xy_px[:, 0], "y_px": cloud.xy_px[:, 1], "peak_dn": cloud.peak_dn, "flags": cloud.flags,
-    })  # fmt: skip
+    return frame_of(
+        BED_POINTS,
+        {
+            "file": names[cloud.number],
+            "t_gps_s": cloud.t_gps_s,
+            **{f"{a}_m": cloud.xyz_m[:, i] for i, a in enumerate(("east", "north", "up"))},
+            **{f"cov_{ab}_m2": C[:, i, j] for ab, (i, j) in pairs.items()},
+            "sigma_line_m": np.abs(cloud.own_m[:, 2]),
+            "line": cloud.line,
+            "x_px": cloud.xy_px[:, 0],
+            "y_px": cloud.xy_px[:, 1],
+            "peak_dn": cloud.peak_dn,
+            "flags": cloud.flags,
+        },
+    )
 
 
 def laz_columns(cloud: ScanCloud) -> dict[str, AnyArray | dict[str, AnyArray]]:
-    """Arguments of `thalweg.core.las.files.LazWriter.append` for a cloud, with `EXTRA_DIMENSIONS`."""
+    """Arguments of `thalweg.core.las.LazWriter.append` for a cloud, with `EXTRA_DIMENSIONS`."""
     C = cloud.cov_m2
     sigma = np.sqrt(np.diagonal(C, axis1=1, axis2=2))
     extra: dict[str, AnyArray] = {
         "range": np.linalg.norm(cloud.xyz_m - cloud.poses.shift_m[cloud.number], axis=1).astype(np.float32),
-        "line": cloud.line.astype(np.int16), "image": cloud.number.astype(np.uint32),
+        "line": cloud.line.astype(np.int16),
+        "image": cloud.number.astype(np.uint32),
         **{name: sigma[:, i] for i, name in enumerate(SIGMAS)},
-        **{name: C[:, i, j] / (sigma[:, i] * sigma[:, j])
-           for name, i, j in zip(CORRELATIONS, (0, 0, 1), (1, 2, 2), strict=True)},
-    }  # fmt: skip
+        **{
+            name: C[:, i, j] / (sigma[:, i] * sigma[:, j])
+            for name, i, j in zip(CORRELATIONS, (0, 0, 1), (1, 2, 2), strict=True)
+        },
+    }
     out: dict[str, AnyArray | dict[str, AnyArray]] = {
-        "xyz_m": cloud.xyz_m, "intensity": np.clip(cloud.peak_dn, 0, 255).astype(np.uint8), "extra": extra,
-    }  # fmt: skip
+        "xyz_m": cloud.xyz_m,
+        "intensity": np.clip(cloud.peak_dn, 0, 255).astype(np.uint8),
+        "extra": extra,
+    }
     if np.isfinite(cloud.t_gps_s).all():
         out["t_gps_s"] = cloud.t_gps_s
     return out

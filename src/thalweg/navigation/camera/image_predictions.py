@@ -12,14 +12,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.clocks.ties.model import ClockModel
-from thalweg.core.errors import CoverageError
-from thalweg.core.rigid import Rigid, rotation_vector
-from thalweg.core.timescales import utc_text_from_gps
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF
-from thalweg.images.model.cameras import in_folders
-from thalweg.images.model.poses import ImagePoses
+from thalweg.clocks import ClockModel
+from thalweg.core import ArrayF, CoverageError, Rigid, Trajectory, rotation_vector, utc_text_from_gps
+from thalweg.images.model import ImagePoses, in_folders
 
 _BEYOND_S: Final = 0.2
 """The trajectory's rate just beside its ends is taken from this far inside."""

@@ -10,11 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core.calibration.model import Calibration, Source, pose_block
-from thalweg.core.errors import ConfigError
-from thalweg.core.frames import opk_axes, rotation_opk
-from thalweg.core.rigid import Rigid
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, ConfigError, Rigid, opk_axes, rotation_opk
+from thalweg.core.calibration import Calibration, Source, pose_block
 
 _CONTRADICTION: Final = 4.0
 """Sigmas by which the place through the camera may differ from the lidar's own."""
@@ -30,7 +27,7 @@ def lidar_mount_by_camera(
 
     Parameters
     ----------
-    mounts : by sensor, as `thalweg.calibration.boat.mounts.read_mounts` gives them.
+    mounts : by sensor, as `thalweg.calibration.boat.read_mounts` gives them.
     calibration : of the boat with its joint covariance (boat.yaml), or None.
 
     Returns
@@ -116,10 +113,12 @@ def _pose(section: Mapping[str, Any]) -> Rigid:
     The same as `thalweg.lidar.mount.Mount`, which lies behind this room in the flow of data.
     """
     angles = np.deg2rad([section[f"{name}_deg"] for name in ("omega", "phi", "kappa")])
-    sigma: ArrayF = np.concatenate([
-        np.deg2rad([section[f"sigma_{name}_deg"] for name in ("omega", "phi", "kappa")]),
-        np.asarray(section["sigma_lever_m"], dtype=np.float64),
-    ])  # fmt: skip
+    sigma: ArrayF = np.concatenate(
+        [
+            np.deg2rad([section[f"sigma_{name}_deg"] for name in ("omega", "phi", "kappa")]),
+            np.asarray(section["sigma_lever_m"], dtype=np.float64),
+        ]
+    )
     given = section.get("correlation")
     correlation = np.eye(6) if given is None else np.asarray(given, dtype=np.float64)
     to_vector = np.eye(6)

@@ -29,13 +29,21 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from thalweg.core.types import ArrayF
-from thalweg.navigation.fusion import kernels
-from thalweg.navigation.fusion.inputs import MODEL, Nodes
-from thalweg.navigation.fusion.model import Factors, transitions
-from thalweg.navigation.fusion.settings import GROUPS, SIZE_OF, TIMES, FusionSettings, Layout
+from thalweg.core import ArrayF
+from thalweg.navigation.fusion import solver
+from thalweg.navigation.fusion.model import (
+    GROUPS,
+    MODEL,
+    SIZE_OF,
+    TIMES,
+    Factors,
+    FusionSettings,
+    Layout,
+    Nodes,
+    Reference,
+    transitions,
+)
 from thalweg.navigation.fusion.solver import Observed, Solved, first_offset, linearised, smooth, solve
-from thalweg.navigation.ins_gnss.reference import Reference
 
 SHARE: Final = "gnss_white_share"
 
@@ -85,7 +93,7 @@ class ErrorModel:
 
     Parameters
     ----------
-    priors : by name: groups of `thalweg.navigation.fusion.settings.GROUPS`, times and the white share.
+    priors : by name: groups of `thalweg.navigation.fusion.model.GROUPS`, times and the white share.
     h : (k,) best values on the scales of the priors, in their order.
     cov : (k, k) their covariance.
     white_share : stated share of the positions' variance that is white, if slow and white errors have sizes
@@ -104,9 +112,11 @@ class ErrorModel:
         width = np.array([np.log(p.width) for p in priors.values()])
         centre = np.array([p.at for p in priors.values()])
         return cls(
-            priors=priors, h=centre, cov=np.diag(width**2).reshape(len(priors), len(priors)),
+            priors=priors,
+            h=centre,
+            cov=np.diag(width**2).reshape(len(priors), len(priors)),
             white_share=settings.gnss_white_share if "gnss_white" in priors else 0.0,
-        )  # fmt: skip
+        )
 
     def values(self, h: ArrayF | None = None) -> dict[str, float]:
         """By name: factors of sigmas, seconds, shares; the best ones, or those at ``h`` (k,)."""
@@ -184,10 +194,15 @@ def priors_of(settings: FusionSettings, layout: Layout, nodes: Nodes) -> dict[st
         return {}
     blind = nodes.kind[1:] == MODEL
     groups = {
-        "velocity": bool((~blind).any()), "acceleration": bool(blind.any()), "roll_pitch": True,
-        "heading": True, "disturbance": settings.heading_disturbance_deg > 0, "gnss": layout.gnss >= 0,
-        "camera": layout.camera >= 0, "jitter": layout.camera >= 0,
-    }  # fmt: skip
+        "velocity": bool((~blind).any()),
+        "acceleration": bool(blind.any()),
+        "roll_pitch": True,
+        "heading": True,
+        "disturbance": settings.heading_disturbance_deg > 0,
+        "gnss": layout.gnss >= 0,
+        "camera": layout.camera >= 0,
+        "jitter": layout.camera >= 0,
+    }
     times = {"velocity_time_s": groups["velocity"], "attitude_time_s": True, "gnss_time_s": groups["gnss"]}
     kept = {SIZE_OF.get(name, name) for name in settings.fixed}
     spread = settings.spread
@@ -215,7 +230,7 @@ def applied(values: Mapping[str, float], settings: FusionSettings) -> tuple[Fusi
     times: dict[str, Any] = {name: values[name] for name in TIMES if name in values}
     out = dict.fromkeys(GROUPS, 1.0) | {"gnss_white": values.get("gnss", 1.0)}
     out |= {name: f for name, f in values.items() if name not in times}
-    return replace(settings, **times), out
+    return settings.model_copy(update=times), out
 
 
 def with_errors(
@@ -255,9 +270,15 @@ def with_errors(
         nodes = replace(nodes, walk=walk)
         before = observed.weight_antenna.copy(), observed.weight_camera.copy()
         solved = solve(
-            reference, nodes, observed, layout, replace(now, estimate_errors=False),
-            clock_start_s=clock_start_s, factors=factors, start=solved.x,
-        )  # fmt: skip
+            reference,
+            nodes,
+            observed,
+            layout,
+            now.model_copy(update={"estimate_errors": False}),
+            clock_start_s=clock_start_s,
+            factors=factors,
+            start=solved.x,
+        )
         steps += solved.n_solutions
         if np.array_equal(before[0], observed.weight_antenna) and np.array_equal(
             before[1], observed.weight_camera
@@ -360,9 +381,16 @@ def spread_over(
     for h in model.points():
         changed, factors = applied(model.values(h), settings)
         found = smooth(
-            solved.x, at, nodes, observed, layout, changed, factors,
-            start_m=start_m, clock_start_s=clock_start_s,
-        )  # fmt: skip
+            solved.x,
+            at,
+            nodes,
+            observed,
+            layout,
+            changed,
+            factors,
+            start_m=start_m,
+            clock_start_s=clock_start_s,
+        )
         away = found.x - solved.x
         pose = away[:, :part]
         cov += found.cov + pose[:, :, None] * pose[:, None, :]
@@ -387,9 +415,14 @@ class _Innovations:
     """Innovations of the filter as a function of settings and factors, linearised where the solution is."""
 
     def __init__(
-        self, reference: Reference, nodes: Nodes, observed: Observed, solved: Solved, layout: Layout,
+        self,
+        reference: Reference,
+        nodes: Nodes,
+        observed: Observed,
+        solved: Solved,
+        layout: Layout,
         clock_start_s: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._at = reference.at(nodes.t_gps_s)
         self._start_m = first_offset(self._at, observed)
         self._task = nodes, observed, solved, layout, clock_start_s
@@ -399,18 +432,39 @@ class _Innovations:
         nodes, observed, solved, layout, clock_start_s = self._task
         rows = linearised(solved.x, self._at, observed, layout, settings, factors)
         t = transitions(
-            nodes, layout, settings, factors,
-            start_m=self._start_m, antenna=observed.antenna, camera=observed.camera,
+            nodes,
+            layout,
+            settings,
+            factors,
+            start_m=self._start_m,
+            antenna=observed.antenna,
+            camera=observed.camera,
             clock_start_s=clock_start_s,
-        )  # fmt: skip
+        )
         (m, n), r = solved.x.shape, len(rows.y)
         first_row = np.searchsorted(rows.node, np.arange(m + 1))
         x, P = np.empty((m, n)), np.empty((m, n, n))
         K, S, nu = np.empty((r, n)), np.empty(r), np.empty(r)
-        kernels.forward(
-            t.x0, t.p0, t.pair, t.walk, t.phi, t.q, layout.camera, t.image_of, t.G, t.W, first_row, rows.H,
-            rows.y, x, P, K, S, nu,
-        )  # fmt: skip
+        solver.forward(
+            t.x0,
+            t.p0,
+            t.pair,
+            t.walk,
+            t.phi,
+            t.q,
+            layout.camera,
+            t.image_of,
+            t.G,
+            t.W,
+            first_row,
+            rows.H,
+            rows.y,
+            x,
+            P,
+            K,
+            S,
+            nu,
+        )
         # rows are in units of their sigmas, which grow with the factors
         unit = np.where(rows.of_antenna == 1, factors["gnss_white"], factors["camera"])
         return nu * unit, S * unit**2

@@ -9,43 +9,60 @@ Sizes of the errors are variance components (Foerstner 1979; Koch 1999, 3.6): th
 residuals of a group over its redundancy, both from the smoother.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.stats import chi2
 
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
-from thalweg.navigation.fusion import kernels
-from thalweg.navigation.fusion.inputs import INS, MODEL, RESET, Antenna, Camera, Nodes
+from thalweg.core import ArrayB, ArrayF, ArrayI, njit, rotation_vector
 from thalweg.navigation.fusion.model import (
+    FACTORS,
+    GROUPS,
+    INS,
+    MODEL,
+    POSE,
+    PRIOR_REDUNDANCY,
+    RESET,
+    SCALED,
+    WHITE_SHARE,
+    Antenna,
+    Camera,
     Factors,
+    FusionSettings,
+    Layout,
+    Nodes,
+    Reference,
     Rows,
+    Sampled,
     antenna_rows,
     camera_rows,
     stacked,
     transitions,
     weighted,
 )
-from thalweg.navigation.fusion.settings import (
-    FACTORS,
-    GROUPS,
-    POSE,
-    PRIOR_REDUNDANCY,
-    SCALED,
-    WHITE_SHARE,
-    FusionSettings,
-    Layout,
-)
-from thalweg.navigation.ins_gnss.reference import Reference, Sampled
 
 _HUBER, _STEEP = 3, 5
 """Solutions with Huber's weights, and those until an observation counts fully or not at all."""
-
 _READMIT = 6
 """Solutions of the last stage after which a rejected observation stays rejected."""
-
 _STILL_M, _STILL_RAD, _STILL_FACTOR = 5e-5, 5e-6, 0.02
 """Greatest change of positions, angles and factors (relative) of the last solution."""
+
+Variance = Callable[[ArrayI, ArrayI], ArrayF]
+"""Variances (m, d) of the differences between members i (m,) and j (m,) of a series."""
+_IMPROBABLE: Final = 1e-6
+"""Probability of a step at which a series is cut: one in a day at 10 Hz."""
+_BLIND_MPS: Final = 2.0
+"""How far the boat may go a second where the INS gives no velocity."""
+_ENDS: Final = 10
+"""Members at the end of a piece whose median is compared."""
+_MOST: Final = 0.5
+"""Share of a series beyond which it is no longer clear which of its members are wrong."""
+
+
+# ---------------------------------------------------------------- solution
 
 
 @dataclass(slots=True, kw_only=True)
@@ -150,9 +167,15 @@ def solve(
             break
     assert found is not None  # max_iterations is at least 4
     return Solved(
-        x=found.x, cov=found.cov, cross=found.cross, last=found.last, groups=found.groups, factors=last,
-        n_solutions=stage - first + 1, settled=settled,
-    )  # fmt: skip
+        x=found.x,
+        cov=found.cov,
+        cross=found.cross,
+        last=found.last,
+        groups=found.groups,
+        factors=last,
+        n_solutions=stage - first + 1,
+        settled=settled,
+    )
 
 
 def first_offset(at: Sampled, observed: Observed) -> ArrayF:
@@ -179,24 +202,48 @@ def smooth(
 ) -> Solved:
     """One solution, linearised at states ``x`` (m, n)."""
     t = transitions(
-        nodes, layout, settings, factors,
-        start_m=start_m, antenna=observed.antenna, camera=observed.camera, clock_start_s=clock_start_s,
-    )  # fmt: skip
+        nodes,
+        layout,
+        settings,
+        factors,
+        start_m=start_m,
+        antenna=observed.antenna,
+        camera=observed.camera,
+        clock_start_s=clock_start_s,
+    )
     rows = linearised(x, at, observed, layout, settings, factors)
     m, n, r = len(nodes.t_gps_s), layout.n, len(rows.y)
     first_row = np.searchsorted(rows.node, np.arange(m + 1))
     xf, Pf = np.empty((m, n)), np.empty((m, n, n))
     K, S, nu = np.empty((r, n)), np.empty(r), np.empty(r)
     chain = (t.walk, t.phi, t.q, layout.camera, t.image_of, t.G, t.W, first_row, rows.H)
-    kernels.forward(t.x0, t.p0, t.pair, *chain, rows.y, xf, Pf, K, S, nu)
+    forward(t.x0, t.p0, t.pair, *chain, rows.y, xf, Pf, K, S, nu)
     xs, cov, cross = np.empty((m, n)), np.empty((m, POSE, POSE)), np.zeros((m, POSE, POSE))
     squares, redundancy, pairs, of_rows = np.zeros(n), np.zeros(n), np.zeros((3, 2)), np.empty((r, 2))
-    kernels.backward(
-        t.p0, t.pair, nodes.kind, *chain, xf, Pf, K, S, nu, POSE, xs, cov, cross, squares, redundancy, pairs,
+    backward(
+        t.p0,
+        t.pair,
+        nodes.kind,
+        *chain,
+        xf,
+        Pf,
+        K,
+        S,
+        nu,
+        POSE,
+        xs,
+        cov,
+        cross,
+        squares,
+        redundancy,
+        pairs,
         of_rows,
-    )  # fmt: skip
-    groups = {g: (float(squares[s].sum()), float(redundancy[s].sum()))
-              for g in GROUPS for s in [np.array(layout.states_of(g), dtype=np.int64)]}  # fmt: skip
+    )
+    groups = {
+        g: (float(squares[s].sum()), float(redundancy[s].sum()))
+        for g in GROUPS
+        for s in [np.array(layout.states_of(g), dtype=np.int64)]
+    }
     groups["velocity"] = (float(pairs[[INS, RESET], 0].sum()), float(pairs[[INS, RESET], 1].sum()))
     groups["acceleration"] = (float(pairs[MODEL, 0]), float(pairs[MODEL, 1]))
     white, own = of_rows[rows.of_antenna == 1], of_rows[rows.of_antenna == 0]
@@ -308,9 +355,13 @@ def _kept_out(weight: ArrayF, before: ArrayF, stage: int) -> ArrayF:
 
 def _take(at: Sampled, node: ArrayI) -> Sampled:
     return Sampled(
-        R_wcs_ics=at.R_wcs_ics[node], axes=at.axes[node], sigma_rad=at.sigma_rad[node], way_m=at.way_m[node],
-        velocity_mps=at.velocity_mps[node], rate_radps=at.rate_radps[node],
-    )  # fmt: skip
+        R_wcs_ics=at.R_wcs_ics[node],
+        axes=at.axes[node],
+        sigma_rad=at.sigma_rad[node],
+        way_m=at.way_m[node],
+        velocity_mps=at.velocity_mps[node],
+        rate_radps=at.rate_radps[node],
+    )
 
 
 def _moved(old: ArrayF, new: ArrayF, at: Sampled) -> bool:
@@ -318,3 +369,430 @@ def _moved(old: ArrayF, new: ArrayF, at: Sampled) -> bool:
     d = np.abs(new[:, :3] - old[:, :3]).max()
     a = (np.abs(new[:, 6:9] - old[:, 6:9]) * at.sigma_rad).max()
     return bool(d < _STILL_M and a < _STILL_RAD)
+
+
+# ---------------------------------------------------------------- observations that jump against the INS
+#
+# By multipath or a wrong fix a track jumps aside and, seconds later, back; a wrong image stands alone. A
+# smoother that starts with them follows them, because that is how it is told that the INS errs, and no
+# later test sees what is wrong. But what is left against the INS alone, ``z - way - R l`` and the turn
+# between image and INS, changes slowly. The series is cut where it does not; from the longest piece on,
+# each next piece must continue the last good one within what the INS can have drifted in between.
+
+
+def jumped_positions(antenna: Antenna, reference: Reference, settings: FusionSettings) -> ArrayB:
+    """Positions (k,) in pieces of the track that do not fit to its longest piece along the INS's way."""
+    t = antenna.t_gps_s
+    at = reference.at(t)
+    b = antenna.position_wcs_m - at.way_m - at.R_wcs_ics @ antenna.lever_ics_m
+    sigma = np.linalg.norm(antenna.root_m, axis=2)
+    without = _without_velocity(t, reference)
+    white = settings.gnss_white_share
+
+    def variance(i: ArrayI, j: ArrayI) -> ArrayF:
+        """Noise of both, what their slow errors can have changed, and the drift of the way."""
+        both = np.maximum(sigma[i], sigma[j]) ** 2
+        alike = np.exp(-np.abs(t[j] - t[i]) / settings.gnss_time_s)[:, None]
+        drift = _way_m2(np.abs(t[j] - t[i]), np.abs(without[j] - without[i]), settings)
+        return np.asarray(2 * both * (white + (1 - white) * (1 - alike)) + drift[:, None])
+
+    return _doubtful(b, variance, _ENDS)
+
+
+def jumped_images(camera: Camera, reference: Reference, settings: FusionSettings) -> ArrayB:
+    """Images (k,) whose poses do not fit to the others along the INS's way and turns."""
+    t = camera.t_gps_s
+    at = reference.at(t)
+    turn = rotation_vector(camera.R_wcs_ics @ np.swapaxes(at.R_wcs_ics, 1, 2))
+    b = np.concatenate([camera.position_wcs_m - at.way_m, turn], axis=1)
+    own = np.sum(camera.root**2, axis=2)
+    # without the INS's velocity the motion is not known here; the time's jitter moves the boat by it
+    moving = np.concatenate([at.velocity_mps, at.rate_radps], axis=1)
+    own = own + (camera.jitter_s[:, None] * moving) ** 2
+    without = _without_velocity(t, reference)
+    heading = np.deg2rad(settings.heading_disturbance_deg)
+    angle = np.sqrt(np.max(at.sigma_rad, axis=1) ** 2 + heading**2)
+
+    def variance(i: ArrayI, j: ArrayI) -> ArrayF:
+        """Errors of both images, and the drift of the INS."""
+        step = np.abs(t[j] - t[i])
+        drift = np.empty((len(step), 6))
+        drift[:, :3] = _way_m2(step, np.abs(without[j] - without[i]), settings)[:, None]
+        turned = 2 * np.maximum(angle[i], angle[j]) ** 2 * -np.expm1(-step / settings.attitude_time_s)
+        drift[:, 3:] = turned[:, None]
+        return np.asarray(own[i] + own[j] + drift)
+
+    return _doubtful(b, variance, 1)
+
+
+def _doubtful(b: ArrayF, variance: Variance, ends: int) -> ArrayB:
+    """Members (k,) of a series (k, d) in pieces that do not continue its longest one."""
+    n, d = b.shape
+    out = np.zeros(n, dtype=np.bool_)
+    if n < 3:
+        return out
+    every = np.arange(n)
+    step = np.sqrt(np.sum(np.diff(b, axis=0) ** 2 / variance(every[:-1], every[1:]), axis=1))
+    # sigmas that are stated too small must not cut everything
+    scale = max(1.0, float(np.median(step) / np.sqrt(chi2.ppf(0.5, d))))
+    limit = scale * float(np.sqrt(chi2.isf(_IMPROBABLE, d)))
+    bounds = np.concatenate([[0], np.flatnonzero(step > limit) + 1, [n]])
+    anchor = int(np.argmax(np.diff(bounds)))
+
+    def continues(first: int, second: int) -> bool:
+        """Whether a piece goes on where an earlier one stopped."""
+        i, j = int(bounds[first + 1]), int(bounds[second])
+        jump = np.median(b[j : min(j + ends, int(bounds[second + 1]))], axis=0)
+        jump = jump - np.median(b[max(i - ends, int(bounds[first])) : i], axis=0)
+        spread = variance(np.array([i - 1]), np.array([j]))[0]
+        return bool(np.sqrt(np.sum(jump**2 / spread)) <= limit)
+
+    last = anchor
+    for piece in range(anchor + 1, len(bounds) - 1):
+        if continues(last, piece):
+            last = piece
+        else:
+            out[bounds[piece] : bounds[piece + 1]] = True
+    last = anchor
+    for piece in range(anchor - 1, -1, -1):
+        if continues(piece, last):
+            last = piece
+        else:
+            out[bounds[piece] : bounds[piece + 1]] = True
+    return out if out.mean() <= _MOST else np.zeros(n, dtype=np.bool_)
+
+
+def _without_velocity(t: ArrayF, reference: Reference) -> ArrayF:
+    """Seconds (k,) without a velocity of the INS until each time."""
+    blind = np.append(0.0, np.cumsum(np.where(reference.blind, np.diff(reference.t_gps_s), 0.0)))
+    return np.asarray(np.interp(t, reference.t_gps_s, blind))
+
+
+def _way_m2(step_s: ArrayF, blind_s: ArrayF, settings: FusionSettings) -> ArrayF:
+    """Variance (m,) of the way over steps, an upper bound."""
+    tau = settings.velocity_time_s
+    along = settings.sigma_velocity_mps**2 * np.minimum(step_s**2, 2 * tau * step_s)
+    return np.asarray(along + (_BLIND_MPS * blind_s) ** 2)
+
+
+# ---------------------------------------------------------------- compiled loops: Kalman filter forwards,
+# modified Bryson-Frazier smoother backwards
+#
+# The smoother gives the least-squares solution of all observations and of the transitions between nodes
+# (Rauch, Tung and Striebel 1965; Bierman 1977, ch. 10). In Bryson and Frazier's form it carries the adjoint
+# ``lam`` and its matrix ``Lam`` instead of inverting covariances, so states that do not change from node to
+# node (mounts, clock) and states without noise are no trouble::
+#
+#     x_s = x - P lam                          P_s = P - P Lam P
+#     lam- = lam - H^T u                       u = nu / S + K^T lam
+#     Lam- = (I - K H)^T Lam (I - K H) + H^T H / S
+#     lam of the node before = F^T lam-        w_s = -Q lam-
+#
+# The same quantities give each group's share of the weighted squares of all residuals and of the redundancy
+# (Koopman 1993): ``R u^2`` and ``R (1 / S + K^T Lam K)`` of an observation, ``lam-^T Q lam-`` and
+# ``tr(Q Lam-)`` of a transition.
+#
+# Order of the states: position (3), its rate (3), then single processes ``x' = phi x + w``; six of them may
+# be the errors of an image's pose, whose transitions are full matrices.
+
+
+@njit(cache=True, error_model="numpy")
+def _rows(A: ArrayF, f: float, g: float, phi: ArrayF, cam: int, G: ArrayF, keep: ArrayF) -> None:
+    """``A <- F A``."""
+    n, m = A.shape
+    for i in range(3):
+        for j in range(m):
+            A[i, j] += f * A[3 + i, j]
+            A[3 + i, j] *= g
+    for i in range(6, n):
+        if phi[i] != 1.0:
+            for j in range(m):
+                A[i, j] *= phi[i]
+    if cam >= 0:
+        for j in range(m):
+            for i in range(6):
+                keep[i] = 0.0
+                for k in range(6):
+                    keep[i] += G[i, k] * A[cam + k, j]
+            for i in range(6):
+                A[cam + i, j] = keep[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _rows_transposed(A: ArrayF, f: float, g: float, phi: ArrayF, cam: int, G: ArrayF, keep: ArrayF) -> None:
+    """``A <- F^T A``."""
+    n, m = A.shape
+    for i in range(3):
+        for j in range(m):
+            A[3 + i, j] = f * A[i, j] + g * A[3 + i, j]
+    for i in range(6, n):
+        if phi[i] != 1.0:
+            for j in range(m):
+                A[i, j] *= phi[i]
+    if cam >= 0:
+        for j in range(m):
+            for i in range(6):
+                keep[i] = 0.0
+                for k in range(6):
+                    keep[i] += G[k, i] * A[cam + k, j]
+            for i in range(6):
+                A[cam + i, j] = keep[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _transposed(A: ArrayF, B: ArrayF) -> None:
+    """``B <- A^T``."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            B[j, i] = A[i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def forward(
+    x0: ArrayF,
+    p0: ArrayF,
+    pair: ArrayF,
+    walk: ArrayF,
+    phi: ArrayF,
+    q: ArrayF,
+    cam: int,
+    image_of: ArrayI,
+    G: ArrayF,
+    W: ArrayF,
+    first_row: ArrayI,
+    H: ArrayF,
+    y: ArrayF,
+    x_out: ArrayF,
+    P_out: ArrayF,
+    K_out: ArrayF,
+    S_out: ArrayF,
+    nu_out: ArrayF,
+) -> None:
+    """Filter through all nodes; observations have the variance 1.
+
+    Parameters
+    ----------
+    x0, p0 : (n,) start and its variances.
+    pair : (m, 5) of the transition into each node: ``f, g`` of position and rate, and the noise's variances
+        and covariance ``dd, de, ee``; row 0 is not used.
+    walk : (m, 3) factors of that noise, east, north, up.
+    phi, q : (m, n) of the single processes; columns 0 to 5 are not used.
+    cam : first state of the image's errors, or -1.
+    image_of : (m,) row of ``G``, ``W`` for the transition into a node, or -1 for none.
+    G, W : (k, 6, 6) transitions and noise of the image's errors.
+    first_row : (m + 1,) rows of ``H`` by node.
+    H, y : (r, n) and (r,) observations.
+    x_out, P_out : (m, n), (m, n, n) of the filter, written.
+    K_out, S_out, nu_out : (r, n), (r,), (r,) gain, variance and innovation of each observation, written.
+    """
+    n, m = len(x0), len(first_row) - 1
+    x = x0.copy()
+    P = np.diag(p0)
+    B = np.empty((n, n))
+    column = np.empty((n, 1))
+    keep = np.empty(6)
+    ph = np.empty(n)
+    for node in range(m):
+        if node > 0:
+            f, g, image = pair[node, 0], pair[node, 1], image_of[node]
+            at = cam if image >= 0 else -1
+            Gk = G[max(image, 0)]
+            column[:, 0] = x
+            _rows(column, f, g, phi[node], at, Gk, keep)
+            x[:] = column[:, 0]
+            _rows(P, f, g, phi[node], at, Gk, keep)
+            _transposed(P, B)
+            _rows(B, f, g, phi[node], at, Gk, keep)
+            _transposed(B, P)
+            for i in range(3):
+                P[i, i] += walk[node, i] * pair[node, 2]
+                P[i, 3 + i] += walk[node, i] * pair[node, 3]
+                P[3 + i, i] += walk[node, i] * pair[node, 3]
+                P[3 + i, 3 + i] += walk[node, i] * pair[node, 4]
+            for i in range(6, n):
+                P[i, i] += q[node, i]
+            if at >= 0:
+                for i in range(6):
+                    for j in range(6):
+                        P[at + i, at + j] += W[image, i, j]
+        for row in range(first_row[node], first_row[node + 1]):
+            h = H[row]
+            S, nu = 1.0, y[row]
+            for i in range(n):
+                ph[i] = 0.0
+                for j in range(n):
+                    ph[i] += P[i, j] * h[j]
+                nu -= h[i] * x[i]
+            for i in range(n):
+                S += h[i] * ph[i]
+            # Joseph's form: the loss of digits by a weak start stays small
+            for i in range(n):
+                ki = ph[i] / S
+                K_out[row, i] = ki
+                x[i] += ki * nu
+                for j in range(i + 1):
+                    kj = ph[j] / S
+                    P[i, j] += ki * kj * S - ki * ph[j] - ph[i] * kj
+                    P[j, i] = P[i, j]
+            S_out[row], nu_out[row] = S, nu
+        x_out[node] = x
+        P_out[node] = P
+
+
+@njit(cache=True, error_model="numpy")
+def backward(
+    p0: ArrayF,
+    pair: ArrayF,
+    kind: ArrayI,
+    walk: ArrayF,
+    phi: ArrayF,
+    q: ArrayF,
+    cam: int,
+    image_of: ArrayI,
+    G: ArrayF,
+    W: ArrayF,
+    first_row: ArrayI,
+    H: ArrayF,
+    x: ArrayF,
+    P: ArrayF,
+    K: ArrayF,
+    S: ArrayF,
+    nu: ArrayF,
+    part: int,
+    x_out: ArrayF,
+    cov_out: ArrayF,
+    cross_out: ArrayF,
+    squares: ArrayF,
+    redundancy: ArrayF,
+    pairs: ArrayF,
+    rows: ArrayF,
+) -> None:
+    """Smooth what `forward` found.
+
+    Parameters
+    ----------
+    p0, pair, walk, phi, q, cam, image_of, G, W, first_row, H : as in `forward`.
+    kind : (m,) kind of the transition of position and rate into each node, row of ``pairs``.
+    x, P, K, S, nu : what `forward` wrote.
+    part : the first ``part`` states get covariances; no transition may lead into them from others.
+    x_out : (m, n) smoothed states, written.
+    cov_out, cross_out : (m, part, part) covariance of a node, and with the next node, written.
+    squares, redundancy : (n,) by single process, the image's errors under their first state; added to.
+    pairs : (kinds, 2) squares and redundancy of position and rate by kind of transition; added to.
+    rows : (r, 2) squares and redundancy of each observation, written.
+    """
+    m, n = x.shape
+    lam = np.zeros(n)
+    Lam = np.zeros((n, n))
+    B = np.empty((n, n))
+    column = np.empty((n, 1))
+    keep = np.empty(6)
+    kl = np.empty(n)
+    U = np.empty((part, n))
+    for node in range(m - 1, -1, -1):
+        Pk = P[node]
+        for i in range(n):
+            x_out[node, i] = x[node, i]
+            for j in range(n):
+                x_out[node, i] -= Pk[i, j] * lam[j]
+        # covariance of the first states: P - P Lam P
+        for i in range(part):
+            for j in range(n):
+                U[i, j] = 0.0
+            for k in range(n):
+                a = Pk[i, k]
+                for j in range(n):
+                    U[i, j] += a * Lam[k, j]
+            for j in range(part):
+                s = Pk[i, j]
+                for k in range(n):
+                    s -= U[i, k] * Pk[k, j]
+                cov_out[node, i, j] = s
+        for i in range(part):
+            for j in range(i):
+                s = 0.5 * (cov_out[node, i, j] + cov_out[node, j, i])
+                cov_out[node, i, j] = s
+                cov_out[node, j, i] = s
+        if node < m - 1:
+            # cross_out holds P F^T Lam- Q of the transition; P_s F^T goes before it
+            f, g = pair[node + 1, 0], pair[node + 1, 1]
+            for i in range(part):
+                for j in range(3):
+                    a, b = cov_out[node, i, j], cov_out[node, i, 3 + j]
+                    cross_out[node, i, j] = a + f * b - cross_out[node, i, j]
+                    cross_out[node, i, 3 + j] = g * b - cross_out[node, i, 3 + j]
+                for j in range(6, part):
+                    cross_out[node, i, j] = phi[node + 1, j] * cov_out[node, i, j] - cross_out[node, i, j]
+        for row in range(first_row[node + 1] - 1, first_row[node] - 1, -1):
+            u, d = nu[row] / S[row], 1.0 / S[row]
+            for i in range(n):
+                kl[i] = 0.0
+                for j in range(n):
+                    kl[i] += Lam[i, j] * K[row, j]
+                u += K[row, i] * lam[i]
+            for i in range(n):
+                d += K[row, i] * kl[i]
+            # (I - K H)^T first, then (I - K H): at a weak start, where K H is nearly 1, the expanded
+            # product would leave rounding errors of Lam that the great P multiplies twice
+            for i in range(n):
+                hi = H[row, i]
+                lam[i] -= hi * u
+                for j in range(n):
+                    Lam[i, j] -= hi * kl[j]
+            for i in range(n):
+                s = 0.0
+                for j in range(n):
+                    s += Lam[i, j] * K[row, j]
+                for j in range(n):
+                    Lam[i, j] -= s * H[row, j]
+            for i in range(n):
+                for j in range(i + 1):
+                    Lam[i, j] = 0.5 * (Lam[i, j] + Lam[j, i]) + H[row, i] * H[row, j] / S[row]
+                    Lam[j, i] = Lam[i, j]
+            rows[row, 0], rows[row, 1] = u * u, d
+        if node == 0:
+            for i in range(6, n):
+                squares[i] += p0[i] * lam[i] * lam[i]
+                redundancy[i] += p0[i] * Lam[i, i]
+            break
+        image = image_of[node]
+        at = cam if image >= 0 else -1
+        Gk = G[max(image, 0)]
+        dd, de, ee = pair[node, 2], pair[node, 3], pair[node, 4]
+        for i in range(3):
+            a, b = lam[i], lam[3 + i]
+            own = dd * Lam[i, i] + 2.0 * de * Lam[i, 3 + i] + ee * Lam[3 + i, 3 + i]
+            pairs[kind[node], 0] += walk[node, i] * (dd * a * a + 2.0 * de * a * b + ee * b * b)
+            pairs[kind[node], 1] += walk[node, i] * own
+        for i in range(6, n):
+            squares[i] += q[node, i] * lam[i] * lam[i]
+            redundancy[i] += q[node, i] * Lam[i, i]
+        if at >= 0:
+            for i in range(6):
+                for j in range(6):
+                    squares[at] += W[image, i, j] * lam[at + i] * lam[at + j]
+                    redundancy[at] += W[image, i, j] * Lam[at + i, at + j]
+        f, g = pair[node, 0], pair[node, 1]
+        column[:, 0] = lam
+        _rows_transposed(column, f, g, phi[node], at, Gk, keep)
+        lam[:] = column[:, 0]
+        _rows_transposed(Lam, f, g, phi[node], at, Gk, keep)
+        Pb = P[node - 1]
+        for i in range(part):
+            for j in range(part):
+                U[i, j] = 0.0
+            for k in range(n):
+                a = Pb[i, k]
+                for j in range(part):
+                    U[i, j] += a * Lam[k, j]
+            for j in range(3):
+                a, b = U[i, j], U[i, 3 + j]
+                cross_out[node - 1, i, j] = walk[node, j] * (a * dd + b * de)
+                cross_out[node - 1, i, 3 + j] = walk[node, j] * (a * de + b * ee)
+            for j in range(6, part):
+                cross_out[node - 1, i, j] = U[i, j] * q[node, j]
+        _transposed(Lam, B)
+        _rows_transposed(B, f, g, phi[node], at, Gk, keep)
+        for i in range(n):
+            for j in range(n):
+                Lam[i, j] = 0.5 * (B[i, j] + B[j, i])

@@ -19,10 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core.frames import attitude_axes
-from thalweg.core.propagation import cross_matrix
-from thalweg.core.trajectory import Trajectory
-from thalweg.core.types import ArrayF
+from thalweg.core import ArrayF, Trajectory, attitude_axes, cross_matrix
 
 NAMES: Final = ("position", "roll_pitch", "heading", "white", "position_time_s", "attitude_time_s")
 """Parameters: factors on the stated sigmas of the positions' slow part, of roll and pitch, of the heading and

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from thalweg.core.errors import CoverageError, GeometryError
-from thalweg.core.types import ArrayB, ArrayF, ArrayI
+from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, GeometryError
 
 # ---------------------------------------------------------------- how wrong is an interpolation between
 # epochs? Leave epochs out, and see how well the others foretell them
@@ -308,12 +307,7 @@ class Interpolated:
 
 
 def interpolate_positions(
-    epochs_s: ArrayLike,
-    position_m: ArrayLike,
-    cov_m2: ArrayLike,
-    at_s: ArrayLike,
-    *,
-    max_gap_s: float,
+    epochs_s: ArrayLike, position_m: ArrayLike, cov_m2: ArrayLike, at_s: ArrayLike, *, max_gap_s: float
 ) -> Interpolated:
     """Cubic spline through each unbroken run of epochs; nothing across holes, nothing outside.
 

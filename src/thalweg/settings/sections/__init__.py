@@ -1,1 +1,5 @@
-"""Sections of a campaign file, but for images, light sheet and twin."""
+"""Sections of a campaign file but the twin's."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -4,8 +4,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from thalweg.settings.base.base import Section
-from thalweg.settings.base.values import Finite, NonNegative, Positive
+from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section
 
 EDGES_PER_CELL: Final = 1.5
 """Points of cells side by side are a cell apart, and across the corner 1.4 times that."""
@@ -41,7 +40,7 @@ class Area(Section):
         return self
 
 
-class Reference(Section):
+class ReferenceSettings(Section):
     """Reference cloud (TLS) -> surface mesh."""
 
     sigma_m: NonNegative = Field(

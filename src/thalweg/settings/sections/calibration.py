@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from thalweg.settings.base.base import Section
-from thalweg.settings.base.values import NonNegative, Positive, Sigma3
+from thalweg.settings.sections.base import NonNegative, Positive, Section, Sigma3
 
 Incidence = Annotated[float, Field(gt=0, lt=90)]
 
@@ -135,9 +134,7 @@ class EchoSounderFit(Section):
         default=0.02, le=1, description="A coordinate that the soundings alone give worse is refused, metres"
     )
     max_sigma_lag_s: Positive = Field(
-        default=0.02,
-        le=10,
-        description="A time that the soundings alone give worse is refused, seconds",
+        default=0.02, le=10, description="A time that the soundings alone give worse is refused, seconds"
     )
 
 

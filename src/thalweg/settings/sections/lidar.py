@@ -1,11 +1,22 @@
-"""Sections ``lidar`` and ``lidar_accuracy``: how scanner packets become points, and what those are worth."""
+"""Sections ``lidar``, ``lidar_accuracy``, ``georeferencing`` and ``filters``, and ``figures``.
 
-from typing import Annotated, Literal
+Body frame ics: x forward, y right, z down. The default box holds the HyDrone of the thesis (1.17 m x 0.74 m,
+T 2.1) with antenna mast and echo sounder when the INS sits amidships, and the water beside it, which returns
+beams that fall steeply.
+"""
 
-from pydantic import Field
+from typing import TYPE_CHECKING, Annotated, Final, Literal, Self
 
-from thalweg.settings.base.base import Section
-from thalweg.settings.base.values import NonNegative, Positive
+from pydantic import Field, model_validator
+
+from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Vector3
+
+if TYPE_CHECKING:
+    from thalweg.core import ArrayF
+
+
+# ---------------------------------------------------------------- decoding and accuracy
+
 
 Port = Annotated[int, Field(ge=1, le=65535)]
 
@@ -13,17 +24,22 @@ Port = Annotated[int, Field(ge=1, le=65535)]
 class Lidar(Section):
     """Decoding of the lidar."""
 
-    model: Literal["auto", "VLP-16"] = Field(
+    model: Literal["auto", "VLP-16", "Puck Hi-Res", "HDL-32E", "VLP-32C"] = Field(
         default="auto", description="Scanner; `auto` trusts the product byte of the packets"
     )
     vertical_corrections: bool = Field(
-        default=True, description="Apply the vertical offsets of the lasers from the VLP-16 manual"
+        default=True, description="Apply the vertical offsets of the lasers from the manual"
     )
     returns: Literal["all", "strongest", "last"] = Field(
         default="all", description="Which returns of a dual-return log are kept"
     )
     data_port: Port = Field(default=2368, description="UDP port of the data packets")
     position_port: Port = Field(default=8308, description="UDP port of the position packets")
+
+
+WEAK_RANGE_M: Final = 100.0
+WEAK_REFLECTIVITY: Final = 10.0
+"""The echo to which `sigma_weak_m` belongs: reflectivity in percent, as the sensor reports it."""
 
 
 class LidarAccuracy(Section):
@@ -53,4 +69,141 @@ class LidarAccuracy(Section):
     )
     sigma_time_s: NonNegative = Field(
         default=1e-6, le=1, description="Standard deviation of the scanner's stamps, seconds (PPS, T 3.1.2)"
+    )
+
+    @property
+    def divergence_rad(self) -> float:
+        """Full divergence of the beam."""
+        return self.divergence_mrad / 1000.0
+
+    def scaled(self, *, component: float, footprint: float) -> Self:
+        """The same with other sizes: range and directions, and the echo's place in its footprint."""
+        return self.model_copy(
+            update={
+                "sigma_component_m": component * self.sigma_component_m,
+                "sigma_weak_m": component * self.sigma_weak_m,
+                "footprint_share": footprint * self.footprint_share,
+            }
+        )
+
+    def variances(self, range_m: "ArrayF", reflectivity: "ArrayF") -> "tuple[ArrayF, ArrayF]":
+        """Variances along the beam and across it in each direction, m^2, both (n,).
+
+        Parameters
+        ----------
+        range_m : (n,) measured range.
+        reflectivity : (n,) percent, as the sensor reports it; below 1 counts as 1.
+        """
+        import numpy as np  # here: the command line imports this module, and needs no arrays
+
+        r = np.asarray(range_m, dtype=np.float64)
+        faint = WEAK_REFLECTIVITY / np.maximum(reflectivity, 1.0) * (r / WEAK_RANGE_M) ** 2
+        base = self.sigma_component_m**2
+        along = base + (self.sigma_weak_m * faint) ** 2
+        across = base + (self.footprint_share * self.divergence_rad * r) ** 2
+        return along, across
+
+
+# ---------------------------------------------------------------- filters
+
+
+class Filters(Section):
+    """Points that are left out of the cloud and counted; each has one reason, the first that holds."""
+
+    hull_low_ics_m: Vector3 | None = Field(
+        default=(-0.90, -1.50, -0.80),
+        description="Box around the own boat and the water beside it in the body frame, lowest forward, "
+        "right, down, metres; null in both corners: off",
+    )
+    hull_high_ics_m: Vector3 | None = Field(
+        default=(0.90, 1.50, 0.45),
+        description="The other corner of that box, highest forward, right, down, metres",
+    )
+    max_sigma_m: Positive | None = Field(
+        default=None,
+        description="Points with a larger predicted sigma in any axis are left out, metres; null: off",
+    )
+    water_line_ics_m: Finite = Field(
+        default=0.2,
+        ge=-5,
+        le=5,
+        description="Water line below the INS, boat at rest, metres; roll and pitch are not regarded",
+    )
+    below_water_m: NonNegative | None = Field(
+        default=0.05,
+        le=50,
+        description="Points farther below the water level at the boat are left out, metres; null: off, for "
+        "instance below a weir, where land may lie lower than the boat",
+    )
+    below_water_sigmas: NonNegative = Field(
+        default=2.0,
+        le=10,
+        description="That margin grows by so many times the predicted sigma of the point's height above the "
+        "boat",
+    )
+    mirror_ghosts: bool = Field(
+        default=True,
+        description="Name points below the water mirror ghosts if their mirror image lies on the cloud",
+    )
+    isolated_radius_m: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] = Field(
+        default=0.5, description="Radius of the neighbourhood of a point, metres"
+    )
+    isolated_neighbours: int = Field(
+        default=3,
+        ge=0,
+        le=200,
+        description="Points with fewer others within the radius are left out; 0: off. One shot gives two "
+        "points at most, so from 2 on it cannot save itself",
+    )
+
+    @model_validator(mode="after")
+    def _check_hull(self) -> Self:
+        low, high = self.hull_low_ics_m, self.hull_high_ics_m
+        if (low is None) != (high is None):
+            raise ValueError("the box of the hull has one corner only: give both or set both to null")
+        if low is not None and high is not None and not all(a < b for a, b in zip(low, high, strict=True)):
+            raise ValueError(
+                f"the box of the hull is empty: hull_low_ics_m {list(low)} is not below "
+                f"hull_high_ics_m {list(high)} in all three axes"
+            )
+        return self
+
+    @property
+    def needs_occupancy(self) -> bool:
+        """Whether a first pass over the cloud changes anything."""
+        return self.isolated_neighbours > 0 or (self.below_water_m is not None and self.mirror_ghosts)
+
+
+# ---------------------------------------------------------------- georeferencing and pictures
+
+
+class Georeferencing(Section):
+    """Lidar points into the world frame."""
+
+    min_range_m: NonNegative = Field(
+        default=0.5, le=250, description="Nearer points are left out, metres; the own boat has its own filter"
+    )
+    max_range_m: Positive = Field(default=100.0, le=250, description="Farther points are left out, metres")
+    chunk_points: int = Field(
+        default=1_000_000, ge=10_000, le=50_000_000, description="Points held in memory at a time"
+    )
+    laz_scale_m: Annotated[float, Field(ge=1e-5, le=0.01, allow_inf_nan=False)] = Field(
+        default=0.001, description="Resolution of coordinates in LAZ files, metres"
+    )
+    correlations: bool = Field(
+        default=False,
+        description="Write the correlations of each point's coordinates beside its three standard "
+        "deviations; always so for a twin, and where there is a reference",
+    )
+    export_map: bool = Field(
+        default=True, description="Also write the cloud in map coordinates (`campaign.crs`)"
+    )
+
+
+class Figures(Section):
+    """Pictures."""
+
+    dpi: int = Field(default=200, ge=50, le=1200, description="Resolution, dots per inch")
+    max_points: int = Field(
+        default=2_000_000, ge=1_000, le=100_000_000, description="Points drawn at most in a scatter plot"
     )

@@ -5,9 +5,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
-from thalweg.settings.base.base import Section
-from thalweg.settings.base.values import Finite, Vector3
-from thalweg.settings.light_sheet.scans import SCAN_PARTS, ScanName, SheetScan, scan_stream
+from thalweg.settings.sections.base import Finite, Section, Vector3
+from thalweg.settings.sections.light_sheet import SCAN_PARTS, ScanName, SheetScan, scan_stream
 
 Files = tuple[Annotated[str, Field(min_length=1)], ...]
 """Paths or glob patterns, as in the file; absolute paths once the campaign is loaded."""

@@ -1,1 +1,0 @@
-"""Distances of a cloud from a reference: statistics, registration, prediction."""

@@ -1,0 +1,424 @@
+"""Rigid registration of a cloud to a reference mesh: how much of an offset a motion removes (P2 section 7).
+
+Point-to-plane ICP with Tukey's robust loss (Chen and Medioni 1992; scale by the median absolute distance).
+For a small motion, ``p -> c + exp([w]x)(p - c) + t`` about the middle ``c`` of the points, the distance of a
+point changes by ``n . t + ((p - c) x n) . w``. Nearest places and normals are found anew in each iteration;
+points whose nearest place lies on the border take no part.
+
+**What a surface does not determine.** A plane is the same after a shift within it. A motion is as visible as
+the change of the distances is large against the motion of the points, both as RMS: 1 for a shift along the
+normal of a plane, 0 for one within it. The mean normals of cells of one metre are asked: those of single
+triangles also vary by the noise of the reference, which would make anything look determined. Motions that
+are less visible than `LEAST_VISIBLE` are left alone and named.
+
+**Standard deviations.** From what single stretches of time would change (`block_covariance`), not from the
+number of points: formal ones would be too small by a factor of a hundred. They hold the errors of the
+trajectory and all else that changes with time. They do not hold what is the same at all times: an error of
+the mount, one of the reference, plants in front. A motion that is larger than they explain may be owed to
+these.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import eigh
+from scipy.spatial.transform import Rotation
+from scipy.stats import f as fisher
+
+from thalweg.accuracy.comparison import ComparisonSettings
+from thalweg.accuracy.statistics import NMAD_FACTOR
+from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError
+from thalweg.core.geometry import cell_numbers
+from thalweg.surface import Distances, Surface
+
+TUKEY: Final = 4.685
+"""Distances beyond so many robust standard deviations have no weight; 95 % efficient for normal errors."""
+LEAST_VISIBLE: Final = 0.1
+"""RMS change of the distances over RMS motion of the points, below which a motion is not determined."""
+VISIBILITY_CELL_M: Final = 1.0
+MOST_POINTS: Final = 100_000
+"""Points that take part; more of them share the same pose errors."""
+MOST_ITERATIONS: Final = 60
+STEP_M: Final = 1e-5
+"""Converged if a step moves the points by less than this RMS."""
+LEAST_GAIN: Final = 0.2
+"""Where a step leaves more than ``1 - LEAST_GAIN * share`` of the way, steps are halved: on rough ground
+nearest places jump to and fro between faces, and full steps circle around the solution."""
+JITTER: Final = 0.05
+"""Largest full step that may be left, as a share of the spread of the distances."""
+LARGEST_ROTATION_DEG: Final = 10.0
+LEAST_POINTS: Final = 100
+AXES: Final = ("east", "north", "up")
+_FLOOR_M: Final = 1e-4
+SHORTEST: Final = 2.0
+"""Blocks last at least so many correlation times; sums over shorter ones hold too little of the variance."""
+LONGEST: Final = 10.0
+"""Longer blocks than so many correlation times hold no more than 90 % of the variance, and are fewer."""
+ENOUGH_BLOCKS: Final = 20
+"""Blocks are only made longer than the shortest as long as so many are left."""
+SPARE_BLOCKS: Final = 3
+"""So many more blocks than parameters are needed; the spread of fewer says nothing."""
+_LEAST_LEFT: Final = 0.01
+"""A parameter that keeps less than this share of its curvature without one block rests on that block."""
+
+
+# ---------------------------------------------------------------- registration
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """A rigid motion about a point: ``p -> centre + R (p - centre) + shift``; all in wcs."""
+
+    centre_m: ArrayF
+    R: ArrayF
+    shift_m: ArrayF
+
+    def apply(self, points_m: ArrayF) -> ArrayF:
+        """Where points (n, 3) are after the motion."""
+        return np.asarray(self.centre_m + (points_m - self.centre_m) @ self.R.T + self.shift_m)
+
+    def followed_by(self, shift_m: ArrayF, rotation_rad: ArrayF) -> "Motion":
+        """The motion, then a rotation vector about the moved centre and a shift."""
+        R = Rotation.from_rotvec(rotation_rad).as_matrix() @ self.R
+        return Motion(centre_m=self.centre_m, R=R, shift_m=self.shift_m + shift_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Registration:
+    """Result of `register`.
+
+    ``motion`` brings the cloud onto the reference. ``cov`` (6, 6) is the covariance of (shift east, north, up
+    in metres; rotation vector in radians), zero in directions that are held fixed; None if the survey is too
+    short to tell: it is worth ``blocks`` time blocks of ``block_s`` seconds, and ``blocks_needed`` are asked
+    for. ``visibility`` (6,) says how visible six independent motions are; ``undetermined`` names those that
+    were not solved for. ``n`` points took part; ``spread_m`` is the robust standard deviation of their
+    distances afterwards.
+    """
+
+    motion: Motion
+    cov: ArrayF | None
+    visibility: ArrayF
+    undetermined: tuple[str, ...]
+    iterations: int
+    n: int
+    blocks: float
+    block_s: float
+    blocks_needed: int
+    last_step_m: float
+    spread_m: float
+
+    @property
+    def rotation_rad(self) -> ArrayF:
+        """Rotation vector (3,) in wcs."""
+        return np.asarray(Rotation.from_matrix(self.motion.R).as_rotvec())
+
+    def significance(self) -> tuple[float, float] | None:
+        """Size of the motion over its covariance, and what that exceeds by chance in 5 % of cases.
+
+        Hotelling's ``F = T^2 (B - p) / (p (B - 1))`` with ``T^2 = x^T C^-1 x`` of ``p`` motions and ``B``
+        blocks, against Fisher's distribution for p and B - p degrees of freedom. None without a covariance.
+        """
+        if self.cov is None:
+            return None
+        x = np.concatenate([self.motion.shift_m, self.rotation_rad])
+        squared = float(x @ np.linalg.pinv(self.cov, rcond=1e-12, hermitian=True) @ x)
+        p, n = 6 - len(self.undetermined), self.blocks
+        return squared * (n - p) / (p * (n - 1)), float(fisher.ppf(0.95, p, n - p))
+
+
+def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings) -> Registration:
+    """Fit a cloud to a mesh by a rigid motion.
+
+    Parameters
+    ----------
+    table : kind ``cloud_to_mesh``; the points that are used and not nearest to the border take part, at most
+        `MOST_POINTS` of them.
+    surface : the reference.
+    settings : those of the comparison.
+
+    Raises
+    ------
+    GeometryError : nothing is determined, too few points, or no convergence near the start.
+    """
+    points, t_gps_s = _points_of(table, settings)
+    motion = Motion(centre_m=points.mean(axis=0), R=np.eye(3), shift_m=np.zeros(3))
+    moved, found = points, surface.distances(points)
+    use = _taking_part(found, settings)
+    rates = _rates(moved, found.normal, motion)
+    visibility, motions = visible_motions(moved[use], rates[use], motion.centre_m)
+    free = motions[:, visibility >= LEAST_VISIBLE]
+    if not free.shape[1]:
+        raise GeometryError("the surface determines no motion at all", expected="an area with normals")
+    iterations, share, size, applied = 0, 1.0, np.inf, np.inf
+    while applied > STEP_M and iterations < MOST_ITERATIONS:
+        distance = found.distance_m[use]
+        weight = _tukey(distance)
+        design = rates[use] @ free
+        normal_matrix = design.T @ (weight[:, None] * design)
+        step = np.linalg.solve(normal_matrix, -design.T @ (weight * distance))
+        last, size = size, float(np.linalg.norm(step))
+        share = share / 2 if size > (1 - LEAST_GAIN * share) * last else share
+        motion = motion.followed_by(*np.split(free @ (share * step), 2))
+        _refuse_large(motion, settings)
+        moved = motion.apply(points)
+        found = surface.distances(moved)
+        use = _taking_part(found, settings)
+        rates = _rates(moved, found.normal, motion)
+        iterations, applied = iterations + 1, share * size
+    spread_m = NMAD_FACTOR * float(np.median(np.abs(found.distance_m[use])))
+    if size > max(JITTER * spread_m, STEP_M):
+        raise GeometryError(
+            f"no convergence in {iterations} iterations; the last step was {1000 * size:.2g} mm",
+            expected=f"steps below {100 * JITTER:g} % of the distances' spread of {1000 * spread_m:.2g} mm",
+            cure="Is the reference rough or small there? Choose another accuracy.area, or set "
+            "accuracy.registration to false",
+        )
+    distance = found.distance_m[use]
+    weight, slope = _tukey(distance), _tukey_slope(distance)
+    known = block_covariance(
+        rates[use] @ free,
+        weight * distance,
+        slope,
+        t_gps_s=t_gps_s[use],
+        correlation_s=settings.correlation_s,
+    )
+    return Registration(
+        motion=motion,
+        cov=None if known.cov is None else free @ known.cov @ free.T,
+        visibility=visibility,
+        undetermined=_names(motions[:, visibility < LEAST_VISIBLE]),
+        iterations=iterations,
+        n=int(use.sum()),
+        blocks=known.blocks,
+        block_s=known.block_s,
+        blocks_needed=known.needed,
+        last_step_m=size,
+        spread_m=spread_m,
+    )
+
+
+def _points_of(table: pd.DataFrame, settings: ComparisonSettings) -> tuple[ArrayF, ArrayF]:
+    """Places (n, 3) and times (n,) of the points that take part."""
+    rows = np.flatnonzero(table["used"].to_numpy() & ~table["at_border"].to_numpy())
+    if len(rows) < LEAST_POINTS:
+        raise GeometryError(f"{len(rows)} points to register", expected=f"at least {LEAST_POINTS}")
+    if len(rows) > MOST_POINTS:
+        rng = np.random.default_rng([settings.seed, *b"registration"])
+        rows = np.sort(rng.choice(rows, MOST_POINTS, replace=False))
+    return table[["east_m", "north_m", "up_m"]].to_numpy()[rows], table["t_gps_s"].to_numpy()[rows]
+
+
+def _taking_part(found: Distances, settings: ComparisonSettings) -> ArrayB:
+    near = np.abs(found.distance_m) <= settings.max_distance_m
+    return np.asarray(near & ~found.at_border & found.normal.any(axis=1))
+
+
+def _tukey(distance_m: ArrayF) -> ArrayF:
+    """Tukey's weights; the scale is about zero, not about the median: an offset is what is to be removed."""
+    u = distance_m / _tukey_limit(distance_m)
+    return np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0)
+
+
+def _tukey_slope(distance_m: ArrayF) -> ArrayF:
+    """Derivative of weight times distance with respect to the distance: what a point holds a fit by."""
+    u = distance_m / _tukey_limit(distance_m)
+    return np.where(np.abs(u) < 1, (1 - u**2) * (1 - 5 * u**2), 0.0)
+
+
+def _tukey_limit(distance_m: ArrayF) -> float:
+    return TUKEY * max(NMAD_FACTOR * float(np.median(np.abs(distance_m))), _FLOOR_M)
+
+
+def _rates(points: ArrayF, normal: ArrayF, motion: Motion) -> ArrayF:
+    """Change of each distance with the shift and with the rotation vector, (n, 6)."""
+    arm = points - (motion.centre_m + motion.shift_m)
+    return np.hstack([normal, np.cross(arm, normal)])
+
+
+def _refuse_large(motion: Motion, settings: ComparisonSettings) -> None:
+    angle = float(np.rad2deg(Rotation.from_matrix(motion.R).magnitude()))
+    shift, limit = float(np.linalg.norm(motion.shift_m)), 2 * settings.max_distance_m
+    if angle > LARGEST_ROTATION_DEG or shift > limit:
+        raise GeometryError(
+            f"the registration wanders off: {shift:.2f} m, {angle:.1f} degrees",
+            expected=f"at most {limit:g} m and {LARGEST_ROTATION_DEG:g} degrees",
+            cure="Enlarge the area, or compare without registration",
+        )
+
+
+def visible_motions(points_m: ArrayF, rates: ArrayF, centre_m: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """How visible six independent motions are (6,), and these motions (6, 6) in columns.
+
+    Each moves the points by an RMS of 1 m, in a linear sense. Those that are not visible are turned among
+    themselves so that shifts and rotations stand apart.
+
+    Parameters
+    ----------
+    points_m : (n, 3).
+    rates : (n, 6) change of each point's distance with a shift and with a rotation vector about the centre.
+    centre_m : (3,).
+
+    Raises
+    ------
+    GeometryError : all points lie on a line.
+    """
+    number = cell_numbers(points_m, VISIBILITY_CELL_M)
+    count = np.bincount(number)
+    mean = np.stack([np.bincount(number, weights=rate) for rate in rates.T], axis=1) / count[:, None]
+    change = mean.T @ (count[:, None] * mean) / count.sum()
+    try:
+        power, motions = eigh(change, _mean_square_motion(points_m - centre_m))
+    except np.linalg.LinAlgError as error:
+        raise GeometryError("all points lie on a line", expected="points on a surface") from error
+    visibility = np.sqrt(np.maximum(power, 0.0))
+    hidden = visibility < LEAST_VISIBLE
+    if hidden.any():
+        null = motions[:, hidden]
+        motions[:, hidden] = null @ np.linalg.svd(null[:3])[2].T
+        visibility[hidden] = np.sqrt(np.average((mean @ motions[:, hidden]) ** 2, axis=0, weights=count))
+    return visibility, np.asarray(motions)
+
+
+def _mean_square_motion(arm: ArrayF) -> ArrayF:
+    """Matrix D (6, 6): ``x^T D x`` is the mean square motion of points under a shift and a small rotation."""
+    e, n, u = arm.mean(axis=0)
+    products = arm.T @ arm / len(arm)
+    out = np.eye(6)
+    # the motion is t + w x r, and t . (w x r) = w . (r x t)
+    out[:3, 3:] = [[0.0, u, -n], [-u, 0.0, e], [n, -e, 0.0]]
+    out[3:, :3] = out[:3, 3:].T
+    out[3:, 3:] = np.trace(products) * np.eye(3) - products
+    return out
+
+
+def _names(motions: ArrayF) -> tuple[str, ...]:
+    """Motions (6, k) of shift and rotation in words; each moves points by an RMS of 1 m in all."""
+    names = []
+    for motion in motions.T:
+        shift = float(np.linalg.norm(motion[:3]))
+        parts = []
+        for what, vector, share in (
+            ("shift along", motion[:3], shift),
+            ("rotation about", motion[3:], float(np.sqrt(max(1.0 - shift**2, 0.0)))),
+        ):
+            if share > 0.3:
+                direction = vector / np.linalg.norm(vector) * np.sign(vector[np.argmax(np.abs(vector))])
+                axes = ", ".join(f"{axis} {x:.2f}" for axis, x in zip(AXES, direction, strict=True))
+                parts.append(f"{what} ({axes})")
+        names.append(" with ".join(parts))
+    return tuple(names)
+
+
+# ---------------------------------------------------------------- covariance of a robust fit to points that
+# share the errors of their poses: a jackknife over time blocks
+#
+# Points of one moment err together, those of another by themselves; how errors are alike within a moment, by
+# the place, the range or a tilt, need not be known. The survey is cut into ``B`` blocks of time. With the
+# residuals ``e``, their rates ``D`` of change with the parameters and a robust weight ``w(e)``, each block
+# has a score and a curvature,
+#
+#     g_b = sum w e D^T,    H_b = sum psi'(e) D^T D,    psi(e) = w(e) e
+#
+# and the fit without block ``b`` differs from that with all by ``(H - H_b)^-1 g_b``, ``H = sum H_b``. Then
+#
+#     cov = c (B - 1) / B sum_b d_b d_b^T,    d_b = (H - H_b)^-1 g_b       (CV3: MacKinnon, Nielsen, Webb
+#     2023)
+#
+# Three things matter, and each alone makes sigmas too small. Residuals are smaller than errors where a block
+# rules the fit: leaving it out shows that. A robust fit holds on to its points by the slope of ``psi``, not
+# by the weights, which are larger (Huber 1981, 7.6). Neighbouring blocks are not independent: with errors of
+# correlation time ``tau`` the sums over blocks of length ``L`` hold a share of the variance, and ``c`` is its
+# inverse,
+#
+#     1 / c = 1 - (tau / L) (1 - exp(-L / tau))
+#
+# For ``L = 2 tau`` this is 0.57. Errors that are white in time would need no ``c``: for them sigmas are up to
+# a third too large. Therefore blocks are longer where the survey is long enough for many of them.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockCovariance:
+    """Result of `block_covariance`.
+
+    ``cov`` (p, p), or None if there are too few blocks or a parameter rests on one of them. ``blocks`` is the
+    effective number of blocks, ``(sum n)^2 / sum n^2`` (Kish 1965), each ``block_s`` long; ``needed`` so many
+    are asked for.
+    """
+
+    cov: ArrayF | None
+    blocks: float
+    block_s: float
+    needed: int
+
+
+def time_blocks(t_gps_s: ArrayF, correlation_s: float) -> tuple[ArrayI, float]:
+    """The block (n,) of each point, from 0 without gaps, and the length of the blocks in seconds.
+
+    Times without points count for nothing, so a survey in several passes has as many blocks as it measured.
+    """
+    since = t_gps_s - t_gps_s.min()
+    shortest = SHORTEST * correlation_s
+    measured_s = shortest * len(np.unique(np.floor(since / shortest)))
+    length = float(np.clip(measured_s / ENOUGH_BLOCKS, shortest, LONGEST * correlation_s))
+    number = np.unique(np.floor(since / length), return_inverse=True)[1]
+    return np.asarray(number, dtype=np.int64), length
+
+
+def share_within_blocks(block_s: float, correlation_s: float) -> float:
+    """Share of the variance of a sum of Gauss-Markov errors that sums over blocks hold.
+
+    Examples
+    --------
+    >>> [round(share_within_blocks(k, 1.0), 2) for k in (2.0, 4.0, 10.0)]
+    [0.57, 0.75, 0.9]
+    """
+    ratio = correlation_s / block_s
+    return float(1 + ratio * np.expm1(-1 / ratio))
+
+
+def block_covariance(
+    design: ArrayF, psi_m: ArrayF, slope: ArrayF, *, t_gps_s: ArrayF, correlation_s: float
+) -> BlockCovariance:
+    """Covariance of the parameters of a converged robust fit.
+
+    Parameters
+    ----------
+    design : (n, p) change of each residual with the parameters.
+    psi_m : (n,) weight times residual.
+    slope : (n,) derivative of that with respect to the residual.
+    t_gps_s : (n,) time of each point.
+    correlation_s : correlation time of the slowest error that changes.
+    """
+    number, length = time_blocks(t_gps_s, correlation_s)
+    n_points = np.bincount(number).astype(np.float64)
+    n_blocks, p = len(n_points), design.shape[1]
+    effective = float(n_points.sum() ** 2 / np.sum(n_points**2))
+    score: ArrayF = np.stack([np.bincount(number, weights=psi_m * d) for d in design.T], axis=1)
+    curvature = np.empty((n_blocks, p, p))
+    for i in range(p):
+        for j in range(i + 1):
+            sums = np.bincount(number, weights=slope * design[:, i] * design[:, j])
+            curvature[:, i, j] = curvature[:, j, i] = sums
+    cov = None
+    if effective >= p + SPARE_BLOCKS:
+        cov = _jackknife(score, curvature)
+    if cov is not None:
+        cov = cov / share_within_blocks(length, correlation_s)
+    return BlockCovariance(cov=cov, blocks=effective, block_s=length, needed=p + SPARE_BLOCKS)
+
+
+def _jackknife(score: ArrayF, curvature: ArrayF) -> ArrayF | None:
+    whole = curvature.sum(axis=0)
+    power, axes = np.linalg.eigh(whole)
+    if power[0] <= 0:
+        return None
+    # in parameters in which the curvature of all is the unit matrix
+    scale = axes / np.sqrt(power)
+    rest = np.eye(len(power)) - scale.T @ curvature @ scale
+    if np.linalg.eigvalsh(rest).min() < _LEAST_LEFT:
+        return None
+    changes = np.linalg.solve(rest, (score @ scale)[:, :, None])[:, :, 0] @ scale.T
+    n_blocks = len(score)
+    return np.asarray((n_blocks - 1) / n_blocks * changes.T @ changes)

@@ -1,1 +1,0 @@
-"""INS, camera and fused solution side by side."""

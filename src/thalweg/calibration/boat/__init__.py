@@ -1,1 +1,0 @@
-"""All sensors of the boat with one joint covariance."""

@@ -1,1 +1,0 @@
-"""The boat's camera: interior orientation and poses in the field."""

@@ -1,0 +1,179 @@
+"""Interior orientations as calibration files with their covariance, and cameras from files of any kind."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from thalweg.core import (
+    PARAMETERS,
+    Camera,
+    ConfigError,
+    GeometryError,
+    InputError,
+    Model,
+    read_colmap,
+    read_mapping,
+    read_opencv,
+)
+from thalweg.core.calibration import Block, Calibration, Source, read_calibration
+
+SUFFIX: Final = "_interior"
+"""Of the block of a camera: ``camera_interior``."""
+
+TRIED: Final = {"perspective": (0.62, 0.8, 1.0, 1.25, 1.6, 2.1), "fisheye": (0.24, 0.3, 0.36, 0.44, 0.54)}
+"""Focal lengths over the longer side: 22 to 76 mm on full frame; fisheyes of 106 to 240 degrees."""
+
+
+# ---------------------------------------------------------------- files
+
+
+def interior_calibration(camera: Camera, source: Source, *, block: str = "camera") -> Calibration:
+    """A calibration that holds the interior orientation of one camera as the block ``<block>_interior``."""
+    part = Block(
+        name=block + SUFFIX,
+        quantities=camera.parameter_names,
+        values=camera.parameters,
+        equation=f"pixels = {camera.model}(x_ccs)",
+        convention="pixels count from the upper left corner; ccs: x right, y down, z view",
+        facts={"model": camera.model, "width_px": camera.size_px[0], "height_px": camera.size_px[1]},
+    )
+    return Calibration(
+        title=f"Interior orientation of {camera.name}", blocks=(part,), cov=camera.cov, source=source
+    )
+
+
+def camera_of(calibration: Calibration, block: str = "camera") -> Camera:
+    """The camera of a block ``<block>_interior`` with its covariance.
+
+    Raises
+    ------
+    InputError : the block states no known model or size, or other quantities.
+    """
+    name = block + SUFFIX
+    found = calibration.find(name)
+    model = str(found.facts.get("model", ""))
+    size = [found.facts.get(key) for key in ("width_px", "height_px")]
+    if PARAMETERS.get(model) != found.quantities or not all(isinstance(s, int) for s in size):
+        raise InputError(
+            f"block '{name}' with the model '{model}' and the size {size}",
+            expected=f"one of {', '.join(PARAMETERS)} with its parameters, width_px and height_px",
+        )
+    values, cov = calibration.block(name)
+    kind: Model = "fisheye" if model == "fisheye" else "perspective"
+    width, height = (int(s) for s in size if s is not None)
+    return Camera(model=kind, size_px=(width, height), parameters=values, cov=cov, name=block)
+
+
+def read_camera(path: Path, model: Model | None = None) -> Camera:
+    """A camera from a calibration file of Thalweg, a file of OpenCV or ROS, or COLMAP's ``cameras.txt``.
+
+    Parameters
+    ----------
+    path : the file.
+    model : where a file of OpenCV does not say it.
+
+    Raises
+    ------
+    InputError : the file is missing or none of these; or it holds more than one camera.
+    """
+    if path.suffix.lower() == ".txt":
+        cameras = read_colmap(path)
+        if len(cameras) > 1:
+            raise InputError(
+                f"{len(cameras)} cameras",
+                expected="one",
+                where=path,
+                cure="Keep the line of the boat's camera",
+            )
+        return next(iter(cameras.values()))
+    if not path.is_file():
+        raise InputError("file not found", expected="an interior orientation", where=path)
+    try:
+        keys = set(read_mapping(path)[0])
+    except ConfigError:
+        keys = set()  # OpenCV's own head and tags are no plain YAML
+    if any(key.startswith("thalweg") for key in keys):
+        calibration = read_calibration(path)
+        blocks = [b.name.removesuffix(SUFFIX) for b in calibration.blocks if b.name.endswith(SUFFIX)]
+        if len(blocks) != 1:
+            raise InputError(f"the cameras {blocks}", expected="one interior orientation", where=path)
+        return camera_of(calibration, blocks[0])
+    return read_opencv(path, model)
+
+
+def same_size(camera: Camera, size_px: tuple[int, int]) -> Camera:
+    """The camera if its pictures have this size.
+
+    Raises
+    ------
+    InputError : they have not.
+    """
+    if camera.size_px != size_px:
+        width, height = camera.size_px
+        raise InputError(
+            f"pictures of {size_px[0]} x {size_px[1]} pixels",
+            expected=f"{width} x {height}, as the interior orientation of {camera.name} has it",
+            cure="Use the original files of the camera that was calibrated, in the same mode",
+        )
+    return camera
+
+
+# ---------------------------------------------------------------- nominal interior orientation
+
+
+def nominal_camera(name: str, model: Model, size_px: tuple[int, int], focal_px: float) -> Camera:
+    """A camera with its principal point in the middle and without distortion."""
+    p = np.zeros(len(PARAMETERS[model]))
+    p[:4] = focal_px, focal_px, size_px[0] / 2, size_px[1] / 2
+    return Camera(model=model, size_px=size_px, parameters=p, name=name)
+
+
+def starting_camera_by(
+    misfit: Callable[[Camera], float],
+    name: str,
+    model: Model,
+    size_px: tuple[int, int],
+    focal_px: float | None,
+) -> Camera:
+    """The nominal camera of a stated focal length, or else that of the tried ones with the smallest misfit.
+
+    Raises
+    ------
+    GeometryError : none of them gives any solution.
+    """
+    if focal_px is not None:
+        return nominal_camera(name, model, size_px, focal_px)
+    return best_nominal(name, model, size_px, misfit)
+
+
+def best_nominal(
+    name: str, model: Model, size_px: tuple[int, int], misfit: Callable[[Camera], float]
+) -> Camera:
+    """The tried focal length with the smallest misfit.
+
+    Parameters
+    ----------
+    name, model, size_px : of the camera.
+    misfit : of a camera; `GeometryError` counts as infinite.
+
+    Raises
+    ------
+    GeometryError : none of them gives any solution; the last reason is told.
+    """
+    best: tuple[float, Camera] | None = None
+    reason: GeometryError | None = None
+    for share in TRIED[model]:
+        camera = nominal_camera(name, model, size_px, share * max(size_px))
+        try:
+            value = misfit(camera)
+        except GeometryError as error:
+            reason = error
+            continue
+        if best is None or value < best[0]:
+            best = (value, camera)
+    if best is None:
+        assert reason is not None
+        raise reason
+    return best[1]

@@ -1,0 +1,658 @@
+"""Cones in lidar scans: which points lie on which cone, and why a cone is not seen.
+
+The nominal mounts may be off by decimetres and several degrees, more than a cone is wide; ground, stands and
+people are near. So many orientations around the nominal one are tried, and each is judged by its beams:
+
+    +1   a beam that should meet a cone and does
+    -1   a beam that should meet a cone and was reflected behind it: it went through
+     0   a beam that was reflected before: something stood in front
+
+The second line is what keeps a cone from being found in the ground or in a passer-by. The best orientations
+are refined by robust point distances with a width that shrinks, and judged again.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from itertools import pairwise
+from typing import Final, Self
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import ndtri
+
+from thalweg.calibration.cones import Cone, ConeBeams, beam_spread
+from thalweg.core import AnyArray, ArrayF, GeometryError, InputError, Rigid, exp_rotation, njit
+from thalweg.settings.sections import CameraLidarFit, LidarAccuracy
+
+_BEAMS: Final = 2500
+"""Beams that judge an orientation, of all positions together."""
+_KEPT: Final = 24
+_FARTHEST: Final = 3.0
+"""Times the search range that a refined orientation may be off; tries end at two."""
+_WIDTHS_M: Final = (0.2, 0.1, 0.06)
+_STEPS: Final = 6
+_FINAL_M: Final = 0.06
+"""Distance from a cone within which a beam counts as one that met it, after the refinement."""
+_LEAST_BEAMS: Final = 25
+
+AGAIN: Final = "photograph the field and record the positions again, or leave the cone out"
+_GAP_DEG: Final = 5
+"""Azimuths without returns that count as a gap, degrees."""
+_IN_GAP: Final = 0.2
+"""Share of a cone in a gap, from which on the gap is told."""
+_EDGE_DEG: Final = 0.5
+_BESIDE_SIGMAS: Final = 2.5
+"""Mean offset of the points of a cone in sigmas of one; the search is right to a fraction of that."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Position:
+    """A static position of the boat: what the camera and the lidar saw there.
+
+    Parameters
+    ----------
+    name : of the position.
+    T_pcs_ccs : exterior orientation of the camera in the frame of the field; without covariance it is
+        taken as free of error.
+    points_scs_m : (n, 3) in the frame of the scanner.
+    var_along_m2, var_across_m2 : (n,) variances of a point along its beam and in each direction across.
+    """
+
+    name: str
+    T_pcs_ccs: Rigid
+    points_scs_m: ArrayF
+    var_along_m2: ArrayF
+    var_across_m2: ArrayF
+
+    @classmethod
+    def measured(
+        cls,
+        name: str,
+        T_pcs_ccs: Rigid,
+        points_scs_m: ArrayF,
+        beam_errors: LidarAccuracy,
+        reflectivity: ArrayF | None = None,
+    ) -> Self:
+        """From points and the accuracy of the scanner.
+
+        Raises
+        ------
+        InputError : no points, or coordinates that are not finite.
+        """
+        points = np.asarray(points_scs_m, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1:] != (3,) or not len(points):
+            raise InputError(
+                f"points of the shape {points.shape}",
+                expected="(n, 3) with at least one point",
+                where=f"position {name}",
+                cure="Check that the recording of this position holds the scan",
+            )
+        if not np.isfinite(points).all():
+            raise InputError("points that are not finite", where=f"position {name}")
+        reach = np.linalg.norm(points, axis=1)
+        along, across = beam_errors.variances(
+            reach, np.full(len(reach), 50.0) if reflectivity is None else reflectivity
+        )
+        return cls(
+            name=name, T_pcs_ccs=T_pcs_ccs, points_scs_m=points, var_along_m2=along, var_across_m2=across
+        )
+
+    def at(self, T_pcs_ccs: Rigid) -> "Position":
+        """The same scan with another exterior orientation of the camera."""
+        return replace(self, T_pcs_ccs=T_pcs_ccs)
+
+    def taken(self, rows: AnyArray) -> "Position":
+        """Some of the points."""
+        return Position(
+            name=self.name,
+            T_pcs_ccs=self.T_pcs_ccs,
+            points_scs_m=self.points_scs_m[rows],
+            var_along_m2=self.var_along_m2[rows],
+            var_across_m2=self.var_across_m2[rows],
+        )
+
+
+# ---------------------------------------------------------------- relative orientation from all cones at
+# once, without cropping by hand
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchRange:
+    """How far the orientation may be from the nominal one: standard deviations for each axis.
+
+    Parameters
+    ----------
+    shift_m : of the lever arm.
+    angle_deg : of the rotation.
+    tries : number of orientations.
+    """
+
+    shift_m: float = CameraLidarFit().search_shift_m
+    angle_deg: float = CameraLidarFit().search_angle_deg
+    tries: int = 2000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Orientation found; ``score``: mean of its beams' judgements, ``beams``: how many should meet a cone."""
+
+    T_ccs_scs: Rigid
+    score: float
+    beams: int
+
+
+def search(
+    cones: Sequence[Cone],
+    lengths_m: Sequence[float],
+    positions: Sequence[Position],
+    nominal: Rigid,
+    within: SearchRange,
+) -> Found:
+    """Orientation of the scanner near the nominal one that brings scans and cones together.
+
+    Parameters
+    ----------
+    cones, lengths_m : in pcs.
+    positions : with the camera's orientations.
+    nominal : T_ccs_scs from the mounts.
+    within : how far it may be off.
+
+    Raises
+    ------
+    GeometryError : no beam passes near a cone.
+    """
+    tables = _cone_table(cones, lengths_m)
+    reach = max(float(np.linalg.norm(c.apex_m - p.T_pcs_ccs.shift_m)) for c in cones for p in positions)
+    margin = 2 * within.shift_m + reach * 2 * np.deg2rad(within.angle_deg)
+    scans = [_near(cones, lengths_m, p, nominal, margin, _BEAMS // len(positions)) for p in positions]
+    if not any(len(points) for points in scans):
+        raise GeometryError(
+            "no beam of the lidar passes near a cone",
+            expected="cones in the view of the lidar",
+            cure="Check the mounts of camera and lidar, and the exterior orientations of the camera",
+        )
+    which = np.repeat(np.arange(len(scans)), [len(points) for points in scans])
+    points = np.concatenate(scans)
+    at = [p.T_pcs_ccs for p in positions]
+    # The same orientations for all inputs: a low-discrepancy set (Roberts 2018) turned into normal numbers.
+    tries = normal_set(within.tries)
+    tries *= np.repeat([within.shift_m, np.deg2rad(within.angle_deg)], 3)
+    candidates = [nominal, *(nominal.moved(t) for t in tries)]
+    scores = [_score(c, at, points, which, tables, 0.15) for c in candidates]
+    best = np.argsort([-s for s, _ in scores], kind="stable")[:_KEPT]
+    sigmas = np.repeat([2 * within.shift_m, 2 * np.deg2rad(within.angle_deg)], 3)
+    refined = [_refined(candidates[i], nominal, sigmas, cones, lengths_m, at, points, which) for i in best]
+    # A refinement may run away to other things that look like cones.
+    refined = [c for c in refined if _distance(c, nominal, within) < _FARTHEST] or [nominal]
+    finals = [_score(c, at, points, which, tables, _FINAL_M) for c in refined]
+    winner = int(np.argmax([s for s, _ in finals]))
+    score, beams = finals[winner]
+    return Found(T_ccs_scs=refined[winner], score=score / max(beams, 1), beams=beams)
+
+
+def fit_of(
+    T_ccs_scs: Rigid, cones: Sequence[Cone], lengths_m: Sequence[float], T_pcs_ccs: Rigid, position: Position
+) -> float:
+    """Balance of the beams of one scan with one exterior orientation of the camera; -1 if few meet a cone.
+
+    Parameters
+    ----------
+    T_ccs_scs : orientation of the scanner.
+    cones, lengths_m : in pcs.
+    T_pcs_ccs : exterior orientation of the camera.
+    position : whose points are taken.
+    """
+    points = _near(cones, lengths_m, position.at(T_pcs_ccs), T_ccs_scs, 0.0, _BEAMS)
+    table, which = _cone_table(cones, lengths_m), np.zeros(len(points), dtype=np.int64)
+    score, beams = _score(T_ccs_scs, [T_pcs_ccs], points, which, table, _FINAL_M)
+    return score / beams if beams >= _LEAST_BEAMS else -1.0
+
+
+def _distance(T: Rigid, nominal: Rigid, within: SearchRange) -> float:
+    """Greatest component of a change in units of the search range."""
+    sigmas = np.repeat([within.shift_m, np.deg2rad(within.angle_deg)], 3)
+    return float(np.abs(T.error_from(nominal) / sigmas).max())
+
+
+def _near(
+    cones: Sequence[Cone],
+    lengths: Sequence[float],
+    position: Position,
+    nominal: Rigid,
+    margin: float,
+    most: int,
+) -> ArrayF:
+    """Points whose beams pass near a cone, thinned evenly in the order of recording."""
+    T = position.T_pcs_ccs @ nominal
+    points = position.points_scs_m
+    beam = points @ T.R.T / np.linalg.norm(points, axis=1, keepdims=True)
+    near = np.zeros(len(points), dtype=np.bool_)
+    for cone, length in zip(cones, lengths, strict=True):
+        near[passing(cone, length, T.shift_m, beam, margin)] = True
+    rows = np.flatnonzero(near)
+    if len(rows) > most:
+        rows = rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
+    return np.asarray(points[rows])
+
+
+def _cone_table(cones: Sequence[Cone], lengths: Sequence[float]) -> ArrayF:
+    return np.array(
+        [
+            [*c.apex_m, *c.axis, np.cos(c.half_angle_rad) ** 2, length]
+            for c, length in zip(cones, lengths, strict=True)
+        ]
+    )
+
+
+def _score(
+    T: Rigid, at: Sequence[Rigid], points: ArrayF, which: AnyArray, table: ArrayF, width: float
+) -> tuple[float, int]:
+    R = np.stack([pose.R @ T.R for pose in at])
+    shift = np.stack([pose.R @ T.shift_m + pose.shift_m for pose in at])
+    score, beams = _judge(R, shift, points, which, table, width)
+    return float(score), int(beams)
+
+
+@njit(cache=True, error_model="numpy")
+def _judge(R, shift, points, which, table, width):  # type: ignore[no-untyped-def]
+    score, beams = 0.0, 0
+    d, o = np.empty(3), np.empty(3)
+    for i in range(len(points)):
+        M, s, p = R[which[i]], shift[which[i]], points[i]
+        reach = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
+        for j in range(3):
+            d[j] = (M[j, 0] * p[0] + M[j, 1] * p[1] + M[j, 2] * p[2]) / reach
+        first = np.inf
+        for k in range(len(table)):
+            cos2 = table[k, 6]
+            d_u = o_u = d_o = o_o = 0.0
+            for j in range(3):
+                o[j] = s[j] - table[k, j]
+                d_u += d[j] * table[k, 3 + j]
+                o_u += o[j] * table[k, 3 + j]
+                d_o += d[j] * o[j]
+                o_o += o[j] * o[j]
+            a, b, c = d_u * d_u - cos2, d_u * o_u - cos2 * d_o, o_u * o_u - cos2 * o_o
+            under = b * b - a * c
+            if c >= 0 or under < 0 or abs(a) < 1e-14:
+                continue
+            t = (-b + np.sqrt(under)) / a
+            z = o_u + t * d_u
+            if t > 0 and 0 < z <= table[k, 7] and t < first:
+                first = t
+        if first < np.inf:
+            beams += 1
+            off = reach - first
+            if abs(off) < width:
+                score += 1.0
+            elif off > 0:
+                score -= 1.0
+    return score, beams
+
+
+def _refined(
+    T: Rigid,
+    nominal: Rigid,
+    sigmas: ArrayF,
+    cones: Sequence[Cone],
+    lengths: Sequence[float],
+    at: Sequence[Rigid],
+    points: ArrayF,
+    which: AnyArray,
+) -> Rigid:
+    """Robust point distances; the nominal orientation is an observation, so that nothing is undetermined."""
+    R_pc = np.stack([pose.R for pose in at])[which]
+    shift = np.stack([pose.shift_m for pose in at])[which]
+    for width in _WIDTHS_M:
+        for _ in range(_STEPS):
+            in_ccs = T.apply(points)
+            in_pcs = np.einsum("nij,nj->ni", R_pc, in_ccs) + shift
+            r, normal = _nearest(in_pcs, cones, lengths)
+            weight = np.maximum(1 - (r / width) ** 2, 0.0) ** 2
+            n_ccs = np.einsum("nji,nj->ni", R_pc, normal)
+            arm = in_ccs - T.shift_m
+            J = np.hstack([n_ccs, np.cross(arm, n_ccs)])
+            # A third of the width as sigma of a point, few of which are independent of their neighbours.
+            P = weight / (width / 3) ** 2 * (100.0 / max(float(weight.sum()), 100.0))
+            back = T.error_from(nominal)
+            N = J.T @ (J * P[:, None]) + np.diag(1 / sigmas**2)
+            dx = -np.linalg.solve(N, J.T @ (P * r) + back / sigmas**2)
+            T = Rigid(R=exp_rotation(dx[3:]) @ T.R, shift_m=T.shift_m + dx[:3])
+            if np.abs(dx).max() < 1e-4:
+                break
+    return T
+
+
+def _nearest(points: ArrayF, cones: Sequence[Cone], lengths: Sequence[float]) -> tuple[ArrayF, ArrayF]:
+    """Distance (n,) from the nearest cone, with its normal (n, 3); beyond the ends it counts as 9 m."""
+    best, normal = np.full(len(points), 9.0), np.zeros((len(points), 3))
+    for cone, length in zip(cones, lengths, strict=True):
+        seen = cone.see(points)
+        slant = length / np.cos(cone.half_angle_rad)
+        nearer = (np.abs(seen.distance_m) < np.abs(best)) & (seen.slant_m > 0) & (seen.slant_m < slant)
+        best[nearer], normal[nearer] = seen.distance_m[nearer], seen.normal[nearer]
+    return best, normal
+
+
+def normal_set(n: int) -> ArrayF:
+    """(n, 6) numbers that fill a normal distribution evenly, cut at two sigmas."""
+    ratio = 1.0
+    for _ in range(50):
+        ratio = (1 + ratio) ** (1 / 7)
+    steps = (1 / ratio) ** np.arange(1, 7)
+    uniform = np.mod(0.5 + np.outer(np.arange(1, n + 1), steps), 1.0)
+    return np.asarray(ndtri(0.0228 + uniform * (1 - 2 * 0.0228)))
+
+
+# ---------------------------------------------------------------- points on cones, by where their beams
+# should go
+#
+# A point near the outline of a cone is seen only if its beam errs toward the cone, and at a grazing angle a
+# sideways error of the beam becomes a large error of range. Both are biases of selection: no mean of such
+# points is right. So a beam takes part if its *nominal* direction meets the cone far enough inside the
+# outline and the ends, and not too obliquely. What it measured then decides only whether something else was
+# in the way. What stood in the way has an outline, too: beams beside it are left out as well, because those
+# that err toward it are missing.
+
+
+class Verdict(IntEnum):
+    """What became of a beam that should meet a cone, and `AWAY` for all other beams."""
+
+    AWAY = 0
+    USED = 1
+    GRAZING = 2
+    OUTLINE = 3
+    END = 4
+    IN_FRONT = 5
+    BEHIND = 6
+    BESIDE = 7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SelectionLimits:
+    """What a beam must keep to.
+
+    Parameters
+    ----------
+    max_incidence_deg : greatest nominal angle between beam and normal.
+    margin_sigmas : how far inside outline and ends a beam must be, in standard deviations across the beam.
+    reject_sigmas : distance from the surface, beyond which a point belongs to something else.
+    slack_m : further allowance of that distance, for a cone or an orientation that is only roughly known.
+    """
+
+    max_incidence_deg: float = CameraLidarFit().max_incidence_deg
+    margin_sigmas: float = 3.0
+    reject_sigmas: float = 4.0
+    slack_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """For each point (n,): number of the cone that its beam should meet, -1 for none; and its `Verdict`.
+
+    ``excess_m`` and ``variance_m2`` (n,) are mean and variance of the measured range about the nominal one,
+    NaN for points that are not used.
+    """
+
+    cone: AnyArray
+    verdict: AnyArray
+    excess_m: ArrayF
+    variance_m2: ArrayF
+
+    def rows(self, cone: int, verdict: Verdict = Verdict.USED) -> AnyArray:
+        """Points of a cone with a verdict."""
+        return np.flatnonzero((self.cone == cone) & (self.verdict == verdict))
+
+    def counts(self, cone: int) -> dict[Verdict, int]:
+        """How many beams of a cone had which verdict."""
+        mine = self.verdict[self.cone == cone]
+        return {v: int(np.count_nonzero(mine == v)) for v in Verdict if v is not Verdict.AWAY}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConeScan:
+    """Points of a position that take part: ``points_scs_m`` (n, 3), number of the ``cone`` (n,) of each, and
+    mean excess and variance (n,) of its range, see `thalweg.calibration.cones.beam_spread`.
+    """
+
+    points_scs_m: ArrayF
+    cone: AnyArray
+    excess_m: ArrayF
+    variance_m2: ArrayF
+
+
+def select(
+    cones: Sequence[Cone],
+    lengths_m: Sequence[float],
+    T_pcs_scs: Rigid,
+    position: Position,
+    limits: SelectionLimits,
+    *,
+    variance_factor: float = 1.0,
+) -> Selection:
+    """Which points lie on which cone.
+
+    Parameters
+    ----------
+    cones : in pcs.
+    lengths_m : of each cone along its axis.
+    T_pcs_scs : where the scanner stands.
+    position : its points.
+    limits : see there.
+    variance_factor : of the lidar's variances.
+    """
+    points = position.points_scs_m
+    reach = np.linalg.norm(points, axis=1)
+    beam = points @ T_pcs_scs.R.T / reach[:, None]
+    origin = T_pcs_scs.shift_m
+    across = np.sqrt(variance_factor * position.var_across_m2)
+    along = variance_factor * position.var_along_m2
+    nearest = np.full(len(points), np.inf)
+    out = Selection(
+        cone=np.full(len(points), -1, dtype=np.int64),
+        verdict=np.zeros(len(points), dtype=np.int64),
+        excess_m=np.full(len(points), np.nan),
+        variance_m2=np.full(len(points), np.nan),
+    )
+    for k, (cone, length) in enumerate(zip(cones, lengths_m, strict=True)):
+        rows = passing(cone, length, origin, beam)
+        met = cone.meet(origin, beam[rows])
+        slant = length / np.cos(cone.half_angle_rad)
+        on = met.hit & (met.slant_m <= slant) & (np.nan_to_num(met.range_m, nan=np.inf) < nearest[rows])
+        rows, met = rows[on], ConeBeams(*(values[on] for values in met))
+        nearest[rows] = met.range_m
+        margin = limits.margin_sigmas * across[rows]
+        end = margin / np.maximum(met.sine_ruling, 0.05)
+        verdict = np.full(len(rows), int(Verdict.USED))
+        verdict[(met.slant_m < end) | (met.slant_m > slant - end)] = Verdict.END
+        verdict[met.depth_m < margin] = Verdict.OUTLINE
+        verdict[met.cosine < np.cos(np.deg2rad(limits.max_incidence_deg))] = Verdict.GRAZING
+        inner = np.flatnonzero(verdict == Verdict.USED)
+        at = rows[inner]
+        excess, variance = beam_spread(cone, origin, beam[at], across[at])
+        variance = variance + along[at]
+        off = reach[at] - met.range_m[inner] - excess
+        allowed = limits.reject_sigmas * np.sqrt(variance) + limits.slack_m / met.cosine[inner]
+        verdict[inner[off < -allowed]] = Verdict.IN_FRONT
+        verdict[inner[off > allowed]] = Verdict.BEHIND
+        verdict[_beside(beam[rows], met.range_m, margin, verdict)] = Verdict.BESIDE
+        out.cone[rows], out.verdict[rows] = k, verdict
+        out.excess_m[at], out.variance_m2[at] = excess, variance
+    return out
+
+
+def _beside(beam: ArrayF, range_m: ArrayF, margin_m: ArrayF, verdict: AnyArray) -> AnyArray:
+    """Rows of used beams that pass within the margin of one that was reflected in front."""
+    used, front = np.flatnonzero(verdict == Verdict.USED), np.flatnonzero(verdict == Verdict.IN_FRONT)
+    if not len(front) or not len(used):
+        return used[:0]
+    apart, _ = cKDTree(beam[front]).query(beam[used])
+    return used[apart * range_m[used] < margin_m[used]]
+
+
+def passing(cone: Cone, length_m: float, origin_m: ArrayF, beam: ArrayF, margin_m: float = 0.0) -> AnyArray:
+    """Rows of the beams (n, 3) that pass the sphere around a cone, a cheap first choice."""
+    rim = length_m * np.tan(cone.half_angle_rad)
+    radius = float(np.hypot(length_m / 2, rim)) + margin_m
+    arm = cone.apex_m + cone.axis * length_m / 2 - origin_m
+    along = beam @ arm
+    return np.flatnonzero((along > 0) & (arm @ arm - along**2 < radius**2))
+
+
+WORDS: Final[Mapping[Verdict, str]] = {
+    Verdict.USED: "used",
+    Verdict.GRAZING: "grazing",
+    Verdict.OUTLINE: "outline",
+    Verdict.END: "end",
+    Verdict.IN_FRONT: "in_front",
+    Verdict.BEHIND: "behind",
+    Verdict.BESIDE: "beside",
+}
+"""Column names of the detection table."""
+
+
+# ---------------------------------------------------------------- why a lidar does not see a cone where the
+# reference says
+#
+# A beam that meets nothing returns nothing, so that a scan tells where a cone is missing only by its other
+# beams: by those beside it, and by how far off the plane of the scanner it stands.
+
+
+def gaps_deg(points_scs_m: ArrayF) -> list[tuple[int, int]]:
+    """Ranges of azimuth without a return, degrees, from the scanner's y toward x; the end may exceed 360.
+
+    Parameters
+    ----------
+    points_scs_m : (n, 3) in the frame of the scanner.
+    """
+    azimuth = np.rad2deg(np.arctan2(points_scs_m[:, 0], points_scs_m[:, 1]))
+    seen = np.zeros(360, dtype=np.bool_)
+    seen[np.floor(azimuth).astype(np.int64) % 360] = True
+    if not seen.any():
+        return [(0, 360)]
+    first = int(np.flatnonzero(seen)[0])
+    ends = np.append(np.flatnonzero(np.roll(seen, -first)), 360) + first
+    return [(int(a) + 1, int(b)) for a, b in pairwise(ends) if b - a - 1 >= _GAP_DEG]
+
+
+def out_of_view(cone: Cone, length_m: float, T_pcs_scs: Rigid, position: Position) -> str:
+    """Why no or few beams meet a cone; empty if nothing about the view tells it.
+
+    Parameters
+    ----------
+    cone, length_m : in pcs.
+    T_pcs_scs : where the scanner stands.
+    position : its points.
+    """
+    points = position.points_scs_m
+    elevation = np.rad2deg(np.arcsin(points[:, 2] / np.linalg.norm(points, axis=1)))
+    low, high = float(elevation.min()), float(elevation.max())
+    surface = T_pcs_scs.inverse().apply(_surface(cone, length_m))
+    up = np.rad2deg(np.arcsin(surface[:, 2] / np.linalg.norm(surface, axis=1)))
+    inside = (up > low - _EDGE_DEG) & (up < high + _EDGE_DEG)
+    if not inside.any():
+        off = float(up[np.abs(up).argmin()])
+        return (
+            f"outside the lidar's view: it begins {abs(off):.0f} deg off the plane in which the scanner "
+            f"turns, whose beams reach from {low:.0f} to {high:.0f} deg. Set it up in that plane, beside the "
+            f"boat, or turn the boat; then {AGAIN}"
+        )
+    azimuth = np.rad2deg(np.arctan2(surface[inside, 0], surface[inside, 1]))
+    for begin, end in gaps_deg(points):
+        if np.mean((azimuth - begin) % 360 < end - begin) > _IN_GAP:
+            return (
+                f"no returns between the azimuths {begin % 360} and {end % 360} deg of the scanner, where it "
+                "should be: the recording is cut short or limited to a sector, or the cone is gone with "
+                "nothing behind its place. Record the position again with whole rotations and the cone there"
+            )
+    return ""
+
+
+def without_support(
+    counts: Mapping[Verdict, int], *, least_points: int, least_support: float, view: Callable[[], str]
+) -> str:
+    """Why a cone takes no part at a position before anything is adjusted; empty if it does.
+
+    Parameters
+    ----------
+    counts : of its beams.
+    least_points : beams that must meet it inside its outline.
+    least_support : share of the beams through its place that must end on it rather than behind.
+    view : gives what `out_of_view` says of it.
+    """
+    used, through, before = (counts[v] for v in (Verdict.USED, Verdict.BEHIND, Verdict.IN_FRONT))
+    aimed = used + through + before
+    if sum(counts.values()) == 0:
+        return (
+            view()
+            or f"no beam should meet it: others hide it, or it is too small there. Move it, then {AGAIN}"
+        )
+    if before > used + through:
+        return (
+            f"hidden: {before} of {aimed} beams were reflected before it, by something in front or by the "
+            f"cone itself, fallen toward the boat. Clear the view or set it up, then {AGAIN}"
+        )
+    if aimed < least_points:
+        few = f"too few points: {aimed} beams meet it inside its outline, at least {least_points} are needed"
+        return f"{few}. {view() or f'Record longer, or set it up nearer to the boat; then {AGAIN}'}"
+    if used < least_support * (used + through):
+        return (
+            f"not where the reference says: {through} of {used + through} beams went through its place; it "
+            f"fell over or was moved. Set it up, then {AGAIN}"
+        )
+    return ""
+
+
+def nowhere(selection: Selection, cones: int, out: Mapping[int, str]) -> bool:
+    """Whether none of several cones that the beams of a position should meet is where it should be.
+
+    Parameters
+    ----------
+    selection : of the position.
+    cones : number of cones.
+    out : cones that take no part there.
+    """
+    met = [k for k in range(cones) if sum(selection.counts(k).values())]
+    return len(met) > 1 and all(k in out for k in met)
+
+
+def beside_its_place(
+    cones: Sequence[Cone], T_pcs_scs: Rigid, position: Position, selection: Selection
+) -> dict[int, str]:
+    """Cones whose points lie clearly before or behind them, the worst first, with words for it.
+
+    Parameters
+    ----------
+    cones : in pcs.
+    T_pcs_scs : where the scanner stands.
+    position, selection : its points, and which of them were taken.
+    """
+    points = position.points_scs_m
+    found: list[tuple[float, int, str]] = []
+    for k, cone in enumerate(cones):
+        rows = selection.rows(k)
+        if not len(rows):
+            continue
+        reach = np.linalg.norm(points[rows], axis=1)
+        met = cone.meet(T_pcs_scs.shift_m, points[rows] @ T_pcs_scs.R.T / reach[:, None])
+        off = reach - met.range_m - selection.excess_m[rows]
+        sigmas = float(np.mean(off / np.sqrt(selection.variance_m2[rows])))
+        if abs(sigmas) > _BESIDE_SIGMAS:
+            where = "before" if sigmas < 0 else "behind"
+            words = f"its points lie {1e3 * abs(float(np.mean(off))):.0f} mm {where} it on average"
+            told = (
+                f"not where the reference says: {words}; it fell over or was moved. Set it up, then {AGAIN}"
+            )
+            found.append((-abs(sigmas), k, told))
+    return {k: words for _, k, words in sorted(found)}
+
+
+def _surface(cone: Cone, length_m: float) -> ArrayF:
+    """(n, 3) points on a cone."""
+    z, turn = np.meshgrid(
+        np.linspace(0.05, 1.0, 12) * length_m, np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    )
+    z, turn = z.reshape(-1, 1), turn.reshape(-1, 1)
+    across = np.cos(turn) * cone.tangents[0] + np.sin(turn) * cone.tangents[1]
+    return np.asarray(cone.apex_m + z * (cone.axis + np.tan(cone.half_angle_rad) * across))

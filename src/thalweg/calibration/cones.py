@@ -1,0 +1,594 @@
+"""Geometry of a circular cone: distances of points and of beams from its surface (P1 eq. 5-6, P2 eq. 1-2).
+
+A cone is its apex ``a``, the unit vector ``u`` of its axis from the apex into the body, and its half angle
+``alpha``. For a point ``p``, with ``d = p - a``::
+
+    z = d . u,    rho = |d - z u|,    e = (d - z u) / rho
+    s = rho cos(alpha) - z sin(alpha)         signed distance from the surface, positive outside
+    l = z cos(alpha) + rho sin(alpha)         distance from the apex along the surface
+    n = cos(alpha) e - sin(alpha) u           outward normal
+
+P2 eq. 2, ``x^2 + y^2 - z^2 tan^2(alpha) = 0``, is ``s = 0`` on this half of the double cone; but its left
+side grows with the distance from the axis, so that least squares of it would weight points by where they lie.
+The derivatives of ``s`` are ``n`` by the point, ``-n`` by the apex, ``-l`` by the half angle, and ``-l (e .
+du)`` by a tilt ``du`` of the axis.
+
+**Parameters.** P2 turns the axis by two angles (lambda, theta) from the axes of the frame; an upright cone
+then has no lambda. Here an axis is counted from the present one: with ``u, b1, b2`` orthonormal, ``u`` moves
+to ``cos(t2) cos(t1) u + cos(t2) sin(t1) b1 + sin(t2) b2``. These are P2's two angles in a frame that is
+turned so that the cone lies on its equator, as far from both poles as it can be. `Cone.angles_rad` gives P2's
+own.
+
+**What noisy beams measure.** A beam that leaves beside where it should is reported in its nominal direction
+with the range to where it really went. A cone recedes on both sides of the nominal place, so that the mean
+range is too long. With the curvature ``k = cos(alpha) / (l sin(alpha))`` along the circle, its direction
+``t``, the beam ``d`` and the variance ``v`` across the beam in each direction, to second order::
+
+    E[range - nominal range] = v k / 2 (1 + (t.d)^2 / (n.d)^2) / |n.d|
+
+Along the normal that is 1 mm for 17 mm of noise 15 cm off the axis, and points lie *inside* the cone. Errors
+that are added to finished coordinates would put them outside by as much; beams do not err so. `beam_spread`
+takes mean and variance by quadrature, without the limit to second order.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, Rigid, beam_axes
+
+PARAMETERS: Final = ("apex_x", "apex_y", "apex_z", "axis_1", "axis_2", "half_angle")
+"""Order of the parameters of a cone: metres, then radians."""
+_TINY_M: Final = 1e-12
+_NODES: Final = (-np.sqrt(3.0), 0.0, np.sqrt(3.0))
+_WEIGHTS: Final = (1 / 6, 2 / 3, 1 / 6)
+"""Gauss-Hermite quadrature of a normal variable with variance 1."""
+
+FORM_SIGMA_M: Final = 0.0003
+"""What a printed and wrapped sheet departs from a cone, one sigma, if nothing is stated of a cone."""
+_ANGLES_RAD: Final = np.deg2rad([8.0, 14.0, 20.0, 26.0, 32.0, 40.0, 50.0, 60.0, 70.0])
+"""Half angles that are tried where the stated one does not fit."""
+_ANGLE_OFF_RAD: Final = float(np.deg2rad(3.0))
+"""A cone that was built to a plan is nearer to its planned half angle."""
+_CLEAR_SHARE: Final = 0.75
+"""Points on the cone, below which another half angle is looked for."""
+_ANGLE_NOTED_RAD: Final = float(np.deg2rad(0.2))
+_TUKEY: Final = 4.685
+_STARTS: Final = 40
+_KEPT: Final = 6
+_STEPS: Final = 25
+_SCALES_M: Final = (0.1, 0.03, 0.01)
+"""Widths of the loss on the way down: coarse first, so that a wrong start still finds the way."""
+
+
+# ---------------------------------------------------------------- cone
+
+
+class ConePoints(NamedTuple):
+    """Points seen from a cone: distances (n,), outward normals (n, 3), and where on the surface.
+
+    ``slant_m`` is the distance from the apex along the surface, ``around`` (n, 3) the unit vector along the
+    circle through the point, ``by_parameters`` (n, 6) the derivatives of the distance, see `PARAMETERS`.
+    """
+
+    distance_m: ArrayF
+    normal: ArrayF
+    slant_m: ArrayF
+    around: ArrayF
+    by_parameters: ArrayF
+
+
+class ConeBeams(NamedTuple):
+    """Beams seen from a cone without ends.
+
+    ``hit`` (n,) whether the beam enters the surface from outside; where it does not, the others are NaN but
+    ``depth_m``. ``range_m`` to the entry; ``slant_m`` its distance from the apex along the surface;
+    ``cosine`` of incidence; ``sine_ruling`` of the angle between the beam and the straight line from the apex
+    through the entry; ``depth_m``: how deep the beam gets below the surface, negative by how far it passes.
+    """
+
+    hit: ArrayB
+    range_m: ArrayF
+    slant_m: ArrayF
+    cosine: ArrayF
+    sine_ruling: ArrayF
+    depth_m: ArrayF
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cone:
+    """A cone with the covariance of its parameters.
+
+    Parameters
+    ----------
+    apex_m : (3,).
+    axis : (3,) direction from the apex into the body; is made a unit vector.
+    half_angle_rad : between axis and surface, above 0 and below 90 degrees.
+    cov : (6, 6) of `PARAMETERS`, the axis along `tangents`.
+
+    Attributes
+    ----------
+    tangents : (2, 3) unit vectors ``b1, b2`` across the axis; ``b1`` is as horizontal as it can be.
+
+    Raises
+    ------
+    GeometryError : values that are no cone.
+
+    Examples
+    --------
+    >>> cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 2.0]), half_angle_rad=np.pi / 4)
+    >>> cone.see([[1.0, 0.0, 1.0], [2.0, 0.0, 1.0]]).distance_m.round(6)
+    array([0.      , 0.707107])
+    """
+
+    apex_m: ArrayF
+    axis: ArrayF
+    half_angle_rad: float
+    cov: ArrayF = field(default_factory=lambda: np.zeros((6, 6)))
+    tangents: ArrayF = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        apex, axis = np.asarray(self.apex_m, dtype=np.float64), np.asarray(self.axis, dtype=np.float64)
+        length = float(np.linalg.norm(axis)) if axis.shape == (3,) else 0.0
+        good = apex.shape == (3,) and np.isfinite(apex).all() and np.isfinite(length) and length > 0
+        if not good or not 0 < self.half_angle_rad < np.pi / 2:
+            raise GeometryError(
+                f"apex {apex}, axis {axis}, half angle {np.rad2deg(self.half_angle_rad):.3f} deg are no cone",
+                expected="three metres, a direction, an angle between 0 and 90 degrees",
+            )
+        object.__setattr__(self, "apex_m", apex)
+        u = axis / length
+        object.__setattr__(self, "axis", u)
+        level = float(np.hypot(u[0], u[1]))
+        first = np.array([-u[1] / level, u[0] / level, 0.0]) if level > 1e-3 else np.array([1.0, 0.0, 0.0])
+        # An axis that is upright but for a rest: made perpendicular again.
+        first = first - (first @ u) * u
+        first /= np.sqrt(first @ first)
+        object.__setattr__(self, "tangents", np.stack([first, _skew(u) @ first]))
+
+    @property
+    def angles_rad(self) -> tuple[float, float]:
+        """Lambda and theta of P2 eq. 1: ``u = (sin theta cos lambda, sin theta sin lambda, cos theta)``.
+
+        An upright cone has no lambda; it is 0 there.
+        """
+        across = float(np.hypot(self.axis[0], self.axis[1]))
+        lam = float(np.arctan2(self.axis[1], self.axis[0])) if across > 1e-12 else 0.0
+        return lam, float(np.arctan2(across, self.axis[2]))
+
+    def moved(self, change: ArrayLike) -> Self:
+        """The cone with parameters changed by ``change`` (6,), the axis in the chart of this cone."""
+        d = np.asarray(change, dtype=np.float64)
+        frame = np.vstack([self.axis, self.tangents])
+        weights = np.array([np.cos(d[4]) * np.cos(d[3]), np.cos(d[4]) * np.sin(d[3]), np.sin(d[4])])
+        return type(self)(
+            apex_m=self.apex_m + d[:3], axis=weights @ frame, half_angle_rad=self.half_angle_rad + d[5]
+        )
+
+    def in_frame(self, T_target_source: Rigid) -> Self:
+        """The cone in another frame; the covariance of the transform is not added."""
+        T = T_target_source
+        turned = type(self)(
+            apex_m=T.apply(self.apex_m[None])[0], axis=T.R @ self.axis, half_angle_rad=self.half_angle_rad
+        )
+        J = np.eye(6)
+        J[:3, :3] = T.R
+        J[3:5, 3:5] = turned.tangents @ T.R @ self.tangents.T
+        return type(self)(
+            apex_m=turned.apex_m, axis=turned.axis, half_angle_rad=self.half_angle_rad, cov=J @ self.cov @ J.T
+        )
+
+    def see(self, points_m: ArrayLike) -> ConePoints:
+        """Signed distances of points (n, 3) from the surface, with derivatives.
+
+        On the axis itself the normal is free; some direction across the axis is taken there.
+        """
+        d = np.atleast_2d(np.asarray(points_m, dtype=np.float64)) - self.apex_m
+        z = d @ self.axis
+        across = d - z[:, None] * self.axis
+        rho = np.linalg.norm(across, axis=1)
+        e = np.where(rho[:, None] > _TINY_M, across / np.maximum(rho, _TINY_M)[:, None], self.tangents[0])
+        cos_a, sin_a = np.cos(self.half_angle_rad), np.sin(self.half_angle_rad)
+        slant = z * cos_a + rho * sin_a
+        normal = cos_a * e - sin_a * self.axis
+        J = np.empty((len(d), 6))
+        J[:, :3] = -normal
+        # The axis stays a unit vector, so its change is across it, and z alone adds nothing but -l e.
+        J[:, 3:5] = -slant[:, None] * (e @ self.tangents.T)
+        J[:, 5] = -slant
+        return ConePoints(rho * cos_a - z * sin_a, normal, slant, e @ _skew(self.axis).T, J)
+
+    def meet(self, origins_m: ArrayLike, directions: ArrayLike) -> ConeBeams:
+        """Where beams enter the surface.
+
+        Parameters
+        ----------
+        origins_m : (3,) or (n, 3), where the beams start, outside the cone.
+        directions : (n, 3) unit vectors.
+        """
+        d = np.atleast_2d(np.asarray(directions, dtype=np.float64))
+        o = np.broadcast_to(np.asarray(origins_m, dtype=np.float64) - self.apex_m, d.shape)
+        cos_a, sin_a = np.cos(self.half_angle_rad), np.sin(self.half_angle_rad)
+        d_u, o_u = d @ self.axis, o @ self.axis
+        a = d_u**2 - cos_a**2
+        b = d_u * o_u - cos_a**2 * np.einsum("ij,ij->i", d, o)
+        c = o_u**2 - cos_a**2 * np.einsum("ij,ij->i", o, o)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            root = np.sqrt(b * b - a * c)
+            # Outside, c < 0. The beam enters where a t^2 + 2 b t + c rises through zero.
+            t = np.where(np.abs(a) > 1e-14, (-b + root) / a, -c / (2 * b))
+        hit = np.isfinite(t) & (t > 0) & (o_u + d_u * np.nan_to_num(t) > 0) & (c < 0)
+        t = np.where(hit, t, np.nan)
+        seen = self.see(self.apex_m + o + np.nan_to_num(t)[:, None] * d)
+        slant = np.where(hit, seen.slant_m, np.nan)
+        cosine = np.where(hit, -np.einsum("ij,ij->i", seen.normal, d), np.nan)
+        ruling = cos_a * self.axis + (seen.normal + sin_a * self.axis) * (sin_a / cos_a)
+        sine = np.sqrt(np.maximum(1 - np.einsum("ij,ij->i", ruling, d) ** 2, 0.0))
+        return ConeBeams(hit, t, slant, cosine, np.where(hit, sine, np.nan), self._depth(o, d, o_u, d_u))
+
+    def _depth(self, o: ArrayF, d: ArrayF, o_u: ArrayF, d_u: ArrayF) -> ArrayF:
+        """Minus the least distance along beams, in closed form; infinite if steeper than the surface."""
+        across, start = d - d_u[:, None] * self.axis, o - o_u[:, None] * self.axis
+        w = np.linalg.norm(across, axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            nearest = -np.einsum("ij,ij->i", across, start) / w**2
+            h = np.linalg.norm(start + nearest[:, None] * across, axis=1)
+            k = d_u * np.tan(self.half_angle_rad) / w
+            depth = (o_u + nearest * d_u) * np.sin(self.half_angle_rad)
+            depth = depth - np.cos(self.half_angle_rad) * h * np.sqrt(1 - k**2)
+        return np.where((w > 0) & (np.abs(k) < 1), depth, np.where(d_u > 0, np.inf, -np.inf))
+
+
+def _skew(u: ArrayF) -> ArrayF:
+    return np.array([[0.0, -u[2], u[1]], [u[2], 0.0, -u[0]], [-u[1], u[0], 0.0]])
+
+
+def beam_spread(cone: Cone, origin_m: ArrayF, beam: ArrayF, sigma_across_m: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """What errors across beams do to their ranges: mean excess (n,) in metres and variance (n,) in m^2.
+
+    Gauss-Hermite quadrature with three nodes in each direction across, which is exact where the range is a
+    polynomial of fifth degree of the beam's offset. NaN where a node misses the cone: a beam less than 1.74
+    sigmas inside its outline.
+
+    Parameters
+    ----------
+    cone : without ends.
+    origin_m : (3,) of all beams.
+    beam : (n, 3) nominal unit directions.
+    sigma_across_m : (n,) standard deviation of the offset in each direction.
+    """
+    axes = beam_axes(beam)
+    nominal = cone.meet(origin_m, beam).range_m
+    mean, square = np.zeros(len(beam)), np.zeros(len(beam))
+    for i, first in enumerate(_NODES):
+        for j, second in enumerate(_NODES):
+            offset = (first * axes[:, :, 1] + second * axes[:, :, 2]) * sigma_across_m[:, None]
+            excess = cone.meet(origin_m + offset, beam).range_m - nominal
+            weight = _WEIGHTS[i] * _WEIGHTS[j]
+            mean += weight * excess
+            square += weight * excess**2
+    return mean, square - mean**2
+
+
+# ---------------------------------------------------------------- a cone of the field from its reference
+# points
+#
+# Reference points are marks on the cone, or a dense cloud of it, in the frame of the field (pcs). A fifth
+# of the points may be wrong (a marker that was moved or read wrongly): many starts with all directions of
+# the axis are taken down the robust cost of Tukey's loss, the best one is kept, and what lies farther off
+# than the stated number of sigmas is rejected and named.
+#
+# The covariance of the parameters is that of the points, with all their correlations, and of the form of
+# the surface, propagated through the fit: ``cov = B (C + form^2 I) B^T`` with ``B = -(J^T P J)^-1 J^T P
+# N``, where ``N`` takes the distances from the points. The fit weights each point by its own sigma, so this
+# is not the inverse of its normal equations, which would be too small where neighbouring points err alike.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConeReference:
+    """What is known of a cone of the field.
+
+    Parameters
+    ----------
+    name : of the cone.
+    points_m : (n, 3) in pcs, on the surface.
+    cov : (n, 3, 3) of the points, or (3n, 3n) with the correlations between them.
+    half_angle_rad : nominal half angle.
+    length_m : from the apex to the end along the axis.
+    labels : (n,) names of the points; their numbers by default.
+    form_sigma_m : how far its surface is from a perfect cone at each point, one sigma.
+
+    Raises
+    ------
+    InputError : the shapes do not match, or numbers are missing.
+    """
+
+    name: str
+    points_m: ArrayF
+    cov: ArrayF
+    half_angle_rad: float
+    length_m: float
+    labels: tuple[str, ...] = ()
+    form_sigma_m: float = FORM_SIGMA_M
+
+    def __post_init__(self) -> None:
+        points, cov = np.asarray(self.points_m, dtype=np.float64), np.asarray(self.cov, dtype=np.float64)
+        n = len(points)
+        labels = self.labels or tuple(str(i) for i in range(n))
+        if points.shape != (n, 3) or cov.shape not in ((n, 3, 3), (3 * n, 3 * n)) or len(labels) != n:
+            raise InputError(
+                f"cone {self.name}: points {points.shape}, covariance {cov.shape}, {len(labels)} labels",
+                expected="(n, 3), (n, 3, 3) or (3n, 3n), and n",
+            )
+        if not (np.isfinite(points).all() and np.isfinite(cov).all()):
+            raise InputError(f"cone {self.name}: coordinates or covariances that are not finite")
+        for name, value in (("points_m", points), ("cov", cov), ("labels", labels)):
+            object.__setattr__(self, name, value)
+
+    def distance_cov(self, normals: ArrayF) -> ArrayF:
+        """Covariance (n, n) of the points' distances along normals (n, 3), with the form of the surface."""
+        n = len(normals)
+        if self.cov.ndim == 3:
+            own = np.einsum("ni,nij,nj->n", normals, self.cov, normals)
+            return np.diag(own + self.form_sigma_m**2)
+        blocks = self.cov.reshape(n, 3, n, 3)
+        return np.einsum("ai,aibj,bj->ab", normals, blocks, normals) + self.form_sigma_m**2 * np.eye(n)
+
+    @property
+    def sigma_m(self) -> ArrayF:
+        """(n,) greatest standard deviation of each point in any direction."""
+        n = len(self.points_m)
+        blocks = self.cov
+        if self.cov.ndim == 2:
+            at = np.arange(n)
+            blocks = self.cov.reshape(n, 3, n, 3)[at, :, at, :]
+        return np.sqrt(np.maximum(np.linalg.eigvalsh(blocks)[:, -1], 0.0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConeFit:
+    """A fitted cone.
+
+    Parameters
+    ----------
+    cone : with the covariance that comes from its points and its form.
+    used : (n,) points that took part.
+    distance_m : (n,) of all points.
+    spread_m : root mean square of the distances of those that took part.
+    by_points : (6, 3n) derivative of the parameters by the coordinates of the points; a cone that is not
+        free in its half angle has zeros there.
+    """
+
+    cone: Cone
+    used: ArrayB
+    distance_m: ArrayF
+    spread_m: float
+    by_points: ArrayF
+
+
+def fit_reference(
+    reference: ConeReference, *, free_half_angle: bool = True, reject_sigmas: float = 4.0
+) -> ConeFit:
+    """Cone through the reference points of one cone.
+
+    Raises
+    ------
+    GeometryError : too few points, or points that lie on no cone of this half angle; names the cone.
+    """
+    n = len(reference.points_m)
+    least = 7 if free_half_angle else 6
+    where = f"cone {reference.name}"
+    if n < least:
+        raise GeometryError(
+            f"{n} reference points",
+            expected=f"at least {least}",
+            where=where,
+            cure="Take pictures in which more of its markers are found, or leave the cone out",
+        )
+    sigma = np.hypot(reference.sigma_m, reference.form_sigma_m)
+    try:
+        cone = start_cone(reference.points_m, reference.half_angle_rad)
+    except GeometryError as error:
+        _refuse_angle(reference, sigma, reject_sigmas)
+        raise GeometryError(
+            error.found, where=where, cure="Check the marker numbers of the cone in the field description"
+        ) from error
+    for _ in range(4):
+        cone = refine(cone, reference.points_m, sigma, free_half_angle=free_half_angle)
+    distance = cone.see(reference.points_m).distance_m
+    used = np.abs(distance) <= reject_sigmas * sigma
+    for _ in range(5):
+        if used.sum() < max(least, n // 2):
+            _refuse_angle(reference, sigma, reject_sigmas)
+            raise GeometryError(
+                f"only {used.sum()} of {n} reference points lie on one cone of "
+                f"{np.rad2deg(cone.half_angle_rad):.2f} deg half angle within {reject_sigmas:g} sigmas; "
+                f"the others are off by {1e3 * np.median(np.abs(distance[~used])):.1f} mm",
+                expected="most points on the cone",
+                where=where,
+                cure="Check half angle and marker numbers of the cone, and that no marker was moved",
+            )
+        cone = refine(
+            cone, reference.points_m[used], sigma[used], free_half_angle=free_half_angle, robust=False
+        )
+        distance = cone.see(reference.points_m).distance_m
+        now = np.abs(distance) <= reject_sigmas * sigma
+        if np.array_equal(now, used):
+            break
+        used = now
+    far = abs(cone.half_angle_rad - reference.half_angle_rad) > _ANGLE_OFF_RAD
+    # A wrong angle that is kept, or from which nothing led away, puts part of the points out.
+    if far or used.mean() < _CLEAR_SHARE:
+        _refuse_angle(reference, sigma, reject_sigmas)
+    spread = float(np.sqrt(np.mean(distance[used] ** 2)))
+    by_points = _by_points(cone, reference.points_m, used, sigma, free_half_angle=free_half_angle)
+    cov = parameter_cov(by_points, reference.cov, reference.form_sigma_m)
+    return ConeFit(
+        cone=replace(cone, cov=cov), used=used, distance_m=distance, spread_m=spread, by_points=by_points
+    )
+
+
+def _refuse_angle(reference: ConeReference, sigma_m: ArrayF, reject_sigmas: float) -> None:
+    """Refuse a stated half angle if the points lie on a cone of another one.
+
+    Raises
+    ------
+    GeometryError : they do; with the angle that fits.
+    """
+    found: list[tuple[int, Cone]] = []
+    for angle in _ANGLES_RAD:
+        try:
+            cone = start_cone(reference.points_m, float(angle))
+        except GeometryError:
+            continue
+        for _ in range(2):
+            cone = refine(cone, reference.points_m, sigma_m, free_half_angle=True)
+        on = np.abs(cone.see(reference.points_m).distance_m) <= reject_sigmas * sigma_m
+        found.append((int(on.sum()), cone))
+    if not found:
+        return
+    # Seven points lie on some cone whatever they are.
+    n, cone = max(found, key=lambda pair: pair[0])
+    off = cone.half_angle_rad - reference.half_angle_rad
+    if n < max(10, len(sigma_m) // 2) or abs(off) < _ANGLE_NOTED_RAD:
+        return
+    measured, stated = np.rad2deg([cone.half_angle_rad, reference.half_angle_rad])
+    full = abs(reference.half_angle_rad - 2 * cone.half_angle_rad) < _ANGLE_OFF_RAD
+    raise GeometryError(
+        f"the opening angle does not fit: stated is a half angle of {stated:.2f} deg, but {n} of "
+        f"{len(sigma_m)} reference points lie on a cone of {measured:.2f} deg",
+        expected="the angle between axis and surface",
+        where=f"cone {reference.name}",
+        cure=f"Set half_angle_deg of the cone to {measured:.2f} in the description of the field"
+        + (": the stated angle is that between opposite sides" if full else ""),
+    )
+
+
+def parameter_cov(by_points: ArrayF, cov_m2: ArrayF, form_sigma_m: float) -> ArrayF:
+    """Covariance (k, k) of parameters of cones from that of their points and of their form.
+
+    Parameters
+    ----------
+    by_points : (k, 3n) derivatives. Those of a point point along its normal, so that an error of the form is
+        one of the point of the same size in all directions.
+    cov_m2 : (3n, 3n) of the points, or (n, 3, 3).
+    form_sigma_m : independent from point to point.
+    """
+    if cov_m2.ndim == 3:
+        parts = by_points.reshape(len(by_points), -1, 3)
+        cov = np.einsum("ani,nij,bnj->ab", parts, cov_m2, parts)
+    else:
+        cov = by_points @ cov_m2 @ by_points.T
+    cov = cov + form_sigma_m**2 * (by_points @ by_points.T)
+    return np.asarray((cov + cov.T) / 2)
+
+
+def _by_points(
+    cone: Cone, points_m: ArrayF, used: ArrayB, sigma_m: ArrayF, *, free_half_angle: bool
+) -> ArrayF:
+    """Derivative (6, 3n) of least-squares parameters by the points, in the chart of the cone."""
+    k = 6 if free_half_angle else 5
+    seen = cone.see(points_m)
+    J = seen.by_parameters[:, :k]
+    weighted = J.T * (used / np.square(sigma_m))
+    out = np.zeros((6, len(points_m), 3))
+    out[:k] = -np.linalg.solve(weighted @ J, weighted)[:, :, None] * seen.normal
+    return out.reshape(6, -1)
+
+
+def start_cone(points_m: ArrayF, half_angle_rad: float) -> Cone:
+    """A cone of known half angle near points (n, 3) on it, from nothing else.
+
+    Raises
+    ------
+    GeometryError : no start leads to a cone that passes within 1 cm of half of the points.
+    """
+    middle = points_m.mean(axis=0)
+    tried: list[tuple[float, Cone]] = []
+    for axis in _directions(_STARTS):
+        arm = points_m - middle
+        rho = np.linalg.norm(arm - np.outer(arm @ axis, axis), axis=1)
+        apex = middle - axis * float(rho.mean()) / np.tan(half_angle_rad)
+        cone = Cone(apex_m=apex, axis=axis, half_angle_rad=half_angle_rad)
+        tried.append(_descended(cone, points_m, _SCALES_M[0]))
+    tried.sort(key=lambda pair: pair[0])
+    for scale in _SCALES_M[1:]:
+        tried = [_descended(cone, points_m, scale) for _, cone in tried[:_KEPT]]
+    least, best = min(tried, key=lambda pair: pair[0])
+    if least > 0.01:
+        raise GeometryError(
+            f"no cone of {np.rad2deg(half_angle_rad):.2f} deg half angle passes through its "
+            f"{len(points_m)} points; the best is off by {1e3 * least:.0f} mm in the median"
+        )
+    return best
+
+
+def _descended(cone: Cone, points_m: ArrayF, scale_m: float) -> tuple[float, Cone]:
+    """A few robust steps from a start: median distance, and the cone there."""
+    cone = refine(cone, points_m, np.full(len(points_m), scale_m / _TUKEY), free_half_angle=False, steps=5)
+    return float(np.median(np.abs(cone.see(points_m).distance_m))), cone
+
+
+def refine(
+    cone: Cone,
+    points_m: ArrayF,
+    sigma_m: ArrayF,
+    *,
+    free_half_angle: bool,
+    robust: bool = True,
+    steps: int = _STEPS,
+) -> Cone:
+    """Least squares of distances over sigmas (n,), with Tukey's weights if ``robust``; damped steps."""
+    k = 6 if free_half_angle else 5
+    damping = 1e-3
+    cost = _cost(cone, points_m, sigma_m, robust)
+    for _ in range(steps):
+        seen = cone.see(points_m)
+        r = seen.distance_m / sigma_m
+        w = _weights(r, robust)
+        J = seen.by_parameters[:, :k] / sigma_m[:, None]
+        N = J.T @ (J * w[:, None])
+        N[np.diag_indices(k)] *= 1 + damping
+        N[np.diag_indices(k)] += 1e-9
+        dx = np.zeros(6)
+        dx[:k] = -np.linalg.solve(N, J.T @ (w * r))
+        # No step turns the axis by more than half a radian or leaves the range of half angles.
+        dx *= min(1.0, 0.5 / max(float(np.abs(dx[3:5]).max()), 1e-12))
+        angle = cone.half_angle_rad + dx[5]
+        tried = cone.moved(dx) if 0.01 < angle < 1.5 else cone
+        now = _cost(tried, points_m, sigma_m, robust)
+        if now < cost:
+            done = cost - now < 1e-10 * max(cost, 1e-12)
+            cone, cost, damping = tried, now, damping / 10
+            if done:
+                break
+        else:
+            damping *= 10
+            if damping > 1e6:
+                break
+    return cone
+
+
+def _cost(cone: Cone, points_m: ArrayF, sigma_m: ArrayF, robust: bool) -> float:
+    r2 = np.square(cone.see(points_m).distance_m / sigma_m)
+    if not robust:
+        return float(r2.sum())
+    inside = np.minimum(r2 / _TUKEY**2, 1.0)
+    return float((1 - (1 - inside) ** 3).sum())
+
+
+def _weights(r: ArrayF, robust: bool) -> ArrayF:
+    if not robust:
+        return np.ones(len(r))
+    return np.asarray(np.square(np.maximum(1 - np.square(r / _TUKEY), 0.0)))
+
+
+def _directions(n: int) -> ArrayF:
+    """Unit vectors (n, 3) evenly over the sphere (Fibonacci lattice)."""
+    i = np.arange(n) + 0.5
+    z = 1 - 2 * i / n
+    turn = np.pi * (1 + np.sqrt(5.0)) * i
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)

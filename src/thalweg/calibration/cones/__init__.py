@@ -1,1 +1,0 @@
-"""Cones in lidar clouds and photographs: model, search, fit."""

@@ -1,1 +1,0 @@
-"""The echo sounder over a surveyed bed."""

@@ -1,1 +1,0 @@
-"""Coded markers on printed sheets: design, detection to sub-pixels."""

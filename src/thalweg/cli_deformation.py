@@ -1,0 +1,141 @@
+"""The command ``thalweg compare-clouds``: what changed between two clouds of anybody's."""
+
+import argparse
+from pathlib import Path
+
+
+def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add ``compare-clouds``."""
+    compare = commands.add_parser(
+        "compare-clouds",
+        help="distances between two clouds along normals (M3C2), with levels of detection and significance",
+    )
+    compare.add_argument(
+        "before", type=Path, metavar="BEFORE", help="first epoch: LAS, LAZ, PLY, E57 or x y z text"
+    )
+    compare.add_argument(
+        "after", type=Path, metavar="AFTER", help="second epoch, in the same coordinate system"
+    )
+    compare.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="FILE", help=".csv, .parquet or .laz"
+    )
+    for name, which in (("a", "first"), ("b", "second")):
+        compare.add_argument(
+            f"--sigma-{name}",
+            type=_length,
+            metavar="M",
+            help=f"standard deviation of the {which} cloud that neighbouring points share",
+        )
+    compare.add_argument(
+        "--sigma-registration",
+        type=_length,
+        default=0.0,
+        metavar="M",
+        help="standard deviation of the registration of both (default: %(default)s)",
+    )
+    compare.add_argument(
+        "--core-every",
+        type=int,
+        default=50,
+        metavar="N",
+        help="core points: each N-th of BEFORE (default: %(default)s)",
+    )
+    compare.add_argument(
+        "--scales",
+        type=_lengths,
+        default=(0.5, 1.0, 2.0),
+        metavar="M,M,...",
+        help="radii for normals; the most planar counts (default: 0.5,1,2)",
+    )
+    compare.add_argument(
+        "--cylinder",
+        type=_length,
+        default=0.5,
+        metavar="M",
+        help="radius of the cylinders (default: %(default)s)",
+    )
+    compare.add_argument(
+        "--reach",
+        type=_length,
+        default=5.0,
+        metavar="M",
+        help="along the normal, to both sides (default: %(default)s)",
+    )
+    compare.add_argument(
+        "--least-points", type=int, default=5, metavar="N", help="in each cylinder (default: %(default)s)"
+    )
+    compare.add_argument(
+        "--towards",
+        type=_direction,
+        default=(0.0, 0.0, 1.0),
+        metavar="E,N,U",
+        help="direction to which normals point, and in which a distance is positive (default: 0,0,1)",
+    )
+    compare.add_argument(
+        "--control",
+        choices=("fdr", "none"),
+        default="fdr",
+        help="5 %% hold for the rate of false discoveries, or for each core point (default: %(default)s)",
+    )
+    compare.set_defaults(command=_compare_clouds)
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}; expected numbers such as 0.5,1,2") from None
+
+
+def _lengths(text: str) -> tuple[float, ...]:
+    values = _numbers(text)
+    if not all(0 < value < float("inf") for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r}; expected lengths in metres above zero")
+    return values
+
+
+def _length(text: str) -> float:
+    values = _numbers(text)
+    if len(values) != 1 or not 0 <= values[0] < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r}; expected one length in metres")
+    return values[0]
+
+
+def _direction(text: str) -> tuple[float, float, float]:
+    values = _numbers(text)
+    if len(values) != 3 or not 0 < sum(value**2 for value in values) < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r}; expected a direction such as 0,0,1")
+    return (values[0], values[1], values[2])
+
+
+def _compare_clouds(options: argparse.Namespace) -> int:
+    import numpy as np
+
+    from thalweg.deformation import Comparison, compare_clouds, write_changes
+
+    table, frame, notes = compare_clouds(
+        options.before,
+        options.after,
+        Comparison(
+            scales_m=options.scales,
+            radius_m=options.cylinder,
+            half_length_m=options.reach,
+            least_points=options.least_points,
+            control=options.control,
+        ),
+        core_every=options.core_every,
+        towards=options.towards,
+        sigma_m=(options.sigma_a, options.sigma_b),
+        sigma_registration_m=options.sigma_registration,
+    )
+    write_changes(options.out, table, frame)
+    distance = table["distance_m"].dropna()
+    print(f"{len(table):,} core points, {len(distance):,} with a distance")
+    print(f"  mean {distance.mean():+.4f} m, median {distance.median():+.4f} m, std {distance.std():.4f} m")
+    print(f"  level of detection (95 %), median: {np.nanmedian(table['lod95_m']):.4f} m")
+    for state, n in table["state"].value_counts().items():
+        print(f"  {state}: {n:,}")
+    for note in notes:
+        print(f"note: {note}")
+    print(f"Wrote {options.out}")
+    return 0

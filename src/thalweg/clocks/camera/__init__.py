@@ -1,1 +1,0 @@
-"""The camera's clock from what its photographs show: antenna positions, attitudes, tracks."""

@@ -1,1 +1,0 @@
-"""The camera's clock from photographs of a running clock."""

@@ -1,1 +1,0 @@
-"""Streams beside each other: offset, drift, jitter, gaps, lag."""

@@ -1,1 +1,0 @@
-"""Clock models from tie points, triggers and tables kept by hand."""

@@ -1,1 +1,0 @@
-"""Least squares with robust weights, conditions, covariances and tests of both (`adjust`)."""

@@ -1,0 +1,27 @@
+from .imports import (
+    SIGMAS as SIGMAS,
+    KalibrCamera as KalibrCamera,
+    import_camera as import_camera,
+    import_kalibr as import_kalibr,
+    import_matrix as import_matrix,
+    read_kalibr as read_kalibr,
+    read_matrix as read_matrix,
+)
+from .model import (
+    ANGLES as ANGLES,
+    LEVER as LEVER,
+    MARK as MARK,
+    POSE as POSE,
+    SENSORS as SENSORS,
+    VERSION as VERSION,
+    Block as Block,
+    Calibration as Calibration,
+    Source as Source,
+    check_calibration as check_calibration,
+    lever_block as lever_block,
+    lever_doubt as lever_doubt,
+    pose_block as pose_block,
+    read_calibration as read_calibration,
+    unit_of as unit_of,
+    write_calibration as write_calibration,
+)

@@ -1,1 +1,0 @@
-"""Interior orientation: perspective and fisheye models, and the files that hold them."""

@@ -1,0 +1,383 @@
+"""Documents in YAML: every value with its line, all mistakes of a file at once.
+
+All mistakes are told at once, each with its line, what was found, what was expected, what to do. The first
+field of a model names the kind and the version of the document, as ``thalweg_field: Literal[1]``.
+"""
+
+import difflib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from thalweg.core.errors import ConfigError
+
+Name = Annotated[str, Field(min_length=1)]
+"""A text that is not empty."""
+_KINDS = {
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a text",
+    "string_too_short": "a text",
+    "model_type": "keys with values",
+    "dict_type": "keys with values",
+    "list_type": "a list, each entry with a dash",
+}
+
+MAX_VALUES = 100_000
+"""No file of people is that large; a chain of aliases is."""
+_TAG = "tag:yaml.org,2002:"
+Key = str | int
+"""A key of a mapping, or an index into a list."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mistake:
+    """One mistake: where it stands, what was found, what was expected, what to do."""
+
+    path: tuple[Key, ...] = ()
+    found: str
+    expected: str = ""
+    cure: str = ""
+    line: int = 0
+    """Line in the file, from 1; 0 if unknown."""
+    file: Path | None = field(default=None)
+
+    @property
+    def dotted(self) -> str:
+        """Path in the file, for instance ``logs.lidar[1]``."""
+        text = ""
+        for key in self.path:
+            text += f"[{key}]" if isinstance(key, int) else (f".{key}" if text else str(key))
+        return text
+
+    def __str__(self) -> str:
+        where = str(self.file) if self.file else ""
+        if self.line:
+            where += f":{self.line}" if where else f"line {self.line}"
+        parts = [p for p in (where, self.dotted) if p]
+        text = ": ".join([*parts, self.found])
+        if self.expected:
+            text += f"; expected {self.expected}"
+        text += "."
+        if self.cure:
+            cure = self.cure.rstrip(".")
+            text += f" {cure}" if cure.endswith("?") else f" {cure}."
+        return text
+
+
+@dataclass(slots=True)
+class Document:
+    """Data of a YAML file, the line (from 1) of each path in it, and the mistakes met on the way."""
+
+    data: Any = None
+    lines: dict[tuple[Key, ...], int] = field(default_factory=dict)
+    mistakes: list[Mistake] = field(default_factory=list)
+
+    def line(self, path: tuple[Key, ...]) -> int:
+        """Line of a path, or of the deepest part of it that stands in the file."""
+        while path and path not in self.lines:
+            path = path[:-1]
+        return self.lines.get(path, 1)
+
+
+# ---------------------------------------------------------------- models
+
+
+class Part(BaseModel):
+    """A part of a document with known keys: others are refused, values never change after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+PartT = TypeVar("PartT", bound=Part)
+
+
+def wrong(found: str, expected: str, cure: str = "", at: tuple[Key, ...] = ()) -> PydanticCustomError:
+    """What a validator raises: a mistake at a path below the value that it checks."""
+    return PydanticCustomError(
+        "wrong", "{found}", {"found": found, "expected": expected, "cure": cure, "at": at}
+    )
+
+
+def checked(
+    model: type[PartT],
+    document: Document,
+    *,
+    what: str,
+    where: Path | None = None,
+    context: Mapping[str, Any] | None = None,
+) -> PartT:
+    """A document as its model.
+
+    Parameters
+    ----------
+    model : of the whole document; its first field is the mark that the document begins with. Lists are
+        `list`: no list is taken for a tuple.
+    document : data and lines, from `read_yaml` or `parse_yaml`.
+    what : what the document is, as ``description of the field``.
+    where : its file.
+    context : for the model's validators.
+
+    Raises
+    ------
+    ConfigError : lists every mistake with its line.
+    """
+    mistakes = list(document.mistakes)
+    if isinstance(document.data, dict):
+        try:
+            # strict: no text for numbers, no number for true
+            found = model.model_validate(document.data, strict=True, context=dict(context or {}))
+            if not mistakes:
+                return found
+        except ValidationError as error:
+            mistakes += [_mistake(detail, model, document) for detail in error.errors(include_url=False)]
+    elif not mistakes:
+        mark, field = next(iter(model.model_fields.items()))
+        version = get_args(field.annotation)[0]
+        expected = f"a {what} that begins with {mark}: {version}"
+        mistakes.append(Mistake(found="no keys with values", expected=expected, line=document.line(())))
+    told = sorted(mistakes, key=lambda mistake: mistake.line)
+    head = f"{len(told)} mistake{'s' if len(told) > 1 else ''} in the {what}"
+    raise ConfigError(head + "".join(f"\n  {mistake}" for mistake in told), where=where or "")
+
+
+def _mistake(detail: ErrorDetails, model: type[Part], document: Document) -> Mistake:
+    """One finding of pydantic."""
+    path: tuple[Key, ...] = tuple(detail["loc"])
+    kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
+    found, cure = f"found {value!r}", ""
+    described = _described(model, path)
+    if kind == "wrong":
+        path, found, expected, cure = (
+            (*path, *context["at"]),
+            context["found"],
+            context["expected"],
+            context["cure"],
+        )
+    elif kind == "extra_forbidden":
+        keys = _keys(model, path[:-1])
+        near = difflib.get_close_matches(str(path[-1]), keys, 1)
+        found, expected, cure = (
+            "unknown key",
+            f"one of {', '.join(keys)}",
+            f"Did you mean {near[0]}?" if near else "",
+        )
+    elif kind == "missing":
+        found, expected = f"{path[-1]}: missing", described or f"the key {path[-1]}"
+        path = path[:-1]
+    elif kind == "literal_error":
+        expected = described or str(context["expected"]).replace("'", "")
+    else:
+        expected = described or _KINDS.get(kind) or detail["msg"].removeprefix("Input should be ")
+    return Mistake(path=path, found=found, expected=expected, cure=cure, line=document.line(path))
+
+
+def _field_at(model: Any, path: tuple[Key, ...]) -> tuple[Any, type[Part] | None]:
+    """The field of a path and, if it is a part or a list of parts, the model of these."""
+    field, part = None, model
+    for key in path:
+        if isinstance(key, int):
+            continue
+        if part is None:
+            return None, None
+        fields = {f.alias or name: f for name, f in part.model_fields.items()}
+        field = fields.get(key)
+        part = next(_parts(field.annotation), None) if field is not None else None
+    return field, part
+
+
+def _parts(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, Part):
+        yield annotation
+    for inside in get_args(annotation):
+        yield from _parts(inside)
+
+
+def _keys(model: type[Part], path: tuple[Key, ...]) -> list[str]:
+    part = _field_at(model, path)[1]
+    return [f.alias or name for name, f in part.model_fields.items()] if part else []
+
+
+def _described(model: type[Part], path: tuple[Key, ...]) -> str:
+    """What a field's description says, else its limits; empty for others."""
+    field = _field_at(model, path)[0]
+    if field is None:
+        return ""
+    if field.description:
+        return str(field.description)
+    limits = {type(m).__name__: m for m in field.metadata}
+    low, high = limits.get("Ge"), limits.get("Le")
+    if low is None or high is None:
+        return ""
+    return f"a number from {low.ge:g} to {high.le:g}"
+
+
+# ---------------------------------------------------------------- lines of the values
+#
+# Scalars follow the YAML 1.2 core schema: ``1e-3`` is a number, ``no`` and ``on`` are text, dates stay text.
+# (PyYAML's own YAML 1.1 reads ``1e-3`` as text and ``no`` as false.)
+
+
+# ---------------------------------------------------------------- YAML
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader with the scalars of YAML 1.2."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - name and kind are PyYAML's
+
+
+for _name, _pattern, _first in (
+    ("bool", r"^(?:true|True|TRUE|false|False|FALSE)$", "tTfF"),
+    ("null", r"^(?:~|null|Null|NULL|)$", ["~", "n", "N", ""]),
+    ("int", r"^[-+]?[0-9]+$", "-+0123456789"),
+    ("float", r"^[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$", "-+.0123456789"),
+    ("float", r"^[-+]?\.(?:inf|Inf|INF)$|^\.(?:nan|NaN|NAN)$", "-+."),
+    ("merge", r"^<<$", "<"),
+):
+    _Loader.add_implicit_resolver(_TAG + _name, re.compile(_pattern), list(_first))
+
+
+# YAML 1.1 reads 010 as octal 8; here it is ten, as written.
+_Loader.add_constructor(_TAG + "int", lambda _loader, node: int(node.value))
+
+
+def read_yaml(path: Path) -> Document:
+    """Read a YAML file; what is wrong with it goes into ``mistakes``, next to the data that could be read."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        return Document(mistakes=[Mistake(found="no such file", cure="Check the path")])
+    except UnicodeDecodeError as error:
+        line = path.read_bytes()[: error.start].count(b"\n") + 1
+        mistake = Mistake(
+            found=f"byte 0x{error.object[error.start]:02x} is not UTF-8",
+            expected="a text file in UTF-8",
+            cure="Save the file with the encoding UTF-8",
+            line=line,
+        )
+        return Document(mistakes=[mistake])
+    except OSError as error:
+        found = "this is a folder" if path.is_dir() else f"cannot be read ({error.strerror})"
+        return Document(mistakes=[Mistake(found=found, expected="a readable YAML file")])
+    return parse_yaml(text)
+
+
+def parse_yaml(text: str) -> Document:
+    """Parse YAML text; see `read_yaml`."""
+    document = Document()
+    loader = None
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        if node is not None:
+            document.data = _construct(loader, node, (), document)
+    except yaml.YAMLError as error:
+        document.mistakes.append(_syntax_mistake(error, text))
+    except (ValueError, RecursionError) as error:
+        document.mistakes.append(Mistake(found=f"a value cannot be read: {error}", expected="plain YAML"))
+    finally:
+        if loader is not None:
+            loader.dispose()
+    return document
+
+
+def _construct(loader: _Loader, node: yaml.Node, path: tuple[Key, ...], document: Document) -> Any:
+    document.lines.setdefault(path, node.start_mark.line + 1)
+    if len(document.lines) > MAX_VALUES:
+        raise ValueError(f"more than {MAX_VALUES:,} values, perhaps through aliases of aliases")
+    if isinstance(node, yaml.SequenceNode):
+        return [_construct(loader, item, (*path, i), document) for i, item in enumerate(node.value)]
+    if not isinstance(node, yaml.MappingNode):
+        return loader.construct_object(node)
+    seen: dict[str, int] = {}
+    for key_node, _ in node.value:
+        line = key_node.start_mark.line + 1
+        key = str(key_node.value)
+        if key in seen:
+            document.mistakes.append(
+                Mistake(
+                    path=(*path, key),
+                    found=f"the key stands twice, in lines {seen[key]} and {line}",
+                    expected="each key once",
+                    cure="Remove one of them or join what stands below both",
+                    line=line,
+                )
+            )
+        seen.setdefault(key, line)
+    loader.flatten_mapping(node)
+    data: dict[str, Any] = {}
+    for key_node, value_node in node.value:
+        key = str(key_node.value)
+        document.lines[(*path, key)] = key_node.start_mark.line + 1
+        data[key] = _construct(loader, value_node, (*path, key), document)
+    return data
+
+
+def _syntax_mistake(error: yaml.YAMLError, text: str) -> Mistake:
+    mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+    problem = str(getattr(error, "problem", None) or error).splitlines()[0]
+    if mark is None:
+        position = getattr(error, "position", None)
+        line = text[:position].count("\n") + 1 if isinstance(position, int) else 0
+        found = "a control character" if position is not None else problem
+        return Mistake(
+            found=f"not valid YAML: {found}",
+            line=line,
+            expected="printable text",
+            cure="Remove the character",
+        )
+    line = mark.line + 1
+    rows = text.splitlines()
+    row = rows[mark.line] if mark.line < len(rows) else ""
+    return Mistake(
+        found=f"not valid YAML: {problem}", line=line, expected="plain YAML", cure=_syntax_cure(problem, row)
+    )
+
+
+def _syntax_cure(problem: str, row: str) -> str:
+    if "\t" in row:
+        return "Replace the tab by spaces: YAML indents with spaces only"
+    if "mapping values are not allowed" in problem:
+        return "Put text that holds a colon in quotes, and indent keys of one section equally"
+    if "undefined alias" in problem or "could not determine a constructor" in problem:
+        return "Put text that begins with *, & or ! in quotes"
+    if "but found another document" in problem or "expected a single document" in problem:
+        return "Keep one document in one file: remove the line ---"
+    if "expected ',' or" in problem or "found unexpected end of stream" in problem:
+        return "Close the bracket or quote that this line or one before it opens"
+    if "cannot start any token" in problem:
+        return "Put text that begins with @, ` or % in quotes"
+    return "Check indentation (spaces, equal within a section), colons (`key: value`) and brackets"
+
+
+def read_mapping(path: Path) -> tuple[dict[str, Any], dict[tuple[str, ...], int]]:
+    """Data of a YAML file that holds a mapping, and the line (from 1) of each key in it.
+
+    Raises
+    ------
+    ConfigError : the first of what `read_yaml` finds wrong, or the file holds no mapping.
+    """
+    document = read_yaml(path)
+    for mistake in document.mistakes:
+        where = f"{path}:{mistake.line}" if mistake.line else path
+        found = f"{mistake.dotted}: {mistake.found}" if mistake.path else mistake.found
+        raise ConfigError(found, where=where, expected=mistake.expected, cure=mistake.cure)
+    if not isinstance(document.data, dict):
+        raise ConfigError(
+            "the file is empty"
+            if document.data is None
+            else f"the file holds a {type(document.data).__name__}",
+            where=path,
+            expected="keys with values, such as `title: My boat`",
+        )
+    return document.data, {tuple(str(key) for key in keys): line for keys, line in document.lines.items()}

@@ -1,0 +1,207 @@
+"""Two epochs compared at core points: distance, its standard deviation by parts, and significance.
+
+The variance of a distance has three parts: errors that points share (of the poses,
+`thalweg.deformation.field`, or a stated sigma of a foreign cloud), white noise and roughness (the spread
+within the cylinder over n, as in Lague, Brodu and Leroux 2013), and the registration of the epochs. M3C2
+itself knows roughness and a registration error that it adds linearly; here independent parts are added in
+squares.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from scipy.stats import norm
+
+from thalweg.core import ArrayF, GeometryError, InputError, column, frame_of, table_kind
+from thalweg.deformation.field import benjamini_hochberg
+from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, multiscale_normals
+
+CHANGES = table_kind(
+    "changes",
+    1,
+    [
+        column("core", pa.int64(), "1", "number of the core point"),
+        *(column(f"{axis}_m", pa.float64(), "m", f"core point, {axis}") for axis in ("east", "north", "up")),
+        *(column(f"normal_{axis}", pa.float64(), "1", f"normal, {axis}") for axis in ("east", "north", "up")),
+        column("scale_m", pa.float64(), "m", "radius at which the normal was fitted"),
+        column("n_before", pa.int64(), "1", "points of the first epoch in the cylinder"),
+        column("n_after", pa.int64(), "1", "points of the second epoch in the cylinder"),
+        column("distance_m", pa.float64(), "m", "second minus first epoch along the normal"),
+        column("sigma_m", pa.float64(), "m", "standard deviation of the distance"),
+        column("sigma_field_m", pa.float64(), "m", "its part from errors that points share"),
+        column("sigma_white_m", pa.float64(), "m", "its part from roughness and noise of single points"),
+        column("sigma_registration_m", pa.float64(), "m", "its part from the registration of the epochs"),
+        column("lod95_m", pa.float64(), "m", "level of detection: 1.96 standard deviations"),
+        column("p_value", pa.float64(), "1", "probability of such a distance without change"),
+        column(
+            "q_value", pa.float64(), "1", "rate of false discoveries at which it counts (Benjamini-Hochberg)"
+        ),
+        column("significant", pa.bool_(), "1", "counts at the chosen level"),
+        column("state", pa.string(), "1", "what is known of the place"),
+    ],
+)
+"""One row for each core point."""
+
+CONTROLS = ("fdr", "none")
+"""What the level of significance holds for: the rate of false discoveries, or each core point alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """How two clouds are compared; lengths in metres.
+
+    Attributes
+    ----------
+    scales_m : radii at which normals are fitted; the most planar counts.
+    radius_m : of the cylinders.
+    half_length_m : reach of the cylinders along the normal, to both sides.
+    least_points : that a mean needs in each epoch.
+    level : of significance.
+    control : see `CONTROLS`.
+    """
+
+    scales_m: tuple[float, ...] = (0.5, 1.0, 2.0)
+    radius_m: float = 0.5
+    half_length_m: float = 5.0
+    least_points: int = 5
+    level: float = 0.05
+    control: str = "fdr"
+
+    def __post_init__(self) -> None:
+        lengths = (*self.scales_m, self.radius_m, self.half_length_m)
+        if not self.scales_m or not all(0 < each < np.inf for each in lengths):
+            raise InputError(
+                f"radii and lengths {lengths} m", expected="positive lengths, at least one scale"
+            )
+        if self.control not in CONTROLS or not 0 < self.level < 1 or self.least_points < 1:
+            raise InputError(
+                f"control {self.control!r}, level {self.level:g}, {self.least_points} points",
+                expected=f"one of {', '.join(CONTROLS)}, a level between 0 and 1, at least one point",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Distances:
+    """Distances at core points and what a sigma is made from, before errors are known.
+
+    Attributes
+    ----------
+    cores_m, normals : (k, 3); scale_m : (k,) radius of each normal's fit.
+    n : (k, 2) points of the first and second epoch; distance_m : (k,), NaN where an epoch has too few.
+    roughness_m : (k,) standard deviation of the distance from the spread in both cylinders.
+    """
+
+    cores_m: ArrayF
+    normals: ArrayF
+    scale_m: ArrayF
+    n: ArrayF
+    distance_m: ArrayF
+    roughness_m: ArrayF
+
+
+def measure_distances(
+    cores_m: ArrayF, before: ColumnIndex, after: ColumnIndex, options: Comparison, *, towards: ArrayF
+) -> Distances:
+    """Distances from the first to the second cloud along normals of the first.
+
+    Parameters
+    ----------
+    cores_m : (k, 3) core points.
+    before, after : indexed clouds in one frame.
+    towards : (3,) or (k, 3) direction to which normals point: a positive distance is a surface that came that
+        way.
+
+    Raises
+    ------
+    GeometryError : no core point has points of both clouds around it: the epochs do not overlap.
+    """
+    normals, scale = multiscale_normals(cores_m, before, options.scales_m, towards=towards)
+    cut = [
+        cut_cylinders(
+            cores_m,
+            normals,
+            cloud,
+            radius_m=options.radius_m,
+            half_length_m=options.half_length_m,
+            least=options.least_points,
+        )
+        for cloud in (before, after)
+    ]
+    distance = cut[1].along_m - cut[0].along_m
+    if not np.isfinite(distance).any():
+        places = [f"{np.round(each.xyz_m.mean(axis=0)).tolist()}" for each in (before, after)]
+        raise GeometryError(
+            f"no core point has points of both epochs; their means lie at {places[0]} and {places[1]} m",
+            expected="clouds that overlap, in one frame",
+            cure="Check that both have the same coordinate system, heights and units",
+        )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        roughness = np.sqrt(sum(each.std_m**2 / each.n for each in cut))
+    return Distances(cores_m, normals, scale, np.column_stack([each.n for each in cut]), distance, roughness)
+
+
+def judge_changes(
+    found: Distances,
+    options: Comparison,
+    *,
+    sigma_field_m: ArrayF,
+    sigma_white_m: ArrayF,
+    sigma_registration_m: ArrayF | float = 0.0,
+) -> pd.DataFrame:
+    """Table `CHANGES`: sigma by parts, level of detection, significance and state of each core point.
+
+    Parameters
+    ----------
+    found : measured distances.
+    sigma_field_m : (k,) from errors that the points of a moment, or of a cloud, share.
+    sigma_white_m : (k,) predicted from the noise of single points; the larger of it and the roughness counts.
+    sigma_registration_m : (k,) or one value.
+    """
+    k = len(found.distance_m)
+    white = np.fmax(found.roughness_m, sigma_white_m)
+    parts = [
+        np.broadcast_to(np.asarray(each, float), k) for each in (sigma_field_m, white, sigma_registration_m)
+    ]
+    measured = np.isfinite(found.distance_m)
+    sigma = np.where(measured, np.sqrt(sum(part**2 for part in parts)), np.nan)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        p = 2.0 * norm.sf(np.abs(found.distance_m) / sigma)
+    q = benjamini_hochberg(p)
+    significant = (q if options.control == "fdr" else p) <= options.level
+    seen = found.n >= options.least_points
+    state = np.select(
+        [
+            ~seen[:, 0] & ~seen[:, 1],
+            ~seen[:, 0],
+            ~seen[:, 1],
+            ~measured,
+            significant & (found.distance_m > 0),
+            significant,
+        ],
+        ["not seen", "not seen in first", "not seen in second", "no normal", "deposition", "erosion"],
+        default="no significant change",
+    )
+    axes = ("east", "north", "up")
+    return frame_of(
+        CHANGES,
+        {
+            "core": np.arange(k),
+            **{f"{axis}_m": found.cores_m[:, i] for i, axis in enumerate(axes)},
+            **{f"normal_{axis}": found.normals[:, i] for i, axis in enumerate(axes)},
+            "scale_m": found.scale_m,
+            "n_before": found.n[:, 0],
+            "n_after": found.n[:, 1],
+            "distance_m": found.distance_m,
+            "sigma_m": sigma,
+            "sigma_field_m": np.where(measured, parts[0], np.nan),
+            "sigma_white_m": np.where(measured, parts[1], np.nan),
+            "sigma_registration_m": np.where(measured, parts[2], np.nan),
+            "lod95_m": norm.isf(0.025) * sigma,
+            "p_value": p,
+            "q_value": q,
+            "significant": significant,
+            "state": state,
+        },
+    )

@@ -1,0 +1,167 @@
+"""Clouds of others compared: files in, table of changes out, with the errors that their makers state."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from pyproj import CRS
+
+from thalweg.core import ArrayF, Frame, InputError, LazWriter, LocalFrame, write_table
+from thalweg.deformation.compare import CHANGES, Comparison, judge_changes, measure_distances
+from thalweg.deformation.m3c2 import ColumnIndex
+from thalweg.ingest.clouds import read_cloud
+
+TEXT = {".xyz", ".txt", ".csv", ".asc", ".pts"}
+"""Suffixes of tables of points: x, y, z in the first three columns, a head of any number of lines."""
+TABLES = {".csv", ".parquet", ".laz"}
+"""Suffixes of results."""
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """Points (n, 3) of a file, in metres, and the frame that it states."""
+
+    xyz_m: ArrayF
+    frame: Frame
+    path: Path
+
+
+def read_points(path: Path) -> Points:
+    """Points of a cloud (LAS, LAZ, PLY, E57) or of a table of coordinates.
+
+    Raises
+    ------
+    InputError : no such file, no points, or a table without three columns of numbers.
+    """
+    if path.suffix.lower() not in TEXT or not path.is_file():
+        cloud = read_cloud(path)
+        return Points(cloud.points, cloud.frame, path)
+    skipped = 0
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        for line in stream:
+            words = line.replace(",", " ").replace(";", " ").split()
+            try:
+                numbers = len([float(word) for word in words[:3]])
+            except ValueError:
+                numbers = 0
+            if numbers == 3:
+                break
+            skipped += 1
+        else:
+            raise InputError("no line of three numbers", expected="x, y, z in each line", where=path)
+    separator = next((mark for mark in ",;" if mark in line), r"\s+")
+    try:
+        table = pd.read_csv(
+            path, sep=separator, skiprows=skipped, header=None, usecols=[0, 1, 2], dtype=np.float64
+        )
+    except (ValueError, pd.errors.ParserError) as error:
+        raise InputError(
+            f"a line that holds no three numbers ({error})", expected="x, y, z", where=path
+        ) from error
+    xyz = table.to_numpy()
+    return Points(np.ascontiguousarray(xyz[np.isfinite(xyz).all(axis=1)]), None, path)
+
+
+def compare_clouds(
+    before: Path,
+    after: Path,
+    options: Comparison,
+    *,
+    core_every: int = 50,
+    towards: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    sigma_m: tuple[float | None, float | None] = (None, None),
+    sigma_registration_m: float = 0.0,
+) -> tuple[pd.DataFrame, Frame, list[str]]:
+    """Compare two clouds from files at every n-th point of the first.
+
+    Parameters
+    ----------
+    before, after : clouds in one frame.
+    options : radii, level of significance.
+    core_every : every how many-th point of the first cloud is a core point.
+    towards : direction to which normals point.
+    sigma_m : standard deviation of each cloud along the normal that neighbouring points share; None if
+        unknown.
+    sigma_registration_m : standard deviation of the registration of both.
+
+    Returns
+    -------
+    Table `CHANGES`, the frame of the clouds, and notes for the reader.
+
+    Raises
+    ------
+    InputError : files that cannot be read or state different frames.
+    GeometryError : clouds that do not overlap.
+    """
+    clouds = [read_points(path) for path in (before, after)]
+    frame, notes = _one_frame(clouds)
+    shift = np.round(clouds[0].xyz_m.mean(axis=0))  # so that squares of coordinates of maps keep their digits
+    width = max(options.radius_m, 0.5 * max(options.scales_m))
+    first, second = (ColumnIndex.of(cloud.xyz_m - shift, width) for cloud in clouds)
+    cores = (clouds[0].xyz_m - shift)[::core_every]
+    found = measure_distances(cores, first, second, options, towards=np.asarray(towards, float))
+    if None in sigma_m:
+        notes.append(
+            "Without sigmas of both clouds the level of detection is that of roughness alone: errors that "
+            "the points of a cloud share are in no limit, and what counts as significant may be theirs."
+        )
+    shared = np.hypot(sigma_m[0] or 0.0, sigma_m[1] or 0.0)
+    k = len(cores)
+    table = judge_changes(
+        found,
+        options,
+        sigma_field_m=np.full(k, shared),
+        sigma_white_m=np.zeros(k),
+        sigma_registration_m=sigma_registration_m,
+    )
+    table[["east_m", "north_m", "up_m"]] += shift
+    return table, frame, notes
+
+
+def _one_frame(clouds: list[Points]) -> tuple[Frame, list[str]]:
+    """The frame of both clouds; clouds that state different ones are refused."""
+    stated = [cloud.frame for cloud in clouds if cloud.frame is not None]
+    if len(stated) == 2 and not _same(*stated):
+        names = [each.name if isinstance(each, CRS) else "a local frame" for each in stated]
+        raise InputError(
+            f"{clouds[0].path} states {names[0]}, {clouds[1].path} {names[1]}",
+            expected="clouds in one coordinate system, with the same heights",
+            cure="Transform one of them before the comparison",
+        )
+    missing = [str(cloud.path) for cloud in clouds if cloud.frame is None]
+    notes = [f"No coordinate system in {', '.join(missing)}: taken as that of the other."] if missing else []
+    return (stated[0] if stated else None), notes
+
+
+def _same(a: Frame, b: Frame) -> bool:
+    if isinstance(a, LocalFrame) or isinstance(b, LocalFrame):
+        return a == b
+    return bool(a.equals(b, ignore_axis_order=True)) if a is not None else b is None
+
+
+def write_changes(path: Path, table: pd.DataFrame, frame: Frame) -> None:
+    """Write a table `CHANGES` as CSV, Parquet or LAZ (core points with the columns as extra dimensions).
+
+    Raises
+    ------
+    InputError : another suffix, or a folder that is not there.
+    """
+    if path.suffix.lower() not in TABLES:
+        raise InputError(f"suffix {path.suffix!r}", expected=" or ".join(sorted(TABLES)), where=path)
+    if not path.parent.is_dir():
+        raise InputError("no such folder", where=path.parent, cure="Make it, or name another file")
+    if path.suffix.lower() == ".csv":
+        table.to_csv(path, index=False)
+    elif path.suffix.lower() == ".parquet":
+        write_table(path, table, CHANGES)
+    else:
+        place = ["east_m", "north_m", "up_m"]
+        kept = [item for item in CHANGES if item.name not in {"core", "state", *place}]
+        extra = {item.name: ("u1" if item.name == "significant" else "f8", _unit(item)) for item in kept}
+        with LazWriter(path, frame, extra_dimensions=extra) as writer:
+            writer.append(table[place].to_numpy(), extra={name: table[name].to_numpy() for name in extra})
+
+
+def _unit(item: object) -> str:
+    return str(getattr(item, "metadata", {}).get(b"unit", b"").decode())

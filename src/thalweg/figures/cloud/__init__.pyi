@@ -1,0 +1,2 @@
+from .overview import cloud_overview as cloud_overview
+from .views import Splat as Splat, choose_segment as choose_segment

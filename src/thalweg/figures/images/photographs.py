@@ -1,0 +1,587 @@
+"""Photographs of the bank: positions with control points, masks."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.contour import QuadContourSet
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayU8,
+    CoverageError,
+    GeometryError,
+    InputError,
+    Trajectory,
+)
+from thalweg.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    HALO,
+    ORANGE,
+    PURPLE,
+    RED,
+    SIGMA_MAP,
+    SKY,
+    VERMILION,
+    WIDTH_MM,
+    count,
+    legend_below,
+    marks_in_free_corners,
+    new_figure,
+    plan_height_mm,
+    plural,
+    read_picture,
+    styled,
+)
+from thalweg.figures.accuracy import round_above
+from thalweg.figures.calibration import checked, filled
+from thalweg.figures.survey import map_extent, plain_numbers, sigma_norm
+from thalweg.images import read_control_points
+from thalweg.images.model import ControlPoints, ImagePoses
+from thalweg.ingest.photos import Images, named_images
+
+COLUMNS: Final = (
+    "point",
+    "role",
+    "images",
+    "suspect",
+    *(f"{s}without_{a}_mm" for s in ("", "sigma_") for a in ("east", "north", "up")),
+)
+ROLES: Final = {"control": (PURPLE, "^"), "check": (GREEN, "s")}
+"""Colour and marker of points that took part and of points that only checked."""
+ARROW_SHARE: Final = 0.07
+"""Length of the longest residual vector over the width of the map."""
+MOST_NAMES: Final = 40
+LETTER_SHARE: Final = 0.0115
+"""Width of a letter over the width of the map."""
+MAP_MM: Final = 110.0
+_BARS_MM: Final = 52.0
+_AXES: Final = (("east", BLUE, "o"), ("north", VERMILION, "s"), ("up", GREEN, "^"))
+
+MASK_COLUMNS: Final = ("image", "usable_share", "water_share", "sky_share", "hull_share", "source", "note")
+"""Columns of the table of masks, see `thalweg.images.masks.images`."""
+EXAMPLES: Final = 3
+_LONGEST_PX: Final = 900
+"""Side of a picture in the figure; more would not be seen."""
+_DARKER: Final = 0.42
+_LINES: Final = {
+    "usable_share": ("usable", VERMILION, "-"),
+    "water_share": ("water", BLUE, "--"),
+    "sky_share": ("sky", SKY, "-."),
+    "hull_share": ("own boat", ORANGE, ":"),
+}
+
+
+# ---------------------------------------------------------------- positions and control points (P2 Fig. 6 and
+# 10)
+
+
+@styled
+def image_positions(
+    poses: ImagePoses,
+    control: ControlPoints,
+    report: pd.DataFrame,
+    *,
+    trajectory: Trajectory | None = None,
+    title: str = "Images and control points",
+    twin: bool = False,
+) -> Figure:
+    """Map of the images and of the control and check points with residual vectors; all components below.
+
+    A residual is adjusted minus surveyed, as if the point's own coordinates had taken no part: so control and
+    check points can be compared.
+
+    Parameters
+    ----------
+    poses : of the images; those without a pose are marked on the trajectory at their time.
+    control : surveyed points.
+    report : columns `COLUMNS`, see `thalweg.images.bundle.job.control_table`.
+    trajectory : of the boat by INS, drawn behind the images.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    GeometryError : no image has a pose.
+    InputError : a column is missing, or the report names a point that is not among the surveyed ones.
+    """
+    if not poses.oriented.any():
+        raise GeometryError(f"none of {len(poses.images)} images has a pose", expected="at least one")
+    points = _with_places(control, report)
+    centres = poses.centre_wcs_m[poses.oriented]
+    measured = points[np.isfinite(points["without_east_mm"].to_numpy(np.float64))]
+    shown = [centres[:, :2], points[["east_m", "north_m"]].to_numpy()]
+    low, high = map_extent(np.concatenate(shown), None)
+    scale = _scale(measured, float(high[0] - low[0]))
+    low, high = map_extent(np.concatenate([*shown, *_ellipse_ends(measured, scale)]), None)
+    map_mm = min(plan_height_mm(high[0] - low[0], high[1] - low[1]), MAP_MM)
+    oriented = int(poses.oriented.sum())
+    head = f"{title}, n = {count(oriented)} of {plural(len(poses.images), 'image')}"
+    roles = points["role"].value_counts()
+    head += "".join(f", {plural(int(roles[role]), f'{role} point')}" for role in ROLES if role in roles)
+    figure = new_figure(map_mm + (_BARS_MM if len(measured) else 0.0), head, twin=twin)
+    if len(measured):
+        plan, bars = figure.subplots(2, 1, height_ratios=[map_mm, _BARS_MM])
+        _draw_components(bars, measured)
+    else:
+        plan = figure.add_subplot()
+    plan.set_aspect("equal")
+    plan.set_xlim(low[0], high[0])
+    plan.set_ylim(low[1], high[1])
+    _draw_images(figure, plan, poses, trajectory)
+    _draw_points(plan, points)
+    if len(measured):
+        _draw_vectors(plan, measured, scale)
+    vectors = scale * _components(measured, "without_")[:, :2]
+    starts = measured[["east_m", "north_m"]].to_numpy()
+    _draw_names(plan, points, np.concatenate([starts + vectors / 2, starts + vectors]))
+    plan.set_xlabel("east / m")
+    plan.set_ylabel("north / m")
+    plan.set_title(_words(points))
+    marks_in_free_corners(plan, np.concatenate(shown))
+    legend_below(figure, plan)
+    return figure
+
+
+def _with_places(control: ControlPoints, report: pd.DataFrame) -> pd.DataFrame:
+    """The report with the surveyed places of its points; points that took no part have no residual."""
+    missing = [name for name in COLUMNS if name not in report.columns]
+    if missing:
+        raise InputError(
+            f"columns missing: {missing}", expected="the table control_points.csv of the adjustment"
+        )
+    place = dict(zip(control.names, control.points_wcs_m, strict=True))
+    known = report["point"].astype(str).isin(list(place))
+    strange = report.loc[~known & report["role"].isin(list(ROLES)), "point"].tolist()
+    if strange:
+        raise InputError(
+            f"the report names points {strange[:5]} that were not surveyed",
+            expected="report and control points of the same campaign",
+        )
+    found = report[known].reset_index(drop=True)
+    xyz = np.array([place[str(name)] for name in found["point"]]).reshape(-1, 3)
+    return found.assign(point=found["point"].astype(str), east_m=xyz[:, 0], north_m=xyz[:, 1])
+
+
+def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajectory | None) -> None:
+    use = poses.oriented
+    centres = poses.centre_wcs_m[use]
+    variance = np.diagonal(poses.cov_pose_wcs[use], axis1=1, axis2=2)[:, :3]
+    sigma_mm = 1e3 * np.sqrt(variance.sum(axis=1))
+    if trajectory is not None:
+        en = np.where(trajectory.valid[:, None], trajectory.position_wcs_m[:, :2], np.nan)
+        ax.plot(*en.T, color="0.65", lw=0.8, zorder=2, label="trajectory by INS", gid="trajectory")
+        _draw_lost(ax, poses, trajectory)
+    # views to see where the camera looked; z of ccs is the view
+    view = poses.R_wcs_ccs[use][:, :2, 2]
+    reach = 0.02 * float(np.ptp(ax.get_xlim()))
+    ends = centres[:, :2] + reach * view
+    for start, end in zip(centres[:, :2], ends, strict=True):
+        ax.plot(*np.stack([start, end], axis=1), color="0.35", lw=0.5, zorder=3)
+    norm = sigma_norm(sigma_mm)
+    dots = ax.scatter(
+        centres[:, 0],
+        centres[:, 1],
+        c=sigma_mm,
+        cmap=SIGMA_MAP,
+        norm=norm,
+        s=16,
+        edgecolors="black",
+        lw=0.4,
+        zorder=4,
+        gid="images",
+        label="image, with its view",
+    )
+    bar = figure.colorbar(
+        dots, ax=ax, shrink=0.9, aspect=25, pad=0.01, extend="max", label="sigma of an image's place, 3D / mm"
+    )
+    plain_numbers(bar.ax.yaxis, norm)
+
+
+def _draw_lost(ax: Axes, poses: ImagePoses, trajectory: Trajectory) -> None:
+    lost = ~poses.oriented & np.isfinite(poses.t_gps_s)
+    if not lost.any():
+        return
+    place, _, known = trajectory.at(poses.t_gps_s[lost])
+    ax.plot(
+        *place[known, :2].T,
+        ls="none",
+        marker="x",
+        ms=4.5,
+        mew=1.1,
+        color=RED,
+        zorder=5,
+        gid="lost",
+        label=f"image without a pose, n = {count(int(known.sum()))}",
+    )
+
+
+def _draw_points(ax: Axes, points: pd.DataFrame) -> None:
+    for role, (colour, marker) in ROLES.items():
+        here = points[points["role"] == role]
+        if len(here):
+            ax.plot(
+                here["east_m"],
+                here["north_m"],
+                ls="none",
+                marker=marker,
+                ms=6,
+                mfc=colour,
+                mec="black",
+                mew=0.7,
+                zorder=7,
+                label=f"{role} point",
+                gid=role,
+            )
+    unused = points[~points["role"].isin(list(ROLES)) | (points["images"] == 0)]
+    if len(unused):
+        ax.plot(
+            unused["east_m"],
+            unused["north_m"],
+            ls="none",
+            marker="x",
+            ms=6,
+            mew=1.2,
+            color="0.4",
+            zorder=8,
+            label="point seen in no image, or left out",
+            gid="left-out",
+        )
+
+
+def _draw_names(ax: Axes, points: pd.DataFrame, tips: ArrayF) -> None:
+    """Names beside the points, each in the corner that is freest of points, tips of vectors and other names.
+
+    Parameters
+    ----------
+    tips : (n, 2) places that no name should hide.
+    """
+    if len(points) > MOST_NAMES:
+        return
+    places = points[["east_m", "north_m"]].to_numpy()
+    dots, names = np.concatenate([places, tips]), np.empty((0, 2))
+    letter_m = LETTER_SHARE * float(np.ptp(ax.get_xlim()))
+    for name, place in zip(points["point"], places, strict=True):
+        half = letter_m * np.array([0.5 * len(name) + 0.3, 1.0])
+        corners = [np.array([x, y]) for y in (-1.0, 1.0) for x in (1.0, -1.0)]
+        middles = [place + corner * (half + 0.8 * letter_m) for corner in corners]
+        # two names need twice the room, and one upon another is worse than one upon a dot
+        hidden = [
+            int(np.sum(np.all(np.abs(dots - middle) < 1.3 * half, axis=1)))
+            + 2 * int(np.sum(np.all(np.abs(names - middle) < 2.2 * half, axis=1)))
+            for middle in middles
+        ]
+        best = int(np.argmin(hidden))
+        names = np.concatenate([names, middles[best][None]])
+        x, y = corners[best]
+        ax.annotate(
+            name,
+            (place[0], place[1]),
+            xytext=(4 * x, 4 * y),
+            textcoords="offset points",
+            fontsize=7,
+            zorder=9,
+            ha="left" if x > 0 else "right",
+            va="bottom" if y > 0 else "top",
+            path_effects=HALO,
+        )
+
+
+def _scale(points: pd.DataFrame, width_m: float) -> float:
+    """Metres on the map for a millimetre of a residual."""
+    off = _components(points, "without_")
+    return ARROW_SHARE * width_m / float(max([*np.hypot(off[:, 0], off[:, 1]), 1e-3]))
+
+
+def _ellipse_ends(points: pd.DataFrame, scale: float) -> tuple[ArrayF, ArrayF]:
+    """Lower left and upper right of all vectors with their ellipses (n, 2)."""
+    off, sigma = _components(points, "without_")[:, :2], _components(points, "sigma_without_")[:, :2]
+    end = points[["east_m", "north_m"]].to_numpy() + scale * off
+    return end - scale * np.nan_to_num(sigma), end + scale * np.nan_to_num(sigma)
+
+
+def _draw_vectors(ax: Axes, points: pd.DataFrame, scale: float) -> None:
+    """Horizontal residuals, enlarged, with the ellipse that their sigmas predict at their ends."""
+    off, sigma = _components(points, "without_"), _components(points, "sigma_without_")
+    start = points[["east_m", "north_m"]].to_numpy()
+    key_mm = round_above(0.5 * float(max(np.hypot(off[:, 0], off[:, 1]).max(), 1e-3)))
+    arrows = ax.quiver(
+        *start.T,
+        *(scale * off[:, :2]).T,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        width=0.0028,
+        color="black",
+        zorder=8,
+        gid="residuals",
+    )
+    for place, spread in zip(start + scale * off[:, :2], sigma[:, :2], strict=True):
+        if np.isfinite(spread).all():
+            ax.add_patch(
+                Ellipse(
+                    place,
+                    *(2 * scale * spread),
+                    facecolor="none",
+                    edgecolor="0.3",
+                    lw=0.7,
+                    zorder=7,
+                    gid="sigma-ellipse",
+                )
+            )
+    suspect = points["suspect"].to_numpy(bool)
+    if suspect.any():
+        ax.plot(
+            *start[suspect].T,
+            ls="none",
+            marker="o",
+            ms=12,
+            mfc="none",
+            mec=RED,
+            mew=1.2,
+            zorder=8,
+            label="suspect",
+            gid="suspect",
+        )
+    ax.quiverkey(
+        arrows,
+        0.985,
+        1.035,
+        scale * key_mm,
+        f"{key_mm:g} mm",
+        labelpos="W",
+        coordinates="axes",
+        fontproperties={"size": 7},
+    )
+
+
+def _draw_components(ax: Axes, points: pd.DataFrame) -> None:
+    off, sigma = _components(points, "without_"), _components(points, "sigma_without_")
+    x = np.arange(len(points), dtype=np.float64)
+    for k, (axis, colour, marker) in enumerate(_AXES):
+        ax.errorbar(
+            x + 0.22 * (k - 1),
+            off[:, k],
+            yerr=sigma[:, k],
+            ls="none",
+            marker=marker,
+            ms=3.6,
+            color=colour,
+            elinewidth=1.0,
+            capsize=1.5,
+            label=axis,
+            gid=f"component-{axis}",
+        )
+    ax.axhline(0.0, color="black", lw=0.7, zorder=1)
+    ax.set_xlim(-0.6, len(points) - 0.4)
+    reach = float(np.nanmax(np.abs(off) + np.nan_to_num(sigma)))
+    # the legend stands above the bars
+    ax.set_ylim(-1.1 * reach, 1.6 * reach)
+    names = points["point"].tolist()
+    step = -(-len(names) // MOST_NAMES)
+    ax.set_xticks(x[::step], names[::step], rotation=90 if len(names) > 12 else 0)
+    for tick, role in zip(ax.get_xticklabels(), points["role"].tolist()[::step], strict=True):
+        tick.set_color(ROLES.get(role, ("black", ""))[0])
+    ax.set_ylabel("adjusted minus\nsurveyed / mm")
+    ax.set_title("b: as if the point had taken no part, with its predicted sigma; colour of a name: role")
+    ax.grid(axis="y")
+    ax.legend(loc="upper right", ncols=3)
+
+
+def _components(points: pd.DataFrame, prefix: str) -> ArrayF:
+    return points[[f"{prefix}{axis}_mm" for axis, _, _ in _AXES]].to_numpy(np.float64)
+
+
+def _words(points: pd.DataFrame) -> str:
+    check: AnyArray = ((points["role"] == "check") & (points["images"] > 0)).to_numpy()
+    words = "a: residual vectors with the ellipses of their sigmas"
+    if not check.any():
+        return words
+    rmse = np.sqrt(np.mean(_components(points[check], "without_") ** 2, axis=0))
+    numbers = ", ".join(f"{axis} {value:.1f}" for (axis, _, _), value in zip(_AXES, rmse, strict=True))
+    return f"{words}\nRMSE of {plural(int(check.sum()), 'check point')}: {numbers} mm"
+
+
+def draw_image_positions(
+    *,
+    poses: Path,
+    control_points: list[Path],
+    report: Path,
+    trajectory: Path,
+    crs: str,
+    sigma_m: list[float],
+    title: str,
+    twin: bool,
+) -> Figure:
+    """Image poses, control points and their report -> map of both with residual vectors."""
+    images, points = ImagePoses.read(poses), ControlPoints.none()
+    if control_points:
+        points = read_control_points(control_points[0], images.frame, crs=crs, sigma_m=sigma_m)
+    return image_positions(
+        images,
+        points,
+        pd.read_csv(report, dtype={"point": str}),
+        trajectory=Trajectory.read(trajectory),
+        title=f"Images and control points: {title}",
+        twin=twin,
+    )
+
+
+# ---------------------------------------------------------------- masks (P2 Fig. 12)
+
+
+@styled
+def mask_view(
+    table: pd.DataFrame,
+    pictures: Mapping[str, tuple[ArrayU8, ArrayB]],
+    *,
+    title: str = "Masks",
+    twin: bool = False,
+) -> Figure:
+    """Example images with masked parts dark and hatched, and shares of all images below.
+
+    Parameters
+    ----------
+    table : `MASK_COLUMNS`, one row per image in order of time.
+    pictures : by the names of some images, picture (h, w[, 3]) uint8 and its usable pixels (h, w).
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : a column is missing, a picture is not in the table, or differs from its mask in size.
+    CoverageError : no image has a mask, or no picture is given.
+    """
+    rows = filled(checked(table, MASK_COLUMNS), "mask")
+    share = rows["usable_share"].to_numpy(np.float64)
+    if not np.isfinite(share).any() or not pictures:
+        raise CoverageError("no mask to draw", expected="at least one image with its mask")
+    numbers = {str(name): k for k, name in enumerate(rows["image"])}
+    for name, (picture, usable) in pictures.items():
+        if name not in numbers or picture.dtype != np.uint8 or picture.shape[:2] != usable.shape:
+            raise InputError(
+                f"picture {name} of shape {picture.shape} with a mask of {usable.shape}",
+                expected="an image of the table, uint8, and a mask of its size",
+            )
+    n = int(np.isfinite(share).sum())
+    high = max(p.shape[0] / p.shape[1] for p, _ in pictures.values())
+    head = f"{title}: median usable share {100 * np.nanmedian(share):.0f} %, n = {plural(n, 'image')}"
+    figure = new_figure(min(WIDTH_MM / len(pictures) * high, 110.0) + 62.0, head, twin=twin)
+    parts = figure.subfigures(2, 1, height_ratios=[min(WIDTH_MM / len(pictures) * high, 110.0) + 10, 46.0])
+    upper, lower = np.asarray(parts).ravel()
+    axes = np.atleast_1d(upper.subplots(1, len(pictures)))
+    for letter, ax, name in zip("abcdefgh", axes, pictures, strict=False):
+        _picture(ax, *pictures[name])
+        words = f"{letter}: image {numbers[name] + 1}, {100 * share[numbers[name]]:.0f} % usable"
+        ax.set_title(words)
+    _shares(lower.subplots(), rows, sorted(numbers[name] for name in pictures), "abcdefgh"[len(pictures)])
+    return figure
+
+
+def example_names(table: pd.DataFrame, n: int = EXAMPLES) -> list[str]:
+    """Images at the 10th, 50th and 90th percentile of the usable share, in order of time.
+
+    Raises
+    ------
+    CoverageError : no image has a mask.
+    """
+    known = table[np.isfinite(table["usable_share"].to_numpy(np.float64))]
+    if not len(known):
+        raise CoverageError("no image has a mask", expected="at least one")
+    order = known["usable_share"].sort_values(kind="stable").index
+    chosen = {order[round(q * (len(order) - 1))] for q in np.linspace(0.1, 0.9, n)}
+    return [str(known["image"][k]) for k in known.index if k in chosen]
+
+
+def read_examples(names: Sequence[str], images: Images, masks: Path) -> dict[str, tuple[ArrayU8, ArrayB]]:
+    """Reduced pictures and usable pixels of some images.
+
+    Parameters
+    ----------
+    names : of the images.
+    images : of the series, by name or as files.
+    masks : folder of ``<image>.png``.
+
+    Raises
+    ------
+    InputError : a picture or a mask is missing, or their sizes differ.
+    """
+    files = named_images(images) if images else {}
+    out = {}
+    for name in names:
+        if name not in files:
+            raise InputError(f"no image {name}", expected="the images that were masked")
+        picture, mask = read_picture(files[name]), read_picture(masks / f"{name}.png")
+        if picture.shape[:2] != mask.shape[:2]:
+            raise InputError(
+                f"a mask of {mask.shape[:2]} for an image of {picture.shape[:2]} rows and columns",
+                expected="equal sizes",
+                where=masks / f"{name}.png",
+            )
+        step = max(-(-max(picture.shape[:2]) // _LONGEST_PX), 1)
+        usable = mask[::step, ::step] if mask.ndim == 2 else mask[::step, ::step, 0]
+        out[name] = (np.ascontiguousarray(picture[::step, ::step]), np.asarray(usable > 0))
+    return out
+
+
+def _picture(ax: Axes, picture: ArrayU8, usable: ArrayB) -> None:
+    h, w = usable.shape
+    rgb = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
+    # Grey and dark: what is usable keeps its colour.
+    grey = _DARKER * rgb.mean(axis=2, keepdims=True)
+    shown = np.where(usable[..., None], rgb, grey).astype(np.uint8)
+    ax.imshow(shown, extent=(0, w, h, 0), interpolation="antialiased")
+    places = np.arange(w) + 0.5, np.arange(h) + 0.5
+    if not usable.all():
+        drawn = ax.contourf(*places, (~usable).astype(float), levels=[0.5, 1.5])
+        look = {"facecolor": "none", "edgecolor": (1, 1, 1, 0.35), "linewidth": 0.0, "hatch": "////"}
+        _replaced(ax, drawn, "masked", **look)
+    if usable.any() and not usable.all():
+        drawn = ax.contour(*places, usable.astype(float), levels=[0.5])
+        _replaced(ax, drawn, "border", facecolor="none", edgecolor=VERMILION, linewidth=0.6)
+    ax.set_xlim(0, w)
+    ax.set_ylim(h, 0)
+    ax.set_xticks([])
+    ax.set_yticks([])
+
+
+def _replaced(ax: Axes, drawn: QuadContourSet, gid: str, **look: Any) -> None:
+    """Contours as plain paths: their own artist cannot be hatched without a frame."""
+    paths = drawn.get_paths()
+    drawn.remove()
+    ax.add_collection(PathCollection(paths, gid=gid, **look), autolim=False)
+
+
+def _shares(ax: Axes, rows: pd.DataFrame, examples: list[int], letter: str) -> None:
+    number: ArrayF = np.arange(1, len(rows) + 1, dtype=np.float64)
+    # A series of one image has points, no lines.
+    marker = "." if len(rows) < 40 else ""
+    for column, (label, colour, style) in _LINES.items():
+        percent = 100 * rows[column].to_numpy(np.float64)
+        if np.isfinite(percent).any():
+            ax.plot(number, percent, color=colour, ls=style, marker=marker, ms=4, label=label, gid=column)
+    for k in examples:
+        ax.axvline(k + 1, color=GREY, lw=0.7, ls=":")
+    ax.set_xlim(0.5, len(rows) + 0.5)
+    ax.set_ylim(0, None)
+    ax.set(xlabel="image / 1", ylabel="share of the image / %")
+    ax.set_title(f"{letter}: parts of all images; dotted: those above")
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    ax.grid()
+
+
+def draw_mask_view(*, images: list[Path], masks: Path, table: Path, title: str, twin: bool) -> Figure:
+    """Images and their masks -> figure of what is usable for matching."""
+    rows = pd.read_csv(table, keep_default_na=True).fillna({"note": ""})
+    pictures = read_examples(example_names(rows), named_images(images), masks)
+    return mask_view(rows, pictures, title=title, twin=twin)

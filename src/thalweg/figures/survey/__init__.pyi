@@ -1,0 +1,7 @@
+from .maps import (
+    LOG_RATIO as LOG_RATIO,
+    map_extent as map_extent,
+    plain_numbers as plain_numbers,
+    sigma_norm as sigma_norm,
+    track_gaps as track_gaps,
+)

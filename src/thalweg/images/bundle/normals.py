@@ -1,0 +1,1006 @@
+"""Residuals and normal equations of an image block at a state, with correlated image points."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from scipy import optimize
+from scipy.special import gammaln
+
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, cross_matrix, njit
+from thalweg.images.bundle.problem import Layout, Problem, State, interior_priors
+
+CHUNK: int = 200_000
+"""Marks whose derivatives are held at once: 90 MB."""
+NO_IMAGE_PX = 1e4
+"""Residual of a point that a trial step has put behind its camera: the step is then taken back."""
+
+MOST_TRACKS: Final = 2000
+"""Tracks that are looked at: the numbers are then known to a few percent."""
+_LEAST_MARKS: Final = 3
+"""Marks of a track that tells anything of its correlation."""
+_REACHES: Final = (0.003, 3.0)
+"""Bounds of the reach, radians: from a sixth of a degree to errors that wander over all views."""
+_POWERS: Final = (0.5, 1.9)
+"""Bounds of the power: with 2 the matrices of long tracks lose their digits."""
+_STARTS: Final = (
+    (0.3, 0.02, 1.0),
+    (0.3, 0.1, 1.0),
+    (0.8, 0.1, 1.0),
+    (0.8, 0.5, 1.0),
+    (0.97, 3.0, 1.0),
+    (0.9, 0.5, 1.6),
+)
+"""Share of the slow part in the variance, reach and power, from where the search begins."""
+_APART_RAD: Final = 0.1
+"""Distance of views at which the search looks at the slow part."""
+_FIRST_STEPS: Final = (0.8, -0.3, -0.3, -0.6, 0.8)
+"""Of the numbers of the search."""
+_LATER_STEPS: Final = 0.3
+_MORE: Final = 10.0
+"""Twice the gain in likelihood that five more numbers must bring (Akaike 1974)."""
+_ACROSS: Final = (0.1, 10.0)
+"""Bounds of errors across over those along."""
+_FREEDOMS: Final = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 30.0, 100.0, np.inf)
+_LEAST_SHARE: Final = 1e-3
+"""Least white part of the variance, so that two views from the same place are no contradiction."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Correlation:
+    """Errors of tie marks in units of their stated sigma.
+
+    Parameters
+    ----------
+    white, slow : parts of the errors along the parallax.
+    reach_rad, power : how fast the slow part changes with the view.
+    white_across, slow_across : factors for the errors across the parallax.
+    freedom : degrees of freedom of Student's distribution of a track; infinite: normal.
+    """
+
+    white: float = 1.0
+    slow: float = 0.0
+    reach_rad: float = 1.0
+    power: float = 1.0
+    white_across: float = 1.0
+    slow_across: float = 1.0
+    freedom: float = float("inf")
+
+    @property
+    def model(self) -> ArrayF:
+        """(6,) as the compiled loops take it."""
+        white, slow = self.white, self.slow
+        across = (self.white_across * white, self.slow_across * slow)
+        return np.array([white, across[0], slow, across[1], self.reach_rad, self.power])
+
+    def change(self, apart_rad: float) -> ArrayF:
+        """(2,) sigma of half the difference of two marks with views so far apart, times the root of two."""
+        m = self.model
+        new = -np.expm1(-((apart_rad / self.reach_rad) ** self.power))
+        return np.asarray(np.sqrt(np.square(m[:2]) + np.square(m[2:4]) * new))
+
+    def covariances(self, view: ArrayF, sigma_px: ArrayF) -> ArrayF:
+        """(2, n, n) covariance of the marks of a track in each coordinate; as the compiled loops build it."""
+        m = self.model
+        apart = np.linalg.norm(view[:, None] - view, axis=2)
+        alike = np.exp(-((apart / self.reach_rad) ** self.power))
+        unit = m[:2, None, None] ** 2 * np.eye(len(view)) + m[2:4, None, None] ** 2 * alike
+        return np.asarray(unit * np.outer(sigma_px, sigma_px))
+
+    def differs(self, other: "Correlation", share: float) -> bool:
+        """Whether the errors of two views a degree, or 10 degrees, apart differ by more than a share."""
+        return any(
+            bool((np.abs(self.change(apart) / other.change(apart) - 1.0) > share).any())
+            for apart in np.radians([1.0, 10.0])
+        )
+
+    def weights(self, square: ArrayF, degrees: ArrayF) -> ArrayF:
+        """Weight (t,) of tracks with these square sums and degrees of freedom."""
+        if not np.isfinite(self.freedom):
+            return np.ones_like(square)
+        return np.asarray((self.freedom + degrees) / (self.freedom + square))
+
+    def information(self, degrees: ArrayF) -> ArrayF:
+        """(t,) what a track of Student's errors tells, as a share of its weighted normal equations.
+
+        The expected curvature of the likelihood is smaller than the weight (Lange et al. 1989, eq. 6).
+        """
+        if not np.isfinite(self.freedom):
+            return np.ones_like(degrees)
+        return np.asarray((self.freedom + degrees) / (self.freedom + degrees + 2.0))
+
+    def facts(self) -> dict[str, Any]:
+        """JSON-able."""
+        return {
+            "white": self.white,
+            "slow": self.slow,
+            "white_across": self.white * self.white_across,
+            "slow_across": self.slow * self.slow_across,
+            "reach_deg": float(np.degrees(self.reach_rad)),
+            "power": self.power,
+            "freedom": self.freedom if np.isfinite(self.freedom) else None,
+            "unit": "stated sigma of a mark",
+        }
+
+
+# ---------------------------------------------------------------- normal equations
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tracks:
+    """Tie marks that take part, sorted by point.
+
+    ``point`` (t,) are the points, ``first`` (t + 1,) where their marks begin, ``mark`` (m,) indices into the
+    block's marks, ``image`` (m,), ``xy_px`` (m, 2), ``sigma_px`` (m,) with robust weights put in, ``view``
+    (m, 4) as of `thalweg.images.bundle.normals.views`, and ``along`` (m, 2), the unit vector of the
+    parallax in the image.
+    """
+
+    point: ArrayI
+    first: ArrayI
+    mark: ArrayI
+    image: ArrayI
+    xy_px: ArrayF
+    sigma_px: ArrayF
+    view: ArrayF
+    along: ArrayF
+
+    def chunks(self) -> Iterator[tuple[slice, slice]]:
+        """Slices of tracks and of their marks, of limited size."""
+        begin = 0
+        while begin < len(self.point):
+            end = int(np.searchsorted(self.first, self.first[begin] + CHUNK, side="right")) - 1
+            end = min(max(end, begin + 1), len(self.point))
+            yield slice(begin, end), slice(int(self.first[begin]), int(self.first[end]))
+            begin = end
+
+
+def tracks_of(
+    problem: Problem, used: ArrayB, sigma_px: ArrayF, view: ArrayF, along: ArrayF | None = None
+) -> Tracks:
+    """Tracks of the used marks (m,) of all points that keep at least two of them.
+
+    ``along`` (m, 2) is the parallax of all marks; None: along the rows.
+    """
+    block = problem.block
+    count = np.bincount(block.mark_point[used], minlength=len(block.points_block_m))
+    rows = np.flatnonzero(used & (count[block.mark_point] >= 2))
+    rows = rows[np.lexsort((rows, block.mark_image[rows], block.mark_point[rows]))]
+    point, first = np.unique(block.mark_point[rows], return_index=True)
+    return Tracks(
+        point=point.astype(np.int64),
+        first=np.append(first, len(rows)).astype(np.int64),
+        mark=rows,
+        image=block.mark_image[rows].astype(np.int64),
+        xy_px=block.mark_px[rows],
+        sigma_px=sigma_px[rows],
+        view=view[rows],
+        along=np.tile([1.0, 0.0], (len(rows), 1)) if along is None else along[rows],
+    )
+
+
+@dataclass(slots=True)
+class Marks:
+    """Linearised marks: residual (m, 2) measured minus computed, derivatives (m, 2, 6 | q | 3)."""
+
+    residual: ArrayF
+    by_pose: ArrayF
+    by_rest: ArrayF
+    by_point: ArrayF
+
+
+def linearised(problem: Problem, layout: Layout, x: State, image: ArrayI, X: ArrayF, xy_px: ArrayF) -> Marks:
+    """Marks of points ``X`` (m, 3) in images, and their derivatives.
+
+    With ``d = X - C`` a small error turns ``R^T d`` into ``R^T (d - dx + d x dtheta + dX)``.
+    """
+    m, q = len(image), layout.n_interior
+    d = X - x.C[image]
+    Rt = np.swapaxes(x.R, 1, 2)[image]
+    seen = np.einsum("mij,mj->mi", Rt, d)
+    xy, by_seen, by_rest = np.empty((m, 2)), np.empty((m, 2, 3)), np.zeros((m, 2, q))
+    camera = problem.block.camera[image]
+    for k, (lens, at) in enumerate(zip(x.cameras, layout.interior, strict=True)):
+        rows: AnyArray = np.flatnonzero(camera == k) if len(x.cameras) > 1 else np.arange(m)
+        xy[rows], by_seen[rows], by_parameters = lens.project_with_derivatives(seen[rows])
+        for parameter in np.flatnonzero(at >= 0):
+            # tied parameters share a column
+            by_rest[rows, :, at[parameter] - layout.n_poses] += by_parameters[:, :, parameter]
+    by_point = by_seen @ Rt
+    by_pose = np.concatenate([-by_point, by_point @ cross_matrix(d)], axis=2)
+    residual = xy_px - xy
+    lost = ~np.isfinite(residual).all(axis=1)
+    if lost.any():
+        residual[lost] = NO_IMAGE_PX
+        for a in (by_pose, by_rest, by_point):
+            a[lost] = 0.0
+    return Marks(residual, by_pose, by_rest, by_point)
+
+
+def along_and_across(part: Marks, along: ArrayF) -> Marks:
+    """The same with residuals and derivatives along unit vectors (m, 2) and across them."""
+    turn = _turns(along)
+    return Marks(
+        np.einsum("mij,mj->mi", turn, part.residual),
+        turn @ part.by_pose,
+        turn @ part.by_rest,
+        turn @ part.by_point,
+    )
+
+
+def _turns(along: ArrayF) -> ArrayF:
+    return np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
+
+
+@dataclass(slots=True)
+class Reduced:
+    """Reduced normal equations: matrix (u, u), right side (u,), square sums of the groups."""
+
+    N: ArrayF
+    g: ArrayF
+    cost: dict[str, float]
+    counts: dict[str, int]
+
+
+def reduced_system(
+    problem: Problem,
+    layout: Layout,
+    x: State,
+    tracks: Tracks,
+    model: Correlation,
+    control_sigma_px: ArrayF,
+    damping: float,
+) -> Reduced:
+    """Normal equations of all observations at a state, tie points eliminated.
+
+    Parameters
+    ----------
+    control_sigma_px : (n,) standard deviations of the control marks, robust weights put in; infinite ones
+        take no part.
+    damping : Levenberg's share on the diagonals of the tie points.
+    """
+    u = len(layout.names)
+    N, g = np.zeros((u, u)), np.zeros(u)
+    tie = 0.0
+    for which, rows in tracks.chunks():
+        at = np.repeat(tracks.point[which], np.diff(tracks.first[which.start : which.stop + 1]))
+        part = linearised(problem, layout, x, tracks.image[rows], x.X[at], tracks.xy_px[rows])
+        part = along_and_across(part, tracks.along[rows])
+        tie += add_tracks(
+            tracks.first[which.start : which.stop + 1] - tracks.first[which.start],
+            tracks.image[rows],
+            part.by_pose,
+            part.by_rest,
+            part.by_point,
+            part.residual,
+            tracks.sigma_px[rows],
+            tracks.view[rows],
+            model.model,
+            damping,
+            layout.n_poses,
+            N,
+            g,
+        )
+    # blocks on the diagonal are filled on both sides
+    N = np.triu(N)
+    N += np.triu(N, 1).T
+    out = Reduced(N, g, {"tie": tie}, {"tie": 2 * len(tracks.mark)})
+    _add_control(problem, layout, x, control_sigma_px, out)
+    _add_antenna(problem, layout, x, out)
+    _add_interior(problem, layout, x, out)
+    return out
+
+
+def point_steps(
+    problem: Problem, layout: Layout, x: State, tracks: Tracks, model: Correlation, damping: float, d: ArrayF
+) -> ArrayF:
+    """(p, 3) changes of the tie points that go with the change ``d`` (u,) of the shared unknowns."""
+    step = np.zeros_like(x.X)
+    poses = d[: layout.n_poses].reshape(-1, 6)
+    rest = d[layout.n_poses : layout.n_poses + layout.n_interior]
+    for which, rows in tracks.chunks():
+        first = tracks.first[which.start : which.stop + 1]
+        at = np.repeat(tracks.point[which], np.diff(first))
+        image = tracks.image[rows]
+        part = linearised(problem, layout, x, image, x.X[at], tracks.xy_px[rows])
+        part = along_and_across(part, tracks.along[rows])
+        left = part.residual - np.einsum("maj,mj->ma", part.by_pose, poses[image]) - part.by_rest @ rest
+        found = np.empty((which.stop - which.start, 3))
+        solve_points(
+            first - first[0],
+            part.by_point,
+            left,
+            tracks.sigma_px[rows],
+            tracks.view[rows],
+            model.model,
+            damping,
+            found,
+        )
+        step[tracks.point[which]] = found
+    return step
+
+
+def cost_of(
+    problem: Problem, layout: Layout, x: State, tracks: Tracks, model: Correlation, control_sigma_px: ArrayF
+) -> float:
+    """Weighted square sum of all observations at a state."""
+    total = 0.0
+    for which, rows in tracks.chunks():
+        first = tracks.first[which.start : which.stop + 1]
+        at = np.repeat(tracks.point[which], np.diff(first))
+        xy = projected(problem, x, tracks.image[rows], x.X[at])
+        residual = np.nan_to_num(tracks.xy_px[rows] - xy, nan=NO_IMAGE_PX)
+        residual = np.einsum("mij,mj->mi", _turns(tracks.along[rows]), residual)
+        value = np.empty(which.stop - which.start)
+        track_costs(first - first[0], residual, tracks.sigma_px[rows], tracks.view[rows], model.model, value)
+        total += float(value.sum())
+    empty = Reduced(np.empty((0, 0)), np.empty(0), {}, {})
+    _add_control(problem, layout, x, control_sigma_px, empty, derive=False)
+    _add_antenna(problem, layout, x, empty, derive=False)
+    _add_interior(problem, layout, x, empty, derive=False)
+    return total + sum(empty.cost.values())
+
+
+def projected(problem: Problem, x: State, image: ArrayI, X: ArrayF) -> ArrayF:
+    """Pixels (m, 2) of points (m, 3) in images; NaN where a camera cannot see them."""
+    seen = np.einsum("mji,mj->mi", x.R[image], X - x.C[image])
+    if len(x.cameras) == 1:
+        return x.cameras[0].project(seen)
+    out = np.empty((len(image), 2))
+    camera = problem.block.camera[image]
+    for k, lens in enumerate(x.cameras):
+        rows = np.flatnonzero(camera == k)
+        out[rows] = lens.project(seen[rows])
+    return out
+
+
+def derivatives_by_point(problem: Problem, x: State, image: ArrayI, X: ArrayF) -> ArrayF:
+    """(m, 2, 3) derivatives of the pixels of points ``X`` (m, 3) in images; 0 where a camera sees nothing."""
+    Rt = np.swapaxes(x.R, 1, 2)[image]
+    seen = np.einsum("mij,mj->mi", Rt, X - x.C[image])
+    out = np.empty((len(image), 2, 3))
+    camera = problem.block.camera[image]
+    for k, lens in enumerate(x.cameras):
+        rows = np.flatnonzero(camera == k)
+        out[rows] = lens.project_with_derivatives(seen[rows])[1]
+    return np.asarray(np.nan_to_num(out) @ Rt)
+
+
+def _add_control(
+    problem: Problem, layout: Layout, x: State, sigma_px: ArrayF, out: Reduced, *, derive: bool = True
+) -> None:
+    """Marks of control and check points, and the coordinates of control points."""
+    marks, control = problem.marks, problem.control
+    rows = np.flatnonzero(np.isfinite(sigma_px))
+    if derive:
+        q = layout.n_interior
+        part = linearised(problem, layout, x, marks.image[rows], x.G[marks.point[rows]], marks.xy_px[rows])
+        residual = part.residual
+        J = np.concatenate([part.by_pose, part.by_rest, part.by_point], axis=2)
+        for i, row in enumerate(rows):
+            pose, point = 6 * int(marks.image[row]), layout.point(int(marks.point[row])).start
+            at = np.concatenate(
+                [np.arange(pose, pose + 6), layout.n_poses + np.arange(q), np.arange(point, point + 3)]
+            )
+            weighted = J[i] / sigma_px[row] ** 2
+            out.N[np.ix_(at, at)] += weighted.T @ J[i]
+            out.g[at] += weighted.T @ residual[i]
+    else:
+        xy = projected(problem, x, marks.image[rows], x.G[marks.point[rows]])
+        residual = np.nan_to_num(marks.xy_px[rows] - xy, nan=NO_IMAGE_PX)
+    out.cost["control marks"] = float(np.square(residual / sigma_px[rows, None]).sum())
+    out.counts["control marks"] = 2 * len(rows)
+    cost = 0.0
+    for k in np.flatnonzero(~control.check):
+        W = np.linalg.inv(control.cov_wcs_m2[k])
+        off = control.points_wcs_m[k] - x.G[k]
+        cost += float(off @ W @ off)
+        if derive:
+            own = layout.point(int(k))
+            out.N[own, own] += W
+            out.g[own] += W @ off
+    out.cost["control points"] = cost
+    out.counts["control points"] = 3 * int((~control.check).sum())
+
+
+def _add_antenna(problem: Problem, layout: Layout, x: State, out: Reduced, *, derive: bool = True) -> None:
+    """Antenna positions, and what is known of their lever arm and of the camera's clock."""
+    seen = problem.antenna
+    if seen is None or len(seen.image) == 0:
+        return
+    R = x.R[seen.image]
+    lever, shift, drift = seen.lever_ccs_m, np.zeros(3), np.zeros(3)
+    t = seen.t_s - seen.t_s.mean()
+    extra: list[ArrayF] = []
+    at = 0
+    eye = np.broadcast_to(np.eye(3), (len(t), 3, 3))
+    if seen.shift:
+        shift, at = x.extras[at : at + 3], at + 3
+        extra.append(eye)
+    if seen.drift:
+        drift, at = x.extras[at : at + 3], at + 3
+        extra.append(eye * t[:, None, None])
+    known = seen.sigma_lever_m > 0
+    if known.any():
+        lever = lever + x.extras[at : at + 3]
+        extra.append(R)
+    arm = R @ lever
+    off = seen.position_wcs_m - (x.C[seen.image] + arm + shift + t[:, None] * drift)
+    if seen.velocity_wcs_m_s is not None and seen.late:
+        off += seen.velocity_wcs_m_s * x.extras[-1]
+        extra.append(-seen.velocity_wcs_m_s[:, :, None])
+    W = seen.inverse_covariance
+    Wr = np.einsum("iajb,jb->ia", W, off)
+    out.cost["antenna"] = float((off * Wr).sum())
+    out.counts["antenna"] = off.size
+    if seen.late:
+        out.cost["clock"], out.counts["clock"] = float(x.extras[-1] / seen.sigma_clock_s) ** 2, 1
+        if derive:
+            out.N[layout.control - 1, layout.control - 1] += 1.0 / seen.sigma_clock_s**2
+            out.g[layout.control - 1] -= x.extras[-1] / seen.sigma_clock_s**2
+    if known.any():
+        change = x.extras[at : at + 3]
+        # components that are held get a micrometre
+        weight = 1.0 / np.square(np.where(known, seen.sigma_lever_m, 1e-6))
+        out.cost["lever arm"] = float((change**2 * weight)[known].sum())
+        out.counts["lever arm"] = int(known.sum())
+        if derive:
+            place = np.arange(layout.extras + at, layout.extras + at + 3)
+            out.N[place, place] += weight
+            out.g[place] -= weight * change
+    if not derive:
+        return
+    J = np.concatenate([eye, -cross_matrix(arm), *extra], axis=2)
+    pose = J[:, :, :6]
+    own = (6 * seen.image[:, None] + np.arange(6)).ravel()
+    n = len(own)
+    # W J as (i, j, a, l)
+    moved = np.swapaxes(W, 1, 2) @ pose
+    out.N[np.ix_(own, own)] += np.einsum("iak,ijal->ikjl", pose, moved).reshape(n, n)
+    out.g[own] += np.einsum("iak,ia->ik", pose, Wr).ravel()
+    if J.shape[2] > 6:
+        common = J[:, :, 6:]
+        place = np.arange(layout.extras, layout.extras + common.shape[2])
+        W_common = np.einsum("iajb,jbl->ial", W, common)
+        cross = np.einsum("iak,ial->ikl", pose, W_common).reshape(n, -1)
+        out.N[np.ix_(own, place)] += cross
+        out.N[np.ix_(place, own)] += cross.T
+        out.N[np.ix_(place, place)] += np.einsum("iak,ial->kl", common, W_common)
+        out.g[place] += np.einsum("iak,ia->k", common, Wr)
+
+
+def _add_interior(problem: Problem, layout: Layout, x: State, out: Reduced, *, derive: bool = True) -> None:
+    """Interior parameters with what is known of them beforehand."""
+    for at, W, off in interior_priors(problem, layout, x):
+        out.cost["interior"] = out.cost.get("interior", 0.0) + float(off @ W @ off)
+        out.counts["interior"] = out.counts.get("interior", 0) + len(at)
+        if derive:
+            out.N[np.ix_(at, at)] += W
+            out.g[at] += W @ off
+
+
+# ---------------------------------------------------------------- correlation of the errors of a point's
+# image points
+#
+# A slow boat sees the same texture in neighbouring images from nearly the same side. What shifts a mark
+# there - relief below the size of the feature, its oblique picture, light - shifts it alike in both images,
+# and changes with the view. So each coordinate of a mark errs by ::
+#
+#     e = s (white w + slow c),      E[c_i c_j] = exp(-(|v_i - v_j| / reach)^power)
+#
+# with the stated sigma ``s``, independent ``w``, and the place of view ``v``: the unit vector from the
+# point to the camera, and the logarithm of their distance. Two views that differ by ``reach`` (a change of
+# direction in radians, or of distance in nepers) are correlated by 1/e. The distance of places is
+# Euclidean, so this is a covariance on any set of views for powers up to 2 (Schoenberg 1938): at 1 errors
+# wander like a drunkard, at 2 they drift smoothly.
+#
+# What is nearer than the feature's own depth passes before what is farther, along the parallax. There marks
+# err more than across it, by factors that are estimated, too. Along is where the main direction of the
+# cameras that see a point appears in the image; on a boat that is mostly the horizontal.
+#
+# Some tracks are much worse than others: a leaf that moves, an edge that hides. The errors of a track
+# follow Student's distribution, jointly for all its marks: with ``q = r^T P r`` and ``d = 2 n - 3`` it
+# counts with the weight ``(freedom + d) / (freedom + q)`` (Lange, Little and Taylor 1989).
+#
+# All numbers and the size of the errors maximise the restricted likelihood of the residuals (Patterson and
+# Thompson 1971): the coordinates of each point are integrated out exactly; the images, which share six
+# unknowns among hundreds of marks, are taken as they are.
+
+
+def views(points_m: ArrayF, centres_m: ArrayF) -> ArrayF:
+    """(m, 4) place of view of each mark: unit vector from the point to the camera, logarithm of distance."""
+    away = centres_m - points_m
+    r = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    return np.concatenate([away / r, np.log(r)], axis=1)
+
+
+def parallax(by_point: ArrayF, point: ArrayI, centres_m: ArrayF, n_points: int) -> ArrayF:
+    """(m, 2) unit vector in the image along the parallax of each mark.
+
+    Parameters
+    ----------
+    by_point : (m, 2, 3) derivatives of the pixel by the point.
+    point : (m,) points of the marks.
+    centres_m : (m, 3) projection centres of their images.
+    n_points : number of points.
+    """
+    count = np.maximum(np.bincount(point, minlength=n_points), 1)[:, None]
+    mean = np.stack([np.bincount(point, c, n_points) for c in centres_m.T], axis=1) / count
+    off = centres_m - mean[point]
+    spread = np.empty((n_points, 3, 3))
+    for a in range(3):
+        for b in range(a, 3):
+            spread[:, a, b] = spread[:, b, a] = np.bincount(point, off[:, a] * off[:, b], n_points)
+    main = np.linalg.eigh(spread)[1][:, :, 2]
+    along = np.einsum("mij,mj->mi", by_point, main[point])
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(length > 0, along / length, [1.0, 0.0])
+
+
+def estimate(
+    first: ArrayI,
+    by_point: ArrayF,
+    residual_px: ArrayF,
+    sigma_px: ArrayF,
+    view: ArrayF,
+    start: Correlation | None = None,
+) -> Correlation:
+    """The numbers that make the residuals most likely.
+
+    Parameters
+    ----------
+    first : (p + 1,) first mark of each track.
+    by_point : (m, 2, 3) derivatives of the pixel by the point; along and across the parallax.
+    residual_px, sigma_px : (m, 2) along and across, (m,).
+    view : (m, 4) of `views`.
+    start : an earlier estimate to begin from.
+    """
+    length = np.diff(first)
+    usable = np.flatnonzero(length >= _LEAST_MARKS)
+    if len(usable) == 0:
+        return Correlation()
+    # evenly spread, not random: the same block gives the same numbers
+    chosen = usable[np.linspace(0, len(usable) - 1, min(MOST_TRACKS, len(usable))).astype(np.int64)]
+    rows = np.concatenate([np.arange(first[k], first[k + 1]) for k in chosen])
+    starts = np.concatenate([[0], np.cumsum(length[chosen])])
+    parts = tuple(np.ascontiguousarray(a[rows]) for a in (by_point, residual_px, sigma_px, view))
+    degrees = (2 * length[chosen] - 3).astype(np.float64)
+    logarithm, square, none = np.empty(len(chosen)), np.empty(len(chosen)), np.empty(0)
+
+    def profile(shape: Correlation) -> tuple[float, float, float]:
+        """-2 ln L for the best size and freedom of errors of that shape, and these."""
+        restricted_parts(starts, *parts, shape.model, logarithm, square, none)
+        best = min((*_sized(square, degrees, freedom), freedom) for freedom in _FREEDOMS)
+        return best[0] + float(logarithm.sum()), best[1], best[2]
+
+    fresh = start is None or start.slow == 0
+    tries = (
+        [_numbers(start)]
+        if start is not None and not fresh
+        else [
+            _numbers(Correlation(white=np.sqrt(1 - share), slow=np.sqrt(share), reach_rad=reach, power=power))
+            for share, reach, power in _STARTS
+        ]
+    )
+    best = min(tries, key=lambda x: profile(_shape(x))[0])
+    minimise: Any = optimize.minimize
+    # a simplex may shrink beside the minimum; another from there does not
+    for size, most in ((1.0, 150), (0.5, 100)) if fresh else ((_LATER_STEPS, 50),):
+        search: Any = {
+            "initial_simplex": best + np.vstack([np.zeros(5), size * np.diag(_FIRST_STEPS)]),
+            "xatol": 0.02,
+            "fatol": 0.1,
+            "maxfev": most,
+        }
+        found = minimise(lambda x: profile(_shape(x))[0], best, method="Nelder-Mead", options=search)
+        best = found.x
+    independent, variance, freedom = profile(Correlation())
+    if independent <= float(found.fun) + _MORE:
+        return Correlation(white=float(np.sqrt(variance)), freedom=freedom)
+    shape = _shape(found.x)
+    _, variance, freedom = profile(shape)
+    size = float(np.sqrt(variance))
+    return replace(shape, white=size * shape.white, slow=size * shape.slow, freedom=freedom)
+
+
+def _numbers(shape: Correlation) -> ArrayF:
+    """(5,) numbers without bounds for the search.
+
+    Not the whole slow part is known but what of it is new at some distance, so that is the first number; it
+    hardly depends on the reach, the fourth.
+    """
+    low, high = _POWERS
+    inner = float(np.clip((shape.power - low) / (high - low), 0.01, 0.99))
+    new = (shape.slow / shape.white) ** 2 * -np.expm1(-((_APART_RAD / shape.reach_rad) ** shape.power))
+    return np.array(
+        [
+            np.log(max(new, 1e-6)),
+            np.log(shape.white_across),
+            np.log(shape.slow_across),
+            np.log(shape.reach_rad),
+            np.log(inner / (1 - inner)),
+        ]
+    )
+
+
+def _shape(x: ArrayF) -> Correlation:
+    """Errors of unit variance along the parallax."""
+    inner = float(1.0 / (1.0 + np.exp(-np.clip(x[4], -12, 12))))
+    power = _POWERS[0] + (_POWERS[1] - _POWERS[0]) * inner
+    reach = float(np.exp(np.clip(x[3], *np.log(_REACHES))))
+    ratio = float(np.exp(np.clip(x[0], -20, 20))) / -np.expm1(-((_APART_RAD / reach) ** power))
+    white = max(1.0 / (1.0 + ratio), _LEAST_SHARE)
+    across = np.exp(np.clip(x[1:3], *np.log(_ACROSS)))
+    return Correlation(
+        white=float(np.sqrt(white)),
+        slow=float(np.sqrt(1.0 - white)),
+        reach_rad=reach,
+        power=power,
+        white_across=float(across[0]),
+        slow_across=float(across[1]),
+    )
+
+
+def _sized(square: ArrayF, degrees: ArrayF, freedom: float) -> tuple[float, float]:
+    """-2 ln L of Student's (normal) distribution of tracks for the best variance, and that variance."""
+    variance = max(float(np.median(square / degrees)), 1e-12)
+    if not np.isfinite(freedom):
+        variance = max(float(square.sum() / degrees.sum()), 1e-12)
+        return float((degrees * np.log(variance) + square / variance).sum()), variance
+    for _ in range(40):
+        weight = (freedom + degrees) / (freedom + square / variance)
+        new = max(float((weight * square).sum() / degrees.sum()), 1e-12)
+        done = abs(new / variance - 1) < 1e-5
+        variance = new
+        if done:
+            break
+    constant = gammaln((freedom + degrees) / 2) - gammaln(freedom / 2) - degrees / 2 * np.log(freedom / 2)
+    body = (freedom + degrees) * np.log1p(square / (variance * freedom))
+    return float((degrees * np.log(variance) + body - 2 * constant).sum()), variance
+
+
+# ---------------------------------------------------------------- compiled passes over the tracks of tie
+# points
+#
+# A track is all marks of one point. Its errors are correlated: marks ``i`` and ``j`` of a track have, in
+# coordinate ``a`` (along and across the parallax of the track), the covariance ::
+#
+#     C_ij = s_i s_j (white_a^2 [i = j] + slow_a^2 exp(-(|v_i - v_j| / reach)^power))
+#
+# with the standard deviations ``s`` and the places ``v`` from where the point was seen (see
+# `thalweg.images.bundle.normals`). With ``W_a = C_a^-1``, ``W_ij = diag(W_1ij, W_2ij)``, the
+# derivatives ``A_i`` (2, 3) by the point, and ``V = sum_ij A_i^T W_ij A_j``, the point is eliminated (Brown
+# 1958; Triggs et al. 2000)::
+#
+#     P_ij = W_ij - (W A)_i V^-1 (W A)_j^T,      S += J_i^T P_ij J_j,      g += J_i^T P_ij r_j
+#
+# ``model`` holds white (2), slow (2), reach and power. Residuals and derivatives come in the coordinates
+# along and across.
+
+
+@njit(cache=True, error_model="numpy")
+def _inverse_track(n: int, s: ArrayF, v: ArrayF, model: ArrayF, W: ArrayF) -> float:
+    """Fill ``W`` (2, n, n) with the inverse covariances of a track; returns the logarithm of determinants."""
+    log_determinant = 0.0
+    wanders = n > 1 and (model[2] > 0.0 or model[3] > 0.0)
+    if wanders:
+        # how alike the slow errors are, in the upper half of the second matrix until it is its turn
+        half = 0.5 * model[5]
+        for i in range(n):
+            for j in range(i + 1, n):
+                d2 = 0.0
+                for a in range(v.shape[1]):
+                    d2 += (v[i, a] - v[j, a]) ** 2
+                W[1, i, j] = np.exp(-((d2 / (model[4] * model[4])) ** half))
+    for a in range(2):
+        white, slow = model[a] * model[a], model[2 + a] * model[2 + a]
+        if not wanders:
+            for i in range(n):
+                for j in range(n):
+                    W[a, i, j] = 0.0
+                W[a, i, i] = 1.0 / ((white + slow) * s[i] * s[i])
+                log_determinant -= np.log(W[a, i, i])
+        else:
+            log_determinant += _inverse_coordinate(n, s, W[1], white, slow, W[a])
+    return log_determinant
+
+
+@njit(cache=True, error_model="numpy")
+def _inverse_coordinate(n: int, s: ArrayF, alike: ArrayF, white: float, slow: float, W: ArrayF) -> float:
+    """Inverse covariance of one coordinate; ``alike`` is read from its upper half, and may be ``W``."""
+    # Cholesky factor of the correlation part, in the lower half of W; the sigmas are put in at the end
+    for i in range(n):
+        for j in range(i + 1):
+            value = white + slow if i == j else slow * alike[j, i]
+            for k in range(j):
+                value -= W[i, k] * W[j, k]
+            W[i, j] = np.sqrt(value) if i == j else value / W[j, j]
+    log_determinant = 0.0
+    for i in range(n):
+        log_determinant += 2.0 * np.log(W[i, i] * s[i])
+    # inverse of the factor, in place
+    for j in range(n):
+        W[j, j] = 1.0 / W[j, j]
+        for i in range(j + 1, n):
+            value = 0.0
+            for k in range(j, i):
+                value -= W[i, k] * W[k, j]
+            W[i, j] = value / W[i, i]
+    # L^-T L^-1
+    for i in range(n):
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(i, n):
+                value += W[k, i] * W[k, j]
+            W[j, i] = value
+    for i in range(n):
+        for j in range(i, n):
+            W[i, j] /= s[i] * s[j]
+            W[j, i] = W[i, j]
+    return log_determinant
+
+
+@njit(cache=True, error_model="numpy")
+def _inverse3(V: ArrayF, out: ArrayF) -> float:
+    """Inverse of a symmetric 3x3 matrix; returns its determinant."""
+    a, b, c = V[0, 0], V[0, 1], V[0, 2]
+    d, e, f = V[1, 1], V[1, 2], V[2, 2]
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    determinant = a * A + b * B + c * C
+    out[0, 0], out[0, 1], out[0, 2] = A / determinant, B / determinant, C / determinant
+    out[1, 1], out[1, 2] = (a * f - c * c) / determinant, (b * c - a * e) / determinant
+    out[2, 2] = (a * d - b * b) / determinant
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
+    return determinant
+
+
+@njit(cache=True, error_model="numpy")
+def _eliminated(n: int, A: ArrayF, W: ArrayF, damping: float, WA: ArrayF, V: ArrayF, Vi: ArrayF) -> float:
+    """Fill ``W A`` (n, 2, 3), ``V`` and its inverse for a track; returns the determinant of ``V``."""
+    V[:] = 0.0
+    for i in range(n):
+        for a in range(2):
+            for x in range(3):
+                value = 0.0
+                for j in range(n):
+                    value += W[a, i, j] * A[j, a, x]
+                WA[i, a, x] = value
+    for i in range(n):
+        for a in range(2):
+            for x in range(3):
+                for y in range(3):
+                    V[x, y] += A[i, a, x] * WA[i, a, y]
+    for x in range(3):
+        V[x, x] *= 1.0 + damping
+    return _inverse3(V, Vi)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add_tracks(
+    first: ArrayI,
+    image: ArrayI,
+    by_pose: ArrayF,
+    by_rest: ArrayF,
+    by_point: ArrayF,
+    residual: ArrayF,
+    sigma: ArrayF,
+    view: ArrayF,
+    model: ArrayF,
+    damping: float,
+    n_poses: int,
+    S: ArrayF,
+    g: ArrayF,
+) -> float:
+    """Add all tracks to the reduced normal equations; returns their weighted square sum.
+
+    Parameters
+    ----------
+    first : (p + 1,) first mark of each track; marks are sorted by track.
+    image : (m,) image of each mark.
+    by_pose, by_rest, by_point : (m, 2, 6), (m, 2, q), (m, 2, 3) derivatives of the pixel.
+    residual : (m, 2) measured minus computed.
+    sigma : (m,) standard deviations; view : (m, d) places of view; model : (6,).
+    damping : Levenberg's share that is added to the diagonal of each point.
+    n_poses : 6 times the number of images.
+    S, g : (u, u), (u,) poses first, then the q others; only the upper half of S is filled.
+    """
+    longest = 0
+    for k in range(len(first) - 1):
+        longest = max(longest, first[k + 1] - first[k])
+    W, WA = np.empty((2, longest, longest)), np.empty((longest, 2, 3))
+    V, Vi, Wr = np.empty((3, 3)), np.empty((3, 3)), np.empty((longest, 2))
+    left, P, T = np.empty((2, 3)), np.empty((2, 2)), np.empty((2, 6))
+    q = by_rest.shape[2]
+    PR, Pr = np.empty((longest, 2, q)), np.empty((longest, 2))
+    rest, point = np.empty((3, q)), np.empty(3)
+    cost = 0.0
+    for k in range(len(first) - 1):
+        at, n = first[k], first[k + 1] - first[k]
+        if n == 0:
+            continue
+        A = by_point[at : at + n]
+        _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
+        _eliminated(n, A, W, damping, WA, V, Vi)
+        point[:] = 0.0
+        rest[:] = 0.0
+        for i in range(n):
+            for a in range(2):
+                value = 0.0
+                for j in range(n):
+                    value += W[a, i, j] * residual[at + j, a]
+                Wr[i, a] = value
+                cost += residual[at + i, a] * value
+                for x in range(3):
+                    point[x] += WA[i, a, x] * residual[at + i, a]
+                    for c in range(q):
+                        rest[x, c] += WA[i, a, x] * by_rest[at + i, a, c]
+        # P applied to the residuals and to the derivatives by what all images share
+        for i in range(n):
+            for a in range(2):
+                value = Wr[i, a]
+                for x in range(3):
+                    left[a, x] = 0.0
+                    for y in range(3):
+                        left[a, x] += WA[i, a, y] * Vi[y, x]
+                    value -= left[a, x] * point[x]
+                Pr[i, a] = value
+                for c in range(q):
+                    value = 0.0
+                    for j in range(n):
+                        value += W[a, i, j] * by_rest[at + j, a, c]
+                    for x in range(3):
+                        value -= left[a, x] * rest[x, c]
+                    PR[i, a, c] = value
+        for i in range(n):
+            at_i = 6 * image[at + i]
+            for a in range(2):
+                for x in range(3):
+                    left[a, x] = 0.0
+                    for y in range(3):
+                        left[a, x] += WA[i, a, y] * Vi[y, x]
+            for b in range(6):
+                g[at_i + b] += by_pose[at + i, 0, b] * Pr[i, 0] + by_pose[at + i, 1, b] * Pr[i, 1]
+                for c in range(q):
+                    S[at_i + b, n_poses + c] += (
+                        by_pose[at + i, 0, b] * PR[i, 0, c] + by_pose[at + i, 1, b] * PR[i, 1, c]
+                    )
+            for b in range(q):
+                g[n_poses + b] += by_rest[at + i, 0, b] * Pr[i, 0] + by_rest[at + i, 1, b] * Pr[i, 1]
+                for c in range(b, q):
+                    S[n_poses + b, n_poses + c] += (
+                        by_rest[at + i, 0, b] * PR[i, 0, c] + by_rest[at + i, 1, b] * PR[i, 1, c]
+                    )
+            for j in range(n):
+                at_j = 6 * image[at + j]
+                if at_j < at_i:
+                    continue
+                for a in range(2):
+                    for b in range(2):
+                        P[a, b] = W[a, i, j] if a == b else 0.0
+                        for x in range(3):
+                            P[a, b] -= left[a, x] * WA[j, b, x]
+                for b in range(6):
+                    T[0, b] = P[0, 0] * by_pose[at + j, 0, b] + P[0, 1] * by_pose[at + j, 1, b]
+                    T[1, b] = P[1, 0] * by_pose[at + j, 0, b] + P[1, 1] * by_pose[at + j, 1, b]
+                for b in range(6):
+                    one, two = by_pose[at + i, 0, b], by_pose[at + i, 1, b]
+                    for c in range(6):
+                        S[at_i + b, at_j + c] += one * T[0, c] + two * T[1, c]
+    return cost
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def solve_points(
+    first: ArrayI,
+    by_point: ArrayF,
+    residual: ArrayF,
+    sigma: ArrayF,
+    view: ArrayF,
+    model: ArrayF,
+    damping: float,
+    step: ArrayF,
+) -> None:
+    """Best change (p, 3) of each point for residuals (m, 2) that remain after the change of the images."""
+    longest = 0
+    for k in range(len(first) - 1):
+        longest = max(longest, first[k + 1] - first[k])
+    W, WA = np.empty((2, longest, longest)), np.empty((longest, 2, 3))
+    V, Vi = np.empty((3, 3)), np.empty((3, 3))
+    right = np.empty(3)
+    for k in range(len(first) - 1):
+        at, n = first[k], first[k + 1] - first[k]
+        step[k] = 0.0
+        if n == 0:
+            continue
+        _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
+        _eliminated(n, by_point[at : at + n], W, damping, WA, V, Vi)
+        right[:] = 0.0
+        for i in range(n):
+            for a in range(2):
+                for x in range(3):
+                    right[x] += WA[i, a, x] * residual[at + i, a]
+        for x in range(3):
+            for y in range(3):
+                step[k, x] += Vi[x, y] * right[y]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def track_costs(
+    first: ArrayI, residual: ArrayF, sigma: ArrayF, view: ArrayF, model: ArrayF, cost: ArrayF
+) -> None:
+    """Weighted square sum ``r^T W r`` (p,) of each track."""
+    longest = 0
+    for k in range(len(first) - 1):
+        longest = max(longest, first[k + 1] - first[k])
+    W = np.empty((2, longest, longest))
+    for k in range(len(first) - 1):
+        at, n = first[k], first[k + 1] - first[k]
+        _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
+        cost[k] = 0.0
+        for i in range(n):
+            for j in range(n):
+                for a in range(2):
+                    cost[k] += residual[at + i, a] * W[a, i, j] * residual[at + j, a]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def restricted_parts(
+    first: ArrayI,
+    by_point: ArrayF,
+    residual: ArrayF,
+    sigma: ArrayF,
+    view: ArrayF,
+    model: ArrayF,
+    logarithm: ArrayF,
+    square: ArrayF,
+    fit: ArrayF,
+) -> None:
+    """Parts of the restricted likelihood (Patterson and Thompson 1971) of each track, and how a mark fits.
+
+    Of the residuals all that a change of the point could explain is left out: ``logarithm`` (p,) is
+    ``ln |C| + ln |V|``, ``square`` (p,) is ``r^T P r``. ``fit`` (m,), unless it is empty, becomes
+    ``sqrt(z^T P_ii^-1 z)`` with ``z = (P r)_i``: how far a mark is, in units of its own sigma, from what all
+    others of its track say of it.
+    """
+    longest = 0
+    for k in range(len(first) - 1):
+        longest = max(longest, first[k + 1] - first[k])
+    W, WA = np.empty((2, longest, longest)), np.empty((longest, 2, 3))
+    V, Vi, point = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    left, z = np.empty((2, 3)), np.empty(2)
+    for k in range(len(first) - 1):
+        at, n = first[k], first[k + 1] - first[k]
+        logarithm[k] = square[k] = 0.0
+        if n < 2:
+            continue
+        log_det = _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
+        determinant = _eliminated(n, by_point[at : at + n], W, 0.0, WA, V, Vi)
+        logarithm[k] = log_det + np.log(determinant)
+        point[:] = 0.0
+        for i in range(n):
+            for a in range(2):
+                for x in range(3):
+                    point[x] += WA[i, a, x] * residual[at + i, a]
+        for i in range(n):
+            for a in range(2):
+                z[a] = 0.0
+                for j in range(n):
+                    z[a] += W[a, i, j] * residual[at + j, a]
+                for x in range(3):
+                    left[a, x] = 0.0
+                    for y in range(3):
+                        left[a, x] += WA[i, a, y] * Vi[y, x]
+                    z[a] -= left[a, x] * point[x]
+                square[k] += residual[at + i, a] * z[a]
+            if len(fit):
+                # a direction that only this mark shows has no check: it gets a little weight of its own
+                xx, yy = 1.001 * W[0, i, i], 1.001 * W[1, i, i]
+                xy = 0.0
+                for x in range(3):
+                    xx -= left[0, x] * WA[i, 0, x]
+                    yy -= left[1, x] * WA[i, 1, x]
+                    xy -= left[0, x] * WA[i, 1, x]
+                value = (yy * z[0] * z[0] - 2 * xy * z[0] * z[1] + xx * z[1] * z[1]) / (xx * yy - xy * xy)
+                fit[at + i] = np.sqrt(max(value, 0.0))

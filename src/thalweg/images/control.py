@@ -1,0 +1,1091 @@
+"""Control points in files and in images: tables of people and programs, boards that are measured.
+
+Read are CSV tables with named columns, the CSV of Metashape's reference pane, its XML of markers, and the
+``gcp_list.txt`` of OpenDroneMap. Pixels of Metashape and of our own tables count from the upper left corner;
+those of OpenDroneMap from the centre of the first pixel (OpenSfM adds the half when it normalises), so half a
+pixel is added.
+"""
+
+import csv
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pandas as pd
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from thalweg.calibration import fit_saddles
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayU8, GeometryError, InputError, LocalFrame
+from thalweg.images.model import (
+    ControlMarks,
+    ControlPoints,
+    ImageBlock,
+    Similarity,
+    matched,
+    nearest_to_rays,
+    robust_similarity,
+)
+from thalweg.settings.sections import ControlSettings
+
+_ROLES: Final = {
+    "": False, "control": False, "control point": False, "gcp": False, "ground control point": False,
+    "check": True, "check point": True, "checkpoint": True, "validation": True,
+}  # fmt: skip
+"""Words for control (false) and check points (true), small letters."""
+_NAMED: Final = 5
+"""Names that a message lists."""
+NAMES: Final[Mapping[str, tuple[str, ...]]] = {
+    "id": ("id", "label", "name", "point", "gcp", "marker", "gcp_name"),
+    "image": ("image", "photo", "camera", "image_name", "file", "filename", "camera_label"),
+    "point": ("point", "gcp", "marker", "label", "id", "gcp_name", "marker_label"),
+    "x_px": ("x_px", "u", "u_px", "im_x", "image_u", "x"),
+    "y_px": ("y_px", "v", "v_px", "im_y", "image_v", "y"),
+    "sigma_px": ("sigma_px", "accuracy_px"),
+    "east_m": ("east_m",),
+    "north_m": ("north_m",),
+    "up_m": ("up_m",),
+    "lat_deg": ("lat_deg", "latitude", "y/latitude"),
+    "lon_deg": ("lon_deg", "longitude", "x/longitude"),
+    "h_ell_m": ("h_ell_m", "h_m", "altitude", "z/altitude"),
+    "x": ("x", "x/east", "x/easting", "easting", "east"),
+    "y": ("y", "y/north", "y/northing", "northing", "north"),
+    "z": ("z", "z/altitude", "altitude", "height"),
+    "sigma_east_m": ("sigma_east_m", "sigma_x_m", "x/east accuracy", "x accuracy", "sx"),
+    "sigma_north_m": ("sigma_north_m", "sigma_y_m", "y/north accuracy", "y accuracy", "sy"),
+    "sigma_up_m": ("sigma_up_m", "sigma_z_m", "z/altitude accuracy", "z accuracy", "sz"),
+    "accuracy": ("accuracy", "accuracy (m)"),
+    "role": ("role", "type"),
+    "used": ("used",),
+}
+"""Headings, in small letters, by which a column is known."""
+LINE: Final = "line"
+"""Key of a row under which the number of its line stands."""
+FAR_M: Final = 10_000.0
+"""Distance of control points from the survey beyond which the coordinates are others."""
+FORMS: Final = (("east_m", "north_m", "up_m"), ("lat_deg", "lon_deg", "h_ell_m"), ("x", "y", "z"))
+"""Columns of coordinates: in the world frame, geodetic, in a CRS."""
+_FOOT_M: Final = 0.3048
+_UTM: Final = ((32601, 32660), (32701, 32760), (25828, 25838))
+"""EPSG codes of zones of UTM that lie beside each other."""
+
+Loader = Callable[[str], "ArrayU8 | None"]
+"""Grey values (h, w) of an image by its name; None if there are none."""
+COLUMNS: Final = ("image", "point", "x_px", "y_px", "sigma_px", "score", "used", "reason")
+_BREADTHS: Final = (1.0, 0.75, 0.5)
+"""Breadths of the templates: a board turned by 0, 41 and 60 degrees about its vertical."""
+_REACH_MODULES: Final = 0.85
+_CANDIDATES: Final = 3
+_AGREE_MODULES: Final = 0.35
+"""How far a candidate may be from where the others put the point, modules."""
+_AGREE_PX: Final = 1.5
+_NARROW_MODULES: Final = 0.7
+_NARROW_PX: Final = 3.0
+_DIFFER_MODULES: Final = 0.8
+_CLEAR: Final = 0.05
+"""Correlation by which the best place is better than the next."""
+_FLOOR_PX: Final = 0.1
+"""What the fit cannot see of a board of 8 to 30 pixels, to begin with: the adjustment estimates the size of
+these errors from the block where its marks have enough redundancy (``control_scale`` of
+`thalweg.images.bundle.adjustment`). A cautious value for a few marks in moving pictures: photographs of a
+standing board made as small have 0.024 px (`tests/calibration/test_saddles.py`), three rendered blocks 0.05
+to 0.06."""
+
+
+# ---------------------------------------------------------------- tables of control points and of their image
+# points
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MarkTable:
+    """Marks as a file has them: names, (n, 2) pixels from the upper left corner, (n,) sigmas (NaN: unstated).
+
+    ``score`` (n,) and ``used`` (n,) come with automatic measurements; ``skipped`` counts rows by reason.
+    """
+
+    image: tuple[str, ...]
+    point: tuple[str, ...]
+    xy_px: ArrayF
+    sigma_px: ArrayF
+    used: ArrayB
+    skipped: dict[str, int] = field(default_factory=dict)
+
+    def without(self, images: Collection[str]) -> "MarkTable":
+        """The marks that are not in some images; names as the campaign has them."""
+        keep = np.array([name not in images for name in self.image], np.bool_)
+        return MarkTable(
+            image=tuple(name for name, k in zip(self.image, keep, strict=True) if k),
+            point=tuple(name for name, k in zip(self.point, keep, strict=True) if k),
+            xy_px=self.xy_px[keep],
+            sigma_px=self.sigma_px[keep],
+            used=self.used[keep],
+            skipped=self.skipped,
+        )
+
+
+def read_control_points(
+    path: Path, frame: LocalFrame, *, crs: str | None, sigma_m: Sequence[float], height_offset_m: float = 0.0
+) -> ControlPoints:
+    """Control and check points of any of the known forms, in wcs.
+
+    Parameters
+    ----------
+    frame : the world frame.
+    crs : of coordinates ``x, y, z`` of tables that state none themselves.
+    sigma_m : (3,) standard deviations where the file states none.
+    height_offset_m : added to the heights of a file that are not those of the world frame.
+
+    Raises
+    ------
+    InputError : no such file, unknown columns or roles, numbers that are none, or an unknown CRS.
+    GeometryError : coordinates outside of the CRS, or far from the survey where another reading is near.
+    """
+    text, given = read_text(path), crs
+    if path.suffix.lower() == ".xml":
+        rows, crs = metashape_points(path, text, crs)
+    elif is_gcp_list(text):
+        rows, crs = gcp_points(path, text)
+    else:
+        rows = table_rows(path, text, ("id", *FORMS[0]))
+    if not rows:
+        raise InputError(
+            "no control points",
+            expected="at least one row",
+            where=path,
+            cure="Add the surveyed points, or let the antenna's positions take their place: "
+            "images.adjustment.antenna.use: true",
+        )
+    sigmas = [
+        [
+            number(row, f"sigma_{axis}_m", path, number(row, "accuracy", path, default))
+            for axis, default in zip(("east", "north", "up"), sigma_m, strict=True)
+        ]
+        for row in rows
+    ]
+    for row, values in zip(rows, sigmas, strict=True):
+        if min(values) <= 0:
+            raise InputError(
+                f"a standard deviation of {min(values):g} m of {row.get('id', '')}",
+                expected="metres above zero",
+                where=place_of(row, path),
+                cure="State how well the point was surveyed; 0 would make it perfect",
+            )
+    try:
+        return ControlPoints(
+            names=tuple(required(row, "id", path) for row in rows),
+            points_wcs_m=_coordinates(rows, frame, crs, path, height_offset_m, own=crs is not given),
+            cov_wcs_m2=np.array([np.diag(np.square(s)) for s in sigmas]),
+            check=np.array([_is_check(row, path) for row in rows]),
+        )
+    except GeometryError as error:
+        raise GeometryError(error.found, expected=error.expected, where=path, cure=error.cure) from error
+
+
+def read_all_control_points(
+    paths: Sequence[Path],
+    frame: LocalFrame,
+    *,
+    crs: str | None,
+    sigma_m: Sequence[float],
+    height_offset_m: float = 0.0,
+) -> ControlPoints:
+    """Control points of several files as one, see `read_control_points`; none of no file.
+
+    Raises
+    ------
+    InputError, GeometryError : as there; or a name that stands in two files.
+    """
+    parts = [
+        read_control_points(path, frame, crs=crs, sigma_m=sigma_m, height_offset_m=height_offset_m)
+        for path in paths
+    ]
+    for k, (path, part) in enumerate(zip(paths, parts, strict=True)):
+        for other, before in zip(paths[:k], parts[:k], strict=True):
+            both = sorted(set(part.names) & set(before.names))
+            if both:
+                raise InputError(
+                    f"{listed(both)} stand{'s' if len(both) == 1 else ''} in {other.name}, too",
+                    where=path,
+                    expected="each control point in one file",
+                    cure="Leave one of the files out, or rename the points",
+                )
+    return ControlPoints.joined(parts)
+
+
+def _is_check(row: dict[str, str], path: Path) -> bool:
+    word = " ".join(row.get("role", "").lower().replace("_", " ").replace("-", " ").split())
+    if word not in _ROLES:
+        both = "CP is used for control and for check points alike: w" if word == "cp" else "W"
+        raise InputError(
+            f"the role '{row.get('role', '')}' of {row.get('id', '')}",
+            expected="control or check",
+            where=place_of(row, path),
+            cure=f"{both}rite control for points that fix the block",
+        )
+    return _ROLES[word]
+
+
+def read_marks(path: Path) -> MarkTable:
+    """Marks of any of the known forms.
+
+    Raises
+    ------
+    InputError : no such file, unknown columns, or numbers that are none.
+    """
+    text = read_text(path)
+    skipped: dict[str, int] = {}
+    if path.suffix.lower() == ".xml":
+        rows, skipped = metashape_marks(path, text)
+    elif is_gcp_list(text):
+        rows = [
+            {"image": r["image"], "point": r["id"], "x_px": r["x_px"], "y_px": r["y_px"]}
+            for r in gcp_rows(path, text)
+        ]
+    else:
+        rows = table_rows(path, text, ("image", "point", "x_px", "y_px"))
+    xy = np.array([[number(r, "x_px", path), number(r, "y_px", path)] for r in rows]).reshape(-1, 2)
+    if is_gcp_list(text):
+        xy = xy + 0.5
+    return MarkTable(
+        image=tuple(required(r, "image", path) for r in rows),
+        point=tuple(required(r, "point", path) for r in rows),
+        xy_px=xy,
+        sigma_px=np.array([number(r, "sigma_px", path, math.nan) for r in rows]),
+        used=np.array([(r.get("used") or "true").strip().lower() in ("true", "1", "yes") for r in rows]),
+        skipped=skipped,
+    )
+
+
+def matched_marks(
+    table: MarkTable,
+    control: ControlPoints,
+    images: Sequence[str],
+    sizes_px: Sequence[tuple[int, int]],
+    all_images: Sequence[str],
+    *,
+    sigma_px: float,
+    where: str | Path = "",
+) -> tuple[ControlMarks, dict[str, int]]:
+    """Marks with the indices of images of a block and of control points, and what was dropped, counted.
+
+    Names of images may lack their suffix, as Metashape's labels do, stand with folders or in another case;
+    names of points may differ in case.
+
+    Parameters
+    ----------
+    images, sizes_px : of the block.
+    all_images : of the campaign: a mark in an image that has no pose is dropped, one in an image that does
+        not exist is a mistake.
+    sigma_px : where the table states none.
+
+    Raises
+    ------
+    InputError : images or points that do not exist, pixels outside of their image, or a mark twice.
+    """
+    every = list(dict.fromkeys([*images, *all_images]))
+    names = list(dict.fromkeys(table.image))
+    index_of = dict(zip(names, matched(names, every, str(where), once=False).tolist(), strict=True))
+    of_point = _by_case(control.names)
+    strange = sorted(name for name in names if index_of[name] < 0)
+    unknown = sorted({name for name in table.point if name.strip().casefold() not in of_point})
+    for what, names, known, cure in (
+        ("images", strange, all_images, "Check the names in the table; they are those of the files"),
+        (
+            "control points",
+            unknown,
+            control.names,
+            "Add their coordinates, or check the names; points without names in a gcp_list.txt are gcp1, "
+            "gcp2 and so on",
+        ),
+    ):
+        if names:
+            raise InputError(
+                f"marks of {what} that do not occur: {listed(names)}",
+                where=where,
+                cure=cure,
+                expected=f"{what} such as {listed(known[:3])}",
+            )
+    rows, dropped = [], dict(table.skipped)
+    seen: set[tuple[int, int]] = set()
+    for row, (image, point) in enumerate(zip(table.image, table.point, strict=True)):
+        if not table.used[row]:
+            dropped["not to be used"] = dropped.get("not to be used", 0) + 1
+            continue
+        at = index_of[image]
+        if at >= len(images):
+            dropped["in images without a pose"] = dropped.get("in images without a pose", 0) + 1
+            continue
+        xy, size = table.xy_px[row], sizes_px[at]
+        if not ((xy >= 0).all() and xy[0] <= size[0] and xy[1] <= size[1]):
+            raise InputError(
+                f"the mark of {point} at ({xy[0]:g}, {xy[1]:g}) in {image}",
+                where=where,
+                expected=f"pixels inside of {size[0]} x {size[1]}",
+                cure="Check that the marks are those of these images, in the same size",
+            )
+        k = of_point[point.strip().casefold()]
+        if (at, k) in seen:
+            raise InputError(f"{point} is marked twice in {image}", where=where, expected="one mark")
+        seen.add((at, k))
+        rows.append((row, at, k))
+    index = np.array(rows, np.int64).reshape(-1, 3)
+    sigma = table.sigma_px[index[:, 0]]
+    marks = ControlMarks(
+        image=index[:, 1],
+        point=index[:, 2],
+        xy_px=table.xy_px[index[:, 0]],
+        sigma_px=np.where(np.isfinite(sigma), sigma, sigma_px),
+    )
+    return marks, dropped
+
+
+def _by_case(names: Sequence[str]) -> dict[str, int]:
+    """Index by the name in small letters.
+
+    Raises
+    ------
+    InputError : two names differ in case only.
+    """
+    small = sorted((name.strip().casefold(), name) for name in names)
+    for (a, one), (b, other) in pairwise(small):
+        if a == b:
+            raise InputError(
+                f"control points {one} and {other}", expected="names that differ in more than their case"
+            )
+    return {name.strip().casefold(): k for k, name in enumerate(names)}
+
+
+def _coordinates(
+    rows: list[dict[str, str]],
+    frame: LocalFrame,
+    crs: str | None,
+    path: Path,
+    height_offset_m: float,
+    *,
+    own: bool,
+) -> ArrayF:
+    form = next((f for f in FORMS if all(name in rows[0] for name in f)), None)
+    if form is None:
+        raise InputError(
+            f"columns {', '.join(sorted(set(rows[0]) - {LINE}))}",
+            expected="; or ".join(", ".join(f) for f in FORMS),
+            where=path,
+            cure="Name the columns of the coordinates in the first line",
+        )
+    values = np.array([[number(row, name, path) for name in form] for row in rows])
+    if form[0] != "east_m":
+        values[:, 2] += height_offset_m
+    return near_world(values, form, crs_of(crs, path) if form[0] == "x" else None, frame, path, own=own)
+
+
+# ---------------------------------------------------------------- tables with named columns as people and
+# other programs write them: text to rows by our own names
+
+
+def read_text(path: Path) -> str:
+    """Text of a table.
+
+    Raises
+    ------
+    InputError : no such file, or no text in UTF-8.
+    """
+    if not path.is_file():
+        raise InputError("file not found", expected="a table", where=path)
+    data = path.read_bytes()
+    if data.startswith(b"PK\x03\x04"):
+        raise InputError(
+            "a workbook or a zip archive",
+            expected="a table as text",
+            where=path,
+            cure="Save the sheet as CSV (UTF-8)",
+        )
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError("no UTF-8 text", expected="a table", where=path, cure="Save it as UTF-8") from error
+    if "\0" in text:
+        raise InputError("zero bytes", expected="a table as text", where=path, cure="Save it as CSV (UTF-8)")
+    return text
+
+
+def table_rows(path: Path, text: str, needed: Sequence[str] = ()) -> list[dict[str, str]]:
+    """Rows of a table with named columns, by our names of these.
+
+    Decimal commas are read where columns are apart by semicolons or tabs.
+
+    Parameters
+    ----------
+    needed : our names of columns without which the table is of no use, for the message.
+
+    Raises
+    ------
+    InputError : an empty table, no headings, or a row that is too short.
+    """
+    numbered = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    while (
+        numbered
+        and numbered[0][1].startswith("#")
+        and not re.match(r"#\s*label", numbered[0][1], re.IGNORECASE)
+    ):
+        numbered = numbered[1:]
+    if not numbered:
+        raise InputError("an empty table", expected="a first line with the names of the columns", where=path)
+    first = numbered[0][1].lstrip("#").lstrip()
+    numbered = [item for item in numbered[1:] if not item[1].startswith("#")]
+    separator = max(",;\t", key=first.count)
+    head = [re.sub(r"[_ ]\((m|px|deg|°)\)$", "", name.strip().lower()) for name in _cells(first, separator)]
+    ours = {
+        name: head.index(found)
+        for name, known in NAMES.items()
+        if (found := next((k for k in known if k in head), None)) is not None
+    }
+    lacking = [name for name in needed if name not in ours]
+    if lacking and sum(_is_number(cell) for cell in head) >= 2:
+        raise InputError(
+            f"no names of columns: the first line is '{first[:60]}'",
+            expected=f"a first line such as {','.join(needed)}",
+            where=path,
+            cure="Write the names of the columns above the numbers",
+        )
+    rows = []
+    for number, line in numbered:
+        cells = _cells(line, separator)
+        if len(cells) < len(head):
+            raise InputError(
+                f"{len(cells)} columns",
+                expected=f"{len(head)} as in the first line",
+                where=f"{path}:{number}",
+            )
+        if separator != ",":
+            cells = [re.sub(r"^\s*([-+]?\d+),(\d+)\s*$", r"\1.\2", cell) for cell in cells]
+        rows.append({name: cells[at].strip() for name, at in ours.items()} | {LINE: str(number)})
+    return rows
+
+
+def required(row: Mapping[str, str], name: str, path: Path) -> str:
+    """A value that must be there.
+
+    Raises
+    ------
+    InputError : no such column, or no value in this row.
+    """
+    value = row.get(name, "")
+    if not value:
+        known = " or ".join(NAMES.get(name, (name,))[:3])
+        raise InputError(
+            f"no {name}", expected=f"a column {known} with a value in each row", where=place_of(row, path)
+        )
+    return value
+
+
+def number(row: Mapping[str, str], name: str, path: Path, default: float | None = None) -> float:
+    """A finite number, or the default where the row has none.
+
+    Raises
+    ------
+    InputError : no number, and no default.
+    """
+    text = row.get(name, "").strip()
+    if not text or (default is not None and text.casefold() in ("nan", "none", "-")):
+        if default is None:
+            required(row, name, path)
+        return float(default if default is not None else math.nan)
+    if not _is_number(text):
+        comma = "" if "," not in text else "Write decimals with a point"
+        raise InputError(f"{name} '{text}'", expected="a number", where=place_of(row, path), cure=comma)
+    return float(text)
+
+
+def place_of(row: Mapping[str, str], path: Path) -> str:
+    """File and line of a row."""
+    return f"{path}:{row[LINE]}" if LINE in row else str(path)
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first names, and how many more."""
+    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    return next(csv.reader([line], delimiter=separator))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+# ---------------------------------------------------------------- coordinates of control points into wcs, and
+# what they may be where they lie far from the survey
+
+
+def world_of(values: ArrayF, form: tuple[str, ...], crs: CRS | None, frame: LocalFrame) -> ArrayF:
+    """(n, 3) coordinates of one of `FORMS` in wcs.
+
+    Raises
+    ------
+    GeometryError : coordinates outside of the CRS, or a latitude beyond the poles.
+    """
+    if form[0] == "east_m":
+        return values
+    if form[0] == "lat_deg" or (crs is not None and crs.is_geographic):
+        lat, lon = (0, 1) if form[0] == "lat_deg" else (1, 0)
+        if (np.abs(values[:, lat]) > 90).any() or (np.abs(values[:, lon]) > 360).any():
+            raise GeometryError(
+                f"latitude {values[0, lat]:g} and longitude {values[0, lon]:g}", expected="degrees"
+            )
+        return frame.from_geodetic(values[:, lat], values[:, lon], values[:, 2])
+    assert crs is not None
+    return frame.from_map(values, crs)
+
+
+def near_world(
+    values: ArrayF,
+    form: tuple[str, ...],
+    crs: CRS | None,
+    frame: LocalFrame,
+    path: Path,
+    *,
+    own: bool = False,
+) -> ArrayF:
+    """The same, refused where the points lie far from the campaign's origin and another reading does not.
+
+    Parameters
+    ----------
+    own : whether the file itself states its CRS.
+
+    Raises
+    ------
+    GeometryError : the coordinates are those of another CRS, order or unit; the message says which.
+    """
+    problem: GeometryError | None = None
+    try:
+        found = world_of(values, form, crs, frame)
+    except GeometryError as error:
+        problem, found = error, np.full(values.shape, np.inf)
+    away = np.linalg.norm(found, axis=1)
+    if problem is None and np.median(away) <= FAR_M:
+        return found
+    # a place to 10 km tells a CRS, a unit or an order from any other
+    other = next((o for o in _readings(values, form, crs, frame) if _median(*o[2:], frame) <= FAR_M), None)
+    if other is None:
+        if problem is None:
+            return found
+        raise GeometryError(problem.found, expected=problem.expected, where=path, cure=problem.cure)
+    words, cure = other[:2]
+    if own:
+        cure = cure.replace("Set images.control.crs:", "Correct the CRS that the file states:")
+    far = f"control points {np.median(away) / 1000:.0f} km from campaign.origin"
+    said = problem.found if problem else far
+    raise GeometryError(
+        f"{said}; {words} would fit", expected=f"coordinates {_stated(form, crs)}", where=path, cure=cure
+    )
+
+
+def crs_of(text: str | None, path: Path) -> CRS:
+    """A CRS by its name, as OpenDroneMap, Metashape and people write it.
+
+    Raises
+    ------
+    InputError : none is given, or PROJ does not know it.
+    """
+    if not text:
+        raise InputError(
+            "coordinates x, y, z without a CRS",
+            expected="its code",
+            where=path,
+            cure="Set images.control.crs or campaign.crs, or name the columns east_m, north_m, up_m if they "
+            "are in the world frame",
+        )
+    utm = re.fullmatch(r"WGS84 UTM (\d{1,2})\s*([NS])", text.strip(), re.IGNORECASE)
+    if utm:
+        text = f"EPSG:{(32600 if utm[2].upper() == 'N' else 32700) + int(utm[1])}"
+    text = re.sub(r"^\s*EPSG::", "EPSG:", text)
+    try:
+        return CRS.from_user_input(text.strip())
+    except CRSError as error:
+        raise InputError(
+            f"the CRS '{text.strip()[:80]}' is not known", expected="such as EPSG:25833", where=path
+        ) from error
+
+
+def _median(values: ArrayF, form: tuple[str, ...], crs: CRS | None, frame: LocalFrame) -> float:
+    try:
+        found = world_of(values, form, crs, frame)
+    except GeometryError:
+        return np.inf
+    return float(np.median(np.linalg.norm(found[:, :2], axis=1)))
+
+
+def _readings(
+    values: ArrayF, form: tuple[str, ...], crs: CRS | None, frame: LocalFrame
+) -> Iterator[tuple[str, str, ArrayF, tuple[str, ...], CRS | None]]:
+    """Usual mistakes: words, cure, and the coordinates as they would be meant."""
+    world, geodetic, grid = FORMS
+    swapped = values[:, [1, 0, 2]]
+    swap = "Swap these columns, or their names"
+    names = "Name the columns {}, {}, {}"
+    pair = "latitude and longitude" if form == geodetic else "east and north"
+    yield f"{pair} swapped", swap, swapped, form, crs
+    if form != geodetic:
+        yield "latitude and longitude", names.format(*geodetic), values, geodetic, None
+        yield "longitude and latitude", names.format("lon_deg", "lat_deg", "h_ell_m"), swapped, geodetic, None
+    for other in _grids(crs, frame):
+        cure = f"Set images.control.crs: EPSG:{other.to_epsg()}"
+        if form != grid:
+            cure = f"{names.format(*grid)}. {cure}"
+        yield other.name, cure, values, grid, other
+        zone = np.floor(values[:, 0] / 1e6)
+        if (zone >= 1).all() and (zone <= 60).all():
+            bare = values - np.stack([zone * 1e6, 0 * zone, 0 * zone], axis=1)
+            yield f"{other.name} with the zone before the easting", "Take the zone off", bare, grid, other
+    for words, factor in (("millimetres", 1e-3), ("centimetres", 1e-2), ("feet", _FOOT_M)):
+        if form != geodetic:
+            yield words, "Write the coordinates in metres", factor * values, form, crs
+    if form != world:
+        yield "coordinates of the world frame", names.format(*world), values, world, None
+
+
+def _grids(own: CRS | None, frame: LocalFrame) -> list[CRS]:
+    """The stated grid, those beside it, and the zones of UTM about the campaign."""
+    zone = int((frame.lon_deg + 180) // 6) + 1
+    code = None if own is None else own.to_epsg()
+    codes = [] if code is None else [code]
+    if code is not None and any(low <= code <= high for low, high in _UTM):
+        codes += [code - 1, code + 1]
+    base = 32600 if frame.lat_deg >= 0 else 32700
+    codes += [base + z for z in (zone, zone - 1, zone + 1) if 1 <= z <= 60]
+    return [CRS.from_epsg(c) for c in dict.fromkeys(codes) if any(a <= c <= b for a, b in _UTM) or c == code]
+
+
+def _stated(form: tuple[str, ...], crs: CRS | None) -> str:
+    if form[0] == "x" and crs is not None:
+        return f"in '{crs.name}'"
+    return "of the world frame" if form[0] == "east_m" else "in degrees"
+
+
+# ---------------------------------------------------------------- control points and marks as other programs
+# write them: OpenDroneMap and Metashape
+#
+# Rows come out as texts by our own names of the columns.
+
+
+def is_gcp_list(text: str) -> bool:
+    """Whether a text begins with a CRS, as ``gcp_list.txt`` does."""
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    return bool(re.match(r"\s*(EPSG:\d+|WGS84 UTM|\+proj=)", first, re.IGNORECASE))
+
+
+def gcp_rows(path: Path, text: str) -> list[dict[str, str]]:
+    """Rows ``x y z im_x im_y image [name]``; a point without name is known by its coordinates."""
+    rows: list[dict[str, str]] = []
+    unnamed: dict[tuple[str, ...], str] = {}
+    numbered = [(k, line.split()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    for number, cells in numbered[1:]:
+        if cells[0].startswith("#"):
+            continue
+        if len(cells) < 6:
+            raise InputError(
+                f"{len(cells)} columns", expected="x y z im_x im_y image [name]", where=f"{path}:{number}"
+            )
+        name = cells[6] if len(cells) > 6 else unnamed.setdefault(tuple(cells[:3]), f"gcp{len(unnamed) + 1}")
+        keys = ("x", "y", "z", "x_px", "y_px", "image")
+        rows.append({**dict(zip(keys, cells, strict=False)), "id": name})
+    return rows
+
+
+def gcp_points(path: Path, text: str) -> tuple[list[dict[str, str]], str]:
+    """Points of a ``gcp_list.txt``, each once, and its CRS."""
+    points: dict[str, dict[str, str]] = {}
+    for row in gcp_rows(path, text):
+        first = points.setdefault(row["id"], row)
+        if any(first[a] != row[a] for a in "xyz"):
+            raise InputError(
+                f"two places of {row['id']}", expected="the same coordinates in each row", where=path
+            )
+    return list(points.values()), next(line for line in text.splitlines() if line.strip()).strip()
+
+
+def _metashape(path: Path, text: str) -> ElementTree.Element:
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(
+            f"no XML ({error})", expected="markers as Metashape exports them", where=path
+        ) from error
+    if root.find(".//markers") is None:
+        raise InputError("no markers", expected="markers as Metashape exports them", where=path)
+    return root
+
+
+def metashape_points(path: Path, text: str, crs: str | None) -> tuple[list[dict[str, str]], str | None]:
+    """Markers with reference coordinates, and the CRS that the file states, or ``crs``."""
+    root = _metashape(path, text)
+    rows = []
+    for marker in root.iter("marker"):
+        reference = marker.find("reference")
+        if reference is None or reference.get("x") is None:
+            continue
+        row = {"id": marker.get("label", ""), **{a: reference.get(a, "") for a in "xyz"}}
+        for axis, name in zip("xyz", ("east", "north", "up"), strict=True):
+            row[f"sigma_{name}_m"] = reference.get(f"s{axis}") or reference.get("sxyz") or ""
+        row["role"] = "control" if reference.get("enabled", "true") in ("true", "1") else "check"
+        rows.append(row)
+    places = (".//markers/../reference", ".//coordinate_system/wkt", ".//coordinate_system", ".//reference")
+    stated = [element.text for place in places if (element := root.find(place)) is not None]
+    found = next((t.strip() for t in stated if t and t.strip()), None)
+    return rows, found or crs
+
+
+def metashape_marks(path: Path, text: str) -> tuple[list[dict[str, str]], dict[str, int]]:
+    """Marks that a person has placed, and how many the program has guessed."""
+    root = _metashape(path, text)
+    cameras = {c.get("id"): c.get("label", "") for c in root.iter("camera") if c.get("label")}
+    labels = {m.get("id"): m.get("label", "") for m in root.iter("marker") if m.get("label")}
+    rows, guessed = [], 0
+    for marker in root.iter("marker"):
+        for location in marker.findall("location"):
+            if location.get("pinned", "true") not in ("true", "1"):
+                guessed += 1
+                continue
+            camera, point = location.get("camera_id"), marker.get("marker_id")
+            if camera not in cameras or point not in labels:
+                raise InputError(
+                    f"a mark of camera {camera} and marker {point}", expected="both in the file", where=path
+                )
+            rows.append(
+                {
+                    "image": cameras[camera],
+                    "point": labels[point],
+                    "x_px": location.get("x", ""),
+                    "y_px": location.get("y", ""),
+                }
+            )
+    return rows, {"placed by the program, not by a person": guessed} if guessed else {}
+
+
+# ---------------------------------------------------------------- 2 by 2 checker boards, found where the
+# poses predict them
+#
+# A board is upright and looks toward the river. Its picture is predicted from the pose of each image; a
+# window as large as the prediction may err is searched by normalised cross-correlation with checkers of
+# several breadths. What several images agree on in space is taken; the block is then moved onto these
+# points, searched again in narrow windows, and the crossings are fitted to sub-pixels
+# (`thalweg.calibration.markers`).
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """Marks as a table with the columns of `COLUMNS`, and what was found: counts by reason, notes."""
+
+    table: pd.DataFrame
+    counts: dict[str, int]
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Sight:
+    """A board in an image: indices, prediction (2,), pixels by module (2, 2), window, candidates, outcome."""
+
+    image: int
+    point: int
+    xy: ArrayF
+    by_module: ArrayF
+    reach_px: float
+    found: list[tuple[float, ArrayF, int]]
+    reason: str = ""
+    score: float = float("nan")
+    fitted: ArrayF | None = None
+    sigma_px: float = float("nan")
+
+
+def measure_boards(
+    block: ImageBlock, control: ControlPoints, boards: ControlSettings, grey: Loader, mask: Loader
+) -> Measured:
+    """Measure all boards in all images of a block that lies roughly in the world frame.
+
+    Parameters
+    ----------
+    grey, mask : grey values, and 0 where nothing may be measured, by the name of the image.
+
+    Raises
+    ------
+    GeometryError : no control points.
+    """
+    if not len(control.names):
+        raise GeometryError("no control points to look for", expected="a table of their coordinates")
+    notes: list[str] = []
+    wide = _sights(block, control, boards, boards.search_m, mask)
+    _search(block, wide, boards, grey)
+    points = _agreed(block, wide, len(control.names), boards)
+    moved = _moved(points, control, notes)
+    if moved is not None:
+        block = block.transformed(moved.R, moved.shift_m, moved.scale)
+    known = np.isfinite(points[:, 0])
+    # the board's own place as the images see it, where they do: the survey may be off
+    place = control.points_wcs_m.copy()
+    if moved is not None:
+        place[known] = moved.apply(points[known])
+    elif known.any():
+        place[known] = points[known]
+    narrow = _sights(block, control, boards, 0.0, mask, place)
+    for sight in narrow:
+        # boards that no images agreed on keep their wide window, but now in a block that fits better
+        if not known[sight.point]:
+            sight.reach_px = _reach_px(block, sight, boards, 0.3 * boards.search_m)
+    _search(block, narrow, boards, grey, fit=True)
+    _consistent(block, narrow, len(control.names), boards)
+    return _table(block, control, narrow, notes)
+
+
+def _sights(
+    block: ImageBlock,
+    control: ControlPoints,
+    boards: ControlSettings,
+    search_m: float,
+    mask: Loader,
+    place: ArrayF | None = None,
+) -> list[_Sight]:
+    """Where each board should be in each image; boards outside of an image are left out without a word."""
+    place = control.points_wcs_m if place is None else place
+    out = []
+    masks: dict[int, AnyArray | None] = {}
+    for k, centre in enumerate(place):
+        toward = block.centre_block_m.mean(axis=0) - centre
+        near = np.argsort(np.linalg.norm(block.centre_block_m - centre, axis=1))[:10]
+        toward = block.centre_block_m[near].mean(axis=0) - centre
+        right = np.cross([0.0, 0.0, 1.0], toward)
+        if np.linalg.norm(right) < 1e-6:
+            continue
+        # seen from the river, its right is to the left of the direction toward the river
+        axes = np.stack([right / np.linalg.norm(right), [0.0, 0.0, -1.0]], axis=1) * boards.module_m
+        seen = np.einsum("ij,ijk->ik", centre - block.centre_block_m, block.R_block_ccs)
+        for i in range(len(block.images)):
+            camera = block.cameras[block.camera[i]]
+            if camera.model == "perspective" and seen[i, 2] <= 0:
+                continue
+            xy, by_seen, _ = camera.project_with_derivatives(seen[i : i + 1])
+            if not np.isfinite(xy).all() or not camera.inside(xy, 3.0)[0]:
+                continue
+            by_module = by_seen[0] @ block.R_block_ccs[i].T @ axes
+            sight = _Sight(i, k, xy[0], by_module, 0.0, [])
+            sight.reach_px = _reach_px(block, sight, boards, search_m)
+            height = 2.0 * float(np.linalg.norm(by_module[:, 1]))
+            if height < boards.least_board_px:
+                sight.reason = f"too small: {height:.0f} px"
+            if i not in masks:
+                masks[i] = mask(block.images[i])
+            veil = masks[i]
+            if veil is not None and search_m == 0.0 and not sight.reason:
+                y, x = (int(v) for v in np.clip(xy[0][::-1], 0, np.array(veil.shape) - 1))
+                if veil[y, x] == 0:
+                    sight.reason = "masked"
+            out.append(sight)
+    return out
+
+
+def _reach_px(block: ImageBlock, sight: _Sight, boards: ControlSettings, search_m: float) -> float:
+    """Half width of the window: three sigmas of the place, and a part of the board."""
+    module = float(np.linalg.norm(sight.by_module[:, 1]))
+    return max(_NARROW_PX, _NARROW_MODULES * module) + 3.0 * search_m * module / boards.module_m
+
+
+def _search(
+    block: ImageBlock, sights: Sequence[_Sight], boards: ControlSettings, grey: Loader, *, fit: bool = False
+) -> None:
+    """Candidates of each sight, best first; with ``fit`` also the fitted crossing of the best."""
+    for image in sorted({s.image for s in sights if not s.reason}):
+        own = [s for s in sights if s.image == image and not s.reason]
+        picture = grey(block.images[image])
+        if picture is None:
+            for sight in own:
+                sight.reason = "no picture"
+            continue
+        for sight in own:
+            _correlate(picture, sight, boards)
+        found = [s for s in own if s.found]
+        if fit and found:
+            start = np.array([s.found[0][1] for s in found])
+            sign = np.array([float(s.found[0][2]) for s in found])
+            crossing = fit_saddles(picture, start, np.array([s.by_module for s in found]), sign)
+            for k, sight in enumerate(found):
+                if crossing.good[k]:
+                    sight.fitted, sight.sigma_px = (
+                        crossing.xy_px[k],
+                        float(np.hypot(crossing.sigma_px[k], _FLOOR_PX)),
+                    )
+                else:
+                    sight.reason = "no clean crossing"
+
+
+def _correlate(picture: ArrayU8, sight: _Sight, boards: ControlSettings) -> None:
+    """Fill in the candidates of a sight: score, place, sign (+1: lower right and upper left white)."""
+    half = np.ceil(np.abs(sight.by_module).sum(axis=1) * _REACH_MODULES).astype(int) + 1
+    low = np.floor(sight.xy - sight.reach_px).astype(int) - half
+    high = np.ceil(sight.xy + sight.reach_px).astype(int) + half + 1
+    h, w = picture.shape
+    low, high = np.maximum(low, 0), np.minimum(high, [w, h])
+    window = picture[low[1] : high[1], low[0] : high[0]].astype(np.float32)
+    best: AnyArray | None = None
+    for breadth in _BREADTHS:
+        shape = _template(sight.by_module * np.array([breadth, 1.0]))
+        if window.shape[0] < shape.shape[0] or window.shape[1] < shape.shape[1]:
+            continue
+        score = cv2.matchTemplate(window, shape, cv2.TM_CCOEFF_NORMED)
+        # the middle of the template in the picture; smaller templates begin nearer to the edge
+        full = np.zeros(window.shape, np.float32)
+        y, x = shape.shape[0] // 2, shape.shape[1] // 2
+        full[y : y + score.shape[0], x : x + score.shape[1]] = score
+        best = full if best is None else np.where(np.abs(full) > np.abs(best), full, best)
+    sight.found = []
+    if best is None:
+        sight.reason = "at the edge of the image"
+        return
+    rank = {"white": best, "black": -best}.get(boards.upper_left, np.abs(best))
+    yy, xx = np.mgrid[: best.shape[0], : best.shape[1]]
+    away = np.hypot(xx + low[0] + 0.5 - sight.xy[0], yy + low[1] + 0.5 - sight.xy[1])
+    rank = np.where(away <= sight.reach_px, rank, 0.0)
+    apart = max(2.0, _DIFFER_MODULES * float(np.linalg.norm(sight.by_module[:, 1])))
+    for _ in range(_CANDIDATES):
+        y, x = (int(v) for v in np.unravel_index(int(np.argmax(rank)), rank.shape))
+        if rank[y, x] < boards.least_score:
+            break
+        sight.found.append(
+            (float(rank[y, x]), np.array([x + low[0] + 0.5, y + low[1] + 0.5]), 1 if best[y, x] > 0 else -1)
+        )
+        rank[np.hypot(xx - x, yy - y) < apart] = 0.0
+    if sight.found:
+        sight.score = sight.found[0][0]
+    else:
+        sight.score = float(rank.max())
+        sight.reason = "no crossing found"
+
+
+def _template(by_module: ArrayF) -> AnyArray:
+    """Grey values of a checker, white where both sheet coordinates grow or both fall; odd sides."""
+    half = np.maximum(np.ceil(np.abs(by_module).sum(axis=1) * _REACH_MODULES).astype(int), 2)
+    x, y = np.meshgrid(np.arange(-half[0], half[0] + 1), np.arange(-half[1], half[1] + 1))
+    u, v = np.einsum("ij,jhw->ihw", np.linalg.inv(by_module), np.stack([x, y]).astype(np.float64))
+    soft = 0.7 / np.linalg.norm(by_module, axis=0)
+    inside = (np.abs(u) < 1.0) & (np.abs(v) < 1.0)
+    return (np.tanh(u / soft[0]) * np.tanh(v / soft[1]) * inside).astype(np.float32)
+
+
+def _agreed(block: ImageBlock, sights: Sequence[_Sight], n_points: int, boards: ControlSettings) -> ArrayF:
+    """(k, 3) places on which most images agree, each by one of its candidates; NaN if too few do."""
+    out = np.full((n_points, 3), np.nan)
+    for k in range(n_points):
+        own = [s for s in sights if s.point == k and s.found]
+        if len({s.image for s in own}) < boards.least_images:
+            continue
+        options = [(s, xy) for s in own for _, xy, _ in s.found]
+        rays, centres = _rays(block, options)
+        best, agree = np.full(3, np.nan), 0.0
+        order = np.argsort([-s.score for s, _ in options], kind="stable")[:12]
+        for a in order:
+            for b in order:
+                if options[a][0].image >= options[b][0].image:
+                    continue
+                point = nearest_to_rays(centres[[a, b]], rays[[a, b]])
+                if not np.isfinite(point).all():
+                    continue
+                good = _near(block, options, point)
+                votes = sum(max((s.score for s, _ in group), default=0.0) for group in _by_image(good))
+                if votes > agree:
+                    chosen = [o for o in options if any(o[0] is g[0] and o[1] is g[1] for g in good)]
+                    r, c = _rays(block, chosen)
+                    best, agree = nearest_to_rays(c, r), votes
+        good = _near(block, options, best) if np.isfinite(best).all() else []
+        if len({s.image for s, _ in good}) >= boards.least_images:
+            out[k] = best
+    return out
+
+
+def _near(
+    block: ImageBlock, options: Sequence[tuple[_Sight, ArrayF]], point: ArrayF
+) -> list[tuple[_Sight, ArrayF]]:
+    near = []
+    for sight, xy in options:
+        seen = (point - block.centre_block_m[sight.image]) @ block.R_block_ccs[sight.image]
+        at = block.cameras[block.camera[sight.image]].project(seen)[0]
+        limit = max(_AGREE_PX, _AGREE_MODULES * float(np.linalg.norm(sight.by_module[:, 1])))
+        if np.linalg.norm(at - xy) < limit:
+            near.append((sight, xy))
+    return near
+
+
+def _by_image(options: Sequence[tuple[_Sight, ArrayF]]) -> list[list[tuple[_Sight, ArrayF]]]:
+    return [[o for o in options if o[0].image == i] for i in {o[0].image for o in options}]
+
+
+def _rays(block: ImageBlock, options: Sequence[tuple[_Sight, ArrayF]]) -> tuple[ArrayF, ArrayF]:
+    rays = [
+        block.R_block_ccs[s.image] @ block.cameras[block.camera[s.image]].rays(xy[None])[0]
+        for s, xy in options
+    ]
+    return np.array(rays).reshape(-1, 3), block.centre_block_m[[s.image for s, _ in options]].reshape(-1, 3)
+
+
+def _moved(points: ArrayF, control: ControlPoints, notes: list[str]) -> Similarity | None:
+    """Similarity that moves the block onto the survey of the boards found; None for too few of them."""
+    rows = np.flatnonzero(np.isfinite(points[:, 0]))
+    if len(rows) < 3:
+        notes.append(f"Only {len(rows)} boards were found in the first search; the block stays where it was")
+        return None
+    try:
+        found = robust_similarity(
+            points[rows], control.points_wcs_m[rows], [control.names[i] for i in rows], what="boards"
+        )
+    except GeometryError as error:
+        notes.append(f"The block stays where it was: {error.found}")
+        return None
+    notes += found.notes
+    return found
+
+
+def _consistent(block: ImageBlock, sights: Sequence[_Sight], n_points: int, boards: ControlSettings) -> None:
+    """Crossings that the other images of a board contradict are marked."""
+    for k in range(n_points):
+        own = [s for s in sights if s.point == k and s.fitted is not None]
+        options = [(s, s.fitted) for s in own if s.fitted is not None]
+        if len(options) < 2:
+            for sight in own:
+                sight.reason = "in one image only"
+            continue
+        rays, centres = _rays(block, options)
+        point = nearest_to_rays(centres, rays)
+        good = {id(s) for s, _ in _near(block, options, point)} if np.isfinite(point).all() else set()
+        for sight in own:
+            second = sight.found[1][0] if len(sight.found) > 1 else 0.0
+            if id(sight) not in good:
+                sight.reason = "not where the other images put it"
+            elif second > sight.score - _CLEAR:
+                sight.reason = "ambiguous"
+
+
+def _table(block: ImageBlock, control: ControlPoints, sights: Sequence[_Sight], notes: list[str]) -> Measured:
+    rows = []
+    for s in sorted(sights, key=lambda s: (s.point, s.image)):
+        xy = s.xy if s.fitted is None else s.fitted
+        used = s.fitted is not None and not s.reason
+        rows.append((block.images[s.image], control.names[s.point], *xy, s.sigma_px, s.score, used, s.reason))
+    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    # the part of a reason before its number
+    causes = Counter(str(row[7]).partition(":")[0] for row in rows if not row[6])
+    counts = {"used": sum(bool(row[6]) for row in rows), **dict(causes.most_common())}
+    for k, name in enumerate(control.names):
+        n = int(table.loc[table["point"] == name, "used"].sum())
+        if n < 2:
+            why = "no image shows its place" if not any(s.point == k for s in sights) else f"{n} marks"
+            notes.append(f"{name} was not measured: {why}")
+    return Measured(table=table, counts=counts, notes=notes)

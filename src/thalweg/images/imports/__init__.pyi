@@ -1,0 +1,1 @@
+from .poses import import_orientations as import_orientations

@@ -1,0 +1,45 @@
+from .integrity import (
+    Gap as Gap,
+    IntegrityReport as IntegrityReport,
+    find_gaps as find_gaps,
+    repeated_rows as repeated_rows,
+    say_repeated as say_repeated,
+)
+from .ouster import (
+    OusterReader as OusterReader,
+    describe_metadata as describe_metadata,
+    is_ouster_capture as is_ouster_capture,
+    is_ouster_metadata as is_ouster_metadata,
+)
+from .readers import (
+    Cloud as Cloud,
+    CloudReader as CloudReader,
+    LidarClock as LidarClock,
+    LidarOptions as LidarOptions,
+    LidarReader as LidarReader,
+    LidarScan as LidarScan,
+    PointBlock as PointBlock,
+    PoseLog as PoseLog,
+    PoseReader as PoseReader,
+    PositionLog as PositionLog,
+    PositionReader as PositionReader,
+    TrackOptions as TrackOptions,
+    empty_points as empty_points,
+)
+from .schemas import (
+    DEPTH as DEPTH,
+    GNSS_POSITION as GNSS_POSITION,
+    INS_RAW as INS_RAW,
+    INS_STATE as INS_STATE,
+)
+from .stamps import (
+    FIRST_UNIX_S as FIRST_UNIX_S,
+    LAST_UNIX_S as LAST_UNIX_S,
+    QUARTER_HOUR_S as QUARTER_HOUR_S,
+    StreamTiming as StreamTiming,
+    explain_shift as explain_shift,
+    fit_clock as fit_clock,
+    hours_text as hours_text,
+    possible_unix as possible_unix,
+    weighted_median as weighted_median,
+)

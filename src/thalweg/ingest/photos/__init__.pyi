@@ -1,0 +1,9 @@
+from .exif import ImageHead as ImageHead, read_head as read_head
+from .files import (
+    Images as Images,
+    by_any_name as by_any_name,
+    list_images as list_images,
+    named_images as named_images,
+    natural_key as natural_key,
+)
+from .stamps import IMAGE_STAMPS as IMAGE_STAMPS, read_image_stamps as read_image_stamps

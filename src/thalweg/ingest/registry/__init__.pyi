@@ -1,0 +1,19 @@
+from .base import Recording as Recording
+from .calibrations import (
+    CalibrationReport as CalibrationReport,
+    largest_correlations as largest_correlations,
+    with_sigma as with_sigma,
+)
+from .formats import (
+    ALSO_MARKS as ALSO_MARKS,
+    KINDS as KINDS,
+    KINDS_OF_STREAM as KINDS_OF_STREAM,
+    LIDAR_KINDS as LIDAR_KINDS,
+    describe as describe,
+    load_recording as load_recording,
+    recognise as recognise,
+    stream_of as stream_of,
+)
+from .lidar import lidar_reader as lidar_reader
+from .poses import read_poses as read_poses
+from .positions import read_positions as read_positions, read_receiver as read_receiver

@@ -1,0 +1,116 @@
+"""A row of the registry: one format, how it is told from others, and who reads it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+
+from thalweg.core import AnyArray, ArrayF32, InputError
+from thalweg.ingest import CloudReader, IntegrityReport, LidarOptions, LidarReader, PoseReader, PositionReader
+
+HEAD_BYTES: Final = 65_536
+SURE: Final = 1.0
+"""What `Format.matches` gives for content that is of no other format."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Recording:
+    """What a log holds, as far as a first look needs it.
+
+    ``tables`` has any of ``positions`` (kind ``gnss_position``), ``states`` (``ins_state``) and ``depths``
+    (``depth``); ``points_scs_m`` (n, 3) with ``intensity`` and ``ring`` are a lidar's, ``cloud_m`` (n, 3)
+    is a finished point cloud's.
+    """
+
+    kind: str
+    report: IntegrityReport
+    tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+    points_scs_m: ArrayF32 | None = None
+    intensity: AnyArray | None = None
+    ring: AnyArray | None = None
+    cloud_m: AnyArray | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """One format that Thalweg reads.
+
+    Attributes
+    ----------
+    kind : its name in code.
+    words : its name for people.
+    streams : where files of it stand in ``logs`` (names of `thalweg.settings.sections.logs.STREAM_KEYS`);
+        the first one is where `thalweg new-campaign` puts them.
+    magic : first bytes, any of them.
+    matches : head of a file (`HEAD_BYTES`) and size of the file -> how sure its content is of this format,
+        0 to `SURE`; asked where no ``magic`` is given, or behind it.
+    lidar, poses, positions, cloud : its reader, by what it yields.
+    describe : kind, files, options and whether points are wanted -> `Recording`.
+    """
+
+    kind: str
+    words: str
+    describe: Callable[[str, list[Path], dict[str, Any], bool], Recording]
+    streams: tuple[str, ...] = ()
+    magic: tuple[bytes, ...] = ()
+    matches: Callable[[bytes, int], float] | None = None
+    lidar: Callable[[Sequence[Path], LidarOptions], LidarReader] | None = None
+    poses: PoseReader | None = None
+    positions: PositionReader | None = None
+    cloud: CloudReader | None = None
+
+    def sureness(self, head: bytes, size: int) -> float:
+        """How sure a file with this head is of this format, 0 to `SURE`."""
+        if self.magic and not head.startswith(self.magic):
+            return 0.0
+        return SURE if self.matches is None else float(self.matches(head, size))
+
+
+def find_format(formats: Sequence[Format], head: bytes, size: int) -> Format | None:
+    """The format of which a file is surest, the first of several alike; None if there is none."""
+    best, most = None, 0.0
+    for each in formats:
+        sure = each.sureness(head, size)
+        if sure >= SURE:
+            return each
+        if sure > most:
+            best, most = each, sure
+    return best
+
+
+def framed_share(length: AnyArray, frame_bytes: int, head: bytes) -> float:
+    """Sureness by the share of the head inside frames of right check sums, payloads ``length`` (n,)."""
+    share = (int(length.sum()) + frame_bytes * length.size) / len(head)
+    # a tenth: real logs begin with garbage, and a chance CRC match covers a few bytes of 65,536 only
+    return min(share, 0.99 * SURE) if share > 0.1 else 0.0
+
+
+def read_head(path: Path) -> bytes:
+    """First `HEAD_BYTES` of a file.
+
+    Raises
+    ------
+    InputError : the file is missing, empty, a folder, or cannot be read.
+    """
+    if not path.exists():
+        raise InputError("file not found", where=path, cure="Check the path")
+    if path.is_dir():
+        raise InputError("this is a folder", where=path, expected="a file")
+    if not path.is_file():
+        raise InputError("this is a pipe or a device", where=path, expected="a file")
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEAD_BYTES)
+    except OSError as error:
+        raise InputError(
+            f"the file cannot be read: {error.strerror}",
+            where=path,
+            cure="Check its permissions and the disk",
+        ) from error
+    if not head:
+        raise InputError(
+            "the file is empty", where=path, expected="a raw log", cure="Check the logger and copy"
+        )
+    return head

@@ -1,0 +1,153 @@
+"""All formats that Thalweg reads: which one a file is of, by its content, and what it holds.
+
+Names and endings of files are not trusted. A new format is a row in the family that it belongs to.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from thalweg.core import InputError
+from thalweg.ingest import IntegrityReport
+from thalweg.ingest.registry.base import Format, Recording, find_format, read_head
+from thalweg.ingest.registry.calibrations import CALIBRATIONS
+from thalweg.ingest.registry.clouds import CLOUDS
+from thalweg.ingest.registry.images import IMAGES
+from thalweg.ingest.registry.lidar import LIDARS
+from thalweg.ingest.registry.poses import POSES
+from thalweg.ingest.registry.positions import POSITIONS
+
+FORMATS: Final = (*LIDARS, *CLOUDS, *POSES, *POSITIONS, *CALIBRATIONS, *IMAGES)
+"""In the order in which a file is tried against them."""
+
+FORMAT_OF_KIND: Final[Mapping[str, Format]] = {each.kind: each for each in FORMATS}
+LIDAR_KINDS: Final = frozenset(each.kind for each in LIDARS)
+KINDS: Final[Mapping[str, str]] = {each.kind: each.words for each in FORMATS}
+"""Kind -> words for people."""
+
+_INSTRUMENTS: Final = (*LIDARS, *POSITIONS, *POSES, *CLOUDS)
+KINDS_OF_STREAM: Final[Mapping[str, tuple[str, ...]]] = {
+    **{
+        stream: tuple(each.kind for each in _INSTRUMENTS if stream in each.streams)
+        for stream in sorted({stream for each in _INSTRUMENTS for stream in each.streams})
+    },
+    "smrmsg": (),  # has no mark of its own
+}
+"""Kinds of content that fit a stream of ``logs``, empty where it cannot be told; tables that people write,
+and pictures, are not judged.
+"""
+
+ALSO_MARKS: Final = frozenset({"gcp_list", "metashape_markers"})
+"""Kinds of files that hold control points and where they are in the images."""
+
+_WRAPPED: Final = (
+    (b"\x1f\x8b", "the file is compressed (gzip)", "Unpack it with gunzip"),
+    (b"PK\x03\x04", "the file is a zip archive", "Unpack it with unzip"),
+    (b"BZh", "the file is compressed (bzip2)", "Unpack it with bunzip2"),
+    (b"\xfd7zXZ", "the file is compressed (xz)", "Unpack it with unxz"),
+    (b"\xff\xfe", "the file is text in UTF-16", "Save it as plain text (ASCII or UTF-8 without mark)"),
+    (b"\xfe\xff", "the file is text in UTF-16", "Save it as plain text (ASCII or UTF-8 without mark)"),
+    (
+        b"\xef\xbb\xbf",
+        "the file begins with a UTF-8 byte order mark",
+        "Save it as plain text without the mark",
+    ),
+)
+"""First bytes of files that may be a log in a wrapping: what to say and to do."""
+
+
+def recognise(path: Path) -> str:
+    """Kind of a file, one of the keys of `KINDS`.
+
+    Raises
+    ------
+    InputError : the file is missing, empty, a folder, or of no kind that Thalweg reads.
+    """
+    head = read_head(path)
+    known = find_format(FORMATS, head, path.stat().st_size)
+    if known is not None:
+        return known.kind
+    for mark, words, cure in _WRAPPED:
+        if head.startswith(mark):
+            raise InputError(words, where=path, expected="the raw log itself", cure=cure)
+    raise InputError(
+        f"the content is of no known kind (begins with {head[:12].hex(' ')})",
+        where=path,
+        expected=", ".join(KINDS.values()),
+        cure="Check that the file is a raw log and not compressed",
+    )
+
+
+def stream_of(kind: str, path: Path) -> str | None:
+    """Stream of ``logs`` in which a file of a recognised kind belongs; None for kinds without a place.
+
+    A raw GNSS log whose name holds ``base`` or ``ref`` is the base's; RINEX says itself whether it is
+    navigation. Photographs in a folder whose name holds ``mask`` are masks.
+
+    Examples
+    --------
+    >>> stream_of("sbp", Path("base_station.sbp")), stream_of("anpp", Path("boat.bin"))
+    ('base', 'ins')
+    """
+    if kind == "rinex" and _rinex_type(path) in {"N", "G", "H"}:
+        return "nav"
+    stream = next(iter(FORMAT_OF_KIND[kind].streams), None)
+    if stream == "time_lapse" and "mask" in path.parent.name.lower():
+        return "masks"
+    if stream == "rover" and any(mark in path.name.lower() for mark in ("base", "ref")):
+        return "base"
+    return stream
+
+
+def _rinex_type(path: Path) -> str:
+    """Letter in column 21 of the first line: O observations, N navigation (G, H in RINEX 2)."""
+    with path.open("rb") as stream:
+        return stream.readline(100)[20:21].decode("ascii", "replace").upper()
+
+
+def describe(path: Path, options: Mapping[str, Any] | None = None) -> IntegrityReport:
+    """Integrity report of one file of any kind that Thalweg reads.
+
+    Parameters
+    ----------
+    path : the file; its kind is told from its content.
+    options : for the reader, see `load_recording`.
+
+    Raises
+    ------
+    InputError : the file is missing, empty, of no known kind, or damaged beyond reading.
+    """
+    return load_recording([path], options=options, points=False).report
+
+
+def load_recording(
+    files: list[Path],
+    *,
+    reader: str = "auto",
+    base: list[Path] | None = None,
+    nav: list[Path] | None = None,
+    options: Mapping[str, Any] | None = None,
+    points: bool = True,
+) -> Recording:
+    """Read a log of any kind.
+
+    Parameters
+    ----------
+    files : parts of one recording in order of time.
+    reader : ``"auto"`` tells the kind from the content; ``"ppk"`` solves raw GNSS.
+    base, nav : for ``ppk``.
+    options : keywords of the reader: of `LidarOptions`, of `TrackOptions`, or options of PPK.
+    points : also read the points of a lidar; False scans them only.
+
+    Raises
+    ------
+    InputError : see `describe`.
+    """
+    options = dict(options or {})
+    if reader == "ppk":
+        from thalweg.ingest.ppk import PpkOptions, run_ppk
+
+        solution = run_ppk(files, base or None, nav or [], PpkOptions.from_sections({}, options))
+        return Recording(kind="ppk", report=solution.report, tables={"positions": solution.positions})
+    known = FORMAT_OF_KIND[recognise(files[0])]
+    return known.describe(known.kind, files, options, points)

@@ -1,0 +1,160 @@
+"""Formats of photographs and of the tables beside them, and what they hold in lines for a terminal."""
+
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+from thalweg.core import ClockError, InputError
+from thalweg.ingest import IntegrityReport
+from thalweg.ingest.photos import read_head, read_image_stamps
+from thalweg.ingest.registry.base import Format, Recording
+from thalweg.ingest.registry.calibrations import CalibrationReport, is_text
+
+_TABLES: Final = (
+    (
+        "metashape_markers",
+        "markers of Metashape (XML)",
+        "control_points",
+        "logs.time_lapse.control_points and logs.time_lapse.marks",
+    ),
+    (
+        "metashape_cameras",
+        "cameras of Metashape (XML)",
+        "finished_orientations",
+        "logs.time_lapse.orientations",
+    ),
+    (
+        "gcp_list",
+        "control points of OpenDroneMap (gcp_list.txt)",
+        "control_points",
+        "logs.time_lapse.control_points and logs.time_lapse.marks",
+    ),
+    (
+        "orientations",
+        "table of orientations of images",
+        "finished_orientations",
+        "logs.time_lapse.orientations",
+    ),
+    ("marks", "table of control points in images", "image_marks", "logs.time_lapse.marks"),
+    ("image_times", "table of times of images", "time_lapse_times", "logs.time_lapse.times"),
+    ("control_points", "table of control points", "control_points", "logs.time_lapse.control_points"),
+)
+"""Kind, words, stream, and the keys of a campaign file that the table belongs in."""
+
+_PHOTOGRAPH: Final = "photograph (JPEG, PNG, TIFF)"
+_WORDS: Final = {"photograph": _PHOTOGRAPH, **{kind: words for kind, words, _, _ in _TABLES}}
+_KEYS: Final = {kind: keys for kind, _, _, keys in _TABLES}
+
+_CRS_LINE: Final = re.compile(rb"\s*(EPSG:\d+|WGS84 UTM|\+proj=)", re.IGNORECASE)
+_IMAGE: Final = frozenset({"image", "photo", "camera", "image_name", "file", "filename", "camera_label"})
+_POINT: Final = frozenset({"id", "label", "name", "point", "gcp", "marker", "gcp_name", "marker_label"})
+_PIXELS: Final = frozenset({"x_px", "u", "u_px", "im_x", "image_u"})
+_PLACES: Final = (
+    {"east_m", "north_m", "up_m"},
+    {"lat_deg", "lon_deg", "h_ell_m"},
+    {"latitude", "longitude"},
+    {"easting", "northing"},
+    {"east", "north"},
+    {"x", "y", "z"},
+    {"x/easting", "y/northing"},
+    {"x/east", "y/north"},
+    {"x/longitude", "y/latitude"},
+)
+_TIMES: Final = frozenset({"time_utc", "unix_s", "t_gps_s"})
+"""Headings of tables that people write about photographs, small letters."""
+
+
+def describe_images(kind: str, path: Path) -> IntegrityReport:
+    """Report on a photograph, or on a table that belongs to photographs.
+
+    Parameters
+    ----------
+    kind : one of those of `IMAGES`.
+    path : the file.
+
+    Raises
+    ------
+    InputError : the photograph is damaged, or the table is no UTF-8 text.
+    """
+    if kind == "photograph":
+        head = read_head(path)
+        report = CalibrationReport(stream="camera", format=_WORDS[kind], files=[str(path)])
+        report.model = f"{head.make} {head.model}".strip()
+        report.details["size"] = f"{head.width} x {head.height} pixels"
+        try:
+            stamps = read_image_stamps(path)
+        except ClockError as error:
+            report.note(error.found)
+        else:
+            known = stamps.table["source"][0]
+            report.details["time"] = f"{stamps.table['t_device_s'][0]:.3f} s (GPS time less 1e9) from {known}"
+        return report
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "no UTF-8 text", expected=_WORDS[kind], where=path, cure="Save it as UTF-8"
+        ) from error
+    lines = [line for line in text.splitlines() if line.strip()]
+    report = CalibrationReport(stream="images", format=_WORDS[kind], files=[str(path)])
+    if kind.startswith("metashape"):
+        counted = {name: len(re.findall(rf"<{name}\s", text)) for name in ("camera", "marker", "location")}
+        report.details["holds"] = ", ".join(f"{n} elements {name}" for name, n in counted.items() if n)
+    else:
+        report.details["begins"] = lines[0].strip()[:100]
+        report.details["rows"] = str(len(lines) - 1)
+    report.details["belongs"] = f"in {_KEYS[kind]} of a campaign file"
+    return report
+
+
+@lru_cache(maxsize=1)
+def _image_kind(head: bytes) -> str | None:
+    """Kind of a table that belongs to photographs; None for other bytes."""
+    if not is_text(head):
+        return None
+    if b"<cameras" in head and b"<document" in head:
+        return "metashape_markers" if b"<markers" in head else "metashape_cameras"
+    lines = [line.strip() for line in head.removeprefix(b"\xef\xbb\xbf").splitlines() if line.strip()]
+    if len(lines) > 1 and _CRS_LINE.match(lines[0]) and len(lines[1].split()) >= 6:
+        return "gcp_list"
+    for line in lines[:10]:
+        cells = re.split(rb"[,;\t]", line.lstrip(b"#").strip().lower())
+        names = {re.sub(r"[_ ]\((m|px|deg)\)$", "", c.decode("utf-8", "replace").strip(' "')) for c in cells}
+        if names & _IMAGE and {"omega", "phi", "kappa"} <= names:
+            return "orientations"
+        if names & _IMAGE and names & _POINT and (names & _PIXELS or {"x", "y"} <= names):
+            return "marks"
+        if names & _IMAGE and names & _TIMES:
+            return "image_times"
+        if names & _POINT and any(place <= names for place in _PLACES):
+            return "control_points"
+        if not line.startswith(b"#"):
+            break
+    return None
+
+
+def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    return Recording(kind=kind, report=describe_images(kind, files[0]))
+
+
+def _table(kind: str, words: str, stream: str) -> Format:
+    return Format(
+        kind=kind,
+        words=words,
+        streams=(stream,),
+        matches=lambda head, _: _image_kind(head) == kind,
+        describe=_describe,
+    )
+
+
+IMAGES: Final = (
+    Format(
+        kind="photograph",
+        words=_PHOTOGRAPH,
+        streams=("time_lapse",),
+        magic=(b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"II*\x00", b"MM\x00*"),
+        describe=_describe,
+    ),
+    *(_table(kind, words, stream) for kind, words, stream, _ in _TABLES),
+)

@@ -1,0 +1,122 @@
+"""Formats of lidars, and the reader of a recording."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from thalweg.ingest import LidarOptions, LidarReader
+from thalweg.ingest.registry.base import HEAD_BYTES, Format, Recording, find_format
+
+_PAYLOAD = 1206
+_PCAP: Final = (
+    b"\xd4\xc3\xb2\xa1",
+    b"\xa1\xb2\xc3\xd4",
+    b"\x4d\x3c\xb2\xa1",
+    b"\xa1\xb2\x3c\x4d",
+    b"\x0a\x0d\x0d\x0a",
+)
+
+
+def lidar_reader(files: Sequence[Path], options: LidarOptions | None = None) -> LidarReader:
+    """The reader for a recording.
+
+    Parameters
+    ----------
+    files : parts of one recording in the order of time.
+    options : how to decode them.
+    """
+    paths, chosen = [Path(path) for path in files], options or LidarOptions()
+    for path in paths:
+        if path.is_file():
+            with path.open("rb") as stream:
+                known = find_format(LIDARS, stream.read(HEAD_BYTES), path.stat().st_size)
+            if known is not None and known.lidar is not None:
+                return known.lidar(paths, chosen)
+    return _velodyne(paths, chosen)  # which says what it finds instead
+
+
+def _velodyne(files: Sequence[Path], options: LidarOptions) -> LidarReader:
+    from thalweg.ingest.velodyne import VelodyneReader
+
+    return VelodyneReader(files=files, options=options)
+
+
+def _ouster(files: Sequence[Path], options: LidarOptions) -> LidarReader:
+    from thalweg.ingest import OusterReader
+
+    return OusterReader(files=files, options=options)
+
+
+def _describe_metadata(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    from thalweg.ingest import describe_metadata
+
+    return Recording(kind=kind, report=describe_metadata(files[0]))
+
+
+def _is_ouster(head: bytes, size: int) -> bool:
+    from thalweg.ingest import is_ouster_capture
+
+    return is_ouster_capture(head, size)
+
+
+def _is_metadata(head: bytes, size: int) -> bool:
+    from thalweg.ingest import is_ouster_metadata
+
+    return is_ouster_metadata(head, size)
+
+
+def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    reader = lidar_reader(files, LidarOptions(**options))
+    scan = reader.scan()
+    recording = Recording(kind=kind, report=scan.report)
+    if points:
+        blocks = list(reader.points(scan.clock))
+        if blocks:
+            recording.points_scs_m = np.concatenate([b.xyz_scs_m for b in blocks])
+            recording.intensity = np.concatenate([b.intensity for b in blocks])
+            recording.ring = np.concatenate([b.ring for b in blocks])
+    return recording
+
+
+def _is_payloads(head: bytes, size: int) -> bool:
+    starts = range(0, min(len(head), 8 * _PAYLOAD) - 2, _PAYLOAD)
+    return len(head) >= _PAYLOAD and all(head[i : i + 2] == b"\xff\xee" for i in starts)
+
+
+LIDARS: Final = (
+    Format(
+        kind="ouster",
+        words="Ouster capture (pcap, pcapng)",
+        streams=("lidar",),
+        magic=_PCAP,
+        matches=_is_ouster,
+        lidar=_ouster,
+        describe=_describe,
+    ),
+    Format(
+        kind="ouster_metadata",
+        words="metadata of an Ouster (JSON)",
+        streams=("lidar",),
+        matches=_is_metadata,
+        lidar=_ouster,
+        describe=_describe_metadata,
+    ),
+    Format(
+        kind="capture",
+        words="network capture (pcap, pcapng)",
+        streams=("lidar",),
+        magic=_PCAP,
+        lidar=_velodyne,
+        describe=_describe,
+    ),
+    Format(
+        kind="velodyne_payloads",
+        words="bare Velodyne payloads",
+        streams=("lidar",),
+        matches=_is_payloads,
+        lidar=_velodyne,
+        describe=_describe,
+    ),
+)

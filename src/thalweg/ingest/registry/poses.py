@@ -1,0 +1,211 @@
+"""Formats of poses of the boat: logs of an INS, trajectories of other programs."""
+
+import re
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from thalweg.core import gps_from_week
+from thalweg.ingest import PoseLog, TrackOptions
+from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
+
+_ANY_WEEK = 2000
+"""Stands in for the week of an SBET that is only described; taken off again."""
+_SBET_RECORD = 136
+_BY_VALUES = 0.05
+"""Sureness of content that is told by plausible numbers alone."""
+
+
+def read_poses(files: Sequence[Path], source: str, options: TrackOptions | None = None) -> PoseLog:
+    """States of the boat from the files of one source.
+
+    Parameters
+    ----------
+    files : parts of one recording in the order of time.
+    source : stream of ``logs`` that they stand in, ``ins`` or ``sbet``: there any trajectory on Earth.
+    options : what the files do not state.
+
+    Raises
+    ------
+    InputError : of the reader.
+    """
+    rows = [row for row in POSES if source in row.streams]
+    known = rows[-1]
+    if len(rows) > 1:
+        known = find_format(rows, read_head(files[0]), files[0].stat().st_size) or known
+    assert known.poses is not None
+    return known.poses(files, options or TrackOptions())
+
+
+def _anpp(files: Sequence[Path], options: TrackOptions) -> PoseLog:
+    from thalweg.ingest.anpp import read_anpp
+
+    log = read_anpp(files)
+    return PoseLog(states=log.states, positions=log.gnss, depths=log.depth, report=log.report)
+
+
+def _sbet(files: Sequence[Path], options: TrackOptions) -> PoseLog:
+    from thalweg.ingest.tracks import read_sbet
+
+    log = read_sbet(files, gps_week=options.gps_week, smrmsg=options.smrmsg or None)
+    return PoseLog(states=log.states, report=log.report)
+
+
+def _inertial_explorer(files: Sequence[Path], options: TrackOptions) -> PoseLog:
+    from thalweg.ingest.tracks import read_inertial_explorer
+
+    return read_inertial_explorer(files, options)
+
+
+def _poses(kind: str, files: Sequence[Path], options: TrackOptions) -> PoseLog:
+    from thalweg.ingest.tracks import read_text_poses, states_of_poses
+
+    return states_of_poses(read_text_poses(kind, files, options.times), options)
+
+
+def _describe_poses(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    """As it stands, or on Earth if the options say where."""
+    from thalweg.ingest.tracks import read_text_poses
+
+    if options.keys() - {"times"}:
+        log = _poses(kind, files, TrackOptions(**options))
+        return Recording(kind=kind, report=log.report, tables={"states": log.states})
+    report = read_text_poses(kind, files, options.get("times")).report
+    report.note(
+        "The table states neither frame on Earth, axes of the body, scale of time nor standard deviations: "
+        "the reader asks for them."
+    )
+    return Recording(kind=kind, report=report)
+
+
+def _describe_inertial_explorer(
+    kind: str, files: list[Path], options: dict[str, Any], points: bool
+) -> Recording:
+    log = _inertial_explorer(files, TrackOptions(**options))
+    return Recording(kind=kind, report=log.report, tables={"states": log.states})
+
+
+def _is_inertial_explorer(head: bytes, size: int) -> bool:
+    from thalweg.ingest.tracks import is_inertial_explorer
+
+    return is_inertial_explorer(head, size)
+
+
+def _is_table(kind: str, head: bytes, size: int) -> bool:
+    """True if the first lines hold nothing but the numbers of the format, with a rotation among them."""
+    lines = [line for line in head.splitlines()[:20] if line.strip() and not line.startswith(b"#")]
+    if size > len(head) and len(lines) > 1:
+        lines = lines[:-1]
+    try:
+        rows = [[float(cell) for cell in re.split(rb"[,\s]+", line.strip(b", \t\r"))] for line in lines[:10]]
+    except ValueError:
+        return False
+    if not rows or len({len(row) for row in rows}) > 1:
+        return False
+    n, commas = len(rows[0]), b"," in lines[0]
+    if kind == "kitti":
+        return n == 12 and not commas and all(_is_unit(row[k : k + 3]) for row in rows for k in (0, 4, 8))
+    if kind == "tum":
+        return n == 8 and not commas and all(_is_unit(row[4:]) for row in rows)
+    return n >= 8 and commas and all(row[0] > 1e12 and _is_unit(row[4:8]) for row in rows)
+
+
+def _is_unit(values: Sequence[float]) -> bool:
+    return abs(sum(v * v for v in values) - 1.0) < 1e-2
+
+
+def _describe_anpp(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    log = _anpp(files, TrackOptions(**options))
+    assert log.positions is not None
+    return Recording(kind=kind, report=log.report, tables={"states": log.states, "positions": log.positions})
+
+
+def _describe_sbet(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    week = options.get("gps_week")
+    log = _sbet(files, TrackOptions(gps_week=_ANY_WEEK if week is None else week))
+    if week is None:
+        # Enough to describe the file: its stamps as they stand there, and no GPS time.
+        t0 = float(gps_from_week(_ANY_WEEK, 0.0))
+        report = log.report
+        report.synchronised = False
+        report.t_first_s = None if report.t_first_s is None else report.t_first_s - t0
+        report.t_last_s = None if report.t_last_s is None else report.t_last_s - t0
+        report.note("An SBET holds seconds of the week only: give its GPS week (logs.gps_week) to place it.")
+        log.states["t_gps_s"] = np.nan
+    return Recording(kind=kind, report=log.report, tables={"states": log.states})
+
+
+def _anpp_share(head: bytes, size: int) -> float:
+    from thalweg.ingest.anpp import find_packets
+
+    return framed_share(find_packets(np.frombuffer(head, dtype=np.uint8)).length, 5, head)
+
+
+def _is_sbet(head: bytes, size: int) -> float:
+    if size < 2 * _SBET_RECORD:
+        return 0.0
+    for byte_order in "<>":
+        records = np.frombuffer(head[: len(head) // _SBET_RECORD * _SBET_RECORD], f"{byte_order}f8").reshape(
+            -1, 17
+        )
+        time, lat, lon, height = records[:, :4].T
+        if not np.isfinite(records[:, :4]).all():
+            continue
+        step = np.diff(time)
+        if (
+            (np.abs(lat) <= np.pi / 2).all()
+            and (np.abs(lon) <= 2 * np.pi).all()
+            and (np.abs(height) < 20_000).all()
+            # zeros and denormal numbers are bytes of something else: a survey is not at latitude 0.000000
+            and (np.abs(lat) > 1e-9).all()
+            and (time >= 0).all()
+            and (step > 0).mean() > 0.9
+            and np.median(step) < 10
+        ):
+            return _BY_VALUES
+    return 0.0
+
+
+POSES: Final = (
+    Format(
+        kind="inertial_explorer",
+        words="NovAtel Inertial Explorer text",
+        streams=("sbet",),
+        matches=_is_inertial_explorer,
+        poses=_inertial_explorer,
+        describe=_describe_inertial_explorer,
+    ),
+    *(
+        Format(
+            kind=kind,
+            words=words,
+            matches=partial(_is_table, kind),
+            poses=partial(_poses, kind),
+            describe=_describe_poses,
+        )
+        for kind, words in (
+            ("tum", "TUM trajectory"),
+            ("euroc", "EuRoC trajectory"),
+            ("kitti", "KITTI poses"),
+        )
+    ),
+    Format(
+        kind="anpp",
+        words="Advanced Navigation ANPP log",
+        streams=("ins",),
+        matches=_anpp_share,
+        poses=_anpp,
+        describe=_describe_anpp,
+    ),
+    Format(
+        kind="sbet",
+        words="SBET trajectory",
+        streams=("sbet",),
+        matches=_is_sbet,
+        poses=_sbet,
+        describe=_describe_sbet,
+    ),
+)

@@ -1,0 +1,9 @@
+from .bed_survey import read_bed_survey as read_bed_survey
+from .rtklib_pos import read_pos as read_pos
+from .sbet import read_sbet as read_sbet
+from .trajectories import (
+    is_inertial_explorer as is_inertial_explorer,
+    read_inertial_explorer as read_inertial_explorer,
+    read_text_poses as read_text_poses,
+    states_of_poses as states_of_poses,
+)

@@ -1,0 +1,453 @@
+"""Trajectories that other programs wrote as text: TUM, EuRoC and KITTI tables, NovAtel Inertial Explorer.
+
+========= =============================================== ===================== ==========================
+format    columns                                         quaternion, rotation  frame, time
+========= =============================================== ===================== ==========================
+TUM       t tx ty tz qx qy qz qw                          Hamilton, x y z w     metres in its world frame
+EuRoC     t_ns, p_x p_y p_z, q_w q_x q_y q_z [, v, b]     Hamilton, w x y z     metres in its world frame
+KITTI     3x4 row-major, times in a file beside           rotation matrix       metres in its world frame
+Inertial  named in its header: Week, GPSTime, Latitude,   roll, pitch, heading  geodetic; GPS week and
+Explorer  Longitude, H-Ell, Roll, Pitch, Heading, SD...                         seconds of the week
+========= =============================================== ===================== ==========================
+
+Rotations turn from the body into the world frame. The first three state neither frame, scale of time nor
+accuracy: these are asked for. Inertial Explorer's attitude is that of ``ins_state``: roll right side down,
+pitch nose up, heading clockwise from north.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from thalweg.core import ArrayF, InputError, gps_from_unix, gps_from_week, roll_pitch_heading
+from thalweg.ingest import INS_STATE, IntegrityReport, PoseLog, TrackOptions, find_gaps
+
+COLUMNS: Final = {"tum": 8, "euroc": 8, "kitti": 12}
+"""Numbers of a line that are read; EuRoC may hold velocities and biases behind."""
+
+BODY_AXES: Final = {
+    "forward-right-down": np.eye(3),
+    "forward-left-up": np.diag([1.0, -1.0, -1.0]),
+    "right-down-forward": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+}
+"""Axes x, y, z of the file's body -> rotation from ics (x forward, y right, z down) into them."""
+
+_ORTHONORMAL: Final = 1e-3
+"""Rotations are written with four digits and more."""
+
+
+@dataclass(slots=True, kw_only=True)
+class TextPoses:
+    """Poses as a table states them.
+
+    Attributes
+    ----------
+    t_s : (n,) stamps in seconds, NaN where the format holds none.
+    position_m : (n, 3) in the file's world frame.
+    R_world_body : (n, 3, 3).
+    velocity_mps : (n, 3) in the world frame, or None.
+    report : counts, without a time on any scale.
+    """
+
+    t_s: ArrayF
+    position_m: ArrayF
+    R_world_body: ArrayF
+    velocity_mps: ArrayF | None
+    report: IntegrityReport
+
+
+def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None) -> TextPoses:
+    """Read a table of poses as it stands, without a frame on Earth.
+
+    Parameters
+    ----------
+    kind : ``tum``, ``euroc`` or ``kitti``.
+    files : in the order of time.
+    times : for KITTI: one stamp a line, in seconds.
+
+    Raises
+    ------
+    InputError : a line does not hold the numbers of the format, a rotation is none, or the times do not fit.
+    """
+    report = IntegrityReport(stream="ins", format=f"{_NAMES[kind]} poses", files=[str(f) for f in files])
+    rows = np.concatenate([_numbers(kind, Path(path), report) for path in files])
+    where = ", ".join(map(str, files))
+    velocity = None
+    if kind == "kitti":
+        T = rows[:, :12].reshape(-1, 3, 4)
+        R, position = T[:, :, :3], T[:, :, 3]
+        wrong = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > _ORTHONORMAL
+        wrong |= np.linalg.det(R) < 0
+        t_s = _times(times, len(rows), where) if times is not None else np.full(len(rows), np.nan)
+    else:
+        position = rows[:, 1:4]
+        q_xyzw = rows[:, 4:8] if kind == "tum" else rows[:, [5, 6, 7, 4]]
+        wrong = np.abs(np.linalg.norm(q_xyzw, axis=1) - 1.0) > _ORTHONORMAL
+        t_s = rows[:, 0] if kind == "tum" else rows[:, 0] * 1e-9
+        if kind == "euroc" and rows.shape[1] >= 11:
+            velocity = rows[:, 8:11]
+        R = np.empty((0, 3, 3)) if wrong.any() else Rotation.from_quat(q_xyzw).as_matrix()
+    if wrong.any():
+        raise InputError(
+            f"pose {int(np.flatnonzero(wrong)[0]) + 1} of {len(rows)}: the rotation is none",
+            expected="a quaternion of length 1, or an orthonormal matrix",
+            where=where,
+            cure=f"Check that the table is one of {_NAMES[kind]}",
+        )
+    report.count("poses", len(rows))
+    report.time_scale = "device" if np.isfinite(t_s).all() else "none"
+    if np.isfinite(t_s).all():
+        report.t_first_s, report.t_last_s = float(t_s.min()), float(t_s.max())
+        report.gaps = find_gaps(t_s)
+    report.details["world"] = "metres in a frame of its own; rotations from the body into it"
+    return TextPoses(t_s=t_s, position_m=position, R_world_body=R, velocity_mps=velocity, report=report)
+
+
+_NAMES: Final = {"tum": "TUM", "euroc": "EuRoC", "kitti": "KITTI"}
+
+
+def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
+    """(n, k) numbers of a table; the first line that does not fit is named."""
+    if not path.is_file():
+        raise InputError("file not found", where=path, cure="Check the path")
+    raw = path.read_bytes()
+    report.bytes_read += len(raw)
+    lines = raw.decode("ascii", "replace").splitlines()
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, start=1):
+        text = line.strip()
+        if not text or text.startswith("#"):
+            continue
+        try:
+            row = [float(cell) for cell in re.split(r"[,\s]+", text.strip(","))]
+        except ValueError:
+            row = []
+        exact = kind != "euroc"
+        if (len(row) != COLUMNS[kind] if exact else len(row) < COLUMNS[kind]) or not np.isfinite(row).all():
+            raise InputError(
+                f"line {number}: '{text[:60]}'",
+                expected=f"{COLUMNS[kind]} numbers{'' if exact else ' or more'}, as {_NAMES[kind]} has them",
+                where=path,
+                cure="Check the format of the table",
+            )
+        rows.append(row)
+    if not rows or len({len(row) for row in rows}) > 1:
+        raise InputError(
+            "no poses" if not rows else "lines of different length",
+            expected=f"a {_NAMES[kind]} table",
+            where=path,
+            cure="Check the file",
+        )
+    return np.array(rows)
+
+
+def _times(path: Path, n: int, where: str) -> ArrayF:
+    if not path.is_file():
+        raise InputError("file not found", where=path, cure="Check the path of the times")
+    try:
+        t_s = np.loadtxt(path, ndmin=1, dtype=np.float64)
+    except ValueError as error:
+        raise InputError(str(error), expected="one time in seconds a line", where=path) from error
+    if t_s.shape != (n,):
+        raise InputError(
+            f"{t_s.size} times beside {n} poses of {where}",
+            expected="one time a pose",
+            where=path,
+            cure="Give the times of this very table",
+        )
+    return t_s
+
+
+def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
+    """Poses of a table as states on Earth, with what the options state.
+
+    The file's world frame is taken for the local frame ``options.frame`` (x east, y north, z up), its body is
+    ics but for the direction of its axes.
+
+    Raises
+    ------
+    InputError : the options lack what the table does not hold; all that is missing is named.
+    """
+    where, report = ", ".join(poses.report.files), poses.report
+    frame, axes, scale = options.frame, options.body_axes, options.time_scale
+    sigmas = (options.sigma_position_m, options.sigma_attitude_deg)
+    missing = [
+        name
+        for name, value in (
+            ("frame", frame),
+            ("body_axes", axes),
+            ("time_scale", scale),
+            ("sigma_position_m", sigmas[0]),
+            ("sigma_attitude_deg", sigmas[1]),
+            ("times", None if np.isnan(poses.t_s).any() else 1),
+        )
+        if value is None
+    ]
+    if missing or frame is None or axes is None or sigmas[0] is None or sigmas[1] is None:
+        raise InputError(
+            f"not stated: {', '.join(missing)}",
+            expected="what a table of poses does not hold: frame on Earth, axes of the body, scale of time, "
+            "standard deviations",
+            where=where,
+            cure="State them in the options of the reader",
+        )
+    if axes not in BODY_AXES or scale not in ("utc", "gps"):
+        raise InputError(
+            f"body_axes '{axes}', time_scale '{scale}'",
+            expected=f"one of {', '.join(BODY_AXES)}; utc (Unix time) or gps (seconds since 1980-01-06)",
+            where=where,
+        )
+    t_gps_s = gps_from_unix(poses.t_s) if scale == "utc" else gps_from_week(0, poses.t_s)
+    lat, lon, height = frame.to_geodetic(poses.position_m)
+    # attitudes are stated in the local level of each position, not in that of the frame's origin
+    R_enu_wcs = np.swapaxes(frame.R_wcs_enu(lat, lon), -1, -2)
+    roll, pitch, heading = roll_pitch_heading(R_enu_wcs @ poses.R_world_body @ BODY_AXES[axes])
+    velocity = np.full((len(lat), 3), np.nan)
+    if poses.velocity_mps is not None:
+        velocity = np.einsum("nij,nj->ni", R_enu_wcs, poses.velocity_mps)
+    attitude_rad = np.deg2rad(sigmas[1])
+    states = _table(
+        t_gps_s,
+        {
+            "t_device_s": poses.t_s,
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "h_ell_m": height,
+            "v_east_mps": velocity[:, 0],
+            "v_north_mps": velocity[:, 1],
+            "v_down_mps": -velocity[:, 2],
+            "roll_rad": roll,
+            "pitch_rad": pitch,
+            "heading_rad": heading,
+            **{f"sigma_{axis}_m": sigmas[0] for axis in ("north", "east", "up")},
+            **{f"sigma_{angle}_rad": attitude_rad for angle in ("roll", "pitch", "heading")},
+        },
+    )
+    _finish(report, t_gps_s, "utc" if scale == "utc" else "gps")
+    report.note(
+        f"Standard deviations are stated, not the table's: {sigmas[0]} m and {sigmas[1]} deg for each pose."
+    )
+    return PoseLog(states=states, report=report)
+
+
+def _table(t_gps_s: ArrayF, columns: dict[str, ArrayF | float]) -> pd.DataFrame:
+    """Table kind ``ins_state``; what the source does not hold is NaN, no fix and status 0."""
+    table = pd.DataFrame({"t_gps_s": t_gps_s, **columns})
+    for name in INS_STATE.names:
+        if name not in table:
+            table[name] = np.nan
+    table["fix"] = "none"
+    for name in ("system_status", "filter_status"):
+        table[name] = np.zeros(len(table), dtype=np.uint16)
+    return table[list(INS_STATE.names)]
+
+
+def _finish(report: IntegrityReport, t_gps_s: ArrayF, scale: str) -> None:
+    report.time_scale = "utc" if scale == "utc" else "gps"
+    report.synchronised = True
+    report.t_first_s, report.t_last_s = float(t_gps_s.min()), float(t_gps_s.max())
+    report.gaps = find_gaps(t_gps_s)
+    step = np.diff(t_gps_s)
+    if np.any(step <= 0):
+        report.lose("steps_back", int((step <= 0).sum()))
+    if np.any(step > 0):
+        report.rates_hz["poses"] = 1.0 / float(np.median(step[step > 0]))
+    report.timing.describe_stamps(t_gps_s)
+    report.timing.unsynchronised_s = 0.0
+
+
+# ---------------------------------------------------------------- NovAtel Inertial Explorer
+
+_ALIASES: Final = {
+    "tow": ("GPSTime", "SoW", "GPSSec"),
+    "week": ("Week", "GPSWeek"),
+    "lat": ("Latitude", "Lat"),
+    "lon": ("Longitude", "Lon"),
+    "height": ("H-Ell", "H-Ellips", "EllHeight"),
+    "v_east": ("VEast",),
+    "v_north": ("VNorth",),
+    "v_up": ("VUp",),
+    "roll": ("Roll",),
+    "pitch": ("Pitch",),
+    "heading": ("Heading", "Azimuth"),
+    "sd_east": ("SDEast",),
+    "sd_north": ("SDNorth",),
+    "sd_up": ("SDHeight", "SDUp"),
+    "sd_roll": ("RollSD", "SDRoll"),
+    "sd_pitch": ("PitchSD", "PtchSD", "SDPitch"),
+    "sd_heading": ("HdngSD", "HeadingSD", "SDHeading"),
+}
+"""Our names of the columns -> those of export profiles."""
+_NEEDED: Final = ("tow", "lat", "lon", "height", "roll", "pitch", "heading")
+_DEG_OF_UNIT: Final = {"deg": 1.0, "degrees": 1.0, "min": 1 / 60, "arcmin": 1 / 60, "sec": 1 / 3600,
+                       "arcsec": 1 / 3600, "rad": 180 / np.pi}  # fmt: skip
+
+
+def is_inertial_explorer(head: bytes, size: int) -> bool:
+    """True if a file has the column header of an export of Inertial Explorer."""
+    return _header(head.decode("ascii", "replace").splitlines()) is not None
+
+
+def _header(lines: Sequence[str]) -> int | None:
+    """Number of the line with the names of the columns."""
+    for number, line in enumerate(lines[:200]):
+        names = line.split()
+        if all(set(names) & set(_ALIASES[each]) for each in ("tow", "lat", "lon", "roll")):
+            return number
+    return None
+
+
+def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None = None) -> PoseLog:
+    """States of text exports of NovAtel Inertial Explorer, by the names and units of their header.
+
+    Parameters
+    ----------
+    files : in the order of time.
+    options : ``gps_week`` where there is no column of it; standard deviations where the export has none.
+
+    Raises
+    ------
+    InputError : a column that is needed is missing, a unit is not known, or a line is damaged.
+    """
+    options = options or TrackOptions()
+    report = IntegrityReport(stream="ins", format="NovAtel Inertial Explorer", files=[str(f) for f in files])
+    columns = pd.concat([_columns(Path(path), report) for path in files], ignore_index=True)
+    where = ", ".join(map(str, files))
+    if "week" not in columns:
+        if options.gps_week is None:
+            raise InputError(
+                "no column Week", expected="the GPS week", where=where, cure="Export it, or set logs.gps_week"
+            )
+        columns["week"] = float(options.gps_week)
+    for names, value, unit in (
+        (("sd_east", "sd_north", "sd_up"), options.sigma_position_m, "sigma_position_m"),
+        (("sd_roll", "sd_pitch", "sd_heading"), options.sigma_attitude_deg, "sigma_attitude_deg"),
+    ):
+        lacking = [name for name in names if name not in columns]
+        if lacking and value is None:
+            raise InputError(
+                f"no standard deviations: {', '.join(_ALIASES[name][0] for name in lacking)}",
+                expected="columns with the standard deviations of positions and attitudes",
+                where=where,
+                cure=f"Export them, or state {unit}",
+            )
+        for name in lacking:
+            columns[name] = value
+    c = {name: columns[name].to_numpy(dtype=np.float64) for name in columns}
+    t_gps_s = gps_from_week(c["week"], c["tow"])
+    nan = np.full(len(t_gps_s), np.nan)
+    states = _table(
+        t_gps_s,
+        {
+            "lat_deg": c["lat"],
+            "lon_deg": np.where(c["lon"] > 180, c["lon"] - 360, c["lon"]),
+            "h_ell_m": c["height"],
+            "v_east_mps": c.get("v_east", nan),
+            "v_north_mps": c.get("v_north", nan),
+            "v_down_mps": -c.get("v_up", nan),
+            "roll_rad": np.deg2rad(c["roll"]),
+            "pitch_rad": np.deg2rad(c["pitch"]),
+            "heading_rad": np.mod(np.deg2rad(c["heading"]), 2 * np.pi),
+            "sigma_east_m": c["sd_east"],
+            "sigma_north_m": c["sd_north"],
+            "sigma_up_m": c["sd_up"],
+            "sigma_roll_rad": np.deg2rad(c["sd_roll"]),
+            "sigma_pitch_rad": np.deg2rad(c["sd_pitch"]),
+            "sigma_heading_rad": np.deg2rad(c["sd_heading"]),
+        },
+    )
+    report.count("poses", len(states))
+    _finish(report, t_gps_s, "gps")
+    return PoseLog(states=states, report=report)
+
+
+def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
+    """The known columns of one export, angles in degrees."""
+    if not path.is_file():
+        raise InputError("file not found", where=path, cure="Check the path")
+    raw = path.read_bytes()
+    report.bytes_read += len(raw)
+    lines = raw.decode("ascii", "replace").splitlines()
+    first = _header(lines)
+    if first is None:
+        raise InputError(
+            "no line with the names of the columns",
+            expected="GPSTime, Latitude, Longitude, H-Ell, Roll, Pitch, Heading among them",
+            where=path,
+            cure="Export with a header",
+        )
+    names = lines[first].split()
+    units = re.findall(r"\(([^)]*)\)", lines[first + 1]) if first + 1 < len(lines) else []
+    if len(units) != len(names):
+        raise InputError(
+            f"{len(units)} units below {len(names)} names of columns",
+            expected="a line of units in brackets, one a column",
+            where=path,
+            cure="Export with a header of names and units",
+        )
+    at, place = {}, 0
+    for name, unit in zip(names, units, strict=True):
+        parts = 3 if "M S" in unit.upper().replace("-", " ") else 1  # degrees, minutes, seconds
+        known = next((ours for ours, theirs in _ALIASES.items() if name in theirs), None)
+        if known is not None:
+            at[known] = (place, parts, unit)
+        place += parts
+    lacking = [_ALIASES[name][0] for name in _NEEDED if name not in at]
+    if lacking:
+        raise InputError(
+            f"no column {', '.join(lacking)}",
+            expected="time, geodetic position and attitude",
+            where=path,
+            cure="Add them to the export profile",
+        )
+    rows = []
+    for number, line in enumerate(lines[first + 2 :], start=first + 3):
+        cells = line.split()
+        if not cells:
+            continue
+        try:
+            rows.append([float(cell) for cell in cells[:place]])
+        except ValueError:
+            rows.append([])
+        if len(rows[-1]) != place:
+            if number == len(lines):  # cut short while it was written
+                report.lose("damaged_lines")
+                rows.pop()
+                continue
+            raise InputError(
+                f"line {number}: '{line.strip()[:60]}'",
+                expected=f"{place} numbers",
+                where=path,
+                cure="Export again",
+            )
+    if not rows:
+        raise InputError("no poses", expected="lines of numbers below the header", where=path)
+    table = np.array(rows)
+    columns = {}
+    for name, (k, parts, unit) in at.items():
+        values = table[:, k]
+        if parts == 3:
+            sign = np.where(np.signbit(values), -1.0, 1.0)
+            values = sign * (np.abs(values) + table[:, k + 1] / 60 + table[:, k + 2] / 3600)
+        elif name in ("lat", "lon", "roll", "pitch", "heading", "sd_roll", "sd_pitch", "sd_heading"):
+            word = unit.strip().lower().removeprefix("+/-").strip()
+            if word not in _DEG_OF_UNIT:
+                raise InputError(
+                    f"unit '{unit}' of {_ALIASES[name][0]}",
+                    expected=", ".join(_DEG_OF_UNIT),
+                    where=path,
+                    cure="Export angles in degrees",
+                )
+            values = values * _DEG_OF_UNIT[word]
+        elif name not in ("tow", "week") and not unit.strip().lower().startswith("m"):
+            raise InputError(
+                f"unit '{unit}' of {_ALIASES[name][0]}", expected="m, m/s", where=path, cure="Export metres"
+            )
+        columns[name] = values
+    return pd.DataFrame(columns)

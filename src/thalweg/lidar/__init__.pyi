@@ -1,0 +1,21 @@
+from .cloud import (
+    CORRELATION_DIMENSIONS as CORRELATION_DIMENSIONS,
+    CORRELATIONS as CORRELATIONS,
+    REMOVED_POINTS as REMOVED_POINTS,
+    SIGMAS as SIGMAS,
+    LogSettings as LogSettings,
+    cloud_covariance as cloud_covariance,
+    export_map as export_map,
+    georeference_log as georeference_log,
+    sample_cloud as sample_cloud,
+)
+from .filters import (
+    MOST_COUNTED as MOST_COUNTED,
+    REMOVED as REMOVED,
+    WORDS as WORDS,
+    Occupancy as Occupancy,
+    Reason as Reason,
+)
+from .georeference import georeference_points as georeference_points
+from .mount import Mount as Mount
+from .overlap import error_model_of_log as error_model_of_log

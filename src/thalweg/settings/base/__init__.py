@@ -1,1 +1,0 @@
-"""Values and mounts that several sections share."""

@@ -1,1 +1,0 @@
-"""Checks over several sections: files, area, place, mounts."""

@@ -1,0 +1,719 @@
+"""Rules between values: what no single field can see. All of them run before the first job."""
+
+import datetime as dt
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from thalweg.core import Key, Mistake
+from thalweg.settings.campaign import ID_PATTERN
+from thalweg.settings.checks_files import check_files
+from thalweg.settings.checks_light_sheet import check_sheet_logs, check_sheet_twin
+from thalweg.settings.checks_place import (
+    check_base,
+    check_crs,
+    check_mounts_calibration,
+    geodetic_place,
+    parse_crs,
+)
+from thalweg.settings.messages import anchor, missing_cure, radians_cure, show
+from thalweg.settings.sections import (
+    SCAN_PARTS,
+    SERIES,
+    STREAM_KEYS,
+    Accuracy,
+    Area,
+    CalibrationLogs,
+    Georeferencing,
+    Lidar,
+    Logs,
+    Mounts,
+    Orientation,
+    OrientedMount,
+    is_rinex_name,
+    scan_stream,
+)
+
+# ---------------------------------------------------------------- do the recordings of a calibration field
+# belong together, and is the camera's file there?
+
+
+_calibration_NEEDED = {"reference_images": "images of the field by a hand-held camera"}
+_STATIC = {
+    "position_images": "an image of the boat's camera at each static position",
+    "position_scans": "a lidar capture of each static position",
+}
+_CLOCKS = {"clock_ties": "comparisons", "trigger_pulses": "pulses"}
+
+
+def check_calibration_logs(
+    logs: CalibrationLogs, *, jitter_s: object = None, has_run: bool = False
+) -> Iterator[Mistake]:
+    """Mistakes between the recordings of a calibration field or of a board; patterns are not expanded yet.
+
+    ``jitter_s`` is ``calibration.clock.jitter_s`` as written, None if absent. ``has_run``: whether lidar and
+    INS were recorded on the moving boat; their mount then needs no camera and no static positions.
+    """
+    given = {name: getattr(logs, name) for name in type(logs).model_fields}
+    if logs.field:
+        static = not has_run or any(given[name] for name in _STATIC)
+        for name, what in (_calibration_NEEDED | _STATIC if static else _calibration_NEEDED).items():
+            if not given[name]:
+                yield Mistake(
+                    path=("logs", "calibration", name),
+                    found="missing",
+                    expected=f"{what}, beside logs.calibration.field",
+                    cure=f"Add the line `{name}: [...]`",
+                )
+    elif any(given[name] for name in (*_calibration_NEEDED, *_STATIC, "run_images")):
+        yield Mistake(
+            path=("logs", "calibration", "field"),
+            found="missing",
+            expected="the description of the field: cones, markers, scale bars, targets",
+            cure="Write it as docs/calibration.md shows",
+        )
+    if len(logs.field) > 1:
+        yield Mistake(
+            path=("logs", "calibration", "field"),
+            found=f"{len(logs.field)} files",
+            expected="one description",
+            cure="Put all cones and targets into one file",
+        )
+    if logs.board_images and not (logs.board_scans and logs.board_camera):
+        lacking = "board_camera" if logs.board_scans else "board_scans"
+        yield Mistake(
+            path=("logs", "calibration", lacking),
+            found="missing",
+            expected="images, scans and the interior orientation of the camera",
+            cure=f"Add the line `{lacking}: [...]`",
+        )
+    yield from _check_clock(logs, jitter_s)
+
+
+def check_interior(chosen: Any, folder: Path) -> Iterator[Mistake]:
+    """Is the file of ``calibration.boat_camera.interior`` there?
+
+    Parameters
+    ----------
+    chosen : the value as written; what is no text is another check's.
+    folder : folder of the campaign file.
+    """
+    if not isinstance(chosen, str) or not chosen:
+        return
+    where = ("calibration", "boat_camera", "interior")
+    if "\0" in chosen:
+        yield Mistake(
+            path=where, found=f"found {chosen!r}", expected="a path", cure="Remove the character \\0"
+        )
+        return
+    path = anchor(chosen, folder)
+    if not path.is_file():
+        yield Mistake(
+            path=where,
+            found=f"{chosen}: {'this is a folder' if path.is_dir() else 'no such file'}",
+            expected=f"an interior orientation at {path}",
+            cure="Name the file in it" if path.is_dir() else missing_cure(path),
+        )
+
+
+def _check_clock(logs: CalibrationLogs, jitter_s: object) -> Iterator[Mistake]:
+    """One source of the camera's clock, in one file, that says all that is needed."""
+    for name, what in _CLOCKS.items():
+        count = len(getattr(logs, name))
+        if count and not logs.run_images:
+            yield Mistake(
+                path=("logs", "calibration", "run_images"),
+                found="missing",
+                expected=f"the images whose times {name} tells; without images it would not be used",
+                cure=f"Add the line `run_images: [...]`, or remove {name}",
+            )
+        if count > 1:
+            yield Mistake(
+                path=("logs", "calibration", name),
+                found=f"{count} files",
+                expected=f"one table of {what}",
+                cure="Put all rows into one file",
+            )
+    if logs.clock_ties and logs.trigger_pulses:
+        yield Mistake(
+            path=("logs", "calibration", "clock_ties"),
+            found="both clock_ties and trigger_pulses are given",
+            expected="one of them: pulses say when each image was taken, ties how the camera's clock runs",
+            cure="Remove clock_ties if the camera was triggered, else trigger_pulses",
+        )
+    if logs.clock_ties and not logs.display and jitter_s is None:
+        yield Mistake(
+            path=("calibration", "clock", "jitter_s"),
+            found="missing",
+            expected="the jitter of the camera's stamps, seconds: ties do not tell it",
+            cure="State calibration.clock.jitter_s, or give logs.calibration.display",
+        )
+
+
+# ---------------------------------------------------------------- is the area of interest a polygon, and near
+# the survey?
+
+
+MAX_AREA_KM = 20.0
+"""Farther from the origin lies another survey."""
+NEAR_M = 50.0
+"""Banks rise less than this above the water; heights of the two frames differ by the origin's height."""
+
+_PATH = ("accuracy", "area", "polygon")
+
+
+def check_accuracy_area(section: Accuracy, crs: Any, origin: Any) -> Iterator[Mistake]:
+    """The polygon encloses an area, its heights are not those of another frame, and it lies near the origin.
+
+    Parameters
+    ----------
+    section : section ``accuracy``.
+    crs, origin : ``campaign.crs`` and ``campaign.origin`` as written.
+    """
+    area = section.area
+    yield from _check_heights(area, origin)
+    if area.polygon is None:
+        return
+    from thalweg.core.geometry import LEAST_AREA_M2, crossing_in_words, first_crossing, polygon_area_m2
+
+    crossing = first_crossing(area.polygon)
+    if crossing is not None:
+        yield Mistake(
+            path=_PATH,
+            found=crossing_in_words(area.polygon, crossing),
+            expected="a polygon whose edges do not cross",
+            cure="Give the corners in their order along the outline",
+        )
+        return
+    if polygon_area_m2(area.polygon) < LEAST_AREA_M2:
+        yield Mistake(
+            path=_PATH,
+            found="the corners enclose no area",
+            expected="at least three corners that are not on one line, in order around the area",
+            cure="Copy the corners from a map program in the order in which they were drawn",
+        )
+        return
+    if area.frame == "local":
+        yield from _check_local(area.polygon)
+    else:
+        yield from _check_map(area.polygon, crs, origin)
+
+
+def _check_heights(area: Area, origin: Any) -> Iterator[Mistake]:
+    """Heights above the origin in the frame of the map, or heights above the ellipsoid in the local one."""
+    origin_m = origin.get("h_ell_m") if isinstance(origin, dict) else None
+    if isinstance(origin_m, bool) or not isinstance(origin_m, int | float) or abs(origin_m) <= 2 * NEAR_M:
+        return  # too near to each other to tell the two apart
+    frames = {"local": (0.0, "above campaign.origin"), "map": (float(origin_m), "above the ellipsoid")}
+    other = "map" if area.frame == "local" else "local"
+    for key in ("min_height_m", "max_height_m"):
+        height = getattr(area, key)
+        if height is None or abs(height - frames[other][0]) > NEAR_M:
+            continue
+        yield Mistake(
+            path=("accuracy", "area", key),
+            found=f"found {height:g}, with frame: {area.frame} and an origin at {origin_m:g} m",
+            expected=f"a height {frames[area.frame][1]}, metres, near {frames[area.frame][0]:g}",
+            cure=f"Heights {frames[other][1]}? Then write frame: {other}"
+            if area.polygon is None
+            else f"Write it in the frame of the polygon, {area.frame}",
+        )
+
+
+def _check_local(polygon: Sequence[tuple[float, float]]) -> Iterator[Mistake]:
+    for number, corner in enumerate(polygon):
+        far_km = math.hypot(*corner) / 1000
+        if far_km > MAX_AREA_KM:
+            yield Mistake(
+                path=(*_PATH, number),
+                found=f"a corner {far_km:,.0f} km from campaign.origin",
+                expected=f"east and north from campaign.origin in metres, within {MAX_AREA_KM:g} km",
+                cure="Map coordinates? Then write frame: map",
+            )
+            return
+
+
+def _check_map(polygon: Sequence[tuple[float, float]], crs: Any, origin: Any) -> Iterator[Mistake]:
+    place = geodetic_place(origin)
+    grid = parse_crs(crs.strip()) if isinstance(crs, str) else None
+    if place is None or grid is None or isinstance(grid, str) or not grid.is_projected:
+        return  # those mistakes are told by others
+    from pyproj import Transformer
+
+    to_map = Transformer.from_crs(grid.geodetic_crs, grid, always_xy=True)
+    east, north = to_map.transform(place[1], place[0])
+    for number, corner in enumerate(polygon):
+        far_km = math.dist(corner, (east, north)) / 1000
+        if far_km > MAX_AREA_KM:
+            swapped_km = math.dist(corner[::-1], (east, north)) / 1000
+            local = math.hypot(*corner) / 1000 < MAX_AREA_KM
+            path: tuple[Key, ...] = (*_PATH, number)
+            yield Mistake(
+                path=path,
+                found=f"a corner {far_km:,.0f} km from campaign.origin",
+                expected=f"east and north in {crs.strip()}, within {MAX_AREA_KM:g} km of "
+                f"{east:.0f}, {north:.0f}",
+                cure="Local coordinates? Then write frame: local"
+                if local
+                else "East comes first: swap the two numbers of each corner"
+                if swapped_km < MAX_AREA_KM
+                else "Check the CRS of the map program that the polygon comes from",
+            )
+            return
+
+
+# ---------------------------------------------------------------- rules between values about photographs of
+# the bank
+
+
+_BESIDE = ("times", "control_points", "marks", "masks", "interior", "interiors", "orientations")
+_SOLVED = {"ins": "the INS's own filter", "sbet": "an Applanix trajectory"}
+
+
+def check_images(
+    logs: Mapping[str, Any] | None, mounts: Any, images: Any, twin: Any, orientation: Any = None
+) -> Iterator[Mistake]:
+    """Mistakes in what belongs to images of the bank.
+
+    Parameters
+    ----------
+    logs : ``logs.time_lapse`` as written.
+    mounts, images, twin, orientation : the sections of these names as written.
+    """
+    given = logs if isinstance(logs, Mapping) else {}
+    taken = bool(given.get("images")) or bool(_below(twin, "time_lapse"))
+    if not taken:
+        for key in _BESIDE:
+            if given.get(key):
+                yield Mistake(
+                    path=("logs", "time_lapse", key),
+                    found="files that belong to images, but there are none",
+                    cure="State logs.time_lapse.images, or leave this out",
+                )
+        return
+    placed = isinstance(mounts, Mapping) and ("camera" in mounts or "calibration" in mounts)
+    if not placed:
+        yield Mistake(
+            path=("mounts",),
+            found="images of the bank, but no place of the camera on the boat",
+            cure="State mounts.camera, or name the calibration that found it as mounts.calibration",
+        )
+    adjusted = bool(given.get("images")) and not given.get("orientations")
+    antenna = _below(images, "adjustment", "antenna", "use") is True
+    source = _below(orientation, "position_source")
+    if adjusted and not given.get("control_points") and not antenna:
+        place = (
+            "; positions that are part of the INS's solution cannot take their place"
+            if source in _SOLVED
+            else ", or let the antenna's positions take their place: images.adjustment.antenna.use: true"
+        )
+        yield Mistake(
+            path=("logs", "time_lapse"),
+            found="images without control points",
+            cure=f"State logs.time_lapse.control_points{place}",
+        )
+    if antenna and source in _SOLVED and not given.get("orientations"):
+        yield Mistake(
+            path=("images", "adjustment", "antenna", "use"),
+            found=f"true, with positions of {_SOLVED[source]} (orientation.position_source: {source})",
+            expected="positions of a GNSS antenna: pos, sbp or ppk",
+            cure="Such positions are those of the body's origin and not of the antenna, and the trajectory "
+            "that the images are joined with has their GNSS inside: it would count twice. Write use: false "
+            "and give control points, or name GNSS positions of the antenna and their position_source",
+        )
+    interiors = given.get("interiors")
+    for folder, files in interiors.items() if isinstance(interiors, Mapping) else ():
+        if isinstance(files, list) and len(files) != 1:
+            yield Mistake(
+                path=("logs", "time_lapse", "interiors", folder),
+                found=f"{len(files)} files",
+                expected="one interior orientation for the camera of a folder",
+                cure="Name one file; a second camera has a folder of its own",
+            )
+
+
+def _below(section: Any, *keys: str) -> Any:
+    """A value below a section as written, None if absent."""
+    for key in keys:
+        section = section.get(key) if isinstance(section, Mapping) else None
+    return section
+
+
+# ---------------------------------------------------------------- is each scan of the light-sheet sensor
+# complete?
+
+
+_NEEDED: Final = {
+    "images": "images of the sensor",
+    "panel": "coordinates of the panel's marks",
+    "marks": "marks in the pictures of the standing camera",
+    "camera": "interior orientation of the standing camera",
+}
+
+
+def check_scans(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterator[Mistake]:
+    """Mistakes in ``logs.light_sheet.scans``.
+
+    Parameters
+    ----------
+    logs : the section as written.
+    files : absolute paths by stream, patterns expanded; see `thalweg.settings.checks_files.check_files`.
+    """
+    for name, scan in logs.light_sheet.scans.items():
+        where = ("logs", "light_sheet", "scans", name)
+        if name in SERIES or name in STREAM_KEYS:
+            yield Mistake(
+                path=where,
+                found=f"a scan called {name}",
+                expected="a name that no other series of images has",
+                cure="Call the scan by its object",
+            )
+            continue
+        for part, what in _NEEDED.items():
+            if not getattr(scan, part):
+                yield Mistake(
+                    path=(*where, part),
+                    found="missing",
+                    expected=what,
+                    cure=f"Add the line `{part}: [...]`; docs/light_sheet.md says what each file holds",
+                )
+        for one, other in (("reference", "pairs"), ("pairs", "reference")):
+            if getattr(scan, one) and not getattr(scan, other):
+                yield Mistake(
+                    path=(*where, other),
+                    found="missing",
+                    expected=f"both reference and pairs, beside {one}",
+                    cure="Pick three or more places that scan and mesh both show",
+                )
+        for part in SCAN_PARTS[1:]:
+            count = len(files.get(scan_stream(name, part), ()))
+            if count > 1:
+                yield Mistake(
+                    path=(*where, part),
+                    found=f"{count} files",
+                    expected="one file",
+                    cure="Name the one of this scan; another scan gets a name of its own",
+                )
+
+
+# ---------------------------------------------------------------- campaign
+
+
+RESERVED_IDS = frozenset({"real_logs"})
+"""Names that other targets use below ``results``."""
+
+MAX_LEVER_M = 10.0
+"""A boat is shorter: longer lever arms are in millimetres."""
+
+MAX_SIGMA_LEVER_M = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parts:
+    """What the domain checks look at: the data as written, and the sections that could be read."""
+
+    path: Path
+    data: dict[str, Any]
+    logs: Logs | None
+    lidar: Lidar | None
+    mounts: Mounts | None
+    orientation: Orientation | None
+    georeferencing: Georeferencing | None
+    accuracy: Accuracy | None
+
+    def raw(self, *keys: str) -> Any:
+        """Value as written in the file, None if absent."""
+        value: Any = self.data
+        for key in keys:
+            value = value.get(key) if isinstance(value, dict) else None
+        return value
+
+
+def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, ...]]]:
+    """All mistakes between values, and the files of each stream as absolute paths."""
+    mistakes = [
+        *_check_id(parts),
+        *_check_input(parts),
+        *check_crs(parts.raw("campaign", "crs"), parts.raw("campaign", "origin")),
+        *_check_ranges(parts),
+        *_check_ports(parts),
+        *_check_mounts(parts),
+        *check_mounts_calibration(parts.raw("mounts"), parts.raw("campaign", "id"), parts.path.parent),
+        *check_interior(parts.raw("calibration", "boat_camera", "interior"), parts.path.parent),
+        *check_images(
+            parts.raw("logs", "time_lapse"),
+            parts.raw("mounts"),
+            parts.raw("images"),
+            parts.raw("twin"),
+            parts.raw("orientation"),
+        ),
+        *_check_lists(parts),
+        *_check_ppk(parts),
+        *_check_bed(parts),
+    ]
+    if parts.accuracy is not None:
+        place = (parts.raw("campaign", "crs"), parts.raw("campaign", "origin"))
+        mistakes += check_accuracy_area(parts.accuracy, *place)
+    files: dict[str, tuple[str, ...]] = {}
+    if parts.logs is not None:
+        found, files = check_files(parts.logs, parts.path.parent)
+        mistakes += found
+        mistakes += _check_source(parts, parts.logs)
+        mistakes += _check_logs(parts.logs)
+        jitter_s = parts.raw("calibration", "clock", "jitter_s")
+        has_run = bool(parts.logs.lidar and parts.logs.ins)
+        mistakes += check_calibration_logs(parts.logs.calibration, jitter_s=jitter_s, has_run=has_run)
+        mistakes += check_base(parts.logs.gnss, parts.raw("campaign", "origin"))
+        mistakes += check_sheet_logs(parts.logs, files)
+        mistakes += check_scans(parts.logs, files)
+    elif parts.raw("twin") is not None:
+        mistakes += _check_twin_source(parts)
+        mistakes += check_sheet_twin(parts.raw("twin"), parts.raw("light_sheet"))
+    return mistakes, files
+
+
+def _check_id(parts: Parts) -> Iterator[Mistake]:
+    name = parts.raw("campaign", "id")
+    if not isinstance(name, str):
+        return
+    path: tuple[Key, ...] = ("campaign", "id")
+    if name in RESERVED_IDS:
+        yield Mistake(
+            path=path,
+            found=f"found {name!r}, which names another target",
+            expected="an id of your own",
+            cure="Choose another id, and rename the file with it",
+        )
+    if name != parts.path.stem and re.fullmatch(ID_PATTERN, name):
+        yield Mistake(
+            path=path,
+            found=f"found {name!r} in a file named {parts.path.name}",
+            expected=f"the name of the file, {parts.path.stem!r}",
+            cure=f"Write id: {parts.path.stem}, or rename the file to {name}.yaml",
+        )
+
+
+def _check_input(parts: Parts) -> Iterator[Mistake]:
+    twin, logs = parts.raw("twin") is not None, parts.raw("logs") is not None
+    if twin and logs:
+        yield Mistake(
+            path=("twin",),
+            found="both twin and logs are given",
+            expected="exactly one: logs of a survey, or the digital twin that writes them",
+            cure="Remove the section twin for a real survey, or the section logs for a simulation",
+        )
+    if not twin and not logs:
+        given = [name for name in ("twin", "logs") if name in parts.data]
+        yield Mistake(
+            path=(given[0],) if given else (),
+            found=f"the section {given[0]} is empty" if given else "neither logs nor twin is given",
+            expected="exactly one: logs of a survey, or the digital twin that writes them",
+            cure="Add a section `logs:` with the files of your survey, or `twin: {size: tiny}`",
+        )
+
+
+def _check_ranges(parts: Parts) -> Iterator[Mistake]:
+    section = parts.georeferencing
+    if section is not None and section.min_range_m >= section.max_range_m:
+        key = "min_range_m" if parts.raw("georeferencing", "min_range_m") is not None else "max_range_m"
+        yield Mistake(
+            path=("georeferencing", key),
+            found=f"min_range_m = {section.min_range_m:g} and max_range_m = {section.max_range_m:g}",
+            expected="a minimum below the maximum",
+            cure="Swap the two numbers, or widen the range",
+        )
+
+
+def _check_ports(parts: Parts) -> Iterator[Mistake]:
+    lidar = parts.lidar
+    if lidar and lidar.data_port == lidar.position_port:
+        yield Mistake(
+            path=("lidar", "position_port" if parts.raw("lidar", "position_port") else "data_port"),
+            found=f"data_port and position_port are both {lidar.data_port}",
+            expected="two different UDP ports",
+            cure="A Velodyne sends data to 2368 and positions to 8308",
+        )
+
+
+def _check_mounts(parts: Parts) -> Iterator[Mistake]:
+    if parts.mounts is None:
+        return
+    for name in ("lidar", "camera", "antenna", "echo_sounder"):
+        mount = getattr(parts.mounts, name)
+        for key, limit in (("lever_ics_m", MAX_LEVER_M), ("sigma_lever_m", MAX_SIGMA_LEVER_M)):
+            values = getattr(mount, key)
+            if max(abs(v) for v in values) >= limit:
+                as_mm, as_cm = (", ".join(f"{v / unit:g}" for v in values) for unit in (1000, 100))
+                # Nobody mounts a sensor 35 mm away by the decimetre: below a metre centimetres are as likely.
+                small = key == "lever_ics_m" and max(abs(v) for v in values) < 100
+                both = f"centimetres: write [{as_cm}]; or millimetres: [{as_mm}]"
+                yield Mistake(
+                    path=("mounts", name, key),
+                    found=f"found {show(list(values))}",
+                    expected=f"components below {limit:g} m",
+                    cure="This looks like " + (both if small else f"millimetres: write [{as_mm}]"),
+                )
+        if isinstance(mount, OrientedMount):
+            for key in ("omega_deg", "phi_deg", "kappa_deg"):
+                if cure := radians_cure(key, getattr(mount, key)):
+                    yield Mistake(
+                        path=("mounts", name, key),
+                        found=f"found {getattr(mount, key)!r}",
+                        expected="an angle in degrees",
+                        cure=cure,
+                    )
+
+
+def _check_lists(parts: Parts) -> Iterator[Mistake]:
+    for keys in (("orientation", "accept_fixes"), ("ppk", "systems")):
+        values = parts.raw(*keys)
+        for i, value in enumerate(values if isinstance(values, list) else []):
+            if value in values[:i]:
+                yield Mistake(
+                    path=(*keys, i), found=f"{value} stands twice", expected="each once", cure="Remove one"
+                )
+
+
+_NEEDS: dict[str, tuple[str, ...]] = {
+    "pos": ("positions",),
+    "sbp": ("gnss.rover",),
+    "ppk": ("gnss.rover",),
+    "sbet": ("sbet", "gps_week"),
+    "ins": (),
+}
+_BASE_KEYS = ("base_ecef_m", "base_llh", "base_from")
+_WHAT = {
+    "positions": "RTKLIB .pos files",
+    "gnss.rover": "the raw log of the boat's receiver",
+    "sbet": "SBET files",
+    "gps_week": "the GPS week of the SBET",
+    "ins": "ANPP logs: attitudes",
+    "lidar": "Velodyne captures",
+}
+
+
+def _check_ppk(parts: Parts) -> Iterator[Mistake]:
+    if parts.raw("ppk", "iono") == "dual-freq" and parts.raw("ppk", "frequencies") == "l1":
+        yield Mistake(
+            path=("ppk", "iono"),
+            found="found 'dual-freq' with frequencies: l1",
+            expected="two frequencies for this model",
+            cure="Write frequencies: l1+l2, or iono: brdc",
+        )
+
+
+def _check_bed(parts: Parts) -> Iterator[Mistake]:
+    if parts.raw("logs", "bed") and not parts.raw("logs", "depth"):
+        yield Mistake(
+            path=("logs", "bed"),
+            found="a surveyed bed without soundings",
+            expected="the log of the echo sounder, whose place it is for",
+            cure="Add the line `depth: …`, or remove `bed`",
+        )
+    twin = parts.raw("twin") or {}
+    on_land = isinstance(twin, dict) and (
+        isinstance(twin.get("field"), dict) or str(twin.get("size")).startswith("field")
+    )
+    if on_land and parts.raw("twin", "echo", "bed_survey"):
+        yield Mistake(
+            path=("twin", "echo", "bed_survey"),
+            found="a calibration field on land has no river bed",
+            expected="bed_survey in a survey campaign",
+            cure="Remove the line, or move it to a campaign on the river",
+        )
+
+
+def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
+    at_rest = logs.calibration
+    if (at_rest.field or at_rest.board_images or at_rest.board_observations) and not logs.lidar:
+        return  # a calibration without a dynamic run needs no trajectory
+    if parts.orientation is None or logs.light_sheet.given:
+        return  # a sensor in a basin has no trajectory either
+    source = parts.orientation.position_source
+    needs = [*_NEEDS[source], *([] if source == "sbet" else ["ins"])]
+    for need in needs:
+        if not parts.raw("logs", *need.split(".")):
+            others = [s for s, keys in _NEEDS.items() if keys and s != source and _given(logs, keys)]
+            hint = f", or choose position_source: {others[0]}" if others and need != "ins" else ""
+            yield Mistake(
+                path=("logs", *need.split(".")),
+                found="missing",
+                expected=f"{_WHAT[need]}, needed for orientation.position_source: {source}",
+                cure=f"Add the line `{need.split('.')[-1]}: …`{hint}",
+            )
+    if not parts.raw("logs", "lidar"):
+        yield Mistake(
+            path=("logs", "lidar"),
+            found="missing",
+            expected=_WHAT["lidar"],
+            cure="Add the line `lidar: [lidar/*.pcap]`",
+        )
+    rover = logs.gnss.rover
+    if source == "sbp" and rover and all(is_rinex_name(Path(name)) for name in rover):
+        yield Mistake(
+            path=("logs", "gnss", "rover"),
+            found="RINEX files only, which hold observations and no positions",
+            expected="SBP logs, needed for orientation.position_source: sbp",
+            cure="Name the SBP log, or choose position_source: ppk",
+        )
+    if source == "ppk" and not any(parts.raw("logs", "gnss", key) for key in _BASE_KEYS):
+        yield Mistake(
+            path=("logs", "gnss"),
+            found="the position of the base antenna is missing",
+            expected=f"one of {', '.join(_BASE_KEYS)}, needed for orientation.position_source: ppk",
+            cure="Add `base_from: sbp` if the log carries it, else its coordinates, for instance "
+            "base_llh: {lat_deg: …, lon_deg: …, h_ell_m: …}",
+        )
+    if parts.mounts is None or parts.mounts.calibration is not None:
+        return
+    sensors = ["lidar", *(["antenna"] if source in {"pos", "sbp", "ppk"} else [])]
+    for sensor in sensors:
+        if parts.raw("mounts", sensor, "lever_ics_m") is None:
+            yield Mistake(
+                path=("mounts", sensor, "lever_ics_m"),
+                found="missing",
+                expected=f"the place of the {sensor} in the body frame, metres forward, right, down",
+                cure="Measure it and write lever_ics_m: [x, y, z]; zeros only if it sits at the INS itself",
+            )
+
+
+def _given(logs: Logs, keys: tuple[str, ...]) -> bool:
+    return all((logs.gnss.rover if key == "gnss.rover" else getattr(logs, key)) for key in keys)
+
+
+def _check_twin_source(parts: Parts) -> Iterator[Mistake]:
+    if parts.orientation is not None and parts.orientation.position_source in {"ppk", "sbet"}:
+        yield Mistake(
+            path=("orientation", "position_source"),
+            found=f"found {parts.orientation.position_source!r}, but the twin does not write such logs",
+            expected="pos, sbp or ins",
+            cure="Write position_source: pos",
+        )
+    mode = parts.raw("twin", "gnss", "mode")
+    if mode is None and parts.raw("twin", "size") == "reach":
+        mode = "single_frequency"
+    source = parts.orientation
+    single = mode == "single_frequency" and source is not None and source.position_source != "ins"
+    if source is not None and single and "single" not in source.accept_fixes:
+        yield Mistake(
+            path=("orientation", "accept_fixes"),
+            found=f"found {list(source.accept_fixes)}, but twin.gnss.mode is single_frequency",
+            expected="single among them: such a receiver never has a fixed solution",
+            cure="Write accept_fixes: [single], or position_source: ins",
+        )
+
+
+def _check_logs(logs: Logs) -> Iterator[Mistake]:
+    if logs.depth_date is not None:
+        try:
+            dt.date.fromisoformat(logs.depth_date)
+        except ValueError:
+            yield Mistake(
+                path=("logs", "depth_date"),
+                found=f"found {logs.depth_date!r}, no day of the calendar",
+                expected="a date YYYY-MM-DD",
+                cure="Write the UTC date of the first sounding, like 2021-05-12",
+            )

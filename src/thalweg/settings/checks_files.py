@@ -1,0 +1,206 @@
+"""Are the logs there, are they files with content, and is each named once?"""
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+from thalweg.core import Key, Mistake
+from thalweg.settings.messages import anchor, expand, is_pattern, missing_cure
+from thalweg.settings.sections import SHARED_PARTS, Logs
+
+PHOTOGRAPHS: Final = frozenset(
+    {
+        "time_lapse",
+        "run_images",
+        "reference_images",
+        "position_images",
+        "display",
+        "grid_images",
+        "panel_images",
+        "camera_field_images",
+    }
+)
+"""Streams of photographs: a folder of them may be named instead of its files."""
+
+FOLDERS: Final = PHOTOGRAPHS | {"masks", "finished_orientations"}
+"""Streams for which a folder may be named."""
+
+IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+"""As `thalweg.ingest.photos.files` knows photographs, which is not imported for a quick check."""
+
+_MANY_PARTS: Final = {"control_points", "marks", "orientations"}
+"""Keys that may name one file: OpenDroneMap and Metashape write points, marks and poses together."""
+
+
+def check_files(logs: Logs, folder: Path) -> tuple[list[Mistake], dict[str, tuple[str, ...]]]:
+    """Check every path of a campaign.
+
+    Parameters
+    ----------
+    logs : paths and patterns as written.
+    folder : folder of the campaign file.
+
+    Returns
+    -------
+    mistakes : missing, empty or unreadable files, patterns without match, files named twice.
+    files : absolute paths of each stream, patterns replaced by their sorted matches.
+    """
+    mistakes: list[Mistake] = []
+    files: dict[str, tuple[str, ...]] = {}
+    first_use: dict[Path, tuple[tuple[Key, ...], str]] = {}
+    searched: dict[Path, tuple[Key, ...]] = {}
+    for stream, keys in logs.streams().items():
+        paths: list[str] = []
+        for i, text in enumerate(logs.files(stream)):
+            where: tuple[Key, ...] = ("logs", *keys, i)
+            if "\0" in text:
+                mistakes.append(_no_path(where, text))
+                continue
+            matches = expand(text, folder)
+            if not matches:
+                mistakes.append(_no_match(where, text, folder))
+            for path in matches:
+                photographs = stream in PHOTOGRAPHS or (keys[-1] == "images" and keys[0] == "light_sheet")
+                if (photographs or stream in FOLDERS) and path.is_dir():
+                    mistakes += _check_folder(where, text, path, photographs=photographs)
+                    if photographs:
+                        searched.setdefault(path.resolve(), where)
+                else:
+                    mistakes += _check_file(where, text, path)
+                mistakes += _check_twice(where, path, first_use)
+                paths.append(str(path))
+        files[stream] = tuple(paths)
+    return [*mistakes, *_check_nested(first_use, searched)], files
+
+
+def _no_path(where: tuple[Key, ...], text: str) -> Mistake:
+    return Mistake(
+        path=where, found=f"found {text!r}", expected="a path", cure="Remove the character \\0 from the path"
+    )
+
+
+def _no_match(where: tuple[Key, ...], text: str, folder: Path) -> Mistake:
+    path = anchor(text, folder)
+    fixed = path.parent
+    while is_pattern(str(fixed)):
+        fixed = fixed.parent
+    return Mistake(
+        path=where,
+        found=f"{text}: the pattern matches no file",
+        expected="at least one file",
+        cure=missing_cure(fixed / path.name),
+    )
+
+
+def _check_file(where: tuple[Key, ...], text: str, path: Path) -> Iterator[Mistake]:
+    try:
+        if path.is_dir():
+            yield Mistake(
+                path=where,
+                found=f"{text}: this is a folder",
+                expected="a file",
+                cure=f"Name the files in it, for instance with a pattern: {text.rstrip('/')}/*",
+            )
+        elif not path.exists():
+            yield Mistake(
+                path=where,
+                found=f"{text}: no such file",
+                expected=f"a log at {path}",
+                cure=missing_cure(path),
+            )
+        elif path.stat().st_size == 0:
+            yield Mistake(
+                path=where,
+                found=f"{text}: the file is empty ({path})",
+                expected="a log with content",
+                cure="Copy the log again, or remove the file from the list",
+            )
+        else:
+            with path.open("rb"):
+                pass
+    except OSError as error:
+        yield Mistake(
+            path=where,
+            found=f"{text}: {error.strerror or error} ({path})",
+            expected="a readable file",
+            cure="Check the permissions of the file and of its folder",
+        )
+
+
+def _check_folder(where: tuple[Key, ...], text: str, folder: Path, *, photographs: bool) -> Iterator[Mistake]:
+    """A folder is not empty, and one of photographs holds some, in folders below it if not itself."""
+    try:
+        names = sorted(entry.name for entry in folder.iterdir())
+    except OSError as error:
+        yield Mistake(
+            path=where,
+            found=f"{text}: {error.strerror or error} ({folder})",
+            expected="a readable folder",
+            cure="Check the permissions of the folder",
+        )
+        return
+    if not (_has_photographs(folder) if photographs else names):
+        what = "no photograph" if photographs else "nothing"
+        yield Mistake(
+            path=where,
+            found=f"{text}: there is {what} in this folder ({folder})",
+            expected=f"files that end in {', '.join(IMAGE_ENDINGS)}" if photographs else "files",
+            cure="Name the folder that holds them, or one above it",
+        )
+
+
+def _has_photographs(folder: Path) -> bool:
+    """Whether a folder or one below it holds files that end like photographs."""
+    walked = os.walk(folder, followlinks=True)
+    return any(name.lower().endswith(IMAGE_ENDINGS) for _, _, names in walked for name in names)
+
+
+def _check_nested(
+    first_use: Mapping[Path, tuple[tuple[Key, ...], str]], folders: Mapping[Path, tuple[Key, ...]]
+) -> Iterator[Mistake]:
+    """Folders of photographs are searched with those below them, where nothing else may lie but masks."""
+    for path, (where, name) in first_use.items():
+        over = next((folder for folder in path.parents if folder in folders), None)
+        if over is None or "mask" in str(path.relative_to(over)).lower():
+            continue
+        if not (path.suffix.lower() in IMAGE_ENDINGS or (path.is_dir() and _has_photographs(path))):
+            continue
+        before = Mistake(path=folders[over], found="").dotted
+        yield Mistake(
+            path=where,
+            found=f"{name} lies below {over.name} of {before}, whose photographs are searched there too",
+            expected="folders beside each other",
+            cure=f"Name the folders in {over.name} that belong to {before}, or move one of the two",
+        )
+
+
+def _check_twice(
+    where: tuple[Key, ...], path: Path, first_use: dict[Path, tuple[tuple[Key, ...], str]]
+) -> Iterator[Mistake]:
+    real = path.resolve()
+    if real not in first_use:
+        first_use[real] = (where, path.name)
+        return
+    other, _ = first_use[real]
+    if other[:2] == where[:2] == ("logs", "time_lapse") and {other[2], where[2]} <= _MANY_PARTS:
+        return
+    if other[:3] == where[:3] == ("logs", "time_lapse", "interiors"):
+        return
+    if other[:3] == where[:3] == ("logs", "light_sheet", "scans") and {other[4], where[4]} <= SHARED_PARTS:
+        return
+    before = Mistake(path=other, found="").dotted
+    same_stream = other[:-1] == where[:-1]
+    if {other[2:3], where[2:3]} <= {("rover",), ("base",), ("nav",)} and not same_stream:
+        key = str(where[2])
+        cure = (
+            f"Remove it from {key}: an empty {key} means that the rover's SBP log carries "
+            f"{'the corrections of the base' if key == 'base' else 'the ephemerides'}"
+        )
+    elif same_stream:
+        cure = "Remove one of them: each record would be read twice"
+    else:
+        cure = "One file is one stream: remove it where it does not belong"
+    yield Mistake(
+        path=where, found=f"{path.name} is already named at {before}", expected="each file once", cure=cure
+    )

@@ -1,1 +1,0 @@
-"""Reading, checking, completing and documenting campaign files."""

@@ -1,1 +1,0 @@
-"""Section `images`: masks, structure from motion, block adjustment, finished orientations, cloud."""

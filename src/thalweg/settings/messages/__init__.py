@@ -1,1 +1,0 @@
-"""Mistakes of a campaign file with line, path and cure."""

@@ -1,0 +1,64 @@
+from .accuracy import Accuracy as Accuracy, Area as Area, ReferenceSettings as ReferenceSettings
+from .base import (
+    Angle as Angle,
+    Count as Count,
+    Finite as Finite,
+    NonNegative as NonNegative,
+    Positive as Positive,
+    Section as Section,
+    Share as Share,
+    Sigma3 as Sigma3,
+    Vector3 as Vector3,
+)
+from .calibration import (
+    Board as Board,
+    Calibration as Calibration,
+    CameraClock as CameraClock,
+    CameraLidarFit as CameraLidarFit,
+    DisplayTest as DisplayTest,
+    EchoSounderFit as EchoSounderFit,
+    InsLidarFit as InsLidarFit,
+    RunErrors as RunErrors,
+)
+from .images import (
+    BlockAdjustment as BlockAdjustment,
+    CameraCloud as CameraCloud,
+    ControlSettings as ControlSettings,
+    FeatureSettings as FeatureSettings,
+    Images as Images,
+    MappingSettings as MappingSettings,
+    MaskSettings as MaskSettings,
+)
+from .lidar import (
+    WEAK_RANGE_M as WEAK_RANGE_M,
+    WEAK_REFLECTIVITY as WEAK_REFLECTIVITY,
+    Figures as Figures,
+    Filters as Filters,
+    Georeferencing as Georeferencing,
+    Lidar as Lidar,
+    LidarAccuracy as LidarAccuracy,
+)
+from .light_sheet import (
+    SCAN_PARTS as SCAN_PARTS,
+    SERIES as SERIES,
+    SHARED_PARTS as SHARED_PARTS,
+    LightSheet as LightSheet,
+    SheetCalibration as SheetCalibration,
+    SheetLines as SheetLines,
+    SheetWater as SheetWater,
+    scan_stream as scan_stream,
+)
+from .logs import (
+    STREAM_KEYS as STREAM_KEYS,
+    CalibrationLogs as CalibrationLogs,
+    GnssLogs as GnssLogs,
+    LightSheetLogs as LightSheetLogs,
+    Logs as Logs,
+    is_rinex_name as is_rinex_name,
+)
+from .mounts import (
+    Mounts as Mounts,
+    OrientedMount as OrientedMount,
+    is_calibration_path as is_calibration_path,
+)
+from .navigation import Fused as Fused, Ins as Ins, Orientation as Orientation, Ppk as Ppk

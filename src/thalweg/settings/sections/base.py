@@ -1,0 +1,42 @@
+"""The base of all sections of a campaign file, and the kinds of values that they share."""
+
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Section(BaseModel):
+    """A section of the campaign file: unknown keys are refused, values never change after loading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+    def replace(self, **changes: Any) -> Self:
+        """The same with other values, checked like those of a file."""
+        return type(self)(**(dict(self) | changes))
+
+
+# ---------------------------------------------------------------- values
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+"""A number that is neither infinite nor NaN."""
+
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+"""A finite number of at least zero."""
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+"""A finite number above zero."""
+
+Vector3 = tuple[Finite, Finite, Finite]
+"""Three numbers, x, y, z."""
+
+Sigma3 = tuple[NonNegative, NonNegative, NonNegative]
+"""Standard deviations of three components."""
+
+Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+"""An angle in degrees."""
+
+SigmaAngle = Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)]
+"""Standard deviation of an angle in degrees."""
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=0, le=1_000_000)]

@@ -1,0 +1,167 @@
+"""A new campaign file with comments, from nothing or from a folder of logs."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from thalweg.settings.checks_place import utm_code
+
+PLACEHOLDERS: Mapping[str, Sequence[str]] = {
+    "lidar": ["raw/lidar/*.pcap"],
+    "ins": ["raw/ins/*.anpp"],
+    "pos": ["raw/gnss/boat.pos"],
+    "depth": [],
+    "reference": [],
+}
+"""Logs of a campaign of which no files are known yet."""
+
+_BESIDE_IMAGES: Final = (
+    ("control_points", "control_points", "surveyed points on the bank"),
+    ("image_marks", "marks", "where they are in the images; without: found automatically"),
+    ("time_lapse_times", "times", "times of the images"),
+    ("masks", "masks", "masks made elsewhere; without: made automatically"),
+    ("finished_orientations", "orientations", "orientations from another program"),
+)
+"""Stream, key of ``logs.time_lapse``, meaning."""
+
+
+def campaign_text(
+    name: str,
+    *,
+    folder: Path,
+    files: Mapping[str, Sequence[Path]] | None = None,
+    origin: tuple[float, float, float] | None = None,
+    schema: str = "../schema.json",
+) -> str:
+    """Text of a new campaign file.
+
+    Parameters
+    ----------
+    name : id of the campaign.
+    folder : folder that the file will stand in; paths are written relative to it where that is short.
+    files : logs by stream; placeholders if None.
+    origin : latitude and longitude in degrees and ellipsoidal height in metres; a placeholder if None.
+    schema : path of the JSON schema from ``folder``, for editors.
+    """
+    lat, lon, h = origin or (51.05, 13.25, 300.0)
+    mark = "" if origin else "  # CHANGE: a point near the survey"
+    listed = {k: list(v) for k, v in PLACEHOLDERS.items()}
+    if files is not None:
+        listed = {k: [_relative(p, folder) for p in v] for k, v in files.items()}
+    source, gnss = _source(listed)
+    levers = "  # CHANGE: metres forward, right, down of the INS"
+    lines = [
+        f"# yaml-language-server: $schema={schema}",
+        "# Every key, its unit and its default: config/README.md. Check with: thalweg check-config THIS_FILE",
+        "campaign:",
+        f"  id: {name}",
+        f"  title: {name}  # CHANGE: one line for figures and reports",
+        f"  crs: {utm_code(lat, lon)}  # CRS of the map exports, projected, in metres",
+        f"  origin: {{lat_deg: {lat}, lon_deg: {lon}, h_ell_m: {h}}}{mark}",
+        "  seed: 1",
+        "",
+        "logs:  # relative to this file or absolute; ~ and patterns like raw/*.pcap work",
+        *_list("lidar", listed.get("lidar", []), "Velodyne captures"),
+        *_list("ins", listed.get("ins", []), "Advanced Navigation ANPP"),
+        *gnss,
+        *_list("positions", listed.get("pos", []), "RTKLIB .pos"),
+        *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
+        *(["  # gps_week: 2235  # CHANGE: week of the SBET"] if listed.get("sbet") else []),
+        *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
+        *_list("reference", listed.get("reference", []), "clouds to compare with: LAS, LAZ, PLY, E57"),
+        *_photographs(listed),
+        "",
+        "mounts:  # body frame of the INS: x forward, y right, z down",
+        "  lidar:",
+        "    omega_deg: 0.0",
+        "    phi_deg: -90.0  # spin axis points backwards",
+        "    kappa_deg: 0.0",
+        f"    lever_ics_m: CHANGE{levers}",
+        "  antenna:",
+        f"    lever_ics_m: CHANGE{levers}",
+        *_camera(listed, levers),
+        "",
+        "orientation:",
+        f"  position_source: {source}  # pos, sbp, ppk, sbet or ins",
+        "  accept_fixes: [fixed]",
+        *_without_control(listed, source),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _photographs(listed: Mapping[str, Sequence[str]]) -> list[str]:
+    """Lines of ``logs.time_lapse``; what belongs to images stays out where there are none."""
+    images = listed.get("time_lapse", [])
+    if not images:
+        return ["  # time_lapse: {images: [], control_points: []}  # photographs of the bank: docs/images.md"]
+    lines = ["  time_lapse:  # photographs of the bank: docs/images.md"]
+    more = "" if len(images) == 1 else "; CHANGE: keep those of the survey"
+    lines += [f"  {line}" for line in _list("images", images, f"a folder, or files{more}")]
+    for stream, key, meaning in _BESIDE_IMAGES:
+        lines += [f"  {line}" for line in _list(key, listed.get(stream, []), meaning)]
+    return lines
+
+
+def _camera(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
+    """Lines of ``mounts.camera`` of a campaign with photographs."""
+    if not listed.get("time_lapse"):
+        return []
+    return [
+        "  camera:  # or, for all sensors: calibration: NAME_OF_A_CALIBRATION_CAMPAIGN",
+        "    omega_deg: -90.0  # CHANGE: looks to starboard; 90.0 and kappa_deg: 0.0 to port",
+        "    phi_deg: 0.0",
+        "    kappa_deg: 180.0",
+        f"    lever_ics_m: CHANGE{levers}",
+    ]
+
+
+def _without_control(listed: Mapping[str, Sequence[str]], source: str) -> list[str]:
+    """Photographs alone need the antenna's positions in their adjustment."""
+    needs = listed.get("time_lapse") and not (
+        listed.get("control_points") or listed.get("finished_orientations")
+    )
+    if not needs or source in ("ins", "sbet"):  # these are no positions of the antenna: `check_images`
+        return []
+    return [
+        "",
+        "images:",
+        "  adjustment:",
+        "    antenna: {use: true}  # no control points were found: positions of the antenna take their place",
+    ]
+
+
+def _source(listed: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
+    """Best source of positions for these logs, and the lines of the GNSS logs."""
+    gnss: list[str] = []
+    if any(listed.get(key) for key in ("rover", "base", "nav")):
+        gnss = ["  gnss:"]
+        for key, meaning in (("rover", "the boat"), ("base", "the base"), ("nav", "ephemerides")):
+            gnss += [f"  {line}" for line in _list(key, listed.get(key, []), meaning)]
+    else:
+        gnss = ["  # gnss: {rover: [], base: [], nav: []}  # raw GNSS: SBP or RINEX"]
+    if listed.get("pos"):
+        return "pos", gnss
+    if listed.get("sbet"):
+        return "sbet", gnss
+    if listed.get("base"):
+        return "ppk", [*gnss, "    base_from: rinex_header  # CHANGE: or sbp, base_ecef_m, base_llh"]
+    return ("sbp" if listed.get("rover") else "ins" if listed.get("ins") else "pos"), gnss
+
+
+def _list(key: str, paths: Sequence[str], meaning: str) -> list[str]:
+    if not paths:
+        return [f"  # {key}: []  # {meaning}"]
+    if len(paths) == 1:
+        return [f"  {key}: [{_quoted(paths[0])}]  # {meaning}"]
+    return [f"  {key}:  # {meaning}", *(f"    - {_quoted(path)}" for path in paths)]
+
+
+def _quoted(text: str) -> str:
+    plain = all(c.isalnum() or c in "/._-~+" for c in text) and text[0] not in "-~"
+    return text if plain else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _relative(path: Path, folder: Path) -> str:
+    relative = os.path.relpath(path.absolute(), folder.absolute())
+    return path.absolute().as_posix() if relative.count("..") > 3 else Path(relative).as_posix()

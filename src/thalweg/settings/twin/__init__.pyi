@@ -1,0 +1,27 @@
+from .survey import (
+    Change as Change,
+    Stream as Stream,
+    TwinBoat as TwinBoat,
+    TwinCamera as TwinCamera,
+    TwinConfig as TwinConfig,
+    TwinDisplay as TwinDisplay,
+    TwinEffects as TwinEffects,
+    TwinGnss as TwinGnss,
+    TwinIns as TwinIns,
+    TwinLens as TwinLens,
+    TwinLidar as TwinLidar,
+    TwinReference as TwinReference,
+    TwinScene as TwinScene,
+    TwinTimeLapse as TwinTimeLapse,
+    TwinTls as TwinTls,
+)
+from .yard import (
+    CONES as CONES,
+    Chip as Chip,
+    Laser as Laser,
+    SheetImage as SheetImage,
+    TwinField as TwinField,
+    TwinFieldRun as TwinFieldRun,
+    TwinLightSheet as TwinLightSheet,
+    TwinSheetStrip as TwinSheetStrip,
+)

@@ -1,1 +1,0 @@
-"""Reference clouds as meshes with sigmas."""

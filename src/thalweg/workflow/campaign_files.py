@@ -1,0 +1,610 @@
+"""Which files and settings the rules of a campaign take: its logs, what depends on them, what `all` builds.
+
+Rules ask by `CampaignFiles`, one for each chosen campaign. Methods give paths relative to the folder of the
+run, as Snakemake wants them; a list is empty where a campaign does not have what a rule could take.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, Literal
+
+from thalweg.settings import Campaign
+from thalweg.settings.sections import scan_stream
+
+TwinLogs = Callable[[Campaign], Mapping[str, Sequence[str]]]
+"""Logs that a digital twin writes: stream -> names below ``results/<campaign>/simulation/logs``."""
+
+_STREAMS: Final = {"lidar": "lidar", "ins": "ins", "sbet": "ins", "sbp": "gnss", "depth": "depth"}
+"""Logs, and how the rules that read them name their results."""
+_POSITION_LOGS: Final = {"pos": "pos", "sbp": "sbp", "ppk": "rover"}
+"""Sources of positions with files of their own."""
+_SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip": "strip_images"}
+"""Streams of the series of images of the light-sheet sensor that are no scans."""
+
+
+def _no_twin(campaign: Campaign) -> Mapping[str, Sequence[str]]:
+    """Logs of a twin where no laboratory is at hand."""
+    return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignFiles:
+    """Files and settings of one campaign.
+
+    Parameters
+    ----------
+    name : id of the campaign.
+    campaigns : all chosen ones and those that they name, by id.
+    twin_logs : names of the logs that a twin writes.
+    """
+
+    name: str
+    campaigns: Mapping[str, Campaign]
+    twin_logs: TwinLogs = _no_twin
+
+    @cached_property
+    def campaign(self) -> Campaign:
+        """The settings of the campaign."""
+        return self.campaigns[self.name]
+
+    @cached_property
+    def plain(self) -> dict[str, Any]:
+        """All settings as plain values, as Snakemake compares them; not to be changed."""
+        return self.campaign.plain()
+
+    def of(self, name: str) -> "CampaignFiles":
+        """The files of another campaign."""
+        return CampaignFiles(name=name, campaigns=self.campaigns, twin_logs=self.twin_logs)
+
+    def _result(self, name: str) -> str:
+        return f"results/{self.name}/{name}"
+
+    def _where(self, condition: object, *names: str) -> list[str]:
+        """Those results of the campaign where the condition holds, else none."""
+        return [self._result(name) for name in names] if condition else []
+
+    # ------------------------------------------------------------ settings
+
+    def section(self, *keys: str) -> Any:
+        """A section of the settings, or a part of one, as plain values."""
+        found: Any = self.plain
+        for key in keys:
+            found = found[key]
+        return found
+
+    def identity(self, *keys: str) -> dict[str, Any]:
+        """Only those keys of the section `campaign`, so that a new title reruns pictures alone."""
+        return {key: self.plain["campaign"][key] for key in keys}
+
+    def mounts(self, *sensors: str) -> dict[str, Any]:
+        """Only the mounts of those sensors."""
+        return {sensor: self.plain["mounts"][sensor] for sensor in sensors}
+
+    def georeferencing(self) -> dict[str, Any]:
+        """The section `georeferencing` without the wish for a map.
+
+        Comparisons with a reference or with a twin's truth need the full covariance of each point.
+        """
+        options = {key: value for key, value in self.plain["georeferencing"].items() if key != "export_map"}
+        options["correlations"] |= self.has_reference() or self.is_twin()
+        return options
+
+    def twin_parts(self, *parts: str) -> dict[str, Any]:
+        """Those sections of the twin, and its size, start and length.
+
+        A job that names the parts it needs does not run again for a change in another.
+        """
+        twin = self.plain["twin"]
+        return {key: twin[key] for key in ("size", "start_utc", "duration_s", "field", *parts)}
+
+    def log_option(self, key: str) -> Any:
+        """A plain value of the section `logs`; None for a twin."""
+        logs = self.plain["logs"]
+        return logs[key] if logs else None
+
+    def base_position(self) -> dict[str, Any]:
+        """How the campaign file states the position of the base."""
+        logs = self.plain["logs"]
+        return {k: v for k, v in logs["gnss"].items() if k.startswith("base_")} if logs else {}
+
+    def reference_surface(self) -> dict[str, Any]:
+        """The section `reference` without the sigma, which no mesh depends on."""
+        return {key: value for key, value in self.plain["reference"].items() if key != "sigma_m"}
+
+    def comparison(self) -> dict[str, Any]:
+        """The section `accuracy` without the cross sections, which are a picture's."""
+        return {key: value for key, value in self.plain["accuracy"].items() if key != "sections"}
+
+    # ------------------------------------------------------------ logs
+
+    def is_twin(self) -> bool:
+        """True if the digital twin writes the logs."""
+        return self.campaign.twin is not None
+
+    def logs(self, stream: str) -> list[str]:
+        """Files of a stream: the twin's, or those that the campaign file names."""
+        if self.is_twin():
+            known = self.twin_logs(self.campaign)
+            return [self._result(f"simulation/logs/{log}") for log in known.get(stream, ())]
+        return [str(path) for path in self.campaign.log_files(stream)]
+
+    def has_reference(self) -> bool:
+        """True if there are reference clouds."""
+        return bool(self.logs("reference"))
+
+    def has_divergence(self) -> bool:
+        """True if it is known how wide the beam of the lidar grows."""
+        return self.campaign.lidar_accuracy.divergence_mrad > 0
+
+    def position_source(self) -> str:
+        """Where the positions come from."""
+        return self.campaign.orientation.position_source
+
+    def ins_logs(self) -> list[str]:
+        """The files that hold attitudes, ANPP or SBET."""
+        return self.logs("sbet" if self.position_source() == "sbet" else "ins")
+
+    def smrmsg_logs(self) -> list[str]:
+        """The standard deviations of an SBET, where there are any."""
+        return self.logs("smrmsg") if self.position_source() == "sbet" else []
+
+    def position_logs(self) -> list[str]:
+        """The files of the position source itself; none if the INS states hold them."""
+        stream = _POSITION_LOGS.get(self.position_source())
+        return self.logs(stream) if stream else []
+
+    def ppk_logs(self, stream: Literal["base", "nav"]) -> list[str]:
+        """Raw GNSS of the base, or navigation files, where PPK needs them."""
+        return self.logs(stream) if self.position_source() == "ppk" else []
+
+    def reports(self) -> list[str]:
+        """The integrity reports of all streams."""
+        found = dict.fromkeys(result for stream, result in _STREAMS.items() if self.logs(stream))
+        return [self._result(f"ingest/{stream}.integrity.json") for stream in [*found, "positions"]]
+
+    # ------------------------------------------------------------ calibration of the boat
+
+    def calibration_file(self) -> list[str]:
+        """The calibration of the boat that the campaign names, if any."""
+        chosen = self.campaign.mounts.calibration
+        if chosen is None:
+            return []
+        return [f"results/{chosen}/calibration/boat.yaml" if chosen in self.campaigns else chosen]
+
+    def calibration_campaign(self) -> str | None:
+        """Id of the calibration campaign that the campaign names; None if it names a file or none."""
+        chosen = self.campaign.mounts.calibration
+        return chosen if chosen in self.campaigns else None
+
+    def boat_images(self) -> list[str]:
+        """Images of the boat's camera in the calibration field."""
+        return self.logs("position_images") + self.logs("run_images")
+
+    def boat_interior(self) -> list[str]:
+        """The interior orientation of the boat's camera that the campaign names, if any."""
+        chosen = self.campaign.calibration.boat_camera.interior
+        return [] if chosen is None else [chosen]
+
+    def run_settings(self) -> dict[str, Any]:
+        """How the run about the cones is evaluated."""
+        found = self.plain["calibration"]
+        options = found["ins_lidar"]
+        sigma_m = self.plain["lidar_accuracy"]["sigma_component_m"]
+        return {
+            "errors": found["run_errors"],
+            "noise": {"along_m": sigma_m, "across_m": sigma_m},
+            "search": {"lever_m": options["search_lever_m"], "angle_deg": options["search_angle_deg"]},
+            "gates": {key: options[key] for key in ("min_cones", "min_headings_deg")},
+            "form_sigma_m": found["camera_lidar"]["form_sigma_m"],
+            "estimate_errors": options["estimate_errors"],
+        }
+
+    def ins_lidar_settings(self) -> dict[str, Any]:
+        """How the run about the cones is evaluated, the lidar's stamps included."""
+        return self.run_settings() | {"sigma_time_s": self.plain["calibration"]["ins_lidar"]["sigma_time_s"]}
+
+    def clock_options(self) -> dict[str, Any]:
+        """How the camera's clock is found."""
+        found = self.plain["calibration"]
+        errors = ("position_time_s", "attitude_time_s", "white_share")
+        return found["clock"] | {key: found["run_errors"][key] for key in errors}
+
+    def echo_settings(self) -> dict[str, Any]:
+        """How soundings over a surveyed bed are evaluated."""
+        found = self.plain["calibration"]
+        return found["echo_sounder"] | {"errors": found["run_errors"]}
+
+    def echo_place(self) -> dict[str, Any]:
+        """Where the echo sounder sits by the ruler."""
+        mounts = self.plain["mounts"]
+        place = mounts["echo_sounder"]
+        return {
+            "lever_ics_m": place["lever_ics_m"],
+            "sigma_lever_m": place["sigma_lever_m"],
+            "sigma_antenna_m": mounts["antenna"]["sigma_lever_m"],
+        }
+
+    def echo_outputs(self) -> list[str]:
+        """The place of the echo sounder, where the bed was surveyed."""
+        return self._where(self.logs("bed"), "calibration/echo_sounder.yaml")
+
+    def board_settings(self) -> dict[str, Any]:
+        """How poses of a board are evaluated."""
+        return {"flatness_m": self.plain["calibration"]["board"]["flatness_m"]}
+
+    def clock_ties(self) -> list[str]:
+        """Comparisons of the camera's clock, and pulses of its trigger."""
+        return self.logs("clock_ties") + self.logs("trigger_pulses")
+
+    def _calibrating(self) -> "CampaignFiles":
+        """The calibration that the campaign names, or the campaign itself."""
+        return self.of(self.calibration_campaign() or self.name)
+
+    def camera_clock(self) -> list[str]:
+        """The clock of the boat's camera, where a calibration has found it."""
+        it = self._calibrating()
+        found = it.campaign.is_calibration and it.logs("run_images")
+        return it._where(found, f"timing/camera_clock{'_ties' if found and it.clock_ties() else ''}.yaml")
+
+    def clock_stability(self) -> list[str]:
+        """The test of the camera's clock, where there is one."""
+        it = self._calibrating()
+        return it._where(it.campaign.is_calibration and it.logs("display"), "timing/clock_stability.json")
+
+    def tied_images(self) -> list[str]:
+        """The times of a calibration's own images by ties or pulses, where it has them."""
+        found = self.campaign.is_calibration and self.logs("run_images") and self.clock_ties()
+        return self._where(found, "timing/image_times_ties.parquet")
+
+    def calibrated_interior(self) -> list[str]:
+        """The camera's interior orientation from a file or from the calibration, if any."""
+        given = self.logs("interior")
+        chosen = self.calibration_campaign()
+        if not given and chosen and self.of(chosen).has_boat_camera():
+            return [f"results/{chosen}/calibration/camera.yaml"]
+        return given[:1]
+
+    def has_run(self) -> bool:
+        """True if a calibration has a dynamic run: lidar and INS of the moving boat."""
+        return bool(self.logs("lidar") and self.logs("ins"))
+
+    def has_static_camera(self) -> bool:
+        """True with camera and lidar at static positions: they relate both, and the antenna to the lidar."""
+        return bool(self.logs("position_images") and self.logs("position_scans"))
+
+    def has_boat_camera(self) -> bool:
+        """True if a calibration has images of the boat's camera."""
+        return bool(self.boat_images())
+
+    def has_kinematic_clock(self) -> bool:
+        """True if the clock of the camera comes from its images of the run."""
+        return self.has_run() and bool(self.logs("run_images")) and not self.clock_ties()
+
+    def of_static_camera(self, file: str) -> list[str]:
+        """A result of the static positions, where the campaign has them."""
+        return self._where(self.has_static_camera(), f"calibration/{file}")
+
+    def calibration_truth(self) -> list[str]:
+        """Errors of a twin's calibration against its true places."""
+        return self._where(self.is_twin(), "accuracy/calibration_truth.csv")
+
+    def calibration_facts(self) -> list[str]:
+        """Reports of the jobs of a calibration that its page quotes."""
+        return [
+            self._result("calibration/field.json"),
+            *self._where(self.has_boat_camera(), "calibration/camera.json"),
+            *self._where(self.has_kinematic_clock(), "timing/camera_clock.json"),
+            *self.clock_stability(),
+            *self._where(self.has_run(), "calibration/ins_lidar.json"),
+        ]
+
+    def found_calibrations(self) -> list[str]:
+        """Files of calibrated sensors that a calibration makes."""
+        return [
+            *self._where(self.has_run(), "calibration/boat.yaml", "calibration/ins_lidar.yaml"),
+            *self._where(self.has_static_camera(), "calibration/camera_lidar.yaml"),
+            *self._where(self.has_boat_camera(), "calibration/camera.yaml"),
+            self._result("calibration/reference_camera.yaml"),
+        ]
+
+    def calibration_tables(self) -> list[str]:
+        """Tables that the page of a calibration shows."""
+        static = ("cones", "cone_detection", "cone_residuals", "cone_displacements")
+        names = [
+            *(static if self.has_static_camera() else ()),
+            *(("passes",) if self.has_run() else ()),
+            "reference_marks_rejected",
+            *(("boat_marks_rejected",) if self.has_boat_camera() else ()),
+        ]
+        return [self._result(f"calibration/{name}.csv") for name in names]
+
+    def _calibration_outputs(self) -> list[str]:
+        board = self.logs("board_images") or self.logs("board_observations")
+        outputs = self._where(board, "calibration/board_camera_lidar.yaml")
+        if not self.logs("field"):
+            return outputs
+        outputs += self._where(self.has_static_camera(), "calibration/camera_lidar.yaml")
+        outputs.append(self._result("calibration/index.html"))
+        if self.has_run():
+            outputs += self._where(True, "calibration/boat.yaml", "timing/time_report.csv")
+            outputs += self.echo_outputs()
+        return outputs + self.calibration_truth()
+
+    # ------------------------------------------------------------ images of the bank
+
+    def has_time_lapse(self) -> bool:
+        """True if a survey has images of the bank, whose cameras may have folders of their own."""
+        return bool(self.logs("time_lapse")) and not self.campaign.is_calibration
+
+    def stamped_images(self) -> list[str]:
+        """The images of the boat's camera in motion, on the river or about the cones."""
+        return self.logs("time_lapse") or self.logs("run_images")
+
+    def stamp_tables(self) -> list[str]:
+        """Tables of the times of those images."""
+        return self.logs("time_lapse_times") or self.logs("image_times")
+
+    def stamp_option(self, key: str) -> Any:
+        """How the times of those images are written."""
+        river = self.has_time_lapse()
+        return self.section(*(("images", "times") if river else ("calibration", "image_times")), key)
+
+    def known_interior(self) -> list[str]:
+        """`calibrated_interior` for the size of the survey's images."""
+        return self._where(self.calibrated_interior(), "orientation/camera_start.yaml")
+
+    def interior_folders(self) -> list[str]:
+        """Folders whose camera has an interior orientation of its own."""
+        logs = self.campaign.logs
+        return list(logs.time_lapse.interiors) if logs else []
+
+    def folder_interiors(self) -> list[str]:
+        """Interior orientations of the cameras of single folders, in the order of these."""
+        return [file for folder in self.interior_folders() for file in self.logs(f"interior.{folder}")]
+
+    def feature_parts(self) -> list[str]:
+        """The features of all parts of the images."""
+        parts = self.campaign.images.features.parts
+        return [self._result(f"orientation/sfm/features_{part}.npz") for part in range(parts)]
+
+    def pair_parts(self) -> list[str]:
+        """The compared pairs of images of all parts."""
+        parts = self.campaign.images.mapping.parts
+        return [self._result(f"orientation/sfm/pairs_{part}.npz") for part in range(parts)]
+
+    def has_finished_orientations(self) -> bool:
+        """True if another program has oriented the images of a survey."""
+        return bool(self.logs("finished_orientations"))
+
+    def orients_images(self) -> bool:
+        """True if the images of a survey are oriented here."""
+        return self.has_time_lapse() and not self.has_finished_orientations()
+
+    def images_hold_positions(self) -> bool:
+        """Whether the antenna's positions were observations of the image block."""
+        return self.campaign.images.adjustment.antenna.use and not self.has_finished_orientations()
+
+    def oriented_images(self) -> str:
+        """Poses of the images, adjusted here or by another program."""
+        ending = "_finished" if self.has_finished_orientations() else ""
+        return self._result(f"orientation/image_poses{ending}.parquet")
+
+    def control_reports(self) -> list[str]:
+        """The adjustment's report on control and check points, where there are control points."""
+        given = self.logs("control_points") and not self.has_finished_orientations()
+        return self._where(given, "orientation/control_points.csv")
+
+    # ------------------------------------------------------------ trajectories and what is made by each
+
+    def best_chain(self) -> str:
+        """What the best trajectory rests on: all sensors where there are images of the bank, else the INS.
+
+        The camera alone is no third case: where it has a trajectory, all sensors together have one.
+        """
+        return "fused" if self.has_time_lapse() else "ins"
+
+    def best_trajectory(self) -> str:
+        """The trajectory for everything that is placed by one and is no comparison of several."""
+        return self.trajectory(self.best_chain())
+
+    def trajectory(self, chain: str) -> str:
+        """The boat's trajectory by ``ins``, ``camera`` or all sensors together (``fused``)."""
+        return self._result(f"orientation/trajectory{'' if chain == 'ins' else f'_{chain}'}.parquet")
+
+    def mounts_of_chain(self, chain: str) -> str:
+        """Places of the sensors; by the camera the lidar sits where their relative orientation says."""
+        camera = chain == "camera"
+        return self._result("orientation/mounts_camera.json" if camera else "calibration/mounts.json")
+
+    def trajectories(self) -> list[str]:
+        """Trajectories by INS, camera and all sensors, in this order."""
+        return [self.trajectory(chain) for chain in ("ins", "camera", "fused")]
+
+    def of_chains(self, folder: str, name: str) -> list[str]:
+        """A result of the clouds by INS, camera and all sensors, in this order."""
+        return [self._result(f"{folder}/{part}{name}") for part in ("", "by_camera/", "by_fused/")]
+
+    def of_compared_chains(self, name: str) -> list[str]:
+        """The same of their comparison with a reference; nothing where there is none."""
+        return self.of_chains("accuracy", name) if self.has_reference() else []
+
+    def chains_truth(self) -> list[str]:
+        """Errors of the trajectories of a twin against its truth."""
+        return self._where(self.is_twin(), "accuracy/chains_truth.csv")
+
+    def chain_steps(self, chain: str) -> list[str]:
+        """A result of each job that belongs to one chain alone, for its computing time."""
+        own = ("masks", "sfm/matches.npz", "sfm/block.npz", "control_marks.csv", "image_poses.parquet")
+        finished = self.has_finished_orientations()
+        names = {
+            "ins": ("trajectory.parquet",),
+            "camera": (
+                *(("image_poses_finished.parquet",) if finished else own),
+                "image_poses_timed.parquet",
+                "trajectory_camera.parquet",
+            ),
+            "fused": ("trajectory_fused.parquet",),
+        }[chain]
+        scattered = [*self.feature_parts(), *self.pair_parts()] if chain == "camera" and not finished else []
+        return [*scattered, *(self._result(f"orientation/{name}") for name in names)]
+
+    # ------------------------------------------------------------ light-sheet sensor
+
+    def sheet_interior(self) -> list[str]:
+        """The calibrated interior orientation, where there are pictures of a marker field."""
+        return self._where(self.logs("camera_field"), "triangulation/camera_interior.yaml")
+
+    def sheet_lens_report(self) -> list[str]:
+        """The report on that lens."""
+        return self._where(self.logs("camera_field"), "triangulation/camera_interior.json")
+
+    def camera_field_marks(self) -> list[str]:
+        """Marks in the pictures of the marker field, detected unless they are given."""
+        return self.logs("camera_field_marks") or [self._result("triangulation/camera_field_marks.parquet")]
+
+    def sheet_lines(self, series: str) -> dict[str, Any]:
+        """How lines are measured; on a grid object they come in short pieces, level beside level."""
+        found = self.plain["light_sheet"]
+        if series != "calibration":
+            return dict(found["lines"])
+        how = found["calibration"]
+        return {**found["lines"], "lines": how["levels"], **how["pieces"]}
+
+    def sheet_images(self, series: str) -> list[str]:
+        """Images of a series of the sensor."""
+        return self.logs(_SERIES.get(series, series))
+
+    def sheet_series(self) -> list[str]:
+        """Series of images of the sensor in a basin, in the order of the page."""
+        return [s for s in ("calibration", "panels", *self.scan_names()) if self.sheet_images(s)]
+
+    def has_series(self, series: str) -> bool:
+        """True if there are images of that series."""
+        return series in self.sheet_series()
+
+    def of_sheet_series(self, table: str) -> list[str]:
+        """That table of every series."""
+        return [self._result(f"triangulation/{series}/{table}") for series in self.sheet_series()]
+
+    def sheet_panels(self) -> list[str]:
+        """The comparison with panels, where there are any."""
+        return self._where("panels" in self.sheet_series(), "triangulation/panels.csv")
+
+    def sheet_truth(self) -> list[str]:
+        """The comparison with the true sensor of a twin."""
+        return self._where(self.is_twin(), "accuracy/light_sheet_truth.csv")
+
+    def scan_names(self) -> list[str]:
+        """Names of the scanned objects."""
+        logs = self.campaign.logs
+        if logs is not None:
+            return list(logs.light_sheet.scans)
+        pairs = scan_stream("", "pairs")
+        return [s.removesuffix(pairs) for s in self.twin_logs(self.campaign) if s.endswith(pairs)]
+
+    def compared_scans(self) -> list[str]:
+        """Names of the scans that have a reference."""
+        return [scan for scan in self.scan_names() if self.scan_logs(scan, "reference")]
+
+    def is_compared(self, scan: str) -> bool:
+        """True if a scan has a reference."""
+        return scan in self.compared_scans()
+
+    def scan_logs(self, scan: str, part: str) -> list[str]:
+        """A part of the recordings of a scan, see `thalweg.settings.sections.light_sheet`."""
+        return self.logs(scan_stream(scan, part))
+
+    def scan_levels(self, scan: str) -> list[float] | None:
+        """Heights of the levels of a scanned object, mm; None if it is compared with a mesh."""
+        levels: dict[str, list[float]] = self.plain["light_sheet"]["levels_mm"]
+        return levels.get(scan)
+
+    def sheet_scan_files(self) -> list[str]:
+        """Tables and reports of all scans for the page on the sensor."""
+        files = ("statistics.csv", "lines.csv", "facts.json", "profile.csv", "profile.json")
+        return [
+            self._result(f"triangulation/{scan}/{file}")
+            for scan in self.scan_names()
+            for file in ("counts.json", *(files if scan in self.compared_scans() else ()))
+        ]
+
+    def sheet_on_board(self) -> list[str]:
+        """The calibrated light-sheet sensor that a boat carries."""
+        chosen = self.campaign.light_sheet.sensor
+        return [f"results/{chosen}/triangulation/sensor.yaml"] if chosen else []
+
+    def sheet_design(self) -> list[str]:
+        """A sensor whose camera took the images: the design, on a boat the calibrated one."""
+        return self.logs("sheet_sensor") or self.sheet_on_board()
+
+    def strip_truth(self, table: str) -> list[str]:
+        """That table of errors of the strip of the bed, of a twin."""
+        return self._where(self.is_twin(), f"accuracy/{table}")
+
+    def has_strip(self) -> bool:
+        """True if the boat carries a calibrated light-sheet sensor that recorded a strip of the bed."""
+        return self.campaign.light_sheet.sensor is not None and bool(self.logs("strip_images"))
+
+    def _strip_outputs(self) -> list[str]:
+        """The strip of the bed by the light-sheet sensor, where the boat carries one."""
+        if not self.has_strip():
+            return []
+        strip = self._where(True, "triangulation/strip/bed.laz", "triangulation/strip/index.html")
+        return strip + self.strip_truth("truth_bed_strip.csv")
+
+    def _basin_outputs(self) -> list[str]:
+        outputs = self._where(
+            True, "triangulation/sensor.yaml", "triangulation/budget.csv", "triangulation/index.html"
+        )
+        outputs += self._where(self.logs("panels"), "triangulation/panels.csv")
+        outputs += self.sheet_truth()
+        for scan in self.scan_names():
+            outputs.append(self._result(f"triangulation/{scan}/points.parquet"))
+        outputs += [self._result(f"triangulation/{scan}/profile.csv") for scan in self.compared_scans()]
+        return outputs
+
+    # ------------------------------------------------------------ accuracy, and all
+
+    def truth_statistics(self) -> list[str]:
+        """The comparison with the truth, where there is one."""
+        return self._where(self.is_twin(), "accuracy/truth_statistics.csv")
+
+    def reference_statistics(self) -> list[str]:
+        """The comparison with a reference, where there is one."""
+        return self._where(self.has_reference(), "accuracy/statistics.csv")
+
+    def final_outputs(self) -> list[str]:
+        """The tables and pages that `all` builds; pictures stand in `thalweg.workflow.figures`."""
+        if self.campaign.is_basin:
+            return self._basin_outputs()
+        if self.campaign.is_calibration:
+            return self._calibration_outputs()
+        tables = ("lidar/points.laz", "timing/streams.csv", "timing/time_report.csv", "summary.csv")
+        outputs = self._where(True, *tables)
+        outputs += [*self.echo_outputs(), *self._strip_outputs()]
+        outputs += self._where(self.campaign.georeferencing.export_map, "lidar/points_map.laz")
+        if self.has_time_lapse():
+            outputs += [self.trajectory("fused"), *self.of_chains("lidar", "points.laz")[1:]]
+            outputs.append(self._result("accuracy/trajectories.html"))
+        outputs += [*self.truth_statistics(), *self._where(self.is_twin(), "accuracy/filter_scores.csv")]
+        compared = ("statistics.csv", "by_range.csv", "spatial.csv", "index.html")
+        if self.has_reference():
+            outputs += self._where(True, "ingest/reference.laz", "surface/reference_mesh.ply")
+            outputs += [self._result(f"accuracy/{name}") for name in compared]
+        return outputs
+
+    def target(self, name: str) -> list[str]:
+        """What the target ``ingest``, ``lidar``, ``images`` or ``accuracy`` builds."""
+        match name:
+            case "ingest":
+                navigated = self.ins_logs() and not self.campaign.is_basin
+                reports = self.reports() if navigated else []
+                reports += self._where(self.has_reference(), "ingest/reference.integrity.json")
+                return reports + self._where(self.stamped_images(), "ingest/camera.integrity.json")
+            case "images" if self.has_time_lapse():
+                timed = self._where(True, "orientation/image_poses_timed.parquet")
+                return [self.oriented_images(), *timed, *self.trajectories()[1:]]
+            case "images":
+                return []
+        return [path for path in self.final_outputs() if path.startswith(self._result(f"{name}/"))]

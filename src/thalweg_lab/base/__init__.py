@@ -1,1 +1,0 @@
-"""The river's course, reproducible random numbers."""

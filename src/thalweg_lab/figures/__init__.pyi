@@ -1,0 +1,1 @@
+from .ledger_table import ledger_section as ledger_section

@@ -1,0 +1,1 @@
+from .record import simulate_time_lapse as simulate_time_lapse

@@ -1,0 +1,24 @@
+from .calibration import (
+    compare_calibration as compare_calibration,
+    compare_clock as compare_clock,
+    compare_interior as compare_interior,
+    compare_sensor as compare_sensor,
+)
+from .honesty import honesty_by_range as honesty_by_range, ratio_of_surveys as ratio_of_surveys
+from .points import (
+    PointErrors as PointErrors,
+    PointErrors3d as PointErrors3d,
+    TrueReturns as TrueReturns,
+    Truth as Truth,
+    compare_bed as compare_bed,
+    compare_cloud as compare_cloud,
+    filter_scores as filter_scores,
+    point_errors as point_errors,
+    point_errors_3d as point_errors_3d,
+    sample_of_known_points as sample_of_known_points,
+)
+from .solutions import (
+    OWN_TIMES as OWN_TIMES,
+    carried_by_camera as carried_by_camera,
+    chains_truth_table as chains_truth_table,
+)

@@ -1,1 +1,0 @@
-"""Logs in the instruments' own formats, written independently of the readers."""

@@ -1,0 +1,22 @@
+from .layout import (
+    ANTENNA as ANTENNA,
+    FLAT as FLAT,
+    Field as Field,
+    FieldCone as FieldCone,
+    Plane as Plane,
+    Sheet as Sheet,
+    build_field as build_field,
+    field_of as field_of,
+)
+from .scene import (
+    FieldScene as FieldScene,
+    Yard as Yard,
+    boat_mesh as boat_mesh,
+    field_scene as field_scene,
+    people as people,
+    recorded_scene as recorded_scene,
+    sensor_mesh as sensor_mesh,
+    with_boat as with_boat,
+    yard_of as yard_of,
+)
+from .tour import boat_views as boat_views, tour as tour

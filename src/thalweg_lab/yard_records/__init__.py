@@ -1,1 +1,0 @@
-"""Lidar, positions and image times in the yard."""

@@ -1,0 +1,131 @@
+"""Clouds of others compared: files, frames, states, levels of detection, the command."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import CRS
+
+from thalweg.cli import main
+from thalweg.core import ArrayF, GeometryError, InputError, read_table
+from thalweg.core.las import read_laz, write_laz
+from thalweg.deformation import Comparison, compare_clouds
+from thalweg.deformation.compare import CHANGES
+from thalweg.deformation.foreign import read_points
+
+OPTIONS = Comparison(scales_m=(1.0,), radius_m=0.8, half_length_m=3.0)
+
+
+def ground(seed: int, lift: float = 0.0) -> ArrayF:
+    """A plane of 30 m x 20 m with noise of 1 cm; the part east of 20 m is lifted."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0.0, (30.0, 20.0), (6000, 2))
+    z = 0.1 * xy[:, 0] + rng.normal(0.0, 0.01, len(xy)) + np.where(xy[:, 0] > 20.0, lift, 0.0)
+    return np.column_stack([xy[:, 0] + 440_000.0, xy[:, 1] + 5_640_000.0, z])
+
+
+def a_file(path: Path, xyz: ArrayF, epsg: int | None = 25833) -> Path:
+    write_laz(path, [{"xyz_m": xyz}], CRS.from_epsg(epsg) if epsg else None)
+    return path
+
+
+def test_erosion_and_deposition_are_found_where_they_are(tmp_path: Path) -> None:
+    before, after = a_file(tmp_path / "a.laz", ground(1)), a_file(tmp_path / "b.laz", ground(2, -0.08))
+    table, frame, notes = compare_clouds(
+        before, after, OPTIONS, core_every=20, sigma_m=(0.01, 0.01), sigma_registration_m=0.005
+    )
+    assert isinstance(frame, CRS)
+    assert notes == []
+    inner = table["east_m"].between(440_001, 440_018.5)
+    lowered = table["east_m"].between(440_021.5, 440_029)
+    # along a normal that leans by 5.7 degrees
+    assert table.loc[lowered, "distance_m"].mean() == pytest.approx(-0.08 * np.cos(np.arctan(0.1)), abs=0.002)
+    assert (table.loc[lowered, "state"] == "erosion").all()
+    assert (table.loc[inner, "state"] == "no significant change").mean() > 0.95
+    assert table["sigma_field_m"].dropna().to_numpy() == pytest.approx(0.01 * np.sqrt(2.0))
+    assert table["sigma_registration_m"].dropna().to_numpy() == pytest.approx(0.005)
+    total = np.sqrt(
+        table["sigma_field_m"] ** 2 + table["sigma_white_m"] ** 2 + table["sigma_registration_m"] ** 2
+    )
+    assert table["sigma_m"].dropna().to_numpy() == pytest.approx(total.dropna().to_numpy())
+    assert table["lod95_m"].dropna().to_numpy() == pytest.approx(
+        1.959964 * total.dropna().to_numpy(), rel=1e-6
+    )
+    back, _, _ = compare_clouds(after, before, OPTIONS, core_every=20, sigma_m=(0.01, 0.01))
+    assert (back.loc[back["east_m"].between(440_021.5, 440_029), "state"] == "deposition").all()
+
+
+def test_white_noise_keeps_its_level_without_change(tmp_path: Path) -> None:
+    """Without shared errors roughness is all there is: 5 % of the core points, or no discovery."""
+    before, after = a_file(tmp_path / "a.laz", ground(3)), a_file(tmp_path / "b.laz", ground(4))
+    options = Comparison(scales_m=(2.0,), radius_m=0.5, half_length_m=3.0, control="none")
+    table, _, notes = compare_clouds(before, after, options, core_every=5)
+    assert "roughness alone" in notes[0]
+    # some 400 cylinders stand apart: 5 % +- 1.1 %; normals of edges lean and add to it
+    assert 0.025 < table["significant"].mean() < 0.085
+    controlled, _, _ = compare_clouds(
+        before, after, Comparison(scales_m=(2.0,), radius_m=0.5, half_length_m=3.0), core_every=5
+    )
+    assert controlled["significant"].mean() < 0.01
+
+
+def test_places_that_an_epoch_has_not_seen_are_no_erosion(tmp_path: Path) -> None:
+    full, part = ground(1), ground(2)
+    part = part[part[:, 0] < 440_015.0]
+    before, after = a_file(tmp_path / "a.laz", full), a_file(tmp_path / "b.laz", part)
+    table, _, _ = compare_clouds(before, after, OPTIONS, core_every=20, sigma_m=(0.01, 0.01))
+    gone = table["east_m"] > 440_016.5
+    assert (table.loc[gone, "state"] == "not seen in second").all()
+    assert table.loc[gone, "distance_m"].isna().all()
+
+
+def test_other_frames_and_clouds_apart_are_refused(tmp_path: Path) -> None:
+    before = a_file(tmp_path / "a.laz", ground(1))
+    with pytest.raises(InputError, match=r"UTM zone 33N.*UTM zone 32N.*one coordinate system"):
+        compare_clouds(before, a_file(tmp_path / "b.laz", ground(2), epsg=25832), OPTIONS)
+    apart = a_file(tmp_path / "c.laz", ground(2) + np.array([0.0, 0.0, 45.0]))
+    with pytest.raises(GeometryError, match="no core point has points of both epochs"):
+        compare_clouds(before, apart, OPTIONS)
+
+
+@pytest.mark.parametrize("head", ["", "x y z\n", "# cloud\nX,Y,Z\n"])
+def test_tables_of_coordinates_are_read(tmp_path: Path, head: str) -> None:
+    mark = "," if "," in head else " "
+    path = tmp_path / "points.xyz"
+    path.write_text(head + f"1.5{mark}2{mark}3{mark}7\n4{mark}5{mark}6{mark}8\n")
+    assert read_points(path).xyz_m.tolist() == [[1.5, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    path.write_text(head)
+    with pytest.raises(InputError, match="no line of three numbers"):
+        read_points(path)
+
+
+def test_the_command_writes_what_it_prints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before, after = a_file(tmp_path / "a.laz", ground(1)), a_file(tmp_path / "b.laz", ground(2, 0.3))
+    words = [
+        "compare-clouds",
+        str(before),
+        str(after),
+        "--sigma-a",
+        "0.01",
+        "--sigma-b",
+        "0.01",
+        "--scales",
+        "1,2",
+    ]
+    tables = []
+    for suffix in ("csv", "parquet", "laz"):
+        out = tmp_path / f"changes.{suffix}"
+        assert main([*words, "-o", str(out)]) == 0
+        printed = capsys.readouterr().out
+        assert f"Wrote {out}" in printed
+        assert "deposition: " in printed
+        tables.append(out)
+    csv = pd.read_csv(tables[0])
+    parquet, _ = read_table(tables[1], CHANGES)
+    pd.testing.assert_frame_equal(csv, parquet, check_dtype=False, rtol=1e-12)
+    columns, header = read_laz(tables[2])
+    assert columns["distance_m"] == pytest.approx(parquet["distance_m"].to_numpy(), nan_ok=True)
+    assert header.extra_dimensions["lod95_m"][1] == "m"
+    assert main([*words, "-o", str(tmp_path / "changes.txt")]) == 2
+    assert "suffix '.txt'" in capsys.readouterr().err

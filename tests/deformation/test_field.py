@@ -1,0 +1,153 @@
+"""The field of shared errors against full matrices, its limits, draws, and two surveys."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.stats import chi2, false_discovery_control, norm
+
+from thalweg.core import ArrayF, GeometryError
+from thalweg.deformation.field import ErrorField, ErrorGroup, benjamini_hochberg, largest_deviation
+from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, pose_weights
+
+
+def a_group(rng: np.random.Generator, m: int, tau: float) -> ErrorGroup:
+    t = np.sort(rng.uniform(0.0, 60.0, m))
+    return ErrorGroup("position", t, np.tril(rng.normal(size=(m, 3, 3))), tau)
+
+
+def full_covariance(group: ErrorGroup) -> ArrayF:
+    lag = np.abs(group.t_s[:, None] - group.t_s)
+    correlation = np.where(lag == 0, 1.0, np.exp(-lag / group.correlation_s) if group.correlation_s else 0.0)
+    m = len(group.t_s)
+    return np.einsum("kl,kij,lmj->kilm", correlation, group.root, group.root).reshape(3 * m, 3 * m)
+
+
+def rows_of(rng: np.random.Generator, k: int, m: int) -> sp.csr_matrix:
+    rows = sp.csr_matrix(sp.random(k, 3 * m, density=0.3, random_state=rng, data_rvs=rng.standard_normal))
+    rows.sort_indices()
+    return rows
+
+
+@pytest.mark.parametrize("tau", [0.0, 0.3, 7.0, 1e9])
+def test_variances_and_covariances_are_those_of_the_full_matrix(tau: float) -> None:
+    rng = np.random.default_rng(1)
+    groups = (a_group(rng, 40, tau), a_group(rng, 25, 3.0))
+    rows = (rows_of(rng, 7, 40), rows_of(rng, 7, 25))
+    field = ErrorField(groups, rows)
+    expected = sum(
+        R.toarray() @ full_covariance(g) @ R.toarray().T for g, R in zip(groups, rows, strict=True)
+    )
+    assert field.variances() == pytest.approx(np.diag(expected), rel=1e-9)
+    assert field.covariance_with(field) == pytest.approx(
+        expected, rel=1e-9, abs=1e-9 * np.abs(expected).max()
+    )
+    mean = np.full((1, 7), 1.0 / 7.0)
+    assert field.combined(mean).variances()[0] == pytest.approx((mean @ expected @ mean.T)[0, 0], rel=1e-9)
+
+
+def test_one_error_of_all_moments_adds_up_and_independent_ones_average() -> None:
+    t = np.linspace(0.0, 10.0, 50)
+    rows = sp.csr_matrix(np.tile([0.0, 0.02, 0.0], 50)[None])  # the mean of 50 moments, component north
+    for tau, expected in ((np.inf, 0.3**2), (0.0, 0.3**2 / 50)):
+        field = ErrorField((ErrorGroup.from_sigmas("position", t, np.array([9.0, 0.3, 9.0]), tau),), (rows,))
+        assert field.variances()[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_draws_have_the_covariance_that_is_stated() -> None:
+    rng = np.random.default_rng(2)
+    field = ErrorField((a_group(rng, 30, 7.0),), (rows_of(rng, 4, 30),))
+    draws = np.array([field.draw(rng) for _ in range(4000)])
+    C = field.covariance_with(field)
+    squares = np.einsum("ij,jk,ik->i", draws, np.linalg.inv(C), draws)
+    low, high = chi2.ppf([0.0005, 0.9995], 4 * len(draws))
+    assert low < squares.sum() < high
+
+
+def test_q_values_are_those_of_scipy_and_leave_the_unknown_out() -> None:
+    p = np.random.default_rng(4).uniform(size=200) ** 2
+    assert benjamini_hochberg(p) == pytest.approx(false_discovery_control(p), rel=1e-12)
+    with_gaps = np.insert(p, [0, 50], np.nan)
+    q = benjamini_hochberg(with_gaps)
+    assert np.isnan(q[[0, 51]]).all()
+    assert q[np.isfinite(q)] == pytest.approx(false_discovery_control(p), rel=1e-12)
+
+
+def test_the_limit_of_the_largest_deviation_counts_what_products_share() -> None:
+    """Equal products have the limit of one, independent ones that of Bonferroni."""
+    t = np.arange(60.0)
+    group = ErrorGroup.from_sigmas("position", t, np.ones(3), 0.0)
+    common = ErrorField((group,), (sp.csr_matrix(np.tile(np.eye(1, 180), (50, 1))),))
+    alone = ErrorField((group,), (sp.csr_matrix(np.eye(50, 180)),))
+    limits = [largest_deviation([field], np.ones(50), draws=4000) for field in (common, alone)]
+    # quantiles of 4000 draws: 3 sigma of their own are 0.10 and 0.06
+    assert limits[0] == pytest.approx(norm.isf(0.025), abs=0.10)
+    assert limits[1] == pytest.approx(norm.isf((1 - 0.95 ** (1 / 50)) / 2), abs=0.10)
+    with pytest.raises(GeometryError, match="no distance"):
+        largest_deviation([alone], np.full(50, np.nan))
+
+
+def test_times_that_go_back_are_refused() -> None:
+    with pytest.raises(GeometryError, match="go back"):
+        ErrorGroup.from_sigmas("position", np.array([1.0, 0.0]), np.ones(3), 1.0)
+    with pytest.raises(GeometryError, match="correlated over -1"):
+        ErrorGroup.from_sigmas("position", np.array([0.0, 1.0]), np.ones(3), -1.0)
+
+
+# ---------------------------------------------------------------- two surveys of a bank
+
+TAU_S, SIGMA_M, SIGMA_RAD, NOISE_M = 10.0, np.array([0.02, 0.02, 0.03]), np.radians([0.05, 0.05, 0.1]), 0.02
+CORES = np.column_stack([np.arange(10.0, 50.0, 2.0), np.zeros(20), np.tile([1.0, 2.5], 10)])
+NORMALS = np.tile([0.0, -1.0, 0.0], (20, 1))
+SHAPE = {"radius_m": 0.8, "half_length_m": 2.0}
+
+
+def process(rng: np.random.Generator, t: ArrayF, sigma: ArrayF) -> ArrayF:
+    """Errors drawn from their full covariance, not by the recursion of the library."""
+    root = np.linalg.cholesky(np.exp(-np.abs(t[:, None] - t) / TAU_S) + 1e-10 * np.eye(len(t)))
+    return np.asarray(root @ rng.standard_normal((len(t), 3)) * sigma)
+
+
+def an_epoch(rng: np.random.Generator) -> tuple[ArrayF, ErrorField, ArrayF]:
+    """Mean positions at the core points, their field, and their white variance, of one pass along a plane."""
+    t = np.arange(0.0, 60.0, 0.2)
+    boat = np.column_stack([t, np.full(len(t), -rng.uniform(8, 15)), np.full(len(t), 0.5)])
+    node = np.repeat(np.arange(len(t)), 30)
+    bank = np.column_stack(
+        [boat[node, 0] + rng.uniform(-4, 4, len(node)), np.zeros(len(node)), rng.uniform(0, 4, len(node))]
+    )
+    moved = (
+        bank + process(rng, t, SIGMA_M)[node] + np.cross(process(rng, t, SIGMA_RAD)[node], bank - boat[node])
+    )
+    moved += rng.normal(0.0, NOISE_M, moved.shape)
+    index = ColumnIndex.of(moved, 1.0)
+    cut = cut_cylinders(CORES, NORMALS, index, **SHAPE)
+    weights = pose_weights(CORES, NORMALS, index, node, boat, **SHAPE)
+    field = ErrorField.of_distances(
+        weights,
+        ErrorGroup.from_sigmas("position", t, SIGMA_M, TAU_S),
+        ErrorGroup.from_sigmas("attitude", t, SIGMA_RAD, TAU_S),
+    )
+    return cut.along_m, field, NOISE_M**2 / cut.n
+
+
+def test_distances_of_two_surveys_err_as_the_field_says() -> None:
+    """Joint squares of 20 distances in 24 pairs, normalised; with independent points they are too large."""
+    squares, single, independent = 0.0, [], []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        (a, field_a, white_a), (b, field_b, white_b) = an_epoch(rng), an_epoch(rng)
+        error = b - a
+        C = field_a.covariance_with(field_a) + field_b.covariance_with(field_b) + np.diag(white_a + white_b)
+        assert np.diag(C) == pytest.approx(
+            field_a.variances() + field_b.variances() + white_a + white_b, rel=1e-9
+        )
+        squares += float(error @ np.linalg.solve(C, error))
+        single.append(np.abs(error) > 1.96 * np.sqrt(np.diag(C)))
+        groups = [ErrorGroup(g.name, g.t_s, g.root, 0.0) for g in field_a.groups]
+        independent.append(
+            error**2 / (2 * ErrorField(tuple(groups), field_a.rows).variances() + white_a + white_b)
+        )
+    low, high = chi2.ppf([0.005, 0.995], 24 * len(CORES))
+    assert low < squares < high
+    assert np.mean(independent) > 3.0
+    assert 0.0 < np.mean(single) < 0.12  # 5 %; a pair holds some three independent values

@@ -1,0 +1,274 @@
+"""What the rules of a campaign take, without Snakemake: twins, real logs, calibrations, basins."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from thalweg.settings import Campaign, load_campaigns, with_calibrations
+from thalweg.workflow import CampaignFiles
+from thalweg_lab.campaign_files import (
+    calibrated_boat,
+    has_ledger,
+    ledger_outputs,
+    ledger_results,
+    ledger_studies,
+    ledger_table,
+    sheet_basin,
+    twin_logs,
+)
+
+
+@pytest.fixture(scope="module")
+def shipped(repository: Path) -> dict[str, CampaignFiles]:
+    """The campaigns of the repository and those that they name."""
+    folder = repository / "config/campaigns"
+    chosen = load_campaigns(["tiny", "field_tiny", "basin_tiny", "demo"], folder)
+    campaigns = with_calibrations(chosen, folder)
+    return {name: CampaignFiles(name=name, campaigns=campaigns, twin_logs=twin_logs) for name in campaigns}
+
+
+IDENTITY = {
+    "id": "boat",
+    "title": "t",
+    "crs": "EPSG:25833",
+    "origin": {"lat_deg": 51.0, "lon_deg": 13.0, "h_ell_m": 300.0},
+}
+
+
+def survey(**sections: object) -> CampaignFiles:
+    """A campaign of real logs, whose files are not looked at."""
+    campaign = Campaign.model_validate_json(json.dumps({"campaign": IDENTITY, **sections}))
+    return CampaignFiles(name="boat", campaigns={"boat": campaign})
+
+
+def names(files: list[str]) -> list[str]:
+    return [name.removeprefix("results/boat/") for name in files]
+
+
+def test_logs_of_a_twin_are_those_that_the_laboratory_writes(shipped) -> None:
+    tiny = shipped["tiny"]
+    assert tiny.is_twin()
+    assert tiny.logs("lidar") == ["results/tiny/simulation/logs/lidar.pcap"]
+    assert tiny.logs("clock_ties") == []
+    assert len(tiny.logs("reference")) == 3
+    assert tiny.has_time_lapse()
+    # without the laboratory nobody knows where a twin writes
+    alone = CampaignFiles(name="tiny", campaigns=tiny.campaigns)
+    assert alone.logs("lidar") == []
+
+
+def test_logs_of_a_survey_are_those_that_its_file_names() -> None:
+    boat = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"], "gnss": {"rover": ["a.sbp"]}})
+    assert not boat.is_twin()
+    assert boat.logs("lidar") == ["a.pcap"]
+    assert boat.log_option("gps_week") is None
+    assert boat.best_chain() == "ins"
+    assert boat.best_trajectory() == "results/boat/orientation/trajectory.parquet"
+    assert boat.calibration_file() == []
+    assert not boat.has_reference()
+    with pytest.raises(KeyError):
+        boat.logs("no_such_stream")
+
+
+@pytest.mark.parametrize(
+    ("source", "ins", "positions", "base"),
+    [
+        ("sbp", ["a.anpp"], ["a.sbp"], []),
+        ("ppk", ["a.anpp"], ["a.sbp"], ["b.sbp"]),
+        ("pos", ["a.anpp"], ["ppk.pos"], []),
+        ("ins", ["a.anpp"], [], []),
+        ("sbet", ["a.sbet"], [], []),
+    ],
+)
+def test_the_position_source_decides_which_logs_are_read(source, ins, positions, base) -> None:
+    gnss = {"rover": ["a.sbp"], "base": ["b.sbp"]}
+    logs = {
+        "lidar": ["a.pcap"],
+        "ins": ["a.anpp"],
+        "sbet": ["a.sbet"],
+        "smrmsg": ["a.out"],
+        "positions": ["ppk.pos"],
+        "gnss": gnss,
+    }
+    boat = survey(logs=logs, orientation={"position_source": source})
+    assert boat.ins_logs() == ins
+    assert boat.position_logs() == positions
+    assert boat.ppk_logs("base") == base
+    assert boat.smrmsg_logs() == (["a.out"] if source == "sbet" else [])
+    # INS states have one report, whichever file they are of
+    assert names(boat.reports()) == [
+        f"ingest/{stream}.integrity.json" for stream in ("lidar", "ins", "gnss", "positions")
+    ]
+
+
+def test_full_covariances_where_something_judges_them(shipped) -> None:
+    logs = {"lidar": ["a.pcap"], "ins": ["a.anpp"]}
+    plain = survey(logs=logs, georeferencing={"correlations": False})
+    judged = survey(logs={**logs, "reference": ["a.laz"]}, georeferencing={"correlations": False})
+    assert plain.georeferencing()["correlations"] is False
+    assert judged.georeferencing()["correlations"] is True
+    assert shipped["tiny"].georeferencing()["correlations"] is True
+    assert "export_map" not in plain.georeferencing()
+    # and what it was asked for stays what the campaign says
+    assert judged.section("georeferencing", "correlations") is False
+
+
+def test_parts_of_settings_leave_out_what_a_job_does_not_depend_on(shipped) -> None:
+    tiny = shipped["tiny"]
+    assert set(tiny.identity("id", "seed")) == {"id", "seed"}
+    assert set(tiny.mounts("lidar")) == {"lidar"}
+    assert "sigma_m" not in tiny.reference_surface()
+    assert "sections" not in tiny.comparison()
+    assert set(tiny.twin_parts("scene")) == {"size", "start_utc", "duration_s", "field", "scene"}
+    assert tiny.section("images", "mapping", "parts") == tiny.campaign.images.mapping.parts
+    with pytest.raises(KeyError):
+        tiny.section("images", "mappnig")
+
+
+def test_a_survey_takes_clock_lens_and_boat_of_its_calibration(shipped) -> None:
+    demo = shipped["demo"]
+    assert demo.calibration_campaign() == "field"
+    assert demo.calibration_file() == ["results/field/calibration/boat.yaml"]
+    assert demo.camera_clock() == ["results/field/timing/camera_clock.yaml"]
+    assert demo.clock_stability() == ["results/field/timing/clock_stability.json"]
+    assert demo.calibrated_interior() == ["results/field/calibration/camera.yaml"]
+    assert demo.known_interior() == ["results/demo/orientation/camera_start.yaml"]
+    assert calibrated_boat(demo) == ["results/field/simulation/truth/mounts.json"]
+    # a file in its place is taken as it is, and no clock comes with it
+    boat = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]}, mounts={"calibration": "own/boat.yaml"})
+    assert boat.calibration_file() == ["own/boat.yaml"]
+    assert boat.calibration_campaign() is None
+    assert boat.camera_clock() == []
+    assert calibrated_boat(boat) == []
+
+
+def test_the_calibration_itself_has_the_clock_that_its_logs_allow(shipped) -> None:
+    field = shipped["field_tiny"]
+    assert field.has_kinematic_clock()
+    assert field.camera_clock() == ["results/field_tiny/timing/camera_clock.yaml"]
+    assert field.tied_images() == []
+    given = {
+        "field": ["f.yaml"],
+        "run_images": ["i"],
+        "position_images": ["p"],
+        "position_scans": ["s"],
+        "clock_ties": ["t.csv"],
+    }
+    tied = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"], "calibration": given})
+    assert not tied.has_kinematic_clock()
+    assert names(tied.camera_clock()) == ["timing/camera_clock_ties.yaml"]
+    assert names(tied.tied_images()) == ["timing/image_times_ties.parquet"]
+    assert "calibration/camera_lidar.yaml" in names(tied.final_outputs())
+    assert not any("truth" in name for name in tied.final_outputs())
+
+
+def test_the_longest_list_of_outputs_is_the_demo(shipped) -> None:
+    outputs = shipped["demo"].final_outputs()
+    assert len(set(outputs)) == len(outputs)
+    assert {name.split("/")[1] for name in outputs} == {"demo"}
+    for name in (
+        "lidar/points.laz", "summary.csv", "accuracy/index.html",
+        "accuracy/trajectories.html", "lidar/by_fused/points.laz", "triangulation/strip/bed.laz",
+    ):  # fmt: skip
+        assert f"results/demo/{name}" in outputs
+
+
+def test_a_survey_without_reference_and_images_has_no_pages_of_them() -> None:
+    found = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]}).final_outputs()
+    assert "lidar/points.laz" in names(found)
+    assert not [name for name in found if "/accuracy/" in name or "by_" in name.split("/")[-2]]
+
+
+def test_steps_of_the_camera_are_those_of_who_oriented_the_images(shipped) -> None:
+    own = shipped["tiny"].chain_steps("camera")
+    assert "results/tiny/orientation/sfm/features_0.npz" in own
+    logs = {
+        "lidar": ["a.pcap"],
+        "ins": ["a.anpp"],
+        "time_lapse": {"images": ["a.jpg"], "orientations": ["p.parquet"]},
+    }
+    boat = survey(logs=logs)
+    assert names(boat.chain_steps("camera")) == [
+        f"orientation/{name}.parquet"
+        for name in ("image_poses_finished", "image_poses_timed", "trajectory_camera")
+    ]
+    assert names([boat.oriented_images()]) == ["orientation/image_poses_finished.parquet"]
+    assert boat.control_reports() == []
+    assert not boat.images_hold_positions()
+    assert boat.of_compared_chains("statistics.csv") == []
+
+
+def test_lines_on_the_grid_object_are_short_pieces_in_as_many_levels(shipped) -> None:
+    """What the calibration changes of the campaign's lines stands in the campaign file, too."""
+    basin = shipped["basin_tiny"]
+    lines = basin.section("light_sheet", "lines")
+    assert basin.sheet_lines("panels") == lines
+    found = basin.sheet_lines("calibration")
+    assert found == lines | {"lines": 2, "link_gap_rows": 0, "least_rows": 5, "largest_rows": 7}
+    pieces = {"least_rows": 9}
+    own = survey(logs={"lidar": ["a.pcap"]}, light_sheet={"calibration": {"levels": 3, "pieces": pieces}})
+    assert own.sheet_lines("calibration")["lines"] == 3
+    assert own.sheet_lines("calibration")["least_rows"] == 9
+
+
+def test_scans_of_a_basin(shipped) -> None:
+    basin = shipped["basin_tiny"]
+    assert basin.scan_names() == ["stepped", "wreck"]
+    assert basin.sheet_series() == ["calibration", "panels", "stepped", "wreck"]
+    assert basin.sheet_images("calibration") == basin.logs("grid_images")
+    assert basin.sheet_images("wreck") == basin.scan_logs("wreck", "images") == basin.logs("wreck")
+    assert basin.scan_levels("wreck") is None
+    assert len(basin.scan_levels("stepped") or []) == 3
+    # as a surveyor hands them in; a scan without a reference is compared with nothing
+    scans = {"hull": {"images": ["h"], "reference": ["h.ply"]}, "keel": {"images": ["k"]}}
+    own = survey(logs={"light_sheet": {"grid_images": ["g"], "scans": scans}})
+    assert own.scan_names() == ["hull", "keel"]
+    assert own.compared_scans() == ["hull"]
+    assert own.sheet_series() == ["calibration", "hull", "keel"]
+    assert not has_ledger(own)
+    assert ledger_outputs(own) == []
+
+
+def test_the_ledger_reads_what_the_basin_makes(shipped, repository: Path, tmp_path, monkeypatch) -> None:
+    basin = shipped["basin_tiny"]
+    assert has_ledger(basin)
+    assert ledger_table(basin) == ["results/basin_tiny/triangulation/ledger.csv"]
+    found = ledger_results(basin, repository)
+    assert len(found) == len(set(found)) > 5
+    assert any("/wreck/" in name for name in found)
+    monkeypatch.chdir(tmp_path)
+    assert ledger_studies(repository) == {}
+    written = yaml.safe_load((repository / "config/studies/multi_line_study.yaml").read_text())
+    study = Path(written["tables"]["multi_line"]["file"])
+    study.parent.mkdir(parents=True)
+    study.write_text("a\n1\n")
+    assert set(ledger_studies(repository)) <= {study.as_posix()}
+
+
+def test_a_boat_carries_the_sensor_of_its_basin(shipped) -> None:
+    demo = shipped["demo"]
+    assert demo.sheet_on_board() == ["results/basin/triangulation/sensor.yaml"]
+    assert demo.sheet_design() == demo.sheet_on_board()
+    assert set(sheet_basin(demo)) == {"seed", "twin"}
+    assert set(sheet_basin(demo)["twin"]) == {"size", "light_sheet"}
+    assert shipped["basin_tiny"].sheet_design() == shipped["basin_tiny"].logs("sheet_sensor")
+    with pytest.raises(KeyError):
+        sheet_basin(shipped["tiny"])
+
+
+def test_targets_are_parts_of_a_campaign(shipped) -> None:
+    demo = shipped["demo"]
+    assert "results/demo/lidar/by_fused/points.laz" in demo.target("lidar")
+    assert "results/demo/ingest/camera.integrity.json" in demo.target("ingest")
+    assert "results/demo/orientation/trajectory_camera.parquet" in demo.target("images")
+    for part in ("lidar", "accuracy"):
+        assert set(demo.target(part)) < set(demo.final_outputs())
+        assert {name.split("/")[2] for name in demo.target(part)} == {part}
+    # a basin has neither streams nor a boat
+    assert {part: len(shipped["basin_tiny"].target(part)) for part in ("ingest", "lidar", "images")} == {
+        "ingest": 0,
+        "lidar": 0,
+        "images": 0,
+    }
