@@ -14,8 +14,18 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, njit, prange
+from thalweg.core import AnyArray, ArrayB, ArrayF, ConfigError, njit, prange
 from thalweg.settings.twin import Change, TwinScene
+from thalweg_lab.changes import (
+    Stretch,
+    cut_of_niche,
+    cut_of_retreat,
+    patches,
+    retreat_reach_m,
+    slope_width,
+    smoothstep,
+    stretch,
+)
 from thalweg_lab.random_numbers import generator
 
 _LINE_STEP_M: Final = 0.5
@@ -25,6 +35,9 @@ BAR_PLACE: Final = 0.06
 """Distance of its middle from the left shore as a share of the river's width."""
 _SCOUR_M: Final = 0.7
 """Depth of the scour hole of a second epoch."""
+
+_BEHIND_CREST_M: Final = 1.0
+"""A retreat of the right bank may reach so far behind its crest: the track stays."""
 
 REACH_M: Final = 70.0
 """How far the land goes on behind the shores."""
@@ -43,17 +56,6 @@ BRIDGE_CLEARANCE_M: Final = 4.2
 GULLY_M: Final = 0.45
 """Depth of the deepest gullies."""
 
-_PLACES: dict[str, tuple[float, float]] = {
-    # Share of the length, greatest half length in metres.
-    "undercut_bank": (0.15, 45.0),
-    "moved_boulders": (0.02, 20.0),
-    "scour": (-0.10, 12.0),
-    "fallen_tree": (-0.22, 9.0),
-    "gravel_bar": (-0.34, 22.0),
-}
-_SHARE = 0.11
-"""No change is longer than twice this share of the reach."""
-
 _MANY: Final = 100_000
 
 
@@ -68,6 +70,10 @@ class River:
     ----------
     config : section ``twin.scene``.
     seed : seed of the campaign; the settings may name another one for the river.
+
+    Raises
+    ------
+    ConfigError : the retreat of the right bank would reach the track behind its crest.
     """
 
     config: TwinScene
@@ -78,6 +84,7 @@ class River:
     def __post_init__(self) -> None:
         if self.config.seed is not None:
             self.seed = self.config.seed
+        self._check_retreat()
         self.noise_seed = int(generator(self.seed, "river").integers(2**31))
         # The boat may leave the modelled reach for an instant while it turns: the line goes on.
         half = self.config.length_m / 2 + 50.0
@@ -90,6 +97,16 @@ class River:
         line -= line[len(s) // 2]
         tangent = np.stack([np.cos(self.angle(s)), np.sin(self.angle(s))], axis=1)
         self._line = CubicHermiteSpline(s, line, tangent)
+
+    def _check_retreat(self) -> None:
+        c = self.config
+        most = slope_width(c) + _BEHIND_CREST_M
+        if "bank_retreat" in c.changes and retreat_reach_m(c) > most:
+            raise ConfigError(
+                f"twin.scene.retreat_m {c.retreat_m} cuts {retreat_reach_m(c):.1f} m into the right bank",
+                expected=f"at most {most:.1f} m, its slope and a metre of its crest",
+                cure="Lower twin.scene.retreat_m, or raise twin.scene.embankment_height_m",
+            )
 
     def angle(self, s_m: AnyArray) -> ArrayF:
         """Direction of the flow, radians from east, counter-clockwise."""
@@ -143,16 +160,31 @@ class River:
     def shores(self, s_m: AnyArray) -> tuple[ArrayF, ArrayF]:
         """Distances of the right and the left shore from the centre line, metres, both positive.
 
-        They are the half width, but for the retreat of the left bank in a second epoch.
+        They are the half width, but for the retreat of either bank in a second epoch.
         """
         w = self.half_width(s_m)
-        return w, w + self.retreat(s_m)
+        return w + self.right_retreat(s_m), w + self.retreat(s_m)
 
     def retreat(self, s_m: AnyArray) -> ArrayF:
         """How far the left bank has retreated, metres; zero where it has not."""
         s = np.asarray(s_m, dtype=np.float64)
         bump = self._changed("undercut_bank", s)
         return np.asarray(self.config.retreat_m * bump * (0.94 + 0.06 * self._along(s, 6.0, 7)))
+
+    def right_retreat(self, s_m: AnyArray) -> ArrayF:
+        """How far the toe of the right bank has retreated, metres; zero where it has not."""
+        s = np.asarray(s_m, dtype=np.float64)
+        bump = self._changed("bank_retreat", s)
+        return np.asarray(self.config.retreat_m * bump * (0.94 + 0.06 * self._along(s, 6.0, 10)))
+
+    def lost(self, s_m: AnyArray, n_m: AnyArray) -> ArrayB:
+        """Where the ground of the right bank has gone by more than a decimetre, and what stood on it."""
+        s, n = np.broadcast_arrays(np.asarray(s_m, dtype=np.float64), np.asarray(n_m, dtype=np.float64))
+        right = -self.half_width(s) - n
+        if not {"bank_retreat", "niche", "collapsed_niche"} & set(self.config.changes):
+            return np.zeros(s.shape, dtype=np.bool_)
+        old, _ = embankment(self.config, s, np.maximum(right, 0.0), self.noise_seed)
+        return np.asarray((right > 0) & (old - self._cut(s, right, old) > 0.1))
 
     def thalweg_n(self, s_m: AnyArray) -> ArrayF:
         """Where the bed is deepest across the river: towards the outer bank of a bend."""
@@ -214,7 +246,13 @@ class River:
         cell = self.cell_m(over)
         worn = self._changed("undercut_bank", s)
         z = np.where(over > 0, 0.0, -self.depth(s, n))
-        dry_right, rough_right = embankment(c, s, np.maximum(right, 0.0), self.noise_seed)
+        # Distance from the shore of the first epoch: a retreat cuts into the bank and moves nothing behind.
+        gone = self.right_retreat(s)
+        dry_right, rough_right = embankment(c, s, np.maximum(right + gone, 0.0), self.noise_seed)
+        if gone.any():
+            fresh = 0.5 + (rough_right - 0.5) * smoothstep(right / 0.8)
+            rough_right = np.where(gone > 0, fresh, rough_right)
+        dry_right = self._patched(s, right + gone, self._cut(s, right + gone, dry_right))
         dry_left, rough_left = meadow(c, s, n, np.maximum(left, 0.0), self.bend(s), worn, self.noise_seed)
         if c.bridge:
             dry_left = np.maximum(dry_left, ramp(c, s, left))
@@ -255,26 +293,38 @@ class River:
         # Where nothing changes both are zero, and adding zero changes no bit.
         return d - bar * (d + _BAR_TOP_M) + _SCOUR_M * hole
 
-    def _changed(self, change: str, s: AnyArray) -> ArrayF:
-        known = [c for c in self.config.changes if c == change]
-        return stretch(self.config, known[0]).bump(s) if known else np.zeros(np.shape(s))
+    def _cut(self, s: ArrayF, right: ArrayF, z: ArrayF) -> ArrayF:
+        """Height of the right bank where it has been cut; ``right`` from the shore of the first epoch."""
+        c = self.config
+        if "bank_retreat" in c.changes:
+            gone = self.right_retreat(s)
+            z = np.where(gone > 0, np.minimum(z, cut_of_retreat(right - gone)), z)
+        for change in ("niche", "collapsed_niche"):
+            if change in c.changes:
+                z = cut_of_niche(c, s, right, z, talus=change == "collapsed_niche")
+        return z
+
+    def _patched(self, s: ArrayF, right: ArrayF, z: ArrayF) -> ArrayF:
+        """Height with the patches that are displaced; ``right`` from the shore of the first epoch."""
+        if "change_patches" in self.config.changes:
+            for patch in patches(self.config):
+                z = z + patch.rise(self.along_patch(patch.middle_s_m, patch.right_m, s), right)
+        return z
+
+    def along_patch(self, middle_s_m: float, right_m: float, s: ArrayF) -> ArrayF:
+        """Way on the bank from a middle to places ``s``, metres: in a bend it is not that in ``s``."""
+        n = -float(self.half_width(np.array(middle_s_m))) - right_m
+        return np.asarray((s - middle_s_m) * (1.0 - float(self.curvature(middle_s_m)) * n))
+
+    def _changed(self, change: Change, s: AnyArray) -> ArrayF:
+        known = change in self.config.changes
+        return stretch(self.config, change).bump(s) if known else np.zeros(np.shape(s))
 
     def _along(self, s: ArrayF, wavelength_m: float, number: int) -> ArrayF:
         return value_noise(s, np.zeros_like(s), wavelength_m, self.noise_seed + number)
 
 
 # ---------------------------------------------------------------- profiles of the banks
-
-
-def smoothstep(x: ArrayF) -> ArrayF:
-    """0 below 0, 1 above 1, smooth to the first derivative between."""
-    u = np.clip(x, 0.0, 1.0)
-    return np.asarray(u * u * (3.0 - 2.0 * u))
-
-
-def slope_width(config: TwinScene) -> float:
-    """Horizontal width of the embankment's slope, metres."""
-    return float(config.embankment_height_m / np.tan(np.deg2rad(config.embankment_slope_deg)))
 
 
 def track_offset(config: TwinScene) -> float:
@@ -382,37 +432,6 @@ def beach_width(s: ArrayF, bend: ArrayF, worn: ArrayF, seed: int) -> ArrayF:
     along = np.full_like(s, 3.3)
     inner = np.maximum(bend, 0.0) * (1.0 - worn)
     return np.asarray(0.25 + (3.2 + 1.4 * value_noise(s, along, 19.0, seed + 31)) * inner)
-
-
-# ---------------------------------------------------------------- where a second epoch differs
-#
-# Each change has a place of its own along the flow, a function of the settings alone, and acts inside it
-# only. Vegetation that has grown is the exception: bushes, grass and reeds are larger everywhere.
-
-
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """A part of the reach along the flow: its middle and half length, metres."""
-
-    middle_m: float
-    half_m: float
-
-    def bump(self, s_m: AnyArray) -> ArrayF:
-        """One in the middle, exactly zero outside, smooth to the first derivative."""
-        x = (np.asarray(s_m, dtype=np.float64) - self.middle_m) / self.half_m
-        return np.asarray(np.where(np.abs(x) < 1.0, (1.0 - np.minimum(x * x, 1.0)) ** 2, 0.0))
-
-    def holds(self, s_m: AnyArray) -> ArrayB:
-        """Whether places lie inside."""
-        return np.asarray(np.abs(np.asarray(s_m) - self.middle_m) < self.half_m)
-
-
-def stretch(scene: TwinScene, change: Change) -> Stretch:
-    """Where along the reach a change acts; the whole reach for ``grown_vegetation``."""
-    if change == "grown_vegetation":
-        return Stretch(0.0, scene.length_m)
-    place, half = _PLACES[change]
-    return Stretch(place * scene.length_m, min(half, _SHARE * scene.length_m))
 
 
 # ---------------------------------------------------------------- smooth noise over the plane

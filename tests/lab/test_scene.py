@@ -7,7 +7,8 @@ import pytest
 
 from thalweg.core import ArrayB, ArrayF, InputError
 from thalweg.settings.twin import TwinConfig
-from thalweg_lab.reach import River, stretch
+from thalweg_lab.changes import stretch
+from thalweg_lab.reach import River
 from thalweg_lab.river import (
     BARE_GROUND,
     COLOUR,

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8
+from thalweg_lab.changes import slope_width, smoothstep, stretch
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import (
     BAR_PLACE,
@@ -21,14 +22,13 @@ from thalweg_lab.reach import (
     River,
     beach_width,
     fractal_noise,
-    slope_width,
-    smoothstep,
-    stretch,
 )
 from thalweg_lab.river.mesh import Material, MeshParts, ball, tube_faces, tubes, turned
 
 WET_M: Final = 1.2
 """The water reaches this far under the banks, so that its line follows their relief."""
+_FLOODED: Final = 12.0
+"""For each metre of a higher stage it reaches so many metres further: over the beaches up to the scarps."""
 _CALM_M: Final = 40.0
 """Behind this distance the retreat of the bank does not shift the rows any more."""
 
@@ -126,14 +126,15 @@ def _balanced(rows: list[_Row]) -> list[_Row]:
 def _row_n(river: River, row: _Row, s: ArrayF, narrow: float) -> ArrayF:
     """Offsets n of a row at places s."""
     right, left = river.shores(s)
-    if row.side < 0:
-        return np.asarray(-right - row.place)
     base = river.half_width(s)
     if row.side == 0:
-        # Where the left bank has retreated, the rows of the left half follow it, those of the right do not.
-        with_bank = smoothstep(np.asarray(2.0 * row.place - 1.0))
-        return np.asarray((base - narrow) * (2.0 * row.place - 1.0) + (left - base) * with_bank)
+        # Where a bank has retreated, the rows of its half follow it, those of the other one do not.
+        across = np.asarray(2.0 * row.place - 1.0)
+        moved = (left - base) * smoothstep(across) - (right - base) * smoothstep(-across)
+        return np.asarray((base - narrow) * across + moved)
     calm = 1.0 - smoothstep(np.asarray((row.place - 3.0) / (_CALM_M - 3.0)))
+    if row.side < 0:
+        return np.asarray(-(base + (right - base) * calm) - row.place)
     return np.asarray(base + (left - base) * calm + row.place)
 
 
@@ -214,13 +215,14 @@ def ground_material(river: River, s: ArrayF, n: ArrayF, corners: ArrayF) -> Arra
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     upright = normal[:, 2] / np.linalg.norm(normal, axis=1)
     kind = np.where(grassy(river, s, n, left_shore) > 0.5, Material.GRASS, Material.SOIL)
-    steep = (left > 0) & (upright < 0.72 + 0.06 * ragged)
+    fresh = river.lost(s, n)
+    steep = ((left > 0) | fresh) & (upright < 0.72 + 0.06 * ragged)
     kind = np.where(steep, Material.SOIL, kind)
     worn = np.minimum(river.retreat(s), 1.0)
     beach = beach_width(s, river.bend(s), worn, river.noise_seed)
     gravel = np.where(right > 0, right < 0.6 + 0.4 * ragged, left < beach + 0.1 + 0.25 * ragged)
     gravel &= ~steep
-    behind = right - slope_width(c)
+    behind = -river.half_width(s) - n - slope_width(c)
     if c.railway:
         gravel |= (behind > 0.7 + 0.2 * ragged) & (behind < 6.0 + 0.5 * ragged)
     kind = np.where(gravel, Material.GRAVEL, kind)
@@ -235,11 +237,15 @@ def add_water(parts: MeshParts, river: River) -> None:
     c = river.config
     s = np.linspace(-c.length_m / 2, c.length_m / 2, int(c.length_m / 2.0) + 1)
     share = np.linspace(0.0, 1.0, 9)[None, :]
-    _, left = river.shores(s)
-    base = river.half_width(s)[:, None]
-    n = (base + WET_M) * (2.0 * share - 1.0) + (left[:, None] - base) * smoothstep(2.0 * share - 1.0)
+    right, left = river.shores(s)
+    base, across = river.half_width(s)[:, None], 2.0 * share - 1.0
+    reach = WET_M + _FLOODED * max(c.stage_m, 0.0)
+    moved = (left[:, None] - base) * smoothstep(across) - (right[:, None] - base) * smoothstep(-across)
+    n = (base + reach) * across + moved
     xy = river.to_wcs(np.broadcast_to(s[:, None], n.shape), n)
-    vertices = np.concatenate([xy, np.full((*n.shape, 1), c.water_level_m)], axis=-1).reshape(-1, 3)
+    vertices = np.concatenate([xy, np.full((*n.shape, 1), c.water_level_m + c.stage_m)], axis=-1).reshape(
+        -1, 3
+    )
     rows, columns = n.shape
     i, j = np.arange(rows - 1)[:, None], np.arange(columns - 1)[None, :]
     a = (i * columns + j).ravel()
@@ -283,7 +289,7 @@ def _kept(
 def _stays(river: River, s: ArrayF, n: ArrayF) -> ArrayB:
     """Which plants the river has not washed away with their bank."""
     _, left = river.shores(s)
-    return np.asarray(~((river.retreat(s) > 0) & (n > 0) & (n - left < 0.5)))
+    return np.asarray(~((river.retreat(s) > 0) & (n > 0) & (n - left < 0.5)) & ~river.lost(s, n))
 
 
 def _groups(river: River, s: ArrayF, n: ArrayF, wavelength_m: float, number: int) -> ArrayF:
@@ -754,9 +760,28 @@ def add_boulders(parts: MeshParts, river: River, seed: int) -> None:
     right_offset = np.where(toe, at_toe, up)
     s, right_offset = _moved(river, seed, s, right_offset, lone)
     n = np.where(lone, river.half_width(s) + left, -river.half_width(s) - right_offset)
-    keep = _clumped(river, s, n, chance, 6.0, 81) & ~(lone & (river.retreat(s) > 0))
+    keep = _clumped(river, s, n, chance, 6.0, 81) & ~(lone & (river.retreat(s) > 0)) & ~river.lost(s, n)
     keep[keep] = _rests(river, s[keep], n[keep])
     stones = _Stones(s, n, diameter)
+    _add_boulders(parts, river, seed, stones, looks, keep)
+
+
+def add_new_boulders(parts: MeshParts, river: River, seed: int) -> None:
+    """Three large boulders on the toe of the right bank that only this epoch has."""
+    if "new_boulders" not in river.config.changes:
+        return
+    where = stretch(river.config, "new_boulders")
+    s = where.middle_m + where.half_m * np.array([-0.6, 0.0, 0.6])
+    n = -river.half_width(s) - np.array([0.9, 1.6, 1.1])
+    stones = _Stones(s, n, np.array([0.8, 1.3, 1.0]))
+    looks = _Looks.draw(generator(seed, "scene new boulders"), 3, 0.75)
+    _add_boulders(parts, river, seed, stones, looks, np.ones(3, dtype=np.bool_))
+
+
+def _add_boulders(
+    parts: MeshParts, river: River, seed: int, stones: _Stones, looks: _Looks, keep: ArrayB
+) -> None:
+    diameter = stones.diameter
     for k, (least, corners) in enumerate(_BOULDER_CORNERS):
         most = _BOULDER_CORNERS[k + 1][0] if k + 1 < len(_BOULDER_CORNERS) else np.inf
         pick = keep & (diameter >= least) & (diameter < most)
@@ -791,6 +816,7 @@ def add_cobbles(parts: MeshParts, river: River, seed: int) -> None:
         looks = _Looks.draw(rng, count, 0.6)
         n = np.where(on_right, -river.half_width(s) - right, river.half_width(s) + left)
         keep = _clumped(river, s, n, chance, 3.0, 82) & (on_right | (river.retreat(s) <= 0))
+        keep &= ~river.lost(s, n)
         keep[keep] = _rests(river, s[keep], n[keep])
         _add_cobbles(parts, river, seed, _Stones(s, n, diameter), looks, keep)
     if "gravel_bar" in river.config.changes and count:
@@ -816,3 +842,63 @@ def _cover_bar(parts: MeshParts, river: River, seed: int) -> None:
     diameter = np.exp(rng.normal(np.log(0.055), 0.36, count)).clip(0.03, 0.11)
     looks = _Looks.draw(rng, count, 0.6)
     _add_cobbles(parts, river, seed, _Stones(s, n, diameter), looks, np.ones(count, dtype=np.bool_))
+
+
+# ---------------------------------------------------------------- a niche in the right bank
+#
+# The ground has the hollow; its roof is a body of its own, so that the bank truly overhangs.
+
+
+_ROOF_M: Final = (1.45, 3.2)
+"""From the edge of the roof to its end inside the bank: distances behind the shore."""
+_ROOF_THICK_M: Final = 0.35
+
+
+def add_niche(parts: MeshParts, river: River, seed: int) -> None:
+    """The roof of the niche, or, once it has fallen, its lumps of soil on the heap."""
+    c = river.config
+    where = stretch(c, "niche")
+    if "niche" in c.changes:
+        _add_roof(parts, river, where.middle_m, where.half_m + 0.4)
+    if "collapsed_niche" in c.changes:
+        rng = generator(seed, "scene collapsed niche")
+        s = where.middle_m + where.half_m * np.array([-0.55, -0.1, 0.25, 0.6])
+        n = -river.half_width(s) - np.array([0.9, 1.5, 0.8, 1.4])
+        looks = _Looks.draw(rng, 4, 0.6)
+        shapes, faces = rock_shapes(generator(seed, "scene slumped soil"), 60, 12.0)
+        stones = _Stones(s, n, np.array([0.8, 1.1, 0.7, 0.9]))
+        bodies = looks.bodies(np.ones(4, dtype=np.bool_), shapes, stones, river)
+        parts.add_copies(faces, bodies, Material.SOIL, looks.variation)
+
+
+def _add_roof(parts: MeshParts, river: River, middle_m: float, half_m: float) -> None:
+    """A closed slab whose upper side is the ground without the niche."""
+    c = river.config
+    plain = River(c.model_copy(update={"changes": ()}), river.seed)
+    step = 2.0 * c.grid_m
+    s = np.linspace(middle_m - half_m, middle_m + half_m, max(int(2 * half_m / step), 2) + 1)
+    right = np.linspace(*_ROOF_M, max(int((_ROOF_M[1] - _ROOF_M[0]) / step), 2) + 1)
+    n = -plain.half_width(s)[:, None] - right[None, :]
+    s = np.broadcast_to(s[:, None], n.shape)
+    xy, top = plain.to_wcs(s, n), plain.height(s, n)
+    # A little lower where the slab lies in the bank, so that both surfaces never coincide.
+    top = top - 0.02
+    low = top - _ROOF_THICK_M
+    upper = np.concatenate([xy, top[..., None]], axis=-1)
+    lower = np.concatenate([xy, low[..., None]], axis=-1)
+    rows, columns = n.shape
+    number = np.arange(rows * columns).reshape(rows, columns)
+    a, b, d, e = (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:])
+    # s and n are east and north of the flow; columns run towards -n.
+    sheet = np.concatenate(
+        [np.stack([a, b, e], axis=-1).reshape(-1, 3), np.stack([a, e, d], axis=-1).reshape(-1, 3)]
+    )[:, ::-1]
+    rim = np.concatenate([number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]])
+    after = np.roll(rim, -1)
+    below = rows * columns
+    side = np.concatenate(
+        [np.stack([rim, after, after + below], axis=1), np.stack([rim, after + below, rim + below], axis=1)]
+    )[:, ::-1]
+    faces = np.concatenate([sheet, sheet[:, ::-1] + below, side])
+    turf = np.repeat([Material.GRASS, Material.SOIL], [len(sheet), len(sheet) + len(side)])
+    parts.add(np.concatenate([upper.reshape(-1, 3), lower.reshape(-1, 3)]), faces, turf)

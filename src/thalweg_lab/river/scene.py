@@ -20,6 +20,8 @@ from thalweg_lab.river.land import (
     add_cobbles,
     add_fallen_tree,
     add_grass,
+    add_new_boulders,
+    add_niche,
     add_reeds,
     add_terrain,
     add_trees,
@@ -190,6 +192,8 @@ def build_scene(config: TwinConfig, seed: int) -> Scene:
         add_fallen_tree,
         add_buildings,
         add_posts,
+        add_new_boulders,
+        add_niche,
     ):
         add(parts, river, river.seed)
     for build in (add_railway, add_weir, add_bridge):
@@ -199,7 +203,7 @@ def build_scene(config: TwinConfig, seed: int) -> Scene:
         vertices_wcs_m=vertices,
         triangles=triangles,
         material=material,
-        water_level_m=config.scene.water_level_m,
+        water_level_m=config.scene.water_level_m + config.scene.stage_m,
         variation=variation,
     )
 
@@ -445,7 +449,7 @@ def add_posts(parts: MeshParts, river: River, seed: int) -> None:
     height = np.where(fence, rng.uniform(1.15, 1.3, count), rng.uniform(0.8, 2.4, count))
     tint = rng.uniform(size=count)
     _, left = river.shores(s)
-    stays = ~((river.retreat(s) > 0) & (n > 0) & (n - left < 0.3))
+    stays = ~((river.retreat(s) > 0) & (n > 0) & (n - left < 0.3)) & ~river.lost(s, n)
     _poles(parts, stand(river, s[stays], n[stays]), radius[stays], height[stays], tint[stays])
 
 

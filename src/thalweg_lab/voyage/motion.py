@@ -35,6 +35,8 @@ _DIFFERENCE_S: Final = 1.6
 """Share of the full thrust by which the motors differ, per rad/s of turn rate."""
 _DIFFERENCE_S2: Final = 0.8
 """The same per rad/s^2 of turn acceleration: the boat's inertia."""
+_DRAUGHT_M: Final = 0.15
+"""The boat needs so much water."""
 _PEAK: Final = 15.0 / 8.0
 """Greatest slope of the quintic smooth step."""
 
@@ -349,28 +351,30 @@ class Voyage(OnCourse):
         c = self.config
         self.river = River(c.scene, self.seed)
         self.start_gps_s = start_gps_s(c)
-        amplitude = 0.94 * c.scene.width_m / 2 - c.boat.bank_distance_m
+        amplitude = 0.94 * c.scene.width_m / 2 - c.boat.bank_distance_m - abs(c.boat.course_offset_m)
         if amplitude <= 0:
+            offset = f" and course_offset_m {c.boat.course_offset_m}" if c.boat.course_offset_m else ""
             raise ConfigError(
-                f"twin.boat.bank_distance_m {c.boat.bank_distance_m} leaves no water in the middle",
-                expected=f"less than 0.47 times twin.scene.width_m, {0.47 * c.scene.width_m:.1f}",
-                cure="Lower twin.boat.bank_distance_m or raise twin.scene.width_m",
+                f"twin.boat.bank_distance_m {c.boat.bank_distance_m}{offset} leaves no water in the middle",
+                expected=f"together less than 0.47 times twin.scene.width_m, {0.47 * c.scene.width_m:.1f}",
+                cure="Lower twin.boat.bank_distance_m or course_offset_m, or raise twin.scene.width_m",
             )
         self._sail(_plan(c.boat, amplitude, self.river.greatest_curvature))
         self._sways = draw_sways(generator(self.seed, "voyage"), c.boat)
-        self._level_m = c.scene.water_level_m + c.boat.height_m
+        self._level_m = c.scene.water_level_m + c.scene.stage_m + c.boat.height_m
         self._heel_s = c.boat.heel_share * c.boat.speed_mps / GRAVITY_MPS2
 
     def _sail(self, zigzag: _Zigzag) -> None:
         boat, river = self.config.boat, self.river
+        way = -1.0 if boat.upstream else 1.0
         steps = int(np.ceil((self.config.duration_s + 2 * PAD_S) / _NODE_S)) + 1
         t = np.asarray(np.arange(-1, steps + 1) * _NODE_S - PAD_S, dtype=np.float64)
         nodes, weights = np.polynomial.legendre.leggauss(3)
         course = zigzag.course(np.asarray(t[:-1, None] + _NODE_S / 2 * (1 + nodes), dtype=np.float64))
-        across = boat.speed_mps * np.sin(course) @ weights * _NODE_S / 2
+        across = way * boat.speed_mps * np.sin(course) @ weights * _NODE_S / 2
         n = np.concatenate([[0.0], np.cumsum(across)])
-        n -= np.interp(0.0, t, n)
-        along = boat.speed_mps * np.cos(course) @ weights * _NODE_S / 2
+        n += boat.course_offset_m - np.interp(0.0, t, n)
+        along = way * boat.speed_mps * np.cos(course) @ weights * _NODE_S / 2
         # Heun steps for s: the correction by the curvature is small and smooth.
         s = np.zeros_like(n)
         s[0] = -np.sum(along) / 2
@@ -383,23 +387,36 @@ class Voyage(OnCourse):
             position += (first + second) / 2
             s[i + 1] = position
         reach = river.config.length_m / 2
-        if max(-s[0], s[-1]) > reach:
+        low, high = float(s.min()), float(s.max())
+        if max(-low, high) > reach:
             raise ConfigError(
-                f"the boat sails {s[-1] - s[0]:.0f} m along a reach of {2 * reach:.0f} m",
+                f"the boat sails {high - low:.0f} m along a reach of {2 * reach:.0f} m",
                 expected="twin.scene.length_m longer than the voyage",
                 cure="Raise twin.scene.length_m, or lower twin.duration_s or twin.boat.speed_mps",
             )
-        if river.config.weir and s[0] < river.weir_s_m() < s[-1]:
+        if river.config.weir and low < river.weir_s_m() < high:
             raise ConfigError(
-                f"the boat sails from {s[0]:.0f} to {s[-1]:.0f} m along the reach, over the weir at "
+                f"the boat sails from {low:.0f} to {high:.0f} m along the reach, over the weir at "
                 f"{river.weir_s_m():.0f} m",
                 expected="a weir beyond the voyage",
                 cure="Move twin.scene.weir_place towards 1 or -1, or raise twin.scene.length_m",
             )
-        course_enu = river.angle(s) + zigzag.course(t)
+        self._check_depth(s, n)
+        course_enu = river.angle(s) + zigzag.course(t) + (np.pi if boat.upstream else 0.0)
         velocity = boat.speed_mps * np.stack([np.cos(course_enu), np.sin(course_enu)], axis=1)
         self._xy = CubicHermiteSpline(t, river.to_wcs(s, n), velocity)
         self._course = CubicSpline(t, course_enu)
+
+    def _check_depth(self, s: ArrayF, n: ArrayF) -> None:
+        """Refuse a drier epoch in which the boat runs aground."""
+        stage = self.config.scene.stage_m
+        least = float(np.min(self.river.depth(s, n))) + stage
+        if stage < 0 and least < _DRAUGHT_M:
+            raise ConfigError(
+                f"at twin.scene.stage_m {stage} the course leads over water of {least:.2f} m",
+                expected=f"at least {_DRAUGHT_M} m",
+                cure="Raise twin.scene.stage_m or twin.boat.bank_distance_m",
+            )
 
     def thrust(self, t_gps_s: ArrayF) -> ArrayF:
         """Thrust (n, 2) of the left and the right motor as a share of the full one, 0 to 1.

@@ -37,8 +37,21 @@ from thalweg.settings.twin.yard import TwinField, TwinLightSheet, TwinSheetStrip
 # ---------------------------------------------------------------- river, banks and boat
 
 
-Change = Literal["undercut_bank", "moved_boulders", "gravel_bar", "scour", "fallen_tree", "grown_vegetation"]
-"""What a second epoch may differ by."""
+Change = Literal[
+    "undercut_bank",
+    "bank_retreat",
+    "niche",
+    "collapsed_niche",
+    "change_patches",
+    "moved_boulders",
+    "new_boulders",
+    "gravel_bar",
+    "scour",
+    "fallen_tree",
+    "grown_vegetation",
+]
+"""What epochs may differ by: on the left bank `undercut_bank`, `gravel_bar` and `fallen_tree`, on the right
+one those of boulders, `bank_retreat`, both niches (an overhang, and what is left of it), `change_patches`."""
 
 
 class TwinScene(Section):
@@ -54,7 +67,14 @@ class TwinScene(Section):
         default=2.2, description="Mean depth of the thalweg below the water level, metres"
     )
     water_level_m: Finite = Field(
-        default=0.0, description="Height of the water above the origin of the campaign, metres"
+        default=0.0,
+        description="Height above the origin of the campaign, metres, of the water for which the ground is "
+        "made; the ground moves with it",
+    )
+    stage_m: Annotated[float, Field(ge=-2, le=0.8)] = Field(
+        default=0.0,
+        description="Water level of the day above `water_level_m`, metres; water and boat move by it, the "
+        "ground stays",
     )
     flow_deg: Angle = Field(
         default=0.0, description="Mean direction of the flow, degrees from east, counter-clockwise"
@@ -136,10 +156,13 @@ class TwinScene(Section):
         description="Seed of the river, for a second epoch with errors of its own; without it the campaign's",
     )
     changes: tuple[Change, ...] = Field(
-        default=(), description="What differs from the first epoch; all the rest is the same to the last bit"
+        default=(),
+        description="What this epoch has beside the plain river; all the rest is the same to the last bit",
     )
     retreat_m: Annotated[float, Field(ge=0, le=15)] = Field(
-        default=7.0, description="Greatest retreat of the left bank by `undercut_bank`, metres (T 4.1: 7)"
+        default=7.0,
+        description="Greatest retreat of the left bank by `undercut_bank` and of the right one by "
+        "`bank_retreat`, metres (T 4.1: 7)",
     )
 
 
@@ -158,6 +181,12 @@ class TwinBoat(Section):
     bank_distance_m: Positive = Field(
         default=6.0, le=100, description="Distance from the shores at which the boat turns, metres"
     )
+    course_offset_m: Annotated[float, Field(ge=-50, le=50)] = Field(
+        default=0.0,
+        description="The course lies so far left of the middle of the river, metres; its zigzag is narrower "
+        "by as much on both sides",
+    )
+    upstream: bool = Field(default=False, description="The boat sails against the flow")
     height_m: Positive = Field(
         default=0.2, le=5, description="Height of the INS above the water at rest, metres"
     )
