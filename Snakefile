@@ -2,7 +2,7 @@
 
 snakemake                              the campaign of config/config.yaml
 snakemake --config campaign=tiny       another one; a list or a path works as well
-snakemake lidar                        a part of it: ingest, lidar, images, accuracy, figures
+snakemake lidar                        a part of it: ingest, lidar, images, accuracy, deformation, figures
 snakemake -n --quiet host              what would run, with all files
 snakemake real_logs                    page of other people's recordings
 snakemake reproduce                    published error tables, a verdict on each cell
@@ -41,6 +41,7 @@ include: "workflow/rules/triangulation_scans.smk"
 include: "workflow/rules/triangulation_ledger.smk"
 include: "workflow/rules/surface.smk"
 include: "workflow/rules/accuracy.smk"
+include: "workflow/rules/deformation.smk"
 include: "workflow/rules/figures.smk"
 include: "workflow/rules/figures_pages.smk"
 include: "workflow/rules/real_logs.smk"
@@ -54,6 +55,7 @@ localrules:
     lidar,
     images,
     accuracy,
+    deformation,
     figures,
     real_logs,
     reproduce,
@@ -63,39 +65,45 @@ rule all:
     """Every table and picture of the chosen campaigns."""
     default_target: True
     input:
-        [files.final_outputs() for files in FILES.values()],
-        [FIGURES.files(files) for files in FILES.values()],
-        [laboratory.ledger_outputs(files) for files in FILES.values()],
+        [files.final_outputs() for files in BUILT],
+        [FIGURES.files(files) for files in BUILT],
+        [laboratory.ledger_outputs(files) for files in BUILT],
 
 
 rule ingest:
     """Logs of the chosen campaigns as tables, with a report of what is missing or broken."""
     input:
-        [files.target("ingest") for files in FILES.values()],
+        [files.target("ingest") for files in BUILT],
 
 
 rule lidar:
     """Clouds of the chosen campaigns."""
     input:
-        [files.target("lidar") for files in FILES.values()],
+        [files.target("lidar") for files in BUILT],
 
 
 rule images:
     """Oriented photographs of the bank, and the trajectories that rest on them."""
     input:
-        [files.target("images") for files in FILES.values()],
+        [files.target("images") for files in BUILT],
 
 
 rule accuracy:
     """Comparisons with references and truth, with their pages."""
     input:
-        [files.target("accuracy") for files in FILES.values()],
+        [files.target("accuracy") for files in BUILT],
+
+
+rule deformation:
+    """What changed between the epochs of the chosen campaigns."""
+    input:
+        [files.target("deformation") for files in BUILT],
 
 
 rule figures:
     """Every picture of the chosen campaigns."""
     input:
-        [FIGURES.files(files) for files in FILES.values()],
+        [FIGURES.files(files) for files in BUILT],
 
 
 rule real_logs:

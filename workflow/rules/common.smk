@@ -10,14 +10,14 @@ from thalweg.workflow import CampaignFiles, code_version, read_figures
 from thalweg_lab import campaign_files as laboratory
 
 ROOT = Path(workflow.basedir)
-CAMPAIGNS = with_calibrations(
-    load_campaigns(config["campaign"], ROOT / "config" / "campaigns"),
-    ROOT / "config" / "campaigns",
-)
+CHOSEN = load_campaigns(config["campaign"], ROOT / "config" / "campaigns")
+CAMPAIGNS = with_calibrations(CHOSEN, ROOT / "config" / "campaigns")
 FILES = {
     name: CampaignFiles(name=name, campaigns=CAMPAIGNS, twin_logs=laboratory.twin_logs)
     for name in CAMPAIGNS
 }
+# Of the surveys that a campaign of epochs names only what the comparison needs is built.
+BUILT = [f for n, f in FILES.items() if n in CHOSEN or not f.is_epoch()]
 
 FIGURES = read_figures(ROOT / "workflow" / "figures.yaml")
 # workflow/report/figure.rst finds the words for a picture here; as params they would draw it again when they change.

@@ -1,2 +1,20 @@
-from .compare import Comparison as Comparison
+from .changes import (
+    Compared as Compared,
+    Pair as Pair,
+    compare_epochs as compare_epochs,
+    measure_pair as measure_pair,
+    register_pair as register_pair,
+    registered_distances as registered_distances,
+)
+from .classification import STATES as STATES, classify_changes as classify_changes
+from .compare import CHANGES as CHANGES, Comparison as Comparison
+from .core_points import CORE_POINTS as CORE_POINTS, place_core_points as place_core_points
+from .coregistration import (
+    Registration as Registration,
+    read_registration as read_registration,
+    write_registration as write_registration,
+)
+from .epochs import Epoch as Epoch, check_order as check_order, prepare_epoch as prepare_epoch
 from .foreign import compare_clouds as compare_clouds, write_changes as write_changes
+from .visibility import VISIBILITY as VISIBILITY, observe_visibility as observe_visibility
+from .volumes import estimate_volumes as estimate_volumes

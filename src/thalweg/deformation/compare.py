@@ -16,7 +16,7 @@ from scipy.stats import norm
 
 from thalweg.core import ArrayF, GeometryError, InputError, column, frame_of, table_kind
 from thalweg.deformation.field import benjamini_hochberg
-from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, multiscale_normals
+from thalweg.deformation.m3c2 import ColumnIndex, Cylinders, cut_cylinders, multiscale_normals
 
 CHANGES = table_kind(
     "changes",
@@ -129,17 +129,30 @@ def measure_distances(
         )
         for cloud in (before, after)
     ]
-    distance = cut[1].along_m - cut[0].along_m
+    return distances_along(cores_m, normals, scale, cut[0], cut[1])
+
+
+def distances_along(
+    cores_m: ArrayF, normals: ArrayF, scale_m: ArrayF, before: Cylinders, after: Cylinders
+) -> Distances:
+    """Distances from what cylinders about core points cut out of both clouds.
+
+    Raises
+    ------
+    GeometryError : no core point has points of both clouds around it: the epochs do not overlap.
+    """
+    distance = after.along_m - before.along_m
     if not np.isfinite(distance).any():
-        places = [f"{np.round(each.xyz_m.mean(axis=0)).tolist()}" for each in (before, after)]
+        n = [int((each.n > 0).sum()) for each in (before, after)]
         raise GeometryError(
-            f"no core point has points of both epochs; their means lie at {places[0]} and {places[1]} m",
+            f"none of {len(cores_m):,} core points has enough points of both epochs; {n[0]:,} have points of "
+            f"the first, {n[1]:,} of the second",
             expected="clouds that overlap, in one frame",
             cure="Check that both have the same coordinate system, heights and units",
         )
     with np.errstate(invalid="ignore", divide="ignore"):
-        roughness = np.sqrt(sum(each.std_m**2 / each.n for each in cut))
-    return Distances(cores_m, normals, scale, np.column_stack([each.n for each in cut]), distance, roughness)
+        roughness = np.sqrt(before.std_m**2 / before.n + after.std_m**2 / after.n)
+    return Distances(cores_m, normals, scale_m, np.column_stack([before.n, after.n]), distance, roughness)
 
 
 def judge_changes(

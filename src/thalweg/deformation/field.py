@@ -36,9 +36,8 @@ class ErrorGroup:
     ----------
     name : what errs ("position", "attitude").
     t_s : (m,) times of the moments, ascending.
-    root : (m, 3, 3) lower triangular roots L of the covariance at each moment, in metres (position, world
-        axes)
-        or radians (small rotation about east, north, up).
+    root : (m, 3, 3) roots L of the covariance L L' at each moment, in metres (position, world axes) or
+        radians (small rotation about east, north, up).
     correlation_s : correlation time tau; 0 for independent moments, infinite for one error of all.
     """
 
@@ -210,7 +209,7 @@ def _variances(
                 u[:] = 0.0
                 moment = now
             component = index[e] - 3 * now
-            for axis in range(component + 1):
+            for axis in range(3):
                 u[axis] += root[now, component, axis] * value[e]
         out[row] = total
     return out

@@ -171,6 +171,26 @@ def cut_cylinders(
     return Cylinders(n.astype(np.int64), mean, np.sqrt(np.maximum(variance, 0.0)))
 
 
+def mean_in_cylinders(
+    cores_m: ArrayF,
+    normals: ArrayF,
+    cloud: ColumnIndex,
+    values: AnyArray,
+    *,
+    radius_m: float,
+    half_length_m: float,
+) -> ArrayF:
+    """Means (k, c) of values (n, c) of the points in the cylinders of `cut_cylinders`; NaN without points.
+
+    Parameters
+    ----------
+    values : in the order in which the cloud was given.
+    """
+    ordered = np.ascontiguousarray(values[cloud.order], dtype=np.float64)
+    place = (cloud.xyz_m, cloud.start, cloud.low_m, cloud.size, cloud.width_m)
+    return np.asarray(_cylinder_means(cores_m, normals, radius_m, half_length_m, *place, ordered))
+
+
 def pose_weights(
     cores_m: ArrayF,
     normals: ArrayF,
@@ -344,6 +364,32 @@ def _cylinder_sums(
             out[i, 0] = many
             out[i, 1] = total
             out[i, 2] = squares + many * mean * mean
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _cylinder_means(
+    cores: AnyArray,
+    normals: AnyArray,
+    r: float,
+    length: float,
+    xyz: AnyArray,
+    start: AnyArray,
+    low: AnyArray,
+    size: AnyArray,
+    width: float,
+    values: AnyArray,
+) -> AnyArray:
+    out = np.full((len(cores), values.shape[1]), np.nan)
+    for b in prange((len(cores) + _BLOCK - 1) // _BLOCK):
+        found = np.empty(1024, np.int64)
+        for i in range(b * _BLOCK, min(len(cores), (b + 1) * _BLOCK)):
+            many, found = _members(cores[i], normals[i], r, length, xyz, start, low, size, width, found)
+            if many:
+                out[i] = 0.0
+            for m in range(many):
+                for c in range(values.shape[1]):
+                    out[i, c] += values[found[m], c] / many
     return out
 
 

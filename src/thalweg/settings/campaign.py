@@ -9,6 +9,8 @@ from thalweg.settings.sections import (
     STREAM_KEYS,
     Accuracy,
     Calibration,
+    Deformation,
+    Epoch,
     Figures,
     Filters,
     Finite,
@@ -78,16 +80,28 @@ class Identity(Section):
 
 
 class Campaign(Section):
-    """One survey: who, where, its logs (or the digital twin that writes them), and all settings."""
+    """One survey: who, where, its logs (or the digital twin that writes them), and all settings.
 
-    model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": ["twin"]}, {"required": ["logs"]}]})
+    A campaign of `epochs` has no logs: it compares the clouds of other campaigns.
+    """
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "anyOf": [{"required": ["twin"]}, {"required": ["logs"]}, {"required": ["epochs"]}]
+        }
+    )
 
     campaign: Identity = Field(description="Name, map and world frame")
     twin: TwinConfig | None = Field(
-        default=None, description="The digital twin writes the logs; exactly one of `twin` and `logs`"
+        default=None,
+        description="The digital twin writes the logs; exactly one of `twin`, `logs` and `epochs`",
     )
     logs: Logs | None = Field(
-        default=None, description="Raw logs of a real survey; exactly one of `twin` and `logs`"
+        default=None, description="Raw logs of a real survey; exactly one of `twin`, `logs` and `epochs`"
+    )
+    epochs: Annotated[list[Epoch], Field(min_length=2, max_length=50)] | None = Field(
+        default=None,
+        description="Surveys of one bank in the order of time; exactly one of `twin`, `logs` and `epochs`",
     )
     lidar: Lidar = Field(default=Lidar(), description="Decoding of the lidar")
     lidar_accuracy: LidarAccuracy = Field(
@@ -111,6 +125,7 @@ class Campaign(Section):
         default=ReferenceSettings(), description="Reference cloud -> surface mesh"
     )
     accuracy: Accuracy = Field(default=Accuracy(), description="Comparison of the cloud with the reference")
+    deformation: Deformation = Field(default=Deformation(), description="Change between epochs")
     figures: Figures = Field(default=Figures(), description="Pictures")
 
     @property
@@ -132,6 +147,11 @@ class Campaign(Section):
         if self.twin is not None:
             return self.twin.light_sheet is not None
         return self.logs is not None and bool(self.logs.light_sheet.given)
+
+    @property
+    def is_change(self) -> bool:
+        """True if the campaign compares epochs that other campaigns surveyed."""
+        return self.epochs is not None
 
     def log_files(self, stream: str) -> list[Path]:
         """Files of one stream of a real survey, absolute; empty for a twin.

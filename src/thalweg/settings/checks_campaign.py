@@ -450,6 +450,7 @@ def domain_mistakes(parts: Parts) -> tuple[list[Mistake], dict[str, tuple[str, .
             parts.raw("twin"),
             parts.raw("orientation"),
         ),
+        *_check_epochs(parts),
         *_check_lists(parts),
         *_check_ppk(parts),
         *_check_bed(parts),
@@ -497,22 +498,38 @@ def _check_id(parts: Parts) -> Iterator[Mistake]:
 
 
 def _check_input(parts: Parts) -> Iterator[Mistake]:
-    twin, logs = parts.raw("twin") is not None, parts.raw("logs") is not None
-    if twin and logs:
+    given = [name for name in ("twin", "logs", "epochs") if parts.raw(name) is not None]
+    expected = "exactly one: logs of a survey, the digital twin that writes them, or epochs to compare"
+    if len(given) > 1:
         yield Mistake(
-            path=("twin",),
-            found="both twin and logs are given",
-            expected="exactly one: logs of a survey, or the digital twin that writes them",
-            cure="Remove the section twin for a real survey, or the section logs for a simulation",
+            path=(given[0],),
+            found=f"{'all of ' if len(given) > 2 else 'both '}{' and '.join(given)} are given",
+            expected=expected,
+            cure="Remove the section twin for a real survey, or the section logs for a simulation; epochs "
+            "name campaigns that have their own",
         )
-    if not twin and not logs:
-        given = [name for name in ("twin", "logs") if name in parts.data]
+    if not given:
+        empty = [name for name in ("twin", "logs", "epochs") if name in parts.data]
         yield Mistake(
-            path=(given[0],) if given else (),
-            found=f"the section {given[0]} is empty" if given else "neither logs nor twin is given",
-            expected="exactly one: logs of a survey, or the digital twin that writes them",
+            path=(empty[0],) if empty else (),
+            found=f"the section {empty[0]} is empty" if empty else "neither logs nor twin is given",
+            expected=expected,
             cure="Add a section `logs:` with the files of your survey, or `twin: {size: tiny}`",
         )
+
+
+def _check_epochs(parts: Parts) -> Iterator[Mistake]:
+    """No epoch twice, and none that is the campaign itself."""
+    epochs = parts.raw("epochs")
+    names = [each.get("campaign") for each in epochs or [] if isinstance(each, dict)]
+    for i, name in enumerate(names):
+        if name is not None and (name in names[:i] or name == parts.raw("campaign", "id")):
+            yield Mistake(
+                path=("epochs", i, "campaign"),
+                found=f"{name!r} " + ("a second time" if name in names[:i] else "is this campaign itself"),
+                expected="each survey once, in the order of time",
+                cure="Name the campaign of another survey",
+            )
 
 
 def _check_ranges(parts: Parts) -> Iterator[Mistake]:

@@ -253,12 +253,74 @@ def with_calibrations(campaigns: dict[str, Campaign], folder: Path) -> dict[str,
         found, wrong = named_calibration(campaign.mounts.calibration, folder, (name,))
         needed |= {calibration.id: calibration for calibration in found}
         mistakes += [_placed(m, folder / f"{name}.yaml") for m in wrong]
+        found, wrong = named_epochs(campaign, folder)
+        needed |= {epoch.id: epoch for epoch in found}
+        mistakes += [replace(m, file=m.file or folder / f"{name}.yaml") for m in wrong]
         basin, wrong = named_basin(campaign.light_sheet.sensor, folder)
         needed |= {one.id: one for one in basin}
         mistakes += [replace(m, file=m.file or folder / f"{name}.yaml") for m in wrong]
     if mistakes:
         raise CampaignError(list(dict.fromkeys(mistakes)))
     return {**needed, **campaigns}
+
+
+def named_epochs(campaign: Campaign, folder: Path) -> tuple[list[Campaign], list[Mistake]]:
+    """The campaigns whose clouds a campaign of epochs compares, behind the calibrations that they name.
+
+    Returns
+    -------
+    campaigns : in the order of the epochs.
+    mistakes : in the section `epochs` (without file), and in the files of the campaigns.
+    """
+    found: list[Campaign] = []
+    mistakes: list[Mistake] = []
+    for i, epoch in enumerate(campaign.epochs or []):
+        path = folder / f"{epoch.campaign}.yaml"
+        survey, wrong = check_campaign(path) if path.is_file() else (None, [])
+        if survey is None or survey.is_change or survey.is_calibration or survey.is_basin:
+            known = nearest(epoch.campaign, campaign_ids(folder))
+            words = (
+                f"the campaign {epoch.campaign!r} has mistakes of its own"
+                if wrong
+                else f"there is no campaign {epoch.campaign!r} in {folder}"
+                if survey is None
+                else f"the campaign {epoch.campaign!r} surveys no river"
+            )
+            cure = f"Correct {path}" if wrong else f"Did you mean {known}?" if known else "Name a survey"
+            mistakes += [
+                Mistake(
+                    path=("epochs", i, "campaign"),
+                    found=words,
+                    expected="a campaign with twin or logs of a survey of the bank",
+                    cure=cure,
+                ),
+                *wrong,
+            ]
+            continue
+        if epoch.chain != "ins" and not (survey.twin or survey.log_files("time_lapse")):
+            mistakes.append(
+                Mistake(
+                    path=("epochs", i, "chain"),
+                    found=f"chain {epoch.chain!r}, but {epoch.campaign!r} has no time-lapse images",
+                    expected="chain: ins",
+                    cure="Write chain: ins, or add the images to that campaign",
+                )
+            )
+            continue
+        if survey.campaign.crs != campaign.campaign.crs:
+            mistakes.append(
+                Mistake(
+                    path=("epochs", i, "campaign"),
+                    found=f"{epoch.campaign!r} is in {survey.campaign.crs}, this campaign in {campaign.campaign.crs}",
+                    expected="one coordinate system for all epochs, with ellipsoidal heights",
+                    cure="Write the same campaign.crs in all of them",
+                )
+            )
+            continue
+        before, wrong = named_calibration(survey.mounts.calibration, folder, (survey.id,))
+        mistakes += [_placed(m, path) for m in wrong]
+        found += [*before, survey]
+    return found, mistakes
 
 
 def named_basin(chosen: str | None, folder: Path) -> tuple[list[Campaign], list[Mistake]]:

@@ -87,7 +87,7 @@ class CampaignFiles:
         Comparisons with a reference or with a twin's truth need the full covariance of each point.
         """
         options = {key: value for key, value in self.plain["georeferencing"].items() if key != "export_map"}
-        options["correlations"] |= self.has_reference() or self.is_twin()
+        options["correlations"] |= self.has_reference() or self.is_twin() or self.is_epoch()
         return options
 
     def twin_parts(self, *parts: str) -> dict[str, Any]:
@@ -119,12 +119,13 @@ class CampaignFiles:
     # ------------------------------------------------------------ logs
 
     def is_twin(self) -> bool:
-        """True if the digital twin writes the logs."""
-        return self.campaign.twin is not None
+        """True if the digital twin writes the logs; of epochs: of one of them."""
+        epochs = (self.of(name).is_twin() for name in self.epoch_names())
+        return self.campaign.twin is not None or any(epochs)
 
     def logs(self, stream: str) -> list[str]:
         """Files of a stream: the twin's, or those that the campaign file names."""
-        if self.is_twin():
+        if self.campaign.twin is not None:
             known = self.twin_logs(self.campaign)
             return [self._result(f"simulation/logs/{log}") for log in known.get(stream, ())]
         return [str(path) for path in self.campaign.log_files(stream)]
@@ -564,6 +565,77 @@ class CampaignFiles:
         outputs += [self._result(f"triangulation/{scan}/profile.csv") for scan in self.compared_scans()]
         return outputs
 
+    # ------------------------------------------------------------ change between epochs
+
+    def is_epoch(self) -> bool:
+        """True if another chosen campaign compares this one with other epochs."""
+        return any(self.name in self.of(name).epoch_names() for name in self.campaigns)
+
+    def epoch_names(self) -> list[str]:
+        """Names of the epochs: those of their campaigns, in the order of time."""
+        return [epoch.campaign for epoch in self.campaign.epochs or []]
+
+    def epoch_result(self, epoch: str, name: str) -> str:
+        """A result of the campaign that surveyed an epoch."""
+        return self.of(epoch)._result(name)
+
+    def epoch_points(self, epoch: str) -> str:
+        """The cloud of an epoch, by the trajectory that the campaign of epochs chose."""
+        chain = self._chain_of(epoch)
+        return self.epoch_result(
+            epoch, "lidar/points.laz" if chain == "ins" else f"lidar/by_{chain}/points.laz"
+        )
+
+    def epoch_trajectory(self, epoch: str) -> str:
+        """The trajectory that the cloud of an epoch rests on."""
+        return self.of(epoch).trajectory(self._chain_of(epoch))
+
+    def epoch_mounts(self, epoch: str) -> str:
+        """The places of the sensors on the boat of an epoch."""
+        found: str = self.of(epoch).mounts_of_chain(self._chain_of(epoch))
+        return found
+
+    def epoch_is_twin(self, epoch: str) -> bool:
+        """True if a digital twin wrote the logs of an epoch."""
+        return self.of(epoch).is_twin()
+
+    def _chain_of(self, epoch: str) -> str:
+        return next(each.chain for each in self.campaign.epochs or [] if each.campaign == epoch)
+
+    def epoch_pairs(self) -> list[str]:
+        """Pairs of epochs that are compared, such as ``1-2``: neighbours, and the first with the last."""
+        n = len(self.epoch_names())
+        pairs = [f"{i}-{i + 1}" for i in range(1, n)]
+        return pairs + ([f"1-{n}"] if n > 2 else [])
+
+    def epochs_of(self, pair: str, name: str) -> list[str]:
+        """That file of the prepared epochs of a pair."""
+        names = self.epoch_names()
+        return [self._result(f"deformation/epochs/{names[int(i) - 1]}/{name}") for i in pair.split("-")]
+
+    def all_epochs(self, name: str) -> list[str]:
+        """That file of every prepared epoch."""
+        return [self._result(f"deformation/epochs/{epoch}/{name}") for epoch in self.epoch_names()]
+
+    def of_pairs(self, name: str) -> list[str]:
+        """That file of every pair; ``{}`` stands for the pair."""
+        return [self._result(f"deformation/{name.format(pair)}") for pair in self.epoch_pairs()]
+
+    def change_truth(self) -> list[str]:
+        """The comparison with the true change, where all epochs are a digital twin's."""
+        twins = all(self.of(name).is_twin() for name in self.epoch_names())
+        return self.of_pairs("truth_{}.csv") if self.campaign.is_change and twins else []
+
+    def _change_outputs(self) -> list[str]:
+        return [
+            *self.of_pairs("changes_{}.parquet"),
+            *self.of_pairs("changes_{}.laz"),
+            *self.of_pairs("volumes_{}.csv"),
+            *self.of_pairs("volumes_along_{}.csv"),
+            *self.change_truth(),
+            self._result("deformation/index.html"),
+        ]
+
     # ------------------------------------------------------------ accuracy, and all
 
     def truth_statistics(self) -> list[str]:
@@ -578,6 +650,8 @@ class CampaignFiles:
         """The tables and pages that `all` builds; pictures stand in `thalweg.workflow.figures`."""
         if self.campaign.is_basin:
             return self._basin_outputs()
+        if self.campaign.is_change:
+            return self._change_outputs()
         if self.campaign.is_calibration:
             return self._calibration_outputs()
         tables = ("lidar/points.laz", "timing/streams.csv", "timing/time_report.csv", "summary.csv")

@@ -14,7 +14,7 @@ from thalweg.settings import Campaign
 from thalweg.workflow.campaign_files import CampaignFiles
 from thalweg.workflow.codehash import SOURCE
 
-Kind = Literal["survey", "calibration", "basin", "scan", "study"]
+Kind = Literal["survey", "calibration", "basin", "scan", "change", "study"]
 
 _CALL = re.compile(r"=?(\w+)(?:\(([\w./]*)\))?")
 """A method of `CampaignFiles`, perhaps with an argument."""
@@ -110,6 +110,8 @@ def _kind(campaign: CampaignFiles) -> Kind | None:
     """Which pictures a campaign has; none for a calibration by boards alone."""
     if campaign.campaign.is_basin:
         return "basin"
+    if campaign.campaign.is_change:
+        return "change"
     if campaign.campaign.is_calibration:
         return "calibration" if campaign.logs("field") else None
     return "survey"

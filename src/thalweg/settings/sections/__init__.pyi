@@ -20,6 +20,13 @@ from .calibration import (
     InsLidarFit as InsLidarFit,
     RunErrors as RunErrors,
 )
+from .deformation import (
+    Classes as Classes,
+    Deformation as Deformation,
+    Epoch as Epoch,
+    EpochErrors as EpochErrors,
+    Visibility as Visibility,
+)
 from .images import (
     BlockAdjustment as BlockAdjustment,
     CameraCloud as CameraCloud,

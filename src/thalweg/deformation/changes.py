@@ -1,0 +1,238 @@
+"""Two epochs of boats compared: registered distances with the errors that their points share."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import scipy.sparse as sp
+from scipy.stats import norm
+
+from thalweg.core import ArrayB, ArrayF
+from thalweg.deformation.compare import Comparison, Distances, distances_along, judge_changes
+from thalweg.deformation.coregistration import Registration, coregister
+from thalweg.deformation.epochs import Epoch
+from thalweg.deformation.field import ErrorField, ErrorGroup
+from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, mean_in_cylinders
+from thalweg.settings.sections import Deformation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """Distances between two epochs before a registration, and all that their variance is made from.
+
+    Attributes
+    ----------
+    cores : table `thalweg.deformation.core_points.CORE_POINTS`.
+    found : distances.
+    field : shared errors of the distances.
+    white_m : (k,) standard deviation of the distances by noise and roughness of single points.
+    scatter_m : (k, 2) standard deviation of the points along the normal in both epochs.
+    several : (k, 2) share of points whose beam had more than one echo.
+    """
+
+    cores: pd.DataFrame
+    found: Distances
+    field: ErrorField
+    white_m: ArrayF
+    scatter_m: ArrayF
+    several: ArrayF
+
+    @property
+    def calm(self) -> ArrayB:
+        """Core points (k,) about which the points of both epochs scatter no more than bare ground does."""
+        widest = np.max(self.scatter_m, axis=1)
+        return np.asarray(widest <= 2.0 * np.nanmedian(widest))
+
+
+def measure_pair(cores: pd.DataFrame, before: Epoch, after: Epoch, settings: Deformation) -> Pair:
+    """Distances from the first to the second epoch at core points, and what errs in them.
+
+    Parameters
+    ----------
+    cores : table `thalweg.deformation.core_points.CORE_POINTS`.
+    before, after : epochs in one frame.
+    settings : cylinders, and whether the mounts are common.
+
+    Raises
+    ------
+    GeometryError : no core point has points of both epochs.
+    """
+    axes = ("east", "north", "up")
+    places = cores[[f"{a}_m" for a in axes]].to_numpy()
+    normals = cores[[f"normal_{a}" for a in axes]].to_numpy()
+    how = {"radius_m": settings.cylinder_radius_m, "half_length_m": settings.reach_m}
+    indices = [ColumnIndex.of(each.xyz_m, settings.cylinder_radius_m) for each in (before, after)]
+    cut = [cut_cylinders(places, normals, index, **how, least=settings.least_points) for index in indices]
+    found = distances_along(places, normals, cores["scale_m"].to_numpy(), cut[0], cut[1])
+    own = np.zeros(len(places))
+    several = np.zeros((len(places), 2))
+    e, n, u = normals.T
+    along = np.stack([e * e, 2 * e * n, 2 * e * u, n * n, 2 * n * u, u * u], axis=1)
+    for i, (epoch, index) in enumerate(zip((before, after), indices, strict=True)):
+        values = np.column_stack([epoch.white_m2, epoch.several_returns])
+        means = mean_in_cylinders(places, normals, index, values, **how)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            own += np.sum(along * means[:, :6], axis=1) / cut[i].n
+        several[:, i] = means[:, 6]
+    return Pair(
+        cores=cores,
+        found=found,
+        field=difference_of(
+            *(
+                epoch.field(places, normals, index, **how)
+                for epoch, index in zip((before, after), indices, strict=True)
+            ),
+            common_mounts=settings.errors.common_mounts,
+        ),
+        white_m=np.fmax(found.roughness_m, np.sqrt(own)),
+        scatter_m=np.column_stack([each.std_m for each in cut]),
+        several=several,
+    )
+
+
+def difference_of(before: ErrorField, after: ErrorField, *, common_mounts: bool) -> ErrorField:
+    """Errors of ``after - before``: those of both, but the errors of common mounts once, as a difference."""
+    groups: list[ErrorGroup] = []
+    rows: list[sp.csr_matrix] = []
+    later = {group.name: i for i, group in enumerate(after.groups)}
+    shared: set[str] = set()
+    for group, own in zip(before.groups, before.rows, strict=True):
+        if common_mounts and group.name.startswith("mount") and group.name in later:
+            other = later[group.name]
+            shared.add(group.name)
+            second = after.groups[other]
+            t = np.concatenate([group.t_s, group.t_s[-1] + second.t_s])
+            groups.append(ErrorGroup(group.name, t, np.concatenate([group.root, second.root]), np.inf))
+            rows.append(sp.hstack([-own, after.rows[other]]).tocsr())
+        else:
+            groups.append(group)
+            rows.append(-own)
+    for group, own in zip(after.groups, after.rows, strict=True):
+        if group.name not in shared:
+            groups.append(group)
+            rows.append(own)
+    return ErrorField(tuple(groups), tuple(rows))
+
+
+def register_pair(pair: Pair, settings: Deformation) -> Registration:
+    """The motion between both epochs, see `thalweg.deformation.coregistration.coregister`."""
+    found = pair.found
+    return coregister(
+        found.cores_m, found.normals, found.distance_m, pair.white_m, pair.calm, pair.field, settings
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """Registered distances with the parts of their variance.
+
+    Attributes
+    ----------
+    pair, registration : what they come from.
+    distance_m : (k,) registered; NaN where an epoch has too few points.
+    sigma_field_m : (k,) by errors that points share, with what the registration takes off them.
+    sigma_registration_m : (k,) by noise of the stable ground.
+    """
+
+    pair: Pair
+    registration: Registration
+    distance_m: ArrayF
+    sigma_field_m: ArrayF
+    sigma_registration_m: ArrayF
+
+    @property
+    def sigma_m(self) -> ArrayF:
+        """Standard deviation (k,) of the registered distances."""
+        return np.sqrt(self.sigma_field_m**2 + self.pair.white_m**2 + self.sigma_registration_m**2)
+
+    def variances(self, products: ArrayF) -> tuple[ArrayF, ArrayF]:
+        """Variances (q,) of weighted sums (q, k) of registered distances: by shared errors, and by noise."""
+        sums = products - (products @ self.registration.design) @ self.registration.weights
+        white = np.where(np.isfinite(self.pair.white_m), self.pair.white_m, 0.0)
+        return self.pair.field.combined(sums).variances(), (sums**2) @ white**2
+
+    def draws(self, n: int, seed: int) -> Iterator[ArrayF]:
+        """Errors (k,) of the registered distances, drawn; NaN where unmeasured."""
+        rng = np.random.default_rng(seed)
+        white = self.pair.white_m
+        for _ in range(n):
+            error = self.pair.field.draw(rng) + white * rng.standard_normal(len(white))
+            yield self.registration.of_errors(error)
+
+
+def registered_distances(pair: Pair, registration: Registration) -> Compared:
+    """Registered distances, and their variance with the registration's own weights.
+
+    The variance of ``d - h'S d`` is ``var d - 2 h' cov(S d, d) + h' cov(S d) h``.
+    """
+    S, design = registration.weights, registration.design
+    motion = pair.field.combined(S)
+    with_all = pair.field.covariance_with(motion)
+    own = motion.covariance_with(motion)
+    field = pair.field.variances() - 2.0 * np.sum(design * with_all, axis=1)
+    field += np.einsum("ki,ij,kj->k", design, own, design)
+    white = np.nan_to_num(pair.white_m) ** 2
+    noise = np.einsum("ki,ij,kj->k", design, (S * white) @ S.T, design)
+    noise -= 2.0 * np.sum(design * S.T, axis=1) * white  # a stable core point's noise is in both
+    return Compared(
+        pair=pair,
+        registration=registration,
+        distance_m=registration.registered(pair.found.distance_m),
+        sigma_field_m=np.sqrt(np.maximum(field, 0.0)),
+        sigma_registration_m=np.sqrt(np.maximum(noise, 0.0)),
+    )
+
+
+def compare_epochs(
+    cores: pd.DataFrame,
+    before: Epoch,
+    after: Epoch,
+    registration: Registration,
+    settings: Deformation,
+    seed: int,
+) -> tuple[pd.DataFrame, Compared, dict[str, Any]]:
+    """Table `thalweg.deformation.compare.CHANGES` of two epochs, and facts about it.
+
+    Parameters
+    ----------
+    cores : table `thalweg.deformation.core_points.CORE_POINTS`.
+    before, after : epochs in one frame.
+    registration : from `register_pair`.
+    settings : see there.
+    seed : of the draws for ``control: family``.
+
+    Raises
+    ------
+    GeometryError : no core point has points of both epochs.
+    """
+    compared = registered_distances(measure_pair(cores, before, after, settings), registration)
+    facts: dict[str, Any] = {"control": settings.control, "level": settings.level}
+    limit = None
+    if settings.control == "family":
+        sigma = compared.sigma_m
+        largest = [np.nanmax(np.abs(error) / sigma) for error in compared.draws(settings.draws, seed)]
+        limit = float(np.quantile(largest, 1.0 - settings.level))
+        facts["limit_of_normalised_distance"] = limit
+    table = judge_changes(
+        Distances(
+            compared.pair.found.cores_m,
+            compared.pair.found.normals,
+            compared.pair.found.scale_m,
+            compared.pair.found.n,
+            compared.distance_m,
+            compared.pair.white_m,
+        ),
+        Comparison(
+            radius_m=settings.cylinder_radius_m,
+            half_length_m=settings.reach_m,
+            least_points=settings.least_points,
+            level=settings.level if limit is None else float(2.0 * norm.sf(limit)),
+            control="fdr" if settings.control == "fdr" else "none",
+        ),
+        sigma_field_m=compared.sigma_field_m,
+        sigma_white_m=compared.pair.white_m,
+        sigma_registration_m=compared.sigma_registration_m,
+    )
+    return table, compared, facts

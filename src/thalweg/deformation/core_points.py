@@ -1,0 +1,105 @@
+"""Core points: where change is asked for, even over the surfaces of the first and of the last epoch."""
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from scipy.spatial import cKDTree
+
+from thalweg.core import ArrayF, ArrayI, CoverageError, column, frame_of, table_kind
+from thalweg.deformation.epochs import Epoch
+from thalweg.deformation.m3c2 import ColumnIndex, multiscale_normals
+from thalweg.settings.sections import Deformation
+from thalweg.surface import Area
+
+_F = pa.float64()
+CORE_POINTS = table_kind(
+    "core_points",
+    1,
+    [
+        column("core", pa.int64(), "1", "number of the core point"),
+        column("surface", pa.int64(), "1", "number of the epoch on whose surface it lies"),
+        *(column(f"{axis}_m", _F, "m", f"core point, {axis} in wcs") for axis in ("east", "north", "up")),
+        *(
+            column(f"normal_{axis}", _F, "1", f"normal towards the boat, {axis}")
+            for axis in ("east", "north", "up")
+        ),
+        column("scale_m", _F, "m", "radius at which the normal was fitted: the most planar"),
+        column("area_m2", _F, "m2", "area of the surface that the core point stands for"),
+        column("s_m", _F, "m", "along the bank, to the right when looking from the river"),
+    ],
+)
+"""One row a core point."""
+
+
+def place_core_points(epochs: list[Epoch], settings: Deformation, area: Area) -> pd.DataFrame:
+    """Core points on the first surface, and on the last where the first is far; table `CORE_POINTS`.
+
+    A core point is the mean of the points of a cubic cell. A plane with the normal n touches
+    ``A (|n_e| + |n_n| + |n_u|) / h^2`` cells of the edge h (a cell for each crossing of a wall), so that a
+    core point stands for the area ``h^2 / (|n_e| + |n_n| + |n_u|)``.
+
+    Raises
+    ------
+    CoverageError : no cell in the area holds enough points, or no core point has a normal.
+    """
+    spacing = settings.core_spacing_m
+    first, last = epochs[0], epochs[-1]
+    taken: ArrayI | None = None
+    parts = []
+    for number, epoch in ((1, first), (len(epochs), last)):
+        cells, place, n = _cells(epoch.xyz_m, spacing)
+        use = (n >= settings.least_points) & area.contains(place)
+        if taken is not None and use.any():
+            far = cKDTree(taken).query(cells[use], distance_upper_bound=1.8)[0] > 1.8  # no neighbouring cell
+            use[np.flatnonzero(use)[~far]] = False
+        if taken is None:
+            taken = cells[use]
+        if not use.any():
+            continue
+        index = ColumnIndex.of(epoch.xyz_m, max(settings.cylinder_radius_m, 0.5 * max(settings.scales_m)))
+        cores = place[use]
+        towards = epoch.scanner_m[cKDTree(epoch.scanner_m).query(cores)[1]] - cores
+        normals, scale = multiscale_normals(cores, index, tuple(settings.scales_m), towards=towards)
+        known = np.isfinite(normals).all(axis=1)
+        parts.append((np.full(known.sum(), number), cores[known], normals[known], scale[known]))
+    if not parts or not sum(len(part[0]) for part in parts):
+        raise CoverageError(
+            f"no cell of {spacing:g} m in deformation.area holds {settings.least_points} points of "
+            f"{first.name!r}",
+            expected="an area that the first and the last epoch cover",
+            cure="Check deformation.area, or take a larger core_spacing_m",
+        )
+    surface, cores, normals, scale = (np.concatenate(each) for each in zip(*parts, strict=True))
+    axes = ("east", "north", "up")
+    return frame_of(
+        CORE_POINTS,
+        {
+            "core": np.arange(len(cores)),
+            "surface": surface,
+            **{f"{axis}_m": cores[:, i] for i, axis in enumerate(axes)},
+            **{f"normal_{axis}": normals[:, i] for i, axis in enumerate(axes)},
+            "scale_m": scale,
+            "area_m2": spacing**2 / np.abs(normals).sum(axis=1),
+            "s_m": (cores[:, :2] - cores[:, :2].mean(axis=0)) @ _along(cores, normals),
+        },
+    )
+
+
+def _cells(xyz_m: ArrayF, edge_m: float) -> tuple[ArrayI, ArrayF, ArrayI]:
+    """Cubic cells (c, 3) that hold points, the means (c, 3) of their points, and how many (c,)."""
+    place = np.floor(xyz_m / edge_m).astype(np.int64)
+    low = place.min(axis=0)
+    size = place.max(axis=0) - low + 1
+    key = np.ravel_multi_index(tuple((place - low).T), tuple(size))
+    names, of, n = np.unique(key, return_inverse=True, return_counts=True)
+    mean = np.stack([np.bincount(of, xyz_m[:, i]) / n for i in range(3)], axis=1)
+    return np.stack(np.unravel_index(names, tuple(size)), axis=1) + low, mean, n
+
+
+def _along(cores_m: ArrayF, normals: ArrayF) -> ArrayF:
+    """Unit vector (2,) along the bank: the longest extent, to the right when looking from the river."""
+    plan = cores_m[:, :2] - cores_m[:, :2].mean(axis=0)
+    along = np.linalg.eigh(plan.T @ plan)[1][:, -1]
+    out = normals[:, :2].mean(axis=0)
+    right = np.array([-out[1], out[0]])
+    return np.asarray(along if along @ right >= 0 else -along)

@@ -1,0 +1,125 @@
+"""What changed between epochs."""
+
+
+wildcard_constraints:
+    epoch="|".join(sorted(CAMPAIGNS)),
+    pair=r"\d+-\d+",
+
+
+def of_epoch(method):
+    """Input function: what the campaign of epochs says of one of them."""
+    return of_wildcard("epoch", method)
+
+
+rule prepare_epoch:
+    """Points of a survey with the errors that they share, in the frame of all epochs."""
+    input:
+        points=of_epoch(CampaignFiles.epoch_points),
+        trajectory=of_epoch(CampaignFiles.epoch_trajectory),
+        mounts=of_epoch(CampaignFiles.epoch_mounts),
+        error_model="results/{epoch}/orientation/error_model.json",
+    output:
+        prepared="results/{campaign}/deformation/epochs/{epoch}/points.npz",
+        errors="results/{campaign}/deformation/epochs/{epoch}/errors.json",
+    log:
+        "logs/{campaign}/deformation/prepare_epoch_{epoch}.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/prepare_epoch_{epoch}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000, 10),
+        runtime=minutes(10, 60),
+    params:
+        code=code_version("prepare_epoch"),
+        campaign=identity("origin", "crs"),
+        deformation=section("deformation"),
+        name=lambda wildcards: wildcards.epoch,
+        water_line_ics_m=lambda wildcards: (
+            CAMPAIGNS[wildcards.epoch].filters.water_line_ics_m
+        ),
+    script:
+        "../scripts/prepare_epoch.py"
+
+
+rule place_core_points:
+    """Even core points over the surfaces of the first and of the last epoch."""
+    input:
+        epochs=of(CampaignFiles.all_epochs, "points.npz"),
+    output:
+        core_points="results/{campaign}/deformation/core_points.parquet",
+    log:
+        "logs/{campaign}/deformation/place_core_points.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/place_core_points.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000, 10),
+        runtime=minutes(10, 60),
+    params:
+        code=code_version("place_core_points"),
+        campaign=identity("origin", "crs"),
+        deformation=section("deformation"),
+    script:
+        "../scripts/place_core_points.py"
+
+
+rule coregister_epochs:
+    """The motion between two epochs that stable ground shows, with its covariance."""
+    input:
+        epochs=of_wildcard("pair", CampaignFiles.epochs_of, "points.npz"),
+        core_points="results/{campaign}/deformation/core_points.parquet",
+    output:
+        registration="results/{campaign}/deformation/registration_{pair}.json",
+        weights="results/{campaign}/deformation/registration_{pair}.npz",
+    log:
+        "logs/{campaign}/deformation/coregister_epochs_{pair}.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/coregister_epochs_{pair}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000, 10),
+        runtime=minutes(10, 60),
+    params:
+        code=code_version("coregister_epochs"),
+        deformation=section("deformation"),
+    script:
+        "../scripts/coregister_epochs.py"
+
+
+rule compare_epochs:
+    """Distances between two epochs with their significance, what each could see, classes and volumes."""
+    input:
+        epochs=of_wildcard("pair", CampaignFiles.epochs_of, "points.npz"),
+        core_points="results/{campaign}/deformation/core_points.parquet",
+        registration="results/{campaign}/deformation/registration_{pair}.json",
+        weights="results/{campaign}/deformation/registration_{pair}.npz",
+    output:
+        visibility="results/{campaign}/deformation/visibility_{pair}.parquet",
+        changes="results/{campaign}/deformation/changes_{pair}.parquet",
+        cloud="results/{campaign}/deformation/changes_{pair}.laz",
+        patches="results/{campaign}/deformation/patches_{pair}.csv",
+        volumes="results/{campaign}/deformation/volumes_{pair}.csv",
+        along="results/{campaign}/deformation/volumes_along_{pair}.csv",
+        facts="results/{campaign}/deformation/changes_{pair}.json",
+    log:
+        "logs/{campaign}/deformation/compare_epochs_{pair}.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/compare_epochs_{pair}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000, 10),
+        runtime=minutes(20, 60),
+    params:
+        code=code_version("compare_epochs"),
+        campaign=identity("origin", "seed"),
+        deformation=section("deformation"),
+    script:
+        "../scripts/compare_epochs.py"

@@ -1,0 +1,58 @@
+"""Two registered epochs -> distances with sigma, states, patches of change, volumes."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from thalweg.core import LocalFrame, read_table, write_table
+from thalweg.deformation import (
+    CHANGES,
+    CORE_POINTS,
+    VISIBILITY,
+    Epoch,
+    classify_changes,
+    compare_epochs,
+    estimate_volumes,
+    observe_visibility,
+    read_registration,
+    write_changes,
+)
+from thalweg.settings.sections import Deformation
+from thalweg.workflow import run_job
+
+
+def main(
+    *,
+    epochs: list[Path],
+    core_points: Path,
+    registration: Path,
+    weights: Path,
+    visibility: Path,
+    changes: Path,
+    cloud: Path,
+    patches: Path,
+    volumes: Path,
+    along: Path,
+    facts: Path,
+    campaign: dict[str, Any],
+    deformation: Deformation,
+) -> None:
+    before, after = (Epoch.read(path.parent) for path in epochs)
+    cores = read_table(core_points, CORE_POINTS)[0]
+    moved = read_registration(registration, weights)
+    table, compared, found = compare_epochs(cores, before, after, moved, deformation, campaign["seed"])
+    places = compared.pair.found
+    seen = observe_visibility(places.cores_m, places.normals, places.n, (before, after), deformation)
+    write_table(visibility, seen, VISIBILITY)
+    table, connected = classify_changes(table, compared, seen, deformation)
+    write_table(changes, table, CHANGES)
+    write_changes(cloud, table, LocalFrame(**campaign["origin"]))
+    connected.to_csv(patches, index=False)
+    sums, by_stretch = estimate_volumes(table, compared, deformation, campaign["seed"])
+    sums.to_csv(volumes, index=False)
+    by_stretch.to_csv(along, index=False)
+    facts.write_text(json.dumps(found, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
