@@ -51,7 +51,7 @@ def test_what_is_not_there_is_not_needed() -> None:
         ("[8, 15]", "[15, 8]", "from 15 to 8; expected the smaller id first"),
         ("[8, 15]", "[8, 300]", "marker 300; expected an id from 0 to 249"),
         ("name: C2", "name: C1", "the name 'C1' stands twice"),
-        ("half_angle_deg: 25.0, ", "", "line 4: cones[0]: half_angle_deg: missing"),
+        ("half_angle_deg: 25.0, ", "", "line 4: cones[0]: half_angle_deg is missing"),
         ('to: "81/0"', 'to: "81"', "line 7: scale_bars[0].to: '81' is no mark; expected marker/corner"),
         ('to: "81/0"', 'to: "80/0"', "the bar ends where it begins, at 80/0"),
         ("length_m: 1.50012", "length_m: 1500.12", "length_m: found 1500.12; expected a number from 0.01"),

@@ -181,16 +181,16 @@ MISTAKES = [
     (r"unit: deg", "unit: rad", "found unit rad; expected unit deg", "do not only rename"),
     (r"unit: m\b", "unit: mm", "found unit mm; expected unit m", "Convert value and sigma"),
     (r"value: -0\.35\b", "value: .nan", "x_m.value: found nan", "a finite number"),
-    (r"value: -0\.35\b", "value: 35 cm", "x_m.value: found '35 cm'", "a finite number"),
-    (r"sigma: [\d.e-]+, unit: m}", "unit: m}", "sigma is missing", "the key sigma"),
+    (r"value: -0\.35\b", "value: 35 cm", "x_m.value: found '35 cm'", "a number"),
+    (r"sigma: [\d.e-]+, unit: m}", "unit: m}", "x_m: sigma is missing", "a number of at least 0"),
     (r"    equation: .*x_scs.*\n", "", "equation is missing", "the key equation"),
     (r"equation: .*x_scs.*", "equation: from the yard", "names no target frame", "x_ics ="),
     (r"    sigma_axes: ics\n", "", "sigma_axes is missing", "angles, if they are those of omega"),
     (r"sigma_axes: ics", "sigma_axes: scs", "found 'scs'", "about the axes of ics"),
     (r"      phi_deg: .*\n", "", "a pose with the quantities", "omega_deg, phi_deg, kappa_deg"),
     (r"calibration: 1", "calibration: 7", "found version 7; expected version 1", "Make the file"),
-    (r"thalweg_calibration: 1\n", "", "the mark thalweg_calibration is missing", "the line"),
-    (r"    lidar\.omega_deg: -?[\d.]+", "    lidar.omega_deg: 1.2", "found 1.2", "at most 1"),
+    (r"thalweg_calibration: 1\n", "", "thalweg_calibration is missing", "the line `thalweg_calibration: 1`"),
+    (r"    lidar\.omega_deg: -?[\d.]+", "    lidar.omega_deg: 1.2", "found 1.2", "from -1 to 1"),
     (r"    lidar\.omega_deg:", "    lidar.omgea_deg:", "unknown quantity lidar.omgea", "lidar.omega_deg?"),
     (
         r"correlations:\n",
@@ -274,7 +274,11 @@ def test_a_covariance_that_is_none_is_refused():
 
 
 def test_files_that_are_no_calibration(tmp_path):
-    for text, found in (("", "nothing stands here"), ("- 1\n", "found"), ("a: [1\n", "Close the bracket")):
+    for text, found in (
+        ("", "nothing stands here"),
+        ("- 1\n", "no keys with values; expected a calibration that begins"),
+        ("a: [1\n", "Close the bracket"),
+    ):
         path = tmp_path / "x.yaml"
         path.write_text(text)
         with pytest.raises(ConfigError, match=found):

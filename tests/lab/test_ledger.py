@@ -440,7 +440,7 @@ def test_sigmas(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("thalweg_ledger: 1", "thalweg_ledger: 2", "not a ledger"),
+        ("thalweg_ledger: 1", "thalweg_ledger: 2", "thalweg_ledger: found 2; expected 1"),
         ("rule: equal, basis: printed digits", "rule: near, basis: printed digits", "found 'near'"),
         ("kind: input constant, rule: equal", "kind: constant, rule: equal", "found 'constant'"),
         ("why: a constant,", "", "why is missing"),
@@ -498,7 +498,7 @@ def test_missing_and_empty_ledgers(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
         read_ledger(tmp_path / "none.yaml")
     (tmp_path / "empty.yaml").write_text("")
-    with pytest.raises(ConfigError, match="not a ledger"):
+    with pytest.raises(ConfigError, match="expected a ledger that begins with thalweg_ledger: 1"):
         read_ledger(tmp_path / "empty.yaml")
 
 

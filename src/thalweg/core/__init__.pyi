@@ -28,10 +28,15 @@ from .documents import (
     Mistake as Mistake,
     Name as Name,
     Part as Part,
+    Text as Text,
     checked as checked,
+    did_you_mean as did_you_mean,
+    one_of as one_of,
     parse_yaml as parse_yaml,
     read_mapping as read_mapping,
     read_yaml as read_yaml,
+    refuse as refuse,
+    validated as validated,
     wrong as wrong,
 )
 from .errors import (

@@ -6,19 +6,21 @@ field of a model names the kind and the version of the document, as ``thalweg_fi
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from thalweg.core.errors import ConfigError
 
 Name = Annotated[str, Field(min_length=1)]
 """A text that is not empty."""
+Text = Annotated[str, AfterValidator(lambda text: " ".join(text.split())), Field(min_length=1)]
+"""A text in one line that is not empty, wherever the file breaks it."""
 _KINDS = {
     "float_type": "a number",
     "finite_number": "a finite number",
@@ -30,6 +32,7 @@ _KINDS = {
     "model_type": "keys with values",
     "dict_type": "keys with values",
     "list_type": "a list, each entry with a dash",
+    "too_short": "at least one entry",
 }
 
 MAX_VALUES = 100_000
@@ -81,21 +84,39 @@ class Document:
     data: Any = None
     lines: dict[tuple[Key, ...], int] = field(default_factory=dict)
     mistakes: list[Mistake] = field(default_factory=list)
+    files: dict[tuple[Key, ...], Path] = field(default_factory=dict)
+    """File of each path, where a document is put together of several."""
 
     def line(self, path: tuple[Key, ...]) -> int:
         """Line of a path, or of the deepest part of it that stands in the file."""
+        return self.lines.get(self._known(path), 1)
+
+    def mistake(self, path: tuple[Key, ...], found: str, expected: str = "", cure: str = "") -> Mistake:
+        """A mistake at a path, with its line."""
+        file = self.files.get(self._known(path))
+        return Mistake(path=path, found=found, expected=expected, cure=cure, line=self.line(path), file=file)
+
+    def _known(self, path: tuple[Key, ...]) -> tuple[Key, ...]:
         while path and path not in self.lines:
             path = path[:-1]
-        return self.lines.get(path, 1)
+        return path
 
 
 # ---------------------------------------------------------------- models
 
 
 class Part(BaseModel):
-    """A part of a document with known keys: others are refused, values never change after reading."""
+    """A part of a document with known keys: others are refused, values never change after reading.
+
+    A key without a value is as if it did not stand there.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _given(cls, data: Any) -> Any:
+        return {k: v for k, v in data.items() if v is not None} if isinstance(data, dict) else data
 
 
 PartT = TypeVar("PartT", bound=Part)
@@ -108,6 +129,29 @@ def wrong(found: str, expected: str, cure: str = "", at: tuple[Key, ...] = ()) -
     )
 
 
+def refuse(mistakes: Sequence[PydanticCustomError]) -> None:
+    """Raise what `wrong` gives, several mistakes as one error; nothing if there is none."""
+    if mistakes:
+        raise PydanticCustomError("several", "several", {"all": [dict(m.context or {}) for m in mistakes]})
+
+
+def one_of(choice: Sequence[str]) -> AfterValidator:
+    """For texts: one of a few."""
+
+    def check(value: str) -> str:
+        if value not in choice:
+            raise wrong(f"found {value!r}", f"one of: {'; '.join(choice)}")
+        return value
+
+    return AfterValidator(check)
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """Cure for a name that is not known: the most similar one; empty if none is."""
+    found = difflib.get_close_matches(str(name), list(names), 1)
+    return f"Did you mean {found[0]}?" if found else ""
+
+
 def checked(
     model: type[PartT],
     document: Document,
@@ -115,6 +159,7 @@ def checked(
     what: str,
     where: Path | None = None,
     context: Mapping[str, Any] | None = None,
+    cure: str = "",
 ) -> PartT:
     """A document as its model.
 
@@ -126,72 +171,86 @@ def checked(
     what : what the document is, as ``description of the field``.
     where : its file.
     context : for the model's validators.
+    cure : where to read on.
 
     Raises
     ------
     ConfigError : lists every mistake with its line.
     """
+    found, mistakes = validated(model, document, what=what, context=context)
+    if found is not None:
+        return found
+    n = len(mistakes)
+    head = f"{n} mistake{'s' if n > 1 else ''} in the {what}"
+    text = head + "".join(f"\n  {mistake}" for mistake in mistakes)
+    raise ConfigError(text.rstrip("."), where=where or "", cure=cure)
+
+
+def validated(
+    model: type[PartT], document: Document, *, what: str, context: Mapping[str, Any] | None = None
+) -> tuple[PartT | None, list[Mistake]]:
+    """A document as its model, or None and all mistakes by line; parameters as of `checked`."""
     mistakes = list(document.mistakes)
     if isinstance(document.data, dict):
         try:
             # strict: no text for numbers, no number for true
             found = model.model_validate(document.data, strict=True, context=dict(context or {}))
             if not mistakes:
-                return found
+                return found, []
         except ValidationError as error:
-            mistakes += [_mistake(detail, model, document) for detail in error.errors(include_url=False)]
+            for detail in error.errors(include_url=False):
+                mistakes += _mistakes(detail, model, document)
     elif not mistakes:
         mark, field = next(iter(model.model_fields.items()))
         version = get_args(field.annotation)[0]
-        expected = f"a {what} that begins with {mark}: {version}"
-        mistakes.append(Mistake(found="no keys with values", expected=expected, line=document.line(())))
-    told = sorted(mistakes, key=lambda mistake: mistake.line)
-    head = f"{len(told)} mistake{'s' if len(told) > 1 else ''} in the {what}"
-    raise ConfigError(head + "".join(f"\n  {mistake}" for mistake in told), where=where or "")
+        found_kind = "nothing stands here" if document.data is None else "no keys with values"
+        mistakes.append(document.mistake((), found_kind, f"a {what} that begins with {mark}: {version}"))
+    return None, sorted(mistakes, key=lambda mistake: mistake.line)
 
 
-def _mistake(detail: ErrorDetails, model: type[Part], document: Document) -> Mistake:
+def _mistakes(detail: ErrorDetails, model: type[Part], document: Document) -> list[Mistake]:
     """One finding of pydantic."""
-    path: tuple[Key, ...] = tuple(detail["loc"])
+    # a key that is refused is called [key] below its value's place
+    path: tuple[Key, ...] = tuple(key for key in detail["loc"] if key != "[key]")
     kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
     found, cure = f"found {value!r}", ""
     described = _described(model, path)
-    if kind == "wrong":
-        path, found, expected, cure = (
-            (*path, *context["at"]),
-            context["found"],
-            context["expected"],
-            context["cure"],
-        )
-    elif kind == "extra_forbidden":
+    if kind in ("wrong", "several"):
+        return [
+            document.mistake((*path, *one["at"]), one["found"], one["expected"], one["cure"])
+            for one in context.get("all", [context])
+        ]
+    if kind == "extra_forbidden":
         keys = _keys(model, path[:-1])
-        near = difflib.get_close_matches(str(path[-1]), keys, 1)
-        found, expected, cure = (
-            "unknown key",
-            f"one of {', '.join(keys)}",
-            f"Did you mean {near[0]}?" if near else "",
-        )
+        found, expected, cure = "unknown key", f"one of {', '.join(keys)}", did_you_mean(str(path[-1]), keys)
     elif kind == "missing":
-        found, expected = f"{path[-1]}: missing", described or f"the key {path[-1]}"
-        path = path[:-1]
+        found, expected = f"{path[-1]} is missing", described or f"the key {path[-1]}"
+        path = path if path in document.lines else path[:-1]
     elif kind == "literal_error":
         expected = described or str(context["expected"]).replace("'", "")
     else:
         expected = described or _KINDS.get(kind) or detail["msg"].removeprefix("Input should be ")
-    return Mistake(path=path, found=found, expected=expected, cure=cure, line=document.line(path))
+    if value is None and kind != "missing":
+        found = "nothing stands here"
+    return [document.mistake(path, found, expected, cure)]
 
 
 def _field_at(model: Any, path: tuple[Key, ...]) -> tuple[Any, type[Part] | None]:
     """The field of a path and, if it is a part or a list of parts, the model of these."""
-    field, part = None, model
+    field, part, named = None, model, False
     for key in path:
         if isinstance(key, int):
             continue
+        if named:  # a name that the file gives
+            named = False
+            continue
         if part is None:
-            return None, None
+            break
         fields = {f.alias or name: f for name, f in part.model_fields.items()}
         field = fields.get(key)
         part = next(_parts(field.annotation), None) if field is not None else None
+        kinds = [] if field is None else [field.annotation, *get_args(field.annotation)]
+        named = any(get_origin(kind) is dict for kind in kinds)
     return field, part
 
 
@@ -216,9 +275,9 @@ def _described(model: type[Part], path: tuple[Key, ...]) -> str:
         return str(field.description)
     limits = {type(m).__name__: m for m in field.metadata}
     low, high = limits.get("Ge"), limits.get("Le")
-    if low is None or high is None:
+    if low is None:
         return ""
-    return f"a number from {low.ge:g} to {high.le:g}"
+    return f"a number of at least {low.ge:g}" if high is None else f"a number from {low.ge:g} to {high.le:g}"
 
 
 # ---------------------------------------------------------------- lines of the values

@@ -5,16 +5,17 @@ project's list of published items that it belongs to, its place, its text, value
 last digit, the rule of its verdict with a reason, and a pointer to the number that this pipeline measures.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
-from thalweg.core import ConfigError, Document, Key, Mistake, read_yaml
+from thalweg.core import Part, Text, checked, one_of, read_yaml, refuse, wrong
 
-VERSION: Final = 1
 KINDS: Final = ("input constant", "exact", "statistic on the twin", "procedure only")
 RULES: Final = ("equal", "at most", "at least", "inside", "same word", "present", "not checkable")
 BASES: Final = ("printed digits", "sampling error", "goal", "identity")
@@ -63,28 +64,6 @@ P4, and the magnetic fields, drift and multipath of the study of chains."""
 POINTERS: Final = {".csv": "column", ".parquet": "column", ".json": "key", ".yaml": "key", ".ply": "axis"}
 """What says where a number stands, by the kind of file."""
 
-_ENTRY: Final = {
-    "rows": True, "part": False, "where": True, "quantity": True, "printed": True, "value": False,
-    "unit": False, "half_unit": False, "tolerance": False, "kind": True, "rule": True, "basis": False,
-    "put_in": False, "why": True, "ours": True, "note": False,
-}  # fmt: skip
-_OURS: Final = {
-    *SOURCES,
-    "where",
-    "near",
-    "column",
-    "key",
-    "over",
-    "against",
-    "take",
-    "times",
-    "n",
-    "sigma",
-    "sigma_of",
-    "words",
-    "axis",
-    "with",
-}
 _NEEDS_VALUE: Final = ("equal", "at most", "at least", "inside")
 
 
@@ -186,13 +165,21 @@ def read_ledger(path: Path) -> tuple[Entry, ...]:
     ------
     ConfigError : the file is missing or holds mistakes; all are told, each with its line.
     """
-    reader = _Reader(read_yaml(path))
-    entries = reader.entries() if not reader.mistakes else ()
-    if reader.mistakes:
-        told = sorted(reader.mistakes, key=lambda mistake: mistake.line)
-        count = f"{len(told)} mistake{'s' * (len(told) > 1)} in the ledger"
-        raise ConfigError(count + "".join(f"\n  {mistake}" for mistake in told), where=path)
-    return entries
+    ledger = checked(_Ledger, read_yaml(path), what="ledger", where=path)
+    return tuple(
+        Entry(
+            section=section.title,
+            **dict(entry)
+            | {
+                "rows": tuple(entry.rows),
+                "half_unit": entry.half_unit or 0.0,
+                "tolerance": entry.tolerance or 0.0,
+                "ours": _pointer(entry.ours),
+            },
+        )
+        for section in ledger.sections
+        for entry in section.entries
+    )
 
 
 def result_files(entries: tuple[Entry, ...], source: str = "file") -> list[str]:
@@ -204,231 +191,207 @@ def result_files(entries: tuple[Entry, ...], source: str = "file") -> list[str]:
     return list(dict.fromkeys(filter(None, names)))
 
 
-class _Reader:
-    """Takes the document apart and notes every mistake on the way."""
+# ---------------------------------------------------------------- file
 
-    def __init__(self, document: Document) -> None:
-        self.document = document
-        self.mistakes = list(document.mistakes)
+_Row = Annotated[str, Field(pattern="^C[0-9]{3}$")]
+_Size = Annotated[float, Field(ge=0.0)]
+_Several = Annotated[list[Any], BeforeValidator(lambda value: value if isinstance(value, list) else [value])]
 
-    def wrong(self, path: tuple[Key, ...], found: str, expected: str, cure: str = "") -> None:
-        """Note a mistake with its line."""
-        line = self.document.line(path)
-        self.mistakes.append(Mistake(path=path, found=found, expected=expected, cure=cure, line=line))
 
-    def entries(self) -> tuple[Entry, ...]:
-        """All entries of the file; mistakes are collected."""
-        data = self.document.data
-        if not isinstance(data, dict) or data.get("thalweg_ledger") != VERSION:
-            self.wrong((), "not a ledger", f"thalweg_ledger: {VERSION}, and sections")
-            return ()
-        for key in data.keys() - {"thalweg_ledger", "sections"}:
-            self.wrong((key,), "unknown key", "thalweg_ledger, sections")
-        found: dict[str, Entry] = {}
-        for path, section in self.list(("sections",), data.get("sections")):
-            if not isinstance(section, dict) or set(section) != {"title", "entries"}:
-                self.wrong(path, "no section", "title and entries")
-                continue
-            for place, one in self.list((*path, "entries"), section["entries"]):
-                entry = self.entry(place, one, str(section["title"]))
-                if entry is None:
-                    continue
-                if entry.name in found:
-                    self.wrong(place, f"{entry.name!r} stands twice", "names that differ", "Give it a part")
-                found[entry.name] = entry
-        return tuple(found.values())
+def _value(value: Any) -> Any:
+    """A number, a word, or two numbers."""
+    if isinstance(value, list):
+        if len(value) != 2 or not all(map(_is_number, value)) or value[0] >= value[1]:
+            raise wrong(f"found {value!r}", "two numbers, the smaller first")
+        return float(value[0]), float(value[1])
+    return float(value) if _is_number(value) else value
 
-    def list(self, path: tuple[Key, ...], data: Any) -> list[tuple[tuple[Key, ...], Any]]:
-        """Elements of a list with their paths; a mistake if it is none or empty."""
-        if not isinstance(data, list) or not data:
-            self.wrong(path, "nothing there", "a list")
-            return []
-        return [((*path, i), item) for i, item in enumerate(data)]
 
-    def entry(self, path: tuple[Key, ...], data: Any, section: str) -> Entry | None:
-        """One entry, or None after a mistake in it."""
-        before = len(self.mistakes)
-        if not isinstance(data, dict):
-            self.wrong(path, f"found {data!r}", "an entry with the keys " + ", ".join(_ENTRY))
-            return None
-        for key in data.keys() - _ENTRY.keys():
-            self.wrong((*path, key), "unknown key", ", ".join(_ENTRY))
-        for key, needed in _ENTRY.items():
-            if needed and data.get(key) in (None, "", []):
-                self.wrong(path, f"{key} is missing", f"the key {key}")
-        for key, choice in (("kind", KINDS), ("rule", RULES), ("basis", BASES)):
-            if data.get(key) is not None and data[key] not in choice:
-                self.wrong((*path, key), f"found {data[key]!r}", f"one of: {'; '.join(choice)}")
-        rows = data.get("rows")
-        if rows is not None and (not isinstance(rows, list) or not all(_is_row(row) for row in rows)):
-            self.wrong((*path, "rows"), f"found {rows!r}", "a list such as [C286]")
-        if len(self.mistakes) > before:
-            return None
-        self.judged(path, data)
-        self.put_in(path, data)
-        ours = self.ours((*path, "ours"), data["ours"])
-        if data.get("basis") == "sampling error" and ours and not (ours.sigma or ours.sigma_of):
-            self.wrong((*path, "ours"), "no sigma", "a sigma for the basis 'sampling error'")
-        if len(self.mistakes) > before or ours is None:
-            return None
-        value = data.get("value")
-        words = {key: " ".join(str(data.get(key) or "").split()) for key in _ENTRY}
-        return Entry(
-            rows=tuple(rows or ()),
-            part=words["part"],
-            section=section,
-            where=words["where"],
-            quantity=words["quantity"],
-            printed=words["printed"],
-            unit=words["unit"],
-            value=(float(value[0]), float(value[1]))
-            if isinstance(value, list)
-            else value
-            if value is None or isinstance(value, str)
-            else float(value),
-            half_unit=float(data.get("half_unit") or 0.0),
-            tolerance=float(data.get("tolerance") or 0.0),
-            kind=words["kind"],
-            rule=words["rule"],
-            basis=words["basis"],
-            put_in=words["put_in"],
-            why=words["why"],
-            ours=ours,
-            note=words["note"],
-        )
+class _SigmaOf(Part):
+    file: Text
+    column: Text
 
-    def judged(self, path: tuple[Key, ...], data: dict[str, Any]) -> None:
-        """Value, half unit, tolerance and basis must fit the rule."""
-        rule, basis = data["rule"], data.get("basis")
-        value: Any = data.get("value")
-        pair = isinstance(value, list)
-        if pair and not (len(value) == 2 and all(map(_is_number, value)) and value[0] < value[1]):
-            self.wrong((*path, "value"), f"found {value!r}", "two numbers, the smaller first")
-        elif rule == "inside" and not pair:
-            self.wrong((*path, "value"), f"found {value!r}", "two numbers for the rule 'inside'")
-        elif rule in _NEEDS_VALUE and not pair and not _is_number(value):
-            self.wrong((*path, "value"), f"found {value!r}", f"a number for the rule {rule!r}")
-        elif rule == "same word" and not isinstance(value, str):
-            self.wrong((*path, "value"), f"found {value!r}", "a word")
-        for key in ("half_unit", "tolerance"):
-            if data.get(key) is not None and not (_is_number(data[key]) and data[key] >= 0):
-                self.wrong((*path, key), f"found {data[key]!r}", "a number of 0 or more")
-        if rule in _NEEDS_VALUE and basis is None:
-            self.wrong(path, "basis is missing", f"one of: {'; '.join(BASES)}")
-        tolerated = data.get("tolerance") is not None
-        if (basis == "identity" and not tolerated) or (
-            tolerated and basis not in ("identity", "printed digits")
+
+class _Ours(Part):
+    file: Text | None = None
+    study: Text | None = None
+    setting: Text | None = None
+    computed: Text | None = None
+    none: Text | None = None
+    where: dict[str, Any] = Field(default={})
+    near: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(
+        default={}, description="column: [value, how far off]"
+    )
+    column: _Several = Field(default=[])
+    key: _Several = Field(default=[])
+    over: str = ""
+    against: str = ""
+    take: Annotated[str, one_of(TAKES)] = "one"
+    times: float = 1.0
+    n: str = ""
+    sigma: str = ""
+    sigma_of: _SigmaOf | None = None
+    words: dict[str, float] | None = None
+    axis: int = 0
+    extra: dict[str, Any] | None = Field(default=None, alias="with")
+
+    @property
+    def source(self) -> str:
+        """Which of `SOURCES` is named."""
+        return next(name for name in SOURCES if getattr(self, name))
+
+    @property
+    def name(self) -> str:
+        """What the source is called."""
+        return str(getattr(self, self.source))
+
+    @model_validator(mode="after")
+    def _one_number(self) -> Self:
+        named = [name for name in SOURCES if getattr(self, name)]
+        if len(named) != 1:
+            found = f"found {' and '.join(named) or 'no source'}"
+            raise wrong(found, f"one of {', '.join(SOURCES)}, with a text")
+        if self.source not in ("file", "study"):
+            return self
+        mistakes, file = [], Path(self.name)
+        if file.is_absolute() or ".." in file.parts:
+            mistakes.append(wrong(f"found {self.name!r}", "a path below the results", at=(self.source,)))
+        pointer = POINTERS.get(file.suffix)
+        given = [key for key in ("column", "key", "axis") if key in self.model_fields_set]
+        if pointer is None or given != [pointer]:
+            found = f"which number of a {file.suffix or 'file'}?"
+            mistakes.append(wrong(found, pointer or "another file"))
+        if self.sigma == "binomial" and not self.n:
+            mistakes.append(wrong("a share without n", "the column of n"))
+        refuse(mistakes)
+        return self
+
+
+class _Entry(Part):
+    rows: Annotated[list[_Row], Field(min_length=1, description="a list such as [C286]")]
+    part: Text = ""
+    where: Text
+    quantity: Text
+    printed: Annotated[Text, BeforeValidator(str)]
+    value: Annotated[Any, AfterValidator(_value)] = None
+    unit: Annotated[str, BeforeValidator(str)] = ""
+    half_unit: _Size | None = None
+    tolerance: _Size | None = None
+    kind: Annotated[str, one_of(KINDS)]
+    rule: Annotated[str, one_of(RULES)]
+    basis: Annotated[str, one_of(BASES)] = ""
+    put_in: Annotated[str, one_of(tuple(PUT_IN))] = ""
+    why: Text
+    ours: _Ours
+    note: Text = ""
+
+    @property
+    def name(self) -> str:
+        """First row and part."""
+        return f"{self.rows[0]} {self.part}".strip()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        refuse([*self._value_fits(), *self._basis_fits(), *self._put_in_fits()])
+        return self
+
+    def _value_fits(self) -> Iterator[PydanticCustomError]:
+        found, pair = f"found {self.value!r}", isinstance(self.value, tuple)
+        if self.rule == "inside" and not pair:
+            yield wrong(found, "two numbers for the rule 'inside'", at=("value",))
+        elif self.rule in _NEEDS_VALUE and not pair and not _is_number(self.value):
+            yield wrong(found, f"a number for the rule {self.rule!r}", at=("value",))
+        elif self.rule == "same word" and not isinstance(self.value, str):
+            yield wrong(found, "a word", at=("value",))
+
+    def _basis_fits(self) -> Iterator[PydanticCustomError]:
+        if self.rule in _NEEDS_VALUE and not self.basis:
+            yield wrong("basis is missing", f"one of: {'; '.join(BASES)}")
+        tolerated = self.tolerance is not None
+        if (self.basis == "identity" and not tolerated) or (
+            tolerated and self.basis not in ("identity", "printed digits")
         ):
-            self.wrong(
-                path,
+            yield wrong(
                 "tolerance and basis do not fit",
                 "a tolerance with the basis identity, or one that follows from several printed numbers",
             )
-        if basis in ("printed digits", "sampling error") and data.get("half_unit") is None:
-            self.wrong(path, "half_unit is missing", "half a unit of the last printed digit")
+        if self.basis in ("printed digits", "sampling error") and self.half_unit is None:
+            yield wrong("half_unit is missing", "half a unit of the last printed digit")
+        if self.basis == "sampling error" and not (self.ours.sigma or self.ours.sigma_of):
+            yield wrong("no sigma", "a sigma for the basis 'sampling error'", at=("ours",))
 
-    def put_in(self, path: tuple[Key, ...], data: dict[str, Any]) -> None:
+    def _put_in_fits(self) -> Iterator[PydanticCustomError]:
         """A number that was put in says so, in the class that its source implies; others must not."""
-        given, kind = data.get("put_in"), data["kind"]
-        if data["rule"] in ("present", "not checkable"):
-            if given is not None:
-                self.wrong(
-                    (*path, "put_in"),
-                    f"found {given!r} with the rule {data['rule']!r}",
-                    "no put_in where nothing is compared",
-                )
+        given, found = self.put_in, f"found {self.put_in!r}"
+        if self.rule in ("present", "not checkable"):
+            if given:
+                expected = "no put_in where nothing is compared"
+                yield wrong(f"{found} with the rule {self.rule!r}", expected, at=("put_in",))
             return
-        needed = _must_be_put_in(data["ours"])
-        if given is None and (needed or kind == "input constant"):
-            because = f"its number comes from {needed[1]}" if needed else "its kind is 'input constant'"
-            self.wrong(path, f"put_in is missing: {because}", f"put_in: {needed[0] if needed else 'setting'}")
-        elif given is not None and given not in PUT_IN:
-            self.wrong((*path, "put_in"), f"found {given!r}", f"one of: {', '.join(PUT_IN)}")
-        elif given is not None and needed and given != needed[0]:
-            self.wrong((*path, "put_in"), f"found {given!r} for {needed[1]}", f"put_in: {needed[0]}")
-        elif given is not None and kind not in PUT_IN[given][1]:
-            self.wrong(
-                (*path, "put_in"),
-                f"found {given!r} for the kind {kind!r}",
-                f"one of the kinds {', '.join(PUT_IN[given][1])}",
-            )
-
-    def ours(self, path: tuple[Key, ...], data: Any) -> Ours | None:
-        """Where the pipeline's own value comes from, or None after a mistake."""
-        before = len(self.mistakes)
-        given = [key for key in SOURCES if isinstance(data, dict) and key in data]
-        if len(given) != 1 or not isinstance(data[given[0]], str) or not data[given[0]].strip():
-            self.wrong(path, f"found {data!r}", f"one of {', '.join(SOURCES)}, with a text")
-            return None
-        (source,) = given
-        for key in data.keys() - _OURS:
-            self.wrong((*path, key), "unknown key", ", ".join(sorted(_OURS)))
-        if data.get("take", "one") not in TAKES:
-            self.wrong((*path, "take"), f"found {data['take']!r}", f"one of: {', '.join(TAKES)}")
-        if source in ("file", "study"):
-            name = Path(data[source])
-            if name.is_absolute() or ".." in name.parts:
-                self.wrong((*path, source), f"found {data[source]!r}", "a path below the results")
-            pointer = POINTERS.get(name.suffix)
-            if pointer is None or [key for key in ("column", "key", "axis") if key in data] != [pointer]:
-                self.wrong(
-                    path, f"which number of a {name.suffix or 'file'}?", f"{pointer or 'another file'}"
-                )
-            if data.get("sigma") == "binomial" and "n" not in data:
-                self.wrong(path, "a share without n", "the column of n")
-        for key in ("where", "near", "words", "with", "sigma_of"):
-            if key in data and not isinstance(data[key], dict):
-                self.wrong((*path, key), f"found {data[key]!r}", "keys with values")
-        near = data.get("near") or {}
-        if isinstance(near, dict) and any(not isinstance(v, list) or len(v) != 2 for v in near.values()):
-            self.wrong((*path, "near"), f"found {near!r}", "column: [value, how far off]")
-        spread = data.get("sigma_of")
-        if isinstance(spread, dict) and set(spread) != {"file", "column"}:
-            self.wrong((*path, "sigma_of"), f"found {spread!r}", "file and column")
-        if len(self.mistakes) > before:
-            return None
-        return Ours(
-            source=source,
-            name=" ".join(data[source].split()),
-            where=dict(data.get("where") or {}),
-            near={k: (float(v[0]), float(v[1])) for k, v in near.items()},
-            columns=_several(data.get("column", [])),
-            key=_several(data.get("key", [])),
-            over=str(data.get("over", "")),
-            against=str(data.get("against", "")),
-            take=data.get("take", "one"),
-            times=float(data.get("times", 1.0)),
-            n=str(data.get("n", "")),
-            sigma=str(data.get("sigma", "")),
-            sigma_of=(spread["file"], spread["column"]) if spread else None,
-            words=data.get("words"),
-            axis=int(data.get("axis", 0)),
-            extra=data.get("with"),
-        )
+        needed = _must_be_put_in(self.ours)
+        if not given:
+            if needed or self.kind == "input constant":
+                because = f"its number comes from {needed[1]}" if needed else "its kind is 'input constant'"
+                yield wrong(f"put_in is missing: {because}", f"put_in: {needed[0] if needed else 'setting'}")
+        elif needed and given != needed[0]:
+            yield wrong(f"{found} for {needed[1]}", f"put_in: {needed[0]}", at=("put_in",))
+        elif self.kind not in PUT_IN[given][1]:
+            expected = f"one of the kinds {', '.join(PUT_IN[given][1])}"
+            yield wrong(f"{found} for the kind {self.kind!r}", expected, at=("put_in",))
 
 
-def _must_be_put_in(ours: Any) -> tuple[str, str] | None:
+class _Section(Part):
+    title: Text
+    entries: list[_Entry] = Field(min_length=1)
+
+
+class _Ledger(Part):
+    thalweg_ledger: Literal[1]
+    sections: list[_Section] = Field(min_length=1)
+
+    @field_validator("sections")
+    @classmethod
+    def _each_once(cls, sections: list[_Section]) -> list[_Section]:
+        names: set[str] = set()
+        twice = []
+        for i, section in enumerate(sections):
+            for k, entry in enumerate(section.entries):
+                if entry.name in names:
+                    found = f"{entry.name!r} stands twice"
+                    twice.append(wrong(found, "names that differ", "Give it a part", at=(i, "entries", k)))
+                names.add(entry.name)
+        refuse(twice)
+        return sections
+
+
+def _pointer(ours: _Ours) -> Ours:
+    values = dict(ours)
+    for name in SOURCES:
+        del values[name]
+    spread = ours.sigma_of
+    return Ours(
+        **values
+        | {
+            "source": ours.source,
+            "name": ours.name,
+            "near": {name: (value, reach) for name, (value, reach) in ours.near.items()},
+            "key": tuple(values["key"]),
+            "sigma_of": (spread.file, spread.column) if spread else None,
+            "columns": tuple(values.pop("column")),
+        }
+    )
+
+
+def _must_be_put_in(ours: _Ours) -> tuple[str, str] | None:
     """Class of `PUT_IN` that a pointer implies, and its source in words; None where it implies none."""
-    if not isinstance(ours, dict):
-        return None
-    if "setting" in ours:
+    if ours.setting:
         return "setting", "a setting of the twin"
-    function = ours.get("computed")
-    if function in ALWAYS_PUT_IN:
-        return ALWAYS_PUT_IN[function], f"the function {function}"
-    file = ours.get("file") or ours.get("study")
-    if (file, ours.get("column")) in FITTED and ours.get("take") != "count":
-        return "fitted", f"{file}, column {ours['column']}"
+    if ours.computed in ALWAYS_PUT_IN:
+        return ALWAYS_PUT_IN[ours.computed], f"the function {ours.computed}"
+    if any((ours.name, column) in FITTED for column in ours.column) and ours.take != "count":
+        return "fitted", f"{ours.name}, column {ours.column[0]}"
     return None
-
-
-def _several(value: Any) -> tuple[Any, ...]:
-    return tuple(value) if isinstance(value, list) else (value,)
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
-
-
-def _is_row(value: Any) -> bool:
-    return isinstance(value, str) and len(value) == 4 and value[0] == "C" and value[1:].isdigit()

@@ -12,28 +12,32 @@ errors of omega, phi and kappa: at phi = -90 degrees, the nominal mount of the l
 kappa turn about the same axis, and no finite covariance of the three angles describes every error.
 """
 
-import difflib
 import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from thalweg.core import (
     ArrayF,
-    ConfigError,
-    Document,
     GeometryError,
-    Key,
     Mistake,
+    Part,
     Rigid,
+    Text,
+    checked,
+    did_you_mean,
     opk_axes,
     opk_of,
     read_yaml,
+    refuse,
     rotation_opk,
+    validated,
+    wrong,
 )
 
 ANGLES: Final = ("omega_deg", "phi_deg", "kappa_deg")
@@ -65,24 +69,6 @@ __all__ = [
 ]
 VERSION: Final = 1
 MARK: Final = "thalweg_calibration"
-KEYS: Final = {MARK: True, "title": True, "source": True, "blocks": True, "correlations": False}
-SOURCE_KEYS: Final = {
-    "run": True,
-    "method": True,
-    "created": False,
-    "observations": False,
-    "sigma0": False,
-    "twin": False,
-}
-BLOCK_KEYS: Final = {
-    "equation": True,
-    "convention": False,
-    "sigma_axes": False,
-    "facts": False,
-    "values": True,
-}
-ENTRY_KEYS: Final = {"value": True, "sigma": True, "unit": True}
-"""Keys of each part of a file, and whether one is needed."""
 ANGLES_THEMSELVES: Final = "angles"
 TARGET: Final = re.compile(r"\s*x_([a-z]+)\s*=")
 """How the equation of a pose begins: with its target frame."""
@@ -520,59 +506,156 @@ def _text(value: Any) -> str:
     )
 
 
-@dataclass(slots=True)
-class _Reader:
-    """Takes values out of a document and notes what is wrong with them."""
+class _Source(Part):
+    run: Text
+    method: Text
+    created: Annotated[str, BeforeValidator(str)] = ""
+    observations: int = Field(default=0, ge=0, description="a number of observations")
+    sigma0: Annotated[float, Field(ge=0.0)] = float("nan")
+    twin: bool = False
 
-    document: Document
-    mistakes: list[Mistake] = field(default_factory=list)
 
-    def wrong(self, path: tuple[Key, ...], found: str, expected: str = "", cure: str = "") -> None:
-        """Note a mistake with the line at which it stands."""
-        self.mistakes.append(
-            Mistake(path=path, found=found, expected=expected, cure=cure, line=self.document.line(path))
-        )
+class _Entry(Part):
+    value: float
+    sigma: Annotated[float, Field(ge=0.0)]
+    unit: Annotated[str, BeforeValidator(str)]
 
-    def mapping(
-        self, data: Any, path: tuple[Key, ...], keys: dict[str, bool] | None = None
-    ) -> dict[str, Any]:
-        """A mapping; with ``keys`` one without unknown keys, whose needed ones are there."""
-        if not isinstance(data, dict) or not data:
-            self.wrong(
-                path,
-                "nothing stands here" if data is None else f"found {data!r}",
-                f"the keys {', '.join(keys)}" if keys else "names with values",
+
+class _Block(Part):
+    equation: Text
+    convention: Text = ""
+    sigma_axes: Any = None
+    facts: dict[str, Any] = Field(default={})
+    values: dict[str, _Entry] = Field(min_length=1)
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Those of a pose in the order of `POSE`, others as in the file."""
+        return POSE if self.is_pose else tuple(self.values)
+
+    @property
+    def is_pose(self) -> bool:
+        """True if it holds an angle of a pose."""
+        return not set(ANGLES).isdisjoint(self.values)
+
+    @field_validator("values")
+    @classmethod
+    def _units_and_places(cls, values: dict[str, _Entry]) -> dict[str, _Entry]:
+        mistakes = [
+            wrong(
+                f"found unit {entry.unit}",
+                f"unit {unit_of(name)}, as the name of the quantity says",
+                "Convert value and sigma, do not only rename the unit",
+                at=(name, "unit"),
             )
-            return {}
-        for key in [key for key in data if keys is not None and key not in keys]:
-            near = difflib.get_close_matches(key, keys or (), 1)
-            self.wrong(
-                (*path, key),
-                "unknown key",
-                f"one of {', '.join(keys or ())}",
-                f"Did you mean {near[0]}?" if near else "Remove it",
+            for name, entry in values.items()
+            if entry.unit != unit_of(name)
+        ]
+        if not set(ANGLES).isdisjoint(values) and set(values) != set(POSE):
+            mistakes.append(wrong(f"a pose with the quantities {', '.join(values)}", ", ".join(POSE)))
+        if set(LEVER) <= set(values):
+            doubt = lever_doubt([values[name].value for name in LEVER])
+            longest = max(LEVER, key=lambda name: abs(values[name].value))
+            mistakes += [wrong(*doubt, at=(longest,))] if doubt else []
+        refuse(mistakes)
+        return values
+
+    @model_validator(mode="after")
+    def _axes(self) -> Self:
+        axes, target = self.sigma_axes, _target(self.equation)
+        if not self.is_pose:
+            if axes is not None:
+                raise wrong(
+                    f"found {axes!r} in a block without angles", "no such key here", at=("sigma_axes",)
+                )
+        elif not target:
+            raise wrong(
+                f"found {self.equation!r}, which names no target frame",
+                "such as x_ics = R_ics_scs @ x_scs + (x, y, z)",
+                at=("equation",),
             )
-        for key, needed in (keys or {}).items():
-            if needed and data.get(key) is None:
-                self.wrong((*path, key) if key in data else path, f"{key} is missing", f"the key {key}")
-        return data if keys is None else {key: data[key] for key in keys if data.get(key) is not None}
+        elif axes not in (target, ANGLES_THEMSELVES):
+            raise wrong(
+                "sigma_axes is missing" if axes is None else f"found {axes!r}",
+                f"{target}, if the sigmas of the angles are about the axes of {target}; "
+                f"{ANGLES_THEMSELVES}, if they are those of omega, phi, kappa themselves",
+                at=("sigma_axes",),
+            )
+        return self
 
-    def text(self, data: Any, path: tuple[Key, ...]) -> str:
-        """A text that is not empty."""
-        if not isinstance(data, str) or not data.strip():
-            self.wrong(path, f"found {data!r}", "a text")
-            return "?"
-        return " ".join(data.split())
 
-    def number(self, data: Any, path: tuple[Key, ...], low: float = -np.inf, high: float = np.inf) -> float:
-        """A finite number from ``low`` to ``high``."""
-        good = isinstance(data, int | float) and not isinstance(data, bool) and np.isfinite(data)
-        if not good or not low <= data <= high:
-            bounds = "" if np.isinf(low) else f" of at least {low:g}"
-            bounds += "" if np.isinf(high) else f", at most {high:g}"
-            self.wrong(path, f"found {data!r}", f"a finite number{bounds}")
-            return 0.0
-        return float(data)
+_Rows = dict[str, dict[str, Annotated[float, Field(ge=-1.0, le=1.0)]]]
+
+
+class _File(Part):
+    thalweg_calibration: Literal[1] = Field(description=f"the line `{MARK}: {VERSION}`")
+    title: Text
+    source: _Source
+    blocks: dict[str, _Block] = Field(min_length=1)
+    correlations: _Rows = Field(default={}, description="pairs of quantities with numbers from -1 to 1")
+
+    @field_validator(MARK, mode="before")
+    @classmethod
+    def _version(cls, version: Any) -> Any:
+        if version != VERSION:
+            raise wrong(
+                f"found version {version!r}",
+                f"version {VERSION}",
+                "Make the file again, or use the version of Thalweg that wrote it",
+            )
+        return version
+
+    @field_validator("correlations")
+    @classmethod
+    def _possible(cls, rows: _Rows, info: ValidationInfo) -> _Rows:
+        if "blocks" not in info.data:
+            return rows
+        sigma = _sigmas(info.data["blocks"])
+        mistakes = []
+        for first, row in rows.items():
+            for second, rho in row.items():
+                unknown = [name for name in (first, second) if name not in sigma]
+                other = rows.get(second, {}).get(first, rho)
+                if unknown or first == second:
+                    found = f"unknown quantity {unknown[0]}" if unknown else "a quantity with itself"
+                    expected = "two quantities of the file, such as lidar.x_m"
+                    cure = did_you_mean(unknown[0], sigma) if unknown else ""
+                elif other != rho and list(rows).index(first) > list(rows).index(second):
+                    found = f"found {rho:g}, but {other:g} the other way round"
+                    expected = "one value for a pair: the matrix is symmetric"
+                    cure = "Remove one of them"
+                elif rho != 0.0 and 0.0 in (sigma[first], sigma[second]):
+                    found, expected = "a correlation with a quantity whose sigma is 0", "zero, or a sigma"
+                    cure = ""
+                else:
+                    continue
+                mistakes.append(wrong(found, expected, cure, at=(first, second)))
+        refuse(mistakes)
+        lowest, vector = lowest_eigenvalue(_matrix(rows, list(sigma)))
+        if lowest < SMALLEST_EIGENVALUE:
+            guilty = [list(sigma)[i] for i in np.argsort(-np.abs(vector))[:3] if abs(vector[i]) > 0.1]
+            raise wrong(
+                f"no errors can be correlated like this: the matrix has the eigenvalue {lowest:.3g}; "
+                f"look at {', '.join(guilty)}",
+                "a matrix without negative eigenvalues",
+                "Check the signs, and write at least six digits",
+            )
+        return rows
+
+
+def _sigmas(blocks: Mapping[str, _Block]) -> dict[str, float]:
+    """Sigma of each quantity by its label, in the order of the covariance."""
+    return {f"{name}.{q}": block.values[q].sigma for name, block in blocks.items() for q in block.quantities}
+
+
+def _matrix(rows: _Rows, labels: Sequence[str]) -> ArrayF:
+    """(n, n) correlation matrix of the pairs that a file names."""
+    matrix = np.eye(len(labels))
+    for first, row in rows.items():
+        for second, rho in row.items():
+            i, j = labels.index(first), labels.index(second)
+            matrix[i, j] = matrix[j, i] = rho
+    return matrix
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -582,204 +665,34 @@ def read_calibration(path: Path) -> Calibration:
     ------
     ConfigError : lists every mistake with its line.
     """
-    found, mistakes = check_calibration(path)
-    if mistakes or found is None:
-        n = len(mistakes)
-        lines = "\n".join(f"  {mistake}" for mistake in mistakes)
-        raise ConfigError(
-            f"{n} mistake{'s' * (n > 1)} in the calibration:\n{lines}".rstrip("."),
-            where=path,
-            cure="docs/calibration.md says more",
-        )
-    return found
+    cure = "docs/calibration.md says more"
+    return _calibration(checked(_File, read_yaml(path), what="calibration", where=path, cure=cure))
 
 
 def check_calibration(path: Path) -> tuple[Calibration | None, list[Mistake]]:
     """The calibration of a file, or None and all its mistakes with their lines."""
-    document = read_yaml(path)
-    reader = _Reader(document, list(document.mistakes))
-    found = _calibration(reader) if document.data is not None or not reader.mistakes else None
-    return (None if reader.mistakes else found), reader.mistakes
+    found, mistakes = validated(_File, read_yaml(path), what="calibration")
+    return None if found is None else _calibration(found), mistakes
 
 
-def _calibration(reader: _Reader) -> Calibration | None:
-    data = reader.document.data
-    if isinstance(data, dict) and data.get(MARK) is not None and data[MARK] != VERSION:
-        reader.wrong(
-            (MARK,),
-            f"found version {data[MARK]!r}",
-            f"version {VERSION}",
-            "Make the file again, or use the version of Thalweg that wrote it",
+def _calibration(found: _File) -> Calibration:
+    blocks = tuple(
+        Block(
+            name=name,
+            quantities=block.quantities,
+            values=np.array([block.values[q].value for q in block.quantities]),
+            equation=block.equation,
+            convention=block.convention,
+            facts=block.facts,
         )
-        return None
-    if isinstance(data, dict) and MARK not in data:
-        reader.wrong((), f"the mark {MARK} is missing", f"the line `{MARK}: {VERSION}`")
-        return None
-    top = reader.mapping(data, (), KEYS)
-    blocks: list[Block] = []
-    sigmas: list[ArrayF] = []
-    euler: list[bool] = []
-    sections = reader.mapping(top["blocks"], ("blocks",)) if "blocks" in top else {}
-    for name, section in sections.items():
-        block, sigma, themselves = _block(reader, name, section)
-        if block is not None:
-            blocks.append(block)
-            sigmas.append(sigma)
-            euler.append(themselves)
-    title = reader.text(top["title"], ("title",)) if "title" in top else ""
-    source = _source(reader, top["source"]) if "source" in top else Source(run="", method="")
-    if not blocks or len(blocks) < len(sections):
-        return None
-    labels = [label for block in blocks for label in block.labels]
-    sigma = np.concatenate(sigmas)
-    correlation = _correlations(reader, top.get("correlations"), labels, sigma)
-    if reader.mistakes:
-        return None
-    turn = _about_target_axes(blocks, euler)
-    cov = turn @ (correlation * np.outer(sigma, sigma)) @ turn.T
-    return Calibration(title=title, blocks=tuple(blocks), cov=0.5 * (cov + cov.T), source=source)
-
-
-def _source(reader: _Reader, data: Any) -> Source:
-    found = reader.mapping(data, ("source",), SOURCE_KEYS)
-    words = {key: reader.text(found[key], ("source", key)) for key in ("run", "method") if key in found}
-    observations, twin = found.get("observations", 0), found.get("twin", False)
-    if isinstance(observations, bool) or not isinstance(observations, int) or observations < 0:
-        reader.wrong(("source", "observations"), f"found {observations!r}", "a number of observations")
-        observations = 0
-    if not isinstance(twin, bool):
-        reader.wrong(("source", "twin"), f"found {twin!r}", "true or false")
-    sigma0 = reader.number(found["sigma0"], ("source", "sigma0"), 0.0) if "sigma0" in found else float("nan")
-    created = str(found.get("created", ""))
-    return Source(
-        run=words.get("run", ""),
-        method=words.get("method", ""),
-        created=created,
-        observations=observations,
-        sigma0=sigma0,
-        twin=twin is True,
+        for name, block in found.blocks.items()
     )
-
-
-def _block(reader: _Reader, name: str, data: Any) -> tuple[Block | None, ArrayF, bool]:
-    """A block, its sigmas, and whether these are of omega, phi and kappa themselves."""
-    path: tuple[Key, ...] = ("blocks", name)
-    section = reader.mapping(data, path, BLOCK_KEYS)
-    equation = reader.text(section["equation"], (*path, "equation")) if "equation" in section else ""
-    convention = reader.text(section["convention"], (*path, "convention")) if "convention" in section else ""
-    facts = reader.mapping(section["facts"], (*path, "facts")) if "facts" in section else {}
-    entries = reader.mapping(section["values"], (*path, "values")) if "values" in section else {}
-    values, sigmas = [], []
-    for quantity, entry in entries.items():
-        value, sigma = _entry(reader, quantity, entry, (*path, "values", quantity))
-        values.append(value)
-        sigmas.append(sigma)
-    missing = [quantity for quantity in POSE if quantity not in entries]
-    pose = bool(set(POSE[:3]) & set(entries))
-    if pose and (missing or len(entries) != len(POSE)):
-        reader.wrong((*path, "values"), f"a pose with the quantities {', '.join(entries)}", ", ".join(POSE))
-    _check_lever(reader, dict(zip(entries, values, strict=True)), (*path, "values"))
-    axes = section.get("sigma_axes")
-    if pose and equation:
-        _check_axes(reader, axes, equation, path)
-    elif axes is not None and not pose:
-        reader.wrong((*path, "sigma_axes"), f"found {axes!r} in a block without angles", "no such key here")
-    if reader.mistakes or not entries:
-        return None, np.zeros(0), False
-    order = [list(entries).index(quantity) for quantity in (POSE if pose else entries)]
-    block = Block(
-        name=name,
-        quantities=POSE if pose else tuple(entries),
-        values=np.array(values)[order],
-        equation=equation,
-        convention=convention,
-        facts=facts,
-    )
-    return block, np.array(sigmas)[order], axes == ANGLES_THEMSELVES
-
-
-def _check_lever(reader: _Reader, values: dict[str, float], path: tuple[Key, ...]) -> None:
-    """A lever arm in millimetres is told at its longest component."""
-    doubt = lever_doubt([values[name] for name in LEVER]) if set(LEVER) <= set(values) else None
-    if doubt is not None:
-        longest = max(LEVER, key=lambda name: abs(values[name]))
-        reader.wrong((*path, longest), *doubt)
-
-
-def _check_axes(reader: _Reader, axes: Any, equation: str, path: tuple[Key, ...]) -> None:
-    target = _target(equation)
-    if not target:
-        reader.wrong(
-            (*path, "equation"),
-            f"found {equation!r}, which names no target frame",
-            "such as x_ics = R_ics_scs @ x_scs + (x, y, z)",
-        )
-    elif axes not in (target, ANGLES_THEMSELVES):
-        found = "sigma_axes is missing" if axes is None else f"found {axes!r}"
-        reader.wrong(
-            (*path, "sigma_axes"),
-            found,
-            f"{target}, if the sigmas of the angles are about the axes of {target}; "
-            f"{ANGLES_THEMSELVES}, if they are those of omega, phi, kappa themselves",
-        )
-
-
-def _entry(reader: _Reader, quantity: str, data: Any, path: tuple[Key, ...]) -> tuple[float, float]:
-    found = reader.mapping(data, path, ENTRY_KEYS)
-    unit, right = found.get("unit"), unit_of(quantity)
-    if unit is not None and str(unit) != right:
-        reader.wrong(
-            (*path, "unit"),
-            f"found unit {unit}",
-            f"unit {right}, as the name of the quantity says",
-            "Convert value and sigma, do not only rename the unit",
-        )
-    value = reader.number(found["value"], (*path, "value")) if "value" in found else 0.0
-    sigma = reader.number(found["sigma"], (*path, "sigma"), 0.0) if "sigma" in found else 0.0
-    return value, sigma
-
-
-def _correlations(reader: _Reader, data: Any, labels: Sequence[str], sigma: ArrayF) -> ArrayF:
-    """(n, n) correlation matrix of the pairs that a file names."""
-    matrix = np.eye(len(labels))
-    place = {label: i for i, label in enumerate(labels)}
-    rows = {} if data is None else reader.mapping(data, ("correlations",))
-    for first, row in rows.items():
-        for second, value in reader.mapping(row, ("correlations", first)).items():
-            path = ("correlations", first, second)
-            unknown = [name for name in (first, second) if name not in place]
-            if unknown or first == second:
-                near = difflib.get_close_matches(unknown[0], labels, 1) if unknown else []
-                reader.wrong(
-                    path,
-                    f"unknown quantity {unknown[0]}" if unknown else "a quantity with itself",
-                    "two quantities of the file, such as lidar.x_m",
-                    f"Did you mean {near[0]}?" if near else "",
-                )
-                continue
-            i, j = place[first], place[second]
-            rho = reader.number(value, path, -1.0, 1.0)
-            if matrix[i, j] not in (0.0, rho):
-                reader.wrong(
-                    path,
-                    f"found {rho:g}, but {matrix[i, j]:g} the other way round",
-                    "one value for a pair: the matrix is symmetric",
-                    "Remove one of them",
-                )
-            if rho != 0.0 and (sigma[i] == 0.0 or sigma[j] == 0.0):
-                reader.wrong(path, "a correlation with a quantity whose sigma is 0", "zero, or a sigma")
-            matrix[i, j] = matrix[j, i] = rho
-    lowest, vector = lowest_eigenvalue(matrix)
-    if lowest < SMALLEST_EIGENVALUE and not reader.mistakes:
-        guilty = [labels[i] for i in np.argsort(-np.abs(vector))[:3] if abs(vector[i]) > 0.1]
-        reader.wrong(
-            ("correlations",),
-            f"no errors can be correlated like this: the matrix has the eigenvalue {lowest:.3g}; "
-            f"look at {', '.join(guilty)}",
-            "a matrix without negative eigenvalues",
-            "Check the signs, and write at least six digits",
-        )
-    return matrix
+    sigmas = _sigmas(found.blocks)
+    sigma = np.array(list(sigmas.values()))
+    turn = _about_target_axes(blocks, [b.sigma_axes == ANGLES_THEMSELVES for b in found.blocks.values()])
+    cov = turn @ (_matrix(found.correlations, list(sigmas)) * np.outer(sigma, sigma)) @ turn.T
+    source = Source(**dict(found.source))
+    return Calibration(title=found.title, blocks=blocks, cov=0.5 * (cov + cov.T), source=source)
 
 
 def _about_target_axes(blocks: Sequence[Block], euler: Sequence[bool]) -> ArrayF:
