@@ -48,6 +48,8 @@ NICHE_FLOOR_M: Final = 0.2
 """Height of the niche's floor above the water."""
 NICHE_BACK_M: Final = 2.3
 """Distance behind the shore at which its back wall rises."""
+NICHE_REACH_M: Final = 3.4
+"""Behind the shore the niche, its back wall and its roof end within this distance."""
 _BACK_WALL: Final = float(np.tan(np.deg2rad(75.0)))
 _TALUS_M: Final = 0.45
 """Height of the heap of soil before the back wall after the collapse."""

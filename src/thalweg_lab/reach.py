@@ -308,13 +308,15 @@ class River:
         """Height with the patches that are displaced; ``right`` from the shore of the first epoch."""
         if "change_patches" in self.config.changes:
             for patch in patches(self.config):
-                z = z + patch.rise(self.along_patch(patch.middle_s_m, patch.right_m, s), right)
+                scale = self.bank_scale(patch.middle_s_m, patch.right_m)
+                z = z + patch.rise(scale * (s - patch.middle_s_m), right)
         return z
 
-    def along_patch(self, middle_s_m: float, right_m: float, s: ArrayF) -> ArrayF:
-        """Way on the bank from a middle to places ``s``, metres: in a bend it is not that in ``s``."""
-        n = -float(self.half_width(np.array(middle_s_m))) - right_m
-        return np.asarray((s - middle_s_m) * (1.0 - float(self.curvature(middle_s_m)) * n))
+    def bank_scale(self, s_m: float, right_m: float) -> float:
+        """Metres along the right bank for a metre of ``s``, at a distance behind the first shore."""
+        at = np.array(s_m)
+        n = -float(self.half_width(at)) - right_m
+        return 1.0 - float(self.curvature(at)) * n
 
     def _changed(self, change: Change, s: AnyArray) -> ArrayF:
         known = change in self.config.changes

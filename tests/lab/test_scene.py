@@ -1,13 +1,14 @@
 """The river reach: the same from the same seed, without holes, and of the shape that its settings say."""
 
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
-from thalweg.core import ArrayB, ArrayF, InputError
-from thalweg.settings.twin import TwinConfig
-from thalweg_lab.changes import stretch
+from thalweg.core import ArrayB, ArrayF, ConfigError, InputError
+from thalweg.settings.twin import Change, TwinConfig
+from thalweg_lab.changes import DISPLACEMENTS_M, patches, stretch
 from thalweg_lab.reach import River
 from thalweg_lab.river import (
     BARE_GROUND,
@@ -304,16 +305,15 @@ def first_epoch(reach: Scene) -> set[bytes]:
     return keys(reach)
 
 
-@pytest.mark.parametrize(
-    "change", ["undercut_bank", "moved_boulders", "gravel_bar", "scour", "fallen_tree", "grown_vegetation"]
-)
-def test_an_epoch_differs_only_where_it_is_said_to(first_epoch: set[bytes], change: str) -> None:
-    config = TwinConfig.of_size("tiny", scene={"changes": [change], "retreat_m": 5.0})
+@pytest.mark.parametrize("change", get_args(Change))
+def test_an_epoch_differs_only_where_it_is_said_to(first_epoch: set[bytes], change: Change) -> None:
+    retreat_m = 1.0 if change == "bank_retreat" else 5.0
+    config = TwinConfig.of_size("tiny", scene={"changes": [change], "retreat_m": retreat_m})
     later = keys(build_scene(config, SEED))
     river = River(config.scene, SEED)
     s, n, material, up = places(first_epoch ^ later, river)
     assert len(s) > 100
-    where = stretch(config.scene, change)  # type: ignore[arg-type]
+    where = stretch(config.scene, change)
     # Triangles that reach into the stretch have their middle at most a cell or a crown outside.
     room = 3.0 if change == "undercut_bank" else 1.5
     assert np.all(np.abs(s - where.middle_m) < where.half_m + room)
@@ -333,6 +333,14 @@ def test_an_epoch_differs_only_where_it_is_said_to(first_epoch: set[bytes], chan
     if change == "grown_vegetation":
         plants = [Material.LEAF, Material.BARK, Material.BLADE, Material.REED]
         assert set(material) == {float(m) for m in plants}
+    right = -n - river.half_width(s)
+    if change in ("change_patches", "niche", "collapsed_niche", "new_boulders"):
+        assert np.all(right > -1.0)
+    if change == "bank_retreat":
+        # The right half of the river and its bank; the rows of the terrain follow the shore.
+        assert np.all(n < np.maximum(river.thalweg_n(s), 0.0) + 1.0)
+    if change == "new_boulders":
+        assert set(material) == {Material.STONE}
     if change != "grown_vegetation":
         assert len(first_epoch & later) > 0.6 * len(first_epoch)
 
@@ -372,6 +380,85 @@ def test_the_undercut_bank_retreats_by_the_metres_of_the_settings() -> None:
     profile = river.height(np.full(200, middle), np.linspace(edge, edge + 3.0, 200))
     steepest = np.max(np.diff(profile)) / (3.0 / 199)
     assert steepest > 1.2
+
+
+def test_patches_are_displaced_along_the_normal_of_the_slope() -> None:
+    plain = TwinConfig.of_size("tiny").scene
+    config = plain.model_copy(update={"changes": ("change_patches",)})
+    before, after = River(plain, SEED), River(config, SEED)
+    found = patches(config)
+    assert [patch.displacement_m for patch in found] == [0.10, -0.10, 0.20, -0.20, 0.06]
+    assert [p.displacement_m for p in patches(TwinConfig.of_size("mulde").scene)] == list(DISPLACEMENTS_M)
+    spared = TwinConfig.of_size("demo").scene
+    assert all(abs(p.middle_s_m - River(spared, SEED).bridge_s_m()) > 10.0 for p in patches(spared))
+    for patch in found:
+        s = patch.middle_s_m + np.array([0.0, 2.6, 3.4, 0.0, 0.0])
+        right = patch.right_m + np.cos(patch.slope_rad) * np.array([0.0, 0.0, 0.0, -1.7, 2.3])
+        n = -before.half_width(s) - right
+        along_normal = (after.height(s, n) - before.height(s, n)) * np.cos(patch.slope_rad)
+        d = patch.displacement_m
+        np.testing.assert_allclose(along_normal, [d, d, 0.0, d, 0.0], atol=1e-9)
+
+
+def test_the_right_bank_retreats_and_keeps_its_track() -> None:
+    plain = TwinConfig.of_size("tiny", scene={"retreat_m": 1.0}).scene
+    config = plain.model_copy(update={"changes": ("bank_retreat",)})
+    before, after = River(plain, SEED), River(config, SEED)
+    middle = stretch(config, "bank_retreat").middle_m
+    s, right = np.full(4, middle), np.array([0.5, 0.8, 1.2, 9.4])
+    n = -before.half_width(s) - right
+    low, high = before.height(s, n), after.height(s, n)
+    assert 0.85 < float(after.right_retreat(middle)) <= 1.0
+    assert np.all(low[:2] > 0.1)
+    assert np.all(high[:2] < 0.05)
+    # The face of 65 degrees meets the old slope of 33 degrees at 1.43 times the retreat.
+    assert high[2] < low[2] - 0.05
+    assert high[3] == pytest.approx(low[3], abs=0.15)
+    with pytest.raises(ConfigError, match="retreat_m"):
+        River(config.model_copy(update={"retreat_m": 6.0}), SEED)
+
+
+def test_a_niche_overhangs_until_it_has_collapsed() -> None:
+    plain = TwinConfig.of_size("tiny").scene
+    scenes = [
+        build_scene(TwinConfig.of_size("tiny", scene={"changes": [change]}), SEED)
+        for change in ("niche", "collapsed_niche")
+    ]
+    river = River(plain, SEED)
+    s = stretch(plain, "niche").middle_m + np.linspace(-1.5, 1.5, 13)
+    n = -river.half_width(s) - 1.9
+    up = river.height(s, n)
+    foot = np.column_stack([river.to_wcs(s, n), up + 0.5])
+    down = np.tile([0.0, 0.0, -1.0], (len(s), 1))
+    roof, floor = scenes[0].only(*GROUND).caster(), scenes[1].only(*GROUND).caster()
+    np.testing.assert_allclose(roof.cast(foot, down).t_hit_m, 0.52, atol=0.02)
+    # From the ground's old height down: 2 cm to the roof's upper side, below it air, then the floor.
+    below = foot - [0.0, 0.0, 0.52 + 0.36]
+    hits = roof.cast(below, down)
+    assert np.all(hits.normal[:, 2] > 0)
+    assert np.all((hits.t_hit_m > 0.2) & (hits.t_hit_m < 1.2))
+    # The heap lies on the floor, no roof above it.
+    fallen = floor.cast(foot, down).t_hit_m
+    assert np.all(fallen > 0.6)
+    assert np.all(fallen < 0.88 + hits.t_hit_m)
+
+
+def test_a_drier_day_moves_the_water_alone(reach: Scene) -> None:
+    config = TwinConfig.of_size("tiny", scene={"stage_m": -0.25})
+    dry = build_scene(config, SEED)
+    assert dry.water_level_m == -0.25
+    assert keys(dry.without(Material.WATER)) == keys(reach.without(Material.WATER))
+    lower = dry.only(Material.WATER)
+    assert np.all(lower.vertices_wcs_m[lower.triangles][..., 2] == -0.25)
+    full = build_scene(TwinConfig.of_size("tiny", scene={"stage_m": 0.5}), SEED).only(Material.WATER)
+    # A higher stage floods the beach of the inner bend, as far as it lies below the water.
+    s, n = River(CONFIG.scene, SEED), np.array([0.0])
+    shore = s.half_width(n) + 3.0
+    height = float(s.height(n, shore)[0])
+    at = np.append(s.to_wcs(n, shore)[0], 5.0)[None]
+    t = full.caster().cast(at, np.array([[0.0, 0.0, -1.0]])).t_hit_m[0]
+    assert height < 0.5
+    assert t == pytest.approx(4.5, abs=1e-5)
 
 
 def test_retreat_and_bar_shift_no_station() -> None:

@@ -200,3 +200,25 @@ def test_no_boat_sails_over_a_weir() -> None:
     config = TwinConfig.of_size("tiny", scene={"weir": True, "weir_place": 0.1})
     with pytest.raises(ConfigError, match=r"over the weir at 6 m.*Move twin\.scene\.weir_place"):
         Voyage(config, 3)
+
+
+def test_a_course_beside_the_middle_against_the_flow_on_a_drier_day() -> None:
+    plain = Voyage(TwinConfig.of_size("tiny"), 3)
+    dry = Voyage(TwinConfig.of_size("tiny", scene={"stage_m": -0.25}), 3)
+    t = np.linspace(0.0, 25.0, 251)
+    np.testing.assert_allclose(dry.position_at(t) - plain.position_at(t), np.tile([0, 0, -0.25], (251, 1)))
+    other = Voyage(
+        TwinConfig.of_size("tiny", boat={"course_offset_m": -1.5, "upstream": True, "yaw_deg": 0.0}), 3
+    )
+    s, n = other.river.to_flow(*other.position_at(t)[:, :2].T)
+    ahead, _ = plain.river.to_flow(*plain.position_at(t)[:, :2].T)
+    assert np.all(np.diff(s) < 0)
+    assert np.all(np.diff(ahead) > 0)
+    assert (n.min() + n.max()) / 2 == pytest.approx(-1.5, abs=0.7)
+    # The boat looks where it goes.
+    v, heading = other.velocity_at(t), other.angles_at(t)[2]
+    np.testing.assert_allclose(np.cos(heading) * v[:, 1] + np.sin(heading) * v[:, 0], 2.4, rtol=1e-5)
+    with pytest.raises(ConfigError, match="stage_m"):
+        Voyage(TwinConfig.of_size("tiny", scene={"stage_m": -1.5}), 3)
+    with pytest.raises(ConfigError, match="course_offset_m"):
+        Voyage(TwinConfig.of_size("tiny", boat={"course_offset_m": 6.0}), 3)

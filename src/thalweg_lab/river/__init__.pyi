@@ -7,6 +7,7 @@ from .mesh import (
     LENGTH_M as LENGTH_M,
     REFLECTANCE as REFLECTANCE,
     REFLECTANCE_1550 as REFLECTANCE_1550,
+    VEGETATION as VEGETATION,
     WIDTH_M as WIDTH_M,
     Hull as Hull,
     Material as Material,

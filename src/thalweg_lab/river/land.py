@@ -889,10 +889,10 @@ def _add_roof(parts: MeshParts, river: River, middle_m: float, half_m: float) ->
     rows, columns = n.shape
     number = np.arange(rows * columns).reshape(rows, columns)
     a, b, d, e = (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:])
-    # s and n are east and north of the flow; columns run towards -n.
+    # Rows run along the flow, columns to its right: so the upper side is counter-clockwise from above.
     sheet = np.concatenate(
         [np.stack([a, b, e], axis=-1).reshape(-1, 3), np.stack([a, e, d], axis=-1).reshape(-1, 3)]
-    )[:, ::-1]
+    )
     rim = np.concatenate([number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]])
     after = np.roll(rim, -1)
     below = rows * columns

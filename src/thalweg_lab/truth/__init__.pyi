@@ -4,6 +4,13 @@ from .calibration import (
     compare_interior as compare_interior,
     compare_sensor as compare_sensor,
 )
+from .change import (
+    CLASSES as CLASSES,
+    TrueChanges as TrueChanges,
+    change_outlines as change_outlines,
+    true_changes as true_changes,
+    true_volumes as true_volumes,
+)
 from .honesty import honesty_by_range as honesty_by_range, ratio_of_surveys as ratio_of_surveys
 from .points import (
     PointErrors as PointErrors,

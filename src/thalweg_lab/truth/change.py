@@ -1,0 +1,378 @@
+"""What truly changed between two epochs of the river: distances along normals, classes, volumes.
+
+The surfaces are the meshes of both scenes. A comparison of clouds averages over a cylinder about the normal
+of each core point; the true distance averages over parallel rays that fill the same cylinder. Volumes are
+those of the ground between both surfaces, column by column, so that a hollow below an overhang counts too.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ConfigError, GeometryError
+from thalweg.core.geometry import RayCaster, polygon_area_m2
+from thalweg.settings.twin import Change, TwinScene
+from thalweg.surface import Area
+from thalweg_lab.changes import (
+    EDGE_M,
+    NICHE_REACH_M,
+    PATCH_M,
+    Stretch,
+    patches,
+    retreat_reach_m,
+    slope_width,
+    stretch,
+)
+from thalweg_lab.reach import BAR_PLACE, River
+from thalweg_lab.river import BARE_GROUND, VEGETATION, Material, Scene
+
+CLASSES: Final = ("unchanged", "erosion", "deposition", "object", "vegetation", "water", "outside")
+"""What a place may be; ``outside``: one of the scenes has no surface there."""
+
+_STEP_M: Final = 1e-3
+"""Behind a hit the search for the next one goes on after so much; the resolution of float32 is far below."""
+_MOST_HITS: Final = 16
+_GOLDEN_RAD: Final = np.pi * (3.0 - 5.0**0.5)
+_INSIDE_M: Final = 1.0
+"""So much of the water before a retreating bank belongs to its outline, metres."""
+
+
+# ---------------------------------------------------------------- distances along normals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrueChanges:
+    """The truth at core points.
+
+    Parameters
+    ----------
+    distance_m : (n,) from the first to the second surface along the normal, mean over the cylinder; not a
+        number where either is missing. On stones and things the surface is theirs, below plants it is the
+        ground.
+    kind : (n,) one of `CLASSES`.
+    off_m : (n,) from the core point to the first surface along the normal: the error of the core itself.
+    """
+
+    distance_m: ArrayF
+    kind: AnyArray
+    off_m: ArrayF
+
+
+def true_changes(
+    before: Scene,
+    after: Scene,
+    core_wcs_m: ArrayF,
+    normal_wcs: ArrayF,
+    *,
+    radius_m: float = 0.5,
+    reach_m: float = 10.0,
+    rays: int = 19,
+    least_m: float = 0.01,
+    plants_m: float = 1.0,
+) -> TrueChanges:
+    """Distances and classes at core points.
+
+    Along each ray those surfaces are searched that face the normal and lie in no other body: of the first
+    epoch the one nearest to the core point, of the second the one nearest to that. The class is the first
+    that holds: ``water`` where the mean of either surface lies below the water of its epoch; ``vegetation``
+    where plants stand within ``plants_m`` of the core on a quarter of the rays, in either epoch; ``object``
+    where half of the rays meet something else than ground in either epoch, and the distance is not small;
+    ``erosion`` and ``deposition`` by sign; ``unchanged`` where the distance is small.
+
+    Parameters
+    ----------
+    before, after : scenes of both epochs, in one frame.
+    core_wcs_m : (n, 3).
+    normal_wcs : (n, 3) of unit length, out of the ground.
+    radius_m : of the cylinder; 0: one ray along the normal.
+    reach_m : both surfaces are searched within this distance of the core point.
+    rays : rays in the cylinder, spread evenly over its area.
+    least_m : smaller distances are no change.
+    plants_m : how near plants must be to spoil a place.
+
+    Raises
+    ------
+    GeometryError : normals that are not of unit length, or not as many as core points.
+    """
+    core, normal = (np.asarray(a, dtype=np.float64) for a in (core_wcs_m, normal_wcs))
+    if core.shape != normal.shape or core.ndim != 2 or core.shape[1] != 3:
+        raise GeometryError(
+            f"core points of shape {core.shape}, normals of shape {normal.shape}",
+            expected="both of shape (n, 3)",
+        )
+    if not np.allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-3):
+        raise GeometryError("normals of other lengths than one", expected="unit normals")
+    start = _bundle(core, normal, radius_m, rays if radius_m > 0 else 1)
+    n, k = start.shape[:2]
+    origin, way = start.reshape(-1, 3), np.repeat(normal, k, axis=0)
+    first, first_kind = _faced(before, origin, way, np.zeros(n * k), reach_m)
+    second, second_kind = _faced(after, origin, way, np.nan_to_num(first), reach_m)
+    both = (np.isfinite(first) & np.isfinite(second)).reshape(n, k)
+    t1, t2 = first.reshape(n, k), second.reshape(n, k)
+    distance, off = _mean(t2 - t1, both), _mean(t1, both)
+    kind = np.where(distance < 0, "erosion", "deposition").astype("<U10")
+    kind[np.abs(distance) < least_m] = "unchanged"
+    thing = [(~BARE_GROUND[each]).reshape(n, k) & both for each in (first_kind, second_kind)]
+    things = np.maximum(*(np.sum(each, axis=1) for each in thing))
+    kind[(2 * things >= np.sum(both, axis=1)) & (np.abs(distance) >= least_m)] = "object"
+    spoilt = np.zeros(n, dtype=np.bool_)
+    for scene in (before, after):
+        spoilt |= 4 * np.sum(_plants_near(scene, origin, way, plants_m).reshape(n, k), axis=1) >= k
+    kind[spoilt] = "vegetation"
+    for scene, t in ((before, t1), (after, t2)):
+        height = _mean(start[..., 2] + t * normal[:, None, 2], both)
+        kind[height < scene.water_level_m] = "water"
+    kind[~both.any(axis=1)] = "outside"
+    return TrueChanges(distance_m=distance, kind=kind, off_m=off)
+
+
+def _bundle(core: ArrayF, normal: ArrayF, radius_m: float, rays: int) -> ArrayF:
+    """Starting points (n, rays, 3) in discs about the core points, each standing for the same area."""
+    i = np.arange(rays)
+    r, turn = radius_m * np.sqrt((i + 0.5) / rays), i * _GOLDEN_RAD
+    if rays == 1:
+        r = np.zeros(1)
+    aside = np.where(np.abs(normal[:, 2:]) > 0.9, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    u = np.cross(aside, normal)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(normal, u)
+    disc = (r * np.cos(turn))[None, :, None] * u[:, None] + (r * np.sin(turn))[None, :, None] * v[:, None]
+    return np.asarray(core[:, None] + disc)
+
+
+def _mean(values: ArrayF, use: ArrayB) -> ArrayF:
+    count = np.sum(use, axis=1)
+    total = np.sum(np.where(use, values, 0.0), axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _faced(
+    scene: Scene, origin: ArrayF, way: ArrayF, near_m: ArrayF, reach_m: float
+) -> tuple[ArrayF, ArrayI]:
+    """Places (m,) along lines where solid surfaces face their direction, nearest to ``near_m``; materials."""
+    solid = scene.without(Material.WATER, *_PLANTS)
+    found, depth = np.full(len(origin), np.nan), np.zeros(len(origin), dtype=np.int64)
+    kind = np.zeros(len(origin), dtype=np.int64)
+    # From outside inwards; how many bodies a ray is in tells whether a surface is open or buried in another.
+    for row, t, triangle, enters in _crossings(solid.caster(), origin + reach_m * way, -way, 2.0 * reach_m):
+        place = reach_m - t
+        better = enters & (depth[row] == 0)
+        better &= ~(np.abs(found[row] - near_m[row]) <= np.abs(place - near_m[row]))
+        found[row[better]], kind[row[better]] = place[better], solid.material[triangle[better]]
+        depth[row] = np.maximum(depth[row] + np.where(enters, 1, -1), 0)
+    return found, kind
+
+
+def _crossings(
+    caster: RayCaster, origin: ArrayF, way: ArrayF, most_m: float
+) -> Iterator[tuple[ArrayI, ArrayF, ArrayI, ArrayB]]:
+    """All hits of rays one after the other: rows, ways from the origin, triangles, whether they enter."""
+    row, gone = np.arange(len(origin)), np.zeros(len(origin))
+    for _ in range(_MOST_HITS):
+        hits = caster.cast(origin[row] + gone[row, None] * way[row], way[row])
+        t = gone[row] + hits.t_hit_m
+        some = t <= most_m
+        row, t = row[some], t[some]
+        if not len(row):
+            return
+        enters = np.einsum("ij,ij->i", hits.normal[some], way[row]) < 0
+        yield row, t, hits.primitive[some], enters
+        gone[row] = t + _STEP_M
+
+
+_PLANTS: Final = tuple(m for m in Material if VEGETATION[m])
+
+
+def _plants_near(scene: Scene, origin: ArrayF, way: ArrayF, within_m: float) -> ArrayB:
+    plants = scene.only(*_PLANTS)
+    if not len(plants.triangles):
+        return np.zeros(len(origin), dtype=np.bool_)
+    return np.asarray(plants.caster().cast(origin - within_m * way, way).t_hit_m <= 2.0 * within_m)
+
+
+# ---------------------------------------------------------------- volumes
+
+
+def true_volumes(
+    before: Scene,
+    after: Scene,
+    outlines: Mapping[str, ArrayF],
+    *,
+    step_m: float = 0.1,
+    above_m: float = -np.inf,
+) -> pd.DataFrame:
+    """Volumes of ground that went and came within outlines.
+
+    Parameters
+    ----------
+    before, after : scenes of both epochs; their ground counts, stones, plants and buildings do not.
+    outlines : name -> (k, 2) corners, east and north.
+    step_m : distance of the columns that are summed.
+    above_m : ground below this height does not count, as where water hides it.
+
+    Returns
+    -------
+    volumes : a row for each outline: ``name``, ``area_m2`` where both scenes have ground, ``erosion_m3``
+        and ``deposition_m3``, both positive, and ``net_m3``, second minus first ground.
+
+    Raises
+    ------
+    InputError : an outline that is no polygon.
+    GeometryError : an outline that is narrower than the columns.
+    """
+    casters = [scene.only(*_GROUND).caster() for scene in (before, after)]
+    top = max(float(s.vertices_wcs_m[:, 2].max()) for s in (before, after)) + 1.0
+    depth = top - min(float(s.vertices_wcs_m[:, 2].min()) for s in (before, after)) + 1.0
+    rows = []
+    for name, outline in outlines.items():
+        columns = _columns(name, np.asarray(outline, dtype=np.float64), step_m)
+        high = np.column_stack([columns, np.full(len(columns), top)])
+        solid = [_profile(caster, high, depth) for caster in casters]
+        there = np.isfinite(solid[0][0][:, 0]) & np.isfinite(solid[1][0][:, 0])
+        went, came = _gone_and_new(solid[0], solid[1], there, above_m)
+        # The columns stand for the outline's area, not for the number of cells that happen to lie in it.
+        cell = abs(polygon_area_m2(outline)) / len(columns)
+        erosion, deposition = float(went.sum() * cell), float(came.sum() * cell)
+        rows.append(
+            {
+                "name": name,
+                "area_m2": float(there.sum() * cell),
+                "erosion_m3": erosion,
+                "deposition_m3": deposition,
+                "net_m3": deposition - erosion,
+            }
+        )
+    return pd.DataFrame(rows, columns=["name", "area_m2", "erosion_m3", "deposition_m3", "net_m3"])
+
+
+_GROUND: Final = tuple(m for m in Material if BARE_GROUND[m])
+
+
+def _columns(name: str, outline: ArrayF, step_m: float) -> ArrayF:
+    area = Area(polygon_en_m=outline)
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    axes = [np.arange(a + step_m / 2, b, step_m) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    inside = grid[area.contains(np.column_stack([grid, np.zeros(len(grid))]))]
+    if not len(inside):
+        raise GeometryError(
+            f"outline {name} is narrower than the columns",
+            expected=f"more than {step_m} m",
+            cure="Lower step_m",
+        )
+    return np.asarray(inside)
+
+
+def _profile(caster: RayCaster, high: ArrayF, depth_m: float) -> tuple[ArrayF, ArrayF]:
+    """Heights (n, k) at which the ground of columns begins or ends, from above, and +1 or -1; padded by -inf.
+
+    The ground has no lower side: below its last surface all is solid.
+    """
+    n = len(high)
+    down = np.tile([0.0, 0.0, -1.0], (n, 1))
+    heights, signs = [], []
+    for row, t, _, enters in _crossings(caster, high, down, depth_m):
+        z, each = np.full(n, -np.inf), np.zeros(n)
+        z[row], each[row] = high[row, 2] - t, np.where(enters, 1.0, -1.0)
+        heights.append(z)
+        signs.append(each)
+    if not heights:
+        return np.full((n, 1), -np.inf), np.zeros((n, 1))
+    return np.stack(heights, axis=1), np.stack(signs, axis=1)
+
+
+def _gone_and_new(
+    first: tuple[ArrayF, ArrayF], second: tuple[ArrayF, ArrayF], there: ArrayB, above_m: float
+) -> tuple[ArrayF, ArrayF]:
+    """Heights of ground (n,) that only the first, and that only the second epoch has."""
+    z = np.concatenate([first[0], second[0]], axis=1)[there]
+    one = np.concatenate([first[1], np.zeros_like(second[1])], axis=1)[there]
+    two = np.concatenate([np.zeros_like(first[1]), second[1]], axis=1)[there]
+    order = np.argsort(-z, axis=1, kind="stable")
+    z, one, two = (np.take_along_axis(a, order, axis=1) for a in (z, one, two))
+    solid_one, solid_two = np.cumsum(one, axis=1) > 0, np.cumsum(two, axis=1) > 0
+    lowest = np.where(np.isfinite(z), z, np.inf).min(axis=1, keepdims=True)
+    z = np.maximum(np.maximum(z, lowest), above_m)
+    # Below the lowest surface of all both are solid.
+    length = z - np.concatenate([z[:, 1:], z[:, -1:]], axis=1)
+    went = np.sum(length * (solid_one & ~solid_two), axis=1)
+    came = np.sum(length * (solid_two & ~solid_one), axis=1)
+    return went, came
+
+
+# ---------------------------------------------------------------- where the changes are
+
+
+def change_outlines(before: TwinScene, after: TwinScene, seed: int) -> dict[str, ArrayF]:
+    """Outlines (k, 2), east and north, of the changes that either epoch has, but grown vegetation.
+
+    Patches have an outline each, a niche and its collapse one together. Those of retreating banks hold the
+    bank and a metre of the water before it.
+
+    Parameters
+    ----------
+    before, after : sections ``twin.scene`` of both epochs.
+    seed : seed of the ground: ``twin.scene.seed``, or the first campaign's.
+
+    Raises
+    ------
+    ConfigError : the epochs are not of one river.
+    """
+    own = {"changes": (), "stage_m": 0.0, "retreat_m": 0.0, "seed": None}
+    if before.model_copy(update=own) != after.model_copy(update=own):
+        raise ConfigError(
+            "two scenes of different rivers",
+            expected="settings that differ in changes, retreat_m and stage_m alone",
+            where="twin.scene",
+        )
+    for scene in (before, after):
+        if scene.seed not in (None, seed):
+            raise ConfigError(
+                f"a river of seed {scene.seed}", expected=f"seed {seed}", where="twin.scene.seed"
+            )
+    river = River(before.model_copy(update=own), seed)
+    found: dict[str, ArrayF] = {}
+    for epoch in (before, after):
+        for change in epoch.changes:
+            if change == "change_patches":
+                for patch in patches(epoch):
+                    half = (PATCH_M[0] + EDGE_M) / 2 / river.bank_scale(patch.middle_s_m, patch.right_m)
+                    up = (PATCH_M[1] + EDGE_M) / 2 * np.cos(patch.slope_rad)
+                    behind = (patch.right_m - up, patch.right_m + up)
+                    found[patch.name] = _strip(river, Stretch(patch.middle_s_m, half), "right", behind)
+            elif change != "grown_vegetation":
+                side, behind = _behind(epoch, change)
+                name = "niche" if change == "collapsed_niche" else change
+                found[name] = _strip(river, stretch(epoch, change), side, behind)
+    return found
+
+
+def _behind(scene: TwinScene, change: Change) -> tuple[str, tuple[float, float]]:
+    """Side of a change, and from where to where it reaches behind the shore of the first epoch, metres."""
+    width = scene.width_m
+    if change in ("niche", "collapsed_niche"):
+        return "right", (0.0, NICHE_REACH_M)
+    if change == "bank_retreat":
+        return "right", (-_INSIDE_M, retreat_reach_m(scene) + 1.0)
+    if change in ("moved_boulders", "new_boulders"):
+        return "right", (-1.9, slope_width(scene))
+    if change == "undercut_bank":
+        return "left", (-_INSIDE_M, scene.retreat_m + 3.0)
+    if change == "gravel_bar":
+        return "left", (-(BAR_PLACE + 0.055) * width, -(BAR_PLACE - 0.055) * width)
+    if change == "fallen_tree":
+        return "left", (-0.1 * width - 1.5, 3.0)
+    return "thalweg", (-0.1 * width, 0.1 * width)
+
+
+def _strip(river: River, where: Stretch, side: str, behind_m: tuple[float, float]) -> ArrayF:
+    s = np.linspace(where.middle_m - where.half_m, where.middle_m + where.half_m, 33)
+    if side == "right":
+        edges = [-river.half_width(s) - each for each in behind_m]
+    else:
+        middle = river.half_width(s) if side == "left" else river.thalweg_n(s)
+        edges = [middle + each for each in behind_m]
+    return np.concatenate([river.to_wcs(s, edges[0]), river.to_wcs(s, edges[1])[::-1]])
