@@ -12,7 +12,7 @@ from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, pose_weights
 
 def a_group(rng: np.random.Generator, m: int, tau: float) -> ErrorGroup:
     t = np.sort(rng.uniform(0.0, 60.0, m))
-    return ErrorGroup("position", t, np.tril(rng.normal(size=(m, 3, 3))), tau)
+    return ErrorGroup("position", t, rng.normal(size=(m, 3, 3)), tau)
 
 
 def full_covariance(group: ErrorGroup) -> ArrayF:

@@ -1,4 +1,4 @@
-"""What a change is: erosion, deposition, plants, an object, or nothing that was seen; and connected patches."""
+"""What a change is: erosion, deposition, plants, an object, or not seen; and connected patches."""
 
 import numpy as np
 import pandas as pd
@@ -6,7 +6,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from thalweg.core import AnyArray, ArrayF, ArrayI
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.deformation.changes import Compared
 from thalweg.settings.sections import Classes, Deformation
 
@@ -25,8 +25,8 @@ STATES = (
 
 _SEVERAL = 0.3
 """Beams with more than one echo, as a share, that show plants."""
-_AROUND = 0.7
-"""Share of the core points around a patch that must be unchanged if it is an object."""
+_EDGE = 0.3
+"""Share of the core points around a patch with a sharp edge in their cylinders that an object has."""
 
 
 def classify_changes(
@@ -65,7 +65,7 @@ def classify_changes(
     places = compared.pair.found.cores_m
     patch = _patches(places, state, 1.8 * settings.core_spacing_m)
     for number in range(patch.max() + 1):
-        if _is_object(places, state, patch, number, limits, 2.5 * settings.core_spacing_m):
+        if _is_object(places, ~compared.pair.calm, patch, number, settings):
             state[patch == number] = "object"
     out = table.assign(state=state)
     return out, _rows(out, compared.pair.cores["area_m2"].to_numpy(), patch, limits)
@@ -87,23 +87,14 @@ def _patches(places_m: ArrayF, state: AnyArray, reach_m: float) -> ArrayI:
     return patch
 
 
-def _is_object(
-    places_m: ArrayF, state: AnyArray, patch: ArrayI, number: int, limits: Classes, reach_m: float
-) -> bool:
-    """Whether a patch is short and stands on unchanged ground: a boulder or a trunk that came or went."""
+def _is_object(places_m: ArrayF, rough: ArrayB, patch: ArrayI, number: int, settings: Deformation) -> bool:
+    """Whether a patch is short and has sharp edges: a boulder or a trunk that came or went."""
     rows = np.flatnonzero(patch == number)
-    if limits.object_m == 0 or len(rows) < 2:
+    if len(rows) < 2 or np.linalg.norm(np.ptp(places_m[rows], axis=0)) > settings.classes.object_m:
         return False
-    own = places_m[rows]
-    if np.linalg.norm(np.ptp(own, axis=0)) > limits.object_m:
-        return False
-    near = cKDTree(places_m).query_ball_point(own, reach_m)
-    around = np.setdiff1d(np.unique(np.concatenate([np.asarray(each) for each in near])), rows).astype(
-        np.int64
-    )
-    if not len(around):
-        return True
-    return bool(np.mean(state[around] == "no significant change") >= _AROUND)
+    near = cKDTree(places_m).query_ball_point(places_m[rows], 2.5 * settings.core_spacing_m)
+    around = np.setdiff1d([core for each in near for core in each], rows).astype(np.int64)
+    return bool(len(around) and np.mean(rough[around]) >= _EDGE)
 
 
 def _rows(table: pd.DataFrame, area_m2: ArrayF, patch: ArrayI, limits: Classes) -> pd.DataFrame:

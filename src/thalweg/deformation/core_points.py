@@ -34,9 +34,9 @@ CORE_POINTS = table_kind(
 def place_core_points(epochs: list[Epoch], settings: Deformation, area: Area) -> pd.DataFrame:
     """Core points on the first surface, and on the last where the first is far; table `CORE_POINTS`.
 
-    A core point is the mean of the points of a cubic cell. A plane with the normal n touches
-    ``A (|n_e| + |n_n| + |n_u|) / h^2`` cells of the edge h (a cell for each crossing of a wall), so that a
-    core point stands for the area ``h^2 / (|n_e| + |n_n| + |n_u|)``.
+    A core point is the mean of the points of a cubic cell of edge h. Along the axis that its normal is
+    nearest to, the surface crosses a column of cells in the area ``h^2 / max |n|``; the cells of the column
+    share it by their points.
 
     Raises
     ------
@@ -61,7 +61,8 @@ def place_core_points(epochs: list[Epoch], settings: Deformation, area: Area) ->
         towards = epoch.scanner_m[cKDTree(epoch.scanner_m).query(cores)[1]] - cores
         normals, scale = multiscale_normals(cores, index, tuple(settings.scales_m), towards=towards)
         known = np.isfinite(normals).all(axis=1)
-        parts.append((np.full(known.sum(), number), cores[known], normals[known], scale[known]))
+        area_m2 = _areas(cells[use][known], n[use][known], normals[known], spacing)
+        parts.append((np.full(known.sum(), number), cores[known], normals[known], scale[known], area_m2))
     if not parts or not sum(len(part[0]) for part in parts):
         raise CoverageError(
             f"no cell of {spacing:g} m in deformation.area holds {settings.least_points} points of "
@@ -69,7 +70,7 @@ def place_core_points(epochs: list[Epoch], settings: Deformation, area: Area) ->
             expected="an area that the first and the last epoch cover",
             cure="Check deformation.area, or take a larger core_spacing_m",
         )
-    surface, cores, normals, scale = (np.concatenate(each) for each in zip(*parts, strict=True))
+    surface, cores, normals, scale, area_m2 = (np.concatenate(each) for each in zip(*parts, strict=True))
     axes = ("east", "north", "up")
     return frame_of(
         CORE_POINTS,
@@ -79,7 +80,7 @@ def place_core_points(epochs: list[Epoch], settings: Deformation, area: Area) ->
             **{f"{axis}_m": cores[:, i] for i, axis in enumerate(axes)},
             **{f"normal_{axis}": normals[:, i] for i, axis in enumerate(axes)},
             "scale_m": scale,
-            "area_m2": spacing**2 / np.abs(normals).sum(axis=1),
+            "area_m2": area_m2,
             "s_m": (cores[:, :2] - cores[:, :2].mean(axis=0)) @ _along(cores, normals),
         },
     )
@@ -94,6 +95,23 @@ def _cells(xyz_m: ArrayF, edge_m: float) -> tuple[ArrayI, ArrayF, ArrayI]:
     names, of, n = np.unique(key, return_inverse=True, return_counts=True)
     mean = np.stack([np.bincount(of, xyz_m[:, i]) / n for i in range(3)], axis=1)
     return np.stack(np.unravel_index(names, tuple(size)), axis=1) + low, mean, n
+
+
+def _areas(cells: ArrayI, n: ArrayI, normals: ArrayF, edge_m: float) -> ArrayF:
+    """Area (c,) of the surface in each cell, see `place_core_points`."""
+    axis = np.argmax(np.abs(normals), axis=1)
+    area = np.empty(len(cells))
+    for j in range(3):
+        order = np.lexsort((cells[:, j], cells[:, (j + 2) % 3], cells[:, (j + 1) % 3]))
+        step = np.diff(cells[order], axis=0)
+        # another column, or another surface in the same one
+        new = (step[:, (j + 1) % 3] != 0) | (step[:, (j + 2) % 3] != 0) | (step[:, j] > 1)
+        column = np.empty(len(cells), dtype=np.int64)
+        column[order] = np.r_[0, np.cumsum(new)]
+        share = n / np.bincount(column, n)[column]
+        own = axis == j
+        area[own] = edge_m**2 / np.abs(normals[own, j]) * share[own]
+    return area
 
 
 def _along(cores_m: ArrayF, normals: ArrayF) -> ArrayF:

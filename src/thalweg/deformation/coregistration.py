@@ -212,7 +212,8 @@ def _facts(
     z = vectors[:, shown].T @ found.parameters[model]
     statistic = float(np.sum(z**2 / values[shown]))
     left = np.eye(len(model)) - solver @ found.design[:, model]
-    weak = [PARAMETERS[model[i]] for i in np.flatnonzero(np.diag(left) > 0.5)]
+    share, direction = np.linalg.eigh(0.5 * (left + left.T))
+    weak = direction[:, share > 0.5].T.round(3).tolist()
     return {
         "model": settings.registration,
         "parameters": dict(zip(PARAMETERS, found.parameters.tolist(), strict=True)),
@@ -221,7 +222,7 @@ def _facts(
         "degrees_of_freedom": int(shown.sum()),
         "p_value": float(chi2.sf(statistic, shown.sum())),
         "needed": bool(chi2.sf(statistic, shown.sum()) < 0.05),
-        "not_shown": weak,
+        "not_shown": weak,  # directions in the space of the estimated parameters
         "stable_cores": int(found.stable.sum()),
         "candidates": int(candidates.sum()),
         "areas": "drawn" if settings.stable is not None else "what most of the bank agrees on",

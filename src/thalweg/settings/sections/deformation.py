@@ -61,8 +61,8 @@ class Classes(Section):
     object_m: NonNegative = Field(
         default=2.5,
         le=50,
-        description="Deposition no longer than this with unchanged ground around is an object (boulder, "
-        "trunk), metres; 0: none",
+        description="A change no longer than this with sharp edges is an object (boulder, trunk), metres; "
+        "0: none",
     )
     least_patch_m2: NonNegative = Field(
         default=1.0, description="Smaller connected changes are no patch of their own, square metres"
