@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from thalweg.calibration import FORM_SIGMA_M, Cone, ConeReference, fit_reference
-from thalweg.calibration.cones import start_cone
+from thalweg.calibration.cones import _cost, _directions, _weights, parameter_cov, refine, start_cone
 from thalweg.core import GeometryError, InputError
 
 HALF = np.deg2rad(25.0)
@@ -211,3 +211,86 @@ def test_a_fixed_angle_may_not_put_half_of_the_points_out(rng: np.random.Generat
     points = marks(cone_of(rng), rng, n=60)
     with pytest.raises(GeometryError, match="the opening angle does not fit"):
         fit_reference(reference(points, half=HALF + np.deg2rad(1.2)), free_half_angle=False)
+
+
+def ring(cone: Cone, slants_m: list[float], n: int = 8) -> np.ndarray:
+    """Points on the surface, ``n`` at each distance from the apex."""
+    psi = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    across = np.cos(psi)[:, None] * cone.tangents[0] + np.sin(psi)[:, None] * cone.tangents[1]
+    a = cone.half_angle_rad
+    body = np.cos(a) * cone.axis + np.sin(a) * across
+    return np.concatenate([cone.apex_m + slant * body for slant in slants_m])
+
+
+TRUE = Cone(apex_m=np.array([1.0, -2.0, 0.5]), axis=np.array([0.2, 0.1, 1.0]), half_angle_rad=HALF)
+
+
+@pytest.mark.parametrize("robust", [True, False])
+def test_steps_go_on_until_the_cone_is_met(robust: bool) -> None:
+    """From 2 cm, 2 degrees and 1 degree off to a cone without noise; no step more is needed at the end."""
+    points = ring(TRUE, [0.3, 0.5, 0.7])
+    start = TRUE.moved(np.array([0.02, -0.01, 0.015, 0.03, -0.02, 0.017]))
+    sigma = np.full(len(points), 0.01)
+    found = refine(start, points, sigma, free_half_angle=True, robust=robust)
+    np.testing.assert_allclose(found.apex_m, TRUE.apex_m, atol=1e-8)
+    np.testing.assert_allclose(found.axis, TRUE.axis, atol=1e-8)
+    assert found.half_angle_rad == pytest.approx(HALF, abs=1e-8)
+    held = refine(start, points, sigma, free_half_angle=False, robust=robust)
+    assert held.half_angle_rad == start.half_angle_rad
+
+
+def test_gross_points_have_no_part_in_a_robust_cone() -> None:
+    """Three of 24 points are 20 sigmas off: beyond 4.685 sigmas their weight is zero."""
+    points = ring(TRUE, [0.3, 0.5, 0.7])
+    points[[2, 11, 17]] += 0.2 * TRUE.see(points[[2, 11, 17]]).normal
+    start = TRUE.moved(np.array([0.005, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    sigma = np.full(len(points), 0.01)
+    found = refine(start, points, sigma, free_half_angle=True)
+    np.testing.assert_allclose(found.apex_m, TRUE.apex_m, atol=1e-6)
+    plain = refine(start, points, sigma, free_half_angle=True, robust=False)
+    assert np.linalg.norm(plain.apex_m - TRUE.apex_m) > 0.02
+
+
+def test_the_loss_by_hand() -> None:
+    """Points 0, 4.685 / 2, 4.685 and 9.37 sigmas off: 0, 1 - 0.75^3, 1 and 1; weights 1, 0.75^2, 0, 0."""
+    points = ring(TRUE, [0.5], n=4)
+    off = 4.685 * np.array([0.0, 0.5, 1.0, 2.0])
+    points += 0.01 * off[:, None] * TRUE.see(points).normal
+    sigma = np.full(4, 0.01)
+    assert _cost(TRUE, points, sigma, robust=True) == pytest.approx(1 - 0.75**3 + 1 + 1)
+    assert _cost(TRUE, points, sigma, robust=False) == pytest.approx(4.685**2 * 5.25)
+    np.testing.assert_allclose(_weights(off, True), [1.0, 0.5625, 0.0, 0.0], atol=1e-15)
+    assert _weights(off, False).tolist() == [1.0] * 4
+
+
+def test_points_of_a_plane_do_not_open_a_cone_to_a_disc() -> None:
+    """A disc is the limit of 90 degrees: steps stop before 1.5 rad, and a needle's before 0.01 rad."""
+    flat = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=1.45)
+    disc = ring(flat, [0.3, 0.5, 0.7]) * [1.0, 1.0, 0.0]
+    opened = refine(flat, disc, np.full(24, 0.01), free_half_angle=True, robust=False)
+    assert 1.45 < opened.half_angle_rad < 1.5
+    thin = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=0.02)
+    line = np.column_stack([np.zeros((24, 2)), np.linspace(0.3, 0.7, 24)])
+    assert 0.01 < refine(thin, line, np.full(24, 0.01), free_half_angle=True).half_angle_rad <= 0.02
+
+
+def test_errors_of_points_and_of_the_form_by_hand() -> None:
+    """One parameter from two points: by 2 along x of the first and by 3 along y of the second."""
+    by_points = np.array([[2.0, 0.0, 0.0, 0.0, 3.0, 0.0]])
+    own = np.stack([np.diag([1e-6, 5.0, 5.0]), np.diag([5.0, 4e-6, 5.0])])
+    assert parameter_cov(by_points, own, 0.0)[0, 0] == pytest.approx(4e-6 + 36e-6)
+    together = np.zeros((6, 6))
+    together[:3, :3], together[3:, 3:] = own
+    together[0, 4] = together[4, 0] = 1e-6
+    assert parameter_cov(by_points, together, 0.0)[0, 0] == pytest.approx(40e-6 + 12e-6)
+    assert parameter_cov(by_points, own, 1e-3)[0, 0] == pytest.approx(40e-6 + 13e-6)
+
+
+def test_starts_look_into_all_directions() -> None:
+    """40 directions: heights in equal steps, each a golden angle further."""
+    d = _directions(40)
+    np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1.0)
+    np.testing.assert_allclose(d[:, 2], 1 - (2 * np.arange(40) + 1) / 40)
+    turn = np.diff(np.unwrap(np.arctan2(d[:, 1], d[:, 0])))
+    np.testing.assert_allclose(np.mod(turn, 2 * np.pi), np.mod(np.pi * (1 + np.sqrt(5.0)), 2 * np.pi))
+    np.testing.assert_allclose(d.mean(axis=0), 0.0, atol=0.02)

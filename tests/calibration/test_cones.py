@@ -316,3 +316,28 @@ def test_how_deep_beams_go_by_hand(beam: tuple[float, float, float], depth: floa
     cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 4)
     direction = np.array([beam]) / np.linalg.norm(beam)
     assert cone.meet(np.array([3.0, 0.5, 2.0]), direction).depth_m[0] == pytest.approx(depth, rel=1e-12)
+
+
+def test_one_tangent_is_level_by_hand() -> None:
+    """A quarter to the left of the axis, seen from above; the other one is up, or on from there."""
+    for axis, first, second in (
+        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+        ((0.0, -2.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+        ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+        ((0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
+        ((3.0, 4.0, 0.0), (-0.8, 0.6, 0.0), (0.0, 0.0, 1.0)),
+    ):
+        np.testing.assert_allclose(some_cone(axis).tangents, [first, second], atol=1e-15)
+
+
+def test_on_the_axis_the_first_tangent_is_across() -> None:
+    """2 m up the axis of a cone of 30 degrees: 1 m inside; the normal leans away from the body."""
+    cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 6)
+    seen = cone.see([[0.0, 0.0, 2.0]])
+    np.testing.assert_allclose(seen.distance_m, [-1.0])
+    np.testing.assert_allclose(seen.slant_m, [np.sqrt(3.0)])
+    np.testing.assert_allclose(seen.normal, [[np.sqrt(0.75), 0.0, -0.5]])
+    np.testing.assert_allclose(
+        seen.by_parameters, [[-np.sqrt(0.75), 0.0, 0.5, -np.sqrt(3.0), 0.0, -np.sqrt(3.0)]], atol=1e-15
+    )

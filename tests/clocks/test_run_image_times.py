@@ -10,7 +10,13 @@ import pandas as pd
 import pytest
 
 from thalweg.clocks import ClockModel, read_run_image_times, triggered_images
-from thalweg.clocks.ties import RUN_IMAGE_TIMES, image_times_words, tied_images
+from thalweg.clocks.ties import (
+    RUN_IMAGE_TIMES,
+    image_times_words,
+    read_number_columns,
+    read_text_columns,
+    tied_images,
+)
 from thalweg.core import ClockError, InputError, frame_of, read_table, write_table
 from thalweg.ingest.photos import IMAGE_STAMPS
 
@@ -178,3 +184,34 @@ def test_one_table_only(script: ModuleType, job: dict[str, Any]) -> None:
     job["ties"] = job["ties"] * 2
     with pytest.raises(InputError, match="2 tables of ties and 0 of pulses"):
         script.main(**job)
+
+
+def test_tables_of_people_are_read_as_they_write_them(tmp_path: Path) -> None:
+    """Blanks around cells and before quotes, names with commas, and what pandas takes for a missing value."""
+    path = tmp_path / "ties.csv"
+    path.write_text('file , t_s, more\n "R01, left.jpg",  1.5 ,x\nNA, -2,y\n')
+    assert read_text_columns(path, ("t_s", "file")) == [["1.5", "-2"], ["R01, left.jpg", "NA"]]
+    (t,) = read_number_columns(path, ("t_s",))
+    assert t.tolist() == [1.5, -2.0]
+    with pytest.raises(InputError, match=r"'R01, left\.jpg' in column file, row 1") as caught:
+        read_number_columns(path, ("t_s", "file"))
+    assert caught.value.expected == "a number"
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", "this is no table"),
+        ("file\na\n", "columns missing: t_s"),
+        ("file,t_s\n", "no row"),
+        ("file,t_s\na,nan\n", "'nan' in column t_s, row 1"),
+        ("file,t_s\na,1\nb,inf\n", "'inf' in column t_s, row 2"),
+    ],
+)
+def test_tables_that_lack_something_are_refused(tmp_path: Path, text: str, found: str) -> None:
+    path = tmp_path / "ties.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=found):
+        read_number_columns(path, ("t_s",))
+    with pytest.raises(InputError, match="file not found"):
+        read_number_columns(path.with_name("other.csv"), ("t_s",))

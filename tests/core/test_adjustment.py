@@ -18,7 +18,7 @@ from thalweg.core import (
     normal_equations,
     prior,
 )
-from thalweg.core.adjustment import HUBER_LIMIT, condition
+from thalweg.core.adjustment import HUBER_LIMIT, condition, damped_step
 
 LINE = ("height", "slope")
 
@@ -501,3 +501,33 @@ def test_observations_that_just_determine_the_unknowns_have_no_scatter() -> None
     assert found.group_redundancy["points"] == pytest.approx(0.0, abs=1e-9)
     assert found.group_sigma0["points"] == 0.0
     np.testing.assert_allclose(found.sigmas, [0.1, np.sqrt(0.005)], rtol=1e-9)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+def test_a_damped_step_stays_off_the_datum(damping: float, rng: np.random.Generator) -> None:
+    """``G dx = 0`` whatever the damping; without damping it is the step of least squares."""
+    group = levels(RING, 4, rng)
+    here = normal_equations([group], np.zeros(4), 4, [None], None)
+    G = np.array([[1.0, 2.0, 0.0, -0.5]])
+    dx = damped_step(here, tuple("ABCD"), G, damping, "")
+    np.testing.assert_allclose(G @ dx, 0.0, atol=1e-12)
+    if damping == 0.0:
+        np.testing.assert_allclose(here.N @ dx, here.n, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("large", "steps"), [(1e3, 1), (0.0, 10)])
+def test_a_gain_that_is_nothing_beside_the_cost_ends_the_steps(large: float, steps: int) -> None:
+    """From x = 0, where 0.01 seems to be won, every step leads to 10; 1e-4 is 1e-10 of a cost of 1e6.
+
+    Alone it is no small gain: steps shrink by damping, 1e-4 first and ten times as much each time, until
+    ``1e-4 / (1 + damping)`` is below 1e-8 of a cost of one, at a damping above 9999.
+    """
+
+    def model(x: np.ndarray) -> Linear:
+        near = 0.01 if x[0] == 0.0 else 10.0
+        return Linear(residual=np.array([near, large]), jacobian=np.array([[1.0], [0.0]]), cov=np.ones(2))
+
+    found = adjust([Observations("errors", model)], np.zeros(1), ["x"])
+    assert found.x[0] == 0.0
+    # dampings 0, 1e-4, 1e-3, ... 1e4: ten steps
+    assert found.n_iterations == steps

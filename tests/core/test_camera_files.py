@@ -139,3 +139,19 @@ def test_a_missing_file_is_told(tmp_path: Path) -> None:
     for read in (read_colmap, read_opencv):
         with pytest.raises(InputError, match="file not found"):
             read(tmp_path / "none.txt")
+
+
+@pytest.mark.parametrize("left_out", ["image_width", "image_height"])
+def test_half_a_size_is_none(tmp_path: Path, left_out: str) -> None:
+    path = tmp_path / "camera.yaml"
+    write_opencv(path, BROWN)
+    path.write_text("\n".join(row for row in path.read_text().splitlines() if left_out not in row))
+    with pytest.raises(InputError, match="no size of the picture"):
+        read_opencv(path)
+
+
+def test_a_file_that_breaks_off_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text("image_width: 10\ncamera_matrix: {rows: 3, data: [1, 2")
+    with pytest.raises(InputError, match=r"camera\.yaml"):
+        read_opencv(path)

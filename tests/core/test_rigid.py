@@ -128,3 +128,18 @@ def test_upright_omega_and_kappa_are_one_angle_and_kappa_has_it(phi: float, sign
     """Where phi is 90 degrees both turn about the same axis: kappa + omega counts, at -90 kappa - omega."""
     found = opk_of(rotation_opk(0.4, phi, 1.1))
     np.testing.assert_allclose(found, [0.0, phi, 1.1 + sign * 0.4], atol=1e-12)
+
+
+@pytest.mark.parametrize("sigma", [1e-4, 100.0])
+@pytest.mark.parametrize(("share", "refused"), [(2e-10, False), (5e-9, True)])
+def test_rounding_of_a_covariance_is_measured_by_its_sigmas(
+    sigma: float, share: float, refused: bool
+) -> None:
+    """The two halves may differ by 1e-9 of the product of both sigmas, whatever the unit."""
+    cov = sigma**2 * np.eye(6)
+    cov[0, 1] = share * sigma**2
+    if refused:
+        with pytest.raises(GeometryError, match="no covariance matrix"):
+            Rigid(R=TURN, shift_m=np.zeros(3), cov=cov)
+    else:
+        np.testing.assert_array_equal(Rigid(R=TURN, shift_m=np.zeros(3), cov=cov).cov, cov)

@@ -24,8 +24,9 @@ from thalweg.lightsheet.optics import (
     sheet_in_water,
     write_sensor,
 )
+from thalweg.lightsheet.optics.refractive_index import N_WATER
 from thalweg.lightsheet.poses import SERIES_POINTS
-from thalweg.settings.sections import LightSheet, SheetCalibration
+from thalweg.settings.sections import LightSheet, SheetCalibration, SheetWater
 
 
 @pytest.fixture
@@ -353,3 +354,21 @@ def test_marks_of_a_flipped_picture(basin: Basin, jobs: Jobs, x: bool, y: bool, 
     text = told(lambda: jobs.orient(basin, marks=path), GeometryError)
     assert f"The marks fit if the picture is {words}" in text
     assert "marks.csv" in text
+
+
+def test_a_calibration_takes_the_temperature_of_the_campaign(
+    basin: Basin, done: Jobs, tmp_path: Path
+) -> None:
+    """The twin's water has 18 degrees; its design states the index with a sigma of 1e-3."""
+    for path in done.out.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    jobs = Jobs(tmp_path, LightSheet(water=SheetWater(temperature_c=18.2, sigma_temperature_c=0.3)))
+    found = jobs.calibrate(basin)
+    told = json.loads((tmp_path / "calibration.json").read_text())["water"]
+    assert told["source"] == "temperature, salinity and wavelength"
+    # 0.2 degrees of error are 2e-5
+    assert found.window.n_water == pytest.approx(basin.truth.window.n_water, abs=5e-5)
+    assert found.cov[N_WATER, N_WATER] == pytest.approx(told["sigma"] ** 2, rel=1e-3)
+    before = json.loads((done.out / "calibration.json").read_text())["water"]
+    assert before["source"] == "file of the sensor"
+    assert told["sigma"] < 0.2 * before["sigma"]

@@ -1,16 +1,11 @@
-"""The index of the water by its temperature: sigma, what it replaces, and what the calibration records."""
-
-import json
-from pathlib import Path
+"""The index of the water by its temperature: sigma, and what it replaces."""
 
 import numpy as np
 import pytest
-from tests.lightsheet.basin import Basin, Jobs
 
 from thalweg.core import InputError
 from thalweg.lightsheet.optics import PARAMETERS, WaterState, air, in_measured_water, paper_4, water
 from thalweg.lightsheet.optics.refractive_index import N_WATER
-from thalweg.settings.sections import LightSheet, SheetWater
 
 
 def test_index_is_that_of_the_formulas_against_air() -> None:
@@ -66,21 +61,3 @@ def test_the_new_index_shares_nothing_with_the_rest() -> None:
     same, told = in_measured_water(known, WaterState())
     assert same is known
     assert told["source"] == "file of the sensor"
-
-
-def test_a_calibration_takes_the_temperature_of_the_campaign(
-    basin: Basin, done: Jobs, tmp_path: Path
-) -> None:
-    """The twin's water has 18 degrees; its design states the index with a sigma of 1e-3."""
-    for path in done.out.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    jobs = Jobs(tmp_path, LightSheet(water=SheetWater(temperature_c=18.2, sigma_temperature_c=0.3)))
-    found = jobs.calibrate(basin)
-    told = json.loads((tmp_path / "calibration.json").read_text())["water"]
-    assert told["source"] == "temperature, salinity and wavelength"
-    # 0.2 degrees of error are 2e-5
-    assert found.window.n_water == pytest.approx(basin.truth.window.n_water, abs=5e-5)
-    assert found.cov[N_WATER, N_WATER] == pytest.approx(told["sigma"] ** 2, rel=1e-3)
-    before = json.loads((done.out / "calibration.json").read_text())["water"]
-    assert before["source"] == "file of the sensor"
-    assert told["sigma"] < 0.2 * before["sigma"]

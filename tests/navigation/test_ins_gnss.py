@@ -370,3 +370,15 @@ def test_streams_that_meet_by_less_than_an_interval_overlap() -> None:
     assert np.flatnonzero(trajectory.valid).tolist() == [0]
     with pytest.raises(CoverageError, match="streams of the same survey"):
         build(positions, late.iloc[1:])
+
+
+def test_states_without_time_and_repeated_ones_are_counted() -> None:
+    positions, states = survey()
+    _, summary = build(positions, states)
+    assert not any("without GPS time or repeated" in note for note in summary.notes)
+    states.loc[states.index[100:103], "t_gps_s"] = np.nan
+    states.loc[states.index[200], "t_gps_s"] = states.loc[states.index[199], "t_gps_s"]
+    _, summary = build(positions, states)
+    assert [note for note in summary.notes if "without GPS time or repeated" in note] == [
+        "4 INS states without GPS time or repeated were left out"
+    ]

@@ -5,7 +5,16 @@ import pytest
 
 from thalweg.core import GeometryError
 from thalweg.lightsheet.scanning import bimodality, filtered
-from thalweg.lightsheet.scanning.distances import TABLE_2, TABLE_3, otsu, statistics_table
+from thalweg.lightsheet.scanning.distances import (
+    TABLE_2,
+    TABLE_3,
+    MeshDistances,
+    border_effect,
+    honesty,
+    normality,
+    otsu,
+    statistics_table,
+)
 
 
 def marker_errors(rng: np.random.Generator) -> np.ndarray:
@@ -106,3 +115,80 @@ def test_the_published_tables_are_of_single_profiles_and_of_scans() -> None:
     assert [(row["lines"], row["n"]) for row in printed] == [(1, 1105), (70, 66666)]
     assert TABLE_2["lines"].tolist() == [1, 1]
     assert TABLE_3["lines"].tolist() == [7, 70]
+
+
+def test_spread_counts_one_degree_of_freedom_less() -> None:
+    """-1, 0 and 1 have a mean square of 2/3, and a standard deviation of 1."""
+    for rule in ("3 sigma", "3 sigma repeated", "robust"):
+        found = filtered(np.array([-1.0, 0.0, 1.0]), rule)
+        assert (found.std_mm, found.std_kept_mm) == pytest.approx((1.0, 1.0))
+        assert (found.mean_mm, found.mean_kept_mm) == (0.0, 0.0)
+        assert found.nmad_mm == pytest.approx(1.4826, abs=1e-4)
+
+
+def test_shape_of_distances_by_hand() -> None:
+    """Of 1, 1, 1, 5: mean 2, variance 3, third moment 6, fourth 21; skewness 2/sqrt(3), kurtosis 7/3."""
+    found = normality(np.array([1.0, 1.0, 1.0, 5.0]))
+    assert (found["mean_mm"], found["std_mm"], found["nmad_mm"]) == pytest.approx((2.0, 2.0, 0.0))
+    assert found["skewness"] == pytest.approx(2 / np.sqrt(3))
+    assert found["excess"] == pytest.approx(7 / 3 - 3)
+    # fewer than eight free points count as eight: sqrt(6/8) and sqrt(24/8)
+    assert found["skewness_sigmas"] == pytest.approx(4 / 3)
+    assert found["excess_sigmas"] == pytest.approx((7 / 3 - 3) / np.sqrt(3))
+    many = normality(np.tile([1.0, 1.0, 1.0, 5.0], 60), independent_share=0.1)
+    assert many["skewness_sigmas"] == pytest.approx(2 / np.sqrt(3) / np.sqrt(6 / 24))
+    assert many["excess_sigmas"] == pytest.approx(7 / 3 - 3)
+    assert normality(np.array([-2.0, 0.0, 1.0, 1.0, 9.0]))["nmad_mm"] == pytest.approx(1.4826, abs=1e-4)
+
+
+def flat(distance_mm: list[float], border: list[bool], far: list[bool]) -> MeshDistances:
+    n = len(distance_mm)
+    return MeshDistances(
+        distance_mm=np.array(distance_mm),
+        normal=np.tile([0.0, 0.0, 1.0], (n, 1)),
+        sigma_own_mm=np.full(n, 2.0),
+        sigma_pose_mm=np.full(n, 3.0),
+        sigma_shared_mm=np.full(n, 6.0),
+        sigma_reference_mm=np.zeros(n),
+        at_border=np.array(border),
+        far=np.array(far),
+    )
+
+
+def test_what_the_border_of_the_mesh_does_by_hand() -> None:
+    """1 and 3 inside, 8 at the border; 50 and 60 are far, the last one at the border, too."""
+    found = flat([1.0, 3.0, 8.0, 50.0, 60.0], [False, False, True, False, True], [False] * 3 + [True] * 2)
+    told = border_effect(found)
+    assert (told["n"], told["n_border"]) == (2, 1)
+    assert (told["mean_mm"], told["mean_border_mm"], told["mean_with_border_mm"]) == (2.0, 8.0, 4.0)
+    assert told["std_mm"] == pytest.approx(np.sqrt(2))
+    assert told["std_with_border_mm"] == pytest.approx(np.sqrt(13))
+    assert found.counts() == {"points": 5, "far": 2, "at_border": 1, "used": 2}
+    alone = border_effect(flat([1.0, 3.0], [False] * 2, [False] * 2))
+    assert (alone["n_border"], alone["mean_with_border_mm"]) == (0, 2.0)
+    assert np.isnan(alone["mean_border_mm"])
+    with pytest.raises(GeometryError, match="1 points off the border"):
+        border_effect(flat([1.0, 3.0], [False, True], [False] * 2))
+
+
+def test_observed_against_predicted_by_hand() -> None:
+    """3 and 4 with sigmas 1 and 2; the third is left out."""
+    d, s = np.array([3.0, -4.0, 100.0]), np.array([1.0, 2.0, 1.0])
+    assert honesty(d, s, np.array([True, True, False])) == pytest.approx(
+        {"n": 2, "rms_mm": np.sqrt(12.5), "predicted_mm": np.sqrt(2.5), "rms_over_sigma": np.sqrt(6.5)}
+    )
+
+
+def test_modes_far_apart_are_told_apart() -> None:
+    """100 sigmas: the density of the other mode is no number above zero."""
+    step = 0.01 * np.tile([-1.0, 1.0], 50)
+    found = bimodality(np.r_[step, 1.0 + step], np.r_[np.full(100, 10.0), np.full(100, 90.0)])
+    assert found.modes_mm == pytest.approx((0.0, 1.0), abs=1e-9)
+    assert found.shares == pytest.approx((0.5, 0.5))
+    assert found.sigma_mm == pytest.approx(0.01)
+    assert found.ashman == pytest.approx(100.0)
+    assert found.shift_mm == pytest.approx(1.0)
+    # of 100 points each: variance 1e-4 100/99, over 100, twice
+    assert found.sigma_shift_mm == pytest.approx(np.sqrt(2e-4 / 99))
+    # geometric mean
+    assert found.threshold_dn == pytest.approx(30.0)

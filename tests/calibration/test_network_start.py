@@ -1,0 +1,405 @@
+"""Approximate values of a field, gross contradictions of its targets, changed cameras: by hand."""
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from thalweg.calibration import block_of
+from thalweg.calibration.field import Layout, Problem, marks_model, start_state
+from thalweg.calibration.field.network import (
+    Start,
+    _aligned,
+    _centres,
+    _intersect,
+    _places,
+    _repair,
+    _triples,
+    agreeing,
+    approximate_place,
+    camera_changes,
+    distances_words,
+    exchanged,
+    other_scale,
+    similarity,
+)
+from thalweg.calibration.markers import Block
+from thalweg.core import Rigid, exp_rotation, rotation_opk
+
+_spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
+blocks = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(blocks)
+SLR = blocks.SLR
+
+PLACE = Rigid(R=rotation_opk(0.3, -0.5, 2.0), shift_m=np.array([10.0, -20.0, 3.0]))
+CORNERS = 0.1 * np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, -1.0, 0.0]])
+CENTRES = np.array(
+    [
+        [2.0, 0, 0.1],
+        [-2, 0.5, 0],
+        [0.3, 2, 0.8],
+        [0, -2, 0.4],
+        [1.5, 1.6, 1.2],
+        [-1.4, -1.3, 0.9],
+        [1.4, -1.2, 0],
+    ]
+)
+
+
+def exact() -> tuple[Block, Start]:
+    """Seven sheets in six pictures whose rays have no error, and the true start."""
+    points = tuple((m, c) for m in range(7) for c in range(4))
+    X = np.concatenate([centre + CORNERS for centre in CENTRES])
+    poses = {}
+    for i, turn in enumerate(np.linspace(0.0, 2 * np.pi, 6, endpoint=False)):
+        place = np.array([6 * np.cos(turn), 6 * np.sin(turn), 2.0 + 0.3 * i])
+        poses[i] = blocks.look(place, np.array([0.0, 0.0, 0.4]), 0.3 * i)
+    image, point = (a.ravel() for a in np.meshgrid(np.arange(6), np.arange(28), indexing="ij"))
+    rays = np.concatenate([poses[i].inverse().apply(X) for i in range(6)])
+    block = Block(
+        images=tuple("abcdef"),
+        camera_of=("slr",) * 6,
+        points=points,
+        image=image,
+        point=point,
+        xy_px=np.zeros((168, 2)),
+        sigma_px=np.ones(168),
+        rays=rays / np.linalg.norm(rays, axis=1, keepdims=True),
+    )
+    return block, Start(poses, X.copy())
+
+
+# ---------------------------------------------------------------- places of sheets
+
+
+def test_the_centre_of_a_sheet_is_the_mean_of_four_saddles() -> None:
+    block, start = exact()
+    start.points[1] += [0.4, 0.0, 0.0]
+    start.points[6] = np.nan
+    found = _centres(block, start)
+    assert sorted(found) == [0, 2, 3, 4, 5, 6]
+    np.testing.assert_allclose(found[0], CENTRES[0] + [0.1, 0.0, 0.0])
+    np.testing.assert_allclose(found[6], CENTRES[6])
+
+
+def test_sheets_are_where_they_were_intersected_or_else_where_pictures_see_them() -> None:
+    """Sheet 1 lacks a saddle; three pictures see it 0, 0.3 and 9 m off: the median. Sheet 5 is not seen."""
+    block, start = exact()
+    start.points[6] = np.nan
+    start.points[20] = np.nan
+    off = {0: 0.0, 2: 0.3, 3: 9.0}
+    seen = {
+        i: {1: pose.inverse().apply((CENTRES[1] + [off[i], 0.0, 0.0])[None])[0], 2: np.zeros(3)}
+        for i, pose in start.poses.items()
+        if i in off
+    }
+    found = _places(block, start, seen)
+    np.testing.assert_allclose(found[1], CENTRES[1] + [0.3, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found[2], CENTRES[2], atol=1e-12)
+    assert sorted(found) == [0, 1, 2, 3, 4, 6]
+
+
+def test_a_picture_is_laid_upon_three_sheets() -> None:
+    at = {m: CENTRES[m] for m in (0, 1, 2)}
+    there = {m: PLACE.apply(at[m][None])[0] for m in at} | {9: np.zeros(3)}
+    found = _aligned(at | {5: np.ones(3)}, there)
+    assert found is not None
+    np.testing.assert_allclose(found.matrix, PLACE.matrix, atol=1e-12)
+    assert _aligned({m: at[m] for m in (0, 1)}, there) is None
+
+
+@pytest.mark.parametrize(("width_m", "there"), [(0.5, False), (1.5, True)])
+def test_sheets_in_a_line_leave_a_turn_free(width_m: float, there: bool) -> None:
+    """Three sheets 10 m ahead, the middle one aside: sqrt(2) / 3 of that is the width, and 0.5 m the limit.
+
+    The farthest one is sqrt(10^2 + 4^2) = 10.77 m away, so the limit is 0.54 m: 1.14 m aside.
+    """
+    at = {0: np.array([-4.0, 0, 10]), 1: np.array([0, width_m, 10.0]), 2: np.array([4.0, 0, 10])}
+    places = {m: PLACE.apply(x[None])[0] for m, x in at.items()}
+    assert (_aligned(at, places) is not None) == there
+
+
+@pytest.mark.parametrize(("off_m", "there"), [(0.2, True), (2.0, False)])
+def test_sheets_that_lie_otherwise_do_not_align(off_m: float, there: bool) -> None:
+    """Seven sheets of a field of 2 m, each moved to another side: a tenth of its size is the limit."""
+    at = dict(enumerate(CENTRES))
+    side = off_m * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1], [1, 0, 0]])
+    places = {m: PLACE.apply((x + side[m])[None])[0] for m, x in at.items()}
+    assert (_aligned(at, places) is not None) == there
+
+
+# ---------------------------------------------------------------- points and poses
+
+
+def test_rays_meet_in_their_points() -> None:
+    block, start = exact()
+    np.testing.assert_allclose(_intersect(block, start.poses), start.points, atol=1e-9)
+    # two pictures are enough, one is not; a ray without numbers is no ray
+    two = {i: start.poses[i] for i in (0, 2)}
+    rays = block.rays.copy()
+    rays[5, 1] = np.nan
+    found = _intersect(replace(block, rays=rays), two)
+    np.testing.assert_allclose(found[:5], start.points[:5], atol=1e-9)
+    assert np.isnan(found[5]).all()
+    assert np.isnan(_intersect(block, {0: start.poses[0]})).all()
+
+
+def test_one_wrong_ray_of_six_hardly_moves_its_point() -> None:
+    """0.3 rad off at 6 m: 1.8 m, weighted down to a millirad's share in each turn."""
+    block, start = exact()
+    rays = block.rays.copy()
+    rays[3] = exp_rotation([0.0, 0.3, 0.0]) @ rays[3]
+    found = _intersect(replace(block, rays=rays), start.poses)
+    off = np.linalg.norm(found - start.points, axis=1)
+    assert off[3] < 0.03
+    np.testing.assert_allclose(np.delete(off, 3), 0.0, atol=1e-9)
+
+
+def test_rays_that_hardly_cross_make_no_point() -> None:
+    """Two pictures, 5 m from a point, apart by 0.02 and 0.05 rad as it sees them; 0.03 is the limit."""
+    for angle, solved in ((0.02, False), (0.05, True)):
+        poses = {
+            i: Rigid(R=np.eye(3), shift_m=np.array([side * 5 * np.sin(angle / 2), 0.0, 0.0]))
+            for i, side in enumerate((-1, 1))
+        }
+        point = np.array([0.0, 0.0, 5 * np.cos(angle / 2)])
+        block = Block(
+            images=("a", "b"),
+            camera_of=("slr", "slr"),
+            points=((0, 0),),
+            image=np.array([0, 1]),
+            point=np.array([0, 0]),
+            xy_px=np.zeros((2, 2)),
+            sigma_px=np.ones(2),
+            rays=np.stack([(point - poses[i].shift_m) / 5 for i in (0, 1)]),
+        )
+        assert np.isfinite(_intersect(block, poses)).all() == solved
+
+
+def test_a_wrong_pose_is_found_anew_and_right_ones_stay() -> None:
+    block, start = exact()
+    true = dict(start.poses)
+    wrong = true[2].moved(np.array([1.0, -0.5, 0.3, 0.1, 0.2, -0.1]))
+    start.poses[2] = wrong
+    # rays with one unknown number have no part
+    rays = block.rays.copy()
+    rays[block.image == 2] = np.where(
+        (np.arange(28) == 9)[:, None], [0.1, np.nan, 0.9], rays[block.image == 2]
+    )
+    block = replace(block, rays=rays)
+    _repair(block, block, start)
+    np.testing.assert_allclose(start.poses[2].matrix, true[2].matrix, atol=1e-3)
+    for i in (0, 1, 3, 4, 5):
+        assert start.poses[i] is true[i]
+
+
+@pytest.mark.parametrize("kept", ["six saddles", "three sheets"])
+def test_too_little_repairs_no_pose(kept: str) -> None:
+    block, start = exact()
+    wrong = start.poses[2].moved(np.array([1.0, -0.5, 0.3, 0.1, 0.2, -0.1]))
+    start.poses[2] = wrong
+    few = [0, 4, 8, 12, 16, 20] if kept == "six saddles" else list(range(12))
+    rays = block.rays.copy()
+    rays[(block.image == 2) & ~np.isin(block.point, few)] = np.nan
+    block = replace(block, rays=rays)
+    _repair(block, block, start)
+    assert start.poses[2] is wrong
+
+
+# ---------------------------------------------------------------- targets
+
+TARGETS = np.array([[0.0, 0, 0], [10, 0, 1], [12, 8, 0], [-1, 9, 2], [5, 4, 0.5], [3, 12, 1]])
+
+
+def test_a_similarity_by_hand() -> None:
+    factor, T = similarity(TARGETS, PLACE.apply(1.25 * TARGETS), scaled=True)
+    assert factor == pytest.approx(1.25)
+    np.testing.assert_allclose(T.matrix, PLACE.matrix, atol=1e-9)
+    factor, T = similarity(TARGETS, PLACE.apply(1.25 * TARGETS), scaled=False)
+    assert factor == 1.0
+    np.testing.assert_allclose(T.R, PLACE.R, atol=1e-9)
+
+
+@pytest.mark.parametrize("scaled", [True, False])
+def test_the_place_of_most_targets(scaled: bool) -> None:
+    """Two of six lie elsewhere; the field is 1.2 times too small, and the factor is asked for or not."""
+    there = PLACE.apply(1.2 * TARGETS)
+    there[1] += [30.0, 0.0, 0.0]
+    there[4] += [0.0, -40.0, 5.0]
+    found = approximate_place(TARGETS, there, scaled=scaled)
+    assert found is not None
+    good = [0, 2, 3, 5]
+    if scaled:
+        assert found[0] == pytest.approx(1.2)
+        np.testing.assert_allclose(found[1].matrix, PLACE.matrix, atol=1e-9)
+    else:
+        assert found[0] == 1.0
+        # turned right, and the middle of the four upon theirs
+        np.testing.assert_allclose(found[1].R, PLACE.R, atol=1e-9)
+        middle = found[1].apply(TARGETS[good].mean(axis=0)[None])[0]
+        np.testing.assert_allclose(middle, there[good].mean(axis=0), atol=1e-9)
+
+
+@pytest.mark.parametrize(("factor", "there"), [(0.59, False), (0.61, True), (1.59, True), (1.61, False)])
+def test_a_place_of_another_size_is_none(factor: float, there: bool) -> None:
+    found = approximate_place(TARGETS, PLACE.apply(factor * TARGETS), scaled=True)
+    assert (found is not None) == there
+
+
+def test_targets_that_belong_to_nothing_have_no_place(rng: np.random.Generator) -> None:
+    assert approximate_place(TARGETS, 10 * rng.standard_normal((6, 3)), scaled=True) is None
+
+
+def test_which_targets_agree() -> None:
+    """One of six 1 m off, where 5 cm are tolerated; RTK minus field is that metre."""
+    there = PLACE.apply(TARGETS)
+    there[3] += [0.0, 0.0, 1.0]
+    there[[0, 2]] += [[0.02, 0.0, 0.0], [-0.02, 0.0, 0.0]]
+    kept, off, factor = agreeing(TARGETS, there, np.full(6, 0.05))
+    assert kept.tolist() == [True, True, True, False, True, True]
+    assert factor == 1.0
+    np.testing.assert_allclose(off[3], [0.0, 0.0, 1.0], atol=0.06)
+    assert np.linalg.norm(off[kept], axis=1).max() < 0.05
+    # none: all have their part in the residuals, which sum up to nothing
+    kept, off, _ = agreeing(TARGETS, TARGETS[::-1] * [1.0, 2.0, 3.0], np.full(6, 1e-6))
+    assert not kept.any()
+    np.testing.assert_allclose(off.sum(axis=0), 0.0, atol=1e-9)
+
+
+def test_of_as_many_targets_the_nearer_ones_agree() -> None:
+    """Two triples of six: one fits exactly, one to some centimetres within its tolerance of 10 cm."""
+    other = Rigid(R=rotation_opk(0.0, 0.0, 1.0), shift_m=np.array([200.0, 0.0, 0.0]))
+    loose = other.apply(TARGETS[:3]) + 0.03 * np.array([[1.0, 0, 0], [-1, 1, 0], [0, -1, 0]])
+    there = np.concatenate([loose, PLACE.apply(TARGETS[3:])])
+    kept, _, _ = agreeing(TARGETS, there, np.full(6, 0.1))
+    assert kept.tolist() == [False, False, False, True, True, True]
+
+
+def test_exchanged_targets_are_found() -> None:
+    there = PLACE.apply(TARGETS)
+    order = [0, 4, 2, 3, 1, 5]
+    assert exchanged(TARGETS, there[order], np.full(6, 0.05)) == (1, 4)
+    gross = there.copy()
+    gross[3] += [0.0, 0.0, 50.0]
+    assert exchanged(TARGETS, gross, np.full(6, 0.05)) is None
+
+
+def test_of_two_exchanges_the_better_one_is_taken() -> None:
+    """Targets 0 and 5 are 8 cm apart: 1 with either of them fits within 10 cm, with its own exactly."""
+    near = TARGETS.copy()
+    near[5] = near[0] + [0.08, 0.0, 0.0]
+    for own in (0, 5):
+        order = np.arange(6)
+        order[[1, own]] = own, 1
+        assert exchanged(near, PLACE.apply(near)[order], np.full(6, 0.1)) == tuple(sorted((1, own)))
+
+
+@pytest.mark.parametrize(("factor", "found"), [(3.28, 3.28), (1.02, 1.02), (1.005, None), (0.98, 0.98)])
+def test_another_scale_explains_targets(factor: float, found: float | None) -> None:
+    told = other_scale(TARGETS, PLACE.apply(factor * TARGETS), np.full(6, 0.01))
+    assert told == (None if found is None else pytest.approx(found))
+    bad = PLACE.apply(factor * TARGETS)
+    bad[2] += [0.0, 0.0, 50.0]
+    assert other_scale(TARGETS, bad, np.full(6, 0.01)) is None
+
+
+def test_distances_in_words() -> None:
+    off = np.array([[0.0, 0.03, 0.04], [3.0, 0.0, 4.0], [0.1, 0.0, 0.0]])
+    assert distances_words(["T0", "T1", "T2"], off) == "T1 5.00 m, T2 0.10 m, T0 0.05 m"
+
+
+def test_triples_span_a_triangle() -> None:
+    """Three of four in a line with a width of a tenth of a percent; at most 2000 of very many."""
+    line = np.array([[0.0, 0, 0], [5, 0.005, 0], [10, 0, 0], [3, 8, 0]])
+    assert [t.tolist() for t in _triples(line)] == [[0, 1, 3], [0, 2, 3], [1, 2, 3]]
+    many = np.random.default_rng(1).standard_normal((40, 3))
+    chosen = _triples(many)
+    # 9880 of 40: every fifth
+    assert 1900 < len(chosen) <= 1976
+    assert chosen[1].tolist() == [0, 1, 7]
+
+
+# ---------------------------------------------------------------- a changed camera
+
+
+@pytest.fixture(scope="module")
+def changed() -> dict[str, Any]:
+    """Twelve pictures; since the eighth the constant is larger by 0.2 %, and the axis 3 and -2 px on."""
+    sheets, _ = blocks.yard(0, cones=2, per_cone=3, flat=12)
+    stations = blocks.stations(0, 12, 7.0)
+    block = block_of(blocks.observe(sheets, stations, SLR, 0), {"slr": SLR})
+    late = block.image >= 7
+    xy = block.xy_px.copy()
+    xy[late] += 0.002 * (xy[late] - SLR.parameters[2:4]) + [3.0, -2.0]
+    sigma = np.where(np.arange(len(xy)) % 2, 0.3, 0.6)
+    block = replace(block, xy_px=xy, sigma_px=sigma)
+    used = np.arange(len(xy)) % 7 != 3
+    problem = Problem(block, np.zeros(12, int), used, ((),))
+    x = start_state(
+        block.images,
+        (SLR,),
+        {i: stations[n] for i, n in enumerate(block.images)},
+        blocks.truth_of(sheets, block.points),
+    )
+    layout = Layout(problem, x.cameras)
+    part = marks_model(problem, layout, x)
+    w = 1 / np.repeat(sigma[used], 2)
+    J = part.jacobian.toarray() * w[:, None]
+    # poses and points of about 1e-6, so that the start is the adjusted state
+    cov = np.linalg.inv(J.T @ J + 1e12 * np.eye(J.shape[1]))
+    adjusted = SimpleNamespace(x=x, cov=cov)
+    return {"problem": problem, "adjusted": adjusted, "layout": layout, "J": J, "w": w, "part": part}
+
+
+def test_a_camera_that_changed_is_the_score_test_of_all_marks(changed: dict[str, Any]) -> None:
+    """Three more unknowns of all marks since a picture, by differences; the best of all places is told."""
+    problem, adjusted, layout = changed["problem"], changed["adjusted"], changed["layout"]
+    (found,) = camera_changes(problem, cast(Any, adjusted), layout)
+    names = problem.block.images
+    assert (found.camera, found.before, found.since) == ("slr", names[6], names[7])
+    late = np.repeat(problem.block.image[problem.used] >= 7, 2)
+    x, J, w = adjusted.x, changed["J"], changed["w"]
+
+    def residual(values: np.ndarray) -> np.ndarray:
+        parameters = SLR.parameters.copy()
+        parameters[:2] *= 1 + values[0]
+        parameters[2:4] += values[1:]
+        state = replace(x, cameras=(SLR.with_parameters(parameters),))
+        return np.asarray(marks_model(problem, layout, state).residual) * w
+
+    step = np.diag([1e-6, 1e-3, 1e-3])
+    E = np.column_stack([(residual(d) - residual(-d)) / (2 * d.sum()) for d in step])
+    E[~late] = 0.0
+    r = changed["part"].residual * w
+    across = J.T @ E
+    left = E.T @ E - across.T @ adjusted.cov @ across
+    values = -np.linalg.solve(left, E.T @ r)
+    np.testing.assert_allclose([found.constant, *found.shift_px], values, rtol=1e-4)
+    assert found.sigma_constant == pytest.approx(np.sqrt(np.linalg.inv(left)[0, 0]), rel=1e-5)
+    bend = adjusted.cov[layout.points :] @ (across @ values)
+    assert found.bend_m == pytest.approx(np.sqrt(np.mean(bend**2)), rel=1e-4)
+    sigma = np.sqrt(np.mean(np.diag(adjusted.cov)[layout.points :]))
+    assert found.bend_sigmas == pytest.approx(found.bend_m / sigma)
+    # what was put in, but for what the other unknowns take of it
+    assert found.constant == pytest.approx(0.002, rel=0.1)
+    assert found.shift_px == pytest.approx((3.0, -2.0), rel=0.1)
+    assert found.probability < 1e-6
+
+
+def test_five_pictures_of_a_camera_tell_no_change(changed: dict[str, Any]) -> None:
+    """Three on either side are needed."""
+    problem, adjusted = changed["problem"], changed["adjusted"]
+    told = cast(Any, SimpleNamespace(x=replace(adjusted.x, cameras=(SLR, SLR)), cov=adjusted.cov))
+    split = replace(problem, camera=np.where(np.arange(12) < 5, 0, 1), free=((), ()))
+    layout = Layout(split, (SLR, SLR))
+    (found,) = camera_changes(split, told, layout)
+    # of the seven later ones the third or the fourth may be the first, and the change came before the third
+    assert found.since == problem.block.images[8]
+    halves = replace(split, camera=np.where(np.arange(12) < 6, 0, 1))
+    assert [c.since for c in camera_changes(halves, told, layout)] == [
+        problem.block.images[i] for i in (3, 9)
+    ]
