@@ -123,3 +123,32 @@ rule compare_epochs:
         deformation=section("deformation"),
     script:
         "../scripts/compare_epochs.py"
+
+
+rule compare_change_with_truth:
+    """Measured changes of a twin against what truly changed."""
+    input:
+        changes="results/{campaign}/deformation/changes_{pair}.parquet",
+        core_points="results/{campaign}/deformation/core_points.parquet",
+        volumes="results/{campaign}/deformation/volumes_{pair}.csv",
+        scenes=of_wildcard(
+            "pair", CampaignFiles.surveys_of, "simulation/truth/scene.npz"
+        ),
+    output:
+        measures="results/{campaign}/deformation/truth_{pair}.csv",
+        cores="results/{campaign}/deformation/truth_{pair}.parquet",
+    log:
+        "logs/{campaign}/deformation/compare_change_with_truth_{pair}.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/compare_change_with_truth_{pair}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20),
+    params:
+        code=code_version("compare_change_with_truth"),
+        deformation=section("deformation"),
+    script:
+        "../scripts/compare_change_with_truth.py"

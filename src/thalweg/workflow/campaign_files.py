@@ -613,6 +613,11 @@ class CampaignFiles:
         names = self.epoch_names()
         return [self._result(f"deformation/epochs/{names[int(i) - 1]}/{name}") for i in pair.split("-")]
 
+    def surveys_of(self, pair: str, name: str) -> list[str]:
+        """That result of the campaigns that surveyed the epochs of a pair."""
+        names = self.epoch_names()
+        return [self.epoch_result(names[int(i) - 1], name) for i in pair.split("-")]
+
     def all_epochs(self, name: str) -> list[str]:
         """That file of every prepared epoch."""
         return [self._result(f"deformation/epochs/{epoch}/{name}") for epoch in self.epoch_names()]

@@ -8,6 +8,7 @@ from .change import (
     CLASSES as CLASSES,
     TrueChanges as TrueChanges,
     change_outlines as change_outlines,
+    judge_changes as judge_changes,
     true_changes as true_changes,
     true_volumes as true_volumes,
 )

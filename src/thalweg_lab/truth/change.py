@@ -193,6 +193,86 @@ def _plants_near(scene: Scene, origin: ArrayF, way: ArrayF, within_m: float) -> 
     return np.asarray(plants.caster().cast(origin - within_m * way, way).t_hit_m <= 2.0 * within_m)
 
 
+# ---------------------------------------------------------------- measured against true
+
+_CHANGED_M: Final = 0.05
+"""A measured place that truly moved less than this, and is called eroded although unseen, is a mistake."""
+
+
+def judge_changes(
+    changes: pd.DataFrame,
+    core_points: pd.DataFrame,
+    volumes: pd.DataFrame,
+    before: Scene,
+    after: Scene,
+    *,
+    radius_m: float,
+    reach_m: float,
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """How well measured changes and their sigmas agree with the truth.
+
+    Parameters
+    ----------
+    changes, core_points, volumes : results of the comparison of two epochs.
+    before, after : scenes of both epochs.
+    radius_m, reach_m : of the cylinders of the comparison.
+
+    Returns
+    -------
+    measures : ``measure, value, n``. Bare ground counts (no plants, things or water), measured places only.
+    cores : ``core, true_distance_m, true_class``.
+    """
+    axes = ("east", "north", "up")
+    true = true_changes(
+        before,
+        after,
+        changes[[f"{a}_m" for a in axes]].to_numpy(),
+        changes[[f"normal_{a}" for a in axes]].to_numpy(),
+        radius_m=radius_m,
+        reach_m=reach_m,
+    )
+    kind, state = true.kind, changes["state"].to_numpy()
+    distance, sigma = changes["distance_m"].to_numpy(), changes["sigma_m"].to_numpy()
+    moved = true.distance_m
+    same, changed = kind == "unchanged", np.isin(kind, ("erosion", "deposition"))
+    counted = np.isfinite(distance) & np.isfinite(moved) & ~np.isin(state, ("vegetation", "object"))
+    z = (distance - moved) / sigma
+    called = np.isin(state, ("erosion", "deposition"))
+    large = counted & changed & (np.abs(moved) >= 0.1)
+    area = core_points["area_m2"].to_numpy()
+    in_net = np.isfinite(distance) & np.isin(state, ("erosion", "deposition", "no significant change"))
+    known = in_net & np.isfinite(moved)
+    volume_error = float(np.sum(area[known] * (distance - moved)[known]))
+    sigma_net = float(volumes.set_index("what").loc["net", "sigma_m3"])
+    farthest = (
+        int(np.nanargmin(np.where(counted & changed, moved, np.nan))) if (counted & changed).any() else 0
+    )
+    unseen = called & ~np.isfinite(distance)
+    rows = [
+        ("normalised_square_unchanged", _mean_of(z**2, counted & same), counted & same),
+        ("false_alarm_95", _mean_of(np.abs(distance / sigma) > 1.96, counted & same), counted & same),
+        ("normalised_square_changed", _mean_of(z**2, counted & changed), counted & changed),
+        ("sensitivity_0.1_m", _mean_of(called, large), large),
+        ("specificity", _mean_of(~called, counted & same), counted & same),
+        ("false_discovery", _mean_of(same, called & counted), called & counted),
+        ("net_volume_error_m3", volume_error, known),
+        ("net_volume_error_over_sigma", volume_error / sigma_net, known),
+        ("largest_retreat_true_m", float(-moved[farthest]), counted & changed),
+        ("largest_retreat_measured_m", float(-distance[farthest]), counted & changed),
+        ("unseen_called_change", float(unseen.sum()), unseen),
+        ("unseen_called_change_wrongly", float(np.sum(unseen & (np.abs(moved) < _CHANGED_M))), unseen),
+        ("plants_called_change", _mean_of(called, kind == "vegetation"), kind == "vegetation"),
+        ("things_called_change", _mean_of(called, kind == "object"), kind == "object"),
+    ]
+    table = pd.DataFrame([{"measure": m, "value": v, "n": int(use.sum())} for m, v, use in rows])
+    cores = pd.DataFrame({"core": changes["core"], "true_distance_m": moved, "true_class": kind})
+    return table, cores
+
+
+def _mean_of(values: AnyArray, use: ArrayB) -> float:
+    return float(values[use].mean()) if use.any() else np.nan
+
+
 # ---------------------------------------------------------------- volumes
 
 
