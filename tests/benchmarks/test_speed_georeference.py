@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
+from tests.lidar.exact_covariance import point_covariance, point_jacobian
 
-from thalweg.core import LocalFrame, Trajectory
-from thalweg.lidar import Mount, georeference_points
-from thalweg.lidar.georeference import WorldPoints, point_covariance, point_jacobian
+from thalweg.core import LocalFrame, Rigid, Trajectory
+from thalweg.lidar import georeference_points
+from thalweg.lidar.georeference import WorldPoints
 from thalweg.settings.sections import LidarAccuracy
 
 pytestmark = pytest.mark.slow
@@ -34,10 +35,10 @@ turns = beside("turns")
 T0_S = 3.0e8
 SHOTS_HZ = 289_000.0
 SCIPY_CHUNK = 1 << 18
-MOUNT = Mount(
-    R_ics_sensor=Rotation.from_euler("ZYX", [0.01, -np.pi / 2, 0.02]).as_matrix(),
-    lever_ics_m=np.array([-0.35, 0.0, -0.25]),
-    cov_ics=np.diag(np.array([3e-4, 2e-4, 1e-4, 5e-4, 2e-4, 1e-4]) ** 2),
+MOUNT = Rigid(
+    R=Rotation.from_euler("ZYX", [0.01, -np.pi / 2, 0.02]).as_matrix(),
+    shift_m=np.array([-0.35, 0.0, -0.25]),
+    cov=np.diag(np.array([5e-4, 2e-4, 1e-4, 3e-4, 2e-4, 1e-4]) ** 2),
 )
 BEAM = LidarAccuracy(
     sigma_component_m=0.0173, divergence_mrad=3.0, footprint_share=0.177, sigma_weak_m=0.03, sigma_time_s=1e-6
@@ -87,7 +88,7 @@ class Shots:
 def scipy_whole(shots: Shots, boat: Trajectory) -> np.ndarray:
     """Slerp and linear positions, everything at once: what one writes first."""
     turn = Slerp(boat.t_gps_s, Rotation.from_quat(boat.quaternion_wcs_ics))(shots.t)
-    out = turn.apply(shots.xyz @ MOUNT.R_ics_sensor.T + MOUNT.lever_ics_m)
+    out = turn.apply(shots.xyz @ MOUNT.R.T + MOUNT.shift_m)
     for axis in range(3):
         out[:, axis] += np.interp(shots.t, boat.t_gps_s, boat.position_wcs_m[:, axis])
     return out
@@ -101,7 +102,7 @@ def scipy_chunks(shots: Shots, boat: Trajectory, *, cubic: bool = False) -> np.n
     for start in range(0, len(shots), SCIPY_CHUNK):
         piece = slice(start, start + SCIPY_CHUNK)
         t = shots.t[piece]
-        out[piece] = slerp(t).apply(shots.xyz[piece] @ MOUNT.R_ics_sensor.T + MOUNT.lever_ics_m)
+        out[piece] = slerp(t).apply(shots.xyz[piece] @ MOUNT.R.T + MOUNT.shift_m)
         if cubic:
             out[piece] += spline(t)
         else:
@@ -119,12 +120,12 @@ def numpy_covariance(shots: Shots, boat: Trajectory, chunk: int = 1 << 13) -> tu
         piece = slice(start, start + chunk)
         t, xyz = shots.t[piece], shots.xyz[piece].astype(np.float64)
         position, R, _ = boat.at(t)
-        body = xyz @ MOUNT.R_ics_sensor.T + MOUNT.lever_ics_m
+        body = xyz @ MOUNT.R.T + MOUNT.shift_m
         points[piece] = np.einsum("nij,nj->ni", R, body) + position
         node = np.searchsorted(boat.t_gps_s, t, side="right") - 1
-        jacobian = point_jacobian(xyz, R, MOUNT.R_ics_sensor, MOUNT.lever_ics_m, velocity[node], rate[node])
+        jacobian = point_jacobian(xyz, R, MOUNT.R, MOUNT.shift_m, velocity[node], rate[node])
         variances = BEAM.variances(shots.range[piece], shots.reflectivity[piece])
-        full = point_covariance(jacobian, boat.cov_at(t), MOUNT.cov_ics, variances, BEAM.sigma_time_s)
+        full = point_covariance(jacobian, boat.cov_at(t), MOUNT.cov, variances, BEAM.sigma_time_s)
         cov[piece] = full[:, rows, columns]
     return points, cov
 

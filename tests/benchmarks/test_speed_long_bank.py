@@ -34,7 +34,6 @@ from thalweg.ingest.velodyne.reader import scan_lidar
 from thalweg.lidar.cloud import LogSettings, georeference_log
 from thalweg.settings.sections.lidar import LidarAccuracy
 from thalweg.settings.sections.lidar import Filters
-from thalweg.lidar.mount import Mount
 
 def peak_bytes():
     try:  # the largest resident set of this program alone; ru_maxrss begins with that of its parent
@@ -47,7 +46,7 @@ folder = Path(sys.argv[1])
 campaign = json.loads((folder / "campaign.json").read_text())
 options = LidarOptions(**campaign["lidar"])
 settings = LogSettings(
-    mount=Mount.from_section(campaign["mounts"]["lidar"]),
+    mount=Rigid.from_mount(campaign["mounts"]["lidar"]),
     beam=LidarAccuracy(**campaign["lidar_accuracy"]),
     filters=Filters(**campaign["filters"]),
     **campaign["georeferencing"],

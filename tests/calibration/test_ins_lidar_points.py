@@ -7,8 +7,8 @@ import pytest
 
 from thalweg.calibration.ins_lidar import START, NearCones, RunPoints
 from thalweg.calibration.ins_lidar.run_points import Way, smooth_rates
-from thalweg.core import ArrayF, CoverageError, Trajectory
-from thalweg.lidar import Mount, georeference_points
+from thalweg.core import ArrayF, CoverageError, Rigid, Trajectory
+from thalweg.lidar import georeference_points
 from thalweg_lab.studies.cone_runs import ConeRun, RunSpec, make_run
 
 SPEC = RunSpec(duration_s=20.0, points=6000)
@@ -27,7 +27,7 @@ def collected(
     path = trajectory or run.trajectory
     place = run.T_wcs_pcs if field is None else run.T_wcs_pcs.moved(np.r_[field, np.zeros(3)])
     near = NearCones(trajectory=path, cones=run.cones, T_wcs_pcs=place, reach_m=REACH_M)
-    mount = Mount(R_ics_sensor=START.R, lever_ics_m=START.shift_m)
+    mount = Rigid(R=START.R, shift_m=START.shift_m)
     for rows in np.array_split(np.arange(len(run.t_gps_s)), 3):
         xyz, t = run.xyz_scs_m[rows], run.t_gps_s[rows] + later_s
         world = georeference_points(xyz, t, path, mount)

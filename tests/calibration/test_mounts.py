@@ -6,7 +6,6 @@ import pytest
 from thalweg.calibration import read_mounts, resolve_mounts, write_mounts
 from thalweg.core import ConfigError, GeometryError, InputError, Rigid, rotation_opk
 from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
-from thalweg.lidar import Mount
 from thalweg.settings.sections import Mounts
 
 
@@ -45,10 +44,9 @@ def test_the_covariance_reaches_the_consumer_with_every_axis_and_correlation(sec
     calibration, cov = calibrated()
     section["antenna"]["lever_ics_m"] = [0.1, 0.0, -0.45]
     write_mounts(tmp_path / "mounts.json", resolve_mounts(section, calibration))
-    mount = Mount.from_section(read_mounts(tmp_path / "mounts.json")["lidar"])
-    order = [3, 4, 5, 0, 1, 2]  # Mount: rotation first
+    mount = Rigid.from_mount(read_mounts(tmp_path / "mounts.json")["lidar"])
     # 1e-9: numbers pass through degrees, sigmas and correlations as float64 text.
-    np.testing.assert_allclose(mount.cov_ics, cov[np.ix_(order, order)], rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(mount.cov, cov, rtol=1e-9, atol=1e-18)
 
 
 def test_a_calibration_without_sensors_is_refused(section):

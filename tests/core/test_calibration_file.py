@@ -18,7 +18,6 @@ from thalweg.core.calibration import (
     write_calibration,
 )
 from thalweg.core.calibration.model import calibration_text
-from thalweg.lidar import Mount
 from thalweg.settings.sections.mounts import LidarMount
 
 SOURCE = Source(
@@ -103,13 +102,12 @@ def test_mounts_are_those_of_a_campaign(rng, boat):
     section = boat.to_mounts()
     assert set(section) == {"lidar", "antenna"}
     lidar = LidarMount.model_validate(section["lidar"])
-    mount = Mount.from_section(lidar.model_dump())
+    mount = Rigid.from_mount(lidar.model_dump())
     pose = boat.pose("lidar")
-    order = [3, 4, 5, 0, 1, 2]
-    sigma = np.sqrt(np.diag(mount.cov_ics))
-    assert np.abs(mount.R_ics_sensor - pose.R).max() < 1e-15
+    sigma = np.sqrt(np.diag(mount.cov))
+    assert np.abs(mount.R - pose.R).max() < 1e-15
     # float64
-    assert np.abs((mount.cov_ics - pose.cov[np.ix_(order, order)]) / np.outer(sigma, sigma)).max() < 1e-12
+    assert np.abs((mount.cov - pose.cov) / np.outer(sigma, sigma)).max() < 1e-12
     assert section["antenna"]["sigma_lever_m"] == pytest.approx(boat.sigmas[6:9])
     rho = np.array(section["antenna"]["correlation"])
     assert rho == pytest.approx(boat.correlation()[6:9, 6:9])

@@ -15,6 +15,7 @@ from thalweg.core import (
     InputError,
     LazWriter,
     LocalFrame,
+    Rigid,
     Trajectory,
     gps_from_unix,
     laz_header,
@@ -28,7 +29,6 @@ from thalweg.lidar import (
     REMOVED_POINTS,
     SIGMAS,
     LogSettings,
-    Mount,
     cloud as cloud_module,
     export_map,
     georeference_log,
@@ -104,7 +104,7 @@ def still(t_first_s: float, t_last_s: float) -> Trajectory:
 def settings(**changes) -> LogSettings:
     filters = Filters(below_water_m=None, **changes.pop("filters", {}))
     options = {
-        "mount": Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3)),
+        "mount": Rigid(R=np.eye(3), shift_m=np.zeros(3)),
         "beam": LidarAccuracy(
             sigma_component_m=0.0173, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0
         ),

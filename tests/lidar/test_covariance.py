@@ -6,23 +6,24 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
+from tests.lidar.exact_covariance import INPUTS, point_covariance, point_jacobian
 
 from thalweg.core import (
     GeometryError,
     LocalFrame,
+    Rigid,
     Trajectory,
     attitude_axes,
     opk_axes,
     rotation_enu_body,
     rotation_opk,
 )
-from thalweg.lidar import Mount, georeference_points
-from thalweg.lidar.georeference import INPUTS, point_covariance, point_jacobian
+from thalweg.lidar import georeference_points
 from thalweg.settings.sections import LidarAccuracy
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 POSE_SIGMAS = np.array([0.02, 0.02, 0.03, 2e-3, 2e-3, 4e-3])
-MOUNT_SIGMAS = np.array([3e-4, 2e-4, 1e-4, 5e-4, 2e-4, 1e-4])
+MOUNT_SIGMAS = np.array([5e-4, 2e-4, 1e-4, 3e-4, 2e-4, 1e-4])
 BEAM = LidarAccuracy(
     sigma_component_m=0.0173, divergence_mrad=3.0, footprint_share=0.177, sigma_weak_m=0.03, sigma_time_s=0.02
 )
@@ -52,11 +53,11 @@ def trajectory(rng: np.random.Generator) -> Trajectory:
 
 
 @pytest.fixture
-def mount(rng: np.random.Generator) -> Mount:
-    return Mount(
-        R_ics_sensor=rotation_opk(0.01, -np.pi / 2 + 0.02, 0.03),
-        lever_ics_m=np.array([-0.4, 0.1, -0.5]),
-        cov_ics=random_covariance(rng, 1, MOUNT_SIGMAS)[0],
+def mount(rng: np.random.Generator) -> Rigid:
+    return Rigid(
+        R=rotation_opk(0.01, -np.pi / 2 + 0.02, 0.03),
+        shift_m=np.array([-0.4, 0.1, -0.5]),
+        cov=random_covariance(rng, 1, MOUNT_SIGMAS)[0],
     )
 
 
@@ -66,30 +67,30 @@ def shots(rng: np.random.Generator, trajectory: Trajectory, n: int) -> tuple[np.
     return xyz, t, np.linalg.norm(xyz, axis=1), rng.integers(0, 101, n).astype(np.uint8)
 
 
-def jacobian(xyz: np.ndarray, t: np.ndarray, trajectory: Trajectory, mount: Mount) -> np.ndarray:
+def jacobian(xyz: np.ndarray, t: np.ndarray, trajectory: Trajectory, mount: Rigid) -> np.ndarray:
     _, R, _ = trajectory.at(t)
     velocity, rate = trajectory.rates()
     j = np.clip(np.searchsorted(trajectory.t_gps_s, t, side="right") - 1, 0, len(velocity) - 1)
-    return point_jacobian(xyz, R, mount.R_ics_sensor, mount.lever_ics_m, velocity[j], rate[j])
+    return point_jacobian(xyz, R, mount.R, mount.shift_m, velocity[j], rate[j])
 
 
 def moved(
-    xyz: np.ndarray, t_s: float, trajectory: Trajectory, mount: Mount, inputs: np.ndarray
+    xyz: np.ndarray, t_s: float, trajectory: Trajectory, mount: Rigid, inputs: np.ndarray
 ) -> np.ndarray:
     """The chain written down once more, with an error of every input: point (3,) in wcs."""
     position, R, _ = trajectory.at(np.array([t_s + inputs[15]]))
-    beam = mount.R_ics_sensor @ xyz
+    beam = mount.R @ xyz
     unit = beam / np.linalg.norm(beam)
     first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
     first /= np.linalg.norm(first)
     beam = beam + inputs[12] * unit + inputs[13] * first + inputs[14] * np.cross(unit, first)
-    body = Rotation.from_rotvec(inputs[6:9]).as_matrix() @ beam + mount.lever_ics_m + inputs[9:12]
+    body = Rotation.from_rotvec(inputs[9:12]).as_matrix() @ beam + mount.shift_m + inputs[6:9]
     turned = Rotation.from_rotvec(inputs[3:6]).as_matrix() @ R[0] @ body
     return turned + position[0] + inputs[:3]
 
 
 @pytest.mark.parametrize("name", INPUTS)
-def test_each_derivative_by_differences(rng, trajectory: Trajectory, mount: Mount, name: str) -> None:
+def test_each_derivative_by_differences(rng, trajectory: Trajectory, mount: Rigid, name: str) -> None:
     if name == "time":  # near zero, where float64 resolves a step of 10 us
         trajectory = replace(trajectory, t_gps_s=trajectory.t_gps_s - trajectory.t_gps_s[0])
     xyz, t, _, _ = shots(rng, trajectory, 20)
@@ -115,7 +116,7 @@ def test_each_derivative_by_differences(rng, trajectory: Trajectory, mount: Moun
         np.testing.assert_allclose(numeric, analytic[i, :, k], atol=1e-6)
 
 
-def test_the_kernel_agrees_with_the_slow_form(rng, trajectory: Trajectory, mount: Mount) -> None:
+def test_the_kernel_agrees_with_the_slow_form(rng, trajectory: Trajectory, mount: Rigid) -> None:
     xyz, t, range_m, reflectivity = shots(rng, trajectory, 5000)
     found = georeference_points(
         xyz, t, trajectory, mount, beam=BEAM, range_m=range_m, reflectivity=reflectivity
@@ -123,7 +124,7 @@ def test_the_kernel_agrees_with_the_slow_form(rng, trajectory: Trajectory, mount
     slow = point_covariance(
         jacobian(xyz, t, trajectory, mount),
         trajectory.cov_at(t),
-        mount.cov_ics,
+        mount.cov,
         BEAM.variances(range_m, reflectivity),
         BEAM.sigma_time_s,
     )
@@ -137,13 +138,13 @@ def test_the_kernel_agrees_with_the_slow_form(rng, trajectory: Trajectory, mount
     np.testing.assert_allclose(found.sigmas_m(), np.sqrt(np.diagonal(slow, axis1=1, axis2=2)), rtol=1e-6)
 
 
-def test_covariance_agrees_with_monte_carlo(rng, trajectory: Trajectory, mount: Mount) -> None:
+def test_covariance_agrees_with_monte_carlo(rng, trajectory: Trajectory, mount: Rigid) -> None:
     """Nothing of the first-order formula is used here: rotations are finite, draws go through the chain."""
     xyz, t, range_m, reflectivity = shots(rng, trajectory, 3)
     predicted = point_covariance(
         jacobian(xyz, t, trajectory, mount),
         trajectory.cov_at(t),
-        mount.cov_ics,
+        mount.cov,
         BEAM.variances(range_m, reflectivity),
         0.0,
     )
@@ -152,22 +153,22 @@ def test_covariance_agrees_with_monte_carlo(rng, trajectory: Trajectory, mount: 
         along, across = (v[i] for v in BEAM.variances(range_m, reflectivity))
         draws = np.zeros((n, 16))
         draws[:, :6] = rng.multivariate_normal(np.zeros(6), trajectory.cov_at(t)[i], n)
-        draws[:, 6:12] = rng.multivariate_normal(np.zeros(6), mount.cov_ics, n)
+        draws[:, 6:12] = rng.multivariate_normal(np.zeros(6), mount.cov, n)
         draws[:, 12:15] = rng.normal(size=(n, 3)) * np.sqrt([along, across, across])
         _, R, _ = trajectory.at(t[[i]])
-        beam = mount.R_ics_sensor @ xyz[i].astype(np.float64)
+        beam = mount.R @ xyz[i].astype(np.float64)
         unit = beam / np.linalg.norm(beam)
         first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
         first /= np.linalg.norm(first)
         beams = beam + draws[:, 12:15] @ np.stack([unit, first, np.cross(unit, first)])
-        body = Rotation.from_rotvec(draws[:, 6:9]).apply(beams) + mount.lever_ics_m + draws[:, 9:12]
+        body = Rotation.from_rotvec(draws[:, 9:12]).apply(beams) + mount.shift_m + draws[:, 6:9]
         points = Rotation.from_rotvec(draws[:, 3:6]).apply(body @ R[0].T) + draws[:, :3]
         scale = np.sqrt(np.outer(np.diag(predicted[i]), np.diag(predicted[i])))
         # a covariance from n samples has a relative standard error of sqrt(2 / n) = 0.7 %; five of them
         np.testing.assert_allclose(np.cov(points.T) / scale, predicted[i] / scale, atol=0.035)
 
 
-def test_correlations_of_the_inputs_matter(rng, trajectory: Trajectory, mount: Mount) -> None:
+def test_correlations_of_the_inputs_matter(rng, trajectory: Trajectory, mount: Rigid) -> None:
     xyz, t, range_m, reflectivity = shots(rng, trajectory, 200)
     options = {"beam": BEAM, "range_m": range_m, "reflectivity": reflectivity}
     full = georeference_points(xyz, t, trajectory, mount, **options).sigmas_m()
@@ -221,15 +222,13 @@ def test_published_totals_of_the_thesis() -> None:
         "sigma_lever_m": (0.0005, 0.0002, 0.0001),
         "correlation": None,
     }
-    mount = Mount.from_section(section)
+    mount = Rigid.from_mount(section)
     pose = np.diag(np.square([0.02, 0.02, 0.03, *np.deg2rad([0.1, 0.1, 0.2])]))
     for range_m, total_m in ((5, 0.054), (10, 0.062), (25, 0.101), (50, 0.183)):
         xyz = np.full((1, 3), range_m / np.sqrt(3))
-        J = point_jacobian(
-            xyz, np.eye(3)[None], mount.R_ics_sensor, mount.lever_ics_m, np.zeros((1, 3)), np.zeros((1, 3))
-        )
+        J = point_jacobian(xyz, np.eye(3)[None], mount.R, mount.shift_m, np.zeros((1, 3)), np.zeros((1, 3)))
         beam = LidarAccuracy(sigma_component_m=0.017, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0)
-        cov = point_covariance(J, pose[None], mount.cov_ics, beam.variances(np.ones(1), np.ones(1)))[0]
+        cov = point_covariance(J, pose[None], mount.cov, beam.variances(np.ones(1), np.ones(1)))[0]
         # the table rounds inputs and influences to mm, its levers are not quite sqrt(2/3): within 8 %
         assert abs(np.sqrt(np.trace(cov)) / total_m - 1) < 0.08, range_m
 
@@ -259,7 +258,7 @@ def test_weak_echoes_are_worth_less() -> None:
     assert np.sqrt(across[1] - 0.0173**2) == pytest.approx(0.177 * 0.3)
 
 
-def test_covariances_need_ranges_and_reflectivities(trajectory: Trajectory, mount: Mount) -> None:
+def test_covariances_need_ranges_and_reflectivities(trajectory: Trajectory, mount: Rigid) -> None:
     t = trajectory.t_gps_s[[10, 11]]
     with pytest.raises(GeometryError, match="one range and one reflectivity for each point"):
         georeference_points(np.ones((2, 3)), t, trajectory, mount, beam=BEAM)
@@ -267,7 +266,7 @@ def test_covariances_need_ranges_and_reflectivities(trajectory: Trajectory, moun
         georeference_points(np.ones((2, 3)), t, trajectory, mount).sigmas_m()
 
 
-def test_no_pose_no_covariance(trajectory: Trajectory, mount: Mount) -> None:
+def test_no_pose_no_covariance(trajectory: Trajectory, mount: Rigid) -> None:
     t = np.array([trajectory.t_gps_s[0] - 1.0, trajectory.t_gps_s[5], np.nan])
     found = georeference_points(
         np.ones((3, 3)), t, trajectory, mount, beam=BEAM, range_m=np.ones(3), reflectivity=np.ones(3)
@@ -289,7 +288,7 @@ def test_impossible_accuracies_are_refused(change: dict, message: str) -> None:
 def test_a_matrix_that_is_no_covariance_is_refused() -> None:
     bad = np.diag([1e-6, 1e-6, -1e-6, 1e-6, 1e-6, 1e-6])
     with pytest.raises(GeometryError, match="no covariance matrix"):
-        Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3), cov_ics=bad)
+        Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=bad)
 
 
 LIDAR_ACCURACY = {
@@ -327,7 +326,7 @@ def test_a_halved_divergence_is_seen_far_away_at_an_angle_with_good_poses(rng) -
         cov_pose_wcs=np.tile(pose, (2, 1, 1)),
         valid=np.ones(2, dtype=bool),
     )
-    mount = Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3))
+    mount = Rigid(R=np.eye(3), shift_m=np.zeros(3))
     xyz = np.tile(np.array([40.0, 0.0, 0.0], dtype=np.float32), (n, 1))
     turned = np.cross(rng.normal(size=(n, 3)) * 1e-4, xyz)
     # uniform in the disc of the footprint, 120 mm wide: sigma is a quarter of its diameter in each direction
@@ -375,7 +374,7 @@ def test_stamps_are_exact_if_no_sigma_is_stated() -> None:
     np.testing.assert_allclose(point_covariance(J, *none, 0.01)[0], np.diag([1e-4, 0.0, 0.0]), atol=1e-18)
 
 
-def test_beside_an_invalid_node_there_is_no_covariance(trajectory: Trajectory, mount: Mount) -> None:
+def test_beside_an_invalid_node_there_is_no_covariance(trajectory: Trajectory, mount: Rigid) -> None:
     """Nodes every 0.02 s, the eleventh of them invalid: nothing from 0.18 to 0.22 s."""
     valid = np.ones(200, dtype=bool)
     valid[10] = False

@@ -9,12 +9,13 @@ from scipy.spatial.transform import Rotation, Slerp
 from thalweg.core import (
     GeometryError,
     LocalFrame,
+    Rigid,
     Trajectory,
     rotation_ecef_enu,
     rotation_enu_body,
     rotation_opk,
 )
-from thalweg.lidar import Mount, georeference_points
+from thalweg.lidar import georeference_points
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
@@ -37,9 +38,7 @@ def make_trajectory(n: int = 200, rate_hz: float = 50.0, invalid: slice | None =
     )
 
 
-MOUNT = Mount(
-    R_ics_sensor=rotation_opk(0.01, -np.pi / 2 + 0.02, 0.03), lever_ics_m=np.array([-0.4, 0.1, -0.5])
-)
+MOUNT = Rigid(R=rotation_opk(0.01, -np.pi / 2 + 0.02, 0.03), shift_m=np.array([-0.4, 0.1, -0.5]))
 
 
 def world(*arguments) -> tuple[np.ndarray, np.ndarray]:
@@ -58,7 +57,7 @@ def test_kernel_agrees_with_the_slow_form(rng: np.random.Generator) -> None:
     xyz, t = random_points(rng, trajectory)
     points, has_pose = world(xyz, t, trajectory, MOUNT)
     position, rotation, inside = trajectory.at(t)
-    body = xyz.astype(np.float64) @ MOUNT.R_ics_sensor.T + MOUNT.lever_ics_m
+    body = xyz.astype(np.float64) @ MOUNT.R.T + MOUNT.shift_m
     slow = np.einsum("nij,nj->ni", rotation, body) + position
     assert has_pose.all()
     assert inside.all()
@@ -71,7 +70,7 @@ def test_kernel_agrees_with_scipy(rng: np.random.Generator) -> None:
     xyz, t = random_points(rng, trajectory, 500)
     points, _ = world(xyz, t, trajectory, MOUNT)
     slerp = Slerp(trajectory.t_gps_s, Rotation.from_quat(trajectory.quaternion_wcs_ics))
-    peer = slerp(t).apply(xyz @ MOUNT.R_ics_sensor.T + MOUNT.lever_ics_m)
+    peer = slerp(t).apply(xyz @ MOUNT.R.T + MOUNT.shift_m)
     for axis in range(3):
         peer[:, axis] += np.interp(t, trajectory.t_gps_s, trajectory.position_wcs_m[:, axis])
     np.testing.assert_allclose(points, peer, atol=1e-7)
@@ -100,7 +99,7 @@ def test_no_pose_outside_in_gaps_and_without_time() -> None:
 
 def test_sign_of_the_nominal_mount() -> None:
     """With phi = -90 deg the spin axis (scs z) points backwards, so azimuth sweeps the cross-section."""
-    mount = Mount(R_ics_sensor=rotation_opk(0.0, -np.pi / 2, 0.0), lever_ics_m=np.zeros(3))
+    mount = Rigid(R=rotation_opk(0.0, -np.pi / 2, 0.0), shift_m=np.zeros(3))
     n = 2
     north = Trajectory(
         frame=FRAME,
@@ -121,7 +120,7 @@ def test_sign_of_the_nominal_mount() -> None:
 
 def test_a_matrix_that_is_no_rotation_is_refused() -> None:
     with pytest.raises(GeometryError, match="no rotation matrix"):
-        Mount(R_ics_sensor=np.diag([1.0, 1.0, -1.0]), lever_ics_m=np.zeros(3))
+        Rigid(R=np.diag([1.0, 1.0, -1.0]), shift_m=np.zeros(3))
 
 
 def test_shapes_are_named_in_the_message() -> None:
@@ -174,7 +173,7 @@ def test_real_airborne_shots_reach_the_published_point(data_dir) -> None:
     )
     d_roll, d_pitch, d_heading = misalignment + imu_misalignment
     boresight = R_ics_optech @ optech_rotation(d_roll, d_pitch, d_heading)
-    mount = Mount(R_ics_sensor=boresight, lever_ics_m=np.zeros(3))
+    mount = Rigid(R=boresight, shift_m=np.zeros(3))
     r, s = shots["r"][:, 0].astype(float), shots["scan"].astype(float)
     xyz = np.column_stack([r * np.sin(s), np.zeros(n), -r * np.cos(s)])
     points, has_pose = world(xyz, shots["t"], trajectory, mount)
@@ -204,7 +203,7 @@ def test_points_at_the_first_and_the_last_node_have_its_pose() -> None:
     for node in (0, 4):
         points, has_pose = world(xyz, trajectory.t_gps_s[[node]], trajectory, MOUNT)
         R = Rotation.from_quat(trajectory.quaternion_wcs_ics[node]).as_matrix()
-        expected = R @ (MOUNT.R_ics_sensor @ xyz[0] + MOUNT.lever_ics_m) + trajectory.position_wcs_m[node]
+        expected = R @ (MOUNT.R @ xyz[0] + MOUNT.shift_m) + trajectory.position_wcs_m[node]
         assert has_pose.tolist() == [True]
         np.testing.assert_allclose(points[0], expected, atol=1e-9)
     beyond = trajectory.t_gps_s[[0, 4]] + [-1e-6, 1e-6]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import ArrayF, LocalFrame, Trajectory, attitude_axes, rotation_enu_body
+from thalweg.core import ArrayF, LocalFrame, Rigid, Trajectory, attitude_axes, rotation_enu_body
 from thalweg.ingest import LidarClock
 from thalweg.ingest.registry import lidar_reader
-from thalweg.lidar import LogSettings, Mount, error_model_of_log, overlap
+from thalweg.lidar import LogSettings, error_model_of_log, overlap
 from thalweg.lidar.cloud import LogSample
 from thalweg.lidar.overlap import (
     Scatter,
@@ -31,10 +31,8 @@ from thalweg.settings.sections import LidarAccuracy
 LENGTH_S = 20.0
 EPOCH_S = 0.5
 LEVER = np.array([0.1, 0.0, -0.45])
-MOUNT = Mount(
-    R_ics_sensor=np.eye(3),
-    lever_ics_m=np.array([-0.35, 0.0, -0.25]),
-    cov_ics=np.diag([3e-4, 3e-4, 3e-4, 5e-4, 5e-4, 5e-4]) ** 2,
+MOUNT = Rigid(
+    R=np.eye(3), shift_m=np.array([-0.35, 0.0, -0.25]), cov=np.diag([5e-4, 5e-4, 5e-4, 3e-4, 3e-4, 3e-4]) ** 2
 )
 BEAM = LidarAccuracy(sigma_component_m=0.01, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0)
 
@@ -117,7 +115,7 @@ def survey(
     return sample, trajectory
 
 
-def estimated(sample: LogSample, trajectory: Trajectory, p: PriorErrors, mount: Mount = MOUNT) -> ErrorModel:
+def estimated(sample: LogSample, trajectory: Trajectory, p: PriorErrors, mount: Rigid = MOUNT) -> ErrorModel:
     return estimate_pose_errors(
         [sample],
         [(0.0, LENGTH_S)],
@@ -134,7 +132,9 @@ def test_the_gradient_is_that_of_the_density() -> None:
     sample, trajectory = survey(5)
     window = _window(sample, trajectory, MOUNT, LEVER, BEAM, 0.0, LENGTH_S, EPOCH_S)
     assert window is not None
-    density = _Likelihood([window], prior(), np.sqrt(np.diag(MOUNT.cov_ics)), epoch_s=EPOCH_S)
+    density = _Likelihood(
+        [window], prior(), np.concatenate([MOUNT.sigma_rotation_rad, MOUNT.sigma_shift_m]), epoch_s=EPOCH_S
+    )
     z = np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.2])
     gradient = density(z)[1]
     for i, step in enumerate(1e-4 * np.eye(len(NAMES))):
@@ -259,10 +259,10 @@ def test_an_uncertain_mount_is_not_taken_for_errors_of_the_poses() -> None:
     nearest = np.rint(sample.t_gps_s / 0.1).astype(int)
     R = Rotation.from_quat(trajectory.quaternion_wcs_ics).as_matrix()[nearest]
     boat = trajectory.position_wcs_m[nearest]
-    arm = np.einsum("nji,nj->ni", R, sample.xyz_wcs_m - boat) - MOUNT.lever_ics_m
-    turned = Rotation.from_euler("x", 1.0, degrees=True).apply(arm) + MOUNT.lever_ics_m
+    arm = np.einsum("nji,nj->ni", R, sample.xyz_wcs_m - boat) - MOUNT.shift_m
+    turned = Rotation.from_euler("x", 1.0, degrees=True).apply(arm) + MOUNT.shift_m
     wrong = replace(sample, xyz_wcs_m=np.einsum("nij,nj->ni", R, turned) + boat)
-    loose = replace(MOUNT, cov_ics=np.diag(np.r_[np.deg2rad([1.0, 1.0, 1.0]), 5e-4, 5e-4, 5e-4] ** 2))
+    loose = MOUNT.with_cov(np.diag(np.r_[5e-4, 5e-4, 5e-4, np.deg2rad([1.0, 1.0, 1.0])] ** 2))
     found = estimated(wrong, trajectory, prior(), loose).estimates["roll_pitch"]
     assert abs(np.log(found.value)) < 3 * found.sigma_log
     # held at 0.3 mrad the mount leaves it to roll and pitch
@@ -316,7 +316,9 @@ def test_sigmas_are_those_of_the_second_derivatives_at_the_best() -> None:
     found = estimated(sample, trajectory, prior())
     window = _window(sample, trajectory, MOUNT, LEVER, BEAM, 0.0, LENGTH_S, EPOCH_S)
     assert window is not None
-    density = _Likelihood([window], prior(), np.sqrt(np.diag(MOUNT.cov_ics)), epoch_s=EPOCH_S)
+    density = _Likelihood(
+        [window], prior(), np.concatenate([MOUNT.sigma_rotation_rad, MOUNT.sigma_shift_m]), epoch_s=EPOCH_S
+    )
     mean, spread = prior().mean_and_spread()
     z = np.array(
         [(np.log(found.estimates[name].value) - mean[i]) / spread[i] for i, name in enumerate(NAMES)]

@@ -6,7 +6,6 @@ import pytest
 from thalweg.calibration import read_mounts, resolve_mounts, write_mounts
 from thalweg.core import ConfigError, Rigid, exp_rotation
 from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
-from thalweg.lidar import Mount
 from thalweg.navigation.camera import lidar_mount_by_camera
 
 LIDAR = Rigid.from_opk(np.deg2rad([0.4, -89.5, -0.3]), [-0.36, -0.01, -0.25])
@@ -51,16 +50,15 @@ def test_the_covariance_is_that_of_the_relative_orientation(tmp_path) -> None:
     mounts = resolve_mounts({}, calibration)
     placed, T_ics_ccs, facts = lidar_mount_by_camera(mounts, calibration)
     write_mounts(tmp_path / "mounts_camera.json", placed)
-    mount = Mount.from_section(read_mounts(tmp_path / "mounts_camera.json")["lidar"])
+    mount = Rigid.from_mount(read_mounts(tmp_path / "mounts_camera.json")["lidar"])
     # twelve digits stand in a calibration, sixteen in a mount
-    assert np.allclose(mount.R_ics_sensor, LIDAR.R, atol=1e-12)
-    assert np.allclose(mount.lever_ics_m, LIDAR.shift_m, atol=1e-12)
+    assert np.allclose(mount.R, LIDAR.R, atol=1e-12)
+    assert np.allclose(mount.shift_m, LIDAR.shift_m, atol=1e-12)
     turn = np.kron(np.eye(2), T_ics_ccs.R)
     expected = turn @ spread(2, 3e-4, 1e-4) @ turn.T
-    half = np.r_[3:6, 0:3]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     # the relative orientation is a difference of two places whose errors are ten times larger: 1e-16 of those
-    assert np.abs((mount.cov_ics[np.ix_(half, half)] - expected) / scale).max() < 1e-9
+    assert np.abs((mount.cov - expected) / scale).max() < 1e-9
     assert placed["antenna"] == mounts["antenna"]
     assert facts["notes"] == []
     assert "yard" in facts["relative_orientation"]
@@ -69,9 +67,9 @@ def test_the_covariance_is_that_of_the_relative_orientation(tmp_path) -> None:
 def test_without_the_joint_covariance_both_mounts_count_in_full() -> None:
     calibration = boat()
     placed, _, facts = lidar_mount_by_camera(resolve_mounts({}, calibration), None)
-    own = Mount.from_section(resolve_mounts({}, calibration)["lidar"])
-    mount = Mount.from_section(placed["lidar"])
-    assert np.all(np.diag(mount.cov_ics)[:3] > np.diag(own.cov_ics)[:3])
+    own = Rigid.from_mount(resolve_mounts({}, calibration)["lidar"])
+    mount = Rigid.from_mount(placed["lidar"])
+    assert np.all(mount.sigma_rotation_rad > own.sigma_rotation_rad)
     assert "not known" in facts["relative_orientation"]
 
 
@@ -82,7 +80,7 @@ def test_a_calibration_of_camera_and_lidar_alone_is_used_and_compared() -> None:
     relative = Calibration(title="Relative", blocks=(block,), cov=cov, source=SOURCE)
     placed, _, facts = lidar_mount_by_camera(mounts, relative)
     assert facts["notes"] == []
-    assert np.allclose(Mount.from_section(placed["lidar"]).R_ics_sensor, LIDAR.R, atol=1e-9)
+    assert np.allclose(Rigid.from_mount(placed["lidar"]).R, LIDAR.R, atol=1e-9)
     turned = Rigid(R=exp_rotation([0, 0, 0.05]) @ RELATIVE.R, shift_m=RELATIVE.shift_m, cov=RELATIVE.cov)
     block, cov = pose_block("camera_lidar", turned.with_cov(spread(2, 3e-4, 1e-4)))
     wrong = Calibration(title="Relative", blocks=(block,), cov=cov, source=SOURCE)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from thalweg.core import LocalFrame, Trajectory
-from thalweg.lidar import Mount, georeference_points
+from thalweg.core import LocalFrame, Rigid, Trajectory
+from thalweg.lidar import georeference_points
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
@@ -22,7 +22,7 @@ def largest_difference_rad(angle_rad: float) -> float:
         valid=np.ones(2, dtype=np.bool_),
     )
     t = np.linspace(0, 1, 2001)
-    mount = Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3))
+    mount = Rigid(R=np.eye(3), shift_m=np.zeros(3))
     # a point at 1 m across the axis: its displacement is the angle
     points = np.tile(np.array([[1.0, 0.0, 0.0]], dtype=np.float32), (len(t), 1))
     found = georeference_points(points, t, trajectory, mount)

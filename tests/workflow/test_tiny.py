@@ -14,11 +14,11 @@ import pandas as pd
 import pytest
 import yaml
 
-from thalweg.core import Trajectory, read_table
+from thalweg.core import Rigid, Trajectory, read_table
 from thalweg.core.timescales import week_from_gps
 from thalweg.ingest import INS_STATE, LidarOptions
 from thalweg.ingest.registry import lidar_reader
-from thalweg.lidar import CORRELATIONS, SIGMAS, LogSettings, Mount, georeference_log
+from thalweg.lidar import CORRELATIONS, SIGMAS, LogSettings, georeference_log
 from thalweg.settings.sections import Filters, LidarAccuracy
 from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
 from thalweg_lab.river import BARE_GROUND, Scene
@@ -375,10 +375,10 @@ def test_with_the_true_poses_the_lidar_noise_remains(
     log, options = [simulation / "logs/lidar.pcap"], LidarOptions()
     true = Trajectory.read(simulation / "truth/trajectory.parquet")
     reach = Scene.read(simulation / "truth/scene.npz")
-    mount = Mount.from_section(read_true_mounts(simulation / "truth/mounts.json")["lidar"])
+    mount = Rigid.from_mount(read_true_mounts(simulation / "truth/mounts.json")["lidar"])
     shots, _ = read_table(simulation / "truth/lidar_shots.parquet", LIDAR_SHOTS)
-    mount = replace(mount, cov_ics=np.zeros((6, 6)))
-    assumed = replace(mount, lever_ics_m=mount.lever_ics_m + np.array([0.0, sideways_error_m, 0.0]))
+    mount = mount.with_cov(np.zeros((6, 6)))
+    assumed = replace(mount, shift_m=mount.shift_m + np.array([0.0, sideways_error_m, 0.0]))
     settings = LogSettings(
         mount=assumed,
         beam=LidarAccuracy(),

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from thalweg.calibration import read_mounts
-from thalweg.core import LocalFrame, read_table
+from thalweg.core import LocalFrame, Rigid, read_table
 from thalweg.core.calibration import Source
 from thalweg.images.bundle import (
     Boat,
@@ -22,7 +22,6 @@ from thalweg.images.bundle import (
 )
 from thalweg.images.model import ImagePoses
 from thalweg.ingest import GNSS_POSITION
-from thalweg.lidar import Mount
 from thalweg.settings.sections import BlockAdjustment, ControlSettings
 from thalweg.workflow import run_job
 
@@ -55,7 +54,7 @@ def main(
     if adjustment.antenna.use and positions:
         boat = Boat(
             positions=read_table(positions[0], GNSS_POSITION)[0],
-            T_ics_ccs=Mount.from_section(places["camera"]).as_rigid(),
+            T_ics_ccs=Rigid.from_mount(places["camera"]),
             lever_ics_m=places["antenna"]["lever_ics_m"],
             sigma_lever_m=places["antenna"]["sigma_lever_m"],
         )

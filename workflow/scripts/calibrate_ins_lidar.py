@@ -10,10 +10,10 @@ import numpy as np
 from thalweg.calibration import read_mounts
 from thalweg.calibration.field import read_field, read_place, read_points
 from thalweg.calibration.ins_lidar import START, InsLidarSettings, NearCones, calibrate, file as files
-from thalweg.core import Trajectory
+from thalweg.core import Rigid, Trajectory
 from thalweg.ingest import LidarClock, LidarOptions
 from thalweg.ingest.registry import lidar_reader
-from thalweg.lidar import Mount, georeference_points
+from thalweg.lidar import georeference_points
 from thalweg.workflow import run_job
 
 log = logging.getLogger("thalweg")
@@ -49,7 +49,7 @@ def main(
         log.warning(files.BLIND, description.antenna.marker)
     cones, refused = files.field_cones(description, known, form_sigma_m=how.form_sigma_m)
     stamps = LidarClock.from_dict(json.loads(clock.read_text()))
-    start = Mount(R_ics_sensor=START.R, lever_ics_m=START.shift_m)
+    start = Rigid(R=START.R, shift_m=START.shift_m)
     near = NearCones(trajectory=path, cones=cones, T_wcs_pcs=place, reach_m=how.search.reach_m)
     for block in lidar_reader(lidar, LidarOptions(**lidar_options)).points(stamps):
         world = georeference_points(block.xyz_scs_m, block.t_gps_s, path, start)

@@ -5,9 +5,8 @@ from typing import Any
 
 from thalweg.accuracy import CHAINS
 from thalweg.calibration import read_mounts
-from thalweg.core import Trajectory
+from thalweg.core import Rigid, Trajectory
 from thalweg.core.calibration import read_calibration
-from thalweg.lidar import Mount
 from thalweg.navigation.camera import lidar_mount_by_camera
 from thalweg.workflow import run_job
 from thalweg_lab.truth import carried_by_camera, chains_truth_table
@@ -27,7 +26,7 @@ def main(
 ) -> None:
     """The trajectories are in the order of `CHAINS`."""
     _, used, _ = lidar_mount_by_camera(read_mounts(mounts), read_calibration(boat[0]) if boat else None)
-    camera = Mount.from_section(read_true_mounts(true_mounts)["camera"]).as_rigid()
+    camera = Rigid.from_mount(read_true_mounts(true_mounts)["camera"])
     chains_truth_table(
         {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
         Trajectory.read(voyage),

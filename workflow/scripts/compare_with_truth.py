@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.calibration import read_mounts
-from thalweg.core import Trajectory, read_table
-from thalweg.lidar import Mount
+from thalweg.core import Rigid, Trajectory, read_table
 from thalweg.workflow import run_job
 from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
 from thalweg_lab.river import BARE_GROUND, Scene
@@ -34,10 +33,10 @@ def main(
     numbers, classes = compare_cloud(
         points,
         estimated=estimated,
-        mount=Mount.from_section(read_mounts(mounts)["lidar"]),
+        mount=Rigid.from_mount(read_mounts(mounts)["lidar"]),
         truth=Truth(
             trajectory=Trajectory.read(voyage),
-            mount=Mount.from_section(read_true_mounts(true_mounts)["lidar"]),
+            mount=Rigid.from_mount(read_true_mounts(true_mounts)["lidar"]),
             surface=reach.caster(),
             bare_ground=BARE_GROUND[reach.material],
             divergence_rad=twin["lidar"]["divergence_mrad"] / 1000.0,

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.calibration import read_mounts
-from thalweg.core import Trajectory, read_table
+from thalweg.core import Rigid, Trajectory, read_table
 from thalweg.ingest import GNSS_POSITION, LidarClock, LidarOptions
 from thalweg.ingest.registry import lidar_reader
-from thalweg.lidar import LogSettings, Mount, error_model_of_log
+from thalweg.lidar import LogSettings, error_model_of_log
 from thalweg.settings.sections import Filters, LidarAccuracy
 from thalweg.workflow import run_job
 
@@ -37,7 +37,7 @@ def main(
         LidarClock.from_dict(json.loads(clock.read_text())),
         poses,
         LogSettings(
-            mount=Mount.from_section(sensors["lidar"]), beam=lidar_accuracy, filters=filters, **georeferencing
+            mount=Rigid.from_mount(sensors["lidar"]), beam=lidar_accuracy, filters=filters, **georeferencing
         ),
         positions_t_gps_s=None if own else read_table(positions, GNSS_POSITION)[0]["t_gps_s"].to_numpy(),
         lever_ics_antenna_m=lever,

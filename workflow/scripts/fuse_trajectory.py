@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from thalweg.calibration import read_mounts
-from thalweg.core import LocalFrame, read_table
+from thalweg.core import LocalFrame, Rigid, read_table
 from thalweg.images.model import ImagePoses
 from thalweg.ingest import GNSS_POSITION, INS_STATE
-from thalweg.lidar import Mount
 from thalweg.navigation.fusion import FusionSettings, count_table, fuse_trajectory, with_own_jitter
 from thalweg.settings.sections import Fused
 from thalweg.workflow import run_job
@@ -33,7 +32,7 @@ def main(
     images: Path | None = None,
 ) -> None:
     places = read_mounts(mounts)
-    T_ics_ccs = Mount.from_section(places["camera"]).as_rigid()
+    T_ics_ccs = Rigid.from_mount(places["camera"])
     # positions of `ins` and `sbet` are no antenna: they would count the INS twice
     antenna = positions is not None and orientation["position_source"] not in ("ins", "sbet")
     found = fuse_trajectory(

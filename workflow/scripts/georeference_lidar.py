@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.calibration import read_mounts
-from thalweg.core import Trajectory
+from thalweg.core import Rigid, Trajectory
 from thalweg.ingest import LidarClock, LidarOptions
 from thalweg.ingest.registry import lidar_reader
-from thalweg.lidar import LogSettings, Mount, georeference_log
+from thalweg.lidar import LogSettings, georeference_log
 from thalweg.navigation.ins_gnss import beam_factors
 from thalweg.settings.sections import Filters, LidarAccuracy
 from thalweg.workflow import run_job
@@ -34,7 +34,7 @@ def main(
         LidarClock.from_dict(json.loads(clock.read_text())),
         Trajectory.read(trajectory),
         LogSettings(
-            mount=Mount.from_section(read_mounts(mounts)["lidar"]),
+            mount=Rigid.from_mount(read_mounts(mounts)["lidar"]),
             beam=lidar_accuracy.scaled(**beam_factors(error_model)),
             filters=filters,
             **georeferencing,

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.clocks import read_number_columns
-from thalweg.core import LazWriter, LocalFrame, Trajectory, read_table, write_table
+from thalweg.core import LazWriter, LocalFrame, Rigid, Trajectory, read_table, write_table
 from thalweg.ingest.photos import list_images, read_image_stamps
-from thalweg.lidar import Mount
 from thalweg.lightsheet.optics import WaterState, in_measured_water, read_sensor
 from thalweg.lightsheet.poses import SERIES_POINTS
 from thalweg.lightsheet.scanning import joined_counts, profiles, world
@@ -35,7 +34,7 @@ def main(
     (t_pulse_s,) = read_number_columns(pulses, ("t_gps_s",))
     names = [path.name for path in list_images(images)]
     times, facts = world.image_times(read_image_stamps(images).table, t_pulse_s, names)
-    place = Mount.from_section(mount).as_rigid()
+    place = Rigid.from_mount(mount)
     cloud = world.world_cloud(found, Trajectory.read(trajectory), place, times)
     with LazWriter(
         bed,

@@ -7,9 +7,8 @@ import numpy as np
 
 from thalweg.calibration import read_mounts
 from thalweg.clocks import ClockModel
-from thalweg.core import Trajectory, read_table
+from thalweg.core import Rigid, Trajectory, read_table
 from thalweg.ingest.photos import IMAGE_STAMPS
-from thalweg.lidar import Mount
 from thalweg.navigation.camera import predict_image_poses
 from thalweg.workflow import run_job
 
@@ -41,7 +40,7 @@ def main(
         table,
         model,
         Trajectory.read(trajectory),
-        Mount.from_section(read_mounts(mounts)["camera"]).as_rigid(),
+        Rigid.from_mount(read_mounts(mounts)["camera"]),
         off_boat=off_boat,
     )
     poses.write(predictions)

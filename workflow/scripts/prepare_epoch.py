@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.calibration import read_mounts
-from thalweg.core import LocalFrame, Trajectory
+from thalweg.core import LocalFrame, Rigid, Trajectory
 from thalweg.deformation import prepare_epoch
-from thalweg.lidar import Mount
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 from thalweg.workflow import run_job
@@ -31,7 +30,7 @@ def main(
         name,
         points,
         Trajectory.read(trajectory),
-        Mount.from_section(read_mounts(mounts)["lidar"]).as_rigid(),
+        Rigid.from_mount(read_mounts(mounts)["lidar"]),
         json.loads(error_model.read_text()),
         frame=frame,
         area=Area.from_section(deformation.area, frame, campaign["crs"]),

@@ -3,8 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core import LocalFrame
-from thalweg.lidar import Mount
+from thalweg.core import LocalFrame, Rigid
 from thalweg.settings.twin import TwinConfig
 from thalweg.workflow import run_job
 from thalweg_lab.instruments import simulate_lidar
@@ -21,15 +20,15 @@ def main(
     campaign: dict[str, Any],
     twin: dict[str, Any],
 ) -> None:
-    mount = Mount.from_section(read_true_mounts(true_mounts)["lidar"])
+    mount = Rigid.from_mount(read_true_mounts(true_mounts)["lidar"])
     simulate_lidar(
         TwinConfig(**twin),
         campaign["seed"],
         LocalFrame(**campaign["origin"]),
         scene,
         pcap,
-        R_ics_scs=mount.R_ics_sensor,
-        lever_ics_scs_m=mount.lever_ics_m,
+        R_ics_scs=mount.R,
+        lever_ics_scs_m=mount.shift_m,
         out_shots=shots,
         out_effects=effects,
     )

@@ -3,8 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from thalweg.core import LocalFrame
-from thalweg.lidar import Mount
+from thalweg.core import LocalFrame, Rigid
 from thalweg.settings.twin import TwinConfig
 from thalweg.workflow import run_job
 from thalweg_lab.voyage import read_true_mounts
@@ -15,7 +14,7 @@ def main(
     *, true_mounts: Path, scans: Path, effects: Path, campaign: dict[str, Any], twin: dict[str, Any]
 ) -> None:
     config = TwinConfig(**twin)
-    mount = Mount.from_section(read_true_mounts(true_mounts)["lidar"])
+    mount = Rigid.from_mount(read_true_mounts(true_mounts)["lidar"])
     scans.mkdir(parents=True, exist_ok=True)
     simulate_positions(
         config,
@@ -25,8 +24,8 @@ def main(
             scans / f"position_{k + 1}.pcap"
             for k in range(len(config.field.positions if config.field else ()))
         ],
-        R_ics_scs=mount.R_ics_sensor,
-        lever_ics_scs_m=mount.lever_ics_m,
+        R_ics_scs=mount.R,
+        lever_ics_scs_m=mount.shift_m,
         out_effects=effects,
     )
 

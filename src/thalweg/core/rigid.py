@@ -7,9 +7,9 @@ vector, both in the *target* frame and in this order, as the links of `thalweg.c
     dx_target = dshift + dtheta x (R x_source)
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,8 @@ _ORTHOGONAL: Final = 1e-9
 SHIFT: Final = slice(0, 3)
 TURN: Final = slice(3, 6)
 """Columns of the derivatives by a link: three of the shift, three of the small rotation vector."""
+_HALVES: Final = np.r_[3:6, 0:3]
+"""Rotation before shift, as people write them -> shift before rotation."""
 
 
 # ---------------------------------------------------------------- transforms
@@ -100,6 +102,31 @@ class Rigid:
         J[3:, 3:] = opk_axes(omega, phi)
         given = np.zeros((6, 6)) if cov is None else J @ np.asarray(cov, dtype=np.float64) @ J.T
         return cls(R=rotation_opk(omega, phi, kappa), shift_m=np.asarray(shift_m, np.float64), cov=given)
+
+    @classmethod
+    def from_mount(cls, section: Mapping[str, Any]) -> Self:
+        """``T_ics_sensor`` of a sensor as a campaign file describes it, with its sigmas and correlations.
+
+        ``omega_deg, phi_deg, kappa_deg, lever_ics_m``, ``sigma_omega_deg`` and so on, ``sigma_lever_m``, and
+        ``correlation``, a 6x6 matrix in the order omega, phi, kappa, x, y, z or None. With
+        ``sigma_axes: ics`` the first three sigmas are of rotations about the axes of ics.
+        """
+        names = ("omega", "phi", "kappa")
+        omega, phi, kappa = np.deg2rad([section[f"{name}_deg"] for name in names])
+        turn = np.deg2rad([section[f"sigma_{name}_deg"] for name in names])
+        sigma = np.concatenate([turn, np.asarray(section["sigma_lever_m"], dtype=np.float64)])
+        given = section.get("correlation")
+        correlation = np.eye(6) if given is None else np.asarray(given, dtype=np.float64)
+        J = np.eye(6)
+        if section.get("sigma_axes", "angles") == "angles":
+            J[:3, :3] = opk_axes(omega, phi)
+        correlation = (correlation + correlation.T) / 2  # equal to the digits that people write
+        cov = J @ (correlation * np.outer(sigma, sigma)) @ J.T
+        return cls(
+            R=rotation_opk(omega, phi, kappa),
+            shift_m=np.asarray(section["lever_ics_m"], dtype=np.float64),
+            cov=cov[np.ix_(_HALVES, _HALVES)],
+        )
 
     @property
     def matrix(self) -> ArrayF:

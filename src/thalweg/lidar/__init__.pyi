@@ -17,5 +17,4 @@ from .filters import (
     Reason as Reason,
 )
 from .georeference import georeference_points as georeference_points
-from .mount import Mount as Mount
 from .overlap import error_model_of_log as error_model_of_log

@@ -24,6 +24,7 @@ from thalweg.core import (
     InputError,
     LazWriter,
     LocalFrame,
+    Rigid,
     Trajectory,
     column,
     frame_of,
@@ -43,7 +44,6 @@ from thalweg.lidar.filters import (
     water_level_m,
 )
 from thalweg.lidar.georeference import WorldPoints, georeference_points
-from thalweg.lidar.mount import Mount
 from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy
 
 SIGMAS: Final = ("sigma_east", "sigma_north", "sigma_up")
@@ -97,7 +97,7 @@ class LogSettings:
     chunk_points : points held at a time.
     """
 
-    mount: Mount
+    mount: Rigid
     beam: LidarAccuracy
     filters: Filters
     min_range_m: float
@@ -299,9 +299,9 @@ def _sigma_above_boat_m(points: WorldPoints, t_gps_s: ArrayF, trajectory: Trajec
     return np.sqrt(np.maximum(cov - of_boat, 0.0))
 
 
-def in_body(xyz_scs_m: ArrayF32, mount: Mount) -> ArrayF32:
+def in_body(xyz_scs_m: ArrayF32, mount: Rigid) -> ArrayF32:
     """Points (n, 3) of the scanner in the body frame ics, float32."""
-    R, lever = mount.R_ics_sensor.astype(np.float32), mount.lever_ics_m.astype(np.float32)
+    R, lever = mount.R.astype(np.float32), mount.shift_m.astype(np.float32)
     x, y, z = xyz_scs_m.T
     out = np.empty_like(xyz_scs_m)
     for i in range(3):  # a matrix product would wake the threads of BLAS, which costs more than it does

@@ -8,55 +8,17 @@ Attitudes are interpolated along the chord and normalised, which differs from sl
 """
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core import (
-    SHIFT,
-    TURN,
-    AnyArray,
-    ArrayB,
-    ArrayF,
-    ArrayF32,
-    GeometryError,
-    Link,
-    Trajectory,
-    beam_axes,
-    chain_derivatives,
-    njit,
-    prange,
-    propagated,
-)
-from thalweg.lidar.mount import Mount
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, GeometryError, Rigid, Trajectory, njit, prange
 from thalweg.settings.sections import WEAK_RANGE_M, WEAK_REFLECTIVITY, LidarAccuracy
 
 _SIDE = 128
 """Points that are computed side by side: 12 columns of them fit the innermost cache."""
 _BLOCK = 16384
 """Points of a task: large enough to amortise one binary search, small enough to balance two cores."""
-
-INPUTS: Final = (
-    "east",
-    "north",
-    "up",
-    "rotation_east",
-    "rotation_north",
-    "rotation_up",
-    "mount_rotation_x",
-    "mount_rotation_y",
-    "mount_rotation_z",
-    "lever_x",
-    "lever_y",
-    "lever_z",
-    "range",
-    "across_right",
-    "across_up",
-    "time",
-)
-"""Columns of `point_jacobian`."""
-
 
 # ---------------------------------------------------------------- georeferencing
 
@@ -112,7 +74,7 @@ def georeference_points(
     xyz_scs_m: ArrayLike,
     t_gps_s: ArrayLike,
     trajectory: Trajectory,
-    mount: Mount,
+    mount: Rigid,
     *,
     beam: LidarAccuracy | None = None,
     range_m: ArrayLike | None = None,
@@ -140,8 +102,8 @@ def georeference_points(
     points = np.empty((len(xyz), 3))
     has_pose = np.zeros(len(xyz), dtype=np.bool_)
     poses = (trajectory.t_gps_s, trajectory.position_wcs_m, trajectory.quaternion_wcs_ics, trajectory.valid)
-    R = np.ascontiguousarray(mount.R_ics_sensor, dtype=np.float64)
-    lever = np.ascontiguousarray(mount.lever_ics_m, dtype=np.float64)
+    R = np.ascontiguousarray(mount.R, dtype=np.float64)
+    lever = np.ascontiguousarray(mount.shift_m, dtype=np.float64)
     if beam is None:
         georeference(xyz, t, *poses, R, lever, points, has_pose)
         return WorldPoints(points_wcs_m=points, has_pose=has_pose)
@@ -156,7 +118,7 @@ def georeference_points(
         np.ascontiguousarray(trajectory.cov_pose_wcs),
         R,
         lever,
-        np.ascontiguousarray(mount.cov_ics, dtype=np.float64),
+        np.ascontiguousarray(mount.cov, dtype=np.float64),
         _beam_numbers(beam),
         points,
         has_pose,
@@ -386,8 +348,8 @@ def _place_with_covariance(
     lx, ly, lz = _three(lever)
     vx, vy, vz = (fx - ex) * per_s, (fy - ey) * per_s, (fz - ez) * per_s
     ox, oy, oz = _turn_rate(node_q[j], node_q[j + 1], per_s)
-    before, behind = _shift_and_turn(node_cov[j], 0, 3), _shift_and_turn(node_cov[j + 1], 0, 3)
-    mount = _shift_and_turn(mount_cov, 3, 0)
+    before, behind = _shift_and_turn(node_cov[j]), _shift_and_turn(node_cov[j + 1])
+    mount = _shift_and_turn(mount_cov)
     base, spot, weak, late = _four(beam)
     for i in range(n):
         u = (s[3 * _SIDE + i] - t0) * per_s
@@ -462,32 +424,32 @@ def _times(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _shift_and_turn(C: ArrayF, shift: int, turn: int) -> tuple[float, ...]:
-    """Covariance P of a shift (upper half), X of shift and turn, T / 2 of a turn (upper half) out of 6x6."""
-    d, e, f = C[shift], C[shift + 1], C[shift + 2]
-    a, b, c = C[turn], C[turn + 1], C[turn + 2]
+def _shift_and_turn(C: ArrayF) -> tuple[float, ...]:
+    """Covariance P of a shift (upper half), X of both, T / 2 of a turn (upper half) out of 6x6."""
+    d, e, f = C[0], C[1], C[2]
+    a, b, c = C[3], C[4], C[5]
     return (
-        d[shift],
-        d[shift + 1],
-        d[shift + 2],
-        e[shift + 1],
-        e[shift + 2],
-        f[shift + 2],
-        d[turn],
-        d[turn + 1],
-        d[turn + 2],
-        e[turn],
-        e[turn + 1],
-        e[turn + 2],
-        f[turn],
-        f[turn + 1],
-        f[turn + 2],
-        0.5 * a[turn],
-        0.5 * a[turn + 1],
-        0.5 * a[turn + 2],
-        0.5 * b[turn + 1],
-        0.5 * b[turn + 2],
-        0.5 * c[turn + 2],
+        d[0],
+        d[1],
+        d[2],
+        e[1],
+        e[2],
+        f[2],
+        d[3],
+        d[4],
+        d[5],
+        e[3],
+        e[4],
+        e[5],
+        f[3],
+        f[4],
+        f[5],
+        0.5 * a[3],
+        0.5 * a[4],
+        0.5 * a[5],
+        0.5 * b[4],
+        0.5 * b[5],
+        0.5 * c[5],
     )
 
 
@@ -553,61 +515,4 @@ def _turn_covariance(
 # surface needs no term of its own: an echo that is off by ``d`` across the beam lies ``d sin(i)`` off the
 # surface along its normal, which is what ``n^T C n`` gives for incidence ``i``.
 #
-# The derivatives come from `thalweg.core.rigid`, the chain of frames that error budgets use as well.
-
-
-def point_jacobian(
-    xyz_scs_m: ArrayF,
-    R_wcs_ics: ArrayF,
-    R_ics_scs: ArrayF,
-    lever_ics_m: ArrayF,
-    velocity_mps: ArrayF,
-    rate_wcs_radps: ArrayF,
-) -> ArrayF:
-    """Derivatives of points in wcs by their inputs, see `INPUTS`, shape (n, 3, 16).
-
-    Parameters
-    ----------
-    xyz_scs_m : (n, 3) points in the scanner frame.
-    R_wcs_ics : (n, 3, 3) attitude at the time of each point.
-    R_ics_scs, lever_ics_m : (3, 3), (3,) mount of the scanner.
-    velocity_mps, rate_wcs_radps : (n, 3) velocity of the ics origin and angular velocity, both in wcs.
-    """
-    xyz = np.asarray(xyz_scs_m, dtype=np.float64)
-    chain = chain_derivatives(
-        [Link(rotation=R_wcs_ics, shift_m=np.zeros(3)), Link(rotation=R_ics_scs, shift_m=lever_ics_m)], xyz
-    )
-    platform, mount = chain.by_link
-    moved = np.concatenate([velocity_mps, rate_wcs_radps], axis=1)
-    out = np.empty((len(xyz), 3, 16))
-    out[:, :, 0:6] = platform
-    out[:, :, 6:9], out[:, :, 9:12] = mount[:, :, TURN], mount[:, :, SHIFT]
-    out[:, :, 12:15] = beam_axes(np.einsum("nij,nj->ni", chain.by_point, xyz))
-    out[:, :, 15] = np.einsum("nij,nj->ni", platform, moved)
-    return out
-
-
-def point_covariance(
-    jacobian: ArrayF,
-    cov_pose_wcs: ArrayF,
-    cov_mount_ics: ArrayF,
-    variances: tuple[ArrayF, ArrayF],
-    sigma_time_s: float = 0.0,
-) -> ArrayF:
-    """Covariance (n, 3, 3) of points in wcs: ``J S J^T``, the slow and clear form of the kernel.
-
-    Parameters
-    ----------
-    jacobian : (n, 3, 16) from `point_jacobian`.
-    cov_pose_wcs : (n, 6, 6) of the poses, see `thalweg.core.trajectory`.
-    cov_mount_ics : (6, 6) of the mount: rotation vector in ics, lever arm.
-    variances : (n,) along and (n,) across the beam, from `LidarAccuracy.variances`.
-    sigma_time_s : standard deviation of the stamps.
-    """
-    along, across = variances
-    S = np.zeros((len(jacobian), 16, 16))
-    S[:, :6, :6] = cov_pose_wcs
-    S[:, 6:12, 6:12] = cov_mount_ics
-    S[:, 12, 12], S[:, 13, 13], S[:, 14, 14] = along, across, across
-    S[:, 15, 15] = sigma_time_s**2
-    return propagated(jacobian, S)
+# The tests compare the kernel with `thalweg.core.chain_derivatives`, the chain of frames of error budgets.

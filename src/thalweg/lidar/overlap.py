@@ -38,10 +38,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from scipy.special import logsumexp
 
 from thalweg.calibration.ins_lidar import pose_rows
-from thalweg.core import ArrayF, ArrayI, Trajectory
+from thalweg.core import SHIFT, TURN, ArrayF, ArrayI, Rigid, Trajectory
 from thalweg.ingest import LidarClock, LidarReader
 from thalweg.lidar.cloud import LogSample, LogSettings, sample_log
-from thalweg.lidar.mount import Mount
 from thalweg.navigation.ins_gnss import (
     BEAM,
     BEAM_SPREAD,
@@ -145,7 +144,7 @@ def estimate_pose_errors(
     points: Sequence[LogSample],
     windows: Sequence[tuple[float, float]],
     trajectory: Trajectory,
-    mount: Mount,
+    mount: Rigid,
     *,
     lever_ics_antenna_m: ArrayF,
     prior: PriorErrors,
@@ -182,7 +181,7 @@ def estimate_pose_errors(
         return ErrorModel.of_prior(
             prior, note=f"no span of the survey has {LEAST_PLANES} plane spots that were seen again"
         )
-    sigma_mount = np.sqrt(np.maximum(np.diag(mount.cov_ics), 1e-14))
+    sigma_mount = np.sqrt(np.maximum(np.diag(mount.cov)[np.r_[TURN, SHIFT]], 1e-14))
     likelihood = _Likelihood(equations, prior, sigma_mount, epoch_s=max(epoch_s, SHORTEST_EPOCH_S))
     found = minimize(likelihood, np.zeros(len(NAMES)), jac=True, method="L-BFGS-B", options={"maxiter": 40})
     second = np.empty((len(NAMES), len(NAMES)))
@@ -329,7 +328,7 @@ def _sums(values: ArrayF, owner: ArrayI, n: int) -> ArrayF:
 def _window(
     sample: LogSample,
     trajectory: Trajectory,
-    mount: Mount,
+    mount: Rigid,
     lever_ics_antenna_m: ArrayF,
     beam: LidarAccuracy,
     start_s: float,
@@ -351,7 +350,7 @@ def _window(
     boat = np.stack([np.interp(t, nodes, axis) for axis in trajectory.position_wcs_m.T], axis=1)
     pose = pose_rows(normal, x - (boat + R_wcs_ics @ lever_ics_antenna_m), R_wcs_ics)
     normal_ics = np.einsum("nji,nj->ni", R_wcs_ics, normal)
-    arm_ics = np.einsum("nji,nj->ni", R_wcs_ics, x - boat) - mount.lever_ics_m
+    arm_ics = np.einsum("nji,nj->ni", R_wcs_ics, x - boat) - mount.shift_m
     forward = R_wcs_ics[:, :2, 0]
     sin_cos = forward / np.linalg.norm(forward, axis=1, keepdims=True)  # heading: from north over east
     border = np.concatenate([np.cross(arm_ics, normal_ics), normal_ics, pose[:, 5:6] * sin_cos], axis=1)
@@ -378,9 +377,7 @@ def _window(
         ]
     ).tocsr()
     N, h = _without_planes(sp.diags(weight) @ design, weight * mean[:, 0], owner, mean[:, 1:3], weight)
-    noise = _noise(
-        x, boat + np.einsum("nij,j->ni", R_wcs_ics, mount.lever_ics_m), normal, sample, planes, beam
-    )
+    noise = _noise(x, boat + np.einsum("nij,j->ni", R_wcs_ics, mount.shift_m), normal, sample, planes, beam)
     return _Window(
         N=N,
         h=h,

@@ -46,7 +46,6 @@ from thalweg.core.geometry import TriangleMesh
 from thalweg.images.model import ImagePoses
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.tracks import read_pos
-from thalweg.lidar import Mount
 from thalweg.navigation.camera import CloudSettings, camera_trajectory, lidar_mount_by_camera
 from thalweg.navigation.fusion import FusionSettings, fuse_trajectory, with_own_jitter
 from thalweg.settings.sections import Accuracy, CameraCloud, Fused, ReferenceSettings
@@ -263,7 +262,7 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> F
         )[0]
         counts[name] = survey.counts
         survey.points.unlink()
-    camera = Mount.from_section(logs.true_mounts["camera"]).as_rigid()
+    camera = Rigid.from_mount(logs.true_mounts["camera"])
     truth = chains_truth_table(
         trajectories,
         true_trajectory(Voyage(logs.twin, seed), logs.frame),
@@ -274,7 +273,7 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> F
     return Found(distances=distances, counts=counts, truth=truth)
 
 
-def trajectories_of(logs: Logs, errors: ImageErrors) -> tuple[dict[str, Trajectory], dict[str, Mount], Rigid]:
+def trajectories_of(logs: Logs, errors: ImageErrors) -> tuple[dict[str, Trajectory], dict[str, Rigid], Rigid]:
     """Trajectories of all chains, the lidar's mount that belongs to each, and ``T_ics_ccs`` of the camera's.
 
     The settings are those of a campaign that says nothing of its errors: defaults.
@@ -285,7 +284,7 @@ def trajectories_of(logs: Logs, errors: ImageErrors) -> tuple[dict[str, Trajecto
         logs.seed,
         Voyage(logs.twin, logs.seed),
         logs.frame,
-        Mount.from_section(logs.true_mounts["camera"]).as_rigid(),
+        Rigid.from_mount(logs.true_mounts["camera"]),
         errors,
     )
     through, T_ics_ccs, _ = lidar_mount_by_camera(places, None)
@@ -305,12 +304,12 @@ def trajectories_of(logs: Logs, errors: ImageErrors) -> tuple[dict[str, Trajecto
         lever_ics_antenna_m=places["antenna"]["lever_ics_m"],
         sigma_lever_m=places["antenna"]["sigma_lever_m"],
         images=with_own_jitter(images),
-        T_ccs_ics=Mount.from_section(places["camera"]).as_rigid().inverse(),
+        T_ccs_ics=Rigid.from_mount(places["camera"]).inverse(),
         **ins,
     )
-    own = Mount.from_section(places["lidar"])
+    own = Rigid.from_mount(places["lidar"])
     trajectories = {"ins": ins_trajectory(logs), "camera": by_camera.trajectory, "fused": by_all.trajectory}
-    return trajectories, {"ins": own, "camera": Mount.from_section(through["lidar"]), "fused": own}, T_ics_ccs
+    return trajectories, {"ins": own, "camera": Rigid.from_mount(through["lidar"]), "fused": own}, T_ics_ccs
 
 
 def comparison_settings(settings: Mapping[str, Any], seed: int) -> ComparisonSettings:

@@ -20,12 +20,12 @@ from thalweg.calibration.ins_lidar import (
     RunPoints,
     calibrate,
 )
-from thalweg.core import ArrayB, ArrayF, ThalwegError, Trajectory
+from thalweg.core import ArrayB, ArrayF, Rigid, ThalwegError, Trajectory
 from thalweg.ingest import LidarClock, LidarOptions
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.registry import lidar_reader
 from thalweg.ingest.tracks import read_pos
-from thalweg.lidar import Mount, error_model_of_log
+from thalweg.lidar import error_model_of_log
 from thalweg.lightsheet.calibration import CalibrationSettings, GridObject, fit_sheet, parse_grid
 from thalweg.lightsheet.optics import PARAMETERS, Sensor, paper_4, project, sheet_in_water
 from thalweg.navigation.camera import CloudSettings, camera_trajectory
@@ -580,7 +580,7 @@ def _error_model(
     """What the survey's lidar log says of the errors, with stated values of the beam times ``beam``."""
     s = logs.settings
     accuracy = {key: value * beam.get(key, 1.0) for key, value in s["lidar_accuracy"].items()}
-    how = log_settings({**s, "lidar_accuracy": accuracy}, Mount.from_section(s["mounts"]["lidar"]))
+    how = log_settings({**s, "lidar_accuracy": accuracy}, Rigid.from_mount(s["mounts"]["lidar"]))
     return error_model_of_log(
         lidar_reader([logs.pcap], LidarOptions(**s["lidar"])),
         clock,

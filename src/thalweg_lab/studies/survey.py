@@ -24,7 +24,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import ArrayF, LocalFrame, Trajectory, iter_laz, read_table
+from thalweg.core import ArrayF, LocalFrame, Rigid, Trajectory, iter_laz, read_table
 from thalweg.core.geometry import TriangleMesh
 from thalweg.ingest import LidarOptions
 from thalweg.ingest.anpp import read_anpp
@@ -32,7 +32,7 @@ from thalweg.ingest.clouds import gather_reference
 from thalweg.ingest.registry import lidar_reader
 from thalweg.ingest.tracks import read_pos
 from thalweg.ingest.velodyne import VLP16
-from thalweg.lidar import LogSettings, Mount, cloud_covariance, error_model_of_log, georeference_log
+from thalweg.lidar import LogSettings, cloud_covariance, error_model_of_log, georeference_log
 from thalweg.navigation.ins_gnss import ErrorModel, build_trajectory
 from thalweg.settings import Campaign
 from thalweg.settings.sections import Filters, LidarAccuracy, ReferenceSettings
@@ -147,7 +147,7 @@ class Logs:
         reach, twin = Scene.read(self.scene), self.twin
         return Truth(
             trajectory=true_trajectory(Voyage(twin, self.seed), self.frame),
-            mount=Mount.from_section(self.true_mounts["lidar"]),
+            mount=Rigid.from_mount(self.true_mounts["lidar"]),
             surface=reach.caster(),
             bare_ground=BARE_GROUND[reach.material],
             divergence_rad=twin.lidar.divergence_mrad / 1000.0,
@@ -180,7 +180,7 @@ class Survey:
     logs: Logs
     settings: Mapping[str, Any]
     trajectory: Trajectory
-    mount: Mount
+    mount: Rigid
     points: Path
     counts: pd.DataFrame
 
@@ -238,7 +238,7 @@ def record(
         scene = folder / "scene.npz"
         simulate_scene(twin, seed, scene)
     true = true_mounts(settings["mounts"], seed, on=twin.effects.mount_errors)
-    scanner = Mount.from_section(true["lidar"])
+    scanner = Rigid.from_mount(true["lidar"])
     logs = Logs(
         folder=folder,
         settings=settings,
@@ -256,8 +256,8 @@ def record(
         frame,
         scene,
         logs.pcap,
-        R_ics_scs=scanner.R_ics_sensor,
-        lever_ics_scs_m=scanner.lever_ics_m,
+        R_ics_scs=scanner.R,
+        lever_ics_scs_m=scanner.shift_m,
         out_shots=logs.shots,
     )
     simulate_ins(twin, seed, frame, logs.anpp)
@@ -328,14 +328,14 @@ def pose_errors(logs: Logs, trajectory: Trajectory, settings: Mapping[str, Any] 
         log,
         log.scan().clock,
         trajectory,
-        log_settings(s, Mount.from_section(s["mounts"]["lidar"])),
+        log_settings(s, Rigid.from_mount(s["mounts"]["lidar"])),
         positions_t_gps_s=read_pos([logs.pos]).positions["t_gps_s"].to_numpy(),
         lever_ics_antenna_m=_antenna_lever_m(logs, s),
         settings=s["orientation"]["error_model"] | {"estimate": True},
     )
 
 
-def log_settings(s: Mapping[str, Any], mount: Mount) -> LogSettings:
+def log_settings(s: Mapping[str, Any], mount: Rigid) -> LogSettings:
     """How a log becomes points, with the full covariance of each."""
     wanted = {key: value for key, value in s["georeferencing"].items() if key != "export_map"}
     return LogSettings(
@@ -352,7 +352,7 @@ def orient(
     settings: Mapping[str, Any] | None = None,
     *,
     name: str = "points",
-    mount: Mount | None = None,
+    mount: Rigid | None = None,
     beam: Mapping[str, float] | None = None,
 ) -> Survey:
     """Make a cloud of the lidar log with any trajectory.
@@ -367,7 +367,7 @@ def orient(
     """
     s = logs.settings if settings is None else settings
     log = lidar_reader([logs.pcap], LidarOptions(**s["lidar"]))
-    mount = Mount.from_section(s["mounts"]["lidar"]) if mount is None else mount
+    mount = Rigid.from_mount(s["mounts"]["lidar"]) if mount is None else mount
     how = log_settings(s, mount)
     points = logs.folder / f"{name}.laz"
     counts = georeference_log(

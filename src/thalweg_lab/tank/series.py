@@ -20,10 +20,9 @@ import pandas as pd
 from scipy.spatial import cKDTree
 
 from thalweg.calibration.field import FieldPoints, write_points
-from thalweg.core import AnyArray, ArrayF, ArrayI, ConfigError, GeometryError, LocalFrame, rotation_opk
+from thalweg.core import AnyArray, ArrayF, ArrayI, ConfigError, GeometryError, LocalFrame, Rigid, rotation_opk
 from thalweg.core.calibration import Source
 from thalweg.core.geometry import TriangleMesh, write_mesh
-from thalweg.lidar import Mount
 from thalweg.lightsheet.optics import CAMERA, LASER, LENS, WINDOW, Sensor, paper_4, write_sensor
 from thalweg.settings.twin import SheetImage, TwinConfig, TwinLightSheet, TwinSheetStrip
 from thalweg_lab.random_numbers import generator
@@ -364,7 +363,7 @@ def record_strip(
     folder, truth : of logs and truth.
     """
     true = true_mounts({"light_sheet": mount}, seed, on=twin.effects.mount_errors)["light_sheet"]
-    motion, place = Voyage(twin, seed), Mount.from_section(true)
+    motion, place = Voyage(twin, seed), Rigid.from_mount(true)
     planned = np.arange(settings.lines) / settings.rate_hz
     begin = quiet_begin_s(motion, twin, float(planned[-1])) if settings.begin_s is None else settings.begin_s
     shots = trigger(
@@ -502,11 +501,11 @@ def _normals(vertices: ArrayF, faces: ArrayI) -> ArrayF:
 
 
 def _strip_plan(
-    motion: Motion, place: Mount, basin: Basin, settings: TwinSheetStrip, seed: int, t_gps_s: ArrayF
+    motion: Motion, place: Rigid, basin: Basin, settings: TwinSheetStrip, seed: int, t_gps_s: ArrayF
 ) -> tuple[Plan, ArrayF, ArrayF]:
     """The plan, and rotation (3, 3) and origin (3,) of the strip's frame in wcs."""
-    R = motion.R_wcs_ics(t_gps_s) @ place.R_ics_sensor
-    x = motion.sensor_wcs_m(t_gps_s, place.lever_ics_m)
+    R = motion.R_wcs_ics(t_gps_s) @ place.R
+    x = motion.sensor_wcs_m(t_gps_s, place.shift_m)
     line = 1e-3 * on_sheet(basin.true, basin.true.sheet, 1e3 * settings.depth_m)[0]
     first, last = (R[k] @ line + x[k] for k in (0, -1))
     way = last - first

@@ -17,10 +17,10 @@ import numpy as np
 import pandas as pd
 
 from thalweg.accuracy import by_range_class, chi_square_band, describe_errors, independent_squares
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, CoverageError, Trajectory, iter_laz
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, CoverageError, Rigid, Trajectory, iter_laz
 from thalweg.core.geometry import RayCaster, TriangleMesh
 from thalweg.ingest.velodyne import VLP16
-from thalweg.lidar import Mount, cloud_covariance
+from thalweg.lidar import cloud_covariance
 
 LEAST_COSINE: Final = 0.2
 """Cosine of the incidence angle below which a beam grazes: 78 degrees from the normal."""
@@ -158,7 +158,7 @@ class Truth:
     """
 
     trajectory: Trajectory
-    mount: Mount
+    mount: Rigid
     surface: RayCaster
     bare_ground: ArrayB
     divergence_rad: float
@@ -171,7 +171,7 @@ def point_errors(
     beam_offset_m: ArrayF,
     *,
     estimated: Trajectory,
-    mount: Mount,
+    mount: Rigid,
     truth: Truth,
     from_ground: ArrayB | None = None,
 ) -> PointErrors:
@@ -193,10 +193,10 @@ def point_errors(
     offset = np.zeros_like(points)
     offset[:, 2] = beam_offset_m[keep]
     body = np.einsum("nji,nj->ni", R_est, points - position)
-    beam = (body - mount.lever_ics_m) @ mount.R_ics_sensor - offset
+    beam = (body - mount.shift_m) @ mount.R - offset
     range_m = np.linalg.norm(beam, axis=1)
-    R_wcs_scs = R_true @ truth.mount.R_ics_sensor
-    origin = true_position + np.einsum("nij,j->ni", R_true, truth.mount.lever_ics_m)
+    R_wcs_scs = R_true @ truth.mount.R
+    origin = true_position + np.einsum("nij,j->ni", R_true, truth.mount.shift_m)
     origin += np.einsum("nij,nj->ni", R_wcs_scs, offset)
     direction = np.einsum("nij,nj->ni", R_wcs_scs, beam / range_m[:, None])
     centre, normal, hit, ground = _surface_in_footprint(origin, direction, truth)
@@ -277,7 +277,7 @@ def compare_cloud(
     points: Path,
     *,
     estimated: Trajectory,
-    mount: Mount,
+    mount: Rigid,
     truth: Truth,
     returns: TrueReturns,
     bare_materials: ArrayB,

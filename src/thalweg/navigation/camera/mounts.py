@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import ArrayF, ConfigError, Rigid, opk_axes, rotation_opk
+from thalweg.core import ConfigError, Rigid
 from thalweg.core.calibration import Calibration, Source, pose_block
 
 _CONTRADICTION: Final = 4.0
@@ -47,7 +47,7 @@ def lidar_mount_by_camera(
             expected="the places of camera and lidar on the boat",
             cure="Name a calibration with both in mounts.calibration",
         )
-    T_ics_ccs, own = _pose(mounts["camera"]), _pose(mounts["lidar"])
+    T_ics_ccs, own = Rigid.from_mount(mounts["camera"]), Rigid.from_mount(mounts["lidar"])
     T_ccs_scs, source = _relative(T_ics_ccs, own, calibration)
     if calibration is not None and "camera" in calibration:
         T_ics_ccs = calibration.pose("camera")
@@ -105,28 +105,3 @@ def _contradictions(found: Rigid, own: Rigid, camera: Rigid, *, joint: bool) -> 
         f"{np.rad2deg(float(np.linalg.norm(error[3:]))):.2f} degrees from its own mount, {over.max():.0f} "
         "times what the sigmas explain"
     ]
-
-
-def _pose(section: Mapping[str, Any]) -> Rigid:
-    """``T_ics_sensor`` of a mount, with its covariance.
-
-    The same as `thalweg.lidar.mount.Mount`, which lies behind this room in the flow of data.
-    """
-    angles = np.deg2rad([section[f"{name}_deg"] for name in ("omega", "phi", "kappa")])
-    sigma: ArrayF = np.concatenate(
-        [
-            np.deg2rad([section[f"sigma_{name}_deg"] for name in ("omega", "phi", "kappa")]),
-            np.asarray(section["sigma_lever_m"], dtype=np.float64),
-        ]
-    )
-    given = section.get("correlation")
-    correlation = np.eye(6) if given is None else np.asarray(given, dtype=np.float64)
-    to_vector = np.eye(6)
-    if section.get("sigma_axes", "angles") == "angles":
-        to_vector[:3, :3] = opk_axes(float(angles[0]), float(angles[1]))
-    cov = to_vector @ (correlation * np.outer(sigma, sigma)) @ to_vector.T
-    return Rigid(
-        R=rotation_opk(*(float(angle) for angle in angles)),
-        shift_m=np.asarray(section["lever_ics_m"], dtype=np.float64),
-        cov=cov[np.ix_(_HALVES, _HALVES)],
-    )

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.core import GeometryError, rotation_opk
-from thalweg.lidar import Mount
+from thalweg.core import GeometryError, Rigid, rotation_opk
 
 SECTION = {
     "omega_deg": 0.0,
@@ -23,30 +22,30 @@ SECTION = {
 def test_sigmas_of_angles_at_minus_ninety_degrees() -> None:
     """``R = R_x(omega) R_y(phi) R_z(kappa)``: kappa's axis is then ``R_y(-90) z = -x``."""
     for section in (SECTION, SECTION | {"sigma_axes": "angles"}):
-        sigma_deg = np.rad2deg(np.sqrt(np.diag(Mount.from_section(section).cov_ics)[:3]))
+        sigma_deg = np.rad2deg(Rigid.from_mount(section).sigma_rotation_rad)
         # x: omega and kappa together; nothing turns about z. 1e-9: cosine of -90 degrees in float64
         np.testing.assert_allclose(sigma_deg, [np.hypot(0.01, 0.04), 0.02, 0.0], atol=1e-9)
 
 
 def test_sigmas_about_the_axes_of_ics_are_taken_as_they_stand() -> None:
-    mount = Mount.from_section(SECTION | {"sigma_axes": "ics"})
-    np.testing.assert_allclose(np.rad2deg(np.sqrt(np.diag(mount.cov_ics)[:3])), [0.01, 0.02, 0.04])
-    np.testing.assert_allclose(np.sqrt(np.diag(mount.cov_ics)[3:]), [0.001, 0.002, 0.003])
+    mount = Rigid.from_mount(SECTION | {"sigma_axes": "ics"})
+    np.testing.assert_allclose(np.rad2deg(mount.sigma_rotation_rad), [0.01, 0.02, 0.04])
+    np.testing.assert_allclose(mount.sigma_shift_m, [0.001, 0.002, 0.003])
 
 
 def test_a_correlation_belongs_to_the_order_of_the_section() -> None:
     """Omega, phi, kappa, x, y, z: phi and z are the second and the sixth."""
     correlation = np.eye(6)
     correlation[1, 5] = correlation[5, 1] = 0.5
-    mount = Mount.from_section(SECTION | {"sigma_axes": "ics", "correlation": correlation})
-    assert mount.cov_ics[1, 5] == pytest.approx(0.5 * np.deg2rad(0.02) * 0.003)
-    assert np.count_nonzero(mount.cov_ics) == 8
+    mount = Rigid.from_mount(SECTION | {"sigma_axes": "ics", "correlation": correlation})
+    assert mount.cov[4, 2] == pytest.approx(0.5 * np.deg2rad(0.02) * 0.003)
+    assert np.count_nonzero(mount.cov) == 8
 
 
 def test_a_rigid_transform_counts_the_shift_first() -> None:
     correlation = np.eye(6)
     correlation[0, 4] = correlation[4, 0] = -0.25  # omega and y
-    rigid = Mount.from_section(SECTION | {"sigma_axes": "ics", "correlation": correlation}).as_rigid()
+    rigid = Rigid.from_mount(SECTION | {"sigma_axes": "ics", "correlation": correlation})
     np.testing.assert_allclose(rigid.sigma_shift_m, [0.001, 0.002, 0.003])
     np.testing.assert_allclose(np.rad2deg(rigid.sigma_rotation_rad), [0.01, 0.02, 0.04])
     assert rigid.cov[1, 3] == pytest.approx(-0.25 * 0.002 * np.deg2rad(0.01))
@@ -57,13 +56,13 @@ def test_a_rigid_transform_counts_the_shift_first() -> None:
     "cov", [np.eye(3), np.eye(6) + 0.1 * np.eye(6, k=1), np.diag([1.0, 1, 1, 1, 1, -1e-3])]
 )
 def test_what_is_no_covariance_is_refused(cov: np.ndarray) -> None:
-    with pytest.raises(GeometryError, match="cov_ics is no covariance matrix"):
-        Mount(R_ics_sensor=np.eye(3), lever_ics_m=np.zeros(3), cov_ics=cov)
+    with pytest.raises(GeometryError, match="no covariance matrix"):
+        Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=cov)
 
 
 def test_no_rotation_is_refused_for_its_rounding(rng: np.random.Generator) -> None:
     """The determinant of every other product of three rotations is a few 1e-16 below one."""
     for angles in rng.uniform(-np.pi, np.pi, (50, 3)):
-        Mount(R_ics_sensor=rotation_opk(*angles), lever_ics_m=np.zeros(3))
+        Rigid(R=rotation_opk(*angles), shift_m=np.zeros(3))
     with pytest.raises(GeometryError, match="no rotation matrix"):
-        Mount(R_ics_sensor=-np.eye(3), lever_ics_m=np.zeros(3))
+        Rigid(R=-np.eye(3), shift_m=np.zeros(3))
