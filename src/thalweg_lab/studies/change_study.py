@@ -28,7 +28,6 @@ from thalweg.deformation import (
     registered_distances,
 )
 from thalweg.deformation.field import ErrorField, benjamini_hochberg
-from thalweg.lidar import Mount
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
