@@ -89,6 +89,12 @@ def _parser() -> argparse.ArgumentParser:
         help="point near the survey: origin of the local frame",
     )
     new.add_argument("--folder", type=Path, default=CAMPAIGNS, help="where to write (default: %(default)s)")
+    new.add_argument(
+        "--epochs",
+        nargs="+",
+        metavar="ID",
+        help="compare these campaigns of the folder, two or more in the order of time",
+    )
     new.set_defaults(command=_new_campaign)
 
     check = commands.add_parser("check-config", help="check campaign files: all mistakes at once")
@@ -131,7 +137,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _new_campaign(options: argparse.Namespace) -> int:
-    from thalweg.settings import ID_PATTERN, campaign_text
+    from thalweg.settings import ID_PATTERN, campaign_text, epochs_text, load_campaign
 
     name, folder = options.id, options.folder
     if not re.fullmatch(ID_PATTERN, name):
@@ -143,15 +149,18 @@ def _new_campaign(options: argparse.Namespace) -> int:
     path = folder / f"{name}.yaml"
     if path.exists():
         raise ConfigError("the file exists already", where=path, cure="Choose another id, or edit this file")
-    files = _sort_logs(options.from_logs) if options.from_logs else None
-    schema = os.path.relpath(CAMPAIGNS.parent.absolute() / "schema.json", folder.absolute())
-    text = campaign_text(
-        name,
-        folder=folder,
-        files=files,
-        origin=tuple(options.origin) if options.origin else None,
-        schema=Path(schema).as_posix(),
-    )
+    schema = Path(os.path.relpath(CAMPAIGNS.parent.absolute() / "schema.json", folder.absolute())).as_posix()
+    if options.epochs:
+        first = load_campaign(folder / f"{options.epochs[0]}.yaml")
+        text = epochs_text(name, options.epochs, first, schema=schema)
+    else:
+        text = campaign_text(
+            name,
+            folder=folder,
+            files=_sort_logs(options.from_logs) if options.from_logs else None,
+            origin=tuple(options.origin) if options.origin else None,
+            schema=schema,
+        )
     folder.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
     print(f"Wrote {path}. Edit the lines marked CHANGE, then run: thalweg check-config {path}")

@@ -152,7 +152,7 @@ def test_a_shift_of_five_centimetres_is_found_and_needed() -> None:
 def test_what_the_ground_does_not_show_is_left_alone_and_named() -> None:
     rng = np.random.default_rng(5)
     before, after = (epoch(bank(rng, 20_000, waves_m=0.0), noise_m=0.01, sigma_m=0.01) for _ in range(2))
-    found = compared(before, replace(after, xyz_m=after.xyz_m + [0.3, 0.0, 0.0])).registration
+    found = compared(before, replace(after, xyz_m=after.xyz_m + np.array([0.3, 0.0, 0.0]))).registration
     lost = np.array(found.facts["not_shown"])[:, :3]  # along the bank, and up the slope
     assert np.abs(lost @ [0.0, -1.0, 1.0]).max() < 0.05
     assert np.linalg.matrix_rank(lost, tol=0.1) == 2
@@ -161,7 +161,7 @@ def test_what_the_ground_does_not_show_is_left_alone_and_named() -> None:
 
 def test_epochs_far_apart_and_stable_ground_that_moved_are_refused() -> None:
     before, after = two_epochs(noise_m=0.005, sigma_m=0.003)
-    far = replace(after, xyz_m=after.xyz_m + [0.0, 0.0, 0.8])
+    far = replace(after, xyz_m=after.xyz_m + np.array([0.0, 0.0, 0.8]))
     with pytest.raises(GeometryError, match=r"lies 0\.[78]\d m off the first.*largest_shift_m"):
         compared(before, far)
     moved = after.xyz_m.copy()
@@ -222,7 +222,7 @@ def test_predicted_variances_are_those_of_draws() -> None:
 
 
 def test_common_mounts_cancel_between_epochs() -> None:
-    """The same lever arm error in both epochs moves both clouds alike: nothing is left of a common heading."""
+    """The same error of the lever arm in both epochs moves both clouds alike."""
     first, second = two_epochs(noise_m=0.01)
 
     def with_mount(given: Epoch) -> Epoch:

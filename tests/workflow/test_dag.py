@@ -21,6 +21,7 @@ MAY_READ_TRUTH = {
     "mulde": {"compare_with_truth", "compare_chains_with_truth"},
     "field_tiny": {"compare_calibration_with_truth"},
     "basin_tiny": {"compare_light_sheet_with_truth"},
+    "tiny_change": {"compare_change_with_truth"},
 }
 """What judges results of the twin; `demo` brings the calibration of its boat along."""
 
@@ -46,7 +47,7 @@ def jobs(house, campaign: str, *targets: str) -> list[Job]:
     return found
 
 
-@pytest.mark.parametrize("campaign", ["tiny", "demo", "mulde", "field_tiny", "basin_tiny"])
+@pytest.mark.parametrize("campaign", ["tiny", "demo", "mulde", "field_tiny", "basin_tiny", "tiny_change"])
 def test_no_processing_rule_reads_the_truth(empty_house, campaign: str) -> None:
     found = jobs(empty_house, campaign)
     assert len(found) > 20

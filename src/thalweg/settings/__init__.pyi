@@ -1,6 +1,10 @@
 from .campaign import ID_PATTERN as ID_PATTERN, Campaign as Campaign
 from .checks_place import mount_sources as mount_sources
 from .generate import schema_text as schema_text, write_generated as write_generated
-from .load import load_campaigns as load_campaigns, with_calibrations as with_calibrations
+from .load import (
+    load_campaign as load_campaign,
+    load_campaigns as load_campaigns,
+    with_calibrations as with_calibrations,
+)
 from .messages import natural_order as natural_order
-from .template import campaign_text as campaign_text
+from .template import campaign_text as campaign_text, epochs_text as epochs_text

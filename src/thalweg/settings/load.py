@@ -176,6 +176,9 @@ def check_campaign(path: Path, folder: Path | None = None) -> tuple[Campaign | N
         own = [m for m in placed if m.file == path]
         mistakes = sorted([*mistakes, *own], key=lambda m: m.line)
         mistakes += [m for m in placed if m.file != path]
+        if campaign is not None:
+            wrong = named_epochs(campaign, folder)[1]
+            mistakes += [m if m.file is not None else _place(m, document, path) for m in wrong]
     return (None if mistakes else campaign), mistakes
 
 
@@ -297,7 +300,9 @@ def named_epochs(campaign: Campaign, folder: Path) -> tuple[list[Campaign], list
                 *wrong,
             ]
             continue
-        if epoch.chain != "ins" and not (survey.twin or survey.log_files("time_lapse")):
+        if epoch.chain != "ins" and not (
+            survey.twin.time_lapse if survey.twin else survey.log_files("time_lapse")
+        ):
             mistakes.append(
                 Mistake(
                     path=("epochs", i, "chain"),
@@ -311,7 +316,8 @@ def named_epochs(campaign: Campaign, folder: Path) -> tuple[list[Campaign], list
             mistakes.append(
                 Mistake(
                     path=("epochs", i, "campaign"),
-                    found=f"{epoch.campaign!r} is in {survey.campaign.crs}, this campaign in {campaign.campaign.crs}",
+                    found=f"{epoch.campaign!r} is in {survey.campaign.crs}, this campaign in "
+                    f"{campaign.campaign.crs}",
                     expected="one coordinate system for all epochs, with ellipsoidal heights",
                     cure="Write the same campaign.crs in all of them",
                 )

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from thalweg.settings.campaign import Campaign
 from thalweg.settings.checks_place import utm_code
 
 PLACEHOLDERS: Mapping[str, Sequence[str]] = {
@@ -86,6 +87,40 @@ def campaign_text(
         f"  position_source: {source}  # pos, sbp, ppk, sbet or ins",
         "  accept_fixes: [fixed]",
         *_without_control(listed, source),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def epochs_text(name: str, epochs: Sequence[str], first: Campaign, *, schema: str = "../schema.json") -> str:
+    """Text of a campaign file that compares surveys.
+
+    Parameters
+    ----------
+    name : id of the campaign.
+    epochs : ids of the campaigns that surveyed the bank, in the order of time.
+    first : the first of them: its map, and the origin of the frame of all.
+    schema : as for `campaign_text`.
+    """
+    origin = first.campaign.origin
+    place = f"lat_deg: {origin.lat_deg}, lon_deg: {origin.lon_deg}, h_ell_m: {origin.h_ell_m}"
+    lines = [
+        f"# yaml-language-server: $schema={schema}",
+        "# Every key, its unit and its default: config/README.md. Check with: thalweg check-config THIS_FILE",
+        "campaign:",
+        f"  id: {name}",
+        f"  title: {name}  # CHANGE: one line for figures and reports",
+        f"  crs: {first.campaign.crs}",
+        f"  origin: {{{place}}}",
+        "  seed: 1",
+        "",
+        "epochs:  # in the order of time; chain: ins, camera or fused",
+        *(f"  - {{campaign: {epoch}, chain: ins}}" for epoch in epochs),
+        "",
+        "deformation:",
+        "  # area: {polygon: [[east, north], ...], min_height_m: 0.0}  # part of the bank to compare",
+        "  # stable: [[[east, north], ...], ...]  # unmoved ground; without: what most of it agrees on",
+        "  core_spacing_m: 0.5",
+        "  reach_m: 3.0  # farther than the largest retreat",
     ]
     return "\n".join(lines) + "\n"
 

@@ -2,13 +2,14 @@
 
 A pair is two surveys of one river with errors of their own. Nothing moved, so that each distance and each
 volume is an error. Three models of the errors predict them: the field (poses correlated in time, as the
-pipeline has it), independent points (each point's covariance over their number, as M3C2 has it), and one error
-of the whole epoch at each core point (as M3C2-EP has it for fixed scan positions); volumes of the latter two
-sum independent cells. For the power of detection the second epoch is displaced along the normals in patches.
+pipeline has it), independent points (each point's covariance over their number, as M3C2 has it), and one
+error of the whole epoch at each core point (as M3C2-EP has it for fixed scan positions); volumes of the
+latter two sum independent cells. For the power of detection the second epoch is displaced along the normals in patches.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -102,7 +103,7 @@ def _epoch(seed: Seed, number: int, settings: Deformation) -> Epoch:
 def _thirds(s_m: ArrayF, use: ArrayB) -> list[ArrayB]:
     """Three stretches (k,) of the bank with as many core points each."""
     edges = np.quantile(s_m[use], [0.0, 1 / 3, 2 / 3, 1.0])
-    return [use & (s_m >= low) & (s_m < high) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    return [use & (s_m >= low) & (s_m < high) for low, high in pairwise(edges)]
 
 
 def _judged(
