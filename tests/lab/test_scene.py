@@ -9,6 +9,7 @@ import pytest
 from thalweg.core import ArrayB, ArrayF, ConfigError, InputError
 from thalweg.settings.twin import Change, TwinConfig
 from thalweg_lab.changes import DISPLACEMENTS_M, patches, stretch
+from thalweg_lab.instruments.bed import true_depth_m
 from thalweg_lab.reach import River
 from thalweg_lab.river import (
     BARE_GROUND,
@@ -22,6 +23,7 @@ from thalweg_lab.river import (
 )
 from thalweg_lab.river.land import add_boulders, add_cobbles
 from thalweg_lab.river.mesh import VEGETATION
+from thalweg_lab.voyage import Voyage, epochs
 
 CONFIG = TwinConfig.of_size("tiny")
 SEED = 8
@@ -450,6 +452,15 @@ def test_a_drier_day_moves_the_water_alone(reach: Scene) -> None:
     assert keys(dry.without(Material.WATER)) == keys(reach.without(Material.WATER))
     lower = dry.only(Material.WATER)
     assert np.all(lower.vertices_wcs_m[lower.triangles][..., 2] == -0.25)
+    # Boat and water go down together, the bed stays: each sounding is shallower by as much.
+    soundings = []
+    for twin, scene in ((CONFIG, reach), (config, dry)):
+        voyage = Voyage(twin, SEED)
+        t = epochs(twin, 2.0)
+        soundings.append(true_depth_m(voyage, scene, t, np.array([0.2, 0.0, 0.3])))
+    shallower = soundings[0] - soundings[1]
+    np.testing.assert_allclose(shallower, 0.25, atol=0.03)  # along an axis that heels
+    assert np.mean(shallower) == pytest.approx(0.25, abs=0.003)
     full = build_scene(TwinConfig.of_size("tiny", scene={"stage_m": 0.5}), SEED).only(Material.WATER)
     # A higher stage floods the beach of the inner bend, as far as it lies below the water.
     s, n = River(CONFIG.scene, SEED), np.array([0.0])
