@@ -17,7 +17,8 @@ rule prepare_epoch:
         points=of_epoch(CampaignFiles.epoch_points),
         trajectory=of_epoch(CampaignFiles.epoch_trajectory),
         mounts=of_epoch(CampaignFiles.epoch_mounts),
-        error_model="results/{epoch}/orientation/error_model.json",
+        positions="results/{epoch}/ingest/positions.parquet",
+        facts=of_epoch(CampaignFiles.epoch_errors),
     output:
         prepared="results/{campaign}/deformation/epochs/{epoch}/points.npz",
         errors="results/{campaign}/deformation/epochs/{epoch}/errors.json",
@@ -36,6 +37,7 @@ rule prepare_epoch:
         campaign=identity("origin", "crs"),
         deformation=section("deformation"),
         name=lambda wildcards: wildcards.epoch,
+        chain=of_epoch(CampaignFiles.chain_of),
         water_line_ics_m=lambda wildcards: (
             CAMPAIGNS[wildcards.epoch].filters.water_line_ics_m
         ),

@@ -4,9 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from thalweg.calibration import read_mounts
-from thalweg.core import LocalFrame, Rigid, Trajectory
-from thalweg.deformation import prepare_epoch
+from thalweg.core import LocalFrame, Rigid, Trajectory, read_parquet
+from thalweg.deformation import PoseCorrelation, prepare_epoch
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 from thalweg.workflow import run_job
@@ -17,29 +19,33 @@ def main(
     points: Path,
     trajectory: Path,
     mounts: Path,
-    error_model: Path,
+    positions: Path,
+    facts: Path,
     prepared: Path,
     errors: Path,
     name: str,
+    chain: str,
     campaign: dict[str, Any],
     deformation: Deformation,
     water_line_ics_m: float,
 ) -> None:
+    t = np.unique(read_parquet(positions)["t_gps_s"])
     frame = LocalFrame(**campaign["origin"])
     epoch = prepare_epoch(
         name,
         points,
         Trajectory.read(trajectory),
         Rigid.from_mount(read_mounts(mounts)["lidar"]),
-        json.loads(error_model.read_text()),
+        PoseCorrelation.of_survey(
+            json.loads(facts.read_text()), chain, deformation.errors, receiver_s=float(np.median(np.diff(t)))
+        ),
         frame=frame,
         area=Area.from_section(deformation.area, frame, campaign["crs"]),
-        settings=deformation.errors,
+        moment_s=deformation.errors.moment_s,
         water_line_ics_m=water_line_ics_m,
         margin_m=deformation.reach_m + 1.0,
     )
-    epoch.write(prepared.parent)
-    assert errors.parent == prepared.parent
+    epoch.write(prepared, errors)
 
 
 if "snakemake" in globals():

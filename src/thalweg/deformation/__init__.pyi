@@ -14,7 +14,12 @@ from .coregistration import (
     read_registration as read_registration,
     write_registration as write_registration,
 )
-from .epochs import Epoch as Epoch, check_order as check_order, prepare_epoch as prepare_epoch
+from .epochs import (
+    Epoch as Epoch,
+    PoseCorrelation as PoseCorrelation,
+    check_order as check_order,
+    prepare_epoch as prepare_epoch,
+)
 from .foreign import compare_clouds as compare_clouds, write_changes as write_changes
 from .visibility import VISIBILITY as VISIBILITY, observe_visibility as observe_visibility
 from .volumes import estimate_volumes as estimate_volumes

@@ -106,8 +106,8 @@ class Epoch:
             (values.ravel(), columns, 3 * weights.start), shape=(len(weights.start) - 1, 3 * m)
         )
 
-    def write(self, folder: Path) -> None:
-        """Write ``points.npz`` and ``errors.json``, what `read` reads."""
+    def write(self, points: Path, errors: Path) -> None:
+        """Write ``points.npz``, and ``errors.json`` beside it, what `read` reads."""
         arrays = {
             name: getattr(self, name)
             for name in (
@@ -116,8 +116,8 @@ class Epoch:
             )
         }  # fmt: skip
         arrays |= {f"root_{i}": group.root for i, group in enumerate(self.groups)}
-        np.savez(folder / "points.npz", allow_pickle=False, **arrays)
-        (folder / "errors.json").write_text(json.dumps(self.report(), indent=2) + "\n")
+        np.savez(points, allow_pickle=False, **arrays)
+        errors.write_text(json.dumps(self.report(), indent=2) + "\n")
 
     def report(self) -> dict[str, Any]:
         """Facts about the epoch and its errors, for people and for `read`."""
@@ -156,16 +156,62 @@ class Epoch:
         return cls(name=facts["name"], start_gps_s=facts["start_gps_s"], groups=groups, **arrays)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseCorrelation:
+    """How errors of poses last.
+
+    Attributes
+    ----------
+    position_s, attitude_s : correlation times, seconds.
+    white_share : share of the positions' variance that is new in each solution of the receiver.
+    receiver_s : time between its solutions.
+    """
+
+    position_s: float
+    attitude_s: float
+    white_share: float
+    receiver_s: float
+
+    @classmethod
+    def of_survey(
+        cls, facts: Mapping[str, Any], chain: str, settings: EpochErrors, receiver_s: float
+    ) -> Self:
+        """As estimated from a survey, unless the settings say otherwise.
+
+        Parameters
+        ----------
+        facts : ``error_model.json`` of the chain ``ins``, ``camera_trajectory.json`` or ``fused.json``.
+        chain : ``ins``, ``camera`` or ``fused``. A camera's positions last as its attitudes do: both come
+            from the same images; a smoother leaves no white part.
+        """
+        if chain == "ins":
+            found = {name: fact["value"] for name, fact in facts["estimates"].items()}
+            position_s, white = found["position_time_s"], float(facts["white_share"])
+        else:
+            found = {name: fact["estimated"] for name, fact in facts["errors"].items()}
+            position_s = found.get("gnss_time_s", found.get("attitude_time_s"))
+            white = 0.0
+        attitude_s = settings.attitude_time_s or found.get("attitude_time_s")
+        position_s = settings.position_time_s or position_s
+        if position_s is None or attitude_s is None:
+            raise InputError(
+                f"no correlation times among the estimates of the chain {chain!r}",
+                expected="times of positions and attitudes",
+                cure="State deformation.errors.position_time_s and attitude_time_s",
+            )
+        return cls(position_s=position_s, attitude_s=attitude_s, white_share=white, receiver_s=receiver_s)
+
+
 def prepare_epoch(
     name: str,
     points: Path,
     trajectory: Trajectory,
     scanner: Rigid,
-    correlation: Mapping[str, Any],
+    correlation: PoseCorrelation,
     *,
     frame: LocalFrame,
     area: Area,
-    settings: EpochErrors,
+    moment_s: float,
     water_line_ics_m: float,
     margin_m: float,
 ) -> Epoch:
@@ -177,10 +223,10 @@ def prepare_epoch(
     points : cloud with the covariance of each point.
     trajectory : that it rests on, with covariances.
     scanner : `T_ics_scs` of the scanner with covariance.
-    correlation : estimates of the survey, ``error_model.json``.
+    correlation : how errors of its poses last.
     frame : of all epochs.
     area : points farther outside than ``margin_m`` are left out.
-    settings : moments and correlation times.
+    moment_s : points within this time share the error of one pose.
     water_line_ics_m : z of the water in the body frame.
 
     Raises
@@ -202,7 +248,7 @@ def prepare_epoch(
             cure="Set georeferencing.correlations to true and georeference again",
         )
     turn, shift = _between_frames(header.frame, frame)
-    moments = _Moments(trajectory, scanner, settings, correlation, turn, shift, water_line_ics_m)
+    moments = _Moments(trajectory, scanner, moment_s, correlation, turn, shift, water_line_ics_m)
     parts: list[tuple[AnyArray, ...]] = []
     read = 0
     low, high = _box(area, margin_m)
@@ -265,8 +311,8 @@ class _Moments:
         self,
         trajectory: Trajectory,
         scanner: Rigid,
-        settings: EpochErrors,
-        correlation: Mapping[str, Any],
+        moment_s: float,
+        correlation: PoseCorrelation,
         turn: ArrayF,
         shift: ArrayF,
         water_line_ics_m: float,
@@ -275,7 +321,7 @@ class _Moments:
         if not len(use):
             raise GeometryError("a trajectory without a valid pose", expected="poses of the survey")
         self.start_gps_s = float(use[0])
-        self.step_s = settings.moment_s
+        self.step_s = moment_s
         n = int(np.ceil((use[-1] - use[0]) / self.step_s)) + 1
         self.t_s = np.minimum((np.arange(n) + 0.5) * self.step_s, use[-1] - use[0])
         t = self.start_gps_s + self.t_s
@@ -289,13 +335,11 @@ class _Moments:
         self._pose, self._mount = cov, _turned(R, np.broadcast_to(scanner.cov, cov.shape))
         (rest, attitude, lever), (placed, rotated, arm) = (_split(each) for each in (cov, self._mount))
         self.levers = np.stack([lever, arm])
-        estimates, white = correlation["estimates"], float(correlation["white_share"])
-        slow_s = settings.position_time_s or estimates["position_time_s"]["value"]
-        turn_s = settings.attitude_time_s or estimates["attitude_time_s"]["value"]
+        white = correlation.white_share
         kinds = (
-            ("position", (1 - white) * rest, slow_s),
-            ("position, white", white * rest, 0.5 * self.step_s),
-            (TURNS[0], attitude, turn_s),
+            ("position", (1 - white) * rest, correlation.position_s),
+            ("position, white", white * rest, 0.5 * correlation.receiver_s),
+            (TURNS[0], attitude, correlation.attitude_s),
             ("mount, shift", placed, np.inf),
             (TURNS[1], rotated, np.inf),
         )

@@ -581,25 +581,31 @@ class CampaignFiles:
 
     def epoch_points(self, epoch: str) -> str:
         """The cloud of an epoch, by the trajectory that the campaign of epochs chose."""
-        chain = self._chain_of(epoch)
+        chain = self.chain_of(epoch)
         return self.epoch_result(
             epoch, "lidar/points.laz" if chain == "ins" else f"lidar/by_{chain}/points.laz"
         )
 
     def epoch_trajectory(self, epoch: str) -> str:
         """The trajectory that the cloud of an epoch rests on."""
-        return self.of(epoch).trajectory(self._chain_of(epoch))
+        return self.of(epoch).trajectory(self.chain_of(epoch))
 
     def epoch_mounts(self, epoch: str) -> str:
         """The places of the sensors on the boat of an epoch."""
-        found: str = self.of(epoch).mounts_of_chain(self._chain_of(epoch))
+        found: str = self.of(epoch).mounts_of_chain(self.chain_of(epoch))
         return found
 
     def epoch_is_twin(self, epoch: str) -> bool:
         """True if a digital twin wrote the logs of an epoch."""
         return self.of(epoch).is_twin()
 
-    def _chain_of(self, epoch: str) -> str:
+    def epoch_errors(self, epoch: str) -> str:
+        """What the survey of an epoch shows of the errors of its trajectory."""
+        names = {"ins": "error_model", "camera": "camera_trajectory", "fused": "fused"}
+        return self.epoch_result(epoch, f"orientation/{names[self.chain_of(epoch)]}.json")
+
+    def chain_of(self, epoch: str) -> str:
+        """The chain whose trajectory georeferenced the cloud of an epoch."""
         return next(each.chain for each in self.campaign.epochs or [] if each.campaign == epoch)
 
     def epoch_pairs(self) -> list[str]:

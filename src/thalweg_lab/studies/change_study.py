@@ -4,7 +4,8 @@ A pair is two surveys of one river with errors of their own. Nothing moved, so t
 volume is an error. Three models of the errors predict them: the field (poses correlated in time, as the
 pipeline has it), independent points (each point's covariance over their number, as M3C2 has it), and one
 error of the whole epoch at each core point (as M3C2-EP has it for fixed scan positions); volumes of the
-latter two sum independent cells. For the power of detection the second epoch is displaced along the normals in patches.
+latter two sum independent cells. For the power of detection the second epoch is displaced along the normals
+in patches.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,7 @@ from thalweg.deformation import (
     Compared,
     Epoch,
     Pair,
+    PoseCorrelation,
     measure_pair,
     place_core_points,
     prepare_epoch,
@@ -81,18 +83,20 @@ def _epoch(seed: Seed, number: int, settings: Deformation) -> Epoch:
     s = survey_settings(twin, seed=2 * seed.number + number)
     logs = record(s, seed.folder / f"epoch_{number}")
     survey = process(logs, s)
-    errors = settings.errors.replace(
-        position_time_s=TWIN["gnss"]["correlation_time_s"], attitude_time_s=TWIN["ins"]["attitude_time_s"]
-    )
     epoch = prepare_epoch(
         f"epoch {number + 1}",
         survey.points,
         survey.trajectory,
         survey.mount.as_rigid(),
-        {"white_share": s["orientation"]["error_model"]["white_share"], "estimates": {}},
+        PoseCorrelation(
+            position_s=TWIN["gnss"]["correlation_time_s"],
+            attitude_s=TWIN["ins"]["attitude_time_s"],
+            white_share=s["orientation"]["error_model"]["white_share"],
+            receiver_s=0.1,
+        ),
         frame=logs.frame,
         area=AREA,
-        settings=errors,
+        moment_s=settings.errors.moment_s,
         water_line_ics_m=s["filters"]["water_line_ics_m"],
         margin_m=settings.reach_m,
     )

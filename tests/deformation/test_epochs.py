@@ -1,0 +1,169 @@
+"""An epoch from cloud and trajectory: its groups of errors together are the covariance of each point."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame, Rigid, Trajectory
+from thalweg.deformation import Epoch, PoseCorrelation, check_order, prepare_epoch
+from thalweg.deformation.m3c2 import ColumnIndex
+from thalweg.lidar import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS, georeference_points
+from thalweg.lidar.cloud import EXTRA_DIMENSIONS
+from thalweg.settings.sections import EpochErrors, LidarAccuracy
+from thalweg.surface import Area
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+CORRELATION = PoseCorrelation(position_s=10.0, attitude_s=20.0, white_share=0.25, receiver_s=0.1)
+
+
+def positive(rng: np.random.Generator, sigma: np.ndarray) -> np.ndarray:
+    """A full covariance matrix of these standard deviations."""
+    root = np.eye(6) + 0.4 * rng.standard_normal((6, 6))
+    cov = root @ root.T
+    scale = sigma / np.sqrt(np.diag(cov))
+    return cov * scale[:, None] * scale
+
+
+@pytest.fixture
+def survey(tmp_path: Path) -> tuple[Path, Trajectory, Rigid, np.ndarray]:
+    """A cloud of 40 points with the covariances of the georeferencing, and what they come from."""
+    rng = np.random.default_rng(2)
+    t = 1e9 + np.arange(0.0, 4.05, 0.1)
+    pose = positive(rng, np.array([0.02, 0.03, 0.04, 0.002, 0.003, 0.004]))
+    trajectory = Trajectory(
+        frame=FRAME,
+        t_gps_s=t,
+        position_wcs_m=np.column_stack([1.5 * (t - t[0]), 0.1 * (t - t[0]), np.full(len(t), 2.0)]),
+        quaternion_wcs_ics=Rotation.from_euler(
+            "ZYX", np.column_stack([80 + 3 * (t - t[0]), 0 * t + 2.0, 0 * t + 178.0]), degrees=True
+        ).as_quat(),
+        cov_pose_wcs=np.tile(pose, (len(t), 1, 1)),
+        valid=np.ones(len(t), dtype=bool),
+    )
+    mount = Rigid(
+        R=Rotation.from_euler("xyz", [3.0, -88.0, 5.0], degrees=True).as_matrix(),
+        shift_m=np.array([-0.35, 0.4, -0.25]),
+        cov=positive(rng, np.array([0.002, 0.003, 0.004, 0.001, 0.002, 0.003])),
+    )
+    xyz = (rng.uniform(-1.0, 1.0, (40, 3)) * [12.0, 12.0, 3.0]).astype(np.float32)
+    time = trajectory.t_gps_s[0] + 0.05 + 0.1 * np.arange(40)  # in the middle of the moments
+    found = georeference_points(
+        xyz,
+        time,
+        trajectory,
+        mount,
+        beam=LidarAccuracy(),
+        range_m=np.linalg.norm(xyz, axis=1).astype(np.float32),
+        reflectivity=np.full(40, 30.0, dtype=np.float32),
+    )
+    path = tmp_path / "points.laz"
+    extra = EXTRA_DIMENSIONS | CORRELATION_DIMENSIONS
+    with LazWriter(path, FRAME, scale_m=1e-4, extra_dimensions=extra) as writer:
+        columns = dict(zip(SIGMAS, found.sigmas_m().T, strict=True))
+        columns |= dict(zip(CORRELATIONS, found.correlations().T, strict=True))
+        columns |= {"range": np.linalg.norm(xyz, axis=1), "ring": np.zeros(40, dtype=np.uint8)}
+        writer.append(
+            found.points_wcs_m,
+            t_gps_s=time,
+            intensity=np.full(40, 30, dtype=np.uint16),
+            return_number=np.ones(40, dtype=np.uint8),
+            number_of_returns=np.where(np.arange(40) < 10, 2, 1).astype(np.uint8),
+            extra=columns,
+        )
+    sigma = found.sigmas_m().astype(float)
+    full = np.tile(np.eye(3), (40, 1, 1))
+    for value, (i, j) in zip(found.correlations().T, ((0, 1), (0, 2), (1, 2)), strict=True):
+        full[:, i, j] = full[:, j, i] = value
+    return path, trajectory, mount, full * sigma[:, :, None] * sigma[:, None, :]
+
+
+def prepared(survey, frame: LocalFrame = FRAME, area: Area | None = None) -> Epoch:
+    path, trajectory, mount, _ = survey
+    return prepare_epoch(
+        "spring", path, trajectory, mount, CORRELATION, frame=frame, area=area or Area(),
+        moment_s=0.1, water_line_ics_m=0.3, margin_m=1.0,
+    )  # fmt: skip
+
+
+def test_groups_and_own_noise_are_the_covariance_of_each_point(survey) -> None:
+    """Along many normals: each point as a core point of its own, against the georeferencing."""
+    epoch, cov = prepared(survey), survey[3]
+    normals = np.random.default_rng(3).standard_normal((40, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    index = ColumnIndex.of(epoch.xyz_m, 1.0)
+    field = epoch.field(epoch.xyz_m, normals, index, radius_m=0.005, half_length_m=0.005)
+    shared = field.variances()
+    e, n, u = normals.T
+    weights = np.stack([e * e, 2 * e * n, 2 * e * u, n * n, 2 * n * u, u * u], axis=1)
+    own = np.sum(weights * epoch.white_m2, axis=1)
+    expected = np.einsum("ki,kij,kj->k", normals, cov, normals)
+    assert shared + own == pytest.approx(expected, rel=0.02)
+    assert (own < 0.6 * expected).any()  # the shared part is not small
+    assert epoch.several_returns.sum() == 10
+
+
+def test_the_noise_of_the_receiver_is_a_quarter_and_mounts_last_for_ever(survey) -> None:
+    groups = {group.name: group for group in prepared(survey).groups}
+    assert set(groups) == {"position", "position, white", "attitude", "mount, shift", "mount, rotation"}
+    slow, white = (np.sum(groups[name].root ** 2) for name in ("position", "position, white"))
+    assert white / (slow + white) == pytest.approx(0.25)
+    assert groups["position, white"].correlation_s == 0.05
+    assert groups["mount, shift"].correlation_s == np.inf
+    assert groups["attitude"].correlation_s == 20.0
+
+
+def test_another_origin_turns_points_and_errors_alike(survey) -> None:
+    """Two frames of 30 km distance: the same normal in both has the same variance."""
+    other = LocalFrame(lat_deg=51.25, lon_deg=13.5, h_ell_m=100.0)
+    here, there = prepared(survey), prepared(survey, other)
+    turn = other.R_ecef_enu.T @ FRAME.R_ecef_enu
+    again = FRAME.from_ecef(other.origin_ecef_m + there.xyz_m @ other.R_ecef_enu.T)
+    assert again == pytest.approx(here.xyz_m, abs=1e-6)
+    normals = np.tile([0.6, 0.0, 0.8], (40, 1))
+    variances = [
+        epoch.field(epoch.xyz_m, ways, ColumnIndex.of(epoch.xyz_m, 1.0), radius_m=0.005, half_length_m=0.005)
+        .variances()
+        for epoch, ways in ((here, normals), (there, normals @ turn.T))
+    ]  # fmt: skip
+    assert variances[1] == pytest.approx(variances[0], rel=1e-6)
+
+
+def test_an_epoch_is_read_as_it_was_written(survey, tmp_path: Path) -> None:
+    epoch = prepared(survey)
+    epoch.write(tmp_path / "points.npz", tmp_path / "errors.json")
+    again = Epoch.read(tmp_path)
+    assert again.name == "spring"
+    assert (again.xyz_m == epoch.xyz_m).all()
+    assert [g.correlation_s for g in again.groups] == [g.correlation_s for g in epoch.groups]
+    assert all((a.root == b.root).all() for a, b in zip(again.groups, epoch.groups, strict=True))
+
+
+def test_estimates_of_all_chains_give_correlation_times() -> None:
+    ins = {
+        "estimates": {"position_time_s": {"value": 8.0}, "attitude_time_s": {"value": 15.0}},
+        "white_share": 0.3,
+    }
+    found = PoseCorrelation.of_survey(ins, "ins", EpochErrors(), 0.2)
+    assert (found.position_s, found.attitude_s, found.white_share, found.receiver_s) == (8.0, 15.0, 0.3, 0.2)
+    stated = EpochErrors(position_time_s=4.0)
+    assert PoseCorrelation.of_survey(ins, "ins", stated, 0.2).position_s == 4.0
+    fused = {"errors": {"gnss_time_s": {"estimated": 9.0}, "attitude_time_s": {"estimated": 21.0}}}
+    assert PoseCorrelation.of_survey(fused, "fused", EpochErrors(), 0.2).position_s == 9.0
+    assert PoseCorrelation.of_survey(fused, "fused", EpochErrors(), 0.2).white_share == 0.0
+    with pytest.raises(InputError, match="State deformation.errors"):
+        PoseCorrelation.of_survey({"errors": {}}, "camera", EpochErrors(), 0.2)
+
+
+def test_bad_epochs_are_refused(survey, tmp_path: Path) -> None:
+    epoch = prepared(survey)
+    with pytest.raises(InputError, match="at the same time as.*copy of the other"):
+        check_order([epoch, epoch])
+    with pytest.raises(CoverageError, match="none of 40 points lies in deformation.area"):
+        prepared(survey, area=Area(lowest_m=500.0))
+    bare = tmp_path / "bare.laz"
+    with LazWriter(bare, FRAME, scale_m=1e-4) as writer:
+        writer.append(np.zeros((3, 3)), t_gps_s=np.full(3, 1e9))
+    with pytest.raises(InputError, match="no sigma_east, corr_east_up.*georeferencing.correlations"):
+        prepared((bare, *survey[1:]))
