@@ -1,4 +1,4 @@
-"""The command ``thalweg compare-clouds``: what changed between two clouds of anybody's."""
+"""The command ``thalweg compare-clouds``: what changed between two clouds or surface models of anybody's."""
 
 import argparse
 from pathlib import Path
@@ -8,16 +8,22 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
     """Add ``compare-clouds``."""
     compare = commands.add_parser(
         "compare-clouds",
-        help="distances between two clouds along normals (M3C2), with levels of detection and significance",
+        help="distances between two clouds along normals (M3C2) with limits and significance, or "
+        "differences and volumes of two surface models",
     )
     compare.add_argument(
-        "before", type=Path, metavar="BEFORE", help="first epoch: LAS, LAZ, PLY, E57 or x y z text"
+        "before", type=Path, metavar="BEFORE", help="first epoch: LAS, LAZ, PLY, E57, x y z text; GeoTIFF"
     )
     compare.add_argument(
         "after", type=Path, metavar="AFTER", help="second epoch, in the same coordinate system"
     )
     compare.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="FILE", help=".csv, .parquet or .laz"
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help=".csv, .parquet, .laz; of two GeoTIFF .tif",
     )
     for name, which in (("a", "first"), ("b", "second")):
         compare.add_argument(
@@ -35,7 +41,7 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
     )
     compare.add_argument(
         "--core-every",
-        type=int,
+        type=_count,
         default=50,
         metavar="N",
         help="core points: each N-th of BEFORE (default: %(default)s)",
@@ -77,7 +83,34 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         default="fdr",
         help="5 %% hold for the rate of false discoveries, or for each core point (default: %(default)s)",
     )
-    compare.set_defaults(command=_compare_clouds)
+    rasters = compare.add_argument_group("surface models (two GeoTIFF)")
+    rasters.add_argument(
+        "--correlation",
+        type=_length,
+        default=0.0,
+        metavar="M",
+        help="distance at which the correlation of errors of heights is 1/e (default: %(default)s)",
+    )
+    rasters.add_argument(
+        "--nodata",
+        type=_nodata,
+        metavar="VALUE",
+        help="value that stands for missing heights, beside a declared one; none: all others are heights",
+    )
+    rasters.add_argument(
+        "--resample",
+        choices=("nearest", "bilinear"),
+        help="take AFTER in the cells of BEFORE where its grid is another one",
+    )
+    rasters.add_argument(
+        "--leave-out",
+        type=_file_and_columns,
+        action="append",
+        default=[],
+        metavar="FILE[?COLUMN=VALUE,...]",
+        help="polygons (.gpkg) without comparison, such as water; may be given several times",
+    )
+    compare.set_defaults(command=_compare)
 
 
 def _numbers(text: str) -> tuple[float, ...]:
@@ -94,6 +127,33 @@ def _lengths(text: str) -> tuple[float, ...]:
     return values
 
 
+def _count(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}; expected a whole number, 1 or more")
+    return value
+
+
+def _nodata(text: str) -> float:
+    if text.lower() == "none":
+        return float("nan")
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}; expected a number or none") from None
+
+
+def _file_and_columns(text: str) -> tuple[Path, dict[str, str]]:
+    name, _, rest = text.partition("?")
+    where = dict(part.partition("=")[::2] for part in rest.split(",") if part)
+    if not all(where.values()):
+        raise argparse.ArgumentTypeError(f"{text!r}; expected FILE?COLUMN=VALUE,COLUMN=VALUE")
+    return Path(name), where
+
+
 def _length(text: str) -> float:
     values = _numbers(text)
     if len(values) != 1 or not 0 <= values[0] < float("inf"):
@@ -106,6 +166,59 @@ def _direction(text: str) -> tuple[float, float, float]:
     if len(values) != 3 or not 0 < sum(value**2 for value in values) < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r}; expected a direction such as 0,0,1")
     return (values[0], values[1], values[2])
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from thalweg.core import InputError
+
+    rasters = [path.suffix.lower() in {".tif", ".tiff"} for path in (options.before, options.after)]
+    if any(rasters) and not all(rasters):
+        raise InputError(
+            f"{options.before.name} and {options.after.name}",
+            expected="two clouds or two surface models (.tif)",
+        )
+    return _compare_surfaces(options) if all(rasters) else _compare_clouds(options)
+
+
+def _compare_surfaces(options: argparse.Namespace) -> int:
+    import numpy as np
+
+    from thalweg.deformation import (
+        HeightErrors,
+        difference_of_surfaces,
+        read_dsm,
+        read_shapes,
+        write_difference,
+    )
+
+    before, after = (read_dsm(path, nodata=options.nodata) for path in (options.before, options.after))
+    stated = (
+        None if sigma is None else HeightErrors(sigma, options.correlation)
+        for sigma in (options.sigma_a, options.sigma_b)
+    )
+    found = difference_of_surfaces(
+        before,
+        after,
+        (next(stated), next(stated)),
+        sigma_registration_m=options.sigma_registration,
+        resample=options.resample,
+        leave_out=[read_shapes(path, where) for path, where in options.leave_out],
+    )
+    write_difference(options.out, found)
+    height = found.raster.height_m[np.isfinite(found.raster.height_m)]
+    print(f"{found.raster.height_m.size:,} cells, {len(height):,} with a difference")
+    print(f"  mean {height.mean():+.4f} m, median {np.median(height):+.4f} m, std {height.std(ddof=1):.4f} m")
+    for row in found.volumes.to_dict("records"):
+        text = f"  {row['part']}: {row['area_m2']:,.1f} m2"
+        if row["volume_m3"] == row["volume_m3"]:
+            text += f", {row['volume_m3']:+,.1f} m3"
+        if row["sigma_m3"] == row["sigma_m3"]:
+            text += f" (sigma {row['sigma_m3']:,.1f}; 95 % {row['low_m3']:+,.1f} to {row['high_m3']:+,.1f})"
+        print(text)
+    for note in found.notes:
+        print(f"note: {note}")
+    print(f"Wrote {options.out}")
+    return 0
 
 
 def _compare_clouds(options: argparse.Namespace) -> int:

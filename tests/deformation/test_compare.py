@@ -89,6 +89,57 @@ def test_other_frames_and_clouds_apart_are_refused(tmp_path: Path) -> None:
         compare_clouds(before, apart, OPTIONS)
 
 
+def test_feet_are_refused(tmp_path: Path) -> None:
+    before = a_file(tmp_path / "a.laz", ground(1))
+    feet = a_file(tmp_path / "b.laz", ground(2), epsg=2225)
+    with pytest.raises(InputError, match=r"coordinates in US survey foot; expected .* in metres"):
+        compare_clouds(before, feet, OPTIONS)
+
+
+def test_a_cloud_of_another_density_is_told(tmp_path: Path) -> None:
+    dense = np.concatenate([ground(seed) for seed in range(1, 41)])
+    before, after = a_file(tmp_path / "a.laz", dense), a_file(tmp_path / "b.laz", ground(50)[::2])
+    options = Comparison(scales_m=(1.0,), radius_m=0.8, half_length_m=3.0, least_points=2)
+    table, _, notes = compare_clouds(before, after, options, core_every=500, sigma_m=(0.01, 0.01))
+    seen = table["distance_m"].notna()
+    assert (table.loc[seen, "n_before"] / table.loc[seen, "n_after"]).median() > 60
+    assert len(notes) == 1
+    assert "The first cloud is " in notes[0]
+    _, _, notes = compare_clouds(after, before, options, core_every=50, sigma_m=(0.01, 0.01))
+    assert "The second cloud is " in notes[0]
+
+
+def test_single_points_have_no_sigma_and_no_verdict(tmp_path: Path) -> None:
+    """A cylinder with one point has no roughness: nothing is known of such a distance."""
+    before, after = a_file(tmp_path / "a.laz", ground(1)), a_file(tmp_path / "b.laz", ground(2, 3.0)[::20])
+    options = Comparison(scales_m=(2.0,), radius_m=0.8, half_length_m=5.0, least_points=1)
+    table, _, _ = compare_clouds(before, after, options, core_every=5, sigma_m=(0.01, 0.01))
+    single = (table["n_after"] == 1) & (table["n_before"] > 0)
+    assert single.sum() > 50
+    assert table.loc[single, "sigma_m"].isna().all()
+    assert (table.loc[single, "state"] == "no sigma").all()
+    assert not table.loc[single, "significant"].any()
+
+
+@pytest.mark.parametrize("every", ["0", "-3", "some"])
+def test_core_points_at_each_none_are_refused(
+    every: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = a_file(tmp_path / "a.laz", ground(1))
+    with pytest.raises(SystemExit):
+        main(["compare-clouds", str(before), str(before), "-o", "x.csv", "--core-every", every])
+    assert f"'{every}'; expected a whole number, 1 or more" in capsys.readouterr().err
+    with pytest.raises(InputError, match="1 or more"):
+        compare_clouds(before, before, OPTIONS, core_every=0)
+
+
+def test_an_empty_cloud_is_refused(tmp_path: Path) -> None:
+    before, empty = a_file(tmp_path / "a.laz", ground(1)), tmp_path / "b.laz"
+    empty.write_bytes(b"")
+    with pytest.raises(InputError, match=r"b\.laz"):
+        compare_clouds(before, empty, OPTIONS)
+
+
 @pytest.mark.parametrize("head", ["", "x y z\n", "# cloud\nX,Y,Z\n"])
 def test_tables_of_coordinates_are_read(tmp_path: Path, head: str) -> None:
     mark = "," if "," in head else " "

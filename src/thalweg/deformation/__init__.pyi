@@ -21,5 +21,16 @@ from .epochs import (
     prepare_epoch as prepare_epoch,
 )
 from .foreign import compare_clouds as compare_clouds, write_changes as write_changes
+from .series import closure as closure, find_jumps as find_jumps, fit_series as fit_series
+from .shapes import Shapes as Shapes, read_shapes as read_shapes
+from .surfaces import (
+    Dsm as Dsm,
+    HeightErrors as HeightErrors,
+    difference_of_surfaces as difference_of_surfaces,
+    difference_on_lines as difference_on_lines,
+    onto_grid as onto_grid,
+    read_dsm as read_dsm,
+    write_difference as write_difference,
+)
 from .visibility import VISIBILITY as VISIBILITY, observe_visibility as observe_visibility
 from .volumes import estimate_volumes as estimate_volumes

@@ -173,7 +173,9 @@ def judge_changes(
     sigma_registration_m : (k,) or one value.
     """
     k = len(found.distance_m)
-    white = np.fmax(found.roughness_m, sigma_white_m)
+    # one point has no spread: without a predicted sigma nothing is known of it
+    known = np.isfinite(found.roughness_m) | (np.asarray(sigma_white_m) > 0)
+    white = np.where(known, np.fmax(found.roughness_m, sigma_white_m), np.nan)
     parts = [
         np.broadcast_to(np.asarray(each, float), k) for each in (sigma_field_m, white, sigma_registration_m)
     ]
@@ -190,10 +192,19 @@ def judge_changes(
             ~seen[:, 0],
             ~seen[:, 1],
             ~measured,
+            ~known,
             significant & (found.distance_m > 0),
             significant,
         ],
-        ["not seen", "not seen in first", "not seen in second", "no normal", "deposition", "erosion"],
+        [
+            "not seen",
+            "not seen in first",
+            "not seen in second",
+            "no normal",
+            "no sigma",
+            "deposition",
+            "erosion",
+        ],
         default="no significant change",
     )
     axes = ("east", "north", "up")

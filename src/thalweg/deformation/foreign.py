@@ -1,7 +1,9 @@
 """Clouds of others compared: files in, table of changes out, with the errors that their makers state."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
@@ -16,6 +18,7 @@ TEXT = {".xyz", ".txt", ".csv", ".asc", ".pts"}
 """Suffixes of tables of points: x, y, z in the first three columns, a head of any number of lines."""
 TABLES = {".csv", ".parquet", ".laz"}
 """Suffixes of results."""
+_MUCH_DENSER = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +94,13 @@ def compare_clouds(
 
     Raises
     ------
-    InputError : files that cannot be read or state different frames.
+    InputError : files that cannot be read or state different frames, or core points of no cloud.
     GeometryError : clouds that do not overlap.
     """
+    if core_every < 1:
+        raise InputError(f"core points at each {core_every}-th point", expected="1 or more")
     clouds = [read_points(path) for path in (before, after)]
-    frame, notes = _one_frame(clouds)
+    frame, notes = one_frame(clouds)
     shift = np.round(clouds[0].xyz_m.mean(axis=0))  # so that squares of coordinates of maps keep their digits
     width = max(options.radius_m, 0.5 * max(options.scales_m))
     first, second = (ColumnIndex.of(cloud.xyz_m - shift, width) for cloud in clouds)
@@ -105,6 +110,14 @@ def compare_clouds(
         notes.append(
             "Without sigmas of both clouds the level of detection is that of roughness alone: errors that "
             "the points of a cloud share are in no limit, and what counts as significant may be theirs."
+        )
+    both = found.n[(found.n > 0).all(axis=1)]
+    denser = float(np.median(both[:, 0] / both[:, 1]))
+    if not 1.0 / _MUCH_DENSER < denser < _MUCH_DENSER:
+        which = ("first", "second") if denser > 1.0 else ("second", "first")
+        notes.append(
+            f"The {which[0]} cloud is {max(denser, 1.0 / denser):.0f} times as dense as the {which[1]}, "
+            "whose few points rule the level of detection; where cylinders hold too few, take wider ones."
         )
     shared = np.hypot(sigma_m[0] or 0.0, sigma_m[1] or 0.0)
     k = len(cores)
@@ -119,19 +132,49 @@ def compare_clouds(
     return table, frame, notes
 
 
-def _one_frame(clouds: list[Points]) -> tuple[Frame, list[str]]:
-    """The frame of both clouds; clouds that state different ones are refused."""
-    stated = [cloud.frame for cloud in clouds if cloud.frame is not None]
-    if len(stated) == 2 and not _same(*stated):
-        names = [each.name if isinstance(each, CRS) else "a local frame" for each in stated]
-        raise InputError(
-            f"{clouds[0].path} states {names[0]}, {clouds[1].path} {names[1]}",
-            expected="clouds in one coordinate system, with the same heights",
-            cure="Transform one of them before the comparison",
-        )
-    missing = [str(cloud.path) for cloud in clouds if cloud.frame is None]
+class Placed(Protocol):
+    """What lies in a frame: a cloud, a raster, polygons of a file."""
+
+    @property
+    def frame(self) -> Frame:
+        """Coordinate system; None where none is stated."""
+
+    @property
+    def path(self) -> Path:
+        """File that it comes from."""
+
+
+def one_frame(placed: Sequence[Placed]) -> tuple[Frame, list[str]]:
+    """The frame of all, and a note of those that state none.
+
+    Raises
+    ------
+    InputError : different frames, or one that is not in metres.
+    """
+    stated = [each for each in placed if each.frame is not None]
+    for each in stated:
+        if isinstance(each.frame, CRS):
+            units = {axis.unit_name for axis in each.frame.axis_info}
+            if units - {"metre"}:
+                raise InputError(
+                    f"{each.frame.name}: coordinates in {', '.join(sorted(units - {'metre'}))}",
+                    expected="east, north and heights in metres",
+                    where=each.path,
+                    cure="Transform them to a map projection and heights in metres",
+                )
+        if not _same(stated[0].frame, each.frame):
+            names = [
+                item.frame.name if isinstance(item.frame, CRS) else "a local frame"
+                for item in (stated[0], each)
+            ]
+            raise InputError(
+                f"{stated[0].path} states {names[0]}, {each.path} {names[1]}",
+                expected="one coordinate system, with the same heights",
+                cure="Transform one of them before the comparison",
+            )
+    missing = [str(each.path) for each in placed if each.frame is None]
     notes = [f"No coordinate system in {', '.join(missing)}: taken as that of the other."] if missing else []
-    return (stated[0] if stated else None), notes
+    return (stated[0].frame if stated else None), notes
 
 
 def _same(a: Frame, b: Frame) -> bool:

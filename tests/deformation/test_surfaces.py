@@ -1,0 +1,473 @@
+"""Surface models: files, differences, sigmas of volumes, masks, and published figures of a beach."""
+
+import sqlite3
+import struct
+import zlib
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, TiffImagePlugin
+from scipy.ndimage import binary_erosion
+
+from thalweg.cli import main
+from thalweg.core import ArrayF, GeometryError, InputError, UnsupportedError, read_table
+from thalweg.deformation import (
+    Dsm,
+    HeightErrors,
+    Shapes,
+    difference_of_surfaces,
+    difference_on_lines,
+    onto_grid,
+    read_dsm,
+    read_shapes,
+    write_difference,
+)
+from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, multiscale_normals
+from thalweg.deformation.series import closure, find_jumps
+from thalweg.deformation.surfaces import VOLUMES, volume_variance
+from thalweg.surface import Surface
+
+CORNER = (440_000.0, 5_640_000.0)
+
+
+def a_tif(
+    path: Path,
+    height: ArrayF,
+    *,
+    keys: tuple[int, ...] = (3072, 0, 1, 25833),
+    corner: tuple[float, float] = CORNER,
+    cell: float = 2.0,
+    nodata: str | None = None,
+    placed: bool = True,
+) -> Path:
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    if placed:
+        tags[33550] = (cell, cell, 0.0)
+        tags[33922] = (0.0, 0.0, 0.0, *corner, 0.0)
+        tags.tagtype[33550] = tags.tagtype[33922] = 12
+    tags[34735] = (1, 1, 0, len(keys) // 4, *keys)
+    tags.tagtype[34735] = 3
+    if nodata is not None:
+        tags[42113] = nodata
+        tags.tagtype[42113] = 2
+    Image.fromarray(np.asarray(height, np.float32)).save(path, tiffinfo=tags)
+    return path
+
+
+def relief(lift: float = 0.0) -> ArrayF:
+    """20 x 30 cells between 10 and 13 m."""
+    row, col = np.indices((20, 30))
+    return 10.0 + 0.1 * col + 0.2 * np.sin(row) + lift
+
+
+def a_package(path: Path, rings: list[list[tuple[float, float]]], code: int = 25833) -> Path:
+    """A GeoPackage with one polygon, by its specification (OGC 12-128r18)."""
+    blob = b"GP\0\1" + struct.pack("<i", code) + struct.pack("<BII", 1, 3, len(rings))
+    for ring in rings:
+        blob += struct.pack("<I", len(ring)) + np.array(ring, "<f8").tobytes()
+    with sqlite3.connect(path) as file:
+        file.execute("CREATE TABLE gpkg_geometry_columns (table_name, column_name, srs_id)")
+        file.execute("CREATE TABLE gpkg_spatial_ref_sys (srs_id, organization, organization_coordsys_id)")
+        file.execute("CREATE TABLE water (fid, geom, day)")
+        file.execute("INSERT INTO gpkg_geometry_columns VALUES ('water', 'geom', ?)", [code])
+        file.execute("INSERT INTO gpkg_spatial_ref_sys VALUES (?, 'EPSG', ?)", [code, code])
+        file.execute("INSERT INTO water VALUES (1, ?, 20180727)", [blob])
+    file.close()
+    return path
+
+
+# ---------------------------------------------------------------- reading
+
+
+def test_heights_lie_where_the_file_says(tmp_path: Path) -> None:
+    height = relief()
+    height[3, 4] = -10_000.0
+    dsm = read_dsm(a_tif(tmp_path / "a.tif", height))
+    assert dsm.frame.to_epsg() == 25833
+    assert dsm.notes == ("a.tif: 1 of 600 cells without a height (undeclared value -10000).",)
+    assert np.isnan(dsm.height_m[3, 4])
+    # row 2, column 5: centre at 5.5 cells east and 2.5 cells south of the corner
+    assert dsm.centres_m()[2 * 30 + 5].tolist() == [440_011.0, 5_639_995.0]
+    assert dsm.at(np.array([[440_011.9, 5_639_994.1]]))[0] == np.float32(relief()[2, 5])
+    assert np.isnan(dsm.at(np.array([[439_999.9, 5_639_995.0]]))[0])
+    between = dsm.at(np.array([[440_012.5, 5_639_995.0]]), "bilinear")[0]
+    assert between == pytest.approx(0.25 * relief()[2, 5] + 0.75 * relief()[2, 6], abs=1e-6)
+    point = read_dsm(a_tif(tmp_path / "b.tif", relief(), keys=(1025, 0, 1, 2, 3072, 0, 1, 25833)))
+    assert point.corner_m.tolist() == [439_999.0, 5_640_001.0]
+
+
+def test_declared_and_stated_values_are_no_heights(tmp_path: Path) -> None:
+    height = relief()
+    height[:2], height[5] = 0.0, -99.0
+    path = a_tif(tmp_path / "a.tif", height, nodata="-99")
+    with pytest.raises(InputError, match=r"60 of 600 cells are exactly 0 m.*--nodata 0 where.*--nodata none"):
+        read_dsm(path)
+    dsm = read_dsm(path, nodata=0.0)
+    assert int(np.isnan(dsm.height_m).sum()) == 90
+    assert [note.split("(")[1] for note in dsm.notes] == ["declared value -99).", "value 0, as stated)."]
+    assert int((read_dsm(path, nodata=np.nan).height_m == 0.0).sum()) == 60
+
+
+@pytest.mark.parametrize(
+    ("keys", "error", "text"),
+    [
+        ((3072, 0, 1, 25833, 4099, 0, 1, 9003), UnsupportedError, "heights in US survey feet"),
+        ((3072, 0, 1, 25833, 3076, 0, 1, 9002), UnsupportedError, "a map in feet"),
+        ((2048, 0, 1, 4326), UnsupportedError, "cells in degrees"),
+        ((3072, 0, 1, 32767), UnsupportedError, "expected one with an EPSG code"),
+    ],
+)
+def test_units_other_than_metres_are_refused(
+    tmp_path: Path, keys: tuple[int, ...], error: type[Exception], text: str
+) -> None:
+    with pytest.raises(error, match=text):
+        read_dsm(a_tif(tmp_path / "a.tif", relief(), keys=keys))
+
+
+def test_files_that_are_no_heights_are_refused(tmp_path: Path) -> None:
+    empty, text = tmp_path / "empty.tif", tmp_path / "text.tif"
+    empty.write_bytes(b"")
+    text.write_text("no raster")
+    cut = a_tif(tmp_path / "cut.tif", relief())
+    cut.write_bytes(cut.read_bytes()[:1500])
+    for path, found in ((empty, "an empty file"), (text, "no raster"), (cut, "no raster that can be read")):
+        with pytest.raises(InputError, match=found):
+            read_dsm(path)
+    with pytest.raises(InputError, match="no such file"):
+        read_dsm(tmp_path / "none.tif")
+    with pytest.raises(InputError, match="no cell has a height"):
+        read_dsm(a_tif(tmp_path / "a.tif", np.full((4, 5), -9999.0)))
+    with pytest.raises(InputError, match=r"heights from 10 to 20000 m.*--nodata"):
+        read_dsm(a_tif(tmp_path / "b.tif", np.array([[10.0, 20_000.0]])))
+    with pytest.raises(InputError, match="without a place on the map"):
+        read_dsm(a_tif(tmp_path / "c.tif", relief(), placed=False))
+
+
+# ---------------------------------------------------------------- sigmas of volumes
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.7, 5.0, 40.0, np.inf])
+def test_the_variance_of_a_volume_is_the_sum_over_all_pairs(correlation: float) -> None:
+    rng = np.random.default_rng(1)
+    cells = rng.uniform(size=(17, 23)) < 0.4
+    cell = np.array([1.5, 0.8])
+    row, col = np.nonzero(cells)
+    distance = np.hypot((row[:, None] - row) * 0.8, (col[:, None] - col) * 1.5)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        C = np.where(distance == 0, 1.0, np.exp(-distance / correlation) if correlation else 0.0)
+    found = volume_variance(cells, cell, HeightErrors(0.3, correlation))
+    assert found == pytest.approx((1.5 * 0.8 * 0.3) ** 2 * C.sum(), rel=1e-10)
+
+
+def test_a_large_area_has_the_variance_of_rolstad_haug_and_denby() -> None:
+    """Exponential correlation: sigma^2 2 pi L^2 / A for a mean height; a border takes some of it."""
+    cells = np.ones((700, 700), bool)
+    cell, length = np.array([1.0, 1.0]), 6.0
+    mean = volume_variance(cells, cell, HeightErrors(0.2, length)) / cells.sum() ** 2
+    limit = 0.2**2 * 2.0 * np.pi * length**2 / cells.sum()
+    assert 0.95 * limit < mean < limit
+    # far pairs are left out: against the whole sum of a square with two directions apart
+    lag = np.arange(-699, 700)
+    pairs = np.outer(700 - np.abs(lag), 700 - np.abs(lag))
+    whole = 0.2**2 * (pairs * np.exp(-np.hypot(lag[:, None], lag) / length)).sum() / cells.sum() ** 2
+    assert mean == pytest.approx(whole, rel=1e-6)
+
+
+# ---------------------------------------------------------------- differences
+
+
+def two(tmp_path: Path) -> tuple[Dsm, Dsm]:
+    """Erosion of 0.5 m in 40 cells, deposition of 0.25 m in 20, 0.01 m elsewhere; 30 and 60 cells unseen."""
+    before, after = relief(), relief(0.01)
+    after[4:8, 10:20] = before[4:8, 10:20] - 0.5
+    after[12:14, 5:15] = before[12:14, 5:15] + 0.25
+    before[0], after[18:] = -9999.0, -10_000.0
+    return read_dsm(a_tif(tmp_path / "a.tif", before)), read_dsm(a_tif(tmp_path / "b.tif", after))
+
+
+def test_volumes_areas_and_intervals_by_hand(tmp_path: Path) -> None:
+    before, after = two(tmp_path)
+    errors = (HeightErrors(0.03), HeightErrors(0.04))
+    found = difference_of_surfaces(before, after, errors, sigma_registration_m=0.02)
+    table = found.volumes.set_index("part")
+    # cells of 4 m2: 510 seen in both, 40 lowered, 20 raised, 450 raised by a centimetre
+    assert table.loc["net", "n_cells"] == 510
+    assert table.loc["net", "volume_m3"] == pytest.approx(4 * (450 * 0.01 + 20 * 0.25 - 40 * 0.5), abs=1e-3)
+    assert table.loc["erosion", "volume_m3"] == pytest.approx(-80.0, abs=1e-3)
+    assert table.loc["deposition", "n_cells"] == 470
+    deposition = table.loc["deposition beyond the level of detection"]
+    assert deposition.n_cells == 20
+    assert deposition.volume_m3 == pytest.approx(20.0, abs=1e-3)
+    # independent cells and one offset: (4 m2)^2 (20 * 0.05^2 + (20 * 0.02)^2)
+    sigma = 4.0 * np.sqrt(20 * 0.05**2 + (20 * 0.02) ** 2)
+    assert deposition.sigma_m3 == pytest.approx(sigma, rel=1e-9)
+    assert deposition.high_m3 - deposition.low_m3 == pytest.approx(2 * 1.959964 * sigma, rel=1e-6)
+    assert table.loc["not seen in first", "area_m2"] == 4.0 * 30
+    assert table.loc["not seen in second", "area_m2"] == 4.0 * 60
+    assert np.isnan(table.loc["not seen in second", "volume_m3"])
+    assert np.nanmax(found.sigma_m) == pytest.approx(np.sqrt(0.05**2 + 0.02**2))
+    bare = difference_of_surfaces(before, after)
+    assert "no limits and no intervals" in bare.notes[-1]
+    assert bare.volumes["sigma_m3"].isna().all()
+    assert "erosion beyond the level of detection" not in set(bare.volumes["part"])
+
+
+def test_polygons_are_left_out_but_not_their_holes(tmp_path: Path) -> None:
+    before, after = two(tmp_path)
+
+    def ring(row: int, rows: int, col: int, cols: int) -> list[tuple[float, float]]:
+        x, y = CORNER[0] + 2.0 * np.array([col, col + cols]), CORNER[1] - 2.0 * np.array([row, row + rows])
+        return [(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1]), (x[0], y[0])]
+
+    path = a_package(tmp_path / "water.gpkg", [ring(2, 6, 8, 12), ring(4, 2, 10, 3)])
+    water = read_shapes(path, {"day": "20180727"})
+    found = difference_of_surfaces(before, after, leave_out=[water])
+    table = found.volumes.set_index("part")
+    assert table.loc["left out", "n_cells"] == 6 * 12 - 2 * 3
+    assert table.loc["erosion", "n_cells"] == 6  # rows 4-5, columns 10-12 stand in the hole
+    with pytest.raises(InputError, match="no polygon or line with"):
+        read_shapes(path, {"day": "1"})
+    with pytest.raises(InputError, match=r"no column place; expected one of fid, geom, day"):
+        read_shapes(path, {"place": "1"})
+    with pytest.raises(InputError, match="no GeoPackage with a layer"):
+        read_shapes(before.path)
+    other = read_shapes(a_package(tmp_path / "other.gpkg", [ring(2, 6, 8, 12)], 32754))
+    with pytest.raises(InputError, match=r"UTM zone 33N.*UTM zone 54S"):
+        difference_of_surfaces(before, after, leave_out=[other])
+
+
+def test_rasters_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    before, _ = two(tmp_path)
+
+    def after(height: ArrayF, **how: object) -> Dsm:
+        return read_dsm(a_tif(tmp_path / "c.tif", height, **how))
+
+    with pytest.raises(InputError, match=r"UTM zone 33N.*UTM zone 32N.*one coordinate system"):
+        difference_of_surfaces(before, after(relief(), keys=(3072, 0, 1, 25832)))
+    vertical = [replace(before, heights=code) for code in (7837, 5773)]
+    with pytest.raises(InputError, match=r"heights of EPSG:7837.*of EPSG:5773"):
+        difference_of_surfaces(*vertical)
+    with pytest.raises(GeometryError, match="share no cell"):
+        difference_of_surfaces(before, after(relief(), corner=(450_000.0, 5_640_000.0)))
+    with pytest.raises(InputError, match=r"rise 3.28 times.*look like feet: export metres"):
+        difference_of_surfaces(before, after(relief() / 0.3048))
+    shifted = after(relief(), corner=(CORNER[0] + 0.5, CORNER[1]))
+    with pytest.raises(InputError, match=r"another grid.*--resample"):
+        difference_of_surfaces(before, shifted)
+    found = difference_of_surfaces(before, shifted, resample="bilinear")
+    # the slope of 0.05 along east, a quarter of a cell away
+    assert np.nanmedian(found.raster.height_m) == pytest.approx(-0.025, abs=1e-5)
+    assert "up to 0.500 m away" in found.notes[-2]
+    holes = np.full((20, 30), -9999.0)
+    holes[0] = 10.0
+    with pytest.raises(GeometryError, match="no cell has a height in both"):
+        difference_of_surfaces(before, after(holes))
+
+
+def test_the_command_writes_bands_and_volumes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before, after = two(tmp_path)
+    words = ["compare-clouds", str(before.path), str(after.path), "--sigma-a", "0.03", "--sigma-b", "0.04"]
+    out = tmp_path / "changes.tif"
+    assert main([*words, "--correlation", "4", "-o", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "600 cells, 510 with a difference" in printed
+    assert "  erosion: 160.0 m2, -80.0 m3 (sigma " in printed
+    assert "note: a.tif: 30 of 600 cells without a height (undeclared value -9999)." in printed
+    # Pillow reads no two bands of floats: its tags, and the strip by hand
+    with out.open("rb") as stream:
+        tags = TiffImagePlugin.ImageFileDirectory_v2(stream.read(8))
+        stream.seek(tags.next)
+        tags.load(stream)
+        stream.seek(tags[273][0])
+        strip = stream.read(tags[279][0])
+    bands = np.frombuffer(zlib.decompress(strip), "<f4").reshape(20, 30, 2)
+    found = difference_of_surfaces(before, after, (HeightErrors(0.03, 4.0), HeightErrors(0.04, 4.0)))
+    np.testing.assert_array_equal(bands[..., 0], found.raster.height_m.astype(np.float32))
+    np.testing.assert_array_equal(bands[..., 1], found.sigma_m.astype(np.float32))
+    assert tags[33922] == (0.0, 0.0, 0.0, *CORNER, 0.0)
+    assert tags[34735][-4:] == (3072, 0, 1, 25833)
+    assert "difference_m" in tags[42112]
+    for suffix in ("csv", "parquet"):
+        assert main([*words, "--correlation", "4", "-o", str(tmp_path / f"changes.{suffix}")]) == 0
+    table, _ = read_table(tmp_path / "changes.parquet", VOLUMES)
+    assert table["sigma_m3"].to_numpy() == pytest.approx(found.volumes["sigma_m3"].to_numpy(), nan_ok=True)
+    capsys.readouterr()
+    assert main([*words[:2], str(tmp_path / "b.laz"), "-o", str(out)]) == 2
+    assert "two clouds or two surface models" in capsys.readouterr().err
+    with pytest.raises(InputError, match="suffix"):
+        write_difference(tmp_path / "changes.laz", found)
+
+
+# ---------------------------------------------------------------- figures of others on a real beach
+
+DAYS = (
+    "20180601",
+    "20180621",
+    "20180727",
+    "20180925",
+    "20181113",
+    "20181211",
+    "20190205",
+    "20190313",
+    "20190516",
+)
+LIMITS_M = np.array([0.030544, 0.049026, 0.028770, 0.091381, 0.098746, 0.078057, 0.044897, 0.097589])
+"""Published by sandpyper: NMAD on stable transects between consecutive epochs."""
+
+
+@pytest.fixture(scope="module")
+def beach(data_dir: Path) -> Path:
+    return data_dir / "sandpyper_dsm"
+
+
+@pytest.fixture(scope="module")
+def epochs(beach: Path) -> list[Dsm]:
+    return [read_dsm(beach / f"dsm_1m/mar_{day}_dsm_resampled_1m.tif") for day in DAYS]
+
+
+@pytest.mark.real
+def test_the_undeclared_value_of_the_beach_is_masked_and_counted(epochs: list[Dsm]) -> None:
+    assert epochs[2].notes == (
+        "mar_20180727_dsm_resampled_1m.tif: 30,739 of 141,780 cells without a height "
+        "(undeclared value -10000).",
+    )
+    assert len(epochs[2].points_m()) == 111_041
+    assert len(epochs[3].points_m()) == 83_438
+
+
+@pytest.mark.real
+def test_the_published_limits_of_all_eight_steps(beach: Path, epochs: list[Dsm]) -> None:
+    """sandpyper rounds places in units of cells, so that it reads half a cell too far south-east."""
+    lines = read_shapes(beach / "lod_transects/mar_lod_transects.gpkg")
+    theirs = [replace(each, corner_m=each.corner_m + each.cell_m * (-0.5, 0.5)) for each in epochs]
+    found = [difference_on_lines(a, b, lines) for a, b in pairwise(theirs)]
+    # 6 digits of numbers that it computed with 32 bits
+    assert [each.nmad_m for each in found] == pytest.approx(LIMITS_M, abs=1e-6)
+    assert [each.n for each in found] == [93] * 6 + [66] * 2
+    own = [difference_on_lines(a, b, lines) for a, b in pairwise(epochs)]
+    expected = [0.025530, 0.036676, 0.021320, 0.041880, 0.061493, 0.042446, 0.045846, 0.067879]
+    assert [each.nmad_m for each in own] == pytest.approx(expected, abs=1e-6)
+    # stable ground of the last step has sunk by 0.2 m: an offset that no spread tells
+    assert own[-1].median_m == pytest.approx(-0.2031, abs=1e-4)
+    assert max(abs(each.median_m) for each in own[:-1]) < 0.041
+
+
+OFFSET_M = np.array([731_360.0, 5_705_142.0, 0.0])
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("normal", "valid", "mean", "median", "std", "limit", "significant"),
+    [
+        ("fitted", 15_478, -0.036014, -0.073303, 0.748454, 0.091365, 10_162),
+        ("up", 15_454, -0.042674, -0.073847, 0.732868, 0.107381, 9_517),
+    ],
+)
+def test_distances_of_py4dgeo_on_the_beach(
+    epochs: list[Dsm],
+    normal: str,
+    valid: int,
+    mean: float,
+    median: float,
+    std: float,
+    limit: float,
+    significant: int,
+) -> None:
+    """Every 5th point, normals at 3 m, cylinders of 2 m; its limit adds the registration error linearly."""
+    before, after = (each.points_m() - OFFSET_M for each in epochs[2:4])
+    cores = before[::5]
+    assert len(cores) == 22_209
+    indices = [ColumnIndex.of(each, 2.0) for each in (before, after)]
+    normals = np.tile([0.0, 0.0, 1.0], (len(cores), 1))
+    if normal == "fitted":
+        normals, _ = multiscale_normals(cores, indices[0], (3.0,), towards=normals[0])
+    cuts = [
+        cut_cylinders(cores, normals, each, radius_m=2.0, half_length_m=10.0, least=1) for each in indices
+    ]
+    distance = cuts[1].along_m - cuts[0].along_m
+    known = distance[np.isfinite(distance)]
+    assert len(known) == valid
+    assert [known.mean(), np.median(known), known.std()] == pytest.approx([mean, median, std], abs=1e-6)
+    # single points have no spread, and no limit
+    limits = 1.96 * (np.sqrt(sum(cut.std_m**2 / cut.n for cut in cuts)) + LIMITS_M[2])
+    assert np.nanmedian(limits) == pytest.approx(limit, abs=1e-6)
+    assert int((np.abs(distance) > limits).sum()) == significant
+
+
+@pytest.mark.real
+def test_distances_from_the_mesh_of_the_beach(epochs: list[Dsm]) -> None:
+    """CloudCompare: 0.424067 without sign, -0.037716 with; its signs differ in some fifteen points.
+
+    The corners of the mesh and the points lie less than a centimetre apart on the map, so that the height of
+    the triangle below each point tells the side.
+    """
+    before, after = epochs[2:4]
+    common = binary_erosion(np.isfinite(before.height_m) & np.isfinite(after.height_m), iterations=3).ravel()
+    points = np.column_stack([after.centres_m(), after.height_m.ravel()])[common] - OFFSET_M
+    mesh = before.mesh()
+    assert (len(points), len(mesh.vertices_m), len(mesh.faces)) == (72_402, 111_041, 220_587)
+    mesh = replace(mesh, vertices_m=mesh.vertices_m - OFFSET_M)
+    distance = Surface(mesh).distances(points).distance_m
+    assert np.abs(distance).mean() == pytest.approx(0.424067, abs=1e-6)
+    assert np.sqrt((distance**2).mean()) == pytest.approx(0.648226, abs=1e-6)
+    place = before.places(points[:, :2] + OFFSET_M[:2])
+    row, col = np.floor(place).astype(int).T
+    south, east = (place - np.floor(place)).T
+    z = before.height_m
+    nw, ne, sw, se = z[row, col], z[row, col + 1], z[row + 1, col], z[row + 1, col + 1]
+    below = np.where(
+        east + south <= 1.0,
+        nw + east * (ne - nw) + south * (sw - nw),
+        se + (1.0 - east) * (sw - se) + (1.0 - south) * (ne - se),
+    )
+    assert (np.sign(distance) == np.sign(points[:, 2] - below)).all()
+    assert distance.mean() == pytest.approx(-0.038149, abs=1e-6)
+    assert abs(distance.mean() + 0.037716) * len(points) / 2 < 16.0  # metres in points of the other sign
+    difference = (after.height_m - before.height_m).ravel()[common]
+    assert difference.mean() == pytest.approx(-0.055477, abs=1e-6)
+    assert difference.sum() * before.cell_area_m2 == pytest.approx(-4029.4, abs=0.05)
+
+
+@pytest.fixture(scope="module")
+def stack(epochs: list[Dsm]) -> ArrayF:
+    return np.array([onto_grid(each, epochs[0], "nearest")[0].height_m.ravel() for each in epochs])
+
+
+@pytest.mark.real
+def test_the_series_of_nine_epochs(epochs: list[Dsm], stack: ArrayF) -> None:
+    with pytest.raises(InputError, match="another grid"):
+        onto_grid(epochs[1], epochs[0])
+    seen = stack[:, np.isfinite(stack).all(axis=0)]
+    assert seen.shape == (9, 38_484)
+    heights = np.diff(seen, axis=0).sum(axis=1)
+    # published with cells of 1 m2; those of the file have 1.0020 m2
+    expected = [-2657.7, 4401.0, -4751.4, 3019.5, 2118.8, -1520.0, 23441.1, -26772.3]
+    assert heights == pytest.approx(expected, abs=0.051)
+    assert heights.sum() == pytest.approx(-2721.1, abs=0.051)
+    assert epochs[0].cell_area_m2 == pytest.approx(1.002021, abs=1e-6)
+    closed = closure(np.diff(stack, axis=0), stack[-1] - stack[0])
+    assert closed.n == 38_484
+    assert closed.largest_m < 1e-12
+    # each pair over what it shares: the changes no longer add up
+    pairs = [np.nansum(step) for step in np.diff(stack, axis=0)]
+    assert abs(sum(pairs) - np.nansum(stack[-1] - stack[0])) > 5000.0
+
+
+@pytest.mark.real
+def test_the_epoch_that_jumps_and_returns_is_flagged(beach: Path, epochs: list[Dsm], stack: ArrayF) -> None:
+    jumps = find_jumps(stack, LIMITS_M)
+    assert [DAYS[jump.epoch] for jump in jumps if jump.flagged] == ["20190313"]
+    assert jumps[6].before_m == pytest.approx(0.27, abs=0.005)
+    assert jumps[6].after_m == pytest.approx(-0.35, abs=0.005)
+    # water of each epoch left out: it is still there, but smaller
+    centres = epochs[0].centres_m()
+    dry = stack.copy()
+    for heights, day in zip(dry, DAYS, strict=True):
+        water: Shapes = read_shapes(beach / "clean/watermasks.gpkg", {"location": "mar", "raw_date": day})
+        heights[water.contain(centres)] = np.nan
+    jumps = find_jumps(dry, LIMITS_M)
+    assert [DAYS[jump.epoch] for jump in jumps if jump.flagged] == ["20190313"]
+    assert jumps[6].before_m == pytest.approx(0.149, abs=0.005)
