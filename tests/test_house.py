@@ -309,12 +309,7 @@ UNREACHED = {
     "cli_calibration.py": "the command line",
     "cli_deformation.py": "the command line",
     **dict.fromkeys(
-        (
-            "deformation/foreign.py",
-            "deformation/series.py",
-            "deformation/shapes.py",
-            "deformation/surfaces.py",
-        ),
+        ("deformation/series.py", "deformation/shapes.py", "deformation/surfaces.py"),
         "called by the command line",
     ),
     "workflow/codehash.py": "called by the rules",
