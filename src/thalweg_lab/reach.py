@@ -254,6 +254,18 @@ class River:
             rough_right = np.where(gone > 0, fresh, rough_right)
         dry_right = self._patched(s, right + gone, self._cut(s, right + gone, dry_right))
         dry_left, rough_left = meadow(c, s, n, np.maximum(left, 0.0), self.bend(s), worn, self.noise_seed)
+        if worn.any():
+            # A river that cuts its bank lifts no ground behind it.
+            old, _ = meadow(
+                c,
+                s,
+                n,
+                np.maximum(n - self.half_width(s), 0.0),
+                self.bend(s),
+                np.zeros_like(s),
+                self.noise_seed,
+            )
+            dry_left = np.where(worn > 0, np.minimum(dry_left, old), dry_left)
         if c.bridge:
             dry_left = np.maximum(dry_left, ramp(c, s, left))
         z = z + np.where(right > 0, dry_right, np.where(left > 0, dry_left, 0.0))
