@@ -15,11 +15,14 @@ from thalweg.deformation import (
     classify_changes,
     compare_epochs,
     estimate_volumes,
+    find_jumps,
+    fit_series,
     measure_pair,
     observe_visibility,
     place_core_points,
     register_pair,
     registered_distances,
+    series_of_epochs,
 )
 from thalweg.deformation.field import ErrorGroup
 from thalweg.deformation.visibility import beams_through
@@ -356,3 +359,24 @@ def test_the_family_of_all_distances_keeps_its_level() -> None:
     assert 2.2 < limit < 4.2  # above a single test's 1.96, below Bonferroni's for several hundred
     z = np.abs(found.distance_m) / found.sigma_m
     assert (table["significant"] == (z >= limit)).all()
+
+
+def test_a_series_shows_retreat_and_an_epoch_that_jumps() -> None:
+    rng = np.random.default_rng(11)
+    errors = {"sigma_m": 0.005, "noise_m": 0.01}
+    epochs = []
+    for i in range(5):
+        xyz = bank(rng, 8_000)
+        xyz[xyz[:, 0] < 8.0, 1] += 0.1 * i  # a quarter of the bank retreats by 0.1 m a year
+        xyz[:, 2] += 0.2 * (i == 2)  # a base station with wrong heights
+        epochs.append(epoch(xyz, name=f"epoch {i}", start_gps_s=i * 365.25 * 86_400.0, **errors))
+    cores = place_core_points(epochs, SETTINGS.replace(core_spacing_m=1.0), EVERYWHERE)
+    found = series_of_epochs(cores, epochs, SETTINGS.replace(core_spacing_m=1.0))
+    fitted = fit_series(found.years, found.height_m, found.sigma_m)
+    calm, moving = cores["east_m"] > 9.5, cores["east_m"] < 6.5
+    rate = fitted["trend_m_a"] / cores["normal_north"]  # along north
+    assert rate[moving & (cores["normal_north"] < -0.5)].median() == pytest.approx(0.1, abs=0.01)
+    z = fitted["trend_m_a"][calm] / fitted["sigma_trend_m_a"][calm]
+    assert np.nanmean(z**2) < 2.5
+    jumps = find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)
+    assert [jump.epoch for jump in jumps if jump.flagged] == [2]

@@ -127,6 +127,31 @@ rule compare_epochs:
         "../scripts/compare_epochs.py"
 
 
+rule change_series:
+    """Trend and step at each core point over more than two epochs, and epochs that jump and return."""
+    input:
+        epochs=of(CampaignFiles.all_epochs, "points.npz"),
+        core_points="results/{campaign}/deformation/core_points.parquet",
+    output:
+        series="results/{campaign}/deformation/series.parquet",
+        jumps="results/{campaign}/deformation/jumps.json",
+    log:
+        "logs/{campaign}/deformation/change_series.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/change_series.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000, 10),
+        runtime=minutes(20, 60),
+    params:
+        code=code_version("change_series"),
+        deformation=section("deformation"),
+    script:
+        "../scripts/change_series.py"
+
+
 rule compare_change_with_truth:
     """Measured changes of a twin against what truly changed."""
     input:

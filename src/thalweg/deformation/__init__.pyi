@@ -5,6 +5,7 @@ from .changes import (
     measure_pair as measure_pair,
     register_pair as register_pair,
     registered_distances as registered_distances,
+    series_of_epochs as series_of_epochs,
 )
 from .classification import STATES as STATES, classify_changes as classify_changes
 from .compare import CHANGES as CHANGES, Comparison as Comparison

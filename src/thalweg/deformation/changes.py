@@ -1,7 +1,8 @@
 """Two epochs of boats compared: registered distances with the errors that their points share."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from thalweg.deformation.compare import Comparison, Distances, distances_along, 
 from thalweg.deformation.coregistration import Registration, coregister
 from thalweg.deformation.epochs import Epoch
 from thalweg.deformation.field import ErrorField, ErrorGroup
-from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, mean_in_cylinders
+from thalweg.deformation.m3c2 import ColumnIndex, Cylinders, cut_cylinders, mean_in_cylinders
 from thalweg.settings.sections import Deformation
 
 
@@ -46,6 +47,71 @@ class Pair:
         return np.asarray(widest <= 2.0 * np.nanmedian(widest))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """Mean positions of one epoch along the normals of core points, and what errs in them.
+
+    Attributes
+    ----------
+    cut : what cylinders cut out.
+    field : shared errors of the mean positions.
+    own_m : (k,) standard deviation of the means by the predicted noise of single points.
+    several : (k,) share of points whose beam had more than one echo.
+    """
+
+    cut: Cylinders
+    field: ErrorField
+    own_m: ArrayF
+    several: ArrayF
+
+    @property
+    def white_m(self) -> ArrayF:
+        """Standard deviation (k,) by noise: the larger of predicted and observed."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.fmax(self.own_m, self.cut.std_m / np.sqrt(self.cut.n)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Series:
+    """Distances of epochs from the first, along the normals of core points.
+
+    Attributes
+    ----------
+    years : (n,) times.
+    height_m : (n, k) registered, zero in the first row; NaN where not seen. ``raw_m``: before registration.
+    sigma_m : (n, k) standard deviation of each epoch's own mean.
+    sigma_apart_m : (n - 1,) standard deviation of the mean distance of neighbouring epochs.
+    """
+
+    years: ArrayF
+    height_m: ArrayF
+    sigma_m: ArrayF
+    raw_m: ArrayF
+    sigma_apart_m: ArrayF
+
+
+def measure_epoch(cores: pd.DataFrame, epoch: Epoch, settings: Deformation) -> Measured:
+    """Mean positions of an epoch at core points; arguments as for `measure_pair`."""
+    places, normals = _places(cores)
+    how = {"radius_m": settings.cylinder_radius_m, "half_length_m": settings.reach_m}
+    index = ColumnIndex.of(epoch.xyz_m, settings.cylinder_radius_m)
+    cut = cut_cylinders(places, normals, index, **how, least=settings.least_points)
+    values = np.column_stack([epoch.white_m2, epoch.several_returns])
+    means = mean_in_cylinders(places, normals, index, values, **how)
+    e, n, u = normals.T
+    along = np.stack([e * e, 2 * e * n, 2 * e * u, n * n, 2 * n * u, u * u], axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        own = np.sqrt(np.sum(along * means[:, :6], axis=1) / cut.n)
+    field = epoch.field(places, normals, index, **how)
+    return Measured(cut=cut, field=field, own_m=own, several=means[:, 6])
+
+
+def _places(cores: pd.DataFrame) -> tuple[ArrayF, ArrayF]:
+    """Core points and normals, (k, 3) each."""
+    axes = ("east", "north", "up")
+    return (cores[[f"{a}_m" for a in axes]].to_numpy(), cores[[f"normal_{a}" for a in axes]].to_numpy())
+
+
 def measure_pair(cores: pd.DataFrame, before: Epoch, after: Epoch, settings: Deformation) -> Pair:
     """Distances from the first to the second epoch at core points, and what errs in them.
 
@@ -59,37 +125,48 @@ def measure_pair(cores: pd.DataFrame, before: Epoch, after: Epoch, settings: Def
     ------
     GeometryError : no core point has points of both epochs.
     """
-    axes = ("east", "north", "up")
-    places = cores[[f"{a}_m" for a in axes]].to_numpy()
-    normals = cores[[f"normal_{a}" for a in axes]].to_numpy()
-    how = {"radius_m": settings.cylinder_radius_m, "half_length_m": settings.reach_m}
-    indices = [ColumnIndex.of(each.xyz_m, settings.cylinder_radius_m) for each in (before, after)]
-    cut = [cut_cylinders(places, normals, index, **how, least=settings.least_points) for index in indices]
-    found = distances_along(places, normals, cores["scale_m"].to_numpy(), cut[0], cut[1])
-    own = np.zeros(len(places))
-    several = np.zeros((len(places), 2))
-    e, n, u = normals.T
-    along = np.stack([e * e, 2 * e * n, 2 * e * u, n * n, 2 * n * u, u * u], axis=1)
-    for i, (epoch, index) in enumerate(zip((before, after), indices, strict=True)):
-        values = np.column_stack([epoch.white_m2, epoch.several_returns])
-        means = mean_in_cylinders(places, normals, index, values, **how)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            own += np.sum(along * means[:, :6], axis=1) / cut[i].n
-        several[:, i] = means[:, 6]
+    places, normals = _places(cores)
+    one, two = (measure_epoch(cores, epoch, settings) for epoch in (before, after))
+    found = distances_along(places, normals, cores["scale_m"].to_numpy(), one.cut, two.cut)
     return Pair(
         cores=cores,
         found=found,
-        field=difference_of(
-            *(
-                epoch.field(places, normals, index, **how)
-                for epoch, index in zip((before, after), indices, strict=True)
-            ),
-            common_mounts=settings.errors.common_mounts,
-        ),
-        white_m=np.fmax(found.roughness_m, np.sqrt(own)),
-        scatter_m=np.column_stack([each.std_m for each in cut]),
-        several=several,
+        field=difference_of(one.field, two.field, common_mounts=settings.errors.common_mounts),
+        white_m=np.hypot(one.white_m, two.white_m),
+        scatter_m=np.column_stack([one.cut.std_m, two.cut.std_m]),
+        several=np.column_stack([one.several, two.several]),
     )
+
+
+def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Deformation) -> Series:
+    """Registered distances of all epochs from the first, for `thalweg.deformation.series.fit_series`.
+
+    Each epoch is registered to the first by itself: errors that an epoch has everywhere are taken off on
+    stable ground.
+    """
+    heights, sigmas, offsets = [], [], []
+    for epoch in epochs:
+        alone = measure_epoch(cores, epoch, settings)
+        sigmas.append(np.sqrt(alone.field.variances() + alone.white_m**2))
+        if epoch is epochs[0]:
+            heights.append(np.where(alone.cut.n >= settings.least_points, 0.0, np.nan))
+            continue
+        pair = measure_pair(cores, epochs[0], epoch, settings)
+        motion = register_pair(pair, settings)
+        heights.append(motion.registered(pair.found.distance_m))
+        offsets.append(pair)
+    height, sigma = np.array(heights), np.array(sigmas)
+    height[~np.isfinite(sigma)] = np.nan
+    years = np.array([epoch.start_gps_s for epoch in epochs]) / (365.25 * 86_400.0)
+    # how far two epochs may lie apart as such: the mean distance before any registration
+    apart = []
+    for before, after in pairwise(epochs):
+        pair = measure_pair(cores, before, after, settings)
+        use = np.isfinite(pair.found.distance_m)
+        row = np.where(use, 1.0 / max(int(use.sum()), 1), 0.0)[None]
+        apart.append(float(np.sqrt(pair.field.combined(row).variances()[0])))
+    raw = np.array([np.zeros(len(cores)), *(pair.found.distance_m for pair in offsets)])
+    return Series(years=years, height_m=height, sigma_m=sigma, raw_m=raw, sigma_apart_m=np.array(apart))
 
 
 def difference_of(before: ErrorField, after: ErrorField, *, common_mounts: bool) -> ErrorField:

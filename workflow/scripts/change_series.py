@@ -1,0 +1,27 @@
+"""All epochs of a bank -> trend and step of each core point, epochs that jump and return."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from thalweg.core import read_table, write_table
+from thalweg.deformation import CORE_POINTS, SERIES, Epoch, find_jumps, fit_series, series_of_epochs
+from thalweg.settings.sections import Deformation
+from thalweg.workflow import run_job
+
+
+def main(
+    *, epochs: list[Path], core_points: Path, series: Path, jumps: Path, deformation: Deformation
+) -> None:
+    read = [Epoch.read(path.parent) for path in epochs]
+    found = series_of_epochs(read_table(core_points, CORE_POINTS)[0], read, deformation)
+    write_table(series, fit_series(found.years, found.height_m, found.sigma_m), SERIES)
+    told = [
+        asdict(jump) | {"name": read[jump.epoch].name}
+        for jump in find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)
+    ]
+    jumps.write_text(json.dumps(told, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
