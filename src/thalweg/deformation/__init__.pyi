@@ -7,7 +7,6 @@ from .changes import (
     registered_distances as registered_distances,
     series_of_epochs as series_of_epochs,
 )
-from .classification import STATES as STATES, classify_changes as classify_changes
 from .compare import CHANGES as CHANGES, Comparison as Comparison
 from .core_points import CORE_POINTS as CORE_POINTS, place_core_points as place_core_points
 from .coregistration import (
@@ -34,4 +33,8 @@ from .surfaces import (
     write_difference as write_difference,
 )
 from .visibility import VISIBILITY as VISIBILITY, observe_visibility as observe_visibility
-from .volumes import estimate_volumes as estimate_volumes
+from .volumes import (
+    STATES as STATES,
+    classify_changes as classify_changes,
+    estimate_volumes as estimate_volumes,
+)

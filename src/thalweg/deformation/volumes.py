@@ -1,19 +1,143 @@
-"""Volumes of change with standard deviations from the field of errors, never from independent cells.
+"""What a change is, and how much: classes, connected patches, volumes with sigmas from the field of errors.
 
 A volume is the sum of distances times the areas that their core points stand for: one product of the points
-like any other, so that its variance has the same recursion. What no epoch saw is an area beside the volume,
-not a zero in it.
+like any other, so that its variance has the same recursion, never that of independent cells. What no epoch
+saw is an area beside the volume, not a zero in it.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 from scipy.stats import norm
 
-from thalweg.core import ArrayB, ArrayF
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.deformation.changes import Compared
-from thalweg.settings.sections import Deformation
+from thalweg.settings.sections import Classes, Deformation
+
+# ---------------------------------------------------------------- classes and patches
+
+STATES = (
+    "erosion",
+    "deposition",
+    "no significant change",
+    "vegetation",
+    "object",
+    "not seen in first",
+    "not seen in second",
+    "not seen",
+    "no normal",
+)
+"""What is known of a core point; only the first two count in volumes."""
+
+_SEVERAL = 0.3
+"""Beams with more than one echo, as a share, that show plants."""
+_EDGE = 0.3
+"""Share of the core points around a patch with a sharp edge in their cylinders that an object has."""
+
+
+def classify_changes(
+    table: pd.DataFrame, compared: Compared, visibility: pd.DataFrame, settings: Deformation
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """States of core points, and connected patches of change.
+
+    A core point that the second epoch did not see is eroded only where its beams passed through the place
+    (free space); the distance of such a place is not measured.
+
+    Parameters
+    ----------
+    table : `thalweg.deformation.compare.CHANGES` of both epochs.
+    compared : what it was made from.
+    visibility : table `thalweg.deformation.visibility.VISIBILITY`.
+    settings : see `thalweg.settings.sections.Classes`.
+
+    Returns
+    -------
+    The table with its final states, and one row a patch: what, core points, area, volume, mean and largest
+    distance, middle.
+    """
+    limits = settings.classes
+    state = table["state"].to_numpy(dtype=object).copy()
+    scatter = np.nan_to_num(compared.pair.scatter_m, nan=0.0).max(axis=1)
+    several = np.nan_to_num(compared.pair.several, nan=0.0).max(axis=1)
+    plants = (scatter > limits.vegetation_roughness_m) | (several > _SEVERAL)
+    measured = np.isfinite(table["distance_m"].to_numpy())
+    state[plants & measured] = "vegetation"
+    free = (state == "not seen in second") & (visibility["reason_2"] == "free space").to_numpy()
+    free &= compared.pair.cores["surface"].to_numpy() == 1
+    state[free] = "erosion"
+    filled = (state == "not seen in first") & (visibility["reason_1"] == "free space").to_numpy()
+    filled &= compared.pair.cores["surface"].to_numpy() != 1
+    state[filled] = "deposition"
+    places = compared.pair.found.cores_m
+    patch = _patches(places, state, 1.8 * settings.core_spacing_m)
+    for number in range(patch.max() + 1):
+        if _is_object(places, ~compared.pair.calm, patch, number, settings):
+            state[patch == number] = "object"
+    out = table.assign(state=state)
+    return out, _rows(out, compared.pair.cores["area_m2"].to_numpy(), patch, limits)
+
+
+def _patches(places_m: ArrayF, state: AnyArray, reach_m: float) -> ArrayI:
+    """Number of the connected patch (k,) of each eroded or deposited core point, -1 for the others."""
+    patch = np.full(len(state), -1)
+    last = 0
+    for what in ("erosion", "deposition"):
+        rows = np.flatnonzero(state == what)
+        if not len(rows):
+            continue
+        pairs = cKDTree(places_m[rows]).query_pairs(reach_m, output_type="ndarray")
+        graph = sp.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(rows), len(rows)))
+        n, of = connected_components(graph, directed=False)
+        patch[rows] = of + last
+        last += n
+    return patch
+
+
+def _is_object(places_m: ArrayF, rough: ArrayB, patch: ArrayI, number: int, settings: Deformation) -> bool:
+    """Whether a patch is short and has sharp edges: a boulder or a trunk that came or went."""
+    rows = np.flatnonzero(patch == number)
+    if len(rows) < 2 or np.linalg.norm(np.ptp(places_m[rows], axis=0)) > settings.classes.object_m:
+        return False
+    near = cKDTree(places_m).query_ball_point(places_m[rows], 2.5 * settings.core_spacing_m)
+    around = np.setdiff1d([core for each in near for core in each], rows).astype(np.int64)
+    return bool(len(around) and np.mean(rough[around]) >= _EDGE)
+
+
+def _rows(table: pd.DataFrame, area_m2: ArrayF, patch: ArrayI, limits: Classes) -> pd.DataFrame:
+    """One row for each patch that is large enough, the largest first."""
+    rows = []
+    distance = table["distance_m"].to_numpy()
+    for number in range(patch.max() + 1):
+        use = patch == number
+        area = float(area_m2[use].sum())
+        if area < limits.least_patch_m2:
+            continue
+        moved = use & np.isfinite(distance)
+        middle = table.loc[use, ["east_m", "north_m", "up_m"]].mean()
+        rows.append(
+            {
+                "what": table.loc[use, "state"].iloc[0],
+                "cores": int(use.sum()),
+                "area_m2": area,
+                "volume_m3": float(np.sum(distance[moved] * area_m2[moved])),
+                "mean_distance_m": float(distance[moved].mean()) if moved.any() else np.nan,
+                "largest_distance_m": float(distance[moved][np.argmax(np.abs(distance[moved]))])
+                if moved.any()
+                else np.nan,
+                **{name: float(middle[name]) for name in ("east_m", "north_m", "up_m")},
+            }
+        )
+    names = ["what", "cores", "area_m2", "volume_m3", "mean_distance_m", "largest_distance_m"]
+    found = pd.DataFrame(rows, columns=[*names, "east_m", "north_m", "up_m"])
+    order = np.argsort(-found["area_m2"].to_numpy(), kind="stable")
+    return found.iloc[order].reset_index(drop=True)
+
+
+# ---------------------------------------------------------------- volumes
 
 UNSEEN = ("not seen", "not seen in first", "not seen in second")
 IN_VOLUME = ("erosion", "deposition", "no significant change")
