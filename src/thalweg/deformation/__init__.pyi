@@ -21,12 +21,7 @@ from .epochs import (
     prepare_epoch as prepare_epoch,
 )
 from .foreign import compare_clouds as compare_clouds, write_changes as write_changes
-from .series import (
-    SERIES as SERIES,
-    closure as closure,
-    find_jumps as find_jumps,
-    fit_series as fit_series,
-)
+from .series import SERIES as SERIES, closure as closure, find_jumps as find_jumps, fit_series as fit_series
 from .shapes import Shapes as Shapes, read_shapes as read_shapes
 from .surfaces import (
     Dsm as Dsm,

@@ -14,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 from scipy.stats import norm
 
-from thalweg.core import ArrayF, GeometryError, InputError, column, frame_of, table_kind
+from thalweg.core import ArrayF, ArrayI, GeometryError, InputError, column, frame_of, table_kind
 from thalweg.deformation.field import benjamini_hochberg
 from thalweg.deformation.m3c2 import ColumnIndex, Cylinders, cut_cylinders, multiscale_normals
 
@@ -96,7 +96,7 @@ class Distances:
     cores_m: ArrayF
     normals: ArrayF
     scale_m: ArrayF
-    n: ArrayF
+    n: ArrayI
     distance_m: ArrayF
     roughness_m: ArrayF
 

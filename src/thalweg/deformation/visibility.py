@@ -80,7 +80,7 @@ def _reasons(cores_m: ArrayF, normals: ArrayF, epoch: Epoch, settings: Deformati
     near, place = cKDTree(epoch.scanner_m).query(cores_m)
     water = epoch.water_m[place] + limits.water_margin_m
     looks = min(_LOOKS, len(epoch.scanner_m))
-    within = near <= limits.max_range_m
+    within = np.asarray(near <= limits.max_range_m)
     every = epoch.scanner_m[:: max(1, len(epoch.scanner_m) // 2000)]
     nearest = cKDTree(every).query(cores_m, k=min(looks, len(every)))[1].reshape(len(cores_m), -1)
     sight = every[nearest] - cores_m[:, None]
@@ -88,7 +88,8 @@ def _reasons(cores_m: ArrayF, normals: ArrayF, epoch: Epoch, settings: Deformati
     cosine = np.einsum("klx,kx->kl", sight, normals) / length
     steep = cosine.max(axis=1) < np.cos(np.deg2rad(limits.max_incidence_deg))
     blocked = _blocked(cores_m, every, nearest, epoch, limits.voxel_m)
-    return np.select([cores_m[:, 2] < water, ~within, steep, blocked], REASONS[1:5], default="not swept")
+    kinds = [cores_m[:, 2] < water, np.asarray(~within), np.asarray(steep), blocked]
+    return np.select(kinds, [np.array(reason) for reason in REASONS[1:5]], default="not swept")
 
 
 def _blocked(cores_m: ArrayF, scanner_m: ArrayF, looks: ArrayI, epoch: Epoch, voxel_m: float) -> ArrayB:

@@ -103,7 +103,7 @@ def _is_object(places_m: ArrayF, rough: ArrayB, patch: ArrayI, number: int, sett
     if len(rows) < 2 or np.linalg.norm(np.ptp(places_m[rows], axis=0)) > settings.classes.object_m:
         return False
     near = cKDTree(places_m).query_ball_point(places_m[rows], 2.5 * settings.core_spacing_m)
-    around = np.setdiff1d([core for each in near for core in each], rows).astype(np.int64)
+    around = np.setdiff1d(np.concatenate([np.asarray(each, dtype=np.int64) for each in near]), rows)
     return bool(len(around) and np.mean(rough[around]) >= _EDGE)
 
 

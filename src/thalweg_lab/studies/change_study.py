@@ -87,7 +87,7 @@ def _epoch(seed: Seed, number: int, settings: Deformation) -> Epoch:
         f"epoch {number + 1}",
         survey.points,
         survey.trajectory,
-        survey.mount.as_rigid(),
+        survey.mount,
         PoseCorrelation(
             position_s=TWIN["gnss"]["correlation_time_s"],
             attitude_s=TWIN["ins"]["attitude_time_s"],

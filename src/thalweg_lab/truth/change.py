@@ -243,7 +243,7 @@ def judge_changes(
     in_net = np.isfinite(distance) & np.isin(state, ("erosion", "deposition", "no significant change"))
     known = in_net & np.isfinite(moved)
     volume_error = float(np.sum(area[known] * (distance - moved)[known]))
-    sigma_net = float(volumes.set_index("what").loc["net", "sigma_m3"])
+    sigma_net = float(volumes.loc[volumes["what"] == "net", "sigma_m3"].iloc[0])
     farthest = (
         int(np.nanargmin(np.where(counted & changed, moved, np.nan))) if (counted & changed).any() else 0
     )
