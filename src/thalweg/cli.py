@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import thalweg
 from thalweg.cli_calibration import add_calibration_commands, describe_marked
-from thalweg.cli_deformation import add_deformation_commands
+from thalweg.cli_deformation import add_deformation_commands, summarise_changes
 from thalweg.core import ConfigError, InputError, ThalwegError
 
 if TYPE_CHECKING:
@@ -293,6 +293,8 @@ def _describe(options: argparse.Namespace) -> int:
 
 def _summary(options: argparse.Namespace) -> int:
     path = options.folder / "summary.csv"
+    if not path.is_file() and any((options.folder / "deformation").glob("volumes_*.csv")):
+        return summarise_changes(options.folder)
     if not path.is_file():
         raise InputError(
             "no such file",

@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from thalweg.cli import main
+
 pytestmark = pytest.mark.workflow
 
 FOLDER = "results/tiny_change/deformation"
@@ -15,7 +17,7 @@ FOLDER = "results/tiny_change/deformation"
 def changed(house_builder, repository, tmp_path_factory):
     """Folder of the results of `tiny_change`."""
     house = house_builder(repository, tmp_path_factory.mktemp("change"))
-    house.snakemake("deformation", "--config", "campaign=tiny_change")
+    house.snakemake("--config", "campaign=tiny_change")
     return house.root / FOLDER
 
 
@@ -65,3 +67,12 @@ def test_the_registration_says_what_the_ground_does_not_show(changed) -> None:
     lost = np.array(facts["not_shown"])
     assert len(lost) == 1
     assert abs(lost[0, 0]) > 0.9  # along the bank, which runs from west to east
+
+
+def test_the_summary_says_what_changed(changed, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["summary", str(changed.parent)]) == 0
+    told = capsys.readouterr().out
+    erosion = pd.read_csv(changed / "volumes_1-2.csv").set_index("what").loc["erosion"]
+    assert f"erosion    {erosion['volume_m3']:+9.2f} m3, sigma {erosion['sigma_m3']:.2f} m3" in told
+    assert "vegetation" in told
+    assert (changed / "index.html").is_file()
