@@ -267,9 +267,8 @@ def summarise_changes(folder: Path) -> int:
         facts = json.loads((found / f"registration_{pair}.json").read_text())
         print(f"\nEpochs {pair}")
         for row in pd.read_csv(path).itertuples():
-            print(
-                f"  {row.what:<11}{row.volume_m3:+9.2f} m3, sigma {row.sigma_m3:.2f} m3, on {row.area_m2:,.0f} m2"
-            )
+            volume = f"{row.volume_m3:+9.2f} m3, sigma {row.sigma_m3:.2f} m3"
+            print(f"  {row.what:<11}{volume}, on {row.area_m2:,.0f} m2")
         states = pd.read_parquet(found / f"changes_{pair}.parquet")["state"].value_counts()
         print("  core points: " + ", ".join(f"{n:,} {state}" for state, n in states.items()))
         if facts["model"] != "none":
