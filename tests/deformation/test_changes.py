@@ -380,3 +380,25 @@ def test_a_series_shows_retreat_and_an_epoch_that_jumps() -> None:
     assert np.nanmean(z**2) < 2.5
     jumps = find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)
     assert [jump.epoch for jump in jumps if jump.flagged] == [2]
+
+
+def test_a_shift_that_nobody_registers_shows_in_the_distances() -> None:
+    before, after = two_epochs(n=8_000, sigma_m=0.01, noise_m=0.01)
+    rng = np.random.default_rng(12)
+    first, second = with_errors(before, rng), with_errors(after, rng)
+    moved = replace(second, xyz_m=second.xyz_m + np.array([0.0, 0.05, 0.0]))
+
+    def normalised(registration: str) -> float:
+        found = compared(first, moved, SETTINGS.replace(core_spacing_m=1.0, registration=registration))
+        return float(np.nanmean((found.distance_m / found.sigma_m) ** 2))
+
+    assert normalised("none") > 2.0
+    assert normalised("shift") < 1.6
+
+
+def test_an_epoch_that_lies_farther_off_than_its_sigmas_say_is_named() -> None:
+    before, after = two_epochs(n=8_000, sigma_m=0.02, noise_m=0.01)
+    off = replace(after, xyz_m=after.xyz_m + np.array([0.0, 0.0, 0.3]))
+    facts = compared(before, off, SETTINGS.replace(core_spacing_m=1.0)).registration.facts
+    assert facts["needed"]
+    assert facts["p_value"] < 1e-6
