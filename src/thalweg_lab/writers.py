@@ -41,8 +41,6 @@ from thalweg_lab.voyage import LEAD_S, start_gps_s, start_unix
 
 DATA_PAYLOAD: Final = 1206
 POSITION_PAYLOAD: Final = 512
-_HEAD: Final = 42
-"""Ethernet 14, IPv4 20, UDP 8 bytes."""
 _RETURN_BYTE: Final = {"strongest": 0x37, "last": 0x38, "dual": 0x39}
 _PRODUCT: Final = 0x22
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from thalweg.accuracy import chi_square_band, independent_squares
-from thalweg.accuracy.comparison_tables import correlated_sum, independent_means, observed_correlation_s
+from thalweg.accuracy.comparison_tables import correlated_sum, observed_correlation_s
 from thalweg_lab.random_numbers import gauss_markov
 from thalweg_lab.truth import PointErrors
 
@@ -30,7 +30,6 @@ def test_numbers_equal_their_definitions(rng: np.random.Generator) -> None:
     C = np.sqrt(a[:, None] * a[None]) * rho + np.sqrt(b[:, None] * b[None])
     found = independent_squares(t, a, TAU_S, constant_m2=b)
     assert found == pytest.approx(np.trace(C) ** 2 / np.sum(C**2), rel=1e-10)
-    assert independent_means(t, TAU_S) == pytest.approx(len(t) ** 2 / rho.sum(), rel=1e-10)
 
 
 def test_limits() -> None:
@@ -40,7 +39,6 @@ def test_limits() -> None:
     assert independent_squares(t, np.full(50, 1e-12), TAU_S, constant_m2=1.0) == pytest.approx(1.0, rel=1e-6)
     assert independent_squares(t, np.zeros(50), TAU_S) == 50.0
     assert independent_squares(np.zeros(0), np.zeros(0), TAU_S) == 0.0
-    assert independent_means(np.zeros(0), TAU_S) == 0.0
 
 
 def outside(t: np.ndarray, sigma: np.ndarray, constant: float, white: float, rng, trials: int):

@@ -7,7 +7,7 @@ import pytest
 
 from thalweg.core import InputError, unix_from_gps
 from thalweg.figures import save
-from thalweg.figures.accuracy.distances import error_histograms, error_versus_range
+from thalweg.figures.accuracy.distances import error_versus_range
 from thalweg.figures.survey.streams import (
     StreamLag,
     clock_lines,
@@ -332,34 +332,3 @@ def test_one_class_and_zero_prediction(tmp_path, by_range):
     one = by_range.iloc[:1].assign(rmse_predicted_m=0.0, rmse_observed_m=0.0)
     save(error_versus_range(one), tmp_path / "one.png", dpi=60)
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_histograms_are_densities_of_all_values(rng):
-    values = np.concatenate([rng.normal(0, 1, 9_000), np.full(1_000, 50.0), [np.nan]])
-    figure = error_histograms({"up": values})
-    (ax,) = figure.axes
-    (stairs,) = by_gid(figure, "histogram")
-    heights, edges, _ = stairs.get_data()
-    # The 10 % beyond the ends are missing from the bars, not spread over them.
-    assert np.sum(heights * np.diff(edges)) == pytest.approx(0.9, abs=1e-9)
-    title = ax.get_title(loc="left").replace("\N{NO-BREAK SPACE}", " ")
-    assert "n = 10 000" in title
-    assert "1 000 beyond ±5" in title
-    assert ax.get_xlabel() == "error over predicted sigma / 1"
-
-
-def test_histogram_is_drawn_against_the_standard_normal():
-    figure = error_histograms({"east": np.zeros(3), "north": np.zeros(3)}, outlier_rule="none left out")
-    assert len(figure.axes) == 2
-    curve = figure.axes[0].lines[0]
-    assert np.max(curve.get_ydata()) == pytest.approx(1 / np.sqrt(2 * np.pi))
-    assert figure.legends[0].get_title().get_text() == "none left out"
-
-
-@pytest.mark.parametrize(
-    ("normalised", "message"),
-    [({}, "no normalised errors"), ({"up": np.array([np.nan])}, "component 'up' has no finite")],
-)
-def test_histograms_of_nothing_are_refused(normalised, message):
-    with pytest.raises(InputError, match=message):
-        error_histograms(normalised)

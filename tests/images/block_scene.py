@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import ArrayF, Camera, exp_rotation
-from thalweg.images.bundle import Adjusted
+from thalweg.images.bundle import AdjustedBlock
 from thalweg.images.bundle.normals import views
 from thalweg.images.bundle.problem import Problem
 from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock
@@ -166,14 +166,14 @@ def seen(camera: Camera, R: ArrayF, C: ArrayF, X: ArrayF) -> tuple[ArrayF, Array
     return image[rows], point[rows]
 
 
-def pose_errors(found: Adjusted, truth: Truth) -> ArrayF:
+def pose_errors(found: AdjustedBlock, truth: Truth) -> ArrayF:
     """(i, 6) true minus found pose, as the covariance counts it."""
     shift = truth.C - (found.x.C + found.origin_m)
     turn = Rotation.from_matrix(truth.R @ np.swapaxes(found.x.R, 1, 2)).as_rotvec()
     return np.concatenate([shift, turn], axis=1)
 
 
-def normalised(found: Adjusted, truth: Truth) -> tuple[ArrayF, float]:
+def normalised(found: AdjustedBlock, truth: Truth) -> tuple[ArrayF, float]:
     """Normalised error ``e^T C^-1 e / 6`` (i,) of each image, and that of all poses together."""
     e = pose_errors(found, truth)
     n = e.size

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.images.bundle import Adjusted, pose_covariance
+from thalweg.images.bundle import AdjustedBlock, pose_covariance
 from thalweg.images.bundle.adjustment import adjust_block
 from thalweg.images.bundle.problem import CLOCK, Antenna, clock_notes
 
@@ -51,13 +51,13 @@ def late_block(seed: int, *, told: bool, late_s: float | None = None, control: i
     return (adjust_block(replace(problem, antenna=antenna), block_scene.OPTIONS), truth, late)
 
 
-def clock_of(found: Adjusted) -> tuple[float, float]:
+def clock_of(found: AdjustedBlock) -> tuple[float, float]:
     """Estimate and sigma, seconds."""
     k = found.layout.names.index(CLOCK)
     return float(found.x.extras[k - found.layout.extras]), float(np.sqrt(found.cov[k, k]))
 
 
-def along_track(found: Adjusted, truth) -> float:
+def along_track(found: AdjustedBlock, truth) -> float:
     """Normalised square of the error of the block's place along its track, where clock errors move it."""
     way = np.gradient(truth.C, axis=0).sum(axis=0)
     row = np.zeros((IMAGES, 6))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg.images.bundle import Adjusted, with_shared_errors
+from thalweg.images.bundle import AdjustedBlock, with_shared_errors
 from thalweg.images.bundle.adjustment import adjust_block
 from thalweg.images.bundle.problem import interior_priors
 from thalweg.settings.sections import BlockAdjustment
@@ -22,7 +22,7 @@ FACTOR = 2.5
 
 
 @pytest.fixture(scope="module")
-def adjusted() -> Adjusted:
+def adjusted() -> AdjustedBlock:
     problem, _ = block_scene.scene(np.random.default_rng(5), images=14, points=250)
     # a lens of which some is known beforehand
     return adjust_block(
@@ -30,17 +30,17 @@ def adjusted() -> Adjusted:
     )
 
 
-def lens(found: Adjusted) -> np.ndarray:
+def lens(found: AdjustedBlock) -> np.ndarray:
     begin = found.layout.n_poses
     own = np.arange(begin, begin + found.layout.n_interior)
     return own[found.layout.free[own]]
 
 
-def larger(found: Adjusted, factor: float) -> np.ndarray:
+def larger(found: AdjustedBlock, factor: float) -> np.ndarray:
     return with_shared_errors(found.problem, found.layout, found.x, found.cov, factor)
 
 
-def test_it_is_the_inverse_of_normal_equations_that_tell_less(adjusted: Adjusted) -> None:
+def test_it_is_the_inverse_of_normal_equations_that_tell_less(adjusted: AdjustedBlock) -> None:
     free, own = np.flatnonzero(adjusted.layout.free), lens(adjusted)
     P = np.zeros_like(adjusted.cov)
     for at, weights, _ in interior_priors(adjusted.problem, adjusted.layout, adjusted.x):
@@ -62,7 +62,7 @@ def test_it_is_the_inverse_of_normal_equations_that_tell_less(adjusted: Adjusted
     )
 
 
-def test_what_the_images_tell_counts_less_and_what_is_known_stays(adjusted: Adjusted) -> None:
+def test_what_the_images_tell_counts_less_and_what_is_known_stays(adjusted: AdjustedBlock) -> None:
     own = lens(adjusted)
     names = [adjusted.layout.names[k].split()[-1] for k in own]
     ratio = dict(zip(names, np.diag(larger(adjusted, FACTOR))[own] / np.diag(adjusted.cov)[own], strict=True))
@@ -76,13 +76,13 @@ def test_what_the_images_tell_counts_less_and_what_is_known_stays(adjusted: Adju
     assert ((poses > 1 - 1e-9) & (poses < FACTOR)).all()
 
 
-def test_a_lens_that_is_held_or_a_factor_of_one_changes_nothing(adjusted: Adjusted) -> None:
+def test_a_lens_that_is_held_or_a_factor_of_one_changes_nothing(adjusted: AdjustedBlock) -> None:
     assert larger(adjusted, 1.0) is adjusted.cov
     held = adjust_block(replace(adjusted.problem, free=((),), prior_sigma={}))
     assert larger(held, FACTOR) is held.cov
 
 
-def test_the_adjustment_does_it(adjusted: Adjusted) -> None:
+def test_the_adjustment_does_it(adjusted: AdjustedBlock) -> None:
     options = BlockAdjustment(interior_variance=FACTOR)
     again = adjust_block(adjusted.problem.shifted(adjusted.origin_m), options, scale_by_sigma0=False)
     sigma = np.sqrt(np.diag(again.cov)[lens(again)] / np.diag(larger(adjusted, FACTOR))[lens(adjusted)])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.images.bundle import Adjusted
+from thalweg.images.bundle import AdjustedBlock
 from thalweg.images.bundle.adjustment import Agreement, adjust_block, parts_agreement
 from thalweg.images.bundle.problem import Problem
 from thalweg.settings.sections import BlockAdjustment
@@ -27,7 +27,7 @@ def module(name: str) -> ModuleType:
 block_scene = module("block_scene")
 
 
-def agreement(found: Adjusted) -> Agreement:
+def agreement(found: AdjustedBlock) -> Agreement:
     return parts_agreement(found.problem, found.x, found.tracks, found.correlation)
 
 
@@ -55,11 +55,11 @@ def bent(problem: Problem, by: float) -> Problem:
 
 
 @pytest.fixture(scope="module")
-def still() -> Adjusted:
+def still() -> AdjustedBlock:
     return adjust_block(scene(1), BlockAdjustment(interior_variance=2.0), scale_by_sigma0=False)
 
 
-def test_parts_with_independent_errors_agree_as_chi_square_says(still: Adjusted) -> None:
+def test_parts_with_independent_errors_agree_as_chi_square_says(still: AdjustedBlock) -> None:
     found = agreement(still)
     # 8 unknowns of the lens: focal lengths, principal point, k1, k2, p1, p2; two parts
     assert (found.degrees, found.parts) == (8, 2)
@@ -85,7 +85,7 @@ def test_the_factor_adds_what_parts_have_in_common_and_what_they_differ_by() -> 
     assert Agreement(square=20.2, degrees=8, parts=2).interior_variance(1.0, 1.0) == pytest.approx(2.525)
 
 
-def test_few_images_or_a_lens_that_is_held_have_no_parts_to_compare(still: Adjusted) -> None:
+def test_few_images_or_a_lens_that_is_held_have_no_parts_to_compare(still: AdjustedBlock) -> None:
     held = replace(still.problem, free=((),), prior_sigma={})
     assert parts_agreement(held, still.x, still.tracks, still.correlation).degrees == 0
     few = replace(still.problem.block, camera=np.arange(18) // 6, cameras=still.problem.block.cameras * 3)

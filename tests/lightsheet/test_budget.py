@@ -1,5 +1,7 @@
 """Budget of P4: shares, verdicts, contradictions, trends, correlations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,21 +15,15 @@ from thalweg.lightsheet.budget import (
     depth_sigmas,
     design,
 )
-from thalweg.lightsheet.budget.budget import (
-    CAUSES,
-    budget_over_picture,
-    point_budget,
-    recalibrated,
-    simulated_depth_errors,
-)
+from thalweg.lightsheet.budget.budget import CAUSES, CONSIDERED, SIGMA_LEVEL_MM, point_budget, recalibrated
 from thalweg.lightsheet.budget.checks import (
+    WAVELENGTH_NM,
     camera_angles,
     centre_trends,
     contradictions,
     depth_trends,
     ground_sampling,
     line_thickness,
-    rayleigh_range_mm,
     read_published,
     verdicts,
 )
@@ -108,18 +104,6 @@ def test_a_sensor_without_sigmas_leaves_the_image_alone() -> None:
         budget_on_lines(sensor, [400.0])
 
 
-def test_budget_over_the_picture(table) -> None:
-    found = budget_over_picture(paper_4(), 64)
-    total = found.sigma_depth_mm[found.names.index(TOTAL)]
-    assert total.shape == (len(found.y_px), len(found.x_px))
-    assert np.array_equal(np.isnan(total), np.isnan(found.depth_mm))
-    near = np.abs(found.depth_mm - 125) < 5
-    # the totals of the line of 125 mm, 5 mm to either side
-    row = table[(table["cause"] == TOTAL) & (table["depth_mm"] == 125)].iloc[0]
-    assert row["least_mm"] - 0.01 < np.nanmin(total[near])
-    assert np.nanmax(total[near]) < row["most_mm"] + 0.02
-
-
 # ---------------------------------------------------------------- beside the published budget
 
 
@@ -156,9 +140,9 @@ def test_published_figures_that_contradict_each_other() -> None:
     # waist 0.22 mm, 0.31 mm at the ends; a waist of 0.03 mm is twice as wide... within 2 mm
     assert beam.right_value == pytest.approx(0.315, abs=1e-3)
     assert not beam.holds
-    assert rayleigh_range_mm(0.03, 1.0) == pytest.approx(1.36, abs=0.01)
-    w0 = beam.right_value / np.sqrt(2)
-    assert rayleigh_range_mm(w0, 1.335) == pytest.approx(100.0)
+    # sqrt 2 times as wide at the Rayleigh range, pi w0^2 n / wavelength, of a waist of this radius
+    w0 = beam.right_value / np.sqrt(8)
+    assert np.pi * w0**2 * 1.335 / (WAVELENGTH_NM * 1e-6) == pytest.approx(100.0)
 
 
 def test_the_inequality_of_the_angles_holds_for_other_geometries() -> None:
@@ -254,6 +238,45 @@ def test_sigmas_of_the_calibration_are_those_of_the_study() -> None:
     assert sigma == pytest.approx([0.24, 0.24, 0.15, 0.068, 0.021], rel=0.03)
     with pytest.raises(GeometryError, match="both levels"):
         design(sensor, (60.0, 300.0))
+
+
+def simulated_depth_errors(
+    sensor, plan, rng: np.random.Generator, *, runs: int, depths_mm: tuple[float, ...]
+) -> np.ndarray:
+    """Errors in depth (runs, depths) in the middle of each line after complete calibrations with wrong fixed
+    values.
+
+    Each run draws what the calibration holds fixed and the observations, estimates the laser, and measures
+    with what it has: the counterpart of `calibrated` without any linear propagation.
+    """
+    lines = depth_lines(sensor, depths_mm, n=41)
+    middle = np.stack([line.xy_px[len(line.xy_px) // 2] for line in lines])
+    truth = sensor.vector()
+    errors = np.empty((runs, len(depths_mm)))
+    for run in range(runs):
+        x = truth.copy()
+        for name, sigma in CONSIDERED.items():
+            e = rng.normal(0.0, sigma)
+            for each in ("fx", "fy") if name == "fx" else (name,):
+                x[PARAMETERS.index(each)] += e
+        levels = np.asarray(plan.levels_mm) + rng.normal(0.0, SIGMA_LEVEL_MM, 2)
+        noisy = replace(
+            plan,
+            levels_mm=(float(levels[0]), float(levels[1])),
+            line_px=plan.line_px + rng.normal(0.0, plan.sigma_line_px, plan.line_px.shape),
+            upper_px=plan.upper_px + _pair_noise(rng, plan),
+            lower_px=plan.lower_px + _pair_noise(rng, plan),
+        )
+        found = recalibrated(sensor.with_vector(x), noisy)
+        errors[run] = intersect(found, middle).depth_mm - np.asarray(depths_mm)
+    return errors
+
+
+def _pair_noise(rng: np.random.Generator, plan) -> np.ndarray:
+    """A piece ends somewhere along the line, and its centre lies across it as well as that of any point."""
+    along_y = np.ptp(plan.line_px[:, 1]) >= np.ptp(plan.line_px[:, 0])
+    sigma = (plan.sigma_line_px, plan.sigma_pair_px) if along_y else (plan.sigma_pair_px, plan.sigma_line_px)
+    return rng.normal(0.0, 1.0, plan.upper_px.shape) * sigma
 
 
 def test_complete_calibrations_confirm_the_full_covariance() -> None:

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from thalweg.navigation.fusion import SPREAD, ErrorModel, Fused, FusionSettings, Prior
+from thalweg.navigation.fusion import SPREAD, FusionErrors, Fused, FusionSettings, Prior
 from thalweg.navigation.fusion.errors import applied
 from thalweg.settings.sections import Fused as FusedSection
 from thalweg_lab.studies import outage
@@ -14,10 +14,10 @@ from thalweg_lab.studies import outage
 SETTINGS = FusionSettings()
 
 
-def model(**priors: Prior) -> ErrorModel:
+def model(**priors: Prior) -> FusionErrors:
     """What is stated alone."""
     width = np.array([np.log(p.width) for p in priors.values()])
-    return ErrorModel(priors=priors, h=np.array([p.at for p in priors.values()]), cov=np.diag(width**2))
+    return FusionErrors(priors=priors, h=np.array([p.at for p in priors.values()]), cov=np.diag(width**2))
 
 
 @cache

@@ -378,18 +378,6 @@ def independent_squares(
     return max(1.0, total**2 / squares) if squares > 0 else float(len(t))
 
 
-def independent_means(t_gps_s: ArrayF, correlation_s: float) -> float:
-    """Number of independent values in the mean of the errors of points: ``n^2 / sum_ij rho(t_i - t_j)``.
-
-    Means and other linear estimates hold half as many as sums of squares do: an error is correlated over the
-    whole of its correlation time, its square over half of it.
-    """
-    if not len(t_gps_s):
-        return 0.0
-    t = np.sort(np.asarray(t_gps_s, dtype=np.float64))
-    return max(1.0, len(t) ** 2 / correlated_sum(t, np.ones(len(t)), correlation_s))
-
-
 def observed_correlation_s(t_gps_s: ArrayF, normalised: ArrayF, assumed_s: float) -> float:
     """Correlation time that distances themselves show: the lag at which their autocorrelation is 1/e.
 

@@ -32,7 +32,7 @@ VERSION: Final = 1
 # ---------------------------------------------------------------- joint calibration
 
 
-class LidarMount(Protocol):
+class CalibratedMount(Protocol):
     """Mount of the lidar with covariance, and its derivative (6, 3) by the antenna seen from the scanner."""
 
     @property
@@ -85,7 +85,7 @@ class EchoPlace:
 
 
 def assemble(
-    ins_lidar: LidarMount,
+    ins_lidar: CalibratedMount,
     *,
     lever_ics_antenna_m: ArrayF,
     T_ccs_scs: Rigid | None,
@@ -179,7 +179,7 @@ def _columns(
 
 
 def _independent(
-    ins_lidar: LidarMount, cov_relative: ArrayF, antenna: AntennaLever | None, cov_echo: ArrayF
+    ins_lidar: CalibratedMount, cov_relative: ArrayF, antenna: AntennaLever | None, cov_echo: ArrayF
 ) -> ArrayF:
     """Joint covariance (15, 15) of lidar, camera-lidar and echo sounder as measured."""
     cov = np.zeros((15, 15))

@@ -21,7 +21,7 @@ from scipy.stats import chi2
 from thalweg.core import ArrayF, LocalFrame, ThalwegError, exp_rotation, rotation_vector
 from thalweg.images import read_control_points
 from thalweg.images.bundle import (
-    Adjusted,
+    AdjustedBlock,
     Oriented,
     adjust_campaign,
     grey_loader,
@@ -154,7 +154,7 @@ def _mapped(folder: Path, seed: int) -> tuple[ImageBlock, dict[str, str]]:
     return main_block(mapped, reasons), reasons
 
 
-def counted(adjusted: Adjusted, factor: float) -> Adjusted:
+def counted(adjusted: AdjustedBlock, factor: float) -> AdjustedBlock:
     """A block adjusted with a factor of 1, as if ``images.adjustment.interior_variance`` had been another.
 
     Parts of the block that contradict each other have raised the factor already; both add up.
@@ -170,7 +170,7 @@ def counted(adjusted: Adjusted, factor: float) -> Adjusted:
     return replace(adjusted, cov=cov * adjusted.cov_scale, interior_variance=present - 1.0 + factor)
 
 
-def pose_errors(adjusted: Adjusted, truth: ImagePoses) -> tuple[ArrayF, ArrayF]:
+def pose_errors(adjusted: AdjustedBlock, truth: ImagePoses) -> tuple[ArrayF, ArrayF]:
     """Errors (i, 6) that move the poses to the true ones, and their joint covariance (6 i, 6 i)."""
     row = {name: k for k, name in enumerate(truth.images)}
     kept = np.flatnonzero(~adjusted.lost_images)

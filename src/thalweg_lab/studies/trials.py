@@ -49,7 +49,7 @@ REFERENCE: Final[dict[str, Any]] = {"cell_m": 0.1}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mistake:
+class PlantedMistake:
     """Something wrong in the processing.
 
     Parameters
@@ -89,12 +89,12 @@ RIVER: Final[dict[str, Any]] = {
 """Section ``twin`` of surveys of the whole river: plants, houses, bridge, mirror images, shadow, multipath;
 errors of attitude and positions last 20 s and 10 s. Six of ten packets are lost to save time."""
 
-NONE: Final = Mistake(name="none")
-ESTIMATED: Final = Mistake(name="estimated", estimate=True)
+NONE: Final = PlantedMistake(name="none")
+ESTIMATED: Final = PlantedMistake(name="estimated", estimate=True)
 MISTAKES: Final = (
-    Mistake(name="boresight 0.1 deg", boresight_deg=(0.1, 0.0, 0.0)),
-    Mistake(name="lever arm reversed", reversed_levers=("lidar",)),
-    Mistake(name="trajectory 50 ms late", trajectory_late_s=0.05),
+    PlantedMistake(name="boresight 0.1 deg", boresight_deg=(0.1, 0.0, 0.0)),
+    PlantedMistake(name="lever arm reversed", reversed_levers=("lidar",)),
+    PlantedMistake(name="trajectory 50 ms late", trajectory_late_s=0.05),
 )
 """Mistakes that a check of predicted against observed errors must notice."""
 
@@ -133,7 +133,7 @@ def trial(
     *,
     twin: Mapping[str, Any] = BANKS,
     reference: Mapping[str, Any] = REFERENCE,
-    mistakes: Sequence[Mistake] = (NONE,),
+    mistakes: Sequence[PlantedMistake] = (NONE,),
     mesh: bool = True,
 ) -> Trial:
     """One survey, processed with each of the mistakes.

@@ -11,7 +11,7 @@ from thalweg.lightsheet.optics import Sensor
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.tank.glow import Fan, on_sheet
 from thalweg_lab.tank.motion import SensorPath, drift, rail
-from thalweg_lab.tank.objects import GridPattern, grid_object, panel, stepped_object, wreck
+from thalweg_lab.tank.objects import GridPattern, grid_object, panel
 from thalweg_lab.tank.surfaces import Pieces, Posed, Surface, Texture, noise_relief, pebble, relief
 
 # ---------------------------------------------------------------- A strip of river bed: sand ripples,
@@ -203,15 +203,6 @@ def panel_plan(
         fans=fans,
         facts={"depths_mm": [float(d) for d in depths_mm]},
     )
-
-
-def profile_plan(sensor: Sensor, seed: int, *, depth_mm: float = 150.0, step_mm: float = 0.8) -> Plan:
-    """One image of the stepped object and one of the wreck (P4 7.2), on grounds at about the same depth."""
-    turn = rotation_opk(0.0, 0.0, _line_angle(sensor))
-    at = _on_line(sensor, depth_mm - 20.0)
-    poses = [(turn, at - [0.0, 0.0, 20.0]), (turn, at - [0.0, 0.0, 35.0])]
-    surfaces = {"stepped_object": stepped_object(), "wreck": wreck(seed, step_mm=step_mm)}
-    return Plan(name="profiles", surfaces=surfaces, seen=tuple(surfaces), path=_path(poses))
 
 
 def scan_plan(

@@ -17,7 +17,6 @@ from thalweg.lightsheet.calibration import (
     verdicts,
 )
 from thalweg.lightsheet.calibration.model import LINE, PAIRS, depth_sigmas, sheet_values
-from thalweg.lightsheet.calibration.report import paper_4_sigmas
 from thalweg.lightsheet.calibration.sheet_calibration import beforehand
 from thalweg.lightsheet.optics import PARAMETERS, intersect, paper_3, paper_4, project, sheet_in_water
 from thalweg_lab.random_numbers import generator
@@ -314,6 +313,16 @@ def test_published_sigmas_of_paper_3(lines):
     at = {name: i for i, name in enumerate(found.names)}
     # study: -0.995 and 0.976
     assert all(abs(rho[at[a], at[b]]) > 0.95 for a, b in map(tuple, strong))
+
+
+def paper_4_sigmas(cov: np.ndarray) -> dict[str, float]:
+    """Sigmas of the laser in mm and degrees, of the covariance (26, 26) of a sensor."""
+    sigma = np.sqrt(np.diag(cov))
+    return {
+        name: float(np.rad2deg(sigma[i]) if name.endswith("_rad") else sigma[i])
+        for name in PAPER_4
+        for i in [PARAMETERS.index(name)]
+    }
 
 
 def test_published_sigmas_of_paper_4(lines):

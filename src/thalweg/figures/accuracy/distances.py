@@ -28,8 +28,6 @@ SIGMAS: Final = 3.9
 """End of the quantile plot: 1 of 20,000 values of a normal distribution lies beyond."""
 
 RANGE_COLUMNS = ("range_m", "n", "rmse_observed_m", "rmse_predicted_m")
-HISTOGRAM_LIMIT = 5.0
-"""Ends of the histograms of normalised errors, in sigmas; what lies beyond is counted in the title."""
 
 CLASS_COLUMNS: Final = (
     "points",
@@ -360,63 +358,6 @@ def draw_observed(
             mfc="white",
             label=f"beyond the axis, n = {int(above.sum())}",
         )
-
-
-@styled
-def error_histograms(
-    normalised: Mapping[str, ArrayF],
-    *,
-    outlier_rule: str = "",
-    title: str = "Errors divided by their predicted sigma",
-    twin: bool = False,
-) -> Figure:
-    """Histograms of normalised errors against the standard normal density.
-
-    Parameters
-    ----------
-    normalised : name of a component -> (n,) errors over their sigmas; NaN are left out.
-    outlier_rule : sentence on what was left out.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
-
-    Raises
-    ------
-    InputError : no component, or one without a finite value.
-    """
-    if not normalised:
-        raise InputError("no normalised errors", expected="at least one component")
-    clean = {name: np.asarray(v, dtype=np.float64) for name, v in normalised.items()}
-    clean = {name: v[np.isfinite(v)] for name, v in clean.items()}
-    for name, v in clean.items():
-        if not v.size:
-            raise InputError(f"component '{name}' has no finite normalised error", expected="numbers")
-    largest = max(v.size for v in clean.values())
-    figure = new_figure(78.0, f"{title}, n = {count(largest)} points", twin=twin)
-    panels = figure.subplots(1, len(clean), sharey=True, squeeze=False)[0]
-    for ax, (name, values) in zip(panels, clean.items(), strict=True):
-        _histogram(ax, name, values)
-    panels[0].set_ylabel("density / 1")
-    legend_below(figure, panels[0], title=outlier_rule or None)
-    return figure
-
-
-def _histogram(ax: Axes, name: str, values: ArrayF) -> None:
-    edges = np.linspace(-HISTOGRAM_LIMIT, HISTOGRAM_LIMIT, 51)
-    n, _ = np.histogram(values, edges)
-    # Over all values, also those beyond the ends: the bars then compare with the density as they stand.
-    density = n / (values.size * np.diff(edges))
-    ax.stairs(density, edges, fill=True, color=BLUE, alpha=0.45, label="errors found", gid="histogram")
-    x = np.linspace(-HISTOGRAM_LIMIT, HISTOGRAM_LIMIT, 201)
-    ax.plot(x, norm.pdf(x), color=VERMILION, lw=1.4, label="standard normal")
-    beyond = int(np.sum(np.abs(values) > HISTOGRAM_LIMIT))
-    inside = 100.0 * float(np.mean(np.abs(values) <= 1.959964))
-    ax.set_title(
-        f"{name}: n = {count(values.size)}\nmean {np.mean(values):+.2f}, std {np.std(values):.2f}\n"
-        f"{inside:.1f} % within ±1.96 (normal: 95 %)\n{count(beyond)} beyond ±{HISTOGRAM_LIMIT:g}",
-        fontsize=7,
-    )
-    ax.set_xlim(-HISTOGRAM_LIMIT, HISTOGRAM_LIMIT)
-    ax.set_xlabel("error over predicted sigma / 1")
 
 
 def draw_error_versus_range(*, by_range: Path, title: str, twin: bool) -> Figure:

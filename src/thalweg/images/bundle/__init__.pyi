@@ -1,4 +1,4 @@
-from .adjustment import Adjusted as Adjusted, pose_covariance as pose_covariance
+from .adjustment import AdjustedBlock as AdjustedBlock, pose_covariance as pose_covariance
 from .job import (
     Boat as Boat,
     adjust_campaign as adjust_campaign,

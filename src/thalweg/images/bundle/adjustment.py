@@ -45,7 +45,7 @@ from thalweg.images.bundle.normals import (
     views,
 )
 from thalweg.images.bundle.problem import Layout, Problem, State, moved, start_state, with_shared_errors
-from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock, ImagePoses, swapped, triangulated
+from thalweg.images.model import ControlMarks, ControlPoints, ImagePoses, swapped, triangulated
 from thalweg.settings.sections import BlockAdjustment
 
 _SMALL_PIVOT: Final = 1e-6
@@ -200,7 +200,7 @@ class Weights:
 
 
 @dataclass(slots=True, kw_only=True)
-class Adjusted:
+class AdjustedBlock:
     """An adjusted block.
 
     ``problem`` and ``x`` are about a local centre: ``wcs = local + origin_m``. ``cov`` (u, u) belongs to the
@@ -245,7 +245,7 @@ def adjust_block(
     *,
     scale_by_sigma0: bool = True,
     progress: Callable[[str], None] | None = None,
-) -> Adjusted:
+) -> AdjustedBlock:
     """Adjust a block from approximate values in the world frame.
 
     Parameters
@@ -377,7 +377,7 @@ def _finished(
     iterations: int,
     notes: list[str],
     scale_by_sigma0: bool,
-) -> Adjusted:
+) -> AdjustedBlock:
     """Covariance, residuals and counts at the solution."""
     block, marks, options = problem.block, problem.marks, weights.options
     sigma = weights.control_sigma(problem)
@@ -418,7 +418,7 @@ def _finished(
     used = np.zeros(len(block.mark_image), np.bool_)
     used[tracks.mark] = True
     calm = weights.calm[block.mark_point]
-    return Adjusted(
+    return AdjustedBlock(
         problem=problem,
         layout=layout,
         x=x,
@@ -763,13 +763,13 @@ def _flat(problem: Problem, x: State, least_deg: float) -> ArrayB:
 # points, control points with tests
 
 
-def pose_covariance(adjusted: Adjusted) -> ArrayF:
+def pose_covariance(adjusted: AdjustedBlock) -> ArrayF:
     """(6 i, 6 i) joint covariance of all poses: shift and rotation vector of each image, in wcs."""
     n = adjusted.layout.n_poses
     return adjusted.cov[:n, :n]
 
 
-def adjusted_cameras(adjusted: Adjusted) -> tuple[Camera, ...]:
+def adjusted_cameras(adjusted: AdjustedBlock) -> tuple[Camera, ...]:
     """Cameras with the covariance of their parameters; held ones keep what was known of them."""
     out = []
     for camera, at in zip(adjusted.x.cameras, adjusted.layout.interior, strict=True):
@@ -784,25 +784,8 @@ def adjusted_cameras(adjusted: Adjusted) -> tuple[Camera, ...]:
     return tuple(out)
 
 
-def adjusted_block(adjusted: Adjusted) -> ImageBlock:
-    """The block in the world frame with adjusted poses, cameras and points; all marks stay."""
-    b, x = adjusted.problem.block, adjusted.x
-    return ImageBlock(
-        cameras=adjusted_cameras(adjusted),
-        images=b.images,
-        camera=b.camera,
-        R_block_ccs=x.R,
-        centre_block_m=x.C + adjusted.origin_m,
-        points_block_m=x.X + adjusted.origin_m,
-        mark_image=b.mark_image,
-        mark_point=b.mark_point,
-        mark_px=b.mark_px,
-        sigma_px=b.sigma_px,
-    )
-
-
 def image_poses(
-    adjusted: Adjusted,
+    adjusted: AdjustedBlock,
     frame: LocalFrame,
     images: Sequence[str],
     reasons: dict[str, str],
@@ -857,7 +840,7 @@ def image_poses(
     )
 
 
-def image_statistics(adjusted: Adjusted) -> tuple[ArrayF, ArrayF]:
+def image_statistics(adjusted: AdjustedBlock) -> tuple[ArrayF, ArrayF]:
     """(i,) used marks of each image, and the rms of their residuals in pixels, both coordinates together."""
     block, marks = adjusted.problem.block, adjusted.problem.marks
     n = len(block.images)
@@ -868,44 +851,6 @@ def image_statistics(adjusted: Adjusted) -> tuple[ArrayF, ArrayF]:
     square = np.bincount(image, np.square(off).sum(axis=1) / 2, minlength=n)
     with np.errstate(invalid="ignore", divide="ignore"):
         return count, np.sqrt(square / count)
-
-
-def point_covariances(adjusted: Adjusted, points: Sequence[int]) -> ArrayF:
-    """(n, 3, 3) covariances of tie points, their correlation with images and cameras included.
-
-    NaN for points that take no part. With ``dX = V^-1 A^T W (r - J d)`` the error of a point is
-    ``V^-1 + K Q K^T`` with ``K = V^-1 A^T W J``.
-    """
-    tracks, layout, x = adjusted.tracks, adjusted.layout, adjusted.x
-    where = {int(p): k for k, p in enumerate(tracks.point)}
-    out = np.full((len(points), 3, 3), np.nan)
-    q = layout.n_interior
-    for row, p in enumerate(points):
-        k = where.get(int(p))
-        if k is None:
-            continue
-        s = slice(int(tracks.first[k]), int(tracks.first[k + 1]))
-        image, n = tracks.image[s], s.stop - s.start
-        part = linearised(adjusted.problem, layout, x, image, np.repeat(x.X[[p]], n, axis=0), tracks.xy_px[s])
-        part = along_and_across(part, tracks.along[s])
-        W = np.linalg.inv(adjusted.correlation.covariances(tracks.view[s], tracks.sigma_px[s]))
-        WA = np.einsum("aij,jax->iax", W, part.by_point)
-        V = np.einsum("iax,iay->xy", part.by_point, WA)
-        columns = np.concatenate(
-            [*(np.arange(6 * i, 6 * i + 6) for i in image), layout.n_poses + np.arange(q)]
-        )
-        K = np.concatenate(
-            [
-                *(np.einsum("ax,ab->xb", WA[i], part.by_pose[i]) for i in range(n)),
-                np.einsum("iax,iab->xb", WA, part.by_rest),
-            ],
-            axis=1,
-        )
-        K = np.linalg.solve(V, K)
-        scale = adjusted.cov_scale
-        # an image may hold two marks of a point: its columns then stand twice, which the sum allows
-        out[row] = scale * np.linalg.inv(V) + K @ adjusted.cov[np.ix_(columns, columns)] @ K.T
-    return out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -944,7 +889,7 @@ def _against_others(off: ArrayF, cov: ArrayF, C: ArrayF) -> tuple[float, ArrayF,
     return float((np.square(r) * factor)[told].sum()), turn @ (r * factor), (turn * factor) @ turn.T
 
 
-def control_result(adjusted: Adjusted, *, risk: float = 1e-4) -> ControlResult:
+def control_result(adjusted: AdjustedBlock, *, risk: float = 1e-4) -> ControlResult:
     """Differences of control and check points, each tested against all others.
 
     A check point's difference has the covariance ``C + Q`` of survey and block, a control point's ``C - Q``,

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, Camera, GeometryError, ThalwegError
 from thalweg.core.geometry import fit_points
 from thalweg.images.bundle.adjustment import (
-    Adjusted,
+    AdjustedBlock,
     ControlResult,
     adjust_block,
     adjusted_cameras,
@@ -181,7 +181,7 @@ def interior_of(known: Interiors, camera: Camera) -> Camera | None:
     return known.get(camera.name) if isinstance(known, Mapping) else known
 
 
-def interior_notes(adjusted: Adjusted, known: Interiors) -> list[str]:
+def interior_notes(adjusted: AdjustedBlock, known: Interiors) -> list[str]:
     """Parameters of a calibration that the images pull away from it by more than its sigmas allow."""
     problem = adjusted.problem
     notes = []

@@ -26,7 +26,7 @@ from thalweg.images import (
 )
 from thalweg.images.bundle.adjustment import (
     FEW_MARKS,
-    Adjusted,
+    AdjustedBlock,
     ControlResult,
     adjusted_cameras,
     image_poses,
@@ -359,7 +359,7 @@ def _joined(poses: Sequence[ImagePoses], lost: Mapping[str, str]) -> tuple[Image
 # ---------------------------------------------------------------- reports
 
 
-def image_table(adjusted: Adjusted, images: Sequence[str], reasons: Mapping[str, str]) -> pd.DataFrame:
+def image_table(adjusted: AdjustedBlock, images: Sequence[str], reasons: Mapping[str, str]) -> pd.DataFrame:
     """One row an image: whether it is oriented, marks, rms of residuals, sigmas of place and rotation.
 
     Sigmas are those of the pose about the axes of wcs, in mm and thousandths of a degree.
@@ -407,7 +407,7 @@ def image_table(adjusted: Adjusted, images: Sequence[str], reasons: Mapping[str,
     return pd.DataFrame(rows, columns=columns)
 
 
-def control_table(adjusted: Adjusted, result: ControlResult, left_out: Mapping[str, str]) -> pd.DataFrame:
+def control_table(adjusted: AdjustedBlock, result: ControlResult, left_out: Mapping[str, str]) -> pd.DataFrame:
     """One row a point: role, images, rms in pixels, adjusted minus surveyed and its predicted sigma, test.
 
     ``without_*`` is the same difference if the point's own coordinates had taken no part; for a check point
@@ -443,7 +443,7 @@ def control_table(adjusted: Adjusted, result: ControlResult, left_out: Mapping[s
 
 
 def check_statistics(
-    adjusted: Adjusted, result: ControlResult, demoted: Sequence[str] = ()
+    adjusted: AdjustedBlock, result: ControlResult, demoted: Sequence[str] = ()
 ) -> dict[str, Any]:
     """RMSE of check points, its prediction, their ratio, and the mean normalised error; empty without any.
 
@@ -467,7 +467,7 @@ def check_statistics(
 
 
 def facts_of(
-    adjusted: Adjusted, result: ControlResult, notes: Sequence[str], demoted: Sequence[str] = ()
+    adjusted: AdjustedBlock, result: ControlResult, notes: Sequence[str], demoted: Sequence[str] = ()
 ) -> dict[str, Any]:
     """JSON-able facts of an adjustment; ``demoted`` as in `check_statistics`."""
     sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)[~adjusted.lost_images]

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import PARAMETERS, ArrayF, ArrayI, Camera, GeometryError, rotation_vector
-from thalweg.images.bundle.adjustment import Adjusted, ControlResult, adjust_block, control_result
+from thalweg.images.bundle.adjustment import AdjustedBlock, ControlResult, adjust_block, control_result
 from thalweg.images.bundle.checks import (
     LEAST,
     Expected,
@@ -69,7 +69,7 @@ def adjust_from_either_start(
     options: BlockAdjustment,
     predictions: ImagePoses | None,
     progress: Callable[[str], None] | None = None,
-) -> tuple[Problem, Adjusted, ControlResult, list[str]]:
+) -> tuple[Problem, AdjustedBlock, ControlResult, list[str]]:
     """Adjust a block, and once more from the predicted poses where the result contradicts them.
 
     Returns
@@ -109,13 +109,13 @@ def _angles(one: ArrayF, two: ArrayF) -> ArrayF:
     return np.asarray(np.linalg.norm(rotation_vector(np.swapaxes(one, 1, 2) @ two), axis=-1))
 
 
-def _variances(adjusted: Adjusted) -> ArrayF:
+def _variances(adjusted: AdjustedBlock) -> ArrayF:
     """(i,) mean variances of the projection centres."""
     n = adjusted.layout.n_poses
     return np.asarray(np.diag(adjusted.cov)[:n].reshape(-1, 6)[:, :3].mean(axis=1))
 
 
-def _doubted(adjusted: Adjusted, predictions: ImagePoses | None) -> bool:
+def _doubted(adjusted: AdjustedBlock, predictions: ImagePoses | None) -> bool:
     """Whether half of the images lie or look elsewhere than predicted by more than three sigmas."""
     if predictions is None:
         return False
@@ -178,7 +178,7 @@ def _meeting(rays: ArrayF, centres: ArrayF, point: ArrayI, like: ArrayF) -> Arra
     return np.asarray(np.linalg.solve(N + _FLAT * np.eye(3), g[:, :, None])[:, :, 0])
 
 
-def misfit(one: Adjusted, first: Adjusted, second: Adjusted) -> float:
+def misfit(one: AdjustedBlock, first: AdjustedBlock, second: AdjustedBlock) -> float:
     """-2 ln of the likelihood of a result, but for a constant: marks that both results use, control points.
 
     The errors are those of the second result, of Student's distribution, for both.
@@ -237,7 +237,7 @@ class Oriented:
     ``demoted`` names control points that contradicted the others and were made check points.
     """
 
-    adjusted: Adjusted
+    adjusted: AdjustedBlock
     control: ControlResult
     demoted: tuple[str, ...] = ()
     left_out: dict[str, str] = field(default_factory=dict)

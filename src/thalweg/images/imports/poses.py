@@ -528,11 +528,6 @@ def _camera(out: _Table, oriented: ArrayB) -> Camera | None:
 # ``-R(q)^T t``. Points are not needed. A model has a frame of its own unless somebody has put it into a CRS.
 
 
-def is_model(path: Path) -> bool:
-    """Whether a path is a folder with a model, or one of its files."""
-    return model_folder(path) is not None
-
-
 def model_folder(path: Path) -> Path | None:
     """Folder of the model that a path means."""
     folder = path if path.is_dir() else path.parent

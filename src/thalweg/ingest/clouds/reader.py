@@ -95,7 +95,6 @@ def eight_bit(rgb: AnyArray, report: IntegrityReport) -> ArrayU8:
 WEEK_TIMES: Final = "Times are seconds of an unstated GPS week: they are left empty."
 
 _CHUNK_POINTS: Final = 500_000
-_LAYERED: Final = 3
 _NAMES: Final[tuple[str, ...]] = ("xyz_m", "intensity", "rgb", "t_gps_s", "t_week_s")
 
 

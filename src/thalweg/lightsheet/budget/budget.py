@@ -29,8 +29,6 @@ from thalweg.lightsheet.optics import (
     Sensor,
     SheetPoints,
     depth_lines,
-    intersect,
-    picture_grid,
     point_derivatives,
     sheet_derivatives,
 )
@@ -111,19 +109,6 @@ class PointBudget:
     def of(self, name: str) -> ArrayF:
         """(n,) standard deviations of the depth by a cause or a total."""
         return self.sigma_depth_mm[:, self.names.index(name)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PictureBudget:
-    """Standard deviations of the depth over the picture: ``x_px`` (c,), ``y_px`` (r,), ``sigma_depth_mm``
-    (names, r, c), ``depth_mm`` (r, c); NaN where no sheet is seen.
-    """
-
-    x_px: ArrayF
-    y_px: ArrayF
-    names: tuple[str, ...]
-    sigma_depth_mm: ArrayF
-    depth_mm: ArrayF
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,22 +216,6 @@ def budget_on_lines(
                 )
             )
     return pd.concat(parts, ignore_index=True)
-
-
-def budget_over_picture(
-    sensor: Sensor, step_px: int = 32, *, sigma_px: tuple[float, float] = SIGMA_LINE_PX
-) -> PictureBudget:
-    """The budget of every ``step_px``-th pixel."""
-    grid = picture_grid(sensor, step_px)
-    xy = np.stack(np.meshgrid(grid.x_px, grid.y_px), axis=-1).reshape(-1, 2)
-    found = point_budget(sensor, xy, sigma_px=sigma_px)
-    return PictureBudget(
-        x_px=grid.x_px,
-        y_px=grid.y_px,
-        names=found.names,
-        sigma_depth_mm=found.sigma_depth_mm.T.reshape(-1, *grid.depth_mm.shape),
-        depth_mm=grid.depth_mm,
-    )
 
 
 def budget_table(lines: pd.DataFrame) -> pd.DataFrame:
@@ -388,53 +357,6 @@ def depth_sigmas(
         "factor",
     ]
     return pd.DataFrame(rows, columns=columns)
-
-
-def simulated_depth_errors(
-    sensor: Sensor,
-    plan: Design,
-    rng: np.random.Generator,
-    *,
-    runs: int = 60,
-    depths_mm: Sequence[float] = (50.0, 125.0, 200.0),
-    considered: Mapping[str, float] = CONSIDERED,
-) -> ArrayF:
-    """Errors in depth (runs, depths) in the middle of each line after complete calibrations with wrong fixed
-    values.
-
-    Each run draws what the calibration holds fixed and the observations, estimates the laser, and measures
-    with what it has: the counterpart of `calibrated` without any linear propagation.
-    """
-    lines = depth_lines(sensor, depths_mm, n=41)
-    middle = np.stack([line.xy_px[len(line.xy_px) // 2] for line in lines])
-    truth = sensor.vector()
-    errors = np.empty((runs, len(depths_mm)))
-    for run in range(runs):
-        x = truth.copy()
-        for name, sigma in considered.items():
-            e = rng.normal(0.0, sigma)
-            for each in ("fx", "fy") if name == "fx" else (name,):
-                x[PARAMETERS.index(each)] += e
-        levels = np.asarray(plan.levels_mm) + rng.normal(0.0, SIGMA_LEVEL_MM, 2)
-        noisy = Design(
-            levels_mm=(float(levels[0]), float(levels[1])),
-            line_level=plan.line_level,
-            line_px=plan.line_px + rng.normal(0.0, plan.sigma_line_px, plan.line_px.shape),
-            upper_px=plan.upper_px + _pair_noise(rng, plan),
-            lower_px=plan.lower_px + _pair_noise(rng, plan),
-            sigma_line_px=plan.sigma_line_px,
-            sigma_pair_px=plan.sigma_pair_px,
-        )
-        found = recalibrated(sensor.with_vector(x), noisy)
-        errors[run] = intersect(found, middle).depth_mm - np.asarray(depths_mm)
-    return errors
-
-
-def _pair_noise(rng: np.random.Generator, plan: Design) -> ArrayF:
-    """A piece ends somewhere along the line, and its centre lies across it as well as that of any point."""
-    along_y = np.ptp(plan.line_px[:, 1]) >= np.ptp(plan.line_px[:, 0])
-    sigma = (plan.sigma_line_px, plan.sigma_pair_px) if along_y else (plan.sigma_pair_px, plan.sigma_line_px)
-    return rng.normal(0.0, 1.0, plan.upper_px.shape) * sigma
 
 
 def _by_names(by_parameters: ArrayF, names: Sequence[str]) -> ArrayF:

@@ -221,11 +221,6 @@ def line_thickness(sensor: Sensor, reach_mm: float = 100.0) -> Inequality:
     )
 
 
-def rayleigh_range_mm(diameter_mm: float, n: float, wavelength_nm: float = WAVELENGTH_NM) -> float:
-    """Distance from its waist of this diameter (1/e^2) where a beam in a medium is sqrt 2 times as wide."""
-    return float(np.pi * (0.5 * diameter_mm) ** 2 * n / (wavelength_nm * 1e-6))
-
-
 def depth_trends(table: pd.DataFrame) -> pd.DataFrame:
     """Whether each cause grows with depth, as P4 6.6 says of all.
 

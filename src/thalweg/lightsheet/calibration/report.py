@@ -225,16 +225,6 @@ def paper_3_table(x: ArrayF) -> ArrayF:
     return np.array([laser[2], angles[1], *off, *angles[3:]])
 
 
-def paper_4_sigmas(cov: ArrayF) -> dict[str, float]:
-    """Sigmas of the laser in mm and degrees, of the covariance (26, 26) of a sensor."""
-    sigma = np.sqrt(np.diag(cov))
-    return {
-        name: float(np.rad2deg(sigma[i]) if name.endswith("_rad") else sigma[i])
-        for name in PAPER_4
-        for i in [PARAMETERS.index(name)]
-    }
-
-
 def _factor(found: SheetCalibration, kind: str) -> dict[str, float]:
     """Factor of the stated sigmas, and by what factor it may be wrong (2 if the picture says nothing)."""
     factor = found.sigma_factor[kind]

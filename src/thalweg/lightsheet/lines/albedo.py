@@ -45,7 +45,6 @@ SIGNIFICANT: Final = 4.0
 """Sigmas by which a coefficient must differ from zero to be used."""
 _LEAST_WIDTH_JUMP: Final = 0.1
 """Change of the width, relative, from which on an edge says something about the shift."""
-_BACKGROUND_STEP: Final = 6.0
 
 
 @dataclass(frozen=True, slots=True)

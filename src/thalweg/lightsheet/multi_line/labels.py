@@ -147,11 +147,6 @@ class Labels:
     best: ArrayI
     margin: ArrayF
 
-    @property
-    def labelled_share(self) -> float:
-        """Share of the detections that have a label."""
-        return float(np.mean(self.label >= 0)) if len(self.label) else 0.0
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:

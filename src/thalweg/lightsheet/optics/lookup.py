@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from thalweg.core import ArrayF, ArrayU8, GeometryError, njit, prange
 from thalweg.lightsheet.optics.intersection import SheetPoints, intersect
-from thalweg.lightsheet.optics.refraction import Status
 from thalweg.lightsheet.optics.sensor import Sensor
 
 STEP_PX: Final = 16
@@ -127,10 +126,3 @@ def _interpolate(xy: ArrayF, step: int, values: ArrayF, cells: ArrayU8, out: Arr
             s2 += w[r] * (u0 * row[j - 1, 2] + u1 * row[j, 2] + u2 * row[j + 1, 2] + u3 * row[j + 2, 2])
             s3 += w[r] * (u0 * row[j - 1, 3] + u1 * row[j, 3] + u2 * row[j + 1, 3] + u3 * row[j + 2, 3])
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = s0, s1, s2, s3
-
-
-def table_counts(table: LookUpTable) -> dict[str, int]:
-    """How many cells of the picture have each mark, for reports."""
-    names = {**{int(status): status.name for status in Status}, EXACT: "EXACT"}
-    inner = table.cells[1:-2, 1:-2]
-    return {name: int((inner == mark).sum()) for mark, name in names.items()}

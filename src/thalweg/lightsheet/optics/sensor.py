@@ -266,11 +266,6 @@ class Sensor:
         """Names of the parameters, in order."""
         return PARAMETERS
 
-    @property
-    def base_mm(self) -> float:
-        """Distance between projection centre and laser."""
-        return float(np.linalg.norm(self.camera_origin_lcs_mm - self.sheet.origin_lcs_mm))
-
     def vector(self) -> ArrayF:
         """(26,) values of `PARAMETERS`."""
         window = self.window

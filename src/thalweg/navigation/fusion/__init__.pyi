@@ -1,4 +1,4 @@
-from .errors import ErrorModel as ErrorModel, Prior as Prior, with_errors as with_errors
+from .errors import FusionErrors as FusionErrors, Prior as Prior, with_errors as with_errors
 from .model import (
     SPREAD as SPREAD,
     FusionSettings as FusionSettings,

@@ -88,7 +88,7 @@ class Prior:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ErrorModel:
+class FusionErrors:
     """Sizes and times of the errors, as the prior and the survey have them.
 
     Parameters
@@ -223,7 +223,7 @@ def priors_of(settings: FusionSettings, layout: Layout, nodes: Nodes) -> dict[st
 
 
 def applied(values: Mapping[str, float], settings: FusionSettings) -> tuple[FusionSettings, Factors]:
-    """Settings with the times, and factors of all sigmas, of `ErrorModel.values`.
+    """Settings with the times, and factors of all sigmas, of `FusionErrors.values`.
 
     Slow and white errors of the positions have sizes of their own; one size if the white share is fixed.
     """
@@ -242,7 +242,7 @@ def with_errors(
     settings: FusionSettings,
     *,
     clock_start_s: float,
-) -> tuple[Nodes, FusionSettings, Solved, ErrorModel]:
+) -> tuple[Nodes, FusionSettings, Solved, FusionErrors]:
     """The solution with errors of the sizes and times that the survey shows.
 
     Parameters
@@ -256,7 +256,7 @@ def with_errors(
     nodes, settings with the times, solution whose covariances count what is not known of the errors, and the
     errors. In the nodes the noise of gaps stays what it was, whatever the size of the steps' own.
     """
-    model: ErrorModel | None = None
+    model: FusionErrors | None = None
     now, steps = settings, solved.n_solutions
     for _ in range(_AGAIN):
         model = estimated(
@@ -300,8 +300,8 @@ def estimated(
     settings: FusionSettings,
     *,
     clock_start_s: float,
-    start: ErrorModel | None = None,
-) -> ErrorModel:
+    start: FusionErrors | None = None,
+) -> FusionErrors:
     """The errors of a survey.
 
     Parameters
@@ -311,7 +311,7 @@ def estimated(
     clock_start_s : prior mean of the clock offset about the nodes of the images.
     start : an earlier estimate to start from; by default the factors of ``solved``.
     """
-    nothing = ErrorModel.stated(settings, layout, nodes)
+    nothing = FusionErrors.stated(settings, layout, nodes)
     priors, centre = nothing.priors, nothing.h
     width = np.array([np.log(p.width) for p in priors.values()])
     k = len(priors)
@@ -354,7 +354,7 @@ def estimated(
 
 
 def spread_over(
-    model: ErrorModel,
+    model: FusionErrors,
     reference: Reference,
     nodes: Nodes,
     observed: Observed,

@@ -29,7 +29,7 @@ from thalweg.core import (
     utc_text_from_gps,
 )
 from thalweg.images.model import ImagePoses
-from thalweg.navigation.fusion.errors import ErrorModel, with_errors
+from thalweg.navigation.fusion.errors import FusionErrors, with_errors
 from thalweg.navigation.fusion.model import (
     GROUPS,
     MODEL,
@@ -128,7 +128,7 @@ class Fused:
     nodes: Nodes
     solved: Solved
     settings: FusionSettings
-    errors: ErrorModel
+    errors: FusionErrors
 
     def poses(self, t_gps_s: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
         """Position (k, 3), ``R_wcs_ics`` (k, 3, 3) and covariance (k, 6, 6) at any times within the INS."""
