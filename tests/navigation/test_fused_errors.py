@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from thalweg.navigation.fusion import SPREAD, FusionErrors, Fused, FusionSettings, Prior
+from thalweg.navigation.fusion import SPREAD, Fused, FusionErrors, FusionSettings, Prior
 from thalweg.navigation.fusion.errors import applied
 from thalweg.settings.sections import Fused as FusedSection
 from thalweg_lab.studies import outage

@@ -46,7 +46,6 @@ from .solutions import (
     within as within,
 )
 from .statistics import (
-    NMAD_FACTOR as NMAD_FACTOR,
     by_range_class as by_range_class,
     chi_square_band as chi_square_band,
     describe_errors as describe_errors,

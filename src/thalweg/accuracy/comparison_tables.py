@@ -28,7 +28,7 @@ from thalweg.accuracy.statistics import (
     range_class,
     ratio_band,
 )
-from thalweg.core import ArrayB, ArrayF, njit
+from thalweg.core import ArrayB, ArrayF, njit, root_mean_square
 
 AS_MEASURED: Final = "as measured"
 REGISTERED: Final = "with registration"
@@ -195,7 +195,7 @@ def by_range_table(
             values = independent_squares(
                 t[part], changing[part], settings.correlation_s, constant_m2=constant[part]
             )
-            observed = float(np.sqrt(np.mean(distance[part] ** 2)))
+            observed = root_mean_square(distance[part])
             predicted = float(np.sqrt(np.mean(changing[part] + constant[part])))
             ratio = predicted / observed if observed > 0 else np.inf
             low, high = ratio_band(values)

@@ -28,8 +28,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import f as fisher
 
 from thalweg.accuracy.comparison import ComparisonSettings
-from thalweg.accuracy.statistics import NMAD_FACTOR
-from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError
+from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, GeometryError
 from thalweg.core.geometry import cell_numbers
 from thalweg.surface import Distances, Surface
 
@@ -167,7 +166,7 @@ def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings
         use = _taking_part(found, settings)
         rates = _rates(moved, found.normal, motion)
         iterations, applied = iterations + 1, share * size
-    spread_m = NMAD_FACTOR * float(np.median(np.abs(found.distance_m[use])))
+    spread_m = NMAD * float(np.median(np.abs(found.distance_m[use])))
     if size > max(JITTER * spread_m, STEP_M):
         raise GeometryError(
             f"no convergence in {iterations} iterations; the last step was {1000 * size:.2g} mm",
@@ -228,7 +227,7 @@ def _tukey_slope(distance_m: ArrayF) -> ArrayF:
 
 
 def _tukey_limit(distance_m: ArrayF) -> float:
-    return TUKEY * max(NMAD_FACTOR * float(np.median(np.abs(distance_m))), _FLOOR_M)
+    return TUKEY * max(NMAD * float(np.median(np.abs(distance_m))), _FLOOR_M)
 
 
 def _rates(points: ArrayF, normal: ArrayF, motion: Motion) -> ArrayF:

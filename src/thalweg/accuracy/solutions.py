@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 from thalweg.accuracy.comparison import predicted_sigma_m
 from thalweg.accuracy.comparison_tables import ALL, AS_MEASURED, WITHOUT_OUTLIERS
 from thalweg.accuracy.statistics import describe_errors
-from thalweg.core import AnyArray, ArrayB, ArrayF, InputError, Trajectory
+from thalweg.core import AnyArray, ArrayB, ArrayF, InputError, Trajectory, root_mean_square
 
 CHAINS: Final = ("ins", "camera", "fused")
 """Chains in the order in which they are shown; a campaign may have some of them."""
@@ -298,7 +298,7 @@ def _at_common_times(chain: Chain, spans: Sequence[ArrayF]) -> list[Row]:
         for name, value in describe_errors(table["distance_m"].to_numpy(np.float64)[use]).items()
     }
     if use.any():
-        predicted = float(np.sqrt(np.mean(predicted_sigma_m(table[use]) ** 2)))
+        predicted = root_mean_square(predicted_sigma_m(table[use]))
         found |= {"predicted_rmse": predicted}
         found |= {"ratio": predicted / found["rmse"] if found["rmse"] > 0 else float("inf")}
     return [(COMMON, q, found[q], unit, words) for q, unit, words in _OF_DISTANCES if q in found]
@@ -558,4 +558,4 @@ def _sigmas(trajectory: Trajectory, begin_gps_s: float, end_gps_s: float, name: 
     if not inside.any():
         return {f"{name}_sigma_m": float("nan"), f"{name}_most_m": float("nan")}
     size = np.linalg.norm(trajectory.sigma_position_m[inside], axis=1)
-    return {f"{name}_sigma_m": float(np.sqrt(np.mean(size**2))), f"{name}_most_m": float(size.max())}
+    return {f"{name}_sigma_m": root_mean_square(size), f"{name}_most_m": float(size.max())}

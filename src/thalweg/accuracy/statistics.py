@@ -6,10 +6,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2, norm
 
-from thalweg.core import ArrayF, ArrayI
+from thalweg.core import NMAD, ArrayF, ArrayI, root_mean_square
 
-NMAD_FACTOR: Final = 1.4826
-"""Median absolute deviation -> standard deviation of a normal distribution, 1 / Phi^-1(0.75)."""
 NORMAL_SHARES: Final = tuple(float(norm.cdf(k) - norm.cdf(-k)) for k in (1, 2, 3))
 """Shares of a normal distribution within 1, 2 and 3 standard deviations of its mean."""
 HONEST_WITHIN: Final = 0.1
@@ -35,9 +33,9 @@ def describe_errors(errors_m: ArrayF) -> dict[str, float]:
         "n": float(e.size),
         "bias_m": float(np.mean(e)),
         "std_m": float(np.std(e)),
-        "rmse_m": float(np.sqrt(np.mean(e**2))),
+        "rmse_m": root_mean_square(e),
         "median_m": median,
-        "nmad_m": float(NMAD_FACTOR * np.median(np.abs(e - median))),
+        "nmad_m": float(NMAD * np.median(np.abs(e - median))),
         "p95_m": float(np.percentile(np.abs(e), 95)),
     }
 

@@ -33,6 +33,7 @@ from thalweg.core import (
     chain_derivatives,
     opk_axes,
     propagated,
+    root_mean_square,
     rotation_enu_body,
     rotation_opk,
 )
@@ -310,7 +311,7 @@ def rmse_mm(budget: Budget) -> float:
         raise GeometryError(
             "a budget without a survey", where=budget.name, expected="`survey` with `from_m` and `to_m`"
         )
-    return float(np.sqrt(np.mean(totals_mm(budget, budget.survey.distances_m()) ** 2)))
+    return root_mean_square(totals_mm(budget, budget.survey.distances_m()))
 
 
 def ball_coverage(cov: ArrayF, radius: ArrayLike) -> ArrayF:

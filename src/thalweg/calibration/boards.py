@@ -41,6 +41,7 @@ from thalweg.core import (
     beam_axes,
     cross_matrix,
     exp_rotation,
+    root_mean_square,
 )
 from thalweg.core.calibration import Calibration, Source, pose_block
 from thalweg.core.geometry import nearest_rotation
@@ -549,7 +550,7 @@ def _table(
                 "rejected": scan.rejected,
                 "edges": len(scan.edges.side),
                 "mean_mm": 1e3 * float(d.mean()) if n else np.nan,
-                "rms_mm": 1e3 * float(np.sqrt(np.mean(d**2))) if n else np.nan,
+                "rms_mm": 1e3 * root_mean_square(d) if n else np.nan,
                 "distance_m": float(np.linalg.norm(pose.view.T_ccs_board.shift_m)),
                 "rms_px": pose.view.rms_px,
                 "used": i in used,
@@ -936,7 +937,7 @@ def board_view(name: str, corners_px: ArrayF, board: Checkerboard, camera: Camer
 
     names = ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")
     first = adjust([model(1.0)], start, names, update=Rigid.moved)
-    rms = float(np.sqrt(np.mean(np.square(first.residuals["corners"]))))
+    rms = root_mean_square(first.residuals["corners"])
     if rms > 5.0:
         raise GeometryError(
             f"the corners are off by {rms:.1f} pixels from any pose of the board",

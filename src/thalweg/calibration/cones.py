@@ -37,7 +37,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, Rigid, beam_axes
+from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, Rigid, beam_axes, root_mean_square
 
 PARAMETERS: Final = ("apex_x", "apex_y", "apex_z", "axis_1", "axis_2", "half_angle")
 """Order of the parameters of a cone: metres, then radians."""
@@ -422,7 +422,7 @@ def fit_reference(
     # A wrong angle that is kept, or from which nothing led away, puts part of the points out.
     if far or used.mean() < _CLEAR_SHARE:
         _refuse_angle(reference, sigma, reject_sigmas)
-    spread = float(np.sqrt(np.mean(distance[used] ** 2)))
+    spread = root_mean_square(distance[used])
     by_points = _by_points(cone, reference.points_m, used, sigma, free_half_angle=free_half_angle)
     cov = parameter_cov(by_points, reference.cov, reference.form_sigma_m)
     return ConeFit(

@@ -29,6 +29,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from thalweg.calibration.ins_lidar import BorderedNormals, Knots, PoseErrors, RunPoints, pose_rows
 from thalweg.core import (
+    NMAD,
     ArrayB,
     ArrayF,
     CoverageError,
@@ -36,6 +37,7 @@ from thalweg.core import (
     InputError,
     Trajectory,
     UnobservableError,
+    root_mean_square,
 )
 from thalweg.core.calibration import Block, Calibration, Source, lever_block
 from thalweg.settings.sections import EchoSounderFit
@@ -233,7 +235,7 @@ def estimate_echo_sounder(
         left = rows.misfit + rows.border @ found.border
         left += np.sum(rows.pose * knots.at(found.errors, points.t_gps_s), axis=1)
         scaled = np.abs(left) / np.sqrt(rows.variance)
-        spread = max(1.0, 1.4826 * float(np.median(scaled[rows.inside])))
+        spread = max(1.0, NMAD * float(np.median(scaled[rows.inside])))
         before, kept = kept, scaled <= _REJECT * spread
         done = np.all(np.abs(step) < 0.01 * np.sqrt(np.diag(found.cov_border)[:4]))
         if done and np.array_equal(before, kept):
@@ -387,7 +389,7 @@ def bed_of(points_wcs_m: ArrayF, sigma_m: ArrayF, section: Mapping[str, Any], pl
     """
     bed = Bed(
         points_wcs_m=_smoothed(points_wcs_m),
-        sigma_m=float(np.sqrt(np.mean(np.square(sigma_m)))),
+        sigma_m=root_mean_square(sigma_m),
         sigma_datum_m=section["sigma_datum_m"],
         longest_edge_m=section["longest_edge_m"],
     )

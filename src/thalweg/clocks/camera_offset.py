@@ -32,6 +32,7 @@ from scipy.stats import chi2
 from thalweg.clocks.ties import QUARTZ_DRIFT, ClockModel
 from thalweg.clocks.track import Between, Track, gauss_markov
 from thalweg.core import (
+    NMAD,
     AnyArray,
     ArrayB,
     ArrayF,
@@ -1036,7 +1037,7 @@ def find_start(poses: CameraPoses, track: Track, *, largest_offset_s: float, lar
     seen, inside = _seen(poses, track, best)
     lever = np.median(seen[inside], axis=0)
     away = np.linalg.norm(seen - lever, axis=1)
-    scale = 1.4826 * float(np.median(away[inside]))
+    scale = NMAD * float(np.median(away[inside]))
     return Start(
         offset_s=float(best),
         lever_m=lever,

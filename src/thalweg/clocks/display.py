@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image, ImageDraw, ImageFont
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError
 
 _SAMPLE: Final = 40
 _TRAINING: Final = 200
@@ -80,7 +80,6 @@ _FAR: Final = 10.0
 """Scatters from the neighbours beyond which a reading is impossible: clocks do have late moments."""
 _sequence_DOUBT: Final = 3.0
 _LEAST_S: Final = 0.05
-_NMAD: Final = 1.4826
 
 CELL_HEIGHT_PX: Final = 40
 """Height of a rectified cell; digits fill 80 % of it."""
@@ -676,7 +675,7 @@ def out_of_sequence(
     off = y - interval * x
     before, behind = _medians(off)
     away = np.fmin(np.abs(off - before), np.abs(off - behind))
-    scatter = _NMAD * float(np.nanmedian(away))
+    scatter = NMAD * float(np.nanmedian(away))
     wrong[known] = away > max(_FAR * scatter, _LEAST_S)
     if other_s is not None:
         shift = (other_s - t_s)[known]

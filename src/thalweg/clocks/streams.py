@@ -19,6 +19,7 @@ from thalweg.core import (
     InputError,
     LocalFrame,
     Trajectory,
+    root_mean_square,
     rotation_enu_body,
     utc_text_from_gps,
 )
@@ -509,7 +510,7 @@ class Speeds:
         angular = 2.0 * np.arccos(cosine) / step[:, 0]
         return cls(
             linear_mps=float(np.sqrt(np.square(linear).sum(axis=1).mean())),
-            angular_radps=float(np.sqrt(np.square(angular).mean())),
+            angular_radps=root_mean_square(angular),
         )
 
     def cost_mm(self, dt_s: float, range_m: float) -> float:

@@ -26,6 +26,7 @@ from thalweg.core import (
     column,
     frame_of,
     read_table,
+    robust_sigma,
     table_kind,
     utc_text_from_gps,
 )
@@ -675,7 +676,7 @@ def _nearest(t: ArrayF, p: ArrayF, offset: float, near: float) -> ArrayI:
 
 
 def _scatter(values: ArrayF) -> float:
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+    return robust_sigma(values)
 
 
 # ---------------------------------------------------------------- what is known of a clock, however it was

@@ -98,6 +98,7 @@ from .rigid import (
     propagated as propagated,
     rotation_vector as rotation_vector,
 )
+from .statistics import NMAD as NMAD, robust_sigma as robust_sigma, root_mean_square as root_mean_square
 from .tables import (
     column as column,
     frame_of as frame_of,

@@ -7,7 +7,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core import GPS_EPOCH_UNIX_S, LEAP_TABLE, LEAP_TABLE_VALID_UNTIL, ArrayB, ArrayF, unix_from_gps
+from thalweg.core import (
+    GPS_EPOCH_UNIX_S,
+    LEAP_TABLE,
+    LEAP_TABLE_VALID_UNTIL,
+    NMAD,
+    ArrayB,
+    ArrayF,
+    unix_from_gps,
+)
 
 FIRST_UNIX_S: Final = GPS_EPOCH_UNIX_S
 LAST_UNIX_S: Final = (
@@ -15,7 +23,6 @@ LAST_UNIX_S: Final = (
 )
 """No survey was made before GPS time began, nor 30 years behind the last known leap second."""
 
-_NMAD: Final = 1.4826
 _LEAST_FIT: Final = 4
 """Pairs of stamps without which no drift is fitted."""
 _FIT_BLOCKS: Final = 20
@@ -86,7 +93,7 @@ class StreamTiming:
         step_s, n = step_s[short], n[short]
         off = np.abs(step_s - np.rint(step_s / period) * period)
         self.period_s = period
-        self.jitter_s = _NMAD * weighted_median(off, n)
+        self.jitter_s = NMAD * weighted_median(off, n)
         self.jitter_max_s = float(off.max())
 
     def describe_host(self, t_gps_s: ArrayF, t_host_s: ArrayF) -> None:

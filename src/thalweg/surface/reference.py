@@ -21,6 +21,7 @@ from thalweg.core import (
     laz_header,
     njit,
     prange,
+    robust_sigma,
 )
 from thalweg.core.geometry import TriangleMesh
 from thalweg.lidar import MOST_COUNTED, Occupancy
@@ -655,7 +656,7 @@ def compare_files(read: ReferencePoints, frame: BankFrame) -> tuple[list[dict[st
             continue
         differences = np.array([columns[other][key] - columns[one][key] for key in shared])
         apart = float(np.median(differences))
-        spread = 1.4826 * float(np.median(np.abs(differences - apart)))
+        spread = robust_sigma(differences, apart)
         names = [read.files[number]["file"] for number in (one, other)]
         pairs.append({"files": names, "cells": len(shared), "apart_m": round(apart, 5)})
         pairs[-1]["spread_m"] = round(spread, 5)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, njit, prange
+from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, GeometryError, njit, prange
 
 NEIGHBOURS: Final = 16
 """A cell and those about it, from which its plane and scatter are estimated."""
@@ -27,7 +27,6 @@ SPIKE: Final = 0.75
 A ridge of two planes stands 0.4 times the radius and its slope above the median of its surroundings: it
 stays up to a slope of 62 degrees on either side.
 """
-_MAD_TO_SIGMA: Final = 1.4826
 _SMALL_SAMPLE: Final = np.array([1.0, 1.0, 1.196, 1.495, 1.363, 1.206, 1.200, 1.140, 1.129, 1.107])
 """Factor that makes the MAD of 0 to 9 values unbiased; above ``n / (n - 0.8)`` (Croux and Rousseeuw 1992)."""
 _LEAST_FREEDOM: Final = 12
@@ -91,7 +90,7 @@ def thin(points_m: ArrayF, cell_m: float, *, cubes: bool) -> Thinned:
     normal, variance = local_planes(centre, near)
     middle, spread = deviations(p, start, normal)
     factor = np.where(n < len(_SMALL_SAMPLE), _SMALL_SAMPLE[np.minimum(n, 9)], n / (n - 0.8))
-    limit = TRIM * _MAD_TO_SIGMA * pooled_spread(n, spread * factor, near)
+    limit = TRIM * NMAD * pooled_spread(n, spread * factor, near)
     mean, n_in, squares = trimmed_means(p, start, normal, middle, np.maximum(limit, _LEAST_SIGMA_M))
     sigma = np.sqrt(_scatter(n_in, squares, near, variance) / n_in)
     return Thinned(

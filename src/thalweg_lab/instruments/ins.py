@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
-from thalweg.core import R_ENU_NED, ArrayF, ConfigError, LocalFrame, roll_pitch_heading
+from thalweg.core import R_ENU_NED, ArrayF, ConfigError, LocalFrame, roll_pitch_heading, root_mean_square
 from thalweg.settings.twin import TwinConfig, TwinIns
 from thalweg_lab import writers
 from thalweg_lab.instruments.bed import true_depth_m
@@ -144,11 +144,7 @@ def _thrust(config: TwinConfig, motion: Motion, t: ArrayF) -> ArrayF:
 def _extent_deg(errors_rad: ArrayF) -> dict[str, float]:
     """RMS, least and greatest of errors, degrees."""
     degrees = np.rad2deg(errors_rad)
-    return {
-        "rms": float(np.sqrt(np.mean(degrees**2))),
-        "min": float(degrees.min()),
-        "max": float(degrees.max()),
-    }
+    return {"rms": root_mean_square(degrees), "min": float(degrees.min()), "max": float(degrees.max())}
 
 
 def _depth_packets(

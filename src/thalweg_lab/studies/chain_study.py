@@ -41,7 +41,16 @@ from thalweg.accuracy import (
     range_facts,
 )
 from thalweg.budgets import read_budget, totals_mm
-from thalweg.core import ArrayF, LocalFrame, Rigid, Trajectory, exp_rotation, opk_axes, write_table
+from thalweg.core import (
+    ArrayF,
+    LocalFrame,
+    Rigid,
+    Trajectory,
+    exp_rotation,
+    opk_axes,
+    root_mean_square,
+    write_table,
+)
 from thalweg.core.geometry import TriangleMesh
 from thalweg.images.model import ImagePoses
 from thalweg.ingest.anpp import read_anpp
@@ -541,16 +550,16 @@ def _distances(parts: Sequence[pd.DataFrame]) -> dict[str, float]:
     d = [part["distance_m"].to_numpy(np.float64) for part in parts if len(part)]
     whole = np.concatenate(d)
     sigma = np.concatenate([predicted_sigma_m(part) for part in parts])
-    means, single = np.array([x.mean() for x in d]), [float(np.sqrt(np.mean(x**2))) for x in d]
+    means, single = np.array([x.mean() for x in d]), [root_mean_square(x) for x in d]
     return {
         "n": len(whole),
         "mean_m": float(whole.mean()),
         "sigma_mean_m": float(means.std(ddof=1) / np.sqrt(len(d))) if len(d) > 1 else float("nan"),
         "std_m": float(whole.std()),
-        "rmse_m": float(np.sqrt(np.mean(whole**2))),
+        "rmse_m": root_mean_square(whole),
         "rmse_least_m": min(single),
         "rmse_most_m": max(single),
-        "predicted_rmse_m": float(np.sqrt(np.mean(sigma**2))),
+        "predicted_rmse_m": root_mean_square(sigma),
         "mean_range_m": float(np.mean(np.concatenate([part["range_m"].to_numpy() for part in parts]))),
     }
 

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from thalweg.core import ArrayF, LocalFrame, ThalwegError, exp_rotation, rotation_vector
+from thalweg.core import ArrayF, LocalFrame, ThalwegError, exp_rotation, root_mean_square, rotation_vector
 from thalweg.images import read_control_points
 from thalweg.images.bundle import (
     AdjustedBlock,
@@ -252,7 +252,7 @@ def _numbers(oriented: Oriented, truth: ImagePoses, factor: float) -> dict[str, 
 
 
 def _rms(values: ArrayF) -> float:
-    return float(np.sqrt(np.square(values).mean()))
+    return root_mean_square(values)
 
 
 def pooled(table: pd.DataFrame) -> pd.DataFrame:

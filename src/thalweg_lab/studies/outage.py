@@ -14,7 +14,16 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import R_ENU_NED, ArrayB, ArrayF, LocalFrame, Rigid, exp_rotation, roll_pitch_heading
+from thalweg.core import (
+    R_ENU_NED,
+    ArrayB,
+    ArrayF,
+    LocalFrame,
+    Rigid,
+    exp_rotation,
+    roll_pitch_heading,
+    root_mean_square,
+)
 from thalweg.images.model import ImagePoses
 from thalweg.navigation.fusion import Fused, FusionSettings, fuse_trajectory
 from thalweg.settings.twin import TwinConfig
@@ -218,9 +227,9 @@ def summarised(found: pd.DataFrame) -> pd.DataFrame:
                 "length_s": length,
                 "chain": chain,
                 "outages": len(part),
-                "rms_m": float(np.sqrt(np.mean(part["rms_m"] ** 2))),
+                "rms_m": root_mean_square(part["rms_m"]),
                 "max_m": float(part["max_m"].max()),
-                "sigma_m": float(np.sqrt(np.mean(part["sigma_m"] ** 2))),
+                "sigma_m": root_mean_square(part["sigma_m"]),
                 "normalised": float(part["normalised"].mean()),
             }
         )
@@ -252,7 +261,7 @@ def _judged(found: Fused, motion: Motion, at: ArrayF) -> dict[str, float]:
     square = np.einsum("ni,ni->n", e, np.linalg.solve(C, e[:, :, None])[:, :, 0]) / 3
     size = np.linalg.norm(e, axis=1)
     return {
-        "rms_m": float(np.sqrt(np.mean(size**2))),
+        "rms_m": root_mean_square(size),
         "max_m": float(size.max()),
         "sigma_m": float(np.sqrt(np.mean(np.trace(C, axis1=1, axis2=2)))),
         "normalised": float(square.mean()),

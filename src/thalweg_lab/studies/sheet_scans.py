@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.calibration.field import FieldPoints
-from thalweg.core import AnyArray, ArrayF, Rigid
+from thalweg.core import AnyArray, ArrayF, Rigid, root_mean_square
 from thalweg.core.geometry import TriangleMesh
 from thalweg.lightsheet.lines import (
     LineFlag,
@@ -250,7 +250,7 @@ def table(result: pd.DataFrame) -> pd.DataFrame:
 
 def _pooled(scans: pd.DataFrame, column: str) -> float:
     """Root mean square over scans."""
-    return float(np.sqrt(np.mean(scans[column].to_numpy(np.float64) ** 2)))
+    return root_mean_square(scans[column].to_numpy(np.float64))
 
 
 def _exact_scan(
@@ -348,9 +348,9 @@ def _distances(cloud: ScanCloud, poses: SensorPoses, surface: Object, white: Arr
     return {
         "n": int(on.sum()),
         "level": float(1.0 - steep.mean()),
-        "rms_mm": float(np.sqrt(np.mean(d**2))),
+        "rms_mm": root_mean_square(d),
         "predicted_mm": float(1e3 * np.sqrt(np.mean(by_pose[on]))),
-        "steep_rms_mm": float(np.sqrt(np.mean(d[steep] ** 2))) if steep.any() else float("nan"),
+        "steep_rms_mm": root_mean_square(d[steep]) if steep.any() else float("nan"),
     }
 
 

@@ -24,6 +24,7 @@ from thalweg.core import (
     InputError,
     Rigid,
     opk_of,
+    root_mean_square,
     rotation_opk,
     rotation_y,
     rotation_z,
@@ -287,7 +288,7 @@ def _lens(found: Sensor, true: Sensor) -> list[tuple[str, float, float, str, flo
     off = found.camera.project(rays) - true.camera.project(rays)
     J = found.camera.project_with_derivatives(rays)[2][:, :, at]
     ok = np.isfinite(off).all(axis=1) & np.isfinite(J).all(axis=(1, 2))
-    rms = float(np.sqrt(np.square(off[ok]).mean()))
+    rms = root_mean_square(off[ok])
     predicted = float(np.sqrt(np.einsum("nij,jk,nik->ni", J[ok], C, J[ok]).mean()))
     return [joint, ("image of a ray", rms, predicted, "px", rms / predicted, int(ok.sum()))]
 

@@ -17,7 +17,17 @@ import numpy as np
 import pandas as pd
 
 from thalweg.accuracy import by_range_class, chi_square_band, describe_errors, independent_squares
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, CoverageError, Rigid, Trajectory, iter_laz
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    CoverageError,
+    Rigid,
+    Trajectory,
+    iter_laz,
+    root_mean_square,
+)
 from thalweg.core.geometry import RayCaster, TriangleMesh
 from thalweg.ingest.velodyne import VLP16
 from thalweg.lidar import cloud_covariance
@@ -360,7 +370,7 @@ def error_tables(errors: PointErrors, *, correlation_s: float) -> tuple[pd.DataF
         for quantity, value in describe_errors(e).items():
             bare, _, unit = quantity.rpartition("_")
             rows.append((bare or quantity, label, value, unit if bare else "1"))
-        rows.append(("predicted_rmse", label, float(np.sqrt(np.mean(sigma**2))), "m"))
+        rows.append(("predicted_rmse", label, root_mean_square(sigma), "m"))
         rows.append(("normalised_squared_error", label, float(np.mean((e / sigma) ** 2)), "1"))
         rows.append(("normalised_nmad", label, describe_errors(e / sigma).get("nmad_m", np.nan), "1"))
     ground = errors.bare_ground

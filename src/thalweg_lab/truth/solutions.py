@@ -24,7 +24,7 @@ from thalweg.accuracy import (
     valid_spans,
     within,
 )
-from thalweg.core import ArrayB, ArrayF, CoverageError, Rigid, Trajectory, attitude_axes
+from thalweg.core import ArrayB, ArrayF, CoverageError, Rigid, Trajectory, attitude_axes, root_mean_square
 
 OWN_TIMES: Final = "own poses"
 COMMON_TIMES: Final = "times with a pose by every chain"
@@ -160,4 +160,4 @@ def _normalised(error: ArrayF, cov: ArrayF) -> ArrayF:
 
 
 def _rms(values: ArrayF) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return root_mean_square(values)

@@ -56,7 +56,7 @@ from thalweg.calibration.camera_lidar.model import (
     groups_of,
     lidar_rows,
 )
-from thalweg.core import Adjusted, ArrayF, GeometryError, Rigid, UnobservableError, adjust
+from thalweg.core import Adjusted, ArrayF, GeometryError, Rigid, UnobservableError, adjust, root_mean_square
 from thalweg.settings.sections import CameraLidarFit
 
 _COARSE_M: Final = 0.05
@@ -769,7 +769,7 @@ def residual_table(layout: Layout, scans: Sequence[ConeScan], rows: Sequence[Lid
                         "points": int(on.sum()),
                         "mean_mm": 1e3 * float(d.mean()),
                         "sigma_mean_mm": 1e3 * float(np.sqrt(variance[on].mean() / on.sum())),
-                        "rms_mm": 1e3 * float(np.sqrt(np.mean(d**2))),
+                        "rms_mm": 1e3 * root_mean_square(d),
                         "greatest_mm": 1e3 * float(np.abs(d).max()),
                         "standardised": float(np.sqrt(np.mean(d**2 / variance[on]))),
                     }

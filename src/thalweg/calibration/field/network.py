@@ -29,7 +29,18 @@ from thalweg.calibration.field.bundle import (
 )
 from thalweg.calibration.field.description import FieldDescription
 from thalweg.calibration.field.resection import improved_pose, pose_from_rays
-from thalweg.core import PARAMETERS, Adjusted, AnyArray, ArrayB, ArrayF, ArrayI, Camera, GeometryError, Rigid
+from thalweg.core import (
+    PARAMETERS,
+    Adjusted,
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    Camera,
+    GeometryError,
+    Rigid,
+    root_mean_square,
+)
 from thalweg.core.geometry import fit_points
 
 _LEVEL: Final = 1e-4
@@ -340,8 +351,8 @@ def network_of(
         "redundancy": adjusted.redundancy,
         "sigma0": float(np.sqrt(adjusted.sigma0_squared)),
         "sigma0_band": [float(np.sqrt(low)), float(np.sqrt(high))],
-        "mark_rms_px": float(np.sqrt(np.square(v[used]).mean())),
-        "mark_sigma_px": float(np.sqrt(np.square(block.sigma_px[used]).mean())),
+        "mark_rms_px": root_mean_square(v[used]),
+        "mark_sigma_px": root_mean_square(block.sigma_px[used]),
         "object_sigma_mean_mm": float(np.sqrt(np.square(sigma).mean()) * 1000.0),
         "object_sigma_max_mm": float(sigma.max() * 1000.0),
         "rejected": dict(Counter(what for what, _, _ in rejected)),
@@ -886,7 +897,7 @@ def camera_changes(problem: Problem, adjusted: Adjusted[State], layout: Layout) 
             names = [block.images[i] for i in mine]
             moved = (adjusted.cov[layout.points :] @ (B[at] @ values)).ravel()
             sigma = float(np.sqrt(np.diag(adjusted.cov)[layout.points :].mean()))
-            bend = float(np.sqrt(np.square(moved).mean()))
+            bend = root_mean_square(moved)
             found.append(
                 CameraChange(
                     camera=camera.name,

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from scipy.stats import norm
 
-from thalweg.accuracy import ALL, AS_MEASURED, CLOUD_TO_MESH, NMAD_FACTOR, WITHOUT_OUTLIERS
-from thalweg.core import ArrayB, ArrayF, CoverageError, InputError, read_table
+from thalweg.accuracy import ALL, AS_MEASURED, CLOUD_TO_MESH, WITHOUT_OUTLIERS
+from thalweg.core import ArrayB, ArrayF, CoverageError, InputError, read_table, robust_sigma, root_mean_square
 from thalweg.figures import BLUE, GREY, RED, VERMILION, count, legend_below, new_figure, styled
 from thalweg.surface import BankFrame
 
@@ -91,7 +91,7 @@ def compared(table: pd.DataFrame) -> pd.DataFrame:
 
 def statistics_text(distance_m: ArrayF, *, std: bool = False) -> str:
     """``mean +4.1 cm, RMSE 9.8 cm``, on request with the standard deviation between them."""
-    mean, rmse = float(np.mean(distance_m)), float(np.sqrt(np.mean(distance_m**2)))
+    mean, rmse = float(np.mean(distance_m)), root_mean_square(distance_m)
     parts = [f"mean{_TIE}{centimetres(mean, sign=True)}", f"RMSE{_TIE}{centimetres(rmse)}"]
     spread = [f"std{_TIE}{centimetres(float(np.std(distance_m)))}"] if std else []
     return ", ".join([parts[0], *spread, parts[1]])
@@ -112,7 +112,7 @@ def centimetres(value_m: float, *, sign: bool = False) -> str:
 def robust_fit(distance_m: ArrayF) -> tuple[float, float]:
     """Median and NMAD."""
     median = float(np.median(distance_m))
-    return median, float(NMAD_FACTOR * np.median(np.abs(distance_m - median)))
+    return median, robust_sigma(distance_m, median)
 
 
 def round_above(value: float) -> float:

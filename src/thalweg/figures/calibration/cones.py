@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from scipy.stats import norm as normal
 
-from thalweg.core import ArrayF, CoverageError
+from thalweg.core import ArrayF, CoverageError, robust_sigma
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -62,7 +62,6 @@ COLUMNS: Final = 3
 POINTS_SHOWN: Final = 4000
 """Of each cone; an even sample of them."""
 BINS: Final = 61
-NMAD: Final = 1.4826
 
 POINTS_SHOWN_OF_CONE: Final = 6000
 REACH: Final = 1.9
@@ -290,7 +289,7 @@ def _histogram(ax: Axes, residual_mm: ArrayF, limit: float) -> None:
     width = float(edges[1] - edges[0])
     x = np.linspace(-reach, reach, 401)
     middle = float(np.median(residual_mm))
-    nmad = NMAD * float(np.median(np.abs(residual_mm - middle)))
+    nmad = robust_sigma(residual_mm, middle)
     for name, centre, spread, colour, dashes in (
         ("mean, std", float(residual_mm.mean()), float(residual_mm.std()), VERMILION, "-"),
         ("median, NMAD", middle, nmad, BLUE, "--"),

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from thalweg.calibration.field import read_field
-from thalweg.core import ArrayF, ArrayU8, InputError
+from thalweg.core import ArrayF, ArrayU8, InputError, root_mean_square
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -710,7 +710,7 @@ def _image(ax: Axes, image: ArrayU8, marks: pd.DataFrame, name: str) -> None:
     xy = marks[["x_px", "y_px"]].to_numpy(np.float64)
     vector = marks[["residual_x_px", "residual_y_px"]].to_numpy(np.float64)
     length = np.hypot(*vector.T)
-    rms = float(np.sqrt(np.mean(vector[used] ** 2))) if used.any() else float("nan")
+    rms = root_mean_square(vector[used]) if used.any() else float("nan")
     large = float(np.percentile(length[used], 95)) if used.any() else 1.0
     scale = round_length(VECTOR_SHARE * w / max(large, 1e-6))
     # pixel coordinates count from the corner: the picture fills 0..w, 0..h

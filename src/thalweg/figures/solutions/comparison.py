@@ -34,6 +34,7 @@ from thalweg.core import (
     InputError,
     Trajectory,
     read_table,
+    root_mean_square,
     unix_from_gps,
     utc_text_from_gps,
 )
@@ -350,7 +351,7 @@ def _draw_histogram(ax: Axes, d: ArrayF, kept: ArrayF, name: str, limit: float) 
     if std > 0:
         x = np.linspace(-limit, limit, 601)
         share = inner.size / d.size
-        rmse = float(np.sqrt(np.mean(inner**2)))
+        rmse = root_mean_square(inner)
         ax.plot(
             100 * x,
             share * norm.pdf(x, mean, std),

@@ -26,7 +26,7 @@ from thalweg.accuracy import (
     honesty_in_words,
     value,
 )
-from thalweg.core import utc_text_from_gps
+from thalweg.core import root_mean_square, utc_text_from_gps
 from thalweg.figures import Page, count, plural
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions.comparison import IN_WORDS
@@ -437,7 +437,7 @@ def _outages(costs: Costs, name: str, *, good: bool) -> list[str]:
     through = rows[f"{name}_share"] > EVERYWHERE
     where = f"{plural(len(rows), 'gap')} without GNSS, longest {rows['length_s'].max():.1f} s"
     if good and through.all():
-        sigma = float(np.sqrt(np.mean(rows[f"{name}_sigma_m"] ** 2)))
+        sigma = root_mean_square(rows[f"{name}_sigma_m"])
         return [f"poses all through {where}, sigma of the place {centimetres(sigma)}"]
     if not good and not through.all():
         return [f"lacks poses in {count(int((~through).sum()))} of {where}"]

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, Camera, GeometryError, ThalwegError
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, Camera, GeometryError, ThalwegError, robust_sigma
 from thalweg.core.geometry import fit_points
 from thalweg.images.bundle.adjustment import (
     AdjustedBlock,
@@ -310,7 +310,7 @@ def check_start(
     off = start.apply(block.centre_block_m[expected.at]) - expected.centre_wcs_m
     away = float(np.median(np.linalg.norm(off, axis=1)))
     height = float(np.median(off[:, 2]))
-    scatter = 1.4826 * float(np.median(np.abs(off[:, 2] - height)))
+    scatter = robust_sigma(off[:, 2], height)
     flat = float(np.median(np.linalg.norm(off[:, :2], axis=1)))
     level = max(_LEVEL_M, 3.0 * expected.sigma_m)
     level_off = abs(height) > level and scatter < level and flat <= expected.limit_m

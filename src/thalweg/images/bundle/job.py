@@ -13,7 +13,17 @@ import numpy as np
 import pandas as pd
 
 from thalweg.calibration import interior_calibration, read_camera
-from thalweg.core import ArrayF, ArrayI, ArrayU8, Camera, GeometryError, LocalFrame, Rigid, ThalwegError
+from thalweg.core import (
+    ArrayF,
+    ArrayI,
+    ArrayU8,
+    Camera,
+    GeometryError,
+    LocalFrame,
+    Rigid,
+    ThalwegError,
+    root_mean_square,
+)
 from thalweg.core.calibration import Source, write_calibration
 from thalweg.images import (
     COLUMNS,
@@ -407,7 +417,9 @@ def image_table(adjusted: AdjustedBlock, images: Sequence[str], reasons: Mapping
     return pd.DataFrame(rows, columns=columns)
 
 
-def control_table(adjusted: AdjustedBlock, result: ControlResult, left_out: Mapping[str, str]) -> pd.DataFrame:
+def control_table(
+    adjusted: AdjustedBlock, result: ControlResult, left_out: Mapping[str, str]
+) -> pd.DataFrame:
     """One row a point: role, images, rms in pixels, adjusted minus surveyed and its predicted sigma, test.
 
     ``without_*`` is the same difference if the point's own coordinates had taken no part; for a check point
@@ -500,9 +512,7 @@ def facts_of(
         "tie_points": len(adjusted.tracks.point),
         "tie_marks": len(adjusted.tracks.mark),
         "marks_a_point": len(adjusted.tracks.mark) / max(len(adjusted.tracks.point), 1),
-        "rms_px": float(np.sqrt(np.square(adjusted.residual_px[adjusted.used]).mean()))
-        if adjusted.used.any()
-        else None,
+        "rms_px": root_mean_square(adjusted.residual_px[adjusted.used]) if adjusted.used.any() else None,
         "control_points": int((~adjusted.problem.control.check).sum()),
         "square_sums": adjusted.costs,
         "correlation": adjusted.correlation.facts(),

@@ -29,6 +29,7 @@ from thalweg.core import (
     InputError,
     LocalFrame,
     ThalwegError,
+    robust_sigma,
 )
 from thalweg.images.imports.formats import read_angles_table, read_metashape
 from thalweg.images.imports.source import (
@@ -816,7 +817,7 @@ def check_heights(source: Finished, off: ArrayF, predicted: Predicted, out: Chec
     InputError : the difference is that between geoid and ellipsoid.
     """
     height = float(np.median(off[:, 2]))
-    scatter = 1.4826 * float(np.median(np.abs(off[:, 2] - height)))
+    scatter = robust_sigma(off[:, 2], height)
     level = max(_LEVEL_M, 3.0 * predicted.sigma_m)
     flat = float(np.median(np.linalg.norm(off[:, :2], axis=1)))
     if scatter > level or flat > predicted.limit_m or abs(height) <= level:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError, njit
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, InputError, njit
 
 SAMPLES: Final = 2000
 """Pixels of each part a model learns from."""
@@ -293,7 +293,7 @@ def _refined(samples: Sequence[Sample], hull: ArrayB, scenery: Scenery, rng: np.
     angles = np.concatenate(lines)
     angles = angles[np.isfinite(angles)]
     middle = float(np.median(angles)) if len(angles) else scenery.line_deg
-    spread = float(1.4826 * np.median(np.abs(angles - middle))) if len(angles) else scenery.spread_deg
+    spread = float(NMAD * np.median(np.abs(angles - middle))) if len(angles) else scenery.spread_deg
     return Scenery(model=model, line_deg=middle, spread_deg=max(spread, _LEAST_SPREAD_DEG))
 
 

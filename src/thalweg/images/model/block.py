@@ -24,6 +24,7 @@ from thalweg.core import (
     InputError,
     cross_matrix,
     exp_rotation,
+    root_mean_square,
     rotation_vector,
 )
 from thalweg.core.geometry import fit_points, nearest_rotation
@@ -691,7 +692,7 @@ def align(
         centre_wcs_m=placed,
         R_wcs_ccs=turned_R,
         rms_m=float(np.sqrt(np.square(placed - predicted_m).sum(axis=1).mean())),
-        rms_rad=float(np.sqrt(np.square(angles_between(turned_R, R_wcs_ccs)).mean())),
+        rms_rad=root_mean_square(angles_between(turned_R, R_wcs_ccs)),
     )
 
 

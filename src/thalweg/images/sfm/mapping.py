@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, Camera, InputError
+from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, Camera, InputError
 from thalweg.images.model import ImageBlock
 from thalweg.images.sfm.colmap import SEED, colmap, from_colmap
 from thalweg.images.sfm.matching import Matches, fill_database
@@ -24,7 +24,6 @@ from thalweg.settings.sections import MappingSettings
 
 _CLASSES: Final = 8
 _LEAST_IN_CLASS: Final = 50
-_MAD: Final = 1.4826
 
 BLURRED: Final = 0.5
 """Sharpness of a blurred image, in units of the median of all images."""
@@ -390,7 +389,7 @@ def sigma_of_marks(
     for g in range(len(edges) + 1):
         rows = group == g
         if rows.sum() >= _LEAST_IN_CLASS:
-            spread = _MAD * float(np.median(np.abs(off[rows])))
+            spread = NMAD * float(np.median(np.abs(off[rows])))
             classes.append((float(np.median(scale_px[rows])), spread, int(rows.sum())))
     factor = np.ones(len(scale_px))
     if len(classes) > 1 and classes[0][1] > 0:

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, GeometryError, InputError
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, GeometryError, InputError
 from thalweg.lightsheet.calibration.grid import GridObject
 from thalweg.lightsheet.calibration.model import LineObservations, PairObservations
 from thalweg.lightsheet.calibration.settings import CalibrationSettings
@@ -75,7 +75,7 @@ def levels_of_points(depth_mm: ArrayF, fan_rad: ArrayF, depths_mm: ArrayF, *, se
             if mine.sum() < 4:
                 continue
             curves[:, k] = _robust_curve(fan_rad, depth_mm, mine, used)
-            scatter = 1.4826 * float(np.median(np.abs(depth_mm - curves[:, k])[mine]))
+            scatter = NMAD * float(np.median(np.abs(depth_mm - curves[:, k])[mine]))
             reach[k] = np.clip(_SCATTERS * scatter, _LEAST_TOLERANCE_MM, _NEAR_SHARE * spacing)
         off = np.abs(depth_mm[:, None] - curves)
         level = off.argmin(axis=1)
@@ -117,7 +117,7 @@ def _robust_curve(fan: ArrayF, depth: ArrayF, mine: ArrayB, degree: int) -> Arra
     for _ in range(6):
         x = np.linalg.lstsq(A * weight[:, None], depth * weight, rcond=None)[0]
         off = np.abs(depth - A @ x)
-        scale = 1.4826 * float(np.median(off[mine])) + 1e-6
+        scale = NMAD * float(np.median(off[mine])) + 1e-6
         weight = mine / np.sqrt(1.0 + np.square(off / (2.0 * scale)))
     # outside the points a polynomial runs away: hold it at the ends
     return np.asarray(np.vander(np.clip(t, -1.0, 1.0), degree + 1) @ x)

@@ -35,7 +35,16 @@ from thalweg.calibration.field import (
     with_overview,
 )
 from thalweg.clocks import read_text_columns
-from thalweg.core import ArrayF, Camera, GeometryError, InputError, LocalFrame, Rigid, read_table
+from thalweg.core import (
+    ArrayF,
+    Camera,
+    GeometryError,
+    InputError,
+    LocalFrame,
+    Rigid,
+    read_table,
+    root_mean_square,
+)
 from thalweg.lightsheet.calibration.camera_over_window import COLUMNS, mark_numbers
 from thalweg.lightsheet.optics import LENS, Sensor
 
@@ -419,7 +428,7 @@ def image_table(residuals: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for image, part in residuals.groupby("image", sort=True):
         used = part[part["used"]]
-        rms = float(np.sqrt(np.square(used[["vx_px", "vy_px"]].to_numpy()).mean())) if len(used) else np.nan
+        rms = root_mean_square(used[["vx_px", "vy_px"]].to_numpy()) if len(used) else np.nan
         largest = float(used["standardised"].max()) if len(used) else np.nan
         rows.append((str(image), len(part), int((~part["used"]).sum()), rms, largest))
     return pd.DataFrame(rows, columns=["image", "marks", "rejected", "rms_px", "largest"])

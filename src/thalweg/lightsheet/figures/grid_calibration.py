@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thalweg.core import AnyArray, ArrayF, CoverageError
+from thalweg.core import AnyArray, ArrayF, CoverageError, root_mean_square
 from thalweg.figures import GREY, ORANGE, count, new_figure, plural, styled
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import (
@@ -184,7 +184,7 @@ def _residuals(ax: Axes, residuals: pd.DataFrame, levels: Sequence[str]) -> None
     for k, level in enumerate(levels):
         colour, _, marker = DEPTH_LOOKS[k]
         mine = residuals[(residuals["level"].astype(str) == level) & residuals["used"].astype(bool)]
-        rms = float(np.sqrt(np.mean(np.square(mine["residual_px"])))) if len(mine) else float("nan")
+        rms = root_mean_square(mine["residual_px"]) if len(mine) else float("nan")
         ax.plot(
             mine[along],
             mine["residual_px"],
@@ -241,7 +241,7 @@ def _pairs(ax: Axes, pairs: pd.DataFrame) -> None:
     )
     ax.plot(number[~used], apart[~used], ls="none", marker="x", color=GREY, gid="rejected pairs")
     ax.axhline(0.0, color="0.3", lw=0.6)
-    rms = float(np.sqrt(np.mean(np.square(apart[used]))))
+    rms = root_mean_square(apart[used])
     ax.set(xlabel="pair / 1", ylabel="difference of fan angles / °")
     ax.set_title(f"d: pairs with sigmas, root mean square {rms:.3f}°")
     ax.grid()

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, CoverageError, read_table
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, CoverageError, read_table
 from thalweg.figures import BLUE, ORANGE, RED, SKY, VERMILION, count, new_figure, plural, styled
 from thalweg.figures.accuracy import DISTANCE_MAP
 from thalweg.lightsheet.figures.views import LIGHT_MAP, find_image, first_image, green_of, need, show_green
@@ -130,7 +130,7 @@ def departures_px(table: pd.DataFrame, smooth_of: pd.DataFrame) -> ArrayF:
     for _ in range(3):
         fit = np.polynomial.Polynomial.fit((y[keep] - middle) / half, x[keep], _SMOOTH_DEGREE, domain=[-1, 1])
         e = x - fit((y - middle) / half)
-        keep = np.abs(e) <= 4 * 1.4826 * np.median(np.abs(e)) + 1e-9
+        keep = np.abs(e) <= 4 * NMAD * np.median(np.abs(e)) + 1e-9
     at = table["y_px"].to_numpy(np.float64)
     off = table["x_px"].to_numpy(np.float64) - fit((at - middle) / half)
     return np.asarray(np.where((at >= y.min()) & (at <= y.max()), off, np.nan))

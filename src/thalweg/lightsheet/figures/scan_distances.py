@@ -11,7 +11,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from thalweg.core import ArrayF, read_table
+from thalweg.core import NMAD, ArrayF, read_table, robust_sigma
 from thalweg.figures import BLUE, GREY, PURPLE, VERMILION, count, new_figure, plural, styled
 from thalweg.figures.accuracy import DISTANCE_MAP
 from thalweg.lightsheet.figures.views import need
@@ -69,7 +69,7 @@ def scan_distances(
     )
     figure = new_figure(165.0, head, twin=twin)
     grid = figure.add_gridspec(3, 2, height_ratios=[1.25, 1.0, 1.1], width_ratios=[1.5, 1.0])
-    limit = max(3.0 * 1.4826 * float(np.median(np.abs(d - np.median(d)))), 0.1)
+    limit = max(3.0 * NMAD * float(np.median(np.abs(d - np.median(d)))), 0.1)
     top, side = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
     shades = _view(top, points, "x_m", "y_m", limit)
     _view(side, points, "x_m", "z_m", limit)
@@ -126,7 +126,7 @@ def _histogram(ax: Axes, d: ArrayF, limit: float) -> None:
     ax.stairs(n, edges, fill=True, color="0.75", gid="histogram")
     x = np.linspace(edges[0], edges[-1], 401)
     median = float(np.median(d))
-    nmad = 1.4826 * float(np.median(np.abs(d - median)))
+    nmad = robust_sigma(d, median)
     fits = (
         ("normal: mean, std", float(d.mean()), float(d.std(ddof=1)), VERMILION, "-"),
         ("robust: median, NMAD", median, nmad, BLUE, "--"),

@@ -27,7 +27,7 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core import ArrayB, ArrayF, ArrayI
+from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI
 from thalweg.lightsheet.lines.points import LinePoints
 from thalweg.lightsheet.lines.settings import LineFlag
 
@@ -88,7 +88,7 @@ def albedo_edges(piece: ArrayI, peak_dn: ArrayF, rows: ArrayI, ratio: float) -> 
     change[~whole] = 0.0
     # speckle changes the peak of a row too; its mean over the rows of a side is compared with that scatter
     steps = np.abs(log_peak[_APART:] - log_peak[:-_APART])
-    scatter = 1.4826 * float(np.median(steps)) / np.sqrt(2.0)
+    scatter = NMAD * float(np.median(steps)) / np.sqrt(2.0)
     level = max(np.log(ratio), 4.5 * scatter * np.sqrt(2.0 / _SIDE))
     index = np.flatnonzero(change > level)
     edges = [int(k) for k in index if change[k] >= change[max(0, k - _SIDE) : k + _SIDE + 1].max() - 1e-12]
@@ -196,7 +196,7 @@ def _slope(dx: ArrayF, dw: ArrayF, sigma: ArrayF, at: ArrayF) -> tuple[float, fl
         inverse = np.linalg.pinv((design * weight[:, None]).T @ (design * weight[:, None]))
         x = inverse @ (design * np.square(weight)[:, None]).T @ dx
         off = np.abs(dx - design @ x) / sigma
-        usual = max(1.4826 * float(np.median(off)), 1.0)
+        usual = max(NMAD * float(np.median(off)), 1.0)
         weight = np.sqrt(np.minimum(1.0, 2.0 * usual / np.maximum(off, 1e-9))) / sigma
     free = max(len(dx) - design.shape[1], 1)
     factor = max(1.0, float(np.sum(np.square(weight * (dx - design @ x)))) / free)

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core import AnyArray, ArrayF, ArrayF32, ArrayI, InputError, njit
+from thalweg.core import NMAD, AnyArray, ArrayF, ArrayF32, ArrayI, InputError, njit
 from thalweg.lightsheet.lines import fits
 from thalweg.lightsheet.lines.albedo import albedo_edges, remove_width_shift
 from thalweg.lightsheet.lines.fits import ridge_points
@@ -136,7 +136,7 @@ def _excess(place: ArrayF, known: ArrayF, variance: ArrayF, correlation: ArrayF)
         return 1.0
     apart = (place[1:-1] - 0.5 * (place[:-2] + place[2:]))[all_three]
     usual = np.sqrt(np.maximum(variance[1:-1][all_three], 1e-18) * max(expected, 0.2))
-    ratio = 1.4826 * float(np.median(np.abs(apart) / usual))
+    ratio = NMAD * float(np.median(np.abs(apart) / usual))
     return float(np.clip(ratio**2, 1.0, _LARGEST_EXCESS))
 
 

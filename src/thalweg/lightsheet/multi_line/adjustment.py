@@ -14,7 +14,16 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core import Adjusted, ArrayF, GeometryError, Linear, Observations, adjust, prior
+from thalweg.core import (
+    Adjusted,
+    ArrayF,
+    GeometryError,
+    Linear,
+    Observations,
+    adjust,
+    prior,
+    root_mean_square,
+)
 from thalweg.lightsheet.multi_line.level_points import LevelPoints, on_levels
 from thalweg.lightsheet.multi_line.models import LineModel, Lines, line_residuals
 from thalweg.lightsheet.optics import Sensor, intersect
@@ -69,7 +78,7 @@ class LineCalibration:
     @property
     def rms_px(self) -> float:
         """Root mean square of the residuals of the line points."""
-        return float(np.sqrt(np.mean(np.square(self.adjusted.residuals["lines"]))))
+        return root_mean_square(self.adjusted.residuals["lines"])
 
 
 def calibrate_lines(
@@ -120,7 +129,7 @@ def calibrate_lines(
         sigma_deviations={name: sigmas[name] for name in ESTIMATED if name in sigmas},
         n_points=len(points.line),
         n_pairs=len(points.pairs),
-        sigma_px=float(np.sqrt(np.mean(np.square(points.sigma_px)))),
+        sigma_px=root_mean_square(points.sigma_px),
     )
 
 

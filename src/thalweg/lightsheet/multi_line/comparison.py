@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import f as f_distribution
 
-from thalweg.core import ArrayF, GeometryError
+from thalweg.core import ArrayF, GeometryError, root_mean_square
 from thalweg.lightsheet.multi_line.adjustment import (
     LineCalibration,
     calibrate_lines,
@@ -374,4 +374,4 @@ def _sizes(found: LineCalibration) -> tuple[int, float, float]:
 
 
 def _rms(values: ArrayF) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
+    return root_mean_square(values) if len(values) else float("nan")

@@ -29,6 +29,7 @@ import pandas as pd
 from scipy.stats import chi2
 
 from thalweg.core import (
+    NMAD,
     ArrayB,
     ArrayF,
     ArrayI,
@@ -38,10 +39,11 @@ from thalweg.core import (
     Rigid,
     UnobservableError,
     adjust,
+    root_mean_square,
 )
 from thalweg.core.geometry import fit_points
 from thalweg.lightsheet.poses import M_PER_MM
-from thalweg.lightsheet.scanning.distances import MAX_DISTANCE_MM, NMAD, MeshDistances, mesh_distances
+from thalweg.lightsheet.scanning.distances import MAX_DISTANCE_MM, MeshDistances, mesh_distances
 from thalweg.lightsheet.scanning.profile import ScanCloud
 from thalweg.surface import Surface
 
@@ -351,7 +353,7 @@ def _line(cloud: ScanCloud, found: MeshDistances, rates: ArrayF, on: ArrayI) -> 
     by_pose = back @ rates[on]
     # what the image measurement leaves: predicted, or what the line shows where that is more
     single = np.hypot(found.sigma_own_mm[on], found.sigma_reference_mm[on])
-    seen = float(np.std(d - B @ e)) / max(float(np.sqrt(np.mean(single**2))), 1e-12)
+    seen = float(np.std(d - B @ e)) / max(root_mean_square(single), 1e-12)
     variance = (single * max(seen, 1.0)) ** 2 / cloud.where(on).independent_share
     cov = by_pose @ cloud.poses.cov[cloud.number[on[0]]] @ by_pose.T + (back * variance) @ back.T
     sigma = np.sqrt(np.diag(cov))

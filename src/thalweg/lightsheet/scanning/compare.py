@@ -31,6 +31,8 @@ from thalweg.core import (
     ThalwegError,
     column,
     frame_of,
+    robust_sigma,
+    root_mean_square,
     table_kind,
 )
 from thalweg.lightsheet.calibration import other_readings
@@ -40,7 +42,6 @@ from thalweg.lightsheet.poses import M_PER_MM, SensorPoses
 from thalweg.lightsheet.scanning.alignment import Alignment, LineCheck, align, check_lines, from_pairs, of_all
 from thalweg.lightsheet.scanning.distances import (
     MAX_DISTANCE_MM,
-    NMAD,
     RULES,
     TABLE_2,
     TABLE_3,
@@ -139,34 +140,15 @@ class ScanResult:
 
     def table(self) -> pd.DataFrame:
         """All outlier rules, with the lines of bad poses and without them."""
-        everything = self.distances.used
-        rows = []
-        for lines, keep in (("all lines", everything), ("without bad poses", self.used)):
-            n = len(np.unique(self.alignment.cloud.number[keep]))
-            d = self.distances.distance_mm[keep]
-            rows += [{"points": lines, "lines": n, **filtered(d, rule).row()} for rule in RULES]
-        return pd.DataFrame(rows)
+        return _by_rule(self.alignment.cloud, self.distances, self.used)
 
     def facts(self) -> dict[str, Any]:
         """Everything else a report states."""
         found = self.alignment
-        share = found.cloud.where(self.used).independent_share
-        return {
-            "counts": {
-                **found.cloud.counts,
-                **self.distances.counts(),
-                "on_bad_lines": int((self.distances.used & self.check.bad).sum()),
-            },
-            "images_left_out": found.cloud.left_out,
-            "images_with_bad_pose": self.check.images,
-            "line_limit_scale": self.check.scale,
-            "sigma0": found.sigma0,
+        return _shared_facts(found.cloud, self.distances, self.check, self.used, found.sigma0) | {
             "turns": found.turns,
             "sigma_turn_deg": np.rad2deg(found.T_mesh_target.sigma_rotation_rad).tolist(),
             "border": border_effect(self.distances),
-            "shape": normality(self.distance_mm, share),
-            "honesty": honesty(self.distances.distance_mm, self.distances.sigma_mm, self.used),
-            "independent_share": share,
         }
 
 
@@ -323,21 +305,9 @@ def compare_with_levels(
     )
     check = check_lines(here, distances)
     used = distances.used & ~check.bad
-    share = here.where(used).independent_share
-    facts = {
+    sigma0 = float(np.sqrt(found.adjusted.sigma0_squared))
+    facts = _shared_facts(here, distances, check, used, sigma0) | {
         "reference": "planes",
-        "counts": {
-            **here.counts,
-            **distances.counts(),
-            "on_bad_lines": int((distances.used & check.bad).sum()),
-        },
-        "images_left_out": here.left_out,
-        "images_with_bad_pose": check.images,
-        "line_limit_scale": check.scale,
-        "sigma0": float(np.sqrt(found.adjusted.sigma0_squared)),
-        "shape": normality(distances.distance_mm[used], share),
-        "honesty": honesty(distances.distance_mm, distances.sigma_mm, used),
-        "independent_share": share,
         "levels": level_facts(found, heights_mm),
         "warnings": level_warnings(found, heights_mm),
         "R_reference_target": T.R.tolist(),
@@ -364,6 +334,37 @@ def level_warnings(found: Levels, heights_mm: tuple[float, ...]) -> list[str]:
     return told
 
 
+def _by_rule(cloud: ScanCloud, distances: MeshDistances, used: ArrayB) -> pd.DataFrame:
+    """All outlier rules, with the lines of bad poses and without them."""
+    rows = []
+    for lines, keep in (("all lines", distances.used), ("without bad poses", used)):
+        n = len(np.unique(cloud.number[keep]))
+        d = distances.distance_mm[keep]
+        rows += [{"points": lines, "lines": n, **filtered(d, rule).row()} for rule in RULES]
+    return pd.DataFrame(rows)
+
+
+def _shared_facts(
+    cloud: ScanCloud, distances: MeshDistances, check: LineCheck, used: ArrayB, sigma0: float
+) -> dict[str, Any]:
+    """What is stated of distances from a mesh and of those from planes."""
+    share = cloud.where(used).independent_share
+    return {
+        "counts": {
+            **cloud.counts,
+            **distances.counts(),
+            "on_bad_lines": int((distances.used & check.bad).sum()),
+        },
+        "images_left_out": cloud.left_out,
+        "images_with_bad_pose": check.images,
+        "line_limit_scale": check.scale,
+        "sigma0": sigma0,
+        "shape": normality(distances.distance_mm[used], share),
+        "honesty": honesty(distances.distance_mm, distances.sigma_mm, used),
+        "independent_share": share,
+    }
+
+
 def level_facts(found: Levels, heights_mm: tuple[float, ...]) -> list[dict[str, float]]:
     """Height of each level over the first plane beside the stated one, and RMS from a plane of its own."""
     return [
@@ -376,12 +377,8 @@ def level_facts(found: Levels, heights_mm: tuple[float, ...]) -> list[dict[str, 
 
 def statistics(found: Compared, name: str) -> pd.DataFrame:
     """All outlier rules with all lines and without bad poses, beside P4 Table 3 where it has the object."""
-    rows = []
-    for lines, keep in (("all lines", found.distances.used), ("without bad poses", found.used)):
-        n = len(np.unique(found.cloud.number[keep]))
-        d = found.distances.distance_mm[keep]
-        rows += [{"points": lines, "lines": n, **filtered(d, rule).row()} for rule in RULES]
-    return pd.concat([pd.DataFrame(rows), published(name, TABLE_3)], ignore_index=True)
+    rows = _by_rule(found.cloud, found.distances, found.used)
+    return pd.concat([rows, published(name, TABLE_3)], ignore_index=True)
 
 
 def published(name: str, table: pd.DataFrame = TABLE_2) -> pd.DataFrame:
@@ -508,7 +505,7 @@ def explanation(
         used, scale = found.distances.used, found.check.scale
         judged = int(found.check.table["statistic"].notna().sum())
         if used.mean() > _SHARE and judged >= _LEAST_LINES and scale < best:
-            rms = float(np.sqrt(np.mean(np.square(found.distances.distance_mm[used]))))
+            rms = root_mean_square(found.distances.distance_mm[used])
             best, told = scale, f"{cure} (then {rms:.2f} mm root mean square)"
     return told
 
@@ -575,7 +572,7 @@ def single_profile(
         facts["bimodality"] = bimodality(d, peak, independent_share=share).words()
     except GeometryError as error:
         facts["bimodality"] = error.found
-    facts["rms_mm"] = float(np.sqrt(np.mean(d**2)))
+    facts["rms_mm"] = root_mean_square(d)
     return pd.concat([rows, published(name, TABLE_2)], ignore_index=True), facts
 
 
@@ -585,7 +582,7 @@ def _require_heights(found: Levels, heights_mm: tuple[float, ...]) -> None:
     if not n.any():
         return
     own = float(np.sqrt(np.nansum(n * found.plane_rms_mm**2) / n.sum()))
-    off = float(np.sqrt(np.mean(np.square(found.distance_mm[found.used]))))
+    off = root_mean_square(found.distance_mm[found.used])
     if off > max(_LEVELS_OFF * own, _LEAST_OFF_MM):
         raise GeometryError(
             f"each level is plane to {own:.2f} mm, but together they lie {off:.2f} mm off planes at "
@@ -616,7 +613,7 @@ def _by_brightness(found: Compared) -> tuple[dict[str, float | bool | str], str]
         "two_modes": modes.bimodal,
         "words": modes.words(),
     }
-    nmad = NMAD * float(np.median(np.abs(d - np.median(d))))
+    nmad = robust_sigma(d)
     if not modes.by_brightness or abs(modes.shift_mm) < nmad:
         return facts, ""
     what = "over-exposed" if np.isnan(modes.threshold_dn) else "bright"

@@ -28,14 +28,13 @@ from typing import Any, Final, Literal
 import numpy as np
 import pandas as pd
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, GeometryError
+from thalweg.core import AnyArray, ArrayB, ArrayF, GeometryError, robust_sigma, root_mean_square
 from thalweg.lightsheet.poses import M_PER_MM
 from thalweg.lightsheet.scanning.profile import ScanCloud
 from thalweg.surface import Surface
 
 MAX_DISTANCE_MM: Final = 3.0
 
-NMAD: Final = 1.4826
 
 Rule = Literal["3 sigma", "3 sigma repeated", "robust"]
 RULES: Final[tuple[Rule, ...]] = ("3 sigma", "3 sigma repeated", "robust")
@@ -240,7 +239,7 @@ def normality(distance_mm: ArrayF, independent_share: float = 1.0) -> dict[str, 
     return {
         "mean_mm": float(d.mean()),
         "std_mm": float(d.std(ddof=1)),
-        "nmad_mm": NMAD * float(np.median(np.abs(d - np.median(d)))),
+        "nmad_mm": robust_sigma(d),
         "skewness": skewness,
         "excess": excess,
         "skewness_sigmas": skewness / float(np.sqrt(6.0 / n)),
@@ -253,9 +252,9 @@ def honesty(distance_mm: ArrayF, sigma_mm: ArrayF, keep: AnyArray) -> dict[str, 
     d, s = distance_mm[keep], sigma_mm[keep]
     return {
         "n": len(d),
-        "rms_mm": float(np.sqrt(np.mean(d**2))),
-        "predicted_mm": float(np.sqrt(np.mean(s**2))),
-        "rms_over_sigma": float(np.sqrt(np.mean((d / s) ** 2))),
+        "rms_mm": root_mean_square(d),
+        "predicted_mm": root_mean_square(s),
+        "rms_over_sigma": root_mean_square(d / s),
     }
 
 
@@ -288,7 +287,7 @@ def filtered(distance_mm: ArrayF, rule: Rule = "3 sigma", *, factor: float = 3.0
             where="outlier rule",
         )
     median = float(np.median(d))
-    nmad = NMAD * float(np.median(np.abs(d - median)))
+    nmad = robust_sigma(d, median)
     kept = np.ones(len(d), dtype=np.bool_)
     if rule == "robust":
         centre, limit = median, factor * nmad

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError
+from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, root_mean_square
 from thalweg.lightsheet.optics import Sensor, depth_lines
 
 ECHO_LEAST_M: Final = 0.2
@@ -283,10 +283,8 @@ def _facts(section: Section, plan: SurveyPlan, echo: ArrayF, laser: ArrayF) -> d
         out[f"gap_left_{name}_m"] = first - float(section.across_m[0])
         out[f"gap_right_{name}_m"] = float(section.across_m[-1]) - last
         error = _interpolated(section, points, y) - depth
-        out[f"rmse_section_{name}_m"] = float(np.sqrt(np.mean(error**2)))
-        out[f"rmse_shallow_{name}_m"] = (
-            float(np.sqrt(np.mean(error[shallow] ** 2))) if shallow.any() else np.nan
-        )
+        out[f"rmse_section_{name}_m"] = root_mean_square(error)
+        out[f"rmse_shallow_{name}_m"] = root_mean_square(error[shallow]) if shallow.any() else np.nan
     return out
 
 

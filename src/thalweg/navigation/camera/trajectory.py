@@ -46,7 +46,7 @@ from thalweg.core import (
 from thalweg.images.model import ImagePoses
 from thalweg.navigation.fusion import (
     SPREAD,
-    ErrorModel,
+    FusionErrors,
     FusionSettings,
     Layout,
     Observed,
@@ -552,7 +552,7 @@ def carried_errors(
     sigma_attitude_rad: ArrayLike,
     max_attitude_gap_s: float,
     common_time_s: float,
-) -> tuple[CloudSettings, ErrorModel]:
+) -> tuple[CloudSettings, FusionErrors]:
     """Settings with what the errors may be (``draws``), and how well they are known.
 
     Parameters
@@ -585,8 +585,8 @@ def carried_errors(
     return settings.model_copy(update={"draws": draws}), model
 
 
-def errors_facts(model: ErrorModel) -> dict[str, Any]:
-    """Estimates by name, see `ErrorModel.facts`, without what does not enter the camera's trajectory."""
+def errors_facts(model: FusionErrors) -> dict[str, Any]:
+    """Estimates by name, see `FusionErrors.facts`, without what does not enter the camera's trajectory."""
     return {name: fact for name, fact in model.facts().items() if name != "acceleration"}
 
 
@@ -610,7 +610,7 @@ def _estimated(
     settings: CloudSettings,
     reference: Reference,
     common_time_s: float,
-) -> ErrorModel:
+) -> FusionErrors:
     """The errors of INS and images; the prior alone where there are too few images."""
     # without the limits of a file: what is known of a clock may be minutes
     fusion = FusionSettings().model_copy(
@@ -631,7 +631,7 @@ def _estimated(
     none = np.zeros(0, dtype=np.bool_)
     if not settings.estimate_errors or use.sum() < LEAST_IMAGES:
         nodes = place_nodes(reference, fusion, nothing, poses.t_gps_s[use])[0]
-        return ErrorModel.stated(fusion, layout, nodes)
+        return FusionErrors.stated(fusion, layout, nodes)
     single = np.sqrt(np.clip(poses.sigma_t_s**2 - common_time_s**2, 0.0, None))
     camera = camera_of(
         poses.with_times(poses.t_gps_s, single), use, T_ics_ccs.inverse(), settings.sigma_time_s
@@ -643,7 +643,7 @@ def _estimated(
     return with_errors(reference, nodes, observed, first, layout, fusion, clock_start_s=0.0)[-1]
 
 
-def _with_positions(model: ErrorModel, settings: CloudSettings) -> ErrorModel:
+def _with_positions(model: FusionErrors, settings: CloudSettings) -> FusionErrors:
     """The errors with those of the trajectory's positions, of which only what is stated is known."""
     spread = settings.spread
     stated = {name: getattr(settings, name) for name in OF_POSITIONS if name not in settings.fixed}

@@ -26,6 +26,7 @@ from thalweg.core import (
     LocalFrame,
     Rigid,
     Trajectory,
+    root_mean_square,
     utc_text_from_gps,
 )
 from thalweg.images.model import ImagePoses
@@ -724,7 +725,7 @@ def camera_facts(
         "clock_offset_s": float(np.mean(clock)),
         "clock_offset_sigma_s": float(np.sqrt(solved.last[layout.clock, layout.clock]) * unit),
         "clock_offset_range_s": float(np.ptp(clock)),
-        "jitter_rms_s": float(np.sqrt(np.mean(jitter**2))),
+        "jitter_rms_s": root_mean_square(jitter),
         "boresight": {
             "meaning": "correction of T_ccs_ics by INS against camera, in ccs: shift; rotation vector",
             "shift_mm": correction[:3].tolist(),
