@@ -432,12 +432,12 @@ HOLDERS = {
     "core/calibration/model.py": "true values with their names",
     "core/errors.py": "messages",
     "core/kernels.py": "how loops are compiled",
+    "core/statistics.py": "how large the drawn errors are, for the truth's facts",
     "core/tables.py": "files",
     "core/las.py": "the plausible extent of a scan",
     "core/geometry/mesh.py": "true surfaces",
     "core/trajectory.py": "writes the truth",
     "core/types.py": "types",
-    "lidar/mount.py": "the pose of a mount",
     "images/model/poses.py": "true poses of images",
     "lightsheet/multi_line/level_points.py": "observations of lines, as they are measured",
 }

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import f as fisher
 
 from thalweg.accuracy.comparison import ComparisonSettings
-from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, GeometryError
+from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, GeometryError, plane_rates
 from thalweg.core.geometry import cell_numbers
 from thalweg.surface import Distances, Surface
 
@@ -233,7 +233,7 @@ def _tukey_limit(distance_m: ArrayF) -> float:
 def _rates(points: ArrayF, normal: ArrayF, motion: Motion) -> ArrayF:
     """Change of each distance with the shift and with the rotation vector, (n, 6)."""
     arm = points - (motion.centre_m + motion.shift_m)
-    return np.hstack([normal, np.cross(arm, normal)])
+    return plane_rates(normal, arm)
 
 
 def _refuse_large(motion: Motion, settings: ComparisonSettings) -> None:

@@ -41,6 +41,7 @@ from thalweg.core import (
     beam_axes,
     cross_matrix,
     exp_rotation,
+    plane_rates,
     root_mean_square,
 )
 from thalweg.core.calibration import Calibration, Source, pose_block
@@ -754,7 +755,7 @@ def edge_rows(view: BoardView, T_ccs_scs: Rigid, edges: Edges) -> tuple[ArrayF, 
     by_plane = by_height[:, None] * np.stack(
         [np.ones(len(row)), met.place_m[:, 1], -met.place_m[:, 0]], axis=1
     )
-    return residual, np.hstack([g, np.cross(arm, g)]), by_plane
+    return residual, plane_rates(g, arm), by_plane
 
 
 # ---------------------------------------------------------------- board calibrations from files

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtri
 
 from thalweg.calibration.cones import Cone, ConeBeams, beam_spread
-from thalweg.core import AnyArray, ArrayF, GeometryError, InputError, Rigid, exp_rotation, njit
+from thalweg.core import AnyArray, ArrayF, GeometryError, InputError, Rigid, exp_rotation, njit, plane_rates
 from thalweg.settings.sections import CameraLidarFit, LidarAccuracy
 
 _BEAMS: Final = 2500
@@ -312,7 +312,7 @@ def _refined(
             weight = np.maximum(1 - (r / width) ** 2, 0.0) ** 2
             n_ccs = np.einsum("nji,nj->ni", R_pc, normal)
             arm = in_ccs - T.shift_m
-            J = np.hstack([n_ccs, np.cross(arm, n_ccs)])
+            J = plane_rates(n_ccs, arm)
             # A third of the width as sigma of a point, few of which are independent of their neighbours.
             P = weight / (width / 3) ** 2 * (100.0 / max(float(weight.sum()), 100.0))
             back = T.error_from(nominal)

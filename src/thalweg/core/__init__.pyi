@@ -95,6 +95,7 @@ from .rigid import (
     cross_matrix as cross_matrix,
     exp_rotation as exp_rotation,
     opk_of as opk_of,
+    plane_rates as plane_rates,
     propagated as propagated,
     rotation_vector as rotation_vector,
 )

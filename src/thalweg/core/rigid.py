@@ -331,6 +331,17 @@ def cross_matrix(a: ArrayF) -> ArrayF:
     return out - np.swapaxes(out, 1, 2)
 
 
+def plane_rates(normals: ArrayF, arms: ArrayF) -> ArrayF:
+    """How distances from planes change with a motion (shift; rotation vector) of their points, (n, 6).
+
+    Parameters
+    ----------
+    normals : (n, 3) of the planes, unit vectors.
+    arms : (n, 3) from the point about which the motion turns to each point, in the same frame.
+    """
+    return np.hstack([normals, np.cross(arms, normals)])
+
+
 def beam_axes(beam: ArrayF) -> ArrayF:
     """Unit vectors along beams (n, 3) and in two directions across them, as columns (n, 3, 3), right-handed.
 

@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 
 from thalweg.calibration import PARAMETERS, Cone, ConeReference, ConeScan
-from thalweg.core import AnyArray, ArrayF, GeometryError, Linear, Observations, Rigid
+from thalweg.core import AnyArray, ArrayF, GeometryError, Linear, Observations, Rigid, plane_rates
 
 ORIENTATION: Final = ("lever_x", "lever_y", "lever_z", "rotation_x", "rotation_y", "rotation_z")
 """Six of the relative orientation: shift and small rotation vector, in ccs."""
@@ -300,7 +300,7 @@ def by_transform(normal: ArrayF, arm: ArrayF) -> ArrayF:
     normal : (n, 3) in the transform's target frame.
     arm : (n, 3) the turned points ``R x`` there.
     """
-    return np.hstack([normal, np.cross(arm, normal)])
+    return plane_rates(normal, arm)
 
 
 def groups_of(

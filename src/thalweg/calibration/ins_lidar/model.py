@@ -29,7 +29,7 @@ from thalweg.calibration.ins_lidar.pose_errors import (
     turns,
 )
 from thalweg.calibration.ins_lidar.run_points import FieldCones, RunPoints
-from thalweg.core import ArrayB, ArrayF, ArrayI, Rigid
+from thalweg.core import ArrayB, ArrayF, ArrayI, Rigid, plane_rates
 
 MOUNT: Final = slice(0, 6)
 FIELD: Final = slice(6, 12)
@@ -211,7 +211,7 @@ def linearise(points: RunPoints, cone: ArrayI, known: Known, state: State, knots
     way = np.nan_to_num(way)[:, None]
     border[:, MOUNT] = np.concatenate([normal_ics, np.cross(way * beam_ics, normal_ics)], axis=1)
     x_pcs = origin_pcs + way * beam
-    by_field = np.concatenate([normal_wcs, np.cross(x_pcs @ T.R.T, normal_wcs)], axis=1)
+    by_field = plane_rates(normal_wcs, x_pcs @ T.R.T)
     border[:, FIELD] = -by_field @ S_field
     arm = T.apply(x_pcs) - antenna
     moment = np.cross(arm, normal_wcs)

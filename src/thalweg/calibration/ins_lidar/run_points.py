@@ -10,7 +10,7 @@ from scipy.signal import savgol_filter
 
 from thalweg.calibration import Cone
 from thalweg.clocks import apart_words, span_text
-from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, GeometryError, Rigid, Trajectory
+from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, GeometryError, Rigid, Trajectory, plane_rates
 from thalweg.settings.sections import InsLidarFit
 
 _SMOOTHED_S: Final = 1.5
@@ -535,7 +535,7 @@ def mount_rows(points: RunPoints, T_ics_scs: Rigid, normal_wcs: ArrayF) -> Array
     """Change (n, 6) of a component of points in wcs with the error (shift; rotation) of the mount in ics."""
     normal_ics = np.einsum("nij,ni->nj", points.R_wcs_ics, normal_wcs)
     arm = points.xyz_scs_m @ T_ics_scs.R.T
-    return np.concatenate([normal_ics, np.cross(arm, normal_ics)], axis=1)
+    return plane_rates(normal_ics, arm)
 
 
 def select(

@@ -39,6 +39,7 @@ from thalweg.core import (
     Rigid,
     UnobservableError,
     adjust,
+    plane_rates,
     root_mean_square,
 )
 from thalweg.core.geometry import fit_points
@@ -212,7 +213,7 @@ def of_all(
 
 def _rates(cloud: ScanCloud, normal: ArrayF, origin_m: ArrayF) -> ArrayF:
     """(n, 6) change of distances with the error (shift, turn) of the motion, as `Rigid.moved` counts it."""
-    return np.concatenate([normal, np.cross(cloud.xyz_m - origin_m, normal)], axis=1)
+    return plane_rates(normal, cloud.xyz_m - origin_m)
 
 
 def _step(cloud: ScanCloud, found: MeshDistances, shift_m: ArrayF) -> tuple[ArrayF, ArrayB, float]:

@@ -27,7 +27,18 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from thalweg.core import AnyArray, ArrayF, ArrayF32, ArrayI, InputError, Rigid, column, frame_of, table_kind
+from thalweg.core import (
+    AnyArray,
+    ArrayF,
+    ArrayF32,
+    ArrayI,
+    InputError,
+    Rigid,
+    column,
+    frame_of,
+    plane_rates,
+    table_kind,
+)
 from thalweg.lightsheet.lines import LINE_POINTS, LinePoints
 from thalweg.lightsheet.optics import Sensor, Status, point_derivatives
 from thalweg.lightsheet.poses import M_PER_MM, SensorPoses, by_pose, factor
@@ -199,7 +210,7 @@ class ScanCloud:
     def pose_rates(self, normal: ArrayF) -> ArrayF:
         """(n, 6) change of a distance along directions (n, 3) with the errors of the point's pose."""
         arm = self.xyz_m - self.poses.shift_m[self.number]
-        return np.concatenate([normal, np.cross(arm, normal)], axis=1)
+        return plane_rates(normal, arm)
 
     def shared_rates(self, normal: ArrayF) -> ArrayF:
         """(n, k) change of a distance along directions (n, 3) with each shared error, per sigma."""
