@@ -30,7 +30,7 @@ _spec.loader.exec_module(turns)
 
 SIZE_M = (200.0, 50.0)
 MOMENTS = 2000  # of the platform: a tenth of a second each
-RADIUS_M, REACH_M = 0.5, 2.5  # at 3 m py4dgeo 1.2.0 loses and doubles points at the joints of its segments
+RADIUS_M, REACH_M = 0.5, 2.5  # with an even number of segments (3 m) py4dgeo 1.2.0 miscounts
 
 TIMED = """
 import json, os, resource, time

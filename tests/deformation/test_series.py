@@ -23,6 +23,8 @@ def test_trend_and_step_are_those_of_the_full_matrices() -> None:
     height[2, :10] = height[4, 5:15] = np.nan
     height[:5, 0] = np.nan
     table = fit_series(T, height, sigma, common)
+    each = fit_series(T, height, np.tile(sigma[:, None], 30), common)
+    np.testing.assert_allclose(table.to_numpy(float), each.to_numpy(float), rtol=1e-9)
     assert table["n_epochs"].tolist() == np.isfinite(height).sum(axis=0).tolist()
     assert np.isnan(table.loc[0, "trend_m_a"])
     for place in range(1, 30):
@@ -94,6 +96,8 @@ def test_a_step_is_found_where_it_is_and_seldom_elsewhere() -> None:
 def test_what_cannot_be_fitted_is_refused() -> None:
     with pytest.raises(InputError, match="three or more ascending times"):
         fit_series(T[::-1], np.zeros((7, 2)), np.ones(7))
+    with pytest.raises(InputError, match=r"sigmas \(6,\)"):
+        fit_series(T, np.zeros((7, 2)), np.ones(6))
     with pytest.raises(InputError, match="without a standard deviation"):
         fit_series(T, np.zeros((7, 2)), np.zeros(7))
 

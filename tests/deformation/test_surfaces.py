@@ -4,6 +4,7 @@ import sqlite3
 import struct
 import zlib
 from dataclasses import replace
+from datetime import date
 from itertools import pairwise
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from thalweg.deformation import (
     write_difference,
 )
 from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, multiscale_normals
-from thalweg.deformation.series import closure, find_jumps
+from thalweg.deformation.series import closure, find_jumps, fit_series
 from thalweg.deformation.surfaces import VOLUMES, volume_variance
 from thalweg.surface import Surface
 
@@ -436,6 +437,19 @@ def stack(epochs: list[Dsm]) -> ArrayF:
     return np.array([onto_grid(each, epochs[0], "nearest")[0].height_m.ravel() for each in epochs])
 
 
+@pytest.fixture(scope="module")
+def dry(beach: Path, epochs: list[Dsm], stack: ArrayF) -> ArrayF:
+    """Without the water of each day."""
+    heights = stack.copy()
+    for each, day in zip(heights, DAYS, strict=True):
+        each[waters(beach, day).contain(epochs[0].centres_m())] = np.nan
+    return heights
+
+
+def waters(beach: Path, day: str) -> Shapes:
+    return read_shapes(beach / "clean/watermasks.gpkg", {"location": "mar", "raw_date": day})
+
+
 @pytest.mark.real
 def test_the_series_of_nine_epochs(epochs: list[Dsm], stack: ArrayF) -> None:
     with pytest.raises(InputError, match="another grid"):
@@ -453,21 +467,45 @@ def test_the_series_of_nine_epochs(epochs: list[Dsm], stack: ArrayF) -> None:
     assert closed.largest_m < 1e-12
     # each pair over what it shares: the changes no longer add up
     pairs = [np.nansum(step) for step in np.diff(stack, axis=0)]
-    assert abs(sum(pairs) - np.nansum(stack[-1] - stack[0])) > 5000.0
+    left = (sum(pairs) - np.nansum(stack[-1] - stack[0])) * epochs[0].cell_area_m2
+    assert left == pytest.approx(12_289.0, abs=1.0)
 
 
 @pytest.mark.real
-def test_the_epoch_that_jumps_and_returns_is_flagged(beach: Path, epochs: list[Dsm], stack: ArrayF) -> None:
+def test_the_epoch_that_jumps_and_returns_is_flagged(stack: ArrayF, dry: ArrayF) -> None:
     jumps = find_jumps(stack, LIMITS_M)
     assert [DAYS[jump.epoch] for jump in jumps if jump.flagged] == ["20190313"]
     assert jumps[6].before_m == pytest.approx(0.27, abs=0.005)
     assert jumps[6].after_m == pytest.approx(-0.35, abs=0.005)
     # water of each epoch left out: it is still there, but smaller
-    centres = epochs[0].centres_m()
-    dry = stack.copy()
-    for heights, day in zip(dry, DAYS, strict=True):
-        water: Shapes = read_shapes(beach / "clean/watermasks.gpkg", {"location": "mar", "raw_date": day})
-        heights[water.contain(centres)] = np.nan
     jumps = find_jumps(dry, LIMITS_M)
     assert [DAYS[jump.epoch] for jump in jumps if jump.flagged] == ["20190313"]
     assert jumps[6].before_m == pytest.approx(0.149, abs=0.005)
+
+
+@pytest.mark.real
+def test_trends_of_the_beach_with_errors_that_epochs_have_in_common(dry: ArrayF) -> None:
+    t_a = np.array([date.fromisoformat(f"{d[:4]}-{d[4:6]}-{d[6:]}").toordinal() for d in DAYS]) / 365.25
+    seen = dry[:, np.isfinite(dry).all(axis=0)]
+    assert seen.shape == (9, 25_794)
+    table = fit_series(t_a, seen, np.full(9, 0.02), np.eye(9) * 0.03**2)
+    # by hand: white in time, so that the trend's variance is (0.02^2 + 0.03^2) / sum (t - mean)^2
+    spread = np.sqrt(((t_a - t_a.mean()) ** 2).sum())
+    assert table["sigma_trend_m_a"].to_numpy() == pytest.approx(np.hypot(0.02, 0.03) / spread, rel=1e-9)
+    assert table["sigma_trend_common_m_a"].to_numpy() == pytest.approx(0.03 / spread, rel=1e-9)
+    assert table["trend_m_a"].median() == pytest.approx(-0.047, abs=0.002)
+    assert table["chi2_trend"].median() == pytest.approx(240.0, abs=5.0)  # 7 degrees of freedom
+    others = np.arange(9) != 7
+    table = fit_series(t_a[others], seen[others], np.full(8, 0.02), np.eye(8) * 0.03**2)
+    assert table["trend_m_a"].median() == pytest.approx(-0.156, abs=0.002)
+
+
+@pytest.mark.real
+def test_volumes_of_the_beach_without_water(beach: Path, epochs: list[Dsm]) -> None:
+    before, after = epochs[2:4]
+    errors = (HeightErrors(0.0213 / np.sqrt(2.0), 20.0),) * 2
+    dry = [waters(beach, day) for day in DAYS[2:4]]
+    for water, n, net, sigma in (([], 76_408, -3643.6, 262.7), (dry, 45_498, 6668.8, 192.2)):
+        row = difference_of_surfaces(before, after, errors, leave_out=water).volumes.loc[0]
+        assert row.n_cells == n
+        assert (row.volume_m3, row.sigma_m3) == pytest.approx((net, sigma), abs=0.05)

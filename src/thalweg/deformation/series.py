@@ -64,13 +64,15 @@ def fit_series(
     InputError : shapes or times that do not fit, or heights without any error.
     """
     n, k = height_m.shape
-    sigma = np.broadcast_to(sigma_m if np.ndim(sigma_m) == 2 else np.asarray(sigma_m, float)[:, None], (n, k))
     common = np.zeros((n, n)) if common_m2 is None else np.asarray(common_m2, float)
-    if t_a.shape != (n,) or common.shape != (n, n) or n < 3 or not (np.diff(t_a) > 0).all():
+    fits = t_a.shape == (n,) and common.shape == (n, n) and np.shape(sigma_m) in ((n,), (n, k))
+    if not fits or n < 3 or not (np.diff(t_a) > 0).all():
         raise InputError(
-            f"{n} epochs with times {t_a.shape} and a covariance {common.shape}",
-            expected="three or more ascending times and an n x n covariance",
+            f"{n} epochs with times {t_a.shape}, sigmas {np.shape(sigma_m)} and a covariance {common.shape}",
+            expected="three or more ascending times, n or n x k sigmas, an n x n covariance",
         )
+    own = np.asarray(sigma_m, float).reshape(n, -1)
+    sigma = np.broadcast_to(own, (n, k))
     seen = np.isfinite(height_m)
     if not (sigma[seen] > 0).all():
         raise InputError(
@@ -85,20 +87,22 @@ def fit_series(
         if pattern.sum() < 3:
             continue
         at = np.flatnonzero(pattern)
-        C = common[np.ix_(at, at)] + np.einsum("ik,ij->kij", sigma[np.ix_(at, places)] ** 2, np.eye(len(at)))
+        variance = own[at] ** 2 if own.shape[1] == 1 else own[np.ix_(at, places)] ** 2
+        C = common[np.ix_(at, at)] + np.einsum("ik,ij->kij", variance, np.eye(len(at)))
         root = np.linalg.cholesky(C)
         t = t_a[at] - t_a[at].mean()
         y = height_m[np.ix_(at, places)].T
         parameters, Q, weights, chi2 = _least_squares(root, np.column_stack([np.ones_like(t), t]), y)
         shared = np.einsum("ki,ij,kj->k", weights[:, 1], common[np.ix_(at, at)], weights[:, 1])
-        trend[places] = np.column_stack([parameters[:, 1], np.sqrt(Q[:, 1, 1]), np.sqrt(shared), chi2])
+        for i, value in enumerate((parameters[:, 1], np.sqrt(Q[:, 1, 1]), np.sqrt(shared), chi2)):
+            trend[places, i] = value
         if len(at) < 5:  # a step behind the first and before the last epoch, and one height to spare
             continue
         best = np.zeros(len(places))
         for e in range(1, len(at) - 2):
             design = np.column_stack([np.ones_like(t), t, np.arange(len(at)) > e])
             parameters, Q, _, _ = _least_squares(root, design, y)
-            size, spread = parameters[:, 2], np.sqrt(Q[:, 2, 2])
+            size, spread = parameters[:, 2], np.broadcast_to(np.sqrt(Q[:, 2, 2]), len(places))
             better = np.abs(size) / spread > best
             best[better] = (np.abs(size) / spread)[better]
             p = np.minimum(1.0, (len(at) - 3) * 2.0 * norm.sf(np.abs(size) / spread))
@@ -121,15 +125,18 @@ _STEP = ("step_m", "sigma_step_m", "p_step")
 
 
 def _least_squares(root: ArrayF, design: ArrayF, y: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
-    """Parameters (k, u), covariance (k, u, u), weights (k, u, n) of the observations, sum of squares (k,)."""
-    A = np.linalg.solve(root, np.broadcast_to(design, (len(y), *design.shape)))
-    white = np.linalg.solve(root, y[..., None])
-    Q = np.linalg.inv(np.einsum("kni,knj->kij", A, A))
-    gain = np.einsum("kij,knj->kin", Q, A)
-    parameters = (gain @ white)[..., 0]
-    residual = white[..., 0] - np.einsum("kni,ki->kn", A, parameters)
-    weights = np.linalg.solve(np.swapaxes(root, 1, 2), np.swapaxes(gain, 1, 2))
-    return parameters, Q, np.swapaxes(weights, 1, 2), (residual**2).sum(axis=1)
+    """Parameters (k, u), their covariance, weights of the observations, sum of squares (k,).
+
+    ``root`` (1, n, n) is that of all places, or (k, n, n) has one for each; covariance (., u, u) and weights
+    (., u, n) have as many.
+    """
+    whitening = np.linalg.inv(root)
+    A = whitening @ design
+    Q = np.linalg.inv(np.swapaxes(A, 1, 2) @ A)
+    weights = Q @ np.swapaxes(A, 1, 2) @ whitening
+    parameters = (weights @ y[..., None])[..., 0]
+    residual = (whitening @ (y - parameters @ design.T)[..., None])[..., 0]
+    return parameters, Q, weights, (residual**2).sum(axis=1)
 
 
 @dataclass(frozen=True, slots=True)
