@@ -242,7 +242,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     """The lists that stood in the rules: which pictures a survey, a calibration and a basin have."""
     folder = repository / "config/campaigns"
     campaigns = with_calibrations(
-        load_campaigns(["tiny", "field_tiny", "basin_tiny", "demo"], folder), folder
+        load_campaigns(["tiny", "field_tiny", "basin_tiny", "demo", "tiny_change"], folder), folder
     )
     of = {n: CampaignFiles(name=n, campaigns=campaigns, twin_logs=twin_logs) for n in campaigns}
     table = read_figures(repository / "workflow/figures.yaml")
@@ -265,5 +265,11 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     }
     assert names("basin_tiny", "scans")[-1] == "orthophoto"
     assert len(names("basin_tiny", "scans")) == 12
+    assert names("tiny_change") == names("tiny_change", "deformation")
+    assert names("tiny_change")[:3] == ["epochs_from_above", "change_map", "significance_map"]
+    assert len(names("tiny_change")) == 9
+    (row,) = [row for row in table.rows if row.name == "change_map"]
+    changes = row.input_files(of)["changes"](SimpleNamespace(campaign="tiny_change"))
+    assert changes == ["results/tiny_change/deformation/changes_1-2.parquet"]
     boards = campaign(logs={"calibration": {"display": ["d"], "board_images": ["b"]}})
     assert table.files(boards) == []

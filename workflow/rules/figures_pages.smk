@@ -131,3 +131,37 @@ rule bed_strip_page:
         campaign=identity("title"),
     script:
         "../scripts/bed_strip_page.py"
+
+
+rule deformation_page:
+    """What changed between epochs, how sure that is and what nobody saw, on one page (T 4.1)."""
+    input:
+        errors=of(CampaignFiles.all_epochs, "errors.json"),
+        changes=of(CampaignFiles.of_pairs, "changes_{}.parquet"),
+        visibility=of(CampaignFiles.of_pairs, "visibility_{}.parquet"),
+        control=of(CampaignFiles.of_pairs, "changes_{}.json"),
+        registrations=of(CampaignFiles.of_pairs, "registration_{}.json"),
+        volumes=of(CampaignFiles.of_pairs, "volumes_{}.csv"),
+        patches=of(CampaignFiles.of_pairs, "patches_{}.csv"),
+        core_points="results/{campaign}/deformation/core_points.parquet",
+        truth=of(CampaignFiles.change_truth),
+        pictures=of_page("deformation"),
+    output:
+        page="results/{campaign}/deformation/index.html",
+    log:
+        "logs/{campaign}/deformation/deformation_page.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/deformation_page.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("deformation_page"),
+        captions=FIGURES.captions("deformation"),
+        twin=of(CampaignFiles.is_twin),
+        campaign=identity("title"),
+    script:
+        "../scripts/deformation_page.py"

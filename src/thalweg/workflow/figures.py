@@ -16,7 +16,7 @@ from thalweg.workflow.codehash import SOURCE
 
 Kind = Literal["survey", "calibration", "basin", "scan", "change", "study"]
 
-_CALL = re.compile(r"=?(\w+)(?:\(([\w./]*)\))?")
+_CALL = re.compile(r"=?(\w+)(?:\(([\w./{}]*)\))?")
 """A method of `CampaignFiles`, perhaps with an argument."""
 
 

@@ -1,0 +1,337 @@
+"""Maps of change on the bank: distance, state, and what was not seen.
+
+Both views of the bank have s, the length along it, to the right as one looks from the river: from above, with
+the river below, and from the river, with the height upward.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from thalweg.core import ArrayB, ArrayF, read_table
+from thalweg.deformation import CHANGES, CORE_POINTS, STATES, VISIBILITY
+from thalweg.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    HALO,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    WIDTH_MM,
+    count,
+    new_figure,
+    styled,
+)
+from thalweg.figures.accuracy import DISTANCE_MAP, round_above
+
+STATE_LOOK: Final[dict[str, tuple[str, str]]] = {
+    "erosion": (BLUE, "v"),
+    "deposition": (VERMILION, "^"),
+    "no significant change": ("0.8", "s"),
+    "vegetation": (GREEN, "x"),
+    "object": (PURPLE, "D"),
+    "not seen in first": (ORANGE, "+"),
+    "not seen in second": (SKY, "+"),
+    "not seen": ("black", "+"),
+    "no normal": (GREY, "1"),
+}
+"""Colour and marker of each state."""
+REASON_LOOK: Final[dict[str, tuple[str, str]]] = {
+    "water": (SKY, "s"),
+    "range": (ORANGE, "^"),
+    "incidence": (PURPLE, "v"),
+    "occlusion": (VERMILION, "D"),
+    "not swept": ("black", "x"),
+    "free space": (GREEN, "o"),
+}
+"""Colour and marker of each reason why a place was not seen."""
+NOT_SEEN: Final = ("not seen", "not seen in first", "not seen in second")
+"""States of places that one epoch or both did not see."""
+BARE: Final = ("erosion", "deposition", "no significant change")
+"""States whose distances are those of the ground."""
+FACE_MM: Final = 34.0
+"""Height of a view from the river; heights are drawn larger than lengths."""
+DRAWN_MM: Final = WIDTH_MM - 24.0
+"""Width of a panel that takes the whole page."""
+SCALE_SHARE: Final = 99.0
+"""Percentage of the distances that the scale of colours holds."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BankPair:
+    """Core points of a pair of epochs in the frame of the bank.
+
+    Attributes
+    ----------
+    name : such as ``1-2``.
+    table : `thalweg.deformation.CHANGES`.
+    s_m, into_m, up_m : (k,) along the bank, away from the river, height.
+    area_m2 : (k,) that each core point stands for.
+    spacing_m : edge of the cells of the core points.
+    along : (2,) unit vector east, north along the bank; into : (2,) the one away from the river.
+    """
+
+    name: str
+    table: pd.DataFrame
+    s_m: ArrayF
+    into_m: ArrayF
+    up_m: ArrayF
+    area_m2: ArrayF
+    spacing_m: float
+    along: ArrayF
+    into: ArrayF
+
+    @property
+    def words(self) -> str:
+        """``epochs 1 to 2``."""
+        return f"epochs {self.name.replace('-', ' to ')}"
+
+    @property
+    def state(self) -> ArrayF:
+        """State (k,) of each core point."""
+        return self.table["state"].to_numpy(dtype=object)
+
+    @property
+    def bare(self) -> ArrayB:
+        """Core points (k,) with a distance of the ground."""
+        return np.isin(self.state, BARE) & np.isfinite(self.table["distance_m"].to_numpy())
+
+    def on_bank(self, east_north_m: ArrayF) -> tuple[ArrayF, ArrayF]:
+        """Along the bank and away from the river (n,) of places (n, 2), as `s_m` and `into_m` count them."""
+        place = self.table[["east_m", "north_m"]].to_numpy()
+        delta = np.asarray(east_north_m) - place.mean(axis=0)
+        return delta @ self.along, delta @ self.into
+
+
+def read_pairs(changes: Sequence[Path], core_points: Path) -> list[BankPair]:
+    """Tables ``changes_<pair>.parquet`` of all pairs with the core points that they share.
+
+    Raises
+    ------
+    InputError : a file is missing or of another kind.
+    """
+    cores = read_table(core_points, CORE_POINTS)[0]
+    place = cores[["east_m", "north_m"]].to_numpy()
+    plan = place - place.mean(axis=0)
+    s = cores["s_m"].to_numpy()
+    along = np.linalg.lstsq(plan, s, rcond=None)[0]
+    along = along / max(np.linalg.norm(along), 1e-12)
+    into = np.array([-along[1], along[0]])
+    normals = cores[[f"normal_{axis}" for axis in ("east", "north", "up")]].to_numpy()
+    edge = np.sqrt(np.median(cores["area_m2"].to_numpy() * np.abs(normals).sum(axis=1)))
+    return [
+        BankPair(
+            name=path.stem.rpartition("_")[2],
+            table=read_table(path, CHANGES)[0],
+            s_m=s,
+            into_m=plan @ into,
+            up_m=cores["up_m"].to_numpy(),
+            area_m2=cores["area_m2"].to_numpy(),
+            spacing_m=float(edge),
+            along=along,
+            into=into,
+        )
+        for path in changes
+    ]
+
+
+def signed(value: float, digits: int) -> str:
+    """A number with its sign, and a true minus."""
+    return f"{value:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def marker_pt(pair: BankPair, width_mm: float = DRAWN_MM) -> float:
+    """Width of a core point's cell on paper, points; never too small to see."""
+    return float(max(pair.spacing_m / max(np.ptp(pair.s_m), 1e-6) * width_mm / 25.4 * 72.0, 1.2))
+
+
+def view_from_river(ax: Axes, pair: BankPair) -> None:
+    """Limits and labels of a view from the river."""
+    ax.set_xlim(pair.s_m.min() - pair.spacing_m, pair.s_m.max() + pair.spacing_m)
+    ax.set_ylim(pair.up_m.min() - 0.5 * pair.spacing_m, pair.up_m.max() + 0.5 * pair.spacing_m)
+    ax.set_ylabel("height / m")
+
+
+def _view_from_above(ax: Axes, pair: BankPair) -> None:
+    """Limits, labels and north of a plan whose river is at its lower edge."""
+    ax.set_aspect("equal")
+    ax.set_xlim(pair.s_m.min() - pair.spacing_m, pair.s_m.max() + pair.spacing_m)
+    ax.set_ylim(pair.into_m.min() - pair.spacing_m, pair.into_m.max() + pair.spacing_m)
+    ax.set_ylabel("away from\nthe river / m")
+    north = np.array([pair.along[1], pair.into[1]])
+    ax.annotate(
+        "N",
+        xy=(0.965, 0.5),
+        xytext=(-20.0 * north[0], -20.0 * north[1]),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        fontsize=7,
+        fontweight="bold",
+        gid="north-arrow",
+        path_effects=HALO,
+        arrowprops={"arrowstyle": "-|>", "lw": 1.0, "color": "black", "shrinkA": 4, "shrinkB": 0},
+    )
+
+
+def _plan_mm(pair: BankPair) -> float:
+    return float(np.ptp(pair.into_m) / max(np.ptp(pair.s_m), 1e-6) * DRAWN_MM)
+
+
+def _two_views(pairs: Sequence[BankPair], title: str, extra_mm: float, *, twin: bool) -> tuple[Figure, Axes]:
+    """A figure with a plan and a view from the river for each pair; axes (2 pairs,)."""
+    plans = [max(1.12 * _plan_mm(pair), 16.0) for pair in pairs]
+    heights = [height for plan in plans for height in (plan, FACE_MM)]
+    figure = new_figure(sum(heights) + len(pairs) * 24.0 + extra_mm, title, twin=twin)
+    panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for pair, plan, face in zip(pairs, panels[::2], panels[1::2], strict=True):
+        _view_from_above(plan, pair)
+        view_from_river(face, pair)
+        plan.tick_params(labelbottom=False)
+        face.set_xlabel("along the bank, to the right as seen from the river / m")
+    figure.align_ylabels(panels)
+    return figure, panels
+
+
+@styled
+def change_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
+    """Distance of each core point of bare ground, from above and from the river."""
+    inside = [np.abs(pair.table["distance_m"].to_numpy()[pair.bare]) for pair in pairs]
+    limit = round_above(max(float(np.percentile(np.concatenate(inside), SCALE_SHARE)), 1e-3))
+    norm = Normalize(-100 * limit, 100 * limit)
+    n = sum(len(each) for each in inside)
+    figure, panels = _two_views(
+        pairs, f"{title}, n = {count(n)} core\N{NO-BREAK SPACE}points", 20.0, twin=twin
+    )
+    for i, pair in enumerate(pairs):
+        distance = 100 * pair.table["distance_m"].to_numpy()
+        order = np.argsort(np.abs(distance[pair.bare]))
+        size = marker_pt(pair) ** 2
+        for ax, y in ((panels[2 * i], pair.into_m), (panels[2 * i + 1], pair.up_m)):
+            other = ~pair.bare
+            ax.scatter(pair.s_m[other], y[other], s=0.3 * size, c="0.6", marker="x", lw=0.4, gid="others")
+            x, z, d = (values[pair.bare][order] for values in (pair.s_m, y, distance))
+            drawn = ax.scatter(x, z, c=d, s=size, marker="s", lw=0, cmap=DISTANCE_MAP, norm=norm)
+            drawn.set_gid("distances")
+            drawn.set_rasterized(True)
+        beyond = np.abs(distance[pair.bare]) > 100 * limit
+        ends = " to ".join(signed(end(distance[pair.bare]), 0) for end in (np.min, np.max))
+        panels[2 * i].set_title(
+            f"{pair.words} from above, n = {count(int(pair.bare.sum()))}, from {ends} cm, "
+            f"{count(int(beyond.sum()))} beyond the scale"
+        )
+        panels[2 * i + 1].set_title(
+            f"seen from the river, heights not to scale; ×: plants, objects and places without distance, "
+            f"n = {count(int((~pair.bare).sum()))}"
+        )
+    figure.colorbar(
+        ScalarMappable(norm, DISTANCE_MAP),
+        ax=list(panels),
+        location="bottom",
+        aspect=55,
+        shrink=0.8,
+        pad=0.02,
+        extend="both",
+        label="distance / cm: negative away from the river (erosion), positive towards it (deposition)",
+    )
+    return figure
+
+
+def draw_change_map(*, changes: list[Path], core_points: Path, title: str, twin: bool) -> Figure:
+    """Compared core points -> distances from above and from the river."""
+    return change_map(read_pairs(changes, core_points), title=f"Change: {title}", twin=twin)
+
+
+def _with_looks(
+    ax: Axes, pair: BankPair, y_m: ArrayF, names: ArrayF, looks: Mapping[str, tuple[str, str]]
+) -> None:
+    """Core points by name, each with its colour and marker; labels carry n, share and area."""
+    size = marker_pt(pair) ** 2
+    area = pair.area_m2.sum()
+    for name, (colour, marker) in looks.items():
+        use = names == name
+        if not use.any():
+            continue
+        n, own = int(use.sum()), float(pair.area_m2[use].sum())
+        ax.scatter(
+            pair.s_m[use],
+            y_m[use],
+            s=size if marker == "s" else 1.2 * size,
+            c=colour,
+            marker=marker,
+            lw=0.7 if marker in "x+1" else 0,
+            zorder=1 if name in ("no significant change", "seen") else 2,
+            rasterized=True,
+            gid=name,
+            label=f"{name}: n = {count(n)}, {own:.3g} m² ({100 * own / area:.2g} %)",
+        )
+
+
+def _legend_under(ax: Axes) -> None:
+    legend = ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.32), ncols=2, frameon=False, borderpad=0)
+    for handle in legend.legend_handles:
+        handle.set_sizes([18.0])  # type: ignore[union-attr]
+
+
+@styled
+def significance_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
+    """What is known of each core point, from above and from the river."""
+    n = count(len(pairs[0].s_m))
+    figure, panels = _two_views(
+        pairs, f"{title}, n = {n} core\N{NO-BREAK SPACE}points", 26.0 * len(pairs), twin=twin
+    )
+    looks = {state: STATE_LOOK[state] for state in STATES}
+    for i, pair in enumerate(pairs):
+        for ax, y in ((panels[2 * i], pair.into_m), (panels[2 * i + 1], pair.up_m)):
+            _with_looks(ax, pair, y, pair.state, looks)
+        panels[2 * i].set_title(f"{pair.words} from above")
+        panels[2 * i + 1].set_title("seen from the river, heights not to scale")
+        _legend_under(panels[2 * i + 1])
+    return figure
+
+
+def draw_significance_map(*, changes: list[Path], core_points: Path, title: str, twin: bool) -> Figure:
+    """Compared core points -> what is known of each."""
+    return significance_map(read_pairs(changes, core_points), title=f"What changed: {title}", twin=twin)
+
+
+@styled
+def not_seen(pairs: Sequence[BankPair], seen: Sequence[pd.DataFrame], *, title: str, twin: bool) -> Figure:
+    """Why places were not seen, in both epochs of each pair, from the river."""
+    rows = 2 * len(pairs)
+    figure = new_figure(rows * (FACE_MM + 28.0) + 8.0, title, twin=twin)
+    panels = figure.subplots(rows, 1, squeeze=False)[:, 0]
+    for i, (pair, visibility) in enumerate(zip(pairs, seen, strict=True)):
+        for k in (1, 2):
+            ax = panels[2 * i + k - 1]
+            reason = visibility[f"reason_{k}"].to_numpy(dtype=object)
+            reason = np.where(visibility[f"seen_{k}"].to_numpy(dtype=bool), "seen", reason)
+            _with_looks(ax, pair, pair.up_m, reason, {"seen": ("0.85", "s"), **REASON_LOOK})
+            ax.set_title(f"epoch {pair.name.split('-')[k - 1]}, seen from the river, heights not to scale")
+            view_from_river(ax, pair)
+            ax.set_xlabel("along the bank, to the right as seen from the river / m")
+            _legend_under(ax)
+    figure.align_ylabels(panels)
+    return figure
+
+
+def draw_not_seen(
+    *, changes: list[Path], visibility: list[Path], core_points: Path, title: str, twin: bool
+) -> Figure:
+    """Visibility of core points -> where and why each epoch saw none."""
+    pairs = read_pairs(changes, core_points)
+    seen = [read_table(path, VISIBILITY)[0] for path in visibility]
+    n = count(len(pairs[0].s_m))
+    words = f"What each epoch did not see: {title}, n = {n} core\N{NO-BREAK SPACE}points"
+    return not_seen(pairs, seen, title=words, twin=twin)

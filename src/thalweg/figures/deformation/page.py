@@ -1,0 +1,457 @@
+"""One page on what changed between epochs: the verdict first, then what it rests on, then its limits."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from thalweg.core import InputError, read_table, utc_text_from_gps
+from thalweg.deformation import CHANGES, CORE_POINTS, STATES, VISIBILITY
+from thalweg.figures import Page, count
+from thalweg.figures.accuracy import centimetres
+from thalweg.figures.deformation.maps import NOT_SEEN, signed
+
+GROUPS_IN_WORDS: Final = {
+    "position": "positions, slow part",
+    "position, white": "positions, new in each solution",
+    "attitude": "attitude",
+    "mount, shift": "place of the scanner on the boat",
+    "mount, rotation": "direction of the scanner on the boat",
+}
+CONTROL_IN_WORDS: Final = {
+    "fdr": "of all core points that are called changed, at most {percent:g} % did not change (Benjamini and "
+    "Hochberg)",
+    "family": "the chance that a single unchanged core point anywhere is called changed is {percent:g} %",
+    "none": "each unchanged core point is called changed with a chance of {percent:g} %",
+}
+VOLUMES: Final = (
+    ("volume_m3", "volume", "m³"),
+    ("sigma_m3", "sigma", "m³"),
+    ("low_m3", "95 % from", "m³"),
+    ("high_m3", "to", "m³"),
+    ("bias_m3", "bias", "m³"),
+    ("area_m2", "area", "m²"),
+    ("not_seen_m2", "not seen", "m²"),
+)
+PATCHES: Final = (
+    ("area_m2", "area", "m²"),
+    ("volume_m3", "volume", "m³"),
+    ("mean_distance_m", "mean distance", "m"),
+    ("largest_distance_m", "largest distance", "m"),
+    ("east_m", "east", "m"),
+    ("north_m", "north", "m"),
+    ("up_m", "height", "m"),
+)
+MOST_PATCHES: Final = 15
+"""Patches of a pair that the page lists."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairFacts:
+    """What was found out about a pair of epochs.
+
+    Attributes
+    ----------
+    name : such as ``1-2``.
+    changes, visibility : core points, and what each epoch saw of them.
+    area_m2 : that each core point stands for.
+    control : how significance is controlled, ``changes_<pair>.json``.
+    registration : ``registration_<pair>.json``.
+    volumes, patches : tables ``volumes_<pair>.csv`` and ``patches_<pair>.csv``.
+    """
+
+    name: str
+    changes: pd.DataFrame
+    visibility: pd.DataFrame
+    area_m2: pd.Series
+    control: Mapping[str, Any]
+    registration: Mapping[str, Any]
+    volumes: pd.DataFrame
+    patches: pd.DataFrame
+
+    @property
+    def words(self) -> str:
+        """``Epochs 1 to 2``."""
+        return f"Epochs {self.name.replace('-', ' to ')}"
+
+    def volume(self, what: str) -> Mapping[str, float]:
+        """Row of the volumes.
+
+        Raises
+        ------
+        InputError : there is no such row.
+        """
+        rows = self.volumes[self.volumes["what"] == what]
+        if len(rows) != 1:
+            raise InputError(
+                f"{len(rows)} rows '{what}' in the volumes of {self.name}", expected="one: a finished pair"
+            )
+        return {key: float(value) for key, value in rows.iloc[0].drop("what").items()}
+
+    @property
+    def unseen_m2(self) -> float:
+        """Area that one epoch or both did not see."""
+        return float(self.area_m2[self.changes["state"].isin(NOT_SEEN)].sum())
+
+
+def read_pair_facts(
+    changes: Sequence[Path],
+    visibility: Sequence[Path],
+    control: Sequence[Path],
+    registrations: Sequence[Path],
+    volumes: Sequence[Path],
+    patches: Sequence[Path],
+    core_points: Path,
+) -> list[PairFacts]:
+    """Results of all pairs, from the files that `workflow/rules/deformation.smk` names.
+
+    Raises
+    ------
+    InputError : a file is missing or of another kind.
+    """
+    area = read_table(core_points, CORE_POINTS)[0]["area_m2"]
+    return [
+        PairFacts(
+            name=change.stem.rpartition("_")[2],
+            changes=read_table(change, CHANGES)[0],
+            visibility=read_table(seen, VISIBILITY)[0],
+            area_m2=area,
+            control=json.loads(how.read_text()),
+            registration=json.loads(moved.read_text()),
+            volumes=pd.read_csv(volume),
+            patches=pd.read_csv(patch),
+        )
+        for change, seen, how, moved, volume, patch in zip(
+            changes, visibility, control, registrations, volumes, patches, strict=True
+        )
+    ]
+
+
+# ---------------------------------------------------------------- in words
+
+
+def cubic_metres(row: Mapping[str, float]) -> str:
+    """``−12.0 ± 0.6 m³``: a volume with its standard deviation."""
+    digits = int(np.clip(1 - np.floor(np.log10(max(row["sigma_m3"], 1e-9))), 0, 3)) if row["sigma_m3"] else 1
+    return f"{signed(row['volume_m3'], digits)} ± {row['sigma_m3']:.{digits}f} m³"
+
+
+def verdict(pair: PairFacts) -> str:
+    """What changed between two epochs, in sentences.
+
+    Raises
+    ------
+    InputError : the volumes are incomplete.
+    """
+    erosion, deposition, net = (pair.volume(what) for what in ("erosion", "deposition", "net"))
+    n = int(pair.changes["distance_m"].notna().sum())
+    total = float(pair.area_m2.sum())
+    beyond = net["low_m3"] > 0 or net["high_m3"] < 0
+    median = float(pair.changes["lod95_m"].median())
+    words = [
+        f"{pair.words}: {cubic_metres(erosion)} by erosion on {erosion['area_m2']:.1f} m² and "
+        f"{cubic_metres(deposition)} by deposition on {deposition['area_m2']:.1f} m² of bare ground that "
+        f"changed significantly; net, with the places that did not, {cubic_metres(net)}, which is "
+        f"{'different from' if beyond else 'no different from'} zero at 95 % (± is one standard deviation).",
+        f"At half of the {count(n)} measured core points a change of {centimetres(median)} stands out "
+        "from the errors at 95 %.",
+        largest_patches(pair.patches),
+        _motion(pair.registration),
+        f"{pair.unseen_m2:.1f} m² ({100 * pair.unseen_m2 / total:.1f} % of {total:.0f} m²) were not seen in "
+        "one epoch or both: they are in no volume.",
+    ]
+    return " ".join(words)
+
+
+def largest_patches(patches: pd.DataFrame) -> str:
+    """The largest patch of erosion and of deposition, by volume."""
+    words = []
+    for what, sign in (("erosion", 1.0), ("deposition", -1.0)):
+        rows = patches[(patches["what"] == what) & patches["mean_distance_m"].notna()]
+        if len(rows):
+            row = rows.loc[(sign * rows["volume_m3"]).idxmin()]
+            words.append(
+                f"The largest patch of {what} has {row['area_m2']:.1f} m², "
+                f"{signed(row['volume_m3'], 1)} m³ and "
+                f"{centimetres(row['mean_distance_m'], sign=True)} on average."
+            )
+    return " ".join(words) or "No connected patch of change is large enough to be listed."
+
+
+def _motion(registration: Mapping[str, Any]) -> str:
+    """Whether the epochs moved against each other, and what stable ground cannot tell."""
+    if registration.get("model") == "none" or "parameters" not in registration:
+        return "The epochs were not registered on each other."
+    values, sigmas = registration["parameters"], registration["sigmas"]
+    shift = ", ".join(
+        f"{axis} {signed(100 * values[f'{axis}_m'], 1)} ± {100 * sigmas[f'{axis}_m']:.1f} cm"
+        for axis in ("east", "north", "up")
+        if f"{axis}_m" not in registration["not_shown"]
+    )
+    words = (
+        f"On stable ground the second epoch lies off the first by {shift}: "
+        f"{'more than' if registration['needed'] else 'no more than'} the errors of both surveys explain "
+        f"(p = {registration['p_value']:.2g}), so that a registration was "
+        f"{'needed' if registration['needed'] else 'not needed'}; the motion is taken off "
+        f"{'' if registration['needed'] else 'all the same '}and its uncertainty is in the sigmas."
+    )
+    hidden = [_AXES[name] for name in registration["not_shown"]]
+    return words + (f" Stable ground does not show {' and '.join(hidden)}." if hidden else "")
+
+
+_AXES: Final = {
+    "east_m": "a shift to the east",
+    "north_m": "a shift to the north",
+    "up_m": "a shift upward",
+    "turn_east": "a rotation about east",
+    "turn_north": "a rotation about north",
+    "turn_up": "a rotation of the course",
+}
+
+
+def limits(pairs: Sequence[PairFacts]) -> str:
+    """What the page does not hold."""
+    drawn = any(pair.registration.get("areas") == "drawn" for pair in pairs)
+    stable = (
+        "Stable ground was drawn by hand; whether it was stable, only an area that moved against the others "
+        "would show."
+        if drawn
+        else "No stable areas were drawn: what most of the bank agrees on is taken as unmoved. A bank that "
+        "moved as a whole, or by less than its points scatter, looks stable, and its motion is taken off as "
+        "a registration. Draw deformation.stable where ground is known."
+    )
+    return (
+        f"{stable}\n\n"
+        "A distance is measured along the normal of the first surface (of the last, where the first has "
+        "none). A bank that moved within its own plane did not move by this measure.\n\n"
+        "Volumes of erosion and deposition sum what passed a threshold. Small changes below the level of "
+        "detection are missing in them, and errors that helped a place over it are in them; the column "
+        "'bias' estimates how much both do, and it is not taken off. The net volume has no threshold. No "
+        "volume holds places that an epoch did not see, plants and objects. An erosion that is known only "
+        "because beams passed through the place has an area and no volume.\n\n"
+        "The errors of the poses are a model: processes with estimated sizes and correlation times. Errors "
+        "that follow the surface (angle of incidence, wet ground, grass) are known only as far as points "
+        "scatter within a cylinder. Significance speaks of each core point; neighbours share their errors, "
+        "so that a patch of significant core points is not as many proofs."
+    )
+
+
+# ---------------------------------------------------------------- page
+
+
+def change_page(
+    epochs: Sequence[Mapping[str, Any]],
+    pairs: Sequence[PairFacts],
+    *,
+    pictures: Sequence[Path] = (),
+    captions: Mapping[str, str] | None = None,
+    truth: Mapping[str, pd.DataFrame] | None = None,
+    title: str = "Change between epochs",
+    twin: bool = False,
+) -> Page:
+    """The page that says what changed, how sure that is, and what nobody saw.
+
+    Parameters
+    ----------
+    epochs : ``errors.json`` of each epoch, in the order of time.
+    pairs : what was found out about each pair.
+    pictures : PNG files, shown in their order.
+    captions : stem of a picture -> its caption.
+    truth : for a twin, comparison with the true change by pair.
+    title : heading.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    InputError : the volumes of a pair are incomplete, or a picture is missing.
+    """
+    page = Page(title, verdict(pairs[0]) if pairs else "No pair of epochs.")
+    for pair in pairs[1:]:
+        page.text(verdict(pair))
+    if twin:
+        page.text(
+            "The digital twin made these data: the surveys and the change between them are simulated. The "
+            "figures speak of the software and of the models of the instruments, not of a real river."
+        )
+    _volumes(page, pairs)
+    _states(page, pairs)
+    if pictures:
+        page.section("Figures")
+    for picture in pictures:
+        page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
+    _registration(page, pairs)
+    _unseen(page, pairs)
+    _epochs(page, epochs)
+    for name, table in (truth or {}).items():
+        page.section(f"Against the truth of the digital twin, epochs {name.replace('-', ' to ')}").text(
+            "The twin knows the true surface of each epoch, which no processing saw."
+        )
+        page.table(table, "Change found and true change", digits=3)
+    page.section("Limits").text(limits(pairs))
+    return page
+
+
+def _of_pairs(
+    frames: Sequence[tuple[PairFacts, pd.DataFrame]], columns: Sequence[tuple[str, str, str]], first: str
+) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Tables of pairs below each other: pair, ``first``, columns under their headings; and units."""
+    rows = [
+        table[[first, *(name for name, _, _ in columns)]].assign(epochs=pair.name.replace("-", " to "))
+        for pair, table in frames
+    ]
+    out = pd.concat(rows, ignore_index=True) if rows else pd.DataFrame(columns=["epochs", first])
+    out = out[["epochs", *(name for name in out.columns if name != "epochs")]]
+    units = {heading: unit for _, heading, unit in columns}
+    return out.rename(columns={name: heading for name, heading, _ in columns}), units
+
+
+def _volumes(page: Page, pairs: Sequence[PairFacts]) -> None:
+    page.section("Volumes and patches").text(
+        "Volumes are negative where ground was lost and positive where it came. Their standard deviations "
+        "come from the errors that neighbouring core points share: errors of poses, mounts and registration "
+        "do not average out over a bank as noise does."
+    )
+    table, units = _of_pairs([(pair, pair.volumes) for pair in pairs], VOLUMES, "what")
+    caption = "Volumes; bias: what the threshold of significance does to a sum; not seen: area in no volume"
+    page.table(table, caption, units, digits=3)
+    table, units = _of_pairs([(pair, pair.patches.head(MOST_PATCHES)) for pair in pairs], PATCHES, "what")
+    n = sum(len(pair.patches) for pair in pairs)
+    if n:
+        caption = f"Connected patches, the largest first: {len(table)} of {n}; places in the local frame"
+        page.table(table, caption, units, digits=3)
+
+
+def _states(page: Page, pairs: Sequence[PairFacts]) -> None:
+    how = sorted(
+        {CONTROL_IN_WORDS[p.control["control"]].format(percent=100 * p.control["level"]) for p in pairs}
+    )
+    page.section("What is known of the core points").text(
+        f"Significant means: {'; '.join(how)}. Positive distances lead towards the river."
+    )
+    rows = []
+    for pair in pairs:
+        for state in STATES:
+            use = pair.changes["state"] == state
+            if use.any():
+                rows.append(
+                    {
+                        "epochs": pair.name.replace("-", " to "),
+                        "state": state,
+                        "n": int(use.sum()),
+                        "area": float(pair.area_m2[use].sum()),
+                        "share": float(100 * pair.area_m2[use].sum() / pair.area_m2.sum()),
+                        "median distance": float(100 * pair.changes.loc[use, "distance_m"].median()),
+                        "median sigma": float(100 * pair.changes.loc[use, "sigma_m"].median()),
+                    }
+                )
+    units = {"area": "m²", "share": "%", "median distance": "cm", "median sigma": "cm"}
+    page.table(pd.DataFrame(rows), "Core points by state", units, digits=3)
+
+
+def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
+    page.section("Registration").text(
+        "A small motion between the epochs is estimated from stable ground and taken off. Its covariance "
+        "follows from the errors of both surveys; whether the motion is more than these explain is a test of "
+        "all of its components together. A component that stable ground does not show stays at nothing."
+    )
+    rows, tests = [], []
+    for pair in pairs:
+        found = pair.registration
+        name = pair.name.replace("-", " to ")
+        if "parameters" not in found:
+            page.text(f"{pair.words}: not registered (deformation.registration is none).")
+            continue
+        for key, words in _AXES.items():
+            turn = key.startswith("turn")
+            value, sigma = found["parameters"][key], found["sigmas"][key]
+            if sigma == 0:
+                continue
+            scale = np.rad2deg(1.0) if turn else 100.0
+            rows.append(
+                {
+                    "epochs": name,
+                    "motion": words.removeprefix("a "),
+                    "value": float(scale * value),
+                    "sigma": float(scale * sigma),
+                    "unit": "°" if turn else "cm",
+                    "shown by stable ground": "no" if key in found["not_shown"] else "yes",
+                }
+            )
+        tests.append(
+            {
+                "epochs": name,
+                "model": found["model"],
+                "stable ground": found["areas"],
+                "stable core points": int(found["stable_cores"]),
+                "of bare ones": int(found["candidates"]),
+                "chi-squared": float(found["test_statistic"]),
+                "degrees of freedom": int(found["degrees_of_freedom"]),
+                "p": float(found["p_value"]),
+                "needed": "yes" if found["needed"] else "no",
+            }
+        )
+    if rows:
+        page.table(pd.DataFrame(rows), "Motion of the second epoch against the first", digits=3)
+        page.table(pd.DataFrame(tests), "Was a registration needed?", digits=3)
+
+
+def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:
+    page.section("What was not seen").text(
+        "A core point without points of an epoch is not eroded: water may have stood over it, something "
+        "stood before it, no beam went there. Only beams that passed through the place and hit something "
+        "behind it (free space) prove that there was nothing."
+    )
+    rows = []
+    for pair in pairs:
+        for i, epoch in enumerate(pair.name.split("-"), start=1):
+            unseen = ~pair.visibility[f"seen_{i}"].astype(bool)
+            reasons = pair.visibility.loc[unseen, f"reason_{i}"]
+            for reason, n in reasons.value_counts().items():
+                area = float(pair.area_m2[reasons.index[reasons == reason]].sum())
+                names = {"epochs": pair.name.replace("-", " to "), "not seen in epoch": epoch}
+                rows.append({**names, "reason": str(reason), "n": int(n), "area": area})
+    if rows:
+        page.table(pd.DataFrame(rows), "Core points that an epoch did not see", {"area": "m²"}, digits=3)
+
+
+def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
+    page.section("Epochs and their errors").text(
+        "Errors of the poses that points of a moment share, by group: root mean squares over the survey. "
+        "Groups without a correlation time stay the same for a whole survey."
+    )
+    about = [
+        {
+            "epoch": i,
+            "campaign": each["name"],
+            "start": utc_text_from_gps(each["start_gps_s"], 0),
+            "points": int(each["points"]),
+            "moments": int(each["moments"]),
+        }
+        for i, each in enumerate(epochs, start=1)
+    ]
+    page.table(pd.DataFrame(about), "Epochs")
+    rows = []
+    for i, each in enumerate(epochs, start=1):
+        for group in each["groups"]:
+            turn = group["unit"] == "rad"
+            sizes = (np.rad2deg(1.0) if turn else 100.0) * np.asarray(group["sigma"], dtype=float)
+            rows.append(
+                {
+                    "epoch": i,
+                    "error": GROUPS_IN_WORDS.get(group["name"], group["name"]),
+                    "correlation time": float("nan")
+                    if group["correlation_s"] is None
+                    else float(group["correlation_s"]),
+                    **dict(zip(_ENU, sizes.tolist(), strict=True)),
+                    "unit": "°" if turn else "cm",
+                }
+            )
+    caption = "Standard deviations along east, north and up; of rotations about these axes"
+    page.table(pd.DataFrame(rows), caption, {"correlation time": "s"}, digits=2)
+
+
+_ENU: Final = ("east", "north", "up")
