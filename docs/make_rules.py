@@ -20,6 +20,7 @@ ROOMS = {
     "triangulation": "The underwater light-sheet sensor",
     "surface": "Meshes of references",
     "accuracy": "How far off, and did the sigmas know",
+    "deformation": "What changed between epochs",
     "figures": "Pictures and pages",
     "real_logs": "Recordings of other people",
     "reproduction": "Published tables",

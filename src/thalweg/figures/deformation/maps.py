@@ -113,8 +113,14 @@ class BankPair:
         return delta @ self.along, delta @ self.into
 
 
-def read_pairs(changes: Sequence[Path], core_points: Path) -> list[BankPair]:
+def read_pairs(changes: Sequence[Path], core_points: Path, spacing_m: float) -> list[BankPair]:
     """Tables ``changes_<pair>.parquet`` of all pairs with the core points that they share.
+
+    Parameters
+    ----------
+    changes : one file a pair.
+    core_points : table `thalweg.deformation.CORE_POINTS`.
+    spacing_m : edge of the cells of the core points.
 
     Raises
     ------
@@ -127,8 +133,6 @@ def read_pairs(changes: Sequence[Path], core_points: Path) -> list[BankPair]:
     along = np.linalg.lstsq(plan, s, rcond=None)[0]
     along = along / max(np.linalg.norm(along), 1e-12)
     into = np.array([-along[1], along[0]])
-    normals = cores[[f"normal_{axis}" for axis in ("east", "north", "up")]].to_numpy()
-    edge = np.sqrt(np.median(cores["area_m2"].to_numpy() * np.abs(normals).sum(axis=1)))
     return [
         BankPair(
             name=path.stem.rpartition("_")[2],
@@ -137,7 +141,7 @@ def read_pairs(changes: Sequence[Path], core_points: Path) -> list[BankPair]:
             into_m=plan @ into,
             up_m=cores["up_m"].to_numpy(),
             area_m2=cores["area_m2"].to_numpy(),
-            spacing_m=float(edge),
+            spacing_m=spacing_m,
             along=along,
             into=into,
         )
@@ -248,9 +252,11 @@ def change_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
     return figure
 
 
-def draw_change_map(*, changes: list[Path], core_points: Path, title: str, twin: bool) -> Figure:
+def draw_change_map(
+    *, changes: list[Path], core_points: Path, spacing_m: float, title: str, twin: bool
+) -> Figure:
     """Compared core points -> distances from above and from the river."""
-    return change_map(read_pairs(changes, core_points), title=f"Change: {title}", twin=twin)
+    return change_map(read_pairs(changes, core_points, spacing_m), title=f"Change: {title}", twin=twin)
 
 
 def _with_looks(
@@ -301,9 +307,13 @@ def significance_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Fi
     return figure
 
 
-def draw_significance_map(*, changes: list[Path], core_points: Path, title: str, twin: bool) -> Figure:
+def draw_significance_map(
+    *, changes: list[Path], core_points: Path, spacing_m: float, title: str, twin: bool
+) -> Figure:
     """Compared core points -> what is known of each."""
-    return significance_map(read_pairs(changes, core_points), title=f"What changed: {title}", twin=twin)
+    return significance_map(
+        read_pairs(changes, core_points, spacing_m), title=f"What changed: {title}", twin=twin
+    )
 
 
 @styled
@@ -327,10 +337,16 @@ def not_seen(pairs: Sequence[BankPair], seen: Sequence[pd.DataFrame], *, title: 
 
 
 def draw_not_seen(
-    *, changes: list[Path], visibility: list[Path], core_points: Path, title: str, twin: bool
+    *,
+    changes: list[Path],
+    visibility: list[Path],
+    core_points: Path,
+    spacing_m: float,
+    title: str,
+    twin: bool,
 ) -> Figure:
     """Visibility of core points -> where and why each epoch saw none."""
-    pairs = read_pairs(changes, core_points)
+    pairs = read_pairs(changes, core_points, spacing_m)
     seen = [read_table(path, VISIBILITY)[0] for path in visibility]
     n = count(len(pairs[0].s_m))
     words = f"What each epoch did not see: {title}, n = {n} core\N{NO-BREAK SPACE}points"

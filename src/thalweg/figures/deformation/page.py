@@ -28,6 +28,30 @@ CONTROL_IN_WORDS: Final = {
     "family": "the chance that a single unchanged core point anywhere is called changed is {percent:g} %",
     "none": "each unchanged core point is called changed with a chance of {percent:g} %",
 }
+MOTIONS: Final = {
+    "east_m": "shift to the east",
+    "north_m": "shift to the north",
+    "up_m": "shift upward",
+    "turn_east": "rotation about east",
+    "turn_north": "rotation about north",
+    "turn_up": "rotation about up",
+}
+TRUTH_IN_WORDS: Final = {
+    "normalised_square_unchanged": "unchanged ground: mean of squared error over variance",
+    "false_alarm_95": "unchanged ground: share beyond its level of detection (95 %)",
+    "normalised_square_changed": "changed ground: mean of squared error over variance",
+    "sensitivity_0.1_m": "share of changes of 10 cm and more that were called changes",
+    "specificity": "share of unchanged ground that was called unchanged",
+    "false_discovery": "share of called changes that are none",
+    "net_volume_error_m3": "net volume: error, m³",
+    "net_volume_error_over_sigma": "net volume: error over sigma",
+    "largest_retreat_true_m": "largest retreat: true, m",
+    "largest_retreat_measured_m": "largest retreat: measured, m",
+    "unseen_called_change": "places not seen that were called changes",
+    "unseen_called_change_wrongly": "of these wrongly",
+    "plants_called_change": "share of plants that were called changes",
+    "things_called_change": "share of things on the bank that were called changes",
+}
 VOLUMES: Final = (
     ("volume_m3", "volume", "m³"),
     ("sigma_m3", "sigma", "m³"),
@@ -46,6 +70,7 @@ PATCHES: Final = (
     ("north_m", "north", "m"),
     ("up_m", "height", "m"),
 )
+_ENU: Final = ("east", "north", "up")
 MOST_PATCHES: Final = 15
 """Patches of a pair that the page lists."""
 
@@ -190,7 +215,6 @@ def _motion(registration: Mapping[str, Any]) -> str:
     shift = ", ".join(
         f"{axis} {signed(100 * values[f'{axis}_m'], 1)} ± {100 * sigmas[f'{axis}_m']:.1f} cm"
         for axis in ("east", "north", "up")
-        if f"{axis}_m" not in registration["not_shown"]
     )
     words = (
         f"On stable ground the second epoch lies off the first by {shift}: "
@@ -199,18 +223,32 @@ def _motion(registration: Mapping[str, Any]) -> str:
         f"{'needed' if registration['needed'] else 'not needed'}; the motion is taken off "
         f"{'' if registration['needed'] else 'all the same '}and its uncertainty is in the sigmas."
     )
-    hidden = [_AXES[name] for name in registration["not_shown"]]
-    return words + (f" Stable ground does not show {' and '.join(hidden)}." if hidden else "")
+    hidden = [direction(each) for each in registration["not_shown"]]
+    return words + (
+        f" Stable ground does not show {' and '.join(hidden)}: nothing is taken off." if hidden else ""
+    )
 
 
-_AXES: Final = {
-    "east_m": "a shift to the east",
-    "north_m": "a shift to the north",
-    "up_m": "a shift upward",
-    "turn_east": "a rotation about east",
-    "turn_north": "a rotation about north",
-    "turn_up": "a rotation of the course",
-}
+def direction(motion: Sequence[float]) -> str:
+    """A direction in the space of a registration's parameters in words, by its largest part.
+
+    Parameters
+    ----------
+    motion : shifts east, north, up, and with them the rotation about up, or those about all three axes.
+
+    Examples
+    --------
+    >>> direction([0.98, -0.17, 0.1])
+    'a shift along 100° (azimuth)'
+    >>> direction([0.0, 0.1, 0.0, 0.99])
+    'a rotation about up'
+    """
+    shift, turn = np.asarray(motion[:3], float), np.asarray(motion[3:], float)
+    if turn.size and np.abs(turn).max() > np.abs(shift).max():
+        return f"a rotation about {_ENU[-turn.size :][int(np.argmax(np.abs(turn)))]}"
+    if abs(shift[2]) > np.hypot(shift[0], shift[1]):
+        return "a shift upward"
+    return f"a shift along {np.rad2deg(np.arctan2(shift[0], shift[1])) % 180.0:.0f}° (azimuth)"
 
 
 def limits(pairs: Sequence[PairFacts]) -> str:
@@ -261,7 +299,7 @@ def change_page(
     pairs : what was found out about each pair.
     pictures : PNG files, shown in their order.
     captions : stem of a picture -> its caption.
-    truth : for a twin, comparison with the true change by pair.
+    truth : for a twin, ``measure, value, n`` of the comparison with the true change by pair.
     title : heading.
     twin : true if the digital twin made the data.
 
@@ -286,11 +324,8 @@ def change_page(
     _registration(page, pairs)
     _unseen(page, pairs)
     _epochs(page, epochs)
-    for name, table in (truth or {}).items():
-        page.section(f"Against the truth of the digital twin, epochs {name.replace('-', ' to ')}").text(
-            "The twin knows the true surface of each epoch, which no processing saw."
-        )
-        page.table(table, "Change found and true change", digits=3)
+    if truth:
+        _truth(page, truth)
     page.section("Limits").text(limits(pairs))
     return page
 
@@ -356,7 +391,7 @@ def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
     page.section("Registration").text(
         "A small motion between the epochs is estimated from stable ground and taken off. Its covariance "
         "follows from the errors of both surveys; whether the motion is more than these explain is a test of "
-        "all of its components together. A component that stable ground does not show stays at nothing."
+        "all of its components together. A direction that stable ground does not show stays at nothing."
     )
     rows, tests = [], []
     for pair in pairs:
@@ -365,7 +400,7 @@ def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
         if "parameters" not in found:
             page.text(f"{pair.words}: not registered (deformation.registration is none).")
             continue
-        for key, words in _AXES.items():
+        for key, words in MOTIONS.items():
             turn = key.startswith("turn")
             value, sigma = found["parameters"][key], found["sigmas"][key]
             if sigma == 0:
@@ -374,11 +409,10 @@ def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
             rows.append(
                 {
                     "epochs": name,
-                    "motion": words.removeprefix("a "),
+                    "motion": words,
                     "value": float(scale * value),
                     "sigma": float(scale * sigma),
                     "unit": "°" if turn else "cm",
-                    "shown by stable ground": "no" if key in found["not_shown"] else "yes",
                 }
             )
         tests.append(
@@ -392,6 +426,7 @@ def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
                 "degrees of freedom": int(found["degrees_of_freedom"]),
                 "p": float(found["p_value"]),
                 "needed": "yes" if found["needed"] else "no",
+                "not shown": "; ".join(direction(each) for each in found["not_shown"]) or "–",
             }
         )
     if rows:
@@ -454,4 +489,14 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
     page.table(pd.DataFrame(rows), caption, {"correlation time": "s"}, digits=2)
 
 
-_ENU: Final = ("east", "north", "up")
+def _truth(page: Page, truth: Mapping[str, pd.DataFrame]) -> None:
+    page.section("Against the truth of the digital twin").text(
+        "The twin knows the true surface of each epoch, which no processing saw. Bare ground counts: "
+        "measured places without plants and things. Honest sigmas leave squared errors over "
+        "variances at one on the mean of many pairs; one pair, whose errors the whole bank shares, "
+        "may lie well off it."
+    )
+    for name, table in truth.items():
+        words = table["measure"].map(lambda each: TRUTH_IN_WORDS.get(each, each.replace("_", " ")))
+        rows = pd.DataFrame({"measure": words, "value": table["value"], "n": table["n"]})
+        page.table(rows, f"Epochs {name.replace('-', ' to ')}: measured and true change", digits=3)

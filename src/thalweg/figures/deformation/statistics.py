@@ -145,9 +145,11 @@ def _lod_shares(ax: Axes, pair: BankPair) -> None:
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=2, frameon=False)
 
 
-def draw_level_of_detection(*, changes: list[Path], core_points: Path, title: str, twin: bool) -> Figure:
+def draw_level_of_detection(
+    *, changes: list[Path], core_points: Path, spacing_m: float, title: str, twin: bool
+) -> Figure:
     """Compared core points -> the smallest change that counts, place by place."""
-    pairs = read_pairs(changes, core_points)
+    pairs = read_pairs(changes, core_points, spacing_m)
     return level_of_detection(pairs, title=f"Level of detection: {title}", twin=twin)
 
 
@@ -223,11 +225,12 @@ def draw_stable_ground(
     registrations: list[Path],
     weights: list[Path],
     core_points: Path,
+    spacing_m: float,
     title: str,
     twin: bool,
 ) -> Figure:
     """Distances where nothing moved -> their histogram over sigma, and along the bank."""
-    pairs = read_pairs(changes, core_points)
+    pairs = read_pairs(changes, core_points, spacing_m)
     stable = read_stable(pairs, registrations, weights)
     return stable_ground(pairs, stable, title=f"Stable ground: {title}", twin=twin)
 
@@ -309,11 +312,12 @@ def draw_error_variogram(
     registrations: list[Path],
     weights: list[Path],
     core_points: Path,
+    spacing_m: float,
     title: str,
     twin: bool,
 ) -> Figure:
     """Distances of stable ground -> their variogram."""
-    pairs = read_pairs(changes, core_points)
+    pairs = read_pairs(changes, core_points, spacing_m)
     stable = read_stable(pairs, registrations, weights)
     return error_variogram(pairs, stable, title=f"Variogram of stable ground: {title}", twin=twin)
 

@@ -275,13 +275,16 @@ def draw_change_profiles(
     patches: list[Path],
     registrations: list[Path],
     core_points: Path,
+    spacing_m: float,
     title: str,
     twin: bool,
 ) -> Figure:
     """Prepared epochs and what changed -> profiles through the largest changes."""
     clouds = read_clouds(points, errors)
     cuts = []
-    for pair, patch, moved in zip(read_pairs(changes, core_points), patches, registrations, strict=True):
+    for pair, patch, moved in zip(
+        read_pairs(changes, core_points, spacing_m), patches, registrations, strict=True
+    ):
         first, second = (clouds[int(i) - 1] for i in pair.name.split("-"))
         motion = json.loads(moved.read_text()).get("parameters")
         middle = pair.table[["east_m", "north_m", "up_m"]].to_numpy().mean(axis=0)

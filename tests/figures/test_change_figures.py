@@ -1,0 +1,427 @@
+"""Pictures and page of change between epochs, from a made-up bank of three hundred core points."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core import InputError, frame_of, write_table
+from thalweg.deformation import CHANGES, CORE_POINTS, VISIBILITY
+from thalweg.figures.deformation import change_page, read_pair_facts
+from thalweg.figures.deformation.maps import draw_change_map, draw_not_seen, draw_significance_map, read_pairs
+from thalweg.figures.deformation.page import direction, largest_patches, limits, verdict
+from thalweg.figures.deformation.statistics import (
+    draw_error_variogram,
+    draw_level_of_detection,
+    draw_stable_ground,
+    draw_volume_along,
+    read_stable,
+    variogram,
+)
+from thalweg.figures.deformation.views import (
+    draw_change_profiles,
+    draw_epochs_from_above,
+    places_of,
+    without_motion,
+)
+
+WORDS = {"title": "a bank", "twin": True}
+ROOT = np.sqrt(0.5)
+
+
+def volume(what, volume_m3, sigma_m3, area_m2):
+    """A row of a table of volumes."""
+    half = 1.96 * sigma_m3
+    return {
+        "what": what, "volume_m3": volume_m3, "sigma_m3": sigma_m3, "low_m3": volume_m3 - half,
+        "high_m3": volume_m3 + half, "bias_m3": 0.1, "area_m2": area_m2, "not_seen_m2": 1.0,
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory):
+    """Results of a campaign with one pair: a slope of 45 degrees to the south of a river along east.
+
+    Right as seen from the river is west. At s = -5 m the bank lost 30 cm, at s = 5 m it gained 20 cm; the
+    lowest row was under water in the first epoch; four core points are plants.
+    """
+    folder = tmp_path_factory.mktemp("deformation")
+    s, up = (each.ravel() for each in np.meshgrid(np.arange(-10, 10.1, 0.5), np.arange(0, 3.1, 0.5)))
+    k = len(s)
+    rng = np.random.default_rng(4)
+    distance = rng.normal(0.0, 0.02, k)
+    state = np.full(k, "no significant change", dtype=object)
+    for what, middle, size in (("erosion", -5.0, -0.3), ("deposition", 5.0, 0.2)):
+        use = (np.abs(s - middle) <= 1.0) & (up > 1.0)
+        distance[use] = size
+        state[use] = what
+    distance[(s == -5.0) & (up == 2.0)] = -0.35
+    state[(s == 0.0) & (up > 1.0)] = "vegetation"
+    state[up == 0.0] = "not seen in first"
+    distance[up == 0.0] = np.nan
+    known = np.isfinite(distance)
+    place = {"core": np.arange(k), "east_m": 100.0 - s, "north_m": -20.0 - up, "up_m": up}
+    normal = {"normal_east": np.zeros(k), "normal_north": np.full(k, ROOT), "normal_up": np.full(k, ROOT)}
+    parts = {"sigma_field_m": 0.016, "sigma_white_m": 0.012, "sigma_registration_m": 0.0001}
+    cores = {**place, **normal, "surface": np.ones(k, int), "scale_m": np.ones(k)}
+    cores |= {"area_m2": np.full(k, 0.5), "s_m": s}
+    changes = {
+        **place, **normal, "scale_m": np.ones(k), "n_before": 9 * known, "n_after": np.full(k, 9),
+        "distance_m": distance, **{name: np.where(known, value, np.nan) for name, value in parts.items()},
+        "sigma_m": np.where(known, 0.02, np.nan), "lod95_m": np.where(known, 0.0392, np.nan),
+        "p_value": np.ones(k), "q_value": np.ones(k), "significant": np.abs(distance) > 0.1, "state": state,
+    }  # fmt: skip
+    seen = {"core": np.arange(k), "seen_1": up > 0.0, "reason_1": np.where(up > 0.0, "", "water")}
+    seen |= {"beams_through_1": np.zeros(k, int), "seen_2": np.full(k, True)}
+    seen |= {"reason_2": np.full(k, ""), "beams_through_2": np.zeros(k, int)}
+    write_table(folder / "core_points.parquet", frame_of(CORE_POINTS, cores), CORE_POINTS)
+    write_table(folder / "changes_1-2.parquet", frame_of(CHANGES, changes), CHANGES)
+    write_table(folder / "visibility_1-2.parquet", frame_of(VISIBILITY, seen), VISIBILITY)
+    (folder / "changes_1-2.json").write_text(json.dumps({"control": "fdr", "level": 0.05}))
+    motion = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
+    facts = {
+        "model": "shift", "parameters": motion | {"up_m": 0.05},
+        "sigmas": motion | {"east_m": 0.01, "north_m": 0.03, "up_m": 0.01}, "test_statistic": 25.0,
+        "degrees_of_freedom": 2, "p_value": 3.7e-6, "needed": True, "not_shown": [[1.0, 0.0, 0.0]],
+        "stable_cores": 200, "candidates": 240, "areas": "what most of the bank agrees on", "n_areas": 1,
+    }  # fmt: skip
+    (folder / "registration_1-2.json").write_text(json.dumps(facts))
+    # the registration took the deposition for stable ground
+    np.savez(folder / "registration_1-2.npz", stable=known & (state != "erosion"))
+    rows = [volume("erosion", -4.0, 0.25, 12.5), volume("deposition", 2.5, 0.2, 12.5)]
+    pd.DataFrame([*rows, volume("net", -1.4, 0.9, 120.0)]).to_csv(folder / "volumes_1-2.csv", index=False)
+    along = [
+        {"s_from_m": start, "s_to_m": start + 10.0, **volume(what, v, 0.3, 10.0)}
+        for what, both in (("erosion", (-4.0, 0.0)), ("deposition", (0.0, 2.5)), ("net", (-4.1, 2.7)))
+        for start, v in zip((-10.0, 0.0), both, strict=True)
+    ]
+    pd.DataFrame(along).to_csv(folder / "volumes_along_1-2.csv", index=False)
+    patch = {"cores": 25, "east_m": 0.0, "north_m": 0.0}
+    pd.DataFrame(
+        [
+            patch | {"what": what, "area_m2": a, "volume_m3": v, "mean_distance_m": d, "up_m": u}
+            | {"largest_distance_m": most}
+            for what, a, v, d, u, most in (
+                ("erosion", 12.5, -3.8, -0.302, 2.0, -0.35),
+                ("deposition", 12.5, 2.5, 0.2, 2.0, 0.2),
+                ("erosion", 1.0, -0.1, -0.1, 0.5, -0.35),
+                ("erosion", 2.0, np.nan, np.nan, 0.1, np.nan),
+            )
+        ]
+    ).to_csv(folder / "patches_1-2.csv", index=False)  # fmt: skip
+    points, errors = [], []
+    for i, name in enumerate(("spring", "autumn")):
+        own = folder / "epochs" / name
+        own.mkdir(parents=True)
+        x, h = rng.uniform(-10, 10, 40_000), rng.uniform(0, 3, 40_000)
+        lost = 0.3 * np.sqrt(2.0) * ((np.abs(x + 5) <= 1.25) & (h > 0.75)) * i
+        xyz = np.stack([100.0 - x, -20.0 - h - lost, h + 0.05 * i], axis=1)
+        boat = np.stack([np.linspace(90, 110, 20), np.full(20, -12.0), np.zeros(20)], axis=1)
+        np.savez(own / "points.npz", xyz_m=xyz, boat_m=boat)
+        groups = [
+            {"name": "position", "correlation_s": 11.0, "sigma": [0.01, 0.02, 0.03], "unit": "m"},
+            {"name": "mount, rotation", "correlation_s": None, "sigma": [0.001] * 3, "unit": "rad"},
+        ]
+        about = {"name": name, "start_gps_s": 3e8 + 1e7 * i, "points": 40_000, "moments": 20}
+        (own / "errors.json").write_text(json.dumps({**about, "groups": groups}))
+        points.append(own / "points.npz")
+        errors.append(own / "errors.json")
+
+    def of_pair(name):
+        return [folder / name.format("1-2")]
+
+    return SimpleNamespace(
+        changes=of_pair("changes_{}.parquet"), visibility=of_pair("visibility_{}.parquet"),
+        control=of_pair("changes_{}.json"), registrations=of_pair("registration_{}.json"),
+        weights=of_pair("registration_{}.npz"), volumes=of_pair("volumes_{}.csv"),
+        along=of_pair("volumes_along_{}.csv"), patches=of_pair("patches_{}.csv"),
+        core_points=folder / "core_points.parquet", points=points, errors=errors, n=k, s=s, up=up,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def pair(bank):
+    return read_pairs(bank.changes, bank.core_points, 0.5)[0]
+
+
+@pytest.fixture
+def facts(bank):
+    return read_pair_facts(
+        bank.changes,
+        bank.visibility,
+        bank.control,
+        bank.registrations,
+        bank.volumes,
+        bank.patches,
+        bank.core_points,
+    )[0]
+
+
+# ---------------------------------------------------------------- the frame of the bank
+
+
+def test_along_is_to_the_right_as_seen_from_the_river_and_into_leads_away_from_it(pair):
+    assert pair.along == pytest.approx([-1.0, 0.0], abs=1e-9)
+    assert pair.into == pytest.approx([0.0, -1.0], abs=1e-9)
+    along, into = pair.on_bank(np.array([[97.0, -23.0]]))
+    # the middle of the core points is 100, -21.5
+    assert (along[0], into[0]) == pytest.approx((3.0, 1.5))
+    assert pair.into_m == pytest.approx(pair.up_m - 1.5)
+
+
+# ---------------------------------------------------------------- maps
+
+
+def test_change_map_counts_bare_ground_and_states_the_ends(bank, look, tmp_path):
+    figure = draw_change_map(changes=bank.changes, core_points=bank.core_points, spacing_m=0.5, **WORDS)
+    words = look.texts(figure)
+    n = bank.n - 41 - 4  # water and plants
+    assert f"n = {n} core points" in words
+    assert "from −35 to +20 cm, 1 beyond the scale" in words
+    assert "n = 45" in words
+    assert "positive towards it" in words
+    assert len(look.artists(figure, "distances")) == 2
+    look.drawn(figure, tmp_path)
+
+
+def test_significance_map_names_states_with_their_area(bank, look, tmp_path):
+    files = {"changes": bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
+    figure = draw_significance_map(**files, **WORDS)
+    words = look.texts(figure)
+    # 5 columns by 4 rows of half a square metre each, of 287
+    assert "erosion: n = 20, 10 m² (7 %)" in words
+    assert "vegetation: n = 4, 2 m² (1.4 %)" in words
+    assert "not seen in first: n = 41, 20.5 m² (14 %)" in words
+    assert "object" not in words
+    look.drawn(figure, tmp_path)
+
+
+def test_not_seen_tells_the_reason_in_each_epoch(bank, look, tmp_path):
+    figure = draw_not_seen(
+        changes=bank.changes, visibility=bank.visibility, core_points=bank.core_points, spacing_m=0.5, **WORDS
+    )
+    first, second = (ax for ax in figure.axes if ax.get_legend())
+    texts = [[t.get_text() for t in ax.get_legend().get_texts()] for ax in (first, second)]
+    assert texts[0][1] == "water: n = 41, 20.5 m² (14 %)"
+    assert [each.split(":")[0] for each in texts[1]] == ["seen"]
+    look.drawn(figure, tmp_path)
+
+
+def test_several_pairs_stand_below_each_other(bank, look, tmp_path):
+    twice = {"changes": 2 * bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
+    figure = draw_change_map(**twice, **WORDS)
+    assert len(look.artists(figure, "distances")) == 4
+    look.drawn(figure, tmp_path)
+    look.drawn(draw_significance_map(**twice, **WORDS), tmp_path)
+
+
+# ---------------------------------------------------------------- statistics
+
+
+def test_level_of_detection_by_parts(bank, look, tmp_path):
+    files = {"changes": bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
+    figure = draw_level_of_detection(**files, **WORDS)
+    words = look.texts(figure)
+    assert "level of detection: median 3.9 cm, 95 % below 3.9 cm" in words
+    assert "shared errors alone: median 3.1 cm" in words
+    assert "noise and roughness alone: median 2.4 cm" in words
+    assert [line.get_xdata()[0] for line in look.artists(figure, "published")] == [15.0, 19.0]
+    look.drawn(figure, tmp_path)
+
+
+def test_stable_ground_leaves_significant_places_out_unless_it_was_drawn(bank, pair, tmp_path):
+    (found,) = read_stable([pair], bank.registrations, bank.weights)
+    deposited = pair.state == "deposition"
+    assert deposited.sum() == 20
+    assert found.registered[deposited].all()
+    assert not found.unmoved[deposited].any()
+    assert not found.registered[pair.state == "vegetation"].any()
+    drawn = tmp_path / "registration_1-2.json"
+    drawn.write_text(json.dumps(json.loads(bank.registrations[0].read_text()) | {"areas": "drawn"}))
+    (found,) = read_stable([pair], [drawn], bank.weights)
+    assert np.array_equal(found.unmoved, found.registered)
+
+
+def test_stable_ground_is_held_against_the_standard_normal(bank, look, tmp_path):
+    files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
+    figure = draw_stable_ground(**files, core_points=bank.core_points, spacing_m=0.5, **WORDS)
+    words = look.texts(figure)
+    # 287 without water, plants and both patches; the patch of 20 cm is ten sigmas off
+    assert "stable ground: n = 202" in words
+    assert "all that the registration rests on: n = 222" in words
+    (band,) = look.artists(figure, "band")
+    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(1.96 * 2.0, abs=0.01)
+    look.drawn(figure, tmp_path)
+
+
+def test_variogram_by_hand():
+    places = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    table = variogram(places, np.array([0.0, 1.0, 3.0]), np.array([0, 1, 2]), np.array([0.5, 1.5, 2.5]))
+    assert table["pairs"].tolist() == [2, 1]
+    assert table["lag_m"].tolist() == [1.0, 2.0]
+    assert table["gamma"].tolist() == pytest.approx([0.5 * (1 + 4) / 2, 0.5 * 9])
+    # without the middle stretch no pair is one metre apart
+    assert table["sigma"].isna().all()
+
+
+def test_variogram_of_independent_values_is_their_variance_and_its_band_holds_it(rng):
+    places = rng.uniform(0, 20, (800, 3)) * [1.0, 0.1, 0.1]
+    blocks = np.minimum(places[:, 0] / 2, 9).astype(np.int64)
+    table = variogram(places, rng.normal(0, 2.0, 800), blocks, np.geomspace(0.5, 10, 6))
+    assert table["gamma"].to_numpy() == pytest.approx(4.0, rel=0.15)
+    assert np.all(np.abs(table["gamma"] - 4.0) < 4 * table["sigma"])
+    assert table["sigma"].max() < 0.6
+
+
+def test_error_variogram_is_drawn(bank, look, tmp_path):
+    files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
+    figure = draw_error_variogram(**files, core_points=bank.core_points, spacing_m=0.5, **WORDS)
+    assert "n = 202 core points, variance" in look.texts(figure)
+    gamma = look.artists(figure, "variogram")[0].get_ydata()
+    assert gamma == pytest.approx(1.0, abs=0.35)  # independent, of the stated size
+    look.drawn(figure, tmp_path)
+
+
+def test_volumes_along_the_bank(bank, look, tmp_path):
+    figure = draw_volume_along(along=bank.along, **WORDS)
+    words = look.texts(figure)
+    assert "erosion: −4.0 m³" in words
+    assert "net: −1.4 m³" in words
+    assert "2 stretches of 10 m" in words
+    assert [bar.get_height() for bar in look.artists(figure, "erosion")] == [-4.0, 0.0]
+    assert [bar.get_height() for bar in look.artists(figure, "not-seen")] == [1.0, 1.0]
+    look.drawn(figure, tmp_path)
+
+
+# ---------------------------------------------------------------- views of clouds
+
+
+def test_epochs_from_above(bank, look, tmp_path):
+    figure = draw_epochs_from_above(points=bank.points, errors=bank.errors, **WORDS)
+    words = look.texts(figure)
+    assert "n = 80 000 points" in words
+    assert "epoch 2, autumn" in words
+    picture = look.artists(figure, "heights")[0].get_array()
+    assert 2.9 < picture.max() < 3.1
+    assert len(look.artists(figure, "track")) == 2
+    look.drawn(figure, tmp_path)
+
+
+def test_profiles_go_through_the_largest_and_the_lowest_change(bank, pair):
+    places = places_of(pair, pd.read_csv(bank.patches[0]))
+    # the largest distance of the lowest patch is that of the largest patch: one profile
+    assert [place.words for place in places] == ["largest erosion, lowest erosion", "largest deposition"]
+    core = places[0].core
+    assert (pair.s_m[core], pair.up_m[core]) == (-5.0, 2.0)
+
+
+def test_a_motion_is_taken_off_the_second_epoch():
+    motion = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north"), 0.0)
+    moved = without_motion(
+        np.array([[11.0, 0.0, 0.0]]), motion | {"up_m": 0.2, "turn_up": 0.01}, np.array([1.0, 0, 0])
+    )
+    # a turn of 10 mrad to the left at ten metres
+    assert moved[0] == pytest.approx([11.0, -0.1, -0.2])
+
+
+def test_profiles_show_both_epochs_registered(bank, look, tmp_path):
+    files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "patches")}
+    figure = draw_change_profiles(
+        **files, registrations=bank.registrations, core_points=bank.core_points, spacing_m=0.5, **WORDS
+    )
+    first = look.artists(figure, "first epoch")[0].get_xydata()
+    second = look.artists(figure, "second epoch, registered")[0].get_xydata()
+    # on the slope into = up - 1.5; where the bank went 30 cm, it is as much behind along the normal
+    off = [(each[:, 0] + 1.5 - each[:, 1]) * ROOT for each in (first, second)]
+    assert np.median(off[0]) == pytest.approx(0.0, abs=0.02)
+    assert np.median(off[1]) == pytest.approx(0.3, abs=0.02)
+    assert len(look.artists(figure, "distance")) > 3
+    look.drawn(figure, tmp_path)
+
+
+def test_without_a_patch_there_is_no_profile(bank, look, tmp_path):
+    empty = tmp_path / "patches_1-2.csv"
+    pd.read_csv(bank.patches[0]).iloc[:0].to_csv(empty, index=False)
+    files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "registrations")}
+    figure = draw_change_profiles(
+        **files, patches=[empty], core_points=bank.core_points, spacing_m=0.5, **WORDS
+    )
+    assert "no patch of change" in look.texts(figure)
+
+
+# ---------------------------------------------------------------- page
+
+
+def test_the_verdict_states_volumes_registration_and_what_was_not_seen(facts):
+    words = verdict(facts)
+    assert "−4.00 ± 0.25 m³ by erosion on 12.5 m²" in words
+    assert "net, with the places that did not, −1.40 ± 0.90 m³, which is no different from zero" in words
+    assert "patch of erosion has 12.5 m², −3.8 m³" in words
+    assert "up +5.0 ± 1.0 cm: more than the errors of both surveys explain" in words
+    assert "does not show a shift along 90° (azimuth)" in words
+    assert "20.5 m² (14.3 % of 144 m²) were not seen" in words
+
+
+def test_a_net_volume_beyond_its_band_is_called_different_from_zero(facts):
+    table = facts.volumes.assign(low_m3=-3.0, high_m3=-0.5)
+    assert "which is different from zero" in verdict(replace(facts, volumes=table))
+    with pytest.raises(InputError, match="0 rows 'net'"):
+        verdict(replace(facts, volumes=table[table["what"] != "net"]))
+
+
+def test_words_where_nothing_was_found(bank, facts):
+    calm = replace(facts, patches=facts.patches.iloc[:0], registration={"model": "none"})
+    assert "not registered" in verdict(calm)
+    assert largest_patches(calm.patches).startswith("No connected patch")
+    assert "No stable areas were drawn" in limits([facts])
+    drawn = replace(facts, registration={**facts.registration, "areas": "drawn"})
+    assert "drawn by hand" in limits([drawn])
+    html = change_page([json.loads(bank.errors[0].read_text())], [calm]).html()
+    assert "deformation.registration is none" in html
+
+
+@pytest.mark.parametrize(
+    ("motion", "words"),
+    [
+        ([0.0, 0.0, -1.0], "a shift upward"),
+        ([-1.0, 0.0, 0.1], "a shift along 90° (azimuth)"),
+        ([0.0, 0.0, 0.1, 0.9], "a rotation about up"),
+        ([0.0, 0.0, 0.1, 0.2, -0.9, 0.1], "a rotation about north"),
+    ],
+)
+def test_directions_in_words(motion, words):
+    assert direction(motion) == words
+
+
+def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
+    picture = tmp_path / "volume_along.png"
+    look.drawn(draw_volume_along(along=bank.along, **WORDS), tmp_path)
+    (tmp_path / "a.png").rename(picture)
+    truth = {"1-2": pd.DataFrame({"measure": ["specificity", "new_one"], "value": [0.99, 2.0], "n": [10, 1]})}
+    html = change_page(
+        [json.loads(path.read_text()) for path in bank.errors],
+        [facts, facts],
+        pictures=[picture],
+        captions={"volume_along": "Bars of volume."},
+        truth=truth,
+        title="Change of the bank",
+        twin=True,
+    ).html()
+    for words in (
+        "Bars of volume.",
+        "positions, slow part",
+        "direction of the scanner on the boat",
+        "share of unchanged ground that was called unchanged",
+        "new one",
+        "at most 5 % did not change",
+        "<td>water</td>",
+        "2021-",  # the start of the first epoch
+        "The digital twin made these data",
+    ):
+        assert words in html, words
+    assert html.count("by erosion on") == 2
+    plain = change_page([json.loads(path.read_text()) for path in bank.errors], [facts]).html()
+    assert "digital twin" not in plain
