@@ -308,10 +308,7 @@ UNREACHED = {
     "cli.py": "the command line",
     "cli_calibration.py": "the command line",
     "cli_deformation.py": "the command line",
-    **dict.fromkeys(
-        ("deformation/series.py", "deformation/shapes.py", "deformation/surfaces.py"),
-        "called by the command line",
-    ),
+    **dict.fromkeys(("deformation/shapes.py", "deformation/surfaces.py"), "called by the command line"),
     "workflow/codehash.py": "called by the rules",
     "workflow/campaign_files.py": "called by the rules",
     "workflow/figures.py": "called by the rules",

@@ -260,6 +260,8 @@ def summarise_changes(folder: Path) -> int:
 
     import pandas as pd
 
+    from thalweg.core import read_parquet
+
     found = folder / "deformation"
     print(f"\nSummary of campaign {folder.name}")
     for path in sorted(found.glob("volumes_[0-9]*.csv")):
@@ -269,7 +271,7 @@ def summarise_changes(folder: Path) -> int:
         for row in pd.read_csv(path).itertuples():
             volume = f"{row.volume_m3:+9.2f} m3, sigma {row.sigma_m3:.2f} m3"
             print(f"  {row.what:<11}{volume}, on {row.area_m2:,.0f} m2")
-        states = pd.read_parquet(found / f"changes_{pair}.parquet")["state"].value_counts()
+        states = read_parquet(found / f"changes_{pair}.parquet")["state"].value_counts()
         print("  core points: " + ", ".join(f"{n:,} {state}" for state, n in states.items()))
         if facts["model"] != "none":
             moved = ", ".join(f"{facts['parameters'][f'{a}_m']:+.3f}" for a in ("east", "north", "up"))

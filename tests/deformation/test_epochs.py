@@ -152,18 +152,18 @@ def test_estimates_of_all_chains_give_correlation_times() -> None:
     fused = {"errors": {"gnss_time_s": {"estimated": 9.0}, "attitude_time_s": {"estimated": 21.0}}}
     assert PoseCorrelation.of_survey(fused, "fused", EpochErrors(), 0.2).position_s == 9.0
     assert PoseCorrelation.of_survey(fused, "fused", EpochErrors(), 0.2).white_share == 0.0
-    with pytest.raises(InputError, match="State deformation.errors"):
+    with pytest.raises(InputError, match=r"State deformation\.errors"):
         PoseCorrelation.of_survey({"errors": {}}, "camera", EpochErrors(), 0.2)
 
 
 def test_bad_epochs_are_refused(survey, tmp_path: Path) -> None:
     epoch = prepared(survey)
-    with pytest.raises(InputError, match="at the same time as.*copy of the other"):
+    with pytest.raises(InputError, match=r"at the same time as.*copy of the other"):
         check_order([epoch, epoch])
-    with pytest.raises(CoverageError, match="none of 40 points lies in deformation.area"):
+    with pytest.raises(CoverageError, match=r"none of 40 points lies in deformation\.area"):
         prepared(survey, area=Area(lowest_m=500.0))
     bare = tmp_path / "bare.laz"
     with LazWriter(bare, FRAME, scale_m=1e-4) as writer:
         writer.append(np.zeros((3, 3)), t_gps_s=np.full(3, 1e9))
-    with pytest.raises(InputError, match="no sigma_east, corr_east_up.*georeferencing.correlations"):
+    with pytest.raises(InputError, match=r"no sigma_east, corr_east_up.*georeferencing.correlations"):
         prepared((bare, *survey[1:]))

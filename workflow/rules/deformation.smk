@@ -6,19 +6,14 @@ wildcard_constraints:
     pair=r"\d+-\d+",
 
 
-def of_epoch(method):
-    """Input function: what the campaign of epochs says of one of them."""
-    return of_wildcard("epoch", method)
-
-
 rule prepare_epoch:
     """Points of a survey with the errors that they share, in the frame of all epochs."""
     input:
-        points=of_epoch(CampaignFiles.epoch_points),
-        trajectory=of_epoch(CampaignFiles.epoch_trajectory),
-        mounts=of_epoch(CampaignFiles.epoch_mounts),
+        points=of_wildcard("epoch", CampaignFiles.epoch_points),
+        trajectory=of_wildcard("epoch", CampaignFiles.epoch_trajectory),
+        mounts=of_wildcard("epoch", CampaignFiles.epoch_mounts),
         positions="results/{epoch}/ingest/positions.parquet",
-        facts=of_epoch(CampaignFiles.epoch_errors),
+        facts=of_wildcard("epoch", CampaignFiles.epoch_errors),
     output:
         prepared="results/{campaign}/deformation/epochs/{epoch}/points.npz",
         errors="results/{campaign}/deformation/epochs/{epoch}/errors.json",
@@ -37,7 +32,7 @@ rule prepare_epoch:
         campaign=identity("origin", "crs"),
         deformation=section("deformation"),
         name=lambda wildcards: wildcards.epoch,
-        chain=of_epoch(CampaignFiles.chain_of),
+        chain=of_wildcard("epoch", CampaignFiles.chain_of),
         water_line_ics_m=lambda wildcards: (
             CAMPAIGNS[wildcards.epoch].filters.water_line_ics_m
         ),

@@ -20,6 +20,7 @@ from .epochs import (
     check_order as check_order,
     prepare_epoch as prepare_epoch,
 )
+from .field import ErrorField as ErrorField, benjamini_hochberg as benjamini_hochberg
 from .foreign import compare_clouds as compare_clouds, write_changes as write_changes
 from .series import SERIES as SERIES, closure as closure, find_jumps as find_jumps, fit_series as fit_series
 from .shapes import Shapes as Shapes, read_shapes as read_shapes

@@ -95,7 +95,7 @@ def measure_epoch(cores: pd.DataFrame, epoch: Epoch, settings: Deformation) -> M
     places, normals = _places(cores)
     how = {"radius_m": settings.cylinder_radius_m, "half_length_m": settings.reach_m}
     index = ColumnIndex.of(epoch.xyz_m, settings.cylinder_radius_m)
-    cut = cut_cylinders(places, normals, index, **how, least=settings.least_points)
+    cut = cut_cylinders(places, normals, index, **how, least=settings.least_in_cylinder)
     values = np.column_stack([epoch.white_m2, epoch.several_returns])
     means = mean_in_cylinders(places, normals, index, values, **how)
     e, n, u = normals.T
@@ -149,7 +149,7 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
         alone = measure_epoch(cores, epoch, settings)
         sigmas.append(np.sqrt(alone.field.variances() + alone.white_m**2))
         if epoch is epochs[0]:
-            heights.append(np.where(alone.cut.n >= settings.least_points, 0.0, np.nan))
+            heights.append(np.where(alone.cut.n >= settings.least_in_cylinder, 0.0, np.nan))
             continue
         pair = measure_pair(cores, epochs[0], epoch, settings)
         motion = register_pair(pair, settings)
@@ -304,7 +304,7 @@ def compare_epochs(
         Comparison(
             radius_m=settings.cylinder_radius_m,
             half_length_m=settings.reach_m,
-            least_points=settings.least_points,
+            least_points=settings.least_in_cylinder,
             level=settings.level if limit is None else float(2.0 * norm.sf(limit)),
             control="fdr" if settings.control == "fdr" else "none",
         ),

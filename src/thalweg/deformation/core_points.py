@@ -48,7 +48,7 @@ def place_core_points(epochs: list[Epoch], settings: Deformation, area: Area) ->
     parts = []
     for number, epoch in ((1, first), (len(epochs), last)):
         cells, place, n = _cells(epoch.xyz_m, spacing)
-        use = (n >= settings.least_points) & area.contains(place)
+        use = (n >= settings.least_in_cylinder) & area.contains(place)
         if taken is not None and use.any():
             far = cKDTree(taken).query(cells[use], distance_upper_bound=1.8)[0] > 1.8  # no neighbouring cell
             use[np.flatnonzero(use)[~far]] = False
@@ -65,7 +65,7 @@ def place_core_points(epochs: list[Epoch], settings: Deformation, area: Area) ->
         parts.append((np.full(known.sum(), number), cores[known], normals[known], scale[known], area_m2))
     if not parts or not sum(len(part[0]) for part in parts):
         raise CoverageError(
-            f"no cell of {spacing:g} m in deformation.area holds {settings.least_points} points of "
+            f"no cell of {spacing:g} m in deformation.area holds {settings.least_in_cylinder} points of "
             f"{first.name!r}",
             expected="an area that the first and the last epoch cover",
             cure="Check deformation.area, or take a larger core_spacing_m",

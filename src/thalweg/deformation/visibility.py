@@ -61,7 +61,7 @@ def observe_visibility(
     """
     columns: dict[str, AnyArray] = {"core": np.arange(len(cores_m))}
     for i, epoch in enumerate(epochs, start=1):
-        seen = n[:, i - 1] >= settings.least_points
+        seen = n[:, i - 1] >= settings.least_in_cylinder
         through = beams_through(cores_m, normals, epoch, settings)
         reason = _reasons(cores_m, normals, epoch, settings)
         # a beam through the place where the other epoch has a surface outranks all other reasons

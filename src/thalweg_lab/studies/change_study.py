@@ -22,15 +22,16 @@ from thalweg.core import ArrayB, ArrayF
 from thalweg.deformation import (
     Compared,
     Epoch,
+    ErrorField,
     Pair,
     PoseCorrelation,
+    benjamini_hochberg,
     measure_pair,
     place_core_points,
     prepare_epoch,
     register_pair,
     registered_distances,
 )
-from thalweg.deformation.field import ErrorField, benjamini_hochberg
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 from thalweg_lab.studies.study import Result, Seed, Study, Tables

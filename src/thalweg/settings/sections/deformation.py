@@ -84,7 +84,7 @@ class Deformation(Section):
     reach_m: Positive = Field(
         default=3.0, le=50, description="Reach of the cylinders along the normal, to both sides, metres"
     )
-    least_points: int = Field(
+    least_in_cylinder: int = Field(
         default=5, ge=2, le=10_000, description="Points that a mean needs in each epoch"
     )
     stable: list[Annotated[list[Corner], Field(min_length=3)]] | None = Field(
