@@ -324,7 +324,7 @@ def test_square_pixels_share_a_focal_length(rng: np.random.Generator) -> None:
 
 
 def test_covariance_is_that_of_the_dense_system() -> None:
-    # a draw in which no control point is left out: those have no covariance here, and none in the dense system
+    # a draw in which no control point is left out: their rows are zero here
     problem, _ = scene(np.random.default_rng(0), images=8, points=60)
     found = adjust_plain(problem)
     N, _ = dense(found.problem, found.layout, found.x, found.correlation, found.tracks.along)
