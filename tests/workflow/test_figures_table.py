@@ -166,7 +166,7 @@ def test_campaigns_and_pages_ask_for_the_pictures_that_apply(read: Callable[[str
         ("pkg.maps:draw_map", "pkg.maps:map", 4, ["survey.map.draw", "pkg.maps defines no map"]),
         ("pkg.maps:draw_map", "pkg.maps", 4, ["survey.map.draw", "'pkg.maps'"]),
         ("page: accuracy", "pages: accuracy", 11, ["survey.map.pages", "unknown key", "one of shows, draw"]),
-        ("study:", "studies:", 32, ["studies", "'survey', 'calibration', 'basin', 'scan', 'change' or 'study'"]),
+        ("study:", "studies:", 32, ["studies", "'basin', 'scan', 'change' or 'study'"]),
         ("    file: triangulation/{scan}/photo.png\n", "", 26, ["scan.photo", "neither draw nor file"]),
         ("  photo:\n", "  scan_setup:\n", 26, ["the key stands twice"]),
         ("  photo:\n", "  photo: 7\n  more:\n", 26, ["scan.photo", "found 7"]),

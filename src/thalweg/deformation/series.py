@@ -130,10 +130,10 @@ def _least_squares(root: ArrayF, design: ArrayF, y: ArrayF) -> tuple[ArrayF, Arr
     ``root`` (1, n, n) is that of all places, or (k, n, n) has one for each; covariance (., u, u) and weights
     (., u, n) have as many.
     """
-    whitening = np.linalg.inv(root)
+    whitening: ArrayF = np.asarray(np.linalg.inv(root), np.float64)
     A = whitening @ design
-    Q = np.linalg.inv(np.swapaxes(A, 1, 2) @ A)
-    weights = Q @ np.swapaxes(A, 1, 2) @ whitening
+    Q: ArrayF = np.asarray(np.linalg.inv(np.swapaxes(A, 1, 2) @ A), np.float64)
+    weights: ArrayF = Q @ np.swapaxes(A, 1, 2) @ whitening
     parameters = (weights @ y[..., None])[..., 0]
     residual = (whitening @ (y - parameters @ design.T)[..., None])[..., 0]
     return parameters, Q, weights, (residual**2).sum(axis=1)

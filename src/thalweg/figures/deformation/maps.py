@@ -193,7 +193,9 @@ def _plan_mm(pair: BankPair) -> float:
     return float(np.ptp(pair.into_m) / max(np.ptp(pair.s_m), 1e-6) * DRAWN_MM)
 
 
-def _two_views(pairs: Sequence[BankPair], title: str, extra_mm: float, *, twin: bool) -> tuple[Figure, Axes]:
+def _two_views(
+    pairs: Sequence[BankPair], title: str, extra_mm: float, *, twin: bool
+) -> tuple[Figure, list[Axes]]:
     """A figure with a plan and a view from the river for each pair; axes (2 pairs,)."""
     plans = [max(1.12 * _plan_mm(pair), 16.0) for pair in pairs]
     heights = [height for plan in plans for height in (plan, FACE_MM)]
@@ -205,7 +207,7 @@ def _two_views(pairs: Sequence[BankPair], title: str, extra_mm: float, *, twin: 
         plan.tick_params(labelbottom=False)
         face.set_xlabel("along the bank, to the right as seen from the river / m")
     figure.align_ylabels(panels)
-    return figure, panels
+    return figure, list(panels)
 
 
 @styled
@@ -241,7 +243,7 @@ def change_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
         )
     figure.colorbar(
         ScalarMappable(norm, DISTANCE_MAP),
-        ax=list(panels),
+        ax=panels,
         location="bottom",
         aspect=55,
         shrink=0.8,

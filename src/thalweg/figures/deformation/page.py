@@ -115,7 +115,7 @@ class PairFacts:
             raise InputError(
                 f"{len(rows)} rows '{what}' in the volumes of {self.name}", expected="one: a finished pair"
             )
-        return {key: float(value) for key, value in rows.iloc[0].drop("what").items()}
+        return {str(key): float(value) for key, value in rows.iloc[0].drop("what").items()}
 
     @property
     def unseen_m2(self) -> float:
@@ -198,7 +198,7 @@ def largest_patches(patches: pd.DataFrame) -> str:
     for what, sign in (("erosion", 1.0), ("deposition", -1.0)):
         rows = patches[(patches["what"] == what) & patches["mean_distance_m"].notna()]
         if len(rows):
-            row = rows.loc[(sign * rows["volume_m3"]).idxmin()]
+            row = rows.iloc[int((sign * rows["volume_m3"]).to_numpy().argmin())]
             words.append(
                 f"The largest patch of {what} has {row['area_m2']:.1f} m², "
                 f"{signed(row['volume_m3'], 1)} m³ and "

@@ -187,7 +187,9 @@ def _normalised(ax: Axes, pair: BankPair, stable: Stable) -> None:
             f"{words}: n = {count(len(part))}, median {signed(float(np.median(part)), 2)}, NMAD {nmad:.2f}, "
             f"{100 * np.mean(np.abs(part) > WIDE):.1f} % beyond ±1.96"
         )
-        ax.hist(np.clip(part, -4.99, 4.99), bins=edges, density=True, label=label, gid="share", **look)
+        ax.hist(
+            np.clip(part, -4.99, 4.99), bins=edges.tolist(), density=True, label=label, gid="share", **look
+        )
     x = np.linspace(-5, 5, 201)
     ax.plot(x, norm.pdf(x), color="black", lw=1.2, label="standard normal: 5 % beyond ±1.96", gid="normal")
     ax.set_xlim(-5, 5)
@@ -258,7 +260,12 @@ def variogram(places_m: ArrayF, values: ArrayF, blocks: ArrayF, edges_m: ArrayF)
     kind = np.digitize(lag, edges_m) - 1
     inside = (kind >= 0) & (kind < len(edges_m) - 1)
     n, shape = int(blocks.max()) + 1, (len(edges_m) - 1, int(blocks.max()) + 1, int(blocks.max()) + 1)
-    cell = np.ravel_multi_index((kind[inside], blocks[i[inside]], blocks[j[inside]]), shape)
+    cell = np.ravel_multi_index(
+        tuple(
+            np.asarray(each, dtype=np.int64) for each in (kind[inside], blocks[i[inside]], blocks[j[inside]])
+        ),
+        shape,
+    )
 
     def sums(weights: ArrayF) -> tuple[ArrayF, ArrayF]:
         """Sum over all pairs (b,), and without those that touch each stretch (b, n)."""

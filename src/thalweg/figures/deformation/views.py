@@ -165,7 +165,11 @@ def places_of(pair: BankPair, patches: pd.DataFrame) -> list[Place]:
         ("largest deposition", grown, -grown["volume_m3"]),
     ):
         if len(rows):
-            core = int(np.nanargmin(np.abs(distance - rows.loc[order.idxmin(), "largest_distance_m"])))
+            core = int(
+                np.nanargmin(
+                    np.abs(distance - rows["largest_distance_m"].to_numpy()[int(order.to_numpy().argmin())])
+                )
+            )
             same = [i for i, each in enumerate(found) if each.core == core]
             if same:
                 found[same[0]] = Place(f"{found[same[0]].words}, {words}", core)
