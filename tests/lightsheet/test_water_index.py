@@ -61,3 +61,25 @@ def test_the_new_index_shares_nothing_with_the_rest() -> None:
     same, told = in_measured_water(known, WaterState())
     assert same is known
     assert told["source"] == "file of the sensor"
+
+
+@pytest.mark.parametrize("temperature_c", [-1.9, 0.5, 20.0, 39.9])
+@pytest.mark.parametrize("salinity_psu", [0.0, 39.9])
+def test_slopes_are_those_of_the_formulas_up_to_their_ends(temperature_c: float, salinity_psu: float) -> None:
+    """Differences over 0.1 degrees, 0.1 parts per thousand and 1 nm; wider ones are within 3 % of them."""
+
+    def n(t: float = temperature_c, s: float = salinity_psu, nm: float = 520.0) -> float:
+        return WaterState(temperature_c=t, salinity_psu=s, wavelength_nm=nm).index()[0]
+
+    t, s = max(temperature_c - 0.05, -2.0), min(max(salinity_psu, 0.05), 39.95)
+    slopes = {
+        "sigma_temperature_c": (n(t=t + 0.1) - n(t=t)) / 0.1,
+        "sigma_salinity_psu": (n(s=s + 0.05) - n(s=s - 0.05)) / 0.1,
+        "sigma_wavelength_nm": (n(nm=520.5) - n(nm=519.5)) / 1.0,
+    }
+    # 2e-5 of the formula, and 3e-6 of each part per thousand
+    own = np.hypot(2e-5, salinity_psu * 3e-6)
+    none = dict.fromkeys(slopes, 0.0)
+    for name, slope in slopes.items():
+        state = WaterState(temperature_c=temperature_c, salinity_psu=salinity_psu, **{**none, name: 10.0})
+        assert np.sqrt(state.index()[1] ** 2 - own**2) == pytest.approx(10.0 * abs(slope), rel=0.03)
