@@ -7,11 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame, Rigid, Trajectory
-from thalweg.deformation import Epoch, PoseCorrelation, check_order, prepare_epoch
+from thalweg.deformation import Epoch, check_order, prepare_epoch
 from thalweg.deformation.m3c2 import ColumnIndex
 from thalweg.lidar import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS, georeference_points
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
-from thalweg.settings.sections import EpochErrors, LidarAccuracy
+from thalweg.navigation.ins_gnss import PoseCorrelation
+from thalweg.settings.sections import LidarAccuracy
 from thalweg.surface import Area
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -145,15 +146,15 @@ def test_estimates_of_all_chains_give_correlation_times() -> None:
         "estimates": {"position_time_s": {"value": 8.0}, "attitude_time_s": {"value": 15.0}},
         "white_share": 0.3,
     }
-    found = PoseCorrelation.of_survey(ins, "ins", EpochErrors(), 0.2)
+    found = PoseCorrelation.of_survey(ins, "ins", receiver_s=0.2)
     assert (found.position_s, found.attitude_s, found.white_share, found.receiver_s) == (8.0, 15.0, 0.3, 0.2)
-    stated = EpochErrors(position_time_s=4.0)
-    assert PoseCorrelation.of_survey(ins, "ins", stated, 0.2).position_s == 4.0
+    stated = PoseCorrelation.of_survey(ins, "ins", receiver_s=0.2, position_time_s=4.0)
+    assert stated.position_s == 4.0
     fused = {"errors": {"gnss_time_s": {"estimated": 9.0}, "attitude_time_s": {"estimated": 21.0}}}
-    assert PoseCorrelation.of_survey(fused, "fused", EpochErrors(), 0.2).position_s == 9.0
-    assert PoseCorrelation.of_survey(fused, "fused", EpochErrors(), 0.2).white_share == 0.0
-    with pytest.raises(InputError, match=r"State deformation\.errors"):
-        PoseCorrelation.of_survey({"errors": {}}, "camera", EpochErrors(), 0.2)
+    assert PoseCorrelation.of_survey(fused, "fused", receiver_s=0.2).position_s == 9.0
+    assert PoseCorrelation.of_survey(fused, "fused", receiver_s=0.2).white_share == 0.0
+    with pytest.raises(InputError, match=r"State position_time_s"):
+        PoseCorrelation.of_survey({"errors": {}}, "camera", receiver_s=0.2)
 
 
 def test_bad_epochs_are_refused(survey, tmp_path: Path) -> None:

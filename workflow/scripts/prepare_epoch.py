@@ -8,7 +8,8 @@ import numpy as np
 
 from thalweg.calibration import read_mounts
 from thalweg.core import LocalFrame, Rigid, Trajectory, read_parquet
-from thalweg.deformation import PoseCorrelation, prepare_epoch
+from thalweg.deformation import prepare_epoch
+from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 from thalweg.workflow import run_job
@@ -37,7 +38,11 @@ def main(
         Trajectory.read(trajectory),
         Rigid.from_mount(read_mounts(mounts)["lidar"]),
         PoseCorrelation.of_survey(
-            json.loads(facts.read_text()), chain, deformation.errors, receiver_s=float(np.median(np.diff(t)))
+            json.loads(facts.read_text()),
+            chain,
+            receiver_s=float(np.median(np.diff(t))),
+            position_time_s=deformation.errors.position_time_s,
+            attitude_time_s=deformation.errors.attitude_time_s,
         ),
         frame=frame,
         area=Area.from_section(deformation.area, frame, campaign["crs"]),

@@ -14,12 +14,7 @@ from .coregistration import (
     read_registration as read_registration,
     write_registration as write_registration,
 )
-from .epochs import (
-    Epoch as Epoch,
-    PoseCorrelation as PoseCorrelation,
-    check_order as check_order,
-    prepare_epoch as prepare_epoch,
-)
+from .epochs import Epoch as Epoch, check_order as check_order, prepare_epoch as prepare_epoch
 from .field import ErrorField as ErrorField, benjamini_hochberg as benjamini_hochberg
 from .foreign import compare_clouds as compare_clouds, write_changes as write_changes
 from .series import SERIES as SERIES, closure as closure, find_jumps as find_jumps, fit_series as fit_series

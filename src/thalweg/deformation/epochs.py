@@ -45,7 +45,7 @@ from thalweg.core import (
 )
 from thalweg.deformation.field import ErrorField, ErrorGroup
 from thalweg.deformation.m3c2 import ColumnIndex, Weights, pose_weights
-from thalweg.settings.sections import EpochErrors
+from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.surface import Area
 
 TURNS: Final = ("attitude", "mount, rotation")
@@ -154,52 +154,6 @@ class Epoch:
             for each, root in zip(facts["groups"], roots, strict=True)
         )
         return cls(name=facts["name"], start_gps_s=facts["start_gps_s"], groups=groups, **arrays)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseCorrelation:
-    """How errors of poses last.
-
-    Attributes
-    ----------
-    position_s, attitude_s : correlation times, seconds.
-    white_share : share of the positions' variance that is new in each solution of the receiver.
-    receiver_s : time between its solutions.
-    """
-
-    position_s: float
-    attitude_s: float
-    white_share: float
-    receiver_s: float
-
-    @classmethod
-    def of_survey(
-        cls, facts: Mapping[str, Any], chain: str, settings: EpochErrors, receiver_s: float
-    ) -> Self:
-        """As estimated from a survey, unless the settings say otherwise.
-
-        Parameters
-        ----------
-        facts : ``error_model.json`` of the chain ``ins``, ``camera_trajectory.json`` or ``fused.json``.
-        chain : ``ins``, ``camera`` or ``fused``. A camera's positions last as its attitudes do: both come
-            from the same images; a smoother leaves no white part.
-        """
-        if chain == "ins":
-            found = {name: fact["value"] for name, fact in facts["estimates"].items()}
-            position_s, white = found["position_time_s"], float(facts["white_share"])
-        else:
-            found = {name: fact["estimated"] for name, fact in facts["errors"].items()}
-            position_s = found.get("gnss_time_s", found.get("attitude_time_s"))
-            white = 0.0
-        attitude_s = settings.attitude_time_s or found.get("attitude_time_s")
-        position_s = settings.position_time_s or position_s
-        if position_s is None or attitude_s is None:
-            raise InputError(
-                f"no correlation times among the estimates of the chain {chain!r}",
-                expected="times of positions and attitudes",
-                cure="State deformation.errors.position_time_s and attitude_time_s",
-            )
-        return cls(position_s=position_s, attitude_s=attitude_s, white_share=white, receiver_s=receiver_s)
 
 
 def prepare_epoch(

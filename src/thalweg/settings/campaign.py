@@ -8,8 +8,10 @@ from pydantic import ConfigDict, Field
 from thalweg.settings.sections import (
     STREAM_KEYS,
     Accuracy,
+    Bathymetry,
     Calibration,
     Deformation,
+    EchoSounder,
     Epoch,
     Figures,
     Filters,
@@ -125,6 +127,8 @@ class Campaign(Section):
         default=ReferenceSettings(), description="Reference cloud -> surface mesh"
     )
     accuracy: Accuracy = Field(default=Accuracy(), description="Comparison of the cloud with the reference")
+    echo_sounder: EchoSounder = Field(default=EchoSounder(), description="Echo sounder and water")
+    bathymetry: Bathymetry = Field(default=Bathymetry(), description="Riverbed from soundings")
     deformation: Deformation = Field(default=Deformation(), description="Change between epochs")
     figures: Figures = Field(default=Figures(), description="Pictures")
 

@@ -24,7 +24,6 @@ from thalweg.deformation import (
     Epoch,
     ErrorField,
     Pair,
-    PoseCorrelation,
     benjamini_hochberg,
     measure_pair,
     place_core_points,
@@ -32,6 +31,7 @@ from thalweg.deformation import (
     register_pair,
     registered_distances,
 )
+from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 from thalweg_lab.studies.study import Result, Seed, Study, Tables

@@ -4,6 +4,7 @@ from .error_model import (
     NAMES as NAMES,
     ErrorModel as ErrorModel,
     Estimate as Estimate,
+    PoseCorrelation as PoseCorrelation,
     PriorErrors as PriorErrors,
     beam_factors as beam_factors,
     typical_sigmas as typical_sigmas,

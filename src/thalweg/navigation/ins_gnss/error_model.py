@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core import ArrayF, Trajectory, attitude_axes, cross_matrix
+from thalweg.core import ArrayF, InputError, Trajectory, attitude_axes, cross_matrix
 
 NAMES: Final = ("position", "roll_pitch", "heading", "white", "position_time_s", "attitude_time_s")
 """Parameters: factors on the stated sigmas of the positions' slow part, of roll and pitch, of the heading and
@@ -245,6 +245,64 @@ class ErrorModel:
     def write(self, path: Path) -> None:
         """As JSON, see `report`."""
         path.write_text(json.dumps(self.report(), indent=2) + "\n")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseCorrelation:
+    """How errors of poses last.
+
+    Attributes
+    ----------
+    position_s, attitude_s : correlation times, seconds.
+    white_share : share of the positions' variance that is new in each solution of the receiver.
+    receiver_s : time between its solutions.
+    """
+
+    position_s: float
+    attitude_s: float
+    white_share: float
+    receiver_s: float
+
+    @classmethod
+    def of_survey(
+        cls,
+        facts: Mapping[str, Any],
+        chain: str,
+        *,
+        receiver_s: float,
+        position_time_s: float | None = None,
+        attitude_time_s: float | None = None,
+    ) -> Self:
+        """As estimated from a survey, unless times are stated.
+
+        Parameters
+        ----------
+        facts : ``error_model.json`` of the chain ``ins``, ``camera_trajectory.json`` or ``fused.json``.
+        chain : ``ins``, ``camera`` or ``fused``. A camera's positions last as its attitudes do: both come
+            from the same images; a smoother leaves no white part.
+        receiver_s : time between solutions of the receiver.
+        position_time_s, attitude_time_s : stated instead of the estimates.
+
+        Raises
+        ------
+        InputError : a time is neither stated nor among the estimates.
+        """
+        if chain == "ins":
+            found = {name: fact["value"] for name, fact in facts["estimates"].items()}
+            estimated_s, white = found["position_time_s"], float(facts["white_share"])
+        else:
+            found = {name: fact["estimated"] for name, fact in facts["errors"].items()}
+            estimated_s = found.get("gnss_time_s", found.get("attitude_time_s"))
+            white = 0.0
+        attitude_s = attitude_time_s or found.get("attitude_time_s")
+        position_s = position_time_s or estimated_s
+        if position_s is None or attitude_s is None:
+            raise InputError(
+                f"no correlation times among the estimates of the chain {chain!r}",
+                expected="times of positions and attitudes",
+                cure="State position_time_s and attitude_time_s (deformation.errors, bathymetry)",
+            )
+        return cls(position_s=position_s, attitude_s=attitude_s, white_share=white, receiver_s=receiver_s)
 
 
 def beam_factors(path: Path) -> dict[str, float]:

@@ -10,6 +10,7 @@ from .base import (
     Sigma3 as Sigma3,
     Vector3 as Vector3,
 )
+from .bathymetry import Bathymetry as Bathymetry, EchoSounder as EchoSounder
 from .calibration import (
     Board as Board,
     Calibration as Calibration,
