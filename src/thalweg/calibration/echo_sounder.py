@@ -417,6 +417,22 @@ def places_of(trajectory: Trajectory, t_gps_s: ArrayF, depth_m: ArrayF, lever_ic
     return np.asarray((position + np.einsum("nij,nj->ni", R, lever_ics_m + down))[valid, :2])
 
 
+def pings_of(depths: pd.DataFrame) -> tuple[pd.DataFrame, int]:
+    """The rows of the sentence that states depths best, one a ping, and how many rows state them again.
+
+    Raises
+    ------
+    InputError : the table is empty.
+    """
+    if not len(depths):
+        raise InputError("no soundings", expected="a log of the echo sounder with depths")
+    present = depths["sentence"].value_counts()
+    # the best sentence that comes about as often as any other
+    often = [name for name in SENTENCES if present.get(name, 0) >= 0.9 * present.max()]
+    chosen = depths[depths["sentence"] == (often[0] if often else present.index[0])]
+    return chosen, len(depths) - len(chosen)
+
+
 def soundings(depths: pd.DataFrame, trajectory: Trajectory) -> tuple[ArrayF, ArrayF, dict[str, int]]:
     """One depth a ping, where the trajectory has no gap nearby.
 
@@ -435,12 +451,7 @@ def soundings(depths: pd.DataFrame, trajectory: Trajectory) -> tuple[ArrayF, Arr
     ------
     InputError : the table is empty.
     """
-    if not len(depths):
-        raise InputError("no soundings", expected="a log of the echo sounder with depths")
-    present = depths["sentence"].value_counts()
-    # the best sentence that comes about as often as any other
-    often = [name for name in SENTENCES if present.get(name, 0) >= 0.9 * present.max()]
-    chosen = depths[depths["sentence"] == (often[0] if often else present.index[0])]
+    chosen, other = pings_of(depths)
     timed = chosen[np.isfinite(chosen["t_gps_s"])].drop_duplicates("t_gps_s").sort_values("t_gps_s")
     t = timed["t_gps_s"].to_numpy(np.float64)
     whole = _whole(trajectory)
@@ -449,7 +460,7 @@ def soundings(depths: pd.DataFrame, trajectory: Trajectory) -> tuple[ArrayF, Arr
     good = whole[at] & whole[at - 1] & (t >= first) & (t <= last)
     counts = {
         "rows": len(depths),
-        "of_other_sentences": len(depths) - len(chosen),
+        "of_other_sentences": other,
         "without_time": len(chosen) - len(timed),
         "near_a_gap": int((~good).sum()),
         "taken": int(good.sum()),

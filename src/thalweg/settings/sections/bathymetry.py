@@ -16,8 +16,7 @@ class EchoSounder(Section):
     )
     tilt_deg: tuple[Finite, Finite] = Field(
         default=(0.0, 0.0),
-        description="Direction of the beam against the body frame's down axis, forward and right, "
-        "degrees",
+        description="Direction of the beam against the body frame's down axis, forward and right, degrees",
     )
     sigma_tilt_deg: NonNegative = Field(default=1.0, le=20, description="Standard deviation of both, degrees")
     latency_s: Finite = Field(
@@ -100,8 +99,7 @@ class Bathymetry(Section):
         default=20.0, description="Banks that were not seen are bridged up to this length, metres"
     )
     bank_as_data: bool = Field(
-        default=True,
-        description="Bank lines are data of the bed: the water level, with their sigma",
+        default=True, description="Bank lines are data of the bed: the water level, with their sigma"
     )
     islands: list[Annotated[list[Corner], Field(min_length=3)]] = Field(
         default=[], description="Polygons east, north that are no bed, local frame, metres"
@@ -124,8 +122,7 @@ class Bathymetry(Section):
         default=2.0, le=50, description="Cells farther from data than this many ranges have no height"
     )
     engine: Literal["own", "pykrige"] = Field(
-        default="own",
-        description="What solves; `pykrige`: at most 2,000 soundings, errors independent",
+        default="own", description="What solves; `pykrige`: at most 2,000 soundings, errors independent"
     )
     reference_bed: str | None = Field(
         default=None, min_length=1, description="Bed by somebody else to compare with: GeoTIFF, LAS, LAZ, XYZ"

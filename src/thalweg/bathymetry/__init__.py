@@ -1,0 +1,5 @@
+"""The riverbed: soundings with their errors, water and banks, flow coordinates, kriging."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
