@@ -1,3 +1,20 @@
+from .banks import (
+    SIDES as SIDES,
+    Banks as Banks,
+    bank_observations as bank_observations,
+    flow_of_survey as flow_of_survey,
+    read_banks as read_banks,
+    read_centre_line as read_centre_line,
+    shore_points as shore_points,
+)
+from .flow import FlowLine as FlowLine
+from .kriging import (
+    CovarianceModel as CovarianceModel,
+    Observations as Observations,
+    krige as krige,
+    krige_by_pykrige as krige_by_pykrige,
+    krige_dense as krige_dense,
+)
 from .soundings import (
     REASONS as REASONS,
     S44 as S44,
@@ -10,3 +27,11 @@ from .soundings import (
     speed_of_sound_mps as speed_of_sound_mps,
     with_bed_normals as with_bed_normals,
 )
+from .variogram import (
+    DRIFTS as DRIFTS,
+    BedModel as BedModel,
+    Drift as Drift,
+    choose_model as choose_model,
+    directional_variogram as directional_variogram,
+)
+from .water import WaterLevel as WaterLevel, level_water as level_water

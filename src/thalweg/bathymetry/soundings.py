@@ -108,6 +108,8 @@ _COURSE_S: Final = 2.0
 _SLOWEST_MPS: Final = 0.05
 """A boat that drifts slower has no course."""
 _FEWEST_OF_LINE: Final = 5
+_SHORTEST_LINE_S: Final = 3.0
+"""What lasts less long is a turn."""
 
 S44: Final = {
     "exclusive": (0.15, 0.0075, 1.0, 0.0),
@@ -240,6 +242,7 @@ def locate_soundings(
     settings: Bathymetry,
     *,
     water_line_ics_m: float,
+    decisions: Path | None = None,
     logged_temperature_c: float | None = None,
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Soundings in the world with their errors, and with the reason of each that does not count.
@@ -251,6 +254,7 @@ def locate_soundings(
     correlation : how errors of its poses last.
     transducer, echo, settings : see there.
     water_line_ics_m : down coordinate of the water line in the body frame.
+    decisions : by hand, CSV with t_from_s, t_to_s (GPS time), keep; the last one that names a time holds.
     logged_temperature_c : of the water, as the instrument logged it.
 
     Returns
@@ -289,7 +293,7 @@ def locate_soundings(
     ):
         reason[(reason == "") & bad] = name
     _judge_neighbours(t, r, reason, settings.spike_m)
-    by_hand = _decisions(settings.decisions, t, reason)
+    by_hand = _decisions(decisions, t, reason)
     axis, cos_theta = axis_range_m(r, b, np.array([0.0, 0.0, 1.0]), np.deg2rad(echo.beam_deg / 2))
     x = x_t + axis[:, None] * b
     white, slow, common = _covariances(
@@ -499,7 +503,7 @@ def _judge_neighbours(t: ArrayF, r: ArrayF, reason: AnyArray, spike_m: float) ->
         reason[alive[bad]] = name
 
 
-def _decisions(path: str | None, t: ArrayF, reason: AnyArray) -> int:
+def _decisions(path: Path | None, t: ArrayF, reason: AnyArray) -> int:
     """Decisions by hand: the last one that names a time holds; changes ``reason``, returns how many pings."""
     if path is None:
         return 0
@@ -507,11 +511,11 @@ def _decisions(path: str | None, t: ArrayF, reason: AnyArray) -> int:
     try:
         rows = pd.read_csv(path)
     except (OSError, ValueError) as error:
-        raise InputError(f"{error}", where=Path(path), expected="decisions by hand as CSV") from error
+        raise InputError(f"{error}", where=path, expected="decisions by hand as CSV") from error
     missing = [name for name in columns if name not in rows]
     if missing:
         raise InputError(
-            f"no column {', '.join(missing)}", where=Path(path), expected=f"the columns {', '.join(columns)}"
+            f"no column {', '.join(missing)}", where=path, expected=f"the columns {', '.join(columns)}"
         )
     changed = 0
     for start, stop, keep in rows[columns].itertuples(index=False):
@@ -547,8 +551,11 @@ def _lines(t: ArrayF, x_t: ArrayF, use: ArrayB, turn_deg: float) -> AnyArray:
     of_ping = number[np.clip(np.searchsorted(seconds, t[taken], side="right") - 1, 0, len(number) - 1)]
     gaps = np.concatenate([[0], np.cumsum(np.diff(t[taken]) > 10.0)])
     key = np.unique(of_ping + gaps * (number.max() + 1), return_inverse=True)[1]
-    few = np.bincount(key) < _FEWEST_OF_LINE
-    for k in np.flatnonzero(few):  # scraps of turns go to the line before them
+    first = np.flatnonzero(np.diff(key, prepend=-1))
+    last = np.append(first[1:], len(key)) - 1
+    short = t[taken[last]] - t[taken[first]] < _SHORTEST_LINE_S
+    few = (np.bincount(key) < _FEWEST_OF_LINE) | short
+    for k in np.flatnonzero(few).tolist():  # scraps of turns go to the line before them
         key[key == k] = max(k - 1, 0)
     out[taken] = np.unique(key, return_inverse=True)[1]
     return out

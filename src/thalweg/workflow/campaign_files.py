@@ -565,6 +565,29 @@ class CampaignFiles:
         outputs += [self._result(f"triangulation/{scan}/profile.csv") for scan in self.compared_scans()]
         return outputs
 
+    # ------------------------------------------------------------ riverbed
+
+    def has_soundings(self) -> bool:
+        """True if a survey of a river recorded depths."""
+        other = self.campaign.is_basin or self.campaign.is_change or self.campaign.is_calibration
+        return not other and bool(self.logs("depth"))
+
+    def best_errors(self) -> str:
+        """What the survey shows of the errors of the best trajectory."""
+        return self._result(f"orientation/{'fused' if self.best_chain() == 'fused' else 'error_model'}.json")
+
+    def best_points(self) -> str:
+        """The cloud by the best trajectory."""
+        return self._result(f"lidar/{'by_fused/' if self.best_chain() == 'fused' else ''}points.laz")
+
+    def strip_points(self) -> list[str]:
+        """Points of the bed by the light sheet, where the boat carries one."""
+        return self._where(self.has_strip(), "triangulation/strip/points.parquet")
+
+    def _bed_outputs(self) -> list[str]:
+        outputs = ("soundings.parquet", "bed.tif", "validation.json", "methods.csv", "index.html")
+        return self._where(self.has_soundings(), *(f"bathymetry/{name}" for name in outputs))
+
     # ------------------------------------------------------------ change between epochs
 
     def is_epoch(self) -> bool:
@@ -668,7 +691,7 @@ class CampaignFiles:
             return self._calibration_outputs()
         tables = ("lidar/points.laz", "timing/streams.csv", "timing/time_report.csv", "summary.csv")
         outputs = self._where(True, *tables)
-        outputs += [*self.echo_outputs(), *self._strip_outputs()]
+        outputs += [*self.echo_outputs(), *self._strip_outputs(), *self._bed_outputs()]
         outputs += self._where(self.campaign.georeferencing.export_map, "lidar/points_map.laz")
         if self.has_time_lapse():
             outputs += [self.trajectory("fused"), *self.of_chains("lidar", "points.laz")[1:]]

@@ -54,11 +54,6 @@ class EchoSounder(Section):
 class Bathymetry(Section):
     """The riverbed from soundings, banks and points of the light sheet."""
 
-    decisions: str | None = Field(
-        default=None,
-        min_length=1,
-        description="Decisions by hand, CSV: t_from_s, t_to_s (GPS time), keep (true or false), remark",
-    )
     spike_m: Positive = Field(
         default=0.15,
         le=10,
@@ -79,18 +74,6 @@ class Bathymetry(Section):
     )
     attitude_time_s: Positive | None = Field(
         default=None, description="Correlation time of attitudes, seconds; null: as estimated from the survey"
-    )
-    centre_line: str | None = Field(
-        default=None,
-        min_length=1,
-        description="Centre line of the river, CSV east_m, north_m in the campaign's CRS, downstream; null: "
-        "from banks and track",
-    )
-    banks: str | None = Field(
-        default=None,
-        min_length=1,
-        description="Bank lines, GeoJSON with `side: left` and `right`; null: where the ground of the cloud "
-        "meets the water",
     )
     bank_station_m: Annotated[float, Field(ge=0.2, le=100)] = Field(
         default=2.0, description="Distance of the places along the river at which banks are sought, metres"
@@ -123,9 +106,6 @@ class Bathymetry(Section):
     )
     engine: Literal["own", "pykrige"] = Field(
         default="own", description="What solves; `pykrige`: at most 2,000 soundings, errors independent"
-    )
-    reference_bed: str | None = Field(
-        default=None, min_length=1, description="Bed by somebody else to compare with: GeoTIFF, LAS, LAZ, XYZ"
     )
 
     @model_validator(mode="after")

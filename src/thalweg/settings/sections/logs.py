@@ -23,6 +23,10 @@ STREAM_KEYS = {
     "depth": ("depth",),
     "reference": ("reference",),
     "bed": ("bed",),
+    "decisions": ("decisions",),
+    "centre_line": ("centre_line",),
+    "bank_lines": ("bank_lines",),
+    "reference_bed": ("reference_bed",),
     "field": ("calibration", "field"),
     "reference_images": ("calibration", "reference_images"),
     "position_images": ("calibration", "position_images"),
@@ -266,6 +270,23 @@ class Logs(Section):
         default=(),
         description="Surveyed points of the river bed, for the place of the echo sounder: CSV with east_m, "
         "north_m, h_ell_m in campaign.crs and sigma_m",
+    )
+    decisions: Files = Field(
+        default=(),
+        description="Decisions by hand about soundings: CSV with t_from_s, t_to_s (GPS time), keep",
+    )
+    centre_line: Files = Field(
+        default=(),
+        description="Centre line of the river, downstream: CSV with east_m, north_m in campaign.crs; else "
+        "from banks and track",
+    )
+    bank_lines: Files = Field(
+        default=(),
+        description="Bank lines: GeoJSON in campaign.crs with `side: left` and `right`; else where "
+        "the ground of the cloud meets the water",
+    )
+    reference_bed: Files = Field(
+        default=(), description="The bed by somebody else, to compare with: GeoTIFF of ellipsoidal heights"
     )
     time_lapse: TimeLapseLogs = Field(
         default=TimeLapseLogs(), description="Images of the bank, and control points"

@@ -1,0 +1,376 @@
+r"""Ordinary kriging in flow coordinates, from soundings whose errors last.
+
+The bed is ``z(s, n) = mu + f(s, n)`` with ``cov f = sigma^2 rho(h)``, ``h^2 = (ds/a_s)^2 + (dn/a_n)^2``, and
+a sounding is ``y_i = z_i + micro + w_i + c_i g(t_i)``: relief that is smaller than the grid, noise, and an
+error that lasts (Gauss-Markov). With ``C = L L'`` of the chosen neighbours, ``u = L^-1 c_0``, ``w = L^-1 1``
+and ``y = L^-1 z`` (one Cholesky factor a cell):
+
+    z_0 = u'y + (1 - u'w)/(w'w) w'y,        sigma_0^2 = sigma^2 - u'u + (1 - u'w)^2/(w'w),
+
+the variance of the bed, not of another sounding (Cressie 1993, Statistics for Spatial Data, 3.2; Chiles and
+Delfiner 2012, Geostatistics, 3.7 on errors of measurement). An error that all data share does not become
+smaller by interpolation and is added apart.
+
+Neighbours are taken by octants, at most so many of a line: the nearest ones all lie on one leg of a track.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Final, Self
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from thalweg.core import ArrayF, ArrayI, GeometryError, UnsupportedError, get_num_threads, njit, prange
+
+KINDS: Final = ("exponential", "matern32", "spherical")
+"""Covariance models; their ranges are practical ones: there 5 % of the covariance are left."""
+_MATERN: Final = 4.743864518104397
+"""``(1 + a) exp(-a) = 0.05``."""
+_CHUNK: Final = 20_000
+"""Cells whose candidates are held at a time."""
+_CANDIDATES: Final = 256
+PYKRIGE_MOST: Final = 2000
+"""Soundings that PyKrige is given: its constructor computes all pairs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observations:
+    """Heights of the bed at places.
+
+    Parameters
+    ----------
+    s_m, n_m : (n,) flow coordinates.
+    height_m : (n,).
+    sigma_white_m : (n,) noise.
+    sigma_slow_m : (n,) errors that last.
+    t_s : (n,) times, for how long they last; NaN: such an error is of this observation alone.
+    line : (n,) number of the line of soundings.
+    """
+
+    s_m: ArrayF
+    n_m: ArrayF
+    height_m: ArrayF
+    sigma_white_m: ArrayF
+    sigma_slow_m: ArrayF
+    t_s: ArrayF
+    line: ArrayI
+
+    def __post_init__(self) -> None:
+        for name in ("s_m", "n_m", "height_m", "sigma_white_m", "sigma_slow_m"):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, value)
+            bad = int(np.sum(~np.isfinite(value)))
+            if bad or value.shape != np.shape(self.height_m):
+                raise GeometryError(
+                    f"{name}: {bad} of {value.size} values are no numbers, shape {value.shape}",
+                    expected=f"{np.shape(self.height_m)} finite values",
+                )
+        # times too far apart to share anything stand for "alone"
+        t = np.asarray(self.t_s, dtype=np.float64)
+        alone = ~np.isfinite(t)
+        t = np.where(alone, -1e15 * (1 + np.arange(len(t))), t)
+        object.__setattr__(self, "t_s", t)
+        object.__setattr__(self, "line", np.asarray(self.line, dtype=np.int64))
+
+    def __len__(self) -> int:
+        return len(self.height_m)
+
+    @property
+    def places_m(self) -> ArrayF:
+        """Flow coordinates (n, 2)."""
+        return np.column_stack([self.s_m, self.n_m])
+
+    def where(self, keep: Any) -> Self:
+        """Some of them."""
+        return replace(self, **{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+
+    def lifted(self, height_m: ArrayF) -> Self:
+        """The same with other heights."""
+        return replace(self, height_m=height_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CovarianceModel:
+    """How heights of the bed go together.
+
+    Parameters
+    ----------
+    kind : one of `KINDS`.
+    sill_m2 : variance of the bed.
+    range_s_m, range_n_m : practical ranges along and across the river.
+    micro_m2 : variance of relief that no grid holds.
+    slow_time_s : correlation time of errors that last; 0: they do not.
+    """
+
+    kind: str
+    sill_m2: float
+    range_s_m: float
+    range_n_m: float
+    micro_m2: float = 0.0
+    slow_time_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise UnsupportedError(f"covariance model {self.kind!r}", expected=", ".join(KINDS))
+        if not (self.sill_m2 > 0 and self.range_s_m > 0 and self.range_n_m > 0 and self.micro_m2 >= 0):
+            raise GeometryError(f"{self}", expected="a sill and ranges above zero")
+
+    def scaled(self, places_m: ArrayF) -> ArrayF:
+        """Places (n, 2) in units of the ranges."""
+        return np.ascontiguousarray(places_m / np.array([self.range_s_m, self.range_n_m]))
+
+    def correlation(self, h: ArrayF) -> ArrayF:
+        """Correlation at scaled distances."""
+        if self.kind == "exponential":
+            return np.asarray(np.exp(-3.0 * h))
+        if self.kind == "matern32":
+            return np.asarray((1 + _MATERN * h) * np.exp(-_MATERN * h))
+        return np.asarray(np.where(h < 1, 1 - 1.5 * h + 0.5 * h**3, 0.0))
+
+
+@njit
+def _correlation(h: float, kind: int) -> float:
+    if kind == 0:
+        return math.exp(-3.0 * h)
+    if kind == 1:
+        a = 4.743864518104397 * h
+        return (1.0 + a) * math.exp(-a)
+    return 1.0 - 1.5 * h + 0.5 * h * h * h if h < 1.0 else 0.0
+
+
+@njit
+def _choose(near, ds, dn, line, most, of_octant, of_line, out):  # type: ignore[no-untyped-def]
+    """Up to ``most`` of the candidates, which come by distance: so many an octant, so many a line."""
+    count = np.zeros(8, dtype=np.int64)
+    name = np.full(most, -1, dtype=np.int64)
+    taken = np.zeros(most, dtype=np.int64)
+    m = 0
+    for j in range(near.size):
+        if near[j] < 0:
+            break
+        octant = min(int((math.atan2(dn[j], ds[j]) + math.pi) / (math.pi / 4.0)), 7)
+        if of_octant > 0 and count[octant] >= of_octant:
+            continue
+        slot = -1
+        if of_line > 0:
+            mine = line[near[j]]
+            for q in range(most):
+                if name[q] == mine or taken[q] == 0:
+                    slot = q
+                    break
+            if slot < 0 or taken[slot] >= of_line:
+                continue
+            name[slot] = mine
+            taken[slot] += 1
+        count[octant] += 1
+        out[m] = j
+        m += 1
+        if m == most:
+            break
+    return m
+
+
+@njit(parallel=True)
+def _solve(cells, places, z, white2, slow, t, tau, line, near, most, of_octant, of_line, sill, kind):  # type: ignore[no-untyped-def]
+    """Height and variance of each cell; ``cells``, ``places`` in units of the ranges."""
+    n = cells.shape[0]
+    height = np.full(n, np.nan)
+    variance = np.full(n, np.nan)
+    for i in prange(n):
+        width = near.shape[1]
+        ds = np.empty(width)
+        dn = np.empty(width)
+        for j in range(width):
+            k = near[i, j]
+            if k < 0:
+                break
+            ds[j] = places[k, 0] - cells[i, 0]
+            dn[j] = places[k, 1] - cells[i, 1]
+        chosen = np.empty(most, dtype=np.int64)
+        m = _choose(near[i], ds, dn, line, most, of_octant, of_line, chosen)
+        if m == 0:
+            continue
+        L = np.empty((m, m))
+        u = np.empty(m)
+        w = np.empty(m)
+        y = np.empty(m)
+        sound = True
+        for a in range(m):
+            ja = chosen[a]
+            pa = near[i, ja]
+            u[a] = sill * _correlation(math.sqrt(ds[ja] * ds[ja] + dn[ja] * dn[ja]), kind)
+            w[a] = 1.0
+            y[a] = z[pa]
+            for b in range(a + 1):
+                jb = chosen[b]
+                pb = near[i, jb]
+                c = sill
+                if a != b:
+                    c = sill * _correlation(math.sqrt((ds[ja] - ds[jb]) ** 2 + (dn[ja] - dn[jb]) ** 2), kind)
+                    if tau > 0.0:
+                        c += slow[pa] * slow[pb] * math.exp(-abs(t[pa] - t[pb]) / tau)
+                else:
+                    c += white2[pa] + slow[pa] * slow[pa]
+                for q in range(b):
+                    c -= L[a, q] * L[b, q]
+                if a != b:
+                    L[a, b] = c / L[b, b]
+                elif c > 0.0:
+                    L[a, a] = math.sqrt(c)
+                else:
+                    sound = False
+                    L[a, a] = 1.0
+        if not sound:
+            continue
+        uu = 0.0
+        uw = 0.0
+        ww = 0.0
+        uy = 0.0
+        wy = 0.0
+        for a in range(m):
+            for q in range(a):
+                u[a] -= L[a, q] * u[q]
+                w[a] -= L[a, q] * w[q]
+                y[a] -= L[a, q] * y[q]
+            u[a] /= L[a, a]
+            w[a] /= L[a, a]
+            y[a] /= L[a, a]
+            uu += u[a] * u[a]
+            uw += u[a] * w[a]
+            ww += w[a] * w[a]
+            uy += u[a] * y[a]
+            wy += w[a] * y[a]
+        height[i] = uy + (1.0 - uw) / ww * wy
+        variance[i] = sill - uu + (1.0 - uw) ** 2 / ww
+    return height, variance
+
+
+def krige(
+    observations: Observations,
+    places_m: ArrayF,
+    model: CovarianceModel,
+    *,
+    neighbours: int = 48,
+    octants: bool = True,
+    of_line: int = 0,
+    chunk: int = _CHUNK,
+) -> tuple[ArrayF, ArrayF]:
+    """Heights of the bed and their standard deviations.
+
+    Parameters
+    ----------
+    observations : see there.
+    places_m : (m, 2) flow coordinates.
+    model : covariance.
+    neighbours : observations of a cell, an eighth in each octant.
+    octants : take them by octants.
+    of_line : at most so many of one line; 0: any number.
+    chunk : cells at a time; changes the memory, not the result.
+
+    Returns
+    -------
+    height_m, sigma_m : (m,); NaN where the system has no solution.
+
+    Raises
+    ------
+    GeometryError : fewer than two observations.
+    """
+    if len(observations) < 2:
+        raise GeometryError(f"{len(observations)} soundings", expected="at least two, better two lines")
+    points = model.scaled(observations.places_m)
+    tree = cKDTree(points)
+    # heights about their mean: small numbers keep their digits
+    middle = float(observations.height_m.mean())
+    most = min(neighbours, len(points))
+    wide = octants or of_line > 0
+    width = min(len(points), max(_CANDIDATES, 4 * neighbours) if wide else most)
+    height, variance = np.empty(len(places_m)), np.empty(len(places_m))
+    for start in range(0, len(places_m), chunk):
+        part = slice(start, start + chunk)
+        cells = model.scaled(np.asarray(places_m[part], dtype=np.float64))
+        near = tree.query(cells, k=width, workers=get_num_threads())[1].reshape(len(cells), -1)
+        height[part], variance[part] = _solve(
+            cells,
+            points,
+            observations.height_m - middle,
+            observations.sigma_white_m**2 + model.micro_m2,
+            observations.sigma_slow_m,
+            observations.t_s,
+            model.slow_time_s,
+            observations.line,
+            np.ascontiguousarray(near, dtype=np.int64),
+            most,
+            max(neighbours // 8, 1) if octants else 0,
+            of_line,
+            model.sill_m2,
+            KINDS.index(model.kind),
+        )
+    return height + middle, np.sqrt(np.maximum(variance, 0.0))
+
+
+def krige_dense(
+    observations: Observations, places_m: ArrayF, model: CovarianceModel
+) -> tuple[ArrayF, ArrayF]:
+    """The same with all observations in one system: slow and clear, what `krige` is compared with."""
+    points, z = model.scaled(observations.places_m), observations.height_m
+    cov = model.sill_m2 * model.correlation(cdist(points, points))
+    if model.slow_time_s > 0:
+        apart = np.abs(observations.t_s[:, None] - observations.t_s[None]) / model.slow_time_s
+        cov += np.outer(observations.sigma_slow_m, observations.sigma_slow_m) * np.exp(-apart)
+    else:
+        cov[np.diag_indices_from(cov)] += observations.sigma_slow_m**2
+    cov[np.diag_indices_from(cov)] += observations.sigma_white_m**2 + model.micro_m2
+    factor = cho_factor(cov, lower=True)
+    ones = cho_solve(factor, np.ones(len(z)))
+    middle = float(z.mean())
+    weighted = cho_solve(factor, z - middle)
+    height, variance = [], []
+    for start in range(0, len(places_m), 2000):
+        cells = model.scaled(np.asarray(places_m[start : start + 2000], dtype=np.float64))
+        c0 = model.sill_m2 * model.correlation(cdist(points, cells))
+        rest = 1 - c0.T @ ones
+        lagrange = rest / ones.sum()
+        height.append(middle + c0.T @ weighted + lagrange * weighted.sum())
+        variance.append(model.sill_m2 - np.sum(c0 * cho_solve(factor, c0), axis=0) + rest * lagrange)
+    return np.concatenate(height), np.sqrt(np.maximum(np.concatenate(variance), 0.0))
+
+
+def krige_by_pykrige(
+    observations: Observations, places_m: ArrayF, model: CovarianceModel
+) -> tuple[ArrayF, ArrayF]:
+    """The same by PyKrige, with one noise for all soundings and errors that do not last.
+
+    Raises
+    ------
+    UnsupportedError : more than `PYKRIGE_MOST` soundings.
+    """
+    if len(observations) > PYKRIGE_MOST:
+        raise UnsupportedError(
+            f"{len(observations)} soundings for PyKrige",
+            expected=f"at most {PYKRIGE_MOST}: it computes all pairs",
+            cure="Set bathymetry.engine to own",
+        )
+    from pykrige.ok import OrdinaryKriging
+
+    points, cells = model.scaled(observations.places_m), model.scaled(np.asarray(places_m))
+    noise = float(np.mean(observations.sigma_white_m**2 + observations.sigma_slow_m**2)) + model.micro_m2
+    total = model.sill_m2 + noise
+
+    def variogram(_: Any, h: ArrayF) -> ArrayF:
+        return total - model.sill_m2 * model.correlation(np.asarray(h))
+
+    solver = OrdinaryKriging(
+        points[:, 0],
+        points[:, 1],
+        observations.height_m,
+        variogram_model="custom",
+        variogram_parameters=[noise],
+        variogram_function=variogram,
+        exact_values=False,
+    )
+    height, variance = solver.execute("points", cells[:, 0], cells[:, 1])
+    # PyKrige's variance is that of another sounding
+    return np.asarray(height), np.sqrt(np.maximum(np.asarray(variance) - noise, 0.0))

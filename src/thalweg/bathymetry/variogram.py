@@ -1,0 +1,321 @@
+"""Which covariance the bed has, by what it foretells of lines that it did not see.
+
+The model, its parameters and the drift are those with the best score of left-out lines,
+
+    mean of  log(var)/2 + error^2 / (2 var),
+
+the negative logarithm of the normal density that kriging gives to soundings that it was not shown (Gneiting
+and Raftery 2007, J. Am. Stat. Assoc. 102). Ranges and anisotropy are bounded: without bounds the score runs
+to ranges of zero. A variogram by Cressie and Hawkins (1980) is made for the picture alone.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
+
+from thalweg.bathymetry.kriging import KINDS, CovarianceModel, Observations, krige
+from thalweg.core import ArrayF, ArrayI, GeometryError
+from thalweg.settings.sections import Bathymetry
+
+HalfWidths = Callable[[ArrayLike], tuple[ArrayF, ArrayF]]
+"""Gives the distances of the left and the right shore from the centre line at places along it."""
+
+DRIFTS: Final = ("none", "section", "fall")
+_DEGREE: Final = 4
+"""Of the mean cross-section over the width."""
+_OUTSIDE: Final = 1.2
+"""Beyond so many half widths the mean cross-section goes on level."""
+_TEST: Final = 400
+"""Soundings that are foretold to judge a model, in at most so many left-out lines:"""
+_LINES: Final = 10
+_DATA: Final = 4000
+"""Soundings that they are foretold from."""
+_STEPS: Final = 45
+_BOUNDS: Final = {"anisotropy": (1.0, 40.0), "range": (0.05, 4.0), "sill": (0.05, 20.0), "micro": (1e-6, 1.0)}
+"""Anisotropy; range across in half widths; sill and micro-relief in variances of the heights."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drift:
+    """What is removed before kriging.
+
+    Parameters
+    ----------
+    kind : one of `DRIFTS`.
+    coefficients : of 1, q, q^2, q^3, q^4 with q = n over half width (section), of 1, s (fall).
+    s0_m : where s counts from.
+    widths : half widths at ``width_s_m``: left and right, (k, 2).
+    """
+
+    kind: str
+    coefficients: tuple[float, ...] = ()
+    s0_m: float = 0.0
+    width_s_m: tuple[float, ...] = ()
+    width_m: tuple[tuple[float, float], ...] = ()
+
+    @classmethod
+    def fitted(cls, kind: str, data: Observations, half_widths: HalfWidths) -> Self:
+        """By least squares.
+
+        Raises
+        ------
+        GeometryError : the drift ``section`` without banks on both sides.
+        """
+        if kind == "none":
+            return cls(kind=kind)
+        s0 = float(data.s_m.mean())
+        at = np.linspace(data.s_m.min(), data.s_m.max(), 200)
+        left, right = half_widths(at)
+        known = np.isfinite(left) & np.isfinite(right)
+        if kind == "section" and known.sum() < 2:
+            raise GeometryError(
+                "no half widths for a mean cross-section", expected="both banks along the survey"
+            )
+        bare = cls(
+            kind=kind,
+            s0_m=s0,
+            width_s_m=tuple(at[known].tolist()),
+            width_m=tuple(zip(left[known].tolist(), right[known].tolist(), strict=True)),
+        )
+        rows = bare._rows(data.places_m)
+        value = np.linalg.lstsq(rows, data.height_m, rcond=None)[0]
+        return replace(bare, coefficients=tuple(value.tolist()))
+
+    def at(self, places_m: ArrayF) -> ArrayF:
+        """Height (m,) at flow coordinates (m, 2)."""
+        if self.kind == "none":
+            return np.zeros(len(places_m))
+        return np.asarray(self._rows(places_m) @ np.array(self.coefficients))
+
+    def across(self, places_m: ArrayF) -> ArrayF:
+        """Place (m,) across the river: -1 at the right bank, 1 at the left one."""
+        width = np.array(self.width_m)
+        left, right = (np.interp(places_m[:, 0], self.width_s_m, width[:, k]) for k in (0, 1))
+        n = places_m[:, 1]
+        return np.asarray(np.clip(n / np.where(n > 0, left, right), -_OUTSIDE, _OUTSIDE))
+
+    def _rows(self, places_m: ArrayF) -> ArrayF:
+        if self.kind == "fall":
+            return np.column_stack([np.ones(len(places_m)), places_m[:, 0] - self.s0_m])
+        return np.asarray(self.across(places_m)[:, None] ** np.arange(_DEGREE + 1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BedModel:
+    """Drift and covariance of a bed, and how they were found.
+
+    Parameters
+    ----------
+    drift, covariance : see there.
+    score : mean negative log density of left-out soundings; NaN if nothing was compared.
+    compared : score by drift and model.
+    reason : in a sentence.
+    of_line : at most so many soundings of one line make a cell; 0: any.
+    """
+
+    drift: Drift
+    covariance: CovarianceModel
+    score: float = np.nan
+    compared: dict[str, float]
+    reason: str
+    of_line: int = 0
+
+    def predict(self, data: Observations, places_m: ArrayF, *, neighbours: int) -> tuple[ArrayF, ArrayF]:
+        """Height and standard deviation (m,) of the bed at flow coordinates (m, 2)."""
+        rest = data.lifted(data.height_m - self.drift.at(data.places_m))
+        height, sigma = krige(rest, places_m, self.covariance, neighbours=neighbours, of_line=self.of_line)
+        return height + self.drift.at(np.asarray(places_m)), sigma
+
+    def report(self) -> dict[str, Any]:
+        """For ``variogram.json``."""
+        return asdict(self)
+
+    @classmethod
+    def of_report(cls, report: dict[str, Any]) -> Self:
+        """Of what `report` gave."""
+        found = {name: report[name] for name in cls.__dataclass_fields__}
+        drift = {k: tuple(map(tuple, v)) if k == "width_m" else tuple(v) if isinstance(v, list) else v
+                 for k, v in report["drift"].items()}  # fmt: skip
+        return cls(**found | {"drift": Drift(**drift), "covariance": CovarianceModel(**report["covariance"])})
+
+
+def choose_model(
+    data: Observations, half_widths: HalfWidths, settings: Bathymetry, *, slow_time_s: float, seed: int
+) -> BedModel:
+    """The drift and the covariance that foretell left-out lines best.
+
+    Parameters
+    ----------
+    data : soundings, banks and points of other sensors; negative lines are never left out.
+    half_widths : of the river.
+    settings : what is stated.
+    slow_time_s : correlation time of errors that last.
+    seed : of the choice of lines and soundings, where there are many.
+
+    Raises
+    ------
+    GeometryError : all soundings are of one line: nothing tells how the bed varies beside it.
+    """
+    rng = np.random.default_rng(seed)
+    lines = np.unique(data.line[data.line >= 0])
+    if len(lines) < 2:
+        raise GeometryError(
+            f"{len(lines)} line of soundings",
+            expected="at least two: what lies beside a single line cannot be told",
+            cure="Survey a zigzag or sections; or lower bathymetry.line_turn_deg, if lines run together",
+        )
+    test, train = _thinned(data, lines, rng)
+    half = _typical_half_width(data, half_widths)
+    known = bool(np.isfinite(half_widths(data.s_m)[0]).any() and np.isfinite(half_widths(data.s_m)[1]).any())
+    drifts = [d for d in DRIFTS if d != "section" or known] if settings.drift == "auto" else [settings.drift]
+    kinds = KINDS if settings.model == "auto" else (settings.model,)
+    compared: dict[str, float] = {}
+    best: BedModel | None = None
+    tried: list[tuple[str, str, ArrayF | None]] = [(kinds[0], drift, None) for drift in drifts]
+    while tried:
+        kind, drift_kind, start = tried.pop(0)
+        drift = Drift.fitted(drift_kind, data, half_widths)
+        rest = data.lifted(data.height_m - drift.at(data.places_m))
+        found, score = _fitted(rest, test, train, kind, half, slow_time_s, settings.neighbours, start)
+        compared[f"{drift_kind}, {kind}"] = score
+        if best is None or score < best.score:
+            best = BedModel(drift=drift, covariance=found, score=score, compared=compared, reason="")
+        if not tried and len(compared) == len(drifts) and len(kinds) > 1:
+            tried = [(k, best.drift.kind, _parameters(best.covariance, half, rest)) for k in kinds[1:]]
+    assert best is not None
+    second = sorted(compared.values())[1] if len(compared) > 1 else np.nan
+    reason = (
+        f"drift {best.drift.kind}, model {best.covariance.kind}: mean log score of left-out lines "
+        f"{best.score:.3f}, the next best {second:.3f} (smaller is better)"
+        if len(compared) > 1
+        else "drift and model as stated; ranges by the log score of left-out lines"
+    )
+    return replace(best, reason=reason)
+
+
+def _thinned(data: Observations, lines: ArrayI, rng: np.random.Generator) -> tuple[list[ArrayI], ArrayI]:
+    """Soundings to foretell, by left-out line, and those that they are foretold from."""
+    chosen = rng.choice(lines, min(_LINES, len(lines)), replace=False)
+    test = []
+    for line in np.sort(chosen).tolist():
+        of = np.flatnonzero(data.line == line)
+        test.append(of[:: max(1, _ceil_of(len(of) * len(chosen), _TEST))])
+    train = np.arange(len(data))
+    if len(data) > _DATA:
+        keep = np.zeros(len(data), dtype=np.bool_)
+        keep[:: _ceil_of(len(data), _DATA)] = True
+        train = np.flatnonzero(keep)
+    return test, train
+
+
+def _ceil_of(a: int, b: int) -> int:
+    """Quotient of two whole numbers, rounded up."""
+    return -(-a // b)
+
+
+def _typical_half_width(data: Observations, half_widths: HalfWidths) -> float:
+    left, right = half_widths(data.s_m)
+    width = np.nanmedian(left + right) / 2 if np.isfinite(left + right).any() else np.nan
+    return float(width) if np.isfinite(width) else max(float(np.ptp(data.n_m)) / 2, 1.0)
+
+
+def _fitted(
+    rest: Observations,
+    test: list[ArrayI],
+    train: ArrayI,
+    kind: str,
+    half_m: float,
+    slow_time_s: float,
+    neighbours: int,
+    start: ArrayF | None,
+) -> tuple[CovarianceModel, float]:
+    """Parameters of a model with the best score, and this score."""
+    variance = max(float(rest.height_m.var()), 1e-6)
+    low, high = np.log([_BOUNDS[name] for name in ("range", "anisotropy", "sill", "micro")]).T
+
+    def model_of(q: ArrayF) -> CovarianceModel:
+        across, stretch, sill, micro = np.exp(np.clip(q, low, high))
+        return CovarianceModel(
+            kind=kind,
+            sill_m2=sill * variance,
+            range_s_m=across * half_m * stretch,
+            range_n_m=across * half_m,
+            micro_m2=micro * variance,
+            slow_time_s=slow_time_s,
+        )
+
+    parts = [
+        (rest.where(train[rest.line[train] != rest.line[of[0]]]), rest.where(of)) for of in test if len(of)
+    ]
+
+    def score(q: ArrayF) -> float:
+        outside = float(np.sum(np.maximum(low - q, 0) + np.maximum(q - high, 0)))
+        model = model_of(q)
+        total, n = 0.0, 0
+        for known, left_out in parts:
+            height, sigma = krige(known, left_out.places_m, model, neighbours=neighbours)
+            var = sigma**2 + model.micro_m2 + left_out.sigma_white_m**2 + left_out.sigma_slow_m**2
+            total += float(np.sum(np.log(var) / 2 + (left_out.height_m - height) ** 2 / (2 * var)))
+            n += len(left_out)
+        value = total / n + outside
+        return value if np.isfinite(value) else 1e6
+
+    first = np.log([0.7, 5.0, 1.0, 1e-3]) if start is None else start
+    simplex = np.vstack([first, first + np.diag([0.5, 0.7, 0.5, 1.0])])
+    found = minimize(
+        score,
+        first,
+        method="Nelder-Mead",
+        options={"maxiter": _STEPS, "xatol": 0.05, "fatol": 1e-3, "initial_simplex": simplex},
+    )
+    return model_of(found.x), float(found.fun)
+
+
+def _parameters(model: CovarianceModel, half_m: float, rest: Observations) -> ArrayF:
+    variance = max(float(rest.height_m.var()), 1e-6)
+    return np.log(
+        [
+            model.range_n_m / half_m,
+            model.range_s_m / model.range_n_m,
+            model.sill_m2 / variance,
+            max(model.micro_m2 / variance, 1e-6),
+        ]
+    )
+
+
+def directional_variogram(
+    data: Observations, *, along: bool, reach_m: float, tolerance_m: float, bins: int = 15, seed: int = 0
+) -> tuple[ArrayF, ArrayF, ArrayI]:
+    """Robust semivariances of pairs along or across the river (Cressie and Hawkins 1980).
+
+    Parameters
+    ----------
+    data : heights, their drift removed.
+    along : pairs along the river; else across it.
+    reach_m : longest lag.
+    tolerance_m : how far apart a pair may lie in the other direction.
+    bins : classes of lag.
+    seed : of the sample, where there are more than 3,000.
+
+    Returns
+    -------
+    lag_m, semivariance_m2, pairs : (bins,).
+    """
+    keep = np.arange(len(data))
+    if len(keep) > 3000:
+        keep = np.sort(np.random.default_rng(seed).choice(keep, 3000, replace=False))
+    p, z = data.places_m[keep], data.height_m[keep]
+    i, j = np.triu_indices(len(keep), 1)
+    d = np.abs(p[i] - p[j])
+    lag, other = (d[:, 0], d[:, 1]) if along else (d[:, 1], d[:, 0])
+    use = (other < tolerance_m) & (lag < reach_m)
+    number = np.minimum((lag[use] / reach_m * bins).astype(np.int64), bins - 1)
+    n = np.bincount(number, minlength=bins)
+    root = np.bincount(number, np.sqrt(np.abs(z[i] - z[j])[use]), minlength=bins) / np.maximum(n, 1)
+    value = root**4 / (0.457 + 0.494 / np.maximum(n, 1)) / 2
+    middle = np.bincount(number, lag[use], minlength=bins) / np.maximum(n, 1)
+    return middle, np.where(n > 0, value, np.nan), n

@@ -1,0 +1,220 @@
+"""Soundings in the world: geometry of the beam, speed of sound, reasons, three parts of the error."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.bathymetry import (
+    Sound,
+    Transducer,
+    axis_range_m,
+    locate_soundings,
+    s44_orders,
+    speed_of_sound_mps,
+    with_bed_normals,
+)
+from thalweg.core import InputError, LocalFrame, Trajectory
+from thalweg.navigation.ins_gnss import PoseCorrelation
+from thalweg.settings.sections import Bathymetry, EchoSounder
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+CORRELATION = PoseCorrelation(position_s=10.0, attitude_s=20.0, white_share=0.25, receiver_s=0.1)
+DOWN = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion about x by 180 degrees: forward east, right south, down
+
+
+def straight(seconds: float = 60.0, speed_mps: float = 1.0, sigma_m: float = 0.03) -> Trajectory:
+    t = np.arange(0.0, seconds + 0.02, 0.02)
+    cov = np.zeros((len(t), 6, 6))
+    cov[:] = np.diag([sigma_m**2] * 3 + [np.deg2rad(0.1) ** 2] * 3)
+    return Trajectory(
+        frame=FRAME,
+        t_gps_s=t,
+        position_wcs_m=np.column_stack([speed_mps * t, np.zeros_like(t), np.full_like(t, 0.2)]),
+        quaternion_wcs_ics=np.tile(DOWN, (len(t), 1)),
+        cov_pose_wcs=cov,
+        valid=np.ones(len(t), dtype=bool),
+    )
+
+
+def depths(depth_m: np.ndarray, rate_hz: float = 10.0, start_s: float = 2.0) -> pd.DataFrame:
+    n = len(depth_m)
+    return pd.DataFrame(
+        {
+            "t_gps_s": start_s + np.arange(n) / rate_hz,
+            "depth_m": depth_m,
+            "sentence": "DPT",
+            "line": np.arange(1, n + 1),
+        }
+    )
+
+
+TRANSDUCER = Transducer(lever_ics_m=np.array([0.5, 0.0, 0.3]), cov_m2=np.diag([0.005**2] * 3))
+
+
+def located(depth_m: np.ndarray, trajectory: Trajectory | None = None, **changes):
+    settings = {
+        "echo": EchoSounder(beam_deg=0.0),
+        "transducer": TRANSDUCER,
+        "settings": Bathymetry(),
+    } | changes
+    return locate_soundings(
+        depths(depth_m), trajectory or straight(), CORRELATION, water_line_ics_m=0.2, **settings
+    )
+
+
+def test_speed_of_sound_of_published_tables() -> None:
+    # Marczak 1997 against Del Grosso's table of pure water; UNESCO 44's polynomial against its own table
+    assert speed_of_sound_mps(20.0) == pytest.approx(1482.34, abs=0.05)
+    assert speed_of_sound_mps(0.0) == pytest.approx(1402.39, abs=0.03)
+    assert speed_of_sound_mps(0.0, 35.0) == pytest.approx(1449.1, abs=0.1)
+    assert speed_of_sound_mps(10.0, 35.0) == pytest.approx(1489.8, abs=0.1)
+
+
+@pytest.mark.parametrize("slope_deg", [0.0, 1.0, 2.5, 10.0, 33.0])
+def test_first_return_over_a_plane(slope_deg: float) -> None:
+    """The nearest place of the cone, sought among many rays, gives back the distance along the axis."""
+    half, depth = np.deg2rad(2.5), 2.5
+    slope = np.tan(np.deg2rad(slope_deg))
+    normal = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
+    out, around = np.meshgrid(np.linspace(0, half, 200), np.linspace(0, 2 * np.pi, 721))
+    rays = np.stack([np.sin(out) * np.cos(around), np.sin(out) * np.sin(around), -np.cos(out)], axis=-1)
+    # bed: points with (p - (0, 0, -depth)) . normal = 0
+    along = (-depth * normal[2]) / (rays @ normal)
+    first = along.min()
+    axis, _ = axis_range_m(np.array([first]), np.array([[0.0, 0.0, -1.0]]), normal, half)
+    assert axis[0] == pytest.approx(depth, abs=1e-4)
+    if slope_deg == 33.0:
+        assert first - depth == pytest.approx(-0.067, abs=0.001)  # what a wide beam hides at 2.5 m
+
+
+def test_place_level_and_depth() -> None:
+    table, facts = located(np.full(100, 2.0))
+    assert facts["pings"] == facts["by_reason"][""] == 100
+    first = table.iloc[0]
+    assert (first["east_m"], first["north_m"]) == pytest.approx((2.5, 0.0), abs=1e-9)
+    assert first["up_m"] == pytest.approx(0.2 - 0.3 - 2.0, abs=1e-9)
+    assert (first["level_m"], first["depth_m"]) == pytest.approx((0.0, 2.1), abs=1e-9)
+
+
+def test_three_parts_of_the_error_against_differences() -> None:
+    """White, slow and common sigmas equal those of heights computed with errors put in, one by one."""
+    echo = EchoSounder(beam_deg=0.0, sigma_depth_m=0.02, sigma_sound_speed=0.01, sigma_tilt_deg=0.0)
+    table, _ = located(np.full(200, 2.0), echo=echo)
+    row = table.iloc[50]
+    own = 0.03
+    attitude = np.deg2rad(0.1)
+    assert row["sigma_white_m"] == pytest.approx(np.sqrt(0.02**2 + 0.25 * own**2), rel=1e-3)
+    # pitch lifts a transducer half a metre ahead
+    assert row["sigma_slow_m"] == pytest.approx(np.sqrt(0.75 * own**2 + (0.5 * attitude) ** 2), rel=1e-3)
+    assert row["sigma_common_m"] == pytest.approx(np.hypot(2.0 * 0.01, 0.005), rel=1e-3)
+    late = replace(TRANSDUCER, sigma_lag_s=0.1)
+    moved, _ = located(np.full(200, 2.0), transducer=late, echo=echo)
+    grown = moved["cov_ee_m2"].iloc[50] - table["cov_ee_m2"].iloc[50]
+    assert grown == pytest.approx(0.1**2, rel=1e-6)  # 0.1 s at 1 m/s
+
+
+def test_sound_speed_scales_depths_and_its_sigma_counts() -> None:
+    echo = EchoSounder(
+        set_sound_speed_mps=1500.0, water_temperature_c=10.0, sigma_temperature_c=2.0, sigma_sound_speed=0.0
+    )
+    sound = Sound.of(echo, None)
+    assert 2.5 * (1 - sound.factor) == pytest.approx(0.088, abs=0.002)  # too deep by 9 cm at 2.5 m
+    warm = Sound.of(echo.replace(water_temperature_c=12.0), None).factor
+    assert sound.sigma == pytest.approx(warm - sound.factor, rel=0.05)
+    assert Sound.of(echo.replace(water_temperature_c=None), 10.0).factor == sound.factor
+    with pytest.raises(InputError, match="unknown temperature"):
+        Sound.of(echo.replace(water_temperature_c=None), None)
+
+
+def test_every_reason_is_found_and_only_there() -> None:
+    rng = np.random.default_rng(3)
+    d = 1.5 + 0.3 * np.sin(np.arange(400) / 60) + 0.02 * rng.standard_normal(400)
+    d[40] = 0.0
+    d[80] = 0.15
+    d[120:122] *= 2.0
+    d[200] += 1.2
+    d[300:305] -= 0.6
+    d[350] = 120.0
+    table, facts = located(d)
+    reasons = table["reason"].to_numpy()
+    assert reasons[40] == "no bottom"
+    assert reasons[80] == "dead zone"
+    assert set(reasons[120:122]) == {"second echo"}
+    assert reasons[200] == "spike"
+    assert set(reasons[300:305]) == {"weeds"}
+    assert reasons[350] == "too deep"
+    assert facts["by_reason"][""] == 400 - 1 - 1 - 2 - 1 - 5 - 1
+    assert sum(facts["by_reason"].values()) == facts["pings"] == 400
+
+
+def test_pings_without_pose_or_time_are_counted() -> None:
+    table, facts = locate_soundings(
+        pd.concat([depths(np.full(50, 2.0), start_s=58.0), depths(np.full(3, 2.0)).assign(t_gps_s=np.nan)]),
+        straight(),
+        CORRELATION,
+        TRANSDUCER,
+        EchoSounder(),
+        Bathymetry(),
+        water_line_ics_m=0.2,
+    )
+    assert facts["by_reason"]["no time"] == 3
+    assert facts["by_reason"]["no pose"] == 50 - facts["by_reason"][""] > 20
+    assert table.loc[table["reason"] == "no pose", "up_m"].isna().all()
+
+
+def test_decisions_by_hand_are_obeyed(tmp_path: Path) -> None:
+    path = tmp_path / "decisions.csv"
+    path.write_text("t_from_s,t_to_s,keep,remark\n3.95,4.05,false,fish\n5.95,6.05,true,a stone\n")
+    d = np.full(100, 2.0)
+    d[40] = 1.0  # at 6 s: a spike that somebody saw and kept
+    table, facts = located(d, decisions=path)
+    assert table["reason"].iloc[20] == "by hand"
+    assert table["used"].iloc[40]
+    assert facts["decisions_by_hand"] == 2
+    path.write_text("from,to\n1,2\n")
+    with pytest.raises(InputError, match="t_from_s"):
+        located(d, decisions=path)
+
+
+def test_nothing_left_says_why() -> None:
+    with pytest.raises(InputError, match="none of 30 soundings counts; 30 of them: shallower"):
+        located(np.full(30, 0.1))
+
+
+def test_lines_end_at_turns() -> None:
+    t = np.arange(0.0, 120.02, 0.02)
+    leg = (t // 20).astype(int)
+    north = np.where(leg % 2 == 0, t % 20, 20 - t % 20)
+    trajectory = replace(
+        straight(120.0), position_wcs_m=np.column_stack([0.5 * t, north, np.full_like(t, 0.2)])
+    )
+    table, facts = located(np.full(1150, 2.0), trajectory)
+    assert facts["lines"] == 6
+    middle = table[(table["t_gps_s"] % 20 > 4) & (table["t_gps_s"] % 20 < 16)]
+    number = middle.groupby((middle["t_gps_s"] // 20).astype(int))["line"].nunique()
+    assert (number == 1).all()
+
+
+def test_slopes_are_put_in_once() -> None:
+    """A second correction with the same slopes changes nothing: the first is not counted twice."""
+    echo = EchoSounder(beam_deg=5.0)
+    table, _ = located(np.full(100, 2.5), echo=echo)
+    steep = np.full(len(table), np.tan(np.deg2rad(33.0)))
+    once = with_bed_normals(table, steep, np.zeros(len(table)), echo)
+    assert (once["up_m"] - table["up_m"]).to_numpy() == pytest.approx(-0.0687, abs=0.001)
+    assert (once["sigma_slow_m"] > table["sigma_slow_m"]).all()
+    twice = with_bed_normals(once, steep, np.zeros(len(table)), echo)
+    for name in ("up_m", "sigma_slow_m", "depth_m"):
+        np.testing.assert_allclose(twice[name], once[name], atol=1e-12)
+
+
+def test_orders_of_s44() -> None:
+    table, _ = located(np.full(100, 2.0))
+    shares = s44_orders(table).set_index("order")["share"]
+    assert shares["exclusive"] == 1.0
+    wide = table.assign(sigma_common_m=0.1)  # 95 %: 0.2 m, between exclusive (0.15) and special (0.25)
+    shares = s44_orders(wide).set_index("order")["share"]
+    assert (shares["exclusive"], shares["special"]) == (0.0, 1.0)

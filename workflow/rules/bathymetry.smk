@@ -1,0 +1,127 @@
+"""The riverbed from soundings, banks and the light sheet."""
+
+
+rule locate_soundings:
+    """Soundings in the world with their errors; those that do not count with the reason."""
+    input:
+        depths="results/{campaign}/ingest/depths.parquet",
+        integrity="results/{campaign}/ingest/depth.integrity.json",
+        trajectory=of(CampaignFiles.best_trajectory),
+        errors=of(CampaignFiles.best_errors),
+        positions="results/{campaign}/ingest/positions.parquet",
+        mounts="results/{campaign}/calibration/mounts.json",
+        calibration=of(CampaignFiles.echo_outputs),
+        decisions=raw("decisions"),
+    output:
+        soundings="results/{campaign}/bathymetry/soundings.parquet",
+        facts="results/{campaign}/bathymetry/soundings.json",
+    log:
+        "logs/{campaign}/bathymetry/locate_soundings.log",
+    benchmark:
+        "benchmarks/{campaign}/bathymetry/locate_soundings.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000, 20),
+        runtime=minutes(10, 30),
+    params:
+        code=code_version("locate_soundings"),
+        chain=of(CampaignFiles.best_chain),
+        echo_sounder=section("echo_sounder"),
+        bathymetry=section("bathymetry"),
+        water_line_ics_m=section("filters", "water_line_ics_m"),
+    script:
+        "../scripts/locate_soundings.py"
+
+
+rule trace_river:
+    """Water level, bank lines and centre line: each needs the others."""
+    input:
+        trajectory=of(CampaignFiles.best_trajectory),
+        errors=of(CampaignFiles.best_errors),
+        positions="results/{campaign}/ingest/positions.parquet",
+        points=of(CampaignFiles.best_points),
+        centre_line=raw("centre_line"),
+        banks=raw("bank_lines"),
+    output:
+        traced="results/{campaign}/bathymetry/banks.csv",
+        line="results/{campaign}/bathymetry/centre_line.csv",
+        level="results/{campaign}/bathymetry/water_level.json",
+    log:
+        "logs/{campaign}/bathymetry/trace_river.log",
+    benchmark:
+        "benchmarks/{campaign}/bathymetry/trace_river.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000, 10),
+        runtime=minutes(10, 30),
+    params:
+        code=code_version("trace_river"),
+        campaign=identity("origin", "crs"),
+        chain=of(CampaignFiles.best_chain),
+        bathymetry=section("bathymetry"),
+        water_line_ics_m=section("filters", "water_line_ics_m"),
+    script:
+        "../scripts/trace_river.py"
+
+
+rule krige_bed:
+    """The riverbed as a grid of heights with two sigmas, and the covariance that it rests on."""
+    input:
+        soundings="results/{campaign}/bathymetry/soundings.parquet",
+        banks="results/{campaign}/bathymetry/banks.csv",
+        line="results/{campaign}/bathymetry/centre_line.csv",
+        level="results/{campaign}/bathymetry/water_level.json",
+        strip=of(CampaignFiles.strip_points),
+    output:
+        bed="results/{campaign}/bathymetry/bed.tif",
+        variogram="results/{campaign}/bathymetry/variogram.json",
+        used="results/{campaign}/bathymetry/observations.parquet",
+    log:
+        "logs/{campaign}/bathymetry/krige_bed.log",
+    benchmark:
+        "benchmarks/{campaign}/bathymetry/krige_bed.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2000, 20),
+        runtime=minutes(30, 60),
+    params:
+        code=code_version("krige_bed"),
+        campaign=identity("origin", "crs", "seed"),
+        echo_sounder=section("echo_sounder"),
+        bathymetry=section("bathymetry"),
+    script:
+        "../scripts/krige_bed.py"
+
+
+rule validate_bed:
+    """What the bed foretells of lines and stretches that it did not see, beside other interpolators."""
+    input:
+        used="results/{campaign}/bathymetry/observations.parquet",
+        variogram="results/{campaign}/bathymetry/variogram.json",
+        line="results/{campaign}/bathymetry/centre_line.csv",
+        banks="results/{campaign}/bathymetry/banks.csv",
+    output:
+        validation="results/{campaign}/bathymetry/validation.json",
+        predicted="results/{campaign}/bathymetry/predicted.parquet",
+        methods="results/{campaign}/bathymetry/methods.csv",
+    log:
+        "logs/{campaign}/bathymetry/validate_bed.log",
+    benchmark:
+        "benchmarks/{campaign}/bathymetry/validate_bed.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(2000, 20),
+        runtime=minutes(30, 60),
+    params:
+        code=code_version("validate_bed"),
+        bathymetry=section("bathymetry"),
+    script:
+        "../scripts/validate_bed.py"

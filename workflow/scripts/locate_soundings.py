@@ -1,0 +1,59 @@
+"""Depths and trajectory -> soundings in the world with their errors and reasons."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from thalweg.bathymetry import SOUNDINGS, Transducer, locate_soundings, s44_orders
+from thalweg.calibration import read_mounts
+from thalweg.core import Trajectory, read_parquet, read_table, write_table
+from thalweg.ingest import DEPTH
+from thalweg.navigation.ins_gnss import PoseCorrelation
+from thalweg.settings.sections import Bathymetry, EchoSounder
+from thalweg.workflow import run_job
+
+
+def main(
+    *,
+    depths: Path,
+    integrity: Path,
+    trajectory: Path,
+    errors: Path,
+    positions: Path,
+    mounts: Path,
+    calibration: list[Path],
+    decisions: list[Path],
+    soundings: Path,
+    facts: Path,
+    chain: str,
+    echo_sounder: EchoSounder,
+    bathymetry: Bathymetry,
+    water_line_ics_m: float,
+) -> None:
+    t = np.unique(read_parquet(positions)["t_gps_s"])
+    mount = read_mounts(mounts)["echo_sounder"]
+    table, found = locate_soundings(
+        read_table(depths, DEPTH)[0],
+        Trajectory.read(trajectory),
+        PoseCorrelation.of_survey(
+            json.loads(errors.read_text()),
+            chain,
+            receiver_s=float(np.median(np.diff(t))),
+            position_time_s=bathymetry.position_time_s,
+            attitude_time_s=bathymetry.attitude_time_s,
+        ),
+        Transducer.of(mount, calibration[0] if calibration else None, echo_sounder),
+        echo_sounder,
+        bathymetry,
+        water_line_ics_m=water_line_ics_m,
+        decisions=decisions[0] if decisions else None,
+        logged_temperature_c=json.loads(integrity.read_text()).get("extra", {}).get("water_temperature_c"),
+    )
+    write_table(soundings, table, SOUNDINGS)
+    found["orders"] = s44_orders(table).to_dict(orient="records")
+    facts.write_text(json.dumps(found, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)

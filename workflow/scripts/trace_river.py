@@ -1,0 +1,64 @@
+"""Trajectory and cloud -> water level, banks and centre line of the river."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from thalweg.bathymetry import flow_of_survey, level_water, read_banks, read_centre_line, shore_points
+from thalweg.core import LocalFrame, Trajectory, read_parquet
+from thalweg.navigation.ins_gnss import PoseCorrelation
+from thalweg.settings.sections import Bathymetry
+from thalweg.workflow import run_job
+
+
+def main(
+    *,
+    trajectory: Path,
+    errors: Path,
+    positions: Path,
+    points: Path,
+    centre_line: list[Path],
+    banks: list[Path],
+    traced: Path,
+    line: Path,
+    level: Path,
+    campaign: dict[str, Any],
+    chain: str,
+    bathymetry: Bathymetry,
+    water_line_ics_m: float,
+) -> None:
+    frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
+    path = Trajectory.read(trajectory)
+    t = np.unique(read_parquet(positions)["t_gps_s"])
+    correlation = PoseCorrelation.of_survey(
+        json.loads(errors.read_text()),
+        chain,
+        receiver_s=float(np.median(np.diff(t))),
+        position_time_s=bathymetry.position_time_s,
+        attitude_time_s=bathymetry.attitude_time_s,
+    )
+    track = path.position_wcs_m[path.valid]
+    found, water = flow_of_survey(
+        track[:, :2],
+        shore_points(points, float(np.median(track[:, 2])) - water_line_ics_m),
+        lambda axis: level_water(
+            path,
+            correlation,
+            lambda places: axis.to_flow(places)[0],
+            water_line_ics_m=water_line_ics_m,
+            sigma_datum_m=bathymetry.sigma_datum_m,
+        ),
+        bathymetry,
+        given_line=read_centre_line(centre_line[0], frame, crs) if centre_line else None,
+        given_banks=read_banks(banks[0], frame, crs) if banks else None,
+    )
+    found.write(traced)
+    found.line.write(line)
+    level.write_text(json.dumps(water.report(), indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
