@@ -72,6 +72,7 @@ rule krige_bed:
     """The riverbed as a grid of heights with two sigmas, and the covariance that it rests on."""
     input:
         soundings="results/{campaign}/bathymetry/soundings.parquet",
+        facts="results/{campaign}/bathymetry/soundings.json",
         banks="results/{campaign}/bathymetry/banks.csv",
         line="results/{campaign}/bathymetry/centre_line.csv",
         level="results/{campaign}/bathymetry/water_level.json",
@@ -92,7 +93,7 @@ rule krige_bed:
         runtime=minutes(30, 60),
     params:
         code=code_version("krige_bed"),
-        campaign=identity("origin", "crs", "seed"),
+        campaign=identity("id", "origin", "crs", "seed"),
         echo_sounder=section("echo_sounder"),
         bathymetry=section("bathymetry"),
     script:

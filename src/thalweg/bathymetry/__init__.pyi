@@ -7,6 +7,14 @@ from .banks import (
     read_centre_line as read_centre_line,
     shore_points as shore_points,
 )
+from .bed import (
+    BANDS as BANDS,
+    OBSERVATIONS as OBSERVATIONS,
+    Bed as Bed,
+    bed_observations as bed_observations,
+    krige_bed as krige_bed,
+    observations_of as observations_of,
+)
 from .flow import FlowLine as FlowLine
 from .kriging import (
     CovarianceModel as CovarianceModel,

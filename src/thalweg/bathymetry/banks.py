@@ -165,8 +165,8 @@ def axis_of_track(track_m: ArrayF) -> FlowLine:
         )
     if (even[-1] - even[0]) @ axes[0] < 0:
         axes, along = -axes, -along
-    ends = np.array([along.min(), along.max()])
-    return _through(middle + np.linspace(*ends, 20)[:, None] * axes[0])
+    ends = np.linspace(float(along.min()), float(along.max()), 20)
+    return _through(middle + ends[:, None] * axes[0])
 
 
 def _smoothed(points: ArrayF, sigma: float) -> ArrayF:

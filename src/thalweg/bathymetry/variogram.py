@@ -5,8 +5,10 @@ The model, its parameters and the drift are those with the best score of left-ou
     mean of  log(var)/2 + error^2 / (2 var),
 
 the negative logarithm of the normal density that kriging gives to soundings that it was not shown (Gneiting
-and Raftery 2007, J. Am. Stat. Assoc. 102). Ranges and anisotropy are bounded: without bounds the score runs
-to ranges of zero. A variogram by Cressie and Hawkins (1980) is made for the picture alone.
+and Raftery 2007, J. Am. Stat. Assoc. 102). Stretches of the banks are left out as lines are: that tells how
+the bed varies between the outermost soundings and the shore, where no sounding ever is. Ranges and
+anisotropy are bounded: without bounds the score runs to ranges of zero. A variogram by Cressie and Hawkins
+(1980) is made for the picture alone.
 """
 
 from collections.abc import Callable
@@ -25,6 +27,9 @@ HalfWidths = Callable[[ArrayLike], tuple[ArrayF, ArrayF]]
 """Gives the distances of the left and the right shore from the centre line at places along it."""
 
 DRIFTS: Final = ("none", "section", "fall")
+_WIDTHS: Final = 60
+_WIDEST_GAP: Final = 0.35
+"""A mean cross-section is only taken where data lie across the whole width; in half widths."""
 _DEGREE: Final = 4
 """Of the mean cross-section over the width."""
 _OUTSIDE: Final = 1.2
@@ -32,6 +37,8 @@ _OUTSIDE: Final = 1.2
 _TEST: Final = 400
 """Soundings that are foretold to judge a model, in at most so many left-out lines:"""
 _LINES: Final = 10
+SHEET_LINE: Final = -1_000_000
+"""Lines of the light sheet count down from here; negative lines above it are stretches of the banks."""
 _DATA: Final = 4000
 """Soundings that they are foretold from."""
 _STEPS: Final = 45
@@ -68,7 +75,7 @@ class Drift:
         if kind == "none":
             return cls(kind=kind)
         s0 = float(data.s_m.mean())
-        at = np.linspace(data.s_m.min(), data.s_m.max(), 200)
+        at = np.linspace(data.s_m.min(), data.s_m.max(), _WIDTHS)
         left, right = half_widths(at)
         known = np.isfinite(left) & np.isfinite(right)
         if kind == "section" and known.sum() < 2:
@@ -137,10 +144,13 @@ class BedModel:
     @classmethod
     def of_report(cls, report: dict[str, Any]) -> Self:
         """Of what `report` gave."""
-        found = {name: report[name] for name in cls.__dataclass_fields__}
-        drift = {k: tuple(map(tuple, v)) if k == "width_m" else tuple(v) if isinstance(v, list) else v
-                 for k, v in report["drift"].items()}  # fmt: skip
-        return cls(**found | {"drift": Drift(**drift), "covariance": CovarianceModel(**report["covariance"])})
+        drift: dict[str, Any] = dict(report["drift"])
+        for name in ("coefficients", "width_s_m"):
+            drift[name] = tuple(drift[name])
+        drift["width_m"] = tuple((left, right) for left, right in drift["width_m"])
+        values: dict[str, Any] = {name: report[name] for name in cls.__dataclass_fields__}
+        values |= {"drift": Drift(**drift), "covariance": CovarianceModel(**report["covariance"])}
+        return cls(**values)
 
 
 def choose_model(
@@ -150,7 +160,7 @@ def choose_model(
 
     Parameters
     ----------
-    data : soundings, banks and points of other sensors; negative lines are never left out.
+    data : soundings, banks and points of the light sheet, which are never left out.
     half_widths : of the river.
     settings : what is stated.
     slow_time_s : correlation time of errors that last.
@@ -168,10 +178,14 @@ def choose_model(
             expected="at least two: what lies beside a single line cannot be told",
             cure="Survey a zigzag or sections; or lower bathymetry.line_turn_deg, if lines run together",
         )
-    test, train = _thinned(data, lines, rng)
+    banks = np.unique(data.line[(data.line < 0) & (data.line > SHEET_LINE)])
+    test, train = _thinned(data, lines, banks, rng)
     half = _typical_half_width(data, half_widths)
     known = bool(np.isfinite(half_widths(data.s_m)[0]).any() and np.isfinite(half_widths(data.s_m)[1]).any())
-    drifts = [d for d in DRIFTS if d != "section" or known] if settings.drift == "auto" else [settings.drift]
+    covered = known and _widest_gap(data, half_widths) <= _WIDEST_GAP
+    drifts = (
+        [d for d in DRIFTS if d != "section" or covered] if settings.drift == "auto" else [settings.drift]
+    )
     kinds = KINDS if settings.model == "auto" else (settings.model,)
     compared: dict[str, float] = {}
     best: BedModel | None = None
@@ -197,9 +211,19 @@ def choose_model(
     return replace(best, reason=reason)
 
 
-def _thinned(data: Observations, lines: ArrayI, rng: np.random.Generator) -> tuple[list[ArrayI], ArrayI]:
-    """Soundings to foretell, by left-out line, and those that they are foretold from."""
-    chosen = rng.choice(lines, min(_LINES, len(lines)), replace=False)
+def _widest_gap(data: Observations, half_widths: HalfWidths) -> float:
+    """Widest part of the cross-section without data, in half widths."""
+    left, right = half_widths(data.s_m)
+    q = np.sort(data.n_m / np.where(data.n_m > 0, left, right))
+    q = np.concatenate([[-1.0], q[np.isfinite(q) & (np.abs(q) < 1)], [1.0]])
+    return float(np.diff(q).max())
+
+
+def _thinned(
+    data: Observations, lines: ArrayI, banks: ArrayI, rng: np.random.Generator
+) -> tuple[list[ArrayI], ArrayI]:
+    """Data to foretell, by left-out line or stretch of bank, and those that they are foretold from."""
+    chosen = np.concatenate([rng.choice(a, min(_LINES, len(a)), replace=False) for a in (lines, banks)])
     test = []
     for line in np.sort(chosen).tolist():
         of = np.flatnonzero(data.line == line)

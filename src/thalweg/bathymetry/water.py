@@ -125,7 +125,7 @@ def level_water(
         design = rows[:, columns]
         weighted = cho_solve(factor, design)
         inverse = np.linalg.inv(design.T @ weighted)
-        return inverse @ (weighted.T @ up), inverse
+        return np.asarray(inverse @ (weighted.T @ up)), np.asarray(inverse)
 
     columns, notes = [0], []
     spread = np.std(rows[:, 1:], axis=0)

@@ -1,0 +1,350 @@
+"""The riverbed as a grid: soundings, banks and points of the light sheet, kriged in flow coordinates."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from pyproj import CRS
+from scipy.spatial import cKDTree
+
+from thalweg.bathymetry.banks import Banks, bank_observations
+from thalweg.bathymetry.flow import FlowLine
+from thalweg.bathymetry.kriging import Observations, krige_by_pykrige
+from thalweg.bathymetry.soundings import with_bed_normals
+from thalweg.bathymetry.variogram import SHEET_LINE, BedModel, HalfWidths, choose_model
+from thalweg.bathymetry.water import WaterLevel
+from thalweg.core import ArrayB, ArrayF, CoverageError, Grid, LocalFrame, column, frame_of, table_kind
+from thalweg.settings.sections import Bathymetry, EchoSounder
+
+_F = pa.float64()
+
+OBSERVATIONS = table_kind(
+    "bed_observations",
+    1,
+    [
+        column("source", pa.string(), "1", "sounding, bank or light sheet"),
+        column("s_m", _F, "m", "along the centre line"),
+        column("n_m", _F, "m", "across it, positive to the left of the flow"),
+        *(column(f"{a}_m", _F, "m", f"{a} in wcs") for a in ("east", "north", "up")),
+        column("sigma_white_m", _F, "m", "noise of the height"),
+        column("sigma_slow_m", _F, "m", "error of the height that lasts"),
+        column("sigma_common_m", _F, "m", "error of the height that all of its source share"),
+        column("t_gps_s", _F, "s", "time; NaN of banks"),
+        column("line", pa.int64(), "1", "line of soundings; negative of others"),
+    ],
+)
+"""Heights that the bed is made of."""
+
+BANDS: Final = ("height_m", "sigma_m", "sigma_common_m", "distance_m")
+"""Bands of ``bed.tif``: ellipsoidal height; standard deviation without and with what all data share only;
+distance to the nearest datum."""
+
+_PIECE_M: Final = 0.25
+"""Points of a light-sheet image within this are one datum."""
+_RELIEF_M: Final = 0.01
+"""Floor of the noise of such a datum: grains of the bed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bed:
+    """A kriged bed.
+
+    Parameters
+    ----------
+    grid : cells.
+    up_m, sigma_m, sigma_common_m, distance_m : (rows * columns,) in wcs; NaN where there is no bed.
+    model : drift and covariance.
+    data : what it is made of, table of kind ``bed_observations``.
+    facts : counts and sizes.
+    """
+
+    grid: Grid
+    up_m: ArrayF
+    sigma_m: ArrayF
+    sigma_common_m: ArrayF
+    distance_m: ArrayF
+    model: BedModel
+    data: pd.DataFrame
+    facts: dict[str, Any]
+
+    def bands(self, frame: LocalFrame) -> dict[str, ArrayF]:
+        """Values of `BANDS`: heights become ellipsoidal."""
+        height = np.full(len(self.up_m), np.nan)
+        known = np.isfinite(self.up_m)
+        places = frame.from_map(
+            np.column_stack([self.grid.centres_m()[known], np.full(known.sum(), frame.h_ell_m)]),
+            self.grid.crs,
+        )
+        places[:, 2] = self.up_m[known]
+        height[known] = frame.to_map(places, self.grid.crs)[:, 2]
+        values = (height, self.sigma_m, self.sigma_common_m, self.distance_m)
+        return dict(zip(BANDS, values, strict=True))
+
+
+def observations_of(table: pd.DataFrame) -> Observations:
+    """Rows of kind ``bed_observations`` as kriging takes them."""
+    return Observations(
+        s_m=table["s_m"].to_numpy(np.float64),
+        n_m=table["n_m"].to_numpy(np.float64),
+        height_m=table["up_m"].to_numpy(np.float64),
+        sigma_white_m=table["sigma_white_m"].to_numpy(np.float64),
+        sigma_slow_m=table["sigma_slow_m"].to_numpy(np.float64),
+        t_s=table["t_gps_s"].to_numpy(np.float64),
+        line=table["line"].to_numpy(np.int64),
+    )
+
+
+def bed_observations(
+    soundings: pd.DataFrame,
+    line: FlowLine,
+    banks: Banks,
+    level: WaterLevel,
+    strip: pd.DataFrame | None,
+    *,
+    bank_as_data: bool,
+) -> tuple[pd.DataFrame, dict[str, int]]:
+    """Everything that says how high the bed is, in flow coordinates.
+
+    Parameters
+    ----------
+    soundings : table of kind ``soundings``.
+    line, banks, level : of the river.
+    strip : points of the light sheet, kind ``bed_points``; None: there are none.
+    bank_as_data : shorelines are data.
+
+    Returns
+    -------
+    table : kind ``bed_observations``.
+    counts : by source, and ``folded``: where flow coordinates fold.
+
+    Raises
+    ------
+    CoverageError : no sounding is left.
+    """
+    used = soundings[soundings["used"]]
+    s, n, fold = line.to_flow(used[["east_m", "north_m"]].to_numpy(np.float64))
+    parts = [
+        pd.DataFrame(
+            {
+                "source": "sounding",
+                "s_m": s,
+                "n_m": n,
+                **{
+                    k: used[k].to_numpy()
+                    for k in (
+                        "east_m",
+                        "north_m",
+                        "up_m",
+                        "sigma_white_m",
+                        "sigma_slow_m",
+                        "sigma_common_m",
+                        "t_gps_s",
+                        "line",
+                    )
+                },
+            }
+        )[~fold]
+    ]
+    counts = {"soundings": int((~fold).sum()), "folded": int(fold.sum())}
+    if not counts["soundings"]:
+        raise CoverageError(
+            f"none of {len(used)} soundings lies beside the centre line",
+            expected="soundings along the river",
+            cure="Look at bathymetry/centre_line.csv",
+        )
+    if bank_as_data and len(banks.table):
+        of = bank_observations(banks, level)
+        places = banks.table[["east_m", "north_m"]].to_numpy(np.float64)
+        parts.append(
+            pd.DataFrame(
+                {
+                    "source": "bank",
+                    "s_m": of["s_m"],
+                    "n_m": of["n_m"],
+                    "east_m": places[:, 0],
+                    "north_m": places[:, 1],
+                    "up_m": of["height_m"],
+                    "sigma_white_m": of["sigma_white_m"],
+                    "sigma_slow_m": 0.0,
+                    "sigma_common_m": of["sigma_slow_m"],
+                    "t_gps_s": np.nan,
+                    "line": of["line"],
+                }
+            )
+        )
+        counts["bank places"] = len(places)
+    if strip is not None and len(strip):
+        parts.append(_of_strip(strip, line))
+        counts["light sheet"] = len(parts[-1])
+    table = pd.concat(parts, ignore_index=True)
+    return frame_of(OBSERVATIONS, {name: table[name] for name in OBSERVATIONS.names}), counts
+
+
+def _of_strip(strip: pd.DataFrame, line: FlowLine) -> pd.DataFrame:
+    """Points of the light sheet: medians of pieces of each image's line."""
+    piece = np.floor(strip[["east_m", "north_m"]].to_numpy(np.float64) / _PIECE_M).astype(np.int64)
+    groups = strip.assign(a=piece[:, 0], b=piece[:, 1]).groupby(["t_gps_s", "a", "b"], sort=True)
+    of = groups[["east_m", "north_m", "up_m", "sigma_line_m", "cov_uu_m2"]].median().reset_index()
+    count = groups.size().to_numpy(np.float64)
+    s, n, fold = line.to_flow(of[["east_m", "north_m"]].to_numpy(np.float64))
+    own = of["sigma_line_m"].to_numpy(np.float64)
+    return pd.DataFrame(
+        {
+            "source": "light sheet",
+            "s_m": s,
+            "n_m": n,
+            **{k: of[k].to_numpy() for k in ("east_m", "north_m", "up_m", "t_gps_s")},
+            "sigma_white_m": np.hypot(1.25 * own / np.sqrt(count), _RELIEF_M),
+            "sigma_slow_m": np.sqrt(np.maximum(of["cov_uu_m2"].to_numpy(np.float64) - own**2, 0.0)),
+            "sigma_common_m": 0.0,
+            "line": SHEET_LINE - pd.factorize(of["t_gps_s"])[0],
+        }
+    )[~fold]
+
+
+def cells_of_river(
+    grid: Grid,
+    frame: LocalFrame,
+    line: FlowLine,
+    half_widths: HalfWidths,
+    span_m: tuple[float, float],
+    settings: Bathymetry,
+) -> tuple[ArrayF, ArrayB]:
+    """Flow coordinates (m, 2) of all cells, and which of them are bed: between the shores, not on islands."""
+    centres = grid.centres_m()
+    places = frame.from_map(np.column_stack([centres, np.full(len(centres), frame.h_ell_m)]), grid.crs)[:, :2]
+    s, n, fold = line.to_flow(places)
+    left, right = half_widths(s)
+    inside = ~fold & (s >= span_m[0]) & (s <= span_m[1])
+    # a side whose shore nobody knows ends where the data end
+    inside &= np.where(n > 0, n <= np.nan_to_num(left, nan=np.inf), -n <= np.nan_to_num(right, nan=np.inf))
+    for corners in settings.islands:
+        inside &= ~_within(places, np.asarray(corners, dtype=np.float64))
+    return np.column_stack([s, n]), inside
+
+
+def _within(places: ArrayF, corners: ArrayF) -> ArrayB:
+    from matplotlib.path import Path as Outline
+
+    return np.asarray(Outline(corners).contains_points(places))
+
+
+def krige_bed(
+    soundings: pd.DataFrame,
+    line: FlowLine,
+    banks: Banks,
+    level: WaterLevel,
+    strip: pd.DataFrame | None,
+    *,
+    frame: LocalFrame,
+    crs: CRS,
+    echo: EchoSounder,
+    settings: Bathymetry,
+    slow_time_s: float,
+    seed: int,
+) -> Bed:
+    """The riverbed of a survey.
+
+    The return of a wide beam from a slope needs the slope, which needs the bed: it is kriged, and kriged
+    again with the slopes that it shows.
+
+    Parameters
+    ----------
+    soundings, line, banks, level, strip : see `bed_observations`.
+    frame, crs : of the world and of the map.
+    echo, settings : see there.
+    slow_time_s : correlation time of positions.
+    seed : of the choice of left-out lines.
+
+    Raises
+    ------
+    GeometryError : a single line of soundings.
+    CoverageError : no sounding beside the centre line, or no cell near enough to one.
+    """
+    table, counts = bed_observations(soundings, line, banks, level, strip, bank_as_data=settings.bank_as_data)
+    data = observations_of(table)
+    model = choose_model(data, banks.half_widths_m, settings, slow_time_s=slow_time_s, seed=seed)
+    around = frame.to_map(table[["east_m", "north_m", "up_m"]].to_numpy(np.float64), crs)[:, :2]
+    grid = Grid.around(around, settings.cell_m, crs, margin_m=2 * settings.cell_m)
+    reach = settings.reach * model.covariance.range_s_m
+    span = (float(data.s_m.min()) - reach, float(data.s_m.max()) + reach)
+    flow, inside = cells_of_river(grid, frame, line, banks.half_widths_m, span, settings)
+    height, sigma = _solved(model, data, flow, inside, settings)
+    if echo.beam_deg > 0:
+        east, north = _slopes(grid, height, frame, soundings)
+        soundings = with_bed_normals(soundings, east, north, echo)
+        table, counts = bed_observations(
+            soundings, line, banks, level, strip, bank_as_data=settings.bank_as_data
+        )
+        data = observations_of(table)
+        height, sigma = _solved(model, data, flow, inside, settings)
+    common, distance, far = _nearest(table, data, model, flow, inside, settings.reach)
+    for values in (height, sigma, common, distance):
+        values[far | ~inside] = np.nan
+    known = int(np.isfinite(height).sum())
+    if not known:
+        raise CoverageError(
+            "no cell of the bed is near enough to a sounding",
+            expected="cells within bathymetry.reach ranges of data",
+            cure="Raise bathymetry.reach or lower bathymetry.cell_m",
+        )
+    facts = counts | {
+        "cells": known,
+        "area_m2": known * settings.cell_m**2,
+        "cells too far from data": int((far & inside).sum()),
+        "median sigma_m": float(np.nanmedian(sigma)),
+        "median sigma_common_m": float(np.nanmedian(common)),
+    }
+    return Bed(
+        grid=grid,
+        up_m=height,
+        sigma_m=sigma,
+        sigma_common_m=common,
+        distance_m=distance,
+        model=model,
+        data=table,
+        facts=facts,
+    )
+
+
+def _solved(
+    model: BedModel, data: Observations, flow: ArrayF, inside: ArrayB, settings: Bathymetry
+) -> tuple[ArrayF, ArrayF]:
+    height, sigma = np.full(len(flow), np.nan), np.full(len(flow), np.nan)
+    if settings.engine == "pykrige":
+        rest = data.lifted(data.height_m - model.drift.at(data.places_m))
+        found, sigma[inside] = krige_by_pykrige(rest, flow[inside], model.covariance)
+        height[inside] = found + model.drift.at(flow[inside])
+    else:
+        height[inside], sigma[inside] = model.predict(data, flow[inside], neighbours=settings.neighbours)
+    return height, sigma
+
+
+def _slopes(grid: Grid, up_m: ArrayF, frame: LocalFrame, soundings: pd.DataFrame) -> tuple[ArrayF, ArrayF]:
+    """Rise of the bed to the east and the north (n,) at soundings; NaN where it is not known."""
+    surface = up_m.reshape(grid.rows, grid.columns)
+    if min(surface.shape) < 3:
+        return np.full(len(soundings), np.nan), np.full(len(soundings), np.nan)
+    north, east = np.gradient(surface, -grid.cell_m, grid.cell_m)
+    places = soundings[["east_m", "north_m", "up_m"]].to_numpy(np.float64)
+    known = np.isfinite(places).all(axis=1)
+    row, col = np.full(len(places), -1), np.full(len(places), -1)
+    row[known], col[known] = grid.at(frame.to_map(places[known], grid.crs)[:, :2])
+    return (np.where(row >= 0, east[row, col], np.nan), np.where(row >= 0, north[row, col], np.nan))
+
+
+def _nearest(
+    table: pd.DataFrame, data: Observations, model: BedModel, flow: ArrayF, inside: ArrayB, reach: float
+) -> tuple[ArrayF, ArrayF, ArrayB]:
+    """Common sigma and distance of the nearest datum of each cell, and whether it is too far away."""
+    common, distance = np.full(len(flow), np.nan), np.full(len(flow), np.nan)
+    far = np.zeros(len(flow), dtype=np.bool_)
+    if not inside.any():
+        return common, distance, far
+    distance[inside], at = cKDTree(data.places_m).query(flow[inside])
+    common[inside] = table["sigma_common_m"].to_numpy(np.float64)[at]
+    scaled = cKDTree(model.covariance.scaled(data.places_m)).query(model.covariance.scaled(flow[inside]))[0]
+    far[inside] = scaled > reach
+    return common, distance, far
