@@ -202,6 +202,33 @@ def test_depths_of_all_sentences(tmp_path: Path) -> None:
     assert not log.report.synchronised
 
 
+def test_zero_is_no_bottom_and_water_and_tilt_are_read(tmp_path: Path) -> None:
+    text = sentence(RMC.format("094736", "200818"))
+    text += sentence("SDDPT,0.00,0.1") + sentence("SDDBT,0.0,f,0.0,M,0.0,F") + sentence("SDDPT,2.5,0.1")
+    # the water's temperature twice, and pitch and roll among other transducers
+    text += sentence("SDMTW,9.8,C") + sentence("SDMTW,10.2,C") + sentence("SDMTW,,C")
+    text += sentence("SDXDR,C,21.0,C,AIR,A,-1.5,D,PTCH,A,0.75,D,ROLL") + sentence("SDXDR,A,2.0,D,Roll")
+    log = log_of(tmp_path, text)
+    assert list(log.depths["depth_m"]) == [0.0, 0.0, 2.5]
+    assert (log.report.counts["depths"], log.report.counts["no_bottom"]) == (1, 2)
+    assert any("no bottom" in note for note in log.report.notes)
+    assert list(log.temperatures["temperature_c"]) == [9.8, 10.2]
+    assert log.temperatures["t_gps_s"][1] == gps(2018, 8, 20, 9, 47, 36)
+    np.testing.assert_array_equal(log.tilts["pitch_deg"], [-1.5, np.nan])
+    assert list(log.tilts["roll_deg"]) == [0.75, 2.0]
+    assert log.report.details["water_temperature_c"] == 10.0
+    assert log.report.details["pitch_deg"] == -1.5
+    assert not log.report.losses
+
+
+@pytest.mark.parametrize("body", ["SDMTW,50.0,F", "SDMTW,99.0,C", "SDXDR,A,120.0,D,PITCH"])
+def test_impossible_temperatures_and_tilts_are_malformed(tmp_path: Path, body: str) -> None:
+    log = log_of(tmp_path, sentence(RMC.format("094736", "200818")) + sentence(body))
+    assert log.report.losses["malformed_sentences"] == 1
+    assert not len(log.temperatures)
+    assert not len(log.tilts)
+
+
 def test_depth_takes_the_latest_time_and_nothing_is_interpolated(tmp_path: Path) -> None:
     dpt = sentence("SDDPT,5.3,0.4")
     text = dpt + sentence(RMC.format("094736", "200818")) + dpt + dpt + sentence(GGA.format("094737")) + dpt

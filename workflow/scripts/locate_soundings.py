@@ -48,7 +48,7 @@ def main(
         bathymetry,
         water_line_ics_m=water_line_ics_m,
         decisions=decisions[0] if decisions else None,
-        logged_temperature_c=json.loads(integrity.read_text()).get("extra", {}).get("water_temperature_c"),
+        logged_temperature_c=json.loads(integrity.read_text())["details"].get("water_temperature_c"),
     )
     write_table(soundings, table, SOUNDINGS)
     found["orders"] = s44_orders(table).to_dict(orient="records")

@@ -82,7 +82,7 @@ DEPTH = table_kind(
         _T_GPS,
         column("t_host_s", _F, "s", "logger's clock (Unix time), NaN if the log has none"),
         column("t_day_s", _F, "s", "UTC second of the day of the sentence before it; NaN if none"),
-        column("depth_m", _F, "m", "depth below the transducer as measured"),
+        column("depth_m", _F, "m", "depth below the transducer as measured; 0: no bottom was seen"),
         column("offset_m", _F, "m", "DPT offset: > 0 transducer to water line, < 0 to keel; NaN if none"),
         column("sentence", pa.string(), "1", "DPT, DBT, DBS or ANPP53"),
         column("line", pa.int64(), "1", "line (NMEA) or packet (ANPP) of the log, from 1"),

@@ -7,7 +7,9 @@ here; that is the task of ``timing``. Without any date, and if the caller knows 
 synchronised: ``t_gps_s`` stays NaN.
 
 Heights are ellipsoidal: GGA field 9 (above the geoid) plus field 11 (geoid above ellipsoid).
-The offset of DPT is handed on and never added.
+The offset of DPT is handed on and never added. A depth of 0 is how echo sounders say that they
+saw no bottom: it stays in the table, counts as ``no_bottom`` and not among the depths. The temperature of the
+water comes from MTW, the instrument's own pitch and roll from XDR (NMEA 0183, transducer type A in degrees).
 
 A checksum is the exclusive or of all characters between ``$`` and ``*`` (NMEA 0183, "Sentence
 structure"). It is computed for a whole chunk at once; only wanted sentences become Python strings.
@@ -441,11 +443,43 @@ def below_depth(fields: list[str]) -> float:
     return float("nan")
 
 
+def water_temperature_c(fields: list[str]) -> float:
+    """Temperature of the water by MTW, degrees Celsius; NaN if none is stated.
+
+    Raises
+    ------
+    ValueError : another unit, or a temperature that liquid water does not have.
+    """
+    value = number(fields, 1)
+    if value == value and (fields[2:3] not in (["C"], []) or not -3.0 <= value <= 60.0):
+        raise ValueError(fields)
+    return value
+
+
+def pitch_and_roll_deg(fields: list[str]) -> tuple[float, float]:
+    """Pitch and roll among the transducers of XDR, groups of type, value, unit, name; NaN where not there.
+
+    Raises
+    ------
+    ValueError : an angle that is no number or more than a right angle.
+    """
+    found = {"pitch": float("nan"), "roll": float("nan")}
+    for at in range(1, len(fields) - 3, 4):
+        name = fields[at + 3].strip().upper()
+        key = "pitch" if name.startswith(("PITCH", "PTCH")) else "roll" if name.startswith("ROLL") else ""
+        if key and (fields[at].strip(), fields[at + 2].strip()) == ("A", "D"):
+            angle = number(fields, at + 1)
+            if abs(angle) > 90.0:
+                raise ValueError(angle)
+            found[key] = angle
+    return found["pitch"], found["roll"]
+
+
 # ---------------------------------------------------------------- reader
 
 
 _TIME_FIELD: Final = {"GGA": 1, "RMC": 1, "GLL": 5, "GST": 1, "ZDA": 1}
-_WANTED: Final = frozenset(k.encode() for k in (*_TIME_FIELD, "HDT", "DBT", "DPT", "DBS"))
+_WANTED: Final = frozenset(k.encode() for k in (*_TIME_FIELD, "HDT", "DBT", "DPT", "DBS", "MTW", "XDR"))
 _HALF_DAY_S: Final = 43_200
 _DEPTH_FLOATS: Final = ("t_day_s", "midnights", "day_zero", "t_host_s", "depth_m", "offset_m")
 
@@ -455,12 +489,15 @@ class NmeaLog:
     """A log: positions (``gnss_position``), depths (``depth``), headings, and the report.
 
     ``headings`` has ``t_gps_s`` and ``t_day_s`` (as of a depth), ``heading_deg`` (clockwise from true
-    north, HDT) and ``line``.
+    north, HDT) and ``line``. ``temperatures`` of the water (MTW) and ``tilts`` of the instrument (XDR) are
+    such tables with ``temperature_c``, and with ``pitch_deg`` and ``roll_deg``, NaN where only one is stated.
     """
 
     positions: pd.DataFrame
     depths: pd.DataFrame
     headings: pd.DataFrame
+    temperatures: pd.DataFrame
+    tilts: pd.DataFrame
     report: IntegrityReport
 
 
@@ -514,6 +551,8 @@ class _Rows:
     sigmas: list[tuple[float, ...]] = field(default_factory=list)
     depths: list[tuple[float, float, float, float, float, float, str, int, int]] = field(default_factory=list)
     headings: list[tuple[float, float, float, float, int, int]] = field(default_factory=list)
+    temperatures: list[tuple[float, float, float, float, int, int]] = field(default_factory=list)
+    tilts: list[tuple[float, float, float, float, float, int, int]] = field(default_factory=list)
     host: list[tuple[float, float, float, float]] = field(default_factory=list)
     """Second, midnights and day zero of time sentences that stand behind a stamp of the logger, and it."""
     decimals: int = 0
@@ -596,6 +635,14 @@ def _take(sentence: Sentence, rows: _Rows, report: IntegrityReport) -> None:
             if not 0 <= heading <= 360:
                 raise ValueError(heading)
             rows.headings.append((*_now(clock), heading, sentence.line, clock.file))
+    elif kind == "MTW":
+        temperature = water_temperature_c(f)
+        if temperature == temperature:
+            rows.temperatures.append((*_now(clock), temperature, sentence.line, clock.file))
+    elif kind == "XDR":
+        pitch, roll = pitch_and_roll_deg(f)
+        if pitch == pitch or roll == roll:
+            rows.tilts.append((*_now(clock), pitch, roll, sentence.line, clock.file))
     else:
         depth = number(f, 1) if kind == "DPT" else below_depth(f)
         if depth != depth:
@@ -681,17 +728,17 @@ def _log(rows: _Rows, date: dt.date | None, report: IntegrityReport) -> NmeaLog:
     depth = pd.DataFrame(rows.depths, columns=[*_DEPTH_FLOATS, "sentence", "line", "file"]).astype(
         dict.fromkeys(_DEPTH_FLOATS, np.float64)
     )
-    heading = pd.DataFrame(
-        rows.headings,
-        columns=["t_day_s", "midnights", "day_zero", "heading_deg", "line", "file"],
-        dtype=np.float64,
-    ).astype({"line": np.int64, "file": np.int64})
-    for table in (depth, heading):
+    heading = _undated(rows.headings, "heading_deg")
+    temperature = _undated(rows.temperatures, "temperature_c")
+    tilt = _undated(rows.tilts, "pitch_deg", "roll_deg")
+    for table in (depth, heading, temperature, tilt):
         table["t_gps_s"] = seconds(*(table[n].to_numpy() for n in ("t_day_s", "midnights", "day_zero")))
     overlapping: set[int] = set()
     positions = _once(positions, position_file, "positions", overlapping, report)
     depth = _once(depth, depth["file"].to_numpy(), "depths", overlapping, report)
     heading = _once(heading, heading["file"].to_numpy(), "headings", overlapping, report)
+    temperature = _once(temperature, temperature["file"].to_numpy(), "temperatures", overlapping, report)
+    tilt = _once(tilt, tilt["file"].to_numpy(), "tilts", overlapping, report)
     back = rows.clock.steps_back + len(set(rows.clock.files_back) - overlapping)
     if back:
         report.lose("time_steps_back", back)
@@ -706,7 +753,22 @@ def _log(rows: _Rows, date: dt.date | None, report: IntegrityReport) -> NmeaLog:
     host = np.array(rows.host, dtype=np.float64).reshape(-1, 4)
     report.timing.describe_host(seconds(*host[:, :3].T), host[:, 3])
     _summarise(report, positions, depths, len(headings), rows, have_date=first == first)
-    return NmeaLog(positions=positions, depths=depths, headings=headings, report=report)
+    _summarise_instrument(report, depths, temperature, tilt)
+    return NmeaLog(
+        positions=positions,
+        depths=depths,
+        headings=headings,
+        temperatures=temperature[["t_gps_s", "t_day_s", "temperature_c", "line"]],
+        tilts=tilt[["t_gps_s", "t_day_s", "pitch_deg", "roll_deg", "line"]],
+        report=report,
+    )
+
+
+def _undated(rows: Sequence[tuple[float, ...]], *values: str) -> pd.DataFrame:
+    """Rows of sentences without a time of their own, with ``values`` between their time and their line."""
+    columns = ["t_day_s", "midnights", "day_zero", *values, "line", "file"]
+    table = pd.DataFrame(rows, columns=columns, dtype=np.float64)
+    return table.astype({"line": np.int64, "file": np.int64})
 
 
 def _once(
@@ -732,7 +794,8 @@ def _summarise(
     *,
     have_date: bool,
 ) -> None:
-    for what, n in (("positions", len(positions)), ("depths", len(depths)), ("headings", n_headings)):
+    n_depths = int(np.count_nonzero(depths["depth_m"] > 0))
+    for what, n in (("positions", len(positions)), ("depths", n_depths), ("headings", n_headings)):
         report.count(what, n)
     t = np.concatenate([positions["t_gps_s"], depths["t_gps_s"]])
     t = t[np.isfinite(t)]
@@ -766,3 +829,20 @@ def _summarise(
         report.note("DBS depths are below the water line, all others below the transducer.")
     if depths["t_host_s"].notna().any():
         report.note("Stamps of the logger stand beside the depths (t_host_s); they are taken as UTC.")
+
+
+def _summarise_instrument(
+    report: IntegrityReport, depths: pd.DataFrame, temperatures: pd.DataFrame, tilts: pd.DataFrame
+) -> None:
+    """Pings without bottom, and the medians of what the echo sounder says about the water and itself."""
+    silent = int(np.count_nonzero(depths["depth_m"] == 0))
+    if silent:
+        report.count("no_bottom", silent)
+        report.note(f"{silent:,} depths are 0: the instrument saw no bottom; they are no depths.")
+    for name, values in (
+        ("water_temperature_c", temperatures["temperature_c"]),
+        ("pitch_deg", tilts["pitch_deg"]),
+        ("roll_deg", tilts["roll_deg"]),
+    ):
+        if values.notna().any():
+            report.details[name] = round(float(values.median()), 3)
