@@ -252,3 +252,28 @@ rule compare_light_sheet_with_truth:
         code=code_version("compare_light_sheet_with_truth"),
     script:
         "../scripts/compare_light_sheet_with_truth.py"
+
+
+rule compare_riverbed_with_truth:
+    """Errors of the twin's soundings and of its riverbed, by distance to data."""
+    input:
+        soundings="results/{campaign}/bathymetry/soundings.parquet",
+        bed="results/{campaign}/bathymetry/bed.tif",
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    output:
+        table="results/{campaign}/accuracy/truth_riverbed.csv",
+    log:
+        "logs/{campaign}/accuracy/compare_riverbed_with_truth.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/compare_riverbed_with_truth.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2500, 10),
+        runtime=minutes(10, 30),
+    params:
+        code=code_version("compare_riverbed_with_truth"),
+        campaign=identity("origin"),
+    script:
+        "../scripts/compare_riverbed_with_truth.py"

@@ -165,3 +165,35 @@ rule deformation_page:
         campaign=identity("title"),
     script:
         "../scripts/deformation_page.py"
+
+
+rule bathymetry_page:
+    """The riverbed: how deep, how sure, and what that rests on."""
+    input:
+        facts="results/{campaign}/bathymetry/soundings.json",
+        variogram="results/{campaign}/bathymetry/variogram.json",
+        level="results/{campaign}/bathymetry/water_level.json",
+        banks="results/{campaign}/bathymetry/banks.csv",
+        validation="results/{campaign}/bathymetry/validation.json",
+        methods="results/{campaign}/bathymetry/methods.csv",
+        truth=of(CampaignFiles.bed_truth),
+        pictures=of_page("bathymetry"),
+    output:
+        page="results/{campaign}/bathymetry/index.html",
+    log:
+        "logs/{campaign}/bathymetry/bathymetry_page.log",
+    benchmark:
+        "benchmarks/{campaign}/bathymetry/bathymetry_page.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("bathymetry_page"),
+        captions=FIGURES.captions("bathymetry"),
+        twin=of(CampaignFiles.is_twin),
+        campaign=identity("title"),
+    script:
+        "../scripts/bathymetry_page.py"

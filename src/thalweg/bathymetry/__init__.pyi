@@ -35,6 +35,7 @@ from .soundings import (
     speed_of_sound_mps as speed_of_sound_mps,
     with_bed_normals as with_bed_normals,
 )
+from .validation import measures as measures, validate_bed as validate_bed
 from .variogram import (
     DRIFTS as DRIFTS,
     BedModel as BedModel,

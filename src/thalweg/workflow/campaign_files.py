@@ -584,9 +584,14 @@ class CampaignFiles:
         """Points of the bed by the light sheet, where the boat carries one."""
         return self._where(self.has_strip(), "triangulation/strip/points.parquet")
 
+    def bed_truth(self) -> list[str]:
+        """Errors of the bed against the true one, of a twin."""
+        return self._where(self.is_twin() and self.has_soundings(), "accuracy/truth_riverbed.csv")
+
     def _bed_outputs(self) -> list[str]:
         outputs = ("soundings.parquet", "bed.tif", "validation.json", "methods.csv", "index.html")
-        return self._where(self.has_soundings(), *(f"bathymetry/{name}" for name in outputs))
+        made = self._where(self.has_soundings(), *(f"bathymetry/{name}" for name in outputs))
+        return [*made, *self.bed_truth()]
 
     # ------------------------------------------------------------ change between epochs
 

@@ -1,0 +1,112 @@
+"""One page on the riverbed: how deep, how sure, what it rests on, what was left out."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from thalweg.bathymetry import REASONS
+from thalweg.figures.page import Page
+from thalweg.figures.style import count
+
+
+def bed_page(
+    facts: Mapping[str, Any],
+    variogram: Mapping[str, Any],
+    level: Mapping[str, Any],
+    banks: pd.DataFrame,
+    validation: Mapping[str, Any],
+    methods: pd.DataFrame,
+    *,
+    pictures: Sequence[Path],
+    captions: Mapping[str, str],
+    truth: pd.DataFrame | None = None,
+    title: str,
+    twin: bool,
+) -> Page:
+    """The page of a riverbed.
+
+    Parameters
+    ----------
+    facts, variogram, level, validation : JSON files of the rules of `workflow/rules/bathymetry.smk`.
+    banks, methods : their tables.
+    pictures, captions : PNG files, and by stem what stands below them.
+    truth : of a twin, columns measure, value, n; None: there is none.
+    title : heading.
+    twin : whether a digital twin wrote the logs.
+
+    Raises
+    ------
+    InputError : a picture is missing.
+    """
+    found = variogram["facts"]
+    page = Page(
+        title,
+        f"{count(facts['by_reason'][''])} of {count(facts['pings'])} soundings make a bed of "
+        f"{count(found['cells'])} cells, {found['area_m2']:.0f} m². Its standard deviation is "
+        f"{100 * found['median sigma_m']:.1f} cm in the median, and "
+        f"{100 * found['median sigma_common_m']:.1f} cm that all of it shares. Lines that were left out are "
+        f"foretold with a root mean square error of {100 * validation['rmse_m']:.1f} cm; the mean of squared "
+        f"errors over predicted variances is {validation['normalised_square']:.2f} (1: as predicted), and "
+        f"{100 * validation['outside_95']:.1f} % lie outside their interval of 95 %.",
+    )
+    if twin:
+        page.text("The digital twin made these data: a simulated river, simulated instruments.")
+    page.section("Figures")
+    for picture in pictures:
+        page.figure(picture, captions.get(picture.stem, picture.stem.replace("_", " ")))
+    page.section("Soundings")
+    rows = [
+        (REASONS[name], n, 100 * n / max(facts["pings"], 1)) for name, n in facts["by_reason"].items() if n
+    ]
+    page.table(
+        pd.DataFrame(rows, columns=["pings", "n", "share"]), "What became of the pings.", {"share": "%"}
+    )
+    temperature = facts["water_temperature_c"]
+    page.text(
+        f"{facts['lines']} lines. Depths are multiplied by {facts['sound_factor']:.5f} ± "
+        f"{facts['sigma_sound_factor']:.5f} for the speed of sound"
+        + (f" (water of {temperature:.1f} °C)" if temperature is not None else "")
+        + f". The place of the transducer is that of the {facts['place_from']}; its stamps are corrected by "
+        f"{facts['lag_s']:+.3f} s. Errors of positions last {facts['position_time_s']:.1f} s, of attitudes "
+        f"{facts['attitude_time_s']:.1f} s."
+    )
+    page.table(
+        pd.DataFrame(facts["orders"]).rename(columns=_SHARES),
+        "Share of the used soundings that meet the orders of IHO S-44 (edition 6.1, at 95 %).",
+    )
+    page.section("Water and banks")
+    seen = banks.groupby("side")["seen"].agg(["sum", "size"])
+    page.text(
+        f"Water level {level['level_m']:.3f} ± {level['sigma_m']:.3f} m (local frame), fall "
+        f"{level['fall_m_per_km']:.2f} m/km, rise {level['rise_m_per_h']:.3f} m/h. "
+        + " ".join(f"{note[0].upper()}{note[1:]}." for note in level["notes"])
+        + " "
+        + "; ".join(
+            f"{side} bank: {row['sum']} of {row['size']} places seen" for side, row in seen.iterrows()
+        )
+        + f". Their standard deviation across is {banks['sigma_across_m'].median():.2f} m in the median."
+    )
+    page.section("Covariance of the bed").text(f"{variogram['reason']}.")
+    compared = sorted(variogram["compared"].items(), key=lambda item: item[1])
+    page.table(
+        pd.DataFrame(compared, columns=["drift, model", "mean log score"]),
+        "Drifts and models by what they foretell of left-out lines; smaller is better.",
+        digits=3,
+    )
+    page.section("Left out and foretold")
+    page.table(methods, "Lines left out, foretold by several methods.", digits=3)
+    if truth is not None:
+        page.section("Against the truth of the twin").table(truth, "Errors against the true bed.", digits=3)
+    page.section("Limits").text(
+        "A sounding is the nearest return of its cone: stones narrower than the beam hide the bed about "
+        "them. Between lines the bed is foretold by its covariance; what no line crossed, a groyne or a "
+        "wreck, is not in it. One covariance holds for the whole river: where margins are rougher than the "
+        "channel, their sigma is too small and that of the channel too large. Bank lines are as good as the "
+        "ground that the lidar saw beside the water."
+    )
+    return page
+
+
+_SHARES = {"share_tvu": "vertical", "share_thu": "horizontal", "share": "both"}

@@ -1,0 +1,391 @@
+"""Pictures of the riverbed: soundings and their reasons, errors over depth, the bed, sections."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from pyproj import CRS
+from scipy.stats import norm
+
+from thalweg.bathymetry import (
+    OBSERVATIONS,
+    REASONS,
+    SOUNDINGS,
+    Banks,
+    BedModel,
+    FlowLine,
+    WaterLevel,
+    directional_variogram,
+    observations_of,
+)
+from thalweg.core import ArrayF, Grid, LocalFrame, read_raster, read_table
+from thalweg.figures import (
+    BLUE,
+    DEPTH_MAP,
+    GREEN,
+    GREY,
+    HALO,
+    ORANGE,
+    PURPLE,
+    SIGMA_MAP,
+    SKY,
+    VERMILION,
+    count,
+    legend_below,
+    new_figure,
+    robust_limits,
+    scale_bar,
+    styled,
+)
+
+REASON_LOOK: Final[dict[str, tuple[str, str]]] = {
+    "dead zone": (SKY, "s"),
+    "too deep": (PURPLE, "^"),
+    "no pose": (GREY, "x"),
+    "turn": ("black", "+"),
+    "second echo": (ORANGE, "D"),
+    "spike": (VERMILION, "x"),
+    "weeds": (GREEN, "v"),
+    "by hand": (PURPLE, "*"),
+}
+"""Colour and marker of soundings that do not count; those without depth or time cannot be drawn."""
+_PARTS: Final = (
+    ("sigma_white_m", "white: new in each sounding", BLUE, "-"),
+    ("sigma_slow_m", "slow: lasts as poses do", ORANGE, "--"),
+    ("sigma_common_m", "common: all soundings share it", GREEN, "-."),
+)
+_SECTIONS: Final = 6
+_MARGIN_M: Final = 4.0
+
+
+@styled
+def draw_soundings(*, soundings: Path, title: str, twin: bool) -> Figure:
+    """Soundings along the survey, those that do not count marked by their reason."""
+    table = read_table(soundings, SOUNDINGS)[0]
+    timed = table[np.isfinite(table["t_gps_s"]) & (table["range_m"] > 0)]
+    t = timed["t_gps_s"].to_numpy() - float(timed["t_gps_s"].min())
+    used = timed["used"].to_numpy()
+    figure = new_figure(
+        95.0,
+        f"Soundings: {title}, n = {count(int(table['used'].sum()))} of {count(len(table))} used",
+        twin=twin,
+    )
+    top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1.0])
+    top.plot(t[used], timed["range_m"][used], ls="none", marker=".", ms=2.0, color=BLUE, label="used")
+    for reason, (colour, marker) in REASON_LOOK.items():
+        of = (timed["reason"] == reason).to_numpy()
+        if of.any():
+            label = f"{reason}: {REASONS[reason]}, n = {count(int(of.sum()))}"
+            top.plot(t[of], timed["range_m"][of], ls="none", marker=marker, ms=4.5, color=colour, label=label)
+    undrawn = table["reason"].isin(["no time", "no bottom"]).sum()
+    top.set_ylabel("range below\ntransducer [m]")
+    low, high = robust_limits(timed["range_m"], 0.0, 99.5)
+    top.set_ylim(high + 0.25 * (high - low), max(low - 0.1 * (high - low), 0.0))
+    edges = np.flatnonzero(np.diff(timed["line"].to_numpy()) != 0)
+    for k in edges[(timed["line"].to_numpy()[edges + 1] >= 0)]:
+        top.axvline(t[k], color="0.85", lw=0.6, zorder=0)
+    for name, label, colour, style in _PARTS:
+        below.plot(t[used], 100 * timed[name][used], color=colour, ls=style, lw=1.0, label=label)
+    below.set_ylim(0.0)
+    below.set(xlabel="time since the first sounding [s]", ylabel="sigma of the\nheight [cm]")
+    if undrawn:
+        top.annotate(
+            f"{count(int(undrawn))} without bottom or time are not drawn",
+            (0.99, 0.04),
+            xycoords="axes fraction",
+            ha="right",
+        )
+    handles = [*top.get_legend_handles_labels()[0], *below.get_legend_handles_labels()[0]]
+    figure.legend(
+        handles, [str(h.get_label()) for h in handles], loc="outside lower left", ncols=2, alignment="left"
+    )
+    return figure
+
+
+@styled
+def draw_sounding_errors(*, soundings: Path, title: str, twin: bool) -> Figure:
+    """Standard deviation of the height of a sounding over depth, by its parts."""
+    table = read_table(soundings, SOUNDINGS)[0]
+    table = table[table["used"]]
+    depth = table["depth_m"].to_numpy()
+    edges = np.linspace(depth.min(), depth.max() + 1e-9, 13)
+    number = np.digitize(depth, edges) - 1
+    figure = new_figure(72.0, f"Error of a sounding over depth: {title}, n = {count(len(table))}", twin=twin)
+    ax = figure.subplots()
+    middle, total = [], np.zeros(len(table))
+    taken = [k for k in range(12) if np.sum(number == k) >= 3]
+    middle = [float(np.median(depth[number == k])) for k in taken]
+    for name, label, colour, style in _PARTS:
+        value = table[name].to_numpy()
+        total += value**2
+        ax.plot(
+            middle, [100 * np.median(value[number == k]) for k in taken], color=colour, ls=style, label=label
+        )
+    ax.plot(
+        middle,
+        [100 * np.median(np.sqrt(total[number == k])) for k in taken],
+        color="black",
+        lw=1.8,
+        label="all",
+    )
+    horizontal = [100 * np.median(table["sigma_horizontal_m"].to_numpy()[number == k]) for k in taken]
+    ax.plot(middle, horizontal, color=PURPLE, ls=":", label="horizontal, each coordinate")
+    ax.set_ylim(0.0)
+    ax.set(xlabel="depth below the water [m]", ylabel="standard deviation [cm],\nmedian of a class")
+    legend_below(figure, ax)
+    return figure
+
+
+@styled
+def draw_bed_map(
+    *,
+    bed: Path,
+    banks: Path,
+    line: Path,
+    level: Path,
+    soundings: Path,
+    crs: str,
+    origin: Mapping[str, Any],
+    title: str,
+    twin: bool,
+) -> Figure:
+    """Depth of the bed and its standard deviation from above, with banks and soundings (P1 Fig. 6)."""
+    frame, onto = LocalFrame(**origin), CRS.from_user_input(crs)
+    grid, bands, _ = read_raster(bed)
+    depth, sigma = _depth_of(grid, bands, frame, FlowLine.read(line), level)
+    table = read_table(soundings, SOUNDINGS)[0]
+    track = frame.to_map(table.loc[table["used"], ["east_m", "north_m", "up_m"]].to_numpy(), onto)[:, :2]
+    shores = pd.read_csv(banks)
+    extent = (
+        grid.west_m,
+        grid.west_m + grid.columns * grid.cell_m,
+        grid.north_m - grid.rows * grid.cell_m,
+        grid.north_m,
+    )
+    box = np.array([[extent[0], extent[2]], [extent[1], extent[3]]])
+    box += np.array([[-_MARGIN_M], [_MARGIN_M]])
+    wide = (box[1, 0] - box[0, 0]) > 1.3 * (box[1, 1] - box[0, 1])
+    ratio = float((box[1, 1] - box[0, 1]) / (box[1, 0] - box[0, 0]))
+    height_mm = 2 * 145.0 * ratio + 42.0 if wide else 75.0 * ratio + 45.0
+    known = np.isfinite(depth)
+    figure = new_figure(
+        float(np.clip(height_mm, 80.0, 225.0)),
+        f"Riverbed: {title}, n = {count(int(known.sum()))} cells of {grid.cell_m:g} m",
+        twin=twin,
+    )
+    axes = figure.subplots(2, 1, sharex=True) if wide else figure.subplots(1, 2, sharey=True)
+    low, high = robust_limits(depth, 0.5, 99.5)
+    pictures = (
+        (depth, {"cmap": DEPTH_MAP, "vmin": max(low, 0.0), "vmax": high}, "depth below the water [m]"),
+        (
+            100 * sigma,
+            {"cmap": SIGMA_MAP, "norm": LogNorm(*robust_limits(100 * sigma, 0.5, 99.5))},
+            "sigma [cm]",
+        ),
+    )
+    for ax, (values, look, label) in zip(axes, pictures, strict=True):
+        drawn = ax.imshow(values, extent=extent, interpolation="nearest", zorder=1, **look)
+        bar = figure.colorbar(drawn, ax=ax, shrink=0.85, pad=0.01)
+        bar.set_label(label)
+        if "norm" in look:
+            bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            bar.ax.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
+        ax.plot(*track.T, ls="none", marker=".", ms=1.2, color="black", label="soundings")
+        for side, of in shores.groupby("side"):
+            places = frame.to_map(of[["east_m", "north_m", "up_m"]].to_numpy(), onto)[:, :2]
+            seen = of["seen"].to_numpy()
+            colour = VERMILION if side == "left" else BLUE
+            ax.plot(*places.T, color=colour, lw=1.2, label=f"{side} bank")
+            ax.plot(*places[~seen].T, ls="none", marker="o", mfc="white", ms=3, color=colour)
+        ax.set_aspect("equal")
+        ax.set_xlim(box[:, 0])
+        ax.set_ylim(box[:, 1])
+        ax.ticklabel_format(useOffset=False, style="plain")
+        ax.xaxis.set_major_locator(_few())
+        ax.yaxis.set_major_locator(_few())
+        scale_bar(ax, span_m=float(box[1, 0] - box[0, 0]))
+    axes[-1 if wide else 0].set_xlabel(f"east [m], {onto.name}")
+    for ax in axes if wide else axes[:1]:
+        ax.set_ylabel("north [m]")
+    legend_below(figure, axes[0])
+    return figure
+
+
+def _few() -> Any:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(5)
+
+
+def _depth_of(
+    grid: Grid, bands: Mapping[str, ArrayF], frame: LocalFrame, line: FlowLine, level: Path
+) -> tuple[ArrayF, ArrayF]:
+    """Depth below the water and its whole standard deviation (rows, columns)."""
+    centres = grid.centres_m()
+    height = bands["height_m"].ravel()
+    known = np.isfinite(height)
+    depth = np.full(len(height), np.nan)
+    world = frame.from_map(np.column_stack([centres[known], height[known]]), grid.crs)
+    water = WaterLevel.of_report(json.loads(level.read_text()))
+    depth[known] = water.at(line.to_flow(world[:, :2])[0])[0] - world[:, 2]
+    sigma = np.hypot(bands["sigma_m"], bands["sigma_common_m"])
+    return depth.reshape(grid.rows, grid.columns), sigma
+
+
+@styled
+def draw_variogram(*, observations: Path, variogram: Path, title: str, twin: bool) -> Figure:
+    """Robust variogram along and across the river beside the covariance that left-out lines chose."""
+    data = observations_of(read_table(observations, OBSERVATIONS)[0])
+    report = json.loads(variogram.read_text())
+    model = BedModel.of_report(report)
+    rest = data.lifted(data.height_m - model.drift.at(data.places_m))
+    figure = new_figure(75.0, f"Variogram of the bed: {title}, n = {count(len(data))} heights", twin=twin)
+    axes = figure.subplots(1, 2, sharey=True)
+    of = model.covariance
+    noise = float(np.median(data.sigma_white_m**2 + data.sigma_slow_m**2)) + of.micro_m2
+    reach = {True: np.ptp(data.s_m) / 2, False: np.ptp(data.n_m)}
+    for ax, along in zip(axes, (True, False), strict=True):
+        tolerance = 0.15 * of.range_n_m if along else 0.15 * of.range_s_m
+        lag, value, pairs = directional_variogram(
+            rest, along=along, reach_m=float(reach[along]), tolerance_m=tolerance
+        )
+        use = pairs >= 20
+        ax.plot(
+            lag[use],
+            value[use],
+            ls="none",
+            marker="o" if along else "s",
+            color=BLUE if along else VERMILION,
+            label=f"pairs (robust), n = {count(int(pairs[use].sum()))}",
+        )
+        h = np.linspace(0.0, float(reach[along]), 200)
+        length = of.range_s_m if along else of.range_n_m
+        ax.plot(
+            h,
+            noise + of.sill_m2 * (1 - of.correlation(h / length)),
+            color="black",
+            label=f"{of.kind}, range {length:.1f} m",
+        )
+        ax.set_xlabel(f"distance {'along' if along else 'across'} the river [m]")
+        ax.set_xlim(0.0)
+        ax.set_ylim(0.0)
+        ax.legend(loc="best")
+    axes[0].set_ylabel("semivariance [m²]")
+    return figure
+
+
+@styled
+def draw_left_out(*, predicted: Path, title: str, twin: bool) -> Figure:
+    """What the bed foretells of lines and stretches that were left out, against what was measured there."""
+    table = pd.read_parquet(predicted)
+    lines, blocks = (table[table["group"] == group] for group in ("line", "block"))
+    figure = new_figure(78.0, f"Left out and foretold: {title}, n = {count(len(lines))} soundings", twin=twin)
+    left, right = figure.subplots(1, 2)
+    for of, colour, marker, name in ((blocks, ORANGE, "s", "stretches"), (lines, BLUE, ".", "lines")):
+        if len(of):
+            left.plot(
+                of["up_m"],
+                of["predicted_m"],
+                ls="none",
+                marker=marker,
+                ms=2.5,
+                color=colour,
+                label=f"{name} left out",
+            )
+    ends = robust_limits(np.concatenate([lines["up_m"], lines["predicted_m"]]), 0.0, 100.0)
+    left.plot(ends, ends, color="black", lw=0.8)
+    left.set_aspect("equal")
+    left.set(xlabel="measured height [m]", ylabel="foretold height [m]")
+    left.legend(loc="best")
+    z = ((lines["up_m"] - lines["predicted_m"]) / lines["sigma_m"]).to_numpy()
+    x = np.linspace(-5, 5, 41)
+    right.hist(np.clip(z, -5, 5), x, density=True, color=BLUE, alpha=0.5, label="lines left out")
+    right.plot(x, norm.pdf(x), color="black", label="as predicted: standard normal")
+    outside = float(np.mean(np.abs(z) > 1.96))
+    right.set_title(f"mean square {np.mean(z**2):.2f}, outside 95 %: {100 * outside:.1f} %", fontsize=8)
+    right.set(xlabel="error over its predicted sigma", ylabel="density")
+    right.legend(loc="best")
+    return figure
+
+
+@styled
+def draw_bed_sections(
+    *,
+    bed: Path,
+    line: Path,
+    level: Path,
+    banks: Path,
+    observations: Path,
+    crs: str,
+    origin: Mapping[str, Any],
+    title: str,
+    twin: bool,
+) -> Figure:
+    """Sections across the river with their band of 95 %, and the data near them."""
+    frame, onto = LocalFrame(**origin), CRS.from_user_input(crs)
+    grid, bands, _ = read_raster(bed)
+    centre = FlowLine.read(line)
+    shores = Banks.read(banks, centre)
+    data = read_table(observations, OBSERVATIONS)[0]
+    depth, sigma = _depth_of(grid, bands, frame, centre, level)
+    water = WaterLevel.of_report(json.loads(level.read_text()))
+    low, high = np.percentile(data["s_m"], [4, 96])
+    stations = np.linspace(low, high, _SECTIONS)
+    figure = new_figure(125.0, f"Sections across the river: {title}, n = {_SECTIONS} of them", twin=twin)
+    axes = figure.subplots(3, 2, sharex=True, sharey=True)
+    near = max(0.25 * float(stations[1] - stations[0]), 1.0)
+    for ax, s in zip(axes.flat, stations.tolist(), strict=True):
+        left, right = (float(side[0]) for side in shores.half_widths_m(np.array([s])))
+        half = [each if np.isfinite(each) else float(np.abs(data["n_m"]).max()) for each in (left, right)]
+        n = np.linspace(-half[1], half[0], 300)
+        row, column = grid.at(_onto_map(centre.to_map(s, n), frame, onto))
+        d = np.where(row >= 0, depth[row, column], np.nan)
+        e = np.where(row >= 0, 1.96 * sigma[row, column], np.nan)
+        ax.fill_between(n, d - e, d + e, color=SKY, alpha=0.5, lw=0, label="95 %")
+        ax.plot(n, d, color=BLUE, label="bed")
+        ax.axhline(0.0, color="0.6", lw=0.8)
+        here = data[np.abs(data["s_m"] - s) < near]
+        for source, marker, colour in (
+            ("sounding", ".", "black"),
+            ("light sheet", "+", GREEN),
+            ("bank", "^", VERMILION),
+        ):
+            of = here[here["source"] == source]
+            if len(of):
+                there = water.at(of["s_m"].to_numpy())[0] - of["up_m"].to_numpy()
+                ax.plot(of["n_m"], there, ls="none", marker=marker, ms=4, color=colour, label=source)
+        ax.annotate(
+            f"s = {s:.0f} m",
+            (0.5, 0.93),
+            xycoords="axes fraction",
+            ha="center",
+            va="top",
+            path_effects=list(HALO),
+        )
+    axes[0, 0].invert_yaxis()
+    for ax in axes[-1]:
+        ax.set_xlabel("across the river, left positive [m]")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("depth [m]")
+    _one_legend(figure, axes)
+    return figure
+
+
+def _onto_map(places_m: ArrayF, frame: LocalFrame, crs: CRS) -> ArrayF:
+    return np.asarray(frame.to_map(np.column_stack([places_m, np.zeros(len(places_m))]), crs)[:, :2])
+
+
+def _one_legend(figure: Figure, axes: Any) -> None:
+    """One legend below all panels for everything that any of them shows."""
+    found: dict[str, Any] = {}
+    ax: Axes
+    for ax in axes.flat:
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    figure.legend(list(found.values()), list(found), loc="outside lower left", ncols=5)
