@@ -218,8 +218,10 @@ def cells_of_river(
     s, n, fold = line.to_flow(places)
     left, right = half_widths(s)
     inside = ~fold & (s >= span_m[0]) & (s <= span_m[1])
-    # a side whose shore nobody knows ends where the data end
-    inside &= np.where(n > 0, n <= np.nan_to_num(left, nan=np.inf), -n <= np.nan_to_num(right, nan=np.inf))
+    # a side without any shore ends where the data end; one with gaps has no bed there
+    for width, across in ((left, n), (right, -n)):
+        if np.isfinite(width).any():
+            inside &= (across <= 0) | (across <= np.nan_to_num(width, nan=-1.0))
     for corners in settings.islands:
         inside &= ~_within(places, np.asarray(corners, dtype=np.float64))
     return np.column_stack([s, n]), inside

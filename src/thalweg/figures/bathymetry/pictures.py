@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from pyproj import CRS
+from scipy.ndimage import map_coordinates
 from scipy.stats import norm
 
 from thalweg.bathymetry import (
@@ -60,6 +61,7 @@ _PARTS: Final = (
     ("sigma_slow_m", "slow: lasts as poses do", ORANGE, "--"),
     ("sigma_common_m", "common: all soundings share it", GREEN, "-."),
 )
+_KINDS: Final = {"exponential": "exponential", "matern32": "Matérn 3/2", "spherical": "spherical"}
 _SECTIONS: Final = 6
 _MARGIN_M: Final = 4.0
 
@@ -246,7 +248,7 @@ def draw_variogram(*, observations: Path, variogram: Path, title: str, twin: boo
     model = BedModel.of_report(report)
     rest = data.lifted(data.height_m - model.drift.at(data.places_m))
     figure = new_figure(75.0, f"Variogram of the bed: {title}, n = {count(len(data))} heights", twin=twin)
-    axes = figure.subplots(1, 2, sharey=True)
+    axes = figure.subplots(1, 2)
     of = model.covariance
     noise = float(np.median(data.sigma_white_m**2 + data.sigma_slow_m**2)) + of.micro_m2
     reach = {True: np.ptp(data.s_m) / 2, False: np.ptp(data.n_m)}
@@ -270,11 +272,11 @@ def draw_variogram(*, observations: Path, variogram: Path, title: str, twin: boo
             h,
             noise + of.sill_m2 * (1 - of.correlation(h / length)),
             color="black",
-            label=f"{of.kind}, range {length:.1f} m",
+            label=f"{_KINDS[of.kind]}, range {length:.1f} m",
         )
+        ax.set_ylim(0.0, 1.4 * max(float(np.nanmax(value[use], initial=0.0)), 2 * noise))
         ax.set_xlabel(f"distance {'along' if along else 'across'} the river [m]")
         ax.set_xlim(0.0)
-        ax.set_ylim(0.0)
         ax.legend(loc="best")
     axes[0].set_ylabel("semivariance [m²]")
     return figure
@@ -344,9 +346,9 @@ def draw_bed_sections(
         left, right = (float(side[0]) for side in shores.half_widths_m(np.array([s])))
         half = [each if np.isfinite(each) else float(np.abs(data["n_m"]).max()) for each in (left, right)]
         n = np.linspace(-half[1], half[0], 300)
-        row, column = grid.at(_onto_map(centre.to_map(s, n), frame, onto))
-        d = np.where(row >= 0, depth[row, column], np.nan)
-        e = np.where(row >= 0, 1.96 * sigma[row, column], np.nan)
+        there = _onto_map(centre.to_map(s, n), frame, onto)
+        cell = np.stack([grid.north_m - there[:, 1], there[:, 0] - grid.west_m]) / grid.cell_m - 0.5
+        d, e = (map_coordinates(a, cell, order=1, cval=np.nan) for a in (depth, 1.96 * sigma))
         ax.fill_between(n, d - e, d + e, color=SKY, alpha=0.5, lw=0, label="95 %")
         ax.plot(n, d, color=BLUE, label="bed")
         ax.axhline(0.0, color="0.6", lw=0.8)
@@ -358,8 +360,8 @@ def draw_bed_sections(
         ):
             of = here[here["source"] == source]
             if len(of):
-                there = water.at(of["s_m"].to_numpy())[0] - of["up_m"].to_numpy()
-                ax.plot(of["n_m"], there, ls="none", marker=marker, ms=4, color=colour, label=source)
+                deep = water.at(of["s_m"].to_numpy())[0] - of["up_m"].to_numpy()
+                ax.plot(of["n_m"], deep, ls="none", marker=marker, ms=4, color=colour, label=source)
         ax.annotate(
             f"s = {s:.0f} m",
             (0.5, 0.93),
