@@ -18,6 +18,7 @@ ROOMS = {
     "orientation": "Trajectories from INS, camera and both",
     "lidar": "Points in the world",
     "triangulation": "The underwater light-sheet sensor",
+    "bathymetry": "The riverbed from soundings",
     "surface": "Meshes of references",
     "accuracy": "How far off, and did the sigmas know",
     "deformation": "What changed between epochs",

@@ -159,6 +159,7 @@ PACKAGES = (
     "lidar",
     "surface",
     "budgets",
+    "bathymetry",
     "accuracy",
     "deformation",
     "figures",

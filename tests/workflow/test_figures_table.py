@@ -255,7 +255,9 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     assert names("tiny", "accuracy") == [*reference, "error_versus_range"]
     assert names("tiny", "trajectories") == ["chain_histograms", "chains_by_range", *images]
     assert set(names("demo")) - set(names("tiny")) == {"bed_strip"}
-    assert len(names("tiny")) == 22
+    bed = ["soundings", "sounding_errors", "bed_map", "bed_sections", "bed_variogram", "bed_left_out"]
+    assert names("tiny", "bathymetry") == bed
+    assert len(names("tiny")) == 28
     assert names("field_tiny") == names("field_tiny", "calibration")
     assert names("field_tiny", "calibration")[-3:] == ["clock_offset", "clock_stability", "synthetic_view"]
     assert len(names("field_tiny")) == 11

@@ -17,6 +17,7 @@ from thalweg.bathymetry.variogram import SHEET_LINE, BedModel, HalfWidths, choos
 from thalweg.bathymetry.water import WaterLevel
 from thalweg.core import ArrayB, ArrayF, CoverageError, Grid, LocalFrame, column, frame_of, table_kind
 from thalweg.settings.sections import Bathymetry, EchoSounder
+from thalweg.surface import Area
 
 _F = pa.float64()
 
@@ -223,14 +224,9 @@ def cells_of_river(
         if np.isfinite(width).any():
             inside &= (across <= 0) | (across <= np.nan_to_num(width, nan=-1.0))
     for corners in settings.islands:
-        inside &= ~_within(places, np.asarray(corners, dtype=np.float64))
+        island = Area(polygon=np.asarray(corners, dtype=np.float64))
+        inside &= ~island.contains(np.column_stack([places, np.zeros(len(places))]))
     return np.column_stack([s, n]), inside
-
-
-def _within(places: ArrayF, corners: ArrayF) -> ArrayB:
-    from matplotlib.path import Path as Outline
-
-    return np.asarray(Outline(corners).contains_points(places))
 
 
 def krige_bed(

@@ -7,8 +7,7 @@ from typing import Any
 import pandas as pd
 
 from thalweg.bathymetry import REASONS
-from thalweg.figures.page import Page
-from thalweg.figures.style import count
+from thalweg.figures import Page, count
 
 
 def bed_page(

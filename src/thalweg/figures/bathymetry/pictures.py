@@ -25,7 +25,7 @@ from thalweg.bathymetry import (
     directional_variogram,
     observations_of,
 )
-from thalweg.core import ArrayF, Grid, LocalFrame, read_raster, read_table
+from thalweg.core import ArrayF, Grid, LocalFrame, read_parquet, read_raster, read_table
 from thalweg.figures import (
     BLUE,
     DEPTH_MAP,
@@ -285,7 +285,7 @@ def draw_variogram(*, observations: Path, variogram: Path, title: str, twin: boo
 @styled
 def draw_left_out(*, predicted: Path, title: str, twin: bool) -> Figure:
     """What the bed foretells of lines and stretches that were left out, against what was measured there."""
-    table = pd.read_parquet(predicted)
+    table = read_parquet(predicted)
     lines, blocks = (table[table["group"] == group] for group in ("line", "block"))
     figure = new_figure(78.0, f"Left out and foretold: {title}, n = {count(len(lines))} soundings", twin=twin)
     left, right = figure.subplots(1, 2)

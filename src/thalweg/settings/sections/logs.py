@@ -26,7 +26,6 @@ STREAM_KEYS = {
     "decisions": ("decisions",),
     "centre_line": ("centre_line",),
     "bank_lines": ("bank_lines",),
-    "reference_bed": ("reference_bed",),
     "field": ("calibration", "field"),
     "reference_images": ("calibration", "reference_images"),
     "position_images": ("calibration", "position_images"),
@@ -284,9 +283,6 @@ class Logs(Section):
         default=(),
         description="Bank lines: GeoJSON in campaign.crs with `side: left` and `right`; else where "
         "the ground of the cloud meets the water",
-    )
-    reference_bed: Files = Field(
-        default=(), description="The bed by somebody else, to compare with: GeoTIFF of ellipsoidal heights"
     )
     time_lapse: TimeLapseLogs = Field(
         default=TimeLapseLogs(), description="Images of the bank, and control points"
