@@ -10,15 +10,16 @@ from thalweg.workflow.truth import may_read_truth
 pytestmark = pytest.mark.workflow
 
 MAY_READ_TRUTH = {
-    "tiny": {"compare_with_truth", "compare_chains_with_truth"},
+    "tiny": {"compare_with_truth", "compare_chains_with_truth", "compare_riverbed_with_truth"},
     "demo": {
         "compare_with_truth",
         "compare_bed_with_truth",
+        "compare_riverbed_with_truth",
         "compare_light_sheet_with_truth",
         "compare_calibration_with_truth",
         "compare_chains_with_truth",
     },
-    "mulde": {"compare_with_truth", "compare_chains_with_truth"},
+    "mulde": {"compare_with_truth", "compare_chains_with_truth", "compare_riverbed_with_truth"},
     "field_tiny": {"compare_calibration_with_truth"},
     "basin_tiny": {"compare_light_sheet_with_truth"},
     "tiny_change": {"compare_change_with_truth"},

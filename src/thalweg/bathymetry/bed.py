@@ -224,7 +224,7 @@ def cells_of_river(
         if np.isfinite(width).any():
             inside &= (across <= 0) | (across <= np.nan_to_num(width, nan=-1.0))
     for corners in settings.islands:
-        island = Area(polygon=np.asarray(corners, dtype=np.float64))
+        island = Area(polygon_en_m=np.asarray(corners, dtype=np.float64))
         inside &= ~island.contains(np.column_stack([places, np.zeros(len(places))]))
     return np.column_stack([s, n]), inside
 

@@ -256,6 +256,7 @@ def krige(
     neighbours: int = 48,
     octants: bool = True,
     of_line: int = 0,
+    candidates: int = _CANDIDATES,
     chunk: int = _CHUNK,
 ) -> tuple[ArrayF, ArrayF]:
     """Heights of the bed and their standard deviations.
@@ -268,6 +269,7 @@ def krige(
     neighbours : observations of a cell, an eighth in each octant.
     octants : take them by octants.
     of_line : at most so many of one line; 0: any number.
+    candidates : nearest observations among which octants and lines choose.
     chunk : cells at a time; changes the memory, not the result.
 
     Returns
@@ -286,7 +288,7 @@ def krige(
     middle = float(observations.height_m.mean())
     most = min(neighbours, len(points))
     wide = octants or of_line > 0
-    width = min(len(points), max(_CANDIDATES, 4 * neighbours) if wide else most)
+    width = min(len(points), max(candidates, 4 * neighbours) if wide else most)
     height, variance = np.empty(len(places_m)), np.empty(len(places_m))
     for start in range(0, len(places_m), chunk):
         part = slice(start, start + chunk)

@@ -34,14 +34,16 @@ _DEGREE: Final = 4
 """Of the mean cross-section over the width."""
 _OUTSIDE: Final = 1.2
 """Beyond so many half widths the mean cross-section goes on level."""
-_TEST: Final = 400
+_TEST: Final = 240
 """Soundings that are foretold to judge a model, in at most so many left-out lines:"""
-_LINES: Final = 10
+_LINES: Final = 6
 SHEET_LINE: Final = -1_000_000
 """Lines of the light sheet count down from here; negative lines above it are stretches of the banks."""
-_DATA: Final = 4000
+_DATA: Final = 1500
 """Soundings that they are foretold from."""
-_STEPS: Final = 45
+_STEPS: Final = 40
+_NEIGHBOURS: Final = 24
+"""Data that a left-out sounding is foretold from while models are compared."""
 _BOUNDS: Final = {"anisotropy": (1.0, 40.0), "range": (0.05, 4.0), "sill": (0.05, 20.0), "micro": (1e-6, 1.0)}
 """Anisotropy; range across in half widths; sill and micro-relief in variances of the heights."""
 
@@ -194,7 +196,7 @@ def choose_model(
         kind, drift_kind, start = tried.pop(0)
         drift = Drift.fitted(drift_kind, data, half_widths)
         rest = data.lifted(data.height_m - drift.at(data.places_m))
-        found, score = _fitted(rest, test, train, kind, half, slow_time_s, settings.neighbours, start)
+        found, score = _fitted(rest, test, train, kind, half, slow_time_s, start)
         compared[f"{drift_kind}, {kind}"] = score
         if best is None or score < best.score:
             best = BedModel(drift=drift, covariance=found, score=score, compared=compared, reason="")
@@ -254,7 +256,6 @@ def _fitted(
     kind: str,
     half_m: float,
     slow_time_s: float,
-    neighbours: int,
     start: ArrayF | None,
 ) -> tuple[CovarianceModel, float]:
     """Parameters of a model with the best score, and this score."""
@@ -281,7 +282,7 @@ def _fitted(
         model = model_of(q)
         total, n = 0.0, 0
         for known, left_out in parts:
-            height, sigma = krige(known, left_out.places_m, model, neighbours=neighbours)
+            height, sigma = krige(known, left_out.places_m, model, neighbours=_NEIGHBOURS, candidates=96)
             var = sigma**2 + model.micro_m2 + left_out.sigma_white_m**2 + left_out.sigma_slow_m**2
             total += float(np.sum(np.log(var) / 2 + (left_out.height_m - height) ** 2 / (2 * var)))
             n += len(left_out)

@@ -76,7 +76,6 @@ def write_raster(
 ) -> None:
     """Write bands (rows, columns) as float32, NaN where there is no value; same values, same bytes."""
     import rasterio
-    from rasterio.transform import from_origin
 
     with rasterio.open(
         path,
@@ -87,7 +86,7 @@ def write_raster(
         count=len(bands),
         dtype="float32",
         crs=grid.crs.to_wkt(),
-        transform=from_origin(grid.west_m, grid.north_m, grid.cell_m, grid.cell_m),
+        transform=rasterio.Affine(grid.cell_m, 0.0, grid.west_m, 0.0, -grid.cell_m, grid.north_m),
         nodata=float("nan"),
         compress="deflate",
         predictor="yes",

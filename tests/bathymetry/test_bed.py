@@ -1,0 +1,401 @@
+"""Water level, banks, and the bed of a channel whose shape is known."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import CRS
+
+from thalweg.bathymetry import (
+    OBSERVATIONS,
+    SOUNDINGS,
+    BedModel,
+    CovarianceModel,
+    Drift,
+    FlowLine,
+    Observations,
+    WaterLevel,
+    bed_observations,
+    choose_model,
+    directional_variogram,
+    flow_of_survey,
+    krige_bed,
+    level_water,
+    observations_of,
+    validate_bed,
+)
+from thalweg.bathymetry.banks import axis_of_track, centre_of, onto_line, trace_banks
+from thalweg.core import CoverageError, GeometryError, LocalFrame, Trajectory, frame_of
+from thalweg.navigation.ins_gnss import PoseCorrelation
+from thalweg.settings.sections import Bathymetry, EchoSounder
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+UTM = CRS("EPSG:25833")
+CORRELATION = PoseCorrelation(position_s=10.0, attitude_s=20.0, white_share=0.25, receiver_s=0.1)
+HALF_M = 12.0
+
+
+def river(step: float = 2.0) -> FlowLine:
+    x = np.arange(-20.0, 182.0, step)
+    return FlowLine.through(np.column_stack([x, 8 * np.sin(x / 30)]))
+
+
+def depth_m(s: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """A parabola with pools."""
+    return np.maximum(1 - (n / HALF_M) ** 2, 0) * (1.6 + 0.3 * np.sin(s / 12))
+
+
+def track(line: FlowLine, margin_m: float = 3.0, leg_m: float = 15.0, n: int = 1500) -> np.ndarray:
+    s = np.linspace(25, line.length_m - 25, n)
+    phase = (s / leg_m) % 2
+    across = np.where(phase < 1, 2 * phase - 1, 3 - 2 * phase) * (HALF_M - margin_m)
+    return np.column_stack([s, across])
+
+
+def soundings(
+    line: FlowLine, flow: np.ndarray, rng: np.random.Generator, sigma_m: float = 0.02
+) -> pd.DataFrame:
+    xy = line.to_map(flow[:, 0], flow[:, 1])
+    up = -depth_m(flow[:, 0], flow[:, 1]) + sigma_m * rng.standard_normal(len(flow))
+    n = len(flow)
+    values = {name: np.zeros(n) for name in SOUNDINGS.names} | {
+        "t_gps_s": np.arange(n) * 0.1,
+        "east_m": xy[:, 0],
+        "north_m": xy[:, 1],
+        "up_m": up,
+        "transducer_east_m": xy[:, 0],
+        "transducer_north_m": xy[:, 1],
+        "transducer_up_m": np.full(n, -0.1),
+        "range_m": -0.1 - up,
+        "depth_m": -up,
+        "sigma_white_m": np.full(n, sigma_m),
+        "sigma_slow_m": np.full(n, 0.002),
+        "sigma_common_m": np.full(n, 0.005),
+        "cov_uu_m2": np.full(n, sigma_m**2 + 0.002**2 + 0.005**2),
+        "line": (flow[:, 0] // 15).astype(int),
+        "used": np.ones(n, dtype=bool),
+        "reason": np.full(n, ""),
+        "row": np.arange(n),
+    }
+    return frame_of(SOUNDINGS, values)
+
+
+def shore_cloud(line: FlowLine, rng: np.random.Generator, slope: float = 0.4, n: int = 60_000):
+    """Ground that rises from the water on both sides, unseen on the left between 60 and 80 m."""
+    s, h = rng.uniform(10, line.length_m - 10, n), rng.uniform(0, 1.0, n)
+    side = rng.choice([-1.0, 1.0], n)
+    unseen = (side > 0) & (s > 60) & (s < 80)
+    across = side * (HALF_M + h / slope) + 0.02 * rng.standard_normal(n)
+    xy = line.to_map(s, across)
+    points = np.column_stack([xy, h + 0.02 * rng.standard_normal(n)])[~unseen]
+    return points, np.full(len(points), 0.02), np.full(len(points), 0.02)
+
+
+LEVEL = WaterLevel(level_m=0.0, cov=np.diag([0.005**2, 0, 0]))
+
+
+@pytest.fixture(scope="module")
+def survey():
+    rng = np.random.default_rng(4)
+    line = river()
+    flow = track(line)
+    banks, level = flow_of_survey(
+        line.to_map(flow[:, 0], flow[:, 1]), shore_cloud(line, rng), lambda _: LEVEL, Bathymetry()
+    )
+    return line, banks, level, soundings(line, flow, rng)
+
+
+@pytest.fixture(scope="module")
+def bed(survey):
+    _, banks, level, table = survey
+    return krige_bed(
+        table,
+        banks.line,
+        banks,
+        level,
+        None,
+        frame=FRAME,
+        crs=UTM,
+        echo=EchoSounder(beam_deg=0.0),
+        settings=Bathymetry(cell_m=1.0),
+        slow_time_s=10.0,
+        seed=1,
+    )
+
+
+# ---------------------------------------------------------------- water
+
+
+def floating(fall: float, rise: float, sigma_m: float, rng: np.random.Generator, *, back: bool) -> Trajectory:
+    t = np.arange(0.0, 600.0, 0.5)
+    s = np.where(t < 300, t, 600 - t) if back else t
+    last = np.linalg.cholesky(np.exp(-np.abs(t[:, None] - t[None]) / 10.0) + 1e-9 * np.eye(len(t)))
+    up = 0.2 - fall * s + rise * t + sigma_m * (last @ rng.standard_normal(len(t)))
+    cov = np.zeros((len(t), 6, 6))
+    cov[:] = np.diag([sigma_m**2] * 3 + [1e-6] * 3)
+    return Trajectory(
+        frame=FRAME,
+        t_gps_s=t,
+        position_wcs_m=np.column_stack([s, np.zeros(len(t)), up]),
+        quaternion_wcs_ics=np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1)),
+        cov_pose_wcs=cov,
+        valid=np.ones(len(t), dtype=bool),
+    )
+
+
+def levelled(trajectory: Trajectory) -> WaterLevel:
+    whole = replace(CORRELATION, white_share=0.0)
+    return level_water(trajectory, whole, lambda p: p[:, 0], water_line_ics_m=0.2, sigma_datum_m=0.0)
+
+
+def test_fall_and_rise_of_the_water_with_their_sigmas() -> None:
+    rng = np.random.default_rng(8)
+    z = []
+    for _ in range(25):
+        found = levelled(floating(1e-3, 2e-4, 0.02, rng, back=True))
+        true = -1e-3 * found.s0_m + 2e-4 * found.t0_gps_s
+        z.append(
+            [
+                (found.level_m - true) / np.sqrt(found.cov[0, 0]),
+                (found.slope + 1e-3) / np.sqrt(found.cov[1, 1]),
+                (found.rise_m_per_s - 2e-4) / np.sqrt(found.cov[2, 2]),
+            ]
+        )
+    assert np.mean(np.square(z)) == pytest.approx(1.0, abs=0.35)  # 75 values
+
+
+def test_one_way_down_cannot_tell_a_rise_from_a_fall() -> None:
+    found = levelled(floating(1e-3, 0.0, 0.01, np.random.default_rng(1), back=False))
+    assert found.slope == pytest.approx(-1e-3, abs=2e-4)
+    assert found.rise_m_per_s == 0.0
+    assert any("rise in time: not told" in note for note in found.notes)
+
+
+def test_level_water_needs_a_trajectory() -> None:
+    whole = floating(0.0, 0.0, 0.01, np.random.default_rng(1), back=False)
+    blind = replace(whole, valid=np.zeros(len(whole.t_gps_s), dtype=bool))
+    with pytest.raises((CoverageError, GeometryError)):
+        levelled(blind)
+
+
+# ---------------------------------------------------------------- banks
+
+
+def test_banks_where_the_ground_meets_the_water(survey) -> None:
+    line, banks, _, _ = survey
+    s, n, _ = line.to_flow(banks.table[["east_m", "north_m"]].to_numpy())
+    error = np.abs(n) - HALF_M
+    seen = banks.table["seen"].to_numpy()
+    assert np.sqrt(np.mean(error[seen] ** 2)) < 0.1
+    z = error[seen] / banks.table["sigma_across_m"].to_numpy()[seen]
+    assert 0.05 < np.mean(z**2) < 1.5
+    gap = (n > 0) & (s > 63) & (s < 77)
+    assert gap.any()
+    assert not seen[gap].any()
+    assert banks.table["sigma_across_m"].to_numpy()[gap].max() > 0.5
+
+
+def test_a_gap_that_is_too_long_has_no_bank(survey) -> None:
+    line, _, _, _ = survey
+    cloud = shore_cloud(line, np.random.default_rng(4))
+    table = trace_banks(*cloud, line, LEVEL, (30.0, 150.0), Bathymetry(bank_gap_m=5.0))
+    left = table[(table["side"] == "left") & (table["s_m"] > 63) & (table["s_m"] < 77)]
+    assert not len(left)
+
+
+def test_axis_without_its_zigzag_and_centre_between_the_banks(survey) -> None:
+    line, banks, _, _ = survey
+    flow = track(line)
+    axis = axis_of_track(line.to_map(flow[:, 0], flow[:, 1]))
+    at = line.to_map(np.linspace(40, 150, 50), 0.0)
+    assert np.abs(axis.to_flow(at)[1]).max() < 0.6 * HALF_M
+    assert np.abs(banks.line.to_flow(at)[1]).max() < 1.0
+    assert np.abs(centre_of(banks.table, banks.line).to_flow(at)[1]).max() < 1.0
+
+
+def test_swapped_and_missing_banks_are_named(survey) -> None:
+    line, banks, _, _ = survey
+    swapped = banks.table.assign(side=banks.table["side"].map({"left": "right", "right": "left"}))
+    with pytest.raises(GeometryError, match="100% of the bank's places lie on the other side"):
+        onto_line(swapped, line)
+    nothing = (np.empty((0, 3)), np.empty(0), np.empty(0))
+    flow = track(line)
+    with pytest.raises(CoverageError, match="no bank"):
+        flow_of_survey(line.to_map(flow[:, 0], flow[:, 1]), nothing, lambda _: LEVEL, Bathymetry())
+    with pytest.raises(GeometryError, match="a boat that went along"):
+        axis_of_track(np.zeros((100, 2)))
+
+
+# ---------------------------------------------------------------- bed
+
+
+def errors(bed, line: FlowLine) -> tuple[np.ndarray, np.ndarray]:
+    known = np.isfinite(bed.up_m)
+    places = FRAME.from_map(np.column_stack([bed.grid.centres_m()[known], np.full(known.sum(), 300.0)]), UTM)[
+        :, :2
+    ]
+    s, n, _ = line.to_flow(places)
+    return bed.up_m[known] + depth_m(s, n), np.hypot(bed.sigma_m[known], bed.sigma_common_m[known])
+
+
+def test_bed_of_a_channel_and_its_sigmas(survey, bed) -> None:
+    error, sigma = errors(bed, survey[0])
+    assert np.sqrt(np.mean(error**2)) < 0.06
+    assert 0.4 < np.mean((error / sigma) ** 2) < 1.6
+    assert bed.model.covariance.range_s_m > 2 * bed.model.covariance.range_n_m  # rivers are long
+
+
+def test_no_bed_outside_the_banks(survey, bed) -> None:
+    line = survey[0]
+    known = np.isfinite(bed.up_m)
+    places = FRAME.from_map(np.column_stack([bed.grid.centres_m()[known], np.full(known.sum(), 300.0)]), UTM)[
+        :, :2
+    ]
+    assert np.abs(line.to_flow(places)[1]).max() < HALF_M + 0.5
+    bands = bed.bands(FRAME)
+    assert np.nanmedian(bands["height_m"]) == pytest.approx(300.0 + np.nanmedian(bed.up_m), abs=0.01)
+    assert np.array_equal(np.isfinite(bands["height_m"]), known)
+
+
+def test_an_island_is_no_bed(survey) -> None:
+    _, banks, level, table = survey
+    middle = banks.line.to_map(np.array([90.0]), 0.0)[0]
+    corners = [tuple(middle + d) for d in ([-4, -4], [4, -4], [4, 4], [-4, 4])]
+    found = krige_bed(
+        table,
+        banks.line,
+        banks,
+        level,
+        None,
+        frame=FRAME,
+        crs=UTM,
+        echo=EchoSounder(beam_deg=0.0),
+        settings=Bathymetry(cell_m=1.0, islands=[corners], model="exponential", drift="none"),
+        slow_time_s=10.0,
+        seed=1,
+    )
+    at = FRAME.to_map(np.array([[*middle, 0.0]]), UTM)[:, :2]
+    row, column = found.grid.at(at)
+    assert np.isnan(found.up_m.reshape(found.grid.rows, -1)[row[0], column[0]])
+
+
+def test_left_out_lines_judge_the_methods(survey, bed) -> None:
+    _, banks, _, _ = survey
+    facts, predicted, methods = validate_bed(bed.data, bed.model, banks.half_widths_m, Bathymetry())
+    assert facts["lines"] == predicted.loc[predicted["group"] == "line", "number"].nunique() >= 8
+    assert 0.4 < facts["normalised_square"] < 1.8
+    rmse = methods.set_index("method")["rmse_m"]
+    assert rmse["kriging"] < 0.6 * rmse["kriging, same range along and across"]
+    assert rmse["kriging"] < rmse["inverse distance"]
+    # a sigma ten times too small is seen
+    of = bed.model.covariance
+    sure = replace(bed.model, covariance=replace(of, sill_m2=of.sill_m2 / 100, micro_m2=0.0))
+    assert validate_bed(bed.data, sure, banks.half_widths_m, Bathymetry())[0]["normalised_square"] > 3
+
+
+def test_data_of_the_bed_by_source(survey) -> None:
+    _, banks, level, table = survey
+    strip = pd.DataFrame(
+        {
+            "t_gps_s": np.repeat([5.0, 6.0], 40),
+            "east_m": np.tile(np.linspace(0, 0.4, 40), 2),
+            "north_m": 0.0,
+            "up_m": -1.0,
+            "sigma_line_m": 0.001,
+            "cov_uu_m2": 0.03**2,
+        }
+    )
+    found, counts = bed_observations(table, banks.line, banks, level, strip, bank_as_data=True)
+    assert list(found.columns) == OBSERVATIONS.names
+    assert counts["soundings"] == len(table)
+    assert counts["light sheet"] == (found["source"] == "light sheet").sum() == 4
+    sheet = found[found["source"] == "light sheet"]
+    assert sheet["sigma_slow_m"].to_numpy() == pytest.approx(0.03, abs=1e-4)
+    assert (found.loc[found["source"] == "bank", "line"] < 0).all()
+    without = bed_observations(table, banks.line, banks, level, None, bank_as_data=False)[0]
+    assert set(without["source"]) == {"sounding"}
+
+
+# ---------------------------------------------------------------- model
+
+
+def field(n_lines: int, rng: np.random.Generator) -> tuple[Observations, Callable]:
+    line = np.repeat(np.arange(n_lines), 40)
+    s, n = 12.0 * line + rng.uniform(-0.5, 0.5, len(line)), np.tile(np.linspace(-11, 11, 40), n_lines)
+    h = np.hypot((s[:, None] - s[None]) / 60.0, (n[:, None] - n[None]) / 8.0)
+    root = np.linalg.cholesky(0.09 * np.exp(-3 * h) + 1e-9 * np.eye(len(s)))
+    white = 0.02
+    data = Observations(
+        s_m=s,
+        n_m=n,
+        height_m=root @ rng.standard_normal(len(s)) + white * rng.standard_normal(len(s)),
+        sigma_white_m=np.full(len(s), white),
+        sigma_slow_m=np.zeros(len(s)),
+        t_s=np.full(len(s), np.nan),
+        line=line,
+    )
+    return data, lambda at: (np.full(np.shape(at), 12.0), np.full(np.shape(at), 12.0))
+
+
+def test_model_of_a_field_of_known_covariance() -> None:
+    """Ranges within a factor of two, and the right answer to: how far off will I be?"""
+    found = []
+    settings = Bathymetry(drift="none", model="exponential")
+    for seed in range(3):
+        data, widths = field(12, np.random.default_rng(seed))
+        found.append(choose_model(data, widths, settings, slow_time_s=0.0, seed=seed))
+    ratio = np.array([m.covariance.range_s_m / m.covariance.range_n_m for m in found])
+    assert 3.0 < np.median(ratio) < 20.0  # 7.5
+    slope = [m.covariance.sill_m2 / m.covariance.range_n_m for m in found]
+    assert np.median(slope) == pytest.approx(0.09 / 8.0, rel=0.6)
+
+
+def test_a_single_line_is_refused() -> None:
+    data, widths = field(1, np.random.default_rng(0))
+    with pytest.raises(GeometryError, match="1 line of soundings"):
+        choose_model(data, widths, Bathymetry(), slow_time_s=0.0, seed=0)
+
+
+def test_a_mean_section_needs_data_across_the_width() -> None:
+    data, widths = field(4, np.random.default_rng(0))
+    deep = data.lifted(data.height_m + 3 * (data.n_m / 12) ** 2)
+    chosen = choose_model(deep, widths, Bathymetry(model="exponential"), slow_time_s=0.0, seed=0)
+    assert "section, exponential" in chosen.compared
+    narrow = deep.where(np.abs(deep.n_m) < 5)
+    chosen = choose_model(narrow, widths, Bathymetry(model="exponential"), slow_time_s=0.0, seed=0)
+    assert "section, exponential" not in chosen.compared
+
+
+def test_model_written_and_read_is_the_same() -> None:
+    import json
+
+    data, widths = field(4, np.random.default_rng(0))
+    model = BedModel(
+        drift=Drift.fitted("section", data, widths),
+        covariance=CovarianceModel(kind="matern32", sill_m2=0.1, range_s_m=30.0, range_n_m=5.0),
+        compared={"a": 1.0},
+        reason="",
+    )
+    again = BedModel.of_report(json.loads(json.dumps(model.report())))
+    for name in ("drift", "covariance", "compared"):
+        assert getattr(again, name) == getattr(model, name)
+
+
+def test_robust_variogram_is_that_of_the_field() -> None:
+    values = []
+    for seed in range(6):
+        data, _ = field(12, np.random.default_rng(10 + seed))
+        lag, value, pairs = directional_variogram(data, along=False, reach_m=10.0, tolerance_m=1.5, bins=5)
+        assert pairs.sum() > 500
+        values.append(value)
+    expected = 0.02**2 + 0.09 * (1 - np.exp(-3 * lag / 8.0))
+    assert np.mean(values, axis=0) == pytest.approx(expected, rel=0.35)
+
+
+def test_observations_of_a_table_keep_every_column(bed) -> None:
+    data = observations_of(bed.data)
+    assert len(data) == len(bed.data)
+    np.testing.assert_array_equal(data.height_m, bed.data["up_m"])
+    np.testing.assert_array_equal(data.sigma_slow_m, bed.data["sigma_slow_m"])
