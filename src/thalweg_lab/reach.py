@@ -4,14 +4,15 @@ Flow coordinates: ``s`` along the centre line, 0 in the middle of the reach, ``n
 left of the flow. The angle of the centre line is ``theta(s) = theta_0 sin(2 pi s / lambda)`` (Langbein and
 Leopold 1966) about the configured mean direction.
 
-The water level is the same everywhere. With a weir the reach is what it impounds: the bed falls towards the
-weir, and what lies behind is a backdrop at the same level.
+The water level is the same everywhere, unless a fall tilts water and ground together. With a weir the reach
+is what it impounds: the bed falls towards the weir, and what lies behind is a backdrop at the same level.
 """
 
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
 from thalweg.core import AnyArray, ArrayB, ArrayF, ConfigError, njit, prange
@@ -55,6 +56,9 @@ BRIDGE_CLEARANCE_M: Final = 4.2
 """Least height of the bridge above the water."""
 GULLY_M: Final = 0.45
 """Depth of the deepest gullies."""
+
+_WEEDS_BELOW_M: Final = 0.15
+"""Weeds end so far below the surface."""
 
 _MANY: Final = 100_000
 
@@ -272,7 +276,30 @@ class River:
         # The bed is half as rough; at the water line both sides meet.
         rough = np.where(right > 0, rough_right, np.where(left > 0, rough_left, 0.5))
         noise = fractal_noise(s, n, 4.0, 8, self.noise_seed + 4, 0.6, cell_m=cell)
-        return np.asarray(c.water_level_m + z + noise * rough * c.roughness_m)
+        return np.asarray(c.water_level_m + z + noise * rough * c.roughness_m - self.fallen_m(s))
+
+    def fallen_m(self, s_m: ArrayLike) -> ArrayF:
+        """How much lower water and ground lie than in the middle of the reach, metres."""
+        return np.asarray(self.config.water_fall_m_per_km / 1000.0 * np.asarray(s_m, dtype=np.float64))
+
+    def weed_height_m(self, s_m: AnyArray, n_m: AnyArray) -> ArrayF:
+        """Height of the weeds above the bed, metres; 0 where none grow.
+
+        They stand in patches of some metres, thin out towards their edges and end a hand below the surface.
+        """
+        c = self.config
+        s, n = np.broadcast_arrays(np.asarray(s_m, dtype=np.float64), np.asarray(n_m, dtype=np.float64))
+        if c.weeds_cover == 0:
+            return np.zeros(s.shape)
+        noise = value_noise(s, 2.0 * n, 9.0, self.noise_seed + 97)
+        # The threshold that leaves the wanted share, from places all over the field of noise.
+        rng = np.random.default_rng(self.noise_seed)
+        x, y = rng.uniform(-1e4, 1e4, (2, 20_000))
+        anywhere = value_noise(x, y, 9.0, self.noise_seed + 97)
+        edge = float(np.quantile(anywhere, 1.0 - c.weeds_cover))
+        tall = c.weeds_height_m * smoothstep((noise - edge) / 0.15)
+        room = np.maximum(self.depth(s, n) - _WEEDS_BELOW_M, 0.0)
+        return np.asarray(np.where(noise > edge, np.minimum(tall, room), 0.0))
 
     def cell_m(self, over_m: AnyArray) -> ArrayF:
         """Size of the smallest relief at a distance behind the shore (negative: in the water), metres."""

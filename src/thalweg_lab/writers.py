@@ -423,6 +423,16 @@ def dpt(depth_m: float, offset_m: float, scale_m: float) -> str:
     return nmea_sentence(f"SDDPT,{depth_m:.2f},{offset_m:.2f},{scale_m:.1f}")
 
 
+def mtw(temperature_c: float) -> str:
+    """SDMTW: temperature of the water."""
+    return nmea_sentence(f"SDMTW,{temperature_c:.1f},C")
+
+
+def xdr_tilt(pitch_deg: float, roll_deg: float) -> str:
+    """SDXDR: pitch and roll of the transducer."""
+    return nmea_sentence(f"SDXDR,A,{pitch_deg:.1f},D,PTCH,A,{roll_deg:.1f},D,ROLL")
+
+
 def dbt(depth_m: float) -> str:
     """SDDBT: depth below the transducer in feet, metres and fathoms."""
     return nmea_sentence(f"SDDBT,{depth_m / 0.3048:.2f},f,{depth_m:.2f},M,{depth_m / 1.8288:.2f},F")

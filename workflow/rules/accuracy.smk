@@ -277,3 +277,28 @@ rule compare_riverbed_with_truth:
         campaign=identity("origin"),
     script:
         "../scripts/compare_riverbed_with_truth.py"
+
+
+rule compare_soundings_with_truth:
+    """Errors of the twin's soundings ping by ping, and whether the reasons of those left out are right."""
+    input:
+        soundings="results/{campaign}/bathymetry/soundings.parquet",
+        depths="results/{campaign}/ingest/depths.parquet",
+        truth="results/{campaign}/simulation/truth/soundings.parquet",
+    output:
+        table="results/{campaign}/accuracy/truth_soundings.csv",
+        reasons="results/{campaign}/accuracy/truth_sounding_reasons.csv",
+    log:
+        "logs/{campaign}/accuracy/compare_soundings_with_truth.log",
+    benchmark:
+        "benchmarks/{campaign}/accuracy/compare_soundings_with_truth.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("compare_soundings_with_truth"),
+    script:
+        "../scripts/compare_soundings_with_truth.py"

@@ -192,6 +192,7 @@ rule simulate_echo:
     output:
         nmea="results/{campaign}/simulation/logs/echo.nmea",
         effects="results/{campaign}/simulation/truth/echo_effects.json",
+        true_soundings="results/{campaign}/simulation/truth/soundings.parquet",
     log:
         "logs/{campaign}/simulation/simulate_echo.log",
     benchmark:

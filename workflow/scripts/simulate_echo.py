@@ -16,6 +16,7 @@ def main(
     scene: Path,
     nmea: Path,
     effects: Path,
+    true_soundings: Path,
     campaign: dict[str, Any],
     twin: dict[str, Any],
 ) -> None:
@@ -27,6 +28,7 @@ def main(
         nmea,
         lever_ics_echo_m=read_true_mounts(true_mounts)["echo_sounder"]["lever_ics_m"],
         out_effects=effects,
+        out_soundings=true_soundings,
     )
 
 

@@ -1,4 +1,8 @@
-from .bed import simulate_bed_survey as simulate_bed_survey, simulate_echo as simulate_echo
+from .bed import (
+    TRUE_SOUNDINGS as TRUE_SOUNDINGS,
+    simulate_bed_survey as simulate_bed_survey,
+    simulate_echo as simulate_echo,
+)
 from .display_photos import simulate_display as simulate_display
 from .effects import inside as inside
 from .footprint import LIDAR_SHOTS as LIDAR_SHOTS, EchoKind as EchoKind

@@ -233,7 +233,7 @@ def ground_material(river: River, s: ArrayF, n: ArrayF, corners: ArrayF) -> Arra
 
 
 def add_water(parts: MeshParts, river: River) -> None:
-    """The water surface, flat, reaching under the banks."""
+    """The water surface, even, falling as the reach does, reaching under the banks."""
     c = river.config
     s = np.linspace(-c.length_m / 2, c.length_m / 2, int(c.length_m / 2.0) + 1)
     share = np.linspace(0.0, 1.0, 9)[None, :]
@@ -243,9 +243,8 @@ def add_water(parts: MeshParts, river: River) -> None:
     moved = (left[:, None] - base) * smoothstep(across) - (right[:, None] - base) * smoothstep(-across)
     n = (base + reach) * across + moved
     xy = river.to_wcs(np.broadcast_to(s[:, None], n.shape), n)
-    vertices = np.concatenate([xy, np.full((*n.shape, 1), c.water_level_m + c.stage_m)], axis=-1).reshape(
-        -1, 3
-    )
+    up = np.broadcast_to(c.water_level_m + c.stage_m - river.fallen_m(s)[:, None], n.shape)
+    vertices = np.concatenate([xy, up[..., None]], axis=-1).reshape(-1, 3)
     rows, columns = n.shape
     i, j = np.arange(rows - 1)[:, None], np.arange(columns - 1)[None, :]
     a = (i * columns + j).ravel()
@@ -471,7 +470,8 @@ def add_fallen_tree(parts: MeshParts, river: River, seed: int) -> None:
     _, left = river.shores(s)
     n = left + 2.0 - u * (2.0 + 0.085 * river.config.width_m)
     axis = np.concatenate([river.to_wcs(s, n), np.zeros((6, 1))], axis=1)
-    begin, end = float(river.height(s[:1], n[:1])[0]) + 0.35, river.config.water_level_m - 0.15
+    begin = float(river.height(s[:1], n[:1])[0]) + 0.35
+    end = river.config.water_level_m - float(river.fallen_m(s[0])) - 0.15
     axis[:, 2] = begin + (end - begin) * u
     trunk = tubes(axis[None], (0.24 * (1 - 0.7 * u))[None], 9)
     parts.add_copies(tube_faces(9, 6), trunk, Material.BARK, 0.5)

@@ -320,7 +320,8 @@ def add_weir(parts: MeshParts, river: River) -> None:
     c = river.config
     if not c.weir:
         return
-    level, s0 = c.water_level_m, river.weir_s_m()
+    s0 = river.weir_s_m()
+    level = c.water_level_m - float(river.fallen_m(s0))
     right, left = (float(w) for w in river.shores(np.array(s0)))
     deep = float(np.max(river.depth(np.full(99, s0), np.linspace(-right, left, 99)))) + 0.8
     pieces = 24
@@ -345,7 +346,8 @@ def add_bridge(parts: MeshParts, river: River) -> None:
     c = river.config
     if not c.bridge:
         return
-    level, s0 = c.water_level_m, river.bridge_s_m()
+    s0 = river.bridge_s_m()
+    level = c.water_level_m - float(river.fallen_m(s0))
     right, left = (float(w) for w in river.shores(np.array(s0)))
     low = level + bridge_soffit_m(c)
     ends = np.array([-right - 2.0, left + 2.0])
@@ -401,13 +403,14 @@ def add_railway(parts: MeshParts, river: River) -> None:
     n = _track_n(river, s)
     up = c.water_level_m + c.embankment_height_m + BALLAST_M - 0.1
     sleeper = np.array([0.26, 2.6, 0.2])
-    _boxes_along(parts, river, s, n, np.full(len(s), up), sleeper, Material.CONCRETE)
+    _boxes_along(parts, river, s, n, up - river.fallen_m(s), sleeper, Material.CONCRETE)
     k = np.arange(-half + 0.5, half - 0.5, 2.0)
     middle = (k[1:] + k[:-1]) / 2
     for side in (-_GAUGE_HALF_M, _GAUGE_HALF_M):
         ends = river.to_wcs(k, _track_n(river, k) + side)
         step = np.diff(ends, axis=0)
-        foot = np.concatenate([(ends[1:] + ends[:-1]) / 2, np.full((len(middle), 1), up + 0.2)], axis=1)
+        base = up + 0.2 - river.fallen_m(middle)
+        foot = np.concatenate([(ends[1:] + ends[:-1]) / 2, base[:, None]], axis=1)
         size = np.stack(
             [np.hypot(step[:, 0], step[:, 1]) + 0.01, np.full(len(middle), 0.07), np.full(len(middle), 0.15)],
             axis=1,
@@ -473,6 +476,9 @@ def outlook(scene: Scene, centre_wcs_m: ArrayF, azimuth_rad: ArrayF, elevation_r
         not wholly below it stands for the cone about its bounding sphere; a ray is wanted if its cell of the
         grid of 1 degree by half a degree meets one of the cones.
     """
+    water = scene.triangles[scene.material == Material.WATER]
+    # Water that falls along the reach: nothing above its lowest place is left out.
+    lowest = min([scene.water_level_m, *scene.vertices_wcs_m[water[:, 0], 2].tolist()])
     column = np.floor((azimuth_rad - azimuth_rad[0]) / _STEP_RAD[0]).astype(np.int64)
     row = np.floor((elevation_rad - elevation_rad[0]) / _STEP_RAD[1]).astype(np.int64)
     cells = np.zeros((column[-1] + 1, row[-1] + 1), dtype=np.bool_)
@@ -480,7 +486,7 @@ def outlook(scene: Scene, centre_wcs_m: ArrayF, azimuth_rad: ArrayF, elevation_r
         scene.vertices_wcs_m,
         scene.triangles,
         scene.material == Material.WATER,
-        scene.water_level_m - 0.01,
+        lowest - 0.01,
         np.asarray(centre_wcs_m, dtype=np.float64),
         (float(azimuth_rad[0]), float(elevation_rad[0])),
         _STEP_RAD,

@@ -31,3 +31,4 @@ from .solutions import (
     carried_by_camera as carried_by_camera,
     chains_truth_table as chains_truth_table,
 )
+from .soundings import compare_soundings as compare_soundings

@@ -5,6 +5,7 @@ from .survey import (
     TwinCamera as TwinCamera,
     TwinConfig as TwinConfig,
     TwinDisplay as TwinDisplay,
+    TwinEcho as TwinEcho,
     TwinEffects as TwinEffects,
     TwinGnss as TwinGnss,
     TwinIns as TwinIns,

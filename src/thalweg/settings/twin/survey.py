@@ -119,6 +119,18 @@ class TwinScene(Section):
         default=-0.35, description="Where the bridge stands, as a share of the half length"
     )
     railway: bool = Field(default=True, description="Whether a track lies on the embankment")
+    water_fall_m_per_km: Annotated[float, Field(ge=0, le=20)] = Field(
+        default=0.0, description="Fall of water and ground along the reach, metres a kilometre"
+    )
+    water_rise_m_per_h: Annotated[float, Field(ge=-2, le=2)] = Field(
+        default=0.0,
+        description="Rise of the water while the boat sails, metres an hour, about its level half way; "
+        "boat and depths follow, the water in the scene does not",
+    )
+    weeds_cover: Share = Field(default=0.0, description="Share of the bed on which weeds grow")
+    weeds_height_m: Positive = Field(
+        default=0.5, le=5, description="Greatest height of weeds above the bed, metres; they end under water"
+    )
     stones_per_m: NonNegative = Field(
         default=20.0, le=100, description="Boulders of 0.2 to 0.8 m per metre of reach, most on the right toe"
     )
@@ -178,6 +190,14 @@ class TwinBoat(Section):
     zigzag_deg: Annotated[float, Field(ge=0, le=80)] = Field(
         default=50.0, description="Angle between the legs of the zigzag and the flow, degrees"
     )
+    pattern: Literal["zigzag", "sections", "along"] = Field(
+        default="zigzag",
+        description="Course: `zigzag` between the banks, `sections` across the river, `along` it up and down",
+    )
+    line_spacing_m: Positive = Field(
+        default=10.0, le=200, description="Distance of `sections` or of lines `along`, metres"
+    )
+    line_length_m: Positive = Field(default=100.0, le=5000, description="Length of the lines `along`, metres")
     bank_distance_m: Positive = Field(
         default=6.0, le=100, description="Distance from the shores at which the boat turns, metres"
     )
@@ -338,6 +358,63 @@ class TwinEcho(Section):
     sigma_m: NonNegative = Field(default=0.02, le=1, description="Noise of the depth, metres")
     offset_m: Finite = Field(default=0.1, description="Offset in DPT: transducer to water line, metres")
     max_depth_m: Positive = Field(default=100.0, description="Range scale, metres")
+    beam_deg: Annotated[float, Field(ge=0, le=60)] = Field(
+        default=0.0, description="Full opening angle of the beam, first return in it; degrees; 0: a ray"
+    )
+    boulders: bool = Field(
+        default=False,
+        description="All that is firm returns the sound, boulders and sills too; false: the bed alone",
+    )
+    tilt_deg: tuple[Finite, Finite] = Field(
+        default=(0.0, 0.0),
+        description="True direction of the beam against the body's down axis, forward and right, degrees",
+    )
+    latency_s: Annotated[float, Field(ge=0, le=2)] = Field(
+        default=0.0,
+        description="How much later than its ping a depth is stamped, without the filters; seconds",
+    )
+    water_temperature_c: Annotated[float, Field(ge=0, le=40)] = Field(
+        default=10.0, description="True temperature of the water, degrees Celsius"
+    )
+    assumed_sound_speed_mps: Annotated[float, Field(ge=1000, le=2000)] | None = Field(
+        default=None,
+        description="Speed of sound that the instrument computes with, m/s; null: that of the water",
+    )
+    dead_zone_m: NonNegative = Field(
+        default=0.0,
+        le=5,
+        description="Smaller depths are lost or come out doubled, half of them each, metres; 0: none",
+    )
+    second_echo_share: Share = Field(
+        default=0.0, description="Share of pings that give the echo that went over the surface once more"
+    )
+    spike_share: Share = Field(default=0.0, description="Share of pings that give any depth")
+    no_bottom_share: Share = Field(default=0.0, description="Share of pings that give none")
+    turn_dropout_share: Share = Field(
+        default=0.0,
+        description="Share of pings that give none while the boat turns faster than half its greatest rate",
+    )
+    weed_share: Share = Field(
+        default=0.0, description="Share of pings over weeds (`scene.weeds_cover`) that return from them"
+    )
+    zeros: bool = Field(
+        default=False, description="A ping without bottom is written as depth 0; false: nothing is written"
+    )
+    median_pings: Annotated[int, Field(ge=1, le=21)] = Field(
+        default=1, description="The instrument's running median over its last pings; 1: none"
+    )
+    average_pings: Annotated[int, Field(ge=1, le=12)] = Field(
+        default=1, description="The instrument's running mean over its last pings, after the median; 1: none"
+    )
+    temperature_sentences: bool = Field(
+        default=False, description="Temperature of the water once a second (MTW)"
+    )
+    tilt_sentences: bool = Field(
+        default=False, description="The transducer's own pitch and roll once a second (XDR)"
+    )
+    sigma_tilt_sensor_deg: NonNegative = Field(
+        default=0.5, le=10, description="Noise of the tilt that it states, degrees"
+    )
     bed_survey: bool = Field(
         default=False, description="Points of the bed are surveyed with an RTK pole in shallow water"
     )

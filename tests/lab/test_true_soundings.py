@@ -1,0 +1,87 @@
+"""Soundings against the truth of their pings: sigmas two-sided, reasons counted, times matched."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.core import CoverageError
+from thalweg_lab.truth import compare_soundings
+
+N = 4000
+
+
+def pings(scale: float = 1.0, lag_s: float = 0.0) -> tuple[pd.DataFrame, np.ndarray, pd.DataFrame]:
+    """Soundings whose white, slow and common parts are 3, 2 and 6 cm, their common error not drawn but 0."""
+    rng = np.random.default_rng(4)
+    stamp = 100.0 + 0.1 * np.arange(N)
+    depth = rng.uniform(0.3, 2.8, N)
+    truth = pd.DataFrame(
+        {
+            "t_gps_s": stamp,
+            "stamp_gps_s": stamp,
+            "up_m": -depth,
+            "depth_m": depth,
+            "stated_m": depth,
+            "blunder_m": 0.0,
+            "effect": "",
+        }
+    )
+    white, slow, common = 0.03, 0.02, 0.06
+    error = scale * np.sqrt(white**2 + slow**2 + common**2) * rng.standard_normal(N)
+    soundings = pd.DataFrame(
+        {
+            "t_gps_s": stamp - lag_s,
+            "up_m": error - depth,
+            "sigma_white_m": white,
+            "sigma_slow_m": slow,
+            "sigma_common_m": common,
+            "used": True,
+            "row": np.arange(N),
+        }
+    )
+    return soundings, stamp, truth
+
+
+@pytest.mark.parametrize(("scale", "square"), [(1.0, 1.0), (2.0, 4.0), (0.5, 0.25)])
+def test_sigmas_that_are_right_too_small_and_too_large(scale: float, square: float) -> None:
+    errors, _ = compare_soundings(*pings(scale))
+    whole = errors.iloc[0]
+    assert whole["n"] == N
+    # of N squares: four sigmas are 9 %
+    assert whole["normalised_square"] == pytest.approx(square, rel=0.09)
+    assert whole["rmse_m"] == pytest.approx(0.07 * scale, rel=0.05)
+    assert whole["predicted_common_m"] == pytest.approx(0.06)
+    assert errors["n"].iloc[1:].sum() == N
+    if scale == 1.0:
+        assert whole["outside_95"] == pytest.approx(0.05, abs=0.014)
+
+
+def test_reasons_found_missed_and_false() -> None:
+    soundings, stamp, truth = pings()
+    truth.loc[:9, ["effect", "blunder_m"]] = ["spike", 1.0]
+    truth.loc[10:19, ["effect", "stated_m"]] = ["turn", np.nan]
+    # a fault that the instrument's own median took out again is none to be found
+    truth.loc[20:24, ["effect", "blunder_m"]] = ["spike", 0.01]
+    soundings.loc[:7, "used"] = False
+    soundings.loc[10:19, "used"] = False
+    soundings.loc[30:32, "used"] = False
+    errors, reasons = compare_soundings(soundings, stamp, truth)
+    table = reasons.set_index("effect")
+    assert table.loc["spike", ["pings", "left_out"]].tolist() == [10, 8]
+    assert table.loc["turn", ["pings", "left_out"]].tolist() == [10, 10]
+    assert table.loc["none", ["pings", "left_out"]].tolist() == [N - 20, 3]
+    assert table.loc["spike", "share"] == pytest.approx(0.8)
+    # the two spikes that were missed are no part of the errors
+    assert errors["n"].iloc[0] == N - 28
+
+
+def test_times_that_the_processing_moved_are_matched() -> None:
+    moved, _ = compare_soundings(*pings(lag_s=0.43))
+    plain, _ = compare_soundings(*pings())
+    pd.testing.assert_frame_equal(moved, plain)
+
+
+def test_another_log_is_refused() -> None:
+    soundings, stamp, truth = pings()
+    with pytest.raises(CoverageError, match="none of"):
+        compare_soundings(soundings, stamp + 1e4, truth)
