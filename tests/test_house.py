@@ -160,6 +160,7 @@ PACKAGES = (
     "surface",
     "budgets",
     "bathymetry",
+    "fusion",
     "accuracy",
     "deformation",
     "figures",

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.accuracy import ComparisonSettings, after_motion, chi_square_band, register, registration
 from thalweg.accuracy.reference_comparison import registration_facts
-from thalweg.accuracy.registration import LEAST_VISIBLE, TUKEY, Motion, share_within_blocks, visible_motions
+from thalweg.accuracy.registration import share_within_blocks
 from thalweg.core import GeometryError
 from thalweg.core.geometry import _open3d
-from thalweg.surface import Distances, Surface
+from thalweg.surface import LEAST_VISIBLE, TUKEY, Distances, Motion, Surface, visible_motions
 from thalweg_lab.random_numbers import gauss_markov, generator
 
 _spec = importlib.util.spec_from_file_location("bank_samples", Path(__file__).with_name("bank_samples.py"))

@@ -23,11 +23,11 @@ from thalweg.accuracy.comparison_tables import (
     statistics_table,
     verdicts,
 )
-from thalweg.accuracy.registration import AXES, Registration, register
+from thalweg.accuracy.registration import Registration, register
 from thalweg.accuracy.statistics import describe_errors
 from thalweg.core import ArrayF, ArrayI, GeometryError
 from thalweg.core.geometry import TriangleMesh, cell_numbers
-from thalweg.surface import Area, Surface
+from thalweg.surface import AXES, Area, Surface
 
 _LOG = logging.getLogger("thalweg")
 CELL_M: Final = 1.0

@@ -23,20 +23,23 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as fisher
 
 from thalweg.accuracy.comparison import ComparisonSettings
 from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, GeometryError, plane_rates
-from thalweg.core.geometry import cell_numbers
-from thalweg.surface import Distances, Surface
+from thalweg.surface import (
+    LEAST_VISIBLE,
+    Distances,
+    Motion,
+    Surface,
+    jackknife,
+    motions_in_words,
+    tukey,
+    tukey_slope,
+    visible_motions,
+)
 
-TUKEY: Final = 4.685
-"""Distances beyond so many robust standard deviations have no weight; 95 % efficient for normal errors."""
-LEAST_VISIBLE: Final = 0.1
-"""RMS change of the distances over RMS motion of the points, below which a motion is not determined."""
-VISIBILITY_CELL_M: Final = 1.0
 MOST_POINTS: Final = 100_000
 """Points that take part; more of them share the same pose errors."""
 MOST_ITERATIONS: Final = 60
@@ -49,8 +52,6 @@ JITTER: Final = 0.05
 """Largest full step that may be left, as a share of the spread of the distances."""
 LARGEST_ROTATION_DEG: Final = 10.0
 LEAST_POINTS: Final = 100
-AXES: Final = ("east", "north", "up")
-_FLOOR_M: Final = 1e-4
 SHORTEST: Final = 2.0
 """Blocks last at least so many correlation times; sums over shorter ones hold too little of the variance."""
 LONGEST: Final = 10.0
@@ -59,29 +60,9 @@ ENOUGH_BLOCKS: Final = 20
 """Blocks are only made longer than the shortest as long as so many are left."""
 SPARE_BLOCKS: Final = 3
 """So many more blocks than parameters are needed; the spread of fewer says nothing."""
-_LEAST_LEFT: Final = 0.01
-"""A parameter that keeps less than this share of its curvature without one block rests on that block."""
 
 
 # ---------------------------------------------------------------- registration
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
-    """A rigid motion about a point: ``p -> centre + R (p - centre) + shift``; all in wcs."""
-
-    centre_m: ArrayF
-    R: ArrayF
-    shift_m: ArrayF
-
-    def apply(self, points_m: ArrayF) -> ArrayF:
-        """Where points (n, 3) are after the motion."""
-        return np.asarray(self.centre_m + (points_m - self.centre_m) @ self.R.T + self.shift_m)
-
-    def followed_by(self, shift_m: ArrayF, rotation_rad: ArrayF) -> "Motion":
-        """The motion, then a rotation vector about the moved centre and a shift."""
-        R = Rotation.from_rotvec(rotation_rad).as_matrix() @ self.R
-        return Motion(centre_m=self.centre_m, R=R, shift_m=self.shift_m + shift_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +134,7 @@ def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings
     iterations, share, size, applied = 0, 1.0, np.inf, np.inf
     while applied > STEP_M and iterations < MOST_ITERATIONS:
         distance = found.distance_m[use]
-        weight = _tukey(distance)
+        weight = tukey(distance)
         design = rates[use] @ free
         normal_matrix = design.T @ (weight[:, None] * design)
         step = np.linalg.solve(normal_matrix, -design.T @ (weight * distance))
@@ -175,7 +156,7 @@ def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings
             "accuracy.registration to false",
         )
     distance = found.distance_m[use]
-    weight, slope = _tukey(distance), _tukey_slope(distance)
+    weight, slope = tukey(distance), tukey_slope(distance)
     known = block_covariance(
         rates[use] @ free,
         weight * distance,
@@ -187,7 +168,7 @@ def register(table: pd.DataFrame, surface: Surface, settings: ComparisonSettings
         motion=motion,
         cov=None if known.cov is None else free @ known.cov @ free.T,
         visibility=visibility,
-        undetermined=_names(motions[:, visibility < LEAST_VISIBLE]),
+        undetermined=motions_in_words(motions[:, visibility < LEAST_VISIBLE]),
         iterations=iterations,
         n=int(use.sum()),
         blocks=known.blocks,
@@ -214,22 +195,6 @@ def _taking_part(found: Distances, settings: ComparisonSettings) -> ArrayB:
     return np.asarray(near & ~found.at_border & found.normal.any(axis=1))
 
 
-def _tukey(distance_m: ArrayF) -> ArrayF:
-    """Tukey's weights; the scale is about zero, not about the median: an offset is what is to be removed."""
-    u = distance_m / _tukey_limit(distance_m)
-    return np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0.0)
-
-
-def _tukey_slope(distance_m: ArrayF) -> ArrayF:
-    """Derivative of weight times distance with respect to the distance: what a point holds a fit by."""
-    u = distance_m / _tukey_limit(distance_m)
-    return np.where(np.abs(u) < 1, (1 - u**2) * (1 - 5 * u**2), 0.0)
-
-
-def _tukey_limit(distance_m: ArrayF) -> float:
-    return TUKEY * max(NMAD * float(np.median(np.abs(distance_m))), _FLOOR_M)
-
-
 def _rates(points: ArrayF, normal: ArrayF, motion: Motion) -> ArrayF:
     """Change of each distance with the shift and with the rotation vector, (n, 6)."""
     arm = points - (motion.centre_m + motion.shift_m)
@@ -245,69 +210,6 @@ def _refuse_large(motion: Motion, settings: ComparisonSettings) -> None:
             expected=f"at most {limit:g} m and {LARGEST_ROTATION_DEG:g} degrees",
             cure="Enlarge the area, or compare without registration",
         )
-
-
-def visible_motions(points_m: ArrayF, rates: ArrayF, centre_m: ArrayF) -> tuple[ArrayF, ArrayF]:
-    """How visible six independent motions are (6,), and these motions (6, 6) in columns.
-
-    Each moves the points by an RMS of 1 m, in a linear sense. Those that are not visible are turned among
-    themselves so that shifts and rotations stand apart.
-
-    Parameters
-    ----------
-    points_m : (n, 3).
-    rates : (n, 6) change of each point's distance with a shift and with a rotation vector about the centre.
-    centre_m : (3,).
-
-    Raises
-    ------
-    GeometryError : all points lie on a line.
-    """
-    number = cell_numbers(points_m, VISIBILITY_CELL_M)
-    count = np.bincount(number)
-    mean = np.stack([np.bincount(number, weights=rate) for rate in rates.T], axis=1) / count[:, None]
-    change = mean.T @ (count[:, None] * mean) / count.sum()
-    try:
-        power, motions = eigh(change, _mean_square_motion(points_m - centre_m))
-    except np.linalg.LinAlgError as error:
-        raise GeometryError("all points lie on a line", expected="points on a surface") from error
-    visibility = np.sqrt(np.maximum(power, 0.0))
-    hidden = visibility < LEAST_VISIBLE
-    if hidden.any():
-        null = motions[:, hidden]
-        motions[:, hidden] = null @ np.linalg.svd(null[:3])[2].T
-        visibility[hidden] = np.sqrt(np.average((mean @ motions[:, hidden]) ** 2, axis=0, weights=count))
-    return visibility, np.asarray(motions)
-
-
-def _mean_square_motion(arm: ArrayF) -> ArrayF:
-    """Matrix D (6, 6): ``x^T D x`` is the mean square motion of points under a shift and a small rotation."""
-    e, n, u = arm.mean(axis=0)
-    products = arm.T @ arm / len(arm)
-    out = np.eye(6)
-    # the motion is t + w x r, and t . (w x r) = w . (r x t)
-    out[:3, 3:] = [[0.0, u, -n], [-u, 0.0, e], [n, -e, 0.0]]
-    out[3:, :3] = out[:3, 3:].T
-    out[3:, 3:] = np.trace(products) * np.eye(3) - products
-    return out
-
-
-def _names(motions: ArrayF) -> tuple[str, ...]:
-    """Motions (6, k) of shift and rotation in words; each moves points by an RMS of 1 m in all."""
-    names = []
-    for motion in motions.T:
-        shift = float(np.linalg.norm(motion[:3]))
-        parts = []
-        for what, vector, share in (
-            ("shift along", motion[:3], shift),
-            ("rotation about", motion[3:], float(np.sqrt(max(1.0 - shift**2, 0.0)))),
-        ):
-            if share > 0.3:
-                direction = vector / np.linalg.norm(vector) * np.sign(vector[np.argmax(np.abs(vector))])
-                axes = ", ".join(f"{axis} {x:.2f}" for axis, x in zip(AXES, direction, strict=True))
-                parts.append(f"{what} ({axes})")
-        names.append(" with ".join(parts))
-    return tuple(names)
 
 
 # ---------------------------------------------------------------- covariance of a robust fit to points that
@@ -402,22 +304,7 @@ def block_covariance(
             curvature[:, i, j] = curvature[:, j, i] = sums
     cov = None
     if effective >= p + SPARE_BLOCKS:
-        cov = _jackknife(score, curvature)
+        cov = jackknife(score, curvature)
     if cov is not None:
         cov = cov / share_within_blocks(length, correlation_s)
     return BlockCovariance(cov=cov, blocks=effective, block_s=length, needed=p + SPARE_BLOCKS)
-
-
-def _jackknife(score: ArrayF, curvature: ArrayF) -> ArrayF | None:
-    whole = curvature.sum(axis=0)
-    power, axes = np.linalg.eigh(whole)
-    if power[0] <= 0:
-        return None
-    # in parameters in which the curvature of all is the unit matrix
-    scale = axes / np.sqrt(power)
-    rest = np.eye(len(power)) - scale.T @ curvature @ scale
-    if np.linalg.eigvalsh(rest).min() < _LEAST_LEFT:
-        return None
-    changes = np.linalg.solve(rest, (score @ scale)[:, :, None])[:, :, 0] @ scale.T
-    n_blocks = len(score)
-    return np.asarray((n_blocks - 1) / n_blocks * changes.T @ changes)

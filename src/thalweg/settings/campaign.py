@@ -17,6 +17,7 @@ from thalweg.settings.sections import (
     Filters,
     Finite,
     Fused,
+    Fusion,
     Georeferencing,
     Images,
     Ins,
@@ -129,6 +130,7 @@ class Campaign(Section):
     accuracy: Accuracy = Field(default=Accuracy(), description="Comparison of the cloud with the reference")
     echo_sounder: EchoSounder = Field(default=EchoSounder(), description="Echo sounder and water")
     bathymetry: Bathymetry = Field(default=Bathymetry(), description="Riverbed from soundings")
+    fusion: Fusion = Field(default=Fusion(), description="One model of bed, banks and surroundings")
     deformation: Deformation = Field(default=Deformation(), description="Change between epochs")
     figures: Figures = Field(default=Figures(), description="Pictures")
 

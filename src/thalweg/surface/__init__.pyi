@@ -7,3 +7,15 @@ from .reference import (
     mesh_reference as mesh_reference,
     read_reference as read_reference,
 )
+from .rigid_fit import (
+    AXES as AXES,
+    LEAST_VISIBLE as LEAST_VISIBLE,
+    TUKEY as TUKEY,
+    Motion as Motion,
+    jackknife as jackknife,
+    motions_in_words as motions_in_words,
+    tukey as tukey,
+    tukey_slope as tukey_slope,
+    visible_motions as visible_motions,
+)
+from .thinning import heights_above_envelope as heights_above_envelope

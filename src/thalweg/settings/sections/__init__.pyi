@@ -28,6 +28,14 @@ from .deformation import (
     EpochErrors as EpochErrors,
     Visibility as Visibility,
 )
+from .fusion import (
+    CloudFit as CloudFit,
+    Fusion as Fusion,
+    GroundFilter as GroundFilter,
+    MeshSettings as MeshSettings,
+    SectionSettings as SectionSettings,
+    Vertical as Vertical,
+)
 from .images import (
     BlockAdjustment as BlockAdjustment,
     CameraCloud as CameraCloud,

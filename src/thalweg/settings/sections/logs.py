@@ -26,6 +26,7 @@ STREAM_KEYS = {
     "decisions": ("decisions",),
     "centre_line": ("centre_line",),
     "bank_lines": ("bank_lines",),
+    "uav": ("uav",),
     "field": ("calibration", "field"),
     "reference_images": ("calibration", "reference_images"),
     "position_images": ("calibration", "position_images"),
@@ -283,6 +284,11 @@ class Logs(Section):
         default=(),
         description="Bank lines: GeoJSON in campaign.crs with `side: left` and `right`; else where "
         "the ground of the cloud meets the water",
+    )
+    uav: Files = Field(
+        default=(),
+        description="Clouds of the surroundings, such as photogrammetry from the air: LAS, LAZ in the local "
+        "frame, campaign.crs or a CRS of their own, ellipsoidal heights",
     )
     time_lapse: TimeLapseLogs = Field(
         default=TimeLapseLogs(), description="Images of the bank, and control points"

@@ -1,0 +1,577 @@
+r"""One terrain model of bed and banks: height, sigma, source, distance to data.
+
+**Cells.** Points of a cloud become one height a cell: their mean, brought to the centre of the cell along the
+slope about it. Of the sigma ``s`` that the points state and their scatter ``w`` about the slope, ``w`` is new
+in each point and the rest is shared, so that a cell of n points has ``max(s^2 - w^2, 0) + w^2 / n``.
+
+**Blending.** Where several sources have a height, the model is their mean with the weights
+``taper^2 / sigma^2``. The taper rises from 0 to 1 over `fusion.blend_m` from the border of a source inward,
+wherever another source goes on: no source ends with a step. Sources that contradict each other beyond their
+sigmas raise the sigma (Birge 1932).
+
+**Gaps.** Cells without a height inside the water line, and others on request, take the membrane through
+their borders (Laplace's equation). Its error at distance d from data is what the model itself shows: the
+difference of known heights from the mean of those d to either side. The band of sources names such cells.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import scipy.sparse as sp
+from pyproj import CRS
+from scipy import ndimage
+from scipy.sparse.linalg import spsolve
+
+from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, ArrayU8, CoverageError, InputError, LocalFrame
+from thalweg.fusion.clouds import SOURCE_WORDS, Cloud, Source
+from thalweg.settings.sections import Fusion
+
+BANDS: Final = ("height", "sigma", "source", "distance", "sigma_common")
+MOST_CELLS: Final = 100_000_000
+_LAGS: Final = (1, 2, 4, 8, 16, 32)
+_LEAST_SIGMA_M: Final = 1e-3
+_LEAST_LAG_CELLS: Final = 30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dtm:
+    """A terrain model on a grid.
+
+    Parameters
+    ----------
+    height_m : (rows, columns) from north to south, west to east; NaN without a height.
+    sigma_m : (rows, columns) standard deviation of each height, common part included.
+    source : (rows, columns) `Source` that has the largest weight.
+    distance_m : (rows, columns) distance to the nearest measurement.
+    sigma_common_m : (rows, columns) part of the sigma that all heights share.
+    corner_m : (2,) east and north of the north-west corner.
+    cell_m : width of a cell.
+    crs : the map grid.
+    vertical : name of the height system; empty: ellipsoidal heights.
+    separation_m : height of its zero above the ellipsoid.
+    """
+
+    height_m: ArrayF
+    sigma_m: ArrayF
+    source: ArrayU8
+    distance_m: ArrayF
+    sigma_common_m: ArrayF
+    corner_m: ArrayF
+    cell_m: float
+    crs: CRS
+    vertical: str = ""
+    separation_m: float = 0.0
+
+    def centres_m(self) -> ArrayF:
+        """East and north (rows, columns, 2) of the centres of the cells."""
+        return _centres(self.corner_m, self.cell_m, self.height_m.shape)
+
+    def at(self, places_m: ArrayF) -> tuple[ArrayF, ArrayF]:
+        """Height and sigma (m,) at places (m, 2): bilinear between four known cells, else the nearest."""
+        column, row = ((places_m - self.corner_m) * (1.0, -1.0) / self.cell_m - 0.5).T
+        found = []
+        for band in (self.height_m, self.sigma_m):
+            smooth = ndimage.map_coordinates(band, (row, column), order=1, cval=np.nan)
+            near = ndimage.map_coordinates(band, (row, column), order=0, cval=np.nan)
+            found.append(np.where(np.isfinite(smooth), smooth, near))
+        return found[0], found[1]
+
+    def at_common(self, places_m: ArrayF) -> ArrayF:
+        """Common part of the sigma (m,) at places (m, 2), of the nearest cell."""
+        column, row = ((places_m - self.corner_m) * (1.0, -1.0) / self.cell_m - 0.5).T
+        return np.asarray(
+            ndimage.map_coordinates(self.sigma_common_m, (row, column), order=0, mode="nearest")
+        )
+
+    def write(self, path: Path) -> None:
+        """Write a cloud-optimised GeoTIFF with the bands `BANDS`; NaN where there is no height.
+
+        Raises
+        ------
+        InputError : the file cannot be written.
+        """
+        import rasterio
+        from rasterio import Affine
+        from rasterio.errors import RasterioError
+
+        bands = (self.height_m, self.sigma_m, self.source, self.distance_m, self.sigma_common_m)
+        try:
+            with rasterio.open(
+                path, "w", driver="COG", width=self.height_m.shape[1], height=self.height_m.shape[0],
+                count=len(BANDS), dtype="float32", nodata=np.nan, crs=self.crs.to_wkt(), compress="DEFLATE",
+                transform=_placed(Affine, self.corner_m, self.cell_m), overviews="AUTO",
+                resampling="nearest",
+            ) as file:  # fmt: skip
+                for i, (name, band) in enumerate(zip(BANDS, bands, strict=True), start=1):
+                    file.write(np.asarray(band, np.float32), i)
+                    file.set_band_description(i, name)
+                file.update_tags(
+                    heights=self.vertical or "ellipsoidal",
+                    separation_m=repr(self.separation_m),
+                    **{f"source_{int(k)}": words for k, words in SOURCE_WORDS.items()},
+                )
+        except (RasterioError, OSError) as wrong:
+            raise InputError(
+                f"cannot be written ({wrong})", expected="a folder with room on its disk", where=path
+            ) from wrong
+
+    @classmethod
+    def read(cls, path: Path) -> "Dtm":
+        """A model as `write` wrote it.
+
+        Raises
+        ------
+        InputError : no such file, or a raster with other bands.
+        """
+        bands, corner, cell, crs, tags = read_bands(path, len(BANDS))
+        return cls(
+            height_m=bands[0], sigma_m=bands[1], source=np.nan_to_num(bands[2]).astype(np.uint8),
+            distance_m=bands[3], sigma_common_m=bands[4], corner_m=corner, cell_m=cell, crs=crs,
+            vertical="" if tags.get("heights", "ellipsoidal") == "ellipsoidal" else tags["heights"],
+            separation_m=float(tags.get("separation_m", 0.0)),
+        )  # fmt: skip
+
+
+def read_bands(path: Path, n: int) -> tuple[ArrayF, ArrayF, float, CRS, dict[str, str]]:
+    """First bands (n, rows, columns) of a raster, its north-west corner, cell, grid and tags.
+
+    Raises
+    ------
+    InputError : no such file, too few bands, cells that are turned or not square, or no grid.
+    """
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    if not path.is_file():
+        raise InputError("no such file", expected="a GeoTIFF", where=path)
+    try:
+        with rasterio.open(path) as file:
+            turn, crs = file.transform, file.crs
+            if file.count < n or crs is None or turn.b or turn.d or not np.isclose(turn.a, -turn.e):
+                raise InputError(
+                    f"{file.count} bands, grid {crs}, cells {turn.a:g} by {-turn.e:g}",
+                    expected=f"at least {n} bands in a map grid, square cells, north up", where=path,
+                )  # fmt: skip
+            bands = file.read(list(range(1, n + 1)), masked=True).astype(np.float64).filled(np.nan)
+            corner = np.array([turn.c, turn.f])
+            return bands, corner, float(turn.a), CRS.from_wkt(crs.to_wkt()), dict(file.tags())
+    except RasterioError as wrong:
+        raise InputError(f"no raster ({wrong})", expected="a GeoTIFF", where=path) from wrong
+
+
+def _placed(affine: Any, corner_m: ArrayF, cell_m: float) -> Any:
+    """The transform of a grid from column and row to east and north."""
+    return affine(cell_m, 0.0, corner_m[0], 0.0, -cell_m, corner_m[1])
+
+
+def _centres(corner_m: ArrayF, cell_m: float, shape: tuple[int, ...]) -> ArrayF:
+    east = corner_m[0] + (np.arange(shape[1]) + 0.5) * cell_m
+    north = corner_m[1] - (np.arange(shape[0]) + 0.5) * cell_m
+    return np.stack(np.meshgrid(east, north), axis=-1)
+
+
+# ---------------------------------------------------------------- layers
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layer:
+    """Height, sigma, common sigma and distance (rows, columns) by one source; NaN: nothing known."""
+
+    source: Source
+    height_m: ArrayF
+    sigma_m: ArrayF
+    sigma_common_m: ArrayF
+    distance_m: ArrayF
+
+
+def layer_of_cloud(
+    source: Source, cloud_map: Cloud, corner_m: ArrayF, cell_m: float, shape: tuple[int, int]
+) -> Layer:
+    """Cells of a cloud.
+
+    Parameters
+    ----------
+    cloud_map : points in the map grid with ellipsoidal heights.
+    corner_m, cell_m, shape : of the grid.
+    """
+    place = (cloud_map.xyz_m[:, :2] - corner_m) * (1.0, -1.0) / cell_m
+    column, row = np.floor(place).astype(np.int64).T
+    inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+    cell = (row * shape[1] + column)[inside]
+    z, size = cloud_map.xyz_m[inside, 2], shape[0] * shape[1]
+    n = np.bincount(cell, minlength=size)
+    offset = (place[inside] - np.floor(place[inside]) - 0.5) * (1.0, -1.0) * cell_m
+    with np.errstate(invalid="ignore", divide="ignore"):
+
+        def mean(values: ArrayF) -> ArrayF:
+            return np.asarray(np.bincount(cell, weights=values, minlength=size) / n)
+
+        first = mean(z)
+        east, north = _slopes(first.reshape(shape), cell_m)
+        level = z - east.ravel()[cell] * offset[:, 0] - north.ravel()[cell] * offset[:, 1]
+        height = mean(level)
+        squares = np.bincount(cell, weights=(level - height[cell]) ** 2, minlength=size).astype(float)
+        steep = np.hypot(east, north).ravel()[cell]
+        stated = mean(cloud_map.sigma_up_m[inside] ** 2 + (steep * cloud_map.sigma_horizontal_m[inside]) ** 2)
+        white = _pooled(squares.reshape(shape), np.maximum(n - 1, 0).reshape(shape), stated.reshape(shape))
+        variance = np.maximum(stated - white.ravel(), 0.0) + white.ravel() / n
+    known = n > 0
+    sigma = np.where(known, np.sqrt(np.maximum(variance, _LEAST_SIGMA_M**2)), np.nan)
+    return Layer(
+        source=source,
+        height_m=np.where(known, height, np.nan).reshape(shape),
+        sigma_m=sigma.reshape(shape),
+        sigma_common_m=np.where(known, 0.0, np.nan).reshape(shape),
+        distance_m=np.where(known, 0.0, np.nan).reshape(shape),
+    )
+
+
+def _slopes(height: ArrayF, cell_m: float) -> tuple[ArrayF, ArrayF]:
+    """Slopes to the east and to the north between neighbouring cells; one-sided at borders, else zero."""
+    found = []
+    for axis, sign in ((1, 1.0), (0, -1.0)):
+        ahead = np.diff(height, axis=axis) * sign / cell_m
+        pad = [(0, 0), (0, 0)]
+        pad[axis] = (1, 1)
+        both = np.pad(ahead, pad, constant_values=np.nan)
+        a = np.take(both, range(height.shape[axis]), axis=axis)
+        b = np.take(both, range(1, height.shape[axis] + 1), axis=axis)
+        n = np.isfinite(a).astype(int) + np.isfinite(b)
+        found.append((np.nan_to_num(a) + np.nan_to_num(b)) / np.maximum(n, 1))
+    return found[0], found[1]
+
+
+def _pooled(squares: ArrayF, freedom: ArrayI, stated: ArrayF) -> ArrayF:
+    """Variance (rows, columns) of single points about the slope, pooled over three by three cells."""
+    total = ndimage.uniform_filter(np.nan_to_num(squares), 3, mode="constant")
+    free = ndimage.uniform_filter(freedom.astype(float), 3, mode="constant")
+    return np.where(free > 0.5, total / np.maximum(free, 0.1), stated)
+
+
+def layer_of_bed(path: Path, corner_m: ArrayF, cell_m: float, shape: tuple[int, int]) -> Layer:
+    """The bed (``bed.tif``) on a grid: its own cells where both grids are the same, else bilinear.
+
+    Raises
+    ------
+    InputError : no bed, or one without any height.
+    """
+    bands, corner, cell, _, _ = read_bands(path, 4)
+    if not np.isfinite(bands[0]).any():
+        raise InputError("a bed without heights", expected="heights under the water", where=path)
+    places = _centres(corner_m, cell_m, shape).reshape(-1, 2)
+    column, row = ((places - corner) * (1.0, -1.0) / cell - 0.5).T
+    same = np.isclose(cell, cell_m) and np.allclose(column, np.rint(column), atol=1e-6)
+    if same:
+        row, column = np.rint(row), np.rint(column)
+    found = [
+        ndimage.map_coordinates(b, (row, column), order=0 if same else 1, cval=np.nan).reshape(shape)
+        for b in bands
+    ]
+    known = np.isfinite(found[0]) & np.isfinite(found[1])
+    height, sigma, common, distance = (np.where(known, b, np.nan) for b in found)
+    common = np.where(known, np.nan_to_num(common), np.nan)
+    return Layer(
+        source=Source.BED,
+        height_m=height,
+        sigma_m=np.maximum(sigma, _LEAST_SIGMA_M),
+        sigma_common_m=common,
+        distance_m=np.where(known, np.nan_to_num(distance), np.nan),
+    )
+
+
+# ---------------------------------------------------------------- the model
+
+
+def build_dtm(
+    bed: Path, clouds: Mapping[Source, Cloud], water_m: ArrayF, frame: LocalFrame, settings: Fusion
+) -> Dtm:
+    """The terrain model.
+
+    Parameters
+    ----------
+    bed : ``bed.tif``.
+    clouds : points in wcs by source, ground alone, fitted.
+    water_m : (k, 2) water line in the map grid of the bed, closed by itself.
+    frame : wcs.
+    settings : cell, blending, gaps, heights.
+
+    Raises
+    ------
+    InputError : no bed, or a grid too large.
+    CoverageError : cells inside the water line that no measured cell is connected with.
+    """
+    _, _, own_cell, crs, _ = read_bands(bed, 4)
+    cell = settings.cell_m or own_cell
+    in_map = {source: _to_map(cloud, frame, crs) for source, cloud in clouds.items() if len(cloud.xyz_m)}
+    corner, shape = _grid(bed, in_map, water_m, cell)
+    layers = [layer_of_bed(bed, corner, cell, shape)]
+    layers += [layer_of_cloud(source, cloud, corner, cell, shape) for source, cloud in in_map.items()]
+    water = _inside(water_m, corner, cell, shape)
+    model = blend(layers, corner, cell, crs, blend_m=settings.blend_m)
+    model = _filled(model, water, settings)
+    vertical = settings.vertical
+    if vertical.name is None:
+        return model
+    known = np.isfinite(model.height_m)
+    return replace(
+        model,
+        height_m=model.height_m - vertical.separation_m,
+        sigma_m=np.hypot(model.sigma_m, vertical.sigma_separation_m),
+        sigma_common_m=np.where(known, np.hypot(model.sigma_common_m, vertical.sigma_separation_m), np.nan),
+        vertical=vertical.name,
+        separation_m=vertical.separation_m,
+    )
+
+
+def _to_map(cloud: Cloud, frame: LocalFrame, crs: CRS) -> Cloud:
+    return replace(cloud, xyz_m=frame.to_map(cloud.xyz_m, crs), rgb=None)
+
+
+def _grid(
+    bed: Path, clouds: Mapping[Source, Cloud], water_m: ArrayF, cell: float
+) -> tuple[ArrayF, tuple[int, int]]:
+    bands, corner, own, _, _ = read_bands(bed, 1)
+    ends = [corner, corner + np.array([bands.shape[2], -bands.shape[1]]) * own, *water_m]
+    ends += [f(cloud.xyz_m[:, :2], axis=0) for cloud in clouds.values() for f in (np.min, np.max)]
+    low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+    # cells stay those of the bed: its corner is a corner of the model
+    west_north = np.array([low[0], high[1]]) - corner
+    steps = np.array([np.floor(west_north[0] / cell + 1e-9), np.ceil(west_north[1] / cell - 1e-9)])
+    start = corner + steps * cell
+    shape = np.ceil((np.array([high[0], -low[1]]) - start * (1, -1)) / cell - 1e-9).astype(int)[::-1]
+    if float(shape[0]) * float(shape[1]) > MOST_CELLS:
+        raise InputError(
+            f"a model of {shape[0]:,} by {shape[1]:,} cells of {cell:g} m",
+            expected=f"at most {MOST_CELLS:,} cells",
+            where="fusion.cell_m",
+            cure="Take a larger cell, or cut stray points off the clouds",
+        )
+    return start, (int(shape[0]), int(shape[1]))
+
+
+def _inside(polygon_m: ArrayF, corner_m: ArrayF, cell_m: float, shape: tuple[int, int]) -> ArrayB:
+    """Cells whose centres lie inside a polygon."""
+    from rasterio import Affine
+    from rasterio.features import rasterize
+
+    ring = [tuple(p) for p in np.vstack([polygon_m, polygon_m[:1]]).tolist()]
+    burnt = rasterize(
+        [({"type": "Polygon", "coordinates": [ring]}, 1)],
+        out_shape=shape,
+        transform=_placed(Affine, corner_m, cell_m),
+        dtype="uint8",
+    )
+    return np.asarray(burnt == 1)
+
+
+def blend(layers: list[Layer], corner_m: ArrayF, cell_m: float, crs: CRS, *, blend_m: float) -> Dtm:
+    """Sources as one surface: means by sigma and taper, sigmas raised where sources contradict each other."""
+    shape = layers[0].height_m.shape
+    known = np.array([np.isfinite(layer.height_m) for layer in layers])
+    weight, total = np.zeros((len(layers), *shape)), np.zeros(shape)
+    for i, layer in enumerate(layers):
+        others = known[np.arange(len(layers)) != i].any(axis=0) if len(layers) > 1 else np.zeros(shape, bool)
+        # a source fades toward cells that it does not know and another does
+        ends = ~known[i] & others
+        away = ndimage.distance_transform_edt(~ends) * cell_m if ends.any() else np.full(shape, np.inf)
+        taper = np.clip(away / (blend_m + cell_m), 1e-3, 1.0)
+        weight[i][known[i]] = (taper[known[i]] / layer.sigma_m[known[i]]) ** 2
+    total = weight.sum(axis=0)
+    some = total > 0
+    share = np.divide(weight, total, out=np.zeros_like(weight), where=some)
+
+    def mixed(name: str) -> ArrayF:
+        return np.sum(
+            [s * np.nan_to_num(getattr(x, name)) for s, x in zip(share, layers, strict=True)], axis=0
+        )
+
+    height, common = mixed("height_m"), mixed("sigma_common_m")
+    variance = np.sum(
+        [(s * np.nan_to_num(x.sigma_m)) ** 2 for s, x in zip(share, layers, strict=True)], axis=0
+    )
+    chi = np.sum(
+        [
+            k * s * (np.nan_to_num(x.height_m) - height) ** 2
+            for k, s, x in zip(known, share, layers, strict=True)
+        ],
+        axis=0,
+    )
+    # their spread about the mean holds what their own sigmas do not explain
+    variance = np.maximum(variance, np.where(known.sum(axis=0) > 1, chi, 0.0))
+    codes = np.array([int(layer.source) for layer in layers], np.uint8)
+    sources = np.where(some, codes[share.argmax(axis=0)], int(Source.NONE)).astype(np.uint8)
+
+    def where(values: ArrayF) -> ArrayF:
+        return np.where(some, values, np.nan)
+
+    return Dtm(
+        height_m=where(height),
+        sigma_m=where(np.sqrt(variance)),
+        source=sources,
+        distance_m=where(mixed("distance_m")),
+        sigma_common_m=where(common),
+        corner_m=corner_m,
+        cell_m=cell_m,
+        crs=crs,
+    )
+
+
+def interpolation_error(height_m: ArrayF, cell_m: float) -> tuple[ArrayF, ArrayF]:
+    """Distances and robust errors of the mean of heights so far to either side, from the model itself.
+
+    Returns
+    -------
+    distance_m, sigma_m : (k,) from zero upward; errors never fall with the distance.
+    """
+    distances, sigmas = [0.0], [0.0]
+    for lag in _LAGS:
+        errors = [
+            np.take(height_m, range(lag, height_m.shape[axis] - lag), axis=axis)
+            - (
+                np.take(height_m, range(height_m.shape[axis] - 2 * lag), axis=axis)
+                + np.take(height_m, range(2 * lag, height_m.shape[axis]), axis=axis)
+            )
+            / 2
+            for axis in (0, 1)
+            if height_m.shape[axis] > 2 * lag
+        ]
+        every = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.zeros(0)
+        if len(every) < _LEAST_LAG_CELLS:
+            break
+        distances.append(lag * cell_m)
+        sigmas.append(
+            max(float(np.sqrt(np.mean(np.minimum(every**2, np.quantile(every**2, 0.99))))), sigmas[-1])
+        )
+    return np.array(distances), np.array(sigmas)
+
+
+def _filled(model: Dtm, water: ArrayB, settings: Fusion) -> Dtm:
+    known = np.isfinite(model.height_m)
+    if not known.any():
+        raise CoverageError("no cell has a height", expected="a bed or banks inside the grid")
+    apart, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
+    apart = apart * model.cell_m
+    gap = water & ~known
+    if settings.fill == "interpolate":
+        gap |= ~known & (apart <= settings.fill_m)
+    if not gap.any():
+        return model
+    height = membrane(model.height_m, gap)
+    lost = gap & ~np.isfinite(height)
+    if (lost & water).any():
+        raise CoverageError(
+            f"{int((lost & water).sum()):,} cells inside the water line that no measured cell touches",
+            expected="a bed that reaches every part of the water line",
+            cure="Shorten the bank lines to the reach that was sounded",
+        )
+    gap &= ~lost
+    distances, errors = interpolation_error(model.height_m, model.cell_m)
+    slope = errors[-1] / distances[-1] if len(distances) > 1 else 1.0
+    grown = np.interp(apart, distances, errors) + slope * np.maximum(apart - distances[-1], 0.0)
+    at = tuple(nearest)
+    sigma = np.where(gap, np.hypot(model.sigma_m[at], grown), model.sigma_m)
+    return replace(
+        model,
+        height_m=np.where(gap, height, model.height_m),
+        sigma_m=sigma,
+        source=np.where(gap, np.uint8(Source.FILLED), model.source).astype(np.uint8),
+        distance_m=np.where(gap, apart + model.distance_m[at], model.distance_m),
+        sigma_common_m=np.where(gap, model.sigma_common_m[at], model.sigma_common_m),
+    )
+
+
+def membrane(height_m: ArrayF, gap: ArrayB) -> ArrayF:
+    """Heights (rows, columns) with cells of a gap on the membrane through known cells about it.
+
+    Cells that are neither known nor of the gap are a free border. Parts of the gap that touch no known cell
+    stay NaN.
+    """
+    known = np.isfinite(height_m) & ~gap
+    parts, n_parts = ndimage.label(gap)
+    edge = ndimage.binary_dilation(known) & gap
+    held = np.zeros(n_parts + 1, dtype=np.bool_)
+    held[np.unique(parts[edge])] = True
+    solve = gap & held[parts]
+    number = np.full(height_m.shape, -1)
+    n = int(solve.sum())
+    number[solve] = np.arange(n)
+    out = np.where(known, height_m, np.nan)
+    if not n:
+        return out
+    diagonal, right = np.zeros(n), np.zeros(n)
+    rows, columns = [], []
+    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        moved: Any = _shifted(number, axis, step, -1)
+        value = _shifted(np.where(known, height_m, np.nan), axis, step, np.nan)
+        here = number[solve]
+        other, fixed = moved[solve], value[solve]
+        inner, border = other >= 0, np.isfinite(fixed)
+        diagonal += inner.astype(float) + border
+        right += np.where(border, np.nan_to_num(fixed), 0.0)
+        rows.append(here[inner])
+        columns.append(other[inner])
+    r, c = np.concatenate(rows), np.concatenate(columns)
+    matrix = sp.csc_matrix(
+        (np.concatenate([np.full(len(r), -1.0), diagonal]), (np.r_[r, np.arange(n)], np.r_[c, np.arange(n)])),
+        shape=(n, n),
+    )
+    out[solve] = spsolve(matrix, right)
+    return out
+
+
+def _shifted(values: Any, axis: int, step: int, outside: float) -> Any:
+    """The neighbour of each cell one step along an axis."""
+    out = np.roll(values, -step, axis=axis)
+    border = [slice(None), slice(None)]
+    border[axis] = slice(-1, None) if step > 0 else slice(0, 1)
+    out[tuple(border)] = outside
+    return out
+
+
+# ---------------------------------------------------------------- seams
+
+
+def seam_steps(model: Dtm) -> tuple[ArrayF, ArrayF]:
+    """Steps (k,) between neighbouring cells of different source beside the slope to both sides, and sigmas.
+
+    A step is the difference of both cells less the mean of the differences beyond either of them: on an even
+    slope, however steep, it is zero.
+    """
+    steps, sigmas = [], []
+    for axis in (0, 1):
+        size = model.height_m.shape[axis]
+        if size < 4:
+            continue
+        h = [np.take(model.height_m, range(k, size - 3 + k), axis=axis) for k in range(4)]
+        v = [np.take(model.sigma_m**2, range(k, size - 3 + k), axis=axis) for k in range(4)]
+        a, b = (np.take(model.source, range(k, size - 3 + k), axis=axis) for k in (1, 2))
+        step = 1.5 * (h[2] - h[1]) - 0.5 * (h[3] - h[0])
+        # h2 - h1 - ((h1 - h0) + (h3 - h2)) / 2 = 1.5 (h2 - h1) - (h3 - h0) / 2
+        variance = 2.25 * (v[1] + v[2]) + 0.25 * (v[0] + v[3])
+        seam = (a != b) & np.isfinite(step) & np.isfinite(variance)
+        steps.append(step[seam])
+        sigmas.append(np.sqrt(variance[seam]))
+    return np.concatenate(steps), np.concatenate(sigmas)
+
+
+def dtm_facts(model: Dtm) -> dict[str, Any]:
+    """Cells by source, sigmas, and steps at seams, for people."""
+    known = np.isfinite(model.height_m)
+    step, sigma = seam_steps(model)
+    return {
+        "cells": int(known.sum()),
+        "cell_m": model.cell_m,
+        "heights": model.vertical or "ellipsoidal",
+        "by_source": {
+            SOURCE_WORDS[s]: int((model.source == int(s)).sum())
+            for s in Source
+            if s is not Source.NONE and (model.source == int(s)).any()
+        },
+        "median_sigma_m": float(np.median(model.sigma_m[known])),
+        "seam_cells": len(step),
+        "seam_above_two_sigma": float(np.mean(np.abs(step) > 2 * sigma)) if len(step) else 0.0,
+        "seam_spread_m": NMAD * float(np.median(np.abs(step))) if len(step) else 0.0,
+    }

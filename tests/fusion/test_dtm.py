@@ -1,0 +1,164 @@
+"""The terrain model: watertight, without steps, with sigmas that hold."""
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio import Affine
+from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, bed_up_m
+
+from thalweg.core import CoverageError, InputError
+from thalweg.fusion import Cloud, Dtm, River, Source, build_dtm, dtm_facts, seam_steps
+from thalweg.fusion.dtm import interpolation_error, membrane
+from thalweg.settings.sections import Fusion, Vertical
+
+CELL_M = 0.5
+
+
+def truth_m(river, places):
+    """Ellipsoidal heights of the formulas."""
+    s, n, _ = river.to_flow(places)
+    local = np.column_stack([river.flow.to_map(s, n), bed_up_m(s, n)])
+    return FRAME.to_map(local, GRID)[:, 2], n
+
+
+def write_bed(path, river, rng, *, margin_m=0.3, noise_m=0.03, cell_m=CELL_M):
+    outline = river.outline_m()
+    west, north = np.floor(outline[:, 0].min()), np.ceil(outline[:, 1].max())
+    shape = (int((north - outline[:, 1].min()) / cell_m) + 1, int((outline[:, 0].max() - west) / cell_m) + 1)
+    east, up = np.meshgrid(
+        west + (np.arange(shape[1]) + 0.5) * cell_m, north - (np.arange(shape[0]) + 0.5) * cell_m
+    )
+    places = np.column_stack([east.ravel(), up.ravel()])
+    height, n = truth_m(river, places)
+    s = river.to_flow(places)[0]
+    inside = (np.abs(n) < HALF_WIDTH_M - margin_m) & (s > 0.1) & (s < river.flow.length_m - 0.1)
+    height = np.where(inside, height + rng.normal(0, noise_m, len(height)), np.nan)
+    bands = [height, np.full(len(height), noise_m), np.full(len(height), 0.01), np.full(len(height), 0.4)]
+    with rasterio.open(
+        path, "w", driver="GTiff", width=shape[1], height=shape[0], count=4, dtype="float32",
+        crs=GRID.to_wkt(), transform=Affine(cell_m, 0, west, 0, -cell_m, north), nodata=np.nan,
+    ) as file:  # fmt: skip
+        for i, band in enumerate(bands, start=1):
+            file.write(np.where(inside, band, np.nan).reshape(shape).astype("f4"), i)
+    return path
+
+
+def bank_cloud(river, rng, n=60_000, noise_m=0.02, gap=None):
+    s = rng.uniform(0, river.flow.length_m, n)
+    off = rng.uniform(HALF_WIDTH_M + 0.2, HALF_WIDTH_M + 8, n) * rng.choice([-1, 1], n)
+    if gap is not None:
+        keep = ~((s > gap[0]) & (s < gap[1]) & (off > 0))
+        s, off = s[keep], off[keep]
+    up = bed_up_m(s, off) + rng.normal(0, noise_m, len(s))
+    xyz = np.column_stack([river.flow.to_map(s, off), up])
+    return Cloud(xyz_m=xyz, sigma_horizontal_m=np.full(len(s), 0.02), sigma_up_m=np.full(len(s), noise_m))
+
+
+@pytest.fixture
+def river(arc, banks):
+    return River(flow=arc, banks=banks, frame=FRAME, crs=GRID)
+
+
+def test_the_model_is_watertight_and_has_no_seam(river, rng, tmp_path):
+    bed = write_bed(tmp_path / "bed.tif", river, rng, margin_m=1.5)
+    found = build_dtm(bed, {Source.LIDAR: bank_cloud(river, rng)}, river.outline_m(), FRAME, Fusion())
+    places = found.centres_m().reshape(-1, 2)
+    height, n = truth_m(river, places)
+    s = river.to_flow(places)[0]
+    inside = (np.abs(n) < HALF_WIDTH_M - 0.1) & (s > 0.5) & (s < river.flow.length_m - 0.5)
+    model = found.height_m.ravel()
+    assert np.isfinite(model[inside]).all()
+    assert not np.isfinite(model[np.abs(n) > HALF_WIDTH_M + 9]).any()
+    error = (model - height)[inside]
+    assert np.abs(np.median(error)) < 0.02
+    facts = dtm_facts(found)
+    assert facts["seam_cells"] > 100
+    assert facts["seam_above_two_sigma"] < 0.05
+    assert {"bed from soundings", "banks by the lidar", "interpolated over a gap"} == set(facts["by_source"])
+    # sigmas hold on both sides
+    for source in (Source.BED, Source.LIDAR):
+        here = (found.source.ravel() == int(source)) & np.isfinite(model)
+        squares = ((model - height)[here] / found.sigma_m.ravel()[here]) ** 2
+        assert 0.5 < np.median(squares) / 0.455 < 2.0
+
+
+def test_a_step_between_bed_and_banks_shows(river, rng, tmp_path):
+    """A cloud half a metre too high is no seamless bank."""
+    bed = write_bed(tmp_path / "bed.tif", river, rng, margin_m=0.0)
+    cloud = bank_cloud(river, rng)
+    high = Cloud(
+        xyz_m=cloud.xyz_m + np.array([0, 0, 0.5]),
+        sigma_horizontal_m=cloud.sigma_horizontal_m,
+        sigma_up_m=cloud.sigma_up_m,
+    )
+    found = build_dtm(bed, {Source.LIDAR: high}, river.outline_m(), FRAME, Fusion())
+    step, sigma = seam_steps(found)
+    assert np.mean(np.abs(step) > 2 * sigma) > 0.3
+
+
+def test_gaps_on_land_stay_or_are_filled_and_named(river, rng, tmp_path):
+    bed = write_bed(tmp_path / "bed.tif", river, rng)
+    clouds = {Source.LIDAR: bank_cloud(river, rng, gap=(30, 34))}
+    empty = build_dtm(bed, clouds, river.outline_m(), FRAME, Fusion())
+    place = river.to_map([32.0], [HALF_WIDTH_M + 3])
+    assert np.isnan(empty.at(place)[0])
+    full = build_dtm(bed, clouds, river.outline_m(), FRAME, Fusion(fill="interpolate"))
+    height, sigma = full.at(place)
+    assert abs(height[0] - truth_m(river, place)[0][0]) < 4 * sigma[0]
+    filled = full.source == int(Source.FILLED)
+    assert filled.sum() > (empty.source == int(Source.FILLED)).sum()
+    assert (full.distance_m[filled] > 0).all()
+    assert np.nanmax(full.distance_m[filled & (full.source == 5)]) < 8
+
+
+def test_a_model_is_read_as_it_was_written(river, rng, tmp_path):
+    bed = write_bed(tmp_path / "bed.tif", river, rng)
+    vertical = Vertical(name="DHHN2016", separation_m=45.0, sigma_separation_m=0.05)
+    clouds = {Source.LIDAR: bank_cloud(river, rng)}
+    ellipsoidal = build_dtm(bed, clouds, river.outline_m(), FRAME, Fusion())
+    found = build_dtm(bed, clouds, river.outline_m(), FRAME, Fusion(vertical=vertical))
+    assert np.nanmax(np.abs(found.height_m + 45.0 - ellipsoidal.height_m)) < 1e-9
+    assert np.nanmin(found.sigma_m) >= 0.05
+    found.write(tmp_path / "dtm.tif")
+    again = Dtm.read(tmp_path / "dtm.tif")
+    assert again.vertical == "DHHN2016"
+    assert again.height_m == pytest.approx(found.height_m, abs=1e-4, nan_ok=True)
+    assert (again.source == found.source).all()
+    with rasterio.open(tmp_path / "dtm.tif") as file:
+        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert file.descriptions[:4] == ("height", "sigma", "source", "distance")
+
+
+def test_a_coarser_cell_keeps_the_heights(river, rng, tmp_path):
+    bed = write_bed(tmp_path / "bed.tif", river, rng)
+    found = build_dtm(
+        bed, {Source.LIDAR: bank_cloud(river, rng)}, river.outline_m(), FRAME, Fusion(cell_m=1.0)
+    )
+    place = river.to_map(np.linspace(5, 70, 30), np.zeros(30))
+    assert found.at(place)[0] == pytest.approx(truth_m(river, place)[0], abs=0.12)
+
+
+def test_water_that_no_bed_reaches_is_refused(river, rng, tmp_path):
+    bed = write_bed(tmp_path / "bed.tif", river, rng)
+    far = river.outline_m() + np.array([400.0, 0.0])
+    with pytest.raises(CoverageError, match="inside the water line"):
+        build_dtm(bed, {}, far, FRAME, Fusion())
+    with pytest.raises(InputError, match="no such file"):
+        build_dtm(tmp_path / "none.tif", {}, far, FRAME, Fusion())
+
+
+def test_a_membrane_keeps_planes(rng):
+    y, x = np.mgrid[:30, :40]
+    plane = 2.0 * x + 3.0 * y
+    gap = np.zeros(plane.shape, bool)
+    gap[10:20, 12:30] = True
+    found = membrane(np.where(gap, np.nan, plane), gap)
+    assert found == pytest.approx(plane)
+
+
+def test_errors_of_interpolation_are_those_of_curvature():
+    y, x = np.mgrid[:60, :60]
+    distance, sigma = interpolation_error(0.01 * (x * 0.5) ** 2 + 0.0 * y, 0.5)
+    # in one of two axes the mean of both sides is off by 0.01 d^2
+    assert sigma[1:4] == pytest.approx(0.01 * distance[1:4] ** 2 / np.sqrt(2), rel=0.2)
+    assert DEPTH_M > 0

@@ -1,0 +1,166 @@
+"""Ground of the banks, the cloud of the surroundings laid on it, and all clouds as one."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.fusion.conftest import FRAME, GRID
+
+from thalweg.core import CoverageError, GeometryError, InputError
+from thalweg.fusion import (
+    Cloud,
+    Source,
+    filter_ground,
+    fit_cloud,
+    join_clouds,
+    joined_parts,
+    read_cloud,
+    read_fit,
+)
+from thalweg.fusion.ground import scores
+from thalweg.settings.sections import CloudFit, GroundFilter
+
+
+def slope_up(x, y):
+    """A bank that rises 1:2 to the north, with waves: every motion shows."""
+    return 0.5 * y + 0.9 * np.sin(x / 3) + 0.7 * np.cos(y / 2 + x / 5)
+
+
+def bank(rng, n, *, noise=0.01, width=60.0):
+    xy = rng.uniform(0, width, (n, 2)) * (1.0, 0.4)
+    return np.column_stack([xy, slope_up(*xy.T) + rng.normal(0, noise, n)])
+
+
+def cloud(xyz, sigma=0.02):
+    return Cloud(xyz_m=xyz, sigma_horizontal_m=np.full(len(xyz), sigma), sigma_up_m=np.full(len(xyz), sigma))
+
+
+@pytest.fixture
+def with_plants(rng):
+    """Ground, and bushes whose beams in part go on to the ground."""
+    ground = bank(rng, 20_000)
+    in_bush = (np.hypot(ground[:, 0] - 20, ground[:, 1] - 12) < 2) | (
+        np.hypot(ground[:, 0] - 40, ground[:, 1] - 8) < 2
+    )
+    through = in_bush & (rng.random(len(ground)) < 0.4)
+    bush = ground[in_bush] + np.column_stack(
+        [np.zeros((in_bush.sum(), 2)), rng.uniform(0.05, 2.0, in_bush.sum())]
+    )
+    keep = ~in_bush | through
+    number = np.where(through, 2, 1)[keep]
+    of = np.where(through, 2, 1)[keep]
+    first_of = np.where(through[in_bush], 2, 1)
+    xyz = np.concatenate([ground[keep], bush])
+    return (
+        xyz,
+        np.concatenate([number, np.ones(len(bush), int)]),
+        np.concatenate([of, first_of]),
+        np.arange(len(xyz)) < keep.sum(),
+    )
+
+
+def test_plants_are_no_ground_and_the_gain_of_last_echoes_is_told(with_plants):
+    xyz, number, of, true = with_plants
+    found = filter_ground(xyz, number, of, GroundFilter())
+    last = scores(found.is_ground, true)
+    assert last["precision"] > 0.97
+    assert last["recall"] > 0.97
+    without = filter_ground(xyz, number, of, GroundFilter(last_returns=False))
+    assert scores(without.is_ground, true)["precision"] < last["precision"]
+    # all ground in the bushes came through them
+    assert found.facts["cells_by_last_of_several_alone"] > 20
+    assert found.facts["height_of_earlier_echoes_m"] > 0.02
+
+
+def test_a_cloud_without_plants_has_nothing_to_gain(rng):
+    xyz = bank(rng, 5000)
+    one = np.ones(len(xyz), int)
+    facts = filter_ground(xyz, one, one, GroundFilter()).facts
+    assert facts["gain_share"] == 0.0
+    assert facts["height_of_earlier_echoes_m"] is None
+
+
+def test_a_filter_without_points_says_so():
+    with pytest.raises(InputError, match="3 points"):
+        filter_ground(np.zeros((3, 3)), np.ones(3), np.ones(3), GroundFilter())
+
+
+def moved(xyz, shift, turn_rad):
+    middle = xyz.mean(axis=0)
+    return middle + (xyz - middle) @ Rotation.from_rotvec(turn_rad).as_matrix().T + shift
+
+
+def test_a_fit_finds_the_motion_within_its_sigmas(rng):
+    """Blocks of the foreign cloud err by 2 cm each: that is what the covariance must hold."""
+    squares = []
+    for _ in range(12):
+        ours, theirs = bank(rng, 12_000), bank(rng, 12_000, noise=0.03)
+        block = (theirs[:, 0] // 10 + 10 * (theirs[:, 1] // 10)).astype(int)
+        theirs[:, 2] += rng.normal(0, 0.02, 200)[block]
+        shift, turn = np.array([0.2, -0.1, 0.15]), np.array([0.002, -0.001, 0.003])
+        fit = fit_cloud(cloud(moved(theirs, shift, turn)), cloud(ours), CloudFit(), sigma_shared_m=0.0)
+        left = fit.motion.apply(moved(theirs, shift, turn)) - theirs
+        middle = left.mean(axis=0)
+        squares.append(middle @ np.linalg.solve(fit.cov[:3, :3], middle) / 3)
+    assert 0.4 < np.mean(squares) < 2.5
+
+
+def test_a_fit_tells_the_overlap_and_grows_the_sigmas(rng, tmp_path):
+    ours, theirs = cloud(bank(rng, 8000)), cloud(bank(rng, 8000) + np.array([0, 0, 0.3]))
+    fit = fit_cloud(theirs, ours, CloudFit(), sigma_shared_m=0.05)
+    assert fit.overlap["median_before_m"].median() > 0.2
+    assert abs(fit.overlap["median_after_m"].median()) < 0.01
+    after = fit.moved(theirs)
+    assert (after.sigma_up_m > np.hypot(0.02, 0.049)).all()
+    fit.write(tmp_path / "fit.json")
+    again = read_fit(tmp_path / "fit.json")
+    assert again.moved(theirs).xyz_m == pytest.approx(after.xyz_m)
+
+
+def test_a_level_plain_shows_no_shift_along_itself(rng):
+    def plain():
+        return np.column_stack([rng.uniform(0, 60, (8000, 2)), rng.normal(0, 0.01, 8000)])
+
+    fit = fit_cloud(cloud(plain() + np.array([0.3, 0, 0.2])), cloud(plain()), CloudFit(), sigma_shared_m=0.0)
+    assert fit.motion.shift_m == pytest.approx([0, 0, -0.2], abs=0.01)
+    assert any("shift along" in words for words in fit.undetermined)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        (lambda p, rng: p + np.array([0, 0, 45.0]), CoverageError, "orthometric"),
+        (lambda p, rng: p + np.array([0, 0, 1.3]), GeometryError, "off the ground"),
+        (lambda p, rng: p + np.array([500, 0, 0]), CoverageError, "ground that both clouds have"),
+        (
+            lambda p, rng: p + np.column_stack([np.zeros((len(p), 2)), 0.5 * np.sin(2 * p[:, 0])]),
+            GeometryError,
+            "differ",
+        ),
+    ],
+    ids=["geoid", "datum", "elsewhere", "other ground"],
+)
+def test_a_cloud_that_does_not_fit_is_refused(rng, change, error, words):
+    ours, theirs = bank(rng, 8000), bank(rng, 8000)
+    with pytest.raises(error, match=words):
+        fit_cloud(cloud(change(theirs, rng)), cloud(ours), CloudFit(), sigma_shared_m=0.0)
+
+
+def test_clouds_join_with_source_and_sigma_and_are_read_in_any_frame(rng, tmp_path):
+    lidar, uav = cloud(bank(rng, 500), 0.031), cloud(bank(rng, 300), 0.062)
+    counts = join_clouds(tmp_path / "all.laz", [(Source.LIDAR, lidar), (Source.SURROUNDINGS, uav)], FRAME)
+    assert sorted(counts.values()) == [300, 500]
+    parts = joined_parts(tmp_path / "all.laz")
+    assert parts[Source.SURROUNDINGS].sigma_up_m == pytest.approx(0.062)
+    assert parts[Source.LIDAR].xyz_m == pytest.approx(lidar.xyz_m, abs=6e-4)
+    assert len(read_cloud([tmp_path / "all.laz"], FRAME, GRID, sigma_m=1.0).xyz_m) == 800
+
+
+def test_a_cloud_in_the_map_comes_into_the_local_frame(rng, tmp_path):
+    from thalweg.core import LazWriter
+
+    local = bank(rng, 400)
+    with LazWriter(tmp_path / "uav.laz", GRID) as writer:
+        writer.append(FRAME.to_map(local, GRID))
+    found = read_cloud([tmp_path / "uav.laz"], FRAME, GRID, sigma_m=0.07)
+    assert found.xyz_m == pytest.approx(local, abs=2e-3)
+    assert (found.sigma_up_m == 0.07).all()
