@@ -1,10 +1,17 @@
 """Soundings against the truth of their pings: sigmas two-sided, reasons counted, times matched."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
+from tests.lab.conftest import ECHO_M, FRAME, SEED, short
 
-from thalweg.core import CoverageError
+from thalweg.calibration import echo_sounder
+from thalweg.core import CoverageError, read_table
+from thalweg.ingest.nmea import read_nmea
+from thalweg_lab.instruments import TRUE_SOUNDINGS, simulate_echo
+from thalweg_lab.river import Material, Scene
 from thalweg_lab.truth import compare_soundings
 
 N = 4000
@@ -79,6 +86,44 @@ def test_times_that_the_processing_moved_are_matched() -> None:
     moved, _ = compare_soundings(*pings(lag_s=0.43))
     plain, _ = compare_soundings(*pings())
     pd.testing.assert_frame_equal(moved, plain)
+
+
+def test_rows_are_pings_of_a_log_that_says_each_depth_twice(tmp_path: Path) -> None:
+    """The log of the twin, read and matched: each sounding finds its own ping, late or not."""
+    config = short(echo={"sigma_m": 0.0, "latency_s": 0.35, "zeros": True, "no_bottom_share": 0.2})
+    Scene(
+        vertices_wcs_m=np.array([[-200, -200, -3.0], [200, -200, -3.0], [200, 200, -3.0], [-200, 200, -3.0]]),
+        triangles=np.array([[0, 1, 2], [0, 2, 3]]),
+        material=np.full(2, int(Material.BED), dtype=np.uint8),
+        water_level_m=0.0,
+    ).write(tmp_path / "scene.npz")
+    log, table = tmp_path / "echo.nmea", tmp_path / "soundings.parquet"
+    simulate_echo(
+        config, SEED, FRAME, tmp_path / "scene.npz", log, lever_ics_echo_m=ECHO_M, out_soundings=table
+    )
+    truth, _ = read_table(table, TRUE_SOUNDINGS)
+    chosen, other = echo_sounder.pings_of(read_nmea([log]).depths)
+    assert other == len(chosen) == len(truth)
+    stated = chosen["depth_m"].to_numpy()
+    soundings = pd.DataFrame(
+        {
+            "up_m": truth["up_m"] + np.where(stated > 0, 0.01, np.nan),
+            "sigma_white_m": 0.01,
+            "sigma_slow_m": 0.0,
+            "sigma_common_m": 0.0,
+            "used": stated > 0,
+            "row": np.arange(len(chosen)),
+        }
+    )
+    stamp = chosen["t_gps_s"].to_numpy()
+    # in any order
+    errors, reasons = compare_soundings(soundings.iloc[::-1], stamp, truth)
+    assert errors["rmse_m"].iloc[0] == pytest.approx(0.01)
+    scores = reasons.set_index("effect")
+    silent = int((stated == 0).sum())
+    assert silent > 3
+    assert scores.loc["no bottom", ["pings", "left_out"]].tolist() == [silent, silent]
+    assert scores.loc["none", "left_out"] == 0
 
 
 def test_another_log_is_refused() -> None:

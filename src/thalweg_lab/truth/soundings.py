@@ -27,7 +27,7 @@ def compare_soundings(
     Parameters
     ----------
     soundings : table kind ``soundings``.
-    stamp_gps_s : (m,) times of the rows of the log, to which ``row`` of the soundings points.
+    stamp_gps_s : (m,) stamps of the pings chosen of the log, to which ``row`` of the soundings points.
     truth : table kind ``twin_soundings`` of the same log.
 
     Returns
