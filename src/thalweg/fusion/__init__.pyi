@@ -16,5 +16,22 @@ from .dtm import (
     dtm_facts as dtm_facts,
     seam_steps as seam_steps,
 )
+from .exports import (
+    contour_lines as contour_lines,
+    write_bag as write_bag,
+    write_csv as write_csv,
+    write_geojson as write_geojson,
+    write_hecras as write_hecras,
+    write_swmm as write_swmm,
+)
 from .ground import Ground as Ground, filter_ground as filter_ground, ground_in_words as ground_in_words
+from .measures import (
+    WIDE as WIDE,
+    Section as Section,
+    cut_sections as cut_sections,
+    hydraulic_table as hydraulic_table,
+    hypsometry as hypsometry,
+    long_profile as long_profile,
+    volume_below as volume_below,
+)
 from .river import Flow as Flow, River as River, read_river as read_river

@@ -91,12 +91,12 @@ class River:
 
     def level_m(self, s_m: ArrayLike) -> ArrayF:
         """Height (m,) of the water at distances along the river, in the heights of the model."""
-        s = np.asarray(s_m, float)
+        shape, s = np.shape(s_m), np.atleast_1d(np.asarray(s_m, float))
         rows = self.banks.sort_values("s_m")
         up = np.interp(s, rows["s_m"], rows["up_m"].rolling(5, center=True, min_periods=1).mean())
         place = self.flow.to_map(s, np.zeros_like(s))
         found = self.frame.to_map(np.column_stack([place, up]), self.crs)
-        return np.asarray(found[:, 2] - self.separation_m)
+        return np.asarray(found[:, 2] - self.separation_m).reshape(shape)
 
     def to_map(self, s_m: ArrayLike, n_m: ArrayLike) -> ArrayF:
         """East, north (m, 2) in the map grid of places in flow coordinates."""

@@ -1,0 +1,188 @@
+"""Sections, volumes and files for hydraulic programs, against formulas and other readers."""
+
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio
+from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
+
+from thalweg.fusion import Dtm, River
+from thalweg.fusion.exports import (
+    contour_lines,
+    write_bag,
+    write_csv,
+    write_geojson,
+    write_hecras,
+    write_swmm,
+)
+from thalweg.fusion.measures import (
+    correlated_sigma,
+    cut_sections,
+    hydraulic_table,
+    hypsometry,
+    long_profile,
+    volume_below,
+)
+from thalweg.settings.sections import Fusion
+
+SETTINGS = Fusion(contour_m=0.5)
+
+
+@pytest.fixture
+def river(arc, banks):
+    return River(flow=arc, banks=banks, frame=FRAME, crs=GRID)
+
+
+@pytest.fixture
+def model(river):
+    outline = river.outline_m()
+    corner = np.array([np.floor(outline[:, 0].min()) - 8, np.ceil(outline[:, 1].max()) + 8])
+    shape = (
+        int((corner[1] - outline[:, 1].min() + 8) / 0.25),
+        int((outline[:, 0].max() + 8 - corner[0]) / 0.25),
+    )
+    zero = np.zeros(shape)
+    empty = Dtm(
+        height_m=zero, sigma_m=zero + 0.05, source=(zero + 1).astype(np.uint8), distance_m=zero,
+        sigma_common_m=zero + 0.02, corner_m=corner, cell_m=0.25, crs=GRID,
+    )  # fmt: skip
+    places = empty.centres_m().reshape(-1, 2)
+    s, n, _ = river.to_flow(places)
+    height = FRAME.to_map(np.column_stack([river.flow.to_map(s, n), bed_up_m(s, n)]), GRID)[:, 2]
+    height = np.where((s >= 0) & (s <= river.flow.length_m), height, np.nan).reshape(shape)
+    return Dtm(
+        height_m=height, sigma_m=empty.sigma_m, source=empty.source, distance_m=zero,
+        sigma_common_m=empty.sigma_common_m, corner_m=corner, cell_m=0.25, crs=GRID,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def sections(model, river):
+    return cut_sections(model, river, SETTINGS)
+
+
+def test_sections_have_area_and_perimeter_of_the_parabola(sections):
+    section = sections[len(sections) // 2]
+    table = hydraulic_table(section, SETTINGS)
+    at = np.interp(section.level_m, table["level_m"], table["area_m2"])
+    assert at == pytest.approx(4 / 3 * HALF_WIDTH_M * DEPTH_M, rel=0.01)
+    n = np.linspace(-HALF_WIDTH_M, HALF_WIDTH_M, 20_001)
+    length = np.hypot(np.diff(n), np.diff(bed_up_m(0, n))).sum()
+    assert np.interp(section.level_m, table["level_m"], table["perimeter_m"]) == pytest.approx(
+        length, rel=0.01
+    )
+    radius = (table["area_m2"] / table["perimeter_m"]).to_numpy()
+    assert table["radius_m"].to_numpy() == pytest.approx(radius)
+    assert (np.diff(table["area_m2"]) > 0).all()
+    assert ((table["low_area_m2"] < table["area_m2"]) & (table["area_m2"] < table["high_area_m2"])).all()
+
+
+def test_the_band_of_a_section_is_that_of_correlated_draws(rng):
+    n = np.linspace(-6, 6, 49)
+    sigma, common = np.full(49, 0.05), np.full(49, 0.03)
+    weights = np.full(49, 0.25)
+    rho = np.exp(-np.abs(n[:, None] - n) / 3.0) * 0.04**2
+    draws = rng.multivariate_normal(np.zeros(49), rho, 4000) + rng.normal(0, 0.03, (4000, 1))
+    told = correlated_sigma(weights, sigma, common, n, 3.0)
+    assert np.std(draws @ weights) == pytest.approx(told, rel=0.05)
+    assert told > 2 * 0.05 * 0.25 * np.sqrt(49)
+
+
+def test_the_long_profile_finds_the_thalweg(sections):
+    table = long_profile(sections)
+    assert np.abs(table["thalweg_n_m"]).max() < 0.4
+    assert (table["level_m"] - table["thalweg_m"]).to_numpy() == pytest.approx(DEPTH_M, abs=0.02)
+    assert (table["level_m"] - table["mean_bed_m"]).to_numpy() == pytest.approx(2 / 3 * DEPTH_M, abs=0.03)
+
+
+def test_a_volume_and_its_sigma_are_those_of_formula_and_double_sum(model, river):
+    from thalweg.fusion.dtm import _inside
+
+    inside = _inside(river.outline_m(), model.corner_m, model.cell_m, model.height_m.shape)
+    level = float(river.level_m(40.0))
+    volume, sigma, area = volume_below(model, level, inside, 5.0)
+    assert volume == pytest.approx(4 / 3 * HALF_WIDTH_M * DEPTH_M * river.flow.length_m, rel=0.01)
+    assert area == pytest.approx(2 * HALF_WIDTH_M * river.flow.length_m, rel=0.01)
+    small = np.zeros_like(inside)
+    small[100:118, 60:75] = True
+    _, of_small, _ = volume_below(model, level + 10, small, 5.0)
+    places = model.centres_m()[small]
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    own = 0.05**2 - 0.02**2
+    double = own * np.exp(-apart / 5.0).sum() + (0.02 * len(places)) ** 2
+    assert of_small == pytest.approx(np.sqrt(double) * 0.25**2, rel=1e-6)
+    assert sigma > 0.02 * area
+
+
+def test_the_hypsometry_grows(model, river):
+    from thalweg.fusion.dtm import _inside
+
+    inside = _inside(river.outline_m(), model.corner_m, model.cell_m, model.height_m.shape)
+    table = hypsometry(model, inside, SETTINGS)
+    assert (np.diff(table["volume_m3"]) > 0).all()
+    # the volume is the integral of the area
+    integral = np.trapezoid(table["area_m2"], table["level_m"])
+    assert table["volume_m3"].iloc[-1] == pytest.approx(integral, rel=0.02)
+
+
+def test_ras_import_holds_every_section(sections, river, tmp_path):
+    write_hecras(tmp_path / "RASImport.sdf", sections, river)
+    text = (tmp_path / "RASImport.sdf").read_text()
+    assert re.search(r"NUMBER OF CROSS-SECTIONS: (\d+)", text)[1] == str(len(sections))
+    blocks = text.split("CROSS-SECTION:\n")[1:]
+    stations = [float(re.search(r"STATION: ([\d.]+)", b)[1]) for b in blocks]
+    assert stations == sorted(stations, reverse=True)
+    for block, section in zip(blocks, sections, strict=True):
+        lines = block.split("SURFACE LINE:\n")[1].split("END:")[0].split("\n")
+        points = np.array([[float(v) for v in line.split(",")] for line in lines if line.strip()])
+        assert points[::-1, 2] == pytest.approx(section.height_m[np.isfinite(section.height_m)], abs=6e-4)
+        bank = [float(v) for v in re.search(r"BANK POSITIONS: (.*)", block)[1].split(",")]
+        assert 0 < bank[0] < bank[1] < 1
+        # the line begins at the left bank
+        assert river.to_flow(points[:1, :2])[1][0] > HALF_WIDTH_M
+
+
+def test_transects_of_swmm_are_read_back(sections, tmp_path):
+    write_swmm(tmp_path / "transects.inp", sections, SETTINGS)
+    counts, stations = [], []
+    for line in (tmp_path / "transects.inp").read_text().split("\n"):
+        words = line.split()
+        if words[:1] == ["X1"]:
+            counts.append(int(words[2]))
+            stations.append([])
+            assert float(words[3]) < float(words[4])
+        if words[:1] == ["GR"]:
+            stations[-1] += [(float(h), float(x)) for h, x in zip(words[1::2], words[2::2], strict=True)]
+    assert counts == [len(s) for s in stations]
+    for read, section in zip(stations, sections, strict=True):
+        x = np.array(read)[:, 1]
+        assert x[0] == 0
+        assert (np.diff(x) > 0).all()
+        assert min(read)[0] == pytest.approx(np.nanmin(section.height_m), abs=6e-4)
+
+
+def test_csv_and_geojson_hold_sections_and_contours(model, sections, river, tmp_path):
+    write_csv(tmp_path / "sections.csv", sections)
+    table = pd.read_csv(tmp_path / "sections.csv")
+    assert table["s_m"].nunique() == len(sections)
+    write_geojson(tmp_path / "lines.geojson", model, sections, river, SETTINGS)
+    told = json.loads((tmp_path / "lines.geojson").read_text())
+    assert told["crs"]["properties"]["name"].endswith("25833")
+    kinds = [f["properties"]["kind"] for f in told["features"]]
+    assert {"contour", "thalweg", "water line", "section"} == set(kinds)
+    for level, line in contour_lines(model, 0.5)[:20]:
+        here = model.at(line)[0]
+        assert np.nanmedian(np.abs(here - level)) < 0.02
+    assert LEVEL_UP_M < 0
+
+
+def test_a_bag_is_read_by_gdal(model, tmp_path):
+    write_bag(tmp_path / "model.bag", model)
+    with rasterio.open(tmp_path / "model.bag") as file:
+        assert file.driver == "BAG"
+        read = file.read(masked=True).astype(float).filled(np.nan)
+    assert read[0] == pytest.approx(model.height_m, abs=1e-4, nan_ok=True)
+    assert np.nanmax(np.abs(read[1] - 0.05)) < 1e-6
