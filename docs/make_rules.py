@@ -19,6 +19,7 @@ ROOMS = {
     "lidar": "Points in the world",
     "triangulation": "The underwater light-sheet sensor",
     "bathymetry": "The riverbed from soundings",
+    "fusion": "One terrain model of bed and banks",
     "surface": "Meshes of references",
     "accuracy": "How far off, and did the sigmas know",
     "deformation": "What changed between epochs",

@@ -1,0 +1,32 @@
+"""One model of bed and banks."""
+
+
+rule build_dtm:
+    """Bed, ground of the banks and the cloud of the surroundings as one terrain model with sigmas."""
+    input:
+        bed="results/{campaign}/bathymetry/bed.tif",
+        banks="results/{campaign}/bathymetry/banks.csv",
+        line="results/{campaign}/bathymetry/centre_line.csv",
+        points=of(CampaignFiles.best_points),
+        surroundings=raw("uav"),
+    output:
+        dtm="results/{campaign}/fusion/dtm.tif",
+        cloud="results/{campaign}/fusion/model.laz",
+        facts="results/{campaign}/fusion/dtm.json",
+        fit="results/{campaign}/fusion/fit.json",
+    log:
+        "logs/{campaign}/fusion/build_dtm.log",
+    benchmark:
+        "benchmarks/{campaign}/fusion/build_dtm.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000, 15),
+        runtime=minutes(20, 60),
+    params:
+        code=code_version("build_dtm"),
+        campaign=identity("origin", "crs"),
+        fusion=section("fusion"),
+    script:
+        "../scripts/build_dtm.py"

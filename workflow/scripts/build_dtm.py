@@ -1,0 +1,63 @@
+"""Bed, cloud of the banks and cloud of the surroundings -> one cloud, one terrain model."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from thalweg.bathymetry import FlowLine
+from thalweg.core import LocalFrame, iter_laz
+from thalweg.fusion import (
+    Source,
+    build_dtm,
+    dtm_facts,
+    filter_ground,
+    fit_cloud,
+    join_clouds,
+    read_cloud,
+    read_river,
+)
+from thalweg.settings.sections import Fusion
+from thalweg.workflow import run_job
+
+
+def main(
+    *,
+    bed: Path,
+    banks: Path,
+    line: Path,
+    points: Path,
+    surroundings: list[Path],
+    dtm: Path,
+    cloud: Path,
+    facts: Path,
+    fit: Path,
+    campaign: dict[str, Any],
+    fusion: Fusion,
+) -> None:
+    frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
+    river = read_river(FlowLine.read(line), banks, frame, crs)
+    lidar = read_cloud([points], frame, crs, sigma_m=fusion.fit.sigma_m)
+    echoes = [(c["return_number"], c["number_of_returns"]) for c in iter_laz(points)]
+    number, several = (np.concatenate(each) for each in zip(*echoes, strict=True))
+    ground = filter_ground(lidar.xyz_m, number, several, fusion.ground)
+    parts = {Source.LIDAR: lidar.part(ground.is_ground)}
+    found: dict[str, Any] = {"ground": ground.facts}
+    if surroundings:
+        foreign = read_cloud(surroundings, frame, crs, sigma_m=fusion.fit.sigma_m)
+        shared = float(np.median(parts[Source.LIDAR].sigma_up_m))
+        motion = fit_cloud(foreign, parts[Source.LIDAR], fusion.fit, sigma_shared_m=shared)
+        motion.write(fit)
+        parts[Source.SURROUNDINGS] = motion.moved(foreign)
+    else:
+        fit.write_text(json.dumps({"fitted": False, "why": "no cloud of the surroundings (logs.uav)"}) + "\n")
+    found["points"] = join_clouds(cloud, parts.items(), frame)
+    model = build_dtm(bed, parts, river.outline_m(), frame, fusion)
+    model.write(dtm)
+    facts.write_text(json.dumps(found | dtm_facts(model), indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
