@@ -34,4 +34,11 @@ from .measures import (
     long_profile as long_profile,
     volume_below as volume_below,
 )
+from .mesh import (
+    RiverMesh as RiverMesh,
+    mesh_river as mesh_river,
+    write_2dm as write_2dm,
+    write_selafin as write_selafin,
+    write_ugrid as write_ugrid,
+)
 from .river import Flow as Flow, River as River, read_river as read_river
