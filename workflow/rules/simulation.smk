@@ -265,6 +265,31 @@ rule simulate_tls:
         "../scripts/simulate_tls.py"
 
 
+rule simulate_uav:
+    """Cloud of the surroundings by a drone."""
+    input:
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    output:
+        cloud="results/{campaign}/simulation/logs/uav.laz",
+        effects="results/{campaign}/simulation/truth/uav_effects.json",
+    log:
+        "logs/{campaign}/simulation/simulate_uav.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_uav.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10),
+    params:
+        code=code_version("simulate_uav"),
+        campaign=identity("origin", "seed", "crs"),
+        twin=of(CampaignFiles.twin_parts, "scene", "uav"),
+    script:
+        "../scripts/simulate_uav.py"
+
+
 rule simulate_view:
     """Two pictures of the bank as a camera on the boat would see it."""
     input:

@@ -31,3 +31,4 @@ from .lidar import (
     simulate_lidar as simulate_lidar,
 )
 from .tls import simulate_tls as simulate_tls
+from .uav import simulate_uav as simulate_uav

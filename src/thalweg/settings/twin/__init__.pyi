@@ -15,6 +15,7 @@ from .survey import (
     TwinScene as TwinScene,
     TwinTimeLapse as TwinTimeLapse,
     TwinTls as TwinTls,
+    TwinUav as TwinUav,
 )
 from .yard import (
     CONES as CONES,

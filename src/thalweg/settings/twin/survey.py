@@ -426,6 +426,27 @@ class TwinEcho(Section):
     )
 
 
+class TwinUav(Section):
+    """Cloud of the surroundings from pictures of a drone."""
+
+    spacing_m: Annotated[float, Field(ge=0.05, le=5)] = Field(
+        default=0.25, description="Mean distance of its points, metres"
+    )
+    reach_m: Annotated[float, Field(gt=0, le=60)] = Field(
+        default=40.0, description="How far it reaches behind the mean shores, metres"
+    )
+    sigma_m: NonNegative = Field(
+        default=0.03, le=1, description="Noise of heights on firm ground, half of it in position, metres"
+    )
+    sigma_shift_m: Sigma3 = Field(
+        default=(0.03, 0.03, 0.05), description="Shift of the whole cloud east, north, up, metres"
+    )
+    crown_share: Share = Field(
+        default=0.3, description="Share of the places in crowns that give a point; below them none do"
+    )
+    sigma_crown_m: NonNegative = Field(default=0.25, le=5, description="Noise of heights in crowns, metres")
+
+
 # ---------------------------------------------------------------- laser scanners
 
 
@@ -990,6 +1011,9 @@ class TwinConfig(Section):
     gnss: TwinGnss = Field(default=TwinGnss(), description="GNSS receiver")
     echo: TwinEcho = Field(default=TwinEcho(), description="Echo sounder")
     tls: TwinTls = Field(default=TwinTls(), description="Reference scans")
+    uav: TwinUav | None = Field(
+        default=None, description="Cloud of the surroundings by a drone; null: there is none"
+    )
     camera: TwinCamera = Field(default=TwinCamera(), description="Cameras and the camera's clock")
     field: TwinField | None = Field(
         default=None, description="Calibration field on land; null: the boat sails on a river"
