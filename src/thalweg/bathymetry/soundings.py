@@ -75,7 +75,7 @@ SOUNDINGS = table_kind(
         column("line", pa.int64(), "1", "line of soundings, from 0; -1: on none"),
         column("used", pa.bool_(), "1", "whether the sounding counts"),
         column("reason", pa.string(), "1", "why not; empty if it counts"),
-        column("row", pa.int64(), "1", "row of the table of depths"),
+        column("row", pa.int64(), "1", "number of the ping in the log, from 0"),
     ],
 )
 """Soundings in the world, one row a ping; places are NaN where there is no pose."""
