@@ -119,7 +119,7 @@ def bed(survey):
         frame=FRAME,
         crs=UTM,
         echo=EchoSounder(beam_deg=0.0),
-        settings=Bathymetry(cell_m=1.0),
+        settings=Bathymetry(cell_m=1.0, model="matern32"),
         slow_time_s=10.0,
         seed=1,
     )

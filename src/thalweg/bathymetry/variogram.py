@@ -36,7 +36,7 @@ _OUTSIDE: Final = 1.2
 """Beyond so many half widths the mean cross-section goes on level."""
 _TEST: Final = 240
 """Soundings that are foretold to judge a model, in at most so many left-out lines:"""
-_LINES: Final = 6
+_LINES: Final = 10
 SHEET_LINE: Final = -1_000_000
 """Lines of the light sheet count down from here; negative lines above it are stretches of the banks."""
 _DATA: Final = 1500
@@ -44,7 +44,7 @@ _DATA: Final = 1500
 _STEPS: Final = 40
 _NEIGHBOURS: Final = 24
 """Data that a left-out sounding is foretold from while models are compared."""
-_BOUNDS: Final = {"anisotropy": (1.0, 40.0), "range": (0.05, 4.0), "sill": (0.05, 20.0), "micro": (1e-6, 1.0)}
+_BOUNDS: Final = {"anisotropy": (1.0, 40.0), "range": (0.15, 4.0), "sill": (0.05, 20.0), "micro": (1e-6, 1.0)}
 """Anisotropy; range across in half widths; sill and micro-relief in variances of the heights."""
 
 
