@@ -47,6 +47,16 @@ OF_CHAINS = {
 }
 """The same for the trajectories by INS, camera and all sensors."""
 
+OF_BED = {
+    "plot_soundings",
+    "plot_sounding_errors",
+    "plot_bed_map",
+    "plot_bed_sections",
+    "plot_bed_variogram",
+    "plot_bed_left_out",
+}
+"""Pictures of the riverbed."""
+
 OF_IMAGES = {"plot_mask_view", "plot_image_positions", "plot_frames_by_image", "plot_pose_sigmas"}
 """Pictures of the images and of what they give."""
 
@@ -82,6 +92,9 @@ def test_everything_promised_is_there(tiny_house) -> None:
         "timing/streams.csv",
         "summary.csv",
         "ingest/reference.laz",
+        "bathymetry/soundings.parquet",
+        "bathymetry/bed.tif",
+        "fusion/dtm.tif",
     ):
         assert (base / name).stat().st_size > 0, name
         assert (base / f"{name}.meta.json").is_file(), name
@@ -153,9 +166,25 @@ def test_the_processing_needs_no_truth(tiny_house) -> None:
     """All results were made while the folder of the truth was away; judges, pictures and pages came after."""
     after = counted((tiny_house.root / "judged.log").read_text())
     judges = {rule for rule in after if rule.endswith("_with_truth")}
-    assert judges == {"compare_with_truth", "compare_chains_with_truth"}
+    assert judges == {"compare_with_truth", "compare_chains_with_truth", "compare_riverbed_with_truth"}
     shown = {rule for rule in after if rule.startswith("plot_") or rule.endswith("_page")}
     assert after - judges - shown == {"summarise"}
+
+
+def test_the_bed_is_as_good_as_its_sigmas_say(tiny_house) -> None:
+    truth = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_riverbed.csv").set_index("measure")["value"]
+    # 291 soundings with a noise of 2 cm: the mean of squares scatters by 0.08
+    assert 0.7 < truth["soundings: mean of squared error over variance"] < 1.3
+    assert truth["soundings: root mean square error, m"] < 0.03
+    # one realisation of a bed of 60 m with four lines
+    assert 0.5 < truth["bed: mean of squared error over variance"] < 2.2
+    assert truth["bed: root mean square error, m"] < 0.12
+    found = json.loads((tiny_house.root / BASE / "bathymetry/validation.json").read_text())
+    assert found["lines"] == 4
+    assert found["rmse_m"] < 0.12
+    methods = pd.read_csv(tiny_house.root / BASE / "bathymetry/methods.csv").set_index("method")["rmse_m"]
+    assert methods["kriging"] < methods["inverse distance, elliptical"]
+    assert methods["kriging"] < 0.5 * methods["triangles"]
 
 
 def test_all_streams_share_one_axis(tiny_house) -> None:
@@ -191,10 +220,14 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "plot_error_versus_range",
         "plot_reference_view",
     }
-    pictures = of_streams | of_views | of_clouds | OF_DISTANCES | OF_IMAGES
+    pictures = of_streams | of_views | of_clouds | OF_DISTANCES | OF_IMAGES | OF_BED
     pictures |= {"plot_chain_histograms", "plot_chains_by_range"}
     undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
-    assert planned(tiny_house) == pictures | {"accuracy_page", "trajectory_comparison_page"}
+    assert planned(tiny_house) == pictures | {
+        "accuracy_page",
+        "trajectory_comparison_page",
+        "bathymetry_page",
+    }
     undo()
     undo = edited(tiny_house, "navigation/ins_gnss/trajectory.py", "\n_edited = 1\n")
     after_trajectory = {
@@ -225,7 +258,16 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "georeference_by_trajectory",
         "compare_chains_with_truth",
     }
-    clouds = of_clouds | OF_DISTANCES | OF_CHAINS | OF_IMAGES
+    after_fusion = {
+        "locate_soundings",
+        "trace_river",
+        "krige_bed",
+        "validate_bed",
+        "build_dtm",
+        "compare_riverbed_with_truth",
+        "bathymetry_page",
+    }
+    clouds = of_clouds | OF_DISTANCES | OF_CHAINS | OF_IMAGES | OF_BED | after_fusion
     assert planned(tiny_house) == after_trajectory | after_prediction | clouds
     undo()
     undo = edited(tiny_house, "ingest/nmea/reader.py", "\n# why, not what\n")
