@@ -125,6 +125,8 @@ PROCESSED = (
     "accuracy/statistics.csv",
     "accuracy/chains.csv",
     "ingest/reference.laz",
+    "bathymetry/validation.json",
+    "fusion/dtm.tif",
 )
 """What the processing of the tiny campaign ends in, apart from pictures and pages."""
 
