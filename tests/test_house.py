@@ -171,7 +171,8 @@ PACKAGES = (
 MAY_IMPORT = {
     **{name: set(PACKAGES[: i + 1]) for i, name in enumerate(PACKAGES)},
     "workflow": {"core", "settings", "workflow"},
-    "cli": {*PACKAGES, "workflow", "cli", "cli_calibration", "cli_deformation"},
+    "cli": {*PACKAGES, "workflow", "cli", "cli_bathymetry", "cli_calibration", "cli_deformation"},
+    "cli_bathymetry": set(PACKAGES),
     "cli_calibration": set(PACKAGES),
     "cli_deformation": set(PACKAGES),
     "__main__": {"cli"},
@@ -308,9 +309,13 @@ def test_the_order_is_that_of_the_contributing_page(repository: Path) -> None:
 UNREACHED = {
     "__main__.py": "the command line",
     "cli.py": "the command line",
+    "cli_bathymetry.py": "the command line",
     "cli_calibration.py": "the command line",
     "cli_deformation.py": "the command line",
-    **dict.fromkeys(("deformation/shapes.py", "deformation/surfaces.py"), "called by the command line"),
+    **dict.fromkeys(
+        ("bathymetry/plan.py", "bathymetry/tables.py", "deformation/shapes.py", "deformation/surfaces.py"),
+        "called by the command line",
+    ),
     **dict.fromkeys(
         (f"fusion/{name}.py" for name in ("exports", "measures", "mesh")), "no rule calls the room yet"
     ),

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import thalweg
+from thalweg.cli_bathymetry import add_bathymetry_commands
 from thalweg.cli_calibration import add_calibration_commands, describe_marked
 from thalweg.cli_deformation import add_deformation_commands, summarise_changes
 from thalweg.core import ConfigError, InputError, ThalwegError
@@ -113,6 +114,7 @@ def _parser() -> argparse.ArgumentParser:
 
     add_calibration_commands(commands)
     add_deformation_commands(commands)
+    add_bathymetry_commands(commands)
 
     summary = commands.add_parser("summary", help="print the summary of a processed campaign")
     summary.add_argument("folder", type=Path, metavar="FOLDER", help="results/<campaign>")

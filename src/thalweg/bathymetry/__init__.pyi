@@ -23,6 +23,7 @@ from .kriging import (
     krige_by_pykrige as krige_by_pykrige,
     krige_dense as krige_dense,
 )
+from .plan import PATTERNS as PATTERNS, SurveyPlan as SurveyPlan, plan_survey as plan_survey
 from .soundings import (
     REASONS as REASONS,
     S44 as S44,
@@ -34,6 +35,16 @@ from .soundings import (
     s44_orders as s44_orders,
     speed_of_sound_mps as speed_of_sound_mps,
     with_bed_normals as with_bed_normals,
+)
+from .tables import (
+    BedOfTable as BedOfTable,
+    TableOfSoundings as TableOfSoundings,
+    bed_of_table as bed_of_table,
+    map_crs as map_crs,
+    read_bank_lines as read_bank_lines,
+    read_line as read_line,
+    read_places as read_places,
+    read_soundings as read_soundings,
 )
 from .validation import measures as measures, validate_bed as validate_bed
 from .variogram import (

@@ -206,16 +206,9 @@ def _of_strip(strip: pd.DataFrame, line: FlowLine) -> pd.DataFrame:
 
 
 def cells_of_river(
-    grid: Grid,
-    frame: LocalFrame,
-    line: FlowLine,
-    half_widths: HalfWidths,
-    span_m: tuple[float, float],
-    settings: Bathymetry,
+    places: ArrayF, line: FlowLine, half_widths: HalfWidths, span_m: tuple[float, float], settings: Bathymetry
 ) -> tuple[ArrayF, ArrayB]:
-    """Flow coordinates (m, 2) of all cells, and which of them are bed: between the shores, not on islands."""
-    centres = grid.centres_m()
-    places = frame.from_map(np.column_stack([centres, np.full(len(centres), frame.h_ell_m)]), grid.crs)[:, :2]
+    """Flow coordinates (m, 2) of places, and which of them are bed: between the shores, not on islands."""
     s, n, fold = line.to_flow(places)
     left, right = half_widths(s)
     inside = ~fold & (s >= span_m[0]) & (s <= span_m[1])
@@ -268,16 +261,46 @@ def krige_bed(
     grid = Grid.around(around, settings.cell_m, crs, margin_m=2 * settings.cell_m)
     reach = settings.reach * model.covariance.range_s_m
     span = (float(data.s_m.min()) - reach, float(data.s_m.max()) + reach)
-    flow, inside = cells_of_river(grid, frame, line, banks.half_widths_m, span, settings)
-    height, sigma = _solved(model, data, flow, inside, settings)
+    centres = grid.centres_m()
+    cells = frame.from_map(np.column_stack([centres, np.full(len(centres), frame.h_ell_m)]), crs)[:, :2]
+    flow, inside = cells_of_river(cells, line, banks.half_widths_m, span, settings)
     if echo.beam_deg > 0:
+        height, _ = _solved(model, data, flow, inside, settings)
         east, north = _slopes(grid, height, frame, soundings)
         soundings = with_bed_normals(soundings, east, north, echo)
         table, counts = bed_observations(
             soundings, line, banks, level, strip, bank_as_data=settings.bank_as_data
         )
-        data = observations_of(table)
-        height, sigma = _solved(model, data, flow, inside, settings)
+    return gridded(table, model, grid, flow, inside, settings, counts)
+
+
+def gridded(
+    table: pd.DataFrame,
+    model: BedModel,
+    grid: Grid,
+    flow: ArrayF,
+    inside: ArrayB,
+    settings: Bathymetry,
+    counts: dict[str, int],
+) -> Bed:
+    """Kriged cells.
+
+    Parameters
+    ----------
+    table : kind ``bed_observations``.
+    model : drift and covariance.
+    grid : cells.
+    flow : (m, 2) flow coordinates of all cells.
+    inside : (m,) cells of the bed.
+    settings : engine, neighbours, reach.
+    counts : of the table, for the facts.
+
+    Raises
+    ------
+    CoverageError : no cell is near enough to a datum.
+    """
+    data = observations_of(table)
+    height, sigma = _solved(model, data, flow, inside, settings)
     common, distance, far = _nearest(table, data, model, flow, inside, settings.reach)
     for values in (height, sigma, common, distance):
         values[far | ~inside] = np.nan

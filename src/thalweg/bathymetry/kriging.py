@@ -31,6 +31,7 @@ _MATERN: Final = 4.743864518104397
 """``(1 + a) exp(-a) = 0.05``."""
 _CHUNK: Final = 20_000
 """Cells whose candidates are held at a time."""
+_FEW: Final = 1000
 _CANDIDATES: Final = 256
 PYKRIGE_MOST: Final = 2000
 """Soundings that PyKrige is given: its constructor computes all pairs."""
@@ -293,7 +294,9 @@ def krige(
     for start in range(0, len(places_m), chunk):
         part = slice(start, start + chunk)
         cells = model.scaled(np.asarray(places_m[part], dtype=np.float64))
-        near = tree.query(cells, k=width, workers=get_num_threads())[1].reshape(len(cells), -1)
+        # threads that are started for some cells cost more than they save
+        workers = get_num_threads() if len(cells) > _FEW else 1
+        near = tree.query(cells, k=width, workers=workers)[1].reshape(len(cells), -1)
         height[part], variance[part] = _solve(
             cells,
             points,

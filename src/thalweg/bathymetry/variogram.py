@@ -34,9 +34,9 @@ _DEGREE: Final = 4
 """Of the mean cross-section over the width."""
 _OUTSIDE: Final = 1.2
 """Beyond so many half widths the mean cross-section goes on level."""
-_TEST: Final = 240
+_TEST: Final = 1200
 """Soundings that are foretold to judge a model, in at most so many left-out lines:"""
-_LINES: Final = 10
+_LINES: Final = 32
 SHEET_LINE: Final = -1_000_000
 """Lines of the light sheet count down from here; negative lines above it are stretches of the banks."""
 _DATA: Final = 1500
@@ -203,10 +203,21 @@ def choose_model(
         if not tried and len(compared) == len(drifts) and len(kinds) > 1:
             tried = [(k, best.drift.kind, _parameters(best.covariance, half, rest)) for k in kinds[1:]]
     assert best is not None
+    # The nearest soundings may all be of one or two lines. Whether a line may make at most a quarter of a
+    # cell, so that four lines do, is judged in the same way, with as many neighbours as a cell will have.
+    parts = _left_out(data.lifted(data.height_m - best.drift.at(data.places_m)), test, train)
+    quarter = max(settings.neighbours // 4, 1)
+    any_line, four_lines = (
+        _score(best.covariance, parts, neighbours=settings.neighbours, of_line=k, candidates=256)
+        for k in (0, quarter)
+    )
+    if four_lines < any_line:
+        best = replace(best, of_line=quarter)
     second = sorted(compared.values())[1] if len(compared) > 1 else np.nan
     reason = (
-        f"drift {best.drift.kind}, model {best.covariance.kind}: mean log score of left-out lines "
-        f"{best.score:.3f}, the next best {second:.3f} (smaller is better)"
+        f"drift {best.drift.kind}, model {best.covariance.kind}"
+        f"{', at most a quarter of a cell from one line' if best.of_line else ''}: mean log score of "
+        f"left-out lines {best.score:.3f}, the next best {second:.3f} (smaller is better)"
         if len(compared) > 1
         else "drift and model as stated; ranges by the log score of left-out lines"
     )
@@ -273,21 +284,11 @@ def _fitted(
             slow_time_s=slow_time_s,
         )
 
-    parts = [
-        (rest.where(train[rest.line[train] != rest.line[of[0]]]), rest.where(of)) for of in test if len(of)
-    ]
+    parts = _left_out(rest, test, train)
 
     def score(q: ArrayF) -> float:
         outside = float(np.sum(np.maximum(low - q, 0) + np.maximum(q - high, 0)))
-        model = model_of(q)
-        total, n = 0.0, 0
-        for known, left_out in parts:
-            height, sigma = krige(known, left_out.places_m, model, neighbours=_NEIGHBOURS, candidates=96)
-            var = sigma**2 + model.micro_m2 + left_out.sigma_white_m**2 + left_out.sigma_slow_m**2
-            total += float(np.sum(np.log(var) / 2 + (left_out.height_m - height) ** 2 / (2 * var)))
-            n += len(left_out)
-        value = total / n + outside
-        return value if np.isfinite(value) else 1e6
+        return _score(model_of(q), parts) + outside
 
     first = np.log([0.7, 5.0, 1.0, 1e-3]) if start is None else start
     simplex = np.vstack([first, first + np.diag([0.5, 0.7, 0.5, 1.0])])
@@ -298,6 +299,35 @@ def _fitted(
         options={"maxiter": _STEPS, "xatol": 0.05, "fatol": 1e-3, "initial_simplex": simplex},
     )
     return model_of(found.x), float(found.fun)
+
+
+def _left_out(
+    rest: Observations, test: list[ArrayI], train: ArrayI
+) -> list[tuple[Observations, Observations]]:
+    """What is known without each left-out line, and what is foretold of it."""
+    return [
+        (rest.where(train[rest.line[train] != rest.line[of[0]]]), rest.where(of)) for of in test if len(of)
+    ]
+
+
+def _score(
+    model: CovarianceModel,
+    parts: list[tuple[Observations, Observations]],
+    *,
+    neighbours: int = _NEIGHBOURS,
+    of_line: int = 0,
+    candidates: int = 96,
+) -> float:
+    """Mean negative log density of what was left out."""
+    total, n = 0.0, 0
+    for known, left_out in parts:
+        height, sigma = krige(
+            known, left_out.places_m, model, neighbours=neighbours, of_line=of_line, candidates=candidates
+        )
+        var = sigma**2 + model.micro_m2 + left_out.sigma_white_m**2 + left_out.sigma_slow_m**2
+        total += float(np.sum(np.log(var) / 2 + (left_out.height_m - height) ** 2 / (2 * var)))
+        n += len(left_out)
+    return total / n if np.isfinite(total) else 1e6
 
 
 def _parameters(model: CovarianceModel, half_m: float, rest: Observations) -> ArrayF:

@@ -1,0 +1,276 @@
+"""The commands ``thalweg bed``, ``flow`` and ``plan-survey``: riverbeds from soundings of anybody's."""
+
+import argparse
+from pathlib import Path
+
+
+def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add ``bed``, ``flow`` and ``plan-survey``."""
+    bed = commands.add_parser(
+        "bed", help="riverbed with standard deviations from a table of soundings, kriged in flow coordinates"
+    )
+    bed.add_argument(
+        "table",
+        type=Path,
+        metavar="TABLE",
+        help="CSV with east, north (or x, y), text of x y z, GeoJSON points",
+    )
+    bed.add_argument("--crs", required=True, metavar="EPSG:...", help="of the table: projected, metres")
+    value = bed.add_mutually_exclusive_group(required=True)
+    value.add_argument("--height", metavar="COLUMN", help="column with heights of the bed, metres")
+    value.add_argument("--depth", metavar="COLUMN", help="column with depths below the water, metres")
+    bed.add_argument(
+        "--level", type=float, metavar="M", help="height of the water; with --depth 0 by default"
+    )
+    bed.add_argument(
+        "--line", metavar="COLUMN", help="column that names the line of a sounding (default: found)"
+    )
+    bed.add_argument(
+        "--banks",
+        type=Path,
+        metavar="GEOJSON",
+        help="both bank lines, or the water as a polygon; with heights, or with --level, data of the bed too",
+    )
+    bed.add_argument(
+        "--centre-line", type=Path, metavar="CSV", help="east, north, downstream (default: found)"
+    )
+    bed.add_argument("--cell", type=_positive, required=True, metavar="M", help="width of a cell, metres")
+    bed.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    bed.add_argument(
+        "--sigma",
+        type=_positive,
+        default=0.02,
+        metavar="M",
+        help="noise of a sounding where the table has no column sigma (default: %(default)s)",
+    )
+    bed.add_argument(
+        "--model",
+        choices=("auto", "exponential", "matern32", "spherical"),
+        default="auto",
+        help="covariance; auto: the one that predicts left-out lines best",
+    )
+    bed.add_argument("--drift", choices=("auto", "none", "section", "fall"), default="auto")
+    bed.add_argument(
+        "--neighbours", type=int, default=48, metavar="N", help="data of a cell (default: %(default)s)"
+    )
+    bed.add_argument(
+        "--reach",
+        type=_positive,
+        default=2.0,
+        metavar="RANGES",
+        help="cells farther from data than so many ranges stay empty (default: %(default)s)",
+    )
+    bed.set_defaults(command=_bed)
+
+    flow = commands.add_parser("flow", help="flow coordinates of places: along and across a centre line")
+    flow.add_argument("points", type=Path, metavar="POINTS", help="CSV with east, north (or x, y)")
+    flow.add_argument(
+        "--centre-line", type=Path, required=True, metavar="CSV", help="east, north, downstream"
+    )
+    flow.add_argument("--out", type=Path, required=True, metavar="CSV", help="the table with s_m, n_m, fold")
+    flow.set_defaults(command=_flow)
+
+    plan = commands.add_parser(
+        "plan-survey", help="survey lines between two banks, and how well the bed will be known from them"
+    )
+    plan.add_argument(
+        "banks", type=Path, metavar="BANKS", help="GeoJSON: bank lines, or the water as a polygon"
+    )
+    plan.add_argument("--crs", required=True, metavar="EPSG:...", help="of the map: projected, metres")
+    plan.add_argument("--pattern", choices=("zigzag", "sections", "along"), required=True)
+    plan.add_argument("--speed", type=_positive, required=True, metavar="M/S", help="of the boat")
+    plan.add_argument(
+        "--sigma", type=_positive, required=True, metavar="M", help="wanted for 95 %% of the bed, metres"
+    )
+    plan.add_argument("--out", type=Path, default=Path("plan"), metavar="FOLDER", help="default: %(default)s")
+    plan.add_argument(
+        "--leg",
+        type=_positive,
+        metavar="M",
+        help="distance of the legs (default: the widest that reach the wanted sigma)",
+    )
+    plan.add_argument(
+        "--margin", type=_positive, default=2.0, metavar="M", help="kept off the banks (default: %(default)s)"
+    )
+    plan.add_argument(
+        "--centre-line", type=Path, metavar="CSV", help="east, north, downstream (default: found)"
+    )
+    plan.add_argument(
+        "--variogram",
+        type=Path,
+        metavar="JSON",
+        help="covariance of the bed: variogram.json of `thalweg bed` or of a campaign",
+    )
+    plan.add_argument(
+        "--relief",
+        type=_positive,
+        default=0.3,
+        metavar="M",
+        help="without one: standard deviation of the bed about its mean; ranges are taken as half the width "
+        "across the river and twice the width along it (default: %(default)s)",
+    )
+    plan.add_argument(
+        "--sigma-sounding", type=_positive, default=0.05, metavar="M", help="default: %(default)s"
+    )
+    plan.add_argument("--power", type=_positive, metavar="W", help="of the boat at this speed")
+    plan.add_argument("--battery", type=_positive, metavar="WH", help="energy of one battery")
+    plan.set_defaults(command=_plan)
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r}; expected a number above zero")
+    return value
+
+
+def _bed(options: argparse.Namespace) -> int:
+    import numpy as np
+    from pydantic import ValidationError
+
+    from thalweg.bathymetry import bed_of_table, map_crs, read_bank_lines, read_line, read_soundings
+    from thalweg.core import ConfigError
+    from thalweg.settings.sections import Bathymetry
+
+    try:
+        settings = Bathymetry(
+            cell_m=options.cell,
+            model=options.model,
+            drift=options.drift,
+            neighbours=options.neighbours,
+            reach=options.reach,
+        )
+    except ValidationError as error:
+        raise ConfigError(
+            "; ".join(f"{e['loc'][-1] if e['loc'] else ''}: {e['msg']}" for e in error.errors())
+        ) from error
+    crs = map_crs(options.crs)
+    soundings = read_soundings(
+        options.table,
+        crs,
+        column=options.depth or options.height,
+        depth=options.depth is not None,
+        level_m=options.level,
+        line_column=options.line,
+        sigma_m=options.sigma,
+    )
+    line = None if options.centre_line is None else read_line(options.centre_line, crs)
+    banks = (
+        None
+        if options.banks is None
+        else read_bank_lines(
+            options.banks, crs, line, options.level, (soundings.places_m, soundings.height_m)
+        )
+    )
+    found = bed_of_table(soundings, crs, settings, line=line, banks=banks)
+    relative = options.depth is not None and options.level is None
+    found.write(
+        options.out,
+        {"heights": "above the water surface, metres" if relative else f"of {options.table.name}, metres"},
+    )
+    bed, of = found.bed, found.validation
+    print(f"{bed.facts['soundings']:,} soundings on {len(np.unique(soundings.line)):,} lines")
+    print(f"  bed: {bed.facts['cells']:,} cells, median sigma {bed.facts['median sigma_m']:.3f} m")
+    print(f"  {bed.model.reason}")
+    print(
+        f"  {of['lines']} left-out lines: rms {of['rmse_m']:.3f} m, bias {of['bias_m']:+.3f} m, "
+        f"mean of squared error over variance {of['normalised_square']:.2f}, "
+        f"{of['outside_95']:.1%} outside their 95 % interval"
+    )
+    for note in found.notes:
+        print(f"note: {note}")
+    print(f"Wrote {options.out}/bed.tif, validation.json, methods.csv, centre_line.csv")
+    return 0
+
+
+def _flow(options: argparse.Namespace) -> int:
+    import numpy as np
+    from pyproj import CRS
+
+    from thalweg.bathymetry import read_line, read_places
+
+    line = read_line(options.centre_line)
+    # any system in metres does: only GeoJSON is transformed
+    table, places = read_places(options.points, CRS.from_epsg(32633))
+    known = np.isfinite(places).all(axis=1)
+    s, n, fold = np.full(len(places), np.nan), np.full(len(places), np.nan), np.ones(len(places), dtype=bool)
+    s[known], n[known], fold[known] = line.to_flow(places[known])
+    table.assign(s_m=s, n_m=n, fold=fold).to_csv(options.out, index=False, float_format="%.6f")
+    print(f"{len(table):,} places, {int(fold.sum()):,} beyond the ends or where perpendiculars meet")
+    if not known.all():
+        print(f"note: {int((~known).sum()):,} rows without coordinates")
+    print(f"Wrote {options.out}")
+    return 0
+
+
+def _plan(options: argparse.Namespace) -> int:
+    import json
+
+    import numpy as np
+
+    from thalweg.bathymetry import BedModel, CovarianceModel, map_crs, plan_survey, read_bank_lines, read_line
+    from thalweg.core import InputError
+
+    crs = map_crs(options.crs)
+    line = None if options.centre_line is None else read_line(options.centre_line, crs)
+    nothing = (np.empty((0, 2)), np.empty(0))
+    banks, _ = read_bank_lines(options.banks, crs, line, None, nothing)
+    if options.variogram is None:
+        left, right = banks.half_widths_m(np.linspace(0, banks.line.length_m, 500))
+        width = float(np.nanmedian(left + right))
+        model = CovarianceModel(
+            kind="matern32", sill_m2=options.relief**2, range_s_m=2 * width, range_n_m=width / 2
+        )
+        source = f"assumed: {options.relief:g} m, ranges {2 * width:.0f} m along and {width / 2:.0f} m across"
+    else:
+        try:
+            model = BedModel.of_report(json.loads(options.variogram.read_text())).covariance
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(
+                f"{error!r}",
+                where=options.variogram,
+                expected="variogram.json of `thalweg bed` or of a campaign",
+            ) from error
+        source = str(options.variogram)
+    plan = plan_survey(
+        banks,
+        crs,
+        model,
+        pattern=options.pattern,
+        sigma_m=options.sigma,
+        leg_m=options.leg,
+        margin_m=options.margin,
+        sigma_sounding_m=options.sigma_sounding,
+    )
+    seconds = plan.length_m / options.speed
+    facts = {
+        "pattern": plan.pattern,
+        "leg_m": plan.leg_m,
+        "length_m": plan.length_m,
+        "time_s": seconds,
+        "waypoints": len(plan.waypoints_m),
+        "wanted_sigma_m": options.sigma,
+        "sigma_95_m": plan.sigma_95_m,
+        "median_sigma_m": float(np.nanmedian(plan.sigma_m)),
+        "covariance": source,
+    }
+    text = f"{plan.pattern}, legs of {plan.leg_m:.1f} m: {plan.length_m:,.0f} m, {seconds / 60:.0f} min"
+    if options.power is not None:
+        facts["energy_wh"] = options.power * seconds / 3600
+        text += f", {facts['energy_wh']:.0f} Wh"
+        if options.battery is not None:
+            facts["batteries"] = facts["energy_wh"] / options.battery
+            text += f" ({facts['batteries']:.1f} batteries)"
+    plan.write(options.out, facts)
+    print(text)
+    print(
+        f"  95 % of the bed known to {plan.sigma_95_m:.3f} m, half of it to {facts['median_sigma_m']:.3f} m"
+    )
+    print(f"  covariance {source}")
+    if plan.sigma_95_m > options.sigma:
+        print(f"note: {options.sigma:g} m was wanted; leave out --leg for legs that reach it")
+    print(f"Wrote {options.out}/waypoints.gpx, waypoints.geojson, sigma.tif, plan.json")
+    return 0
