@@ -316,9 +316,6 @@ UNREACHED = {
         ("bathymetry/plan.py", "bathymetry/tables.py", "deformation/shapes.py", "deformation/surfaces.py"),
         "called by the command line",
     ),
-    **dict.fromkeys(
-        (f"fusion/{name}.py" for name in ("exports", "measures", "mesh")), "no rule calls the room yet"
-    ),
     "workflow/codehash.py": "called by the rules",
     "workflow/campaign_files.py": "called by the rules",
     "workflow/figures.py": "called by the rules",

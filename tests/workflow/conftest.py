@@ -126,7 +126,7 @@ PROCESSED = (
     "accuracy/chains.csv",
     "ingest/reference.laz",
     "bathymetry/validation.json",
-    "fusion/dtm.tif",
+    "fusion/river.json",
 )
 """What the processing of the tiny campaign ends in, apart from pictures and pages."""
 

@@ -54,6 +54,8 @@ OF_BED = {
     "plot_bed_sections",
     "plot_bed_variogram",
     "plot_bed_left_out",
+    "plot_terrain_model",
+    "plot_long_profile",
 }
 """Pictures of the riverbed."""
 
@@ -95,6 +97,7 @@ def test_everything_promised_is_there(tiny_house) -> None:
         "bathymetry/soundings.parquet",
         "bathymetry/bed.tif",
         "fusion/dtm.tif",
+        "fusion/river.json",
     ):
         assert (base / name).stat().st_size > 0, name
         assert (base / f"{name}.meta.json").is_file(), name
@@ -264,6 +267,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "krige_bed",
         "validate_bed",
         "build_dtm",
+        "measure_river",
         "compare_riverbed_with_truth",
         "bathymetry_page",
     }

@@ -176,6 +176,7 @@ rule bathymetry_page:
         banks="results/{campaign}/bathymetry/banks.csv",
         validation="results/{campaign}/bathymetry/validation.json",
         methods="results/{campaign}/bathymetry/methods.csv",
+        river="results/{campaign}/fusion/river.json",
         truth=of(CampaignFiles.bed_truth),
         pictures=of_page("bathymetry"),
     output:

@@ -30,3 +30,33 @@ rule build_dtm:
         fusion=section("fusion"),
     script:
         "../scripts/build_dtm.py"
+
+
+rule measure_river:
+    """Sections, long profile, volumes of the water, and files for hydraulic programs."""
+    input:
+        dtm="results/{campaign}/fusion/dtm.tif",
+        banks="results/{campaign}/bathymetry/banks.csv",
+        line="results/{campaign}/bathymetry/centre_line.csv",
+    output:
+        profile="results/{campaign}/fusion/profile.csv",
+        hydraulics="results/{campaign}/fusion/hydraulics.csv",
+        volumes="results/{campaign}/fusion/hypsometry.csv",
+        facts="results/{campaign}/fusion/river.json",
+        exports=directory("results/{campaign}/fusion/exports"),
+    log:
+        "logs/{campaign}/fusion/measure_river.log",
+    benchmark:
+        "benchmarks/{campaign}/fusion/measure_river.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(2000, 20),
+        runtime=minutes(10, 30),
+    params:
+        code=code_version("measure_river"),
+        campaign=identity("origin", "crs"),
+        fusion=section("fusion"),
+    script:
+        "../scripts/measure_river.py"

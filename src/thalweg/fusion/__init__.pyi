@@ -18,6 +18,8 @@ from .dtm import (
 )
 from .exports import (
     contour_lines as contour_lines,
+    export_river as export_river,
+    water_of as water_of,
     write_bag as write_bag,
     write_csv as write_csv,
     write_geojson as write_geojson,

@@ -6,21 +6,100 @@ coordinates stay in the campaign's grid, named as GeoJSON 2008 did, for GIS that
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from thalweg.core import ArrayF, InputError
+from thalweg.core import ArrayB, ArrayF, InputError, ThalwegError
 from thalweg.fusion.dtm import Dtm
-from thalweg.fusion.measures import Section
+from thalweg.fusion.measures import Section, volume_below
+from thalweg.fusion.mesh import mesh_river, write_2dm, write_selafin, write_ugrid
 from thalweg.fusion.river import River
 from thalweg.settings.sections import Fusion
+from thalweg.surface import Area
 
+_OF_MESH = ("2dm", "selafin", "ugrid")
 _SWMM_MOST_POINTS = 1500
 """SWMM 5 takes no more stations in a transect."""
+
+
+def export_river(
+    folder: Path, model: Dtm, river: River, sections: Sequence[Section], settings: Fusion
+) -> dict[str, Any]:
+    """Files of `fusion.exports` for other programs.
+
+    Parameters
+    ----------
+    folder : where they go; it is made.
+    model, river, sections : what they hold.
+
+    Returns
+    -------
+    facts : ``written`` (names), ``not_written`` (format -> why), and of the mesh nodes, faces, least angle.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    writers: dict[str, Callable[[], object]] = {
+        "hecras": lambda: write_hecras(folder / "RASImport.sdf", sections, river),
+        "swmm": lambda: write_swmm(folder / "transects.inp", sections, settings),
+        "csv": lambda: write_csv(folder / "sections.csv", sections),
+        "geojson": lambda: write_geojson(folder / "lines.geojson", model, sections, river, settings),
+        "bag": lambda: write_bag(folder / "terrain.bag", model),
+    }
+    facts: dict[str, Any] = {"not_written": {}}
+    wanted = [name for name in settings.exports if name in _OF_MESH]
+    if wanted:
+        try:
+            mesh = mesh_river(model, river, settings.mesh)
+        except ThalwegError as error:
+            # sections are of use without a mesh
+            facts["not_written"] |= dict.fromkeys(wanted, str(error))
+        else:
+            angles = mesh.least_angles_deg()
+            facts["mesh"] = {
+                "nodes": len(mesh.nodes_m),
+                "faces": len(mesh.faces),
+                "least_angle_deg": float(angles.min()),
+                "folded": int((angles <= 0).sum()),
+            }
+            border = mesh.boundary()
+            along = river.to_flow(mesh.nodes_m[border, :2])[0]
+            inflow = border[along < along.min() + settings.mesh.edge_m / 4]
+            outflow = border[along > along.max() - settings.mesh.edge_m / 4]
+            writers |= {
+                "2dm": lambda: write_2dm(folder / "mesh.2dm", mesh),
+                "selafin": lambda: write_selafin(
+                    folder / "mesh.slf", folder / "mesh.cli", mesh, inflow=inflow, outflow=outflow
+                ),
+                "ugrid": lambda: write_ugrid(folder / "mesh.nc", mesh, crs_wkt=model.crs.to_wkt()),
+            }
+    for name in settings.exports:
+        if name in facts["not_written"]:
+            continue
+        try:
+            writers[name]()
+        except ThalwegError as error:
+            facts["not_written"][name] = str(error)
+    return facts | {"written": sorted(path.name for path in folder.iterdir())}
+
+
+def water_of(model: Dtm, river: River, settings: Fusion) -> tuple[ArrayB, dict[str, float]]:
+    """Cells (rows, columns) inside the water line, and volume and area of the water with its sigma."""
+    centres = np.column_stack([model.centres_m().reshape(-1, 2), np.zeros(model.height_m.size)])
+    inside = Area(polygon_en_m=river.outline_m()).contains(centres).reshape(model.height_m.shape)
+    level = np.full(model.height_m.shape, np.nan)
+    level[inside] = river.level_m(river.to_flow(model.centres_m()[inside])[0])
+    volume, sigma, area = volume_below(model, level, inside, settings.correlation_m)
+    empty = inside & ~np.isfinite(model.height_m)
+    return inside, {
+        "volume_m3": volume,
+        "sigma_volume_m3": sigma,
+        "wet_area_m2": area,
+        "inside_m2": float(inside.sum()) * model.cell_m**2,
+        "without_height_m2": float(empty.sum()) * model.cell_m**2,
+    }
 
 
 def write_csv(path: Path, sections: Sequence[Section]) -> None:

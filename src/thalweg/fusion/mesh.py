@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import cKDTree
 
 from thalweg.core import ArrayF, ArrayI, GeometryError
 from thalweg.fusion.dtm import Dtm
@@ -23,6 +24,8 @@ from thalweg.settings.sections import MeshSettings
 
 LINES: Final = ("right bank", "right toe", "thalweg", "left toe", "left bank")
 _ROUNDS: Final = 60
+_BESIDE: Final = 2.0
+"""A node without a height takes that of a cell within so many cells."""
 _TOE_SHARE: Final = 0.8
 """A toe stands where so much of the depth of the thalweg is reached."""
 
@@ -84,10 +87,10 @@ def mesh_river(model: Dtm, river: River, settings: MeshSettings) -> RiverMesh:
     ------
     GeometryError : the river is narrower than an edge, or no mesh with the wanted angles was found.
     """
-    edge, length = settings.edge_m, river.flow.length_m
+    edge, (first, last) = settings.edge_m, river.span_m
     # a cell inside both ends: beyond them the model has no height
-    margin = min(model.cell_m, length / 10)
-    rows = np.linspace(margin, length - margin, max(round(length / edge), 2) + 1)
+    margin = min(model.cell_m, (last - first) / 10)
+    rows = np.linspace(first + margin, last - margin, max(round((last - first) / edge), 2) + 1)
     offsets = _line_offsets(model, river, rows, edge)
     n_of, line_of = [], []
     for at in offsets:
@@ -125,6 +128,13 @@ def mesh_river(model: Dtm, river: River, settings: MeshSettings) -> RiverMesh:
             cure="Take another fusion.mesh.edge_m, or a smoother centre line",
         )
     height = model.at(places)[0]
+    empty = np.flatnonzero(~np.isfinite(height))
+    if len(empty):
+        # the corner of the water line may lie just outside the last cell with a height
+        known = np.isfinite(model.height_m)
+        away, near = cKDTree(model.centres_m()[known]).query(places[empty])
+        near_enough = away <= _BESIDE * model.cell_m
+        height[empty[near_enough]] = model.height_m[known][np.asarray(near)[near_enough]]
     if not np.isfinite(height).all():
         raise GeometryError(
             f"{int((~np.isfinite(height)).sum())} nodes without a height",

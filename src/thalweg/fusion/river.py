@@ -83,6 +83,16 @@ class River:
         """Offsets n (m,) of the left and of the right bank at distances s (m,) along the river."""
         return self._of_side("left", s_m), self._of_side("right", s_m)
 
+    @property
+    def span_m(self) -> tuple[float, float]:
+        """Part of the flow line beside which both banks are known."""
+        ends = []
+        for side in SIDES:
+            places = self.banks.loc[self.banks["side"] == side, ["east_m", "north_m"]].to_numpy(float)
+            s = self.flow.to_flow(places)[0]
+            ends.append((float(s.min()), float(s.max())))
+        return max(a for a, _ in ends), min(b for _, b in ends)
+
     def _of_side(self, side: str, s_m: ArrayLike) -> ArrayF:
         rows = self.banks[self.banks["side"] == side]
         s, n, _ = self.flow.to_flow(rows[["east_m", "north_m"]].to_numpy(float))

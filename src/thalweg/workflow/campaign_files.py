@@ -591,7 +591,11 @@ class CampaignFiles:
     def _bed_outputs(self) -> list[str]:
         outputs = ("soundings.parquet", "bed.tif", "validation.json", "methods.csv", "index.html")
         made = self._where(self.has_soundings(), *(f"bathymetry/{name}" for name in outputs))
-        return [*made, *self.bed_truth(), *self._where(self.has_soundings(), "fusion/dtm.tif")]
+        return [
+            *made,
+            *self.bed_truth(),
+            *self._where(self.has_soundings(), "fusion/dtm.tif", "fusion/river.json"),
+        ]
 
     # ------------------------------------------------------------ change between epochs
 

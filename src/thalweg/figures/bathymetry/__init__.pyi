@@ -7,3 +7,4 @@ from .pictures import (
     draw_soundings as draw_soundings,
     draw_variogram as draw_variogram,
 )
+from .terrain import draw_long_profile as draw_long_profile, draw_terrain_model as draw_terrain_model

@@ -17,6 +17,7 @@ def bed_page(
     banks: pd.DataFrame,
     validation: Mapping[str, Any],
     methods: pd.DataFrame,
+    river: Mapping[str, Any],
     *,
     pictures: Sequence[Path],
     captions: Mapping[str, str],
@@ -30,6 +31,7 @@ def bed_page(
     ----------
     facts, variogram, level, validation : JSON files of the rules of `workflow/rules/bathymetry.smk`.
     banks, methods : their tables.
+    river : ``fusion/river.json``.
     pictures, captions : PNG files, and by stem what stands below them.
     truth : of a twin, columns measure, value, n; None: there is none.
     title : heading.
@@ -86,6 +88,20 @@ def bed_page(
             f"{side} bank: {row['sum']} of {row['size']} places seen" for side, row in seen.iterrows()
         )
         + f". Their standard deviation across is {banks['sigma_across_m'].median():.2f} m in the median."
+    )
+    water, missing = river["water"], river["not_written"]
+    page.section("Water and files for hydraulic programs").text(
+        f"The water fills {water['volume_m3']:,.0f} ± {water['sigma_volume_m3']:,.0f} m³ over "
+        f"{water['wet_area_m2']:,.0f} m²; of the {water['inside_m2']:,.0f} m² inside the water line "
+        f"{water['without_height_m2']:,.1f} m² have no height. {river['sections']} sections. "
+        + (
+            f"Triangles: {count(river['mesh']['faces'])}, least angle {river['mesh']['least_angle_deg']:.0f} "
+            f"degrees, {river['mesh']['folded']} folded. "
+            if "mesh" in river
+            else ""
+        )
+        + f"In fusion/exports: {', '.join(river['written'])}."
+        + "".join(f" Not written, {name}: {why}" for name, why in missing.items())
     )
     page.section("Covariance of the bed").text(f"{variogram['reason']}.")
     compared = sorted(variogram["compared"].items(), key=lambda item: item[1])

@@ -1,0 +1,53 @@
+"""Terrain model, banks and centre line -> sections, profile, volumes, and files for hydraulic programs."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from pyproj import CRS
+
+from thalweg.bathymetry import FlowLine
+from thalweg.core import LocalFrame
+from thalweg.fusion import (
+    Dtm,
+    cut_sections,
+    export_river,
+    hydraulic_table,
+    hypsometry,
+    long_profile,
+    read_river,
+    water_of,
+)
+from thalweg.settings.sections import Fusion
+from thalweg.workflow import run_job
+
+
+def main(
+    *,
+    dtm: Path,
+    banks: Path,
+    line: Path,
+    profile: Path,
+    hydraulics: Path,
+    volumes: Path,
+    facts: Path,
+    exports: Path,
+    campaign: dict[str, Any],
+    fusion: Fusion,
+) -> None:
+    model = Dtm.read(dtm)
+    frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
+    river = read_river(FlowLine.read(line), banks, frame, crs, separation_m=model.separation_m)
+    sections = cut_sections(model, river, fusion)
+    long_profile(sections).to_csv(profile, index=False, float_format="%.4f")
+    tables = [hydraulic_table(section, fusion) for section in sections]
+    pd.concat(tables).to_csv(hydraulics, index=False, float_format="%.4f")
+    inside, water = water_of(model, river, fusion)
+    hypsometry(model, inside, fusion).to_csv(volumes, index=False, float_format="%.4f")
+    found = export_river(exports, model, river, sections, fusion)
+    facts.write_text(json.dumps({"sections": len(sections), "water": water} | found, indent=2) + "\n")
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
