@@ -8,7 +8,7 @@ import pandas as pd
 from pyproj import CRS
 
 from thalweg.bathymetry import FlowLine
-from thalweg.core import LocalFrame
+from thalweg.core import CoverageError, LocalFrame
 from thalweg.fusion import (
     Dtm,
     cut_sections,
@@ -39,14 +39,21 @@ def main(
     model = Dtm.read(dtm)
     frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
     river = read_river(FlowLine.read(line), banks, frame, crs, separation_m=model.separation_m)
-    sections = cut_sections(model, river, fusion)
+    notes = []
+    try:
+        sections = cut_sections(model, river, fusion)
+    except CoverageError as error:  # the model and its volume are of use without sections
+        sections = []
+        notes.append(str(error))
     long_profile(sections).to_csv(profile, index=False, float_format="%.4f")
     tables = [hydraulic_table(section, fusion) for section in sections]
-    pd.concat(tables).to_csv(hydraulics, index=False, float_format="%.4f")
+    (pd.concat(tables) if tables else pd.DataFrame()).to_csv(hydraulics, index=False, float_format="%.4f")
     inside, water = water_of(model, river, fusion)
     hypsometry(model, inside, fusion).to_csv(volumes, index=False, float_format="%.4f")
     found = export_river(exports, model, river, sections, fusion)
-    facts.write_text(json.dumps({"sections": len(sections), "water": water} | found, indent=2) + "\n")
+    facts.write_text(
+        json.dumps({"sections": len(sections), "notes": notes, "water": water} | found, indent=2) + "\n"
+    )
 
 
 if "snakemake" in globals():

@@ -22,6 +22,7 @@ from thalweg.settings.sections import Fusion
 from thalweg.surface import Area
 
 _OF_MESH = ("2dm", "selafin", "ugrid")
+_OF_SECTIONS = {"hecras", "swmm", "csv", "geojson"}
 _SWMM_MOST_POINTS = 1500
 """SWMM 5 takes no more stations in a transect."""
 
@@ -49,6 +50,8 @@ def export_river(
         "bag": lambda: write_bag(folder / "terrain.bag", model),
     }
     facts: dict[str, Any] = {"not_written": {}}
+    if not sections:
+        facts["not_written"] |= dict.fromkeys(_OF_SECTIONS & set(settings.exports), "no cross section")
     wanted = [name for name in settings.exports if name in _OF_MESH]
     if wanted:
         try:

@@ -176,6 +176,9 @@ def _wetted(n: ArrayF, z: ArrayF, level: float) -> tuple[float, float, float, Ar
     return area, float(np.sum(share * slant)), float(np.sum(share * step)), weights
 
 
+_PROFILE: Final = ("s_m", "thalweg_n_m", "thalweg_m", "sigma_thalweg_m", "mean_bed_m", "level_m", "width_m")
+
+
 def long_profile(sections: list[Section]) -> pd.DataFrame:
     """Thalweg, mean bed, banks and level along the river: a row a section."""
     rows = []
@@ -194,7 +197,7 @@ def long_profile(sections: list[Section]) -> pd.DataFrame:
                 "width_m": section.left_m - section.right_m,
             }
         )
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=list(_PROFILE))
 
 
 def volume_below(

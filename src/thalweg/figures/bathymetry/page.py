@@ -101,6 +101,7 @@ def bed_page(
             else ""
         )
         + f"In fusion/exports: {', '.join(river['written'])}."
+        + "".join(f" {note}" for note in river["notes"])
         + "".join(f" Not written, {name}: {why}" for name, why in missing.items())
     )
     page.section("Covariance of the bed").text(f"{variogram['reason']}.")

@@ -122,6 +122,9 @@ def draw_long_profile(*, profile: Path, title: str, twin: bool) -> Figure:
     table = pd.read_csv(profile)
     figure = new_figure(90.0, f"Long profile: {title}, n = {count(len(table))} sections", twin=twin)
     ax = figure.subplots()
+    if table.empty:
+        ax.text(0.5, 0.5, "no section has heights from bank to bank", ha="center", transform=ax.transAxes)
+        return figure
     s, z = table["s_m"].to_numpy(), table["thalweg_m"].to_numpy()
     band = WIDE * table["sigma_thalweg_m"].to_numpy()
     ax.fill_between(s, z - band, z + band, color=SKY, alpha=0.5, lw=0, label="95 % of the thalweg")
