@@ -364,7 +364,7 @@ def draw_bed_sections(
                 ax.plot(of["n_m"], deep, ls="none", marker=marker, ms=4, color=colour, label=source)
         ax.annotate(
             f"s = {s:.0f} m",
-            (0.5, 0.93),
+            (0.5, 0.78),
             xycoords="axes fraction",
             ha="center",
             va="top",
