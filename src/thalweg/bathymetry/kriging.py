@@ -365,6 +365,7 @@ def krige_by_pykrige(
     total = model.sill_m2 + noise
 
     def variogram(_: Any, h: ArrayF) -> ArrayF:
+        """Semivariances at scaled distances, noise included."""
         return total - model.sill_m2 * model.correlation(np.asarray(h))
 
     solver = OrdinaryKriging(

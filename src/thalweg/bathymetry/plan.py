@@ -107,6 +107,7 @@ def course(banks: Banks, pattern: str, leg_m: float, margin_m: float, span_m: tu
     first, last = span_m
 
     def shores(s: ArrayF) -> tuple[ArrayF, ArrayF]:
+        """Offsets of the left and the right end of a line at places along the river."""
         left, right = banks.half_widths_m(s)
         left, right = left - margin_m, right - margin_m
         if not (np.isfinite(left + right).all() and (left + right > 0).all()):
@@ -184,6 +185,7 @@ def plan_survey(
     )
 
     def planned(leg: float) -> tuple[ArrayF, float, ArrayF, float]:
+        """Corners and length of a course, sigma of all cells, and its 95 % quantile."""
         corners = line.to_map(*course(banks, pattern, leg, margin_m, span).T)
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
         step = max(_LEAST_WAY_M, leg / 20, float(way[-1]) / _MOST)

@@ -586,6 +586,7 @@ def hull_of_lines(s: ArrayF, n: ArrayF, line: ArrayI) -> HalfWidths:
     right = np.array([max(float((-n[k]).max(initial=0.0)), 0.5) for k in near])
 
     def half_widths(where: ArrayLike) -> tuple[ArrayF, ArrayF]:
+        """Left and right half widths at places along the river; NaN beyond the soundings."""
         x = np.asarray(where, dtype=np.float64)
         # beyond the first and the last sounding nothing is known
         sides = (np.interp(x, at, width, left=np.nan, right=np.nan) for width in (left, right))

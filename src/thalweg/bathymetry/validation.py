@@ -183,7 +183,10 @@ def methods(model: BedModel, half_widths: HalfWidths, settings: Bathymetry) -> d
     even = replace(of, range_s_m=of.range_n_m)
 
     def kriged(covariance: CovarianceModel, *, drift: bool) -> Method:
+        """Kriging with a covariance."""
+
         def solve(rest: Observations, places: ArrayF) -> tuple[ArrayF, ArrayF | None]:
+            """Heights and sigmas at places."""
             kind = model.drift.kind if drift else "none"
             again = replace(model, covariance=covariance, drift=Drift.fitted(kind, rest, half_widths))
             height, sigma = again.predict(rest, places, neighbours=settings.neighbours)
@@ -192,7 +195,10 @@ def methods(model: BedModel, half_widths: HalfWidths, settings: Bathymetry) -> d
         return solve
 
     def inverse_distance(scale: ArrayF) -> Method:
+        """Inverse squared distances with coordinates scaled."""
+
         def solve(rest: Observations, places: ArrayF) -> tuple[ArrayF, ArrayF | None]:
+            """Heights and sigmas at places."""
             tree = cKDTree(rest.places_m * scale)
             d, near = tree.query(places * scale, k=min(_IDW, len(rest)))
             w = 1.0 / np.maximum(d, 1e-6) ** 2
@@ -201,12 +207,14 @@ def methods(model: BedModel, half_widths: HalfWidths, settings: Bathymetry) -> d
         return solve
 
     def triangles(rest: Observations, places: ArrayF) -> tuple[ArrayF, ArrayF | None]:
+        """Linear within triangles."""
         try:
             return LinearNDInterpolator(rest.places_m * stretch, rest.height_m)(places * stretch), None
         except QhullError:  # all on one line
             return np.full(len(places), np.nan), None
 
     def splines(rest: Observations, places: ArrayF) -> tuple[ArrayF, ArrayF | None]:
+        """Thin-plate splines of the nearest data."""
         p = rest.places_m * stretch
         _, first = np.unique(np.round(p, 6), axis=0, return_index=True)
         smoothing = float(np.median(rest.sigma_white_m**2))

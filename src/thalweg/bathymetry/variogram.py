@@ -274,6 +274,7 @@ def _fitted(
     low, high = np.log([_BOUNDS[name] for name in ("range", "anisotropy", "sill", "micro")]).T
 
     def model_of(q: ArrayF) -> CovarianceModel:
+        """Covariance of logarithms of range, anisotropy, sill and micro-relief."""
         across, stretch, sill, micro = np.exp(np.clip(q, low, high))
         return CovarianceModel(
             kind=kind,
@@ -287,6 +288,7 @@ def _fitted(
     parts = _left_out(rest, test, train)
 
     def score(q: ArrayF) -> float:
+        """Log score, worse beyond the bounds."""
         outside = float(np.sum(np.maximum(low - q, 0) + np.maximum(q - high, 0)))
         return _score(model_of(q), parts) + outside
 

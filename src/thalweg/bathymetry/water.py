@@ -122,6 +122,7 @@ def level_water(
     factor = cho_factor(cov, lower=True)
 
     def fit(columns: list[int]) -> tuple[ArrayF, ArrayF]:
+        """Values and covariance of some of level, fall and rise."""
         design = rows[:, columns]
         weighted = cho_solve(factor, design)
         inverse = np.linalg.inv(design.T @ weighted)

@@ -139,6 +139,7 @@ def one_of(choice: Sequence[str]) -> AfterValidator:
     """For texts: one of a few."""
 
     def check(value: str) -> str:
+        """The text itself, if it is allowed."""
         if value not in choice:
             raise wrong(f"found {value!r}", f"one of: {'; '.join(choice)}")
         return value

@@ -108,11 +108,13 @@ def _from_wkb(data: bytes, path: Path) -> list[tuple[ArrayF, ...]]:
     parts: list[tuple[ArrayF, ...]] = []
 
     def corners(at: int, order: str, width: int) -> tuple[ArrayF, int]:
+        """Corners of a ring and the offset behind them."""
         (n,) = struct.unpack_from(order + "I", data, at)
         values = np.frombuffer(data, order + "f8", n * width, at + 4).reshape(n, width)
         return values[:, :2].astype(np.float64), at + 4 + 8 * n * width
 
     def geometry(at: int) -> int:
+        """Take one geometry; the offset behind it."""
         order = "<" if data[at] else ">"
         (code,) = struct.unpack_from(order + "I", data, at + 1)
         extra = bin(code >> 30).count("1") + {0: 0, 1: 1, 2: 1, 3: 2}[(code & 0xFFFF) // 1000]
