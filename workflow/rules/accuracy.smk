@@ -100,7 +100,7 @@ rule summarise:
     input:
         streams="results/{campaign}/timing/streams.csv",
         trajectory="results/{campaign}/orientation/trajectory.json",
-        counts="results/{campaign}/lidar/counts.csv",
+        counts=of(CampaignFiles.counts_of_points),
         reference=of(CampaignFiles.reference_statistics),
         truth=of(CampaignFiles.truth_statistics),
     output:

@@ -14,6 +14,7 @@ rule locate_soundings:
         decisions=raw("decisions"),
     output:
         soundings="results/{campaign}/bathymetry/soundings.parquet",
+        text="results/{campaign}/bathymetry/soundings.csv",
         facts="results/{campaign}/bathymetry/soundings.json",
     log:
         "logs/{campaign}/bathymetry/locate_soundings.log",
@@ -27,6 +28,7 @@ rule locate_soundings:
         runtime=minutes(10, 30),
     params:
         code=code_version("locate_soundings"),
+        campaign=identity("origin", "crs"),
         chain=of(CampaignFiles.best_chain),
         echo_sounder=section("echo_sounder"),
         bathymetry=section("bathymetry"),

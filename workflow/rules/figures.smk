@@ -25,5 +25,6 @@ for row in FIGURES.drawn():
             **row.params(FILES),
             code=code_version("plot", row.draw),
             draw=row.draw,
+            shows=row.shows,
         script:
             "../scripts/plot.py"

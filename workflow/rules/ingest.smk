@@ -81,7 +81,7 @@ rule read_positions:
         logs=of(CampaignFiles.position_logs),
         base=of(CampaignFiles.ppk_logs, "base"),
         nav=of(CampaignFiles.ppk_logs, "nav"),
-        states="results/{campaign}/ingest/ins_states.parquet",
+        states=of(CampaignFiles.ins_states),
     output:
         positions="results/{campaign}/ingest/positions.parquet",
         integrity="results/{campaign}/ingest/positions.integrity.json",
@@ -98,6 +98,7 @@ rule read_positions:
     params:
         code=code_version("read_positions"),
         source=of(CampaignFiles.position_source),
+        date=of(CampaignFiles.log_option, "depth_date"),
         ppk=section("ppk"),
         base_position=of(CampaignFiles.base_position),
     script:

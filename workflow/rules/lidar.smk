@@ -5,7 +5,7 @@ rule estimate_pose_errors:
     """How large the errors of the poses are, from surfaces that the lidar saw again; sigmas of the poses."""
     input:
         lidar=raw("lidar"),
-        clock="results/{campaign}/ingest/lidar.clock.json",
+        clock=of(CampaignFiles.lidar_clock),
         stated="results/{campaign}/orientation/trajectory_stated.parquet",
         positions="results/{campaign}/ingest/positions.parquet",
         mounts="results/{campaign}/calibration/mounts.json",

@@ -4,7 +4,7 @@
 rule build_trajectory:
     """Antenna positions and INS attitudes -> poses of the boat with sigmas as stated."""
     input:
-        states="results/{campaign}/ingest/ins_states.parquet",
+        states=of(CampaignFiles.ins_states),
         positions="results/{campaign}/ingest/positions.parquet",
         streams="results/{campaign}/timing/streams.csv",
         mounts="results/{campaign}/calibration/mounts.json",

@@ -5,7 +5,7 @@ rule align_streams:
     """Do all streams carry GPS time, and do they overlap?"""
     input:
         reports=of(CampaignFiles.reports),
-        states="results/{campaign}/ingest/ins_states.parquet",
+        states=of(CampaignFiles.ins_states),
         positions="results/{campaign}/ingest/positions.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
     output:

@@ -13,7 +13,7 @@ from thalweg.workflow import run_job
 def main(
     *,
     reports: list[Path],
-    states: Path,
+    states: list[Path],
     positions: Path,
     mounts: Path,
     streams: Path,
@@ -21,11 +21,12 @@ def main(
     source: str,
 ) -> None:
     found = [IntegrityReport.read(path) for path in reports]
-    common_span(found, needed=["lidar", "ins", "positions"])
+    needed = ("lidar", "ins", "positions") if states else ("depth", "positions")
+    common_span(found, needed=[each.stream for each in found if each.stream in needed])
     lags: dict[str, tuple[str, Lag]] = {}
-    if source not in ("ins", "sbet"):  # whose positions are those of the INS itself
+    if states and source not in ("ins", "sbet"):  # whose positions are those of the INS itself
         lag = ins_position_lag(
-            read_table(states, INS_STATE)[0],
+            read_table(states[0], INS_STATE)[0],
             read_table(positions, GNSS_POSITION)[0],
             LocalFrame(**campaign["origin"]),
             lever_ics_antenna_m=read_mounts(mounts)["antenna"]["lever_ics_m"],

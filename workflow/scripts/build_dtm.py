@@ -10,8 +10,10 @@ from pyproj import CRS
 from thalweg.bathymetry import FlowLine
 from thalweg.core import LocalFrame, iter_laz
 from thalweg.fusion import (
+    Cloud,
     Source,
     build_dtm,
+    cloud_of_bed,
     dtm_facts,
     filter_ground,
     fit_cloud,
@@ -28,7 +30,7 @@ def main(
     bed: Path,
     banks: Path,
     line: Path,
-    points: Path,
+    points: list[Path],
     surroundings: list[Path],
     dtm: Path,
     cloud: Path,
@@ -39,13 +41,20 @@ def main(
 ) -> None:
     frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
     river = read_river(FlowLine.read(line), banks, frame, crs)
-    lidar = read_cloud([points], frame, crs, sigma_m=fusion.fit.sigma_m)
-    echoes = [(c["return_number"], c["number_of_returns"]) for c in iter_laz(points)]
-    number, several = (np.concatenate(each) for each in zip(*echoes, strict=True))
-    ground = filter_ground(lidar.xyz_m, number, several, fusion.ground)
-    parts = {Source.LIDAR: lidar.part(ground.is_ground)}
-    found: dict[str, Any] = {"ground": ground.facts}
-    if surroundings:
+    parts: dict[Source, Cloud] = {}
+    found: dict[str, Any] = {}
+    if points:
+        lidar = read_cloud(points, frame, crs, sigma_m=fusion.fit.sigma_m)
+        echoes = [(c["return_number"], c["number_of_returns"]) for c in iter_laz(points[0])]
+        number, several = (np.concatenate(each) for each in zip(*echoes, strict=True))
+        ground = filter_ground(lidar.xyz_m, number, several, fusion.ground)
+        parts[Source.LIDAR] = lidar.part(ground.is_ground)
+        found["ground"] = ground.facts
+    if surroundings and not points:
+        parts[Source.SURROUNDINGS] = read_cloud(surroundings, frame, crs, sigma_m=fusion.fit.sigma_m)
+        why = "no lidar to fit the cloud of the surroundings to; it stands as it came"
+        fit.write_text(json.dumps({"fitted": False, "why": why}) + "\n")
+    elif surroundings:
         foreign = read_cloud(surroundings, frame, crs, sigma_m=fusion.fit.sigma_m)
         shared = float(np.median(parts[Source.LIDAR].sigma_up_m))
         motion = fit_cloud(foreign, parts[Source.LIDAR], fusion.fit, sigma_shared_m=shared)
@@ -53,7 +62,7 @@ def main(
         parts[Source.SURROUNDINGS] = motion.moved(foreign)
     else:
         fit.write_text(json.dumps({"fitted": False, "why": "no cloud of the surroundings (logs.uav)"}) + "\n")
-    found["points"] = join_clouds(cloud, parts.items(), frame)
+    found["points"] = join_clouds(cloud, [(Source.BED, cloud_of_bed(bed, frame)), *parts.items()], frame)
     model = build_dtm(bed, parts, river.outline_m(), frame, fusion)
     model.write(dtm)
     facts.write_text(json.dumps(found | dtm_facts(model), indent=2) + "\n")

@@ -10,13 +10,19 @@ import numpy as np
 from thalweg.calibration import read_mounts
 from thalweg.core import LocalFrame, read_table
 from thalweg.ingest import GNSS_POSITION, INS_STATE
-from thalweg.navigation.ins_gnss import NAVIGATION_INITIALISED, build_trajectory, trajectory_from_states
+from thalweg.navigation.ins_gnss import (
+    NAVIGATION_INITIALISED,
+    build_trajectory,
+    states_along_course,
+    trajectory_from_states,
+    with_stated,
+)
 from thalweg.workflow import run_job
 
 
 def main(
     *,
-    states: Path,
+    states: list[Path],
     positions: Path,
     mounts: Path,
     trajectory: Path,
@@ -26,12 +32,12 @@ def main(
     ins: dict[str, Any],
 ) -> None:
     frame = LocalFrame(**campaign["origin"])
-    table, _ = read_table(states, INS_STATE)
     attitude = {
         "max_attitude_gap_s": orientation["max_attitude_gap_s"],
         "sigma_attitude_rad": np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
     }
     if orientation["position_source"] in ("ins", "sbet"):
+        table, _ = read_table(states[0], INS_STATE)
         # An SBET is a finished solution without status words; an INS log tells when its filter was ready.
         required = 0 if orientation["position_source"] == "sbet" else NAVIGATION_INITIALISED
         built, what = trajectory_from_states(
@@ -39,8 +45,18 @@ def main(
         )
     else:
         antenna = read_mounts(mounts)["antenna"]
-        built, what = build_trajectory(
+        measured = with_stated(
             read_table(positions, GNSS_POSITION)[0],
+            **{key: orientation[key] for key in ("sigma_position_m", "antenna_h_ell_m")},
+        )
+        if states:
+            table, _ = read_table(states[0], INS_STATE)
+        else:
+            how = ("accept_fixes", "max_gap_s", "sigma_level_deg", "sigma_course_deg")
+            table = states_along_course(measured, frame, **{key: orientation[key] for key in how})
+            attitude |= {"max_attitude_gap_s": orientation["max_gap_s"], "required_status": 0}
+        built, what = build_trajectory(
+            measured,
             table,
             frame,
             lever_ics_antenna_m=antenna["lever_ics_m"],

@@ -2,12 +2,14 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
-from thalweg.bathymetry import SOUNDINGS, Transducer, locate_soundings, s44_orders
+from thalweg.bathymetry import SOUNDINGS, Transducer, locate_soundings, s44_orders, soundings_on_map
 from thalweg.calibration import read_mounts
-from thalweg.core import Trajectory, read_parquet, read_table, write_table
+from thalweg.core import LocalFrame, Trajectory, read_parquet, read_table, write_table
 from thalweg.ingest import DEPTH
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
@@ -25,7 +27,9 @@ def main(
     calibration: list[Path],
     decisions: list[Path],
     soundings: Path,
+    text: Path,
     facts: Path,
+    campaign: dict[str, Any],
     chain: str,
     echo_sounder: EchoSounder,
     bathymetry: Bathymetry,
@@ -51,6 +55,8 @@ def main(
         logged_temperature_c=json.loads(integrity.read_text())["details"].get("water_temperature_c"),
     )
     write_table(soundings, table, SOUNDINGS)
+    frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
+    soundings_on_map(table, frame, crs).to_csv(text, index=False, float_format="%.4f")
     found["orders"] = s44_orders(table).to_dict(orient="records")
     facts.write_text(json.dumps(found, indent=2) + "\n")
 

@@ -1,17 +1,29 @@
 """A row of workflow/figures.yaml -> its picture."""
 
+import logging
 from importlib import import_module
 from pathlib import Path
 
-from thalweg.figures import save
+from thalweg.core import ThalwegError
+from thalweg.figures import empty_figure, save
 from thalweg.workflow import job_arguments, run_job
 
 
-def main(*, figure_png: Path, draw: str, dpi: int) -> None:
-    """The keywords of the drawing function come from the job as those of an entry script do."""
+def main(*, figure_png: Path, draw: str, shows: str, dpi: int) -> None:
+    """The keywords of the drawing function come from the job as those of an entry script do.
+
+    A picture that has nothing to show says why, and stops no survey.
+    """
     module, name = draw.split(":")
     function = getattr(import_module(module), name)
-    save(function(**job_arguments(function, snakemake)), figure_png, dpi=dpi)
+    arguments = job_arguments(function, snakemake)
+    try:
+        figure, reason = function(**arguments), None
+    except ThalwegError as error:
+        logging.getLogger("thalweg").warning("nothing to show: %s", error)
+        reason = " ".join(str(error).split())
+        figure = empty_figure(shows, reason, twin=bool(arguments.get("twin")))
+    save(figure, figure_png, dpi=dpi, note=reason)
 
 
 if "snakemake" in globals():

@@ -1,5 +1,6 @@
 """The campaign's source of positions -> one table of antenna positions and its integrity report."""
 
+import datetime as dt
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,23 @@ def main(
     logs: list[Path],
     base: list[Path],
     nav: list[Path],
-    states: Path,
+    states: list[Path],
     positions: Path,
     integrity: Path,
     source: str,
+    date: str | None,
     ppk: dict[str, Any],
     base_position: dict[str, Any],
 ) -> None:
     table, report = read_positions(
-        source, logs, states=states, base=base, nav=nav, ppk=ppk, base_position=base_position
+        source,
+        logs,
+        states=states[0] if states else None,
+        date=dt.date.fromisoformat(date) if date else None,
+        base=base,
+        nav=nav,
+        ppk=ppk,
+        base_position=base_position,
     )
     write_table(positions, table, GNSS_POSITION)
     report.write(integrity)

@@ -7,12 +7,18 @@ from thalweg.workflow import run_job
 
 
 def main(
-    *, streams: Path, trajectory: Path, counts: Path, reference: list[Path], truth: list[Path], summary: Path
+    *,
+    streams: Path,
+    trajectory: Path,
+    counts: list[Path],
+    reference: list[Path],
+    truth: list[Path],
+    summary: Path,
 ) -> None:
     summary_table(
         streams,
         trajectory,
-        counts,
+        counts[0] if counts else None,
         reference=reference[0] if reference else None,
         truth=truth[0] if truth else None,
     ).to_csv(summary, index=False)

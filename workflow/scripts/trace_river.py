@@ -19,7 +19,7 @@ def main(
     trajectory: Path,
     errors: Path,
     positions: Path,
-    points: Path,
+    points: list[Path],
     centre_line: list[Path],
     banks: list[Path],
     traced: Path,

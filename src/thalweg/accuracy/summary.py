@@ -21,7 +21,12 @@ REFERENCE_FIGURES = {
 
 
 def summary_table(
-    streams: Path, trajectory: Path, counts: Path, *, reference: Path | None = None, truth: Path | None = None
+    streams: Path,
+    trajectory: Path,
+    counts: Path | None = None,
+    *,
+    reference: Path | None = None,
+    truth: Path | None = None,
 ) -> pd.DataFrame:
     """Collect the figures that a surveyor looks at first.
 
@@ -29,7 +34,7 @@ def summary_table(
     ----------
     streams : table of the time axis (CSV).
     trajectory : summary of the trajectory (JSON).
-    counts : what became of the lidar points (CSV).
+    counts : what became of the lidar points (CSV), or None without a lidar.
     reference : statistics of the comparison with a reference (CSV), or None where there is none.
     truth : statistics against the twin's truth (CSV), or None for a real campaign.
 
@@ -53,9 +58,10 @@ def summary_table(
     gaps = poses.get("gaps", [])
     rows.append(("gaps in the trajectory", float(len(gaps)), "1", trajectory.name))
     rows.append(("gaps in the trajectory, together", sum(length for _, length in gaps), "s", trajectory.name))
-    reasons = _records(counts)
-    rows.append(("lidar points decoded", sum(row["n"] for row in reasons), "1", counts.name))
-    rows += [(f"  {row['words']}", row["n"], "1", counts.name) for row in reasons if row["n"]]
+    if counts is not None:
+        reasons = _records(counts)
+        rows.append(("lidar points decoded", sum(row["n"] for row in reasons), "1", counts.name))
+        rows += [(f"  {row['words']}", row["n"], "1", counts.name) for row in reasons if row["n"]]
     if reference is not None:
         rows += _reference_rows(reference)
     if truth is not None:

@@ -33,6 +33,7 @@ from .soundings import (
     axis_range_m as axis_range_m,
     locate_soundings as locate_soundings,
     s44_orders as s44_orders,
+    soundings_on_map as soundings_on_map,
     speed_of_sound_mps as speed_of_sound_mps,
     with_bed_normals as with_bed_normals,
 )

@@ -11,6 +11,7 @@ left out.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -391,7 +392,7 @@ def flow_of_survey(
     Parameters
     ----------
     track_m : (n, 2) of the boat.
-    cloud : points (n, 3), sigmas up and horizontal (n,).
+    cloud : points (n, 3), sigmas up and horizontal (n,); none without a lidar, then banks are given.
     level_of : gives the `WaterLevel` along a line.
     settings : see there.
     given_line, given_banks : by the user, instead.
@@ -423,12 +424,12 @@ def flow_of_survey(
     return Banks(table=table, line=line), level
 
 
-def shore_points(path: Path, level_m: float) -> tuple[ArrayF, ArrayF, ArrayF]:
+def shore_points(paths: Sequence[Path], level_m: float) -> tuple[ArrayF, ArrayF, ArrayF]:
     """Points of a cloud that may show where the ground meets the water, with their sigmas.
 
     Parameters
     ----------
-    path : cloud with the standard deviations of its points.
+    paths : clouds with the standard deviations of their points.
     level_m : about the height of the water.
 
     Returns
@@ -440,15 +441,16 @@ def shore_points(path: Path, level_m: float) -> tuple[ArrayF, ArrayF, ArrayF]:
     ------
     InputError : the points carry no standard deviations.
     """
-    parts = []
-    for chunk in iter_laz(path):
-        if "sigma_up" not in chunk:
-            raise InputError(
-                "the cloud has no standard deviations", where=path, expected="a cloud made by Thalweg"
-            )
-        near = np.abs(chunk["xyz_m"][:, 2] - level_m - 0.5) < 1.5
-        across = np.hypot(chunk["sigma_east"][near], chunk["sigma_north"][near]) / np.sqrt(2)
-        parts.append((chunk["xyz_m"][near], chunk["sigma_up"][near], across))
+    parts = [(np.empty((0, 3)), np.empty(0), np.empty(0))]
+    for path in paths:
+        for chunk in iter_laz(path):
+            if "sigma_up" not in chunk:
+                raise InputError(
+                    "the cloud has no standard deviations", where=path, expected="a cloud made by Thalweg"
+                )
+            near = np.abs(chunk["xyz_m"][:, 2] - level_m - 0.5) < 1.5
+            across = np.hypot(chunk["sigma_east"][near], chunk["sigma_north"][near]) / np.sqrt(2)
+            parts.append((chunk["xyz_m"][near], chunk["sigma_up"][near], across))
     points, up, across = (np.concatenate(each).astype(np.float64) for each in zip(*parts, strict=True))
     return points, up, across
 

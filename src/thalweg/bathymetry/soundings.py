@@ -25,6 +25,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 from numpy.typing import ArrayLike
+from pyproj import CRS
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from thalweg.calibration import echo_sounder as place_files
@@ -34,6 +35,7 @@ from thalweg.core import (
     ArrayB,
     ArrayF,
     InputError,
+    LocalFrame,
     Trajectory,
     column,
     cross_matrix,
@@ -350,6 +352,36 @@ def locate_soundings(
             "echo_sounder and bathymetry",
         )
     return table, facts
+
+
+def soundings_on_map(table: pd.DataFrame, frame: LocalFrame, crs: CRS) -> pd.DataFrame:
+    """The soundings that count as people hand them on: on the map, as `thalweg bed` and others read them.
+
+    Parameters
+    ----------
+    table : kind ``soundings``.
+    frame, crs : the world frame, and the map.
+
+    Returns
+    -------
+    columns east, north (on the map, metres), height (ellipsoidal), depth, sigma (of the height, all parts),
+    sigma_horizontal, t_gps_s, line.
+    """
+    used = table[table["used"]]
+    places = frame.to_map(used[["east_m", "north_m", "up_m"]].to_numpy(np.float64), crs)
+    sigmas = used[["sigma_white_m", "sigma_slow_m", "sigma_common_m"]].to_numpy(np.float64)
+    return pd.DataFrame(
+        {
+            "east": places[:, 0],
+            "north": places[:, 1],
+            "height": places[:, 2],
+            "depth": used["depth_m"].to_numpy(),
+            "sigma": np.linalg.norm(sigmas, axis=1),
+            "sigma_horizontal": used["sigma_horizontal_m"].to_numpy(),
+            "t_gps_s": used["t_gps_s"].to_numpy(),
+            "line": used["line"].to_numpy(),
+        }
+    )
 
 
 def axis_range_m(

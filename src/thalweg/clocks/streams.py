@@ -494,7 +494,8 @@ class Speeds:
         inside = stop < len(t)
         start, stop = start[inside], stop[inside]
         # no invalid node in between, and no hole without nodes
-        whole = (broken[stop + 1] == broken[start]) & (t[stop] - t[start] < 1.5)
+        longest_s = max(1.5, 1.5 * float(np.median(np.diff(t)))) if len(t) > 1 else 1.5
+        whole = (broken[stop + 1] == broken[start]) & (t[stop] - t[start] < longest_s)
         start, stop = start[whole], stop[whole]
         if not start.size:
             raise CoverageError(

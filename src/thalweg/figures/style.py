@@ -134,7 +134,7 @@ def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200) -> None:
+def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | None = None) -> None:
     """Write a figure as PNG, PDF or SVG; the same figure gives the same bytes.
 
     Parameters
@@ -142,6 +142,7 @@ def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200) -> None:
     figure : made by a function of this room.
     path : target, its suffix says the format; or a buffer, which gets a PNG.
     dpi : dots per inch of PNG and of pictures inside PDF and SVG.
+    note : a comment inside a PNG, which `note_of` reads.
 
     Raises
     ------
@@ -156,11 +157,41 @@ def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200) -> None:
             cure="Set figures.format",
         )
     # A date or a version in the file would make two runs differ.
-    date = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
+    date: dict[str, str | None] = {
+        "png": {"Software": None},
+        "pdf": {"CreationDate": None},
+        "svg": {"Date": None},
+    }[kind]
+    if note is not None and kind == "png":
+        date["Comment"] = note
     if isinstance(path, Path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(_parameters()):
         figure.savefig(path, dpi=dpi, format=kind, metadata=date)
+
+
+@styled
+def empty_figure(title: str, reason: str, *, twin: bool) -> Figure:
+    """A picture that has nothing to show and says why.
+
+    Parameters
+    ----------
+    title : what it would have shown.
+    reason : in words.
+    twin : true if the data were made by the digital twin.
+    """
+    figure = new_figure(45.0, title, twin=twin)
+    lines = textwrap.wrap(f"Nothing to show: {reason}", TITLE_LETTERS)
+    figure.text(0.012, 0.55, "\n".join(lines), va="center", fontsize=9)
+    return figure
+
+
+def note_of(path: Path) -> str | None:
+    """The comment inside a PNG; None if it holds none."""
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        return picture.info.get("Comment")
 
 
 def count(n: int) -> str:

@@ -3,6 +3,7 @@ from .clouds import (
     Cloud as Cloud,
     Fit as Fit,
     Source as Source,
+    cloud_of_bed as cloud_of_bed,
     fit_cloud as fit_cloud,
     join_clouds as join_clouds,
     joined_parts as joined_parts,

@@ -40,6 +40,7 @@ from thalweg.core import (
     LocalFrame,
     iter_laz,
     laz_header,
+    read_raster,
     plane_rates,
 )
 from thalweg.core.geometry import cell_numbers
@@ -484,6 +485,24 @@ def _overlap(
 
 
 # ---------------------------------------------------------------- one cloud
+
+
+def cloud_of_bed(bed: Path, frame: LocalFrame) -> Cloud:
+    """Cells of the riverbed that have a height as points: their centres, in wcs.
+
+    Parameters
+    ----------
+    bed : ``bed.tif``.
+    frame : wcs.
+    """
+    grid, bands, _ = read_raster(bed)
+    height, sigma = (bands[name].ravel() for name in ("height_m", "sigma_m"))
+    known = np.isfinite(height)
+    places = np.column_stack([grid.centres_m()[known], height[known]])
+    up = np.hypot(sigma, bands["sigma_common_m"].ravel())[known]
+    # a cell stands for all places in it
+    across = np.full(len(places), grid.cell_m / np.sqrt(12.0))
+    return Cloud(xyz_m=frame.from_map(places, grid.crs), sigma_horizontal_m=across, sigma_up_m=up)
 
 
 def join_clouds(path: Path, parts: Iterable[tuple[Source, Cloud]], frame: LocalFrame) -> dict[str, int]:

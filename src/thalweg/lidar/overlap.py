@@ -41,15 +41,7 @@ from thalweg.calibration.ins_lidar import pose_rows
 from thalweg.core import SHIFT, TURN, ArrayF, ArrayI, Rigid, Trajectory
 from thalweg.ingest import LidarClock, LidarReader
 from thalweg.lidar.cloud import LogSample, LogSettings, sample_log
-from thalweg.navigation.ins_gnss import (
-    BEAM,
-    BEAM_SPREAD,
-    NAMES,
-    ErrorModel,
-    Estimate,
-    PriorErrors,
-    typical_sigmas,
-)
+from thalweg.navigation.ins_gnss import BEAM, BEAM_SPREAD, NAMES, ErrorModel, Estimate, PriorErrors
 from thalweg.settings.sections import LidarAccuracy
 
 CELL_M: Final = 0.5
@@ -234,11 +226,8 @@ def error_model_of_log(
     settings : section ``orientation.error_model`` of a campaign file.
     """
     lever = np.asarray(lever_ics_antenna_m, dtype=np.float64)
-    wanted = dict(settings)
-    estimate = wanted.pop("estimate")
-    position, attitude = typical_sigmas(trajectory, lever)
-    prior = PriorErrors(sigma_position_m=position, sigma_attitude_rad=attitude, **wanted)
-    if not estimate:
+    prior = PriorErrors.of_survey(trajectory, lever, settings)
+    if not settings["estimate"]:
         return ErrorModel.presumed(prior)
     nodes = trajectory.t_gps_s[trajectory.valid]
     epochs = (

@@ -598,17 +598,17 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     "pos": ("positions",),
     "sbp": ("gnss.rover",),
     "ppk": ("gnss.rover",),
+    "nmea": (),
     "sbet": ("sbet", "gps_week"),
     "ins": (),
 }
 _BASE_KEYS = ("base_ecef_m", "base_llh", "base_from")
 _WHAT = {
-    "positions": "RTKLIB .pos files",
+    "positions": "positions of the boat's antenna",
     "gnss.rover": "the raw log of the boat's receiver",
     "sbet": "SBET files",
     "gps_week": "the GPS week of the SBET",
     "ins": "ANPP logs: attitudes",
-    "lidar": "Velodyne captures",
 }
 
 
@@ -650,7 +650,13 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
     if parts.orientation is None or logs.light_sheet.given:
         return  # a sensor in a basin has no trajectory either
     source = parts.orientation.position_source
-    needs = [*_NEEDS[source], *([] if source == "sbet" else ["ins"])]
+    # a lidar and a camera need attitudes; soundings do with a boat that is level and heads along its course
+    attitude = source == "ins" or bool(
+        parts.raw("logs", "lidar") or parts.raw("logs", "time_lapse", "images")
+    )
+    needs = [*_NEEDS[source], *(["ins"] if attitude and source != "sbet" else [])]
+    if source == "nmea" and not (logs.positions or logs.depth):
+        needs.append("positions")
     for need in needs:
         if not parts.raw("logs", *need.split(".")):
             others = [s for s, keys in _NEEDS.items() if keys and s != source and _given(logs, keys)]
@@ -658,16 +664,14 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
             yield Mistake(
                 path=("logs", *need.split(".")),
                 found="missing",
-                expected=f"{_WHAT[need]}, needed for orientation.position_source: {source}",
+                expected=f"{_WHAT[need]}, "
+                + (
+                    "needed with a lidar or photographs"
+                    if need == "ins" and source != "ins"
+                    else f"needed for orientation.position_source: {source}"
+                ),
                 cure=f"Add the line `{need.split('.')[-1]}: …`{hint}",
             )
-    if not parts.raw("logs", "lidar"):
-        yield Mistake(
-            path=("logs", "lidar"),
-            found="missing",
-            expected=_WHAT["lidar"],
-            cure="Add the line `lidar: [lidar/*.pcap]`",
-        )
     rover = logs.gnss.rover
     if source == "sbp" and rover and all(is_rinex_name(Path(name)) for name in rover):
         yield Mistake(
@@ -686,7 +690,9 @@ def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
         )
     if parts.mounts is None or parts.mounts.calibration is not None:
         return
-    sensors = ["lidar", *(["antenna"] if source in {"pos", "sbp", "ppk"} else [])]
+    recorded = {"lidar": bool(logs.lidar), "echo_sounder": bool(logs.depth)}
+    recorded["antenna"] = any(recorded.values()) and source in {"pos", "sbp", "ppk", "nmea"}
+    sensors = [sensor for sensor, is_there in recorded.items() if is_there]
     for sensor in sensors:
         if parts.raw("mounts", sensor, "lever_ics_m") is None:
             yield Mistake(

@@ -17,7 +17,7 @@ TwinLogs = Callable[[Campaign], Mapping[str, Sequence[str]]]
 
 _STREAMS: Final = {"lidar": "lidar", "ins": "ins", "sbet": "ins", "sbp": "gnss", "depth": "depth"}
 """Logs, and how the rules that read them name their results."""
-_POSITION_LOGS: Final = {"pos": "pos", "sbp": "sbp", "ppk": "rover"}
+_POSITION_LOGS: Final = {"pos": "pos", "nmea": "pos", "sbp": "sbp", "ppk": "rover"}
 """Sources of positions with files of their own."""
 _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip": "strip_images"}
 """Streams of the series of images of the light-sheet sensor that are no scans."""
@@ -131,12 +131,28 @@ class CampaignFiles:
         return [str(path) for path in self.campaign.log_files(stream)]
 
     def has_reference(self) -> bool:
-        """True if there are reference clouds."""
-        return bool(self.logs("reference"))
+        """True if there are reference clouds, and a cloud to compare with them."""
+        return bool(self.logs("reference")) and self.has_lidar()
+
+    def has_lidar(self) -> bool:
+        """True if a lidar was recorded."""
+        return bool(self.logs("lidar"))
+
+    def lidar_clock(self) -> list[str]:
+        """The clock of the lidar, where there is one."""
+        return self._where(self.has_lidar(), "ingest/lidar.clock.json")
+
+    def ins_points(self) -> list[str]:
+        """The cloud by INS and GNSS, where there is a lidar."""
+        return self._where(self.has_lidar(), "lidar/points.laz")
+
+    def counts_of_points(self) -> list[str]:
+        """What became of the points of the lidar, where there is one."""
+        return self._where(self.has_lidar(), "lidar/counts.csv")
 
     def has_divergence(self) -> bool:
         """True if it is known how wide the beam of the lidar grows."""
-        return self.campaign.lidar_accuracy.divergence_mrad > 0
+        return self.has_lidar() and self.campaign.lidar_accuracy.divergence_mrad > 0
 
     def position_source(self) -> str:
         """Where the positions come from."""
@@ -152,8 +168,14 @@ class CampaignFiles:
 
     def position_logs(self) -> list[str]:
         """The files of the position source itself; none if the INS states hold them."""
-        stream = _POSITION_LOGS.get(self.position_source())
-        return self.logs(stream) if stream else []
+        source = self.position_source()
+        stream = _POSITION_LOGS.get(source)
+        found = self.logs(stream) if stream else []
+        return found or (self.logs("depth") if source == "nmea" else [])
+
+    def ins_states(self) -> list[str]:
+        """The states of the INS, where there is one."""
+        return self._where(self.ins_logs(), "ingest/ins_states.parquet")
 
     def ppk_logs(self, stream: Literal["base", "nav"]) -> list[str]:
         """Raw GNSS of the base, or navigation files, where PPK needs them."""
@@ -569,16 +591,24 @@ class CampaignFiles:
 
     def has_soundings(self) -> bool:
         """True if a survey of a river recorded depths."""
-        other = self.campaign.is_basin or self.campaign.is_change or self.campaign.is_calibration
-        return not other and bool(self.logs("depth"))
+        return self._is_survey() and bool(self.logs("depth"))
+
+    def has_bed(self) -> bool:
+        """True if soundings make a riverbed: a lidar saw its banks, or they are given."""
+        return self.has_soundings() and bool(self.has_lidar() or self.logs("bank_lines"))
+
+    def _is_survey(self) -> bool:
+        """True if a boat surveyed a river."""
+        return not (self.campaign.is_basin or self.campaign.is_change or self.campaign.is_calibration)
 
     def best_errors(self) -> str:
         """What the survey shows of the errors of the best trajectory."""
         return self._result(f"orientation/{'fused' if self.best_chain() == 'fused' else 'error_model'}.json")
 
-    def best_points(self) -> str:
-        """The cloud by the best trajectory."""
-        return self._result(f"lidar/{'by_fused/' if self.best_chain() == 'fused' else ''}points.laz")
+    def best_points(self) -> list[str]:
+        """The cloud by the best trajectory, where there is a lidar."""
+        folder = "by_fused/" if self.best_chain() == "fused" else ""
+        return self._where(self.has_lidar(), f"lidar/{folder}points.laz")
 
     def strip_points(self) -> list[str]:
         """Points of the bed by the light sheet, where the boat carries one."""
@@ -586,16 +616,13 @@ class CampaignFiles:
 
     def bed_truth(self) -> list[str]:
         """Errors of the bed against the true one, of a twin."""
-        return self._where(self.is_twin() and self.has_soundings(), "accuracy/truth_riverbed.csv")
+        return self._where(self.is_twin() and self.has_bed(), "accuracy/truth_riverbed.csv")
 
     def _bed_outputs(self) -> list[str]:
-        outputs = ("soundings.parquet", "bed.tif", "validation.json", "methods.csv", "index.html")
-        made = self._where(self.has_soundings(), *(f"bathymetry/{name}" for name in outputs))
-        return [
-            *made,
-            *self.bed_truth(),
-            *self._where(self.has_soundings(), "fusion/dtm.tif", "fusion/river.json"),
-        ]
+        outputs = ("bed.tif", "validation.json", "methods.csv", "index.html")
+        made = self._where(self.has_soundings(), "bathymetry/soundings.parquet", "bathymetry/soundings.csv")
+        made += self._where(self.has_bed(), *(f"bathymetry/{name}" for name in outputs))
+        return [*made, *self.bed_truth(), *self._where(self.has_bed(), "fusion/dtm.tif", "fusion/river.json")]
 
     # ------------------------------------------------------------ change between epochs
 
@@ -698,12 +725,16 @@ class CampaignFiles:
             return self._change_outputs()
         if self.campaign.is_calibration:
             return self._calibration_outputs()
-        tables = ("lidar/points.laz", "timing/streams.csv", "timing/time_report.csv", "summary.csv")
-        outputs = self._where(True, *tables)
+        lidar = self.has_lidar()
+        tables = ("orientation/trajectory.parquet", "timing/streams.csv", "timing/time_report.csv")
+        outputs = self._where(True, *tables, "summary.csv")
+        outputs += self.ins_points()
         outputs += [*self.echo_outputs(), *self._strip_outputs(), *self._bed_outputs()]
-        outputs += self._where(self.campaign.georeferencing.export_map, "lidar/points_map.laz")
+        outputs += self._where(lidar and self.campaign.georeferencing.export_map, "lidar/points_map.laz")
         if self.has_time_lapse():
-            outputs += [self.trajectory("fused"), *self.of_chains("lidar", "points.laz")[1:]]
+            outputs.append(self.trajectory("fused"))
+        if self.has_time_lapse() and lidar:
+            outputs += self.of_chains("lidar", "points.laz")[1:]
             outputs.append(self._result("accuracy/trajectories.html"))
         outputs += [*self.truth_statistics(), *self._where(self.is_twin(), "accuracy/filter_scores.csv")]
         compared = ("statistics.csv", "by_range.csv", "spatial.csv", "index.html")
@@ -716,7 +747,8 @@ class CampaignFiles:
         """What the target ``ingest``, ``lidar``, ``images`` or ``accuracy`` builds."""
         match name:
             case "ingest":
-                navigated = self.ins_logs() and not self.campaign.is_basin
+                navigated = self.position_logs() or self.ins_logs()
+                navigated = navigated and not self.campaign.is_basin
                 reports = self.reports() if navigated else []
                 reports += self._where(self.has_reference(), "ingest/reference.integrity.json")
                 return reports + self._where(self.stamped_images(), "ingest/camera.integrity.json")

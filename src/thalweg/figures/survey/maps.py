@@ -314,13 +314,20 @@ def plain_numbers(axis: Axis, norm: Normalize) -> None:
 
 
 def draw_survey_map(
-    *, trajectory: Path, positions: Path, points: Path, max_points: int, crs: str, title: str, twin: bool
+    *,
+    trajectory: Path,
+    positions: Path,
+    points: list[Path],
+    max_points: int,
+    crs: str,
+    title: str,
+    twin: bool,
 ) -> Figure:
     """Trajectory, positions and cloud -> survey map."""
     return survey_map(
         Trajectory.read(trajectory),
         read_table(positions, GNSS_POSITION)[0],
-        cloud_en=sample_cloud(points, max_points)["xyz_m"],
+        cloud_en=sample_cloud(points[0], max_points)["xyz_m"] if points else None,
         crs=crs,
         title=f"Survey map: {title}",
         twin=twin,

@@ -1,5 +1,6 @@
 """Formats of antenna positions, and the positions of a campaign from whichever source it chooses."""
 
+import datetime as dt
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -63,7 +64,8 @@ def read_positions(
     source: str,
     logs: list[Path],
     *,
-    states: Path,
+    states: Path | None,
+    date: dt.date | None = None,
     base: list[Path],
     nav: list[Path],
     ppk: dict[str, Any],
@@ -73,9 +75,10 @@ def read_positions(
 
     Parameters
     ----------
-    source : ``pos``, ``sbp``, ``ppk``, ``sbet`` or ``ins``.
+    source : ``pos``, ``sbp``, ``nmea``, ``ppk``, ``sbet`` or ``ins``.
     logs : the source's own files: .pos, SBP, or the rover's raw GNSS.
     states : table of INS states, for the sources ``sbet`` and ``ins``.
+    date : UTC date of the first sentence of NMEA without dates.
     base, nav : the base's raw GNSS and navigation files, for ``ppk``.
     ppk : options of the engine, as in the section ``ppk`` of a campaign file.
     base_position : one of the keys ``base_ecef_m``, ``base_llh`` and ``base_from``.
@@ -86,7 +89,7 @@ def read_positions(
     """
     reader = next((row.positions for row in POSITIONS if row.kind == source), None)
     if reader is not None:
-        log = reader(logs, TrackOptions())
+        log = reader(logs, TrackOptions(date=date))
         assert log.positions is not None
         positions, report = log.positions, log.report
     elif source == "ppk":
@@ -94,7 +97,7 @@ def read_positions(
 
         solution = run_ppk(logs, base or None, nav, PpkOptions.from_sections(ppk, base_position))
         positions, report = solution.positions, solution.report
-    elif source in ("ins", "sbet"):
+    elif source in ("ins", "sbet") and states is not None:
         table, _ = read_table(states, INS_STATE)
         positions = positions_from_states(table)
         t = positions["t_gps_s"].dropna()
@@ -109,7 +112,7 @@ def read_positions(
             counts={"positions": len(positions)},
         )
     else:
-        raise InputError(f"position source '{source}'", expected="pos, sbp, ppk, sbet or ins")
+        raise InputError(f"position source '{source}'", expected="pos, sbp, nmea, ppk, sbet or ins")
     report.stream = "positions"
     if report.timing.period_s is None:
         t_gps_s = positions["t_gps_s"].to_numpy()
@@ -208,7 +211,7 @@ POSITIONS: Final = (
     Format(
         kind="nmea",
         words="NMEA 0183 log",
-        streams=("depth",),
+        streams=("depth", "pos"),
         matches=_is_nmea,
         positions=_nmea,
         describe=_describe,

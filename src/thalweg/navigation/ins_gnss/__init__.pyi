@@ -18,7 +18,9 @@ from .trajectory import (
     break_at_gaps as break_at_gaps,
     build_trajectory as build_trajectory,
     check_origin as check_origin,
+    states_along_course as states_along_course,
     trajectory_from_states as trajectory_from_states,
     usable_positions as usable_positions,
     usable_states as usable_states,
+    with_stated as with_stated,
 )

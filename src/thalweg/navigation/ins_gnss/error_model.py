@@ -60,6 +60,23 @@ class PriorErrors:
     spread: float
     time_spread: float
 
+    @classmethod
+    def of_survey(
+        cls, trajectory: Trajectory, lever_ics_antenna_m: ArrayF, stated: Mapping[str, Any]
+    ) -> Self:
+        """Prior of a survey: its typical sigmas, and what its campaign file states of the errors.
+
+        Parameters
+        ----------
+        trajectory, lever_ics_antenna_m : as for `ErrorModel.apply`.
+        stated : section ``orientation.error_model``.
+        """
+        position, attitude = typical_sigmas(trajectory, lever_ics_antenna_m)
+        keys = ("white_share", "position_time_s", "attitude_time_s", "spread", "time_spread")
+        return cls(
+            sigma_position_m=position, sigma_attitude_rad=attitude, **{key: stated[key] for key in keys}
+        )
+
     def sigmas(self) -> tuple[ArrayF, ArrayF]:
         """Sizes of the slow errors (6,), positions and attitudes, and of the white ones (3,)."""
         slow = self.sigma_position_m * np.sqrt(1.0 - self.white_share)

@@ -22,6 +22,7 @@ from thalweg.core import (
     rotation_enu_body,
     utc_text_from_gps,
 )
+from thalweg.ingest import INS_STATE
 from thalweg.navigation.ins_gnss.interpolation import (
     JITTER_S,
     Interpolated,
@@ -36,6 +37,8 @@ NAVIGATION_INITIALISED: Final = 0b111
 PLAIN_SLACK_M: Final = 5.0
 HEIGHT_SLACK_M: Final = 10.0
 """Slack of the INS's coarse position in plan and height: lever arm, and filters too sure of themselves."""
+ANY_HEADING_RAD: Final = np.pi / np.sqrt(3.0)
+"""Standard deviation of a heading of which nothing is known: uniform over the circle."""
 MAX_DISTANCE_M: Final = 20_000.0
 """Farthest a survey may be from the origin of its local frame."""
 
@@ -213,6 +216,90 @@ def trajectory_from_states(
     summary.n_nodes_valid = int(trajectory.valid.sum())
     trajectory.span()
     return trajectory, summary
+
+
+def with_stated(
+    positions: pd.DataFrame, *, sigma_position_m: ArrayLike | None, antenna_h_ell_m: float | None
+) -> pd.DataFrame:
+    """Positions whose missing standard deviations and heights are those that the user states.
+
+    Parameters
+    ----------
+    positions : table kind ``gnss_position``.
+    sigma_position_m : (3,) east, north, up; None: nothing stands in.
+    antenna_h_ell_m : ellipsoidal height of the antenna; None: nothing stands in.
+    """
+    table = positions.copy()
+    if antenna_h_ell_m is not None:
+        table["h_ell_m"] = table["h_ell_m"].fillna(antenna_h_ell_m)
+    if sigma_position_m is not None:
+        names = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
+        for name, sigma in zip(names, np.asarray(sigma_position_m, dtype=np.float64), strict=True):
+            table[name] = table[name].fillna(float(sigma))
+    return table
+
+
+def states_along_course(
+    positions: pd.DataFrame,
+    frame: LocalFrame,
+    *,
+    accept_fixes: list[str],
+    max_gap_s: float,
+    sigma_level_deg: float,
+    sigma_course_deg: float,
+) -> pd.DataFrame:
+    """Attitudes of a boat without an INS: level, and heading along its course.
+
+    The course at an epoch is the direction from the epoch before to the one after. Where these are so near
+    that their errors turn it, the heading is less certain, up to that of any direction.
+
+    Parameters
+    ----------
+    positions : table kind ``gnss_position``.
+    frame : the world frame.
+    accept_fixes, max_gap_s : as in `build_trajectory`.
+    sigma_level_deg : standard deviation of roll and pitch, which are zero.
+    sigma_course_deg : standard deviation of the heading against the true course (drift).
+
+    Returns
+    -------
+    states : table kind ``ins_state`` without positions, one row an epoch of `positions` that may be used.
+
+    Raises
+    ------
+    InputError : no usable positions, or they are rarer than `max_gap_s`.
+    """
+    used = usable_positions(positions, accept_fixes, TrajectorySummary())
+    t = used["t_gps_s"].to_numpy(np.float64)
+    step_s = float(np.median(np.diff(t)))
+    if step_s > max_gap_s + JITTER_S:
+        raise InputError(
+            f"positions come every {step_s:g} s, and there is no INS",
+            expected=f"at most orientation.max_gap_s = {max_gap_s:g} s between them",
+            cure="Raise orientation.max_gap_s if the boat runs evenly enough for that rate",
+        )
+    enu = frame.from_geodetic(used["lat_deg"], used["lon_deg"], used["h_ell_m"])
+    after = np.minimum(np.arange(len(t)) + 1, len(t) - 1)
+    before = np.maximum(np.arange(len(t)) - 1, 0)
+    step = enu[after, :2] - enu[before, :2]
+    sigma_m = np.hypot(used["sigma_east_m"], used["sigma_north_m"]).to_numpy()
+    # both ends of the step err across it by sigma_m / sqrt(2); errors that last longer cancel in part
+    turned = sigma_m / np.maximum(np.linalg.norm(step, axis=1), 1e-9)
+    sigma_heading = np.minimum(np.hypot(np.deg2rad(sigma_course_deg), turned), ANY_HEADING_RAD)
+    states = INS_STATE.empty_table().to_pandas().reindex(range(len(t)))
+    level = np.full(len(t), np.deg2rad(sigma_level_deg))
+    return states.assign(
+        t_gps_s=t,
+        roll_rad=0.0,
+        pitch_rad=0.0,
+        heading_rad=np.arctan2(step[:, 0], step[:, 1]) % (2 * np.pi),
+        sigma_roll_rad=level,
+        sigma_pitch_rad=level,
+        sigma_heading_rad=sigma_heading,
+        fix="none",
+        system_status=0,
+        filter_status=0,
+    )
 
 
 def break_at_gaps(trajectory: Trajectory, max_gap_s: float, summary: TrajectorySummary) -> Trajectory:

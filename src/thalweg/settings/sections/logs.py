@@ -253,7 +253,9 @@ class Logs(Section):
     lidar: Files = Field(default=(), description="Velodyne captures: pcap, pcapng or bare payloads")
     ins: Files = Field(default=(), description="Advanced Navigation ANPP logs")
     gnss: GnssLogs = Field(default=GnssLogs(), description="Raw GNSS of boat and base")
-    positions: Files = Field(default=(), description="RTKLIB .pos files of the boat's antenna")
+    positions: Files = Field(
+        default=(), description="Positions of the boat's antenna: RTKLIB .pos files, or NMEA 0183"
+    )
     sbet: Files = Field(default=(), description="Applanix SBET trajectories")
     smrmsg: Files = Field(default=(), description="Standard deviations that belong to the SBET files")
     gps_week: int | None = Field(

@@ -4,14 +4,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from thalweg.settings.sections.base import NonNegative, Positive, Section, Sigma3
+from thalweg.settings.sections.base import Finite, NonNegative, Positive, Section, Sigma3
 
 # ---------------------------------------------------------------- INS, GNSS, trajectory
 
 
 SigmaAttitude = Annotated[float, Field(gt=0, le=45, allow_inf_nan=False)]
 Fix = Literal["fixed", "float", "sbas", "dgnss", "single", "ppp", "omnistar", "dead_reckoning"]
-PositionSource = Literal["pos", "sbp", "ppk", "sbet", "ins"]
+PositionSource = Literal["pos", "sbp", "ppk", "nmea", "sbet", "ins"]
 
 
 class Ins(Section):
@@ -98,7 +98,8 @@ class Orientation(Section):
     position_source: PositionSource = Field(
         default="pos",
         description="Positions from: `pos` RTKLIB files, `sbp` the receiver's own solution, `ppk` raw GNSS, "
-        "`sbet` Applanix trajectory, `ins` the INS's own filter",
+        "`nmea` NMEA 0183 (`logs.positions`, else the log of the echo sounder), `sbet` Applanix trajectory, "
+        "`ins` the INS's own filter",
     )
     accept_fixes: tuple[Fix, ...] = Field(
         default=("fixed",), min_length=1, description="Kinds of GNSS solution that may enter the trajectory"
@@ -116,6 +117,23 @@ class Orientation(Section):
         le=10,
         description="Longest hole between INS states that is interpolated, seconds; turning evenly is "
         "assumed across it, and what that misses is in no sigma",
+    )
+    sigma_position_m: Sigma3 | None = Field(
+        default=None,
+        description="Standard deviations east, north, up of positions whose log states none (`nmea` without "
+        "GST), metres",
+    )
+    antenna_h_ell_m: Finite | None = Field(
+        default=None,
+        description="Ellipsoidal height of the antenna, for positions without one (NMEA GLL or RMC), metres: "
+        "that of the water level and the antenna above it",
+    )
+    sigma_level_deg: SigmaAttitude = Field(
+        default=3.0, description="Without an INS the boat counts as level to this standard deviation, degrees"
+    )
+    sigma_course_deg: SigmaAttitude = Field(
+        default=10.0,
+        description="Without an INS it heads along its course to this standard deviation, degrees",
     )
     error_model: ErrorModel = Field(
         default=ErrorModel(), description="How the poses err, and what the survey says of that"
