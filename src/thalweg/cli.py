@@ -156,11 +156,12 @@ def _new_campaign(options: argparse.Namespace) -> int:
         first = load_campaign(folder / f"{options.epochs[0]}.yaml")
         text = epochs_text(name, options.epochs, first, schema=schema)
     else:
+        files = _sort_logs(options.from_logs) if options.from_logs else None
         text = campaign_text(
             name,
             folder=folder,
-            files=_sort_logs(options.from_logs) if options.from_logs else None,
-            origin=tuple(options.origin) if options.origin else None,
+            files=files,
+            origin=tuple(options.origin) if options.origin else _place(files or {}),
             schema=schema,
         )
     folder.mkdir(parents=True, exist_ok=True)
@@ -210,9 +211,31 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     return streams
 
 
+def _place(files: dict[str, list[Path]]) -> tuple[float, float, float] | None:
+    """Latitude, longitude and ellipsoidal height in the middle of the positions of a survey, if there are any.
+
+    Rounded to about a metre: it is a name for a place and no measurement.
+    """
+    from thalweg.ingest.registry import load_recording
+
+    for stream in ("pos", "sbet", "ins", "rover", "depth"):
+        for path in files.get(stream, []):
+            try:
+                tables = load_recording([path], points=False).tables
+            except ThalwegError:  # such as an SBET, whose week is not known yet
+                continue
+            table = tables.get("positions", tables.get("states"))
+            placed = None if table is None else table.dropna(subset=["lat_deg", "lon_deg"])
+            if placed is not None and len(placed):
+                lat, lon, h = (float(placed[name].median()) for name in ("lat_deg", "lon_deg", "h_ell_m"))
+                return round(lat, 5), round(lon, 5), round(h) if h == h else 0.0
+    return None
+
+
 def _check_config(options: argparse.Namespace) -> int:
     from thalweg.settings import load_campaigns
     from thalweg.settings.sections import STREAM_KEYS
+    from thalweg.workflow import CampaignFiles
 
     for name, campaign in load_campaigns(options.files, CAMPAIGNS).items():
         _check_contents(campaign)
@@ -225,6 +248,11 @@ def _check_config(options: argparse.Namespace) -> int:
             f"positions from {campaign.orientation.position_source}; {source}"
         )
         print(f"  places of the sensors: {_places(campaign)}")
+        products = CampaignFiles(name=name, campaigns={name: campaign}).products() if campaign.logs else []
+        for made, words in ((True, "gives"), (False, "more logs would add")):
+            listed = [f"{p.name}{'' if made else f' ({p.needs})'}" for p in products if p.made is made]
+            if listed:
+                print(f"  {words}: {', '.join(listed)}")
     return 0
 
 
@@ -257,6 +285,9 @@ def _check_contents(campaign: "Campaign") -> None:
                 wrong.append(f"  logs.{'.'.join(keys)}: {error}")
                 continue
             fitting = KINDS_OF_STREAM[stream]
+            source = campaign.orientation.position_source
+            if stream == "pos" and source in fitting:  # .pos or NMEA, as the campaign says
+                fitting = (source,)
             if fitting and kind not in fitting:
                 expected = " or ".join(KINDS[name] for name in fitting)
                 wrong.append(f"  logs.{'.'.join(keys)}: {path} holds a {KINDS[kind]}; expected: {expected}.")

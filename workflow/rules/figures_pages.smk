@@ -1,6 +1,34 @@
 """Pages for people, from tables and pictures."""
 
 
+rule front_page:
+    """What a campaign gave, on the page that a person opens first: every page and picture, and what lacks."""
+    input:
+        pages=of(CampaignFiles.pages),
+        pictures=lambda wildcards: FIGURES.files(FILES[wildcards.campaign]),
+        summary=of(CampaignFiles.summary),
+    output:
+        page="results/{campaign}/index.html",
+    log:
+        "logs/{campaign}/figures/front_page.log",
+    benchmark:
+        "benchmarks/{campaign}/figures/front_page.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(1500),
+        runtime=minutes(10),
+    params:
+        code=code_version("front_page"),
+        products=of(CampaignFiles.plain_products),
+        captions={row.name: row.shows for row in FIGURES.rows},
+        twin=of(CampaignFiles.is_twin),
+        campaign=identity("title"),
+    script:
+        "../scripts/front_page.py"
+
+
 rule calibration_page:
     """Everything that a calibration found out, on one page."""
     input:

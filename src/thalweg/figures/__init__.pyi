@@ -1,3 +1,4 @@
+from .front import front_page as front_page
 from .page import Page as Page
 from .pictures import read_picture as read_picture
 from .style import (
@@ -25,8 +26,8 @@ from .style import (
     legend_below as legend_below,
     marks_in_free_corners as marks_in_free_corners,
     new_figure as new_figure,
-    note_of as note_of,
     north_arrow as north_arrow,
+    note_of as note_of,
     plan_height_mm as plan_height_mm,
     plural as plural,
     robust_limits as robust_limits,

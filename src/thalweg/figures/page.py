@@ -35,6 +35,9 @@ th { border-bottom: 2px solid #888; }
 th .unit { font-weight: normal; color: #555; }
 td.number, th.number { text-align: right; white-space: nowrap; }
 pre { background: #f5f5f5; padding: .7rem; overflow-x: auto; font-size: .82rem; line-height: 1.35; }
+.thumbnails { display: grid; grid-template-columns: repeat(auto-fill, minmax(14rem, 1fr)); gap: 1rem; }
+.thumbnails a { text-decoration: none; color: #1a1a1a; font-size: .85rem; line-height: 1.3; }
+.thumbnails img { width: 100%; height: 10rem; object-fit: contain; border: 1px solid #ddd; display: block; }
 @media print { h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
 """
 
@@ -95,6 +98,25 @@ class Page:
             f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{code}">'
             f"<figcaption>{escape(caption)}</figcaption></figure>"
         )
+        return self
+
+    def links(self, targets: Mapping[str, tuple[str, str]]) -> Self:
+        """Add a list of links: relative address -> (words of the link, sentence beside it)."""
+        items = "".join(
+            f'<li><a href="{escape(href)}">{escape(words)}</a>{": " * bool(sentence)}{escape(sentence)}</li>\n'
+            for href, (words, sentence) in targets.items()
+        )
+        self._body.append(f"<ul>\n{items}</ul>")
+        return self
+
+    def thumbnails(self, pictures: Mapping[str, str]) -> Self:
+        """Add small pictures that open the large ones: relative address -> words below it."""
+        items = "".join(
+            f'<a href="{escape(href)}"><img loading="lazy" alt="{escape(words)}" src="{escape(href)}">'
+            f"<span>{escape(words)}</span></a>\n"
+            for href, words in pictures.items()
+        )
+        self._body.append(f'<div class="thumbnails">\n{items}</div>')
         return self
 
     def table(

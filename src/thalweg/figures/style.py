@@ -157,17 +157,14 @@ def save(figure: Figure, path: Path | BytesIO, *, dpi: int = 200, note: str | No
             cure="Set figures.format",
         )
     # A date or a version in the file would make two runs differ.
-    date: dict[str, str | None] = {
-        "png": {"Software": None},
-        "pdf": {"CreationDate": None},
-        "svg": {"Date": None},
-    }[kind]
+    undated = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}
+    metadata: dict[str, str | None] = {undated[kind]: None}
     if note is not None and kind == "png":
-        date["Comment"] = note
+        metadata["Comment"] = note
     if isinstance(path, Path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(_parameters()):
-        figure.savefig(path, dpi=dpi, format=kind, metadata=date)
+        figure.savefig(path, dpi=dpi, format=kind, metadata=metadata)
 
 
 @styled

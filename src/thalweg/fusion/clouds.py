@@ -40,8 +40,8 @@ from thalweg.core import (
     LocalFrame,
     iter_laz,
     laz_header,
-    read_raster,
     plane_rates,
+    read_raster,
 )
 from thalweg.core.geometry import cell_numbers
 from thalweg.settings.sections import CloudFit

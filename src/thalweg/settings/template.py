@@ -25,6 +25,13 @@ _BESIDE_IMAGES: Final = (
     ("finished_orientations", "orientations", "orientations from another program"),
 )
 """Stream, key of ``logs.time_lapse``, meaning."""
+_ORDINARY_GNSS: Final = [
+    "  accept_fixes: [single, sbas, dgnss, float, fixed]",
+    "  sigma_position_m: [2.0, 2.0, 4.0]  # CHANGE: east, north, up, where the sentences state none (GST)",
+    "  # antenna_h_ell_m: 0.0  # ellipsoidal height of the antenna, where the sentences have none (GLL, RMC)",
+    "  max_gap_s: 5.0  # longest hole between positions that is interpolated",
+]
+"""Lines of ``orientation`` for a receiver that writes NMEA."""
 
 
 def campaign_text(
@@ -66,26 +73,23 @@ def campaign_text(
         *_list("lidar", listed.get("lidar", []), "Velodyne captures"),
         *_list("ins", listed.get("ins", []), "Advanced Navigation ANPP"),
         *gnss,
-        *_list("positions", listed.get("pos", []), "RTKLIB .pos"),
+        *_list("positions", listed.get("pos", []), "RTKLIB .pos, or NMEA"),
         *_list("sbet", listed.get("sbet", []), "Applanix SBET; needs gps_week"),
         *(["  # gps_week: 2235  # CHANGE: week of the SBET"] if listed.get("sbet") else []),
         *_list("depth", listed.get("depth", []), "echo sounder, NMEA"),
         *_list("reference", listed.get("reference", []), "clouds to compare with: LAS, LAZ, PLY, E57"),
         *_photographs(listed),
         "",
-        "mounts:  # body frame of the INS: x forward, y right, z down",
-        "  lidar:",
-        "    omega_deg: 0.0",
-        "    phi_deg: -90.0  # spin axis points backwards",
-        "    kappa_deg: 0.0",
-        f"    lever_ics_m: CHANGE{levers}",
+        "mounts:  # body frame of the INS, or of the boat: x forward, y right, z down",
+        *_lidar(listed, levers),
         "  antenna:",
         f"    lever_ics_m: CHANGE{levers}",
+        *(["  echo_sounder:", f"    lever_ics_m: CHANGE{levers}"] if listed.get("depth") else []),
         *_camera(listed, levers),
         "",
         "orientation:",
-        f"  position_source: {source}  # pos, sbp, ppk, sbet or ins",
-        "  accept_fixes: [fixed]",
+        f"  position_source: {source}  # pos, sbp, ppk, nmea, sbet or ins",
+        *(_ORDINARY_GNSS if source == "nmea" else ["  accept_fixes: [fixed]"]),
         *_without_control(listed, source),
     ]
     return "\n".join(lines) + "\n"
@@ -138,6 +142,19 @@ def _photographs(listed: Mapping[str, Sequence[str]]) -> list[str]:
     return lines
 
 
+def _lidar(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
+    """Lines of ``mounts.lidar`` of a campaign with a lidar."""
+    if not listed.get("lidar"):
+        return []
+    return [
+        "  lidar:",
+        "    omega_deg: 0.0",
+        "    phi_deg: -90.0  # spin axis points backwards",
+        "    kappa_deg: 0.0",
+        f"    lever_ics_m: CHANGE{levers}",
+    ]
+
+
 def _camera(listed: Mapping[str, Sequence[str]], levers: str) -> list[str]:
     """Lines of ``mounts.camera`` of a campaign with photographs."""
     if not listed.get("time_lapse"):
@@ -181,7 +198,8 @@ def _source(listed: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
         return "sbet", gnss
     if listed.get("base"):
         return "ppk", [*gnss, "    base_from: rinex_header  # CHANGE: or sbp, base_ecef_m, base_llh"]
-    return ("sbp" if listed.get("rover") else "ins" if listed.get("ins") else "pos"), gnss
+    found = {"sbp": "rover", "ins": "ins", "nmea": "depth"}
+    return next((source for source, stream in found.items() if listed.get(stream)), "pos"), gnss
 
 
 def _list(key: str, paths: Sequence[str], meaning: str) -> list[str]:

@@ -5,7 +5,7 @@ run, as Snakemake wants them; a list is empty where a campaign does not have wha
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Final, Literal
 
@@ -26,6 +26,16 @@ _SERIES: Final = {"calibration": "grid_images", "panels": "panel_images", "strip
 def _no_twin(campaign: Campaign) -> Mapping[str, Sequence[str]]:
     """Logs of a twin where no laboratory is at hand."""
     return {}
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """A product of a survey: its name and file, whether the logs make it, and which logs it needs."""
+
+    name: str
+    file: str
+    made: bool
+    needs: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -717,8 +727,8 @@ class CampaignFiles:
         """The comparison with a reference, where there is one."""
         return self._where(self.has_reference(), "accuracy/statistics.csv")
 
-    def final_outputs(self) -> list[str]:
-        """The tables and pages that `all` builds; pictures stand in `thalweg.workflow.figures`."""
+    def _made(self) -> list[str]:
+        """What `all` builds but pictures and the front page."""
         if self.campaign.is_basin:
             return self._basin_outputs()
         if self.campaign.is_change:
@@ -743,13 +753,74 @@ class CampaignFiles:
             outputs += [self._result(f"accuracy/{name}") for name in compared]
         return outputs
 
+    def products(self) -> list[Product]:
+        """What a survey of a river gives from its logs, and what one more log would add."""
+        if not self._is_survey():
+            return []
+        chains = self.has_time_lapse() and self.has_lidar()
+        rows = (
+            ("trajectory of the boat", self.trajectory("ins"), True, ""),
+            (
+                "soundings in the world",
+                self._result("bathymetry/soundings.csv"),
+                self.has_soundings(),
+                "logs.depth",
+            ),
+            (
+                "riverbed and terrain model",
+                self._result("bathymetry/index.html"),
+                self.has_bed(),
+                "logs.depth, and logs.lidar or logs.bank_lines",
+            ),
+            (
+                "point cloud of the banks",
+                self._result("lidar/points.laz"),
+                self.has_lidar(),
+                "logs.lidar, and logs.ins or logs.sbet",
+            ),
+            (
+                "accuracy against a reference",
+                self._result("accuracy/index.html"),
+                self.has_reference(),
+                "logs.reference and logs.lidar",
+            ),
+            (
+                "trajectories by camera and by all sensors",
+                self._result("accuracy/trajectories.html"),
+                chains,
+                "logs.time_lapse and logs.lidar",
+            ),
+            (
+                "strip of the bed by the light sheet",
+                self._result("triangulation/strip/index.html"),
+                self.has_strip(),
+                "logs.light_sheet.strip_images and light_sheet.sensor",
+            ),
+        )
+        return [Product(*row) for row in rows]
+
+    def plain_products(self) -> list[dict[str, Any]]:
+        """The same as plain values."""
+        return [asdict(product) for product in self.products()]
+
+    def pages(self) -> list[str]:
+        """The pages that `all` builds, but the front page."""
+        return [path for path in self._made() if path.endswith(".html")]
+
+    def summary(self) -> list[str]:
+        """The table of the most important figures of a survey."""
+        return self._where(self._is_survey(), "summary.csv")
+
+    def final_outputs(self) -> list[str]:
+        """The tables and pages that `all` builds; pictures stand in `thalweg.workflow.figures`."""
+        return [*self._made(), self._result("index.html")]
+
     def target(self, name: str) -> list[str]:
         """What the target ``ingest``, ``lidar``, ``images`` or ``accuracy`` builds."""
         match name:
             case "ingest":
-                navigated = self.position_logs() or self.ins_logs()
-                navigated = navigated and not self.campaign.is_basin
-                reports = self.reports() if navigated else []
+                moved = (self.position_logs() or self.ins_logs()) and not self.campaign.is_basin
+                reports = self.reports() if moved else []
                 reports += self._where(self.has_reference(), "ingest/reference.integrity.json")
                 return reports + self._where(self.stamped_images(), "ingest/camera.integrity.json")
             case "images" if self.has_time_lapse():

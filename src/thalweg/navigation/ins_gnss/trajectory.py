@@ -282,7 +282,7 @@ def states_along_course(
     after = np.minimum(np.arange(len(t)) + 1, len(t) - 1)
     before = np.maximum(np.arange(len(t)) - 1, 0)
     step = enu[after, :2] - enu[before, :2]
-    sigma_m = np.hypot(used["sigma_east_m"], used["sigma_north_m"]).to_numpy()
+    sigma_m = np.hypot(used["sigma_east_m"].to_numpy(), used["sigma_north_m"].to_numpy())
     # both ends of the step err across it by sigma_m / sqrt(2); errors that last longer cancel in part
     turned = sigma_m / np.maximum(np.linalg.norm(step, axis=1), 1e-9)
     sigma_heading = np.minimum(np.hypot(np.deg2rad(sigma_course_deg), turned), ANY_HEADING_RAD)
