@@ -212,7 +212,7 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
 
 
 def _place(files: dict[str, list[Path]]) -> tuple[float, float, float] | None:
-    """Latitude, longitude and ellipsoidal height in the middle of the positions of a survey, if there are any.
+    """Latitude, longitude and ellipsoidal height in the middle of the positions of a survey; None: unknown.
 
     Rounded to about a metre: it is a name for a place and no measurement.
     """

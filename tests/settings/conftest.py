@@ -39,6 +39,7 @@ GOOD: dict[str, Any] = {
     "mounts": {
         "lidar": {"phi_deg": -90.0, "lever_ics_m": [-0.35, 0.0, -0.25]},
         "antenna": {"lever_ics_m": [0.1, 0.0, -0.45]},
+        "echo_sounder": {"lever_ics_m": [0.2, 0.0, 0.3]},
     },
     "orientation": {"position_source": "pos", "accept_fixes": ["fixed", "float"]},
 }

@@ -206,9 +206,22 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
         "logs.gnss.base[0]",
         ("already named at logs.gnss.rover[0]", "Remove it from base"),
     ),
-    ({"logs.lidar": GONE}, "logs.lidar", ("missing", "Velodyne captures", "Add the line `lidar:")),
-    ({"logs.ins": GONE}, "logs.ins", ("missing", "ANPP logs", "position_source: pos")),
-    ({"logs.positions": GONE}, "logs.positions", ("missing", ".pos files", "position_source: sbp")),
+    ({"logs.ins": GONE}, "logs.ins", ("missing", "ANPP logs", "needed with a lidar or photographs")),
+    (
+        {"logs.positions": GONE},
+        "logs.positions",
+        ("missing", "positions of the boat's", "position_source: sbp"),
+    ),
+    (
+        {"logs.positions": GONE, "logs.depth": GONE, "orientation.position_source": "nmea"},
+        "logs.positions",
+        ("missing", "position_source: nmea"),
+    ),
+    (
+        {"mounts.echo_sounder": GONE},
+        "mounts.echo_sounder.lever_ics_m",
+        ("missing", "place of the echo_sounder"),
+    ),
     (
         {"orientation.position_source": "sbp", "logs.gnss": GONE},
         "logs.gnss.rover",

@@ -103,7 +103,8 @@ class Page:
     def links(self, targets: Mapping[str, tuple[str, str]]) -> Self:
         """Add a list of links: relative address -> (words of the link, sentence beside it)."""
         items = "".join(
-            f'<li><a href="{escape(href)}">{escape(words)}</a>{": " * bool(sentence)}{escape(sentence)}</li>\n'
+            f'<li><a href="{escape(href)}">{escape(words)}</a>'
+            f"{': ' * bool(sentence)}{escape(sentence)}</li>\n"
             for href, (words, sentence) in targets.items()
         )
         self._body.append(f"<ul>\n{items}</ul>")

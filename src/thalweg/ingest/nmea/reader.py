@@ -813,7 +813,8 @@ def _summarise(
             report.t_first_s, report.t_last_s = min(known), max(known)
         if not have_date:
             report.note(
-                "The log has times but no date: nothing is synchronised. Give the UTC date of its start (logs.depth_date)."
+                "The log has times but no date: nothing is synchronised. Give the UTC date of its start "
+                "(logs.depth_date)."
             )
     else:
         report.note("The log has no time sentence: nothing is synchronised.")

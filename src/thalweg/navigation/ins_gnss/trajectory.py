@@ -223,6 +223,9 @@ def with_stated(
 ) -> pd.DataFrame:
     """Positions whose missing standard deviations and heights are those that the user states.
 
+    A stated height stands in only where no position of the log has one: beside measured heights it would be
+    a jump.
+
     Parameters
     ----------
     positions : table kind ``gnss_position``.
@@ -230,8 +233,8 @@ def with_stated(
     antenna_h_ell_m : ellipsoidal height of the antenna; None: nothing stands in.
     """
     table = positions.copy()
-    if antenna_h_ell_m is not None:
-        table["h_ell_m"] = table["h_ell_m"].fillna(antenna_h_ell_m)
+    if antenna_h_ell_m is not None and table["h_ell_m"].isna().all():
+        table["h_ell_m"] = antenna_h_ell_m
     if sigma_position_m is not None:
         names = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
         for name, sigma in zip(names, np.asarray(sigma_position_m, dtype=np.float64), strict=True):

@@ -125,8 +125,8 @@ class Orientation(Section):
     )
     antenna_h_ell_m: Finite | None = Field(
         default=None,
-        description="Ellipsoidal height of the antenna, for positions without one (NMEA GLL or RMC), metres: "
-        "that of the water level and the antenna above it",
+        description="Ellipsoidal height of the antenna, for logs whose positions have none (NMEA GLL, RMC), "
+        "metres: that of the water level and the antenna above it",
     )
     sigma_level_deg: SigmaAttitude = Field(
         default=3.0, description="Without an INS the boat counts as level to this standard deviation, degrees"
