@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from thalweg.cli import main
@@ -238,6 +239,24 @@ def test_check_config_looks_into_the_logs(here, capsys):
     assert "holds a network capture (pcap, pcapng); expected: Advanced Navigation ANPP log" in said
     assert "logs.positions: " in said
     assert "of no known kind" in said
+
+
+def test_check_config_takes_sigmas_of_an_sbet(here, capsys):
+    """An SMRMSG file has no mark of its own; an SBET shorter than one record has none either."""
+    raw = here / "raw"
+    raw.mkdir()
+    states = np.zeros((20, 17))
+    states[:, 0] = 300_000.0 + np.arange(20) / 10
+    states[:, 1:4] = np.deg2rad(51.0), np.deg2rad(13.2), 300.0
+    states.tofile(raw / "sbet.out")
+    np.column_stack([states[:, 0], np.full((20, 9), 0.02)]).tofile(raw / "smrmsg.out")
+    (here / "mine.yaml").write_text(
+        "campaign: {id: mine, title: x, crs: EPSG:25833, "
+        "origin: {lat_deg: 51.0, lon_deg: 13.2, h_ell_m: 300.0}}\n"
+        "logs: {sbet: [raw/sbet.out], smrmsg: [raw/smrmsg.out], gps_week: 2235}\n"
+        "orientation: {position_source: sbet}\n"
+    )
+    assert main(["check-config", "mine.yaml"]) == 0, capsys.readouterr().err
 
 
 def test_files_that_cannot_be_opened(here, capsys):

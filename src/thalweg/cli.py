@@ -282,7 +282,8 @@ def _check_contents(campaign: "Campaign") -> None:
             try:
                 kind = recognise(path)
             except InputError as error:
-                wrong.append(f"  logs.{'.'.join(keys)}: {error}")
+                if KINDS_OF_STREAM[stream]:  # else a kind that has no mark of its own
+                    wrong.append(f"  logs.{'.'.join(keys)}: {error}")
                 continue
             fitting = KINDS_OF_STREAM[stream]
             source = campaign.orientation.position_source

@@ -63,6 +63,17 @@ def timed(recorded: Recorded, *, with_ins: bool = True, **more: object) -> Timed
     return time_images(given.pop("poses"), given.pop("stamps"), **{"track": track, "ins": ins, **given})
 
 
+def test_a_finished_trajectory_states_no_fix() -> None:
+    """Epochs without a fix count only where no epoch has one: the sigmas of an SBET are what it states."""
+    positions = survey().positions
+    how = {"correlation_time_s": 10.0, "white_share": 0.25}
+    fixed = Track.from_table(positions, FRAME, **how)
+    finished = Track.from_table(positions.assign(fix="none"), FRAME, **how)
+    assert np.array_equal(finished.position_m, fixed.position_m)
+    half = positions.assign(fix=np.where(np.arange(len(positions)) % 2, "none", positions["fix"]))
+    assert len(Track.from_table(half, FRAME, **how).t_gps_s) == (len(fixed.t_gps_s) + 1) // 2
+
+
 def exposures(recorded: Recorded) -> np.ndarray:
     """True times of the images: where the motion has the camera's place."""
     t = recorded.images.t_gps_s + recorded.clock_s

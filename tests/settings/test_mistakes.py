@@ -91,6 +91,8 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     ({"campaign.crs": "EPSG:4326"}, "campaign.crs", ("not projected", "map projection in metres")),
     ({"campaign.crs": "EPSG:4978"}, "campaign.crs", ("not projected",)),
     ({"campaign.crs": "EPSG:2263"}, "campaign.crs", ("US survey foot", "in metres")),
+    ({"campaign.crs": "EPSG:3857"}, "campaign.crs", ("stretches distances", "EPSG:32633, UTM")),
+    ({"campaign.crs": "EPSG:31468"}, "campaign.crs", ("is on the ellipsoid Bessel", "EPSG:32633, UTM")),
     ({"campaign.crs": "EPSG:32618"}, "campaign.origin", ("outside the area of use", "EPSG:32633")),
     (
         {"campaign.origin": {"lat_deg": 13.25, "lon_deg": 51.05, "h_ell_m": 0}},

@@ -397,6 +397,7 @@ rule time_images:
     params:
         code=code_version("time_images"),
         campaign=identity("origin"),
+        source=of(CampaignFiles.position_source),
         options=of(CampaignFiles.clock_options),
         cloud=section("images", "cloud"),
         off_boat=section("images", "off_boat"),

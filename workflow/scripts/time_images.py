@@ -28,6 +28,7 @@ def main(
     clock: Path,
     report: Path,
     campaign: dict[str, Any],
+    source: str,
     options: dict[str, Any],
     cloud: dict[str, Any],
     camera_clock: list[Path],
@@ -37,8 +38,10 @@ def main(
     frame = LocalFrame(**campaign["origin"])
     places = read_mounts(mounts)
     _, T_ics_ccs, _ = lidar_mount_by_camera(places, read_calibration(boat[0]) if boat else None)
-    antenna = places["antenna"]
-    lever_m, cov_m2 = antenna_in_camera(T_ics_ccs, antenna["lever_ics_m"], antenna["sigma_lever_m"])
+    # the INS's own positions, and an SBET's, are those of the body's origin
+    own = {"lever_ics_m": (0.0, 0.0, 0.0), "sigma_lever_m": (0.0, 0.0, 0.0)}
+    measured = own if source in ("ins", "sbet") else places["antenna"]
+    lever_m, cov_m2 = antenna_in_camera(T_ics_ccs, measured["lever_ics_m"], measured["sigma_lever_m"])
     gnss = Track.from_table(
         read_table(positions, GNSS_POSITION)[0],
         frame,

@@ -81,13 +81,16 @@ class Track:
     ) -> Self:
         """From table kind ``gnss_position``: only epochs of the best kind of fix that the table holds.
 
+        A finished trajectory (SBET) states no fix at any epoch; its standard deviations are what counts.
+
         Raises
         ------
         CoverageError : too few epochs have a time, a position and sigmas.
         """
         sigmas = ["sigma_east_m", "sigma_north_m", "sigma_up_m"]
         known = positions.dropna(subset=["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", *sigmas])
-        kinds = [fix for fix in _BEST if (known["fix"] == fix).sum() >= _LEAST_EPOCHS]
+        named = _BEST if (known["fix"] != "none").any() else ("none",)
+        kinds = [fix for fix in named if (known["fix"] == fix).sum() >= _LEAST_EPOCHS]
         known = known[known["fix"] == kinds[0]] if kinds else known[:0]
         known = known.sort_values("t_gps_s", kind="stable").drop_duplicates("t_gps_s")
         if len(known) < _LEAST_EPOCHS:

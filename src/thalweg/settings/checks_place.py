@@ -80,7 +80,21 @@ def check_crs(text: Any, origin: Any) -> Iterator[Mistake]:
             cure=proposal or "Write the metric variant of this grid",
         )
     if place:
-        yield from _check_area(text, crs, place)
+        outside = list(_check_area(text, crs, place))
+        yield from outside
+        if not (outside or units):
+            yield from _check_export(crs, place)
+
+
+def _check_export(crs: "CRS", place: tuple[float, float, float]) -> Iterator[Mistake]:
+    """Can points near the origin be written in this grid? The exports themselves are asked."""
+    from thalweg.core import GeometryError, LocalFrame
+
+    try:
+        LocalFrame(lat_deg=place[0], lon_deg=place[1], h_ell_m=place[2]).to_map([[0.0, 0.0, 0.0]], crs)
+    except GeometryError as error:
+        cure = f"Write for instance {utm_code(*place[:2])}, UTM at the origin"
+        yield Mistake(path=_CRS_PATH, found=error.found, expected=error.expected, cure=cure)
 
 
 def _check_area(text: str, crs: "CRS", place: tuple[float, float, float]) -> Iterator[Mistake]:
