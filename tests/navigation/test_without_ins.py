@@ -78,7 +78,6 @@ def test_an_uncertain_attitude_enters_the_sigma_of_the_boat() -> None:
         max_gap_s=1.5,
         max_attitude_gap_s=1.5,
         sigma_attitude_rad=(0.1, 0.1, 0.1),
-        required_status=0,
     )
     assert found.position_wcs_m[15] == pytest.approx([0.0, 30.0, -2.0], abs=1e-3)
     assert found.sigma_position_m[15] == pytest.approx([0.1052, 0.1052, 0.01], rel=0.02)

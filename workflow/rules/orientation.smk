@@ -26,6 +26,7 @@ rule build_trajectory:
         code=code_version("build_trajectory"),
         campaign=identity("origin"),
         orientation=section("orientation"),
+        stated=of(CampaignFiles.stated_positions),
         ins=section("ins"),
     script:
         "../scripts/build_trajectory.py"
@@ -398,6 +399,7 @@ rule time_images:
         code=code_version("time_images"),
         campaign=identity("origin"),
         source=of(CampaignFiles.position_source),
+        stated=of(CampaignFiles.stated_positions),
         options=of(CampaignFiles.clock_options),
         cloud=section("images", "cloud"),
         off_boat=section("images", "off_boat"),

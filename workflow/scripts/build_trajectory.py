@@ -11,7 +11,6 @@ from thalweg.calibration import read_mounts
 from thalweg.core import LocalFrame, read_table
 from thalweg.ingest import GNSS_POSITION, INS_STATE
 from thalweg.navigation.ins_gnss import (
-    NAVIGATION_INITIALISED,
     build_trajectory,
     states_along_course,
     trajectory_from_states,
@@ -29,6 +28,7 @@ def main(
     summary: Path,
     campaign: dict[str, Any],
     orientation: dict[str, Any],
+    stated: dict[str, Any],
     ins: dict[str, Any],
 ) -> None:
     frame = LocalFrame(**campaign["origin"])
@@ -38,23 +38,18 @@ def main(
     }
     if orientation["position_source"] in ("ins", "sbet"):
         table, _ = read_table(states[0], INS_STATE)
-        # An SBET is a finished solution without status words; an INS log tells when its filter was ready.
-        required = 0 if orientation["position_source"] == "sbet" else NAVIGATION_INITIALISED
         built, what = trajectory_from_states(
-            table, frame, sigma_position_m=ins["sigma_position_m"], required_status=required, **attitude
+            table, frame, sigma_position_m=ins["sigma_position_m"], **attitude
         )
     else:
         antenna = read_mounts(mounts)["antenna"]
-        measured = with_stated(
-            read_table(positions, GNSS_POSITION)[0],
-            **{key: orientation[key] for key in ("sigma_position_m", "antenna_h_ell_m")},
-        )
+        measured = with_stated(read_table(positions, GNSS_POSITION)[0], **stated)
         if states:
             table, _ = read_table(states[0], INS_STATE)
         else:
             how = ("accept_fixes", "max_gap_s", "sigma_level_deg", "sigma_course_deg")
             table = states_along_course(measured, frame, **{key: orientation[key] for key in how})
-            attitude |= {"max_attitude_gap_s": orientation["max_gap_s"], "required_status": 0}
+            attitude["max_attitude_gap_s"] = orientation["max_gap_s"]
         built, what = build_trajectory(
             measured,
             table,

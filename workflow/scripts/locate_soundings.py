@@ -7,7 +7,14 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from thalweg.bathymetry import SOUNDINGS, Transducer, locate_soundings, s44_orders, soundings_on_map
+from thalweg.bathymetry import (
+    SOUNDINGS,
+    Transducer,
+    estimate_slow_errors,
+    locate_soundings,
+    s44_orders,
+    soundings_on_map,
+)
 from thalweg.calibration import read_mounts
 from thalweg.core import LocalFrame, Trajectory, read_parquet, read_table, write_table
 from thalweg.ingest import DEPTH
@@ -53,6 +60,9 @@ def main(
         water_line_ics_m=water_line_ics_m,
         decisions=decisions[0] if decisions else None,
         logged_temperature_c=json.loads(integrity.read_text())["details"].get("water_temperature_c"),
+    )
+    table, found["position_time_s"], found["crossings"] = estimate_slow_errors(
+        table, found["position_time_s"]
     )
     write_table(soundings, table, SOUNDINGS)
     frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])

@@ -13,6 +13,7 @@ from thalweg.images.model import ImagePoses, in_folders
 from thalweg.ingest import GNSS_POSITION, INS_STATE
 from thalweg.ingest.photos import IMAGE_STAMPS
 from thalweg.navigation.camera import antenna_in_camera, lidar_mount_by_camera, time_images
+from thalweg.navigation.ins_gnss import with_stated
 from thalweg.workflow import run_job
 
 
@@ -29,6 +30,7 @@ def main(
     report: Path,
     campaign: dict[str, Any],
     source: str,
+    stated: dict[str, Any],
     options: dict[str, Any],
     cloud: dict[str, Any],
     camera_clock: list[Path],
@@ -43,7 +45,7 @@ def main(
     measured = own if source in ("ins", "sbet") else places["antenna"]
     lever_m, cov_m2 = antenna_in_camera(T_ics_ccs, measured["lever_ics_m"], measured["sigma_lever_m"])
     gnss = Track.from_table(
-        read_table(positions, GNSS_POSITION)[0],
+        with_stated(read_table(positions, GNSS_POSITION)[0], **stated),
         frame,
         correlation_time_s=options["position_time_s"],
         white_share=options["white_share"],

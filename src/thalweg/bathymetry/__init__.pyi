@@ -15,6 +15,11 @@ from .bed import (
     krige_bed as krige_bed,
     observations_of as observations_of,
 )
+from .crossings import (
+    Crossings as Crossings,
+    estimate_slow_errors as estimate_slow_errors,
+    find_crossings as find_crossings,
+)
 from .flow import FlowLine as FlowLine
 from .kriging import (
     CovarianceModel as CovarianceModel,

@@ -31,6 +31,7 @@ from .schemas import (
     GNSS_POSITION as GNSS_POSITION,
     INS_RAW as INS_RAW,
     INS_STATE as INS_STATE,
+    NAVIGATION_INITIALISED as NAVIGATION_INITIALISED,
 )
 from .stamps import (
     FIRST_UNIX_S as FIRST_UNIX_S,

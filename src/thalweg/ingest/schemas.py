@@ -1,5 +1,7 @@
 """The table kinds that the readers produce. Angles and positions are named with their units and frames."""
 
+from typing import Final
+
 import pyarrow as pa
 
 from thalweg.core import column, table_kind
@@ -35,9 +37,11 @@ INS_STATE = table_kind(
         column("sigma_heading_rad", _F, "rad", "standard deviation of heading; NaN if not logged"),
         column("fix", pa.string(), "1", "none, 2d, 3d, sbas, dgnss, omnistar, float, fixed"),
         column("system_status", pa.uint16(), "1", "ANPP system status word"),
-        column("filter_status", pa.uint16(), "1", "ANPP filter status word"),
+        column("filter_status", pa.uint16(), "1", "ANPP filter status word; 7 in a finished trajectory"),
     ],
 )
+NAVIGATION_INITIALISED: Final = 0b111
+"""Bits of the filter status (orientation, navigation, heading) without which a position is arbitrary."""
 
 INS_RAW = table_kind(
     "ins_raw",

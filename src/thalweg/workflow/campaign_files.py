@@ -168,6 +168,13 @@ class CampaignFiles:
         """Where the positions come from."""
         return self.campaign.orientation.position_source
 
+    def stated_positions(self) -> dict[str, Any]:
+        """What is stated of positions whose log states none; section `ins` has the sigmas of its own."""
+        found = {key: self.plain["orientation"][key] for key in ("sigma_position_m", "antenna_h_ell_m")}
+        if self.position_source() in ("ins", "sbet"):
+            found["sigma_position_m"] = self.plain["ins"]["sigma_position_m"]
+        return found
+
     def ins_logs(self) -> list[str]:
         """The files that hold attitudes, ANPP or SBET."""
         return self.logs("sbet" if self.position_source() == "sbet" else "ins")

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from thalweg.bathymetry import REASONS
@@ -73,6 +74,7 @@ def bed_page(
         f"{facts['lag_s']:+.3f} s. Errors of positions last {facts['position_time_s']:.1f} s, of attitudes "
         f"{facts['attitude_time_s']:.1f} s."
     )
+    page.text(_crossings(facts["crossings"]))
     page.table(
         pd.DataFrame(facts["orders"]).rename(columns=_SHARES),
         "Share of the used soundings that meet the orders of IHO S-44 (edition 6.1, at 95 %).",
@@ -126,3 +128,30 @@ def bed_page(
 
 
 _SHARES = {"share_tvu": "vertical", "share_thu": "horizontal", "share": "both"}
+
+
+def _crossings(found: Mapping[str, Any]) -> str:
+    """What the crossings of lines say, in words."""
+    if not found["n"]:
+        return "No line crosses another, so that nothing checks how large the slow errors are."
+    words = (
+        f"Lines cross at {count(found['n'])} places. There the heights differ by "
+        f"{100 * found['rms_m']:.1f} cm (root mean square) where {100 * found['predicted_m']:.1f} cm were "
+        "predicted; the mean of squared differences over predicted variances is "
+        f"{found['normalised_square']:.2f}."
+    )
+    if found["estimated"]:
+        words += (
+            f" So the slow errors are {found['slow_factor']:.2f} times as large as stated (uncertain by a "
+            f"factor of {np.exp(found['slow_factor_sigma_log']):.2f}) and last {found['time_s']:.1f} s; with "
+            f"that the mean is {found['normalised_square_after']:.2f}. {count(found['left_out'])} crossings "
+            "were left out as gross errors."
+        )
+    else:
+        words += " They are too few to tell how large the slow errors are: what is stated counts."
+    for day in found.get("days", []):
+        words += (
+            f" Day {day['day'] + 1} lies {100 * day['offset_m']:+.1f} ± {100 * day['sigma_m']:.1f} cm "
+            f"against the first{', too much: the common error was enlarged' if day['disagrees'] else ''}."
+        )
+    return words

@@ -36,7 +36,14 @@ from thalweg.core import (
     gps_from_week,
     utc_text_from_gps,
 )
-from thalweg.ingest import INS_STATE, IntegrityReport, find_gaps, repeated_rows, say_repeated
+from thalweg.ingest import (
+    INS_STATE,
+    NAVIGATION_INITIALISED,
+    IntegrityReport,
+    find_gaps,
+    repeated_rows,
+    say_repeated,
+)
 
 _FIELDS: Final = 17
 _SMRMSG_FIELDS: Final = 10
@@ -230,7 +237,7 @@ def _states(records: ArrayF, t: ArrayF, report: IntegrityReport) -> pd.DataFrame
             "rate_z_radps": records[:, 16],
             "fix": "none",
             "system_status": np.zeros(len(t), dtype=np.uint16),
-            "filter_status": np.zeros(len(t), dtype=np.uint16),
+            "filter_status": np.full(len(t), NAVIGATION_INITIALISED, dtype=np.uint16),  # a finished solution
         }
     )
 

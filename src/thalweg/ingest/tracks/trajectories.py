@@ -26,7 +26,14 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import ArrayF, InputError, gps_from_unix, gps_from_week, roll_pitch_heading
-from thalweg.ingest import INS_STATE, IntegrityReport, PoseLog, TrackOptions, find_gaps
+from thalweg.ingest import (
+    INS_STATE,
+    NAVIGATION_INITIALISED,
+    IntegrityReport,
+    PoseLog,
+    TrackOptions,
+    find_gaps,
+)
 
 COLUMNS: Final = {"tum": 8, "euroc": 8, "kitti": 12}
 """Numbers of a line that are read; EuRoC may hold velocities and biases behind."""
@@ -237,14 +244,14 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
 
 
 def _table(t_gps_s: ArrayF, columns: dict[str, ArrayF | float]) -> pd.DataFrame:
-    """Table kind ``ins_state``; what the source does not hold is NaN, no fix and status 0."""
+    """Table kind ``ins_state``; what the source does not hold is NaN, and no fix."""
     table = pd.DataFrame({"t_gps_s": t_gps_s, **columns})
     for name in INS_STATE.names:
         if name not in table:
             table[name] = np.nan
     table["fix"] = "none"
-    for name in ("system_status", "filter_status"):
-        table[name] = np.zeros(len(table), dtype=np.uint16)
+    table["system_status"] = np.zeros(len(table), dtype=np.uint16)
+    table["filter_status"] = np.full(len(table), NAVIGATION_INITIALISED, dtype=np.uint16)
     return table[list(INS_STATE.names)]
 
 

@@ -149,7 +149,6 @@ def fuse_trajectory(
     images_hold_positions: bool = False,
     sigma_attitude_rad: ArrayLike,
     max_attitude_gap_s: float,
-    required_status: int = ATTITUDE_INITIALISED,
 ) -> Fused:
     """Join INS, antenna positions and image poses.
 
@@ -166,7 +165,6 @@ def fuse_trajectory(
         between its first and last image are then part of the image poses and are not counted once more.
     sigma_attitude_rad : (3,) roll, pitch, heading; stands in where the INS log states none.
     max_attitude_gap_s : longest hole between INS states that is bridged.
-    required_status : bits of the filter status that a state must have.
 
     Raises
     ------
@@ -175,7 +173,7 @@ def fuse_trajectory(
     CoverageError : the inputs do not overlap in time, or no pose is known well enough.
     """
     summary = TrajectorySummary(n_positions=0 if positions is None else len(positions), n_states=len(states))
-    ins = usable_states(states, summary, max_attitude_gap_s, required_status)
+    ins = usable_states(states, summary, max_attitude_gap_s, ATTITUDE_INITIALISED)
     counts = Counts()
     usable = _positions(positions, ins, frame, settings, summary, counts)
     _check_images(images, frame, T_ccs_ics)

@@ -12,7 +12,6 @@ from .error_model import (
 from .interpolation import JITTER_S as JITTER_S
 from .trajectory import (
     ATTITUDE_INITIALISED as ATTITUDE_INITIALISED,
-    NAVIGATION_INITIALISED as NAVIGATION_INITIALISED,
     TrajectorySummary as TrajectorySummary,
     agree_with_ins as agree_with_ins,
     break_at_gaps as break_at_gaps,

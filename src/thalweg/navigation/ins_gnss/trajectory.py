@@ -22,7 +22,7 @@ from thalweg.core import (
     rotation_enu_body,
     utc_text_from_gps,
 )
-from thalweg.ingest import INS_STATE
+from thalweg.ingest import INS_STATE, NAVIGATION_INITIALISED
 from thalweg.navigation.ins_gnss.interpolation import (
     JITTER_S,
     Interpolated,
@@ -32,8 +32,6 @@ from thalweg.navigation.ins_gnss.interpolation import (
 
 ATTITUDE_INITIALISED: Final = 0b101
 """Bits of the ANPP filter status without which an attitude is arbitrary: orientation and heading."""
-NAVIGATION_INITIALISED: Final = 0b111
-"""The same, and the navigation filter, without which the INS's own position is arbitrary."""
 PLAIN_SLACK_M: Final = 5.0
 HEIGHT_SLACK_M: Final = 10.0
 """Slack of the INS's coarse position in plan and height: lever arm, and filters too sure of themselves."""
@@ -73,7 +71,6 @@ def build_trajectory(
     max_gap_s: float,
     max_attitude_gap_s: float,
     sigma_attitude_rad: ArrayLike,
-    required_status: int = ATTITUDE_INITIALISED,
     interpolation: Literal["cubic", "ins_velocity"] = "cubic",
 ) -> tuple[Trajectory, TrajectorySummary]:
     """Join antenna positions and INS attitudes.
@@ -89,7 +86,6 @@ def build_trajectory(
     max_gap_s : longest hole between positions that is interpolated.
     max_attitude_gap_s : longest hole between INS states that is interpolated.
     sigma_attitude_rad : (3,) roll, pitch, heading; stands in where the log states none.
-    required_status : bits of the filter status that a state must have; others are left out and counted.
     interpolation : positions between epochs by a cubic spline, or along the velocity of the INS.
 
     Raises
@@ -99,7 +95,7 @@ def build_trajectory(
     """
     summary = TrajectorySummary(n_positions=len(positions), n_states=len(states))
     used = usable_positions(positions, accept_fixes, summary)
-    ins = usable_states(states, summary, max_attitude_gap_s, required_status)
+    ins = usable_states(states, summary, max_attitude_gap_s, ATTITUDE_INITIALISED)
     t_states = ins["t_gps_s"].to_numpy()
     t_positions = used["t_gps_s"].to_numpy()
     if t_states[-1] < t_positions[0] or t_positions[-1] < t_states[0]:
@@ -164,15 +160,13 @@ def trajectory_from_states(
     max_attitude_gap_s: float,
     sigma_attitude_rad: ArrayLike,
     sigma_position_m: ArrayLike | None = None,
-    required_status: int = NAVIGATION_INITIALISED,
 ) -> tuple[Trajectory, TrajectorySummary]:
     """Trajectory of an INS that gives position and attitude itself (its own filter, or SBET).
 
     Parameters
     ----------
     states : table kind ``ins_state``, positions at the ics origin.
-    frame, max_attitude_gap_s, sigma_attitude_rad, required_status : as in `build_trajectory`; an SBET knows
-        no status, so nothing can be required of it.
+    frame, max_attitude_gap_s, sigma_attitude_rad : as in `build_trajectory`.
     sigma_position_m : (3,) east, north, up; stands in where the log states none.
 
     Raises
@@ -180,7 +174,7 @@ def trajectory_from_states(
     InputError : no state carries GPS time, or there are no sigmas of the positions.
     """
     summary = TrajectorySummary(n_positions=len(states), n_states=len(states))
-    ins = usable_states(states, summary, max_attitude_gap_s, required_status)
+    ins = usable_states(states, summary, max_attitude_gap_s, NAVIGATION_INITIALISED)
     placed = ins.dropna(subset=["lat_deg", "lon_deg", "h_ell_m"])
     if len(placed) < len(ins):
         summary.notes.append(f"{len(ins) - len(placed)} INS states without a position were left out")
@@ -301,7 +295,7 @@ def states_along_course(
         sigma_heading_rad=sigma_heading,
         fix="none",
         system_status=0,
-        filter_status=0,
+        filter_status=NAVIGATION_INITIALISED,
     )
 
 

@@ -1,0 +1,308 @@
+r"""Where lines of soundings cross: do they agree, and how large are the slow errors really?
+
+At a crossing both lines give the height of one place. White errors differ, common ones cancel, and of the
+slow ones the difference of two times is left. With heights interpolated along each line, the differences
+``d`` of all crossings have the covariance
+
+    V = diag(white + relief + slope) + f^2 S(tau),
+    S_kl = c(a_k, a_l) - c(a_k, b_l) - c(b_k, a_l) + c(b_k, b_l),   c(t, u) = s(t) s(u) exp(-|t - u| / tau)
+
+for the crossings of the times ``a_k`` and ``b_k`` and stated slow sigmas ``s``. The factor ``f`` and the time
+``tau`` that are most probable, given what is stated to within a factor of 2 and 3, replace the stated ones.
+The factor that enters predicted sigmas is the root of its expected square, as for the poses
+(`thalweg.navigation.ins_gnss.Estimate`).
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
+
+from thalweg.core import NMAD, ArrayF, ArrayI
+from thalweg.navigation.ins_gnss import Estimate
+
+SPREAD: Final = 2.0
+"""Stated slow sigmas may be wrong by this factor (one sigma of its logarithm)."""
+TIME_SPREAD: Final = 3.0
+"""The stated correlation time may be wrong by this factor."""
+FEWEST: Final = 8
+"""Fewer crossings tell no size: what is stated stays."""
+_OUTLIER: Final = 4.0
+"""Crossings whose difference is so many sigmas of its own are left out of the estimate, and counted."""
+_DAY_GAP_S: Final = 4 * 3600.0
+"""A pause of this length begins another day of the survey."""
+_MOST: Final = 800
+"""Crossings that are adjusted together: evenly chosen ones of more."""
+_SIGNIFICANT: Final = 3.0
+"""Days whose mean differs by so many sigmas disagree."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Crossings:
+    """Places where two lines cross, (k,) each.
+
+    Parameters
+    ----------
+    a_s, b_s : times of both lines there, GPS seconds; ``a_s < b_s``.
+    east_m, north_m : the place.
+    difference_m : height at ``b_s`` less height at ``a_s``.
+    white_m2 : variance of the difference by what is new in each ping, relief between pings and slopes.
+    slow_a_m, slow_b_m : stated slow sigmas of both heights.
+    day_a, day_b : days of the survey, from 0.
+    """
+
+    a_s: ArrayF
+    b_s: ArrayF
+    east_m: ArrayF
+    north_m: ArrayF
+    difference_m: ArrayF
+    white_m2: ArrayF
+    slow_a_m: ArrayF
+    slow_b_m: ArrayF
+    day_a: ArrayI
+    day_b: ArrayI
+
+    def __len__(self) -> int:
+        return len(self.a_s)
+
+    def part(self, keep: ArrayI | np.ndarray[Any, np.dtype[np.bool_]]) -> "Crossings":
+        """Those crossings alone."""
+        return Crossings(**{name: getattr(self, name)[keep] for name in self.__slots__})
+
+    def slow_covariance_m2(self, time_s: float) -> ArrayF:
+        """Covariance (k, k) of the differences by the slow errors as stated, lasting ``time_s``."""
+        ends = ((self.b_s, self.slow_b_m, 1.0), (self.a_s, self.slow_a_m, -1.0))
+        return np.asarray(
+            sum(
+                (m * n) * np.outer(s, r) * np.exp(-np.abs(t[:, None] - u[None]) / time_s)
+                for t, s, m in ends
+                for u, r, n in ends
+            )
+        )
+
+
+def find_crossings(soundings: pd.DataFrame) -> Crossings:
+    """All crossings of lines of soundings, also of one line with itself.
+
+    Parameters
+    ----------
+    soundings : table kind ``soundings``.
+    """
+    used = soundings[soundings["used"] & (soundings["line"] >= 0)].sort_values("t_gps_s", kind="stable")
+    t = used["t_gps_s"].to_numpy(np.float64)
+    place = used[["east_m", "north_m"]].to_numpy(np.float64)
+    h = used["up_m"].to_numpy(np.float64)
+    line = used["line"].to_numpy(np.int64)
+    white = used["sigma_white_m"].to_numpy(np.float64) ** 2
+    slow = used["sigma_slow_m"].to_numpy(np.float64)
+    across = used["sigma_horizontal_m"].to_numpy(np.float64) ** 2
+    day = np.cumsum(np.diff(t, prepend=t[:1]) > _DAY_GAP_S)
+    step_s = np.diff(t)
+    usual = float(np.median(step_s)) if len(step_s) else 0.0
+    first = np.flatnonzero((line[1:] == line[:-1]) & (step_s > 0) & (step_s < 3 * usual))
+    i, j, u, v = _intersections(place[first], place[first + 1])
+    # neighbours along the track meet in their common ping
+    apart = t[first[j]] - t[first[i] + 1] > 2 * usual
+    i, j, u, v = first[i[apart]], first[j[apart]], u[apart], v[apart]
+
+    def along(k: ArrayI, share: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
+        """Time, height, variance without the slow part, and slow sigma between pings k and k + 1."""
+        # pings nearer to each other than they are known show no slope
+        length2 = np.maximum(np.sum((place[k + 1] - place[k]) ** 2, axis=1), across[k])
+        slope2 = (h[k + 1] - h[k]) ** 2 / np.maximum(length2, 1e-12)
+        variance = (1 - share) ** 2 * white[k] + share**2 * white[k + 1]
+        variance += 4 * share * (1 - share) * relief_m2 + slope2 * across[k]
+        mix = [(1 - share) * x[k] + share * x[k + 1] for x in (t, h, slow)]
+        return mix[0], mix[1], variance, mix[2]
+
+    relief_m2 = _relief_m2(h, white, line)
+    t_a, h_a, var_a, slow_a = along(i, u)
+    t_b, h_b, var_b, slow_b = along(j, v)
+    met = place[i] + u[:, None] * (place[i + 1] - place[i])
+    return Crossings(
+        a_s=t_a,
+        b_s=t_b,
+        east_m=met[:, 0],
+        north_m=met[:, 1],
+        difference_m=h_b - h_a,
+        white_m2=var_a + var_b,
+        slow_a_m=slow_a,
+        slow_b_m=slow_b,
+        day_a=day[i],
+        day_b=day[j],
+    )
+
+
+def _intersections(start: ArrayF, stop: ArrayF) -> tuple[ArrayI, ArrayI, ArrayF, ArrayF]:
+    """Segments (m, 2) that cross: numbers i < j and the shares of both at which they do."""
+    if len(start) < 2:
+        return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty(0)
+    way = stop - start
+    longest = float(np.linalg.norm(way, axis=1).max())
+    pairs = cKDTree((start + stop) / 2).query_pairs(longest, output_type="ndarray")
+    i, j = np.sort(pairs, axis=1).T if len(pairs) else np.empty((2, 0), np.int64)
+    cross = way[i, 0] * way[j, 1] - way[i, 1] * way[j, 0]
+    i, j, cross = (x[np.abs(cross) > 1e-9] for x in (i, j, cross))
+    between = start[j] - start[i]
+    u = (between[:, 0] * way[j, 1] - between[:, 1] * way[j, 0]) / cross
+    v = (between[:, 0] * way[i, 1] - between[:, 1] * way[i, 0]) / cross
+    meet = (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
+    order = np.lexsort((j[meet], i[meet]))
+    return i[meet][order], j[meet][order], u[meet][order], v[meet][order]
+
+
+def _relief_m2(h: ArrayF, white_m2: ArrayF, line: ArrayI) -> float:
+    """Variance of the bed half-way between two pings about the straight line through them.
+
+    From pings against the mean of their neighbours, which are twice as far apart: half of the variance that
+    their noise does not explain, as on a bed whose variogram rises linearly.
+    """
+    inner = np.flatnonzero(line[2:] == line[:-2]) + 1
+    if not len(inner):
+        return 0.0
+    rest = h[inner] - (h[inner - 1] + h[inner + 1]) / 2
+    noise = white_m2[inner] + (white_m2[inner - 1] + white_m2[inner + 1]) / 4
+    return max((NMAD * float(np.median(np.abs(rest)))) ** 2 - float(np.median(noise)), 0.0) / 2
+
+
+def estimate_slow_errors(
+    soundings: pd.DataFrame, time_s: float
+) -> tuple[pd.DataFrame, float, dict[str, Any]]:
+    """Slow errors as large and as long as crossings say; of days that disagree, common errors that cover it.
+
+    Parameters
+    ----------
+    soundings : table kind ``soundings``.
+    time_s : stated correlation time of its slow errors.
+
+    Returns
+    -------
+    soundings : with other ``sigma_slow_m``, ``sigma_common_m``, and covariances enlarged as much in height.
+    time_s : the estimated correlation time.
+    facts : crossings found and left out, their differences before and after, the estimates, days.
+    """
+    everything = find_crossings(soundings)
+    crossings = everything
+    if len(crossings) > _MOST:
+        crossings = crossings.part(np.unique(np.linspace(0, len(crossings) - 1, _MOST).astype(np.int64)))
+    facts: dict[str, Any] = {"n": len(everything), "left_out": 0, "estimated": False}
+    if not len(crossings):
+        return soundings, time_s, facts
+    stated = crossings.white_m2 + np.diag(crossings.slow_covariance_m2(time_s))
+    facts["rms_m"] = float(np.sqrt(np.mean(crossings.difference_m**2)))
+    facts["predicted_m"] = float(np.sqrt(np.mean(stated)))
+    facts["normalised_square"] = float(np.mean(crossings.difference_m**2 / stated))
+    out = soundings.copy()
+    offsets = _days(crossings, time_s)
+    if offsets is not None:
+        facts["days"], shared_m = offsets
+        out["sigma_common_m"] = np.hypot(out["sigma_common_m"], shared_m)
+        out["cov_uu_m2"] += shared_m**2
+    if len(crossings) < FEWEST:
+        return out, time_s, facts
+    same_day = crossings.part(crossings.day_a == crossings.day_b) if offsets is not None else crossings
+    if len(same_day) < FEWEST:
+        return out, time_s, facts
+    factor, time, kept = _estimated(same_day, time_s)
+    variance = same_day.white_m2 + factor.predictive**2 * np.diag(same_day.slow_covariance_m2(time.value))
+    inside = same_day.difference_m[kept] ** 2 / variance[kept]
+    facts |= {
+        "estimated": True,
+        "left_out": int((~kept).sum()),
+        "slow_factor": factor.value,
+        "slow_factor_sigma_log": factor.sigma_log,
+        "slow_factor_predictive": factor.predictive,
+        "time_s": time.value,
+        "time_sigma_log": time.sigma_log,
+        "normalised_square_after": float(np.mean(inside)),
+    }
+    before = out["sigma_slow_m"].to_numpy(np.float64)
+    out["sigma_slow_m"] = before * factor.predictive
+    out["cov_uu_m2"] += before**2 * (factor.predictive**2 - 1)
+    return out, time.value, facts
+
+
+def _estimated(
+    crossings: Crossings, time_s: float
+) -> tuple[Estimate, Estimate, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """Factor on the slow sigmas, their time, and which crossings are no outliers."""
+    kept = np.ones(len(crossings), dtype=np.bool_)
+    spreads = np.log([SPREAD, TIME_SPREAD])
+    x = np.zeros(2)
+    for _ in range(3):
+        of = crossings.part(kept)
+
+        def cost(x: ArrayF, of: Crossings = of) -> float:
+            """Twice the negative logarithm of the probability, but for a constant."""
+            cov = np.diag(of.white_m2) + np.exp(2 * x[0]) * of.slow_covariance_m2(time_s * np.exp(x[1]))
+            lower = cho_factor(cov, lower=True)
+            fit = of.difference_m @ cho_solve(lower, of.difference_m)
+            return float(fit + 2 * np.log(np.diag(lower[0])).sum() + np.sum((x / spreads) ** 2))
+
+        x = minimize(cost, x, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-4}).x
+        slow = np.exp(2 * x[0]) * np.diag(crossings.slow_covariance_m2(time_s * np.exp(x[1])))
+        good = crossings.difference_m**2 < _OUTLIER**2 * (crossings.white_m2 + slow)
+        if (good == kept).all() or good.sum() < FEWEST:
+            break
+        kept = good
+    sigma = np.sqrt(np.diag(np.linalg.inv(_curvature(cost, x) / 2)))
+    factor, time = (
+        Estimate(
+            value=float(scale * np.exp(value)),
+            sigma_log=float(min(s, spread)),
+            prior=scale,
+            prior_sigma_log=float(spread),
+        )
+        for scale, value, s, spread in zip((1.0, time_s), x, sigma, spreads, strict=True)
+    )
+    return factor, time, kept
+
+
+def _curvature(cost: Any, x: ArrayF, step: float = 0.05) -> ArrayF:
+    """Second derivatives (2, 2) of a function; the prior alone holds its eigenvalues from below."""
+    e = np.eye(2) * step
+    H = np.empty((2, 2))
+    for i in range(2):
+        for j in range(2):
+            H[i, j] = (
+                cost(x + e[i] + e[j]) - cost(x + e[i] - e[j]) - cost(x - e[i] + e[j]) + cost(x - e[i] - e[j])
+            ) / (4 * step**2)
+    values, vectors = np.linalg.eigh((H + H.T) / 2)
+    return np.asarray(vectors * np.maximum(values, 2 / np.log(TIME_SPREAD) ** 2) @ vectors.T)
+
+
+def _days(crossings: Crossings, time_s: float) -> tuple[list[dict[str, Any]], float] | None:
+    """Height of each day against the first, and the error that all days share to cover disagreement.
+
+    None if there is one day, or if the days do not cross.
+    """
+    between = crossings.part(crossings.day_a != crossings.day_b)
+    days = np.unique(np.concatenate([between.day_a, between.day_b]))
+    if len(days) < 2:
+        return None
+    column = {day: k for k, day in enumerate(days.tolist())}
+    design = np.zeros((len(between), len(days)))
+    rows = np.arange(len(between))
+    design[rows, [column[d] for d in between.day_b.tolist()]] += 1.0
+    design[rows, [column[d] for d in between.day_a.tolist()]] -= 1.0
+    cov = np.diag(between.white_m2) + between.slow_covariance_m2(time_s)
+    weighted = cho_solve(cho_factor(cov, lower=True), design[:, 1:])
+    inverse = np.linalg.pinv(design[:, 1:].T @ weighted)
+    offset = inverse @ (weighted.T @ between.difference_m)
+    sigma = np.sqrt(np.diag(inverse))
+    table = [
+        {
+            "day": int(day),
+            "offset_m": float(o),
+            "sigma_m": float(s),
+            "disagrees": bool(abs(o) > _SIGNIFICANT * s),
+        }
+        for day, o, s in zip(days[1:].tolist(), offset, sigma, strict=True)
+    ]
+    if not any(each["disagrees"] for each in table):
+        return table, 0.0
+    return table, float(np.std(np.concatenate([[0.0], offset])))

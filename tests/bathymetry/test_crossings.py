@@ -1,0 +1,137 @@
+"""Crossings of lines of soundings: where they are, how large the slow errors are, days that disagree."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thalweg.bathymetry import estimate_slow_errors, find_crossings
+
+SPEED_MPS, STEP_S = 1.2, 0.2
+
+
+def survey(
+    seed: int,
+    *,
+    slow_m: float = 0.03,
+    time_s: float = 10.0,
+    white_m: float = 0.01,
+    stated_m: float = 0.03,
+    legs: int = 8,
+    second_day_m: float | None = None,
+) -> pd.DataFrame:
+    """A zigzag down a channel of 20 m and lines along it on the way back, over a bed that slopes."""
+    rng = np.random.default_rng(seed)
+    down = [(8.0 * k, 9.0 if k % 2 else -9.0) for k in range(legs + 1)]
+    back = [
+        (8.0 * legs + 3, n) if i % 2 == k % 2 else (-3.0, n) for k, n in enumerate((-5, 0, 5)) for i in (0, 1)
+    ]
+    corners = np.array(down + back)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    t = np.arange(0.0, way[-1] / SPEED_MPS, STEP_S)
+    s, n = (np.interp(t * SPEED_MPS, way, c) for c in corners.T)
+    line = np.searchsorted(way[1:-1], t * SPEED_MPS)
+    slow = np.zeros(len(t))
+    keep = np.exp(-STEP_S / time_s)
+    slow[0] = slow_m * rng.standard_normal()
+    for k in range(1, len(t)):
+        slow[k] = keep * slow[k - 1] + slow_m * np.sqrt(1 - keep**2) * rng.standard_normal()
+    up = -2.0 + 0.01 * n**2 - 0.002 * s + slow + white_m * rng.standard_normal(len(t))
+    t_gps = 1e9 + t
+    if second_day_m is not None:
+        later = line >= legs
+        t_gps, up = t_gps + 86_400.0 * later, up + second_day_m * later
+    return pd.DataFrame(
+        {
+            "t_gps_s": t_gps,
+            "east_m": s,
+            "north_m": n,
+            "up_m": up,
+            "sigma_white_m": white_m,
+            "sigma_slow_m": stated_m,
+            "sigma_common_m": 0.02,
+            "sigma_horizontal_m": 0.02,
+            "cov_uu_m2": white_m**2 + stated_m**2 + 0.02**2,
+            "line": line,
+            "used": True,
+        }
+    )
+
+
+def test_crossings_are_where_lines_meet() -> None:
+    table = survey(1, slow_m=1e-6, white_m=1e-6)
+    found = find_crossings(table)
+    # each of three lines along the river crosses each of eight legs once
+    assert len(found) == 24
+    assert np.allclose(np.sort(np.unique(np.round(found.north_m, 6))), [-5.0, 0.0, 5.0])
+    assert np.abs(found.difference_m).max() < 2e-4  # the bed is curved between two pings
+    assert (found.b_s > found.a_s + 5).all()
+
+
+def test_a_line_that_does_not_count_crosses_nothing() -> None:
+    table = survey(1)
+    table.loc[table["line"] == 9, "used"] = False  # one of the lines along the river
+    assert len(find_crossings(table)) == 16
+
+
+@pytest.mark.parametrize(
+    ("stated_m", "stated_s"), [(0.03, 10.0), (0.06, 10.0), (0.015, 10.0), (0.03, 2.0), (0.03, 50.0)]
+)
+def test_slow_errors_are_found_whatever_is_stated(stated_m: float, stated_s: float) -> None:
+    """Two-sided over surveys: neither a stated size nor a stated time that is wrong fools the estimate."""
+    sizes, squares, after = [], [], []
+    for seed in range(12):
+        table = survey(seed, stated_m=stated_m)
+        found, time_s, facts = estimate_slow_errors(table, stated_s)
+        sizes.append(facts["slow_factor"] * stated_m)
+        assert found["sigma_slow_m"].iloc[0] == pytest.approx(stated_m * facts["slow_factor_predictive"])
+        assert facts["estimated"]
+        assert facts["left_out"] <= 1
+        squares.append(facts["normalised_square"])
+        after.append(facts["normalised_square_after"])
+        assert time_s == facts["time_s"]
+    # some 20 differences of errors that last 10 s a survey, twelve surveys: about 6 % each way
+    assert 0.8 < np.sqrt(np.mean(np.square(sizes))) / 0.03 < 1.25
+    assert 0.65 < np.mean(after) < 1.15
+    if stated_m == 0.015:
+        assert np.mean(squares) > 2.0  # as stated it would not have been believed
+    if stated_m == 0.06:
+        assert np.mean(squares) < 0.5
+
+
+def test_few_crossings_change_nothing() -> None:
+    table = survey(3, legs=2)
+    assert len(find_crossings(table)) == 6
+    found, time_s, facts = estimate_slow_errors(table, 10.0)
+    assert not facts["estimated"]
+    assert time_s == 10.0
+    pd.testing.assert_frame_equal(found, table)
+
+
+def test_a_boat_that_stands_shows_no_slope() -> None:
+    """Pings at one place: noise over no distance is no slope that horizontal errors act on."""
+    table = survey(6)
+    moored = table["line"] == 3
+    table.loc[moored, ["east_m", "north_m"]] = table.loc[moored, ["east_m", "north_m"]].round(0).to_numpy()
+    found = find_crossings(table)
+    assert len(found) > 20
+    assert np.sqrt(found.white_m2.max()) < 0.1
+
+
+def test_gross_errors_are_left_out_and_counted() -> None:
+    table = survey(4)
+    table.loc[(table["line"] == 3) & (table["north_m"].abs() < 1.5), "up_m"] += 1.0
+    _, _, facts = estimate_slow_errors(table, 10.0)
+    assert facts["left_out"] == 1
+    assert facts["slow_factor"] < 2.0
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.3])
+def test_days_that_disagree_are_said_and_covered(offset_m: float) -> None:
+    table = survey(5, second_day_m=offset_m)
+    found, _, facts = estimate_slow_errors(table, 10.0)
+    (day,) = facts["days"]
+    assert day["disagrees"] is (offset_m > 0)
+    assert abs(day["offset_m"] - offset_m) < 3 * day["sigma_m"]
+    assert day["sigma_m"] < 0.02
+    common = float(found["sigma_common_m"].iloc[0])
+    assert common == pytest.approx(np.hypot(0.02, abs(day["offset_m"]) / 2 if offset_m else 0.0))
