@@ -34,7 +34,7 @@ def test_positions_inside_ins_states(tmp_path: Path) -> None:
 
 
 def test_an_unknown_source_is_answered_with_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'gps'; expected pos, sbp, ppk, sbet or ins"):
+    with pytest.raises(InputError, match="'gps'; expected pos, sbp, nmea, ppk, sbet or ins"):
         read_positions("gps", [], states=tmp_path / "x", **NOTHING)
 
 

@@ -57,6 +57,7 @@ class PpkOptions:
     dynamics : True estimates velocity and acceleration too. False starts each epoch anew, and lost digits
         make the engine's covariances noisy (`thalweg.ingest.ppk.positions.replace_covariances`).
     max_age_s : base observations older than that are not used.
+    trusted_baseline_km, least_fix_s : see `thalweg.ingest.ppk.trust`.
 
     Raises
     ------
@@ -79,6 +80,8 @@ class PpkOptions:
     tropo: Literal["off", "saas", "est-ztd", "est-ztdgrad"] = _SECTION.tropo
     dynamics: bool = _SECTION.dynamics
     max_age_s: float = _SECTION.max_age_s
+    trusted_baseline_km: float = _SECTION.trusted_baseline_km
+    least_fix_s: float = _SECTION.least_fix_s
 
     def __post_init__(self) -> None:
         """Check all options at once."""

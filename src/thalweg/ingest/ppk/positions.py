@@ -48,6 +48,16 @@ def covariance_enu(positions: pd.DataFrame) -> ArrayF:
     return C
 
 
+def with_covariance_enu(positions: pd.DataFrame, covariance_m2: ArrayF) -> pd.DataFrame:
+    """A copy with those covariances (n, 3, 3) in east, north, up."""
+    out = positions.copy()
+    for k, name in enumerate(("east", "north", "up")):
+        out[f"sigma_{name}_m"] = np.sqrt(covariance_m2[:, k, k])
+    for i, j, name in ((0, 1, "en"), (0, 2, "eu"), (1, 2, "nu")):
+        out[f"cov_{name}_m2"] = covariance_m2[:, i, j]
+    return out
+
+
 def replace_covariances(positions: pd.DataFrame) -> tuple[pd.DataFrame, int]:
     """Replace covariances that are not positive definite, or smaller than an epoch can be.
 
@@ -77,10 +87,8 @@ def replace_covariances(positions: pd.DataFrame) -> tuple[pd.DataFrame, int]:
         value, axes = np.linalg.eigh(np.median(near, axis=0))
         replaced[index] = (axes * np.maximum(value, SIGMA_FLOOR_M**2)) @ axes.T
     out = positions.copy()
-    for k, name in enumerate(("east", "north", "up")):
-        out.loc[bad, f"sigma_{name}_m"] = np.sqrt(replaced[bad, k, k])
-    for i, j, name in ((0, 1, "en"), (0, 2, "eu"), (1, 2, "nu")):
-        out.loc[bad, f"cov_{name}_m2"] = replaced[bad, i, j]
+    for name, values in with_covariance_enu(positions, replaced).items():
+        out.loc[bad, name] = values[bad]
     return out, int(np.sum(bad))
 
 

@@ -8,7 +8,8 @@ base position.
 import hashlib
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -22,6 +23,7 @@ from thalweg.ingest.ppk.engine import EngineAnswer, check_settings, engine_versi
 from thalweg.ingest.ppk.options import PpkOptions, ecef_fault, engine_settings
 from thalweg.ingest.ppk.positions import read_solution, replace_covariances
 from thalweg.ingest.ppk.rinex import RinexScan, rinex_kind, scan_rinex, whole_records
+from thalweg.ingest.ppk.trust import trust_fixes
 from thalweg.ingest.sbp import find_messages
 
 # ---------------------------------------------------------------- input files of a PPK run: their kinds, the
@@ -432,6 +434,8 @@ _BASE_LIMIT_M = (
 )
 _BASE_DOUBT_M = 30.0  # three times the 95 % error of a single-point position
 _HEADER_DELTA_M = 1e-4
+_MANY_FLOATS = 0.05
+"""With a larger share of positions that are not fixed a backward run says how well floats know themselves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -499,7 +503,8 @@ def run_ppk(
     Returns
     -------
     PpkSolution; ``report.details`` holds fix_ratio (of all rover epochs), n_fixed, n_float, n_single,
-    n_other, n_none, n_rover_epochs, baseline_m (median) and baseline_max_m, base_ecef_m, base_check_m
+    n_other, n_none, n_rover_epochs, n_fixes_refused (by reason), float_sigma_factor, baseline_m (median)
+    and baseline_max_m, base_ecef_m, base_check_m
     (distance to the base's own single-point position), n_covariances_replaced, engine and options.
 
     Raises
@@ -515,9 +520,26 @@ def run_ppk(
         notes = preflight(inputs, options, rover_file, base_file)
         base_ecef_m, base_notes = _base_position(inputs, options, base_file)
         where = f"{rover_file}, {base_file}"
-        single, _ = _solve(folder, inputs, options, base_ecef_m, where, time_limit_s, single=True)
+        single, _ = _solve(
+            folder,
+            inputs,
+            options,
+            base_ecef_m=base_ecef_m,
+            where=where,
+            time_limit_s=time_limit_s,
+            single=True,
+        )
         base_check_m, check_notes = _check_base(single, base_ecef_m, base_file)
-        positions, answer = _solve(folder, inputs, options, base_ecef_m, where, time_limit_s, single=False)
+        solve = partial(
+            _solve, folder, inputs, base_ecef_m=base_ecef_m, where=where, time_limit_s=time_limit_s
+        )
+        positions, answer = solve(options, single=False)
+        fixed = (positions["fix"] == "fixed").to_numpy()
+        without_integers = replace(options, ambiguity="off")
+        floats = solve(without_integers, single=False)[0] if fixed.any() else positions
+        backward = None
+        if options.direction == "forward" and np.sum(~fixed) > _MANY_FLOATS * len(fixed):
+            backward = solve(replace(without_integers, direction="backward"), single=False)[0]
     if positions.empty:
         raise InputError(
             f"the RTKLIB engine found no position for {inputs.rover_t_gps_s.size} rover epochs; it printed: "
@@ -528,16 +550,24 @@ def run_ppk(
             or "Check systems and frequencies of both receivers",
         )
     positions, n_replaced = replace_covariances(positions)
+    positions, trust = trust_fixes(
+        positions,
+        replace_covariances(floats)[0],
+        None if backward is None else replace_covariances(backward)[0],
+        _baseline_m(positions, base_ecef_m),
+        trusted_baseline_km=options.trusted_baseline_km,
+        least_fix_s=options.least_fix_s,
+    )
     files = [str(file) for file in [*rover, *(base or []), *nav]]
     report = _report(positions, inputs, options, base_ecef_m, answer, files)
-    report.details |= {"base_check_m": base_check_m, "n_covariances_replaced": n_replaced}
+    report.details |= {"base_check_m": base_check_m, "n_covariances_replaced": n_replaced, **trust.report()}
     if n_replaced:
         report.note(
             f"{n_replaced} covariances of the engine were indefinite or below 0.5 mm (lost digits) and are "
             "replaced by the median of their neighbours"
             + ("." if options.dynamics else "; with dynamics=True the engine keeps its digits.")
         )
-    for sentence in inputs.notes + check_notes + base_notes + notes:
+    for sentence in trust.notes() + inputs.notes + check_notes + base_notes + notes:
         report.note(sentence)
     return PpkSolution(positions=positions, report=report, options=options, base_ecef_m=base_ecef_m)
 
@@ -603,10 +633,10 @@ def _solve(
     folder: Path,
     inputs: PpkInputs,
     options: PpkOptions,
+    *,
     base_ecef_m: ArrayF,
     where: str,
     time_limit_s: float,
-    *,
     single: bool,
 ) -> tuple[pd.DataFrame, EngineAnswer]:
     """One run of the engine: PPK of the rover, or single-point positions of the base every 30 s."""
@@ -624,7 +654,8 @@ def _solve(
     }
     answer = run_worker([task], folder, where=where, time_limit_s=time_limit_s)
     check_settings(readback, settings)
-    return read_solution(output), answer
+    # a filter that runs backward writes its last epoch first
+    return read_solution(output).sort_values("t_gps_s", kind="stable", ignore_index=True), answer
 
 
 def _check_base(single: pd.DataFrame, base_ecef_m: ArrayF, base_file: Path) -> tuple[float | None, list[str]]:

@@ -65,6 +65,15 @@ class Ppk(Section):
     max_age_s: Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)] = Field(
         default=30.0, description="Older base observations are not used, seconds"
     )
+    trusted_baseline_km: Positive = Field(
+        default=20.0,
+        le=1000,
+        description="Ambiguity fixes over a longer baseline count as float: the atmosphere differs too much, "
+        "kilometres",
+    )
+    least_fix_s: NonNegative = Field(
+        default=5.0, le=600, description="Runs of fixed epochs that are shorter count as float, seconds"
+    )
 
 
 class ErrorModel(Section):
