@@ -1,3 +1,4 @@
+from .gnss import gnss_page as gnss_page
 from .maps import (
     LOG_RATIO as LOG_RATIO,
     map_extent as map_extent,
