@@ -38,7 +38,7 @@ def test_a_track_with_its_page(words: list[str], tmp_path: Path, capsys: pytest.
     assert abs(start["h_ell_m"] - 47.5515) < 0.06
     # 1 mm/km of 5.3 km stands in every sigma
     assert (table["sigma_east_m"] > 0.0053).all()
-    assert table[table["fix"] == "fixed"]["sigma_up_m"].between(0.0106, 0.05).all()
+    assert table[table["fix"] == "fixed"]["sigma_up_m"].between(0.0106, 0.25).all()
     facts = json.loads((tmp_path / "ppk.json").read_text())
     assert facts["n_fixes_refused"] == {"baseline": 0, "duration": 0, "float": 0}
     lines = json.loads((tmp_path / "positions.geojson").read_text())["features"]

@@ -168,13 +168,12 @@ PACKAGES = (
 )
 """Data flow down this list."""
 
+COMMANDS = ("cli_bathymetry", "cli_calibration", "cli_deformation", "cli_survey")
 MAY_IMPORT = {
     **{name: set(PACKAGES[: i + 1]) for i, name in enumerate(PACKAGES)},
     "workflow": {"core", "settings", "workflow"},
-    "cli": {*PACKAGES, "workflow", "cli", "cli_bathymetry", "cli_calibration", "cli_deformation"},
-    "cli_bathymetry": set(PACKAGES),
-    "cli_calibration": set(PACKAGES),
-    "cli_deformation": set(PACKAGES),
+    "cli": {*PACKAGES, "workflow", "cli", *COMMANDS},
+    **dict.fromkeys(COMMANDS, set(PACKAGES)),
     "__main__": {"cli"},
     "__init__": set(),
 }
@@ -312,8 +311,16 @@ UNREACHED = {
     "cli_bathymetry.py": "the command line",
     "cli_calibration.py": "the command line",
     "cli_deformation.py": "the command line",
+    "cli_survey.py": "the command line",
     **dict.fromkeys(
-        ("bathymetry/plan.py", "bathymetry/tables.py", "deformation/shapes.py", "deformation/surfaces.py"),
+        (
+            "bathymetry/plan.py",
+            "bathymetry/tables.py",
+            "deformation/shapes.py",
+            "deformation/surfaces.py",
+            "figures/survey/gnss.py",
+            "ingest/ppk/exports.py",
+        ),
         "called by the command line",
     ),
     "workflow/codehash.py": "called by the rules",
