@@ -173,7 +173,7 @@ MAY_IMPORT = {
     **{name: set(PACKAGES[: i + 1]) for i, name in enumerate(PACKAGES)},
     "workflow": {"core", "settings", "workflow"},
     "cli": {*PACKAGES, "workflow", "cli", *COMMANDS},
-    **dict.fromkeys(COMMANDS, set(PACKAGES)),
+    **{key: set(PACKAGES) for key in COMMANDS},
     "__main__": {"cli"},
     "__init__": set(),
 }

@@ -1,4 +1,4 @@
-"""The command ``thalweg ppk``: a GNSS track of anybody's, without a campaign."""
+"""The commands ``thalweg ppk`` and ``georeference``: a GNSS track, a cloud of a lidar, without a campaign."""
 
 import argparse
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``ppk``."""
+    """Add ``ppk`` and ``georeference``."""
     ppk = commands.add_parser(
         "ppk", help="raw GNSS of a rover and a base -> track with standard deviations that hold, page, KML"
     )
@@ -49,6 +49,68 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
     ppk.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     ppk.set_defaults(command=_ppk)
 
+    cloud = commands.add_parser(
+        "georeference", help="lidar capture and trajectory -> cloud with a standard deviation for each point"
+    )
+    cloud.add_argument("lidar", type=Path, nargs="+", metavar="LIDAR", help="capture, parts in order of time")
+    cloud.add_argument(
+        "--trajectory",
+        type=Path,
+        nargs="+",
+        required=True,
+        metavar="FILE",
+        help="with attitude: SBET, ANPP, Inertial Explorer, TUM, EuRoC, KITTI, trajectory.parquet of Thalweg",
+    )
+    cloud.add_argument("--gps-week", type=int, metavar="WEEK", help="of an SBET's first record")
+    cloud.add_argument("--smrmsg", type=Path, nargs="+", default=[], metavar="FILE", help="sigmas of an SBET")
+    cloud.add_argument(
+        "--origin",
+        type=float,
+        nargs=3,
+        metavar=("LAT_DEG", "LON_DEG", "H_ELL_M"),
+        help="of the local frame; of a table of poses: of its own frame (default: middle of the track)",
+    )
+    cloud.add_argument(
+        "--body-axes",
+        choices=("forward-right-down", "forward-left-up", "right-down-forward"),
+        help="axes x-y-z of a table of poses",
+    )
+    cloud.add_argument("--time-scale", choices=("utc", "gps"), help="of a table of poses")
+    cloud.add_argument(
+        "--sigma-position", type=float, metavar="M", help="where the trajectory states none, each axis"
+    )
+    cloud.add_argument(
+        "--sigma-attitude", type=float, metavar="DEG", help="where the trajectory states none, each angle"
+    )
+    mount = cloud.add_mutually_exclusive_group(required=True)
+    mount.add_argument("--mount", type=Path, metavar="FILE", help="calibration file with the lidar's place")
+    mount.add_argument(
+        "--lever", type=float, nargs=3, metavar=("X_M", "Y_M", "Z_M"), help="forward, right, down of the body"
+    )
+    cloud.add_argument(
+        "--angles",
+        type=float,
+        nargs=3,
+        default=(0.0, -90.0, 0.0),
+        metavar=("OMEGA_DEG", "PHI_DEG", "KAPPA_DEG"),
+        help="of the lidar in the body frame (default: 0 -90 0, spin axis backwards)",
+    )
+    cloud.add_argument("--sigma-lever", type=float, default=0.01, metavar="M")
+    cloud.add_argument("--sigma-angles", type=float, default=0.2, metavar="DEG")
+    cloud.add_argument(
+        "--first-packet", metavar="UTC", help="time of the first packet of a lidar without GPS, ISO 8601"
+    )
+    cloud.add_argument(
+        "--time-offset", type=float, default=0.0, metavar="S", help="added to the lidar's times"
+    )
+    cloud.add_argument("--model", default="auto", help="of the lidar, where its packets state a wrong one")
+    cloud.add_argument("--max-gap", type=float, default=0.5, metavar="S", help="longest hole that is bridged")
+    cloud.add_argument("--min-range", type=float, default=1.0, metavar="M")
+    cloud.add_argument("--max-range", type=float, default=100.0, metavar="M")
+    cloud.add_argument("--crs", metavar="EPSG:...", help="also write the cloud on this map")
+    cloud.add_argument("--out", type=Path, required=True, metavar="LAZ")
+    cloud.set_defaults(command=_georeference)
+
 
 def _ppk(options: argparse.Namespace) -> int:
     from thalweg.figures.survey import gnss_page
@@ -81,3 +143,130 @@ def _ppk(options: argparse.Namespace) -> int:
     print("\n".join(f"note: {note}" for note in solution.report.notes))
     print(f"Wrote {', '.join(file.name for file in [*files, page])} to {options.out}")
     return 0
+
+
+def _georeference(options: argparse.Namespace) -> int:
+    import json
+    from datetime import datetime
+
+    from thalweg.calibration import resolve_mounts
+    from thalweg.core import InputError, Rigid, gps_from_unix
+    from thalweg.core.calibration import read_calibration
+    from thalweg.ingest import LidarOptions
+    from thalweg.ingest.registry import lidar_reader
+    from thalweg.lidar import LogSettings, clock_by_hand, export_map, georeference_log
+    from thalweg.settings.sections import Filters, Georeferencing, LidarAccuracy, Mounts
+
+    trajectory, notes = _read_trajectory(options)
+    reader = lidar_reader(options.lidar, LidarOptions(model=options.model))
+    first = None
+    if options.first_packet is not None:
+        try:
+            when = datetime.fromisoformat(options.first_packet)
+        except ValueError as error:
+            raise InputError(
+                f"--first-packet {options.first_packet!r}",
+                expected="a time in ISO 8601 such as 2026-05-12T09:30:00.25Z",
+                cure="Write date and time with their zone",
+            ) from error
+        if when.tzinfo is None:
+            raise InputError(
+                f"--first-packet {options.first_packet!r} names no zone",
+                expected="UTC, such as 2026-05-12T09:30:00Z",
+                cure="Add Z for UTC, or +02:00",
+            )
+        first = float(gps_from_unix(when.timestamp()))
+    clock = clock_by_hand(reader, reader.scan().clock, first_t_gps_s=first, offset_s=options.time_offset)
+    if options.mount is not None:
+        mounts = resolve_mounts({}, read_calibration(options.mount))
+    else:
+        omega, phi, kappa = options.angles
+        lidar = {
+            "lever_ics_m": options.lever,
+            "omega_deg": omega,
+            "phi_deg": phi,
+            "kappa_deg": kappa,
+            "sigma_lever_m": [options.sigma_lever] * 3,
+            **{f"sigma_{name}_deg": options.sigma_angles for name in ("omega", "phi", "kappa")},
+        }
+        section = Mounts.model_validate({"lidar": lidar}, strict=False).model_dump(mode="json")
+        mounts = resolve_mounts(section, None)
+    how = Georeferencing(min_range_m=options.min_range, max_range_m=options.max_range).model_dump()
+    how.pop("export_map")
+    # whose boat, and whether it is one, nobody knows here
+    no_boat = Filters(
+        hull_low_ics_m=None,
+        hull_high_ics_m=None,
+        below_water_m=None,
+        mirror_ghosts=False,
+        isolated_neighbours=0,
+    )
+    table = georeference_log(
+        reader,
+        clock,
+        trajectory,
+        LogSettings(mount=Rigid.from_mount(mounts["lidar"]), beam=LidarAccuracy(), filters=no_boat, **how),
+        options.out,
+    )
+    written = [options.out]
+    if options.crs:
+        written.append(options.out.with_name(f"{options.out.stem}_map.laz"))
+        export_map(options.out, written[1], options.crs)
+    facts = options.out.with_suffix(".json")
+    reasons = {row["reason"]: int(row["n"]) for row in table.to_dict("records")}
+    facts.write_text(json.dumps({"points": reasons, "notes": notes}, indent=2) + "\n", encoding="utf-8")
+    for row in table.to_dict("records"):
+        if row["n"]:
+            print(f"{row['n']:>12,} {row['words']}")
+    print("\n".join(f"note: {note}" for note in notes))
+    print(f"Wrote {', '.join(str(path) for path in [*written, facts])}")
+    return 0
+
+
+def _read_trajectory(options: argparse.Namespace) -> tuple[Any, list[str]]:
+    """Trajectory of any kind, and what its reader and its builder noticed."""
+    import numpy as np
+
+    from thalweg.core import InputError, LocalFrame, Trajectory
+    from thalweg.ingest import TrackOptions
+    from thalweg.ingest.registry import read_poses
+    from thalweg.navigation.ins_gnss import trajectory_from_states
+
+    first = options.trajectory[0]
+    if first.suffix == ".parquet":
+        return Trajectory.read(first), []
+    origin = None
+    if options.origin:
+        lat, lon, h = options.origin
+        origin = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=h)
+    how = TrackOptions(
+        gps_week=options.gps_week,
+        smrmsg=tuple(options.smrmsg),
+        frame=origin,
+        body_axes=options.body_axes,
+        time_scale=options.time_scale,
+        sigma_position_m=options.sigma_position,
+        sigma_attitude_deg=options.sigma_attitude,
+    )
+    log = read_poses(options.trajectory, None, how)
+    states = log.states
+    sigmas = states[["sigma_roll_rad", "sigma_pitch_rad", "sigma_heading_rad"]].to_numpy(np.float64)
+    if options.sigma_attitude is None and not np.isfinite(sigmas).all():
+        raise InputError(
+            "the trajectory states no standard deviations of its attitude",
+            expected="one for each angle",
+            where=first,
+            cure="Give --smrmsg beside an SBET, or --sigma-attitude in degrees",
+        )
+    if origin is None:
+        lat, lon, h = (float(states[name].median()) for name in ("lat_deg", "lon_deg", "h_ell_m"))
+        origin = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=h)
+    angle = np.deg2rad(options.sigma_attitude if options.sigma_attitude is not None else np.nan)
+    built, what = trajectory_from_states(
+        states,
+        origin,
+        max_attitude_gap_s=options.max_gap,
+        sigma_attitude_rad=np.full(3, angle),
+        sigma_position_m=None if options.sigma_position is None else [options.sigma_position] * 3,
+    )
+    return built, [*log.report.notes, *what.notes]

@@ -4,6 +4,7 @@ from .cloud import (
     REMOVED_POINTS as REMOVED_POINTS,
     SIGMAS as SIGMAS,
     LogSettings as LogSettings,
+    clock_by_hand as clock_by_hand,
     cloud_covariance as cloud_covariance,
     export_map as export_map,
     georeference_log as georeference_log,

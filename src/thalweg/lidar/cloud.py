@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +19,7 @@ from thalweg.core import (
     ArrayF32,
     ArrayI,
     ArrayU8,
+    ClockError,
     CoverageError,
     ExtraDimension,
     InputError,
@@ -105,6 +106,37 @@ class LogSettings:
     laz_scale_m: float = Georeferencing().laz_scale_m
     correlations: bool = False
     chunk_points: int = Georeferencing().chunk_points
+
+
+def clock_by_hand(
+    reader: LidarReader, clock: LidarClock, *, first_t_gps_s: float | None = None, offset_s: float = 0.0
+) -> LidarClock:
+    """A clock of the lidar that a person states, whole or in part.
+
+    Parameters
+    ----------
+    reader : the log.
+    clock : of its scan.
+    first_t_gps_s : GPS time of the first packet of a lidar that had no GPS; stretches with GPS time of their
+        own keep it.
+    offset_s : added to the time of every packet.
+
+    Raises
+    ------
+    ClockError : packets without GPS time, and no time is stated.
+    """
+    offsets = np.array(clock.gps_minus_device_s)
+    unknown = np.isnan(offsets)
+    if unknown.all() and first_t_gps_s is None:
+        raise ClockError(
+            "the lidar never had GPS time",
+            expected="a capture with locked PPS and NMEA, or a time of its first packet",
+            cure="Give the time of the first packet (--first-packet)",
+        )
+    if unknown.any() and first_t_gps_s is not None:
+        first = next(iter(reader.points(clock, max_points=1000)))
+        offsets[unknown] = first_t_gps_s - float(first.t_device_s[0])
+    return replace(clock, gps_minus_device_s=tuple((offsets + offset_s).tolist()))
 
 
 def georeference_log(

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import gps_from_week
+from thalweg.core import InputError, gps_from_week
 from thalweg.ingest import PoseLog, TrackOptions
 from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
 
@@ -19,23 +19,32 @@ _BY_VALUES = 0.05
 """Sureness of content that is told by plausible numbers alone."""
 
 
-def read_poses(files: Sequence[Path], source: str, options: TrackOptions | None = None) -> PoseLog:
+def read_poses(files: Sequence[Path], source: str | None, options: TrackOptions | None = None) -> PoseLog:
     """States of the boat from the files of one source.
 
     Parameters
     ----------
     files : parts of one recording in the order of time.
-    source : stream of ``logs`` that they stand in, ``ins`` or ``sbet``: there any trajectory on Earth.
+    source : stream of ``logs`` that they stand in, ``ins`` or ``sbet``: there any trajectory on Earth; None:
+        whatever the content shows, tables of poses too.
     options : what the files do not state.
 
     Raises
     ------
     InputError : of the reader.
     """
-    rows = [row for row in POSES if source in row.streams]
+    rows = [row for row in POSES if source is None or source in row.streams]
     known = rows[-1]
     if len(rows) > 1:
-        known = find_format(rows, read_head(files[0]), files[0].stat().st_size) or known
+        found = find_format(rows, read_head(files[0]), files[0].stat().st_size)
+        if found is None and source is None:
+            raise InputError(
+                "no trajectory with attitudes is recognised",
+                expected=", ".join(row.words for row in rows),
+                where=files[0],
+                cure="Look at it with `thalweg describe`",
+            )
+        known = found or known
     assert known.poses is not None
     return known.poses(files, options or TrackOptions())
 
