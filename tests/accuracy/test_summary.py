@@ -204,3 +204,30 @@ def test_a_stream_without_times_is_printed(files: dict[str, Path]) -> None:
     (line,) = [line for line in lines if line.startswith("  depth: duration")]
     assert len(lines) == len(table)
     assert not any(character.isdigit() for character in line)
+
+
+def test_images_and_riverbed_have_their_lines(files: dict[str, Path], tmp_path: Path) -> None:
+    """Check points and left-out lines say how well the survey knew: they stand in the summary."""
+    images, bed = tmp_path / "adjustment.json", tmp_path / "validation.json"
+    checks = {
+        "points": 4,
+        "rmse_mm": {"east": 8.0, "north": 4.0, "up": 42.0},
+        "predicted_mm": {"east": 6.0, "north": 6.0, "up": 14.5},
+        "normalised": 3.07,
+    }
+    images.write_text(json.dumps({"images": 11, "images_without_pose": 2, "check_points": checks}))
+    bed.write_text(
+        json.dumps({"lines": 5, "rmse_m": 0.057, "normalised_square": 1.04, "outside_95": 0.048, "n": 200})
+    )
+    table = summary_table(files["streams"], files["trajectory"], images=images, bed=bed)
+    values = table.set_index("quantity")["value"]
+    assert values["photographs without a pose"] == 2
+    assert values["check points: RMSE up"] == pytest.approx(0.042)
+    assert values["check points: RMSE up predicted"] == pytest.approx(0.0145)
+    assert values["check points: normalised squared error (1: as predicted)"] == 3.07
+    assert values["riverbed: RMSE of left-out lines"] == 0.057
+    assert values["riverbed: outside the interval of 95 %"] == pytest.approx(4.8)
+    assert "lidar points decoded" not in values.index  # no lidar, no counts
+    images.write_text(json.dumps({"images": 11, "images_without_pose": 0, "check_points": None}))
+    few = summary_table(files["streams"], files["trajectory"], images=images).set_index("quantity")["value"]
+    assert few["check points"] == 0

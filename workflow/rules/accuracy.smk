@@ -101,6 +101,8 @@ rule summarise:
         streams="results/{campaign}/timing/streams.csv",
         trajectory="results/{campaign}/orientation/trajectory.json",
         counts=of(CampaignFiles.counts_of_points),
+        images=of(CampaignFiles.adjustment_facts),
+        bed=of(CampaignFiles.bed_validation),
         reference=of(CampaignFiles.reference_statistics),
         truth=of(CampaignFiles.truth_statistics),
     output:

@@ -11,6 +11,8 @@ def main(
     streams: Path,
     trajectory: Path,
     counts: list[Path],
+    images: list[Path],
+    bed: list[Path],
     reference: list[Path],
     truth: list[Path],
     summary: Path,
@@ -19,6 +21,8 @@ def main(
         streams,
         trajectory,
         counts[0] if counts else None,
+        images=images[0] if images else None,
+        bed=bed[0] if bed else None,
         reference=reference[0] if reference else None,
         truth=truth[0] if truth else None,
     ).to_csv(summary, index=False)

@@ -52,4 +52,8 @@ from .statistics import (
     honesty_in_words as honesty_in_words,
     range_class as range_class,
 )
-from .summary import summary_lines as summary_lines, summary_table as summary_table
+from .summary import (
+    number_text as number_text,
+    summary_lines as summary_lines,
+    summary_table as summary_table,
+)

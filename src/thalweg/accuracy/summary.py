@@ -25,6 +25,8 @@ def summary_table(
     trajectory: Path,
     counts: Path | None = None,
     *,
+    images: Path | None = None,
+    bed: Path | None = None,
     reference: Path | None = None,
     truth: Path | None = None,
 ) -> pd.DataFrame:
@@ -35,6 +37,8 @@ def summary_table(
     streams : table of the time axis (CSV).
     trajectory : summary of the trajectory (JSON).
     counts : what became of the lidar points (CSV), or None without a lidar.
+    images : facts of the adjustment of photographs (JSON), or None where there is none.
+    bed : validation of the riverbed by left-out lines (JSON), or None where there is none.
     reference : statistics of the comparison with a reference (CSV), or None where there is none.
     truth : statistics against the twin's truth (CSV), or None for a real campaign.
 
@@ -62,11 +66,47 @@ def summary_table(
         reasons = _records(counts)
         rows.append(("lidar points decoded", sum(row["n"] for row in reasons), "1", counts.name))
         rows += [(f"  {row['words']}", row["n"], "1", counts.name) for row in reasons if row["n"]]
+    if images is not None:
+        rows += _image_rows(images)
+    if bed is not None:
+        rows += _bed_rows(bed)
     if reference is not None:
         rows += _reference_rows(reference)
     if truth is not None:
         rows += _truth_rows(truth)
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _image_rows(images: Path) -> list[tuple[str, float, str, str]]:
+    """Poses of the photographs, and their check points as the adjustment foretold them."""
+    facts = json.loads(images.read_text())
+    rows = [
+        ("photographs with a pose", float(facts["images"]), "1", images.name),
+        ("photographs without a pose", float(facts["images_without_pose"]), "1", images.name),
+    ]
+    checks = facts["check_points"]
+    if not checks or not checks["points"]:
+        return [*rows, ("check points", 0.0, "1", images.name)]
+    rows.append(("check points", float(checks["points"]), "1", images.name))
+    for axis in ("east", "north", "up"):
+        rows.append((f"check points: RMSE {axis}", checks["rmse_mm"][axis] / 1e3, "m", images.name))
+        rows.append(
+            (f"check points: RMSE {axis} predicted", checks["predicted_mm"][axis] / 1e3, "m", images.name)
+        )
+    normalised = checks["normalised"]
+    rows.append(("check points: normalised squared error (1: as predicted)", normalised, "1", images.name))
+    return rows
+
+
+def _bed_rows(bed: Path) -> list[tuple[str, float, str, str]]:
+    """How well the riverbed foretells lines of soundings that it did not see."""
+    facts = json.loads(bed.read_text())
+    return [
+        ("riverbed: left-out lines", float(facts["lines"]), "1", bed.name),
+        ("riverbed: RMSE of left-out lines", facts["rmse_m"], "m", bed.name),
+        ("riverbed: normalised squared error (1: as predicted)", facts["normalised_square"], "1", bed.name),
+        ("riverbed: outside the interval of 95 %", 100 * facts["outside_95"], "%", bed.name),
+    ]
 
 
 def _reference_rows(reference: Path) -> list[tuple[str, float, str, str]]:
@@ -120,13 +160,14 @@ def summary_lines(table: pd.DataFrame) -> list[str]:
     """The table as aligned text lines for a terminal."""
     lines = []
     for row in table.to_dict("records"):
-        value = _number_text(float(row["value"]))
+        value = number_text(float(row["value"]))
         unit = "" if row["unit"] == "1" else row["unit"]
         lines.append(f"  {row['quantity']:52s} {value:>16s} {unit}".rstrip())
     return lines
 
 
-def _number_text(number: float) -> str:
+def number_text(number: float) -> str:
+    """A figure of the summary as people read it."""
     if pd.isna(number):
         return "-"
     return f"{number:,.0f}" if number == round(number) else f"{number:,.3f}"

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import pandas as pd
 
+from thalweg.accuracy import number_text
 from thalweg.core import InputError
 from thalweg.figures.page import Page
 from thalweg.figures.style import note_of
@@ -60,7 +61,10 @@ def front_page(
             page.table(pd.DataFrame(lacking, columns=["not made", "needs"]), "What more logs would add.")
     if summary is not None:
         page.section("Figures of the survey")
-        page.table(summary[["quantity", "value", "unit"]], "The most important figures.")
+        shown = summary[["quantity", "value", "unit"]].assign(
+            value=summary["value"].map(number_text), unit=summary["unit"].replace("1", "")
+        )
+        page.table(shown, "The most important figures.")
     reasons = {path: note_of(path) for path in pictures if path.suffix == ".png"}
     page.section("Pictures")
     page.thumbnails(

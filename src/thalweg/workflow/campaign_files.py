@@ -618,6 +618,14 @@ class CampaignFiles:
         """True if a boat surveyed a river."""
         return not (self.campaign.is_basin or self.campaign.is_change or self.campaign.is_calibration)
 
+    def adjustment_facts(self) -> list[str]:
+        """Facts of the adjustment of photographs that are oriented here."""
+        return self._where(self.orients_images(), "orientation/adjustment.json")
+
+    def bed_validation(self) -> list[str]:
+        """How well the riverbed foretells what it did not see, where there is one."""
+        return self._where(self.has_bed(), "bathymetry/validation.json")
+
     def best_errors(self) -> str:
         """What the survey shows of the errors of the best trajectory."""
         return self._result(f"orientation/{'fused' if self.best_chain() == 'fused' else 'error_model'}.json")
