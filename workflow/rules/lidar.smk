@@ -105,3 +105,31 @@ use rule georeference_lidar as georeference_by_trajectory with:
         "logs/{campaign}/lidar/georeference_by_{chain}.log",
     benchmark:
         "benchmarks/{campaign}/lidar/georeference_by_{chain}.jsonl"
+
+
+rule colour_points:
+    """The cloud in the colours of the photographs that show it, without what hides behind something nearer."""
+    input:
+        points=of(CampaignFiles.best_points),
+        poses="results/{campaign}/orientation/image_poses_timed.parquet",
+        camera=of(CampaignFiles.adjusted_camera),
+        images=raw("time_lapse"),
+        masks=of(CampaignFiles.used_masks),
+    output:
+        coloured="results/{campaign}/lidar/coloured.laz",
+        counts="results/{campaign}/lidar/coloured.csv",
+    log:
+        "logs/{campaign}/lidar/colour_points.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/colour_points.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20, 120),
+    params:
+        code=code_version("colour_points"),
+        colour=section("colour"),
+    script:
+        "../scripts/colour_points.py"

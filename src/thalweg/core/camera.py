@@ -184,7 +184,10 @@ class Camera:
         back into it: directions beyond where its radius stops growing give NaN, too. A point outside the
         picture keeps its numbers; ask `inside`.
         """
-        return self.project_with_derivatives(points_ccs)[0]
+        points = np.atleast_2d(np.asarray(points_ccs, dtype=np.float64))
+        plane = _perspective if self.model == "perspective" else _fisheye
+        uv = plane(points, self.parameters[4:], derivatives=False)[0]
+        return np.asarray(uv * self.parameters[:2] + self.parameters[2:4])
 
     def inside(self, xy_px: ArrayF, margin_px: float = 0.0) -> ArrayF:
         """Whether pixels (n, 2) lie in the picture, at least a margin away from its edges."""
@@ -213,7 +216,11 @@ class Camera:
         return _perspective_rays(uv, self.parameters[4:])
 
 
-def _perspective(points: ArrayF, shape: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
+_NONE: Final = np.empty(0)
+"""Derivatives that nobody asked for."""
+
+
+def _perspective(points: ArrayF, shape: ArrayF, *, derivatives: bool = True) -> tuple[ArrayF, ArrayF, ArrayF]:
     k1, k2, p1, p2, k3 = shape
     z = np.where(points[:, 2] > 0, points[:, 2], np.nan)
     a, b = points[:, 0] / z, points[:, 1] / z
@@ -229,6 +236,8 @@ def _perspective(points: ArrayF, shape: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]
         ],
         axis=1,
     )
+    if not derivatives:
+        return uv, _NONE, _NONE
     by_ab = np.empty((len(a), 2, 2))
     by_ab[:, 0, 0] = radial + 2 * a * a * slope + 2 * p1 * b + 6 * p2 * a
     by_ab[:, 0, 1] = by_ab[:, 1, 0] = 2 * a * b * slope + 2 * p1 * a + 2 * p2 * b
@@ -246,7 +255,7 @@ def _perspective(points: ArrayF, shape: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]
     return uv, by_ab @ ab_by_point, by_shape
 
 
-def _fisheye(points: ArrayF, shape: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
+def _fisheye(points: ArrayF, shape: ArrayF, *, derivatives: bool = True) -> tuple[ArrayF, ArrayF, ArrayF]:
     x, y, z = points.T
     h2 = x * x + y * y
     h, r2 = np.sqrt(h2), h2 + z * z
@@ -261,6 +270,8 @@ def _fisheye(points: ArrayF, shape: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
     ahead = np.where(z > 0, z, np.nan)
     ratio = np.where(on_axis, 1.0 / ahead, d / safe_h)
     uv = np.stack([x * ratio, y * ratio], axis=1)
+    if not derivatives:
+        return uv, _NONE, _NONE
     # d ratio / dh at constant z, over h; and d ratio / dz
     with np.errstate(divide="ignore", invalid="ignore"):
         by_h = np.where(on_axis, 0.0, (slope * z / r2 - ratio) / np.where(on_axis, 1.0, h2))

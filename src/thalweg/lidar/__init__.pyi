@@ -10,6 +10,7 @@ from .cloud import (
     georeference_log as georeference_log,
     sample_cloud as sample_cloud,
 )
+from .colour import COLOUR_DIMENSIONS as COLOUR_DIMENSIONS, NoColour as NoColour, colour_cloud as colour_cloud
 from .filters import (
     MOST_COUNTED as MOST_COUNTED,
     REMOVED as REMOVED,

@@ -10,6 +10,7 @@ from thalweg.settings.sections import (
     Accuracy,
     Bathymetry,
     Calibration,
+    Colour,
     Deformation,
     EchoSounder,
     Epoch,
@@ -123,6 +124,7 @@ class Campaign(Section):
     georeferencing: Georeferencing = Field(
         default=Georeferencing(), description="Lidar points into the world"
     )
+    colour: Colour = Field(default=Colour(), description="Colours of the cloud from photographs")
     filters: Filters = Field(default=Filters(), description="Points that are left out of the cloud")
     reference: ReferenceSettings = Field(
         default=ReferenceSettings(), description="Reference cloud -> surface mesh"

@@ -618,6 +618,19 @@ class CampaignFiles:
         """True if a boat surveyed a river."""
         return not (self.campaign.is_basin or self.campaign.is_change or self.campaign.is_calibration)
 
+    def is_coloured(self) -> bool:
+        """True if one camera took photographs of the bank that a lidar scanned."""
+        return self.has_time_lapse() and self.has_lidar() and not self.interior_folders()
+
+    def adjusted_camera(self) -> str:
+        """The interior orientation that the poses of the images go with."""
+        ending = "_finished" if self.has_finished_orientations() else ""
+        return self._result(f"orientation/camera{ending}.yaml")
+
+    def used_masks(self) -> list[str]:
+        """The folder of the masks that orienting the images took, if they are oriented here."""
+        return self._where(self.orients_images(), "orientation/masks")
+
     def adjustment_facts(self) -> list[str]:
         """Facts of the adjustment of photographs that are oriented here."""
         return self._where(self.orients_images(), "orientation/adjustment.json")
@@ -761,6 +774,7 @@ class CampaignFiles:
         if self.has_time_lapse() and lidar:
             outputs += self.of_chains("lidar", "points.laz")[1:]
             outputs.append(self._result("accuracy/trajectories.html"))
+        outputs += self._where(self.is_coloured(), "lidar/coloured.laz")
         outputs += [*self.truth_statistics(), *self._where(self.is_twin(), "accuracy/filter_scores.csv")]
         compared = ("statistics.csv", "by_range.csv", "spatial.csv", "index.html")
         if self.has_reference():
@@ -792,6 +806,12 @@ class CampaignFiles:
                 self._result("lidar/points.laz"),
                 self.has_lidar(),
                 "logs.lidar, and logs.ins or logs.sbet",
+            ),
+            (
+                "cloud in the colours of photographs",
+                self._result("lidar/coloured.laz"),
+                self.is_coloured(),
+                "logs.time_lapse and logs.lidar",
             ),
             (
                 "accuracy against a reference",

@@ -48,6 +48,7 @@ from .images import (
 from .lidar import (
     WEAK_RANGE_M as WEAK_RANGE_M,
     WEAK_REFLECTIVITY as WEAK_REFLECTIVITY,
+    Colour as Colour,
     Figures as Figures,
     Filters as Filters,
     Georeferencing as Georeferencing,

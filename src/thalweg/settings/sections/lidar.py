@@ -200,6 +200,31 @@ class Georeferencing(Section):
     )
 
 
+class Colour(Section):
+    """The lidar cloud in the colours of photographs."""
+
+    window_s: Positive = Field(
+        default=30.0,
+        le=3600,
+        description="Photographs so long before or after a point may colour it, seconds",
+    )
+    max_range_m: Positive = Field(
+        default=60.0, le=500, description="Photographs from farther away do not colour a point, metres"
+    )
+    views: int = Field(default=4, ge=1, le=16, description="Best photographs whose median is the colour")
+    cell_deg: Annotated[float, Field(ge=0.02, le=5, allow_inf_nan=False)] = Field(
+        default=0.3, description="Cells in which the nearest thing of a photograph is looked for, degrees"
+    )
+    step_m: NonNegative = Field(
+        default=0.15,
+        le=10,
+        description="Points so much farther than the nearest thing are not hidden, metres",
+    )
+    step_share: NonNegative = Field(
+        default=0.03, le=1, description="And this share of their range: surfaces are seen at a slant"
+    )
+
+
 class Figures(Section):
     """Pictures."""
 

@@ -1,0 +1,98 @@
+"""The bank in the colours of photographs, and which points have none."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from thalweg.core import ArrayF, CoverageError, Trajectory
+from thalweg.figures import count, new_figure
+from thalweg.figures.style import styled
+from thalweg.lidar import sample_cloud
+
+
+def draw_coloured_bank(
+    *, points: Path, counts: Path, trajectory: Path, max_points: int, title: str, twin: bool
+) -> Figure:
+    """Coloured cloud and its counts -> the bank seen from the boat."""
+    path = Trajectory.read(trajectory)
+    cloud = sample_cloud(points, max_points)
+    colours = sample_colours(points, max_points)
+    return coloured_bank(
+        cloud["xyz_m"],
+        colours,
+        cloud["n_views"],
+        path.position_wcs_m[path.valid],
+        pd.read_csv(counts),
+        title=f"Bank in the colours of photographs: {title}",
+        twin=twin,
+    )
+
+
+def sample_colours(points: Path, max_points: int) -> ArrayF:
+    """Colours (n, 3), 0 to 1, of the points of `sample_cloud`."""
+    return sample_cloud(points, max_points)["rgb"].astype(np.float64) / 65535
+
+
+@styled
+def coloured_bank(
+    xyz_m: ArrayF,
+    rgb: ArrayF,
+    n_views: ArrayF,
+    track_m: ArrayF,
+    counts: pd.DataFrame,
+    *,
+    title: str,
+    twin: bool,
+) -> Figure:
+    """The bank as the boat passes it: along its way and upward, in colour and by the number of views.
+
+    Parameters
+    ----------
+    xyz_m, rgb, n_views : (n, 3), (n, 3) from 0 to 1, (n,) of the points.
+    track_m : (k, 3) of the boat.
+    counts : columns words, n of `thalweg.lidar.colour_cloud`.
+    title : first words of the title.
+    twin : true if the digital twin made the data.
+
+    Raises
+    ------
+    CoverageError : no point has a colour.
+    """
+    has = n_views > 0
+    if not has.any():
+        raise CoverageError("no point has a colour", expected="photographs that show the cloud")
+    middle = track_m.mean(axis=0)
+    axis = np.linalg.svd(track_m[:, :2] - middle[:2], full_matrices=False)[2][0]
+    axis = axis if (track_m[-1, :2] - track_m[0, :2]) @ axis > 0 else -axis
+    along = (xyz_m[:, :2] - middle[:2]) @ axis
+    across = (xyz_m[:, :2] - middle[:2]) @ np.array([-axis[1], axis[0]])
+    # the side that the camera saw more of; far points first, so that near ones cover them
+    side = 1.0 if np.sum(across[has] > 0) >= np.sum(across[has] < 0) else -1.0
+    mine = np.flatnonzero(across * side > 0)
+    mine = mine[np.argsort(-np.abs(across[mine]), kind="stable")]
+    low, high = np.quantile(along[mine][has[mine]], [0.01, 0.99])
+    top = np.quantile(xyz_m[mine, 2][has[mine]], 0.999) + 0.5
+    bottom = np.quantile(xyz_m[mine, 2][has[mine]], 0.001) - 0.3
+    figure = new_figure(
+        110.0, f"{title}, n = {count(int(has.sum()))} coloured points of {count(len(has))} drawn", twin=twin
+    )
+    above, below, text = figure.subplots(3, 1, height_ratios=[1.0, 1.0, 0.45])
+    for ax in (above, below):
+        ax.set_xlim((high, low) if side > 0 else (low, high))
+        ax.set_ylim(bottom, top)
+        ax.set_aspect("equal", adjustable="box")
+        ax.set_ylabel("up / m")
+    seen = mine[has[mine]]
+    above.scatter(along[seen], xyz_m[seen, 2], c=rgb[seen], s=0.6, linewidths=0, rasterized=True)
+    above.set_facecolor("white")
+    shown = below.scatter(
+        along[mine], xyz_m[mine, 2], c=n_views[mine], s=0.6, linewidths=0, cmap="cividis", rasterized=True
+    )
+    figure.colorbar(shown, ax=below, label="photographs")
+    below.set_xlabel("along the boat's way / m (local frame), seen from the boat")
+    text.axis("off")
+    lines = [f"{count(n)}  {words}" for n, words in zip(counts["n"].tolist(), counts["words"], strict=True)]
+    text.text(0.0, 1.0, "All points of the cloud:\n" + "\n".join(lines), va="top", fontsize=8)
+    return figure
