@@ -122,6 +122,7 @@ PROCESSED = (
     "timing/time_report.txt",
     "lidar/points_map.laz",
     "lidar/removed.parquet",
+    "lidar/coloured.laz",
     "accuracy/statistics.csv",
     "accuracy/chains.csv",
     "ingest/reference.laz",

@@ -59,7 +59,13 @@ OF_BED = {
 }
 """Pictures of the riverbed."""
 
-OF_IMAGES = {"plot_mask_view", "plot_image_positions", "plot_frames_by_image", "plot_pose_sigmas"}
+OF_IMAGES = {
+    "plot_mask_view",
+    "plot_image_positions",
+    "plot_frames_by_image",
+    "plot_pose_sigmas",
+    "plot_coloured_bank",
+}
 """Pictures of the images and of what they give."""
 
 
@@ -92,6 +98,7 @@ def test_everything_promised_is_there(tiny_house) -> None:
     for name in (
         "lidar/points.laz",
         "lidar/points_map.laz",
+        "lidar/coloured.laz",
         "timing/streams.csv",
         "summary.csv",
         "index.html",
@@ -265,6 +272,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "compare_chains_with_truth",
     }
     after_fusion = {
+        "colour_points",
         "locate_soundings",
         "trace_river",
         "krige_bed",

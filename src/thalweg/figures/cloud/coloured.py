@@ -7,8 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF, CoverageError, Trajectory
-from thalweg.figures import count, new_figure
-from thalweg.figures.style import styled
+from thalweg.figures import count, new_figure, styled
 from thalweg.lidar import sample_cloud
 
 
@@ -90,7 +89,7 @@ def coloured_bank(
     shown = below.scatter(
         along[mine], xyz_m[mine, 2], c=n_views[mine], s=0.6, linewidths=0, cmap="cividis", rasterized=True
     )
-    figure.colorbar(shown, ax=below, label="photographs")
+    figure.colorbar(shown, ax=[above, below], label="photographs", shrink=0.5)
     below.set_xlabel("along the boat's way / m (local frame), seen from the boat")
     text.axis("off")
     lines = [f"{count(n)}  {words}" for n, words in zip(counts["n"].tolist(), counts["words"], strict=True)]

@@ -1,0 +1,169 @@
+"""A red board before a blue one, seen by three cameras: every colour and every hidden point is known."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame
+from thalweg.core.camera import Camera
+from thalweg.core.las import read_laz
+from thalweg.images.model import ImagePoses
+from thalweg.lidar import COLOUR_DIMENSIONS, colour_cloud
+from thalweg.lidar.cloud import EXTRA_DIMENSIONS
+from thalweg.settings.sections import Colour
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=200.0)
+WIDTH, HEIGHT, FOCAL = 320, 240, 300.0
+CAMERA = Camera(
+    model="perspective",
+    size_px=(WIDTH, HEIGHT),
+    parameters=np.array([FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, 0, 0, 0, 0, 0]),
+    cov=np.zeros((9, 9)),
+)
+RED, BLUE = (200, 40, 40), (40, 40, 200)
+PLACES_M = (-0.6, 0.0, 0.6)
+START_S = 1e9
+NAMES = tuple(f"image_{k}.png" for k in range(len(PLACES_M)))
+
+
+def in_front(xy: np.ndarray) -> np.ndarray:
+    """Whether places (n, 2) in the plane of the red board, 3 m off, lie on it."""
+    return np.all(np.abs(xy) <= 0.4, axis=1)
+
+
+def boards() -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) on both boards, the blue one 5 m off, and which are red."""
+    near = np.stack(np.meshgrid(*[np.arange(-0.39, 0.4, 0.02)] * 2), axis=-1).reshape(-1, 2)
+    far = np.stack(np.meshgrid(*[np.arange(-1.4, 1.4, 0.02)] * 2), axis=-1).reshape(-1, 2)
+    depth = np.repeat([3.0, 5.0], [len(near), len(far)])
+    return np.column_stack([np.vstack([near, far]), depth]), np.arange(len(depth)) < len(near)
+
+
+def visible(xyz: np.ndarray) -> np.ndarray:
+    """Points of the blue board that some camera sees past the red one."""
+    seen = np.zeros(len(xyz), dtype=bool)
+    for place in PLACES_M:
+        ray = (xyz - [place, 0.0, 0.0])[:, :2] / xyz[:, 2:]
+        inside = (np.abs(ray[:, 0]) < WIDTH / 2 / FOCAL) & (np.abs(ray[:, 1]) < HEIGHT / 2 / FOCAL)
+        seen |= inside & ~in_front(np.array([place, 0.0]) + 3.0 * ray)
+    return seen
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Photographs by casting the ray of each pixel, and the cloud of both boards."""
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH] + 0.5
+    rays = np.stack([(x.ravel() - WIDTH / 2) / FOCAL, (y.ravel() - HEIGHT / 2) / FOCAL], axis=1)
+    for name, place in zip(NAMES, PLACES_M, strict=True):
+        colour = np.where(in_front(np.array([place, 0.0]) + 3.0 * rays)[:, None], RED, BLUE)
+        Image.fromarray(colour.astype(np.uint8).reshape(HEIGHT, WIDTH, 3)).save(tmp_path / name)
+    xyz, _ = boards()
+    n = len(xyz)
+    extra = {name: np.full(n, 0.01) for name in EXTRA_DIMENSIONS} | {"ring": np.arange(n) % 16}
+    with LazWriter(tmp_path / "points.laz", FRAME, extra_dimensions=EXTRA_DIMENSIONS) as writer:
+        writer.append(
+            xyz,
+            t_gps_s=START_S + np.linspace(0, 2, n),
+            intensity=np.arange(n, dtype=np.uint16),
+            return_number=np.ones(n, np.uint8),
+            number_of_returns=np.ones(n, np.uint8),
+            extra=extra,
+        )
+    return tmp_path
+
+
+def poses(frame: LocalFrame = FRAME) -> ImagePoses:
+    """Poses of the photographs; the axes of the world are those of the cameras."""
+    n = len(PLACES_M)
+    return ImagePoses(
+        frame=frame,
+        images=NAMES,
+        t_gps_s=START_S + np.arange(n),
+        sigma_t_s=np.zeros(n),
+        oriented=np.ones(n, dtype=bool),
+        reasons=("",) * n,
+        centre_wcs_m=np.column_stack([PLACES_M, np.zeros((n, 2))]),
+        R_wcs_ccs=np.tile(np.eye(3), (n, 1, 1)),
+        cov_pose_wcs=np.tile(1e-6 * np.eye(6), (n, 1, 1)),
+        cov_next=np.zeros((n, 6, 6)),
+        n_marks=np.full(n, 100.0),
+        rms_px=np.full(n, 0.3),
+    )
+
+
+def coloured(folder: Path, *, occlusion: bool = True, **settings: float) -> tuple[dict, pd.Series]:
+    """The coloured cloud, and how many points have which reason."""
+    images = {name: folder / name for name in NAMES}
+    masks = {path.name.removesuffix(".mask"): path for path in folder.glob("*.mask")}
+    how = Colour.model_validate(settings)
+    out = folder / "coloured.laz"
+    counts = colour_cloud(
+        folder / "points.laz", out, poses(), images, masks, CAMERA, how, occlusion=occlusion
+    )
+    return read_laz(out)[0], counts.set_index("reason")["n"]
+
+
+def test_points_behind_others_take_no_colour_from_them(folder: Path) -> None:
+    """Two-sided: with the test hardly any wrong colour and nearly all that is seen; without, many wrong."""
+    xyz, red = boards()
+    cloud, counts = coloured(folder)
+    rgb, has = cloud["rgb"].astype(float) / 257, cloud["n_views"] > 0
+    wrong = (rgb[:, 0] > rgb[:, 2]) & ~red & has
+    assert wrong.sum() / (has & ~red).sum() <= 0.01
+    assert has[~red & visible(xyz)].mean() >= 0.97
+    assert has[red].all()
+    assert np.median(np.abs(rgb[red] - RED)) <= 1.0
+    assert np.median(np.abs(rgb[~red & has] - BLUE)) <= 1.0
+    assert counts["hidden"] > 100
+    blind, _ = coloured(folder, occlusion=False)
+    wrong = (blind["rgb"][:, 0] > blind["rgb"][:, 2]) & ~red & (blind["n_views"] > 0)
+    assert wrong.sum() / (~red).sum() > 0.05
+
+
+def test_everything_else_of_the_cloud_stays(folder: Path) -> None:
+    before, _ = read_laz(folder / "points.laz")
+    cloud, counts = coloured(folder)
+    for name, values in before.items():
+        assert np.array_equal(cloud[name], values), name
+    assert set(cloud) - set(before) == {"rgb", *COLOUR_DIMENSIONS}
+    assert counts.sum() == len(before["t_gps_s"])
+    none = cloud["n_views"] == 0
+    assert (cloud["rgb"][none] // 256 == 128).all()
+    assert (cloud["image"][none] == -1).all()
+    assert np.isnan(cloud["age_s"][none]).all()
+    k = np.flatnonzero(~none)
+    assert cloud["age_s"][k] == pytest.approx(START_S + cloud["image"][k] - cloud["t_gps_s"][k], abs=1e-3)
+
+
+def test_masks_time_and_distance_leave_points_out_with_their_reason(folder: Path) -> None:
+    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    mask[: HEIGHT // 2] = 0
+    for name in NAMES:
+        Image.fromarray(mask).save(folder / f"{name}.mask", format="png")
+    xyz, _ = boards()
+    cloud, counts = coloured(folder)
+    upper = (xyz[:, 1] < -0.05) & (np.abs(xyz[:, 0]) < 0.3)
+    assert (cloud["n_views"][upper] == 0).all()
+    assert counts["masked"] > 1000
+    _, near = coloured(folder, max_range_m=4.0)
+    assert near["not_shown"] >= 19_000  # the blue board
+    _, late = coloured(folder, window_s=1e-4)
+    assert late["not_shown"] > 0.99 * late.sum()
+
+
+def test_what_cannot_be_used_is_refused(folder: Path) -> None:
+    (folder / NAMES[1]).write_bytes((folder / NAMES[1]).read_bytes()[:200])
+    with pytest.raises(InputError, match=r"image_1\.png: no picture"):
+        coloured(folder)
+    Image.new("RGB", (100, 80)).save(folder / NAMES[1])
+    with pytest.raises(InputError, match="a picture of 100 x 80 pixels; expected 320 x 240"):
+        coloured(folder)
+    elsewhere = poses(LocalFrame(lat_deg=50.0, lon_deg=13.25, h_ell_m=200.0))
+    with pytest.raises(InputError, match="a cloud in the frame"):
+        colour_cloud(folder / "points.laz", folder / "x.laz", elsewhere, {}, {}, CAMERA, Colour())
+    with pytest.raises(CoverageError, match="none of 3 images has a pose, a time and a file"):
+        colour_cloud(folder / "points.laz", folder / "x.laz", poses(), {}, {}, CAMERA, Colour())
+    assert not (folder / "x.laz").exists()
