@@ -21,7 +21,17 @@ import numpy as np
 import pandas as pd
 from scipy.ndimage import minimum_filter
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, CoverageError, InputError, LazWriter, iter_laz, laz_header
+from thalweg.core import (
+    AnyArray,
+    ArrayB,
+    ArrayF,
+    Camera,
+    CoverageError,
+    InputError,
+    LazWriter,
+    iter_laz,
+    laz_header,
+)
 from thalweg.images.model import ImagePoses, at_pixels
 from thalweg.lidar.cloud import CORRELATION_DIMENSIONS, EXTRA_DIMENSIONS
 from thalweg.settings.sections import Colour
