@@ -148,6 +148,10 @@ def test_masks_time_and_distance_leave_points_out_with_their_reason(folder: Path
     upper = (xyz[:, 1] < -0.05) & (np.abs(xyz[:, 0]) < 0.3)
     assert (cloud["n_views"][upper] == 0).all()
     assert counts["masked"] > 1000
+    (folder / f"{NAMES[2]}.mask").write_bytes(b"no picture")
+    with pytest.raises(InputError, match=r"image_2\.png\.mask: no mask"):
+        coloured(folder)
+    (folder / f"{NAMES[2]}.mask").unlink()
     _, near = coloured(folder, max_range_m=4.0)
     assert near["not_shown"] >= 19_000  # the blue board
     _, late = coloured(folder, window_s=1e-4)

@@ -77,7 +77,7 @@ class View:
     t_gps_s : time of exposure.
     centre_m, R_wcs_ccs : (3,), (3, 3) pose.
     sigma_m : standard deviation of its centre, the largest of the axes.
-    path, mask : the photograph, and (h, w) where it may be used.
+    path, mask : the photograph, and where it may be used; None: everywhere.
     nearest_m : (rows, columns) least range of the cloud in cells of the picture; infinite: nothing.
     """
 
@@ -87,7 +87,7 @@ class View:
     R_wcs_ccs: ArrayF
     sigma_m: float
     path: Path
-    mask: ArrayB
+    mask: Path | None
     nearest_m: ArrayF
 
 
@@ -107,17 +107,11 @@ def views_of(
     ------
     CoverageError : no image has pose, time and file.
     """
-    from PIL import Image
-
     shape = (-(-camera.size_px[1] // cell_px), -(-camera.size_px[0] // cell_px))
     found = []
     for k, name in enumerate(poses.images):
         if not (poses.oriented[k] and np.isfinite(poses.t_gps_s[k]) and name in images):
             continue
-        mask = np.ones((1, 1), dtype=np.bool_)
-        if name in masks:
-            with Image.open(masks[name]) as picture:
-                mask = np.asarray(picture.convert("L")) > 0
         found.append(
             View(
                 number=k,
@@ -126,7 +120,7 @@ def views_of(
                 R_wcs_ccs=poses.R_wcs_ccs[k],
                 sigma_m=float(np.sqrt(np.diag(poses.cov_pose_wcs[k])[:3].max())),
                 path=images[name],
-                mask=mask,
+                mask=masks.get(name),
                 nearest_m=np.full(shape, np.inf),
             )
         )
@@ -151,6 +145,13 @@ def seen_by(view: View, camera: Camera, xyz_m: ArrayF, max_range_m: float) -> tu
     inside &= np.asarray(camera.inside(pixels), dtype=np.bool_)
     # a pixel on the very edge belongs to the picture
     return near[inside], np.minimum(pixels[inside], np.nextafter(camera.size_px, 0.0)), r[inside]
+
+
+def _near(views: list[View], xyz_m: ArrayF, max_range_m: float) -> list[View]:
+    """Views that may show some of the points (n, 3), by the box about these."""
+    low, high = xyz_m.min(axis=0), xyz_m.max(axis=0)
+    away = [np.maximum(np.maximum(low - view.centre_m, view.centre_m - high), 0.0) for view in views]
+    return [view for view, d in zip(views, away, strict=True) if d @ d < max_range_m**2]
 
 
 def _widest(camera: Camera) -> float:
@@ -204,7 +205,7 @@ def colour_cloud(
     views = views_of(poses, images, masks, camera, cell_px)
     if occlusion:
         for chunk in iter_laz(points):
-            for view in views:
+            for view in _near(views, chunk["xyz_m"], settings.max_range_m):
                 _, pixels, r = seen_by(view, camera, chunk["xyz_m"], settings.max_range_m)
                 cell = (pixels // cell_px).astype(np.int64)
                 np.minimum.at(view.nearest_m, (cell[:, 1], cell[:, 0]), r)
@@ -262,6 +263,24 @@ def _picture(path: Path, size_px: tuple[int, int]) -> AnyArray:
     return picture
 
 
+def _mask(path: Path) -> ArrayB:
+    """Where a photograph may be used (h, w), of whatever scale.
+
+    Raises
+    ------
+    InputError : the mask cannot be read.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path) as file:
+            return np.asarray(file.convert("L")) > 0
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"no mask ({error})", expected="a whole PNG, 0 where not to be used", where=path
+        ) from error
+
+
 def _coloured(
     chunk: Mapping[str, AnyArray], views: list[View], camera: Camera, cell_px: int, settings: Colour
 ) -> dict[str, AnyArray]:
@@ -275,15 +294,16 @@ def _coloured(
     age = np.full((n, k), np.nan, dtype=np.float32)
     shown, usable = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     first, last = float(t.min()), float(t.max())
-    for view in views:
+    for view in _near(views, xyz, settings.max_range_m):
         if view.t_gps_s < first - settings.window_s or view.t_gps_s > last + settings.window_s:
             continue
         row, pixels, r = seen_by(view, camera, xyz, settings.max_range_m)
         of_time = np.abs(t[row] - view.t_gps_s) <= settings.window_s
         row, pixels, r = row[of_time], pixels[of_time], r[of_time]
         shown[row] = True
-        good = at_pixels(view.mask, pixels[:, 0], pixels[:, 1], camera.size_px)
-        row, pixels, r = row[good], pixels[good], r[good]
+        if view.mask is not None:
+            good = at_pixels(_mask(view.mask), pixels[:, 0], pixels[:, 1], camera.size_px)
+            row, pixels, r = row[good], pixels[good], r[good]
         usable[row] = True
         cell = (pixels // cell_px).astype(np.int64)
         uncertain = np.hypot(own_sigma[row], view.sigma_m)
