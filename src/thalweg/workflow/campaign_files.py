@@ -619,8 +619,12 @@ class CampaignFiles:
         return not (self.campaign.is_basin or self.campaign.is_change or self.campaign.is_calibration)
 
     def is_coloured(self) -> bool:
-        """True if one camera took photographs of the bank that a lidar scanned."""
-        return self.has_time_lapse() and self.has_lidar() and not self.interior_folders()
+        """True if one camera of known interior orientation took photographs of the bank that a lidar scanned.
+
+        Orientations from other programs may state none.
+        """
+        known = self.orients_images() or bool(self.calibrated_interior())
+        return self.has_time_lapse() and self.has_lidar() and known and not self.interior_folders()
 
     def adjusted_camera(self) -> str:
         """The interior orientation that the poses of the images go with."""
@@ -811,7 +815,7 @@ class CampaignFiles:
                 "cloud in the colours of photographs",
                 self._result("lidar/coloured.laz"),
                 self.is_coloured(),
-                "logs.time_lapse and logs.lidar",
+                "logs.time_lapse with an interior orientation, and logs.lidar",
             ),
             (
                 "accuracy against a reference",
