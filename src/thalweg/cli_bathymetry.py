@@ -1,11 +1,11 @@
-"""The commands ``thalweg bed``, ``flow`` and ``plan-survey``: riverbeds from soundings of anybody's."""
+"""The commands ``thalweg bed``, ``flow``, ``plan-survey`` and ``refract``: riverbeds of anybody's data."""
 
 import argparse
 from pathlib import Path
 
 
 def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``bed``, ``flow`` and ``plan-survey``."""
+    """Add ``bed``, ``flow``, ``plan-survey`` and ``refract``."""
     bed = commands.add_parser(
         "bed", help="riverbed with standard deviations from a table of soundings, kriged in flow coordinates"
     )
@@ -116,6 +116,32 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
     plan.add_argument("--battery", type=_positive, metavar="WH", help="energy of one battery")
     plan.set_defaults(command=_plan)
 
+    refract = commands.add_parser(
+        "refract", help="photogrammetric points of a bed seen through water -> corrected heights with sigmas"
+    )
+    refract.add_argument("points", type=Path, metavar="CSV", help="x, y, z, or east, north, height")
+    refract.add_argument(
+        "--cameras", type=Path, required=True, metavar="CSV", help="projection centres x, y, z, same frame"
+    )
+    level = refract.add_mutually_exclusive_group(required=True)
+    level.add_argument("--level", type=float, metavar="M", help="height of the water's surface")
+    level.add_argument("--water", metavar="COLUMN", help="column with the water's height above each point")
+    refract.add_argument(
+        "--height", metavar="COLUMN", help="column with heights, where it is not z or height"
+    )
+    refract.add_argument("--index", type=float, default=1.333, help="refractive index (default: %(default)s)")
+    refract.add_argument("--sigma-point", type=float, default=0.0, metavar="M", help="of an apparent height")
+    refract.add_argument("--sigma-water", type=float, default=0.0, metavar="M", help="of the water's height")
+    refract.add_argument(
+        "--max-off-nadir",
+        type=float,
+        default=35.0,
+        metavar="DEG",
+        help="cameras that look less steeply are left out (default: %(default)s)",
+    )
+    refract.add_argument("-o", "--out", type=Path, required=True, metavar="CSV")
+    refract.set_defaults(command=_refract)
+
 
 def _positive(text: str) -> float:
     try:
@@ -125,6 +151,34 @@ def _positive(text: str) -> float:
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r}; expected a number above zero")
     return value
+
+
+def _refract(options: argparse.Namespace) -> int:
+    from thalweg.bathymetry import correct_refraction, read_columns
+
+    points, water = read_columns(options.points, height=options.height, water=options.water)
+    table = correct_refraction(
+        points,
+        water if options.level is None else options.level,
+        read_columns(options.cameras)[0],
+        index=options.index,
+        sigma_point_m=options.sigma_point,
+        sigma_water_m=options.sigma_water,
+        max_off_nadir_deg=options.max_off_nadir,
+    )
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    table.to_csv(options.out, index=False, float_format="%.4f")
+    for state, n in table["state"].value_counts().items():
+        print(f"{n:>12,} {state}")
+    wet = table[table["depth_m"].notna()]
+    if len(wet):
+        print(
+            f"depth {wet['apparent_depth_m'].mean():.3f} m -> {wet['depth_m'].mean():.3f} m in the mean, "
+            f"factor {wet['factor'].mean():.3f}, "
+            f"sigma of the height {wet['sigma_height_m'].median():.3f} m (median)"
+        )
+    print(f"Wrote {options.out}")
+    return 0
 
 
 def _bed(options: argparse.Namespace) -> int:

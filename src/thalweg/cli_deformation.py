@@ -1,11 +1,11 @@
-"""The command ``thalweg compare-clouds``: what changed between two clouds or surface models of anybody's."""
+"""The commands ``thalweg compare-clouds`` and ``compare``: clouds and surfaces of anybody's."""
 
 import argparse
 from pathlib import Path
 
 
 def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``compare-clouds``."""
+    """Add ``compare-clouds`` and ``compare``."""
     compare = commands.add_parser(
         "compare-clouds",
         help="distances between two clouds along normals (M3C2) with limits and significance, or "
@@ -112,6 +112,46 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
     )
     compare.set_defaults(command=_compare)
 
+    surface = commands.add_parser(
+        "compare", help="signed distances of a cloud from a reference, mesh or cloud, with their statistics"
+    )
+    surface.add_argument("cloud", type=Path, metavar="CLOUD", help="LAS, LAZ, PLY, E57, x y z text")
+    surface.add_argument("reference", type=Path, metavar="REFERENCE", help="mesh (PLY), or a cloud, meshed")
+    surface.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="FILE", help=".csv, .parquet, .laz; .json beside it"
+    )
+    surface.add_argument(
+        "--seen-from",
+        type=_place,
+        metavar="E,N,U",
+        help="place in front of the reference, where distances are positive (default: from above)",
+    )
+    surface.add_argument(
+        "--max-distance", type=_length, default=1.0, metavar="M", help="default: %(default)s"
+    )
+    surface.add_argument(
+        "--sigma-reference", type=_length, default=0.005, metavar="M", help="default: %(default)s"
+    )
+    surface.add_argument("--method", choices=("delaunay", "poisson"), default="delaunay", help="of meshing")
+    surface.add_argument(
+        "--cell", type=_length, default=0.05, metavar="M", help="of thinning (default: %(default)s)"
+    )
+    surface.add_argument(
+        "--longest-edge",
+        type=_length,
+        default=0.5,
+        metavar="M",
+        help="longer ones are holes (default: %(default)s)",
+    )
+    surface.add_argument(
+        "--clearance",
+        type=_length,
+        default=0.3,
+        metavar="M",
+        help="reference points farther in front of the ground are plants; 0: all stay (default: %(default)s)",
+    )
+    surface.set_defaults(command=_compare_with_surface)
+
 
 def _numbers(text: str) -> tuple[float, ...]:
     try:
@@ -159,6 +199,13 @@ def _length(text: str) -> float:
     if len(values) != 1 or not 0 <= values[0] < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r}; expected one length in metres")
     return values[0]
+
+
+def _place(text: str) -> tuple[float, float, float]:
+    values = _numbers(text)
+    if len(values) != 3:
+        raise argparse.ArgumentTypeError(f"{text!r}; expected a place such as 412000,5651000,150")
+    return (values[0], values[1], values[2])
 
 
 def _direction(text: str) -> tuple[float, float, float]:
@@ -251,6 +298,51 @@ def _compare_clouds(options: argparse.Namespace) -> int:
     for note in notes:
         print(f"note: {note}")
     print(f"Wrote {options.out}")
+    return 0
+
+
+def _compare_with_surface(options: argparse.Namespace) -> int:
+    import json
+
+    from thalweg.core import ConfigError
+    from thalweg.deformation import DISTANCES, compare_with_surface, write_changes
+    from thalweg.settings.sections import ReferenceSettings
+
+    try:
+        settings = ReferenceSettings(
+            sigma_m=options.sigma_reference,
+            method=options.method,
+            cell_m=options.cell,
+            longest_edge_m=options.longest_edge,
+            isolated_radius_m=max(options.longest_edge, 0.02),
+            clearance_m=options.clearance or None,
+        )
+    except ValueError as error:
+        raise ConfigError(
+            f"settings of the mesh: {error}", expected="lengths within their limits", where="thalweg compare"
+        ) from error
+    table, frame, facts, notes = compare_with_surface(
+        options.cloud,
+        options.reference,
+        settings,
+        seen_from_m=options.seen_from,
+        max_distance_m=options.max_distance,
+    )
+    write_changes(options.out, table, frame, DISTANCES)
+    facts |= {"cloud": str(options.cloud), "reference": str(options.reference), "notes": notes}
+    beside = options.out.with_suffix(".json")
+    beside.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+    for words, n in facts["counts"].items():
+        print(f"{n:>12,} {words.replace('_', ' ')}")
+    for name in ("all", "without_outliers"):
+        one = facts[name]
+        print(
+            f"{name.replace('_', ' ')}: mean {one['bias_m']:+.4f} m, std {one['std_m']:.4f} m, RMSE "
+            f"{one['rmse_m']:.4f} m, median {one['median_m']:+.4f} m, NMAD {one['nmad_m']:.4f} m, "
+            f"95 % within {one['p95_m']:.4f} m"
+        )
+    print("\n".join(f"note: {note}" for note in notes))
+    print(f"Wrote {options.out}, {beside}")
     return 0
 
 

@@ -50,6 +50,7 @@ from .statistics import (
     chi_square_band as chi_square_band,
     describe_errors as describe_errors,
     honesty_in_words as honesty_in_words,
+    outlier_limits as outlier_limits,
     range_class as range_class,
 )
 from .summary import (

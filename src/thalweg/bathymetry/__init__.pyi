@@ -52,6 +52,7 @@ from .tables import (
     read_places as read_places,
     read_soundings as read_soundings,
 )
+from .through_water import correct_refraction as correct_refraction, read_columns as read_columns
 from .validation import measures as measures, validate_bed as validate_bed
 from .variogram import (
     DRIFTS as DRIFTS,

@@ -16,7 +16,12 @@ from .coregistration import (
 )
 from .epochs import Epoch as Epoch, check_order as check_order, prepare_epoch as prepare_epoch
 from .field import ErrorField as ErrorField, benjamini_hochberg as benjamini_hochberg
-from .foreign import compare_clouds as compare_clouds, write_changes as write_changes
+from .foreign import (
+    DISTANCES as DISTANCES,
+    compare_clouds as compare_clouds,
+    compare_with_surface as compare_with_surface,
+    write_changes as write_changes,
+)
 from .series import SERIES as SERIES, closure as closure, find_jumps as find_jumps, fit_series as fit_series
 from .shapes import Shapes as Shapes, read_shapes as read_shapes
 from .surfaces import (

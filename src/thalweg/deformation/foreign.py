@@ -1,23 +1,52 @@
-"""Clouds of others compared: files in, table of changes out, with the errors that their makers state."""
+"""Clouds of others compared, with each other or with a surface: files in, tables out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from pyproj import CRS
 
-from thalweg.core import ArrayF, Frame, InputError, LazWriter, LocalFrame, write_table
+from thalweg.accuracy import describe_errors, outlier_limits
+from thalweg.core import (
+    ArrayF,
+    CoverageError,
+    Frame,
+    InputError,
+    LazWriter,
+    LocalFrame,
+    column,
+    table_kind,
+    write_table,
+)
+from thalweg.core.geometry import TriangleMesh
 from thalweg.deformation.compare import CHANGES, Comparison, judge_changes, measure_distances
 from thalweg.deformation.m3c2 import ColumnIndex
 from thalweg.ingest.clouds import read_cloud
+from thalweg.settings.sections import ReferenceSettings
+from thalweg.surface import Surface, mesh_reference, read_triangles
 
 TEXT = {".xyz", ".txt", ".csv", ".asc", ".pts"}
 """Suffixes of tables of points: x, y, z in the first three columns, a head of any number of lines."""
 TABLES = {".csv", ".parquet", ".laz"}
 """Suffixes of results."""
+DISTANCES: Final = table_kind(
+    "cloud_to_surface",
+    1,
+    [
+        column("east_m", pa.float64(), "m", "point, first coordinate of its frame"),
+        column("north_m", pa.float64(), "m", "point, second coordinate"),
+        column("up_m", pa.float64(), "m", "point, height"),
+        column("distance_m", pa.float64(), "m", "signed distance, positive in front of the reference"),
+        column("sigma_reference_m", pa.float64(), "m", "of the reference: its noise and its registration"),
+        column("at_border", pa.bool_(), "1", "the nearest place lies on the border of the mesh"),
+        column("used", pa.bool_(), "1", "compared: near enough, and not beside the border"),
+        column("outlier", pa.bool_(), "1", "used, and outside the outlier rule"),
+    ],
+)
 _MUCH_DENSER = 20.0
 
 
@@ -183,8 +212,97 @@ def _same(a: Frame, b: Frame) -> bool:
     return bool(a.equals(b, ignore_axis_order=True)) if a is not None else b is None
 
 
-def write_changes(path: Path, table: pd.DataFrame, frame: Frame) -> None:
-    """Write a table `CHANGES` as CSV, Parquet or LAZ (core points with the columns as extra dimensions).
+def compare_with_surface(
+    cloud: Path,
+    reference: Path,
+    settings: ReferenceSettings,
+    *,
+    seen_from_m: tuple[float, float, float] | None = None,
+    max_distance_m: float = 1.0,
+    outlier_nmads: float = 3.0,
+) -> tuple[pd.DataFrame, Frame, dict[str, Any], list[str]]:
+    """Signed distances of a cloud's points from a reference surface (cloud to mesh; P2 section 6.2).
+
+    Parameters
+    ----------
+    cloud : LAS, LAZ, PLY, E57, x y z text.
+    reference : a mesh (PLY with faces), or a cloud, which is meshed.
+    settings : how a cloud is meshed; its ``sigma_m`` joins that of the surface's own noise.
+    seen_from_m : place in the common frame from which the reference is seen: its front, where distances are
+        positive; None: from above. A mesh has its front by itself.
+    max_distance_m : points that are farther from the surface are not compared.
+    outlier_nmads : limits of outliers about the median, in NMAD.
+
+    Returns
+    -------
+    table : kind `DISTANCES`, a row a point of the cloud.
+    frame : of both files.
+    facts : ``counts`` of what became of the points, statistics ``all`` and ``without_outliers`` (see
+        `describe_errors`), ``mesh`` facts of a meshed reference.
+    notes : sentences for the reader.
+
+    Raises
+    ------
+    InputError : files that cannot be read, or that state different frames.
+    GeometryError : the reference is no surface, or lies kilometres away.
+    CoverageError : no point is near enough.
+    """
+    points = read_points(cloud)
+    triangles = read_triangles(reference)
+    vertices = read_points(reference) if triangles is None else Points(triangles[0], None, reference)
+    frame, notes = one_frame([points, vertices])
+    origin = np.round(np.median(vertices.xyz_m, axis=0))  # large coordinates would cost digits
+    facts: dict[str, Any] = {}
+    if triangles is None:
+        above = vertices.xyz_m.mean(axis=0) - origin + [0.0, 0.0, np.ptp(vertices.xyz_m[:, :2]) / 1e3 + 50.0]
+        seen = above if seen_from_m is None else np.asarray(seen_from_m) - origin
+        mesh, facts["mesh"] = mesh_reference(
+            vertices.xyz_m - origin, track_m=np.atleast_2d(seen), settings=settings
+        )
+        notes += facts["mesh"]["notes"]
+    else:
+        corners, faces = triangles
+        mesh = TriangleMesh(vertices_m=corners - origin, faces=faces, sigma_m=np.zeros(len(corners)))
+    found = Surface(mesh).distances(points.xyz_m - origin)
+    distance = found.distance_m
+    far = np.abs(distance) > max_distance_m
+    used = ~far & ~found.at_border
+    if not used.any():
+        raise CoverageError(
+            f"none of {len(distance):,} points: {far.sum():,} are farther than {max_distance_m:g} m from the "
+            f"reference (nearest {np.abs(distance).min():.2f} m), the others lie beside its border",
+            expected="a cloud and a reference of one place",
+            where=cloud,
+            cure="Compare their coordinates and height systems, or raise --max-distance",
+        )
+    low, high = outlier_limits(distance[used], outlier_nmads)
+    outlier = used & ((distance < low) | (distance > high))
+    table = pd.DataFrame(
+        {
+            **{name: points.xyz_m[:, k] for k, name in enumerate(("east_m", "north_m", "up_m"))},
+            "distance_m": distance,
+            "sigma_reference_m": np.hypot(found.sigma_m, settings.sigma_m),
+            "at_border": found.at_border,
+            "used": used,
+            "outlier": outlier,
+        }
+    )
+    facts |= {
+        "counts": {
+            "points": len(table),
+            "too_far": int(far.sum()),
+            "at_border": int((found.at_border & ~far).sum()),
+            "compared": int(used.sum()),
+            "outliers": int(outlier.sum()),
+        },
+        "all": describe_errors(distance[used]),
+        "without_outliers": describe_errors(distance[used & ~outlier]),
+    }
+    return table, frame, facts, notes
+
+
+def write_changes(path: Path, table: pd.DataFrame, frame: Frame, kind: pa.Schema = CHANGES) -> None:
+    """Write a table of places, such as `CHANGES`, as CSV, Parquet or LAZ (columns as extra dimensions).
 
     Raises
     ------
@@ -197,11 +315,11 @@ def write_changes(path: Path, table: pd.DataFrame, frame: Frame) -> None:
     if path.suffix.lower() == ".csv":
         table.to_csv(path, index=False)
     elif path.suffix.lower() == ".parquet":
-        write_table(path, table, CHANGES)
+        write_table(path, table, kind)
     else:
         place = ["east_m", "north_m", "up_m"]
-        kept = [item for item in CHANGES if item.name not in {"core", "state", *place}]
-        extra = {item.name: ("u1" if item.name == "significant" else "f8", _unit(item)) for item in kept}
+        kept = [item for item in kind if item.name not in {"core", "state", *place}]
+        extra = {item.name: ("u1" if item.type == pa.bool_() else "f8", _unit(item)) for item in kept}
         with LazWriter(path, frame, extra_dimensions=extra) as writer:
             writer.append(table[place].to_numpy(), extra={name: table[name].to_numpy() for name in extra})
 

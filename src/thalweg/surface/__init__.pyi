@@ -1,6 +1,6 @@
 from .area import Area as Area
 from .cloud_to_mesh import Distances as Distances, Surface as Surface
-from .meshing import BankFrame as BankFrame
+from .meshing import BankFrame as BankFrame, read_triangles as read_triangles
 from .reference import (
     area_margin_m as area_margin_m,
     compare_files as compare_files,

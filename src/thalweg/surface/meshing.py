@@ -8,14 +8,15 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError
-from thalweg.core.geometry import _open3d
+from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, InputError
+from thalweg.core.geometry import _open3d, read_ply_header
 
 _LOG: Final = logging.getLogger("thalweg")
 _STREAMS: Final = (1, 2)
@@ -190,6 +191,31 @@ class PoissonSurface:
     counts: dict[str, int]
     depth: int
     resolution_m: float
+
+
+def read_triangles(path: Path) -> tuple[ArrayF, ArrayI] | None:
+    """Vertices (n, 3) and faces (m, 3) of a mesh of any program; None if the file is no PLY or has no faces.
+
+    Raises
+    ------
+    InputError : damaged, or faces of more than three corners.
+    """
+    with path.open("rb") as stream:
+        if stream.read(3) != b"ply":
+            return None
+    header = read_ply_header(path, cure="Export the mesh again as PLY")
+    if not any(e.name == "face" and e.count for e in header.elements):
+        return None
+    with _console_to_log():
+        mesh = _open3d().io.read_triangle_mesh(str(path))
+    vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.triangles, dtype=np.int64)
+    if not len(faces) or not np.isfinite(vertices).all():
+        raise InputError(
+            f"{len(vertices):,} vertices, {len(faces):,} triangles",
+            expected="a mesh of triangles, all corners finite",
+            where=path,
+        )
+    return vertices, faces
 
 
 def depth_for(points_m: ArrayF, cell_m: float) -> int:
