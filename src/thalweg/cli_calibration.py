@@ -64,6 +64,19 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     other.add_argument("--source", default="", help="of a matrix: frame of the sensor, such as scs")
     other.set_defaults(command=_import_calibration)
 
+    lens = commands.add_parser(
+        "calibrate-lens", help="corners of a checkerboard in many pictures -> calibration file of the lens"
+    )
+    lens.add_argument("corners", type=Path, metavar="CSV", help="image, column, row, x_px, y_px")
+    lens.add_argument("--size", type=_size, required=True, metavar="WxH", help="of the pictures, pixels")
+    lens.add_argument(
+        "--spacing-m", type=float, required=True, metavar="M", help="between neighbouring corners"
+    )
+    lens.add_argument("--model", choices=["perspective", "fisheye"], required=True)
+    lens.add_argument("--name", default="camera", help="of the camera (default: %(default)s)")
+    lens.add_argument("-o", "--out", type=Path, required=True, metavar="YAML")
+    lens.set_defaults(command=_calibrate_lens)
+
     camera = commands.add_parser(
         "import-camera", help="camera file of COLMAP, OpenCV or ROS -> calibration file"
     )
@@ -144,6 +157,44 @@ def _import_calibration(options: argparse.Namespace) -> int:
             cure="Use `thalweg import-camera`" if kind in _ENDINGS else "",
         )
     write_calibration(options.out, found)
+    print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
+    return 0
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
+        raise argparse.ArgumentTypeError(f"{text!r}; expected width x height such as 640x480")
+    return int(width), int(height)
+
+
+def _calibrate_lens(options: argparse.Namespace) -> int:
+    from thalweg.calibration import calibrate_lens, lens_calibration_file, read_corners
+    from thalweg.core.calibration import write_calibration
+
+    _not_there(options.out)
+    if not options.name.isidentifier():
+        raise InputError(f"a camera named {options.name!r}", expected="a name such as camera or front")
+    found = calibrate_lens(
+        read_corners(options.corners),
+        options.size,
+        spacing_m=options.spacing_m,
+        model=options.model,
+        name=options.name,
+    )
+    write_calibration(options.out, lens_calibration_file(found, run=options.corners.name))
+    sigmas = found.camera.cov.diagonal() ** 0.5
+    for name, value, sigma in zip(found.camera.parameter_names, found.camera.parameters, sigmas, strict=True):
+        print(f"{name:>4} {value:12.6g} +- {sigma:.2g}")
+    used = found.corners["used"]
+    print(
+        f"{used.sum():,} of {len(used):,} corners in {found.corners['image'].nunique()} pictures, rms "
+        f"{found.rms_px:.3f} px, up to {found.corners.loc[used, 'angle_deg'].max():.0f} degrees from the axis"
+    )
+    for picture, why in found.left_out.items():
+        print(f"left out: {picture}: {why}")
+    for corner in found.rejected:
+        print(f"rejected: {corner}")
     print(f"Wrote {options.out}. Look at it with: thalweg describe {options.out}")
     return 0
 

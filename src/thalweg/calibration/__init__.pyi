@@ -65,6 +65,12 @@ from .echo_sounder import (
     EchoSettings as EchoSettings,
     estimate_echo_sounder as estimate_echo_sounder,
 )
+from .lens import (
+    LensCalibration as LensCalibration,
+    calibrate_lens as calibrate_lens,
+    lens_calibration_file as lens_calibration_file,
+    read_corners as read_corners,
+)
 from .marker_sheets import (
     MARGIN_MODULES as MARGIN_MODULES,
     SADDLES_MODULES as SADDLES_MODULES,

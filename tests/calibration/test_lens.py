@@ -1,0 +1,128 @@
+"""Calibration of a lens from a checkerboard: on simulated boards, and on a real fisheye beyond 90 degrees."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from thalweg.calibration import calibrate_lens, camera_of, read_corners
+from thalweg.cli import main
+from thalweg.core import Camera, CoverageError, InputError
+from thalweg.core.calibration import read_calibration
+
+LENSES = {
+    "fisheye": Camera(
+        model="fisheye",
+        size_px=(800, 800),
+        parameters=np.array([240.0, 238.0, 405.0, 396.0, -0.03, 0.02, -0.006, 0.0003]),
+    ),
+    "perspective": Camera(
+        model="perspective",
+        size_px=(1600, 1200),
+        parameters=np.array([1250.0, 1246.0, 811.0, 590.0, -0.12, 0.08, 0.0006, -0.0004, -0.01]),
+    ),
+}
+SPACING_M, SIGMA_PX = 0.04, 0.12
+
+
+def boards(camera: Camera, seed: int, pictures: int = 14) -> pd.DataFrame:
+    """Corners of a board of 9 x 6, seen from all sides, with normal errors of `SIGMA_PX`."""
+    rng = np.random.default_rng(seed)
+    column, row = (a.ravel() for a in np.meshgrid(np.arange(9), np.arange(6)))
+    plane = SPACING_M * np.column_stack([column - 4.0, row - 2.5, 0.0 * row])
+    parts: list[pd.DataFrame] = []
+    while len(parts) < pictures:
+        direction = rng.uniform(-1, 1, 2) * (1.35 if camera.model == "fisheye" else 0.35)
+        turn = Rotation.from_euler("yx", direction) * Rotation.from_rotvec(rng.normal(0, 0.35, 3))
+        away = Rotation.from_euler("yx", direction).apply([0.0, 0.0, rng.uniform(0.25, 0.6)])
+        xy = camera.project(turn.apply(plane) + away) + rng.normal(0, SIGMA_PX, (len(plane), 2))
+        if ((xy > 0) & (xy < camera.size_px)).all():
+            name = f"{len(parts):02d}.png"
+            parts.append(
+                pd.DataFrame(
+                    {"image": name, "column": column, "row": row, "x_px": xy[:, 0], "y_px": xy[:, 1]}
+                )
+            )
+    return pd.concat(parts, ignore_index=True)
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_errors_of_the_lens_are_those_that_its_covariance_states(model: str) -> None:
+    true, squares = LENSES[model], []
+    for seed in range(10):
+        found = calibrate_lens(boards(true, seed), true.size_px, spacing_m=SPACING_M, model=true.model)
+        error = found.camera.parameters - true.parameters
+        squares.append(error @ np.linalg.solve(found.camera.cov, error))
+        assert found.sigma_px == pytest.approx(SIGMA_PX, rel=0.1)
+        assert not found.left_out
+    k = len(true.parameters) * len(squares)
+    low, high = chi2.ppf([0.001, 0.999], k)
+    assert low < np.sum(squares) < high
+
+
+def test_gross_errors_are_named_and_do_no_harm() -> None:
+    true = LENSES["fisheye"]
+    table = boards(true, 3)
+    table.loc[60, "x_px"] += 6.0
+    found = calibrate_lens(table, true.size_px, spacing_m=SPACING_M, model="fisheye")
+    row = table.loc[60]
+    assert any(
+        text.startswith(f"{row.image} column {row.column} row {row.row}: 6.") for text in found.rejected
+    )
+    assert len(found.rejected) <= 3
+    assert found.camera.parameters[:4] == pytest.approx(true.parameters[:4], abs=0.5)
+
+
+def test_a_real_lens_of_190_degrees(
+    data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ricoh Theta S, front: 23 pictures, three corners of one are false by 5, 6 and 15 px."""
+    corners = data_dir / "ricoh_theta_s" / "corners.csv"
+    words = ["calibrate-lens", str(corners), "--size", "640x640", "--spacing-m", "0.03", "--model", "fisheye"]
+    assert main([*words, "-o", str(tmp_path / "lens.yaml")]) == 0
+    out = capsys.readouterr().out
+    for column, size in ((5, "5.0"), (6, "5.9"), (7, "15.5")):
+        assert f"rejected: front0021.png column {column} row 0: {size} px" in out
+    file = read_calibration(tmp_path / "lens.yaml")
+    camera, facts = camera_of(file), file.find("camera_interior").facts
+    assert facts["rms_px"] < 0.15
+    assert len(facts["rejected"]) < 0.03 * 920
+    assert camera.parameters[:2] == pytest.approx([191.7, 190.2], abs=0.6)
+    assert camera.parameters[2:4] - 0.5 == pytest.approx([321.0, 319.2], abs=0.8)  # OpenCV's pixels
+    # published: extended unified model of Kalibr; radius over the angle
+    angle = np.deg2rad(np.arange(1.0, 81.0))
+    rho, z = np.sin(angle), np.cos(angle)
+    published = 190.18 * rho / (0.6507 * np.sqrt(1.0345 * rho**2 + z**2) + (1 - 0.6507) * z)
+    ours = camera.project(np.column_stack([rho, 0 * rho, z]))[:, 0] - camera.parameters[2]
+    assert np.abs(ours - published).max() < 1.0
+    edge, middle = (np.sqrt(spread_px(camera, degrees)) for degrees in (95.0, 45.0))
+    assert edge > 1.5 * middle  # few corners lie there, and the sigma says so
+
+
+def spread_px(camera: Camera, degrees: float) -> float:
+    """Variance of the radius (px^2) at an angle, from the covariance of the radial parameters."""
+    point = np.array([[np.sin(np.deg2rad(degrees)), 0.0, np.cos(np.deg2rad(degrees))]])
+    J = camera.project_with_derivatives(point)[2][0, 0].copy()
+    J[2] = 0.0
+    return float(J @ camera.cov @ J)
+
+
+def test_bad_tables_are_refused(tmp_path: Path) -> None:
+    true = LENSES["perspective"]
+    table = boards(true, 1, pictures=4)
+    with pytest.raises(CoverageError, match="2 usable pictures of 2"):
+        calibrate_lens(table[table.image < "02"], true.size_px, spacing_m=SPACING_M, model="perspective")
+    with pytest.raises(InputError, match="corners up to"):
+        calibrate_lens(table, (640, 480), spacing_m=SPACING_M, model="perspective")
+    with pytest.raises(InputError, match="spacing"):
+        calibrate_lens(table, true.size_px, spacing_m=0.0, model="perspective")
+    path = tmp_path / "c.csv"
+    pd.concat([table, table[:1]]).to_csv(path, index=False)
+    with pytest.raises(InputError, match=r"00\.png column 0 row 0 is listed twice"):
+        read_corners(path)
+    path.write_text("image,column,row,x_px\na,0,0,1\n")
+    with pytest.raises(InputError, match="no column y_px"):
+        read_corners(path)
