@@ -69,9 +69,9 @@ def test_gross_errors_are_named_and_do_no_harm() -> None:
     table.loc[60, "x_px"] += 6.0
     found = calibrate_lens(table, true.size_px, spacing_m=SPACING_M, model="fisheye")
     row = table.loc[60]
-    assert any(
-        text.startswith(f"{row.image} column {row.column} row {row.row}: 6.") for text in found.rejected
-    )
+    named = f"{row.image} column {row.column} row {row.row}: "
+    sizes = [float(text.removeprefix(named).split()[0]) for text in found.rejected if text.startswith(named)]
+    assert sizes == pytest.approx([6.0], abs=5 * SIGMA_PX)
     assert len(found.rejected) <= 3
     assert found.camera.parameters[:4] == pytest.approx(true.parameters[:4], abs=0.5)
 

@@ -2,8 +2,8 @@
 
 Start values need no guess: for each of a series of focal lengths the corners become rays, and each board's
 plane is found from ``d x (H [X, Y, 1]) = 0``, which holds for rays beyond 90 degrees as well; the focal
-length whose rays fit best starts the adjustment. The noise of the corners is estimated, gross errors are rejected by
-name.
+length whose rays fit best starts the adjustment. The noise of the corners is estimated, gross errors are
+rejected by name.
 """
 
 from collections.abc import Sequence
