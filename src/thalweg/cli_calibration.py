@@ -77,6 +77,28 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     lens.add_argument("-o", "--out", type=Path, required=True, metavar="YAML")
     lens.set_defaults(command=_calibrate_lens)
 
+    resect = commands.add_parser(
+        "resect", help="image points of control points -> pose of each picture of a camera, with sigmas"
+    )
+    resect.add_argument("marks", type=Path, metavar="CSV", help="image, point, x_px, y_px")
+    resect.add_argument("--points", type=Path, required=True, metavar="CSV", help="point, x, y, z in metres")
+    resect.add_argument(
+        "--camera", type=Path, required=True, metavar="FILE", help="calibration, COLMAP or OpenCV file"
+    )
+    resect.add_argument("--sigma-px", type=float, default=1.0, metavar="PX", help="default: %(default)s")
+    resect.add_argument(
+        "--sigma-point", type=float, default=0.01, metavar="M", help="of a control point (%(default)s)"
+    )
+    resect.add_argument(
+        "--largest-sigma",
+        type=float,
+        default=5.0,
+        metavar="M",
+        help="places that are known worse are refused (default: %(default)s)",
+    )
+    resect.add_argument("-o", "--out", type=Path, required=True, metavar="CSV")
+    resect.set_defaults(command=_resect)
+
     camera = commands.add_parser(
         "import-camera", help="camera file of COLMAP, OpenCV or ROS -> calibration file"
     )
@@ -166,6 +188,42 @@ def _size(text: str) -> tuple[int, int]:
     if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
         raise argparse.ArgumentTypeError(f"{text!r}; expected width x height such as 640x480")
     return int(width), int(height)
+
+
+def _resect(options: argparse.Namespace) -> int:
+    from thalweg.calibration import (
+        CONTROL_POINTS,
+        IMAGE_POINTS,
+        read_camera,
+        read_named_columns,
+        resect_series,
+    )
+
+    poses, residuals = resect_series(
+        read_camera(options.camera),
+        read_named_columns(options.marks, IMAGE_POINTS),
+        read_named_columns(options.points, CONTROL_POINTS),
+        sigma_px=options.sigma_px,
+        sigma_point_m=options.sigma_point,
+        largest_sigma_m=options.largest_sigma,
+    )
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    poses.to_csv(options.out, index=False)
+    beside = options.out.with_name(f"{options.out.stem}_residuals.csv")
+    residuals.to_csv(beside, index=False, float_format="%.3f")
+    for row in poses.to_dict("records"):
+        if row["refused"]:
+            print(f"{row['image']}: no pose: {row['refused']}")
+            continue
+        worst = max(row["sigma_x_m"], row["sigma_y_m"], row["sigma_z_m"])
+        print(
+            f"{row['image']}: {row['x_m']:.3f} {row['y_m']:.3f} {row['z_m']:.3f} m, sigma up to "
+            f"{worst:.3f} m, {row['points']} points, rms {row['rms_px']:.2f} px, sigma0 {row['sigma0']:.2f}"
+        )
+    refused = int((poses["refused"] != "").sum())
+    print(f"{len(poses) - refused} of {len(poses)} pictures have a pose")
+    print(f"Wrote {options.out}, {beside}")
+    return 0
 
 
 def _calibrate_lens(options: argparse.Namespace) -> int:

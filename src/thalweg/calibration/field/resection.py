@@ -101,6 +101,7 @@ def resect(
     sigma_factor: float = 1.0,
     where: str = "",
     explain: bool = True,
+    largest_sigma_m: float = _LARGEST_SIGMA_M,
 ) -> Resected:
     """Pose of a picture.
 
@@ -113,6 +114,7 @@ def resect(
     sigma_factor : what the stated sigmas of marks must be multiplied with, as the bundle adjustment found.
     where : name of the picture, for messages.
     explain : look for another reading of marks that fit no pose (in reverse order, mirrored).
+    largest_sigma_m : a place that is known worse is refused.
 
     Raises
     ------
@@ -122,7 +124,7 @@ def resect(
 
     def pose(read: pd.DataFrame) -> Resected:
         """The resection by marks that were read in some way."""
-        return _pose(camera, read, points, with_interior, sigma_factor, where)
+        return _pose(camera, read, points, with_interior, sigma_factor, where, largest_sigma_m)
 
     sigma0 = np.inf
     try:
@@ -157,6 +159,7 @@ def _pose(
     with_interior: bool,
     sigma_factor: float,
     where: str,
+    largest_sigma_m: float,
 ) -> Resected:
     """Pose of a picture, however well it fits, see `resect`."""
     index = points.index
@@ -199,10 +202,10 @@ def _pose(
     T, cov_marks, by_interior, by_points = _propagated(
         adjusted, camera.cov, points, at[used], sigma[used], loose
     )
-    if float(T.sigma_shift_m.max()) > _LARGEST_SIGMA_M:
+    if float(T.sigma_shift_m.max()) > largest_sigma_m:
         raise GeometryError(
             f"the pose has a sigma of {T.sigma_shift_m.max():.2f} m from {int(used.sum())} marks",
-            expected=f"at most {_LARGEST_SIGMA_M} m",
+            expected=f"at most {largest_sigma_m:g} m",
             where=where,
             cure="Record it again with markers spread over the whole picture",
         )

@@ -1,0 +1,101 @@
+"""Poses of a fixed camera from control points: simulated with known errors, and a glacier's time lapse."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from thalweg.calibration import IMAGE_POINTS, read_named_columns, resect_series
+from thalweg.cli import main
+from thalweg.core import Camera, InputError, write_opencv
+
+CAMERA = Camera(
+    model="perspective",
+    size_px=(4000, 3000),
+    parameters=np.array([3900.0, 3900.0, 2010.0, 1490.0, -0.08, 0.06, 0.0002, -0.0003, 0.0]),
+)
+
+
+def test_errors_of_places_are_those_that_the_sigmas_state() -> None:
+    """60 pictures with points far from the origin, normal errors of image points and of control points."""
+    rng = np.random.default_rng(11)
+    R = Rotation.from_euler("x", -100, degrees=True).as_matrix()  # looks north, slightly down
+    true_m, squares = np.array([500_000.0, 5_600_000.0, 320.0]), []
+    local = np.column_stack([rng.uniform(-25, 25, 9), rng.uniform(60, 120, 9), rng.uniform(-25, 5, 9)])
+    for seed in range(60):
+        moved = local + rng.normal(0, 0.02, local.shape)
+        xy = CAMERA.project(moved @ R) + rng.normal(0, 0.8, (9, 2))
+        names = [f"P{i}" for i in range(9)]
+        marks = pd.DataFrame({"image": f"{seed}", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
+        points = pd.DataFrame({"point": names, **dict(zip("xyz", (local + true_m).T, strict=True))})
+        poses, _ = resect_series(CAMERA, marks, points, sigma_px=0.8, sigma_point_m=0.02)
+        row = poses.iloc[0]
+        assert row.refused == ""
+        error = row[["x_m", "y_m", "z_m"]].to_numpy(float) - true_m
+        squares.append((error / row[["sigma_x_m", "sigma_y_m", "sigma_z_m"]].to_numpy(float)) ** 2)
+    low, high = chi2.ppf([0.001, 0.999], len(squares)) / len(squares)
+    assert (low < np.mean(squares, axis=0)).all()
+    assert (np.mean(squares, axis=0) < high).all()
+
+
+@pytest.mark.parametrize(
+    ("camera", "pictures", "centre_m", "within_m", "rms_px"),
+    [
+        ("cam1", "IMG_26", (151.65, 99.26, 91.48), 0.005, (0.64, 0.64)),
+        ("cam2", "IMG_11", (312.7, 300.4, 135.0), 0.25, (0.77, 1.39)),
+    ],
+)
+def test_a_glacier_camera(
+    camera: str,
+    pictures: str,
+    centre_m: tuple[float, float, float],
+    within_m: float,
+    rms_px: tuple[float, float],
+    data_dir: Path,
+    tmp_path: Path,
+) -> None:
+    """Four points in a picture give the published centre; three are refused."""
+    folder = data_dir / "icepy4d_belvedere" / "assets"
+    v = [float(word) for word in (folder / "calib" / f"{camera}.txt").read_text().split()]
+    parameters = [v[2], v[6], v[4] + 0.5, v[7] + 0.5, *v[11:16]]
+    size = (int(v[0]), int(v[1]))
+    write_opencv(
+        tmp_path / "camera.yaml", Camera(model="perspective", size_px=size, parameters=np.array(parameters))
+    )
+    world = pd.read_csv(folder / "targets" / "target_world.csv")
+    world.columns = ["point", "x", "y", "z"]
+    world.to_csv(tmp_path / "points.csv", index=False)
+    tables = [
+        pd.read_csv(p).assign(image=p.stem) for p in sorted((folder / "targets").glob(f"{pictures}*.csv"))
+    ]
+    marks = pd.concat(tables).rename(columns={"label": "point", "x": "x_px", "y": "y_px"})
+    marks.to_csv(tmp_path / "marks.csv", index=False)
+    words = ["resect", *(str(tmp_path / name) for name in ("marks.csv",)), "--sigma-px", "5"]
+    files = ["--points", str(tmp_path / "points.csv"), "--camera", str(tmp_path / "camera.yaml")]
+    assert main([*words, *files, "--sigma-point", "0.02", "-o", str(tmp_path / "poses.csv")]) == 0
+    poses = pd.read_csv(tmp_path / "poses.csv")
+    n = marks.groupby("image").size()
+    three = poses["image"].map(n) < 4
+    assert all(text.startswith("3 known marks") for text in poses.loc[three, "refused"])
+    assert poses.loc[~three, "refused"].isna().all()
+    for row in poses[~three].itertuples():
+        assert (row.x_m, row.y_m, row.z_m) == pytest.approx(centre_m, abs=within_m)
+    found = poses.loc[~three, "rms_px"]
+    assert (found.min(), found.max()) == pytest.approx(rms_px, abs=0.006)
+
+
+def test_bad_tables_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "marks.csv"
+    path.write_text("image,point,x_px,y_px\na,P1,1,2\na,P1,3,4\n")
+    with pytest.raises(InputError, match="row 3 has an empty field, or stands there twice"):
+        read_named_columns(path, IMAGE_POINTS)
+    path.write_text("image,point,x_px\na,P1,1\n")
+    with pytest.raises(InputError, match="no column y_px"):
+        read_named_columns(path, IMAGE_POINTS)
+    points = pd.DataFrame({"point": ["A"], "x": [0.0], "y": [0.0], "z": [0.0]})
+    marks = pd.DataFrame({"image": ["a"], "point": ["B"], "x_px": [1.0], "y_px": [1.0]})
+    with pytest.raises(InputError, match=r"none of the image points \(B\) is a control point"):
+        resect_series(CAMERA, marks, points)
