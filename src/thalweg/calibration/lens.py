@@ -230,7 +230,8 @@ def _adjusted(
     k, n = len(camera.parameters), len(xy)
     at = k + 6 * number[:, None] + np.arange(6)
 
-    def model(x: _State) -> Linear:
+    def residuals(x: _State) -> Linear:
+        """Corners less their images by the model, with derivatives."""
         turned = _in_camera(x, board, number) - x.t[number]
         seen, by_point, by_camera = camera.with_parameters(x.parameters).project_with_derivatives(
             turned + x.t[number]
@@ -246,6 +247,7 @@ def _adjusted(
         )
 
     def update(x: _State, dx: ArrayF) -> _State:
+        """Small changes put on the state: parameters, then rotation and shift of each board."""
         pose = dx[k:].reshape(-1, 6)
         turn = Rotation.from_rotvec(pose[:, :3]).as_matrix()
         return _State(x.parameters + dx[:k], turn @ x.R, x.t + pose[:, 3:])
@@ -255,7 +257,7 @@ def _adjusted(
         *(f"{axis} of board {i}" for i in range(len(start.t)) for axis in ("rx", "ry", "rz", "x", "y", "z")),
     ]
     return adjust(
-        [Observations("corners", model)],
+        [Observations("corners", residuals)],
         start,
         names,
         update=update,

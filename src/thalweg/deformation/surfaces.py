@@ -218,6 +218,7 @@ def read_dsm(path: Path, *, nodata: float | None = None) -> Dsm:
     masked: dict[str, int] = {}
 
     def mask(which: ArrayB, what: str) -> None:
+        """Make cells empty, and count the heights that this takes."""
         if n := int((which & np.isfinite(values)).sum()):
             masked[what] = n
             values[which] = np.nan
@@ -471,6 +472,7 @@ def difference_of_surfaces(
     limit = float(norm.isf(0.025)) * sigma
 
     def volume(part: str, cells: ArrayB, *, measured: bool = True) -> dict[str, object]:
+        """Row of the table: volume of a set of cells with its 95 % interval, or its area alone."""
         n, area = int(cells.sum()), float(cells.sum()) * before.cell_area_m2
         total = float(difference[cells].sum()) * before.cell_area_m2 if measured else np.nan
         variance = sum(volume_variance(cells, before.cell_m, each) for each in stated) if measured else np.nan

@@ -207,6 +207,7 @@ def layer_of_cloud(
     with np.errstate(invalid="ignore", divide="ignore"):
 
         def mean(values: ArrayF) -> ArrayF:
+            """Mean of the points of each cell."""
             return np.asarray(np.bincount(cell, weights=values, minlength=size) / n)
 
         first = mean(z)
@@ -384,6 +385,7 @@ def blend(layers: list[Layer], corner_m: ArrayF, cell_m: float, crs: CRS, *, ble
     share = np.divide(weight, total, out=np.zeros_like(weight), where=some)
 
     def mixed(name: str) -> ArrayF:
+        """A band of all layers, weighted by their shares in each cell."""
         return np.sum(
             [s * np.nan_to_num(getattr(x, name)) for s, x in zip(share, layers, strict=True)], axis=0
         )
@@ -405,6 +407,7 @@ def blend(layers: list[Layer], corner_m: ArrayF, cell_m: float, crs: CRS, *, ble
     sources = np.where(some, codes[share.argmax(axis=0)], int(Source.NONE)).astype(np.uint8)
 
     def where(values: ArrayF) -> ArrayF:
+        """Values where some layer has a height, else NaN."""
         return np.where(some, values, np.nan)
 
     return Dtm(

@@ -273,13 +273,16 @@ def write_selafin(path: Path, boundary: Path, mesh: RiverMesh, *, inflow: ArrayI
     size = [len(mesh.faces), len(mesh.nodes_m), 3, 1]
 
     def record(data: bytes) -> bytes:
+        """A Fortran record: its length before and after it."""
         mark = struct.pack(">i", len(data))
         return mark + data + mark
 
     def integers(values: Any) -> bytes:
+        """A record of 32-bit integers, big-endian."""
         return record(np.asarray(values, ">i4").tobytes())
 
     def numbers(values: Any) -> bytes:
+        """A record of 32-bit floats, big-endian."""
         return record(np.asarray(values, ">f4").tobytes())
 
     path.write_bytes(
