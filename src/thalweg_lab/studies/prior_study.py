@@ -254,10 +254,18 @@ def light_sheet(truth: Mapping[str, Any], seed: int) -> list[dict[str, Any]]:
     sensor = paper_4()
     sensor = sensor.with_vector(sensor.vector(), cov=np.zeros_like(sensor.cov))
     grid = grid_object()
-    phase = float(generator(seed, "phase").uniform(-7.0, 7.0))
-    drawn: dict[str, Any] = {"sigma_px": _SIGMA_PX, "sigma_edge_px": _EDGE_PX, **truth}
-    points = line_points(sensor, grid, seed, every=_ROWS, phase_mm=phase, **drawn).assign(sigma_px=_SIGMA_PX)
     how = CalibrationSettings(least_gap_px=6.0, sigma_edge_px=_EDGE_PX)
+    # what is held fixed, or known beforehand, errs by its sigma too: the covariance counts it
+    rng = generator(seed, "object")
+    drawn: dict[str, Any] = {
+        "sigma_px": _SIGMA_PX,
+        "sigma_edge_px": _EDGE_PX,
+        "phase_mm": float(generator(seed, "phase").uniform(-7.0, 7.0)),
+        "depths_mm": rng.multivariate_normal(grid.depths_mm, grid.cov_depths_mm2),
+        "edge_shift_px": float(rng.normal(0.0, how.sigma_edge_shift_px)),
+        **truth,
+    }
+    points = line_points(sensor, grid, seed, every=_ROWS, **drawn).assign(sigma_px=_SIGMA_PX)
     rows = []
     for model in MODELS:
         try:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from thalweg.core import read_parquet
 from thalweg_lab.studies import Batch, prior_study as navigation, prior_study as study, run_seeds
@@ -28,10 +29,19 @@ def test_variants_are_what_the_processing_does_not_know():
 
 def test_a_line_that_scatters_twice_as_much_is_noticed():
     wrong = study.CALIBRATION_VARIANTS["stated_half"].sheet
-    runs = [squares(study.light_sheet(wrong, seed), "sheet") for seed in (1, 2, 3)]
+    runs = [squares(study.light_sheet(wrong, seed), "sheet") for seed in range(1, 7)]
     presumed, estimated = (np.mean([run[model] for run in runs]) for model in study.MODELS)
-    # all sigmas twice as large; three surveys of five components leave the mean itself open by a half
-    assert presumed / estimated == pytest.approx(4.0, rel=0.3)
+    # six surveys of five components: 95 % of the means of consistent covariances
+    low, high = chi2.ppf([0.025, 0.975], 30) / 30
+    assert presumed > high
+    assert low < estimated < high
+
+
+def test_the_light_sheet_errs_by_everything_that_its_covariance_counts():
+    # depths of the levels and shift of the ends too: without them the mean is 0.4
+    rows = [squares(study.light_sheet({}, seed), "sheet")["presumed"] for seed in range(11, 23)]
+    low, high = chi2.ppf([0.025, 0.975], 60) / 60
+    assert low < np.mean(rows) < high
 
 
 def test_a_run_gives_a_row_for_each_model_and_quantity():
