@@ -168,7 +168,7 @@ PACKAGES = (
 )
 """Data flow down this list."""
 
-COMMANDS = ("cli_bathymetry", "cli_calibration", "cli_deformation", "cli_survey")
+COMMANDS = ("cli_bathymetry", "cli_calibration", "cli_deformation", "cli_images", "cli_survey")
 MAY_IMPORT = {
     **{name: set(PACKAGES[: i + 1]) for i, name in enumerate(PACKAGES)},
     "workflow": {"core", "settings", "workflow"},
@@ -311,6 +311,7 @@ UNREACHED = {
     "cli_bathymetry.py": "the command line",
     "cli_calibration.py": "the command line",
     "cli_deformation.py": "the command line",
+    "cli_images.py": "the command line",
     "cli_survey.py": "the command line",
     **dict.fromkeys(
         (

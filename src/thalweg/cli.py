@@ -17,6 +17,7 @@ import thalweg
 from thalweg.cli_bathymetry import add_bathymetry_commands
 from thalweg.cli_calibration import add_calibration_commands, describe_marked
 from thalweg.cli_deformation import add_deformation_commands, summarise_changes
+from thalweg.cli_images import add_image_commands
 from thalweg.cli_survey import add_survey_commands
 from thalweg.core import ConfigError, InputError, ThalwegError
 
@@ -117,6 +118,7 @@ def _parser() -> argparse.ArgumentParser:
     add_deformation_commands(commands)
     add_bathymetry_commands(commands)
     add_survey_commands(commands)
+    add_image_commands(commands)
 
     summary = commands.add_parser("summary", help="print the summary of a processed campaign")
     summary.add_argument("folder", type=Path, metavar="FOLDER", help="results/<campaign>")

@@ -1,5 +1,6 @@
 from .control import (
     COLUMNS as COLUMNS,
+    LOCAL as LOCAL,
     Loader as Loader,
     Measured as Measured,
     matched_marks as matched_marks,
@@ -8,3 +9,4 @@ from .control import (
     read_control_points as read_control_points,
     read_marks as read_marks,
 )
+from .photographs import PhotographBlock as PhotographBlock, orient_photographs as orient_photographs

@@ -36,6 +36,8 @@ from thalweg.images.model import (
 )
 from thalweg.settings.sections import ControlSettings
 
+LOCAL: Final = "local"
+"""In place of a CRS: coordinates x, y, z of a frame of the surveyor's own, in metres and right-handed."""
 _ROLES: Final = {
     "": False, "control": False, "control point": False, "gcp": False, "ground control point": False,
     "check": True, "check point": True, "checkpoint": True, "validation": True,
@@ -220,6 +222,46 @@ def read_all_control_points(
     return ControlPoints.joined(parts)
 
 
+def frame_about(paths: Sequence[Path], *, crs: str | None) -> LocalFrame:
+    """World frame with its origin amid control points; that of a local frame stands for no place.
+
+    Parameters
+    ----------
+    paths : tables as of `read_control_points`.
+    crs : of coordinates ``x, y, z``, or `LOCAL`.
+
+    Raises
+    ------
+    InputError, GeometryError : as there; or coordinates that state no place, as ``east_m, north_m, up_m``.
+    """
+    nowhere = LocalFrame(lat_deg=0.0, lon_deg=0.0, h_ell_m=0.0)
+    if crs == LOCAL:
+        return nowhere
+    places = []
+    for path in paths:
+        text, given = read_text(path), crs
+        if path.suffix.lower() == ".xml":
+            rows, given = metashape_points(path, text, crs)
+        elif is_gcp_list(text):
+            rows, given = gcp_points(path, text)
+        else:
+            rows = table_rows(path, text, ("id", *FORMS[0]))
+        form = next((f for f in FORMS[1:] if rows and all(name in rows[0] for name in f)), None)
+        if form is None:
+            continue
+        values = np.array([[number(row, name, path) for name in form] for row in rows])
+        places.append(world_of(values, form, crs_of(given, path) if form[0] == "x" else None, nowhere))
+    if not places:
+        raise InputError(
+            "control points without a place on the earth",
+            expected="columns x, y, z of a CRS, or lat_deg, lon_deg, h_ell_m",
+            where=paths[0],
+            cure=f"Name the columns x, y, z and give --crs EPSG:..., or --crs {LOCAL}",
+        )
+    lat, lon, h = nowhere.to_geodetic(np.median(np.concatenate(places), axis=0))
+    return LocalFrame(lat_deg=float(lat), lon_deg=float(lon), h_ell_m=float(h))
+
+
 def _is_check(row: dict[str, str], path: Path) -> bool:
     word = " ".join(row.get("role", "").lower().replace("_", " ").replace("-", " ").split())
     if word not in _ROLES:
@@ -383,6 +425,8 @@ def _coordinates(
     values = np.array([[number(row, name, path) for name in form] for row in rows])
     if form[0] != "east_m":
         values[:, 2] += height_offset_m
+    if form[0] == "x" and crs == LOCAL:
+        return values
     return near_world(values, form, crs_of(crs, path) if form[0] == "x" else None, frame, path, own=own)
 
 

@@ -34,6 +34,7 @@ from thalweg.figures import (
     SKY,
     VERMILION,
     WIDTH_MM,
+    Page,
     count,
     legend_below,
     marks_in_free_corners,
@@ -46,7 +47,8 @@ from thalweg.figures import (
 from thalweg.figures.accuracy import round_above
 from thalweg.figures.calibration import checked, filled
 from thalweg.figures.survey import map_extent, plain_numbers, sigma_norm
-from thalweg.images import read_control_points
+from thalweg.images import PhotographBlock, read_control_points
+from thalweg.images.bundle import pieces_tables
 from thalweg.images.model import ControlPoints, ImagePoses
 from thalweg.ingest.photos import Images, named_images
 
@@ -145,6 +147,7 @@ def image_positions(
     vectors = scale * _components(measured, "without_")[:, :2]
     starts = measured[["east_m", "north_m"]].to_numpy()
     _draw_names(plan, points, np.concatenate([starts + vectors / 2, starts + vectors]))
+    plan.ticklabel_format(style="plain", useOffset=False)
     plan.set_xlabel("east / m")
     plan.set_ylabel("north / m")
     plan.set_title(_words(points))
@@ -585,3 +588,64 @@ def draw_mask_view(*, images: list[Path], masks: Path, table: Path, title: str, 
     rows = pd.read_csv(table, keep_default_na=True).fillna({"note": ""})
     pictures = read_examples(example_names(rows), named_images(images), masks)
     return mask_view(rows, pictures, title=title, twin=twin)
+
+
+# ---------------------------------------------------------------- page of photographs oriented without a boat
+
+
+def orientation_page(block: PhotographBlock, *, title: str) -> Page:
+    """The page of photographs that were oriented by control points.
+
+    Parameters
+    ----------
+    block : of `thalweg.images.orient_photographs`.
+    title : heading.
+    """
+    found = block.found
+    facts, check = found.facts, found.facts["check_points"]
+    sigma = " / ".join(f"{v:.1f}" for v in facts["sigma_position_mm"].values())
+    lead = (
+        f"{facts['images']} of {plural(len(found.poses.images), 'photograph')} have a pose, with standard "
+        f"deviations of {sigma} mm (x / y / z, median). {count(facts['tie_points'])} tie points, "
+        f"{plural(facts['control_points'], 'control point')}, sigma0 {facts['sigma0']:.2f}. "
+    )
+    if check:
+        rmse, predicted = (
+            " / ".join(f"{v:.1f}" for v in check[k].values()) for k in ("rmse_mm", "predicted_mm")
+        )
+        lead += f"{plural(check['points'], 'check point')}: RMSE {rmse} mm, predicted {predicted} mm."
+    else:
+        lead += "No check point judges this; give some of the points the role check."
+    images, control = pieces_tables(found)
+    page = Page(title, lead).section("Places")
+    page.figure(
+        image_positions(found.poses, block.control, control, title=title),
+        "Projection centres, control and check points with residual vectors: adjusted minus surveyed, as if "
+        "the point's own coordinates had taken no part.",
+    )
+    off = [f"{s}without_{a}_mm" for a in ("east", "north", "up") for s in ("", "sigma_")]
+    shown = control[["point", "role", "images", "rms_px", *off, "normalised", "suspect", "reason"]]
+    names = {
+        f"{s}without_{a}_mm": f"{s}{b}"
+        for a, b in zip(("east", "north", "up"), "xyz", strict=True)
+        for s in ("", "sigma_")
+    }
+    page.section("Control and check points").table(
+        shown.rename(columns=names),
+        "Adjusted minus surveyed, without the point's own coordinates; normalised: its square over the "
+        "predicted one.",
+        dict.fromkeys(names.values(), "mm"),
+        digits=3,
+    )
+    page.section("Lens")
+    for name, parameters in facts["cameras"].items():
+        lens = pd.DataFrame(
+            [(key, p["value"], p["sigma"]) for key, p in parameters.items()],
+            columns=["parameter", "value", "sigma"],
+        )
+        page.table(lens, f"Interior orientation of {name}: focal lengths and principal point in pixels.")
+    page.section("Photographs").table(
+        images, "Each photograph: marks, residuals, standard deviations of its pose.", digits=3
+    )
+    page.section("Notes").lines(list(facts["notes"]) or ["none"])
+    return page

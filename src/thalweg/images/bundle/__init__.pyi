@@ -1,6 +1,7 @@
 from .adjustment import AdjustedBlock as AdjustedBlock, pose_covariance as pose_covariance
 from .job import (
     Boat as Boat,
+    Pieces as Pieces,
     adjust_campaign as adjust_campaign,
     adjust_pieces as adjust_pieces,
     grey_loader as grey_loader,

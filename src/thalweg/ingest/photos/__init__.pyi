@@ -2,6 +2,7 @@ from .exif import ImageHead as ImageHead, read_head as read_head
 from .files import (
     Images as Images,
     by_any_name as by_any_name,
+    find_images as find_images,
     list_images as list_images,
     named_images as named_images,
     natural_key as natural_key,

@@ -19,6 +19,9 @@ _MAKE, _MODEL, _FOCAL = 0x010F, 0x0110, 0x920A
 _SERIALS: Final = (0xA431, 0xC62F)
 """Serial number of the body: BodySerialNumber (EXIF 2.3), CameraSerialNumber (DNG)."""
 
+# Scanned aerial films and backs of 150 megapixels are photographs too; Pillow refuses from twice that on.
+Image.MAX_IMAGE_PIXELS = 250_000_000
+
 _TIMES: Final = (
     (_EXIF_IFD, 0x9003, 0x9291, 0x9011),  # DateTimeOriginal: when the shutter opened
     (_EXIF_IFD, 0x9004, 0x9292, 0x9012),  # DateTimeDigitized

@@ -1,0 +1,91 @@
+"""The command ``thalweg orient``: photographs and surveyed points, without a campaign."""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+
+def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add ``orient``."""
+    orient = commands.add_parser(
+        "orient",
+        help="photographs and control points -> poses with sigmas, lens, check points, tie points, page",
+        description="Structure from motion and one adjustment with control points inside. At least three "
+        "control points, each measured in two photographs; points of role 'check' judge the result.",
+    )
+    orient.add_argument("photographs", type=Path, nargs="+", metavar="PHOTO", help="folders or files")
+    orient.add_argument(
+        "--points",
+        type=Path,
+        nargs="+",
+        required=True,
+        metavar="FILE",
+        help="id, x, y, z (and sigmas, role) as CSV; XML of Metashape; gcp_list.txt",
+    )
+    orient.add_argument(
+        "--marks",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="image, point, x_px, y_px from the upper left corner as CSV; XML of Metashape; gcp_list.txt",
+    )
+    orient.add_argument(
+        "--crs", required=True, metavar="CRS", help="map grid of the points, as EPSG:25833; or local"
+    )
+    orient.add_argument(
+        "--camera", type=Path, metavar="FILE", help="calibration, COLMAP or OpenCV file (default: estimated)"
+    )
+    orient.add_argument(
+        "--interior",
+        choices=("auto", "free", "weighted", "fixed"),
+        default="auto",
+        help="auto: a camera with covariance is weighted by it, any other estimated; fixed: as given",
+    )
+    orient.add_argument("--masks", type=Path, metavar="FOLDER", help="black where nothing is to be used")
+    orient.add_argument(
+        "--sigma-points",
+        type=float,
+        nargs=3,
+        default=(0.010, 0.010, 0.015),
+        metavar=("X_M", "Y_M", "Z_M"),
+        help="of points that state none (default: 0.010 0.010 0.015)",
+    )
+    orient.add_argument(
+        "--sigma-px", type=float, default=0.5, metavar="PX", help="of marks that state none (%(default)s)"
+    )
+    orient.add_argument(
+        "--max-size", type=int, default=2000, metavar="PX", help="pictures are reduced to it (%(default)s)"
+    )
+    orient.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N")
+    orient.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    orient.set_defaults(command=_orient)
+
+
+def _orient(options: argparse.Namespace) -> int:
+    from thalweg.figures.images import orientation_page
+    from thalweg.images import orient_photographs
+    from thalweg.images.bundle import summary_text
+    from thalweg.ingest.photos import find_images
+    from thalweg.settings.sections import BlockAdjustment, ControlSettings, FeatureSettings
+
+    found = orient_photographs(
+        find_images(options.photographs).files,
+        control_points=options.points,
+        marks=options.marks,
+        crs=options.crs,
+        camera=options.camera,
+        masks=options.masks,
+        features=FeatureSettings(max_size_px=options.max_size),
+        adjustment=BlockAdjustment(interior=options.interior),
+        control=ControlSettings(sigma_m=tuple(options.sigma_points), sigma_px=options.sigma_px),
+        threads=options.threads,
+        progress=lambda line: print(f"... {line}", file=sys.stderr),
+    )
+    name = options.out.resolve().name
+    written = found.write(options.out, name=name)
+    page = options.out / "index.html"
+    orientation_page(found, title=f"Photographs of {name}").write(page)
+    print(summary_text(found.found.facts))
+    print(f"Wrote {', '.join(str(path) for path in [page, *written])}")
+    return 0

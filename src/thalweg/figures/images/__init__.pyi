@@ -1,0 +1,1 @@
+from .photographs import orientation_page as orientation_page

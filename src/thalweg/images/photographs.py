@@ -1,0 +1,227 @@
+"""Photographs and surveyed points, and nothing else: an oriented block with covariances, as files."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pyproj import CRS
+from scipy.spatial.transform import Rotation
+
+from thalweg.calibration import read_camera
+from thalweg.core import ArrayF, InputError, LocalFrame
+from thalweg.core.calibration import Source
+from thalweg.images.bundle import Pieces, adjust_pieces, interiors_of, pieces_tables, write_cameras
+from thalweg.images.control import LOCAL, crs_of, frame_about, read_all_control_points
+from thalweg.images.model import ControlPoints, ImagePoses
+from thalweg.images.sfm import (
+    Known,
+    block_facts,
+    extract_features,
+    image_table,
+    main_block,
+    map_images,
+    match_images,
+)
+from thalweg.ingest.photos import Images, named_images
+from thalweg.settings.sections import BlockAdjustment, ControlSettings, FeatureSettings, MappingSettings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotographBlock:
+    """An oriented block of photographs.
+
+    Parameters
+    ----------
+    found : adjusted pieces, poses of all images, facts.
+    control : surveyed points in the world frame.
+    crs : of the coordinates of all files, or `LOCAL`.
+    """
+
+    found: Pieces
+    control: ControlPoints
+    crs: str
+
+    def coordinates(self, points_wcs_m: ArrayF) -> ArrayF:
+        """Points (n, 3) of the world frame in the coordinates of the control points; NaN stays."""
+        known = np.isfinite(points_wcs_m).all(axis=1)
+        out = np.full(points_wcs_m.shape, np.nan)
+        if self.crs == LOCAL:
+            out[known] = points_wcs_m[known]
+        elif known.any():
+            out[known] = self.found.poses.frame.to_map(points_wcs_m[known], CRS.from_user_input(self.crs))
+        return out
+
+    def pose_table(self) -> pd.DataFrame:
+        """A row for each image.
+
+        Columns: ``image``, ``x_m, y_m, z_m`` of the projection centre, the quaternion ``qx, qy, qz, qw`` from
+        the camera's frame (right, down, into the picture) to local east, north, up (to x, y, z of a local
+        frame), ``sigma_x_m`` ... , ``sigma_rotation_x_deg`` ... about the axes of the world, ``rms_px``,
+        ``reason`` why there is no pose.
+        """
+        poses = self.found.poses
+        quaternion = np.full((len(poses.images), 4), np.nan)
+        quaternion[poses.oriented] = Rotation.from_matrix(poses.R_wcs_ccs[poses.oriented]).as_quat()
+        sigma = np.sqrt(np.diagonal(poses.cov_pose_wcs, axis1=1, axis2=2))
+        columns: dict[str, Any] = {"image": list(poses.images)}
+        columns |= dict(zip(("x_m", "y_m", "z_m"), self.coordinates(poses.centre_wcs_m).T, strict=True))
+        columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))
+        for k, axis in enumerate("xyz"):
+            columns[f"sigma_{axis}_m"] = sigma[:, k]
+        for k, axis in enumerate("xyz"):
+            columns[f"sigma_rotation_{axis}_deg"] = np.rad2deg(sigma[:, 3 + k])
+        return pd.DataFrame(columns | {"rms_px": poses.rms_px, "reason": list(poses.reasons)})
+
+    def point_table(self) -> pd.DataFrame:
+        """Tie points of all pieces: ``x_m, y_m, z_m``, ``images`` that show the point, ``piece``."""
+        tables = []
+        for k, piece in enumerate(self.found.oriented):
+            adjusted = piece.adjusted
+            marks = adjusted.problem.block.mark_point[adjusted.used]
+            shown = np.bincount(marks, minlength=len(adjusted.x.X))
+            rows = np.flatnonzero(shown >= 2)
+            xyz = self.coordinates(adjusted.x.X[rows] + adjusted.origin_m)
+            table = pd.DataFrame(xyz, columns=["x_m", "y_m", "z_m"])
+            tables.append(table.assign(images=shown[rows], piece=k))
+        return pd.concat(tables, ignore_index=True)
+
+    def write(self, folder: Path, *, name: str) -> list[Path]:
+        """Write poses, points, cameras, control points and facts into a folder.
+
+        Parameters
+        ----------
+        folder : made if it is not there.
+        name : of the survey, for the calibration file.
+
+        Returns
+        -------
+        paths : of ``image_poses.csv``, ``points.csv``, ``camera.yaml``, ``cameras.csv``,
+            ``control_points.csv``, ``images.csv``, ``orientation.json``.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        facts = self.found.facts
+        self.pose_table().to_csv(folder / "image_poses.csv", index=False, float_format="%.9g")
+        self.point_table().to_csv(folder / "points.csv", index=False, float_format="%.3f")
+        source = Source(
+            run=name,
+            method="block adjustment of photographs",
+            observations=facts["observations"],
+            sigma0=facts["sigma0"],
+        )
+        write_cameras(folder / "camera.yaml", folder / "cameras.csv", self.found.oriented, source)
+        images, control = pieces_tables(self.found)
+        images.to_csv(folder / "images.csv", index=False, float_format="%.6g")
+        control.to_csv(folder / "control_points.csv", index=False, float_format="%.6g")
+        stated = {"crs": self.crs, **facts}
+        (folder / "orientation.json").write_text(json.dumps(stated, indent=2) + "\n", encoding="utf-8")
+        return [
+            folder / f
+            for f in (
+                "image_poses.csv",
+                "points.csv",
+                "camera.yaml",
+                "cameras.csv",
+                "control_points.csv",
+                "images.csv",
+                "orientation.json",
+            )
+        ]
+
+
+def orient_photographs(
+    images: Images,
+    *,
+    control_points: Sequence[Path],
+    marks: Path,
+    crs: str,
+    camera: Path | None = None,
+    masks: Path | None = None,
+    features: FeatureSettings | None = None,
+    mapping: MappingSettings | None = None,
+    adjustment: BlockAdjustment | None = None,
+    control: ControlSettings | None = None,
+    threads: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> PhotographBlock:
+    """Orient photographs by points that were surveyed and measured in them, without a boat.
+
+    Parameters
+    ----------
+    images : photographs by name, or files and folders.
+    control_points : tables as of `read_control_points`.
+    marks : table of their image points, as of `read_marks`.
+    crs : of coordinates ``x, y, z``; `LOCAL` for a frame of the surveyor's own. Results are in it, too.
+    camera : calibration, COLMAP or OpenCV file of the interior orientation; None: it is estimated.
+    masks : folder of masks; see `extract_features`.
+    features, mapping, adjustment, control : sections of a campaign file; None: their defaults.
+    threads : of features and matches.
+    progress : called with a line of text for each step.
+
+    Raises
+    ------
+    InputError : photographs, points or marks that cannot be used, or no two photographs with common points.
+    GeometryError : fewer than three points that are measured in two photographs each, or points that do not
+        fit the photographs.
+    """
+    say = progress or (lambda line: None)
+    section = control or ControlSettings()
+    frame = frame_about(control_points, crs=crs)
+    if crs != LOCAL and not crs_of(crs, control_points[0]).is_projected:
+        raise InputError(
+            f"the CRS {crs}",
+            expected=f"a projected one, or {LOCAL}",
+            cure="Give the map grid in which results are wanted, such as EPSG:25833",
+        )
+    points = read_all_control_points(
+        control_points, frame, crs=crs, sigma_m=section.sigma_m, height_offset_m=section.height_offset_m
+    )
+    files = named_images(images)
+    say(f"features of {len(files)} photographs")
+    found = extract_features(files, masks=masks, settings=features, threads=threads)
+    known = Known(cameras=() if camera is None else (read_camera(camera),))
+    say("pairs of photographs")
+    matches = match_images(found, files, known=known, section=mapping, threads=threads)
+    say("structure from motion")
+    mapped = map_images(matches, settings=mapping, threads=threads)
+    table = image_table(matches, mapped)
+    why = {name: dict(zip(table["image"], table[name], strict=True)) for name in ("reason", "cause")}
+    main_block(mapped, why["reason"], why["cause"])
+    say("adjustment with control points")
+    pieces = adjust_pieces(
+        mapped.pieces,
+        _unknown_poses(frame, tuple(files)),
+        reasons=why["reason"],
+        frame=frame,
+        crs=crs,
+        adjustment=adjustment or BlockAdjustment(),
+        control=section,
+        control_points=control_points,
+        marks=marks,
+        known=interiors_of(mapped.pieces, known.cameras[0] if known.cameras else None, {}),
+        boat=None,
+    )
+    pieces.facts["structure_from_motion"] = block_facts(matches, mapped, table)
+    return PhotographBlock(found=pieces, control=points, crs=crs)
+
+
+def _unknown_poses(frame: LocalFrame, names: tuple[str, ...]) -> ImagePoses:
+    """Names of images of which nothing is known beforehand."""
+    n = len(names)
+    return ImagePoses(
+        frame=frame,
+        images=names,
+        t_gps_s=np.full(n, np.nan),
+        sigma_t_s=np.full(n, np.nan),
+        oriented=np.zeros(n, np.bool_),
+        reasons=("",) * n,
+        centre_wcs_m=np.full((n, 3), np.nan),
+        R_wcs_ccs=np.full((n, 3, 3), np.nan),
+        cov_pose_wcs=np.full((n, 6, 6), np.nan),
+        cov_next=np.full((n, 6, 6), np.nan),
+        n_marks=np.full(n, np.nan),
+        rms_px=np.full(n, np.nan),
+    )
