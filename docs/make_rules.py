@@ -37,6 +37,11 @@ def rules_of(path: Path) -> Iterator[tuple[str, str]]:
         yield name, " ".join((words or comment).split("\n\n")[0].split())
 
 
+def pages_of(path: Path) -> Iterator[tuple[str, str]]:
+    """Name of the rule of each page in the table of a rules file, and what it shows."""
+    yield from re.findall(r'(?m)^    "(\w+)": \{\n        "shows": "(.+)",$', path.read_text())
+
+
 def pictures_of(path: Path) -> Iterator[tuple[str, str]]:
     """Name of the rule of each picture in the table of figures, and what it shows."""
     for rows in yaml.safe_load(path.read_text(encoding="utf-8")).values():
@@ -57,6 +62,7 @@ def page(folder: Path) -> str:
         if not path.stem.startswith("common"):
             room = path.stem if path.stem in ROOMS else path.stem.split("_")[0]
             found[room] += rules_of(path)
+    found["figures"] += pages_of(folder / "figures_pages.smk")
     found["figures"] += pictures_of(folder.parent / "figures.yaml")
     for path in sorted((folder.parents[1] / "config/studies").glob("*.yaml")):
         entry = yaml.safe_load(path.read_text())

@@ -342,6 +342,9 @@ def test_code_versions_cover_the_library(repository: Path) -> None:
     for row in pictures:
         reached |= modules_behind(row.draw.split(":")[0]) if row.draw else set()
     modules = {m for m in package.rglob("*.py") if m.relative_to(package).parts[0] != "settings"}
+    for path in (repository / "workflow/rules").glob("*.smk"):
+        for called in re.findall(r'(?:calls\(|"write": )"([\w.]+):\w+"', path.read_text()):
+            reached |= modules_behind(called)
     for path in (repository / "config/studies").glob("*.yaml"):  # loaded by name
         entry = yaml.safe_load(path.read_text())
         reached |= modules_behind(entry["study"].split(":")[0]) if "study" in entry else set()

@@ -123,7 +123,7 @@ def test_a_target_builds_what_its_name_says(empty_house, target: str, last: str,
     assert len(asked.inputs) >= 3
 
 
-SHARED_SCRIPTS = {"detect_markers", "results_of_study", "simulate_field_images", "simulate_sheet_series"}
+SHARED_SCRIPTS = {"call", "detect_markers", "simulate_field_images"}
 
 
 def test_every_rule_has_its_script_log_and_code_version(repository) -> None:
@@ -131,14 +131,14 @@ def test_every_rule_has_its_script_log_and_code_version(repository) -> None:
     used: set[str] = set()
     for path in sorted((repository / "workflow/rules").glob("*.smk")):
         for text in re.split(r"(?m)^ *rule\b", path.read_text())[1:]:
-            # a rule without a name is that of all pictures, or of all studies
-            unnamed = {"figures": "plot", "studies": "results_of_study"}
-            name = text.split(":", 1)[0].strip() or unnamed[path.stem]
-            # A rule has the name of its script; rules that share one say what of it they do.
             script = re.search(r'"\.\./scripts/(\w+)\.py"', text)[1]
+            # a rule without a name is that of a table: of all pictures, pages or studies
+            name = text.split(":", 1)[0].strip() or script
+            # A rule has the name of its script; rules that share one say what of it they do.
             used.add(script)
             assert script == name or script in SHARED_SCRIPTS, name
-            assert re.search(rf'code=.*\b\w+_version\("{script}"', text), name
+            version = r"\*\*calls\(" if script == "call" else rf'code=.*\b\w+_version\("{script}"'
+            assert re.search(version, text), name
             for field in ("log:", "benchmark:", "threads:", "mem_mb=", "runtime=", "conda:"):
                 assert field in text, f"{name} has no {field}"
     assert used == scripts

@@ -123,38 +123,6 @@ rule summarise:
         "../scripts/summarise.py"
 
 
-rule accuracy_page:
-    """Everything that was found out about the accuracy of a cloud, on one page."""
-    input:
-        comparison="results/{campaign}/accuracy/cloud_to_mesh.parquet",
-        statistics="results/{campaign}/accuracy/statistics.csv",
-        by_range="results/{campaign}/accuracy/by_range.csv",
-        registration="results/{campaign}/accuracy/registration.json",
-        mesh_facts="results/{campaign}/surface/reference_mesh.json",
-        pictures=of_page("accuracy"),
-        truth=of(CampaignFiles.truth_statistics),
-        error_model="results/{campaign}/orientation/error_model.json",
-    output:
-        page="results/{campaign}/accuracy/index.html",
-    log:
-        "logs/{campaign}/accuracy/accuracy_page.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/accuracy_page.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(1500),
-        runtime=minutes(10),
-    params:
-        code=code_version("accuracy_page"),
-        captions=FIGURES.captions("accuracy"),
-        twin=of(CampaignFiles.is_twin),
-        campaign=identity("title"),
-    script:
-        "../scripts/accuracy_page.py"
-
-
 # The same comparison for the clouds by the camera and by all sensors.
 use rule compare_with_reference as compare_chain_with_reference with:
     input:

@@ -61,6 +61,11 @@ def identity(*keys):
     return of(CampaignFiles.identity, *keys)
 
 
+def calls(function):
+    """Params of a rule whose script is call.py: ``module:function`` that does the work, and its version."""
+    return {"code": code_version("call", function), "call": function}
+
+
 def raw(stream):
     """Input function: the raw files of one stream."""
     return of(CampaignFiles.logs, stream)

@@ -71,7 +71,7 @@ rule export_map:
     input:
         points="results/{campaign}/lidar/points.laz",
     output:
-        points_map="results/{campaign}/lidar/points_map.laz",
+        out="results/{campaign}/lidar/points_map.laz",
     log:
         "logs/{campaign}/lidar/export_map.log",
     benchmark:
@@ -83,10 +83,10 @@ rule export_map:
         mem_mb=memory(2000),
         runtime=minutes(10, 60),
     params:
-        code=code_version("export_map"),
-        campaign=identity("crs"),
+        **calls("thalweg.lidar.cloud:export_map"),
+        crs=section("campaign", "crs"),
     script:
-        "../scripts/export_map.py"
+        "../scripts/call.py"
 
 
 # The same points by the trajectory of the camera, or of all sensors.

@@ -27,7 +27,7 @@ rule simulate_scene:
 rule simulate_voyage:
     """True motion of the boat."""
     output:
-        voyage="results/{campaign}/simulation/truth/trajectory.parquet",
+        out_trajectory="results/{campaign}/simulation/truth/trajectory.parquet",
     log:
         "logs/{campaign}/simulation/simulate_voyage.log",
     benchmark:
@@ -39,11 +39,12 @@ rule simulate_voyage:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_voyage"),
-        campaign=identity("origin", "seed"),
-        twin=of(CampaignFiles.twin_parts, "scene", "boat"),
+        **calls("thalweg_lab.voyage.truth:simulate_voyage"),
+        config=of(CampaignFiles.twin_parts, "scene", "boat"),
+        seed=section("campaign", "seed"),
+        frame=section("campaign", "origin"),
     script:
-        "../scripts/simulate_voyage.py"
+        "../scripts/call.py"
 
 
 rule simulate_mounts:
@@ -216,8 +217,8 @@ rule simulate_bed_survey:
     input:
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
-        bed="results/{campaign}/simulation/logs/bed.csv",
-        effects="results/{campaign}/simulation/truth/bed_survey_effects.json",
+        out_bed="results/{campaign}/simulation/logs/bed.csv",
+        out_effects="results/{campaign}/simulation/truth/bed_survey_effects.json",
     log:
         "logs/{campaign}/simulation/simulate_bed_survey.log",
     benchmark:
@@ -229,11 +230,13 @@ rule simulate_bed_survey:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_bed_survey"),
-        campaign=identity("origin", "seed", "crs"),
-        twin=of(CampaignFiles.twin_parts, "scene", "boat", "echo"),
+        **calls("thalweg_lab.instruments.bed:simulate_bed_survey"),
+        config=of(CampaignFiles.twin_parts, "scene", "boat", "echo"),
+        seed=section("campaign", "seed"),
+        frame=section("campaign", "origin"),
+        crs=section("campaign", "crs"),
     script:
-        "../scripts/simulate_bed_survey.py"
+        "../scripts/call.py"
 
 
 rule simulate_tls:
@@ -241,12 +244,12 @@ rule simulate_tls:
     input:
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
-        scans=expand(
+        out_scans=expand(
             "results/{campaign}/simulation/logs/tls_{station}.laz",
             station=[1, 2, 3],
             allow_missing=True,
         ),
-        effects="results/{campaign}/simulation/truth/tls_effects.json",
+        out_effects="results/{campaign}/simulation/truth/tls_effects.json",
     log:
         "logs/{campaign}/simulation/simulate_tls.log",
     benchmark:
@@ -258,11 +261,13 @@ rule simulate_tls:
         mem_mb=memory(3000),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_tls"),
-        campaign=identity("origin", "seed", "crs"),
-        twin=of(CampaignFiles.twin_parts, "scene", "tls"),
+        **calls("thalweg_lab.instruments.tls:simulate_tls"),
+        config=of(CampaignFiles.twin_parts, "scene", "tls"),
+        seed=section("campaign", "seed"),
+        frame=section("campaign", "origin"),
+        crs=section("campaign", "crs"),
     script:
-        "../scripts/simulate_tls.py"
+        "../scripts/call.py"
 
 
 rule simulate_uav:
@@ -270,8 +275,8 @@ rule simulate_uav:
     input:
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
-        cloud="results/{campaign}/simulation/logs/uav.laz",
-        effects="results/{campaign}/simulation/truth/uav_effects.json",
+        out_cloud="results/{campaign}/simulation/logs/uav.laz",
+        out_effects="results/{campaign}/simulation/truth/uav_effects.json",
     log:
         "logs/{campaign}/simulation/simulate_uav.log",
     benchmark:
@@ -283,11 +288,13 @@ rule simulate_uav:
         mem_mb=memory(3000),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_uav"),
-        campaign=identity("origin", "seed", "crs"),
-        twin=of(CampaignFiles.twin_parts, "scene", "uav"),
+        **calls("thalweg_lab.instruments.uav:simulate_uav"),
+        config=of(CampaignFiles.twin_parts, "scene", "uav"),
+        seed=section("campaign", "seed"),
+        frame=section("campaign", "origin"),
+        crs=section("campaign", "crs"),
     script:
-        "../scripts/simulate_uav.py"
+        "../scripts/call.py"
 
 
 rule simulate_view:
@@ -295,8 +302,8 @@ rule simulate_view:
     input:
         scene="results/{campaign}/simulation/truth/scene.npz",
     output:
-        bank="results/{campaign}/simulation/pictures/view_bank.npz",
-        detail="results/{campaign}/simulation/pictures/view_detail.npz",
+        out_bank="results/{campaign}/simulation/pictures/view_bank.npz",
+        out_detail="results/{campaign}/simulation/pictures/view_detail.npz",
     log:
         "logs/{campaign}/simulation/simulate_view.log",
     benchmark:
@@ -308,8 +315,9 @@ rule simulate_view:
         mem_mb=memory(3000),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_view"),
-        campaign=identity("origin", "seed"),
-        twin=of(CampaignFiles.twin_parts, "scene", "boat", "lidar"),
+        **calls("thalweg_lab.river_images.view:simulate_view"),
+        config=of(CampaignFiles.twin_parts, "scene", "boat", "lidar"),
+        seed=section("campaign", "seed"),
+        frame=section("campaign", "origin"),
     script:
-        "../scripts/simulate_view.py"
+        "../scripts/call.py"

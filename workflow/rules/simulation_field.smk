@@ -4,9 +4,9 @@
 rule simulate_field:
     """Description of the calibration field as a user writes it, and the truth."""
     output:
-        field="results/{campaign}/simulation/logs/field.yaml",
-        field_truth="results/{campaign}/simulation/truth/field.json",
-        field_poses="results/{campaign}/simulation/truth/field_poses.parquet",
+        out_field="results/{campaign}/simulation/logs/field.yaml",
+        out_truth="results/{campaign}/simulation/truth/field.json",
+        out_poses="results/{campaign}/simulation/truth/field_poses.parquet",
     log:
         "logs/{campaign}/simulation/simulate_field.log",
     benchmark:
@@ -19,13 +19,12 @@ rule simulate_field:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_field"),
-        campaign=identity("origin", "seed"),
-        twin=of(
-            CampaignFiles.twin_parts,
-        ),
+        **calls("thalweg_lab.yard_records:simulate_field"),
+        config=of(CampaignFiles.twin_parts),
+        seed=section("campaign", "seed"),
+        frame=section("campaign", "origin"),
     script:
-        "../scripts/simulate_field.py"
+        "../scripts/call.py"
 
 
 rule simulate_positions:
@@ -139,8 +138,8 @@ rule simulate_run_images:
 rule simulate_display:
     """Photographs of a running clock."""
     output:
-        photos=directory("results/{campaign}/simulation/logs/display"),
-        truth="results/{campaign}/simulation/truth/display.parquet",
+        out_folder=directory("results/{campaign}/simulation/logs/display"),
+        out_truth="results/{campaign}/simulation/truth/display.parquet",
     log:
         "logs/{campaign}/simulation/simulate_display.log",
     benchmark:
@@ -153,11 +152,11 @@ rule simulate_display:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("simulate_display"),
-        campaign=identity("seed"),
-        twin=of(CampaignFiles.twin_parts, "camera"),
+        **calls("thalweg_lab.instruments.display_photos:simulate_display"),
+        config=of(CampaignFiles.twin_parts, "camera"),
+        seed=section("campaign", "seed"),
     script:
-        "../scripts/simulate_display.py"
+        "../scripts/call.py"
 
 
 rule simulate_synthetic_view:

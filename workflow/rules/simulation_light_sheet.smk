@@ -4,9 +4,9 @@
 rule simulate_sheet_station:
     """Design of the sensor, and marks that its camera sees through air (P4 4.3)."""
     output:
-        sensor="results/{campaign}/simulation/logs/light_sheet/sensor.yaml",
-        marks="results/{campaign}/simulation/logs/light_sheet/camera_marks.csv",
-        points="results/{campaign}/simulation/logs/light_sheet/mark_points.csv",
+        out_sensor="results/{campaign}/simulation/logs/light_sheet/sensor.yaml",
+        out_marks="results/{campaign}/simulation/logs/light_sheet/camera_marks.csv",
+        out_points="results/{campaign}/simulation/logs/light_sheet/mark_points.csv",
         covariance="results/{campaign}/simulation/logs/light_sheet/mark_points.npz",
     log:
         "logs/{campaign}/simulation/simulate_sheet_station.log",
@@ -19,18 +19,18 @@ rule simulate_sheet_station:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("simulate_sheet_station"),
-        campaign=identity("origin", "seed"),
+        **calls("thalweg_lab.tank.series:record_camera_station"),
         twin=of(CampaignFiles.twin_parts, "light_sheet"),
+        seed=section("campaign", "seed"),
     script:
-        "../scripts/simulate_sheet_station.py"
+        "../scripts/call.py"
 
 
 rule simulate_sheet_camera_field:
     """Marks of a marker field that the sensor's camera sees in air, and the field's scale bars (P3 2.4)."""
     output:
-        marks="results/{campaign}/simulation/logs/light_sheet/camera_field_marks.csv",
-        field="results/{campaign}/simulation/logs/light_sheet/camera_field.yaml",
+        out_marks="results/{campaign}/simulation/logs/light_sheet/camera_field_marks.csv",
+        out_field="results/{campaign}/simulation/logs/light_sheet/camera_field.yaml",
     log:
         "logs/{campaign}/simulation/simulate_sheet_camera_field.log",
     benchmark:
@@ -42,11 +42,11 @@ rule simulate_sheet_camera_field:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("simulate_sheet_camera_field"),
-        campaign=identity("origin", "seed"),
+        **calls("thalweg_lab.tank.camera_field:record_camera_field"),
         twin=of(CampaignFiles.twin_parts, "light_sheet"),
+        seed=section("campaign", "seed"),
     script:
-        "../scripts/simulate_sheet_camera_field.py"
+        "../scripts/call.py"
 
 
 rule simulate_sheet_grid:
@@ -68,12 +68,14 @@ rule simulate_sheet_grid:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("simulate_sheet_series"),
-        series="calibration",
-        campaign=identity("origin", "seed"),
+        **calls("thalweg_lab.tank.series:record_series"),
         twin=of(CampaignFiles.twin_parts, "light_sheet"),
+        seed=section("campaign", "seed"),
+        series="calibration",
+        frame=section("campaign", "origin"),
+        folder="results/{campaign}/simulation/logs/light_sheet/calibration",
     script:
-        "../scripts/simulate_sheet_series.py"
+        "../scripts/call.py"
 
 
 rule simulate_sheet_panels:
@@ -93,9 +95,11 @@ rule simulate_sheet_panels:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("simulate_sheet_series"),
-        series="panels",
-        campaign=identity("origin", "seed"),
+        **calls("thalweg_lab.tank.series:record_series"),
         twin=of(CampaignFiles.twin_parts, "light_sheet"),
+        seed=section("campaign", "seed"),
+        series="panels",
+        frame=section("campaign", "origin"),
+        folder="results/{campaign}/simulation/logs/light_sheet/panels",
     script:
-        "../scripts/simulate_sheet_series.py"
+        "../scripts/call.py"

@@ -23,12 +23,14 @@ rule simulate_sheet_scan:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        code=code_version("simulate_sheet_scan"),
-        scanned=lambda wildcards: wildcards.scan,
-        campaign=identity("origin", "seed"),
+        **calls("thalweg_lab.tank.series:record_scan"),
         twin=of(CampaignFiles.twin_parts, "light_sheet"),
+        seed=section("campaign", "seed"),
+        name=lambda wildcards: wildcards.scan,
+        frame=section("campaign", "origin"),
+        folder="results/{campaign}/simulation/logs/light_sheet/{scan}",
     script:
-        "../scripts/simulate_sheet_scan.py"
+        "../scripts/call.py"
 
 
 rule simulate_sheet_strip:

@@ -76,6 +76,30 @@ def front_page(
     return page
 
 
+def write_front_page(
+    *,
+    pages: list[Path],
+    pictures: list[Path],
+    summary: list[Path],
+    products: list[dict[str, Any]],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """The same from files, as the workflow has them; `summary`: none or one."""
+    front_page(
+        page,
+        title=title,
+        twin=twin,
+        products=products,
+        pages=pages,
+        pictures=pictures,
+        captions=captions,
+        summary=pd.read_csv(summary[0]) if summary else None,
+    ).write(page)
+
+
 def _heading(path: Path) -> tuple[str, str]:
     """Heading of a page, and the first sentence below it."""
     found = _HEADING.search(path.read_text(encoding="utf-8"))

@@ -9,6 +9,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -27,8 +28,8 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
 
     Each keyword of ``main`` is looked up by name among the job's outputs, inputs and params (in that order),
     then ``threads``; files become `Path` (or ``list[Path]`` where the annotation says so), and plain
-    values the section of settings that the annotation names. The helper sets up the log file and an
-    excepthook that writes the traceback there, limits threads, and on success writes
+    values the section of settings, the dataclass or the path that the annotation names. The helper sets up the
+    log file and an excepthook that writes the traceback there, limits threads, and on success writes
     ``<output>.meta.json``.
 
     Raises
@@ -41,7 +42,7 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     params = dict(snakemake.params.items())
     code = str(params.pop("code", ""))
     # Nothing in the library draws from these global generators; seeding them covers third-party code.
-    random.seed(int(params.get("campaign", {}).get("seed", 0)))
+    random.seed(int(params.get("seed", params.get("campaign", {}).get("seed", 0))))
     arguments = job_arguments(main, snakemake)
     log.info("rule %s starts with %d threads", snakemake.rule, snakemake.threads)
     start, cpu_start_s = time.perf_counter(), _cpu_s()
@@ -108,9 +109,14 @@ def _as_paths(value: Any, hint: Any) -> Any:
 
 
 def _as_section(value: Any, hint: Any) -> Any:
-    """The section of settings that a keyword asks for, from its plain values; other values as they are."""
-    kinds = [kind for kind in (hint, *get_args(hint)) if hasattr(kind, "model_validate")]
-    return kinds[0].model_validate(value) if kinds and isinstance(value, Mapping) else value
+    """The section of settings or the dataclass that a keyword asks for; other values as they are."""
+    if isinstance(value, Mapping):
+        for kind in (hint, *get_args(hint)):
+            if hasattr(kind, "model_validate"):
+                return kind.model_validate(value)
+            if isinstance(kind, type) and is_dataclass(kind):
+                return kind(**value)
+    return Path(value) if hint is Path else value
 
 
 def _limit_threads(threads: int) -> None:

@@ -1,10 +1,14 @@
 """The ledger of published numbers as a section of a page."""
 
-from typing import Final
+import json
+from pathlib import Path
+from typing import Any, Final
 
 import pandas as pd
 
+from thalweg.core import read_parquet
 from thalweg.figures import Page
+from thalweg.lightsheet.figures import light_sheet_page, read_scans
 from thalweg_lab.reproduction import MISSED, NO_RESULT, VERDICTS_NOTE, counts, readable, sentence
 
 LEDGER_NOTE: Final = (
@@ -40,3 +44,64 @@ def ledger_section(page: Page, ledger: pd.DataFrame | None) -> Page:
             absent[["rows", "where", "quantity", "printed", "reason"]], "Without a result yet (ledger.csv)"
         )
     return page
+
+
+def write_light_sheet_page(
+    *,
+    calibration: Path,
+    budget: Path,
+    published: Path,
+    contradictions: Path,
+    correlations: Path,
+    models: Path,
+    camera: list[Path],
+    lens: list[Path],
+    panels: list[Path],
+    truth: list[Path],
+    counts: list[Path],
+    line_points: list[Path],
+    scan_files: list[Path],
+    scan_pictures: list[Path],
+    scans: list[str],
+    ledger: list[Path],
+    pictures: list[Path],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """Page of a light-sheet sensor from files, with the ledger where the campaign has one.
+
+    Parameters
+    ----------
+    camera, lens, panels, truth, ledger : none, or one.
+    counts, line_points : one a series of images, in the folder of its name.
+    scan_files, scan_pictures : of all scans.
+    title : of the campaign.
+    page : target.
+    """
+
+    def table(files: list[Path]) -> pd.DataFrame | None:
+        """The table that may be absent."""
+        return pd.read_csv(files[0]) if files else None
+
+    def report(files: list[Path]) -> dict[str, Any] | None:
+        """The report that may be absent."""
+        return json.loads(files[0].read_text(encoding="utf-8")) if files else None
+
+    built = light_sheet_page(
+        json.loads(calibration.read_text(encoding="utf-8")),
+        *(pd.read_csv(path) for path in (budget, published, contradictions, correlations, models)),
+        panels=table(panels),
+        truth=table(truth),
+        camera=report(camera),
+        lens=report(lens),
+        counts={path.parent.name: pd.read_csv(path) for path in counts},
+        points={path.parent.name: read_parquet(path) for path in line_points},
+        scans=read_scans(scans, scan_files, scan_pictures, captions),
+        pictures=pictures,
+        captions=captions,
+        title=f"Light-sheet sensor: {title}",
+        twin=twin,
+    )
+    ledger_section(built, table(ledger)).write(page)

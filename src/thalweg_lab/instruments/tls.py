@@ -1,6 +1,5 @@
 """Terrestrial laser scans of the right bank from stations on the left bank: the reference cloud."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -234,7 +233,7 @@ def simulate_tls(
     seed: int,
     frame: LocalFrame,
     scene: Path,
-    out_scans: Sequence[Path],
+    out_scans: list[Path],
     *,
     crs: str,
     out_effects: Path | None = None,

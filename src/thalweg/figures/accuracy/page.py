@@ -1,5 +1,6 @@
 """One page on the accuracy of a cloud: the verdict first, then what it rests on, then its limits."""
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -7,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.accuracy import ALL, AS_MEASURED, REGISTERED, WITHOUT_OUTLIERS, classes_in_words
-from thalweg.core import InputError, utc_text_from_gps
+from thalweg.accuracy import ALL, AS_MEASURED, CLOUD_TO_MESH, REGISTERED, WITHOUT_OUTLIERS, classes_in_words
+from thalweg.core import InputError, read_table, utc_text_from_gps
 from thalweg.figures import Page, count
 from thalweg.figures.accuracy.distances import centimetres
 
@@ -363,6 +364,45 @@ def accuracy_page(
             page.figure(picture, _caption(picture, captions or {}))
     page.section("Limits").text(limits(facts, statistics, mesh_facts))
     return page
+
+
+def write_accuracy_page(
+    *,
+    comparison: Path,
+    statistics: Path,
+    by_range: Path,
+    registration: Path,
+    mesh_facts: Path,
+    error_model: Path,
+    truth: list[Path],
+    pictures: list[Path],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """The same from files, as the workflow has them; see `accuracy_page`.
+
+    Parameters
+    ----------
+    comparison : distances of the cloud (Parquet), whose metadata hold the facts.
+    truth : none, or one table.
+    title : of the campaign.
+    page : target.
+    """
+    accuracy_page(
+        read_table(comparison, CLOUD_TO_MESH)[1],
+        pd.read_csv(statistics),
+        pd.read_csv(by_range),
+        json.loads(registration.read_text()),
+        json.loads(mesh_facts.read_text()),
+        pictures=pictures,
+        captions=captions,
+        truth=pd.read_csv(truth[0]) if truth else None,
+        error_model=json.loads(error_model.read_text()),
+        title=f"Accuracy of the cloud: {title}",
+        twin=twin,
+    ).write(page)
 
 
 def pivot(

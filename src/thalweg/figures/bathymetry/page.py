@@ -1,5 +1,6 @@
 """One page on the riverbed: how deep, how sure, what it rests on, what was left out."""
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -125,6 +126,37 @@ def bed_page(
         "ground that the lidar saw beside the water."
     )
     return page
+
+
+def write_bed_page(
+    *,
+    facts: Path,
+    variogram: Path,
+    level: Path,
+    banks: Path,
+    validation: Path,
+    methods: Path,
+    river: Path,
+    truth: list[Path],
+    pictures: list[Path],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """The same from files, as the workflow has them; `truth`: none or one, `title`: of the campaign."""
+    bed_page(
+        *(json.loads(path.read_text()) for path in (facts, variogram, level)),
+        pd.read_csv(banks),
+        json.loads(validation.read_text()),
+        pd.read_csv(methods),
+        json.loads(river.read_text()),
+        pictures=pictures,
+        captions=captions,
+        truth=pd.read_csv(truth[0]) if truth else None,
+        title=f"Riverbed: {title}",
+        twin=twin,
+    ).write(page)
 
 
 _SHARES = {"share_tvu": "vertical", "share_thu": "horizontal", "share": "both"}

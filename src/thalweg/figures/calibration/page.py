@@ -1,5 +1,6 @@
 """One page on a calibration: what was found and how well, what it rests on, what was left out, its limits."""
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -8,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import AnyArray
-from thalweg.core.calibration import Block, Calibration, unit_of
+from thalweg.core.calibration import Block, Calibration, read_calibration, unit_of
 from thalweg.figures import Page, count, plural
+from thalweg.figures.calibration.tables import read_figure_table
 from thalweg.ingest.registry import largest_correlations, with_sigma
 
 # ---------------------------------------------------------------- what the reports of a calibration's jobs
@@ -217,6 +219,34 @@ def calibration_page(
     if notes:
         page.section("Limits").text("\n\n".join(notes))
     return page
+
+
+def write_calibration_page(
+    *,
+    calibrations: list[Path],
+    tables: list[Path],
+    facts: list[Path],
+    truth: list[Path],
+    pictures: list[Path],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """The same from files, as the workflow has them; `truth`: none or one, `title`: of the campaign."""
+    calibration_page(
+        [read_calibration(path) for path in calibrations],
+        [
+            (f"{path.stem.replace('_', ' ').capitalize()} ({path.name})", read_figure_table(path, ()))
+            for path in tables
+        ],
+        pictures=pictures,
+        captions=captions,
+        truth=read_figure_table(truth[0], ()) if truth else None,
+        facts={path.stem: json.loads(path.read_text(encoding="utf-8")) for path in facts},
+        title=f"Calibration: {title}",
+        twin=twin,
+    ).write(page)
 
 
 def _table(page: Page, caption: str, table: pd.DataFrame) -> None:

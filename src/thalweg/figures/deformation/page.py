@@ -330,6 +330,35 @@ def change_page(
     return page
 
 
+def write_change_page(
+    *,
+    errors: list[Path],
+    changes: list[Path],
+    visibility: list[Path],
+    control: list[Path],
+    registrations: list[Path],
+    volumes: list[Path],
+    patches: list[Path],
+    core_points: Path,
+    truth: list[Path],
+    pictures: list[Path],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """The same from files, as the workflow has them: one of each for a pair; `title`: of the campaign."""
+    change_page(
+        [json.loads(path.read_text()) for path in errors],
+        read_pair_facts(changes, visibility, control, registrations, volumes, patches, core_points),
+        pictures=pictures,
+        captions=captions,
+        truth={path.stem.rpartition("_")[2]: pd.read_csv(path) for path in truth},
+        title=f"Change of the bank: {title}",
+        twin=twin,
+    ).write(page)
+
+
 def _of_pairs(
     frames: Sequence[tuple[PairFacts, pd.DataFrame]], columns: Sequence[tuple[str, str, str]], first: str
 ) -> tuple[pd.DataFrame, dict[str, str]]:

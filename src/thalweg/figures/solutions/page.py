@@ -24,9 +24,10 @@ from thalweg.accuracy import (
     chains_of,
     crossing_of,
     honesty_in_words,
+    outage_table,
     value,
 )
-from thalweg.core import root_mean_square, utc_text_from_gps
+from thalweg.core import Trajectory, root_mean_square, utc_text_from_gps
 from thalweg.figures import Page, count, plural
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions.comparison import IN_WORDS
@@ -149,6 +150,57 @@ def trajectory_comparison_page(
         _truth(page, truth)
     page.section("Limits").text(limits(table))
     return page
+
+
+def write_trajectory_comparison_page(
+    *,
+    chains: Path,
+    by_range: Path,
+    facts: Path,
+    camera_facts: Path,
+    fused_facts: Path,
+    control: list[Path],
+    trajectories: list[Path],
+    steps_ins: list[Path],
+    steps_camera: list[Path],
+    steps_fused: list[Path],
+    truth: list[Path],
+    pictures: list[Path],
+    captions: dict[str, str],
+    title: str,
+    twin: bool,
+    page: Path,
+) -> None:
+    """The same from files, as the workflow has them; see `trajectory_comparison_page`.
+
+    Parameters
+    ----------
+    control, truth : none, or one table.
+    trajectories : in the order of `CHAINS`.
+    steps_ins, steps_camera, steps_fused : results of the steps of each chain, which know their computing time.
+    title : of the campaign.
+    page : target.
+    """
+    steps = dict(zip(CHAINS, (steps_ins, steps_camera, steps_fused), strict=True))
+    trajectory_comparison_page(
+        pd.read_csv(chains),
+        pd.read_csv(by_range),
+        json.loads(facts.read_text()),
+        truth=pd.read_csv(truth[0]) if truth else None,
+        costs=Costs(
+            control=pd.read_csv(control[0]) if control else None,
+            images=json.loads(camera_facts.read_text())["images_used"],
+            seconds=computing_seconds(steps),
+            outages=outage_table(
+                json.loads(fused_facts.read_text())["outages"],
+                {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
+            ),
+        ),
+        pictures=pictures,
+        captions=captions,
+        title=f"INS, camera and fused trajectory: {title}",
+        twin=twin,
+    ).write(page)
 
 
 def numbers(rows: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:

@@ -248,6 +248,18 @@ def strip_page(
     return page
 
 
+def write_strip_page(
+    *, counts: Path, pictures: list[Path], captions: dict[str, str], title: str, twin: bool, page: Path
+) -> None:
+    """The same from files, as the workflow has them; `title`: of the campaign."""
+    strip_page(
+        json.loads(counts.read_text(encoding="utf-8")),
+        [(path, captions[path.stem]) for path in pictures],
+        title=f"Strip of the bed: {title}",
+        twin=twin,
+    ).write(page)
+
+
 def _lost_points(counts: Mapping[str, Any]) -> list[tuple[str, int]]:
     """Images by reason, line points by status, and points whose image has no pose."""
     rows = [(f"images: {reason}", n) for reason, n in _numbers(counts.get("images_left_out", {})).items()]
