@@ -508,6 +508,7 @@ def test_an_opening_in_another_language_is_found(tmp_path: Path, text: str, n: i
 FIELDS = (
     "input",
     "output",
+    "wildcard_constraints",
     "log",
     "benchmark",
     "priority",
@@ -518,8 +519,8 @@ FIELDS = (
     "script",
 )
 """As snakefmt leaves them; the docstring stands before."""
-OPTIONAL = {"input", "priority"}
-"""Rules of the twin may begin from nothing; few are urgent."""
+OPTIONAL = {"input", "wildcard_constraints", "priority"}
+"""Rules of the twin may begin from nothing; few are urgent or have wildcards of their own."""
 
 
 def rule_fields(repository: Path) -> dict[str, list[str]]:

@@ -75,7 +75,6 @@ rule compare_calibration_with_truth:
         camera="results/{campaign}/calibration/camera.yaml",
         clock="results/{campaign}/timing/camera_clock.yaml",
         true_mounts="results/{campaign}/simulation/truth/mounts.json",
-        true_cameras="results/{campaign}/simulation/truth/cameras.json",
     output:
         table="results/{campaign}/accuracy/calibration_truth.csv",
     log:

@@ -25,19 +25,22 @@ rule collect_mounts:
         "../scripts/collect_mounts.py"
 
 
-rule detect_reference_marks:
-    """Printed markers in the reference images."""
+rule detect_markers:
+    """Printed markers in images: of the reference and of the boat in the field, of the light-sheet sensor in its own."""
     input:
-        folders=raw("reference_images"),
-        field=raw("field"),
+        folders=of_wildcard("marked", CampaignFiles.marked_images),
+        field=of_wildcard("marked", CampaignFiles.marked_field),
     output:
-        marks="results/{campaign}/calibration/reference_marks.parquet",
-        report="results/{campaign}/calibration/reference_marks.json",
-        rejected="results/{campaign}/calibration/reference_marks_rejected.csv",
+        marks="results/{campaign}/{room}/{marked}_marks.parquet",
+        report="results/{campaign}/{room}/{marked}_marks.json",
+        rejected="results/{campaign}/{room}/{marked}_marks_rejected.csv",
     log:
-        "logs/{campaign}/calibration/detect_reference_marks.log",
+        "logs/{campaign}/{room}/detect_{marked}_marks.log",
     benchmark:
-        "benchmarks/{campaign}/calibration/detect_reference_marks.jsonl"
+        "benchmarks/{campaign}/{room}/detect_{marked}_marks.jsonl"
+    wildcard_constraints:
+        room="calibration|triangulation",
+        marked="reference|boat|camera_field",
     priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
@@ -47,34 +50,9 @@ rule detect_reference_marks:
         runtime=minutes(60),
     params:
         code=code_version("detect_markers"),
-        camera="reference",
-    script:
-        "../scripts/detect_markers.py"
-
-
-rule detect_boat_marks:
-    """Printed markers in the images of the boat's camera."""
-    input:
-        folders=of(CampaignFiles.boat_images),
-        field=raw("field"),
-    output:
-        marks="results/{campaign}/calibration/boat_marks.parquet",
-        report="results/{campaign}/calibration/boat_marks.json",
-        rejected="results/{campaign}/calibration/boat_marks_rejected.csv",
-    log:
-        "logs/{campaign}/calibration/detect_boat_marks.log",
-    benchmark:
-        "benchmarks/{campaign}/calibration/detect_boat_marks.jsonl"
-    priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 2
-    resources:
-        mem_mb=memory(2000),
-        runtime=minutes(60),
-    params:
-        code=code_version("detect_markers"),
-        camera="boat",
+        camera=lambda wildcards: wildcards.marked.replace(
+            "camera_field", "sheet_camera"
+        ),
     script:
         "../scripts/detect_markers.py"
 

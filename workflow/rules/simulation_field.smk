@@ -53,18 +53,19 @@ rule simulate_positions:
         "../scripts/simulate_positions.py"
 
 
-rule simulate_reference_images:
-    """Images of the field by a reflex camera."""
+rule simulate_field_images:
+    """Images of the field: by a reflex camera, by the boat's camera at each static position and in the run."""
     input:
         true_mounts="results/{campaign}/simulation/truth/mounts.json",
     output:
-        images=directory("results/{campaign}/simulation/logs/reference_images"),
-        times="results/{campaign}/simulation/truth/reference_images.parquet",
-        cameras="results/{campaign}/simulation/truth/cameras.json",
+        images=directory("results/{campaign}/simulation/logs/{field_images}_images"),
+        times="results/{campaign}/simulation/truth/{field_images}_images.parquet",
     log:
-        "logs/{campaign}/simulation/simulate_reference_images.log",
+        "logs/{campaign}/simulation/simulate_{field_images}_images.log",
     benchmark:
-        "benchmarks/{campaign}/simulation/simulate_reference_images.jsonl"
+        "benchmarks/{campaign}/simulation/simulate_{field_images}_images.jsonl"
+    wildcard_constraints:
+        field_images="reference|position|run",
     priority: URGENT
     conda:
         "../../envs/thalweg.yaml"
@@ -74,61 +75,7 @@ rule simulate_reference_images:
         runtime=minutes(60),
     params:
         code=code_version("simulate_field_images"),
-        kind="reference",
-        campaign=identity("seed"),
-        twin=of(CampaignFiles.twin_parts, "camera", "effects"),
-    script:
-        "../scripts/simulate_field_images.py"
-
-
-rule simulate_position_images:
-    """Image of the boat's camera at each static position."""
-    input:
-        true_mounts="results/{campaign}/simulation/truth/mounts.json",
-    output:
-        images=directory("results/{campaign}/simulation/logs/position_images"),
-        times="results/{campaign}/simulation/truth/position_images.parquet",
-    log:
-        "logs/{campaign}/simulation/simulate_position_images.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_position_images.jsonl"
-    priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 2
-    resources:
-        mem_mb=memory(3000),
-        runtime=minutes(60),
-    params:
-        code=code_version("simulate_field_images"),
-        kind="positions",
-        campaign=identity("seed"),
-        twin=of(CampaignFiles.twin_parts, "camera", "effects"),
-    script:
-        "../scripts/simulate_field_images.py"
-
-
-rule simulate_run_images:
-    """Images of the boat's camera during the run."""
-    input:
-        true_mounts="results/{campaign}/simulation/truth/mounts.json",
-    output:
-        images=directory("results/{campaign}/simulation/logs/run_images"),
-        times="results/{campaign}/simulation/truth/run_images.parquet",
-    log:
-        "logs/{campaign}/simulation/simulate_run_images.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_run_images.jsonl"
-    priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 2
-    resources:
-        mem_mb=memory(3000),
-        runtime=minutes(60),
-    params:
-        code=code_version("simulate_field_images"),
-        kind="run",
+        kind=lambda wildcards: wildcards.field_images.replace("position", "positions"),
         campaign=identity("seed"),
         twin=of(CampaignFiles.twin_parts, "camera", "effects"),
     script:

@@ -1,32 +1,6 @@
 """The underwater light-sheet sensor: lines in images, calibration, points on the sheet (P3, P4)."""
 
 
-rule detect_camera_field_marks:
-    """Printed markers in the pictures of the marker field by the sensor's camera."""
-    input:
-        folders=raw("camera_field_images"),
-        field=raw("camera_field"),
-    output:
-        marks="results/{campaign}/triangulation/camera_field_marks.parquet",
-        report="results/{campaign}/triangulation/camera_field_marks.json",
-        rejected="results/{campaign}/triangulation/camera_field_marks_rejected.csv",
-    log:
-        "logs/{campaign}/triangulation/detect_camera_field_marks.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/detect_camera_field_marks.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 2
-    resources:
-        mem_mb=memory(2000),
-        runtime=minutes(60),
-    params:
-        code=code_version("detect_markers"),
-        camera="sheet_camera",
-    script:
-        "../scripts/detect_markers.py"
-
-
 rule calibrate_sheet_camera:
     """Interior orientation of the sensor's camera, from a marker field in air (P3 2.4, P4 6.2)."""
     input:

@@ -54,7 +54,7 @@ rule merge_scan:
 
 
 rule compare_scan:
-    """Distances of a scan from a mesh or from known planes (P4 Table 3, Fig. 19 and 20)."""
+    """Distances of a scan from a mesh or from known planes, and of its middle profile by itself (P4 7.2, 7.3)."""
     input:
         sensor="results/{campaign}/triangulation/sensor.yaml",
         line_points="results/{campaign}/triangulation/{scan}/line_points.parquet",
@@ -66,6 +66,8 @@ rule compare_scan:
         lines="results/{campaign}/triangulation/{scan}/lines.csv",
         distances="results/{campaign}/triangulation/{scan}/distances.parquet",
         facts="results/{campaign}/triangulation/{scan}/facts.json",
+        profile="results/{campaign}/triangulation/{scan}/profile.csv",
+        profile_facts="results/{campaign}/triangulation/{scan}/profile.json",
     log:
         "logs/{campaign}/triangulation/compare_scan_{scan}.log",
     benchmark:
@@ -82,33 +84,6 @@ rule compare_scan:
         levels_mm=of_wildcard("scan", CampaignFiles.scan_levels),
     script:
         "../scripts/compare_scan.py"
-
-
-rule measure_profile:
-    """The middle profile of a scan by itself (P4 7.2, Table 2)."""
-    input:
-        sensor="results/{campaign}/triangulation/sensor.yaml",
-        line_points="results/{campaign}/triangulation/{scan}/line_points.parquet",
-        distances="results/{campaign}/triangulation/{scan}/distances.parquet",
-    output:
-        table="results/{campaign}/triangulation/{scan}/profile.csv",
-        facts="results/{campaign}/triangulation/{scan}/profile.json",
-    log:
-        "logs/{campaign}/triangulation/measure_profile_{scan}.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/measure_profile_{scan}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(2000),
-        runtime=minutes(20),
-    params:
-        code=code_version("measure_profile"),
-        scanned=lambda wildcards: wildcards.scan,
-        levels_mm=of_wildcard("scan", CampaignFiles.scan_levels),
-    script:
-        "../scripts/measure_profile.py"
 
 
 rule rectify_scan:

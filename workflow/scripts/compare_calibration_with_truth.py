@@ -1,6 +1,5 @@
 """Calibration of a twin's boat -> its errors against its true sensors and its true clock."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from thalweg.settings.twin import TwinConfig
 from thalweg.workflow import run_job
 from thalweg_lab.truth import compare_calibration, compare_clock, compare_interior
 from thalweg_lab.voyage import read_true_mounts, start_gps_s
+from thalweg_lab.yard_images import true_camera
 
 
 def main(
@@ -22,16 +22,15 @@ def main(
     camera: Path,
     clock: Path,
     true_mounts: Path,
-    true_cameras: Path,
     table: Path,
     twin: dict[str, Any],
 ) -> None:
     mounts, config = read_true_mounts(true_mounts), TwinConfig(**twin)
-    cameras = json.loads(true_cameras.read_text())
+    lens = true_camera(config.camera, "boat")
     parts = [
         compare_calibration(read_calibration(camera_lidar), mounts),
         compare_calibration(read_calibration(boat), mounts),
-        compare_interior(read_camera(camera), cameras["boat"]["parameters"]),
+        compare_interior(read_camera(camera), dict(zip(lens.parameter_names, lens.parameters, strict=True))),
         compare_clock(
             ClockModel.read(clock),
             start_gps_s=start_gps_s(config),

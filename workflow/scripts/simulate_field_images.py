@@ -10,23 +10,10 @@ from thalweg_lab.yard_images import simulate_field_images
 
 
 def main(
-    *,
-    true_mounts: Path,
-    images: Path,
-    times: Path,
-    cameras: Path | None = None,
-    kind: str,
-    campaign: dict[str, Any],
-    twin: dict[str, Any],
+    *, true_mounts: Path, images: Path, times: Path, kind: str, campaign: dict[str, Any], twin: dict[str, Any]
 ) -> None:
     simulate_field_images(
-        TwinConfig(**twin),
-        campaign["seed"],
-        kind,
-        read_true_mounts(true_mounts),
-        images,
-        times,
-        out_cameras=cameras,
+        TwinConfig(**twin), campaign["seed"], kind, read_true_mounts(true_mounts), images, times
     )
 
 

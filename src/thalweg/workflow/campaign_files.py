@@ -221,6 +221,14 @@ class CampaignFiles:
         """Images of the boat's camera in the calibration field."""
         return self.logs("position_images") + self.logs("run_images")
 
+    def marked_images(self, marked: Literal["reference", "boat", "camera_field"]) -> list[str]:
+        """Images with printed markers: of the reference, of the boat, of the light-sheet sensor."""
+        return self.boat_images() if marked == "boat" else self.logs(f"{marked}_images")
+
+    def marked_field(self, marked: Literal["reference", "boat", "camera_field"]) -> list[str]:
+        """The description of the markers in them."""
+        return self.logs("camera_field" if marked == "camera_field" else "field")
+
     def boat_interior(self) -> list[str]:
         """The interior orientation of the boat's camera that the campaign names, if any."""
         chosen = self.campaign.calibration.boat_camera.interior

@@ -28,8 +28,8 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
 
     Each keyword of ``main`` is looked up by name among the job's outputs, inputs and params (in that order),
     then ``threads``; files become `Path` (or ``list[Path]`` where the annotation says so), and plain
-    values the section of settings, the dataclass or the path that the annotation names. The helper sets up the
-    log file and an excepthook that writes the traceback there, limits threads, and on success writes
+    values the section of settings, the dataclass or the path that the annotation names. The helper sets up
+    the log file and an excepthook that writes the traceback there, limits threads, and on success writes
     ``<output>.meta.json``.
 
     Raises

@@ -1,6 +1,5 @@
 """The images of a calibration run: a tour with a reflex camera, the boat's camera standing and in motion."""
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -94,14 +93,7 @@ def true_camera(lens: TwinLens, name: str) -> Camera:
 
 
 def simulate_field_images(
-    config: TwinConfig,
-    seed: int,
-    kind: str,
-    mounts: Mapping[str, Any],
-    out_folder: Path,
-    out_times: Path,
-    *,
-    out_cameras: Path | None = None,
+    config: TwinConfig, seed: int, kind: str, mounts: Mapping[str, Any], out_folder: Path, out_times: Path
 ) -> pd.DataFrame:
     """Take and write one set of images.
 
@@ -114,7 +106,6 @@ def simulate_field_images(
     mounts : true mounts, with ``camera``, ``lidar`` and ``antenna``.
     out_folder : for the images.
     out_times : true times and poses, table kind ``twin_image_times``.
-    out_cameras : true interior orientations, JSON.
 
     Returns
     -------
@@ -150,20 +141,7 @@ def simulate_field_images(
         },
     )
     write_table(out_times, table, IMAGE_TIMES, {"kind_of_images": kind})
-    if out_cameras is not None:
-        write_cameras(config, out_cameras)
     return table
-
-
-def write_cameras(config: TwinConfig, path: Path) -> None:
-    """True interior orientations of both cameras as JSON."""
-    facts: dict[str, Any] = {"kind": "thalweg twin cameras", "version": 1}
-    for name, lens in (("boat", config.camera), ("reference", config.camera.reference)):
-        camera = true_camera(lens, name)
-        values = dict(zip(camera.parameter_names, camera.parameters.tolist(), strict=True))
-        facts[name] = {"model": camera.model, "size_px": list(camera.size_px), "parameters": values}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(facts, indent=2) + "\n")
 
 
 def _planned(

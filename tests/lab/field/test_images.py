@@ -47,9 +47,7 @@ def mounts() -> dict[str, Any]:
 
 def take(folder: Path, kind: str, twin: TwinConfig) -> pd.DataFrame:
     out = folder / kind
-    return simulate_field_images(
-        twin, SEED, kind, mounts(), out, folder / f"{kind}.parquet", out_cameras=folder / "cameras.json"
-    )
+    return simulate_field_images(twin, SEED, kind, mounts(), out, folder / f"{kind}.parquet")
 
 
 @pytest.fixture(scope="module")

@@ -177,7 +177,7 @@ def write_trajectory_comparison_page(
     ----------
     control, truth : none, or one table.
     trajectories : in the order of `CHAINS`.
-    steps_ins, steps_camera, steps_fused : results of the steps of each chain, which know their computing time.
+    steps_ins, steps_camera, steps_fused : results of the steps of each chain, each with its computing time.
     title : of the campaign.
     page : target.
     """
