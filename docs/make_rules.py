@@ -32,13 +32,9 @@ _RULE = re.compile(r'^(?:# (.+)\n)?(?:rule|use rule \w+ as) (\w+)[^\n]*:\n(?:   
 
 
 def rules_of(path: Path) -> Iterator[tuple[str, str]]:
-    """Name of each rule in a file, and its docstring or the comment above a rule made of another."""
+    """Name of each rule in a file, and its docstring, comment above a `use rule`, or words in a table."""
     for comment, name, words in _RULE.findall(path.read_text()):
         yield name, " ".join((words or comment).split("\n\n")[0].split())
-
-
-def pages_of(path: Path) -> Iterator[tuple[str, str]]:
-    """Name of the rule of each page in the table of a rules file, and what it shows."""
     yield from re.findall(r'(?m)^    "(\w+)": \{\n        "shows": "(.+)",$', path.read_text())
 
 
@@ -62,7 +58,6 @@ def page(folder: Path) -> str:
         if not path.stem.startswith("common"):
             room = path.stem if path.stem in ROOMS else path.stem.split("_")[0]
             found[room] += rules_of(path)
-    found["figures"] += pages_of(folder / "figures_pages.smk")
     found["figures"] += pictures_of(folder.parent / "figures.yaml")
     for path in sorted((folder.parents[1] / "config/studies").glob("*.yaml")):
         entry = yaml.safe_load(path.read_text())

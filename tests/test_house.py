@@ -343,7 +343,7 @@ def test_code_versions_cover_the_library(repository: Path) -> None:
         reached |= modules_behind(row.draw.split(":")[0]) if row.draw else set()
     modules = {m for m in package.rglob("*.py") if m.relative_to(package).parts[0] != "settings"}
     for path in (repository / "workflow/rules").glob("*.smk"):
-        for called in re.findall(r'(?:calls\(|"write": )"([\w.]+):\w+"', path.read_text()):
+        for called in re.findall(r'calls(?:\(|": )"([\w.]+):\w+"', path.read_text()):
             reached |= modules_behind(called)
     for path in (repository / "config/studies").glob("*.yaml"):  # loaded by name
         entry = yaml.safe_load(path.read_text())
@@ -508,9 +508,9 @@ def test_an_opening_in_another_language_is_found(tmp_path: Path, text: str, n: i
 FIELDS = (
     "input",
     "output",
-    "wildcard_constraints",
     "log",
     "benchmark",
+    "wildcard_constraints",
     "priority",
     "conda",
     "threads",

@@ -16,10 +16,11 @@ def calls(repository: Path) -> Iterator[tuple[str, str, set[str]]]:
             if called := re.search(r'\*\*calls\("([\w.:]+)"\)', body):
                 fields = re.sub(r"(?ms)^    resources:.*?(?=^    \w)", "", body.split("\n\n\n")[0])
                 yield body.split(":")[0], called[1], set(re.findall(r"(?m)^        (\w+)=", fields))
-        for name, body in re.findall(r'(?ms)^    "(\w+_page)": \{\n(.*?)^    \},', text):
-            called = re.search(r'"write": "([\w.:]+)"', body)
+        for name, body in re.findall(r'(?ms)^    "(\w+)": \{\n(.*?)^    \},', text):
+            called = re.search(r'"calls": "([\w.:]+)"', body)
             assert called, name
-            yield name, called[1], {"page", "twin", "title", *re.findall(r'(?m)(?:^ {12}|\{)"(\w+)":', body)}
+            of_pages = {"page", "twin", "title"} if name.endswith("_page") else set()
+            yield name, called[1], {*of_pages, *re.findall(r'(?m)(?:^ {12}|\{)"(\w+)":', body)}
 
 
 def test_rules_give_what_their_functions_take(repository: Path) -> None:

@@ -1,4 +1,4 @@
-"""How accurate the results are. Only these rules may read the truth of the digital twin."""
+"""How accurate the results are; comparisons with the truth of the digital twin stand in accuracy_truth.smk."""
 
 
 rule compare_with_reference:
@@ -32,66 +32,6 @@ rule compare_with_reference:
         },
     script:
         "../scripts/compare_with_reference.py"
-
-
-rule compare_with_truth:
-    """Error of each point of a twin campaign against the true surface."""
-    input:
-        points="results/{campaign}/lidar/points.laz",
-        trajectory="results/{campaign}/orientation/trajectory.parquet",
-        scene="results/{campaign}/simulation/truth/scene.npz",
-        voyage="results/{campaign}/simulation/truth/trajectory.parquet",
-        true_mounts="results/{campaign}/simulation/truth/mounts.json",
-        shots="results/{campaign}/simulation/truth/lidar_shots.parquet",
-        mounts="results/{campaign}/calibration/mounts.json",
-    output:
-        statistics="results/{campaign}/accuracy/truth_statistics.csv",
-        by_range="results/{campaign}/accuracy/truth_by_range.csv",
-        scores="results/{campaign}/accuracy/filter_scores.csv",
-    log:
-        "logs/{campaign}/accuracy/compare_with_truth.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/compare_with_truth.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 2
-    resources:
-        mem_mb=memory(4000),
-        runtime=minutes(10),
-    params:
-        code=code_version("compare_with_truth"),
-        twin=of(CampaignFiles.twin_parts, "lidar", "ins", "gnss"),
-        lidar_options=section("lidar"),
-        orientation=section("orientation"),
-    script:
-        "../scripts/compare_with_truth.py"
-
-
-rule compare_calibration_with_truth:
-    """Calibration of a twin's boat against where its sensors truly sit."""
-    input:
-        boat="results/{campaign}/calibration/boat.yaml",
-        camera_lidar="results/{campaign}/calibration/camera_lidar.yaml",
-        camera="results/{campaign}/calibration/camera.yaml",
-        clock="results/{campaign}/timing/camera_clock.yaml",
-        true_mounts="results/{campaign}/simulation/truth/mounts.json",
-    output:
-        table="results/{campaign}/accuracy/calibration_truth.csv",
-    log:
-        "logs/{campaign}/accuracy/compare_calibration_with_truth.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/compare_calibration_with_truth.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(1500),
-        runtime=minutes(10),
-    params:
-        code=code_version("compare_calibration_with_truth"),
-        twin=of(CampaignFiles.twin_parts, "camera"),
-    script:
-        "../scripts/compare_calibration_with_truth.py"
 
 
 rule summarise:
@@ -170,57 +110,6 @@ rule compare_chains:
         code=code_version("compare_chains"),
     script:
         "../scripts/compare_chains.py"
-
-
-rule compare_chains_with_truth:
-    """Poses by INS, camera and all sensors of a twin campaign against the true ones."""
-    input:
-        trajectories=of(CampaignFiles.trajectories),
-        voyage="results/{campaign}/simulation/truth/trajectory.parquet",
-        true_mounts="results/{campaign}/simulation/truth/mounts.json",
-        mounts="results/{campaign}/calibration/mounts.json",
-        boat=of(CampaignFiles.calibration_file),
-    output:
-        table="results/{campaign}/accuracy/chains_truth.csv",
-    log:
-        "logs/{campaign}/accuracy/compare_chains_with_truth.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/compare_chains_with_truth.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(2000),
-        runtime=minutes(10),
-    params:
-        code=code_version("compare_chains_with_truth"),
-        twin=of(CampaignFiles.twin_parts, "ins", "gnss"),
-        orientation=section("orientation"),
-    script:
-        "../scripts/compare_chains_with_truth.py"
-
-
-rule compare_light_sheet_with_truth:
-    """Calibration of the twin's light-sheet sensor against the sensor that took the images."""
-    input:
-        sensor="results/{campaign}/triangulation/sensor.yaml",
-        truth="results/{campaign}/simulation/truth/light_sheet/calibration",
-    output:
-        table="results/{campaign}/accuracy/light_sheet_truth.csv",
-    log:
-        "logs/{campaign}/accuracy/compare_light_sheet_with_truth.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/compare_light_sheet_with_truth.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(1000),
-        runtime=minutes(10),
-    params:
-        code=code_version("compare_light_sheet_with_truth"),
-    script:
-        "../scripts/compare_light_sheet_with_truth.py"
 
 
 rule compare_riverbed_with_truth:

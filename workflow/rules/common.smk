@@ -27,6 +27,8 @@ with open(ROOT / "resources" / "real_recordings.yaml") as stream:
     RECORDINGS = {entry["id"]: entry for entry in yaml.safe_load(stream)}
 REAL_DATA = Path(os.environ.get("THALWEG_DATA", ROOT.parent / "shared" / "data"))
 
+RESULTS = "results/{campaign}"
+
 URGENT = 10
 """Priority of the longest chain of jobs: poses of images need the calibration, and all comparisons need them."""
 

@@ -1,11 +1,9 @@
 """Pages for people, from tables and pictures: a rule for each entry of the table below."""
 
-RESULTS = "results/{campaign}"
-
 PAGES = {
     "front_page": {
         "shows": "What a campaign gave, on the page that a person opens first: every page and picture, and what lacks.",
-        "write": "thalweg.figures.front:write_front_page",
+        "calls": "thalweg.figures.front:write_front_page",
         "page": f"{RESULTS}/index.html",
         "inputs": {
             "pages": of(CampaignFiles.pages),
@@ -19,7 +17,7 @@ PAGES = {
     },
     "accuracy_page": {
         "shows": "Everything that was found out about the accuracy of a cloud, on one page.",
-        "write": "thalweg.figures.accuracy.page:write_accuracy_page",
+        "calls": "thalweg.figures.accuracy.page:write_accuracy_page",
         "page": f"{RESULTS}/accuracy/index.html",
         "inputs": {
             "comparison": f"{RESULTS}/accuracy/cloud_to_mesh.parquet",
@@ -35,7 +33,7 @@ PAGES = {
     },
     "calibration_page": {
         "shows": "Everything that a calibration found out, on one page.",
-        "write": "thalweg.figures.calibration.page:write_calibration_page",
+        "calls": "thalweg.figures.calibration.page:write_calibration_page",
         "page": f"{RESULTS}/calibration/index.html",
         "inputs": {
             "calibrations": of(CampaignFiles.found_calibrations),
@@ -48,7 +46,7 @@ PAGES = {
     },
     "trajectory_comparison_page": {
         "shows": "INS, camera and fused trajectory side by side, on one page (T 3.1.4).",
-        "write": "thalweg.figures.solutions.page:write_trajectory_comparison_page",
+        "calls": "thalweg.figures.solutions.page:write_trajectory_comparison_page",
         "page": f"{RESULTS}/accuracy/trajectories.html",
         "inputs": {
             "chains": f"{RESULTS}/accuracy/chains.csv",
@@ -68,7 +66,7 @@ PAGES = {
     },
     "light_sheet_page": {
         "shows": "Calibration, panels, budget, models and all that was rejected, on one page (P3, P4).",
-        "write": "thalweg_lab.figures.ledger_table:write_light_sheet_page",
+        "calls": "thalweg_lab.figures.ledger_table:write_light_sheet_page",
         "page": f"{RESULTS}/triangulation/index.html",
         "inputs": {
             "calibration": f"{RESULTS}/triangulation/calibration.json",
@@ -95,7 +93,7 @@ PAGES = {
     },
     "bed_strip_page": {
         "shows": "A strip of the bed under the boat on one page (T 3.2).",
-        "write": "thalweg.lightsheet.figures.page:write_strip_page",
+        "calls": "thalweg.lightsheet.figures.page:write_strip_page",
         "page": f"{RESULTS}/triangulation/strip/index.html",
         "inputs": {
             "counts": f"{RESULTS}/triangulation/strip/counts.json",
@@ -105,7 +103,7 @@ PAGES = {
     },
     "bathymetry_page": {
         "shows": "The riverbed: how deep, how sure, and what that rests on.",
-        "write": "thalweg.figures.bathymetry.page:write_bed_page",
+        "calls": "thalweg.figures.bathymetry.page:write_bed_page",
         "page": f"{RESULTS}/bathymetry/index.html",
         "inputs": {
             "facts": f"{RESULTS}/bathymetry/soundings.json",
@@ -122,7 +120,7 @@ PAGES = {
     },
     "deformation_page": {
         "shows": "What changed between epochs, how sure that is and what nobody saw, on one page (T 4.1).",
-        "write": "thalweg.figures.deformation.page:write_change_page",
+        "calls": "thalweg.figures.deformation.page:write_change_page",
         "page": f"{RESULTS}/deformation/index.html",
         "inputs": {
             "errors": of(CampaignFiles.all_epochs, "errors.json"),
@@ -161,7 +159,7 @@ for name, entry in PAGES.items():
             runtime=minutes(10),
         params:
             **entry["params"],
-            **calls(entry["write"]),
+            **calls(entry["calls"]),
             twin=of(CampaignFiles.is_twin),
             title=section("campaign", "title"),
         script:

@@ -18,43 +18,18 @@ BUDGET_FILE = str(ROOT / "resources" / "budgets" / "{name}.yaml")
 PUBLISHED_FILE = str(ROOT / "resources" / "published" / "{name}.csv")
 
 
-rule budget_geometry:
-    """The geometry that the published error tables imply, and what each assumption is needed for."""
-    input:
-        budgets=expand(BUDGET_FILE, name=TABLES),
-        published=expand(PUBLISHED_FILE, name=TABLES),
-    output:
-        assumptions="results/reproduction/assumptions.csv",
-        solutions="results/reproduction/geometry.csv",
-    log:
-        "logs/reproduction/budget_geometry.log",
-    benchmark:
-        "benchmarks/reproduction/budget_geometry.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(1500),
-        runtime=minutes(10),
-    params:
-        code=code_version("budget_geometry"),
-        lever_lengths_m=TABLES,
-    script:
-        "../scripts/budget_geometry.py"
-
-
 rule budget_tables:
-    """Error budgets as tables, with a verdict on each published cell."""
+    """Error budgets as tables with a verdict on each published cell, and the geometry that whole tables imply."""
     input:
         budgets=expand(BUDGET_FILE, name=BUDGETS),
         published=expand(PUBLISHED_FILE, name=BUDGETS),
-        assumptions="results/reproduction/assumptions.csv",
-        solutions="results/reproduction/geometry.csv",
     output:
         budget_page="results/reproduction/error_budgets.md",
         verdicts_text="results/reproduction/error_budgets.txt",
         tables=expand("results/reproduction/budgets/{name}.csv", name=BUDGETS),
         latex_tables=expand("results/reproduction/budgets/{name}.tex", name=BUDGETS),
+        assumptions="results/reproduction/assumptions.csv",
+        solutions="results/reproduction/geometry.csv",
     log:
         "logs/reproduction/budget_tables.log",
     benchmark:
@@ -67,43 +42,24 @@ rule budget_tables:
         runtime=minutes(10),
     params:
         code=code_version("budget_tables"),
+        lever_lengths_m=TABLES,
         camera="p2_table1",
         ins="t_table3_1",
     script:
         "../scripts/budget_tables.py"
 
 
-rule multi_line_images:
-    """Images of a fifteen-line laser on grid, plane and wreck, measured and labelled (T 4.2.1)."""
+rule multi_line_scans:
+    """Fifteen lines on grid, plane and wreck, and two scans of a wreck, measured and labelled (T 4.2.1)."""
     output:
         images="results/reproduction/multi_line_images.npz",
-        points="results/reproduction/multi_line_points.csv",
-    log:
-        "logs/reproduction/multi_line_images.log",
-    benchmark:
-        "benchmarks/reproduction/multi_line_images.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(3000),
-        runtime=minutes(20),
-    params:
-        code=code_version("multi_line_images"),
-        seed=1,
-    script:
-        "../scripts/multi_line_images.py"
-
-
-rule line_label_scans:
-    """Two scans of a wreck by fifteen lines, point by point, with labels and reasons (T 4.2.1)."""
-    output:
-        points="results/reproduction/line_label_points.parquet",
+        image_points="results/reproduction/multi_line_points.csv",
+        scan_points="results/reproduction/line_label_points.parquet",
         shifts="results/reproduction/line_label_shifts.csv",
     log:
-        "logs/reproduction/line_label_scans.log",
+        "logs/reproduction/multi_line_scans.log",
     benchmark:
-        "benchmarks/reproduction/line_label_scans.jsonl"
+        "benchmarks/reproduction/multi_line_scans.jsonl"
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -111,7 +67,7 @@ rule line_label_scans:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        code=code_version("line_label_scans"),
+        code=code_version("multi_line_scans"),
         seed=1,
     script:
-        "../scripts/line_label_scans.py"
+        "../scripts/multi_line_scans.py"

@@ -171,27 +171,3 @@ rule locate_bed_strip:
         chain=of(CampaignFiles.best_chain),
     script:
         "../scripts/locate_bed_strip.py"
-
-
-rule compare_bed_with_truth:
-    """Errors of the bed points of the twin's boat against the true bed."""
-    input:
-        points="results/{campaign}/triangulation/strip/points.parquet",
-        truth="results/{campaign}/simulation/truth/light_sheet/strip",
-    output:
-        statistics="results/{campaign}/accuracy/truth_bed_strip.csv",
-        lines="results/{campaign}/accuracy/truth_bed_strip_lines.csv",
-    log:
-        "logs/{campaign}/accuracy/compare_bed_with_truth.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/compare_bed_with_truth.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
-    resources:
-        mem_mb=memory(2000),
-        runtime=minutes(20),
-    params:
-        code=code_version("compare_bed_with_truth"),
-    script:
-        "../scripts/compare_bed_with_truth.py"

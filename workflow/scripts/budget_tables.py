@@ -1,4 +1,4 @@
-"""Error budgets -> influences as CSV and LaTeX, a page with a verdict on each published cell, and a text."""
+"""Error budgets -> CSV and LaTeX, what whole tables imply, page and text with verdicts on published cells."""
 
 from pathlib import Path
 
@@ -6,10 +6,14 @@ import pandas as pd
 
 from thalweg.budgets import (
     latex,
+    left_out,
     long_table,
     page,
+    published_setup,
     read_budget,
     read_published,
+    reconstruct,
+    solution_facts,
     statements,
     terminal_text,
     what_the_cells_tell,
@@ -21,12 +25,13 @@ def main(
     *,
     budgets: list[Path],
     published: list[Path],
-    assumptions: Path,
-    solutions: Path,
     tables: list[Path],
     latex_tables: list[Path],
     budget_page: Path,
     verdicts_text: Path,
+    assumptions: Path,
+    solutions: Path,
+    lever_lengths_m: dict[str, float],
     camera: str,
     ins: str,
 ) -> None:
@@ -35,6 +40,14 @@ def main(
     for (budget, known), csv, tex in zip(read.values(), tables, latex_tables, strict=True):
         long_table(budget, known).to_csv(csv, index=False)
         tex.write_text(latex(budget, known), encoding="utf-8")
+    facts, needed = [], []
+    for name, length_m in lever_lengths_m.items():
+        budget, known = read[name]
+        setup = published_setup(budget, known, length_m)
+        facts.append({"table": name, **solution_facts(reconstruct(setup))})
+        needed.append(left_out(setup).assign(table=name))
+    pd.DataFrame(facts).to_csv(solutions, index=False)
+    pd.concat(needed).to_csv(assumptions, index=False)
     worth = what_the_cells_tell([read[camera], read[ins]])
     text = page(
         read,

@@ -10,12 +10,14 @@ true places are therefore shifted to the calibration's origin before they are co
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
+from thalweg.calibration import read_camera
 from thalweg.clocks import ClockModel
 from thalweg.core import (
     ArrayF,
@@ -29,7 +31,7 @@ from thalweg.core import (
     rotation_y,
     rotation_z,
 )
-from thalweg.core.calibration import Calibration
+from thalweg.core.calibration import Calibration, read_calibration
 from thalweg.lightsheet.optics import (
     FLIP,
     LASER,
@@ -38,8 +40,12 @@ from thalweg.lightsheet.optics import (
     LightSheet,
     Sensor,
     intersect,
+    read_sensor,
     sheet_derivatives,
 )
+from thalweg.settings.twin import TwinConfig
+from thalweg_lab.voyage import read_true_mounts, start_gps_s
+from thalweg_lab.yard_images import true_camera
 
 QUANTITIES: Final = ("rotation_x_deg", "rotation_y_deg", "rotation_z_deg", "x_m", "y_m", "z_m")
 BOAT_COLUMNS: Final = ("block", "quantity", "estimated_minus_true", "sigma", "unit", "normalised")
@@ -135,6 +141,42 @@ def compare_clock(clock: ClockModel, *, start_gps_s: float, ahead_s: float, drif
         ("camera clock", "drift_ppm", 1e6 * error[1], 1e6 * sigma[1], "ppm", ratio[1]),
     ]
     return pd.DataFrame(rows, columns=list(BOAT_COLUMNS))
+
+
+def judge_boat(
+    *,
+    boat: Path,
+    camera_lidar: Path,
+    camera: Path,
+    clock: Path,
+    true_mounts: Path,
+    table: Path,
+    twin: TwinConfig,
+) -> None:
+    """Errors of a boat's calibration, its camera and its clock from files.
+
+    Parameters
+    ----------
+    boat, camera_lidar, camera, clock : calibrations.
+    true_mounts : the truth.
+    table : target, CSV.
+    twin : with the true lens and clock of the camera.
+    """
+    mounts, lens = read_true_mounts(true_mounts), true_camera(twin.camera, "boat")
+    parts = [
+        compare_calibration(read_calibration(camera_lidar), mounts),
+        compare_calibration(read_calibration(boat), mounts),
+        compare_interior(
+            read_camera(camera), dict(zip(lens.parameter_names, lens.parameters.tolist(), strict=True))
+        ),
+        compare_clock(
+            ClockModel.read(clock),
+            start_gps_s=start_gps_s(twin),
+            ahead_s=twin.camera.clock_offset_s,
+            drift_ppm=twin.camera.clock_drift_ppm,
+        ),
+    ]
+    pd.concat(parts, ignore_index=True).to_csv(table, index=False, float_format="%.9g")
 
 
 def _true_poses(calibration: Calibration, mounts: Mapping[str, Any]) -> dict[str, Rigid]:
@@ -263,6 +305,12 @@ def compare_sensor(found: Sensor, truth: Sensor) -> pd.DataFrame:
         unit = "deg" if angle else "mm" if name.endswith("_mm") else "px" if name[0] in "fc" else "1"
         rows.append((word, error[k] * factor, sigma[k] * factor, unit, error[k] / sigma[k], 1))
     return pd.DataFrame(rows + _lens(found, true) + _depths(found, true), columns=list(LIGHT_SHEET_COLUMNS))
+
+
+def judge_light_sheet(*, sensor: Path, truth: Path, table: Path) -> None:
+    """Errors of a calibrated light-sheet sensor from files; ``truth``: folder with the true one."""
+    compared = compare_sensor(read_sensor(sensor), read_sensor(truth / "sensor.yaml"))
+    compared.to_csv(table, index=False, float_format="%.6g")
 
 
 def _same_fan(true: Sensor, found: Sensor, sigma: ArrayF) -> Sensor:

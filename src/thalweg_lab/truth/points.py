@@ -11,12 +11,13 @@ read the truth.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import pandas as pd
 
 from thalweg.accuracy import by_range_class, chi_square_band, describe_errors, independent_squares
+from thalweg.calibration import read_mounts
 from thalweg.core import (
     AnyArray,
     ArrayB,
@@ -26,11 +27,16 @@ from thalweg.core import (
     Rigid,
     Trajectory,
     iter_laz,
+    read_table,
     root_mean_square,
 )
-from thalweg.core.geometry import RayCaster, TriangleMesh
+from thalweg.core.geometry import RayCaster, TriangleMesh, read_mesh
 from thalweg.ingest.velodyne import VLP16
 from thalweg.lidar import cloud_covariance
+from thalweg.lightsheet.scanning import BED_POINTS
+from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
+from thalweg_lab.river import BARE_GROUND, Scene
+from thalweg_lab.voyage import longest_correlation_s, read_true_mounts
 
 LEAST_COSINE: Final = 0.2
 """Cosine of the incidence angle below which a beam grazes: 78 degrees from the normal."""
@@ -449,6 +455,55 @@ def filter_scores(points: Path, returns: TrueReturns, has_pose: ArrayB) -> pd.Da
     return pd.DataFrame(rows, columns=["kind", "n", "kept", "share_kept"])
 
 
+def judge_cloud(
+    *,
+    points: Path,
+    trajectory: Path,
+    scene: Path,
+    voyage: Path,
+    shots: Path,
+    true_mounts: Path,
+    mounts: Path,
+    statistics: Path,
+    by_range: Path,
+    scores: Path,
+    twin: dict[str, Any],
+    vertical_corrections: bool,
+    position_source: str,
+) -> None:
+    """Errors of a campaign's cloud, and what the filters took, from files; see `compare_cloud`.
+
+    Parameters
+    ----------
+    points, trajectory, mounts : cloud, and what georeferenced it.
+    scene, voyage, shots, true_mounts : the truth.
+    statistics, by_range, scores : targets, CSV.
+    twin : sections ``lidar``, ``ins`` and ``gnss`` of the twin.
+    vertical_corrections, position_source : as the cloud was made.
+    """
+    reach, estimated = Scene.read(scene), Trajectory.read(trajectory)
+    returns = TrueReturns.from_table(read_table(shots, LIDAR_SHOTS)[0], {int(k): k.name for k in EchoKind})
+    numbers, classes = compare_cloud(
+        points,
+        estimated=estimated,
+        mount=Rigid.from_mount(read_mounts(mounts)["lidar"]),
+        truth=Truth(
+            trajectory=Trajectory.read(voyage),
+            mount=Rigid.from_mount(read_true_mounts(true_mounts)["lidar"]),
+            surface=reach.caster(),
+            bare_ground=BARE_GROUND[reach.material],
+            divergence_rad=twin["lidar"]["divergence_mrad"] / 1000.0,
+        ),
+        returns=returns,
+        bare_materials=BARE_GROUND,
+        vertical_corrections=vertical_corrections,
+        correlation_s=longest_correlation_s(twin, position_source),
+    )
+    filter_scores(points, returns, estimated.at(returns.t_gps_s)[2]).to_csv(scores, index=False)
+    numbers.to_csv(statistics, index=False)
+    classes.to_csv(by_range, index=False)
+
+
 # ---------------------------------------------------------------- bed points by the light sheet (T 3.2)
 
 
@@ -505,3 +560,10 @@ def compare_bed(points: pd.DataFrame, bed: TriangleMesh) -> tuple[pd.DataFrame, 
         "sigma_line_m": float(np.median(points["sigma_line_m"].to_numpy()[use])),
     }
     return pd.DataFrame([row]), by_line
+
+
+def judge_bed_strip(*, points: Path, truth: Path, statistics: Path, lines: Path) -> None:
+    """Errors of the bed points under the boat from files; ``truth``: folder with the mesh of the true bed."""
+    table, by_line = compare_bed(read_table(points, BED_POINTS)[0], read_mesh(truth / "bed.ply")[0])
+    table.to_csv(statistics, index=False, float_format="%.6g")
+    by_line.to_csv(lines, index=False, float_format="%.6g")

@@ -9,6 +9,7 @@ Its truth is therefore the true pose of the *camera*, carried back through the m
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -24,7 +25,11 @@ from thalweg.accuracy import (
     valid_spans,
     within,
 )
+from thalweg.calibration import read_mounts
 from thalweg.core import ArrayB, ArrayF, CoverageError, Rigid, Trajectory, attitude_axes, root_mean_square
+from thalweg.core.calibration import read_calibration
+from thalweg.navigation.camera import lidar_mount_by_camera
+from thalweg_lab.voyage import longest_correlation_s, read_true_mounts
 
 OWN_TIMES: Final = "own poses"
 COMMON_TIMES: Final = "times with a pose by every chain"
@@ -107,6 +112,38 @@ def carried_by_camera(true_T_ics_ccs: Rigid, used_T_ics_ccs: Rigid) -> Rigid:
     """
     exact = np.zeros((6, 6))
     return true_T_ics_ccs.with_cov(exact) @ used_T_ics_ccs.with_cov(exact).inverse()
+
+
+def judge_chains(
+    *,
+    trajectories: list[Path],
+    voyage: Path,
+    true_mounts: Path,
+    mounts: Path,
+    boat: list[Path],
+    table: Path,
+    twin: dict[str, Any],
+    position_source: str,
+) -> None:
+    """Errors of the poses by INS, camera and all sensors from files.
+
+    Parameters
+    ----------
+    trajectories : in the order of `CHAINS`.
+    voyage, true_mounts : the truth.
+    mounts, boat : places of the sensors as used, and the boat's calibration, if there is one.
+    table : target, CSV.
+    twin : sections ``ins`` and ``gnss`` of the twin.
+    position_source : of the campaign.
+    """
+    _, used, _ = lidar_mount_by_camera(read_mounts(mounts), read_calibration(boat[0]) if boat else None)
+    camera = Rigid.from_mount(read_true_mounts(true_mounts)["camera"])
+    chains_truth_table(
+        {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
+        Trajectory.read(voyage),
+        correlation_s=longest_correlation_s(twin, position_source),
+        carried={"camera": carried_by_camera(camera, used)},
+    ).to_csv(table, index=False, float_format="%.9g")
 
 
 def _judged(
