@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame, Rigid, Trajectory
 from thalweg.deformation import Epoch, check_order, prepare_epoch
+from thalweg.deformation.epochs import roots_of
 from thalweg.deformation.m3c2 import ColumnIndex
 from thalweg.lidar import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS, georeference_points
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
@@ -113,6 +114,33 @@ def test_the_noise_of_the_receiver_is_a_quarter_and_mounts_last_for_ever(survey)
     assert groups["position, white"].correlation_s == 0.05
     assert groups["mount, shift"].correlation_s == np.inf
     assert groups["attitude"].correlation_s == 20.0
+
+
+def test_an_error_stays_the_same_one_while_the_boat_turns() -> None:
+    """Roots of neighbouring moments share their components, whatever the eigenvectors of each are."""
+    t = np.linspace(0.0, 1.0, 200)
+    R = Rotation.from_euler("ZYX", np.column_stack([360 * t, 3 * np.sin(30 * t), 5 * np.cos(20 * t)]), True)
+    body = np.diag([4.0, 4.0, 9.0]) * 1e-6  # roll and pitch alike: eigenvectors are any two
+    turned = R.as_matrix() @ body @ np.swapaxes(R.as_matrix(), 1, 2)
+    root = roots_of(turned, R.as_matrix())
+    assert root @ np.swapaxes(root, 1, 2) == pytest.approx(turned, abs=1e-12)
+    between = root[:1] @ np.swapaxes(root, 1, 2)  # of the first moment with all others
+    assert between == pytest.approx(R.as_matrix()[:1] @ body @ np.swapaxes(R.as_matrix(), 1, 2), abs=1e-12)
+    world = roots_of(
+        np.broadcast_to(np.diag([1.0, 1.0, 4.0]), (200, 3, 3)), np.broadcast_to(np.eye(3), (200, 3, 3))
+    )
+    assert world == pytest.approx(np.broadcast_to(np.diag([1.0, 1.0, 2.0]), (200, 3, 3)))
+
+
+def test_a_mount_moves_points_alike_before_and_after_a_turn(survey) -> None:
+    """The covariance between two moments is that of one error in the axes of the boat."""
+    _, trajectory, mount, _ = survey
+    groups = {group.name: group for group in prepared(survey).groups}
+    first, last = groups["mount, shift"].root[[0, -2]]
+    _, R, _ = trajectory.at(trajectory.t_gps_s[0] + np.array([0.05, 3.95]))
+    lever = mount.cov[:3, 3:] @ np.linalg.inv(mount.cov[3:, 3:])
+    rest = mount.cov[:3, :3] - lever @ mount.cov[3:, :3]
+    assert first @ last.T == pytest.approx(R[0] @ rest @ R[1].T, rel=1e-6, abs=1e-12)
 
 
 def test_another_origin_turns_points_and_errors_alike(survey) -> None:

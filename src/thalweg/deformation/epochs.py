@@ -290,15 +290,18 @@ class _Moments:
         (rest, attitude, lever), (placed, rotated, arm) = (_split(each) for each in (cov, self._mount))
         self.levers = np.stack([lever, arm])
         white = correlation.white_share
+        world = np.broadcast_to(np.eye(3), R.shape)
         kinds = (
-            ("position", (1 - white) * rest, correlation.position_s),
-            ("position, white", white * rest, 0.5 * correlation.receiver_s),
-            (TURNS[0], attitude, correlation.attitude_s),
-            ("mount, shift", placed, np.inf),
-            (TURNS[1], rotated, np.inf),
+            ("position", (1 - white) * rest, world, correlation.position_s),
+            ("position, white", white * rest, world, 0.5 * correlation.receiver_s),
+            (TURNS[0], attitude, R, correlation.attitude_s),
+            ("mount, shift", placed, R, np.inf),
+            (TURNS[1], rotated, R, np.inf),
         )
         self.groups = tuple(
-            ErrorGroup(name, self.t_s, roots_of(some), time_s) for name, some, time_s in kinds if some.any()
+            ErrorGroup(name, self.t_s, roots_of(some, axes), time_s)
+            for name, some, axes, time_s in kinds
+            if some.any()
         )
 
     def of(self, t_gps_s: ArrayF) -> ArrayI:
@@ -350,10 +353,17 @@ def _split(cov: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
     return cov[:, :3, :3] - lever @ cov[:, 3:, :3], rotation, lever
 
 
-def roots_of(cov: ArrayF) -> ArrayF:
-    """Roots (m, 3, 3) of covariances, semi-definite ones too."""
-    values, vectors = np.linalg.eigh(cov)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+def roots_of(cov: ArrayF, axes: ArrayF) -> ArrayF:
+    """Roots L (m, 3, 3) of covariances, semi-definite ones too, whose components keep to axes.
+
+    Between two moments errors have the covariance ``L(t) L(t')' exp(-|t - t'| / tau)``: any root has the
+    variances of single moments, but only one whose components are the same errors at all moments has this.
+    Here it is the symmetric root in the axes (m, 3, 3) in which the error lasts (columns: their directions in
+    the world): those of the boat for what turns with it, of the world for antennas.
+    """
+    values, vectors = np.linalg.eigh(np.swapaxes(axes, 1, 2) @ cov @ axes)
+    own = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    return np.asarray(axes @ own)
 
 
 def check_order(epochs: list[Epoch]) -> None:
