@@ -260,7 +260,7 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> F
     logging.getLogger("thalweg").setLevel(logging.ERROR)
     settings = study.settings(seed)
     logs = record(settings, folder, scene=world.scene)
-    trajectories, mounts, used = trajectories_of(logs, study.images)
+    trajectories, mounts, used, _ = trajectories_of(logs, study.images)
     surface = Surface(world.mesh)
     how = comparison_settings(settings, seed)
     distances, counts = {}, {}
@@ -282,10 +282,13 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> F
     return Found(distances=distances, counts=counts, truth=truth)
 
 
-def trajectories_of(logs: Logs, errors: ImageErrors) -> tuple[dict[str, Trajectory], dict[str, Rigid], Rigid]:
-    """Trajectories of all chains, the lidar's mount that belongs to each, and ``T_ics_ccs`` of the camera's.
+def trajectories_of(
+    logs: Logs, errors: ImageErrors
+) -> tuple[dict[str, Trajectory], dict[str, Rigid], Rigid, dict[str, dict[str, Any]]]:
+    """Trajectories of all chains, and the lidar's mount that belongs to each.
 
-    The settings are those of a campaign that says nothing of its errors: defaults.
+    The settings are those of a campaign that says nothing of its errors: defaults. Behind both stand
+    ``T_ics_ccs`` of the camera's, and facts about camera and fused trajectory.
     """
     s = logs.settings
     places = s["mounts"]
@@ -318,7 +321,8 @@ def trajectories_of(logs: Logs, errors: ImageErrors) -> tuple[dict[str, Trajecto
     )
     own = Rigid.from_mount(places["lidar"])
     trajectories = {"ins": ins_trajectory(logs), "camera": by_camera.trajectory, "fused": by_all.trajectory}
-    return trajectories, {"ins": own, "camera": Rigid.from_mount(through["lidar"]), "fused": own}, T_ics_ccs
+    mounts = {"ins": own, "camera": Rigid.from_mount(through["lidar"]), "fused": own}
+    return trajectories, mounts, T_ics_ccs, {"camera": by_camera.facts, "fused": by_all.facts}
 
 
 def comparison_settings(settings: Mapping[str, Any], seed: int) -> ComparisonSettings:

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
+from thalweg.accuracy import CHAINS
 from thalweg.core import ArrayB, ArrayF
 from thalweg.deformation import (
     Compared,
@@ -34,8 +35,9 @@ from thalweg.deformation import (
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
+from thalweg_lab.studies.chain_study import MOUNTS, ImageErrors, trajectories_of
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
-from thalweg_lab.studies.survey import BARE, process, record, survey_settings
+from thalweg_lab.studies.survey import BARE, orient, record, survey_settings
 
 TWIN: Final[dict[str, Any]] = {
     "size": "tiny",
@@ -50,59 +52,78 @@ AREA: Final = Area(lowest_m=0.3)
 """Above waves and mirror images."""
 WITHIN_M: Final = 30.0
 """Core points farther from the boat are not asked for."""
-CHANGE_M: Final = 0.10
-"""Size of the changes that the power is asked for."""
+CHANGE_M: Final = {"ins": 0.10, "camera": 0.10, "fused": 0.06}
+"""Size of the changes that the power is asked for, by chain."""
+RECEIVER_S: Final = 0.1
+"""Between solutions of the twin's receiver."""
 LEVEL: Final = 0.05
 Z95: Final = float(norm.isf(0.025))
 FIELD: Final = "field"
 MODELS: Final = (FIELD, "independent", "ep", "field, correlation times a tenth", "field, sigmas halved")
-"""The pipeline's model, two others, and the pipeline's with two mistakes put in."""
+"""The pipeline's model, two others, and, for INS and receiver, the pipeline's with two mistakes put in."""
 
 
 def rows(seed: Seed) -> Tables:
-    """What one pair says of each model: means over its core points, and three volumes."""
+    """What one pair says of each chain and model: means over its core points, and three volumes."""
     settings = Deformation()
-    before, after = (_epoch(seed, number, settings) for number in (0, 1))
-    cores = place_core_points([before, after], settings, AREA)
-    pair = measure_pair(cores, before, after, settings)
-    compared = registered_distances(pair, register_pair(pair, settings))
-    near = np.linalg.norm(before.scanner_m[:, None] - compared.pair.found.cores_m, axis=2).min(axis=0)
-    use = np.isfinite(compared.distance_m) & (near < WITHIN_M) & pair.calm
-    thirds = _thirds(cores["s_m"].to_numpy(), use)
-    parts = [
-        {"seed": seed.number, "model": model} | _judged(compared, model, use, thirds, seed.number)
-        for model in MODELS
-    ]
+    first, second = (_epochs(seed, number, settings) for number in (0, 1))
+    parts: list[dict[str, Any]] = []
+    for chain in CHAINS:
+        before, after = first[chain], second[chain]
+        cores = place_core_points([before, after], settings, AREA)
+        pair = measure_pair(cores, before, after, settings)
+        compared = registered_distances(pair, register_pair(pair, settings))
+        near = np.linalg.norm(before.scanner_m[:, None] - pair.found.cores_m, axis=2).min(axis=0)
+        use = np.isfinite(compared.distance_m) & (near < WITHIN_M) & pair.calm
+        thirds = _thirds(cores["s_m"].to_numpy(), use)
+        parts += [
+            {"seed": seed.number, "chain": chain, "model": model}
+            | _judged(compared, model, use, thirds, CHANGE_M[chain], seed.number)
+            for model in (MODELS if chain == "ins" else MODELS[:3])
+        ]
     return {"pairs": pd.DataFrame(parts)}
 
 
-def _epoch(seed: Seed, number: int, settings: Deformation) -> Epoch:
-    """One survey of the seed's river, processed with what the twin's logs state."""
+def _epochs(seed: Seed, number: int, settings: Deformation) -> dict[str, Epoch]:
+    """One survey of the seed's river by each chain, processed as a campaign that states no errors is.
+
+    Errors of INS and receiver are those that the logs state, with correlation times taken as certain; what
+    camera and fused trajectory find out about their errors is theirs.
+    """
     twin = {**TWIN, "scene": {**TWIN["scene"], "seed": seed.number}}
     if number:
         twin["start_utc"] = "2023-05-10T09:41:20Z"
-    s = survey_settings(twin, seed=2 * seed.number + number)
+    s = survey_settings(twin, seed=2 * seed.number + number, mounts=MOUNTS)
     logs = record(s, seed.folder / f"epoch_{number}")
-    survey = process(logs, s)
-    epoch = prepare_epoch(
-        f"epoch {number + 1}",
-        survey.points,
-        survey.trajectory,
-        survey.mount,
-        PoseCorrelation(
+    trajectories, mounts, _, facts = trajectories_of(logs, ImageErrors())
+    correlation = {
+        "ins": PoseCorrelation(
             position_s=TWIN["gnss"]["correlation_time_s"],
             attitude_s=TWIN["ins"]["attitude_time_s"],
             white_share=s["orientation"]["error_model"]["white_share"],
-            receiver_s=0.1,
-        ),
-        frame=logs.frame,
-        area=AREA,
-        moment_s=settings.errors.moment_s,
-        water_line_ics_m=s["filters"]["water_line_ics_m"],
-        margin_m=settings.reach_m,
-    )
+            receiver_s=RECEIVER_S,
+        )
+    } | {
+        chain: PoseCorrelation.of_survey(found, chain, receiver_s=RECEIVER_S)
+        for chain, found in facts.items()
+    }
+    epochs = {}
+    for chain in CHAINS:
+        survey = orient(logs, trajectories[chain], name=chain, mount=mounts[chain])
+        epochs[chain] = prepare_epoch(
+            f"epoch {number + 1}",
+            survey.points,
+            survey.trajectory,
+            survey.mount,
+            correlation[chain],
+            frame=logs.frame,
+            area=AREA,
+            moment_s=settings.errors.moment_s,
+            water_line_ics_m=s["filters"]["water_line_ics_m"],
+            margin_m=settings.reach_m,
+        )
     logs.remove()
-    return epoch
+    return epochs
 
 
 def _thirds(s_m: ArrayF, use: ArrayB) -> list[ArrayB]:
@@ -112,7 +133,7 @@ def _thirds(s_m: ArrayF, use: ArrayB) -> list[ArrayB]:
 
 
 def _judged(
-    compared: Compared, model: str, use: ArrayB, thirds: Sequence[ArrayB], seed: int
+    compared: Compared, model: str, use: ArrayB, thirds: Sequence[ArrayB], change_m: float, seed: int
 ) -> dict[str, float]:
     """Measures of one model on one pair."""
     changed = _with_times(compared, 0.1) if "tenth" in model else compared
@@ -132,7 +153,7 @@ def _judged(
         "false_alarm_95": float(np.mean(np.abs(z) > Z95)),
         **{f"volume_{i + 1}": float(v) for i, v in enumerate(volume / spread)},
         "mean": _mean(changed, sigma / factor, factor, model, use),
-        **_power(compared, sigma, use, seed),
+        **_power(compared, sigma, use, change_m, seed),
     }
 
 
@@ -167,7 +188,7 @@ def _other_sigma(compared: Compared, model: str) -> ArrayF:
     return np.sqrt(total + pair.white_m**2)
 
 
-def _power(compared: Compared, sigma: ArrayF, use: ArrayB, seed: int) -> dict[str, float]:
+def _power(compared: Compared, sigma: ArrayF, use: ArrayB, change_m: float, seed: int) -> dict[str, float]:
     """Sensitivity, specificity and false discoveries with patches of change put into the second epoch."""
     rng = np.random.default_rng(seed)
     places = compared.pair.found.cores_m
@@ -175,12 +196,12 @@ def _power(compared: Compared, sigma: ArrayF, use: ArrayB, seed: int) -> dict[st
     moved = np.zeros(len(use))
     for middle in places[rng.choice(rows, 4, replace=False)]:
         inside = np.linalg.norm(places - middle, axis=1) < 2.5
-        moved[inside] = CHANGE_M * rng.choice([-1.0, 1.0])
+        moved[inside] = change_m * rng.choice([-1.0, 1.0])
     z = (compared.distance_m + moved)[use] / sigma[use]
     q = benjamini_hochberg(2.0 * norm.sf(np.abs(z)))
     found, true = q <= LEVEL, moved[use] != 0.0
     limit = float(np.abs(z[found]).min()) if found.any() else np.inf
-    offset = CHANGE_M / sigma[use][true]
+    offset = change_m / sigma[use][true]
     return {
         "sensitivity": float(found[true].mean()),
         "predicted_sensitivity": float(np.mean(norm.cdf(offset - limit) + norm.cdf(-offset - limit))),
@@ -192,7 +213,7 @@ def _power(compared: Compared, sigma: ArrayF, use: ArrayB, seed: int) -> dict[st
 def results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
     """Measures of each model over all pairs."""
     out = []
-    for model, part in tables["pairs"].groupby("model", sort=False):
+    for (chain, model), part in tables["pairs"].groupby(["chain", "model"], sort=False):
         volumes = part[[f"volume_{i}" for i in (1, 2, 3)]].to_numpy()
         values = {
             "normalised_square": part["normalised_square"].mean(),
@@ -204,7 +225,7 @@ def results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
             "power_gap": float((part["sensitivity"] - part["predicted_sensitivity"]).mean()),
         }
         out += [
-            {"chain": "ins", "model": model, "measure": name, "value": value, "pairs": len(part)}
+            {"chain": chain, "model": model, "measure": name, "value": value, "pairs": len(part)}
             for name, value in values.items()
         ]
     return {"table": pd.DataFrame(out)}

@@ -93,7 +93,7 @@ class Deformation(Section):
         "of the bank agrees on",
     )
     registration: Literal["none", "shift", "shift+heading", "rigid"] = Field(
-        default="shift", description="Motion between the epochs that stable ground shows"
+        default="shift+heading", description="Motion between the epochs that stable ground shows"
     )
     largest_shift_m: Positive = Field(
         default=0.5,
