@@ -547,6 +547,16 @@ def mixed(ix, iy, iz, seed):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
+def chance_of(index, stream):  # type: ignore[no-untyped-def]
+    """A number in [0, 1) that belongs to an index; for kernels."""
+    h = np.uint64(index) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(stream) * np.uint64(0xC2B2AE3D27D4EB4F)
+    h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    h ^= h >> np.uint64(31)
+    return np.float64(h >> np.uint64(11)) * 2.0**-53
+
+
+@njit(cache=True, error_model="numpy")
 def noise_and_slope(x, y, z, seed):  # type: ignore[no-untyped-def]
     """Value noise of space in [-1, 1], of spacing 1, and its gradient; for kernels."""
     fx, fy, fz = np.floor(x), np.floor(y), np.floor(z)

@@ -67,3 +67,14 @@ def test_a_mesh_that_cannot_be_cast_is_refused(vertices: object, triangles: obje
 def test_nearest_points_of_nowhere_are_refused() -> None:
     with pytest.raises(GeometryError, match="not finite"):
         RayCaster(SQUARE, FACES).closest_points([[np.inf, 0.0, 0.0]])
+
+
+def test_free_rays_are_those_that_meet_nothing(rng: np.random.Generator) -> None:
+    caster = RayCaster(SQUARE + UTM, FACES)
+    origins = UTM + rng.uniform([-1, -1, -2], [5, 5, 2], (400, 3))
+    directions = rng.standard_normal((400, 3))
+    directions[7] = np.nan
+    free = caster.free(origins, directions)
+    np.testing.assert_array_equal(free, np.isinf(caster.cast(origins, directions).t_hit_m))
+    assert free[7]
+    assert 0.1 < free.mean() < 0.95

@@ -262,7 +262,10 @@ class Beam:
 def part_of(hits: Hits, rows: AnyArray) -> Hits:
     """Hits of some of the rays."""
     return Hits(
-        t_hit_m=hits.t_hit_m[rows], primitive=hits.primitive[rows], normal=hits.normal[rows], uv=hits.uv[rows]
+        t_hit_m=hits.t_hit_m[rows],
+        primitive=hits.primitive[rows],
+        single_normal=hits.single_normal[rows],
+        single_uv=hits.single_uv[rows],
     )
 
 

@@ -264,8 +264,7 @@ class Painter:
             sun + (out * np.cos(turn))[:, None] * right + (out * np.sin(turn))[:, None] * np.cross(sun, right)
         )
         side = np.where(np.sum(normal * sun, axis=1) >= 0, 1.0, -1.0)[:, None]
-        hits = self.caster.cast(points + _LIFT_M * side * normal, way)
-        return np.asarray(np.where(np.isfinite(hits.t_hit_m), 0.0, 1.0))
+        return self.caster.free(points + _LIFT_M * side * normal, way).astype(np.float64)
 
     def _surface(
         self,

@@ -132,7 +132,7 @@ def _sunlit_share(camera: PictureCamera, painter: Painter, water_m: float) -> fl
     normal = np.where((np.sum(normal * ray, axis=1) > 0)[:, None], -normal, normal)
     sun = painter.sun.direction_wcs
     way = np.tile(sun, (len(point), 1))
-    free = ~np.isfinite(painter.caster.cast(point + _LIFT_M * normal, way).t_hit_m)
+    free = painter.caster.free(point + _LIFT_M * normal, way)
     return float(np.mean(free & (normal @ sun > 0)))
 
 

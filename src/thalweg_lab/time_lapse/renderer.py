@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, Rigid, njit, prange
-from thalweg_lab.reach import mixed, noise_at
+from thalweg_lab.reach import chance_of, mixed, noise_at
 from thalweg_lab.river import (
     BARE_GROUND,
     MURK,
@@ -147,8 +147,8 @@ class World:
         """1 where the way (n,) from surfaces to the sun is free, 0 where not."""
         sun = self.sun.direction_wcs
         side = np.where(normal_wcs @ sun >= 0, LIFT_M, -LIFT_M)[:, None]
-        hits = self.caster.cast(start_wcs_m + side * normal_wcs, np.broadcast_to(sun, normal_wcs.shape))
-        return np.isinf(hits.t_hit_m).astype(np.float32)
+        way = np.broadcast_to(sun, normal_wcs.shape)
+        return self.caster.free(start_wcs_m + side * normal_wcs, way).astype(np.float32)
 
     def _light(self, place: ArrayF, normal: ArrayF, index: ArrayI, rays: int) -> ArrayF32:
         n, sun = len(place), self.sun
@@ -556,16 +556,6 @@ def claim_new(primitive, triangles, smooth, lit_corner, lit_face, corner, face):
     return corners, faces
 
 
-@njit(cache=True, error_model="numpy")
-def _chance_of_place(index, stream):  # type: ignore[no-untyped-def]
-    """A number in [0, 1) that belongs to a place."""
-    h = np.uint64(index) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(stream) * np.uint64(0xC2B2AE3D27D4EB4F)
-    h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    h ^= h >> np.uint64(31)
-    return np.float64(h >> np.uint64(11)) * 2.0**-53
-
-
 @njit(cache=True, error_model="numpy", parallel=True)
 def rays_to_sky(place, normal, index, lift, sun, rays, start, way):  # type: ignore[no-untyped-def]
     """Rays (n, rays + 1, 3) with a density of the cosine about normals (n, 3); the last one to the sun."""
@@ -581,8 +571,8 @@ def rays_to_sky(place, normal, index, lift, sun, rays, start, way):  # type: ign
             if k == rays:
                 way[i, k, 0], way[i, k, 1], way[i, k, 2] = sun[0], sun[1], sun[2]
                 continue
-            turn = 2 * np.pi * (k + _chance_of_place(index[i], 2 * k + 1)) / rays
-            out = _chance_of_place(index[i], 2 * k + 2)
+            turn = 2 * np.pi * (k + chance_of(index[i], 2 * k + 1)) / rays
+            out = chance_of(index[i], 2 * k + 2)
             flat, high = np.sqrt(out), np.sqrt(1.0 - out)
             x, y = flat * np.cos(turn), flat * np.sin(turn)
             way[i, k, 0] = x * (1.0 + sign * nx * nx * a) + y * b + high * nx

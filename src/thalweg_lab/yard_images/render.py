@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
 from thalweg.calibration import SHEET_MODULES, MarkerLayout, sheet_picture
 from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, ArrayU8, Rigid, njit, prange
 from thalweg.core.geometry import RayCaster
-from thalweg_lab.reach import mixed, noise_at, seen_share
-from thalweg_lab.river import half_sphere, hash01
+from thalweg_lab.reach import chance_of, mixed, noise_at, seen_share
+from thalweg_lab.river import half_sphere
 from thalweg_lab.river_images import Sun, sky
 from thalweg_lab.yard import FieldCone, Sheet, Yard
 from thalweg_lab.yard_images.camera import LensRays
@@ -32,9 +32,10 @@ _BAND_PX: Final = 400_000
 _PARTS: Final = 4
 """Parts of a pixel along each side."""
 _SHADOW_STEP_PX: Final = 2
-_APART: Final = ((-0.5, -0.5), (0.5, 0.5))
+_APART: Final = np.array([(-0.5, -0.5), (0.5, 0.5)], dtype=np.float32)
 """Places in every second pixel that lie evenly apart from those of the next one."""
-_WITHIN: Final = ((-0.25, -0.25), (0.25, -0.25), (0.25, 0.25), (-0.25, 0.25))
+_WITHIN: Final = np.array([(-0.25, -0.25), (0.25, -0.25), (0.25, 0.25), (-0.25, 0.25)], dtype=np.float32)
+_MIDDLE_OF_PIXEL: Final = np.zeros((1, 2), dtype=np.float32)
 _LIFT_M: Final = 5e-4
 _CELL_M: Final = 0.05
 _SKY_RAYS: Final = 16
@@ -120,8 +121,10 @@ class Photographer:
         self._normal = (normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]).astype(
             np.float32
         )
-        self._look = np.array([look_of(name) for name in yard.names], dtype=np.int64)[yard.things]
+        self._look = np.array([look_of(name) for name in yard.names], dtype=np.int64)
         self._table = PaintTable.of(yard.sheets, yard.names, yard.layout)
+        given = np.full((len(yard.names), 3), np.nan) if yard.colours is None else yard.colours
+        self._given = given.astype(np.float32)
 
     def see(self, lens: LensRays, T_wcs_ccs: Rigid) -> Seen:
         """The light in each pixel of a camera at a pose."""
@@ -149,9 +152,15 @@ class Photographer:
         grid = rays.reshape(h, w, 3)
         for begin in range(0, len(whole), step):
             some = whole[begin : begin + step]
-            dx, dy = _changes(grid, some)
             light[some] = self._surface(
-                eye, rays[some], dx, dy, t[some], primitive[some], sunlit[some], lens.size_rad, _PARTS
+                eye,
+                rays[some],
+                *changes(grid, some),
+                t[some],
+                primitive[some],
+                sunlit[some],
+                lens.size_rad,
+                _PARTS,
             )
         some = np.flatnonzero(edge & ~dark)
         for begin in range(0, len(some), step // _PARTS**2):
@@ -171,13 +180,6 @@ class Photographer:
             t[band], primitive[band] = hits.t_hit_m, hits.primitive
         return t, primitive
 
-    def _facing(self, rays: ArrayF32, primitive: ArrayI) -> ArrayF32:
-        """Normals (n, 3) of met triangles, toward the viewer."""
-        normal = self._normal[primitive]
-        away = np.einsum("ij,ij->i", normal, rays) > 0
-        normal[away] *= -1
-        return normal
-
     def _shadows(self, eye: ArrayF, grid: ArrayF32, t: ArrayF32, primitive: ArrayI) -> ArrayF32:
         """Share (n,) of the sun that shines on each pixel's place: rays from some pixels, more at borders."""
         h, w, _ = grid.shape
@@ -189,7 +191,7 @@ class Photographer:
             part = met[begin : begin + _BAND_PX]
             some = index.ravel()[part]
             share = self._in_sun(
-                eye, rays[some], t[some], primitive[some], some, _APART, _changes(grid, some)
+                eye, rays[some], *changes(grid, some), t[some], primitive[some], some, _APART
             )
             state[part] = np.where(share > 0.9, 1, np.where(share < 0.1, 0, 2))
         coarse, open_ = unlike_corners(
@@ -200,7 +202,7 @@ class Photographer:
         for begin in range(0, len(rest), _BAND_PX):
             some = rest[begin : begin + _BAND_PX]
             sunlit[some] = self._in_sun(
-                eye, rays[some], t[some], primitive[some], some, _WITHIN, _changes(grid, some)
+                eye, rays[some], *changes(grid, some), t[some], primitive[some], some, _WITHIN
             )
         return sunlit
 
@@ -208,32 +210,28 @@ class Photographer:
         self,
         eye: ArrayF,
         rays: ArrayF32,
+        dx: ArrayF32,
+        dy: ArrayF32,
         t: ArrayF32,
         primitive: ArrayI,
         index: ArrayI,
-        places: tuple[tuple[float, float], ...] = ((0.0, 0.0),),
-        changes: tuple[ArrayF32, ArrayF32] | None = None,
+        places: ArrayF32,
     ) -> ArrayF32:
-        """Share (n,) of the sun's disc that is seen from met surfaces, from some ``places`` in each pixel."""
-        normal = self._facing(rays, primitive)
-        sun = self.sun.direction_wcs
-        toward = np.flatnonzero(normal @ sun.astype(np.float32) > 0)
-        share = np.zeros(len(t), dtype=np.float32)
-        normal, ray, count = normal[toward], rays[toward], len(places)
-        facing = np.einsum("ij,ij->i", normal, ray)
+        """Share (n,) of the sun's disc that met surfaces see, from ``places`` (k, 2) in each pixel."""
+        sun, n, k = self.sun.direction_wcs, len(t), len(places)
         right = np.array([-sun[1], sun[0], 0.0]) / np.hypot(sun[0], sun[1])
         up = np.cross(sun, right)
-        for k, (across, down) in enumerate(places):
-            way_m, seen = t[toward], ray
-            if changes is not None:
-                # The same plane, met by a ray through another place of the pixel.
-                seen = ray + np.float32(across) * changes[0][toward] + np.float32(down) * changes[1][toward]
-                way_m = way_m * np.clip(facing / np.einsum("ij,ij->i", normal, seen), 0.9, 1.1)
-            start = eye + way_m[:, None].astype(np.float64) * seen + _LIFT_M * normal
-            turn = 2 * np.pi * (k + hash01(index[toward], 2 * k + 1)) / count
-            out = HAZY_SUN_RAD * np.sqrt(hash01(index[toward], 2 * k + 2))
-            way = sun + (out * np.cos(turn))[:, None] * right + (out * np.sin(turn))[:, None] * up
-            share[toward] += np.isinf(self._caster.cast(start, way).t_hit_m).astype(np.float32) / count
+        side = np.empty(n, dtype=np.bool_)
+        _faces_sun(rays, primitive, self._normal, sun, side)
+        toward = np.flatnonzero(side)
+        start = np.empty((len(toward), k, 3))
+        way = np.empty((len(toward), k, 3), dtype=np.float32)
+        _rays_to_sun(
+            eye, rays, dx, dy, t, primitive, index, places, self._normal, sun, right, up, toward, start, way
+        )
+        free = self._caster.free(start.reshape(-1, 3), way.reshape(-1, 3)).reshape(-1, k)
+        share = np.zeros(n, dtype=np.float32)
+        share[toward] = free.mean(axis=1, dtype=np.float32)
         return share
 
     def _surface(
@@ -248,39 +246,35 @@ class Photographer:
         size_rad: float,
         cells: int,
     ) -> ArrayF32:
-        """Light (n, 3) from what rays met."""
-        normal = self._facing(rays, primitive)
-        points = (eye + t[:, None].astype(np.float64) * rays).astype(np.float32)
-        slant = np.abs(np.einsum("ij,ij->i", normal, rays))
-        stretch = 1.0 / np.sqrt(np.maximum(slant, np.float32(0.02)))
-        footprint = t * np.float32(size_rad) * stretch
-        look, thing = self._look[primitive], self.yard.things[primitive]
-        colour = albedo(points, normal, look, footprint, stretch)
-        if self.yard.colours is not None:
-            given = self.yard.colours[thing].astype(np.float32)
-            colour = np.where(np.isnan(given), colour, given)
-        painted = np.flatnonzero(np.diff(self._table.first)[thing] > 0)
-        paper, ink = self._table.paint(
-            eye, rays[painted], dx[painted], dy[painted], t[painted].astype(np.float64), thing[painted], cells
-        )
-        print_ = (paper - ink) * np.float32(PAPER) + ink * np.float32(INK)
-        colour[painted] = colour[painted] * (1 - paper)[:, None] + print_[:, None]
-        return surface_light(
-            colour,
-            normal,
+        """Light (n, 3) from what rays met; a pixel's print is the mean of ``cells`` x ``cells`` parts."""
+        out = np.empty_like(rays)
+        surface_light(
+            eye,
+            rays,
+            dx,
+            dy,
+            t,
+            primitive,
             sunlit,
-            self._open_sky(points, normal, look),
+            np.float32(size_rad),
+            cells,
+            self._normal,
+            self.yard.things,
+            self._look,
+            self._given,
+            self._table,
+            self._sky_cells,
             self.sun.direction_wcs,
             SUN_SHARE * self.sun.colour,
-            SKY_COLOUR,
-            GROUND_COLOUR,
+            out,
         )
+        return out
 
     def _divided(
         self, eye: ArrayF, grid: ArrayF32, rays: ArrayF32, pixels: ArrayI, size_rad: float
     ) -> ArrayF32:
         """Light (n, 3) of pixels at silhouettes: the mean of 4 x 4 rays."""
-        dx, dy = _changes(grid, pixels)
+        dx, dy = changes(grid, pixels)
         off = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
         a, b = (o.ravel().astype(np.float32) for o in np.meshgrid(off, off))
         some = rays[pixels][:, None] + a[:, None] * dx[:, None] + b[:, None] * dy[:, None]
@@ -290,12 +284,11 @@ class Photographer:
         miss, met = np.flatnonzero(primitive < 0), np.flatnonzero(primitive >= 0)
         light[miss] = surroundings(some[miss], self._panorama, self.sun, size_rad / _PARTS)
         index = np.repeat(pixels, _PARTS**2) * _PARTS**2 + np.tile(np.arange(_PARTS**2), len(pixels))
-        sunlit = self._in_sun(eye, some[met], t[met], primitive[met], index[met])
         small = np.float32(1 / _PARTS)
         wide, high = (np.repeat(d * small, _PARTS**2, axis=0)[met] for d in (dx, dy))
-        light[met] = self._surface(
-            eye, some[met], wide, high, t[met], primitive[met], sunlit, size_rad / _PARTS, 1
-        )
+        hits = (eye, some[met], wide, high, t[met], primitive[met])
+        sunlit = self._in_sun(*hits, index[met], _MIDDLE_OF_PIXEL)
+        light[met] = self._surface(*hits, sunlit, size_rad / _PARTS, 1)
         return np.asarray(light.reshape(len(pixels), _PARTS**2, 3).mean(axis=1))
 
     def _bake_sky(self) -> ArrayF32:
@@ -311,37 +304,8 @@ class Photographer:
         share = np.zeros(n * n, dtype=np.float32)
         for ray in range(_SKY_RAYS):
             way = half_sphere(up, index, ray, _SKY_RAYS)
-            share += np.isinf(self._caster.cast(start, way).t_hit_m)
+            share += self._caster.free(start, way)
         return share.reshape(n, n) / np.float32(_SKY_RAYS)
-
-    def _open_sky(self, points: ArrayF32, normal: ArrayF32, look: ArrayI) -> ArrayF32:
-        """Share (n,) of the sky that is open: from the grid on the ground, a rule of thumb elsewhere."""
-        n = len(self._sky_cells)
-        near = 1.0 - 0.35 * np.exp(-np.maximum(points[:, 2], 0) / 0.25)
-        out = (0.92 * near).astype(np.float32)
-        flat = np.flatnonzero((look == Look.GROUND) & (np.abs(points[:, 2]) < 0.05))
-        v = np.clip(points[flat, :2] / np.float32(_CELL_M) + np.float32(n / 2 - 0.5), 0, n - 1.001)
-        i = v.astype(np.int64)
-        a = v - i
-        cells = self._sky_cells
-        low = cells[i[:, 1], i[:, 0]] * (1 - a[:, 0]) + cells[i[:, 1], i[:, 0] + 1] * a[:, 0]
-        high = cells[i[:, 1] + 1, i[:, 0]] * (1 - a[:, 0]) + cells[i[:, 1] + 1, i[:, 0] + 1] * a[:, 0]
-        out[flat] = low * (1 - a[:, 1]) + high * a[:, 1]
-        return out
-
-
-def _changes(grid: ArrayF32, pixels: ArrayI) -> tuple[ArrayF32, ArrayF32]:
-    """Change (n, 3) of the ray over each pixel, across and down, from its neighbours."""
-    h, w, _ = grid.shape
-    y, x = np.divmod(pixels, w)
-    changes = []
-    for dy, dx in ((0, 1), (1, 0)):
-        y0, y1 = np.maximum(y - dy, 0), np.minimum(y + dy, h - 1)
-        x0, x1 = np.maximum(x - dx, 0), np.minimum(x + dx, w - 1)
-        change = (grid[y1, x1] - grid[y0, x0]) / ((y1 - y0) + (x1 - x0)).astype(np.float32)[:, None]
-        # At the rim of an image circle one neighbour has no ray.
-        changes.append(np.nan_to_num(change))
-    return changes[0], changes[1]
 
 
 # ---------------------------------------------------------------- printed sheets in a picture: the share of
@@ -354,9 +318,8 @@ def _changes(grid: ArrayF32, pixels: ArrayI) -> tuple[ArrayF32, ArrayF32]:
 # slanted one.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PaintTable:
-    """Sheets as arrays, sorted by the thing that they are glued on.
+class PaintTable(NamedTuple):
+    """Sheets as arrays, sorted by the thing that they are glued on; kernels take it as it is.
 
     Parameters
     ----------
@@ -432,28 +395,7 @@ class PaintTable:
         cells : parts along each side that a pixel is divided into.
         """
         paper, ink = (np.zeros(len(t_m), dtype=np.float32) for _ in range(2))
-        if len(self.place):
-            _paint(
-                eye_wcs_m,
-                rays_wcs,
-                dx,
-                dy,
-                t_m,
-                thing,
-                cells,
-                self.first,
-                self.is_cone,
-                self.origin,
-                self.axes,
-                self.half_angle_rad,
-                self.place,
-                self.to_modules,
-                self.black,
-                _NEAR_M,
-                _MIDDLE,
-                paper,
-                ink,
-            )
+        _paint(eye_wcs_m, rays_wcs, dx, dy, t_m, thing, cells, self, paper, ink)
         return paper, ink
 
 
@@ -523,67 +465,48 @@ def _mean_of_print(u, v, wide, high, black):  # type: ignore[no-untyped-def]
     return paper, ink
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _paint(  # type: ignore[no-untyped-def]
-    eye,
-    rays,
-    dx,
-    dy,
-    t,
-    thing,
-    cells,
-    first,
-    is_cone,
-    origin,
-    axes,
-    angle,
-    place,
-    matrix,
-    black,
-    close,
-    middle,
-    paper,
-    ink,
-):
-    for i in prange(len(t)):
-        what = thing[i]
-        if what < 0:
+@njit(cache=True, error_model="numpy")
+def _print_seen(eye, ray, dx, dy, t, what, cells, table):  # type: ignore[no-untyped-def]
+    """Shares of paper and of ink in what a pixel sees of a thing."""
+    paper, ink = 0.0, 0.0
+    x, y, z = ray[0], ray[1], ray[2]
+    for k in range(table.first[what], table.first[what + 1]):
+        m, on = table.to_modules[k], table.is_cone[k]
+        origin, axes, angle, place = table.origin[k], table.axes[k], table.half_angle_rad[k], table.place[k]
+        fu, fv, off = _flat(eye, x, y, z, t, on, origin, axes, angle, place)
+        if off > _NEAR_M:
             continue
-        x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
-        for k in range(first[what], first[what + 1]):
-            m = matrix[k]
-            fu, fv, off = _flat(eye, x, y, z, t[i], is_cone[k], origin[k], axes[k], angle[k], place[k])
-            if off > close:
-                continue
-            u, v = fu * m[0, 0] + fv * m[0, 1] + middle, fu * m[1, 0] + fv * m[1, 1] + middle
-            if u < -2.5 or u > 12.5 or v < -2.5 or v > 12.5:
-                continue
-            j = np.zeros((2, 2))
-            for side in range(2):
-                d = dx[i] if side == 0 else dy[i]
-                hx, hy, hz = 0.5 * d[0], 0.5 * d[1], 0.5 * d[2]
-                au, av, _ = _flat(
-                    eye, x + hx, y + hy, z + hz, t[i], is_cone[k], origin[k], axes[k], angle[k], place[k]
-                )
-                bu, bv, _ = _flat(
-                    eye, x - hx, y - hy, z - hz, t[i], is_cone[k], origin[k], axes[k], angle[k], place[k]
-                )
-                j[0, side] = (au - bu) * m[0, 0] + (av - bv) * m[0, 1]
-                j[1, side] = (au - bu) * m[1, 0] + (av - bv) * m[1, 1]
-            wide = max(np.sqrt(j[0, 0] ** 2 + j[0, 1] ** 2) / cells, 1e-6)
-            high = max(np.sqrt(j[1, 0] ** 2 + j[1, 1] ** 2) / cells, 1e-6)
-            sum_paper, sum_ink = 0.0, 0.0
-            for row in range(cells):
-                b = (row + 0.5) / cells - 0.5
-                for col in range(cells):
-                    a = (col + 0.5) / cells - 0.5
-                    p, q = _mean_of_print(
-                        u + a * j[0, 0] + b * j[0, 1], v + a * j[1, 0] + b * j[1, 1], wide, high, black[k]
-                    )
-                    sum_paper += p
-                    sum_ink += q
-            paper[i] = min(paper[i] + sum_paper / cells**2, 1.0)
-            ink[i] = min(ink[i] + sum_ink / cells**2, 1.0)
+        u, v = fu * m[0, 0] + fv * m[0, 1] + _MIDDLE, fu * m[1, 0] + fv * m[1, 1] + _MIDDLE
+        if u < -2.5 or u > 12.5 or v < -2.5 or v > 12.5:
+            continue
+        hx, hy, hz = 0.5 * dx[0], 0.5 * dx[1], 0.5 * dx[2]
+        au, av, _ = _flat(eye, x + hx, y + hy, z + hz, t, on, origin, axes, angle, place)
+        bu, bv, _ = _flat(eye, x - hx, y - hy, z - hz, t, on, origin, axes, angle, place)
+        xx, yx = (au - bu) * m[0, 0] + (av - bv) * m[0, 1], (au - bu) * m[1, 0] + (av - bv) * m[1, 1]
+        hx, hy, hz = 0.5 * dy[0], 0.5 * dy[1], 0.5 * dy[2]
+        au, av, _ = _flat(eye, x + hx, y + hy, z + hz, t, on, origin, axes, angle, place)
+        bu, bv, _ = _flat(eye, x - hx, y - hy, z - hz, t, on, origin, axes, angle, place)
+        xy, yy = (au - bu) * m[0, 0] + (av - bv) * m[0, 1], (au - bu) * m[1, 0] + (av - bv) * m[1, 1]
+        wide = max(np.sqrt(xx**2 + xy**2) / cells, 1e-6)
+        high = max(np.sqrt(yx**2 + yy**2) / cells, 1e-6)
+        sum_paper, sum_ink = 0.0, 0.0
+        for row in range(cells):
+            b = (row + 0.5) / cells - 0.5
+            for col in range(cells):
+                a = (col + 0.5) / cells - 0.5
+                p, q = _mean_of_print(u + a * xx + b * xy, v + a * yx + b * yy, wide, high, table.black[k])
+                sum_paper += p
+                sum_ink += q
+        paper = min(paper + sum_paper / cells**2, 1.0)
+        ink = min(ink + sum_ink / cells**2, 1.0)
+    return np.float32(paper), np.float32(ink)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _paint(eye, rays, dx, dy, t, thing, cells, table, paper, ink):  # type: ignore[no-untyped-def]
+    for i in prange(len(t)):
+        if thing[i] >= 0:
+            paper[i], ink[i] = _print_seen(eye, rays[i], dx[i], dy[i], t[i], thing[i], cells, table)
 
 
 # ---------------------------------------------------------------- compiled loops: edges, shadows, light
@@ -631,28 +554,127 @@ def unlike_corners(state: ArrayU8, primitive: ArrayI, thing: ArrayI, step: int) 
     return out, open_
 
 
-def surface_light(
-    albedo: ArrayF32,
-    normal: ArrayF32,
-    sunlit: ArrayF32,
-    open_sky: ArrayF32,
-    sun: ArrayF,
-    sun_colour: ArrayF,
-    sky_colour: ArrayF,
-    ground_colour: ArrayF,
-) -> ArrayF32:
-    """Light (n, 3) from matt surfaces.
+def changes(grid: ArrayF32, pixels: ArrayI) -> tuple[ArrayF32, ArrayF32]:
+    """Change (n, 3) of the ray over each pixel, across and down, from its neighbours in a grid (h, w, 3)."""
+    across, down = (np.empty((len(pixels), 3), dtype=np.float32) for _ in range(2))
+    _changes(grid, pixels, across, down)
+    return across, down
 
-    Parameters
-    ----------
-    albedo, normal : (n, 3) colours and normals toward the viewer.
-    sunlit, open_sky : (n,) share of the sun and of the sky that is not hidden.
-    sun : (3,) direction.
-    sun_colour, sky_colour, ground_colour : (3,) light of sun, sky and of the ground around.
-    """
-    out = np.empty_like(albedo)
-    _lit(albedo, normal, sunlit, open_sky, sun, sun_colour, sky_colour, ground_colour, out)
-    return out
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _changes(grid, pixels, across, down):  # type: ignore[no-untyped-def]
+    h, w, _ = grid.shape
+    for i in prange(len(pixels)):
+        y, x = pixels[i] // w, pixels[i] % w
+        x0, x1, y0, y1 = max(x - 1, 0), min(x + 1, w - 1), max(y - 1, 0), min(y + 1, h - 1)
+        for k in range(3):
+            a = (grid[y, x1, k] - grid[y, x0, k]) / np.float32(x1 - x0)
+            b = (grid[y1, x, k] - grid[y0, x, k]) / np.float32(y1 - y0)
+            # At the rim of an image circle one neighbour has no ray.
+            across[i, k] = 0.0 if np.isnan(a) else a
+            down[i, k] = 0.0 if np.isnan(b) else b
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _faces_sun(rays, primitive, normal, sun, side):  # type: ignore[no-untyped-def]
+    """Whether the side (n,) of met triangles that the viewer sees is turned to the sun."""
+    for i in prange(len(rays)):
+        n = normal[primitive[i]]
+        facing = n[0] * rays[i, 0] + n[1] * rays[i, 1] + n[2] * rays[i, 2]
+        lit = n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2]
+        side[i] = lit < 0.0 if facing > 0.0 else lit > 0.0
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _rays_to_sun(  # type: ignore[no-untyped-def]
+    eye, rays, dx, dy, t, primitive, index, places, normal, sun, right, up, toward, start, way
+):
+    """Rays from ``places`` in each pixel to points of the sun's disc, one sector of it for each place."""
+    count = len(places)
+    for j in prange(len(toward)):
+        i = toward[j]
+        n = normal[primitive[i]]
+        facing = n[0] * rays[i, 0] + n[1] * rays[i, 1] + n[2] * rays[i, 2]
+        lift = -_LIFT_M if facing > 0.0 else _LIFT_M
+        for k in range(count):
+            a, b = places[k, 0], places[k, 1]
+            # The same plane, met by a ray through another place of the pixel.
+            x = rays[i, 0] + a * dx[i, 0] + b * dy[i, 0]
+            y = rays[i, 1] + a * dx[i, 1] + b * dy[i, 1]
+            z = rays[i, 2] + a * dx[i, 2] + b * dy[i, 2]
+            way_m = t[i] * min(max(facing / (n[0] * x + n[1] * y + n[2] * z), 0.9), 1.1)
+            start[j, k, 0] = eye[0] + way_m * x + lift * n[0]
+            start[j, k, 1] = eye[1] + way_m * y + lift * n[1]
+            start[j, k, 2] = eye[2] + way_m * z + lift * n[2]
+            turn = 2 * np.pi * (k + chance_of(index[i], 2 * k + 1)) / count
+            out = HAZY_SUN_RAD * np.sqrt(chance_of(index[i], 2 * k + 2))
+            c, s = out * np.cos(turn), out * np.sin(turn)
+            for axis in range(3):
+                way[j, k, axis] = sun[axis] + c * right[axis] + s * up[axis]
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def surface_light(  # type: ignore[no-untyped-def]
+    eye,
+    rays,
+    dx,
+    dy,
+    t,
+    primitive,
+    sunlit,
+    size,
+    cells,
+    normals,
+    things,
+    looks,
+    given,
+    table,
+    sky,
+    sun,
+    sun_colour,
+    out,
+):
+    """Light (n, 3) from matt surfaces that rays (n, 3) meet at distances and triangles (n,)."""
+    for i in prange(len(rays)):
+        f = primitive[i]
+        what = things[f]
+        nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
+        slant = nx * rays[i, 0] + ny * rays[i, 1] + nz * rays[i, 2]
+        if slant > 0.0:
+            nx, ny, nz = -nx, -ny, -nz
+        stretch = np.float32(1.0) / np.sqrt(max(abs(slant), np.float32(0.02)))
+        # Single precision, because the borders of planks and joints lie where it rounds them to.
+        x, y, z = (
+            np.float32(eye[0] + np.float64(t[i]) * rays[i, 0]),
+            np.float32(eye[1] + np.float64(t[i]) * rays[i, 1]),
+            np.float32(eye[2] + np.float64(t[i]) * rays[i, 2]),
+        )
+        colour = _albedo(x, y, z, nx, ny, looks[what], t[i] * size * stretch, stretch)
+        paper, ink = _print_seen(eye, rays[i], dx[i], dy[i], np.float64(t[i]), what, cells, table)
+        facing = nx * sun[0] + ny * sun[1] + nz * sun[2]
+        direct = max(facing, 0.0) * sunlit[i]
+        open_sky = _open_sky(x, y, z, looks[what], sky)
+        up = 0.5 + 0.5 * nz
+        for k in range(3):
+            share = colour[k] if np.isnan(given[what, k]) else given[what, k]
+            share = share * (1 - paper) + (paper - ink) * PAPER + ink * INK
+            around = open_sky * (up * SKY_COLOUR[k] + (1 - up) * GROUND_COLOUR[k])
+            out[i, k] = share * (direct * sun_colour[k] + around)
+
+
+@njit(cache=True, error_model="numpy")
+def _open_sky(x, y, z, look, cells):  # type: ignore[no-untyped-def]
+    """Share of the sky that is open: from the grid on the ground, a rule of thumb elsewhere."""
+    if look != Look.GROUND or abs(z) >= 0.05:
+        return 0.92 * (1.0 - 0.35 * np.exp(-max(z, 0.0) / 0.25))
+    n = len(cells)
+    u = min(max(x / _CELL_M + n / 2 - 0.5, 0.0), n - 1.001)
+    v = min(max(y / _CELL_M + n / 2 - 0.5, 0.0), n - 1.001)
+    i, j = int(u), int(v)
+    a, b = u - i, v - j
+    low = cells[j, i] * (1 - a) + cells[j, i + 1] * a
+    high = cells[j + 1, i] * (1 - a) + cells[j + 1, i + 1] * a
+    return low * (1 - b) + high * b
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
@@ -723,17 +745,6 @@ def _unlike(state, primitive, thing, step, out, open_):  # type: ignore[no-untyp
                 open_[y, x] = True
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _lit(albedo, normal, sunlit, open_sky, sun, sun_colour, sky, ground, out):  # type: ignore[no-untyped-def]
-    for i in prange(len(albedo)):
-        facing = normal[i, 0] * sun[0] + normal[i, 1] * sun[1] + normal[i, 2] * sun[2]
-        direct = max(facing, 0.0) * sunlit[i]
-        up = 0.5 + 0.5 * normal[i, 2]
-        for k in range(3):
-            around = open_sky[i] * (up * sky[k] + (1 - up) * ground[k])
-            out[i, k] = albedo[i, k] * (direct * sun_colour[k] + around)
-
-
 # ---------------------------------------------------------------- colours of the yard and of the sky
 #
 # Procedural and fixed in place; a detail fades out where its spacing comes down to what a pixel covers.
@@ -769,23 +780,6 @@ def look_of(name: str) -> Look:
     if name in _LOOKS:
         return _LOOKS[name]
     return Look.CONE if name[:1] == "C" and name[1:].isdigit() else Look.BOARD
-
-
-def albedo(
-    points_wcs_m: ArrayF32, normal_wcs: ArrayF32, look: ArrayI, footprint_m: ArrayF32, stretch: ArrayF32
-) -> ArrayF32:
-    """Share of light (n, 3) that surfaces reflect, linear RGB, without the sheets on them.
-
-    Parameters
-    ----------
-    points_wcs_m, normal_wcs : (n, 3) places and normals.
-    look : (n,) values of `Look`, -1 for none.
-    footprint_m : (n,) mean side of what a pixel covers there.
-    stretch : (n,) its longer side over the mean one.
-    """
-    out = np.zeros((len(look), 3), dtype=np.float32)
-    _albedo(points_wcs_m, normal_wcs, look, footprint_m, stretch, _COLOUR, _GRAIN, out)
-    return out
 
 
 def panorama(sun: Sun, *, cover: float = 0.55) -> ArrayF32:
@@ -825,60 +819,62 @@ def _line(place, spacing, wide, footprint):  # type: ignore[no-untyped-def]
     return (wide / reach) * min(max((0.5 * (reach + wide) - off) / reach, 0.0), 1.0)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _albedo(points, normal, look, footprint, stretch, colour, grain, out):  # type: ignore[no-untyped-def]
-    for i in prange(len(look)):
-        what = look[i]
-        if what < 0:
-            continue
-        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        foot = max(np.float64(footprint[i]), 1e-6)
-        g = grain[what]
-        seed = 50 + 17 * what
-        # Planks and stretched grain run upwards.
-        squeeze = 0.12 if what == 1 or what == 4 else 1.0
-        total, spacing, part = 0.0, g[0], 1.0
-        for octave in range(4):
-            seen = seen_share(spacing, foot)
-            if seen <= 0.0:
-                break
-            # Every other octave is turned, so that the lattices do not show.
-            px, py = (x, y) if octave % 2 == 0 else (0.8 * x + 0.6 * y, -0.6 * x + 0.8 * y)
-            total += seen * part * noise_at(px / spacing, py / spacing, z * squeeze / spacing, seed + octave)
-            part *= 0.75
-            spacing *= 0.45
-        bright = 1.0 + g[1] * total
-        broad = noise_at(x / 1.9, y / 1.9, z / 1.9, seed + 9) + 0.6 * noise_at(
-            x / 0.6, y / 0.6, z / 0.6, seed + 10
-        )
-        bright += g[2] * broad
-        seen = seen_share(g[4], foot)
+@njit(cache=True, error_model="numpy")
+def _albedo(x, y, z, nx, ny, what, footprint, stretch):  # type: ignore[no-untyped-def]
+    """Share of light that a surface reflects without the sheets on it, linear RGB.
+
+    ``footprint`` is the mean side of what a pixel covers there, ``stretch`` the longer one over it.
+    """
+    x, y, z, foot = np.float64(x), np.float64(y), np.float64(z), max(np.float64(footprint), 1e-6)
+    g = _GRAIN[what]
+    seed = 50 + 17 * what
+    # Planks and stretched grain run upwards.
+    squeeze = 0.12 if what == 1 or what == 4 else 1.0
+    total, spacing, part = 0.0, g[0], 1.0
+    for octave in range(4):
+        seen = seen_share(spacing, foot)
+        if seen <= 0.0:
+            break
+        # Every other octave is turned, so that the lattices do not show.
+        px, py = (x, y) if octave % 2 == 0 else (0.8 * x + 0.6 * y, -0.6 * x + 0.8 * y)
+        total += seen * part * noise_at(px / spacing, py / spacing, z * squeeze / spacing, seed + octave)
+        part *= 0.75
+        spacing *= 0.45
+    bright = 1.0 + g[1] * total
+    broad = noise_at(x / 1.9, y / 1.9, z / 1.9, seed + 9) + 0.6 * noise_at(
+        x / 0.6, y / 0.6, z / 0.6, seed + 10
+    )
+    bright += g[2] * broad
+    seen = seen_share(g[4], foot)
+    if seen > 0.0:
+        bright += g[3] * seen * noise_at(x / g[4], y / g[4], z * squeeze / g[4], seed + 11)
+    warm = 0.03 * broad
+    if what == 0:
+        # Joints of the paving, patches of another age, and spots of oil.
+        long = foot * stretch
+        joint = max(_line(x + 0.35, 3.1, 0.012, long), _line(y - 0.6, 4.3, 0.012, long))
+        bright *= 1.0 - 0.55 * joint
+        oil = noise_at(x / 0.45, y / 0.45, 3.7, seed + 12)
+        bright *= 1.0 - 0.35 * min(max(4.0 * (oil - 0.62), 0.0), 1.0)
+        seen = seen_share(0.02, foot)
         if seen > 0.0:
-            bright += g[3] * seen * noise_at(x / g[4], y / g[4], z * squeeze / g[4], seed + 11)
-        warm = 0.03 * broad
-        if what == 0:
-            # Joints of the paving, patches of another age, and spots of oil.
-            long = foot * stretch[i]
-            joint = max(_line(x + 0.35, 3.1, 0.012, long), _line(y - 0.6, 4.3, 0.012, long))
-            bright *= 1.0 - 0.55 * joint
-            oil = noise_at(x / 0.45, y / 0.45, 3.7, seed + 12)
-            bright *= 1.0 - 0.35 * min(max(4.0 * (oil - 0.62), 0.0), 1.0)
-            seen = seen_share(0.02, foot)
-            if seen > 0.0:
-                stone = noise_at(x / 0.02, y / 0.02, 0.3, seed + 13)
-                bright += seen * 0.55 * min(max(4.0 * (stone - 0.60), 0.0), 1.0)
-        elif what == 1:
-            flat = np.sqrt(normal[i, 0] ** 2 + normal[i, 1] ** 2)
-            if flat > 0.5:
-                along = (normal[i, 0] * y - normal[i, 1] * x) / flat
-                plank = np.int64(np.floor(along / 0.14))
-                bright *= 0.82 + 0.36 * mixed(plank, np.int64(10 * normal[i, 0]), 1, seed)
-                bright *= 1.0 - 0.75 * _line(along, 0.14, 0.008, foot)
-                bright *= 1.0 - 0.5 * (_line(z - 0.4, 100.0, 0.07, foot) + _line(z - 1.9, 100.0, 0.07, foot))
-        bright = max(bright, 0.15)
-        out[i, 0] = min(colour[what, 0] * bright * (1 + warm), 0.95)
-        out[i, 1] = min(colour[what, 1] * bright, 0.95)
-        out[i, 2] = min(colour[what, 2] * bright * (1 - warm), 0.95)
+            stone = noise_at(x / 0.02, y / 0.02, 0.3, seed + 13)
+            bright += seen * 0.55 * min(max(4.0 * (stone - 0.60), 0.0), 1.0)
+    elif what == 1:
+        flat = np.sqrt(nx**2 + ny**2)
+        if flat > 0.5:
+            along = (nx * y - ny * x) / flat
+            plank = np.int64(np.floor(along / 0.14))
+            bright *= 0.82 + 0.36 * mixed(plank, np.int64(10 * nx), 1, seed)
+            bright *= 1.0 - 0.75 * _line(along, 0.14, 0.008, foot)
+            bright *= 1.0 - 0.5 * (_line(z - 0.4, 100.0, 0.07, foot) + _line(z - 1.9, 100.0, 0.07, foot))
+    bright = max(bright, 0.15)
+    c = _COLOUR[what]
+    return (
+        np.float32(min(c[0] * bright * (1 + warm), 0.95)),
+        np.float32(min(c[1] * bright, 0.95)),
+        np.float32(min(c[2] * bright * (1 - warm), 0.95)),
+    )
 
 
 @njit(cache=True, error_model="numpy")

@@ -14,7 +14,7 @@ from thalweg_lab.yard import Field, FieldCone, Sheet, Yard, build_field, field_s
 from thalweg_lab.yard.tour import looking
 from thalweg_lab.yard_images import LensRays, exposed, true_camera, turned
 from thalweg_lab.yard_images.images import SUN, synthetic_view
-from thalweg_lab.yard_images.render import PaintTable, Photographer, Seen, _changes
+from thalweg_lab.yard_images.render import PaintTable, Photographer, Seen, changes
 
 SEED = 5
 EYE = np.array([0.1, -0.2, 0.8])
@@ -135,7 +135,7 @@ def test_a_pixel_sees_as_much_ink_as_lies_in_it(
     w, _ = wide.camera.size_px
     index = pixels[:, 1] * w + pixels[:, 0]
     grid = turned(wide.rays_ccs.reshape(-1, 3), pose.R).reshape(wide.rays_ccs.shape)
-    ray, (dx, dy) = grid.reshape(-1, 3)[index], _changes(grid, index)
+    ray, (dx, dy) = grid.reshape(-1, 3)[index], changes(grid, index)
     t, primitive = photographer._cast(pose.shift_m, ray)
     thing = photographer._things(primitive)
     # This sheet alone: its neighbours on the cone may lie in the same window.

@@ -7,31 +7,41 @@ therefore subtracts a local origin in float64 before anything becomes float32.
 import ctypes
 import ctypes.util
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core import ArrayF, ArrayI, GeometryError, ThalwegError
+from thalweg.core import ArrayB, ArrayF, ArrayF32, ArrayI, GeometryError, ThalwegError
 
 MAX_EXTENT_M: Final = 20_000.0
 """Meshes wider than this are refused: a float32 step is 1 mm there."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Hits:
     """Where rays meet the mesh.
 
     ``t_hit_m`` (n,) is the distance in units of the direction's length, infinite where a ray meets nothing;
-    ``primitive`` (n,) the triangle, -1 where none; ``normal`` (n, 3) its unit normal by the order of its
-    corners; ``uv`` (n, 2) barycentric coordinates.
+    ``primitive`` (n,) the triangle, -1 where none.
     """
 
     t_hit_m: ArrayF
     primitive: ArrayI
-    normal: ArrayF
-    uv: ArrayF
+    single_normal: ArrayF32
+    single_uv: ArrayF32
+    """In single precision as Open3D gives them, and converted only for callers that ask."""
+
+    @cached_property
+    def normal(self) -> ArrayF:
+        """Unit normals (n, 3) of the triangles by the order of their corners."""
+        return self.single_normal.astype(np.float64)
+
+    @cached_property
+    def uv(self) -> ArrayF:
+        """Barycentric coordinates (n, 2)."""
+        return self.single_uv.astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,24 +123,42 @@ class RayCaster:
         origins : (n, 3) or (3,), in the frame of the vertices.
         directions : (n, 3), normally of unit length. Rays that are not finite meet nothing.
         """
-        d = np.asarray(directions)
-        rays = np.empty((len(d), 6), dtype=np.float32)
-        rays[:, :3] = np.asarray(origins, dtype=np.float64) - self.origin_m
-        rays[:, 3:] = d
-        broken = ~np.isfinite(rays).all(axis=1)
-        if broken.any():
-            rays[broken] = (0.0, 0.0, 1e9, 0.0, 0.0, 1.0)
+        rays, broken = self._rays(origins, directions)
         found = self._scene.cast_rays(self._o3d.core.Tensor(rays))
         t = found["t_hit"].numpy().astype(np.float64)
         primitive = self._ids(found["primitive_ids"])
-        if broken.any():
-            t[broken], primitive[broken] = np.inf, -1
+        t[broken], primitive[broken] = np.inf, -1
         return Hits(
             t_hit_m=t,
             primitive=primitive,
-            normal=found["primitive_normals"].numpy().astype(np.float64),
-            uv=found["primitive_uvs"].numpy().astype(np.float64),
+            single_normal=found["primitive_normals"].numpy(),
+            single_uv=found["primitive_uvs"].numpy(),
         )
+
+    def free(self, origins: ArrayLike, directions: ArrayLike) -> ArrayB:
+        """Whether rays (n,) meet nothing; faster than their first hits.
+
+        Parameters
+        ----------
+        origins, directions : as for `cast`. Rays that are not finite meet nothing.
+        """
+        rays, broken = self._rays(origins, directions)
+        free = ~self._scene.test_occlusions(self._o3d.core.Tensor(rays)).numpy()
+        free[broken] = True
+        return np.asarray(free)
+
+    def _rays(self, origins: ArrayLike, directions: ArrayLike) -> tuple[ArrayF32, ArrayI]:
+        """Rays (n, 6) about the local origin, and which of them are not finite and now point elsewhere."""
+        d = np.asarray(directions)
+        rays = np.empty((len(d), 6), dtype=np.float32)
+        np.subtract(origins, self.origin_m, out=rays[:, :3], casting="same_kind")
+        rays[:, 3:] = d
+        # The sum is finite where all of them are, which is nearly always.
+        if np.isfinite(rays.sum(dtype=np.float64)):
+            return rays, np.empty(0, dtype=np.int64)
+        broken = np.flatnonzero(~np.isfinite(rays).all(axis=1))
+        rays[broken] = (0.0, 0.0, 1e9, 0.0, 0.0, 1.0)
+        return rays, broken
 
     def closest_points(self, points: ArrayLike) -> Nearest:
         """Nearest points of the surface.
