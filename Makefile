@@ -5,7 +5,7 @@ CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 PY := .venv/bin/python
 SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
 
-.PHONY: help env demo study record timings report real-logs test check test-slow fuzz mutants golden benchmark lock clean
+.PHONY: help env demo open study record timings report real-logs test check test-slow fuzz mutants golden benchmark lock clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -14,9 +14,13 @@ env: .venv/.complete ## make .venv from the lock file
 .venv/.complete: envs/requirements.lock envs/make-venv.sh
 	@envs/make-venv.sh
 
-demo: env ## raw logs of the digital twin -> riverbank; SIZE=tiny|demo|mulde
-	@$(SNAKEMAKE) --config campaign=$(SIZE)
+demo: env ## raw logs of the digital twin -> riverbank; SIZE=tiny|demo|full|mulde
+	@PYTHONPATH=workflow/progress $(SNAKEMAKE) --logger thalweg --config campaign=$(SIZE)
 	@$(PY) -m thalweg summary results/$(SIZE)
+
+open: ## front page of the campaign SIZE in a browser
+	@echo $(CURDIR)/results/$(SIZE)/index.html
+	@$(PY) -m webbrowser -t file://$(CURDIR)/results/$(SIZE)/index.html >/dev/null
 
 report: env ## one self-contained page of the campaign SIZE
 	@$(SNAKEMAKE) --config campaign=$(SIZE) --report results/$(SIZE)/report.html
@@ -25,7 +29,7 @@ study: env ## one study of the twin and its record in docs/validation; NAME=hone
 	@$(SNAKEMAKE) $(NAME)
 	@$(MAKE) --no-print-directory record
 
-record: env ## tables of the last run of NAME (a study, field, basin, demo) -> docs/validation, README
+record: env ## tables of the last run of NAME (a study, field, basin, full) -> docs/validation, README
 	@$(PY) docs/make_validation.py $(NAME)
 	@$(PY) docs/make_pages.py
 

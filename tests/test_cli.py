@@ -185,8 +185,17 @@ def test_summary(here, capsys):
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["positions", "used", "99.500", "%"] in lines
     assert ["lidar", "points:", "written", "1,234,567"] in lines
-    assert ["mulde/figures/survey_map.png"] in lines
-    assert ["mulde/summary.csv"] in lines
+    # the front page first, and no more than five
+    assert lines[-2:] == [["mulde/figures/survey_map.png"], ["mulde/summary.csv"]]
+    for name in ("index.html", "accuracy/index.html", "bathymetry/index.html", "lidar/points.laz"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).touch()
+    assert main(["summary", "mulde"]) == 0
+    out = capsys.readouterr().out
+    assert "1 pictures, 1 clouds, 1 tables in mulde" in out
+    named = out.split("Worth opening first:\n")[1].splitlines()
+    assert named[0].strip() == "mulde/index.html"
+    assert len(named) == 5
     assert main(["summary", "results/tiny"]) == 2
     assert "--config campaign=tiny" in capsys.readouterr().err
 

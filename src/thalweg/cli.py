@@ -329,6 +329,22 @@ def _describe(options: argparse.Namespace) -> int:
     return code
 
 
+WORTH_OPENING = (
+    "index.html",
+    "accuracy/index.html",
+    "figures/cloud_overview.png",
+    "figures/scene_view.png",
+    "bathymetry/index.html",
+    "calibration/index.html",
+    "triangulation/index.html",
+    "lidar/by_fused/points.laz",
+    "lidar/points.laz",
+    "figures/survey_map.png",
+    "summary.csv",
+)
+"""Files of a campaign below its folder, the best first; a run ends with the first five that exist."""
+
+
 def _summary(options: argparse.Namespace) -> int:
     path = options.folder / "summary.csv"
     if not path.is_file() and any((options.folder / "deformation").glob("volumes_*.csv")):
@@ -346,15 +362,12 @@ def _summary(options: argparse.Namespace) -> int:
 
     print(f"\nSummary of campaign {options.folder.name}")
     print("\n".join(summary_lines(pd.read_csv(path))))
-    pictures = sorted((options.folder / "figures").glob("*.p*[gf]"))
-    clouds = sorted((options.folder / "lidar").glob("*.laz"))
-    tables = sorted(p for p in options.folder.rglob("*") if p.suffix in {".csv", ".parquet"})
-    # last, where the eye is: how accurate it is
-    pages = sorted((options.folder / "accuracy").glob("*.html"))
-    listed = {"Pictures": pictures, "Clouds": clouds, "Tables": tables, "Accuracy page": pages}
-    for title, paths in listed.items():
-        print(f"\n{title}:")
-        print("\n".join(f"  {p}" for p in paths if "simulation" not in p.parts) or "  none")
+    files = [p for p in options.folder.rglob("*") if p.is_file() and "simulation" not in p.parts]
+    kinds = {"pictures": {".png", ".pdf"}, "clouds": {".laz"}, "tables": {".csv", ".parquet"}}
+    counts = (f"{sum(p.suffix in ends for p in files)} {kind}" for kind, ends in kinds.items())
+    print(f"\n{', '.join(counts)} in {options.folder}. Worth opening first:")
+    worth = [options.folder / name for name in WORTH_OPENING]
+    print("\n".join(f"  {p}" for p in [p for p in worth if p.is_file()][:5]))
     return 0
 
 
