@@ -1,7 +1,7 @@
 """Run deliberate mistakes through the tests: ``make mutants``; ``python tests/mutants/run.py --help``.
 
 `targets.yaml` says which modules get mistakes and which test files answer for them; `mutations` finds all
-mistakes; of each module some are drawn, evenly over the kinds of mistake, always the same ones. Mistakes that
+mistakes; some are drawn, evenly over functions and kinds of mistake, always the same ones. Mistakes that
 change nothing observable no test can find: `explained.csv` calls them equivalent and says why, and they are
 not drawn. One process
 loads the libraries (seconds) and no module of Thalweg; for each mistake it forks a child, which imports the
@@ -24,6 +24,7 @@ import argparse
 import ast
 import csv
 import datetime
+import hashlib
 import importlib
 import importlib.abc
 import importlib.machinery
@@ -36,8 +37,10 @@ import sys
 import tempfile
 import time
 import traceback
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -54,7 +57,7 @@ COUNT: Final = 300
 SEED: Final = 1
 MOST_SURVIVORS: Final = 0.05
 COMPILED_SHARE: Final = 1 / 3
-"""Modules of compiled functions get so much of their share: uncompiled they take longer."""
+"""Functions of modules that numba compiles get so much of their share: uncompiled they take longer."""
 LIMIT_FACTOR: Final = 3.0
 LIMIT_MORE_S: Final = 15.0
 """CPU time of a child: so many times that of the right code, and so much more."""
@@ -195,32 +198,37 @@ def run_child(run: Run) -> None:
 # ---------------------------------------------------------------- in the parent
 
 
+@cache
+def mistakes(target: Target) -> dict[tuple[str, str], mutations.Site]:
+    """All mistakes of a module by function and words, those that are alike told apart: ``0 -> 1 (2)``."""
+    out: dict[tuple[str, str], mutations.Site] = {}
+    source = target.source
+    for site in mutations.sites(source):
+        words = mutations.in_words(source, site)
+        names = itertools.chain([words], (f"{words} ({n})" for n in itertools.count(2)))
+        out[next(key for name in names if (key := (site.function, name)) not in out)] = site
+    return out
+
+
 def draw(
     targets: Sequence[Target], count: int, seed: int, equivalent: Collection[tuple[Target, mutations.Site]]
 ) -> list[tuple[Target, mutations.Site]]:
-    """So many mistakes: each module a share by the root of its number of them, evenly over their kinds.
+    """The mistakes that come first, so many, without the equivalent ones.
 
-    Equivalent ones are passed over; the next ones of their pile take their place.
+    The place of each depends on its function alone, so that an edit elsewhere only moves where the draw ends:
+    a number hashed from its names, times how many of its kind the function has. So each function gives as
+    many of one kind as of another.
     """
-    known = {target.module: mutations.sites(target.source) for target in targets}
-    roots = {t.module: len(known[t.module]) ** 0.5 * (COMPILED_SHARE if t.compiled else 1.0) for t in targets}
-    out: list[tuple[Target, mutations.Site]] = []
-    given = 0.0
+    ranked: list[tuple[float, Target, mutations.Site]] = []
     for target in targets:
-        # rounded along the running sum, so that the shares add up to the count
-        before, given = round(given), given + count * roots[target.module] / sum(roots.values())
-        rng = random.Random(f"{seed}/{target.module}")
-        kinds: dict[str, list[mutations.Site]] = {}
-        for site in known[target.module]:
-            kinds.setdefault(site.kind, []).append(site)
-        shuffled = [rng.sample(pile, len(pile)) for _, pile in sorted(kinds.items())]
-        piles = [[site for site in pile if (target, site) not in equivalent] for pile in shuffled]
-        picked: list[mutations.Site] = []
-        while len(picked) < round(given) - before and any(piles):
-            picked += [pile.pop() for pile in piles if pile]
-        picked = picked[: round(given) - before]
-        out += [(target, site) for site in sorted(picked, key=lambda site: (site.node, site.kind))]
-    return out
+        alike = Counter((site.function, site.kind) for site in mistakes(target).values())
+        for (function, words), site in mistakes(target).items():
+            digest = hashlib.sha256(f"{seed}/{target.module}/{function}/{words}".encode()).digest()
+            place = int.from_bytes(digest[:8], "big") * alike[function, site.kind]
+            ranked.append((place / (COMPILED_SHARE if target.compiled else 1.0), target, site))
+    ranked = [row for row in ranked if row[1:] not in equivalent]
+    first = {row[1:] for row in sorted(ranked, key=lambda row: row[0])[:count]}
+    return [row[1:] for row in ranked if row[1:] in first]
 
 
 def run_all(runs: Sequence[Run], workers: int, until_s: float = float("inf")) -> None:
@@ -268,8 +276,6 @@ def run_all(runs: Sequence[Run], workers: int, until_s: float = float("inf")) ->
 def explanations(targets: Sequence[Target]) -> list[Explained]:
     """The rows of `explained.csv` about some targets, with the place in the source that each one means.
 
-    A mistake that a function allows several times is told apart by a number: ``0 -> 1``, ``0 -> 1 (2)``.
-
     Raises
     ------
     LookupError : a row that fits no place in the source.
@@ -277,23 +283,15 @@ def explanations(targets: Sequence[Target]) -> list[Explained]:
     by_name = {target.module: target for target in targets}
     with (HERE / "explained.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["module"] in by_name]
-    asked = {(row["module"], row["function"]) for row in rows}
-    places: dict[tuple[str, str, str], mutations.Site] = {}
-    for target in targets:
-        source = target.source
-        for site in mutations.sites(source):
-            if (target.module, site.function) in asked:
-                words = mutations.in_words(source, site)
-                names = itertools.chain([words], (f"{words} ({n})" for n in itertools.count(2)))
-                keys = ((target.module, site.function, name) for name in names)
-                places[next(key for key in keys if key not in places)] = site
     out = []
     for row in rows:
-        key = row["module"], row["function"], row["mistake"]
-        if key not in places:
-            raise LookupError(f"explained.csv: {', '.join(key)}: the source has no such place")
+        target, key = by_name[row["module"]], (row["function"], row["mistake"])
+        if key not in mistakes(target):
+            raise LookupError(
+                f"explained.csv: {target.module}, {', '.join(key)}: the source has no such place"
+            )
         equivalent = {"yes": True, "no": False}[row["equivalent"]]
-        out.append(Explained(by_name[key[0]], places[key], key[2], equivalent, row["why"]))
+        out.append(Explained(target, mistakes(target)[key], key[1], equivalent, row["why"]))
     return out
 
 
@@ -362,7 +360,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=60.0, help="begin no mistake after that")
-    parser.add_argument("--only", default="", help="modules whose name contains this")
+    parser.add_argument("--only", default="", help="of the mistakes, those in modules so named")
     parser.add_argument("--out", type=Path, default=REPORT, help="page to write; its folder is made")
     parser.add_argument("--logs", type=Path, default=None, help="keep what the tests print in this folder")
     options = parser.parse_args()
@@ -372,15 +370,15 @@ def main() -> int:
     for name in LIBRARIES:
         importlib.import_module(name)
     listed = yaml.safe_load((HERE / "targets.yaml").read_text())
-    targets = [Target(name, tuple(tests)) for name, tests in listed.items() if options.only in name]
+    targets = [Target(name, tuple(tests)) for name, tests in listed.items()]
     try:
         explained = explanations(targets)
     except LookupError as error:
         print(error.args[0])
         return 2
-    drawn = draw(
-        targets, options.count, options.seed, {(e.target, e.site) for e in explained if e.equivalent}
-    )
+    equivalent = {(e.target, e.site) for e in explained if e.equivalent}
+    drawn = [d for d in draw(targets, options.count, options.seed, equivalent) if options.only in d[0].module]
+    targets = list(dict.fromkeys(target for target, _ in drawn))
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutants_") as scratch:
         logs = options.logs or Path(scratch)
