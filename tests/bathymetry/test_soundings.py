@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from pyproj import CRS
+from scipy.spatial.transform import Rotation
 
 from thalweg.bathymetry import (
     Sound,
@@ -16,6 +18,7 @@ from thalweg.bathymetry import (
     speed_of_sound_mps,
     with_bed_normals,
 )
+from thalweg.bathymetry.soundings import _lines, soundings_on_map
 from thalweg.core import InputError, LocalFrame, Trajectory
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
@@ -218,3 +221,106 @@ def test_orders_of_s44() -> None:
     wide = table.assign(sigma_common_m=0.1)  # 95 %: 0.2 m, between exclusive (0.15) and special (0.25)
     shares = s44_orders(wide).set_index("order")["share"]
     assert (shares["exclusive"], shares["special"]) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("order", "tvu_m", "thu_m"),
+    [("exclusive", 0.3354, 1.0), ("special", 0.3905, 2.0), ("1a", 0.7214, 7.0), ("2", 1.3588, 24.0)],
+)
+def test_limits_of_s44_in_40_m_of_water(order: str, tvu_m: float, thu_m: float) -> None:
+    """sqrt(a^2 + (b d)^2) and c + e d of the standard's table 1; three soundings in and out."""
+    table = pd.DataFrame(
+        {
+            "used": [True, True, True, False],
+            "depth_m": 40.0,
+            "sigma_white_m": 0.0,
+            "sigma_slow_m": [0.999 * tvu_m / 1.96, 1.001 * tvu_m / 1.96, 0.0, 9.0],
+            "sigma_common_m": 0.0,
+            "sigma_horizontal_m": [0.999 * thu_m / 2.45, 0.0, 1.001 * thu_m / 2.45, 9.0],
+        }
+    )
+    row = s44_orders(table).set_index("order").loc[order]
+    assert (row["share_tvu"], row["share_thu"], row["share"]) == pytest.approx((2 / 3, 2 / 3, 1 / 3))
+
+
+def test_soundings_on_the_map_are_those_that_count() -> None:
+    table, _ = located(np.append(np.full(60, 2.0), 0.0))
+    found = soundings_on_map(table, FRAME, CRS.from_epsg(25833))
+    assert len(found) == 60
+    expected = FRAME.to_map(table[["east_m", "north_m", "up_m"]].to_numpy()[:60], CRS.from_epsg(25833))
+    np.testing.assert_allclose(found[["east", "north", "height"]], expected, atol=1e-9)
+    first = table.iloc[0]
+    total = first["sigma_white_m"] ** 2 + first["sigma_slow_m"] ** 2 + first["sigma_common_m"] ** 2
+    assert found["sigma"].iloc[0] == pytest.approx(np.sqrt(total))
+    same = {
+        "depth": "depth_m",
+        "sigma_horizontal": "sigma_horizontal_m",
+        "t_gps_s": "t_gps_s",
+        "line": "line",
+    }
+    for ours, theirs in same.items():
+        assert (found[ours].to_numpy() == table[theirs].to_numpy()[:60]).all()
+
+
+def test_a_tilt_of_the_beam_moves_it_sideways_and_an_unknown_one_counts() -> None:
+    """10 degrees forward at a range of 2 m: 2 sin 10 ahead, 2 cos 10 down; 1 degree of sigma: 3.5 cm."""
+    flat, tilted = (
+        EchoSounder(beam_deg=0.0, tilt_deg=[pitch, 0.0], sigma_tilt_deg=0.0) for pitch in (0.0, 10.0)
+    )
+    tilt = np.deg2rad(10.0)
+    table, _ = located(np.full(30, 2.0), echo=tilted)
+    level, _ = located(np.full(30, 2.0), echo=flat)
+    for name, by in (("east_m", 2 * np.sin(tilt)), ("north_m", 0.0), ("up_m", 2 * (1 - np.cos(tilt)))):
+        assert table[name].iloc[5] - level[name].iloc[5] == pytest.approx(by, abs=1e-9)
+    unknown, _ = located(np.full(30, 2.0), echo=flat.replace(sigma_tilt_deg=1.0))
+    for name, by in (("cov_ee_m2", 4 * np.deg2rad(1.0) ** 2), ("cov_uu_m2", 0.0)):
+        assert unknown[name].iloc[5] - level[name].iloc[5] == pytest.approx(by, abs=1e-9)
+
+
+def test_the_width_of_the_beam_on_a_level_bed() -> None:
+    table, _ = located(np.full(30, 2.0), echo=EchoSounder(beam_deg=10.0))
+    assert table["footprint_m"].iloc[5] == pytest.approx(2 * 2.0 * np.tan(np.deg2rad(5.0)))
+
+
+def test_a_boat_that_turns_too_fast_takes_no_soundings() -> None:
+    """A turn of 30 degrees within a second at t = 30: 15 degrees a second over two seconds."""
+    t = straight().t_gps_s
+    heading = np.deg2rad(np.clip(30.0 * (t - 29.5), 0.0, 30.0))
+    turned = (Rotation.from_euler("z", heading[:, None]) * Rotation.from_quat(DOWN)).as_quat()
+    trajectory = replace(straight(), quaternion_wcs_ics=turned)
+    quick, _ = located(np.full(500, 2.0), trajectory, settings=Bathymetry(max_turn_deg_per_s=14.9))
+    assert set(np.round(quick.loc[quick["reason"] == "turn", "t_gps_s"], 6)) == {
+        29.5 + k / 10 for k in range(11)
+    }
+    slow, _ = located(np.full(500, 2.0), trajectory, settings=Bathymetry(max_turn_deg_per_s=15.1))
+    assert slow["used"].all()
+
+
+def lines_of(t: np.ndarray, east: np.ndarray, north: np.ndarray) -> list[int]:
+    return _lines(t, np.column_stack([east, north, 0 * t]), np.ones(len(t), dtype=bool), 30.0).tolist()
+
+
+def test_a_line_ends_at_a_gap_and_scraps_join_the_line_before() -> None:
+    t = np.concatenate([np.arange(0.0, 20.0), np.arange(31.0, 50.0)])
+    assert lines_of(t, t, 0 * t) == [0] * 20 + [1] * 19
+    t = np.concatenate([np.arange(0.0, 20.0), np.arange(29.0, 50.0)])
+    assert lines_of(t, t, 0 * t) == [0] * 41
+    t = np.concatenate([np.arange(0.0, 20.0), np.arange(31.0, 35.0), np.arange(60.0, 80.0)])
+    assert lines_of(t, t, 0 * t) == [0] * 24 + [1] * 20
+    assert lines_of(np.array([3.0]), np.zeros(1), np.zeros(1)) == [0]
+
+
+def test_a_bend_stays_one_line_and_a_corner_makes_two() -> None:
+    """A curve of one degree a metre is followed, 45 degrees at once are not; who stands has no course."""
+    t = np.arange(0.0, 120.0)
+    course = np.deg2rad(t)
+    bend = lines_of(t, np.cumsum(np.cos(course)), np.cumsum(np.sin(course)))
+    assert set(bend) == {0}
+    corner = np.deg2rad(np.where(t < 60, 170.0, 215.0))  # across 180 degrees
+    found = lines_of(t, np.cumsum(np.cos(corner)), np.cumsum(np.sin(corner)))
+    assert (found[10], found[110]) == (0, 1)
+    assert found == sorted(found)
+    small = np.deg2rad(np.where(t < 60, 170.0, 195.0))
+    assert set(lines_of(t, np.cumsum(np.cos(small)), np.cumsum(np.sin(small)))) == {0}
+    noise = 0.01 * np.random.default_rng(2).standard_normal((2, 120))
+    assert set(lines_of(t, *noise)) == {0}
