@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from thalweg.calibration import IMAGE_POINTS, read_named_columns, resect_series
+from thalweg.calibration.fixed_camera import _columns
 from thalweg.cli import main
 from thalweg.core import Camera, InputError, write_opencv
 
@@ -99,3 +100,44 @@ def test_bad_tables_are_refused(tmp_path: Path) -> None:
     marks = pd.DataFrame({"image": ["a"], "point": ["B"], "x_px": [1.0], "y_px": [1.0]})
     with pytest.raises(InputError, match=r"none of the image points \(B\) is a control point"):
         resect_series(CAMERA, marks, points)
+
+
+def test_columns_of_a_pose_by_hand() -> None:
+    """A quarter turn about z; sigmas 1, 2, 3 cm and 0.1, 0.3, 0.2 degrees."""
+    sigma = np.array([0.01, 0.02, 0.03, *np.deg2rad([0.1, 0.3, 0.2])])
+    row = _columns(Rotation.from_euler("z", 90, degrees=True).as_matrix(), np.arange(3.0), np.diag(sigma**2))
+    assert [row[n] for n in ("x_m", "y_m", "z_m")] == [0.0, 1.0, 2.0]
+    assert [row[f"sigma_{n}_m"] for n in "xyz"] == pytest.approx([0.01, 0.02, 0.03])
+    assert [row[n] for n in ("qx", "qy", "qz", "qw")] == pytest.approx([0, 0, np.sqrt(0.5), np.sqrt(0.5)])
+    assert row["sigma_rotation_deg"] == pytest.approx(0.3)
+
+
+def test_poses_and_residuals_of_two_pictures() -> None:
+    """Marks without errors but for one of 40 px; a picture of three marks and a mark of no point."""
+    rng = np.random.default_rng(4)
+    R = Rotation.from_euler("x", -90, degrees=True).as_matrix()
+    local = np.column_stack([rng.uniform(-20, 20, 8), rng.uniform(60, 90, 8), rng.uniform(-15, 15, 8)])
+    names = [f"P{i}" for i in range(8)]
+    xy = CAMERA.project(local @ R)
+    marks = pd.DataFrame({"image": "a", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
+    wrong = marks.assign(image="b")
+    wrong.loc[3, "y_px"] += 40.0
+    few = marks[:3].assign(image="c")
+    points = pd.DataFrame(
+        {"point": names, **dict(zip("xyz", (local + np.array([100.0, 200.0, 30.0])).T, strict=True))}
+    )
+    unknown = marks[:1].assign(point="nowhere")
+    poses, residuals = resect_series(CAMERA, pd.concat([marks, wrong, few, unknown]), points)
+    assert poses["image"].tolist() == ["a", "b", "c"]
+    assert poses["points"].tolist() == [8, 7, 3]
+    assert poses["refused"].tolist()[:2] == ["", ""]
+    assert poses["refused"][2].startswith("3 known marks")
+    for row in poses[:2].itertuples():
+        assert (row.x_m, row.y_m, row.z_m) == pytest.approx((100.0, 200.0, 30.0), abs=2e-3)
+        turn = Rotation.from_quat([row.qx, row.qy, row.qz, row.qw]).as_matrix()
+        assert turn == pytest.approx(R, abs=1e-4)
+    assert poses["rms_px"][0] == pytest.approx(0.0, abs=1e-3)
+    assert poses["rms_px"][1] == pytest.approx(np.sqrt(40.0**2 / 8), rel=0.02)
+    bad = residuals[~residuals["used"]]
+    assert bad[["image", "point"]].to_numpy().tolist() == [["b", "P3"]]
+    assert bad["vy_px"].iloc[0] == pytest.approx(40.0, abs=0.5)

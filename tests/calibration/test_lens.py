@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from thalweg.calibration import calibrate_lens, camera_of, read_corners
+from thalweg.calibration.lens import _board_pose, lens_calibration_file
 from thalweg.cli import main
 from thalweg.core import Camera, CoverageError, InputError
 from thalweg.core.calibration import read_calibration
@@ -126,3 +127,46 @@ def test_bad_tables_are_refused(tmp_path: Path) -> None:
     path.write_text("image,column,row,x_px\na,0,0,1\n")
     with pytest.raises(InputError, match="no column y_px"):
         read_corners(path)
+
+
+def test_what_is_told_of_a_lens_is_what_its_corners_give() -> None:
+    """Angles from the axis, residuals, sizes and counts; pictures of too few or exchanged corners by name."""
+    true = LENSES["perspective"]
+    table = boards(true, 5, pictures=8)
+    last = table["image"] == "07.png"
+    table = table[(table["image"] != "06.png") | (table.groupby("image").cumcount() < 5)]
+    table.loc[last, ["x_px", "y_px"]] = np.roll(table.loc[last, ["x_px", "y_px"]].to_numpy(), 17, axis=0)
+    found = calibrate_lens(table, true.size_px, spacing_m=SPACING_M, model="perspective", name="left")
+    assert found.left_out == {"06.png": "5 corners", "07.png": "no pose explains its corners"}
+    corners = found.corners
+    assert len(corners) == 6 * 54
+    rays = true.rays(corners[["x_px", "y_px"]].to_numpy())
+    angle = np.rad2deg(np.arccos(rays[:, 2] / np.linalg.norm(rays, axis=1)))
+    assert corners["angle_deg"].to_numpy() == pytest.approx(angle, abs=0.3)
+    used = corners[corners["used"]]
+    v = used[["vx_px", "vy_px"]].to_numpy()
+    assert found.rms_px == pytest.approx(np.sqrt((v**2).mean()))
+    # a coordinate has the noise of its residuals over the share of the redundancy
+    unknown = 9 + 6 * 6
+    assert found.sigma_px == pytest.approx(np.sqrt((v**2).sum() / (v.size - unknown)), rel=0.02)
+    file = lens_calibration_file(found, run="boards.csv")
+    block = file.find("left_interior")
+    assert block.facts["largest_angle_deg"] == pytest.approx(used["angle_deg"].max(), abs=0.051)
+    assert (block.facts["rms_px"], block.facts["pictures"]) == (round(found.rms_px, 4), 6)
+    assert block.facts["sigma_px"] == round(found.sigma_px, 4)
+    assert file.source.observations == 2 * len(used)
+
+
+def test_the_pose_of_a_board_from_rays_without_errors() -> None:
+    """A board of four by three, turned and beyond 90 degrees from the axis; a point of it moved is told."""
+    board = 0.1 * np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1).reshape(-1, 2)
+    R = Rotation.from_rotvec([0.3, -0.2, 1.1]).as_matrix()
+    t = np.array([1.0, 0.2, -0.1])
+    points = np.column_stack([board, np.zeros(12)]) @ R.T + t
+    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
+    found_R, found_t, off = _board_pose(rays, board)
+    assert found_R == pytest.approx(R, abs=1e-9)
+    assert found_t == pytest.approx(t, abs=1e-9)
+    assert off < 1e-9
+    assert _board_pose(rays[::-1], board)[2] < 1e-9  # turned by half a turn it is a board as well
+    assert _board_pose(np.roll(rays, 3, axis=0), board)[2] > 0.01
