@@ -53,6 +53,41 @@ def test_written_and_read_is_the_same_line(tmp_path: Path) -> None:
         FlowLine.through(np.array([[0.0, 0.0], [1.0, 0.0]]))
 
 
+def test_a_straight_line_by_hand() -> None:
+    """Of 3, 4 and 5: 5 m along and 1 m to the left; places that repeat count once."""
+    line = FlowLine.through([[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [6.0, 8.0]])
+    assert line.length_m == pytest.approx(10.0)
+    assert len(line.points_m) == 3
+    assert line.to_map(5.0, 1.0) == pytest.approx(np.array([2.2, 4.6]))
+    s, n, fold = line.to_flow([[2.2, 4.6]])
+    assert (s[0], n[0], fold[0]) == pytest.approx((5.0, 1.0, False))
+    assert line.curvature(5.0) == pytest.approx(0.0, abs=1e-12)
+    assert [len(each) for each in line.to_flow(np.empty((0, 2)))] == [0, 0, 0]
+    for bad in ([[0.0, 0.0], [1.0, 1.0]], [[0.0, np.nan], [1.0, 1.0], [2.0, 2.0]], [[0.0, 1.0, 2.0]] * 3):
+        with pytest.raises(GeometryError):
+            FlowLine.through(bad)
+
+
+def test_a_line_of_few_places_has_the_length_of_its_curve() -> None:
+    angle = np.linspace(0.0, np.pi, 5)
+    line = FlowLine.through(20.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
+    places = line.to_map(np.linspace(0.0, line.length_m, 20_001), 0.0)
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).sum() == pytest.approx(line.length_m, abs=1e-5)
+
+
+def test_coordinates_fold_at_nine_tenths_of_the_radius() -> None:
+    angle = np.linspace(0.0, 1.5, 60)
+    turn = FlowLine.through(50.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]))
+    inside = turn.to_map([30.0, 30.0, 30.0], [44.5, 45.5, -60.0])
+    assert turn.to_flow(inside)[2].tolist() == [False, True, True]
+
+
+def test_a_written_line_is_a_table_of_two_columns(tmp_path: Path) -> None:
+    FlowLine.through([[0.0, 0.5], [1.0, 0.0], [2.0, 0.0]]).write(tmp_path / "line.csv")
+    lines = (tmp_path / "line.csv").read_text().splitlines()
+    assert lines[:2] == ["east_m,north_m", "0.000000000,0.500000000"]
+
+
 @pytest.mark.real
 def test_published_meander(data_dir: Path) -> None:
     folder = data_dir / "stream_normal_coords" / "test_data"

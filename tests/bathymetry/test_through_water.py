@@ -130,3 +130,39 @@ def test_tables_are_read_by_their_header(tmp_path: Path) -> None:
     path.write_text("x,y,z\n1,2,deep\n")
     with pytest.raises(InputError, match="expected numbers"):
         read_columns(path)
+
+
+def test_two_cameras_by_hand() -> None:
+    """30 and 0 degrees from the vertical: sqrt((n^2 - 1/4) / (3/4)) and n, mean and half difference."""
+    n, depth = 1.333, 2.0
+    cameras = [[22.0 * np.tan(np.deg2rad(30.0)), 0.0, 20.0], [0.0, 0.0, 20.0], [22.0, 0.0, 20.0]]
+    sigmas = {"sigma_index": 0.01, "sigma_point_m": 0.05, "sigma_water_m": 0.03}
+    row = correct_refraction([[0.0, 0.0, -depth]], 0.0, cameras, index=n, **sigmas).iloc[0]
+    slant = np.sqrt((n**2 - 0.25) / 0.75)
+    factor = (slant + n) / 2
+    assert row.n_cameras == 2  # the third looks at 45 degrees
+    assert (row.factor, row.depth_m) == pytest.approx((factor, depth * factor))
+    assert (row.height_m, row.apparent_depth_m) == pytest.approx((-depth * factor, depth))
+    by_index = (n / (0.75 * slant) + 1.0) / 2
+    variance = (factor * 0.05) ** 2 + ((factor - 1) * 0.03) ** 2
+    variance += depth**2 * ((by_index * 0.01) ** 2 + ((slant - n) / 2) ** 2)
+    assert row.sigma_height_m == pytest.approx(np.sqrt(variance))
+    dry = correct_refraction([[0.0, 0.0, 0.5]], 0.0, cameras, **sigmas).iloc[0]
+    assert (dry.height_m, dry.sigma_height_m) == pytest.approx((0.5, 0.05))
+    assert np.isnan([dry.depth_m, dry.apparent_depth_m]).all()
+
+
+def test_columns_of_a_table_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("Easting, north,z, level,sfm\n1,2,3,4,5\n6,7,8,,9\n")
+    points, water = read_columns(path)
+    assert points.tolist() == [[1, 2, 3], [6, 7, 8]]
+    assert np.isnan(water).all()
+    points, water = read_columns(path, height="SFM", water="level")
+    assert points[:, 2].tolist() == [5, 9]
+    np.testing.assert_array_equal(water, [4, np.nan])
+    with pytest.raises(InputError, match="no column depth"):
+        read_columns(path, height="depth")
+    path.write_text("x,y,z\n1,2,3\n4,5,\n")
+    with pytest.raises(InputError, match="1 of 2 rows without coordinates, first row 3"):
+        read_columns(path)

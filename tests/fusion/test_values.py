@@ -1,11 +1,16 @@
 """Terrain models of a few cells and sections of four points, worked out by hand."""
 
-import numpy as np
-import pytest
-from tests.fusion.conftest import GRID
+from pathlib import Path
 
-from thalweg.core import NMAD, CoverageError
-from thalweg.fusion import Cloud, Dtm, Source, dtm_facts, seam_steps
+import laspy
+import numpy as np
+import pandas as pd
+import pytest
+from tests.fusion.conftest import FRAME, GRID
+
+from thalweg.core import NMAD, CoverageError, Grid, InputError, LazWriter, LocalFrame, write_raster
+from thalweg.fusion import Cloud, Dtm, Source, dtm_facts, join_clouds, read_cloud, seam_steps
+from thalweg.fusion.clouds import Fit, cloud_of_bed
 from thalweg.fusion.dtm import (
     Layer,
     _filled,
@@ -18,6 +23,7 @@ from thalweg.fusion.dtm import (
 )
 from thalweg.fusion.measures import Section, _wetted, hydraulic_table, hypsometry, long_profile, volume_below
 from thalweg.settings.sections import Fusion
+from thalweg.surface import Motion
 
 NAN = np.nan
 
@@ -105,6 +111,82 @@ def test_scatter_is_pooled_over_three_by_three_cells() -> None:
     assert found[0, 0] == pytest.approx(7.0)  # four freedoms of nine are too few
     assert found[2, 0] == pytest.approx(0.0)
     assert _pooled(squares, 2 * freedom, squares)[2, 2] == pytest.approx(1.0)
+
+
+# ---------------------------------------------------------------- clouds
+
+
+def test_points_of_a_moved_cloud_carry_the_error_of_the_motion() -> None:
+    """Shift sigmas 3, 4, 5 cm and 1 mrad about the vertical and about east, 20 m and 10 m from the centre."""
+    fit = Fit(
+        motion=Motion(centre_m=np.zeros(3), R=np.eye(3), shift_m=np.array([1.0, 2.0, 3.0])),
+        cov=np.diag([0.03, 0.04, 0.05, 1e-3, 0.0, 2e-3]) ** 2,
+        undetermined=(),
+        overlap=pd.DataFrame(),
+        facts={},
+    )
+    cloud = Cloud(
+        xyz_m=np.array([[20.0, 10.0, 0.0]]), sigma_horizontal_m=np.array([0.1]), sigma_up_m=np.array([0.2])
+    )
+    found = fit.moved(cloud)
+    assert found.xyz_m[0].tolist() == [21.0, 12.0, 3.0]
+    east, north, up = 0.03**2 + (10 * 2e-3) ** 2, 0.04**2 + (20 * 2e-3) ** 2, 0.05**2 + (10 * 1e-3) ** 2
+    assert found.sigma_horizontal_m[0] ** 2 == pytest.approx(0.1**2 + (east + north) / 2)
+    assert found.sigma_up_m[0] ** 2 == pytest.approx(0.2**2 + up)
+
+
+def test_cells_of_the_bed_are_points_with_their_width_as_sigma(tmp_path: Path) -> None:
+    """A cell of 2 m says nothing of where in it: 2 m / sqrt(12); both parts of the height's sigma count."""
+    at = FRAME.to_map(np.zeros((1, 3)), GRID)[0]
+    west, north = np.floor(at[:2])
+    grid = Grid(west_m=west, north_m=north, cell_m=2.0, rows=1, columns=2, crs=GRID)
+    bands = {
+        "height_m": np.array([[NAN, 150.5]]),
+        "sigma_m": np.array([[0.1, 0.3]]),
+        "sigma_common_m": np.array([[0.1, 0.4]]),
+        "distance_m": np.zeros((1, 2)),
+    }
+    write_raster(tmp_path / "bed.tif", grid, bands)
+    found = cloud_of_bed(tmp_path / "bed.tif", FRAME)
+    assert FRAME.to_map(found.xyz_m, GRID)[0] == pytest.approx([west + 3, north - 1, 150.5], abs=1e-6)
+    assert found.sigma_up_m == pytest.approx([0.5])
+    assert found.sigma_horizontal_m == pytest.approx([0.57735])
+
+
+def test_joined_clouds_have_the_classes_of_asprs(tmp_path: Path) -> None:
+    """Bed and light sheet are water (9), the rest ground (2); the source is the point source."""
+    one = Cloud(xyz_m=np.zeros((1, 3)), sigma_horizontal_m=np.array([0.02]), sigma_up_m=np.array([0.03]))
+    empty = one.part(np.zeros(1, dtype=bool))
+    sources = [Source.BED, Source.LIGHT_SHEET, Source.LIDAR, Source.SURROUNDINGS, Source.LIDAR]
+    counts = join_clouds(tmp_path / "all.laz", [*((s, one) for s in sources), (Source.FILLED, empty)], FRAME)
+    with laspy.open(tmp_path / "all.laz") as file:
+        read = file.read()
+    assert np.asarray(read.classification).tolist() == [9, 9, 2, 2, 2]
+    assert np.asarray(read.point_source_id).tolist() == [1, 2, 3, 4, 3]
+    assert np.asarray(read["sigma_horizontal"]) == pytest.approx(0.02)
+    assert np.asarray(read["sigma_up"]) == pytest.approx(0.03)
+    assert counts["banks by the lidar"] == 2
+    assert len(counts) == 4
+
+
+def test_sigmas_of_a_cloud_are_those_of_its_file(tmp_path: Path) -> None:
+    """East and north make one horizontal sigma; a height's alone stands for all axes; else what is told."""
+    kinds = {
+        "both": {"sigma_up": 0.05, "sigma_east": 0.03, "sigma_north": 0.01},
+        "up": {"sigma_up": 0.05},
+        "none": {},
+    }
+    expected = {"both": (0.02236, 0.05), "up": (0.05, 0.05), "none": (0.2, 0.2)}
+    for name, sigmas in kinds.items():
+        dimensions = dict.fromkeys(sigmas, ("u4", "standard deviation, m", 0.0001))
+        with LazWriter(tmp_path / f"{name}.laz", FRAME, extra_dimensions=dimensions) as writer:
+            writer.append(np.zeros((2, 3)), extra={key: np.full(2, value) for key, value in sigmas.items()})
+        cloud = read_cloud([tmp_path / f"{name}.laz"], FRAME, GRID, sigma_m=0.2)
+        assert cloud.sigma_horizontal_m == pytest.approx(expected[name][0], abs=1e-4)
+        assert cloud.sigma_up_m == pytest.approx(expected[name][1])
+    other = LocalFrame(lat_deg=50.0, lon_deg=13.0, h_ell_m=0.0)
+    with pytest.raises(InputError, match="another origin"):
+        read_cloud([tmp_path / "up.laz"], other, GRID, sigma_m=0.2)
 
 
 # ---------------------------------------------------------------- blending
