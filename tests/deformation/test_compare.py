@@ -8,11 +8,11 @@ import pytest
 from pyproj import CRS
 
 from thalweg.cli import main
-from thalweg.core import ArrayF, GeometryError, InputError, read_table
+from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_table
 from thalweg.core.las import read_laz, write_laz
 from thalweg.deformation import Comparison, compare_clouds
 from thalweg.deformation.compare import CHANGES
-from thalweg.deformation.foreign import read_points
+from thalweg.deformation.foreign import Points, one_frame, read_points
 
 OPTIONS = Comparison(scales_m=(1.0,), radius_m=0.8, half_length_m=3.0)
 
@@ -180,3 +180,47 @@ def test_the_command_writes_what_it_prints(tmp_path: Path, capsys: pytest.Captur
     assert header.extra_dimensions["lod95_m"][1] == "m"
     assert main([*words, "-o", str(tmp_path / "changes.txt")]) == 2
     assert "suffix '.txt'" in capsys.readouterr().err
+
+
+def test_frames_are_one_if_they_are_equal(tmp_path: Path) -> None:
+    """Two local frames of one origin are one; of two origins, or beside a map grid, they are not."""
+    here = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+    again = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+    other = LocalFrame(lat_deg=51.06, lon_deg=13.25, h_ell_m=300.0)
+    one, same, else_, none = (
+        Points(np.zeros((1, 3)), frame, tmp_path / name)
+        for frame, name in ((here, "a"), (again, "b"), (other, "c"), (None, "d"))
+    )
+    assert one_frame([one, same]) == (here, [])
+    found, notes = one_frame([one, none])
+    assert found == here
+    assert "d: taken as that of the other" in notes[0]
+    assert one_frame([none, none])[0] is None
+    for wrong in (else_, Points(np.zeros((1, 3)), CRS.from_epsg(25833), tmp_path / "e")):
+        with pytest.raises(InputError, match="states a local frame"):
+            one_frame([one, wrong])
+
+
+def test_points_without_all_coordinates_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "cloud.xyz"
+    path.write_text("1 2 3\n4 5 nan\n6 7 8\n")
+    found = read_points(path)
+    assert found.xyz_m.tolist() == [[1, 2, 3], [6, 7, 8]]
+    assert (found.frame, found.path) == (None, path)
+    laz = a_file(tmp_path / "cloud.laz", ground(1)[:7])
+    cloud = read_points(laz)
+    assert (cloud.xyz_m.shape, cloud.path) == ((7, 3), laz)
+    assert isinstance(cloud.frame, CRS)
+
+
+@pytest.mark.parametrize(("share", "told"), [(15, False), (25, True)])
+def test_from_twenty_times_the_density_on_it_is_told(tmp_path: Path, share: int, told: bool) -> None:
+    """One cloud on a raster of 0.2 m, the other with every 15th or 25th of its points."""
+    raster = np.stack(np.meshgrid(np.arange(0, 30, 0.2), np.arange(0, 20, 0.2)), axis=-1).reshape(-1, 2)
+    dense = np.column_stack([raster + np.array([440_000.0, 5_640_000.0]), 0.01 * np.sin(7 * raster[:, 0])])
+    thin = np.random.default_rng(1).permutation(dense)[: len(dense) // share]
+    wide = Comparison(scales_m=(1.0,), radius_m=2.0, half_length_m=3.0)
+    for first, second, word in ((dense, thin, "first"), (thin, dense, "second")):
+        files = a_file(tmp_path / "a.laz", first), a_file(tmp_path / "b.laz", second)
+        notes = compare_clouds(*files, wide, core_every=9, sigma_m=(0.01, 0.01))[2]
+        assert any(f"The {word} cloud is" in note for note in notes) is told

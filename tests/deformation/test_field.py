@@ -86,6 +86,14 @@ def test_the_limit_of_the_largest_deviation_counts_what_products_share() -> None
         largest_deviation([alone], np.full(50, np.nan))
 
 
+def test_the_limit_of_one_product_is_that_of_the_normal_distribution() -> None:
+    """An error of 0.6 that is shared and one of 0.8 that is not make 1: the limit is 1.96."""
+    group = ErrorGroup.from_sigmas("position", np.arange(2.0), np.full(3, 0.6), 0.0)
+    field = ErrorField((group,), (sp.csr_matrix(np.eye(1, 6)),))
+    assert field.variances() == pytest.approx([0.36])
+    assert largest_deviation([field], np.ones(1), draws=20_000) == pytest.approx(1.960, abs=0.05)
+
+
 def test_times_that_go_back_are_refused() -> None:
     with pytest.raises(GeometryError, match="go back"):
         ErrorGroup.from_sigmas("position", np.array([1.0, 0.0]), np.ones(3), 1.0)
