@@ -1,4 +1,4 @@
-"""Write docs/rules.md: every rule, room by room, from the docstrings of rules and the table of figures.
+"""Write docs/rules.md: every rule by subject, from the docstrings of rules and the table of figures.
 
 .venv/bin/python docs/make_rules.py
 """
@@ -11,20 +11,20 @@ import yaml
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {
-    "simulation": "The digital twin: what a survey's instruments would have written",
-    "ingest": "Raw logs to tables, with a report on what is missing or broken",
+    "simulation": "The digital twin: raw logs of simulated instruments",
+    "ingest": "Raw logs to tables, with integrity reports",
     "timing": "One GPS time axis",
-    "calibration": "Where the sensors sit on the boat",
+    "calibration": "Mounting of the sensors, lenses, clocks",
     "orientation": "Trajectories from INS, camera and both",
-    "lidar": "Points in the world",
+    "lidar": "Georeferenced point clouds",
     "triangulation": "The underwater light-sheet sensor",
     "bathymetry": "The riverbed from soundings",
     "fusion": "One terrain model of bed and banks",
     "surface": "Meshes of references",
-    "accuracy": "How far off, and did the sigmas know",
-    "deformation": "What changed between epochs",
-    "figures": "Pictures and pages",
-    "real_logs": "Recordings of other people",
+    "accuracy": "Observed and predicted errors",
+    "deformation": "Change between epochs",
+    "figures": "Figures and pages",
+    "real_logs": "Public recordings",
     "reproduction": "Published tables",
     "studies": "Studies over many surveys of the twin",
 }
@@ -67,6 +67,7 @@ def page(folder: Path) -> str:
         "# The rules",
         "",
         "Made by `docs/make_rules.py`; `snakemake --rulegraph mermaid-js` draws what a campaign needs.",
+        "Short names of sources (T, P1 to P4): [bibliography](bibliography.md).",
     ]
     for room, rules in found.items():
         if rules:

@@ -1,14 +1,21 @@
-"""What the README says must be so: its commands, its graph of the rooms, its example campaign."""
+"""What README and docs say must be so: commands, graph of the packages, example campaign, links, terms."""
 
+import contextlib
+import io
 import json
 import re
 import runpy
+import shlex
+import shutil
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
+from thalweg.cli import _parser, main
 from thalweg.core import InputError
 from thalweg.settings.load import load_campaign
 
@@ -30,15 +37,51 @@ def test_the_page_of_the_rules_is_in_step(repository: Path) -> None:
     assert not re.search(r"(?m)^\| `\w+` \|  \|$", made), "a rule without a word on what it does"
 
 
-def test_the_commands_exist(repository: Path) -> None:
-    readme = (repository / "README.md").read_text()
+def documents(repository: Path) -> dict[str, str]:
+    """Pages that people read, by their place; those of docs/pages are written as templates."""
+    places = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "config/README.md"]
+    pages = [repository / place for place in places] + sorted((repository / "docs").rglob("*.md"))
+    return {
+        path.relative_to(repository).as_posix(): path.read_text(encoding="utf-8")
+        for path in pages
+        if "pages" not in path.parts
+    }
+
+
+def commands(text: str) -> Iterator[str]:
+    """Command lines of a page: lines of code blocks, and code in tables; continued lines joined."""
+    text = text.replace("\\\n", " ")
+    blocks = re.findall(r"(?m)^(?:    |```\w*\n)(.*)$", text)
+    cells = [
+        code for line in text.splitlines() if line.startswith("|") for code in re.findall(r"`([^`]+)`", line)
+    ]
+    for line in [*blocks, *cells]:
+        words = line.split("  #")[0].removeprefix(".venv/bin/").strip()
+        if re.match(r"(thalweg|make|snakemake) ", words):
+            yield words
+
+
+def test_the_commands_exist(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each command of a page is one that its own program understands, options and all."""
     makefile = (repository / "Makefile").read_text()
-    for target in set(re.findall(r"(?m)(?:`|^    )make ([a-z][a-z-]*)", readme)):
-        assert re.search(rf"(?m)^{target}:", makefile), target
+    seen: Counter[str] = Counter()
+    for place, text in documents(repository).items():
+        for target in set(re.findall(r"(?m)(?:`|^    )make ([a-z][a-z-]*)", text)):
+            assert re.search(rf"(?m)^{target}:", makefile), f"{place}: make {target}"
+        for line in commands(text):
+            words = shlex.split(line, comments=True)
+            if words[0] == "thalweg" and "..." not in words:
+                with contextlib.suppress(SystemExit):
+                    _parser().parse_args(words[1:])
+                assert capsys.readouterr().err == "", f"{place}: {line}"
+                seen[words[1]] += place == "README.md"
+    names = re.findall(r"(?m)^    ([a-z]+(?:-[a-z]+)*)(?: |$)", _parser().format_help())
+    beside = {"import-calibration", "export-camera", "schema"}  # README names their neighbours, docs the rest
+    assert {name for name in names if not seen[name]} <= beside
 
 
 def test_the_example_campaign_is_valid(repository: Path, tmp_path: Path) -> None:
-    text = re.search(r"```yaml\n(.*?)```", (repository / "README.md").read_text(), re.S)
+    text = re.search(r"```yaml\n(.*?)```", (repository / "docs/tutorial.md").read_text(), re.S)
     assert text
     example = yaml.safe_load(text.group(1))
     folder = tmp_path / "thalweg/config/campaigns"
@@ -51,6 +94,137 @@ def test_the_example_campaign_is_valid(repository: Path, tmp_path: Path) -> None
     campaign = load_campaign(folder / "mulde_2026.yaml")
     assert campaign.orientation.position_source == example["orientation"]["position_source"]
     assert [p.name for p in campaign.log_files("base")] == ["base.obs"]
+
+
+@pytest.mark.real
+def test_five_commands_on_a_real_recording(
+    repository: Path, data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """README's commands as printed, in an empty folder with a boat's log; Snakemake: `test_subsets.py`."""
+    monkeypatch.chdir(tmp_path)
+    logs = tmp_path / "surveys/mulde"
+    logs.mkdir(parents=True)
+    shutil.copy(data_dir / "nmea_gpsd_depth/bundg_zeus_9.log", logs)
+    section = (repository / "README.md").read_text().split("## Your survey in five commands")[1]
+    five = list(commands(section.split("\n## ")[0]))[:5]
+    assert [line.split()[:2] for line in five[:3]] == [
+        ["thalweg", name] for name in ("describe", "new-campaign", "check-config")
+    ]
+    for line in five[:3]:
+        words = shlex.split(line.replace("~", str(tmp_path)).replace("mulde/*", "mulde/bundg_zeus_9.log"))
+        assert main(words[1:]) == 0, line
+        for path in tmp_path.glob("config/campaigns/*.yaml"):
+            path.write_text(path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, -1.5]"))
+
+
+# ---------------------------------------------------------------- links, terms, codes
+
+
+def anchors(text: str) -> set[str]:
+    """Names of the headings of a page, as code hosts and mkdocs make them."""
+    headings = re.findall(r"(?m)^#+ (.+)$", re.sub(r"```.*?```", "", text, flags=re.S))
+    plain = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).lower() for heading in headings]
+    return {re.sub(r"[^\w\- ]", "", heading).strip().replace(" ", "-") for heading in plain}
+
+
+def dead_links(root: Path, place: str, text: str) -> list[str]:
+    """Links of a page to files or headings that are not there."""
+    dead = []
+    for target in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"```.*?```|`[^`\n]*`", "", text, flags=re.S)):
+        if re.match(r"[a-z]+:", target):
+            continue
+        name, _, heading = target.partition("#")
+        path = (root / place).parent / name if name else root / place
+        if not path.exists() or (heading and heading not in anchors(path.read_text(encoding="utf-8"))):
+            dead.append(target)
+    return dead
+
+
+def test_no_link_is_dead(repository: Path) -> None:
+    dead = {place: dead_links(repository, place, text) for place, text in documents(repository).items()}
+    assert {place: links for place, links in dead.items() if links} == {}
+
+
+def test_a_dead_link_is_seen(tmp_path: Path) -> None:
+    (tmp_path / "a.md").write_text("# One, two `three`\n")
+    text = (
+        "[x](a.md) [x](a.md#one-two-three) [x](a.md#two) ![x](b.png) [x](https://example.org/c) `[x](d.md)`"
+    )
+    assert dead_links(tmp_path, "page.md", text) == ["a.md#two", "b.png"]
+
+
+CITED = r"\b(?:P[1-4]|T)(?= (?:\d|eq\.|Table|Fig|section)|\b[,)]| and | to P)"
+"""Short names of the thesis and its papers, as docs/bibliography.md lists them."""
+
+
+def unresolved(text: str) -> set[str]:
+    """Codes of a page that nothing on it resolves: P1 to P4 and T want a link to the bibliography."""
+    plain = re.sub(r"```.*?```|`[^`\n]*`|(?m:^    .*$)|\]\([^)]*\)", "", text, flags=re.S)
+    codes = set(re.findall(r"\b(?:[PTCE]|FW)\d+\b", plain)) - {"E57"}
+    if "bibliography.md" in text:
+        codes -= {"P1", "P2", "P3", "P4"}
+    elif re.search(CITED, plain):
+        codes.add("T or P1 to P4")
+    return codes
+
+
+def test_no_code_is_undefined(repository: Path) -> None:
+    found = {
+        place: unresolved(text)
+        for place, text in documents(repository).items()
+        if place not in {"docs/bibliography.md", "docs/validation/mutants.md"}  # a list of source lines
+    }
+    assert {place: codes for place, codes in found.items() if codes} == {}
+    captions = yaml.safe_load((repository / "workflow/figures.yaml").read_text())
+    spelled = [
+        row["caption"]
+        for rows in captions.values()
+        for row in rows.values()
+        if re.search(r"\b(?:[PTCE]|FW)\d+\b", row.get("caption", "").replace("E57", ""))
+    ]
+    assert spelled == []  # captions stand alone in reports: author and year, not a short name
+
+
+def test_an_undefined_code_is_seen() -> None:
+    assert unresolved("As C320 and FW28 say, E57 clouds are read.") == {"C320", "FW28"}
+    assert unresolved("The budget of P2 Table 1.") == {"P2", "T or P1 to P4"}
+    assert unresolved("The budget of [P2](bibliography.md) Table 1.") == set()
+
+
+PRIVATE = re.compile(
+    r"\b(?:honest(?:y|ly)?(?!_)|normalised squares?|foretell\w*|foretold|restless|consents?|strangers)\b",
+    re.IGNORECASE,
+)
+"""Words for which docs/glossary.md has a term of the field."""
+
+
+def test_pages_use_the_terms_of_the_field(repository: Path) -> None:
+    texts = documents(repository) | {
+        "workflow/figures.yaml": (repository / "workflow/figures.yaml").read_text()
+    }
+    for command in re.findall(r"(?m)^    ([a-z]+(?:-[a-z]+)*)(?: |$)", _parser().format_help()):
+        with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()) as said:
+            _parser().parse_args([command, "--help"])
+        texts[f"thalweg {command}"] = said.getvalue()
+    texts = {place: text for place, text in texts.items() if "validation/" not in place}  # columns of tables
+    texts.pop("docs/glossary.md")
+    found = {place: PRIVATE.findall(re.sub(r"`[^`\n]*`", "", text)) for place, text in texts.items()}
+    assert {place: words for place, words in found.items() if words} == {}
+
+
+def test_names_in_the_glossary_exist(repository: Path) -> None:
+    rows = [line.split("|") for line in (repository / "docs/glossary.md").read_text().splitlines()]
+    names = {name for row in rows if len(row) == 6 for name in re.findall(r"`([^`]+)`", row[4])}
+    assert len(names) > 80
+    folders = ("src", "workflow", "config")
+    text = "".join(
+        path.read_text(encoding="utf-8")
+        for folder in folders
+        for path in (repository / folder).rglob("*")
+        if path.suffix in {".py", ".smk", ".yaml"}
+    ) + " ".join(path.stem for path in (repository / "config/studies").iterdir())
+    parts = {part for name in names for part in re.split(r"…|/|^thalweg ", name) if part}
+    assert {part for part in parts if part not in text} == set()
 
 
 def test_no_placeholder_is_left(repository: Path) -> None:
@@ -175,14 +349,10 @@ def test_records_are_of_the_sizes_of_the_rules(repository: Path) -> None:
 
 
 TWIN = (
-    "Where do the sensors sit",
-    "Where was the boat",
-    "Below the water",
-    "How accurate is it",
-    "Does it know",
-    "Time and memory",
+    *("# Thalweg", "How good is it", "Time and memory"),  # README.md
+    *("Calibration", "Trajectories", "Clouds", "Consistency", "Light sheet", "Change"),  # docs/accuracy.md
 )
-"""Sections of the README that quote the twin."""
+"""Sections of the pages that quote the twin."""
 GIVEN = "|".join(
     [
         r"P[1-4] (?:eq\. |Table )?\d[\d.]*",
@@ -196,6 +366,8 @@ GIVEN = "|".join(
         r"0\.4 degrees of the",
         r"2\.5D",
         r"1\.7 GB",
+        r"3\.1[13](?= )",  # versions of Python
+        r"0\.1 m or more",  # size of a simulated change
     ]
 )
 """Numbers that are not of the twin, or its input."""
@@ -208,22 +380,32 @@ def typed(template: str) -> list[str]:
     for section in re.split(r"(?m)^## ", text):
         if not section.startswith(TWIN):
             continue
-        published: set[int] = set()
+        published: set[int] = set()  # counted from the end: a macro may fill several cells
         for line in section.splitlines():
             cells = line.split("|") if line.startswith("|") else [line]
-            if any("published" in cell for cell in cells) and len(cells) > 1:
-                published = {k for k, cell in enumerate(cells) if "published" in cell}
-            kept = " ".join(c for k, c in enumerate(cells) if len(cells) == 1 or k not in {1} | published)
+            given = {
+                k - len(cells) for k, cell in enumerate(cells) if re.match(r" (?:published|target)\b", cell)
+            }
+            if given and len(cells) > 1:
+                published = given
+            kept = " ".join(
+                c
+                for k, c in enumerate(cells)
+                if len(cells) == 1 or (k != 1 and k - len(cells) not in published)
+            )
             found += re.findall(r"\d+\.\d+|± \d+|\d+ (?:surveys|seeds|runs)\b", re.sub(GIVEN, " ", kept))
     return found
 
 
 def test_no_number_of_the_twin_is_typed(repository: Path) -> None:
-    assert typed((repository / "docs/pages/README.md").read_text()) == []
+    for page in ("README.md", "accuracy.md"):
+        text = (repository / "docs/pages" / page).read_text()
+        assert typed(text) == [], page
+        assert sum(section.startswith(TWIN) for section in re.split(r"(?m)^## ", text)) > 2, page
 
 
 def test_a_typed_number_is_seen() -> None:
-    table = "## Does it know\n\n| case | ours | published |\n| --- | --- | --- |\n| a 0.1 | 1.98 | 2.5 |\n"
+    table = "## Consistency\n\n| case | ours | published |\n| --- | --- | --- |\n| a 0.1 | 1.98 | 2.5 |\n"
     assert typed(table) == ["1.98"]
-    assert typed("## Does it know\n\nThe sigma is 0.93 here, {{ x | d(2) }}, P4 4.1 has 15.\n") == ["0.93"]
+    assert typed("## Consistency\n\nThe sigma is 0.93 here, {{ x | d(2) }}, P4 4.1 has 15.\n") == ["0.93"]
     assert typed("## Speed\n\n3.2\n") == []

@@ -103,7 +103,7 @@ rule krige_bed:
 
 
 rule validate_bed:
-    """What the bed foretells of lines and stretches that it did not see, beside other interpolators."""
+    """Cross-validation of the bed by lines and stretches left out, beside other interpolators."""
     input:
         used="results/{campaign}/bathymetry/observations.parquet",
         variogram="results/{campaign}/bathymetry/variogram.json",

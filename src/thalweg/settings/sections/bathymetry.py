@@ -91,7 +91,7 @@ class Bathymetry(Section):
         default=0.5, description="Cell of the bed, metres"
     )
     model: Literal["auto", "exponential", "matern32", "spherical"] = Field(
-        default="auto", description="Covariance of the bed; auto: the one that foretells left-out lines best"
+        default="auto", description="Covariance of the bed; auto: the one that predicts left-out lines best"
     )
     drift: Literal["auto", "none", "section", "fall"] = Field(
         default="auto",

@@ -59,7 +59,7 @@ class TwinFieldEffects(Section):
         default=0, description="People who stand near the cones in lidar recordings, other places each time"
     )
     toppled_cone: str | None = Field(
-        default=None, description="Cone that was knocked over after the reference images, C1 to C8"
+        default=None, description="Name of a cone that was knocked over after the reference images"
     )
     toppled_by_deg: Tilt = Field(default=8.0, description="Angle by which it leans then, degrees")
     moved_marker: Marker | None = Field(
