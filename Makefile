@@ -5,7 +5,11 @@ CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 PY := .venv/bin/python
 SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
 
+<<<<<<< HEAD
 .PHONY: help env demo open study record timings report real-logs test check test-slow fuzz mutants golden benchmark lock clean
+=======
+.PHONY: help env demo docs study record timings report real-logs test check test-slow fuzz mutants golden benchmark lock clean
+>>>>>>> 68acce9 (Site of the documentation: make docs; pages explain the short names of their sources)
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -24,6 +28,14 @@ open: ## front page of the campaign SIZE in a browser
 
 report: env ## one self-contained page of the campaign SIZE
 	@$(SNAKEMAKE) --config campaign=$(SIZE) --report results/$(SIZE)/report.html
+
+docs: .venv/.docs ## site of the documentation -> results/site; nothing is fetched while it is built
+	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet
+	@echo "Open results/site/index.html; with search: $(PY) -m http.server -d results/site"
+.venv/.docs: envs/docs.lock .venv/.complete
+	@$(PY) -m pip --version >/dev/null 2>&1 && $(PY) -m pip install --quiet --require-hashes -r $< \
+	    || python3 -m pip --python $(PY) install --quiet --require-hashes -r $<
+	@touch $@
 
 study: env ## one study of the twin and its record in docs/validation; NAME=honesty_study
 	@$(SNAKEMAKE) $(NAME)

@@ -1,0 +1,277 @@
+"""Pages of the documentation's site that come from the code, and links from docs to the rest; `make docs`.
+
+A hook of MkDocs (mkdocs.yml names it). Made here: front page from README.md, command line from the parsers, settings
+from config/README.md, tables with units from their schemas, a page for each front door of the library, and graphs as
+SVG. Nothing is written into docs.
+"""
+
+import argparse
+import ast
+import importlib
+import re
+import sys
+from collections.abc import Iterator
+from html import escape
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+OUTSIDE = {
+    "README.md": "index.md",
+    "config/README.md": "reference/settings.md",
+    "CHANGELOG.md": "reference/changelog.md",
+    "CONTRIBUTING.md": "reference/contributing.md",
+    "CITATION.cff": "CITATION.cff",
+}
+"""Files outside docs that the site shows: place in the repository -> place in the site."""
+
+
+# ---------------------------------------------------------------- links and graphs
+
+
+def moved(text: str, place: str, target: str) -> str:
+    """Markdown of a file of the repository with its links as the site needs them.
+
+    Links to files that the site does not hold become their words and the path.
+
+    Parameters
+    ----------
+    text : Markdown.
+    place : of the file, from the root of the repository.
+    target : of the page, from the root of the site.
+    """
+
+    def link(found: re.Match[str]) -> str:
+        """One link, from the page's place in the site."""
+        words, href, heading = found.groups()
+        if not href or re.match(r"[a-z]+:", href):
+            return found.group()
+        path = (ROOT / place).parent.joinpath(href).resolve().relative_to(ROOT).as_posix()
+        path = OUTSIDE.get(path, "docs/validation/README.md" if path == "docs/validation" else path)
+        if not path.startswith("docs/") and path not in OUTSIDE.values():
+            return f"{words.strip('![]')} (`{path}`)"
+        return f"{words}({'../' * target.count('/')}{path.removeprefix('docs/')}{heading})"
+
+    parts = re.split(r"(```.*?```|`[^`\n]*`)", text, flags=re.S)
+    parts[::2] = [re.sub(r"(!?\[[^]]*\])\(([^)\s#]*)(#[^)\s]*|)\)", link, part) for part in parts[::2]]
+    return "".join(parts)
+
+
+def graph(mermaid: str) -> str:
+    """SVG of a flowchart from left to right, in columns by the longest way to a box.
+
+    The theme's own way would fetch a drawing program from the network. Boxes are words or ``name[(words)]``; arrows
+    ``a --> b --> c`` and ``a -. words .-> b``.
+    """
+    words: dict[str, str] = {}
+    edges: list[tuple[str, str, bool]] = []
+    for line in mermaid.splitlines():
+        steps = re.split(r"\s*(-->|-\..*?\.->)\s*", line.strip())
+        if len(steps) < 3:
+            continue
+        boxes = [re.sub(r"[\[(].*", "", step) for step in steps[::2]]
+        for name, step in zip(boxes, steps[::2], strict=True):
+            words.setdefault(name, "".join(re.findall(r"\[\(?(.*?)\)?\]", step)) or name)
+        for k, arrow in enumerate(steps[1::2]):
+            edges.append((boxes[k], boxes[k + 1], arrow != "-->"))
+    column = dict.fromkeys(words, 0)
+    for _ in words:  # as many rounds as the longest way can have
+        for a, b, _ in edges:
+            column[b] = max(column[b], column[a] + 1)
+    rows: dict[int, list[str]] = {}
+    for name in words:
+        rows.setdefault(column[name], []).append(name)
+    wide, high = 150, 54
+    most = max(map(len, rows.values()))
+    at: dict[str, tuple[float, float]] = {}
+    for k in sorted(rows):
+        before = {name: [at[a][1] for a, b, _ in edges if b == name and a in at] for name in rows[k]}
+        rows[k].sort(key=lambda name: sum(before[name]) / max(len(before[name]), 1))
+        for row, name in enumerate(rows[k]):
+            at[name] = (k * wide, high * (row + (most - len(rows[k])) / 2))
+    box = {name: 8 * max(len(words[name]), 4) + 14 for name in words}
+    lines = [
+        f'<path d="M{at[a][0] + box[a]:.0f},{at[a][1] + 16:.0f} C{at[b][0] - 40:.0f},{at[a][1] + 16:.0f} '
+        f'{at[b][0] - 30:.0f},{at[b][1] + 16:.0f} {at[b][0] - 6:.0f},{at[b][1] + 16:.0f}" fill="none" '
+        f'stroke="currentColor" stroke-opacity=".5" marker-end="url(#tip)"{" stroke-dasharray=4" * dashed}/>'
+        for a, b, dashed in edges
+    ]
+    lines += [
+        f'<rect x="{x:.0f}" y="{y:.0f}" width="{box[name]}" height="32" rx="4" fill="none" stroke="currentColor"/>'
+        f'<text x="{x + box[name] / 2:.0f}" y="{y + 21:.0f}" text-anchor="middle" font-size="13" '
+        f'fill="currentColor">{escape(words[name])}</text>'
+        for name, (x, y) in at.items()
+    ]
+    return (
+        f'<svg viewBox="-2 -2 {wide * len(rows) + 4} {high * most}" style="max-width:100%" role="img">'
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
+        f'<path d="M0,0 L8,4 L0,8 z" fill="currentColor"/></marker></defs>{"".join(lines)}</svg>'
+    )
+
+
+# ---------------------------------------------------------------- reference
+
+
+def command_page() -> str:
+    """All commands with their options, from the parsers."""
+    cli = importlib.import_module("thalweg.cli")
+    commands = next(a for a in cli._parser()._actions if isinstance(a, argparse._SubParsersAction))
+    lines = ["# Command line", "", "`.venv/bin/thalweg COMMAND`; lengths are metres, angles degrees.", ""]
+    for choice in commands._choices_actions:
+        parser = commands.choices[choice.dest]
+        usage = " ".join(parser.format_usage().removeprefix("usage: ").split())
+        lines += [
+            f"## {choice.dest}",
+            "",
+            f"{str(choice.help)[:1].upper()}{str(choice.help)[1:]}.",
+            "",
+            f"    {usage}",
+            "",
+        ]
+        lines += ["| argument | default | meaning |", "| --- | --- | --- |"]
+        for action in parser._actions:
+            if action.dest == "help":
+                continue
+            name = ", ".join(action.option_strings) or action.metavar or action.dest
+            takes = bool(action.option_strings) and action.nargs != 0
+            value = action.metavar or (
+                f"{{{','.join(map(str, action.choices))}}}" if action.choices else action.dest.upper()
+            )
+            value = " ".join(value) if isinstance(value, tuple) else value
+            default = "" if action.default in (None, False, []) else f"`{action.default}`"
+            meaning = (
+                (action.help or "").split(" (default: %(default)s)")[0].replace("default: %(default)s", "")
+            )
+            shown = "required" if action.required else default
+            lines.append(f"| `{name}{f' {value}' * takes}` | {shown} | {meaning} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def table_page() -> str:
+    """Every kind of table that Thalweg writes: columns, units, meaning."""
+    import pyarrow as pa
+
+    core = importlib.import_module("thalweg.core.tables")
+    kinds: dict[str, pa.Schema] = {}
+    for path in sorted((ROOT / "src/thalweg").rglob("*.py")):
+        if "table_kind(" in path.read_text(encoding="utf-8"):
+            name = ".".join(path.relative_to(ROOT / "src").with_suffix("").parts)
+            for value in vars(importlib.import_module(name)).values():
+                if isinstance(value, pa.Schema) and core.kind_of(value)[0]:
+                    kinds[core.kind_of(value)[0]] = value
+    lines = [
+        "# Tables and units",
+        "",
+        "Parquet tables carry kind, version, unit and meaning of each column in their own schema. Times are seconds of GPS "
+        "time; frames are those of the [conventions](../conventions.md).",
+        "",
+    ]
+    for kind, schema in sorted(kinds.items()):
+        lines += [f"## {kind}", "", f"Version {core.kind_of(schema)[1]}.", ""]
+        lines += ["| column | type | unit | meaning |", "| --- | --- | --- | --- |"]
+        for field in schema:
+            unit, meaning = (field.metadata[key].decode().replace("|", "\\|") for key in (b"unit", b"doc"))
+            lines.append(f"| `{field.name}` | {field.type} | {unit} | {meaning} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def doors() -> Iterator[tuple[str, dict[str, list[str]]]]:
+    """Packages with a front door: name -> what each of its modules offers."""
+    for path in sorted((ROOT / "src/thalweg").rglob("__init__.pyi")):
+        package = ".".join(path.parent.relative_to(ROOT / "src").parts)
+        offers: dict[str, list[str]] = {}
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ImportFrom) and node.module:
+                offers.setdefault(node.module, []).extend(alias.name for alias in node.names)
+        yield package, offers
+
+
+def foreign(source: Path) -> dict[str, str]:
+    """Names that a module takes from other libraries, and from which."""
+    return {
+        alias.asname or alias.name: node.module
+        for node in ast.parse(source.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ImportFrom) and node.module and not node.level
+        for alias in node.names
+        if not node.module.startswith("thalweg")
+    }
+
+
+def door_page(package: str, offers: dict[str, list[str]]) -> str:
+    """What a package offers, by module, for mkdocstrings."""
+    path = ROOT / "src" / Path(*package.split(".")) / "__init__.py"
+    words = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    names = [name for each in offers.values() for name in each]
+    example = next((name for name in names if name.islower()), names[0] if names else "")
+    lines = [f"# {package}", "", words, "", f"    from {package} import {example}", ""]
+    for module, names in offers.items():
+        lines += [f"## {module}", ""]
+        source = path.parent / f"{module.replace('.', '/')}.py"
+        others = foreign(source) if source.is_file() else {}
+        for name in names:
+            lines += [
+                f"`{name}`: of {others[name]}" if name in others else f"::: {package}.{module}.{name}",
+                "",
+            ]
+    return "\n".join(lines)
+
+
+def generated() -> dict[str, str]:
+    """Pages of the site that no file of docs holds: place in the site -> Markdown."""
+    sys.path.insert(0, str(ROOT / "src"))  # MkDocs puts back what a hook changes while it is loaded
+    pages = {
+        target: moved((ROOT / place).read_text(encoding="utf-8"), place, target)
+        for place, target in OUTSIDE.items()
+        if target.endswith(".md")
+    }
+    pages |= {"reference/cli.md": command_page(), "reference/tables.md": table_page()}
+    lines = [
+        "# Library",
+        "",
+        "Names are taken from the front door of a package: `from thalweg.lidar import georeference_log`.",
+        "",
+    ]
+    lines += ["| package | offers |", "| --- | --- |"]
+    for package, offers in doors():
+        pages[f"api/{package}.md"] = door_page(package, offers)
+        names = [name for each in offers.values() for name in each]
+        lines.append(f"| [{package}]({package}.md) | {', '.join(names[:6])}{', …' * (len(names) > 6)} |")
+    return pages | {"api/index.md": "\n".join(lines) + "\n"}
+
+
+# ---------------------------------------------------------------- hooks of MkDocs
+
+
+def on_config(config: Any) -> Any:
+    """Put the pages of the library into the navigation, packages of packages below them."""
+    tree: list[Any] = [{"Overview": "api/index.md"}]
+    for package, _ in doors():
+        top = package.split(".")[1]
+        if not tree[1:] or next(iter(tree[-1])) != top:
+            tree.append({top: []})
+        tree[-1][top].append({package.removeprefix("thalweg."): f"api/{package}.md"})
+    tree[1:] = [
+        pages[0] if len(pages) == 1 else {top: pages} for item in tree[1:] for top, pages in item.items()
+    ]
+    config["nav"] = [{"Library": tree} if item == {"Library": "api"} else item for item in config["nav"]]
+    return config
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the generated pages."""
+    from mkdocs.structure.files import File
+
+    for target, text in generated().items():
+        files.append(File.generated(config, target, content=text))
+    files.append(File.generated(config, "CITATION.cff", abs_src_path=str(ROOT / "CITATION.cff")))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Links of pages in docs to files outside, and graphs."""
+    target = page.file.src_uri
+    if (ROOT / "docs" / target).is_file():
+        markdown = moved(markdown, f"docs/{target}", target)
+    return re.sub(r"```mermaid\n(.*?)```", lambda found: graph(found.group(1)), markdown, flags=re.S)
