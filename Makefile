@@ -5,11 +5,7 @@ CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 PY := .venv/bin/python
 SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
 
-<<<<<<< HEAD
-.PHONY: help env demo open study record timings report real-logs test check test-slow fuzz mutants golden benchmark lock clean
-=======
-.PHONY: help env demo docs study record timings report real-logs test check test-slow fuzz mutants golden benchmark lock clean
->>>>>>> 68acce9 (Site of the documentation: make docs; pages explain the short names of their sources)
+.PHONY: help env demo open docs study record timings report real-logs test check test-slow fuzz mutants golden benchmark lock clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
