@@ -1,8 +1,8 @@
 """Pages of the documentation's site that come from the code, and links from docs to the rest; `make docs`.
 
-A hook of MkDocs (mkdocs.yml names it). Made here: front page from README.md, command line from the parsers, settings
-from config/README.md, tables with units from their schemas, a page for each front door of the library, and graphs as
-SVG. Nothing is written into docs.
+A hook of MkDocs (mkdocs.yml names it). Made here: front page from README.md, command line from the parsers,
+settings from config/README.md, tables with units from their schemas, a page for each front door of the
+library, and graphs as SVG. Nothing is written into docs.
 """
 
 import argparse
@@ -60,8 +60,8 @@ def moved(text: str, place: str, target: str) -> str:
 def graph(mermaid: str) -> str:
     """SVG of a flowchart from left to right, in columns by the longest way to a box.
 
-    The theme's own way would fetch a drawing program from the network. Boxes are words or ``name[(words)]``; arrows
-    ``a --> b --> c`` and ``a -. words .-> b``.
+    The theme's own way would fetch a drawing program from the network. Boxes are words or ``name[(words)]``,
+    arrows ``a --> b --> c`` and ``a -. words .-> b``.
     """
     words: dict[str, str] = {}
     edges: list[tuple[str, str, bool]] = []
@@ -97,15 +97,17 @@ def graph(mermaid: str) -> str:
         for a, b, dashed in edges
     ]
     lines += [
-        f'<rect x="{x:.0f}" y="{y:.0f}" width="{box[name]}" height="32" rx="4" fill="none" stroke="currentColor"/>'
+        f'<rect x="{x:.0f}" y="{y:.0f}" width="{box[name]}" height="32" rx="4" fill="none" '
+        f'stroke="currentColor"/>'
         f'<text x="{x + box[name] / 2:.0f}" y="{y + 21:.0f}" text-anchor="middle" font-size="13" '
         f'fill="currentColor">{escape(words[name])}</text>'
         for name, (x, y) in at.items()
     ]
     return (
         f'<svg viewBox="-2 -2 {wide * len(rows) + 4} {high * most}" style="max-width:100%" role="img">'
-        '<defs><marker id="tip" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
-        f'<path d="M0,0 L8,4 L0,8 z" fill="currentColor"/></marker></defs>{"".join(lines)}</svg>'
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="7" markerHeight="7" '
+        f'orient="auto"><path d="M0,0 L8,4 L0,8 z" fill="currentColor"/></marker></defs>'
+        f"{''.join(lines)}</svg>"
     )
 
 
@@ -163,8 +165,8 @@ def table_page() -> str:
     lines = [
         "# Tables and units",
         "",
-        "Parquet tables carry kind, version, unit and meaning of each column in their own schema. Times are seconds of GPS "
-        "time; frames are those of the [conventions](../conventions.md).",
+        "Parquet tables carry kind, version, unit and meaning of each column in their own schema. Times are "
+        "seconds of GPS time; frames are those of the [conventions](../conventions.md).",
         "",
     ]
     for kind, schema in sorted(kinds.items()):

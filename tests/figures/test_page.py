@@ -2,6 +2,7 @@
 
 import base64
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,6 +10,7 @@ import pytest
 
 from thalweg.core import InputError
 from thalweg.figures import Page, save
+from thalweg.figures.page import SOURCES
 from thalweg.figures.survey.maps import survey_map
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
@@ -132,3 +134,18 @@ def test_bad_parts_are_refused(tmp_path, table):
 def test_empty_table_and_section_without_letters():
     page = Page("x").section("§§").section("§§").table(pd.DataFrame({"a": []}), "nothing")
     assert check(page.html()).ids == ["section", "section-2"]
+
+
+def test_a_page_explains_the_short_names_that_it_uses(repository: Path) -> None:
+    text = (
+        Page("Errors", "As P2 eq. 9 has it")
+        .text("The heading counts most (T 3.1.2); T and P5 are names.")
+        .html()
+    )
+    assert [name for name in SOURCES if f"<small>{name}: Sardemann, H." in text] == ["T", "P2"]
+    assert "<small>" not in Page("Temperatures", "T is the temperature, P5 a point").html()
+    listed = (repository / "docs/bibliography.md").read_text()
+    for name, source in SOURCES.items():
+        row = next(line for line in listed.splitlines() if line.startswith(f"| {name} |"))
+        assert source.split("): ")[1].split(".")[0].lower() in row.replace("*", "").lower(), name
+        assert source.split("doi:")[-1].rstrip(".") in row or name == "T"

@@ -43,14 +43,14 @@ pre { background: #f5f5f5; padding: .7rem; overflow-x: auto; font-size: .82rem; 
 
 
 SOURCES: Final = {
-    "T": "Sardemann, H. (2024): Conception and Realisation of a Photogrammetric Multisensor System for an Uncrewed "
-    "Water Vehicle. PhD thesis, TU Dresden.",
-    "P1": "Sardemann, H., Eltner, A., Maas, H.-G. (2018): Acquisition of Geometrical Data of Small Rivers with an "
-    "Unmanned Water Vehicle. doi:10.5194/isprs-archives-XLII-2-1023-2018",
-    "P2": "Sardemann, H. et al. (2023): Camera-Aided Orientation of Mobile Lidar Point Clouds Acquired from an "
-    "Uncrewed Water Vehicle. doi:10.3390/s23136009",
-    "P3": "Sardemann, H., Mulsow, C., Maas, H.-G. (2021): Strict Geometric Calibration of an Underwater Laser "
-    "Triangulation System. doi:10.5194/isprs-archives-XLIII-B2-2021-689-2021",
+    "T": "Sardemann, H. (2024): Conception and Realisation of a Photogrammetric Multisensor System for an "
+    "Uncrewed Water Vehicle. PhD thesis, TU Dresden.",
+    "P1": "Sardemann, H., Eltner, A., Maas, H.-G. (2018): Acquisition of Geometrical Data of Small Rivers "
+    "with an Unmanned Water Vehicle. doi:10.5194/isprs-archives-XLII-2-1023-2018",
+    "P2": "Sardemann, H. et al. (2023): Camera-Aided Orientation of Mobile Lidar Point Clouds Acquired from "
+    "an Uncrewed Water Vehicle. doi:10.3390/s23136009",
+    "P3": "Sardemann, H., Mulsow, C., Maas, H.-G. (2021): Strict Geometric Calibration of an Underwater "
+    "Laser Triangulation System. doi:10.5194/isprs-archives-XLIII-B2-2021-689-2021",
     "P4": "Sardemann, H., Mulsow, C., Maas, H.-G. (2022): Accuracy Analysis of an Oblique Underwater Laser "
     "Lightsheet Triangulation System. doi:10.1007/s41064-022-00196-x",
 }
