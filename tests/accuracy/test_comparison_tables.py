@@ -79,7 +79,7 @@ def test_ratios_tell_by_how_much_sigmas_are_wrong(rng: np.random.Generator, fact
     assert (found["honest_low95"] < found["normalised_squared_error"] < found["honest_high95"]) == honest
     (words, _) = verdicts(statistics_table(table, SETTINGS), by_range_table(table, SETTINGS))
     size = f"{1 / found['ratio']:.1f} times as large as predicted"
-    assert (size if factor != 1.0 else "sigmas are honest") in words["sigmas"]
+    assert (size if factor != 1.0 else "sigmas are consistent") in words["sigmas"]
     assert found["ratio_of_middle"] == pytest.approx(1 / factor, rel=0.1)
     assert ("inside" if factor == 1.0 else "outside") in words["parts"]
     assert "tails" not in words["parts"]

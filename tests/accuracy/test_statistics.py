@@ -99,7 +99,7 @@ def test_the_outlier_rule_is_about_the_median(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("ratio", "limits", "words"),
     [
-        (1.02, (0.90, 1.12), "sigmas are honest: predicted over observed is 1.02, inside 0.90 to 1.12"),
+        (1.02, (0.90, 1.12), "sigmas are consistent: predicted over observed is 1.02, inside 0.90 to 1.12"),
         (
             0.50,
             (0.85, 1.19),

@@ -120,9 +120,9 @@ def test_figures_of_a_twin_are_those_of_bare_ground(files: dict[str, Path]) -> N
     assert added == {
         "bare ground: RMSE against the truth of the twin": (0.033, "m", source),
         "bare ground: RMSE predicted": (0.031, "m", source),
-        "bare ground: normalised squared error": (1.07, "1", source),
-        "  if sigmas are honest: above (95 %)": (0.37, "1", source),
-        "  if sigmas are honest: below (95 %)": (1.94, "1", source),
+        "bare ground: NEES": (1.07, "1", source),
+        "  if sigmas are consistent: above (95 %)": (0.37, "1", source),
+        "  if sigmas are consistent: below (95 %)": (1.94, "1", source),
         "  inside that band (1: yes, 0: no)": (1.0, "1", source),
         "bare ground: RMSE with gross errors": (0.34, "m", source),
         "bare ground: gross errors": (7.0, "1", source),
@@ -144,8 +144,8 @@ def test_figures_of_a_comparison_are_those_as_measured(files: dict[str, Path]) -
         "reference, without outliers: NMAD": (0.067, "m", source),
         "reference, without outliers: RMSE predicted": (0.074, "m", source),
         "reference, without outliers: predicted / observed": (0.66, "1", source),
-        "  honest sigmas leave it above (95 %)": (0.65, "1", source),
-        "  honest sigmas leave it below (95 %)": (2.1, "1", source),
+        "  consistent sigmas leave it above (95 %)": (0.65, "1", source),
+        "  consistent sigmas leave it below (95 %)": (2.1, "1", source),
         "reference, all points: points compared": (2000.0, "1", source),
         "reference, all points: mean distance": (0.12, "m", source),
         "reference, all points: RMSE": (0.31, "m", source),
@@ -224,7 +224,7 @@ def test_images_and_riverbed_have_their_lines(files: dict[str, Path], tmp_path: 
     assert values["photographs without a pose"] == 2
     assert values["check points: RMSE up"] == pytest.approx(0.042)
     assert values["check points: RMSE up predicted"] == pytest.approx(0.0145)
-    assert values["check points: normalised squared error (1: as predicted)"] == 3.07
+    assert values["check points: NEES (1: as predicted)"] == 3.07
     assert values["riverbed: RMSE of left-out lines"] == 0.057
     assert values["riverbed: outside the interval of 95 %"] == pytest.approx(4.8)
     assert "lidar points decoded" not in values.index  # no lidar, no counts

@@ -139,7 +139,7 @@ def test_histograms_are_normalised(chains, look, tmp_path):
         peak = 100 * share / (100 * kept.std(ddof=0) * np.sqrt(2 * np.pi))
         assert fit.get_ydata().max() == pytest.approx(peak, rel=0.01)
     assert "standard normal" not in look.texts(figure)
-    assert "dotted: honest sigmas" in look.texts(figure)
+    assert "dotted: N(0, 1)" in look.texts(figure)
     look.drawn(figure, tmp_path)
 
 

@@ -285,7 +285,7 @@ def classes_in_words(classes: pd.DataFrame) -> str:
     words = f"{len(outside)} of {len(classes)} range classes are outside their band" + (
         f" ({far} m)" if far else ""
     )
-    words += f"; honest sigmas leave at most about {0.05 * len(classes):.1f} there by chance"
+    words += f"; consistent sigmas leave at most about {0.05 * len(classes):.1f} there by chance"
     if len(outside):
         words += ", but neighbouring classes share poses and leave together"
     if wide:

@@ -45,7 +45,7 @@ _OF_DISTANCES: Final = (
     ("predicted_rmse", "m", "predicted by the sigmas: component along the normal, and the reference"),
     ("predicted_rmse_3d", "m", "predicted for all three components (P2 eq. 9)"),
     ("ratio", "1", "predicted over observed RMSE"),
-    ("ratio_low95", "1", "honest sigmas leave the ratio above"),
+    ("ratio_low95", "1", "consistent sigmas leave the ratio above"),
     ("ratio_high95", "1", "and below"),
     ("independent_values", "1", "independent values that the RMSE rests on"),
     ("normalised_squared_error", "1", "mean of squared distance over its variance"),

@@ -157,7 +157,7 @@ def honesty_in_words(ratio: float, low: float, high: float) -> str:
     Examples
     --------
     >>> honesty_in_words(1.02, 0.90, 1.12)
-    'sigmas are honest: predicted over observed is 1.02, inside 0.90 to 1.12'
+    'sigmas are consistent: predicted over observed is 1.02, inside 0.90 to 1.12'
     >>> honesty_in_words(1.01, 0.78, 1.38)  # doctest: +NORMALIZE_WHITESPACE
     'sigmas and distances agree: predicted over observed is 1.01, inside 0.78 to 1.38; sigmas up to 22 % too
     small or 38 % too large would not have been noticed'
@@ -170,7 +170,7 @@ def honesty_in_words(ratio: float, low: float, high: float) -> str:
         return f"distances are {_times(1 / ratio)} as predicted: {number}, outside {band}"
     narrow = low > 1 - NARROW_BAND and high < 1 + NARROW_BAND
     if narrow and abs(ratio - 1) <= HONEST_WITHIN:
-        return f"sigmas are honest: {number}, inside {band}"
+        return f"sigmas are consistent: {number}, inside {band}"
     return (
         f"sigmas and distances agree: {number}, inside {band}; sigmas up to {100 * (1 - low):.0f} % too "
         f"small or {100 * (high - 1):.0f} % too large would not have been noticed"

@@ -14,8 +14,8 @@ REFERENCE_FIGURES = {
     "nmad": "reference, without outliers: NMAD",
     "predicted_rmse": "reference, without outliers: RMSE predicted",
     "ratio": "reference, without outliers: predicted / observed",
-    "ratio_low95": "  honest sigmas leave it above (95 %)",
-    "ratio_high95": "  honest sigmas leave it below (95 %)",
+    "ratio_low95": "  consistent sigmas leave it above (95 %)",
+    "ratio_high95": "  consistent sigmas leave it below (95 %)",
 }
 """Quantities of the comparison with a reference that a surveyor looks at first."""
 
@@ -94,7 +94,7 @@ def _image_rows(images: Path) -> list[tuple[str, float, str, str]]:
             (f"check points: RMSE {axis} predicted", checks["predicted_mm"][axis] / 1e3, "m", images.name)
         )
     normalised = checks["normalised"]
-    rows.append(("check points: normalised squared error (1: as predicted)", normalised, "1", images.name))
+    rows.append(("check points: NEES (1: as predicted)", normalised, "1", images.name))
     return rows
 
 
@@ -104,7 +104,7 @@ def _bed_rows(bed: Path) -> list[tuple[str, float, str, str]]:
     return [
         ("riverbed: left-out lines", float(facts["lines"]), "1", bed.name),
         ("riverbed: RMSE of left-out lines", facts["rmse_m"], "m", bed.name),
-        ("riverbed: normalised squared error (1: as predicted)", facts["normalised_square"], "1", bed.name),
+        ("riverbed: NEES (1: as predicted)", facts["normalised_square"], "1", bed.name),
         ("riverbed: outside the interval of 95 %", 100 * facts["outside_95"], "%", bed.name),
     ]
 
@@ -137,9 +137,9 @@ def _truth_rows(truth: Path) -> list[tuple[str, float, str, str]]:
     wanted = {
         "rmse": "bare ground: RMSE against the truth of the twin",
         "predicted_rmse": "bare ground: RMSE predicted",
-        "normalised_squared_error": "bare ground: normalised squared error",
-        "honest_low95": "  if sigmas are honest: above (95 %)",
-        "honest_high95": "  if sigmas are honest: below (95 %)",
+        "normalised_squared_error": "bare ground: NEES",
+        "honest_low95": "  if sigmas are consistent: above (95 %)",
+        "honest_high95": "  if sigmas are consistent: below (95 %)",
     }
     ground = {row["quantity"]: row for row in _records(truth) if row["points"] == "bare ground"}
     rows: list[tuple[str, float, str, str]] = [

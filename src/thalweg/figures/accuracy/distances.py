@@ -294,7 +294,7 @@ def error_versus_range(
     if "ratio_low95" in table.columns:
         low, high = (float(table[f"ratio_{end}95"].iloc[0]) for end in ("low", "high"))
         middle.axhspan(low, high, color=VERMILION, alpha=0.12, lw=0, gid="band")
-        text = "shaded: where honest sigmas leave the ratio of all points together, 95 %"
+        text = "shaded: where consistent sigmas leave the ratio of all points together, 95 %"
         middle.set_title(text, fontsize="small")
     middle.axhline(1.0, color=VERMILION, lw=1.0)
     middle.plot(r[many], ratio[many], color=BLUE, marker="o", lw=0.8, gid="ratio")
@@ -512,7 +512,9 @@ def _draw_ratio(ax: Axes, kept: pd.DataFrame, many: ArrayB) -> None:
     ax.set_ylabel("predicted /\nobserved / 1")
     n_outside = int(outside.sum())
     words = f"ringed: {n_outside} of {len(r)} classes outside" if n_outside else f"all {len(r)} inside"
-    ax.set_title(f"shaded: where honest sigmas leave the ratio of a class, 95 %; {words}", fontsize="small")
+    ax.set_title(
+        f"shaded: band of consistent sigmas for the ratio of a class, 95 %; {words}", fontsize="small"
+    )
 
 
 def draw_distance_by_range(*, by_range: Path, outlier_nmads: float, title: str, twin: bool) -> Figure:

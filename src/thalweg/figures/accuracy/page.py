@@ -261,10 +261,10 @@ PARTS: Final = (
     ("normalised_median", "median of distance over sigma", "1", 1.0),
     ("normalised_nmad", "NMAD of distance over sigma", "1", 1.0),
     ("ratio_of_middle", "ratio of the middle: from these two, whatever the tails do", "1", 1.0),
-    ("middle_low95", "honest sigmas leave it above", "1", 1.0),
+    ("middle_low95", "consistent sigmas leave it above", "1", 1.0),
     ("middle_high95", "and below", "1", 1.0),
     ("normalised_squared_error", "mean of squared distance over variance", "1", 1.0),
-    ("honest_low95", "honest sigmas leave it above", "1", 1.0),
+    ("honest_low95", "consistent sigmas leave it above", "1", 1.0),
     ("honest_high95", "and below", "1", 1.0),
     ("observed_correlation", "distances are correlated over (lag of 1/e)", "s", 1.0),
 )
@@ -450,7 +450,7 @@ def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame) 
     tested = statistics[statistics["registration"] == AS_MEASURED]
     caption = (
         "RMSE observed and predicted: of the component along the normal and the reference, and of all three "
-        "components (3D); ratio of predicted to observed, the band in which honest sigmas leave it, and how "
+        "components (3D); ratio of predicted to observed, its band for consistent sigmas, and how "
         "many independent values the band rests on. A fitted cloud cannot test its sigmas"
     )
     page.table(*_with_caption(tested, ("points",), HONESTY, caption))
@@ -497,7 +497,7 @@ def _ranges(page: Page, by_range: pd.DataFrame) -> None:
             units[heading] = unit
     out["inside"] = out["inside"].astype(bool)
     page.section("By range").text(
-        f"{classes_in_words(rows)}. A band holds the ratio of honest sigmas with 95 % or more."
+        f"{classes_in_words(rows)}. A band holds the ratio of consistent sigmas with 95 % or more."
     )
     caption = (
         "RMSE in classes of 1 m (D − 0.5 < d ≤ D + 0.5), as measured, without outliers; columns as above"

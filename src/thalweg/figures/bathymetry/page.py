@@ -49,8 +49,8 @@ def bed_page(
         f"{count(facts['by_reason'][''])} of {count(facts['pings'])} soundings make a bed of "
         f"{count(found['cells'])} cells, {found['area_m2']:.0f} m². Its standard deviation is "
         f"{100 * found['median sigma_m']:.1f} cm in the median, and "
-        f"{100 * found['median sigma_common_m']:.1f} cm that all of it shares. Lines that were left out are "
-        f"foretold with a root mean square error of {100 * validation['rmse_m']:.1f} cm; the mean of squared "
+        f"{100 * found['median sigma_common_m']:.1f} cm that all of it shares. Cross-validation: left-out lines have "
+        f"a root mean square error of {100 * validation['rmse_m']:.1f} cm; the mean of squared "
         f"errors over predicted variances is {validation['normalised_square']:.2f} (1: as predicted), and "
         f"{100 * validation['outside_95']:.1f} % lie outside their interval of 95 %.",
     )
@@ -111,16 +111,16 @@ def bed_page(
     compared = sorted(variogram["compared"].items(), key=lambda item: item[1])
     page.table(
         pd.DataFrame(compared, columns=["drift, model", "mean log score"]),
-        "Drifts and models by what they foretell of left-out lines; smaller is better.",
+        "Drifts and models by their cross-validation with left-out lines; smaller is better.",
         digits=3,
     )
-    page.section("Left out and foretold")
-    page.table(methods, "Lines left out, foretold by several methods.", digits=3)
+    page.section("Cross-validation")
+    page.table(methods, "Cross-validation: lines left out, predicted by several methods.", digits=3)
     if truth is not None:
         page.section("Against the truth of the twin").table(truth, "Errors against the true bed.", digits=3)
     page.section("Limits").text(
         "A sounding is the nearest return of its cone: stones narrower than the beam hide the bed about "
-        "them. Between lines the bed is foretold by its covariance; what no line crossed, a groyne or a "
+        "them. Between lines the bed is predicted by its covariance; what no line crossed, a groyne or a "
         "wreck, is not in it. One covariance holds for the whole river: where margins are rougher than the "
         "channel, their sigma is too small and that of the channel too large. Bank lines are as good as the "
         "ground that the lidar saw beside the water."

@@ -287,7 +287,7 @@ def draw_left_out(*, predicted: Path, title: str, twin: bool) -> Figure:
     """What the bed foretells of lines and stretches that were left out, against what was measured there."""
     table = read_parquet(predicted)
     lines, blocks = (table[table["group"] == group] for group in ("line", "block"))
-    figure = new_figure(78.0, f"Left out and foretold: {title}, n = {count(len(lines))} soundings", twin=twin)
+    figure = new_figure(78.0, f"Cross-validation: {title}, n = {count(len(lines))} soundings", twin=twin)
     left, right = figure.subplots(1, 2)
     for of, colour, marker, name in ((blocks, ORANGE, "s", "stretches"), (lines, BLUE, ".", "lines")):
         if len(of):
@@ -303,7 +303,7 @@ def draw_left_out(*, predicted: Path, title: str, twin: bool) -> Figure:
     ends = robust_limits(np.concatenate([lines["up_m"], lines["predicted_m"]]), 0.0, 100.0)
     left.plot(ends, ends, color="black", lw=0.8)
     left.set_aspect("equal")
-    left.set(xlabel="measured height [m]", ylabel="foretold height [m]")
+    left.set(xlabel="measured height [m]", ylabel="predicted height [m]")
     left.legend(loc="best")
     z = ((lines["up_m"] - lines["predicted_m"]) / lines["sigma_m"]).to_numpy()
     x = np.linspace(-5, 5, 41)

@@ -409,8 +409,8 @@ def short(frame: pd.DataFrame, digits: int = 4) -> pd.DataFrame:
 def _truth(page: Page, truth: pd.DataFrame) -> None:
     page.section("Against the truth of the digital twin").text(
         "Each error is the calibrated value minus the true one, for rotations a small rotation vector about "
-        "the axes of the target frame. Normalised errors are errors over their sigmas; those of honest ones "
-        "have a standard deviation of 1. The row of all six is the normalised square, whose expectation is 1."
+        "the axes of the target frame. Normalised errors are errors over their sigmas; those of consistent "
+        "ones have a standard deviation of 1. The row of all six is the NEES, whose expectation is 1."
     )
     out = truth.copy()
     for unit in ("m", "s"):  # shown in thousandths

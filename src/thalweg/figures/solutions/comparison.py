@@ -178,7 +178,7 @@ def chain_histograms(
     right.set_xlim(-SIGMAS, SIGMAS)
     right.set_xlabel("distance over its predicted sigma / 1")
     right.set_ylabel("density / 1")
-    right.set_title("b: over sigma; dotted: honest sigmas")
+    right.set_title("b: over sigma; dotted: N(0, 1)")
     for ax in (left, right):
         ax.set_ylim(0.0, None)
         ax.grid(axis="y")
@@ -613,7 +613,7 @@ def outage_study(
     lower.xaxis.set_minor_formatter(NullFormatter())
     upper.set_title("a: rms of the 3D error during an outage (solid), predicted (dashed), largest (bars)")
     upper.set_ylabel("error / mm")
-    lower.set_title("b: error over its covariance; 1: honest sigmas")
+    lower.set_title("b: NEES (normalised estimation error squared); 1: consistent")
     lower.set_ylabel("normalised\nsquare / 1")
     lower.set_xlabel("length of the outage / s")
     figure.align_ylabels([upper, lower])

@@ -239,7 +239,7 @@ def limits(table: pd.DataFrame) -> str:
         )
     words.append(
         "The trajectory by the camera leans on the INS between images, and the outlier rule judges each "
-        "cloud by its own sigmas: honest sigmas take out plants, too large ones keep them."
+        "cloud by its own sigmas: consistent standard deviations take out plants, too large ones keep them."
     )
     return " ".join(words)
 
@@ -272,11 +272,11 @@ def _ranges(page: Page, by_range: pd.DataFrame, facts: Mapping[str, Any]) -> Non
 def _truth(page: Page, truth: pd.DataFrame) -> None:
     page.section("Against the truth of the digital twin").text(
         "The twin knows the true poses. Errors are true minus estimated; normalised ones are squares over "
-        "the predicted covariance, with an expectation of 1 for honest sigmas. The poses by the camera are "
+        "the predicted covariance, with an expectation of 1 for consistent ones. The poses by the camera are "
         "judged by the true poses of the camera, carried to the body by the mount that was used: the error "
-        "of that mount drops out of the cloud, as the lidar is placed by the camera too. The bands of honest "
-        "sigmas assume the longest correlation time of INS and antenna for all trajectories. Errors of one "
-        "block of images are alike over longer stretches, so that the value of the camera may leave its "
+        "of that mount drops out of the cloud, as the lidar is placed by the camera too. The bands of "
+        "consistent sigmas assume the longest correlation time of INS and antenna for all trajectories. Errors "
+        "of one block of images are alike over longer stretches, so that the value of the camera may leave its "
         "band by chance."
     )
     names = chains_of(truth)

@@ -442,7 +442,7 @@ def _finished(
         costs=costs,
         left_out={
             **weights.left_out,
-            "points in restless places": int((~weights.calm).sum()),
+            "points in disturbed regions": int((~weights.calm).sum()),
             "marks that do not fit": int((weights.usable & calm & ~weights.fits).sum()),
             "marks of points that kept only one": int((weights.used & ~used).sum()),
             "images that kept too few marks": int(weights.lost_images.sum()),
