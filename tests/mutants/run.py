@@ -360,7 +360,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=60.0, help="begin no mistake after that")
-    parser.add_argument("--only", default="", help="of the mistakes, those in modules so named")
+    parser.add_argument(
+        "--only", default="", help="of these mistakes those whose module:function holds this"
+    )
     parser.add_argument("--out", type=Path, default=REPORT, help="page to write; its folder is made")
     parser.add_argument("--logs", type=Path, default=None, help="keep what the tests print in this folder")
     options = parser.parse_args()
@@ -377,7 +379,11 @@ def main() -> int:
         print(error.args[0])
         return 2
     equivalent = {(e.target, e.site) for e in explained if e.equivalent}
-    drawn = [d for d in draw(targets, options.count, options.seed, equivalent) if options.only in d[0].module]
+    drawn = [
+        (target, site)
+        for target, site in draw(targets, options.count, options.seed, equivalent)
+        if options.only in f"{target.module}:{site.function}"
+    ]
     targets = list(dict.fromkeys(target for target, _ in drawn))
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutants_") as scratch:
