@@ -93,6 +93,9 @@ def test_bad_tables_are_refused(tmp_path: Path) -> None:
     path.write_text("image,point,x_px,y_px\na,P1,1,2\na,P1,3,4\n")
     with pytest.raises(InputError, match="row 3 has an empty field, or stands there twice"):
         read_named_columns(path, IMAGE_POINTS)
+    path.write_text("image,point,x_px,y_px\na,P1,1,2\na,P2,3,\n")
+    with pytest.raises(InputError, match="row 3 has an empty field"):
+        read_named_columns(path, IMAGE_POINTS)
     path.write_text("image,point,x_px\na,P1,1\n")
     with pytest.raises(InputError, match="no column y_px"):
         read_named_columns(path, IMAGE_POINTS)

@@ -12,12 +12,14 @@ import pytest
 from thalweg.calibration import block_of
 from thalweg.calibration.field import Layout, Problem, marks_model, start_state
 from thalweg.calibration.field.network import (
+    CameraChange,
     Start,
     _aligned,
     _centres,
     _intersect,
     _places,
     _repair,
+    _resected,
     _triples,
     agreeing,
     approximate_place,
@@ -25,10 +27,11 @@ from thalweg.calibration.field.network import (
     distances_words,
     exchanged,
     other_scale,
+    require_steady,
     similarity,
 )
 from thalweg.calibration.markers import Block
-from thalweg.core import Rigid, exp_rotation, rotation_opk
+from thalweg.core import GeometryError, Rigid, exp_rotation, rotation_opk
 
 _spec = importlib.util.spec_from_file_location("field_blocks", Path(__file__).with_name("field_blocks.py"))
 blocks = importlib.util.module_from_spec(_spec)
@@ -195,6 +198,26 @@ def test_a_wrong_pose_is_found_anew_and_right_ones_stay() -> None:
     np.testing.assert_allclose(start.poses[2].matrix, true[2].matrix, atol=1e-3)
     for i in (0, 1, 3, 4, 5):
         assert start.poses[i] is true[i]
+
+
+def test_a_right_pose_with_wrong_marks_is_not_found_anew() -> None:
+    """Three of ten marks are off by 0.1: the pose fits badly, and no other fits better."""
+    block, start = exact()
+    true = start.poses[2]
+    rays = block.rays.copy()
+    rays[(block.image == 2) & (block.point % 10 < 3)] += [0.1, 0.0, 0.0]
+    _repair(replace(block, rays=rays), block, start)
+    assert start.poses[2] is true
+
+
+def test_a_picture_is_resected_without_the_rays_that_are_unknown() -> None:
+    block, start = exact()
+    true = start.poses.pop(2)
+    rays = block.rays.copy()
+    rays[np.flatnonzero(block.image == 2)[9]] = [0.1, np.nan, 0.9]
+    found = _resected(replace(block, rays=rays), 2, start, np.ones(28, dtype=bool), {}, {})
+    assert found is not None
+    np.testing.assert_allclose(found.matrix, true.matrix, atol=1e-3)
 
 
 @pytest.mark.parametrize("kept", ["six saddles", "three sheets"])
@@ -388,6 +411,31 @@ def test_a_camera_that_changed_is_the_score_test_of_all_marks(changed: dict[str,
     assert found.constant == pytest.approx(0.002, rel=0.1)
     assert found.shift_px == pytest.approx((3.0, -2.0), rel=0.1)
     assert found.probability < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("bend_sigmas", "probability", "refused"), [(3.1, 1e-9, True), (2.9, 1e-9, False), (3.1, 0.9, False)]
+)
+def test_a_clear_change_that_bends_the_field_is_refused(
+    bend_sigmas: float, probability: float, refused: bool
+) -> None:
+    """Three of its sigmas; a change that is likely by chance bends nothing."""
+    change = CameraChange(
+        camera="slr",
+        before="a",
+        since="b",
+        constant=0.001,
+        sigma_constant=1e-5,
+        shift_px=(0.0, 0.0),
+        probability=probability,
+        bend_m=0.001,
+        bend_sigmas=bend_sigmas,
+    )
+    if refused:
+        with pytest.raises(GeometryError, match="the camera slr changed between a and b"):
+            require_steady([change])
+    else:
+        require_steady([change])
 
 
 def test_five_pictures_of_a_camera_tell_no_change(changed: dict[str, Any]) -> None:
