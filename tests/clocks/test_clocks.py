@@ -3,11 +3,19 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import chi2
 
 from thalweg.clocks import ClockModel, clock_from_ties, read_text_columns, read_ties
-from thalweg.clocks.ties import clock_from_pulses, match_pulses, trigger_clock
+from thalweg.clocks.ties import (
+    _NAMED,
+    _names,
+    clock_from_pulses,
+    image_times_words,
+    match_pulses,
+    trigger_clock,
+)
 from thalweg.core import ClockError, InputError
 
 T0 = 3.0e8
@@ -25,6 +33,31 @@ def test_a_clock_and_its_sigma_at_any_time() -> None:
     np.testing.assert_allclose(
         clock.to_gps([T0, T0 + 1000.0], jitter=False)[1], np.sqrt([4e-6, 7e-6]), rtol=1e-12
     )
+
+
+def test_what_is_said_of_a_clock_and_its_images() -> None:
+    clock = ClockModel(offset_s=0.0, reference_s=T0, cov=np.diag([4e-6, 1e-12]))
+    assert clock.sigma_offset_s == pytest.approx(0.002)
+    trigger = trigger_clock(
+        t_first_s=T0, t_last_s=T0 + 20.0, delay_s=0.01, sigma_delay_s=0.003, jitter_s=0.001
+    )
+    assert (trigger.offset_s, trigger.reference_s - T0) == (0.01, 10.0)
+    assert trigger.to_gps([T0])[1] == pytest.approx(np.hypot(0.003, 0.001))
+    times = pd.DataFrame(
+        {
+            "t_gps_s": [1.0, 2.0, 3.0, np.nan],
+            "sigma_s": [0.001, 0.003, 0.020, np.nan],
+            "matched": [True, True, False, False],
+        }
+    )
+    assert image_times_words(times) == (
+        "Times of 4 images: 2 by their pulse (sigma up to 3.00 ms), 1 by the camera's own clock (sigma up to "
+        "20.00 ms), 1 without a time."
+    )
+    assert image_times_words(times[3:]) == "Times of 1 images: 1 without a time."
+    assert _names([]) == "none"
+    assert _names(["a"] * _NAMED) == ", ".join(["a"] * _NAMED)
+    assert _names(["a"] * (_NAMED + 2)).endswith("a and 2 more")
 
 
 def test_a_clock_survives_its_file(tmp_path: Path) -> None:

@@ -296,9 +296,14 @@ def explanations(targets: Sequence[Target]) -> list[Explained]:
 
 
 def report(
-    runs: Sequence[Run], explained: Sequence[Explained], command: str, cpu_s: float, wall_s: float
+    runs: Sequence[Run], explained: Sequence[Explained], command: str, cpu_s: float, wall_s: float, left: int
 ) -> str:
-    """The page of the documentation: score by module, survivors and equivalents with their reasons."""
+    """The page of the documentation: score by module, survivors and equivalents with their reasons.
+
+    Parameters
+    ----------
+    left : mistakes, drawn anywhere, that were not run because time was up.
+    """
     why = {(known.target, known.site): known.why for known in explained}
     lost = [run for run in runs if run.verdict == "survived"]
     commit = subprocess.run(
@@ -312,7 +317,8 @@ def report(
         "counted: see the last table.",
         "",
         f"- command `{command}`, commit {commit or 'unknown'}, {datetime.datetime.now(datetime.UTC).date()}",
-        f"- {cpu_s / 60:.0f} CPU minutes, {wall_s / 60:.0f} minutes",
+        f"- {cpu_s / 60:.0f} CPU minutes, {wall_s / 60:.0f} minutes"
+        + (f"; {left} more were drawn and not run: time was up" if left else ""),
         f"- **{len(runs) - len(lost)} of {len(runs)} mistakes found, {len(lost)} survive "
         f"({100 * len(lost) / len(runs):.1f} %)**; at most {100 * MOST_SURVIVORS:.0f} % may",
         "",
@@ -360,9 +366,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=60.0, help="begin no mistake after that")
-    parser.add_argument(
-        "--only", default="", help="of these mistakes those whose module:function holds this"
-    )
+    parser.add_argument("--only", default="", help="of these mistakes those whose module:function holds this")
     parser.add_argument("--out", type=Path, default=REPORT, help="page to write; its folder is made")
     parser.add_argument("--logs", type=Path, default=None, help="keep what the tests print in this folder")
     options = parser.parse_args()
@@ -414,7 +418,7 @@ def main() -> int:
         "make mutants" if len(sys.argv) == 1 else "python tests/mutants/run.py " + " ".join(sys.argv[1:])
     )
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(report(runs, explained, command, cpu_s, time.monotonic() - began))
+    options.out.write_text(report(runs, explained, command, cpu_s, time.monotonic() - began, left))
     lost = sum(run.verdict == "survived" for run in runs)
     share = 100 * lost / len(runs)
     print(f"{len(runs) - lost} of {len(runs)} mistakes found, {share:.1f} % survive: {options.out}")

@@ -9,6 +9,7 @@ from thalweg.lightsheet.scanning.distances import (
     TABLE_2,
     TABLE_3,
     MeshDistances,
+    _shift,
     border_effect,
     honesty,
     normality,
@@ -192,3 +193,25 @@ def test_modes_far_apart_are_told_apart() -> None:
     assert found.sigma_shift_mm == pytest.approx(np.sqrt(2e-4 / 99))
     # geometric mean
     assert found.threshold_dn == pytest.approx(30.0)
+
+
+def test_bright_points_less_dark_ones_by_hand() -> None:
+    """Means 2 and 1, variances 1 and 3 of three points each, of which half are independent: 1.5 each."""
+    d, bright = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 3.0]), np.arange(6) < 3
+    shift, sigma = _shift(d, bright, 0.5)
+    assert shift == pytest.approx(1.0)
+    assert sigma == pytest.approx(np.sqrt(1 / 1.5 + 3 / 1.5))
+    # a share that leaves less than one point counts as one
+    assert _shift(d, bright, 0.1)[1] == pytest.approx(2.0)
+    found = _shift(d, np.arange(6) < 2, 1.0)
+    assert np.isnan(found[0])
+    assert found[1] == 0.0
+
+
+def test_the_threshold_of_two_values_is_their_geometric_mean() -> None:
+    cut, above = otsu(np.array([1.0, 100.0]))
+    assert cut == pytest.approx(10.0)
+    assert above.tolist() == [False, True]
+    cut, above = otsu(np.array([5.0]))
+    assert cut == pytest.approx(5.0)
+    assert above.tolist() == [False]
