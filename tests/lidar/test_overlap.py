@@ -6,6 +6,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import ArrayF, LocalFrame, Rigid, Trajectory, attitude_axes, rotation_enu_body
@@ -15,12 +16,16 @@ from thalweg.lidar import LogSettings, error_model_of_log, overlap
 from thalweg.lidar.cloud import LogSample
 from thalweg.lidar.overlap import (
     Scatter,
+    _at_knots,
     _joined,
     _Likelihood,
     _Planes,
     _planes,
+    _positive,
+    _principal_axes,
     _scatter_of_epochs,
     _window,
+    _without_planes,
     estimate_beam,
     estimate_pose_errors,
     windows_of,
@@ -354,3 +359,49 @@ def test_sizes_are_found_whatever_is_stated() -> None:
         assert 0.5 < np.sum(z**2) < 32.9
         assert np.all(sigma < 0.9 * np.log(2)), "a survey says more than the prior alone"
         assert all(f["white"].sigma_log < 0.2 for f in found), "forty epochs of three axes tell noise"
+
+
+# ---------------------------------------------------------------- parts, by hand
+
+
+def test_curvatures_below_that_of_the_prior_are_raised_to_it() -> None:
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    found = _positive(turn @ np.diag([-1.0, 5.0]) @ turn.T)
+    assert found == pytest.approx(turn @ np.diag([2.0, 5.0]) @ turn.T)
+
+
+def test_axes_of_points_on_a_plane() -> None:
+    """Two points at 1 m along x, two at 2 m along y about a centre, and a group without points."""
+    centre = np.array([10.0, 20.0, 30.0])
+    x = centre + np.array([[1.0, 0, 0], [-1, 0, 0], [0, 2, 0], [0, -2, 0]])
+    n, middle, values, axes = _principal_axes(x, np.zeros(4, dtype=np.int64), 2)
+    assert n.tolist() == [4, 0]
+    assert middle == pytest.approx(np.array([centre, np.zeros(3)]))
+    assert values == pytest.approx(np.array([[0, 0.5, 2.0], [0, 0, 0]]))
+    assert np.abs(axes[0]) == pytest.approx(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]]))
+
+
+def test_errors_are_linear_between_knots() -> None:
+    """At 0.5 s of knots each 2 s a quarter of the way to the second; at 3 s half-way between the last two."""
+    found = _at_knots(np.array([0.5, 3.0]), 2.0, 3, np.array([[1.0, 10.0], [2.0, 20.0]])).toarray()
+    assert found == pytest.approx(np.array([[0.75, 7.5, 0.25, 2.5, 0, 0], [0, 0, 1, 10, 1, 10]]))
+
+
+def test_points_of_a_plane_and_an_epoch_are_one_observation() -> None:
+    joined, owner = _joined(np.array([0, 0, 0, 1]), np.array([0.0, 0.4, 0.6, 0.1]), 0.5, 1.2)
+    assert joined.tolist() == [0, 0, 1, 2]
+    assert owner.tolist() == [0, 0, 1]
+
+
+def test_planes_are_taken_out_as_unknowns() -> None:
+    """The normal equations that are left are those of a full adjustment with three unknowns a plane."""
+    rng = np.random.default_rng(8)
+    owner, weight = np.repeat([4, 9], 6), rng.uniform(0.5, 2.0, 12)
+    uv, A, d = rng.normal(size=(12, 2)), rng.normal(size=(12, 3)), rng.normal(size=12)
+    N, h = _without_planes(csr_matrix(A), d, owner, uv, weight)
+    own = np.column_stack([np.ones(12), uv]) * weight[:, None]
+    B = np.zeros((12, 6))
+    B[:6, :3], B[6:, 3:] = own[:6], own[6:]
+    rest = np.eye(12) - B @ np.linalg.solve(B.T @ B, B.T)
+    np.testing.assert_allclose(N, A.T @ rest @ A, rtol=1e-6)
+    np.testing.assert_allclose(h, A.T @ rest @ d, rtol=1e-6, atol=1e-7)
