@@ -23,8 +23,9 @@ FILES = {
 
 
 def versions(root: Path) -> dict[str, str]:
-    for cached in (codehash._facts, codehash._imports, codehash._door, codehash._kept):
-        cached.cache_clear()
+    for cached in vars(codehash).values():
+        if hasattr(cached, "cache_clear"):
+            cached.cache_clear()
     return {
         name: codehash.code_version(name, scripts=root / "scripts", source=root)
         for name in ("direct", "lazy", "picture")

@@ -6,8 +6,11 @@ import yaml
 from snakemake.exceptions import WorkflowError
 
 from thalweg.settings import load_campaigns, with_calibrations
-from thalweg.workflow import CampaignFiles, code_version, read_figures
+from thalweg.workflow import CampaignFiles, code_version, fork_scripts, read_figures
 from thalweg_lab import campaign_files as laboratory
+
+if workflow.is_main_process:
+    fork_scripts()
 
 ROOT = Path(workflow.basedir)
 CHOSEN = load_campaigns(config["campaign"], ROOT / "config" / "campaigns")

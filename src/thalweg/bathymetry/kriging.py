@@ -132,7 +132,7 @@ class CovarianceModel:
         return np.asarray(np.where(h < 1, 1 - 1.5 * h + 0.5 * h**3, 0.0))
 
 
-@njit
+@njit(cache=True)
 def _correlation(h: float, kind: int) -> float:
     if kind == 0:
         return math.exp(-3.0 * h)
@@ -142,7 +142,7 @@ def _correlation(h: float, kind: int) -> float:
     return 1.0 - 1.5 * h + 0.5 * h * h * h if h < 1.0 else 0.0
 
 
-@njit
+@njit(cache=True)
 def _choose(near, ds, dn, line, most, of_octant, of_line, out):  # type: ignore[no-untyped-def]
     """Up to ``most`` of the candidates, which come by distance: so many an octant, so many a line."""
     count = np.zeros(8, dtype=np.int64)
@@ -174,7 +174,7 @@ def _choose(near, ds, dn, line, most, of_octant, of_line, out):  # type: ignore[
     return m
 
 
-@njit(parallel=True)
+@njit(cache=True, parallel=True)
 def _solve(cells, places, z, white2, slow, t, tau, line, near, most, of_octant, of_line, sill, kind):  # type: ignore[no-untyped-def]
     """Height and variance of each cell; ``cells``, ``places`` in units of the ranges."""
     n = cells.shape[0]

@@ -67,9 +67,7 @@ def code_version(
         digest.update(module.relative_to(source).as_posix().encode())
         digest.update(_tree_hash(module))
         if module.name == "__init__.py":
-            # what is no module but shapes results, such as the style of the figures
-            for data in sorted(p for p in module.parent.iterdir() if p.suffix in DATA_SUFFIXES):
-                digest.update(data.name.encode() + data.read_bytes())
+            digest.update(_data_of(module.parent))
     return digest.hexdigest()[:_DIGITS]
 
 
@@ -88,7 +86,7 @@ def modules_behind(name: str, source: Path = SOURCE) -> set[Path]:
     own = _files_of(name, source)
     if not any(path.name != "__init__.py" for path in own):
         raise InputError(f"no module {name}", where=source, expected="a module of the library")
-    return own | _closure(sorted(own), source)
+    return _closure(sorted(own), source) | own
 
 
 def _closure(queue: list[Path], source: Path) -> set[Path]:
@@ -119,9 +117,10 @@ def _imports(path: Path, source: Path) -> frozenset[Path]:
     return frozenset(found for name in _facts(path).names for found in _files_of(name, source))
 
 
-def _files_of(name: str, source: Path) -> set[Path]:
+@cache
+def _files_of(name: str, source: Path) -> frozenset[Path]:
     """Files of a dotted name: of each package on the way, and of the module."""
-    found, base = set(), source
+    found, base = set[Path](), source
     for part in name.split("."):
         base = base / part
         if (base / "__init__.py").is_file():
@@ -130,7 +129,7 @@ def _files_of(name: str, source: Path) -> set[Path]:
             found.add(door[part])
         elif base.with_suffix(".py").is_file():
             found.add(base.with_suffix(".py"))
-    return found
+    return frozenset(found)
 
 
 @cache
@@ -145,6 +144,13 @@ def _door(package: Path) -> dict[str, Path]:
         for node in statements
         for alias in node.names
     }
+
+
+@cache
+def _data_of(package: Path) -> bytes:
+    """What is no module but shapes results, such as the style of the figures: names and contents."""
+    files = sorted(path for path in package.iterdir() if path.suffix in DATA_SUFFIXES)
+    return b"".join(path.name.encode() + path.read_bytes() for path in files)
 
 
 def _tree_hash(path: Path) -> bytes:

@@ -1,0 +1,85 @@
+"""Jobs are forked from a process that has loaded the libraries.
+
+As Snakemake starts it, each job is a Python of its own that spends one to two seconds of the processor on
+imports before its work begins, and most jobs work for less. Here the first job starts a server (`multiprocessing`
+with the start method ``forkserver``) that imports once what nearly all scripts import (`preload`). A job is
+then a fork of it: a process with a folder, an environment and a number of threads of its own, as before. Jobs in
+conda, in a container or on a cluster start as Snakemake starts them, and so does everything where Linux is not.
+"""
+
+import ctypes
+import multiprocessing
+import os
+import re
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from subprocess import CalledProcessError
+from typing import Any, Final
+
+_THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+_SCRATCH: Final = ("TMPDIR", "TMP", "TEMP", "TEMPDIR")
+
+
+def fork_scripts() -> None:
+    """From now on this Snakemake forks the scripts of its own jobs; see above."""
+    from snakemake.script import PythonScript
+
+    if sys.platform != "linux" or hasattr(PythonScript.execute_script, "started"):
+        return
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["thalweg.workflow.preload"])
+    PythonScript.execute_script = _forking(PythonScript.execute_script, context)
+
+
+def _forking(started: Callable[..., None], context: Any) -> Callable[..., None]:
+    """The method of a script that executes it, by a fork where that is possible."""
+
+    def execute_script(script: Any, fname: str, edit: bool = False) -> None:
+        """Run the script, and raise CalledProcessError if it fails."""
+        if edit or any((script.conda_env, script.container_img, script.env_modules, script.shadow_dir)):
+            started(script, fname, edit=edit)
+            return
+        from snakemake.benchmark import benchmarked
+
+        scratch = script.resources.get("tmpdir")
+        job = context.Process(target=_run, args=(fname, os.getcwd(), script.threads, scratch))
+        job.start()
+        with benchmarked(job.pid if script.bench_record is not None else False, script.bench_record):
+            job.join()
+        if job.exitcode:
+            raise CalledProcessError(job.exitcode, f"{sys.executable} {fname}")
+
+    execute_script.started = started  # type: ignore[attr-defined]
+    return execute_script
+
+
+def _run(script: str, folder: str, threads: int, scratch: str | None) -> None:
+    """What a fork does: the script as the main module, its errors to the hook that it has set."""
+    os.chdir(folder)
+    os.environ.update(dict.fromkeys(_THREADS, str(threads)))
+    if scratch:
+        os.environ.update(dict.fromkeys(_SCRATCH, scratch))
+    limit_blas(threads)
+    try:
+        runpy.run_path(script, run_name="__main__")
+    except Exception:
+        sys.excepthook(*sys.exc_info())  # multiprocessing would print the traceback without asking the hook
+        sys.exit(1)
+
+
+def limit_blas(threads: int) -> list[int]:
+    """Set the threads of each OpenBLAS that the process has loaded, and return what each says then.
+
+    OpenBLAS reads its environment when it is loaded, which is long past in a fork.
+    """
+    maps = Path("/proc/self/maps").read_text(encoding="utf-8")
+    said = []
+    for path in sorted(set(re.findall(r"\S*openblas\S*\.so\S*", maps))):
+        library = ctypes.CDLL(path)
+        for name in ("scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads"):
+            if hasattr(library, name.format("set")):
+                getattr(library, name.format("set"))(threads)
+                said.append(int(getattr(library, name.format("get"))()))
+    return said

@@ -1,0 +1,40 @@
+"""What nearly all scripts import, loaded by the import of this module: jobs are forked from there (`forked`).
+
+Nothing here may start a thread that it needs later: a fork has only the one that called. (The one of
+pyarrow's allocator starts again by itself, and so do those of BLAS.)
+"""
+
+import os
+from importlib import import_module
+from typing import Final
+
+LIBRARIES: Final = (
+    "snakemake.cli",  # each fork wants the main module of its parent
+    "PIL.ImageDraw",
+    "cmcrameri.cm",
+    "cv2",
+    "laspy",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.dates",
+    "numpy",
+    "pandas",
+    "pyarrow.parquet",
+    "pyproj",
+    "scipy.interpolate",
+    "scipy.ndimage",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.sparse.linalg",
+    "scipy.spatial.transform",
+    "scipy.stats",
+    "thalweg.core.camera",
+    "thalweg.core.las",
+    "thalweg.core.trajectory",
+    "thalweg.ingest.integrity",
+    "thalweg.settings.campaign",
+    "thalweg.workflow.job",
+)
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # read when numpy and scipy load; `forked` gives each job its own number
+for _name in LIBRARIES:
+    import_module(_name)
