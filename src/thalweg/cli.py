@@ -19,7 +19,7 @@ from thalweg.cli_calibration import add_calibration_commands, describe_marked
 from thalweg.cli_deformation import add_deformation_commands, summarise_changes
 from thalweg.cli_images import add_image_commands
 from thalweg.cli_survey import add_survey_commands
-from thalweg.core import ConfigError, InputError, ThalwegError
+from thalweg.core import ConfigError, InputError, ThalwegError, to_terminal
 
 if TYPE_CHECKING:
     from thalweg.settings import Campaign
@@ -44,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
     warnings.showwarning = _show_warning  # type: ignore[assignment]
+    if sys.stderr.isatty():
+        to_terminal()
     try:
         code = command(options)
         sys.stdout.flush()

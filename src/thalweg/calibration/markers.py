@@ -30,6 +30,7 @@ from thalweg.core import (
     GeometryError,
     InputError,
     column,
+    steps,
     table_kind,
 )
 
@@ -192,7 +193,8 @@ def detect_pictures(
         return grey.shape, found
 
     with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:
-        results = list(pool.map(work, files))
+        found = pool.map(work, files)
+        results = [result for _, result in zip(steps(files, "markers of picture"), found, strict=True)]
     rows, marks, rejected = [], [], []
     for (camera, path), ((height, width), found) in zip(files, results, strict=True):
         n = int(found.marks["marker"].nunique())

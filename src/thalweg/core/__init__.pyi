@@ -84,6 +84,7 @@ from .las import (
     local_crs as local_crs,
     whole_chunks as whole_chunks,
 )
+from .progress import steps as steps, to_terminal as to_terminal
 from .raster import Grid as Grid, read_raster as read_raster, write_raster as write_raster
 from .rigid import (
     SHIFT as SHIFT,

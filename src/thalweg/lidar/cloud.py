@@ -31,6 +31,7 @@ from thalweg.core import (
     frame_of,
     iter_laz,
     laz_header,
+    steps,
     table_kind,
     write_table,
 )
@@ -174,7 +175,7 @@ def georeference_log(
     occupancy = None
     if settings.filters.needs_occupancy:
         occupancy = Occupancy(settings.filters.isolated_radius_m)
-        for block in reader.points(clock, max_points=settings.chunk_points):
+        for block in steps(reader.points(clock, max_points=settings.chunk_points), "density, block"):
             first = _classified(block, trajectory, settings, None)
             occupancy.add(first.points.points_wcs_m, first.reasons == Reason.KEPT)
         occupancy.freeze()
@@ -182,7 +183,7 @@ def georeference_log(
     removed = RemovedSample()
     extra = EXTRA_DIMENSIONS | (CORRELATION_DIMENSIONS if settings.correlations else {})
     with LazWriter(out, trajectory.frame, scale_m=settings.laz_scale_m, extra_dimensions=extra) as writer:
-        for block in reader.points(clock, max_points=settings.chunk_points):
+        for block in steps(reader.points(clock, max_points=settings.chunk_points), "cloud, block"):
             found = _classified(block, trajectory, settings, occupancy)
             counts += count_reasons(found.reasons)
             keep = found.reasons == Reason.KEPT

@@ -19,6 +19,7 @@ from thalweg.core import (
     GeometryError,
     LocalFrame,
     Rigid,
+    steps,
 )
 from thalweg.images.model import ImagePoses
 from thalweg.settings.twin import TwinConfig, TwinLens, TwinTimeLapse
@@ -506,7 +507,7 @@ def simulate_time_lapse(
     table, swapped = surveyed(recording.targets, settings, seed)
     out_images.mkdir(parents=True, exist_ok=True)
     files = 0
-    for k in range(len(plan.shots)) if only is None else only:
+    for k in steps(range(len(plan.shots)) if only is None else only, "image"):
         files += len(recording.write_image(k, out_images))
     write_survey(out_control_points, table)
     write_poses(out_poses, plan, frame)

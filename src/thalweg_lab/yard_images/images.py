@@ -21,6 +21,7 @@ from thalweg.core import (
     Rigid,
     column,
     frame_of,
+    steps,
     table_kind,
     write_table,
 )
@@ -221,7 +222,7 @@ def _taken(
     # The light on the ground under the boat is taken as that of the yard without it.
     usual = Photographer(yard_of(config, seed, kind), SUN)
     T_ccs_ics = mount_of(mounts["camera"]).inverse()
-    for k, pose in enumerate(poses):
+    for k, pose in enumerate(steps(poses, "image")):
         photographer = usual
         if kind == "positions" and field_of(config).effects.passers_by:
             photographer = usual.with_yard(yard_of(config, seed, f"position {k + 1}"))

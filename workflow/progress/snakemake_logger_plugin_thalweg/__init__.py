@@ -8,6 +8,7 @@ not progress (errors, warnings, "Nothing to be done") is printed as Snakemake wo
 
 import re
 import sys
+import threading
 import time
 from logging import WARNING, LogRecord
 from pathlib import Path
@@ -19,6 +20,10 @@ from snakemake_interface_logger_plugins.common import LogEvent
 RULES = Path(__file__).parents[2] / "rules"
 LONG_S = 20.0
 """A job that took longer is mentioned when it ends, too: others were printed since it began."""
+STEPS = re.compile(r" thalweg\.core\.progress: (.+)")
+"""What `thalweg.core.steps` writes into the log of a job."""
+LOOK_S = 10.0
+"""Time between two looks into the logs of running jobs."""
 NOTHING = "Nothing to be done"
 """What Snakemake says where all is up to date; of its other remarks only warnings and errors are printed."""
 
@@ -38,6 +43,8 @@ class LogHandler(LogHandlerBase):
         self.begin_s, self.done, self.total, self.pictures = time.monotonic(), 0, 0, 0
         self.words = words_of_rules()
         self.running: dict[int, tuple[float, str, list[str]]] = {}
+        self.logs: dict[int, tuple[Path, str]] = {}
+        threading.Thread(target=self._watch, daemon=True).start()
 
     def emit(self, record: LogRecord) -> None:
         """Print what a message of Snakemake says about progress, or the message itself."""
@@ -62,13 +69,26 @@ class LogHandler(LogHandlerBase):
         which = f" ({', '.join(map(str, wildcards.values()))})" if wildcards else ""
         words = f"{where}: {words}{which}" if where else f"{words}{which}"
         self.running[int(of["jobid"])] = time.monotonic(), words, list(of.get("output") or [])
+        for log in list(of.get("log") or [])[:1]:
+            self.logs[int(of["jobid"])] = Path(log), ""
         self._line(words)
+
+    def _watch(self) -> None:
+        """Tell how far long jobs are, from their logs."""
+        while True:
+            time.sleep(LOOK_S)
+            for job, (log, told) in list(self.logs.items()):
+                said = STEPS.findall(log.read_text(encoding="utf-8")) if log.is_file() else []
+                if said and said[-1] != told and job in self.running:
+                    self.logs[job] = log, said[-1]
+                    self._line(f"{self.running[job][1]}: {said[-1]}")
 
     def _ends(self, job: int) -> None:
         """A job has ended: how long it took if that was long, and whether there is something to look at."""
         if job not in self.running:
             return
         begin_s, words, outputs = self.running.pop(job)
+        self.logs.pop(job, None)
         took_s = time.monotonic() - begin_s
         if took_s > LONG_S:
             self._line(f"{words}: done in {took_s:.0f} s")

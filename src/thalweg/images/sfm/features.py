@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from thalweg.core import ArrayB, ArrayI, InputError
+from thalweg.core import ArrayB, ArrayI, InputError, steps
 from thalweg.images.model import (
     Picture,
     at_pixels,
@@ -124,7 +124,7 @@ def extract_features(
     pictures: list[Picture] = []
     places: list[NDArray[np.float32]] = []
     descriptors: list[NDArray[np.uint8]] = []
-    for first in range(0, len(ordered), _AT_ONCE):
+    for first in steps(range(0, len(ordered), _AT_ONCE), f"features, {_AT_ONCE} images at a time:"):
         some = _extract_some(ordered[first : first + _AT_ONCE], masks, use, threads)
         for picture, place, descriptor in some:
             pictures.append(picture)
