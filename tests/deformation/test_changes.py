@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import chi2
 
@@ -14,6 +15,7 @@ from thalweg.deformation import (
     Registration,
     classify_changes,
     compare_epochs,
+    estimate_retreat,
     estimate_volumes,
     find_jumps,
     fit_series,
@@ -380,6 +382,32 @@ def test_a_series_shows_retreat_and_an_epoch_that_jumps() -> None:
     assert np.nanmean(z**2) < 2.5
     jumps = find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)
     assert [jump.epoch for jump in jumps if jump.flagged] == [2]
+
+
+def test_both_lines_of_a_bank_retreat_by_what_was_cut_off_and_their_sigmas_hold() -> None:
+    """A third of the bank moves by 0.6 m; the movement of the other stretches is error, forty times."""
+    settings = SETTINGS.replace(core_spacing_m=1.0, registration="none", line_height_m=1.5)
+    rng = np.random.default_rng(21)
+    before, after = two_epochs(n=4_000, noise_m=0.01, sigma_m=0.02, time_s=5.0)
+    cores = place_core_points([before, after], settings, EVERYWHERE)
+    normalised = []
+    for _ in range(40):
+        first, second = with_errors(before, rng), with_errors(after, rng)
+        moved = second.xyz_m.copy()
+        moved[moved[:, 0] < 12.0, 1] += 0.6
+        pair = measure_pair(cores, first, replace(second, xyz_m=moved), settings)
+        found = registered_distances(pair, register_pair(pair, settings))
+        table = pd.DataFrame({"distance_m": found.distance_m, "state": "no significant change"})
+        lines = estimate_retreat(table, found, settings, water_m=0.0, years=2.0)
+        assert set(lines["line"]) == {"bank line", "bank top"}
+        assert lines["epr_m_a"].to_numpy() == pytest.approx(lines["nsm_m"].to_numpy() / 2.0)
+        east = cores["east_m"].to_numpy()
+        right = np.polyfit(east, cores["s_m"].to_numpy(), 1)[0] > 0
+        starts = lines["s_from_m" if right else "s_to_m"] * (1 if right else -1) + east.mean()
+        cut, still = starts < 6.0, starts > 13.0
+        assert lines.loc[cut, "nsm_m"].to_numpy() == pytest.approx(-0.6, abs=0.15)
+        normalised.append(np.mean((lines["nsm_m"] / lines["sigma_m"])[still] ** 2))
+    assert 0.6 < np.mean(normalised) < 1.5
 
 
 def test_a_shift_that_nobody_registers_shows_in_the_distances() -> None:

@@ -9,13 +9,14 @@ import pandas as pd
 import pytest
 
 from thalweg.core import InputError, frame_of, write_table
-from thalweg.deformation import CHANGES, CORE_POINTS, VISIBILITY
+from thalweg.deformation import CHANGES, CORE_POINTS, DRAWS, VISIBILITY
 from thalweg.figures.deformation import change_page, read_pair_facts
 from thalweg.figures.deformation.maps import draw_change_map, draw_not_seen, draw_significance_map, read_pairs
 from thalweg.figures.deformation.page import direction, largest_patches, limits, verdict
 from thalweg.figures.deformation.statistics import (
     draw_error_variogram,
     draw_level_of_detection,
+    draw_retreat_along,
     draw_stable_ground,
     draw_volume_along,
     read_stable,
@@ -80,6 +81,8 @@ def bank(tmp_path_factory):
     write_table(folder / "core_points.parquet", frame_of(CORE_POINTS, cores), CORE_POINTS)
     write_table(folder / "changes_1-2.parquet", frame_of(CHANGES, changes), CHANGES)
     write_table(folder / "visibility_1-2.parquet", frame_of(VISIBILITY, seen), VISIBILITY)
+    errors = {f"draw_{i:02d}_m": np.where(known, rng.normal(0.0, 0.02, k), np.nan) for i in range(50)}
+    write_table(folder / "draws_1-2.parquet", frame_of(DRAWS, {"core": np.arange(k)} | errors), DRAWS)
     (folder / "changes_1-2.json").write_text(json.dumps({"control": "fdr", "level": 0.05}))
     motion = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
     facts = {
@@ -134,7 +137,8 @@ def bank(tmp_path_factory):
         return [folder / name.format("1-2")]
 
     return SimpleNamespace(
-        changes=of_pair("changes_{}.parquet"), visibility=of_pair("visibility_{}.parquet"),
+        changes=of_pair("changes_{}.parquet"), draws=of_pair("draws_{}.parquet"),
+        visibility=of_pair("visibility_{}.parquet"),
         control=of_pair("changes_{}.json"), registrations=of_pair("registration_{}.json"),
         weights=of_pair("registration_{}.npz"), volumes=of_pair("volumes_{}.csv"),
         along=of_pair("volumes_along_{}.csv"), patches=of_pair("patches_{}.csv"),
@@ -259,29 +263,29 @@ def test_stable_ground_is_held_against_the_standard_normal(bank, look, tmp_path)
 
 def test_variogram_by_hand():
     places = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
-    table = variogram(places, np.array([0.0, 1.0, 3.0]), np.array([0, 1, 2]), np.array([0.5, 1.5, 2.5]))
-    assert table["pairs"].tolist() == [2, 1]
-    assert table["lag_m"].tolist() == [1.0, 2.0]
-    assert table["gamma"].tolist() == pytest.approx([0.5 * (1 + 4) / 2, 0.5 * 9])
-    # without the middle stretch no pair is one metre apart
-    assert table["sigma"].isna().all()
+    lag, pairs, gamma = variogram(places, np.array([[0.0], [1.0], [3.0]]), np.array([0.5, 1.5, 2.5, 9.0]))
+    assert pairs.tolist() == [2, 1]  # no pair lies farther apart
+    assert lag.tolist() == [1.0, 2.0]
+    assert gamma[:, 0].tolist() == pytest.approx([0.5 * (1 + 4) / 2, 0.5 * 9])
 
 
-def test_variogram_of_independent_values_is_their_variance_and_its_band_holds_it(rng):
+def test_variogram_of_independent_values_is_their_variance(rng):
     places = rng.uniform(0, 20, (800, 3)) * [1.0, 0.1, 0.1]
-    blocks = np.minimum(places[:, 0] / 2, 9).astype(np.int64)
-    table = variogram(places, rng.normal(0, 2.0, 800), blocks, np.geomspace(0.5, 10, 6))
-    assert table["gamma"].to_numpy() == pytest.approx(4.0, rel=0.15)
-    assert np.all(np.abs(table["gamma"] - 4.0) < 4 * table["sigma"])
-    assert table["sigma"].max() < 0.6
+    values = rng.normal(0, [2.0, 3.0], (800, 2))
+    gamma = variogram(places, values, np.geomspace(0.5, 10, 6))[2]
+    assert gamma.mean(axis=0) == pytest.approx([4.0, 9.0], rel=0.1)
 
 
 def test_error_variogram_is_drawn(bank, look, tmp_path):
     files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
-    figure = draw_error_variogram(**files, core_points=bank.core_points, spacing_m=0.5, **WORDS)
-    assert "n = 202 core points, variance" in look.texts(figure)
+    figure = draw_error_variogram(
+        **files, draws=bank.draws, core_points=bank.core_points, spacing_m=0.5, **WORDS
+    )
+    assert "found, n = 202 core points" in look.texts(figure)
     gamma = look.artists(figure, "variogram")[0].get_ydata()
     assert gamma == pytest.approx(1.0, abs=0.35)  # independent, of the stated size
+    predicted = look.artists(figure, "predicted")[0].get_ydata()
+    assert predicted == pytest.approx(1.0, abs=0.2)
     look.drawn(figure, tmp_path)
 
 
@@ -425,3 +429,18 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
     assert html.count("by erosion on") == 2
     plain = change_page([json.loads(path.read_text()) for path in bank.errors], [facts]).html()
     assert "digital twin" not in plain
+
+
+def test_movement_of_both_lines_is_drawn_in_centimetres(look, tmp_path):
+    rows = [
+        {"line": line, "height_m": h, "s_from_m": start, "s_to_m": start + 5.0, "cores": 4, "nsm_m": moved}
+        for line, h, moved in (("bank line", 0.5, -0.3), ("bank top", 2.5, 0.1))
+        for start in (-5.0, 0.0)
+    ]
+    table = pd.DataFrame(rows).assign(sigma_m=0.05)
+    table = table.assign(low_m=table["nsm_m"] - 0.1, high_m=table["nsm_m"] + 0.1, epr_m_a=0.0)
+    table.to_csv(tmp_path / "retreat_1-2.csv", index=False)
+    figure = draw_retreat_along(retreat=[tmp_path / "retreat_1-2.csv"], **WORDS)
+    assert "bank line, n = 2 stretches, at a height of +0.50 m" in look.texts(figure)
+    assert figure.axes[0].lines[0].get_ydata() == pytest.approx(-30.0)
+    look.drawn(figure, tmp_path)

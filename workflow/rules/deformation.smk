@@ -99,10 +99,12 @@ rule compare_epochs:
     output:
         visibility="results/{campaign}/deformation/visibility_{pair}.parquet",
         changes="results/{campaign}/deformation/changes_{pair}.parquet",
+        draws="results/{campaign}/deformation/draws_{pair}.parquet",
         cloud="results/{campaign}/deformation/changes_{pair}.laz",
         patches="results/{campaign}/deformation/patches_{pair}.csv",
         volumes="results/{campaign}/deformation/volumes_{pair}.csv",
         along="results/{campaign}/deformation/volumes_along_{pair}.csv",
+        retreat="results/{campaign}/deformation/retreat_{pair}.csv",
         facts="results/{campaign}/deformation/changes_{pair}.json",
     log:
         "logs/{campaign}/deformation/compare_epochs_{pair}.log",
@@ -130,6 +132,7 @@ rule change_series:
     output:
         series="results/{campaign}/deformation/series.parquet",
         jumps="results/{campaign}/deformation/jumps.json",
+        retreat="results/{campaign}/deformation/retreat_rates.csv",
     log:
         "logs/{campaign}/deformation/change_series.log",
     benchmark:

@@ -16,6 +16,11 @@ def main(
     read = [Epoch.read(path.parent) for path in epochs]
     found = series_of_epochs(read_table(core_points, CORE_POINTS)[0], read, deformation)
     write_table(series, fit_series(found.years, found.height_m, found.sigma_m), SERIES)
+    moving = fit_series(found.years, found.line_m, found.line_sigma_m)
+    rates = found.lines.assign(
+        n_epochs=moving["n_epochs"], lrr_m_a=moving["trend_m_a"], sigma_lrr_m_a=moving["sigma_trend_m_a"]
+    )
+    rates.to_csv(retreat, index=False)
     told = [
         asdict(jump) | {"name": read[jump.epoch].name}
         for jump in find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)

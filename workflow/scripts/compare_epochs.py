@@ -8,10 +8,14 @@ from thalweg.core import LocalFrame, read_table, write_table
 from thalweg.deformation import (
     CHANGES,
     CORE_POINTS,
+    DRAWS,
     VISIBILITY,
+    YEAR_S,
     Epoch,
     classify_changes,
     compare_epochs,
+    draw_errors,
+    estimate_retreat,
     estimate_volumes,
     observe_visibility,
     read_registration,
@@ -29,10 +33,12 @@ def main(
     weights: Path,
     visibility: Path,
     changes: Path,
+    draws: Path,
     cloud: Path,
     patches: Path,
     volumes: Path,
     along: Path,
+    retreat: Path,
     facts: Path,
     campaign: dict[str, Any],
     deformation: Deformation,
@@ -46,11 +52,20 @@ def main(
     write_table(visibility, seen, VISIBILITY)
     table, connected = classify_changes(table, compared, seen, deformation)
     write_table(changes, table, CHANGES)
+    write_table(draws, draw_errors(compared, campaign["seed"]), DRAWS)
     write_changes(cloud, table, LocalFrame(**campaign["origin"]))
     connected.to_csv(patches, index=False)
     sums, by_stretch = estimate_volumes(table, compared, deformation, campaign["seed"])
     sums.to_csv(volumes, index=False)
     by_stretch.to_csv(along, index=False)
+    moved_lines = estimate_retreat(
+        table,
+        compared,
+        deformation,
+        water_m=max(float(epoch.water_m.max()) for epoch in (before, after)),
+        years=(after.start_gps_s - before.start_gps_s) / YEAR_S,
+    )
+    moved_lines.to_csv(retreat, index=False)
     facts.write_text(json.dumps(found, indent=2) + "\n")
 
 

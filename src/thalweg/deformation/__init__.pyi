@@ -1,7 +1,10 @@
 from .changes import (
+    DRAWS as DRAWS,
+    YEAR_S as YEAR_S,
     Compared as Compared,
     Pair as Pair,
     compare_epochs as compare_epochs,
+    draw_errors as draw_errors,
     measure_pair as measure_pair,
     register_pair as register_pair,
     registered_distances as registered_distances,
@@ -37,5 +40,6 @@ from .visibility import VISIBILITY as VISIBILITY, observe_visibility as observe_
 from .volumes import (
     STATES as STATES,
     classify_changes as classify_changes,
+    estimate_retreat as estimate_retreat,
     estimate_volumes as estimate_volumes,
 )

@@ -7,16 +7,35 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import scipy.sparse as sp
 from scipy.stats import norm
 
-from thalweg.core import ArrayB, ArrayF
+from thalweg.core import ArrayB, ArrayF, column, frame_of, table_kind
 from thalweg.deformation.compare import Comparison, Distances, distances_along, judge_changes
+from thalweg.deformation.core_points import bank_line_m, lines_of_bank
 from thalweg.deformation.coregistration import Registration, coregister
 from thalweg.deformation.epochs import Epoch
 from thalweg.deformation.field import ErrorField, ErrorGroup
 from thalweg.deformation.m3c2 import ColumnIndex, Cylinders, cut_cylinders, mean_in_cylinders
 from thalweg.settings.sections import Deformation
+
+YEAR_S = 365.25 * 86_400.0
+"""A Julian year."""
+N_DRAWS = 50
+"""Draws of the errors that are handed on."""
+DRAWS = table_kind(
+    "error_draws",
+    1,
+    [
+        column("core", pa.int64(), "1", "number of the core point"),
+        *(
+            column(f"draw_{i:02d}_m", pa.float64(), "m", "error of the registered distance in this draw")
+            for i in range(N_DRAWS)
+        ),
+    ],
+)
+"""One row a core point: errors of all distances as they may be together, for products of one's own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +100,9 @@ class Series:
     height_m : (n, k) registered, zero in the first row; NaN where not seen. ``raw_m``: before registration.
     sigma_m : (n, k) standard deviation of each epoch's own mean.
     sigma_apart_m : (n - 1,) standard deviation of the mean distance of neighbouring epochs.
+    lines : of the bank in stretches, see `thalweg.deformation.core_points.lines_of_bank`.
+    line_m, line_sigma_m : (n, q) their registered movement from the first epoch, and the standard deviation
+        of each epoch's own.
     """
 
     years: ArrayF
@@ -88,6 +110,9 @@ class Series:
     sigma_m: ArrayF
     raw_m: ArrayF
     sigma_apart_m: ArrayF
+    lines: pd.DataFrame
+    line_m: ArrayF
+    line_sigma_m: ArrayF
 
 
 def measure_epoch(cores: pd.DataFrame, epoch: Epoch, settings: Deformation) -> Measured:
@@ -144,9 +169,10 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
     Each epoch is registered to the first by itself: errors that an epoch has everywhere are taken off on
     stable ground.
     """
-    heights, sigmas, offsets = [], [], []
+    heights, sigmas, offsets, every = [], [], [], []
     for epoch in epochs:
         alone = measure_epoch(cores, epoch, settings)
+        every.append(alone)
         sigmas.append(np.sqrt(alone.field.variances() + alone.white_m**2))
         if epoch is epochs[0]:
             heights.append(np.where(alone.cut.n >= settings.least_in_cylinder, 0.0, np.nan))
@@ -157,7 +183,7 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
         offsets.append(pair)
     height, sigma = np.array(heights), np.array(sigmas)
     height[~np.isfinite(sigma)] = np.nan
-    years = np.array([epoch.start_gps_s for epoch in epochs]) / (365.25 * 86_400.0)
+    years = np.array([epoch.start_gps_s for epoch in epochs]) / YEAR_S
     # how far two epochs may lie apart as such: the mean distance before any registration
     apart = []
     for before, after in pairwise(epochs):
@@ -166,7 +192,23 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
         row = np.where(use, 1.0 / max(int(use.sum()), 1), 0.0)[None]
         apart.append(float(np.sqrt(pair.field.combined(row).variances()[0])))
     raw = np.array([np.zeros(len(cores)), *(pair.found.distance_m for pair in offsets)])
-    return Series(years=years, height_m=height, sigma_m=sigma, raw_m=raw, sigma_apart_m=np.array(apart))
+    bare = np.all([pair.calm for pair in offsets], axis=0) & np.isfinite(height).all(axis=0)
+    water = max(float(epoch.water_m.max()) for epoch in epochs)
+    lines, products = lines_of_bank(cores, bare, settings, bank_line_m(settings, water))
+    own = [
+        alone.field.combined(products).variances() + products**2 @ np.nan_to_num(alone.white_m) ** 2
+        for alone in every
+    ]
+    return Series(
+        years=years,
+        height_m=height,
+        sigma_m=sigma,
+        raw_m=raw,
+        sigma_apart_m=np.array(apart),
+        lines=lines,
+        line_m=np.nan_to_num(height) @ products.T,
+        line_sigma_m=np.sqrt(np.array(own)),
+    )
 
 
 def difference_of(before: ErrorField, after: ErrorField, *, common_mounts: bool) -> ErrorField:
@@ -237,6 +279,13 @@ class Compared:
         for _ in range(n):
             error = self.pair.field.draw(rng) + white * rng.standard_normal(len(white))
             yield self.registration.of_errors(error)
+
+
+def draw_errors(compared: Compared, seed: int) -> pd.DataFrame:
+    """Table `DRAWS`: errors of the registered distances, drawn from the field and from noise."""
+    drawn = compared.draws(N_DRAWS, seed)
+    columns = {f"draw_{i:02d}_m": error for i, error in enumerate(drawn)}
+    return frame_of(DRAWS, {"core": np.arange(len(compared.distance_m)), **columns})
 
 
 def registered_distances(pair: Pair, registration: Registration) -> Compared:

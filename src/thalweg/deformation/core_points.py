@@ -5,7 +5,7 @@ import pandas as pd
 import pyarrow as pa
 from scipy.spatial import cKDTree
 
-from thalweg.core import ArrayF, ArrayI, CoverageError, column, frame_of, table_kind
+from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, column, frame_of, table_kind
 from thalweg.deformation.epochs import Epoch
 from thalweg.deformation.m3c2 import ColumnIndex, multiscale_normals
 from thalweg.settings.sections import Deformation
@@ -121,3 +121,63 @@ def _along(cores_m: ArrayF, normals: ArrayF) -> ArrayF:
     out = normals[:, :2].mean(axis=0)
     right = np.array([-out[1], out[0]])
     return np.asarray(along if along @ right >= 0 else -along)
+
+
+# ---------------------------------------------------------------- lines of the bank
+
+LINES = ("bank line", "bank top")
+"""What retreats: the contour of one height, and the upper edge of the bank's face."""
+_FACE = float(np.sin(np.deg2rad(20.0)))
+"""Horizontal part of the normals of the bank's face; flatter ground has no line that moves to the side."""
+_BAND_M = 0.25
+"""Core points within this height of a line stand for it."""
+_TOP = 0.95
+"""Share of the core points of the face that lie below its upper edge."""
+_LEAST_ON_LINE = 3
+
+
+def lines_of_bank(
+    cores: pd.DataFrame, use: ArrayB, settings: Deformation, line_height_m: float
+) -> tuple[pd.DataFrame, ArrayF]:
+    """Both lines of a bank in stretches, as weighted sums of distances.
+
+    A face that moves by m to the side, in the direction c across the bank, has the distances ``d = m n'c``.
+    The movement of a line in a stretch is the least squares estimate of m from the core points within 0.25 m
+    of its height, with c the mean horizontal normal there.
+
+    Parameters
+    ----------
+    cores : table `thalweg.deformation.core_points.CORE_POINTS`.
+    use : (k,) core points that count.
+    settings : length of the stretches.
+    line_height_m : of the bank line.
+
+    Returns
+    -------
+    rows : ``line, height_m, s_from_m, s_to_m, cores``, a row a line and stretch that has three core points.
+    products : (q, k) weights of the distances, a row each.
+    """
+    s, up = cores["s_m"].to_numpy(), cores["up_m"].to_numpy()
+    normal = cores[["normal_east", "normal_north"]].to_numpy()
+    face = use & (np.linalg.norm(normal, axis=1) > _FACE)
+    stretch = np.floor(s / settings.station_m).astype(np.int64)
+    rows, products = [], []
+    for line in LINES:
+        for number in np.unique(stretch[face]):
+            here = face & (stretch == number)
+            height = line_height_m if line == LINES[0] else float(np.quantile(up[here], _TOP)) - _BAND_M
+            on_line = here & (np.abs(up - height) <= _BAND_M)
+            if on_line.sum() < _LEAST_ON_LINE:
+                continue
+            ends = {"s_from_m": number * settings.station_m, "s_to_m": (number + 1) * settings.station_m}
+            rows.append({"line": line, "height_m": height, **ends, "cores": int(on_line.sum())})
+            across = normal[on_line].mean(axis=0)
+            share = np.where(on_line, normal @ (across / np.linalg.norm(across)), 0.0)
+            products.append(share / np.sum(share**2))
+    names = ["line", "height_m", "s_from_m", "s_to_m", "cores"]
+    return pd.DataFrame(rows, columns=names), np.array(products).reshape(len(rows), len(s))
+
+
+def bank_line_m(settings: Deformation, water_m: float) -> float:
+    """Height of the bank line: as stated, or half a metre above the water."""
+    return water_m + 0.5 if settings.line_height_m is None else settings.line_height_m

@@ -16,6 +16,7 @@ from scipy.stats import norm
 
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI
 from thalweg.deformation.changes import Compared
+from thalweg.deformation.core_points import bank_line_m, lines_of_bank
 from thalweg.settings.sections import Classes, Deformation
 
 # ---------------------------------------------------------------- classes and patches
@@ -257,3 +258,44 @@ def _threshold_bias(
     drawn = [sums(compared.distance_m + error) for error in compared.draws(_BIAS_DRAWS, seed)]
     bias = np.mean(drawn, axis=0) - sums(compared.distance_m)
     return {"erosion": float(bias[0]), "deposition": float(bias[1])}
+
+
+# ---------------------------------------------------------------- retreat of the bank
+
+
+def estimate_retreat(
+    table: pd.DataFrame, compared: Compared, settings: Deformation, *, water_m: float, years: float
+) -> pd.DataFrame:
+    """How far bank line and bank top moved in each stretch, and how fast; positive: towards the river.
+
+    Net movement and end point rate are those of DSAS (Himmelstoss et al. 2018, USGS Open-File Report
+    2018-1179), of whose transects a stretch is the mean. Plants, objects and what an epoch did not see are
+    left out.
+
+    Parameters
+    ----------
+    table : with final states.
+    compared : distances with their field.
+    settings : length of stretches, height of the bank line.
+    water_m : highest water of both epochs, which the bank line lies half a metre above unless its height is
+        stated.
+    years : between both epochs.
+
+    Returns
+    -------
+    ``line, height_m, s_from_m, s_to_m, cores, nsm_m, sigma_m, low_m, high_m, epr_m_a, sigma_epr_m_a``: net
+    movement of the line, its standard deviation and 95 % interval, end point rate.
+    """
+    use = _parts(table)["net"]
+    rows, products = lines_of_bank(compared.pair.cores, use, settings, bank_line_m(settings, water_m))
+    moved = products @ np.nan_to_num(compared.distance_m)
+    sigma = np.sqrt(sum(compared.variances(products))) if len(rows) else np.zeros(0)
+    wide = norm.isf(0.025) * sigma
+    return rows.assign(
+        nsm_m=moved,
+        sigma_m=sigma,
+        low_m=moved - wide,
+        high_m=moved + wide,
+        epr_m_a=moved / years,
+        sigma_epr_m_a=sigma / years,
+    )

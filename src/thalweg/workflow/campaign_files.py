@@ -752,6 +752,7 @@ class CampaignFiles:
             *self.of_pairs("changes_{}.laz"),
             *self.of_pairs("volumes_{}.csv"),
             *self.of_pairs("volumes_along_{}.csv"),
+            *self.of_pairs("retreat_{}.csv"),
             *self._where(len(self.epoch_names()) > 2, "deformation/series.parquet"),
             *self.change_truth(),
             self._result("deformation/index.html"),

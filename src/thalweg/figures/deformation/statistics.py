@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from scipy.spatial.distance import pdist
 from scipy.stats import norm
 
-from thalweg.core import ArrayB, ArrayF
+from thalweg.core import ArrayB, ArrayF, read_table
+from thalweg.deformation import DRAWS
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -43,10 +44,8 @@ PARTS: Final = (
 PUBLISHED_M: Final = (0.15, 0.19)
 """RMSE of the points of both epochs in T 4.1."""
 LAGS: Final = 16
-MOST_PLACES: Final = 2500
-"""Core points of a variogram, which takes all of their pairs."""
-STRETCHES: Final = 10
-"""Stretches of bank of which the band of a variogram leaves out one after the other."""
+MOST_PLACES: Final = 1000
+"""Core points of a variogram, which takes all of their pairs, of each draw."""
 NOT_GROUND: Final = ("vegetation", "object")
 
 
@@ -240,82 +239,73 @@ def draw_stable_ground(
 # ---------------------------------------------------------------- variogram
 
 
-def variogram(places_m: ArrayF, values: ArrayF, blocks: ArrayF, edges_m: ArrayF) -> pd.DataFrame:
+def variogram(places_m: ArrayF, values: ArrayF, edges_m: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
     """Half the mean squared difference of values by the distance of their places.
 
     Parameters
     ----------
-    places_m : (n, 3); values : (n,).
-    blocks : (n,) number of the stretch of bank, from 0.
+    places_m : (n, 3); values : (n, d), each column a survey of its own.
     edges_m : (b + 1,) of the classes of distance.
 
     Returns
     -------
-    ``lag_m, pairs, gamma, sigma``: the standard deviation by leaving out stretch after stretch (jackknife);
-    NaN where a class lives by one stretch.
+    Mean distance (c,), number of pairs (c,) and variogram (c, d) of the classes that hold pairs.
     """
     lag = pdist(places_m)
-    half = 0.5 * pdist(values[:, None], "sqeuclidean")
-    i, j = np.triu_indices(len(values), 1)
     kind = np.digitize(lag, edges_m) - 1
     inside = (kind >= 0) & (kind < len(edges_m) - 1)
-    n, shape = int(blocks.max()) + 1, (len(edges_m) - 1, int(blocks.max()) + 1, int(blocks.max()) + 1)
-    cell = np.ravel_multi_index(
-        tuple(
-            np.asarray(each, dtype=np.int64) for each in (kind[inside], blocks[i[inside]], blocks[j[inside]])
-        ),
-        shape,
-    )
+    kind, classes = kind[inside], len(edges_m) - 1
+    pairs = np.bincount(kind, minlength=classes)
+    held = pairs > 0
 
-    def sums(weights: ArrayF) -> tuple[ArrayF, ArrayF]:
-        """Sum over all pairs (b,), and without those that touch each stretch (b, n)."""
-        own = np.bincount(cell, weights, minlength=int(np.prod(shape))).reshape(shape)
-        total = own.sum(axis=(1, 2))
-        return total, total[:, None] - own.sum(axis=1) - own.sum(axis=2) + np.einsum("bii->bi", own)
+    def mean(each: ArrayF) -> ArrayF:
+        """Mean (c,) over the pairs of each class."""
+        return np.asarray(np.bincount(kind, each[inside], minlength=classes)[held] / pairs[held])
 
-    (top, top_left), (pairs, pairs_left) = sums(half[inside]), sums(np.ones(int(inside.sum())))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        left = top_left / pairs_left
-        mean = left.mean(axis=1, keepdims=True)
-        sigma = np.sqrt((n - 1) / n * np.sum((left - mean) ** 2, axis=1))
-        lags = sums(lag[inside])[0] / pairs
-        return pd.DataFrame({"lag_m": lags, "pairs": pairs.astype(int), "gamma": top / pairs, "sigma": sigma})
+    half = [mean(0.5 * pdist(column[:, None], "sqeuclidean")) for column in values.T]
+    return mean(lag), pairs[held], np.stack(half, axis=1)
 
 
 @styled
-def error_variogram(pairs: Sequence[BankPair], stable: Sequence[Stable], *, title: str, twin: bool) -> Figure:
-    """How normalised distances of stable ground are alike by how far they lie apart."""
-    figure = new_figure(78.0, title, twin=twin)
+def error_variogram(
+    pairs: Sequence[BankPair], stable: Sequence[Stable], drawn: Sequence[ArrayF], *, title: str, twin: bool
+) -> Figure:
+    """How distances of stable ground are alike by how far they lie apart, found and predicted.
+
+    ``drawn`` holds errors (k, d) of the distances of each pair, drawn from what is known of them.
+    """
+    figure = new_figure(84.0, title, twin=twin)
     ax = figure.subplots()
-    for pair, use, colour, marker in zip(pairs, stable, (BLUE, VERMILION, PURPLE), "os^", strict=False):
+    for pair, use, errors, colour, marker in zip(
+        pairs, stable, drawn, (BLUE, VERMILION, PURPLE), "os^", strict=False
+    ):
         rows = np.flatnonzero(use.unmoved)
         rows = rows[:: -(-len(rows) // MOST_PLACES)]
-        s = pair.s_m[rows]
-        length = float(np.ptp(s))
-        edges = np.geomspace(pair.spacing_m, 0.5 * length, LAGS + 1)
-        blocks = np.minimum((s - s.min()) / length * STRETCHES, STRETCHES - 1).astype(np.int64)
+        edges = np.geomspace(pair.spacing_m, 0.5 * float(np.ptp(pair.s_m[rows])), LAGS + 1)
         places = pair.table[["east_m", "north_m", "up_m"]].to_numpy()[rows]
-        z = (pair.table["distance_m"] / pair.table["sigma_m"]).to_numpy()[rows]
-        found = variogram(places, z, blocks, edges).dropna(subset=["gamma"])
-        label = f"{pair.words}: n = {count(len(rows))} core points, variance {np.var(z):.2f}"
-        ax.plot(found["lag_m"], found["gamma"], color=colour, marker=marker, label=label, gid="variogram")
-        low, high = (found["gamma"] + sign * WIDE * found["sigma"] for sign in (-1, 1))
-        band = "95 % band: stretches left out one by one"
-        ax.fill_between(found["lag_m"], low.clip(lower=0), high, color=colour, alpha=0.2, lw=0, label=band)
-    ax.axhline(1.0, color="black", lw=1.0, ls="--", label="independent errors with the predicted variance")
+        values = np.column_stack([pair.table["distance_m"].to_numpy(), errors])[rows]
+        lag, _, gamma = variogram(places, values / pair.table["sigma_m"].to_numpy()[rows, None], edges)
+        label = f"{pair.words}: found, n = {count(len(rows))} core points"
+        ax.plot(lag, gamma[:, 0], color=colour, marker=marker, label=label, gid="variogram")
+        low, middle, high = np.quantile(gamma[:, 1:], [0.025, 0.5, 0.975], axis=1)
+        ax.plot(lag, middle, color=colour, lw=1.0, ls="--", label="predicted, median", gid="predicted")
+        band = f"predicted, 95 % of {errors.shape[1]} draws of the errors"
+        ax.fill_between(lag, low, high, color=colour, alpha=0.2, lw=0, label=band)
+    ax.axhline(1.0, color="black", lw=0.8, ls=":", label="independent errors of the predicted size")
     ax.set_xscale("log")
     ax.xaxis.set_major_formatter("{x:g}")
-    ax.set_ylim(0, max(1.7, 1.35 * ax.get_ylim()[1]))
+    ax.set_ylim(0, max(1.7, 1.45 * ax.get_ylim()[1]))
     ax.grid(visible=True)
     ax.set_xlabel("how far core points lie apart / m")
     ax.set_ylabel("half mean squared difference of\ndistance over standard deviation")
-    ax.legend(loc="upper left")
+    ax.legend(loc="upper left", ncols=2)
     return figure
 
 
 def draw_error_variogram(
     *,
     changes: list[Path],
+    draws: list[Path],
     registrations: list[Path],
     weights: list[Path],
     core_points: Path,
@@ -323,10 +313,11 @@ def draw_error_variogram(
     title: str,
     twin: bool,
 ) -> Figure:
-    """Distances of stable ground -> their variogram."""
+    """Distances of stable ground and drawn errors -> their variograms."""
     pairs = read_pairs(changes, core_points, spacing_m)
     stable = read_stable(pairs, registrations, weights)
-    return error_variogram(pairs, stable, title=f"Variogram of stable ground: {title}", twin=twin)
+    drawn = [read_table(path, DRAWS)[0].drop(columns="core").to_numpy() for path in draws]
+    return error_variogram(pairs, stable, drawn, title=f"Variogram of stable ground: {title}", twin=twin)
 
 
 # ---------------------------------------------------------------- volumes along the bank
@@ -392,3 +383,45 @@ def draw_volume_along(*, along: list[Path], title: str, twin: bool) -> Figure:
     """Volumes of stretches of bank -> bars along it."""
     tables = [(path.stem.rpartition("_")[2], pd.read_csv(path)) for path in along]
     return volume_along(tables, title=f"Volume of change along the bank: {title}", twin=twin)
+
+
+@styled
+def retreat_along(tables: Sequence[tuple[str, pd.DataFrame]], *, title: str, twin: bool) -> Figure:
+    """How far bank line and bank top moved in each stretch of bank."""
+    figure = new_figure(66.0 * len(tables) + 4.0, title, twin=twin)
+    panels = figure.subplots(len(tables), 1, squeeze=False)[:, 0]
+    for ax, (name, table) in zip(panels, tables, strict=True):
+        for line, colour, marker, shift in (
+            ("bank line", BLUE, "v", -0.1),
+            ("bank top", VERMILION, "^", 0.1),
+        ):
+            rows = table[table["line"] == line]
+            width = rows["s_to_m"] - rows["s_from_m"]
+            label = f"{line}, n = {len(rows)} stretches"
+            if line == "bank line" and len(rows):
+                label += f", at a height of {signed(rows['height_m'].iloc[0], 2)} m"
+            ax.errorbar(
+                0.5 * (rows["s_from_m"] + rows["s_to_m"]) + shift * width,
+                100 * rows["nsm_m"],
+                100 * (rows["high_m"] - rows["nsm_m"]),
+                fmt=marker,
+                ms=3.5,
+                color=colour,
+                lw=0.9,
+                capsize=1.5,
+                label=label,
+            )
+        ax.axhline(0.0, color="black", lw=0.6)
+        ax.set_title(f"epochs {name.replace('-', ' to ')}, bars: 95 %")
+        ax.set_ylabel("movement across the bank / cm\n(negative: retreat)")
+        low, high = ax.get_ylim()
+        ax.set_ylim(low, high + 0.2 * (high - low))
+        ax.legend(loc="upper center", ncols=2)
+        ax.set_xlabel("along the bank, to the right as seen from the river / m")
+    return figure
+
+
+def draw_retreat_along(*, retreat: list[Path], title: str, twin: bool) -> Figure:
+    """Movement of both lines of a bank in stretches -> along the bank."""
+    tables = [(path.stem.rpartition("_")[2], pd.read_csv(path)) for path in retreat]
+    return retreat_along(tables, title=f"Movement of the bank: {title}", twin=twin)

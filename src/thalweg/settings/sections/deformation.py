@@ -108,7 +108,14 @@ class Deformation(Section):
         description="What the level holds for: `fdr` the share of false ones among all changes, `family` the "
         "chance of a single false one anywhere, `none` each core point by itself",
     )
-    station_m: Positive = Field(default=5.0, description="Length of a stretch of bank for volumes, metres")
+    station_m: Positive = Field(
+        default=5.0, description="Length of a stretch of bank for volumes and retreat, metres"
+    )
+    line_height_m: Annotated[float, Field(allow_inf_nan=False)] | None = Field(
+        default=None,
+        description="Height of the bank line, local frame, metres; null: half a metre above the highest "
+        "water of the epochs",
+    )
     draws: int = Field(default=200, ge=20, le=10_000, description="Draws of the errors of all poses")
     errors: EpochErrors = Field(default=EpochErrors(), description="Errors that points of an epoch share")
     visibility: Visibility = Field(default=Visibility(), description="What an epoch could see")
