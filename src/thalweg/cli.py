@@ -178,22 +178,24 @@ def _new_campaign(options: argparse.Namespace) -> int:
 
 def _sort_logs(folder: Path) -> dict[str, list[Path]]:
     """Files of a folder by stream, recognised by their content."""
-    from thalweg.ingest.registry import ALSO_MARKS, recognise, stream_of
+    from thalweg.ingest.registry import ALSO_MARKS, KINDS, recognise, stream_of
     from thalweg.settings import natural_order
 
     if not folder.is_dir():
         raise InputError("no such folder", where=folder, expected="a folder of raw logs")
     streams: dict[str, list[Path]] = {}
     pictures: Counter[tuple[str, Path]] = Counter()
+    left_out: dict[str, list[Path]] = {}
     for path in sorted((p for p in folder.rglob("*") if p.is_file()), key=natural_order):
         try:
             kind = recognise(path)
         except ThalwegError as error:
-            print(f"left out: {path}: {error.found}", file=sys.stderr)
+            unknown = error.found.startswith("the content is of no known kind")
+            left_out.setdefault("of no known kind" if unknown else error.found, []).append(path)
             continue
         stream = stream_of(kind, path)
         if stream is None:
-            print(f"left out: {path}: no place for a log of the kind {kind}", file=sys.stderr)
+            left_out.setdefault(f"{KINDS[kind]}: no stream of a survey", []).append(path)
         elif kind == "photograph":
             pictures[stream, path.parent] += 1
         else:
@@ -207,6 +209,12 @@ def _sort_logs(folder: Path) -> dict[str, list[Path]]:
             continue
         print(f"{stream:10s} {parent} (folder with {n} photographs)")
         streams.setdefault(stream, []).append(parent)
+    for why, paths in left_out.items():
+        named = ", ".join(str(path.relative_to(folder)) for path in paths[:3])
+        more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
+        print(f"left out, {why}: {named}{more}", file=sys.stderr)
+    if left_out:
+        print("What a single file is, says `thalweg describe FILE`", file=sys.stderr)
     if not streams:
         raise InputError(
             "no raw log was recognised",

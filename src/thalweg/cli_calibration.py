@@ -100,9 +100,11 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     resect.set_defaults(command=_resect)
 
     camera = commands.add_parser(
-        "import-camera", help="camera file of COLMAP, OpenCV or ROS -> calibration file"
+        "import-camera", help="camera file of COLMAP, OpenCV, ROS or Metashape -> calibration file"
     )
-    camera.add_argument("file", type=Path, metavar="FILE", help="cameras.txt, or YAML or JSON with a matrix")
+    camera.add_argument(
+        "file", type=Path, metavar="FILE", help="cameras.txt, YAML or JSON with a matrix, XML of Metashape"
+    )
     _add_sigmas(camera, "focal_px, centre_px, distortion")
     camera.add_argument("--camera", type=int, metavar="NUMBER", help="which one, where COLMAP has several")
     camera.add_argument(
@@ -263,11 +265,11 @@ def _import_camera(options: argparse.Namespace) -> int:
 
     kind = recognise(options.file)
     _not_there(options.out)
-    if kind not in _ENDINGS:
+    if kind not in (*_ENDINGS, "metashape_lens"):
         raise InputError(
             f"this is a {KINDS[kind]}",
             where=options.file,
-            expected=f"{KINDS['colmap']} or {KINDS['opencv']}",
+            expected=f"{KINDS['colmap']}, {KINDS['opencv']} or {KINDS['metashape_lens']}",
             cure="Use `thalweg import-calibration`" if kind in ("kalibr", "matrix") else "",
         )
     if not options.block.isidentifier():
@@ -275,7 +277,7 @@ def _import_camera(options: argparse.Namespace) -> int:
     found = import_camera(
         options.file,
         dict(options.sigma),
-        kind="colmap" if kind == "colmap" else "opencv",
+        kind=kind,
         number=options.camera,
         model=options.model,
         name=options.block,

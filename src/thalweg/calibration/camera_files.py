@@ -15,6 +15,7 @@ from thalweg.core import (
     Model,
     read_colmap,
     read_mapping,
+    read_metashape,
     read_opencv,
 )
 from thalweg.core.calibration import Block, Calibration, Source, read_calibration
@@ -67,7 +68,7 @@ def camera_of(calibration: Calibration, block: str = "camera") -> Camera:
 
 
 def read_camera(path: Path, model: Model | None = None) -> Camera:
-    """A camera from a calibration file of Thalweg, a file of OpenCV or ROS, or COLMAP's ``cameras.txt``.
+    """A camera from a calibration file of Thalweg, of OpenCV or ROS, Metashape or COLMAP's ``cameras.txt``.
 
     Parameters
     ----------
@@ -90,6 +91,8 @@ def read_camera(path: Path, model: Model | None = None) -> Camera:
         return next(iter(cameras.values()))
     if not path.is_file():
         raise InputError("file not found", expected="an interior orientation", where=path)
+    if path.suffix.lower() == ".xml":
+        return read_metashape(path)
     try:
         keys = set(read_mapping(path)[0])
     except ConfigError:

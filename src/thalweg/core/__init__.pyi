@@ -18,6 +18,7 @@ from .camera import (
     Camera as Camera,
     Model as Model,
     read_colmap as read_colmap,
+    read_metashape as read_metashape,
     read_opencv as read_opencv,
     write_colmap as write_colmap,
     write_opencv as write_opencv,

@@ -25,6 +25,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -374,6 +375,49 @@ def read_colmap(path: Path) -> dict[int, Camera]:
     if not cameras:
         raise InputError("no camera", expected="COLMAP's cameras.txt", where=path)
     return cameras
+
+
+def read_metashape(path: Path) -> Camera:
+    """A lens that Metashape or PhotoScan saved alone (XML), by the equations of its manual, appendix C.
+
+    Its ``cx, cy`` count from the middle of the picture, its ``p1`` and ``p2`` are OpenCV's ``p2`` and ``p1``.
+
+    Raises
+    ------
+    InputError : no such file, or numbers that are none.
+    UnsupportedError : a skew, a fourth radial or a higher tangential term other than zero.
+    """
+    try:
+        root = ElementTree.fromstring(_text(path))
+        found = {e.tag: (e.text or "").strip() for e in root}
+        size = (int(found["width"]), int(found["height"]))
+        p = {k: float(found.get(k, 0.0)) for k in ("f", "cx", "cy", "b1", "k1", "k2", "k3", "p1", "p2")}
+        lost = {k: float(found[k]) for k in ("b2", "k4", "p3", "p4") if float(found.get(k, 0.0)) != 0.0}
+    except (ElementTree.ParseError, KeyError, ValueError) as error:
+        raise InputError(f"no lens: {error}", expected="width, height, f and so on", where=path) from error
+    model: Model = "perspective" if found.get("projection", "frame") == "frame" else "fisheye"
+    if model == "fisheye":
+        lost |= {k: p[k] for k in ("p1", "p2") if p[k]}
+    if lost:
+        raise UnsupportedError(
+            f"terms of the lens that Thalweg's {model} model has not: {lost}",
+            expected="them to be zero",
+            where=path,
+            cure="Fix them at zero in Metashape (Optimize Cameras) and export again",
+        )
+    values = {
+        "fx": p["f"] + p["b1"],
+        "fy": p["f"],
+        "cx": size[0] / 2 + p["cx"],
+        "cy": size[1] / 2 + p["cy"],
+        "k1": p["k1"],
+        "k2": p["k2"],
+        "k3": p["k3"],
+        "p1": p["p2"],
+        "p2": p["p1"],
+    }
+    known = {k: v for k, v in values.items() if k in PARAMETERS[model]}
+    return _named(model, size, known, "camera", str(path))
 
 
 def write_colmap(path: Path, cameras: Mapping[int, Camera]) -> None:

@@ -35,6 +35,8 @@ LIBRARIES: Final = (
     "thalweg.workflow.job",
 )
 
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # read when numpy and scipy load; `forked` gives each job its own number
+os.environ["OPENBLAS_NUM_THREADS"] = (
+    "1"  # read when numpy and scipy load; `forked` gives each job its own number
+)
 for _name in LIBRARIES:
     import_module(_name)

@@ -31,6 +31,7 @@ from thalweg.core import (
     UnsupportedError,
     read_colmap,
     read_mapping,
+    read_metashape,
     read_opencv,
 )
 from thalweg.core.calibration.model import Block, Calibration, Source, lever_doubt, pose_block
@@ -202,7 +203,7 @@ def import_camera(
     path: Path,
     sigmas: Mapping[str, float],
     *,
-    kind: Literal["colmap", "opencv"],
+    kind: Literal["colmap", "opencv", "metashape_lens"],
     number: int | None = None,
     model: Model | None = None,
     size_px: tuple[int, int] | None = None,
@@ -217,7 +218,7 @@ def import_camera(
     ----------
     path : ``cameras.txt``, or YAML or JSON of OpenCV or ROS.
     sigmas : ``focal_px``, ``centre_px``, ``distortion``.
-    kind : which of the two.
+    kind : which of them.
     number : of the camera, where COLMAP has several.
     model, size_px : where a file of OpenCV does not say them.
     name : the block is ``<name>_interior``.
@@ -227,12 +228,14 @@ def import_camera(
     InputError, UnsupportedError : see `read_colmap` and `read_opencv`; or no such camera, or a sigma is not
         stated.
     """
-    camera = _one_camera(read_colmap(path), number, path) if kind == "colmap" else None
-    camera = camera or read_opencv(path, model, size_px)
+    if kind == "colmap":
+        camera = _one_camera(read_colmap(path), number, path)
+    else:
+        camera = read_opencv(path, model, size_px) if kind == "opencv" else read_metashape(path)
     values = zip(camera.parameter_names[4:], camera.parameters[4:], strict=True)
     held = {quantity for quantity, value in values if value == 0.0}
     part = _interior(f"{name}_interior", camera, sigmas, path, held)
-    words = {"colmap": "COLMAP", "opencv": "OpenCV"}[kind]
+    words = {"colmap": "COLMAP", "opencv": "OpenCV", "metashape_lens": "Metashape"}[kind]
     return _joined([part], title=f"{words}: {path.name}", run=path.stem, method=f"{words}, sigmas as stated")
 
 

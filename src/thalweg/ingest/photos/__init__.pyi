@@ -1,4 +1,4 @@
-from .exif import ImageHead as ImageHead, read_head as read_head
+from .exif import CivilStamp as CivilStamp, ImageHead as ImageHead, read_head as read_head
 from .files import (
     Images as Images,
     by_any_name as by_any_name,

@@ -164,7 +164,7 @@ def _kalibr(path: Path) -> IntegrityReport:
 
 
 def _kalibr_lines(found: KalibrCamera) -> list[str]:
-    lines = _camera_lines(found.camera)
+    lines = camera_lines(found.camera)
     for pose, words in ((found.T_ics_ccs, "T_ics_ccs"), (found.T_ccs_previous, "T_ccs_previous")):
         lines += [f"{words}:", *_pose_lines(pose)] if pose is not None else []
     lines += (
@@ -179,13 +179,14 @@ def _cameras(kind: str, path: Path) -> IntegrityReport:
     report = _report(path, "COLMAP cameras" if kind == "colmap" else "camera file of OpenCV or ROS")
     cameras = read_colmap(path) if kind == "colmap" else {0: read_opencv(path)}
     for number, camera in cameras.items():
-        report.details[f"camera {number}" if kind == "colmap" else "camera"] = _camera_lines(camera)
+        report.details[f"camera {number}" if kind == "colmap" else "camera"] = camera_lines(camera)
         report.count("cameras")
     report.note("The file does not say how well its values are known.")
     return report
 
 
-def _camera_lines(camera: Camera) -> list[str]:
+def camera_lines(camera: Camera) -> list[str]:
+    """An interior orientation as lines: model, size, parameters."""
     width, height = camera.size_px
     values = zip(camera.parameter_names, camera.parameters, strict=True)
     return [

@@ -3,6 +3,7 @@
 Names and endings of files are not trusted. A new format is a row in the family that it belongs to.
 """
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -14,10 +15,11 @@ from thalweg.ingest.registry.calibrations import CALIBRATIONS
 from thalweg.ingest.registry.clouds import CLOUDS
 from thalweg.ingest.registry.images import IMAGES
 from thalweg.ingest.registry.lidar import LIDARS
+from thalweg.ingest.registry.others import OTHERS
 from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.registry.positions import POSITIONS
 
-FORMATS: Final = (*LIDARS, *CLOUDS, *POSES, *POSITIONS, *CALIBRATIONS, *IMAGES)
+FORMATS: Final = (*LIDARS, *CLOUDS, *POSES, *POSITIONS, *CALIBRATIONS, *OTHERS, *IMAGES)
 """In the order in which a file is tried against them."""
 
 FORMAT_OF_KIND: Final[Mapping[str, Format]] = {each.kind: each for each in FORMATS}
@@ -40,6 +42,7 @@ and pictures, are not judged.
 ALSO_MARKS: Final = frozenset({"gcp_list", "metashape_markers"})
 """Kinds of files that hold control points and where they are in the images."""
 
+_BINARY: Final = re.compile(rb"[^\t\n\r\x20-\xff]")
 _WRAPPED: Final = (
     (b"\x1f\x8b", "the file is compressed (gzip)", "Unpack it with gunzip"),
     (b"PK\x03\x04", "the file is a zip archive", "Unpack it with unzip"),
@@ -70,11 +73,12 @@ def recognise(path: Path) -> str:
     for mark, words, cure in _WRAPPED:
         if head.startswith(mark):
             raise InputError(words, where=path, expected="the raw log itself", cure=cure)
+    begins = head[:12].hex(" ") if _BINARY.search(head[:40]) else repr(head[:40].decode("utf-8", "replace"))
     raise InputError(
-        f"the content is of no known kind (begins with {head[:12].hex(' ')})",
+        f"the content is of no known kind (begins with {begins})",
         where=path,
-        expected=", ".join(KINDS.values()),
-        cure="Check that the file is a raw log and not compressed",
+        expected="a raw log, a photograph, a cloud, or a table of one of the known forms",
+        cure="Check that the file is a raw log and not compressed; the README lists the kinds",
     )
 
 

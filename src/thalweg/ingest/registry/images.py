@@ -1,13 +1,16 @@
 """Formats of photographs and of the tables beside them, and what they hold in lines for a terminal."""
 
 import re
+from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from thalweg.core import ClockError, InputError
 from thalweg.ingest import IntegrityReport
-from thalweg.ingest.photos import read_head, read_image_stamps
+from thalweg.ingest.photos import CivilStamp, read_head, read_image_stamps
 from thalweg.ingest.registry.base import Format, Recording
 from thalweg.ingest.registry.calibrations import CalibrationReport, is_text
 
@@ -82,13 +85,16 @@ def describe_images(kind: str, path: Path) -> IntegrityReport:
         report = CalibrationReport(stream="camera", format=_WORDS[kind], files=[str(path)])
         report.model = f"{head.make} {head.model}".strip()
         report.details["size"] = f"{head.width} x {head.height} pixels"
+        if np.isfinite(head.focal_mm):
+            report.details["lens"] = f"{head.focal_mm:g} mm by EXIF"
         try:
             stamps = read_image_stamps(path)
         except ClockError as error:
             report.note(error.found)
         else:
             known = stamps.table["source"][0]
-            report.details["time"] = f"{stamps.table['t_device_s'][0]:.3f} s (GPS time less 1e9) from {known}"
+            report.details["time"] = _civil(head.stamp) if known == "exif" else f"from {known}"
+            report.details["gps time"] = f"{stamps.table['t_device_s'][0]:.3f} s less 1e9"
         return report
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -108,12 +114,22 @@ def describe_images(kind: str, path: Path) -> IntegrityReport:
     return report
 
 
+def _civil(stamp: CivilStamp | None) -> str:
+    """Date and time as the camera's clock showed them, and on which scale."""
+    if stamp is None:
+        return "none"
+    shown = datetime.fromtimestamp(stamp.second_s, tz=UTC).strftime("%Y-%m-%d %H:%M:%S")
+    if stamp.utc_offset_s is None:
+        return f"{shown} by EXIF, zone not stated: read as UTC"
+    return f"{shown} by EXIF, UTC {stamp.utc_offset_s / 3600:+g} h"
+
+
 @lru_cache(maxsize=1)
 def _image_kind(head: bytes) -> str | None:
     """Kind of a table that belongs to photographs; None for other bytes."""
     if not is_text(head):
         return None
-    if b"<cameras" in head and b"<document" in head:
+    if b"<cameras" in head and b"<chunk" in head and b"<document" in head:
         return "metashape_markers" if b"<markers" in head else "metashape_cameras"
     lines = [line.strip() for line in head.removeprefix(b"\xef\xbb\xbf").splitlines() if line.strip()]
     if len(lines) > 1 and _CRS_LINE.match(lines[0]) and len(lines[1].split()) >= 6:

@@ -1,0 +1,226 @@
+"""Files that lie beside logs and that no stream takes: known by name, with what to do with them.
+
+Unknown, they would be called something else: a surface model in GeoTIFF a photograph, a project of DBAT
+cameras of Metashape, camera poses control points.
+"""
+
+import re
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from thalweg.core import read_metashape
+from thalweg.ingest.registry.base import Format, Recording
+from thalweg.ingest.registry.calibrations import CalibrationReport, camera_lines, is_text
+
+_GEO_TAGS: Final = frozenset({33550, 33922, 34264, 34735})
+"""ModelPixelScale, ModelTiepoint, ModelTransformation, GeoKeyDirectory (OGC 19-008r4)."""
+_TAGS: Final = {b"II*\x00": "<", b"MM\x00*": ">"}
+"""Byte order of a TIFF by its first bytes."""
+_ANGLES: Final = ({b"yaw", b"pitch", b"roll"}, {b"heading", b"pitch", b"roll"})
+_NUMBER: Final = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_XYZ: Final = re.compile(
+    rb"\A(?:[#/][^\n]*\n)*(?:[ \t]*" + (_NUMBER + rb"[ \t,;]+") * 2 + _NUMBER + rb"[^\n]*\n){3}"
+)
+_QUATERNION: Final = 1e-3
+"""By which the length of four numbers may differ from 1 that are a rotation."""
+
+
+def _is_geotiff(head: bytes, size: int) -> bool:
+    """Whether a TIFF states a place on the earth; its directory has to lie within the head."""
+    order = _TAGS.get(head[:4])
+    if order is None:
+        return False
+    at = struct.unpack_from(f"{order}I", head, 4)[0]
+    if at + 2 > len(head):
+        return False
+    n = struct.unpack_from(f"{order}H", head, at)[0]
+    ends = min(at + 2 + 12 * n, len(head) - 1)
+    return any(struct.unpack_from(f"{order}H", head, k)[0] in _GEO_TAGS for k in range(at + 2, ends, 12))
+
+
+def _cells(head: bytes) -> set[bytes]:
+    """Names of columns in the first line of a table, small letters."""
+    line = head.removeprefix(b"\xef\xbb\xbf").lstrip(b"#\r\n ").splitlines()[:1]
+    return {cell.strip(b' "') for cell in re.split(rb"[,;\t]", (line or [b""])[0].lower())}
+
+
+def _has(*words: bytes) -> Callable[[bytes, int], bool]:
+    """Text in which all words stand."""
+    return lambda head, size: is_text(head) and all(word in head for word in words)
+
+
+def _is_images_bin(head: bytes, size: int) -> bool:
+    """COLMAP's images.bin: number of images, then for each a key, a quaternion, a shift, a camera, a name."""
+    if len(head) < 73:
+        return False
+    n, key = struct.unpack_from("<QI", head)
+    q = np.array(struct.unpack_from("<4d", head, 12))
+    length = float(q @ q) if np.isfinite(q).all() and np.abs(q).max() <= 1.01 else 0.0
+    return 0 < n < 10_000_000 and key > 0 and abs(length - 1.0) < _QUATERNION
+
+
+def _is_images_txt(head: bytes, size: int) -> bool:
+    """COLMAP's images.txt: lines ``key qw qx qy qz tx ty tz camera name``, each with a line of points."""
+    if not is_text(head):
+        return False
+    words = next(
+        (line.split() for line in head.splitlines() if line.strip() and not line.startswith(b"#")), []
+    )
+    if len(words) != 10 or not (words[0].isdigit() and words[8].isdigit()):
+        return False
+    try:
+        q = np.array([float(word) for word in words[1:5]])
+    except ValueError:
+        return False
+    return abs(float(q @ q) - 1.0) < _QUATERNION
+
+
+def _is_pose_table(head: bytes, size: int) -> bool:
+    names = _cells(head) if is_text(head) else set()
+    return any(angles <= names for angles in _ANGLES) and {b"x", b"y", b"z"} <= {
+        n.split(b"/")[0] for n in names
+    }
+
+
+def _columns(*names: bytes) -> Callable[[bytes, int], bool]:
+    """A table of these columns and no others."""
+    return lambda head, size: is_text(head) and _cells(head) == set(names)
+
+
+def _is_xyz(head: bytes, size: int) -> bool:
+    return is_text(head) and _XYZ.match(head) is not None
+
+
+_CONVERT: Final = (
+    "export its topics with the tool of the recorder (rosbag, ros2 bag, mcap): Thalweg reads the raw captures"
+)
+_ROWS: Final[Sequence[tuple[str, str, tuple[bytes, ...], Callable[[bytes, int], bool] | None, str]]] = (
+    (
+        "geotiff",
+        "raster of heights (GeoTIFF)",
+        (),
+        _is_geotiff,
+        "`thalweg compare-clouds` takes surface models",
+    ),
+    (
+        "dbat_project",
+        "project of the Damped Bundle Adjustment Toolbox (XML)",
+        (),
+        _has(b"dbat_script_version"),
+        "its tables of points and marks, with names of columns, belong in logs.time_lapse",
+    ),
+    (
+        "dbat_report",
+        "report of the Damped Bundle Adjustment Toolbox",
+        (),
+        _has(b"Damped Bundle Adjustment Toolbox result"),
+        "a result, no input",
+    ),
+    (
+        "metashape_lens",
+        "lens of Metashape (XML)",
+        (),
+        _has(b"<calibration>", b"<projection>"),
+        "`thalweg import-camera`, or logs.time_lapse.interior",
+    ),
+    (
+        "colmap_images",
+        "orientations of COLMAP (images.txt)",
+        (),
+        _is_images_txt,
+        "name the folder of the model in logs.time_lapse.orientations",
+    ),
+    (
+        "colmap_images_bin",
+        "orientations of COLMAP (images.bin)",
+        (),
+        _is_images_bin,
+        "name the folder of the model in logs.time_lapse.orientations",
+    ),
+    (
+        "camera_poses",
+        "camera poses with yaw, pitch, roll",
+        (),
+        _is_pose_table,
+        "export them with omega, phi, kappa: logs.time_lapse.orientations",
+    ),
+    (
+        "image_points",
+        "points of one image (label, x, y)",
+        (),
+        _columns(b"label", b"x", b"y"),
+        "one table of all images, with a column image: logs.time_lapse.marks, `thalweg resect`",
+    ),
+    (
+        "corners",
+        "corners of a checkerboard",
+        (),
+        _columns(b"image", b"column", b"row", b"x_px", b"y_px"),
+        "`thalweg calibrate-lens`",
+    ),
+    (
+        "xyz",
+        "points as text (x, y, z)",
+        (),
+        _is_xyz,
+        "`thalweg bed` for soundings, `thalweg compare` for clouds",
+    ),
+    (
+        "geojson",
+        "lines or polygons (GeoJSON)",
+        (),
+        _has(b'"type"', b'"coordinates"'),
+        "logs.bank_lines, `thalweg bed --banks`, `thalweg plan-survey`",
+    ),
+    ("pcd", "PCD cloud", (b"# .PCD", b"VERSION .7", b"VERSION 0.7"), None, "logs.board_scans"),
+    ("rosbag", "ROS bag", (b"#ROSBAG V2.0",), None, _CONVERT),
+    ("mcap", "MCAP recording", (b"\x89MCAP0\r\n",), None, _CONVERT),
+    ("sqlite", "SQLite database (ROS 2 bag, GeoPackage, COLMAP)", (b"SQLite format 3\x00",), None, _CONVERT),
+    (
+        "video",
+        "video (MP4, MOV)",
+        (),
+        lambda head, size: head[4:8] == b"ftyp",
+        "save single pictures (`ffmpeg -i video.mp4 -frame_pts 1 %d.jpg`) and a table of their times",
+    ),
+    ("gpx", "track (GPX)", (), _has(b"<gpx"), "convert it to NMEA or .pos; it states no standard deviations"),
+    ("kml", "places (KML)", (), _has(b"<kml"), "for maps; no log"),
+)
+"""Kind, words for people, first bytes, what the content must be, and what it is good for."""
+_USES: Final = {kind: use for kind, _, _, _, use in _ROWS}
+_WORDS: Final = {kind: words for kind, words, _, _, _ in _ROWS}
+
+
+def _describe(kind: str, files: list[Path], options: dict[str, Any], points: bool) -> Recording:
+    report = CalibrationReport(stream="other", format=_WORDS[kind], files=[str(files[0])])
+    report.bytes_read = files[0].stat().st_size
+    if kind == "geotiff":
+        report.details |= _raster(files[0])
+    if kind == "metashape_lens":
+        report.details["camera"] = camera_lines(read_metashape(files[0]))
+    report.details["use"] = _USES[kind]
+    return Recording(kind=kind, report=report)
+
+
+def _raster(path: Path) -> dict[str, str]:
+    """Size, cell, reference system and gaps of a raster."""
+    import rasterio
+
+    with rasterio.open(path) as source:
+        nodata = "none stated" if source.nodata is None else f"{source.nodata:g}"
+        return {
+            "size": f"{source.width} x {source.height} cells of {source.res[0]:g} x {source.res[1]:g}, "
+            f"{source.count} band{'s' if source.count > 1 else ''}",
+            "crs": source.crs.to_string() if source.crs else "none stated",
+            "nodata": nodata,
+        }
+
+
+OTHERS: Final = tuple(
+    Format(kind=kind, words=words, magic=magic, matches=matches, describe=_describe)
+    for kind, words, magic, matches, _ in _ROWS
+)
