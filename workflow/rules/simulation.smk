@@ -315,7 +315,7 @@ rule simulate_view:
         mem_mb=memory(3000),
         runtime=minutes(10),
     params:
-        **calls("thalweg_lab.river_images.view:simulate_view"),
+        **calls("thalweg_lab.time_lapse.view:simulate_view"),
         config=of(CampaignFiles.twin_parts, "scene", "boat", "lidar"),
         seed=section("campaign", "seed"),
         frame=section("campaign", "origin"),

@@ -29,6 +29,7 @@ from thalweg.core import (
     Observations,
     adjust,
     cross_matrix,
+    root_mean_square,
 )
 from thalweg.core.calibration import Calibration, Source
 
@@ -216,7 +217,7 @@ def lens_calibration_file(found: LensCalibration, *, run: str) -> Calibration:
 
 def _rms(found: Adjusted[_State]) -> float:
     used = found.residuals["corners"].reshape(-1, 2)[found.used["corners"]]
-    return float(np.sqrt(np.mean(used**2)))
+    return root_mean_square(used)
 
 
 def _in_camera(x: _State, board: ArrayF, number: ArrayI) -> ArrayF:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from thalweg.core import ArrayB, ArrayF, GeometryError
+from thalweg.core import ArrayB, ArrayF, GeometryError, robust_sigma
 from thalweg.deformation.field import ErrorField
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
@@ -143,16 +143,14 @@ def _robust(
     use = weight > 0
     scaled = weight / weight[use].mean()
     centre = np.median(distance[use])
-    robust = scaled * (
-        np.abs(distance - centre) < 3 * 1.4826 * np.median(np.abs(distance[use] - centre)) + 1e-9
-    )
+    robust = scaled * (np.abs(distance - centre) < 3 * robust_sigma(distance[use], centre) + 1e-9)
     estimate = np.zeros(len(model))
     solver = np.zeros((len(model), len(distance)))
     for _ in range(50):
         solver = _solver(H, robust)
         before, estimate = estimate, solver @ distance
         rest = distance - H @ estimate
-        scale = 1.4826 * np.median(np.abs(rest[use]))
+        scale = robust_sigma(rest[use], 0.0)
         ratio = rest / (4.685 * max(scale, 1e-6))
         robust = scaled * np.maximum(1.0 - ratio**2, 0.0) ** 2
         if np.allclose(estimate, before, atol=1e-7):

@@ -25,7 +25,16 @@ import pandas as pd
 import pyarrow as pa
 from scipy.stats import norm
 
-from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, column, frame_of, table_kind
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    GeometryError,
+    InputError,
+    column,
+    frame_of,
+    root_mean_square,
+    table_kind,
+)
 
 SERIES = table_kind(
     "series",
@@ -228,4 +237,4 @@ def closure(steps_m: ArrayF, first_to_last_m: ArrayF) -> Closure:
     miss = miss[np.isfinite(miss)]
     if not len(miss):
         raise GeometryError("no place was seen in all epochs", expected="places with all changes")
-    return Closure(len(miss), float(miss.mean()), float(np.sqrt((miss**2).mean())), float(np.abs(miss).max()))
+    return Closure(len(miss), float(miss.mean()), root_mean_square(miss), float(np.abs(miss).max()))

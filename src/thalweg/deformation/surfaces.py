@@ -36,6 +36,7 @@ from thalweg.core import (
     UnsupportedError,
     column,
     frame_of,
+    robust_sigma,
     table_kind,
     write_table,
 )
@@ -551,7 +552,7 @@ def difference_on_lines(before: Dsm, after: Dsm, lines: Shapes, step_m: float = 
             "no point of the lines has a height in both rasters", expected="lines within both"
         )
     middle = float(np.median(difference))
-    return StableGround(len(difference), middle, 1.4826 * float(np.median(np.abs(difference - middle))))
+    return StableGround(len(difference), middle, robust_sigma(difference, middle))
 
 
 # ---------------------------------------------------------------- writing

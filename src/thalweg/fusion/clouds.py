@@ -42,6 +42,7 @@ from thalweg.core import (
     laz_header,
     plane_rates,
     read_raster,
+    root_mean_square,
 )
 from thalweg.core.geometry import cell_numbers
 from thalweg.settings.sections import CloudFit
@@ -478,7 +479,7 @@ def _overlap(
                 else np.nan,
                 "median_after_m": middle,
                 "nmad_m": NMAD * float(np.median(np.abs(d - middle))),
-                "sigma_foretold_m": float(np.sqrt(np.mean(sigma[here] ** 2))),
+                "sigma_foretold_m": root_mean_square(sigma[here]),
             }
         )
     return pd.DataFrame(rows)

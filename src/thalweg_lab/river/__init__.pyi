@@ -26,18 +26,11 @@ from .scene import (
 from .shading import (
     MURK as MURK,
     corner_shares as corner_shares,
-    developed as developed,
     fresnel as fresnel,
     half_sphere as half_sphere,
     hash01 as hash01,
-    in_air as in_air,
-    lit as lit,
     metered as metered,
     mirrored as mirrored,
-    refracted as refracted,
-    smooth_normals as smooth_normals,
-    spread_ambient as spread_ambient,
-    under_water as under_water,
     vertex_normals as vertex_normals,
 )
 from .waves import Waves as Waves

@@ -1,4 +1,4 @@
-"""Views of the river as a camera on the boat would see it."""
+"""Light and colours of the river: sun and sky, and how its surfaces look."""
 
 import lazy_loader
 

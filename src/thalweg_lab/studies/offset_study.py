@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.accuracy import ComparisonSettings, after_motion, compare_with_mesh, register
-from thalweg.core import GeometryError
+from thalweg.core import GeometryError, root_mean_square
 from thalweg.settings.sections import Accuracy, ReferenceSettings
 from thalweg.surface import Area, Surface
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
@@ -164,10 +164,10 @@ def distances(seed: int, folder: Path, effect: Effect) -> dict[str, float]:
         len(d),
         np.mean(d),
         np.median(d),
-        np.sqrt(np.mean(d**2)),
+        root_mean_square(d),
         np.mean(d < 0),
         np.mean(fitted),
-        np.sqrt(np.mean(fitted**2)),
+        root_mean_square(fitted),
     )
     return {name: float(value) for name, value in zip(PER_SURVEY, values, strict=True)}
 
@@ -226,12 +226,12 @@ def _row(effect: Effect, of: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
         "mean_m": own["mean_m"].mean(),
         "sigma_mean_m": own["mean_m"].std(ddof=1) / root,
         "median_m": own["median_m"].mean(),
-        "rmse_m": np.sqrt((own["rmse_m"] ** 2).mean()),
+        "rmse_m": root_mean_square(own["rmse_m"]),
         "behind": own["behind"].mean(),
         "fitted": int(own["mean_registered_m"].notna().sum()),
         "mean_registered_m": own["mean_registered_m"].mean(),
         "sigma_mean_registered_m": own["mean_registered_m"].sem(),
-        "rmse_registered_m": np.sqrt((own["rmse_registered_m"] ** 2).mean()),
+        "rmse_registered_m": root_mean_square(own["rmse_registered_m"]),
     }
 
 

@@ -392,7 +392,7 @@ class TimeLapse:
         ConfigError : no mount of the camera, no image, or no places for the control points.
         """
         plan = plan_images(config, settings, seed, mounts)
-        sun = _sun(config, frame)
+        sun = sun_of(config, frame)
         bare = scene.without(Material.WATER).caster()
         targets = place_targets(River(config.scene, seed), bare, plan.camera, plan.poses, settings, seed)
         world = World(scene, targets, sun)
@@ -428,7 +428,7 @@ class TimeLapse:
             raise GeometryError(f"image {k}", expected=f"0 to {len(self.plan.shots) - 1}")
         shot, lens, effects = self.plan.shots[k], self.plan.lens, self.settings.effects
         light = self.light(k)
-        exposure = float(np.clip(_METERED * metered(light[::4, ::4].astype(np.float64)), *_EXPOSURES))
+        exposure = metered_exposure(light)
         sharpness = lens.sharpness_px if effects.blur else 0.0
         if not shot.sharp:
             sharpness = float(np.hypot(sharpness, self.settings.defocus_px))
@@ -516,7 +516,12 @@ def simulate_time_lapse(
     return files
 
 
-def _sun(config: TwinConfig, frame: LocalFrame) -> Sun:
+def metered_exposure(light: ArrayF32) -> float:
+    """Exposure of `exposed` that a camera's automatic would choose for the light (h, w, 3) of a picture."""
+    return float(np.clip(_METERED * metered(light[::4, ::4].astype(np.float64)), *_EXPOSURES))
+
+
+def sun_of(config: TwinConfig, frame: LocalFrame) -> Sun:
     """The sun at the begin of the campaign, or, if that is at night, one of a late morning."""
     whole, _ = start_unix(config)
     try:

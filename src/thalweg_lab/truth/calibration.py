@@ -359,7 +359,7 @@ def _depths(found: Sensor, true: Sensor) -> list[tuple[str, float, float, str, f
     for low, high in pairwise(DEPTHS_MM):
         mine = (other.depth_mm[ok] >= low) & (other.depth_mm[ok] < high)
         if mine.any():
-            rms, predicted = np.sqrt(np.mean(off[mine] ** 2)), np.sqrt(np.mean(variance[mine]))
+            rms, predicted = root_mean_square(off[mine]), np.sqrt(np.mean(variance[mine]))
             words = f"depth {low:g} to {high:g} mm"
             rows.append((words, float(rms), float(predicted), "mm", float(rms / predicted), int(mine.sum())))
     return rows

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import ArrayB, ArrayF, LocalFrame, read_raster
+from thalweg.core import ArrayB, ArrayF, LocalFrame, read_raster, root_mean_square
 from thalweg_lab.river import Material, Scene
 
 _FROM_M: Final = 50.0
@@ -71,8 +71,8 @@ def _rows(name: str, error: ArrayF, sigma: ArrayF, of: ArrayB) -> list[tuple[Any
     e, s = error[of], sigma[of]
     return [
         (f"{name}: mean error, m", float(e.mean()), n),
-        (f"{name}: root mean square error, m", float(np.sqrt(np.mean(e**2))), n),
-        (f"{name}: root mean predicted variance, m", float(np.sqrt(np.mean(s**2))), n),
+        (f"{name}: root mean square error, m", root_mean_square(e), n),
+        (f"{name}: root mean predicted variance, m", root_mean_square(s), n),
         (f"{name}: mean of squared error over variance", float(np.mean((e / s) ** 2)), n),
         (f"{name}: share outside 95 %", float(np.mean(np.abs(e) > _OUTSIDE * s)), n),
     ]

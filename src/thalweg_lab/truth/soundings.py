@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import ArrayB, ArrayF, CoverageError
+from thalweg.core import ArrayB, ArrayF, CoverageError, root_mean_square
 
 DEPTHS_M: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, np.inf)
 """Limits of the classes of depth below the transducer."""
@@ -85,15 +85,12 @@ def _row(name: str, error: ArrayF, sigma: ArrayF, soundings: pd.DataFrame, of: A
     e, s = error[of], sigma[of]
     if not len(e):
         e, s = np.full(1, np.nan), np.ones(1)
-    parts = {
-        f"predicted_{part}_m": float(np.sqrt(np.mean(soundings.loc[of, f"sigma_{part}_m"] ** 2)))
-        for part in _PARTS
-    }
+    parts = {f"predicted_{part}_m": root_mean_square(soundings.loc[of, f"sigma_{part}_m"]) for part in _PARTS}
     return {
         "depth": name,
         "n": int(of.sum()),
         "bias_m": float(np.mean(e)),
-        "rmse_m": float(np.sqrt(np.mean(e**2))),
+        "rmse_m": root_mean_square(e),
         **parts,
         "normalised_square": float(np.mean((e / s) ** 2)),
         "outside_95": float(np.mean(np.abs(e) > 1.96 * s)),

@@ -19,4 +19,4 @@ from .scene import (
     with_boat as with_boat,
     yard_of as yard_of,
 )
-from .tour import boat_views as boat_views, tour as tour
+from .tour import boat_views as boat_views, looking as looking, tour as tour

@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from scipy.stats import norm as normal
 
-from thalweg.core import ArrayF, CoverageError, robust_sigma
+from thalweg.core import ArrayF, CoverageError, robust_sigma, root_mean_square
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -404,7 +404,7 @@ def cone_before_after(
         elapsed = shown["t_gps_s"].to_numpy(np.float64) - t0
         _side(axes[0, k], bodies[name], view, points_of(shown), elapsed, span, limits)
         axes[0, k].set_title(
-            f"{words}\noff the cone: mean {mm.mean():+.1f} mm, RMS {np.sqrt(np.mean(mm**2)):.1f} mm"
+            f"{words}\noff the cone: mean {mm.mean():+.1f} mm, RMS {root_mean_square(mm):.1f} mm"
         )
         _along_axis(axes[1, k], bodies[name], points_of(shown), elapsed, span)
     figure.colorbar(

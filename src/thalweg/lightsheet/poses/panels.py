@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.clocks import read_number_columns, read_text_columns
-from thalweg.core import ArrayF, ArrayI, GeometryError, InputError, ThalwegError
+from thalweg.core import ArrayF, ArrayI, GeometryError, InputError, ThalwegError, root_mean_square
 from thalweg.lightsheet.calibration import other_readings
 from thalweg.lightsheet.optics import Sensor
 from thalweg.lightsheet.poses.series import points_on_sheet
@@ -154,9 +154,9 @@ def _row(panel: Any, found: pd.DataFrame, of_image: pd.DataFrame) -> dict[str, o
         "n": len(e),
         "mean_mm": e.mean() if len(e) else np.nan,
         "std_mm": e.std(ddof=1) if len(e) > 1 else np.nan,
-        "rms_mm": np.sqrt(np.mean(e**2)) if len(e) else np.nan,
+        "rms_mm": root_mean_square(e) if len(e) else np.nan,
         "largest_mm": np.abs(e).max() if len(e) else np.nan,
-        "predicted_mm": np.sqrt(np.mean(mine["sigma_depth_mm"] ** 2)) if len(e) else np.nan,
+        "predicted_mm": root_mean_square(mine["sigma_depth_mm"]) if len(e) else np.nan,
         "published_mean_mm": known[0],
         "published_std_mm": known[1],
         "n_off_sheet": lines - len(e),
