@@ -15,7 +15,14 @@ from thalweg.lightsheet.budget import (
     depth_sigmas,
     design,
 )
-from thalweg.lightsheet.budget.budget import CAUSES, CONSIDERED, SIGMA_LEVEL_MM, point_budget, recalibrated
+from thalweg.lightsheet.budget.budget import (
+    CAUSES,
+    CONSIDERED,
+    ESTIMATED,
+    SIGMA_LEVEL_MM,
+    observation_equations,
+    point_budget,
+)
 from thalweg.lightsheet.budget.checks import (
     WAVELENGTH_NM,
     camera_angles,
@@ -27,7 +34,7 @@ from thalweg.lightsheet.budget.checks import (
     read_published,
     verdicts,
 )
-from thalweg.lightsheet.optics import PARAMETERS, depth_lines, intersect, paper_4
+from thalweg.lightsheet.optics import PARAMETERS, Sensor, depth_lines, intersect, paper_4
 from thalweg_lab.random_numbers import generator
 
 
@@ -270,6 +277,19 @@ def simulated_depth_errors(
         found = recalibrated(sensor.with_vector(x), noisy)
         errors[run] = intersect(found, middle).depth_mm - np.asarray(depths_mm)
     return errors
+
+
+def recalibrated(sensor: Sensor, plan, *, iterations: int = 3) -> Sensor:
+    """The sensor with the five laser parameters that fit the observations of a plan best (Gauss-Newton)."""
+    at = [PARAMETERS.index(name) for name in ESTIMATED]
+    for _ in range(iterations):
+        off, J = observation_equations(sensor, plan, ESTIMATED)
+        good = np.isfinite(off)
+        step = np.linalg.lstsq(J[good], -off[good], rcond=None)[0]
+        x = sensor.vector()
+        x[at] += step
+        sensor = sensor.with_vector(x)
+    return sensor
 
 
 def _pair_noise(rng: np.random.Generator, plan) -> np.ndarray:

@@ -7,7 +7,6 @@ farthest. What the last echoes add is told as the share of cells that have groun
 the height that first echoes would have added (Sardemann et al. 2018, 5: "multi-echo" as outlook).
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -115,12 +114,3 @@ def scores(found: ArrayB, true: ArrayB) -> dict[str, float]:
     """Precision and recall of a filter against labels (n,), for clouds whose ground is known."""
     both = float((found & true).sum())
     return {"precision": both / max(float(found.sum()), 1.0), "recall": both / max(float(true.sum()), 1.0)}
-
-
-def ground_in_words(facts: Mapping[str, Any]) -> str:
-    """The gain of last echoes in one sentence."""
-    return (
-        f"{facts['ground']:,} of {facts['points']:,} points are ground; "
-        f"{100 * facts['gain_share']:.1f} % of the {facts['cells_with_ground']:,} cells of {GAIN_CELL_M:g} m "
-        "with ground have it by last echoes of several alone"
-    )

@@ -5,20 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.special import j1
-
-from thalweg.core import GeometryError
-from thalweg_lab.random_numbers import generator
-from thalweg_lab.tank.speckle import (
+from tests.lightsheet.laser_images import (
     GreyValues,
-    SpeckleOptics,
-    SpeckleTile,
     grey_values,
     laser_mosaic,
     line_intensity,
     mean_line_intensity,
     one_sided_halo,
-    speckle_factor,
 )
+
+from thalweg.core import GeometryError
+from thalweg_lab.random_numbers import generator
+from thalweg_lab.tank.speckle import SpeckleOptics, SpeckleTile, speckle_factor
 
 OPTICS = SpeckleOptics()
 

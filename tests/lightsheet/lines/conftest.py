@@ -5,11 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from tests.lightsheet.laser_images import GreyValues, grey_values, line_intensity
 
 from thalweg.core import AnyArray, ArrayF
 from thalweg.lightsheet.lines import LinePoints
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.tank.speckle import GreyValues, SpeckleOptics, grey_values, line_intensity
+from thalweg_lab.tank.speckle import SpeckleOptics
 
 BORDER = 12
 """Rows at both ends of an image that are not judged: the simulated field is periodic there."""

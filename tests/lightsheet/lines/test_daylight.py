@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.lightsheet.laser_images import GreyValues, grey_values, laser_mosaic, mean_line_intensity
 
 from thalweg.core import AnyArray, ArrayF, InputError
 from thalweg.lightsheet.lines import LineSettings, detect_lines, green_image
@@ -9,7 +10,6 @@ from thalweg.lightsheet.optics import paper_4
 from thalweg.settings.twin import SheetImage
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.tank import line_on, render_sheet_image, scan_plan, sized, wreck
-from thalweg_lab.tank.speckle import GreyValues, grey_values, laser_mosaic, mean_line_intensity
 
 ROWS, WIDTH = 120, 160
 LASER_PX, STRIP_PX = 110.3, 40.0

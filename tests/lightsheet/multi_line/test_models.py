@@ -17,7 +17,6 @@ from thalweg.lightsheet.multi_line import (
     nested_tests,
 )
 from thalweg.lightsheet.multi_line.adjustment import level_depths
-from thalweg.lightsheet.multi_line.comparison import cross_validate
 from thalweg.lightsheet.multi_line.level_points import on_levels
 from thalweg.lightsheet.multi_line.models import line_residuals
 from thalweg.lightsheet.optics import paper_4
@@ -148,18 +147,6 @@ def test_estimated_deviations_are_those_of_the_twin() -> None:
     # 15 lines, 3 seeds: 10 % statistical; bow, cover and caustic go into the same components
     assert np.mean([each["line_v"] for each in found]) == pytest.approx(np.deg2rad(0.03), rel=0.6)
     assert 0.02 < np.mean([each["line_origin"] for each in found]) < 0.12
-
-
-def test_levels_left_out() -> None:
-    grating = make_grating(SENSOR, 1)
-    points = calibration_points(SENSOR, grating, (60.0, 110.0, 160.0), 1, points_per_line=30)
-    table = cross_validate(SENSOR, points, nominal(), ("regular", "diode"))
-    assert table["inside"].tolist() == [False, True, False] * 2
-    assert (table["n_lost"] == 0).all()
-    mean = table.groupby("model")["rmse_mm"].mean()
-    assert mean["diode"] < 0.6 * mean["regular"]
-    with pytest.raises(GeometryError, match="three or more"):
-        cross_validate(SENSOR, points.of(points.depth_mm < 120), nominal(), ("diode",))
 
 
 def test_joint_centre_is_tested() -> None:

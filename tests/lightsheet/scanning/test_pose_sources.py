@@ -1,7 +1,5 @@
 """Poses by trajectory and rail: their covariance is that of simulated errors; gaps are named (P4 4.2.1)."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from thalweg.core import CoverageError, GeometryError, LocalFrame, Rigid, Trajectory, rotation_opk
 from thalweg.lightsheet.optics import Sensor, paper_4
 from thalweg.lightsheet.poses import factor, pose_source_table, trajectory_poses
-from thalweg.lightsheet.poses.sources import Rail, rail_poses
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
@@ -68,25 +65,6 @@ def test_images_beside_the_trajectory_are_named(rng: np.random.Generator) -> Non
         trajectory_poses(boat(rng), mount(rng), ["a"], np.array([3e8 + 100.0]))
     with pytest.raises(CoverageError, match="none of 2 images has a time"):
         trajectory_poses(boat(rng), mount(rng), ["a", "b"], np.full(2, np.nan))
-
-
-def test_a_rail_errs_along_and_across_as_stated(rng: np.random.Generator) -> None:
-    start = Rigid(R=rotation_opk(0.1, 0.0, 0.3), shift_m=np.array([0.1, 0.2, 0.5]))
-    rail = Rail(
-        T_target_lcs=start,
-        direction=np.array([0.0, 2.0, 0.0]),
-        sigma_direction_rad=1e-3,
-        sigma_encoder_mm=0.05,
-        sigma_guide_mm=0.01,
-    )
-    found = rail_poses(rail, list("abc"), np.array([0.0, 100.0, np.nan]))
-    assert found.shift_m[1] - found.shift_m[0] == pytest.approx([0.0, 0.1, 0.0], abs=1e-15)
-    own, whole = np.sqrt(np.diag(found.cov[1]))[:3], np.sqrt(np.diag(found.cov_total[1]))[:3]
-    assert own == pytest.approx([1e-5, 5e-5, 1e-5], rel=1e-9)
-    assert whole == pytest.approx([np.hypot(1e-5, 1e-4), 5e-5, np.hypot(1e-5, 1e-4)], rel=1e-9)
-    assert found.reasons[2] == "no reading of the encoder"
-    with pytest.raises(GeometryError, match="a rail along"):
-        rail_poses(replace(rail, direction=np.zeros(3)), ["a"], np.zeros(1))
 
 
 def test_boat_poses_spoil_what_a_panel_keeps(exact: Sensor) -> None:

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.core import (
     ClockError,
-    GeometryError,
     LazWriter,
     LocalFrame,
     Rigid,
@@ -21,22 +20,19 @@ from thalweg.core import (
     rotation_opk,
     write_table,
 )
-from thalweg.core.calibration import Calibration, Source
+from thalweg.core.calibration import Calibration, Source, pose_block
 from thalweg.core.las import read_laz
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.lidar import cloud_covariance
 from thalweg.lightsheet.optics import Sensor
-from thalweg.lightsheet.poses import factor
 from thalweg.lightsheet.scanning import BED_POINTS, image_times
 from thalweg.lightsheet.scanning.world import (
     EXTRA_DIMENSIONS,
     LAZ_SCALE_M,
-    FieldView,
+    MOUNT,
     bed_points,
     check_order,
     laz_columns,
-    mount_block,
-    mount_from_field,
     mount_of,
     world_cloud,
 )
@@ -47,61 +43,15 @@ FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 START = 3.0e8
 
 
-def drawn(rng: np.random.Generator, pose: Rigid) -> Rigid:
-    """The pose as measured."""
-    return pose.moved(-factor(pose.cov) @ rng.standard_normal(6))
-
-
 def with_sigma(R: np.ndarray, shift_m: list[float], sigma_m: float, sigma_deg: float) -> Rigid:
     C = np.diag([sigma_m**2] * 3 + [np.deg2rad(sigma_deg) ** 2] * 3)
     return Rigid(R=R, shift_m=np.array(shift_m), cov=C)
 
 
-def views(rng: np.random.Generator, n: int) -> tuple[Rigid, list[FieldView]]:
-    """A true mount, and n standstills that measure it."""
-    true = Rigid(R=rotation_opk(np.pi, 0.02, 0.4), shift_m=np.array([-0.4, 0.2, 0.3]))
-    found = []
-    for _ in range(n):
-        boat = with_sigma(rotation_opk(*rng.normal(0, 0.1, 3)), list(rng.normal(0, 3, 3)), 0.002, 0.02)
-        grid = with_sigma(rotation_opk(0.0, 0.0, 0.5), [1.0, 2.0, 0.1], 0.0005, 0.01)
-        sensor = grid.inverse() @ boat @ true
-        inner = Rigid(R=sensor.R, shift_m=sensor.shift_m, cov=np.diag([1e-4**2] * 3 + [1e-4**2] * 3))
-        found.append(
-            FieldView(T_pcs_ics=drawn(rng, boat), T_pcs_grid=drawn(rng, grid), T_grid_lcs=drawn(rng, inner))
-        )
-    return true, found
-
-
-def test_the_mount_errs_as_its_covariance_says(rng: np.random.Generator) -> None:
-    squares = []
-    for _ in range(40):
-        true, some = views(rng, 3)
-        mount, sigma0 = mount_from_field(some)
-        e = true.error_from(mount)
-        squares.append(e @ np.linalg.solve(mount.cov, e) / 6)
-        assert sigma0 < 2.5
-    assert np.mean(squares) == pytest.approx(1.0, abs=0.35)  # 240 numbers: 0.09, four of that
-    single, _ = mount_from_field(some[:1])
-    assert np.trace(single.cov) > 2 * np.trace(mount.cov)
-
-
-def test_views_that_contradict_are_refused(rng: np.random.Generator) -> None:
-    _, some = views(rng, 3)
-    last = some[2].T_pcs_ics
-    moved = FieldView(
-        T_pcs_ics=last.moved(np.array([0.05, 0, 0, 0, 0, 0])),
-        T_pcs_grid=some[2].T_pcs_grid,
-        T_grid_lcs=some[2].T_grid_lcs,
-    )
-    with pytest.raises(GeometryError, match="the views contradict each other"):
-        mount_from_field([*some[:2], moved])
-    with pytest.raises(GeometryError, match="no view"):
-        mount_from_field([])
-
-
 def test_the_mount_goes_through_a_calibration_file(rng: np.random.Generator) -> None:
-    mount = mount_from_field(views(rng, 2)[1])[0]
-    block, cov = mount_block(mount)
+    A = rng.normal(0, 1e-3, (6, 6))
+    mount = Rigid(R=rotation_opk(np.pi, 0.02, 0.4), shift_m=np.array([-0.4, 0.2, 0.3]), cov=A @ A.T)
+    block, cov = pose_block(MOUNT, mount, target="ics", source="lcs")
     stored = Calibration(title="boat", blocks=(block,), cov=cov, source=Source(run="yard", method="field"))
     again = mount_of(stored)
     assert pytest.approx(mount.R, abs=1e-9) == again.R

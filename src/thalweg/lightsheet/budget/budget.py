@@ -319,19 +319,6 @@ def observation_equations(sensor: Sensor, plan: Design, names: Sequence[str]) ->
     return np.concatenate([off, (fan[up] - fan[low]) * pair]), rows
 
 
-def recalibrated(sensor: Sensor, plan: Design, *, iterations: int = 3) -> Sensor:
-    """The sensor with the five laser parameters that fit the observations of a plan best (Gauss-Newton)."""
-    at = [PARAMETERS.index(name) for name in ESTIMATED]
-    for _ in range(iterations):
-        off, J = observation_equations(sensor, plan, ESTIMATED)
-        good = np.isfinite(off)
-        step = np.linalg.lstsq(J[good], -off[good], rcond=None)[0]
-        x = sensor.vector()
-        x[at] += step
-        sensor = sensor.with_vector(x)
-    return sensor
-
-
 def depth_sigmas(
     sensor: Sensor, calibration: Calibrated, depths_mm: Sequence[float] = (50.0, 125.0, 200.0), n: int = 41
 ) -> pd.DataFrame:

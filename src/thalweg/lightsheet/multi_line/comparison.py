@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import f as f_distribution
 
-from thalweg.core import ArrayF, GeometryError, root_mean_square
+from thalweg.core import ArrayF, root_mean_square
 from thalweg.lightsheet.multi_line.adjustment import (
     LineCalibration,
     calibrate_lines,
@@ -278,47 +278,6 @@ def plane_errors(sensor: Sensor, found: LineCalibration, planes: LevelPoints) ->
     for depth in np.unique(mine.depth_mm):
         out[f"plane_rmse_mm_{depth:g}"] = _rms(error[met & (mine.depth_mm == depth)])
     return out
-
-
-def cross_validate(
-    sensor: Sensor, points: LevelPoints, nominal: NominalDiode, kinds: Sequence[Kind]
-) -> pd.DataFrame:
-    """Leave one level out, calibrate on the others, and measure it: what planes tell without a truth.
-
-    Returns
-    -------
-    A row for each model and level left out: ``model, depth_mm, rmse_mm, bias_mm, n, n_lost``; ``inside``
-    says whether other levels lie on both sides.
-
-    Raises
-    ------
-    GeometryError : fewer than three levels; two must be left to calibrate from.
-    """
-    levels = np.unique(points.depth_mm)
-    if len(levels) < 3:
-        raise GeometryError(
-            f"{len(levels)} levels",
-            expected="three or more: one is left out, and two must remain",
-            cure="Record a plane at a third known depth",
-        )
-    rows = []
-    for kind in kinds:
-        for depth in levels:
-            out = points.depth_mm == depth
-            found = calibrate_lines(sensor, points.of(~out), line_model(kind, nominal))
-            errors = plane_errors(sensor, found, points.of(out))
-            rows.append(
-                {
-                    "model": kind,
-                    "depth_mm": float(depth),
-                    "rmse_mm": errors["plane_rmse_mm"],
-                    "bias_mm": errors["plane_bias_mm"],
-                    "n": int(errors["n_plane"]),
-                    "n_lost": int(errors["n_plane_lost"]),
-                    "inside": bool(levels[0] < depth < levels[-1]),
-                }
-            )
-    return pd.DataFrame(rows)
 
 
 def nested_tests(sensor: Sensor, points: LevelPoints, nominal: NominalDiode) -> pd.DataFrame:

@@ -17,7 +17,6 @@ interior orientation are the same in all pictures: they turn and shift the scan 
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -58,29 +57,6 @@ _MISFIT: Final = 4.0
 """Residuals in units of their sigmas, more than those of other pictures: wrong marks."""
 _EXPLAINED: Final = 3
 """Pictures without a pose for which another reading of their marks is looked for."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rail:
-    """A straight rail with an encoder.
-
-    Parameters
-    ----------
-    T_target_lcs : pose of the sensor at the encoder's zero, metres, with covariance.
-    direction : (3,) of growing numbers, in the target frame.
-    sigma_direction_rad : of that direction, across it.
-    sigma_encoder_mm : of a reading.
-    sigma_guide_mm, sigma_guide_rad : play of the carriage from reading to reading, each axis.
-    scale : true length of one unit of the encoder.
-    """
-
-    T_target_lcs: Rigid
-    direction: ArrayF
-    sigma_direction_rad: float = 0.0
-    sigma_encoder_mm: float = 0.02
-    sigma_guide_mm: float = 0.02
-    sigma_guide_rad: float = 3.5e-5
-    scale: float = 1.0
 
 
 def trajectory_poses(
@@ -164,45 +140,6 @@ def trajectory_poses(
         target="wcs",
         source="trajectory of the boat",
         facts={"poses": float(ok.sum())},
-    )
-
-
-def rail_poses(rail: Rail, images: Sequence[str], encoder_mm: ArrayF) -> SensorPoses:
-    """Poses of a sensor on a rail from the readings (n,) of its encoder; NaN: no pose.
-
-    Raises
-    ------
-    GeometryError : no direction, or no reading at all.
-    """
-    e = np.asarray(encoder_mm, dtype=np.float64) * rail.scale
-    length = float(np.linalg.norm(rail.direction))
-    known = np.isfinite(e)
-    if not length > 0.0 or not known.any():
-        raise GeometryError(
-            f"a rail along {np.asarray(rail.direction).tolist()} with {int(known.sum())} readings",
-            expected="a direction and readings of the encoder",
-            where="rail",
-        )
-    u = np.asarray(rail.direction, dtype=np.float64) / length
-    n, way = len(e), np.where(known, e, 0.0) * M_PER_MM
-    own = np.zeros((6, 6))
-    own[:3, :3] = (rail.sigma_guide_mm * M_PER_MM) ** 2 * (np.eye(3) - np.outer(u, u))
-    own[:3, :3] += (rail.sigma_encoder_mm * M_PER_MM) ** 2 * np.outer(u, u)
-    own[3:, 3:] = rail.sigma_guide_rad**2 * np.eye(3)
-    across = np.linalg.svd(u[None])[2][1:]
-    aside = np.zeros((n, 6, 2))
-    aside[:, :3] = way[:, None, None] * across.T * rail.sigma_direction_rad
-    start = np.tile(factor(rail.T_target_lcs.cov), (n, 1, 1))
-    return SensorPoses(
-        images=tuple(images),
-        R_target_lcs=np.tile(rail.T_target_lcs.R, (n, 1, 1)),
-        shift_m=rail.T_target_lcs.shift_m + way[:, None] * u,
-        cov=np.tile(own, (n, 1, 1)),
-        shared=np.concatenate([start, aside], axis=2),
-        reasons=tuple("" if k else "no reading of the encoder" for k in known),
-        t_gps_s=np.full(n, np.nan),
-        target="rail",
-        source="rail with encoder",
     )
 
 

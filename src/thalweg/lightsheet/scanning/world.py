@@ -12,7 +12,6 @@ boat, and the sensor's calibration that of the grid object::
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -25,17 +24,13 @@ from thalweg.core import (
     ArrayF,
     ClockError,
     ExtraDimension,
-    GeometryError,
-    Linear,
-    Observations,
     Rigid,
     Trajectory,
-    adjust,
     column,
     frame_of,
     table_kind,
 )
-from thalweg.core.calibration import Block, Calibration, pose_block
+from thalweg.core.calibration import Calibration
 from thalweg.lidar import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS
 from thalweg.lightsheet.poses import trajectory_poses
 from thalweg.lightsheet.scanning.profile import Profile, ScanCloud, merge
@@ -78,66 +73,6 @@ BED_POINTS: Final = table_kind(
     ],
 )
 """Points of the bed in the world."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FieldView:
-    """One standstill of boat and sensor in the combined field: three poses, each with its covariance."""
-
-    T_pcs_ics: Rigid
-    T_pcs_grid: Rigid
-    T_grid_lcs: Rigid
-
-    @property
-    def T_ics_lcs(self) -> Rigid:
-        """Mount by this view alone."""
-        return self.T_pcs_ics.inverse() @ self.T_pcs_grid @ self.T_grid_lcs
-
-
-def mount_from_field(views: Sequence[FieldView]) -> tuple[Rigid, float]:
-    """Mount of the sensor on the boat from one or more standstills, and sigma of unit weight.
-
-    The views count as independent of each other.
-
-    Raises
-    ------
-    GeometryError : no view, a view without covariance where there are several, or views that contradict.
-    """
-    if not views:
-        raise GeometryError("no view of the combined field", expected="at least one", where="mount")
-    found = [view.T_ics_lcs for view in views]
-    if len(found) == 1:
-        return found[0], float("nan")
-    for k, one in enumerate(found):
-        if np.linalg.matrix_rank(one.cov, hermitian=True) < 6:
-            raise GeometryError(
-                f"view {k + 1} has no covariance", expected="poses with covariances", where="mount"
-            )
-
-    def mounts(state: Rigid) -> Linear:
-        """Differences of the mount from that of each view."""
-        residual = np.concatenate([state.error_from(one) for one in found])
-        cov = np.stack([one.cov for one in found])
-        return Linear(residual=residual, jacobian=np.tile(np.eye(6), (len(found), 1)), cov=cov)
-
-    names = ("x", "y", "z", "turn about x", "turn about y", "turn about z")
-    done = adjust([Observations("views", mounts)], found[0], names, update=lambda s, dx: s.moved(dx))
-    low, high = done.global_test(0.001)
-    if done.sigma0_squared > high:
-        worst = int(np.argmax(done.standardised["views"]))
-        raise GeometryError(
-            f"the views contradict each other: sigma of unit weight {np.sqrt(done.sigma0_squared):.1f}, view "
-            f"{worst + 1} worst",
-            expected=f"between {np.sqrt(low):.1f} and {np.sqrt(high):.1f}",
-            where="mount",
-            cure="Was the sensor moved on the boat, or the grid object in the field?",
-        )
-    return done.x.with_cov(done.cov), float(np.sqrt(done.sigma0_squared))
-
-
-def mount_block(T_ics_lcs: Rigid) -> tuple[Block, ArrayF]:
-    """Block of the mount for a calibration file, and its covariance."""
-    return pose_block(MOUNT, T_ics_lcs, target="ics", source="lcs")
 
 
 def mount_of(calibration: Calibration) -> Rigid:

@@ -1,0 +1,123 @@
+"""Images of a laser line for the tests of its measurement: speckle, blur, halo, grey values, mosaic."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import fft
+
+from thalweg.core import AnyArray, ArrayF, ArrayF32
+from thalweg_lab.tank.speckle import SpeckleOptics, _intensity, _pixels, pupil
+
+
+def line_intensity(
+    centre_px: ArrayLike,
+    width: int,
+    half_width_px: float,
+    optics: SpeckleOptics,
+    generator: np.random.Generator,
+) -> ArrayF:
+    """A speckled line from top to bottom, (rows, width); 1 is the peak of the mean without defocus.
+
+    Parameters
+    ----------
+    centre_px : (rows,) x of the line in the centre of each row.
+    width : columns of the image.
+    half_width_px : horizontal distance at which the line's intensity on the object falls to 1/e^2.
+    optics : see `SpeckleOptics`.
+    generator : of the cause ``speckle``.
+    """
+    amplitude = _amplitude(np.asarray(centre_px, np.float64), width, half_width_px, optics.oversampling)
+    transfer = pupil(amplitude.shape, optics)
+    total = np.zeros((np.size(centre_px), width))
+    inside = float(np.count_nonzero(transfer)) / transfer.size
+    for _ in range(optics.polarisations):
+        drawn = generator.standard_normal((*amplitude.shape, 2), dtype=np.float32)
+        scattered = amplitude * (drawn[..., 0] + 1j * drawn[..., 1])
+        field = fft.ifft2(fft.fft2(scattered, overwrite_x=True) * transfer, overwrite_x=True)
+        total += _pixels(_intensity(field), optics.oversampling) / (2.0 * inside * optics.polarisations)
+    return total
+
+
+def mean_line_intensity(
+    centre_px: ArrayLike, width: int, half_width_px: float, optics: SpeckleOptics | None = None
+) -> ArrayF:
+    """Expectation of `line_intensity`: without speckle, blurred by diffraction, defocus and pixels.
+
+    Without ``optics`` there is neither diffraction nor defocus: a Gaussian integrated over each pixel.
+    """
+    used = optics or SpeckleOptics()
+    amplitude = _amplitude(np.asarray(centre_px, np.float64), width, half_width_px, used.oversampling)
+    intensity = (amplitude.astype(np.float64)) ** 2
+    if optics is not None:
+        spread = _intensity(fft.ifft2(pupil(amplitude.shape, optics))).astype(np.float64)
+        transfer = fft.rfft2(spread / spread.sum())
+        intensity = fft.irfft2(fft.rfft2(intensity) * transfer, s=intensity.shape)
+    return _pixels(intensity, used.oversampling)
+
+
+def one_sided_halo(intensity: ArrayF, *, share: float, length_px: float, to_left: bool = True) -> ArrayF:
+    """Intensity with a halo on one side: what a specular or subsurface lobe adds to a line (P4 7.2).
+
+    A share of each pixel's light is spread along its row to one side, falling as ``exp(-distance / length)``.
+    Where the sensor saturates, such a halo widens the line on one side and moves what is measured.
+    """
+    reach = int(np.ceil(6.0 * length_px))
+    kernel = np.exp(-np.arange(reach + 1) / length_px)
+    kernel /= kernel.sum()
+    source = intensity[:, ::-1] if to_left else intensity
+    spread = np.apply_along_axis(lambda row: np.convolve(row, kernel)[: row.size], 1, source)
+    return np.asarray((1.0 - share) * intensity + share * (spread[:, ::-1] if to_left else spread))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GreyValues:
+    """How a sensor turns intensity into grey values.
+
+    ``peak_dn`` of intensity 1, noise of reading in electrons, ``dark_dn`` offset, ``ambient_dn`` light beside
+    the laser, ``bits`` 8 or up to 16; ``full_well_electrons`` fills the whole range.
+    """
+
+    peak_dn: float = 150.0
+    ambient_dn: float = 0.0
+    dark_dn: float = 3.0
+    full_well_electrons: float = 13_500.0
+    read_electrons: float = 13.0
+    bits: int = 8
+
+    @property
+    def largest_dn(self) -> int:
+        """Largest grey value."""
+        return int(2**self.bits - 1)
+
+
+def grey_values(intensity: ArrayF, sensor: GreyValues, generator: np.random.Generator) -> AnyArray:
+    """Raw grey values (uint8, or uint16 beyond 8 bits): shot noise, read noise, rounding, saturation."""
+    top = sensor.largest_dn
+    light_dn = np.clip(intensity, 0.0, None) * sensor.peak_dn + sensor.ambient_dn
+    electrons = generator.poisson(light_dn * (sensor.full_well_electrons / top)).astype(np.float64)
+    electrons += generator.normal(0.0, sensor.read_electrons, electrons.shape)
+    grey = np.round(electrons * (top / sensor.full_well_electrons) + sensor.dark_dn)
+    return np.clip(grey, 0, top).astype(np.uint8 if sensor.bits <= 8 else np.uint16)
+
+
+def laser_mosaic(green: AnyArray, *, red: float = 0.08, blue: float = 0.2, dark_dn: float = 3.0) -> AnyArray:
+    """RGGB mosaic of a green laser's image: red and blue pixels see that share of the light."""
+    out = green.copy()
+    for (row, column), share in (((0, 0), red), ((1, 1), blue)):
+        part = green[row::2, column::2].astype(np.float64)
+        out[row::2, column::2] = np.round(np.clip((part - dark_dn) * share, 0.0, None) + dark_dn)
+    return out
+
+
+def _amplitude(centre_px: ArrayF, width: int, half_width_px: float, step: int) -> ArrayF32:
+    """Amplitude of the line's field on the fine grid; its rows follow the centre linearly."""
+    rows = np.arange(centre_px.size) + 0.5
+    fine_y = (np.arange(centre_px.size * step) + 0.5) / step
+    slope = np.gradient(centre_px) if centre_px.size > 1 else np.zeros(1)
+    nearest = np.minimum((fine_y).astype(np.int64), centre_px.size - 1)
+    # inside its own row a line runs straight through the stated centre with the local slope
+    centre = centre_px[nearest] + slope[nearest] * (fine_y - rows[nearest])
+    fine_x = (np.arange(width * step) + 0.5) / step
+    away = (fine_x[None, :] - centre[:, None]) / half_width_px
+    return np.exp(-(away**2)).astype(np.float32)
