@@ -27,7 +27,7 @@ from .exports import (
     write_hecras as write_hecras,
     write_swmm as write_swmm,
 )
-from .ground import Ground as Ground, filter_ground as filter_ground, ground_in_words as ground_in_words
+from .ground import Ground as Ground, filter_ground as filter_ground
 from .measures import (
     WIDE as WIDE,
     Section as Section,

@@ -28,7 +28,6 @@ from .series import (
     WINDOW_MARKERS as WINDOW_MARKERS,
     Basin as Basin,
     record_camera_station as record_camera_station,
-    record_scan as record_scan,
     record_series as record_series,
     record_strip as record_strip,
 )

@@ -1,12 +1,5 @@
-from .calibration import (
-    compare_calibration as compare_calibration,
-    compare_clock as compare_clock,
-    compare_interior as compare_interior,
-    compare_sensor as compare_sensor,
-)
+from .calibration import compare_calibration as compare_calibration, compare_sensor as compare_sensor
 from .change import (
-    CLASSES as CLASSES,
-    TrueChanges as TrueChanges,
     change_outlines as change_outlines,
     judge_changes as judge_changes,
     true_changes as true_changes,
@@ -20,12 +13,11 @@ from .points import (
     Truth as Truth,
     compare_bed as compare_bed,
     compare_cloud as compare_cloud,
-    filter_scores as filter_scores,
     point_errors as point_errors,
     point_errors_3d as point_errors_3d,
     sample_of_known_points as sample_of_known_points,
 )
-from .riverbed import compare_riverbed as compare_riverbed, true_bed_m as true_bed_m
+from .riverbed import compare_riverbed as compare_riverbed
 from .solutions import (
     OWN_TIMES as OWN_TIMES,
     carried_by_camera as carried_by_camera,
