@@ -61,7 +61,8 @@ def _run(script: str, folder: str, threads: int, scratch: str | None) -> None:
     os.environ.update(dict.fromkeys(_THREADS, str(threads)))
     if scratch:
         os.environ.update(dict.fromkeys(_SCRATCH, scratch))
-    limit_blas(threads)
+    for set_threads in openblas("set"):
+        set_threads(threads)
     try:
         runpy.run_path(script, run_name="__main__")
     except Exception:
@@ -69,17 +70,12 @@ def _run(script: str, folder: str, threads: int, scratch: str | None) -> None:
         sys.exit(1)
 
 
-def limit_blas(threads: int) -> list[int]:
-    """Set the threads of each OpenBLAS that the process has loaded, and return what each says then.
+def openblas(verb: str) -> list[Any]:
+    """Functions that ``set`` or ``get`` the threads of each OpenBLAS that the process has loaded.
 
     OpenBLAS reads its environment when it is loaded, which is long past in a fork.
     """
     maps = Path("/proc/self/maps").read_text(encoding="utf-8")
-    said = []
-    for path in sorted(set(re.findall(r"\S*openblas\S*\.so\S*", maps))):
-        library = ctypes.CDLL(path)
-        for name in ("scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads"):
-            if hasattr(library, name.format("set")):
-                getattr(library, name.format("set"))(threads)
-                said.append(int(getattr(library, name.format("get"))()))
-    return said
+    libraries = [ctypes.CDLL(path) for path in sorted(set(re.findall(r"\S*openblas\S*\.so\S*", maps)))]
+    names = [f"scipy_openblas_{verb}_num_threads{bits}" for bits in ("64_", "")]
+    return [getattr(each, name) for each in libraries for name in names if hasattr(each, name)]

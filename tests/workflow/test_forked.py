@@ -1,0 +1,112 @@
+"""A job that is forked from a process with libraries: what it must share with one that was started, and what not."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from multiprocessing import get_context
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from snakemake.benchmark import BenchmarkRecord
+from snakemake.script import PythonScript
+
+from thalweg.workflow import fork_scripts, forked
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="jobs are forked on Linux alone")
+
+SAYS = """
+import json, os, sys
+from pathlib import Path
+import numpy as np
+from thalweg.workflow import forked
+Path("said.json").write_text(json.dumps({
+    "name": __name__,
+    "folder": os.getcwd(),
+    "process": os.getpid(),
+    "libraries": "matplotlib.figure" in sys.modules,
+    "threads": os.environ["OMP_NUM_THREADS"],
+    "blas": [get() for get in forked.openblas("get")],
+    "scratch": os.environ["TMPDIR"],
+    "product": float((np.ones((300, 300)) @ np.ones((300, 300))).sum()),
+}))
+"""
+
+
+@pytest.fixture(scope="module")
+def execute() -> Callable[..., None]:
+    """The method that takes the place of Snakemake's; what it cannot fork is answered with a mark."""
+
+    def started(script: Any, fname: str, *, edit: bool) -> None:
+        script.was_started = True
+
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["thalweg.workflow.preload"])
+    return forked._forking(started, context)
+
+
+def script_of(threads: int = 1, **more: Any) -> Any:
+    """What Snakemake knows of a script that it executes."""
+    none = dict.fromkeys(("conda_env", "container_img", "env_modules", "shadow_dir", "bench_record"))
+    return SimpleNamespace(**none | {"threads": threads, "resources": {"tmpdir": "/scratch"}} | more)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_fork_has_a_folder_threads_and_environment_of_its_own(
+    execute: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "script.py").write_text(SAYS)
+    record = BenchmarkRecord()
+    execute(script_of(threads, bench_record=record), "script.py")
+    said = json.loads((tmp_path / "said.json").read_text())
+    assert said.pop("process") != os.getpid()
+    assert said == {
+        "name": "__main__",
+        "folder": str(tmp_path),
+        "libraries": True,
+        "threads": str(threads),
+        "blas": [threads] * len(said["blas"]),
+        "scratch": "/scratch",
+        "product": 300.0**3,
+    }
+    assert said["blas"]
+    assert record.running_time > 0
+
+
+def test_a_job_that_fails_asks_the_hook_that_it_has_set(
+    execute: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "script.py").write_text(
+        "import sys\nfrom pathlib import Path\n"
+        "sys.excepthook = lambda kind, error, trace: Path('heard').write_text(f'{kind.__name__} {error}')\n"
+        "raise ValueError(17)\n"
+    )
+    with pytest.raises(subprocess.CalledProcessError, match="exit status 1"):
+        execute(script_of(), "script.py")
+    assert (tmp_path / "heard").read_text() == "ValueError 17"
+    (tmp_path / "script.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
+    with pytest.raises(subprocess.CalledProcessError, match="SIGKILL"):
+        execute(script_of(), "script.py")
+
+
+@pytest.mark.parametrize("key", ["conda_env", "container_img", "env_modules", "shadow_dir"])
+def test_what_needs_an_environment_is_started(execute: Callable[..., None], key: str) -> None:
+    script = script_of(**{key: "that"})
+    execute(script, "nothing.py")
+    assert script.was_started
+
+
+def test_snakemake_has_the_method_that_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what is read of its scripts: an update that renames them would stop all jobs."""
+    before = PythonScript.execute_script
+    monkeypatch.setattr(PythonScript, "execute_script", before)
+    fork_scripts()
+    fork_scripts()
+    assert PythonScript.execute_script.started is before
+    fields = PythonScript.__init__.__code__.co_varnames
+    assert set(vars(script_of())) <= set(fields)
