@@ -1,4 +1,4 @@
-"""A job that is forked from a process with libraries: what it must share with one that was started, and what not."""
+"""A job that is forked from a process with libraries behaves as one that Snakemake started."""
 
 import json
 import os

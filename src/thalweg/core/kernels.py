@@ -24,8 +24,8 @@ from numba.core.caching import InTreeCacheLocator
 
 __all__ = ["KernelCache", "get_num_threads", "njit", "prange", "set_num_threads", "stamp"]
 
-# Read when OpenMP loads, at the first parallel loop. By default threads that wait for the next loop spin: on a
-# machine with other jobs, kriging in small blocks took five times its own time of the processor.
+# Read when OpenMP loads, at the first parallel loop. By default threads that wait for the next loop spin:
+# on a machine with other jobs, kriging in small blocks took five times its own time of the processor.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 # Open3D brings an old TBB into the process, which numba would try first and complain about.
 numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]

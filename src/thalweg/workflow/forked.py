@@ -1,10 +1,11 @@
 """Jobs are forked from a process that has loaded the libraries.
 
 As Snakemake starts it, each job is a Python of its own that spends one to two seconds of the processor on
-imports before its work begins, and most jobs work for less. Here the first job starts a server (`multiprocessing`
-with the start method ``forkserver``) that imports once what nearly all scripts import (`preload`). A job is
-then a fork of it: a process with a folder, an environment and a number of threads of its own, as before. Jobs in
-conda, in a container or on a cluster start as Snakemake starts them, and so does everything where Linux is not.
+imports before its work begins, and most jobs work for less. Here the first job starts a server (start method
+``forkserver`` of `multiprocessing`) that imports once what nearly all scripts import (`preload`). A job is
+then a fork of it: a process with a folder, an environment and a number of threads of its own, as before.
+Jobs in conda, in a container or on a cluster start as Snakemake starts them, and so do all where Linux is
+not.
 """
 
 import ctypes
@@ -44,7 +45,7 @@ def _forking(started: Callable[..., None], context: Any) -> Callable[..., None]:
         from snakemake.benchmark import benchmarked
 
         scratch = script.resources.get("tmpdir")
-        job = context.Process(target=_run, args=(fname, os.getcwd(), script.threads, scratch))
+        job = context.Process(target=_run, args=(fname, Path.cwd(), script.threads, scratch))
         job.start()
         with benchmarked(job.pid if script.bench_record is not None else False, script.bench_record):
             job.join()
@@ -55,7 +56,7 @@ def _forking(started: Callable[..., None], context: Any) -> Callable[..., None]:
     return execute_script
 
 
-def _run(script: str, folder: str, threads: int, scratch: str | None) -> None:
+def _run(script: str, folder: Path, threads: int, scratch: str | None) -> None:
     """What a fork does: the script as the main module, its errors to the hook that it has set."""
     os.chdir(folder)
     os.environ.update(dict.fromkeys(_THREADS, str(threads)))
