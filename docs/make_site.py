@@ -58,7 +58,7 @@ def moved(text: str, place: str, target: str) -> str:
 
 
 def graph(mermaid: str) -> str:
-    """SVG of a flowchart from left to right, in columns by the longest way to a box.
+    """SVG of a flowchart from top to bottom, in rows by the longest way to a box.
 
     The theme's own way would fetch a drawing program from the network. Boxes are words or ``name[(words)]``,
     arrows ``a --> b --> c`` and ``a -. words .-> b``.
@@ -74,39 +74,38 @@ def graph(mermaid: str) -> str:
             words.setdefault(name, "".join(re.findall(r"\[\(?(.*?)\)?\]", step)) or name)
         for k, arrow in enumerate(steps[1::2]):
             edges.append((boxes[k], boxes[k + 1], arrow != "-->"))
-    column = dict.fromkeys(words, 0)
+    row = dict.fromkeys(words, 0)
     for _ in words:  # as many rounds as the longest way can have
         for a, b, _ in edges:
-            column[b] = max(column[b], column[a] + 1)
+            row[b] = max(row[b], row[a] + 1)
     rows: dict[int, list[str]] = {}
     for name in words:
-        rows.setdefault(column[name], []).append(name)
-    wide, high = 150, 54
-    most = max(map(len, rows.values()))
-    at: dict[str, tuple[float, float]] = {}
+        rows.setdefault(row[name], []).append(name)
+    wide, high, most = 170, 62, max(map(len, rows.values()))
+    x: dict[str, float] = {}
     for k in sorted(rows):
-        before = {name: [at[a][1] for a, b, _ in edges if b == name and a in at] for name in rows[k]}
+        before = {name: [x[a] for a, b, _ in edges if b == name and a in x] for name in rows[k]}
         rows[k].sort(key=lambda name: sum(before[name]) / max(len(before[name]), 1))
-        for row, name in enumerate(rows[k]):
-            at[name] = (k * wide, high * (row + (most - len(rows[k])) / 2))
-    box = {name: 8 * max(len(words[name]), 4) + 14 for name in words}
-    lines = [
-        f'<path d="M{at[a][0] + box[a]:.0f},{at[a][1] + 16:.0f} C{at[b][0] - 40:.0f},{at[a][1] + 16:.0f} '
-        f'{at[b][0] - 30:.0f},{at[b][1] + 16:.0f} {at[b][0] - 6:.0f},{at[b][1] + 16:.0f}" fill="none" '
-        f'stroke="currentColor" stroke-opacity=".5" marker-end="url(#tip)"{" stroke-dasharray=4" * dashed}/>'
-        for a, b, dashed in edges
-    ]
-    lines += [
-        f'<rect x="{x:.0f}" y="{y:.0f}" width="{box[name]}" height="32" rx="4" fill="none" '
-        f'stroke="currentColor"/>'
-        f'<text x="{x + box[name] / 2:.0f}" y="{y + 21:.0f}" text-anchor="middle" font-size="13" '
-        f'fill="currentColor">{escape(words[name])}</text>'
-        for name, (x, y) in at.items()
-    ]
+        x |= {name: wide * (i + (most - len(rows[k]) + 1) / 2) for i, name in enumerate(rows[k])}
+    lines = []
+    for a, b, dashed in edges:
+        top, end = high * row[a] + 30, high * row[b] - 5
+        bend = 0 if row[b] == row[a] + 1 else 90 * (1 if x[b] >= x[a] else -1)  # beside the rows between
+        curve = f"C{x[a] + bend:.0f},{top + 40} {x[b] + bend:.0f},{end - 40} {x[b]:.0f},{end}"
+        stroke = 'stroke="currentColor" stroke-opacity=".5"' + ' stroke-dasharray="4"' * dashed
+        lines.append(f'<path d="M{x[a]:.0f},{top} {curve}" fill="none" {stroke} marker-end="url(#tip)"/>')
+    for name, text in words.items():
+        box = 8 * max(len(text), 4) + 14
+        lines.append(
+            f'<rect x="{x[name] - box / 2:.0f}" y="{high * row[name]}" width="{box}" height="30" rx="4" '
+            f'fill="none" stroke="currentColor"/><text x="{x[name]:.0f}" y="{high * row[name] + 20}" '
+            f'text-anchor="middle" font-size="13" fill="currentColor">{escape(text)}</text>'
+        )
+    size = (wide * most + 4, high * len(rows))
     return (
-        f'<svg viewBox="-2 -2 {wide * len(rows) + 4} {high * most}" style="max-width:100%" role="img">'
+        f'<svg viewBox="-2 -2 {size[0]} {size[1]}" width="{size[0]}" style="max-width:100%" role="img">'
         '<defs><marker id="tip" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="7" markerHeight="7" '
-        f'orient="auto"><path d="M0,0 L8,4 L0,8 z" fill="currentColor"/></marker></defs>'
+        'orient="auto"><path d="M0,0 L8,4 L0,8 z" fill="currentColor"/></marker></defs>'
         f"{''.join(lines)}</svg>"
     )
 

@@ -49,8 +49,8 @@ def bed_page(
         f"{count(facts['by_reason'][''])} of {count(facts['pings'])} soundings make a bed of "
         f"{count(found['cells'])} cells, {found['area_m2']:.0f} m². Its standard deviation is "
         f"{100 * found['median sigma_m']:.1f} cm in the median, and "
-        f"{100 * found['median sigma_common_m']:.1f} cm that all of it shares. Cross-validation: left-out lines have "
-        f"a root mean square error of {100 * validation['rmse_m']:.1f} cm; the mean of squared "
+        f"{100 * found['median sigma_common_m']:.1f} cm that all of it shares. Cross-validation: left-out "
+        f"lines have a root mean square error of {100 * validation['rmse_m']:.1f} cm; the mean of squared "
         f"errors over predicted variances is {validation['normalised_square']:.2f} (1: as predicted), and "
         f"{100 * validation['outside_95']:.1f} % lie outside their interval of 95 %.",
     )

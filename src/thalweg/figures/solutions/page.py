@@ -275,9 +275,9 @@ def _truth(page: Page, truth: pd.DataFrame) -> None:
         "the predicted covariance, with an expectation of 1 for consistent ones. The poses by the camera are "
         "judged by the true poses of the camera, carried to the body by the mount that was used: the error "
         "of that mount drops out of the cloud, as the lidar is placed by the camera too. The bands of "
-        "consistent sigmas assume the longest correlation time of INS and antenna for all trajectories. Errors "
-        "of one block of images are alike over longer stretches, so that the value of the camera may leave its "
-        "band by chance."
+        "consistent sigmas assume the longest correlation time of INS and antenna for all trajectories. "
+        "Errors of one block of images are alike over longer stretches, so that the value of the camera may "
+        "leave its band by chance."
     )
     names = chains_of(truth)
     for times in TRUTH_SETS:
