@@ -90,7 +90,8 @@ def graph(mermaid: str) -> str:
     lines = []
     for a, b, dashed in edges:
         top, end = high * row[a] + 30, high * row[b] - 5
-        bend = 0 if row[b] == row[a] + 1 else 90 * (1 if x[b] >= x[a] else -1)  # beside the rows between
+        side = 1 if x[a] + x[b] >= wide * most else -1  # away from the middle
+        bend = 0 if row[b] == row[a] + 1 else 150 * side  # beside the rows between
         curve = f"C{x[a] + bend:.0f},{top + 40} {x[b] + bend:.0f},{end - 40} {x[b]:.0f},{end}"
         stroke = 'stroke="currentColor" stroke-opacity=".5"' + ' stroke-dasharray="4"' * dashed
         lines.append(f'<path d="M{x[a]:.0f},{top} {curve}" fill="none" {stroke} marker-end="url(#tip)"/>')
