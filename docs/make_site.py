@@ -11,6 +11,7 @@ import importlib
 import re
 import sys
 from collections.abc import Iterator
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,8 @@ def command_page() -> str:
     lines = ["# Command line", "", "`.venv/bin/thalweg COMMAND`; lengths are metres, angles degrees.", ""]
     for choice in commands._choices_actions:
         parser = commands.choices[choice.dest]
-        usage = " ".join(parser.format_usage().removeprefix("usage: ").split())
+        parser.formatter_class = partial(argparse.HelpFormatter, width=84)
+        usage = parser.format_usage().removeprefix("usage: ").rstrip().replace("\n", "\n    ")
         lines += [
             f"## {choice.dest}",
             "",
@@ -140,7 +142,7 @@ def command_page() -> str:
                 f"{{{','.join(map(str, action.choices))}}}" if action.choices else action.dest.upper()
             )
             value = " ".join(value) if isinstance(value, tuple) else value
-            default = "" if action.default in (None, False, []) else f"`{action.default}`"
+            default = "" if action.default in (None, False, [], "") else f"`{action.default}`"
             meaning = (
                 (action.help or "").split(" (default: %(default)s)")[0].replace("default: %(default)s", "")
             )

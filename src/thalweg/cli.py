@@ -75,8 +75,8 @@ def _show_warning(message: Warning | str, *_: object) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="thalweg",
-        description="Raw logs of a survey boat -> models of riverbanks and riverbed. The processing itself "
-        "runs by `snakemake`; these commands help around it.",
+        description="Raw logs of a survey boat -> models of riverbanks and riverbed. Whole surveys are "
+        "processed by `snakemake`; these commands prepare them, or process single files without a campaign.",
     )
     parser.add_argument("--version", action="version", version=f"thalweg {thalweg.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -84,7 +84,10 @@ def _parser() -> argparse.ArgumentParser:
     new = commands.add_parser("new-campaign", help="write a commented campaign file")
     new.add_argument("id", help="short name: small letters, digits, underscores")
     new.add_argument(
-        "--from-logs", type=Path, metavar="FOLDER", help="fill in the logs of this folder, known by content"
+        "--from-logs",
+        type=Path,
+        metavar="FOLDER",
+        help="enter the logs of this folder, recognised by their content",
     )
     new.add_argument(
         "--origin",
@@ -102,18 +105,20 @@ def _parser() -> argparse.ArgumentParser:
     )
     new.set_defaults(command=_new_campaign)
 
-    check = commands.add_parser("check-config", help="check campaign files: all mistakes at once")
+    check = commands.add_parser("check-config", help="check campaign files; report all mistakes at once")
     check.add_argument("files", nargs="+", metavar="FILE", help="campaign file, or id of one")
     check.set_defaults(command=_check_config)
 
     describe = commands.add_parser(
         "describe",
-        help="what is in a raw log (counts, gaps, losses, clock), in a calibration file, or in the files "
-        "beside it: description of the field, clock of the camera, mounts",
+        help="content of a raw log (counts, gaps, losses, clock), of a calibration file, or of the files "
+        "that belong to it: description of the field, clock of the camera, mounting",
     )
-    describe.add_argument("files", nargs="+", type=Path, metavar="FILE")
-    describe.add_argument("--model", help="lidar model, where the packets state a wrong one")
-    describe.add_argument("--json", action="store_true", help="as JSON")
+    describe.add_argument(
+        "files", nargs="+", type=Path, metavar="FILE", help="raw logs, clouds, calibration files"
+    )
+    describe.add_argument("--model", help="lidar model, if the packets state a wrong one")
+    describe.add_argument("--json", action="store_true", help="print JSON")
     describe.set_defaults(command=_describe)
 
     add_calibration_commands(commands)
@@ -126,17 +131,19 @@ def _parser() -> argparse.ArgumentParser:
     summary.add_argument("folder", type=Path, metavar="FOLDER", help="results/<campaign>")
     summary.set_defaults(command=_summary)
 
-    budget = commands.add_parser("budget", help="error budget of a chain of frames: what each input does")
+    budget = commands.add_parser(
+        "budget", help="error budget of a chain of frames: effect of each input on a point"
+    )
     budget.add_argument("file", type=Path, metavar="FILE", help="budget file; docs/budgets.md describes it")
     budget.add_argument(
         "--distances", type=_distances, metavar="M,M,...", help="other distances than the file's, in metres"
     )
-    budget.add_argument("--published", type=Path, metavar="CSV", help="published cells: a verdict on each")
+    budget.add_argument("--published", type=Path, metavar="CSV", help="published values, to compare with")
     budget.add_argument("--csv", type=Path, metavar="OUT", help="write all influences to a CSV file")
     budget.set_defaults(command=_budget)
 
     schema = commands.add_parser("schema", help="JSON schema of campaign files")
-    schema.add_argument("--write", action="store_true", help="renew the generated files in the config folder")
+    schema.add_argument("--write", action="store_true", help="write the generated files of the config folder")
     schema.add_argument(
         "--folder", type=Path, default=CAMPAIGNS.parent, help="config folder (default: %(default)s)"
     )

@@ -1,4 +1,4 @@
-"""The commands ``thalweg bed``, ``flow``, ``plan-survey`` and ``refract``: riverbeds of anybody's data."""
+"""The commands ``thalweg bed``, ``flow``, ``plan-survey`` and ``refract``: riverbeds without a campaign."""
 
 import argparse
 from pathlib import Path
@@ -13,133 +13,181 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         "table",
         type=Path,
         metavar="TABLE",
-        help="CSV with east, north (or x, y), text of x y z, GeoJSON points",
+        help="soundings: CSV with east, north (or x, y), text x y z, GeoJSON points",
     )
-    bed.add_argument("--crs", required=True, metavar="EPSG:...", help="of the table: projected, metres")
+    bed.add_argument(
+        "--crs", required=True, metavar="EPSG:...", help="coordinate system of the table, projected, metres"
+    )
     value = bed.add_mutually_exclusive_group(required=True)
     value.add_argument("--height", metavar="COLUMN", help="column with heights of the bed, metres")
     value.add_argument("--depth", metavar="COLUMN", help="column with depths below the water, metres")
+    bed.add_argument("--level", type=float, metavar="M", help="height of the water level; 0 with --depth")
     bed.add_argument(
-        "--level", type=float, metavar="M", help="height of the water; with --depth 0 by default"
-    )
-    bed.add_argument(
-        "--line", metavar="COLUMN", help="column that names the line of a sounding (default: found)"
+        "--line", metavar="COLUMN", help="column with the name of the survey line (default: detected)"
     )
     bed.add_argument(
         "--banks",
         type=Path,
         metavar="GEOJSON",
-        help="both bank lines, or the water as a polygon; with heights, or with --level, data of the bed too",
+        help="both bank lines, or the water surface as a polygon; with heights or --level also data",
     )
     bed.add_argument(
-        "--centre-line", type=Path, metavar="CSV", help="east, north, downstream (default: found)"
+        "--centre-line",
+        type=Path,
+        metavar="CSV",
+        help="columns east, north, in downstream order (default: from banks or soundings)",
     )
-    bed.add_argument("--cell", type=_positive, required=True, metavar="M", help="width of a cell, metres")
-    bed.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    bed.add_argument("--cell", type=_positive, required=True, metavar="M", help="cell size of the grid")
+    bed.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
     bed.add_argument(
         "--sigma",
         type=_positive,
         default=0.02,
         metavar="M",
-        help="noise of a sounding where the table has no column sigma (default: %(default)s)",
+        help="standard deviation of a sounding, if the table has no column sigma (default: %(default)s)",
     )
     bed.add_argument(
         "--model",
         choices=("auto", "exponential", "matern32", "spherical"),
         default="auto",
-        help="covariance; auto: the one that predicts left-out lines best",
+        help="covariance function; auto: best in cross-validation of lines",
     )
-    bed.add_argument("--drift", choices=("auto", "none", "section", "fall"), default="auto")
     bed.add_argument(
-        "--neighbours", type=int, default=48, metavar="N", help="data of a cell (default: %(default)s)"
+        "--drift",
+        choices=("auto", "none", "section", "fall"),
+        default="auto",
+        help="trend that is removed before kriging: none, mean cross-section, slope along the river",
+    )
+    bed.add_argument(
+        "--neighbours", type=int, default=48, metavar="N", help="data used for a cell (default: %(default)s)"
     )
     bed.add_argument(
         "--reach",
         type=_positive,
         default=2.0,
         metavar="RANGES",
-        help="cells farther from data than so many ranges stay empty (default: %(default)s)",
+        help="leave cells empty beyond this multiple of the range from data (default: %(default)s)",
     )
     bed.set_defaults(command=_bed)
 
-    flow = commands.add_parser("flow", help="flow coordinates of places: along and across a centre line")
+    flow = commands.add_parser("flow", help="flow coordinates of points: along and across a centre line")
     flow.add_argument("points", type=Path, metavar="POINTS", help="CSV with east, north (or x, y)")
     flow.add_argument(
-        "--centre-line", type=Path, required=True, metavar="CSV", help="east, north, downstream"
+        "--centre-line",
+        type=Path,
+        required=True,
+        metavar="CSV",
+        help="columns east, north, in downstream order",
     )
-    flow.add_argument("--out", type=Path, required=True, metavar="CSV", help="the table with s_m, n_m, fold")
+    flow.add_argument(
+        "--out", type=Path, required=True, metavar="CSV", help="table to write, with s_m, n_m, fold"
+    )
     flow.set_defaults(command=_flow)
 
     plan = commands.add_parser(
-        "plan-survey", help="survey lines between two banks, and how well the bed will be known from them"
+        "plan-survey", help="survey lines between two banks, and the accuracy of the bed to expect"
     )
     plan.add_argument(
-        "banks", type=Path, metavar="BANKS", help="GeoJSON: bank lines, or the water as a polygon"
+        "banks", type=Path, metavar="BANKS", help="GeoJSON: bank lines, or the water surface as a polygon"
     )
-    plan.add_argument("--crs", required=True, metavar="EPSG:...", help="of the map: projected, metres")
-    plan.add_argument("--pattern", choices=("zigzag", "sections", "along"), required=True)
-    plan.add_argument("--speed", type=_positive, required=True, metavar="M/S", help="of the boat")
     plan.add_argument(
-        "--sigma", type=_positive, required=True, metavar="M", help="wanted for 95 %% of the bed, metres"
+        "--crs", required=True, metavar="EPSG:...", help="coordinate system of the banks, projected, metres"
     )
-    plan.add_argument("--out", type=Path, default=Path("plan"), metavar="FOLDER", help="default: %(default)s")
+    plan.add_argument(
+        "--pattern", choices=("zigzag", "sections", "along"), required=True, help="pattern of the lines"
+    )
+    plan.add_argument("--speed", type=_positive, required=True, metavar="M/S", help="speed of the boat")
+    plan.add_argument(
+        "--sigma",
+        type=_positive,
+        required=True,
+        metavar="M",
+        help="standard deviation wanted for 95 %% of the bed",
+    )
+    plan.add_argument(
+        "--out",
+        type=Path,
+        default=Path("plan"),
+        metavar="FOLDER",
+        help="folder of the results (default: %(default)s)",
+    )
     plan.add_argument(
         "--leg",
         type=_positive,
         metavar="M",
-        help="distance of the legs (default: the widest that reach the wanted sigma)",
+        help="distance of neighbouring lines (default: the largest that reaches --sigma)",
     )
     plan.add_argument(
-        "--margin", type=_positive, default=2.0, metavar="M", help="kept off the banks (default: %(default)s)"
+        "--margin",
+        type=_positive,
+        default=2.0,
+        metavar="M",
+        help="distance from the banks (default: %(default)s)",
     )
     plan.add_argument(
-        "--centre-line", type=Path, metavar="CSV", help="east, north, downstream (default: found)"
+        "--centre-line",
+        type=Path,
+        metavar="CSV",
+        help="columns east, north, in downstream order (default: from banks or soundings)",
     )
     plan.add_argument(
         "--variogram",
         type=Path,
         metavar="JSON",
-        help="covariance of the bed: variogram.json of `thalweg bed` or of a campaign",
+        help="covariance function of the bed: variogram.json of `thalweg bed` or of a campaign",
     )
     plan.add_argument(
         "--relief",
         type=_positive,
         default=0.3,
         metavar="M",
-        help="without one: standard deviation of the bed about its mean; ranges are taken as half the width "
-        "across the river and twice the width along it (default: %(default)s)",
+        help="without --variogram: standard deviation of the bed about its mean, with ranges of half the "
+        "width across the river and twice the width along it (default: %(default)s)",
     )
     plan.add_argument(
-        "--sigma-sounding", type=_positive, default=0.05, metavar="M", help="default: %(default)s"
+        "--sigma-sounding",
+        type=_positive,
+        default=0.05,
+        metavar="M",
+        help="standard deviation of a sounding (default: %(default)s)",
     )
-    plan.add_argument("--power", type=_positive, metavar="W", help="of the boat at this speed")
+    plan.add_argument("--power", type=_positive, metavar="W", help="power of the boat at this speed")
     plan.add_argument("--battery", type=_positive, metavar="WH", help="energy of one battery")
     plan.set_defaults(command=_plan)
 
     refract = commands.add_parser(
-        "refract", help="photogrammetric points of a bed seen through water -> corrected heights with sigmas"
+        "refract",
+        help="photogrammetric points of a bed seen through water -> heights corrected for refraction",
     )
-    refract.add_argument("points", type=Path, metavar="CSV", help="x, y, z, or east, north, height")
+    refract.add_argument("points", type=Path, metavar="CSV", help="columns x, y, z, or east, north, height")
     refract.add_argument(
-        "--cameras", type=Path, required=True, metavar="CSV", help="projection centres x, y, z, same frame"
+        "--cameras",
+        type=Path,
+        required=True,
+        metavar="CSV",
+        help="projection centres: columns x, y, z, in the same frame",
     )
     level = refract.add_mutually_exclusive_group(required=True)
-    level.add_argument("--level", type=float, metavar="M", help="height of the water's surface")
-    level.add_argument("--water", metavar="COLUMN", help="column with the water's height above each point")
-    refract.add_argument(
-        "--height", metavar="COLUMN", help="column with heights, where it is not z or height"
+    level.add_argument("--level", type=float, metavar="M", help="height of the water surface")
+    level.add_argument(
+        "--water", metavar="COLUMN", help="column with the height of the water surface above each point"
     )
+    refract.add_argument("--height", metavar="COLUMN", help="column with heights, if it is not z or height")
     refract.add_argument("--index", type=float, default=1.333, help="refractive index (default: %(default)s)")
-    refract.add_argument("--sigma-point", type=float, default=0.0, metavar="M", help="of an apparent height")
-    refract.add_argument("--sigma-water", type=float, default=0.0, metavar="M", help="of the water's height")
+    refract.add_argument(
+        "--sigma-point", type=float, default=0.0, metavar="M", help="standard deviation of an apparent height"
+    )
+    refract.add_argument(
+        "--sigma-water", type=float, default=0.0, metavar="M", help="standard deviation of the water level"
+    )
     refract.add_argument(
         "--max-off-nadir",
         type=float,
         default=35.0,
         metavar="DEG",
-        help="cameras that look less steeply are left out (default: %(default)s)",
+        help="largest angle of a ray off the vertical (default: %(default)s)",
     )
-    refract.add_argument("-o", "--out", type=Path, required=True, metavar="CSV")
+    refract.add_argument("-o", "--out", type=Path, required=True, metavar="CSV", help="table to write")
     refract.set_defaults(command=_refract)
 
 

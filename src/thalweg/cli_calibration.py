@@ -32,17 +32,19 @@ def add_calibration_commands(commands: "argparse._SubParsersAction[argparse.Argu
     out.add_argument("file", type=Path, metavar="CALIBRATION_FILE", help="such as camera.yaml")
     out.add_argument("out", type=Path, metavar="OUT", help="file to write: .txt (COLMAP); .yaml, .json")
     out.add_argument("--to", choices=sorted(_ENDINGS), required=True, help="format of OUT")
-    out.add_argument("--block", metavar="NAME", help="which camera, where the file holds several")
+    out.add_argument("--block", metavar="NAME", help="name of the camera, if the file holds several")
     out.add_argument("--force", action="store_true", help="overwrite OUT")
     out.set_defaults(command=_export_camera)
 
     sheets = commands.add_parser(
-        "print-markers", help="printed markers of a calibration field, in true scale"
+        "print-markers", help="coded markers of a calibration field, to print at true scale"
     )
-    sheets.add_argument("out", type=Path, metavar="OUT", help="file .pdf, or a folder for pictures")
-    sheets.add_argument("--ids", default="0-99", metavar="FROM-TO", help="markers (default: %(default)s)")
+    sheets.add_argument("out", type=Path, metavar="OUT", help="file .pdf, or a folder for images")
     sheets.add_argument(
-        "--field", type=Path, metavar="YAML", help="field description: its dictionary and sizes"
+        "--ids", default="0-99", metavar="FROM-TO", help="numbers of markers (default: %(default)s)"
+    )
+    sheets.add_argument(
+        "--field", type=Path, metavar="YAML", help="field description; gives dictionary and sizes"
     )
     sheets.add_argument(
         "--module-mm", type=float, help="side of a module, 2 to 18 millimetres (default: 12), without --field"
@@ -59,44 +61,65 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "file", type=Path, metavar="FILE", help="Kalibr camchain, or text file with a 4x4 matrix"
     )
     _add_sigmas(other, "angle_deg, lever_m, focal_px, centre_px, distortion, time_s")
-    other.add_argument("--block", default="lidar", help="of a matrix: what it places (default: %(default)s)")
-    other.add_argument("--target", default="", help="of a matrix: frame into which it turns, such as ics")
-    other.add_argument("--source", default="", help="of a matrix: frame of the sensor, such as scs")
+    other.add_argument(
+        "--block", default="lidar", help="of a matrix: name of the sensor (default: %(default)s)"
+    )
+    other.add_argument("--target", default="", help="of a matrix: target frame, such as ics")
+    other.add_argument("--source", default="", help="of a matrix: source frame, such as scs")
     other.set_defaults(command=_import_calibration)
 
     lens = commands.add_parser(
-        "calibrate-lens", help="corners of a checkerboard in many pictures -> calibration file of the lens"
+        "calibrate-lens",
+        help="checkerboard corners in several images -> interior orientation with covariance",
     )
-    lens.add_argument("corners", type=Path, metavar="CSV", help="image, column, row, x_px, y_px")
-    lens.add_argument("--size", type=_size, required=True, metavar="WxH", help="of the pictures, pixels")
+    lens.add_argument("corners", type=Path, metavar="CSV", help="columns image, column, row, x_px, y_px")
+    lens.add_argument("--size", type=_size, required=True, metavar="WxH", help="image size, pixels")
     lens.add_argument(
-        "--spacing-m", type=float, required=True, metavar="M", help="between neighbouring corners"
+        "--spacing-m", type=float, required=True, metavar="M", help="distance of neighbouring corners"
     )
-    lens.add_argument("--model", choices=["perspective", "fisheye"], required=True)
-    lens.add_argument("--name", default="camera", help="of the camera (default: %(default)s)")
-    lens.add_argument("-o", "--out", type=Path, required=True, metavar="YAML")
+    lens.add_argument(
+        "--model", choices=["perspective", "fisheye"], required=True, help="projection model of the lens"
+    )
+    lens.add_argument("--name", default="camera", help="name of the camera (default: %(default)s)")
+    lens.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="YAML", help="calibration file to write"
+    )
     lens.set_defaults(command=_calibrate_lens)
 
     resect = commands.add_parser(
-        "resect", help="image points of control points -> pose of each picture of a camera, with sigmas"
+        "resect", help="resection: image points of control points -> pose of each image with covariance"
     )
-    resect.add_argument("marks", type=Path, metavar="CSV", help="image, point, x_px, y_px")
-    resect.add_argument("--points", type=Path, required=True, metavar="CSV", help="point, x, y, z in metres")
+    resect.add_argument("marks", type=Path, metavar="CSV", help="columns image, point, x_px, y_px")
+    resect.add_argument(
+        "--points", type=Path, required=True, metavar="CSV", help="columns point, x, y, z; metres"
+    )
     resect.add_argument(
         "--camera", type=Path, required=True, metavar="FILE", help="calibration, COLMAP or OpenCV file"
     )
-    resect.add_argument("--sigma-px", type=float, default=1.0, metavar="PX", help="default: %(default)s")
     resect.add_argument(
-        "--sigma-point", type=float, default=0.01, metavar="M", help="of a control point (%(default)s)"
+        "--sigma-px",
+        type=float,
+        default=1.0,
+        metavar="PX",
+        help="standard deviation of an image coordinate (default: %(default)s)",
+    )
+    resect.add_argument(
+        "--sigma-point",
+        type=float,
+        default=0.01,
+        metavar="M",
+        help="standard deviation of a control point coordinate (default: %(default)s)",
     )
     resect.add_argument(
         "--largest-sigma",
         type=float,
         default=5.0,
         metavar="M",
-        help="places that are known worse are refused (default: %(default)s)",
+        help="refuse projection centres with a larger standard deviation (default: %(default)s)",
     )
-    resect.add_argument("-o", "--out", type=Path, required=True, metavar="CSV")
+    resect.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="CSV", help="table of poses and residuals to write"
+    )
     resect.set_defaults(command=_resect)
 
     camera = commands.add_parser(
@@ -106,16 +129,18 @@ def _add_imports(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "file", type=Path, metavar="FILE", help="cameras.txt, YAML or JSON with a matrix, XML of Metashape"
     )
     _add_sigmas(camera, "focal_px, centre_px, distortion")
-    camera.add_argument("--camera", type=int, metavar="NUMBER", help="which one, where COLMAP has several")
     camera.add_argument(
-        "--model", choices=["perspective", "fisheye"], help="where a file of OpenCV does not say it"
+        "--camera", type=int, metavar="NUMBER", help="number of the camera, if the file holds several"
+    )
+    camera.add_argument(
+        "--model", choices=["perspective", "fisheye"], help="if a file of OpenCV does not state it"
     )
     camera.add_argument(
         "--size-px",
         type=int,
         nargs=2,
         metavar=("WIDTH", "HEIGHT"),
-        help="where a file of OpenCV does not say it",
+        help="if a file of OpenCV does not state it",
     )
     camera.add_argument(
         "--block", default="camera", metavar="NAME", help="name of the camera (default: %(default)s)"

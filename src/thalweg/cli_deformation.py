@@ -1,4 +1,4 @@
-"""The commands ``thalweg compare-clouds`` and ``compare``: clouds and surfaces of anybody's."""
+"""The commands ``thalweg compare-clouds`` and ``compare``: clouds and surface models, without a campaign."""
 
 import argparse
 from pathlib import Path
@@ -37,21 +37,21 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         type=_length,
         default=0.0,
         metavar="M",
-        help="standard deviation of the registration of both (default: %(default)s)",
+        help="standard deviation of the registration of the two clouds (default: %(default)s)",
     )
     compare.add_argument(
         "--core-every",
         type=_count,
         default=50,
         metavar="N",
-        help="core points: each N-th of BEFORE (default: %(default)s)",
+        help="every N-th point of BEFORE is a core point (default: %(default)s)",
     )
     compare.add_argument(
         "--scales",
         type=_lengths,
         default=(0.5, 1.0, 2.0),
         metavar="M,M,...",
-        help="radii for normals; the most planar counts (default: 0.5,1,2)",
+        help="radii for normals, of which the most planar is used (default: 0.5,1,2)",
     )
     compare.add_argument(
         "--cylinder",
@@ -65,10 +65,14 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         type=_length,
         default=5.0,
         metavar="M",
-        help="along the normal, to both sides (default: %(default)s)",
+        help="half length of the cylinders along the normal (default: %(default)s)",
     )
     compare.add_argument(
-        "--least-points", type=int, default=5, metavar="N", help="in each cylinder (default: %(default)s)"
+        "--least-points",
+        type=int,
+        default=5,
+        metavar="N",
+        help="fewest points in a cylinder (default: %(default)s)",
     )
     compare.add_argument(
         "--towards",
@@ -81,7 +85,7 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         "--control",
         choices=("fdr", "none"),
         default="fdr",
-        help="5 %% hold for the rate of false discoveries, or for each core point (default: %(default)s)",
+        help="5 %% are the false discovery rate (fdr), or the level of each test (default: %(default)s)",
     )
     rasters = compare.add_argument_group("surface models (two GeoTIFF)")
     rasters.add_argument(
@@ -89,18 +93,18 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         type=_length,
         default=0.0,
         metavar="M",
-        help="distance at which the correlation of errors of heights is 1/e (default: %(default)s)",
+        help="correlation length of height errors, to 1/e (default: %(default)s)",
     )
     rasters.add_argument(
         "--nodata",
         type=_nodata,
         metavar="VALUE",
-        help="value that stands for missing heights, beside a declared one; none: all others are heights",
+        help="value of missing heights, in addition to the declared one; none: there is no other",
     )
     rasters.add_argument(
         "--resample",
         choices=("nearest", "bilinear"),
-        help="take AFTER in the cells of BEFORE where its grid is another one",
+        help="resample AFTER to the grid of BEFORE, if they differ",
     )
     rasters.add_argument(
         "--leave-out",
@@ -108,15 +112,17 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         action="append",
         default=[],
         metavar="FILE[?COLUMN=VALUE,...]",
-        help="polygons (.gpkg) without comparison, such as water; may be given several times",
+        help="polygons (.gpkg) to exclude, such as water; may be repeated",
     )
     compare.set_defaults(command=_compare)
 
     surface = commands.add_parser(
-        "compare", help="signed distances of a cloud from a reference, mesh or cloud, with their statistics"
+        "compare", help="signed distances of a cloud from a reference mesh or cloud, with statistics"
     )
     surface.add_argument("cloud", type=Path, metavar="CLOUD", help="LAS, LAZ, PLY, E57, x y z text")
-    surface.add_argument("reference", type=Path, metavar="REFERENCE", help="mesh (PLY), or a cloud, meshed")
+    surface.add_argument(
+        "reference", type=Path, metavar="REFERENCE", help="mesh (PLY), or a cloud, which is meshed"
+    )
     surface.add_argument(
         "-o", "--out", type=Path, required=True, metavar="FILE", help=".csv, .parquet, .laz; .json beside it"
     )
@@ -124,24 +130,34 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         "--seen-from",
         type=_place,
         metavar="E,N,U",
-        help="place in front of the reference, where distances are positive (default: from above)",
+        help="point in front of the reference; distances towards it are positive (default: from above)",
     )
     surface.add_argument(
-        "--max-distance", type=_length, default=1.0, metavar="M", help="default: %(default)s"
+        "--max-distance",
+        type=_length,
+        default=1.0,
+        metavar="M",
+        help="largest distance that is compared (default: %(default)s)",
     )
     surface.add_argument(
-        "--sigma-reference", type=_length, default=0.005, metavar="M", help="default: %(default)s"
+        "--sigma-reference",
+        type=_length,
+        default=0.005,
+        metavar="M",
+        help="standard deviation of the reference (default: %(default)s)",
     )
-    surface.add_argument("--method", choices=("delaunay", "poisson"), default="delaunay", help="of meshing")
     surface.add_argument(
-        "--cell", type=_length, default=0.05, metavar="M", help="of thinning (default: %(default)s)"
+        "--method", choices=("delaunay", "poisson"), default="delaunay", help="meshing method"
+    )
+    surface.add_argument(
+        "--cell", type=_length, default=0.05, metavar="M", help="cell size of thinning (default: %(default)s)"
     )
     surface.add_argument(
         "--longest-edge",
         type=_length,
         default=0.5,
         metavar="M",
-        help="longer ones are holes (default: %(default)s)",
+        help="triangles with longer edges become holes (default: %(default)s)",
     )
     surface.add_argument(
         "--clearance",

@@ -40,25 +40,37 @@ def add_image_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
         "--interior",
         choices=("auto", "free", "weighted", "fixed"),
         default="auto",
-        help="auto: a camera with covariance is weighted by it, any other estimated; fixed: as given",
+        help="interior orientation; auto: weighted by its covariance if it has one, else estimated",
     )
-    orient.add_argument("--masks", type=Path, metavar="FOLDER", help="black where nothing is to be used")
+    orient.add_argument(
+        "--masks", type=Path, metavar="FOLDER", help="masks, black where no image point may lie"
+    )
     orient.add_argument(
         "--sigma-points",
         type=float,
         nargs=3,
         default=(0.010, 0.010, 0.015),
         metavar=("X_M", "Y_M", "Z_M"),
-        help="of points that state none (default: 0.010 0.010 0.015)",
+        help="standard deviations of control points that state none (default: 0.010 0.010 0.015)",
     )
     orient.add_argument(
-        "--sigma-px", type=float, default=0.5, metavar="PX", help="of marks that state none (%(default)s)"
+        "--sigma-px",
+        type=float,
+        default=0.5,
+        metavar="PX",
+        help="standard deviation of image points that state none (default: %(default)s)",
     )
     orient.add_argument(
-        "--max-size", type=int, default=2000, metavar="PX", help="pictures are reduced to it (%(default)s)"
+        "--max-size",
+        type=int,
+        default=2000,
+        metavar="PX",
+        help="longest side to which images are reduced (default: %(default)s)",
     )
-    orient.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N")
-    orient.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    orient.add_argument(
+        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="threads (default: all cores)"
+    )
+    orient.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
     orient.set_defaults(command=_orient)
 
 

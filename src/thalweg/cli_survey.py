@@ -8,7 +8,7 @@ from typing import Any
 def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add ``ppk`` and ``georeference``."""
     ppk = commands.add_parser(
-        "ppk", help="raw GNSS of a rover and a base -> track with standard deviations that hold, page, KML"
+        "ppk", help="raw GNSS of rover and base -> track with tested standard deviations, page, KML"
     )
     ppk.add_argument("rover", type=Path, nargs="+", metavar="ROVER", help="SBP or RINEX observations")
     ppk.add_argument(
@@ -16,7 +16,7 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
         type=Path,
         nargs="+",
         metavar="FILE",
-        help="the same of the base; not needed where the rover's SBP holds the corrections",
+        help="observations of the base; not needed if the SBP log of the rover holds the corrections",
     )
     ppk.add_argument("--nav", type=Path, nargs="+", default=[], metavar="FILE", help="RINEX navigation")
     place = ppk.add_mutually_exclusive_group(required=True)
@@ -25,67 +25,100 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
         type=float,
         nargs=3,
         metavar=("LAT_DEG", "LON_DEG", "H_ELL_M"),
-        help="antenna of the base, ellipsoidal height",
+        help="position of the base antenna, ellipsoidal height",
     )
-    place.add_argument("--base-ecef", type=float, nargs=3, metavar=("X_M", "Y_M", "Z_M"))
+    place.add_argument(
+        "--base-ecef", type=float, nargs=3, metavar=("X_M", "Y_M", "Z_M"), help="the same, geocentric"
+    )
     place.add_argument(
         "--base-from",
         choices=("sbp", "rinex_header"),
-        help="as the log states it; the header of RINEX may be metres off",
+        help="position of the base as the log states it; a RINEX header may be metres off",
     )
     ppk.add_argument(
-        "--systems", nargs="+", default=["GPS"], metavar="SYSTEM", help="of GPS GLO GAL QZS BDS SBS"
+        "--systems",
+        nargs="+",
+        default=["GPS"],
+        metavar="SYSTEM",
+        help="satellite systems: GPS GLO GAL QZS BDS SBS",
     )
-    ppk.add_argument("--frequencies", default="l1+l2", help="l1, l1+l2, l1+l2+l5 (default: %(default)s)")
-    ppk.add_argument("--elevation-mask", type=float, default=15.0, metavar="DEG")
-    ppk.add_argument("--direction", choices=("forward", "backward", "combined"), default="forward")
+    ppk.add_argument(
+        "--frequencies", default="l1+l2", help="carriers: l1, l1+l2, l1+l2+l5 (default: %(default)s)"
+    )
+    ppk.add_argument(
+        "--elevation-mask",
+        type=float,
+        default=15.0,
+        metavar="DEG",
+        help="lowest elevation of a satellite (default: %(default)s)",
+    )
+    ppk.add_argument(
+        "--direction",
+        choices=("forward", "backward", "combined"),
+        default="forward",
+        help="direction of the filter (default: %(default)s)",
+    )
     ppk.add_argument(
         "--trusted-baseline",
         type=float,
         default=20.0,
         metavar="KM",
-        help="fixes over a longer baseline count as float (default: %(default)s)",
+        help="ambiguity fixes over a longer baseline count as float (default: %(default)s)",
     )
-    ppk.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    ppk.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
     ppk.set_defaults(command=_ppk)
 
     cloud = commands.add_parser(
         "georeference", help="lidar capture and trajectory -> cloud with a standard deviation for each point"
     )
-    cloud.add_argument("lidar", type=Path, nargs="+", metavar="LIDAR", help="capture, parts in order of time")
+    cloud.add_argument("lidar", type=Path, nargs="+", metavar="LIDAR", help="capture; parts in order of time")
     cloud.add_argument(
         "--trajectory",
         type=Path,
         nargs="+",
         required=True,
         metavar="FILE",
-        help="with attitude: SBET, ANPP, Inertial Explorer, TUM, EuRoC, KITTI, trajectory.parquet of Thalweg",
+        help="poses: SBET, ANPP, Inertial Explorer, TUM, EuRoC, KITTI, trajectory.parquet of Thalweg",
     )
-    cloud.add_argument("--gps-week", type=int, metavar="WEEK", help="of an SBET's first record")
-    cloud.add_argument("--smrmsg", type=Path, nargs="+", default=[], metavar="FILE", help="sigmas of an SBET")
+    cloud.add_argument("--gps-week", type=int, metavar="WEEK", help="GPS week of the first record of an SBET")
+    cloud.add_argument(
+        "--smrmsg", type=Path, nargs="+", default=[], metavar="FILE", help="accuracies of an SBET"
+    )
     cloud.add_argument(
         "--origin",
         type=float,
         nargs=3,
         metavar=("LAT_DEG", "LON_DEG", "H_ELL_M"),
-        help="of the local frame; of a table of poses: of its own frame (default: middle of the track)",
+        help="origin of the local frame, or of the frame of a table of poses (default: middle of the track)",
     )
     cloud.add_argument(
         "--body-axes",
         choices=("forward-right-down", "forward-left-up", "right-down-forward"),
-        help="axes x-y-z of a table of poses",
+        help="body axes x-y-z in a table of poses",
     )
-    cloud.add_argument("--time-scale", choices=("utc", "gps"), help="of a table of poses")
+    cloud.add_argument("--time-scale", choices=("utc", "gps"), help="time scale of a table of poses")
     cloud.add_argument(
-        "--sigma-position", type=float, metavar="M", help="where the trajectory states none, each axis"
+        "--sigma-position",
+        type=float,
+        metavar="M",
+        help="standard deviation of each axis, if the trajectory states none",
     )
     cloud.add_argument(
-        "--sigma-attitude", type=float, metavar="DEG", help="where the trajectory states none, each angle"
+        "--sigma-attitude",
+        type=float,
+        metavar="DEG",
+        help="standard deviation of each angle, if the trajectory states none",
     )
     mount = cloud.add_mutually_exclusive_group(required=True)
-    mount.add_argument("--mount", type=Path, metavar="FILE", help="calibration file with the lidar's place")
     mount.add_argument(
-        "--lever", type=float, nargs=3, metavar=("X_M", "Y_M", "Z_M"), help="forward, right, down of the body"
+        "--mount", type=Path, metavar="FILE", help="calibration file with the mounting of the lidar"
+    )
+    mount.add_argument(
+        "--lever",
+        type=float,
+        nargs=3,
+        metavar=("X_M", "Y_M", "Z_M"),
+        help="lever arm of the lidar: forward, right, down in the body frame",
     )
     cloud.add_argument(
         "--angles",
@@ -93,22 +126,44 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
         nargs=3,
         default=(0.0, -90.0, 0.0),
         metavar=("OMEGA_DEG", "PHI_DEG", "KAPPA_DEG"),
-        help="of the lidar in the body frame (default: 0 -90 0, spin axis backwards)",
+        help="boresight of the lidar in the body frame (default: 0 -90 0, spin axis backwards)",
     )
-    cloud.add_argument("--sigma-lever", type=float, default=0.01, metavar="M")
-    cloud.add_argument("--sigma-angles", type=float, default=0.2, metavar="DEG")
+    cloud.add_argument(
+        "--sigma-lever",
+        type=float,
+        default=0.01,
+        metavar="M",
+        help="standard deviation of the lever arm, each axis (default: %(default)s)",
+    )
+    cloud.add_argument(
+        "--sigma-angles",
+        type=float,
+        default=0.2,
+        metavar="DEG",
+        help="standard deviation of the boresight, each angle (default: %(default)s)",
+    )
     cloud.add_argument(
         "--first-packet", metavar="UTC", help="time of the first packet of a lidar without GPS, ISO 8601"
     )
     cloud.add_argument(
-        "--time-offset", type=float, default=0.0, metavar="S", help="added to the lidar's times"
+        "--time-offset", type=float, default=0.0, metavar="S", help="added to the times of the lidar"
     )
-    cloud.add_argument("--model", default="auto", help="of the lidar, where its packets state a wrong one")
-    cloud.add_argument("--max-gap", type=float, default=0.5, metavar="S", help="longest hole that is bridged")
-    cloud.add_argument("--min-range", type=float, default=1.0, metavar="M")
-    cloud.add_argument("--max-range", type=float, default=100.0, metavar="M")
-    cloud.add_argument("--crs", metavar="EPSG:...", help="also write the cloud on this map")
-    cloud.add_argument("--out", type=Path, required=True, metavar="LAZ")
+    cloud.add_argument("--model", default="auto", help="lidar model, if its packets state a wrong one")
+    cloud.add_argument(
+        "--max-gap",
+        type=float,
+        default=0.5,
+        metavar="S",
+        help="longest gap of the trajectory that is interpolated",
+    )
+    cloud.add_argument(
+        "--min-range", type=float, default=1.0, metavar="M", help="shortest range (default: %(default)s)"
+    )
+    cloud.add_argument(
+        "--max-range", type=float, default=100.0, metavar="M", help="longest range (default: %(default)s)"
+    )
+    cloud.add_argument("--crs", metavar="EPSG:...", help="also write the cloud in this map grid")
+    cloud.add_argument("--out", type=Path, required=True, metavar="LAZ", help="cloud to write")
     cloud.set_defaults(command=_georeference)
 
 
