@@ -69,7 +69,7 @@ def test_a_link_out_of_the_site_becomes_words(site: dict[str, Any]) -> None:
 
 def test_the_reference_is_complete(pages: dict[str, str], repository: Path) -> None:
     commands = pages["reference/cli.md"]
-    assert "| `--trusted-baseline KM` | `20.0` | fixes over a longer baseline" in commands
+    assert "| `--trusted-baseline KM` | `20.0` | ambiguity fixes over a longer baseline" in commands
     assert "| `FILE` | required | campaign file, or id of one |" in commands
     assert (
         "| `sigma_east` |" not in pages["reference/tables.md"]
