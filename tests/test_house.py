@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from importlib.metadata import packages_distributions
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,6 +19,7 @@ import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from pydantic import BaseModel
+from tests.conftest import real_recordings_skipped
 
 from thalweg.core import read_yaml
 from thalweg.settings import Campaign
@@ -673,3 +675,17 @@ def test_every_setting_is_used_or_says_why_not(repository: Path) -> None:
     # both ways: a key that found its use must leave the list
     assert unused == set(WITHOUT_USE)
     assert all(WITHOUT_USE.values())
+
+
+def test_a_run_without_real_recordings_says_so_at_its_end() -> None:
+    """Counted are tests that missed the recordings, not those that missed a program."""
+    reports = [
+        SimpleNamespace(longrepr=("a.py", 3, f"Skipped: {why}"))
+        for why in (
+            "no real recordings at data: set THALWEG_DATA to their folder",
+            "tshark is not there",
+            "no real recordings at data: set THALWEG_DATA to their folder",
+        )
+    ]
+    assert real_recordings_skipped(reports).startswith("2 tests on real recordings skipped: set THALWEG_DATA")
+    assert real_recordings_skipped(reports[1:2]) == ""

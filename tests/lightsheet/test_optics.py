@@ -225,3 +225,15 @@ def test_air_is_thinner_where_it_is_warm_or_high_up() -> None:
     standard = refractive_index.air(520.0) - 1
     assert refractive_index.air(520.0, 30.0) - 1 == pytest.approx(standard * 288.15 / 303.15, rel=1e-9)
     assert refractive_index.air(520.0, 15.0, 900.0) - 1 == pytest.approx(standard * 900 / 1013.25, rel=1e-9)
+
+
+def test_each_reason_for_no_number_has_a_number_of_its_own() -> None:
+    """Files and figures hold the numbers: they stay what they were."""
+    assert {status.name: status.value for status in Status} == {
+        "OK": 0,
+        "NO_SHEET": 1,
+        "ABOVE_WINDOW": 2,
+        "GRAZING": 3,
+        "TOTAL_REFLECTION": 4,
+        "OUTSIDE_LENS": 5,
+    }

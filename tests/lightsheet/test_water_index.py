@@ -58,6 +58,7 @@ def test_the_new_index_shares_nothing_with_the_rest() -> None:
     assert np.sqrt(found.cov[N_WATER, N_WATER]) == pytest.approx(facts["sigma"])
     assert found.window.n_water == facts["n_water"] == pytest.approx(1.33633, abs=2e-5)
     assert facts["instead_of"]["n_water"] == sensor.window.n_water
+    assert facts["instead_of"]["sigma"] ** 2 == pytest.approx(known.cov[N_WATER, N_WATER])
     same, told = in_measured_water(known, WaterState())
     assert same is known
     assert told["source"] == "file of the sensor"
