@@ -1,5 +1,7 @@
 """The index of the water by its temperature: sigma, and what it replaces."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -62,6 +64,8 @@ def test_the_new_index_shares_nothing_with_the_rest() -> None:
     same, told = in_measured_water(known, WaterState())
     assert same is known
     assert told["source"] == "file of the sensor"
+    exact = replace(sensor, cov=np.zeros((0, 0)))
+    assert in_measured_water(exact, WaterState())[1]["sigma"] == 0.0
 
 
 @pytest.mark.parametrize("temperature_c", [-1.9, 0.5, 20.0, 39.9])
