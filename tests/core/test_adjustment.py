@@ -18,7 +18,7 @@ from thalweg.core import (
     normal_equations,
     prior,
 )
-from thalweg.core.adjustment import HUBER_LIMIT, condition, damped_step
+from thalweg.core.adjustment import HUBER_LIMIT, _same, condition, damped_step
 
 LINE = ("height", "slope")
 
@@ -531,3 +531,25 @@ def test_a_gain_that_is_nothing_beside_the_cost_ends_the_steps(large: float, ste
     assert found.x[0] == 0.0
     # dampings 0, 1e-4, 1e-3, ... 1e4: ten steps
     assert found.n_iterations == steps
+
+
+def test_a_datum_makes_up_for_its_own_defect_and_for_no_other() -> None:
+    """Of two unknowns only the difference is observed: a datum of their sum helps, one of it does not."""
+    N = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    check_rank(N, ("a", "b"), np.array([[1.0, 1.0]]), "")
+    with pytest.raises(UnobservableError, match="do not determine"):
+        check_rank(N, ("a", "b"), np.array([[1.0, -1.0]]), "")
+
+
+def test_no_mask_is_a_mask_of_all() -> None:
+    some, every = np.array([True, False]), np.array([True, True])
+    for a, b, same in (
+        (None, None, True),
+        (None, every, True),
+        (every, None, True),
+        (None, some, False),
+        (some, None, False),
+        (some, some, True),
+        (some, every, False),
+    ):
+        assert _same(a, b) is same

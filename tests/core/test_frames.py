@@ -20,7 +20,7 @@ from thalweg.core import (
     rotation_y,
     rotation_z,
 )
-from thalweg.core.frames import grid_factors, transform
+from thalweg.core.frames import _check_area_of_use, grid_factors, transform
 
 ANGLES = st.floats(-np.pi, np.pi)
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -255,3 +255,11 @@ def test_a_point_of_a_grid_is_that_of_its_latitude_and_longitude() -> None:
     np.testing.assert_allclose(FRAME.to_map(there, UTM)[..., 1], north, atol=1e-6)
     with pytest.raises(GeometryError, match="outside"):
         FRAME.from_map([[5_656_000.0, 377_000.0, 310.0]], UTM)  # northing before easting
+
+
+def test_a_grid_narrower_than_a_degree_has_an_area_of_use() -> None:
+    """The grid of Hong Kong reaches over three quarters of a degree, and does not serve Saxony."""
+    grid = CRS.from_epsg(2326)
+    _check_area_of_use(grid, np.array([22.3]), np.array([114.1]))
+    with pytest.raises(GeometryError):
+        _check_area_of_use(grid, np.array([22.3]), np.array([13.0]))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.core import GeometryError, Rigid, opk_of, rotation_opk
+from thalweg.core import GeometryError, Rigid, opk_of, plane_rates, rotation_opk
 
 TURN = rotation_opk(0.0, 0.0, np.pi / 2)
 """x of the source is y of the target, y is -x."""
@@ -143,3 +143,18 @@ def test_rounding_of_a_covariance_is_measured_by_its_sigmas(
             Rigid(R=TURN, shift_m=np.zeros(3), cov=cov)
     else:
         np.testing.assert_array_equal(Rigid(R=TURN, shift_m=np.zeros(3), cov=cov).cov, cov)
+
+
+def test_the_inverse_of_the_identity_has_the_same_covariance() -> None:
+    cov = np.diag([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]) + 0.05
+    assert Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=cov).inverse().cov == pytest.approx(cov)
+    # twice the inverse is the transform itself
+    there = Rigid(R=TURN, shift_m=np.array([1.0, -2.0, 0.5]), cov=cov)
+    assert there.inverse().inverse().cov == pytest.approx(cov)
+
+
+def test_a_turn_about_north_lowers_what_lies_east() -> None:
+    """A level plane, and a point a metre to the east of the axis; one beside it in a wall that faces east."""
+    normals, arms = np.array([[0.0, 0, 1], [1, 0, 0]]), np.array([[1.0, 0, 0], [0, 2, 0]])
+    expected = np.array([[0.0, 0, 1, 0, -1, 0], [1, 0, 0, 0, 0, -2]])
+    assert plane_rates(normals, arms) == pytest.approx(expected)
