@@ -6,6 +6,8 @@ import laspy
 import numpy as np
 import pandas as pd
 import pytest
+import rasterio
+from rasterio import Affine
 from tests.fusion.conftest import FRAME, GRID
 
 from thalweg.core import NMAD, CoverageError, Grid, InputError, LazWriter, LocalFrame, write_raster
@@ -14,12 +16,15 @@ from thalweg.fusion.clouds import Fit, cloud_of_bed
 from thalweg.fusion.dtm import (
     Layer,
     _filled,
+    _grid,
     _inside,
     _pooled,
     blend,
     interpolation_error,
+    layer_of_bed,
     layer_of_cloud,
     membrane,
+    read_bands,
 )
 from thalweg.fusion.measures import Section, _wetted, hydraulic_table, hypsometry, long_profile, volume_below
 from thalweg.settings.sections import Fusion
@@ -418,3 +423,60 @@ def test_the_hypsometry_of_three_cells() -> None:
     assert table["high_m3"].iloc[3] == pytest.approx(20 + 1.959964 * 2.4)
     with pytest.raises(CoverageError, match="no cell has a height"):
         hypsometry(dtm([[NAN, 1.0]]), np.array([[True, False]]), Fusion())
+
+
+# ---------------------------------------------------------------- grids
+
+
+def bed_file(path: Path, height_m: object, sigma_m: object, *, nodata: float = NAN) -> Path:
+    """A bed of cells of 1 m whose north-west corner is at 10, 20."""
+    height, sigma = np.array(height_m, dtype=float), np.array(sigma_m, dtype=float)
+    bands = [height, sigma, 0 * height + 0.02, 0 * height + 0.7]
+    with rasterio.open(
+        path, "w", driver="GTiff", width=height.shape[1], height=height.shape[0], count=4, dtype="float64",
+        crs=GRID.to_wkt(), transform=Affine(1.0, 0, 10.0, 0, -1.0, 20.0), nodata=nodata,
+    ) as file:  # fmt: skip
+        for i, band in enumerate(bands, start=1):
+            file.write(np.where(np.isnan(band), nodata, band), i)
+    return path
+
+
+def test_a_bed_keeps_its_cells_on_its_own_grid_and_is_bilinear_on_another(tmp_path: Path) -> None:
+    """A cell counts if height and sigma are known; half a cell on lies the mean of two."""
+    path = bed_file(tmp_path / "bed.tif", [[1.0, 2.0, NAN, 4.0]], [[0.1, 0.1, 0.1, NAN]], nodata=-9999.0)
+    found = layer_of_bed(path, np.array([9.0, 20.0]), 1.0, (1, 5))
+    assert found.source == Source.BED
+    assert found.height_m[0] == pytest.approx([NAN, 1, 2, NAN, NAN], nan_ok=True)
+    assert found.sigma_m[0] == pytest.approx([NAN, 0.1, 0.1, NAN, NAN], nan_ok=True)
+    assert found.sigma_common_m[0] == pytest.approx([NAN, 0.02, 0.02, NAN, NAN], nan_ok=True)
+    assert found.distance_m[0] == pytest.approx([NAN, 0.7, 0.7, NAN, NAN], nan_ok=True)
+    path = bed_file(tmp_path / "two.tif", [[1.0, 2.0], [5.0, 6.0]], [[0.1, 0.1], [0.3, 0.3]])
+    between = layer_of_bed(path, np.array([10.5, 19.5]), 1.0, (1, 1))
+    assert between.height_m[0, 0] == pytest.approx(3.5)
+    assert between.sigma_m[0, 0] == pytest.approx(0.2)
+    with pytest.raises(InputError, match="a bed without heights"):
+        layer_of_bed(bed_file(tmp_path / "none.tif", [[NAN]], [[0.1]]), np.array([10.0, 20.0]), 1.0, (1, 1))
+    with pytest.raises(InputError, match="4 bands"):
+        read_bands(path, 5)
+
+
+def test_the_grid_of_a_model_continues_that_of_its_bed(tmp_path: Path) -> None:
+    """Three rows and four columns from 10, 20; water beyond them adds whole cells."""
+    path = bed_file(tmp_path / "bed.tif", np.zeros((3, 4)), np.ones((3, 4)))
+    inside = np.array([[11.0, 18.0], [13.0, 18.0], [12.0, 19.0]])
+    corner, shape = _grid(path, {}, inside, 1.0)
+    assert (corner.tolist(), shape) == ([10.0, 20.0], (3, 4))
+    corner, shape = _grid(path, {}, inside, 0.5)
+    assert (corner.tolist(), shape) == ([10.0, 20.0], (6, 8))
+    beyond = np.array([[8.7, 18.0], [15.2, 16.1], [12.0, 20.4]])
+    corner, shape = _grid(path, {}, beyond, 1.0)
+    assert (corner.tolist(), shape) == ([8.0, 21.0], (5, 8))
+    with pytest.raises(InputError, match="a model of"):
+        _grid(path, {}, np.array([[1e5, 18.0], [12.0, -1e5], [12.0, 20.0]]), 1.0)
+
+
+def test_levels_end_at_the_lower_bank() -> None:
+    """One metre on the right bank, and nothing but the far bank beside the thalweg: levels up to 1 m."""
+    for heights in ([1.0, 0.0, 3.0, 4.0], [4.0, 3.0, 0.0, 1.0]):
+        table = hydraulic_table(channel(height_m=np.array(heights)), Fusion(sections={"levels": 4}))
+        assert table["level_m"].tolist() == pytest.approx([0.25, 0.5, 0.75, 1.0])
