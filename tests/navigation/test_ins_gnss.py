@@ -14,6 +14,12 @@ from thalweg.core import (
 )
 from thalweg.core.trajectory import TRAJECTORY
 from thalweg.navigation.ins_gnss import build_trajectory, trajectory_from_states
+from thalweg.navigation.ins_gnss.trajectory import (
+    TrajectorySummary,
+    check_origin,
+    usable_positions,
+    usable_states,
+)
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 LEVER = np.array([0.30, -0.20, -0.80])  # forward, right, down: the antenna is above the INS
@@ -382,3 +388,38 @@ def test_states_without_time_and_repeated_ones_are_counted() -> None:
     assert [note for note in summary.notes if "without GPS time or repeated" in note] == [
         "4 INS states without GPS time or repeated were left out"
     ]
+
+
+def test_one_long_pause_does_not_make_an_ins_slow() -> None:
+    """Ten states a second with a hole of 1000 s: the usual step counts, not the mean one."""
+    t = np.concatenate([np.arange(50) / 10, 1000.0 + np.arange(50) / 10])
+    states = pd.DataFrame(
+        {"t_gps_s": t, "filter_status": 0, "roll_rad": 0.0, "pitch_rad": 0.0, "heading_rad": 0.0}
+    )
+    assert len(usable_states(states, TrajectorySummary(), 0.2, 0)) == 100
+    with pytest.raises(InputError, match="states come every 0.1 s"):
+        usable_states(states, TrajectorySummary(), 0.05, 0)
+
+
+def test_four_positions_are_enough_and_three_are_not() -> None:
+    positions = pd.DataFrame(
+        {
+            "t_gps_s": np.arange(4.0),
+            "fix": "fixed",
+            **dict.fromkeys(("lat_deg", "lon_deg", "h_ell_m"), 1.0),
+            **dict.fromkeys(("sigma_east_m", "sigma_north_m", "sigma_up_m"), 0.1),
+        }
+    )
+    assert len(usable_positions(positions, ["fixed"], TrajectorySummary())) == 4
+    with pytest.raises(InputError, match="3 usable positions of 3"):
+        usable_positions(positions[:3], ["fixed"], TrajectorySummary())
+
+
+def test_single_places_far_away_make_no_survey_of_another_river() -> None:
+    frame = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
+    places = np.zeros((9, 3))
+    places[7:, 0] = 1e9
+    check_origin(places, frame)
+    check_origin(places[:0], frame)
+    with pytest.raises(InputError, match="km from the origin"):
+        check_origin(places[6:], frame)
