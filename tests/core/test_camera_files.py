@@ -155,3 +155,54 @@ def test_a_file_that_breaks_off_is_told(tmp_path: Path) -> None:
     path.write_text("image_width: 10\ncamera_matrix: {rows: 3, data: [1, 2")
     with pytest.raises(InputError, match=r"camera\.yaml"):
         read_opencv(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "model"),
+    [
+        ("camera_model: brown", "perspective"),
+        ("distortion_model: pinhole", "perspective"),
+        ("model: pinhole\nfisheye: true", "fisheye"),
+        ("camera_model: pinhole\ndistortion_model: equidistant", "fisheye"),
+    ],
+)
+def test_words_for_a_lens(tmp_path: Path, words: str, model: str) -> None:
+    """Four coefficients may be either lens; 'pinhole' says nothing but as the model of the distortion."""
+    path = tmp_path / "camera.yaml"
+    path.write_text(
+        f"K: [500, 0, 320, 0, 500, 240, 0, 0, 1]\nD: [0, 0, 0, 0]\nwidth: 640\nheight: 480\n{words}\n"
+    )
+    assert read_opencv(path).model == model
+
+
+@pytest.mark.parametrize("size", ["width: 640\nheight: tall", "width: wide\nheight: 480", "width: 640"])
+def test_a_size_in_words_is_none(tmp_path: Path, size: str) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(
+        f"K: [500, 0, 320, 0, 500, 240, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\ndistortion_model: plumb_bob\n{size}\n"
+    )
+    with pytest.raises(InputError, match="no size of the picture"):
+        read_opencv(path)
+
+
+def test_files_of_a_camera_number_by_number(tmp_path: Path) -> None:
+    """Pixels of OpenCV count from the middle of the first one, those of COLMAP from its corner."""
+    camera = Camera(
+        model="perspective",
+        size_px=(640, 480),
+        parameters=np.array([500.0, 501.0, 320.5, 240.5, 0.1, 0.2, 0.01, 0.02, 0.3]),
+        name="left",
+    )
+    write_opencv(tmp_path / "camera.yaml", camera)
+    text = (tmp_path / "camera.yaml").read_text()
+    assert (
+        "   rows: 3\n   cols: 3\n   dt: d\n   data: [ 500.0, 0.0, 320.0, 0.0, 501.0, 240.0, 0.0, 0.0, 1.0 ]"
+        in text
+    )
+    assert "   rows: 1\n   cols: 5\n   dt: d\n" in text
+    write_colmap(tmp_path / "cameras.txt", {3: camera})
+    last = (tmp_path / "cameras.txt").read_text().splitlines()[-1].split()
+    assert last[:4] == ["3", "FULL_OPENCV", "640", "480"]
+    p = dict(zip(camera.parameter_names, camera.parameters, strict=True))
+    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+    assert [float(v) for v in last[4:]] == [*(p[n] for n in names), 0.0, 0.0, 0.0]
