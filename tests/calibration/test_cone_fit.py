@@ -7,7 +7,15 @@ import pytest
 from scipy.stats import chi2
 
 from thalweg.calibration import FORM_SIGMA_M, Cone, ConeReference, fit_reference
-from thalweg.calibration.cones import _cost, _directions, _weights, parameter_cov, refine, start_cone
+from thalweg.calibration.cones import (
+    _by_points,
+    _cost,
+    _directions,
+    _weights,
+    parameter_cov,
+    refine,
+    start_cone,
+)
 from thalweg.core import GeometryError, InputError
 
 HALF = np.deg2rad(25.0)
@@ -294,3 +302,19 @@ def test_starts_look_into_all_directions() -> None:
     turn = np.diff(np.unwrap(np.arctan2(d[:, 1], d[:, 0])))
     np.testing.assert_allclose(np.mod(turn, 2 * np.pi), np.mod(np.pi * (1 + np.sqrt(5.0)), 2 * np.pi))
     np.testing.assert_allclose(d.mean(axis=0), 0.0, atol=0.02)
+
+
+def test_points_that_are_known_worse_move_the_cone_less(rng: np.random.Generator) -> None:
+    """Every other point has three times the sigma; one point is not used. By differences of the fit."""
+    points = ring(TRUE, [0.3, 0.5, 0.7])
+    sigma = np.where(np.arange(len(points)) % 2, 0.03, 0.01)
+    used = np.arange(len(points)) != 4
+    found = _by_points(TRUE, points, used, sigma, free_half_angle=True)
+    step = 1e-5 * rng.standard_normal(points.shape)
+    ahead, back = (
+        refine(TRUE, (points + s * step)[used], sigma[used], free_half_angle=True, robust=False)
+        for s in (1, -1)
+    )
+    change = (parameters_off(TRUE, ahead) - parameters_off(TRUE, back)) / 2
+    np.testing.assert_allclose(found @ step.ravel(), change, rtol=1e-2, atol=1e-8)
+    assert not found.reshape(6, -1, 3)[:, 4].any()
