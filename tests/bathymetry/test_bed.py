@@ -11,6 +11,7 @@ from pyproj import CRS
 from thalweg.bathymetry import (
     OBSERVATIONS,
     SOUNDINGS,
+    Across,
     BedModel,
     CovarianceModel,
     Drift,
@@ -373,13 +374,15 @@ def test_model_written_and_read_is_the_same() -> None:
 
     data, widths = field(4, np.random.default_rng(0))
     model = BedModel(
-        drift=Drift.fitted("section", data, widths),
+        drift=Drift.fitted("section", data, Across.of(data, widths)),
         covariance=CovarianceModel(kind="matern32", sill_m2=0.1, range_s_m=30.0, range_n_m=5.0),
+        margin=1.5,
         compared={"a": 1.0},
         reason="",
-    )
+    ).fitted_to(data)
+    assert len(model.drift.cov) == len(model.drift.coefficients) == 4
     again = BedModel.of_report(json.loads(json.dumps(model.report())))
-    for name in ("drift", "covariance", "compared"):
+    for name in ("drift", "covariance", "margin", "compared"):
         assert getattr(again, name) == getattr(model, name)
 
 

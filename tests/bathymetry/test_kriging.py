@@ -7,6 +7,7 @@ from thalweg.bathymetry.kriging import (
     KINDS,
     CovarianceModel,
     Observations,
+    fit_drift,
     krige,
     krige_by_pykrige,
     krige_dense,
@@ -51,6 +52,37 @@ def test_kernel_equals_one_system_of_all(kind: str, slow_time_s: float) -> None:
     expected = krige_dense(data, CELLS, of)
     np.testing.assert_allclose(height, expected[0], atol=1e-9)
     np.testing.assert_allclose(sigma, expected[1], atol=1e-9)
+
+
+def functions_of(places: np.ndarray) -> np.ndarray:
+    """A drift: fall and a parabola across."""
+    return np.column_stack([places[:, 0] / 40.0, (places[:, 1] / 12.0) ** 2])
+
+
+def rough(places: np.ndarray) -> np.ndarray:
+    """Twice the relief near the banks."""
+    return 1.0 + np.clip((np.abs(places[:, 1]) - 7.0) / 2.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("slow_time_s", [0.0, 10.0])
+def test_drift_and_rough_margins_equal_universal_kriging_of_all(slow_time_s: float) -> None:
+    data, of = observed(slow=0.03), model("exponential", slow_time_s=slow_time_s)
+    both, roughness = (
+        (functions_of(data.places_m), functions_of(CELLS)),
+        (rough(data.places_m), rough(CELLS)),
+    )
+    value, cov = fit_drift(data, both[0], of, roughness[0])
+    rest = data.lifted(data.height_m - both[0] @ value)
+    height, sigma = krige(
+        rest, CELLS, of, neighbours=len(data), octants=False, drift=(*both, cov), roughness=roughness
+    )
+    expected = krige_dense(data, CELLS, of, functions=both, roughness=roughness)
+    np.testing.assert_allclose(height + both[1] @ value, expected[0], atol=1e-9)
+    np.testing.assert_allclose(sigma, expected[1], atol=1e-9)
+    # an unknown drift costs certainty, most where no datum is near
+    known = krige_dense(rest, CELLS, of, roughness=roughness)[1]
+    assert (sigma >= known - 1e-12).all()
+    assert (sigma / known).max() > 1.01
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -56,6 +56,7 @@ from .through_water import correct_refraction as correct_refraction, read_column
 from .validation import measures as measures, validate_bed as validate_bed
 from .variogram import (
     DRIFTS as DRIFTS,
+    Across as Across,
     BedModel as BedModel,
     Drift as Drift,
     choose_model as choose_model,

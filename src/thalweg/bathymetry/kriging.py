@@ -11,6 +11,13 @@ the variance of the bed, not of another sounding (Cressie 1993, Statistics for S
 Delfiner 2012, Geostatistics, 3.7 on errors of measurement). An error that all data share does not become
 smaller by interpolation and is added apart.
 
+Where the relief is rougher in one part of the river than in another, ``f = g f_1`` with a known factor
+``g(s, n)`` and a stationary ``f_1``: everything is divided by ``g``, the mean is then ``1 / g``. A drift
+``F beta`` has been taken off the heights with coefficients whose covariance ``B`` is known (generalised least
+squares). With the weights ``lambda`` of a cell, its error adds ``d' B d``, ``d = F_0 - lambda' F``: what
+universal kriging says (Chiles and Delfiner 2012, 3.4), with the whole survey's drift instead of the
+neighbours'.
+
 Neighbours are taken by octants, at most so many of a line: the nearest ones all lie on one leg of a track.
 """
 
@@ -33,6 +40,8 @@ _CHUNK: Final = 20_000
 """Cells whose candidates are held at a time."""
 _FEW: Final = 1000
 _CANDIDATES: Final = 256
+_DRIFT_DATA: Final = 800
+"""Observations that tell the coefficients of a drift."""
 PYKRIGE_MOST: Final = 2000
 """Soundings that PyKrige is given: its constructor computes all pairs."""
 
@@ -174,10 +183,13 @@ def _choose(near, ds, dn, line, most, of_octant, of_line, out):  # type: ignore[
     return m
 
 
-@njit(cache=True, parallel=True)
-def _solve(cells, places, z, white2, slow, t, tau, line, near, most, of_octant, of_line, sill, kind):  # type: ignore[no-untyped-def]
+def _solve(  # type: ignore[no-untyped-def]
+    cells, places, z, white2, slow, t, tau, line, near, most, of_octant, of_line, sill, kind,
+    mean, mean_there, functions, functions_there, cov_drift,
+):  # fmt: skip
     """Height and variance of each cell; ``cells``, ``places`` in units of the ranges."""
     n = cells.shape[0]
+    p = functions.shape[1]
     height = np.full(n, np.nan)
     variance = np.full(n, np.nan)
     for i in prange(n):
@@ -198,13 +210,16 @@ def _solve(cells, places, z, white2, slow, t, tau, line, near, most, of_octant, 
         u = np.empty(m)
         w = np.empty(m)
         y = np.empty(m)
+        F = np.empty((m, p))
         sound = True
         for a in range(m):
             ja = chosen[a]
             pa = near[i, ja]
             u[a] = sill * _correlation(math.sqrt(ds[ja] * ds[ja] + dn[ja] * dn[ja]), kind)
-            w[a] = 1.0
+            w[a] = mean[pa]
             y[a] = z[pa]
+            for k in range(p):
+                F[a, k] = functions[pa, k]
             for b in range(a + 1):
                 jb = chosen[b]
                 pb = near[i, jb]
@@ -231,11 +246,17 @@ def _solve(cells, places, z, white2, slow, t, tau, line, near, most, of_octant, 
         ww = 0.0
         uy = 0.0
         wy = 0.0
+        d = np.empty(p)
+        wF = np.zeros(p)
+        for k in range(p):
+            d[k] = functions_there[i, k]
         for a in range(m):
             for q in range(a):
                 u[a] -= L[a, q] * u[q]
                 w[a] -= L[a, q] * w[q]
                 y[a] -= L[a, q] * y[q]
+                for k in range(p):
+                    F[a, k] -= L[a, q] * F[q, k]
             u[a] /= L[a, a]
             w[a] /= L[a, a]
             y[a] /= L[a, a]
@@ -244,9 +265,23 @@ def _solve(cells, places, z, white2, slow, t, tau, line, near, most, of_octant, 
             ww += w[a] * w[a]
             uy += u[a] * y[a]
             wy += w[a] * y[a]
-        height[i] = uy + (1.0 - uw) / ww * wy
-        variance[i] = sill - uu + (1.0 - uw) ** 2 / ww
+            for k in range(p):
+                F[a, k] /= L[a, a]
+                d[k] -= u[a] * F[a, k]
+                wF[k] += w[a] * F[a, k]
+        rest = mean_there[i] - uw
+        height[i] = uy + rest / ww * wy
+        variance[i] = sill - uu + rest**2 / ww
+        for k in range(p):
+            d[k] -= rest / ww * wF[k]
+        for k in range(p):
+            for q in range(p):
+                variance[i] += d[k] * cov_drift[k, q] * d[q]
     return height, variance
+
+
+# threads that are started for some cells cost more than they save
+_solve_many, _solve_few = njit(cache=True, parallel=True)(_solve), njit(cache=True)(_solve)
 
 
 def krige(
@@ -254,6 +289,8 @@ def krige(
     places_m: ArrayF,
     model: CovarianceModel,
     *,
+    roughness: tuple[ArrayF, ArrayF] | None = None,
+    drift: tuple[ArrayF, ArrayF, ArrayF] | None = None,
     neighbours: int = 48,
     octants: bool = True,
     of_line: int = 0,
@@ -267,6 +304,10 @@ def krige(
     observations : see there.
     places_m : (m, 2) flow coordinates.
     model : covariance.
+    roughness : factor on the standard deviation of the relief at the observations (n,) and the places (m,);
+        None: the same everywhere.
+    drift : functions at the observations (n, p) and the places (m, p), and the covariance (p, p) of the
+        coefficients with which they have been taken off the heights; None: there is none.
     neighbours : observations of a cell, an eighth in each octant.
     octants : take them by octants.
     of_line : at most so many of one line; 0: any number.
@@ -287,6 +328,12 @@ def krige(
     tree = cKDTree(points)
     # heights about their mean: small numbers keep their digits
     middle = float(observations.height_m.mean())
+    g, g_there = roughness or (np.ones(len(points)), np.ones(len(places_m)))
+    functions, functions_there, cov_drift = drift or (
+        np.empty((len(points), 0)),
+        np.empty((len(places_m), 0)),
+        np.empty((0, 0)),
+    )
     most = min(neighbours, len(points))
     wide = octants or of_line > 0
     width = min(len(points), max(candidates, 4 * neighbours) if wide else most)
@@ -294,15 +341,14 @@ def krige(
     for start in range(0, len(places_m), chunk):
         part = slice(start, start + chunk)
         cells = model.scaled(np.asarray(places_m[part], dtype=np.float64))
-        # threads that are started for some cells cost more than they save
-        workers = get_num_threads() if len(cells) > _FEW else 1
+        workers, solve = (get_num_threads(), _solve_many) if len(cells) > _FEW else (1, _solve_few)
         near = tree.query(cells, k=width, workers=workers)[1].reshape(len(cells), -1)
-        height[part], variance[part] = _solve(
+        height[part], variance[part] = solve(
             cells,
             points,
-            observations.height_m - middle,
-            observations.sigma_white_m**2 + model.micro_m2,
-            observations.sigma_slow_m,
+            (observations.height_m - middle) / g,
+            (observations.sigma_white_m / g) ** 2 + model.micro_m2,
+            observations.sigma_slow_m / g,
             observations.t_s,
             model.slow_time_s,
             observations.line,
@@ -312,34 +358,89 @@ def krige(
             of_line,
             model.sill_m2,
             KINDS.index(model.kind),
+            1.0 / g,
+            1.0 / g_there[part],
+            np.ascontiguousarray(functions / g[:, None]),
+            np.ascontiguousarray(functions_there[part] / g_there[part, None]),
+            np.ascontiguousarray(cov_drift),
         )
-    return height + middle, np.sqrt(np.maximum(variance, 0.0))
+    return height * g_there + middle, g_there * np.sqrt(np.maximum(variance, 0.0))
+
+
+def fit_drift(
+    observations: Observations, functions: ArrayF, model: CovarianceModel, roughness: ArrayF
+) -> tuple[ArrayF, ArrayF]:
+    """Coefficients of a drift beside an unknown mean, by generalised least squares.
+
+    Parameters
+    ----------
+    observations : up to `_DRIFT_DATA` of them, evenly chosen, tell the coefficients.
+    functions : (n, p) of the drift at them.
+    model, roughness : covariance, factor (n,) on the standard deviation of the relief.
+
+    Returns
+    -------
+    coefficients : (p,).
+    cov : (p, p).
+    """
+    some = slice(None, None, -(-len(observations) // _DRIFT_DATA))
+    of = observations.where(some)
+    X = np.column_stack([np.ones(len(of)), functions[some]])
+    factor = cho_factor(_covariance(of, model, roughness[some]), lower=True)
+    cov = np.linalg.pinv(X.T @ cho_solve(factor, X), hermitian=True)
+    value = cov @ (X.T @ cho_solve(factor, of.height_m - of.height_m.mean()))
+    return value[1:], cov[1:, 1:]
+
+
+def _covariance(of: Observations, model: CovarianceModel, g: ArrayF) -> ArrayF:
+    """Covariance (n, n) of observed heights about the drift."""
+    points = model.scaled(of.places_m)
+    cov = np.outer(g, g) * model.sill_m2 * model.correlation(cdist(points, points))
+    if model.slow_time_s > 0:
+        apart = np.abs(of.t_s[:, None] - of.t_s[None]) / model.slow_time_s
+        cov += np.outer(of.sigma_slow_m, of.sigma_slow_m) * np.exp(-apart)
+    else:
+        cov[np.diag_indices_from(cov)] += of.sigma_slow_m**2
+    cov[np.diag_indices_from(cov)] += of.sigma_white_m**2 + g**2 * model.micro_m2
+    return np.asarray(cov)
 
 
 def krige_dense(
-    observations: Observations, places_m: ArrayF, model: CovarianceModel
+    observations: Observations,
+    places_m: ArrayF,
+    model: CovarianceModel,
+    *,
+    roughness: tuple[ArrayF, ArrayF] | None = None,
+    functions: tuple[ArrayF, ArrayF] | None = None,
 ) -> tuple[ArrayF, ArrayF]:
-    """The same with all observations in one system: slow and clear, what `krige` is compared with."""
+    """Universal kriging with all observations in one system: slow and clear, what `krige` is compared with.
+
+    Parameters
+    ----------
+    observations, places_m, model, roughness : as of `krige`.
+    functions : of the drift, whose coefficients are unknown, at the observations (n, p) and places (m, p).
+    """
+    g, g_there = roughness or (np.ones(len(observations)), np.ones(len(places_m)))
+    F, F_there = functions or (np.empty((len(observations), 0)), np.empty((len(places_m), 0)))
     points, z = model.scaled(observations.places_m), observations.height_m
-    cov = model.sill_m2 * model.correlation(cdist(points, points))
-    if model.slow_time_s > 0:
-        apart = np.abs(observations.t_s[:, None] - observations.t_s[None]) / model.slow_time_s
-        cov += np.outer(observations.sigma_slow_m, observations.sigma_slow_m) * np.exp(-apart)
-    else:
-        cov[np.diag_indices_from(cov)] += observations.sigma_slow_m**2
-    cov[np.diag_indices_from(cov)] += observations.sigma_white_m**2 + model.micro_m2
-    factor = cho_factor(cov, lower=True)
-    ones = cho_solve(factor, np.ones(len(z)))
+    X, X_there = (np.column_stack([np.ones(len(of)), of]) for of in (F, F_there))
+    factor = cho_factor(_covariance(observations, model, g), lower=True)
+    inner = cho_solve(factor, X)
+    cov_beta = np.linalg.inv(X.T @ inner)
     middle = float(z.mean())
     weighted = cho_solve(factor, z - middle)
     height, variance = [], []
     for start in range(0, len(places_m), 2000):
-        cells = model.scaled(np.asarray(places_m[start : start + 2000], dtype=np.float64))
-        c0 = model.sill_m2 * model.correlation(cdist(points, cells))
-        rest = 1 - c0.T @ ones
-        lagrange = rest / ones.sum()
-        height.append(middle + c0.T @ weighted + lagrange * weighted.sum())
-        variance.append(model.sill_m2 - np.sum(c0 * cho_solve(factor, c0), axis=0) + rest * lagrange)
+        part = slice(start, start + 2000)
+        cells = model.scaled(np.asarray(places_m[part], dtype=np.float64))
+        c0 = np.outer(g, g_there[part]) * model.sill_m2 * model.correlation(cdist(points, cells))
+        rest = X_there[part].T - inner.T @ c0
+        height.append(middle + c0.T @ weighted + rest.T @ cov_beta @ (X.T @ weighted))
+        variance.append(
+            g_there[part] ** 2 * model.sill_m2
+            - np.sum(c0 * cho_solve(factor, c0), axis=0)
+            + np.sum(rest * (cov_beta @ rest), axis=0)
+        )
     return np.concatenate(height), np.sqrt(np.maximum(np.concatenate(variance), 0.0))
 
 

@@ -17,7 +17,7 @@ from scipy.spatial import QhullError, cKDTree
 
 from thalweg.bathymetry.bed import observations_of
 from thalweg.bathymetry.kriging import CovarianceModel, Observations
-from thalweg.bathymetry.variogram import BedModel, Drift, HalfWidths
+from thalweg.bathymetry.variogram import MARGIN, BedModel, Drift, HalfWidths
 from thalweg.core import ArrayB, ArrayF, ArrayI
 from thalweg.settings.sections import Bathymetry
 
@@ -27,8 +27,6 @@ _MOST_LINES: Final = 40
 _MOST_OF_LINE: Final = 200
 _BLOCKS: Final = 8
 _DISTANCES_M: Final = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, np.inf)
-_MARGIN: Final = 0.7
-"""Farther across than this share of the half width is margin."""
 _IDW: Final = 12
 _SPLINE: Final = 48
 
@@ -79,7 +77,7 @@ def validate_bed(
         "classes": classes,
     }
     rows = []
-    for name, method in methods(model, half_widths, settings).items():
+    for name, method in methods(model, settings).items():
         rows.append({"method": name} | measures(_by_method(data, sounding, method)))
     return facts, predicted, pd.DataFrame(rows)
 
@@ -136,9 +134,7 @@ def _predicted(
     rest, there = data.where(~out), data.where(at)
     if len(rest) < 4:
         return pd.DataFrame()
-    again = replace(model, drift=Drift.fitted(model.drift.kind, rest, half_widths))
-    height, sigma = again.predict(rest, there.places_m, neighbours=settings.neighbours)
-    own = there.sigma_white_m**2 + there.sigma_slow_m**2 + model.covariance.micro_m2
+    height, sigma = model.fitted_to(rest).predict(rest, there.places_m, neighbours=settings.neighbours)
     left, right = half_widths(there.s_m)
     return pd.DataFrame(
         {
@@ -148,9 +144,9 @@ def _predicted(
             "n_m": there.n_m,
             "up_m": there.height_m,
             "predicted_m": height,
-            "sigma_m": np.sqrt(sigma**2 + own),
+            "sigma_m": np.sqrt(sigma**2 + model.own_variance(there)),
             "distance_m": cKDTree(rest.places_m).query(there.places_m)[0],
-            "margin": np.abs(there.n_m) > _MARGIN * np.where(there.n_m > 0, left, right),
+            "margin": np.abs(there.n_m) > MARGIN * np.where(there.n_m > 0, left, right),
         }
     )
 
@@ -173,7 +169,7 @@ def _by_method(data: Observations, sounding: ArrayB, method: Method) -> pd.DataF
     return pd.concat(parts, ignore_index=True)
 
 
-def methods(model: BedModel, half_widths: HalfWidths, settings: Bathymetry) -> dict[str, Method]:
+def methods(model: BedModel, settings: Bathymetry) -> dict[str, Method]:
     """Ways to interpolate, by name; all take flow coordinates, stretched by the anisotropy where it says so.
 
     Merwade et al. (2006, Advances in Water Resources 29) compare such methods on rivers.
@@ -181,16 +177,16 @@ def methods(model: BedModel, half_widths: HalfWidths, settings: Bathymetry) -> d
     of = model.covariance
     stretch = np.array([of.range_n_m / of.range_s_m, 1.0])
     even = replace(of, range_s_m=of.range_n_m)
+    none = Drift(kind="none", across=model.drift.across)
 
     def kriged(covariance: CovarianceModel, *, drift: bool) -> Method:
         """Kriging with a covariance."""
 
         def solve(rest: Observations, places: ArrayF) -> tuple[ArrayF, ArrayF | None]:
             """Heights and sigmas at places."""
-            kind = model.drift.kind if drift else "none"
-            again = replace(model, covariance=covariance, drift=Drift.fitted(kind, rest, half_widths))
-            height, sigma = again.predict(rest, places, neighbours=settings.neighbours)
-            return height, np.sqrt(sigma**2 + covariance.micro_m2)
+            again = replace(model, covariance=covariance, drift=model.drift if drift else none)
+            height, sigma = again.fitted_to(rest).predict(rest, places, neighbours=settings.neighbours)
+            return height, np.hypot(sigma, model.roughness(places) * np.sqrt(covariance.micro_m2))
 
         return solve
 

@@ -9,6 +9,9 @@ and Raftery 2007, J. Am. Stat. Assoc. 102). Stretches of the banks are left out 
 the bed varies between the outermost soundings and the shore, where no sounding ever is. Ranges and
 anisotropy are bounded: without bounds the score runs to ranges of zero. A variogram by Cressie and Hawkins
 (1980) is made for the picture alone.
+
+Near the banks a bed may be rougher or smoother than in the channel: the standard deviation of its relief has a
+factor there, one of the parameters.
 """
 
 from collections.abc import Callable
@@ -19,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
-from thalweg.bathymetry.kriging import KINDS, CovarianceModel, Observations, krige
+from thalweg.bathymetry.kriging import KINDS, CovarianceModel, Observations, fit_drift, krige
 from thalweg.core import ArrayF, ArrayI, GeometryError
 from thalweg.settings.sections import Bathymetry
 
@@ -34,6 +37,12 @@ _DEGREE: Final = 4
 """Of the mean cross-section over the width."""
 _OUTSIDE: Final = 1.2
 """Beyond so many half widths the mean cross-section goes on level."""
+MARGIN: Final = 0.7
+"""Farther across than this share of the half width is margin."""
+_BLEND: Final = 0.1
+"""Channel and margin pass into each other over this share to both sides."""
+_FEWEST: Final = 40
+"""Soundings of margin and of channel each, from which the factor of the margin is estimated."""
 _TEST: Final = 1200
 """Soundings that are foretold to judge a model, in at most so many left-out lines:"""
 _LINES: Final = 32
@@ -41,76 +50,107 @@ SHEET_LINE: Final = -1_000_000
 """Lines of the light sheet count down from here; negative lines above it are stretches of the banks."""
 _DATA: Final = 1500
 """Soundings that they are foretold from."""
-_STEPS: Final = 40
+_STEPS: Final = 50
 _NEIGHBOURS: Final = 24
 """Data that a left-out sounding is foretold from while models are compared."""
-_BOUNDS: Final = {"anisotropy": (1.0, 40.0), "range": (0.15, 4.0), "sill": (0.05, 20.0), "micro": (1e-6, 1.0)}
-"""Anisotropy; range across in half widths; sill and micro-relief in variances of the heights."""
+_BOUNDS: Final = {
+    "range": (0.15, 4.0),
+    "anisotropy": (1.0, 40.0),
+    "sill": (0.05, 20.0),
+    "micro": (1e-6, 1.0),
+    "margin": (1.0, 4.0),
+}
+"""Range across in half widths; anisotropy; sill and micro-relief in variances of the heights; margin: a shoreline
+is level all along, which would make any bed beside it look smoother than it is, so that no less than one is
+believed."""
+_FIRST: Final = (0.7, 5.0, 1.0, 1e-3, 1.0)
+_STRIDES: Final = (0.5, 0.7, 0.5, 1.0, 0.4)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Across:
+    """Where places lie across the river.
+
+    Parameters
+    ----------
+    s_m : (k,) places along the river where both half widths are known.
+    width_m : (k, 2) left and right half width there.
+    """
+
+    s_m: tuple[float, ...] = ()
+    width_m: tuple[tuple[float, float], ...] = ()
+
+    @classmethod
+    def of(cls, data: Observations, half_widths: HalfWidths) -> Self:
+        """Along a survey."""
+        at = np.linspace(data.s_m.min(), data.s_m.max(), _WIDTHS)
+        left, right = half_widths(at)
+        known = np.isfinite(left) & np.isfinite(right)
+        width = zip(left[known].tolist(), right[known].tolist(), strict=True)
+        return cls(s_m=tuple(at[known].tolist()), width_m=tuple(width))
+
+    def at(self, places_m: ArrayF) -> ArrayF:
+        """Place (m,) across the river: -1 at the right bank, 1 at the left one; 0 where no banks are known."""
+        if len(self.s_m) < 2:
+            return np.zeros(len(places_m))
+        width = np.array(self.width_m)
+        left, right = (np.interp(places_m[:, 0], self.s_m, width[:, k]) for k in (0, 1))
+        n = places_m[:, 1]
+        return np.asarray(np.clip(n / np.where(n > 0, left, right), -_OUTSIDE, _OUTSIDE))
+
+    def margin(self, places_m: ArrayF) -> ArrayF:
+        """How much of the margin (m,) a place is: 0 in the channel, 1 near the banks."""
+        rise = (np.abs(self.at(places_m)) - MARGIN + _BLEND) / (2 * _BLEND)
+        return np.clip(rise, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drift:
-    """What is removed before kriging.
+    """What is removed before kriging, besides a mean.
 
     Parameters
     ----------
     kind : one of `DRIFTS`.
-    coefficients : of 1, q, q^2, q^3, q^4 with q = n over half width (section), of 1, s (fall).
+    across : of the river.
+    coefficients : of q, q^2, q^3, q^4 with q = n over half width (section), of s (fall).
+    cov : of the coefficients; empty: they count as true.
     s0_m : where s counts from.
-    widths : half widths at ``width_s_m``: left and right, (k, 2).
     """
 
     kind: str
+    across: Across = Across()
     coefficients: tuple[float, ...] = ()
+    cov: tuple[tuple[float, ...], ...] = ()
     s0_m: float = 0.0
-    width_s_m: tuple[float, ...] = ()
-    width_m: tuple[tuple[float, float], ...] = ()
 
     @classmethod
-    def fitted(cls, kind: str, data: Observations, half_widths: HalfWidths) -> Self:
-        """By least squares.
+    def fitted(cls, kind: str, data: Observations, across: Across) -> Self:
+        """By least squares, all heights alike: where the covariance is not known yet.
 
         Raises
         ------
         GeometryError : the drift ``section`` without banks on both sides.
         """
-        if kind == "none":
-            return cls(kind=kind)
-        s0 = float(data.s_m.mean())
-        at = np.linspace(data.s_m.min(), data.s_m.max(), _WIDTHS)
-        left, right = half_widths(at)
-        known = np.isfinite(left) & np.isfinite(right)
-        if kind == "section" and known.sum() < 2:
+        if kind == "section" and len(across.s_m) < 2:
             raise GeometryError(
                 "no half widths for a mean cross-section", expected="both banks along the survey"
             )
-        bare = cls(
-            kind=kind,
-            s0_m=s0,
-            width_s_m=tuple(at[known].tolist()),
-            width_m=tuple(zip(left[known].tolist(), right[known].tolist(), strict=True)),
-        )
-        rows = bare._rows(data.places_m)
-        value = np.linalg.lstsq(rows, data.height_m, rcond=None)[0]
-        return replace(bare, coefficients=tuple(value.tolist()))
+        bare = cls(kind=kind, across=across, s0_m=float(data.s_m.mean()))
+        rows = np.column_stack([np.ones(len(data)), bare.functions(data.places_m)])
+        value = np.linalg.lstsq(rows, data.height_m - data.height_m.mean(), rcond=None)[0]
+        return replace(bare, coefficients=tuple(value[1:].tolist()))
 
     def at(self, places_m: ArrayF) -> ArrayF:
         """Height (m,) at flow coordinates (m, 2)."""
+        return np.asarray(self.functions(places_m) @ np.array(self.coefficients))
+
+    def functions(self, places_m: ArrayF) -> ArrayF:
+        """What the coefficients belong to (m, p)."""
         if self.kind == "none":
-            return np.zeros(len(places_m))
-        return np.asarray(self._rows(places_m) @ np.array(self.coefficients))
-
-    def across(self, places_m: ArrayF) -> ArrayF:
-        """Place (m,) across the river: -1 at the right bank, 1 at the left one."""
-        width = np.array(self.width_m)
-        left, right = (np.interp(places_m[:, 0], self.width_s_m, width[:, k]) for k in (0, 1))
-        n = places_m[:, 1]
-        return np.asarray(np.clip(n / np.where(n > 0, left, right), -_OUTSIDE, _OUTSIDE))
-
-    def _rows(self, places_m: ArrayF) -> ArrayF:
+            return np.empty((len(places_m), 0))
         if self.kind == "fall":
-            return np.column_stack([np.ones(len(places_m)), places_m[:, 0] - self.s0_m])
-        return np.asarray(self.across(places_m)[:, None] ** np.arange(_DEGREE + 1))
+            return np.asarray(places_m)[:, :1] - self.s0_m
+        return np.asarray(self.across.at(places_m)[:, None] ** np.arange(1, _DEGREE + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +160,7 @@ class BedModel:
     Parameters
     ----------
     drift, covariance : see there.
+    margin : factor on the standard deviation of the relief near the banks.
     score : mean negative log density of left-out soundings; NaN if nothing was compared.
     compared : score by drift and model.
     reason : in a sentence.
@@ -128,16 +169,45 @@ class BedModel:
 
     drift: Drift
     covariance: CovarianceModel
+    margin: float = 1.0
     score: float = np.nan
     compared: dict[str, float]
     reason: str
     of_line: int = 0
 
+    def fitted_to(self, data: Observations) -> Self:
+        """The same covariance with the drift of other data, and its errors."""
+        if self.drift.kind == "none":
+            return self
+        functions = self.drift.functions(data.places_m)
+        value, cov = fit_drift(data, functions, self.covariance, self.roughness(data.places_m))
+        rows = tuple(tuple(row) for row in cov.tolist())
+        return replace(self, drift=replace(self.drift, coefficients=tuple(value.tolist()), cov=rows))
+
+    def roughness(self, places_m: ArrayF) -> ArrayF:
+        """Factor (m,) on the standard deviation of the relief at flow coordinates (m, 2)."""
+        return np.asarray(1.0 + (self.margin - 1.0) * self.drift.across.margin(np.asarray(places_m)))
+
     def predict(self, data: Observations, places_m: ArrayF, *, neighbours: int) -> tuple[ArrayF, ArrayF]:
         """Height and standard deviation (m,) of the bed at flow coordinates (m, 2)."""
+        there = np.asarray(places_m, dtype=np.float64)
         rest = data.lifted(data.height_m - self.drift.at(data.places_m))
-        height, sigma = krige(rest, places_m, self.covariance, neighbours=neighbours, of_line=self.of_line)
-        return height + self.drift.at(np.asarray(places_m)), sigma
+        functions = (self.drift.functions(data.places_m), self.drift.functions(there))
+        height, sigma = krige(
+            rest,
+            there,
+            self.covariance,
+            roughness=(self.roughness(data.places_m), self.roughness(there)),
+            drift=(*functions, np.array(self.drift.cov)) if self.drift.cov else None,
+            neighbours=neighbours,
+            of_line=self.of_line,
+        )
+        return height + self.drift.at(there), sigma
+
+    def own_variance(self, there: Observations) -> ArrayF:
+        """What sounded heights (n,) have of their own, besides the bed's variance: errors and small relief."""
+        relief = self.covariance.micro_m2 * self.roughness(there.places_m) ** 2
+        return np.asarray(there.sigma_white_m**2 + there.sigma_slow_m**2 + relief)
 
     def report(self) -> dict[str, Any]:
         """For ``variogram.json``."""
@@ -147,9 +217,10 @@ class BedModel:
     def of_report(cls, report: dict[str, Any]) -> Self:
         """Of what `report` gave."""
         drift: dict[str, Any] = dict(report["drift"])
-        for name in ("coefficients", "width_s_m"):
-            drift[name] = tuple(drift[name])
-        drift["width_m"] = tuple((left, right) for left, right in drift["width_m"])
+        across = drift["across"]
+        drift["across"] = Across(s_m=tuple(across["s_m"]), width_m=tuple(map(tuple, across["width_m"])))
+        drift["coefficients"] = tuple(drift["coefficients"])
+        drift["cov"] = tuple(map(tuple, drift["cov"]))
         values: dict[str, Any] = {name: report[name] for name in cls.__dataclass_fields__}
         values |= {"drift": Drift(**drift), "covariance": CovarianceModel(**report["covariance"])}
         return cls(**values)
@@ -183,6 +254,12 @@ def choose_model(
     banks = np.unique(data.line[(data.line < 0) & (data.line > SHEET_LINE)])
     test, train = _thinned(data, lines, banks, rng)
     half = _typical_half_width(data, half_widths)
+    across = Across.of(data, half_widths)
+    share = across.margin(data.places_m)
+    of_lines = np.concatenate(test)
+    judged = share[of_lines[data.line[of_lines] >= 0]]
+    both = min((judged > 0.5).sum(), (judged < 0.5).sum()) >= _FEWEST
+    margin = settings.margin_roughness or (None if both else 1.0)
     known = bool(np.isfinite(half_widths(data.s_m)[0]).any() and np.isfinite(half_widths(data.s_m)[1]).any())
     covered = known and _widest_gap(data, half_widths) <= _WIDEST_GAP
     drifts = (
@@ -194,21 +271,27 @@ def choose_model(
     tried: list[tuple[str, str, ArrayF | None]] = [(kinds[0], drift, None) for drift in drifts]
     while tried:
         kind, drift_kind, start = tried.pop(0)
-        drift = Drift.fitted(drift_kind, data, half_widths)
+        drift = Drift.fitted(drift_kind, data, across)
         rest = data.lifted(data.height_m - drift.at(data.places_m))
-        found, score = _fitted(rest, test, train, kind, half, slow_time_s, start)
+        parts = _left_out(rest, share, test, train)
+        found, rough, score = _fitted(rest, parts, kind, half, slow_time_s, start, margin)
         compared[f"{drift_kind}, {kind}"] = score
         if best is None or score < best.score:
-            best = BedModel(drift=drift, covariance=found, score=score, compared=compared, reason="")
+            best = BedModel(
+                drift=drift, covariance=found, margin=rough, score=score, compared=compared, reason=""
+            )
         if not tried and len(compared) == len(drifts) and len(kinds) > 1:
-            tried = [(k, best.drift.kind, _parameters(best.covariance, half, rest)) for k in kinds[1:]]
+            tried = [(k, best.drift.kind, _parameters(best, half, rest)) for k in kinds[1:]]
     assert best is not None
+    best = best.fitted_to(data)
     # The nearest soundings may all be of one or two lines. Whether a line may make at most a quarter of a
     # cell, so that four lines do, is judged in the same way, with as many neighbours as a cell will have.
-    parts = _left_out(data.lifted(data.height_m - best.drift.at(data.places_m)), test, train)
+    parts = _left_out(data.lifted(data.height_m - best.drift.at(data.places_m)), share, test, train)
     quarter = max(settings.neighbours // 4, 1)
     any_line, four_lines = (
-        _score(best.covariance, parts, neighbours=settings.neighbours, of_line=k, candidates=256)
+        _score(
+            best.covariance, best.margin, parts, neighbours=settings.neighbours, of_line=k, candidates=256
+        )
         for k in (0, quarter)
     )
     if four_lines < any_line:
@@ -216,7 +299,8 @@ def choose_model(
     second = sorted(compared.values())[1] if len(compared) > 1 else np.nan
     reason = (
         f"drift {best.drift.kind}, model {best.covariance.kind}"
-        f"{', at most a quarter of a cell from one line' if best.of_line else ''}: mean log score of "
+        f"{', at most a quarter of a cell from one line' if best.of_line else ''}"
+        f"{f', relief of the margins {best.margin:.2f} times the channel' if margin is None else ''}: mean log score of "
         f"left-out lines {best.score:.3f}, the next best {second:.3f} (smaller is better)"
         if len(compared) > 1
         else "drift and model as stated; ranges by the log score of left-out lines"
@@ -260,23 +344,28 @@ def _typical_half_width(data: Observations, half_widths: HalfWidths) -> float:
     return float(width) if np.isfinite(width) else max(float(np.ptp(data.n_m)) / 2, 1.0)
 
 
+_Part = tuple[Observations, Observations, ArrayF, ArrayF]
+"""What is known without a left-out line, what is foretold of it, and how much of the margin either is."""
+
+
 def _fitted(
     rest: Observations,
-    test: list[ArrayI],
-    train: ArrayI,
+    parts: list[_Part],
     kind: str,
     half_m: float,
     slow_time_s: float,
     start: ArrayF | None,
-) -> tuple[CovarianceModel, float]:
-    """Parameters of a model with the best score, and this score."""
+    margin: float | None,
+) -> tuple[CovarianceModel, float, float]:
+    """Parameters of a model with the best score, the factor of the margin, and this score."""
     variance = max(float(rest.height_m.var()), 1e-6)
-    low, high = np.log([_BOUNDS[name] for name in ("range", "anisotropy", "sill", "micro")]).T
+    n = len(_BOUNDS) if margin is None else len(_BOUNDS) - 1
+    low, high = np.log(list(_BOUNDS.values()))[:n].T
 
-    def model_of(q: ArrayF) -> CovarianceModel:
-        """Covariance of logarithms of range, anisotropy, sill and micro-relief."""
-        across, stretch, sill, micro = np.exp(np.clip(q, low, high))
-        return CovarianceModel(
+    def model_of(q: ArrayF) -> tuple[CovarianceModel, float]:
+        """Covariance and margin of logarithms of range, anisotropy, sill, micro-relief and margin."""
+        across, stretch, sill, micro, *rough = np.exp(np.clip(q, low, high))
+        found = CovarianceModel(
             kind=kind,
             sill_m2=sill * variance,
             range_s_m=across * half_m * stretch,
@@ -284,37 +373,38 @@ def _fitted(
             micro_m2=micro * variance,
             slow_time_s=slow_time_s,
         )
-
-    parts = _left_out(rest, test, train)
+        return found, float(rough[0]) if margin is None else margin
 
     def score(q: ArrayF) -> float:
         """Log score, worse beyond the bounds."""
         outside = float(np.sum(np.maximum(low - q, 0) + np.maximum(q - high, 0)))
-        return _score(model_of(q), parts) + outside
+        return _score(*model_of(q), parts) + outside
 
-    first = np.log([0.7, 5.0, 1.0, 1e-3]) if start is None else start
-    simplex = np.vstack([first, first + np.diag([0.5, 0.7, 0.5, 1.0])])
+    first = (np.log(_FIRST) if start is None else start)[:n]
+    simplex = np.vstack([first, first + np.diag(_STRIDES[:n])])
     found = minimize(
         score,
         first,
         method="Nelder-Mead",
         options={"maxiter": _STEPS, "xatol": 0.05, "fatol": 1e-3, "initial_simplex": simplex},
     )
-    return model_of(found.x), float(found.fun)
+    return *model_of(found.x), float(found.fun)
 
 
-def _left_out(
-    rest: Observations, test: list[ArrayI], train: ArrayI
-) -> list[tuple[Observations, Observations]]:
-    """What is known without each left-out line, and what is foretold of it."""
-    return [
-        (rest.where(train[rest.line[train] != rest.line[of[0]]]), rest.where(of)) for of in test if len(of)
-    ]
+def _left_out(rest: Observations, share: ArrayF, test: list[ArrayI], train: ArrayI) -> list[_Part]:
+    """By left-out line."""
+    out = []
+    for of in test:
+        if len(of):
+            known = train[rest.line[train] != rest.line[of[0]]]
+            out.append((rest.where(known), rest.where(of), share[known], share[of]))
+    return out
 
 
 def _score(
     model: CovarianceModel,
-    parts: list[tuple[Observations, Observations]],
+    margin: float,
+    parts: list[_Part],
     *,
     neighbours: int = _NEIGHBOURS,
     of_line: int = 0,
@@ -322,24 +412,33 @@ def _score(
 ) -> float:
     """Mean negative log density of what was left out."""
     total, n = 0.0, 0
-    for known, left_out in parts:
+    for known, left_out, share, share_there in parts:
+        g, g_there = 1 + (margin - 1) * share, 1 + (margin - 1) * share_there
         height, sigma = krige(
-            known, left_out.places_m, model, neighbours=neighbours, of_line=of_line, candidates=candidates
+            known,
+            left_out.places_m,
+            model,
+            roughness=(g, g_there),
+            neighbours=neighbours,
+            of_line=of_line,
+            candidates=candidates,
         )
-        var = sigma**2 + model.micro_m2 + left_out.sigma_white_m**2 + left_out.sigma_slow_m**2
+        var = sigma**2 + g_there**2 * model.micro_m2 + left_out.sigma_white_m**2 + left_out.sigma_slow_m**2
         total += float(np.sum(np.log(var) / 2 + (left_out.height_m - height) ** 2 / (2 * var)))
         n += len(left_out)
     return total / n if np.isfinite(total) else 1e6
 
 
-def _parameters(model: CovarianceModel, half_m: float, rest: Observations) -> ArrayF:
-    variance = max(float(rest.height_m.var()), 1e-6)
+def _parameters(model: BedModel, half_m: float, rest: Observations) -> ArrayF:
+    """Where the fit of another kind begins."""
+    variance, of = max(float(rest.height_m.var()), 1e-6), model.covariance
     return np.log(
         [
-            model.range_n_m / half_m,
-            model.range_s_m / model.range_n_m,
-            model.sill_m2 / variance,
-            max(model.micro_m2 / variance, 1e-6),
+            of.range_n_m / half_m,
+            of.range_s_m / of.range_n_m,
+            of.sill_m2 / variance,
+            max(of.micro_m2 / variance, 1e-6),
+            model.margin,
         ]
     )
 

@@ -1,13 +1,17 @@
 r"""One terrain model of bed and banks: height, sigma, source, distance to data.
 
 **Cells.** Points of a cloud become one height a cell: their mean, brought to the centre of the cell along the
-slope about it. Of the sigma ``s`` that the points state and their scatter ``w`` about the slope, ``w`` is new
-in each point and the rest is shared, so that a cell of n points has ``max(s^2 - w^2, 0) + w^2 / n``.
+slope about it. Their scatter ``w`` about the slope is noise that is new in each point, as far as the sigma ``s``
+that they state allows it; the rest of ``s`` is shared, and the rest of ``w`` is relief, stones and tufts, which
+no number of points averages away: the height of a place within the cell differs by it. A cell of n points has
+``max(s^2 - w^2, 0) + min(w^2, s^2) / n + max(w^2 - s^2, 0)``, and where the middle of its points lies ``d`` off the
+cell's, ``(b d)^2`` besides, with the change of slope ``b`` from cell to cell thereabouts.
 
 **Blending.** Where several sources have a height, the model is their mean with the weights
 ``taper^2 / sigma^2``. The taper rises from 0 to 1 over `fusion.blend_m` from the border of a source inward,
-wherever another source goes on: no source ends with a step. Sources that contradict each other beyond their
-sigmas raise the sigma (Birge 1932).
+wherever another source goes on: no source ends with a step. The bed's shorelines come from the lidar and the
+surroundings are laid on it, so that sigmas are averaged, not variances. Sources that contradict each other beyond
+their sigmas raise the sigma (Birge 1932).
 
 **Gaps.** Cells without a height inside the water line, and others on request, take the membrane through
 their borders (Laplace's equation). Its error at distance d from data is what the model itself shows: the
@@ -211,14 +215,22 @@ def layer_of_cloud(
             return np.asarray(np.bincount(cell, weights=values, minlength=size) / n)
 
         first = mean(z)
-        east, north = _slopes(first.reshape(shape), cell_m)
+        east, north, bend = _slopes(first.reshape(shape), cell_m)
         level = z - east.ravel()[cell] * offset[:, 0] - north.ravel()[cell] * offset[:, 1]
         height = mean(level)
         squares = np.bincount(cell, weights=(level - height[cell]) ** 2, minlength=size).astype(float)
         steep = np.hypot(east, north).ravel()[cell]
         stated = mean(cloud_map.sigma_up_m[inside] ** 2 + (steep * cloud_map.sigma_horizontal_m[inside]) ** 2)
-        white = _pooled(squares.reshape(shape), np.maximum(n - 1, 0).reshape(shape), stated.reshape(shape))
-        variance = np.maximum(stated - white.ravel(), 0.0) + white.ravel() / n
+        white, free = _pooled(
+            squares.reshape(shape), np.maximum(n - 1, 0).reshape(shape), stated.reshape(shape)
+        )
+        # scatter beyond the stated one that is no chance of so few points
+        beyond = white.ravel() > stated * (1 + 2 * np.sqrt(2 / free.ravel()))
+        own, relief = np.minimum(white.ravel(), stated), np.where(beyond, white.ravel() - stated, 0.0)
+        # noise of three heights, 1, -2, 1, makes a change of slope too
+        bend = np.maximum(bend.ravel() - 6.0 * own / n / cell_m**2, 0.0)
+        off = mean(offset[:, 0]) ** 2 + mean(offset[:, 1]) ** 2
+        variance = stated - own + own / n + relief + bend * off
     known = n > 0
     sigma = np.where(known, np.sqrt(np.maximum(variance, _LEAST_SIGMA_M**2)), np.nan)
     return Layer(
@@ -230,9 +242,10 @@ def layer_of_cloud(
     )
 
 
-def _slopes(height: ArrayF, cell_m: float) -> tuple[ArrayF, ArrayF]:
-    """Slopes to the east and to the north between neighbouring cells; one-sided at borders, else zero."""
-    found = []
+def _slopes(height: ArrayF, cell_m: float) -> tuple[ArrayF, ArrayF, ArrayF]:
+    """Slopes to the east and to the north between neighbouring cells, one-sided at borders, else zero; squared
+    change of slope from cell to cell, mean of three by three cells."""
+    found, bends, counts = [], np.zeros(height.shape), np.zeros(height.shape)
     for axis, sign in ((1, 1.0), (0, -1.0)):
         ahead = np.diff(height, axis=axis) * sign / cell_m
         pad = [(0, 0), (0, 0)]
@@ -242,14 +255,18 @@ def _slopes(height: ArrayF, cell_m: float) -> tuple[ArrayF, ArrayF]:
         b = np.take(both, range(1, height.shape[axis] + 1), axis=axis)
         n = np.isfinite(a).astype(int) + np.isfinite(b)
         found.append((np.nan_to_num(a) + np.nan_to_num(b)) / np.maximum(n, 1))
-    return found[0], found[1]
+        bends += np.nan_to_num(a - b) ** 2
+        counts += n == 2
+    total, of = (ndimage.uniform_filter(x, 3, mode="constant") for x in (bends, counts))
+    return found[0], found[1], np.where(of > 0.05, total / np.maximum(of, 0.05), 0.0)
 
 
-def _pooled(squares: ArrayF, freedom: ArrayI, stated: ArrayF) -> ArrayF:
-    """Variance (rows, columns) of single points about the slope, pooled over three by three cells."""
+def _pooled(squares: ArrayF, freedom: ArrayI, stated: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Variance (rows, columns) of single points about the slope, pooled over three by three cells, and its
+    degrees of freedom."""
     total = ndimage.uniform_filter(np.nan_to_num(squares), 3, mode="constant")
     free = ndimage.uniform_filter(freedom.astype(float), 3, mode="constant")
-    return np.where(free > 0.5, total / np.maximum(free, 0.1), stated)
+    return np.where(free > 0.5, total / np.maximum(free, 0.1), stated), np.maximum(9 * free, 1.0)
 
 
 def layer_of_bed(path: Path, corner_m: ArrayF, cell_m: float, shape: tuple[int, int]) -> Layer:
@@ -391,9 +408,8 @@ def blend(layers: list[Layer], corner_m: ArrayF, cell_m: float, crs: CRS, *, ble
         )
 
     height, common = mixed("height_m"), mixed("sigma_common_m")
-    variance = np.sum(
-        [(s * np.nan_to_num(x.sigma_m)) ** 2 for s, x in zip(share, layers, strict=True)], axis=0
-    )
+    # the shorelines of the bed come from the lidar, and the surroundings were laid on it: errors are shared
+    variance = mixed("sigma_m") ** 2
     chi = np.sum(
         [
             k * s * (np.nan_to_num(x.height_m) - height) ** 2

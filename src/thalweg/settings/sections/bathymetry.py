@@ -98,6 +98,11 @@ class Bathymetry(Section):
         description="What is removed before: nothing, the mean cross-section over the width, the fall along "
         "the river",
     )
+    margin_roughness: Annotated[float, Field(ge=1, le=4)] | None = Field(
+        default=None,
+        description="Standard deviation of the relief in the outer 0.3 of the half width against the channel; "
+        "null: as left-out lines tell",
+    )
     neighbours: Annotated[int, Field(ge=4, le=512)] = Field(
         default=48, description="Soundings that make the height of a cell"
     )
