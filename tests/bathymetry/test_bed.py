@@ -353,6 +353,35 @@ def test_model_of_a_field_of_known_covariance() -> None:
     assert np.median(slope) == pytest.approx(0.09 / 8.0, rel=0.6)
 
 
+def test_margins_that_are_rougher_than_the_channel_get_their_own_sigma() -> None:
+    """Relief 2.5 times as large near the banks: normalised squares there, with one relief for all and with two."""
+    squares: dict[str, list[float]] = {"one": [], "two": [], "channel": []}
+    found = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        data, widths = field(20, rng)
+        hidden = np.column_stack([rng.uniform(0, 228, 400), rng.uniform(-11, 11, 400)])
+        places = np.vstack([data.places_m, hidden])
+        share = Across.of(data, widths).margin(places)
+        h = np.hypot(*((places[:, None, k] - places[None, :, k]) / r for k, r in ((0, 60.0), (1, 8.0))))
+        root = np.linalg.cholesky(0.01 * np.exp(-3 * h) + 1e-9 * np.eye(len(h)))
+        z = (1 + 1.5 * share) * (root @ rng.standard_normal(len(h)))
+        data = data.lifted(z[: len(data)] + 0.02 * rng.standard_normal(len(data)))
+        for name, kw in (("one", {"margin_roughness": 1.0}), ("two", {})):
+            settings = Bathymetry(drift="none", model="exponential", **kw)
+            model = choose_model(data, widths, settings, slow_time_s=0.0, seed=seed)
+            height, sigma = model.predict(data, hidden, neighbours=48)
+            square = ((height - z[len(data) :]) / sigma) ** 2
+            squares[name].append(float(np.mean(square[share[len(data) :] > 0.9])))
+            if name == "two":
+                found.append(model.margin)
+                squares["channel"].append(float(np.mean(square[share[len(data) :] < 0.1])))
+    assert np.mean(found) == pytest.approx(2.5, rel=0.25)
+    assert np.mean(squares["two"]) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(squares["channel"]) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(squares["one"]) > 1.4
+
+
 def test_a_single_line_is_refused() -> None:
     data, widths = field(1, np.random.default_rng(0))
     with pytest.raises(GeometryError, match="1 line of soundings"):

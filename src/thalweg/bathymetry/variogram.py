@@ -39,7 +39,7 @@ _OUTSIDE: Final = 1.2
 """Beyond so many half widths the mean cross-section goes on level."""
 MARGIN: Final = 0.7
 """Farther across than this share of the half width is margin."""
-_BLEND: Final = 0.1
+_BLEND: Final = 0.2
 """Channel and margin pass into each other over this share to both sides."""
 _FEWEST: Final = 40
 """Soundings of margin and of channel each, from which the factor of the margin is estimated."""
