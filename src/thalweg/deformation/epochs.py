@@ -43,7 +43,7 @@ from thalweg.core import (
     iter_laz,
     laz_header,
 )
-from thalweg.deformation.field import ErrorField, ErrorGroup
+from thalweg.deformation.field import ErrorField, ErrorGroup, rows_of_weights
 from thalweg.deformation.m3c2 import ColumnIndex, Weights, pose_weights
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.surface import Area
@@ -100,11 +100,7 @@ class Epoch:
             arm = (self.scanner_m - self.boat_m)[weights.node] if name == TURNS[1] else np.zeros(3)
             moved = np.einsum("eij,ei->ej", self.levers[TURNS.index(name)][weights.node], weights.shift)
             values = weights.turn_m - np.cross(arm, weights.shift) + moved
-        m = len(self.t_s)
-        columns = (3 * weights.node[:, None] + np.arange(3)).ravel()
-        return sp.csr_matrix(
-            (values.ravel(), columns, 3 * weights.start), shape=(len(weights.start) - 1, 3 * m)
-        )
+        return rows_of_weights(weights, values, len(self.t_s))
 
     def write(self, points: Path, errors: Path) -> None:
         """Write ``points.npz``, and ``errors.json`` beside it, what `read` reads."""

@@ -18,6 +18,7 @@ directions.
 Source: Gelb (1974), Applied Optimal Estimation, 2.2, for the process; the sums are written out here.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -89,7 +90,7 @@ class ErrorField:
         return cls(
             (position, attitude),
             tuple(
-                _matrix(weights, values, len(group.t_s))
+                rows_of_weights(weights, values, len(group.t_s))
                 for values, group in ((weights.shift, position), (weights.turn_m, attitude))
             ),
         )
@@ -171,9 +172,9 @@ def largest_deviation(
     return float(np.quantile(largest, share))
 
 
-def _matrix(weights: Weights, values: ArrayF, n_moments: int) -> sp.csr_matrix:
+def rows_of_weights(weights: Weights, values: ArrayF, n_moments: int) -> sp.csr_matrix:
     """Rows of a product as a sparse matrix over components of moments."""
-    index = (3 * weights.node[:, None] + np.arange(3)).ravel()
+    index = (3 * weights.node.astype(np.int32)[:, None] + np.arange(3, dtype=np.int32)).ravel()
     return sp.csr_matrix(
         (values.ravel(), index, 3 * weights.start), shape=(len(weights.start) - 1, 3 * n_moments)
     )
@@ -197,16 +198,17 @@ def _variances(
                     total += (
                         u[0] * (u[0] + 2.0 * s[0]) + u[1] * (u[1] + 2.0 * s[1]) + u[2] * (u[2] + 2.0 * s[2])
                     )
-                    s += u
+                    for axis in range(3):
+                        s[axis] += u[axis]
                     before = t[moment]
                 if now < 0:
                     break
                 if moment >= 0:
-                    if correlation > 0.0:
-                        s *= np.exp(-(t[now] - before) / correlation)
-                    else:
-                        s[:] = 0.0
-                u[:] = 0.0
+                    keep = math.exp(-(t[now] - before) / correlation) if correlation > 0.0 else 0.0
+                    for axis in range(3):
+                        s[axis] *= keep
+                for axis in range(3):
+                    u[axis] = 0.0
                 moment = now
             component = index[e] - 3 * now
             for axis in range(3):

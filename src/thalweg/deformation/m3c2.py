@@ -214,7 +214,7 @@ def pose_weights(
     """
     of_point = np.ascontiguousarray(node[cloud.order])
     place = (cloud.xyz_m, cloud.start, cloud.low_m, cloud.size, cloud.width_m)
-    count = _count_nodes(cores_m, normals, radius_m, half_length_m, *place, of_point)
+    count = _count_nodes(cores_m, normals, radius_m, half_length_m, *place, of_point, len(boat_m))
     start = np.r_[0, np.cumsum(count)].astype(np.int64)
     nodes = np.empty(start[-1], np.int64)
     shift, turn = np.empty((start[-1], 3)), np.empty((start[-1], 3))
@@ -405,18 +405,17 @@ def _count_nodes(
     size: AnyArray,
     width: float,
     node: AnyArray,
+    n_nodes: int,
 ) -> AnyArray:
     out = np.zeros(len(cores), np.int64)
     for b in prange((len(cores) + _BLOCK - 1) // _BLOCK):
         found = np.empty(1024, np.int64)
+        last = np.full(n_nodes, -1)  # core point that saw each moment last
         for i in range(b * _BLOCK, min(len(cores), (b + 1) * _BLOCK)):
             many, found = _members(cores[i], normals[i], r, length, xyz, start, low, size, width, found)
-            nodes = np.empty(many, np.int64)
             for m in range(many):
-                nodes[m] = node[found[m]]
-            nodes.sort()
-            for m in range(many):
-                if m == 0 or nodes[m] != nodes[m - 1]:
+                if last[node[found[m]]] != i:
+                    last[node[found[m]]] = i
                     out[i] += 1
     return out
 
@@ -441,32 +440,38 @@ def _fill_weights(
 ) -> None:
     for b in prange((len(cores) + _BLOCK - 1) // _BLOCK):
         found = np.empty(1024, np.int64)
+        last, entry = np.full(len(boat), -1), np.empty(len(boat), np.int64)
         for i in range(b * _BLOCK, min(len(cores), (b + 1) * _BLOCK)):
             many, found = _members(cores[i], normals[i], r, length, xyz, start, low, size, width, found)
-            of = np.empty(many, np.int64)
+            first = row[i]
+            e = first
             for m in range(many):
-                of[m] = node[found[m]]
-            e = row[i] - 1
-            n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
-            order = np.argsort(of)
-            for q in range(many):
-                k, moment = found[order[q]], of[order[q]]
-                if q == 0 or moment != nodes[e]:
-                    e += 1
+                moment = node[found[m]]
+                if last[moment] != i:
+                    last[moment] = i
                     nodes[e] = moment
-                    for axis in range(3):
-                        shift[e, axis] = 0.0
-                        turn[e, axis] = 0.0
+                    e += 1
+            nodes[first:e].sort()
+            for f in range(first, e):
+                entry[nodes[f]] = f
+                for axis in range(3):
+                    shift[f, axis] = 0.0
+                    turn[f, axis] = 0.0
+            n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
+            for m in range(many):
+                k = found[m]
+                moment = node[k]
+                f = entry[moment]
                 rx, ry, rz = (
                     xyz[k, 0] - boat[moment, 0],
                     xyz[k, 1] - boat[moment, 1],
                     xyz[k, 2] - boat[moment, 2],
                 )
                 for axis in range(3):
-                    shift[e, axis] += normals[i, axis] / many
-                turn[e, 0] += (ry * n2 - rz * n1) / many
-                turn[e, 1] += (rz * n0 - rx * n2) / many
-                turn[e, 2] += (rx * n1 - ry * n0) / many
+                    shift[f, axis] += normals[i, axis] / many
+                turn[f, 0] += (ry * n2 - rz * n1) / many
+                turn[f, 1] += (rz * n0 - rx * n2) / many
+                turn[f, 2] += (rx * n1 - ry * n0) / many
 
 
 @njit(cache=True, parallel=True)
