@@ -82,6 +82,14 @@ np.savez("theirs.npz", distance=distance, n=uncertainty["num_samples1"])
 print(json.dumps({"cpu": [spent], "wall": time.perf_counter() - begin}))
 """
 
+WHOLE = """
+from thalweg.deformation.compare import Comparison, measure_distances
+how = Comparison(scales_m=(RADIUS,), radius_m=RADIUS, half_length_m=REACH)
+found = measure_distances(cores, before, after, how, towards=np.array([0.0, 0.0, 1.0]), tiles=TILES)
+np.savez("tiles_TILES.npz", distance=found.distance_m, roughness=found.roughness_m)
+print(json.dumps({"gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6, "cpu": [cpu()]}))
+"""
+
 
 def a_bank(rng: np.random.Generator, n: int, lift_m: float) -> np.ndarray:
     xy = rng.uniform(0.0, SIZE_M, (n, 2))
@@ -144,3 +152,24 @@ def test_distances_beside_py4dgeo(tmp_path: Path, capsys: pytest.CaptureFixture[
         print(f"  {np.mean(apart < 1e-6):.4%} of the distances agree within 1e-6 m")
     assert np.mean(apart < 1e-6) > 0.99
     assert np.isfinite(ours["sigma"]).all()
+
+
+def test_large_clouds_in_pieces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """2 x 10 million points: below 1.5 GB, and the same numbers however many pieces there are."""
+    rng = np.random.default_rng(2)
+    n = turns.sized(1e7)
+    for name, lift in (("before", 0.0), ("after", 0.05)):
+        np.save(tmp_path / f"{name}.npy", a_bank(rng, n, lift))
+    np.save(tmp_path / "cores.npy", np.load(tmp_path / "before.npy")[:: n // turns.sized(2e4)])
+    source = str(Path(__file__).parents[2] / "src")
+    used = {}
+    for tiles in ("None", "1", "3", "7"):
+        used[tiles] = run(tmp_path, WHOLE.replace("TILES", tiles), source)
+    with capsys.disabled():
+        print(f"\n2 x {n:,} points: " + ", ".join(f"{k} pieces {v['gb']:.2f} GB" for k, v in used.items()))
+    assert used["None"]["gb"] < 1.5
+    one = np.load(tmp_path / "tiles_1.npz")
+    for tiles in ("None", "3", "7"):
+        other = np.load(tmp_path / f"tiles_{tiles}.npz")
+        for name in ("distance", "roughness"):
+            assert other[name] == pytest.approx(one[name], abs=1e-9, nan_ok=True)

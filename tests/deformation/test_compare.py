@@ -11,7 +11,7 @@ from thalweg.cli import main
 from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_table
 from thalweg.core.las import read_laz, write_laz
 from thalweg.deformation import Comparison, compare_clouds
-from thalweg.deformation.compare import CHANGES
+from thalweg.deformation.compare import CHANGES, measure_distances
 from thalweg.deformation.foreign import Points, one_frame, read_points
 
 OPTIONS = Comparison(scales_m=(1.0,), radius_m=0.8, half_length_m=3.0)
@@ -78,6 +78,21 @@ def test_places_that_an_epoch_has_not_seen_are_no_erosion(tmp_path: Path) -> Non
     gone = table["east_m"] > 440_016.5
     assert (table.loc[gone, "state"] == "not seen in second").all()
     assert table.loc[gone, "distance_m"].isna().all()
+
+
+@pytest.mark.parametrize("tiles", [3, 7])
+def test_pieces_make_the_same_distances(tiles: int) -> None:
+    place = np.array([440_000.0, 5_640_000.0, 0.0])
+    before, after = ground(1) - place, ground(2, -0.08) - place
+    after = after[after[:, 0] < 25.0]  # the last pieces have no points of the second epoch
+    up = np.array([0.0, 0.0, 1.0])
+    whole, parts = (
+        measure_distances(before[::7], before, after, OPTIONS, towards=up, tiles=each) for each in (1, tiles)
+    )
+    assert (parts.n == whole.n).all()
+    for name in ("normals", "scale_m", "distance_m", "roughness_m"):
+        assert getattr(parts, name) == pytest.approx(getattr(whole, name), abs=1e-12, nan_ok=True)
+    assert np.isnan(whole.distance_m).any()
 
 
 def test_other_frames_and_clouds_apart_are_refused(tmp_path: Path) -> None:

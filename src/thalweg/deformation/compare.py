@@ -44,6 +44,7 @@ CHANGES = table_kind(
 )
 """One row for each core point."""
 
+_POINTS_A_TILE = 1_500_000
 CONTROLS = ("fdr", "none")
 """What the level of significance holds for: the rate of false discoveries, or each core point alone."""
 
@@ -102,34 +103,64 @@ class Distances:
 
 
 def measure_distances(
-    cores_m: ArrayF, before: ColumnIndex, after: ColumnIndex, options: Comparison, *, towards: ArrayF
+    cores_m: ArrayF,
+    before_m: ArrayF,
+    after_m: ArrayF,
+    options: Comparison,
+    *,
+    towards: ArrayF,
+    tiles: int | None = None,
 ) -> Distances:
     """Distances from the first to the second cloud along normals of the first.
 
     Parameters
     ----------
     cores_m : (k, 3) core points.
-    before, after : indexed clouds in one frame.
+    before_m, after_m : (n, 3) clouds in one frame.
     towards : (3,) or (k, 3) direction to which normals point: a positive distance is a surface that came that
         way.
+    tiles : pieces along the longest side, whose points are indexed one after the other; None: as many as keep
+        the memory of an index small. The distances do not depend on it.
 
     Raises
     ------
     GeometryError : no core point has points of both clouds around it: the epochs do not overlap.
     """
-    normals, scale = multiscale_normals(cores_m, before, options.scales_m, towards=towards)
-    cut = [
-        cut_cylinders(
-            cores_m,
-            normals,
-            cloud,
-            radius_m=options.radius_m,
-            half_length_m=options.half_length_m,
-            least=options.least_points,
-        )
-        for cloud in (before, after)
-    ]
-    return distances_along(cores_m, normals, scale, cut[0], cut[1])
+    k = len(cores_m)
+    clouds = (before_m, after_m)
+    pieces = -(-max(len(before_m), len(after_m)) // _POINTS_A_TILE) if tiles is None else tiles
+    sight = np.broadcast_to(towards, (k, 3))
+    axis = int(np.argmax(np.ptp(cores_m, axis=0)))
+    margin = max(*options.scales_m, float(np.hypot(options.radius_m, options.half_length_m)))
+    width = max(options.radius_m, 0.5 * max(options.scales_m))
+    normals, scale = np.full((k, 3), np.nan), np.full(k, np.nan)
+    n = np.zeros((2, k), dtype=np.int64)
+    along, std = np.full((2, k), np.nan), np.full((2, k), np.nan)
+    for rows in np.array_split(np.argsort(cores_m[:, axis], kind="stable"), pieces):
+        if not len(rows):
+            continue
+        place = cores_m[rows, axis]
+        for i, cloud in enumerate(clouds):
+            near = (cloud[:, axis] >= place.min() - margin) & (cloud[:, axis] <= place.max() + margin)
+            if not near.any():
+                continue
+            index = ColumnIndex.of(cloud[near], width)
+            if i == 0:
+                normals[rows], scale[rows] = multiscale_normals(
+                    cores_m[rows], index, options.scales_m, towards=sight[rows]
+                )
+            cut = cut_cylinders(
+                cores_m[rows],
+                normals[rows],
+                index,
+                radius_m=options.radius_m,
+                half_length_m=options.half_length_m,
+                least=options.least_points,
+            )
+            n[i, rows], along[i, rows], std[i, rows] = cut.n, cut.along_m, cut.std_m
+            del index
+    cuts = [Cylinders(*each) for each in zip(n, along, std, strict=True)]
+    return distances_along(cores_m, normals, scale, cuts[0], cuts[1])
 
 
 def distances_along(

@@ -24,7 +24,6 @@ from thalweg.core import (
 )
 from thalweg.core.geometry import TriangleMesh
 from thalweg.deformation.compare import CHANGES, Comparison, judge_changes, measure_distances
-from thalweg.deformation.m3c2 import ColumnIndex
 from thalweg.ingest.clouds import read_cloud
 from thalweg.settings.sections import ReferenceSettings
 from thalweg.surface import Surface, mesh_reference, read_triangles
@@ -131,9 +130,10 @@ def compare_clouds(
     clouds = [read_points(path) for path in (before, after)]
     frame, notes = one_frame(clouds)
     shift = np.round(clouds[0].xyz_m.mean(axis=0))  # so that squares of coordinates of maps keep their digits
-    width = max(options.radius_m, 0.5 * max(options.scales_m))
-    first, second = (ColumnIndex.of(cloud.xyz_m - shift, width) for cloud in clouds)
-    cores = (clouds[0].xyz_m - shift)[::core_every]
+    for cloud in clouds:
+        np.subtract(cloud.xyz_m, shift, out=cloud.xyz_m)
+    first, second = (cloud.xyz_m for cloud in clouds)
+    cores = first[::core_every].copy()
     found = measure_distances(cores, first, second, options, towards=np.asarray(towards, float))
     if None in sigma_m:
         notes.append(
