@@ -43,12 +43,13 @@ from thalweg_lab.reproduction.ledger import (
 )
 
 ROWS = (
+    *("C043", "C061", "C102", "C129", "C130"),
     *(f"C{i:03d}" for i in range(67, 87)),
     *(f"C{i}" for i in range(219, 256)),
     *(f"C{i}" for i in range(275, 307)),
     *(f"C{i}" for i in range(320, 328)),
 )
-"""Published items on the light-sheet sensor (P3, P4, T 4.2), and those between them."""
+"""Published items on change (T 4.1) and on the light-sheet sensor (P3, P4, T 4.2), and those between them."""
 
 NOWHERE = Results.of({}, {}, None)
 
