@@ -9,7 +9,16 @@ import pandas as pd
 import pytest
 
 from thalweg.core import InputError, frame_of, write_table
-from thalweg.deformation import CHANGES, CORE_POINTS, DRAWS, VISIBILITY
+from thalweg.deformation import (
+    CHANGES,
+    CORE_POINTS,
+    DRAWS,
+    HEIGHTS,
+    SERIES,
+    VISIBILITY,
+    fit_series,
+    heights_table,
+)
 from thalweg.figures.deformation import change_page, read_pair_facts
 from thalweg.figures.deformation.maps import draw_change_map, draw_not_seen, draw_significance_map, read_pairs
 from thalweg.figures.deformation.page import direction, largest_patches, limits, verdict
@@ -18,6 +27,7 @@ from thalweg.figures.deformation.statistics import (
     draw_level_of_detection,
     draw_retreat_along,
     draw_stable_ground,
+    draw_time_series,
     draw_volume_along,
     read_stable,
     variogram,
@@ -444,3 +454,43 @@ def test_movement_of_both_lines_is_drawn_in_centimetres(look, tmp_path):
     assert "bank line, n = 2 stretches, at a height of +0.50 m" in look.texts(figure)
     assert figure.axes[0].lines[0].get_ydata() == pytest.approx(-30.0)
     look.drawn(figure, tmp_path)
+
+
+@pytest.fixture
+def retreating(bank, rng):
+    """Times, heights, sigmas of four epochs: a core point retreats by 10 cm a year, one was seen twice."""
+    t, sigma = np.array([2019.0, 2020.0, 2021.0, 2023.0]), np.full((4, bank.n), 0.01)
+    height = rng.normal(0.0, 0.002, (4, bank.n))
+    height[0] = 0.0
+    height[:, 7] -= 0.1 * (t - t[0])
+    height[1:3, 8] = np.nan
+    return t, height, sigma
+
+
+def test_six_series_are_drawn_the_largest_trend_first(bank, retreating, look, tmp_path):
+    write_table(tmp_path / "series.parquet", fit_series(*retreating), SERIES)
+    write_table(tmp_path / "heights.parquet", heights_table(*retreating), HEIGHTS)
+    files = {"heights": tmp_path / "heights.parquet", "series": tmp_path / "series.parquet"}
+    figure = draw_time_series(**files, core_points=bank.core_points, **WORDS)
+    trend = look.artists(figure, "trend")
+    assert len(trend) == 6
+    assert np.ptp(trend[0].get_ydata()) == pytest.approx(40.0, abs=2.0)  # 10 cm/a over four years
+    assert f"Six of {bank.n} core points over time" in look.texts(figure)
+    assert trend[0].get_xdata().tolist() == [0.0, 1.0, 2.0, 4.0]
+    look.drawn(figure, tmp_path)
+
+
+def test_a_page_of_many_epochs_names_those_that_jump(bank):
+    facts = read_pair_facts(
+        bank.changes, bank.visibility, bank.control, bank.registrations, bank.volumes, bank.patches,
+        bank.core_points,
+    )  # fmt: skip
+    errors = [json.loads(path.read_text()) for path in bank.errors]
+    jump = {"n": 200, "before_m": 0.2, "after_m": -0.21, "share": 0.9, "flagged": True, "name": "autumn"}
+    jumps = {"epochs": [jump | {"epoch": 1}], "closure": {"n": 190, "mean_m": 0.0, "rms_m": 0.013}}
+    line = {"line": "bank line", "height_m": 0.5, "s_from_m": 0.0, "s_to_m": 5.0, "cores": 4, "n_epochs": 3}
+    rates = pd.DataFrame([line | {"lrr_m_a": -0.31, "sigma_lrr_m_a": 0.02}])
+    text = change_page(errors, facts, series=(jumps, rates)).html()
+    assert "Look at epoch 2 (autumn)" in text
+    assert "to 1.3 cm (root mean square of n = 190" in text
+    assert "−0.31" in text or "-0.31" in text

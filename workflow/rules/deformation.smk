@@ -131,6 +131,7 @@ rule change_series:
         core_points="results/{campaign}/deformation/core_points.parquet",
     output:
         series="results/{campaign}/deformation/series.parquet",
+        heights="results/{campaign}/deformation/heights.parquet",
         jumps="results/{campaign}/deformation/jumps.json",
         retreat="results/{campaign}/deformation/retreat_rates.csv",
     log:

@@ -131,6 +131,7 @@ PAGES = {
             "volumes": of(CampaignFiles.of_pairs, "volumes_{}.csv"),
             "patches": of(CampaignFiles.of_pairs, "patches_{}.csv"),
             "core_points": f"{RESULTS}/deformation/core_points.parquet",
+            "series": of(CampaignFiles.change_series),
             "truth": of(CampaignFiles.change_truth),
             "pictures": of_page("deformation"),
         },

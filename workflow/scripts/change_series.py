@@ -5,17 +5,34 @@ from dataclasses import asdict
 from pathlib import Path
 
 from thalweg.core import read_table, write_table
-from thalweg.deformation import CORE_POINTS, SERIES, Epoch, find_jumps, fit_series, series_of_epochs
+from thalweg.deformation import (
+    CORE_POINTS,
+    HEIGHTS,
+    SERIES,
+    Epoch,
+    find_jumps,
+    fit_series,
+    heights_table,
+    series_of_epochs,
+)
 from thalweg.settings.sections import Deformation
 from thalweg.workflow import run_job
 
 
 def main(
-    *, epochs: list[Path], core_points: Path, series: Path, jumps: Path, deformation: Deformation
+    *,
+    epochs: list[Path],
+    core_points: Path,
+    series: Path,
+    heights: Path,
+    jumps: Path,
+    retreat: Path,
+    deformation: Deformation,
 ) -> None:
     read = [Epoch.read(path.parent) for path in epochs]
     found = series_of_epochs(read_table(core_points, CORE_POINTS)[0], read, deformation)
     write_table(series, fit_series(found.years, found.height_m, found.sigma_m), SERIES)
+    write_table(heights, heights_table(found.years, found.height_m, found.sigma_m), HEIGHTS)
     moving = fit_series(found.years, found.line_m, found.line_sigma_m)
     rates = found.lines.assign(
         n_epochs=moving["n_epochs"], lrr_m_a=moving["trend_m_a"], sigma_lrr_m_a=moving["sigma_trend_m_a"]
@@ -25,7 +42,8 @@ def main(
         asdict(jump) | {"name": read[jump.epoch].name}
         for jump in find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)
     ]
-    jumps.write_text(json.dumps(told, indent=2) + "\n")
+    facts = {"epochs": told, "closure": asdict(found.misclosure)}
+    jumps.write_text(json.dumps(facts, indent=2) + "\n")
 
 
 if "snakemake" in globals():

@@ -25,7 +25,14 @@ from .foreign import (
     compare_with_surface as compare_with_surface,
     write_changes as write_changes,
 )
-from .series import SERIES as SERIES, closure as closure, find_jumps as find_jumps, fit_series as fit_series
+from .series import (
+    HEIGHTS as HEIGHTS,
+    SERIES as SERIES,
+    closure as closure,
+    find_jumps as find_jumps,
+    fit_series as fit_series,
+    heights_table as heights_table,
+)
 from .shapes import Shapes as Shapes, read_shapes as read_shapes
 from .surfaces import (
     Dsm as Dsm,

@@ -18,6 +18,7 @@ from thalweg.deformation.coregistration import Registration, coregister
 from thalweg.deformation.epochs import Epoch
 from thalweg.deformation.field import ErrorField, ErrorGroup
 from thalweg.deformation.m3c2 import ColumnIndex, Cylinders, cut_cylinders, mean_in_cylinders
+from thalweg.deformation.series import Closure, closure
 from thalweg.settings.sections import Deformation
 
 YEAR_S = 365.25 * 86_400.0
@@ -100,6 +101,7 @@ class Series:
     height_m : (n, k) registered, zero in the first row; NaN where not seen. ``raw_m``: before registration.
     sigma_m : (n, k) standard deviation of each epoch's own mean.
     sigma_apart_m : (n - 1,) standard deviation of the mean distance of neighbouring epochs.
+    misclosure : of the registered changes from epoch to epoch against that from first to last.
     lines : of the bank in stretches, see `thalweg.deformation.core_points.lines_of_bank`.
     line_m, line_sigma_m : (n, q) their registered movement from the first epoch, and the standard deviation
         of each epoch's own.
@@ -110,6 +112,7 @@ class Series:
     sigma_m: ArrayF
     raw_m: ArrayF
     sigma_apart_m: ArrayF
+    misclosure: Closure
     lines: pd.DataFrame
     line_m: ArrayF
     line_sigma_m: ArrayF
@@ -185,9 +188,10 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
     height[~np.isfinite(sigma)] = np.nan
     years = np.array([epoch.start_gps_s for epoch in epochs]) / YEAR_S
     # how far two epochs may lie apart as such: the mean distance before any registration
-    apart = []
+    apart, steps = [], []
     for before, after in pairwise(epochs):
         pair = measure_pair(cores, before, after, settings)
+        steps.append(register_pair(pair, settings).registered(pair.found.distance_m))
         use = np.isfinite(pair.found.distance_m)
         row = np.where(use, 1.0 / max(int(use.sum()), 1), 0.0)[None]
         apart.append(float(np.sqrt(pair.field.combined(row).variances()[0])))
@@ -205,6 +209,7 @@ def series_of_epochs(cores: pd.DataFrame, epochs: Sequence[Epoch], settings: Def
         sigma_m=sigma,
         raw_m=raw,
         sigma_apart_m=np.array(apart),
+        misclosure=closure(np.array(steps), height[-1]),
         lines=lines,
         line_m=np.nan_to_num(height) @ products.T,
         line_sigma_m=np.sqrt(np.array(own)),

@@ -53,6 +53,18 @@ SERIES = table_kind(
     ],
 )
 """One row for each place."""
+HEIGHTS = table_kind(
+    "heights",
+    1,
+    [
+        column("place", pa.int64(), "1", "number of the core point or cell"),
+        column("epoch", pa.int64(), "1", "number of the epoch, from 1"),
+        column("t_a", pa.float64(), "a", "time since the first epoch, Julian years"),
+        column("distance_m", pa.float64(), "m", "registered distance from the first epoch"),
+        column("sigma_m", pa.float64(), "m", "standard deviation of this epoch's own mean"),
+    ],
+)
+"""One row for each place and epoch that saw it."""
 
 
 def fit_series(
@@ -125,6 +137,21 @@ def fit_series(
             **dict(zip(_TREND, trend.T, strict=True)),
             "step_after_epoch": after,
             **dict(zip(_STEP, step.T, strict=True)),
+        },
+    )
+
+
+def heights_table(t_a: ArrayF, height_m: ArrayF, sigma_m: ArrayF) -> pd.DataFrame:
+    """Table `HEIGHTS` of times (n,), distances (n, k) and standard deviations (n, k); NaN is left out."""
+    epoch, place = np.nonzero(np.isfinite(height_m))
+    return frame_of(
+        HEIGHTS,
+        {
+            "place": place,
+            "epoch": epoch + 1,
+            "t_a": (t_a - t_a[0])[epoch],
+            "distance_m": height_m[epoch, place],
+            "sigma_m": sigma_m[epoch, place],
         },
     )
 

@@ -746,6 +746,15 @@ class CampaignFiles:
         twins = all(self.of(name).is_twin() for name in self.epoch_names())
         return self.of_pairs("truth_{}.csv") if self.campaign.is_change and twins else []
 
+    def has_many_epochs(self) -> bool:
+        """True if more than two epochs are compared."""
+        return len(self.epoch_names()) > 2
+
+    def change_series(self) -> list[str]:
+        """Epochs that jump, and rates of retreat, where there are more than two epochs."""
+        names = ("deformation/jumps.json", "deformation/retreat_rates.csv")
+        return [file for name in names for file in self._where(self.has_many_epochs(), name)]
+
     def _change_outputs(self) -> list[str]:
         return [
             *self.of_pairs("changes_{}.parquet"),
@@ -753,7 +762,7 @@ class CampaignFiles:
             *self.of_pairs("volumes_{}.csv"),
             *self.of_pairs("volumes_along_{}.csv"),
             *self.of_pairs("retreat_{}.csv"),
-            *self._where(len(self.epoch_names()) > 2, "deformation/series.parquet"),
+            *self._where(self.has_many_epochs(), "deformation/series.parquet"),
             *self.change_truth(),
             self._result("deformation/index.html"),
         ]

@@ -287,6 +287,7 @@ def change_page(
     *,
     pictures: Sequence[Path] = (),
     captions: Mapping[str, str] | None = None,
+    series: tuple[Mapping[str, Any], pd.DataFrame] | None = None,
     truth: Mapping[str, pd.DataFrame] | None = None,
     title: str = "Change between epochs",
     twin: bool = False,
@@ -299,6 +300,7 @@ def change_page(
     pairs : what was found out about each pair.
     pictures : PNG files, shown in their order.
     captions : stem of a picture -> its caption.
+    series : of more than two epochs, ``jumps.json`` and ``retreat_rates.csv``.
     truth : for a twin, ``measure, value, n`` of the comparison with the true change by pair.
     title : heading.
     twin : true if the digital twin made the data.
@@ -321,6 +323,8 @@ def change_page(
         page.section("Figures")
     for picture in pictures:
         page.figure(picture, (captions or {}).get(picture.stem, picture.stem.replace("_", " ")))
+    if series is not None:
+        _series(page, *series)
     _registration(page, pairs)
     _unseen(page, pairs)
     _epochs(page, epochs)
@@ -340,6 +344,7 @@ def write_change_page(
     volumes: list[Path],
     patches: list[Path],
     core_points: Path,
+    series: list[Path],
     truth: list[Path],
     pictures: list[Path],
     captions: dict[str, str],
@@ -353,6 +358,7 @@ def write_change_page(
         read_pair_facts(changes, visibility, control, registrations, volumes, patches, core_points),
         pictures=pictures,
         captions=captions,
+        series=(json.loads(series[0].read_text()), pd.read_csv(series[1])) if series else None,
         truth={path.stem.rpartition("_")[2]: pd.read_csv(path) for path in truth},
         title=f"Change of the bank: {title}",
         twin=twin,
@@ -414,6 +420,43 @@ def _states(page: Page, pairs: Sequence[PairFacts]) -> None:
                 )
     units = {"area": "m²", "share": "%", "median distance": "cm", "median sigma": "cm"}
     page.table(pd.DataFrame(rows), "Core points by state", units, digits=3)
+
+
+def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame) -> None:
+    """Epochs that jump and return, closure, and rates of retreat."""
+    epochs, closed = facts["epochs"], facts["closure"]
+    flagged = [f"epoch {each['epoch'] + 1} ({each['name']})" for each in epochs if each["flagged"]]
+    page.section("More than two epochs").text(
+        (
+            f"Look at {' and '.join(flagged)}: most of the bank goes one way and comes back: an error of the "
+            "survey rather than of the ground. Nothing was corrected."
+            if flagged
+            else "No epoch jumps and returns over most of the bank."
+        )
+        + f" The changes from epoch to epoch, each registered by itself, close against that from first to "
+        f"last to {100 * closed['rms_m']:.1f} cm (root mean square of n = {count(closed['n'])} core points)."
+    )
+    rows = pd.DataFrame(epochs)
+    shown = pd.DataFrame(
+        {
+            "epoch": rows["epoch"] + 1,
+            "campaign": rows["name"],
+            "n": rows["n"],
+            "median from the one before": 100 * rows["before_m"],
+            "median to the next": 100 * rows["after_m"],
+            "go and come back": 100 * rows["share"],
+            "flagged": np.where(rows["flagged"], "yes", "no"),
+        }
+    )
+    units = {"median from the one before": "cm", "median to the next": "cm", "go and come back": "%"}
+    page.table(shown, "Does an epoch jump? Before any registration", units, digits=2)
+    if len(rates):
+        columns = ["line", "s_from_m", "s_to_m", "cores", "n_epochs", "lrr_m_a", "sigma_lrr_m_a"]
+        names = {"s_from_m": "from", "s_to_m": "to", "cores": "core points", "n_epochs": "epochs",
+                 "lrr_m_a": "rate", "sigma_lrr_m_a": "sigma"}  # fmt: skip
+        units = {"from": "m", "to": "m", "rate": "m/a", "sigma": "m/a"}
+        caption = "Rates of bank line and bank top by regression over all epochs; negative: retreat"
+        page.table(rates[columns].rename(columns=names), caption, units, digits=3)
 
 
 def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:

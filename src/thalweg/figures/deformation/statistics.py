@@ -16,7 +16,7 @@ from scipy.spatial.distance import pdist
 from scipy.stats import norm
 
 from thalweg.core import ArrayB, ArrayF, read_table
-from thalweg.deformation import DRAWS
+from thalweg.deformation import CORE_POINTS, DRAWS, HEIGHTS, SERIES
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -428,3 +428,67 @@ def draw_retreat_along(*, retreat: list[Path], title: str, twin: bool) -> Figure
     """Movement of both lines of a bank in stretches -> along the bank."""
     tables = [(path.stem.rpartition("_")[2], pd.read_csv(path)) for path in retreat]
     return retreat_along(tables, title=f"Movement of the bank: {title}", twin=twin)
+
+
+# ---------------------------------------------------------------- more than two epochs
+
+SHOWN: Final = 6
+"""Core points whose series are drawn."""
+
+
+def chosen_places(series: pd.DataFrame, n_epochs: int) -> list[int]:
+    """Core points that all epochs saw: three with the largest trends in their sigma, three of all others.
+
+    These lie at the quarters of the others' trends, so that stable ground is among them.
+    """
+    whole = series[(series["n_epochs"] == n_epochs) & series["trend_m_a"].notna()]
+    if whole.empty:
+        return []
+    ratio = (whole["trend_m_a"] / whole["sigma_trend_m_a"]).abs().sort_values(ascending=False)
+    largest = list(ratio.index[: SHOWN // 2])
+    rest = ratio.iloc[SHOWN // 2 :]
+    middle = [rest.index[int(share * (len(rest) - 1))] for share in (0.25, 0.5, 0.75)] if len(rest) else []
+    return [int(series.loc[row, "place"]) for row in dict.fromkeys([*largest, *middle])]
+
+
+@styled
+def time_series(
+    heights: pd.DataFrame, series: pd.DataFrame, cores: pd.DataFrame, *, title: str, twin: bool
+) -> Figure:
+    """Distances of some core points from the first epoch over time, with their trends."""
+    figure = new_figure(112.0, title, twin=twin)
+    places = chosen_places(series, int(heights["epoch"].max()))
+    for ax, place in zip(figure.subplots(2, 3, sharex=True).ravel(), places, strict=False):
+        rows = heights[heights["place"] == place]
+        fit = series[series["place"] == place].iloc[0]
+        t, d = rows["t_a"].to_numpy(), 100 * rows["distance_m"].to_numpy()
+        sigma = 100 * WIDE * rows["sigma_m"].to_numpy()
+        ax.errorbar(t, d, sigma, fmt="o", ms=3.5, color=BLUE, lw=0.9, capsize=1.5, gid="series")
+        weights = 1.0 / rows["sigma_m"].to_numpy()
+        slope = 100 * fit["trend_m_a"]
+        level = np.average(d - slope * t, weights=weights**2)
+        ax.plot(t, level + slope * t, color=VERMILION, lw=1.0, gid="trend")
+        at = cores.loc[cores["core"] == place].iloc[0]
+        ax.set_title(
+            f"s {signed(at['s_m'], 1)} m, height {signed(at['up_m'], 1)} m\n"
+            f"{signed(slope, 1)} ± {100 * fit['sigma_trend_m_a']:.1f} cm/a"
+        )
+        ax.grid(visible=True)
+    for ax in figure.axes[len(places) :]:
+        ax.set_axis_off()
+    figure.supxlabel("years since the first epoch", fontsize="medium")
+    figure.supylabel("distance from the first epoch / cm (bars: 95 % of each epoch)", fontsize="medium")
+    return figure
+
+
+def draw_time_series(*, heights: Path, series: Path, core_points: Path, title: str, twin: bool) -> Figure:
+    """Distances at core points over time -> six of them."""
+    table = read_table(heights, HEIGHTS)[0]
+    n = count(table["place"].nunique())
+    return time_series(
+        table,
+        read_table(series, SERIES)[0],
+        read_table(core_points, CORE_POINTS)[0],
+        title=f"Six of {n} core points over time: {title}",
+        twin=twin,
+    )
