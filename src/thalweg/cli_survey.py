@@ -1,4 +1,4 @@
-"""The commands ``thalweg ppk`` and ``georeference``: a GNSS track, a cloud of a lidar, without a campaign."""
+"""The commands ``thalweg ppk``, ``georeference``, ``view``: track, cloud, a look at one; no campaign."""
 
 import argparse
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Add ``ppk`` and ``georeference``."""
+    """Add ``ppk``, ``georeference`` and ``view``."""
     ppk = commands.add_parser(
         "ppk", help="raw GNSS of rover and base -> track with tested standard deviations, page, KML"
     )
@@ -165,6 +165,20 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
     cloud.add_argument("--crs", metavar="EPSG:...", help="also write the cloud in this map grid")
     cloud.add_argument("--out", type=Path, required=True, metavar="LAZ", help="cloud to write")
     cloud.set_defaults(command=_georeference)
+
+    view = commands.add_parser(
+        "view",
+        help="any cloud -> a page that opens from disk: turn it, colour it, measure points and distances",
+    )
+    view.add_argument("cloud", type=Path, metavar="CLOUD", help="LAS, LAZ, PLY, E57, x y z text")
+    view.add_argument("--title", help="heading of the page (default: name of the file)")
+    view.add_argument(
+        "--points", type=int, metavar="N", help="shown at most, thinned evenly (default: 1500000)"
+    )
+    view.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="FOLDER", help="for the page and what belongs to it"
+    )
+    view.set_defaults(command=_view)
 
 
 def _ppk(options: argparse.Namespace) -> int:
@@ -325,3 +339,29 @@ def _read_trajectory(options: argparse.Namespace) -> tuple[Any, list[str]]:
         sigma_position_m=None if options.sigma_position is None else [options.sigma_position] * 3,
     )
     return built, [*log.report.notes, *what.notes]
+
+
+def _view(options: argparse.Namespace) -> int:
+    from thalweg.core import ConfigError
+    from thalweg.figures.viewer import MOST_POINTS, read_view, write_viewer
+
+    most = MOST_POINTS if options.points is None else options.points
+    if most < 1:
+        raise ConfigError(f"--points {most}", expected="1 or more", where="thalweg view")
+    view = read_view(options.cloud, most)
+    n = write_viewer(view, options.out, title=options.title or options.cloud.name, most_points=most)
+    lacking = [
+        name
+        for name, values in (
+            ("colours", view.rgb),
+            ("intensities", view.intensity),
+            ("standard deviations", view.sigma_m),
+            ("times", view.t_gps_s),
+        )
+        if values is None
+    ]
+    print(f"{n:,} of {view.n_total:,} points")
+    if lacking:
+        print(f"note: the cloud states no {', no '.join(lacking)}")
+    print(f"Wrote {options.out / 'index.html'}: open it in a browser; hand on the folder as a whole")
+    return 0

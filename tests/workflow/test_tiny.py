@@ -99,6 +99,7 @@ def test_everything_promised_is_there(tiny_house) -> None:
         "lidar/points.laz",
         "lidar/points_map.laz",
         "lidar/coloured.laz",
+        "viewer/index.html",
         "timing/streams.csv",
         "summary.csv",
         "index.html",
@@ -240,6 +241,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "accuracy_page",
         "trajectory_comparison_page",
         "bathymetry_page",
+        "viewer_page",
     }
     undo()
     undo = edited(tiny_house, "navigation/ins_gnss/trajectory.py", "\n_edited = 1\n")
@@ -273,6 +275,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
     }
     after_fusion = {
         "colour_points",
+        "viewer_page",
         "locate_soundings",
         "trace_river",
         "krige_bed",

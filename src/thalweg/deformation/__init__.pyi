@@ -21,8 +21,10 @@ from .epochs import Epoch as Epoch, check_order as check_order, prepare_epoch as
 from .field import ErrorField as ErrorField, benjamini_hochberg as benjamini_hochberg
 from .foreign import (
     DISTANCES as DISTANCES,
+    TEXT as TEXT,
     compare_clouds as compare_clouds,
     compare_with_surface as compare_with_surface,
+    read_points as read_points,
     write_changes as write_changes,
 )
 from .series import (

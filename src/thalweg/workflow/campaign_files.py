@@ -660,6 +660,10 @@ class CampaignFiles:
         folder = "by_fused/" if self.best_chain() == "fused" else ""
         return self._where(self.has_lidar(), f"lidar/{folder}points.laz")
 
+    def shown_points(self) -> list[str]:
+        """The cloud to look at: in colour, where photographs give any."""
+        return self._where(self.is_coloured(), "lidar/coloured.laz") or self.best_points()
+
     def strip_points(self) -> list[str]:
         """Points of the bed by the light sheet, where the boat carries one."""
         return self._where(self.has_strip(), "triangulation/strip/points.parquet")
@@ -797,6 +801,7 @@ class CampaignFiles:
             outputs += self.of_chains("lidar", "points.laz")[1:]
             outputs.append(self._result("accuracy/trajectories.html"))
         outputs += self._where(self.is_coloured(), "lidar/coloured.laz")
+        outputs += self._where(lidar, "viewer/index.html")
         outputs += [*self.truth_statistics(), *self._where(self.is_twin(), "accuracy/filter_scores.csv")]
         compared = ("statistics.csv", "by_range.csv", "spatial.csv", "index.html")
         if self.has_reference():

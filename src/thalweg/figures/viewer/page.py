@@ -1,0 +1,319 @@
+"""The viewer as a folder: a page with its program, and the nodes of the cloud as scripts beside it.
+
+Browsers refuse a page from disk to fetch files, but let it load scripts: each node is a script that calls
+the page with its points, compressed and in letters (base64).
+"""
+
+import base64
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.colors import Colormap
+from pyproj import CRS
+
+from thalweg.core import (
+    AnyArray,
+    ArrayF,
+    ArrayU8,
+    CoverageError,
+    Frame,
+    InputError,
+    LocalFrame,
+    Trajectory,
+    iter_laz,
+    laz_header,
+    unix_from_gps,
+)
+from thalweg.deformation import TEXT, read_points
+from thalweg.figures.style import (
+    HEIGHT_MAP,
+    RANGE_MAP,
+    REFLECTANCE_MAP,
+    SIGMA_MAP,
+    TIME_MAP,
+    TWIN_MARK,
+    robust_limits,
+)
+from thalweg.figures.viewer.octree import CELLS_BITS, Node, build_octree
+from thalweg.ingest.clouds import read_cloud
+from thalweg.lidar import SIGMAS
+
+MOST_POINTS: Final = 1_500_000
+"""Points of a viewer: some 25 megabytes on disk."""
+SIGMA_LEAST_M: Final = 1e-4
+SIGMA_STEPS: Final = 254
+SIGMA_DECADES: Final = 5
+"""Sigmas from 0.1 mm to 10 m stand in a byte by their logarithm: steps of 4.6 %; 0: not known."""
+_HELD: Final = 4
+"""Of a cloud with more points than so many times those shown, only every so many-th is read into memory."""
+RAMPS: Final[Mapping[str, Colormap]] = {
+    "height": HEIGHT_MAP,
+    "intensity": REFLECTANCE_MAP,
+    "sigma": SIGMA_MAP,
+    "time": TIME_MAP,
+    "range": RANGE_MAP,
+}
+UNITS: Final = {"height": "m", "intensity": "", "sigma": "m", "time": "s", "range": "m"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """A cloud to be shown; each quantity but the positions may be missing.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) east, north, up in the frame.
+    frame : local frame, map projection, or None if unknown.
+    n_total : points of the cloud, of which these are a part.
+    rgb : (n, 3) 8-bit colours.
+    coloured : (n,) which points have a colour.
+    intensity, range_m, t_gps_s : (n,).
+    sigma_m : (n, 3) standard deviations east, north, up.
+    """
+
+    xyz_m: ArrayF
+    frame: Frame
+    n_total: int
+    rgb: ArrayU8 | None = None
+    coloured: AnyArray | None = None
+    intensity: AnyArray | None = None
+    sigma_m: AnyArray | None = None
+    range_m: AnyArray | None = None
+    t_gps_s: ArrayF | None = None
+
+
+def read_view(path: Path, most_points: int = MOST_POINTS) -> View:
+    """A cloud of anybody's: LAS and LAZ with all that Thalweg writes, PLY, E57, tables of x y z.
+
+    Parameters
+    ----------
+    path : the cloud.
+    most_points : to be shown; of far larger LAS and LAZ files each k-th point is held.
+
+    Raises
+    ------
+    InputError : it cannot be read.
+    """
+    if path.suffix.lower() in TEXT:
+        points = read_points(path)
+        return View(xyz_m=points.xyz_m, frame=points.frame, n_total=len(points.xyz_m))
+    if path.suffix.lower() not in {".las", ".laz"}:
+        cloud = read_cloud(path)
+        return View(
+            xyz_m=cloud.points,
+            frame=cloud.frame,
+            n_total=len(cloud.points),
+            rgb=cloud.rgb,
+            intensity=cloud.intensity,
+            t_gps_s=_known(cloud.t_gps_s),
+        )
+    header = laz_header(path)
+    every = max(1, -(-header.n_points // (_HELD * most_points)))
+    wanted = ("xyz_m", "t_gps_s", "t_week_s", "intensity", "rgb", "n_views", "range", *SIGMAS)
+    parts: dict[str, list[AnyArray]] = {}
+    at = 0
+    for chunk in iter_laz(path):
+        for name in wanted:
+            if name in chunk:
+                parts.setdefault(name, []).append(chunk[name][-at % every :: every])
+        at += len(chunk["xyz_m"])
+    if not parts:
+        raise CoverageError("a cloud of no points", expected="points to show", where=path)
+    found = {name: np.concatenate(each) for name, each in parts.items()}
+    sigmas = [found[name] for name in SIGMAS if name in found]
+    rgb = found.get("rgb")
+    if rgb is not None:
+        # some programs store 8 bits where 16 belong
+        rgb = (rgb >> 8 if rgb.max(initial=0) > 255 else rgb).astype(np.uint8)
+    return View(
+        xyz_m=found["xyz_m"],
+        frame=header.frame,
+        n_total=header.n_points,
+        rgb=rgb if rgb is not None and rgb.any() else None,
+        coloured=found["n_views"] > 0 if "n_views" in found else None,
+        intensity=found["intensity"] if found.get("intensity", np.zeros(1)).any() else None,
+        sigma_m=np.stack(sigmas, axis=1) if len(sigmas) == len(SIGMAS) else None,
+        range_m=found.get("range"),
+        t_gps_s=_known(found.get("t_gps_s")),
+    )
+
+
+def _known(t_gps_s: ArrayF | None) -> ArrayF | None:
+    """Times, if each of them is known."""
+    return t_gps_s if t_gps_s is not None and np.isfinite(t_gps_s).all() else None
+
+
+def write_viewer(
+    view: View,
+    folder: Path,
+    *,
+    title: str,
+    twin: bool = False,
+    most_points: int = MOST_POINTS,
+    trajectory: Trajectory | None = None,
+) -> int:
+    """Write ``index.html`` and the folder ``nodes`` beside it.
+
+    Parameters
+    ----------
+    view : the cloud.
+    folder : target; nodes of an earlier viewer in it are removed.
+    title : heading.
+    twin : whether a digital twin made the cloud: the page says so.
+    most_points : the cloud is thinned evenly to so many at most.
+    trajectory : path of the boat in the same frame, drawn as a line.
+
+    Returns
+    -------
+    n : points that are shown.
+
+    Raises
+    ------
+    CoverageError : there are no points.
+    InputError : coordinates in degrees, or not finite.
+    """
+    if isinstance(view.frame, CRS) and view.frame.is_geographic:
+        raise InputError(
+            f"a cloud in degrees ({view.frame.name})",
+            expected="coordinates in metres",
+            cure="Transform it to a map projection, such as UTM",
+        )
+    if not np.isfinite(view.xyz_m).all():
+        raise InputError("coordinates that are not finite", expected="a place for each point")
+    tree = build_octree(view.xyz_m, most_points)
+    n_shown = sum(len(node.rows) for node in tree)
+    shown = np.concatenate([node.rows for node in tree])
+    columns, facts = _columns(view, shown)
+    nodes = folder / "nodes"
+    nodes.mkdir(parents=True, exist_ok=True)
+    for old in nodes.glob("r*.js"):
+        old.unlink()
+    for node in tree:
+        (nodes / f"r{node.key}.js").write_text(_script(node, view.xyz_m, columns), encoding="ascii")
+    root = tree[0]
+    facts |= {
+        "n": n_shown,
+        "corner": root.corner_m.tolist(),
+        "size": root.size_m,
+        **_first_look(view.xyz_m[shown]),
+        "cells": 2**CELLS_BITS,
+        "nodes": {node.key: len(node.rows) for node in tree},
+        "track": [] if trajectory is None else _track(trajectory),
+        "ramps": {name: base64.b64encode(_ramp(ramp)).decode() for name, ramp in RAMPS.items()},
+        "sigma": [SIGMA_LEAST_M, SIGMA_DECADES * np.log(10) / SIGMA_STEPS],
+    }
+    every = "all" if n_shown == view.n_total else f"{n_shown:,} of"
+    lead = f"Point cloud, {every} {view.n_total:,} points. {_place(view.frame)}"
+    page = (
+        _text("viewer.html")
+        .replace("{{title}}", escape(title))
+        .replace("{{lead}}", escape(lead))
+        .replace("{{mark}}", f'<span class="mark">{TWIN_MARK}</span>' if twin else "")
+        .replace("{{style}}", _text("viewer.css"))
+        .replace("{{program}}", _text("viewer.js"))
+        # a text of the data must not end the script that holds it
+        .replace("{{data}}", json.dumps(facts, allow_nan=False).replace("</", "<\\/"))
+    )
+    (folder / "index.html").write_text(page, encoding="utf-8")
+    return n_shown
+
+
+def _first_look(xyz_m: ArrayF) -> dict[str, Any]:
+    """What the page looks at first: the middle of nearly all points, and how wide they lie."""
+    low, high = np.transpose([robust_limits(xyz_m[:, axis]) for axis in range(3)])
+    return {"middle": ((low + high) / 2).tolist(), "extent": float((high - low).max())}
+
+
+def _text(name: str) -> str:
+    """A file of this package."""
+    return (files("thalweg.figures.viewer") / name).read_text(encoding="utf-8")
+
+
+def _place(frame: Frame) -> str:
+    """The frame in words."""
+    match frame:
+        case LocalFrame():
+            return (
+                f"East, north, up from {frame.lat_deg:.6f}°, {frame.lon_deg:.6f}°, "
+                f"{frame.h_ell_m:.2f} m above the ellipsoid."
+            )
+        case CRS():
+            return f"Coordinates: {frame.name}."
+        case _:
+            return "The file does not state its coordinate system."
+
+
+def _track(trajectory: Trajectory, most: int = 2000) -> list[list[float] | None]:
+    """Positions of a path, thinned; None where a stretch of it is not to be used."""
+    step = max(1, len(trajectory.t_gps_s) // most)
+    return [
+        [round(float(x), 3) for x in place] if valid else None
+        for place, valid in zip(trajectory.position_wcs_m[::step], trajectory.valid[::step], strict=True)
+    ]
+
+
+def _ramp(ramp: Colormap) -> bytes:
+    """256 colours."""
+    return np.round(255 * ramp(np.linspace(0, 1, 256))[:, :3]).astype(np.uint8).tobytes()
+
+
+def _scaled(values: AnyArray, limits: Sequence[float], steps: int) -> AnyArray:
+    """Values between limits as whole numbers 0..steps; those outside take the nearest."""
+    low, high = limits
+    return np.round(np.clip((values - low) / max(high - low, 1e-12), 0, 1) * steps)
+
+
+def _columns(view: View, shown: AnyArray) -> tuple[dict[str, AnyArray], dict[str, Any]]:
+    """Quantities as whole numbers, each (n, k) in the order of the page, and what they mean."""
+    columns: dict[str, AnyArray] = {}
+    height = robust_limits(view.xyz_m[shown, 2])
+    limits: dict[str, tuple[float, float]] = {"height": height}
+    facts: dict[str, Any] = {}
+    if view.rgb is not None:
+        columns["rgb"] = view.rgb
+    if view.coloured is not None:
+        columns["coloured"] = view.coloured.astype(np.uint8)[:, None]
+    if view.intensity is not None:
+        limits["intensity"] = robust_limits(view.intensity[shown])
+        columns["intensity"] = _scaled(view.intensity, limits["intensity"], 255).astype(np.uint8)[:, None]
+    if view.sigma_m is not None:
+        known = np.isfinite(view.sigma_m) & (view.sigma_m > 0)
+        place = np.log10(np.where(known, view.sigma_m, 1.0) / SIGMA_LEAST_M) / SIGMA_DECADES
+        step = 1 + np.round(np.clip(place, 0, 1) * SIGMA_STEPS)
+        columns["sigma"] = np.where(known, step, 0).astype(np.uint8)
+        whole = np.linalg.norm(view.sigma_m[shown], axis=1)
+        if known.any():
+            limits["sigma"] = robust_limits(whole[np.isfinite(whole) & (whole > 0)])
+    if view.range_m is not None:
+        limits["range"] = (0.0, float(np.nanmax(view.range_m[shown])))
+        columns["range"] = _scaled(view.range_m, limits["range"], 255).astype(np.uint8)[:, None]
+    if view.t_gps_s is not None:
+        first, last = float(view.t_gps_s[shown].min()), float(view.t_gps_s[shown].max())
+        limits["time"] = (0.0, last - first)
+        columns["time"] = _scaled(view.t_gps_s - first, limits["time"], 65535).astype("<u2")[:, None]
+        facts["unix"] = float(unix_from_gps(np.array([first]))[0])
+    facts["columns"] = [[name, values.shape[1], values.dtype.itemsize] for name, values in columns.items()]
+    facts["limits"] = limits
+    facts["units"] = UNITS
+    return columns, facts
+
+
+def _script(node: Node, xyz_m: ArrayF, columns: Mapping[str, AnyArray]) -> str:
+    """Points of a node: each byte of each coordinate of each quantity in a row, which compresses best."""
+    place = (xyz_m[node.rows] - node.corner_m) * (65536 / node.size_m)
+    rows = [np.clip(place, 0, 65535).astype("<u2"), *(values[node.rows] for values in columns.values())]
+    planes = [
+        np.ascontiguousarray(values[:, axis]).view(np.uint8).reshape(len(values), -1)[:, byte].tobytes()
+        for values in rows
+        for axis in range(values.shape[1])
+        for byte in range(values.dtype.itemsize)
+    ]
+    letters = base64.b64encode(zlib.compress(b"".join(planes), 6)).decode()
+    return f'thalwegNode("{node.key}","{letters}")\n'

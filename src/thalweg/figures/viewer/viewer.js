@@ -1,0 +1,631 @@
+"use strict";
+// A point cloud from disk: nodes of an octree as scripts, drawn coarse to fine within a budget of points.
+// Units are metres; x east, y north, z up. Positions on the GPU are relative to the eye: single precision
+// would lose millimetres in map coordinates.
+
+const $ = (id) => document.getElementById(id);
+const scene = $("scene"), marks = $("marks");
+const gl = scene.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
+const HALF_VIEW = Math.tan(25 * Math.PI / 180);
+const LEAST_BUDGET = 60_000, MOST_BUDGET = 3_000_000, LEAST_NODE_PX = 110, AT_ONCE = 6;
+const COLOURS = ["rgb", "height", "intensity", "sigma", "time", "range"];
+const WORDS = { rgb: "photographs", height: "height", intensity: "intensity", sigma: "standard deviation",
+  time: "time", range: "range" };
+const columns = Object.fromEntries(DATA.columns.map(([name, width, bytes]) => [name, { width, bytes }]));
+
+// ---------------------------------------------------------------- nodes
+
+const nodes = new Map();
+for (const [key, n] of Object.entries(DATA.nodes)) {
+  let size = DATA.size;
+  const corner = [...DATA.corner];
+  for (const digit of key) {
+    size /= 2;
+    for (let axis = 0; axis < 3; axis++) corner[axis] += size * (digit >> axis & 1);
+  }
+  nodes.set(key, { key, n, size, corner, state: "absent", children: [] });
+}
+for (const node of nodes.values()) if (node.key) nodes.get(node.key.slice(0, -1)).children.push(node);
+let loading = 0;
+
+function load(node) {
+  node.state = "loading";
+  loading++;
+  const script = document.createElement("script");
+  script.src = `nodes/r${node.key}.js`;
+  script.onload = () => script.remove();
+  script.onerror = () => {
+    node.state = "missing";
+    loading--;
+    say(`nodes/r${node.key}.js cannot be read: copy the whole folder, this page and "nodes" beside it.`);
+  };
+  document.head.append(script);
+}
+
+async function thalwegNode(key, letters) {
+  const node = nodes.get(key);
+  const packed = Uint8Array.from(atob(letters), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+  let at = 0;
+  const column = (width, size) => {  // planes of bytes -> rows of whole numbers
+    const found = size === 2 ? new Uint16Array(node.n * width) : new Uint8Array(node.n * width);
+    for (let axis = 0; axis < width; axis++)
+      for (let byte = 0; byte < size; byte++, at += node.n)
+        for (let k = 0; k < node.n; k++) found[k * width + axis] |= bytes[at + k] << 8 * byte;
+    return found;
+  };
+  node.xyz = column(3, 2);
+  for (const name in columns) node[name] = column(columns[name].width, columns[name].bytes);
+  node.buffers = upload(node);
+  node.state = "here";
+  loading--;
+  redraw();
+}
+
+function upload(node) {
+  // 20 bytes a point: x y z time (16 bit), colour and intensity, sigmas and range, whether it has a colour
+  const n = node.n, place = new Uint16Array(4 * n), look = new Uint8Array(12 * n);
+  for (let k = 0; k < n; k++) {
+    for (let axis = 0; axis < 3; axis++) {
+      place[4 * k + axis] = node.xyz[3 * k + axis];
+      look[12 * k + axis] = node.rgb ? node.rgb[3 * k + axis] : 128;
+      look[12 * k + 4 + axis] = node.sigma ? node.sigma[3 * k + axis] : 0;
+    }
+    place[4 * k + 3] = node.time ? node.time[k] : 0;
+    look[12 * k + 3] = node.intensity ? node.intensity[k] : 0;
+    look[12 * k + 7] = node.range ? node.range[k] : 0;
+    look[12 * k + 8] = node.coloured ? node.coloured[k] : 1;
+  }
+  const vao = gl.createVertexArray();
+  gl.bindVertexArray(vao);
+  const attribute = (data, parts) => {
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+    for (const [index, width, type, scaled, stride, offset] of parts) {
+      gl.enableVertexAttribArray(index);
+      gl.vertexAttribPointer(index, width, type, scaled, stride, offset);
+    }
+  };
+  attribute(place, [[0, 4, gl.UNSIGNED_SHORT, true, 8, 0]]);
+  attribute(look, [[1, 4, gl.UNSIGNED_BYTE, true, 12, 0], [2, 4, gl.UNSIGNED_BYTE, false, 12, 4],
+    [3, 1, gl.UNSIGNED_BYTE, false, 12, 8]]);
+  gl.bindVertexArray(null);
+  return vao;
+}
+
+const placeOf = (node, k) => [0, 1, 2].map((i) => node.corner[i] + (node.xyz[3 * k + i] + 0.5) / 65536 * node.size);
+const sigmaOf = (code) => code ? DATA.sigma[0] * Math.exp((code - 1) * DATA.sigma[1]) : NaN;
+
+// ---------------------------------------------------------------- programs of the GPU
+
+const POINTS = `#version 300 es
+layout(location = 0) in vec4 place; layout(location = 1) in vec4 look;
+layout(location = 2) in vec4 errors; layout(location = 3) in float coloured;
+uniform mat4 project; uniform vec3 corner; uniform float size, base, diameter, least, finer[8];
+uniform int mode; uniform vec2 limits, sigma; uniform sampler2D ramps; uniform uint number;
+flat out vec3 colour; flat out uint id;
+float sd(float code) { return code < 0.5 ? 0.0 : sigma.x * exp((code - 1.0) * sigma.y); }
+void main() {
+  gl_Position = project * vec4(corner + place.xyz * size, 1.0);
+  ivec3 upper = ivec3(greaterThan(place.xyz, vec3(0.5)));
+  gl_PointSize = clamp(diameter * finer[upper.x | upper.y << 1 | upper.z << 2] / gl_Position.w, least, 40.0);
+  id = number << 18 | uint(gl_VertexID);
+  float value = 0.0; bool known = true;
+  if (mode == 0) { colour = look.rgb; return; }
+  if (mode == 1) value = (base + place.z * size - limits.x) / (limits.y - limits.x);
+  if (mode == 2) value = look.a;
+  if (mode == 3) {
+    vec3 s = vec3(sd(errors.x), sd(errors.y), sd(errors.z));
+    known = errors.x + errors.y + errors.z > 0.5;
+    value = log(max(length(s), 1e-6) / limits.x) / log(limits.y / limits.x);
+  }
+  if (mode == 4) value = place.w;
+  if (mode == 5) value = errors.w / 255.0;
+  vec2 at = vec2((clamp(value, 0.0, 1.0) * 255.0 + 0.5) / 256.0, (float(mode) - 0.5) / 5.0);
+  colour = known ? texture(ramps, at).rgb : vec3(0.5);
+}`;
+const SOLID = `#version 300 es
+precision highp float; flat in vec3 colour; flat in uint id; out vec4 shown;
+void main() {
+  vec2 q = 2.0 * gl_PointCoord - 1.0;
+  if (dot(q, q) > 1.0) discard;
+  shown = vec4(colour, 1.0);
+}`;
+const NUMBERS = `#version 300 es
+precision highp float; precision highp int; flat in vec3 colour; flat in uint id; out uint shown;
+void main() {
+  vec2 q = 2.0 * gl_PointCoord - 1.0;
+  if (dot(q, q) > 1.0) discard;
+  shown = id + 1u;
+}`;
+// Eye-dome lighting (Boucheny 2009): a point is darkened by how much nearer its neighbours on the screen are.
+const WHOLE = `#version 300 es
+void main() { gl_Position = vec4(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1, 0, 1); }`;
+const SHADE = `#version 300 es
+precision highp float; uniform sampler2D image, depth; uniform vec2 planes; uniform float strength;
+uniform vec3 ground; out vec4 shown;
+float far(ivec2 at) {
+  float d = texelFetch(depth, clamp(at, ivec2(0), textureSize(depth, 0) - 1), 0).r;
+  return d >= 1.0 ? 1e9 : log2(planes.x * planes.y / (planes.y - d * (planes.y - planes.x)));
+}
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  float own = far(at), sum = 0.0;
+  if (own > 1e8) { shown = vec4(ground, 1.0); return; }
+  for (int k = 0; k < 8; k++) {
+    float angle = float(k) * 0.785398;
+    sum += clamp(own - far(at + ivec2(round(1.6 * vec2(cos(angle), sin(angle))))), 0.0, 0.5);
+  }
+  shown = vec4(texelFetch(image, at, 0).rgb * exp(-strength * sum), 1.0);
+}`;
+const LINES = `#version 300 es
+layout(location = 0) in vec3 place; uniform mat4 project; uniform vec3 corner;
+void main() { gl_Position = project * vec4(place + corner, 1.0); }`;
+const PLAIN = `#version 300 es
+precision highp float; uniform vec3 tone; out vec4 shown;
+void main() { shown = vec4(tone, 1.0); }`;
+
+function program(vertex, fragment) {
+  const made = gl.createProgram();
+  for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, text);
+    gl.compileShader(shader);
+    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+    gl.attachShader(made, shader);
+  }
+  gl.linkProgram(made);
+  const at = {};
+  for (let k = 0; k < gl.getProgramParameter(made, gl.ACTIVE_UNIFORMS); k++) {
+    const { name } = gl.getActiveUniform(made, k);
+    at[name] = gl.getUniformLocation(made, name);
+  }
+  return { made, at };
+}
+
+function target(width, height, inner, form, type) {  // a picture and its depth, drawn apart from the screen
+  const made = { frame: gl.createFramebuffer(), image: gl.createTexture(), depth: gl.createTexture() };
+  const make = (texture, ...how) => {
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, how[0], width, height, 0, how[1], how[2], null);
+    for (const key of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, key, gl.NEAREST);
+  };
+  make(made.image, inner, form, type);
+  make(made.depth, gl.DEPTH_COMPONENT24, gl.DEPTH_COMPONENT, gl.UNSIGNED_INT);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, made.frame);
+  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, made.image, 0);
+  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, made.depth, 0);
+  return made;
+}
+
+let programs, targets = null, ramps, track = null;
+
+function start() {
+  programs = { points: program(POINTS, SOLID), numbers: program(POINTS, NUMBERS), shade: program(WHOLE, SHADE),
+    lines: program(LINES, PLAIN) };
+  const rows = COLOURS.slice(1).map((name) => Uint8Array.from(atob(DATA.ramps[name]), (c) => c.charCodeAt(0)));
+  const all = new Uint8Array(5 * 768);
+  rows.forEach((row, k) => all.set(row, 768 * k));
+  ramps = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, ramps);
+  gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, 5, 0, gl.RGB, gl.UNSIGNED_BYTE, all);
+  for (const key of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, key, gl.NEAREST);
+  if (DATA.track.some((place) => place)) {
+    const segments = [];
+    DATA.track.forEach((place, k) => {
+      const next = DATA.track[k + 1];
+      if (place && next) for (const each of [place, next]) segments.push(...each.map((x, i) => x - DATA.corner[i]));
+    });
+    track = { vao: gl.createVertexArray(), n: segments.length / 3 };
+    gl.bindVertexArray(track.vao);
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(segments), gl.STATIC_DRAW);
+    gl.enableVertexAttribArray(0);
+    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0);
+    gl.bindVertexArray(null);
+  }
+}
+
+// ---------------------------------------------------------------- camera
+
+const START = { turn: 30, tilt: 35, far: 1.2 * Math.max(DATA.extent, 0.1) };
+const camera = { at: [...DATA.middle], ...START };  // looks to `turn` from north, from `tilt` above the horizon
+let colour = columns.rgb ? "rgb" : "height";
+
+function axes() {  // unit vectors right, up, towards the eye
+  const [a, b] = [camera.turn, camera.tilt].map((x) => x * Math.PI / 180);
+  return [[Math.cos(a), -Math.sin(a), 0], [Math.sin(a) * Math.sin(b), Math.cos(a) * Math.sin(b), Math.cos(b)],
+    [-Math.sin(a) * Math.cos(b), -Math.cos(a) * Math.cos(b), Math.sin(b)]];
+}
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const minus = (a, b) => a.map((x, i) => x - b[i]);
+
+function look() {
+  const [right, up, back] = axes();
+  const eye = camera.at.map((x, i) => x + back[i] * camera.far);
+  const near = camera.far / 200, far = camera.far + 3 * DATA.size;
+  const f = 1 / HALF_VIEW, ratio = scene.height / scene.width;
+  const c = -(far + near) / (far - near), d = -2 * far * near / (far - near);
+  const project = new Float32Array(16);  // by columns
+  for (let i = 0; i < 3; i++) project.set([f * ratio * right[i], f * up[i], c * back[i], -back[i]], 4 * i);
+  project.set([0, 0, d, 0], 12);
+  return { eye, right, up, back, near, far, project, pixels: scene.height / 2 / HALF_VIEW };
+}
+
+function onScreen(place, view = look()) {  // CSS pixels; null behind the eye
+  const q = minus(place, view.eye), w = -dot(q, view.back);
+  if (w <= view.near) return null;
+  const scale = view.pixels / w / devicePixelRatio;
+  return [innerWidth / 2 + scale * dot(q, view.right), innerHeight / 2 - scale * dot(q, view.up)];
+}
+
+function move(dx, dy) {  // pixels of the screen
+  const [right, up] = axes(), scale = camera.far * 2 * HALF_VIEW / innerHeight;
+  camera.at = camera.at.map((x, i) => x - scale * (dx * right[i] - dy * up[i]));
+  moved();
+}
+function turn(dx, dy) {
+  camera.turn = (camera.turn + dx + 360) % 360;
+  camera.tilt = Math.max(-89.9, Math.min(90, camera.tilt + dy));
+  moved();
+}
+function zoom(factor) {
+  camera.far = Math.max(0.05, Math.min(20 * DATA.size, camera.far * factor));
+  moved();
+}
+function home(other = {}) {
+  Object.assign(camera, { at: [...DATA.middle] }, START, other);
+  moved();
+}
+
+function writeHash() {
+  const digits = (values, n) => values.map((x) => x.toFixed(n)).join(",");
+  const text = `#at=${digits(camera.at, 3)}&look=${digits([camera.turn, camera.tilt], 2)},${camera.far.toFixed(3)}&colour=${colour}`;
+  if (text !== location.hash) history.replaceState(null, "", text);
+}
+function readHash() {
+  const found = new URLSearchParams(location.hash.slice(1));
+  const numbers = (key) => (found.get(key) || "").split(",").map(parseFloat);
+  const at = numbers("at"), [a, b, far] = numbers("look");
+  if (at.length === 3 && at.every(isFinite)) camera.at = at;
+  if ([a, b, far].every(isFinite) && far > 0) Object.assign(camera, { turn: a, tilt: b, far });
+  if (usable(found.get("colour"))) colour = found.get("colour");
+}
+
+// ---------------------------------------------------------------- drawing
+
+let budget = 1_000_000, wanted = false, still = 0, lastFrame = 0, settled = false, drawn = [];
+const usable = (name) => name === "height" || (COLOURS.includes(name) && name in columns);
+
+function redraw() {
+  settled = false;
+  if (!wanted) { wanted = true; requestAnimationFrame(frame); }
+}
+function moved() {
+  clearTimeout(still);
+  still = setTimeout(() => { still = 0; lastFrame = 0; writeHash(); redraw(); }, 180);
+  redraw();
+}
+
+function choose(view, most) {  // nodes to draw, large ones on the screen first, and which are wanted from disk
+  const queue = [nodes.get("")], chosen = [], absent = [];
+  let points = 0;
+  const importance = (node) => {
+    const centre = node.corner.map((x) => x + node.size / 2), q = minus(centre, view.eye);
+    const radius = node.size * 0.87, depth = -dot(q, view.back), width = scene.width / scene.height;
+    if (depth < -radius) return 0;
+    for (const [side, half] of [[view.right, HALF_VIEW * width], [view.up, HALF_VIEW]])
+      if (Math.abs(dot(q, side)) > half * Math.max(depth, 0) + radius * Math.hypot(1, half)) return 0;
+    return node.size * view.pixels / Math.max(Math.hypot(...q) - radius, view.near);
+  };
+  queue[0].px = 1e9;
+  while (queue.length) {
+    let best = 0;
+    for (let k = 1; k < queue.length; k++) if (queue[k].px > queue[best].px) best = k;
+    const node = queue[best];
+    queue[best] = queue[queue.length - 1];
+    queue.pop();
+    if (points + node.n > most) break;
+    if (node.state === "absent") absent.push(node);
+    if (node.state !== "here") continue;
+    points += node.n;
+    node.finer = new Float32Array(8).fill(1);
+    chosen.push(node);
+    for (const child of node.children) {
+      child.px = importance(child);
+      if (child.px > LEAST_NODE_PX) queue.push(child);
+    }
+  }
+  // where children fill the gaps between its points, those of a node may be smaller
+  for (const node of [...chosen].reverse())
+    if (node.key) nodes.get(node.key.slice(0, -1)).finer[node.key.slice(-1)] = Math.max(...node.finer) / 2;
+  return { chosen, absent, points };
+}
+
+function drawNodes(view, { made, at }) {
+  gl.useProgram(made);
+  gl.activeTexture(gl.TEXTURE0);
+  gl.bindTexture(gl.TEXTURE_2D, ramps);
+  gl.uniform1i(at.ramps, 0);
+  gl.uniformMatrix4fv(at.project, false, view.project);
+  gl.uniform1i(at.mode, COLOURS.indexOf(colour));
+  gl.uniform2fv(at.limits, DATA.limits[colour] || [0, 1]);
+  gl.uniform2fv(at.sigma, DATA.sigma);
+  const width = Number($("width").value);
+  gl.uniform1f(at.least, 1.2 * devicePixelRatio * width);
+  drawn.forEach((node, k) => {
+    gl.uniform3fv(at.corner, minus(node.corner, view.eye));
+    gl.uniform1f(at.size, node.size);
+    gl.uniform1f(at.base, node.corner[2]);
+    gl.uniform1fv(at["finer[0]"], node.finer);
+    gl.uniform1f(at.diameter, 1.5 * width * view.pixels * node.size / DATA.cells);
+    gl.uniform1ui(at.number, k);
+    gl.bindVertexArray(node.buffers);
+    gl.drawArrays(gl.POINTS, 0, node.n);
+  });
+  gl.bindVertexArray(null);
+}
+
+function resize() {
+  const ratio = devicePixelRatio, width = Math.round(innerWidth * ratio), height = Math.round(innerHeight * ratio);
+  if (targets && scene.width === width && scene.height === height) return;
+  for (const canvas of [scene, marks]) Object.assign(canvas, { width, height });
+  for (const each of Object.values(targets || {})) {
+    gl.deleteFramebuffer(each.frame);
+    gl.deleteTexture(each.image);
+    gl.deleteTexture(each.depth);
+  }
+  targets = { colour: target(width, height, gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE),
+    number: target(width, height, gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT) };
+}
+
+function frame(now) {
+  wanted = false;
+  resize();
+  if (still && lastFrame && now > lastFrame) {  // moving: as many points as the machine draws at 25 frames a second
+    const ms = now - lastFrame;
+    if (ms > 45) budget = Math.max(LEAST_BUDGET, budget * 0.8);
+    else if (ms < 25) budget = Math.min(MOST_BUDGET, budget * 1.1);
+  }
+  lastFrame = still ? now : 0;
+  const view = look(), { chosen, absent, points } = choose(view, still ? budget : MOST_BUDGET);
+  drawn = chosen;
+  for (const node of absent.slice(0, Math.max(0, AT_ONCE - loading))) load(node);
+  gl.viewport(0, 0, scene.width, scene.height);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, targets.colour.frame);
+  gl.enable(gl.DEPTH_TEST);
+  gl.clearColor(0, 0, 0, 1);
+  gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+  drawNodes(view, programs.points);
+  if (track && $("track").checked) {
+    gl.useProgram(programs.lines.made);
+    gl.uniformMatrix4fv(programs.lines.at.project, false, view.project);
+    gl.uniform3fv(programs.lines.at.corner, minus(DATA.corner, view.eye));
+    gl.uniform3fv(programs.lines.at.tone, [0.835, 0.369, 0]);
+    gl.bindVertexArray(track.vao);
+    gl.drawArrays(gl.LINES, 0, track.n);
+    gl.bindVertexArray(null);
+  }
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  gl.disable(gl.DEPTH_TEST);
+  const { made, at } = programs.shade;
+  gl.useProgram(made);
+  [targets.colour.image, targets.colour.depth].forEach((texture, k) => {
+    gl.activeTexture(gl.TEXTURE0 + k);
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.uniform1i(k ? at.depth : at.image, k);
+  });
+  gl.uniform2f(at.planes, view.near, view.far);
+  gl.uniform1f(at.strength, $("depth").checked ? 1.2 : 0);
+  gl.uniform3fv(at.ground, dark() ? [0.078, 0.094, 0.11] : [0.957, 0.961, 0.965]);
+  gl.drawArrays(gl.TRIANGLES, 0, 3);
+  drawMarks(view);
+  settled = !absent.length && !loading && !still;
+  if (!broken) $("state").textContent = `${points.toLocaleString("en")} points drawn${loading ? ", reading …" : ""}`;
+  if (still) redraw();
+}
+
+let broken = false;
+function say(words) {
+  broken = true;
+  $("state").textContent = words;
+}
+
+// ---------------------------------------------------------------- points under the mouse
+
+let picked = [];
+
+function pointAt(x, y) {  // CSS pixels -> node and number of the point nearest to them, or null
+  const view = look(), ratio = devicePixelRatio, half = Math.round(6 * ratio);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, targets.number.frame);
+  gl.viewport(0, 0, scene.width, scene.height);
+  gl.enable(gl.DEPTH_TEST);
+  gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
+  gl.clear(gl.DEPTH_BUFFER_BIT);
+  drawNodes(view, programs.numbers);
+  const edge = 2 * half + 1, found = new Uint32Array(4 * edge * edge);
+  const left = Math.round(x * ratio) - half, low = scene.height - 1 - Math.round(y * ratio) - half;
+  gl.readPixels(left, low, edge, edge, gl.RGBA_INTEGER, gl.UNSIGNED_INT, found);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  // of the points that show there, the one whose middle is nearest: discs of neighbours overlap
+  let best = null, least = Infinity;
+  for (const number of new Set(found.filter((value, k) => k % 4 === 0 && value))) {
+    const point = { node: drawn[number - 1 >>> 18], k: number - 1 & 0x3ffff };
+    const at = onScreen(placeOf(point.node, point.k), view);
+    const away = at ? Math.hypot(at[0] - x, at[1] - y) : Infinity;
+    if (away < least) [best, least] = [point, away];
+  }
+  return best;
+}
+
+function facts({ node, k }) {
+  const part = (name, width = 1) => node[name] ? [...node[name].slice(width * k, width * k + width)] : null;
+  const between = (name, share) => DATA.limits[name][0] + share * (DATA.limits[name][1] - DATA.limits[name][0]);
+  return { place: placeOf(node, k), sigma: (part("sigma", 3) || [0, 0, 0]).map(sigmaOf), rgb: part("rgb", 3),
+    coloured: part("coloured")?.[0] !== 0,
+    range: node.range ? between("range", node.range[k] / 255) : null,
+    intensity: node.intensity ? between("intensity", node.intensity[k] / 255) : null,
+    unix: node.time ? DATA.unix + between("time", node.time[k] / 65535) : null };
+}
+const withSigma = (value, sigma) => `${value.toFixed(3)} m${isFinite(sigma) ? ` ± ${sigma.toFixed(3)} m` : ""}`;
+
+function report() {
+  const lines = [], names = ["east", "north", "up"];
+  if (picked.length === 1) {
+    const [point] = picked;
+    names.forEach((name, k) => lines.push(`${name} ${withSigma(point.place[k], point.sigma[k])}`));
+    if (point.range !== null) lines.push(`range ${point.range.toFixed(1)} m`);
+    if (point.intensity !== null) lines.push(`intensity ${Math.round(point.intensity)}`);
+    if (point.unix !== null) lines.push(`time ${new Date(1000 * point.unix).toISOString().slice(0, 21).replace("T", " ")} UTC`);
+    if (point.rgb) lines.push(point.coloured ? `colour ${point.rgb.join(" ")}` : "no photograph shows it");
+  } else if (picked.length === 2) {
+    const [a, b] = picked, d = minus(b.place, a.place), s = [0, 1, 2].map((k) => Math.hypot(a.sigma[k], b.sigma[k]));
+    const along = (parts) => {
+      const length = Math.hypot(...parts.map((k) => d[k]));
+      return withSigma(length, Math.hypot(...parts.map((k) => d[k] * s[k])) / length);
+    };
+    picked.forEach((point, i) => lines.push(`${i + 1}: ${point.place.map((x) => x.toFixed(3)).join("  ")}`));
+    lines.push(`distance ${along([0, 1, 2])}`, `level distance ${along([0, 1])}`,
+      `height difference ${withSigma(d[2], s[2])}`);
+  }
+  if (picked.length && isFinite(picked[0].sigma[0]))
+    lines.push(`± one standard deviation${picked.length > 1 ? ", errors of both as independent" : ""}`);
+  $("found").textContent = lines.join("\n");
+}
+
+function drawMarks(view) {
+  const pen = marks.getContext("2d"), ratio = devicePixelRatio;
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, innerWidth, innerHeight);
+  const places = picked.map((point) => onScreen(point.place, view));
+  pen.strokeStyle = pen.fillStyle = dark() ? "#fff" : "#000";
+  pen.lineWidth = 1.5;
+  pen.font = "13px system-ui, sans-serif";
+  if (places.length === 2 && places[0] && places[1]) {
+    pen.beginPath(); pen.moveTo(...places[0]); pen.lineTo(...places[1]); pen.stroke();
+  }
+  places.forEach((place, k) => {
+    if (!place) return;
+    pen.beginPath(); pen.arc(...place, 6, 0, 7); pen.stroke();
+    if (places.length > 1) pen.fillText(String(k + 1), place[0] + 9, place[1] - 7);
+  });
+  // a length at the distance of the point that the view turns about, and north
+  const metres = camera.far * 2 * HALF_VIEW / innerHeight * 160, power = 10 ** Math.floor(Math.log10(metres));
+  const length = power * [5, 2, 1].find((step) => step * power <= metres), px = 160 * length / metres;
+  const [x, y] = [innerWidth - 30, 24];
+  pen.beginPath(); pen.moveTo(x - px, y - 5); pen.lineTo(x - px, y); pen.lineTo(x, y); pen.lineTo(x, y - 5); pen.stroke();
+  pen.textAlign = "right";
+  pen.fillText(`${length} m`, x, y + 16);
+  const [right, up] = axes(), north = [right[1], -up[1]], [cx, cy] = [x - 20, y + 52];
+  pen.beginPath(); pen.moveTo(cx, cy); pen.lineTo(cx + 22 * north[0], cy + 22 * north[1]); pen.stroke();
+  pen.textAlign = "center";
+  pen.fillText("N", cx + 31 * north[0], cy + 31 * north[1] + 4);
+  pen.textAlign = "left";
+}
+
+// ---------------------------------------------------------------- hands
+
+const dark = () => document.documentElement.dataset.theme === "dark";
+function setTheme(theme) {
+  document.documentElement.dataset.theme = theme;
+  redraw();
+}
+function setColour(name) {
+  colour = name;
+  for (const each of document.getElementsByName("colour")) each.checked = each.value === name;
+  $("legend").hidden = name === "rgb";
+  if (name !== "rgb") {
+    const pen = $("ramp").getContext("2d"), image = pen.createImageData(256, 1), bytes = atob(DATA.ramps[name]);
+    for (let k = 0; k < 256; k++) image.data.set([...[0, 1, 2].map((i) => bytes.charCodeAt(3 * k + i)), 255], 4 * k);
+    pen.putImageData(image, 0, 0);
+    const text = (x) => `${Math.abs(x) >= 100 ? x.toFixed(0) : Number(x.toPrecision(3))} ${DATA.units[name]}`;
+    const [low, high] = DATA.limits[name];
+    $("low").textContent = text(low);
+    $("high").textContent = text(high) + (name === "sigma" ? " (log)" : name === "time" ? " after the first" : "");
+  }
+  writeHash();
+  redraw();
+}
+
+function listen() {
+  const fingers = new Map();
+  let travelled = 0, lastGap = 0;
+  scene.addEventListener("pointerdown", (event) => {
+    scene.setPointerCapture(event.pointerId);
+    scene.focus();
+    if (!fingers.size) travelled = 0;
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    lastGap = 0;
+  });
+  scene.addEventListener("pointermove", (event) => {
+    const before = fingers.get(event.pointerId);
+    if (!before) return;
+    const [dx, dy] = [event.clientX - before[0], event.clientY - before[1]];
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    travelled += Math.abs(dx) + Math.abs(dy);
+    if (travelled < 4) return;
+    if (fingers.size === 2) {
+      const [a, b] = [...fingers.values()], gap = Math.hypot(a[0] - b[0], a[1] - b[1]);
+      if (lastGap) zoom(lastGap / gap);
+      lastGap = gap;
+      move(dx / 2, dy / 2);
+    } else if (event.buttons & 6 || event.shiftKey) move(dx, dy);
+    else turn(dx * 0.3, dy * 0.3);
+  });
+  scene.addEventListener("pointerup", (event) => {
+    fingers.delete(event.pointerId);
+    if (travelled >= 4 || event.button || fingers.size) return;
+    const point = pointAt(event.clientX, event.clientY);
+    if (point) picked = [...picked.slice(picked.length === 2 ? 2 : 0), facts(point)];
+    report();
+    redraw();
+  });
+  scene.addEventListener("pointercancel", (event) => fingers.delete(event.pointerId));
+  scene.addEventListener("dblclick", (event) => {
+    const point = pointAt(event.clientX, event.clientY);
+    picked = [];
+    report();
+    if (point) { camera.at = facts(point).place; camera.far /= 1.6; moved(); }
+  });
+  scene.addEventListener("contextmenu", (event) => event.preventDefault());
+  scene.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    zoom(Math.exp(Math.max(-100, Math.min(100, event.deltaY)) * 0.0015));
+  }, { passive: false });
+  const keys = { ArrowLeft: () => turn(5, 0), ArrowRight: () => turn(-5, 0), ArrowUp: () => turn(0, 5),
+    ArrowDown: () => turn(0, -5), "+": () => zoom(0.87), "=": () => zoom(0.87), "-": () => zoom(1.15),
+    w: () => move(0, 40), s: () => move(0, -40), a: () => move(40, 0), d: () => move(-40, 0), r: () => home(),
+    t: () => home({ turn: 0, tilt: 90 }), l: () => setTheme(dark() ? "light" : "dark"),
+    Escape: () => { picked = []; report(); redraw(); } };
+  addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, summary")) return;
+    const name = COLOURS[Number(event.key) - 1];
+    const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (usable(name)) setColour(name);
+    else if (act) { act(); event.preventDefault(); }
+  });
+  for (const name of COLOURS.filter(usable)) {
+    const label = document.createElement("label"), input = document.createElement("input");
+    Object.assign(input, { type: "radio", name: "colour", value: name, onchange: () => setColour(name) });
+    label.append(input, ` ${WORDS[name]}`);
+    $("colours").append(label);
+  }
+  for (const id of ["width", "depth", "track"]) $(id).addEventListener("input", redraw);
+  $("path").hidden = !track;
+  $("home").onclick = () => home();
+  $("top").onclick = () => home({ turn: 0, tilt: 90 });
+  $("theme").onclick = keys.l;
+  addEventListener("resize", redraw);
+  addEventListener("hashchange", () => { readHash(); setColour(colour); });
+}
+
+if (!gl) say("This browser offers no WebGL 2: use a current Firefox, Chrome, Edge or Safari, with graphics acceleration.");
+else {
+  start();
+  readHash();
+  listen();
+  setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  setColour(colour);
+}

@@ -1,0 +1,217 @@
+"""The viewer: what the tree holds, and what a browser makes of the folder from disk."""
+
+import base64
+import json
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from pyproj import CRS
+from scipy.spatial import cKDTree
+from tests.figures.browser import Browser
+from tests.figures.conftest import make_trajectory
+
+from thalweg.cli import main
+from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame
+from thalweg.figures.viewer import View, build_octree, read_view, write_viewer
+from thalweg.figures.viewer.octree import CELLS_BITS, LEAF_POINTS
+
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
+SPACING_M = 0.25
+START_S = 178_649_913.4  # 2017-05-12T18:44:55.4 UTC, the example of core.timescales
+
+
+def hills() -> np.ndarray:
+    """A waved surface (n, 3), 160 m wide, a point every 25 cm: 410,881 points."""
+    x, y = np.meshgrid(*[np.arange(-80, 80.1, SPACING_M)] * 2)
+    return np.stack([x, y, 4 * np.sin(x / 12) + 3 * np.cos(y / 9)], axis=-1).reshape(-1, 3)
+
+
+def whole_view(xyz: np.ndarray) -> View:
+    """Hills with all quantities; red where north is positive, blue elsewhere."""
+    n = len(xyz)
+    return View(
+        xyz_m=xyz,
+        frame=FRAME,
+        n_total=n,
+        rgb=np.where(xyz[:, 1:2] > 0, [200, 30, 30], [30, 30, 200]).astype(np.uint8),
+        coloured=xyz[:, 0] > -70,
+        intensity=np.arange(n) % 60_000,
+        sigma_m=np.tile([0.01, 0.02, 0.03], (n, 1)),
+        range_m=np.hypot(*xyz[:, :2].T),
+        t_gps_s=START_S + np.linspace(0, 100, n),
+    )
+
+
+def decoded(folder: Path, key: str) -> tuple[np.ndarray, dict]:
+    """Points (n, 3) of a node's file, and the facts of the page."""
+    facts = json.loads(re.search(r"const DATA = (.*);", (folder / "index.html").read_text())[1])
+    name, letters = re.fullmatch(
+        r'thalwegNode\("(\d*)","(.*)"\)\n', (folder / f"nodes/r{key}.js").read_text()
+    ).groups()
+    assert name == key
+    n = facts["nodes"][key]
+    planes = (
+        np.frombuffer(zlib.decompress(base64.b64decode(letters)), np.uint8)[: 6 * n]
+        .reshape(3, 2, n)
+        .astype(int)
+    )
+    corner, size = np.array(facts["corner"]), facts["size"]
+    for digit in key:
+        size /= 2
+        corner = corner + size * (int(digit) >> np.arange(3) & 1)
+    return corner + (planes[:, 0] + 256 * planes[:, 1] + 0.5).T / 65536 * size, facts
+
+
+def test_each_point_stands_in_one_node_and_each_node_is_even(rng: np.random.Generator) -> None:
+    xyz = np.vstack([hills(), rng.normal(0, 0.3, (50_000, 3))])
+    nodes = build_octree(xyz, len(xyz))
+    rows = np.concatenate([node.rows for node in nodes])
+    assert len(np.unique(rows)) == len(rows)
+    assert len(xyz) - len(rows) <= 5  # points in one of 2 million cells along an edge
+    keys = [node.key for node in nodes]
+    assert keys[0] == ""
+    assert all(key[:-1] in keys[:i] for i, key in enumerate(keys) if key)
+    for node in nodes:
+        place = (xyz[node.rows] - node.corner_m) / node.size_m
+        assert ((place >= -1e-9) & (place <= 1 + 1e-9)).all()
+        cells = np.unique((place * 2**CELLS_BITS).astype(int), axis=0)
+        # one point a cell, or all that are left
+        assert len(cells) >= len(node.rows) - 5 or len(node.rows) <= LEAF_POINTS
+    # the root alone shows the whole surface: no place is farther from it than two of its cells
+    root = xyz[nodes[0].rows, :2]
+    assert cKDTree(root).query(rng.uniform(-79, 79, (2000, 2)))[0].max() < 160 / 64 * 2
+
+
+def test_a_large_cloud_is_thinned_evenly_to_what_is_asked(rng: np.random.Generator) -> None:
+    """Ten times as dense in one quarter: thinned, hardly denser than elsewhere."""
+    sparse, dense = rng.uniform(-50, 50, (100_000, 3)), rng.uniform(0, 50, (250_000, 3))
+    xyz = np.vstack([sparse, dense]) * [1, 1, 0.001]
+    nodes = build_octree(xyz, 60_000)
+    rows = np.concatenate([node.rows for node in nodes])
+    assert 59_000 <= len(rows) <= 60_000
+    inside = (xyz[rows, :2] > 0).all(axis=1).mean()
+    assert 0.25 < inside < 0.5  # of all points: 0.79
+    with pytest.raises(CoverageError, match="a cloud of no points"):
+        build_octree(np.empty((0, 3)), 10)
+
+
+def test_a_single_point_and_points_at_one_place_are_clouds_too(tmp_path: Path) -> None:
+    for n in (1, 20_000):
+        xyz = np.tile([[412_000.25, 5_651_000.5, 150.0]], (n, 1))
+        assert write_viewer(View(xyz_m=xyz, frame=None, n_total=n), tmp_path, title="x") == 1
+        place, facts = decoded(tmp_path, "")
+        assert place == pytest.approx(xyz[:1], abs=1e-6)
+        assert facts["columns"] == []
+
+
+def test_the_files_hold_the_points(tmp_path: Path) -> None:
+    xyz = hills()
+    assert write_viewer(whole_view(xyz), tmp_path, title="a < b", trajectory=make_trajectory()) == len(xyz)
+    page = (tmp_path / "index.html").read_text()
+    assert "<h1>a &lt; b</h1>" in page
+    assert "digital twin" not in page
+    assert not re.findall(r"https?://", page)
+    facts = decoded(tmp_path, "")[1]
+    assert {path.stem for path in (tmp_path / "nodes").iterdir()} == {f"r{key}" for key in facts["nodes"]}
+    found = np.vstack([decoded(tmp_path, key)[0] for key in facts["nodes"]])
+    order, expected = (np.lexsort(np.round(place[:, :2] / SPACING_M).T) for place in (found, xyz))
+    # half a step of 1 / 65536 of the root's edge
+    assert np.abs(found[order] - xyz[expected]).max() <= facts["size"] / 65536 / 2 + 1e-9
+    assert sum(place is None for place in facts["track"]) == 10
+    size = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file())
+    assert size / len(xyz) < 20  # so that the viewer of a million and a half points has at most 30 MB
+    write_viewer(View(xyz_m=xyz[:100], frame=FRAME, n_total=100), tmp_path, title="x", twin=True)
+    assert [path.name for path in (tmp_path / "nodes").iterdir()] == ["r.js"]
+    assert "digital twin" in (tmp_path / "index.html").read_text()
+
+
+def test_what_cannot_be_shown_is_refused(tmp_path: Path) -> None:
+    degrees = View(xyz_m=np.ones((2, 3)), frame=CRS.from_epsg(4326), n_total=2)
+    with pytest.raises(InputError, match="a cloud in degrees"):
+        write_viewer(degrees, tmp_path, title="x")
+    with pytest.raises(InputError, match="not finite"):
+        write_viewer(View(xyz_m=np.full((2, 3), np.nan), frame=None, n_total=2), tmp_path, title="x")
+
+
+def test_the_command_shows_clouds_of_anybody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    xyz = hills()[::7]
+    with LazWriter(tmp_path / "a.laz", FRAME) as writer:
+        # 8-bit colours where 16 bits belong, as some programs write them
+        writer.append(
+            xyz, rgb=np.full((len(xyz), 3), 200, np.uint16), intensity=np.full(len(xyz), 7, np.uint16)
+        )
+    assert main(["view", str(tmp_path / "a.laz"), "-o", str(tmp_path / "v"), "--points", "5000"]) == 0
+    said = capsys.readouterr().out
+    assert "5,000 of 58,698 points" in said
+    assert "no standard deviations, no times" in said
+    view = read_view(tmp_path / "a.laz")
+    assert (view.rgb == 200).all()
+    assert view.t_gps_s is None
+    few = read_view(tmp_path / "a.laz", 1000)  # each 15th
+    assert len(few.xyz_m) == -(-len(xyz) // 15)
+    assert few.n_total == len(xyz)
+    (tmp_path / "b.xyz").write_text("1 2 3\n4 5 6\n")
+    assert main(["view", str(tmp_path / "b.xyz"), "-o", str(tmp_path / "w")]) == 0
+    assert "2 of 2 points" in capsys.readouterr().out
+    assert main(["view", str(tmp_path / "c.laz"), "-o", str(tmp_path / "w")]) == 2
+    assert main(["view", str(tmp_path / "b.xyz"), "-o", str(tmp_path / "w"), "--points", "0"]) == 2
+
+
+def test_a_browser_opens_it_from_disk(tmp_path: Path) -> None:
+    xyz = hills()
+    write_viewer(whole_view(xyz), tmp_path / "v", title="Hills", twin=True, trajectory=make_trajectory())
+    with Browser(tmp_path / "profile") as page:
+        page.open(tmp_path / "v/index.html", "#at=0,0,0&look=0,60,60&colour=rgb")
+        page.wait("typeof settled !== 'undefined' && settled")
+        picture = tmp_path / "a.png"
+        page.screenshot(picture)
+        colours = np.asarray(Image.open(picture).convert("RGB")).astype(int)[:, 260:]
+        red, blue = colours[..., 0] > colours[..., 2] + 40, colours[..., 2] > colours[..., 0] + 40
+        # looking north from 60 degrees above: the north half in the upper part, and hardly any gap
+        assert red[:290].mean() > 0.9
+        assert blue[340:].mean() > 0.9
+        # a point that is not hidden: the one that is nearest to the middle of the view
+        wanted = xyz[np.argmin(np.linalg.norm(xyz - [6.0, 5.0, 4 * np.sin(0.5) + 3 * np.cos(5 / 9)], axis=1))]
+        x, y = page.run(f"onScreen({wanted.tolist()})")
+        page.click(x, y)
+        words = page.run("document.getElementById('found').textContent")
+        found = [float(re.search(rf"{name} (-?[\d.]+) m", words)[1]) for name in ("east", "north", "up")]
+        assert np.linalg.norm(np.array(found) - wanted) <= SPACING_M
+        assert re.search(r"up .* ± 0.03[01] m", words)
+        assert "2017-05-12 18:4" in words
+        assert "colour 200 30 30" in words
+        page.click(x, y + 90)
+        words = page.run("document.getElementById('found').textContent")
+        d, level, height = (
+            float(re.search(rf"^{name} (-?[\d.]+) m", words, re.M)[1])
+            for name in ("distance", "level distance", "height difference")
+        )
+        assert d == pytest.approx(np.hypot(level, height), abs=0.002)
+        assert 5 < d < 20
+        # sigma of a height difference of two points of 3 cm each, in steps of 4.6 %
+        assert float(re.search(r"height difference .* ± ([\d.]+) m", words)[1]) == pytest.approx(
+            0.0424, rel=0.05
+        )
+        for name in ("sigma", "range"):
+            page.run(f"setColour('{name}')")
+            page.wait("settled")
+        page.call("Input.dispatchKeyEvent", type="keyDown", key="t", text="t")
+        page.wait("settled")
+        assert "look=0.00,90.00" in page.run("location.hash")
+        assert "colour=range" in page.run("location.hash")
+        assert page.run("document.querySelector('.mark').textContent") == "digital twin"
+        assert page.errors == []
+        assert all(url.startswith("file://") for url in page.requests)
+        assert len(page.requests) > 5
+
+
+def test_a_missing_file_of_the_folder_is_told(tmp_path: Path) -> None:
+    write_viewer(View(xyz_m=hills()[::20], frame=FRAME, n_total=20_544), tmp_path / "v", title="x")
+    (tmp_path / "v/nodes/r.js").unlink()
+    with Browser(tmp_path / "profile") as page:
+        page.open(tmp_path / "v/index.html")
+        page.wait("document.getElementById('state')?.textContent.includes('copy the whole folder')")
