@@ -18,6 +18,7 @@ from .style import (
     SIGMA_MAP as SIGMA_MAP,
     SKY as SKY,
     TIME_MAP as TIME_MAP,
+    TWIN_MARK as TWIN_MARK,
     VERMILION as VERMILION,
     WIDTH_MM as WIDTH_MM,
     count as count,

@@ -32,7 +32,7 @@ from thalweg.core import (
     unix_from_gps,
 )
 from thalweg.deformation import TEXT, read_points
-from thalweg.figures.style import (
+from thalweg.figures import (
     HEIGHT_MAP,
     RANGE_MAP,
     REFLECTANCE_MAP,
