@@ -118,13 +118,14 @@ rule colour_points:
     output:
         coloured="results/{campaign}/lidar/coloured.laz",
         counts="results/{campaign}/lidar/coloured.csv",
+        gains="results/{campaign}/lidar/coloured_gains.csv",
     log:
         "logs/{campaign}/lidar/colour_points.log",
     benchmark:
         "benchmarks/{campaign}/lidar/colour_points.jsonl"
     conda:
         "../../envs/thalweg.yaml"
-    threads: 1
+    threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20, 120),

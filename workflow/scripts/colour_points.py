@@ -1,4 +1,4 @@
-"""Cloud, photographs and their poses -> the cloud in colour, and why some points have none."""
+"""Cloud, photographs and their poses -> the cloud in colour, why some points have none, and exposures."""
 
 from pathlib import Path
 
@@ -18,14 +18,15 @@ def main(
     masks: list[Path],
     coloured: Path,
     counts: Path,
+    gains: Path,
     colour: Colour,
 ) -> None:
     found = ImagePoses.read(poses)
     folder = masks[0] if masks else None
     named = {name: mask for name in found.images if (mask := find_mask(name, folder)) is not None}
-    colour_cloud(points[0], coloured, found, named_once(images), named, read_camera(camera), colour).to_csv(
-        counts, index=False
-    )
+    result = colour_cloud(points[0], coloured, found, named_once(images), named, read_camera(camera), colour)
+    result.counts.to_csv(counts, index=False)
+    result.gains.to_csv(gains, index=False)
 
 
 if "snakemake" in globals():

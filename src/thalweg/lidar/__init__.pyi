@@ -10,7 +10,13 @@ from .cloud import (
     georeference_log as georeference_log,
     sample_cloud as sample_cloud,
 )
-from .colour import COLOUR_DIMENSIONS as COLOUR_DIMENSIONS, NoColour as NoColour, colour_cloud as colour_cloud
+from .colour import (
+    COLOUR_DIMENSIONS as COLOUR_DIMENSIONS,
+    Coloured as Coloured,
+    NoColour as NoColour,
+    colour_cloud as colour_cloud,
+    exposure_gains as exposure_gains,
+)
 from .filters import (
     MOST_COUNTED as MOST_COUNTED,
     REMOVED as REMOVED,

@@ -212,6 +212,9 @@ class Colour(Section):
         default=60.0, le=500, description="Photographs from farther away do not colour a point, metres"
     )
     views: int = Field(default=4, ge=1, le=16, description="Best photographs whose median is the colour")
+    even_exposures: bool = Field(
+        default=True, description="Bring photographs to one exposure by the points that several of them show"
+    )
     cell_deg: Annotated[float, Field(ge=0.02, le=5, allow_inf_nan=False)] = Field(
         default=0.3, description="Cells in which the nearest thing of a photograph is looked for, degrees"
     )
