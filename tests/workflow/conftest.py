@@ -123,6 +123,8 @@ PROCESSED = (
     "lidar/points_map.laz",
     "lidar/removed.parquet",
     "lidar/coloured.laz",
+    "lidar/colour_check.csv",
+    "viewer/index.html",
     "accuracy/statistics.csv",
     "accuracy/chains.csv",
     "ingest/reference.laz",

@@ -274,6 +274,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "compare_chains_with_truth",
     }
     after_fusion = {
+        "check_colours",
         "colour_points",
         "viewer_page",
         "locate_soundings",

@@ -134,3 +134,30 @@ rule colour_points:
         colour=section("colour"),
     script:
         "../scripts/colour_points.py"
+
+
+rule check_colours:
+    """Clock and mount of the camera, tested by intensities of the cloud against the brightness of photographs."""
+    input:
+        points=of(CampaignFiles.best_points),
+        poses="results/{campaign}/orientation/image_poses_timed.parquet",
+        camera=of(CampaignFiles.adjusted_camera),
+        images=raw("time_lapse"),
+        masks=of(CampaignFiles.used_masks),
+    output:
+        table="results/{campaign}/lidar/colour_check.csv",
+    log:
+        "logs/{campaign}/lidar/check_colours.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/check_colours.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20, 120),
+    params:
+        code=code_version("check_colours"),
+        colour=section("colour"),
+    script:
+        "../scripts/check_colours.py"

@@ -17,6 +17,7 @@ from .colour import (
     colour_cloud as colour_cloud,
     exposure_gains as exposure_gains,
 )
+from .colour_check import check_colours as check_colours
 from .filters import (
     MOST_COUNTED as MOST_COUNTED,
     REMOVED as REMOVED,

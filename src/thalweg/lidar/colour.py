@@ -367,21 +367,39 @@ def _blend(
 
 
 def views_of(
-    poses: ImagePoses, images: Mapping[str, Path], masks: Mapping[str, Path], camera: Camera, cell_px: int
+    points: Path,
+    poses: ImagePoses,
+    images: Mapping[str, Path],
+    masks: Mapping[str, Path],
+    camera: Camera,
+    settings: Colour,
 ) -> Views:
     """The oriented images with a time, each with an empty map of ranges.
 
     Parameters
     ----------
+    points : the cloud, in the frame of the poses.
     poses : with times of exposure.
     images, masks : files by name; an image without a mask may be used everywhere.
     camera : of all images.
-    cell_px : width of a cell of the map of ranges.
+    settings : section ``colour``.
 
     Raises
     ------
+    InputError : the cloud lies in another frame.
     CoverageError : no image has pose, time and file.
     """
+    frame = laz_header(points).frame
+    if frame != poses.frame:
+        raise InputError(
+            f"a cloud in the frame {frame}",
+            expected=f"that of the image poses, {poses.frame}",
+            where=points,
+            cure="Colour the cloud of the same campaign",
+        )
+    middle = np.array(camera.size_px) / 2
+    a, b = camera.rays(np.stack([middle, middle + np.array([10.0, 0.0])]))
+    cell_px = max(2, round(10.0 / float(np.linalg.norm(a - b)) * np.deg2rad(settings.cell_deg)))
     rows = [
         k
         for k, name in enumerate(poses.images)
@@ -498,7 +516,7 @@ def _sampled(chosen: Chosen, views: Views, size_px: tuple[int, int], pool: Threa
 
     def read(v: int) -> AnyArray:
         """The picture of a view."""
-        return _picture(views.paths[v], size_px)
+        return read_picture(views.paths[v], size_px)
 
     for v, picture in zip(used, _ahead(pool, read, used), strict=True):
         rows = order[first[v] : first[v + 1]]
@@ -586,18 +604,8 @@ def colour_cloud(
     CoverageError : no image can be used.
     """
     header = laz_header(points)
-    if header.frame != poses.frame:
-        raise InputError(
-            f"a cloud in the frame {header.frame}",
-            expected=f"that of the image poses, {poses.frame}",
-            where=points,
-            cure="Colour the cloud of the same campaign",
-        )
-    middle = np.array(camera.size_px) / 2
-    a, b = camera.rays(np.stack([middle, middle + np.array([10.0, 0.0])]))
-    cell_px = max(2, round(10.0 / float(np.linalg.norm(a - b)) * np.deg2rad(settings.cell_deg)))
-    views, lens = views_of(poses, images, masks, camera, cell_px), lens_of(camera)
-    sample = _survey(points, views, lens, settings, occlusion=occlusion)
+    views, lens = views_of(points, poses, images, masks, camera, settings), lens_of(camera)
+    sample = survey_cloud(points, views, lens, settings, occlusion=occlusion)
     known = EXTRA_DIMENSIONS | CORRELATION_DIMENSIONS
     extra = {name: known[name] for name in header.extra_dimensions if name in known}
     counts = np.zeros(len(NoColour), dtype=np.int64)
@@ -632,13 +640,13 @@ def colour_cloud(
     return Coloured(counts=pd.DataFrame(rows, columns=["reason", "words", "n"]), gains=table)
 
 
-def _survey(
-    points: Path, views: Views, lens: Lens, settings: Colour, *, occlusion: bool
+def survey_cloud(
+    points: Path, views: Views, lens: Lens, settings: Colour, *, occlusion: bool = True, most: int = _SAMPLE
 ) -> dict[str, AnyArray]:
-    """Fill the maps of ranges from all points, and hold an even sample of these."""
-    every = max(1, laz_header(points).n_points // _SAMPLE)
+    """Fill the maps of ranges of the views from all points, and hold an even sample of about so many."""
+    every = max(1, laz_header(points).n_points // most)
     parts: dict[str, list[AnyArray]] = {
-        name: [] for name in ("xyz_m", "t_gps_s", "sigma_east", "sigma_north", "sigma_up")
+        name: [] for name in ("xyz_m", "t_gps_s", "intensity", "sigma_east", "sigma_north", "sigma_up")
     }
     for chunk in iter_laz(points):
         for name, held in parts.items():
@@ -675,7 +683,7 @@ def _exposures(
     return gains, pd.DataFrame(columns | {"sigma": sigma, "n": told})
 
 
-def _picture(path: Path, size_px: tuple[int, int]) -> AnyArray:
+def read_picture(path: Path, size_px: tuple[int, int]) -> AnyArray:
     """A photograph (h, w, 3) uint8 as its pixels lie.
 
     Raises

@@ -800,7 +800,7 @@ class CampaignFiles:
         if self.has_time_lapse() and lidar:
             outputs += self.of_chains("lidar", "points.laz")[1:]
             outputs.append(self._result("accuracy/trajectories.html"))
-        outputs += self._where(self.is_coloured(), "lidar/coloured.laz")
+        outputs += self._where(self.is_coloured(), "lidar/coloured.laz", "lidar/colour_check.csv")
         outputs += self._where(lidar, "viewer/index.html")
         outputs += [*self.truth_statistics(), *self._where(self.is_twin(), "accuracy/filter_scores.csv")]
         compared = ("statistics.csv", "by_range.csv", "spatial.csv", "index.html")

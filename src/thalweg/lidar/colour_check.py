@@ -1,0 +1,275 @@
+r"""Whether a cloud and photographs fit each other, without truth: intensity of the lidar against brightness.
+
+Where both show the same thing, edges of one are edges of the other. The points that a photograph shows give
+pairs of intensity and brightness; less the means of their surroundings in the picture, because intensity
+fades with range and light with shade. With the correlation :math:`r` of the :math:`n` pairs of a photograph,
+:math:`-\tfrac{n}{2}\ln(1-r^2)` is the logarithm of the likelihood ratio of dependence against none, whatever
+the sign: leaves are bright in the near infrared and dark to a camera.
+
+The sum over photographs is computed again as if each had been taken some time later on the camera's path,
+and as if the camera were turned about its axes. The optimum should lie at zero; how well it is known follows
+from drawing the photographs anew (bootstrap). So clock and mount are tested on every survey.
+"""
+
+import logging
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from scipy.ndimage import uniform_filter
+from scipy.spatial.transform import Rotation
+
+from thalweg.core import AnyArray, ArrayF, Camera, CoverageError
+from thalweg.images.model import ImagePoses
+from thalweg.lidar.colour import choose_views, lens_of, read_picture, survey_cloud, views_of
+from thalweg.settings.sections import Colour
+
+SHIFTS: Final[Mapping[str, ArrayF]] = {
+    "clock_s": np.round(np.linspace(-0.5, 0.5, 21), 6),
+    **dict.fromkeys(("turn_x_deg", "turn_y_deg", "turn_z_deg"), np.round(np.linspace(-2, 2, 17), 6)),
+}
+"""What is tried: photographs later by so much; the camera turned about its x (right), y (down), z (ahead)."""
+WARN_SIGMAS: Final = 3.0
+_SAMPLE: Final = 400_000
+_CELLS: Final = 12
+"""Surroundings whose mean is taken out: this part of the width of the picture."""
+_LEAST_PAIRS: Final = 8
+_DRAWS: Final = 300
+_LONGEST_GAP_S: Final = 10.0
+_TOLD: Final = 0.25
+"""An optimum whose sigma is a larger share of what was tried is no optimum."""
+_LOG = logging.getLogger("thalweg")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overlay:
+    """Points that a photograph shows.
+
+    Parameters
+    ----------
+    xyz_m, intensity : (n, 3), (n,) points in the world and their intensity.
+    brightness : (h, w) the picture in grey.
+    centre_m, R_wcs_ccs : (3,), (3, 3) its pose.
+    velocity_m_s, rate_rad_s : (3,), (3,) of the camera in the world; NaN where it is not known.
+    """
+
+    xyz_m: ArrayF
+    intensity: ArrayF
+    brightness: AnyArray
+    centre_m: ArrayF
+    R_wcs_ccs: ArrayF
+    velocity_m_s: ArrayF
+    rate_rad_s: ArrayF
+
+    def moved(self, kind: str, by: float) -> tuple[ArrayF, ArrayF]:
+        """Its pose, moved by one of `SHIFTS`."""
+        if kind == "clock_s":
+            turn = Rotation.from_rotvec(by * self.rate_rad_s).as_matrix()
+            return self.centre_m + by * self.velocity_m_s, turn @ self.R_wcs_ccs
+        axis = "xyz".index(kind[5])
+        return self.centre_m, self.R_wcs_ccs @ Rotation.from_rotvec(
+            np.deg2rad(by) * np.eye(3)[axis]
+        ).as_matrix()
+
+
+def _correlation(
+    overlay: Overlay, camera: Camera, centre_m: ArrayF, R: ArrayF, cell: AnyArray
+) -> tuple[float, int]:
+    """Correlation of intensity and brightness about the means of their cells, and the number of pairs."""
+    pixels = camera.project((overlay.xyz_m - centre_m) @ R)
+    inside = np.isfinite(pixels).all(axis=1)
+    inside &= np.nan_to_num(camera.inside(np.nan_to_num(pixels, nan=-1.0), 1.0)).astype(np.bool_)
+    column, row = pixels[inside].astype(np.int64).T
+    pairs = np.stack([overlay.intensity[inside], overlay.brightness[row, column]])
+    of_cell = cell[inside]
+    n = np.bincount(of_cell, minlength=1)
+    enough = n[of_cell] >= _LEAST_PAIRS
+    if not enough.any():
+        return 0.0, 0
+    for values in pairs:
+        values -= (np.bincount(of_cell, values) / np.maximum(n, 1))[of_cell]
+    a, b = pairs[:, enough]
+    norm = np.sqrt((a @ a) * (b @ b))
+    return (float(a @ b / norm) if norm > 0 else 0.0), int(enough.sum())
+
+
+def score_shifts(overlays: Iterable[Overlay], camera: Camera) -> tuple[dict[str, ArrayF], ArrayF]:
+    """Dependence of intensity and brightness, each photograph by itself.
+
+    Returns
+    -------
+    scores : logarithms of likelihood ratios (photographs, shifts) for each of `SHIFTS`; zero where a
+        photograph tells nothing.
+    pairs : (photographs,) pairs that are compared.
+    """
+    scores: dict[str, list[ArrayF]] = {kind: [] for kind in SHIFTS}
+    pairs: list[int] = []
+    width = camera.size_px[0] / _CELLS
+    for overlay in overlays:
+        at = camera.project((overlay.xyz_m - overlay.centre_m) @ overlay.R_wcs_ccs)
+        place = np.clip(np.nan_to_num(at // width), 0, _CELLS * 4).astype(np.int64)
+        cell = place[:, 1] * (_CELLS * 4 + 1) + place[:, 0]
+        most = 0
+        for kind, values in SHIFTS.items():
+            of_kind = np.zeros(len(values))
+            if kind != "clock_s" or np.isfinite(overlay.velocity_m_s).all():
+                for j, by in enumerate(values):
+                    r, n = _correlation(overlay, camera, *overlay.moved(kind, by), cell)
+                    of_kind[j] = -0.5 * n * np.log1p(-min(r * r, 1 - 1e-9))
+                    most = max(most, n)
+            scores[kind].append(of_kind)
+        pairs.append(most)
+    return {kind: np.array(rows) for kind, rows in scores.items()}, np.array(pairs, dtype=np.float64)
+
+
+def find_optima(scores: Mapping[str, ArrayF], pairs: ArrayF) -> pd.DataFrame:
+    """Where the sums over photographs are largest, and how well that is known.
+
+    Returns
+    -------
+    table : a row a kind of `SHIFTS`: ``quantity``, ``optimum``, ``sigma``, ``sigmas`` (optimum over sigma),
+        ``dependence_at_zero`` and ``dependence_best`` (nats a pair), ``photographs``, ``pairs``, ``verdict``:
+        ``fits``, ``shifted``, ``beyond`` (the optimum is the end of what was tried) or ``cannot be told``.
+    """
+    rng = np.random.default_rng(0)
+    rows = []
+    for kind, score in scores.items():
+        by = SHIFTS[kind]
+        used = score.any(axis=1)
+        row = {"quantity": kind, "photographs": int(used.sum()), "pairs": int(pairs[used].sum())}
+        if used.sum() < 2:
+            rows.append(row | {"verdict": "cannot be told"})
+            continue
+        score = score[used]
+        whole = score.sum(axis=0)
+        draws = rng.multinomial(len(score), np.full(len(score), 1 / len(score)), size=_DRAWS)
+        optimum = _peak(by, whole)
+        # a photograph more or less moves the peak; no peak is known better than a part of a step
+        found = np.array([_peak(by, each) for each in draws @ score])
+        sigma = float(np.hypot(found.std(ddof=1), 0.1 * (by[1] - by[0])))
+        edge = abs(optimum) >= by[-1] - 1e-9
+        doubtful = sigma > _TOLD * (by[-1] - by[0]) or whole.max() < 10
+        verdict = (
+            "cannot be told"
+            if doubtful
+            else "beyond"
+            if edge
+            else "shifted"
+            if abs(optimum) > WARN_SIGMAS * sigma
+            else "fits"
+        )
+        n = float(pairs[used].sum())
+        rows.append(
+            row
+            | {
+                "optimum": optimum,
+                "sigma": sigma,
+                "sigmas": abs(optimum) / sigma,
+                "dependence_at_zero": float(whole[len(by) // 2]) / n,
+                "dependence_best": float(whole.max()) / n,
+                "verdict": verdict,
+            }
+        )
+    columns = ["quantity", "optimum", "sigma", "sigmas", "dependence_at_zero", "dependence_best"]
+    return pd.DataFrame(rows).reindex(columns=[*columns, "photographs", "pairs", "verdict"])
+
+
+def _peak(by: ArrayF, score: ArrayF) -> float:
+    """Where the largest value lies; between the steps by the parabola through it and its neighbours."""
+    k = int(np.argmax(score))
+    if k in (0, len(by) - 1):
+        return float(by[k])
+    low, top, high = score[k - 1 : k + 2]
+    bend = low - 2 * top + high
+    return float(by[k] + (0.5 * (low - high) / bend * (by[1] - by[0]) if bend else 0.0))
+
+
+def check_colours(
+    points: Path,
+    poses: ImagePoses,
+    images: Mapping[str, Path],
+    masks: Mapping[str, Path],
+    camera: Camera,
+    settings: Colour,
+) -> pd.DataFrame:
+    """Compare the intensities of a cloud with the brightness of photographs.
+
+    Parameters
+    ----------
+    points, poses, images, masks, camera, settings : as `thalweg.lidar.colour_cloud` takes them.
+
+    Returns
+    -------
+    table : see `find_optima`; what is shifted is warned of.
+
+    Raises
+    ------
+    InputError : the cloud lies in another frame, or a photograph cannot be read.
+    CoverageError : no image can be used, or none shows enough points.
+    """
+    views, lens = views_of(points, poses, images, masks, camera, settings), lens_of(camera)
+    sample = survey_cloud(points, views, lens, settings, most=_SAMPLE)
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        chosen = choose_views(sample, views, lens, settings, pool)
+    order = np.argsort(chosen.view, axis=None, kind="stable")
+    first = np.searchsorted(chosen.view.ravel()[order], np.arange(len(views.paths) + 1))
+    shown = np.flatnonzero(np.diff(first) >= 10 * _LEAST_PAIRS)
+    if not len(shown):
+        raise CoverageError(
+            "no photograph shows enough points of the cloud",
+            expected="photographs of what the lidar scanned",
+            cure="Look at lidar/coloured.csv, which says why points have no colour",
+        )
+    velocity, rate = _motion(views.t_gps_s, views.centre_m, views.R_wcs_ccs)
+
+    def overlays() -> Iterator[Overlay]:
+        """One photograph after the other: they would not all fit into memory."""
+        for v in shown:
+            rows = order[first[v] : first[v + 1]] // chosen.view.shape[1]
+            yield Overlay(
+                xyz_m=sample["xyz_m"][rows],
+                intensity=sample["intensity"][rows].astype(np.float64),
+                brightness=grey_of(views.paths[v], camera),
+                centre_m=views.centre_m[v],
+                R_wcs_ccs=views.R_wcs_ccs[v],
+                velocity_m_s=velocity[v],
+                rate_rad_s=rate[v],
+            )
+
+    table = find_optima(*score_shifts(overlays(), camera))
+    for row in table[table["verdict"].isin(["shifted", "beyond"])].to_dict("records"):
+        _LOG.warning(
+            "%s: intensity and brightness fit best at %+.3f +- %.3f, not at 0 (%.1f sigmas): "
+            "check the clock and the mount of the camera",
+            row["quantity"],
+            row["optimum"],
+            row["sigma"],
+            row["sigmas"],
+        )
+    return table
+
+
+def grey_of(path: Path, camera: Camera) -> AnyArray:
+    """Brightness of a photograph (h, w), smoothed to about the footprint of a beam."""
+    grey = read_picture(path, camera.size_px).mean(axis=2, dtype=np.float32)
+    return uniform_filter(grey, max(3, camera.size_px[0] // 500))
+
+
+def _motion(t_gps_s: ArrayF, centre_m: ArrayF, R_wcs_ccs: ArrayF) -> tuple[ArrayF, ArrayF]:
+    """Velocities and rates of turn (v, 3) from the photographs before and after; NaN at gaps and ends."""
+    n = len(t_gps_s)
+    velocity, rate = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+    order = np.argsort(t_gps_s)
+    before, at, after = order[:-2], order[1:-1], order[2:]
+    span = t_gps_s[after] - t_gps_s[before]
+    good = (span > 0) & (span < _LONGEST_GAP_S)
+    before, at, after, span = before[good], at[good], after[good], span[good, None]
+    if len(at):
+        velocity[at] = (centre_m[after] - centre_m[before]) / span
+        turned = Rotation.from_matrix(R_wcs_ccs[after] @ np.swapaxes(R_wcs_ccs[before], 1, 2))
+        rate[at] = turned.as_rotvec() / span
+    return velocity, rate

@@ -1,0 +1,31 @@
+"""Cloud, photographs and their poses -> whether intensity and brightness fit where clock and mount say."""
+
+from pathlib import Path
+
+from thalweg.calibration import read_camera
+from thalweg.images.model import ImagePoses, find_mask, named_once
+from thalweg.lidar import check_colours
+from thalweg.settings.sections import Colour
+from thalweg.workflow import run_job
+
+
+def main(
+    *,
+    points: list[Path],
+    poses: Path,
+    camera: Path,
+    images: list[Path],
+    masks: list[Path],
+    table: Path,
+    colour: Colour,
+) -> None:
+    found = ImagePoses.read(poses)
+    folder = masks[0] if masks else None
+    named = {name: mask for name in found.images if (mask := find_mask(name, folder)) is not None}
+    check_colours(points[0], found, named_once(images), named, read_camera(camera), colour).to_csv(
+        table, index=False
+    )
+
+
+if "snakemake" in globals():
+    run_job(main, snakemake)
