@@ -134,7 +134,13 @@ def test_no_sigma_is_invented(chain, missing):
 @pytest.mark.parametrize(
     ("old", "new", "error", "message"),
     [
-        ("camera_model: pinhole", "camera_model: omni", UnsupportedError, r":8: cam0: camera model omni"),
+        ("camera_model: pinhole", "camera_model: cubic", UnsupportedError, r":8: cam0: camera model cubic"),
+        (
+            "camera_model: pinhole",
+            "camera_model: omni",
+            UnsupportedError,
+            "model omni with distortion radtan",
+        ),
         ("radtan", "fov", UnsupportedError, "distortion fov; expected pinhole with radtan or equidistant"),
         ("  intrinsics: [458.654, ", "  intrinsics: [", ConfigError, r":11: cam0.intr.*expected 4 numbers"),
         ("  resolution: [752, 480]\n", "", ConfigError, "cam0.resolution: found None; expected 2 numbers"),
@@ -308,3 +314,54 @@ def test_describe_reads_camera_files(tmp_path, capsys):
         assert "fisheye, 640 x 480 pixels" in text
         assert "cx           320.5" in text
         assert "does not say how well" in text
+
+
+SPHERE = """\
+cam0:
+  camera_model: {model}
+  distortion_model: none
+  distortion_coeffs: []
+  intrinsics: [{values}]
+  resolution: [640, 640]
+"""
+
+
+@pytest.mark.parametrize(
+    ("model", "values"),
+    [
+        # front lens of a Ricoh Theta S at 1280 x 640, as published: u 547.23, xi 1.9267
+        ("omni", "1.9267, 547.23, 547.23, 319.5, 319.5"),
+        ("eucm", "0.61, 1.05, 190.0, 191.0, 318.0, 321.0"),
+        ("ds", "-0.2, 0.6, 160.0, 161.0, 318.0, 321.0"),
+    ],
+)
+def test_models_by_a_sphere_become_fisheyes(tmp_path, model, values):
+    """Against the published formulae by points, not by angles."""
+    path = tmp_path / "camchain.yaml"
+    path.write_text(SPHERE.format(model=model, values=values))
+    (found,) = read_kalibr(path)
+    *shape, fu, fv, pu, pv = map(float, values.split(","))
+    t, turn = np.deg2rad(np.linspace(0.5, 96.0, 400)), np.linspace(0, 20, 400)
+    x, y, z = np.stack([np.sin(t) * np.cos(turn), np.sin(t) * np.sin(turn), np.cos(t)])
+    if model == "omni":
+        w = z + shape[0]
+    elif model == "eucm":
+        alpha, beta = shape
+        w = alpha * np.sqrt(beta * (x * x + y * y) + z * z) + (1 - alpha) * z
+    else:
+        xi, alpha = shape
+        w = alpha * np.sqrt(x * x + y * y + (xi + z) ** 2) + (1 - alpha) * (xi + z)
+    expected = np.stack([fu * x / w + pu + 0.5, fv * y / w + pv + 0.5], axis=1)
+    got = found.camera.project(np.stack([x, y, z], axis=1))
+    shown = np.nan_to_num(found.camera.inside(expected)).astype(bool)
+    assert np.abs(got - expected)[shown].max() < 0.005
+    if model == "omni":
+        assert shown.all()
+        assert found.camera.parameters[0] == pytest.approx(547.23 / 2.9267, abs=0.05)  # u / (1 + xi)
+
+
+def test_a_sphere_that_no_fisheye_follows_is_refused(tmp_path):
+    path = tmp_path / "camchain.yaml"
+    path.write_text(SPHERE.format(model="omni", values="0.0, 50.0, 50.0, 319.5, 319.5"))
+    with pytest.raises(UnsupportedError, match=r"camchain.yaml:2: cam0.*within 0\.02 px"):
+        read_kalibr(path)

@@ -188,7 +188,7 @@ def published(folder: Path) -> Rigid:
 def auc(folder: Path, work: Path, board: int, T: Rigid) -> float:
     """Share of pairs, one point on white and one on black, whose white one has more intensity.
 
-    Points on the flat of a square as the picture shows it: their surroundings of 21 pixels differ by 40 at most.
+    Points on the flat of a square, where the picture differs by 40 at most within 21 pixels.
     """
     cloud = read_pcd(folder / f"pcd/pose{board}_target.pcd")
     save_cloud(

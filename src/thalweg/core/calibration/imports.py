@@ -4,6 +4,7 @@ Kalibr (``camchain.yaml``, ``camchain-imucam.yaml``) writes for each camera ``ca
 
     camera_model: pinhole              intrinsics: [fx, fy, cx, cy]       resolution: [w, h]
     distortion_model: radtan           distortion_coeffs: [k1, k2, p1, p2];    equidistant: [k1, k2, k3, k4]
+    camera_model: omni | eucm | ds     intrinsics: [xi, | alpha, beta, | xi, alpha,  fu, fv, pu, pv]
     T_cam_imu: 4x4, x_cam = T_cam_imu @ x_imu      T_cn_cnm1: 4x4, x_cam1 = T_cn_cnm1 @ x_cam0
     timeshift_cam_imu: t_imu = t_cam + timeshift
 
@@ -12,7 +13,7 @@ of Thalweg from its corner: 0.5 is added to cx and cy. The axes of the IMU are t
 these files states how well it is known, so whoever imports one must say it.
 """
 
-from collections.abc import Mapping, Set
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -39,6 +40,17 @@ from thalweg.core.geometry import nearest_rotation
 
 MODELS: Final = {"radtan": "perspective", "equidistant": "fisheye"}
 """Kalibr's distortion of a pinhole camera -> model of `thalweg.core.camera`."""
+
+SPHERES: Final[Mapping[str, tuple[int, Callable[..., ArrayF]]]] = {
+    "omni": (1, lambda s, c, xi: s / (c + xi)),
+    "eucm": (2, lambda s, c, alpha, beta: s / (alpha * np.sqrt(beta * s * s + c * c) + (1 - alpha) * c)),
+    "ds": (2, lambda s, c, xi, alpha: s / (alpha * np.hypot(s, xi + c) + (1 - alpha) * (xi + c))),
+}
+"""Models by a sphere: number of shape parameters, and the radius in units of the focal length by sine and
+cosine of the angle from the axis (Mei and Rives 2007; Khomutenko et al. 2016; Usenko et al. 2018)."""
+
+_CLOSE_PX: Final = 0.02
+"""A model by a sphere must become a fisheye within so much."""
 
 SIGMAS: Final = {
     "angle_deg": "rotations about each axis, degrees",
@@ -83,7 +95,8 @@ def read_kalibr(path: Path) -> list[KalibrCamera]:
     ------
     ConfigError : no valid YAML, a key is missing or holds something else.
     InputError : a matrix is none, or its shift is in millimetres.
-    UnsupportedError : a camera model other than pinhole with radtan or equidistant distortion.
+    UnsupportedError : a camera model other than pinhole with radtan or equidistant distortion, or omni, eucm
+        and ds without one.
     """
     data, lines = read_mapping(path)
     names = [name for name in data if name.startswith("cam") and name[3:].isdigit()]
@@ -115,19 +128,24 @@ def _camera(path: Path, lines: Mapping[tuple[str, ...], int], name: str, data: A
         place = f"{where(key)}: {name}.{key}"
         return _near(rigid_of(data[key], where=place), place)
 
-    intrinsics, coefficients = numbers("intrinsics", 4), numbers("distortion_coeffs", 4)
     size = numbers("resolution", 2)
     kinds = (str(data.get("camera_model")), str(data.get("distortion_model")))
-    if kinds[0] != "pinhole" or kinds[1] not in MODELS:
+    plain = kinds[1] == "none" or not np.any(data.get("distortion_coeffs") or [0.0])
+    if kinds[0] in SPHERES and plain:
+        model = "fisheye"
+        values = numbers("intrinsics", SPHERES[kinds[0]][0] + 4)
+        parameters = fisheye_of_sphere(kinds[0], values, size, f"{where('camera_model')}: {name}")
+    elif kinds[0] == "pinhole" and kinds[1] in MODELS:
+        model = MODELS[kinds[1]]
+        parameters = np.zeros(len(PARAMETERS[model]))  # type: ignore[index]
+        parameters[:8] = np.concatenate([numbers("intrinsics", 4), numbers("distortion_coeffs", 4)])
+    else:
         raise UnsupportedError(
             f"{name}: camera model {kinds[0]} with distortion {kinds[1]}",
-            where=where("camera_model" if kinds[0] != "pinhole" else "distortion_model"),
-            expected=f"pinhole with {' or '.join(MODELS)}",
-            cure="Calibrate again with --models pinhole-radtan or pinhole-equi",
+            where=where("distortion_model" if kinds[0] in {"pinhole", *SPHERES} else "camera_model"),
+            expected=f"pinhole with {' or '.join(MODELS)}, or {', '.join(SPHERES)} with none",
+            cure="Calibrate again with --models pinhole-radtan, pinhole-equi or omni-none",
         )
-    model = MODELS[kinds[1]]
-    parameters = np.zeros(len(PARAMETERS[model]))
-    parameters[:8] = np.concatenate([intrinsics, coefficients])
     parameters[2:4] += 0.5
     shift = data.get("timeshift_cam_imu")
     if shift is not None and (isinstance(shift, bool) or not isinstance(shift, int | float)):
@@ -151,6 +169,50 @@ def _camera(path: Path, lines: Mapping[tuple[str, ...], int], name: str, data: A
         T_ccs_previous=pose("T_cn_cnm1"),
         offset_s=None if shift is None else float(shift),
     )
+
+
+def fisheye_of_sphere(kind: str, values: ArrayF, size_px: ArrayF, where: str = "") -> ArrayF:
+    """Parameters of a fisheye (`thalweg.core.camera`) that images like a model by a sphere.
+
+    Parameters
+    ----------
+    kind : key of `SPHERES`.
+    values : its shape parameters, then fu, fv, pu, pv, pixels.
+    size_px : (2,) width and height: the fisheye is fitted as far as the picture reaches, to at most 0.95 of
+        the angle that the model images.
+    where : file and line, for the message.
+
+    Raises
+    ------
+    UnsupportedError : the fisheye's four coefficients do not follow the model.
+    """
+    n, radius = SPHERES[kind]
+    shape, (fu, fv, pu, pv) = values[:n], values[n:]
+    angle = np.deg2rad(np.arange(0.1, 175.0, 0.1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        d = radius(np.sin(angle), np.cos(angle), *shape)
+        # beyond the first place where the radius no longer grows the model images nothing
+        grows = np.isfinite(d) & (np.diff(d, prepend=0.0) > 0)
+    last = len(d) if grows.all() else int(np.argmin(grows))
+    corner = np.hypot(max(pu, size_px[0] - pu) / fu, max(pv, size_px[1] - pv) / fv)
+    reach = min(int(0.95 * last), int(np.searchsorted(d[:last], corner)) + 1)
+    residual, parameters = np.inf, np.zeros(8)
+    if fu > 0 and fv > 0 and reach >= 2 * len(parameters):
+        t, wanted = angle[:reach], d[:reach]
+        # denser towards the end, where a polynomial goes astray
+        weight = 1 / np.sqrt(1.02 - (t / t[-1]) ** 2)
+        A = t[:, None] ** np.arange(1, 10, 2)
+        c = np.linalg.lstsq(A * weight[:, None], wanted * weight, rcond=None)[0]
+        residual = float(np.abs(A @ c - wanted).max() * max(fu, fv))
+        parameters = np.array([fu * c[0], fv * c[0], pu, pv, *(c[1:] / c[0])])
+    if not residual <= _CLOSE_PX:
+        raise UnsupportedError(
+            f"camera model {kind} with {values.round(4).tolist()}",
+            where=where,
+            expected=f"one that a fisheye with four coefficients follows within {_CLOSE_PX} px",
+            cure="Calibrate again with --models pinhole-equi",
+        )
+    return parameters
 
 
 def import_kalibr(path: Path, sigmas: Mapping[str, float], *, run: str = "") -> Calibration:
