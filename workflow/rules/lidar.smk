@@ -161,3 +161,28 @@ rule check_colours:
         colour=section("colour"),
     script:
         "../scripts/check_colours.py"
+
+rule viewer_page:
+    """The cloud in a page that opens from disk, to turn, to measure in, and to hand on."""
+    input:
+        points=of(CampaignFiles.shown_points),
+        trajectory=of(CampaignFiles.best_trajectory),
+    output:
+        page="results/{campaign}/viewer/index.html",
+        nodes=directory("results/{campaign}/viewer/nodes"),
+    log:
+        "logs/{campaign}/lidar/viewer_page.log",
+    benchmark:
+        "benchmarks/{campaign}/lidar/viewer_page.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(10),
+    params:
+        code=code_version("viewer_page"),
+        twin=of(CampaignFiles.is_twin),
+        campaign=identity("title"),
+    script:
+        "../scripts/viewer_page.py"
