@@ -335,7 +335,9 @@ def _solved(
 ) -> tuple[ArrayF, ArrayF]:
     height, sigma = np.full(len(flow), np.nan), np.full(len(flow), np.nan)
     if settings.engine == "pykrige":
-        rest = data.lifted(data.height_m - model.drift.at(data.places_m))  # its errors, and margins, not counted
+        rest = data.lifted(
+            data.height_m - model.drift.at(data.places_m)
+        )  # its errors, and margins, not counted
         found, sigma[inside] = krige_by_pykrige(rest, flow[inside], model.covariance)
         height[inside] = found + model.drift.at(flow[inside])
     else:

@@ -289,9 +289,7 @@ def choose_model(
     parts = _left_out(data.lifted(data.height_m - best.drift.at(data.places_m)), share, test, train)
     quarter = max(settings.neighbours // 4, 1)
     any_line, four_lines = (
-        _score(
-            best.covariance, best.margin, parts, neighbours=settings.neighbours, of_line=k, candidates=256
-        )
+        _score(best.covariance, best.margin, parts, neighbours=settings.neighbours, of_line=k, candidates=256)
         for k in (0, quarter)
     )
     if four_lines < any_line:
