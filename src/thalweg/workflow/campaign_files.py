@@ -223,7 +223,9 @@ class CampaignFiles:
 
     def marked_images(self, marked: Literal["reference", "boat", "camera_field"]) -> list[str]:
         """Images with printed markers: of the reference, of the boat, of the light-sheet sensor."""
-        return self.boat_images() if marked == "boat" else self.logs(f"{marked}_images")
+        if marked == "boat":
+            return self.boat_images()
+        return self.logs("reference_images" if marked == "reference" else "camera_field_images")
 
     def marked_field(self, marked: Literal["reference", "boat", "camera_field"]) -> list[str]:
         """The description of the markers in them."""
