@@ -5,7 +5,7 @@ CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 PY := .venv/bin/python
 SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
 
-.PHONY: help env demo open docs study record timings report real-logs test check test-slow fuzz mutants golden benchmark lock clean
+.PHONY: help env demo open docs study record timings report real-logs test check check-types check-rest test-slow fuzz mutants golden benchmark lock clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -52,9 +52,14 @@ test: env check ## static checks and the test suite
 	@$(PY) -m pytest -n $(CORES) --dist loadgroup -m "not slow"
 
 check: env ## static checks only
+	@$(MAKE) --no-print-directory -j2 check-types check-rest
+
+check-types:
+	@$(PY) -m mypy
+
+check-rest:
 	@.venv/bin/ruff check .
 	@.venv/bin/ruff format --check .
-	@$(PY) -m mypy
 	@.venv/bin/snakefmt --check Snakefile workflow
 	@envs/check-workflow.sh
 

@@ -198,24 +198,50 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.write_sep("=", text, yellow=True, bold=True)
 
 
-SHARED = {
-    "test_tiny.py": "tiny",
-    "test_field.py": "yard",
-    "test_honest_3d.py": "surveys",
-    "test_honest_c2m.py": "surveys",
-}
-"""Files whose tests share something that takes minutes to make: all of a group go to one worker."""
+LONGEST_FIRST = (
+    "tests/workflow/test_tiny.py",
+    "tests/workflow/test_field.py",
+    "tests/workflow/test_change.py",
+    "tests/images",
+    "tests/calibration",
+    "tests/accuracy",
+    "tests/workflow/test_basin.py",
+    "tests/workflow/test_subsets.py",
+    "tests/workflow/test_dag.py",
+    "tests/lightsheet",
+    "tests/bathymetry",
+    "tests/lab",
+)
+"""Groups that take more than a minute: what begins last should be short, or one worker waits for the other."""
+
+
+def group_of(nodeid: str) -> str:
+    """Tests of a folder go to one worker, which makes what they share once and compiles their kernels once.
+
+    Each file of `tests/workflow` is a group of its own: what it shares are results of a campaign.
+    """
+    file = nodeid.split("::")[0]
+    folder = file.rsplit("/", 1)[0]
+    return file if folder == "tests/workflow" else folder
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Workers get the groups in the order of their length."""
+    if hasattr(config, "workerinput"):
+        rank = {group: k for k, group in enumerate(LONGEST_FIRST)}
+        items.sort(key=lambda item: rank.get(group_of(item.nodeid), len(rank)))
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Groups by file name: pytest 9.2 hides the group that xdist 3.8 writes behind the name of a test."""
+    """Groups as `group_of` has them, in the order of `LONGEST_FIRST` and not of their number of tests."""
     from xdist.scheduler import LoadScopeScheduling
 
     class OneWorkerForAGroup(LoadScopeScheduling):
-        """Tests one by one, but for those that share something."""
+        """Groups of tests, one after the other."""
 
         def _split_scope(self, nodeid: str) -> str:
-            return SHARED.get(nodeid.split("::")[0].rsplit("/", 1)[-1], nodeid)
+            return group_of(nodeid)
 
+    config.option.loadscopereorder = False
     return OneWorkerForAGroup(config, log)
