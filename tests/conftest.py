@@ -212,7 +212,7 @@ LONGEST_FIRST = (
     "tests/bathymetry",
     "tests/lab",
 )
-"""Groups that take more than a minute: what begins last should be short, or one worker waits for the other."""
+"""Groups of more than a minute: what begins last should be short, or one worker waits for the other."""
 
 
 def group_of(nodeid: str) -> str:

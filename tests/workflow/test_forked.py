@@ -94,6 +94,18 @@ def test_a_job_that_fails_asks_the_hook_that_it_has_set(
         execute(script_of(), "script.py")
 
 
+def test_where_no_process_can_be_forked_it_is_started(
+    execute: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: Any) -> None:
+        raise OSError("AF_UNIX path too long")
+
+    monkeypatch.setattr("multiprocessing.context.ForkServerProcess.start", full)
+    script = script_of()
+    execute(script, "nothing.py")
+    assert script.was_started
+
+
 @pytest.mark.parametrize("key", ["conda_env", "container_img", "env_modules", "shadow_dir"])
 def test_what_needs_an_environment_is_started(execute: Callable[..., None], key: str) -> None:
     script = script_of(**{key: "that"})

@@ -46,7 +46,11 @@ def _forking(started: Callable[..., None], context: Any) -> Callable[..., None]:
 
         scratch = script.resources.get("tmpdir")
         job = context.Process(target=_run, args=(fname, Path.cwd(), script.threads, scratch))
-        job.start()
+        try:
+            job.start()
+        except OSError:  # no room for another process, or a path of the server's socket that is too long
+            started(script, fname, edit=edit)
+            return
         with benchmarked(job.pid if script.bench_record is not None else False, script.bench_record):
             job.join()
         if job.exitcode:

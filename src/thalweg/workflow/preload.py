@@ -28,6 +28,7 @@ LIBRARIES: Final = (
     "scipy.spatial.transform",
     "scipy.stats",
     "thalweg.core.camera",
+    "thalweg.core.kernels",
     "thalweg.core.las",
     "thalweg.core.trajectory",
     "thalweg.ingest.integrity",
