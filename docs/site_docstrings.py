@@ -13,8 +13,7 @@ def listed(text: str) -> str:
     """
     parts = re.split(r"(?m)^(Parameters|Other Parameters|Attributes|Raises|Yields|Returns)\n-+\n", text)
     for k in range(2, len(parts), 2):
-        if parts[k - 1] != "Returns":
-            parts[k] = re.sub(r"(?m)^([*\w][\w, *.`]*?) ?: (.+)$", r"\1\n    \2", parts[k])
+        parts[k] = re.sub(r"(?m)^([*\w][\w, *.`]*?) ?: (.+)$", r"\1\n    \2", parts[k])
         parts[k] = f"{parts[k - 1]}\n{'-' * len(parts[k - 1])}\n{parts[k]}"
     return "".join([parts[0], *parts[2::2]])
 

@@ -645,7 +645,7 @@ def orientation_page(block: PhotographBlock, *, title: str) -> Page:
         )
         page.table(lens, f"Interior orientation of {name}: focal lengths and principal point in pixels.")
     page.section("Photographs").table(
-        images, "Each photograph: marks, residuals, standard deviations of its pose.", digits=3
+        images, "Each photograph: image points, residuals, standard deviations of its pose.", digits=3
     )
     page.section("Notes").lines(list(facts["notes"]) or ["none"])
     return page

@@ -443,7 +443,9 @@ def pose_sigmas(
         if not trajectories[name].valid.any():
             raise GeometryError(f"the trajectory by {name} has no valid pose", expected="at least one")
     n = sum(int(trajectories[name].valid.sum()) for name in names)
-    figure = new_figure(138.0, f"{title}, n = {count(n)} poses of {plural(len(names), 'chain')}", twin=twin)
+    figure = new_figure(
+        138.0, f"{title}, n = {count(n)} poses of {plural(len(names), 'solution')}", twin=twin
+    )
     panels = figure.subplots(4, 1, sharex=True, height_ratios=[1.5, 1.2, 1.2, 0.35 + 0.22 * len(names)])
     shown: list[list[ArrayF]] = [[], [], []]
     for name in names:

@@ -176,7 +176,7 @@ def lag_words(lag: StreamLag) -> str:
     'LATE against ins by 250 ms ± 4 ms'
     """
     if not np.isfinite(lag.lag_s):
-        return f"lag against {lag.against} cannot be told"
+        return f"lag against {lag.against} cannot be determined"
     size = span_text(abs(lag.lag_s), 3)
     sigma = span_text(lag.sigma_s, 3)
     if lag.significant:

@@ -81,8 +81,8 @@ MODEL_NOTE: Final = (
     "Palomer et al. (2017) state errors of about 2 mm for an elliptical cone."
 )
 LENS_NOTE: Final = (
-    "Sigmas are those of the adjustment: they tell of the marks' noise and of the geometry of the pictures, "
-    "not of a lens that moves between the field and the housing."
+    "Sigmas are those of the adjustment: they follow from noise of image points and geometry of images, "
+    "not from a lens that moves between the field and the housing."
 )
 
 
@@ -398,7 +398,7 @@ def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str,
             {"name": f"camera_{name}", "treated": "resection over the window", **found}
             for name, found in camera["camera"].items()
         ]
-        flat = f"the marks on the window lie within {camera['window_flatness_mm']:.3f} mm of one plane"
+        flat = f"the targets on the window lie within {camera['window_flatness_mm']:.3f} mm of one plane"
         page.table(
             parameter_rows(rows).drop(columns="sigma by the image alone"),
             f"The camera over the window; {flat} (camera.json)",
