@@ -84,7 +84,9 @@ def test_segments_meet_from_their_start_to_before_their_end() -> None:
     assert (u[0], v[0]) == pytest.approx((0.5, 0.25))
     i, j, _, _ = _intersections(start[:1], stop[:1])
     assert len(i) == len(j) == 0
-    # long segments whose middles are 7 m apart
+    apart = _intersections(np.array([[0.0, 0.0], [99.0, 0.0]]), np.array([[1.0, 0.0], [100.0, 0.0]]))
+    assert [len(each) for each in apart] == [0, 0, 0, 0]
+    # long segments whose middles are 6 m apart
     i, j, u, v = _intersections(np.array([[0.0, 0.0], [9.0, -5.0]]), np.array([[10.0, 0.0], [9.0, 5.0]]))
     assert (u[0], v[0]) == pytest.approx((0.9, 0.5))
 

@@ -319,6 +319,7 @@ def test_a_seam_is_the_step_beside_the_slopes() -> None:
     even = dtm([[0.0, 1.0, 3.0, 4.0]])
     assert dtm_facts(even)["seam_cells"] == 0
     assert dtm_facts(even)["seam_spread_m"] == 0.0
+    assert dtm_facts(even)["seam_above_two_sigma"] == 0.0
 
 
 # ---------------------------------------------------------------- sections and volumes
