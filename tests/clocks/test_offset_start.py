@@ -246,3 +246,10 @@ def test_sigma_of_a_jitter_by_hand() -> None:
     """A variance of 4 with a sigma of 1: 1 / (2 x 2); of 1 with 3: the upper end is 2, one more."""
     assert Component(variance=4.0, sigma_variance=1.0).sigma_of_sigma == 0.25
     assert Component(variance=1.0, sigma_variance=3.0).sigma_of_sigma == 1.0
+
+
+def test_a_gap_at_either_end_of_the_attitudes_is_not_covered() -> None:
+    """Ten attitudes a second between 10 and 20 s, one at 0 and one at 30 s: the gaps are covered nowhere."""
+    t = np.concatenate([[0.0], np.arange(100, 201) / 10, [30.0]])
+    attitudes = ins(t_gps_s=t, R_wcs_ics=np.tile(np.eye(3), (len(t), 1, 1)))
+    assert attitudes.at(np.array([5.0, 15.0, 25.0]))[2].tolist() == [False, True, False]
