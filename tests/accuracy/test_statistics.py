@@ -12,6 +12,7 @@ from thalweg.accuracy import (
 )
 from thalweg.accuracy.statistics import (
     NORMAL_SHARES,
+    _times,
     describe_shape,
     fit_in_words,
     outlier_limits,
@@ -145,3 +146,10 @@ def test_a_class_has_the_root_of_the_mean_square() -> None:
     assert table["rmse_observed_m"].tolist() == pytest.approx([1e-3 * np.sqrt(3)])
     assert table["rmse_predicted_m"].tolist() == pytest.approx([2e-3])
     assert table["n"].tolist() == [3]
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1.6, "1.6"), (1.1, "1.1"), (1.05, "1.05"), (0.97, "0.97"), (1.004, "1.004")]
+)
+def test_factors_near_one_have_the_digits_that_tell_them_from_it(factor: float, words: str) -> None:
+    assert _times(factor) == f"{words} times as large"

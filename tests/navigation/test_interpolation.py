@@ -9,6 +9,7 @@ from thalweg.core import CoverageError, GeometryError
 from thalweg.navigation.ins_gnss.interpolation import (
     CUBIC,
     LINEAR,
+    _from_second_differences,
     bridge_factor,
     bridge_with_velocity,
     interpolate_positions,
@@ -503,3 +504,15 @@ def test_what_lies_still_has_no_order() -> None:
     assert found.error.order[0] > 3.7
     np.testing.assert_array_equal(found.error.order[1:], [0.0, 0.0])
     np.testing.assert_array_equal(found.error.variances_m2[:, 1:], 0.0)
+
+
+def test_what_linear_interpolation_misses_of_a_parabola() -> None:
+    """Second differences of 8 t^2 / 2 are 8: half-way between epochs a line is off by an eighth of that."""
+    t = np.arange(7.0)
+    values = np.column_stack([4 * t**2, 0 * t, 8 * t**2])
+    found = _from_second_differences(values, [slice(0, 7)], 1.0)
+    assert found.variances_m2 == pytest.approx(np.array([[1.0, 0.0, 4.0]]))
+    assert found.n_residuals.tolist() == [5]
+    none = _from_second_differences(values, [slice(0, 2)], 1.0)
+    assert none.variances_m2.shape == (1, 3)
+    assert np.isnan(none.variances_m2).all()
