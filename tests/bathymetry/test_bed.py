@@ -1,5 +1,6 @@
 """Water level, banks, and the bed of a channel whose shape is known."""
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -214,6 +215,19 @@ def test_axis_without_its_zigzag_and_centre_between_the_banks(survey) -> None:
     assert np.abs(axis.to_flow(at)[1]).max() < 0.6 * HALF_M
     assert np.abs(banks.line.to_flow(at)[1]).max() < 1.0
     assert np.abs(centre_of(banks.table, banks.line).to_flow(at)[1]).max() < 1.0
+
+
+def test_a_long_track_has_its_axis_in_seconds() -> None:
+    """A zigzag over 14 km of bends; with a filter whose cost grows with its width it took minutes."""
+    x = np.arange(0.0, 13_500.0, 5.0)
+    line = FlowLine.through(np.column_stack([x, 150 * np.sin(x / 400)]))
+    s = np.linspace(20, line.length_m - 20, 50_000)
+    flow = np.column_stack([s, 80 / np.pi * np.arcsin(np.sin(2 * np.pi * s / 160))])
+    start = time.process_time()
+    axis = axis_of_track(line.to_map(flow[:, 0], flow[:, 1]))
+    assert time.process_time() - start < 8.0
+    off = axis.to_flow(line.to_map(np.linspace(100, line.length_m - 100, 300), 0.0))[1]
+    assert np.abs(off).max() < 10.0
 
 
 def test_swapped_and_missing_banks_are_named(survey) -> None:

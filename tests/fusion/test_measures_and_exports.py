@@ -99,9 +99,9 @@ def test_the_long_profile_finds_the_thalweg(sections):
 
 
 def test_a_volume_and_its_sigma_are_those_of_formula_and_double_sum(model, river):
-    from thalweg.fusion.dtm import _inside
+    from thalweg.fusion.dtm import cells_inside
 
-    inside = _inside(river.outline_m(), model.corner_m, model.cell_m, model.height_m.shape)
+    inside = cells_inside(river.outline_m(), model.corner_m, model.cell_m, model.height_m.shape)
     level = float(river.level_m(40.0))
     volume, sigma, area = volume_below(model, level, inside, 5.0)
     assert volume == pytest.approx(4 / 3 * HALF_WIDTH_M * DEPTH_M * river.flow.length_m, rel=0.01)
@@ -118,9 +118,9 @@ def test_a_volume_and_its_sigma_are_those_of_formula_and_double_sum(model, river
 
 
 def test_the_hypsometry_grows(model, river):
-    from thalweg.fusion.dtm import _inside
+    from thalweg.fusion.dtm import cells_inside
 
-    inside = _inside(river.outline_m(), model.corner_m, model.cell_m, model.height_m.shape)
+    inside = cells_inside(river.outline_m(), model.corner_m, model.cell_m, model.height_m.shape)
     table = hypsometry(model, inside, SETTINGS)
     assert (np.diff(table["volume_m3"]) > 0).all()
     # the volume is the integral of the area

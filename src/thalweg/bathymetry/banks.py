@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from pyproj import CRS
-from scipy.ndimage import gaussian_filter1d
+from scipy.signal import fftconvolve
 
 from thalweg.bathymetry.flow import FlowLine
 from thalweg.bathymetry.water import WaterLevel
@@ -53,6 +53,8 @@ _FARTHEST_M: Final = 250.0
 _RESAMPLED_M: Final = 0.5
 _END_M: Final = 40.0
 """The centre line goes on straight beyond the survey for this length."""
+_JUDGED: Final = 8000
+"""Places of a track from which an axis is judged."""
 _BEND: Final = 0.6
 """An axis of the track bends at most so much: half its width times its curvature."""
 _PLATEAU: Final = 1.15
@@ -136,11 +138,12 @@ def axis_of_track(track_m: ArrayF) -> FlowLine:
     even = np.column_stack([np.interp(u, way, p[:, k]) for k in (0, 1)])
     # Smoothing beyond the zigzag's own length moves the line no more; far beyond, it cuts the bends.
     usable: list[tuple[FlowLine, float]] = []
+    every = -(-len(even) // _JUDGED)
     sigma = 4.0
     while sigma < way[-1] / 2:
         smooth = _smoothed(even, sigma / _RESAMPLED_M)
         line = _through(smooth)
-        s, n, fold = line.to_flow(even)
+        s, n, fold = line.to_flow(even[::every])
         reach = float(np.abs(n).max())
         bend = float(np.abs(line.curvature(np.linspace(0, line.length_m, 200))).max()) * max(reach, 1.0)
         spread = float(np.sqrt(np.mean(n**2)))
@@ -148,7 +151,7 @@ def axis_of_track(track_m: ArrayF) -> FlowLine:
         straight = length < _BACK * np.linalg.norm(smooth[-1] - smooth[0]) or length > 20 * reach
         if usable and spread < _PLATEAU * usable[-1][1]:
             return usable[-1][0]
-        if not fold.any() and bend < _BEND and np.mean(np.diff(s) < -0.05) < 0.02 and straight:
+        if not fold.any() and bend < _BEND and np.mean(np.diff(s) < -0.05 * every) < 0.02 and straight:
             usable.append((line, spread))
         else:
             usable.clear()
@@ -176,7 +179,12 @@ def _smoothed(points: ArrayF, sigma: float) -> ArrayF:
     head = 2 * points[0] - points[pad:0:-1]
     tail = 2 * points[-1] - points[-2 : -pad - 2 : -1]
     wide = np.concatenate([head, points, tail])
-    return np.asarray(gaussian_filter1d(wide, sigma, axis=0, mode="nearest")[pad : pad + len(points)])
+    reach = int(4 * sigma + 0.5)
+    bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    wide = np.pad(wide, [(reach, reach), (0, 0)], mode="edge")
+    middle = wide.mean(axis=0)  # small numbers keep their digits
+    smooth = middle + fftconvolve(wide - middle, (bell / bell.sum())[:, None], mode="valid", axes=0)
+    return np.asarray(smooth[pad : pad + len(points)])
 
 
 def _through(points: ArrayF) -> FlowLine:

@@ -90,12 +90,16 @@ class FlowLine:
         if not len(p):
             return np.empty(0), np.empty(0), np.empty(0, dtype=np.bool_)
         s = self.starts_m[self.tree.query(p)[1]]
+        left = np.arange(len(p))
         for _ in range(_STEPS):
-            d, t, k = p - self.spline(s), self.spline(s, 1), self.spline(s, 2)
+            at = s[left]
+            d, t, k = p[left] - self.spline(at), self.spline(at, 1), self.spline(at, 2)
             slope = np.minimum(np.sum(d * k, axis=1) - np.sum(t * t, axis=1), -0.05)
             step = np.clip(np.sum(d * t, axis=1) / slope, -1.0, 1.0)
-            s = np.clip(s - step, 0.0, self.length_m)
-            if np.abs(step).max() < 1e-12:
+            s[left] = np.clip(at - step, 0.0, self.length_m)
+            # a place at an end of the line stays there however long it is pushed
+            left = left[np.abs(s[left] - at) >= 1e-12]
+            if not len(left):
                 break
         tangent, normal = self._frame(s)
         d = p - self.spline(s)

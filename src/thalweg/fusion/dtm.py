@@ -327,7 +327,7 @@ def build_dtm(
     corner, shape = _grid(bed, in_map, water_m, cell)
     layers = [layer_of_bed(bed, corner, cell, shape)]
     layers += [layer_of_cloud(source, cloud, corner, cell, shape) for source, cloud in in_map.items()]
-    water = _inside(water_m, corner, cell, shape)
+    water = cells_inside(water_m, corner, cell, shape)
     model = blend(layers, corner, cell, crs, blend_m=settings.blend_m)
     model = _filled(model, water, settings)
     vertical = settings.vertical
@@ -370,7 +370,7 @@ def _grid(
     return start, (int(shape[0]), int(shape[1]))
 
 
-def _inside(polygon_m: ArrayF, corner_m: ArrayF, cell_m: float, shape: tuple[int, int]) -> ArrayB:
+def cells_inside(polygon_m: ArrayF, corner_m: ArrayF, cell_m: float, shape: tuple[int, int]) -> ArrayB:
     """Cells whose centres lie inside a polygon."""
     from rasterio import Affine
     from rasterio.features import rasterize

@@ -14,12 +14,11 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import ArrayB, ArrayF, InputError, ThalwegError
-from thalweg.fusion.dtm import Dtm
+from thalweg.fusion.dtm import Dtm, cells_inside
 from thalweg.fusion.measures import Section, volume_below
 from thalweg.fusion.mesh import mesh_river, write_2dm, write_selafin, write_ugrid
 from thalweg.fusion.river import River
 from thalweg.settings.sections import Fusion
-from thalweg.surface import Area
 
 _OF_MESH = ("2dm", "selafin", "ugrid")
 _OF_SECTIONS = {"hecras", "swmm", "csv", "geojson"}
@@ -90,8 +89,7 @@ def export_river(
 
 def water_of(model: Dtm, river: River, settings: Fusion) -> tuple[ArrayB, dict[str, float]]:
     """Cells (rows, columns) inside the water line, and volume and area of the water with its sigma."""
-    centres = np.column_stack([model.centres_m().reshape(-1, 2), np.zeros(model.height_m.size)])
-    inside = Area(polygon_en_m=river.outline_m()).contains(centres).reshape(model.height_m.shape)
+    inside = cells_inside(river.outline_m(), model.corner_m, model.cell_m, model.height_m.shape)
     level = np.full(model.height_m.shape, np.nan)
     level[inside] = river.level_m(river.to_flow(model.centres_m()[inside])[0])
     volume, sigma, area = volume_below(model, level, inside, settings.correlation_m)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.signal import fftconvolve
 from scipy.stats import norm
 
 from thalweg.core import ArrayB, ArrayF, CoverageError
@@ -20,6 +20,9 @@ from thalweg.fusion.dtm import Dtm
 from thalweg.fusion.river import River
 from thalweg.settings.sections import Fusion
 
+_FADED: Final = 9.0
+"""Errors so many lengths of correlation apart share nothing (1e-4)."""
+_TILE: Final = 512
 WIDE: Final = float(norm.isf(0.025))
 """Standard deviations of a 95 % band to either side."""
 
@@ -65,8 +68,9 @@ def cut_sections(model: Dtm, river: River, settings: Fusion) -> list[Section]:
     how, found = settings.sections, []
     margin = min(model.cell_m, river.flow.length_m / 4)
     count = max(int((river.flow.length_m - 2 * margin) // how.spacing_m), 1) + 1
-    for s in np.linspace(margin, river.flow.length_m - margin, count):
-        left, right = (float(side) for side in river.offsets_m(s))
+    stations = np.linspace(margin, river.flow.length_m - margin, count)
+    rows = zip(stations, *river.offsets_m(stations), river.level_m(stations), strict=True)
+    for s, left, right, level in ((float(value) for value in row) for row in rows):
         reach = np.arange(right - how.overbank_m, left + how.overbank_m + 1e-9, model.cell_m)
         # the banks themselves are points of the section; no two points share a station of a centimetre
         reach = reach[np.minimum(np.abs(reach - left), np.abs(reach - right)) > 0.01]
@@ -80,13 +84,13 @@ def cut_sections(model: Dtm, river: River, settings: Fusion) -> list[Section]:
             continue
         found.append(
             Section(
-                s_m=float(s),
+                s_m=s,
                 n_m=n,
                 places_m=places,
                 height_m=height,
                 sigma_m=sigma,
                 sigma_common_m=np.nan_to_num(model.at_common(places)),
-                level_m=float(river.level_m(s)),
+                level_m=level,
                 left_m=left,
                 right_m=right,
             )
@@ -221,11 +225,24 @@ def volume_below(
 
 
 def _convolved(own: ArrayF, cell_m: float, correlation_m: float) -> float:
-    """``sum_i sum_j own_i own_j exp(-d_ij / L)`` over all cells."""
-    shape = [next_fast_len(2 * k - 1, real=True) for k in own.shape]
-    power = irfft2(np.abs(rfft2(own, shape)) ** 2, shape)
-    lag = [np.minimum(np.arange(k), k - np.arange(k)) * cell_m for k in shape]
-    return float(np.sum(power * np.exp(-np.hypot(lag[0][:, None], lag[1]) / correlation_m)))
+    """``sum_i sum_j own_i own_j exp(-d_ij / L)`` over all cells, by tiles: a river is a thin part of its grid."""
+    reach = int(np.ceil(_FADED * correlation_m / cell_m))
+    lag = np.arange(-reach, reach + 1) * cell_m
+    bell = np.exp(-np.hypot(lag[:, None], lag) / correlation_m)
+    size, total = max(_TILE, 2 * reach), 0.0
+    for row in range(0, own.shape[0], size):
+        for column in range(0, own.shape[1], size):
+            tile = own[row : row + size, column : column + size]
+            rows, columns = np.flatnonzero(tile.any(axis=1)), np.flatnonzero(tile.any(axis=0))
+            if not len(rows):
+                continue
+            a, b = row + int(rows[0]), row + int(rows[-1]) + 1
+            c, d = column + int(columns[0]), column + int(columns[-1]) + 1
+            top, west = max(a - reach, 0), max(c - reach, 0)
+            wide = own[top : b + reach, west : d + reach]
+            near = fftconvolve(wide, bell, mode="same")[a - top : b - top, c - west : d - west]
+            total += float(np.sum(own[a:b, c:d] * near))
+    return total
 
 
 def hypsometry(model: Dtm, inside: ArrayB, settings: Fusion) -> pd.DataFrame:
