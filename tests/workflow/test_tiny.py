@@ -180,7 +180,8 @@ def test_the_processing_needs_no_truth(tiny_house) -> None:
     """All results were made while the folder of the truth was away; judges, pictures and pages came after."""
     after = counted((tiny_house.root / "judged.log").read_text())
     judges = {rule for rule in after if rule.endswith("_with_truth")}
-    assert judges == {"compare_with_truth", "compare_chains_with_truth", "compare_riverbed_with_truth"}
+    of = ("with_truth", "chains_with_truth", "riverbed_with_truth", "dtm_with_truth", "soundings_with_truth")
+    assert judges == {f"compare_{name}" for name in of}
     shown = {rule for rule in after if rule.startswith("plot_") or rule.endswith("_page")}
     assert after - judges - shown == {"summarise"}
 
@@ -199,6 +200,16 @@ def test_the_bed_is_as_good_as_its_sigmas_say(tiny_house) -> None:
     methods = pd.read_csv(tiny_house.root / BASE / "bathymetry/methods.csv").set_index("method")["rmse_m"]
     assert methods["kriging"] < methods["inverse distance, elliptical"]
     assert methods["kriging"] < 0.5 * methods["triangles"]
+
+
+def test_the_terrain_model_is_as_good_as_its_sigmas_say(tiny_house) -> None:
+    truth = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_dtm.csv").set_index("measure")["value"]
+    square = "mean of squared error over variance"
+    assert 0.5 < truth[f"bed from soundings: {square}"] < 2.2
+    assert 0.4 < truth[f"banks by the lidar, within 5 m of the bed: {square}"] < 2.5
+    assert truth["steps at seams: share outside 95 %"] < 0.05
+    pings = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_soundings.csv")
+    assert 0.6 < pings.loc[0, "normalised_square"] < 1.4
 
 
 def test_all_streams_share_one_axis(tiny_house) -> None:

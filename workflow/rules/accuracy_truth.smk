@@ -80,6 +80,17 @@ TRUTH = {
         },
         "params": {},
     },
+    "compare_dtm_with_truth": {
+        "shows": "Errors of the twin's terrain model by source, and of its steps where sources meet.",
+        "calls": "thalweg_lab.truth.riverbed:judge_dtm",
+        "inputs": {
+            "dtm": f"{RESULTS}/fusion/dtm.tif",
+            "scene": f"{RESULTS}/simulation/truth/scene.npz",
+        },
+        "outputs": {"table": f"{RESULTS}/accuracy/truth_dtm.csv"},
+        "params": {"campaign": identity("origin")},
+        "memory_mb": 3000,
+    },
 }
 
 for name, entry in TRUTH.items():

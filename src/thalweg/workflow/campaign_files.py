@@ -678,6 +678,8 @@ class CampaignFiles:
         outputs = ("bed.tif", "validation.json", "methods.csv", "index.html")
         made = self._where(self.has_soundings(), "bathymetry/soundings.parquet", "bathymetry/soundings.csv")
         made += self._where(self.has_bed(), *(f"bathymetry/{name}" for name in outputs))
+        judged = ("accuracy/truth_dtm.csv", "accuracy/truth_soundings.csv")
+        made += self._where(self.is_twin() and self.has_bed(), *judged)
         return [*made, *self.bed_truth(), *self._where(self.has_bed(), "fusion/dtm.tif", "fusion/river.json")]
 
     # ------------------------------------------------------------ change between epochs
