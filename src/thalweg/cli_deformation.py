@@ -87,14 +87,17 @@ def add_deformation_commands(commands: "argparse._SubParsersAction[argparse.Argu
         default="fdr",
         help="5 %% are the false discovery rate (fdr), or the level of each test (default: %(default)s)",
     )
-    rasters = compare.add_argument_group("surface models (two GeoTIFF)")
-    rasters.add_argument(
+    compare.add_argument(
+        "--correlation-m",
         "--correlation",
+        dest="correlation",
         type=_length,
         default=0.0,
         metavar="M",
-        help="correlation length of height errors, to 1/e (default: %(default)s)",
+        help="length at which the correlation of shared errors is 1/e: sigmas of volumes of surface models, "
+        "and of the mean distance of clouds (default: %(default)s)",
     )
+    rasters = compare.add_argument_group("surface models (two GeoTIFF)")
     rasters.add_argument(
         "--nodata",
         type=_nodata,
@@ -287,7 +290,7 @@ def _compare_surfaces(options: argparse.Namespace) -> int:
 def _compare_clouds(options: argparse.Namespace) -> int:
     import numpy as np
 
-    from thalweg.deformation import Comparison, compare_clouds, write_changes
+    from thalweg.deformation import Comparison, compare_clouds, sigma_of_mean, write_changes
 
     table, frame, notes = compare_clouds(
         options.before,
@@ -308,6 +311,9 @@ def _compare_clouds(options: argparse.Namespace) -> int:
     distance = table["distance_m"].dropna()
     print(f"{len(table):,} core points, {len(distance):,} with a distance")
     print(f"  mean {distance.mean():+.4f} m, median {distance.median():+.4f} m, std {distance.std():.4f} m")
+    if options.correlation and None not in (options.sigma_a, options.sigma_b):
+        whole = sigma_of_mean(table, options.cylinder, options.correlation)
+        print(f"  standard deviation of the mean {whole:.4f} m")
     print(f"  level of detection (95 %), median: {np.nanmedian(table['lod95_m']):.4f} m")
     for state, n in table["state"].value_counts().items():
         print(f"  {state}: {n:,}")

@@ -12,7 +12,7 @@ from thalweg.core import ArrayF, GeometryError, InputError, LocalFrame, read_tab
 from thalweg.core.las import read_laz, write_laz
 from thalweg.deformation import Comparison, compare_clouds
 from thalweg.deformation.compare import CHANGES, measure_distances
-from thalweg.deformation.foreign import Points, one_frame, read_points
+from thalweg.deformation.foreign import Points, one_frame, read_points, sigma_of_mean
 
 OPTIONS = Comparison(scales_m=(1.0,), radius_m=0.8, half_length_m=3.0)
 
@@ -195,6 +195,31 @@ def test_the_command_writes_what_it_prints(tmp_path: Path, capsys: pytest.Captur
     assert header.extra_dimensions["lod95_m"][1] == "m"
     assert main([*words, "-o", str(tmp_path / "changes.txt")]) == 2
     assert "suffix '.txt'" in capsys.readouterr().err
+
+
+def test_the_sigma_of_a_mean_is_that_of_all_pairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before, after = a_file(tmp_path / "a.laz", ground(1)), a_file(tmp_path / "b.laz", ground(2))
+    table, _, _ = compare_clouds(
+        before, after, OPTIONS, core_every=10, sigma_m=(0.03, 0.04), sigma_registration_m=0.01
+    )
+    known = table.dropna(subset=["sigma_m"])
+    place = known[["east_m", "north_m", "up_m"]].to_numpy()
+    lag = np.linalg.norm(place[:, None] - place[None], axis=2)
+    for length in (2.0, 8.0):
+        field = 0.05**2 * np.exp(-lag / length).mean()
+        found = sigma_of_mean(table, OPTIONS.radius_m, length)
+        noise = (known["sigma_white_m"] ** 2).sum() / len(known) ** 2
+        assert found**2 == pytest.approx(field + 0.01**2 + noise, rel=0.02)
+    # the noise of the mean: clouds drawn anew, nothing shared
+    drawn = []
+    for seed in range(30, 42):
+        one = a_file(tmp_path / "c.laz", ground(seed)), a_file(tmp_path / "d.laz", ground(seed + 100))
+        again, _, _ = compare_clouds(*one, OPTIONS, core_every=10, sigma_m=(0.0, 0.0))
+        drawn.append(again["distance_m"].mean() / sigma_of_mean(again, OPTIONS.radius_m, 1.0))
+    assert 0.4 < np.sqrt(np.mean(np.square(drawn))) < 1.6
+    words = ["compare-clouds", str(before), str(after), "-o", str(tmp_path / "e.csv"), "--scales", "1"]
+    assert main([*words, "--sigma-a", "0.03", "--sigma-b", "0.04", "--correlation-m", "8"]) == 0
+    assert "standard deviation of the mean 0.0" in capsys.readouterr().out
 
 
 def test_frames_are_one_if_they_are_equal(tmp_path: Path) -> None:

@@ -76,3 +76,20 @@ def test_the_summary_says_what_changed(changed, capsys: pytest.CaptureFixture[st
     assert f"erosion    {erosion['volume_m3']:+9.2f} m3, sigma {erosion['sigma_m3']:.2f} m3" in told
     assert "vegetation" in told
     assert (changed / "index.html").is_file()
+
+
+def test_drawn_errors_have_the_sigmas_of_the_distances(changed) -> None:
+    table = pd.read_parquet(changed / "changes_1-2.parquet")
+    drawn = pd.read_parquet(changed / "draws_1-2.parquet").drop(columns="core")
+    ratio = (drawn**2).mean(axis=1) / table["sigma_m"] ** 2
+    assert ratio.mean() == pytest.approx(1.0, abs=0.25)  # fifty draws of errors that all places share
+    assert (drawn.isna().all(axis=1) == table["distance_m"].isna()).all()
+
+
+def test_the_bank_line_retreats_where_the_bank_was_cut(changed) -> None:
+    lines = pd.read_csv(changed / "retreat_1-2.csv")
+    assert set(lines["line"]) == {"bank line", "bank top"}
+    moved = lines[(lines["high_m"] < -0.15)]
+    assert moved["line"].tolist() == ["bank line"] * len(moved)  # the crest stays
+    assert 1 <= len(moved) <= 3
+    assert (lines["epr_m_a"] * 1.99 - lines["nsm_m"]).abs().max() < 0.02  # two years

@@ -25,6 +25,7 @@ from .foreign import (
     compare_clouds as compare_clouds,
     compare_with_surface as compare_with_surface,
     read_points as read_points,
+    sigma_of_mean as sigma_of_mean,
     write_changes as write_changes,
 )
 from .series import (

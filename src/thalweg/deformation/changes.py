@@ -287,9 +287,10 @@ class Compared:
 
 
 def draw_errors(compared: Compared, seed: int) -> pd.DataFrame:
-    """Table `DRAWS`: errors of the registered distances, drawn from the field and from noise."""
+    """Table `DRAWS`: errors of the registered distances, drawn from the field and from noise; NaN where unmeasured."""
     drawn = compared.draws(N_DRAWS, seed)
-    columns = {f"draw_{i:02d}_m": error for i, error in enumerate(drawn)}
+    known = np.isfinite(compared.distance_m)
+    columns = {f"draw_{i:02d}_m": np.where(known, error, np.nan) for i, error in enumerate(drawn)}
     return frame_of(DRAWS, {"core": np.arange(len(compared.distance_m)), **columns})
 
 

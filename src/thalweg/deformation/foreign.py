@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 from pyproj import CRS
+from scipy.spatial.distance import pdist
 
 from thalweg.accuracy import describe_errors, outlier_limits
 from thalweg.core import (
@@ -159,6 +160,46 @@ def compare_clouds(
     )
     table[["east_m", "north_m", "up_m"]] += shift
     return table, frame, notes
+
+
+_SAMPLE = 1500
+"""Core points whose pairs tell how errors add up in a mean."""
+
+
+def sigma_of_mean(table: pd.DataFrame, radius_m: float, correlation_m: float) -> float:
+    """Standard deviation of the mean of all distances of `compare_clouds`.
+
+    Errors that points share have the correlation ``exp(-d / L)`` at a distance d, noise that of the share of
+    their cylinders that two core points have in common, a registration one of 1. The means over all pairs are
+    those over the pairs of a sample.
+
+    Parameters
+    ----------
+    table : `CHANGES`, with stated sigmas.
+    radius_m : of the cylinders.
+    correlation_m : L, at which the correlation of shared errors is 1/e.
+
+    Raises
+    ------
+    InputError : no distance has a standard deviation.
+    """
+    known = table[table["sigma_m"].notna()]
+    k = len(known)
+    if not k:
+        raise InputError("no distance has a standard deviation", expected="clouds that overlap")
+    some = known.sample(min(k, _SAMPLE), random_state=0)
+    lag = pdist(some[["east_m", "north_m", "up_m"]].to_numpy())
+    apart = np.minimum(0.5 * lag / radius_m, 1.0)
+    overlap = 2.0 / np.pi * (np.arccos(apart) - apart * np.sqrt(1.0 - apart**2))
+    alike = np.exp(-lag / correlation_m) if correlation_m else np.zeros(len(lag))
+    variance = 0.0
+    parts = ((alike, "field"), (overlap, "white"), (np.ones(len(lag)), "registration"))
+    for correlation, name in parts:
+        sigma = some[f"sigma_{name}_m"].to_numpy()
+        i, j = np.triu_indices(len(some), 1)
+        pairs = float(np.mean(sigma[i] * sigma[j] * correlation)) if len(lag) else 0.0
+        variance += (1.0 - 1.0 / k) * pairs + float(np.mean(sigma**2)) / k
+    return float(np.sqrt(variance))
 
 
 class Placed(Protocol):
