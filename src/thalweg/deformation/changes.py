@@ -287,7 +287,7 @@ class Compared:
 
 
 def draw_errors(compared: Compared, seed: int) -> pd.DataFrame:
-    """Table `DRAWS`: errors of the registered distances, drawn from the field and from noise; NaN where unmeasured."""
+    """Table `DRAWS`: errors of registered distances, drawn from field and noise; NaN where unmeasured."""
     drawn = compared.draws(N_DRAWS, seed)
     known = np.isfinite(compared.distance_m)
     columns = {f"draw_{i:02d}_m": np.where(known, error, np.nan) for i, error in enumerate(drawn)}
