@@ -1,6 +1,7 @@
 """Chromium without a screen, led through a pipe (Chrome DevTools Protocol): no driver, no network."""
 
 import base64
+import fcntl
 import json
 import os
 import shutil
@@ -30,8 +31,10 @@ class Browser:
         from_browser, to_us = os.pipe()
 
         def at_three_and_four() -> None:
-            os.dup2(to_browser, 3)
-            os.dup2(to_us, 4)
+            # the pipes may be numbers 3 and 4 themselves, and not to be inherited
+            ends = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (to_browser, to_us)]
+            os.dup2(ends[0], 3)
+            os.dup2(ends[1], 4)
 
         self._process = subprocess.Popen(
             [

@@ -53,7 +53,7 @@ def decoded(folder: Path, key: str) -> tuple[np.ndarray, dict]:
         r'thalwegNode\("(\d*)","(.*)"\)\n', (folder / f"nodes/r{key}.js").read_text()
     ).groups()
     assert name == key
-    n = facts["nodes"][key]
+    n = facts["nodes"][key][0]
     planes = (
         np.frombuffer(zlib.decompress(base64.b64decode(letters)), np.uint8)[: 6 * n]
         .reshape(3, 2, n)
@@ -79,6 +79,9 @@ def test_each_point_stands_in_one_node_and_each_node_is_even(rng: np.random.Gene
         place = (xyz[node.rows] - node.corner_m) / node.size_m
         assert ((place >= -1e-9) & (place <= 1 + 1e-9)).all()
         cells = np.unique((place * 2**CELLS_BITS).astype(int), axis=0)
+        assert node.spacing_m == pytest.approx(
+            node.size_m / 64 * np.sqrt(len(cells) / len(node.rows)), rel=0.01
+        )
         # one point a cell, or all that are left
         assert len(cells) >= len(node.rows) - 5 or len(node.rows) <= LEAF_POINTS
     # the root alone shows the whole surface: no place is farther from it than two of its cells

@@ -162,6 +162,7 @@ rule check_colours:
     script:
         "../scripts/check_colours.py"
 
+
 rule viewer_page:
     """The cloud in a page that opens from disk, to turn, to measure in, and to hand on."""
     input:

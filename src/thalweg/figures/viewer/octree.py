@@ -33,12 +33,14 @@ class Node:
     key : a digit for each level below the root, the child: 1 for the upper half in x + 2 in y + 4 in z.
     corner_m, size_m : (3,) lower corner and edge.
     rows : (n,) its points, rows of the cloud.
+    spacing_m : distance of neighbours: a cell's edge, less where a node took more points than one a cell.
     """
 
     key: str
     corner_m: ArrayF
     size_m: float
     rows: ArrayI
+    spacing_m: float
 
 
 def build_octree(xyz_m: ArrayF, most_points: int) -> list[Node]:
@@ -76,21 +78,25 @@ def build_octree(xyz_m: ArrayF, most_points: int) -> list[Node]:
         count = np.diff(first, append=len(code))
         own = np.zeros(len(code), dtype=np.bool_)
         own[_middles(code >> np.uint64(3 * (_BITS - level - CELLS_BITS)))] = True
+        cells = np.add.reduceat(own, first, dtype=np.int64)
         own |= np.repeat(count <= LEAF_POINTS, count)
-        for start, n in zip(first, count, strict=True):
+        for start, n, occupied in zip(first, count, cells, strict=True):
             key = "".join(str(int(of_node[start]) >> 3 * k & 7) for k in reversed(range(level)))
-            nodes.append(_node(key, low, size, order[start : start + n][own[start : start + n]]))
+            rows = order[start : start + n][own[start : start + n]]
+            nodes.append(_node(key, low, size, rows, int(occupied)))
         code, order = code[~own], order[~own]
     return nodes
 
 
-def _node(key: str, low: ArrayF, size: float, rows: ArrayI) -> Node:
-    """A node by its key within the root's cube."""
+def _node(key: str, low: ArrayF, size: float, rows: ArrayI, occupied: int) -> Node:
+    """A node by its key within the root's cube, and the number of its cells that hold points."""
     corner = low.astype(np.float64).copy()
     for digit in key:
         size /= 2
         corner += size * (int(digit) >> np.arange(3) & 1)
-    return Node(key=key, corner_m=corner, size_m=size, rows=rows)
+    # as on a surface: four times the points lie half as far apart
+    spacing = size / 2**CELLS_BITS * float(np.sqrt(occupied / len(rows)))
+    return Node(key=key, corner_m=corner, size_m=size, rows=rows, spacing_m=spacing)
 
 
 def _morton(cell: Codes) -> Codes:

@@ -41,7 +41,7 @@ from thalweg.figures import (
     TWIN_MARK,
     robust_limits,
 )
-from thalweg.figures.viewer.octree import CELLS_BITS, Node, build_octree
+from thalweg.figures.viewer.octree import Node, build_octree
 from thalweg.ingest.clouds import read_cloud
 from thalweg.lidar import SIGMAS
 
@@ -203,8 +203,7 @@ def write_viewer(
         "corner": root.corner_m.tolist(),
         "size": root.size_m,
         **_first_look(view.xyz_m[shown]),
-        "cells": 2**CELLS_BITS,
-        "nodes": {node.key: len(node.rows) for node in tree},
+        "nodes": {node.key: [len(node.rows), float(f"{node.spacing_m:.3g}")] for node in tree},
         "track": [] if trajectory is None else _track(trajectory),
         "ramps": {name: base64.b64encode(_ramp(ramp)).decode() for name, ramp in RAMPS.items()},
         "sigma": [SIGMA_LEAST_M, SIGMA_DECADES * np.log(10) / SIGMA_STEPS],

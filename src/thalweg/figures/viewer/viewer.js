@@ -16,14 +16,14 @@ const columns = Object.fromEntries(DATA.columns.map(([name, width, bytes]) => [n
 // ---------------------------------------------------------------- nodes
 
 const nodes = new Map();
-for (const [key, n] of Object.entries(DATA.nodes)) {
+for (const [key, [n, spacing]] of Object.entries(DATA.nodes)) {
   let size = DATA.size;
   const corner = [...DATA.corner];
   for (const digit of key) {
     size /= 2;
     for (let axis = 0; axis < 3; axis++) corner[axis] += size * (digit >> axis & 1);
   }
-  nodes.set(key, { key, n, size, corner, state: "absent", children: [] });
+  nodes.set(key, { key, n, spacing, size, corner, state: "absent", children: [] });
 }
 for (const node of nodes.values()) if (node.key) nodes.get(node.key.slice(0, -1)).children.push(node);
 let loading = 0;
@@ -102,14 +102,15 @@ const sigmaOf = (code) => code ? DATA.sigma[0] * Math.exp((code - 1) * DATA.sigm
 const POINTS = `#version 300 es
 layout(location = 0) in vec4 place; layout(location = 1) in vec4 look;
 layout(location = 2) in vec4 errors; layout(location = 3) in float coloured;
-uniform mat4 project; uniform vec3 corner; uniform float size, base, diameter, least, finer[8];
-uniform int mode; uniform vec2 limits, sigma; uniform sampler2D ramps; uniform uint number;
+uniform mat4 project; uniform vec3 corner; uniform float size, base, scale, least, gaps[8];
+uniform int mode; uniform bool bare; uniform vec2 limits, sigma; uniform sampler2D ramps; uniform uint number;
 flat out vec3 colour; flat out uint id;
 float sd(float code) { return code < 0.5 ? 0.0 : sigma.x * exp((code - 1.0) * sigma.y); }
 void main() {
   gl_Position = project * vec4(corner + place.xyz * size, 1.0);
   ivec3 upper = ivec3(greaterThan(place.xyz, vec3(0.5)));
-  gl_PointSize = clamp(diameter * finer[upper.x | upper.y << 1 | upper.z << 2] / gl_Position.w, least, 40.0);
+  gl_PointSize = clamp(scale * gaps[upper.x | upper.y << 1 | upper.z << 2] / gl_Position.w, least, 40.0);
+  if (bare && coloured < 0.5) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   id = number << 18 | uint(gl_VertexID);
   float value = 0.0; bool known = true;
   if (mode == 0) { colour = look.rgb; return; }
@@ -331,7 +332,7 @@ function choose(view, most) {  // nodes to draw, large ones on the screen first,
     if (node.state === "absent") absent.push(node);
     if (node.state !== "here") continue;
     points += node.n;
-    node.finer = new Float32Array(8).fill(1);
+    node.gaps = new Float32Array(8).fill(node.spacing);
     chosen.push(node);
     for (const child of node.children) {
       child.px = importance(child);
@@ -339,8 +340,11 @@ function choose(view, most) {  // nodes to draw, large ones on the screen first,
     }
   }
   // where children fill the gaps between its points, those of a node may be smaller
-  for (const node of [...chosen].reverse())
-    if (node.key) nodes.get(node.key.slice(0, -1)).finer[node.key.slice(-1)] = Math.max(...node.finer) / 2;
+  for (const node of [...chosen].reverse()) {
+    const parts = node.children.filter((child) => child.px > 0).map((child) => node.gaps[child.key.slice(-1)]);
+    const widest = parts.length ? Math.max(...parts) : node.spacing;
+    if (node.key) nodes.get(node.key.slice(0, -1)).gaps[node.key.slice(-1)] = widest;
+  }
   return { chosen, absent, points };
 }
 
@@ -355,12 +359,13 @@ function drawNodes(view, { made, at }) {
   gl.uniform2fv(at.sigma, DATA.sigma);
   const width = Number($("width").value);
   gl.uniform1f(at.least, 1.2 * devicePixelRatio * width);
+  gl.uniform1f(at.scale, 1.5 * width * view.pixels);
+  gl.uniform1i(at.bare, colour === "rgb" && !$("bare").checked ? 1 : 0);
   drawn.forEach((node, k) => {
     gl.uniform3fv(at.corner, minus(node.corner, view.eye));
     gl.uniform1f(at.size, node.size);
     gl.uniform1f(at.base, node.corner[2]);
-    gl.uniform1fv(at["finer[0]"], node.finer);
-    gl.uniform1f(at.diameter, 1.5 * width * view.pixels * node.size / DATA.cells);
+    gl.uniform1fv(at["gaps[0]"], node.gaps);
     gl.uniform1ui(at.number, k);
     gl.bindVertexArray(node.buffers);
     gl.drawArrays(gl.POINTS, 0, node.n);
@@ -518,7 +523,7 @@ function drawMarks(view) {
   pen.beginPath(); pen.moveTo(x - px, y - 5); pen.lineTo(x - px, y); pen.lineTo(x, y); pen.lineTo(x, y - 5); pen.stroke();
   pen.textAlign = "right";
   pen.fillText(`${length} m`, x, y + 16);
-  const [right, up] = axes(), north = [right[1], -up[1]], [cx, cy] = [x - 20, y + 52];
+  const [right, up] = axes(), north = [right[1], -up[1]], [cx, cy] = [x - 20, y + 66];
   pen.beginPath(); pen.moveTo(cx, cy); pen.lineTo(cx + 22 * north[0], cy + 22 * north[1]); pen.stroke();
   pen.textAlign = "center";
   pen.fillText("N", cx + 31 * north[0], cy + 31 * north[1] + 4);
@@ -612,8 +617,9 @@ function listen() {
     label.append(input, ` ${WORDS[name]}`);
     $("colours").append(label);
   }
-  for (const id of ["width", "depth", "track"]) $(id).addEventListener("input", redraw);
+  for (const id of ["width", "depth", "track", "bare"]) $(id).addEventListener("input", redraw);
   $("path").hidden = !track;
+  $("grey").hidden = !columns.coloured;
   $("home").onclick = () => home();
   $("top").onclick = () => home({ turn: 0, tilt: 90 });
   $("theme").onclick = keys.l;
