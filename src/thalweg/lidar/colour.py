@@ -74,7 +74,8 @@ _HUBER: Final = 1.5
 _ROUNDS: Final = 6
 _LEAST_SPREAD: Final = 0.01
 _LIGHT: Final = (np.arange(256) / 255.0) ** GAMMA
-T, U = TypeVar("T"), TypeVar("U")
+T = TypeVar("T")
+U = TypeVar("U")
 
 
 class NoColour(IntEnum):

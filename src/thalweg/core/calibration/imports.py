@@ -137,7 +137,7 @@ def _camera(path: Path, lines: Mapping[tuple[str, ...], int], name: str, data: A
         parameters = fisheye_of_sphere(kinds[0], values, size, f"{where('camera_model')}: {name}")
     elif kinds[0] == "pinhole" and kinds[1] in MODELS:
         model = MODELS[kinds[1]]
-        parameters = np.zeros(len(PARAMETERS[model]))  # type: ignore[index]
+        parameters = np.zeros(len(PARAMETERS[model]))
         parameters[:8] = np.concatenate([numbers("intrinsics", 4), numbers("distortion_coeffs", 4)])
     else:
         raise UnsupportedError(
