@@ -176,6 +176,12 @@ def add_survey_commands(commands: "argparse._SubParsersAction[argparse.ArgumentP
         "--points", type=int, metavar="N", help="shown at most, thinned evenly (default: 1500000)"
     )
     view.add_argument(
+        "--quantity",
+        action="append",
+        metavar="NAME",
+        help="extra dimension of a LAS or LAZ file to colour by, up to three (default: the first ones)",
+    )
+    view.add_argument(
         "-o", "--out", type=Path, required=True, metavar="FOLDER", help="for the page and what belongs to it"
     )
     view.set_defaults(command=_view)
@@ -348,7 +354,7 @@ def _view(options: argparse.Namespace) -> int:
     most = MOST_POINTS if options.points is None else options.points
     if most < 1:
         raise ConfigError(f"--points {most}", expected="1 or more", where="thalweg view")
-    view = read_view(options.cloud, most)
+    view = read_view(options.cloud, most, options.quantity)
     n = write_viewer(view, options.out, title=options.title or options.cloud.name, most_points=most)
     lacking = [
         name

@@ -164,6 +164,46 @@ def test_the_command_shows_clouds_of_anybody(tmp_path: Path, capsys: pytest.Capt
     assert main(["view", str(tmp_path / "b.xyz"), "-o", str(tmp_path / "w"), "--points", "0"]) == 2
 
 
+def test_extra_dimensions_become_colours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Distances of two epochs: limits alike on both sides of zero, NaN where nothing was measured."""
+    xyz = hills()[::40]
+    n = len(xyz)
+    d = np.linspace(-0.1, 0.3, n)
+    d[:100] = np.nan
+    dimensions = {f"more_{k}": ("f4", "a ratio") for k in range(3)} | {
+        "distance_m": ("f4", "second less first, m")
+    }
+    with LazWriter(tmp_path / "a.laz", FRAME, extra_dimensions=dimensions) as writer:
+        writer.append(xyz, extra={name: np.arange(n) for name in dimensions} | {"distance_m": d})
+    view = read_view(tmp_path / "a.laz")
+    assert list(view.extras) == ["distance_m", "more_0", "more_1"]
+    assert [unit for _, unit in view.extras.values()] == ["m", "", ""]
+    out = ["-o", str(tmp_path / "v")]
+    assert main(["view", str(tmp_path / "a.laz"), "--quantity", "distance_m", *out]) == 0
+    facts = decoded(tmp_path / "v", "")[1]
+    assert facts["extras"] == ["distance_m"]
+    low, high = facts["limits"]["distance_m"]
+    assert high == pytest.approx(0.297, abs=0.002)  # 99 % of the points
+    assert low == -high
+    capsys.readouterr()
+    assert main(["view", str(tmp_path / "a.laz"), "--quantity", "change", *out]) == 2
+    assert "quantities change; expected 3 at most of more_0" in capsys.readouterr().err
+    with Browser(tmp_path / "profile") as page:
+        page.open(tmp_path / "v/index.html", "#at=0,0,0&look=0,90,150&colour=distance_m")
+        page.wait("typeof settled !== 'undefined' && settled")
+        k = n // 2 + int(np.argmin(np.hypot(*xyz[n // 2 : n // 2 + 2000, :2].T)))
+        page.click(*page.run(f"onScreen({xyz[k].tolist()})"))
+        words = page.run("document.getElementById('found').textContent")
+        assert float(re.search(r"distance_m (-?[\d.]+) m", words)[1]) == pytest.approx(d[k], abs=0.003)
+        page.screenshot(tmp_path / "a.png")
+        picture = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)[:, 260:]
+        # more than zero is red in the north, less is blue in the south
+        more, less = (picture[..., i] > picture[..., 2 - i] + 30 for i in (0, 2))
+        assert more[60:200].mean() > 0.1 > 0.001 > more[450:].mean()
+        assert less[520:].mean() > 0.03 > 0.001 > less[60:200].mean()
+        assert page.errors == []
+
+
 def test_a_browser_opens_it_from_disk(tmp_path: Path) -> None:
     xyz = hills()
     write_viewer(whole_view(xyz), tmp_path / "v", title="Hills", twin=True, trajectory=make_trajectory())

@@ -8,14 +8,15 @@ import base64
 import json
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.colors import Colormap
+from cmcrameri import cm
+from matplotlib.colors import Colormap, ListedColormap
 from pyproj import CRS
 
 from thalweg.core import (
@@ -43,7 +44,7 @@ from thalweg.figures import (
 )
 from thalweg.figures.viewer.octree import Node, build_octree
 from thalweg.ingest.clouds import read_cloud
-from thalweg.lidar import SIGMAS
+from thalweg.lidar import COLOUR_DIMENSIONS, CORRELATIONS, SIGMAS
 
 MOST_POINTS: Final = 1_500_000
 """Points of a viewer: some 25 megabytes on disk."""
@@ -51,6 +52,7 @@ SIGMA_LEAST_M: Final = 1e-4
 SIGMA_STEPS: Final = 254
 SIGMA_DECADES: Final = 5
 """Sigmas from 0.1 mm to 10 m stand in a byte by their logarithm: steps of 4.6 %; 0: not known."""
+_LONGEST_UNIT: Final = 6
 _HELD: Final = 4
 """Of a cloud with more points than so many times those shown, only every so many-th is read into memory."""
 RAMPS: Final[Mapping[str, Colormap]] = {
@@ -60,6 +62,9 @@ RAMPS: Final[Mapping[str, Colormap]] = {
     "time": TIME_MAP,
     "range": RANGE_MAP,
 }
+DIFFERENCES: Final[Colormap] = ListedColormap(0.85 * cm.vik(np.linspace(0, 1, 256)), "thalweg_differences")
+"""Darker than it is: white would vanish on a light ground."""
+MOST_EXTRAS: Final = 3
 UNITS: Final = {"height": "m", "intensity": "", "sigma": "m", "time": "s", "range": "m"}
 
 
@@ -76,6 +81,7 @@ class View:
     coloured : (n,) which points have a colour.
     intensity, range_m, t_gps_s : (n,).
     sigma_m : (n, 3) standard deviations east, north, up.
+    extras : further quantities, three at most: values (n,), NaN where unknown, and unit.
     """
 
     xyz_m: ArrayF
@@ -87,24 +93,29 @@ class View:
     sigma_m: AnyArray | None = None
     range_m: AnyArray | None = None
     t_gps_s: ArrayF | None = None
+    extras: Mapping[str, tuple[ArrayF, str]] = field(default_factory=dict)
 
 
-def read_view(path: Path, most_points: int = MOST_POINTS) -> View:
+def read_view(path: Path, most_points: int = MOST_POINTS, quantities: Sequence[str] | None = None) -> View:
     """A cloud of anybody's: LAS and LAZ with all that Thalweg writes, PLY, E57, tables of x y z.
 
     Parameters
     ----------
     path : the cloud.
     most_points : to be shown; of far larger LAS and LAZ files each k-th point is held.
+    quantities : extra dimensions to be shown; None: the first three, distances before others.
 
     Raises
     ------
-    InputError : it cannot be read.
+    InputError : it cannot be read, or has no such quantity.
     """
+    las = path.suffix.lower() in {".las", ".laz"}
+    if quantities and not las:
+        raise InputError(f"quantities of {path.suffix}", expected="a LAS or LAZ file", where=path)
     if path.suffix.lower() in TEXT:
         points = read_points(path)
         return View(xyz_m=points.xyz_m, frame=points.frame, n_total=len(points.xyz_m))
-    if path.suffix.lower() not in {".las", ".laz"}:
+    if not las:
         cloud = read_cloud(path)
         return View(
             xyz_m=cloud.points,
@@ -116,7 +127,8 @@ def read_view(path: Path, most_points: int = MOST_POINTS) -> View:
         )
     header = laz_header(path)
     every = max(1, -(-header.n_points // (_HELD * most_points)))
-    wanted = ("xyz_m", "t_gps_s", "t_week_s", "intensity", "rgb", "n_views", "range", *SIGMAS)
+    extras = _extras(path, header.extra_dimensions, quantities)
+    wanted = ("xyz_m", "t_gps_s", "intensity", "rgb", "n_views", "range", *SIGMAS, *extras)
     parts: dict[str, list[AnyArray]] = {}
     at = 0
     for chunk in iter_laz(path):
@@ -142,7 +154,27 @@ def read_view(path: Path, most_points: int = MOST_POINTS) -> View:
         sigma_m=np.stack(sigmas, axis=1) if len(sigmas) == len(SIGMAS) else None,
         range_m=found.get("range"),
         t_gps_s=_known(found.get("t_gps_s")),
+        extras={name: (found[name].astype(np.float64), unit) for name, unit in extras.items()},
     )
+
+
+def _extras(
+    path: Path, dimensions: Mapping[str, tuple[str, str]], quantities: Sequence[str] | None
+) -> dict[str, str]:
+    """Extra dimensions to be shown, and their units, which descriptions end in."""
+    shown = {"range", "ring", *SIGMAS, *CORRELATIONS, *COLOUR_DIMENSIONS}
+    others = [name for name in dimensions if name not in shown]
+    first = sorted(others, key=lambda name: not name.startswith("distance"))[:MOST_EXTRAS]
+    names = first if quantities is None else list(dict.fromkeys(quantities))
+    unknown = [name for name in names if name not in dimensions]
+    if unknown or len(names) > MOST_EXTRAS:
+        raise InputError(
+            f"quantities {', '.join(unknown or names)}",
+            expected=f"{MOST_EXTRAS} at most of {', '.join(dimensions) or 'none: the file holds no more'}",
+            where=path,
+        )
+    units = {name: dimensions[name][1].rpartition(",")[2].strip() for name in names}
+    return {name: unit if len(unit) <= _LONGEST_UNIT else "" for name, unit in units.items()}
 
 
 def _known(t_gps_s: ArrayF | None) -> ArrayF | None:
@@ -205,7 +237,7 @@ def write_viewer(
         **_first_look(view.xyz_m[shown]),
         "nodes": {node.key: [len(node.rows), float(f"{node.spacing_m:.3g}")] for node in tree},
         "track": [] if trajectory is None else _track(trajectory),
-        "ramps": {name: base64.b64encode(_ramp(ramp)).decode() for name, ramp in RAMPS.items()},
+        "ramps": {name: base64.b64encode(_ramp(ramp)).decode() for name, ramp in _ramps(facts).items()},
         "sigma": [SIGMA_LEAST_M, SIGMA_DECADES * np.log(10) / SIGMA_STEPS],
     }
     every = "all" if n_shown == view.n_total else f"{n_shown:,} of"
@@ -258,6 +290,15 @@ def _track(trajectory: Trajectory, most: int = 2000) -> list[list[float] | None]
     ]
 
 
+def _ramps(facts: Mapping[str, Any]) -> dict[str, Colormap]:
+    """Maps of all quantities; of those on both sides of zero the one that is grey between."""
+    extras = {
+        name: DIFFERENCES if facts["limits"][name][0] < 0 < facts["limits"][name][1] else HEIGHT_MAP
+        for name in facts["extras"]
+    }
+    return {**RAMPS, **extras}
+
+
 def _ramp(ramp: Colormap) -> bytes:
     """256 colours."""
     return np.round(255 * ramp(np.linspace(0, 1, 256))[:, :3]).astype(np.uint8).tobytes()
@@ -298,9 +339,20 @@ def _columns(view: View, shown: AnyArray) -> tuple[dict[str, AnyArray], dict[str
         limits["time"] = (0.0, last - first)
         columns["time"] = _scaled(view.t_gps_s - first, limits["time"], 65535).astype("<u2")[:, None]
         facts["unix"] = float(unix_from_gps(np.array([first]))[0])
+    codes = []
+    for name, (values, _) in view.extras.items():
+        known = np.isfinite(values)
+        low, high = robust_limits(values[shown][known[shown]]) if known[shown].any() else (0.0, 1.0)
+        if low < 0 < high:
+            low, high = -max(-low, high), max(-low, high)
+        limits[name] = (low, high)
+        codes.append(np.where(known, 1 + _scaled(np.where(known, values, low), (low, high), 254), 0))
+    if codes:
+        columns["extra"] = np.stack(codes, axis=1).astype(np.uint8)
+    facts["extras"] = list(view.extras)
     facts["columns"] = [[name, values.shape[1], values.dtype.itemsize] for name, values in columns.items()]
     facts["limits"] = limits
-    facts["units"] = UNITS
+    facts["units"] = UNITS | {name: unit for name, (_, unit) in view.extras.items()}
     return columns, facts
 
 

@@ -8,9 +8,8 @@ const scene = $("scene"), marks = $("marks");
 const gl = scene.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
 const HALF_VIEW = Math.tan(25 * Math.PI / 180);
 const LEAST_BUDGET = 60_000, MOST_BUDGET = 3_000_000, LEAST_NODE_PX = 110, AT_ONCE = 6;
-const COLOURS = ["rgb", "height", "intensity", "sigma", "time", "range"];
-const WORDS = { rgb: "photographs", height: "height", intensity: "intensity", sigma: "standard deviation",
-  time: "time", range: "range" };
+const COLOURS = ["rgb", "height", "intensity", "sigma", "time", "range", ...DATA.extras];
+const WORDS = { rgb: "photographs", sigma: "standard deviation" };
 const columns = Object.fromEntries(DATA.columns.map(([name, width, bytes]) => [name, { width, bytes }]));
 
 // ---------------------------------------------------------------- nodes
@@ -64,7 +63,7 @@ async function thalwegNode(key, letters) {
 }
 
 function upload(node) {
-  // 20 bytes a point: x y z time (16 bit), colour and intensity, sigmas and range, whether it has a colour
+  // 20 bytes a point: x y z time (16 bit), colour and intensity, sigmas and range, whether it has a colour, extras
   const n = node.n, place = new Uint16Array(4 * n), look = new Uint8Array(12 * n);
   for (let k = 0; k < n; k++) {
     for (let axis = 0; axis < 3; axis++) {
@@ -76,6 +75,7 @@ function upload(node) {
     look[12 * k + 3] = node.intensity ? node.intensity[k] : 0;
     look[12 * k + 7] = node.range ? node.range[k] : 0;
     look[12 * k + 8] = node.coloured ? node.coloured[k] : 1;
+    for (let e = 0; e < DATA.extras.length; e++) look[12 * k + 9 + e] = node.extra[DATA.extras.length * k + e];
   }
   const vao = gl.createVertexArray();
   gl.bindVertexArray(vao);
@@ -89,7 +89,7 @@ function upload(node) {
   };
   attribute(place, [[0, 4, gl.UNSIGNED_SHORT, true, 8, 0]]);
   attribute(look, [[1, 4, gl.UNSIGNED_BYTE, true, 12, 0], [2, 4, gl.UNSIGNED_BYTE, false, 12, 4],
-    [3, 1, gl.UNSIGNED_BYTE, false, 12, 8]]);
+    [3, 4, gl.UNSIGNED_BYTE, false, 12, 8]]);
   gl.bindVertexArray(null);
   return vao;
 }
@@ -101,7 +101,7 @@ const sigmaOf = (code) => code ? DATA.sigma[0] * Math.exp((code - 1) * DATA.sigm
 
 const POINTS = `#version 300 es
 layout(location = 0) in vec4 place; layout(location = 1) in vec4 look;
-layout(location = 2) in vec4 errors; layout(location = 3) in float coloured;
+layout(location = 2) in vec4 errors; layout(location = 3) in vec4 more;
 uniform mat4 project; uniform vec3 corner; uniform float size, base, scale, least, gaps[8];
 uniform int mode; uniform bool bare; uniform vec2 limits, sigma; uniform sampler2D ramps; uniform uint number;
 flat out vec3 colour; flat out uint id;
@@ -110,7 +110,7 @@ void main() {
   gl_Position = project * vec4(corner + place.xyz * size, 1.0);
   ivec3 upper = ivec3(greaterThan(place.xyz, vec3(0.5)));
   gl_PointSize = clamp(scale * gaps[upper.x | upper.y << 1 | upper.z << 2] / gl_Position.w, least, 40.0);
-  if (bare && coloured < 0.5) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  if (bare && more.x < 0.5) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   id = number << 18 | uint(gl_VertexID);
   float value = 0.0; bool known = true;
   if (mode == 0) { colour = look.rgb; return; }
@@ -123,7 +123,8 @@ void main() {
   }
   if (mode == 4) value = place.w;
   if (mode == 5) value = errors.w / 255.0;
-  vec2 at = vec2((clamp(value, 0.0, 1.0) * 255.0 + 0.5) / 256.0, (float(mode) - 0.5) / 5.0);
+  if (mode > 5) { value = (more[mode - 5] - 1.0) / 254.0; known = more[mode - 5] > 0.5; }
+  vec2 at = vec2((clamp(value, 0.0, 1.0) * 255.0 + 0.5) / 256.0, (float(mode) - 0.5) / float(textureSize(ramps, 0).y));
   colour = known ? texture(ramps, at).rgb : vec3(0.5);
 }`;
 const SOLID = `#version 300 es
@@ -206,12 +207,12 @@ function start() {
   programs = { points: program(POINTS, SOLID), numbers: program(POINTS, NUMBERS), shade: program(WHOLE, SHADE),
     lines: program(LINES, PLAIN) };
   const rows = COLOURS.slice(1).map((name) => Uint8Array.from(atob(DATA.ramps[name]), (c) => c.charCodeAt(0)));
-  const all = new Uint8Array(5 * 768);
+  const all = new Uint8Array(rows.length * 768);
   rows.forEach((row, k) => all.set(row, 768 * k));
   ramps = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, ramps);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, 5, 0, gl.RGB, gl.UNSIGNED_BYTE, all);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, rows.length, 0, gl.RGB, gl.UNSIGNED_BYTE, all);
   for (const key of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, key, gl.NEAREST);
   if (DATA.track.some((place) => place)) {
     const segments = [];
@@ -298,7 +299,7 @@ function readHash() {
 // ---------------------------------------------------------------- drawing
 
 let budget = 1_000_000, wanted = false, still = 0, lastFrame = 0, settled = false, drawn = [];
-const usable = (name) => name === "height" || (COLOURS.includes(name) && name in columns);
+const usable = (name) => name === "height" || DATA.extras.includes(name) || (COLOURS.includes(name) && name in columns);
 
 function redraw() {
   settled = false;
@@ -472,6 +473,7 @@ function facts({ node, k }) {
     coloured: part("coloured")?.[0] !== 0,
     range: node.range ? between("range", node.range[k] / 255) : null,
     intensity: node.intensity ? between("intensity", node.intensity[k] / 255) : null,
+    extras: DATA.extras.map((name, e, { length }) => node.extra[length * k + e] && between(name, (node.extra[length * k + e] - 1) / 254)),
     unix: node.time ? DATA.unix + between("time", node.time[k] / 65535) : null };
 }
 const withSigma = (value, sigma) => `${value.toFixed(3)} m${isFinite(sigma) ? ` ± ${sigma.toFixed(3)} m` : ""}`;
@@ -484,6 +486,7 @@ function report() {
     if (point.range !== null) lines.push(`range ${point.range.toFixed(1)} m`);
     if (point.intensity !== null) lines.push(`intensity ${Math.round(point.intensity)}`);
     if (point.unix !== null) lines.push(`time ${new Date(1000 * point.unix).toISOString().slice(0, 21).replace("T", " ")} UTC`);
+    point.extras.forEach((value, e) => value !== 0 && lines.push(`${DATA.extras[e]} ${Number(value.toPrecision(3))} ${DATA.units[DATA.extras[e]]}`));
     if (point.rgb) lines.push(point.coloured ? `colour ${point.rgb.join(" ")}` : "no photograph shows it");
   } else if (picked.length === 2) {
     const [a, b] = picked, d = minus(b.place, a.place), s = [0, 1, 2].map((k) => Math.hypot(a.sigma[k], b.sigma[k]));
@@ -614,7 +617,7 @@ function listen() {
   for (const name of COLOURS.filter(usable)) {
     const label = document.createElement("label"), input = document.createElement("input");
     Object.assign(input, { type: "radio", name: "colour", value: name, onchange: () => setColour(name) });
-    label.append(input, ` ${WORDS[name]}`);
+    label.append(input, ` ${WORDS[name] || name}`);
     $("colours").append(label);
   }
   for (const id of ["width", "depth", "track", "bare"]) $(id).addEventListener("input", redraw);
