@@ -389,7 +389,7 @@ def fit_drift(
     factor = cho_factor(_covariance(of, model, roughness[some]), lower=True)
     cov = np.linalg.pinv(X.T @ cho_solve(factor, X), hermitian=True)
     value = cov @ (X.T @ cho_solve(factor, of.height_m - of.height_m.mean()))
-    return value[1:], cov[1:, 1:]
+    return np.asarray(value[1:]), np.asarray(cov[1:, 1:])
 
 
 def _covariance(of: Observations, model: CovarianceModel, g: ArrayF) -> ArrayF:

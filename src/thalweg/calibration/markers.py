@@ -193,8 +193,8 @@ def detect_pictures(
         return grey.shape, found
 
     with ThreadPoolExecutor(max_workers=max(1, threads)) as pool:
-        found = pool.map(work, files)
-        results = [result for _, result in zip(steps(files, "markers of picture"), found, strict=True)]
+        worked = zip(steps(files, "markers of picture"), pool.map(work, files), strict=True)
+        results = [result for _, result in worked]
     rows, marks, rejected = [], [], []
     for (camera, path), ((height, width), found) in zip(files, results, strict=True):
         n = int(found.marks["marker"].nunique())

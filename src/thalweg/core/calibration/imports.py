@@ -154,7 +154,7 @@ def _camera(path: Path, lines: Mapping[tuple[str, ...], int], name: str, data: A
         )
     try:
         camera = Camera(
-            model=model,  # type: ignore[arg-type]
+            model=model,
             size_px=(int(size[0]), int(size[1])),
             parameters=parameters,
             name=name,
