@@ -17,9 +17,9 @@ from thalweg.fusion.dtm import (
     Layer,
     _filled,
     _grid,
-    _inside,
     _pooled,
     blend,
+    cells_inside,
     interpolation_error,
     layer_of_bed,
     layer_of_cloud,
@@ -97,25 +97,26 @@ def test_points_are_brought_to_the_middle_of_the_cell_along_the_slope(north: boo
 
 
 def test_scatter_averages_and_what_is_shared_stays() -> None:
-    """Four points in each of nine cells scatter by w, stated s: max(s^2 - w^2, 0) + w^2 / 4 in the middle."""
+    """Four points in each of nine cells scatter by w^2 = 0.12: noise up to what is stated, else relief."""
     middles = [(c + 0.5, -r - 0.5) for r in range(3) for c in range(3)]
     points = [[e, n, dz] for e, n in middles for dz in (-0.3, 0.3, -0.3, 0.3)]
     white = 4 * 0.09 / 3
     for stated in (0.5, 0.1):
         found = cells(points, (3, 3), up_m=stated)
-        expected = max(stated**2 - white, 0.0) + white / 4
+        expected = max(stated**2 - white, 0.0) + min(stated**2, white) / 4 + max(white - stated**2, 0.0)
         assert found.sigma_m[1, 1] ** 2 == pytest.approx(expected)
 
 
 def test_scatter_is_pooled_over_three_by_three_cells() -> None:
     squares, freedom = np.zeros((5, 5)), np.ones((5, 5), dtype=np.int64)
     squares[2, 2] = 18.0
-    found = _pooled(squares, freedom, np.full((5, 5), 7.0))
+    found, free = _pooled(squares, freedom, np.full((5, 5), 7.0))
+    assert (free[2, 2], free[0, 0]) == pytest.approx((9.0, 4.0))
     assert found[2, 2] == pytest.approx(2.0)
     assert found[2, 3] == pytest.approx(2.0)
     assert found[0, 0] == pytest.approx(7.0)  # four freedoms of nine are too few
     assert found[2, 0] == pytest.approx(0.0)
-    assert _pooled(squares, 2 * freedom, squares)[2, 2] == pytest.approx(1.0)
+    assert _pooled(squares, 2 * freedom, squares)[0][2, 2] == pytest.approx(1.0)
 
 
 # ---------------------------------------------------------------- clouds
@@ -214,7 +215,7 @@ def test_sources_fade_into_each_other() -> None:
     found = two_layers(1.0, 1.0)
     share = np.array([1, 1, 1, 36 / 37, 0.8, 4 / 13, 0, 0])
     assert found.height_m[0] == pytest.approx(1.0)
-    assert found.sigma_m[0] ** 2 == pytest.approx((share * 0.1) ** 2 + ((1 - share) * 0.2) ** 2)
+    assert found.sigma_m[0] == pytest.approx(share * 0.1 + (1 - share) * 0.2)  # errors are shared
     assert found.sigma_common_m[0] == pytest.approx(share * 0.05)
     assert found.distance_m[0] == pytest.approx(share * 2.0)
     bed, bank = int(Source.BED), int(Source.LIDAR)
@@ -279,7 +280,7 @@ def test_land_is_filled_on_request_and_so_far() -> None:
 
 def test_cells_inside_a_polygon_are_those_whose_centres_are() -> None:
     square = np.array([[11.4, 19.4], [13.6, 19.4], [13.6, 17.6], [11.4, 17.6]])
-    found = _inside(square, np.array([10.0, 20.0]), 1.0, (3, 5))
+    found = cells_inside(square, np.array([10.0, 20.0]), 1.0, (3, 5))
     assert np.argwhere(found).tolist() == [[1, 1], [1, 2], [1, 3]]
 
 
