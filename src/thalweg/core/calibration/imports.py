@@ -153,12 +153,7 @@ def _camera(path: Path, lines: Mapping[tuple[str, ...], int], name: str, data: A
             f"{name}.timeshift_cam_imu: found {shift!r}", where=where("timeshift_cam_imu"), expected="seconds"
         )
     try:
-        camera = Camera(
-            model=model,
-            size_px=(int(size[0]), int(size[1])),
-            parameters=parameters,
-            name=name,
-        )
+        camera = Camera(model=model, size_px=(int(size[0]), int(size[1])), parameters=parameters, name=name)
     except GeometryError as error:
         raise ConfigError(error.found, where=where("intrinsics"), expected=error.expected) from error
     to_imu = pose("T_cam_imu")
