@@ -1,4 +1,4 @@
-"""How accurate a cloud is, and whether it knew."""
+"""Accuracy of clouds: distances from a reference, observed errors against predicted standard deviations."""
 
 import lazy_loader
 

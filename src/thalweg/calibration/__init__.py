@@ -1,4 +1,4 @@
-"""Where the sensors sit on the boat: fields of targets, adjustments, one joint covariance."""
+"""Calibration of the boat: mounting of all sensors from fields of targets, with one joint covariance."""
 
 import lazy_loader
 

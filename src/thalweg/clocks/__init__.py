@@ -1,4 +1,4 @@
-"""One GPS time axis for all streams."""
+"""Synchronisation: one GPS time axis for all streams."""
 
 import lazy_loader
 

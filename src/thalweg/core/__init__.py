@@ -1,6 +1,4 @@
-"""What every package stands on: frames, time, trajectories, covariance propagation, tables, errors
-that users read.
-"""
+"""Foundations of all packages: frames, time, trajectories, covariance propagation, tables, errors."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What changed between epochs: distances with the errors that moving platforms really have."""
+"""Change between epochs: M3C2 distances with the correlated errors of a moving platform."""
 
 import lazy_loader
 

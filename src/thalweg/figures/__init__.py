@@ -1,4 +1,4 @@
-"""Figures and pages for people: one style, drawn from tables."""
+"""Figures and pages: one style, drawn from tables."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Lidar returns as points in the world with a covariance each."""
+"""Georeferencing of lidar returns, with a covariance for each point."""
 
 import lazy_loader
 

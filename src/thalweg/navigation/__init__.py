@@ -1,1 +1,1 @@
-"""Where the boat is and how it lies, with covariance: by INS and GNSS, by camera, by all sensors."""
+"""Trajectories of the boat with covariances: by INS and GNSS, by camera, by all sensors."""

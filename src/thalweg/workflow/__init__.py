@@ -1,4 +1,4 @@
-"""What jobs share: provenance, code versions, the truth kept from processing."""
+"""Services for jobs: provenance, code versions, protection of the truth of the digital twin."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Camera and lidar against each other, from cones seen by both (P2)."""
+"""Relative orientation of camera and lidar from cones that both see (P2)."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""The calibration field by a self-calibrating bundle of photographs."""
+"""Calibration field: self-calibrating bundle adjustment of photographs."""
 
 import lazy_loader
 

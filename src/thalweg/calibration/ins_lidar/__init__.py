@@ -1,4 +1,4 @@
-"""The lidar on the moving boat, from a run around cones."""
+"""Boresight and lever arm of the lidar on the moving boat, from a run around cones."""
 
 import lazy_loader
 

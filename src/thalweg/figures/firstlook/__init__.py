@@ -1,4 +1,4 @@
-"""First pictures of logs, and a page of recordings."""
+"""First figures of logs, and a page of recordings."""
 
 import lazy_loader
 

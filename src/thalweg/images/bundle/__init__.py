@@ -1,4 +1,4 @@
-"""Adjustment of image blocks with control, and the covariance of every pose."""
+"""Bundle adjustment of image blocks with control points, and covariances of all poses."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Finished orientations of COLMAP, Metashape and tables."""
+"""Import of exterior orientations: COLMAP, Metashape, Pix4D, tables."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What the steps hand on: blocks of image points, poses, control points, cameras."""
+"""Data of image blocks: image points, poses, control points, cameras."""
 
 import lazy_loader
 

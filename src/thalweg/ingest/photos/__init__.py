@@ -1,4 +1,4 @@
-"""Photographs and the times that their files carry."""
+"""Photographs and their time stamps."""
 
 import lazy_loader
 

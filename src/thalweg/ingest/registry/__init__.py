@@ -1,4 +1,4 @@
-"""Which file is what, and what it holds."""
+"""Registry of formats: files recognised by content, with reader and description."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What the sensor's parameters cost in depth."""
+"""Error budget of the light-sheet sensor: effect of each parameter on depth."""
 
 import lazy_loader
 

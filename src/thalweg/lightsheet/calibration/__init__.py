@@ -1,4 +1,4 @@
-"""Camera, window and sheet from a grid object in two levels."""
+"""Calibration of camera, window and light sheet from a grid object in two levels."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Fifteen lines at once: calibration of the fan and labels of lines."""
+"""Several laser lines: calibration of the fan, identification of lines."""
 
 import lazy_loader
 
