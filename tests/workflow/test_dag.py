@@ -9,22 +9,23 @@ from thalweg.workflow.truth import may_read_truth
 
 pytestmark = pytest.mark.workflow
 
+OF_A_SURVEY = {
+    "compare_with_truth",
+    "compare_chains_with_truth",
+    "compare_riverbed_with_truth",
+    "compare_soundings_with_truth",
+    "compare_dtm_with_truth",
+}
 MAY_READ_TRUTH = {
-    "tiny": {"compare_with_truth", "compare_chains_with_truth", "compare_riverbed_with_truth"},
-    "demo": {
-        "compare_with_truth",
-        "compare_bed_with_truth",
-        "compare_riverbed_with_truth",
-        "compare_light_sheet_with_truth",
-        "compare_calibration_with_truth",
-        "compare_chains_with_truth",
-    },
-    "mulde": {"compare_with_truth", "compare_chains_with_truth", "compare_riverbed_with_truth"},
+    "tiny": OF_A_SURVEY,
+    "full": OF_A_SURVEY
+    | {"compare_bed_with_truth", "compare_light_sheet_with_truth", "compare_calibration_with_truth"},
+    "mulde": OF_A_SURVEY,
     "field_tiny": {"compare_calibration_with_truth"},
     "basin_tiny": {"compare_light_sheet_with_truth"},
     "tiny_change": {"compare_change_with_truth"},
 }
-"""What judges results of the twin; `demo` brings the calibration of its boat along."""
+"""What judges results of the twin; `full` brings the calibration of its boat along."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def jobs(house, campaign: str, *targets: str) -> list[Job]:
     return found
 
 
-@pytest.mark.parametrize("campaign", ["tiny", "demo", "mulde", "field_tiny", "basin_tiny", "tiny_change"])
+@pytest.mark.parametrize("campaign", ["tiny", "full", "mulde", "field_tiny", "basin_tiny", "tiny_change"])
 def test_no_processing_rule_reads_the_truth(empty_house, campaign: str) -> None:
     found = jobs(empty_house, campaign)
     assert len(found) > 20
@@ -93,7 +94,7 @@ def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(empt
 def test_the_strip_of_the_bed_takes_the_best_trajectory(empty_house, images: bool) -> None:
     """INS alone leads the strip centimetres away from the bed; fused where the survey has images."""
     campaigns = empty_house.root / "config/campaigns"
-    text = (campaigns / "demo.yaml").read_text().replace("id: demo", "id: strip")
+    text = (campaigns / "full.yaml").read_text().replace("id: full", "id: strip")
     assert "  time_lapse: " in text
     path = campaigns / "strip.yaml"
     path.write_text(text if images else re.sub(r"(?m)^  time_lapse: .*\n", "", text))

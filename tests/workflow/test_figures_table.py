@@ -242,7 +242,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     """The lists that stood in the rules: which pictures a survey, a calibration and a basin have."""
     folder = repository / "config/campaigns"
     campaigns = with_calibrations(
-        load_campaigns(["tiny", "field_tiny", "basin_tiny", "demo", "tiny_change"], folder), folder
+        load_campaigns(["tiny", "field_tiny", "basin_tiny", "full", "tiny_change"], folder), folder
     )
     of = {n: CampaignFiles(name=n, campaigns=campaigns, twin_logs=twin_logs) for n in campaigns}
     table = read_figures(repository / "workflow/figures.yaml")
@@ -254,7 +254,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     images = ["pose_sigmas", "mask_view", "image_positions", "frames_by_image"]
     assert names("tiny", "accuracy") == [*reference, "error_versus_range"]
     assert names("tiny", "trajectories") == ["chain_histograms", "chains_by_range", *images]
-    assert set(names("demo")) - set(names("tiny")) == {"bed_strip"}
+    assert set(names("full")) - set(names("tiny")) == {"bed_strip"}
     bed = ["soundings", "sounding_errors", "bed_map", "bed_sections", "bed_variogram", "bed_left_out"]
     bed += ["terrain_model", "long_profile"]
     assert names("tiny", "bathymetry") == bed
@@ -270,7 +270,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     assert len(names("basin_tiny", "scans")) == 12
     assert names("tiny_change") == names("tiny_change", "deformation")
     assert names("tiny_change")[:3] == ["epochs_from_above", "change_map", "significance_map"]
-    assert len(names("tiny_change")) == 9
+    assert len(names("tiny_change")) == 10
     (row,) = [row for row in table.rows if row.name == "change_map"]
     changes = row.input_files(of)["changes"](SimpleNamespace(campaign="tiny_change"))
     assert changes == ["results/tiny_change/deformation/changes_1-2.parquet"]
