@@ -54,11 +54,19 @@ def script_of(threads: int = 1, **more: Any) -> Any:
     return SimpleNamespace(**none | {"threads": threads, "resources": {"tmpdir": "/scratch"}} | more)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize(("threads", "limit", "blas"), [(1, None, 1), (2, None, 2), (2, "1", 1), (1, "2", 1)])
 def test_a_fork_has_a_folder_threads_and_environment_of_its_own(
-    execute: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
+    execute: Callable[..., None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    threads: int,
+    limit: str | None,
+    blas: int,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    if limit:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", limit)
     (tmp_path / "script.py").write_text(SAYS)
     record = BenchmarkRecord()
     execute(script_of(threads, bench_record=record), "script.py")
@@ -69,7 +77,7 @@ def test_a_fork_has_a_folder_threads_and_environment_of_its_own(
         "folder": str(tmp_path),
         "libraries": True,
         "threads": str(threads),
-        "blas": [threads] * len(said["blas"]),
+        "blas": [blas] * len(said["blas"]),
         "scratch": "/scratch",
         "product": 300.0**3,
     }

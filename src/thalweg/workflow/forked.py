@@ -44,8 +44,10 @@ def _forking(started: Callable[..., None], context: Any) -> Callable[..., None]:
             return
         from snakemake.benchmark import benchmarked
 
+        # A limit of the user's holds: on a busy machine two threads of BLAS take five times the time of one.
+        blas = min(script.threads, int(os.environ.get("OPENBLAS_NUM_THREADS") or script.threads))
         scratch = script.resources.get("tmpdir")
-        job = context.Process(target=_run, args=(fname, Path.cwd(), script.threads, scratch))
+        job = context.Process(target=_run, args=(fname, Path.cwd(), script.threads, blas, scratch))
         try:
             job.start()
         except OSError:  # no room for another process, or a path of the server's socket that is too long
@@ -60,14 +62,14 @@ def _forking(started: Callable[..., None], context: Any) -> Callable[..., None]:
     return execute_script
 
 
-def _run(script: str, folder: Path, threads: int, scratch: str | None) -> None:
+def _run(script: str, folder: Path, threads: int, blas: int, scratch: str | None) -> None:
     """What a fork does: the script as the main module, its errors to the hook that it has set."""
     os.chdir(folder)
     os.environ.update(dict.fromkeys(_THREADS, str(threads)))
     if scratch:
         os.environ.update(dict.fromkeys(_SCRATCH, scratch))
     for set_threads in openblas("set"):
-        set_threads(threads)
+        set_threads(blas)
     try:
         runpy.run_path(script, run_name="__main__")
     except Exception:
