@@ -19,6 +19,7 @@ from thalweg.bathymetry import (
     FlowLine,
     Observations,
     WaterLevel,
+    against_reference,
     bed_observations,
     choose_model,
     directional_variogram,
@@ -26,10 +27,19 @@ from thalweg.bathymetry import (
     krige_bed,
     level_water,
     observations_of,
+    read_other_soundings,
     validate_bed,
 )
 from thalweg.bathymetry.banks import axis_of_track, centre_of, onto_line, trace_banks
-from thalweg.core import CoverageError, GeometryError, LocalFrame, Trajectory, frame_of
+from thalweg.core import (
+    CoverageError,
+    GeometryError,
+    InputError,
+    LocalFrame,
+    Trajectory,
+    frame_of,
+    write_raster,
+)
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
 
@@ -368,7 +378,7 @@ def test_model_of_a_field_of_known_covariance() -> None:
 
 
 def test_margins_that_are_rougher_than_the_channel_get_their_own_sigma() -> None:
-    """Relief 2.5 times as large near the banks: normalised squares there, with one relief for all and with two."""
+    """Relief 2.5 times as large near the banks: normalised squares with one relief for all, and with two."""
     squares: dict[str, list[float]] = {"one": [], "two": [], "channel": []}
     found = []
     for seed in range(3):
@@ -445,3 +455,71 @@ def test_observations_of_a_table_keep_every_column(bed) -> None:
     assert len(data) == len(bed.data)
     np.testing.assert_array_equal(data.height_m, bed.data["up_m"])
     np.testing.assert_array_equal(data.sigma_slow_m, bed.data["sigma_slow_m"])
+
+
+# ---------------------------------------------------------------- soundings and beds of others
+
+
+def table_of_others(path, line: FlowLine, *, depth: bool, lift_m: float = 0.0):
+    """Four lines across the river where the boat was not, as somebody else would hand them over."""
+    s, n = np.repeat([40.0, 70.0, 100.0, 130.0], 15), np.tile(np.linspace(-11, 11, 15), 4)
+    xy = line.to_map(s, n)
+    at = FRAME.to_map(np.column_stack([xy, -depth_m(s, n)]), UTM)
+    value = depth_m(s, n) if depth else at[:, 2] + lift_m
+    table = pd.DataFrame({"x": at[:, 0], "y": at[:, 1], "z": value, "sigma": 0.02, "line": s})
+    table.to_csv(path, index=False, float_format="%.4f")
+    return path
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_soundings_of_others_are_data_of_the_bed(survey, tmp_path, depth: bool) -> None:
+    line, banks, level, own = survey
+    settings = Bathymetry(table={"column": "z", "depth": depth, "line_column": "line"})
+    path = table_of_others(tmp_path / "others.csv", line, depth=depth)
+    others = read_other_soundings([path, path], FRAME, UTM, settings)
+    table, counts = bed_observations(own, banks.line, banks, level, None, bank_as_data=True, others=others)
+    of = table[table["source"] == "table"]
+    assert counts["soundings of others"] == len(of) == 120
+    s, n, _ = line.to_flow(of[["east_m", "north_m"]].to_numpy())
+    # depths count from a water level that is known to some millimetres
+    assert np.abs(of["up_m"].to_numpy() + depth_m(s, n)).max() < 0.03
+    assert of["line"].nunique() == 8
+    assert of["line"].min() > own["line"].max()
+    assert (of["sigma_common_m"] >= settings.table.sigma_common_m).all()
+
+
+def test_heights_of_another_datum_are_refused(survey, tmp_path) -> None:
+    path = table_of_others(tmp_path / "others.csv", survey[0], depth=False, lift_m=-45.0)
+    with pytest.raises(InputError, match="ellipsoidal heights"):
+        read_other_soundings([path], FRAME, UTM, Bathymetry())
+
+
+def test_a_reference_bed_tells_how_far_off_the_bed_is(survey, bed, tmp_path) -> None:
+    write_raster(tmp_path / "bed.tif", bed.grid, bed.bands(FRAME), tags={})
+    at = FRAME.from_map(
+        np.column_stack([bed.grid.centres_m(), np.full(bed.grid.rows * bed.grid.columns, 300.0)]), UTM
+    )
+    s, n, _ = survey[0].to_flow(at[:, :2])
+    true = FRAME.to_map(np.column_stack([at[:, :2], -depth_m(s, n)]), UTM)[:, 2]
+    write_raster(tmp_path / "multibeam.tif", bed.grid, {"height": true}, tags={})
+    write_raster(tmp_path / "high.tif", bed.grid, {"height": true + 0.5}, tags={})
+    paths = [
+        tmp_path / "multibeam.tif",
+        tmp_path / "high.tif",
+        table_of_others(tmp_path / "p.csv", survey[0], depth=False),
+    ]
+    found = against_reference(tmp_path / "bed.tif", paths, UTM, Bathymetry())
+    assert found["multibeam.tif"]["n"] == np.isfinite(bed.up_m).sum()
+    assert found["multibeam.tif"]["rmse_m"] == pytest.approx(
+        np.sqrt(np.mean(errors(bed, survey[0])[0] ** 2)), abs=2e-3
+    )
+    assert found["multibeam.tif"]["normalised_square"] < 1.6
+    assert found["high.tif"]["bias_m"] == pytest.approx(found["multibeam.tif"]["bias_m"] - 0.5, abs=1e-3)
+    assert found["high.tif"]["normalised_square"] > 10
+    assert found["p.csv"]["n"] > 40
+    assert found["p.csv"]["rmse_m"] < 0.15
+    far = table_of_others(tmp_path / "far.csv", survey[0], depth=False)
+    table = pd.read_csv(far)
+    table.assign(x=table["x"] + 5000).to_csv(far, index=False)
+    with pytest.raises(InputError, match="none of 60 heights"):
+        against_reference(tmp_path / "bed.tif", [far], UTM, Bathymetry())

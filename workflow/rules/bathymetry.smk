@@ -79,6 +79,7 @@ rule krige_bed:
         line="results/{campaign}/bathymetry/centre_line.csv",
         level="results/{campaign}/bathymetry/water_level.json",
         strip=of(CampaignFiles.strip_points),
+        others=raw("soundings"),
     output:
         bed="results/{campaign}/bathymetry/bed.tif",
         variogram="results/{campaign}/bathymetry/variogram.json",
@@ -109,6 +110,8 @@ rule validate_bed:
         variogram="results/{campaign}/bathymetry/variogram.json",
         line="results/{campaign}/bathymetry/centre_line.csv",
         banks="results/{campaign}/bathymetry/banks.csv",
+        bed="results/{campaign}/bathymetry/bed.tif",
+        reference=raw("reference_bed"),
     output:
         validation="results/{campaign}/bathymetry/validation.json",
         predicted="results/{campaign}/bathymetry/predicted.parquet",
@@ -125,6 +128,7 @@ rule validate_bed:
         runtime=minutes(30, 60),
     params:
         code=code_version("validate_bed"),
+        campaign=identity("crs"),
         bathymetry=section("bathymetry"),
     script:
         "../scripts/validate_bed.py"

@@ -6,7 +6,15 @@ from typing import Any
 
 from pyproj import CRS
 
-from thalweg.bathymetry import OBSERVATIONS, SOUNDINGS, Banks, FlowLine, WaterLevel, krige_bed
+from thalweg.bathymetry import (
+    OBSERVATIONS,
+    SOUNDINGS,
+    Banks,
+    FlowLine,
+    WaterLevel,
+    krige_bed,
+    read_other_soundings,
+)
 from thalweg.core import LocalFrame, read_table, write_raster, write_table
 from thalweg.lightsheet.scanning import BED_POINTS
 from thalweg.settings.sections import Bathymetry, EchoSounder
@@ -21,6 +29,7 @@ def main(
     line: Path,
     level: Path,
     strip: list[Path],
+    others: list[Path],
     bed: Path,
     variogram: Path,
     used: Path,
@@ -29,6 +38,7 @@ def main(
     bathymetry: Bathymetry,
 ) -> None:
     frame, centre = LocalFrame(**campaign["origin"]), FlowLine.read(line)
+    crs = CRS.from_user_input(campaign["crs"])
     found = krige_bed(
         read_table(soundings, SOUNDINGS)[0],
         centre,
@@ -36,11 +46,12 @@ def main(
         WaterLevel.of_report(json.loads(level.read_text())),
         read_table(strip[0], BED_POINTS)[0] if strip else None,
         frame=frame,
-        crs=CRS.from_user_input(campaign["crs"]),
+        crs=crs,
         echo=echo_sounder,
         settings=bathymetry,
         slow_time_s=json.loads(facts.read_text())["position_time_s"],
         seed=campaign["seed"],
+        others=read_other_soundings(others, frame, crs, bathymetry) if others else None,
     )
     tags = {"heights": "ellipsoidal, metres", "campaign": campaign["id"]}
     write_raster(bed, found.grid, found.bands(frame), tags=tags)

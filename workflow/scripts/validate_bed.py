@@ -2,8 +2,11 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
-from thalweg.bathymetry import OBSERVATIONS, Banks, BedModel, FlowLine, validate_bed
+from pyproj import CRS
+
+from thalweg.bathymetry import OBSERVATIONS, Banks, BedModel, FlowLine, against_reference, validate_bed
 from thalweg.core import read_table
 from thalweg.settings.sections import Bathymetry
 from thalweg.workflow import run_job
@@ -15,9 +18,12 @@ def main(
     variogram: Path,
     line: Path,
     banks: Path,
+    bed: Path,
+    reference: list[Path],
     validation: Path,
     predicted: Path,
     methods: Path,
+    campaign: dict[str, Any],
     bathymetry: Bathymetry,
 ) -> None:
     facts, table, compared = validate_bed(
@@ -26,6 +32,9 @@ def main(
         Banks.read(banks, FlowLine.read(line)).half_widths_m,
         bathymetry,
     )
+    if reference:
+        crs = CRS.from_user_input(campaign["crs"])
+        facts["reference"] = against_reference(bed, reference, crs, bathymetry)
     validation.write_text(json.dumps(facts, indent=2) + "\n")
     table.to_parquet(predicted, index=False)
     compared.to_csv(methods, index=False)

@@ -45,10 +45,12 @@ from .soundings import (
 from .tables import (
     BedOfTable as BedOfTable,
     TableOfSoundings as TableOfSoundings,
+    against_reference as against_reference,
     bed_of_table as bed_of_table,
     map_crs as map_crs,
     read_bank_lines as read_bank_lines,
     read_line as read_line,
+    read_other_soundings as read_other_soundings,
     read_places as read_places,
     read_soundings as read_soundings,
 )

@@ -25,7 +25,7 @@ OBSERVATIONS = table_kind(
     "bed_observations",
     1,
     [
-        column("source", pa.string(), "1", "sounding, bank or light sheet"),
+        column("source", pa.string(), "1", "sounding, table, bank or light sheet"),
         column("s_m", _F, "m", "along the centre line"),
         column("n_m", _F, "m", "across it, positive to the left of the flow"),
         *(column(f"{a}_m", _F, "m", f"{a} in wcs") for a in ("east", "north", "up")),
@@ -105,6 +105,7 @@ def bed_observations(
     strip: pd.DataFrame | None,
     *,
     bank_as_data: bool,
+    others: pd.DataFrame | None = None,
 ) -> tuple[pd.DataFrame, dict[str, int]]:
     """Everything that says how high the bed is, in flow coordinates.
 
@@ -114,6 +115,7 @@ def bed_observations(
     line, banks, level : of the river.
     strip : points of the light sheet, kind ``bed_points``; None: there are none.
     bank_as_data : shorelines are data.
+    others : soundings of others, `thalweg.bathymetry.read_other_soundings`; None: there are none.
 
     Returns
     -------
@@ -155,6 +157,10 @@ def bed_observations(
             expected="soundings along the river",
             cure="Look at bathymetry/centre_line.csv",
         )
+    if others is not None and len(others):
+        first = int(used["line"].max()) + 1
+        parts.append(_of_others(others, line, level, first))
+        counts["soundings of others"] = len(parts[-1])
     if bank_as_data and len(banks.table):
         of = bank_observations(banks, level)
         places = banks.table[["east_m", "north_m"]].to_numpy(np.float64)
@@ -181,6 +187,29 @@ def bed_observations(
         counts["light sheet"] = len(parts[-1])
     table = pd.concat(parts, ignore_index=True)
     return frame_of(OBSERVATIONS, {name: table[name] for name in OBSERVATIONS.names}), counts
+
+
+def _of_others(others: pd.DataFrame, line: FlowLine, level: WaterLevel, first: int) -> pd.DataFrame:
+    """Soundings of others beside the centre line; their lines count on from the first free number."""
+    s, n, fold = line.to_flow(others[["east_m", "north_m"]].to_numpy(np.float64))
+    up, sigma = level.at(s)
+    depth = others["depth_m"].to_numpy(np.float64)
+    told = np.isfinite(depth)
+    return pd.DataFrame(
+        {
+            "source": "table",
+            "s_m": s,
+            "n_m": n,
+            **{k: others[k].to_numpy() for k in ("east_m", "north_m", "sigma_white_m")},
+            "up_m": np.where(told, up - depth, others["up_m"].to_numpy(np.float64)),
+            "sigma_slow_m": 0.0,
+            "sigma_common_m": np.hypot(
+                others["sigma_common_m"].to_numpy(np.float64), np.where(told, sigma, 0.0)
+            ),
+            "t_gps_s": np.nan,
+            "line": others["line"].to_numpy() + first,
+        }
+    )[~fold]
 
 
 def _of_strip(strip: pd.DataFrame, line: FlowLine) -> pd.DataFrame:
@@ -235,6 +264,7 @@ def krige_bed(
     settings: Bathymetry,
     slow_time_s: float,
     seed: int,
+    others: pd.DataFrame | None = None,
 ) -> Bed:
     """The riverbed of a survey.
 
@@ -248,13 +278,16 @@ def krige_bed(
     echo, settings : see there.
     slow_time_s : correlation time of positions.
     seed : of the choice of left-out lines.
+    others : soundings of others.
 
     Raises
     ------
     GeometryError : a single line of soundings.
     CoverageError : no sounding beside the centre line, or no cell near enough to one.
     """
-    table, counts = bed_observations(soundings, line, banks, level, strip, bank_as_data=settings.bank_as_data)
+    table, counts = bed_observations(
+        soundings, line, banks, level, strip, bank_as_data=settings.bank_as_data, others=others
+    )
     data = observations_of(table)
     model = choose_model(data, banks.half_widths_m, settings, slow_time_s=slow_time_s, seed=seed)
     around = frame.to_map(table[["east_m", "north_m", "up_m"]].to_numpy(np.float64), crs)[:, :2]
@@ -269,7 +302,7 @@ def krige_bed(
         east, north = _slopes(grid, height, frame, soundings)
         soundings = with_bed_normals(soundings, east, north, echo)
         table, counts = bed_observations(
-            soundings, line, banks, level, strip, bank_as_data=settings.bank_as_data
+            soundings, line, banks, level, strip, bank_as_data=settings.bank_as_data, others=others
         )
     return gridded(table, model, grid, flow, inside, settings, counts)
 

@@ -23,9 +23,20 @@ from scipy.spatial.distance import cdist
 from thalweg.bathymetry.banks import SIDES, Banks
 from thalweg.bathymetry.bed import BANDS, OBSERVATIONS, Bed, cells_of_river, gridded, observations_of
 from thalweg.bathymetry.flow import FlowLine
-from thalweg.bathymetry.validation import validate_bed
+from thalweg.bathymetry.validation import by_distance, measures, validate_bed
 from thalweg.bathymetry.variogram import HalfWidths, choose_model
-from thalweg.core import ArrayB, ArrayF, ArrayI, Grid, InputError, frame_of, write_raster
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    ArrayI,
+    Grid,
+    InputError,
+    LocalFrame,
+    frame_of,
+    iter_laz,
+    read_raster,
+    write_raster,
+)
 from thalweg.settings.sections import Bathymetry
 
 _NAMES: Final = (
@@ -46,6 +57,8 @@ _SIGMA_BANK_M: Final = 0.5
 _STEEP: Final = 0.3
 """Rise of the bed near the shore, for what a shoreline's error across is in height."""
 _STATIONS: Final = 400
+_OTHER_DATUM_M: Final = 25.0
+"""Ellipsoid and geoid differ by more nearly everywhere in Europe; no river falls so much in a survey."""
 _ALONE: Final = 0.5
 """More soundings than this share outside the banks: they are of another place."""
 
@@ -319,6 +332,64 @@ def read_soundings(
         line=of["line"].to_numpy(np.int64),
         counts=counts,
     )
+
+
+def read_other_soundings(
+    paths: Sequence[Path], frame: LocalFrame, crs: CRS, settings: Bathymetry
+) -> pd.DataFrame:
+    """Soundings of others for the bed of a survey.
+
+    Parameters
+    ----------
+    paths : tables, see `read_soundings`.
+    frame, crs : of the world and of the map.
+    settings : column, depth or height, sigmas of tables.
+
+    Returns
+    -------
+    table : columns east_m, north_m, up_m in wcs (NaN of depths), depth_m below the water (NaN of heights),
+        sigma_white_m, sigma_common_m, line.
+
+    Raises
+    ------
+    InputError : see `read_soundings`; heights that lie far from the survey's.
+    """
+    of, parts, first = settings.table, [], 0
+    for path in paths:
+        found = read_soundings(
+            path,
+            crs,
+            column=of.column,
+            depth=of.depth,
+            level_m=None,
+            line_column=of.line_column,
+            sigma_m=of.sigma_m,
+        )
+        height = np.full(len(found.height_m), frame.h_ell_m) if of.depth else found.height_m
+        if not of.depth and abs(float(np.median(height)) - frame.h_ell_m) > _OTHER_DATUM_M:
+            raise InputError(
+                f"heights about {np.median(height):.1f} m, the survey's are about {frame.h_ell_m:.1f} m",
+                where=path,
+                expected="ellipsoidal heights",
+                cure="Add the geoid's height, or state bathymetry.table.depth if they are depths",
+            )
+        places = frame.from_map(np.column_stack([found.places_m, height]), crs)
+        parts.append(
+            pd.DataFrame(
+                {
+                    "east_m": places[:, 0],
+                    "north_m": places[:, 1],
+                    "up_m": np.nan if of.depth else places[:, 2],
+                    # of a table without a level, heights count from the water
+                    "depth_m": -found.height_m if of.depth else np.nan,
+                    "sigma_white_m": found.sigma_m,
+                    "sigma_common_m": of.sigma_common_m,
+                    "line": found.line + first,
+                }
+            )
+        )
+        first = int(parts[-1]["line"].max()) + 1
+    return pd.concat(parts, ignore_index=True)
 
 
 def _lines_by_place(xy: ArrayF) -> ArrayI:
@@ -729,6 +800,86 @@ def bed_of_table(
     return BedOfTable(
         bed=bed, line=line, validation=facts, predicted=predicted, methods=methods, notes=tuple(notes)
     )
+
+
+def against_reference(
+    bed: Path, references: Sequence[Path], crs: CRS, settings: Bathymetry
+) -> dict[str, Any]:
+    """A bed beside surfaces and points that had no part in it.
+
+    Each cell is compared with the mean of what a reference has in it; the standard deviation is that of the
+    cell, its common part included, with the common error of the reference and its noise.
+
+    Parameters
+    ----------
+    bed : ``bed.tif``.
+    references : GeoTIFF, LAS, LAZ, or tables of ellipsoidal heights, in ``crs``.
+    crs : of the map.
+    settings : column of tables, sigmas of a reference.
+
+    Returns
+    -------
+    facts : by name of the file, `measures` of bed less reference, and the same by distance to data.
+
+    Raises
+    ------
+    InputError : a reference that cannot be read, or that has nothing within the bed.
+    """
+    grid, bands, _ = read_raster(bed)
+    up, distance = bands["height_m"].ravel(), bands["distance_m"].ravel()
+    own = np.hypot(bands["sigma_m"].ravel(), bands["sigma_common_m"].ravel())
+    facts = {}
+    for path in references:
+        places, height = _reference_points(path, crs, settings)
+        row, column = grid.at(places)
+        cell = (row * grid.columns + column)[row >= 0]
+        n = np.bincount(cell, minlength=len(up))
+        mean = np.bincount(cell, weights=height[row >= 0], minlength=len(up)) / np.maximum(n, 1)
+        both = (n > 0) & np.isfinite(up)
+        if not both.any():
+            raise InputError(
+                f"none of {len(height):,} heights lies on a cell of the bed",
+                where=path,
+                expected=f"heights along the survey in {crs.name}",
+                cure="Transform the reference to campaign.crs, or look whether it is of this reach",
+            )
+        noise = settings.table.sigma_m**2 / np.maximum(n, 1) + settings.table.sigma_common_m**2
+        pairs = pd.DataFrame(
+            {
+                "up_m": mean[both],
+                "predicted_m": up[both],
+                "sigma_m": np.sqrt(own**2 + noise)[both],
+                "distance_m": distance[both],
+            }
+        )
+        facts[path.name] = measures(pairs) | {"classes": by_distance(pairs)}
+    return facts
+
+
+def _reference_points(path: Path, crs: CRS, settings: Bathymetry) -> tuple[ArrayF, ArrayF]:
+    """Places (n, 2) on the map and heights (n,) of a reference."""
+    kind = path.suffix.lower()
+    if kind in {".tif", ".tiff"}:
+        grid, bands, _ = read_raster(path)
+        if not grid.crs.equals(crs, ignore_axis_order=True):
+            raise InputError(f"a raster in {grid.crs.name}", where=path, expected=crs.name)
+        value = next(iter(bands.values())).ravel()
+        known = np.isfinite(value)
+        return grid.centres_m()[known], value[known]
+    if kind in {".las", ".laz"}:
+        xyz = np.concatenate([chunk["xyz_m"] for chunk in iter_laz(path)])
+        return xyz[:, :2], xyz[:, 2]
+    table, places = read_places(path, crs)
+    if settings.table.column not in table:
+        raise InputError(
+            f"no column {settings.table.column}",
+            where=path,
+            expected=", ".join(map(str, table.columns)),
+            cure="State bathymetry.table.column",
+        )
+    value = pd.to_numeric(table[settings.table.column], errors="coerce").to_numpy(np.float64)
+    known = np.isfinite(value) & np.isfinite(places).all(axis=1)
+    return places[known], value[known]
 
 
 def _outside(banks: tuple[Banks, Any], s: ArrayF, n: ArrayF) -> ArrayB:

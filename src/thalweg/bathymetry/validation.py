@@ -55,7 +55,7 @@ def validate_bed(
     methods : columns method, rmse_m, bias_m, normalised_square, outside_95, n; lines left out.
     """
     data = observations_of(table)
-    sounding = (table["source"] == "sounding").to_numpy()
+    sounding = table["source"].isin(["sounding", "table"]).to_numpy()
     parts = [
         _predicted(data, part, group, model, half_widths, settings)
         for group, splits in (("line", _lines(data, sounding)), ("block", _blocks(data, sounding)))
@@ -63,11 +63,7 @@ def validate_bed(
     ]
     predicted = pd.concat([part for part in parts if len(part)], ignore_index=True)
     of_lines, of_blocks = (predicted[predicted["group"] == group] for group in ("line", "block"))
-    classes = {}
-    for low, high in pairwise(_DISTANCES_M):
-        of = of_lines[(of_lines["distance_m"] >= low) & (of_lines["distance_m"] < high)]
-        if len(of) >= 10:
-            classes[f"{low:g} m to {'more' if high == np.inf else f'{high:g} m'} from data"] = measures(of)
+    classes = by_distance(of_lines)
     for name, inside in (("channel", ~of_lines["margin"]), ("margin", of_lines["margin"])):
         if inside.sum() >= 10:
             classes[name] = measures(of_lines[inside])
@@ -80,6 +76,16 @@ def validate_bed(
     for name, method in methods(model, settings).items():
         rows.append({"method": name} | measures(_by_method(data, sounding, method)))
     return facts, predicted, pd.DataFrame(rows)
+
+
+def by_distance(predicted: pd.DataFrame) -> dict[str, Any]:
+    """Measures by distance to the nearest datum."""
+    classes = {}
+    for low, high in pairwise(_DISTANCES_M):
+        of = predicted[(predicted["distance_m"] >= low) & (predicted["distance_m"] < high)]
+        if len(of) >= 10:
+            classes[f"{low:g} m to {'more' if high == np.inf else f'{high:g} m'} from data"] = measures(of)
+    return classes
 
 
 def measures(predicted: pd.DataFrame) -> dict[str, Any]:

@@ -10,8 +10,8 @@ the bed varies between the outermost soundings and the shore, where no sounding 
 anisotropy are bounded: without bounds the score runs to ranges of zero. A variogram by Cressie and Hawkins
 (1980) is made for the picture alone.
 
-Near the banks a bed may be rougher or smoother than in the channel: the standard deviation of its relief has a
-factor there, one of the parameters.
+Near the banks a bed may be rougher than in the channel: the standard deviation of its relief has a factor
+there, one of the parameters.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,7 @@ _OUTSIDE: Final = 1.2
 """Beyond so many half widths the mean cross-section goes on level."""
 MARGIN: Final = 0.7
 """Farther across than this share of the half width is margin."""
-_BLEND: Final = 0.2
+_BLEND: Final = 0.1
 """Channel and margin pass into each other over this share to both sides."""
 _FEWEST: Final = 40
 """Soundings of margin and of channel each, from which the factor of the margin is estimated."""
@@ -60,9 +60,9 @@ _BOUNDS: Final = {
     "micro": (1e-6, 1.0),
     "margin": (1.0, 4.0),
 }
-"""Range across in half widths; anisotropy; sill and micro-relief in variances of the heights; margin: a shoreline
-is level all along, which would make any bed beside it look smoother than it is, so that no less than one is
-believed."""
+"""Range across in half widths; anisotropy; sill and micro-relief in variances of the heights; margin: a
+shoreline is level all along, which would make any bed beside it look smoother than it is, so that no less
+than one is believed."""
 _FIRST: Final = (0.7, 5.0, 1.0, 1e-3, 1.0)
 _STRIDES: Final = (0.5, 0.7, 0.5, 1.0, 0.4)
 
@@ -90,7 +90,7 @@ class Across:
         return cls(s_m=tuple(at[known].tolist()), width_m=tuple(width))
 
     def at(self, places_m: ArrayF) -> ArrayF:
-        """Place (m,) across the river: -1 at the right bank, 1 at the left one; 0 where no banks are known."""
+        """Place (m,) across the river: -1 at the right bank, 1 at the left one; 0 if no banks are known."""
         if len(self.s_m) < 2:
             return np.zeros(len(places_m))
         width = np.array(self.width_m)
@@ -205,7 +205,7 @@ class BedModel:
         return height + self.drift.at(there), sigma
 
     def own_variance(self, there: Observations) -> ArrayF:
-        """What sounded heights (n,) have of their own, besides the bed's variance: errors and small relief."""
+        """What sounded heights (n,) have of their own, besides the bed's: errors and small relief."""
         relief = self.covariance.micro_m2 * self.roughness(there.places_m) ** 2
         return np.asarray(there.sigma_white_m**2 + there.sigma_slow_m**2 + relief)
 
@@ -292,13 +292,13 @@ def choose_model(
         _score(best.covariance, best.margin, parts, neighbours=settings.neighbours, of_line=k, candidates=256)
         for k in (0, quarter)
     )
+    rough = f", relief of the margins {best.margin:.2f} times the channel's" if margin is None else ""
     if four_lines < any_line:
         best = replace(best, of_line=quarter)
     second = sorted(compared.values())[1] if len(compared) > 1 else np.nan
     reason = (
         f"drift {best.drift.kind}, model {best.covariance.kind}"
-        f"{', at most a quarter of a cell from one line' if best.of_line else ''}"
-        f"{f', relief of the margins {best.margin:.2f} times the channel' if margin is None else ''}: mean log score of "
+        f"{', at most a quarter of a cell from one line' if best.of_line else ''}{rough}: mean log score of "
         f"left-out lines {best.score:.3f}, the next best {second:.3f} (smaller is better)"
         if len(compared) > 1
         else "drift and model as stated; ranges by the log score of left-out lines"

@@ -1,17 +1,17 @@
 r"""One terrain model of bed and banks: height, sigma, source, distance to data.
 
 **Cells.** Points of a cloud become one height a cell: their mean, brought to the centre of the cell along the
-slope about it. Their scatter ``w`` about the slope is noise that is new in each point, as far as the sigma ``s``
-that they state allows it; the rest of ``s`` is shared, and the rest of ``w`` is relief, stones and tufts, which
-no number of points averages away: the height of a place within the cell differs by it. A cell of n points has
-``max(s^2 - w^2, 0) + min(w^2, s^2) / n + max(w^2 - s^2, 0)``, and where the middle of its points lies ``d`` off the
-cell's, ``(b d)^2`` besides, with the change of slope ``b`` from cell to cell thereabouts.
+slope about it. Their scatter ``w`` about the slope is noise that is new in each point, as far as the sigma
+``s`` that they state allows it; the rest of ``s`` is shared, and the rest of ``w`` is relief, stones and
+tufts, which no number of points averages away: the height of a place within the cell differs by it. A cell of
+n points has ``max(s^2 - w^2, 0) + min(w^2, s^2) / n + max(w^2 - s^2, 0)``, and where the middle of its points
+lies ``d`` off the cell's, ``(b d)^2`` besides, with the change of slope ``b`` from cell to cell thereabouts.
 
 **Blending.** Where several sources have a height, the model is their mean with the weights
 ``taper^2 / sigma^2``. The taper rises from 0 to 1 over `fusion.blend_m` from the border of a source inward,
 wherever another source goes on: no source ends with a step. The bed's shorelines come from the lidar and the
-surroundings are laid on it, so that sigmas are averaged, not variances. Sources that contradict each other beyond
-their sigmas raise the sigma (Birge 1932).
+surroundings are laid on it, so that sigmas are averaged, not variances. Sources that contradict each other
+beyond their sigmas raise the sigma (Birge 1932).
 
 **Gaps.** Cells without a height inside the water line, and others on request, take the membrane through
 their borders (Laplace's equation). Its error at distance d from data is what the model itself shows: the
@@ -243,8 +243,9 @@ def layer_of_cloud(
 
 
 def _slopes(height: ArrayF, cell_m: float) -> tuple[ArrayF, ArrayF, ArrayF]:
-    """Slopes to the east and to the north between neighbouring cells, one-sided at borders, else zero; squared
-    change of slope from cell to cell, mean of three by three cells."""
+    """Slopes to the east and to the north between neighbouring cells, one-sided at borders, else zero; and
+    the squared change of slope from cell to cell, mean of three by three cells.
+    """
     found, bends, counts = [], np.zeros(height.shape), np.zeros(height.shape)
     for axis, sign in ((1, 1.0), (0, -1.0)):
         ahead = np.diff(height, axis=axis) * sign / cell_m
@@ -263,7 +264,8 @@ def _slopes(height: ArrayF, cell_m: float) -> tuple[ArrayF, ArrayF, ArrayF]:
 
 def _pooled(squares: ArrayF, freedom: ArrayI, stated: ArrayF) -> tuple[ArrayF, ArrayF]:
     """Variance (rows, columns) of single points about the slope, pooled over three by three cells, and its
-    degrees of freedom."""
+    degrees of freedom.
+    """
     total = ndimage.uniform_filter(np.nan_to_num(squares), 3, mode="constant")
     free = ndimage.uniform_filter(freedom.astype(float), 3, mode="constant")
     return np.where(free > 0.5, total / np.maximum(free, 0.1), stated), np.maximum(9 * free, 1.0)

@@ -225,7 +225,7 @@ def volume_below(
 
 
 def _convolved(own: ArrayF, cell_m: float, correlation_m: float) -> float:
-    """``sum_i sum_j own_i own_j exp(-d_ij / L)`` over all cells, by tiles: a river is a thin part of its grid."""
+    """``sum_i sum_j own_i own_j exp(-d_ij / L)`` of all cells, tile by tile: rivers are thin."""
     reach = int(np.ceil(_FADED * correlation_m / cell_m))
     lag = np.arange(-reach, reach + 1) * cell_m
     bell = np.exp(-np.hypot(lag[:, None], lag) / correlation_m)

@@ -51,6 +51,25 @@ class EchoSounder(Section):
     max_depth_m: Positive = Field(default=100.0, le=12_000, description="Nor a larger one, metres")
 
 
+class SoundingTable(Section):
+    """Tables of soundings and of points of a reference bed (`logs.soundings`, `logs.reference_bed`)."""
+
+    column: Annotated[str, Field(min_length=1)] = Field(default="z", description="Column of the values")
+    depth: bool = Field(
+        default=False,
+        description="The values are depths below the water level of the survey; else ellipsoidal heights",
+    )
+    line_column: str | None = Field(
+        default=None, description="Column with numbers or names of lines; null: from the course"
+    )
+    sigma_m: Positive = Field(
+        default=0.05, le=5, description="Noise of a value where there is no column sigma, metres"
+    )
+    sigma_common_m: NonNegative = Field(
+        default=0.02, le=5, description="Error that all values of a file share, its datum's, metres"
+    )
+
+
 class Bathymetry(Section):
     """The riverbed from soundings, banks and points of the light sheet."""
 
@@ -100,9 +119,10 @@ class Bathymetry(Section):
     )
     margin_roughness: Annotated[float, Field(ge=1, le=4)] | None = Field(
         default=None,
-        description="Standard deviation of the relief in the outer 0.3 of the half width against the channel; "
-        "null: as left-out lines tell",
+        description="Standard deviation of the relief in the outer 0.3 of the half width against the "
+        "channel; null: as left-out lines tell",
     )
+    table: SoundingTable = Field(default=SoundingTable(), description="Soundings of others as tables")
     neighbours: Annotated[int, Field(ge=4, le=512)] = Field(
         default=48, description="Soundings that make the height of a cell"
     )

@@ -27,6 +27,8 @@ STREAM_KEYS = {
     "centre_line": ("centre_line",),
     "bank_lines": ("bank_lines",),
     "uav": ("uav",),
+    "soundings": ("soundings",),
+    "reference_bed": ("reference_bed",),
     "field": ("calibration", "field"),
     "reference_images": ("calibration", "reference_images"),
     "position_images": ("calibration", "position_images"),
@@ -291,6 +293,16 @@ class Logs(Section):
         default=(),
         description="Clouds of the surroundings, such as photogrammetry from the air: LAS, LAZ in the local "
         "frame, campaign.crs or a CRS of their own, ellipsoidal heights",
+    )
+    soundings: Files = Field(
+        default=(),
+        description="Soundings of others, further data of the bed: CSV, text of x y z or GeoJSON in "
+        "campaign.crs; section bathymetry.table says which column they are in",
+    )
+    reference_bed: Files = Field(
+        default=(),
+        description="Surfaces or points that the bed is compared with, such as a multibeam survey: GeoTIFF, "
+        "LAS, LAZ, CSV, text of x y z, GeoJSON in campaign.crs, ellipsoidal heights",
     )
     time_lapse: TimeLapseLogs = Field(
         default=TimeLapseLogs(), description="Images of the bank, and control points"
