@@ -319,7 +319,6 @@ UNREACHED = {
     **dict.fromkeys(
         (
             "bathymetry/plan.py",
-            "bathymetry/tables.py",
             "bathymetry/through_water.py",
             "calibration/fixed_camera.py",
             "calibration/lens.py",

@@ -292,14 +292,14 @@ def choose_model(
         _score(best.covariance, best.margin, parts, neighbours=settings.neighbours, of_line=k, candidates=256)
         for k in (0, quarter)
     )
-    rough = f", relief of the margins {best.margin:.2f} times the channel's" if margin is None else ""
+    of_margins = f", relief of the margins {best.margin:.2f} times the channel's" if margin is None else ""
     if four_lines < any_line:
         best = replace(best, of_line=quarter)
     second = sorted(compared.values())[1] if len(compared) > 1 else np.nan
     reason = (
         f"drift {best.drift.kind}, model {best.covariance.kind}"
-        f"{', at most a quarter of a cell from one line' if best.of_line else ''}{rough}: mean log score of "
-        f"left-out lines {best.score:.3f}, the next best {second:.3f} (smaller is better)"
+        f"{', at most a quarter of a cell from one line' if best.of_line else ''}{of_margins}: mean log "
+        f"score of left-out lines {best.score:.3f}, the next best {second:.3f} (smaller is better)"
         if len(compared) > 1
         else "drift and model as stated; ranges by the log score of left-out lines"
     )

@@ -1,0 +1,131 @@
+"""What the literature found about single-beam surveys of rivers, asked of a meander whose bed is known.
+
+Krüger et al. (2018) and Santillan et al. (2016): the pattern of the lines matters more than the interpolator,
+and kriging is the best of those; Merwade et al. (2006): coordinates along the flow with an anisotropy are at
+least 40 % better on a meander than the same range in all directions.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from thalweg.bathymetry import Across, BedModel, CovarianceModel, Drift, FlowLine, Observations, choose_model
+from thalweg.bathymetry.kriging import krige
+from thalweg.bathymetry.validation import methods
+from thalweg.core import ArrayF
+from thalweg.settings.sections import Bathymetry
+
+HALF_M = 12.0
+SETTINGS = Bathymetry(model="exponential", drift="none")
+
+
+def line() -> FlowLine:
+    x = np.arange(-40.0, 261.0, 4.0)
+    return FlowLine.through(np.column_stack([x, 25 * np.sin(x / 35)]))
+
+
+def bed_m(s: ArrayF, n: ArrayF) -> ArrayF:
+    """A channel whose thalweg wanders, with pools and bars along it."""
+    q = (n - 4 * np.sin(s / 45)) / HALF_M
+    return -1.8 * (1 - q**2) - 0.4 * np.sin(s / 25) - 0.15 * np.cos(s / 11) * q
+
+
+def widths(s: ArrayF) -> tuple[ArrayF, ArrayF]:
+    return np.full(np.shape(s), HALF_M), np.full(np.shape(s), HALF_M)
+
+
+@cache
+def survey(pattern: str, leg_m: float) -> tuple[Observations, BedModel]:
+    """Soundings of a pattern with so much river a leg, and the covariance that they show."""
+    s = np.arange(40.0, 280.0, 0.15)
+    phase = s / leg_m
+    if pattern == "zigzag":
+        n = 10.0 * 2 / np.pi * np.arcsin(np.sin(np.pi * phase))
+    else:  # from bank to bank, and along it to the next section
+        s, n = (
+            np.repeat(np.arange(40.0, 280.0, leg_m), 60),
+            np.tile(np.linspace(-10, 10, 60), int(np.ceil(240 / leg_m))),
+        )
+        phase = s / leg_m
+    z = bed_m(s, n) + 0.02 * np.random.default_rng(5).standard_normal(len(s))
+    data = Observations(
+        s_m=s,
+        n_m=n,
+        height_m=z,
+        sigma_white_m=np.full(len(s), 0.02),
+        sigma_slow_m=np.zeros(len(s)),
+        t_s=np.full(len(s), np.nan),
+        line=np.floor(phase + 0.5 * (pattern == "zigzag")).astype(np.int64),
+    )
+    return data, choose_model(data, widths, SETTINGS, slow_time_s=0.0, seed=1)
+
+
+@cache
+def rmse(pattern: str, leg_m: float, method: str = "kriging") -> float:
+    """Of the bed within the outermost soundings, metres."""
+    data, model = survey(pattern, leg_m)
+    s, n = (a.ravel() for a in np.meshgrid(np.arange(45.0, 275.0, 1.7), np.arange(-9.5, 9.6, 0.9)))
+    found = methods(model, SETTINGS)[method](data, np.column_stack([s, n]))[0]
+    return float(np.sqrt(np.nanmean((found - bed_m(s, n)) ** 2)))
+
+
+@pytest.mark.parametrize(
+    "other",
+    ["inverse distance, elliptical", "inverse distance", "triangles", "kriging, same range along and across"],
+)
+def test_kriging_is_as_good_as_the_others(other: str) -> None:
+    assert rmse("zigzag", 15.0) <= 1.05 * rmse("zigzag", 15.0, other)
+
+
+def test_pattern_and_legs_matter_more_than_the_method() -> None:
+    """Legs four times as long against the better of two other methods that are in use."""
+    of_method = min(rmse("zigzag", 15.0, m) for m in ("inverse distance, elliptical", "triangles"))
+    assert rmse("zigzag", 60.0) / rmse("zigzag", 15.0) > of_method / rmse("zigzag", 15.0)
+
+
+def test_sections_against_zigzag_by_length_of_a_leg() -> None:
+    """Sections are no worse where legs are long; where they are short, a zigzag is about as good."""
+    error = {(p, leg): rmse(p, leg) for p in ("zigzag", "sections") for leg in (7.5, 30.0, 60.0)}
+    for pattern in ("zigzag", "sections"):
+        assert error[pattern, 7.5] < error[pattern, 30.0] < error[pattern, 60.0]
+    assert error["sections", 60.0] < 1.1 * error["zigzag", 60.0]
+    assert error["zigzag", 7.5] < 1.5 * error["sections", 7.5] + 0.01
+
+
+def test_flow_coordinates_with_an_anisotropy_are_40_percent_better_on_a_meander() -> None:
+    """Against kriging with one range in east and north, its parameters chosen in the same way."""
+    data, _ = survey("zigzag", 15.0)
+    river = line()
+    xy = river.to_map(data.s_m, data.n_m)
+    on_map = Observations(
+        s_m=xy[:, 0],
+        n_m=xy[:, 1],
+        height_m=data.height_m,
+        sigma_white_m=data.sigma_white_m,
+        sigma_slow_m=data.sigma_slow_m,
+        t_s=data.t_s,
+        line=data.line,
+    )
+    s, n = (a.ravel() for a in np.meshgrid(np.arange(45.0, 275.0, 1.7), np.arange(-9.5, 9.6, 0.9)))
+    places = river.to_map(s, n)
+    errors = []
+    for range_m in (5.0, 8.0, 12.0, 20.0, 30.0):  # the best of them all is what it is held against
+        even = CovarianceModel(
+            kind="exponential", sill_m2=0.5, range_s_m=range_m, range_n_m=range_m, micro_m2=1e-4
+        )
+        errors.append(float(np.sqrt(np.mean((krige(on_map, places, even)[0] - bed_m(s, n)) ** 2))))
+    assert rmse("zigzag", 15.0) < 0.6 * min(errors)
+
+
+def test_a_model_needs_no_banks() -> None:
+    """Without half widths a place is channel everywhere, and nothing is rougher."""
+    data, model = survey("zigzag", 15.0)
+    bare = BedModel(
+        drift=Drift(kind="none", across=Across()),
+        covariance=model.covariance,
+        margin=3.0,
+        compared={},
+        reason="",
+    )
+    assert (bare.roughness(data.places_m) == 1.0).all()
