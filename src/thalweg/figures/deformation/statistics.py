@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.distance import pdist
 from scipy.stats import norm
 
-from thalweg.core import ArrayB, ArrayF, read_table
+from thalweg.core import ArrayB, ArrayF, ArrayI, read_table
 from thalweg.deformation import CORE_POINTS, DRAWS, HEIGHTS, SERIES
 from thalweg.figures import (
     BLUE,
@@ -239,7 +239,7 @@ def draw_stable_ground(
 # ---------------------------------------------------------------- variogram
 
 
-def variogram(places_m: ArrayF, values: ArrayF, edges_m: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
+def variogram(places_m: ArrayF, values: ArrayF, edges_m: ArrayF) -> tuple[ArrayF, ArrayI, ArrayF]:
     """Half the mean squared difference of values by the distance of their places.
 
     Parameters
@@ -263,7 +263,7 @@ def variogram(places_m: ArrayF, values: ArrayF, edges_m: ArrayF) -> tuple[ArrayF
         return np.asarray(np.bincount(kind, each[inside], minlength=classes)[held] / pairs[held])
 
     half = [mean(0.5 * pdist(column[:, None], "sqeuclidean")) for column in values.T]
-    return mean(lag), pairs[held], np.stack(half, axis=1)
+    return mean(lag), pairs[held].astype(np.int64), np.stack(half, axis=1)
 
 
 @styled
