@@ -2,8 +2,6 @@
 
 import logging
 
-import pytest
-
 import thalweg.core.progress as progress
 from thalweg.core import steps
 
@@ -19,9 +17,3 @@ def test_a_long_loop_says_how_far_it_is_and_a_short_one_nothing(caplog, monkeypa
         for _ in steps(iter("ab"), "block"):
             now[0] += 6.0
     assert caplog.messages == ["image 3 of 4", "block 2"]
-
-
-def test_an_error_in_the_loop_is_its_own() -> None:
-    with pytest.raises(ZeroDivisionError):
-        for k in steps(range(3), "image"):
-            1 / (1 - k)
