@@ -24,7 +24,7 @@ from thalweg_lab.campaign_files import (
 def shipped(repository: Path) -> dict[str, CampaignFiles]:
     """The campaigns of the repository and those that they name."""
     folder = repository / "config/campaigns"
-    chosen = load_campaigns(["tiny", "field_tiny", "basin_tiny", "full"], folder)
+    chosen = load_campaigns(["tiny", "field_tiny", "basin_tiny", "demo"], folder)
     campaigns = with_calibrations(chosen, folder)
     return {name: CampaignFiles(name=name, campaigns=campaigns, twin_logs=twin_logs) for name in campaigns}
 
@@ -128,14 +128,14 @@ def test_parts_of_settings_leave_out_what_a_job_does_not_depend_on(shipped) -> N
 
 
 def test_a_survey_takes_clock_lens_and_boat_of_its_calibration(shipped) -> None:
-    full = shipped["full"]
-    assert full.calibration_campaign() == "field"
-    assert full.calibration_file() == ["results/field/calibration/boat.yaml"]
-    assert full.camera_clock() == ["results/field/timing/camera_clock.yaml"]
-    assert full.clock_stability() == ["results/field/timing/clock_stability.json"]
-    assert full.calibrated_interior() == ["results/field/calibration/camera.yaml"]
-    assert full.known_interior() == ["results/full/orientation/camera_start.yaml"]
-    assert calibrated_boat(full) == ["results/field/simulation/truth/mounts.json"]
+    demo = shipped["demo"]
+    assert demo.calibration_campaign() == "field_small"
+    assert demo.calibration_file() == ["results/field_small/calibration/boat.yaml"]
+    assert demo.camera_clock() == ["results/field_small/timing/camera_clock.yaml"]
+    assert demo.clock_stability() == ["results/field_small/timing/clock_stability.json"]
+    assert demo.calibrated_interior() == ["results/field_small/calibration/camera.yaml"]
+    assert demo.known_interior() == ["results/demo/orientation/camera_start.yaml"]
+    assert calibrated_boat(demo) == ["results/field_small/simulation/truth/mounts.json"]
     # a file in its place is taken as it is, and no clock comes with it
     boat = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]}, mounts={"calibration": "own/boat.yaml"})
     assert boat.calibration_file() == ["own/boat.yaml"]
@@ -164,15 +164,15 @@ def test_the_calibration_itself_has_the_clock_that_its_logs_allow(shipped) -> No
     assert not any("truth" in name for name in tied.final_outputs())
 
 
-def test_the_longest_list_of_outputs_is_that_of_full(shipped) -> None:
-    outputs = shipped["full"].final_outputs()
+def test_the_longest_list_of_outputs_is_the_demo(shipped) -> None:
+    outputs = shipped["demo"].final_outputs()
     assert len(set(outputs)) == len(outputs)
-    assert {name.split("/")[1] for name in outputs} == {"full"}
+    assert {name.split("/")[1] for name in outputs} == {"demo"}
     for name in (
         "lidar/points.laz", "summary.csv", "accuracy/index.html",
         "accuracy/trajectories.html", "lidar/by_fused/points.laz", "triangulation/strip/bed.laz",
     ):  # fmt: skip
-        assert f"results/full/{name}" in outputs
+        assert f"results/demo/{name}" in outputs
 
 
 def test_a_survey_without_reference_and_images_has_no_pages_of_them() -> None:
@@ -248,24 +248,24 @@ def test_the_ledger_reads_what_the_basin_makes(shipped, repository: Path, tmp_pa
 
 
 def test_a_boat_carries_the_sensor_of_its_basin(shipped) -> None:
-    full = shipped["full"]
-    assert full.sheet_on_board() == ["results/basin/triangulation/sensor.yaml"]
-    assert full.sheet_design() == full.sheet_on_board()
-    assert set(sheet_basin(full)) == {"seed", "twin"}
-    assert set(sheet_basin(full)["twin"]) == {"size", "light_sheet"}
+    demo = shipped["demo"]
+    assert demo.sheet_on_board() == ["results/basin_small/triangulation/sensor.yaml"]
+    assert demo.sheet_design() == demo.sheet_on_board()
+    assert set(sheet_basin(demo)) == {"seed", "twin"}
+    assert set(sheet_basin(demo)["twin"]) == {"size", "light_sheet"}
     assert shipped["basin_tiny"].sheet_design() == shipped["basin_tiny"].logs("sheet_sensor")
     with pytest.raises(KeyError):
         sheet_basin(shipped["tiny"])
 
 
 def test_targets_are_parts_of_a_campaign(shipped) -> None:
-    full = shipped["full"]
-    assert "results/full/lidar/by_fused/points.laz" in full.target("lidar")
-    assert "results/full/ingest/camera.integrity.json" in full.target("ingest")
-    assert "results/full/orientation/trajectory_camera.parquet" in full.target("images")
+    demo = shipped["demo"]
+    assert "results/demo/lidar/by_fused/points.laz" in demo.target("lidar")
+    assert "results/demo/ingest/camera.integrity.json" in demo.target("ingest")
+    assert "results/demo/orientation/trajectory_camera.parquet" in demo.target("images")
     for part in ("lidar", "accuracy"):
-        assert set(full.target(part)) < set(full.final_outputs())
-        assert {name.split("/")[2] for name in full.target(part)} == {part}
+        assert set(demo.target(part)) < set(demo.final_outputs())
+        assert {name.split("/")[2] for name in demo.target(part)} == {part}
     # a basin has neither streams nor a boat
     assert {part: len(shipped["basin_tiny"].target(part)) for part in ("ingest", "lidar", "images")} == {
         "ingest": 0,
