@@ -25,7 +25,15 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.core import AnyArray, ArrayF, Camera, CoverageError
 from thalweg.images.model import ImagePoses
-from thalweg.lidar.colour import choose_views, lens_of, read_picture, survey_cloud, views_of
+from thalweg.lidar.colour import (
+    Lens,
+    choose_views,
+    lens_of,
+    read_picture,
+    seen_pixels,
+    survey_cloud,
+    views_of,
+)
 from thalweg.settings.sections import Colour
 
 SHIFTS: Final[Mapping[str, ArrayF]] = {
@@ -34,7 +42,10 @@ SHIFTS: Final[Mapping[str, ArrayF]] = {
 }
 """What is tried: photographs later by so much; the camera turned about its x (right), y (down), z (ahead)."""
 WARN_SIGMAS: Final = 3.0
-_SAMPLE: Final = 400_000
+"""An optimum farther from zero than that, and than a step of `SHIFTS`, is warned of: a step is about as wide
+as the footprint of a beam (3 mrad) and as poses and mounts are known."""
+_SAMPLE: Final = 150_000
+_VIEWS: Final = 2
 _CELLS: Final = 12
 """Surroundings whose mean is taken out: this part of the width of the picture."""
 _LEAST_PAIRS: Final = 8
@@ -77,15 +88,13 @@ class Overlay:
 
 
 def _correlation(
-    overlay: Overlay, camera: Camera, centre_m: ArrayF, R: ArrayF, cell: AnyArray
+    overlay: Overlay, lens: Lens, centre_m: ArrayF, R: ArrayF, cell: AnyArray
 ) -> tuple[float, int]:
     """Correlation of intensity and brightness about the means of their cells, and the number of pairs."""
-    pixels = camera.project((overlay.xyz_m - centre_m) @ R)
-    inside = np.isfinite(pixels).all(axis=1)
-    inside &= np.nan_to_num(camera.inside(np.nan_to_num(pixels, nan=-1.0), 1.0)).astype(np.bool_)
-    column, row = pixels[inside].astype(np.int64).T
-    pairs = np.stack([overlay.intensity[inside], overlay.brightness[row, column]])
-    of_cell = cell[inside]
+    rows, pixels, _ = seen_pixels(overlay.xyz_m, centre_m, R, lens, np.inf)
+    column, row = pixels.astype(np.int64).T
+    pairs = np.stack([overlay.intensity[rows], overlay.brightness[row, column]])
+    of_cell = cell[rows]
     n = np.bincount(of_cell, minlength=1)
     enough = n[of_cell] >= _LEAST_PAIRS
     if not enough.any():
@@ -108,7 +117,7 @@ def score_shifts(overlays: Iterable[Overlay], camera: Camera) -> tuple[dict[str,
     """
     scores: dict[str, list[ArrayF]] = {kind: [] for kind in SHIFTS}
     pairs: list[int] = []
-    width = camera.size_px[0] / _CELLS
+    width, lens = camera.size_px[0] / _CELLS, lens_of(camera)
     for overlay in overlays:
         at = camera.project((overlay.xyz_m - overlay.centre_m) @ overlay.R_wcs_ccs)
         place = np.clip(np.nan_to_num(at // width), 0, _CELLS * 4).astype(np.int64)
@@ -118,7 +127,7 @@ def score_shifts(overlays: Iterable[Overlay], camera: Camera) -> tuple[dict[str,
             of_kind = np.zeros(len(values))
             if kind != "clock_s" or np.isfinite(overlay.velocity_m_s).all():
                 for j, by in enumerate(values):
-                    r, n = _correlation(overlay, camera, *overlay.moved(kind, by), cell)
+                    r, n = _correlation(overlay, lens, *overlay.moved(kind, by), cell)
                     of_kind[j] = -0.5 * n * np.log1p(-min(r * r, 1 - 1e-9))
                     most = max(most, n)
             scores[kind].append(of_kind)
@@ -133,7 +142,8 @@ def find_optima(scores: Mapping[str, ArrayF], pairs: ArrayF) -> pd.DataFrame:
     -------
     table : a row a kind of `SHIFTS`: ``quantity``, ``optimum``, ``sigma``, ``sigmas`` (optimum over sigma),
         ``dependence_at_zero`` and ``dependence_best`` (nats a pair), ``photographs``, ``pairs``, ``verdict``:
-        ``fits``, ``shifted``, ``beyond`` (the optimum is the end of what was tried) or ``cannot be told``.
+        ``fits``, ``shifted`` (by more than three sigmas and a step), ``beyond`` (best at the end of what was
+        tried) or ``cannot be told``.
     """
     rng = np.random.default_rng(0)
     rows = []
@@ -159,7 +169,7 @@ def find_optima(scores: Mapping[str, ArrayF], pairs: ArrayF) -> pd.DataFrame:
             else "beyond"
             if edge
             else "shifted"
-            if abs(optimum) > WARN_SIGMAS * sigma
+            if abs(optimum) > max(WARN_SIGMAS * sigma, by[1] - by[0])
             else "fits"
         )
         n = float(pairs[used].sum())
@@ -214,7 +224,8 @@ def check_colours(
     views, lens = views_of(points, poses, images, masks, camera, settings), lens_of(camera)
     sample = survey_cloud(points, views, lens, settings, most=_SAMPLE)
     with ThreadPoolExecutor(max_workers=2) as pool:
-        chosen = choose_views(sample, views, lens, settings, pool)
+        few = settings.model_copy(update={"views": _VIEWS})
+        chosen = choose_views(sample, views, lens, few, pool)
     order = np.argsort(chosen.view, axis=None, kind="stable")
     first = np.searchsorted(chosen.view.ravel()[order], np.arange(len(views.paths) + 1))
     shown = np.flatnonzero(np.diff(first) >= 10 * _LEAST_PAIRS)
