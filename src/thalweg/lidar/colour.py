@@ -513,7 +513,7 @@ def _sampled(chosen: Chosen, views: Views, size_px: tuple[int, int], pool: Threa
     flat, pixel = values.reshape(-1, 3), chosen.pixel.reshape(-1, 2)
     order = np.argsort(chosen.view, axis=None, kind="stable")
     first = np.searchsorted(chosen.view.ravel()[order], np.arange(len(views.paths) + 1))
-    used = np.flatnonzero(np.diff(first))
+    used = np.flatnonzero(np.diff(first)).tolist()
 
     def read(v: int) -> AnyArray:
         """The picture of a view."""

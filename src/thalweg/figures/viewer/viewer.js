@@ -298,7 +298,7 @@ function readHash() {
 
 // ---------------------------------------------------------------- drawing
 
-let budget = 1_000_000, wanted = false, still = 0, lastFrame = 0, settled = false, drawn = [];
+let budget = 1_000_000, wanted = false, still = 0, settled = false, drawn = [];
 const usable = (name) => name === "height" || DATA.extras.includes(name) || (COLOURS.includes(name) && name in columns);
 
 function redraw() {
@@ -307,7 +307,7 @@ function redraw() {
 }
 function moved() {
   clearTimeout(still);
-  still = setTimeout(() => { still = 0; lastFrame = 0; writeHash(); redraw(); }, 180);
+  still = setTimeout(() => { still = 0; writeHash(); redraw(); }, 180);
   redraw();
 }
 
@@ -387,15 +387,10 @@ function resize() {
     number: target(width, height, gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT) };
 }
 
-function frame(now) {
+function frame() {
   wanted = false;
   resize();
-  if (still && lastFrame && now > lastFrame) {  // moving: as many points as the machine draws at 25 frames a second
-    const ms = now - lastFrame;
-    if (ms > 45) budget = Math.max(LEAST_BUDGET, budget * 0.8);
-    else if (ms < 25) budget = Math.min(MOST_BUDGET, budget * 1.1);
-  }
-  lastFrame = still ? now : 0;
+  const began = performance.now();
   const view = look(), { chosen, absent, points } = choose(view, still ? budget : MOST_BUDGET);
   drawn = chosen;
   for (const node of absent.slice(0, Math.max(0, AT_ONCE - loading))) load(node);
@@ -428,6 +423,12 @@ function frame(now) {
   gl.uniform3fv(at.ground, dark() ? [0.078, 0.094, 0.11] : [0.957, 0.961, 0.965]);
   gl.drawArrays(gl.TRIANGLES, 0, 3);
   drawMarks(view);
+  if (still) {  // moving: as many points as the machine draws at 25 frames a second; a pixel read waits for it
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    const ms = performance.now() - began;
+    if (ms > 40) budget = Math.max(LEAST_BUDGET, Math.min(budget, points) * Math.max(0.5, 35 / ms));
+    else if (ms < 25) budget = Math.min(MOST_BUDGET, budget * 1.1);
+  }
   settled = !absent.length && !loading && !still;
   if (!broken) $("state").textContent = `${points.toLocaleString("en")} points drawn${loading ? ", reading …" : ""}`;
   if (still) redraw();
