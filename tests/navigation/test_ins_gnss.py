@@ -397,7 +397,7 @@ def test_one_long_pause_does_not_make_an_ins_slow() -> None:
         {"t_gps_s": t, "filter_status": 0, "roll_rad": 0.0, "pitch_rad": 0.0, "heading_rad": 0.0}
     )
     assert len(usable_states(states, TrajectorySummary(), 0.2, 0)) == 100
-    with pytest.raises(InputError, match="states come every 0.1 s"):
+    with pytest.raises(InputError, match=r"states come every 0\.1 s"):
         usable_states(states, TrajectorySummary(), 0.05, 0)
 
 
