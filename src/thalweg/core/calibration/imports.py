@@ -38,7 +38,7 @@ from thalweg.core import (
 from thalweg.core.calibration.model import Block, Calibration, Source, lever_doubt, pose_block
 from thalweg.core.geometry import nearest_rotation
 
-MODELS: Final = {"radtan": "perspective", "equidistant": "fisheye"}
+MODELS: Final[Mapping[str, Model]] = {"radtan": "perspective", "equidistant": "fisheye"}
 """Kalibr's distortion of a pinhole camera -> model of `thalweg.core.camera`."""
 
 SPHERES: Final[Mapping[str, tuple[int, Callable[..., ArrayF]]]] = {
@@ -132,7 +132,7 @@ def _camera(path: Path, lines: Mapping[tuple[str, ...], int], name: str, data: A
     kinds = (str(data.get("camera_model")), str(data.get("distortion_model")))
     plain = kinds[1] == "none" or not np.any(data.get("distortion_coeffs") or [0.0])
     if kinds[0] in SPHERES and plain:
-        model = "fisheye"
+        model: Model = "fisheye"
         values = numbers("intrinsics", SPHERES[kinds[0]][0] + 4)
         parameters = fisheye_of_sphere(kinds[0], values, size, f"{where('camera_model')}: {name}")
     elif kinds[0] == "pinhole" and kinds[1] in MODELS:
