@@ -37,6 +37,7 @@ def add_bathymetry_commands(commands: "argparse._SubParsersAction[argparse.Argum
         metavar="CSV",
         help="columns east, north, in downstream order (default: from banks or soundings)",
     )
+    bed.add_argument("--islands", type=Path, metavar="GEOJSON", help="polygons of islands, which are no bed")
     bed.add_argument("--cell", type=_positive, required=True, metavar="M", help="cell size of the grid")
     bed.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
     bed.add_argument(
@@ -233,12 +234,21 @@ def _bed(options: argparse.Namespace) -> int:
     import numpy as np
     from pydantic import ValidationError
 
-    from thalweg.bathymetry import bed_of_table, map_crs, read_bank_lines, read_line, read_soundings
+    from thalweg.bathymetry import (
+        bed_of_table,
+        map_crs,
+        read_bank_lines,
+        read_islands,
+        read_line,
+        read_soundings,
+    )
     from thalweg.core import ConfigError
     from thalweg.settings.sections import Bathymetry
 
+    crs = map_crs(options.crs)
     try:
         settings = Bathymetry(
+            islands=[] if options.islands is None else read_islands(options.islands, crs),
             cell_m=options.cell,
             model=options.model,
             drift=options.drift,
@@ -249,7 +259,6 @@ def _bed(options: argparse.Namespace) -> int:
         raise ConfigError(
             "; ".join(f"{e['loc'][-1] if e['loc'] else ''}: {e['msg']}" for e in error.errors())
         ) from error
-    crs = map_crs(options.crs)
     soundings = read_soundings(
         options.table,
         crs,

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from thalweg.bathymetry import FlowLine
 from thalweg.cli import main
+from thalweg.core import read_raster
 
 CRS = "EPSG:32633"
 EAST, NORTH = 500_000.0, 5_400_000.0
@@ -189,6 +190,37 @@ def test_mistakes_are_told(
     )
     assert message in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
+
+
+def test_an_island_is_no_bed(river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Cells of an island are empty, all others as without it."""
+    middle = meander().to_map(np.array([150.0]), np.array([0.0]))[0]
+    ring = [(middle + d).tolist() for d in ([-6, -6], [6, -6], [6, 6], [-6, 6], [-6, -6])]
+    shape = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+    (tmp_path / "i.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [shape]}))
+    words = [
+        "bed",
+        str(river / "soundings.csv"),
+        "--crs",
+        CRS,
+        "--height",
+        "h",
+        "--line",
+        "leg",
+        "--cell",
+        "2",
+    ]
+    words += ["--banks", str(river / "sides.geojson"), "--model", "exponential", "--drift", "none"]
+    assert main([*words, "--out", str(tmp_path / "a")]) == 0
+    assert main([*words, "--islands", str(tmp_path / "i.geojson"), "--out", str(tmp_path / "b")]) == 0
+    grid = read_raster(tmp_path / "a/bed.tif")[0]
+    known, left = (np.isfinite(read_raster(tmp_path / k / "bed.tif")[1]["height_m"].ravel()) for k in "ab")
+    inside = (np.abs(grid.centres_m() - middle) < 6).all(axis=1)
+    assert known[inside].sum() >= 25
+    assert not left[inside].any()
+    assert (left[~inside] == known[~inside]).all()
+    assert main([*words, "--islands", str(river / "sides.geojson"), "--out", str(tmp_path / "c")]) == 2
+    assert "no polygon" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,7 @@ from .tables import (
     bed_of_table as bed_of_table,
     map_crs as map_crs,
     read_bank_lines as read_bank_lines,
+    read_islands as read_islands,
     read_line as read_line,
     read_other_soundings as read_other_soundings,
     read_places as read_places,

@@ -163,6 +163,25 @@ def read_line(path: Path, crs: CRS | None = None) -> FlowLine:
     return FlowLine.through(read_places(path, crs or CRS.from_epsg(32633))[1])
 
 
+def read_islands(path: Path, crs: CRS) -> list[list[tuple[float, float]]]:
+    """Outlines of islands of a GeoJSON file, on the map.
+
+    Raises
+    ------
+    InputError : no polygon.
+    """
+    features, source = _features(path)
+    outlines = [
+        [(float(east), float(north)) for east, north in _on_map(xyz[:, :2], source, crs, path)]
+        for feature in features
+        if "Polygon" in str((feature.get("geometry") or {}).get("type"))
+        for xyz, _ in _lines_of(feature)
+    ]
+    if not outlines:
+        raise InputError("no polygon", where=path, expected="islands as polygons")
+    return outlines
+
+
 def _is_number(word: str) -> bool:
     try:
         float(word)
