@@ -264,7 +264,7 @@ def record(
     antenna = true["antenna"]["lever_ics_m"]
     simulate_gnss(twin, seed, frame, folder / "rover.sbp", logs.pos, lever_ics_antenna_m=antenna, scene=scene)
     if stations:
-        simulate_tls(twin, seed, frame, scene, logs.scans, crs=settings["campaign"]["crs"])
+        simulate_tls(twin, seed, frame, scene, list(logs.scans), crs=settings["campaign"]["crs"])
     return logs
 
 

@@ -16,7 +16,7 @@ these files states how well it is known, so whoever imports one must say it.
 from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
@@ -260,7 +260,7 @@ def import_camera(
     path: Path,
     sigmas: Mapping[str, float],
     *,
-    kind: Literal["colmap", "opencv", "metashape_lens"],
+    kind: str,
     number: int | None = None,
     model: Model | None = None,
     size_px: tuple[int, int] | None = None,
@@ -275,7 +275,7 @@ def import_camera(
     ----------
     path : ``cameras.txt``, or YAML or JSON of OpenCV or ROS.
     sigmas : ``focal_px``, ``centre_px``, ``distortion``.
-    kind : which of them.
+    kind : ``colmap``, ``opencv`` or ``metashape_lens``.
     number : of the camera, where COLMAP has several.
     model, size_px : where a file of OpenCV does not say them.
     name : the block is ``<name>_interior``.

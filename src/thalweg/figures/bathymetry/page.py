@@ -121,9 +121,8 @@ def bed_page(
     page.section("Limits").text(
         "A sounding is the nearest return of its cone: stones narrower than the beam hide the bed about "
         "them. Between lines the bed is predicted by its covariance; what no line crossed, a groyne or a "
-        "wreck, is not in it. One covariance holds for the whole river: where margins are rougher than the "
-        "channel, their sigma is too small and that of the channel too large. Bank lines are as good as the "
-        "ground that the lidar saw beside the water."
+        "wreck, is not in it. One covariance holds for the whole channel, and margins differ from it by one "
+        "factor. Bank lines are as good as the ground that the lidar saw beside the water."
     )
     return page
 
@@ -146,7 +145,9 @@ def write_bed_page(
 ) -> None:
     """The same from files, as the workflow has them; `truth`: none or one, `title`: of the campaign."""
     bed_page(
-        *(json.loads(path.read_text()) for path in (facts, variogram, level)),
+        json.loads(facts.read_text()),
+        json.loads(variogram.read_text()),
+        json.loads(level.read_text()),
         pd.read_csv(banks),
         json.loads(validation.read_text()),
         pd.read_csv(methods),
