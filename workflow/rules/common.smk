@@ -67,7 +67,7 @@ def identity(*keys):
 
 
 def calls(function):
-    """Params of a rule whose script is call.py: ``module:function`` that does the work, and its version."""
+    """Params where the script is call.py: ``module:function`` that does the work, and its version."""
     return {"code": code_version("call", function), "call": function}
 
 
