@@ -295,6 +295,8 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "build_dtm",
         "measure_river",
         "compare_riverbed_with_truth",
+        "compare_soundings_with_truth",
+        "compare_dtm_with_truth",
         "bathymetry_page",
     }
     clouds = of_clouds | OF_DISTANCES | OF_CHAINS | OF_IMAGES | OF_BED | after_fusion
