@@ -432,6 +432,7 @@ HOLDERS = {
     "core/calibration/model.py": "true values with their names",
     "core/errors.py": "messages",
     "core/kernels.py": "how loops are compiled",
+    "core/progress.py": "how far a long step is",
     "core/statistics.py": "how large the drawn errors are, for the truth's facts",
     "core/tables.py": "files",
     "core/las.py": "the plausible extent of a scan",
