@@ -460,3 +460,33 @@ def test_the_limit_of_an_image_is_that_of_its_coordinates(
     # the limit for one of the nine images that are left is 1 % lower
     assert [bool(word) for word in reason[:2]] == [False, True]
     assert not any(reason[2:])
+
+
+def test_derivatives_of_positions_and_attitudes_by_differences() -> None:
+    run = simulate(5, 24)
+    model = OffsetModel(
+        poses=run.poses, track=run.track, ins=run.ins, reference_s=float(run.poses.t_device_s.mean())
+    )
+    state = OffsetState(
+        offset_s=OFFSET_S, drift=0.0, lever_m=R_ICS_CCS.T @ (ANTENNA - CAMERA), R_ics_ccs=R_ICS_CCS
+    )
+    found = model.observe(state).jacobian
+    assert found.shape == (6 * 24, 8)
+    for k, step in enumerate((1e-3, 1e-5, *(1e-4,) * 6)):
+        dx = np.zeros(8)
+        dx[k] = step
+        above, below = (model.observe(state.moved(sign * dx)).residual for sign in (1.0, -1.0))
+        # attitudes differ by thousandths of a radian and their rates are differences of noisy samples
+        scale = max(float(np.abs(found[:, k]).max()), 1.0)
+        np.testing.assert_allclose(found[:, k], (above - below) / (2 * step), atol=0.05 * scale)
+    # positions know nothing of the turn between INS and camera, attitudes nothing of the lever arm
+    assert not found[: 3 * 24, 5:].any()
+    assert not found[3 * 24 :, 2:5].any()
+
+
+def test_a_straight_run_cannot_tell_the_offset_from_the_lever_arm_along_its_course() -> None:
+    with pytest.raises(MissingMotionError) as error:
+        solve(simulate(3, 80, "straight"))
+    # the boat goes forward, which is an axis of the camera's frame
+    along = "xyz"[int(np.argmax(np.abs(R_ICS_CCS.T @ [1.0, 0.0, 0.0])))]
+    assert error.value.parameters == ("offset", f"d{along}")
