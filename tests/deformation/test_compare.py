@@ -264,3 +264,20 @@ def test_from_twenty_times_the_density_on_it_is_told(tmp_path: Path, share: int,
         files = a_file(tmp_path / "a.laz", first), a_file(tmp_path / "b.laz", second)
         notes = compare_clouds(*files, wide, core_every=9, sigma_m=(0.01, 0.01))[2]
         assert any(f"The {word} cloud is" in note for note in notes) is told
+
+
+def test_the_noise_of_two_places_adds_up_by_the_share_of_their_cylinders() -> None:
+    # noise of 3 cm at two places half a diameter apart: circles share 2/pi (acos 1/2 - 1/2 sqrt 3/4) = 0.3910
+    table = pd.DataFrame(
+        {
+            "east_m": [0.0, 1.0],
+            "north_m": 0.0,
+            "up_m": 0.0,
+            "sigma_m": 0.03,
+            "sigma_field_m": 0.0,
+            "sigma_white_m": 0.03,
+            "sigma_registration_m": 0.0,
+        }
+    )
+    expected = 0.03 * np.sqrt((1.0 + 0.3910) / 2)
+    assert sigma_of_mean(table, 1.0, 5.0) == pytest.approx(expected, rel=1e-4)
