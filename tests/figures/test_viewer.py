@@ -257,4 +257,5 @@ def test_a_missing_file_of_the_folder_is_told(tmp_path: Path) -> None:
     (tmp_path / "v/nodes/r.js").unlink()
     with Browser(tmp_path / "profile") as page:
         page.open(tmp_path / "v/index.html")
-        page.wait("document.getElementById('state')?.textContent.includes('copy the whole folder')")
+        page.wait("document.getElementById('state')?.textContent.includes('copy')")
+        assert "copy the whole folder" in page.run("document.getElementById('state').textContent")

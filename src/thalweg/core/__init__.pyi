@@ -17,6 +17,7 @@ from .camera import (
     PARAMETERS as PARAMETERS,
     Camera as Camera,
     Model as Model,
+    from_metashape as from_metashape,
     read_colmap as read_colmap,
     read_metashape as read_metashape,
     read_opencv as read_opencv,

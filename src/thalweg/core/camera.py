@@ -87,6 +87,7 @@ _PERSPECTIVE: Final = {
     "perspective",
     "opencv",
 }
+_METASHAPE: Final = ("f", "cx", "cy", "b1", "k1", "k2", "k3", "k4", "p1", "p2")
 _OPENCV_ORDER: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _HALF: Final = 0.5
 
@@ -378,9 +379,7 @@ def read_colmap(path: Path) -> dict[int, Camera]:
 
 
 def read_metashape(path: Path) -> Camera:
-    """A lens that Metashape or PhotoScan saved alone (XML), by the equations of its manual, appendix C.
-
-    Its ``cx, cy`` count from the middle of the picture, its ``p1`` and ``p2`` are OpenCV's ``p2`` and ``p1``.
+    """A lens that Metashape or PhotoScan saved alone (XML), see `from_metashape`.
 
     Raises
     ------
@@ -391,13 +390,12 @@ def read_metashape(path: Path) -> Camera:
         root = ElementTree.fromstring(_text(path))
         found = {e.tag: (e.text or "").strip() for e in root}
         size = (int(found["width"]), int(found["height"]))
-        p = {k: float(found.get(k, 0.0)) for k in ("f", "cx", "cy", "b1", "k1", "k2", "k3", "p1", "p2")}
-        lost = {k: float(found[k]) for k in ("b2", "k4", "p3", "p4") if float(found.get(k, 0.0)) != 0.0}
+        p = {k: float(found.get(k, 0.0)) for k in _METASHAPE}
+        lost = {k: float(found[k]) for k in ("b2", "p3", "p4") if float(found.get(k, 0.0)) != 0.0}
     except (ElementTree.ParseError, KeyError, ValueError) as error:
         raise InputError(f"no lens: {error}", expected="width, height, f and so on", where=path) from error
     model: Model = "perspective" if found.get("projection", "frame") == "frame" else "fisheye"
-    if model == "fisheye":
-        lost |= {k: p[k] for k in ("p1", "p2") if p[k]}
+    lost |= {k: p[k] for k in (("k4",) if model == "perspective" else ("p1", "p2")) if p[k]}
     if lost:
         raise UnsupportedError(
             f"terms of the lens that Thalweg's {model} model has not: {lost}",
@@ -405,19 +403,19 @@ def read_metashape(path: Path) -> Camera:
             where=path,
             cure="Fix them at zero in Metashape (Optimize Cameras) and export again",
         )
-    values = {
-        "fx": p["f"] + p["b1"],
-        "fy": p["f"],
-        "cx": size[0] / 2 + p["cx"],
-        "cy": size[1] / 2 + p["cy"],
-        "k1": p["k1"],
-        "k2": p["k2"],
-        "k3": p["k3"],
-        "p1": p["p2"],
-        "p2": p["p1"],
-    }
-    known = {k: v for k, v in values.items() if k in PARAMETERS[model]}
+    known = {k: v for k, v in from_metashape(p, size).items() if k in PARAMETERS[model]}
     return _named(model, size, known, "camera", str(path))
+
+
+def from_metashape(p: Mapping[str, float], size_px: tuple[int, int]) -> dict[str, float]:
+    """Our parameters of Metashape's, by the equations of its manual, appendix C, for both models.
+
+    Its ``cx, cy`` count from the middle of the picture, its ``p1`` and ``p2`` are OpenCV's ``p2`` and ``p1``.
+    """
+    width, height = size_px
+    same = {name: p[name] for name in ("k1", "k2", "k3", "k4")}
+    lens = {"fx": p["f"] + p["b1"], "fy": p["f"], "cx": width / 2 + p["cx"], "cy": height / 2 + p["cy"]}
+    return lens | same | {"p1": p["p2"], "p2": p["p1"]}
 
 
 def write_colmap(path: Path, cameras: Mapping[int, Camera]) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from thalweg.core import PARAMETERS, ArrayF, Camera, GeometryError, InputError, Model
+from thalweg.core import PARAMETERS, ArrayF, Camera, GeometryError, InputError, Model, from_metashape
 from thalweg.images.imports.source import (
     Angles,
     Finished,
@@ -617,18 +617,7 @@ def _converted(
     where: str,
     notes: list[str],
 ) -> Camera | None:
-    ours = {
-        "fx": p["f"] + p["b1"],
-        "fy": p["f"],
-        "cx": size_px[0] / 2 + p["cx"],
-        "cy": size_px[1] / 2 + p["cy"],
-        "k1": p["k1"],
-        "k2": p["k2"],
-        "k3": p["k3"],
-        "k4": p["k4"],
-        "p1": p["p2"],
-        "p2": p["p1"],
-    }
+    ours = from_metashape(p, size_px)
     names = PARAMETERS[model]
     lost = p["b2"] != 0 or (p["k4"] != 0 if model == "perspective" else p["p1"] != 0 or p["p2"] != 0)
     camera = Camera(model=model, size_px=size_px, parameters=np.array([ours[n] for n in names]), name=label)
