@@ -36,7 +36,7 @@ from thalweg_lab.instruments import (
     simulate_lidar,
 )
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.voyage import FieldRun, Motion, standing, start_gps_s, static_seed
+from thalweg_lab.voyage import standing, start_gps_s, static_seed
 from thalweg_lab.writers import start_us
 from thalweg_lab.yard import (
     ANTENNA,
@@ -368,28 +368,6 @@ def static_scan(
         lasers=lasers,
     )
     return scan(sensor, field, duration_s=duration_s, near_cones_m=near_cones_m)
-
-
-def run_scan(
-    config: TwinConfig,
-    seed: int,
-    *,
-    R_ics_scs: ArrayF,
-    lever_ics_scs_m: ArrayF,
-    near_cones_m: float | None = 0.3,
-    motion: Motion | None = None,
-) -> Scan:
-    """Lidar recording of the dynamic run; parameters as in `static_scan`.
-
-    Without ``near_cones_m`` it holds the returns of the capture file of `simulate_lidar`, but for the effects
-    on packets and the rounding of azimuths to 0.01 degrees there.
-    """
-    motion = FieldRun(config, seed) if motion is None else motion
-    field, scene = _recorded(config, seed, "run")
-    sensor = LidarSensor.on_board(
-        config, seed, motion, scene.scene, R_ics_scs=R_ics_scs, lever_ics_scs_m=lever_ics_scs_m
-    )
-    return scan(sensor, field, duration_s=config.duration_s, near_cones_m=near_cones_m)
 
 
 def scan(sensor: LidarSensor, field: Field, *, duration_s: float, near_cones_m: float | None) -> Scan:

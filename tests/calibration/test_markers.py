@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from thalweg.calibration import SADDLES_MODULES, MarkerLayout, sheet_picture
-from thalweg.calibration.markers import MIRRORED, NO_SADDLES, TWICE, UNKNOWN, Detection, detect, detect_marks
+from thalweg.calibration.markers import MIRRORED, NO_SADDLES, TWICE, UNKNOWN, Detection, detect
 from thalweg.core import InputError
 
 LAYOUT = MarkerLayout()
@@ -86,7 +86,7 @@ def board(module_px: float, seed: int = 0) -> tuple[np.ndarray, dict[int, np.nda
 
 
 def errors(image: np.ndarray, truth: dict) -> tuple[np.ndarray, np.ndarray]:
-    marks = detect_marks(image, LAYOUT)
+    marks = detect(image, LAYOUT).marks
     off = [
         [m.x_px - truth[m.marker][m.corner][0], m.y_px - truth[m.marker][m.corner][1]]
         for m in marks.itertuples()
@@ -114,7 +114,7 @@ def test_bent_sheets_are_read() -> None:
     """Arcs of 0.5 modules, as on a cone of 0.2 m radius: OpenCV alone does not read all of them."""
     sheets = [(k, homography((120 + 200 * k, 130), 9.0, 0.3 * k, 0.8)) for k in range(4)]
     image, truth = drawn(sheets, (850, 260), bend=0.035)
-    marks = detect_marks(image, LAYOUT)
+    marks = detect(image, LAYOUT).marks
     assert set(marks["marker"]) == {0, 1, 2, 3}
     off, _ = errors(image, truth)
     assert len(off) >= 14
@@ -165,8 +165,8 @@ def test_unknown_ids_are_told() -> None:
 
 def test_pictures_without_markers_and_no_pictures() -> None:
     noise = np.random.default_rng(1).integers(0, 255, (300, 400)).astype(np.uint8)
-    assert len(detect_marks(noise, LAYOUT)) == 0
-    assert list(detect_marks(noise, LAYOUT).columns) == [
+    assert len(detect(noise, LAYOUT).marks) == 0
+    assert list(detect(noise, LAYOUT).marks.columns) == [
         "marker",
         "corner",
         "x_px",
@@ -176,4 +176,4 @@ def test_pictures_without_markers_and_no_pictures() -> None:
     ]
     for wrong in (np.zeros((50, 50, 3), np.uint8), np.zeros((50, 50)), np.zeros((4, 4), np.uint8)):
         with pytest.raises(InputError, match="grey values"):
-            detect_marks(wrong, LAYOUT)
+            detect(wrong, LAYOUT)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core import ConfigError, InputError, ThalwegError
+from thalweg.core import ConfigError, InputError
 from thalweg.ingest import GNSS_POSITION, IntegrityReport
 from thalweg.ingest.ppk import PpkOptions, replace_covariances, run_ppk
 from thalweg.ingest.ppk.engine import check_settings, run_worker, write_settings
@@ -299,19 +299,6 @@ def solution(n_fixed: int, n_float: int, n_none: int) -> PpkSolution:
     }
     table = pd.DataFrame({"fix": ["fixed"] * n_fixed + ["float"] * n_float})
     return PpkSolution(positions=table, report=report, options=OPTIONS, base_ecef_m=np.array(BASE))
-
-
-def test_require_fixed_counts_epochs_without_solution() -> None:
-    s = solution(90, 5, 5)
-    s.require_fixed(0.9)
-    assert len(s.fixed) == 90
-    with pytest.raises(ThalwegError) as caught:
-        s.require_fixed(0.95)
-    assert (
-        "90.0 % of 100 rover epochs are fixed (90 fixed, 5 float, 0 single, 0 other, 5 without solution)"
-        in str(caught.value)
-    )
-    assert "at least 95.0 %" in str(caught.value)
 
 
 def test_worker_answers_in_json(tmp_path: Path) -> None:

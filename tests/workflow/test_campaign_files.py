@@ -182,7 +182,7 @@ def test_a_survey_without_reference_and_images_has_no_pages_of_them() -> None:
 
 
 def test_steps_of_the_camera_are_those_of_who_oriented_the_images(shipped) -> None:
-    own = shipped["tiny"].chain_steps("camera")
+    own = shipped["tiny"].chain_steps()["camera"]
     assert "results/tiny/orientation/sfm/features_0.npz" in own
     logs = {
         "lidar": ["a.pcap"],
@@ -190,7 +190,7 @@ def test_steps_of_the_camera_are_those_of_who_oriented_the_images(shipped) -> No
         "time_lapse": {"images": ["a.jpg"], "orientations": ["p.parquet"]},
     }
     boat = survey(logs=logs)
-    assert names(boat.chain_steps("camera")) == [
+    assert names(boat.chain_steps()["camera"]) == [
         f"orientation/{name}.parquet"
         for name in ("image_poses_finished", "image_poses_timed", "trajectory_camera")
     ]

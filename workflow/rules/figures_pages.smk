@@ -56,13 +56,13 @@ PAGES = {
             "fused_facts": f"{RESULTS}/orientation/fused.json",
             "control": of(CampaignFiles.control_reports),
             "trajectories": of(CampaignFiles.trajectories),
-            "steps_ins": of(CampaignFiles.chain_steps, "ins"),
-            "steps_camera": of(CampaignFiles.chain_steps, "camera"),
-            "steps_fused": of(CampaignFiles.chain_steps, "fused"),
             "truth": of(CampaignFiles.chains_truth),
             "pictures": of_page("trajectories"),
         },
-        "params": {"captions": FIGURES.captions("trajectories")},
+        "params": {
+            "captions": FIGURES.captions("trajectories"),
+            "steps": of(CampaignFiles.chain_steps),
+        },
     },
     "light_sheet_page": {
         "shows": "Calibration, panels, budget, models and all that was rejected, on one page (P3, P4).",

@@ -124,7 +124,7 @@ rule extract_features:
         images=raw("time_lapse"),
         masks="results/{campaign}/orientation/masks",
     output:
-        features="results/{campaign}/orientation/sfm/features_{part}.npz",
+        features=temp("results/{campaign}/orientation/sfm/features_{part}.npz"),
     log:
         "logs/{campaign}/orientation/extract_features_{part}.log",
     benchmark:
@@ -154,7 +154,7 @@ rule match_features:
         times="results/{campaign}/orientation/image_predictions.parquet",
         trajectory="results/{campaign}/orientation/trajectory.parquet",
     output:
-        pairs="results/{campaign}/orientation/sfm/pairs_{part}.npz",
+        pairs=temp("results/{campaign}/orientation/sfm/pairs_{part}.npz"),
     log:
         "logs/{campaign}/orientation/match_features_{part}.log",
     benchmark:

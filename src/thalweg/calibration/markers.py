@@ -408,11 +408,6 @@ class Detection:
     rejected: pd.DataFrame
 
 
-def detect_marks(image: ArrayU8, layout: MarkerLayout) -> pd.DataFrame:
-    """Marks (marker, corner, x_px, y_px, sigma_px, size_px) of a picture; see `detect`."""
-    return detect(image, layout).marks
-
-
 def detect(image: ArrayU8, layout: MarkerLayout, known: set[int] | None = None) -> Detection:
     """Find the markers of a picture and measure their saddles.
 

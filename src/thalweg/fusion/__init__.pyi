@@ -8,7 +8,6 @@ from .clouds import (
     join_clouds as join_clouds,
     joined_parts as joined_parts,
     read_cloud as read_cloud,
-    read_fit as read_fit,
 )
 from .dtm import (
     BANDS as BANDS,

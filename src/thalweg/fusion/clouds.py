@@ -238,28 +238,6 @@ class Fit:
         path.write_text(json.dumps(told, indent=2) + "\n")
 
 
-def read_fit(path: Path) -> Fit:
-    """A fit as `Fit.write` wrote it, without the table of the overlap.
-
-    Raises
-    ------
-    InputError : no such file, or another content.
-    """
-    try:
-        told = json.loads(path.read_text())
-        motion = Motion(
-            centre_m=np.array(told.pop("centre_m")),
-            R=np.array(told.pop("rotation")),
-            shift_m=np.array(told.pop("shift_m")),
-        )
-        cov, undetermined = np.array(told.pop("cov")), tuple(told.pop("undetermined"))
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(
-            f"no fit of a cloud ({error!r})", expected="a file of fit_cloud", where=path
-        ) from error
-    return Fit(motion=motion, cov=cov, undetermined=undetermined, overlap=pd.DataFrame(), facts=told)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Cells:
     """One point a cell: middle (k, 3), sigma of its height (k,), normal (k, 3)."""

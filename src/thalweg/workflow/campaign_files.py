@@ -483,21 +483,19 @@ class CampaignFiles:
         """Errors of the trajectories of a twin against its truth."""
         return self._where(self.is_twin(), "accuracy/chains_truth.csv")
 
-    def chain_steps(self, chain: str) -> list[str]:
-        """A result of each job that belongs to one chain alone, for its computing time."""
+    def chain_steps(self) -> dict[str, list[str]]:
+        """A result of each job that belongs to one chain alone; only the record beside it is read."""
         own = ("masks", "sfm/matches.npz", "sfm/block.npz", "control_marks.csv", "image_poses.parquet")
         finished = self.has_finished_orientations()
+        oriented = ("image_poses_finished.parquet",) if finished else own
         names = {
             "ins": ("trajectory.parquet",),
-            "camera": (
-                *(("image_poses_finished.parquet",) if finished else own),
-                "image_poses_timed.parquet",
-                "trajectory_camera.parquet",
-            ),
+            "camera": (*oriented, "image_poses_timed.parquet", "trajectory_camera.parquet"),
             "fused": ("trajectory_fused.parquet",),
-        }[chain]
-        scattered = [*self.feature_parts(), *self.pair_parts()] if chain == "camera" and not finished else []
-        return [*scattered, *(self._result(f"orientation/{name}") for name in names)]
+        }
+        steps = {chain: [self._result(f"orientation/{name}") for name in own] for chain, own in names.items()}
+        scattered = [] if finished else [*self.feature_parts(), *self.pair_parts()]
+        return steps | {"camera": [*scattered, *steps["camera"]]}
 
     # ------------------------------------------------------------ light-sheet sensor
 
@@ -711,10 +709,6 @@ class CampaignFiles:
         """The places of the sensors on the boat of an epoch."""
         found: str = self.of(epoch).mounts_of_chain(self.chain_of(epoch))
         return found
-
-    def epoch_is_twin(self, epoch: str) -> bool:
-        """True if a digital twin wrote the logs of an epoch."""
-        return self.of(epoch).is_twin()
 
     def epoch_errors(self, epoch: str) -> str:
         """What the survey of an epoch shows of the errors of its trajectory."""

@@ -6,7 +6,7 @@ from near and low to far and high. Two upright ones stand north and south, where
 look.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, Self
 
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from thalweg.calibration import MARGIN_MODULES, SADDLES_MODULES, SHEET_MODULES
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ConfigError, Rigid
+from thalweg.core import ArrayB, ArrayF, ArrayI, ConfigError, Rigid
 from thalweg.settings.twin import CONES, TwinConfig, TwinField
 from thalweg_lab.random_numbers import generator
 
@@ -39,8 +39,6 @@ _RINGS: Final = ((0.36, (-99, -33, 33, 99)), (0.66, (-66, 0, 66, 132)))
 _EYE_WCS_M: Final = np.array([0.0, 0.0, 0.8])
 _LEAST_FACING: Final = 0.2
 """Cosine of the angle between the normal of a sheet and the way to the boat's camera amid the yard."""
-_SHEET_TOLERANCE_M: Final = 2e-3
-"""Hits on a mesh lie a few micrometres off its surface; the back of a board lies a centimetre off."""
 
 TARGETS: Final = tuple(range(64, 70))
 BOARDS: Final = (*range(70, 80), *range(86, 98), *range(112, 130))
@@ -354,43 +352,6 @@ class Field:
             near = np.flatnonzero((np.abs(points_wcs_m - centre) <= radius + tolerance_m).all(axis=1))
             out[near[cone.holds(points_wcs_m[near], tolerance_m)]] = i
         return out
-
-    def sheet_uv(
-        self, points_wcs_m: ArrayF, things: AnyArray, names: tuple[str, ...], extra: Iterable[Sheet] = ()
-    ) -> tuple[ArrayI, ArrayF]:
-        """Which sheet shows at points that rays have met.
-
-        Parameters
-        ----------
-        points_wcs_m : (n, 3) places on the mesh of `field_scene`.
-        things : (n,) numbers of the objects that were met, see `FieldScene.things`; -1 for none.
-        names : names of the objects by number, `FieldScene.names`.
-        extra : further sheets, such as that of `antenna_sheet`.
-
-        Returns
-        -------
-        marker : (n,) printed id, -1 where there is none.
-        modules : (n, 2) module coordinates, NaN where there is none.
-        """
-        marker = np.full(len(points_wcs_m), -1, dtype=np.int64)
-        modules = np.full((len(points_wcs_m), 2), np.nan)
-        order = np.argsort(things, kind="stable")
-        first = np.searchsorted(np.asarray(things)[order], np.arange(len(names) + 1))
-        number = {name: i for i, name in enumerate(names)}
-        for sheet in (*self.sheets, *extra):
-            i = number.get(sheet.thing)
-            rows = order[first[i] : first[i + 1]] if i is not None else order[:0]
-            if not len(rows):
-                continue
-            middle = sheet.to_wcs([[5.0, 5.0]])[0]
-            near = np.abs(points_wcs_m[rows] - middle).max(axis=1) < 1.5 * sheet.half_side_m
-            rows = rows[near]
-            uv = sheet.to_modules(points_wcs_m[rows])
-            # A sheet is on the front of its board only, and on a cone the other side unrolls elsewhere.
-            back = np.linalg.norm(sheet.to_wcs(uv) - points_wcs_m[rows], axis=1) > _SHEET_TOLERANCE_M
-            on = covers(uv) & ~back
-            marker[rows[on]], modules[rows[on]] = sheet.marker, uv[on]
-        return marker, modules
 
 
 def build_field(config: TwinConfig, seed: int, *, when: When = "reference") -> Field:

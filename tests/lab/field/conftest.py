@@ -1,9 +1,15 @@
 """A calibration field that several tests look at."""
 
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 
 from thalweg.settings.twin import TwinConfig
+from thalweg_lab.instruments import LidarSensor
+from thalweg_lab.voyage import FieldRun
 from thalweg_lab.yard import Field, FieldScene, build_field, field_scene
+from thalweg_lab.yard_records import Scan, scan
 
 SEED = 4
 
@@ -16,3 +22,16 @@ def field() -> Field:
 @pytest.fixture(scope="session")
 def yard(field: Field) -> FieldScene:
     return field_scene(field)
+
+
+@pytest.fixture(scope="session")
+def run_scan() -> Callable[..., Scan]:
+    """Lidar recording of the run about the field: the capture of `simulate_lidar` before its packets."""
+
+    def record(config: TwinConfig, seed: int, *, near_cones_m: float | None = 0.3, **mount: Any) -> Scan:
+        field = build_field(config, seed, when="boat")
+        scene = field_scene(field).scene
+        sensor = LidarSensor.on_board(config, seed, FieldRun(config, seed), scene, **mount)
+        return scan(sensor, field, duration_s=config.duration_s, near_cones_m=near_cones_m)
+
+    return record

@@ -12,7 +12,7 @@ from thalweg.ingest.velodyne.reader import iter_points
 from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import simulate_gnss, simulate_ins, simulate_lidar
 from thalweg_lab.voyage import FieldRun, simulate_voyage
-from thalweg_lab.yard_records import run_scan, simulate_field_scene
+from thalweg_lab.yard_records import simulate_field_scene
 
 SEED = 4
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -60,7 +60,7 @@ def test_the_true_trajectory_is_the_run(config: TwinConfig, tmp_path: Path) -> N
     np.testing.assert_array_equal(trajectory.position_wcs_m, run.position_wcs_m(trajectory.t_gps_s))
 
 
-def test_the_capture_of_the_run_is_the_scan_in_memory(config: TwinConfig, tmp_path: Path) -> None:
+def test_the_capture_of_the_run_is_the_scan_in_memory(config: TwinConfig, run_scan, tmp_path: Path) -> None:
     short = config.model_copy(update={"duration_s": 1.0})
     mount = {
         "R_ics_scs": rotation_opk(0.0, -np.pi / 2, 0.0),

@@ -12,7 +12,7 @@ from thalweg.settings.twin import TwinConfig
 from thalweg_lab.instruments import VLP_16, EchoKind, Lasers
 from thalweg_lab.voyage import FieldRun, standing
 from thalweg_lab.yard import build_field
-from thalweg_lab.yard_records import Scan, run_scan, simulate_positions, static_scan
+from thalweg_lab.yard_records import Scan, simulate_positions, static_scan
 
 SEED = 4
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -96,7 +96,7 @@ def test_capture_files_hold_the_same_points(tmp_path: Path) -> None:
         simulate_positions(config, SEED, FRAME, paths[:2], **MOUNT)
 
 
-def test_the_run_sees_every_cone_from_many_sides() -> None:
+def test_the_run_sees_every_cone_from_many_sides(run_scan) -> None:
     config = twin().model_copy(update={"duration_s": 24.0})
     scan = run_scan(config, SEED, **MOUNT)
     run = FieldRun(config, SEED)

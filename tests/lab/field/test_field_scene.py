@@ -8,6 +8,7 @@ from thalweg.settings.twin import TwinConfig
 from thalweg_lab.river import Scene
 from thalweg_lab.voyage import standing
 from thalweg_lab.yard import Field, FieldScene
+from thalweg_lab.yard.layout import covers
 from thalweg_lab.yard_records import simulate_field_scene
 
 SEED = 4
@@ -18,6 +19,29 @@ def small(**field: Any) -> TwinConfig:
     return TwinConfig.of_size("field_tiny", field=field)
 
 
+def sheet_uv(field: Field, points_wcs_m: Any, things: Any, names: tuple[str, ...]) -> tuple[Any, Any]:
+    """Printed id (n,) and modules (n, 2) of the sheets that rays have met; -1 and NaN where none."""
+    marker = np.full(len(points_wcs_m), -1, dtype=np.int64)
+    modules = np.full((len(points_wcs_m), 2), np.nan)
+    order = np.argsort(things, kind="stable")
+    first = np.searchsorted(np.asarray(things)[order], np.arange(len(names) + 1))
+    number = {name: i for i, name in enumerate(names)}
+    for sheet in field.sheets:
+        i = number.get(sheet.thing)
+        rows = order[first[i] : first[i + 1]] if i is not None else order[:0]
+        if not len(rows):
+            continue
+        middle = sheet.to_wcs([[5.0, 5.0]])[0]
+        near = np.abs(points_wcs_m[rows] - middle).max(axis=1) < 1.5 * sheet.half_side_m
+        rows = rows[near]
+        uv = sheet.to_modules(points_wcs_m[rows])
+        # A sheet is on the front of its board only, and on a cone the other side unrolls elsewhere.
+        back = np.linalg.norm(sheet.to_wcs(uv) - points_wcs_m[rows], axis=1) > 2e-3
+        on = covers(uv) & ~back
+        marker[rows[on]], modules[rows[on]] = sheet.marker, uv[on]
+    return marker, modules
+
+
 def looked_at(field: Field, yard: FieldScene, eye: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
     """Markers and modules that rays from an eye to points meet, and how far before them they end."""
     way = points - eye
@@ -25,8 +49,8 @@ def looked_at(field: Field, yard: FieldScene, eye: np.ndarray, points: np.ndarra
     ray = way / distance[:, None]
     hits = yard.scene.caster().cast(np.broadcast_to(eye, points.shape), ray)
     met = eye + np.where(np.isfinite(hits.t_hit_m), hits.t_hit_m, 0.0)[:, None] * ray
-    marker, modules = field.sheet_uv(
-        met, np.where(hits.primitive >= 0, yard.things[hits.primitive], -1), yard.names
+    marker, modules = sheet_uv(
+        field, met, np.where(hits.primitive >= 0, yard.things[hits.primitive], -1), yard.names
     )
     return marker, modules, distance - hits.t_hit_m
 
@@ -53,7 +77,7 @@ def test_plain_places_show_no_sheet(field: Field, yard: FieldScene) -> None:
     rng = np.random.default_rng(2)
     ground = np.column_stack([rng.uniform(-3, 3, (500, 2)), np.zeros(500)])
     things = np.full(500, yard.names.index("ground"))
-    marker, modules = field.sheet_uv(ground, things, yard.names)
+    marker, modules = sheet_uv(field, ground, things, yard.names)
     on = marker >= 0
     assert 0 < on.sum() < 50
     assert np.isnan(modules[~on]).all()
@@ -61,8 +85,8 @@ def test_plain_places_show_no_sheet(field: Field, yard: FieldScene) -> None:
     board = field.boards[-1]
     back = board.plane.origin_wcs_m - 0.012 * board.plane.normal_wcs
     number = np.array([yard.names.index(board.name)])
-    assert field.sheet_uv(back[None], number, yard.names)[0][0] == -1
-    marker, _ = field.sheet_uv(ground, np.full(500, -1), yard.names)
+    assert sheet_uv(field, back[None], number, yard.names)[0][0] == -1
+    marker, _ = sheet_uv(field, ground, np.full(500, -1), yard.names)
     assert (marker == -1).all()
 
 

@@ -161,12 +161,10 @@ def write_trajectory_comparison_page(
     fused_facts: Path,
     control: list[Path],
     trajectories: list[Path],
-    steps_ins: list[Path],
-    steps_camera: list[Path],
-    steps_fused: list[Path],
     truth: list[Path],
     pictures: list[Path],
     captions: dict[str, str],
+    steps: dict[str, list[str]],
     title: str,
     twin: bool,
     page: Path,
@@ -177,11 +175,10 @@ def write_trajectory_comparison_page(
     ----------
     control, truth : none, or one table.
     trajectories : in the order of `CHAINS`.
-    steps_ins, steps_camera, steps_fused : results of the steps of each chain, each with its computing time.
+    steps : chain -> results of its own jobs, whose records tell their computing times.
     title : of the campaign.
     page : target.
     """
-    steps = dict(zip(CHAINS, (steps_ins, steps_camera, steps_fused), strict=True))
     trajectory_comparison_page(
         pd.read_csv(chains),
         pd.read_csv(by_range),
@@ -621,7 +618,7 @@ def _length(runs: Sequence[Sequence[int]]) -> int:
 # ---------------------------------------------------------------- computing time
 
 
-def computing_seconds(steps: Mapping[str, Sequence[Path]]) -> dict[str, float]:
+def computing_seconds(steps: Mapping[str, Sequence[str | Path]]) -> dict[str, float]:
     """Wall time of the jobs that made some results, in seconds, for each chain.
 
     Parameters

@@ -457,30 +457,6 @@ class PpkSolution:
         """Share of all rover epochs, those without solution included, that have a fixed position."""
         return float(self.report.details["fix_ratio"])
 
-    def require_fixed(self, share: float) -> None:
-        """Refuse a solution with too few fixed epochs.
-
-        Parameters
-        ----------
-        share : least `fix_ratio`, 0 to 1.
-
-        Raises
-        ------
-        InputError : fewer are fixed; the message holds all counts.
-        """
-        if self.fix_ratio >= share:
-            return
-        d = self.report.details
-        counts = ", ".join(f"{d[f'n_{name}']} {name}" for name in ("fixed", "float", "single", "other"))
-        raise InputError(
-            f"{100 * self.fix_ratio:.1f} % of {d['n_rover_epochs']} rover epochs are fixed ({counts}, "
-            f"{d['n_none']} without solution)",
-            expected=f"at least {100 * share:.1f} %",
-            where=self.report.files[0],
-            cure="Try direction='combined', more systems, another elevation mask or a nearer base, or accept "
-            "float positions with their larger sigma",
-        )
-
 
 def run_ppk(
     rover: Sequence[Path],
