@@ -17,7 +17,12 @@ from .coregistration import (
     read_registration as read_registration,
     write_registration as write_registration,
 )
-from .epochs import Epoch as Epoch, check_order as check_order, prepare_epoch as prepare_epoch
+from .epochs import (
+    Epoch as Epoch,
+    check_order as check_order,
+    highest_water_m as highest_water_m,
+    prepare_epoch as prepare_epoch,
+)
 from .field import ErrorField as ErrorField, benjamini_hochberg as benjamini_hochberg
 from .foreign import (
     DISTANCES as DISTANCES,
@@ -27,6 +32,13 @@ from .foreign import (
     read_points as read_points,
     sigma_of_mean as sigma_of_mean,
     write_changes as write_changes,
+)
+from .foreign_epochs import (
+    ForeignEpoch as ForeignEpoch,
+    check_epoch_files as check_epoch_files,
+    notes_of_pair as notes_of_pair,
+    prepare_foreign_epoch as prepare_foreign_epoch,
+    read_epoch as read_epoch,
 )
 from .series import (
     HEIGHTS as HEIGHTS,

@@ -154,8 +154,8 @@ def compare_clouds(
 
 
 ROUGHNESS_ALONE: Final = (
-    "Without sigmas of both clouds the level of detection is that of roughness alone: errors that the points of "
-    "a cloud share are in no limit, and what counts as significant may be theirs."
+    "Without sigmas of both clouds the level of detection is that of roughness alone: errors that the points "
+    "of a cloud share are in no limit, and what counts as significant may be theirs."
 )
 
 

@@ -1,7 +1,7 @@
 r"""Errors that neighbouring places of a cloud or surface model share, as somebody states them.
 
-Of an epoch from elsewhere there is no trajectory, only a standard deviation sigma and a distance L. Its shared
-error is a field over the plan with three independent components and the covariance
+Of an epoch from elsewhere there is no trajectory, only a standard deviation sigma and a distance L. Its
+shared error is a field over the plan with three independent components and the covariance
 
     sigma_i sigma_j exp(-d_ij / L)
 
@@ -52,7 +52,7 @@ class SpatialErrors:
     def __post_init__(self) -> None:
         if not 0 < self.correlation_m < np.inf or not self.cell_m > 0:
             raise GeometryError(
-                f"errors of the {self.name}: correlated over {self.correlation_m} m in cells of {self.cell_m} m",
+                f"errors ({self.name}) correlated over {self.correlation_m} m in cells of {self.cell_m} m",
                 expected="a length above zero; errors of single points are noise",
             )
 
@@ -66,7 +66,9 @@ class SpatialErrors:
         """Variance (k,) of products with the derivatives ``rows`` (k, 3 m), component by component."""
         total = np.zeros(rows.shape[0])
         columns, lines = self.size
-        table = np.exp(-np.hypot(*np.meshgrid(range(columns), range(lines))) * self.cell_m / self.correlation_m)
+        table = np.exp(
+            -np.hypot(*np.meshgrid(range(columns), range(lines))) * self.cell_m / self.correlation_m
+        )
         for scaled in self._scaled(rows):
             scaled.sort_indices()
             many = np.diff(scaled.indptr) > _FEW
@@ -106,7 +108,7 @@ class SpatialErrors:
         return parts
 
     def _spectrum(self) -> tuple[AnyArray, tuple[int, int]]:
-        """Fourier transform of the correlation about a cell on a torus, and the shape (rows, columns) of it."""
+        """Fourier transform of the correlation about a cell on a torus, and its shape (rows, columns)."""
         columns, lines = self.size
         shape = tuple(
             next_fast_len(max(2 * n - 1, n + _FADED), real=True) for n in (lines, columns)

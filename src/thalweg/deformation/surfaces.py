@@ -306,8 +306,8 @@ def mask_missing(
             f"{n:,} of {values.size:,} {what} are exactly 0 m, and no value for missing heights is declared",
             expected="heights, or a declared value where there are none",
             where=path,
-            cure="State --nodata 0 where they are no heights, or --nodata none where they are (in a campaign: "
-            "nodata)",
+            cure="State --nodata 0 where they are no heights, or --nodata none where they are (in a "
+            "campaign: nodata)",
         )
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if low < _LIMITS_M[0] or high > _LIMITS_M[1]:
@@ -315,8 +315,8 @@ def mask_missing(
             f"heights from {low:g} to {high:g} m",
             expected=f"heights between {_LIMITS_M[0]:g} and {_LIMITS_M[1]:g} m",
             where=path,
-            cure="State the value that stands for missing heights (--nodata; in a campaign nodata), or export "
-            "metres",
+            cure="State the value that stands for missing heights (--nodata; in a campaign nodata), or "
+            "export metres",
         )
     count = f"of {values.size:,} {what} without a height"
     return values, tuple(f"{path.name}: {n:,} {count} ({words})." for words, n in masked.items())

@@ -15,7 +15,7 @@ _SOURCES: Final = ("campaign", "clouds", "dsm")
 _OF_CAMPAIGNS: Final = ("chain", "surface")
 _OF_FILES: Final = ("name", "date_utc", "crs", "sigma_m", "nodata", "leave_out")
 """``correlation_m`` also belongs to the bed of a campaign, whose kriging gives the sigmas."""
-_MASK_ENDINGS: Final = (".gpkg",)
+_MASK_ENDINGS: Final[tuple[str, ...]] = (".gpkg",)
 
 
 def check_epochs(raw: object, identity: Mapping[str, Any], folder: Path) -> Iterator[Mistake]:
@@ -37,9 +37,11 @@ def check_epochs(raw: object, identity: Mapping[str, Any], folder: Path) -> Iter
         if len(given) != 1:
             yield Mistake(
                 path=where,
-                found=" and ".join(given) + " in one epoch" if given else "neither campaign nor clouds nor dsm",
+                found=" and ".join(given) + " in one epoch"
+                if given
+                else "neither campaign nor clouds nor dsm",
                 expected="exactly one of them",
-                cure="Name a campaign of this folder, or the files of a cloud (clouds) or a surface model (dsm)",
+                cure="Name a campaign of this folder, or files of a cloud (clouds) or a surface model (dsm)",
             )
             continue
         yield from _check_keys(each, given[0], where)
@@ -103,8 +105,8 @@ def _check_statements(each: Mapping[str, Any], source: str, where: tuple[Key, ..
             path=(*where, "sigma_m"),
             found="sigma_m without correlation_m",
             expected="the distance at which the correlation of these errors is 1/e",
-            cure="Write correlation_m: 0 for independent points, tens of metres for image blocks, the length of "
-            "a strip for scanners that move",
+            cure="Write correlation_m: 0 for independent points, tens of metres for image blocks, the length "
+            "of a strip for scanners that move",
         )
     if sigma is None and correlation is not None and source == "clouds":
         yield Mistake(
@@ -116,16 +118,12 @@ def _check_statements(each: Mapping[str, Any], source: str, where: tuple[Key, ..
 
 
 def _check_files(
-    each: Mapping[str, Any],
-    source: str,
-    where: tuple[Key, ...],
-    folder: Path,
-    before: dict[Path, int],
+    each: Mapping[str, Any], source: str, where: tuple[Key, ...], folder: Path, before: dict[Path, int]
 ) -> Iterator[Mistake]:
     """Files are there, hold something, have an ending that is read, and belong to one epoch."""
     listed: list[tuple[tuple[Key, ...], object, tuple[str, ...]]] = []
     if source == "clouds" and isinstance(each["clouds"], list):
-        endings = (*CLOUD_ENDINGS, *TEXT_ENDINGS)
+        endings: tuple[str, ...] = (*CLOUD_ENDINGS, *TEXT_ENDINGS)
         listed += [((*where, "clouds", k), text, endings) for k, text in enumerate(each["clouds"])]
     elif source == "dsm":
         listed.append(((*where, "dsm"), each["dsm"], DSM_ENDINGS))
@@ -180,7 +178,8 @@ def _check_heights(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mistake]:
                 path=("epochs", i, "campaign" if each.get("campaign") else "crs"),
                 found=f"{words} has heights '{heights}', {first[0]} '{first[1]}'",
                 expected="one system of heights for all epochs",
-                cure="Transform the heights of the files, to ellipsoidal ones where a campaign is among the epochs",
+                cure="Transform the heights of the files, to ellipsoidal ones where a campaign is among the "
+                "epochs",
             )
         first = first or (words, heights)
 
@@ -205,7 +204,7 @@ def check_dates(epochs: Sequence[Epoch], starts: Mapping[str, dt.datetime]) -> I
                 found=f"{moment:%Y-%m-%d %H:%M} UTC, "
                 + (f"the time of epoch {before[0] + 1} too" if same else f"before epoch {before[0] + 1}"),
                 expected="epochs in the order of time",
-                cure="Correct one of the dates; two surveys of a day need their times, and one file is one epoch"
+                cure="Correct one of the dates; two surveys of a day need their times, and one is one epoch"
                 if same
                 else "Change the order of the epochs, or correct the date",
             )

@@ -86,9 +86,7 @@ def check_crs(text: Any, origin: Any, path: tuple[Key, ...] = _CRS_PATH) -> Iter
             yield from _check_export(crs, place, path)
 
 
-def _check_export(
-    crs: "CRS", place: tuple[float, float, float], path: tuple[Key, ...]
-) -> Iterator[Mistake]:
+def _check_export(crs: "CRS", place: tuple[float, float, float], path: tuple[Key, ...]) -> Iterator[Mistake]:
     """Can points near the origin be written in this grid? The exports themselves are asked."""
     from thalweg.core import GeometryError, LocalFrame
 

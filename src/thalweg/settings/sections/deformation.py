@@ -72,12 +72,13 @@ class Epoch(Section):
     sigma_m: NonNegative | None = Field(
         default=None,
         description="Of files: standard deviation that neighbouring points share (of clouds: of each "
-        "coordinate; of surface models: of the height), metres; null: unknown, and limits hold roughness alone",
+        "coordinate; of surface models: of the height), metres; null: unknown, limits hold roughness alone",
     )
     correlation_m: NonNegative | None = Field(
         default=None,
         le=100_000,
-        description="With sigma_m: distance at which the correlation of shared errors is 1/e, metres; 0: none",
+        description="With sigma_m or the bed of a campaign: distance at which the correlation of shared "
+        "errors is 1/e, metres; 0: none",
     )
     nodata: Finite | Literal["none"] | None = Field(
         default=None,
@@ -85,8 +86,8 @@ class Epoch(Section):
     )
     leave_out: list[str] = Field(
         default=[],
-        description="Of files: polygons (GeoPackage) without comparison, such as water; FILE?COLUMN=VALUE,... "
-        "chooses some of a file",
+        description="Of files: polygons (GeoPackage) without comparison, such as water; "
+        "FILE?COLUMN=VALUE,... chooses some of a file",
         examples=[["watermasks.gpkg?location=mar,raw_date=20180727"]],
     )
 
