@@ -2,8 +2,17 @@
 
 
 wildcard_constraints:
-    epoch="|".join(sorted(CAMPAIGNS)),
     pair=r"\d+-\d+",
+
+
+def epochs_with_trajectory(wanted):
+    """Pattern of the names of epochs with a boat's trajectory, or of those without."""
+    names = {
+        name
+        for files in FILES.values()
+        for name in files.epochs_with_trajectory(wanted)
+    }
+    return "|".join(sorted(names)) or "none"
 
 
 rule prepare_epoch:
@@ -21,6 +30,8 @@ rule prepare_epoch:
         "logs/{campaign}/deformation/prepare_epoch_{epoch}.log",
     benchmark:
         "benchmarks/{campaign}/deformation/prepare_epoch_{epoch}.jsonl"
+    wildcard_constraints:
+        epoch=epochs_with_trajectory(True),
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -38,6 +49,37 @@ rule prepare_epoch:
         ),
     script:
         "../scripts/prepare_epoch.py"
+
+
+rule prepare_foreign_epoch:
+    """Points of a cloud or surface model from elsewhere, or of a riverbed, with the errors stated of them."""
+    input:
+        surface=of_wildcard("epoch", CampaignFiles.epoch_surface),
+        masks=of_wildcard("epoch", CampaignFiles.epoch_masks),
+        positions=of_wildcard("epoch", CampaignFiles.epoch_positions),
+    output:
+        prepared="results/{campaign}/deformation/epochs/{epoch}/points.npz",
+        errors="results/{campaign}/deformation/epochs/{epoch}/errors.json",
+    log:
+        "logs/{campaign}/deformation/prepare_foreign_epoch_{epoch}.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/prepare_foreign_epoch_{epoch}.jsonl"
+    wildcard_constraints:
+        epoch=epochs_with_trajectory(False),
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 1
+    resources:
+        mem_mb=memory(3000, 10),
+        runtime=minutes(10, 60),
+    params:
+        code=code_version("prepare_foreign_epoch"),
+        campaign=identity("origin", "crs"),
+        deformation=section("deformation"),
+        name=lambda wildcards: wildcards.epoch,
+        stated=of_wildcard("epoch", CampaignFiles.epoch_statement),
+    script:
+        "../scripts/prepare_foreign_epoch.py"
 
 
 rule place_core_points:
@@ -122,6 +164,36 @@ rule compare_epochs:
         deformation=section("deformation"),
     script:
         "../scripts/compare_epochs.py"
+
+
+rule difference_of_surfaces:
+    """Difference of the heights of two epochs on a grid of the map, with sigmas, and volumes."""
+    input:
+        epochs=of_wildcard("pair", CampaignFiles.epochs_of, "points.npz"),
+        core_points="results/{campaign}/deformation/core_points.parquet",
+        registration="results/{campaign}/deformation/registration_{pair}.json",
+        weights="results/{campaign}/deformation/registration_{pair}.npz",
+        surfaces=of_wildcard("pair", CampaignFiles.surface_files),
+    output:
+        difference="results/{campaign}/deformation/dod_{pair}.tif",
+        volumes="results/{campaign}/deformation/dod_{pair}.csv",
+    log:
+        "logs/{campaign}/deformation/difference_of_surfaces_{pair}.log",
+    benchmark:
+        "benchmarks/{campaign}/deformation/difference_of_surfaces_{pair}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(4000, 10),
+        runtime=minutes(20, 60),
+    params:
+        code=code_version("difference_of_surfaces"),
+        campaign=identity("origin", "crs"),
+        deformation=section("deformation"),
+        models=of_wildcard("pair", CampaignFiles.surface_statements),
+    script:
+        "../scripts/difference_of_surfaces.py"
 
 
 rule change_series:

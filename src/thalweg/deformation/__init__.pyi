@@ -17,6 +17,10 @@ from .coregistration import (
     read_registration as read_registration,
     write_registration as write_registration,
 )
+from .differences import (
+    difference_of_epochs as difference_of_epochs,
+    difference_of_models as difference_of_models,
+)
 from .epochs import (
     Epoch as Epoch,
     check_order as check_order,

@@ -206,9 +206,9 @@ def prepare_foreign_epoch(
         raise InputError("no date", expected="date_utc: the day of the survey", where=f"epochs, {name}",
                          cure="Write date_utc")  # fmt: skip
     time_s = float(gps_from_unix(moment.timestamp())) if moment is not None else float(start_gps_s or 0.0)
-    masks = [_mask(text) for text in stated.leave_out]
+    masks = masks_of(stated)
     if stated.dsm is not None:
-        parts = [_of_dsm(_dsm_of(stated), stated, frame, crs, masks)]
+        parts = [_of_dsm(dsm_of(stated), stated, frame, crs, masks)]
     else:
         parts = [_of_cloud(Path(path), stated, frame, crs, masks) for path in stated.clouds]
     heights = sorted({part.heights for part in parts})
@@ -263,9 +263,9 @@ def check_epoch_files(stated: Statement, frame: LocalFrame, crs: str) -> None:
     ------
     InputError, GeometryError : as `prepare_foreign_epoch`.
     """
-    masks = [_mask(text) for text in stated.leave_out]
+    masks = masks_of(stated)
     if stated.dsm is not None:
-        _of_dsm(_dsm_of(stated), stated, frame, crs, masks)
+        _of_dsm(dsm_of(stated), stated, frame, crs, masks)
     for path in map(Path, stated.clouds):
         if path.suffix.lower() in _LAS:
             header = laz_header(path)
@@ -275,13 +275,18 @@ def check_epoch_files(stated: Statement, frame: LocalFrame, crs: str) -> None:
             _grid_of(header.frame, stated, crs, path)
 
 
-def _mask(text: str) -> Shapes:
-    """Polygons of ``FILE?COLUMN=VALUE,...``."""
-    name, _, rest = text.partition("?")
-    return read_shapes(Path(name), dict(part.partition("=")[::2] for part in rest.split(",") if part))
+def masks_of(stated: Statement) -> list[Shapes]:
+    """Polygons that are left out of an epoch."""
+    masks = []
+    for text in stated.leave_out:
+        name, _, rest = text.partition("?")
+        chosen = dict(part.partition("=")[::2] for part in rest.split(",") if part)
+        masks.append(read_shapes(Path(name), chosen))
+    return masks
 
 
-def _dsm_of(stated: Statement) -> Dsm:
+def dsm_of(stated: Statement) -> Dsm:
+    """The surface model of an epoch."""
     return read_dsm(Path(str(stated.dsm)), nodata=_nodata(stated))
 
 

@@ -56,7 +56,7 @@ def check_epochs(raw: object, identity: Mapping[str, Any], folder: Path) -> Iter
                 )
             named.append(name)
             continue
-        name = each.get("name") or default_name(i)
+        name = each.get("name") or Epoch().called(i)
         if name in named or name in others:
             yield Mistake(
                 path=(*where, "name") if "name" in each else where,
@@ -69,11 +69,6 @@ def check_epochs(raw: object, identity: Mapping[str, Any], folder: Path) -> Iter
         yield from _check_files(each, given[0], where, folder, files)
         yield from check_crs(each.get("crs"), identity.get("origin"), (*where, "crs"))
     yield from _check_heights(entries)
-
-
-def default_name(number: int) -> str:
-    """Name of an epoch of files that has none, by its number from 0."""
-    return f"epoch_{number + 1}"
 
 
 def _check_keys(each: Mapping[str, Any], source: str, where: tuple[Key, ...]) -> Iterator[Mistake]:

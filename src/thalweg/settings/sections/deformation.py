@@ -97,6 +97,17 @@ class Epoch(Section):
         return self.campaign is None
 
     @property
+    def has_trajectory(self) -> bool:
+        """True if a boat's trajectory says what errs: the cloud of a campaign's bank."""
+        return self.campaign is not None and self.surface == "bank"
+
+    def called(self, number: int) -> str:
+        """Name of the epoch with a number from 0: of its campaign (``_bed`` for its bed), or its own."""
+        if self.campaign is not None:
+            return self.campaign if self.surface == "bank" else f"{self.campaign}_bed"
+        return self.name or f"epoch_{number + 1}"
+
+    @property
     def moment_utc(self) -> dt.datetime | None:
         """Time of the survey, if stated."""
         return None if self.date_utc is None else _moment(self.date_utc)
@@ -184,6 +195,10 @@ class Deformation(Section):
         default=(0.0, 0.0, 1.0),
         description="Direction to which normals point and in which distances are positive, east, north, up, "
         "where no epoch has a trajectory of the scanner",
+    )
+    resample: Literal["nearest", "bilinear"] | None = Field(
+        default=None,
+        description="How the second of two surface models comes onto the grid of the first; null: not at all",
     )
     largest_shift_m: Positive = Field(
         default=0.5,
