@@ -35,7 +35,9 @@ def test_sums_over_few_and_many_cells_are_those_of_the_full_matrix(length_m: flo
     errors = some_errors(rng, 400, (40, 25), length_m)
     cov = full_matrix(errors)
     rows = sp.random(6, 1200, density=0.01, random_state=5, format="csr")
-    rows = sp.vstack([rows, rng.standard_normal((2, 1200))]).tocsr()  # pair by pair, and by Fourier transforms
+    rows = sp.vstack(
+        [rows, rng.standard_normal((2, 1200))]
+    ).tocsr()  # pair by pair, and by Fourier transforms
     dense = rows.toarray()
     assert errors.variances(rows) == pytest.approx(np.einsum("ki,ij,kj->k", dense, cov, dense), rel=1e-9)
     columns = rng.standard_normal((1200, 3))

@@ -82,7 +82,12 @@ def read_points(path: Path) -> Points:
                 break
             skipped += 1
         else:
-            raise InputError("no line of three numbers", expected="x, y, z in each line", where=path)
+            raise InputError(
+                "no line of three numbers",
+                expected="x, y, z in each line",
+                where=path,
+                cure="Export the points again, or name another file",
+            )
     separator = next((mark for mark in ",;" if mark in line), r"\s+")
     try:
         table = pd.read_csv(
