@@ -233,8 +233,8 @@ def test_without_a_sigma_the_limit_is_roughness_alone_and_says_so(tmp_path: Path
     notes = notes_of_pair(first, second, compared.pair.found.n)
     assert notes[-1] == (
         "No sigma is stated of first and second. Without sigmas of both clouds the level of detection is "
-        "that of roughness alone: errors that the points of a cloud share are in no limit, and what counts as "
-        "significant may be theirs."
+        "that of roughness alone: errors that the points of a cloud share are in no limit, and what counts "
+        "as significant may be theirs."
     )
     assert notes[0] == "first: first.laz states no system of heights: taken as ellipsoidal."
     lines = estimate_volumes(table, compared, SETTINGS, 1)[0].set_index("what")

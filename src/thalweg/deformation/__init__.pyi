@@ -41,6 +41,7 @@ from .foreign_epochs import (
     ForeignEpoch as ForeignEpoch,
     check_epoch_files as check_epoch_files,
     notes_of_pair as notes_of_pair,
+    place_of_file as place_of_file,
     prepare_foreign_epoch as prepare_foreign_epoch,
     read_epoch as read_epoch,
 )

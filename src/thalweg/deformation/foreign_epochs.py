@@ -33,7 +33,8 @@ from thalweg.deformation.shapes import Shapes, read_shapes
 from thalweg.deformation.spatial import SpatialErrors, place_in_cells
 from thalweg.deformation.surfaces import Dsm, mask_missing, read_dsm
 from thalweg.ingest.clouds import to_world
-from thalweg.settings.sections import Epoch as Statement
+from thalweg.settings import utm_code
+from thalweg.settings.sections import DSM_ENDINGS, Epoch as Statement
 from thalweg.surface import Area
 
 KIND: Final = "files"
@@ -273,6 +274,42 @@ def check_epoch_files(stated: Statement, frame: LocalFrame, crs: str) -> None:
                 raise InputError("a cloud without points", expected="the points of a survey", where=path,
                                  cure="Export it again, or name another file")  # fmt: skip
             _grid_of(header.frame, stated, crs, path)
+
+
+def place_of_file(
+    path: Path, origin: tuple[float, float, float] | None = None
+) -> tuple[str, tuple[float, float, float]]:
+    """Map grid and origin (latitude, longitude, degrees; ellipsoidal height, m) for a campaign of files.
+
+    Parameters
+    ----------
+    origin : as stated; None: the middle of the file.
+
+    Raises
+    ------
+    InputError : the file cannot be read, or has neither a grid nor a stated origin.
+    """
+    if path.suffix.lower() in DSM_ENDINGS:
+        dsm = read_dsm(path, nodata=float("nan"))
+        points, file = dsm.points_m(), dsm.frame
+    else:
+        cloud = read_points(path)
+        points, file = cloud.xyz_m, cloud.frame
+    if isinstance(file, LocalFrame):
+        origin = origin or (file.lat_deg, file.lon_deg, file.h_ell_m)
+        file = None
+    if origin is None:
+        if file is None:
+            raise InputError(
+                "no grid is stated", expected="a file with the coordinate system of its points", where=path,
+                cure="State --origin LAT_DEG LON_DEG H_ELL_M, a point near the survey",
+            )  # fmt: skip
+        anywhere = LocalFrame(lat_deg=0.0, lon_deg=0.0, h_ell_m=0.0)
+        lat, lon, h = anywhere.to_geodetic(anywhere.from_map(np.median(points, axis=0)[None], file)[0])
+        origin = (round(float(lat), 4), round(float(lon), 4), round(float(h)))
+    horizontal = None if file is None else _part(file, 0)
+    code = None if horizontal is None else horizontal.to_epsg()
+    return (utm_code(*origin[:2]) if code is None else f"EPSG:{code}"), origin
 
 
 def masks_of(stated: Statement) -> list[Shapes]:
