@@ -112,6 +112,8 @@ def bank(tmp_path_factory):
         for start, v in zip((-10.0, 0.0), both, strict=True)
     ]
     pd.DataFrame(along).to_csv(folder / "volumes_along_1-2.csv", index=False)
+    dod = volume("net", -1.7, 0.8, 118.0) | {"part": "net", "n_cells": 472}
+    pd.DataFrame([dod]).to_csv(folder / "dod_1-2.csv", index=False)
     patch = {"cores": 25, "east_m": 0.0, "north_m": 0.0}
     pd.DataFrame(
         [
@@ -152,6 +154,7 @@ def bank(tmp_path_factory):
         control=of_pair("changes_{}.json"), registrations=of_pair("registration_{}.json"),
         weights=of_pair("registration_{}.npz"), volumes=of_pair("volumes_{}.csv"),
         along=of_pair("volumes_along_{}.csv"), patches=of_pair("patches_{}.csv"),
+        differences=of_pair("dod_{}.csv"),
         core_points=folder / "core_points.parquet", points=points, errors=errors, n=k, s=s, up=up,
     )  # fmt: skip
 
@@ -170,6 +173,7 @@ def facts(bank):
         bank.registrations,
         bank.volumes,
         bank.patches,
+        bank.differences,
         bank.core_points,
     )[0]
 
@@ -324,6 +328,30 @@ def test_epochs_from_above(bank, look, tmp_path):
     look.drawn(figure, tmp_path)
 
 
+def test_an_epoch_of_files_has_no_boat_and_its_notes_stand_on_the_page(bank, facts, look, tmp_path):
+    own = tmp_path / "files"
+    own.mkdir()
+    with np.load(bank.points[1]) as stored:
+        np.savez(own / "points.npz", xyz_m=stored["xyz_m"], boat_m=np.empty((0, 3)))
+    group = {"name": "stated", "correlation_s": None, "correlation_m": 20.0, "cell_m": 2.5, "unit": "m"}
+    about = json.loads(bank.errors[1].read_text()) | {"groups": [group | {"sigma": [0.0, 0.0, 0.03]}]}
+    (own / "errors.json").write_text(json.dumps(about))
+    figure = draw_epochs_from_above(
+        points=[bank.points[0], own / "points.npz"], errors=[bank.errors[0], own / "errors.json"], **WORDS
+    )
+    assert len(look.artists(figure, "track")) == 1
+    assert "files, no trajectory" in look.texts(figure)
+    noted = replace(facts, control=facts.control | {"notes": ["No sigma is stated of scanner."]})
+    html = change_page([json.loads(bank.errors[0].read_text()), about], [noted]).html()
+    for words in (
+        "Epochs 1 to 2: No sigma is stated of scanner.",
+        "stated of the files",
+        "correlation length",
+    ):
+        assert words in html, words
+    assert "correlation length" not in change_page([json.loads(bank.errors[0].read_text())], [facts]).html()
+
+
 def test_profiles_go_through_the_largest_and_the_lowest_change(bank, pair):
     places = places_of(pair, pd.read_csv(bank.patches[0]))
     # the largest distance of the lowest patch is that of the largest patch: one profile
@@ -434,6 +462,7 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
         "<td>water</td>",
         "2021-",  # the start of the first epoch
         "The digital twin made these data",
+        "Volumes of the difference of heights",
     ):
         assert words in html, words
     assert html.count("by erosion on") == 2

@@ -130,6 +130,7 @@ PAGES = {
             "registrations": of(CampaignFiles.of_pairs, "registration_{}.json"),
             "volumes": of(CampaignFiles.of_pairs, "volumes_{}.csv"),
             "patches": of(CampaignFiles.of_pairs, "patches_{}.csv"),
+            "differences": of(CampaignFiles.of_pairs, "dod_{}.csv"),
             "core_points": f"{RESULTS}/deformation/core_points.parquet",
             "series": of(CampaignFiles.change_series),
             "truth": of(CampaignFiles.change_truth),

@@ -99,14 +99,16 @@ def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str, twin: bool)
             vmax=limits[1],
             gid="heights",
         )
-        ax.plot(*each.boat_m[:, :2].T, color=VERMILION, lw=1.2, gid="track")
-        ax.plot(*each.boat_m[0, :2], color=VERMILION, marker="o", ms=4, ls="none", gid="start")
+        if len(each.boat_m):
+            ax.plot(*each.boat_m[:, :2].T, color=VERMILION, lw=1.2, gid="track")
+            ax.plot(*each.boat_m[0, :2], color=VERMILION, marker="o", ms=4, ls="none", gid="start")
+        track = "line: the boat from the circle" if len(each.boat_m) else "files, no trajectory"
         ax.set_xlim(low[0], high[0])
         ax.set_ylim(low[1], high[1])
         ax.set_aspect("equal")
         ax.set_title(
             f"epoch {each.number}, {each.name}: {utc_text_from_gps(each.start_gps_s, 0)},\n"
-            f"n = {count(len(each.xyz_m))}; line: the boat from the circle"
+            f"n = {count(len(each.xyz_m))}; {track}"
         )
         ax.set_ylabel("north / m")
         marks_in_free_corners(ax, np.concatenate([each.xyz_m[::50, :2], each.boat_m[:, :2]]))
