@@ -512,7 +512,7 @@ def test_six_series_are_drawn_the_largest_trend_first(bank, retreating, look, tm
 def test_a_page_of_many_epochs_names_those_that_jump(bank):
     facts = read_pair_facts(
         bank.changes, bank.visibility, bank.control, bank.registrations, bank.volumes, bank.patches,
-        bank.core_points,
+        bank.differences, bank.core_points,
     )  # fmt: skip
     errors = [json.loads(path.read_text()) for path in bank.errors]
     jump = {"n": 200, "before_m": 0.2, "after_m": -0.21, "share": 0.9, "flagged": True, "name": "autumn"}
