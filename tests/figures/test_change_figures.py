@@ -443,12 +443,18 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
     look.drawn(draw_volume_along(along=bank.along, **WORDS), tmp_path)
     (tmp_path / "a.png").rename(picture)
     truth = {"1-2": pd.DataFrame({"measure": ["specificity", "new_one"], "value": [0.99, 2.0], "n": [10, 1]})}
+    polygon = {"kind": "erosion", "area_m2": 24.0, "true_m3": -2.4, "sigma_m3": 0.25, "measured_m2": 23.0}
+    known = {"cores": 140, "measured_m3": -2.0, "expected_m3": -2.25}
+    polygons = pd.DataFrame(
+        [{"name": "patch_-0.10", **polygon, **known}, {"name": "niche", **polygon, **known, "cores": 0}]
+    )
     html = change_page(
         [json.loads(path.read_text()) for path in bank.errors],
         [facts, facts],
         pictures=[picture],
         captions={"volume_along": "Bars of volume."},
         truth=truth,
+        polygons={"1-2": polygons},
         title="Change of the bank",
         twin=True,
     ).html()
@@ -458,6 +464,8 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
         "direction of the scanner on the boat",
         "share of unchanged ground that was called unchanged",
         "new one",
+        "<td>patch -0.10</td>",
+        "error over sigma",
         "at most 5 % did not change",
         "<td>water</td>",
         "2021-",  # the start of the first epoch
@@ -466,6 +474,7 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
     ):
         assert words in html, words
     assert html.count("by erosion on") == 2
+    assert "<td>niche</td>" not in html  # nobody saw it
     plain = change_page([json.loads(path.read_text()) for path in bank.errors], [facts]).html()
     assert "digital twin" not in plain
 

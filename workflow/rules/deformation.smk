@@ -223,18 +223,51 @@ rule change_series:
         "../scripts/change_series.py"
 
 
+rule simulate_change:
+    """What truly changed between two epochs of a twin, at places and by polygon; for the comparison alone."""
+    input:
+        scenes=of_wildcard(
+            "pair", CampaignFiles.surveys_of, "simulation/truth/scene.npz"
+        ),
+    output:
+        points="results/{campaign}/simulation/truth/change_{pair}.parquet",
+        polygons="results/{campaign}/simulation/truth/change_{pair}.csv",
+    log:
+        "logs/{campaign}/simulation/simulate_change_{pair}.log",
+    benchmark:
+        "benchmarks/{campaign}/simulation/simulate_change_{pair}.jsonl"
+    conda:
+        "../../envs/thalweg.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(20),
+    params:
+        **calls("thalweg_lab.truth.change:simulate_change"),
+        settings=of_wildcard("pair", CampaignFiles.scenes_of),
+        seeds=of_wildcard("pair", CampaignFiles.seeds_of),
+        campaign=identity("origin", "crs"),
+        deformation=of(CampaignFiles.change_places),
+    script:
+        "../scripts/call.py"
+
+
 rule compare_change_with_truth:
     """Measured changes of a twin against what truly changed."""
     input:
         changes="results/{campaign}/deformation/changes_{pair}.parquet",
         core_points="results/{campaign}/deformation/core_points.parquet",
         volumes="results/{campaign}/deformation/volumes_{pair}.csv",
+        draws="results/{campaign}/deformation/draws_{pair}.parquet",
+        places="results/{campaign}/simulation/truth/change_{pair}.parquet",
+        polygons="results/{campaign}/simulation/truth/change_{pair}.csv",
         scenes=of_wildcard(
             "pair", CampaignFiles.surveys_of, "simulation/truth/scene.npz"
         ),
     output:
         measures="results/{campaign}/deformation/truth_{pair}.csv",
         cores="results/{campaign}/deformation/truth_{pair}.parquet",
+        by_polygon="results/{campaign}/deformation/truth_polygons_{pair}.csv",
     log:
         "logs/{campaign}/deformation/compare_change_with_truth_{pair}.log",
     benchmark:

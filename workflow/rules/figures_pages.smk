@@ -134,6 +134,7 @@ PAGES = {
             "core_points": f"{RESULTS}/deformation/core_points.parquet",
             "series": of(CampaignFiles.change_series),
             "truth": of(CampaignFiles.change_truth),
+            "polygons": of(CampaignFiles.change_truth, "truth_polygons_{}.csv"),
             "pictures": of_page("deformation"),
         },
         "params": {"captions": FIGURES.captions("deformation")},

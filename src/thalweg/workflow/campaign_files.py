@@ -734,7 +734,7 @@ class CampaignFiles:
 
     def surface_statements(self, pair: str) -> list[dict[str, Any]]:
         """Statements of both epochs of a pair if both are surface models, else none."""
-        names = [self.epoch_names()[int(i) - 1] for i in pair.split("-")]
+        names = self._pair(pair)
         if any(self._epoch(name).has_trajectory for name in names):
             return []
         statements = [self.epoch_statement(name) for name in names]
@@ -742,7 +742,7 @@ class CampaignFiles:
 
     def surface_files(self, pair: str) -> list[str]:
         """Files of those statements."""
-        names = [self.epoch_names()[int(i) - 1] for i in pair.split("-")]
+        names = self._pair(pair)
         both = self.surface_statements(pair)
         return [file for name in names for file in self.epoch_surface(name) + self.epoch_masks(name) if both]
 
@@ -783,13 +783,28 @@ class CampaignFiles:
 
     def epochs_of(self, pair: str, name: str) -> list[str]:
         """That file of the prepared epochs of a pair."""
-        names = self.epoch_names()
-        return [self._result(f"deformation/epochs/{names[int(i) - 1]}/{name}") for i in pair.split("-")]
+        return [self._result(f"deformation/epochs/{epoch}/{name}") for epoch in self._pair(pair)]
 
     def surveys_of(self, pair: str, name: str) -> list[str]:
         """That result of the campaigns that surveyed the epochs of a pair."""
+        return [self.epoch_result(epoch, name) for epoch in self._pair(pair)]
+
+    def scenes_of(self, pair: str) -> list[dict[str, Any]]:
+        """Scenes that the twins of a pair of epochs simulate."""
+        return [self.of(name).section("twin", "scene") for name in self._pair(pair)]
+
+    def seeds_of(self, pair: str) -> list[int]:
+        """Seeds of the campaigns of a pair of epochs."""
+        return [self.of(name).section("campaign", "seed") for name in self._pair(pair)]
+
+    def _pair(self, pair: str) -> list[str]:
         names = self.epoch_names()
-        return [self.epoch_result(names[int(i) - 1], name) for i in pair.split("-")]
+        return [names[int(i) - 1] for i in pair.split("-")]
+
+    def change_places(self) -> dict[str, Any]:
+        """The section `deformation` as far as the truth of a change depends on it."""
+        keys = ("area", "cylinder_radius_m", "reach_m")
+        return {key: self.plain["deformation"][key] for key in keys}
 
     def all_epochs(self, name: str) -> list[str]:
         """That file of every prepared epoch."""
@@ -799,11 +814,11 @@ class CampaignFiles:
         """That file of every pair; ``{}`` stands for the pair."""
         return [self._result(f"deformation/{name.format(pair)}") for pair in self.epoch_pairs()]
 
-    def change_truth(self) -> list[str]:
-        """The comparison with the true change, where all epochs are a digital twin's."""
+    def change_truth(self, name: str = "truth_{}.csv") -> list[str]:
+        """The comparison with the true change, a file of it, where all epochs are a digital twin's."""
         surveyed = not self.epochs_with_trajectory(wanted=False)
         twins = surveyed and all(self.of(name).is_twin() for name in self._surveys())
-        return self.of_pairs("truth_{}.csv") if self.campaign.is_change and twins else []
+        return self.of_pairs(name) if self.campaign.is_change and twins else []
 
     def has_many_epochs(self) -> bool:
         """True if more than two epochs are compared."""

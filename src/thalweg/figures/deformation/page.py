@@ -59,6 +59,8 @@ TRUTH_IN_WORDS: Final = {
     "largest_retreat_measured_m": "largest retreat: measured, m",
     "unseen_called_change": "places not seen that were called changes",
     "unseen_called_change_wrongly": "of these wrongly",
+    "true_changes_seen": "true changes of 10 cm and more: share of their area that was measured",
+    "true_changes_called": "of this the share that was called so, with the right sign",
     "plants_called_change": "share of plants that were called changes",
     "things_called_change": "share of things on the bank that were called changes",
 }
@@ -303,6 +305,7 @@ def change_page(
     captions: Mapping[str, str] | None = None,
     series: tuple[Mapping[str, Any], pd.DataFrame] | None = None,
     truth: Mapping[str, pd.DataFrame] | None = None,
+    polygons: Mapping[str, pd.DataFrame] | None = None,
     title: str = "Change between epochs",
     twin: bool = False,
 ) -> Page:
@@ -316,6 +319,7 @@ def change_page(
     captions : stem of a picture -> its caption.
     series : of more than two epochs, ``jumps.json`` and ``retreat_rates.csv``.
     truth : for a twin, ``measure, value, n`` of the comparison with the true change by pair.
+    polygons : for a twin, measured and true volumes of each change by pair.
     title : heading.
     twin : true if the digital twin made the data.
 
@@ -347,7 +351,7 @@ def change_page(
     _unseen(page, pairs)
     _epochs(page, epochs)
     if truth:
-        _truth(page, truth)
+        _truth(page, truth, polygons or {})
     page.section("Limits").text(limits(pairs))
     return page
 
@@ -365,6 +369,7 @@ def write_change_page(
     core_points: Path,
     series: list[Path],
     truth: list[Path],
+    polygons: list[Path],
     pictures: list[Path],
     captions: dict[str, str],
     title: str,
@@ -381,6 +386,7 @@ def write_change_page(
         captions=captions,
         series=(json.loads(series[0].read_text()), pd.read_csv(series[1])) if series else None,
         truth={path.stem.rpartition("_")[2]: pd.read_csv(path) for path in truth},
+        polygons={path.stem.rpartition("_")[2]: pd.read_csv(path) for path in polygons},
         title=f"Change of the bank: {title}",
         twin=twin,
     ).write(page)
@@ -597,7 +603,7 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
     page.table(pd.DataFrame(rows), caption, units, digits=2)
 
 
-def _truth(page: Page, truth: Mapping[str, pd.DataFrame]) -> None:
+def _truth(page: Page, truth: Mapping[str, pd.DataFrame], polygons: Mapping[str, pd.DataFrame]) -> None:
     page.section("Against the truth of the digital twin").text(
         "The twin knows the true surface of each epoch, which no processing saw. Bare ground counts: "
         "measured places without plants and things. Honest sigmas leave squared errors over "
@@ -608,3 +614,28 @@ def _truth(page: Page, truth: Mapping[str, pd.DataFrame]) -> None:
         words = table["measure"].map(lambda each: TRUTH_IN_WORDS.get(each, each.replace("_", " ")))
         rows = pd.DataFrame({"measure": words, "value": table["value"], "n": table["n"]})
         page.table(rows, f"Epochs {name.replace('-', ' to ')}: measured and true change", digits=3)
+        if name in polygons:
+            _polygons(page, name, polygons[name])
+
+
+def _polygons(page: Page, name: str, table: pd.DataFrame) -> None:
+    """Volumes of the changes that the twin has."""
+    shown = table[table["cores"] > 0]
+    units = {"true": "m³", "of what was seen": "m³", "measured": "m³", "sigma": "m³"}
+    rows = pd.DataFrame(
+        {
+            "change": shown["name"].str.replace("_", " "),
+            "kind": shown["kind"],
+            "n": shown["cores"],
+            "true": shown["true_m3"],
+            "of what was seen": shown["expected_m3"],
+            "measured": shown["measured_m3"],
+            "sigma": shown["sigma_m3"],
+            "error over sigma": (shown["measured_m3"] - shown["expected_m3"]) / shown["sigma_m3"],
+        }
+    )
+    caption = (
+        f"Epochs {name.replace('-', ' to ')}: net volumes of ground by change. True: of all ground above the "
+        "water; of what was seen: true change at the n core points that the measured volume sums"
+    )
+    page.table(rows, caption, units, digits=3)
