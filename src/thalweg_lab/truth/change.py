@@ -597,8 +597,8 @@ def judge_polygons(
     Returns
     -------
     A row a polygon: ``name, kind, area_m2``, ``true_m3`` of all ground in it, and of the core points that
-    were measured ``cores, measured_m2, measured_m3``, the true volume ``expected_m3`` by their true distances, and
-    ``sigma_m3`` from the draws of all errors.
+    were measured ``cores, measured_m2, measured_m3``, ``expected_m3`` by their true distances,
+    and ``sigma_m3`` from the draws of all errors.
     """
     area = core_points["area_m2"].to_numpy()
     distance = changes["distance_m"].to_numpy()
