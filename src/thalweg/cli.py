@@ -285,9 +285,11 @@ def _check_config(options: argparse.Namespace) -> int:
         counts = {stream: len(campaign.log_files(stream)) for stream in STREAM_KEYS}
         files = ", ".join(f"{n} {stream}" for stream, n in counts.items() if n)
         source = f"files: {files}" if campaign.logs else "digital twin"
-        if campaign.is_change:
-            source = f"epochs {', '.join(campaign.epoch_names)}"
         identity = campaign.campaign
+        if campaign.is_change:
+            epochs = ", ".join(campaign.epoch_names)
+            print(f"{name}: ok. {identity.title}; {identity.crs}; epochs {epochs}")
+            continue
         print(
             f"{name}: ok. {identity.title}; {identity.crs}; "
             f"positions from {campaign.orientation.position_source}; {source}"

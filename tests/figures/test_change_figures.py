@@ -2,13 +2,15 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from pyproj import CRS
 
-from thalweg.core import InputError, frame_of, write_table
+from thalweg.core import Grid, InputError, frame_of, write_raster, write_table
 from thalweg.deformation import (
     CHANGES,
     CORE_POINTS,
@@ -16,10 +18,15 @@ from thalweg.deformation import (
     HEIGHTS,
     SERIES,
     VISIBILITY,
+    Dsm,
+    SurfaceDifference,
     fit_series,
     heights_table,
+    read_difference,
+    write_difference,
 )
 from thalweg.figures.deformation import change_page, read_pair_facts
+from thalweg.figures.deformation.heights import draw_height_difference
 from thalweg.figures.deformation.maps import draw_change_map, draw_not_seen, draw_significance_map, read_pairs
 from thalweg.figures.deformation.page import direction, largest_patches, limits, verdict
 from thalweg.figures.deformation.statistics import (
@@ -301,6 +308,39 @@ def test_error_variogram_is_drawn(bank, look, tmp_path):
     predicted = look.artists(figure, "predicted")[0].get_ydata()
     assert predicted == pytest.approx(1.0, abs=0.2)
     look.drawn(figure, tmp_path)
+
+
+@pytest.mark.parametrize("tall", [False, True])
+def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
+    height = np.full((8, 30), 0.02)
+    height[:, :3], height[2:5, 10:16], height[0, 29] = np.nan, -0.29, 2.5
+    height = height.T if tall else height
+    raster = Dsm(
+        height, np.array([377_310.0, 5_656_780.0]), np.full(2, 0.5), CRS.from_epsg(25833), None, Path("a")
+    )
+    sigma = np.where(np.isfinite(height), 0.04, np.nan)
+    found = SurfaceDifference(raster, sigma, pd.DataFrame(), [])
+    write_difference(tmp_path / "dod_1-2.tif", found)
+    back = read_difference(tmp_path / "dod_1-2.tif")
+    np.testing.assert_allclose(back.raster.height_m, height.astype(np.float32))
+    assert back.raster.corner_m.tolist() == raster.corner_m.tolist()
+    figure = draw_height_difference(differences=[tmp_path / "dod_1-2.tif"], **WORDS)
+    words = look.texts(figure)
+    assert "epochs 1 to 2, n = 216 cells, from −29 to +250 cm" in words
+    assert "standard deviation, median 4.0 cm" in words
+    assert "east of 377300 m / m" in words
+    assert "north of 5656600 m / m" in words
+    drawn = look.artists(figure, "difference")[0]
+    assert drawn.get_extent()[0] == pytest.approx(10.0)
+    assert drawn.get_clim() == (-30.0, 30.0)  # 99 % of the differences
+    look.drawn(figure, tmp_path)
+    write_raster(
+        tmp_path / "other.tif",
+        Grid.around(np.zeros((1, 2)) + 1e5, 1.0, CRS.from_epsg(25833), margin_m=2),
+        {"z": np.zeros((4, 4))},
+    )
+    with pytest.raises(InputError, match="bands z"):
+        read_difference(tmp_path / "other.tif")
 
 
 def test_volumes_along_the_bank(bank, look, tmp_path):

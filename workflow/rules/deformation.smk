@@ -5,16 +5,6 @@ wildcard_constraints:
     pair=r"\d+-\d+",
 
 
-def epochs_with_trajectory(wanted):
-    """Pattern of the names of epochs with a boat's trajectory, or of those without."""
-    names = {
-        name
-        for files in FILES.values()
-        for name in files.epochs_with_trajectory(wanted)
-    }
-    return "|".join(sorted(names)) or "none"
-
-
 rule prepare_epoch:
     """Points of a survey with the errors that they share, in the frame of all epochs."""
     input:
@@ -31,7 +21,7 @@ rule prepare_epoch:
     benchmark:
         "benchmarks/{campaign}/deformation/prepare_epoch_{epoch}.jsonl"
     wildcard_constraints:
-        epoch=epochs_with_trajectory(True),
+        epoch=names_of_epochs(with_trajectory=True),
     conda:
         "../../envs/thalweg.yaml"
     threads: 1
@@ -65,7 +55,7 @@ rule prepare_foreign_epoch:
     benchmark:
         "benchmarks/{campaign}/deformation/prepare_foreign_epoch_{epoch}.jsonl"
     wildcard_constraints:
-        epoch=epochs_with_trajectory(False),
+        epoch=names_of_epochs(with_trajectory=False),
     conda:
         "../../envs/thalweg.yaml"
     threads: 1

@@ -82,6 +82,7 @@ _LIMITS_M = (-12_000.0, 9_000.0)
 _USUAL = (-9999.0, -10_000.0, -32_767.0, -32_768.0, -99_999.0)
 """What programs write where there is no height; no land lies so deep."""
 _LEAST_ZEROS = 10
+_DIFFERENCE_BANDS = ("difference_m", "sigma_m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -695,7 +696,35 @@ def write_difference(path: Path, found: SurfaceDifference) -> None:
     elif suffix == ".parquet":
         write_table(path, found.volumes, VOLUMES)
     else:
-        _write_bands(path, found.raster, {"difference_m": found.raster.height_m, "sigma_m": found.sigma_m})
+        bands = (found.raster.height_m, found.sigma_m)
+        _write_bands(path, found.raster, dict(zip(_DIFFERENCE_BANDS, bands, strict=True)))
+
+
+def read_difference(path: Path) -> SurfaceDifference:
+    """Both bands of a GeoTIFF of `write_difference`; its volumes are in no raster.
+
+    Raises
+    ------
+    InputError : no such file, or a raster with other bands.
+    """
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    try:
+        with rasterio.open(path) as file:
+            names = tuple(file.descriptions)
+            bands = file.read().astype(np.float64) if names == _DIFFERENCE_BANDS else None
+            place, crs = file.transform, file.crs
+    except RasterioError as error:
+        raise InputError(f"{error}", where=path, expected="a difference of surfaces (.tif)") from error
+    if bands is None:
+        raise InputError(
+            f"bands {', '.join(map(str, names))}", expected=" and ".join(_DIFFERENCE_BANDS), where=path
+        )
+    corner, cell = np.array([place.c, place.f]), np.array([place.a, -place.e])
+    frame = None if crs is None else CRS.from_wkt(crs.to_wkt())
+    none = frame_of(VOLUMES, {item.name: np.empty(0, item.type.to_pandas_dtype()) for item in VOLUMES})
+    return SurfaceDifference(Dsm(bands[0], corner, cell, frame, None, path), bands[1], none, [])
 
 
 def _write_bands(path: Path, grid: Dsm, bands: dict[str, ArrayF]) -> None:
