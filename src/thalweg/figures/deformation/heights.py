@@ -17,6 +17,8 @@ from thalweg.figures.deformation.maps import SCALE_SHARE, signed
 
 _LEGEND_MM: Final = 36.0
 """Beside the panels: labels of the axis and the scale of colours."""
+_TALLEST_MM: Final = 160.0
+"""Height of a panel."""
 
 
 @styled
@@ -32,8 +34,11 @@ def height_difference(pairs: Sequence[tuple[str, SurfaceDifference]], *, title: 
     shape = rows * raster.cell_m[1] / (columns * raster.cell_m[0])
     side_by_side = shape > 0.8
     across, down = (2, len(pairs)) if side_by_side else (1, 2 * len(pairs))
-    panel_mm = shape * (WIDTH_MM - _LEGEND_MM * across) / across
-    figure = new_figure(down * (panel_mm + 16.0) + 14.0, f"{title}, n = {count(len(known))} cells", twin=twin)
+    panel_mm = min(shape * (WIDTH_MM - _LEGEND_MM) / across, _TALLEST_MM)
+    beside_mm = 34.0 if side_by_side else 16.0  # scales of colours lie below panels that stand side by side
+    figure = new_figure(
+        down * (panel_mm + beside_mm) + 14.0, f"{title}, n = {count(len(known))} cells", twin=twin
+    )
     panels = figure.subplots(down, across, squeeze=False).ravel()
     origin = np.floor(raster.corner_m / 100.0) * 100.0 - np.array([0.0, 100.0])
     looks = (
@@ -50,8 +55,16 @@ def height_difference(pairs: Sequence[tuple[str, SurfaceDifference]], *, title: 
             )
             ax.set_aspect("equal")
             ax.set_title(_words(name, value) if gid == "difference" else _of_sigma(value))
-            ax.set_ylabel(f"north of {origin[1]:.0f} m / m")
-            figure.colorbar(ScalarMappable(norm, colours), ax=ax, extend=ends, shrink=0.9, label=label)
+            if gid == "difference" or not side_by_side:
+                ax.set_ylabel(f"north of {origin[1]:.0f} m / m")
+            figure.colorbar(
+                ScalarMappable(norm, colours),
+                ax=ax,
+                location="bottom" if side_by_side else "right",
+                extend=ends,
+                shrink=0.9,
+                label=label,
+            )
             marks_in_free_corners(ax, found.raster.points_m()[:, :2] - origin)
     for ax in panels if side_by_side else panels[-1:]:
         ax.set_xlabel(f"east of {origin[0]:.0f} m / m")
