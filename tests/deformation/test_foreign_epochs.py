@@ -32,6 +32,7 @@ from thalweg.deformation import (
     difference_of_epochs,
     difference_of_models,
     estimate_volumes,
+    find_jumps,
     measure_pair,
     notes_of_pair,
     observe_visibility,
@@ -40,6 +41,7 @@ from thalweg.deformation import (
     read_dsm,
     read_epoch,
     register_pair,
+    series_of_epochs,
 )
 from thalweg.deformation.m3c2 import ColumnIndex
 from thalweg.settings.sections import Deformation, Epoch
@@ -373,3 +375,53 @@ def test_surface_models_without_a_grid_take_that_of_the_campaign(tmp_path: Path)
     row = found.volumes.loc[0]
     assert (row.volume_m3, row.sigma_m3) == pytest.approx((20.25, 0.1 * np.sqrt(2.0) * 9.0))
     assert read_dsm(tmp_path / "a.tif").frame is None
+
+
+# ---------------------------------------------------------------- a real beach
+
+
+def beach_epoch(data_dir: Path, day: str, **more: Any) -> Epoch:
+    """A survey of Marengo as a campaign file states it, without the water of that day."""
+    folder = data_dir / "sandpyper_dsm"
+    return Epoch(
+        dsm=str(folder / f"dsm_1m/mar_{day}_dsm_resampled_1m.tif"),
+        date_utc=f"{day[:4]}-{day[4:6]}-{day[6:]}",
+        correlation_m=20.0,
+        leave_out=[f"{folder}/clean/watermasks.gpkg?location=mar,raw_date={day}"],
+        **{"sigma_m": 0.02} | more,
+    )
+
+
+@pytest.mark.real
+def test_the_beach_has_the_same_volumes_as_epochs_of_a_campaign(data_dir: Path) -> None:
+    """The figures of `test_volumes_of_the_beach_without_water`, from what a campaign file states."""
+    first, second = (
+        beach_epoch(data_dir, day, sigma_m=0.0213 / np.sqrt(2.0)) for day in ("20180727", "20180925")
+    )
+    row = difference_of_models(first, second, SETTINGS, "EPSG:32754").volumes.loc[0]
+    assert (row.n_cells, row.volume_m3, row.sigma_m3) == pytest.approx((45_498, 6668.8, 192.2), abs=0.05)
+
+
+@pytest.mark.real
+def test_the_march_survey_of_the_beach_is_flagged_by_a_campaign(data_dir: Path) -> None:
+    place, map_crs = LocalFrame(lat_deg=-38.77, lon_deg=143.6648, h_ell_m=3.0), "EPSG:32754"
+    settings = Deformation(
+        core_spacing_m=4.0, scales_m=[4.0], cylinder_radius_m=2.5, reach_m=3.0, registration="none"
+    )
+    epochs = [
+        prepare_foreign_epoch(
+            day, beach_epoch(data_dir, day), frame=place, crs=map_crs, area=EVERYWHERE, margin_m=4.0
+        )
+        for day in ("20190205", "20190313", "20190516")
+    ]
+    check_order(epochs)
+    assert "without a height (undeclared value -10000)" in epochs[0].notes[0]
+    found = series_of_epochs(place_core_points(epochs, settings, EVERYWHERE), epochs, settings)
+    # the mean of an area of some ten correlation lengths is known better than a place
+    assert (found.sigma_apart_m < 0.015).all()
+    (jump,) = find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)
+    assert jump.flagged
+    # cells of all surveys: +0.149 and -0.19 m where the water of each day is left out
+    assert jump.before_m == pytest.approx(0.13, abs=0.03)
+    assert jump.after_m == pytest.approx(-0.18, abs=0.03)
+    assert found.misclosure.largest_m < 1e-9  # all distances are along the same normals
